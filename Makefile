@@ -1,0 +1,53 @@
+PYTHON ?= python3
+PIPELINE ?= pipeline/paper.toml
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+
+.DEFAULT_GOAL := all
+.PHONY: all install dev test test-fast smoke lint types check clean help
+
+all: install ## set up, then run the paper's whole experiment (what is done already is not done again)
+	$(BIN)/npred run $(PIPELINE)
+
+install: $(VENV)/.installed ## set up .venv with npred in it
+
+dev: $(VENV)/.installed-dev ## the same with what the tests need
+
+test: dev ## all tests
+	$(BIN)/python -m pytest
+
+test-fast: dev ## the tests that take no more than a few seconds each
+	$(BIN)/python -m pytest -m "not slow"
+
+smoke: install ## the whole chain on a tiny problem
+	$(BIN)/npred run pipeline/smoke.toml
+
+lint: dev ## style
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: dev ## types
+	$(BIN)/pyright
+
+check: lint types test ## lint, types and tests
+
+clean: ## remove caches and build output; .venv and artifacts/ stay
+	rm -rf build dist *.egg-info .pytest_cache .ruff_cache .hypothesis
+	find npred tests -type d -name __pycache__ -exec rm -rf {} +
+
+help: ## this list
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "%-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+
+$(BIN)/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || \
+		{ echo "expected Python 3.11 or newer, got $$($(PYTHON) --version 2>&1); name one with make PYTHON=..." >&2; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/.installed: pyproject.toml | $(BIN)/python
+	$(PIP) -e .
+	touch $@
+
+$(VENV)/.installed-dev: pyproject.toml | $(BIN)/python
+	$(PIP) -e ".[dev]"
+	touch $@ $(VENV)/.installed

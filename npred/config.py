@@ -1,0 +1,236 @@
+"""The pipeline file as frozen models: one table a stage, every key checked, `--set` overrides included."""
+
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from npred.errors import ConfigError
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Delay = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Count = Annotated[int, Field(ge=1)]
+Nodes = Annotated[int, Field(ge=2)]
+Range = tuple[Delay, Delay]
+Method = Literal["euler", "heun", "rk4", "picard"]
+Anchor = Literal["none", "initial", "equilibrium"]
+
+
+def ordered(key: str, span: Range) -> None:
+    """Raise ValueError unless span is (low, high) with low <= high."""
+    if span[0] > span[1]:
+        raise ValueError(f"{key}: expected [low, high] with low <= high, got {list(span)}; swap them")
+
+
+def within(key: str, span: Range, bounds: Range) -> None:
+    """Raise ValueError unless the span lies inside the bounds of the delay estimate."""
+    if span[0] < bounds[0] or span[1] > bounds[1]:
+        raise ValueError(
+            f"{key}: expected within bounds = {list(bounds)}, got {list(span)}; widen bounds or move {key}"
+        )
+
+
+class Table(BaseModel):
+    """A table of the pipeline file: frozen, and an unknown key is an error."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Loop(Table):
+    """The closed loop [DAPF, eqs. 6-14] that a stage runs: times and delays in seconds, nx nodes on [0, 1]."""
+
+    dt: Positive = 0.005
+    nx: Nodes = 101
+    t_end: Positive = 40.0
+    predictor: Method = "rk4"
+    gamma: Positive = 1000.0
+    b: Positive = 1.0
+    bounds: Range = (0.1, 4.0)
+    input_bounds: list[tuple[float, float]] | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        ordered("bounds", self.bounds)
+        if self.dt > self.t_end:
+            raise ValueError(f"dt: expected at most t_end = {self.t_end:g}, got {self.dt:g}; shorten the step")
+        return self
+
+
+class Generate(Loop):
+    """Rollouts with the numerical predictor and the samples taken from them."""
+
+    samples: Count = 5000
+    rollouts: Count = 50
+    D: Range | Positive = 1.0
+    D_hat0: list[Range] = [(0.3, 0.7), (1.0, 2.0), (1.0, 2.0)]
+    box: dict[str, tuple[float, float]] = {}
+    test_share: Annotated[float, Field(gt=0, lt=1)] = 0.1
+
+    @model_validator(mode="after")
+    def _check_delays(self) -> Self:
+        for k, span in enumerate(self.D_hat0):
+            ordered(f"D_hat0[{k}]", span)
+            within(f"D_hat0[{k}]", span, self.bounds)
+        if isinstance(self.D, tuple):
+            ordered("D", self.D)
+        if self.rollouts < 2:
+            raise ValueError("rollouts: expected at least 2, got 1; one is held out for the test")
+        if not self.rollouts <= self.samples <= self.rollouts * round(self.t_end / self.dt):
+            raise ValueError(
+                f"samples: expected 1 to t_end / dt a rollout, got {self.samples} of {self.rollouts}; mend either"
+            )
+        return self
+
+
+class Training(Table):
+    """What both networks share; `snapshots` keeps the model as it stood after those epochs."""
+
+    epochs: Count = 100
+    batch: Count = 512
+    lr: Positive = 2e-3
+    weight_decay: Annotated[float, Field(ge=0)] = 0.0
+    schedule: Literal["one-cycle", "step"] = "one-cycle"
+    loss: Literal["raw", "standardised", "kappa"] = "kappa"
+    nodes: Nodes | None = None
+    snapshots: list[Count] = []
+    anchor: Anchor = "equilibrium"
+    checkpoint_every: Count = 5
+
+    @model_validator(mode="after")
+    def _check_snapshots(self) -> Self:
+        late = [k for k in self.snapshots if k > self.epochs]
+        if late:
+            raise ValueError(
+                f"snapshots: expected epochs of 1 to {self.epochs}, got {late[0]}; raise epochs or drop it"
+            )
+        return self
+
+
+class DeepONet(Training):
+    """Branch network of `depth` hidden layers, trunk of two; `basis` trunk functions; `moments` of u."""
+
+    width: Count = 128
+    depth: Count = 3
+    basis: Count = 48
+    trunk: Count = 64
+    moments: Count = 16
+
+
+class FNO(Training):
+    """Spectral layers over x [Li et al. 2021], each a truncated real DFT of the lowest `modes`."""
+
+    width: Count = 32
+    modes: Count = 12
+    layers: Count = 4
+
+
+class Train(Table):
+    """One table a network; `models` says which of them are trained."""
+
+    models: list[Literal["deeponet", "fno"]] = ["deeponet", "fno"]
+    deeponet: DeepONet = DeepONet()
+    fno: FNO = FNO()
+
+
+class Evaluate(Loop):
+    """Held-out errors, the loop of Fig. 1 and a grid of initial states times D_hat(0)."""
+
+    t_end: Positive = 100.0
+    D: Positive = 1.0
+    X0: list[float] = [0.03, 30.0]
+    D_hat0: Positive = 2.0
+    case_states: Count = 10
+    case_D_hat0: list[Positive] = [0.3, 0.5, 1.0, 1.5, 2.0]
+    case_t_end: Positive = 100.0
+
+    @model_validator(mode="after")
+    def _check_delays(self) -> Self:
+        for k, value in [("D_hat0", self.D_hat0)] + [(f"case_D_hat0[{i}]", v) for i, v in enumerate(self.case_D_hat0)]:
+            within(k, (value, value), self.bounds)
+        return self
+
+
+class Bench(Table):
+    """Table I of [DAPF]: calls at each dx, each predictor with its own error beside its time."""
+
+    dx: list[Annotated[float, Field(gt=0, le=0.5)]] = [0.01, 0.005, 0.001]
+    calls: Count = 1000
+    threads: Count = 1
+    batches: list[Count] = [1]
+
+
+class Pipeline(Table):
+    """A pipeline file, resolved: `plant` is a built-in name or `file.py:Class`, `parameters` override its defaults."""
+
+    name: str = "pipeline"
+    seed: Annotated[int, Field(ge=0)] = 0
+    plant: str = "activator_repressor"
+    parameters: dict[str, float] = {}
+    generate: Generate = Generate()
+    train: Train = Train()
+    evaluate: Evaluate = Evaluate()
+    bench: Bench = Bench()
+
+
+def load(path: Path, overrides: list[str] | None = None) -> Pipeline:
+    """The pipeline of a TOML file with `key.path=value` overrides applied.
+
+    Raises ConfigError, in one line, for a file that is missing or no TOML, an unknown key, a wrong type or value.
+    """
+    try:
+        data = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise ConfigError(f"{path}: expected a pipeline file, found none; see pipeline/ for examples") from None
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise ConfigError(f"{path}: expected a TOML file, got: {error}; correct that line") from None
+    for override in overrides or []:
+        _apply(data, override)
+    return parse(data, str(path))
+
+
+def parse(data: dict[str, Any], source: str) -> Pipeline:
+    """The pipeline of a plain dictionary; `source` names it in errors."""
+    try:
+        return Pipeline.model_validate(data)
+    except ValidationError as error:
+        raise ConfigError(f"{source}: {_sentence(error)}") from None
+
+
+def _apply(data: dict[str, Any], override: str) -> None:
+    key, sign, text = override.partition("=")
+    if not sign or not key:
+        raise ConfigError(
+            f"--set: expected key.path=value, got {override!r}; for example --set train.deeponet.epochs=5"
+        )
+    try:
+        value = tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        value = text  # a bare word is a string, so that --set plant=scalar needs no quotes
+    *parents, leaf = key.split(".")
+    for parent in parents:
+        data = data.setdefault(parent, {})
+        if not isinstance(data, dict):
+            raise ConfigError(f"--set {key}: expected a table at {parent!r}, got {data!r}; check the key's path")
+    data[leaf] = value
+
+
+def _sentence(error: ValidationError) -> str:
+    first: Any = error.errors()[0]
+    fields = [part for part in first["loc"] if isinstance(part, int) or part.isidentifier()]  # without a union's types
+    where = ".".join(str(part) for part in fields)
+    if first["type"] == "extra_forbidden":
+        return f"{where}: unknown key; expected one of {', '.join(_siblings(first['loc']))}"
+    if first["type"] == "value_error":
+        return f"{where + '.' if where else ''}{first['ctx']['error']}"
+    wanted = [
+        e["msg"].removeprefix("Input should be ") for e in error.errors() if e["loc"][: len(fields)] == tuple(fields)
+    ]
+    return f"{where}: expected {' or '.join(dict.fromkeys(wanted))}, got {first['input']!r}; correct it"
+
+
+def _siblings(loc: tuple[int | str, ...]) -> list[str]:
+    model: Any = Pipeline
+    for part in loc[:-1]:
+        model = model.model_fields[part].annotation
+    return sorted(model.model_fields)

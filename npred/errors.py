@@ -1,0 +1,35 @@
+"""Every failure a user can meet, each with its exit code; messages say what was expected, what came, what to do."""
+
+
+class NpredError(Exception):
+    """A failure in one line: what was expected, what came, what to do. The base is a stage that failed."""
+
+    exit_code = 1
+
+
+class ConfigError(NpredError):
+    """Usage or configuration: an unknown key, a wrong type, a value out of range, a plant file that does not load."""
+
+    exit_code = 2
+
+
+class UnmetError(NpredError):
+    """The answer is no: an unmet gate, or `status --check` with something stale."""
+
+    exit_code = 3
+
+
+class StoreError(NpredError):
+    """The store is locked or corrupt; the message names the file."""
+
+    exit_code = 4
+
+
+class MissingError(NpredError):
+    """An extra or a device that this machine lacks."""
+
+    exit_code = 5
+
+
+class DivergedError(NpredError):
+    """A rollout, a predictor or a training left the finite numbers."""

@@ -1,0 +1,104 @@
+"""The pipeline file: what is accepted, and one clear line for what is not."""
+
+from pathlib import Path
+
+import pytest
+
+from npred import config
+from npred.errors import ConfigError
+
+PIPELINES = sorted((Path(__file__).parent.parent / "pipeline").glob("*.toml"))
+
+
+@pytest.fixture
+def empty(tmp_path: Path) -> Path:
+    path = tmp_path / "empty.toml"
+    path.write_text("")
+    return path
+
+
+@pytest.mark.parametrize("path", PIPELINES, ids=lambda path: path.stem)
+def test_the_pipelines_in_the_repository_load_and_are_named_after_their_file(path: Path):
+    assert config.load(path).name == path.stem
+
+
+def test_an_empty_file_is_the_defaults(empty: Path):
+    assert config.load(empty) == config.Pipeline()
+
+
+def test_overrides_reach_nested_keys_in_their_toml_type(empty: Path):
+    overrides = ["train.deeponet.epochs=5", "generate.D=[0.5, 2]", "plant=scalar", "parameters.a=-1.5", "name='x y'"]
+    found = config.load(empty, overrides)
+    assert found.train.deeponet.epochs == 5
+    assert found.generate.D == (0.5, 2.0)
+    assert (found.plant, found.parameters, found.name) == ("scalar", {"a": -1.5}, "x y")
+
+
+def test_a_later_override_wins_and_the_rest_of_its_table_stays(tmp_path: Path):
+    path = tmp_path / "p.toml"
+    path.write_text("[generate]\nsamples = 7\nrollouts = 3\n")
+    found = config.load(path, ["generate.samples=8", "generate.samples=9"]).generate
+    assert (found.samples, found.rollouts) == (9, 3)
+
+
+def test_a_pipeline_is_frozen(empty: Path):
+    with pytest.raises(ValueError, match="frozen"):
+        config.load(empty).seed = 3
+
+
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        ("generate.smaples=3", ["generate.smaples", "unknown key", "samples"]),
+        ("foo=3", ["foo", "unknown key", "generate"]),
+        ("train.deeponet.modes=3", ["train.deeponet.modes", "unknown key", "width"]),
+        ("generate.samples=many", ["generate.samples", "integer", "'many'"]),
+        ("generate.samples=0", ["generate.samples", "1", "0"]),
+        ("generate.dt=-0.1", ["generate.dt", "greater than 0", "-0.1"]),
+        ("generate.dt=nan", ["generate.dt", "finite", "nan"]),
+        ("generate.dt=1e3", ["generate.dt", "t_end", "1000"]),
+        ("generate.nx=1", ["generate.nx", "2", "1"]),
+        ("bench.dx=[-0.01]", ["bench.dx.0", "greater than 0", "-0.01"]),
+        ("generate.bounds=[2, 1]", ["generate", "bounds", "low <= high", "[2.0, 1.0]"]),
+        ("generate.bounds=[0.1, 1.5]", ["generate", "D_hat0[1]", "[1.0, 2.0]", "[0.1, 1.5]"]),
+        ("evaluate.D_hat0=9", ["evaluate", "D_hat0", "9", "[0.1, 4.0]"]),
+        ("evaluate.case_D_hat0=[1, 9]", ["evaluate", "case_D_hat0[1]", "9", "[0.1, 4.0]"]),
+        ("generate.rollouts=1", ["generate", "rollouts", "at least 2", "1"]),
+        ("generate.D=[2, 1]", ["generate", "D:", "low <= high", "[2.0, 1.0]"]),
+        ("train.models=['cnn']", ["train.models.0", "'deeponet' or 'fno'", "'cnn'"]),
+        ("train.fno.snapshots=[9999]", ["train.fno", "snapshots", "9999"]),
+        ("generate=3", ["generate", "3"]),
+        ("seed.x.y=3", ["seed", "3"]),
+        ("seed", ["--set", "key.path=value", "'seed'"]),
+        ("=3", ["--set", "key.path=value", "'=3'"]),
+    ],
+)
+def test_a_bad_value_is_one_line_that_names_key_expectation_and_value(empty: Path, override: str, words: list[str]):
+    with pytest.raises(ConfigError) as caught:
+        config.load(empty, [override])
+    message = str(caught.value)
+    assert "\n" not in message
+    assert [word for word in words if word not in message] == []
+
+
+def test_an_override_below_a_plain_value_is_refused(tmp_path: Path):
+    path = tmp_path / "p.toml"
+    path.write_text("seed = 3\n")
+    with pytest.raises(ConfigError, match="expected a table at 'seed', got 3"):
+        config.load(path, ["seed.x=1"])
+
+
+@pytest.mark.parametrize(("content", "word"), [(b"[generate\n", "line 1"), (b"\xff\xfe", "TOML")])
+def test_a_file_that_is_no_toml_is_named(tmp_path: Path, content: bytes, word: str):
+    path = tmp_path / "p.toml"
+    path.write_bytes(content)
+    with pytest.raises(ConfigError, match=word) as caught:
+        config.load(path)
+    assert str(path) in str(caught.value)
+
+
+def test_a_missing_file_and_a_folder_are_named(tmp_path: Path):
+    for path in (tmp_path / "none.toml", tmp_path):
+        with pytest.raises(ConfigError) as caught:
+            config.load(path)
+        assert str(path) in str(caught.value)
