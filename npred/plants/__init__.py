@@ -1,0 +1,66 @@
+"""Plants by name or from a user's file; a plant is one file of this folder and nothing else."""
+
+import hashlib
+import importlib
+import importlib.util
+import pkgutil
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from npred.errors import ConfigError
+from npred.plants.base import Plant
+
+
+def resolve(name: str, parameters: Mapping[str, float] = {}) -> Plant:
+    """The plant of a built-in name or of `file.py:Class`, with parameters overridden.
+
+    Raises ConfigError, in one line, for an unknown name, a missing or broken file, or an unknown parameter.
+    """
+    path, colon, class_name = name.partition(".py:")
+    if colon:
+        return _from_file(Path(path + ".py"), class_name, parameters)
+    declaration = _builtin().get(name)
+    if declaration is None:
+        raise ConfigError(f"plant {name!r}: expected one of {', '.join(_builtin())}, or a file as my_plant.py:Tank")
+    return Plant(name, declaration, parameters)
+
+
+def identity(name: str, parameters: Mapping[str, float] = {}) -> dict[str, Any]:
+    """What a stage's key must hold of the plant; see Plant.identity."""
+    return resolve(name, parameters).identity
+
+
+def builtin() -> list[dict[str, Any]]:
+    """Name, states, inputs and parameters of the plants that are built in."""
+    plants = [resolve(name) for name in _builtin()]
+    return [
+        {"name": p.name, "states": list(p.states), "inputs": list(p.inputs), "parameters": p.parameters} for p in plants
+    ]
+
+
+def _builtin() -> dict[str, type]:
+    """Every module of this folder that declares a plant: thermal_tank.py declares ThermalTank."""
+    found = {}
+    for module in pkgutil.iter_modules(__path__):
+        camel = "".join(word.capitalize() for word in module.name.split("_"))
+        declaration = getattr(importlib.import_module(f"{__name__}.{module.name}"), camel, None)
+        if hasattr(declaration, "states"):
+            found[module.name] = declaration
+    return found
+
+
+def _from_file(path: Path, class_name: str, parameters: Mapping[str, float]) -> Plant:
+    if not path.is_file():
+        raise ConfigError(f"plant {path}:{class_name}: expected a Python file, found none at {path}; check the path")
+    text = path.read_bytes()
+    space: dict[str, Any] = {"__name__": path.stem, "__file__": str(path)}
+    try:
+        exec(compile(text, str(path), "exec"), space)
+    except SyntaxError as error:
+        raise ConfigError(f"plant {path}:{error.lineno}: expected Python, got a syntax error: {error.msg}") from None
+    except Exception as error:
+        raise ConfigError(f"plant {path}: failed on import: {type(error).__name__}: {error}; mend the file") from None
+    if not isinstance(space.get(class_name), type):
+        raise ConfigError(f"plant {path}: expected a class {class_name}, found none; check the name after the colon")
+    return Plant(class_name, space[class_name], parameters, hashlib.sha256(text).hexdigest())

@@ -1,0 +1,175 @@
+"""A plant: what its author declared, its equilibrium, its functions on arrays, and its identity."""
+
+import hashlib
+from collections.abc import Mapping
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from npred.errors import ConfigError
+from npred.plants import mathematics, tape
+from npred.plants.trace import Trace, call, python
+
+REQUIRED = ("states", "inputs", "f", "kappa", "V")
+
+
+class Plant:
+    """X'(t) = f(X(t), U(t - D)) with the law kappa and the function V [DAPF, eqs. 1-4].
+
+    A declaration is a class with `states`, `inputs` (names) and the functions f(x, u, t, p, M), kappa(x, t, p, M) and
+    V(x, t, p, M); optional are `parameters` (name to default), `box` (state to range, for experiments), `guess` (where
+    the equilibrium is searched from) and `input_bounds` (a range an input). M is the mathematics: sin, exp, where …
+    Raises ConfigError for a declaration that lacks a part or a parameter that it does not have.
+    """
+
+    def __init__(self, name: str, declaration: type, overrides: Mapping[str, float] = {}, source: str | None = None):
+        missing = [part for part in REQUIRED if not hasattr(declaration, part)]
+        if missing:
+            raise ConfigError(f"plant {name}: expected {', '.join(REQUIRED)}, found no {missing[0]}; declare it")
+        self.name, self.declaration, self.source = name, declaration, source
+        self.states, self.inputs = tuple(declaration.states), tuple(declaration.inputs)
+        self.parameters = _override(name, getattr(declaration, "parameters", {}), overrides)
+        self.box: dict[str, tuple[float, float]] = dict(getattr(declaration, "box", {}))
+        self.guess = np.array(getattr(declaration, "guess", np.zeros(self.n)), dtype=float)
+        self.input_bounds = getattr(declaration, "input_bounds", None)
+
+    @property
+    def n(self) -> int:
+        """The number of states."""
+        return len(self.states)
+
+    @property
+    def m(self) -> int:
+        """The number of inputs."""
+        return len(self.inputs)
+
+    @cached_property
+    def p(self) -> np.ndarray:
+        """The parameters' values in the order of their declaration."""
+        return np.array(list(self.parameters.values()), dtype=float)
+
+    def call(self, name: str, x: list[Any], u: list[Any] | None, t: Any, p: Any, M: Any) -> list[Any]:
+        """A declared function on components of any kind: floats, arrays, tensors or symbols."""
+        return call(self, name, x, u, t, p, M)
+
+    def f(self, X: Any, u: Any, t: Any = 0.0) -> Any:
+        """f(X, u, t): X (..., n), u (..., m) to (..., n); NumPy arrays or torch tensors."""
+        return mathematics.stack(self._on("f", X, u, t), X[..., 0])
+
+    def kappa(self, X: Any, t: Any = 0.0) -> Any:
+        """kappa(X, t): X (..., n) to (..., m)."""
+        return mathematics.stack(self._on("kappa", X, None, t), X[..., 0])
+
+    def V(self, X: Any, t: Any = 0.0) -> Any:
+        """V(X, t): X (..., n) to (...)."""
+        return self._on("V", X, None, t)[0]
+
+    def _on(self, name: str, X: Any, u: Any, t: Any) -> list[Any]:
+        x = [X[..., k] for k in range(self.n)]
+        inputs = None if u is None else [u[..., k] for k in range(self.m)]
+        return self.call(name, x, inputs, t, list(self.parameters.values()), mathematics.of(X))
+
+    @cached_property
+    def equilibrium(self) -> np.ndarray:
+        """X* with f(X*, kappa(X*)) = 0 to machine precision, shape (n,), by Newton's method from `guess`.
+
+        Raises ConfigError where it finds none, or where the plant depends on time: that one tracks, see `rests`.
+        """
+        if not self.rests:
+            raise ConfigError(
+                f"plant {self.name}: expected an equilibrium, but f or kappa depends on time; it only tracks"
+            )
+        return _newton(self.name, self._at_rest, self.guess)
+
+    @cached_property
+    def u_equilibrium(self) -> np.ndarray:
+        """u* = kappa(X*), shape (m,)."""
+        return self.kappa(self.equilibrium)
+
+    def jacobians(self, X: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """f_X (n, n) and f_U (n, m) at one point, at t = 0, derived from the declared f."""
+        values = np.reshape(self._interpreted["f"](*X, *u, 0.0, *self.p), (self.n + self.m, self.n))
+        return values[: self.n].T, values[self.n :].T
+
+    def kappa_jacobian(self, X: np.ndarray) -> np.ndarray:
+        """kappa' (m, n) at one point, at t = 0, derived from the declared kappa."""
+        return np.reshape(self._interpreted["kappa"](*X, 0.0, *self.p), (self.n, self.m)).T
+
+    @cached_property
+    def _interpreted(self) -> dict[str, Any]:
+        """The derivatives of f by (x, u) and of kappa by x, one unit direction after the other, as Python functions."""
+        trace = Trace(self)
+        x, u, t = trace.vector("x", self.n), trace.vector("u", self.m), trace.input("t")
+        f, kappa, both = trace.f(x, u, t), trace.kappa(x, t), np.concatenate([x, u])
+        by_xu = [y for unit in np.eye(self.n + self.m) for y in tape.derivative(f, both, unit)]
+        by_x = [y for unit in np.eye(self.n) for y in tape.derivative(kappa, x, unit)]
+        x_names, rest = self._names("x", self.n), ["t", *self._names("p", len(self.p))]
+        f_names = [*x_names, *self._names("u", self.m), *rest]
+        return {"f": python(by_xu, f_names), "kappa": python(by_x, [*x_names, *rest])}
+
+    @staticmethod
+    def _names(prefix: str, count: int) -> list[str]:
+        return [f"{prefix}{k}" for k in range(count)]
+
+    def _at_rest(self, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """f(X, kappa(X)) and its Jacobian; NaN where they are not defined, so that the search turns back."""
+        try:
+            with np.errstate(all="ignore"):
+                u = self.kappa(X)
+                f_X, f_U = self.jacobians(X, u)
+                return self.f(X, u), f_X + f_U @ self.kappa_jacobian(X)
+        except (ArithmeticError, ValueError):  # floats raise where arrays give NaN
+            return np.full(self.n, np.nan), np.full((self.n, self.n), np.nan)
+
+    @cached_property
+    def rests(self) -> bool:
+        """Whether the plant has an equilibrium to rest at: neither f nor kappa depends on time."""
+        trace = Trace(self)
+        x, u, t = trace.vector("x", self.n), trace.vector("u", self.m), trace.input("t")
+        return not tape.depends([*trace.f(x, u, t), *trace.kappa(x, t)], [t])
+
+    @cached_property
+    def identity(self) -> dict[str, Any]:
+        """What a result depends on: name, parameters, the hash of the traced functions and of a user's own file."""
+        trace = Trace(self)
+        x, u, t = trace.vector("x", self.n), trace.vector("u", self.m), trace.input("t")
+        outputs = [*trace.f(x, u, t), *trace.kappa(x, t), trace.V(x, t)]
+        names = [*self._names("x", self.n), *self._names("u", self.m), "t", *self._names("p", len(self.p))]
+        lines = tape.program(outputs, {name: name for name in names}, [f"y{k}" for k in range(len(outputs))])
+        return {
+            "name": self.name,
+            "parameters": self.parameters,
+            "box": {name: list(span) for name, span in self.box.items()},
+            "input_bounds": self.input_bounds,
+            "guess": self.guess.tolist(),
+            "program": hashlib.sha256("\n".join(lines).encode()).hexdigest(),
+            "source": self.source,
+        }
+
+
+def _override(name: str, defaults: Mapping[str, float], overrides: Mapping[str, float]) -> dict[str, float]:
+    for key in overrides:
+        if key not in defaults:
+            known = ", ".join(defaults) or "none"
+            raise ConfigError(f"plant {name}: unknown parameter {key!r}; expected one of: {known}")
+    return {key: float(value) for key, value in {**defaults, **overrides}.items()}
+
+
+def _newton(name: str, residual: Any, guess: np.ndarray) -> np.ndarray:
+    """Newton's method with the step halved while the residual grows; ends when a step no longer changes X."""
+    X = guess.copy()
+    g, J = residual(X)
+    for _ in range(100):
+        if not np.isfinite(g).all() or not np.isfinite(J).all() or np.linalg.matrix_rank(J) < len(X):
+            break
+        step, scale = np.linalg.solve(J, g), 1.0
+        while scale > 1e-8 and not np.linalg.norm(residual(X - scale * step)[0]) <= np.linalg.norm(g):
+            scale /= 2
+        if scale <= 1e-8 or np.array_equal(X - scale * step, X):
+            break
+        X = X - scale * step
+        g, J = residual(X)
+    if not np.linalg.norm(g) <= 1e-9 * max(1.0, float(np.linalg.norm(X))):
+        raise ConfigError(f"plant {name}: no equilibrium near guess = {guess.tolist()}; give a `guess` closer to it")
+    return X

@@ -1,0 +1,96 @@
+"""A plant's functions on one tape, and programs of them printed as plain Python."""
+
+import math
+import traceback
+from collections import namedtuple
+from collections.abc import Callable, Sequence
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from npred.errors import ConfigError
+from npred.plants import tape as tapes
+
+if TYPE_CHECKING:
+    from npred.plants.base import Plant
+
+
+class Trace:
+    """f, kappa, V and their directional derivatives as expressions: vectors are object arrays of symbols.
+
+    Formulas (a predictor's step, the update law) are written once on arrays; run on a trace they become programs.
+    """
+
+    def __init__(self, plant: "Plant") -> None:
+        self.plant = plant
+        self.tape = tapes.Tape()
+        self.parameters = self.tape.inputs("p", len(plant.parameters))
+
+    def input(self, name: str) -> tapes.Symbol:
+        """A scalar input of the program."""
+        return self.tape.input(name)
+
+    def vector(self, prefix: str, size: int) -> np.ndarray:
+        """The vector input prefix0, prefix1, … of the program, shape (size,)."""
+        return np.array(self.tape.inputs(prefix, size), dtype=object)
+
+    def f(self, x: np.ndarray, u: np.ndarray, t: Any) -> np.ndarray:
+        """f(x, u, t), shape (n,)."""
+        return self._call("f", self.plant.n, x, u, t)
+
+    def kappa(self, x: np.ndarray, t: Any) -> np.ndarray:
+        """kappa(x, t), shape (m,)."""
+        return self._call("kappa", self.plant.m, x, None, t)
+
+    def V(self, x: np.ndarray, t: Any) -> Any:
+        """V(x, t), a scalar."""
+        return self._call("V", 1, x, None, t)[0]
+
+    def df(self, x: np.ndarray, u: np.ndarray, t: Any, v: np.ndarray) -> np.ndarray:
+        """f_X(x, u, t) v for x of input symbols, shape (n,)."""
+        return np.array(tapes.derivative(self.f(x, u, t), x, v), dtype=object)
+
+    def dkappa(self, x: np.ndarray, t: Any, v: np.ndarray) -> np.ndarray:
+        """kappa'(x, t) v for x of input symbols, shape (m,)."""
+        return np.array(tapes.derivative(self.kappa(x, t), x, v), dtype=object)
+
+    def _call(self, name: str, size: int, x: np.ndarray, u: np.ndarray | None, t: Any) -> np.ndarray:
+        values = self.plant.call(name, list(x), None if u is None else list(u), t, self.parameters, tapes.M)
+        if len(values) != size:
+            wanted = f"{size} value{'s' * (size > 1)}"
+            raise ConfigError(
+                f"plant {self.plant.name}: {name} expected to return {wanted}, got {len(values)}; mend {name}"
+            )
+        return np.array(values, dtype=object)
+
+
+def call(plant: "Plant", name: str, x: list[Any], u: list[Any] | None, t: Any, p: Sequence[Any], M: Any) -> list[Any]:
+    """The declared function on named components; a failure inside it becomes one line with the line of the file."""
+    state = _record("State", plant.states)(*x)
+    parameters = _record("Parameters", tuple(plant.parameters))(*p)
+    inputs = () if u is None else (_record("Inputs", plant.inputs)(*u),)
+    try:
+        values = getattr(plant.declaration, name)(state, *inputs, t, parameters, M)
+    except ConfigError:
+        raise
+    except Exception as error:
+        line = traceback.extract_tb(error.__traceback__)[-1]
+        where = f"{line.filename.rsplit('/', 1)[-1]}:{line.lineno}"
+        raise ConfigError(f"plant {plant.name}: {name} failed at {where}: {type(error).__name__}: {error}") from None
+    return [values] if name == "V" or not isinstance(values, (list, tuple, np.ndarray)) else list(values)
+
+
+@cache
+def _record(kind: str, names: tuple[str, ...]) -> Any:
+    return namedtuple(kind, names)
+
+
+def python(outputs: tapes.Vector, names: Sequence[str]) -> Callable[..., list[float]]:
+    """The program as an interpreted function of the named inputs: for the few evaluations of a solver."""
+    targets = [f"y{k}" for k in range(len(outputs))]
+    lines = tapes.program(outputs, {name: name for name in names}, targets)
+    text = f"def function({', '.join(names)}):\n    " + "\n    ".join(lines) + f"\n    return [{', '.join(targets)}]"
+    space: dict[str, Any] = {"math": math, "np": np}
+    exec(text, space)
+    return space["function"]

@@ -1,0 +1,158 @@
+"""Plants: declaration, equilibrium, derivatives, arrays and tensors, a user's own file, and what goes wrong."""
+
+import textwrap
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from npred import plants
+from npred.errors import ConfigError
+
+X_STAR = (0.093894784596175314799, 5.2514404348957272692)  # independent solver, 18 digits
+U_STAR = -2.62808664394595e-5
+
+TANK = """
+class Tank:
+    '''Level h, outflow c sqrt(h), inflow U.'''
+    states = ("h",)
+    inputs = ("U",)
+    parameters = {"c": 0.5, "level": 1.0}
+    box = {"h": (0.5, 2.0)}
+    guess = (0.8,)
+
+    def f(x, u, t, p, M):
+        return [u.U - p.c * M.sqrt(x.h)]
+
+    def kappa(x, t, p, M):
+        return [p.c * M.sqrt(x.h) + p.level - x.h]
+
+    def V(x, t, p, M):
+        return (x.h - p.level) ** 2
+"""
+
+
+@pytest.fixture
+def write(tmp_path):
+    """A plant file with a piece of the tank replaced; its resolvable name."""
+
+    def make(old="", new="", text=TANK):
+        path = tmp_path / "my_plant.py"
+        path.write_text(textwrap.dedent(text.replace(old, new) if old else text))
+        return f"{path}:Tank"
+
+    return make
+
+
+def test_equilibrium_to_machine_precision():
+    plant = plants.resolve("activator_repressor")
+    np.testing.assert_allclose(plant.equilibrium, X_STAR, rtol=1e-14)
+    np.testing.assert_allclose(plant.u_equilibrium, U_STAR, rtol=1e-10)
+
+
+def test_jacobians_at_the_equilibrium():
+    plant = plants.resolve("activator_repressor")
+    f_X, f_U = plant.jacobians(np.array(X_STAR), np.array([U_STAR]))
+    np.testing.assert_allclose(f_X, [[0.970137859187033, -0.0345073280414935], [55.3557587564355, -0.5]], rtol=1e-12)
+    np.testing.assert_allclose(f_U, [[1.0], [0.0]])
+    np.testing.assert_allclose(
+        plant.kappa_jacobian(np.array(X_STAR)), [[-1.97013785918703, 0.0345073280414935]], rtol=1e-12
+    )
+
+
+@given(st.floats(0.001, 1.0), st.floats(0.1, 60.0), st.floats(-0.5, 0.5))
+def test_jacobians_equal_central_differences(x1, x2, U):
+    plant = plants.resolve("activator_repressor")
+    X, u, steps = np.array([x1, x2]), np.array([U]), np.array([1e-6 * x1, 1e-6 * x2])
+    f_X, _ = plant.jacobians(X, u)
+    for k, unit in enumerate(np.eye(2)):
+        h = steps[k]
+        difference = (plant.f(X + h * unit, u) - plant.f(X - h * unit, u)) / (2 * h)
+        np.testing.assert_allclose(f_X[:, k], difference, rtol=1e-5, atol=1e-5)
+        slope = (plant.kappa(X + h * unit) - plant.kappa(X - h * unit)) / (2 * h)
+        np.testing.assert_allclose(plant.kappa_jacobian(X)[:, k], slope, rtol=1e-5, atol=1e-5)
+
+
+def test_input_enters_the_activator_alone():
+    plant, X = plants.resolve("activator_repressor"), np.array([0.1, 5.0])
+    np.testing.assert_allclose(plant.f(X, np.array([0.3])) - plant.f(X, np.array([0.0])), [0.3, 0.0], atol=1e-15)
+
+
+def test_arrays_and_tensors_agree_and_differentiate():
+    plant, random = plants.resolve("activator_repressor"), np.random.default_rng(0)
+    X, u = random.uniform(0.1, 5, (4, 3, 2)), random.uniform(-1, 1, (4, 3, 1))
+    X_t, u_t = torch.tensor(X, requires_grad=True), torch.tensor(u)
+    for name, values in (("f", plant.f(X_t, u_t)), ("kappa", plant.kappa(X_t)), ("V", plant.V(X_t))):
+        expected = plant.f(X, u) if name == "f" else getattr(plant, name)(X)
+        np.testing.assert_allclose(values.detach().numpy(), expected, rtol=1e-14)
+    (gradient,) = torch.autograd.grad(plant.kappa(X_t).sum(), X_t)
+    np.testing.assert_allclose(gradient[1, 2].numpy(), plant.kappa_jacobian(X[1, 2])[0], rtol=1e-12)
+
+
+def test_parameters_override_and_enter_the_identity():
+    plain, changed = plants.resolve("scalar"), plants.resolve("scalar", {"a": 0.7})
+    assert changed.parameters == {"a": 0.7, "c": 1.0}
+    assert plain.identity != changed.identity
+    assert plants.resolve("scalar").identity == plain.identity
+
+
+def test_builtin_plants_are_listed():
+    names = {row["name"]: row for row in plants.builtin()}
+    assert names["activator_repressor"]["states"] == ["x1", "x2"]
+    assert names["scalar"]["inputs"] == ["U"]
+
+
+def test_own_file(write):
+    tank = plants.resolve(write())
+    np.testing.assert_allclose(tank.equilibrium, [1.0], atol=1e-14)
+    np.testing.assert_allclose(tank.f(np.array([[4.0]]), np.array([[1.0]])), [[0.0]])
+
+
+def test_identity_follows_the_file_and_its_formulas(write):
+    before = plants.resolve(write()).identity
+    commented = plants.resolve(write("class Tank", "# a remark\nclass Tank")).identity
+    stronger = plants.resolve(write("- p.c * M.sqrt", "- 2 * p.c * M.sqrt")).identity
+    assert before["program"] == commented["program"] != stronger["program"]
+    assert len({before["source"], commented["source"], stronger["source"]}) == 3
+
+
+def test_time_dependence_means_no_equilibrium(write):
+    tank = plants.resolve(write("+ p.level - x.h", "+ p.level + M.sin(t) - x.h"))
+    assert not tank.rests
+    with pytest.raises(ConfigError, match="f or kappa depends on time; it only tracks"):
+        _ = tank.equilibrium
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("class Tank", "class Tank(", r"my_plant.py:2: expected Python, got a syntax error"),
+        ("class Tank", "class Vessel", r"expected a class Tank, found none"),
+        ("class Tank", "import nowhere\nclass Tank", r"failed on import: ModuleNotFoundError"),
+        ("def V", "def W", r"plant Tank: expected states, inputs, f, kappa, V, found no V"),
+        ("return [u.U - p.c * M.sqrt(x.h)]", "return [u.U, x.h]", r"Tank: f expected to return 1 value, got 2"),
+        ("M.sqrt(x.h)]", "M.sqrt(x.level)]", r"Tank: f failed at my_plant.py:11: AttributeError: .*level"),
+        ("+ p.level - x.h", "+ max(x.h, 0)", r"Tank: kappa failed at .*use M.where"),
+        ("+ p.level - x.h", "+ 1 + x.h**2", r"Tank: no equilibrium near guess"),
+    ],
+)  # fmt: skip
+def test_mistakes_are_told_in_one_line(write, old, new, message):
+    with pytest.raises(ConfigError, match=message) as caught:
+        plant = plants.resolve(write(old, new))
+        assert plant.identity and plant.equilibrium.shape
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "parameters", "message"),
+    [
+        ("protein", {}, "expected one of activator_repressor, scalar, or a file"),
+        ("scalar", {"k": 1.0}, "unknown parameter 'k'; expected one of: a, c"),
+        ("nowhere.py:Tank", {}, "found none at nowhere.py"),
+    ],
+)
+def test_unknown_names_are_told(name, parameters, message):
+    with pytest.raises(ConfigError, match=message):
+        plants.resolve(name, parameters)

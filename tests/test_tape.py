@@ -1,0 +1,118 @@
+"""The tape: programs equal the functions they were traced from, and their derivatives equal differences."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from npred.plants import tape
+from npred.plants.tape import M
+from npred.plants.trace import python
+
+VALUES = st.floats(0.2, 2.0)
+
+
+def mixture(x, y, M):
+    """Every operation at once, smooth on the box of VALUES."""
+    a = M.sin(x) * M.cos(y) + M.exp(-x * y) / (1 + x**2) - M.tanh(y) + M.tan(x / 4)
+    b = M.log(1 + x) + M.sqrt(y) + x**3 - y**-2 + x**1.5 + x**0.3 + 2**y + abs(x - 3) + M.abs(y - 3)
+    return [a, b, a * b - M.maximum(a, a + 1) + M.minimum(b, b - 1), M.where(x < y + 10, a, b), M.sign(x) * +y - (-y)]
+
+
+def traced(function, derivative=False):
+    t = tape.Tape()
+    x, y = t.input("x"), t.input("y")
+    outputs = function(x, y, M)
+    if derivative:
+        outputs = tape.derivative(outputs, [x, y], [t.input("vx"), t.input("vy")])
+        return python(outputs, ["x", "y", "vx", "vy"])
+    return python(outputs, ["x", "y"])
+
+
+class Floats:
+    """The same mathematics on floats, independent of the tape."""
+
+    sin, cos, tan, exp, log, sqrt, tanh, abs = (
+        math.sin,
+        math.cos,
+        math.tan,
+        math.exp,
+        math.log,
+        math.sqrt,
+        math.tanh,
+        abs,
+    )
+    maximum, minimum, pi = max, min, math.pi
+    sign = staticmethod(lambda a: float(np.sign(a)))
+    where = staticmethod(lambda c, a, b: a if c else b)
+
+
+@given(VALUES, VALUES)
+def test_program_equals_function(x, y):
+    np.testing.assert_allclose(traced(mixture)(x, y), mixture(x, y, Floats), rtol=1e-13)
+
+
+@given(VALUES, VALUES, st.floats(-1, 1), st.floats(-1, 1))
+def test_derivative_equals_central_difference(x, y, vx, vy):
+    h = 1e-6
+    ahead, behind = (np.array(mixture(x + s * h * vx, y + s * h * vy, Floats)) for s in (1, -1))
+    np.testing.assert_allclose(
+        traced(mixture, derivative=True)(x, y, vx, vy), (ahead - behind) / (2 * h), rtol=1e-6, atol=1e-6
+    )
+
+
+def test_equal_operations_are_stored_once():
+    t = tape.Tape()
+    x = t.input("x")
+    before = len(t.nodes)
+    assert (M.sin(x) * 2 + M.sin(x) * 2) is not None
+    assert len(t.nodes) == before + 3  # sin, times two, sum
+
+
+def test_constants_fold_and_zeros_vanish():
+    t = tape.Tape()
+    x = t.input("x")
+    assert M.sin(0.0) == 0.0
+    assert not isinstance(x * 0, tape.Symbol)
+    assert x * 0 == 0.0
+    assert (x + 0).index == x.index and (x * 1).index == x.index and (x / 1).index == x.index
+    assert len(t.nodes) == 1
+
+
+def test_what_no_output_needs_is_not_printed():
+    t = tape.Tape()
+    x = t.input("x")
+    unused, used = M.exp(x), x + 1
+    assert unused is not used
+    lines = tape.program([used], {"x": "x"}, ["y"])
+    assert not any("exp" in line for line in lines)
+    assert tape.depends([used], [x]) and not tape.depends([used], [unused])
+
+
+def test_powers_are_products():
+    t = tape.Tape()
+    lines = tape.program([t.input("x") ** 5], {"x": "x"}, ["y"])
+    assert not any("**" in line for line in lines)
+
+
+@pytest.mark.parametrize(
+    "misuse", [lambda x: max(x, 1), lambda x: math.sin(x), lambda x: 1 if x else 2, lambda x: x == 1, lambda x: int(x)]
+)
+def test_a_decision_on_a_symbol_names_the_cure(misuse):
+    with pytest.raises(TypeError, match=r"M\."):
+        misuse(tape.Tape().input("x"))
+
+
+def test_unknown_mathematics_is_named():
+    with pytest.raises(AttributeError, match="sinh is unknown; expected one of pi, where, sin"):
+        M.sinh(1.0)
+
+
+def test_arrays_of_symbols_are_elementwise():
+    t = tape.Tape()
+    x = np.array(t.inputs("x", 2), dtype=object)
+    y = t.input("h") / 2 * x + 1
+    assert y.shape == (2,)
+    assert python(y, ["x0", "x1", "h"])(3.0, 5.0, 4.0) == [7.0, 11.0]
