@@ -1,0 +1,77 @@
+"""What every predictor is: a map from (X, u, D_hat) to P on the nodes of [0, 1]."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from functools import cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+
+from npred.errors import ConfigError
+from npred.plants.base import Plant
+
+# X (n, B), u (nx, m, B), D_hat (B,), t, p, P (nx, n, B): lanes innermost, so that B loops share each instruction.
+SIGNATURE = "void(float64[:,::1], float64[:,:,::1], float64[::1], float64, float64[::1], float64[:,:,::1])"
+
+
+class Predictor(ABC):
+    """P(x) = X + D_hat ∫₀ˣ f(P(y), u(y)) dy on nx uniform nodes, both ends in [DAPF, eq. 10].
+
+    Call it with X (..., n), u (..., nx, m) and D_hat (...) in seconds; P is (..., nx, n). `t` is the time at x = 0, of
+    use to plants that depend on time. Raises ConfigError where the shapes do not fit the plant.
+    """
+
+    name: ClassVar[str]
+
+    def __init__(self, plant: Plant, nx: int = 101):
+        self.plant, self.nx = plant, nx
+
+    def __call__(self, X: Any, u: Any, D_hat: Any, t: float = 0.0) -> np.ndarray:
+        X, u, D_hat = (np.asarray(a, dtype=float) for a in (X, u, D_hat))
+        self._check(X, u)
+        shape = np.broadcast_shapes(X.shape[:-1], u.shape[:-2], D_hat.shape)
+        X = np.broadcast_to(X, (*shape, self.plant.n)).reshape(-1, self.plant.n)
+        u = np.broadcast_to(u, (*shape, *u.shape[-2:])).reshape(-1, *u.shape[-2:])
+        P = self.predict(X, u, np.broadcast_to(D_hat, shape).reshape(-1), t)
+        return P.reshape(*shape, *P.shape[1:])
+
+    @abstractmethod
+    def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: float) -> np.ndarray:
+        """P (B, nx, n) of X (B, n), u (B, nx, m), D_hat (B,)."""
+
+    @abstractmethod
+    def lanes(self) -> Callable[..., None]:
+        """The same map on the loop's memory, lanes innermost: SIGNATURE, P written in place."""
+
+    def _check(self, X: np.ndarray, u: np.ndarray) -> None:
+        n, m = self.plant.n, self.plant.m
+        if X.ndim < 1 or X.shape[-1] != n:
+            raise ConfigError(f"X: expected shape (..., {n}) for plant {self.plant.name}, got {X.shape}; add the axis")
+        if u.ndim < 2 or u.shape[-1] != m or u.shape[-2] < 2:
+            raise ConfigError(
+                f"u: expected shape (..., nx, {m}) with nx >= 2, got {u.shape}; one row a node, both ends in"
+            )
+
+
+class Compiled(Predictor):
+    """A predictor whose map is one compiled kernel."""
+
+    order: ClassVar[int]
+
+    @cached_property
+    def kernel(self) -> Callable[..., None]:
+        """The compiled map, from the disk where it was compiled before."""
+        return self.compile()
+
+    @abstractmethod
+    def compile(self) -> Callable[..., None]:
+        """Trace the formula and compile its kernel."""
+
+    def lanes(self) -> Callable[..., None]:
+        return self.kernel
+
+    def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: float) -> np.ndarray:
+        P = np.empty((u.shape[1], self.plant.n, len(X)))
+        X, u, D_hat = (np.array(a, order="C") for a in (X.T, u.transpose(1, 2, 0), D_hat))  # broadcasts are read-only
+        self.kernel(X, u, D_hat, t, self.plant.p, P)
+        return P.transpose(2, 0, 1)

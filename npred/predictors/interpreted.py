@@ -1,0 +1,67 @@
+"""Interpreted baselines: what a predictor costs that nobody compiled. For benchmarks, not for loops."""
+
+from abc import abstractmethod
+from collections.abc import Callable
+from functools import cached_property
+
+import numpy as np
+
+from npred.plants import mathematics
+from npred.plants.trace import Trace, python
+from npred.predictors.base import Predictor
+
+
+class Interpreted(Predictor):
+    """A predictor in plain Python, one sample after the other."""
+
+    def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: float) -> np.ndarray:
+        return np.stack([self.one(*row, t) for row in zip(X, u, D_hat, strict=True)])
+
+    def lanes(self) -> Callable[..., None]:
+        def predict(X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: float, p: np.ndarray, P: np.ndarray) -> None:
+            P[:] = self.predict(X.T, u.transpose(2, 0, 1), D_hat, t).transpose(1, 2, 0)
+
+        return predict
+
+    @abstractmethod
+    def one(self, X: np.ndarray, u: np.ndarray, D_hat: float, t: float) -> np.ndarray:
+        """P (nx, n) of one X (n,), u (nx, m), D_hat."""
+
+
+class Published(Interpreted):
+    """The scheme that [DAPF, Table I] timed: at each node the whole integral so far is summed again, O(nx²).
+
+    Written anew from that description, with the plant's f on NumPy numbers. Same values as Euler's method.
+    """
+
+    name = "published"
+
+    def one(self, X: np.ndarray, u: np.ndarray, D_hat: float, t: float) -> np.ndarray:
+        nx, dx, p = len(u), 1 / (len(u) - 1), self.plant.p
+        P, F = np.empty((nx, self.plant.n)), np.empty((nx, self.plant.n))
+        for j in range(nx):
+            P[j] = X + D_hat * dx * np.sum(F[:j], axis=0)
+            F[j] = self.plant.call("f", list(P[j]), list(u[j]), t + D_hat * dx * j, p, mathematics.NUMPY)
+        return P
+
+
+class EulerPython(Interpreted):
+    """Euler's method in plain Python on floats: the same values as `published` in linear time."""
+
+    name = "euler_python"
+
+    def one(self, X: np.ndarray, u: np.ndarray, D_hat: float, t: float) -> np.ndarray:
+        f, p, h = self._f, self.plant.p.tolist(), float(D_hat) / (len(u) - 1)
+        x = X.tolist()
+        P = [x]
+        for j, inputs in enumerate(u[:-1].tolist()):
+            x = [a + h * b for a, b in zip(x, f(*x, *inputs, t + h * j, *p), strict=True)]
+            P.append(x)
+        return np.array(P)
+
+    @cached_property
+    def _f(self) -> Callable[..., list[float]]:
+        trace, n, m = Trace(self.plant), self.plant.n, self.plant.m
+        values = trace.f(trace.vector("x", n), trace.vector("u", m), trace.input("t"))
+        parameters = [f"p{k}" for k in range(len(self.plant.p))]
+        return python(values, [*(f"x{k}" for k in range(n)), *(f"u{k}" for k in range(m)), "t", *parameters])

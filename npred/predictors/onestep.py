@@ -1,0 +1,80 @@
+"""One-step methods: a formula for the step, traced with the plant and swept over the nodes by one kernel."""
+
+from abc import abstractmethod
+from collections.abc import Callable
+from typing import Any
+
+from npred.plants import kernels, tape
+from npred.plants.trace import Trace
+from npred.predictors.base import SIGNATURE, Compiled
+
+# With few lanes the states stay in registers along x; with many, the lanes are the SIMD loop.
+SOURCE = """\
+def sweep(X, u, D_hat, t, p, P):
+    nx, n, lanes = P.shape
+    {parameters}
+    if lanes < 4:
+        for l in range(lanes):
+            h = D_hat[l] / (nx - 1)
+            {start}
+            for j in range(nx - 1):
+                {weights}
+                {scalar}
+    else:
+        for c in range(n):
+            for l in range(lanes):
+                P[0, c, l] = X[c, l]
+        for j in range(nx - 1):
+            {weights}
+            for l in range(lanes):
+                h = D_hat[l] / (nx - 1)
+                {lane}
+"""
+
+# u at the middle of a cell by the cubic through four nodes, one-sided in the end cells; linear where nx < 4.
+WEIGHTS = """\
+a, wa, wb, wc, wd = j - 1, -0.0625, 0.5625, 0.5625, -0.0625
+if nx < 4:
+    a, wa, wb, wc, wd = 0, 0.0, 0.0, 0.0, 0.0
+elif j == 0:
+    a, wa, wb, wc, wd = 0, 0.3125, 0.9375, -0.3125, 0.0625
+elif j == nx - 2:
+    a, wa, wb, wc, wd = nx - 4, 0.0625, -0.3125, 0.9375, 0.3125
+linear = 0.5 if nx < 4 else 0.0
+b, c, d = min(a + 1, nx - 1), min(a + 2, nx - 1), min(a + 3, nx - 1)"""
+
+
+class OneStep(Compiled):
+    """x_{j+1} = step(x_j): `step` is the method's formula on arrays, of the declared order for smooth u."""
+
+    @staticmethod
+    @abstractmethod
+    def step(f: Callable[..., Any], x: Any, u0: Any, um: Any, u1: Any, t: Any, h: Any) -> Any:
+        """x(t + h) from x(t), the input being u0, um, u1 at t, t + h/2, t + h."""
+
+    def compile(self) -> Callable[..., None]:
+        return kernels.build("sweep", SIGNATURE, self._source())
+
+    def _source(self) -> str:
+        n, m = self.plant.n, self.plant.m
+        trace = Trace(self.plant)
+        x, (u0, um, u1) = trace.vector("x", n), (trace.vector(name, m) for name in ("a", "m", "b"))
+        y = self.step(trace.f, x, u0, um, u1, trace.input("t"), trace.input("h"))
+        bindings = {f"p{k}": f"p{k}" for k in range(len(self.plant.p))} | {"t": "(t + j * h)", "h": "h"}
+        for k in range(m):
+            middle = " + ".join(f"w{i} * u[{i}, {k}, l]" for i in "abcd")
+            middle = f"({middle} + linear * (u[j, {k}, l] + u[j + 1, {k}, l]))"
+            bindings |= {f"a{k}": f"u[j, {k}, l]", f"b{k}": f"u[j + 1, {k}, l]", f"m{k}": middle}
+        local, memory = [f"x{k}" for k in range(n)], [f"P[j, {k}, l]" for k in range(n)]
+        new = [f"y{k}" for k in range(n)]
+        scalar = tape.program(y, bindings | dict(zip(local, local, strict=True)), new)
+        scalar += [f"x{k} = P[j + 1, {k}, l] = y{k}" for k in range(n)]
+        target = [f"P[j + 1, {k}, l]" for k in range(n)]
+        return kernels.fill(
+            SOURCE,
+            parameters=[f"p{k} = p[{k}]" for k in range(len(self.plant.p))],
+            start=[f"x{k} = P[0, {k}, l] = X[{k}, l]" for k in range(n)],
+            weights=list(WEIGHTS.splitlines()) if tape.depends(y, um) else [],
+            scalar=scalar,
+            lane=tape.program(y, bindings | dict(zip(local, memory, strict=True)), target),
+        )

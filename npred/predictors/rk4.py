@@ -1,0 +1,22 @@
+"""The classical Runge-Kutta method."""
+
+from typing import Any
+
+from npred.predictors.onestep import OneStep
+
+
+class RK4(OneStep):
+    """Kutta's method, u at half steps by the cubic through four nodes: order 4. Hairer, Nørsett, Wanner, Table II.1.2.
+
+    The order holds where u is smooth; across a jump of u every method here is of order 1.
+    """
+
+    name, order = "rk4", 4
+
+    @staticmethod
+    def step(f: Any, x: Any, u0: Any, um: Any, u1: Any, t: Any, h: Any) -> Any:
+        k1 = f(x, u0, t)
+        k2 = f(x + h / 2 * k1, um, t + h / 2)
+        k3 = f(x + h / 2 * k2, um, t + h / 2)
+        k4 = f(x + h * k3, u1, t + h)
+        return x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)

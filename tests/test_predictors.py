@@ -1,0 +1,132 @@
+"""Numerical predictors: golden numbers, fitted orders, closed form, and the identities of the predictor equation."""
+
+import numpy as np
+import pytest
+from golden import CASES, case
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from npred import grid, plants
+from npred.errors import ConfigError, DivergedError
+from npred.predictors import METHODS, RK4, Euler, Picard
+from npred.predictors.interpreted import EulerPython, Published
+
+PLANT = plants.resolve("activator_repressor")
+SCALAR = plants.resolve("scalar", {"a": 0.8})
+
+
+def predict(method, name, nx):
+    golden = case(name)
+    return METHODS[method](PLANT, nx)(golden.X, golden.u(grid.nodes(nx))[:, None], golden.D_hat)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_golden_P_on_a_fine_grid(name):
+    golden = case(name)
+    np.testing.assert_allclose(golden.quarters(predict("rk4", name, 2001)), golden.P, rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_golden_transition_matrix_as_derivative_of_P(name):
+    """Phi(x, 0) = dP/dX by central differences of the fine RK4 predictor."""
+    golden, rk4 = case(name), METHODS["rk4"](PLANT, 2001)
+    u = golden.u(grid.nodes(2001))[:, None]
+    columns = []
+    for k, h in enumerate((1e-5 * golden.X[0], 1e-5 * golden.X[1])):
+        unit = h * np.eye(2)[k]
+        d = [rk4(golden.X + s * unit, u, golden.D_hat) for s in (-2, -1, 1, 2)]
+        columns.append(golden.quarters((d[0] - 8 * d[1] + 8 * d[2] - d[3]) / (12 * h)))  # fourth order
+    np.testing.assert_allclose(np.stack(columns, axis=-1), golden.Phi, rtol=1e-8, atol=1e-8)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("name", CASES)
+def test_fitted_order(method, name):
+    golden, intervals = case(name), np.array([100, 200, 400])
+    errors = [np.abs(golden.quarters(predict(method, name, n + 1)) - golden.P).max(axis=0) for n in intervals]
+    slopes = -np.polyfit(np.log(intervals), np.log(errors), 1)[0]
+    np.testing.assert_allclose(slopes, METHODS[method].order, atol=0.2)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@given(X=st.floats(-3, 3), a=st.floats(-1, 1), c=st.floats(-1, 1), D_hat=st.floats(0, 2))
+@settings(max_examples=20, deadline=None)
+def test_scalar_closed_form(method, X, a, c, D_hat):
+    """P(x) = e^{g x} X + D_hat ∫ e^{g (x - y)} (a + c y) dy with g = 0.8 D_hat."""
+    x, nx = grid.nodes(401), 401
+    P = METHODS[method](SCALAR, nx)([X], (a + c * x)[:, None], D_hat)[:, 0]
+    g = 0.8 * D_hat
+    ramp = (np.expm1(g * x) / g if g > 1e-6 else x), ((np.expm1(g * x) / g - x) / g if g > 1e-3 else x**2 / 2)
+    exact = np.exp(g * x) * X + D_hat * (a * ramp[0] + c * ramp[1])
+    np.testing.assert_allclose(P, exact, atol=0.1 if method == "euler" else 2e-3)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_no_delay_predicts_the_state_and_P_starts_at_X(method):
+    u = np.linspace(0, 1, 31)[:, None]
+    predictor = METHODS[method](PLANT, 31)
+    np.testing.assert_array_equal(predictor([0.1, 5.0], u, 0.0), np.tile([0.1, 5.0], (31, 1)))
+    np.testing.assert_array_equal(predictor([0.1, 5.0], u, 1.3)[0], [0.1, 5.0])
+
+
+@pytest.mark.parametrize("method", ["euler", "heun"])
+@given(split=st.integers(1, 39), D_hat=st.floats(0.1, 2))
+@settings(max_examples=20, deadline=None)
+def test_semigroup_in_x(method, split, D_hat):
+    """Predicting to x_k and on from there with the rest of u is predicting through."""
+    u = 0.1 * np.cos(7 * grid.nodes(41))[:, None]
+    predictor = METHODS[method](PLANT, 41)
+    P = predictor([0.05, 8.0], u, D_hat)
+    rest = predictor(P[split], u[split:], D_hat * (40 - split) / 40)
+    np.testing.assert_allclose(rest, P[split:], rtol=1e-12)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_batch_equals_single_calls(method):
+    """Many lanes and one lane are different code; they agree."""
+    random = np.random.default_rng(1)
+    X, u, D_hat = (
+        random.uniform(0.1, 2, (2, 6, 2)),
+        random.uniform(0, 0.2, (2, 6, 41, 1)),
+        random.uniform(0.2, 1.5, (2, 6)),
+    )
+    predictor = METHODS[method](PLANT, 41)
+    P = predictor(X, u, D_hat)
+    assert P.shape == (2, 6, 41, 2)
+    for i in np.ndindex(2, 6):
+        np.testing.assert_allclose(P[i], predictor(X[i], u[i], D_hat[i]), rtol=1e-12)
+
+
+@pytest.mark.parametrize("nx", [2, 3, 4, 5])
+def test_few_nodes(nx):
+    u = (0.1 + grid.nodes(nx))[:, None]
+    P = RK4(SCALAR, nx)([1.0], u, 0.5)
+    x = grid.nodes(nx)
+    g = 0.4
+    exact = np.exp(g * x) + 0.5 * (0.1 * np.expm1(g * x) / g + (np.expm1(g * x) / g - x) / g)
+    np.testing.assert_allclose(P[:, 0], exact, atol=1e-3 if nx == 2 else 1e-4)
+
+
+@pytest.mark.parametrize("baseline", [EulerPython, Published])
+def test_interpreted_baselines_equal_euler(baseline):
+    golden, nx = case("B"), 41
+    u = golden.u(grid.nodes(nx))[:, None]
+    np.testing.assert_allclose(baseline(PLANT, nx)(golden.X, u, 1.0), Euler(PLANT, nx)(golden.X, u, 1.0), rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("X", "u", "message"),
+    [
+        ([0.1], np.zeros((5, 1)), r"X: expected shape \(..., 2\)"),
+        ([0.1, 5.0], np.zeros((5, 2)), r"u: expected shape \(..., nx, 1\)"),
+        ([0.1, 5.0], np.zeros((1, 1)), r"nx >= 2"),
+    ],
+)
+def test_wrong_shapes_are_told(X, u, message):
+    with pytest.raises(ConfigError, match=message):
+        Euler(PLANT)(X, u, 1.0)
+
+
+def test_picard_that_does_not_contract_says_so():
+    with pytest.raises(DivergedError, match="expected a change below 1e-12 within 5 sweeps"):
+        Picard(PLANT, 101, sweeps=5)([0.5, 5.0], np.zeros((101, 1)), 2.0)
