@@ -1,0 +1,155 @@
+"""The delay estimate's update law: w, q1, phi and the projection [DAPF, eqs. 11-14]."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from npred.errors import ConfigError
+from npred.plants import kernels, tape
+from npred.plants.base import Plant
+from npred.plants.trace import Trace
+
+# P (nx, n, B), X (n, B), u (nx, m, B), D_hat (B,), t, p, b -> U (m, B), phi (B,), N (B,)
+SIGNATURE = (
+    "void(float64[:,:,::1], float64[:,::1], float64[:,:,::1], float64[::1], float64, float64[::1], float64, "
+    "float64[:,::1], float64[::1], float64[::1])"
+)
+
+LAW = """\
+def law(P, X, u, D_hat, t, p, b, U, phi, N):
+    nx, n, lanes = P.shape
+    {parameters}
+    r, s = np.empty((n, lanes)), np.empty((n, lanes))
+    I1, I2 = np.empty(lanes), np.empty(lanes)
+    j = 0
+    for l in range(lanes):
+        h = D_hat[l] / (nx - 1)
+        {first}
+        I1[l] = 0.5 * i1
+        I2[l] = 0.5 * i2
+    for j in range(1, nx):
+        weight = (1.0 + j / (nx - 1)) * (0.5 if j == nx - 1 else 1.0)
+        for l in range(lanes):
+            h = D_hat[l] / (nx - 1)
+            {node}
+            I1[l] += weight * i1
+            I2[l] += weight * i2
+    j = nx - 1
+    for l in range(lanes):
+        h = D_hat[l] / (nx - 1)
+        {end}
+        N[l] = 1.0 + v + b * I2[l] / (nx - 1)
+        phi[l] = -I1[l] / (nx - 1) / N[l]
+"""
+
+CONTROL = """\
+def control(P, X, u, D_hat, t, p, b, U, phi, N):
+    lanes = P.shape[2]
+    {parameters}
+    j = P.shape[0] - 1
+    for l in range(lanes):
+        h = D_hat[l] / j
+        phi[l] = 0.0
+        N[l] = np.nan
+        {end}
+"""
+
+
+@dataclass(frozen=True)
+class DelayAdaptation:
+    """D_hat' = gamma Proj_[bounds]{D_hat, phi} [DAPF, eq. 11]: gamma the adaptation gain, b > 0, bounds in seconds.
+
+    Raises ConfigError for a gain, b or bounds that make no sense.
+    """
+
+    gamma: float = 1000.0
+    b: float = 1.0
+    bounds: tuple[float, float] = (0.1, 4.0)
+
+    def __post_init__(self) -> None:
+        if not (self.gamma > 0 and self.b > 0):
+            raise ConfigError(f"adaptation: expected gamma > 0 and b > 0, got gamma = {self.gamma:g}, b = {self.b:g}")
+        if not 0 <= self.bounds[0] <= self.bounds[1] < np.inf:
+            raise ConfigError(
+                f"adaptation: expected bounds 0 <= low <= high, got {tuple(self.bounds)}; swap or mend them"
+            )
+
+    def phi(self, plant: Plant, X: Any, u: Any, P: Any, D_hat: Any, t: float = 0.0) -> np.ndarray:
+        """phi = -∫₀¹ (1+x) q1 w dx / (1 + V(X) + b ∫₀¹ (1+x) w² dx) [DAPF, eq. 12, with V at X(t)].
+
+        X (..., n), u (..., nx, m), P (..., nx, n), D_hat (...) to phi (...). w = u - kappa(P) and
+        q1 = kappa'(P) Phi(x, 0) f(P(0), u(0)); the integrals by the trapezoidal rule, Phi by Heun's method.
+        """
+        X, u, P, D_hat = (np.asarray(a, dtype=float) for a in (X, u, P, D_hat))
+        shape = np.broadcast_shapes(X.shape[:-1], u.shape[:-2], P.shape[:-2], D_hat.shape)
+        lanes = [np.broadcast_to(a, (*shape, *a.shape[a.ndim - k :])) for a, k in ((X, 1), (u, 2), (P, 2), (D_hat, 0))]
+        X, u, P, D_hat = (_lanes_last(a, len(shape)) for a in lanes)
+        count = D_hat.shape[0]
+        U, phi, N = np.empty((plant.m, count)), np.empty(count), np.empty(count)
+        update_law(plant)(P, X, u, D_hat, t, plant.p, self.b, U, phi, N)
+        return phi.reshape(shape)
+
+
+def _lanes_last(a: np.ndarray, leading: int) -> np.ndarray:
+    return np.array(np.moveaxis(a.reshape(-1, *a.shape[leading:]), 0, -1), order="C")
+
+
+@cache
+def update_law(plant: Plant) -> Callable[..., None]:
+    """The compiled law: U = kappa(P(1)) [DAPF, eq. 9], phi and N = 1 + V + b ∫ (1+x) w²."""
+    trace = Trace(plant)
+    x, u, t, h = trace.vector("x", plant.n), trace.vector("a", plant.m), trace.input("t"), trace.input("h")
+    r, s = trace.vector("r", plant.n), trace.vector("s", plant.n)
+    first = trace.f(x, u, t)
+    source = kernels.fill(
+        LAW,
+        parameters=_parameters(plant),
+        first=_node(trace, x, u, t, h, first, h * trace.df(x, u, t, first)),
+        node=_node(trace, x, u, t, h, *transition(trace.df, x, u, t, h, r, s)),
+        end=_end(trace, x, t, [("v", trace.V(trace.vector("X", plant.n), trace.input("t0")))]),
+    )
+    return kernels.build("law", SIGNATURE, source)
+
+
+@cache
+def control_law(plant: Plant) -> Callable[..., None]:
+    """The compiled law without adaptation: U = kappa(P(1)), phi = 0."""
+    trace = Trace(plant)
+    end = _end(trace, trace.vector("x", plant.n), trace.input("t"), [])
+    return kernels.build("control", SIGNATURE, kernels.fill(CONTROL, parameters=_parameters(plant), end=end))
+
+
+def transition(df: Any, x: Any, u: Any, t: Any, h: Any, r: Any, s: Any) -> tuple[Any, Any]:
+    """One step of dr/dx = D_hat f_P(P, u) r by Heun's method: r at this node, and s = h f_P r for the next.
+
+    x, u are of this node; r, s of the one before; h = D_hat / (nx - 1).
+    """
+    new = r + (s + h * df(x, u, t, r + s)) / 2
+    return new, h * df(x, u, t, new)
+
+
+def _node(trace: Trace, x: Any, u: Any, t: Any, h: Any, r: Any, s: Any) -> list[str]:
+    """The lines of one node: r and s stored, i1 = q1·w and i2 = |w|²."""
+    w, q1 = u - trace.kappa(x, t), trace.dkappa(x, t, r)
+    n = trace.plant.n
+    targets = [f"r[{k}, l]" for k in range(n)] + [f"s[{k}, l]" for k in range(n)] + ["i1", "i2"]
+    return tape.program([*r, *s, np.dot(q1, w), np.dot(w, w)], _bindings(trace.plant), targets)
+
+
+def _end(trace: Trace, x: Any, t: Any, extra: list[tuple[str, Any]]) -> list[str]:
+    targets = [f"U[{k}, l]" for k in range(trace.plant.m)] + [name for name, _ in extra]
+    return tape.program([*trace.kappa(x, t), *(y for _, y in extra)], _bindings(trace.plant), targets)
+
+
+def _parameters(plant: Plant) -> list[str]:
+    return [f"p{k} = p[{k}]" for k in range(len(plant.p))]
+
+
+def _bindings(plant: Plant) -> dict[str, str]:
+    names = {f"p{k}": f"p{k}" for k in range(len(plant.p))} | {"h": "h", "t": "(t + j * h)", "t0": "t"}
+    for k in range(plant.n):
+        names |= {f"x{k}": f"P[j, {k}, l]", f"X{k}": f"X[{k}, l]", f"r{k}": f"r[{k}, l]", f"s{k}": f"s[{k}, l]"}
+    return names | {f"a{k}": f"u[j, {k}, l]" for k in range(plant.m)}

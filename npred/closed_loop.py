@@ -1,0 +1,200 @@
+"""Closed loops of plant, actuator, predictor and delay adaptation, simulated side by side [DAPF, eqs. 6-14]."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from npred import actuator, engine
+from npred.adaptation import DelayAdaptation, control_law, update_law
+from npred.errors import ConfigError
+from npred.plants.base import Plant
+from npred.predictors import METHODS, Compiled, Predictor
+from npred.predictors.onestep import OneStep
+
+LANES = 64  # loops a chunk: with more, their memory leaves the second-level cache
+NEURAL_LANES = 512  # a network's call has a fixed cost to share
+INTEGRATORS = {name: method for name, method in METHODS.items() if issubclass(method, OneStep)}
+BLOCK = 500  # control steps between two words of progress
+
+
+@dataclass(frozen=True)
+class Samples:
+    """(X, u, D_hat) of each loop at chosen steps: X (..., S, n), u (..., S, nx, m), D_hat (..., S)."""
+
+    X: np.ndarray
+    u: np.ndarray
+    D_hat: np.ndarray
+
+
+@dataclass(frozen=True)
+class Trajectories:
+    """Closed loops: t (nt,) in seconds, X (..., nt, n), U (..., nt, m), D_hat, N and energy (..., nt).
+
+    N = 1 + V + b ∫₀¹ (1+x) w² dx, NaN without adaptation; energy = ∫_{t-D}^t |U - U*|² ds; both feed npred.lyapunov.
+    `escaped` (...) is the first step whose state is not finite, or -1.
+    """
+
+    t: np.ndarray
+    X: np.ndarray
+    U: np.ndarray
+    D_hat: np.ndarray
+    N: np.ndarray
+    energy: np.ndarray
+    escaped: np.ndarray
+    samples: Samples
+
+
+def simulate(
+    plant: Plant,
+    predictor: Predictor | None,
+    *,
+    D: Any,
+    D_hat: Any,
+    X0: Any,
+    t_end: float,
+    dt: float = 0.005,
+    adaptation: DelayAdaptation | None = None,
+    input_bounds: Any = None,
+    u0: Any = 0.0,
+    every: int = 1,
+    samples: np.ndarray | None = None,
+    integrator: str = "rk4",
+    progress: Callable[[int], None] | None = None,
+) -> Trajectories:
+    """Loops of X' = f(X, U(t - D)), U = kappa(P(1)), D_hat' = gamma Proj{D_hat, phi} [DAPF, eqs. 6-14].
+
+    D, D_hat (...) in seconds and X0 (..., n) broadcast to the batch. U is held over each step of dt and clipped to
+    `input_bounds` (m, 2), by default the plant's; before t = 0 it is u0. `predictor=None` is the open loop U = 0,
+    `adaptation=None` freezes D_hat. Every `every`-th step is kept; `samples` (..., S) are sorted steps whose
+    (X, u, D_hat) are kept too. `integrator` advances the plant. `progress` is told of loop
+    steps done.
+    A loop that leaves the finite numbers goes on as NaN and leaves the others alone.
+    Raises ConfigError for delays, bounds, times or shapes that do not fit.
+    """
+    X0, D, D_hat = (np.asarray(a, dtype=float) for a in (X0, D, D_hat))
+    _check(plant, X0, D, D_hat, t_end, dt, adaptation)
+    shape = np.broadcast_shapes(X0.shape[:-1], D.shape, D_hat.shape)
+    X0 = np.broadcast_to(X0, (*shape, plant.n)).reshape(-1, plant.n)
+    D, D_hat = (np.broadcast_to(a, shape).reshape(-1) for a in (D, D_hat))
+    wanted = np.zeros(0, dtype=np.int64) if samples is None else samples.astype(np.int64)
+    wanted = np.broadcast_to(wanted, (*shape, wanted.shape[-1])).reshape(len(D), wanted.shape[-1])
+    loop = _Loop(
+        plant, predictor, adaptation, _bounds(plant, input_bounds), u0, dt, t_end, every, INTEGRATORS[integrator]
+    )
+    width = LANES if predictor is None or isinstance(predictor, Compiled) else NEURAL_LANES
+    chunks = [slice(i, i + width) for i in range(0, len(D), width)]
+    records = [loop.run(X0[c], D[c], D_hat[c], wanted[c], progress) for c in chunks]
+    joined = engine.Record(*(np.concatenate(parts, axis=-1) for parts in zip(*records, strict=True)))
+    return _trajectories(joined, shape, dt * every)
+
+
+@dataclass(frozen=True)
+class _Loop:
+    """What all chunks of one simulation share."""
+
+    plant: Plant
+    predictor: Predictor | None
+    adaptation: DelayAdaptation | None
+    input_bounds: np.ndarray
+    u0: Any
+    dt: float
+    t_end: float
+    every: int
+    integrator: type[OneStep]
+
+    def run(
+        self, X0: np.ndarray, D: np.ndarray, D_hat: np.ndarray, samples: np.ndarray, progress: Any
+    ) -> engine.Record:
+        """Simulate one chunk of loops: X0 (B, n), D and D_hat (B,), samples (B, S)."""
+        lanes, nx = len(D), 2 if self.predictor is None else self.predictor.nx
+        count = round(self.t_end / self.dt) + 1
+        origin, state = self._state(X0, D, D_hat, nx)
+        settings, out = self._settings(samples), self._record(count, samples.shape[1], nx, lanes)
+        parts = self._parts()
+        compiled = self.predictor is None or isinstance(self.predictor, Compiled)
+        steps = engine.compiled_steps if compiled else engine.steps
+        for start in range(0, count, BLOCK):
+            stop = min(start + BLOCK, count)
+            steps(origin, start, stop, *parts, settings, state, out)
+            if progress:
+                progress((stop - start) * lanes)
+        return out
+
+    def _parts(self) -> tuple[Any, Any, Any, Any, Any]:
+        """The five sentences of a control step, on lanes."""
+        advance = engine.advance_kernel(self.plant, self.integrator)
+        if self.predictor is None:
+            return actuator.transport, engine.no_predictor, engine.no_control, actuator.actuate, advance
+        law = control_law(self.plant) if self.adaptation is None else update_law(self.plant)
+        return actuator.transport, self.predictor.lanes(), law, actuator.actuate, advance
+
+    def _settings(self, samples: np.ndarray) -> engine.Settings:
+        law = self.adaptation or DelayAdaptation(gamma=1.0)
+        return engine.Settings(
+            dt=self.dt,
+            every=self.every,
+            b=law.b,
+            gain=0.0 if self.adaptation is None or self.predictor is None else law.gamma * self.dt,
+            bounds=np.array(law.bounds, dtype=float),
+            input_bounds=self.input_bounds,
+            u_star=self.plant.u_equilibrium if self.plant.rests else np.zeros(self.plant.m),
+            p=self.plant.p,
+            samples=np.array(samples.T, order="C"),
+        )
+
+    def _state(self, X0: np.ndarray, D: np.ndarray, D_hat: np.ndarray, nx: int) -> tuple[int, engine.State]:
+        n, m, lanes = self.plant.n, self.plant.m, len(D)
+        u0 = np.array(np.broadcast_to(np.asarray(self.u0, dtype=float), (m,)))
+        origin, held, total = actuator.history(D, self.dt, u0)
+        state = engine.State(
+            X=np.array(X0.T, order="C"), D=np.array(D), D_hat=np.array(D_hat), held=held, total=total,
+            u=np.empty((nx, m, lanes)), P=np.full((nx, n, lanes), np.nan), U=np.empty((m, lanes)), phi=np.empty(lanes),
+            N=np.empty(lanes), U0=np.empty((m, lanes)), U1=np.empty((m, lanes)), share=np.empty(lanes),
+            drawn=np.zeros(lanes, dtype=np.int64),
+        )  # fmt: skip
+        return origin, state
+
+    def _record(self, count: int, samples: int, nx: int, lanes: int) -> engine.Record:
+        n, m, rows = self.plant.n, self.plant.m, (count - 1) // self.every + 1
+        series = {"X": (rows, n), "U": (rows, m), "D_hat": (rows,), "N": (rows,), "energy": (rows,)}
+        taken = {"sample_X": (samples, n), "sample_u": (samples, nx, m), "sample_D_hat": (samples,)}
+        arrays = {name: np.full((*shape, lanes), np.nan) for name, shape in (series | taken).items()}
+        return engine.Record(**arrays, escaped=np.full(lanes, -1, dtype=np.int64))
+
+
+def _trajectories(r: engine.Record, shape: tuple[int, ...], step: float) -> Trajectories:
+    def lead(a: np.ndarray) -> np.ndarray:
+        """Lanes last to the batch's shape first."""
+        return np.moveaxis(a, -1, 0).reshape((*shape, *a.shape[:-1]))
+
+    samples = Samples(lead(r.sample_X), lead(r.sample_u), lead(r.sample_D_hat))
+    series = {name: lead(getattr(r, name)) for name in ("X", "U", "D_hat", "N", "energy", "escaped")}
+    return Trajectories(t=np.arange(len(r.X)) * step, samples=samples, **series)
+
+
+def _bounds(plant: Plant, bounds: Any) -> np.ndarray:
+    given = plant.input_bounds if bounds is None else bounds
+    if given is None:
+        given = [(-np.inf, np.inf)] * plant.m
+    array = np.array(given, dtype=float).reshape(-1, 2)
+    if array.shape != (plant.m, 2) or (array[:, 0] > array[:, 1]).any():
+        raise ConfigError(f"input_bounds: expected {plant.m} pairs (low, high), got {given}; give one pair an input")
+    return array
+
+
+def _check(
+    plant: Plant, X0: Any, D: np.ndarray, D_hat: np.ndarray, t_end: float, dt: float, law: DelayAdaptation | None
+) -> None:
+    if X0.ndim < 1 or X0.shape[-1] != plant.n or not np.isfinite(X0).all():
+        raise ConfigError(f"X0: expected finite values of shape (..., {plant.n}) for plant {plant.name}, got {X0}")
+    if not 0 < dt <= t_end < np.inf:
+        raise ConfigError(f"dt, t_end: expected 0 < dt <= t_end in seconds, got dt = {dt:g}, t_end = {t_end:g}")
+    for name, value in (("D", D), ("D_hat", D_hat)):
+        if not (np.isfinite(value) & (value >= 0)).all():
+            raise ConfigError(f"{name}: expected a delay of at least 0 s, got {value}; correct it")
+    if law and not ((D_hat >= law.bounds[0]) & (D_hat <= law.bounds[1])).all():
+        raise ConfigError(
+            f"D_hat: expected within the bounds {law.bounds}, got {D_hat}; widen the bounds or move D_hat"
+        )

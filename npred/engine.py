@@ -1,0 +1,198 @@
+"""The time loop on flat memory, lanes innermost: one compiled engine for every plant, predictor and number of loops.
+
+Its parts reach it as function pointers, so it is compiled once a machine, not once a plant, and an edit of a part never
+leaves a stale copy of it in Numba's cache. With a predictor in Python the same text runs uncompiled.
+"""
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit, types
+from numba.core.sigutils import normalize_signature
+
+from npred import actuator, adaptation
+from npred.plants import kernels, tape
+from npred.plants.base import Plant
+from npred.plants.trace import Trace
+from npred.predictors import base as predictors
+from npred.predictors.onestep import OneStep
+
+
+class Settings(NamedTuple):
+    """What stays fixed in a run; gain = gamma dt, or 0 with D_hat frozen."""
+
+    dt: float
+    every: int
+    b: float
+    gain: float
+    bounds: np.ndarray  # (2,)
+    input_bounds: np.ndarray  # (m, 2)
+    u_star: np.ndarray  # (m,)
+    p: np.ndarray
+    samples: np.ndarray  # (S, B), sorted steps whose (X, u, D_hat) are kept
+
+
+class State(NamedTuple):
+    """What evolves: the plant, the actuator's history, the delay estimate, and scratch for one step."""
+
+    X: np.ndarray  # (n, B)
+    D: np.ndarray  # (B,)
+    D_hat: np.ndarray  # (B,)
+    held: np.ndarray  # (R, m, B)
+    total: np.ndarray  # (R, m, B)
+    u: np.ndarray  # (nx, m, B)
+    P: np.ndarray  # (nx, n, B)
+    U: np.ndarray  # (m, B)
+    phi: np.ndarray  # (B,)
+    N: np.ndarray  # (B,)
+    U0: np.ndarray  # (m, B), the delayed input for the first share of a step
+    U1: np.ndarray  # (m, B), and for the rest
+    share: np.ndarray  # (B,)
+    drawn: np.ndarray  # (B,), samples taken so far
+
+
+class Record(NamedTuple):
+    """What is kept, time first, lanes last."""
+
+    X: np.ndarray  # (rows, n, B)
+    U: np.ndarray  # (rows, m, B)
+    D_hat: np.ndarray  # (rows, B)
+    N: np.ndarray  # (rows, B)
+    energy: np.ndarray  # (rows, B), the integral of |U - U*|² over the delay
+    sample_X: np.ndarray  # (S, n, B)
+    sample_u: np.ndarray  # (S, nx, m, B)
+    sample_D_hat: np.ndarray  # (S, B)
+    escaped: np.ndarray  # (B,), the first step whose state is not finite, or -1
+
+
+A1, A2, A3, A4 = (types.Array(types.float64, d, "C") for d in (1, 2, 3, 4))
+I1, I2 = (types.Array(types.int64, d, "C") for d in (1, 2))
+SETTINGS = types.NamedTuple(
+    [types.float64, types.int64, types.float64, types.float64, A1, A2, A1, A1, I2], Settings
+)  # fmt: skip
+STATE = types.NamedTuple([A2, A1, A1, A3, A3, A3, A3, A2, A1, A1, A2, A2, A1, I1], State)
+RECORD = types.NamedTuple([A3, A3, A2, A2, A2, A3, A4, A2, I1], Record)
+
+
+def steps(
+    origin: int, start: int, stop: int, transport: Any, predict: Any, control: Any, actuate: Any, advance: Any,
+    s: Settings, z: State, out: Record,
+) -> None:  # fmt: skip
+    """Control steps start … stop - 1 [DAPF, eqs. 6-14]; `origin` is the ring buffers' number of step 0."""
+    for k in range(start, stop):
+        t = k * s.dt
+        transport(origin + k, s.dt, z.D, z.held, z.total, z.u)
+        predict(z.X, z.u, z.D_hat, t, s.p, z.P)
+        control(z.P, z.X, z.u, z.D_hat, t, s.p, s.b, z.U, z.phi, z.N)
+        clip(z.U, s.input_bounds)
+        keep(k, s, z, out)
+        adapt(z.D_hat, z.phi, s.gain, s.bounds)
+        actuate(origin + k, s.dt, z.D, z.U, z.held, z.total, z.U0, z.U1, z.share)
+        advance(z.X, z.U0, z.U1, z.share, s.dt, t, s.p)
+
+
+@njit(types.void(A2, A2), cache=True, nogil=True)
+def clip(U: np.ndarray, bounds: np.ndarray) -> None:
+    """U (m, B) to its bounds; NaN stays NaN."""
+    for c in range(U.shape[0]):
+        for l in range(U.shape[1]):
+            if U[c, l] < bounds[c, 0]:
+                U[c, l] = bounds[c, 0]
+            elif U[c, l] > bounds[c, 1]:
+                U[c, l] = bounds[c, 1]
+
+
+@njit(types.void(A1, A1, types.float64, A1), cache=True, nogil=True)
+def adapt(D_hat: np.ndarray, phi: np.ndarray, gain: float, bounds: np.ndarray) -> None:
+    """D_hat += gain Proj{D_hat, phi}: clipping to the bounds is the projection [DAPF, eq. 11] in discrete time."""
+    if gain > 0:
+        for l in range(D_hat.shape[0]):
+            D_hat[l] = min(max(D_hat[l] + gain * phi[l], bounds[0]), bounds[1])
+
+
+@njit(types.void(A3, A1, A1, A1), cache=True, nogil=True)
+def energy(u: np.ndarray, u_star: np.ndarray, D: np.ndarray, out: np.ndarray) -> None:
+    """∫_{t-D}^t |U - U*|² ds = D ∫₀¹ |u - u*|² dx by the trapezoidal rule."""
+    nx, m, lanes = u.shape
+    for l in range(lanes):
+        out[l] = 0.0
+        for j in range(nx):
+            for c in range(m):
+                out[l] += (0.5 if j == 0 or j == nx - 1 else 1.0) * (u[j, c, l] - u_star[c]) ** 2
+        out[l] *= D[l] / (nx - 1)
+
+
+@njit(types.void(types.int64, SETTINGS, STATE, RECORD), cache=True, nogil=True)
+def keep(k: int, s: Settings, z: State, out: Record) -> None:
+    """Write step k to the record: every `every`-th state, the samples asked for, the first step not finite."""
+    for l in range(z.D.shape[0]):
+        while z.drawn[l] < s.samples.shape[0] and s.samples[z.drawn[l], l] == k:
+            out.sample_X[z.drawn[l], :, l] = z.X[:, l]
+            out.sample_u[z.drawn[l], :, :, l] = z.u[:, :, l]
+            out.sample_D_hat[z.drawn[l], l] = z.D_hat[l]
+            z.drawn[l] += 1
+        for c in range(z.X.shape[0]):
+            if out.escaped[l] < 0 and not np.isfinite(z.X[c, l]):
+                out.escaped[l] = k
+    if k % s.every == 0:
+        row = k // s.every
+        out.X[row], out.U[row], out.D_hat[row], out.N[row] = z.X, z.U, z.D_hat, z.N
+        energy(z.u, s.u_star, z.D, out.energy[row])
+
+
+def _pointer(signature: str) -> types.FunctionType:
+    arguments, _ = normalize_signature(signature)
+    return types.FunctionType(types.void(*arguments))
+
+
+ADVANCE_SIGNATURE = "void(float64[:,::1], float64[:,::1], float64[:,::1], float64[::1], float64, float64, float64[::1])"
+PARTS = (actuator.TRANSPORT, predictors.SIGNATURE, adaptation.SIGNATURE, actuator.ACTUATE, ADVANCE_SIGNATURE)
+compiled_steps = njit(
+    types.void(types.int64, types.int64, types.int64, *map(_pointer, PARTS), SETTINGS, STATE, RECORD),
+    cache=True, nogil=True,
+)(steps)  # fmt: skip
+
+
+@njit(predictors.SIGNATURE, cache=True, nogil=True)
+def no_predictor(X, u, D_hat, t, p, P):  # type: ignore[no-untyped-def]
+    """The open loop predicts nothing."""
+
+
+@njit(adaptation.SIGNATURE, cache=True, nogil=True)
+def no_control(P, X, u, D_hat, t, p, b, U, phi, N):  # type: ignore[no-untyped-def]
+    """The open loop: U = 0."""
+    U[:] = 0.0
+    phi[:] = 0.0
+    N[:] = np.nan
+
+
+ADVANCE = """\
+def advance(X, U0, U1, share, dt, t, p):
+    {parameters}
+    for l in range(X.shape[1]):
+        h, start = share[l] * dt, t
+        {first}
+    for l in range(X.shape[1]):
+        if share[l] < 1.0:
+            h, start = (1.0 - share[l]) * dt, t + share[l] * dt
+            {second}
+"""
+
+
+@cache
+def advance_kernel(plant: Plant, method: type[OneStep]) -> Callable[..., None]:
+    """The compiled step of the plant with held input, split where a switch of the delayed input falls inside it."""
+    parameters = [f"p{k} = p[{k}]" for k in range(len(plant.p))]
+    parts = {name: _advance(plant, method, U) for name, U in (("first", "U0"), ("second", "U1"))}
+    return kernels.build("advance", ADVANCE_SIGNATURE, kernels.fill(ADVANCE, parameters=parameters, **parts))
+
+
+def _advance(plant: Plant, method: type[OneStep], U: str) -> list[str]:
+    trace = Trace(plant)
+    x, u = trace.vector("x", plant.n), trace.vector("u", plant.m)
+    y = method.step(trace.f, x, u, u, u, trace.input("t"), trace.input("h"))
+    names = {f"p{k}": f"p{k}" for k in range(len(plant.p))} | {"t": "start", "h": "h"}
+    names |= {f"x{k}": f"X[{k}, l]" for k in range(plant.n)} | {f"u{k}": f"{U}[{k}, l]" for k in range(plant.m)}
+    return tape.program(y, names, [f"X[{k}, l]" for k in range(plant.n)])

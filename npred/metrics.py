@@ -1,0 +1,66 @@
+"""How far a predictor is from the exact one, in the norms of the theory, and what a closed loop makes of it."""
+
+from typing import Any
+
+import numpy as np
+
+from npred.closed_loop import Trajectories
+from npred.plants.base import Plant
+
+SETTLED = 0.01  # of |X*|: inside this distance a loop counts as settled, and as converged when it ends there
+TAIL = 0.1  # of the horizon: the radius is the supremum over this last share
+
+
+def errors(plant: Plant, P_hat: np.ndarray, P: np.ndarray) -> dict[str, Any]:
+    """Errors of P_hat against P, both (N, nx, n), over samples and nodes, in the plant's units.
+
+    mse: mean square, as [DAPF] reports it. eps_sup: sup |P_hat - P|, the epsilon of [DAPF, Theorem 2]. eps_kappa:
+    sup |kappa(P_hat(1)) - kappa(P(1))|, what the control sees. rel_l2: mean of ||P_hat - P|| / ||P||.
+    """
+    gap = P_hat - P
+    control = plant.kappa(P_hat[:, -1]) - plant.kappa(P[:, -1])
+    relative = np.linalg.norm(gap, axis=(1, 2)) / np.linalg.norm(P, axis=(1, 2))
+    return {
+        "mse": float(np.mean(gap**2)),
+        "eps_sup": float(np.linalg.norm(gap, axis=-1).max()),
+        "eps_kappa": float(np.linalg.norm(control, axis=-1).max()),
+        "rel_l2": float(relative.mean()),
+        "mse_by_state": dict(zip(plant.states, np.mean(gap**2, axis=(0, 1)).tolist(), strict=True)),
+        "sup_by_state": dict(zip(plant.states, np.abs(gap).max(axis=(0, 1)).tolist(), strict=True)),
+    }
+
+
+def radius(loops: Trajectories, X_star: np.ndarray) -> np.ndarray:
+    """sup |X - X*| over the last tenth of the horizon, (...); infinite for a loop that left the finite numbers."""
+    tail = loops.X[..., loops.t >= (1 - TAIL) * loops.t[-1], :]
+    distance = np.linalg.norm(tail - X_star, axis=-1).max(axis=-1)
+    return np.where(np.isfinite(distance), distance, np.inf)
+
+
+def settle_time(loops: Trajectories, X_star: np.ndarray) -> np.ndarray:
+    """The time in seconds after which |X - X*| stays within 1 % of |X*|, (...); infinite where it does not."""
+    outside = ~(np.linalg.norm(loops.X - X_star, axis=-1) <= SETTLED * np.linalg.norm(X_star))
+    last = len(loops.t) - 1 - np.argmax(outside[..., ::-1], axis=-1)
+    after = np.append(loops.t[1:], np.inf)[last]
+    return np.where(outside.any(axis=-1), after, 0.0)
+
+
+def converged(radii: np.ndarray, X_star: np.ndarray) -> np.ndarray:
+    """Whether a loop of that radius ends settled."""
+    return radii <= SETTLED * np.linalg.norm(X_star)
+
+
+def gain(plant: Plant) -> float:
+    """|dX*| per unit of a constant control error: |(f_X + f_U kappa')^{-1} f_U|, largest singular value.
+
+    A constant error e of kappa(P_hat(1)) moves the equilibrium to f(X, kappa(X) + e) = 0, whatever D, D_hat, gamma, b:
+    the radius that an error of the predictor must leave behind.
+    """
+    f_X, f_U = plant.jacobians(plant.equilibrium, plant.u_equilibrium)
+    closed = f_X + f_U @ plant.kappa_jacobian(plant.equilibrium)
+    return float(np.linalg.norm(np.linalg.solve(closed, f_U), 2))
+
+
+def number(value: Any) -> float | None:
+    """A float for JSON, which has no infinity: None where a loop diverged or never settled."""
+    return float(value) if np.isfinite(value) else None

@@ -1,0 +1,111 @@
+"""The update law: golden numbers, the identities of q1 and w, the projection."""
+
+import numpy as np
+import pytest
+from golden import CASES, case
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from npred import engine, grid, plants
+from npred.adaptation import DelayAdaptation, transition
+from npred.errors import ConfigError
+from npred.predictors import METHODS, RK4
+
+PLANT = plants.resolve("activator_repressor")
+SCALAR = plants.resolve("scalar", {"a": 0.8, "c": 1.0})
+LAW = DelayAdaptation(gamma=1000.0, b=1.0)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_golden_phi_on_a_fine_grid(name):
+    golden = case(name)
+    u = golden.u(grid.nodes(4001))[:, None]
+    P = RK4(PLANT)(golden.X, u, golden.D_hat)
+    phi = LAW.phi(PLANT, golden.X, u, P, golden.D_hat)
+    np.testing.assert_allclose(phi, golden.phi, rtol=1e-6, atol=1e-8 * abs(golden.phi))
+    assert abs(phi - golden.phi) < 1e-8
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_golden_q1_by_the_transition_formula(name):
+    """The formula that is traced into the kernel, here on numbers: q1 = kappa'(P) r with r(0) = f(X, u(0))."""
+    golden, nx = case(name), 4001
+    u, h = golden.u(grid.nodes(nx))[:, None], golden.D_hat / (nx - 1)
+    P = RK4(PLANT)(golden.X, u, golden.D_hat)
+
+    def df(x, inputs, t, v):
+        return PLANT.jacobians(x, inputs)[0] @ v
+
+    r = PLANT.f(P[0], u[0])
+    s, q1 = h * df(P[0], u[0], 0.0, r), []
+    for j in range(1, nx):
+        r, s = transition(df, P[j], u[j], 0.0, h, r, s)
+        if j % 1000 == 0:
+            q1.append(PLANT.kappa_jacobian(P[j]) @ r)
+    np.testing.assert_allclose(np.ravel(q1), np.ravel(golden.q1), rtol=1e-5, atol=1e-9)
+    w = u[1000::1000] - PLANT.kappa(P[1000::1000])
+    np.testing.assert_allclose(np.ravel(w), np.ravel(golden.w), atol=1e-9)
+
+
+@given(X=st.floats(-2, 2), U=st.floats(-1, 1), D_hat=st.floats(0.1, 2))
+@settings(max_examples=25, deadline=None)
+def test_scalar_phi_in_closed_form(X, U, D_hat):
+    """u constant: P = e^{g x} X + (e^{g x} - 1) U / a, r = (a X + U) e^{g x}, kappa = -(a + c) X, V = X²."""
+    a, c, x = 0.8, 1.0, grid.nodes(2001)
+    u, growth = np.full((2001, 1), U), np.exp(a * D_hat * x)
+    P = growth * X + (growth - 1) * U / a
+    w, q1 = U + (a + c) * P, -(a + c) * (a * X + U) * growth
+    I1, I2 = (np.trapezoid((1 + x) * y, x) for y in (q1 * w, w**2))
+    phi = LAW.phi(SCALAR, [X], u, P[:, None], D_hat)
+    np.testing.assert_allclose(phi, -I1 / (1 + X**2 + I2), rtol=1e-5, atol=1e-12)
+
+
+@given(X=st.floats(-2, 2), D_hat=st.floats(0.1, 2))
+@settings(max_examples=25, deadline=None)
+def test_no_backstepping_error_no_update(X, D_hat):
+    """u(x) = kappa(P(x)) has w = 0, so phi = 0: along X' = -c X the input is known in closed form."""
+    P = np.exp(-D_hat * grid.nodes(101))[:, None] * X
+    assert abs(LAW.phi(SCALAR, [X], -1.8 * P, P, D_hat)) < 1e-12
+
+
+def test_constant_input_moves_along_f():
+    """u constant in x: f(P(x), u) = Phi(x, 0) f(X, u), so q1 = kappa'(P) f(P, u)."""
+    nx, h = 2001, 1.2 / 2000
+    u = np.full((nx, 1), 0.03)
+    P = METHODS["rk4"](PLANT, nx)([0.08, 6.0], u, 1.2)
+
+    def df(x, inputs, t, v):
+        return PLANT.jacobians(x, inputs)[0] @ v
+
+    r = PLANT.f(P[0], u[0])
+    s = h * df(P[0], u[0], 0.0, r)
+    for j in range(1, nx):
+        r, s = transition(df, P[j], u[j], 0.0, h, r, s)
+    np.testing.assert_allclose(r, PLANT.f(P[-1], u[-1]), rtol=1e-6)
+
+
+def test_batch_equals_single_calls():
+    random = np.random.default_rng(2)
+    X, u, D_hat = random.uniform(0.1, 2, (5, 2)), random.uniform(0, 0.2, (5, 41, 1)), random.uniform(0.2, 1.5, 5)
+    P = RK4(PLANT, 41)(X, u, D_hat)
+    phi = LAW.phi(PLANT, X, u, P, D_hat)
+    assert phi.shape == (5,)
+    for k in range(5):
+        np.testing.assert_allclose(phi[k], LAW.phi(PLANT, X[k], u[k], P[k], D_hat[k]), rtol=1e-12)
+
+
+@given(D_hat=st.floats(0.1, 4.0), phi=st.floats(-5, 5), low=st.just(0.1), high=st.just(4.0))
+def test_projection_keeps_the_estimate_inside(D_hat, phi, low, high):
+    values = np.array([D_hat])
+    engine.adapt(values, np.array([phi]), 1.0, np.array([low, high]))
+    assert low <= values[0] <= high
+    if low < D_hat + phi < high:
+        assert values[0] == D_hat + phi
+
+
+@pytest.mark.parametrize(
+    "bad", [{"gamma": -1.0}, {"b": 0.0}, {"bounds": (2.0, 1.0)}, {"bounds": (-1.0, 1.0)}, {"gamma": float("nan")}]
+)
+def test_senseless_settings_are_told(bad):
+    with pytest.raises(ConfigError, match="adaptation: expected"):
+        DelayAdaptation(**bad)
