@@ -1,0 +1,61 @@
+"""Samples of the predictor operator as flat arrays in one HDF5 file, readable from MATLAB."""
+
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any, Self
+
+import h5py
+import numpy as np
+
+from npred.errors import StoreError
+
+MEANING = {
+    "X": "plant state X(t), one row a sample (N, n), in the plant's units",
+    "u": "actuator state u(x_j, t) = U(t + D (x_j - 1)) on nx uniform nodes of [0, 1], both ends in (N, nx, m)",
+    "D_hat": "delay estimate in seconds (N,)",
+    "P": "predictor P(x_j) = X + D_hat * integral of f(P, u) from 0 to x_j (N, nx, n)",
+    "D": "true delay of the rollout in seconds (N,)",
+    "t": "time of the sample in its rollout in seconds (N,)",
+    "rollout": "number of the rollout (N,)",
+    "test": "1 where the rollout is held out, else 0 (N,); no rollout has rows of both kinds",
+}
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """N samples: X (N, n), u (N, nx, m), D_hat, D, t (N,), P (N, nx, n), rollout (N,) int32, test (N,) uint8."""
+
+    X: np.ndarray
+    u: np.ndarray
+    D_hat: np.ndarray
+    P: np.ndarray
+    D: np.ndarray
+    t: np.ndarray
+    rollout: np.ndarray
+    test: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.X)
+
+    def subset(self, test: bool) -> Self:
+        """The rows of the held-out rollouts, or of the others."""
+        rows = np.flatnonzero(self.test == int(test))
+        return type(self)(**{f.name: getattr(self, f.name)[rows] for f in fields(self)})
+
+    def write(self, path: Path, attributes: dict[str, Any]) -> None:
+        """One HDF5 file without time stamps: the same samples give the same bytes."""
+        with h5py.File(path, "w", track_order=False) as file:
+            file.attrs.update(attributes)
+            for name, meaning in MEANING.items():
+                file.create_dataset(name, data=getattr(self, name)).attrs["meaning"] = meaning
+
+    @classmethod
+    def read(cls, path: Path) -> Self:
+        """The samples of a file. Raises StoreError for a file that is missing, broken or lacks an array."""
+        try:
+            with h5py.File(path, "r") as file:
+                return cls(**{name: file[name][:] for name in MEANING})  # type: ignore[index]
+        except (OSError, KeyError) as error:
+            raise StoreError(
+                f"{path}: expected the arrays {', '.join(MEANING)}, got: {error}; generate it again"
+            ) from None

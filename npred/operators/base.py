@@ -1,0 +1,65 @@
+"""A neural predictor: a network between scalings, and the anchor that says where it is exact by construction."""
+
+import math
+
+import torch
+from torch import Tensor, nn
+
+from npred.config import Anchor
+from npred.operators.scaling import Scaling
+
+
+class Operator(nn.Module):
+    """P_hat, the approximation of the predictor operator [DAPF, eq. 12] of a state, an actuator state and a delay.
+
+    With N the network and S the spread of P - X by component, the anchors are
+        none         P_hat = P_mean + P_std N(x; X, u, D_hat)
+        initial      P_hat = X + x S N(x; X, u, D_hat), so P_hat(0) = X
+        equilibrium  P_hat = X + x S [N(x; X, u, D_hat) - N(x; X*, u*, D_hat)], so also P_hat = X* at rest, any D_hat
+    """
+
+    X_rest: Tensor
+    u_rest: Tensor
+
+    def __init__(self, network: nn.Module, scaling: Scaling, anchor: Anchor, X_rest: Tensor, u_rest: Tensor) -> None:
+        super().__init__()
+        self.network, self.scaling, self.anchor = network, scaling, anchor
+        self.register_buffer("X_rest", X_rest)
+        self.register_buffer("u_rest", u_rest)
+
+    def forward(self, X: Tensor, u: Tensor, D_hat: Tensor, rest_nodes: int | None = None) -> Tensor:
+        """P_hat (B, nx, n) of X (B, n), u (B, nx, m) on nx uniform nodes, both ends, and D_hat (B,) in seconds.
+
+        `rest_nodes`: the term at rest is interpolated in D_hat through so many points, which halves the work of a
+        large batch (training); without it the term is exact, and so is the anchor.
+        """
+        nx = u.shape[-2]
+        N = self.network(*self.scaling.inputs(X, u, D_hat))
+        if self.anchor == "none":
+            return self.scaling.P_mean + self.scaling.P_std * N
+        if self.anchor == "equilibrium":
+            N = N - self._at_rest(D_hat, nx, rest_nodes or len(D_hat))
+        x = torch.linspace(0, 1, nx, dtype=u.dtype, device=u.device)[:, None]  # (nx, 1)
+        return X[:, None, :] + x * self.scaling.dP_std * N
+
+    def at_rest(self, D_hat: Tensor, nx: int) -> Tensor:
+        """N(x; X*, u*, D_hat), (B, nx, n): a function of the delay alone, so a table at inference."""
+        u = self.u_rest.expand(len(D_hat), nx, -1)
+        return self.network(*self.scaling.inputs(self.X_rest.expand(len(D_hat), -1), u, D_hat))
+
+    def _at_rest(self, D_hat: Tensor, nx: int, count: int) -> Tensor:
+        if count >= len(D_hat):
+            return self.at_rest(D_hat, nx)
+        points, weights = chebyshev(D_hat, count)
+        return torch.tensordot(weights, self.at_rest(points, nx), dims=1)
+
+
+def chebyshev(values: Tensor, count: int) -> tuple[Tensor, Tensor]:
+    """Chebyshev points (count,) on the range of the values (B,), and weights (B, count) that interpolate from them."""
+    low, high = values.min(), values.max()
+    angle = (torch.arange(count, dtype=values.dtype, device=values.device) + 0.5) * (math.pi / count)
+    order = torch.arange(count, dtype=values.dtype, device=values.device)
+    s = (2 * (values - low) / (high - low).clamp_min(1e-6) - 1).clamp(-1, 1)
+    series = torch.cos(angle[:, None] * order) * torch.where(order > 0, 2, 1) / count  # (count, order)
+    weights = torch.cos(torch.acos(s)[:, None] * order) @ series.T
+    return low + (high - low) * (1 + torch.cos(angle)) / 2, weights

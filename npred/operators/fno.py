@@ -1,0 +1,78 @@
+"""Fourier neural operator [Li et al. 2021, arXiv:2010.08895] over x in [0, 1], its transforms as real matrices."""
+
+from functools import lru_cache
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from npred import config, grid
+from npred.operators.deeponet import mlp
+from npred.operators.features import running_mean
+
+PERIOD = 2.0  # P is not periodic on [0, 1]: its functions are continued by zero to this length before the transform
+
+
+class FNOnetwork(nn.Module):
+    """N = project(v_L), v_l+1 = silu(spectral_l(v_l) + W_l v_l), v_0 = lift(X, D_hat, u(x), u^(x), x).
+
+    u^ is the running mean of u. The weights know nothing of the grid: any nx, with both ends of [0, 1] in.
+    """
+
+    def __init__(self, sizes: config.FNO, n: int, m: int) -> None:
+        super().__init__()
+        self.lift = nn.Linear(n + 1 + 2 * m + 1, sizes.width)
+        self.spectral = nn.ModuleList(Spectral(sizes.width, sizes.modes) for _ in range(sizes.layers))
+        self.local = nn.ModuleList(nn.Linear(sizes.width, sizes.width) for _ in range(sizes.layers))
+        self.project = mlp([sizes.width, 2 * sizes.width, n], bias=False)
+
+    def forward(self, X: Tensor, u: Tensor, D_hat: Tensor) -> Tensor:
+        """N (B, nx, n) of scaled X (B, n), u (B, nx, m) and D_hat (B,)."""
+        batch, nx, _ = u.shape
+        x = torch.linspace(-1, 1, nx, dtype=u.dtype, device=u.device)[:, None].expand(batch, nx, 1)
+        constants = torch.cat([X, D_hat[:, None]], dim=1)[:, None].expand(batch, nx, -1)
+        v = self.lift(torch.cat([constants, u, running_mean(u), x], dim=2))  # (B, nx, width)
+        for spectral, local in zip(self.spectral, self.local, strict=True):
+            v = functional.silu(spectral(v) + local(v))
+        return self.project(v)
+
+
+class Spectral(nn.Module):
+    """y = F^-1 (R_k F v): a complex matrix for each of the lowest modes, as one real matrix of twice the size."""
+
+    def __init__(self, width: int, modes: int) -> None:
+        super().__init__()
+        self.modes = modes
+        self.real = nn.Parameter(torch.randn(modes, width, width) / (2 * width))
+        self.imag = nn.Parameter(torch.randn(modes, width, width) / (2 * width))
+
+    def forward(self, v: Tensor) -> Tensor:
+        """v (B, nx, width) to the same shape."""
+        forward, inverse = transforms(v.shape[1], self.modes, v.dtype, v.device)
+        v_hat = (forward @ v).unflatten(1, (self.modes, 2)).flatten(2).transpose(0, 1)  # (modes, B, 2 width)
+        y_hat = torch.bmm(v_hat, self.matrix()).transpose(0, 1)  # (B, modes, 2 width)
+        return inverse @ y_hat.unflatten(2, (2, -1)).flatten(1, 2)
+
+    def matrix(self) -> Tensor:
+        """[[Re, Im], [-Im, Re]] of R_k: (Re v, Im v) in a row to (Re R v, Im R v); (modes, 2 width, 2 width)."""
+        return torch.cat(
+            [torch.cat([self.real, self.imag], dim=2), torch.cat([-self.imag, self.real], dim=2)],
+            dim=1,
+        )
+
+
+@lru_cache(maxsize=32)
+@torch.inference_mode(False)  # what an inference run caches must serve training too
+def transforms(nx: int, modes: int, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor]:
+    """The real DFT of v, continued by zero over PERIOD and weighed by the trapezoidal rule, and its inverse on [0, 1].
+
+    v_hat_k = int_0^1 v e^(-2 pi i k x / PERIOD) dx: (2 modes, nx), rows Re and Im of each mode;
+    v(x) = (1/PERIOD) Re [v_hat_0 + 2 sum_k v_hat_k e^(2 pi i k x / PERIOD)]: (nx, 2 modes).
+    """
+    k = np.arange(modes)[:, None]
+    angle = 2 * np.pi * k * grid.nodes(nx) / PERIOD  # (modes, nx)
+    pairs = np.stack([np.cos(angle), -np.sin(angle)], axis=1).reshape(2 * modes, nx)
+    twice = np.where(k > 0, 2.0, 1.0).repeat(2, axis=0) / PERIOD
+    forward, inverse = pairs * grid.trapezoid(nx), (pairs * twice).T
+    return torch.as_tensor(forward, dtype=dtype, device=device), torch.as_tensor(inverse, dtype=dtype, device=device)

@@ -1,0 +1,42 @@
+"""What training makes small: squared errors of P, weighed by component and, for the control law, by row."""
+
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+from npred.config import Training
+from npred.plants.base import Plant
+
+SHARE = 0.1  # a state that kappa hardly sees still counts a tenth of the one that it sees best: phi needs it too
+
+
+def weights(config: Training, plant: Plant, P: Tensor) -> Tensor:
+    """Weights (n,) of the errors in P of the data, (N, nx, n): the loss is the mean of (w_i (P_hat_i - P_i))^2.
+
+    raw: 1 [DAPF, sec. V]. standardised: one over the spread of P_i. kappa: |d kappa / d X_i| at rest, what an error of
+    P_i costs in the control (root mean square over the inputs, and over the data's P(1) where nothing rests), in units
+    of the spread of the control that the data's P would give, so that the loss starts near one.
+    """
+    if config.loss == "raw":
+        return torch.ones_like(P[0, 0])
+    spread = P.std(dim=(0, 1))
+    spread = torch.where(spread > 0, spread, 1.0)
+    if config.loss == "standardised":
+        return 1 / spread
+    gains = sensitivity(plant, P)
+    gains = torch.maximum(gains, SHARE * (gains * spread).max() / spread)
+    return gains / (gains * spread).square().mean().sqrt()
+
+
+def sensitivity(plant: Plant, P: Tensor) -> Tensor:
+    """|d kappa / d X_i| (n,) at the equilibrium, or over the data's P(1)."""
+    points = (torch.as_tensor(plant.equilibrium).to(P)[None] if plant.rests else P[:, -1]).detach().requires_grad_()
+    outputs = plant.kappa(points)
+    rows = [torch.autograd.grad(outputs[:, j].sum(), points, retain_graph=True)[0] for j in range(plant.m)]
+    return torch.stack(rows).square().sum(0).mean(0).sqrt()
+
+
+def squared_error(weights: Tensor) -> Callable[[Tensor, Tensor], Tensor]:
+    """(P_hat, P) -> the mean over rows, nodes and components of (w_i (P_hat_i - P_i))^2."""
+    return lambda P_hat, P: ((P_hat - P) * weights).square().mean()

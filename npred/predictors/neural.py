@@ -1,0 +1,37 @@
+"""A trained operator as a predictor: the one place that knows networks and the loop's memory."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import torch
+
+from npred.operators import Operator
+from npred.plants.base import Plant
+from npred.predictors.base import Predictor
+
+
+class Neural(Predictor):
+    """P_hat = operator(X, u, D_hat) in float32 on a device, with the call of every predictor [DAPF, Theorem 2].
+
+    The operator is free of resolution: any nx in a call; `nx` is what a loop uses.
+    """
+
+    def __init__(self, plant: Plant, operator: Operator, nx: int = 101, device: str = "cpu", name: str = "neural"):
+        super().__init__(plant, nx)
+        self.name = name  # type: ignore[misc]
+        self.operator, self.device = operator.to(device).eval(), device
+
+    def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: float) -> np.ndarray:
+        return self._forward(X, u, D_hat).numpy(force=True).astype(float)
+
+    def lanes(self) -> Callable[..., None]:
+        def predict(X: Any, u: Any, D_hat: Any, t: float, p: Any, P: np.ndarray) -> None:
+            P[:] = self._forward(X.T, u.transpose(2, 0, 1), D_hat).permute(1, 2, 0).numpy(force=True)
+
+        return predict
+
+    @torch.inference_mode()
+    def _forward(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray) -> torch.Tensor:
+        tensors = (torch.as_tensor(np.asarray(a, dtype=np.float32), device=self.device) for a in (X, u, D_hat))
+        return self.operator(*tensors)

@@ -1,0 +1,49 @@
+"""The stages: pure functions of a job; none of them knows the store."""
+
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from npred.config import Pipeline
+from npred.plants import Plant
+
+
+class Bar(Protocol):
+    """A task under way."""
+
+    def advance(self, n: int = 1, note: str = "") -> None:
+        """n units more are done; the note (a loss, say) replaces the last one."""
+
+
+class Progress(Protocol):
+    """Where a stage tells how far it is."""
+
+    def bar(self, title: str, total: int, unit: str) -> AbstractContextManager[Bar]:
+        """The progress of `total` units."""
+        ...
+
+    def note(self, text: str) -> None:
+        """A line for people."""
+
+    def warn(self, text: str) -> None:
+        """A warning."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """What a stage gets: write the payload to `folder`, read `inputs` (name to folder), return the result.
+
+    `scratch` outlives an interruption (checkpoints); `device`, `jobs` and `progress` must not change the result.
+    `model` names the network of the train stage.
+    """
+
+    config: Pipeline
+    plant: Plant
+    folder: Path
+    inputs: dict[str, Path]
+    scratch: Path
+    device: str
+    jobs: int
+    progress: Progress
+    model: str | None = None

@@ -1,0 +1,61 @@
+"""The train stage: samples in, one trained network with its metrics and snapshots out."""
+
+import json
+import shutil
+from typing import Any
+
+import torch
+
+from npred import randomness, training
+from npred.config import Training
+from npred.dataset import Dataset
+from npred.operators import Operator, Scaling, build, io, loss, save
+from npred.stages import Job
+from npred.training import Rows, Task
+
+
+def run(job: Job) -> dict[str, Any]:
+    """Train job.model on the rows of job.inputs["generate"] that are not held out; the held-out ones give the errors.
+
+    Writes model.safetensors, model.json, metrics.jsonl and a snapshot-E.safetensors for each E of `snapshots`.
+    The same bytes for the same configuration, data and number of threads (CPU). Raises ConfigError for an anchor or
+    `nodes` that do not fit, DivergedError for a loss that is not finite.
+    """
+    torch.set_num_threads(job.jobs)
+    config = job.config.train.deeponet if job.model == "deeponet" else job.config.train.fno
+    task = _task(job, config, Dataset.read(job.inputs["generate"] / "data.h5"))
+    metrics = training.fit(task, job.scratch, job.progress)
+    _write(job, config, task.operator.to("cpu"), metrics)
+    parameters = sum(p.numel() for p in task.operator.parameters())
+    last = {key: metrics[-1][key] for key in ("loss", "mse", "eps_sup")}
+    return {"model": job.model, "parameters": parameters, "samples": len(task.train), "epochs": len(metrics)} | last
+
+
+def summary(result: dict[str, Any]) -> str:
+    """The trained network in a line."""
+    size = f"{result['parameters']} parameters, {result['epochs']} epochs of {result['samples']} samples"
+    return f"{result['model']}: {size}; held-out rollouts: MSE {result['mse']:.3g}, sup error {result['eps_sup']:.3g}"
+
+
+def _task(job: Job, config: Training, data: Dataset) -> Task:
+    fitted, held_out = data.subset(test=False), data.subset(test=True)
+    train, test = Rows.of(fitted, job.device, config.nodes), Rows.of(held_out, job.device)
+    seed = randomness.integer(job.config.seed, "train", str(job.model))
+    operator = _untrained(job, config, Scaling.of(fitted), seed).to(job.device)
+    criterion = loss.squared_error(loss.weights(config, job.plant, train.P))
+    return Task(f"train {job.model}", operator, config, train, test, criterion, seed)
+
+
+def _untrained(job: Job, config: Training, scaling: Scaling, seed: int) -> Operator:
+    """The same weights for the same seed, whatever was drawn before; torch's own generator is left as it was."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        return build(config, job.plant, scaling)
+
+
+def _write(job: Job, config: Training, operator: Operator, metrics: list[dict[str, Any]]) -> None:
+    save(job.folder, operator, config, job.plant)
+    lines = "".join(json.dumps(row) + "\n" for row in metrics)
+    (job.folder / "metrics.jsonl").write_text(lines, encoding="utf-8")
+    for epoch in config.snapshots:
+        shutil.copy(job.scratch / io.weights(epoch), job.folder)

@@ -1,0 +1,138 @@
+"""One training loop for every network: seeded by epoch, resumable to the bit, readable from top to bottom."""
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from npred import randomness
+from npred.config import Training
+from npred.errors import ConfigError, DivergedError
+from npred.operators import Operator, checkpoint, io
+from npred.operators.checkpoint import Metrics
+from npred.operators.scaling import Samples
+
+WARM_UP = 0.05  # share of the steps in which the one-cycle rate climbs
+REST_NODES = 16  # points in D_hat through which a batch interpolates the anchor's term at rest
+CHUNK = 1024  # rows of a call without gradients
+Loss = Callable[[Tensor, Tensor], Tensor]  # (P_hat, P) -> ()
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Samples in memory as float32 tensors: X (N, n), u (N, nx, m), D_hat (N,), P (N, nx, n)."""
+
+    X: Tensor
+    u: Tensor
+    D_hat: Tensor
+    P: Tensor
+
+    @classmethod
+    def of(cls, data: Samples, device: str = "cpu", nodes: int | None = None) -> "Rows":
+        """The samples on a device, on every s-th node where `nodes` of them are asked for.
+
+        Raises ConfigError where `nodes` does not divide the grid.
+        """
+        intervals = data.u.shape[1] - 1
+        stride, rest = divmod(intervals, (nodes or intervals + 1) - 1)
+        if rest or not stride:
+            raise ConfigError(f"nodes: expected nodes - 1 to divide the data's {intervals} intervals, got {nodes}")
+        arrays = data.X, data.u[:, ::stride], data.D_hat, data.P[:, ::stride]
+        return cls(*(torch.as_tensor(a).to(device, torch.float32).contiguous() for a in arrays))
+
+    def __len__(self) -> int:
+        return len(self.D_hat)
+
+    def __getitem__(self, index: Tensor | slice) -> "Rows":
+        return Rows(self.X[index], self.u[index], self.D_hat[index], self.P[index])
+
+    def split(self, order: Tensor, size: int) -> Iterator["Rows"]:
+        """The rows in this order, in batches."""
+        return (self[index] for index in order.split(size))
+
+
+@dataclass(frozen=True)
+class Task:
+    """What is trained (in place), on what, against what, and how; `title` names it in progress and errors."""
+
+    title: str
+    operator: Operator
+    config: Training
+    train: Rows
+    test: Rows
+    loss: Loss
+    seed: int
+
+
+def fit(task: Task, scratch: Path, progress: Any) -> Metrics:
+    """Train, one dictionary of metrics an epoch; continues from the checkpoint in `scratch`, if there is one.
+
+    Adam [Kingma and Ba 2015]; the order of the rows depends on the seed and the epoch alone, the rate on the step.
+    Weights after the epochs of config.snapshots stay in `scratch`. Raises DivergedError for a loss that is not finite.
+    """
+    operator, config = task.operator, task.config
+    optimiser = torch.optim.Adam(operator.parameters(), lr=config.lr, weight_decay=config.weight_decay, fused=True)
+    metrics = checkpoint.restore(scratch, operator, optimiser)
+    with progress.bar(task.title, config.epochs, "epoch") as bar:
+        bar.advance(len(metrics))
+        for epoch in range(len(metrics) + 1, config.epochs + 1):
+            loss = _epoch(task, optimiser, epoch)
+            lr = optimiser.param_groups[0]["lr"]
+            metrics.append({"epoch": epoch, "lr": lr, "loss": loss, **errors(operator, task.test)})
+            if epoch in config.snapshots:
+                io.save_weights(scratch / io.weights(epoch), operator)
+            if epoch % config.checkpoint_every == 0:
+                checkpoint.save(scratch, operator, optimiser, metrics)
+            bar.advance(1, f"loss {loss:.2e}, test mse {metrics[-1]['mse']:.2e}")
+    return metrics
+
+
+def _epoch(task: Task, optimiser: torch.optim.Optimizer, epoch: int) -> float:
+    """One pass over the rows in an order of its own; the mean loss."""
+    config, count = task.config, len(task.train)
+    shuffle = torch.Generator().manual_seed(randomness.integer(task.seed, "order", epoch))
+    order = torch.randperm(count, generator=shuffle).to(task.train.X.device)
+    total = torch.zeros((), device=order.device)
+    for step, rows in enumerate(task.train.split(order, config.batch)):
+        for group in optimiser.param_groups:
+            group["lr"] = rate(config, epoch - 1 + step * config.batch / count)
+        loss = task.loss(task.operator(rows.X, rows.u, rows.D_hat, REST_NODES), rows.P)
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+        total += loss.detach() * len(rows)
+    mean = float(total) / count
+    if not math.isfinite(mean):
+        raise DivergedError(
+            f"{task.title}: expected a finite loss, got {mean} in epoch {epoch}; lower lr={config.lr:g}"
+        )
+    return mean
+
+
+def rate(config: Training, epochs: float) -> float:
+    """The learning rate after so many epochs, a fraction allowed.
+
+    one-cycle [Smith and Topin 2018]: up in a straight line, down along a cosine. step: halved every 50 epochs [DAPF].
+    """
+    if config.schedule == "step":
+        return config.lr * 0.5 ** (int(epochs) // 50)
+    done = epochs / config.epochs
+    if done < WARM_UP:
+        return config.lr * (0.04 + 0.96 * done / WARM_UP)
+    return config.lr * (1e-4 + 0.5 * (1 + math.cos(math.pi * (done - WARM_UP) / (1 - WARM_UP))))
+
+
+@torch.no_grad()
+def errors(operator: Operator, rows: Rows) -> dict[str, float]:
+    """mse, the mean square of P_hat - P in raw units, and eps_sup = sup |P_hat - P| (Euclid), over rows and nodes."""
+    squares, sup = 0.0, 0.0
+    for start in range(0, len(rows), CHUNK):
+        part = rows[start : start + CHUNK]
+        square = (operator(part.X, part.u, part.D_hat) - part.P).square()
+        squares += float(square.sum(dtype=torch.float64))
+        sup = max(sup, float(square.sum(-1).max()))
+    return {"mse": squares / rows.P.numel(), "eps_sup": math.sqrt(sup)}

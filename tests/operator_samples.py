@@ -1,0 +1,43 @@
+"""Random samples and untrained operators for the tests of the networks."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from npred import plants
+from npred.config import FNO, DeepONet, Training
+from npred.operators import Operator, Scaling, build
+
+PLANT = plants.resolve("activator_repressor")
+SMALL = [DeepONet(width=16, depth=2, basis=6, trunk=8, moments=5), FNO(width=6, modes=4, layers=2)]
+
+
+@dataclass(frozen=True)
+class Arrays:
+    X: np.ndarray
+    u: np.ndarray
+    D_hat: np.ndarray
+    P: np.ndarray
+
+
+def samples(count: int = 40, nx: int = 21, seed: int = 0) -> Arrays:
+    """Smooth actuator states, and displacements P - X that grow with x and with both inputs."""
+    random = np.random.default_rng(seed)
+    x = np.linspace(0, 1, nx)
+    X = random.uniform([0.01, 2.0], [0.2, 30.0], (count, 2))
+    D_hat = random.uniform(0.3, 2.0, count)
+    u = 0.05 * np.sin(3 * x + random.uniform(0, 6, (count, 1)))[..., None]
+    drift = np.concatenate([u, -X[:, None, 1:] * np.ones((1, nx, 1))], axis=-1)
+    return Arrays(X, u, D_hat, X[:, None] + D_hat[:, None, None] * x[:, None] * drift)
+
+
+def operator(config: Training, seed: int = 0, **changes: object) -> Operator:
+    """An untrained operator of the activator-repressor plant."""
+    torch.manual_seed(seed)
+    return build(config.model_copy(update=changes), PLANT, Scaling.of(samples()))
+
+
+def tensors(data: Arrays) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """The operator's inputs in float32."""
+    return tuple(torch.as_tensor(a, dtype=torch.float32) for a in (data.X, data.u, data.D_hat))  # type: ignore[return-value]

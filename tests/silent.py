@@ -1,0 +1,29 @@
+"""A Progress that shows nothing and keeps what it was told."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+
+class Silent:
+    """Collects the notes of its bars; `stop_after` advances raises KeyboardInterrupt, as Ctrl-C would."""
+
+    def __init__(self, stop_after: int | None = None) -> None:
+        self.notes: list[str] = []
+        self.done, self.calls, self.stop_after = 0, 0, stop_after
+
+    @contextmanager
+    def bar(self, title: str, total: int, unit: str) -> Iterator["Silent"]:
+        yield self
+
+    def advance(self, n: int = 1, note: str = "") -> None:
+        self.done += n
+        self.notes.append(note)
+        self.calls += 1
+        if self.stop_after is not None and self.calls > self.stop_after:
+            raise KeyboardInterrupt
+
+    def note(self, text: str) -> None:
+        self.notes.append(text)
+
+    def warn(self, text: str) -> None:
+        self.notes.append(text)
