@@ -1,0 +1,122 @@
+"""What the commands do that look at a pipeline or at the store, and change nothing."""
+
+import time
+from typing import Any
+
+from npred.cli.options import Common, Planned
+from npred.console import columns
+from npred.errors import ConfigError, UnmetError
+from npred.pipeline import STAGES, Step, nodes
+from npred.pipeline.reasons import changes, differences
+from npred.store import Artifact, short
+from npred.store.manifest import NAME
+
+
+def status(options: Planned, check: bool) -> None:
+    """The state of every node; `check` reads every file and raises UnmetError unless all is fresh."""
+    steps = options.planner().plan(nodes(options.config, STAGES))
+    if check:
+        _verify(steps)
+    rows = [[s.node.title, short(s.key or "-"), s.state, s.reason] for s in steps]
+    document = {"stages": [_step(step) for step in steps]}
+    options.show(document, lambda: columns(["stage", "key", "state", "reason"], rows))
+    late = [step.node.title for step in steps if step.state != "fresh"]
+    if check and late:
+        raise UnmetError(f"expected every stage fresh, got {', '.join(late)} not; run npred run {options.pipeline}")
+
+
+def why(options: Planned, stage: str) -> None:
+    """The reason of a stage or of a network. Raises ConfigError for another name."""
+    steps = options.planner().plan(nodes(options.config, STAGES))
+    asked = [step for step in steps if stage in (step.node.stage, step.node.model)]
+    if not asked:
+        names = ", ".join(dict.fromkeys(name for s in steps for name in (s.node.stage, s.node.name)))
+        raise ConfigError(f"why: expected one of {names}, got {stage!r}; name one of them")
+    document = {"stages": [_step(step) for step in asked]}
+    options.show(document, lambda: "\n".join(f"{step.node.title}: {step.reason}" for step in asked))
+
+
+def show(options: Common, reference: str | None) -> None:
+    """A result, verified: manifest and answer."""
+    artifact = (options.results.find(reference) if reference else _latest(options)).verify()
+    result = artifact.result()
+    document = {"folder": str(artifact.folder), "manifest": artifact.manifest.model_dump(), "result": result}
+    options.show(document, lambda: _facts(artifact))
+    if not options.json:
+        options.console.out(STAGES[artifact.manifest.question.stage].summary(result))
+
+
+def ls(options: Common) -> None:
+    """Every result with a sound manifest; a warning for each of the others."""
+    artifacts = options.results.artifacts()
+    for folder in options.results.broken():
+        options.console.warn(f"{folder}: no sound manifest; npred gc removes it")
+    header = ["artifact", "model", "pipeline", "made", "size", "digest"]
+    options.show({"artifacts": [_entry(a) for a in artifacts]}, lambda: columns(header, [_row(a) for a in artifacts]))
+
+
+def diff(options: Common, a: str, b: str) -> None:
+    """The differences of two results."""
+    left, right = (options.results.find(reference).verify() for reference in (a, b))
+    asked = differences(left.manifest.question, right.manifest.question)
+    answered = changes(left.result(), right.result())
+    document = {"a": str(left.folder), "b": str(right.folder), "question": asked, "result": answered}
+    same = f"{left.name} and {right.name}: no difference"
+    options.show(document, lambda: "\n".join([*asked, *(f"result.{line}" for line in answered)]) or same)
+
+
+def plants(options: Common) -> None:
+    """The plants that are built in."""
+    from npred.plants import builtin
+
+    built_in = builtin()
+    rows = [[p["name"], ", ".join(p["states"]), ", ".join(p["inputs"]), _assignments(p)] for p in built_in]
+    options.show({"plants": built_in}, lambda: columns(["plant", "states", "inputs", "parameters"], rows))
+
+
+def _verify(steps: list[Step]) -> None:
+    for step in steps:
+        if step.artifact:
+            step.artifact.verify()
+
+
+def _step(step: Step) -> dict[str, Any]:
+    model = {"model": step.node.model} if step.node.model else {}
+    return {"stage": step.node.stage, "key": step.key, "state": step.state} | model | {"reason": step.reason}
+
+
+def _latest(options: Common) -> Artifact:
+    artifacts = options.results.artifacts()
+    if not artifacts:
+        raise ConfigError(f"show: expected a result in {options.store}, got an empty store; run npred run")
+    return artifacts[-1]
+
+
+def _entry(artifact: Artifact) -> dict[str, Any]:
+    manifest = artifact.manifest
+    entry = {"stage": manifest.question.stage, "model": manifest.question.model, "key": manifest.key}
+    more = {"pipeline": manifest.pipeline, "digest": manifest.digest, "bytes": artifact.size}
+    return entry | more | {"folder": str(artifact.folder)}
+
+
+def _row(artifact: Artifact) -> list[str]:
+    manifest = artifact.manifest
+    made = time.strftime("%Y-%m-%d %H:%M", time.localtime((artifact.folder / NAME).stat().st_mtime))
+    size = f"{artifact.size / 1e6:.1f} MB"
+    return [artifact.name, manifest.question.model or "-", manifest.pipeline, made, size, short(manifest.digest)]
+
+
+def _facts(artifact: Artifact) -> str:
+    manifest = artifact.manifest
+    lines = [
+        f"{artifact.name}  {artifact.folder}",
+        *(f"  {name}  {p.size} bytes" for name, p in manifest.files.items()),
+    ]
+    inputs = [f"  from {name}: {short(source.key)}" for name, source in manifest.question.inputs.items()]
+    settings = [f"  {line.replace(': unset ->', ' =')}" for line in changes({}, manifest.question.config)]
+    made = ", ".join(f"{name} {value}" for name, value in manifest.provenance.items() if value)
+    return "\n".join([*lines, *inputs, *settings, f"  made with {made}"])
+
+
+def _assignments(plant: dict[str, Any]) -> str:
+    return " ".join(f"{name}={value:g}" for name, value in plant["parameters"].items())

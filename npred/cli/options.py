@@ -1,0 +1,87 @@
+"""The flags that commands share, each declared once."""
+
+import inspect
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
+
+import typer
+
+from npred import places
+from npred.console import Console
+
+if TYPE_CHECKING:  # pydantic and filelock come with these, which `npred --help` has no use for
+    from npred.config import Pipeline
+    from npred.pipeline import Planner
+    from npred.store import Store
+
+
+@dataclass(frozen=True)
+class Common:
+    """Flags of every command."""
+
+    store: Annotated[Path, typer.Option(envvar=places.STORE_VARIABLE, help="Where results are kept.")] = places.STORE
+    json: Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout.")] = False
+    quiet: Annotated[bool, typer.Option("-q", "--quiet", help="Warnings and errors only.")] = False
+    verbose: Annotated[bool, typer.Option("-v", "--verbose", help="More messages; tracebacks.")] = False
+
+    @cached_property
+    def console(self) -> Console:
+        """Where messages go."""
+        return Console(quiet=self.quiet, verbose=self.verbose)
+
+    @cached_property
+    def results(self) -> "Store":
+        """The store of results."""
+        from npred.store import Store
+
+        return Store(self.store)
+
+    def show(self, document: dict[str, Any], text: Callable[[], Any]) -> None:
+        """The document with --json, else the text for people."""
+        self.console.json(document) if self.json else self.console.out(text())
+
+
+@dataclass(frozen=True)
+class Planned(Common):
+    """Flags of the commands that read a pipeline file."""
+
+    pipeline: Annotated[Path, typer.Argument(metavar="PIPELINE", help="The pipeline file.")] = places.PIPELINE
+    set: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="Override a key, as in train.fno.epochs=5; repeatable."),
+    ] = None
+    device: Annotated[str, typer.Option(help="auto, cpu, cuda or cuda:N.")] = "auto"
+    jobs: Annotated[int | None, typer.Option(min=1, help="Processes and threads; all cores by default.")] = None
+
+    @cached_property
+    def config(self) -> "Pipeline":
+        """The pipeline, resolved."""
+        from npred import config
+
+        return config.load(self.pipeline, self.set)
+
+    def planner(self, forced: frozenset[str] = frozenset()) -> "Planner":
+        """The pipeline against the store."""
+        from npred import devices
+        from npred.pipeline import Planner
+
+        return Planner(self.config, self.results, devices.resolve(self.device), forced)
+
+
+@dataclass(frozen=True)
+class Work(Planned):
+    """Flags of the commands that run stages."""
+
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would run, and run nothing.")] = False
+    force: Annotated[bool, typer.Option("--force", help="Run the named stages even if the store has them.")] = False
+
+
+def parameters(options: type[Common]) -> list[inspect.Parameter]:
+    """The fields of an options class as parameters of a command: the pipeline file first, then the flags."""
+    hints = get_type_hints(options, include_extras=True)
+    ordered = sorted(fields(options), key=lambda field: field.name != "pipeline")
+    kind = inspect.Parameter.KEYWORD_ONLY
+    return [inspect.Parameter(f.name, kind, default=f.default, annotation=hints[f.name]) for f in ordered]

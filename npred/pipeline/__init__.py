@@ -1,0 +1,20 @@
+"""The runner: key, hit or run, store; and the reason of every run."""
+
+from npred.pipeline.models import Stored, load_model
+from npred.pipeline.plan import Planner, Step
+from npred.pipeline.runner import Outcome, Runner
+from npred.pipeline.table import STAGES, Node, Stage, networks, nodes
+
+__all__ = [
+    "STAGES",
+    "Node",
+    "Outcome",
+    "Planner",
+    "Runner",
+    "Stage",
+    "Step",
+    "Stored",
+    "load_model",
+    "networks",
+    "nodes",
+]

@@ -1,0 +1,94 @@
+"""What is in the store and what would run: the key of every node, as far as its inputs are known."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+
+from npred.config import Pipeline
+from npred.pipeline import table
+from npred.pipeline.reasons import NEVER, alike, changes, reason, sentence
+from npred.pipeline.table import STAGES, Node
+from npred.store import Artifact, Question, Source, Store
+
+UP_TO_DATE = "up to date"
+
+
+@dataclass(frozen=True)
+class Step:
+    """A node, its question where the inputs are known, and its artifact where the store has it."""
+
+    node: Node
+    question: Question | None
+    artifact: Artifact | None
+    reason: str
+
+    @property
+    def key(self) -> str | None:
+        """The key, or None while an input still has to be made."""
+        return self.question.key if self.question else None
+
+    @property
+    def action(self) -> str:
+        """`hit` or `run`."""
+        return "hit" if self.artifact else "run"
+
+    @property
+    def state(self) -> str:
+        """`fresh`, `missing` (never made for this pipeline) or `stale`."""
+        if self.artifact:
+            return "fresh"
+        return "missing" if self.reason.startswith(NEVER) else "stale"
+
+
+@dataclass(frozen=True)
+class Planner:
+    """Resolves the nodes of one pipeline against one store; `forced` stages count as not there."""
+
+    config: Pipeline
+    store: Store
+    device: str
+    forced: frozenset[str] = frozenset()
+
+    def plan(self, nodes: Iterable[Node]) -> list[Step]:
+        """One step a node, in order, without running anything. Raises StoreError for a corrupt manifest."""
+        steps: dict[str, Step] = {}
+        for node in nodes:
+            blocked = [name for name in node.inputs if not steps[name].artifact]
+            made = {name: found for name in node.inputs if (found := steps[name].artifact)}
+            steps[node.name] = (
+                self._waiting(node, [steps[name] for name in blocked]) if blocked else self.step(node, made)
+            )
+        return list(steps.values())
+
+    def step(self, node: Node, inputs: dict[str, Artifact]) -> Step:
+        """The step of a node whose inputs are all there."""
+        question = self._question(node, inputs)
+        if node.stage in self.forced:
+            return Step(node, question, None, "--force")
+        artifact = self.store.get(node.stage, question.key)
+        why = UP_TO_DATE if artifact else reason(question, self.config.name, self._artifacts)
+        return Step(node, question, artifact, why)
+
+    def _question(self, node: Node, inputs: dict[str, Artifact]) -> Question:
+        sources = {
+            name: Source(key=artifact.manifest.key, digest=artifact.manifest.digest)
+            for name, artifact in inputs.items()
+        }
+        return Question(
+            stage=node.stage,
+            version=STAGES[node.stage].version,
+            model=node.model,
+            config=table.question(node, self.config, self.device),
+            inputs=sources,
+        )
+
+    def _waiting(self, node: Node, blocked: list[Step]) -> Step:
+        causes = [f"upstream {step.node.name} will run ({step.reason})" for step in blocked if step.question]
+        older = [a for a in self._artifacts if alike(a, node.stage, node.model, self.config.name)]
+        asked = table.question(node, self.config, self.device)
+        own = min((changes(a.manifest.question.config, asked) for a in reversed(older)), key=len, default=[])
+        return Step(node, None, None, f"{'stale' if older else NEVER}: {sentence([*own, *causes])}")
+
+    @cached_property
+    def _artifacts(self) -> list[Artifact]:
+        return self.store.artifacts()

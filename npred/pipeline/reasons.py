@@ -1,0 +1,64 @@
+"""Why a stage would run, in words: what differs from the closest result that the store has."""
+
+import json
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from npred.store import Artifact, Question, short
+
+NEVER = "no artifact yet"
+UNSET = "unset"
+SHOWN = 4
+
+
+def reason(question: Question, pipeline: str, artifacts: Iterable[Artifact]) -> str:
+    """The differences, before -> after, from the closest result of the same stage, network and pipeline.
+
+    The closest has the fewest differences; among equals the most recent (last) one counts.
+    """
+    same = [a for a in artifacts if alike(a, question.stage, question.model, pipeline)]
+    if not same:
+        return NEVER
+    lists = [differences(artifact.manifest.question, question) for artifact in reversed(same)]
+    return sentence(min(lists, key=len))
+
+
+def differences(before: Question, after: Question) -> list[str]:
+    """Each difference of two questions of one stage as `key: before -> after`."""
+    found = [f"stage version: {before.version} -> {after.version}"] if before.version != after.version else []
+    found += changes(before.config, after.config)
+    for name in sorted(before.inputs.keys() | after.inputs.keys()):
+        old, new = (short(q.inputs[name].digest) if name in q.inputs else UNSET for q in (before, after))
+        found += [f"input {name} changed: {old} -> {new}"] if old != new else []
+    return found
+
+
+def changes(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[str]:
+    """Each leaf in which two nested tables differ, as `dotted.key: before -> after`."""
+    old, new = flat(before), flat(after)
+    keys = [*old, *(key for key in new if key not in old)]
+    pairs = [(key, old.get(key, UNSET), new.get(key, UNSET)) for key in keys]
+    return [f"{key}: {left} -> {right}" for key, left, right in pairs if left != right]
+
+
+def flat(table: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
+    """The leaves of nested tables under dotted keys, as JSON; a list is a leaf."""
+    leaves: dict[str, str] = {}
+    for key, value in table.items():
+        if isinstance(value, Mapping):
+            leaves |= flat(value, f"{prefix}{key}.")
+        else:
+            leaves[f"{prefix}{key}"] = json.dumps(value, ensure_ascii=False)
+    return leaves
+
+
+def sentence(found: list[str]) -> str:
+    """A few differences on one line."""
+    more = len(found) - SHOWN
+    return "; ".join(found[:SHOWN]) + (f"; and {more} more" if more > 0 else "")
+
+
+def alike(artifact: Artifact, stage: str, model: str | None, pipeline: str) -> bool:
+    """Whether an artifact is of this stage and network, and was made for this pipeline."""
+    manifest = artifact.manifest
+    return (manifest.question.stage, manifest.question.model, manifest.pipeline) == (stage, model, pipeline)

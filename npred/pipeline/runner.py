@@ -1,0 +1,118 @@
+"""Lock a key, look again, run the stage aside, rename its result into place."""
+
+import json
+import math
+import time
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from npred.console import Console
+from npred.pipeline.plan import Planner, Step
+from npred.pipeline.table import STAGES, Node
+from npred.store import RESULT, Artifact, short
+
+if TYPE_CHECKING:
+    from npred.plants import Plant
+    from npred.stages import Job
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a node: `hit` or `run`, why, and how long it took."""
+
+    node: Node
+    artifact: Artifact
+    action: str
+    reason: str
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Runner:
+    """Brings the nodes of a plan into the store."""
+
+    planner: Planner
+    console: Console
+    jobs: int
+
+    def run(self, nodes: Iterable[Node]) -> list[Outcome]:
+        """One outcome a node, in order; every result is verified.
+
+        Raises StoreError for corrupt files, and what the stages raise; what was finished before stays in the store.
+        """
+        outcomes: dict[str, Outcome] = {}
+        for node in nodes:
+            start = time.perf_counter()
+            inputs = {name: outcomes[name].artifact for name in node.inputs}
+            step = self.planner.step(node, inputs)
+            artifact, action, why = self._hit(step) if step.artifact else self._make(step, inputs)
+            outcomes[node.name] = Outcome(node, artifact, action, why, time.perf_counter() - start)
+        return list(outcomes.values())
+
+    def _hit(self, step: Step) -> tuple[Artifact, str, str]:
+        assert step.artifact is not None
+        return step.artifact.verify(), "hit", step.reason
+
+    def _make(self, step: Step, inputs: dict[str, Artifact]) -> tuple[Artifact, str, str]:
+        assert step.key is not None
+        title, key = step.node.title, step.key
+        waited: list[str] = []
+
+        def waiting(holder: str) -> None:
+            waited.append(holder)
+            self.console.note(f"{title}: {short(key)} is being made by {holder}; waiting for it")
+
+        with self.planner.store.lock(step.node.stage, key, waiting):
+            # Even --force takes what another process made while this one waited; a corrupt result it replaces unread.
+            forced = step.node.stage in self.planner.forced and not waited
+            if not forced and (made := self.planner.store.get(step.node.stage, key)):
+                return made.verify(), "hit", f"made meanwhile by {waited[0] if waited else 'another process'}"
+            self.console.note(f"{title}: running ({step.reason})")
+            return self._execute(step, inputs), "run", step.reason
+
+    def _execute(self, step: Step, inputs: dict[str, Artifact]) -> Artifact:
+        assert step.question is not None
+        store, stage, key = self.planner.store, step.node.stage, step.question.key
+        scratch = store.scratch(stage, key)
+        scratch.mkdir(parents=True, exist_ok=True)
+        with store.draft(stage, key) as folder:
+            result = STAGES[stage].run(self._job(step.node, folder, inputs, scratch))
+            (folder / RESULT).write_text(json.dumps(plain(result), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+            artifact = store.commit(folder, step.question, self.planner.config.name)
+        store.discard(scratch)
+        return artifact
+
+    def _job(self, node: Node, folder: Path, inputs: dict[str, Artifact], scratch: Path) -> "Job":
+        from npred.stages import Job
+
+        return Job(
+            config=self.planner.config,
+            plant=self._plant,
+            folder=folder,
+            inputs={name: artifact.folder for name, artifact in inputs.items()},
+            scratch=scratch,
+            device=self.planner.device,
+            jobs=self.jobs,
+            progress=self.console,
+            model=node.model,
+        )
+
+    @cached_property
+    def _plant(self) -> "Plant":
+        from npred import plants
+
+        return plants.resolve(self.planner.config.plant, self.planner.config.parameters)
+
+
+def plain(value: Any) -> Any:
+    """A result as JSON can hold it: NumPy numbers as numbers, a number that is not finite as null."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,0 +1,123 @@
+"""The stages as a table: version, inputs, and the slice of the configuration that each one's key holds."""
+
+import importlib
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from npred import devices
+from npred.config import Pipeline, Table, Train
+
+if TYPE_CHECKING:
+    from npred.stages import Job
+
+Slice = Callable[[Pipeline, str | None, str], dict[str, Any]]
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A row of the table; raise `version` when the stage's results change for the same configuration."""
+
+    version: int
+    upstream: tuple[str, ...]
+    slice: Slice
+    module: str
+
+    def run(self, job: "Job") -> dict[str, Any]:
+        """The stage's own run(job); its module is imported here, for it may bring torch."""
+        return importlib.import_module(self.module).run(job)
+
+    def summary(self, result: dict[str, Any]) -> Any:
+        """A result in a few lines for people: text, or something that rich can print."""
+        return importlib.import_module(self.module).summary(result)
+
+
+@dataclass(frozen=True)
+class Node:
+    """A stage, and the network where the stage has one artifact a network."""
+
+    stage: str
+    model: str | None
+    inputs: tuple[str, ...]
+
+    @property
+    def name(self) -> str:
+        """What the result is called as an input of others: `generate`, `deeponet`, …"""
+        return self.model or self.stage
+
+    @property
+    def title(self) -> str:
+        """For people: `train deeponet`."""
+        return f"{self.stage} {self.model}" if self.model else self.stage
+
+
+def networks() -> tuple[str, ...]:
+    """The networks that can be trained: the tables below `train`."""
+    return tuple(name for name in Train.model_fields if name != "models")
+
+
+def models(config: Pipeline) -> tuple[str, ...]:
+    """The networks of a pipeline, each once, in an order that does not depend on the file's."""
+    return tuple(sorted(set(config.train.models)))
+
+
+def nodes(config: Pipeline, targets: Iterable[str], only: str | None = None) -> list[Node]:
+    """The targets with all that they need, each after its inputs; `only` keeps one network of the train stage."""
+    wanted = set(targets)
+    for name in reversed(STAGES):
+        wanted.update(STAGES[name].upstream if name in wanted else ())
+    return [node for name in STAGES if name in wanted for node in _nodes(name, (only,) if only else models(config))]
+
+
+def question(node: Node, config: Pipeline, device: str) -> dict[str, Any]:
+    """The slice of the configuration that the node's key holds, with the plant and the seed."""
+    from npred import plants  # brings NumPy, which `npred --help` has no use for
+
+    shared = {"plant": plants.identity(config.plant, config.parameters), "seed": config.seed}
+    return shared | STAGES[node.stage].slice(config, node.model, device)
+
+
+def _nodes(stage: str, networks: tuple[str, ...]) -> list[Node]:
+    upstream = STAGES[stage].upstream
+    inputs = tuple(name for above in upstream for name in (networks if above == "train" else (above,)))
+    return [Node(stage, model, inputs) for model in (networks if stage == "train" else (None,))]
+
+
+def _dump(section: Table) -> dict[str, Any]:
+    return _words(section.model_dump(mode="json"))
+
+
+def _words(value: Any) -> Any:
+    """JSON has no infinity, and an input bounded on one side only has one: as text it can enter a key."""
+    if isinstance(value, dict):
+        return {key: _words(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_words(item) for item in value]
+    return str(value) if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _generate(config: Pipeline, model: str | None, device: str) -> dict[str, Any]:
+    return {"generate": _dump(config.generate)}
+
+
+def _train(config: Pipeline, model: str | None, device: str) -> dict[str, Any]:
+    assert model is not None
+    return {"train": {model: _dump(getattr(config.train, model))}}
+
+
+def _evaluate(config: Pipeline, model: str | None, device: str) -> dict[str, Any]:
+    return {"evaluate": _dump(config.evaluate), "train": {"models": list(models(config))}}
+
+
+def _bench(config: Pipeline, model: str | None, device: str) -> dict[str, Any]:
+    table = {"bench": _dump(config.bench), "train": {"models": list(models(config))}}
+    return table | {"hardware": devices.hardware(device)}
+
+
+STAGES: dict[str, Stage] = {
+    "generate": Stage(1, (), _generate, "npred.stages.generate"),
+    "train": Stage(1, ("generate",), _train, "npred.stages.train"),
+    "evaluate": Stage(1, ("generate", "train"), _evaluate, "npred.stages.evaluate"),
+    "bench": Stage(1, ("generate", "train"), _bench, "npred.stages.bench"),
+}

@@ -1,0 +1,174 @@
+"""The content-addressed store: a result is written aside, made durable, renamed into place, and never changed."""
+
+import json
+import os
+import re
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Self
+
+from npred.errors import ConfigError, StoreError
+from npred.store import locks
+from npred.store.keys import short
+from npred.store.manifest import NAME, Manifest, Question
+
+RESULT = "result.json"
+_KEY = re.compile("[0-9a-f]{64}")  # whatever else lies under the root is not the store's to list or to remove
+
+
+@dataclass(frozen=True)
+class Artifact:
+    """A result in the store: its folder and its manifest."""
+
+    folder: Path
+    manifest: Manifest
+
+    @classmethod
+    def read(cls, folder: Path) -> Self:
+        """The artifact of a folder; its payload is checked by `verify`. Raises StoreError for a bad manifest."""
+        return cls(folder, Manifest.read(folder / NAME))
+
+    @property
+    def name(self) -> str:
+        """`stage/key` with the key cut short, as people write it."""
+        return f"{self.manifest.question.stage}/{short(self.manifest.key)}"
+
+    @property
+    def size(self) -> int:
+        """Bytes of payload."""
+        return sum(payload.size for payload in self.manifest.files.values())
+
+    def verify(self) -> Self:
+        """This artifact, once every payload file is as it was written; else StoreError, naming the file."""
+        self.manifest.verify(self.folder)
+        return self
+
+    def result(self) -> dict[str, Any]:
+        """What the stage returned."""
+        return json.loads((self.folder / RESULT).read_text(encoding="utf-8"))
+
+
+class Store:
+    """`root/<stage>/<key>/` holds a result; `.tmp`, `.scratch` and `.locks` what is needed to make one."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+
+    def folder(self, stage: str, key: str) -> Path:
+        """Where the result of a key is or will be."""
+        return self.root / stage / key
+
+    def scratch(self, stage: str, key: str) -> Path:
+        """The folder that an interrupted stage finds again: its checkpoints."""
+        return self.root / ".scratch" / f"{stage}-{key}"
+
+    def get(self, stage: str, key: str) -> Artifact | None:
+        """The artifact of a key, or None. Raises StoreError where something else lies in its place."""
+        folder = self.folder(stage, key)
+        return Artifact.read(folder) if folder.exists() else None
+
+    def lock(self, stage: str, key: str, waiting: Callable[[str], None] | None = None) -> AbstractContextManager[None]:
+        """The lock of a key; see npred.store.locks.held."""
+        return locks.held(self.root / ".locks" / f"{stage}-{key}.lock", waiting)
+
+    @contextmanager
+    def draft(self, stage: str, key: str) -> Iterator[Path]:
+        """An empty folder to write a result in, for the holder of the key's lock; what is left of it is removed."""
+        folder = self.root / ".tmp" / f"{stage}-{key}"
+        shutil.rmtree(folder, ignore_errors=True)  # a process that was killed left it
+        folder.mkdir(parents=True)
+        try:
+            yield folder
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
+
+    def commit(self, draft: Path, question: Question, pipeline: str) -> Artifact:
+        """Make a draft durable and rename it into place; a result already there steps aside (a forced rerun)."""
+        manifest = Manifest.describe(question, pipeline, draft)
+        (draft / NAME).write_text(manifest.text(), encoding="utf-8")
+        _sync_tree(draft)
+        target = self.folder(question.stage, manifest.key)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        self.discard(target)
+        draft.rename(target)
+        _sync(target.parent)
+        return Artifact(target, manifest)
+
+    def artifacts(self) -> list[Artifact]:
+        """Every result with a sound manifest, the most recent last."""
+        sound = []
+        for folder in self._folders():
+            try:
+                sound.append(Artifact.read(folder))
+            except StoreError:
+                continue
+        return sorted(sound, key=lambda artifact: (artifact.folder / NAME).stat().st_mtime_ns)
+
+    def broken(self) -> list[Path]:
+        """Folders in the place of a result whose manifest is missing or changed."""
+        sound = {artifact.folder for artifact in self.artifacts()}
+        return [folder for folder in self._folders() if folder not in sound]
+
+    def leftovers(self) -> list[Path]:
+        """Drafts and checkpoints of runs that ended early, or are still at work."""
+        return sorted(path for place in (".tmp", ".scratch") for path in self.root.glob(f"{place}/*"))
+
+    def find(self, reference: str) -> Artifact:
+        """The artifact meant by `stage/prefix`, `prefix`, a stage or a model (its most recent), or a folder.
+
+        Raises ConfigError where none or several match.
+        """
+        if (Path(reference) / NAME).is_file():
+            return Artifact.read(Path(reference).resolve())
+        everything = self.artifacts()
+        named = [a for a in everything if reference in (a.manifest.question.stage, a.manifest.question.model)]
+        if named:
+            return named[-1]
+        stage, _, prefix = reference.rpartition("/")
+        found = [
+            a for a in everything if a.manifest.key.startswith(prefix) and stage in ("", a.manifest.question.stage)
+        ]
+        if len(found) != 1 or not prefix:
+            names = ", ".join(a.name for a in found[:4]) or "none"
+            raise ConfigError(f"{reference}: expected one artifact of {self.root}, got {names}; see npred ls")
+        return found[0]
+
+    def delete(self, path: Path) -> bool:
+        """Remove a result, a draft or a checkpoint; False, and nothing done, while its key is being worked on."""
+        name = path.name if path.parent.name.startswith(".") else f"{path.parent.name}-{path.name}"
+        stage, _, key = name.partition("-")
+        try:
+            with self.lock(stage, key):
+                self.discard(path)
+        except StoreError:
+            return False
+        return True
+
+    def discard(self, path: Path) -> None:
+        """Remove a folder of the store whose key's lock is held."""
+        # Renamed first: a removal cut short must not leave half a result in the place of a whole one.
+        if path.exists():
+            aside = self.root / ".tmp" / f"{path.parent.name.strip('.')}-{path.name}.removed"
+            aside.parent.mkdir(parents=True, exist_ok=True)
+            shutil.rmtree(aside, ignore_errors=True)
+            path.rename(aside)
+            shutil.rmtree(aside, ignore_errors=True)
+
+    def _folders(self) -> list[Path]:
+        return sorted(path for path in self.root.glob("[!.]*/*") if _KEY.fullmatch(path.name) and path.is_dir())
+
+
+def _sync_tree(folder: Path) -> None:
+    for path in [*folder.rglob("*"), folder]:
+        _sync(path)
+
+
+def _sync(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

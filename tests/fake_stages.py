@@ -1,0 +1,76 @@
+"""Stages that take no time, for the tests of what runs them; also a program that is `npred` with these stages.
+
+FAKE_LOG is a file that gets a line a run. FAKE_HANG is a stage that writes half of its result, says so on the file
+descriptor FAKE_READY, and goes on when the descriptor FAKE_GO says so.
+"""
+
+import os
+import sys
+from collections.abc import Callable, MutableMapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from npred.pipeline.table import STAGES, Stage
+
+
+@dataclass(frozen=True)
+class Fake(Stage):
+    name: str = ""
+
+    def run(self, job: Any) -> dict[str, Any]:
+        return run(self.name, job)
+
+    def summary(self, result: dict[str, Any]) -> str:
+        return f"summary of {result}"
+
+
+def install(table: MutableMapping[str, Stage] = STAGES, **versions: int) -> None:
+    """Put a fake in the place of each stage of the table."""
+    for name, stage in table.items():
+        table[name] = Fake(versions.get(name, stage.version), stage.upstream, stage.slice, stage.module, name)
+
+
+def run(name: str, job: Any) -> dict[str, Any]:
+    """The data depend on plant, seed and rollouts only, so that another `samples` gives the same result."""
+    resumed = (job.scratch / "checkpoint").exists()
+    _log(f"{name}:{job.model or ''}:{'resumed' if resumed else 'new'}")
+    (job.folder / "data.bin").write_bytes(b"half of")
+    (job.scratch / "checkpoint").write_text("epoch 3")
+    if os.environ.get("FAKE_HANG") == name and not resumed:
+        _hang()
+    (job.folder / "data.bin").write_bytes(f"{name} {_content(name, job)}".encode() * 20)
+    return ANSWERS[name](job)
+
+
+ANSWERS: dict[str, Callable[[Any], dict[str, Any]]] = {
+    "generate": lambda job: {"rollouts": job.config.generate.rollouts},
+    "train": lambda job: {"mse": float("nan"), "epochs": getattr(job.config.train, job.model).epochs},
+    "evaluate": lambda job: {"models": {name: {"mse": 1.0} for name in sorted(job.inputs)}},
+    "bench": lambda job: {"rows": [], "hardware": {"device": job.device, "jobs": job.jobs}},
+}
+
+
+def _content(name: str, job: Any) -> str:
+    if name == "generate":
+        return f"{job.config.seed} {job.config.generate.rollouts}"
+    return " ".join((folder / "data.bin").read_text() for folder in job.inputs.values())[:50]
+
+
+def _log(line: str) -> None:
+    if path := os.environ.get("FAKE_LOG"):
+        with Path(path).open("a") as file:
+            file.write(line + "\n")
+
+
+def _hang() -> None:
+    os.write(int(os.environ["FAKE_READY"]), b"!")
+    os.read(int(os.environ["FAKE_GO"]), 1)
+
+
+if __name__ == "__main__":
+    from npred.cli import main
+
+    install()
+    sys.argv[0] = "npred"
+    main()

@@ -1,0 +1,339 @@
+"""`npred` as people and programs meet it: JSON, exit codes, one line for what goes wrong, interruption."""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import fake_stages
+import pytest
+from conftest import HERE, process_environment
+from typer.testing import CliRunner, Result
+
+from npred.cli import app
+from npred.store import Store
+
+Call = Callable[..., Result]
+
+
+@pytest.fixture
+def call(fakes: Path, pipeline: Path, monkeypatch: pytest.MonkeyPatch) -> Call:
+    """A command with fake stages, in this process, beside the pipeline file tiny.toml."""
+    monkeypatch.chdir(pipeline.parent)
+    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.delenv("NPRED_STORE", raising=False)
+    return lambda *arguments: CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+def document(result: Result, code: int = 0) -> Any:
+    assert result.exit_code == code, result.output
+    return json.loads(result.stdout)
+
+
+def actions(result: Result) -> dict[str, str]:
+    return {row.get("model", row["stage"]): row["action"] for row in document(result)["stages"]}
+
+
+def one_line(result: Result, code: int) -> str:
+    assert result.exit_code == code, result.output
+    assert result.stdout == ""
+    (line,) = result.stderr.splitlines()
+    return line
+
+
+def test_run_answers_in_one_document(call: Call):
+    found = document(call("run", "tiny.toml", "--json", "--jobs", "3"))
+    rows = found["stages"]
+    assert [row["stage"] for row in rows] == ["generate", "train", "train", "evaluate", "bench"]
+    assert [row.get("model") for row in rows] == [None, "deeponet", "fno", None, None]
+    assert {row["action"] for row in rows} == {"run"}
+    assert all(re.fullmatch("[0-9a-f]{64}", row["key"]) and row["seconds"] >= 0 for row in rows)
+    assert found["result"]["rows"] == []
+    assert found["result"]["hardware"] == {"device": "cpu", "jobs": 3}
+    assert set(found["result"]["models"]) == {"generate", "deeponet", "fno"}
+    assert set(actions(call("run", "tiny.toml", "--json")).values()) == {"hit"}
+
+
+def test_a_stage_answers_with_its_own_result(call: Call):
+    assert document(call("generate", "tiny.toml", "--json"))["result"] == {"rollouts": 50}
+    trained = document(call("train", "tiny.toml", "--json", "--model", "fno"))
+    assert trained["result"] == {"fno": {"mse": None, "epochs": 100}}
+    assert [row["stage"] for row in trained["stages"]] == ["generate", "train"]
+    assert list(document(call("evaluate", "tiny.toml", "--json"))["result"]) == ["models"]
+
+
+def test_people_get_a_table_the_folder_and_the_summary(call: Call):
+    result = call("bench", "tiny.toml")
+    assert result.exit_code == 0
+    assert re.search(r"^train fno +[0-9a-f]{12} +run +[0-9.]+ +no artifact yet$", result.stdout, re.MULTILINE)
+    folder = re.search(r"^bench: (.+)$", result.stdout, re.MULTILINE)
+    assert folder is not None
+    assert (Path(folder[1]) / "manifest.json").is_file()
+    assert "summary of {'rows'" in result.stdout
+    assert "bench: running (no artifact yet)" in result.stderr
+
+
+def test_set_reruns_what_depends_on_it(call: Call):
+    call("run", "tiny.toml")
+    result = call("run", "tiny.toml", "--json", "--set", "train.deeponet.epochs=40", "--set", "bench.calls=7")
+    assert actions(result) == {"generate": "hit", "deeponet": "run", "fno": "hit", "evaluate": "run", "bench": "run"}
+
+
+def test_a_dry_run_runs_nothing_and_writes_nothing(call: Call, fakes: Path):
+    result = call("run", "tiny.toml", "--dry-run", "--json")
+    assert set(actions(result).values()) == {"run"}
+    assert document(result)["result"] is None
+    assert fakes.read_text() == ""
+    assert not Path("artifacts").exists()
+
+
+def test_force_reruns_the_stage_and_not_what_it_needs(call: Call):
+    call("train", "tiny.toml")
+    result = call("train", "tiny.toml", "--force", "--json")
+    assert actions(result) == {"generate": "hit", "deeponet": "run", "fno": "run"}
+
+
+def test_status_and_its_gate(call: Call):
+    def states(*arguments: str, code: int = 0) -> dict[str, str]:
+        rows = document(call("status", "tiny.toml", "--json", *arguments), code)["stages"]
+        return {row.get("model", row["stage"]): row["state"] for row in rows}
+
+    assert set(states("--check", code=3).values()) == {"missing"}
+    call("run", "tiny.toml")
+    assert set(states("--check").values()) == {"fresh"}
+    late = states("--check", "--set", "train.fno.epochs=2", code=3)
+    assert late == {"generate": "fresh", "deeponet": "fresh", "fno": "stale", "evaluate": "stale", "bench": "stale"}
+    data = Store(Path("artifacts")).find("fno").folder / "data.bin"
+    data.write_bytes(b"")
+    assert str(data) in one_line(call("status", "tiny.toml", "--check"), 4)
+
+
+def test_why_names_the_key_before_and_after(call: Call):
+    call("run", "tiny.toml")
+    assert call("why", "train", "tiny.toml").stdout == "train deeponet: up to date\ntrain fno: up to date\n"
+    changed = ("--set", "train.deeponet.epochs=40")
+    assert call("why", "deeponet", "tiny.toml", *changed).stdout == "train deeponet: train.deeponet.epochs: 30 -> 40\n"
+    (row,) = document(call("why", "evaluate", "tiny.toml", "--json", *changed))["stages"]
+    assert row["reason"] == "stale: upstream deeponet will run (train.deeponet.epochs: 30 -> 40)"
+
+
+def test_show_ls_and_diff(call: Call):
+    call("run", "tiny.toml")
+    call("train", "tiny.toml", "--set", "train.fno.epochs=2")
+    listed = document(call("ls", "--json"))["artifacts"]
+    assert [entry["model"] or entry["stage"] for entry in listed] == [
+        *("generate", "deeponet", "fno", "evaluate", "bench", "fno")
+    ]
+    old, new = listed[2]["key"], listed[5]["key"]
+    assert len(call("ls").stdout.splitlines()) == 7
+    shown = document(call("show", f"train/{old[:8]}", "--json"))
+    assert shown["result"] == {"mse": None, "epochs": 100}
+    assert shown["manifest"]["question"]["config"]["train"]["fno"]["epochs"] == 100
+    assert document(call("show", "--json"))["manifest"]["key"] == new
+    text = call("show", "fno").stdout
+    for words in ("data.bin", "train.fno.epochs = 2", "from generate", "summary of"):
+        assert words in text
+    found = document(call("diff", old[:8], new[:8], "--json"))
+    assert (found["question"], found["result"]) == (["train.fno.epochs: 100 -> 2"], ["epochs: 100 -> 2"])
+    assert call("diff", old[:8], new[:8]).stdout == "train.fno.epochs: 100 -> 2\nresult.epochs: 100 -> 2\n"
+    assert "no difference" in call("diff", old[:8], old[:8]).stdout
+
+
+def test_gc_plans_first_and_keeps_what_a_pipeline_needs(call: Call):
+    call("run", "tiny.toml")
+    call("train", "tiny.toml", "--set", "train.fno.epochs=2")
+    stale = Store(Path("artifacts")).find("fno").folder
+    left, kept = Path(f"artifacts/.tmp/train-{stale.name}"), Path(f"artifacts/.scratch/train-{'0' * 64}")
+    for folder in (left, kept):
+        folder.mkdir(parents=True)
+    planned = document(call("gc", "tiny.toml", "--json"))
+    assert {Path(row["path"]) for row in planned["plan"]} == {stale, left, kept}
+    assert (planned["deleted"], stale.exists()) == ([], True)
+    assert "3 to delete" in call("gc", "tiny.toml").stdout
+    assert len(document(call("gc", "tiny.toml", "--yes", "--json"))["deleted"]) == 3
+    assert set(actions(call("run", "tiny.toml", "--json")).values()) == {"hit"}
+    assert call("gc", "tiny.toml").stdout == "nothing to delete\n"
+
+
+def test_gc_keeps_the_checkpoint_that_a_pipeline_goes_on_from(call: Call, monkeypatch: pytest.MonkeyPatch):
+    with monkeypatch.context() as patch:
+        patch.setitem(fake_stages.ANSWERS, "generate", lambda job: 1 / 0)
+        call("generate", "tiny.toml")
+    assert call("gc", "tiny.toml").stdout == "nothing to delete\n"
+    assert "expected pipelines whose results stay" in one_line(call("gc"), 2)
+
+
+def test_doctor_and_plants(call: Call):
+    facts = document(call("doctor", "--json"))
+    assert facts["packages"]["torch"]
+    assert (facts["store"]["artifacts"], facts["store"]["writable"]) == (0, True)
+    assert "cores:" in call("doctor").stdout
+    found = {plant["name"]: plant for plant in document(call("plants", "--json"))["plants"]}
+    assert found["activator_repressor"]["states"] == ["x1", "x2"]
+    assert "scalar" in call("plants").stdout
+
+
+def test_the_store_may_be_elsewhere(call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    call("generate", "tiny.toml", "--store", "here")
+    assert Path("here/generate").is_dir()
+    monkeypatch.setenv("NPRED_STORE", str(tmp_path / "there"))
+    call("generate", "tiny.toml")
+    assert (tmp_path / "there" / "generate").is_dir()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (["run", "none.toml"], 2, "none.toml: expected a pipeline file"),
+        (["run", "tiny.toml", "--set", "generate.dtt=1"], 2, "generate.dtt: unknown key"),
+        (["run", "tiny.toml", "--set", "bench.dx=[-0.1]"], 2, "bench.dx.0: expected greater than 0, got -0.1"),
+        (["run", "tiny.toml", "--set", "plant=nonesuch"], 2, "nonesuch"),
+        (["run", "tiny.toml", "--set", "plant=broken.py:Tank"], 2, "broken.py"),
+        (["run", "tiny.toml", "--set", "parameters.zz=1"], 2, "zz"),
+        (["train", "tiny.toml", "--model", "cnn"], 2, "--model: expected deeponet or fno, got 'cnn'"),
+        (["run", "tiny.toml", "--device", "gpu"], 2, "--device: expected auto, cpu, cuda or cuda:N, got 'gpu'"),
+        (["run", "tiny.toml", "--device", "cuda:99"], 5, "got 'cuda:99'"),
+        (["why", "tuning", "tiny.toml"], 2, "got 'tuning'"),
+        (["show"], 2, "empty store"),
+        (["show", "train/0123"], 2, "expected one artifact"),
+        (["diff", "0123", "4567"], 2, "expected one artifact"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else None,
+)
+def test_bad_input_is_one_line_and_its_exit_code(call: Call, arguments: list[str], code: int, words: str):
+    Path("broken.py").write_text("class Tank:\n    states = (\n")
+    line = one_line(call(*arguments), code)
+    assert line.startswith("error: ")
+    assert words in line
+
+
+@pytest.mark.parametrize("arguments", [["run", "--nonsense"], ["nonsense"], ["run", "a.toml", "b.toml"], ["why"]])
+def test_bad_usage_is_exit_code_2(call: Call, arguments: list[str]):
+    result = call(*arguments)
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert "Usage" in result.stderr
+
+
+def test_a_flipped_byte_is_exit_code_4_and_nothing_is_overwritten(call: Call):
+    call("run", "tiny.toml")
+    data = Store(Path("artifacts")).find("generate").folder / "data.bin"
+    damaged = bytes([data.read_bytes()[0] ^ 1]) + data.read_bytes()[1:]
+    data.write_bytes(damaged)
+    for arguments in (
+        ["run", "tiny.toml"],
+        ["train", "tiny.toml"],
+        ["show", "generate"],
+        ["run", "tiny.toml", "--json"],
+    ):
+        assert str(data) in one_line(call(*arguments), 4)
+        assert data.read_bytes() == damaged
+
+
+def test_a_failure_that_nobody_foresaw_is_one_line_and_v_shows_where(call: Call, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setitem(fake_stages.ANSWERS, "generate", lambda job: 1 / 0)
+    last = call("run", "tiny.toml").stderr.splitlines()[-1]
+    assert last == "error: ZeroDivisionError: division by zero; run with -v for the traceback"
+    result = call("run", "tiny.toml", "-v")
+    assert result.exit_code == 1
+    assert "Traceback" in result.stderr
+
+
+def test_quiet_says_nothing_but_the_answer(call: Call):
+    assert call("run", "tiny.toml", "-q").stderr == ""
+
+
+class Process:
+    """`npred` with fake stages, stopped in the middle of one of them."""
+
+    def __init__(self, folder: Path, *arguments: str, hang: str = "") -> None:
+        self.ready, theirs = os.pipe()
+        mine, self.go = os.pipe()
+        more = {"FAKE_READY": str(theirs), "FAKE_GO": str(mine), "FAKE_LOG": str(folder / "log")}
+        self.process = subprocess.Popen(
+            [sys.executable, str(HERE / "fake_stages.py"), *arguments],
+            cwd=folder,
+            env=process_environment(**more, **({"FAKE_HANG": hang} if hang else {})),
+            pass_fds=(theirs, mine),
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        os.close(theirs)
+        os.close(mine)
+
+    def wait_until_in_the_middle(self) -> None:
+        assert os.read(self.ready, 1) == b"!"
+
+    def end(self, number: int) -> int:
+        self.process.send_signal(number)
+        return self.process.wait(30)
+
+    def let_go(self) -> None:
+        os.write(self.go, b"!")
+
+
+@contextmanager
+def stopped_in(stage: str, folder: Path, *arguments: str) -> Iterator[Process]:
+    running = Process(folder, *arguments, hang=stage)
+    try:
+        running.wait_until_in_the_middle()
+        yield running
+    finally:
+        running.process.kill()
+        running.process.communicate()
+
+
+@pytest.mark.parametrize("stage", ["generate", "train", "evaluate", "bench"])
+def test_kill_9_leaves_no_half_result_and_the_next_run_goes_on(npred: Any, pipeline: Path, stage: str):
+    with stopped_in(stage, pipeline.parent, "run", "tiny.toml") as running:
+        running.end(signal.SIGKILL)
+    store = Store(pipeline.parent / "artifacts")
+    finished = [artifact.verify().manifest.question.stage for artifact in store.artifacts()]
+    assert stage not in finished
+    assert store.broken() == []
+    assert sorted(path.parent.name for path in store.leftovers()) == [".scratch", ".tmp"]
+    done = npred("run", "tiny.toml", "--json", FAKE_LOG=str(pipeline.parent / "log"))
+    assert done.returncode == 0, done.stderr
+    hits = [row["stage"] for row in json.loads(done.stdout)["stages"] if row["action"] == "hit"]
+    assert hits == sorted(finished, key=["generate", "train", "evaluate", "bench"].index)
+    log = (pipeline.parent / "log").read_text().splitlines()
+    assert [line for line in log if line.endswith("resumed")] == [line for line in log if line.startswith(stage)][1:2]
+    assert store.leftovers() == []
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_an_interrupted_run_keeps_its_checkpoint(pipeline: Path, number: int, code: int):
+    with stopped_in("train", pipeline.parent, "train", "tiny.toml") as running:
+        assert running.end(number) == code
+        out, err = running.process.communicate()
+    assert out == ""
+    assert "Traceback" not in err
+    assert err.splitlines()[-1].startswith("error: interrupted")
+    assert [path.parent.name for path in Store(pipeline.parent / "artifacts").leftovers()] == [".scratch"]
+
+
+def test_two_runs_at_once_make_one_result(pipeline: Path):
+    with stopped_in("generate", pipeline.parent, "generate", "tiny.toml", "--json") as first:
+        second = Process(pipeline.parent, "generate", "tiny.toml", "--json")
+        assert second.process.stderr is not None
+        message = second.process.stderr.readline()
+        assert f"is being made by process {first.process.pid} on " in message
+        first.let_go()
+        rows = [json.loads(p.process.communicate(timeout=30)[0])["stages"][0] for p in (first, second)]
+    assert [row["action"] for row in rows] == ["run", "hit"]
+    assert rows[0]["key"] == rows[1]["key"]
+    assert (pipeline.parent / "log").read_text().splitlines() == ["generate::new"]
+
+
+def test_a_reader_that_leaves_early_is_no_traceback(pipeline: Path):
+    command = f"{sys.executable} {HERE / 'fake_stages.py'} run tiny.toml -q --json | true"
+    done = subprocess.run(
+        ["bash", "-c", command], cwd=pipeline.parent, env=process_environment(), capture_output=True, text=True
+    )
+    assert done.stderr == ""

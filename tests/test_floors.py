@@ -1,0 +1,105 @@
+"""A module imports only from floors below its own, and the command line starts without the heavy libraries."""
+
+import ast
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from conftest import process_environment
+
+ROOT = Path(__file__).parent.parent / "npred"
+FLOORS = [
+    {"errors"},
+    {"config", "devices", "grid", "places", "randomness"},
+    {"plants"},
+    {"actuator", "predictors", "operators"},
+    {"adaptation", "closed_loop", "engine", "lyapunov"},
+    {"dataset", "training", "metrics", "timing"},
+    {"store", "console"},
+    {"stages"},
+    {"pipeline", "cli", "api"},
+]
+FLOOR = {name: floor for floor, names in enumerate(FLOORS) for name in names}
+MODULES = sorted(path for path in ROOT.rglob("*.py") if path != ROOT / "__init__.py")
+HEAVY = ("torch", "numba", "h5py", "sympy", "matplotlib", "scipy", "onnxruntime")
+
+
+def room(path: Path) -> str:
+    return path.relative_to(ROOT).with_suffix("").parts[0]
+
+
+def imports(path: Path) -> Iterator[tuple[int, str]]:
+    """Line and first name below npred of each import from this package, those inside functions included."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            yield from ((node.lineno, a.name.split(".")[1]) for a in node.names if a.name.startswith("npred."))
+        elif isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "npred":
+            below = (node.module or "").split(".")[1:]
+            yield from ((node.lineno, name) for name in (below[:1] or [a.name for a in node.names]))
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_a_module_is_on_a_floor_and_imports_from_those_below(path: Path):
+    assert room(path) in FLOOR, f"{room(path)}: give it a floor"
+    above = [
+        f"{path.name}:{line} imports {name}"
+        for line, name in imports(path)
+        if name != room(path) and FLOOR[name] > FLOOR[room(path)]
+    ]
+    assert above == []
+
+
+def test_rooms_of_one_floor_do_not_import_each_other_in_circles():
+    edges = {(room(path), name) for path in MODULES for _, name in imports(path) if name != room(path)}
+    for _ in FLOOR:
+        edges |= {(a, d) for a, b in edges for c, d in edges if b == c}
+    assert [a for a, b in edges if a == b] == []
+
+
+def test_networks_and_predictors_meet_in_the_neural_predictor_only():
+    meeting = [str(p.relative_to(ROOT)) for p in MODULES if room(p) == "predictors" and "operators" in rooms_of(p)]
+    assert meeting in ([], ["predictors/neural.py"])
+    assert [p for p in MODULES if room(p) == "operators" and "predictors" in rooms_of(p)] == []
+
+
+def rooms_of(path: Path) -> set[str]:
+    return {name for _, name in imports(path)}
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_nothing_imports_upwards_by_a_relative_import_or_click(path: Path):
+    for node in ast.walk(ast.parse(path.read_text())):
+        assert not (isinstance(node, ast.ImportFrom) and node.level), f"{path}:{node.lineno}"
+        names = [a.name for a in node.names] if isinstance(node, ast.Import) else [getattr(node, "module", None) or ""]
+        assert not any(re.match(r"click\b", name) for name in names)
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["status", "{p}"], ["why", "train", "{p}"], ["ls"], ["plants"]])
+def test_light_commands_import_nothing_heavy(arguments: list[str], pipeline: Path):
+    program = (
+        "import sys\nfrom npred.cli import main\ntry:\n    main()\nfinally:\n"
+        f"    print('HEAVY', [m for m in {HEAVY} if m in sys.modules])"
+    )
+    command = [sys.executable, "-c", program, *(a.format(p=pipeline) for a in arguments)]
+    done = subprocess.run(command, cwd=pipeline.parent, env=process_environment(), capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.splitlines()[-1] == "HEAVY []"
+
+
+def test_help_is_quick(tmp_path: Path):
+    command = [sys.executable, "-c", "from npred.cli import main; main()", "--help"]
+    times = []
+    for _ in range(5):
+        start = _processor_seconds()  # not the clock's: the machine may be busy
+        subprocess.run(command, cwd=tmp_path, env=process_environment(), capture_output=True, check=True)
+        times.append(_processor_seconds() - start)
+    assert min(times) < 0.4
+
+
+def _processor_seconds() -> float:
+    spent = os.times()
+    return spent.children_user + spent.children_system

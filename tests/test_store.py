@@ -1,0 +1,299 @@
+"""The store: what is in it is whole and unchanged, or it is an error that names the file."""
+
+import hashlib
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from conftest import process_environment
+
+from npred.errors import ConfigError, StoreError
+from npred.store import Artifact, Manifest, Question, Source, Store, keys
+
+HOLD = """
+import sys
+from pathlib import Path
+from npred.store import Store
+with Store(Path(sys.argv[1])).lock("train", "k"):
+    print("held", flush=True)
+    sys.stdin.read()
+"""
+
+
+def question(**changes: Any) -> Question:
+    source = Source(key="1" * 64, digest="2" * 64)
+    fields: dict[str, Any] = {"stage": "train", "version": 1, "model": "fno", "config": {"seed": 0, "lr": 1e-3}}
+    return Question(**({**fields, "inputs": {"generate": source}} | changes))
+
+
+def put(store: Store, asked: Question | None = None, data: bytes = b"payload", pipeline: str = "p") -> Artifact:
+    asked = asked or question()
+    with store.draft(asked.stage, asked.key) as folder:
+        (folder / "data.bin").write_bytes(data)
+        (folder / "more").mkdir()
+        (folder / "more" / "figure.svg").write_text("<svg/>")
+        (folder / "result.json").write_text('{"mse": 0.5}')
+        return store.commit(folder, asked, pipeline)
+
+
+def tree(root: Path) -> dict[str, bytes]:
+    return {str(path): path.read_bytes() for path in root.rglob("*") if path.is_file()}
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Store:
+    return Store(tmp_path / "store")
+
+
+def test_golden_key():
+    text = (
+        '{"config":{"D":1.0,"box":[1,2.5],"name":"ε"},"inputs":{"generate":"ab"},"model":null,"stage":"s","version":3}'
+    )
+    found = keys.key("s", 3, None, {"name": "ε", "D": 1.0, "box": [1, 2.5]}, {"generate": "ab"})
+    assert found == hashlib.sha256(text.encode()).hexdigest()
+    assert found == "3d60adbb5568cfd3fbdeaf997109275acddc78983052069be180f6688a380496"
+
+
+def test_a_key_does_not_depend_on_the_order_of_tables_nor_on_where_inputs_were_made():
+    assert question(config={"lr": 1e-3, "seed": 0}).key == question().key
+    assert question(inputs={"generate": Source(key="9" * 64, digest="2" * 64)}).key == question().key
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"stage": "evaluate"},
+        {"version": 2},
+        {"model": None},
+        {"config": {"seed": 1, "lr": 1e-3}},
+        {"config": {"seed": 0}},
+        {"inputs": {}},
+        {"inputs": {"generate": Source(key="1" * 64, digest="3" * 64)}},
+    ],
+    ids=str,
+)
+def test_every_part_of_the_question_enters_the_key(change: dict[str, Any]):
+    assert question(**change).key != question().key
+
+
+def test_a_key_refuses_what_json_cannot_hold():
+    with pytest.raises(ValueError, match="JSON"):
+        keys.canonical({"lr": float("nan")})
+
+
+def test_what_was_put_is_what_is_got(store: Store):
+    put(store)
+    found = store.get("train", question().key)
+    assert found is not None
+    assert found.verify().result() == {"mse": 0.5}
+    assert found.manifest.question == question()
+    assert set(found.manifest.files) == {"data.bin", "more/figure.svg", "result.json"}
+    assert found.manifest.files["data.bin"].sha256 == hashlib.sha256(b"payload").hexdigest()
+    assert store.leftovers() == []
+    assert store.get("train", "f" * 64) is None
+
+
+def test_the_digest_depends_on_the_payload_only(store: Store):
+    first = put(store).manifest
+    again = put(store, question(version=2), pipeline="another").manifest
+    other = put(store, question(version=3), data=b"Payload").manifest
+    assert first.digest == again.digest != other.digest
+
+
+@pytest.mark.parametrize("name", ["data.bin", "more/figure.svg", "result.json", "manifest.json"])
+def test_a_flipped_bit_is_found_the_file_named_and_nothing_written(store: Store, name: str):
+    folder = put(store).folder
+    for position in (0, len((folder / name).read_bytes()) // 2):
+        content = bytearray((folder / name).read_bytes())
+        content[position] ^= 1
+        (folder / name).write_bytes(content)
+        before = tree(store.root)
+        with pytest.raises(StoreError) as caught:
+            Artifact.read(folder).verify()
+        assert str(folder / name) in str(caught.value)
+        assert "\n" not in str(caught.value)
+        assert tree(store.root) == before
+        content[position] ^= 1
+        (folder / name).write_bytes(content)
+    Artifact.read(folder).verify()
+
+
+def test_a_digit_changed_anywhere_in_the_manifest_is_found(store: Store):
+    path = put(store).folder / "manifest.json"
+    text = path.read_text()
+    for match in re.finditer(r"\d(?=[\d\",.])", text):
+        changed = str((int(match.group()) + 1) % 10)
+        path.write_text(text[: match.start()] + changed + text[match.end() :])
+        with pytest.raises(StoreError):
+            Manifest.read(path)
+
+
+def test_a_missing_a_shortened_and_a_lengthened_file_are_found(store: Store):
+    folder = put(store).folder
+    for damage in (b"payl", b"payload and more", None):
+        (folder / "data.bin").unlink()
+        if damage is not None:
+            (folder / "data.bin").write_bytes(damage)
+        with pytest.raises(StoreError, match=re.escape(str(folder / "data.bin"))):
+            Artifact.read(folder).verify()
+
+
+def test_an_artifact_moved_to_another_key_is_found(store: Store):
+    folder = put(store).folder
+    folder.rename(folder.with_name("0" * 64))
+    with pytest.raises(StoreError, match=r"manifest\.json"):
+        store.get("train", "0" * 64)
+
+
+def test_a_draft_that_fails_leaves_nothing(store: Store):
+    with pytest.raises(RuntimeError), store.draft("train", "k") as folder:
+        (folder / "half").write_text("x")
+        raise RuntimeError
+    assert tree(store.root) == {}
+    assert store.leftovers() == []
+
+
+def test_a_draft_does_not_see_what_a_killed_process_left(store: Store):
+    left = store.root / ".tmp" / "train-k"
+    left.mkdir(parents=True)
+    (left / "half").write_text("x")
+    with store.draft("train", "k") as folder:
+        assert list(folder.iterdir()) == []
+
+
+def test_nothing_is_in_place_before_the_payload_is_durable(store: Store, monkeypatch: pytest.MonkeyPatch):
+    synced: list[Path] = []
+    real, rename = os.fsync, Path.rename
+
+    def fsync(descriptor: int) -> None:
+        synced.append(Path(os.readlink(f"/proc/self/fd/{descriptor}")))
+        real(descriptor)
+
+    def checked(self: Path, target: Path) -> Path:
+        written = {self, *self.rglob("*")}
+        assert written <= set(synced)
+        return rename(self, target)
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    monkeypatch.setattr(Path, "rename", checked)
+    folder = put(store).folder
+    assert synced[-1] == folder.parent
+
+
+def test_a_second_commit_replaces_the_whole_result(store: Store):
+    put(store)
+    put(store, data=b"forced")
+    found = store.get("train", question().key)
+    assert found is not None
+    assert (found.verify().folder / "data.bin").read_bytes() == b"forced"
+    assert store.leftovers() == []
+
+
+def test_find(store: Store):
+    a, b = put(store), put(store, question(model="deeponet"))
+    put(store, question(stage="generate", model=None))
+    assert store.find(a.manifest.key[:9]).folder == a.folder
+    assert store.find(f"train/{b.manifest.key[:9]}").folder == b.folder
+    assert store.find("fno").folder == a.folder
+    assert store.find("train").folder == b.folder  # the most recent
+    assert store.find(str(a.folder)).folder == a.folder
+    for nothing in (f"generate/{a.manifest.key[:9]}", "xyz", "train/", ""):
+        with pytest.raises(ConfigError, match="expected one artifact"):
+            store.find(nothing)
+
+
+def test_an_ambiguous_prefix_lists_the_candidates(store: Store):
+    artifacts = [put(store, question(version=version)) for version in range(1, 18)]
+    digits = [artifact.manifest.key[0] for artifact in artifacts]
+    twice = next(digit for digit in digits if digits.count(digit) > 1)
+    with pytest.raises(ConfigError, match=f"train/{twice}.*, train/{twice}"):
+        store.find(twice)
+
+
+def test_only_folders_named_by_a_key_are_the_stores(store: Store):
+    kept = put(store)
+    (store.root / "notes" / "mine").mkdir(parents=True)
+    torn = store.root / "train" / ("a" * 64)
+    torn.mkdir()
+    assert [artifact.folder for artifact in store.artifacts()] == [kept.folder]
+    assert store.broken() == [torn]
+
+
+@pytest.fixture
+def holder(store: Store):
+    """Another process that holds the lock of train/k."""
+    command = [sys.executable, "-c", HOLD, str(store.root)]
+    pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    with subprocess.Popen(command, env=process_environment(), **pipes) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "held\n"
+        yield process
+        process.kill()
+
+
+def test_a_held_lock_names_its_holder(store: Store, holder: subprocess.Popen[str]):
+    with pytest.raises(StoreError, match=f"process {holder.pid} on "), store.lock("train", "k"):
+        pass
+    with store.lock("train", "another"):
+        pass
+
+
+def test_a_lock_dies_with_its_holder(store: Store, holder: subprocess.Popen[str]):
+    holder.send_signal(signal.SIGKILL)
+    holder.wait()
+    with store.lock("train", "k"):
+        note = json.loads((store.root / ".locks" / "train-k.holder").read_text())
+        assert note["pid"] == os.getpid()
+    assert not (store.root / ".locks" / "train-k.holder").exists()
+
+
+def test_a_worker_forked_by_the_holder_does_not_keep_the_lock(store: Store):
+    (up, ready), (read, go) = os.pipe(), os.pipe()
+    with store.lock("train", "k"):
+        worker = os.fork()
+        if not worker:
+            os.write(ready, b"!")
+            os.read(read, 1)
+            os._exit(0)
+        os.read(up, 1)
+        held = [os.readlink(entry) for entry in Path(f"/proc/{worker}/fd").iterdir()]
+        os.write(go, b"!")
+        os.waitpid(worker, 0)
+    assert [name for name in held if name.endswith("train-k.lock")] == []
+
+
+def test_waiting_tells_who_is_waited_for(store: Store, holder: subprocess.Popen[str]):
+    told: list[str] = []
+
+    def waiting(who: str) -> None:
+        told.append(who)
+        assert holder.stdin is not None
+        holder.stdin.close()  # lets it go
+
+    with store.lock("train", "k", waiting):
+        assert [str(holder.pid) in who for who in told] == [True]
+
+
+def test_what_is_being_worked_on_is_not_deleted(store: Store, holder: subprocess.Popen[str]):
+    draft = store.root / ".tmp" / "train-k"
+    draft.mkdir(parents=True)
+    assert not store.delete(draft)
+    assert draft.exists()
+    kept, artifact = store.scratch("train", "j"), put(store)
+    kept.mkdir(parents=True)
+    assert store.delete(kept)
+    assert store.delete(artifact.folder)
+    assert not kept.exists()
+    assert not artifact.folder.exists()
+
+
+def test_a_store_that_cannot_be_written_is_one_line(tmp_path: Path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(StoreError, match="expected a writable store"), Store(tmp_path / "file").lock("train", "k"):
+        pass
