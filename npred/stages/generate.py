@@ -2,9 +2,10 @@
 
 import json
 import os
+import threading
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
 from typing import Any
 
 import numpy as np
@@ -55,7 +56,7 @@ def _in_process(job: Job, chunks: list[range], bar: Any) -> Iterator[tuple[int, 
 def _in_pool(job: Job, chunks: list[range], bar: Any) -> Iterator[tuple[int, Rows]]:
     """Processes start afresh: a fork would copy the threads' locks of whatever the caller has loaded."""
     workers = min(job.jobs, len(chunks), os.cpu_count() or 1)
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+    with ProcessPoolExecutor(workers, get_context("spawn"), _end_with_parent) as pool:
         tasks = {pool.submit(task, job.config, chunk): chunk for chunk in chunks}
         try:
             for done in as_completed(tasks):
@@ -64,6 +65,18 @@ def _in_pool(job: Job, chunks: list[range], bar: Any) -> Iterator[tuple[int, Row
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
+
+
+def _end_with_parent() -> None:
+    """A worker whose parent was killed waits for tasks for ever, unless it watches."""
+
+    def watch() -> None:
+        parent = parent_process()
+        assert parent is not None
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def task(config: Pipeline, chunk: range) -> Rows:

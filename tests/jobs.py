@@ -1,0 +1,37 @@
+"""Jobs for the tests of the stages: a pipeline given as tables, folders under tmp_path."""
+
+from pathlib import Path
+from typing import Any
+
+from silent import Silent
+
+from npred import config, plants
+from npred.stages import Job
+
+SMALL = {
+    "generate": {"samples": 300, "rollouts": 10, "t_end": 8.0, "dt": 0.01, "nx": 21, "bounds": [0.05, 4.0]},
+    "train": {
+        "deeponet": {"epochs": 2, "batch": 64, "width": 8, "depth": 1, "basis": 4, "snapshots": [1]},
+        "fno": {"epochs": 1, "batch": 64, "width": 4, "modes": 3, "layers": 1},
+    },
+    "evaluate": {"t_end": 4.0, "case_t_end": 6.0, "dt": 0.01, "nx": 21, "case_states": 2, "case_D_hat0": [0.8, 1.2]},
+    "bench": {"dx": [0.1, 0.05], "calls": 12},
+}
+
+
+def tables(**changes: dict[str, Any]) -> dict[str, Any]:
+    """SMALL with some keys of some tables changed."""
+    return {name: table | changes.get(name, {}) for name, table in SMALL.items()} | {
+        name: value for name, value in changes.items() if name not in SMALL
+    }
+
+
+def job(root: Path, name: str, inputs: dict[str, Path] | None = None, jobs: int = 1, model: str | None = None,
+        **changes: Any) -> Job:  # fmt: skip
+    """A job whose payload goes to root/name."""
+    pipeline = config.parse(tables(**changes), "tests")
+    folder, scratch = root / name, root / f"{name}.scratch"
+    for path in (folder, scratch):
+        path.mkdir(parents=True)
+    plant = plants.resolve(pipeline.plant, pipeline.parameters)
+    return Job(pipeline, plant, folder, inputs or {}, scratch, "cpu", jobs, Silent(), model)

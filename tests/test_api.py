@@ -1,0 +1,69 @@
+"""The public names, as a script uses them."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import npred
+from npred.errors import ConfigError
+
+
+def test_public_names_are_the_documented_ones():
+    assert set(npred.__all__) == {"DelayAdaptation", "load", "plant", "predictor", "simulate"}
+    for name in npred.__all__:
+        assert callable(getattr(npred, name))
+    with pytest.raises(AttributeError, match="has no attribute 'nothing'"):
+        _ = npred.nothing
+
+
+def test_importing_npred_brings_nothing_heavy():
+    program = "import sys, npred; print([m for m in ('torch', 'numba', 'h5py', 'numpy') if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=60)
+    assert done.stdout.strip() == "[]"
+
+
+def test_a_loop_from_the_public_names():
+    plant = npred.plant("activator_repressor")
+    predictor = npred.predictor("rk4", plant, nx=101)
+    P = predictor([0.03, 30.0], np.zeros((101, 1)), 1.0)
+    np.testing.assert_array_equal(P[0], [0.03, 30.0])
+    adaptation = npred.DelayAdaptation(gamma=1000.0, b=1.0, bounds=(0.1, 4.0))
+    loop = npred.simulate(plant, predictor, D=1.0, D_hat=2.0, X0=[0.03, 30.0], t_end=1.0, dt=0.005,
+                          adaptation=adaptation, input_bounds=None)  # fmt: skip
+    assert (loop.t.shape, loop.X.shape, loop.U.shape, loop.D_hat.shape) == ((201,), (201, 2), (201, 1), (201,))
+    np.testing.assert_allclose(loop.X[-1], P[-1], rtol=1e-6)  # U = 0 until t = D: the predictor at D_hat = D
+
+
+def test_parameters_by_keyword():
+    assert npred.plant("scalar", a=0.3).parameters["a"] == 0.3
+
+
+def test_unknown_predictor_is_told():
+    with pytest.raises(ConfigError, match="expected one of euler, heun, rk4, picard, got 'rk5'"):
+        npred.predictor("rk5", npred.plant("scalar"))
+
+
+@pytest.mark.slow
+def test_a_trained_model_by_pipeline_artifact_and_snapshot(tmp_path, monkeypatch):
+    from npred.cli import main
+
+    path = tmp_path / "p.toml"
+    path.write_text(
+        'name = "p"\n[generate]\nsamples = 60\nrollouts = 3\nt_end = 2.0\ndt = 0.01\nnx = 11\n[train]\n'
+        'models = ["deeponet"]\n[train.deeponet]\nepochs = 2\nsnapshots = [1]\nwidth = 8\n'
+    )
+    store = tmp_path / "store"
+    monkeypatch.setattr(sys, "argv", ["npred", "train", str(path), "--store", str(store), "-q"])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 0
+    model, early = (npred.load(f"{path}:deeponet{at}", store=store) for at in ("", "@1"))
+    (artifact,) = (p for p in (store / "train").iterdir() if p.is_dir())
+    X, u = [0.03, 30.0], np.zeros((21, 1))
+    np.testing.assert_array_equal(model(X, u, 1.0), npred.load(str(artifact), store=store)(X, u, 1.0))
+    assert not np.array_equal(model(X, u, 1.0), early(X, u, 1.0))
+    assert model.plant.name == "activator_repressor" and model.operator is not None
+    with pytest.raises(ConfigError, match="expected a trained model"):
+        npred.load(f"{path}:fno", store=store)

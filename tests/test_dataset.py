@@ -1,0 +1,61 @@
+"""The data file: the arrays come back, the same samples give the same bytes, a broken file is told."""
+
+import h5py
+import numpy as np
+import pytest
+
+from npred.dataset import MEANING, Dataset
+from npred.errors import StoreError
+
+
+def dataset(count=6):
+    random = np.random.default_rng(0)
+    return Dataset(
+        X=random.normal(size=(count, 2)),
+        u=random.normal(size=(count, 5, 1)),
+        D_hat=random.uniform(size=count),
+        P=random.normal(size=(count, 5, 2)),
+        D=np.ones(count),
+        t=random.uniform(size=count),
+        rollout=np.repeat(np.arange(count // 2, dtype=np.int32), 2),
+        test=np.repeat(np.array([1, 0, 0], dtype=np.uint8), 2),
+    )
+
+
+def test_round_trip_with_meaning_and_attributes(tmp_path):
+    data = dataset()
+    data.write(tmp_path / "data.h5", {"plant": "scalar"})
+    back = Dataset.read(tmp_path / "data.h5")
+    for name in MEANING:
+        np.testing.assert_array_equal(getattr(back, name), getattr(data, name))
+        assert getattr(back, name).dtype == getattr(data, name).dtype
+    with h5py.File(tmp_path / "data.h5") as file:
+        assert file.attrs["plant"] == "scalar"
+        assert "seconds" in file["D_hat"].attrs["meaning"]
+
+
+def test_same_samples_same_bytes(tmp_path):
+    for name in ("a.h5", "b.h5"):
+        dataset().write(tmp_path / name, {"plant": "scalar"})
+    assert (tmp_path / "a.h5").read_bytes() == (tmp_path / "b.h5").read_bytes()
+
+
+def test_subsets_part_the_rows():
+    data = dataset()
+    train, test = data.subset(test=False), data.subset(test=True)
+    assert len(train) == 4 and len(test) == 2
+    np.testing.assert_array_equal(test.X, data.X[:2])
+    assert not set(train.rollout) & set(test.rollout)
+
+
+def test_broken_files_are_told(tmp_path):
+    path = tmp_path / "data.h5"
+    with pytest.raises(StoreError, match=r"data.h5: expected the arrays X, u"):
+        Dataset.read(path)
+    path.write_bytes(b"no HDF5")
+    with pytest.raises(StoreError, match="generate it again"):
+        Dataset.read(path)
+    with h5py.File(path, "w") as file:
+        file["X"] = np.zeros(3)
+    with pytest.raises(StoreError, match="generate it again"):
+        Dataset.read(path)

@@ -1,0 +1,86 @@
+"""The generate stage: rows that solve the predictor equation, split by rollout, whatever the number of jobs."""
+
+import numpy as np
+import pytest
+from jobs import job
+
+from npred.dataset import Dataset
+from npred.errors import ConfigError, DivergedError
+from npred.predictors import RK4
+from npred.stages import generate
+
+
+def rows(tmp_path, name="data", **changes):
+    made = job(tmp_path, name, **changes)
+    return generate.run(made), Dataset.read(made.folder / "data.h5")
+
+
+def test_rows_are_what_they_say(tmp_path):
+    result, data = rows(tmp_path)
+    assert result["samples"] == len(data) == 300 and data.u.shape == (300, 21, 1) and data.P.shape == (300, 21, 2)
+    np.testing.assert_array_equal(data.P[:, 0], data.X)
+    from npred import plants
+
+    exact = RK4(plants.resolve("activator_repressor"))(data.X, data.u, data.D_hat)
+    np.testing.assert_allclose(data.P, exact, rtol=1e-9)
+    assert (np.diff(data.rollout) >= 0).all() and set(np.bincount(data.rollout)) == {30}
+    assert data.t.min() < 0.8 and data.t.max() > 7.2, "the start of the rollouts is in the data"
+    assert ((data.D_hat >= 0.05) & (data.D_hat <= 4.0)).all()
+
+
+def test_no_rollout_is_in_both_parts(tmp_path):
+    result, data = rows(tmp_path)
+    held_out = set(data.rollout[data.test == 1])
+    assert held_out == set(result["held_out"]) and len(held_out) == 1
+    assert not held_out & set(data.rollout[data.test == 0])
+
+
+@pytest.mark.slow
+def test_jobs_do_not_change_the_bytes(tmp_path):
+    changes = {"rollouts": 130, "samples": 1000}
+    for name, jobs in (("one", 1), ("two", 2)):
+        generate.run(job(tmp_path, name, jobs=jobs, generate=changes))
+    one, two = ((tmp_path / name / "data.h5").read_bytes() for name in ("one", "two"))
+    assert one == two
+
+
+def test_seed_and_shares(tmp_path):
+    _, data = rows(tmp_path, "a", generate={"samples": 305})
+    assert np.bincount(data.rollout).tolist() == [31] * 5 + [30] * 5
+    _, other = rows(tmp_path, "b", generate={"samples": 305}, seed=1)
+    assert not np.array_equal(data.X, other.X)
+
+
+def test_more_rollouts_leave_the_first_ones_alone(tmp_path):
+    """Each rollout has its own seed: the starts of the first do not depend on how many follow."""
+    one = {"D_hat0": [(1.0, 2.0)], "D": [0.5, 1.5]}
+    _, few = rows(tmp_path, "few", generate=one)
+    _, many = rows(tmp_path, "many", generate=one | {"rollouts": 20, "samples": 600})
+    for r in range(10):
+        assert few.D[few.rollout == r][0] == many.D[many.rollout == r][0]
+
+
+def test_delays_are_drawn_from_their_ranges(tmp_path):
+    _, data = rows(tmp_path, generate={"D": [0.5, 1.5]})
+    assert 0.5 <= data.D.min() < data.D.max() <= 1.5
+
+
+def test_a_diverging_rollout_is_told(tmp_path):
+    with pytest.raises(DivergedError, match=r"NaN in rollout \d+ at t = .* s, from X0 = .*; shrink the box, D or dt"):
+        rows(tmp_path, generate={"box": {"x1": [1e200, 1e200]}})
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"generate": {"box": {"x3": [0, 1]}}}, "unknown state 'x3'; expected one of x1, x2"),
+    ],
+)
+def test_a_wrong_box_is_told(tmp_path, changes, message):
+    with pytest.raises(ConfigError, match=message):
+        rows(tmp_path, **changes)
+
+
+def test_summary_says_the_numbers(tmp_path):
+    result, _ = rows(tmp_path)
+    assert generate.summary(result) == "300 samples of 10 rollouts on 21 nodes, 1 rollouts held out"

@@ -1,0 +1,66 @@
+"""Errors and loop figures on hand-made numbers."""
+
+import numpy as np
+import pytest
+
+from npred import metrics, plants
+from npred.closed_loop import Samples, Trajectories
+
+PLANT = plants.resolve("activator_repressor")
+EMPTY = Samples(*[np.empty(0)] * 3)
+
+
+def loops(X, t):
+    zeros = np.zeros(X.shape[:-1])
+    return Trajectories(t, X, zeros[..., None], zeros, zeros, zeros, np.full(X.shape[:-2], -1), EMPTY)
+
+
+def test_errors_by_hand():
+    P = np.full((2, 3, 2), 2.0)
+    P_hat = P.copy()
+    P_hat[1, 2] += [3.0, 4.0]  # the only error: |(3, 4)| = 5 at x = 1
+    found = metrics.errors(PLANT, P_hat, P)
+    assert found["mse"] == pytest.approx(25 / 12)
+    assert found["eps_sup"] == pytest.approx(5.0)
+    assert found["rel_l2"] == pytest.approx(0.5 * 5 / np.sqrt(6 * 4))
+    assert found["eps_kappa"] == pytest.approx(abs(PLANT.kappa(P_hat[1, 2]) - PLANT.kappa(P[1, 2]))[0])
+    assert found["mse_by_state"] == {"x1": pytest.approx(9 / 6), "x2": pytest.approx(16 / 6)}
+    assert found["sup_by_state"] == {"x1": 3.0, "x2": 4.0}
+
+
+def test_radius_looks_at_the_last_tenth_only():
+    t = np.linspace(0, 10, 101)
+    X = np.tile(PLANT.equilibrium, (2, 101, 1))
+    X[0, 50] += 100.0
+    X[0, 95] += [0.0, 0.25]
+    X[1, 92] = np.nan
+    radii = metrics.radius(loops(X, t), PLANT.equilibrium)
+    assert radii[0] == pytest.approx(0.25) and radii[1] == np.inf
+    assert metrics.converged(np.array([0.25, 0.05, np.inf]), PLANT.equilibrium).tolist() == [False, True, False]
+
+
+def test_settle_time_is_the_last_entry():
+    t = np.arange(5.0)
+    far, near = PLANT.equilibrium * 2, PLANT.equilibrium
+    X = np.stack([np.stack(p) for p in ([far, near, far, near, near], [near] * 5, [near, near, near, near, far])])
+    assert metrics.settle_time(loops(X, t), PLANT.equilibrium).tolist() == [3.0, 0.0, np.inf]
+
+
+def test_gain_is_the_law_from_control_error_to_radius():
+    assert metrics.gain(PLANT) == pytest.approx(110.716, abs=1e-3)
+    scalar = plants.resolve("scalar", {"a": 0.5, "c": 2.0})
+    assert metrics.gain(scalar) == pytest.approx(0.5)  # 0 = -c X + e
+
+
+def test_gain_moves_the_equilibrium_of_the_law():
+    """Solve f(X, kappa(X) + e) = 0 for a small e by Newton and compare."""
+    e, X = 1e-7, PLANT.equilibrium.copy()
+    for _ in range(20):
+        f_X, f_U = PLANT.jacobians(X, PLANT.kappa(X) + e)
+        X = X - np.linalg.solve(f_X + f_U @ PLANT.kappa_jacobian(X), PLANT.f(X, PLANT.kappa(X) + e))
+    assert np.linalg.norm(X - PLANT.equilibrium) / e == pytest.approx(metrics.gain(PLANT), rel=1e-3)
+
+
+def test_numbers_for_json():
+    assert metrics.number(np.float64(2.5)) == 2.5
+    assert metrics.number(np.inf) is None and metrics.number(np.nan) is None

@@ -1,0 +1,31 @@
+"""Timing: every call is taken, contenders take turns, the collector is given back."""
+
+import gc
+
+import numpy as np
+
+from npred import timing
+
+
+def test_each_contender_is_called_in_turn_and_every_call_counted():
+    log, told = [], []
+    calls = {name: (lambda k, name=name: log.append((name, k))) for name in ("a", "b")}
+    times = timing.sample(calls, 25, told.append)
+    assert {name: len(samples) for name, samples in times.items()} == {"a": 25, "b": 25}
+    assert all((samples >= 0).all() for samples in times.values())
+    assert sum(told) == 50
+    order = [name for name, _ in log]
+    assert "".join(order).count("ab") == timing.ROUNDS, "ten rounds of a, then b"
+    for name in ("a", "b"):
+        assert set(range(25)) == {k for n, k in log if n == name}
+
+
+def test_the_collector_is_off_meanwhile_and_on_after():
+    seen = []
+    timing.sample({"a": lambda k: seen.append(gc.isenabled())}, 10)
+    assert not any(seen) and gc.isenabled()
+
+
+def test_quantiles_in_microseconds():
+    found = timing.quantiles(np.arange(1001) * 1000)
+    assert found == {"median_us": 500.0, "p95_us": 950.0, "p999_us": 999.0, "max_us": 1000.0}
