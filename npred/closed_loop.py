@@ -1,7 +1,7 @@
 """Closed loops of plant, actuator, predictor and delay adaptation, simulated side by side [DAPF, eqs. 6-14]."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -44,6 +44,12 @@ class Trajectories:
     energy: np.ndarray
     escaped: np.ndarray
     samples: Samples
+
+    def part(self, some: slice) -> "Trajectories":
+        """The loops `some` of a batch with one axis."""
+        cut = {f.name: getattr(self, f.name)[some] for f in fields(self) if f.name not in ("t", "samples")}
+        taken = {f.name: getattr(self.samples, f.name)[some] for f in fields(Samples)}
+        return Trajectories(t=self.t, samples=Samples(**taken), **cut)
 
 
 def simulate(

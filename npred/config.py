@@ -134,7 +134,7 @@ class Train(Table):
 
 
 class Evaluate(Loop):
-    """Held-out errors, the loop of Fig. 1 and a grid of initial states times D_hat(0)."""
+    """Held-out errors; the loop of Fig. 1, initial states x D_hat(0), and Fig. 1's start over a map D x D_hat(0)."""
 
     t_end: Positive = 100.0
     D: Positive = 1.0
@@ -143,11 +143,19 @@ class Evaluate(Loop):
     case_states: Count = 10
     case_D_hat0: list[Positive] = [0.3, 0.5, 1.0, 1.5, 2.0]
     case_t_end: Positive = 100.0
+    map_D: list[Positive] = []
+    map_D_hat0: list[Positive] = []
 
     @model_validator(mode="after")
     def _check_delays(self) -> Self:
-        for k, value in [("D_hat0", self.D_hat0)] + [(f"case_D_hat0[{i}]", v) for i, v in enumerate(self.case_D_hat0)]:
-            within(k, (value, value), self.bounds)
+        estimates = {"case_D_hat0": self.case_D_hat0, "map_D_hat0": self.map_D_hat0, "D_hat0": [self.D_hat0]}
+        for key, values in estimates.items():
+            for value in values:
+                within(key, (value, value), self.bounds)
+        if self.t_end > self.case_t_end:
+            raise ValueError(
+                f"t_end: expected at most case_t_end = {self.case_t_end:g}, got {self.t_end:g}; raise that"
+            )
         return self
 
 

@@ -39,10 +39,33 @@ def radius(loops: Trajectories, X_star: np.ndarray) -> np.ndarray:
 
 def settle_time(loops: Trajectories, X_star: np.ndarray) -> np.ndarray:
     """The time in seconds after which |X - X*| stays within 1 % of |X*|, (...); infinite where it does not."""
-    outside = ~(np.linalg.norm(loops.X - X_star, axis=-1) <= SETTLED * np.linalg.norm(X_star))
-    last = len(loops.t) - 1 - np.argmax(outside[..., ::-1], axis=-1)
-    after = np.append(loops.t[1:], np.inf)[last]
-    return np.where(outside.any(axis=-1), after, 0.0)
+    return _last_outside(loops.t, np.linalg.norm(loops.X - X_star, axis=-1), SETTLED * float(np.linalg.norm(X_star)))
+
+
+def decay_rate(loops: Trajectories, X_star: np.ndarray) -> np.ndarray:
+    """The mean rate in 1/s at which |X - X*| falls from 1e-2 to 1e-4 of |X*|, (...); NaN where it does not."""
+    distance = np.linalg.norm(loops.X - X_star, axis=-1) / np.linalg.norm(X_star)
+    ends = [_last_outside(loops.t, distance, level) for level in (1e-2, 1e-4)]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.where(np.isfinite(ends[1]), np.log(100) / (ends[1] - ends[0]), np.nan)
+
+
+def _last_outside(t: np.ndarray, distance: np.ndarray, level: float) -> np.ndarray:
+    """The time after which the distance stays within the level; infinite where it does not, 0 where it always is."""
+    outside = ~(distance <= level)
+    last = len(t) - 1 - np.argmax(outside[..., ::-1], axis=-1)
+    return np.where(outside.any(axis=-1), np.append(t[1:], np.inf)[last], 0.0)
+
+
+def relative(plant: Plant, X: np.ndarray, u: np.ndarray, P_hat: np.ndarray, P: np.ndarray) -> dict[str, Any]:
+    """sup_x |P_hat - P| / (|X - X*| + sup_x |u - u*|), its supremum and median over the samples.
+
+    Finite and small, it makes the loop converge to the point: near rest the error vanishes with the distance.
+    """
+    distance = np.linalg.norm(X - plant.equilibrium, axis=-1)
+    distance = distance + np.linalg.norm(u - plant.u_equilibrium, axis=-1).max(axis=-1)
+    ratio = np.linalg.norm(P_hat - P, axis=-1).max(axis=-1) / distance
+    return {"eps_relative": {"sup": float(ratio.max()), "median": float(np.median(ratio))}}
 
 
 def converged(radii: np.ndarray, X_star: np.ndarray) -> np.ndarray:

@@ -5,7 +5,7 @@ import pytest
 from jobs import job
 
 from npred.dataset import Dataset
-from npred.errors import ConfigError, DivergedError
+from npred.errors import DivergedError
 from npred.predictors import RK4
 from npred.stages import generate
 
@@ -68,17 +68,6 @@ def test_delays_are_drawn_from_their_ranges(tmp_path):
 def test_a_diverging_rollout_is_told(tmp_path):
     with pytest.raises(DivergedError, match=r"NaN in rollout \d+ at t = .* s, from X0 = .*; shrink the box, D or dt"):
         rows(tmp_path, generate={"box": {"x1": [1e200, 1e200]}})
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"generate": {"box": {"x3": [0, 1]}}}, "unknown state 'x3'; expected one of x1, x2"),
-    ],
-)
-def test_a_wrong_box_is_told(tmp_path, changes, message):
-    with pytest.raises(ConfigError, match=message):
-        rows(tmp_path, **changes)
 
 
 def test_summary_says_the_numbers(tmp_path):

@@ -3,11 +3,15 @@
 import h5py
 import numpy as np
 import pytest
-from jobs import job
+from jobs import job, tables
 
-from npred import metrics
-from npred.errors import ConfigError
-from npred.stages import bench, evaluate, figure1, generate, train
+from npred import config, metrics, operators, plants
+from npred.closed_loop import Samples, Trajectories
+from npred.dataset import Dataset
+from npred.predictors.neural import Neural
+from npred.stages import bench, certificate, coverage, evaluate, generate, train
+
+PLANT = plants.resolve("activator_repressor")
 
 
 @pytest.fixture(scope="module")
@@ -46,16 +50,12 @@ def test_numerical_is_exact_and_adapts(evaluated):
 
 
 def test_errors_of_a_network_are_those_of_its_predictions(evaluated, made):
-    from npred import operators, plants
-    from npred.dataset import Dataset
-    from npred.predictors.neural import Neural
-
     _, result = evaluated
-    plant, test = plants.resolve("activator_repressor"), Dataset.read(made["generate"] / "data.h5").subset(test=True)
-    P_hat = Neural(plant, operators.load(made["fno"], plant))(test.X, test.u, test.D_hat)
+    test = Dataset.read(made["generate"] / "data.h5").subset(test=True)
+    P_hat = Neural(PLANT, operators.load(made["fno"], PLANT))(test.X, test.u, test.D_hat)
     row = result["models"]["fno"]
     assert row["mse"] == pytest.approx(np.mean((P_hat - test.P) ** 2), rel=1e-6)
-    assert row["radius"]["predicted"] == pytest.approx(metrics.gain(plant) * row["eps_kappa"])
+    assert row["radius"]["predicted"] == pytest.approx(metrics.gain(PLANT) * row["eps_kappa"])
 
 
 def test_figure_and_loops_are_written(evaluated):
@@ -74,27 +74,54 @@ def test_evaluation_gives_the_same_bytes_again(evaluated, made, tmp_path):
     first, result = evaluated
     again = job(tmp_path, "again", inputs=made)
     assert evaluate.run(again) == result
-    for name in ("figure1.svg", "figure1.png", "figure1.h5"):
+    for name in sorted(path.name for path in first.folder.iterdir()):
         assert (again.folder / name).read_bytes() == (first.folder / name).read_bytes()
 
 
-def test_cases_cross_states_with_estimates(made):
-    config = job_config()
-    X0, D_hat0 = evaluate.cases(0, config.evaluate, plant())
-    assert X0.shape == (5, 2) and D_hat0.tolist() == [2.0, 0.8, 1.2, 0.8, 1.2]
-    np.testing.assert_array_equal(X0[1], X0[2])
-    assert (X0[1:, 1] >= 25).all() and (X0[1:, 1] <= 35).all()
+def test_starts_are_figure_1_then_cases_then_the_map():
+    tables_ = tables(evaluate={"map_D": [0.5, 1.5], "map_D_hat0": [0.6, 0.7, 0.8]})
+    begin = evaluate.starts(0, config.parse(tables_, "tests").evaluate, PLANT)
+    assert begin.D_hat0.tolist() == [2.0, 0.8, 1.2, 0.8, 1.2, 0.6, 0.7, 0.8, 0.6, 0.7, 0.8]
+    assert begin.D.tolist() == [1.0] * 5 + [0.5] * 3 + [1.5] * 3
+    np.testing.assert_array_equal(begin.X0[begin.map], np.tile([0.03, 30.0], (6, 1)))
+    np.testing.assert_array_equal(begin.X0[1], begin.X0[2])
+    assert (begin.X0[begin.cases, 1] >= 25).all() and (begin.X0[begin.cases, 1] <= 35).all()
 
 
-def test_a_plant_that_tracks_is_refused(made, tmp_path):
-    path = tmp_path / "moving.py"
-    path.write_text(
-        "class Moving:\n    states, inputs, box = ('x',), ('U',), {'x': (0, 1)}\n"
-        "    def f(x, u, t, p, M): return [u.U]\n    def kappa(x, t, p, M): return [M.sin(t) - x.x]\n"
-        "    def V(x, t, p, M): return x.x**2\n"
-    )
-    with pytest.raises(ConfigError, match="expected a plant with an equilibrium, Moving has none"):
-        evaluate.run(job(tmp_path, "evaluate", inputs=made, plant=f"{path}:Moving"))
+def test_map_and_coverage_of_known_loops():
+    """Three loops at rest and one far away; the reference loses one that the contender brings home."""
+    t, rest = np.linspace(0, 1, 11), np.tile(PLANT.equilibrium, (4, 11, 1))
+    far = rest.copy()
+    far[3] += 10.0
+    lost = rest.copy()
+    lost[2] += 10.0
+    table = config.parse(tables(evaluate={"map_D": [0.5, 1.0], "map_D_hat0": [0.6, 0.7]}), "tests").evaluate
+    found = certificate.delay_map(PLANT, table, still(t, far), still(t, lost))
+    assert found["converged"] == [[True, True], [True, False]]
+    assert found["share"] == pytest.approx(2 / 3) and found["band"] == [0.5, 0.5]
+    data = dataset(X=np.array([[0.0, 0.0], [1.0, 10.0]]), u=np.array([-1.0, 1.0]), D_hat=np.array([0.0, 2.0]))
+    covered = coverage.measure(PLANT, data, {"far": still(t, far)})
+    assert covered["x1"] == {"data": [0.0, 1.0], "outside": {"far": 0.25}}
+    assert covered["x2"]["outside"]["far"] == 0.25 and covered["U"]["outside"]["far"] == 0.0
+
+
+def test_loops_that_leave_the_data_are_warned_of(evaluated):
+    task, result = evaluated
+    shares = result["coverage"]["x2"]["outside"]
+    warned = [line for line in task.progress.notes if "outside" in line]
+    loud = [c for q in result["coverage"].values() for c, share in q["outside"].items() if share > coverage.WARN]
+    assert len(warned) == len(loud) and set(shares) == {"deeponet@1", "deeponet", "fno"}
+
+
+def still(t, X):
+    zeros = np.zeros(X.shape[:-1])
+    nothing = Samples(*[np.empty((len(X), 0))] * 3)
+    return Trajectories(t, X, zeros[..., None], zeros, zeros, zeros, np.full(len(X), -1), nothing)
+
+
+def dataset(X, u, D_hat):
+    rows = np.zeros(len(X))
+    return Dataset(X, u[:, None, None], D_hat, X[:, None], rows, rows, rows.astype(np.int32), rows.astype(np.uint8))
 
 
 def test_bench_rows(made, tmp_path):
@@ -133,18 +160,3 @@ def test_summaries_print(stage, evaluated, made, tmp_path):
 def test_figure_numbers_of_a_loop_that_never_settles(evaluated):
     _, result = evaluated
     assert result["models"]["no_adaptation"]["figure1"]["settle_time"] is None
-    assert figure1.COLOURS[0] == "#000000"
-
-
-def job_config():
-    from jobs import tables
-
-    from npred import config
-
-    return config.parse(tables(), "tests")
-
-
-def plant():
-    from npred import plants
-
-    return plants.resolve("activator_repressor")

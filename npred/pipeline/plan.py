@@ -50,7 +50,11 @@ class Planner:
     forced: frozenset[str] = frozenset()
 
     def plan(self, nodes: Iterable[Node]) -> list[Step]:
-        """One step a node, in order, without running anything. Raises StoreError for a corrupt manifest."""
+        """One step a node, in order, without running anything. Raises StoreError for a corrupt
+        manifest, ConfigError for a pipeline that does not fit its plant.
+        """
+        nodes = list(nodes)
+        table.check(self.config, {node.stage for node in nodes})
         steps: dict[str, Step] = {}
         for node in nodes:
             blocked = [name for name in node.inputs if not steps[name].artifact]

@@ -2,7 +2,7 @@
 
 import importlib
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -76,6 +76,14 @@ def question(node: Node, config: Pipeline, device: str) -> dict[str, Any]:
 
     shared = {"plant": plants.identity(config.plant, config.parameters), "seed": config.seed}
     return shared | STAGES[node.stage].slice(config, node.model, device)
+
+
+def check(config: Pipeline, stages: Collection[str]) -> None:
+    """Raise ConfigError where the stages ask for what the pipeline's plant does not have."""
+    from npred import plants
+    from npred.plants import fit
+
+    fit.check(plants.resolve(config.plant, config.parameters), config, stages)
 
 
 def _nodes(stage: str, networks: tuple[str, ...]) -> list[Node]:

@@ -1,0 +1,52 @@
+"""A pipeline that does not fit its plant is told before anything runs."""
+
+import pytest
+
+from npred import config, plants
+from npred.errors import ConfigError
+from npred.plants import fit
+
+MOVING = """
+class Moving:
+    states, inputs, box = ("x",), ("U",), {"x": (0, 1)}
+    def f(x, u, t, p, M): return [u.U]
+    def kappa(x, t, p, M): return [M.sin(t) - x.x]
+    def V(x, t, p, M): return x.x**2
+"""
+
+
+def check(stages=("generate", "evaluate"), **tables):
+    pipeline = config.parse(tables, "tests")
+    fit.check(plants.resolve(pipeline.plant, pipeline.parameters), pipeline, stages)
+
+
+def test_the_default_pipeline_fits():
+    check()
+
+
+@pytest.mark.parametrize(
+    ("tables", "message"),
+    [
+        ({"generate": {"box": {"x3": [0, 1]}}}, "unknown state 'x3'; expected one of x1, x2"),
+        ({"evaluate": {"X0": [1.0]}}, r"evaluate.X0: expected 2 values \(x1, x2\), got \[1.0\]"),
+        ({"generate": {"input_bounds": [[0, 1], [0, 1]]}}, "expected 1 pairs .* got 2"),
+    ],
+)
+def test_what_does_not_fit_is_told(tables, message):
+    with pytest.raises(ConfigError, match=message):
+        check(**tables)
+
+
+def test_a_plant_that_tracks_has_no_radius(tmp_path):
+    path = tmp_path / "moving.py"
+    path.write_text(MOVING)
+    check(stages=("generate",), plant=f"{path}:Moving")
+    with pytest.raises(ConfigError, match="expected a plant with an equilibrium, Moving has none"):
+        check(plant=f"{path}:Moving")
+
+
+def test_a_state_without_a_range_is_told(tmp_path):
+    path = tmp_path / "moving.py"
+    path.write_text(MOVING.replace('{"x": (0, 1)}', "{}"))
+    with pytest.raises(ConfigError, match=r"found none; add x = \[low, high\]"):
+        check(plant=f"{path}:Moving")
