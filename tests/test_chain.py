@@ -1,0 +1,151 @@
+"""The real chain as processes: killed in every stage it continues, twice is once, a flipped byte is found."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from conftest import process_environment
+
+pytestmark = pytest.mark.slow
+
+TINY = """
+name = "tiny"
+seed = 1
+[generate]
+samples = 400
+rollouts = 8
+t_end = 8.0
+dt = 0.01
+nx = 21
+[train.deeponet]
+epochs = 6
+batch = 16
+width = 16
+snapshots = [2]
+checkpoint_every = 1
+[train.fno]
+epochs = 3
+batch = 32
+width = 8
+layers = 2
+checkpoint_every = 1
+[evaluate]
+t_end = 3.0
+case_t_end = 3.0
+case_states = 2
+case_D_hat0 = [1.0]
+dt = 0.01
+nx = 21
+[bench]
+dx = [0.1]
+calls = 10
+"""
+STAGES = ["generate", "train deeponet", "train fno", "evaluate", "bench"]
+
+
+@pytest.fixture
+def chain(tmp_path):
+    (tmp_path / "tiny.toml").write_text(TINY)
+    return tmp_path
+
+
+def command(store: str, *more: str) -> list[str]:
+    return [sys.executable, "-m", "npred", "run", "tiny.toml", "--store", store, "--jobs", "1", *more]
+
+
+def run(folder: Path, store: str, *more: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        command(store, *more), cwd=folder, env=process_environment(), capture_output=True, text=True, timeout=200
+    )
+
+
+def killed_in(folder: Path, store: str, stage: str) -> None:
+    """Start a run and kill -9 it as soon as it says that the stage is running."""
+    process = subprocess.Popen(command(store), cwd=folder, env=process_environment(), stderr=subprocess.PIPE, text=True,
+                               stdout=subprocess.DEVNULL)  # fmt: skip
+    assert process.stderr is not None
+    for line in process.stderr:
+        if line.startswith(f"{stage}: running"):
+            break
+    else:
+        pytest.fail(f"{stage} never ran")
+    os.kill(process.pid, signal.SIGKILL)
+    assert process.wait() == -signal.SIGKILL
+
+
+def digests(folder: Path, store: str) -> dict[str, dict[str, str]]:
+    """The digests of the payload files of every result, by stage and network."""
+    found = {}
+    for path in (folder / store).glob("*/*/manifest.json"):
+        manifest = json.loads(path.read_text())
+        question = manifest["question"]
+        name = f"{question['stage']} {question['model'] or ''}".strip()
+        assert name not in found, "one result a question"
+        found[name] = {file: payload["sha256"] for file, payload in manifest["files"].items()}
+    return found
+
+
+def test_killed_in_every_stage_it_ends_with_the_same_bytes(chain):
+    for stage in STAGES:
+        killed_in(chain, "hurt", stage)
+    after = run(chain, "hurt", "--json")
+    assert after.returncode == 0, after.stderr
+    actions = {f"{s['stage']} {s.get('model') or ''}".strip(): s["action"] for s in json.loads(after.stdout)["stages"]}
+    assert actions == {
+        "generate": "hit",
+        "train deeponet": "hit",
+        "train fno": "hit",
+        "evaluate": "hit",
+        "bench": "run",
+    }
+    assert run(chain, "whole").returncode == 0
+    hurt, whole = digests(chain, "hurt"), digests(chain, "whole")
+    assert set(hurt) == set(whole) == set(STAGES)
+    for stage in STAGES[:-1]:  # bench holds times
+        assert hurt[stage] == whole[stage], stage
+
+
+def test_two_runs_at_once_make_each_result_once_and_a_third_none(chain):
+    both = [subprocess.Popen(command("shared", "--json"), cwd=chain, env=process_environment(), stdout=subprocess.PIPE,
+                             stderr=subprocess.DEVNULL, text=True) for _ in range(2)]  # fmt: skip
+    answers = [json.loads(process.communicate(timeout=200)[0])["stages"] for process in both]
+    for first, second in zip(*answers, strict=True):
+        assert {first["action"], second["action"]} <= {"run", "hit"} and first["key"] == second["key"]
+        assert (first["action"], second["action"]) != ("run", "run")
+    again = json.loads(run(chain, "shared", "--json").stdout)["stages"]
+    assert {s["action"] for s in again} == {"hit"}
+
+
+def test_a_flipped_byte_is_found_on_read(chain):
+    assert run(chain, "store").returncode == 0
+    (data,) = (chain / "store" / "generate").glob("*/data.h5")
+    content = bytearray(data.read_bytes())
+    content[len(content) // 2] ^= 1
+    os.chmod(data, 0o644)
+    data.write_bytes(content)
+    after = run(chain, "store", "--set", "train.deeponet.epochs=7")
+    assert after.returncode == 4
+    (line,) = [line for line in after.stderr.splitlines() if line.startswith("error:")]
+    assert "data.h5" in line
+    assert data.read_bytes() == bytes(content), "nothing is overwritten"
+
+
+def test_changed_epochs_rerun_only_what_depends_on_them_and_why_says_so(chain):
+    assert run(chain, "store").returncode == 0
+    change = ("--set", "train.deeponet.epochs=7")
+    why = subprocess.run([sys.executable, "-m", "npred", "why", "train", "tiny.toml", "--store", "store", *change],
+                         cwd=chain, env=process_environment(), capture_output=True, text=True, timeout=60)  # fmt: skip
+    assert "train.deeponet.epochs: 6 -> 7" in why.stdout
+    stages = json.loads(run(chain, "store", "--json", *change).stdout)["stages"]
+    actions = {f"{s['stage']} {s.get('model') or ''}".strip(): s["action"] for s in stages}
+    assert actions == {
+        "generate": "hit",
+        "train deeponet": "run",
+        "train fno": "hit",
+        "evaluate": "run",
+        "bench": "run",
+    }
