@@ -30,6 +30,15 @@ class Console:
     quiet: bool = False
     verbose: bool = False
     clock: Callable[[], float] = time.monotonic
+    stopped: bool = False
+
+    def stop(self) -> None:
+        """End the work of all threads at its next word of progress, as Ctrl-C ends that of the main one."""
+        self.stopped = True
+
+    def _check(self) -> None:
+        if self.stopped:
+            raise KeyboardInterrupt
 
     def out(self, data: Any) -> None:
         """Data for stdout: text as it is, anything else as rich prints it."""
@@ -67,14 +76,14 @@ class Console:
     def bar(self, title: str, total: int, unit: str) -> Iterator[Bar]:
         """The progress of `total` units: a bar with rate and time left on a terminal, else a line now and then."""
         if self.quiet:
-            yield _Silent()
+            yield _Silent(self._check)
         elif sys.stderr.isatty():
             from tqdm import tqdm
 
             with tqdm(total=total, desc=title, unit=f" {unit}", unit_scale=total >= 10_000, dynamic_ncols=True) as bar:
-                yield _Task(bar)
+                yield _Task(bar, self._check)
         else:
-            yield _Lines(self._line, self.clock, title, total, unit)
+            yield _Lines(self._line, self.clock, title, total, unit, self._check)
 
     def _line(self, text: str, style: str = "") -> None:
         if sys.stderr.isatty():
@@ -93,27 +102,35 @@ class Console:
 
 
 class _Silent:
+    def __init__(self, check: Callable[[], None]) -> None:
+        self.check = check
+
     def advance(self, n: int = 1, note: str = "") -> None:
-        pass
+        self.check()
 
 
 class _Task:
-    def __init__(self, bar: "tqdm[Any]") -> None:
-        self.bar = bar
+    def __init__(self, bar: "tqdm[Any]", check: Callable[[], None]) -> None:
+        self.bar, self.check = bar, check
 
     def advance(self, n: int = 1, note: str = "") -> None:
+        self.check()
         if note:
             self.bar.set_postfix_str(note, refresh=False)
         self.bar.update(n)
 
 
 class _Lines:
-    def __init__(self, line: Callable[[str], None], clock: Callable[[], float], title: str, total: int, unit: str):
-        self.line, self.clock, self.title, self.total, self.unit = line, clock, title, total, unit
+    def __init__(
+        self, line: Callable[[str], None], clock: Callable[[], float], title: str, total: int, unit: str,
+        check: Callable[[], None],
+    ):  # fmt: skip
+        self.line, self.clock, self.title, self.total, self.unit, self.check = line, clock, title, total, unit, check
         self.start, self.done = clock(), 0
         self.last = self.start
 
     def advance(self, n: int = 1, note: str = "") -> None:
+        self.check()
         self.done += n
         now = self.clock()
         if self.done >= self.total or now - self.last >= EVERY:

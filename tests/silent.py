@@ -22,6 +22,9 @@ class Silent:
         if self.stop_after is not None and self.calls > self.stop_after:
             raise KeyboardInterrupt
 
+    def stop(self) -> None:
+        self.stop_after = 0
+
     def note(self, text: str) -> None:
         self.notes.append(text)
 

@@ -291,14 +291,14 @@ def stopped_in(stage: str, folder: Path, *arguments: str) -> Iterator[Process]:
 
 @pytest.mark.parametrize("stage", ["generate", "train", "evaluate", "bench"])
 def test_kill_9_leaves_no_half_result_and_the_next_run_goes_on(npred: Any, pipeline: Path, stage: str):
-    with stopped_in(stage, pipeline.parent, "run", "tiny.toml") as running:
+    with stopped_in(stage, pipeline.parent, "run", "tiny.toml", "--jobs", "1") as running:
         running.end(signal.SIGKILL)
     store = Store(pipeline.parent / "artifacts")
     finished = [artifact.verify().manifest.question.stage for artifact in store.artifacts()]
     assert stage not in finished
     assert store.broken() == []
     assert sorted(path.parent.name for path in store.leftovers()) == [".scratch", ".tmp"]
-    done = npred("run", "tiny.toml", "--json", FAKE_LOG=str(pipeline.parent / "log"))
+    done = npred("run", "tiny.toml", "--json", "--jobs", "1", FAKE_LOG=str(pipeline.parent / "log"))
     assert done.returncode == 0, done.stderr
     hits = [row["stage"] for row in json.loads(done.stdout)["stages"] if row["action"] == "hit"]
     assert hits == sorted(finished, key=["generate", "train", "evaluate", "bench"].index)

@@ -124,6 +124,15 @@ def test_a_bar_cut_short_gives_the_terminal_back(on_terminal: Callable[[], Termi
     assert terminal.getvalue().endswith("\n")
 
 
+def test_stopping_ends_other_threads_at_their_next_word_of_progress():
+    console = Console(quiet=True)
+    with console.bar("work", 3, "step") as bar:
+        bar.advance()
+        console.stop()
+        with pytest.raises(KeyboardInterrupt):
+            bar.advance()
+
+
 def test_colours_are_for_terminals_that_want_them(on_terminal: Callable[[], Terminal], monkeypatch: pytest.MonkeyPatch):
     terminal = on_terminal()
     Console().error("wrong")

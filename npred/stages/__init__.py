@@ -29,6 +29,9 @@ class Progress(Protocol):
     def warn(self, text: str) -> None:
         """A warning."""
 
+    def stop(self) -> None:
+        """End the work of other threads at their next word of progress."""
+
 
 @dataclass(frozen=True)
 class Job:

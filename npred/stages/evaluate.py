@@ -1,5 +1,6 @@
 """The evaluate stage: errors on held-out rollouts, what closed loops make of them, and the certificate of both."""
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -67,12 +68,7 @@ def run(job: Job) -> dict[str, Any]:
     """
     config, data = job.config.evaluate, Dataset.read(job.inputs["generate"] / "data.h5")
     begin, contenders = starts(job.config.seed, config, job.plant), _contenders(job)
-    loops = {}
-    total = sum(begin.of(contender) for contender in contenders) * (round(config.case_t_end / config.dt) + 1)
-    with job.progress.bar("evaluate", total, "step") as bar:
-        for contender in contenders:
-            bar.advance(0, contender.name)
-            loops[contender.name] = _loops(job.plant, contender, config, begin, bar.advance)
+    loops = _all_loops(job, contenders, begin)
     test = data.subset(test=True)
     models = {c.name: _row(job.plant, config, begin, c, test, loops) for c in contenders}
     covered = coverage.measure(job.plant, data, {c.name: loops[c.name] for c in contenders if c.network})
@@ -99,13 +95,27 @@ def _contenders(job: Job) -> list[Contender]:
     return found
 
 
+def _all_loops(job: Job, contenders: list[Contender], begin: Starts) -> dict[str, Trajectories]:
+    """Every contender's loops, a thread each: compiled kernels and torch let go of the GIL."""
+    config = job.config.evaluate
+    total = sum(begin.of(contender) for contender in contenders) * (round(config.case_t_end / config.dt) + 1)
+    with job.progress.bar("evaluate", total, "steps") as bar, ThreadPoolExecutor(job.jobs) as pool:
+        tasks = {c.name: pool.submit(_loops, job.plant, c, config, begin, bar.advance) for c in contenders}
+        try:
+            return {name: done.result() for name, done in tasks.items()}
+        except BaseException:
+            job.progress.stop()
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+
+
 def _neural(job: Job, model: str, snapshot: int | None, name: str) -> Predictor:
     import torch
 
     from npred import operators
     from npred.predictors.neural import Neural
 
-    torch.set_num_threads(job.jobs)
+    torch.set_num_threads(1)  # the contenders share the cores
     operator = operators.load(job.inputs[model], job.plant, snapshot)
     return Neural(job.plant, operator, job.config.evaluate.nx, job.device, name)
 

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from threading import Lock
 from typing import Any
 
 import torch
@@ -14,6 +15,9 @@ from npred.stages import Job
 from npred.training import Rows, Task
 
 
+SEEDING = Lock()  # torch has one generator for all threads, and another network may be starting beside this one
+
+
 def run(job: Job) -> dict[str, Any]:
     """Train job.model on the rows of job.inputs["generate"] that are not held out; the held-out ones give the errors.
 
@@ -21,7 +25,7 @@ def run(job: Job) -> dict[str, Any]:
     The same bytes for the same configuration, data and number of threads (CPU). Raises ConfigError for an anchor or
     `nodes` that do not fit, DivergedError for a loss that is not finite.
     """
-    torch.set_num_threads(job.jobs)
+    torch.set_num_threads(1)  # the same bits on any machine; another network takes the other cores
     config = job.config.train.deeponet if job.model == "deeponet" else job.config.train.fno
     task = _task(job, config, Dataset.read(job.inputs["generate"] / "data.h5"))
     metrics = training.fit(task, job.scratch, job.progress)
@@ -48,7 +52,7 @@ def _task(job: Job, config: Training, data: Dataset) -> Task:
 
 def _untrained(job: Job, config: Training, scaling: Scaling, seed: int) -> Operator:
     """The same weights for the same seed, whatever was drawn before; torch's own generator is left as it was."""
-    with torch.random.fork_rng(devices=[]):
+    with SEEDING, torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         return build(config, job.plant, scaling)
 
