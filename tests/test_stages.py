@@ -9,7 +9,7 @@ from npred import config, metrics, operators, plants
 from npred.closed_loop import Samples, Trajectories
 from npred.dataset import Dataset
 from npred.predictors.neural import Neural
-from npred.stages import bench, certificate, coverage, evaluate, generate, train
+from npred.stages import accuracy, bench, certificate, coverage, evaluate, generate, starts, train
 
 PLANT = plants.resolve("activator_repressor")
 
@@ -58,6 +58,15 @@ def test_errors_of_a_network_are_those_of_its_predictions(evaluated, made):
     assert row["radius"]["predicted"] == pytest.approx(metrics.gain(PLANT) * row["eps_kappa"])
 
 
+def test_fresh_rows_are_samples_of_the_numerical_loops(evaluated):
+    _, result = evaluated
+    assert result["fresh"] == 4 * accuracy.FRESH
+    assert result["models"]["fno"]["fresh"]["mse"] > 0 == result["models"]["numerical"]["fresh"]["mse"]
+    assert set(result["models"]["fno"]["fresh"]) >= {"mse", "eps_sup", "eps_kappa", "eps_relative"}
+    steps = accuracy.sample_steps(0, config.parse(tables(), "tests").evaluate, 3)
+    assert steps.shape == (3, accuracy.FRESH) and (np.diff(steps) >= 0).all() and steps.max() <= 600
+
+
 def test_figure_and_loops_are_written(evaluated):
     task, result = evaluated
     assert (task.folder / "figure1.png").read_bytes().startswith(b"\x89PNG")
@@ -80,7 +89,7 @@ def test_evaluation_gives_the_same_bytes_again(evaluated, made, tmp_path):
 
 def test_starts_are_figure_1_then_cases_then_the_map():
     tables_ = tables(evaluate={"map_D": [0.5, 1.5], "map_D_hat0": [0.6, 0.7, 0.8]})
-    begin = evaluate.starts(0, config.parse(tables_, "tests").evaluate, PLANT)
+    begin = starts.starts(0, config.parse(tables_, "tests").evaluate, PLANT)
     assert begin.D_hat0.tolist() == [2.0, 0.8, 1.2, 0.8, 1.2, 0.6, 0.7, 0.8, 0.6, 0.7, 0.8]
     assert begin.D.tolist() == [1.0] * 5 + [0.5] * 3 + [1.5] * 3
     np.testing.assert_array_equal(begin.X0[begin.map], np.tile([0.03, 30.0], (6, 1)))

@@ -1,64 +1,22 @@
 """The evaluate stage: errors on held-out rollouts, what closed loops make of them, and the certificate of both."""
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from npred import metrics, randomness
+from npred import metrics
 from npred.adaptation import DelayAdaptation
 from npred.closed_loop import Trajectories, simulate
 from npred.config import Evaluate
 from npred.dataset import Dataset
 from npred.plants import Plant
 from npred.predictors import METHODS, Predictor
-from npred.stages import Job, certificate, coverage, figure1
+from npred.stages import Job, accuracy, certificate, coverage, figure1
+from npred.stages.accuracy import Rows
+from npred.stages.starts import Contender, Starts, starts
 
 EVERY = 10  # control steps between two kept states
-ROWS = 1024  # held-out rows a call
-EXACT = {"mse": 0.0, "eps_sup": 0.0, "eps_kappa": 0.0, "rel_l2": 0.0}  # the numerical predictor is the reference
-
-
-@dataclass(frozen=True)
-class Contender:
-    """A predictor in the comparison; without adaptation its D_hat stays at D_hat(0)."""
-
-    name: str
-    predictor: Predictor
-    network: bool = False
-    adapts: bool = True
-
-
-@dataclass(frozen=True)
-class Starts:
-    """The loops of an evaluation: first that of Fig. 1, then the cases, then the map D x D_hat(0)."""
-
-    X0: np.ndarray  # (B, n)
-    D: np.ndarray  # (B,)
-    D_hat0: np.ndarray  # (B,)
-    cases: slice
-    map: slice
-
-    def of(self, contender: Contender) -> int:
-        """How many loops a contender runs: the map only with adaptation."""
-        return len(self.D) if contender.adapts else self.cases.stop
-
-
-def starts(seed: int, config: Evaluate, plant: Plant) -> Starts:
-    """Fig. 1's start, random states of the plant's box x case_D_hat0 at delay D, Fig. 1's state over the map."""
-    rng = randomness.generator(seed, "evaluate", "cases")
-    box = np.array([plant.box[name] for name in plant.states])
-    states = rng.uniform(box[:, 0], box[:, 1], (config.case_states, plant.n))
-    D, D_hat0 = np.meshgrid(config.map_D, config.map_D_hat0, indexing="ij")
-    cases, cells = config.case_states * len(config.case_D_hat0), D.size
-    return Starts(
-        np.concatenate([[config.X0], np.repeat(states, len(config.case_D_hat0), 0), np.tile(config.X0, (cells, 1))]),
-        np.concatenate([np.full(1 + cases, config.D), D.ravel()]),
-        np.concatenate([[config.D_hat0], np.tile(config.case_D_hat0, config.case_states), D_hat0.ravel()]),
-        slice(1, 1 + cases),
-        slice(1 + cases, 1 + cases + cells),
-    )
 
 
 def run(job: Job) -> dict[str, Any]:
@@ -69,8 +27,9 @@ def run(job: Job) -> dict[str, Any]:
     config, data = job.config.evaluate, Dataset.read(job.inputs["generate"] / "data.h5")
     begin, contenders = starts(job.config.seed, config, job.plant), _contenders(job)
     loops = _all_loops(job, contenders, begin)
-    test = data.subset(test=True)
-    models = {c.name: _row(job.plant, config, begin, c, test, loops) for c in contenders}
+    held_out, fresh = Rows.held_out(data), Rows.fresh(loops["numerical"].part(begin.cases), contenders[0].predictor)
+    errors = {c.name: _errors(job.plant, c, held_out, fresh) for c in contenders}
+    models = {c.name: errors[c.name] | _row(job.plant, config, begin, c, errors[c.name], loops) for c in contenders}
     covered = coverage.measure(job.plant, data, {c.name: loops[c.name] for c in contenders if c.network})
     _warn(job, covered)
     _draw(job, data, models, loops)
@@ -78,7 +37,8 @@ def run(job: Job) -> dict[str, Any]:
         "plant": job.plant.name,
         "equilibrium": job.plant.equilibrium.tolist(),
         "gain": metrics.gain(job.plant),
-        "held_out": len(test),
+        "held_out": len(held_out.X),
+        "fresh": len(fresh.X),
         "models": models,
         "coverage": covered,
     }
@@ -100,7 +60,7 @@ def _all_loops(job: Job, contenders: list[Contender], begin: Starts) -> dict[str
     config = job.config.evaluate
     total = sum(begin.of(contender) for contender in contenders) * (round(config.case_t_end / config.dt) + 1)
     with job.progress.bar("evaluate", total, "steps") as bar, ThreadPoolExecutor(job.jobs) as pool:
-        tasks = {c.name: pool.submit(_loops, job.plant, c, config, begin, bar.advance) for c in contenders}
+        tasks = {c.name: pool.submit(_loops, job, c, begin, bar.advance) for c in contenders}
         try:
             return {name: done.result() for name, done in tasks.items()}
         except BaseException:
@@ -120,28 +80,29 @@ def _neural(job: Job, model: str, snapshot: int | None, name: str) -> Predictor:
     return Neural(job.plant, operator, job.config.evaluate.nx, job.device, name)
 
 
-def _loops(plant: Plant, contender: Contender, config: Evaluate, begin: Starts, progress: Any) -> Trajectories:
-    law, some = DelayAdaptation(config.gamma, config.b, config.bounds), slice(begin.of(contender))
+def _loops(job: Job, contender: Contender, begin: Starts, progress: Any) -> Trajectories:
+    config, some = job.config.evaluate, slice(begin.of(contender))
+    law = DelayAdaptation(config.gamma, config.b, config.bounds)
+    taken = None if contender.network else accuracy.sample_steps(job.config.seed, config, begin.of(contender))
     return simulate(
-        plant, contender.predictor, D=begin.D[some], D_hat=begin.D_hat0[some], X0=begin.X0[some], dt=config.dt,
+        job.plant, contender.predictor, D=begin.D[some], D_hat=begin.D_hat0[some], X0=begin.X0[some], dt=config.dt,
         t_end=config.case_t_end, adaptation=law if contender.adapts else None, input_bounds=config.input_bounds,
-        every=EVERY, progress=progress,
+        every=EVERY, samples=taken, progress=progress,
     )  # fmt: skip
 
 
 def _row(
-    plant: Plant, config: Evaluate, begin: Starts, contender: Contender, test: Dataset, loops: dict[str, Trajectories]
-) -> dict[str, Any]:
-    """All that is reported of one contender."""
+    plant: Plant, config: Evaluate, begin: Starts, contender: Contender, errors: dict[str, Any],
+    loops: dict[str, Trajectories],
+) -> dict[str, Any]:  # fmt: skip
+    """What is reported of a contender's loops."""
     run, exact = loops[contender.name], loops["numerical"]
-    errors = _errors(plant, contender, test) if contender.network else dict(EXACT)
     cases, reference = run.part(begin.cases), exact.part(begin.cases)
     radii = metrics.radius(cases, plant.equilibrium)
     settle, goal = (metrics.settle_time(some, plant.equilibrium) for some in (cases, reference))
     settled = np.isfinite(goal) & (goal > 0)
     mapped = contender.adapts and begin.map.stop > begin.map.start
     return {
-        **errors,
         "radius": {
             "median": metrics.number(np.median(radii)),
             "worst": metrics.number(radii.max()),
@@ -163,10 +124,12 @@ def _median(values: np.ndarray) -> float | None:
     return metrics.number(np.median(known)) if len(known) else None
 
 
-def _errors(plant: Plant, contender: Contender, test: Dataset) -> dict[str, Any]:
-    blocks = [slice(i, i + ROWS) for i in range(0, len(test), ROWS)]
-    P_hat = np.concatenate([contender.predictor(test.X[i], test.u[i], test.D_hat[i]) for i in blocks])
-    return metrics.errors(plant, P_hat, test.P) | metrics.relative(plant, test.X, test.u, P_hat, test.P)
+def _errors(plant: Plant, contender: Contender, held_out: Rows, fresh: Rows) -> dict[str, Any]:
+    """On the held-out rollouts, and, as `fresh`, on those made for this evaluation."""
+    if not contender.network:
+        return accuracy.EXACT | {"fresh": dict(accuracy.EXACT)}
+    found = [accuracy.measure(plant, contender.predictor, rows) for rows in (held_out, fresh)]
+    return found[0] | {"fresh": found[1]}
 
 
 def _warn(job: Job, covered: dict[str, Any]) -> None:
@@ -192,13 +155,28 @@ def summary(result: dict[str, Any]) -> Any:
     """The contenders as a table."""
     from rich.table import Table
 
-    table = Table(title=f"{result['plant']}: errors on {result['held_out']} held-out samples, and closed loops")
-    table.add_column("predictor")
-    for column in ("MSE", "ε sup", "ε κ", "radius", "worst", "from ε κ", "converged", "settles", "map", "Fig. 1", "D̂"):
+    title = f"{result['plant']}: {result['held_out']} held-out samples, {result['fresh']} fresh ones, and closed loops"
+    table = Table("predictor", title=title)
+    for column in (
+        "MSE",
+        "ε sup",
+        "ε κ",
+        "fresh: MSE",
+        "ε sup",
+        "radius",
+        "worst",
+        "from ε κ",
+        "converged",
+        "settles",
+        "map",
+        "Fig. 1",
+        "D̂",
+    ):
         table.add_column(column, justify="right")
     for name, row in result["models"].items():
         radius, figure = row["radius"], row["figure1"]
         cells = [_text(row[key]) for key in ("mse", "eps_sup", "eps_kappa")]
+        cells += [_text(row["fresh"][key]) for key in ("mse", "eps_sup")]
         cells += [_text(radius[key]) for key in ("median", "worst", "predicted")]
         cells += [f"{radius['converged']:.0%}", "" if row["settle_ratio"] is None else f"{row['settle_ratio']:.2f} ×"]
         cells += [

@@ -13,7 +13,7 @@ import numpy as np
 from npred import plants, randomness
 from npred.adaptation import DelayAdaptation
 from npred.closed_loop import LANES, simulate
-from npred.config import Generate, Pipeline
+from npred.config import Generate, Pipeline, Range
 from npred.dataset import Dataset
 from npred.errors import DivergedError
 from npred.plants import Plant
@@ -107,15 +107,23 @@ def rollouts(pipeline: Pipeline, plant: Plant, chunk: range, progress: Any = Non
 def _starts(seed: int, config: Generate, plant: Plant, chunk: range) -> tuple[np.ndarray, ...]:
     """X0 (B, n), D and D_hat(0) (B,), sorted sample steps (B, S), each rollout's from its own child seed."""
     box = _box(plant, config)
-    D = config.D if isinstance(config.D, tuple) else (config.D, config.D)
     drawn = []
     for r in chunk:
         rng = randomness.generator(seed, "rollout", r)
-        X0, D0 = rng.uniform(box[:, 0], box[:, 1]), rng.uniform(*D)
-        D_hat0 = rng.uniform(*config.D_hat0[r * len(config.D_hat0) // config.rollouts])
+        D, D_hat = _delays(config, r)
+        X0, D0, D_hat0 = rng.uniform(box[:, 0], box[:, 1]), rng.uniform(*D), rng.uniform(*D_hat)
         steps = np.sort(rng.choice(_steps(config), _samples(config, r), replace=False))
         drawn.append((X0, D0, D_hat0, np.pad(steps, (0, _samples(config, 0) - len(steps)), mode="edge")))
     return tuple(np.array(column) for column in zip(*drawn, strict=True))
+
+
+def _delays(config: Generate, rollout: int) -> tuple[Range, Range]:
+    """The ranges of D and D_hat(0) of a rollout."""
+    regular = config.rollouts - config.explorers
+    if rollout >= regular:
+        return config.explore_D, config.explore_D_hat0
+    D = config.D if isinstance(config.D, tuple) else (config.D, config.D)
+    return D, config.D_hat0[rollout * len(config.D_hat0) // regular]
 
 
 def _steps(config: Generate) -> int:
@@ -145,9 +153,10 @@ def _finite(chunk: range, X0: np.ndarray, escaped: np.ndarray, dt: float) -> Non
 
 
 def _held_out(seed: int, config: Generate) -> np.ndarray:
-    """The numbers of the held-out rollouts: at least one, and never all."""
-    count = min(max(round(config.test_share * config.rollouts), 1), config.rollouts - 1)
-    return np.sort(randomness.generator(seed, "held out").permutation(config.rollouts)[:count])
+    """The numbers of the held-out rollouts: at least one, never all, and no explorer."""
+    regular = config.rollouts - config.explorers
+    count = min(max(round(config.test_share * regular), 1), regular - 1)
+    return np.sort(randomness.generator(seed, "held out").permutation(regular)[:count])
 
 
 def _attributes(plant: Plant, config: Generate) -> dict[str, Any]:

@@ -14,7 +14,6 @@ from npred.operators import Operator, Scaling, build, io, loss, save
 from npred.stages import Job
 from npred.training import Rows, Task
 
-
 SEEDING = Lock()  # torch has one generator for all threads, and another network may be starting beside this one
 
 
@@ -46,7 +45,7 @@ def _task(job: Job, config: Training, data: Dataset) -> Task:
     train, test = Rows.of(fitted, job.device, config.nodes), Rows.of(held_out, job.device)
     seed = randomness.integer(job.config.seed, "train", str(job.model))
     operator = _untrained(job, config, Scaling.of(fitted), seed).to(job.device)
-    criterion = loss.squared_error(loss.weights(config, job.plant, train.P))
+    criterion = loss.criterion(config.rows, loss.weights(config, job.plant, train.P))
     return Task(f"train {job.model}", operator, config, train, test, criterion, seed)
 
 

@@ -1,0 +1,56 @@
+"""Errors of a network on held-out rollouts, and on fresh ones made for the evaluation."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from npred import metrics, randomness
+from npred.closed_loop import Trajectories
+from npred.config import Evaluate
+from npred.dataset import Dataset
+from npred.plants import Plant
+from npred.predictors import Predictor
+
+ROWS = 1024  # rows a call
+FRESH = 40  # samples of each fresh loop, at random times …
+START = 40.0  # … of its first seconds: the start-up is in them, and not too much of the rest
+EXACT = {"mse": 0.0, "eps_sup": 0.0, "eps_kappa": 0.0, "rel_l2": 0.0}  # the numerical predictor is the reference
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Inputs and the reference's answer: X (N, n), u (N, nx, m), D_hat (N,), P (N, nx, n)."""
+
+    X: np.ndarray
+    u: np.ndarray
+    D_hat: np.ndarray
+    P: np.ndarray
+
+    @classmethod
+    def held_out(cls, data: Dataset) -> "Rows":
+        """The rows of the rollouts that no network has seen."""
+        test = data.subset(test=True)
+        return cls(test.X, test.u, test.D_hat, test.P)
+
+    @classmethod
+    def fresh(cls, loops: Trajectories, numerical: Predictor) -> "Rows":
+        """The samples taken from the numerical predictor's own loops of this evaluation."""
+        X, u, D_hat = (a.reshape(-1, *a.shape[2:]) for a in (loops.samples.X, loops.samples.u, loops.samples.D_hat))
+        known = np.isfinite(X).all(axis=1)
+        X, u, D_hat = X[known], u[known], D_hat[known]
+        return cls(X, u, D_hat, numerical(X, u, D_hat))
+
+
+def sample_steps(seed: int, config: Evaluate, loops: int) -> np.ndarray:
+    """At which steps the fresh rows are taken from each loop: (loops, FRESH), sorted."""
+    rng = randomness.generator(seed, "evaluate", "fresh")
+    count = round(min(START, config.case_t_end) / config.dt) + 1
+    return np.sort(rng.integers(0, count, (loops, FRESH)), axis=1)
+
+
+def measure(plant: Plant, predictor: Predictor, rows: Rows) -> dict[str, Any]:
+    """All errors of npred.metrics on those rows."""
+    blocks = [slice(i, i + ROWS) for i in range(0, len(rows.X), ROWS)]
+    P_hat = np.concatenate([predictor(rows.X[i], rows.u[i], rows.D_hat[i]) for i in blocks])
+    return metrics.errors(plant, P_hat, rows.P) | metrics.relative(plant, rows.X, rows.u, P_hat, rows.P)

@@ -1,0 +1,51 @@
+"""Who runs in an evaluation, and from where."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from npred import randomness
+from npred.config import Evaluate
+from npred.plants import Plant
+from npred.predictors import Predictor
+
+
+@dataclass(frozen=True)
+class Contender:
+    """A predictor in the comparison; without adaptation its D_hat stays at D_hat(0)."""
+
+    name: str
+    predictor: Predictor
+    network: bool = False
+    adapts: bool = True
+
+
+@dataclass(frozen=True)
+class Starts:
+    """The loops of an evaluation: first that of Fig. 1, then the cases, then the map D x D_hat(0)."""
+
+    X0: np.ndarray  # (B, n)
+    D: np.ndarray  # (B,)
+    D_hat0: np.ndarray  # (B,)
+    cases: slice
+    map: slice
+
+    def of(self, contender: Contender) -> int:
+        """How many loops a contender runs: the map only with adaptation."""
+        return len(self.D) if contender.adapts else self.cases.stop
+
+
+def starts(seed: int, config: Evaluate, plant: Plant) -> Starts:
+    """Fig. 1's start, random states of the plant's box x case_D_hat0 at delay D, Fig. 1's state over the map."""
+    rng = randomness.generator(seed, "evaluate", "cases")
+    box = np.array([plant.box[name] for name in plant.states])
+    states = rng.uniform(box[:, 0], box[:, 1], (config.case_states, plant.n))
+    D, D_hat0 = np.meshgrid(config.map_D, config.map_D_hat0, indexing="ij")
+    cases, cells = config.case_states * len(config.case_D_hat0), D.size
+    return Starts(
+        np.concatenate([[config.X0], np.repeat(states, len(config.case_D_hat0), 0), np.tile(config.X0, (cells, 1))]),
+        np.concatenate([np.full(1 + cases, config.D), D.ravel()]),
+        np.concatenate([[config.D_hat0], np.tile(config.case_D_hat0, config.case_states), D_hat0.ravel()]),
+        slice(1, 1 + cases),
+        slice(1 + cases, 1 + cases + cells),
+    )
