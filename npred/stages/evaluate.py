@@ -157,21 +157,8 @@ def summary(result: dict[str, Any]) -> Any:
 
     title = f"{result['plant']}: {result['held_out']} held-out samples, {result['fresh']} fresh ones, and closed loops"
     table = Table("predictor", title=title)
-    for column in (
-        "MSE",
-        "ε sup",
-        "ε κ",
-        "fresh: MSE",
-        "ε sup",
-        "radius",
-        "worst",
-        "from ε κ",
-        "converged",
-        "settles",
-        "map",
-        "Fig. 1",
-        "D̂",
-    ):
+    errors, ends = ("MSE", "ε sup", "ε κ", "fresh: MSE", "ε sup"), ("converged", "settles", "map", "Fig. 1", "D̂")
+    for column in (*errors, "radius", "worst", "from ε κ", *ends):
         table.add_column(column, justify="right")
     for name, row in result["models"].items():
         radius, figure = row["radius"], row["figure1"]
