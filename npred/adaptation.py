@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from npred import shapes
 from npred.errors import ConfigError
 from npred.plants import kernels, tape
 from npred.plants.base import Plant
@@ -70,27 +71,39 @@ class DelayAdaptation:
     bounds: tuple[float, float] = (0.1, 4.0)
 
     def __post_init__(self) -> None:
-        if not (self.gamma > 0 and self.b > 0):
-            raise ConfigError(f"adaptation: expected gamma > 0 and b > 0, got gamma = {self.gamma:g}, b = {self.b:g}")
-        if not 0 <= self.bounds[0] <= self.bounds[1] < np.inf:
-            raise ConfigError(
-                f"adaptation: expected bounds 0 <= low <= high, got {tuple(self.bounds)}; swap or mend them"
-            )
+        gains = shapes.floats("adaptation: gamma, b", (self.gamma, self.b))
+        if not (gains > 0).all() or not np.isfinite(gains).all():
+            raise ConfigError(f"adaptation: expected gamma > 0 and b > 0, got gamma = {self.gamma}, b = {self.b}")
+        bounds = shapes.floats("adaptation: bounds", self.bounds)
+        if bounds.shape != (2,) or not 0 <= bounds[0] <= bounds[1] < np.inf:
+            raise ConfigError(f"adaptation: expected bounds 0 <= low <= high, got {self.bounds}; swap or mend them")
 
     def phi(self, plant: Plant, X: Any, u: Any, P: Any, D_hat: Any, t: float = 0.0) -> np.ndarray:
         """phi = -∫₀¹ (1+x) q1 w dx / (1 + V(X) + b ∫₀¹ (1+x) w² dx) [DAPF, eq. 12, with V at X(t)].
 
         X (..., n), u (..., nx, m), P (..., nx, n), D_hat (...) to phi (...). w = u - kappa(P) and
         q1 = kappa'(P) Phi(x, 0) f(P(0), u(0)); the integrals by the trapezoidal rule, Phi by Heun's method.
+        Raises ConfigError where the shapes do not fit the plant or each other.
         """
-        X, u, P, D_hat = (np.asarray(a, dtype=float) for a in (X, u, P, D_hat))
-        shape = np.broadcast_shapes(X.shape[:-1], u.shape[:-2], P.shape[:-2], D_hat.shape)
+        named = (("X", X), ("u", u), ("P", P), ("D_hat", D_hat))
+        X, u, P, D_hat = (shapes.floats(name, a) for name, a in named)
+        _check(plant, X, u, P)
+        shape = shapes.batch(X=X.shape[:-1], u=u.shape[:-2], P=P.shape[:-2], D_hat=D_hat.shape)
         lanes = [np.broadcast_to(a, (*shape, *a.shape[a.ndim - k :])) for a, k in ((X, 1), (u, 2), (P, 2), (D_hat, 0))]
         X, u, P, D_hat = (_lanes_last(a, len(shape)) for a in lanes)
         count = D_hat.shape[0]
         U, phi, N = np.empty((plant.m, count)), np.empty(count), np.empty(count)
-        update_law(plant)(P, X, u, D_hat, t, plant.p, self.b, U, phi, N)
+        update_law(plant)(P, X, u, D_hat, float(t), plant.p, self.b, U, phi, N)
         return phi.reshape(shape)
+
+
+def _check(plant: Plant, X: np.ndarray, u: np.ndarray, P: np.ndarray) -> None:
+    """The kernel reads what the shapes promise: a wrong one would be read past its end."""
+    nx = u.shape[-2] if u.ndim > 1 else 0
+    for name, a, wanted in (("u", u, (max(nx, 2), plant.m)), ("P", P, (nx, plant.n)), ("X", X, (plant.n,))):
+        if a.shape[-len(wanted) :] != wanted:
+            axes = ", ".join(["..."] + ["nx"] * (len(wanted) - 1) + [str(wanted[-1])])
+            raise ConfigError(f"{name}: expected shape ({axes}), nx >= 2 the same in u and P, got {a.shape}; mend it")
 
 
 def _lanes_last(a: np.ndarray, leading: int) -> np.ndarray:

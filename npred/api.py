@@ -17,9 +17,11 @@ def plant(name: str, **parameters: float) -> Plant:
 def predictor(method: str, plant: Plant, nx: int = 101) -> Compiled:
     """The numerical predictor `euler`, `heun`, `rk4` or `picard` of a plant, nx nodes in a loop [DAPF, eq. 10].
 
-    Raises ConfigError for an unknown method.
+    Raises ConfigError for an unknown method, for fewer than two nodes, or for what is no plant.
     """
-    if method not in METHODS:
+    if not isinstance(plant, Plant):
+        raise ConfigError(f"plant: expected a Plant, got {plant!r}; make one with npred.plant")
+    if method not in tuple(METHODS):
         raise ConfigError(f"predictor: expected one of {', '.join(METHODS)}, got {method!r}")
     return METHODS[method](plant, nx)
 
@@ -28,11 +30,14 @@ def load(model: str, *, store: str | Path | None = None, nx: int = 101, device: 
     """A trained model as a predictor: `pipeline/paper.toml:deeponet`, `…:deeponet@107`, or an artifact's path or key.
 
     Files are verified against their digests. The plant is the pipeline's, or, for an artifact, the built-in one of that
-    name: a plant's file is code and is run only when a pipeline names it. Raises ConfigError, StoreError.
+    name: a plant's file is code and is run only when a pipeline names it. Raises ConfigError, StoreError, and
+    MissingError for a device that this machine lacks.
     """
-    from npred import operators
+    from npred import devices, operators
     from npred.pipeline.models import load_model
 
-    stored = load_model(model, Path(store) if store else None)
+    device = devices.resolve(device)
+    devices.require(device)
+    stored = load_model(str(model), Path(store) if store else None)
     operator = operators.load(stored.folder, stored.plant, stored.snapshot)
     return Neural(stored.plant, operator, nx, device, stored.model)

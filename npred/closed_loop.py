@@ -6,16 +6,15 @@ from typing import Any
 
 import numpy as np
 
-from npred import actuator, engine
+from npred import actuator, arguments, engine, shapes
 from npred.adaptation import DelayAdaptation, control_law, update_law
 from npred.errors import ConfigError
 from npred.plants.base import Plant
-from npred.predictors import METHODS, Compiled, Predictor
+from npred.predictors import Compiled, Predictor
 from npred.predictors.onestep import OneStep
 
 LANES = 64  # loops a chunk: with more, their memory leaves the second-level cache
 NEURAL_LANES = 512  # a network's call has a fixed cost to share
-INTEGRATORS = {name: method for name, method in METHODS.items() if issubclass(method, OneStep)}
 BLOCK = 500  # control steps between two words of progress
 
 
@@ -74,21 +73,21 @@ def simulate(
     D, D_hat (...) in seconds and X0 (..., n) broadcast to the batch. U is held over each step of dt and clipped to
     `input_bounds` (m, 2), by default the plant's; before t = 0 it is u0. `predictor=None` is the open loop U = 0,
     `adaptation=None` freezes D_hat. Every `every`-th step is kept; `samples` (..., S) are sorted steps whose
-    (X, u, D_hat) are kept too. `integrator` advances the plant. `progress` is told of loop
-    steps done.
+    (X, u, D_hat) are kept too. `integrator` advances the plant. `progress` is told of loop steps done.
     A loop that leaves the finite numbers goes on as NaN and leaves the others alone.
-    Raises ConfigError for delays, bounds, times or shapes that do not fit.
+    Raises ConfigError for delays, bounds, times, shapes or a predictor that do not fit.
     """
-    X0, D, D_hat = (np.asarray(a, dtype=float) for a in (X0, D, D_hat))
-    _check(plant, X0, D, D_hat, t_end, dt, adaptation)
-    shape = np.broadcast_shapes(X0.shape[:-1], D.shape, D_hat.shape)
+    arguments.parts(plant, predictor, adaptation, integrator, every)
+    X0, D, D_hat = (shapes.floats(name, a) for name, a in (("X0", X0), ("D", D), ("D_hat", D_hat)))
+    arguments.numbers(plant, X0, D, D_hat, t_end, dt, adaptation)
+    shape = shapes.batch(X0=X0.shape[:-1], D=D.shape, D_hat=D_hat.shape)
+    if 0 in shape:
+        raise ConfigError(f"X0, D, D_hat: expected at least one loop, got a batch of shape {shape}; give one a start")
     X0 = np.broadcast_to(X0, (*shape, plant.n)).reshape(-1, plant.n)
     D, D_hat = (np.broadcast_to(a, shape).reshape(-1) for a in (D, D_hat))
-    wanted = np.zeros(0, dtype=np.int64) if samples is None else samples.astype(np.int64)
-    wanted = np.broadcast_to(wanted, (*shape, wanted.shape[-1])).reshape(len(D), wanted.shape[-1])
-    loop = _Loop(
-        plant, predictor, adaptation, _bounds(plant, input_bounds), u0, dt, t_end, every, INTEGRATORS[integrator]
-    )
+    wanted = arguments.samples(samples, shape, round(t_end / dt))
+    limits, held, method = arguments.bounds(plant, input_bounds), arguments.before(plant, u0), arguments.INTEGRATORS
+    loop = _Loop(plant, predictor, adaptation, limits, held, dt, t_end, every, method[integrator])
     width = LANES if predictor is None or isinstance(predictor, Compiled) else NEURAL_LANES
     chunks = [slice(i, i + width) for i in range(0, len(D), width)]
     records = [loop.run(X0[c], D[c], D_hat[c], wanted[c], progress) for c in chunks]
@@ -104,7 +103,7 @@ class _Loop:
     predictor: Predictor | None
     adaptation: DelayAdaptation | None
     input_bounds: np.ndarray
-    u0: Any
+    u0: np.ndarray
     dt: float
     t_end: float
     every: int
@@ -152,8 +151,7 @@ class _Loop:
 
     def _state(self, X0: np.ndarray, D: np.ndarray, D_hat: np.ndarray, nx: int) -> tuple[int, engine.State]:
         n, m, lanes = self.plant.n, self.plant.m, len(D)
-        u0 = np.array(np.broadcast_to(np.asarray(self.u0, dtype=float), (m,)))
-        origin, held, total = actuator.history(D, self.dt, u0)
+        origin, held, total = actuator.history(D, self.dt, self.u0)
         state = engine.State(
             X=np.array(X0.T, order="C"), D=np.array(D), D_hat=np.array(D_hat), held=held, total=total,
             u=np.empty((nx, m, lanes)), P=np.full((nx, n, lanes), np.nan), U=np.empty((m, lanes)), phi=np.empty(lanes),
@@ -178,29 +176,3 @@ def _trajectories(r: engine.Record, shape: tuple[int, ...], step: float) -> Traj
     samples = Samples(lead(r.sample_X), lead(r.sample_u), lead(r.sample_D_hat))
     series = {name: lead(getattr(r, name)) for name in ("X", "U", "D_hat", "N", "energy", "escaped")}
     return Trajectories(t=np.arange(len(r.X)) * step, samples=samples, **series)
-
-
-def _bounds(plant: Plant, bounds: Any) -> np.ndarray:
-    given = plant.input_bounds if bounds is None else bounds
-    if given is None:
-        given = [(-np.inf, np.inf)] * plant.m
-    array = np.array(given, dtype=float).reshape(-1, 2)
-    if array.shape != (plant.m, 2) or (array[:, 0] > array[:, 1]).any():
-        raise ConfigError(f"input_bounds: expected {plant.m} pairs (low, high), got {given}; give one pair an input")
-    return array
-
-
-def _check(
-    plant: Plant, X0: Any, D: np.ndarray, D_hat: np.ndarray, t_end: float, dt: float, law: DelayAdaptation | None
-) -> None:
-    if X0.ndim < 1 or X0.shape[-1] != plant.n or not np.isfinite(X0).all():
-        raise ConfigError(f"X0: expected finite values of shape (..., {plant.n}) for plant {plant.name}, got {X0}")
-    if not 0 < dt <= t_end < np.inf:
-        raise ConfigError(f"dt, t_end: expected 0 < dt <= t_end in seconds, got dt = {dt:g}, t_end = {t_end:g}")
-    for name, value in (("D", D), ("D_hat", D_hat)):
-        if not (np.isfinite(value) & (value >= 0)).all():
-            raise ConfigError(f"{name}: expected a delay of at least 0 s, got {value}; correct it")
-    if law and not ((D_hat >= law.bounds[0]) & (D_hat <= law.bounds[1])).all():
-        raise ConfigError(
-            f"D_hat: expected within the bounds {law.bounds}, got {D_hat}; widen the bounds or move D_hat"
-        )

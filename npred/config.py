@@ -2,7 +2,7 @@
 
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
@@ -13,6 +13,8 @@ Delay = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Count = Annotated[int, Field(ge=1)]
 Nodes = Annotated[int, Field(ge=2)]
 Range = tuple[Delay, Delay]
+Item = TypeVar("Item")
+Some = Annotated[list[Item], Field(min_length=1)]
 Method = Literal["euler", "heun", "rk4", "picard"]
 Anchor = Literal["none", "initial", "equilibrium"]
 
@@ -58,14 +60,36 @@ class Loop(Table):
 
 
 class Generate(Loop):
-    """Rollouts with the numerical predictor and the samples taken from them."""
+    """Rollouts with the numerical predictor and the samples taken from them.
+
+    The share `explore` of the rollouts, the last ones, takes its delays from explore_D and explore_D_hat0: they widen
+    what a network is trained on, and none of them is held out. So does the share `redraw` of all rows to train on:
+    their D_hat is drawn from explore_D_hat0 in place of the loop's own, and P is the numerical predictor's for it.
+    """
 
     samples: Count = 5000
     rollouts: Count = 50
     D: Range | Positive = 1.0
-    D_hat0: list[Range] = [(0.3, 0.7), (1.0, 2.0), (1.0, 2.0)]
+    D_hat0: Some[Range] = [(0.3, 0.7), (1.0, 2.0), (1.0, 2.0)]
     box: dict[str, tuple[float, float]] = {}
     test_share: Annotated[float, Field(gt=0, lt=1)] = 0.1
+    explore: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    redraw: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    explore_D: Range = (0.25, 2.0)
+    explore_D_hat0: Range = (0.25, 3.5)
+
+    @property
+    def explorers(self) -> int:
+        """How many rollouts explore: at least two are left for training and test."""
+        return min(round(self.explore * self.rollouts), self.rollouts - 2)
+
+    @model_validator(mode="after")
+    def _check_explorers(self) -> Self:
+        ordered("explore_D", self.explore_D)
+        ordered("explore_D_hat0", self.explore_D_hat0)
+        if self.explore or self.redraw:
+            within("explore_D_hat0", self.explore_D_hat0, self.bounds)
+        return self
 
     @model_validator(mode="after")
     def _check_delays(self) -> Self:
@@ -84,14 +108,20 @@ class Generate(Loop):
 
 
 class Training(Table):
-    """What both networks share; `snapshots` keeps the model as it stood after those epochs."""
+    """What both networks share; `snapshots` keeps the model as it stood after those epochs.
+
+    `loss` weighs the components of an error, `rows` says what of a row's error is averaged; `nodes`: how many of the
+    data's nodes the error is taken on (u is seen on all).
+    """
 
     epochs: Count = 100
-    batch: Count = 512
-    lr: Positive = 2e-3
+    batch: Count = 1024
+    lr: Positive = 1e-2
     weight_decay: Annotated[float, Field(ge=0)] = 0.0
+    optimiser: Literal["soap", "adam"] = "soap"
     schedule: Literal["one-cycle", "step"] = "one-cycle"
     loss: Literal["raw", "standardised", "kappa"] = "kappa"
+    rows: Literal["square", "norm"] = "norm"
     nodes: Nodes | None = None
     snapshots: list[Count] = []
     anchor: Anchor = "equilibrium"
@@ -110,8 +140,8 @@ class Training(Table):
 class DeepONet(Training):
     """Branch network of `depth` hidden layers, trunk of two; `basis` trunk functions; `moments` of u."""
 
-    width: Count = 128
-    depth: Count = 3
+    width: Count = 96
+    depth: Count = 4
     basis: Count = 48
     trunk: Count = 64
     moments: Count = 16
@@ -120,15 +150,17 @@ class DeepONet(Training):
 class FNO(Training):
     """Spectral layers over x [Li et al. 2021], each a truncated real DFT of the lowest `modes`."""
 
+    batch: Count = 256
+    lr: Positive = 5e-3
     width: Count = 32
-    modes: Count = 12
+    modes: Count = 8
     layers: Count = 4
 
 
 class Train(Table):
     """One table a network; `models` says which of them are trained."""
 
-    models: list[Literal["deeponet", "fno"]] = ["deeponet", "fno"]
+    models: Some[Literal["deeponet", "fno"]] = ["deeponet", "fno"]
     deeponet: DeepONet = DeepONet()
     fno: FNO = FNO()
 
@@ -141,17 +173,19 @@ class Evaluate(Loop):
     X0: list[float] = [0.03, 30.0]
     D_hat0: Positive = 2.0
     case_states: Count = 10
-    case_D_hat0: list[Positive] = [0.3, 0.5, 1.0, 1.5, 2.0]
+    case_D_hat0: Some[Positive] = [0.3, 0.5, 1.0, 1.5, 2.0]
     case_t_end: Positive = 100.0
     map_D: list[Positive] = []
     map_D_hat0: list[Positive] = []
 
     @model_validator(mode="after")
     def _check_delays(self) -> Self:
-        estimates = {"case_D_hat0": self.case_D_hat0, "map_D_hat0": self.map_D_hat0, "D_hat0": [self.D_hat0]}
-        for key, values in estimates.items():
-            for value in values:
-                within(key, (value, value), self.bounds)
+        within("D_hat0", (self.D_hat0, self.D_hat0), self.bounds)
+        for key, values in {"case_D_hat0": self.case_D_hat0, "map_D_hat0": self.map_D_hat0}.items():
+            for k, value in enumerate(values):
+                within(f"{key}[{k}]", (value, value), self.bounds)
+        if bool(self.map_D) != bool(self.map_D_hat0):
+            raise ValueError("map_D, map_D_hat0: expected both or neither, got one; a map needs both axes")
         if self.t_end > self.case_t_end:
             raise ValueError(
                 f"t_end: expected at most case_t_end = {self.case_t_end:g}, got {self.t_end:g}; raise that"
@@ -162,10 +196,10 @@ class Evaluate(Loop):
 class Bench(Table):
     """Table I of [DAPF]: calls at each dx, each predictor with its own error beside its time."""
 
-    dx: list[Annotated[float, Field(gt=0, le=0.5)]] = [0.01, 0.005, 0.001]
+    dx: Some[Annotated[float, Field(gt=0, le=0.5)]] = [0.01, 0.005, 0.001]
     calls: Count = 1000
     threads: Count = 1
-    batches: list[Count] = [1]
+    batches: Some[Count] = [1]
 
 
 class Pipeline(Table):
@@ -231,6 +265,8 @@ def _sentence(error: ValidationError) -> str:
         return f"{where}: unknown key; expected one of {', '.join(_siblings(first['loc']))}"
     if first["type"] == "value_error":
         return f"{where + '.' if where else ''}{first['ctx']['error']}"
+    if first["type"] == "too_short":
+        return f"{where}: expected at least one value, got {first['input']!r}; give one"
     wanted = [
         e["msg"].removeprefix("Input should be ") for e in error.errors() if e["loc"][: len(fields)] == tuple(fields)
     ]

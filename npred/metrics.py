@@ -7,8 +7,15 @@ import numpy as np
 from npred.closed_loop import Trajectories
 from npred.plants.base import Plant
 
-SETTLED = 0.01  # of |X*|: inside this distance a loop counts as settled, and as converged when it ends there
+SETTLED = 0.01  # of size(X*): inside this distance a loop counts as settled, and as converged when it ends there
+ORIGIN = 1e-9  # an equilibrium closer to the origin than this is the origin, found by a solver
 TAIL = 0.1  # of the horizon: the radius is the supremum over this last share
+
+
+def size(X_star: np.ndarray) -> float:
+    """What a distance from X* is measured against: |X*|, or one unit of state where X* is the origin."""
+    norm = float(np.linalg.norm(X_star))
+    return norm if norm > ORIGIN else 1.0
 
 
 def errors(plant: Plant, P_hat: np.ndarray, P: np.ndarray) -> dict[str, Any]:
@@ -38,13 +45,13 @@ def radius(loops: Trajectories, X_star: np.ndarray) -> np.ndarray:
 
 
 def settle_time(loops: Trajectories, X_star: np.ndarray) -> np.ndarray:
-    """The time in seconds after which |X - X*| stays within 1 % of |X*|, (...); infinite where it does not."""
-    return _last_outside(loops.t, np.linalg.norm(loops.X - X_star, axis=-1), SETTLED * float(np.linalg.norm(X_star)))
+    """The time in seconds after which |X - X*| stays within 1 % of size(X*), (...); infinite where it does not."""
+    return _last_outside(loops.t, np.linalg.norm(loops.X - X_star, axis=-1), SETTLED * size(X_star))
 
 
 def decay_rate(loops: Trajectories, X_star: np.ndarray) -> np.ndarray:
-    """The mean rate in 1/s at which |X - X*| falls from 1e-2 to 1e-4 of |X*|, (...); NaN where it does not."""
-    distance = np.linalg.norm(loops.X - X_star, axis=-1) / np.linalg.norm(X_star)
+    """The mean rate in 1/s at which |X - X*| falls from 1e-2 to 1e-4 of size(X*), (...); NaN where it does not."""
+    distance = np.linalg.norm(loops.X - X_star, axis=-1) / size(X_star)
     ends = [_last_outside(loops.t, distance, level) for level in (1e-2, 1e-4)]
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.where(np.isfinite(ends[1]), np.log(100) / (ends[1] - ends[0]), np.nan)
@@ -70,7 +77,7 @@ def relative(plant: Plant, X: np.ndarray, u: np.ndarray, P_hat: np.ndarray, P: n
 
 def converged(radii: np.ndarray, X_star: np.ndarray) -> np.ndarray:
     """Whether a loop of that radius ends settled."""
-    return radii <= SETTLED * np.linalg.norm(X_star)
+    return radii <= SETTLED * size(X_star)
 
 
 def gain(plant: Plant) -> float:

@@ -15,6 +15,7 @@ from npred.errors import ConfigError, DivergedError
 from npred.operators import Operator, checkpoint, io
 from npred.operators.checkpoint import Metrics
 from npred.operators.scaling import Samples
+from npred.operators.soap import SOAP
 
 WARM_UP = 0.05  # share of the steps in which the one-cycle rate climbs
 REST_NODES = 16  # points in D_hat through which a batch interpolates the anchor's term at rest
@@ -24,7 +25,7 @@ Loss = Callable[[Tensor, Tensor], Tensor]  # (P_hat, P) -> ()
 
 @dataclass(frozen=True)
 class Rows:
-    """Samples in memory as float32 tensors: X (N, n), u (N, nx, m), D_hat (N,), P (N, nx, n)."""
+    """Samples in memory as float32 tensors: X (N, n), u (N, nx, m), D_hat (N,), P (N, nodes, n)."""
 
     X: Tensor
     u: Tensor
@@ -33,7 +34,7 @@ class Rows:
 
     @classmethod
     def of(cls, data: Samples, device: str = "cpu", nodes: int | None = None) -> "Rows":
-        """The samples on a device, on every s-th node where `nodes` of them are asked for.
+        """The samples on a device; P on every s-th node where `nodes` of them are asked for, u on all.
 
         Raises ConfigError where `nodes` does not divide the grid.
         """
@@ -41,8 +42,13 @@ class Rows:
         stride, rest = divmod(intervals, (nodes or intervals + 1) - 1)
         if rest or not stride:
             raise ConfigError(f"nodes: expected nodes - 1 to divide the data's {intervals} intervals, got {nodes}")
-        arrays = data.X, data.u[:, ::stride], data.D_hat, data.P[:, ::stride]
+        arrays = data.X, data.u, data.D_hat, data.P[:, ::stride]
         return cls(*(torch.as_tensor(a).to(device, torch.float32).contiguous() for a in arrays))
+
+    @property
+    def stride(self) -> int:
+        """How many intervals of u one of P spans."""
+        return (self.u.shape[1] - 1) // (self.P.shape[1] - 1)
 
     def __len__(self) -> int:
         return len(self.D_hat)
@@ -71,11 +77,11 @@ class Task:
 def fit(task: Task, scratch: Path, progress: Any) -> Metrics:
     """Train, one dictionary of metrics an epoch; continues from the checkpoint in `scratch`, if there is one.
 
-    Adam [Kingma and Ba 2015]; the order of the rows depends on the seed and the epoch alone, the rate on the step.
+    The order of the rows depends on the seed and the epoch alone, the rate on the step.
     Weights after the epochs of config.snapshots stay in `scratch`. Raises DivergedError for a loss that is not finite.
     """
     operator, config = task.operator, task.config
-    optimiser = torch.optim.Adam(operator.parameters(), lr=config.lr, weight_decay=config.weight_decay, fused=True)
+    optimiser = _optimiser(operator, config)
     metrics = checkpoint.restore(scratch, operator, optimiser)
     with progress.bar(task.title, config.epochs, "epoch") as bar:
         bar.advance(len(metrics))
@@ -91,6 +97,13 @@ def fit(task: Task, scratch: Path, progress: Any) -> Metrics:
     return metrics
 
 
+def _optimiser(operator: Operator, config: Training) -> torch.optim.Optimizer:
+    """SOAP, or Adam [Kingma and Ba 2015]."""
+    if config.optimiser == "soap":
+        return SOAP(operator.parameters(), config.lr, config.weight_decay)
+    return torch.optim.Adam(operator.parameters(), lr=config.lr, weight_decay=config.weight_decay, fused=True)
+
+
 def _epoch(task: Task, optimiser: torch.optim.Optimizer, epoch: int) -> float:
     """One pass over the rows in an order of its own; the mean loss."""
     config, count = task.config, len(task.train)
@@ -100,7 +113,7 @@ def _epoch(task: Task, optimiser: torch.optim.Optimizer, epoch: int) -> float:
     for step, rows in enumerate(task.train.split(order, config.batch)):
         for group in optimiser.param_groups:
             group["lr"] = rate(config, epoch - 1 + step * config.batch / count)
-        loss = task.loss(task.operator(rows.X, rows.u, rows.D_hat, REST_NODES), rows.P)
+        loss = task.loss(task.operator(rows.X, rows.u, rows.D_hat, REST_NODES, rows.stride), rows.P)
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()

@@ -104,8 +104,36 @@ def test_projection_keeps_the_estimate_inside(D_hat, phi, low, high):
 
 
 @pytest.mark.parametrize(
-    "bad", [{"gamma": -1.0}, {"b": 0.0}, {"bounds": (2.0, 1.0)}, {"bounds": (-1.0, 1.0)}, {"gamma": float("nan")}]
+    "bad",
+    [
+        {"gamma": -1.0},
+        {"b": 0.0},
+        {"bounds": (2.0, 1.0)},
+        {"bounds": (-1.0, 1.0)},
+        {"gamma": float("nan")},
+        {"gamma": "high"},
+        {"gamma": float("inf")},
+        {"bounds": (1.0,)},
+        {"bounds": 1.0},
+        {"bounds": (0.1, 1.0, 2.0)},
+    ],
 )
 def test_senseless_settings_are_told(bad):
-    with pytest.raises(ConfigError, match="adaptation: expected"):
+    with pytest.raises(ConfigError, match=r"adaptation: .*expected"):
         DelayAdaptation(**bad)
+
+
+@pytest.mark.parametrize(
+    ("X", "u", "P", "message"),
+    [
+        ((1,), (5, 1), (5, 2), r"X: expected shape \(..., 2\)"),
+        ((2,), (5,), (5, 2), r"u: expected shape \(..., nx, 1\)"),
+        ((2,), (5, 2), (5, 2), r"u: expected shape \(..., nx, 1\)"),
+        ((2,), (5, 1), (9, 2), r"P: expected shape \(..., nx, 2\), nx >= 2 the same in u and P, got \(9, 2\)"),
+        ((2,), (1, 1), (1, 2), "nx >= 2"),
+        ((3, 2), (4, 5, 1), (5, 2), r"leading axes X \(3,\), u \(4,\)"),
+    ],
+)
+def test_phi_of_shapes_that_do_not_fit_is_told(X, u, P, message):
+    with pytest.raises(ConfigError, match=message):
+        DelayAdaptation().phi(PLANT, np.ones(X), np.ones(u), np.ones(P), 1.0)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import npred
-from npred.errors import ConfigError
+from npred.errors import ConfigError, MissingError
 
 
 def test_public_names_are_the_documented_ones():
@@ -43,6 +43,20 @@ def test_parameters_by_keyword():
 def test_unknown_predictor_is_told():
     with pytest.raises(ConfigError, match="expected one of euler, heun, rk4, picard, got 'rk5'"):
         npred.predictor("rk5", npred.plant("scalar"))
+
+
+def test_what_is_no_plant_is_told():
+    with pytest.raises(ConfigError, match=r"expected a Plant, got 'scalar'; make one with npred.plant"):
+        npred.predictor("rk4", "scalar")  # type: ignore[arg-type]
+    with pytest.raises(ConfigError, match=r"expected a name or my_plant.py:Tank, got 3"):
+        npred.plant(3)  # type: ignore[arg-type]
+
+
+def test_a_device_that_is_not_there_is_told_before_a_model_is_looked_for():
+    with pytest.raises(MissingError, match="got 'cuda:99'"):
+        npred.load("nowhere.toml:fno", device="cuda:99")
+    with pytest.raises(ConfigError, match="expected auto, cpu, cuda or cuda:N, got 'gpu'"):
+        npred.load("nowhere.toml:fno", device="gpu")
 
 
 @pytest.mark.slow

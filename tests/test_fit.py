@@ -29,7 +29,11 @@ def test_the_default_pipeline_fits():
     [
         ({"generate": {"box": {"x3": [0, 1]}}}, "unknown state 'x3'; expected one of x1, x2"),
         ({"evaluate": {"X0": [1.0]}}, r"evaluate.X0: expected 2 values \(x1, x2\), got \[1.0\]"),
+        ({"evaluate": {"X0": [float("nan"), 1.0]}}, "evaluate.X0: expected finite values"),
         ({"generate": {"input_bounds": [[0, 1], [0, 1]]}}, "expected 1 pairs .* got 2"),
+        ({"evaluate": {"input_bounds": [[1, 0]]}}, r"evaluate.input_bounds\[0\]: expected a range"),
+        ({"generate": {"box": {"x1": [3, 1]}}}, "generate.box.x1: expected a range .* low <= high"),
+        ({"generate": {"box": {"x1": [0, float("inf")]}}}, "generate.box.x1: expected finite ends"),
     ],
 )
 def test_what_does_not_fit_is_told(tables, message):
@@ -50,3 +54,17 @@ def test_a_state_without_a_range_is_told(tmp_path):
     path.write_text(MOVING.replace('{"x": (0, 1)}', "{}"))
     with pytest.raises(ConfigError, match=r"found none; add x = \[low, high\]"):
         check(plant=f"{path}:Moving")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("[M.sin(t) - x.x]", "[1 + x.x**2]", "Moving: no equilibrium near guess"),
+        ("[u.U]", "[u.U + M.sin(t)]", "Moving: expected f without time"),
+    ],
+)
+def test_a_plant_that_no_network_can_serve_is_told(tmp_path, old, new, message):
+    path = tmp_path / "moving.py"
+    path.write_text(MOVING.replace(old, new))
+    with pytest.raises(ConfigError, match=message):
+        check(stages=("generate",), plant=f"{path}:Moving")

@@ -14,10 +14,10 @@ from conftest import process_environment
 ROOT = Path(__file__).parent.parent / "npred"
 FLOORS = [
     {"errors"},
-    {"config", "devices", "grid", "places", "randomness"},
+    {"config", "devices", "grid", "places", "randomness", "shapes"},
     {"plants"},
     {"actuator", "predictors", "operators"},
-    {"adaptation", "closed_loop", "engine", "lyapunov"},
+    {"adaptation", "arguments", "closed_loop", "engine", "lyapunov"},
     {"dataset", "training", "metrics", "timing"},
     {"store", "console"},
     {"stages"},

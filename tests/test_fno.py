@@ -6,15 +6,14 @@ import torch
 from operator_samples import operator
 
 from npred.config import FNO
-from npred.operators.fno import PERIOD, Spectral, transforms
+from npred.operators.fno import PERIOD, Spectral, gregory, transforms
 
 
 def by_fft(layer: Spectral, v: torch.Tensor) -> torch.Tensor:
-    """The layer through torch.fft: weigh the ends by half, continue by zero to the period, transform, cut, return."""
+    """The layer through torch.fft: weigh by the rule, continue by zero to the period, transform, cut, return."""
     nx, points = v.shape[1], round(PERIOD * (v.shape[1] - 1))
     padded = torch.zeros(v.shape[0], points, v.shape[2], dtype=v.dtype)
-    padded[:, :nx] = v
-    padded[:, [0, nx - 1]] /= 2
+    padded[:, :nx] = v * torch.as_tensor(gregory(nx) * (nx - 1), dtype=v.dtype)[:, None]
     v_hat = torch.fft.rfft(padded, dim=1)[:, : layer.modes]
     y_hat = torch.zeros(v.shape[0], points // 2 + 1, v.shape[2], dtype=v_hat.dtype)
     y_hat[:, : layer.modes] = torch.einsum("bki,kio->bko", v_hat, torch.complex(layer.real, layer.imag))
@@ -38,7 +37,7 @@ def test_transform_of_a_constant_is_its_integral():
     omega = 2 * np.pi * np.arange(1, 4) / PERIOD
     expected = (1 - np.exp(-1j * omega)) / (1j * omega)
     np.testing.assert_allclose(v_hat[:2], [1, 0], atol=1e-14)
-    np.testing.assert_allclose(v_hat[2::2] + 1j * v_hat[3::2], expected, atol=4e-3)
+    np.testing.assert_allclose(v_hat[2::2] + 1j * v_hat[3::2], expected, atol=1e-6)
 
 
 def test_weights_know_nothing_of_the_grid():
@@ -47,6 +46,17 @@ def test_weights_know_nothing_of_the_grid():
     with torch.no_grad():
         coarse, fine = (layer(torch.cat([torch.sin(3 * y), y, y**2, torch.cos(y)], dim=2)) for y in x)
     torch.testing.assert_close(coarse, fine[:, ::2], rtol=0, atol=1e-4)
+
+
+@pytest.mark.parametrize("nx", [10, 26, 101])
+def test_rule_is_exact_for_polynomials_of_degree_five(nx):
+    x = np.linspace(0, 1, nx)
+    for degree in range(6):
+        np.testing.assert_allclose(gregory(nx) @ x**degree, 1 / (degree + 1), rtol=1e-12)
+
+
+def test_rule_of_a_short_grid_is_the_trapezoid():
+    np.testing.assert_allclose(gregory(4), np.array([0.5, 1, 1, 0.5]) / 3)
 
 
 def test_default_size():

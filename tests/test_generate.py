@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from jobs import job
 
+from npred import config, plants
 from npred.dataset import Dataset
 from npred.errors import DivergedError
 from npred.predictors import RK4
@@ -19,8 +20,6 @@ def test_rows_are_what_they_say(tmp_path):
     result, data = rows(tmp_path)
     assert result["samples"] == len(data) == 300 and data.u.shape == (300, 21, 1) and data.P.shape == (300, 21, 2)
     np.testing.assert_array_equal(data.P[:, 0], data.X)
-    from npred import plants
-
     exact = RK4(plants.resolve("activator_repressor"))(data.X, data.u, data.D_hat)
     np.testing.assert_allclose(data.P, exact, rtol=1e-9)
     assert (np.diff(data.rollout) >= 0).all() and set(np.bincount(data.rollout)) == {30}
@@ -73,3 +72,28 @@ def test_a_diverging_rollout_is_told(tmp_path):
 def test_summary_says_the_numbers(tmp_path):
     result, _ = rows(tmp_path)
     assert generate.summary(result) == "300 samples of 10 rollouts on 21 nodes, 1 rollouts held out"
+
+
+def test_explorers_have_delays_of_their_own_and_are_not_held_out(tmp_path):
+    ranges = {"D": 1.0, "D_hat0": [(0.9, 1.1), (1.9, 2.1)], "explore_D": (0.3, 0.4), "explore_D_hat0": (3.0, 3.5)}
+    result, data = rows(tmp_path, generate=ranges | {"explore": 0.5, "test_share": 0.4})
+    explorers = data.rollout >= 5
+    assert ((data.D[explorers] >= 0.3) & (data.D[explorers] <= 0.4)).all() and (data.D[~explorers] == 1).all()
+    assert len(result["held_out"]) == 2 and max(result["held_out"]) < 5
+
+
+def test_two_rollouts_at_least_do_not_explore():
+    assert config.Generate(explore=0.99, rollouts=50).explorers == 48
+
+
+def test_redrawn_delay_estimates_are_labelled_anew_and_spare_the_held_out_rows(tmp_path):
+    one = {"D_hat0": [(1.0, 2.0)], "D": 1.0, "explore_D_hat0": (3.0, 3.5)}
+    _, plain = rows(tmp_path, "plain", generate=one)
+    _, data = rows(tmp_path, "redrawn", generate=one | {"redraw": 0.5})
+    changed = data.D_hat != plain.D_hat
+    assert 0.35 < changed[data.test == 0].mean() < 0.65 and not changed[data.test == 1].any()
+    assert ((data.D_hat[changed] >= 3.0) & (data.D_hat[changed] <= 3.5)).all()
+    np.testing.assert_array_equal(data.u, plain.u)
+    np.testing.assert_allclose(
+        data.P, RK4(plants.resolve("activator_repressor"))(data.X, data.u, data.D_hat), rtol=1e-9
+    )

@@ -46,6 +46,14 @@ def test_settle_time_is_the_last_entry():
     assert metrics.settle_time(loops(X, t), PLANT.equilibrium).tolist() == [3.0, 0.0, np.inf]
 
 
+def test_a_loop_to_the_origin_settles_and_converges():
+    t, X = np.linspace(0, 10, 101), np.full((1, 101, 1), 1e-6)
+    X[0, :20] = 0.5
+    for origin in (np.zeros(1), np.full(1, -4e-19)):
+        assert metrics.settle_time(loops(X, t), origin).tolist() == [pytest.approx(2.0)]
+        assert metrics.converged(metrics.radius(loops(X, t), origin), origin).tolist() == [True]
+
+
 def test_gain_is_the_law_from_control_error_to_radius():
     assert metrics.gain(PLANT) == pytest.approx(110.716, abs=1e-3)
     scalar = plants.resolve("scalar", {"a": 0.5, "c": 2.0})

@@ -35,7 +35,7 @@ def test_prediction_starts_at_the_state(config, anchor):
 @NETWORKS
 def test_rest_is_predicted_for_every_delay(config):
     model = operator(config, anchor="equilibrium")
-    D_hat = torch.linspace(0, 4, 9)
+    D_hat = torch.linspace(0.5, 4, 9)
     X, u = model.X_rest.expand(9, 2), model.u_rest.expand(9, 21, 1)
     assert torch.equal(model(X, u, D_hat), X[:, None].expand(9, 21, 2))
     away = operator(config, anchor="initial")(X, u, D_hat)
@@ -65,6 +65,26 @@ def test_interpolation_is_exact_for_polynomials_and_safe_for_one_delay():
     torch.testing.assert_close(weights @ (points**5 - points), values**5 - values)
     points, weights = chebyshev(torch.full((9,), 1.5), 4)
     torch.testing.assert_close(weights @ points, torch.full((9,), 1.5))
+
+
+@NETWORKS
+@pytest.mark.parametrize("anchor", ["initial", "equilibrium"])
+def test_without_a_delay_the_prediction_is_the_state(config, anchor):
+    X, u, D_hat = tensors(samples())
+    P_hat = operator(config, anchor=anchor)(X, u, torch.zeros_like(D_hat))
+    assert torch.equal(P_hat, X[:, None].expand_as(P_hat))
+
+
+@torch.no_grad()
+def test_coarse_output_of_a_deeponet_is_the_fine_one_at_its_nodes():
+    model, inputs = operator(SMALL[0]), tensors(samples(5, nx=25))
+    torch.testing.assert_close(model(*inputs, stride=4), model(*inputs)[:, ::4], rtol=1e-5, atol=1e-6)
+
+
+@torch.no_grad()
+def test_coarse_output_of_an_fno_is_near_the_fine_one_at_its_nodes():
+    model, inputs = operator(SMALL[1]), tensors(samples(5, nx=101))
+    torch.testing.assert_close(model(*inputs, stride=4), model(*inputs)[:, ::4], rtol=1e-3, atol=1e-4)
 
 
 @NETWORKS
@@ -110,6 +130,19 @@ def test_snapshot_has_its_own_weights(tmp_path):
     with torch.no_grad():
         assert torch.equal(load(tmp_path, PLANT, snapshot=7)(*inputs), early(*inputs))
         assert not torch.equal(load(tmp_path, PLANT)(*inputs), early(*inputs))
+
+
+@NETWORKS
+@torch.no_grad()
+def test_in_double_precision_it_rests_at_the_plants_own_equilibrium(config, tmp_path):
+    model = operator(config, seed=3)
+    save(tmp_path, model, config, PLANT)
+    double = load(tmp_path, PLANT, dtype=torch.float64)
+    rest = torch.tensor(PLANT.equilibrium)[None], torch.tensor(PLANT.u_equilibrium).expand(1, 21, 1)
+    P_hat = double(*rest, torch.tensor([1.3], dtype=torch.float64))
+    assert torch.equal(P_hat, rest[0].expand(1, 21, 2))
+    inputs = tensors(samples())
+    torch.testing.assert_close(double(*(a.double() for a in inputs)).float(), model(*inputs), rtol=1e-4, atol=1e-5)
 
 
 def test_missing_snapshot_names_the_file_and_what_is_there(tmp_path):

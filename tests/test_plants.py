@@ -91,6 +91,27 @@ def test_arrays_and_tensors_agree_and_differentiate():
     np.testing.assert_allclose(gradient[1, 2].numpy(), plant.kappa_jacobian(X[1, 2])[0], rtol=1e-12)
 
 
+def test_mathematics_of_parameters_and_time_on_tensors(write):
+    law = "M.where(p.level > 0.5, M.exp(-p.c), 2.0) * M.maximum(p.c, x.h) * M.cos(t) * M.minimum(p.c, p.level)"
+    tank = plants.resolve(write("p.c * M.sqrt(x.h) + p.level - x.h", law))
+    X = np.array([[0.3], [1.7]])
+    values = tank.kappa(torch.tensor(X, dtype=torch.float32), 0.4)
+    assert values.dtype == torch.float32
+    np.testing.assert_allclose(values.numpy(), tank.kappa(X, 0.4), rtol=1e-6)
+
+
+def test_a_branch_that_is_not_taken_may_be_undefined(write):
+    safe = "M.where(x.h > 0, M.sqrt(x.h), 0.0 * x.h)"
+    tank = plants.resolve(write("return [u.U - p.c * M.sqrt(x.h)]", f"return [u.U - p.c * {safe} - x.h]"))
+    f_X, f_U = tank.jacobians(np.array([-1.0]), np.array([0.0]))
+    assert (f_X.item(), f_U.item()) == (-1.0, 1.0)
+
+
+def test_arrays_of_a_wrong_size_are_told():
+    with pytest.raises(ConfigError, match=r"X: expected an array \(..., 2\) for plant activator_repressor, got \(3,\)"):
+        plants.resolve("activator_repressor").kappa(np.zeros(3))
+
+
 def test_parameters_override_and_enter_the_identity():
     plain, changed = plants.resolve("scalar"), plants.resolve("scalar", {"a": 0.7})
     assert changed.parameters == {"a": 0.7, "c": 1.0}
@@ -134,7 +155,11 @@ def test_time_dependence_means_no_equilibrium(write):
         ("def V", "def W", r"plant Tank: expected states, inputs, f, kappa, V, found no V"),
         ("return [u.U - p.c * M.sqrt(x.h)]", "return [u.U, x.h]", r"Tank: f expected to return 1 value, got 2"),
         ("M.sqrt(x.h)]", "M.sqrt(x.level)]", r"Tank: f failed at my_plant.py:11: AttributeError: .*level"),
-        ("+ p.level - x.h", "+ max(x.h, 0)", r"Tank: kappa failed at .*use M.where"),
+        ("+ p.level - x.h", "+ max(x.h, 0)", r"Tank: kappa failed at my_plant.py:14: .*use M.where"),
+        ("M.sqrt(x.h)]", "M.sinh(x.h)]", r"Tank: f failed at my_plant.py:11: .*M.sinh is unknown; expected one of pi"),
+        ("M.sqrt(x.h)]", "M.sqrt(x.h, 2)]", r"Tank: f failed at my_plant.py:11: .*M.sqrt got 2 arguments"),
+        ("def f(x, u, t, p, M)", "def f(x, u)", r"Tank: f failed: TypeError: .*takes 2 positional arguments"),
+        ("class Tank", "import sys; sys.exit(3)\nclass Tank", r"failed on import: SystemExit"),
         ("+ p.level - x.h", "+ 1 + x.h**2", r"Tank: no equilibrium near guess"),
     ],
 )  # fmt: skip

@@ -127,6 +127,17 @@ def test_wrong_shapes_are_told(X, u, message):
         Euler(PLANT)(X, u, 1.0)
 
 
+@pytest.mark.parametrize("nx", [1, 0, 10.5, "many"])
+def test_too_few_nodes_are_told(nx):
+    with pytest.raises(ConfigError, match="nx: expected at least 2 nodes"):
+        Euler(PLANT, nx)
+
+
+def test_batches_that_do_not_fit_are_told():
+    with pytest.raises(ConfigError, match=r"leading axes X \(3,\), u \(\), D_hat \(4,\)"):
+        Euler(PLANT)(np.ones((3, 2)), np.zeros((5, 1)), np.ones(4))
+
+
 def test_picard_that_does_not_contract_says_so():
     with pytest.raises(DivergedError, match="expected a change below 1e-12 within 5 sweeps"):
         Picard(PLANT, 101, sweeps=5)([0.5, 5.0], np.zeros((101, 1)), 2.0)

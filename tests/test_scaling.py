@@ -20,10 +20,11 @@ def test_constants_by_hand():
     u = np.array([[[0.0], [2.0]], [[4.0], [6.0]]])
     P = X[:, None] + np.array([[[0, 0], [3, -8]], [[0, 0], [4, 6]]])
     scaling = Scaling.of(Arrays(X, u, np.array([1.0, 2.0]), P))
-    assert scaling.X_mean.tolist() == [2, 10] and scaling.X_std.tolist() == [1, 1]
+    assert scaling.X_bend.tolist() == [1, 1] and scaling.X_std.tolist()[1] == 1
+    np.testing.assert_allclose(scaling.X_mean, [np.arcsinh([1, 3]).mean(), np.arcsinh(10)], rtol=1e-6)
     assert scaling.u_mean.tolist() == [3] and scaling.D_hat_std.item() == 0.5
     np.testing.assert_allclose(scaling.u_std, np.sqrt(5), rtol=1e-6)
-    np.testing.assert_allclose(scaling.dP_std, np.sqrt([12.5, 50]), rtol=1e-6)
+    np.testing.assert_allclose(scaling.speed, np.sqrt(np.array([12.5, 50]) / 2.5), rtol=1e-6)
     np.testing.assert_allclose(scaling.P_mean, P.mean((0, 1)), rtol=1e-6)
 
 
@@ -35,5 +36,5 @@ def test_constant_input_stays_finite():
 
 def test_scaling_is_part_of_the_saved_tensors():
     names = set(operator(SMALL[0]).state_dict())
-    constants = {f"scaling.{v}_{s}" for v in ("X", "u", "D_hat", "P") for s in ("mean", "std")} | {"scaling.dP_std"}
-    assert constants | {"X_rest", "u_rest"} <= names
+    constants = {f"scaling.{v}_{s}" for v in ("X", "u", "D_hat", "P") for s in ("mean", "std")}
+    assert constants | {"scaling.X_bend", "scaling.speed", "X_rest", "u_rest"} <= names

@@ -1,5 +1,8 @@
 """The stages together on a tiny problem: evaluate, Fig. 1 and bench read what generate and train wrote."""
 
+import copy
+import types
+
 import h5py
 import numpy as np
 import pytest
@@ -89,12 +92,18 @@ def test_evaluation_gives_the_same_bytes_again(evaluated, made, tmp_path):
 
 def test_starts_are_figure_1_then_cases_then_the_map():
     tables_ = tables(evaluate={"map_D": [0.5, 1.5], "map_D_hat0": [0.6, 0.7, 0.8]})
-    begin = starts.starts(0, config.parse(tables_, "tests").evaluate, PLANT)
+    begin = starts.starts(config.parse(tables_ | {"seed": 0}, "tests"), PLANT)
     assert begin.D_hat0.tolist() == [2.0, 0.8, 1.2, 0.8, 1.2, 0.6, 0.7, 0.8, 0.6, 0.7, 0.8]
     assert begin.D.tolist() == [1.0] * 5 + [0.5] * 3 + [1.5] * 3
     np.testing.assert_array_equal(begin.X0[begin.map], np.tile([0.03, 30.0], (6, 1)))
     np.testing.assert_array_equal(begin.X0[1], begin.X0[2])
     assert (begin.X0[begin.cases, 1] >= 25).all() and (begin.X0[begin.cases, 1] <= 35).all()
+
+
+def test_the_pipelines_box_is_for_states_that_the_plant_has_none_for():
+    pipeline = config.parse({"generate": {"box": {"x1": [0.5, 0.7], "x2": [3.0, 4.0]}}}, "tests")
+    boxless = types.SimpleNamespace(states=PLANT.states, box={"x2": (1.0, 2.0)})
+    np.testing.assert_array_equal(starts.box(boxless, pipeline), [[0.5, 0.7], [1.0, 2.0]])
 
 
 def test_map_and_coverage_of_known_loops():
@@ -169,3 +178,10 @@ def test_summaries_print(stage, evaluated, made, tmp_path):
 def test_figure_numbers_of_a_loop_that_never_settles(evaluated):
     _, result = evaluated
     assert result["models"]["no_adaptation"]["figure1"]["settle_time"] is None
+
+
+def test_the_summary_of_a_loop_that_left_the_finite_numbers_prints(evaluated):
+    lost = copy.deepcopy(evaluated[1])
+    lost["models"]["deeponet"]["figure1"] |= {"X_end": [None, None], "D_hat_end": None, "radius": None}
+    table = evaluate.summary(lost)
+    assert list(table.columns[-1].cells).count("∞") == 1

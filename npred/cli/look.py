@@ -50,7 +50,7 @@ def ls(options: Common) -> None:
     """Every result with a sound manifest; a warning for each of the others."""
     artifacts = options.results.artifacts()
     for folder in options.results.broken():
-        options.console.warn(f"{folder}: no sound manifest; npred gc removes it")
+        options.console.warn(f"{folder}: expected a sound manifest, got none; remove that folder")
     header = ["artifact", "model", "pipeline", "made", "size", "digest"]
     options.show({"artifacts": [_entry(a) for a in artifacts]}, lambda: columns(header, [_row(a) for a in artifacts]))
 

@@ -12,10 +12,10 @@ from npred.operators.scaling import Scaling
 class Operator(nn.Module):
     """P_hat, the approximation of the predictor operator [DAPF, eq. 12] of a state, an actuator state and a delay.
 
-    With N the network and S the spread of P - X by component, the anchors are
+    With N the network, a mean velocity in units of the data's speed S, the anchors are
         none         P_hat = P_mean + P_std N(x; X, u, D_hat)
-        initial      P_hat = X + x S N(x; X, u, D_hat), so P_hat(0) = X
-        equilibrium  P_hat = X + x S [N(x; X, u, D_hat) - N(x; X*, u*, D_hat)], so also P_hat = X* at rest, any D_hat
+        initial      P_hat = X + x D_hat S N(x; X, u, D_hat), so P_hat(0) = X
+        equilibrium  P_hat = X + x D_hat S [N(x; X, u, D_hat) - N(x; X*, u*, D_hat)], so also P_hat = X* at rest
     """
 
     X_rest: Tensor
@@ -27,28 +27,28 @@ class Operator(nn.Module):
         self.register_buffer("X_rest", X_rest)
         self.register_buffer("u_rest", u_rest)
 
-    def forward(self, X: Tensor, u: Tensor, D_hat: Tensor, rest_nodes: int | None = None) -> Tensor:
+    def forward(self, X: Tensor, u: Tensor, D_hat: Tensor, rest_nodes: int | None = None, stride: int = 1) -> Tensor:
         """P_hat (B, nx, n) of X (B, n), u (B, nx, m) on nx uniform nodes, both ends, and D_hat (B,) in seconds.
 
         `rest_nodes`: the term at rest is interpolated in D_hat through so many points, which halves the work of a
-        large batch (training); without it the term is exact, and so is the anchor.
+        large batch (training); without it the term is exact, and so is the anchor. `stride`: P_hat on every stride-th
+        node only.
         """
-        nx = u.shape[-2]
-        N = self.network(*self.scaling.inputs(X, u, D_hat))
+        N = self.network(*self.scaling.inputs(X, u, D_hat), stride)
         if self.anchor == "none":
             return self.scaling.P_mean + self.scaling.P_std * N
         if self.anchor == "equilibrium":
-            N = N - self._at_rest(D_hat, nx, rest_nodes or len(D_hat))
-        x = torch.linspace(0, 1, nx, dtype=u.dtype, device=u.device)[:, None]  # (nx, 1)
-        return X[:, None, :] + x * self.scaling.dP_std * N
+            N = N - self._at_rest(D_hat, N.shape[1], rest_nodes or D_hat.shape[0])
+        x = torch.linspace(0, 1, N.shape[1], dtype=u.dtype, device=u.device)[:, None]  # (nx, 1)
+        return X[:, None, :] + x * D_hat[:, None, None] * self.scaling.speed * N
 
     def at_rest(self, D_hat: Tensor, nx: int) -> Tensor:
         """N(x; X*, u*, D_hat), (B, nx, n): a function of the delay alone, so a table at inference."""
-        u = self.u_rest.expand(len(D_hat), nx, -1)
-        return self.network(*self.scaling.inputs(self.X_rest.expand(len(D_hat), -1), u, D_hat))
+        u = self.u_rest.expand(D_hat.shape[0], nx, -1)
+        return self.network(*self.scaling.inputs(self.X_rest.expand(D_hat.shape[0], -1), u, D_hat))
 
     def _at_rest(self, D_hat: Tensor, nx: int, count: int) -> Tensor:
-        if count >= len(D_hat):
+        if count >= D_hat.shape[0]:
             return self.at_rest(D_hat, nx)
         points, weights = chebyshev(D_hat, count)
         return torch.tensordot(weights, self.at_rest(points, nx), dims=1)

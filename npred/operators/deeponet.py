@@ -25,11 +25,11 @@ class DeepONetwork(nn.Module):
         self.branch = mlp([features, *[sizes.width] * sizes.depth, n * (sizes.basis + m)], bias=False)
         self.trunk = mlp([DEGREE, sizes.trunk, sizes.trunk, sizes.basis])
 
-    def forward(self, X: Tensor, u: Tensor, D_hat: Tensor) -> Tensor:
-        """N (B, nx, n) of scaled X (B, n), u (B, nx, m) and D_hat (B,)."""
+    def forward(self, X: Tensor, u: Tensor, D_hat: Tensor, stride: int = 1) -> Tensor:
+        """N (B, nx, n), on every stride-th node, of scaled X (B, n), u (B, nx, m) and D_hat (B,)."""
         a, b = self.coefficients(X, u, D_hat)
-        t = self.trunk(legendre(u.shape[1], DEGREE, u.dtype, u.device))  # (nx, basis)
-        return (b @ t.T + a @ running_mean(u).mT).mT
+        t = self.trunk(legendre(u.shape[1], DEGREE, u.dtype, u.device)[::stride])  # (nx, basis)
+        return (b @ t.T + a @ running_mean(u, stride).mT).mT
 
     def coefficients(self, X: Tensor, u: Tensor, D_hat: Tensor) -> tuple[Tensor, Tensor]:
         """a (B, n, m), of the running means, and b (B, n, basis), of the trunk's functions."""

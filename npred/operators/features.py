@@ -14,13 +14,13 @@ def moments(u: Tensor, count: int) -> Tensor:
     return moment_matrix(u.shape[-2], count, u.dtype, u.device) @ u
 
 
-def running_mean(u: Tensor) -> Tensor:
-    """(1/x) int_0^x u(y) dy at the nodes, by trapezoids, u(0) at x = 0; shape (B, nx, m) as u.
+def running_mean(u: Tensor, stride: int = 1) -> Tensor:
+    """(1/x) int_0^x u(y) dy at every stride-th node, by trapezoids over all, u(0) at x = 0; (B, nx, m) of u (B, nx, m).
 
     It bends where u jumps, and so does P: no smooth function of x follows it there.
     """
-    sums = torch.cumsum(u[:, 1:] + u[:, :-1], dim=1)  # 2 (nx - 1) int_0^x u
-    steps = torch.arange(1, u.shape[1], dtype=u.dtype, device=u.device)[:, None]
+    sums = torch.cumsum(u[:, 1:] + u[:, :-1], dim=1)[:, stride - 1 :: stride]  # 2 (nx - 1) int_0^x u
+    steps = torch.arange(stride, u.shape[1], stride, dtype=u.dtype, device=u.device)[:, None]
     return torch.cat([u[:, :1], sums / (2 * steps)], dim=1)
 
 

@@ -12,27 +12,30 @@ from npred.operators.deeponet import mlp
 from npred.operators.features import running_mean
 
 PERIOD = 2.0  # P is not periodic on [0, 1]: its functions are continued by zero to this length before the transform
+GREGORY = np.array([95 / 288, 317 / 240, 23 / 30, 793 / 720, 157 / 160])  # the first weights of the rule, in intervals
 
 
 class FNOnetwork(nn.Module):
-    """N = project(v_L), v_l+1 = silu(spectral_l(v_l) + W_l v_l), v_0 = lift(X, D_hat, u(x), u^(x), x).
+    """N = project(v_L), v_l+1 = silu(spectral_l(v_l) + W_l v_l), v_0 = lift(X, D_hat, u^(x), x).
 
-    u^ is the running mean of u. The weights know nothing of the grid: any nx, with both ends of [0, 1] in.
+    u^ is the running mean of u: P hangs on integrals of u alone, and u^ has them exactly, on any coarser grid too. The
+    weights know nothing of the grid: any nx, with both ends of [0, 1] in.
     """
 
     def __init__(self, sizes: config.FNO, n: int, m: int) -> None:
         super().__init__()
-        self.lift = nn.Linear(n + 1 + 2 * m + 1, sizes.width)
+        self.lift = nn.Linear(n + 1 + m + 1, sizes.width)
         self.spectral = nn.ModuleList(Spectral(sizes.width, sizes.modes) for _ in range(sizes.layers))
         self.local = nn.ModuleList(nn.Linear(sizes.width, sizes.width) for _ in range(sizes.layers))
         self.project = mlp([sizes.width, 2 * sizes.width, n], bias=False)
 
-    def forward(self, X: Tensor, u: Tensor, D_hat: Tensor) -> Tensor:
-        """N (B, nx, n) of scaled X (B, n), u (B, nx, m) and D_hat (B,)."""
-        batch, nx, _ = u.shape
+    def forward(self, X: Tensor, u: Tensor, D_hat: Tensor, stride: int = 1) -> Tensor:
+        """N (B, nx, n), on every stride-th node, of scaled X (B, n), u (B, nx, m) and D_hat (B,)."""
+        means = running_mean(u, stride)
+        batch, nx, _ = means.shape
         x = torch.linspace(-1, 1, nx, dtype=u.dtype, device=u.device)[:, None].expand(batch, nx, 1)
         constants = torch.cat([X, D_hat[:, None]], dim=1)[:, None].expand(batch, nx, -1)
-        v = self.lift(torch.cat([constants, u, running_mean(u), x], dim=2))  # (B, nx, width)
+        v = self.lift(torch.cat([constants, means, x], dim=2))  # (B, nx, width)
         for spectral, local in zip(self.spectral, self.local, strict=True):
             v = functional.silu(spectral(v) + local(v))
         return self.project(v)
@@ -65,7 +68,7 @@ class Spectral(nn.Module):
 @lru_cache(maxsize=32)
 @torch.inference_mode(False)  # what an inference run caches must serve training too
 def transforms(nx: int, modes: int, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor]:
-    """The real DFT of v, continued by zero over PERIOD and weighed by the trapezoidal rule, and its inverse on [0, 1].
+    """The real DFT of v, continued by zero over PERIOD and weighed by Gregory's rule, and its inverse on [0, 1].
 
     v_hat_k = int_0^1 v e^(-2 pi i k x / PERIOD) dx: (2 modes, nx), rows Re and Im of each mode;
     v(x) = (1/PERIOD) Re [v_hat_0 + 2 sum_k v_hat_k e^(2 pi i k x / PERIOD)]: (nx, 2 modes).
@@ -74,5 +77,15 @@ def transforms(nx: int, modes: int, dtype: torch.dtype, device: torch.device) ->
     angle = 2 * np.pi * k * grid.nodes(nx) / PERIOD  # (modes, nx)
     pairs = np.stack([np.cos(angle), -np.sin(angle)], axis=1).reshape(2 * modes, nx)
     twice = np.where(k > 0, 2.0, 1.0).repeat(2, axis=0) / PERIOD
-    forward, inverse = pairs * grid.trapezoid(nx), (pairs * twice).T
+    forward, inverse = pairs * gregory(nx), (pairs * twice).T
     return torch.as_tensor(forward, dtype=dtype, device=device), torch.as_tensor(inverse, dtype=dtype, device=device)
+
+
+def gregory(nx: int) -> np.ndarray:
+    """Trapezoidal weights (nx,), corrected at both ends to sixth order, so that a coarse grid trains for a fine one."""
+    if nx < 2 * len(GREGORY):
+        return grid.trapezoid(nx)
+    weights = np.ones(nx)
+    weights[: len(GREGORY)] = GREGORY
+    weights[-len(GREGORY) :] = GREGORY[::-1]
+    return weights / (nx - 1)

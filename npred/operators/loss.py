@@ -1,4 +1,4 @@
-"""What training makes small: squared errors of P, weighed by component and, for the control law, by row."""
+"""What training makes small: errors of P, weighed by what a component costs in the control law."""
 
 from collections.abc import Callable
 
@@ -9,10 +9,11 @@ from npred.config import Training
 from npred.plants.base import Plant
 
 SHARE = 0.1  # a state that kappa hardly sees still counts a tenth of the one that it sees best: phi needs it too
+TINY = 1e-12  # keeps the slope of the square root finite where an error is zero
 
 
 def weights(config: Training, plant: Plant, P: Tensor) -> Tensor:
-    """Weights (n,) of the errors in P of the data, (N, nx, n): the loss is the mean of (w_i (P_hat_i - P_i))^2.
+    """Weights (n,) of the errors in P of the data, (N, nx, n), in `criterion`.
 
     raw: 1 [DAPF, sec. V]. standardised: one over the spread of P_i. kappa: |d kappa / d X_i| at rest, what an error of
     P_i costs in the control (root mean square over the inputs, and over the data's P(1) where nothing rests), in units
@@ -37,6 +38,11 @@ def sensitivity(plant: Plant, P: Tensor) -> Tensor:
     return torch.stack(rows).square().sum(0).mean(0).sqrt()
 
 
-def squared_error(weights: Tensor) -> Callable[[Tensor, Tensor], Tensor]:
-    """(P_hat, P) -> the mean over rows, nodes and components of (w_i (P_hat_i - P_i))^2."""
-    return lambda P_hat, P: ((P_hat - P) * weights).square().mean()
+def criterion(rows: str, weights: Tensor) -> Callable[[Tensor, Tensor], Tensor]:
+    """(P_hat, P) -> the mean over the rows of e^2 (`square`) or of e (`norm`).
+
+    e^2 is the mean over nodes and components of (w_i (P_hat_i - P_i))^2. Squares look at the few rows that are far off,
+    of loops gone wild, and leave the rest where the loops end; norms heed every row alike, which the closed loop wants.
+    """
+    power = 1.0 if rows == "square" else 0.5
+    return lambda P_hat, P: (((P_hat - P) * weights).square().mean((1, 2)) + TINY).pow(power).mean()

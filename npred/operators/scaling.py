@@ -21,11 +21,13 @@ class Samples(Protocol):
 
 
 class Scaling(nn.Module):
-    """Mean and spread of X, u, D_hat and P by component, and the spread of the displacement P - X, as buffers.
+    """Mean and spread of asinh(X / X_bend), u, D_hat and P by component, and the speed |P - X| / D_hat, as buffers.
 
-    Shapes: X, P, dP (n,), u (m,), D_hat (); in the units of the plant and seconds.
+    Shapes: X, P, speed (n,), u (m,), D_hat (); in the units of the plant and seconds. Far states, whose data are few,
+    are drawn in by asinh, which is a logarithm there: what drives the plant are often ratios of states.
     """
 
+    X_bend: Tensor
     X_mean: Tensor
     X_std: Tensor
     u_mean: Tensor
@@ -34,31 +36,34 @@ class Scaling(nn.Module):
     D_hat_std: Tensor
     P_mean: Tensor
     P_std: Tensor
-    dP_std: Tensor
+    speed: Tensor
 
     def __init__(self, n: int, m: int) -> None:
         super().__init__()
         for name, shape in {"X": (n,), "u": (m,), "D_hat": (), "P": (n,)}.items():
             self.register_buffer(f"{name}_mean", torch.zeros(shape))
             self.register_buffer(f"{name}_std", torch.ones(shape))
-        self.register_buffer("dP_std", torch.ones(n))
+        self.register_buffer("X_bend", torch.ones(n))
+        self.register_buffer("speed", torch.ones(n))
 
     @classmethod
     def of(cls, data: Samples) -> "Scaling":
         """The constants of these samples; the spread of a constant component is taken as one."""
         n, m = data.X.shape[-1], data.u.shape[-1]
         scaling = cls(n, m)
-        for name, values in {"X": data.X, "u": data.u.reshape(-1, m), "P": data.P.reshape(-1, n)}.items():
+        scaling.X_bend.copy_(_positive(data.X.std(axis=0)))
+        bent = np.arcsinh(data.X / scaling.X_bend.numpy())
+        for name, values in {"X": bent, "u": data.u.reshape(-1, m), "P": data.P.reshape(-1, n)}.items():
             scaling._set(name, values.mean(axis=0), values.std(axis=0))
         scaling._set("D_hat", data.D_hat.mean(), data.D_hat.std())
-        displacement = data.P[:, -1] - data.X
-        scaling.dP_std.copy_(_positive((displacement**2).mean(axis=0) ** 0.5))
+        displacement = ((data.P[:, -1] - data.X) ** 2).mean(axis=0)
+        scaling.speed.copy_(_positive((displacement / (data.D_hat**2).mean()) ** 0.5))
         return scaling
 
     def inputs(self, X: Tensor, u: Tensor, D_hat: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """The standardised X (B, n), u (B, nx, m) and D_hat (B,)."""
+        """The bent and standardised X (B, n), u (B, nx, m) and D_hat (B,)."""
         return (
-            (X - self.X_mean) / self.X_std,
+            (torch.asinh(X / self.X_bend) - self.X_mean) / self.X_std,
             (u - self.u_mean) / self.u_std,
             (D_hat - self.D_hat_mean) / self.D_hat_std,
         )

@@ -4,7 +4,7 @@ import json
 import math
 import time
 from collections.abc import Iterable, Mapping
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import groupby
@@ -57,7 +57,9 @@ class Runner:
         with ThreadPoolExecutor(min(len(nodes), self.jobs)) as pool:
             futures = [pool.submit(self._node, node, outcomes) for node in nodes]
             try:
-                return [future.result() for future in futures]
+                wait(futures, return_when=FIRST_EXCEPTION)
+                failed = [future for future in futures if future.done() and future.exception()]
+                return [future.result() for future in failed or futures]
             except BaseException:
                 self.console.stop()
                 pool.shutdown(wait=False, cancel_futures=True)

@@ -17,6 +17,8 @@ def resolve(name: str, parameters: Mapping[str, float] = {}) -> Plant:
 
     Raises ConfigError, in one line, for an unknown name, a missing or broken file, or an unknown parameter.
     """
+    if not isinstance(name, str):
+        raise ConfigError(f"plant: expected a name or my_plant.py:Tank, got {name!r}; write it as text")
     path, colon, class_name = name.partition(".py:")
     if colon:
         return _from_file(Path(path + ".py"), class_name, parameters)
@@ -58,8 +60,9 @@ def _from_file(path: Path, class_name: str, parameters: Mapping[str, float]) -> 
     try:
         exec(compile(text, str(path), "exec"), space)
     except SyntaxError as error:
-        raise ConfigError(f"plant {path}:{error.lineno}: expected Python, got a syntax error: {error.msg}") from None
-    except Exception as error:
+        line = f":{error.lineno}" if error.lineno else ""
+        raise ConfigError(f"plant {path}{line}: expected Python, got a syntax error: {error.msg}") from None
+    except (Exception, SystemExit) as error:
         raise ConfigError(f"plant {path}: failed on import: {type(error).__name__}: {error}; mend the file") from None
     if not isinstance(space.get(class_name), type):
         raise ConfigError(f"plant {path}: expected a class {class_name}, found none; check the name after the colon")

@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 
 from npred.errors import ConfigError
+from npred.plants import declaration as declared
 from npred.plants import mathematics, tape
 from npred.plants.trace import Trace, call, python
-
-REQUIRED = ("states", "inputs", "f", "kappa", "V")
 
 
 class Plant:
@@ -20,19 +19,18 @@ class Plant:
     A declaration is a class with `states`, `inputs` (names) and the functions f(x, u, t, p, M), kappa(x, t, p, M) and
     V(x, t, p, M); optional are `parameters` (name to default), `box` (state to range, for experiments), `guess` (where
     the equilibrium is searched from) and `input_bounds` (a range an input). M is the mathematics: sin, exp, where …
-    Raises ConfigError for a declaration that lacks a part or a parameter that it does not have.
+    Raises ConfigError for a declaration with a part that is missing or wrong, or a parameter that it does not have.
     """
 
-    def __init__(self, name: str, declaration: type, overrides: Mapping[str, float] = {}, source: str | None = None):
-        missing = [part for part in REQUIRED if not hasattr(declaration, part)]
-        if missing:
-            raise ConfigError(f"plant {name}: expected {', '.join(REQUIRED)}, found no {missing[0]}; declare it")
+    def __init__(self, name: str, declaration: Any, overrides: Mapping[str, float] = {}, source: str | None = None):
+        declared.check(name, declaration)
         self.name, self.declaration, self.source = name, declaration, source
-        self.states, self.inputs = tuple(declaration.states), tuple(declaration.inputs)
-        self.parameters = _override(name, getattr(declaration, "parameters", {}), overrides)
-        self.box: dict[str, tuple[float, float]] = dict(getattr(declaration, "box", {}))
-        self.guess = np.array(getattr(declaration, "guess", np.zeros(self.n)), dtype=float)
-        self.input_bounds = getattr(declaration, "input_bounds", None)
+        self.states = declared.names(name, "states", declaration.states)
+        self.inputs = declared.names(name, "inputs", declaration.inputs)
+        self.parameters = declared.parameters(name, getattr(declaration, "parameters", {}), overrides)
+        self.box = declared.box(name, getattr(declaration, "box", {}), self.states)
+        self.guess = declared.guess(name, getattr(declaration, "guess", np.zeros(self.n)), self.n)
+        self.input_bounds = declared.input_bounds(name, getattr(declaration, "input_bounds", None), self.m)
 
     @property
     def n(self) -> int:
@@ -66,9 +64,17 @@ class Plant:
         return self._on("V", X, None, t)[0]
 
     def _on(self, name: str, X: Any, u: Any, t: Any) -> list[Any]:
+        self._fits(X, u)
         x = [X[..., k] for k in range(self.n)]
         inputs = None if u is None else [u[..., k] for k in range(self.m)]
         return self.call(name, x, inputs, t, list(self.parameters.values()), mathematics.of(X))
+
+    def _fits(self, X: Any, u: Any) -> None:
+        """Raise ConfigError unless the last axes of X and u are of the plant's sizes."""
+        for name, a, size in (("X", X, self.n), ("u", u, self.m)):
+            shape = tuple(getattr(a, "shape", ()))
+            if a is not None and (not shape or shape[-1] != size):
+                raise ConfigError(f"{name}: expected an array (..., {size}) for plant {self.name}, got {shape or a!r}")
 
     @cached_property
     def equilibrium(self) -> np.ndarray:
@@ -89,12 +95,14 @@ class Plant:
 
     def jacobians(self, X: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """f_X (n, n) and f_U (n, m) at one point, at t = 0, derived from the declared f."""
-        values = np.reshape(self._interpreted["f"](*X, *u, 0.0, *self.p), (self.n + self.m, self.n))
+        with np.errstate(all="ignore"):
+            values = np.reshape(self._interpreted["f"](*np.asarray(X), *np.asarray(u), 0.0, *self.p), (-1, self.n))
         return values[: self.n].T, values[self.n :].T
 
     def kappa_jacobian(self, X: np.ndarray) -> np.ndarray:
         """kappa' (m, n) at one point, at t = 0, derived from the declared kappa."""
-        return np.reshape(self._interpreted["kappa"](*X, 0.0, *self.p), (self.n, self.m)).T
+        with np.errstate(all="ignore"):
+            return np.reshape(self._interpreted["kappa"](*np.asarray(X), 0.0, *self.p), (self.n, self.m)).T
 
     @cached_property
     def _interpreted(self) -> dict[str, Any]:
@@ -106,7 +114,7 @@ class Plant:
         by_x = [y for unit in np.eye(self.n) for y in tape.derivative(kappa, x, unit)]
         x_names, rest = self._names("x", self.n), ["t", *self._names("p", len(self.p))]
         f_names = [*x_names, *self._names("u", self.m), *rest]
-        return {"f": python(by_xu, f_names), "kappa": python(by_x, [*x_names, *rest])}
+        return {"f": python(by_xu, f_names, np), "kappa": python(by_x, [*x_names, *rest], np)}
 
     @staticmethod
     def _names(prefix: str, count: int) -> list[str]:
@@ -125,9 +133,17 @@ class Plant:
     @cached_property
     def rests(self) -> bool:
         """Whether the plant has an equilibrium to rest at: neither f nor kappa depends on time."""
+        return self.autonomous and not self._timed("kappa")
+
+    @cached_property
+    def autonomous(self) -> bool:
+        """Whether f is free of time, so that the predictor is a function of (X, u, D_hat)."""
+        return not self._timed("f")
+
+    def _timed(self, name: str) -> bool:
         trace = Trace(self)
         x, u, t = trace.vector("x", self.n), trace.vector("u", self.m), trace.input("t")
-        return not tape.depends([*trace.f(x, u, t), *trace.kappa(x, t)], [t])
+        return tape.depends(trace.f(x, u, t) if name == "f" else trace.kappa(x, t), [t])
 
     @cached_property
     def identity(self) -> dict[str, Any]:
@@ -141,19 +157,16 @@ class Plant:
             "name": self.name,
             "parameters": self.parameters,
             "box": {name: list(span) for name, span in self.box.items()},
-            "input_bounds": self.input_bounds,
+            "input_bounds": None if self.input_bounds is None else [[*map(_word, pair)] for pair in self.input_bounds],
             "guess": self.guess.tolist(),
             "program": hashlib.sha256("\n".join(lines).encode()).hexdigest(),
             "source": self.source,
         }
 
 
-def _override(name: str, defaults: Mapping[str, float], overrides: Mapping[str, float]) -> dict[str, float]:
-    for key in overrides:
-        if key not in defaults:
-            known = ", ".join(defaults) or "none"
-            raise ConfigError(f"plant {name}: unknown parameter {key!r}; expected one of: {known}")
-    return {key: float(value) for key, value in {**defaults, **overrides}.items()}
+def _word(value: float) -> float | str:
+    """JSON has no infinity, and an input bounded on one side only has one."""
+    return value if np.isfinite(value) else str(value)
 
 
 def _newton(name: str, residual: Any, guess: np.ndarray) -> np.ndarray:

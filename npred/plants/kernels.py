@@ -20,18 +20,23 @@ HEADER = """import math
 import numpy as np
 from numba import njit
 
-
-@njit({signature!r}, cache=True, nogil=True, error_model="numpy", fastmath={{"contract", "nsz", "arcp"}})
+{preamble}
+@njit({signature!r}, cache=True, nogil=True, error_model="numpy", fastmath={{{fastmath}}})
 """
+FASTMATH = ("contract", "nsz", "arcp")
 
 
 @cache
-def build(name: str, signature: str, source: str) -> Callable[..., Any]:
+def build(
+    name: str, signature: str, source: str, preamble: str = "", fastmath: tuple[str, ...] = FASTMATH
+) -> Callable[..., Any]:
     """The compiled function `name` of the source text; from the disk where this text was compiled before.
 
-    nnan and ninf are left out of fastmath: a rollout that diverged must stay visible as such.
+    `preamble` stands before the function: its constants and helpers. nnan and ninf are left out of fastmath: a rollout
+    that diverged must stay visible as such.
     """
-    text = HEADER.format(signature=signature) + source
+    flags = ", ".join(f'"{flag}"' for flag in fastmath)
+    text = HEADER.format(signature=signature, preamble=preamble, fastmath=flags) + source
     return getattr(_module(f"npred_{name}_{_digest(text)}", text), name)
 
 

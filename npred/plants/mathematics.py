@@ -33,15 +33,21 @@ def stack(components: list[Any], like: Any) -> Any:
 def _torch() -> SimpleNamespace:
     import torch
 
-    def pair(function: Any) -> Any:
-        """torch.maximum and minimum want two tensors; plant functions also give numbers."""
-        return lambda a, b: function(*torch.broadcast_tensors(_tensor(a, b), _tensor(b, a)))
+    def on(function: Any) -> Any:
+        """torch's functions want tensors; plant functions also give numbers: a parameter, the time, a constant."""
+
+        def call(*args: Any) -> Any:
+            like = next((a for a in args if isinstance(a, torch.Tensor) and a.dtype != torch.bool), None)
+            return function(*(_tensor(a, like) for a in args))
+
+        return call
 
     def _tensor(a: Any, like: Any) -> Any:
-        return a if isinstance(a, torch.Tensor) else torch.as_tensor(a, dtype=like.dtype, device=like.device)
+        if isinstance(a, torch.Tensor):
+            return a
+        if like is None or isinstance(a, bool | np.bool_):
+            return torch.as_tensor(a, dtype=torch.bool if isinstance(a, bool | np.bool_) else torch.float64)
+        return torch.as_tensor(a, dtype=like.dtype, device=like.device)
 
-    return SimpleNamespace(
-        pi=math.pi, sin=torch.sin, cos=torch.cos, tan=torch.tan, exp=torch.exp, log=torch.log, sqrt=torch.sqrt,
-        tanh=torch.tanh, abs=torch.abs, sign=torch.sign, where=torch.where, maximum=pair(torch.maximum),
-        minimum=pair(torch.minimum),
-    )  # fmt: skip
+    names = [name for name in vars(NUMPY) if name != "pi"]
+    return SimpleNamespace(pi=math.pi, **{name: on(getattr(torch, name)) for name in names})

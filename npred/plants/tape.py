@@ -255,7 +255,13 @@ class Mathematics:
     def __getattr__(self, name: str) -> Callable[..., Any]:
         if name not in FUNCTIONS:
             raise AttributeError(f"M.{name} is unknown; expected one of pi, where, {', '.join(FUNCTIONS)}")
-        return lambda *args: _apply(name, *args)
+
+        def call(*args: Any) -> Any:
+            if len(args) != 1 + (name in ("maximum", "minimum")):
+                raise TypeError(f"M.{name} got {len(args)} arguments")
+            return _apply(name, *args)
+
+        return call
 
 
 FUNCTIONS = ("sin", "cos", "tan", "exp", "log", "sqrt", "tanh", "abs", "sign", "maximum", "minimum")

@@ -5,6 +5,7 @@ import traceback
 from collections import namedtuple
 from collections.abc import Callable, Sequence
 from functools import cache
+from numbers import Real
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -62,6 +63,12 @@ class Trace:
             raise ConfigError(
                 f"plant {self.plant.name}: {name} expected to return {wanted}, got {len(values)}; mend {name}"
             )
+        for value in values:
+            if not isinstance(value, tapes.Symbol | Real):
+                raise ConfigError(
+                    f"plant {self.plant.name}: {name} expected to return numbers and formulas, "
+                    f"got {type(value).__name__}; mend {name}"
+                )
         return np.array(values, dtype=object)
 
 
@@ -75,10 +82,23 @@ def call(plant: "Plant", name: str, x: list[Any], u: list[Any] | None, t: Any, p
     except ConfigError:
         raise
     except Exception as error:
-        line = traceback.extract_tb(error.__traceback__)[-1]
-        where = f"{line.filename.rsplit('/', 1)[-1]}:{line.lineno}"
-        raise ConfigError(f"plant {plant.name}: {name} failed at {where}: {type(error).__name__}: {error}") from None
-    return [values] if name == "V" or not isinstance(values, (list, tuple, np.ndarray)) else list(values)
+        raise ConfigError(f"plant {plant.name}: {name} failed{_where(error)}: {_told(error)}") from None
+    if name == "V":
+        return [values]
+    # A formula that returns a bare number returns, on arrays, an array without an axis of components.
+    several = isinstance(values, list | tuple) or np.ndim(values) > np.ndim(x[0])
+    return list(values) if several else [values]
+
+
+def _where(error: Exception) -> str:
+    """The last line of the author's own file that the failure went through."""
+    ours = (__file__, tapes.__file__)
+    theirs = [line for line in traceback.extract_tb(error.__traceback__) if line.filename not in ours]
+    return f" at {theirs[-1].filename.rsplit('/', 1)[-1]}:{theirs[-1].lineno}" if theirs else ""
+
+
+def _told(error: Exception) -> str:
+    return " ".join(f"{type(error).__name__}: {error}".split())
 
 
 @cache
@@ -86,11 +106,14 @@ def _record(kind: str, names: tuple[str, ...]) -> Any:
     return namedtuple(kind, names)
 
 
-def python(outputs: tapes.Vector, names: Sequence[str]) -> Callable[..., list[float]]:
-    """The program as an interpreted function of the named inputs: for the few evaluations of a solver."""
+def python(outputs: tapes.Vector, names: Sequence[str], library: Any = math) -> Callable[..., list[float]]:
+    """The program as an interpreted function of the named inputs: for the few evaluations of a solver.
+
+    With `library` np, a branch that M.where does not take may be undefined there, as in the compiled kernels.
+    """
     targets = [f"y{k}" for k in range(len(outputs))]
     lines = tapes.program(outputs, {name: name for name in names}, targets)
     text = f"def function({', '.join(names)}):\n    " + "\n    ".join(lines) + f"\n    return [{', '.join(targets)}]"
-    space: dict[str, Any] = {"math": math, "np": np}
+    space: dict[str, Any] = {"math": library, "np": np}
     exec(text, space)
     return space["function"]

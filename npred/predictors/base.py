@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from npred import shapes
 from npred.errors import ConfigError
 from npred.plants.base import Plant
 
@@ -18,21 +19,23 @@ class Predictor(ABC):
     """P(x) = X + D_hat ∫₀ˣ f(P(y), u(y)) dy on nx uniform nodes, both ends in [DAPF, eq. 10].
 
     Call it with X (..., n), u (..., nx, m) and D_hat (...) in seconds; P is (..., nx, n). `t` is the time at x = 0, of
-    use to plants that depend on time. Raises ConfigError where the shapes do not fit the plant.
+    use to plants that depend on time. Raises ConfigError where the shapes do not fit the plant, or nx is below 2.
     """
 
     name: ClassVar[str]
 
     def __init__(self, plant: Plant, nx: int = 101):
-        self.plant, self.nx = plant, nx
+        if not isinstance(nx, int | np.integer) or nx < 2:
+            raise ConfigError(f"nx: expected at least 2 nodes, both ends of [0, 1], got {nx!r}; dx = 0.01 is nx = 101")
+        self.plant, self.nx = plant, int(nx)
 
     def __call__(self, X: Any, u: Any, D_hat: Any, t: float = 0.0) -> np.ndarray:
-        X, u, D_hat = (np.asarray(a, dtype=float) for a in (X, u, D_hat))
+        X, u, D_hat = (shapes.floats(name, a) for name, a in (("X", X), ("u", u), ("D_hat", D_hat)))
         self._check(X, u)
-        shape = np.broadcast_shapes(X.shape[:-1], u.shape[:-2], D_hat.shape)
+        shape = shapes.batch(X=X.shape[:-1], u=u.shape[:-2], D_hat=D_hat.shape)
         X = np.broadcast_to(X, (*shape, self.plant.n)).reshape(-1, self.plant.n)
         u = np.broadcast_to(u, (*shape, *u.shape[-2:])).reshape(-1, *u.shape[-2:])
-        P = self.predict(X, u, np.broadcast_to(D_hat, shape).reshape(-1), t)
+        P = self.predict(X, u, np.broadcast_to(D_hat, shape).reshape(-1), float(t))
         return P.reshape(*shape, *P.shape[1:])
 
     @abstractmethod

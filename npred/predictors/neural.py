@@ -12,9 +12,10 @@ from npred.predictors.base import Predictor
 
 
 class Neural(Predictor):
-    """P_hat = operator(X, u, D_hat) in float32 on a device, with the call of every predictor [DAPF, Theorem 2].
+    """P_hat = operator(X, u, D_hat) on a device, with the call of every predictor [DAPF, Theorem 2].
 
-    The operator is free of resolution: any nx in a call; `nx` is what a loop uses.
+    It computes in the operator's precision. The operator is free of resolution: any nx in a call; `nx` is what a loop
+    uses.
     """
 
     def __init__(self, plant: Plant, operator: Operator, nx: int = 101, device: str = "cpu", name: str = "neural"):
@@ -33,5 +34,6 @@ class Neural(Predictor):
 
     @torch.inference_mode()
     def _forward(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray) -> torch.Tensor:
-        tensors = (torch.as_tensor(np.asarray(a, dtype=np.float32), device=self.device) for a in (X, u, D_hat))
+        dtype = self.operator.X_rest.dtype
+        tensors = (torch.as_tensor(np.array(a, dtype=float)).to(self.device, dtype) for a in (X, u, D_hat))
         return self.operator(*tensors)

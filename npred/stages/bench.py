@@ -14,6 +14,7 @@ from npred.plants import Plant
 from npred.predictors import RK4, Euler, Heun, Predictor
 from npred.predictors.interpreted import EulerPython, Published
 from npred.stages import Job
+from npred.stages.starts import box
 
 FINE = 2001  # nodes of the reference
 PROBES = 200  # held-out samples that a row's error is taken over
@@ -129,8 +130,7 @@ def _groups(entries: list[Entry]) -> list[list[Entry]]:
 def _call(job: Job, entry: Entry, count: int) -> Callable[[int], None]:
     """The k-th call as a loop makes it: on preallocated memory, lanes last."""
     n, m, lanes = job.plant.n, job.plant.m, entry.batch
-    corner = np.array([job.plant.box[name][0] for name in job.plant.states])
-    X = np.tile(corner[:, None], (1, lanes))
+    X = np.tile(box(job.plant, job.config)[:, :1], (1, lanes))
     u = np.tile(grid.nodes(entry.nx)[:, None, None], (1, m, lanes))
     D_hat = randomness.generator(job.config.seed, "bench").uniform(0.5, 1.7, (count, lanes))
     P, p, predict = np.empty((entry.nx, n, lanes)), job.plant.p, entry.run.lanes()

@@ -25,7 +25,7 @@ def run(job: Job) -> dict[str, Any]:
     Writes figure1, certificate and coverage (.svg, .png) and figure1.h5. Warns where loops leave the data.
     """
     config, data = job.config.evaluate, Dataset.read(job.inputs["generate"] / "data.h5")
-    begin, contenders = starts(job.config.seed, config, job.plant), _contenders(job)
+    begin, contenders = starts(job.config, job.plant), _contenders(job)
     loops = _all_loops(job, contenders, begin)
     held_out, fresh = Rows.held_out(data), Rows.fresh(loops["numerical"].part(begin.cases), contenders[0].predictor)
     errors = {c.name: _errors(job.plant, c, held_out, fresh) for c in contenders}
@@ -169,7 +169,7 @@ def summary(result: dict[str, Any]) -> Any:
         cells += [
             f"{row['map']['share']:.0%}" if row["map"] else "",
             _text(figure["radius"]),
-            f"{figure['D_hat_end']:.3f}",
+            "∞" if figure["D_hat_end"] is None else f"{figure['D_hat_end']:.3f}",
         ]
         table.add_row(name, *cells)
     return table

@@ -10,15 +10,15 @@ from typing import Any
 
 import numpy as np
 
-from npred import plants, randomness
+from npred import plants
 from npred.adaptation import DelayAdaptation
 from npred.closed_loop import LANES, simulate
-from npred.config import Generate, Pipeline, Range
+from npred.config import Generate, Pipeline
 from npred.dataset import Dataset
 from npred.errors import DivergedError
 from npred.plants import Plant
 from npred.predictors import METHODS
-from npred.stages import Job
+from npred.stages import Job, draws
 
 Rows = dict[str, np.ndarray]
 
@@ -31,10 +31,10 @@ def run(job: Job) -> dict[str, Any]:
     """
     config = job.config.generate
     chunks = [range(i, min(i + LANES, config.rollouts)) for i in range(0, config.rollouts, LANES)]
-    with job.progress.bar("generate", config.rollouts * _steps(config), "steps") as bar:
+    with job.progress.bar("generate", config.rollouts * draws.steps(config), "steps") as bar:
         parts = dict(_in_process(job, chunks, bar) if min(job.jobs, len(chunks)) == 1 else _in_pool(job, chunks, bar))
     rows = {name: np.concatenate([parts[chunk.start][name] for chunk in chunks]) for name in parts[0]}
-    held_out = _held_out(job.config.seed, config)
+    held_out = draws.held_out(job.config.seed, config)
     data = Dataset(**rows, test=np.isin(rows["rollout"], held_out).astype(np.uint8))
     data.write(job.folder / "data.h5", _attributes(job.plant, config))
     return {"samples": len(data), "rollouts": config.rollouts, "held_out": sorted(held_out.tolist()), "nx": config.nx}
@@ -60,7 +60,7 @@ def _in_pool(job: Job, chunks: list[range], bar: Any) -> Iterator[tuple[int, Row
         tasks = {pool.submit(task, job.config, chunk): chunk for chunk in chunks}
         try:
             for done in as_completed(tasks):
-                bar.advance(len(tasks[done]) * _steps(job.config.generate))
+                bar.advance(len(tasks[done]) * draws.steps(job.config.generate))
                 yield tasks[done].start, done.result()
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
@@ -87,59 +87,22 @@ def task(config: Pipeline, chunk: range) -> Rows:
 def rollouts(pipeline: Pipeline, plant: Plant, chunk: range, progress: Any = None) -> Rows:
     """The rows of rollouts `chunk`: closed loops from random starts, sampled at random steps, P by the predictor."""
     config = pipeline.generate
-    X0, D, D_hat0, steps = _starts(pipeline.seed, config, plant, chunk)
+    X0, D, D_hat0, steps = draws.starts(pipeline.seed, config, plant, chunk)
     predictor = METHODS[config.predictor](plant, config.nx)
     law = DelayAdaptation(config.gamma, config.b, config.bounds)
     loops = simulate(
         plant, predictor, D=D, D_hat=D_hat0, X0=X0, t_end=config.t_end, dt=config.dt, adaptation=law,
-        input_bounds=config.input_bounds, every=_steps(config), samples=steps, progress=progress,
+        input_bounds=config.input_bounds, every=draws.steps(config), samples=steps, progress=progress,
     )  # fmt: skip
     _finite(chunk, X0, loops.escaped, config.dt)
     count = steps.shape[1]
-    rows = {"X": loops.samples.X, "u": loops.samples.u, "D_hat": loops.samples.D_hat}
+    D_hat = draws.redrawn(pipeline.seed, config, chunk, loops.samples.D_hat)
+    rows = {"X": loops.samples.X, "u": loops.samples.u, "D_hat": D_hat}
     rows["P"] = predictor(rows["X"], rows["u"], rows["D_hat"])
     rows |= {"D": np.repeat(D[:, None], count, 1), "t": steps * config.dt}
     rows["rollout"] = np.repeat(np.array(chunk, dtype=np.int32)[:, None], count, 1)
-    kept = np.arange(count) < np.array([_samples(config, r) for r in chunk])[:, None]
+    kept = np.arange(count) < np.array([draws.samples(config, r) for r in chunk])[:, None]
     return {name: array[kept] for name, array in rows.items()}
-
-
-def _starts(seed: int, config: Generate, plant: Plant, chunk: range) -> tuple[np.ndarray, ...]:
-    """X0 (B, n), D and D_hat(0) (B,), sorted sample steps (B, S), each rollout's from its own child seed."""
-    box = _box(plant, config)
-    drawn = []
-    for r in chunk:
-        rng = randomness.generator(seed, "rollout", r)
-        D, D_hat = _delays(config, r)
-        X0, D0, D_hat0 = rng.uniform(box[:, 0], box[:, 1]), rng.uniform(*D), rng.uniform(*D_hat)
-        steps = np.sort(rng.choice(_steps(config), _samples(config, r), replace=False))
-        drawn.append((X0, D0, D_hat0, np.pad(steps, (0, _samples(config, 0) - len(steps)), mode="edge")))
-    return tuple(np.array(column) for column in zip(*drawn, strict=True))
-
-
-def _delays(config: Generate, rollout: int) -> tuple[Range, Range]:
-    """The ranges of D and D_hat(0) of a rollout."""
-    regular = config.rollouts - config.explorers
-    if rollout >= regular:
-        return config.explore_D, config.explore_D_hat0
-    D = config.D if isinstance(config.D, tuple) else (config.D, config.D)
-    return D, config.D_hat0[rollout * len(config.D_hat0) // regular]
-
-
-def _steps(config: Generate) -> int:
-    return round(config.t_end / config.dt) + 1
-
-
-def _samples(config: Generate, rollout: int) -> int:
-    """The samples of a rollout: an equal share, one more for the first ones where the division leaves a remainder."""
-    share, remainder = divmod(config.samples, config.rollouts)
-    return share + (rollout < remainder)
-
-
-def _box(plant: Plant, config: Generate) -> np.ndarray:
-    """The range of each initial state (n, 2): the plant's box, overridden by the pipeline's."""
-    box = plant.box | config.box
-    return np.array([box[name] for name in plant.states], dtype=float)
 
 
 def _finite(chunk: range, X0: np.ndarray, escaped: np.ndarray, dt: float) -> None:
@@ -150,13 +113,6 @@ def _finite(chunk: range, X0: np.ndarray, escaped: np.ndarray, dt: float) -> Non
             f"generate: expected finite states, got NaN in rollout {chunk[first]} at t = {escaped[first] * dt:g} s, "
             f"from X0 = {X0[first].tolist()} ({len(lost)} of {len(chunk)} rollouts); shrink the box, D or dt"
         )
-
-
-def _held_out(seed: int, config: Generate) -> np.ndarray:
-    """The numbers of the held-out rollouts: at least one, never all, and no explorer."""
-    regular = config.rollouts - config.explorers
-    count = min(max(round(config.test_share * regular), 1), regular - 1)
-    return np.sort(randomness.generator(seed, "held out").permutation(regular)[:count])
 
 
 def _attributes(plant: Plant, config: Generate) -> dict[str, Any]:

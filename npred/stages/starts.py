@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from npred import randomness
-from npred.config import Evaluate
+from npred.config import Pipeline
 from npred.plants import Plant
 from npred.predictors import Predictor
 
@@ -35,11 +35,17 @@ class Starts:
         return len(self.D) if contender.adapts else self.cases.stop
 
 
-def starts(seed: int, config: Evaluate, plant: Plant) -> Starts:
+def box(plant: Plant, pipeline: Pipeline) -> np.ndarray:
+    """The range of each initial state, (n, 2): the plant's own; the pipeline's for a plant that says none."""
+    ranges = pipeline.generate.box | plant.box
+    return np.array([ranges[name] for name in plant.states], dtype=float)
+
+
+def starts(pipeline: Pipeline, plant: Plant) -> Starts:
     """Fig. 1's start, random states of the plant's box x case_D_hat0 at delay D, Fig. 1's state over the map."""
-    rng = randomness.generator(seed, "evaluate", "cases")
-    box = np.array([plant.box[name] for name in plant.states])
-    states = rng.uniform(box[:, 0], box[:, 1], (config.case_states, plant.n))
+    config, ranges = pipeline.evaluate, box(plant, pipeline)
+    rng = randomness.generator(pipeline.seed, "evaluate", "cases")
+    states = rng.uniform(ranges[:, 0], ranges[:, 1], (config.case_states, plant.n))
     D, D_hat0 = np.meshgrid(config.map_D, config.map_D_hat0, indexing="ij")
     cases, cells = config.case_states * len(config.case_D_hat0), D.size
     return Starts(

@@ -1,0 +1,89 @@
+"""What a closed loop is asked for, checked before it runs: the compiled engine reads what the shapes promise."""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from npred import shapes
+from npred.adaptation import DelayAdaptation
+from npred.errors import ConfigError
+from npred.plants.base import Plant
+from npred.predictors import METHODS, Compiled, Predictor
+from npred.predictors.onestep import OneStep
+
+INTEGRATORS = {name: method for name, method in METHODS.items() if issubclass(method, OneStep)}
+
+
+def samples(samples: Any, shape: tuple[int, ...], last: int) -> np.ndarray:
+    """The steps to keep of each loop, (B, S)."""
+    steps = np.zeros(0, dtype=np.int64) if samples is None else np.asarray(samples)
+    fits = steps.ndim > 0 and steps.dtype.kind in "iu" and shapes.fits(steps.shape[:-1], shape)
+    if not fits or (np.diff(steps) < 0).any() or (steps < 0).any() or (steps > last).any():
+        raise ConfigError(f"samples: expected sorted whole steps of 0 to {last}, (..., S), got {samples}; mend them")
+    count = steps.shape[-1]
+    return np.broadcast_to(steps.astype(np.int64), (*shape, count)).reshape(math.prod(shape), count)
+
+
+def before(plant: Plant, u0: Any) -> np.ndarray:
+    """The input before t = 0, (m,)."""
+    array = shapes.floats("u0", u0)
+    if not shapes.fits(array.shape, (plant.m,)) or not np.isfinite(array).all():
+        raise ConfigError(f"u0: expected {plant.m} finite numbers, one an input, got {u0}; mend it")
+    return np.array(np.broadcast_to(array, (plant.m,)))
+
+
+def bounds(plant: Plant, bounds: Any) -> np.ndarray:
+    """The range of each input, (m, 2): those given, else the plant's, else none. One input's pair may stand alone."""
+    given = plant.input_bounds if bounds is None else bounds
+    if given is None:
+        given = [(-np.inf, np.inf)] * plant.m
+    array = shapes.floats("input_bounds", given)
+    array = array[None] if array.shape == (2,) else array
+    if array.shape != (plant.m, 2) or not (array[:, 0] <= array[:, 1]).all():
+        raise ConfigError(f"input_bounds: expected {plant.m} pairs (low, high), got {given}; give one pair an input")
+    return array
+
+
+def numbers(
+    plant: Plant, X0: Any, D: np.ndarray, D_hat: np.ndarray, t_end: float, dt: float, law: DelayAdaptation | None
+) -> None:
+    """Raise ConfigError for a start, delays or times that make no loop."""
+    if X0.ndim < 1 or X0.shape[-1] != plant.n or not np.isfinite(X0).all():
+        raise ConfigError(f"X0: expected finite values of shape (..., {plant.n}) for plant {plant.name}, got {X0}")
+    if not 0 < shapes.floats("dt", dt) <= shapes.floats("t_end", t_end) < np.inf:
+        raise ConfigError(f"dt, t_end: expected 0 < dt <= t_end in seconds, got dt = {dt}, t_end = {t_end}")
+    for name, value in (("D", D), ("D_hat", D_hat)):
+        if not (np.isfinite(value) & (value >= 0)).all():
+            raise ConfigError(f"{name}: expected a delay of at least 0 s, got {value}; correct it")
+    if law and not ((D_hat >= law.bounds[0]) & (D_hat <= law.bounds[1])).all():
+        raise ConfigError(
+            f"D_hat: expected within the bounds {law.bounds}, got {D_hat}; widen the bounds or move D_hat"
+        )
+
+
+def parts(plant: Any, predictor: Any, adaptation: Any, integrator: Any, every: Any) -> None:
+    """Raise ConfigError for a part of the wrong kind, or a predictor of another plant."""
+    kinds = {"plant": (plant, Plant), "predictor": (predictor, Predictor), "adaptation": (adaptation, DelayAdaptation)}
+    for name, (given, kind) in kinds.items():
+        if not isinstance(given, kind) and (given is not None or name == "plant"):
+            raise ConfigError(f"{name}: expected a {kind.__name__}, got {given!r}; see npred.simulate")
+    if predictor is not None:
+        _same_plant(plant, predictor)
+    if integrator not in INTEGRATORS:
+        raise ConfigError(f"integrator: expected one of {', '.join(INTEGRATORS)}, got {integrator!r}; choose one")
+    if not isinstance(every, int | np.integer) or every < 1:
+        raise ConfigError(f"every: expected a whole number of steps from 1 on, got {every!r}; mend it")
+
+
+def _same_plant(plant: Plant, predictor: Predictor) -> None:
+    """A network may predict a plant that drifted; a kernel takes the loop's parameters and must be of its formulas."""
+    other = predictor.plant
+    alike = (other.n, other.m) == (plant.n, plant.m)
+    if alike and isinstance(predictor, Compiled):
+        alike = all(other.identity[part] == plant.identity[part] for part in ("program", "parameters"))
+    if not alike:
+        raise ConfigError(
+            f"predictor: expected one of plant {plant.name} with its parameters, got one of {other.name} with "
+            f"{other.parameters}; build it for this plant"
+        )

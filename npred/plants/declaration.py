@@ -1,0 +1,101 @@
+"""What a plant's author declared, checked part by part: a mistake is told in one line, before anything is traced."""
+
+import math
+from collections.abc import Mapping, Sequence
+from keyword import iskeyword
+from typing import Any
+
+import numpy as np
+
+from npred.errors import ConfigError
+
+REQUIRED = ("states", "inputs", "f", "kappa", "V")
+
+
+def check(plant: str, declaration: Any) -> None:
+    """Raise ConfigError for a part that is missing, or for an f, kappa or V that is no function."""
+    for part in REQUIRED:
+        if not hasattr(declaration, part):
+            raise ConfigError(f"plant {plant}: expected {', '.join(REQUIRED)}, found no {part}; declare it")
+    for part in REQUIRED[2:]:
+        if not callable(getattr(declaration, part)):
+            raise ConfigError(f"plant {plant}: expected {part} to be a function, got {getattr(declaration, part)!r}")
+
+
+def names(plant: str, part: str, given: Any) -> tuple[str, ...]:
+    """The names of states, inputs or parameters. Raises ConfigError unless they are different identifiers."""
+    if isinstance(given, str) or not isinstance(given, Sequence | Mapping):
+        raise ConfigError(f'plant {plant}: {part} expected names as ("h",), got {given!r}; write a tuple')
+    for name in given:
+        if not isinstance(name, str) or not name.isidentifier() or iskeyword(name) or name.startswith("_"):
+            raise ConfigError(f"plant {plant}: {part} expected names that Python accepts, got {name!r}; rename it")
+    if len(set(given)) < len(given) or (not given and part != "parameters"):
+        raise ConfigError(f"plant {plant}: {part} expected different names, at least one, got {tuple(given)}; mend it")
+    return tuple(given)
+
+
+def parameters(plant: str, defaults: Any, overrides: Mapping[str, Any]) -> dict[str, float]:
+    """The parameters' values. Raises ConfigError for one that is not declared, or is not a finite number."""
+    if not isinstance(defaults, Mapping):
+        raise ConfigError(f'plant {plant}: parameters expected a table {{"a": 1.0}}, got {defaults!r}; write a dict')
+    names(plant, "parameters", defaults)
+    for key in overrides:
+        if key not in defaults:
+            known = ", ".join(defaults) or "none"
+            raise ConfigError(f"plant {plant}: unknown parameter {key!r}; expected one of: {known}")
+    return {key: _number(f"plant {plant}: parameter {key}", value) for key, value in {**defaults, **overrides}.items()}
+
+
+def box(plant: str, given: Any, states: tuple[str, ...]) -> dict[str, tuple[float, float]]:
+    """The range of each initial state. Raises ConfigError for a state that is not declared, or for no range."""
+    if not isinstance(given, Mapping):
+        raise ConfigError(f'plant {plant}: box expected ranges as {{"h": (0.0, 1.0)}}, got {given!r}; write a dict')
+    for name in given:
+        if name not in states:
+            raise ConfigError(f"plant {plant}: box has an unknown state {name!r}; expected one of {', '.join(states)}")
+    ranges = {name: span(f"plant {plant}: box[{name!r}]", value) for name, value in given.items()}
+    for name, ends in ranges.items():
+        if not np.isfinite(ends).all():
+            raise ConfigError(f"plant {plant}: box[{name!r}] expected finite ends, got {ends}; mend it")
+    return ranges
+
+
+def guess(plant: str, given: Any, n: int) -> np.ndarray:
+    """Where the equilibrium is searched from, (n,). Raises ConfigError for anything else."""
+    try:
+        values = np.array(given, dtype=float)
+    except (TypeError, ValueError):
+        values = np.empty(0)
+    if values.shape != (n,) or not np.isfinite(values).all():
+        raise ConfigError(f"plant {plant}: guess expected {n} finite numbers, one a state, got {given!r}; mend it")
+    return values
+
+
+def input_bounds(plant: str, given: Any, m: int) -> list[tuple[float, float]] | None:
+    """The range of each input, or None. Raises ConfigError for a wrong number of ranges, or for no range."""
+    if given is None:
+        return None
+    if isinstance(given, str | Mapping) or np.ndim(given) != 2 or len(given) != m:
+        raise ConfigError(f"plant {plant}: input_bounds expected {m} pairs (low, high), got {given!r}; one an input")
+    return [span(f"plant {plant}: input_bounds[{k}]", pair) for k, pair in enumerate(given)]
+
+
+def span(what: str, given: Any) -> tuple[float, float]:
+    """A range (low, high). Raises ConfigError unless it is two numbers in order."""
+    try:
+        low, high = (float(end) for end in given)
+    except (TypeError, ValueError):
+        low = high = math.nan
+    if not low <= high:
+        raise ConfigError(f"{what}: expected a range (low, high) with low <= high, got {given!r}; mend it")
+    return low, high
+
+
+def _number(what: str, given: Any) -> float:
+    try:
+        value = float(given)
+    except (TypeError, ValueError):
+        value = math.nan
+    if not math.isfinite(value):
+        raise ConfigError(f"{what}: expected a finite number, got {given!r}; mend it")
+    return value
