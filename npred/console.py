@@ -133,7 +133,7 @@ class _Lines:
         self.check()
         self.done += n
         now = self.clock()
-        if self.done >= self.total or now - self.last >= EVERY:
+        if self.done >= self.total or (self.done and now - self.last >= EVERY):
             self.last = now
             self.line(self._text(now - self.start, note))
 

@@ -86,7 +86,7 @@ def fit(task: Task, scratch: Path, progress: Any) -> Metrics:
     with progress.bar(task.title, config.epochs, "epoch") as bar:
         bar.advance(len(metrics))
         for epoch in range(len(metrics) + 1, config.epochs + 1):
-            loss = _epoch(task, optimiser, epoch)
+            loss = _epoch(task, optimiser, epoch, bar)
             lr = optimiser.param_groups[0]["lr"]
             metrics.append({"epoch": epoch, "lr": lr, "loss": loss, **errors(operator, task.test)})
             if epoch in config.snapshots:
@@ -104,7 +104,7 @@ def _optimiser(operator: Operator, config: Training) -> torch.optim.Optimizer:
     return torch.optim.Adam(operator.parameters(), lr=config.lr, weight_decay=config.weight_decay, fused=True)
 
 
-def _epoch(task: Task, optimiser: torch.optim.Optimizer, epoch: int) -> float:
+def _epoch(task: Task, optimiser: torch.optim.Optimizer, epoch: int, bar: Any) -> float:
     """One pass over the rows in an order of its own; the mean loss."""
     config, count = task.config, len(task.train)
     shuffle = torch.Generator().manual_seed(randomness.integer(task.seed, "order", epoch))
@@ -118,6 +118,7 @@ def _epoch(task: Task, optimiser: torch.optim.Optimizer, epoch: int) -> float:
         loss.backward()
         optimiser.step()
         total += loss.detach() * len(rows)
+        bar.advance(0)  # Ctrl-C in another thread ends this one here
     mean = float(total) / count
     if not math.isfinite(mean):
         raise DivergedError(

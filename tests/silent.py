@@ -18,12 +18,12 @@ class Silent:
     def advance(self, n: int = 1, note: str = "") -> None:
         self.done += n
         self.notes.append(note)
-        self.calls += 1
+        self.calls += n > 0
         if self.stop_after is not None and self.calls > self.stop_after:
             raise KeyboardInterrupt
 
     def stop(self) -> None:
-        self.stop_after = 0
+        self.stop_after = -1
 
     def note(self, text: str) -> None:
         self.notes.append(text)

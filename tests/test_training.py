@@ -54,7 +54,7 @@ def test_interrupted_training_ends_where_an_uninterrupted_one_does(config, tmp_p
     metrics = training.fit(whole, folder(tmp_path / "whole"), Silent())
     scratch = folder(tmp_path / "broken")
     with pytest.raises(KeyboardInterrupt):
-        training.fit(broken, scratch, Silent(stop_after=5))
+        training.fit(broken, scratch, Silent(stop_after=4))
     assert not same(state(broken), state(whole))
     progress = Silent()
     assert training.fit(resumed, scratch, progress) == metrics

@@ -68,7 +68,7 @@ def load(folder: Path, plant: Plant, snapshot: int | None = None, dtype: torch.d
 def _as(operator: Operator, dtype: torch.dtype, plant: Plant) -> Operator:
     """The operator in another precision, its point of rest, saved in float32, in that precision too."""
     operator = operator.to(dtype)
-    if plant.equilibrium is not None and dtype != torch.float32:
+    if plant.rests and dtype != torch.float32:
         operator.X_rest.copy_(torch.tensor(plant.equilibrium))
         operator.u_rest.copy_(torch.tensor(plant.u_equilibrium))
     return operator

@@ -9,7 +9,7 @@ import importlib.util
 import os
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
 from types import ModuleType
@@ -84,7 +84,7 @@ def _written(path: Path, text: str) -> Path:
     return path
 
 
-def fill(skeleton: str, **slots: list[str]) -> str:
+def fill(skeleton: str, **slots: Sequence[str]) -> str:
     """The skeleton with each line `{slot}` replaced by that slot's lines at its indentation."""
     lines = []
     for line in skeleton.splitlines():
