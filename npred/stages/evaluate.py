@@ -76,7 +76,7 @@ def _neural(job: Job, model: str, snapshot: int | None, name: str) -> Predictor:
     from npred.predictors.neural import Neural
 
     torch.set_num_threads(1)  # the contenders share the cores
-    operator = operators.load(job.inputs[model], job.plant, snapshot)
+    operator = operators.load(job.inputs[model], job.plant, snapshot, torch.float64)  # in float32 loops end 2e-6 away
     return Neural(job.plant, operator, job.config.evaluate.nx, job.device, name)
 
 
