@@ -18,3 +18,21 @@ def trapezoid(nx: int) -> np.ndarray:
 def count(dx: float) -> int:
     """The nx whose spacing is dx: dx = 0.01 is nx = 101."""
     return round(1 / dx) + 1
+
+
+def refine(values: np.ndarray, nx: int) -> np.ndarray:
+    """Nodal values (..., nodes, m) on nx nodes: the cubic through four neighbours, as RK4 reads u between nodes.
+
+    Linear where there are fewer than four nodes.
+    """
+    old = values.shape[-2]
+    width = 4 if old > 3 else 2
+    s = nodes(nx) * (old - 1)
+    first = np.clip(np.floor(s).astype(int) - (width // 2 - 1), 0, old - width)
+    t = s - first  # position among the neighbours 0 … width - 1
+    result = np.zeros(())
+    for k in range(width):
+        others = [j for j in range(width) if j != k]
+        weight = np.prod([(t - j) / (k - j) for j in others], axis=0)
+        result = result + weight[:, None] * values[..., first + k, :]
+    return result

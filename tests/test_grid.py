@@ -33,3 +33,17 @@ def test_the_quadrature_is_of_second_order():
 def test_dx_counts_both_ends(dx: float, nx: int):
     assert grid.count(dx) == nx
     assert np.diff(grid.nodes(nx))[0] == pytest.approx(dx)
+
+
+@pytest.mark.parametrize(("old", "nx"), [(5, 9), (21, 101), (101, 21), (7, 7)])
+def test_refine_is_exact_on_cubics_and_keeps_nodes(old, nx):
+    def cubic(x):
+        return np.stack([1 - 2 * x + 3 * x**2 - 4 * x**3, x], axis=-1)
+
+    np.testing.assert_allclose(grid.refine(cubic(grid.nodes(old)), nx), cubic(grid.nodes(nx)), atol=1e-13)
+
+
+def test_refine_is_linear_on_few_nodes_and_takes_batches():
+    values = np.array([[[0.0], [1.0], [0.0]], [[2.0], [2.0], [4.0]]])
+    refined = grid.refine(values, 5)
+    np.testing.assert_allclose(refined[..., 0], [[0, 0.5, 1, 0.5, 0], [2, 2, 2, 3, 4]], atol=1e-14)
