@@ -15,10 +15,10 @@ ROWS: dict[str, list[str]] = {
     "the recipe": [],
     "anchor `initial`": ['train.deeponet.anchor="initial"'],
     "anchor `none`": ['train.deeponet.anchor="none"'],
-    "loss `standardised`": ['train.deeponet.loss="standardised"'],
-    "loss `raw`": ['train.deeponet.loss="raw"'],
-    "Adam for SOAP": ['train.deeponet.optimiser="adam"', "train.deeponet.lr=2e-3"],
-    "D = 1 alone": ["generate.D=1.0"],
+    "squares for row norms": ['train.deeponet.rows="square"'],
+    "loss `standardised` for `kappa`": ['train.deeponet.loss="standardised"'],
+    "Adam (2e-3) for SOAP": ['train.deeponet.optimiser="adam"', "train.deeponet.lr=2e-3"],
+    "no explorers, no redrawn D̂": ["generate.explore=0.0", "generate.redraw=0.0"],
 }
 COLUMNS = ("", "MSE", "ε sup", "ε κ", "ε relative, median", "radius: median", "worst", "converged", "settles", "map")
 
@@ -51,7 +51,7 @@ def line(name: str, row: dict) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("pipeline", nargs="?", default="pipeline/paper.toml")
-    parser.add_argument("--epochs", type=int, default=10)
+    parser.add_argument("--epochs", type=int, default=12)
     parser.add_argument("--store", default="artifacts")
     asked = parser.parse_args()
     shared = ['train.models=["deeponet"]', f"train.deeponet.epochs={asked.epochs}", "train.deeponet.snapshots=[]"]

@@ -58,8 +58,10 @@ def _radii(axis: Any, models: dict[str, Any], gain: float) -> None:
     if rows:
         span = np.array([min(r["eps_kappa"] for _, r in rows) / 2, max(r["eps_kappa"] for _, r in rows) * 2])
         axis.plot(span, gain * span, color="#888888", linestyle=":", label=f"constant error: {gain:.4g} ε")
-        axis.legend(fontsize=7, frameon=False)
+        axis.legend(fontsize=6, frameon=False)
     axis.set(xscale="log", yscale="log", xlabel="ε κ on held-out rollouts", ylabel="radius: median to worst")
+    for side in (axis.xaxis, axis.yaxis):  # within a decade matplotlib labels the minor ticks, one over the other
+        side.set_minor_formatter("")
     axis.grid(alpha=0.3)
 
 
@@ -80,3 +82,4 @@ def _map(axis: Any, name: str, cells: dict[str, Any]) -> None:
     )
     axis.set(title=f"{drawing.words(name)}: {cells['share']:.0%}", xlabel="D̂(0) (s)", ylabel="D (s)")
     axis.title.set_fontsize(8)
+    axis.label_outer()

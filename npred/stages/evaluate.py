@@ -148,7 +148,7 @@ def _draw(job: Job, data: Dataset, models: dict[str, Any], loops: dict[str, Traj
     firsts = {name: figure1.first(config, run) for name, run in loops.items()}
     figure1.draw(job.folder, job.plant, config.D, firsts)
     certificate.draw(job.folder, config, models, metrics.gain(job.plant), firsts)
-    coverage.draw(job.folder, job.plant, data, loops)
+    coverage.draw(job.folder, job.plant, data, {name: run for name, run in loops.items() if "@" not in name})
 
 
 def summary(result: dict[str, Any]) -> Any:

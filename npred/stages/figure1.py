@@ -13,6 +13,7 @@ from npred.config import Evaluate
 from npred.plants import Plant
 from npred.stages import drawing
 
+FOCUS = "numerical"  # a loop that is lost may leave the picture, so that the others can be told apart
 SERIES = ("t", "X", "U", "D_hat", "N")
 
 
@@ -46,6 +47,8 @@ def draw(folder: Path, plant: Plant, D: float, loops: dict[str, Trajectories]) -
         look = {"color": drawing.COLOURS[number % 7], "linestyle": drawing.STYLES[number % 4], "linewidth": 1.3}
         for axis, column in zip(axes, columns.T, strict=False):
             axis.plot(loop.t, column, label=drawing.words(name), **look)
+            if name == FOCUS:
+                axis.set_ylim(*_around(column))
     levels = [*plant.equilibrium, *plant.u_equilibrium, D]
     for axis, label, level in zip(axes, [*plant.states, *plant.inputs, "delay estimate (s)"], levels, strict=False):
         axis.axhline(level, color="#888888", linewidth=0.8, linestyle=":")
@@ -55,3 +58,10 @@ def draw(folder: Path, plant: Plant, D: float, loops: dict[str, Trajectories]) -
         axis.set_xlabel("t (s)")
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=5, frameon=False, fontsize=8)
     drawing.save(figure, folder, "figure1")
+
+
+def _around(values: np.ndarray) -> tuple[float, float]:
+    """The range of the values with room on both sides."""
+    low, high = float(np.min(values)), float(np.max(values))
+    room = 0.15 * (high - low) or 1.0
+    return low - room, high + room
