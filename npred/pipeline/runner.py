@@ -55,8 +55,8 @@ class Runner:
         if min(len(nodes), self.jobs) == 1:
             return [self._node(node, outcomes) for node in nodes]
         with ThreadPoolExecutor(min(len(nodes), self.jobs)) as pool:
-            futures = [pool.submit(self._node, node, outcomes) for node in nodes]
             try:
+                futures = [pool.submit(self._node, node, outcomes) for node in nodes]
                 wait(futures, return_when=FIRST_EXCEPTION)
                 failed = [future for future in futures if future.done() and future.exception()]
                 return [future.result() for future in failed or futures]

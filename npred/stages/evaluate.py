@@ -60,8 +60,8 @@ def _all_loops(job: Job, contenders: list[Contender], begin: Starts) -> dict[str
     config = job.config.evaluate
     total = sum(begin.of(contender) for contender in contenders) * (round(config.case_t_end / config.dt) + 1)
     with job.progress.bar("evaluate", total, "steps") as bar, ThreadPoolExecutor(job.jobs) as pool:
-        tasks = {c.name: pool.submit(_loops, job, c, begin, bar.advance) for c in contenders}
         try:
+            tasks = {c.name: pool.submit(_loops, job, c, begin, bar.advance) for c in contenders}
             return {name: done.result() for name, done in tasks.items()}
         except BaseException:
             job.progress.stop()
