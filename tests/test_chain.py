@@ -43,6 +43,9 @@ nx = 21
 [bench]
 dx = [0.1]
 calls = 10
+batches = [1]
+runtimes = ["torch"]
+costly = ""
 """
 STAGES = ["generate", "train deeponet", "train fno", "evaluate", "bench"]
 

@@ -26,27 +26,45 @@ class Terminated(KeyboardInterrupt):
     """SIGTERM: the same way out as Ctrl-C, with another exit code."""
 
 
-def command(panel: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+def command(panel: str, to: typer.Typer = app) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Register f(options, *, own parameters) as a command that also takes the flags of its options class."""
 
     def register(function: Callable[..., None]) -> Callable[..., None]:
-        first, *own = inspect.signature(function).parameters.values()
-        options: type[Common] = first.annotation
-        shared = parameters(options)
-
-        def call(**values: Any) -> None:
-            common = options(**{parameter.name: values.pop(parameter.name) for parameter in shared})
-            code = guarded(lambda: function(common, **values), common.console)
-            if code:
-                raise typer.Exit(code)
-
-        signature = inspect.Signature([*own, *shared])
-        vars(call).update(__signature__=signature, __doc__=function.__doc__)
-        call.__annotations__ = {name: parameter.annotation for name, parameter in signature.parameters.items()}
-        app.command(name=function.__name__.strip("_"), rich_help_panel=panel, help=function.__doc__)(call)
+        name = function.__name__.strip("_")
+        to.command(name=name, rich_help_panel=panel, help=function.__doc__)(_with_flags(function))
         return function
 
     return register
+
+
+def group(panel: str) -> Callable[[Callable[..., None]], typer.Typer]:
+    """Make f(options, *, own parameters) a command with commands of its own: it runs where none of them is named."""
+
+    def register(function: Callable[..., None]) -> typer.Typer:
+        made = typer.Typer(no_args_is_help=False)
+        made.callback(invoke_without_command=True, help=function.__doc__)(_with_flags(function))
+        app.add_typer(made, name=function.__name__, rich_help_panel=panel)
+        return made
+
+    return register
+
+
+def _with_flags(function: Callable[..., None]) -> Callable[..., None]:
+    """The function as typer reads it: its own parameters, then the flags; a failure becomes an exit code."""
+    first, *own = inspect.signature(function).parameters.values()
+    options: type[Common] = first.annotation
+    shared = parameters(options)
+
+    def call(**values: Any) -> None:
+        common = options(**{parameter.name: values.pop(parameter.name) for parameter in shared})
+        code = guarded(lambda: function(common, **values), common.console)
+        if code:
+            raise typer.Exit(code)
+
+    signature = inspect.Signature([*own, *shared])
+    vars(call).update(__signature__=signature, __doc__=function.__doc__)
+    call.__annotations__ = {name: parameter.annotation for name, parameter in signature.parameters.items()}
+    return call
 
 
 def guarded(call: Callable[[], None], console: Console) -> int:

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from npred.cli.app import command
+from npred.cli.app import command, group
 from npred.cli.options import Common, Planned, Work
 
 RUN, LOOK, CARE = "Run", "Look", "Look after"
@@ -110,12 +110,55 @@ def diff(
     look.diff(options, a, b)
 
 
-@command(LOOK)
-def plants(options: Common) -> None:
-    """The plants that are built in."""
+@group(LOOK)
+def plants(options: Common, *, context: typer.Context) -> None:
+    """The plants that are built in or installed; `npred plants check` asks what is wrong with one."""
     from npred.cli import look
 
-    look.plants(options)
+    if context.invoked_subcommand is None:
+        look.plants(options)
+
+
+@command(LOOK, to=plants)
+def check(
+    options: Common,
+    *,
+    plant: Annotated[str, typer.Argument(metavar="PLANT", help="A name, or a file as my_plant.py:Tank.")],
+    delay: Annotated[float, typer.Option(help="The largest delay to predict over, in seconds.")] = 1.0,
+    nodes: Annotated[int, typer.Option(help="Nodes of the prediction; dx = 0.01 is 101.")] = 101,
+) -> None:
+    """What is right and wrong with a plant, in words; exit 3 where an answer is no."""
+    from npred.cli import look
+
+    look.check(options, plant, delay, nodes)
+
+
+@command(RUN)
+def init(
+    options: Common, *, name: Annotated[str, typer.Argument(metavar="NAME", help="The plant's name, as my_plant.")]
+) -> None:
+    """A plant of your own to start from: NAME.py and NAME.toml in this folder."""
+    from npred.cli import scaffold
+
+    scaffold.init(options, name)
+
+
+@command(LOOK)
+def export(
+    options: Common,
+    *,
+    form: Annotated[str, typer.Argument(metavar="onnx|c", help="The format: an ONNX graph, or a C99 file.")],
+    model: Annotated[str, typer.Argument(metavar="KEY", help="PIPELINE.toml:MODEL, MODEL, a folder or key.")],
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="The file; by default MODEL-NX.onnx or .c.")
+    ] = None,
+    nx: Annotated[int, typer.Option(help="Nodes of the actuator state, both ends of [0, 1] in.")] = 101,
+    atol: Annotated[float, typer.Option(help="How far an ONNX graph's P and U may be from the model's.")] = 1e-4,
+) -> None:
+    """A trained model as a file for another program: P, and U = kappa(P(1))."""
+    from npred.cli import export as exports
+
+    exports.export(options, exports.Wanted(form, model, output, nx, atol))
 
 
 @command(CARE)

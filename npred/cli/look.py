@@ -66,12 +66,26 @@ def diff(options: Common, a: str, b: str) -> None:
 
 
 def plants(options: Common) -> None:
-    """The plants that are built in."""
-    from npred.plants import builtin
+    """The plants that are built in, and those of installed packages."""
+    from npred.plants import named
 
-    built_in = builtin()
-    rows = [[p["name"], ", ".join(p["states"]), ", ".join(p["inputs"]), _assignments(p)] for p in built_in]
-    options.show({"plants": built_in}, lambda: columns(["plant", "states", "inputs", "parameters"], rows))
+    known = named()
+    rows = [[p["name"], ", ".join(p["states"]), ", ".join(p["inputs"]), _assignments(p)] for p in known]
+    options.show({"plants": known}, lambda: columns(["plant", "states", "inputs", "parameters"], rows))
+
+
+def check(options: Common, plant: str, delay: float, nodes: int) -> None:
+    """Every question about a plant with its answer. Raises UnmetError where one is no."""
+    from npred import plant_check, plants
+
+    answers = plant_check.check(plants.resolve(plant), delay, nodes)
+    fine = plant_check.settled(answers)
+    rows = [[answer.check, answer.verdict, answer.text] for answer in answers]
+    document = {"plant": plant, "fine": fine, "answers": [answer.json() for answer in answers]}
+    options.show(document, lambda: columns(["question", "answer", "found"], rows))
+    if not fine:
+        failed = ", ".join(answer.check for answer in answers if answer.verdict == "no")
+        raise UnmetError(f"plants check {plant}: expected no answer of no, got {failed}; the table says what to mend")
 
 
 def _verify(steps: list[Step]) -> None:

@@ -9,11 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from npred.errors import ConfigError
+from npred.plants import installed
 from npred.plants.base import Plant
 
 
 def resolve(name: str, parameters: Mapping[str, float] = {}) -> Plant:
-    """The plant of a built-in name or of `file.py:Class`, with parameters overridden.
+    """The plant of a built-in or installed name or of `file.py:Class`, with parameters overridden.
 
     Raises ConfigError, in one line, for an unknown name, a missing or broken file, or an unknown parameter.
     """
@@ -22,9 +23,10 @@ def resolve(name: str, parameters: Mapping[str, float] = {}) -> Plant:
     path, colon, class_name = name.partition(".py:")
     if colon:
         return _from_file(Path(path + ".py"), class_name, parameters)
-    declaration = _builtin().get(name)
+    declaration = _builtin().get(name) or installed.find(name)
     if declaration is None:
-        raise ConfigError(f"plant {name!r}: expected one of {', '.join(_builtin())}, or a file as my_plant.py:Tank")
+        known = ", ".join([*_builtin(), *installed.names(_builtin())])
+        raise ConfigError(f"plant {name!r}: expected one of {known}, or a file as my_plant.py:Tank")
     return Plant(name, declaration, parameters)
 
 
@@ -33,9 +35,9 @@ def identity(name: str, parameters: Mapping[str, float] = {}) -> dict[str, Any]:
     return resolve(name, parameters).identity
 
 
-def builtin() -> list[dict[str, Any]]:
-    """Name, states, inputs and parameters of the plants that are built in."""
-    plants = [resolve(name) for name in _builtin()]
+def named() -> list[dict[str, Any]]:
+    """Name, states, inputs and parameters of the plants that have a name: built in, or of installed packages."""
+    plants = [resolve(name) for name in [*_builtin(), *installed.names(_builtin())]]
     return [
         {"name": p.name, "states": list(p.states), "inputs": list(p.inputs), "parameters": p.parameters} for p in plants
     ]

@@ -16,7 +16,8 @@ def check(plant: str, declaration: Any) -> None:
     """Raise ConfigError for a part that is missing, or for an f, kappa or V that is no function."""
     for part in REQUIRED:
         if not hasattr(declaration, part):
-            raise ConfigError(f"plant {plant}: expected {', '.join(REQUIRED)}, found no {part}; declare it")
+            hint = "declare it" + (", as 0.0 to have npred plants check offer one" if part == "V" else "")
+            raise ConfigError(f"plant {plant}: expected {', '.join(REQUIRED)}, found no {part}; {hint}")
     for part in REQUIRED[2:]:
         if not callable(getattr(declaration, part)):
             raise ConfigError(f"plant {plant}: expected {part} to be a function, got {getattr(declaration, part)!r}")

@@ -6,7 +6,7 @@ this and not a computer-algebra system.
 
 import math
 import operator
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -303,14 +303,20 @@ def _needed(outputs: Vector) -> list[int]:
     return sorted(seen)
 
 
-def program(outputs: Vector, bindings: dict[str, str], targets: Sequence[str]) -> list[str]:
-    """The lines that compute the outputs: inputs read from `bindings` (name to text), results written to `targets`."""
+def program(
+    outputs: Vector, bindings: dict[str, str], targets: Sequence[str], texts: Mapping[str, str] = {}
+) -> list[str]:
+    """The lines that compute the outputs: inputs read from `bindings` (name to text), results written to `targets`.
+
+    `texts` replaces the text of operations, for another language than Python.
+    """
     symbols = [y for y in outputs if isinstance(y, Symbol)]
     lines, names = [], {}
     for index in _needed(outputs):
         op, args = symbols[0].tape.nodes[index]
         names[index] = f"v{index}"
-        text = bindings[args[0]] if op == "input" else OPS[op].text.format(*(_text(a, names) for a in args))
+        template = bindings[args[0]] if op == "input" else texts.get(op, OPS[op].text)
+        text = template if op == "input" else template.format(*(_text(a, names) for a in args))
         lines.append(f"v{index} = {text}")
     return lines + [f"{target} = {_text(y, names)}" for target, y in zip(targets, outputs, strict=True)]
 
@@ -326,3 +332,15 @@ def _text(a: Any, names: dict[int, str]) -> str:
 def depends(outputs: Vector, symbols: Vector) -> bool:
     """Whether any output needs any of those inputs."""
     return not {s.index for s in symbols}.isdisjoint(_needed(outputs))
+
+
+def kinks(outputs: Vector, inputs: Vector) -> list[str]:
+    """The operations without a derivative somewhere by which the outputs depend on those inputs, each named once."""
+    found = set()
+    nodes = next((y.tape.nodes for y in outputs if isinstance(y, Symbol)), [])
+    for index in _needed(outputs):
+        op, args = nodes[index]
+        decided = args[:1] if op == "where" else args
+        if op in ("abs", "sign", "where", "maximum", "minimum") and depends(decided, inputs):
+            found.add(op)
+    return sorted(found)

@@ -98,7 +98,17 @@ def _where(error: Exception) -> str:
 
 
 def _told(error: Exception) -> str:
-    return " ".join(f"{type(error).__name__}: {error}".split())
+    return " ".join(f"{type(error).__name__}: {error}{_cure(error)}".split())
+
+
+def _cure(error: Exception) -> str:
+    """What the author may have meant by a name that is none."""
+    known = getattr(getattr(error, "obj", None), "_fields", None)
+    if isinstance(error, AttributeError) and known is not None:
+        return f"; expected one of {', '.join(known) or 'none: none is declared'}"
+    if isinstance(error, NameError):
+        return "; f knows x, u, t, p and M, kappa and V know x, t, p and M"
+    return ""
 
 
 @cache

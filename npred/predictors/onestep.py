@@ -8,28 +8,34 @@ from npred.plants import kernels, tape
 from npred.plants.trace import Trace
 from npred.predictors.base import SIGNATURE, Compiled
 
-# With few lanes the states stay in registers along x; with many, the lanes are the SIMD loop.
+# With few lanes the states stay in registers along x; with many, the lanes are the SIMD loop. A long step fits no
+# registers, and compiling it twice takes twice as long.
 SOURCE = """\
 def sweep(X, u, D_hat, t, p, P):
     nx, n, lanes = P.shape
     {parameters}
-    if lanes < 4:
+    {few}
+    for c in range(n):
+        for l in range(lanes):
+            P[0, c, l] = X[c, l]
+    for j in range(nx - 1):
+        {weights}
         for l in range(lanes):
             h = D_hat[l] / (nx - 1)
-            {start}
-            for j in range(nx - 1):
-                {weights}
-                {scalar}
-    else:
-        for c in range(n):
-            for l in range(lanes):
-                P[0, c, l] = X[c, l]
+            {lane}
+"""
+
+FEW = """\
+if lanes < 4:
+    for l in range(lanes):
+        h = D_hat[l] / (nx - 1)
+        {start}
         for j in range(nx - 1):
             {weights}
-            for l in range(lanes):
-                h = D_hat[l] / (nx - 1)
-                {lane}
+            {scalar}
+    return
 """
+LONG = 500  # lines
 
 # u at the middle of a cell by the cubic through four nodes, one-sided in the end cells; linear where nx < 4.
 WEIGHTS = """\
@@ -70,11 +76,13 @@ class OneStep(Compiled):
         scalar = tape.program(y, bindings | dict(zip(local, local, strict=True)), new)
         scalar += [f"x{k} = P[j + 1, {k}, l] = y{k}" for k in range(n)]
         target = [f"P[j + 1, {k}, l]" for k in range(n)]
+        weights = WEIGHTS.splitlines() if tape.depends(y, um) else []
+        start = [f"x{k} = P[0, {k}, l] = X[{k}, l]" for k in range(n)]
+        few = kernels.fill(FEW, start=start, weights=weights, scalar=scalar).splitlines()
         return kernels.fill(
             SOURCE,
             parameters=[f"p{k} = p[{k}]" for k in range(len(self.plant.p))],
-            start=[f"x{k} = P[0, {k}, l] = X[{k}, l]" for k in range(n)],
-            weights=list(WEIGHTS.splitlines()) if tape.depends(y, um) else [],
-            scalar=scalar,
+            few=few if len(scalar) < LONG else [],
+            weights=weights,
             lane=tape.program(y, bindings | dict(zip(local, memory, strict=True)), target),
         )

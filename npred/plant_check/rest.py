@@ -1,0 +1,126 @@
+"""Questions about the equilibrium: is there one, does the law without delay lead there, does V fall on the way?"""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from npred import arguments
+from npred.errors import ConfigError
+from npred.plant_check.answer import Answer, Case, named
+from npred.plants import tape
+from npred.plants.trace import Trace, python
+
+
+def answers(case: Case, sound: bool) -> Iterator[Answer]:
+    """Equilibrium, stability and, where the box is `sound`, V along the loop; a plant that tracks has none."""
+    if not case.plant.rests:
+        text = "f or kappa depends on time: the plant tracks, and has no equilibrium, eigenvalues or V' to test"
+        yield Answer("equilibrium", "warn", text)
+        return
+    yield (found := equilibrium(case))
+    if found.verdict == "no":
+        return
+    yield (stable := stability(case))
+    if sound and stable.verdict == "yes":
+        yield decrease(case)
+
+
+def smooth(case: Case) -> Answer:
+    """Whether kappa has kinks: the update law takes its derivative."""
+    trace = Trace(case.plant)
+    x = trace.vector("x", case.plant.n)
+    kinks = tape.kinks(trace.kappa(x, trace.input("t")), x)
+    if not kinks:
+        return Answer("smooth law", "yes", "kappa has derivatives everywhere it is defined")
+    harm = "a law of signs chatters, and its derivative is 0" if "sign" in kinks else "its derivative may jump there"
+    text = f"{case.place('kappa')} decides by {', '.join(kinks)}: {harm}; smooth it, with M.tanh say, if loops chatter"
+    return Answer("smooth law", "warn", text)
+
+
+def equilibrium(case: Case) -> Answer:
+    """Whether f(X*, kappa(X*)) = 0 has a solution near `guess`, with an input that the plant accepts."""
+    plant = case.plant
+    try:
+        X, u = plant.equilibrium, plant.u_equilibrium
+    except ConfigError as error:
+        return Answer("equilibrium", "no", f"{error}, or mend {case.place('kappa')}")
+    bounds = arguments.bounds(plant, None)
+    inputs = named(plant.inputs, u)
+    if (u < bounds[:, 0]).any() or (u > bounds[:, 1]).any():
+        text = f"plant {plant.name}: rests with {inputs}, outside input_bounds {bounds.tolist()}; move the set point"
+        return Answer("equilibrium", "no", text)
+    return Answer("equilibrium", "yes", f"{case.state(X)}, with {inputs}")
+
+
+def closed_loop(case: Case) -> np.ndarray:
+    """f_X + f_U kappa' at the equilibrium, (n, n)."""
+    X, u = case.plant.equilibrium, case.plant.u_equilibrium
+    f_X, f_U = case.plant.jacobians(X, u)
+    return f_X + f_U @ case.plant.kappa_jacobian(X)
+
+
+def stability(case: Case) -> Answer:
+    """Whether the loop of kappa without delay is stable: the eigenvalues of f_X + f_U kappa' at the equilibrium."""
+    A = closed_loop(case)
+    if not np.isfinite(A).all():
+        text = f"{case.place('kappa')}: the loop has no derivative at the equilibrium; guard the term that has none"
+        return Answer("stability", "no", text)
+    values = np.linalg.eigvals(A)
+    told = ", ".join(_complex(value) for value in sorted(values, key=lambda value: -value.real))
+    if values.real.max() < 0:
+        return Answer("stability", "yes", f"eigenvalues of the loop without delay: {told}")
+    text = f"{case.place('kappa')} does not stabilise: eigenvalues {told} without delay, expected all negative"
+    return Answer("stability", "no", f"{text}; check its signs and gains")
+
+
+def _complex(value: complex) -> str:
+    return f"{value.real:.3g}" + (f" {value.imag:+.3g}i" if value.imag else "")
+
+
+def decrease(case: Case) -> Answer:
+    """Whether V' = V_X f(X, kappa(X)) < 0 from the box to rest; where not, x'Sx of the Lyapunov equation is offered."""
+    X = _towards_rest(case)
+    rates = _along(case, X)
+    rising = ~(rates < 0)
+    if not rising.any():
+        return Answer("V", "yes", f"V' < 0 along the loop of kappa, at {len(X)} states of the box and towards rest")
+    worst = int(np.argmax(np.where(np.isnan(rates), np.inf, rates)))
+    found = f"V' = {rates[worst]:.3g} at {case.state(X[worst])}, and {rising.mean():.0%} of {len(X)} states are like it"
+    return Answer("V", "warn", f"{case.place('V')} does not fall along the loop: {found}; {_offer(case, X)}")
+
+
+def _towards_rest(case: Case) -> np.ndarray:
+    """The states of the box, and as many between them and the equilibrium, (2 samples, n)."""
+    share = np.linspace(0.02, 1.0, len(case.X))[:, None]
+    return np.concatenate([case.X, case.plant.equilibrium + share * (case.X - case.plant.equilibrium)])
+
+
+def _along(case: Case, X: np.ndarray) -> np.ndarray:
+    """V' at the states X (B, n), the input not clipped, (B,)."""
+    trace, plant = Trace(case.plant), case.plant
+    x, t = trace.vector("x", plant.n), 0.0
+    V = trace.V(x, t)
+    slope = tape.derivative([V], x, trace.f(x, trace.kappa(x, t), t))
+    names = [*(f"x{k}" for k in range(plant.n)), *(f"p{k}" for k in range(len(plant.p)))]
+    rate = python(slope, names, np)
+    with np.errstate(all="ignore"):
+        return np.array([rate(*row, *plant.p)[0] for row in X], dtype=float)
+
+
+def lyapunov(A: np.ndarray) -> np.ndarray:
+    """The S of A'S + SA = -I, (n, n), symmetric; positive definite where A is stable."""
+    eye = np.eye(len(A))
+    return np.linalg.solve(np.kron(A.T, eye) + np.kron(eye, A.T), -eye.ravel()).reshape(A.shape)
+
+
+def _offer(case: Case, X: np.ndarray) -> str:
+    """x'Sx as text for the plant's file, with how often it falls at the states X."""
+    S, e = lyapunov(closed_loop(case)), X - case.plant.equilibrium
+    slopes = np.einsum("bi,ij,bj->b", e, S, case.plant.f(X, case.plant.kappa(X)))
+    terms = [_term(case, S, i, j) for i in range(len(S)) for j in range(i, len(S)) if abs(S[i, j]) > 1e-9]
+    return f"V = {' + '.join(terms)} solves the Lyapunov equation, and falls at {(slopes < 0).mean():.0%} of them"
+
+
+def _term(case: Case, S: np.ndarray, i: int, j: int) -> str:
+    a, b = (f"(x.{case.plant.states[k]} - {case.plant.equilibrium[k]:.6g})" for k in (i, j))
+    return f"{S[i, j]:.4g} * {a} ** 2" if i == j else f"{2 * S[i, j]:.4g} * {a} * {b}"

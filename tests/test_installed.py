@@ -1,0 +1,71 @@
+"""Plants of installed packages: found by name, listed, and not imported before they are asked for."""
+
+import sys
+
+import pytest
+
+from npred import plants
+from npred.errors import ConfigError
+
+PACKAGE = """
+class Tank:
+    states, inputs, guess, box = ("h",), ("q",), (1.0,), {"h": (0.5, 2.0)}
+
+    def f(x, u, t, p, M):
+        return [u.q - x.h]
+
+    def kappa(x, t, p, M):
+        return [2 - x.h]
+
+    def V(x, t, p, M):
+        return (x.h - 1) ** 2
+"""
+
+
+@pytest.fixture
+def package(tmp_path, monkeypatch):
+    """Install a package that registers plants, as `pip install` leaves it."""
+
+    def install(entries: str, text: str = PACKAGE) -> None:
+        (tmp_path / "shed_of_tanks.py").write_text(text)
+        info = tmp_path / "shed_of_tanks-1.0.dist-info"
+        info.mkdir()
+        (info / "METADATA").write_text("Metadata-Version: 2.1\nName: shed-of-tanks\nVersion: 1.0\n")
+        (info / "entry_points.txt").write_text(f"[npred.plants]\n{entries}\n")
+
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "shed_of_tanks", raising=False)
+    yield install
+    sys.modules.pop("shed_of_tanks", None)
+
+
+def test_a_registered_plant_is_found_listed_and_lazily_imported(package):
+    package("round_tank = shed_of_tanks:Tank")
+    assert plants.resolve("scalar").n == 1
+    with pytest.raises(ConfigError, match=r"expected one of .*, round_tank, or a file"):
+        plants.resolve("nonesuch")
+    assert "shed_of_tanks" not in sys.modules
+    tank = plants.resolve("round_tank")
+    assert (tank.name, tank.states, tank.equilibrium.tolist()) == ("round_tank", ("h",), [1.0])
+    assert tank.identity["source"] is None
+    assert "round_tank" in [row["name"] for row in plants.named()]
+
+
+def test_a_built_in_name_cannot_be_taken(package):
+    package("scalar = shed_of_tanks:Tank")
+    assert plants.resolve("scalar").states == ("X",)
+    assert [row["name"] for row in plants.named()].count("scalar") == 1
+
+
+@pytest.mark.parametrize(
+    ("entry", "text", "words"),
+    [
+        ("round_tank = shed_of_tanks:Tank", "import nowhere", "shed-of-tanks failed on import of shed_of_tanks:Tank"),
+        ("round_tank = shed_of_tanks:Vat", PACKAGE, "failed on import of shed_of_tanks:Vat: AttributeError"),
+        ("round_tank = shed_of_tanks:Tank", "Tank = 3", "plant round_tank: expected states, inputs, f, kappa, V"),
+    ],
+)
+def test_a_broken_package_is_told_by_name(package, entry, text, words):
+    package(entry, text)
+    with pytest.raises(ConfigError, match=words):
+        plants.resolve("round_tank")
