@@ -4,15 +4,16 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from npred.adaptation import DelayAdaptation as DelayAdaptation
+    from npred.api import controller as controller
     from npred.api import load as load
     from npred.api import plant as plant
     from npred.api import predictor as predictor
     from npred.closed_loop import simulate as simulate
 
 __version__ = "0.1.0"
-__all__ = ["DelayAdaptation", "load", "plant", "predictor", "simulate"]
+__all__ = ["DelayAdaptation", "controller", "load", "plant", "predictor", "simulate"]
 
-_HOME = {"DelayAdaptation": "adaptation", "simulate": "closed_loop", "load": "api", "plant": "api", "predictor": "api"}
+_HOME = dict.fromkeys(__all__, "api") | {"DelayAdaptation": "adaptation", "simulate": "closed_loop"}
 
 
 def __getattr__(name: str) -> Any:

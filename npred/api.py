@@ -1,12 +1,19 @@
 """Plants, predictors and trained models by name: what a script or notebook starts from."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from npred import plants
+from npred.adaptation import DelayAdaptation
+from npred.control import Controller
 from npred.errors import ConfigError
 from npred.plants import Plant
-from npred.predictors import METHODS, Compiled
-from npred.predictors.neural import Neural
+from npred.predictors import METHODS, Compiled, Predictor
+
+if TYPE_CHECKING:  # these bring torch
+    from npred.predictors.neural import Neural
+    from npred.runtimes.fused import Fused
+    from npred.runtimes.onnx import Onnx
 
 
 def plant(name: str, **parameters: float) -> Plant:
@@ -26,18 +33,32 @@ def predictor(method: str, plant: Plant, nx: int = 101) -> Compiled:
     return METHODS[method](plant, nx)
 
 
-def load(model: str, *, store: str | Path | None = None, nx: int = 101, device: str = "cpu") -> Neural:
+def load(
+    model: str, *, store: str | Path | None = None, nx: int = 101, device: str = "cpu", runtime: str = "torch"
+) -> "Neural | Fused | Onnx":
     """A trained model as a predictor: `pipeline/paper.toml:deeponet`, `…:deeponet@107`, or an artifact's path or key.
 
-    Files are verified against their digests. The plant is the pipeline's, or, for an artifact, the built-in one of that
-    name: a plant's file is code and is run only when a pipeline names it. Raises ConfigError, StoreError, and
-    MissingError for a device that this machine lacks.
+    `runtime`: torch on the device, in float64; fused, compiled for the CPU, many times faster in one loop; onnx, ONNX
+    Runtime. Files are verified against their digests. The plant is the pipeline's, or, for an artifact, the built-in
+    one of that name: a plant's file is code and is run only when a pipeline names it. Raises ConfigError, StoreError,
+    and MissingError for a device or an extra that this machine lacks.
     """
-    from npred import devices, operators
+    import torch
+
+    from npred import devices, operators, runtimes
     from npred.pipeline.models import load_model
 
     device = devices.resolve(device)
     devices.require(device)
     stored = load_model(str(model), Path(store) if store else None)
-    operator = operators.load(stored.folder, stored.plant, stored.snapshot)
-    return Neural(stored.plant, operator, nx, device, stored.model)
+    precision = torch.float64 if runtime == "torch" else torch.float32
+    operator = operators.load(stored.folder, stored.plant, stored.snapshot, precision)
+    return runtimes.predictor(runtime, stored.plant, operator, nx, stored.model, device)
+
+
+def controller(
+    plant: Plant, predictor: Predictor, adaptation: DelayAdaptation | None, dt: float, *,
+    D_hat: float | None = None, input_bounds: Any = None,
+) -> Controller:  # fmt: skip
+    """The controller alone, for a real plant: `U = controller.step(X, u)` each dt seconds; see npred.control."""
+    return Controller(plant, predictor, adaptation, dt, D_hat=D_hat, input_bounds=input_bounds)

@@ -194,12 +194,26 @@ class Evaluate(Loop):
 
 
 class Bench(Table):
-    """Table I of [DAPF]: calls at each dx, each predictor with its own error beside its time."""
+    """Table I of [DAPF]: calls at each dx, each predictor with its own error beside its time.
 
-    dx: Some[Annotated[float, Field(gt=0, le=0.5)]] = [0.01, 0.005, 0.001]
+    Batches above 1 are timed at the first dx. `calls` of a predictor end after `seconds`; `costly` is a plant whose f
+    is dear, to say from where on a network pays ("" for none).
+    """
+
+    dx: list[Annotated[float, Field(gt=0, le=0.5)]] = [0.01, 0.005, 0.001]
     calls: Count = 1000
+    seconds: Positive = 15.0
     threads: Count = 1
-    batches: Some[Count] = [1]
+    batches: list[Count] = [1, 1024]
+    runtimes: list[Literal["torch", "fused", "onnx"]] = ["torch", "fused", "onnx"]
+    costly: str = ""
+
+    @model_validator(mode="after")
+    def _check_lists(self) -> Self:
+        for key in ("dx", "batches", "runtimes"):
+            if not getattr(self, key):
+                raise ValueError(f"{key}: expected at least one, got none; name one")
+        return self
 
 
 class Pipeline(Table):

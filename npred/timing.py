@@ -1,36 +1,65 @@
 """Timing of single calls, interleaved and with the tail kept: control loops miss deadlines in the tail."""
 
 import gc
+import os
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 
 import numpy as np
 
 ROUNDS = 10  # the machine's drift falls on all contenders alike
+LEAST = 10  # calls of a contender, however long they take
+WARM_UP = 3
+Call = Callable[[int], None]
 
 
 def sample(
-    calls: Mapping[str, Callable[[int], None]], count: int, progress: Callable[[int], None] | None = None
+    calls: Mapping[str, Call], count: int, seconds: float, progress: Callable[[int], None] | None = None
 ) -> dict[str, np.ndarray]:
-    """Nanoseconds of `count` calls of each contender, (count,): call(k) is the k-th call. Garbage collector off."""
+    """Nanoseconds of the calls of each contender: call(k) is the k-th call, of `count` or of as many as take `seconds`.
+
+    Contenders take turns, on one core where that can be had, with the garbage collector off.
+    """
     taken: dict[str, list[np.ndarray]] = {name: [] for name in calls}
-    edges = np.linspace(0, count, ROUNDS + 1).astype(int)
-    gc_was_on = gc.isenabled()
-    gc.disable()
-    try:
-        for start, stop in zip(edges, edges[1:], strict=False):
+    with undisturbed():
+        edges = {
+            name: np.linspace(0, affordable(call, count, seconds), ROUNDS + 1).astype(int)
+            for name, call in calls.items()
+        }
+        for turn in range(ROUNDS):
             for name, call in calls.items():
-                call(start)  # back into the caches
-                taken[name].append(_clock(call, range(start, stop)))
+                numbers = range(edges[name][turn], edges[name][turn + 1])
+                call(numbers.start)  # back into the caches
+                taken[name].append(_clock(call, numbers))
                 if progress:
-                    progress(stop - start)
-    finally:
-        if gc_was_on:
-            gc.enable()
+                    progress(len(numbers))
     return {name: np.concatenate(parts) for name, parts in taken.items()}
 
 
-def _clock(call: Callable[[int], None], numbers: range) -> np.ndarray:
+def affordable(call: Call, count: int, seconds: float) -> int:
+    """How many calls, at most `count`, fit into `seconds`; the calls made to find out are the warm-up."""
+    quickest = _clock(call, range(WARM_UP)).min() / 1e9
+    return int(min(count, max(LEAST, seconds / max(quickest, 1e-9))))
+
+
+@contextmanager
+def undisturbed() -> Iterator[None]:
+    """The garbage collector off, and this thread on one core, where the system lets it choose."""
+    collects, cores = gc.isenabled(), os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else None
+    gc.disable()
+    if cores:
+        os.sched_setaffinity(0, {max(cores)})
+    try:
+        yield
+    finally:
+        if cores:
+            os.sched_setaffinity(0, cores)
+        if collects:
+            gc.enable()
+
+
+def _clock(call: Call, numbers: range) -> np.ndarray:
     times = np.empty(len(numbers), dtype=np.int64)
     now = time.perf_counter_ns
     for row, k in enumerate(numbers):

@@ -11,7 +11,7 @@ from npred.errors import ConfigError, MissingError
 
 
 def test_public_names_are_the_documented_ones():
-    assert set(npred.__all__) == {"DelayAdaptation", "load", "plant", "predictor", "simulate"}
+    assert set(npred.__all__) == {"DelayAdaptation", "controller", "load", "plant", "predictor", "simulate"}
     for name in npred.__all__:
         assert callable(getattr(npred, name))
     with pytest.raises(AttributeError, match="has no attribute 'nothing'"):

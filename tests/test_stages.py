@@ -143,37 +143,91 @@ def dataset(X, u, D_hat):
     return Dataset(X, u[:, None, None], D_hat, X[:, None], rows, rows, rows.astype(np.int32), rows.astype(np.uint8))
 
 
-def test_bench_rows(made, tmp_path):
-    task = job(tmp_path, "bench", inputs=made)
-    result = bench.run(task)
+@pytest.fixture(scope="module")
+def benched(made, tmp_path_factory):
+    task = job(tmp_path_factory.mktemp("bench"), "bench", inputs=made)
+    return task, bench.run(task)
+
+
+def test_bench_rows(benched):
+    """Batch 1 at each dx, larger batches at the first."""
+    _, result = benched
     grid_rows = [r for r in result["rows"] if r["matches"] is None]
-    names = ["published", "euler_python", "euler", "heun", "rk4", "deeponet", "fno"]
-    assert [(r["predictor"], round(r["dx"], 3)) for r in grid_rows] == [(n, dx) for dx in (0.1, 0.05) for n in names]
+    numerical = [("euler", "compiled"), ("heun", "compiled"), ("rk4", "compiled")]
+    neural = [(name, runtime) for name in ("deeponet", "fno") for runtime in ("torch", "fused")]
+    single = [("published", "python"), ("euler_python", "python"), *numerical, *neural]
+    wanted = [(*kind, dx, 1) for dx in (0.1, 0.05) for kind in single]
+    wanted += [(*kind, 0.1, 3) for kind in (*numerical, *neural)]
+    assert [(r["predictor"], r["runtime"], round(r["dx"], 3), r["batch"]) for r in grid_rows] == wanted
     for row in result["rows"]:
         assert 0 < row["median_us"] <= row["p95_us"] <= row["p999_us"] <= row["max_us"]
+        assert (row["calls"], row["device"], row["copies"]) == (12, "cpu", None)
+    assert {"cpu", "threads", "versions"} <= set(result["hardware"])
+
+
+def test_bench_errors_and_speedups(benched):
+    rows = benched[1]["rows"]
+    grid_rows = [r for r in rows if r["matches"] is None]
     errors = {(r["predictor"], round(r["dx"], 3)): r["eps_sup"] for r in grid_rows}
     assert errors["published", 0.1] == pytest.approx(errors["euler", 0.1], rel=1e-9)
     assert max(errors["rk4", 0.1], errors["heun", 0.1]) < errors["euler", 0.1]
     assert 1.5 < errors["euler", 0.1] / errors["euler", 0.05] < 3
-    matched = {r["matches"]: r for r in result["rows"] if r["matches"]}
+    matched = {r["matches"]: r for r in rows if r["matches"]}
+    assert set(matched) == {"deeponet", "fno", "front"}
     for name in ("deeponet", "fno"):
         assert matched[name]["eps_sup"] <= errors[name, 0.1]
-    published = next(r for r in grid_rows if r["predictor"] == "euler")
-    assert published["speedup_compiled"] == 1.0 and published["speedup_published"] > 1.0
+        by_runtime = {r["runtime"]: r["eps_sup"] for r in grid_rows if (r["predictor"], r["batch"]) == (name, 1)}
+        assert by_runtime["fused"] == pytest.approx(by_runtime["torch"], rel=1e-4)
+    euler = next(r for r in grid_rows if r["predictor"] == "euler")
+    assert euler["speedup_compiled"] == 1.0 and euler["speedup_published"] > 1.0
+
+
+def test_bench_writes_raw_times_a_latex_table_and_a_figure(benched):
+    task, result = benched
     with h5py.File(task.folder / "times.h5") as file:
         assert len(file) == len(result["rows"]) and all(len(samples) == 12 for samples in file.values())
-    assert {"cpu", "threads", "versions"} <= set(result["hardware"])
+    assert r"\toprule" in (task.folder / "bench.tex").read_text()
+    assert "<svg" in (task.folder / "front.svg").read_text()
+
+
+def test_bench_says_from_where_on_a_network_pays(benched):
+    (found,) = benched[1]["crossover"]
+    assert found["plant"] == "activator_repressor" and found["runtime"] in ("torch", "fused")
+    assert found["f_ns"] > 0 and found["rk4_steps"] >= 2
+    assert found["sentence"].startswith("For activator_repressor at eps = ")
+
+
+@pytest.mark.slow
+def test_bench_with_onnx_and_a_costly_plant(made, tmp_path):
+    pytest.importorskip("onnxruntime")
+    task = job(tmp_path, "bench", inputs=made, bench={"runtimes": ["onnx"], "dx": [0.1], "batches": [1],
+                                                      "costly": "planar_arm"})  # fmt: skip
+    result = bench.run(task)
+    assert {r["runtime"] for r in result["rows"]} == {"python", "compiled", "onnx"}
+    own, costly = result["crossover"]
+    assert (own["plant"], own["runtime"], costly["plant"], costly["runtime"]) == (
+        "activator_repressor", "onnx", "planar_arm", "fused",
+    )  # fmt: skip
+    assert costly["eps_relative"] == own["eps_relative"]
+
+
+def test_bench_without_the_onnx_extra_leaves_its_rows_out(made, tmp_path, monkeypatch):
+    from npred.stages import contenders
+
+    monkeypatch.setattr(contenders.devices, "package", lambda name: None if name == "onnx" else "1")
+    task = job(tmp_path, "bench", inputs=made, bench={"runtimes": ["torch", "onnx"]})
+    assert contenders._available(task, task.config.bench) == ["torch"]
 
 
 @pytest.mark.parametrize("stage", [evaluate, bench])
-def test_summaries_print(stage, evaluated, made, tmp_path):
+def test_summaries_print(stage, evaluated, benched):
     from rich.console import Console
 
-    result = evaluated[1] if stage is evaluate else bench.run(job(tmp_path, "bench", inputs=made))
+    result = evaluated[1] if stage is evaluate else benched[1]
     console = Console(width=200, record=True, file=open("/dev/null", "w"))  # noqa: SIM115
     console.print(stage.summary(result))
     text = console.export_text()
-    assert "deeponet" in text and "numerical" in text if stage is evaluate else "published" in text
+    assert "deeponet" in text and ("numerical" if stage is evaluate else "A network pays from") in text
 
 
 def test_figure_numbers_of_a_loop_that_never_settles(evaluated):

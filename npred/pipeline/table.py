@@ -127,5 +127,5 @@ STAGES: dict[str, Stage] = {
     "generate": Stage(1, (), _generate, "npred.stages.generate"),
     "train": Stage(1, ("generate",), _train, "npred.stages.train"),
     "evaluate": Stage(1, ("generate", "train"), _evaluate, "npred.stages.evaluate"),
-    "bench": Stage(1, ("generate", "train"), _bench, "npred.stages.bench"),
+    "bench": Stage(2, ("generate", "train"), _bench, "npred.stages.bench"),
 }

@@ -1,0 +1,63 @@
+"""What `npred export` does: a trained model as a file for another program, checked on held-out samples."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+from npred import operators
+from npred.cli.options import Common
+from npred.dataset import Dataset
+from npred.errors import ConfigError
+from npred.pipeline import Stored, load_model
+from npred.runtimes import c, onnx
+from npred.runtimes.probe import Probe, probe
+
+FORMATS = ("onnx", "c")
+COMPARED = {"onnx": 200, "c": 4}  # held-out samples; those of a C file are its test vector
+
+
+class Wanted(NamedTuple):
+    """What was asked for."""
+
+    form: str
+    model: str
+    output: Path | None
+    nx: int
+    atol: float
+
+
+def export(options: Common, wanted: Wanted) -> None:
+    """Write the file. Raises ConfigError for a format that there is none of, NpredError for a graph that differs."""
+    if wanted.form not in FORMATS:
+        raise ConfigError(f"export: expected {' or '.join(FORMATS)}, got {wanted.form!r}; name one of them")
+    if wanted.nx < 2:
+        raise ConfigError(
+            f"--nx: expected at least 2 nodes, both ends of [0, 1], got {wanted.nx}; dx = 0.01 is nx = 101"
+        )
+    stored = load_model(wanted.model, options.store)
+    path = wanted.output or Path(f"{stored.model}-{wanted.nx}.{wanted.form}")
+    if not path.parent.is_dir() or path.is_dir():
+        raise ConfigError(f"{path}: expected a file that can be written, in a folder that is there; make {path.parent}")
+    operator = operators.load(stored.folder, stored.plant, stored.snapshot)
+    samples = _samples(options, stored, COMPARED[wanted.form], wanted.nx)
+    document = {"file": str(path), "format": wanted.form, "model": stored.model, "nx": wanted.nx}
+    if wanted.form == "c":
+        c.export(operator, stored.plant, path, wanted.nx, samples)
+    else:
+        document["error"] = onnx.export(operator, stored.plant, path, wanted.nx, samples, wanted.atol)
+    options.show(document, lambda: _told(document))
+
+
+def _samples(options: Common, stored: Stored, count: int, nx: int) -> Probe:
+    """Held-out samples of the data that the model was trained on, verified."""
+    source = options.results.find(str(stored.folder)).manifest.question.inputs["generate"]
+    data = options.results.get("generate", source.key)
+    if data is None:
+        raise ConfigError(
+            f"export: expected the model's data {source.key[:12]} in {options.store}, got none; generate it"
+        )
+    return probe(Dataset.read(data.verify().folder / "data.h5").subset(test=True), count, nx)
+
+
+def _told(document: dict[str, object]) -> str:
+    line = f"{document['file']}: P and U of {document['model']} on {document['nx']} nodes"
+    return f"{line}, within {document['error']:.2g} of the model" if "error" in document else line

@@ -1,0 +1,111 @@
+"""The controller alone, for a real plant: one step a call, on memory taken at the start."""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from npred import arguments, engine, shapes
+from npred.adaptation import DelayAdaptation, control_law, update_law
+from npred.errors import ConfigError, DivergedError
+from npred.plants.base import Plant
+from npred.predictors import Predictor
+
+
+class Controller:
+    """U = kappa(P(1)), P from the predictor, and D_hat' = gamma Proj{D_hat, phi} [DAPF, eqs. 9-14], each dt seconds.
+
+    The actuator state u is measured, so D_hat and the step number are all that it remembers. `D_hat` (seconds) is the
+    estimate that the next step uses, by default the middle of the adaptation's bounds; `adaptation=None` freezes it.
+    U is clipped to `input_bounds` (m, 2), by default the plant's. Steps equal those of npred.simulate.
+    Raises ConfigError for parts that do not fit together.
+    """
+
+    def __init__(
+        self, plant: Plant, predictor: Predictor, adaptation: DelayAdaptation | None, dt: float, *,
+        D_hat: float | None = None, input_bounds: Any = None,
+    ) -> None:  # fmt: skip
+        arguments.parts(plant, predictor, adaptation, "rk4", 1)
+        if not 0 < dt < math.inf:
+            raise ConfigError(f"dt: expected a control step above 0 s, got {dt!r}; give seconds")
+        self.plant, self.predictor, self.adaptation, self.dt = plant, predictor, adaptation, float(dt)
+        law = adaptation or DelayAdaptation(gamma=1.0)
+        self._predict = predictor.lanes()
+        self._law = control_law(plant) if adaptation is None else update_law(plant)
+        self._b, self._bounds, self._limits = (
+            law.b,
+            np.array(law.bounds, dtype=float),
+            arguments.bounds(plant, input_bounds),
+        )
+        self._gain = 0.0 if adaptation is None else law.gamma * self.dt
+        n, m, nx = plant.n, plant.m, predictor.nx
+        self._X, self._u, self._P, self._U = (
+            np.zeros((n, 1)),
+            np.zeros((nx, m, 1)),
+            np.empty((nx, n, 1)),
+            np.zeros((m, 1)),
+        )
+        self._D_hat, self._phi, self._N = np.empty(1), np.empty(1), np.empty(1)
+        self.restore({"D_hat": self._start(D_hat), "step": 0})
+        self._warm_up()
+
+    @property
+    def D_hat(self) -> float:
+        """The delay estimate of the next step, in seconds."""
+        return float(self._D_hat[0])
+
+    def step(self, X: Any, u: Any) -> np.ndarray:
+        """U (m,) for the state X (n,) and the actuator state u (nx, m) on the predictor's nodes, both measured now.
+
+        U is the controller's own memory, overwritten by the next step. Raises ConfigError for shapes that do not fit,
+        and DivergedError for a measurement that is not finite; the controller then stands as before.
+        """
+        try:
+            self._X[:, 0], self._u[:, :, 0] = X, u
+        except (TypeError, ValueError):
+            wanted = f"X {self._X.shape[:1]} and u {self._u.shape[:2]}"
+            raise ConfigError(f"step: expected {wanted}, got {np.shape(X)} and {np.shape(u)}; measure those") from None
+        if not math.isfinite(self._X.sum() + self._u.sum()):
+            raise DivergedError("step: expected finite X and u, got one that is not; hold the last U and measure again")
+        self._advance()
+        self._step += 1
+        return self._U[:, 0]
+
+    def state(self) -> dict[str, Any]:
+        """What it remembers, ready for JSON."""
+        return {"D_hat": self.D_hat, "step": self._step}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on from a saved state. Raises ConfigError for one that is none."""
+        try:
+            D_hat, step = float(state["D_hat"]), int(state["step"])
+        except (KeyError, TypeError, ValueError):
+            raise ConfigError(f"state: expected D_hat and step, got {state!r}; save it with state()") from None
+        low, high = self._bounds if self.adaptation else (0.0, math.inf)
+        if not (low <= D_hat <= high and step >= 0):
+            raise ConfigError(
+                f"D_hat: expected within [{low:g}, {high:g}] s, got {D_hat:g}; widen the bounds or move D_hat"
+            )
+        self._D_hat[0], self._step = D_hat, step
+
+    def _start(self, D_hat: float | None) -> float:
+        if D_hat is not None:
+            return float(shapes.floats("D_hat", D_hat))
+        if self.adaptation is None:
+            raise ConfigError("D_hat: expected a delay in seconds, for nothing adapts it, got none; give D_hat")
+        return sum(self.adaptation.bounds) / 2
+
+    def _advance(self) -> None:
+        """One control step on the buffers, as in the engine's loop."""
+        t, p = self._step * self.dt, self.plant.p
+        self._predict(self._X, self._u, self._D_hat, t, p, self._P)
+        self._law(self._P, self._X, self._u, self._D_hat, t, p, self._b, self._U, self._phi, self._N)
+        engine.clip(self._U, self._limits)
+        engine.adapt(self._D_hat, self._phi, self._gain, self._bounds)
+
+    def _warm_up(self) -> None:
+        """Compile and load all that a step runs, so that the first step takes no longer than the others."""
+        state = self.state()
+        self._advance()
+        self.restore(state)

@@ -1,0 +1,93 @@
+"""A DeepONet on a fixed grid as a program: the trunk is folded, and the sample runs beside the point of rest."""
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+from torch import nn
+
+from npred.operators import Operator
+from npred.operators.deeponet import DEGREE, DeepONetwork
+from npred.operators.features import legendre, moment_matrix
+from npred.runtimes.program import Loop, Matrix, Mirror, Product, Program, Silu, SiluPair, layers
+
+CPU = torch.device("cpu")
+SMALL = 1e-7  # of the trunk's largest value, what its low-rank form may leave out: float32's rounding
+
+
+def append(p: Program, operator: Operator) -> None:
+    """Append the steps of N: both rows share each load of the weights, and the last, linear layer takes the first."""
+    network = operator.network
+    assert isinstance(network, DeepONetwork)
+    n, m, nx, rows = p.n, p.m, p.nx, p.rows
+    *hidden, last = layers(network.branch, nn.Linear)
+    h, width = _hidden(p, network, hidden), hidden[-1].out_features
+    by_state = last.weight.numpy().reshape(n, network.basis + m, width)
+    a, by_mean = p.buffer("a", rows, n * m), by_state[:, network.basis :].reshape(-1, width).T
+    p.steps.append(Product(a, h, p.constant("by_mean", by_mean), (rows, width, n * m)))
+    N = _smooth(p, network, by_state[:, : network.basis], h)
+    both = a if rows == 1 else p.buffer("both", 1, n * m)
+    if rows == 2:
+        p.steps.append(Product(both, p.constant("ones", np.ones((1, 2))), a, (1, 2, n * m)))
+    p.steps.append(Product(N, replace(both, row=m), Matrix("r", nx), (n, m, nx), adds=True))
+
+
+def _hidden(p: Program, network: DeepONetwork, hidden: list[nn.Linear]) -> Matrix:
+    """The branch's hidden layers, of all rows side by side: in differences a bias cancels."""
+    n, m, nx, rows, count, width = p.n, p.m, p.nx, p.rows, network.moments, hidden[0].out_features
+    transform = np.kron(moment_matrix(nx, count, torch.float64, CPU).numpy().T, np.eye(m))  # (nx m, count m)
+    first = hidden[0].weight.numpy().T  # rows: X, moments, D_hat
+    zero = p.z_zero @ first[:n] + np.tile(p.v_zero, nx) @ transform @ first[n:-1] + hidden[0].bias.numpy()
+    features, sums, h = p.buffer("features", 1, count * m), p.buffer("sums", rows, width), p.buffer("h", rows, width)
+    by_node, by_moment = p.constant("by_node", transform), p.constant("by_moment", first[n:-1])
+    by_z, bias = p.constant("by_z", np.concatenate([first[:n], first[-1:]])), p.constant("bias", _bias(zero, rows))
+    activation = Silu("h", "sums", width) if rows == 1 else SiluPair("h", "sums", width)
+    p.steps += [
+        Product(features, Matrix("v", nx * m), by_node, (1, nx * m, count * m)),
+        Product(sums, Matrix("z", n + 1), by_z, (rows, n + 1, width), bias),
+        Product(sums, features, by_moment, (1, count * m, width), adds=True),
+        activation,
+    ]
+    if hidden[1:]:
+        weight = p.stack("weight", [layer.weight.numpy().T for layer in hidden[1:]])
+        biases = p.stack("biases", [_bias(layer.bias.numpy(), rows) for layer in hidden[1:]])
+        step = Product(sums, h, weight, (rows, width, width), biases)
+        p.steps.append(Loop(len(hidden) - 1, (step, activation)))
+    return h
+
+
+def _bias(values: np.ndarray, rows: int) -> np.ndarray:
+    return np.stack([np.zeros_like(values), values]) if rows == 2 else values[None]
+
+
+def _smooth(p: Program, network: DeepONetwork, by_basis: np.ndarray, h: Matrix) -> Matrix:
+    """N = sum_k b_k t_k(x) + a v_zero of the first row, the trunk split by parity about the middle and by rank.
+
+    Even and odd functions are known by half of the nodes, and each is of about half the rank.
+    """
+    n, m, nx, width = p.n, p.m, p.nx, h.row
+    trunk = network.trunk(legendre(nx, DEGREE, torch.float64, CPU)).numpy()  # (nx, basis)
+    half, size = (nx + 1) // 2, SMALL * np.abs(trunk).max()
+    (even, by_even), (odd, by_odd) = (_factors((trunk + sign * trunk[::-1])[:half] / 2, size) for sign in (1, -1))
+    even = np.concatenate([even, np.ones((1, half))])  # takes the level a v_zero
+    weights = np.concatenate([by_even, np.zeros((1, network.basis)), by_odd])  # (rank, basis)
+    rank, b = len(weights), p.buffer("b", n, len(weights))
+    folded = p.constant("by_basis", (weights @ by_basis).reshape(n * rank, width).T)
+    p.steps.append(Product(Matrix("b", n * rank), h, folded, (1, width, n * rank)))
+    level = Matrix("b", rank, offset=len(by_even))
+    p.steps.append(Product(level, Matrix("a", m), p.constant("level", p.v_zero[:, None]), (n, m, 1), adds=True))
+    even_part, odd_part = p.buffer("even_part", n, half), p.buffer("odd_part", n, half)
+    N, odd_b = Matrix("N", nx), Matrix("b", rank, offset=len(even))
+    p.steps += [
+        Product(even_part, b, p.constant("even", even), (n, len(even), half)),
+        Product(odd_part, odd_b, p.constant("odd", odd), (n, len(odd), half)),
+        Mirror(N, even_part, odd_part, n, nx),
+    ]
+    return N
+
+
+def _factors(values: np.ndarray, size: float) -> tuple[np.ndarray, np.ndarray]:
+    """(rank, nodes) and (rank, basis), of the fewest singular vectors whose product is within `size` of the values."""
+    U, s, V = np.linalg.svd(values, full_matrices=False)
+    rank = next(r for r in range(1, len(s) + 1) if r == len(s) or np.abs(U[:, r:] * s[r:] @ V[r:]).max() < size)
+    return U[:, :rank].T, s[:rank, None] * V[:rank]

@@ -1,0 +1,161 @@
+"""Networks as one compiled function: a whole call of the operator on the loop's memory, for a fixed grid."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from npred.operators import Operator
+from npred.plants import kernels
+from npred.plants.base import Plant
+from npred.predictors.base import SIGNATURE, Compiled
+from npred.runtimes import numba_text
+from npred.runtimes.fold import fold
+from npred.runtimes.program import Program
+
+COARSE = 100  # intervals that an FNO is evaluated on, at least
+
+SOURCE = """\
+def fused(X, u, D_hat, t, p, P):
+    lanes = X.shape[1]
+    flat_u, flat_P = u.reshape(-1), P.reshape(-1)
+    {buffers}
+    for l in range(lanes):
+        {body}
+        if lanes == 1:
+            for j in range({nx}):
+                {flat}
+        else:
+            for j in range({nx}):
+                {lane}
+"""
+
+# The running mean is summed in double precision, four nodes at a time: that of equal values is exact, and so is the
+# anchor. One lane has loops of its own, for with a stride of one they are SIMD.
+SAMPLE = """\
+for c in range({n}):
+    z[c] = F32((np.arcsinh(X[c, l] * X_bend[c]) - X_zero[c]) * X_gain[c])
+z[{n}] = F32((D_hat[l] - D_hat_zero[0]) * D_hat_gain[0])
+for c in range({m}):
+    if lanes == 1:
+        for j in range({nx}):
+            v[j * {m} + c] = F32((flat_u[j * {m} + c] - u_zero[c]) * u_gain[c])
+    else:
+        for j in range({nx}):
+            v[j * {m} + c] = F32((u[j, c, l] - u_zero[c]) * u_gain[c])
+    total = 0.0
+    for j in range(0, {quads}, 4):
+        q0, q1 = np.float64(v[j * {m} + c]), np.float64(v[(j + 1) * {m} + c])
+        q2, q3 = np.float64(v[(j + 2) * {m} + c]), np.float64(v[(j + 3) * {m} + c])
+        q01 = q0 + q1
+        prefix[j], prefix[j + 1], prefix[j + 2] = total + q0, total + q01, total + (q01 + q2)
+        total += q01 + (q2 + q3)
+        prefix[j + 3] = total
+    for j in range({quads}, {nx}):
+        total += np.float64(v[j * {m} + c])
+        prefix[j] = total
+    q0 = np.float64(v[c])
+    for j in range({nx}):
+        r[c * {nx} + j] = F32((2.0 * prefix[j] - q0 - np.float64(v[j * {m} + c])) * share[j])
+    r[c * {nx}] = v[c]
+"""
+
+PAIR = """\
+for c in range({n}):
+    z[{n} + 1 + c] = ZERO
+z[2 * {n} + 1], z[{n}] = z[{n}], ZERO
+"""
+
+# Inside the series' range one pass is enough; outside it the point of rest has a pass of its own, before the sample's.
+SERIES = """\
+s = (np.float64(D_hat[l]) - {low!r}) * {scale!r} - 1.0
+inside = abs(s) <= 1.0
+for row in range(1 if inside else 0, 2):
+    {sample}
+    if row == 0:
+        z[:{n}] = ZERO
+        r[:] = ZERO
+    {steps}
+    if row == 0:
+        for j in range({size}):
+            N_rest[j] = N[j]
+if inside:
+    one, two = 1.0, s
+    for k in range({terms}):
+        T[k] = F32(one)
+        one, two = two, 2.0 * s * two - one
+    {series}
+for j in range({size}):
+    N[j] -= N_rest[j]
+"""
+
+
+class Fused(Compiled):
+    """P_hat of a trained operator by one compiled function in float32, on one core, without Python.
+
+    It is compiled for a grid, the weights in it, and kept on the disk like every kernel; loops with it run in the
+    compiled engine. Another nx in a call compiles another function. Equal to the operator up to float32's rounding, but
+    for an FNO on a fine grid: it is evaluated on every `stride`-th node, cubics between, by default so that COARSE
+    intervals or more are left. At those nodes, x = 1 among them, it is exact too.
+    """
+
+    def __init__(
+        self, plant: Plant, operator: Operator, nx: int = 101, name: str = "neural", stride: int | None = None
+    ) -> None:
+        super().__init__(plant, nx)
+        self.name, self.stride = name, stride  # type: ignore[misc]
+        self.operator, self.kernels = operator.to("cpu").eval(), {}
+
+    def compile(self) -> Callable[..., None]:
+        return self.on(self.nx)
+
+    def on(self, nx: int) -> Callable[..., None]:
+        """The compiled function for nx nodes."""
+        if nx not in self.kernels:
+            self.kernels[nx] = build(fold(self.operator, self.plant, nx, self.stride or coarsest(nx)))
+        return self.kernels[nx]
+
+    def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: float) -> np.ndarray:
+        P = np.empty((u.shape[1], self.plant.n, len(X)))
+        X, u, D_hat = (np.array(a, order="C") for a in (X.T, u.transpose(1, 2, 0), D_hat))
+        self.on(u.shape[0])(X, u, D_hat, t, self.plant.p, P)
+        return P.transpose(2, 0, 1)
+
+
+def coarsest(nx: int) -> int:
+    """The largest stride that divides the intervals and leaves COARSE of them, or 1."""
+    intervals = nx - 1
+    return max(s for s in range(1, max(intervals // COARSE, 1) + 1) if intervals % s == 0)
+
+
+def build(p: Program) -> Callable[..., None]:
+    """The compiled function of a program: SIGNATURE, for p.nx nodes and any number of lanes."""
+    preamble = numba_text.preamble(p.constants) + f"share = 0.5 / np.maximum(np.arange({p.nx}), 1)\n"
+    slots = {"buffers": numba_text.buffers(p.buffers) + numba_text.buffers({"prefix": p.nx}, 64), "body": _body(p)}
+    slots |= {"flat": _outputs(p, f"flat_P[j * {p.n} + {{c}}]"), "lane": _outputs(p, "P[j, {c}, l]")}
+    source = kernels.fill(SOURCE, **slots).format(**_sizes(p))
+    return kernels.build("fused", SIGNATURE, source, preamble, numba_text.FASTMATH)
+
+
+def _outputs(p: Program, target: str) -> list[str]:
+    """The lines that write the states of a node."""
+    start, factor = ("base[{c}]", "1.0") if "base" in p.constants else ("X[{c}, l]", "D_hat[l]")
+    line = f"{target} = {start} + {factor} * np.float64(gain[{{c}} * {p.nx} + j] * N[{{c}} * {p.nx} + j])"
+    return [line.format(c=c) for c in range(p.n)]
+
+
+def _body(p: Program) -> list[str]:
+    """The lines from the inputs to N."""
+    sample, steps = SAMPLE.splitlines(), numba_text.steps(p.steps)
+    if p.series is None:
+        return sample + (PAIR.splitlines() if p.rows == 2 else []) + steps
+    series = numba_text.steps([p.series.product])
+    return kernels.fill(SERIES, sample=sample, steps=steps, series=series).splitlines()
+
+
+def _sizes(p: Program) -> dict[str, Any]:
+    """Numbers in the text."""
+    sizes = {"n": p.n, "m": p.m, "nx": p.nx, "quads": p.nx - p.nx % 4, "size": p.n * p.nx}
+    if p.series is None:
+        return sizes
+    return sizes | {"low": p.series.low, "scale": 2 / (p.series.high - p.series.low), "terms": p.series.terms}

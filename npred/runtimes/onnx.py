@@ -1,0 +1,134 @@
+"""A trained operator as an ONNX graph with its control law, and as a predictor that ONNX Runtime evaluates."""
+
+import logging
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from npred.errors import MissingError, NpredError
+from npred.operators import Operator
+from npred.plants.base import Plant
+from npred.predictors.base import Predictor
+
+OPSET = 18  # MATLAB, TensorRT and ONNX Runtime read it
+INPUTS, OUTPUTS = ("X", "u", "D_hat"), ("P", "U")
+
+
+class Deployed(nn.Module):
+    """X (B, n), u (B, nx, m), D_hat (B,) to P (B, nx, n) and U = kappa(P(1)) (B, m) [DAPF, eq. 9], without bounds."""
+
+    def __init__(self, operator: Operator, plant: Plant):
+        super().__init__()
+        self.operator, self.plant = operator, plant
+
+    def forward(self, X: Tensor, u: Tensor, D_hat: Tensor) -> tuple[Tensor, Tensor]:
+        P = self.operator(X, u, D_hat)
+        return P, self.plant.kappa(P[:, -1])
+
+
+def graph(operator: Operator, plant: Plant, nx: int) -> bytes:
+    """The ONNX model of P and U on nx nodes, any batch: what the grid alone decides is folded into constants.
+
+    Raises MissingError without the onnx extra.
+    """
+    for name in ("onnx", "onnxscript"):
+        require(name)
+    model = Deployed(operator, plant).eval()
+    batch = torch.export.Dim("batch")
+    sample = torch.ones(2, plant.n), torch.zeros(2, nx, plant.m), torch.ones(2)
+    model(*sample)  # the grid's matrices are cached as tensors before the tracer sees them
+    with _quiet():
+        program = torch.onnx.export(
+            model, sample, input_names=INPUTS, output_names=OUTPUTS, opset_version=OPSET, dynamo=True,
+            dynamic_shapes=({0: batch}, {0: batch}, {0: batch}), external_data=False, verbose=False,
+        )  # fmt: skip
+    assert program is not None
+    return program.model_proto.SerializeToString()
+
+
+def export(operator: Operator, plant: Plant, path: Path, nx: int, probe: tuple[np.ndarray, ...], atol: float) -> float:
+    """Write the graph for nx nodes to `path` unless it differs from the operator; the largest difference of P and U.
+
+    `probe`: X (B, n), u (B, nx, m), D_hat (B,) to compare on. Raises NpredError above `atol`, in units of the states
+    and inputs, MissingError without the onnx extra.
+    """
+    model = graph(operator, plant, nx)
+    inputs = [np.asarray(a, dtype=np.float32) for a in probe]
+    with torch.no_grad():
+        wanted = Deployed(operator, plant)(*map(torch.as_tensor, inputs))
+    found = session(model).run(list(OUTPUTS), dict(zip(INPUTS, inputs, strict=True)))
+    error = max(float(np.abs(a - b.numpy()).max()) for a, b in zip(found, wanted, strict=True))
+    if not error <= atol:
+        raise NpredError(f"export onnx: expected P and U within {atol:g} of the model, got {error:.3g}; raise --atol")
+    path.write_bytes(model)
+    return error
+
+
+class Onnx(Predictor):
+    """P_hat of a trained operator, evaluated by ONNX Runtime on one thread of the CPU in float32.
+
+    The graph holds for a grid; another nx in a call makes another one. Raises MissingError without the onnx extra.
+    """
+
+    def __init__(self, plant: Plant, operator: Operator, nx: int = 101, name: str = "neural"):
+        super().__init__(plant, nx)
+        self.name = name  # type: ignore[misc]
+        self.operator, self.sessions = operator.to("cpu").float().eval(), {}
+        self.on(nx)
+
+    def on(self, nx: int) -> Any:
+        """The session for nx nodes."""
+        if nx not in self.sessions:
+            self.sessions[nx] = session(graph(self.operator, self.plant, nx))
+        return self.sessions[nx]
+
+    def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: float) -> np.ndarray:
+        return self._run(X, u, D_hat).astype(float)
+
+    def lanes(self) -> Callable[..., None]:
+        def predict(X: Any, u: Any, D_hat: Any, t: float, p: Any, P: np.ndarray) -> None:
+            P[:] = self._run(X.T, u.transpose(2, 0, 1), D_hat).transpose(1, 2, 0)
+
+        return predict
+
+    def _run(self, *inputs: np.ndarray) -> np.ndarray:
+        arrays = (np.ascontiguousarray(a, dtype=np.float32) for a in inputs)
+        return self.on(inputs[1].shape[1]).run(["P"], dict(zip(INPUTS, arrays, strict=True)))[0]
+
+
+def session(model: bytes) -> Any:
+    """An ONNX Runtime session on one thread of the CPU."""
+    runtime = require("onnxruntime")
+    options = runtime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.log_severity_level = 3
+    return runtime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
+
+
+def require(name: str) -> Any:
+    """A module of the onnx extra. Raises MissingError without it."""
+    try:
+        return import_module(name)
+    except ImportError:
+        raise MissingError(f"onnx: expected the package {name}, found none; pip install 'npred[onnx]'") from None
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """The exporter warns of its own deprecations and of packages that no operator here needs."""
+    logger = logging.getLogger("torch.onnx")
+    level = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        logger.setLevel(level)

@@ -1,0 +1,181 @@
+"""An operator on a fixed grid as a short program of matrix products: what the compiled and the C runtime both print.
+
+All that does not depend on the sample is folded into constants here: the grid's transforms, the trunk, the weights.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import TypeVar
+
+import numpy as np
+from torch import nn
+
+Layer = TypeVar("Layer", bound=nn.Module)
+
+
+def layers(module: nn.Module, kind: type[Layer]) -> list[Layer]:
+    """The children of a kind, in order."""
+    return [child for child in module.children() if isinstance(child, kind)]
+
+
+@dataclass(frozen=True)
+class Matrix:
+    """A view of a named flat float32 array: element (i, k) is name[offset + e turn + i row + k column].
+
+    e counts the repetitions of a product. With `layer`, name is a stack of constants of that size, one a layer of a
+    loop, and is read through a view of the layer's own.
+    """
+
+    name: str
+    row: int
+    column: int = 1
+    offset: int = 0
+    turn: int = 0
+    layer: int = 0
+
+    def index(self, i: str, k: str) -> str:
+        """The text of the position of element (i, k), the same in Python and in C."""
+        pairs = (("e", self.turn), (i, self.row), (k, self.column))
+        terms = [text if stride == 1 else f"({text}) * {stride}" for text, stride in pairs if stride and text != "0"]
+        return " + ".join([*terms, *([str(self.offset)] if self.offset else [])]) or "0"
+
+    def at(self, i: str, k: str) -> str:
+        """The text of element (i, k)."""
+        return f"{self.view}[{self.index(i, k)}]"
+
+    @property
+    def view(self) -> str:
+        """The array's name in the text."""
+        return f"{self.name}_o" if self.layer else self.name
+
+
+@dataclass(frozen=True)
+class Product:
+    """out (M, N) = start + a (M, K) b (K, N), with start = `bias` (its row 0 for each row if row = 0), out, or zero."""
+
+    out: Matrix
+    a: Matrix
+    b: Matrix
+    shape: tuple[int, int, int]  # M, K, N
+    bias: Matrix | None = None
+    adds: bool = False
+    repeats: int = 1
+
+
+@dataclass(frozen=True)
+class Silu:
+    """out[:count] = silu(a[:count])."""
+
+    out: str
+    a: str
+    count: int
+
+
+@dataclass(frozen=True)
+class SiluPair:
+    """Of rows (difference, rest) of `count` numbers each: silu(rest + difference) - silu(rest), and silu(rest)."""
+
+    out: str
+    a: str
+    count: int
+
+
+@dataclass(frozen=True)
+class Transpose:
+    """out (columns, rows) = a (rows, columns)."""
+
+    out: Matrix
+    a: Matrix
+    shape: tuple[int, int]  # rows, columns
+
+
+@dataclass(frozen=True)
+class Mirror:
+    """out (rows, nx) of its even and odd parts about the middle, given on the first half: even + odd, even - odd."""
+
+    out: Matrix
+    even: Matrix
+    odd: Matrix
+    rows: int
+    nx: int
+
+
+@dataclass(frozen=True)
+class Loop:
+    """The same steps for o = 0 … count - 1: the layers of a network, their constants stacked."""
+
+    count: int
+    steps: tuple["Step", ...]
+
+    @property
+    def stacks(self) -> list[Matrix]:
+        """The stacks of constants that the steps read."""
+        products = [step for step in self.steps if isinstance(step, Product)]
+        return [m for step in products for m in (step.a, step.b, step.bias) if m and m.layer]
+
+
+Step = Product | Silu | SiluPair | Transpose | Mirror | Loop
+
+
+@dataclass(frozen=True)
+class Series:
+    """N_rest (n, nx), N at rest for D_hat in [low, high], by a product with T, the Chebyshev polynomials of D_hat."""
+
+    low: float
+    high: float
+    terms: int
+    product: Product
+
+
+@dataclass
+class Program:
+    """The steps from the inputs that a runtime scales first to N (n, nx), and P = base + gain (N - N_rest).
+
+    z (rows, n + 1): X, scaled and less its value at rest, and scaled D_hat. v (nx, m): u likewise; r (m, nx): the
+    running mean of v. At rest X and u give zeros, to the bit. With rows = 2 the first row of z is the difference of the
+    sample from the plant at rest, without D_hat, and the second the plant at rest, D_hat alone: the network carries
+    both, and N is N(sample) - N(rest) with a relative error of float32's rounding. With a series N is N(sample), and
+    the series is N(rest).
+    X_bend, X_zero, X_gain, u_zero, u_gain, D_hat_zero and D_hat_gain scale the inputs, in double precision.
+    """
+
+    n: int
+    m: int
+    nx: int
+    rows: int = 1
+    stride: int = 1
+    series: Series | None = None
+    constants: dict[str, np.ndarray] = field(default_factory=dict)
+    buffers: dict[str, int] = field(default_factory=dict)
+    steps: list[Step] = field(default_factory=list)
+    z_zero: np.ndarray = field(default_factory=lambda: np.zeros(0))  # (n,), what the network sees where z is zero
+    v_zero: np.ndarray = field(default_factory=lambda: np.zeros(0))  # (m,), and where v is
+
+    def __post_init__(self) -> None:
+        n, m, nx = self.n, self.m, self.nx
+        self.buffers |= {"z": self.rows * (n + 1), "v": nx * m, "r": m * nx, "N": n * nx}
+
+    @property
+    def nodes(self) -> int:
+        """How many nodes the network is evaluated on: every stride-th."""
+        return (self.nx - 1) // self.stride + 1
+
+    def constant(self, name: str, values: np.ndarray) -> Matrix:
+        """A constant (rows, columns), or a row for all rows, under a name."""
+        self.constants[name] = np.ascontiguousarray(values, dtype=np.float32).reshape(-1)
+        return Matrix(name, values.shape[-1] if values.ndim > 1 else 0)
+
+    def buffer(self, name: str, rows: int, columns: int) -> Matrix:
+        """A buffer (rows, columns) under a name."""
+        self.buffers[name] = rows * columns
+        return Matrix(name, columns)
+
+    def stack(self, name: str, values: Sequence[np.ndarray]) -> Matrix:
+        """Constants of equal shape, one a layer of a loop."""
+        one = self.constant(name, values[0])
+        self.constant(name, np.stack(values))
+        return replace(one, layer=values[0].size)
+
+    def scale(self, name: str, values: np.ndarray) -> None:
+        """A constant of the inputs' scaling, in double precision."""
+        self.constants[name] = np.array(values, dtype=np.float64).reshape(-1)

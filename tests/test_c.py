@@ -1,0 +1,86 @@
+"""The C file: compiles without a warning as C99, and equals the model to 1e-5."""
+
+import ctypes
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+from operator_samples import PLANT, SMALL, operator, samples
+
+from npred.predictors.neural import Neural
+from npred.runtimes import c
+
+FLAGS = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Werror"]
+needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc on this machine")
+CASES = [(config, anchor) for config in SMALL for anchor in ("none", "initial", "equilibrium")]
+IDS = [f"{type(config).__name__}-{anchor}" for config, anchor in CASES]
+
+
+def probe(count=4, nx=21, seed=0):
+    data = samples(count, nx, seed)
+    return data.X, data.u, data.D_hat
+
+
+@pytest.fixture(params=CASES, ids=IDS)
+def exported(request, tmp_path):
+    config, anchor = request.param
+    model = operator(config, anchor=anchor)
+    c.export(model, PLANT, tmp_path / "model.c", 21, probe())
+    return model, tmp_path / "model.c"
+
+
+def compiled(path, *flags):
+    target = path.with_suffix(".out")
+    done = subprocess.run(
+        ["gcc", *FLAGS, *flags, str(path), "-o", str(target), "-lm"], capture_output=True, text=True, timeout=60
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    return target
+
+
+@needs_gcc
+def test_its_own_test_passes(exported):
+    done = subprocess.run([compiled(exported[1], "-DNPRED_TEST")], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stdout
+    assert "of each state's size" in done.stdout
+
+
+@needs_gcc
+def test_its_own_test_fails_for_another_model(exported):
+    _, path = exported
+    text = path.read_text()
+    at = text.index("test_P[") + 20
+    path.write_text(text[:at] + text[at:].replace("p+", "p+1", 1))
+    assert subprocess.run([compiled(path, "-DNPRED_TEST")], capture_output=True, timeout=60).returncode == 1
+
+
+@needs_gcc
+def test_equals_the_model_on_other_samples(exported):
+    model, path = exported
+    library = ctypes.CDLL(str(compiled(path, "-shared", "-fPIC")))
+    X, u, D_hat = probe(6, seed=5)
+    D_hat[-1] = 30.0  # far from the data
+    wanted = Neural(PLANT, model.double(), 21)(X, u, D_hat)
+    size = np.abs(wanted).max(axis=(0, 1))
+    for k in range(6):
+        P, U = np.empty((21, 2)), np.empty(1)
+        library.npred_predict(_address(X[k]), _address(u[k]), ctypes.c_double(D_hat[k]), _address(P))
+        library.npred_control(_address(P[-1]), ctypes.c_double(0.0), _address(U))
+        assert (np.abs(P - wanted[k]).max(axis=0) < 1e-5 * size).all()
+        np.testing.assert_allclose(U, PLANT.kappa(P[-1]), rtol=1e-12)
+
+
+def _address(array):
+    assert array.flags.c_contiguous
+    return array.ctypes.data_as(ctypes.c_void_p)
+
+
+def test_the_text_is_the_same_again_and_calls_libm_alone(exported):
+    model, path = exported
+    text = path.read_text()
+    assert c.source(model, PLANT, 21, probe()) == text
+    assert [line for line in text.splitlines() if line.startswith("#include")] == [
+        "#include <math.h>", "#include <stdio.h>",
+    ]  # fmt: skip
+    assert "malloc" not in text

@@ -1,0 +1,120 @@
+"""The controller alone: the loop's own steps, nothing kept but the estimate, and the example that shows it."""
+
+import importlib.util
+import json
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+from operator_samples import PLANT, SMALL, operator
+
+import npred
+from npred.control import Controller
+from npred.errors import ConfigError, DivergedError
+from npred.predictors import RK4
+from npred.runtimes import RUNTIMES, predictor
+
+LAW = npred.DelayAdaptation(1000.0, 1.0, (0.1, 4.0))
+X0 = [0.03, 30.0]
+
+
+def loop(run, adaptation=LAW, bounds=None):
+    """A simulated loop with all that each of its 200 steps saw."""
+    return npred.simulate(PLANT, run, D=1.0, D_hat=2.0, X0=X0, t_end=2.0, dt=0.01, adaptation=adaptation,
+                          input_bounds=bounds, samples=np.arange(200))  # fmt: skip
+
+
+@pytest.mark.parametrize("runtime", ["numerical", *RUNTIMES])
+def test_steps_equal_those_of_the_simulated_loop(runtime):
+    run = RK4(PLANT, 21) if runtime == "numerical" else predictor(runtime, PLANT, operator(SMALL[0]), 21)
+    wanted = loop(run)
+    controller = npred.controller(PLANT, run, LAW, 0.01, D_hat=2.0)
+    for k in range(200):
+        assert controller.D_hat == wanted.D_hat[k]
+        np.testing.assert_array_equal(controller.step(wanted.samples.X[k], wanted.samples.u[k]), wanted.U[k])
+    assert controller.D_hat == wanted.D_hat[200] != 2.0
+
+
+def test_without_adaptation_and_with_bounds():
+    run, bounds = RK4(PLANT, 21), [(-0.001, 0.002)]
+    wanted = loop(run, None, bounds)
+    controller = Controller(PLANT, run, None, 0.01, D_hat=2.0, input_bounds=bounds)
+    for k in range(200):
+        np.testing.assert_array_equal(controller.step(wanted.samples.X[k], wanted.samples.u[k]), wanted.U[k])
+    assert controller.D_hat == 2.0
+
+
+def test_goes_on_from_a_saved_state():
+    run, first, second = RK4(PLANT, 21), None, None
+    first, second = (npred.controller(PLANT, run, LAW, 0.01, D_hat=2.0) for _ in range(2))
+    u = 0.01 * np.ones((21, 1))
+    for _ in range(5):
+        first.step(X0, u)
+    saved = json.loads(json.dumps(first.state()))
+    assert saved["step"] == 5
+    second.restore(saved)
+    np.testing.assert_array_equal(first.step(X0, u), second.step(X0, u))
+    assert first.state() == second.state()
+
+
+def test_keeps_no_memory_in_the_steady_state():
+    controller = npred.controller(PLANT, predictor("fused", PLANT, operator(SMALL[0]), 21), LAW, 0.01, D_hat=2.0)
+    X, u = np.array(X0), np.zeros((21, 1))
+    for _ in range(10):
+        controller.step(X, u)
+    tracemalloc.start()
+    before = tracemalloc.get_traced_memory()[0]
+    for _ in range(1000):
+        controller.step(X, u)
+    grown = tracemalloc.get_traced_memory()[0] - before
+    tracemalloc.stop()
+    assert grown < 1000  # bytes in all, less than one a step
+
+
+def test_starts_in_the_middle_of_the_bounds():
+    assert npred.controller(PLANT, RK4(PLANT, 21), LAW, 0.01).D_hat == 2.05
+
+
+def test_a_bad_measurement_leaves_it_as_it_was():
+    controller = npred.controller(PLANT, RK4(PLANT, 21), LAW, 0.01, D_hat=2.0)
+    u = np.zeros((21, 1))
+    controller.step(X0, u)
+    before = controller.state()
+    with pytest.raises(DivergedError, match="expected finite X and u"):
+        controller.step([np.nan, 1.0], u)
+    with pytest.raises(ConfigError, match=r"step: expected X \(2,\) and u \(21, 1\), got \(3,\) and \(21, 1\)"):
+        controller.step([1.0, 2.0, 3.0], u)
+    assert controller.state() == before
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"dt": 0.0}, "dt: expected a control step above 0 s"),
+        ({"D_hat": 9.0}, r"D_hat: expected within \[0.1, 4\] s, got 9"),
+        ({"adaptation": None}, "give D_hat"),
+        ({"adaptation": 3.0}, "adaptation: expected a DelayAdaptation"),
+    ],
+)
+def test_mistakes_are_told(changes, message):
+    with pytest.raises(ConfigError, match=message):
+        npred.controller(**{"plant": PLANT, "predictor": RK4(PLANT, 21), "adaptation": LAW, "dt": 0.01} | changes)
+
+
+def test_a_state_that_is_none_is_told():
+    controller = npred.controller(PLANT, RK4(PLANT, 21), LAW, 0.01)
+    with pytest.raises(ConfigError, match="expected D_hat and step"):
+        controller.restore({"D_hat": 1.0})
+
+
+def test_the_example_converges():
+    path = Path(__file__).parent.parent / "docs" / "hardware_in_the_loop.py"
+    assert len(path.read_text().splitlines()) <= 50
+    spec = importlib.util.spec_from_file_location("hardware_in_the_loop", path)
+    assert spec and spec.loader
+    example = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(example)
+    X, D_hat = example.main(t_end=40.0)
+    np.testing.assert_allclose(X, PLANT.equilibrium, rtol=1e-3)
+    assert D_hat == pytest.approx(1.19, abs=0.03)

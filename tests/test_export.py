@@ -1,0 +1,86 @@
+"""`npred export`: a trained model of the store as a file, checked on its held-out samples."""
+
+import json
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from npred.cli import app
+
+TEXT = """
+name = "p"
+[generate]
+samples = 60
+rollouts = 3
+t_end = 2.0
+dt = 0.01
+nx = 11
+[train]
+models = ["deeponet"]
+[train.deeponet]
+epochs = 2
+width = 8
+snapshots = [1]
+"""
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    """A folder with a pipeline file and a store that holds its network."""
+    folder = tmp_path_factory.mktemp("export")
+    (folder / "p.toml").write_text(TEXT)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        done = CliRunner().invoke(app, ["train", "p.toml", "--store", "store", "-q", "--jobs", "1"])
+        assert done.exit_code == 0, done.output
+    return folder
+
+
+@pytest.fixture
+def export(trained, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    store = ["--store", str(trained / "store")]
+    return lambda form, *more, model=f"{trained / 'p.toml'}:deeponet": CliRunner().invoke(
+        app, ["export", form, model, *store, *more]
+    )
+
+
+@pytest.mark.parametrize("form", ["onnx", "c"])
+def test_writes_a_file(export, form):
+    if form == "onnx":
+        pytest.importorskip("onnxruntime")
+    done = export(form, "--json", "--nx", "21")
+    assert done.exit_code == 0, done.output
+    document = json.loads(done.stdout)
+    assert document["file"] == f"deeponet-21.{form}" and Path(document["file"]).stat().st_size > 1000
+    assert document.get("error", 0.0) < 1e-4
+
+
+def test_a_snapshot_to_a_named_file(export, trained):
+    assert export("c", "-o", "last.c").exit_code == 0
+    done = export("c", "-o", "first.c", model=f"{trained / 'p.toml'}:deeponet@1")
+    assert done.stdout.strip() == "first.c: P and U of deeponet on 101 nodes"
+    assert Path("first.c").read_text() != Path("last.c").read_text()
+
+
+def test_a_graph_that_differs_is_refused(export):
+    pytest.importorskip("onnxruntime")
+    done = export("onnx", "--atol", "0")
+    assert done.exit_code == 1 and "expected P and U within 0 of the model" in done.stderr
+    assert not list(Path().iterdir())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["tflite"], "export: expected onnx or c, got 'tflite'"),
+        (["c", "--nx", "1"], "--nx: expected at least 2 nodes"),
+        (["c", "-o", "nowhere/m.c"], "nowhere/m.c: expected a file that can be written"),
+    ],
+)
+def test_mistakes_are_told_in_one_line(export, arguments, message):
+    done = export(*arguments)
+    assert (done.exit_code, done.stdout) == (2, "")
+    (line,) = done.stderr.splitlines()
+    assert message in line

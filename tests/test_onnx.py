@@ -1,0 +1,80 @@
+"""The ONNX graph: equal to the model, any batch, folded, standard operators; and the predictor that runs it."""
+
+import sys
+
+import numpy as np
+import pytest
+from operator_samples import PLANT, SMALL, operator, samples
+
+import npred
+from npred.errors import MissingError, NpredError
+from npred.predictors.neural import Neural
+from npred.runtimes import onnx as runtime
+
+onnx = pytest.importorskip("onnx")
+
+
+@pytest.fixture(scope="module", params=SMALL, ids=lambda config: type(config).__name__)
+def exported(request, tmp_path_factory):
+    """A model and its file, for 21 nodes."""
+    model, path = operator(request.param).eval(), tmp_path_factory.mktemp("onnx") / "model.onnx"
+    data = samples(30, 21)
+    error = runtime.export(model, PLANT, path, 21, (data.X, data.u, data.D_hat), atol=1e-3)
+    return model, path, error
+
+
+def test_control_is_kappa_of_the_end_of_P_for_any_batch(exported):
+    model, path, error = exported
+    assert error < 1e-3
+    session = runtime.session(path.read_bytes())
+    for batch in (1, 7):
+        data = samples(batch, 21, seed=3)
+        inputs = {name: getattr(data, name).astype(np.float32) for name in runtime.INPUTS}
+        P, U = session.run(None, inputs)
+        np.testing.assert_allclose(P, Neural(PLANT, model, 21)(data.X, data.u, data.D_hat), rtol=1e-5, atol=1e-5)
+        np.testing.assert_allclose(U, PLANT.kappa(P[:, -1].astype(float)), rtol=1e-3, atol=1e-5)
+
+
+def test_graph_is_standard_and_sound(exported):
+    graph = onnx.load(exported[1])
+    onnx.checker.check_model(graph, full_check=True)
+    assert [(entry.domain, entry.version) for entry in graph.opset_import] == [("", runtime.OPSET)]
+    assert {node.domain for node in graph.graph.node} == {""} and not graph.functions
+    assert [i.name for i in graph.graph.input] == ["X", "u", "D_hat"]
+    assert [o.name for o in graph.graph.output] == ["P", "U"]
+
+
+def test_trunk_and_transforms_are_constants(exported):
+    """Activations are left for what depends on the sample: two rows of a branch, or of an FNO, and no trunk."""
+    model, path, _ = exported
+    kinds = [node.op_type for node in onnx.load(path).graph.node]
+    branch = getattr(model.network, "branch", None)
+    depth = len(branch) // 2 if branch else len(model.network.local) + 1
+    assert kinds.count("Sigmoid") == 2 * depth
+    assert not {"Sin", "Cos", "DFT", "Range"} & set(kinds)
+
+
+def test_a_graph_that_differs_is_refused(tmp_path):
+    data = samples(5, 21)
+    with pytest.raises(NpredError, match="expected P and U within 0 of the model") as refused:
+        runtime.export(operator(SMALL[0]), PLANT, tmp_path / "m.onnx", 21, (data.X, data.u, data.D_hat), atol=0.0)
+    assert refused.value.exit_code == 1 and not list(tmp_path.iterdir())
+
+
+def test_predicts_and_closes_the_loop():
+    model, data = operator(SMALL[0]), samples(4, 31)
+    run, wanted = runtime.Onnx(PLANT, model, 21), Neural(PLANT, model, 21)
+    np.testing.assert_allclose(
+        run(data.X, data.u, data.D_hat), wanted(data.X, data.u, data.D_hat), rtol=1e-5, atol=1e-5
+    )
+    loops = [
+        npred.simulate(PLANT, r, D=1.0, D_hat=[0.8, 2.0], X0=[0.03, 30.0], t_end=0.5, dt=0.01) for r in (run, wanted)
+    ]
+    np.testing.assert_allclose(loops[0].X, loops[1].X, rtol=1e-4)
+
+
+@pytest.mark.parametrize("package", ["onnx", "onnxscript", "onnxruntime"])
+def test_a_missing_package_is_told(package, monkeypatch):
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(MissingError, match=rf"expected the package {package}, found none; pip install 'npred\[onnx\]'"):
+        runtime.Onnx(PLANT, operator(SMALL[0]), 21)
