@@ -119,7 +119,7 @@ def update_law(plant: Plant) -> Callable[..., None]:
     first = trace.f(x, u, t)
     source = kernels.fill(
         LAW,
-        parameters=_parameters(plant),
+        parameters=kernels.parameters(len(plant.p)),
         first=_node(trace, x, u, t, h, first, h * trace.df(x, u, t, first)),
         node=_node(trace, x, u, t, h, *transition(trace.df, x, u, t, h, r, s)),
         end=_end(trace, x, t, [("v", trace.V(trace.vector("X", plant.n), trace.input("t0")))]),
@@ -132,7 +132,9 @@ def control_law(plant: Plant) -> Callable[..., None]:
     """The compiled law without adaptation: U = kappa(P(1)), phi = 0."""
     trace = Trace(plant)
     end = _end(trace, trace.vector("x", plant.n), trace.input("t"), [])
-    return kernels.build("control", SIGNATURE, kernels.fill(CONTROL, parameters=_parameters(plant), end=end))
+    return kernels.build(
+        "control", SIGNATURE, kernels.fill(CONTROL, parameters=kernels.parameters(len(plant.p)), end=end)
+    )
 
 
 def transition(df: Any, x: Any, u: Any, t: Any, h: Any, r: Any, s: Any) -> tuple[Any, Any]:
@@ -155,10 +157,6 @@ def _node(trace: Trace, x: Any, u: Any, t: Any, h: Any, r: Any, s: Any) -> list[
 def _end(trace: Trace, x: Any, t: Any, extra: list[tuple[str, Any]]) -> list[str]:
     targets = [f"U[{k}, l]" for k in range(trace.plant.m)] + [name for name, _ in extra]
     return tape.program([*trace.kappa(x, t), *(y for _, y in extra)], _bindings(trace.plant), targets)
-
-
-def _parameters(plant: Plant) -> list[str]:
-    return [f"p{k} = p[{k}]" for k in range(len(plant.p))]
 
 
 def _bindings(plant: Plant) -> dict[str, str]:

@@ -184,7 +184,7 @@ def advance(X, U0, U1, share, dt, t, p):
 @cache
 def advance_kernel(plant: Plant, method: type[OneStep]) -> Callable[..., None]:
     """The compiled step of the plant with held input, split where a switch of the delayed input falls inside it."""
-    parameters = [f"p{k} = p[{k}]" for k in range(len(plant.p))]
+    parameters = kernels.parameters(len(plant.p))
     parts = {name: _advance(plant, method, U) for name, U in (("first", "U0"), ("second", "U1"))}
     return kernels.build("advance", ADVANCE_SIGNATURE, kernels.fill(ADVANCE, parameters=parameters, **parts))
 

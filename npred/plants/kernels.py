@@ -84,6 +84,11 @@ def _written(path: Path, text: str) -> Path:
     return path
 
 
+def parameters(count: int) -> list[str]:
+    """The lines that load a plant's parameters, p0, p1, …, from the array p."""
+    return [f"p{k} = p[{k}]" for k in range(count)]
+
+
 def fill(skeleton: str, **slots: Sequence[str]) -> str:
     """The skeleton with each line `{slot}` replaced by that slot's lines at its indentation."""
     lines = []

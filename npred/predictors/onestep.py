@@ -81,7 +81,7 @@ class OneStep(Compiled):
         few = kernels.fill(FEW, start=start, weights=weights, scalar=scalar).splitlines()
         return kernels.fill(
             SOURCE,
-            parameters=[f"p{k} = p[{k}]" for k in range(len(self.plant.p))],
+            parameters=kernels.parameters(len(self.plant.p)),
             few=few if len(scalar) < LONG else [],
             weights=weights,
             lane=tape.program(y, bindings | dict(zip(local, memory, strict=True)), target),

@@ -67,7 +67,7 @@ class Picard(Compiled):
         bindings |= {f"x{k}": f"P[j, {k}, l]" for k in range(n)} | {f"a{k}": f"u[j, {k}, l]" for k in range(m)}
         node = tape.program(y, bindings, [f"f{k}" for k in range(n)])
         node.append(f"f = ({', '.join(f'f{k}' for k in range(n))},)")
-        parameters = [f"p{k} = p[{k}]" for k in range(count)]
+        parameters = kernels.parameters(count)
         source = SOURCE.replace("SWEEPS", str(self.sweeps)).replace("TOLERANCE", repr(self.tolerance))
         source = kernels.fill(source, parameters=parameters, node=node)
         return kernels.build("picard", SIGNATURE, source)
