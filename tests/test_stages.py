@@ -83,6 +83,29 @@ def test_figure_and_loops_are_written(evaluated):
     np.testing.assert_allclose(X[-1], result["models"]["fno"]["figure1"]["X_end"])
 
 
+def test_where_networks_err_is_written_and_adds_up(evaluated):
+    task, result = evaluated
+    with h5py.File(task.folder / "errors.h5") as file:
+        assert set(file["networks"]) == {"deeponet@1", "deeponet", "fno"}
+        for name, found in file["networks"].items():
+            sup, over_x = found["sup"][:], found["over_x"][:]
+            assert sup.shape == file["D_hat"].shape == (result["held_out"],) and over_x.shape == (21, 3)
+            assert sup.max() == over_x[:, 2].max() == pytest.approx(result["models"][name]["eps_sup"])
+            assert (np.diff(over_x, axis=1) >= 0).all()
+
+
+def test_histograms_of_data_and_loops_are_written(evaluated):
+    task, result = evaluated
+    with h5py.File(task.folder / "coverage.h5") as file:
+        assert set(file) == {"x1", "x2", "U", "D_hat"}
+        for name, found in file.items():
+            width = np.diff(found["edges"][:])
+            assert set(found["loops"]) == {"numerical", "no_adaptation", "deeponet", "fno"}
+            assert np.sum(found["data"][:] * width) == pytest.approx(1.0)
+            inside = np.sum(found["loops/fno"][:] * width)
+            assert 1.0 - inside == pytest.approx(result["coverage"][name]["outside"]["fno"], abs=0.02)
+
+
 def test_evaluation_gives_the_same_bytes_again(evaluated, made, tmp_path):
     first, result = evaluated
     again = job(tmp_path, "again", inputs=made)

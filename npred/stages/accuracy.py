@@ -1,8 +1,10 @@
 """Errors of a network on held-out rollouts, and on fresh ones made for the evaluation."""
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 
 from npred import metrics, randomness
@@ -15,6 +17,7 @@ from npred.predictors import Predictor
 ROWS = 1024  # rows a call
 FRESH = 40  # samples of each fresh loop, at random times …
 START = 40.0  # … of its first seconds: the start-up is in them, and not too much of the rest
+QUANTILES = (0.5, 0.95, 1.0)
 EXACT = {"mse": 0.0, "eps_sup": 0.0, "eps_kappa": 0.0, "rel_l2": 0.0}  # the numerical predictor is the reference
 
 
@@ -49,8 +52,25 @@ def sample_steps(seed: int, config: Evaluate, loops: int) -> np.ndarray:
     return np.sort(rng.integers(0, count, (loops, FRESH)), axis=1)
 
 
-def measure(plant: Plant, predictor: Predictor, rows: Rows) -> dict[str, Any]:
-    """All errors of npred.metrics on those rows."""
+def predict(predictor: Predictor, rows: Rows) -> np.ndarray:
+    """P_hat (N, nx, n) on those rows, a block at a time."""
     blocks = [slice(i, i + ROWS) for i in range(0, len(rows.X), ROWS)]
-    P_hat = np.concatenate([predictor(rows.X[i], rows.u[i], rows.D_hat[i]) for i in blocks])
+    return np.concatenate([predictor(rows.X[i], rows.u[i], rows.D_hat[i]) for i in blocks])
+
+
+def measure(plant: Plant, P_hat: np.ndarray, rows: Rows) -> dict[str, Any]:
+    """All errors of npred.metrics on those rows."""
     return metrics.errors(plant, P_hat, rows.P) | metrics.relative(plant, rows.X, rows.u, P_hat, rows.P)
+
+
+def write(path: Path, rows: Rows, P_hat: dict[str, np.ndarray]) -> None:
+    """Where each network errs, as HDF5: X and D_hat of the rows, and, by network, |P_hat - P| as
+    `sup` over x (N,) and as `over_x` (nx, 3), the quantiles of QUANTILES over the rows at each node.
+    """
+    with h5py.File(path, "w") as file:
+        file.attrs["quantiles"] = QUANTILES
+        file["X"], file["D_hat"] = rows.X, rows.D_hat
+        for name, found in P_hat.items():
+            gap = np.linalg.norm(found - rows.P, axis=-1)
+            file[f"networks/{name}/sup"] = gap.max(axis=1)
+            file[f"networks/{name}/over_x"] = np.quantile(gap, QUANTILES, axis=0).T

@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 
 from npred.closed_loop import Trajectories
@@ -35,20 +36,32 @@ def measure(plant: Plant, data: Dataset, loops: dict[str, Trajectories]) -> dict
     return {name: {"data": list(ranges[name]), "outside": outside[name]} for name in ranges}
 
 
-def draw(folder: Path, plant: Plant, data: Dataset, loops: dict[str, Trajectories]) -> None:
-    """Write coverage.svg and .png: histograms of the data, filled, and of each contender's loops, as lines."""
-    known = quantities(plant, data.X, data.u, data.D_hat)
-    figure = drawing.figure(7.2, 1.9 * ((len(known) + 1) // 2))
-    axes = dict(zip(known, np.ravel(figure.subplots((len(known) + 1) // 2, 2)), strict=False))
-    edges = {}
-    for name, values in known.items():
-        edges[name] = np.linspace(values.min(), values.max(), BINS + 1)
-        axes[name].hist(values, edges[name], density=True, color="#DDDDDD", label="data")
-        axes[name].set(xlabel=name, yscale="log", yticks=[])
-    for number, (contender, run) in enumerate(loops.items()):
-        for name, values in quantities(plant, run.X, run.U, run.D_hat).items():
-            look = {"color": drawing.COLOURS[number % 7], "histtype": "step", "linewidth": 1.0}
-            axes[name].hist(values, edges[name], density=True, label=drawing.words(contender), **look)
-    handles = next(iter(axes.values())).get_legend_handles_labels()
-    figure.legend(*handles, loc="outside upper center", ncols=5, frameon=False, fontsize=7)
+def write(path: Path, plant: Plant, data: Dataset, loops: dict[str, Trajectories]) -> None:
+    """Densities over the data's range as HDF5: by quantity `edges` (BINS + 1,), `data` and `loops/NAME` (BINS,)."""
+    with h5py.File(path, "w") as opened:
+        file: Any = opened
+        for name, values in quantities(plant, data.X, data.u, data.D_hat).items():
+            slack = MARGIN * np.ptp(values)  # what `measure` counts as inside is in the picture
+            edges = np.linspace(values.min() - slack, values.max() + slack, BINS + 1)
+            file[f"{name}/edges"], file[f"{name}/data"] = edges, np.histogram(values, edges, density=True)[0]
+        for contender, run in loops.items():
+            for name, values in quantities(plant, run.X, run.U, run.D_hat).items():
+                edges = file[f"{name}/edges"][:]
+                inside = np.histogram(values, edges)[0] / max(len(values), 1)
+                file[f"{name}/loops/{contender}"] = inside / np.diff(edges)
+
+
+def draw(folder: Path) -> None:
+    """Write coverage.svg and .png from coverage.h5: the data, filled, and each contender's loops, as lines."""
+    with h5py.File(folder / "coverage.h5") as opened:
+        file: Any = opened
+        figure = drawing.figure(7.2, 1.9 * ((len(file) + 1) // 2))
+        axes = np.ravel(figure.subplots((len(file) + 1) // 2, 2))
+        for axis, (name, found) in zip(axes, file.items(), strict=False):
+            axis.stairs(found["data"][:], found["edges"][:], fill=True, color="#DDDDDD", label="data")
+            for number, (contender, density) in enumerate(found["loops"].items()):
+                look = {"color": drawing.COLOURS[number % 7], "linewidth": 1.0}
+                axis.stairs(density[:], found["edges"][:], label=drawing.words(contender), **look)
+            axis.set(xlabel=name, yscale="log", yticks=[])
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=5, frameon=False, fontsize=7)
     drawing.save(figure, folder, "coverage")

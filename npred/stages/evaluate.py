@@ -22,13 +22,16 @@ EVERY = 10  # control steps between two kept states
 def run(job: Job) -> dict[str, Any]:
     """For the numerical predictor, without adaptation, and each network and snapshot: errors, cases, map, Fig. 1.
 
-    Writes figure1, certificate and coverage (.svg, .png) and figure1.h5. Warns where loops leave the data.
+    Writes figure1, certificate and coverage (.svg, .png); figure1.h5 (its loops), errors.h5 (where networks err) and
+    coverage.h5 (histograms). Warns where loops leave the data.
     """
     config, data = job.config.evaluate, Dataset.read(job.inputs["generate"] / "data.h5")
     begin, contenders = starts(job.config, job.plant), _contenders(job)
     loops = _all_loops(job, contenders, begin)
     held_out, fresh = Rows.held_out(data), Rows.fresh(loops["numerical"].part(begin.cases), contenders[0].predictor)
-    errors = {c.name: _errors(job.plant, c, held_out, fresh) for c in contenders}
+    P_hat = {c.name: accuracy.predict(c.predictor, held_out) for c in contenders if c.network}
+    accuracy.write(job.folder / "errors.h5", held_out, P_hat)
+    errors = {c.name: _errors(job.plant, c, P_hat, held_out, fresh) for c in contenders}
     models = {c.name: errors[c.name] | _row(job.plant, config, begin, c, errors[c.name], loops) for c in contenders}
     covered = coverage.measure(job.plant, data, {c.name: loops[c.name] for c in contenders if c.network})
     _warn(job, covered)
@@ -124,12 +127,14 @@ def _median(values: np.ndarray) -> float | None:
     return metrics.number(np.median(known)) if len(known) else None
 
 
-def _errors(plant: Plant, contender: Contender, held_out: Rows, fresh: Rows) -> dict[str, Any]:
+def _errors(
+    plant: Plant, contender: Contender, P_hat: dict[str, np.ndarray], held_out: Rows, fresh: Rows
+) -> dict[str, Any]:
     """On the held-out rollouts, and, as `fresh`, on those made for this evaluation."""
     if not contender.network:
         return accuracy.EXACT | {"fresh": dict(accuracy.EXACT)}
-    found = [accuracy.measure(plant, contender.predictor, rows) for rows in (held_out, fresh)]
-    return found[0] | {"fresh": found[1]}
+    again = accuracy.measure(plant, accuracy.predict(contender.predictor, fresh), fresh)
+    return accuracy.measure(plant, P_hat[contender.name], held_out) | {"fresh": again}
 
 
 def _warn(job: Job, covered: dict[str, Any]) -> None:
@@ -148,7 +153,9 @@ def _draw(job: Job, data: Dataset, models: dict[str, Any], loops: dict[str, Traj
     firsts = {name: figure1.first(config, run) for name, run in loops.items()}
     figure1.draw(job.folder, job.plant, config.D, firsts)
     certificate.draw(job.folder, config, models, metrics.gain(job.plant), firsts)
-    coverage.draw(job.folder, job.plant, data, {name: run for name, run in loops.items() if "@" not in name})
+    named = {name: run for name, run in loops.items() if "@" not in name}
+    coverage.write(job.folder / "coverage.h5", job.plant, data, named)
+    coverage.draw(job.folder)
 
 
 def summary(result: dict[str, Any]) -> Any:
