@@ -65,6 +65,7 @@ class Generate(Loop):
     The share `explore` of the rollouts, the last ones, takes its delays from explore_D and explore_D_hat0: they widen
     what a network is trained on, and none of them is held out. So does the share `redraw` of all rows to train on:
     their D_hat is drawn from explore_D_hat0 in place of the loop's own, and P is the numerical predictor's for it.
+    `data` is an HDF5 file with these samples, as `npred import` and `npred export hdf5` write it: nothing is simulated.
     """
 
     samples: Count = 5000
@@ -77,6 +78,7 @@ class Generate(Loop):
     redraw: Annotated[float, Field(ge=0, lt=1)] = 0.0
     explore_D: Range = (0.25, 2.0)
     explore_D_hat0: Range = (0.25, 3.5)
+    data: str = ""
 
     @property
     def explorers(self) -> int:

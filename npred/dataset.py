@@ -1,5 +1,6 @@
 """Samples of the predictor operator as flat arrays in one HDF5 file, readable from MATLAB."""
 
+import json
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Self
@@ -7,7 +8,8 @@ from typing import Any, Self
 import h5py
 import numpy as np
 
-from npred.errors import StoreError
+from npred.errors import ConfigError, StoreError
+from npred.plants import Plant
 
 MEANING = {
     "X": "plant state X(t), one row a sample (N, n), in the plant's units",
@@ -59,3 +61,29 @@ class Dataset:
             raise StoreError(
                 f"{path}: expected the arrays {', '.join(MEANING)}, got: {error}; generate it again"
             ) from None
+
+    def fit(self, plant: Plant) -> None:
+        """Raise ConfigError unless the arrays are of the plant's sizes and both parts of the split have rows."""
+        rows, nodes = self.u.shape[:2] if self.u.ndim == 3 else (0, 0)
+        wanted = {"X": (rows, plant.n), "u": (rows, nodes, plant.m), "P": (rows, nodes, plant.n), "D_hat": (rows,)}
+        for name, shape in wanted.items():
+            found = getattr(self, name).shape
+            if found != shape or nodes < 2:
+                raise ConfigError(f"{name}: expected shape {shape} for plant {plant.name}, got {found}; mend the data")
+        if not 0 < np.count_nonzero(self.test) < rows:
+            raise ConfigError(
+                f"test: expected rows of both kinds, got {np.count_nonzero(self.test)} of {rows} held out"
+            )
+
+
+def attributes(plant: Plant, predictor: str) -> dict[str, Any]:
+    """What a file of samples says of itself: whose they are, and what made P."""
+    return {
+        "plant": plant.name,
+        "states": list(plant.states),
+        "inputs": list(plant.inputs),
+        "parameters": json.dumps(plant.parameters),
+        "predictor": predictor,
+        "nodes": "x_j = j / (nx - 1), both ends in",
+        "time unit": "s",
+    }

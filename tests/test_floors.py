@@ -18,7 +18,7 @@ FLOORS = [
     {"plants"},
     {"actuator", "predictors", "operators"},
     {"adaptation", "arguments", "closed_loop", "engine", "lyapunov"},
-    {"control", "dataset", "metrics", "plant_check", "runtimes", "timing", "training"},
+    {"control", "dataset", "interop", "metrics", "plant_check", "runtimes", "timing", "training"},
     {"store", "console"},
     {"stages"},
     {"pipeline", "cli", "api", "__main__"},

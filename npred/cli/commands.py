@@ -147,18 +147,47 @@ def init(
 def export(
     options: Common,
     *,
-    form: Annotated[str, typer.Argument(metavar="onnx|c", help="The format: an ONNX graph, or a C99 file.")],
-    model: Annotated[str, typer.Argument(metavar="KEY", help="PIPELINE.toml:MODEL, MODEL, a folder or key.")],
+    form: Annotated[
+        str,
+        typer.Argument(metavar="onnx|c|npy|hdf5|mat", help="A model as ONNX graph or C99 file; data as the others."),
+    ],
+    key: Annotated[
+        str,
+        typer.Argument(metavar="KEY", help="PIPELINE.toml:MODEL or MODEL; PIPELINE.toml for data; a folder or key."),
+    ],
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="The file; by default MODEL-NX.onnx or .c.")
+        Path | None,
+        typer.Option("-o", "--output", help="The file; by default MODEL-NX.onnx or .c, data.npy, .h5, .mat."),
     ] = None,
-    nx: Annotated[int, typer.Option(help="Nodes of the actuator state, both ends of [0, 1] in.")] = 101,
+    nx: Annotated[int, typer.Option(help="Nodes of a model's actuator state, both ends of [0, 1] in.")] = 101,
     atol: Annotated[float, typer.Option(help="How far an ONNX graph's P and U may be from the model's.")] = 1e-4,
 ) -> None:
-    """A trained model as a file for another program: P, and U = kappa(P(1))."""
+    """A trained model, P and U = kappa(P(1)), or the data, for another program."""
     from npred.cli import export as exports
 
-    exports.export(options, exports.Wanted(form, model, output, nx, atol))
+    exports.export(options, exports.Wanted(form, key, output, nx, atol))
+
+
+@command(LOOK)
+def import_(
+    options: Common,
+    *,
+    form: Annotated[str, typer.Argument(metavar="npy", help="The format: the layout that [DAPF]'s authors published.")],
+    inputs: Annotated[Path, typer.Argument(metavar="INPUTS", help="Rows of D_hat, u, x1, x2, node after node.")],
+    outputs: Annotated[Path, typer.Argument(metavar="OUTPUTS", help="Rows of P1, P2, node after node.")],
+    plant: Annotated[
+        str, typer.Option(help="The plant whose samples they are: a name or my_plant.py:Tank.")
+    ] = "activator_repressor",
+    rollouts: Annotated[
+        int | None,
+        typer.Option(min=2, help="How many rollouts, if the rows of one lie together: to hold out whole ones."),
+    ] = None,
+    output: Annotated[Path, typer.Option("-o", "--output", help="The HDF5 file to write.")] = Path("data.h5"),
+) -> None:
+    """Data of others as a file that a pipeline can train on, checked against the predictor equation."""
+    from npred.cli import exchange
+
+    exchange.bring(options, form, exchange.Given(inputs, outputs, plant, rollouts, output))
 
 
 @command(CARE)

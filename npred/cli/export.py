@@ -1,9 +1,10 @@
-"""What `npred export` does: a trained model as a file for another program, checked on held-out samples."""
+"""What `npred export` does with a trained model: a file for another program, checked on held-out samples."""
 
 from pathlib import Path
 from typing import NamedTuple
 
 from npred import operators
+from npred.cli import exchange
 from npred.cli.options import Common
 from npred.dataset import Dataset
 from npred.errors import ConfigError
@@ -19,7 +20,7 @@ class Wanted(NamedTuple):
     """What was asked for."""
 
     form: str
-    model: str
+    key: str
     output: Path | None
     nx: int
     atol: float
@@ -27,13 +28,17 @@ class Wanted(NamedTuple):
 
 def export(options: Common, wanted: Wanted) -> None:
     """Write the file. Raises ConfigError for a format that there is none of, NpredError for a graph that differs."""
+    if wanted.form in exchange.WRITERS:
+        exchange.export(options, wanted.form, wanted.key, wanted.output)
+        return
     if wanted.form not in FORMATS:
-        raise ConfigError(f"export: expected {' or '.join(FORMATS)}, got {wanted.form!r}; name one of them")
+        known = ", ".join([*FORMATS, *exchange.WRITERS])
+        raise ConfigError(f"export: expected one of {known}, got {wanted.form!r}; name one of them")
     if wanted.nx < 2:
         raise ConfigError(
             f"--nx: expected at least 2 nodes, both ends of [0, 1], got {wanted.nx}; dx = 0.01 is nx = 101"
         )
-    stored = load_model(wanted.model, options.store)
+    stored = load_model(wanted.key, options.store)
     path = wanted.output or Path(f"{stored.model}-{wanted.nx}.{wanted.form}")
     if not path.parent.is_dir() or path.is_dir():
         raise ConfigError(f"{path}: expected a file that can be written, in a folder that is there; make {path.parent}")

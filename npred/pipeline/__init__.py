@@ -1,6 +1,6 @@
 """The runner: key, hit or run, store; and the reason of every run."""
 
-from npred.pipeline.models import Stored, load_model
+from npred.pipeline.models import Stored, load_data, load_model
 from npred.pipeline.plan import Planner, Step
 from npred.pipeline.runner import Outcome, Runner
 from npred.pipeline.table import STAGES, Node, Stage, networks, nodes
@@ -14,6 +14,7 @@ __all__ = [
     "Stage",
     "Step",
     "Stored",
+    "load_data",
     "load_model",
     "networks",
     "nodes",

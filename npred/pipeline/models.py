@@ -1,4 +1,4 @@
-"""Trained models by name: `pipeline/paper.toml:deeponet@107` to verified files of the store."""
+"""Trained models and data by name: `pipeline/paper.toml:deeponet@107` to verified files of the store."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -6,7 +6,7 @@ from typing import NamedTuple
 from npred import config, devices, places, plants
 from npred.errors import ConfigError
 from npred.pipeline.plan import Planner
-from npred.pipeline.table import networks, nodes
+from npred.pipeline.table import Node, networks, nodes
 from npred.plants import Plant
 from npred.store import Artifact, Store
 
@@ -33,6 +33,23 @@ def load_model(spec: str, root: Path | None = None) -> Stored:
     else:
         artifact, plant = store.find(name), None
     return _stored(artifact.verify(), epoch, spec, plant)
+
+
+def load_data(spec: str, root: Path | None = None) -> Artifact:
+    """The data meant by `PIPELINE.toml`, an artifact's folder or key, or `generate` for the latest; verified.
+
+    Raises ConfigError where there is none, StoreError for corrupt files.
+    """
+    store = Store(root or places.store())
+    if not spec.endswith(".toml"):
+        artifact = store.find(spec).verify()
+        if artifact.manifest.question.stage != "generate":
+            raise ConfigError(f"{spec}: expected data, got {artifact.name}; see npred ls for generate/…")
+        return artifact
+    (step,) = Planner(config.load(Path(spec)), store, "cpu").plan([Node("generate", None, ())])
+    if step.artifact is None:
+        raise ConfigError(f"{spec}: expected data in {store.root}, got none ({step.reason}); run npred generate {spec}")
+    return step.artifact.verify()
 
 
 def _split(spec: str) -> tuple[str, int | None]:

@@ -4,10 +4,13 @@ import importlib
 import math
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from npred import devices
 from npred.config import Pipeline, Table, Train
+from npred.errors import ConfigError
+from npred.store.keys import sha256_file
 
 if TYPE_CHECKING:
     from npred.stages import Job
@@ -106,7 +109,17 @@ def _words(value: Any) -> Any:
 
 
 def _generate(config: Pipeline, model: str | None, device: str) -> dict[str, Any]:
-    return {"generate": _dump(config.generate)}
+    section = _dump(config.generate)
+    source = section.pop("data")
+    return {"generate": section | ({"data": _digest(Path(source))} if source else {})}
+
+
+def _digest(path: Path) -> str:
+    """What a file of data holds, not where it lies."""
+    try:
+        return sha256_file(path)
+    except OSError as error:
+        raise ConfigError(f"generate.data: expected a file at {path}, got: {error.strerror}; check the path") from None
 
 
 def _train(config: Pipeline, model: str | None, device: str) -> dict[str, Any]:

@@ -1,11 +1,11 @@
 """The generate stage: rollouts with a numerical predictor, and samples of (X, u, D_hat) -> P taken from them."""
 
-import json
 import os
 import threading
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context, parent_process
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,8 +13,8 @@ import numpy as np
 from npred import plants
 from npred.adaptation import DelayAdaptation
 from npred.closed_loop import LANES, simulate
-from npred.config import Generate, Pipeline
-from npred.dataset import Dataset
+from npred.config import Pipeline
+from npred.dataset import Dataset, attributes
 from npred.errors import DivergedError
 from npred.plants import Plant
 from npred.predictors import METHODS
@@ -27,16 +27,19 @@ def run(job: Job) -> dict[str, Any]:
     """Write data.h5: `samples` rows from `rollouts` closed loops, split by rollout.
 
     A rollout's start, delays and times come from its own child seed and rollouts go in chunks of fixed size, so the
-    bytes do not depend on the number of jobs. Raises DivergedError, naming the rollout, where a state is not finite.
+    bytes do not depend on the number of jobs. With `data`, that file's samples instead, checked against the plant.
+    Raises DivergedError, naming the rollout, where a state is not finite.
     """
     config = job.config.generate
+    if config.data:
+        return _given(job, Path(config.data))
     chunks = [range(i, min(i + LANES, config.rollouts)) for i in range(0, config.rollouts, LANES)]
     with job.progress.bar("generate", config.rollouts * draws.steps(config), "steps") as bar:
         parts = dict(_in_process(job, chunks, bar) if min(job.jobs, len(chunks)) == 1 else _in_pool(job, chunks, bar))
     rows = {name: np.concatenate([parts[chunk.start][name] for chunk in chunks]) for name in parts[0]}
     held_out = draws.held_out(job.config.seed, config)
     data = Dataset(**rows, test=np.isin(rows["rollout"], held_out).astype(np.uint8))
-    data.write(job.folder / "data.h5", _attributes(job.plant, config))
+    data.write(job.folder / "data.h5", attributes(job.plant, config.predictor))
     return {"samples": len(data), "rollouts": config.rollouts, "held_out": sorted(held_out.tolist()), "nx": config.nx}
 
 
@@ -46,6 +49,16 @@ def summary(result: dict[str, Any]) -> str:
         f"{result['samples']} samples of {result['rollouts']} rollouts on {result['nx']} nodes, "
         f"{len(result['held_out'])} rollouts held out"
     )
+
+
+def _given(job: Job, path: Path) -> dict[str, Any]:
+    """The samples of a file in the place of simulated ones."""
+    data = Dataset.read(path)
+    data.fit(job.plant)
+    data.write(job.folder / "data.h5", attributes(job.plant, "imported"))
+    held_out = np.unique(data.rollout[data.test == 1]).tolist()
+    rollouts = len(np.unique(data.rollout))
+    return {"samples": len(data), "rollouts": rollouts, "held_out": held_out, "nx": data.u.shape[1]}
 
 
 def _in_process(job: Job, chunks: list[range], bar: Any) -> Iterator[tuple[int, Rows]]:
@@ -113,15 +126,3 @@ def _finite(chunk: range, X0: np.ndarray, escaped: np.ndarray, dt: float) -> Non
             f"generate: expected finite states, got NaN in rollout {chunk[first]} at t = {escaped[first] * dt:g} s, "
             f"from X0 = {X0[first].tolist()} ({len(lost)} of {len(chunk)} rollouts); shrink the box, D or dt"
         )
-
-
-def _attributes(plant: Plant, config: Generate) -> dict[str, Any]:
-    return {
-        "plant": plant.name,
-        "states": list(plant.states),
-        "inputs": list(plant.inputs),
-        "parameters": json.dumps(plant.parameters),
-        "predictor": config.predictor,
-        "nodes": "x_j = j / (nx - 1), both ends in",
-        "time unit": "s",
-    }

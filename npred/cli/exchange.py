@@ -1,0 +1,133 @@
+"""What `npred import` does, and `npred export` of data: samples from and for other programs."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from npred import interop, plants
+from npred.cli.options import Common
+from npred.dataset import MEANING, Dataset, attributes
+from npred.errors import ConfigError, MissingError
+from npred.pipeline import load_data
+
+RELATIVE = 0.05  # residual over what P moves: Euler's method leaves a third of it at dx = 0.01
+CELL = 0.5  # of a cell of the grid: by how much the delay that fits best may be off
+SHUFFLED = 0.1  # of interop.together
+
+
+class Given(NamedTuple):
+    """What is to be imported, and where to."""
+
+    inputs: Path
+    outputs: Path
+    plant: str
+    rollouts: int | None
+    output: Path
+
+
+def bring(options: Common, form: str, given: Given) -> None:
+    """Write the HDF5 file of the authors' layout, and say what holds of it. Raises ConfigError where it cannot."""
+    if form != "npy":
+        raise ConfigError(f"import: expected npy, got {form!r}; name the format of the two files")
+    plant = plants.resolve(given.plant)
+    if not plant.autonomous:
+        raise ConfigError(f"import: expected a plant free of time, {plant.name} is not; the files hold no time")
+    data = interop.part(plant, interop.read(given.inputs), interop.read(given.outputs), given.rollouts)
+    found = {"checks": interop.checks(plant, data), "splits": _splits(data, given.rollouts)}
+    for line in _doubts(found, data.u.shape[1]):
+        options.console.warn(line)
+    _writable(given.output)
+    data.write(given.output, attributes(plant, "imported"))
+    document = {"file": str(given.output), "plant": plant.name, "samples": len(data), "nx": data.u.shape[1], **found}
+    options.show(document, lambda: _told(document))
+
+
+def export(options: Common, form: str, spec: str, output: Path | None) -> None:
+    """Write the samples of a generate artifact. Raises ConfigError where there is none, MissingError without scipy."""
+    artifact = load_data(spec, options.store)
+    data = Dataset.read(artifact.folder / "data.h5")
+    path = output or Path(f"data.{'h5' if form == 'hdf5' else form}")
+    _writable(path)
+    files = WRITERS[form](artifact.folder / "data.h5", data, path)
+    document = {"files": [str(file) for file in files], "format": form, "samples": len(data), "key": artifact.name}
+    options.show(document, lambda: f"{', '.join(document['files'])}: {len(data)} samples of {artifact.name}")
+
+
+def _npy(source: Path, data: Dataset, path: Path) -> list[Path]:
+    paths = [path.with_name(f"{path.stem}-{name}.npy") for name in ("inputs", "outputs")]
+    for target, array in zip(paths, interop.join(data), strict=True):
+        np.save(target, array)
+    return paths
+
+
+def _hdf5(source: Path, data: Dataset, path: Path) -> list[Path]:
+    path.write_bytes(source.read_bytes())
+    return [path]
+
+
+def _mat(source: Path, data: Dataset, path: Path) -> list[Path]:
+    try:
+        from scipy.io import savemat
+    except ImportError:
+        raise MissingError("export mat: expected scipy, found none; pip install 'npred[mat]'") from None
+    savemat(path, {name: getattr(data, name) for name in MEANING}, do_compression=True, oned_as="column")
+    return [path]
+
+
+WRITERS: dict[str, Callable[[Path, Dataset, Path], list[Path]]] = {"npy": _npy, "hdf5": _hdf5, "mat": _mat}
+
+
+def _writable(path: Path) -> None:
+    if not path.parent.is_dir() or path.is_dir():
+        raise ConfigError(f"{path}: expected a file that can be written, in a folder that is there; make {path.parent}")
+
+
+def _splits(data: Dataset, rollouts: int | None) -> dict[str, Any]:
+    """Both splits: the rows held out, and how near the nearest training row is."""
+    _, test = interop.split(len(data), None)
+    found: dict[str, Any] = {"rows": {"held_out": int(test.sum()), "nearest": interop.nearest(data, test)}}
+    if rollouts:
+        found["rollouts"] = {"held_out": int(data.test.sum()), "nearest": interop.nearest(data, data.test)}
+        found["together"] = interop.together(data)
+    return found
+
+
+def _doubts(found: dict[str, Any], nx: int) -> list[str]:
+    checks = found["checks"]
+    lines = [
+        f"{state}: P = X + D_hat ∫ f(P, u) leaves {100 * relative:.3g} % of what P moves: is it another plant?"
+        for state, relative in checks["relative"].items()
+        if relative > RELATIVE
+    ]
+    if abs(checks["horizon"] - 1) > CELL / (nx - 1):
+        lines.append(
+            f"P fits {checks['horizon']:.4f} D_hat better: do the nodes end at x = 1? Expected linspace(0, 1, nx)"
+        )
+    if found["splits"].get("together", 1.0) < SHUFFLED:
+        lines.append("the rows look shuffled: no nearer to their rollout than by chance; leave out --rollouts")
+    return lines
+
+
+def _told(document: dict[str, Any]) -> str:
+    checks, splits = document["checks"], document["splits"]
+    lines = [
+        f"{document['file']}: {document['samples']} samples on {document['nx']} nodes for plant {document['plant']}",
+        f"sup |P(0) - X|: {_by_state(checks['start'])}",
+        f"sup residual of P = X + D_hat ∫ f(P, u): {_by_state(checks['residual'])}",
+        f"its mean square over that of P - X, roots: {_by_state(checks['relative'])}; best fit {checks['horizon']:.4f} "
+        "D_hat",
+    ]
+    for name in ("rows", "rollouts"):
+        if name in splits:
+            lines.append(
+                f"split by {name}: {splits[name]['held_out']} rows held out, the nearest training row "
+                f"{splits[name]['nearest']:.3g} deviations away"
+            )
+    used = "rollouts" if "rollouts" in splits else "rows; with --rollouts N, by rollout"
+    return "\n".join([*lines, f'held out in the file: by {used}\nuse it: data = "{document["file"]}" below [generate]'])
+
+
+def _by_state(values: dict[str, float]) -> str:
+    return ", ".join(f"{state} {value:.3g}" for state, value in values.items())
