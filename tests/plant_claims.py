@@ -1,32 +1,126 @@
-"""What every built-in plant must show, each claim against something independent of the code that it is about."""
+"""What every plant must show, each claim against something independent of the code that it is about.
+
+A plant's test module subclasses Claims and says which plant, from where, over which delay:
+
+    class TestClaims(plant_claims.Claims):
+        plant, D, X0, t_end = plants.resolve("tank"), 0.5, (0.6,), 20.0
+"""
 
 from pathlib import Path
+from typing import Any, ClassVar
 
 import numpy as np
+import pytest
 from scipy.integrate import solve_ivp
 
 from npred import config, grid
 from npred.closed_loop import Trajectories, simulate
 from npred.plants import Plant, fit
 from npred.predictors import METHODS, RK4
+from npred.predictors.onestep import OneStep
+
+DT = 0.005
+GOLDEN = 5.0  # s of the golden loop: each of its control steps is solved anew
+SPREAD = 32  # starts drawn from the box
 
 
-def pipeline_fits(plant: Plant) -> None:
-    """The plant's pipeline asks every stage for what the plant has."""
-    found = config.load(Path(__file__).parent.parent / f"pipeline/{plant.name}.toml")
-    assert found.plant == found.name == plant.name
-    fit.check(plant, found, ("generate", "train", "evaluate", "bench"))
+class Held(OneStep):
+    """RK4 for an input held between nodes: the exact predictor where nodes are control steps, and D_hat = D."""
+
+    name, order = "held", 4
+
+    @staticmethod
+    def step(f: Any, x: Any, u0: Any, um: Any, u1: Any, t: Any, h: Any) -> Any:
+        return RK4.step(f, x, u0, u0, u0, t, h)
 
 
-def steps_of_dop853(plant: Plant, loop: Trajectories, D: float) -> np.ndarray:
-    """The loop's states by the method of steps: DOP853 over each step of the held input that arrives D later."""
-    dt, late = loop.t[1] - loop.t[0], round(D / (loop.t[1] - loop.t[0]))
+class Claims:
+    """The claims, as tests. D is the largest delay of the plant's pipeline in seconds, or one an input; X0 a start.
+
+    By `t_end` the exact predictor's loops from the box are within `near` of the target, which is the equilibrium, and
+    the loops of U = kappa(X(t)) are not within `far`.
+    """
+
+    plant: ClassVar[Plant]
+    D: ClassVar[float | tuple[float, ...]]
+    X0: ClassVar[tuple[float, ...]]
+    t_end: ClassVar[float]
+    near: ClassVar[float] = 1e-4
+    far: ClassVar[float] = 0.1
+    pipeline: ClassVar[str | None] = None  # where it has another name than the plant
+
+    def target(self, t: np.ndarray) -> np.ndarray:
+        """Where the loop is to go, (nt, n) or (n,)."""
+        return self.plant.equilibrium
+
+    def predicted(self, nodes: int, method: type[OneStep] = Held, **settings: Any) -> Trajectories:
+        """Loops with that predictor and D_hat = D."""
+        return simulate(self.plant, method(self.plant, nodes), **{"D": self.D, "D_hat": self.D, "dt": DT} | settings)
+
+    def test_its_pipeline_fits(self):
+        name = self.pipeline or self.plant.name
+        found = config.load(Path(__file__).parent.parent / f"pipeline/{name}.toml")
+        assert (found.plant, found.name) == (self.plant.name, name)
+        fit.check(self.plant, found, ("generate", "train", "evaluate", "bench"))
+
+    def test_derivatives_equal_differences(self):
+        derivatives_equal_differences(self.plant)
+
+    @pytest.mark.parametrize("method", METHODS)
+    def test_predictor_order(self, method: str):
+        assert order(self.plant, method, np.max(self.D)) == pytest.approx(METHODS[method].order, abs=0.25)
+
+    def test_the_loop_is_the_golden_one(self):
+        """Nodes on control steps; for RK4, which sees jumps of u as slopes, the distance halves with the cells."""
+        cells = round(np.max(self.D) / DT)
+        golden = golden_loop(self.plant, self.D, self.X0, GOLDEN)
+        loop = self.predicted(cells + 1, X0=self.X0, t_end=GOLDEN)
+        np.testing.assert_allclose(loop.X, golden, rtol=0, atol=1e-6)
+        runs = (self.predicted(k * cells + 1, RK4, X0=self.X0, t_end=GOLDEN) for k in (4, 8))
+        coarse, fine = (np.abs(run.X - golden).max() for run in runs)
+        assert fine / coarse == pytest.approx(0.5, abs=0.02)
+
+    def test_the_exact_predictors_loop_converges_from_the_box(self):
+        assert self.distances(self.D).max() < self.near
+
+    def test_without_the_predictor_it_does_not(self):
+        assert self.distances(np.multiply(self.D, 0.0)).min() > self.far
+
+    def distances(self, D_hat: Any) -> np.ndarray:
+        """How far from the target the loops from the box are in their last quarter; inf where one is lost."""
+        loops = self.predicted(51, RK4, D_hat=D_hat, X0=box(self.plant, SPREAD), t_end=self.t_end, every=20)
+        late = loops.t >= 0.75 * self.t_end
+        far = np.linalg.norm((loops.X - self.target(loops.t))[:, late], axis=-1).max(axis=-1)
+        return np.where(np.isfinite(far), far, np.inf)
+
+
+def golden_loop(plant: Plant, D: Any, X0: Any, t_end: float, dt: float = DT) -> np.ndarray:
+    """The loop of the exact predictor by the method of steps, without any predictor: X (nt, n).
+
+    Input j arrives D_j late and was kappa_j of the state that it meets: from D_j on it is kappa_j(X(t)) held over each
+    step, before that it is 0. So every step is an ordinary differential equation, here by DOP853.
+    """
+    late = np.round(np.broadcast_to(D, plant.m) / dt)
+    X = [np.array(X0, dtype=float)]
+    for k in range(round(t_end / dt)):
+        X.append(_advance(plant, X[-1], np.where(k >= late, plant.kappa(X[-1], k * dt), 0.0), k * dt, dt))
+    return np.array(X)
+
+
+def replayed(plant: Plant, loop: Trajectories, D: Any) -> np.ndarray:
+    """The states that a recorded loop's own inputs lead to, input j arriving D_j late: X (nt, n)."""
+    dt = loop.t[1] - loop.t[0]
+    late = np.round(np.broadcast_to(D, plant.m) / dt).astype(int)
     X = [loop.X[0]]
     for k in range(len(loop.t) - 1):
-        u = loop.U[k - late] if k >= late else np.zeros(plant.m)
-        step = solve_ivp(lambda t, x, u=u: plant.f(x, u), (0, dt), X[-1], "DOP853", rtol=1e-10, atol=1e-12)
-        X.append(step.y[:, -1])
+        u = [loop.U[k - d, j] if k >= d else 0.0 for j, d in enumerate(late)]
+        X.append(_advance(plant, X[-1], np.array(u), k * dt, dt))
     return np.array(X)
+
+
+def _advance(plant: Plant, X: np.ndarray, u: np.ndarray, t: float, dt: float) -> np.ndarray:
+    solved = solve_ivp(lambda s, x: plant.f(x, u, s), (t, t + dt), X, "DOP853", rtol=1e-10, atol=1e-12)
+    return solved.y[:, -1]
 
 
 def box(plant: Plant, count: int) -> np.ndarray:
@@ -40,22 +134,26 @@ def derivatives_equal_differences(plant: Plant) -> None:
     for X in box(plant, 20):
         u = plant.kappa(X)
         f_X, f_U = plant.jacobians(X, u)
-        np.testing.assert_allclose(f_X, _differences(lambda x, u=u: plant.f(x, u), X), rtol=1e-7, atol=1e-7)
-        np.testing.assert_allclose(f_U, _differences(lambda v, X=X: plant.f(X, v), u), rtol=1e-7, atol=1e-7)
-        np.testing.assert_allclose(plant.kappa_jacobian(X), _differences(plant.kappa, X), rtol=1e-7, atol=1e-7)
+        pairs = [
+            (f_X, _differences(lambda x, u=u: plant.f(x, u), X)),
+            (f_U, _differences(lambda v, X=X: plant.f(X, v), u)),
+            (plant.kappa_jacobian(X), _differences(plant.kappa, X)),
+        ]
+        for derived, expected in pairs:
+            np.testing.assert_allclose(derived, expected, rtol=1e-6, atol=1e-7)
 
 
 def _differences(function, x: np.ndarray) -> np.ndarray:
-    h = 1e-3
     columns = []
-    for unit in h * np.eye(len(x)):
-        far, near = (function(x + s * unit) - function(x - s * unit) for s in (2, 1))
+    for k, unit in enumerate(np.eye(len(x))):
+        h = 1e-3 * max(abs(x[k]), 1e-2)
+        far, near = (function(x + s * h * unit) - function(x - s * h * unit) for s in (2, 1))
         columns.append((8 * near - far) / (12 * h))
     return np.stack(columns, axis=-1)
 
 
-def orders(plant: Plant, method: str, D_hat: float) -> float:
-    """The fitted order of a predictor's error at x = 1 against a fine grid, for a smooth input around rest."""
+def order(plant: Plant, method: str, D_hat: float) -> float:
+    """The fitted order of a predictor's error at x = 1 against a fine grid, for a smooth input around kappa's."""
     X = box(plant, 5)
     intervals = [50, 100, 200]
     fine = _predict(plant, "rk4", 4000, X, D_hat)
@@ -65,12 +163,5 @@ def orders(plant: Plant, method: str, D_hat: float) -> float:
 
 def _predict(plant: Plant, method: str, intervals: int, X: np.ndarray, D_hat: float) -> np.ndarray:
     x = grid.nodes(intervals + 1)
-    u = plant.u_equilibrium + 0.3 * np.sin(3 * x + 1)[:, None]
-    return METHODS[method](plant, intervals + 1)(X, u, D_hat)[:, -1]
-
-
-def distances(plant: Plant, D: float, D_hat: float, t_end: float) -> np.ndarray:
-    """How far from rest the exact predictor's loops are in their last quarter, D_hat frozen; inf where one is lost."""
-    loops = simulate(plant, RK4(plant, 51), D=D, D_hat=D_hat, X0=box(plant, 32), t_end=t_end, every=20)
-    far = np.linalg.norm(loops.X[:, loops.t >= 0.75 * t_end] - plant.equilibrium, axis=-1).max(axis=-1)
-    return np.where(np.isfinite(far), far, np.inf)
+    middle = plant.u_equilibrium if plant.rests else np.zeros(plant.m)
+    return METHODS[method](plant, intervals + 1)(X, middle + 0.3 * np.sin(3 * x + 1)[:, None], D_hat)[:, -1]
