@@ -41,12 +41,24 @@ def test_what_does_not_fit_is_told(tables, message):
         check(**tables)
 
 
-def test_a_plant_that_tracks_has_no_radius(tmp_path):
+def test_a_plant_without_rest_or_reference_has_no_radius(tmp_path):
     path = tmp_path / "moving.py"
     path.write_text(MOVING)
     check(stages=("generate",), plant=f"{path}:Moving")
-    with pytest.raises(ConfigError, match="expected a plant with an equilibrium, Moving has none"):
+    with pytest.raises(ConfigError, match="expected a plant with an equilibrium or a reference, Moving has neither"):
         check(plant=f"{path}:Moving")
+    with pytest.raises(ConfigError, match=r'train.fno.anchor: .* Moving has none; write anchor = "initial"'):
+        check(stages=("train",), plant=f"{path}:Moving", train={"deeponet": {"anchor": "initial"}})
+
+
+def test_a_plant_with_a_reference_is_evaluated_if_its_law_follows_it(tmp_path):
+    follows = "    def reference(t, p, M): return [(M.sin(t) - M.cos(t)) / 2]\n"
+    path = tmp_path / "moving.py"
+    path.write_text(MOVING + follows)
+    check(plant=f"{path}:Moving", evaluate={"X0": [0.5]})
+    path.write_text(MOVING + follows.replace("- M.cos", "+ M.cos"))
+    with pytest.raises(ConfigError, match="reference expected a trajectory of f with kappa, got one that differs"):
+        check(plant=f"{path}:Moving", evaluate={"X0": [0.5]})
 
 
 def test_a_state_without_a_range_is_told(tmp_path):

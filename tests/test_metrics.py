@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
+from follower import Follower, follower
 
 from npred import metrics, plants
 from npred.closed_loop import Samples, Trajectories
+from npred.plants import Plant
 
 PLANT = plants.resolve("activator_repressor")
 EMPTY = Samples(*[np.empty(0)] * 3)
@@ -67,6 +69,49 @@ def test_gain_moves_the_equilibrium_of_the_law():
         f_X, f_U = PLANT.jacobians(X, PLANT.kappa(X) + e)
         X = X - np.linalg.solve(f_X + f_U @ PLANT.kappa_jacobian(X), PLANT.f(X, PLANT.kappa(X) + e))
     assert np.linalg.norm(X - PLANT.equilibrium) / e == pytest.approx(metrics.gain(PLANT), rel=1e-3)
+
+
+def test_gain_of_a_plant_that_tracks_is_that_of_its_errors():
+    assert metrics.gain(follower(), 40.0) == pytest.approx(0.5, rel=1e-9)  # (X - r)' = -c (X - r) + e
+
+
+def test_gain_along_a_reference_is_the_shift_of_the_loop():
+    """X' = X³ + U with U = r' - r³ - X + r, whose linearisation changes in time: the loop with U + e, by RK4."""
+
+    def kappa(x, t, p, M):
+        r, slope = M.sin(t), M.cos(t)
+        return [slope - r**3 - 6 * (x.X - r)]
+
+    cubic = {"f": lambda x, u, t, p, M: [x.X**3 + u.U], "kappa": kappa, "parameters": {}, "V": lambda x, t, p, M: 0.0}
+    cubic = {name: staticmethod(part) if callable(part) else part for name, part in cubic.items()}
+    plant = Plant("Cubic", type("Cubic", (Follower,), cubic | {"reference": staticmethod(lambda t, p, M: [M.sin(t)])}))
+    e, h, x, apart = 1e-6, 1e-3, np.zeros(1), 0.0
+    for k in range(20000):
+        t = k * h
+        k1 = plant.f(x, plant.kappa(x, t) + e)
+        k2 = plant.f(x + h / 2 * k1, plant.kappa(x + h / 2 * k1, t + h / 2) + e)
+        k3 = plant.f(x + h / 2 * k2, plant.kappa(x + h / 2 * k2, t + h / 2) + e)
+        x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + plant.f(x + h * k3, plant.kappa(x + h * k3, t + h) + e))
+        apart = max(apart, abs(x[0] - np.sin(t + h)) / e if t + h >= 18 else 0.0)
+    assert metrics.gain(plant, 20.0) == pytest.approx(apart, rel=1e-4)
+    assert apart > 1 / 5  # without the cube it is 1/6, with it at its largest all the time 1/3
+
+
+def test_distances_are_of_the_reference():
+    plant, t = follower(), np.linspace(0, 10, 101)
+    X = np.tile(plant.target(t), (2, 1, 1))
+    X[0, :20] += 1.0
+    X[1, 95] += 0.2
+    target = plant.target(t)
+    np.testing.assert_allclose(metrics.radius(loops(X, t), target), [0.0, 0.2], atol=1e-15)
+    assert metrics.settle_time(loops(X, t), target).tolist() == [pytest.approx(2.0), pytest.approx(9.6)]
+    assert metrics.size(target) == pytest.approx(0.3, rel=1e-3)
+
+
+def test_errors_of_kappa_are_taken_at_the_time_of_the_prediction():
+    plant = Plant("Scaled", type("Scaled", (Follower,), {"kappa": staticmethod(lambda x, t, p, M: [t * x.X])}))
+    P = np.zeros((2, 3, 1))
+    assert metrics.errors(plant, P + 0.5, P + 0.25, np.array([1.0, 3.0]))["eps_kappa"] == pytest.approx(0.75)
 
 
 def test_numbers_for_json():

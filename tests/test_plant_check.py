@@ -5,6 +5,7 @@ import re
 
 import numpy as np
 import pytest
+from follower import Follower, follower
 from scipy.linalg import solve_continuous_lyapunov
 from typer.testing import CliRunner
 
@@ -144,8 +145,15 @@ def test_lyapunov_equation():
 
 def test_a_plant_that_tracks_has_no_equilibrium_and_that_is_no_failure(tank):
     found = answers(plants.resolve(tank("+ p.level - x.h", "+ p.level + M.sin(t) - x.h")))
-    assert found["equilibrium"].verdict == "warn"
+    assert found["reference"].verdict == "warn"
     assert "stability" not in found and "completeness" in found
+
+
+def test_a_reference_is_compared_with_the_loop_of_the_law():
+    assert answers(follower())["reference"].verdict == "yes"
+    bent = type("Bent", (Follower,), {"reference": staticmethod(lambda t, p, M: [1.1 * p.A * M.sin(p.w * t)])})
+    answer = answers(Plant("Bent", bent))["reference"]
+    assert answer.verdict == "no" and "is no trajectory of f with kappa" in answer.text
 
 
 @pytest.mark.parametrize("wrong", ["jacobians", "kappa_jacobian"])

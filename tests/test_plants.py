@@ -5,11 +5,13 @@ import textwrap
 import numpy as np
 import pytest
 import torch
+from follower import Follower, follower
 from hypothesis import given
 from hypothesis import strategies as st
 
 from npred import plants
 from npred.errors import ConfigError
+from npred.plants import Plant
 
 X_STAR = (0.093894784596175314799, 5.2514404348957272692)  # independent solver, 18 digits
 U_STAR = -2.62808664394595e-5
@@ -144,6 +146,48 @@ def test_time_dependence_means_no_equilibrium(write):
     assert not tank.rests
     with pytest.raises(ConfigError, match="f or kappa depends on time; it only tracks"):
         _ = tank.equilibrium
+    with pytest.raises(ConfigError, match=r"found neither; declare reference\(t, p, M\)"):
+        tank.target(0.0)
+
+
+def test_the_target_is_the_equilibrium_or_the_reference():
+    rests, tracks, t = plants.resolve("scalar"), follower(), np.array([0.0, 0.7])
+    assert rests.target(t) is rests.equilibrium and rests.u_target(t) is rests.u_equilibrium
+    assert tracks.tracks and not rests.tracks
+    np.testing.assert_allclose(tracks.target(0.7), [0.3 * np.sin(1.05)], rtol=1e-15)
+    assert tracks.target(t).shape == (2, 1)
+    np.testing.assert_allclose(tracks.u_target(t)[1], 0.45 * np.cos(1.05) - 0.15 * np.sin(1.05), rtol=1e-14)
+
+
+def test_the_reference_is_part_of_the_identity():
+    other = type("Other", (Follower,), {"reference": staticmethod(lambda t, p, M: [p.A * M.cos(p.w * t)])})
+    assert Plant("Follower", other).identity["program"] != follower().identity["program"]
+
+
+@pytest.mark.parametrize(
+    ("reference", "kappa", "message"),
+    [
+        (lambda t, p, M: [0.0, t], None, "reference expected to return 1 value, got 2"),
+        (lambda x, t, p, M: [t], None, "reference failed: TypeError"),
+        (0.5, None, "expected reference to be a function, got 0.5"),
+        (None, lambda x, t, p, M: [-x.X], "reference expected a kappa that depends on t"),
+    ],
+)
+def test_a_wrong_reference_is_told(reference, kappa, message):
+    changed = {"reference": reference or Follower.reference, "kappa": kappa or Follower.kappa}
+    with pytest.raises(ConfigError, match=message):
+        _ = Plant("Wrong", type("Wrong", (), vars(Follower) | changed)).identity
+
+
+def test_derivatives_at_many_points_and_times_are_those_at_each():
+    plant, random = plants.resolve("chemostat"), np.random.default_rng(1)
+    X, u = random.uniform(0.5, 3.0, (5, 2)), random.uniform(0.0, 2.0, (5, 1))
+    f_X, f_U = plant.jacobians(X, u)
+    for k in range(5):
+        one_X, one_U = plant.jacobians(X[k], u[k])
+        np.testing.assert_allclose(f_X[k], one_X, rtol=1e-14)
+        np.testing.assert_allclose(f_U[k], one_U, rtol=1e-14)
+        np.testing.assert_allclose(plant.kappa_jacobian(X)[k], plant.kappa_jacobian(X[k]), rtol=1e-14)
 
 
 @pytest.mark.parametrize(

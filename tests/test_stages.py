@@ -2,7 +2,9 @@
 
 import copy
 import types
+from pathlib import Path
 
+import follower
 import h5py
 import numpy as np
 import pytest
@@ -104,6 +106,26 @@ def test_histograms_of_data_and_loops_are_written(evaluated):
             assert np.sum(found["data"][:] * width) == pytest.approx(1.0)
             inside = np.sum(found["loops/fno"][:] * width)
             assert 1.0 - inside == pytest.approx(result["coverage"][name]["outside"]["fno"], abs=0.02)
+
+
+def test_a_plant_that_tracks_is_evaluated_against_its_reference(tmp_path):
+    networks = {name: small | {"anchor": "initial"} for name, small in tables()["train"].items()}
+    pipeline = {
+        "plant": f"{Path(follower.__file__)}:Follower", "train": networks, "generate": {"gamma": 1.0},
+        "evaluate": {"X0": [0.5], "D_hat0": 1.0, "gamma": 1.0, "map_D": [1.0], "map_D_hat0": [1.0]},
+    }  # fmt: skip
+    data = job(tmp_path, "generate", **pipeline)
+    generate.run(data)
+    inputs = {"generate": data.folder}
+    for model in ("deeponet", "fno"):
+        training = job(tmp_path, model, inputs=inputs, model=model, **pipeline)
+        train.run(training)
+        inputs[model] = training.folder
+    found = evaluate.run(job(tmp_path, "evaluate", inputs=inputs, **pipeline))
+    assert found["equilibrium"] is None and found["gain"] == pytest.approx(0.5, rel=1e-4)
+    exact = found["models"]["numerical"]["figure1"]
+    assert exact["radius"] < 0.05 < abs(exact["X_end"][0]) and found["models"]["fno"]["eps_kappa"] > 0
+    assert "eps_relative" not in found["models"]["fno"]
 
 
 def test_evaluation_gives_the_same_bytes_again(evaluated, made, tmp_path):

@@ -8,14 +8,16 @@ from npred import arguments
 from npred.errors import ConfigError
 from npred.plant_check.answer import Answer, Case, named
 from npred.plants import tape
+from npred.plants.fit import SLIP, slip
 from npred.plants.trace import Trace, python
+
+HORIZON = 100.0  # s, over which a reference is looked at
 
 
 def answers(case: Case, sound: bool) -> Iterator[Answer]:
-    """Equilibrium, stability and, where the box is `sound`, V along the loop; a plant that tracks has none."""
+    """Equilibrium, stability and, where the box is `sound`, V along the loop; of a plant that tracks, the reference."""
     if not case.plant.rests:
-        text = "f or kappa depends on time: the plant tracks, and has no equilibrium, eigenvalues or V' to test"
-        yield Answer("equilibrium", "warn", text)
+        yield reference(case)
         return
     yield (found := equilibrium(case))
     if found.verdict == "no":
@@ -50,6 +52,18 @@ def equilibrium(case: Case) -> Answer:
         text = f"plant {plant.name}: rests with {inputs}, outside input_bounds {bounds.tolist()}; move the set point"
         return Answer("equilibrium", "no", text)
     return Answer("equilibrium", "yes", f"{case.state(X)}, with {inputs}")
+
+
+def reference(case: Case) -> Answer:
+    """Whether the declared reference is a trajectory of f with kappa, over HORIZON seconds."""
+    if not case.plant.tracks:
+        text = "f or kappa depends on time and no reference(t, p, M) says what it follows: its loops have no radius"
+        return Answer("reference", "warn", f"{text}; declare one to evaluate the plant")
+    excess, t = slip(case.plant, HORIZON)
+    if excess <= SLIP:
+        return Answer("reference", "yes", f"a trajectory of f with kappa for {HORIZON:g} s, to {excess:.1g}")
+    text = f"{case.place('reference')} is no trajectory of f with kappa: they differ by {excess:.2g} at t = {t:.3g} s"
+    return Answer("reference", "no", f"{text}; let reference' = f(reference, kappa(reference, t), t)")
 
 
 def closed_loop(case: Case) -> np.ndarray:

@@ -18,7 +18,8 @@ class Plant:
 
     A declaration is a class with `states`, `inputs` (names) and the functions f(x, u, t, p, M), kappa(x, t, p, M) and
     V(x, t, p, M); optional are `parameters` (name to default), `box` (state to range, for experiments), `guess` (where
-    the equilibrium is searched from) and `input_bounds` (a range an input). M is the mathematics: sin, exp, where …
+    the equilibrium is searched from), `input_bounds` (a range an input) and, where kappa depends on time,
+    `reference(t, p, M)`, the trajectory that it follows. M is the mathematics: sin, exp, where …
     Raises ConfigError for a declaration with a part that is missing or wrong, or a parameter that it does not have.
     """
 
@@ -47,7 +48,7 @@ class Plant:
         """The parameters' values in the order of their declaration."""
         return np.array(list(self.parameters.values()), dtype=float)
 
-    def call(self, name: str, x: list[Any], u: list[Any] | None, t: Any, p: Any, M: Any) -> list[Any]:
+    def call(self, name: str, x: list[Any] | None, u: list[Any] | None, t: Any, p: Any, M: Any) -> list[Any]:
         """A declared function on components of any kind: floats, arrays, tensors or symbols."""
         return call(self, name, x, u, t, p, M)
 
@@ -93,16 +94,40 @@ class Plant:
         """u* = kappa(X*), shape (m,)."""
         return self.kappa(self.equilibrium)
 
-    def jacobians(self, X: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """f_X (n, n) and f_U (n, m) at one point, at t = 0, derived from the declared f."""
-        with np.errstate(all="ignore"):
-            values = np.reshape(self._interpreted["f"](*np.asarray(X), *np.asarray(u), 0.0, *self.p), (-1, self.n))
-        return values[: self.n].T, values[self.n :].T
+    def target(self, t: Any) -> np.ndarray:
+        """What the law leads to: the equilibrium (n,) where the plant rests, else its reference at t (...), (..., n).
 
-    def kappa_jacobian(self, X: np.ndarray) -> np.ndarray:
-        """kappa' (m, n) at one point, at t = 0, derived from the declared kappa."""
+        Raises ConfigError for a plant that depends on time and declares no reference.
+        """
+        if self.rests:
+            return self.equilibrium
+        if not self.tracks:
+            raise ConfigError(
+                f"plant {self.name}: expected an equilibrium or a reference, found neither; declare reference(t, p, M)"
+            )
+        t = np.asarray(t, dtype=float)
+        return mathematics.stack(self.call("reference", None, None, t, [*self.p], mathematics.NUMPY), t)
+
+    def u_target(self, t: Any) -> np.ndarray:
+        """The input at the target, kappa(target(t), t): (m,) or (..., m)."""
+        return self.u_equilibrium if self.rests else self.kappa(self.target(t), t)
+
+    def jacobians(self, X: np.ndarray, u: np.ndarray, t: Any = 0.0) -> tuple[np.ndarray, np.ndarray]:
+        """f_X (..., n, n) and f_U (..., n, m) at points X (..., n), u (..., m), derived from the declared f."""
+        X, u = np.asarray(X), np.asarray(u)
+        columns = self._columns("f", X, *np.moveaxis(u, -1, 0), t, rows=self.n)
+        return columns[..., : self.n], columns[..., self.n :]
+
+    def kappa_jacobian(self, X: np.ndarray, t: Any = 0.0) -> np.ndarray:
+        """kappa' (..., m, n) at points X (..., n), derived from the declared kappa."""
+        return self._columns("kappa", np.asarray(X), t, rows=self.m)
+
+    def _columns(self, name: str, X: np.ndarray, *more: Any, rows: int) -> np.ndarray:
+        """The derivatives as matrices (..., rows, columns), a column a direction."""
         with np.errstate(all="ignore"):
-            return np.reshape(self._interpreted["kappa"](*np.asarray(X), 0.0, *self.p), (self.n, self.m)).T
+            values = self._interpreted[name](*np.moveaxis(X, -1, 0), *more, *self.p)
+        values = mathematics.stack(values, X[..., 0])
+        return np.swapaxes(values.reshape(*X.shape[:-1], -1, rows), -1, -2)
 
     @cached_property
     def _interpreted(self) -> dict[str, Any]:
@@ -140,6 +165,17 @@ class Plant:
         """Whether f is free of time, so that the predictor is a function of (X, u, D_hat)."""
         return not self._timed("f")
 
+    @cached_property
+    def tracks(self) -> bool:
+        """Whether the plant declares a reference. Raises ConfigError where f and kappa know no time to follow it."""
+        declared = hasattr(self.declaration, "reference")
+        if declared and self.rests:
+            raise ConfigError(
+                f"plant {self.name}: reference expected a kappa that depends on t, got one that rests; let kappa "
+                "follow it, or drop reference"
+            )
+        return declared
+
     def _timed(self, name: str) -> bool:
         trace = Trace(self)
         x, u, t = trace.vector("x", self.n), trace.vector("u", self.m), trace.input("t")
@@ -150,7 +186,7 @@ class Plant:
         """What a result depends on: name, parameters, the hash of the traced functions and of a user's own file."""
         trace = Trace(self)
         x, u, t = trace.vector("x", self.n), trace.vector("u", self.m), trace.input("t")
-        outputs = [*trace.f(x, u, t), *trace.kappa(x, t), trace.V(x, t)]
+        outputs = [*trace.f(x, u, t), *trace.kappa(x, t), trace.V(x, t), *(trace.reference(t) if self.tracks else ())]
         names = [*self._names("x", self.n), *self._names("u", self.m), "t", *self._names("p", len(self.p))]
         lines = tape.program(outputs, {name: name for name in names}, [f"y{k}" for k in range(len(outputs))])
         return {

@@ -18,8 +18,8 @@ def check(plant: str, declaration: Any) -> None:
         if not hasattr(declaration, part):
             hint = "declare it" + (", as 0.0 to have npred plants check offer one" if part == "V" else "")
             raise ConfigError(f"plant {plant}: expected {', '.join(REQUIRED)}, found no {part}; {hint}")
-    for part in REQUIRED[2:]:
-        if not callable(getattr(declaration, part)):
+    for part in [*REQUIRED[2:], "reference"]:
+        if not callable(getattr(declaration, part, check)):
             raise ConfigError(f"plant {plant}: expected {part} to be a function, got {getattr(declaration, part)!r}")
 
 

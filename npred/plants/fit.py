@@ -9,6 +9,8 @@ from npred.errors import ConfigError
 from npred.plants.base import Plant
 from npred.plants.declaration import span
 
+SLIP = 1e-6  # how far a reference may be from a trajectory: the differences that tell it err by 1e-10
+
 
 def check(plant: Plant, config: Pipeline, stages: Collection[str]) -> None:
     """Raise ConfigError, in one line, where those stages ask for what the plant does not have."""
@@ -16,19 +18,49 @@ def check(plant: Plant, config: Pipeline, stages: Collection[str]) -> None:
     _bounds(plant, config)
     if not plant.autonomous:
         raise ConfigError(f"plant {plant.name}: expected f without time, for a network knows X, u, D_hat; simulate it")
-    if plant.rests:
-        _ = plant.equilibrium  # every loop wants it, and it says so where it finds none
+    if plant.tracks or plant.rests:
+        _ = plant.target(0.0)  # every loop wants the equilibrium, and it says so where it finds none
+    if "train" in stages:
+        _anchors(plant, config)
     if "evaluate" not in stages:
         return
-    if not plant.rests:
+    if not (plant.rests or plant.tracks):
         raise ConfigError(
-            f"evaluate: expected a plant with an equilibrium, {plant.name} has none; its loops have no radius"
+            f"evaluate: expected a plant with an equilibrium or a reference, {plant.name} has neither; its loops have "
+            "no radius: declare reference(t, p, M), what kappa follows"
         )
+    if plant.tracks:
+        _followed(plant, config.evaluate.case_t_end)
     if len(config.evaluate.X0) != plant.n:
         wanted, given = ", ".join(plant.states), config.evaluate.X0
         raise ConfigError(f"evaluate.X0: expected {plant.n} values ({wanted}), got {given}; give one a state")
     if not np.isfinite(config.evaluate.X0).all():
         raise ConfigError(f"evaluate.X0: expected finite values, got {config.evaluate.X0}; mend it")
+
+
+def _anchors(plant: Plant, config: Pipeline) -> None:
+    for model in config.train.models:
+        if not plant.rests and getattr(config.train, model).anchor == "equilibrium":
+            wanted = f"a plant with an equilibrium, {plant.name} has none"
+            raise ConfigError(f'train.{model}.anchor: expected {wanted}; write anchor = "initial"')
+
+
+def _followed(plant: Plant, t_end: float) -> None:
+    excess, t = slip(plant, t_end)
+    if not excess <= SLIP:
+        raise ConfigError(
+            f"plant {plant.name}: reference expected a trajectory of f with kappa, got one that differs from it by "
+            f"{excess:.2g} at t = {t:.3g} s; let its derivative be f(reference, kappa(reference, t), t)"
+        )
+
+
+def slip(plant: Plant, t_end: float) -> tuple[float, float]:
+    """sup |reference' - f(reference, kappa)| / (1 + |reference'|) over t_end seconds, and the time where it is."""
+    t, h = np.linspace(0.0, t_end, 1001), 1e-5
+    slope = (plant.target(t + h) - plant.target(t - h)) / (2 * h)
+    gap = np.linalg.norm(slope - plant.f(plant.target(t), plant.u_target(t), t), axis=-1)
+    gap = np.where(np.isfinite(gap), gap / (1 + np.linalg.norm(slope, axis=-1)), np.inf)
+    return float(gap.max()), float(t[np.argmax(gap)])
 
 
 def _box(plant: Plant, config: Pipeline) -> None:

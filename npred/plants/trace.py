@@ -48,6 +48,10 @@ class Trace:
         """V(x, t), a scalar."""
         return self._call("V", 1, x, None, t)[0]
 
+    def reference(self, t: Any) -> np.ndarray:
+        """reference(t), shape (n,)."""
+        return self._call("reference", self.plant.n, None, None, t)
+
     def df(self, x: np.ndarray, u: np.ndarray, t: Any, v: np.ndarray) -> np.ndarray:
         """f_X(x, u, t) v for x of input symbols, shape (n,)."""
         return np.array(tapes.derivative(self.f(x, u, t), x, v), dtype=object)
@@ -56,8 +60,9 @@ class Trace:
         """kappa'(x, t) v for x of input symbols, shape (m,)."""
         return np.array(tapes.derivative(self.kappa(x, t), x, v), dtype=object)
 
-    def _call(self, name: str, size: int, x: np.ndarray, u: np.ndarray | None, t: Any) -> np.ndarray:
-        values = self.plant.call(name, list(x), None if u is None else list(u), t, self.parameters, tapes.M)
+    def _call(self, name: str, size: int, x: np.ndarray | None, u: np.ndarray | None, t: Any) -> np.ndarray:
+        state, inputs = (None if part is None else list(part) for part in (x, u))
+        values = self.plant.call(name, state, inputs, t, self.parameters, tapes.M)
         if len(values) != size:
             wanted = f"{size} value{'s' * (size > 1)}"
             raise ConfigError(
@@ -72,13 +77,18 @@ class Trace:
         return np.array(values, dtype=object)
 
 
-def call(plant: "Plant", name: str, x: list[Any], u: list[Any] | None, t: Any, p: Sequence[Any], M: Any) -> list[Any]:
-    """The declared function on named components; a failure inside it becomes one line with the line of the file."""
-    state = _record("State", plant.states)(*x)
+def call(
+    plant: "Plant", name: str, x: list[Any] | None, u: list[Any] | None, t: Any, p: Sequence[Any], M: Any
+) -> list[Any]:
+    """The declared function on named components; a failure inside it becomes one line with the line of the file.
+
+    Only f takes u, and `reference` takes the time alone.
+    """
+    state = () if x is None else (_record("State", plant.states)(*x),)
     parameters = _record("Parameters", tuple(plant.parameters))(*p)
     inputs = () if u is None else (_record("Inputs", plant.inputs)(*u),)
     try:
-        values = getattr(plant.declaration, name)(state, *inputs, t, parameters, M)
+        values = getattr(plant.declaration, name)(*state, *inputs, t, parameters, M)
     except ConfigError:
         raise
     except Exception as error:
@@ -86,7 +96,7 @@ def call(plant: "Plant", name: str, x: list[Any], u: list[Any] | None, t: Any, p
     if name == "V":
         return [values]
     # A formula that returns a bare number returns, on arrays, an array without an axis of components.
-    several = isinstance(values, list | tuple) or np.ndim(values) > np.ndim(x[0])
+    several = isinstance(values, list | tuple) or np.ndim(values) > np.ndim(t if x is None else x[0])
     return list(values) if several else [values]
 
 
@@ -107,8 +117,11 @@ def _cure(error: Exception) -> str:
     if isinstance(error, AttributeError) and known is not None:
         return f"; expected one of {', '.join(known) or 'none: none is declared'}"
     if isinstance(error, NameError):
-        return "; f knows x, u, t, p and M, kappa and V know x, t, p and M"
+        return "; f knows x, u, t, p and M, kappa and V know x, t, p and M, reference t, p and M"
     return ""
+
+
+ON_ARRAYS = {name: f"np.{name}({{0}}, {{1}})" for name in ("maximum", "minimum")} | {"where": "np.where({0}, {1}, {2})"}
 
 
 @cache
@@ -119,10 +132,11 @@ def _record(kind: str, names: tuple[str, ...]) -> Any:
 def python(outputs: tapes.Vector, names: Sequence[str], library: Any = math) -> Callable[..., list[float]]:
     """The program as an interpreted function of the named inputs: for the few evaluations of a solver.
 
-    With `library` np, a branch that M.where does not take may be undefined there, as in the compiled kernels.
+    With `library` np it takes arrays too, and a branch that M.where does not take may be undefined there, as in the
+    compiled kernels.
     """
     targets = [f"y{k}" for k in range(len(outputs))]
-    lines = tapes.program(outputs, {name: name for name in names}, targets)
+    lines = tapes.program(outputs, {name: name for name in names}, targets, ON_ARRAYS if library is np else {})
     text = f"def function({', '.join(names)}):\n    " + "\n    ".join(lines) + f"\n    return [{', '.join(targets)}]"
     space: dict[str, Any] = {"math": library, "np": np}
     exec(text, space)

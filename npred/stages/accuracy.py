@@ -23,26 +23,28 @@ EXACT = {"mse": 0.0, "eps_sup": 0.0, "eps_kappa": 0.0, "rel_l2": 0.0}  # the num
 
 @dataclass(frozen=True)
 class Rows:
-    """Inputs and the reference's answer: X (N, n), u (N, nx, m), D_hat (N,), P (N, nx, n)."""
+    """Inputs and the reference's answer at times t: X (N, n), u (N, nx, m), D_hat (N,), P (N, nx, n), t (N,)."""
 
     X: np.ndarray
     u: np.ndarray
     D_hat: np.ndarray
     P: np.ndarray
+    t: np.ndarray
 
     @classmethod
     def held_out(cls, data: Dataset) -> "Rows":
         """The rows of the rollouts that no network has seen."""
         test = data.subset(test=True)
-        return cls(test.X, test.u, test.D_hat, test.P)
+        return cls(test.X, test.u, test.D_hat, test.P, test.t)
 
     @classmethod
-    def fresh(cls, loops: Trajectories, numerical: Predictor) -> "Rows":
-        """The samples taken from the numerical predictor's own loops of this evaluation."""
-        X, u, D_hat = (a.reshape(-1, *a.shape[2:]) for a in (loops.samples.X, loops.samples.u, loops.samples.D_hat))
+    def fresh(cls, loops: Trajectories, t: np.ndarray, numerical: Predictor) -> "Rows":
+        """The samples taken at times t (B, S) from the numerical predictor's own loops of this evaluation."""
+        taken = (loops.samples.X, loops.samples.u, loops.samples.D_hat, t)
+        X, u, D_hat, t = (a.reshape(-1, *a.shape[2:]) for a in taken)
         known = np.isfinite(X).all(axis=1)
         X, u, D_hat = X[known], u[known], D_hat[known]
-        return cls(X, u, D_hat, numerical(X, u, D_hat))
+        return cls(X, u, D_hat, numerical(X, u, D_hat), t[known])
 
 
 def sample_steps(seed: int, config: Evaluate, loops: int) -> np.ndarray:
@@ -60,7 +62,8 @@ def predict(predictor: Predictor, rows: Rows) -> np.ndarray:
 
 def measure(plant: Plant, P_hat: np.ndarray, rows: Rows) -> dict[str, Any]:
     """All errors of npred.metrics on those rows."""
-    return metrics.errors(plant, P_hat, rows.P) | metrics.relative(plant, rows.X, rows.u, P_hat, rows.P)
+    late = rows.t + rows.D_hat
+    return metrics.errors(plant, P_hat, rows.P, late) | metrics.relative(plant, rows.X, rows.u, P_hat, rows.P)
 
 
 def write(path: Path, rows: Rows, P_hat: dict[str, np.ndarray]) -> None:

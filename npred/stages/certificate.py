@@ -30,7 +30,8 @@ def delay_map(plant: Plant, config: Evaluate, loops: Trajectories, reference: Tr
 
 
 def _home(plant: Plant, loops: Trajectories) -> np.ndarray:
-    return metrics.converged(metrics.radius(loops, plant.equilibrium), plant.equilibrium)
+    target = plant.target(loops.t)
+    return metrics.converged(metrics.radius(loops, target), target)
 
 
 def draw(folder: Path, config: Evaluate, models: dict[str, Any], gain: float, figure1: dict[str, Trajectories]) -> None:

@@ -28,7 +28,9 @@ def run(job: Job) -> dict[str, Any]:
     config, data = job.config.evaluate, Dataset.read(job.inputs["generate"] / "data.h5")
     begin, contenders = starts(job.config, job.plant), _contenders(job)
     loops = _all_loops(job, contenders, begin)
-    held_out, fresh = Rows.held_out(data), Rows.fresh(loops["numerical"].part(begin.cases), contenders[0].predictor)
+    taken = accuracy.sample_steps(job.config.seed, config, len(begin.D))[begin.cases] * config.dt
+    cases = loops["numerical"].part(begin.cases)
+    held_out, fresh = Rows.held_out(data), Rows.fresh(cases, taken, contenders[0].predictor)
     P_hat = {c.name: accuracy.predict(c.predictor, held_out) for c in contenders if c.network}
     accuracy.write(job.folder / "errors.h5", held_out, P_hat)
     errors = {c.name: _errors(job.plant, c, P_hat, held_out, fresh) for c in contenders}
@@ -38,8 +40,8 @@ def run(job: Job) -> dict[str, Any]:
     _draw(job, data, models, loops)
     return {
         "plant": job.plant.name,
-        "equilibrium": job.plant.equilibrium.tolist(),
-        "gain": metrics.gain(job.plant),
+        "equilibrium": job.plant.equilibrium.tolist() if job.plant.rests else None,
+        "gain": metrics.gain(job.plant, config.case_t_end),
         "held_out": len(held_out.X),
         "fresh": len(fresh.X),
         "models": models,
@@ -101,21 +103,22 @@ def _row(
     """What is reported of a contender's loops."""
     run, exact = loops[contender.name], loops["numerical"]
     cases, reference = run.part(begin.cases), exact.part(begin.cases)
-    radii = metrics.radius(cases, plant.equilibrium)
-    settle, goal = (metrics.settle_time(some, plant.equilibrium) for some in (cases, reference))
+    target = plant.target(cases.t)
+    radii = metrics.radius(cases, target)
+    settle, goal = (metrics.settle_time(some, target) for some in (cases, reference))
     settled = np.isfinite(goal) & (goal > 0)
     mapped = contender.adapts and begin.map.stop > begin.map.start
     return {
         "radius": {
             "median": metrics.number(np.median(radii)),
             "worst": metrics.number(radii.max()),
-            "converged": float(metrics.converged(radii, plant.equilibrium).mean()),
+            "converged": float(metrics.converged(radii, target).mean()),
             "cases": len(radii),
-            "predicted": metrics.gain(plant) * errors["eps_kappa"],
+            "predicted": metrics.gain(plant, config.case_t_end) * errors["eps_kappa"],
         },
         "settle_time": metrics.number(np.median(settle)),
         "settle_ratio": _median(settle[settled] / goal[settled]),
-        "decay_rate": _median(metrics.decay_rate(cases, plant.equilibrium)),
+        "decay_rate": _median(metrics.decay_rate(cases, target)),
         "map": certificate.delay_map(plant, config, run.part(begin.map), exact.part(begin.map)) if mapped else None,
         "figure1": figure1.numbers(plant, figure1.first(config, run)),
     }
@@ -152,7 +155,7 @@ def _draw(job: Job, data: Dataset, models: dict[str, Any], loops: dict[str, Traj
     config = job.config.evaluate
     firsts = {name: figure1.first(config, run) for name, run in loops.items()}
     figure1.draw(job.folder, job.plant, config.D, firsts)
-    certificate.draw(job.folder, config, models, metrics.gain(job.plant), firsts)
+    certificate.draw(job.folder, config, models, metrics.gain(job.plant, config.case_t_end), firsts)
     named = {name: run for name, run in loops.items() if "@" not in name}
     coverage.write(job.folder / "coverage.h5", job.plant, data, named)
     coverage.draw(job.folder)

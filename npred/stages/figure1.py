@@ -29,8 +29,8 @@ def numbers(plant: Plant, loop: Trajectories) -> dict[str, Any]:
     return {
         "X_end": [metrics.number(x) for x in loop.X[-1]],
         "D_hat_end": metrics.number(loop.D_hat[-1]),
-        "radius": metrics.number(metrics.radius(loop, plant.equilibrium)),
-        "settle_time": metrics.number(metrics.settle_time(loop, plant.equilibrium)),
+        "radius": metrics.number(metrics.radius(loop, plant.target(loop.t))),
+        "settle_time": metrics.number(metrics.settle_time(loop, plant.target(loop.t))),
     }
 
 
@@ -49,15 +49,22 @@ def draw(folder: Path, plant: Plant, D: float, loops: dict[str, Trajectories]) -
             axis.plot(loop.t, column, label=drawing.words(name), **look)
             if name == FOCUS:
                 axis.set_ylim(*_around(column))
-    levels = [*plant.equilibrium, *plant.u_equilibrium, D]
-    for axis, label, level in zip(axes, [*plant.states, *plant.inputs, "delay estimate (s)"], levels, strict=False):
-        axis.axhline(level, color="#888888", linewidth=0.8, linestyle=":")
+    t = next(iter(loops.values())).t
+    labels = [*plant.states, *plant.inputs, "delay estimate (s)"]
+    for axis, label, goal in zip(axes, labels, _goals(plant, D, t), strict=False):
+        look = {"color": "#888888", "linewidth": 0.8, "linestyle": ":"}
+        axis.plot(t, goal, **look) if np.ndim(goal) else axis.axhline(goal, **look)
         axis.set_ylabel(label)
         axis.grid(alpha=0.3)
     for axis in axes[-2:]:
         axis.set_xlabel("t (s)")
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=5, frameon=False, fontsize=8)
     drawing.save(figure, folder, "figure1")
+
+
+def _goals(plant: Plant, D: float, t: np.ndarray) -> list[Any]:
+    """Where each quantity should go, numbers or series (nt,): the input leads by D."""
+    return [*plant.target(t).T, *plant.u_target(t + D).T, D]
 
 
 def _around(values: np.ndarray) -> tuple[float, float]:
