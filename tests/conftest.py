@@ -1,16 +1,21 @@
 """What several test modules share: a small pipeline file, fake stages, npred as a process."""
 
+import json
 import os
 import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import fake_stages
 import pytest
+from typer.testing import CliRunner, Result
 
+from npred.cli import app
 from npred.pipeline import STAGES
 
+Call = Callable[..., Result]
 HERE = Path(__file__).parent
 TINY = """
 name = "tiny"
@@ -52,6 +57,29 @@ def fakes(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     log.touch()
     monkeypatch.setenv("FAKE_LOG", str(log))
     return log
+
+
+@pytest.fixture
+def call(fakes: Path, pipeline: Path, monkeypatch: pytest.MonkeyPatch) -> Call:
+    """A command with fake stages, in this process, beside the pipeline file tiny.toml."""
+    monkeypatch.chdir(pipeline.parent)
+    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.delenv("NPRED_STORE", raising=False)
+    return lambda *arguments: CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+def document(result: Result, code: int = 0) -> Any:
+    """The JSON document that a command printed."""
+    assert result.exit_code == code, result.output
+    return json.loads(result.stdout)
+
+
+def one_line(result: Result, code: int) -> str:
+    """The one line that a command failed with."""
+    assert result.exit_code == code, result.output
+    assert result.stdout == ""
+    (line,) = result.stderr.splitlines()
+    return line
 
 
 @pytest.fixture

@@ -6,45 +6,21 @@ import re
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import fake_stages
 import pytest
-from conftest import HERE, process_environment
-from typer.testing import CliRunner, Result
+from conftest import HERE, Call, document, one_line, process_environment
+from typer.testing import Result
 
-from npred.cli import app
 from npred.store import Store
-
-Call = Callable[..., Result]
-
-
-@pytest.fixture
-def call(fakes: Path, pipeline: Path, monkeypatch: pytest.MonkeyPatch) -> Call:
-    """A command with fake stages, in this process, beside the pipeline file tiny.toml."""
-    monkeypatch.chdir(pipeline.parent)
-    monkeypatch.setenv("COLUMNS", "200")
-    monkeypatch.delenv("NPRED_STORE", raising=False)
-    return lambda *arguments: CliRunner().invoke(app, [str(argument) for argument in arguments])
-
-
-def document(result: Result, code: int = 0) -> Any:
-    assert result.exit_code == code, result.output
-    return json.loads(result.stdout)
 
 
 def actions(result: Result) -> dict[str, str]:
     return {row.get("model", row["stage"]): row["action"] for row in document(result)["stages"]}
-
-
-def one_line(result: Result, code: int) -> str:
-    assert result.exit_code == code, result.output
-    assert result.stdout == ""
-    (line,) = result.stderr.splitlines()
-    return line
 
 
 def test_run_answers_in_one_document(call: Call):
@@ -296,7 +272,7 @@ def test_kill_9_leaves_no_half_result_and_the_next_run_goes_on(npred: Any, pipel
     store = Store(pipeline.parent / "artifacts")
     finished = [artifact.verify().manifest.question.stage for artifact in store.artifacts()]
     assert stage not in finished
-    assert store.broken() == []
+    assert store.survey()[1] == []
     assert sorted(path.parent.name for path in store.leftovers()) == [".scratch", ".tmp"]
     done = npred("run", "tiny.toml", "--json", "--jobs", "1", FAKE_LOG=str(pipeline.parent / "log"))
     assert done.returncode == 0, done.stderr

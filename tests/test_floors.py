@@ -14,7 +14,7 @@ from conftest import process_environment
 ROOT = Path(__file__).parent.parent / "npred"
 FLOORS = [
     {"errors"},
-    {"config", "devices", "grid", "places", "randomness", "shapes"},
+    {"config", "devices", "documents", "grid", "places", "randomness", "shapes"},
     {"plants"},
     {"actuator", "predictors", "operators"},
     {"adaptation", "arguments", "closed_loop", "engine", "lyapunov"},

@@ -221,8 +221,9 @@ def test_only_folders_named_by_a_key_are_the_stores(store: Store):
     (store.root / "notes" / "mine").mkdir(parents=True)
     torn = store.root / "train" / ("a" * 64)
     torn.mkdir()
-    assert [artifact.folder for artifact in store.artifacts()] == [kept.folder]
-    assert store.broken() == [torn]
+    sound, broken = store.survey()
+    assert [artifact.folder for artifact in sound] == [kept.folder]
+    assert broken == [torn]
 
 
 @pytest.fixture
@@ -295,5 +296,8 @@ def test_what_is_being_worked_on_is_not_deleted(store: Store, holder: subprocess
 
 def test_a_store_that_cannot_be_written_is_one_line(tmp_path: Path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(StoreError, match="expected a writable store"), Store(tmp_path / "file").lock("train", "k"):
+    with (
+        pytest.raises(StoreError, match="expected a store that can be written"),
+        Store(tmp_path / "file").lock("train", "k"),
+    ):
         pass

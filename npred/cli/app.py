@@ -30,7 +30,7 @@ def command(panel: str, to: typer.Typer = app) -> Callable[[Callable[..., None]]
     """Register f(options, *, own parameters) as a command that also takes the flags of its options class."""
 
     def register(function: Callable[..., None]) -> Callable[..., None]:
-        name = function.__name__.strip("_")
+        name = function.__name__.strip("_").replace("_", "-")
         to.command(name=name, rich_help_panel=panel, help=function.__doc__)(_with_flags(function))
         return function
 

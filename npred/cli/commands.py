@@ -191,19 +191,60 @@ def import_(
 
 
 @command(CARE)
+def verify(options: Common) -> None:
+    """Every file of every result against its digest; exit 4 where one differs."""
+    from npred.cli import maintain
+
+    maintain.verify(options)
+
+
+@command(CARE)
 def gc(
     options: Common,
     *,
     pipelines: Annotated[
         list[Path] | None, typer.Argument(help="Pipelines whose results stay; all in pipeline/ by default.")
     ] = None,
+    set: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUES", help="What a sweep was run with: its results stay as well."),
+    ] = None,
+    older: Annotated[float, typer.Option(min=0, metavar="DAYS", help="Only what is older than so many days.")] = 0.0,
+    keep: Annotated[
+        str | None, typer.Option(metavar="SIZE", help="The oldest only, until the store has this size: 500M, 2G.")
+    ] = None,
     yes: Annotated[bool, typer.Option("--yes", help="Delete what the plan names.")] = False,
     device: Annotated[str, typer.Option(help="auto, cpu, cuda or cuda:N, as in the runs to keep.")] = "auto",
 ) -> None:
     """What no pipeline needs: the plan first, deleted with --yes."""
+    from npred.cli import cleaning
+
+    cleaning.gc(options, cleaning.Wanted(pipelines, set, older, keep, device), yes)
+
+
+@command(CARE)
+def export_artifact(
+    options: Common,
+    *,
+    reference: Annotated[str, typer.Argument(metavar="STAGE/KEY", help="A result, as for show.")],
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="The file; by default STAGE-KEY.tar here.")
+    ] = None,
+) -> None:
+    """A result as one tar with its digests, to take elsewhere."""
     from npred.cli import maintain
 
-    maintain.gc(options, pipelines, yes, device)
+    maintain.export_artifact(options, reference, output)
+
+
+@command(CARE)
+def import_artifact(
+    options: Common, *, path: Annotated[Path, typer.Argument(metavar="FILE.tar", help="What export-artifact wrote.")]
+) -> None:
+    """A result from elsewhere into the store, checked; nothing in it is run."""
+    from npred.cli import maintain
+
+    maintain.import_artifact(options, path)
 
 
 @command(CARE)

@@ -9,7 +9,6 @@ from npred.errors import ConfigError, UnmetError
 from npred.pipeline import STAGES, Step, nodes
 from npred.pipeline.reasons import changes, differences
 from npred.store import Artifact, short
-from npred.store.manifest import NAME
 
 
 def status(options: Planned, check: bool) -> None:
@@ -43,13 +42,13 @@ def show(options: Common, reference: str | None) -> None:
     document = {"folder": str(artifact.folder), "manifest": artifact.manifest.model_dump(), "result": result}
     options.show(document, lambda: _facts(artifact))
     if not options.json:
-        options.console.out(STAGES[artifact.manifest.question.stage].summary(result))
+        options.console.out(_summary(artifact.manifest.question.stage, result))
 
 
 def ls(options: Common) -> None:
     """Every result with a sound manifest; a warning for each of the others."""
-    artifacts = options.results.artifacts()
-    for folder in options.results.broken():
+    artifacts, broken = options.results.survey()
+    for folder in broken:
         options.console.warn(f"{folder}: expected a sound manifest, got none; remove that folder")
     header = ["artifact", "model", "pipeline", "made", "size", "digest"]
     options.show({"artifacts": [_entry(a) for a in artifacts]}, lambda: columns(header, [_row(a) for a in artifacts]))
@@ -115,7 +114,7 @@ def _entry(artifact: Artifact) -> dict[str, Any]:
 
 def _row(artifact: Artifact) -> list[str]:
     manifest = artifact.manifest
-    made = time.strftime("%Y-%m-%d %H:%M", time.localtime((artifact.folder / NAME).stat().st_mtime))
+    made = time.strftime("%Y-%m-%d %H:%M", time.localtime(artifact.made))
     size = f"{artifact.size / 1e6:.1f} MB"
     return [artifact.name, manifest.question.model or "-", manifest.pipeline, made, size, short(manifest.digest)]
 
@@ -130,6 +129,14 @@ def _facts(artifact: Artifact) -> str:
     settings = [f"  {line.replace(': unset ->', ' =')}" for line in changes({}, manifest.question.config)]
     made = ", ".join(f"{name} {value}" for name, value in manifest.provenance.items() if value)
     return "\n".join([*lines, *inputs, *settings, f"  made with {made}"])
+
+
+def _summary(stage: str, result: dict[str, Any]) -> Any:
+    """A result that somebody else sent may be of a stage, or of a form, that this npred does not have."""
+    try:
+        return STAGES[stage].summary(result)
+    except (LookupError, TypeError, ValueError, AttributeError):
+        return "\n".join(changes({}, result)).replace(": unset ->", " =")
 
 
 def _assignments(plant: dict[str, Any]) -> str:

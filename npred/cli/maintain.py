@@ -2,15 +2,14 @@
 
 import os
 import platform
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-from npred import config, devices, places
+from npred import devices
 from npred.cli.options import Common
-from npred.errors import ConfigError
-from npred.pipeline import STAGES, Planner, nodes
-from npred.store import Store
+from npred.console import columns
+from npred.errors import ConfigError, StoreError
+from npred.store import Artifact, Store, archive
 
 PACKAGES = (
     "npred",
@@ -26,58 +25,55 @@ PACKAGES = (
 )
 
 
-class Waste(NamedTuple):
-    """Something to delete, and why."""
-
-    path: Path
-    bytes: int
-    reason: str
-
-
-def gc(options: Common, pipelines: list[Path] | None, yes: bool, device: str) -> None:
-    """The plan of what to delete, and with `yes` the deed. Raises ConfigError where no pipeline says what stays."""
-    paths = pipelines or sorted(places.PIPELINE.parent.glob("*.toml"))
-    if not paths:
-        raise ConfigError(
-            f"gc: expected pipelines whose results stay, found none in {places.PIPELINE.parent}/; name them"
-        )
-    kept = {key for path in paths for key in _needed(path, options.results, devices.resolve(device))}
-    plan = list(_waste(options.results, kept))
-    deleted = [str(waste.path) for waste in plan if yes and options.results.delete(waste.path)]
-    rows = [{"path": str(waste.path), "bytes": waste.bytes, "reason": waste.reason} for waste in plan]
-    options.show({"plan": rows, "deleted": deleted}, lambda: _told(plan, deleted, yes))
-
-
 def doctor(options: Common) -> None:
     """Versions, devices, threads and the store."""
     facts = _machine() | _packages() | {"store": _store(options.results)}
     options.show(facts, lambda: "\n".join(f"{name}: {_words(value)}" for name, value in facts.items()))
 
 
-def _needed(path: Path, store: Store, device: str) -> Iterator[str]:
-    pipeline = config.load(path)
-    steps = Planner(pipeline, store, device).plan(nodes(pipeline, STAGES))
-    return (step.key for step in steps if step.key)
+def verify(options: Common) -> None:
+    """Read every file of every result. Raises StoreError where one is not as it was written."""
+    sound, broken = options.results.survey()
+    faults = {str(folder): "no sound manifest" for folder in broken}
+    with options.console.bar("verify", len(sound), "results") as bar:
+        for artifact in sound:
+            faults |= _fault(artifact)
+            bar.advance()
+    rows = [{"folder": str(a.folder), "state": "corrupt" if str(a.folder) in faults else "sound"} for a in sound]
+    rows += [{"folder": str(folder), "state": "corrupt"} for folder in broken]
+    table = [[row["folder"], row["state"], faults.get(row["folder"], "")] for row in rows]
+    document = {"artifacts": [row | {"fault": faults.get(row["folder"])} for row in rows]}
+    options.show(document, lambda: columns(["artifact", "state", "fault"], table))
+    if faults:
+        first = next(iter(faults))
+        raise StoreError(f"{options.store}: expected sound results, got {len(faults)} corrupt, as {first}; remove them")
 
 
-def _waste(store: Store, kept: set[str]) -> Iterator[Waste]:
-    for artifact in store.artifacts():
-        if artifact.manifest.key not in kept:
-            yield Waste(artifact.folder, artifact.size, f"no pipeline needs it (made for {artifact.manifest.pipeline})")
-    for folder in store.broken():
-        yield Waste(folder, _bytes(folder), "no sound manifest")
-    for path in store.leftovers():
-        if path.parent.name == ".tmp" or path.name.rpartition("-")[2] not in kept:
-            yield Waste(path, _bytes(path), "left by a run that ended early")
+def export_artifact(options: Common, reference: str, output: Path | None) -> None:
+    """One result as one tar. Raises ConfigError for a file that cannot be, StoreError for a corrupt result."""
+    artifact = options.results.find(reference)
+    path = output or Path(artifact.name.replace("/", "-") + ".tar")
+    if not path.parent.is_dir() or path.is_dir():
+        raise ConfigError(f"{path}: expected a file that can be written, in a folder that is there; make {path.parent}")
+    archive.export(artifact, path)
+    document = {"file": str(path), "artifact": artifact.name, "digest": artifact.manifest.digest}
+    options.show(document, lambda: f"{path}: {artifact.name}, {artifact.size / 1e6:.1f} MB, with its digests")
 
 
-def _told(plan: list[Waste], deleted: list[str], yes: bool) -> str:
-    if not plan:
-        return "nothing to delete"
-    lines = [f"{waste.path}  {waste.bytes / 1e6:.1f} MB  {waste.reason}" for waste in plan]
-    busy = f", {len(plan) - len(deleted)} in use and kept" if len(deleted) < len(plan) else ""
-    last = f"deleted {len(deleted)}{busy}" if yes else f"{len(plan)} to delete; do it with --yes"
-    return "\n".join([*lines, last])
+def import_artifact(options: Common, path: Path) -> None:
+    """The result in a tar into the store, verified."""
+    artifact, new = archive.load(options.results, path, lambda holder: options.console.note(f"waiting for {holder}"))
+    done = "brought in, every digest as it should be" if new else "already in the store, the same bytes"
+    document = {"folder": str(artifact.folder), "key": artifact.manifest.key, "new": new}
+    options.show(document, lambda: f"{artifact.name}: {done}\n{artifact.folder}")
+
+
+def _fault(artifact: Artifact) -> dict[str, str]:
+    try:
+        artifact.verify()
+    except StoreError as error:
+        return {str(artifact.folder): str(error)}
+    return {}
 
 
 def _machine() -> dict[str, Any]:
@@ -99,18 +95,14 @@ def _packages() -> dict[str, Any]:
 
 
 def _store(store: Store) -> dict[str, Any]:
-    artifacts = store.artifacts()
+    artifacts, broken = store.survey()
     above = next(path for path in [store.root, *store.root.absolute().parents] if path.exists())
     facts = {"path": str(store.root), "writable": os.access(above, os.W_OK), "artifacts": len(artifacts)}
     return facts | {
         "bytes": sum(artifact.size for artifact in artifacts),
-        "broken": [str(folder) for folder in store.broken()],
+        "broken": [str(folder) for folder in broken],
         "leftovers": [str(path) for path in store.leftovers()],
     }
-
-
-def _bytes(folder: Path) -> int:
-    return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
 
 
 def _words(value: Any) -> str:

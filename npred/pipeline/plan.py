@@ -1,6 +1,6 @@
 """What is in the store and what would run: the key of every node, as far as its inputs are known."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -66,14 +66,15 @@ class Planner:
 
     def step(self, node: Node, inputs: dict[str, Artifact]) -> Step:
         """The step of a node whose inputs are all there."""
-        question = self._question(node, inputs)
+        question = self.question(node, inputs)
         if node.stage in self.forced:
             return Step(node, question, None, "--force")
         artifact = self.store.get(node.stage, question.key)
         why = UP_TO_DATE if artifact else reason(question, self.config.name, self._artifacts)
         return Step(node, question, artifact, why)
 
-    def _question(self, node: Node, inputs: dict[str, Artifact]) -> Question:
+    def question(self, node: Node, inputs: Mapping[str, Artifact]) -> Question:
+        """What a node asks of the store, its inputs being there."""
         sources = {
             name: Source(key=artifact.manifest.key, digest=artifact.manifest.digest)
             for name, artifact in inputs.items()

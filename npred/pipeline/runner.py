@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from npred.console import Console
 from npred.pipeline.plan import Planner, Step
 from npred.pipeline.table import STAGES, Node
-from npred.store import RESULT, Artifact, short
+from npred.store import RESULT, Artifact, durable, short
 
 if TYPE_CHECKING:
     from npred.plants import Plant
@@ -97,8 +97,8 @@ class Runner:
         assert step.question is not None
         store, stage, key = self.planner.store, step.node.stage, step.question.key
         scratch = store.scratch(stage, key)
-        scratch.mkdir(parents=True, exist_ok=True)
-        with store.draft(stage, key) as folder:
+        with durable.room(store.root), store.draft(stage, key) as folder:
+            scratch.mkdir(parents=True, exist_ok=True)
             result = STAGES[stage].run(self._job(step.node, folder, inputs, scratch))
             (folder / RESULT).write_text(json.dumps(plain(result), indent=1, allow_nan=False) + "\n", encoding="utf-8")
             artifact = store.commit(folder, step.question, self.planner.config.name)

@@ -1,7 +1,5 @@
 """The content-addressed store: a result is written aside, made durable, renamed into place, and never changed."""
 
-import json
-import os
 import re
 import shutil
 from collections.abc import Callable, Iterator
@@ -10,10 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
+from npred import documents
 from npred.errors import ConfigError, StoreError
-from npred.store import locks
+from npred.store import durable, locks
 from npred.store.keys import short
-from npred.store.manifest import NAME, Manifest, Question
+from npred.store.manifest import NAME, Manifest, Question, cure
 
 RESULT = "result.json"
 _KEY = re.compile("[0-9a-f]{64}")  # whatever else lies under the root is not the store's to list or to remove
@@ -37,9 +36,14 @@ class Artifact:
         return f"{self.manifest.question.stage}/{short(self.manifest.key)}"
 
     @property
+    def made(self) -> float:
+        """When it was written, in seconds since 1970."""
+        return (self.folder / NAME).stat().st_mtime
+
+    @property
     def size(self) -> int:
         """Bytes of payload."""
-        return sum(payload.size for payload in self.manifest.files.values())
+        return self.manifest.size
 
     def verify(self) -> Self:
         """This artifact, once every payload file is as it was written; else StoreError, naming the file."""
@@ -47,8 +51,12 @@ class Artifact:
         return self
 
     def result(self) -> dict[str, Any]:
-        """What the stage returned."""
-        return json.loads((self.folder / RESULT).read_text(encoding="utf-8"))
+        """What the stage returned. Raises StoreError where its file is missing or no JSON object."""
+        path = self.folder / RESULT
+        try:
+            return documents.table(path)
+        except (OSError, ValueError) as error:
+            raise StoreError(f"{path}: expected the answer as JSON, got: {error}; {cure(self.folder)}") from None
 
 
 class Store:
@@ -89,28 +97,31 @@ class Store:
         """Make a draft durable and rename it into place; a result already there steps aside (a forced rerun)."""
         manifest = Manifest.describe(question, pipeline, draft)
         (draft / NAME).write_text(manifest.text(), encoding="utf-8")
-        _sync_tree(draft)
-        target = self.folder(question.stage, manifest.key)
-        target.parent.mkdir(parents=True, exist_ok=True)
+        return self.place(draft, manifest)
+
+    def place(self, draft: Path, manifest: Manifest) -> Artifact:
+        """`commit` for a draft that has its manifest.json, and is as that says."""
+        durable.sync_tree(draft)
+        target = self.folder(manifest.question.stage, manifest.key)
+        durable.make(target.parent)
         self.discard(target)
         draft.rename(target)
-        _sync(target.parent)
+        durable.sync(target.parent)
         return Artifact(target, manifest)
 
-    def artifacts(self) -> list[Artifact]:
-        """Every result with a sound manifest, the most recent last."""
-        sound = []
-        for folder in self._folders():
+    def survey(self) -> tuple[list[Artifact], list[Path]]:
+        """Every result with a sound manifest, the most recent last, and the folders whose manifest is none."""
+        sound, broken = [], []
+        for folder in sorted(p for p in self.root.glob("[!.]*/*") if _KEY.fullmatch(p.name) and p.is_dir()):
             try:
                 sound.append(Artifact.read(folder))
             except StoreError:
-                continue
-        return sorted(sound, key=lambda artifact: (artifact.folder / NAME).stat().st_mtime_ns)
+                broken.append(folder)
+        return sorted(sound, key=lambda artifact: artifact.made), broken
 
-    def broken(self) -> list[Path]:
-        """Folders in the place of a result whose manifest is missing or changed."""
-        sound = {artifact.folder for artifact in self.artifacts()}
-        return [folder for folder in self._folders() if folder not in sound]
+    def artifacts(self) -> list[Artifact]:
+        """Every result with a sound manifest, the most recent last."""
+        return self.survey()[0]
 
     def leftovers(self) -> list[Path]:
         """Drafts and checkpoints of runs that ended early, or are still at work."""
@@ -143,7 +154,7 @@ class Store:
         try:
             with self.lock(stage, key):
                 self.discard(path)
-        except StoreError:
+        except locks.HeldError:
             return False
         return True
 
@@ -156,19 +167,3 @@ class Store:
             shutil.rmtree(aside, ignore_errors=True)
             path.rename(aside)
             shutil.rmtree(aside, ignore_errors=True)
-
-    def _folders(self) -> list[Path]:
-        return sorted(path for path in self.root.glob("[!.]*/*") if _KEY.fullmatch(path.name) and path.is_dir())
-
-
-def _sync_tree(folder: Path) -> None:
-    for path in [*folder.rglob("*"), folder]:
-        _sync(path)
-
-
-def _sync(path: Path) -> None:
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

@@ -9,7 +9,13 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout
 
+from npred import documents
 from npred.errors import StoreError
+from npred.store import durable
+
+
+class HeldError(StoreError):
+    """Another process holds the lock."""
 
 
 @contextmanager
@@ -17,11 +23,13 @@ def held(path: Path, waiting: Callable[[str], None] | None = None) -> Iterator[N
     """Hold the lock file; the kernel frees it when the process dies, kill -9 included.
 
     A lock held elsewhere is waited for after one call of `waiting(holder)`; without `waiting` it is a StoreError.
+    So is a store that cannot be written or whose file system has no locks.
     """
     lock = _acquire(path, waiting)
     note = _note(path)
-    note.write_text(json.dumps({"pid": os.getpid(), "host": platform.node()}))
     try:
+        with durable.room(path):
+            note.write_text(json.dumps({"pid": os.getpid(), "host": platform.node()}))
         yield
     finally:
         note.unlink(missing_ok=True)
@@ -31,24 +39,28 @@ def held(path: Path, waiting: Callable[[str], None] | None = None) -> Iterator[N
 def holder(path: Path) -> str:
     """Who holds the lock, in words."""
     try:
-        who = json.loads(_note(path).read_text())
-    except (OSError, ValueError):  # the holder is between taking the lock and signing it, or has just left
+        who = documents.table(_note(path), limit=1024)
+        return f"process {who['pid']} on {who['host']}"
+    except (OSError, ValueError, KeyError):  # the holder is between taking the lock and signing it, or has just left
         return "another process"
-    return f"process {who['pid']} on {who['host']}"
 
 
 def _acquire(path: Path, waiting: Callable[[str], None] | None) -> FileLock:
-    lock = FileLock(path)
+    # No lock file that merely exists: where flock is missing it would outlive a killed process and stop all others.
+    lock = FileLock(path, fallback_to_soft=False)
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        lock.acquire(timeout=0)
+        with durable.room(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            lock.acquire(timeout=0)
     except Timeout:
         if waiting is None:
-            raise StoreError(f"{path}: expected a free lock, got one held by {holder(path)}; wait for it") from None
+            raise HeldError(f"{path}: expected a free lock, got one held by {holder(path)}; wait for it") from None
         waiting(holder(path))
         lock.acquire()
     except OSError as error:
-        raise StoreError(f"{path}: expected a writable store, got: {error.strerror}; choose another --store") from None
+        raise StoreError(
+            f"{path}: expected a store that can be written and locked, got: {error.strerror}; choose another --store"
+        ) from None
     return lock
 
 

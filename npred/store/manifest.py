@@ -1,16 +1,35 @@
 """What a manifest.json holds: the question, the digests of the answer, and where it was made."""
 
+import os
 import platform
-from pathlib import Path
-from typing import Any, Self
+import stat
+from collections.abc import Iterator
+from pathlib import Path, PurePosixPath
+from typing import Annotated, Any, Self
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
+from npred import documents
 from npred.devices import package
 from npred.errors import StoreError
 from npred.store.keys import key, sha256, sha256_file
 
 NAME = "manifest.json"
+PARTIAL = ".nfs"  # how NFS calls a file that was removed while somebody had it open
+
+
+def inside(name: str) -> str:
+    """The name, if it is a plain relative path to a file that may lie beside a manifest; else ValueError."""
+    path = PurePosixPath(name)
+    plain = name.isprintable() and "\\" not in name and 0 < len(name.encode()) <= 200 and ".." not in path.parts
+    if not plain or path.is_absolute() or path.as_posix() != name or name in (".", NAME):
+        raise ValueError("expected a relative path inside the artifact")
+    return name
+
+
+Digest = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
+Word = Annotated[str, Field(pattern="^[a-z][a-z0-9_]{0,63}$")]
+Name = Annotated[str, AfterValidator(inside)]
 
 
 class Record(BaseModel):
@@ -22,23 +41,23 @@ class Record(BaseModel):
 class Payload(Record):
     """One file of a result."""
 
-    sha256: str
-    size: int
+    sha256: Digest
+    size: Annotated[int, Field(ge=0, le=2**60)]
 
 
 class Source(Record):
     """An input of a result: the digest enters its key, the artifact's key says where it came from."""
 
-    key: str
-    digest: str
+    key: Digest
+    digest: Digest
 
 
 class Question(Record):
     """What determines a result; `key` is its sha256."""
 
-    stage: str
+    stage: Word
     version: int
-    model: str | None
+    model: Word | None
     config: dict[str, Any]
     inputs: dict[str, Source]
 
@@ -56,13 +75,13 @@ class Manifest(Record):
     from spreading. `pipeline` and `provenance` enter neither. `checksum` covers all the other fields.
     """
 
-    key: str
+    key: Digest
     question: Question
-    files: dict[str, Payload]
-    digest: str
+    files: dict[Name, Payload]
+    digest: Digest
     pipeline: str
     provenance: dict[str, str | None]
-    checksum: str
+    checksum: Digest
 
     @classmethod
     def describe(cls, question: Question, pipeline: str, folder: Path) -> Self:
@@ -82,10 +101,10 @@ class Manifest(Record):
     def read(cls, path: Path) -> Self:
         """The manifest in a file. Raises StoreError, naming the file, unless every digest in it holds."""
         try:
-            manifest = cls.model_validate_json(path.read_bytes())
+            manifest = cls.model_validate_json(documents.read(path))
         except FileNotFoundError:
             raise StoreError(f"{path}: expected a manifest, found none; {cure(path.parent)}") from None
-        except (OSError, ValidationError):
+        except (OSError, ValueError):
             raise StoreError(f"{path}: expected a manifest, got something else; {cure(path.parent)}") from None
         if not manifest.consistent or manifest.key != path.parent.name:
             raise StoreError(f"{path}: expected the manifest as it was written, got changed bytes; {cure(path.parent)}")
@@ -95,22 +114,38 @@ class Manifest(Record):
     def consistent(self) -> bool:
         """Whether checksum, digest and key all follow from the other fields."""
         fields = self.model_dump(exclude={"checksum"})
-        return (self.checksum, self.digest, self.key) == (sha256(fields), sha256(fields["files"]), self.question.key)
+        try:
+            found = (sha256(fields), sha256(fields["files"]), self.question.key)
+        except (ValueError, RecursionError):  # a number or a nesting that no configuration of npred has
+            return False
+        return (self.checksum, self.digest, self.key) == found
+
+    @property
+    def size(self) -> int:
+        """Bytes of payload."""
+        return sum(payload.size for payload in self.files.values())
 
     def text(self) -> str:
         """The JSON that `read` takes."""
         return self.model_dump_json(indent=1) + "\n"
 
     def verify(self, folder: Path) -> None:
-        """Raise StoreError, naming the file, unless each payload file of the folder has its size and digest."""
+        """Raise StoreError, naming the file, unless the folder holds the payload as it was written and nothing else."""
+        found = dict(_files(folder))
         for name, payload in self.files.items():
-            path = folder / name
-            if not path.is_file():
-                raise StoreError(f"{path}: expected a file of {payload.size} bytes, found none; {cure(folder)}")
-            if path.stat().st_size != payload.size or (found := sha256_file(path)) != payload.sha256:
-                got = found[:12] if path.stat().st_size == payload.size else f"{path.stat().st_size} bytes"
+            if name not in found:
+                raise StoreError(
+                    f"{folder / name}: expected a file of {payload.size} bytes, found none; {cure(folder)}"
+                )
+            got = f"{found[name]} bytes" if found[name] != payload.size else sha256_file(folder / name)
+            if got != payload.sha256:
                 wanted = f"sha256 {payload.sha256[:12]} in {payload.size} bytes"
-                raise StoreError(f"{path}: expected {wanted}, got {got}: the file is corrupt; {cure(folder)}")
+                raise StoreError(
+                    f"{folder / name}: expected {wanted}, got {got[:32]}: the file is corrupt; {cure(folder)}"
+                )
+        more = sorted(found.keys() - self.files.keys())
+        if more:
+            raise StoreError(f"{folder / more[0]}: expected no such file in a result, found it; move it elsewhere")
 
 
 def cure(folder: Path) -> str:
@@ -125,8 +160,14 @@ def provenance() -> dict[str, str | None]:
 
 
 def _payloads(folder: Path) -> dict[str, dict[str, Any]]:
-    paths = sorted(path for path in folder.rglob("*") if path.is_file() and path != folder / NAME)
-    return {
-        path.relative_to(folder).as_posix(): {"sha256": sha256_file(path), "size": path.stat().st_size}
-        for path in paths
-    }
+    return {name: {"sha256": sha256_file(folder / name), "size": size} for name, size in sorted(_files(folder))}
+
+
+def _files(folder: Path) -> Iterator[tuple[str, int]]:
+    """Path and size of each regular file below a folder, manifest.json aside; links, to files or folders, are none."""
+    for here, _, names in os.walk(folder):
+        for name in names:
+            path = Path(here, name)
+            found = path.lstat()
+            if stat.S_ISREG(found.st_mode) and path != folder / NAME and not name.startswith(PARTIAL):
+                yield path.relative_to(folder).as_posix(), found.st_size

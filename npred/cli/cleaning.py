@@ -1,0 +1,109 @@
+"""What `npred gc` does: what no pipeline needs, by age and size, planned first and deleted when told to."""
+
+import re
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+from npred import devices, places
+from npred.cli.options import Common
+from npred.errors import ConfigError
+from npred.pipeline import STAGES, Kept, Planner, cells, closure, nodes
+from npred.store import Artifact, Store
+
+UNITS = {"": 1, "k": 10**3, "M": 10**6, "G": 10**9, "T": 10**12}
+DAY = 86400.0
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What stays: of these pipelines and their grids, younger than so many days, up to so many bytes in all."""
+
+    pipelines: list[Path] | None
+    set: list[str] | None
+    older: float
+    keep: str | None
+    device: str
+
+
+class Waste(NamedTuple):
+    """Something to delete, and why."""
+
+    path: Path
+    bytes: int
+    reason: str
+
+
+def gc(options: Common, wanted: Wanted, yes: bool) -> None:
+    """The plan of what to delete, and with `yes` the deed. Raises ConfigError where no pipeline says what stays."""
+    plan = _plan(options.results, wanted)
+    deleted = [str(waste.path) for waste in plan if yes and options.results.delete(waste.path)]
+    rows = [{"path": str(waste.path), "bytes": waste.bytes, "reason": waste.reason} for waste in plan]
+    options.show({"plan": rows, "deleted": deleted}, lambda: _told(plan, deleted, yes))
+
+
+def _plan(store: Store, wanted: Wanted) -> list[Waste]:
+    limit, since = size(wanted.keep), time.time() - wanted.older * DAY
+    kept = _kept(store, wanted)
+    sound, broken = store.survey()
+    stays = closure([a for a in sound if kept.holds(a) or a.made > since], sound)
+    unneeded = [artifact for artifact in sound if artifact.manifest.key not in stays]
+    return [*_beyond(unneeded, sound, limit), *_broken(store, broken, kept, since)]
+
+
+def _kept(store: Store, wanted: Wanted) -> Kept:
+    paths = wanted.pipelines or sorted(places.PIPELINE.parent.glob("*.toml"))
+    if not paths:
+        raise ConfigError(
+            f"gc: expected pipelines whose results stay, found none in {places.PIPELINE.parent}/; name them"
+        )
+    kept, device = Kept(), devices.resolve(wanted.device)
+    for path in paths:
+        for cell in [*cells(path, []), *(cells(path, wanted.set) if wanted.set else [])]:
+            kept.add(Planner(cell.config, store, device), nodes(cell.config, STAGES))
+    return kept
+
+
+def _beyond(unneeded: list[Artifact], sound: list[Artifact], limit: int) -> Iterator[Waste]:
+    """The oldest, until all that is left takes no more than `limit` bytes."""
+    total = sum(artifact.size for artifact in sound)
+    for artifact in unneeded:
+        if total > limit:
+            total -= artifact.size
+            made = artifact.manifest.pipeline
+            yield Waste(artifact.folder, artifact.size, f"no pipeline needs it (made for {made})")
+
+
+def _broken(store: Store, broken: list[Path], kept: Kept, since: float) -> Iterator[Waste]:
+    for folder in broken:
+        yield Waste(folder, _bytes(folder), "no sound manifest")
+    for path in store.leftovers():
+        resumed = path.parent.name == ".scratch" and kept.holds_checkpoint(path.name)
+        if not resumed and path.stat().st_mtime <= since:
+            yield Waste(path, _bytes(path), "left by a run that ended early")
+
+
+def size(text: str | None) -> int:
+    """The bytes meant by `500M` or `2.5G`, powers of ten; -1 for None. Raises ConfigError for other words."""
+    if text is None:
+        return -1
+    found = re.fullmatch(r"(\d{1,9}\.?\d{0,9})([kMGT]?)B?", text)
+    if found is None:
+        raise ConfigError(f"--keep: expected a size as 500M or 2.5G, got {text!r}; correct it")
+    return round(float(found[1]) * UNITS[found[2]])
+
+
+def _told(plan: list[Waste], deleted: list[str], yes: bool) -> str:
+    if not plan:
+        return "nothing to delete"
+    lines = [f"{waste.path}  {waste.bytes / 1e6:.1f} MB  {waste.reason}" for waste in plan]
+    busy = f", {len(plan) - len(deleted)} in use and kept" if len(deleted) < len(plan) else ""
+    total = f"{sum(waste.bytes for waste in plan) / 1e6:.1f} MB"
+    last = f"deleted {len(deleted)}{busy}" if yes else f"{len(plan)} to delete, {total}; do it with --yes"
+    return "\n".join([*lines, last])
+
+
+def _bytes(folder: Path) -> int:
+    return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())

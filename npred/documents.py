@@ -1,0 +1,37 @@
+"""Small files from anywhere: read only if regular and no longer than they should be, parsed without surprises."""
+
+import json
+import stat
+from pathlib import Path
+from typing import Any
+
+LIMIT = 16 * 2**20  # bytes; the largest that npred writes, the manifest of thousands of shards, has a few
+
+
+def read(path: Path, limit: int = LIMIT) -> bytes:
+    """The bytes of a regular file. Raises OSError where it cannot be read, ValueError for a link, device or pipe, or
+    for more than `limit` bytes.
+    """
+    found = path.lstat()
+    if not stat.S_ISREG(found.st_mode):
+        raise ValueError("a link, a folder or a device")
+    if found.st_size > limit:
+        raise ValueError(f"{found.st_size} bytes, more than {limit}")
+    with path.open("rb") as file:
+        return file.read(limit)
+
+
+def parse(content: bytes | str) -> Any:
+    """The value of a JSON text. Raises ValueError, also for nesting and numbers that Python cannot hold."""
+    try:
+        return json.loads(content)
+    except RecursionError:
+        raise ValueError("JSON nested too deeply") from None
+
+
+def table(path: Path, limit: int = LIMIT) -> dict[str, Any]:
+    """The JSON object in a file. Raises OSError and ValueError as `read` and `parse` do, and for any other value."""
+    value = parse(read(path, limit))
+    if not isinstance(value, dict):
+        raise ValueError(f"a JSON {type(value).__name__}, no object")
+    return value

@@ -1,0 +1,158 @@
+"""One artifact as one tar: its manifest first, then its files in order; the same artifact gives the same bytes.
+
+Nothing in a tar is interpreted on the way in. Its first header gives the length of the manifest; with the manifest
+every other byte but the payload is known beforehand, and anything else is refused: links, devices, other paths, more
+or fewer bytes.
+"""
+
+import hashlib
+import os
+import re
+import shutil
+import tarfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import IO
+
+from npred import documents
+from npred.errors import NpredError, StoreError
+from npred.store import durable
+from npred.store.artifacts import Artifact, Store
+from npred.store.manifest import NAME, Manifest
+
+_BLOCK = tarfile.BLOCKSIZE
+_END = b"\0" * (2 * _BLOCK)
+_FIRST = re.compile(rb"([a-z][a-z0-9_]{0,63})/([0-9a-f]{64})/manifest\.json\0")
+_CHUNK = 2**20
+
+
+def export(artifact: Artifact, path: Path) -> None:
+    """Write the tar of an artifact, once its payload is verified. Raises StoreError for a corrupt one."""
+    artifact.verify()
+    partial = path.with_name(f"{path.name}.partial")
+    try:
+        with durable.room(path), partial.open("wb") as tar:
+            for name, size in _members(artifact.manifest, (artifact.folder / NAME).stat().st_size):
+                tar.write(_header(artifact.manifest, name, size))
+                with (artifact.folder / name).open("rb") as file:
+                    shutil.copyfileobj(file, tar, _CHUNK)
+                tar.write(_padding(size))
+            tar.write(_END)
+            tar.flush()
+            os.fsync(tar.fileno())
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def load(store: Store, path: Path, waiting: Callable[[str], None] | None = None) -> tuple[Artifact, bool]:
+    """Bring the artifact of a tar into the store, whole or not at all; whether it is new there.
+
+    Raises StoreError for a file that `export` has not written or that was changed since, NpredError where the disk has
+    no room for what the manifest announces or where the store has another answer to the same question.
+    """
+    if not path.is_file():
+        raise StoreError(f"{path}: expected a tar of npred export-artifact, found no such file; check the path")
+    with path.open("rb") as tar:
+        manifest, content = _manifest(tar, path)
+        with store.lock(manifest.question.stage, manifest.key, waiting):
+            there = store.get(manifest.question.stage, manifest.key)
+            return (_same(there, manifest), False) if there else (_place(store, manifest, content, tar, path), True)
+
+
+def _same(there: Artifact, manifest: Manifest) -> Artifact:
+    if there.verify().manifest.digest != manifest.digest:
+        raise NpredError(
+            f"{there.folder}: expected none or the same bytes, got another answer to this question; remove one of them"
+        )
+    return there
+
+
+def _place(store: Store, manifest: Manifest, content: bytes, tar: IO[bytes], path: Path) -> Artifact:
+    _fits(store, manifest, path)
+    with store.draft(manifest.question.stage, manifest.key) as folder, durable.room(store.root):
+        (folder / NAME).write_bytes(content)
+        for name, size in list(_members(manifest, len(content)))[1:]:
+            _expect(tar, _header(manifest, name, size), path, name)
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            _copy(tar, folder / name, manifest.files[name].sha256, size, path)
+            _expect(tar, _padding(size), path, name)
+        _expect(tar, _END, path, "the end")
+        return store.place(folder, manifest)
+
+
+def _manifest(tar: IO[bytes], path: Path) -> tuple[Manifest, bytes]:
+    """The manifest that a tar begins with, and its bytes; the tar's length is as the manifest has it."""
+    header = tar.read(_BLOCK)
+    named = _FIRST.match(header)
+    digits = header[124:135]
+    size = int(digits, 8) if re.fullmatch(b"[0-7]{11}", digits) else documents.LIMIT + 1
+    if named is None or size > documents.LIMIT:
+        raise _refused(path, "its beginning")
+    content = tar.read(size)
+    try:
+        manifest = Manifest.model_validate_json(content)
+    except ValueError:
+        raise _refused(path, NAME) from None
+    if not manifest.consistent or header != _header(manifest, NAME, size) or _clash(manifest):
+        raise _refused(path, NAME)
+    _expect(tar, _padding(size), path, NAME)
+    if os.fstat(tar.fileno()).st_size != _length(manifest, size):
+        raise _refused(path, "its length")
+    return manifest, content
+
+
+def _clash(manifest: Manifest) -> bool:
+    """Whether a file's name is also a folder's."""
+    folders = {parent.as_posix() for name in manifest.files for parent in Path(name).parents}
+    return any(name in folders for name in [NAME, *manifest.files])
+
+
+def _fits(store: Store, manifest: Manifest, path: Path) -> None:
+    durable.make(store.root)
+    free = shutil.disk_usage(store.root).free
+    if manifest.size > free:
+        raise NpredError(f"{path}: expected {manifest.size} free bytes in {store.root}, got {free}; free some")
+
+
+def _members(manifest: Manifest, size: int) -> Iterator[tuple[str, int]]:
+    yield NAME, size
+    yield from ((name, payload.size) for name, payload in sorted(manifest.files.items()))
+
+
+def _length(manifest: Manifest, size: int) -> int:
+    members = _members(manifest, size)
+    return sum(len(_header(manifest, name, n)) + n + len(_padding(n)) for name, n in members) + len(_END)
+
+
+def _header(manifest: Manifest, name: str, size: int) -> bytes:
+    """The blocks before a file: nothing in them but its path and its size."""
+    info = tarfile.TarInfo(f"{manifest.question.stage}/{manifest.key}/{name}")
+    info.size = size
+    return info.tobuf(tarfile.GNU_FORMAT, "utf-8", "strict")
+
+
+def _padding(size: int) -> bytes:
+    return b"\0" * (-size % _BLOCK)
+
+
+def _expect(tar: IO[bytes], wanted: bytes, path: Path, what: str) -> None:
+    if tar.read(len(wanted)) != wanted:
+        raise _refused(path, what)
+
+
+def _copy(tar: IO[bytes], target: Path, digest: str, size: int, path: Path) -> None:
+    found, left = hashlib.sha256(), size
+    with target.open("xb") as file:
+        while chunk := tar.read(min(left, _CHUNK)):
+            file.write(chunk)
+            found.update(chunk)
+            left -= len(chunk)
+    if left or found.hexdigest() != digest:
+        raise _refused(path, target.name)
+
+
+def _refused(path: Path, what: str) -> StoreError:
+    return StoreError(
+        f"{path}: expected a tar as npred export-artifact wrote it, got other bytes at {what}; get the file again"
+    )

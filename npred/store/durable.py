@@ -1,0 +1,55 @@
+"""What reaches the disk, and what a disk that is full says."""
+
+import errno
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from npred.errors import NpredError
+
+_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+_WORDS = ("No space left on device", "Disk quota exceeded", "File too large")  # of libraries that drop the number
+
+
+def sync_tree(folder: Path) -> None:
+    """Every file and folder below and the folder itself, made to outlive a loss of power."""
+    for path in [*folder.rglob("*"), folder]:
+        sync(path)
+
+
+def sync(path: Path) -> None:
+    """A file's bytes, or a folder's names."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def make(folder: Path) -> None:
+    """A folder and those above it; a new name is made durable in the folder that holds it."""
+    if not folder.is_dir():
+        make(folder.parent)
+        folder.mkdir(exist_ok=True)
+        sync(folder.parent)
+
+
+@contextmanager
+def room(root: Path) -> Iterator[None]:
+    """Tell in one line, with exit code 1, that the disk below `root` is full, whichever library met it."""
+    try:
+        yield
+    except Exception as error:
+        if is_full(error):
+            todo = "free some, npred gc says what is not needed, and run again: what is finished is kept"
+            raise NpredError(f"{root}: expected room to write, got a full disk; {todo}") from error
+        raise
+
+
+def is_full(error: BaseException | None) -> bool:
+    """Whether an error, or what it came from, is a full disk or a quota used up."""
+    if error is None:
+        return False
+    told = isinstance(error, OSError) and error.errno in _FULL
+    return told or any(word in str(error) for word in _WORDS) or is_full(error.__cause__ or error.__context__)
