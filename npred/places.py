@@ -6,6 +6,7 @@ from pathlib import Path
 PIPELINE = Path("pipeline/paper.toml")
 STORE = Path("artifacts")
 STORE_VARIABLE = "NPRED_STORE"
+EXECUTOR_VARIABLE = "NPRED_EXECUTOR"
 
 
 def store() -> Path:

@@ -6,6 +6,7 @@ from typing import Any
 from silent import Silent
 
 from npred import config, plants
+from npred.executors import Here, Workers
 from npred.stages import Job
 
 SMALL = {
@@ -27,11 +28,11 @@ def tables(**changes: dict[str, Any]) -> dict[str, Any]:
 
 
 def job(root: Path, name: str, inputs: dict[str, Path] | None = None, jobs: int = 1, model: str | None = None,
-        **changes: Any) -> Job:  # fmt: skip
+        executor: Workers | None = None, **changes: Any) -> Job:  # fmt: skip
     """A job whose payload goes to root/name."""
     pipeline = config.parse(tables(**changes), "tests")
     folder, scratch = root / name, root / f"{name}.scratch"
     for path in (folder, scratch):
         path.mkdir(parents=True)
     plant = plants.resolve(pipeline.plant, pipeline.parameters)
-    return Job(pipeline, plant, folder, inputs or {}, scratch, "cpu", jobs, Silent(), model)
+    return Job(pipeline, plant, folder, inputs or {}, scratch, "cpu", jobs, Silent(), model, executor or Here())

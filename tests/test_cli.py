@@ -163,6 +163,13 @@ def test_the_store_may_be_elsewhere(call: Call, tmp_path: Path, monkeypatch: pyt
     assert (tmp_path / "there" / "generate").is_dir()
 
 
+def test_the_executor_may_be_set_for_good_and_is_in_no_key(call: Call, monkeypatch: pytest.MonkeyPatch):
+    call("generate", "tiny.toml")
+    monkeypatch.setenv("NPRED_EXECUTOR", "ray")
+    assert one_line(call("generate", "tiny.toml"), 2).startswith("error: --executor: expected local or")
+    assert actions(call("generate", "tiny.toml", "--executor", "local", "--json")) == {"generate": "hit"}
+
+
 @pytest.mark.parametrize(
     ("arguments", "code", "words"),
     [
@@ -175,6 +182,7 @@ def test_the_store_may_be_elsewhere(call: Call, tmp_path: Path, monkeypatch: pyt
         (["train", "tiny.toml", "--model", "cnn"], 2, "--model: expected deeponet or fno, got 'cnn'"),
         (["run", "tiny.toml", "--device", "gpu"], 2, "--device: expected auto, cpu, cuda or cuda:N, got 'gpu'"),
         (["run", "tiny.toml", "--device", "cuda:99"], 5, "got 'cuda:99'"),
+        (["run", "tiny.toml", "--executor", "ray"], 2, "--executor: expected local or dask:ADDRESS, got 'ray'"),
         (["why", "tuning", "tiny.toml"], 2, "got 'tuning'"),
         (["show"], 2, "empty store"),
         (["show", "train/0123"], 2, "expected one artifact"),

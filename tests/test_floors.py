@@ -14,7 +14,7 @@ from conftest import process_environment
 ROOT = Path(__file__).parent.parent / "npred"
 FLOORS = [
     {"errors"},
-    {"config", "devices", "documents", "grid", "places", "randomness", "shapes"},
+    {"config", "devices", "documents", "executors", "grid", "places", "randomness", "shapes"},
     {"plants"},
     {"actuator", "predictors", "operators"},
     {"adaptation", "arguments", "closed_loop", "engine", "lyapunov"},
@@ -25,7 +25,7 @@ FLOORS = [
 ]
 FLOOR = {name: floor for floor, names in enumerate(FLOORS) for name in names}
 MODULES = sorted(path for path in ROOT.rglob("*.py") if path != ROOT / "__init__.py")
-HEAVY = ("torch", "numba", "h5py", "sympy", "matplotlib", "scipy", "onnxruntime")
+HEAVY = ("torch", "numba", "h5py", "sympy", "matplotlib", "scipy", "onnxruntime", "distributed")
 
 
 def room(path: Path) -> str:

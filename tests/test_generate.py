@@ -2,13 +2,17 @@
 
 import numpy as np
 import pytest
-from jobs import job
+from hypothesis import given
+from hypothesis import strategies as st
+from jobs import job, tables
 
 from npred import config, plants
+from npred.closed_loop import LANES
 from npred.dataset import Dataset
-from npred.errors import DivergedError
+from npred.errors import ConfigError, DivergedError
+from npred.executors import Processes
 from npred.predictors import RK4
-from npred.stages import generate
+from npred.stages import generate, rollouts
 
 
 def rows(tmp_path, name="data", **changes):
@@ -35,12 +39,44 @@ def test_no_rollout_is_in_both_parts(tmp_path):
 
 
 @pytest.mark.slow
-def test_jobs_do_not_change_the_bytes(tmp_path):
+def test_processes_do_not_change_the_bytes(tmp_path):
     changes = {"rollouts": 130, "samples": 1000}
-    for name, jobs in (("one", 1), ("two", 2)):
-        generate.run(job(tmp_path, name, jobs=jobs, generate=changes))
+    two = Processes(2)
+    for name, executor in (("one", None), ("two", two)):
+        generate.run(job(tmp_path, name, executor=executor, generate=changes))
+    two.shutdown()
     one, two = ((tmp_path / name / "data.h5").read_bytes() for name in ("one", "two"))
     assert one == two
+
+
+@given(st.integers(2, 5000), st.integers(1, 64))
+def test_batches_part_the_rollouts_at_whole_chunks(count, workers):
+    batches = generate._batches(config.Generate(rollouts=count, samples=count), workers)
+    assert [r for batch in batches for r in batch] == list(range(count))
+    assert all(batch.start % LANES == 0 and len(batch) <= generate.BATCH for batch in batches)
+
+
+def test_batches_do_not_change_the_bytes():
+    """Two chunks in one batch, or each in its own."""
+    pipeline = config.parse(tables(generate={"rollouts": 70, "samples": 210, "t_end": 2.0}), "tests")
+    plant = plants.resolve(pipeline.plant)
+    whole = rollouts.rows(pipeline, plant, range(70))
+    parts = rollouts.joined([rollouts.rows(pipeline, plant, batch) for batch in (range(64), range(64, 70))])
+    assert {name: a.tobytes() for name, a in whole.items()} == {name: a.tobytes() for name, a in parts.items()}
+
+
+def test_a_worker_that_would_give_other_rows_is_refused():
+    pipeline = config.parse(tables(), "tests")
+    expected = rollouts.surroundings(plants.resolve(pipeline.plant)) | {"numpy": "0.1"}
+    with pytest.raises(ConfigError, match=r"expected the same numpy on every worker, got another"):
+        rollouts.elsewhere(pipeline, expected, range(10))
+
+
+def test_a_plant_file_is_found_from_another_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    here = config.parse({"plant": "my_plant.py:Tank"}, "tests")
+    assert rollouts.located(here).plant == f"{tmp_path}/my_plant.py:Tank"
+    assert rollouts.located(config.parse({"plant": "scalar"}, "tests")).plant == "scalar"
 
 
 def test_seed_and_shares(tmp_path):

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
-from npred import devices
+from npred import devices, executors
 from npred.cli.options import Work
 from npred.console import columns
 from npred.errors import ConfigError
@@ -55,7 +55,9 @@ def _work(options: Work, targets: list[str], answers: tuple[str, ...], model: st
         rows = [_planned(step) for step in planner.plan(wanted)]
         options.show(_document(rows, None), lambda: _table(rows))
         return
-    outcomes = Runner(planner, options.console, options.jobs or devices.cores()).run(wanted)
+    jobs = options.jobs or devices.cores()
+    with executors.opened(options.executor, jobs) as executor:
+        outcomes = Runner(planner, options.console, jobs, executor).run(wanted)
     rows = [_done(outcome) for outcome in outcomes]
     final = [outcome for outcome in outcomes if outcome.node.stage in answers]
     if options.json:

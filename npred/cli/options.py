@@ -76,6 +76,12 @@ class Work(Planned):
     """Flags of the commands that run stages."""
 
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would run, and run nothing.")] = False
+    executor: Annotated[
+        str,
+        typer.Option(
+            envvar=places.EXECUTOR_VARIABLE, metavar="local|dask:ADDRESS", help="Where batches of rollouts run."
+        ),
+    ] = "local"
     force: Annotated[bool, typer.Option("--force", help="Run the named stages even if the store has them.")] = False
 
 

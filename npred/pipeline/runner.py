@@ -5,13 +5,14 @@ import math
 import time
 from collections.abc import Iterable, Mapping
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from npred.console import Console
+from npred.executors import Here, Workers
 from npred.pipeline.plan import Planner, Step
 from npred.pipeline.table import STAGES, Node
 from npred.store import RESULT, Artifact, durable, short
@@ -39,6 +40,7 @@ class Runner:
     planner: Planner
     console: Console
     jobs: int
+    executor: Workers = field(default_factory=Here)
 
     def run(self, nodes: Iterable[Node]) -> list[Outcome]:
         """One outcome a node, in order; every result is verified. The networks of a pipeline train side by side.
@@ -51,7 +53,10 @@ class Runner:
         return list(outcomes.values())
 
     def _wave(self, nodes: list[Node], outcomes: Mapping[str, Outcome]) -> list[Outcome]:
-        """The nodes of one stage, at most `jobs` at a time, in threads: the numerical libraries let go of the GIL."""
+        """The nodes of one stage, at most `jobs` at a time, in threads.
+
+        The numerical libraries let go of the GIL, and progress, Ctrl-C and the store's locks are this process's.
+        """
         if min(len(nodes), self.jobs) == 1:
             return [self._node(node, outcomes) for node in nodes]
         with ThreadPoolExecutor(min(len(nodes), self.jobs)) as pool:
@@ -118,6 +123,7 @@ class Runner:
             jobs=self.jobs,
             progress=self.console,
             model=node.model,
+            executor=self.executor,
         )
 
     @cached_property

@@ -1,11 +1,12 @@
 """The stages: pure functions of a job; none of them knows the store."""
 
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
 from npred.config import Pipeline
+from npred.executors import Here, Workers
 from npred.plants import Plant
 
 
@@ -37,8 +38,9 @@ class Progress(Protocol):
 class Job:
     """What a stage gets: write the payload to `folder`, read `inputs` (name to folder), return the result.
 
-    `scratch` outlives an interruption (checkpoints); `device`, `jobs` and `progress` must not change the result.
-    `model` names the network of the train stage.
+    `scratch` outlives an interruption (checkpoints); `device`, `jobs`, `executor` and `progress` must not change the
+    result. `jobs` bounds the threads, which share this process's memory; `executor` does what needs none of it, in
+    other processes or on other machines. `model` names the network of the train stage.
     """
 
     config: Pipeline
@@ -50,3 +52,4 @@ class Job:
     jobs: int
     progress: Progress
     model: str | None = None
+    executor: Workers = field(default_factory=Here)

@@ -61,7 +61,7 @@ def _contenders(job: Job) -> list[Contender]:
 
 
 def _all_loops(job: Job, contenders: list[Contender], begin: Starts) -> dict[str, Trajectories]:
-    """Every contender's loops, a thread each: compiled kernels and torch let go of the GIL."""
+    """Every contender's loops, a thread each: kernels and torch let go of the GIL, and networks need not be sent."""
     config = job.config.evaluate
     total = sum(begin.of(contender) for contender in contenders) * (round(config.case_t_end / config.dt) + 1)
     with job.progress.bar("evaluate", total, "steps") as bar, ThreadPoolExecutor(job.jobs) as pool:

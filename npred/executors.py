@@ -1,0 +1,209 @@
+"""Where parallel work goes: processes of this machine, or a cluster that Dask runs. It never changes a result.
+
+    with executors.opened("dask:tcp://head:8786", jobs=2) as executor:  # or "local"
+        for item, result in executors.completed(executor, function, items):
+            ...
+
+`function` is one of a module, and it, the items and the results are pickled: they are plain data, no open files.
+"""
+
+import os
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
+from concurrent.futures.process import ProcessPoolExecutor
+from contextlib import contextmanager
+from functools import partial
+from itertools import islice
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
+from typing import Any, TypeVar
+
+from npred.errors import ConfigError, MissingError, NpredError
+
+LOCAL = "local"
+ANSWER = 10  # seconds that a scheduler may take to answer
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+class Workers(Executor):
+    """An executor that knows how many tasks it works on side by side."""
+
+    count: int
+
+
+@contextmanager
+def opened(spec: str, jobs: int) -> Iterator[Workers]:
+    """The executor meant by `local` (jobs processes; one job: this process) or `dask:ADDRESS`; closed at the end.
+
+    Processes start when work comes; those of an interrupted run end at once. Raises ConfigError for another spec,
+    MissingError without the extra, NpredError where no scheduler answers.
+    """
+    executor = _executor(spec, jobs)
+    try:
+        yield executor
+    except BaseException:
+        executor.shutdown(wait=False, cancel_futures=True)
+        raise
+    executor.shutdown()
+
+
+def completed(
+    executor: Workers, function: Callable[[Item], Result], items: Iterable[Item]
+) -> Iterator[tuple[Item, Result]]:
+    """(item, function(item)) in the order in which they end.
+
+    Two items a worker are under way, no more: the results of the others need not fit in memory. Raises what `function`
+    raises, after it has cancelled the rest.
+    """
+    left, under_way = iter(items), dict[Future[Result], Item]()
+    try:
+        while True:
+            for item in islice(left, 2 * executor.count - len(under_way)):
+                under_way[executor.submit(function, item)] = item
+            if not under_way:
+                return
+            for done in wait(under_way, return_when=FIRST_COMPLETED).done:
+                yield under_way.pop(done), done.result()
+    finally:
+        for future in under_way:
+            future.cancel()
+
+
+class Here(Workers):
+    """No other process: the work is done while it is handed in."""
+
+    count = 1
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """The future of a call that is over."""
+        future: Future[Any] = Future()
+        try:
+            future.set_result(fn(*args, **kwargs))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+
+class Processes(Workers):
+    """Processes of this machine. What is lost with one that died, of memory say, is done again by fresh ones, once."""
+
+    def __init__(self, count: int) -> None:
+        self.count = count
+        self._changing, self._closed = threading.Lock(), False
+        self._pool, self._leash = self._fresh()
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """The future of a call in one of the processes."""
+        outcome: Future[Any] = Future()
+        self._start(partial(fn, *args, **kwargs), outcome, retries=1)
+        return outcome
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """End the processes: after their work, or, without `wait`, now."""
+        self._closed = True
+        self._pool.shutdown(wait=wait, cancel_futures=cancel_futures)
+        self._leash.close()
+
+    def _start(self, call: Callable[[], Any], outcome: Future[Any], retries: int) -> None:
+        pool = self._pool
+        try:
+            inner = pool.submit(call)
+        except BrokenExecutor:
+            pool = self._replace(pool)
+            inner = pool.submit(call)
+        inner.add_done_callback(lambda done: self._finish(done, call, outcome, pool, retries))
+
+    def _finish(
+        self, done: Future[Any], call: Callable[[], Any], outcome: Future[Any], pool: Executor, retries: int
+    ) -> None:
+        error = CancelledError() if done.cancelled() else done.exception()
+        if not isinstance(error, BrokenExecutor):
+            _settle(outcome, error, None if error else done.result())
+        elif retries and not self._closed and not outcome.cancelled():
+            self._replace(pool)
+            self._start(call, outcome, retries - 1)
+        else:
+            _settle(outcome, NpredError("expected processes that live, got one killed twice; use fewer --jobs"), None)
+
+    def _replace(self, broken: Executor) -> ProcessPoolExecutor:
+        """A fresh pool for a broken one: once, however many of its tasks ask."""
+        with self._changing:  # no pool's own lock is taken in here: its thread may hold that one and wait for this
+            if self._pool is broken:
+                self._leash.close()
+                self._pool, self._leash = self._fresh()
+            return self._pool
+
+    def _fresh(self) -> tuple[ProcessPoolExecutor, Connection]:
+        """Processes start afresh: a fork would copy the threads' locks of whatever the caller has loaded."""
+        context = get_context("spawn")
+        end, leash = context.Pipe(duplex=False)
+        return ProcessPoolExecutor(self.count, context, _end_with_leash, (end,)), leash
+
+
+def _settle(outcome: Future[Any], error: BaseException | None, result: Any) -> None:
+    if outcome.set_running_or_notify_cancel():
+        if error:
+            outcome.set_exception(error)
+        else:
+            outcome.set_result(result)
+
+
+def _end_with_leash(end: Connection) -> None:
+    """A worker whose parent was killed would wait for tasks for ever: the pipe tells of it, and of an early end."""
+
+    def watch() -> None:
+        try:
+            end.recv()
+        except (EOFError, OSError):
+            os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+class Cluster(Workers):
+    """The workers of a Dask scheduler. Dask does the work of a worker that died again, elsewhere."""
+
+    def __init__(self, client: Any) -> None:
+        self._client, self._inner = client, client.get_executor(pure=False)
+
+    @property
+    def count(self) -> int:  # type: ignore[override]
+        """The threads of all workers now: they come and go."""
+        return max(sum(self._client.nthreads().values()), 1)
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """The future of a call on one of the workers."""
+        return self._inner.submit(fn, *args, **kwargs)
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """Leave the cluster, which stays up: after the work, or, without `wait`, now."""
+        self._inner.shutdown(wait=wait and not cancel_futures)
+        self._client.close()
+
+
+def _executor(spec: str, jobs: int) -> Workers:
+    if spec == LOCAL:
+        count = min(jobs, os.cpu_count() or 1)
+        return Processes(count) if count > 1 else Here()
+    engine, _, address = spec.partition(":")
+    if engine != "dask" or not address:
+        raise ConfigError(f"--executor: expected local or dask:ADDRESS, got {spec!r}; as dask:tcp://localhost:8786")
+    return _cluster(address)
+
+
+def _cluster(address: str) -> Cluster:
+    try:
+        from distributed import Client
+    except ImportError:
+        raise MissingError(
+            "--executor: expected the package distributed, found none; pip install 'npred[dask]'"
+        ) from None
+    try:
+        return Cluster(Client(address, timeout=ANSWER, set_as_default=False))
+    except (OSError, ValueError) as error:
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        raise NpredError(
+            f"--executor: expected a Dask scheduler at {address}, got: {reason}; start one there with dask scheduler"
+        ) from None

@@ -1,0 +1,86 @@
+"""Batches of rollouts as rows of data, in this process or in another one, on this machine or on another one."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from npred import devices, plants
+from npred.adaptation import DelayAdaptation
+from npred.closed_loop import LANES, simulate
+from npred.config import Pipeline
+from npred.errors import ConfigError, DivergedError
+from npred.plants import Plant
+from npred.predictors import METHODS
+from npred.stages import draws
+
+Rows = dict[str, np.ndarray]
+PACKAGES = ("npred", "numpy", "numba")  # what the bytes of a row may depend on
+
+
+def located(pipeline: Pipeline) -> Pipeline:
+    """The pipeline for a process elsewhere, where the same relative path would be another file."""
+    path, colon, name = pipeline.plant.partition(".py:")
+    absolute = f"{Path(path).absolute()}.py:{name}" if colon else pipeline.plant
+    return pipeline.model_copy(update={"plant": absolute})
+
+
+def surroundings(plant: Plant) -> dict[str, Any]:
+    """What has to be the same in every process that makes rows of one data set."""
+    return {"plant": plant.identity, **{name: devices.package(name) for name in PACKAGES}}
+
+
+def elsewhere(pipeline: Pipeline, expected: dict[str, Any], batch: range) -> Rows:
+    """The rows of a batch in a process of its own. Raises ConfigError where plant or packages are not as expected."""
+    plant = plants.resolve(pipeline.plant, pipeline.parameters)
+    found = surroundings(plant)
+    other = ", ".join(name for name in expected if found[name] != expected[name])
+    if other:
+        raise ConfigError(f"generate: expected the same {other} on every worker, got another; install it there")
+    return rows(pipeline, plant, batch)
+
+
+def rows(pipeline: Pipeline, plant: Plant, batch: range) -> Rows:
+    """The rows of the rollouts `batch`, which starts at a multiple of LANES.
+
+    They are computed LANES at a time whatever the batch, so the bytes do not depend on how rollouts are batched.
+    Raises DivergedError, naming the rollout, where a state is not finite.
+    """
+    chunks = [range(i, min(i + LANES, batch.stop)) for i in range(batch.start, batch.stop, LANES)]
+    return joined([_chunk(pipeline, plant, chunk) for chunk in chunks])
+
+
+def joined(parts: list[Rows]) -> Rows:
+    """Rows one after the other."""
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
+def _chunk(pipeline: Pipeline, plant: Plant, chunk: range) -> Rows:
+    """Closed loops from random starts, sampled at random steps, P by the predictor."""
+    config = pipeline.generate
+    X0, D, D_hat0, steps = draws.starts(pipeline.seed, config, plant, chunk)
+    predictor = METHODS[config.predictor](plant, config.nx)
+    law = DelayAdaptation(config.gamma, config.b, config.bounds)
+    loops = simulate(
+        plant, predictor, D=D, D_hat=D_hat0, X0=X0, t_end=config.t_end, dt=config.dt, adaptation=law,
+        input_bounds=config.input_bounds, every=draws.steps(config), samples=steps,
+    )  # fmt: skip
+    _finite(chunk, X0, loops.escaped, config.dt)
+    count = steps.shape[1]
+    D_hat = draws.redrawn(pipeline.seed, config, chunk, loops.samples.D_hat)
+    rows = {"X": loops.samples.X, "u": loops.samples.u, "D_hat": D_hat}
+    rows["P"] = predictor(rows["X"], rows["u"], rows["D_hat"])
+    rows |= {"D": np.repeat(D[:, None], count, 1), "t": steps * config.dt}
+    rows["rollout"] = np.repeat(np.array(chunk, dtype=np.int32)[:, None], count, 1)
+    kept = np.arange(count) < np.array([draws.samples(config, r) for r in chunk])[:, None]
+    return {name: array[kept] for name, array in rows.items()}
+
+
+def _finite(chunk: range, X0: np.ndarray, escaped: np.ndarray, dt: float) -> None:
+    lost = np.flatnonzero(escaped >= 0)
+    if len(lost):
+        first = lost[np.argmin(escaped[lost])]
+        raise DivergedError(
+            f"generate: expected finite states, got NaN in rollout {chunk[first]} at t = {escaped[first] * dt:g} s, "
+            f"from X0 = {X0[first].tolist()} ({len(lost)} of {len(chunk)} rollouts); shrink the box, D or dt"
+        )

@@ -1,0 +1,109 @@
+"""Executors: the same protocol and results in this process, in processes, on a cluster; lost work is done again."""
+
+import os
+import signal
+import sys
+from concurrent.futures import Future, wait
+from pathlib import Path
+
+import pytest
+
+from npred import executors
+from npred.errors import ConfigError, MissingError, NpredError
+from npred.executors import Here, Processes
+
+
+def square(x: int) -> int:
+    return x * x
+
+
+def refuse(x: int) -> int:
+    raise ConfigError(f"no {x}")
+
+
+def die_once(mark: str) -> int:
+    """Kills its own process, unless the mark says that it has done so before."""
+    if not os.path.exists(mark):
+        Path(mark).touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return os.getpid()
+
+
+def die(x: int) -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_one_job_is_this_process():
+    with executors.opened("local", 1) as executor:
+        assert isinstance(executor, Here) and executor.submit(os.getpid).result() == os.getpid()
+
+
+def test_completed_holds_no_more_than_two_results_a_worker():
+    class Counting(Here):
+        handed_in = 0
+
+        def submit(self, fn, /, *args, **kwargs) -> Future:
+            self.handed_in += 1
+            return super().submit(fn, *args, **kwargs)
+
+    executor, ahead, found = Counting(), [], {}
+    for item, result in executors.completed(executor, square, range(20)):
+        found[item] = result
+        ahead.append(executor.handed_in - len(found))
+    assert found == {x: x * x for x in range(20)} and max(ahead) == 1
+
+
+def test_what_a_task_raises_ends_the_rest():
+    done = []
+    with pytest.raises(ConfigError, match="no 0"):
+        for item, _ in executors.completed(Here(), refuse, range(5)):
+            done.append(item)
+    assert done == []
+
+
+def test_processes_do_the_work_and_bring_the_errors_back():
+    with executors.opened("local", 2) as executor:
+        if isinstance(executor, Here):
+            pytest.skip("one processor")
+        assert dict(executors.completed(executor, square, range(6))) == {x: x * x for x in range(6)}
+        assert executor.submit(os.getpid).result() != os.getpid()
+        with pytest.raises(ConfigError, match="no 3"):
+            executor.submit(refuse, 3).result()
+
+
+def test_work_lost_with_a_killed_process_is_done_again(tmp_path):
+    executor = Processes(2)
+    marks = [str(tmp_path / name) for name in "ab"]
+    lost = [executor.submit(die_once, mark) for mark in marks[:1]]
+    wait(lost)
+    assert lost[0].result() != os.getpid()
+    assert executor.submit(square, 7).result() == 49
+    executor.shutdown()
+
+
+def test_a_task_that_always_kills_its_process_is_told_in_one_line():
+    executor = Processes(1)
+    with pytest.raises(NpredError, match=r"^expected processes that live, got one killed twice; use fewer --jobs$"):
+        executor.submit(die, 0).result()
+    assert executor.submit(square, 3).result() == 9
+    executor.shutdown()
+
+
+@pytest.mark.parametrize("spec", ["dask", "dask:", "ray:there", ""])
+def test_another_spec_is_refused(spec):
+    with pytest.raises(ConfigError, match="expected local or dask:ADDRESS"), executors.opened(spec, 1):
+        pass
+
+
+def test_a_missing_extra_is_told(monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(MissingError, match=r"pip install 'npred\[dask\]'"), executors.opened("dask:tcp://a:1", 1):
+        pass
+
+
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "there"])
+def test_a_scheduler_that_does_not_answer_is_told(address, monkeypatch):
+    pytest.importorskip("distributed")
+    monkeypatch.setattr(executors, "ANSWER", 0.5)
+    with pytest.raises(NpredError, match="expected a Dask scheduler at"), executors.opened(f"dask:{address}", 1):
+        pass
