@@ -2,7 +2,7 @@
 
 The controller holds U over each control step, so the history is piecewise constant and everything here is exact. Rows
 of the ring buffers are control steps: `held[k]` is U on [k dt, (k + 1) dt), `total[k]` the sum of U over the steps
-before k.
+before k. Each input has a delay of its own, D (m, B).
 """
 
 import math
@@ -13,12 +13,12 @@ from numba import njit
 ROUNDING = 1e-9  # of a control step: positions this close to a step's start are on it
 
 
-# k, dt, D (B,), held, total (R, m, B) -> u (nx, m, B)
-TRANSPORT = "void(int64, float64, float64[::1], float64[:,:,::1], float64[:,:,::1], float64[:,:,::1])"
-# k, dt, D (B,), U (m, B) -> held, total (R, m, B), U0, U1 (m, B), share (B,)
+# k, dt, D (m, B), held, total (R, m, B) -> u (nx, m, B)
+TRANSPORT = "void(int64, float64, float64[:,::1], float64[:,:,::1], float64[:,:,::1], float64[:,:,::1])"
+# k, dt, D (m, B), U (m, B) -> held, total (R, m, B), U0, U1, share (m, B)
 ACTUATE = (
-    "void(int64, float64, float64[::1], float64[:,::1], float64[:,:,::1], float64[:,:,::1], float64[:,::1], "
-    "float64[:,::1], float64[::1])"
+    "void(int64, float64, float64[:,::1], float64[:,::1], float64[:,:,::1], float64[:,:,::1], float64[:,::1], "
+    "float64[:,::1], float64[:,::1])"
 )
 
 
@@ -32,7 +32,7 @@ def _sum_to(s: float, held: np.ndarray, total: np.ndarray, c: int, l: int, wrap:
 
 @njit(TRANSPORT, cache=True, nogil=True, error_model="numpy")
 def transport(k: int, dt: float, D: np.ndarray, held: np.ndarray, total: np.ndarray, u: np.ndarray) -> None:
-    """Write u(x_j, k dt) on the nodes, for the true delay D.
+    """Write u(x_j, k dt) on the nodes, for the true delays D.
 
     Where the grid is coarser than the control step a node carries the mean of U over its cell: point values there let
     U chatter. At x = 1 it is the newest U, from the left.
@@ -41,10 +41,9 @@ def transport(k: int, dt: float, D: np.ndarray, held: np.ndarray, total: np.ndar
     rows = held.shape[0]
     wrap = k - k % rows  # row of step i is i - wrap, plus rows where that is negative: a modulo a node costs too much
     span, before, sum_before = np.empty(lanes), np.empty(lanes), np.empty(lanes)
-    for l in range(lanes):
-        span[l] = D[l] / dt
     for c in range(m):
         for l in range(lanes):
+            span[l] = D[c, l] / dt
             before[l] = k - span[l]
             sum_before[l] = _sum_to(before[l], held, total, c, l, wrap)
         for j in range(nx):
@@ -66,11 +65,11 @@ def actuate(
 ) -> None:  # fmt: skip
     """Hold U over control step k, and say what leaves the delay meanwhile: U0 for the first `share` of it, then U1."""
     rows = held.shape[0]
-    for l in range(D.shape[0]):
-        s = k - D[l] / dt
-        i = math.floor(s + ROUNDING)
-        share[l] = 1.0 - (s - i) if s - i > ROUNDING else 1.0
-        for c in range(U.shape[0]):
+    for c in range(U.shape[0]):
+        for l in range(U.shape[1]):
+            s = k - D[c, l] / dt
+            i = math.floor(s + ROUNDING)
+            share[c, l] = 1.0 - (s - i) if s - i > ROUNDING else 1.0
             held[k % rows, c, l] = U[c, l]
             total[(k + 1) % rows, c, l] = total[k % rows, c, l] + U[c, l]
             U0[c, l] = held[i % rows, c, l]
@@ -78,9 +77,9 @@ def actuate(
 
 
 def history(D: np.ndarray, dt: float, u0: np.ndarray) -> tuple[int, np.ndarray, np.ndarray]:
-    """The first step's number and the ring buffers for delays D (B,), filled with the input u0 (m,) before t = 0."""
+    """The first step's number and the ring buffers for delays D (m, B), filled with the input u0 (m,) before t = 0."""
     rows = int(np.max(D) / dt) + 4
-    held = np.empty((rows, len(u0), len(D)))
+    held = np.empty((rows, *D.shape))
     held[:] = u0[:, None]
     total = np.arange(rows, dtype=float)[:, None, None] * held - (rows - 1) * held
     return rows - 1, held, total

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from npred import shapes
+from npred import delayed_law, shapes
 from npred.errors import ConfigError
 from npred.plants import kernels, tape
 from npred.plants.base import Plant
@@ -87,6 +87,7 @@ class DelayAdaptation:
         """
         named = (("X", X), ("u", u), ("P", P), ("D_hat", D_hat))
         X, u, P, D_hat = (shapes.floats(name, a) for name, a in named)
+        plant.needs_one_delay("adaptation", "its update law is for one")
         _check(plant, X, u, P)
         shape = shapes.batch(X=X.shape[:-1], u=u.shape[:-2], P=P.shape[:-2], D_hat=D_hat.shape)
         lanes = [np.broadcast_to(a, (*shape, *a.shape[a.ndim - k :])) for a, k in ((X, 1), (u, 2), (P, 2), (D_hat, 0))]
@@ -129,7 +130,9 @@ def update_law(plant: Plant) -> Callable[..., None]:
 
 @cache
 def control_law(plant: Plant) -> Callable[..., None]:
-    """The compiled law without adaptation: U = kappa(P(1)), phi = 0."""
+    """The compiled law without adaptation: U_j = kappa_j(P(r_j)) with r_j = 1 for one delay, phi = 0."""
+    if not plant.one_delay:
+        return delayed_law.build(plant, SIGNATURE)
     trace = Trace(plant)
     end = _end(trace, trace.vector("x", plant.n), trace.input("t"), [])
     return kernels.build(

@@ -12,6 +12,7 @@ from npred.plants.base import Plant
 from npred.predictors import METHODS, Compiled, Predictor
 from npred.predictors.onestep import OneStep
 
+PARTS = ("program", "parameters", "ratios")  # of the identity: what a compiled predictor has in it
 INTEGRATORS = {name: method for name, method in METHODS.items() if issubclass(method, OneStep)}
 
 
@@ -70,6 +71,8 @@ def parts(plant: Any, predictor: Any, adaptation: Any, integrator: Any, every: A
             raise ConfigError(f"{name}: expected a {kind.__name__}, got {given!r}; see npred.simulate")
     if predictor is not None:
         _same_plant(plant, predictor)
+    if adaptation is not None:
+        plant.needs_one_delay("adaptation", "its update law is for one; simulate with adaptation=None")
     if integrator not in INTEGRATORS:
         raise ConfigError(f"integrator: expected one of {', '.join(INTEGRATORS)}, got {integrator!r}; choose one")
     if not isinstance(every, int | np.integer) or every < 1:
@@ -81,7 +84,7 @@ def _same_plant(plant: Plant, predictor: Predictor) -> None:
     other = predictor.plant
     alike = (other.n, other.m) == (plant.n, plant.m)
     if alike and isinstance(predictor, Compiled):
-        alike = all(other.identity[part] == plant.identity[part] for part in ("program", "parameters"))
+        alike = all(other.identity.get(part) == plant.identity.get(part) for part in PARTS)
     if not alike:
         raise ConfigError(
             f"predictor: expected one of plant {plant.name} with its parameters, got one of {other.name} with "

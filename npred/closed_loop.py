@@ -70,10 +70,12 @@ def simulate(
 ) -> Trajectories:
     """Loops of X' = f(X, U(t - D)), U = kappa(P(1)), D_hat' = gamma Proj{D_hat, phi} [DAPF, eqs. 6-14].
 
-    D, D_hat (...) in seconds and X0 (..., n) broadcast to the batch. U is held over each step of dt and clipped to
-    `input_bounds` (m, 2), by default the plant's; before t = 0 it is u0. `predictor=None` is the open loop U = 0,
-    `adaptation=None` freezes D_hat. Every `every`-th step is kept; `samples` (..., S) are sorted steps whose
-    (X, u, D_hat) are kept too. `integrator` advances the plant. `progress` is told of loop steps done.
+    D, D_hat (...) in seconds and X0 (..., n) broadcast to the batch. Where inputs have delays of their own D is the
+    longest, input j comes after r_j D, and U_j = kappa_j(P(r_j), t + r_j D_hat). U is held over each step of dt and
+    clipped to `input_bounds` (m, 2), by default the plant's; before t = 0 it is u0. `predictor=None` is the open loop
+    U = 0, `adaptation=None` freezes D_hat, and must where delays differ. Every `every`-th step is kept; `samples`
+    (..., S) are sorted steps whose (X, u, D_hat) are kept too. `integrator` advances the plant. `progress` is told of
+    loop steps done.
     A loop that leaves the finite numbers goes on as NaN and leaves the others alone.
     Raises ConfigError for delays, bounds, times, shapes or a predictor that do not fit.
     """
@@ -150,12 +152,12 @@ class _Loop:
         )
 
     def _state(self, X0: np.ndarray, D: np.ndarray, D_hat: np.ndarray, nx: int) -> tuple[int, engine.State]:
-        n, m, lanes = self.plant.n, self.plant.m, len(D)
+        n, m, lanes, D = self.plant.n, self.plant.m, len(D), self.plant.ratios[:, None] * D
         origin, held, total = actuator.history(D, self.dt, self.u0)
         state = engine.State(
-            X=np.array(X0.T, order="C"), D=np.array(D), D_hat=np.array(D_hat), held=held, total=total,
+            X=np.array(X0.T, order="C"), D=D, D_hat=np.array(D_hat), held=held, total=total,
             u=np.empty((nx, m, lanes)), P=np.full((nx, n, lanes), np.nan), U=np.empty((m, lanes)), phi=np.empty(lanes),
-            N=np.empty(lanes), U0=np.empty((m, lanes)), U1=np.empty((m, lanes)), share=np.empty(lanes),
+            N=np.empty(lanes), U0=np.empty((m, lanes)), U1=np.empty((m, lanes)), share=np.empty((m, lanes)),
             drawn=np.zeros(lanes, dtype=np.int64),
         )  # fmt: skip
         return origin, state

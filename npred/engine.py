@@ -38,7 +38,7 @@ class State(NamedTuple):
     """What evolves: the plant, the actuator's history, the delay estimate, and scratch for one step."""
 
     X: np.ndarray  # (n, B)
-    D: np.ndarray  # (B,)
+    D: np.ndarray  # (m, B), the delay of each input
     D_hat: np.ndarray  # (B,)
     held: np.ndarray  # (R, m, B)
     total: np.ndarray  # (R, m, B)
@@ -49,7 +49,7 @@ class State(NamedTuple):
     N: np.ndarray  # (B,)
     U0: np.ndarray  # (m, B), the delayed input for the first share of a step
     U1: np.ndarray  # (m, B), and for the rest
-    share: np.ndarray  # (B,)
+    share: np.ndarray  # (m, B)
     drawn: np.ndarray  # (B,), samples taken so far
 
 
@@ -72,7 +72,7 @@ I1, I2 = (types.Array(types.int64, d, "C") for d in (1, 2))
 SETTINGS = types.NamedTuple(
     [types.float64, types.int64, types.float64, types.float64, A1, A2, A1, A1, I2], Settings
 )  # fmt: skip
-STATE = types.NamedTuple([A2, A1, A1, A3, A3, A3, A3, A2, A1, A1, A2, A2, A1, I1], State)
+STATE = types.NamedTuple([A2, A2, A1, A3, A3, A3, A3, A2, A1, A1, A2, A2, A2, I1], State)
 RECORD = types.NamedTuple([A3, A3, A2, A2, A2, A3, A4, A2, I1], Record)
 
 
@@ -112,22 +112,22 @@ def adapt(D_hat: np.ndarray, phi: np.ndarray, gain: float, bounds: np.ndarray) -
             D_hat[l] = min(max(D_hat[l] + gain * phi[l], bounds[0]), bounds[1])
 
 
-@njit(types.void(A3, A1, A1, A1), cache=True, nogil=True)
+@njit(types.void(A3, A1, A2, A1), cache=True, nogil=True)
 def energy(u: np.ndarray, u_star: np.ndarray, D: np.ndarray, out: np.ndarray) -> None:
-    """∫_{t-D}^t |U - U*|² ds = D ∫₀¹ |u - u*|² dx by the trapezoidal rule."""
+    """Sum over inputs of ∫_{t-D_c}^t (U_c - U_c*)² ds = D_c ∫₀¹ (u_c - u_c*)² dx by the trapezoidal rule."""
     nx, m, lanes = u.shape
     for l in range(lanes):
         out[l] = 0.0
         for j in range(nx):
             for c in range(m):
-                out[l] += (0.5 if j == 0 or j == nx - 1 else 1.0) * (u[j, c, l] - u_star[c]) ** 2
-        out[l] *= D[l] / (nx - 1)
+                weight = D[c, l] / (nx - 1) * (0.5 if j == 0 or j == nx - 1 else 1.0)
+                out[l] += weight * (u[j, c, l] - u_star[c]) ** 2
 
 
 @njit(types.void(types.int64, SETTINGS, STATE, RECORD), cache=True, nogil=True)
 def keep(k: int, s: Settings, z: State, out: Record) -> None:
     """Write step k to the record: every `every`-th state, the samples asked for, the first step not finite."""
-    for l in range(z.D.shape[0]):
+    for l in range(z.X.shape[1]):
         while z.drawn[l] < s.samples.shape[0] and s.samples[z.drawn[l], l] == k:
             out.sample_X[z.drawn[l], :, l] = z.X[:, l]
             out.sample_u[z.drawn[l], :, :, l] = z.u[:, :, l]
@@ -147,7 +147,9 @@ def _pointer(signature: str) -> types.FunctionType:
     return types.FunctionType(types.void(*arguments))
 
 
-ADVANCE_SIGNATURE = "void(float64[:,::1], float64[:,::1], float64[:,::1], float64[::1], float64, float64, float64[::1])"
+ADVANCE_SIGNATURE = (
+    "void(float64[:,::1], float64[:,::1], float64[:,::1], float64[:,::1], float64, float64, float64[::1])"
+)
 PARTS = (actuator.TRANSPORT, predictors.SIGNATURE, adaptation.SIGNATURE, actuator.ACTUATE, ADVANCE_SIGNATURE)
 compiled_steps = njit(
     types.void(types.int64, types.int64, types.int64, *map(_pointer, PARTS), SETTINGS, STATE, RECORD),
@@ -172,21 +174,42 @@ ADVANCE = """\
 def advance(X, U0, U1, share, dt, t, p):
     {parameters}
     for l in range(X.shape[1]):
-        h, start = share[l] * dt, t
+        h, start = share[0, l] * dt, t
         {first}
     for l in range(X.shape[1]):
-        if share[l] < 1.0:
-            h, start = (1.0 - share[l]) * dt, t + share[l] * dt
+        if share[0, l] < 1.0:
+            h, start = (1.0 - share[0, l]) * dt, t + share[0, l] * dt
             {second}
+"""
+
+# Inputs with delays of their own switch at moments of their own.
+ADVANCE_SEVERAL = """\
+def advance(X, U0, U1, share, dt, t, p):
+    {parameters}
+    for l in range(X.shape[1]):
+        begin = 0.0
+        while begin < 1.0:
+            end = 1.0
+            for c in range(share.shape[0]):
+                if begin < share[c, l] < end:
+                    end = share[c, l]
+            h, start = (end - begin) * dt, t + begin * dt
+            {piece}
+            begin = end
 """
 
 
 @cache
 def advance_kernel(plant: Plant, method: type[OneStep]) -> Callable[..., None]:
-    """The compiled step of the plant with held input, split where a switch of the delayed input falls inside it."""
+    """The compiled step of the plant with held inputs, split where a switch of a delayed input falls inside it."""
     parameters = kernels.parameters(len(plant.p))
-    parts = {name: _advance(plant, method, U) for name, U in (("first", "U0"), ("second", "U1"))}
-    return kernels.build("advance", ADVANCE_SIGNATURE, kernels.fill(ADVANCE, parameters=parameters, **parts))
+    if plant.one_delay:
+        parts = {name: _advance(plant, method, f"{U}[{{0}}, l]") for name, U in (("first", "U0"), ("second", "U1"))}
+        source = kernels.fill(ADVANCE, parameters=parameters, **parts)
+    else:
+        piece = _advance(plant, method, "(U0[{0}, l] if begin < share[{0}, l] else U1[{0}, l])")
+        source = kernels.fill(ADVANCE_SEVERAL, parameters=parameters, piece=piece)
+    return kernels.build("advance", ADVANCE_SIGNATURE, source)
 
 
 def _advance(plant: Plant, method: type[OneStep], U: str) -> list[str]:
@@ -194,5 +217,5 @@ def _advance(plant: Plant, method: type[OneStep], U: str) -> list[str]:
     x, u = trace.vector("x", plant.n), trace.vector("u", plant.m)
     y = method.step(trace.f, x, u, u, u, trace.input("t"), trace.input("h"))
     names = {f"p{k}": f"p{k}" for k in range(len(plant.p))} | {"t": "start", "h": "h"}
-    names |= {f"x{k}": f"X[{k}, l]" for k in range(plant.n)} | {f"u{k}": f"{U}[{k}, l]" for k in range(plant.m)}
+    names |= {f"x{k}": f"X[{k}, l]" for k in range(plant.n)} | {f"u{k}": U.format(k) for k in range(plant.m)}
     return tape.program(y, names, [f"X[{k}, l]" for k in range(plant.n)])

@@ -14,10 +14,10 @@ class Line:
     """A delay line of one lane, fed step by step."""
 
     def __init__(self, D, u0=0.0, nx=11):
-        self.D, self.k = np.array([D]), 0
+        self.D, self.k = np.array([[D]]), 0
         self.origin, self.held, self.total = actuator.history(self.D, DT, np.array([u0]))
         self.u = np.empty((nx, 1, 1))
-        self.out = [np.empty((1, 1)), np.empty((1, 1)), np.empty(1)]
+        self.out = [np.empty((1, 1)) for _ in range(3)]
 
     def read(self):
         actuator.transport(self.origin + self.k, DT, self.D, self.held, self.total, self.u)
@@ -27,7 +27,7 @@ class Line:
         """Hold U for a step; the input that leaves: before the switch, after it, and the share before it."""
         actuator.actuate(self.origin + self.k, DT, self.D, np.array([[U]]), self.held, self.total, *self.out)
         self.k += 1
-        return float(self.out[0][0, 0]), float(self.out[1][0, 0]), float(self.out[2][0])
+        return float(self.out[0][0, 0]), float(self.out[1][0, 0]), float(self.out[2][0, 0])
 
 
 def held(values, u0, s):
@@ -94,3 +94,16 @@ def test_the_integral_of_the_input_is_kept():
 def test_before_the_start_the_input_is_u0():
     line = Line(0.3, u0=0.7, nx=5)
     np.testing.assert_allclose(line.read(), 0.7, rtol=1e-14)
+
+
+def test_inputs_with_delays_of_their_own_are_two_lines():
+    D, random = np.array([[0.213], [0.5]]), np.random.default_rng(11)
+    lines = [Line(d, nx=7) for d in D[:, 0]]
+    origin, rows, total = actuator.history(D, DT, np.zeros(2))
+    u, out = np.empty((7, 2, 1)), [np.empty((2, 1)) for _ in range(3)]
+    for k, U in enumerate(random.normal(size=(90, 2, 1))):
+        actuator.actuate(origin + k, DT, D, U, rows, total, *out)
+        fed = [line.feed(float(value)) for line, value in zip(lines, U[:, 0], strict=True)]
+        np.testing.assert_allclose(np.array(out)[:, :, 0].T, fed, rtol=0, atol=1e-12)
+    actuator.transport(origin + 90, DT, D, rows, total, u)
+    np.testing.assert_allclose(u[:, :, 0].T, [line.read() for line in lines], rtol=0, atol=1e-12)

@@ -55,6 +55,10 @@ def plant(**parts):
         ({"input_bounds": [(0, 1), (0, 1)]}, "input_bounds expected 1 pairs"),
         ({"input_bounds": [(1, 0)]}, r"input_bounds\[0\]: expected a range"),
         ({"input_bounds": "none"}, "input_bounds expected 1 pairs"),
+        ({"delays": 0.5}, "delays expected 1 seconds, one an input, got 0.5"),
+        ({"delays": (0.5, 0.6)}, "delays expected 1 seconds, one an input"),
+        ({"delays": (0.0,)}, "delays expected seconds above 0"),
+        ({"delays": ("late",)}, r"delays\[0\]: expected a finite number, got 'late'"),
         ({"f": 3}, "expected f to be a function, got 3"),
     ],
 )

@@ -17,7 +17,7 @@ FLOORS = [
     {"config", "devices", "documents", "executors", "grid", "places", "randomness", "shapes"},
     {"plants"},
     {"actuator", "predictors", "operators"},
-    {"adaptation", "arguments", "closed_loop", "engine", "lyapunov"},
+    {"adaptation", "arguments", "closed_loop", "delayed_law", "engine", "lyapunov"},
     {"control", "dataset", "interop", "metrics", "plant_check", "runtimes", "timing", "training"},
     {"store", "console"},
     {"stages"},

@@ -18,8 +18,9 @@ class Plant:
 
     A declaration is a class with `states`, `inputs` (names) and the functions f(x, u, t, p, M), kappa(x, t, p, M) and
     V(x, t, p, M); optional are `parameters` (name to default), `box` (state to range, for experiments), `guess` (where
-    the equilibrium is searched from), `input_bounds` (a range an input) and, where kappa depends on time,
-    `reference(t, p, M)`, the trajectory that it follows. M is the mathematics: sin, exp, where …
+    the equilibrium is searched from), `input_bounds` (a range an input), `delays` (seconds, one an input, where they
+    differ) and, where kappa depends on time, `reference(t, p, M)`, the trajectory that it follows. M is the mathematics:
+    sin, exp, where …
     Raises ConfigError for a declaration with a part that is missing or wrong, or a parameter that it does not have.
     """
 
@@ -32,6 +33,7 @@ class Plant:
         self.box = declared.box(name, getattr(declaration, "box", {}), self.states)
         self.guess = declared.guess(name, getattr(declaration, "guess", np.zeros(self.n)), self.n)
         self.input_bounds = declared.input_bounds(name, getattr(declaration, "input_bounds", None), self.m)
+        self.delays = declared.delays(name, getattr(declaration, "delays", None), self.m)
 
     @property
     def n(self) -> int:
@@ -42,6 +44,22 @@ class Plant:
     def m(self) -> int:
         """The number of inputs."""
         return len(self.inputs)
+
+    @cached_property
+    def ratios(self) -> np.ndarray:
+        """r_j = D_j / D in (0, 1], (m,): the delay of each input as a share of the longest, which is a loop's D."""
+        return np.ones(self.m) if self.delays is None else np.array(self.delays) / max(self.delays)
+
+    @property
+    def one_delay(self) -> bool:
+        """Whether all inputs arrive equally late."""
+        return bool((self.ratios == 1).all())
+
+    def needs_one_delay(self, what: str, cure: str) -> None:
+        """Raise ConfigError, naming what is for one delay only, where inputs have delays of their own."""
+        if not self.one_delay:
+            seconds = ", ".join(f"{delay:g}" for delay in self.delays or ())
+            raise ConfigError(f"{what}: expected one delay, plant {self.name} has delays {seconds} s; {cure}")
 
     @cached_property
     def p(self) -> np.ndarray:
@@ -189,6 +207,7 @@ class Plant:
         outputs = [*trace.f(x, u, t), *trace.kappa(x, t), trace.V(x, t), *(trace.reference(t) if self.tracks else ())]
         names = [*self._names("x", self.n), *self._names("u", self.m), "t", *self._names("p", len(self.p))]
         lines = tape.program(outputs, {name: name for name in names}, [f"y{k}" for k in range(len(outputs))])
+        optional = {} if self.delays is None else {"ratios": self.ratios.tolist()}
         return {
             "name": self.name,
             "parameters": self.parameters,
@@ -197,6 +216,7 @@ class Plant:
             "guess": self.guess.tolist(),
             "program": hashlib.sha256("\n".join(lines).encode()).hexdigest(),
             "source": self.source,
+            **optional,
         }
 
 

@@ -81,6 +81,18 @@ def input_bounds(plant: str, given: Any, m: int) -> list[tuple[float, float]] | 
     return [span(f"plant {plant}: input_bounds[{k}]", pair) for k, pair in enumerate(given)]
 
 
+def delays(plant: str, given: Any, m: int) -> tuple[float, ...] | None:
+    """The delay of each input in seconds, or None. Raises ConfigError unless they are m positive numbers."""
+    if given is None:
+        return None
+    if isinstance(given, str | Mapping) or np.ndim(given) != 1 or len(given) != m:
+        raise ConfigError(f"plant {plant}: delays expected {m} seconds, one an input, got {given!r}; mend it")
+    values = tuple(_number(f"plant {plant}: delays[{k}]", value) for k, value in enumerate(given))
+    if min(values) <= 0:
+        raise ConfigError(f"plant {plant}: delays expected seconds above 0, got {given!r}; mend it")
+    return values
+
+
 def span(what: str, given: Any) -> tuple[float, float]:
     """A range (low, high). Raises ConfigError unless it is two numbers in order."""
     try:

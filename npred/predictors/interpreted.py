@@ -7,12 +7,17 @@ from functools import cached_property
 import numpy as np
 
 from npred.plants import mathematics
+from npred.plants.base import Plant
 from npred.plants.trace import Trace, python
 from npred.predictors.base import Predictor
 
 
 class Interpreted(Predictor):
-    """A predictor in plain Python, one sample after the other."""
+    """A predictor in plain Python, one sample after the other, for one delay. Raises ConfigError for several."""
+
+    def __init__(self, plant: Plant, nx: int = 101):
+        super().__init__(plant, nx)
+        plant.needs_one_delay(self.name, "use euler, heun or rk4")
 
     def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: float) -> np.ndarray:
         return np.stack([self.one(*row, t) for row in zip(X, u, D_hat, strict=True)])

@@ -6,6 +6,7 @@ from typing import Any
 
 from npred.plants import kernels, tape
 from npred.plants.trace import Trace
+from npred.predictors import several
 from npred.predictors.base import SIGNATURE, Compiled
 
 # With few lanes the states stay in registers along x; with many, the lanes are the SIMD loop. A long step fits no
@@ -59,7 +60,9 @@ class OneStep(Compiled):
         """x(t + h) from x(t), the input being u0, um, u1 at t, t + h/2, t + h."""
 
     def compile(self) -> Callable[..., None]:
-        return kernels.build("sweep", SIGNATURE, self._source())
+        if self.plant.one_delay:
+            return kernels.build("sweep", SIGNATURE, self._source())
+        return kernels.build("sweep", SIGNATURE, several.sweep(self.plant, self.step), several.PREAMBLE)
 
     def _source(self) -> str:
         n, m = self.plant.n, self.plant.m

@@ -40,13 +40,15 @@ class Picard(Compiled):
     """P ← X + D_hat ∫₀ˣ f(P, u) dy by the trapezoidal rule until no node changes by over `tolerance` (1 + max |P|).
 
     Order 2. The contraction needs about e D_hat C_f sweeps; on long horizons of unstable plants it may not come: then
-    the call raises DivergedError (in the loop: the lane becomes NaN). Karafyllis, Krstic, Predictor Feedback, ch. 4.
+    the call raises DivergedError (in the loop: the lane becomes NaN). For one delay: ConfigError where inputs have
+    delays of their own. Karafyllis, Krstic, Predictor Feedback, ch. 4.
     """
 
     name, order = "picard", 2
 
     def __init__(self, plant: Plant, nx: int = 101, tolerance: float = 1e-12, sweeps: int = 200):
         super().__init__(plant, nx)
+        plant.needs_one_delay("picard", "use rk4")
         self.tolerance, self.sweeps = tolerance, sweeps
 
     def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: float) -> np.ndarray:
