@@ -19,8 +19,8 @@ class Plant:
     A declaration is a class with `states`, `inputs` (names) and the functions f(x, u, t, p, M), kappa(x, t, p, M) and
     V(x, t, p, M); optional are `parameters` (name to default), `box` (state to range, for experiments), `guess` (where
     the equilibrium is searched from), `input_bounds` (a range an input), `delays` (seconds, one an input, where they
-    differ) and, where kappa depends on time, `reference(t, p, M)`, the trajectory that it follows. M is the mathematics:
-    sin, exp, where …
+    differ) and, where kappa depends on time, `reference(t, p, M)`, the trajectory that it follows. M is the
+    mathematics: sin, exp, where …
     Raises ConfigError for a declaration with a part that is missing or wrong, or a parameter that it does not have.
     """
 
