@@ -8,6 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from npred.errors import ConfigError
 
+LONGEST = 2**20  # bytes of a pipeline file
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Delay = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Count = Annotated[int, Field(ge=1)]
@@ -230,14 +231,22 @@ def load(path: Path, overrides: list[str] | None = None) -> Pipeline:
     Raises ConfigError, in one line, for a file that is missing or no TOML, an unknown key, a wrong type or value.
     """
     try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
+        data = tomllib.loads(_text(path))
     except FileNotFoundError:
         raise ConfigError(f"{path}: expected a pipeline file, found none; see pipeline/ for examples") from None
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise ConfigError(f"{path}: expected a TOML file, got: {error}; correct that line") from None
     for override in overrides or []:
         _apply(data, override)
     return parse(data, str(path))
+
+
+def _text(path: Path) -> str:
+    with path.open("rb") as file:  # perhaps a pipe, which does not tell its size
+        content = file.read(LONGEST + 1)
+    if len(content) > LONGEST:
+        raise ValueError(f"more than {LONGEST} bytes")
+    return content.decode("utf-8")
 
 
 def parse(data: dict[str, Any], source: str) -> Pipeline:

@@ -8,7 +8,8 @@ from typing import Any, Self
 import h5py
 import numpy as np
 
-from npred.errors import ConfigError, StoreError
+from npred import hdf5
+from npred.errors import ConfigError
 from npred.plants import Plant
 
 MEANING = {
@@ -21,6 +22,7 @@ MEANING = {
     "rollout": "number of the rollout (N,)",
     "test": "1 where the rollout is held out, else 0 (N,); no rollout has rows of both kinds",
 }
+AXES = {"X": 2, "u": 3, "D_hat": 1, "P": 3, "D": 1, "t": 1, "rollout": 1, "test": 1}
 
 
 @dataclass(frozen=True)
@@ -53,14 +55,12 @@ class Dataset:
 
     @classmethod
     def read(cls, path: Path) -> Self:
-        """The samples of a file. Raises StoreError for a file that is missing, broken or lacks an array."""
-        try:
-            with h5py.File(path, "r") as file:
-                return cls(**{name: file[name][:] for name in MEANING})  # type: ignore[index]
-        except (OSError, KeyError) as error:
-            raise StoreError(
-                f"{path}: expected the arrays {', '.join(MEANING)}, got: {error}; generate it again"
-            ) from None
+        """The samples of a file. Raises StoreError for a file that is missing, broken or not as `write` writes it."""
+        with hdf5.opened(path, AXES) as arrays:
+            rows = {name: array.shape[0] for name, array in arrays.items()}
+            if len(set(rows.values())) > 1:
+                raise ValueError(f"arrays of different lengths {rows}")
+            return cls(**{name: array[:] for name, array in arrays.items()})
 
     def fit(self, plant: Plant) -> None:
         """Raise ConfigError unless the arrays are of the plant's sizes and both parts of the split have rows."""

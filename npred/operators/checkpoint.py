@@ -10,6 +10,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor, nn
 
+from npred import documents
 from npred.errors import StoreError
 
 NAME = "checkpoint.safetensors"
@@ -36,11 +37,16 @@ def restore(folder: Path, network: nn.Module, optimiser: torch.optim.Optimizer) 
     if not (folder / NAME).exists():
         return []
     try:
-        with safe_open(folder / NAME, framework="pt") as file:
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - no mapping
-            metrics = json.loads(file.metadata()["metrics"])
-    except (OSError, SafetensorError, ValueError) as error:
-        raise StoreError(f"{folder / NAME}: expected a checkpoint, got: {error}; delete it to start over") from None
+        return _restored(folder / NAME, network, optimiser)
+    except (OSError, SafetensorError, ValueError, KeyError, TypeError, RuntimeError) as error:
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        raise StoreError(f"{folder / NAME}: expected a checkpoint, got: {reason}; delete it to start over") from None
+
+
+def _restored(path: Path, network: nn.Module, optimiser: torch.optim.Optimizer) -> Metrics:
+    with safe_open(path, framework="pt") as file:
+        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - no mapping
+        metrics = documents.parse(file.metadata()["metrics"])
     network.load_state_dict({name: tensors.pop(name) for name in network.state_dict()})
     state: dict[int, dict[str, Tensor]] = {}
     for name, tensor in tensors.items():

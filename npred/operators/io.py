@@ -8,6 +8,7 @@ import torch
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 
+from npred import documents
 from npred.config import FNO, DeepONet, Training
 from npred.errors import StoreError
 from npred.operators.base import Operator
@@ -38,10 +39,10 @@ def save_weights(path: Path, operator: Operator) -> None:
 
 
 def describe(folder: Path) -> dict[str, Any]:
-    """The saved model.json: `model`, `config` and `plant`. Raises StoreError where it is missing or no JSON."""
+    """The saved model.json: `model`, `config` and `plant`. Raises StoreError where it is missing or no such object."""
     path = folder / MANIFEST
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        return documents.table(path)
     except (OSError, ValueError) as error:
         raise StoreError(f"{path}: expected a saved model, got: {error}; train it again") from None
 
@@ -51,18 +52,45 @@ def load(folder: Path, plant: Plant, snapshot: int | None = None, dtype: torch.d
 
     In float64 the weights are the same and the point of rest is the plant's own: the anchor, and with it the end of a
     closed loop, is exact to float64's rounding. In float32 loops end about 2e-6 away.
-    Raises StoreError for a file that is missing or broken.
+    Raises StoreError for a file that is missing or broken, ConfigError for a plant that the anchor does not fit.
     """
-    manifest, path = describe(folder), folder / weights(snapshot)
-    config = TABLES[manifest["model"]].model_validate(manifest["config"])
-    operator = build(config, plant, Scaling(plant.n, plant.m))
+    config, path = _table(folder), folder / weights(snapshot)
     try:
-        operator.load_state_dict(load_file(path))
-    except (OSError, SafetensorError, RuntimeError) as error:
+        tensors = load_file(path)
+        _check(tensors, config, plant)
+        operator = build(config, plant, Scaling(plant.n, plant.m))
+        operator.load_state_dict(tensors)
+    except (OSError, SafetensorError, RuntimeError, ValueError, TypeError, OverflowError) as error:
         kept = ", ".join(sorted(p.name for p in folder.glob("*.safetensors"))) or "none"
-        reason = str(error).splitlines()[0]
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise StoreError(f"{path}: expected weights of this model, got: {reason}; files there: {kept}") from None
     return _as(operator, dtype, plant).eval().requires_grad_(False)
+
+
+def _table(folder: Path) -> Training:
+    manifest = describe(folder)
+    try:
+        return TABLES[manifest["model"]].model_validate(manifest["config"])
+    except (KeyError, TypeError, ValueError) as error:
+        reason = " ".join(str(error).split())
+        raise StoreError(
+            f"{folder / MANIFEST}: expected a network of {', '.join(TABLES)}, got: {reason}; train it again"
+        ) from None
+
+
+def _check(tensors: dict[str, torch.Tensor], config: Training, plant: Plant) -> None:
+    """Raise ValueError unless the tensors are those of the network that the table describes; nothing is allocated."""
+    layers = max(getattr(config, "layers", 0), getattr(config, "depth", 0))
+    if layers > len(tensors):
+        raise ValueError(f"{len(tensors)} tensors for {layers} layers")
+    with torch.device("meta"):
+        wanted = build(config, plant, Scaling(plant.n, plant.m)).state_dict()
+    for name in sorted(wanted.keys() | tensors.keys()):
+        shapes = [
+            (tuple(t.shape), t.dtype) if (t := some.get(name)) is not None else None for some in (wanted, tensors)
+        ]
+        if shapes[0] != shapes[1]:
+            raise ValueError(f"{name}: expected {shapes[0]}, got {shapes[1]}")
 
 
 def _as(operator: Operator, dtype: torch.dtype, plant: Plant) -> Operator:

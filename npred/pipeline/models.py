@@ -85,8 +85,10 @@ def _stored(artifact: Artifact, epoch: int | None, spec: str, plant: Plant | Non
 
 
 def _named(artifact: Artifact, spec: str) -> Plant:
-    """The built-in plant of an artifact. A plant's file is code: run when a pipeline names it, never else."""
-    identity = artifact.manifest.question.config["plant"]
-    if identity["source"] is not None:
-        raise ConfigError(f"{spec}: expected a built-in plant, got {identity['name']}; use PIPELINE:MODEL")
-    return plants.resolve(identity["name"], identity["parameters"])
+    """The built-in plant of an artifact. Other plants are code: run when a pipeline names them, never else."""
+    identity = artifact.manifest.question.config.get("plant")
+    named = identity if isinstance(identity, dict) else {}
+    name, parameters = named.get("name"), named.get("parameters")
+    if not plants.is_builtin(name) or named.get("source") is not None or not isinstance(parameters, dict):
+        raise ConfigError(f"{spec}: expected a built-in plant, got {name!r}; use PIPELINE:MODEL")
+    return plants.resolve(str(name), parameters)

@@ -43,6 +43,11 @@ def named() -> list[dict[str, Any]]:
     ]
 
 
+def is_builtin(name: Any) -> bool:
+    """Whether a name is that of a plant of npred's own: to resolve it runs nobody else's code."""
+    return isinstance(name, str) and name in _builtin()
+
+
 def _builtin() -> dict[str, type]:
     """Every module of this folder that declares a plant: thermal_tank.py declares ThermalTank."""
     found = {}

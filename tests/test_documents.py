@@ -1,0 +1,37 @@
+"""Small files from anywhere: what is too long, too deep, or no file at all is a ValueError or an OSError."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+from npred import documents
+
+
+def test_a_table_is_read(tmp_path: Path):
+    (tmp_path / "a.json").write_text('{"mse": 0.5}')
+    assert documents.table(tmp_path / "a.json") == {"mse": 0.5}
+
+
+@pytest.mark.parametrize("text", ["[1]", "3", "{", "[" * 100_000, '{"a": ' + "9" * 5000 + "}", "\xff"])
+def test_what_is_no_table_is_refused(tmp_path: Path, text: str):
+    (tmp_path / "a.json").write_bytes(text.encode("latin-1"))
+    with pytest.raises(ValueError, match=r"JSON|Expecting|integer|utf-8"):
+        documents.table(tmp_path / "a.json")
+
+
+def test_what_is_too_long_is_not_read(tmp_path: Path):
+    (tmp_path / "a.json").write_text("[1, 2]")
+    assert documents.read(tmp_path / "a.json", limit=6) == b"[1, 2]"
+    with pytest.raises(ValueError, match="6 bytes, more than 5"):
+        documents.read(tmp_path / "a.json", limit=5)
+
+
+def test_links_and_pipes_are_not_opened(tmp_path: Path):
+    (tmp_path / "link").symlink_to("/etc/passwd")
+    os.mkfifo(tmp_path / "pipe")
+    for name in ("link", "pipe", "."):
+        with pytest.raises(ValueError, match="a link, a folder or a device"):
+            documents.read(tmp_path / name)
+    with pytest.raises(FileNotFoundError):
+        documents.read(tmp_path / "nothing")
