@@ -1,10 +1,10 @@
 """One training loop for every network: seeded by epoch, resumable to the bit, readable from top to bottom."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import torch
 from torch import Tensor
@@ -56,9 +56,28 @@ class Rows:
     def __getitem__(self, index: Tensor | slice) -> "Rows":
         return Rows(self.X[index], self.u[index], self.D_hat[index], self.P[index])
 
+    @classmethod
+    def joined(cls, parts: Sequence["Rows"]) -> "Rows":
+        """Rows one after the other."""
+        return cls(*(torch.cat(tensors) for tensors in zip(*((p.X, p.u, p.D_hat, p.P) for p in parts), strict=True)))
+
+    def batches(self, shuffle: torch.Generator, size: int) -> Iterator["Rows"]:
+        """Each row once, in random order."""
+        return self.split(torch.randperm(len(self), generator=shuffle).to(self.X.device), size)
+
     def split(self, order: Tensor, size: int) -> Iterator["Rows"]:
         """The rows in this order, in batches."""
         return (self[index] for index in order.split(size))
+
+
+class Source(Protocol):
+    """Where the rows of an epoch come from."""
+
+    def __len__(self) -> int: ...
+
+    def batches(self, shuffle: torch.Generator, size: int) -> Iterator[Rows]:
+        """Each row once, in an order that the generator draws, `size` at a time."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -68,7 +87,7 @@ class Task:
     title: str
     operator: Operator
     config: Training
-    train: Rows
+    train: Source
     test: Rows
     loss: Loss
     seed: int
@@ -108,9 +127,8 @@ def _epoch(task: Task, optimiser: torch.optim.Optimizer, epoch: int, bar: Any) -
     """One pass over the rows in an order of its own; the mean loss."""
     config, count = task.config, len(task.train)
     shuffle = torch.Generator().manual_seed(randomness.integer(task.seed, "order", epoch))
-    order = torch.randperm(count, generator=shuffle).to(task.train.X.device)
-    total = torch.zeros((), device=order.device)
-    for step, rows in enumerate(task.train.split(order, config.batch)):
+    total = torch.zeros((), device=task.test.X.device)
+    for step, rows in enumerate(task.train.batches(shuffle, config.batch)):
         for group in optimiser.param_groups:
             group["lr"] = rate(config, epoch - 1 + step * config.batch / count)
         loss = task.loss(task.operator(rows.X, rows.u, rows.D_hat, REST_NODES, rows.stride), rows.P)

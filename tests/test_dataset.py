@@ -18,7 +18,7 @@ def dataset(count=6):
         D=np.ones(count),
         t=random.uniform(size=count),
         rollout=np.repeat(np.arange(count // 2, dtype=np.int32), 2),
-        test=np.repeat(np.array([1, 0, 0], dtype=np.uint8), 2),
+        test=np.resize(np.array([1, 1, 0, 0, 0, 0], dtype=np.uint8), count),
     )
 
 

@@ -18,7 +18,8 @@ FLOORS = [
     {"plants"},
     {"actuator", "predictors", "operators"},
     {"adaptation", "arguments", "closed_loop", "delayed_law", "engine", "lyapunov"},
-    {"control", "dataset", "hdf5", "interop", "metrics", "plant_check", "runtimes", "timing", "training"},
+    {"control", "dataset", "hdf5", "interop", "metrics", "plant_check", "runtimes", "shards", "streaming", "timing"}
+    | {"training"},
     {"store", "console"},
     {"stages"},
     {"pipeline", "cli", "api", "__main__"},

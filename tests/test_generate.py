@@ -6,13 +6,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from jobs import job, tables
 
-from npred import config, plants
+from npred import config, plants, shards
 from npred.closed_loop import LANES
-from npred.dataset import Dataset
+from npred.dataset import MEANING, Dataset
 from npred.errors import ConfigError, DivergedError
 from npred.executors import Processes
 from npred.predictors import RK4
-from npred.stages import generate, rollouts
+from npred.stages import generate, rollouts, sharded
 
 
 def rows(tmp_path, name="data", **changes):
@@ -47,6 +47,73 @@ def test_processes_do_not_change_the_bytes(tmp_path):
     two.shutdown()
     one, two = ((tmp_path / name / "data.h5").read_bytes() for name in ("one", "two"))
     assert one == two
+
+
+SHARDED = {"rollouts": 200, "samples": 600, "t_end": 2.0}  # of 64 rollouts a shard: four
+
+
+@pytest.fixture
+def little(monkeypatch):
+    """Data of a few kilobytes count as large."""
+    monkeypatch.setattr(shards, "WHOLE", 1)
+    monkeypatch.setattr(shards, "SHARD", 1)
+
+
+def payload(folder):
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def test_shards_hold_the_rows_of_the_one_file(tmp_path, monkeypatch):
+    result, whole = rows(tmp_path, "whole", generate=SHARDED)
+    monkeypatch.setattr(shards, "WHOLE", 1)
+    monkeypatch.setattr(shards, "SHARD", 1)
+    again, joined = rows(tmp_path, "joined", generate=SHARDED)
+    assert again == result | {"shards": 4}
+    assert [len(part) for part in shards.parts(tmp_path / "joined" / "data.h5")] == [192, 192, 192, 24]
+    for name in MEANING:
+        assert getattr(joined, name).tobytes() == getattr(whole, name).tobytes()
+
+
+def test_an_interrupted_run_keeps_its_shards(tmp_path, little, monkeypatch):
+    whole = job(tmp_path, "whole", generate=SHARDED)
+    generate.run(whole)
+    made, real = [], rollouts.elsewhere
+
+    def stopped(pipeline, expected, batch):
+        if len(made) == 2:
+            raise KeyboardInterrupt
+        made.append(batch.start)
+        return real(pipeline, expected, batch)
+
+    monkeypatch.setattr(rollouts, "elsewhere", stopped)
+    broken = job(tmp_path, "broken", generate=SHARDED)
+    with pytest.raises(KeyboardInterrupt):
+        generate.run(broken)
+    made.clear()
+    generate.run(broken)
+    assert made == [128, 192] and payload(broken.folder) == payload(whole.folder)
+
+
+def test_a_worker_that_does_not_see_the_folder_sends_its_shard_back(tmp_path, little, monkeypatch):
+    near, far = (job(tmp_path, name, generate=SHARDED) for name in ("near", "far"))
+    generate.run(near)
+    monkeypatch.setattr(sharded.Place, "shared", lambda place: False)
+    generate.run(far)
+    assert payload(far.folder) == payload(near.folder)
+    assert not [path for path in far.scratch.rglob("*") if path.name.startswith(".data")]
+
+
+def test_a_folder_of_the_same_name_elsewhere_is_not_taken_for_the_same(tmp_path):
+    place = sharded.Place(tmp_path, "a")
+    assert not place.shared()
+    (tmp_path / sharded.TOKEN).write_text("b")
+    assert not place.shared() and sharded.Place(tmp_path, "b").shared()
+
+
+def test_the_data_of_the_paper_are_one_file_and_ten_million_samples_are_not():
+    plant = plants.resolve("activator_repressor")
+    assert not sharded.needed(plant, config.Generate(samples=100_000, rollouts=1000, nx=101))
+    assert sharded.needed(plant, config.Generate(samples=10_000_000, rollouts=50_000, nx=21))
 
 
 @given(st.integers(2, 5000), st.integers(1, 64))

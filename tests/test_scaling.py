@@ -1,6 +1,9 @@
 """The constants of the training data: what they are, and that they belong to the model."""
 
+from dataclasses import replace
+
 import numpy as np
+import pytest
 import torch
 from operator_samples import SMALL, Arrays, operator, samples, tensors
 
@@ -26,6 +29,21 @@ def test_constants_by_hand():
     np.testing.assert_allclose(scaling.u_std, np.sqrt(5), rtol=1e-6)
     np.testing.assert_allclose(scaling.speed, np.sqrt(np.array([12.5, 50]) / 2.5), rtol=1e-6)
     np.testing.assert_allclose(scaling.P_mean, P.mean((0, 1)), rtol=1e-6)
+
+
+@pytest.mark.parametrize("cuts", [[300], [1, 299], [100, 0, 150, 50]])
+def test_parts_give_the_constants_of_the_whole(cuts):
+    data, stops = samples(300), np.cumsum(cuts)
+    far = replace(data, X=data.X + np.array([0, 1e4]), P=data.P + np.array([0, 1e4]))  # cancellation would show
+
+    def parts():
+        for count, stop in zip(cuts, stops, strict=True):
+            some = slice(stop - count, stop)
+            yield Arrays(far.X[some], far.u[some], far.D_hat[some], far.P[some])
+
+    whole, joined = Scaling.of(far).state_dict(), Scaling.of_parts(parts).state_dict()
+    for name in whole:
+        torch.testing.assert_close(joined[name], whole[name], rtol=1e-6, atol=0)
 
 
 def test_constant_input_stays_finite():

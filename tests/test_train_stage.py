@@ -1,6 +1,7 @@
 """The train stage on a data file: what it writes, that it repeats itself and resumes, that held-out rows stay out."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,8 +10,8 @@ import torch
 from operator_samples import PLANT, samples
 from silent import Silent
 
-from npred import config
-from npred.dataset import Dataset
+from npred import config, shards
+from npred.dataset import MEANING, Dataset
 from npred.operators import describe, load
 from npred.stages import Job
 from npred.stages.train import run, summary
@@ -59,6 +60,30 @@ def test_payload_and_result(model, tmp_path):
     assert describe(stage.folder)["model"] == model == result["model"]
     assert json.loads(json.dumps(result)) == result
     assert model in summary(result) and f"{result['mse']:.3g}" in summary(result)
+
+
+def sharded(source: Path, folder: Path) -> Path:
+    """The same rows in four shards."""
+    folder.mkdir()
+    data = Dataset.read(source / "data.h5")
+    for k in range(4):
+        some = {name: getattr(data, name)[10 * k : 10 * k + 10] for name in MEANING}
+        Dataset(**some).write(folder / shards.name(k), {})
+    shards.join(folder, [10] * 4, {})
+    return folder
+
+
+def test_shards_train_as_well_as_one_file(tmp_path):
+    """With all rows in one batch only the rounding of the order is left."""
+    write_data(tmp_path / "data")
+    whole = job(tmp_path / "whole", "deeponet", batch=30)
+    streamed = replace(whole, folder=tmp_path / "s", scratch=tmp_path / "t",
+                       inputs={"generate": sharded(tmp_path / "data", tmp_path / "shards")})  # fmt: skip
+    for path in (streamed.folder, streamed.scratch):
+        path.mkdir()
+    results = [run(whole), run(streamed)]
+    assert results[0]["samples"] == results[1]["samples"] == 30
+    assert results[1]["mse"] == pytest.approx(results[0]["mse"], rel=1e-4)
 
 
 @MODELS

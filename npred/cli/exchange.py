@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from npred import interop, plants
+from npred import interop, plants, shards
 from npred.cli.options import Common
 from npred.dataset import MEANING, Dataset, attributes
 from npred.errors import ConfigError, MissingError
@@ -63,7 +63,10 @@ def _npy(source: Path, data: Dataset, path: Path) -> list[Path]:
 
 
 def _hdf5(source: Path, data: Dataset, path: Path) -> list[Path]:
-    path.write_bytes(source.read_bytes())
+    if len(shards.files(source)) == 1:
+        path.write_bytes(source.read_bytes())
+    else:
+        data.write(path, shards.attributes(source))
     return [path]
 
 

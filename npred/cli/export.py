@@ -3,10 +3,9 @@
 from pathlib import Path
 from typing import NamedTuple
 
-from npred import operators
+from npred import operators, shards
 from npred.cli import exchange
 from npred.cli.options import Common
-from npred.dataset import Dataset
 from npred.errors import ConfigError
 from npred.pipeline import Stored, load_model
 from npred.runtimes import c, onnx
@@ -60,7 +59,7 @@ def _samples(options: Common, stored: Stored, count: int, nx: int) -> Probe:
         raise ConfigError(
             f"export: expected the model's data {source.key[:12]} in {options.store}, got none; generate it"
         )
-    return probe(Dataset.read(data.verify().folder / "data.h5").subset(test=True), count, nx)
+    return probe(shards.survey(data.verify().folder / "data.h5").subset(test=True), count, nx)
 
 
 def _told(document: dict[str, object]) -> str:

@@ -1,5 +1,6 @@
 """Units to numbers near one and back: constants of the training data, saved with the model."""
 
+from collections.abc import Callable, Iterable
 from typing import Protocol
 
 import numpy as np
@@ -18,6 +19,32 @@ class Samples(Protocol):
     def D_hat(self) -> np.ndarray: ...  # (N,)
     @property
     def P(self) -> np.ndarray: ...  # (N, nx, n)
+
+
+class Moments:
+    """Mean and variance by component of rows that come in parts, without cancellation [Chan, Golub, LeVeque 1983]."""
+
+    def __init__(self) -> None:
+        self.count, self.mean, self.variance = 0, np.zeros(()), np.zeros(())
+
+    def add(self, rows: np.ndarray) -> None:
+        """Take in rows (N, k); a part may have none."""
+        if not len(rows):
+            return
+        self.count += len(rows)
+        share = len(rows) / self.count
+        gap = rows.mean(axis=0) - self.mean
+        self.variance = self.variance + share * (rows.var(axis=0) - self.variance + (1 - share) * gap**2)
+        self.mean = self.mean + share * gap
+
+    @property
+    def std(self) -> np.ndarray:
+        return self.variance**0.5
+
+    @property
+    def square(self) -> np.ndarray:
+        """The mean square."""
+        return self.variance + self.mean**2
 
 
 class Scaling(nn.Module):
@@ -58,6 +85,28 @@ class Scaling(nn.Module):
         scaling._set("D_hat", data.D_hat.mean(), data.D_hat.std())
         displacement = ((data.P[:, -1] - data.X) ** 2).mean(axis=0)
         scaling.speed.copy_(_positive((displacement / (data.D_hat**2).mean()) ** 0.5))
+        return scaling
+
+    @classmethod
+    def of_parts(cls, parts: Callable[[], Iterable[Samples]]) -> "Scaling":
+        """The same constants, to rounding, of samples that come in parts: `parts` is called twice."""
+        bend = Moments()
+        for part in parts():
+            bend.add(part.X)
+        n, found = len(bend.mean), {name: Moments() for name in ("X", "u", "D_hat", "P", "displacement")}
+        X_bend = _positive(bend.std).float()
+        for part in parts():
+            found["X"].add(np.arcsinh(part.X / X_bend.numpy()))
+            found["u"].add(part.u.reshape(-1, part.u.shape[-1]))
+            found["P"].add(part.P.reshape(-1, n))
+            found["D_hat"].add(part.D_hat[:, None])
+            found["displacement"].add(part.P[:, -1] - part.X)
+        scaling = cls(n, len(found["u"].mean))
+        scaling.X_bend.copy_(X_bend)
+        for name in ("X", "u", "P"):
+            scaling._set(name, found[name].mean, found[name].std)
+        scaling._set("D_hat", found["D_hat"].mean[0], found["D_hat"].std[0])
+        scaling.speed.copy_(_positive((found["displacement"].square / found["D_hat"].square) ** 0.5))
         return scaling
 
     def inputs(self, X: Tensor, u: Tensor, D_hat: Tensor) -> tuple[Tensor, Tensor, Tensor]:

@@ -6,9 +6,8 @@ from typing import Any
 import h5py
 import numpy as np
 
-from npred import devices, metrics, timing
+from npred import devices, metrics, shards, timing
 from npred.config import Bench
-from npred.dataset import Dataset
 from npred.stages import Job, bench_report, contenders, crossover
 from npred.stages.contenders import Entry, Reference
 
@@ -27,7 +26,7 @@ def run(job: Job) -> dict[str, Any]:
 
     config = job.config.bench
     torch.set_num_threads(config.threads)
-    reference = Reference(job.plant, Dataset.read(job.inputs["generate"] / "data.h5").subset(test=True))
+    reference = Reference(job.plant, shards.survey(job.inputs["generate"] / "data.h5").subset(test=True))
     entries = contenders.entries(job, reference)
     errors = {entry.label: reference.error(entry) for entry in entries}
     times = _times(job, config, entries)

@@ -1,5 +1,7 @@
 """What is drawn at random for the data: starts, delays, sample times, who is held out; a seed of its own a rollout."""
 
+from functools import lru_cache
+
 import numpy as np
 
 from npred import randomness
@@ -22,9 +24,9 @@ def starts(seed: int, config: Generate, plant: Plant, chunk: range) -> tuple[np.
 
 def redrawn(seed: int, config: Generate, chunk: range, D_hat: np.ndarray) -> np.ndarray:
     """D_hat (B, S) with the share `redraw` of it drawn anew, in rollouts that are not held out."""
-    D_hat, spared = D_hat.copy(), set(held_out(seed, config))
+    D_hat, kept = D_hat.copy(), spared(seed, config)
     for row, r in zip(D_hat, chunk, strict=True):
-        if config.redraw and r not in spared:
+        if config.redraw and r not in kept:
             rng = randomness.generator(seed, "redraw", r)
             chosen = rng.random(len(row)) < config.redraw
             row[chosen] = rng.uniform(*config.explore_D_hat0, chosen.sum())
@@ -33,9 +35,12 @@ def redrawn(seed: int, config: Generate, chunk: range, D_hat: np.ndarray) -> np.
 
 def held_out(seed: int, config: Generate) -> np.ndarray:
     """The numbers of the held-out rollouts: at least one, never all, and no explorer."""
-    regular = config.rollouts - config.explorers
-    count = min(max(round(config.test_share * regular), 1), regular - 1)
-    return np.sort(randomness.generator(seed, "held out").permutation(regular)[:count])
+    return np.array(sorted(spared(seed, config)))
+
+
+def spared(seed: int, config: Generate) -> frozenset[int]:
+    """The same as a set."""
+    return _spared(seed, config.rollouts - config.explorers, config.test_share)
 
 
 def samples(config: Generate, rollout: int) -> int:
@@ -47,6 +52,12 @@ def samples(config: Generate, rollout: int) -> int:
 def steps(config: Generate) -> int:
     """The control steps of a rollout, the one at t = 0 included."""
     return round(config.t_end / config.dt) + 1
+
+
+@lru_cache(maxsize=8)  # every chunk of rollouts asks
+def _spared(seed: int, regular: int, share: float) -> frozenset[int]:
+    count = min(max(round(share * regular), 1), regular - 1)
+    return frozenset(randomness.generator(seed, "held out").permutation(regular)[:count].tolist())
 
 
 def _delays(config: Generate, rollout: int) -> tuple[Range, Range]:

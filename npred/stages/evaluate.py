@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from npred import metrics
+from npred import metrics, shards
 from npred.adaptation import DelayAdaptation
 from npred.closed_loop import Trajectories, simulate
 from npred.config import Evaluate
@@ -25,7 +25,7 @@ def run(job: Job) -> dict[str, Any]:
     Writes figure1, certificate and coverage (.svg, .png); figure1.h5 (its loops), errors.h5 (where networks err) and
     coverage.h5 (histograms). Warns where loops leave the data.
     """
-    config, data = job.config.evaluate, Dataset.read(job.inputs["generate"] / "data.h5")
+    config, data = job.config.evaluate, shards.survey(job.inputs["generate"] / "data.h5")
     begin, contenders = starts(job.config, job.plant), _contenders(job)
     loops = _all_loops(job, contenders, begin)
     taken = accuracy.sample_steps(job.config.seed, config, len(begin.D))[begin.cases] * config.dt

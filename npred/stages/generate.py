@@ -12,28 +12,31 @@ from npred import executors
 from npred.closed_loop import LANES
 from npred.config import Generate
 from npred.dataset import Dataset, attributes
-from npred.stages import Job, draws, rollouts
+from npred.stages import Job, draws, rollouts, sharded
 from npred.stages.rollouts import Rows
 
 BATCH = 8 * LANES  # rollouts of a task at most: a cluster's scheduler has little to do with each
 
 
 def run(job: Job) -> dict[str, Any]:
-    """Write data.h5: `samples` rows from `rollouts` closed loops, split by rollout.
+    """Write data.h5, and its shards where one file would be too large: `samples` rows from `rollouts` closed loops.
 
-    A rollout's start, delays and times come from its own child seed, and rollouts are computed in chunks of fixed size,
-    so the bytes do not depend on who computes them. With `data`, that file's samples instead, checked against the
-    plant. Raises DivergedError, naming the rollout, where a state is not finite.
+    Whole rollouts are held out. A rollout's start, delays and times come from its own child seed, and rollouts are
+    computed in chunks of fixed size, so the bytes do not depend on who computes them. With `data`, that file's samples
+    instead, checked against the plant. Raises DivergedError, naming the rollout, where a state is not finite.
     """
     config = job.config.generate
     if config.data:
         return _given(job, Path(config.data))
+    held_out = draws.held_out(job.config.seed, config)
+    made = {"samples": config.samples, "rollouts": config.rollouts, "held_out": held_out.tolist(), "nx": config.nx}
+    if sharded.needed(job.plant, config):
+        return made | {"shards": sharded.write(job)}
     parts = dict(_parts(job))
     rows = rollouts.joined([parts[start] for start in sorted(parts)])
-    held_out = draws.held_out(job.config.seed, config)
     data = Dataset(**rows, test=np.isin(rows["rollout"], held_out).astype(np.uint8))
     data.write(job.folder / "data.h5", attributes(job.plant, config.predictor))
-    return {"samples": len(data), "rollouts": config.rollouts, "held_out": sorted(held_out.tolist()), "nx": config.nx}
+    return made
 
 
 def summary(result: dict[str, Any]) -> str:

@@ -2,16 +2,17 @@
 
 import json
 import shutil
+from pathlib import Path
 from threading import Lock
 from typing import Any
 
 import torch
 
-from npred import randomness, training
+from npred import randomness, shards, training
 from npred.config import Training
-from npred.dataset import Dataset
 from npred.operators import Operator, Scaling, build, io, loss, save
 from npred.stages import Job
+from npred.streaming import Stream
 from npred.training import Rows, Task
 
 SEEDING = Lock()  # torch has one generator for all threads, and another network may be starting beside this one
@@ -26,7 +27,7 @@ def run(job: Job) -> dict[str, Any]:
     """
     torch.set_num_threads(1)  # the same bits on any machine; another network takes the other cores
     config = job.config.train.deeponet if job.model == "deeponet" else job.config.train.fno
-    task = _task(job, config, Dataset.read(job.inputs["generate"] / "data.h5"))
+    task = _task(job, config, job.inputs["generate"] / "data.h5")
     metrics = training.fit(task, job.scratch, job.progress)
     _write(job, config, task.operator.to("cpu"), metrics)
     parameters = sum(p.numel() for p in task.operator.parameters())
@@ -40,13 +41,17 @@ def summary(result: dict[str, Any]) -> str:
     return f"{result['model']}: {size}; held-out rollouts: MSE {result['mse']:.3g}, sup error {result['eps_sup']:.3g}"
 
 
-def _task(job: Job, config: Training, data: Dataset) -> Task:
+def _task(job: Job, config: Training, path: Path) -> Task:
+    """Rows of one file are held in memory; shards are streamed, and a survey of them gives the errors."""
+    data, streamed = shards.survey(path), len(shards.files(path)) > 1
     fitted, held_out = data.subset(test=False), data.subset(test=True)
-    train, test = Rows.of(fitted, job.device, config.nodes), Rows.of(held_out, job.device)
+    known, test = Rows.of(fitted, job.device, config.nodes), Rows.of(held_out, job.device)
     seed = randomness.integer(job.config.seed, "train", str(job.model))
-    operator = _untrained(job, config, Scaling.of(fitted), seed).to(job.device)
-    criterion = loss.criterion(config.rows, loss.weights(config, job.plant, train.P))
-    return Task(f"train {job.model}", operator, config, train, test, criterion, seed)
+    stream = Stream(path, job.device, config.nodes)
+    scaling = Scaling.of_parts(stream.parts) if streamed else Scaling.of(fitted)
+    operator = _untrained(job, config, scaling, seed).to(job.device)
+    criterion = loss.criterion(config.rows, loss.weights(config, job.plant, known.P))
+    return Task(f"train {job.model}", operator, config, stream if streamed else known, test, criterion, seed)
 
 
 def _untrained(job: Job, config: Training, scaling: Scaling, seed: int) -> Operator:
