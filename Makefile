@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
 .DEFAULT_GOAL := all
-.PHONY: all install dev test test-fast smoke lint types check clean help
+.PHONY: all install dev test test-fast smoke lint types docs check clean help
 
 all: install ## set up, then run the paper's whole experiment (what is done already is not done again)
 	$(BIN)/npred run $(PIPELINE)
@@ -30,10 +30,13 @@ lint: dev ## style
 types: dev ## types
 	$(BIN)/pyright
 
-check: lint types test ## lint, types and tests
+docs: dev ## the documentation, in docs/_build/html; a warning is an error
+	$(BIN)/python -m sphinx -W --keep-going -n -q docs docs/_build/html
+
+check: lint types test docs ## lint, types, tests and documentation
 
 clean: ## remove caches and build output; .venv and artifacts/ stay
-	rm -rf build dist *.egg-info .pytest_cache .ruff_cache .hypothesis
+	rm -rf build dist *.egg-info .pytest_cache .ruff_cache .hypothesis docs/_build
 	find npred tests -type d -name __pycache__ -exec rm -rf {} +
 
 help: ## this list

@@ -1,0 +1,37 @@
+"""Sphinx's configuration; `make docs` builds docs/_build/html."""
+
+import sys
+from pathlib import Path
+
+HERE = Path(__file__).parent
+sys.path[:0] = [str(HERE.parent), str(HERE / "extensions")]
+
+import npred  # noqa: E402
+
+project, author, copyright = "npred", "The npred authors", "the npred authors, MIT licence"
+version = release = npred.__version__
+
+extensions = ["myst_parser", "sphinx.ext.autodoc", "docstrings", "mathml", "reference"]
+myst_enable_extensions = ["deflist", "dollarmath"]
+myst_heading_anchors = 3
+exclude_patterns = ["_build"]
+
+html_theme = "furo"
+html_title = f"npred {release}"
+html_static_path = ["_static"]
+html_css_files = ["npred.css"]
+html_math_renderer = "mathml"
+html_copy_source = html_show_sourcelink = False
+pygments_style, pygments_dark_style = "a11y-light", "a11y-dark"
+
+autodoc_member_order = "bysource"
+autodoc_typehints = "signature"
+autodoc_preserve_defaults = True
+python_use_unqualified_type_names = True
+maximum_signature_line_length = 160
+nitpicky = True
+# Types of other projects: their documentation is not fetched, so that a build needs no network.
+nitpick_ignore_regex = [
+    ("py:.*", r"(numpy|np|torch|pathlib|collections|typing|pydantic|h5py)\..*|optional"),
+    ("py:class", r"Neural|Fused|Onnx|npred\.predictors\.base\.Compiled|npred\.operators\.scaling\.Scaling"),
+]

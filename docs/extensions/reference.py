@@ -1,0 +1,173 @@
+"""Pages made from the code: every command with its flags, every key of a pipeline file with its type and default."""
+
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, get_args, get_origin
+
+import typer.main
+from pydantic.fields import FieldInfo
+from sphinx.application import Sphinx
+from sphinx.pycode import ModuleAnalyzer
+
+from npred import cli, config
+from npred.cli.options import Common, Planned, Work
+
+PAGES = "cli", "configuration"
+
+
+def _own(options: type[Common], *bases: type[Common]) -> list[str]:
+    inherited = {field.name for base in bases for field in fields(base)}
+    return [field.name for field in fields(options) if field.name not in inherited]
+
+
+SHARED = [
+    ("Every command takes these flags:", "", _own(Common)),
+    ("The flags *of a pipeline*, of the commands that read one:", "of a pipeline", _own(Planned, Common)),
+    ("The flags *of work*, of the commands that run stages:", "of work", _own(Work, Planned)),
+]
+
+
+def write(app: Sphinx) -> None:
+    """Write reference/cli.md and reference/configuration.md, where they have changed."""
+    for name, text in zip(PAGES, ("\n".join(commands()), "\n".join(configuration())), strict=True):
+        path = Path(app.srcdir) / "reference" / f"{name}.md"
+        if not path.exists() or path.read_text(encoding="utf-8") != text:
+            path.write_text(text, encoding="utf-8")
+
+
+def commands() -> Iterator[str]:
+    """The page of the command line: the flags in common once, then each command's own."""
+    root: Any = typer.main.get_command(cli.app)
+    yield from ("# Commands", "", root.help)
+    for told, _, names in SHARED:
+        taker = next(c for c in root.commands.values() if set(names) <= {p.name for p in c.params})
+        yield from ("", told, "")
+        yield from _parameters([p for p in taker.params if p.name in names])
+    for name, command in root.commands.items():
+        yield from _command(f"npred {name}", command)
+
+
+def _command(path: str, command: Any) -> Iterator[str]:
+    arguments = [p for p in command.params if not p.opts[0].startswith("-")]
+    shown = " ".join([path, *(_slot(p) for p in arguments)])
+    yield from ("", f"## {path}", "", f"`{shown}`", "", command.help or "", "")
+    has = {p.name for p in command.params}
+    taken = [(label, names) for _, label, names in SHARED if set(names) <= has]
+    shared = set[str]().union(*(names for _, names in taken))
+    yield from _parameters([p for p in command.params if p.name not in shared | {"help"}])
+    labels = [label for label, _ in taken if label]
+    yield from [f"Also the flags {' and '.join(labels)}."] if labels else []
+    for name, child in getattr(command, "commands", {}).items():
+        yield from _command(f"{path} {name}", child)
+
+
+def _slot(parameter: Any) -> str:
+    word = parameter.metavar or parameter.name.upper()
+    word += "…" if parameter.nargs < 0 else ""
+    return word if parameter.required else f"[{word}]"
+
+
+def _parameters(parameters: list[Any]) -> Iterator[str]:
+    if not parameters:
+        return
+    yield from ("| | | default |", "|---|---|---|")
+    for p in parameters:
+        optional = p.opts[0].startswith("-")
+        names = ", ".join(f"`{name}`" for name in p.opts) if optional else f"`{p.metavar or p.name.upper()}`"
+        value = f" `{p.metavar or p.name.upper()}`" if optional and not p.is_flag else ""
+        yield f"| {names}{value} | {_cell(p.help or '')} | {_default(p)} |".replace("||", "|")
+    yield ""
+
+
+def _default(parameter: Any) -> str:
+    if parameter.required:
+        return "required"
+    if parameter.default in (None, False, ()):
+        return ""
+    told = f"`{parameter.default}`"
+    return f"{told}, or `{parameter.envvar}`" if parameter.envvar else told
+
+
+def configuration() -> Iterator[str]:
+    """The page of the pipeline file: a section a table, a row a key."""
+    yield from ("# Configuration", "", "A pipeline is a TOML file; `--set table.key=value` overrides a key for a run.")
+    yield "An unknown key or a value out of range is an error that names the key. Delays and times are in seconds."
+    yield from ("The pipelines in `pipeline/` are examples.", "")
+    yield from _table("", config.Pipeline)
+
+
+def _table(path: str, model: type[config.Table]) -> Iterator[str]:
+    told = ModuleAnalyzer.for_module(config.__name__).find_attr_docs()
+    tables = {name: field for name, field in model.model_fields.items() if _is_table(field)}
+    yield from ("", f"## `[{path}]`" if path else "## Top level", "", _words(model), "")
+    yield from ("| key | type | default | meaning |", "|---|---|---|---|")
+    for name, field in model.model_fields.items():
+        if name not in tables:
+            owner = next(base for base in model.__mro__ if name in vars(base).get("__annotations__", {}))
+            meaning = " ".join(told.get((owner.__name__, name), []))
+            yield f"| `{name}` | {_cell(_type(field))} | {_value(field.default)} | {_cell(meaning)} |"
+    for name, field in tables.items():
+        yield from _table(f"{path}.{name}".strip("."), field.annotation)  # type: ignore[arg-type]
+
+
+def _is_table(field: FieldInfo) -> bool:
+    return isinstance(field.annotation, type) and issubclass(field.annotation, config.Table)
+
+
+def _words(model: type) -> str:
+    """The model's own docstring as running text."""
+    return " ".join((model.__doc__ or "").split())
+
+
+def _value(default: Any) -> str:
+    if default is None:
+        return "none"
+    return f"`{json.dumps(default, ensure_ascii=False)}`"
+
+
+def _type(field: FieldInfo) -> str:
+    return _limited(_name(field.annotation), field.metadata)
+
+
+def _name(kind: Any) -> str:
+    """A type as a reader of TOML knows it."""
+    if kind is type(None):
+        return ""
+    origin, inner = get_origin(kind), get_args(kind)
+    if origin is None:
+        return {float: "number", int: "integer", str: "text", bool: "true or false"}.get(kind, str(kind))
+    if hasattr(kind, "__metadata__"):
+        return _limited(_name(inner[0]), kind.__metadata__)
+    if origin is list:
+        return f"list of {_name(inner[0])}"
+    if origin is tuple:
+        return f"[{', '.join(_name(part) for part in inner)}]"
+    if origin is dict:
+        return f"table of {_name(inner[1])}"
+    if all(isinstance(part, str) for part in inner):
+        return " · ".join(f"`{part}`" for part in inner)
+    return " or ".join(text for text in map(_name, inner) if text)
+
+
+def _limited(name: str, bounds: Sequence[Any]) -> str:
+    return f"{name} {', '.join(text for text in map(_limit, bounds) if text)}".strip()
+
+
+def _limit(item: Any) -> str:
+    """A bound in words; pydantic keeps bounds as objects of the package annotated_types, or within a FieldInfo."""
+    if isinstance(item, FieldInfo):
+        return ", ".join(text for text in map(_limit, item.metadata) if text)
+    signs = {"gt": ">", "ge": "≥", "lt": "<", "le": "≤"}
+    return next((f"{sign} {getattr(item, name):g}" for name, sign in signs.items() if hasattr(item, name)), "")
+
+
+def _cell(text: str) -> str:
+    return text.replace("|", "\\|")
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    """Write the pages before Sphinx looks for sources."""
+    app.connect("builder-inited", write)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,0 +1,161 @@
+"""What README and docs say: their Python runs, their commands exist, and the pages build without a warning.
+
+A block whose first line is `# name.py` or `# name.toml` is that file. A block after a comment `<!-- not run: … -->` is
+not run. The tests marked slow run every other block in the order of its page, on pipelines of the smallest sizes.
+"""
+
+import json
+import re
+import shlex
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+import typer.main
+from conftest import HERE, process_environment
+from typer.testing import CliRunner
+
+from npred.cli import app
+
+ROOT = HERE.parent
+GENERATED = {"cli.md", "configuration.md"}
+PAGES = [
+    *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "benchmarks/README.md")),
+    *sorted(page for page in (ROOT / "docs").rglob("*.md") if page.name not in GENERATED),
+]
+BLOCK = re.compile(r"(<!-- not run: [^>]*-->\n)?^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
+INLINE = re.compile(r"`(npred [a-z][^`]*)`")
+FILE = re.compile(r"# (\w+\.(?:py|toml))\n")
+SMOKE = tomllib.loads((ROOT / "pipeline" / "smoke.toml").read_text())
+TRAINED = ("npred.load(", "onnxruntime")
+
+
+class Block(NamedTuple):
+    """A fenced block of a page."""
+
+    language: str
+    text: str
+    run: bool
+
+    @property
+    def commands(self) -> list[str]:
+        """The npred commands of a shell block, without their comments."""
+        lines = self.text.replace("\\\n", " ").splitlines() if self.language == "sh" else []
+        return [line for line in lines if line.startswith("npred ")]
+
+
+def blocks(page: Path) -> list[Block]:
+    return [Block(language, text, not marked) for marked, language, text in BLOCK.findall(page.read_text())]
+
+
+def commands() -> Iterator[tuple[str, str]]:
+    """Each npred command of the pages with its page, in shell blocks and within lines."""
+    for page in PAGES:
+        lines = [line for block in blocks(page) for line in block.commands]
+        inline = INLINE.findall(BLOCK.sub("", page.read_text()))
+        yield from ((page.name, line.replace("…", "")) for line in [*lines, *inline])
+
+
+@pytest.mark.parametrize(("page", "line"), sorted(set(commands())))
+def test_a_command_and_its_flags_exist(page: str, line: str):
+    words = shlex.split(line, comments=True)[1:]
+    command: Any = typer.main.get_command(app)
+    while words and words[0] in getattr(command, "commands", {}):
+        command = command.commands[words.pop(0)]
+    assert command.name != "npred", f"{page}: there is no such command"
+    try:
+        command.make_context(command.name, words)
+    except Exception as error:  # within a line a command may be named without its arguments
+        assert type(error).__name__ == "MissingParameter", f"{page}: {error}"
+
+
+def pages_with(*languages: str) -> list[Any]:
+    chosen = [page for page in PAGES if any(block.language in languages and block.run for block in blocks(page))]
+    return [pytest.param(page, id=str(page.relative_to(ROOT))) for page in chosen]
+
+
+@pytest.mark.parametrize("page", pages_with("python"))
+def test_python_that_needs_no_trained_network_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.chdir(tmp_path)
+    space: dict[str, Any] = {}
+    for block in blocks(page):
+        if block.run and not keep(block, small=False) and not any(word in block.text for word in TRAINED):
+            execute(block, page, space)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", pages_with("python", "sh"))
+def test_a_page_runs_from_top_to_bottom(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    pytest.importorskip("onnxruntime")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("NPRED_STORE", raising=False)
+    for name in ("paper", "smoke"):
+        write(tmp_path / "pipeline" / f"{name}.toml", SMOKE | {"name": name})
+    call("npred train pipeline/paper.toml -q")
+    space: dict[str, Any] = {}
+    for block in blocks(page):
+        if block.run and not keep(block, small=True):
+            for line in block.commands:
+                call(line)
+            execute(block, page, space)
+
+
+def keep(block: Block, small: bool) -> bool:
+    """Write a block that is a file; a pipeline gets the sizes of pipeline/smoke.toml where it gives none."""
+    named = FILE.match(block.text)
+    if named is None:
+        return False
+    path = Path(named[1])
+    if small and path.suffix == ".toml":
+        write(path, merged(SMOKE, tomllib.loads(block.text)))
+    else:
+        path.write_text(block.text)
+    return True
+
+
+def call(line: str) -> None:
+    done = CliRunner().invoke(app, shlex.split(line, comments=True)[1:])
+    assert done.exit_code == 0, f"{line}\n{done.output}"
+
+
+def execute(block: Block, page: Path, space: dict[str, Any]) -> None:
+    if block.language == "python":
+        exec(compile(block.text, f"a block of {page.name}", "exec"), space)
+
+
+def merged(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
+    """Nested tables, the second's values in the place of the first's."""
+    inner = {k: merged(v, above[k]) for k, v in below.items() if isinstance(v, dict) and isinstance(above.get(k), dict)}
+    return below | above | inner
+
+
+def write(path: Path, pipeline: dict[str, Any]) -> None:
+    path.parent.mkdir(exist_ok=True)
+    path.write_text("\n".join(lines_of("", pipeline)))
+
+
+def lines_of(name: str, table: dict[str, Any]) -> Iterator[str]:
+    """TOML of nested tables: a JSON value is one of TOML's too, infinity apart."""
+    if name:
+        yield f"[{name}]"
+    for key, value in table.items():
+        if not isinstance(value, dict):
+            yield f"{key} = {json.dumps(value).replace('Infinity', 'inf')}"
+    for key, value in table.items():
+        if isinstance(value, dict):
+            yield from lines_of(f"{name}.{key}".strip("."), value)
+
+
+@pytest.mark.slow
+def test_the_documentation_builds_without_a_warning_and_asks_no_one(tmp_path: Path):
+    pytest.importorskip("furo")
+    command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-n", "-q", "docs", str(tmp_path)]
+    done = subprocess.run(command, cwd=ROOT, env=process_environment(), capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+    for page in tmp_path.rglob("*.html"):
+        fetched = re.findall(r"<(?:script|img|link|iframe)\b[^>]*(?:src|href)=\"(https?:[^\"]+)", page.read_text())
+        assert fetched == [], page.name
