@@ -33,6 +33,27 @@ def test_equals_the_torch_model(config, anchor):
     assert (np.abs(found - wanted).max(axis=(0, 1)) < 1e-5 * np.abs(wanted).max(axis=(0, 1))).all()
 
 
+@pytest.mark.parametrize("config", SMALL, ids=lambda config: type(config).__name__)
+def test_equals_the_torch_model_in_double_precision(config):
+    """Also where rest is near: the anchor is exact."""
+    model = operator(config).double()
+    model.X_rest.copy_(torch.tensor(PLANT.equilibrium))
+    model.u_rest.copy_(torch.tensor(PLANT.u_equilibrium))
+    fused = Fused(PLANT, copy.deepcopy(model), 21, precision=np.float64)
+    data = samples(9, 21)
+    X = np.concatenate([data.X, [PLANT.equilibrium * (1 + 1e-6)]])
+    u = np.concatenate([data.u, np.full((1, 21, 1), PLANT.u_equilibrium)])
+    D_hat = np.append(data.D_hat, 1.0)
+    np.testing.assert_allclose(fused(X, u, D_hat), Neural(PLANT, model, 21)(X, u, D_hat), rtol=1e-11)
+
+
+def test_weights_of_any_size_are_kept_on_the_disk(recwarn):
+    """Numba by itself caches no function that reads a global array of over 1 MB."""
+    wide = operator(DeepONet(width=360, depth=3, basis=4, trunk=8, moments=4))
+    Fused(PLANT, wide, 5).lanes()
+    assert not [w for w in recwarn if "Cannot cache" in str(w.message)]
+
+
 @pytest.mark.parametrize("nx", [2, 103])
 def test_any_grid_in_a_call(nx):
     for config in SMALL:

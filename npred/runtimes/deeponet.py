@@ -12,7 +12,6 @@ from npred.operators.features import legendre, moment_matrix
 from npred.runtimes.program import Loop, Matrix, Mirror, Product, Program, Silu, SiluPair, layers
 
 CPU = torch.device("cpu")
-SMALL = 1e-7  # of the trunk's largest value, what its low-rank form may leave out: float32's rounding
 
 
 def append(p: Program, operator: Operator) -> None:
@@ -67,7 +66,7 @@ def _smooth(p: Program, network: DeepONetwork, by_basis: np.ndarray, h: Matrix) 
     """
     n, m, nx, width = p.n, p.m, p.nx, h.row
     trunk = network.trunk(legendre(nx, DEGREE, torch.float64, CPU)).numpy()  # (nx, basis)
-    half, size = (nx + 1) // 2, SMALL * np.abs(trunk).max()
+    half, size = (nx + 1) // 2, p.rounding * np.abs(trunk).max()
     (even, by_even), (odd, by_odd) = (_factors((trunk + sign * trunk[::-1])[:half] / 2, size) for sign in (1, -1))
     even = np.concatenate([even, np.ones((1, half))])  # takes the level a v_zero
     weights = np.concatenate([by_even, np.zeros((1, network.basis)), by_odd])  # (rank, basis)

@@ -14,7 +14,7 @@ from npred.runtimes.program import Loop, Matrix, Product, Program, Series, Silu,
 CPU = torch.device("cpu")
 SPREAD = 6.0  # standard deviations of D_hat that the series covers; beyond, N at rest is evaluated like the sample
 TERMS = 64
-SMALL = 1e-9  # of the largest coefficient: what follows is left out
+SMALL = 1e-2  # of the rounding of the largest coefficient: what follows is left out
 
 
 def append(p: Program, operator: Operator) -> None:
@@ -92,7 +92,7 @@ def _refine(p: Program) -> np.ndarray:
 
 
 def _at_rest(p: Program, operator: Operator) -> Series:
-    """N(x; X*, u*, D_hat) as a Chebyshev series in D_hat, from double precision, to float32's rounding."""
+    """N(x; X*, u*, D_hat) as a Chebyshev series in D_hat, from double precision, to rounding."""
     mean, std = (float(operator.scaling.get_buffer(f"D_hat_{part}")) for part in ("mean", "std"))
     low, high = max(0.0, mean - SPREAD * std), mean + SPREAD * std
     points = np.polynomial.chebyshev.chebpts1(TERMS)
@@ -100,7 +100,7 @@ def _at_rest(p: Program, operator: Operator) -> Series:
     values = grid.refine(operator.at_rest(D_hat, p.nodes).numpy(), p.nx)  # (TERMS, nx, n)
     series = np.polynomial.chebyshev.chebfit(points, values.transpose(0, 2, 1).reshape(TERMS, -1), TERMS - 1)
     size = np.abs(series).max(axis=1)
-    terms = int(np.flatnonzero(size > SMALL * size.max())[-1]) + 1
+    terms = int(np.flatnonzero(size > SMALL * p.rounding * size.max())[-1]) + 1
     T, N_rest = p.buffer("T", 1, terms), p.buffer("N_rest", 1, p.n * p.nx)
     step = Product(N_rest, T, p.constant("series", series[:terms]), (1, terms, p.n * p.nx))
     return Series(low, high, terms, step)

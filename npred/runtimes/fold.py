@@ -2,6 +2,7 @@
 
 import copy
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import torch
@@ -19,17 +20,20 @@ NETWORKS: dict[type, Callable[[Program, Operator], None]] = {DeepONetwork: deepo
 
 
 @torch.no_grad()
-def fold(operator: Operator, plant: Plant, nx: int, stride: int = 1) -> Program:
+def fold(operator: Operator, plant: Plant, nx: int, stride: int = 1, precision: Any = np.float32) -> Program:
     """The operator on nx nodes as a program; an FNO is evaluated on every stride-th of them, with cubics between.
+
+    `precision` is that of the network: np.float32 or np.float64.
 
     Raises ConfigError for a network without a program.
     """
     if type(operator.network) not in NETWORKS:
         known = " or ".join(network.__name__ for network in NETWORKS)
         raise ConfigError(f"fold: expected a {known}, got {type(operator.network).__name__}; use the runtime torch")
-    operator = copy.deepcopy(operator).double()
+    operator = _exact(operator, plant)
     paired = operator.anchor == "equilibrium" and isinstance(operator.network, DeepONetwork)
-    p = Program(plant.n, plant.m, nx, 2 if paired else 1, stride if isinstance(operator.network, FNOnetwork) else 1)
+    rows, stride = 2 if paired else 1, stride if isinstance(operator.network, FNOnetwork) else 1
+    p = Program(plant.n, plant.m, nx, rows, stride, precision)
     _inputs(p, operator, plant)
     NETWORKS[type(operator.network)](p, operator)
     scaling = operator.scaling
@@ -39,6 +43,15 @@ def fold(operator: Operator, plant: Plant, nx: int, stride: int = 1) -> Program:
     else:
         p.constant("gain", scaling.speed.numpy()[:, None] * grid.nodes(nx))
     return p
+
+
+def _exact(operator: Operator, plant: Plant) -> Operator:
+    """A copy in double precision, the point of rest too."""
+    operator = copy.deepcopy(operator).double()
+    if operator.anchor == "equilibrium":
+        operator.X_rest.copy_(torch.as_tensor(plant.equilibrium))
+        operator.u_rest.copy_(torch.as_tensor(plant.u_equilibrium))
+    return operator
 
 
 def _inputs(p: Program, operator: Operator, plant: Plant) -> None:

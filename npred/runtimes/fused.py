@@ -19,7 +19,7 @@ SOURCE = """\
 def fused(X, u, D_hat, t, p, P):
     lanes = X.shape[1]
     flat_u, flat_P = u.reshape(-1), P.reshape(-1)
-    {buffers}
+    {memory}
     for l in range(lanes):
         {body}
         if lanes == 1:
@@ -34,15 +34,15 @@ def fused(X, u, D_hat, t, p, P):
 # anchor. One lane has loops of its own, for with a stride of one they are SIMD.
 SAMPLE = """\
 for c in range({n}):
-    z[c] = F32((np.arcsinh(X[c, l] * X_bend[c]) - X_zero[c]) * X_gain[c])
-z[{n}] = F32((D_hat[l] - D_hat_zero[0]) * D_hat_gain[0])
+    z[c] = REAL((np.arcsinh(X[c, l] * X_bend[c]) - X_zero[c]) * X_gain[c])
+z[{n}] = REAL((D_hat[l] - D_hat_zero[0]) * D_hat_gain[0])
 for c in range({m}):
     if lanes == 1:
         for j in range({nx}):
-            v[j * {m} + c] = F32((flat_u[j * {m} + c] - u_zero[c]) * u_gain[c])
+            v[j * {m} + c] = REAL((flat_u[j * {m} + c] - u_zero[c]) * u_gain[c])
     else:
         for j in range({nx}):
-            v[j * {m} + c] = F32((u[j, c, l] - u_zero[c]) * u_gain[c])
+            v[j * {m} + c] = REAL((u[j, c, l] - u_zero[c]) * u_gain[c])
     total = 0.0
     for j in range(0, {quads}, 4):
         q0, q1 = np.float64(v[j * {m} + c]), np.float64(v[(j + 1) * {m} + c])
@@ -56,7 +56,7 @@ for c in range({m}):
         prefix[j] = total
     q0 = np.float64(v[c])
     for j in range({nx}):
-        r[c * {nx} + j] = F32((2.0 * prefix[j] - q0 - np.float64(v[j * {m} + c])) * share[j])
+        r[c * {nx} + j] = REAL((2.0 * prefix[j] - q0 - np.float64(v[j * {m} + c])) * share[j])
     r[c * {nx}] = v[c]
 """
 
@@ -82,7 +82,7 @@ for row in range(1 if inside else 0, 2):
 if inside:
     one, two = 1.0, s
     for k in range({terms}):
-        T[k] = F32(one)
+        T[k] = REAL(one)
         one, two = two, 2.0 * s * two - one
     {series}
 for j in range({size}):
@@ -91,19 +91,21 @@ for j in range({size}):
 
 
 class Fused(Compiled):
-    """P_hat of a trained operator by one compiled function in float32, on one core, without Python.
+    """P_hat of a trained operator by one compiled function on one core, without Python.
 
     It is compiled for a grid, the weights in it, and kept on the disk like every kernel; loops with it run in the
-    compiled engine. Another nx in a call compiles another function. Equal to the operator up to float32's rounding, but
-    for an FNO on a fine grid: it is evaluated on every `stride`-th node, cubics between, by default so that COARSE
-    intervals or more are left. At those nodes, x = 1 among them, it is exact too.
+    compiled engine. Another nx in a call compiles another function. `precision` of the network is np.float32 or
+    np.float64. Equal to the operator up to its rounding, but for an FNO on a fine grid: it is evaluated on every
+    `stride`-th node, cubics between, by default so that COARSE intervals or more are left. At those nodes, x = 1 among
+    them, it is exact too.
     """
 
     def __init__(
-        self, plant: Plant, operator: Operator, nx: int = 101, name: str = "neural", stride: int | None = None
-    ) -> None:
+        self, plant: Plant, operator: Operator, nx: int = 101, name: str = "neural", stride: int | None = None,
+        precision: Any = np.float32,
+    ) -> None:  # fmt: skip
         super().__init__(plant, nx)
-        self.name, self.stride = name, stride  # type: ignore[misc]
+        self.name, self.stride, self.precision = name, stride, precision  # type: ignore[misc]
         self.operator, self.kernels = operator.to("cpu").eval(), {}
 
     def compile(self) -> Callable[..., None]:
@@ -112,7 +114,8 @@ class Fused(Compiled):
     def on(self, nx: int) -> Callable[..., None]:
         """The compiled function for nx nodes."""
         if nx not in self.kernels:
-            self.kernels[nx] = build(fold(self.operator, self.plant, nx, self.stride or coarsest(nx)))
+            stride = self.stride or coarsest(nx)
+            self.kernels[nx] = build(fold(self.operator, self.plant, nx, stride, self.precision))
         return self.kernels[nx]
 
     def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: float) -> np.ndarray:
@@ -130,8 +133,9 @@ def coarsest(nx: int) -> int:
 
 def build(p: Program) -> Callable[..., None]:
     """The compiled function of a program: SIGNATURE, for p.nx nodes and any number of lanes."""
-    preamble = numba_text.preamble(p.constants) + f"share = 0.5 / np.maximum(np.arange({p.nx}), 1)\n"
-    slots = {"buffers": numba_text.buffers(p.buffers) + numba_text.buffers({"prefix": p.nx}, 64), "body": _body(p)}
+    preamble = numba_text.preamble(p.constants, p.precision) + f"share = 0.5 / np.maximum(np.arange({p.nx}), 1)\n"
+    memory = numba_text.buffers(p.buffers, p.precision) + numba_text.buffers({"prefix": p.nx}, np.float64)
+    slots = {"memory": memory + numba_text.arrays(p.constants), "body": _body(p)}
     slots |= {"flat": _outputs(p, f"flat_P[j * {p.n} + {{c}}]"), "lane": _outputs(p, "P[j, {c}, l]")}
     source = kernels.fill(SOURCE, **slots).format(**_sizes(p))
     return kernels.build("fused", SIGNATURE, source, preamble, numba_text.FASTMATH)

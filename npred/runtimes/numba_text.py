@@ -5,7 +5,9 @@ Products go by blocks of four rows and eight terms: each weight that is loaded s
 """
 
 import base64
+import math
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 
@@ -15,6 +17,13 @@ ROWS, TERMS = 4, 8  # of a block of a product
 NARROW = 48  # columns
 STACK = 4096  # numbers of a buffer on the stack; longer ones cost more than their allocation anyway
 FASTMATH = ("contract", "nsz", "arcp")  # NaN stays NaN
+
+# 2^f on [-1/2, 1/2], to 2e-7 of the value and to 2e-16; (e^d - 1) / d on [-1/2, 1/2]: Taylor's, but for the shortest
+EXP2 = {
+    np.float32: [1.0000001192, 0.6931471825, 0.2402210683, 0.0555035696, 0.0096760318, 0.0013390863],
+    np.float64: [math.log(2) ** k / math.factorial(k) for k in range(13)],
+}
+EXPM1 = {kind: [1 / math.factorial(k + 1) for k in range(terms)] for kind, terms in ((np.float32, 7), (np.float64, 13))}
 
 PREAMBLE = """\
 import base64
@@ -40,51 +49,61 @@ def _stack(kind, of):
     return take
 
 
-_stack32, _stack64 = _stack(types.float32, ir.FloatType()), _stack(types.float64, ir.DoubleType())
+_stack_float32, _stack_float64 = _stack(types.float32, ir.FloatType()), _stack(types.float64, ir.DoubleType())
 
 
-def _array(text, kind):
-    return np.frombuffer(base64.b64decode(text), kind)
+def _constant(text, kind):
+    values = base64.b64decode(text)
+
+    @intrinsic
+    def take(context):
+        def code(context, builder, signature, arguments):
+            data = cgutils.create_constant_array(ir.IntType(8), bytearray(values))
+            memory = cgutils.global_constant(builder, "weights", data)
+            memory.align = 64
+            return builder.bitcast(memory, context.get_value_type(signature.return_type))
+
+        return types.CPointer(kind)(), code
+
+    return take
 
 
-F32, I32 = np.float32, np.int32
-ZERO, HALF, ONE = F32(0), F32(0.5), F32(1)
-MINUS_LOG2_E, LOWEST, HIGHEST, BIAS = F32(-1.4426950408889634), F32(-126.0), F32(126.0), F32(127.5)
-C0, C1, C2, C3, C4, C5 = (
-    F32(c) for c in (1.0000001192, 0.6931471825, 0.2402210683, 0.0555035696, 0.0096760318, 0.0013390863)
-)
-E2, E3, E4, E5, E6, E7 = (F32(1 / math.factorial(k)) for k in range(2, 8))
-"""
+REAL, INT, MANTISSA, EXPONENT = {real}, {integer}, {mantissa}, {exponent}
+ZERO, HALF, ONE, MINUS_LOG2_E = REAL(0), REAL(0.5), REAL(1), REAL(-1.4426950408889634)
+LOWEST, HIGHEST, BIAS = REAL(1 - EXPONENT), REAL(EXPONENT - 1), REAL(EXPONENT + 0.5)
 
-# 1 + e^-x = 1 + 2^y: the exponent's bits times a polynomial on [-1/2, 1/2], to 2e-7 of the value
-POWER = """\
+
+@njit(inline="always")
+def _power(x):
     y = x * MINUS_LOG2_E
     y = LOWEST if y < LOWEST else y
     y = HIGHEST if y > HIGHEST else y
-    k = I32(y + BIAS)
-    f = y - F32(I32(k - 127))
-    power = ONE + I32(k << 23).view(np.float32) * (C0 + f * (C1 + f * (C2 + f * (C3 + f * (C4 + f * C5)))))
+    k = INT(y + BIAS)
+    f = y - REAL(INT(k - EXPONENT))
+    return ONE + INT(k << MANTISSA).view(REAL) * {power}
+
+
+@njit(inline="always")
+def _change(d):
+    return {change}
+
+
 """
 
-SILU = f"""\
-for j in range({{count}}):
-    x = {{a}}[j]
-{POWER}    {{out}}[j] = x / power
+SILU = """\
+for j in range({count}):
+    x = {a}[j]
+    {out}[j] = x / _power(x)
 """
 
 # With s the logistic function and d = b - a: silu(b) - silu(a) = d s(b) + a (s(b) - s(a)), and for small d
 # s(b) - s(a) = s(a) (1 - s(b)) (e^d - 1), which cancels nothing.
-SILU_PAIR = f"""\
-for j in range({{count}}):
-    x = {{a}}[{{count}} + j]
-    rest = x
-{POWER}    s_rest = ONE / power
-    {{out}}[{{count}} + j] = rest * s_rest
-    d = {{a}}[j]
-    x = rest + d
-{POWER}    s = ONE / power
-    e = d * (ONE + d * (E2 + d * (E3 + d * (E4 + d * (E5 + d * (E6 + d * E7))))))
-    {{out}}[j] = d * s + rest * (s_rest * (ONE - s) * e if abs(d) < HALF else s - s_rest)
+SILU_PAIR = """\
+for j in range({count}):
+    d, rest = {a}[j], {a}[{count} + j]
+    s_rest, s = ONE / _power(rest), ONE / _power(rest + d)
+    {out}[{count} + j] = rest * s_rest
+    {out}[j] = d * s + rest * (s_rest * (ONE - s) * _change(d) if abs(d) < HALF else s - s_rest)
 """
 
 TRANSPOSE = """\
@@ -102,21 +121,42 @@ for i in range({rows}):
 """
 
 
-def preamble(constants: dict[str, np.ndarray]) -> str:
-    """What stands before the function: helpers and the constants."""
+def preamble(constants: dict[str, np.ndarray], precision: Any) -> str:
+    """What stands before the function: helpers and the constants.
+
+    The constants are written into the code: Numba caches no function that reads a global array of over 1 MB.
+    """
+    format_ = np.finfo(precision)
+    head = PREAMBLE.format(
+        real=f"np.{precision.__name__}", integer=f"np.int{format_.bits}", mantissa=format_.nmant,
+        exponent=format_.maxexp - 1, power=_horner("f", EXP2[precision]),
+        change=f"d * {_horner('d', EXPM1[precision])}",
+    )  # fmt: skip
     lines = [
-        f"{name} = _array({base64.b64encode(a.tobytes()).decode()!r}, '{a.dtype.str}')" for name, a in constants.items()
+        f"_{name} = _constant({base64.b64encode(a.tobytes()).decode()!r}, types.{a.dtype})"
+        for name, a in constants.items()
     ]
-    return PREAMBLE + "\n".join(lines) + "\n"
+    return head + "\n".join(lines) + "\n"
 
 
-def buffers(sizes: dict[str, int], bits: int = 32) -> list[str]:
-    """The lines that make buffers of floats of so many bits."""
-    return [f"{name} = {_memory(size, bits)}" for name, size in sizes.items()]
+def arrays(constants: dict[str, np.ndarray]) -> list[str]:
+    """The lines that name the constants' memory."""
+    return [f"{name} = carray(_{name}(), ({a.size},))" for name, a in constants.items()]
 
 
-def _memory(size: int, bits: int) -> str:
-    return f"carray(_stack{bits}({size}), ({size},))" if size <= STACK else f"np.empty({size}, np.float{bits})"
+def _horner(x: str, coefficients: list[float]) -> str:
+    """The polynomial of x with these coefficients, the constant first."""
+    first, *rest = coefficients
+    return f"(REAL({first!r}) + {x} * {_horner(x, rest)})" if rest else f"REAL({first!r})"
+
+
+def buffers(sizes: dict[str, int], precision: Any) -> list[str]:
+    """The lines that make buffers of floats."""
+    return [f"{name} = {_memory(size, precision.__name__)}" for name, size in sizes.items()]
+
+
+def _memory(size: int, kind: str) -> str:
+    return f"carray(_stack_{kind}({size}), ({size},))" if size <= STACK else f"np.empty({size}, np.{kind})"
 
 
 def steps(program: Iterable[Step]) -> list[str]:

@@ -5,7 +5,7 @@ All that does not depend on the sample is folded into constants here: the grid's
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from torch import nn
@@ -20,7 +20,7 @@ def layers(module: nn.Module, kind: type[Layer]) -> list[Layer]:
 
 @dataclass(frozen=True)
 class Matrix:
-    """A view of a named flat float32 array: element (i, k) is name[offset + e turn + i row + k column].
+    """A view of a named flat array: element (i, k) is name[offset + e turn + i row + k column].
 
     e counts the repetitions of a product. With `layer`, name is a stack of constants of that size, one a layer of a
     loop, and is read through a view of the layer's own.
@@ -134,7 +134,7 @@ class Program:
     z (rows, n + 1): X, scaled and less its value at rest, and scaled D_hat. v (nx, m): u likewise; r (m, nx): the
     running mean of v. At rest X and u give zeros, to the bit. With rows = 2 the first row of z is the difference of the
     sample from the plant at rest, without D_hat, and the second the plant at rest, D_hat alone: the network carries
-    both, and N is N(sample) - N(rest) with a relative error of float32's rounding. With a series N is N(sample), and
+    both, and N is N(sample) - N(rest) with a relative error of rounding. With a series N is N(sample), and
     the series is N(rest).
     X_bend, X_zero, X_gain, u_zero, u_gain, D_hat_zero and D_hat_gain scale the inputs, in double precision.
     """
@@ -144,6 +144,7 @@ class Program:
     nx: int
     rows: int = 1
     stride: int = 1
+    precision: Any = np.float32  # of the constants and buffers
     series: Series | None = None
     constants: dict[str, np.ndarray] = field(default_factory=dict)
     buffers: dict[str, int] = field(default_factory=dict)
@@ -156,13 +157,18 @@ class Program:
         self.buffers |= {"z": self.rows * (n + 1), "v": nx * m, "r": m * nx, "N": n * nx}
 
     @property
+    def rounding(self) -> float:
+        """The relative rounding error of the precision."""
+        return float(np.finfo(self.precision).eps)
+
+    @property
     def nodes(self) -> int:
         """How many nodes the network is evaluated on: every stride-th."""
         return (self.nx - 1) // self.stride + 1
 
     def constant(self, name: str, values: np.ndarray) -> Matrix:
         """A constant (rows, columns), or a row for all rows, under a name."""
-        self.constants[name] = np.ascontiguousarray(values, dtype=np.float32).reshape(-1)
+        self.constants[name] = np.ascontiguousarray(values, dtype=self.precision).reshape(-1)
         return Matrix(name, values.shape[-1] if values.ndim > 1 else 0)
 
     def buffer(self, name: str, rows: int, columns: int) -> Matrix:
