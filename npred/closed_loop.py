@@ -1,6 +1,6 @@
 """Closed loops of plant, actuator, predictor and delay adaptation, simulated side by side [DAPF, eqs. 6-14]."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -49,6 +49,17 @@ class Trajectories:
         cut = {f.name: getattr(self, f.name)[some] for f in fields(self) if f.name not in ("t", "samples")}
         taken = {f.name: getattr(self.samples, f.name)[some] for f in fields(Samples)}
         return Trajectories(t=self.t, samples=Samples(**taken), **cut)
+
+    @classmethod
+    def joined(cls, parts: Sequence["Trajectories"]) -> "Trajectories":
+        """The loops of several batches of one axis and the same times, one batch after the other."""
+
+        def join(of: Sequence[Any], skipped: tuple[str, ...] = ()) -> dict[str, np.ndarray]:
+            names = [f.name for f in fields(of[0]) if f.name not in skipped]
+            return {name: np.concatenate([getattr(part, name) for part in of]) for name in names}
+
+        samples = Samples(**join([part.samples for part in parts]))
+        return cls(t=parts[0].t, samples=samples, **join(parts, ("t", "samples")))
 
 
 def simulate(

@@ -5,7 +5,7 @@ import pytest
 
 from npred import lyapunov, metrics, plants
 from npred.adaptation import DelayAdaptation
-from npred.closed_loop import simulate
+from npred.closed_loop import Trajectories, simulate
 from npred.errors import ConfigError
 from npred.plants import Plant
 from npred.predictors import RK4, Euler, Heun, Predictor
@@ -148,6 +148,15 @@ def test_batches_of_any_shape_equal_single_loops():
         one = simulate(PLANT, Heun(PLANT, 41), D=D[i], D_hat=0.9, X0=X0[i], t_end=3.0, adaptation=LAW, every=10)
         np.testing.assert_allclose(loops.X[i], one.X, rtol=1e-9)
         np.testing.assert_allclose(loops.U[i], one.U, rtol=1e-9, atol=1e-12)
+
+
+def test_parts_of_a_batch_join_to_the_batch():
+    loops = simulate(PLANT, RK4(PLANT, 11), D=1.0, D_hat=[0.5, 1.0, 2.0], X0=[0.03, 30.0], t_end=1.0, dt=0.01,
+                     samples=np.array([[3, 7]] * 3))  # fmt: skip
+    joined = Trajectories.joined([loops.part(slice(0, 1)), loops.part(slice(1, 3))])
+    for name in ("t", "X", "U", "D_hat", "N", "energy", "escaped"):
+        np.testing.assert_array_equal(getattr(joined, name), getattr(loops, name))
+    np.testing.assert_array_equal(joined.samples.u, loops.samples.u)
 
 
 def test_scalar_loop_matches_the_delay_equation():

@@ -11,12 +11,13 @@ from npred.closed_loop import Trajectories, simulate
 from npred.config import Evaluate
 from npred.dataset import Dataset
 from npred.plants import Plant
-from npred.predictors import METHODS, Predictor
+from npred.predictors import METHODS, Compiled, Predictor
 from npred.stages import Job, accuracy, certificate, coverage, figure1
 from npred.stages.accuracy import Rows
 from npred.stages.starts import Contender, Starts, starts
 
 EVERY = 10  # control steps between two kept states
+SHARE = 16  # loops of a compiled predictor in a task
 
 
 def run(job: Job) -> dict[str, Any]:
@@ -61,34 +62,52 @@ def _contenders(job: Job) -> list[Contender]:
 
 
 def _all_loops(job: Job, contenders: list[Contender], begin: Starts) -> dict[str, Trajectories]:
-    """Every contender's loops, a thread each: kernels and torch let go of the GIL, and networks need not be sent."""
+    """Every contender's loops, in threads: kernels and torch let go of the GIL, and networks need not be sent.
+
+    Shares are of fixed size, so that the bytes do not depend on the number of threads.
+    """
     config = job.config.evaluate
+    for contender in contenders:
+        contender.predictor.lanes()  # compiled here, once, not by threads side by side
     total = sum(begin.of(contender) for contender in contenders) * (round(config.case_t_end / config.dt) + 1)
     with job.progress.bar("evaluate", total, "steps") as bar, ThreadPoolExecutor(job.jobs) as pool:
         try:
-            tasks = {c.name: pool.submit(_loops, job, c, begin, bar.advance) for c in contenders}
-            return {name: done.result() for name, done in tasks.items()}
+            tasks = {
+                c.name: [pool.submit(_loops, job, c, begin, some, bar.advance) for some in _shares(c, begin)]
+                for c in contenders
+            }
+            return {name: Trajectories.joined([done.result() for done in parts]) for name, parts in tasks.items()}
         except BaseException:
             job.progress.stop()
             pool.shutdown(wait=False, cancel_futures=True)
             raise
 
 
+def _shares(contender: Contender, begin: Starts) -> list[slice]:
+    """The contender's loops, all at once where a call has a fixed cost to share."""
+    count = begin.of(contender)
+    width = SHARE if isinstance(contender.predictor, Compiled) else count
+    return [slice(i, min(i + width, count)) for i in range(0, count, width)]
+
+
 def _neural(job: Job, model: str, snapshot: int | None, name: str) -> Predictor:
+    """The fused network, as it is deployed but in double precision: in float32 an FNO's loops end 3e-6 away."""
     import torch
 
     from npred import operators
     from npred.predictors.neural import Neural
+    from npred.runtimes.fused import Fused
 
-    torch.set_num_threads(1)  # the contenders share the cores
-    operator = operators.load(job.inputs[model], job.plant, snapshot, torch.float64)  # in float32 loops end 2e-6 away
+    operator = operators.load(job.inputs[model], job.plant, snapshot, torch.float64)
+    if job.device == "cpu":
+        return Fused(job.plant, operator, job.config.evaluate.nx, name, precision=np.float64)
     return Neural(job.plant, operator, job.config.evaluate.nx, job.device, name)
 
 
-def _loops(job: Job, contender: Contender, begin: Starts, progress: Any) -> Trajectories:
-    config, some = job.config.evaluate, slice(begin.of(contender))
+def _loops(job: Job, contender: Contender, begin: Starts, some: slice, progress: Any) -> Trajectories:
+    config = job.config.evaluate
     law = DelayAdaptation(config.gamma, config.b, config.bounds)
-    taken = None if contender.network else accuracy.sample_steps(job.config.seed, config, begin.of(contender))
+    taken = None if contender.network else accuracy.sample_steps(job.config.seed, config, begin.of(contender))[some]
     return simulate(
         job.plant, contender.predictor, D=begin.D[some], D_hat=begin.D_hat0[some], X0=begin.X0[some], dt=config.dt,
         t_end=config.case_t_end, adaptation=law if contender.adapts else None, input_bounds=config.input_bounds,
