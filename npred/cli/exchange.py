@@ -34,6 +34,7 @@ def bring(options: Common, form: str, given: Given) -> None:
     plant = plants.resolve(given.plant)
     if not plant.autonomous:
         raise ConfigError(f"import: expected a plant free of time, {plant.name} is not; the files hold no time")
+    plant.needs_one_delay("import", "the files hold one D_hat a row")
     data = interop.part(plant, interop.read(given.inputs), interop.read(given.outputs), given.rollouts)
     found = {"checks": interop.checks(plant, data), "splits": _splits(data, given.rollouts)}
     for line in _doubts(found, data.u.shape[1]):
