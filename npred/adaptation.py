@@ -9,7 +9,7 @@ import numpy as np
 
 from npred import delayed_law, shapes
 from npred.errors import ConfigError
-from npred.plants import kernels, tape
+from npred.plants import kernels, routines, tape
 from npred.plants.base import Plant
 from npred.plants.trace import Trace
 
@@ -114,7 +114,7 @@ def _lanes_last(a: np.ndarray, leading: int) -> np.ndarray:
 @cache
 def update_law(plant: Plant) -> Callable[..., None]:
     """The compiled law: U = kappa(P(1)) [DAPF, eq. 9], phi and N = 1 + V + b ∫ (1+x) w²."""
-    trace = Trace(plant)
+    trace = routines.trace(plant)
     x, u, t, h = trace.vector("x", plant.n), trace.vector("a", plant.m), trace.input("t"), trace.input("h")
     r, s = trace.vector("r", plant.n), trace.vector("s", plant.n)
     first = trace.f(x, u, t)
@@ -125,7 +125,7 @@ def update_law(plant: Plant) -> Callable[..., None]:
         node=_node(trace, x, u, t, h, *transition(trace.df, x, u, t, h, r, s)),
         end=_end(trace, x, t, [("v", trace.V(trace.vector("X", plant.n), trace.input("t0")))]),
     )
-    return kernels.build("law", SIGNATURE, source)
+    return kernels.build("law", SIGNATURE, source, routines.imports(trace))
 
 
 @cache
@@ -133,11 +133,10 @@ def control_law(plant: Plant) -> Callable[..., None]:
     """The compiled law without adaptation: U_j = kappa_j(P(r_j)) with r_j = 1 for one delay, phi = 0."""
     if not plant.one_delay:
         return delayed_law.build(plant, SIGNATURE)
-    trace = Trace(plant)
+    trace = routines.trace(plant)
     end = _end(trace, trace.vector("x", plant.n), trace.input("t"), [])
-    return kernels.build(
-        "control", SIGNATURE, kernels.fill(CONTROL, parameters=kernels.parameters(len(plant.p)), end=end)
-    )
+    source = kernels.fill(CONTROL, parameters=kernels.parameters(len(plant.p)), end=end)
+    return kernels.build("control", SIGNATURE, source, routines.imports(trace))
 
 
 def transition(df: Any, x: Any, u: Any, t: Any, h: Any, r: Any, s: Any) -> tuple[Any, Any]:

@@ -13,7 +13,7 @@ from numba import njit, types
 from numba.core.sigutils import normalize_signature
 
 from npred import actuator, adaptation
-from npred.plants import kernels, tape
+from npred.plants import kernels, routines, tape
 from npred.plants.base import Plant
 from npred.plants.trace import Trace
 from npred.predictors import base as predictors
@@ -203,17 +203,18 @@ def advance(X, U0, U1, share, dt, t, p):
 def advance_kernel(plant: Plant, method: type[OneStep]) -> Callable[..., None]:
     """The compiled step of the plant with held inputs, split where a switch of a delayed input falls inside it."""
     parameters = kernels.parameters(len(plant.p))
+    trace = routines.trace(plant)
     if plant.one_delay:
-        parts = {name: _advance(plant, method, f"{U}[{{0}}, l]") for name, U in (("first", "U0"), ("second", "U1"))}
+        parts = {name: _advance(trace, method, f"{U}[{{0}}, l]") for name, U in (("first", "U0"), ("second", "U1"))}
         source = kernels.fill(ADVANCE, parameters=parameters, **parts)
     else:
-        piece = _advance(plant, method, "(U0[{0}, l] if begin < share[{0}, l] else U1[{0}, l])")
+        piece = _advance(trace, method, "(U0[{0}, l] if begin < share[{0}, l] else U1[{0}, l])")
         source = kernels.fill(ADVANCE_SEVERAL, parameters=parameters, piece=piece)
-    return kernels.build("advance", ADVANCE_SIGNATURE, source)
+    return kernels.build("advance", ADVANCE_SIGNATURE, source, routines.imports(trace))
 
 
-def _advance(plant: Plant, method: type[OneStep], U: str) -> list[str]:
-    trace = Trace(plant)
+def _advance(trace: Trace, method: type[OneStep], U: str) -> list[str]:
+    plant = trace.plant
     x, u = trace.vector("x", plant.n), trace.vector("u", plant.m)
     y = method.step(trace.f, x, u, u, u, trace.input("t"), trace.input("h"))
     names = {f"p{k}": f"p{k}" for k in range(len(plant.p))} | {"t": "start", "h": "h"}

@@ -87,6 +87,17 @@ class Tape:
         simple = _simplify(op, args)
         return self._node(op, args) if simple is None else simple
 
+    def call(self, name: str, args: Vector, direct: int, size: int) -> list["Symbol"]:
+        """The `size` results of a function that is compiled on its own, whose derivative `d<name>` is by its first
+        `direct` arguments.
+        """
+        called = self._node("call", (name, direct, *args))
+        return [self._node("item", (called, k)) for k in range(size)]
+
+    def called(self) -> list[str]:
+        """The names of the functions that are called, each once."""
+        return sorted({args[0] for op, args in self.nodes if op == "call"})
+
     def _node(self, op: str, args: tuple[Any, ...]) -> "Symbol":
         key = (op, tuple(a.index if isinstance(a, Symbol) else _constant(a) for a in args))
         if key not in self._index:
@@ -282,9 +293,20 @@ def derivative(outputs: Vector, inputs: Vector, direction: Vector) -> list[Any]:
         if index in tangents or op == "input":
             continue
         seeds = [_tangent(a, tangents) for a in args]
-        if any(_nonzero(s) for s in seeds):
+        if op in ("call", "item") and any(_nonzero(s) for s in seeds if not isinstance(s, str)):
+            tangents[index] = _of_function(tape, op, args, seeds)
+        elif any(_nonzero(s) for s in seeds):
             tangents[index] = OPS[op].tangent(*args, Symbol(tape, index), *seeds)
     return [_tangent(y, tangents) for y in outputs]
+
+
+def _of_function(tape: Tape, op: str, args: tuple[Any, ...], seeds: list[Any]) -> Symbol:
+    """The tangent of a call, a call of the function's derivative, and of its items, the items of that."""
+    if op == "item":
+        return tape._node("item", (seeds[0], args[1]))
+    name, direct = args[:2]
+    assert not any(_nonzero(s) for s in seeds[2 + direct :]), f"d{name} is by its first {direct} arguments"
+    return tape._node("call", (f"d{name}", 0, *args[2:], *seeds[2 : 2 + direct]))
 
 
 def _tangent(a: Any, tangents: dict[int, Any]) -> Any:
@@ -315,10 +337,20 @@ def program(
     for index in _needed(outputs):
         op, args = symbols[0].tape.nodes[index]
         names[index] = f"v{index}"
-        template = bindings[args[0]] if op == "input" else texts.get(op, OPS[op].text)
-        text = template if op == "input" else template.format(*(_text(a, names) for a in args))
-        lines.append(f"v{index} = {text}")
+        lines.append(f"v{index} = {_right_side(op, args, names, bindings, texts)}")
     return lines + [f"{target} = {_text(y, names)}" for target, y in zip(targets, outputs, strict=True)]
+
+
+def _right_side(
+    op: str, args: tuple[Any, ...], names: dict[int, str], bindings: dict[str, str], texts: Mapping[str, str]
+) -> str:
+    if op == "input":
+        return bindings[args[0]]
+    if op == "call":
+        return f"{args[0]}({', '.join(_text(a, names) for a in args[2:])})"
+    if op == "item":
+        return f"{names[args[0].index]}[{args[1]}]"
+    return texts.get(op, OPS[op].text).format(*(_text(a, names) for a in args))
 
 
 def _text(a: Any, names: dict[int, str]) -> str:

@@ -3,7 +3,7 @@
 import math
 import traceback
 from collections import namedtuple
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from functools import cache
 from numbers import Real
 from typing import TYPE_CHECKING, Any
@@ -21,10 +21,11 @@ class Trace:
     """f, kappa, V and their directional derivatives as expressions: vectors are object arrays of symbols.
 
     Formulas (a predictor's step, the update law) are written once on arrays; run on a trace they become programs.
+    Functions whose names are in `called` are not written out in those, but called: see npred.plants.routines.
     """
 
-    def __init__(self, plant: "Plant") -> None:
-        self.plant = plant
+    def __init__(self, plant: "Plant", called: Collection[str] = ()) -> None:
+        self.plant, self.called = plant, called
         self.tape = tapes.Tape()
         self.parameters = self.tape.inputs("p", len(plant.parameters))
 
@@ -60,7 +61,12 @@ class Trace:
         """kappa'(x, t) v for x of input symbols, shape (m,)."""
         return np.array(tapes.derivative(self.kappa(x, t), x, v), dtype=object)
 
+    def _called(self, name: str, size: int, args: list[Any]) -> list[Any]:
+        return self.tape.call(name, [*args, *self.parameters], self.plant.n, size)
+
     def _call(self, name: str, size: int, x: np.ndarray | None, u: np.ndarray | None, t: Any) -> np.ndarray:
+        if name in self.called:
+            return np.array(self._called(name, size, [*x, *([] if u is None else u), t]), dtype=object)
         state, inputs = (None if part is None else list(part) for part in (x, u))
         values = self.plant.call(name, state, inputs, t, self.parameters, tapes.M)
         if len(values) != size:

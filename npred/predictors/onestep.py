@@ -4,7 +4,7 @@ from abc import abstractmethod
 from collections.abc import Callable
 from typing import Any
 
-from npred.plants import kernels, tape
+from npred.plants import kernels, routines, tape
 from npred.plants.trace import Trace
 from npred.predictors import several
 from npred.predictors.base import SIGNATURE, Compiled
@@ -60,13 +60,14 @@ class OneStep(Compiled):
         """x(t + h) from x(t), the input being u0, um, u1 at t, t + h/2, t + h."""
 
     def compile(self) -> Callable[..., None]:
-        if self.plant.one_delay:
-            return kernels.build("sweep", SIGNATURE, self._source())
-        return kernels.build("sweep", SIGNATURE, several.sweep(self.plant, self.step), several.PREAMBLE)
+        if not self.plant.one_delay:
+            return kernels.build("sweep", SIGNATURE, several.sweep(self.plant, self.step), several.PREAMBLE)
+        trace = routines.trace(self.plant)
+        source = self._source(trace)
+        return kernels.build("sweep", SIGNATURE, source, routines.imports(trace))
 
-    def _source(self) -> str:
+    def _source(self, trace: Trace) -> str:
         n, m = self.plant.n, self.plant.m
-        trace = Trace(self.plant)
         x, (u0, um, u1) = trace.vector("x", n), (trace.vector(name, m) for name in ("a", "m", "b"))
         y = self.step(trace.f, x, u0, um, u1, trace.input("t"), trace.input("h"))
         bindings = {f"p{k}": f"p{k}" for k in range(len(self.plant.p))} | {"t": "(t + j * h)", "h": "h"}

@@ -6,9 +6,8 @@ from typing import Any
 import numpy as np
 
 from npred.errors import DivergedError
-from npred.plants import kernels, tape
+from npred.plants import kernels, routines, tape
 from npred.plants.base import Plant
-from npred.plants.trace import Trace
 from npred.predictors.base import SIGNATURE, Compiled
 
 SOURCE = """\
@@ -63,7 +62,7 @@ class Picard(Compiled):
 
     def compile(self) -> Callable[..., None]:
         n, m, count = self.plant.n, self.plant.m, len(self.plant.p)
-        trace = Trace(self.plant)
+        trace = routines.trace(self.plant)
         y = trace.f(trace.vector("x", n), trace.vector("a", m), trace.input("t"))
         bindings: dict[str, Any] = {f"p{k}": f"p{k}" for k in range(count)} | {"t": "(t + j * h)"}
         bindings |= {f"x{k}": f"P[j, {k}, l]" for k in range(n)} | {f"a{k}": f"u[j, {k}, l]" for k in range(m)}
@@ -72,4 +71,4 @@ class Picard(Compiled):
         parameters = kernels.parameters(count)
         source = SOURCE.replace("SWEEPS", str(self.sweeps)).replace("TOLERANCE", repr(self.tolerance))
         source = kernels.fill(source, parameters=parameters, node=node)
-        return kernels.build("picard", SIGNATURE, source)
+        return kernels.build("picard", SIGNATURE, source, routines.imports(trace))

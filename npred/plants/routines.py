@@ -1,0 +1,57 @@
+"""Costly plants: f, kappa and their derivatives compiled once as functions of their own, which the kernels call.
+
+Written out, RK4 holds f four times and the update law its derivative twice; a compiler's time grows faster than that.
+"""
+
+from functools import cache
+from typing import TYPE_CHECKING
+
+from npred.plants import kernels, tape
+from npred.plants.trace import Trace
+
+if TYPE_CHECKING:
+    from npred.plants.base import Plant
+
+LONG = 150  # lines from which on a function is called; below, all fits into registers and SIMD lanes
+
+
+@cache
+def traced(plant: "Plant") -> tuple[str, ...]:
+    """The functions of the plant that its kernels call: those whose programs are long."""
+    return tuple(name for name in ("f", "kappa") if len(_lines(plant, name)[1]) > LONG)
+
+
+def trace(plant: "Plant") -> Trace:
+    """The trace that kernels are made of."""
+    return Trace(plant, traced(plant))
+
+
+def imports(trace: Trace) -> str:
+    """The lines that stand before a kernel of that trace: where the functions that it calls are."""
+    return "".join(f"from {_module(trace.plant, name)} import {name}\n" for name in trace.tape.called())
+
+
+@cache
+def _module(plant: "Plant", name: str) -> str:
+    """The name of the module that holds the compiled function, which is loaded."""
+    arguments, lines, size = _lines(plant, name)
+    text = f"def {name}({', '.join(arguments)}):\n    " + "\n    ".join(lines)
+    text += f"\n    return ({', '.join(f'y{k}' for k in range(size))},)\n"
+    signature = f"UniTuple(float64, {size})({', '.join(['float64'] * len(arguments))})"
+    return kernels.build(name, signature, text).__module__
+
+
+def _lines(plant: "Plant", name: str) -> tuple[list[str], list[str], int]:
+    """Arguments, lines and the number of results of f, kappa, or their derivatives df, dkappa by x along v."""
+    trace = Trace(plant)
+    x, u, v, t = trace.vector("x", plant.n), trace.vector("u", plant.m), trace.vector("v", plant.n), trace.input("t")
+    inputs = {"f": (x, u, t), "df": (x, u, t, v), "kappa": (x, t), "dkappa": (x, t, v)}[name]
+    outputs = getattr(trace, name)(*inputs)
+    names = [*_names("x", plant.n), *(_names("u", plant.m) if u is inputs[1] else []), "t"]
+    names += _names("p", len(plant.p)) + (_names("v", plant.n) if name.startswith("d") else [])
+    targets = _names("y", len(outputs))
+    return names, tape.program(outputs, {name: name for name in names}, targets), len(outputs)
+
+
+def _names(prefix: str, count: int) -> list[str]:
+    return [f"{prefix}{k}" for k in range(count)]
