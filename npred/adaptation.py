@@ -150,8 +150,8 @@ def transition(df: Any, x: Any, u: Any, t: Any, h: Any, r: Any, s: Any) -> tuple
 
 def _node(trace: Trace, x: Any, u: Any, t: Any, h: Any, r: Any, s: Any) -> list[str]:
     """The lines of one node: r and s stored, i1 = q1·w and i2 = |w|²."""
-    w, q1 = u - trace.kappa(x, t), trace.dkappa(x, t, r)
-    n = trace.plant.n
+    kappa, q1 = trace.law(x, t, r)
+    w, n = u - kappa, trace.plant.n
     targets = [f"r[{k}, l]" for k in range(n)] + [f"s[{k}, l]" for k in range(n)] + ["i1", "i2"]
     return tape.program([*r, *s, np.dot(q1, w), np.dot(w, w)], _bindings(trace.plant), targets)
 

@@ -37,8 +37,8 @@ class Held(OneStep):
 class Claims:
     """The claims, as tests. D is the largest delay of the plant's pipeline in seconds, or one an input; X0 a start.
 
-    By `t_end` the exact predictor's loops from the box are within `near` of the target, which is the equilibrium, and
-    the loops of U = kappa(X(t)) are not within `far`.
+    By `t_end` the exact predictor's loops from the box are within `near` of the target, the equilibrium or the
+    reference, and the loops of U = kappa(X(t)) are not within `far`.
     """
 
     plant: ClassVar[Plant]
@@ -48,10 +48,6 @@ class Claims:
     near: ClassVar[float] = 1e-4
     far: ClassVar[float] = 0.1
     pipeline: ClassVar[str | None] = None  # where it has another name than the plant
-
-    def target(self, t: np.ndarray) -> np.ndarray:
-        """Where the loop is to go, (nt, n) or (n,)."""
-        return self.plant.equilibrium
 
     def predicted(self, nodes: int, method: type[OneStep] = Held, **settings: Any) -> Trajectories:
         """Loops with that predictor and D_hat = D."""
@@ -90,7 +86,7 @@ class Claims:
         """How far from the target the loops from the box are in their last quarter; inf where one is lost."""
         loops = self.predicted(51, RK4, D_hat=D_hat, X0=box(self.plant, SPREAD), t_end=self.t_end, every=20)
         late = loops.t >= 0.75 * self.t_end
-        far = np.linalg.norm((loops.X - self.target(loops.t))[:, late], axis=-1).max(axis=-1)
+        far = np.linalg.norm((loops.X - self.plant.target(loops.t))[:, late], axis=-1).max(axis=-1)
         return np.where(np.isfinite(far), far, np.inf)
 
 

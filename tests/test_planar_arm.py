@@ -1,11 +1,15 @@
 """The planar arm: mechanics that conserve energy, a law that gives linear errors, and any number of links."""
 
 import numpy as np
+import plant_claims
 import pytest
 
-from npred import plants
+from npred import metrics, plants
+from npred.closed_loop import simulate
+from npred.plants import fit
 from npred.plants.base import Plant
 from npred.plants.planar_arm import arm
+from npred.predictors import RK4
 
 
 def test_one_link_is_the_rod_pendulum():
@@ -40,17 +44,63 @@ def _energy(X, links, mass=1.0, length=0.5, gravity=9.81):
     return energy
 
 
-def test_law_makes_the_errors_linear_and_rests_at_the_pose():
-    plant, random = plants.resolve("planar_arm"), np.random.default_rng(0)
-    assert (plant.n, plant.m) == (10, 5)
-    np.testing.assert_allclose(plant.equilibrium[:5], 0.3 * np.arange(1, 6), atol=1e-12)
-    X = random.uniform(-1, 1, (4, 10))
-    without_friction = plants.resolve("planar_arm", {"friction": 0.0})
-    accelerations = without_friction.f(X, without_friction.kappa(X))[..., 5:]
-    np.testing.assert_allclose(accelerations, -4 * (X[:, :5] - 0.3 * np.arange(1, 6)) - 4 * X[:, 5:], rtol=1e-9)
+@pytest.mark.parametrize("links", [2, 5])
+def test_law_makes_the_errors_linear_about_the_reference(links):
+    plant, t = plants.resolve(f"planar_arm{links}"), np.linspace(0, 6, 7)
+    X = np.random.default_rng(0).uniform(-1, 1, (7, 2 * links))
+    goal, h = plant.target(t), 1e-4
+    wanted = (plant.target(t + h) - plant.target(t - h))[:, links:] / (2 * h)
+    errors = X - goal
+    accelerations = plant.f(X, plant.kappa(X, t))[:, links:]
+    np.testing.assert_allclose(accelerations - wanted, -4 * errors[:, :links] - 4 * errors[:, links:], atol=1e-7)
 
 
-def test_weight_is_held_at_rest():
-    plant = plants.resolve("planar_arm")
-    weights = 9.81 * 0.5 * (4.5 - np.arange(5)) * np.sin(plant.equilibrium[:5])
-    np.testing.assert_allclose(plant.u_equilibrium, weights[::-1].cumsum()[::-1], rtol=1e-12)
+@pytest.mark.parametrize("links", [2, 7])
+def test_the_reference_is_a_trajectory_of_the_law(links):
+    assert fit.slip(plants.resolve(f"planar_arm{links}"), 20.0)[0] < 1e-9
+    np.testing.assert_allclose(plants.resolve("planar_arm2").target(0.0)[0], 0.3 + 0.1 * np.sin(1.0))
+
+
+def test_weight_is_held_where_nothing_moves():
+    plant = plants.resolve("planar_arm5", {"amplitude": 0.0})
+    weights = 9.81 * 0.5 * (4.5 - np.arange(5)) * np.sin(0.3 * np.arange(1, 6))
+    np.testing.assert_allclose(plant.u_target(1.0), weights[::-1].cumsum()[::-1], rtol=1e-12)
+
+
+def test_gain_is_the_inverse_of_the_stiffness_against_a_torque_at_rest():
+    """A constant torque e turns the links by M^-1 e / stiffness, M the mass matrix; here one link, M = m l² / 3."""
+    rod = Plant("rod", arm(1), {"amplitude": 0.0})
+    assert metrics.gain(rod, 30.0) == pytest.approx(3 / (0.25 * 4), rel=1e-4)
+
+
+class TestClaims(plant_claims.Claims):
+    """The arm of two links. A held input is half a step late on a moving reference: that leaves 3e-3."""
+
+    plant, D, X0, t_end = plants.resolve("planar_arm2"), 0.5, (0.6, 0.7, 0.1, -0.1), 30.0
+    pipeline, near = "planar_arm", 5e-3
+
+
+class TestPublishedDelay:
+    """Five links and D = 0.5 s, as the literature has it."""
+
+    plant = plants.resolve("planar_arm5")
+
+    def test_the_loop_is_the_golden_one(self):
+        """Steps of 0.0025 s: with 0.005 s RK4 itself is 4e-6 away from DOP853."""
+        X0, dt = self.plant.target(0.0) + 0.1, 0.0025
+        golden = plant_claims.golden_loop(self.plant, 0.5, X0, 1.5, dt)
+        held = plant_claims.Held(self.plant, 201)
+        loop = simulate(self.plant, held, D=0.5, D_hat=0.5, X0=X0, t_end=1.5, dt=dt)
+        np.testing.assert_allclose(loop.X, golden, rtol=0, atol=1e-6)
+
+    def test_it_tracks_with_the_predictor_and_only_with_it(self):
+        """With it up to half a step of the held input, which is of first order in dt."""
+        exact, half, without = (self.radii(*case) for case in ((0.5, 0.005), (0.5, 0.0025), (0.0, 0.005)))
+        assert without.min() > 0.1 and exact.max() < 0.02
+        np.testing.assert_allclose(half / exact, 0.5, atol=0.03)
+
+    def radii(self, D_hat, dt):
+        X0, every = plant_claims.box(self.plant, 4), round(0.1 / dt)
+        predictor = RK4(self.plant, round(0.5 / dt) + 1)
+        loops = simulate(self.plant, predictor, D=0.5, D_hat=D_hat, X0=X0, t_end=15.0, dt=dt, every=every)
+        return metrics.radius(loops, self.plant.target(loops.t))

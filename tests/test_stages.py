@@ -246,12 +246,12 @@ def test_bench_says_from_where_on_a_network_pays(benched):
 def test_bench_with_onnx_and_a_costly_plant(made, tmp_path):
     pytest.importorskip("onnxruntime")
     task = job(tmp_path, "bench", inputs=made, bench={"runtimes": ["onnx"], "dx": [0.1], "batches": [1],
-                                                      "costly": "planar_arm"})  # fmt: skip
+                                                      "costly": "planar_arm5"})  # fmt: skip
     result = bench.run(task)
     assert {r["runtime"] for r in result["rows"]} == {"python", "compiled", "onnx"}
     own, costly = result["crossover"]
     assert (own["plant"], own["runtime"], costly["plant"], costly["runtime"]) == (
-        "activator_repressor", "onnx", "planar_arm", "fused",
+        "activator_repressor", "onnx", "planar_arm5", "fused",
     )  # fmt: skip
     assert costly["eps_relative"] == own["eps_relative"]
 

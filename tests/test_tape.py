@@ -106,7 +106,7 @@ def test_a_decision_on_a_symbol_names_the_cure(misuse):
 
 
 def test_unknown_mathematics_is_named():
-    with pytest.raises(AttributeError, match="sinh is unknown; expected one of pi, where, sin"):
+    with pytest.raises(AttributeError, match="sinh is unknown; expected one of pi, where, solve, sin"):
         M.sinh(1.0)
 
 

@@ -49,13 +49,13 @@ def is_builtin(name: Any) -> bool:
 
 
 def _builtin() -> dict[str, type]:
-    """Every module of this folder that declares a plant: thermal_tank.py declares ThermalTank."""
-    found = {}
+    """What the modules of this folder declare: thermal_tank.py ThermalTank, or PLANTS, a table of names to classes."""
+    found: dict[str, type] = {}
     for module in pkgutil.iter_modules(__path__):
+        content = importlib.import_module(f"{__name__}.{module.name}")
         camel = "".join(word.capitalize() for word in module.name.split("_"))
-        declaration = getattr(importlib.import_module(f"{__name__}.{module.name}"), camel, None)
-        if hasattr(declaration, "states"):
-            found[module.name] = declaration
+        family = getattr(content, "PLANTS", {module.name: getattr(content, camel, None)})
+        found |= {name: declaration for name, declaration in family.items() if hasattr(declaration, "states")}
     return found
 
 

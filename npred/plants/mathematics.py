@@ -7,9 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from npred.plants import linear
+
 NUMPY = SimpleNamespace(
     pi=math.pi, sin=np.sin, cos=np.cos, tan=np.tan, exp=np.exp, log=np.log, sqrt=np.sqrt, tanh=np.tanh, abs=np.abs,
-    sign=np.sign, where=np.where, maximum=np.maximum, minimum=np.minimum,
+    sign=np.sign, where=np.where, maximum=np.maximum, minimum=np.minimum, solve=linear.solve,
 )  # fmt: skip
 
 
@@ -49,5 +51,5 @@ def _torch() -> SimpleNamespace:
             return torch.as_tensor(a, dtype=torch.bool if isinstance(a, bool | np.bool_) else torch.float64)
         return torch.as_tensor(a, dtype=like.dtype, device=like.device)
 
-    names = [name for name in vars(NUMPY) if name != "pi"]
-    return SimpleNamespace(pi=math.pi, **{name: on(getattr(torch, name)) for name in names})
+    names = [name for name in vars(NUMPY) if name not in ("pi", "solve")]
+    return SimpleNamespace(pi=math.pi, solve=linear.solve, **{name: on(getattr(torch, name)) for name in names})

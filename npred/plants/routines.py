@@ -6,6 +6,8 @@ Written out, RK4 holds f four times and the update law its derivative twice; a c
 from functools import cache
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from npred.plants import kernels, tape
 from npred.plants.trace import Trace
 
@@ -16,39 +18,39 @@ LONG = 150  # lines from which on a function is called; below, all fits into reg
 
 
 @cache
-def traced(plant: "Plant") -> tuple[str, ...]:
+def called(plant: "Plant") -> tuple[str, ...]:
     """The functions of the plant that its kernels call: those whose programs are long."""
     return tuple(name for name in ("f", "kappa") if len(_lines(plant, name)[1]) > LONG)
 
 
 def trace(plant: "Plant") -> Trace:
     """The trace that kernels are made of."""
-    return Trace(plant, traced(plant))
+    return Trace(plant, called(plant))
 
 
 def imports(trace: Trace) -> str:
     """The lines that stand before a kernel of that trace: where the functions that it calls are."""
-    return "".join(f"from {_module(trace.plant, name)} import {name}\n" for name in trace.tape.called())
+    return "".join(f"from {_module(trace.plant, name)} import plant_{name}\n" for name in trace.tape.called())
 
 
 @cache
 def _module(plant: "Plant", name: str) -> str:
     """The name of the module that holds the compiled function, which is loaded."""
     arguments, lines, size = _lines(plant, name)
-    text = f"def {name}({', '.join(arguments)}):\n    " + "\n    ".join(lines)
+    text = f"def plant_{name}({', '.join(arguments)}):\n    " + "\n    ".join(lines)
     text += f"\n    return ({', '.join(f'y{k}' for k in range(size))},)\n"
     signature = f"UniTuple(float64, {size})({', '.join(['float64'] * len(arguments))})"
-    return kernels.build(name, signature, text).__module__
+    return kernels.build(f"plant_{name}", signature, text).__module__
 
 
 def _lines(plant: "Plant", name: str) -> tuple[list[str], list[str], int]:
-    """Arguments, lines and the number of results of f, kappa, or their derivatives df, dkappa by x along v."""
+    """Arguments, lines and number of results of f, its derivative df by x along v, kappa, or kappa and its own, law."""
     trace = Trace(plant)
-    x, u, v, t = trace.vector("x", plant.n), trace.vector("u", plant.m), trace.vector("v", plant.n), trace.input("t")
-    inputs = {"f": (x, u, t), "df": (x, u, t, v), "kappa": (x, t), "dkappa": (x, t, v)}[name]
-    outputs = getattr(trace, name)(*inputs)
+    x, u, v, t = trace.vector("x", plant.n), trace.vector("u", plant.m), trace.vector("d", plant.n), trace.input("t")
+    inputs = {"f": (x, u, t), "df": (x, u, t, v), "kappa": (x, t), "law": (x, t, v)}[name]
+    outputs = np.ravel(getattr(trace, name)(*inputs))
     names = [*_names("x", plant.n), *(_names("u", plant.m) if u is inputs[1] else []), "t"]
-    names += _names("p", len(plant.p)) + (_names("v", plant.n) if name.startswith("d") else [])
+    names += _names("p", len(plant.p)) + (_names("d", plant.n) if inputs[-1] is v else [])
     targets = _names("y", len(outputs))
     return names, tape.program(outputs, {name: name for name in names}, targets), len(outputs)
 

@@ -12,6 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from npred.plants import linear
+
 Vector = Sequence[Any] | np.ndarray  # of symbols and numbers
 
 
@@ -71,6 +73,20 @@ class Tape:
     def __init__(self) -> None:
         self.nodes: list[tuple[str, tuple[Any, ...]]] = []
         self._index: dict[tuple[str, tuple[Any, ...]], int] = {}
+        self._solved: dict[int, Solution] = {}
+
+    def solve(self, A: Sequence[Vector], b: Vector) -> list[Any]:
+        """y of A y = b, A symmetric positive definite; see linear.solve. Its derivative takes the same factors."""
+        before = len(self.nodes)
+        L, inverse = linear.factors([list(row) for row in A])
+        y = linear.back(L, inverse, list(b))
+        solution = Solution(A, b, y, L, inverse)
+        self._solved |= {a.index: solution for a in y if isinstance(a, Symbol) and a.index >= before}
+        return y
+
+    def solution(self, index: int) -> "Solution | None":
+        """The system of equations whose solution the node is a component of."""
+        return self._solved.get(index)
 
     def input(self, name: str) -> "Symbol":
         """The symbol of an input; its text is `name`."""
@@ -104,6 +120,24 @@ class Tape:
             self._index[key] = len(self.nodes)
             self.nodes.append((op, args))
         return Symbol(self, self._index[key])
+
+
+@dataclass(frozen=True)
+class Solution:
+    """y of A y = b with the factors of A."""
+
+    A: Sequence[Vector]
+    b: Vector
+    y: Vector
+    L: list[list[Any]]
+    inverse: list[Any]
+
+    def tangent(self, tangents: dict[int, Any]) -> dict[int, Any]:
+        """A dy = db - dA y: the tangents of y's nodes."""
+        turned = [linear.total(_tangent(a, tangents) * y for a, y in zip(row, self.y, strict=True)) for row in self.A]
+        right = [_tangent(b, tangents) - a for b, a in zip(self.b, turned, strict=True)]
+        found = linear.back(self.L, self.inverse, right)
+        return {y.index: dy for y, dy in zip(self.y, found, strict=True) if isinstance(y, Symbol)}
 
 
 def _constant(a: Any) -> tuple[str, Any]:
@@ -263,9 +297,14 @@ class Mathematics:
         """a where the condition holds, else b."""
         return _apply("where", condition, a, b)
 
+    def solve(self, A: Sequence[Vector], b: Vector) -> list[Any]:
+        """y of A y = b for a symmetric positive definite A, given as rows."""
+        tape = next((a.tape for row in [*A, b] for a in row if isinstance(a, Symbol)), None)
+        return linear.solve([list(row) for row in A], list(b)) if tape is None else tape.solve(A, b)
+
     def __getattr__(self, name: str) -> Callable[..., Any]:
         if name not in FUNCTIONS:
-            raise AttributeError(f"M.{name} is unknown; expected one of pi, where, {', '.join(FUNCTIONS)}")
+            raise AttributeError(f"M.{name} is unknown; expected one of pi, where, solve, {', '.join(FUNCTIONS)}")
 
         def call(*args: Any) -> Any:
             if len(args) != 1 + (name in ("maximum", "minimum")):
@@ -291,6 +330,10 @@ def derivative(outputs: Vector, inputs: Vector, direction: Vector) -> list[Any]:
     for index in _needed(outputs):
         op, args = tape.nodes[index]
         if index in tangents or op == "input":
+            continue
+        solution = tape.solution(index)
+        if solution:
+            tangents |= solution.tangent(tangents)
             continue
         seeds = [_tangent(a, tangents) for a in args]
         if op in ("call", "item") and any(_nonzero(s) for s in seeds if not isinstance(s, str)):
@@ -347,7 +390,7 @@ def _right_side(
     if op == "input":
         return bindings[args[0]]
     if op == "call":
-        return f"{args[0]}({', '.join(_text(a, names) for a in args[2:])})"
+        return f"plant_{args[0]}({', '.join(_text(a, names) for a in args[2:])})"
     if op == "item":
         return f"{names[args[0].index]}[{args[1]}]"
     return texts.get(op, OPS[op].text).format(*(_text(a, names) for a in args))

@@ -61,12 +61,17 @@ class Trace:
         """kappa'(x, t) v for x of input symbols, shape (m,)."""
         return np.array(tapes.derivative(self.kappa(x, t), x, v), dtype=object)
 
-    def _called(self, name: str, size: int, args: list[Any]) -> list[Any]:
-        return self.tape.call(name, [*args, *self.parameters], self.plant.n, size)
+    def law(self, x: np.ndarray, t: Any, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """kappa(x, t) and kappa'(x, t) v, in one call where kappa is called."""
+        if "kappa" not in self.called:
+            return self.kappa(x, t), self.dkappa(x, t, v)
+        both = self.tape.call("law", [*x, t, *self.parameters, *v], 0, 2 * self.plant.m)
+        return np.array(both[: self.plant.m], dtype=object), np.array(both[self.plant.m :], dtype=object)
 
     def _call(self, name: str, size: int, x: np.ndarray | None, u: np.ndarray | None, t: Any) -> np.ndarray:
         if name in self.called:
-            return np.array(self._called(name, size, [*x, *([] if u is None else u), t]), dtype=object)
+            args = [*(() if x is None else x), *(() if u is None else u), t, *self.parameters]
+            return np.array(self.tape.call(name, args, self.plant.n, size), dtype=object)
         state, inputs = (None if part is None else list(part) for part in (x, u))
         values = self.plant.call(name, state, inputs, t, self.parameters, tapes.M)
         if len(values) != size:

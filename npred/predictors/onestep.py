@@ -5,7 +5,6 @@ from collections.abc import Callable
 from typing import Any
 
 from npred.plants import kernels, routines, tape
-from npred.plants.trace import Trace
 from npred.predictors import several
 from npred.predictors.base import SIGNATURE, Compiled
 
@@ -62,12 +61,11 @@ class OneStep(Compiled):
     def compile(self) -> Callable[..., None]:
         if not self.plant.one_delay:
             return kernels.build("sweep", SIGNATURE, several.sweep(self.plant, self.step), several.PREAMBLE)
-        trace = routines.trace(self.plant)
-        source = self._source(trace)
-        return kernels.build("sweep", SIGNATURE, source, routines.imports(trace))
+        return kernels.build("sweep", SIGNATURE, *self._source())
 
-    def _source(self, trace: Trace) -> str:
-        n, m = self.plant.n, self.plant.m
+    def _source(self) -> tuple[str, str]:
+        """The kernel's text, and the lines that stand before it."""
+        n, m, trace = self.plant.n, self.plant.m, routines.trace(self.plant)
         x, (u0, um, u1) = trace.vector("x", n), (trace.vector(name, m) for name in ("a", "m", "b"))
         y = self.step(trace.f, x, u0, um, u1, trace.input("t"), trace.input("h"))
         bindings = {f"p{k}": f"p{k}" for k in range(len(self.plant.p))} | {"t": "(t + j * h)", "h": "h"}
@@ -83,10 +81,11 @@ class OneStep(Compiled):
         weights = WEIGHTS.splitlines() if tape.depends(y, um) else []
         start = [f"x{k} = P[0, {k}, l] = X[{k}, l]" for k in range(n)]
         few = kernels.fill(FEW, start=start, weights=weights, scalar=scalar).splitlines()
-        return kernels.fill(
+        source = kernels.fill(
             SOURCE,
             parameters=kernels.parameters(len(self.plant.p)),
             few=few if len(scalar) < LONG else [],
             weights=weights,
             lane=tape.program(y, bindings | dict(zip(local, memory, strict=True)), target),
         )
+        return source, routines.imports(trace)

@@ -45,13 +45,14 @@ def of_costly(job: Job, eps_relative: float) -> Row:
 
 
 def _samples(job: Job, plant: Plant) -> Dataset:
-    """Random states of the plant's box with smooth inputs about rest, as data to take errors on."""
+    """Random states of the plant's box with smooth inputs about the target's, as data to take errors on."""
     random = randomness.generator(job.config.seed, "bench", "costly")
     ends = np.array([plant.box[name] for name in plant.states])
+    rest = plant.u_target(0.0)
     waves = np.cos(np.outer(grid.nodes(NODES), np.pi * np.arange(1, 4)))  # (nodes, 3)
-    weights = random.normal(size=(SAMPLES, 3, plant.m)) * (0.1 + np.abs(plant.u_equilibrium)) / 10
+    weights = random.normal(size=(SAMPLES, 3, plant.m)) * (0.1 + np.abs(rest)) / 10
     return Dataset(
-        X=random.uniform(ends[:, 0], ends[:, 1], (SAMPLES, plant.n)), u=plant.u_equilibrium + waves @ weights,
+        X=random.uniform(ends[:, 0], ends[:, 1], (SAMPLES, plant.n)), u=rest + waves @ weights,
         D_hat=random.uniform(0.2, 0.8, SAMPLES), P=np.zeros((SAMPLES, NODES, plant.n)), D=np.zeros(SAMPLES),
         t=np.ones(SAMPLES), rollout=np.zeros(SAMPLES, dtype=np.int32), test=np.ones(SAMPLES, dtype=np.uint8),
     )  # fmt: skip
@@ -71,9 +72,8 @@ def _crossover(job: Job, plant: Plant, network_us: float, steps: int) -> Row:
 
 
 def _median(job: Job, plant: Plant, run: Predictor, nx: int) -> float:
-    """Microseconds of a call at batch 1, near the plant's rest."""
-    X = plant.equilibrium[:, None] * 1.01 if plant.rests else np.ones((plant.n, 1))
-    u = np.tile((plant.u_equilibrium if plant.rests else np.zeros(plant.m))[None, :, None], (nx, 1, 1))
+    """Microseconds of a call at batch 1, near the plant's target."""
+    X, u = plant.target(0.0)[:, None] * 1.01, np.tile(plant.u_target(0.0)[None, :, None], (nx, 1, 1))
     D_hat, P, predict, config = np.ones(1), np.empty((nx, plant.n, 1)), run.lanes(), job.config.bench
 
     def call(k: int) -> None:
