@@ -9,11 +9,16 @@ if TYPE_CHECKING:
     from npred.api import plant as plant
     from npred.api import predictor as predictor
     from npred.closed_loop import simulate as simulate
+    from npred.delay_estimate import DelayLaw as DelayLaw
 
 __version__ = "0.1.0"
-__all__ = ["DelayAdaptation", "controller", "load", "plant", "predictor", "simulate"]
+__all__ = ["DelayAdaptation", "DelayLaw", "controller", "load", "plant", "predictor", "simulate"]
 
-_HOME = dict.fromkeys(__all__, "api") | {"DelayAdaptation": "adaptation", "simulate": "closed_loop"}
+_HOME = dict.fromkeys(__all__, "api") | {
+    "DelayAdaptation": "adaptation",
+    "DelayLaw": "delay_estimate",
+    "simulate": "closed_loop",
+}
 
 
 def __getattr__(name: str) -> Any:

@@ -3,11 +3,12 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from npred import delayed_law, shapes
+from npred.delay_estimate import DelayLaw, interpreted
 from npred.errors import ConfigError
 from npred.plants import kernels, routines, tape
 from npred.plants.base import Plant
@@ -60,23 +61,25 @@ def control(P, X, u, D_hat, t, p, b, U, phi, N):
 
 
 @dataclass(frozen=True)
-class DelayAdaptation:
+class DelayAdaptation(DelayLaw):
     """D_hat' = gamma Proj_[bounds]{D_hat, phi} [DAPF, eq. 11]: gamma the adaptation gain, b > 0, bounds in seconds.
 
     Raises ConfigError for a gain, b or bounds that make no sense.
     """
 
     gamma: float = 1000.0
-    b: float = 1.0
-    bounds: tuple[float, float] = (0.1, 4.0)
 
-    def __post_init__(self) -> None:
-        gains = shapes.floats("adaptation: gamma, b", (self.gamma, self.b))
-        if not (gains > 0).all() or not np.isfinite(gains).all():
-            raise ConfigError(f"adaptation: expected gamma > 0 and b > 0, got gamma = {self.gamma}, b = {self.b}")
-        bounds = shapes.floats("adaptation: bounds", self.bounds)
-        if bounds.shape != (2,) or not 0 <= bounds[0] <= bounds[1] < np.inf:
-            raise ConfigError(f"adaptation: expected bounds 0 <= low <= high, got {self.bounds}; swap or mend them")
+    def check(self, plant: Plant) -> None:
+        """Raise ConfigError where inputs have delays of their own."""
+        plant.needs_one_delay(
+            "adaptation", 'its update law is for one; freeze the estimate, in a pipeline by adaptation = "frozen"'
+        )
+
+    def rate(
+        self, plant: Plant, X: np.ndarray, u: np.ndarray, P: np.ndarray, D_hat: np.ndarray, t: float
+    ) -> np.ndarray:  # fmt: skip
+        """gamma phi, which the bounds make gamma Proj{D_hat, phi}."""
+        return self.gamma * self.phi(plant, X, u, P, D_hat, t)
 
     def phi(self, plant: Plant, X: Any, u: Any, P: Any, D_hat: Any, t: float = 0.0) -> np.ndarray:
         """phi = -∫₀¹ (1+x) q1 w dx / (1 + V(X) + b ∫₀¹ (1+x) w² dx) [DAPF, eq. 12, with V at X(t)].
@@ -87,7 +90,7 @@ class DelayAdaptation:
         """
         named = (("X", X), ("u", u), ("P", P), ("D_hat", D_hat))
         X, u, P, D_hat = (shapes.floats(name, a) for name, a in named)
-        plant.needs_one_delay("adaptation", "its update law is for one")
+        self.check(plant)
         _check(plant, X, u, P)
         shape = shapes.batch(X=X.shape[:-1], u=u.shape[:-2], P=P.shape[:-2], D_hat=D_hat.shape)
         lanes = [np.broadcast_to(a, (*shape, *a.shape[a.ndim - k :])) for a, k in ((X, 1), (u, 2), (P, 2), (D_hat, 0))]
@@ -96,6 +99,26 @@ class DelayAdaptation:
         U, phi, N = np.empty((plant.m, count)), np.empty(count), np.empty(count)
         update_law(plant)(P, X, u, D_hat, float(t), plant.p, self.b, U, phi, N)
         return phi.reshape(shape)
+
+
+class Part(NamedTuple):
+    """A law as the time loop runs it: U, phi and N on lanes, and D_hat += gain phi dt within the bounds."""
+
+    kernel: Callable[..., None]
+    gain: float
+    b: float
+    bounds: np.ndarray
+    compiled: bool
+
+
+def part(plant: Plant, law: DelayLaw | None) -> Part:
+    """The law's part of a control step: compiled for the paper's law and for None, which freezes D_hat."""
+    if law is None:
+        return Part(control_law(plant), 0.0, 1.0, np.array((0.0, np.inf)), True)
+    bounds = np.array(law.bounds, dtype=float)
+    if type(law).rate is DelayAdaptation.rate:
+        return Part(update_law(plant), law.gamma, law.b, bounds, True)
+    return Part(interpreted(law, plant, control_law(plant)), 1.0, law.b, bounds, False)
 
 
 def _check(plant: Plant, X: np.ndarray, u: np.ndarray, P: np.ndarray) -> None:

@@ -4,8 +4,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from npred import plants
-from npred.adaptation import DelayAdaptation
 from npred.control import Controller
+from npred.delay_estimate import DelayLaw
 from npred.errors import ConfigError
 from npred.plants import Plant
 from npred.predictors import METHODS, Compiled, Predictor
@@ -57,7 +57,7 @@ def load(
 
 
 def controller(
-    plant: Plant, predictor: Predictor, adaptation: DelayAdaptation | None, dt: float, *,
+    plant: Plant, predictor: Predictor, adaptation: DelayLaw | None, dt: float, *,
     D_hat: float | None = None, input_bounds: Any = None,
 ) -> Controller:  # fmt: skip
     """The controller alone, for a real plant: `U = controller.step(X, u)` each dt seconds; see npred.control."""

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from npred import shapes
-from npred.adaptation import DelayAdaptation
+from npred.delay_estimate import DelayLaw
 from npred.errors import ConfigError
 from npred.plants.base import Plant
 from npred.predictors import METHODS, Compiled, Predictor
@@ -47,7 +47,7 @@ def bounds(plant: Plant, bounds: Any) -> np.ndarray:
 
 
 def numbers(
-    plant: Plant, X0: Any, D: np.ndarray, D_hat: np.ndarray, t_end: float, dt: float, law: DelayAdaptation | None
+    plant: Plant, X0: Any, D: np.ndarray, D_hat: np.ndarray, t_end: float, dt: float, law: DelayLaw | None
 ) -> None:
     """Raise ConfigError for a start, delays or times that make no loop."""
     if X0.ndim < 1 or X0.shape[-1] != plant.n or not np.isfinite(X0).all():
@@ -65,14 +65,14 @@ def numbers(
 
 def parts(plant: Any, predictor: Any, adaptation: Any, integrator: Any, every: Any) -> None:
     """Raise ConfigError for a part of the wrong kind, or a predictor of another plant."""
-    kinds = {"plant": (plant, Plant), "predictor": (predictor, Predictor), "adaptation": (adaptation, DelayAdaptation)}
+    kinds = {"plant": (plant, Plant), "predictor": (predictor, Predictor), "adaptation": (adaptation, DelayLaw)}
     for name, (given, kind) in kinds.items():
         if not isinstance(given, kind) and (given is not None or name == "plant"):
             raise ConfigError(f"{name}: expected a {kind.__name__}, got {given!r}; see npred.simulate")
     if predictor is not None:
         _same_plant(plant, predictor)
     if adaptation is not None:
-        plant.needs_one_delay("adaptation", "its update law is for one; simulate with adaptation=None")
+        adaptation.check(plant)
     if integrator not in INTEGRATORS:
         raise ConfigError(f"integrator: expected one of {', '.join(INTEGRATORS)}, got {integrator!r}; choose one")
     if not isinstance(every, int | np.integer) or every < 1:

@@ -2,12 +2,14 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from npred import actuator, arguments, engine, shapes
-from npred.adaptation import DelayAdaptation, control_law, update_law
+from npred.adaptation import Part, part
+from npred.delay_estimate import DelayLaw
 from npred.errors import ConfigError
 from npred.plants.base import Plant
 from npred.predictors import Compiled, Predictor
@@ -71,7 +73,7 @@ def simulate(
     X0: Any,
     t_end: float,
     dt: float = 0.005,
-    adaptation: DelayAdaptation | None = None,
+    adaptation: DelayLaw | None = None,
     input_bounds: Any = None,
     u0: Any = 0.0,
     every: int = 1,
@@ -84,9 +86,9 @@ def simulate(
     D, D_hat (...) in seconds and X0 (..., n) broadcast to the batch. Where inputs have delays of their own D is the
     longest, input j comes after r_j D, and U_j = kappa_j(P(r_j), t + r_j D_hat). U is held over each step of dt and
     clipped to `input_bounds` (m, 2), by default the plant's; before t = 0 it is u0. `predictor=None` is the open loop
-    U = 0, `adaptation=None` freezes D_hat, and must where delays differ. Every `every`-th step is kept; `samples`
-    (..., S) are sorted steps whose (X, u, D_hat) are kept too. `integrator` advances the plant. `progress` is told of
-    loop steps done.
+    U = 0, `adaptation=None` freezes D_hat; a law of one's own, a DelayLaw, runs in Python. Every `every`-th step is
+    kept; `samples` (..., S) are sorted steps whose (X, u, D_hat) are kept too. `integrator` advances the plant.
+    `progress` is told of loop steps done.
     A loop that leaves the finite numbers goes on as NaN and leaves the others alone.
     Raises ConfigError for delays, bounds, times, shapes or a predictor that do not fit.
     """
@@ -101,7 +103,7 @@ def simulate(
     wanted = arguments.samples(samples, shape, round(t_end / dt))
     limits, held, method = arguments.bounds(plant, input_bounds), arguments.before(plant, u0), arguments.INTEGRATORS
     loop = _Loop(plant, predictor, adaptation, limits, held, dt, t_end, every, method[integrator])
-    width = LANES if predictor is None or isinstance(predictor, Compiled) else NEURAL_LANES
+    width = LANES if loop.compiled else NEURAL_LANES
     chunks = [slice(i, i + width) for i in range(0, len(D), width)]
     records = [loop.run(X0[c], D[c], D_hat[c], wanted[c], progress) for c in chunks]
     joined = engine.Record(*(np.concatenate(parts, axis=-1) for parts in zip(*records, strict=True)))
@@ -114,13 +116,25 @@ class _Loop:
 
     plant: Plant
     predictor: Predictor | None
-    adaptation: DelayAdaptation | None
+    adaptation: DelayLaw | None
     input_bounds: np.ndarray
     u0: np.ndarray
     dt: float
     t_end: float
     every: int
     integrator: type[OneStep]
+
+    @cached_property
+    def law(self) -> Part:
+        """What gives U and D_hat's rate; the open loop's is U = 0."""
+        if self.predictor is None:
+            return part(self.plant, None)._replace(kernel=engine.no_control)
+        return part(self.plant, self.adaptation)
+
+    @property
+    def compiled(self) -> bool:
+        """Whether all parts are kernels; else the same loop runs in Python around those that are."""
+        return self.law.compiled and (self.predictor is None or isinstance(self.predictor, Compiled))
 
     def run(
         self, X0: np.ndarray, D: np.ndarray, D_hat: np.ndarray, samples: np.ndarray, progress: Any
@@ -131,8 +145,7 @@ class _Loop:
         origin, state = self._state(X0, D, D_hat, nx)
         settings, out = self._settings(samples), self._record(count, samples.shape[1], nx, lanes)
         parts = self._parts()
-        compiled = self.predictor is None or isinstance(self.predictor, Compiled)
-        steps = engine.compiled_steps if compiled else engine.steps
+        steps = engine.compiled_steps if self.compiled else engine.steps
         for start in range(0, count, BLOCK):
             stop = min(start + BLOCK, count)
             steps(origin, start, stop, *parts, settings, state, out)
@@ -143,19 +156,16 @@ class _Loop:
     def _parts(self) -> tuple[Any, Any, Any, Any, Any]:
         """The five sentences of a control step, on lanes."""
         advance = engine.advance_kernel(self.plant, self.integrator)
-        if self.predictor is None:
-            return actuator.transport, engine.no_predictor, engine.no_control, actuator.actuate, advance
-        law = control_law(self.plant) if self.adaptation is None else update_law(self.plant)
-        return actuator.transport, self.predictor.lanes(), law, actuator.actuate, advance
+        predict = engine.no_predictor if self.predictor is None else self.predictor.lanes()
+        return actuator.transport, predict, self.law.kernel, actuator.actuate, advance
 
     def _settings(self, samples: np.ndarray) -> engine.Settings:
-        law = self.adaptation or DelayAdaptation(gamma=1.0)
         return engine.Settings(
             dt=self.dt,
             every=self.every,
-            b=law.b,
-            gain=0.0 if self.adaptation is None or self.predictor is None else law.gamma * self.dt,
-            bounds=np.array(law.bounds, dtype=float),
+            b=self.law.b,
+            gain=self.law.gain * self.dt,
+            bounds=self.law.bounds,
             input_bounds=self.input_bounds,
             u_star=self.plant.u_equilibrium if self.plant.rests else np.zeros(self.plant.m),
             p=self.plant.p,

@@ -17,6 +17,7 @@ Range = tuple[Delay, Delay]
 Item = TypeVar("Item")
 Some = Annotated[list[Item], Field(min_length=1)]
 Method = Literal["euler", "heun", "rk4", "picard"]
+PAPER, FROZEN = "bresch-pietri-krstic", "frozen"  # the delay laws that have a name
 Anchor = Literal["none", "initial", "equilibrium"]
 
 
@@ -41,12 +42,17 @@ class Table(BaseModel):
 
 
 class Loop(Table):
-    """The closed loop [DAPF, eqs. 6-14] that a stage runs: times and delays in seconds, nx nodes on [0, 1]."""
+    """The closed loop [DAPF, eqs. 6-14] that a stage runs: times and delays in seconds, nx nodes on [0, 1].
+
+    `adaptation` is the law of D_hat: the paper's by default; frozen, where D_hat stays where it starts (started at D,
+    the delay is known); or a law of one's own, `file.py:Class`, made with gamma, b and bounds.
+    """
 
     dt: Positive = 0.005
     nx: Nodes = 101
     t_end: Positive = 40.0
     predictor: Method = "rk4"
+    adaptation: str = PAPER
     gamma: Positive = 1000.0
     b: Positive = 1.0
     bounds: Range = (0.1, 4.0)
@@ -55,6 +61,10 @@ class Loop(Table):
     @model_validator(mode="after")
     def _check(self) -> Self:
         ordered("bounds", self.bounds)
+        if self.adaptation not in (PAPER, FROZEN) and ".py:" not in self.adaptation:
+            raise ValueError(
+                f"adaptation: expected {PAPER}, {FROZEN} or my_law.py:Law, got {self.adaptation!r}; choose one"
+            )
         if self.dt > self.t_end:
             raise ValueError(f"dt: expected at most t_end = {self.t_end:g}, got {self.dt:g}; shorten the step")
         return self
@@ -217,7 +227,7 @@ class Pipeline(Table):
 
     name: str = "pipeline"
     seed: Annotated[int, Field(ge=0)] = 0
-    plant: str = "activator_repressor"
+    plant: str
     parameters: dict[str, float] = {}
     generate: Generate = Generate()
     train: Train = Train()
@@ -228,6 +238,8 @@ class Pipeline(Table):
 def load(path: Path, overrides: list[str] | None = None) -> Pipeline:
     """The pipeline of a TOML file with `key.path=value` overrides applied.
 
+    Files that it names (a plant's, a law's, data) are relative to its own folder; those of overrides, and of a pipeline
+    that comes through a pipe, to the current one.
     Raises ConfigError, in one line, for a file that is missing or no TOML, an unknown key, a wrong type or value.
     """
     try:
@@ -236,6 +248,7 @@ def load(path: Path, overrides: list[str] | None = None) -> Pipeline:
         raise ConfigError(f"{path}: expected a pipeline file, found none; see pipeline/ for examples") from None
     except (OSError, ValueError, RecursionError) as error:
         raise ConfigError(f"{path}: expected a TOML file, got: {error}; correct that line") from None
+    _anchor(data, path.parent if path.is_file() else Path())
     for override in overrides or []:
         _apply(data, override)
     return parse(data, str(path))
@@ -247,6 +260,16 @@ def _text(path: Path) -> str:
     if len(content) > LONGEST:
         raise ValueError(f"more than {LONGEST} bytes")
     return content.decode("utf-8")
+
+
+def _anchor(data: dict[str, Any], folder: Path) -> None:
+    """Put the pipeline's folder before the relative files that it names."""
+    for table, key in ((data, "plant"), *((data.get(stage), "adaptation") for stage in ("generate", "evaluate"))):
+        if isinstance(table, dict) and ".py:" in str(table.get(key)):
+            table[key] = str(folder / str(table[key]))
+    generate = data.get("generate")
+    if isinstance(generate, dict) and isinstance(generate.get("data"), str) and generate["data"]:
+        generate["data"] = str(folder / generate["data"])
 
 
 def parse(data: dict[str, Any], source: str) -> Pipeline:
@@ -283,6 +306,9 @@ def _sentence(error: ValidationError) -> str:
         return f"{where}: unknown key; expected one of {', '.join(_siblings(first['loc']))}"
     if first["type"] == "value_error":
         return f"{where + '.' if where else ''}{first['ctx']['error']}"
+    if first["type"] == "missing":
+        example = ' as plant = "my_plant.py:Tank"' if where == "plant" else ""
+        return f"{where}: expected a value, found none; add it{example}"
     if first["type"] == "too_short":
         return f"{where}: expected at least one value, got {first['input']!r}; give one"
     wanted = [

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from npred import arguments, engine, shapes
-from npred.adaptation import DelayAdaptation, control_law, update_law
+from npred.adaptation import part
+from npred.delay_estimate import DelayLaw
 from npred.errors import ConfigError, DivergedError
 from npred.plants.base import Plant
 from npred.predictors import Predictor
@@ -23,22 +24,16 @@ class Controller:
     """
 
     def __init__(
-        self, plant: Plant, predictor: Predictor, adaptation: DelayAdaptation | None, dt: float, *,
+        self, plant: Plant, predictor: Predictor, adaptation: DelayLaw | None, dt: float, *,
         D_hat: float | None = None, input_bounds: Any = None,
     ) -> None:  # fmt: skip
         arguments.parts(plant, predictor, adaptation, "rk4", 1)
         if not 0 < dt < math.inf:
             raise ConfigError(f"dt: expected a control step above 0 s, got {dt!r}; give seconds")
         self.plant, self.predictor, self.adaptation, self.dt = plant, predictor, adaptation, float(dt)
-        law = adaptation or DelayAdaptation(gamma=1.0)
-        self._predict = predictor.lanes()
-        self._law = control_law(plant) if adaptation is None else update_law(plant)
-        self._b, self._bounds, self._limits = (
-            law.b,
-            np.array(law.bounds, dtype=float),
-            arguments.bounds(plant, input_bounds),
-        )
-        self._gain = 0.0 if adaptation is None else law.gamma * self.dt
+        law, self._limits = part(plant, adaptation), arguments.bounds(plant, input_bounds)
+        self._predict, self._law = predictor.lanes(), law.kernel
+        self._gain, self._b, self._bounds = law.gain * self.dt, law.b, law.bounds
         n, m, nx = plant.n, plant.m, predictor.nx
         self._X, self._u, self._P, self._U = (
             np.zeros((n, 1)),
@@ -82,7 +77,7 @@ class Controller:
             D_hat, step = float(state["D_hat"]), int(state["step"])
         except (KeyError, TypeError, ValueError):
             raise ConfigError(f"state: expected D_hat and step, got {state!r}; save it with state()") from None
-        low, high = self._bounds if self.adaptation else (0.0, math.inf)
+        low, high = self._bounds
         if not (low <= D_hat <= high and step >= 0):
             raise ConfigError(
                 f"D_hat: expected within [{low:g}, {high:g}] s, got {D_hat:g}; widen the bounds or move D_hat"

@@ -9,6 +9,7 @@ from npred import config, plants
 from npred.executors import Here, Workers
 from npred.stages import Job
 
+PLANT = "activator_repressor"
 SMALL = {
     "generate": {"samples": 300, "rollouts": 10, "t_end": 8.0, "dt": 0.01, "nx": 21, "bounds": [0.05, 4.0]},
     "train": {
@@ -22,9 +23,8 @@ SMALL = {
 
 def tables(**changes: dict[str, Any]) -> dict[str, Any]:
     """SMALL with some keys of some tables changed."""
-    return {name: table | changes.get(name, {}) for name, table in SMALL.items()} | {
-        name: value for name, value in changes.items() if name not in SMALL
-    }
+    small = {name: table | changes.get(name, {}) for name, table in SMALL.items()}
+    return {"plant": PLANT} | small | {name: value for name, value in changes.items() if name not in SMALL}
 
 
 def job(root: Path, name: str, inputs: dict[str, Path] | None = None, jobs: int = 1, model: str | None = None,

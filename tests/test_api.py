@@ -11,7 +11,7 @@ from npred.errors import ConfigError, MissingError
 
 
 def test_public_names_are_the_documented_ones():
-    assert set(npred.__all__) == {"DelayAdaptation", "controller", "load", "plant", "predictor", "simulate"}
+    assert set(npred.__all__) == {"DelayAdaptation", "DelayLaw", "controller", "load", "plant", "predictor", "simulate"}
     for name in npred.__all__:
         assert callable(getattr(npred, name))
     with pytest.raises(AttributeError, match="has no attribute 'nothing'"):
@@ -65,7 +65,8 @@ def test_a_trained_model_by_pipeline_artifact_and_snapshot(tmp_path, monkeypatch
 
     path = tmp_path / "p.toml"
     path.write_text(
-        'name = "p"\n[generate]\nsamples = 60\nrollouts = 3\nt_end = 2.0\ndt = 0.01\nnx = 11\n[train]\n'
+        'name = "p"\nplant = "activator_repressor"\n'
+        "[generate]\nsamples = 60\nrollouts = 3\nt_end = 2.0\ndt = 0.01\nnx = 11\n[train]\n"
         'models = ["deeponet"]\n[train.deeponet]\nepochs = 2\nsnapshots = [1]\nwidth = 8\n'
     )
     store = tmp_path / "store"

@@ -13,7 +13,7 @@ PIPELINES = sorted((Path(__file__).parent.parent / "pipeline").glob("*.toml"))
 @pytest.fixture
 def empty(tmp_path: Path) -> Path:
     path = tmp_path / "empty.toml"
-    path.write_text("")
+    path.write_text('plant = "activator_repressor"')
     return path
 
 
@@ -23,7 +23,28 @@ def test_the_pipelines_in_the_repository_load_and_are_named_after_their_file(pat
 
 
 def test_an_empty_file_is_the_defaults(empty: Path):
-    assert config.load(empty) == config.Pipeline()
+    assert config.load(empty) == config.Pipeline(plant="activator_repressor")
+
+
+def test_a_pipeline_says_which_plant(tmp_path: Path):
+    path = tmp_path / "p.toml"
+    path.touch()
+    with pytest.raises(ConfigError, match='plant: expected a value, found none; add it as plant = "my_plant'):
+        config.load(path)
+
+
+def test_files_lie_relative_to_the_pipeline_and_those_of_overrides_relative_to_the_current_folder(tmp_path: Path):
+    path = tmp_path / "sub" / "p.toml"
+    path.parent.mkdir()
+    path.write_text('plant = "a.py:A"\n[generate]\ndata = "d.h5"\n[evaluate]\nadaptation = "../law.py:Law"\n')
+    found = config.load(path)
+    assert found.plant == f"{path.parent / 'a.py'}:A"
+    assert found.generate.data == str(path.parent / "d.h5")
+    assert found.evaluate.adaptation == f"{path.parent / '../law.py'}:Law"
+    assert found.generate.adaptation == config.PAPER
+    assert config.load(path, ["plant=b.py:B"]).plant == "b.py:B"
+    path.write_text(f'plant = "{tmp_path}/c.py:C"\n')
+    assert config.load(path).plant == f"{tmp_path}/c.py:C"
 
 
 def test_overrides_reach_nested_keys_in_their_toml_type(empty: Path):
@@ -36,7 +57,7 @@ def test_overrides_reach_nested_keys_in_their_toml_type(empty: Path):
 
 def test_a_later_override_wins_and_the_rest_of_its_table_stays(tmp_path: Path):
     path = tmp_path / "p.toml"
-    path.write_text("[generate]\nsamples = 7\nrollouts = 3\n")
+    path.write_text('plant = "scalar"\n[generate]\nsamples = 7\nrollouts = 3\n')
     found = config.load(path, ["generate.samples=8", "generate.samples=9"]).generate
     assert (found.samples, found.rollouts) == (9, 3)
 
@@ -57,6 +78,7 @@ def test_a_pipeline_is_frozen(empty: Path):
         ("generate.dt=-0.1", ["generate.dt", "greater than 0", "-0.1"]),
         ("generate.dt=nan", ["generate.dt", "finite", "nan"]),
         ("generate.dt=1e3", ["generate.dt", "t_end", "1000"]),
+        ("generate.adaptation=none", ["generate.adaptation", "frozen or my_law.py:Law", "'none'"]),
         ("generate.nx=1", ["generate.nx", "2", "1"]),
         ("bench.dx=[-0.01]", ["bench.dx.0", "greater than 0", "-0.01"]),
         ("generate.bounds=[2, 1]", ["generate", "bounds", "low <= high", "[2.0, 1.0]"]),

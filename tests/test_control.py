@@ -94,7 +94,7 @@ def test_a_bad_measurement_leaves_it_as_it_was():
         ({"dt": 0.0}, "dt: expected a control step above 0 s"),
         ({"D_hat": 9.0}, r"D_hat: expected within \[0.1, 4\] s, got 9"),
         ({"adaptation": None}, "give D_hat"),
-        ({"adaptation": 3.0}, "adaptation: expected a DelayAdaptation"),
+        ({"adaptation": 3.0}, "adaptation: expected a DelayLaw"),
     ],
 )
 def test_mistakes_are_told(changes, message):

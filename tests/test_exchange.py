@@ -14,6 +14,7 @@ from npred.dataset import MEANING, Dataset
 
 PIPELINE = """
 name = "{name}"
+plant = "activator_repressor"
 [generate]
 {generate}
 [train]

@@ -16,7 +16,7 @@ class Moving:
 
 
 def check(stages=("generate", "evaluate"), **tables):
-    pipeline = config.parse(tables, "tests")
+    pipeline = config.parse({"plant": "activator_repressor"} | tables, "tests")
     fit.check(plants.resolve(pipeline.plant, pipeline.parameters), pipeline, stages)
 
 

@@ -17,7 +17,7 @@ FLOORS = [
     {"config", "devices", "documents", "executors", "grid", "places", "randomness", "shapes"},
     {"plants"},
     {"actuator", "predictors", "operators"},
-    {"adaptation", "arguments", "closed_loop", "delayed_law", "engine", "lyapunov"},
+    {"adaptation", "arguments", "closed_loop", "delay_estimate", "delayed_law", "engine", "laws", "lyapunov"},
     {"control", "dataset", "hdf5", "interop", "metrics", "plant_check", "runtimes", "shards", "streaming", "timing"}
     | {"training"},
     {"store", "console"},

@@ -134,7 +134,7 @@ def test_batches_do_not_change_the_bytes():
 
 def test_a_worker_that_would_give_other_rows_is_refused():
     pipeline = config.parse(tables(), "tests")
-    expected = rollouts.surroundings(plants.resolve(pipeline.plant)) | {"numpy": "0.1"}
+    expected = rollouts.surroundings(pipeline, plants.resolve(pipeline.plant)) | {"numpy": "0.1"}
     with pytest.raises(ConfigError, match=r"expected the same numpy on every worker, got another"):
         rollouts.elsewhere(pipeline, expected, range(10))
 

@@ -63,7 +63,7 @@ def test_built_in_plants_have_no_answer_of_no(name):
 @pytest.mark.parametrize(
     ("old", "new", "question", "words"),
     [
-        ("[u.q - p", "[u.q, u.q - p", "trace", "plant Tank: f expected to return 1 value, got 2; mend f"),
+        ("[u.q - p", "[u.q, u.q - p", "trace", r"Tank: f \(my_plant.py:9\) expected to return 1 .*, got 2; return"),
         ("[p.outflow * M.sqrt(x.h) +", "[u.q +", "trace", "kappa failed at my_plant.py:13: NameError: .*V know x"),
         ("- p.outflow *", "- p.drain *", "trace", "f failed at my_plant.py:10: .*expected one of outflow, level"),
         ('box = {"h": (0.5, 2.0)}', "box = {}", "box", 'plant Tank: box has no range for h; add box = {"h":'),

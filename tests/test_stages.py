@@ -147,7 +147,7 @@ def test_starts_are_figure_1_then_cases_then_the_map():
 
 
 def test_the_pipelines_box_is_for_states_that_the_plant_has_none_for():
-    pipeline = config.parse({"generate": {"box": {"x1": [0.5, 0.7], "x2": [3.0, 4.0]}}}, "tests")
+    pipeline = config.parse({"plant": PLANT.name, "generate": {"box": {"x1": [0.5, 0.7], "x2": [3.0, 4.0]}}}, "tests")
     boxless = types.SimpleNamespace(states=PLANT.states, box={"x2": (1.0, 2.0)})
     np.testing.assert_array_equal(starts.box(boxless, pipeline), [[0.5, 0.7], [1.0, 2.0]])
 

@@ -39,7 +39,7 @@ def job(root: Path, model: str, progress: Silent | None = None, **changes: objec
     root.mkdir(exist_ok=True)
     for name in ("folder", "scratch"):
         (root / name).mkdir(exist_ok=True)
-    pipeline = config.parse({"seed": 1, "train": tables}, "test")
+    pipeline = config.parse({"plant": "activator_repressor", "seed": 1, "train": tables}, "test")
     inputs = {"generate": root.parent / "data"}
     return Job(pipeline, PLANT, root / "folder", inputs, root / "scratch", "cpu", 1, progress or Silent(), model)
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from npred import devices
-from npred.config import Pipeline, Table, Train
+from npred.config import Loop, Pipeline, Table, Train
 from npred.errors import ConfigError
 from npred.store.keys import sha256_file
 
@@ -83,10 +83,13 @@ def question(node: Node, config: Pipeline, device: str) -> dict[str, Any]:
 
 def check(config: Pipeline, stages: Collection[str]) -> None:
     """Raise ConfigError where the stages ask for what the pipeline's plant does not have."""
-    from npred import plants
+    from npred import laws, plants
     from npred.plants import fit
 
-    fit.check(plants.resolve(config.plant, config.parameters), config, stages)
+    plant = plants.resolve(config.plant, config.parameters)
+    for name in {"generate", "evaluate"} & set(stages):
+        laws.check(getattr(config, name), plant)
+    fit.check(plant, config, stages)
 
 
 def _nodes(stage: str, networks: tuple[str, ...]) -> list[Node]:
@@ -109,9 +112,18 @@ def _words(value: Any) -> Any:
 
 
 def _generate(config: Pipeline, model: str | None, device: str) -> dict[str, Any]:
-    section = _dump(config.generate)
+    section = _loop(config.generate)
     source = section.pop("data")
     return {"generate": section | ({"data": _digest(Path(source))} if source else {})}
+
+
+def _loop(loop: Loop) -> dict[str, Any]:
+    """A stage's table; a law of D_hat other than the paper's enters, by what its file holds and not by where it is."""
+    from npred import laws
+
+    section, law = _dump(loop), laws.identity(loop)
+    del section["adaptation"]
+    return section | ({} if law is None else {"adaptation": law})
 
 
 def _digest(path: Path) -> str:
@@ -128,7 +140,7 @@ def _train(config: Pipeline, model: str | None, device: str) -> dict[str, Any]:
 
 
 def _evaluate(config: Pipeline, model: str | None, device: str) -> dict[str, Any]:
-    return {"evaluate": _dump(config.evaluate), "train": {"models": list(models(config))}}
+    return {"evaluate": _loop(config.evaluate), "train": {"models": list(models(config))}}
 
 
 def _bench(config: Pipeline, model: str | None, device: str) -> dict[str, Any]:

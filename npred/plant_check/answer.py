@@ -3,8 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
-from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -65,9 +64,7 @@ class Case:
 
     def place(self, function: str) -> str:
         """Plant, file and line of a declared function."""
-        code: Any = getattr(getattr(self.plant.declaration, function), "__code__", None)
-        where = f" ({Path(code.co_filename).name}:{code.co_firstlineno})" if code else ""
-        return f"plant {self.plant.name}: {function}{where}"
+        return self.plant.place(function)
 
     def state(self, X: np.ndarray) -> str:
         """A state in words."""

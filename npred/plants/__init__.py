@@ -1,15 +1,12 @@
 """Plants by name or from a user's file; a plant is one file of this folder and nothing else."""
 
-import hashlib
 import importlib
-import importlib.util
 import pkgutil
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 from npred.errors import ConfigError
-from npred.plants import installed
+from npred.plants import files, installed
 from npred.plants.base import Plant
 
 
@@ -20,9 +17,9 @@ def resolve(name: str, parameters: Mapping[str, float] = {}) -> Plant:
     """
     if not isinstance(name, str):
         raise ConfigError(f"plant: expected a name or my_plant.py:Tank, got {name!r}; write it as text")
-    path, colon, class_name = name.partition(".py:")
-    if colon:
-        return _from_file(Path(path + ".py"), class_name, parameters)
+    if files.named(name):
+        found = files.load("plant", name)
+        return Plant(found.name, found.declaration, parameters, found.source)
     declaration = _builtin().get(name) or installed.find(name)
     if declaration is None:
         known = ", ".join([*_builtin(), *installed.names(_builtin())])
@@ -57,20 +54,3 @@ def _builtin() -> dict[str, type]:
         family = getattr(content, "PLANTS", {module.name: getattr(content, camel, None)})
         found |= {name: declaration for name, declaration in family.items() if hasattr(declaration, "states")}
     return found
-
-
-def _from_file(path: Path, class_name: str, parameters: Mapping[str, float]) -> Plant:
-    if not path.is_file():
-        raise ConfigError(f"plant {path}:{class_name}: expected a Python file, found none at {path}; check the path")
-    text = path.read_bytes()
-    space: dict[str, Any] = {"__name__": path.stem, "__file__": str(path)}
-    try:
-        exec(compile(text, str(path), "exec"), space)
-    except SyntaxError as error:
-        line = f":{error.lineno}" if error.lineno else ""
-        raise ConfigError(f"plant {path}{line}: expected Python, got a syntax error: {error.msg}") from None
-    except (Exception, SystemExit) as error:
-        raise ConfigError(f"plant {path}: failed on import: {type(error).__name__}: {error}; mend the file") from None
-    if not isinstance(space.get(class_name), type):
-        raise ConfigError(f"plant {path}: expected a class {class_name}, found none; check the name after the colon")
-    return Plant(class_name, space[class_name], parameters, hashlib.sha256(text).hexdigest())

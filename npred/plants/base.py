@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from npred.errors import ConfigError
+from npred.plants import blame, mathematics, tape
 from npred.plants import declaration as declared
-from npred.plants import mathematics, tape
 from npred.plants.trace import Trace, call, python
 
 
@@ -65,6 +65,11 @@ class Plant:
     def p(self) -> np.ndarray:
         """The parameters' values in the order of their declaration."""
         return np.array(list(self.parameters.values()), dtype=float)
+
+    def place(self, name: str) -> str:
+        """A declared function in words, with file and line: plant Tank: f (my_plant.py:12)."""
+        line = blame.line(getattr(self.declaration, name))
+        return f"plant {self.name}: {name}" + (f" ({line})" if line else "")
 
     def call(self, name: str, x: list[Any] | None, u: list[Any] | None, t: Any, p: Any, M: Any) -> list[Any]:
         """A declared function on components of any kind: floats, arrays, tensors or symbols."""

@@ -1,7 +1,6 @@
 """A plant's functions on one tape, and programs of them printed as plain Python."""
 
 import math
-import traceback
 from collections import namedtuple
 from collections.abc import Callable, Collection, Sequence
 from functools import cache
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from npred.errors import ConfigError
+from npred.plants import blame
 from npred.plants import tape as tapes
 
 if TYPE_CHECKING:
@@ -76,14 +76,15 @@ class Trace:
         values = self.plant.call(name, state, inputs, t, self.parameters, tapes.M)
         if len(values) != size:
             wanted = f"{size} value{'s' * (size > 1)}"
-            raise ConfigError(
-                f"plant {self.plant.name}: {name} expected to return {wanted}, got {len(values)}; mend {name}"
-            )
+            one = {"f": "a derivative a state", "kappa": "an input each", "reference": "a value a state"}.get(name, "")
+            listed = ", ".join(self.plant.inputs if name == "kappa" else self.plant.states)
+            cure = f"return {one}: {listed}" if one else f"mend {name}"
+            raise ConfigError(f"{self.plant.place(name)} expected to return {wanted}, got {len(values)}; {cure}")
         for value in values:
             if not isinstance(value, tapes.Symbol | Real):
                 raise ConfigError(
-                    f"plant {self.plant.name}: {name} expected to return numbers and formulas, "
-                    f"got {type(value).__name__}; mend {name}"
+                    f"{self.plant.place(name)} expected to return numbers and formulas, got {type(value).__name__}; "
+                    "return a list of them"
                 )
         return np.array(values, dtype=object)
 
@@ -98,28 +99,19 @@ def call(
     state = () if x is None else (_record("State", plant.states)(*x),)
     parameters = _record("Parameters", tuple(plant.parameters))(*p)
     inputs = () if u is None else (_record("Inputs", plant.inputs)(*u),)
+    function = getattr(plant.declaration, name)
     try:
-        values = getattr(plant.declaration, name)(*state, *inputs, t, parameters, M)
+        values = function(*state, *inputs, t, parameters, M)
     except ConfigError:
         raise
     except Exception as error:
-        raise ConfigError(f"plant {plant.name}: {name} failed{_where(error)}: {_told(error)}") from None
+        place = blame.where(error, function) or f" ({blame.line(function)})"
+        raise ConfigError(f"plant {plant.name}: {name} failed{place}: {blame.told(error)}{_cure(error)}") from None
     if name == "V":
         return [values]
     # A formula that returns a bare number returns, on arrays, an array without an axis of components.
     several = isinstance(values, list | tuple) or np.ndim(values) > np.ndim(t if x is None else x[0])
     return list(values) if several else [values]
-
-
-def _where(error: Exception) -> str:
-    """The last line of the author's own file that the failure went through."""
-    ours = (__file__, tapes.__file__)
-    theirs = [line for line in traceback.extract_tb(error.__traceback__) if line.filename not in ours]
-    return f" at {theirs[-1].filename.rsplit('/', 1)[-1]}:{theirs[-1].lineno}" if theirs else ""
-
-
-def _told(error: Exception) -> str:
-    return " ".join(f"{type(error).__name__}: {error}{_cure(error)}".split())
 
 
 def _cure(error: Exception) -> str:

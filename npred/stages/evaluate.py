@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 
 from npred import metrics, shards
-from npred.adaptation import DelayAdaptation
 from npred.closed_loop import Trajectories, simulate
 from npred.config import Evaluate
 from npred.dataset import Dataset
@@ -106,7 +105,6 @@ def _neural(job: Job, model: str, snapshot: int | None, name: str) -> Predictor:
 
 def _loops(job: Job, contender: Contender, begin: Starts, some: slice, progress: Any) -> Trajectories:
     config = job.config.evaluate
-    law = DelayAdaptation(config.gamma, config.b, config.bounds)
     taken = None if contender.network else accuracy.sample_steps(job.config.seed, config, begin.of(contender))[some]
     return simulate(
         job.plant, contender.predictor, D=begin.D[some], D_hat=begin.D_hat0[some], X0=begin.X0[some], dt=config.dt,

@@ -5,12 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from npred import devices, plants
-from npred.adaptation import DelayAdaptation
+from npred import devices, laws, plants
 from npred.closed_loop import LANES, simulate
 from npred.config import Pipeline
 from npred.errors import ConfigError, DivergedError
-from npred.plants import Plant
+from npred.plants import Plant, files
 from npred.predictors import METHODS
 from npred.stages import draws
 
@@ -20,20 +19,25 @@ PACKAGES = ("npred", "numpy", "numba")  # what the bytes of a row may depend on
 
 def located(pipeline: Pipeline) -> Pipeline:
     """The pipeline for a process elsewhere, where the same relative path would be another file."""
-    path, colon, name = pipeline.plant.partition(".py:")
-    absolute = f"{Path(path).absolute()}.py:{name}" if colon else pipeline.plant
-    return pipeline.model_copy(update={"plant": absolute})
+    law = _absolute(pipeline.generate.adaptation)
+    generate = pipeline.generate.model_copy(update={"adaptation": law})
+    return pipeline.model_copy(update={"plant": _absolute(pipeline.plant), "generate": generate})
 
 
-def surroundings(plant: Plant) -> dict[str, Any]:
+def _absolute(name: str) -> str:
+    return str(Path(name).absolute()) if files.named(name) else name
+
+
+def surroundings(pipeline: Pipeline, plant: Plant) -> dict[str, Any]:
     """What has to be the same in every process that makes rows of one data set."""
-    return {"plant": plant.identity, **{name: devices.package(name) for name in PACKAGES}}
+    packages = {name: devices.package(name) for name in PACKAGES}
+    return {"plant": plant.identity, "delay law": laws.identity(pipeline.generate), **packages}
 
 
 def elsewhere(pipeline: Pipeline, expected: dict[str, Any], batch: range) -> Rows:
     """The rows of a batch in a process of its own. Raises ConfigError where plant or packages are not as expected."""
     plant = plants.resolve(pipeline.plant, pipeline.parameters)
-    found = surroundings(plant)
+    found = surroundings(pipeline, plant)
     other = ", ".join(name for name in expected if found[name] != expected[name])
     if other:
         raise ConfigError(f"generate: expected the same {other} on every worker, got another; install it there")
@@ -60,7 +64,7 @@ def _chunk(pipeline: Pipeline, plant: Plant, chunk: range) -> Rows:
     config = pipeline.generate
     X0, D, D_hat0, steps = draws.starts(pipeline.seed, config, plant, chunk)
     predictor = METHODS[config.predictor](plant, config.nx)
-    law = DelayAdaptation(config.gamma, config.b, config.bounds)
+    law = laws.resolve(config)
     loops = simulate(
         plant, predictor, D=D, D_hat=D_hat0, X0=X0, t_end=config.t_end, dt=config.dt, adaptation=law,
         input_bounds=config.input_bounds, every=draws.steps(config), samples=steps,

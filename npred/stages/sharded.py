@@ -51,7 +51,7 @@ def write(job: Job) -> int:
     batches = list(enumerate(_batches(job.plant, config)))
     missing = [batch for batch in batches if not (place.folder / shards.name(batch[0])).exists()]
     about = attributes(job.plant, config.predictor)
-    make = partial(_shard, rollouts.located(job.config), rollouts.surroundings(job.plant), place, about)
+    make = partial(_shard, rollouts.located(job.config), rollouts.surroundings(job.config, job.plant), place, about)
     with job.progress.bar("generate", config.rollouts, "rollouts") as bar:
         bar.advance(config.rollouts - sum(len(batch) for _, batch in missing))
         for (number, batch), content in executors.completed(job.executor, make, missing):
@@ -74,7 +74,7 @@ def _batches(plant: Plant, config: Generate) -> list[range]:
 
 def _place(job: Job) -> Place:
     """The folder in scratch; shards that other versions of the packages made before are none of this run's."""
-    text = json.dumps(rollouts.surroundings(job.plant), sort_keys=True)
+    text = json.dumps(rollouts.surroundings(job.config, job.plant), sort_keys=True)
     folder = job.scratch.absolute() / f"shards-{hashlib.sha256(text.encode()).hexdigest()[:12]}"
     folder.mkdir(exist_ok=True)
     place = Place(folder, uuid4().hex)

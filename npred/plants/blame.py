@@ -1,0 +1,36 @@
+"""Whose fault it is: file and line of what a user wrote, and a failure of it in one line."""
+
+import inspect
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+
+def line(function: Callable[..., Any]) -> str:
+    """my_plant.py:12, where the function begins; "" for one that is not written in Python."""
+    code = _code(function)
+    return f"{Path(code.co_filename).name}:{code.co_firstlineno}" if code else ""
+
+
+def where(error: BaseException, function: Callable[..., Any]) -> str:
+    """ " at my_plant.py:12", the last line of the function's own file that the failure went through; else ""."""
+    code = _code(function)
+    number = last_line(error, code.co_filename) if code else ""
+    return f" at {Path(code.co_filename).name}{number}" if number else ""
+
+
+def last_line(error: BaseException, file: str) -> str:
+    """ ":12", the last line of that file that the failure went through; else ""."""
+    theirs = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == file]
+    return f":{theirs[-1]}" if theirs else ""
+
+
+def told(error: BaseException) -> str:
+    """The failure in one line."""
+    return " ".join(f"{type(error).__name__}: {error}".split())
+
+
+def _code(function: Callable[..., Any]) -> Any:
+    """The function's code, a method's and a decorated function's too; None where it is not Python."""
+    return getattr(inspect.unwrap(getattr(function, "__func__", function)), "__code__", None)
