@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from npred.cli.app import command, group
-from npred.cli.options import Common, Planned, Work
+from npred.cli.options import Common, Planned, Running, Work
 
 RUN, LOOK, CARE = "Run", "Look", "Look after"
 
@@ -55,6 +55,24 @@ def bench(options: Work) -> None:
     execute.stage(options, "bench")
 
 
+@command(RUN)
+def sweep(
+    options: Running,
+    *,
+    to: Annotated[
+        str, typer.Option(metavar="STAGE", help="The last stage of each cell; bench for latencies.")
+    ] = "evaluate",
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="DIR", help="For table and figure; sweep-NAME by default.")
+    ] = None,
+    csv: Annotated[bool, typer.Option("--csv", help="Print the table as CSV.")] = False,
+) -> None:
+    """A grid of pipelines: --set train.deeponet.width=32,64,128 --set seed=0:10; what cells share is made once."""
+    from npred.cli import sweep as sweeps
+
+    sweeps.sweep(options, sweeps.Wanted(to, output, csv))
+
+
 @command(LOOK)
 def status(
     options: Planned,
@@ -90,11 +108,17 @@ def show(
 
 
 @command(LOOK)
-def ls(options: Common) -> None:
+def ls(
+    options: Common,
+    *,
+    shown: Annotated[
+        list[str] | None, typer.Option("--show", metavar="KEY", help="A setting as a column, as seed; repeatable.")
+    ] = None,
+) -> None:
     """Every result in the store, the most recent last."""
     from npred.cli import look
 
-    look.ls(options)
+    look.ls(options, shown or [])
 
 
 @command(LOOK)

@@ -7,7 +7,7 @@ from npred.cli.options import Common, Planned
 from npred.console import columns
 from npred.errors import ConfigError, UnmetError
 from npred.pipeline import STAGES, Step, nodes
-from npred.pipeline.reasons import changes, differences
+from npred.pipeline.reasons import changes, differences, flat
 from npred.store import Artifact, short
 
 
@@ -45,13 +45,17 @@ def show(options: Common, reference: str | None) -> None:
         options.console.out(_summary(artifact.manifest.question.stage, result))
 
 
-def ls(options: Common) -> None:
-    """Every result with a sound manifest; a warning for each of the others."""
+def ls(options: Common, shown: list[str]) -> None:
+    """Every result with a sound manifest and, of the keys to show, its settings; a warning for each of the others."""
     artifacts, broken = options.results.survey()
     for folder in broken:
         options.console.warn(f"{folder}: expected a sound manifest, got none; remove that folder")
-    header = ["artifact", "model", "pipeline", "made", "size", "digest"]
-    options.show({"artifacts": [_entry(a) for a in artifacts]}, lambda: columns(header, [_row(a) for a in artifacts]))
+    known = {artifact.manifest.key: artifact for artifact in artifacts}
+    settings = [{key: _setting(artifact, key, known) for key in shown} for artifact in artifacts]
+    header = ["artifact", "model", "pipeline", "made", "size", "digest", *shown]
+    rows = [[*_row(a), *(s[key] or "-" for key in shown)] for a, s in zip(artifacts, settings, strict=True)]
+    entries = [_entry(a) | {"settings": s} for a, s in zip(artifacts, settings, strict=True)]
+    options.show({"artifacts": entries}, lambda: columns(header, rows))
 
 
 def diff(options: Common, a: str, b: str) -> None:
@@ -117,6 +121,14 @@ def _row(artifact: Artifact) -> list[str]:
     made = time.strftime("%Y-%m-%d %H:%M", time.localtime(artifact.made))
     size = f"{artifact.size / 1e6:.1f} MB"
     return [artifact.name, manifest.question.model or "-", manifest.pipeline, made, size, short(manifest.digest)]
+
+
+def _setting(artifact: Artifact, key: str, known: dict[str, Artifact]) -> str | None:
+    """A setting of the artifact or of what it was made from, as JSON."""
+    asked = artifact.manifest.question
+    own = flat(asked.config).get(key)
+    sources = (known[source.key] for source in asked.inputs.values() if source.key in known)
+    return own or next((found for source in sources if (found := _setting(source, key, known))), None)
 
 
 def _facts(artifact: Artifact) -> str:

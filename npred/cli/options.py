@@ -72,8 +72,8 @@ class Planned(Common):
 
 
 @dataclass(frozen=True)
-class Work(Planned):
-    """Flags of the commands that run stages."""
+class Running(Planned):
+    """Flags of the commands that run something."""
 
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would run, and run nothing.")] = False
     executor: Annotated[
@@ -82,6 +82,12 @@ class Work(Planned):
             envvar=places.EXECUTOR_VARIABLE, metavar="local|dask:ADDRESS", help="Where batches of rollouts run."
         ),
     ] = "local"
+
+
+@dataclass(frozen=True)
+class Work(Running):
+    """Flags of the commands that run stages."""
+
     force: Annotated[bool, typer.Option("--force", help="Run the named stages even if the store has them.")] = False
 
 

@@ -74,14 +74,18 @@ class Runner:
         start = time.perf_counter()
         inputs = {name: outcomes[name].artifact for name in node.inputs}
         step = self.planner.step(node, inputs)
-        artifact, action, why = self._hit(step) if step.artifact else self._make(step, inputs)
+        artifact, action, why = self._hit(step) if step.artifact else self.make(step, inputs)
         return Outcome(node, artifact, action, why, time.perf_counter() - start)
 
     def _hit(self, step: Step) -> tuple[Artifact, str, str]:
         assert step.artifact is not None
         return step.artifact.verify(), "hit", step.reason
 
-    def _make(self, step: Step, inputs: dict[str, Artifact]) -> tuple[Artifact, str, str]:
+    def make(self, step: Step, inputs: dict[str, Artifact]) -> tuple[Artifact, str, str]:
+        """The artifact of a step that the store does not have, `run` or, where another process was faster, `hit`, why.
+
+        Raises what the stage raises, StoreError where the store cannot be written.
+        """
         assert step.key is not None
         title, key = step.node.title, step.key
         waited: list[str] = []

@@ -1,0 +1,201 @@
+"""A grid of pipelines as one graph: equal keys are one node, each is made once, and what it takes is made first."""
+
+import heapq
+import time
+from collections import defaultdict
+from collections.abc import Collection, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple
+
+from npred.config import Pipeline
+from npred.console import Bar, Console
+from npred.errors import NpredError
+from npred.executors import Here, Workers
+from npred.pipeline import table
+from npred.pipeline.cells import Cell
+from npred.pipeline.plan import Planner, Step
+from npred.pipeline.runner import Runner
+from npred.pipeline.table import Node, nodes
+from npred.store import Artifact, Question, Store
+
+ALONE = {"generate": 0, "bench": 2}  # they use the whole machine: before all else, and after it
+REASON = "of a sweep"
+
+
+class Made(NamedTuple):
+    """What became of a node: its artifact, or why there is none."""
+
+    artifact: Artifact | None
+    action: str
+    seconds: float = 0.0
+    error: str = ""
+
+
+class Task(NamedTuple):
+    """All that another process needs to make a node; the store is the same folder there."""
+
+    config: Pipeline
+    root: Path
+    device: str
+    node: Node
+    question: Question
+    inputs: dict[str, Artifact]
+
+
+@dataclass(eq=False)
+class Progress:
+    """A cell and what of it is there: outcomes by name of the node, in the order of the graph."""
+
+    number: int
+    cell: Cell
+    planner: Planner
+    nodes: list[Node]
+    made: dict[str, Made] = field(default_factory=dict)
+    asked: set[str] = field(default_factory=set)
+
+    @property
+    def error(self) -> str:
+        """Why the cell has no answer, or nothing."""
+        return next((made.error for made in self.made.values() if made.error), "")
+
+    @property
+    def done(self) -> bool:
+        """Whether nothing more will come of it."""
+        return len(self.made) == len(self.nodes) or bool(self.error)
+
+    def ready(self) -> list[tuple[Node, dict[str, Artifact]]]:
+        """The nodes not asked for yet whose inputs are all there."""
+        there = {name: made.artifact for name, made in self.made.items() if made.artifact}
+        return [
+            (node, {name: there[name] for name in node.inputs})
+            for node in self.nodes
+            if node.name not in self.asked and there.keys() >= set(node.inputs)
+        ]
+
+
+@dataclass
+class Sweep:
+    """Brings every cell's nodes into the store: `jobs` at a time, or as many as the executor works on."""
+
+    store: Store
+    device: str
+    console: Console
+    jobs: int
+    executor: Workers = field(default_factory=Here)
+
+    def run(self, cells: Sequence[Cell], targets: Collection[str]) -> list[Progress]:
+        """What became of each cell; one that fails does not stop the others.
+
+        Raises ConfigError for a cell that does not fit its plant, before anything runs.
+        """
+        rows = []
+        for number, cell in enumerate(cells):
+            planner = Planner(cell.config, self.store, self.device)
+            rows.append(Progress(number, cell, planner, nodes(cell.config, targets)))
+        for row in rows:
+            table.check(row.cell.config, {node.stage for node in row.nodes})
+        with self.console.bar("sweep", len(rows), "cells") as bar:
+            _Graph(self, rows, bar).run()
+        return rows
+
+    def make(self, task: Task) -> Made:
+        """A node that uses the whole machine, here."""
+        return _make(task, self.console, self.jobs, self.executor)
+
+
+class _Graph:
+    """The nodes by key: found, under way, or waiting for their turn."""
+
+    def __init__(self, sweep: Sweep, rows: list[Progress], bar: Bar) -> None:
+        self.sweep, self.rows, self.bar = sweep, rows, bar
+        self.found: dict[str, Made] = {}
+        self.takers: defaultdict[str, list[tuple[Progress, str]]] = defaultdict(list)
+        self.queue: list[tuple[int, int, str]] = []
+        self.tasks: dict[str, Task] = {}
+        self.under_way: dict[Future[Made], str] = {}
+
+    def run(self) -> None:
+        for row in self.rows:
+            self._ask(row)
+        while self.queue or self.under_way:
+            self._start()
+            for future in wait(self.under_way, return_when=FIRST_COMPLETED).done if self.under_way else ():
+                self._settle(self.under_way.pop(future), future.result())
+
+    def _start(self) -> None:
+        """As much as the executor works on; what uses the whole machine when nothing else is under way."""
+        while self.queue and len(self.under_way) < self.sweep.executor.count:
+            key = self.queue[0][2]
+            alone = self.tasks[key].node.stage in ALONE
+            if alone and self.under_way:
+                return
+            heapq.heappop(self.queue)
+            task = self.tasks.pop(key)
+            if alone:
+                self._settle(key, self.sweep.make(task))
+            else:
+                self.under_way[self.sweep.executor.submit(make, task)] = key
+
+    def _ask(self, row: Progress) -> None:
+        """Take what is there already of a cell's next nodes, and queue the rest, each key once."""
+        while ready := row.ready():
+            for node, inputs in ready:
+                row.asked.add(node.name)
+                question = row.planner.question(node, inputs)
+                if made := self._known(node, question):
+                    self._take(row, node.name, made)
+                else:
+                    self._queue(row, node, Task(*self._place(row), node, question, inputs))
+
+    def _place(self, row: Progress) -> tuple[Pipeline, Path, str]:
+        return row.cell.config, self.sweep.store.root, self.sweep.device
+
+    def _queue(self, row: Progress, node: Node, task: Task) -> None:
+        key = task.question.key
+        if not self.takers[key]:
+            heapq.heappush(self.queue, (ALONE.get(node.stage, 1), row.number, key))
+            self.tasks[key] = task
+        self.takers[key].append((row, node.name))
+
+    def _known(self, node: Node, question: Question) -> Made | None:
+        """What this sweep or the store has of a key; a corrupt result is an answer too: none."""
+        if question.key not in self.found and question.key not in self.takers:
+            try:
+                if there := self.sweep.store.get(node.stage, question.key):
+                    self.found[question.key] = Made(there.verify(), "hit")
+            except NpredError as error:
+                self.found[question.key] = Made(None, "failed", error=str(error))
+        return self.found.get(question.key)
+
+    def _settle(self, key: str, made: Made) -> None:
+        self.found[key] = made
+        if made.error:
+            self.sweep.console.detail(made.error)
+        for row, name in self.takers.pop(key):
+            self._take(row, name, made)
+            self._ask(row)
+
+    def _take(self, row: Progress, name: str, made: Made) -> None:
+        before = row.done
+        row.made[name] = made
+        if row.done and not before:
+            self.bar.advance()
+
+
+def make(task: Task) -> Made:
+    """A node in a process of its own, one core."""
+    return _make(task, Console(quiet=True), 1, Here())
+
+
+def _make(task: Task, console: Console, jobs: int, executor: Workers) -> Made:
+    start = time.perf_counter()
+    runner = Runner(Planner(task.config, Store(task.root), task.device), console, jobs, executor)
+    step = Step(task.node, task.question, None, REASON)
+    try:
+        artifact, action, _ = runner.make(step, task.inputs)
+    except Exception as error:  # this cell has no answer; the others may
+        unforeseen = "" if isinstance(error, NpredError) else f"{task.node.title}: {type(error).__name__}: "
+        return Made(None, "failed", time.perf_counter() - start, unforeseen + " ".join(str(error).split()))
+    return Made(artifact, action, time.perf_counter() - start)
