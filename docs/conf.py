@@ -33,5 +33,8 @@ nitpicky = True
 # Types of other projects: their documentation is not fetched, so that a build needs no network.
 nitpick_ignore_regex = [
     ("py:.*", r"(numpy|np|torch|pathlib|collections|typing|pydantic|h5py)\..*|optional"),
-    ("py:class", r"Neural|Fused|Onnx|npred\.predictors\.base\.Compiled|npred\.operators\.scaling\.Scaling"),
+    (
+        "py:class",
+        r"Neural|Fused|Onnx|npred\.delay_estimate\.DelayLaw|npred\.predictors\.base\.Compiled|npred\.operators\.scaling\.Scaling",
+    ),
 ]

@@ -48,15 +48,15 @@ class Loop(Table):
     the delay is known); or a law of one's own, `file.py:Class`, made with gamma, b and bounds.
     """
 
-    dt: Positive = 0.005
-    nx: Nodes = 101
-    t_end: Positive = 40.0
-    predictor: Method = "rk4"
-    adaptation: str = PAPER
-    gamma: Positive = 1000.0
-    b: Positive = 1.0
-    bounds: Range = (0.1, 4.0)
-    input_bounds: list[tuple[float, float]] | None = None
+    dt: Positive = 0.005  #: control step, in seconds
+    nx: Nodes = 101  #: nodes of the predictor and of u, both ends of [0, 1]; dx = 0.01 is 101
+    t_end: Positive = 40.0  #: length of a loop, in seconds
+    predictor: Method = "rk4"  #: the numerical predictor
+    adaptation: str = PAPER  #: the law of D_hat: the paper's, frozen, or `file.py:Class`
+    gamma: Positive = 1000.0  #: adaptation gain [DAPF, eq. 11]
+    b: Positive = 1.0  #: weight of w in phi [DAPF, eq. 12]
+    bounds: Range = (0.1, 4.0)  #: where D_hat stays, in seconds
+    input_bounds: list[tuple[float, float]] | None = None  #: of U, a pair an input; by default the plant's
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -79,17 +79,17 @@ class Generate(Loop):
     `data` is an HDF5 file with these samples, as `npred import` and `npred export hdf5` write it: nothing is simulated.
     """
 
-    samples: Count = 5000
-    rollouts: Count = 50
-    D: Range | Positive = 1.0
-    D_hat0: Some[Range] = [(0.3, 0.7), (1.0, 2.0), (1.0, 2.0)]
-    box: dict[str, tuple[float, float]] = {}
-    test_share: Annotated[float, Field(gt=0, lt=1)] = 0.1
-    explore: Annotated[float, Field(ge=0, lt=1)] = 0.0
-    redraw: Annotated[float, Field(ge=0, lt=1)] = 0.0
-    explore_D: Range = (0.25, 2.0)
-    explore_D_hat0: Range = (0.25, 3.5)
-    data: str = ""
+    samples: Count = 5000  #: rows of data
+    rollouts: Count = 50  #: loops that they are taken from
+    D: Range | Positive = 1.0  #: true delay in seconds, or a range to draw it from
+    D_hat0: Some[Range] = [(0.3, 0.7), (1.0, 2.0), (1.0, 2.0)]  #: ranges of D_hat(0), an equal share of rollouts each
+    box: dict[str, tuple[float, float]] = {}  #: range of each initial state, in the place of the plant's
+    test_share: Annotated[float, Field(gt=0, lt=1)] = 0.1  #: of the rollouts, held out
+    explore: Annotated[float, Field(ge=0, lt=1)] = 0.0  #: share of rollouts with delays of their own
+    redraw: Annotated[float, Field(ge=0, lt=1)] = 0.0  #: share of rows with a D_hat drawn anew
+    explore_D: Range = (0.25, 2.0)  #: D of exploring rollouts
+    explore_D_hat0: Range = (0.25, 3.5)  #: D_hat(0) of those, and D_hat of redrawn rows
+    data: str = ""  #: an HDF5 file of samples in the place of rollouts
 
     @property
     def explorers(self) -> int:
@@ -127,18 +127,18 @@ class Training(Table):
     data's nodes the error is taken on (u is seen on all).
     """
 
-    epochs: Count = 100
-    batch: Count = 1024
-    lr: Positive = 1e-2
-    weight_decay: Annotated[float, Field(ge=0)] = 0.0
-    optimiser: Literal["soap", "adam"] = "soap"
-    schedule: Literal["one-cycle", "step"] = "one-cycle"
-    loss: Literal["raw", "standardised", "kappa"] = "kappa"
-    rows: Literal["square", "norm"] = "norm"
-    nodes: Nodes | None = None
-    snapshots: list[Count] = []
-    anchor: Anchor = "equilibrium"
-    checkpoint_every: Count = 5
+    epochs: Count = 100  #: passes over the data
+    batch: Count = 1024  #: rows a step
+    lr: Positive = 1e-2  #: learning rate, at its peak
+    weight_decay: Annotated[float, Field(ge=0)] = 0.0  #: of the weights, towards 0
+    optimiser: Literal["soap", "adam"] = "soap"  #: SOAP or Adam
+    schedule: Literal["one-cycle", "step"] = "one-cycle"  #: of the learning rate; step halves it every 50 epochs
+    loss: Literal["raw", "standardised", "kappa"] = "kappa"  #: how components weigh; kappa: in control
+    rows: Literal["square", "norm"] = "norm"  #: mean of squares, or of norms, over rows
+    nodes: Nodes | None = None  #: of the data's, where P is compared; all by default
+    snapshots: list[Count] = []  #: epochs whose model is kept beside the last
+    anchor: Anchor = "equilibrium"  #: where P_hat is exact by construction
+    checkpoint_every: Count = 5  #: epochs between checkpoints
 
     @model_validator(mode="after")
     def _check_snapshots(self) -> Self:
@@ -153,27 +153,27 @@ class Training(Table):
 class DeepONet(Training):
     """Branch network of `depth` hidden layers, trunk of two; `basis` trunk functions; `moments` of u."""
 
-    width: Count = 96
-    depth: Count = 4
-    basis: Count = 48
-    trunk: Count = 64
-    moments: Count = 16
+    width: Count = 96  #: of the branch network
+    depth: Count = 4  #: hidden layers of the branch
+    basis: Count = 48  #: trunk functions
+    trunk: Count = 64  #: width of the trunk network
+    moments: Count = 16  #: Legendre moments of u that the branch sees
 
 
 class FNO(Training):
     """Spectral layers over x [Li et al. 2021], each a truncated real DFT of the lowest `modes`."""
 
-    batch: Count = 256
-    lr: Positive = 5e-3
-    width: Count = 32
-    modes: Count = 8
-    layers: Count = 4
+    batch: Count = 256  #: rows a step
+    lr: Positive = 5e-3  #: learning rate
+    width: Count = 32  #: channels
+    modes: Count = 8  #: kept of each spectral layer
+    layers: Count = 4  #: spectral layers
 
 
 class Train(Table):
     """One table a network; `models` says which of them are trained."""
 
-    models: Some[Literal["deeponet", "fno"]] = ["deeponet", "fno"]
+    models: Some[Literal["deeponet", "fno"]] = ["deeponet", "fno"]  #: networks to train
     deeponet: DeepONet = DeepONet()
     fno: FNO = FNO()
 
@@ -181,15 +181,15 @@ class Train(Table):
 class Evaluate(Loop):
     """Held-out errors; the loop of Fig. 1, initial states x D_hat(0), and Fig. 1's start over a map D x D_hat(0)."""
 
-    t_end: Positive = 100.0
-    D: Positive = 1.0
-    X0: list[float] = [0.03, 30.0]
-    D_hat0: Positive = 2.0
-    case_states: Count = 10
-    case_D_hat0: Some[Positive] = [0.3, 0.5, 1.0, 1.5, 2.0]
-    case_t_end: Positive = 100.0
-    map_D: list[Positive] = []
-    map_D_hat0: list[Positive] = []
+    t_end: Positive = 100.0  #: length of the loop of Fig. 1, in seconds
+    D: Positive = 1.0  #: true delay, in seconds
+    X0: list[float] = [0.03, 30.0]  #: start of Fig. 1
+    D_hat0: Positive = 2.0  #: D_hat(0) of Fig. 1
+    case_states: Count = 10  #: random initial states of the box …
+    case_D_hat0: Some[Positive] = [0.3, 0.5, 1.0, 1.5, 2.0]  #: … times these D_hat(0)
+    case_t_end: Positive = 100.0  #: length of those loops, in seconds
+    map_D: list[Positive] = []  #: true delays of the convergence map …
+    map_D_hat0: list[Positive] = []  #: … times these D_hat(0), from the start of Fig. 1
 
     @model_validator(mode="after")
     def _check_delays(self) -> Self:
@@ -213,22 +213,22 @@ class Bench(Table):
     is dear, to say from where on a network pays ("" for none).
     """
 
-    dx: Some[Annotated[float, Field(gt=0, le=0.5)]] = [0.01, 0.005, 0.001]
-    calls: Count = 1000
-    seconds: Positive = 15.0
-    threads: Count = 1
-    batches: Some[Count] = [1, 1024]
-    runtimes: Some[Literal["torch", "fused", "onnx"]] = ["torch", "fused", "onnx"]
-    costly: str = ""
+    dx: Some[Annotated[float, Field(gt=0, le=0.5)]] = [0.01, 0.005, 0.001]  #: spacings of the nodes
+    calls: Count = 1000  #: timed calls of a predictor
+    seconds: Positive = 15.0  #: after which they end
+    threads: Count = 1  #: of each library
+    batches: Some[Count] = [1, 1024]  #: rows a call
+    runtimes: Some[Literal["torch", "fused", "onnx"]] = ["torch", "fused", "onnx"]  #: ways to evaluate a network
+    costly: str = ""  #: a plant whose f is dear, "" for none
 
 
 class Pipeline(Table):
     """A pipeline file, resolved: `plant` is a built-in name or `file.py:Class`, `parameters` override its defaults."""
 
-    name: str = "pipeline"
-    seed: Annotated[int, Field(ge=0)] = 0
-    plant: str
-    parameters: dict[str, float] = {}
+    name: str = "pipeline"  #: what its results are called
+    seed: Annotated[int, Field(ge=0)] = 0  #: of everything random
+    plant: str  #: a name, or `file.py:Class`
+    parameters: dict[str, float] = {}  #: overrides of the plant's
     generate: Generate = Generate()
     train: Train = Train()
     evaluate: Evaluate = Evaluate()

@@ -10,10 +10,12 @@ import typer.main
 from pydantic.fields import FieldInfo
 from sphinx.application import Sphinx
 from sphinx.pycode import ModuleAnalyzer
+from sphinx.util import logging
 
 from npred import cli, config
 from npred.cli.options import Common, Planned, Work
 
+logger = logging.getLogger(__name__)
 PAGES = "cli", "configuration"
 
 
@@ -106,8 +108,10 @@ def _table(path: str, model: type[config.Table]) -> Iterator[str]:
     for name, field in model.model_fields.items():
         if name not in tables:
             owner = next(base for base in model.__mro__ if name in vars(base).get("__annotations__", {}))
-            meaning = " ".join(told.get((owner.__name__, name), []))
-            yield f"| `{name}` | {_cell(_type(field))} | {_value(field.default)} | {_cell(meaning)} |"
+            meaning = " ".join(told.get((owner.__name__, name), [])).strip()
+            if not meaning:
+                logger.warning("npred/config.py: %s.%s has no meaning; write it behind #: in its line", model, name)
+            yield f"| `{name}` | {_cell(_type(field))} | {_value(field)} | {_cell(meaning)} |"
     for name, field in tables.items():
         yield from _table(f"{path}.{name}".strip("."), field.annotation)  # type: ignore[arg-type]
 
@@ -121,10 +125,10 @@ def _words(model: type) -> str:
     return " ".join((model.__doc__ or "").split())
 
 
-def _value(default: Any) -> str:
-    if default is None:
-        return "none"
-    return f"`{json.dumps(default, ensure_ascii=False)}`"
+def _value(field: FieldInfo) -> str:
+    if field.is_required():
+        return "required"
+    return "none" if field.default is None else f"`{json.dumps(field.default, ensure_ascii=False)}`"
 
 
 def _type(field: FieldInfo) -> str:
