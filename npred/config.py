@@ -209,8 +209,7 @@ class Evaluate(Loop):
 class Bench(Table):
     """Table I of [DAPF]: calls at each dx, each predictor with its own error beside its time.
 
-    Batches above 1 are timed at the first dx. `calls` of a predictor end after `seconds`; `costly` is a plant whose f
-    is dear, to say from where on a network pays ("" for none).
+    Batches above 1 are timed at the first dx. `calls` of a predictor end after `seconds`.
     """
 
     dx: Some[Annotated[float, Field(gt=0, le=0.5)]] = [0.01, 0.005, 0.001]  #: spacings of the nodes
@@ -219,7 +218,6 @@ class Bench(Table):
     threads: Count = 1  #: of each library
     batches: Some[Count] = [1, 1024]  #: rows a call
     runtimes: Some[Literal["torch", "fused", "onnx"]] = ["torch", "fused", "onnx"]  #: ways to evaluate a network
-    costly: str = ""  #: a plant whose f is dear, "" for none
 
 
 class Pipeline(Table):

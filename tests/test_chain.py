@@ -45,7 +45,6 @@ dx = [0.1]
 calls = 10
 batches = [1]
 runtimes = ["torch"]
-costly = ""
 """
 STAGES = ["generate", "train deeponet", "train fno", "evaluate", "bench"]
 

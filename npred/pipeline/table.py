@@ -152,5 +152,5 @@ STAGES: dict[str, Stage] = {
     "generate": Stage(1, (), _generate, "npred.stages.generate"),
     "train": Stage(1, ("generate",), _train, "npred.stages.train"),
     "evaluate": Stage(3, ("generate", "train"), _evaluate, "npred.stages.evaluate"),
-    "bench": Stage(2, ("generate", "train"), _bench, "npred.stages.bench"),
+    "bench": Stage(3, ("generate", "train"), _bench, "npred.stages.bench"),
 }

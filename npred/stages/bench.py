@@ -20,7 +20,7 @@ def run(job: Job) -> dict[str, Any]:
 
     Protocol of [DAPF, Table I]: state at the box's corner, u(x) = x, D_hat ~ U(0.5, 1.7). Writes times.h5 (each call's
     nanoseconds), bench.tex (booktabs), front.svg and front.png (latency against error). `crossover` says when a network
-    pays, for the pipeline's plant and for a costly one.
+    pays, one row a network.
     """
     import torch
 
@@ -31,7 +31,9 @@ def run(job: Job) -> dict[str, Any]:
     errors = {entry.label: reference.error(entry) for entry in entries}
     times = _times(job, config, entries)
     rows = _speedups([_row(entry, times[entry.label], errors[entry.label]) for entry in entries])
-    result = {"rows": rows, "calls": config.calls, "crossover": _crossovers(job, rows, reference)}
+    found = crossover.measure(job, zip(entries, rows, strict=True), reference)
+    result = {"rows": rows, "calls": config.calls}
+    result |= {"crossover": [one | {"sentence": crossover.sentence(one)} for one in found]}
     result |= {"hardware": _hardware(job, config)}
     bench_report.write(job.folder, result)
     return result
@@ -66,16 +68,6 @@ def _speedups(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
         return same[0]["median_us"] / row["median_us"] if same else None
 
     return [r | {"speedup_published": base(r, "published"), "speedup_compiled": base(r, "euler")} for r in rows]
-
-
-def _crossovers(job: Job, rows: list[dict[str, Any]], reference: Reference) -> list[dict[str, Any]]:
-    """Of the pipeline's plant, and of the costly one where there is one to compare with."""
-    finite = [row for row in rows if row["eps_sup"] is not None]
-    if not any(row["batch"] == 1 and row["predictor"] in job.config.train.models for row in finite):
-        return []
-    own = crossover.of_rows(job, finite, reference)
-    found = [own, crossover.of_costly(job, own["eps_relative"])] if job.config.bench.costly else [own]
-    return [one | {"sentence": crossover.sentence(one)} for one in found]
 
 
 def _hardware(job: Job, config: Bench) -> dict[str, Any]:

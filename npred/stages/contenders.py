@@ -1,5 +1,6 @@
 """Who is timed: each predictor at each dx and batch, in each runtime and on each device, with its error."""
 
+from bisect import bisect_left
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -11,13 +12,14 @@ from npred.config import Bench
 from npred.dataset import Dataset
 from npred.operators import Operator
 from npred.plants import Plant
-from npred.predictors import METHODS, RK4, Euler, Heun, Predictor
+from npred.predictors import METHODS, RK4, Compiled, Euler, Heun, Predictor
 from npred.predictors.interpreted import EulerPython, Published
 from npred.stages import Job
 from npred.stages.starts import box
 
 FINE = 2001  # nodes of the reference
 PROBES = 200  # held-out samples that a row's error is taken over
+LADDER = sorted({round(1.2**k) for k in range(42)} | {FINE - 1})  # numbers of intervals to try
 FRONT = (4, 10, 20, 50)  # intervals of the compiled methods' coarse end
 COMPILED = (Euler, Heun, RK4)
 
@@ -93,20 +95,30 @@ def entries(job: Job, reference: Reference) -> list[Entry]:
     nx = grid.count(config.dx[0])
     for name in networks:
         eps = reference.error(next(e for e in found if (e.predictor, e.nx) == (name, nx)))
-        coarse = matching(reference, eps)
-        found.append(Entry("rk4", "compiled", coarse, 1, RK4(job.plant, coarse), name))
+        for method in COMPILED:
+            if coarse := matching(reference, method, eps):
+                found.append(Entry(method.name, "compiled", coarse, 1, method(job.plant, coarse), name))
     return found + [Entry(m.name, "compiled", k + 1, 1, m(job.plant, k + 1), "front") for k in FRONT for m in COMPILED]
 
 
-def matching(reference: Reference, eps: float) -> int:
-    """The fewest nodes from which on RK4 is at least as accurate as eps; a single grid may fit u by luck."""
-    ladder = sorted({round(1.2**k) for k in range(4, 42)} | {FINE - 1})
-    wanted = ladder[-1]
-    for intervals in reversed(ladder):
-        if reference.of(RK4(reference.plant), intervals + 1) > eps:
-            break
-        wanted = intervals
-    return wanted + 1
+def matching(reference: Reference, method: type[Compiled], eps: float) -> int | None:
+    """The fewest nodes from which on the method is at least as accurate as eps; a single grid may fit u by luck.
+
+    None where even the reference's nodes are not enough.
+    """
+    run = method(reference.plant)
+
+    def suffices(intervals: int) -> bool:
+        return reference.of(run, intervals + 1) <= eps
+
+    known: list[int] = []
+    for intervals in reversed(LADDER):
+        if not suffices(intervals):
+            if not known:
+                return None
+            return bisect_left(range(known[-1]), True, intervals + 1, key=suffices) + 1
+        known.append(intervals)
+    return known[-1] + 1
 
 
 def _available(job: Job, config: Bench) -> list[str]:

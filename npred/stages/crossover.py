@@ -1,94 +1,75 @@
-"""When a network pays: its latency against the numerical predictor's steps times the cost of one evaluation of f."""
+"""When a network pays: against the quickest numerical predictor of the same accuracy, on the same samples."""
 
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
 
-from npred import grid, operators, plants, randomness, runtimes, timing
-from npred.dataset import Dataset
-from npred.operators import Scaling
-from npred.plants import Plant
-from npred.predictors import RK4, Predictor
+from npred import grid, timing
+from npred.predictors import METHODS, RK4, Predictor
 from npred.stages import Job
-from npred.stages.contenders import Reference, matching
+from npred.stages.contenders import Entry, Reference
 
 STEPS = (10, 210)  # of the two runs whose difference is the cost of f
-EVALUATIONS = 4  # of f in a step of RK4
-SAMPLES, NODES = 50, 101
 Row = dict[str, Any]
 
 
-def of_rows(job: Job, rows: list[Row], reference: Reference) -> Row:
-    """The crossover of the pipeline's plant, for its quickest network at batch 1 and the first dx, at its accuracy."""
-    first = [r for r in rows if r["batch"] == 1 and not r["matches"] and abs(r["dx"] - job.config.bench.dx[0]) < 1e-9]
-    network = min((r for r in first if r["predictor"] in job.config.train.models), key=lambda r: r["median_us"])
-    steps = round(1 / next(r["dx"] for r in rows if r["matches"] == network["predictor"]))
-    found = _crossover(job, job.plant, network["median_us"], steps)
-    size = float(np.abs(reference.P).max())
-    which = {key: network[key] for key in ("predictor", "runtime", "eps_sup")}
-    return which | {"trained": True, "eps_relative": network["eps_sup"] / size} | found
+def measure(job: Job, timed: Iterable[tuple[Entry, Row]], reference: Reference) -> list[Row]:
+    """A row a trained network: its quickest runtime at batch 1 and the first dx, and every method as accurate."""
+    single = [(entry, row) for entry, row in timed if entry.batch == 1 and entry.device == "cpu" and row["eps_sup"]]
+    first = grid.count(job.config.bench.dx[0])
+    found = []
+    for name in sorted(set(job.config.train.models)):
+        own = [(e, row) for e, row in single if (e.predictor, e.nx, e.matches) == (name, first, None)]
+        rivals = [entry for entry, _ in single if entry.matches == name]
+        if own and rivals:
+            found.append(_crossover(job, *min(own, key=lambda pair: pair[1]["median_us"]), rivals, reference))
+    return found
 
 
-def of_costly(job: Job, eps_relative: float) -> Row:
-    """The same for the plant `costly` at the same relative accuracy, against a fused DeepONet of the pipeline's sizes.
-
-    That network is untrained: its latency does not hang on its weights, and its accuracy is taken as given.
-    """
-    plant = plants.resolve(job.config.bench.costly)
-    reference = Reference(plant, _samples(job, plant))
-    eps, nx = eps_relative * float(np.abs(reference.P).max()), grid.count(job.config.bench.dx[0])
-    operator = operators.build(job.config.train.deeponet, plant, Scaling(plant.n, plant.m)).eval().requires_grad_(False)
-    latency = _median(job, plant, runtimes.predictor("fused", plant, operator, nx), nx)
-    found = _crossover(job, plant, latency, matching(reference, eps) - 1)
-    which = {"predictor": "deeponet", "runtime": "fused", "trained": False}
-    return which | {"eps_sup": eps, "eps_relative": eps_relative} | found
-
-
-def _samples(job: Job, plant: Plant) -> Dataset:
-    """Random states of the plant's box with smooth inputs about the target's, as data to take errors on."""
-    random = randomness.generator(job.config.seed, "bench", "costly")
-    ends = np.array([plant.box[name] for name in plant.states])
-    rest = plant.u_target(0.0)
-    waves = np.cos(np.outer(grid.nodes(NODES), np.pi * np.arange(1, 4)))  # (nodes, 3)
-    weights = random.normal(size=(SAMPLES, 3, plant.m)) * (0.1 + np.abs(rest)) / 10
-    return Dataset(
-        X=random.uniform(ends[:, 0], ends[:, 1], (SAMPLES, plant.n)), u=rest + waves @ weights,
-        D_hat=random.uniform(0.2, 0.8, SAMPLES), P=np.zeros((SAMPLES, NODES, plant.n)), D=np.zeros(SAMPLES),
-        t=np.ones(SAMPLES), rollout=np.zeros(SAMPLES, dtype=np.int32), test=np.ones(SAMPLES, dtype=np.uint8),
-    )  # fmt: skip
-
-
-def _crossover(job: Job, plant: Plant, network_us: float, steps: int) -> Row:
-    """pays_from_ns: the cost of an evaluation of f at which RK4 with these steps takes as long as the network."""
-    few, many = (_median(job, plant, RK4(plant, k + 1), k + 1) for k in STEPS)
-    f_ns = (many - few) * 1000 / (EVALUATIONS * (STEPS[1] - STEPS[0]))
-    overhead = max(few - f_ns * EVALUATIONS * STEPS[0] / 1000, 0.0)
-    rk4_us = overhead + f_ns * EVALUATIONS * steps / 1000
-    pays_from = max(network_us - overhead, 0.0) * 1000 / (EVALUATIONS * steps)
+def _crossover(job: Job, network: Entry, row: Row, rivals: list[Entry], reference: Reference) -> Row:
+    """Both timed in turn. pays_from_ns: the cost of f at which the rival's steps take as long as the network."""
+    runs = {entry.label: entry.run for entry in (network, *rivals)} | {str(k): RK4(job.plant, k + 1) for k in STEPS}
+    calls = {label: _call(reference, run) for label, run in runs.items()}
+    times = timing.sample(calls, job.config.bench.calls, job.config.bench.seconds)
+    median = {label: timing.quantiles(taken)["median_us"] for label, taken in times.items()}
+    few, many = (median[str(k)] for k in STEPS)
+    f_ns = 1000 * (many - few) / (RK4.order * (STEPS[1] - STEPS[0]))
+    best = min(rivals, key=lambda entry: median[entry.label])
+    evaluations = METHODS[best.predictor].order * (best.nx - 1)  # up to order four a step needs as many as its order
+    network_us, best_us = median[network.label], median[best.label]
+    overhead = max(best_us - f_ns * evaluations / 1000, 0.0)
     return {
-        "plant": plant.name, "f_ns": f_ns, "rk4_steps": steps, "rk4_us": rk4_us, "network_us": network_us,
-        "network_speedup": rk4_us / network_us, "pays_from_ns": pays_from,
+        "plant": job.plant.name, "predictor": network.predictor, "runtime": network.runtime, "eps_sup": row["eps_sup"],
+        "eps_relative": row["eps_sup"] / float(np.abs(reference.P).max()), "network_us": network_us,
+        "numerical": [{"predictor": e.predictor, "steps": e.nx - 1, "median_us": median[e.label]} for e in rivals],
+        "best": best.predictor, "best_steps": best.nx - 1, "best_us": best_us, "network_speedup": best_us / network_us,
+        "f_ns": f_ns, "pays_from_ns": 1000 * max(network_us - overhead, 0.0) / evaluations,
     }  # fmt: skip
 
 
-def _median(job: Job, plant: Plant, run: Predictor, nx: int) -> float:
-    """Microseconds of a call at batch 1, near the plant's target."""
-    X, u = plant.target(0.0)[:, None] * 1.01, np.tile(plant.u_target(0.0)[None, :, None], (nx, 1, 1))
-    D_hat, P, predict, config = np.ones(1), np.empty((nx, plant.n, 1)), run.lanes(), job.config.bench
+def _call(reference: Reference, run: Predictor) -> Callable[[int], None]:
+    """The k-th call on a held-out sample of the reference, as a loop makes it, on memory that is there."""
+    plant, predict = run.plant, run.lanes()
+    u = grid.refine(reference.u, run.nx)
+    inputs = [
+        (reference.X[i][:, None].copy(), u[i][..., None].copy(), reference.D_hat[i : i + 1].copy())
+        for i in range(len(reference.X))
+    ]
+    P, p = np.empty((run.nx, plant.n, 1)), plant.p
 
     def call(k: int) -> None:
-        predict(X, u, D_hat, 0.0, plant.p, P)
+        predict(*inputs[k % len(inputs)], 0.0, p, P)
 
-    return timing.quantiles(timing.sample({"one": call}, config.calls, config.seconds)["one"])["median_us"]
+    return call
 
 
 def sentence(found: Row) -> str:
     """What it means, for people."""
-    numerical, ratio = f"rk4 with {found['rk4_steps']} steps", found["network_speedup"]
-    trained = "" if found["trained"] else ", if trained to that accuracy"
-    network = f"a {found['predictor']} ({found['runtime']}){trained}"
+    numerical, ratio = f"{found['best']} with {found['best_steps']} steps", found["network_speedup"]
+    network = f"a {found['predictor']} ({found['runtime']})"
     first, second = (numerical, network) if ratio < 1 else (network, numerical)
-    times = f"{found['network_us']:.1f} us the network, {found['rk4_us']:.1f} us rk4"
+    times = f"{found['network_us']:.1f} us the network, {found['best_us']:.1f} us {found['best']}"
     pays = f"from {found['pays_from_ns']:.0f} ns an evaluation of f on (here {found['f_ns']:.0f} ns)"
     return (
         f"For {found['plant']} at eps = {found['eps_sup']:.1e} the fastest predictor is {first}, by "
