@@ -7,11 +7,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from npred import delayed_law, shapes
+from npred import delayed_law, shapes, untraced_law
 from npred.delay_estimate import DelayLaw, interpreted
 from npred.errors import ConfigError
 from npred.plants import kernels, routines, tape
 from npred.plants.base import Plant
+from npred.plants.black_box import BlackBox
 from npred.plants.trace import Trace
 
 # P (nx, n, B), X (n, B), u (nx, m, B), D_hat (B,), t, p, b -> U (m, B), phi (B,), N (B,)
@@ -137,6 +138,8 @@ def _lanes_last(a: np.ndarray, leading: int) -> np.ndarray:
 @cache
 def update_law(plant: Plant) -> Callable[..., None]:
     """The compiled law: U = kappa(P(1)) [DAPF, eq. 9], phi and N = 1 + V + b ∫ (1+x) w²."""
+    if isinstance(plant, BlackBox):
+        return untraced_law.update(plant, transition)
     trace = routines.trace(plant)
     x, u, t, h = trace.vector("x", plant.n), trace.vector("a", plant.m), trace.input("t"), trace.input("h")
     r, s = trace.vector("r", plant.n), trace.vector("s", plant.n)
@@ -154,6 +157,8 @@ def update_law(plant: Plant) -> Callable[..., None]:
 @cache
 def control_law(plant: Plant) -> Callable[..., None]:
     """The compiled law without adaptation: U_j = kappa_j(P(r_j)) with r_j = 1 for one delay, phi = 0."""
+    if isinstance(plant, BlackBox):
+        return untraced_law.control(plant)
     if not plant.one_delay:
         return delayed_law.build(plant, SIGNATURE)
     trace = routines.trace(plant)

@@ -134,7 +134,8 @@ class _Loop:
     @property
     def compiled(self) -> bool:
         """Whether all parts are kernels; else the same loop runs in Python around those that are."""
-        return self.law.compiled and (self.predictor is None or isinstance(self.predictor, Compiled))
+        parts = self.plant.traced and self.law.compiled
+        return parts and (self.predictor is None or isinstance(self.predictor, Compiled))
 
     def run(
         self, X0: np.ndarray, D: np.ndarray, D_hat: np.ndarray, samples: np.ndarray, progress: Any

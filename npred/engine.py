@@ -12,9 +12,10 @@ import numpy as np
 from numba import njit, types
 from numba.core.sigutils import normalize_signature
 
-from npred import actuator, adaptation
+from npred import actuator, adaptation, untraced_law
 from npred.plants import kernels, routines, tape
 from npred.plants.base import Plant
+from npred.plants.black_box import BlackBox
 from npred.plants.trace import Trace
 from npred.predictors import base as predictors
 from npred.predictors.onestep import OneStep
@@ -202,6 +203,8 @@ def advance(X, U0, U1, share, dt, t, p):
 @cache
 def advance_kernel(plant: Plant, method: type[OneStep]) -> Callable[..., None]:
     """The compiled step of the plant with held inputs, split where a switch of a delayed input falls inside it."""
+    if isinstance(plant, BlackBox):
+        return untraced_law.advance(plant, method)
     parameters = kernels.parameters(len(plant.p))
     trace = routines.trace(plant)
     if plant.one_delay:

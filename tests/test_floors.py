@@ -17,7 +17,8 @@ FLOORS = [
     {"config", "devices", "documents", "executors", "grid", "places", "randomness", "shapes"},
     {"plants"},
     {"actuator", "predictors", "operators"},
-    {"adaptation", "arguments", "closed_loop", "delay_estimate", "delayed_law", "engine", "laws", "lyapunov"},
+    {"adaptation", "arguments", "closed_loop", "delay_estimate", "delayed_law", "engine", "laws", "lyapunov"}
+    | {"untraced_law"},
     {"control", "dataset", "hdf5", "interop", "metrics", "plant_check", "runtimes", "shards", "streaming", "timing"}
     | {"training"},
     {"store", "console"},

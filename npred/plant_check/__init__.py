@@ -23,7 +23,8 @@ def _answers(case: Case) -> Iterator[Answer]:
     yield (traced := _traced(case.plant))
     if traced.verdict == "no":
         return
-    yield rest.smooth(case)
+    if case.plant.traced:
+        yield rest.smooth(case)
     yield (declared := box.declared(case))
     sound = declared.verdict != "no"
     if sound:
@@ -39,4 +40,7 @@ def _traced(plant: Plant) -> Answer:
         _ = plant.identity
     except ConfigError as error:
         return Answer("trace", "no", str(error))
-    return Answer("trace", "yes", f"f, kappa and V: {', '.join(plant.states)} driven by {', '.join(plant.inputs)}")
+    found = f"{', '.join(plant.states)} driven by {', '.join(plant.inputs)}"
+    if not plant.traced:
+        return Answer("trace", "warn", f"{found}, by functions that are called: slower, and derivatives by differences")
+    return Answer("trace", "yes", f"f, kappa and V: {found}")

@@ -8,6 +8,7 @@ from npred import arguments
 from npred.errors import ConfigError
 from npred.plant_check.answer import Answer, Case, named
 from npred.plants import tape
+from npred.plants.base import Plant
 from npred.plants.fit import SLIP, slip
 from npred.plants.trace import Trace, python
 
@@ -111,6 +112,8 @@ def _towards_rest(case: Case) -> np.ndarray:
 
 def _along(case: Case, X: np.ndarray) -> np.ndarray:
     """V' at the states X (B, n), the input not clipped, (B,)."""
+    if not case.plant.traced:
+        return _rise(case.plant, X)
     trace, plant = Trace(case.plant), case.plant
     x, t = trace.vector("x", plant.n), 0.0
     V = trace.V(x, t)
@@ -119,6 +122,13 @@ def _along(case: Case, X: np.ndarray) -> np.ndarray:
     rate = python(slope, names, np)
     with np.errstate(all="ignore"):
         return np.array([rate(*row, *plant.p)[0] for row in X], dtype=float)
+
+
+def _rise(plant: Plant, X: np.ndarray) -> np.ndarray:
+    """V' by central differences along the loop's velocity."""
+    velocity = plant.f(X, plant.kappa(X))
+    h = 1e-6 / (1.0 + np.linalg.norm(velocity, axis=-1))
+    return (plant.V(X + h[:, None] * velocity) - plant.V(X - h[:, None] * velocity)) / (2 * h)
 
 
 def lyapunov(A: np.ndarray) -> np.ndarray:

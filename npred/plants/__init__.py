@@ -8,6 +8,7 @@ from typing import Any
 from npred.errors import ConfigError
 from npred.plants import files, installed
 from npred.plants.base import Plant
+from npred.plants.black_box import BlackBox
 
 
 def resolve(name: str, parameters: Mapping[str, float] = {}) -> Plant:
@@ -19,12 +20,18 @@ def resolve(name: str, parameters: Mapping[str, float] = {}) -> Plant:
         raise ConfigError(f"plant: expected a name or my_plant.py:Tank, got {name!r}; write it as text")
     if files.named(name):
         found = files.load("plant", name)
-        return Plant(found.name, found.declaration, parameters, found.source)
+        return make(found.name, found.declaration, parameters, found.source)
     declaration = _builtin().get(name) or installed.find(name)
     if declaration is None:
         known = ", ".join([*_builtin(), *installed.names(_builtin())])
         raise ConfigError(f"plant {name!r}: expected one of {known}, or a file as my_plant.py:Tank")
-    return Plant(name, declaration, parameters)
+    return make(name, declaration, parameters)
+
+
+def make(name: str, declaration: Any, parameters: Mapping[str, float] = {}, source: str | None = None) -> Plant:
+    """The plant of a declaration: traced, unless it says `traced = False`."""
+    kind = Plant if getattr(declaration, "traced", True) else BlackBox
+    return kind(name, declaration, parameters, source)
 
 
 def identity(name: str, parameters: Mapping[str, float] = {}) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 import hashlib
 from collections.abc import Mapping
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -23,6 +23,8 @@ class Plant:
     mathematics: sin, exp, where …
     Raises ConfigError for a declaration with a part that is missing or wrong, or a parameter that it does not have.
     """
+
+    traced: ClassVar[bool] = True
 
     def __init__(self, name: str, declaration: Any, overrides: Mapping[str, float] = {}, source: str | None = None):
         declared.check(name, declaration)
@@ -128,7 +130,9 @@ class Plant:
             raise ConfigError(
                 f"plant {self.name}: expected an equilibrium or a reference, found neither; declare reference(t, p, M)"
             )
-        t = np.asarray(t, dtype=float)
+        return self._reference(np.asarray(t, dtype=float))
+
+    def _reference(self, t: np.ndarray) -> np.ndarray:
         return mathematics.stack(self.call("reference", None, None, t, [*self.p], mathematics.NUMPY), t)
 
     def u_target(self, t: Any) -> np.ndarray:
@@ -207,11 +211,6 @@ class Plant:
     @cached_property
     def identity(self) -> dict[str, Any]:
         """What a result depends on: name, parameters, the hash of the traced functions and of a user's own file."""
-        trace = Trace(self)
-        x, u, t = trace.vector("x", self.n), trace.vector("u", self.m), trace.input("t")
-        outputs = [*trace.f(x, u, t), *trace.kappa(x, t), trace.V(x, t), *(trace.reference(t) if self.tracks else ())]
-        names = [*self._names("x", self.n), *self._names("u", self.m), "t", *self._names("p", len(self.p))]
-        lines = tape.program(outputs, {name: name for name in names}, [f"y{k}" for k in range(len(outputs))])
         optional = {} if self.delays is None else {"ratios": self.ratios.tolist()}
         return {
             "name": self.name,
@@ -219,10 +218,19 @@ class Plant:
             "box": {name: list(span) for name, span in self.box.items()},
             "input_bounds": None if self.input_bounds is None else [[*map(_word, pair)] for pair in self.input_bounds],
             "guess": self.guess.tolist(),
-            "program": hashlib.sha256("\n".join(lines).encode()).hexdigest(),
+            "program": self._program(),
             "source": self.source,
             **optional,
         }
+
+    def _program(self) -> str:
+        """The hash of the traced functions."""
+        trace = Trace(self)
+        x, u, t = trace.vector("x", self.n), trace.vector("u", self.m), trace.input("t")
+        outputs = [*trace.f(x, u, t), *trace.kappa(x, t), trace.V(x, t), *(trace.reference(t) if self.tracks else ())]
+        names = [*self._names("x", self.n), *self._names("u", self.m), "t", *self._names("p", len(self.p))]
+        lines = tape.program(outputs, {name: name for name in names}, [f"y{k}" for k in range(len(outputs))])
+        return hashlib.sha256("\n".join(lines).encode()).hexdigest()
 
 
 def _word(value: float) -> float | str:

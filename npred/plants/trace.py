@@ -97,21 +97,32 @@ def call(
     Only f takes u, and `reference` takes the time alone.
     """
     state = () if x is None else (_record("State", plant.states)(*x),)
-    parameters = _record("Parameters", tuple(plant.parameters))(*p)
+    named = _record("Parameters", tuple(plant.parameters))(*p)
     inputs = () if u is None else (_record("Inputs", plant.inputs)(*u),)
     function = getattr(plant.declaration, name)
     try:
-        values = function(*state, *inputs, t, parameters, M)
+        values = function(*state, *inputs, t, named, M)
     except ConfigError:
         raise
     except Exception as error:
-        place = blame.where(error, function) or f" ({blame.line(function)})"
-        raise ConfigError(f"plant {plant.name}: {name} failed{place}: {blame.told(error)}{_cure(error)}") from None
+        raise ConfigError(f"{failure(plant, name, error)}{_cure(error)}") from None
     if name == "V":
         return [values]
     # A formula that returns a bare number returns, on arrays, an array without an axis of components.
     several = isinstance(values, list | tuple) or np.ndim(values) > np.ndim(t if x is None else x[0])
     return list(values) if several else [values]
+
+
+def parameters(plant: "Plant") -> Any:
+    """The parameters' values by name."""
+    return _record("Parameters", tuple(plant.parameters))(*plant.p)
+
+
+def failure(plant: "Plant", name: str, error: Exception) -> str:
+    """What went wrong inside a declared function, in one line with the line of the author's file."""
+    function = getattr(plant.declaration, name)
+    place = blame.where(error, function) or f" ({blame.line(function)})"
+    return f"plant {plant.name}: {name} failed{place}: {blame.told(error)}"
 
 
 def _cure(error: Exception) -> str:

@@ -66,7 +66,12 @@ class EulerPython(Interpreted):
 
     @cached_property
     def _f(self) -> Callable[..., list[float]]:
-        trace, n, m = Trace(self.plant), self.plant.n, self.plant.m
+        n, m = self.plant.n, self.plant.m
+        if not self.plant.traced:
+            return lambda *values: self.plant.f(
+                np.array(values[:n]), np.array(values[n : n + m]), values[n + m]
+            ).tolist()
+        trace = Trace(self.plant)
         values = trace.f(trace.vector("x", n), trace.vector("u", m), trace.input("t"))
         parameters = [f"p{k}" for k in range(len(self.plant.p))]
         return python(values, [*(f"x{k}" for k in range(n)), *(f"u{k}" for k in range(m)), "t", *parameters])

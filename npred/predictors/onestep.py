@@ -5,7 +5,8 @@ from collections.abc import Callable
 from typing import Any
 
 from npred.plants import kernels, routines, tape
-from npred.predictors import several
+from npred.plants.black_box import BlackBox
+from npred.predictors import several, untraced
 from npred.predictors.base import SIGNATURE, Compiled
 
 # With few lanes the states stay in registers along x; with many, the lanes are the SIMD loop. A long step fits no
@@ -59,6 +60,8 @@ class OneStep(Compiled):
         """x(t + h) from x(t), the input being u0, um, u1 at t, t + h/2, t + h."""
 
     def compile(self) -> Callable[..., None]:
+        if isinstance(self.plant, BlackBox):
+            return untraced.sweep(self.plant, self.step)
         if not self.plant.one_delay:
             return kernels.build("sweep", SIGNATURE, several.sweep(self.plant, self.step), several.PREAMBLE)
         return kernels.build("sweep", SIGNATURE, *self._source())

@@ -8,6 +8,8 @@ import numpy as np
 from npred.errors import DivergedError
 from npred.plants import kernels, routines, tape
 from npred.plants.base import Plant
+from npred.plants.black_box import BlackBox
+from npred.predictors import untraced
 from npred.predictors.base import SIGNATURE, Compiled
 
 SOURCE = """\
@@ -61,6 +63,8 @@ class Picard(Compiled):
         return P
 
     def compile(self) -> Callable[..., None]:
+        if isinstance(self.plant, BlackBox):
+            return untraced.picard(self.plant, self.tolerance, self.sweeps)
         n, m, count = self.plant.n, self.plant.m, len(self.plant.p)
         trace = routines.trace(self.plant)
         y = trace.f(trace.vector("x", n), trace.vector("a", m), trace.input("t"))

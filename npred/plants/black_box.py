@@ -1,0 +1,132 @@
+"""A plant that cannot be traced, a rigid-body library say: NumPy callables in the same loop, slower."""
+
+import hashlib
+import inspect
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from npred.errors import ConfigError
+from npred.plants.base import Plant
+from npred.plants.trace import failure, parameters
+
+STEP = 6e-6  # of a central difference: the cube root of the machine epsilon balances rounding and the third derivative
+TIMES = (0.0, 0.37, 1.93)  # at which functions are compared to see whether they depend on time
+
+
+class BlackBox(Plant):
+    """X' = f(X, U(t - D)) with f, kappa and V given as functions of arrays, which are called and never looked into.
+
+    The declaration says `traced = False` and gives f(X, u, t, p) -> (B, n), kappa(X, t, p) -> (B, m) and V(X, t, p) ->
+    (B,) for X (B, n), u (B, m), t a number or (B,), and p with the parameters' names; `reference(t, p)` takes t (B,)
+    and gives (B, n). Optional are df(X, u, t, p, v) -> (B, n) and dkappa(X, t, p, v) -> (B, m), the derivatives by X
+    along v (B, n), else taken by central differences, good to about 1e-9 of the function's size; and `files`, paths
+    whose content is part of the identity, as is that of the plant's own file. All else is as for any Plant.
+    Raises ConfigError, in one line, for a function that fails or returns another shape, and for several delays.
+    """
+
+    traced = False
+
+    def __init__(self, name: str, declaration: Any, overrides: Mapping[str, float] = {}, source: str | None = None):
+        super().__init__(name, declaration, overrides, source or _source(name, declaration))
+        self.needs_one_delay("traced = False", "trace the plant, or drop delays")
+
+    def call(self, name: str, x: Any, u: Any, t: Any, p: Any, M: Any) -> list[Any]:
+        found = {"f": lambda: self.f(np.array(x), np.array(u), t), "kappa": lambda: self.kappa(np.array(x), t)}
+        return [*found[name]()]
+
+    def f(self, X: Any, u: Any, t: Any = 0.0) -> Any:
+        self._fits(X, u)
+        return self._rows("f", self.n, t, X, u)
+
+    def kappa(self, X: Any, t: Any = 0.0) -> Any:
+        self._fits(X, None)
+        return self._rows("kappa", self.m, t, X)
+
+    def V(self, X: Any, t: Any = 0.0) -> Any:
+        self._fits(X, None)
+        return self._rows("V", None, t, X)
+
+    def df(self, X: np.ndarray, u: np.ndarray, t: Any, v: np.ndarray) -> np.ndarray:
+        """f_X(X, u, t) v, (..., n)."""
+        if hasattr(self.declaration, "df"):
+            return self._rows("df", self.n, t, X, u, last=v)
+        return _difference(lambda moved: self.f(moved, u, t), X, v)
+
+    def dkappa(self, X: np.ndarray, t: Any, v: np.ndarray) -> np.ndarray:
+        """kappa'(X, t) v, (..., m)."""
+        if hasattr(self.declaration, "dkappa"):
+            return self._rows("dkappa", self.m, t, X, last=v)
+        return _difference(lambda moved: self.kappa(moved, t), X, v)
+
+    def jacobians(self, X: np.ndarray, u: np.ndarray, t: Any = 0.0) -> tuple[np.ndarray, np.ndarray]:
+        X, u = np.asarray(X, dtype=float), np.asarray(u, dtype=float)
+        by_X = [self.df(X, u, t, np.broadcast_to(unit, X.shape)) for unit in np.eye(self.n)]
+        by_u = [_difference(lambda at: self.f(X, at, t), u, np.broadcast_to(unit, u.shape)) for unit in np.eye(self.m)]
+        return np.stack(by_X, axis=-1), np.stack(by_u, axis=-1)
+
+    def kappa_jacobian(self, X: np.ndarray, t: Any = 0.0) -> np.ndarray:
+        X = np.asarray(X, dtype=float)
+        return np.stack([self.dkappa(X, t, np.broadcast_to(unit, X.shape)) for unit in np.eye(self.n)], axis=-1)
+
+    def _reference(self, t: np.ndarray) -> np.ndarray:
+        return self._rows("reference", self.n, t)
+
+    def _rows(self, name: str, size: int | None, t: Any, *arrays: Any, last: Any = None) -> np.ndarray:
+        """The declared function on arrays (..., k), seen by it as rows: (..., size), or (...) where size is None."""
+        given = [np.asarray(a, dtype=float) for a in arrays]
+        t = np.asarray(t, dtype=float)
+        more = [] if last is None else [np.asarray(last, dtype=float)]
+        shape = np.broadcast_shapes(t.shape, *(a.shape[:-1] for a in given + more))
+        rows = [np.broadcast_to(a, (*shape, a.shape[-1])).reshape(-1, a.shape[-1]) for a in given + more]
+        if t.ndim or not arrays:
+            t = np.broadcast_to(t, shape).reshape(-1)
+        arguments = [*rows[: len(given)], t, parameters(self), *rows[len(given) :]]
+        try:
+            values = np.asarray(getattr(self.declaration, name)(*arguments), dtype=float)
+        except ConfigError:
+            raise
+        except Exception as error:
+            raise ConfigError(failure(self, name, error)) from None
+        count = len(rows[0]) if rows else t.size
+        wanted = (count,) if size is None else (count, size)
+        if values.shape != wanted:
+            found = f"expected to return shape {wanted}, got {values.shape}"
+            raise ConfigError(f"plant {self.name}: {name} {found}; mend {name}")
+        return values.reshape(shape if size is None else (*shape, size))
+
+    def _timed(self, name: str) -> bool:
+        """Whether f or kappa gives other values at other times, at a few states."""
+        random = np.random.default_rng(0)
+        X = self.guess + random.uniform(-0.5, 0.5, (4, self.n))
+        u = random.uniform(-0.5, 0.5, (4, self.m))
+        found = [self.f(X, u, t) if name == "f" else self.kappa(X, t) for t in TIMES]
+        return not all(np.array_equal(found[0], other, equal_nan=True) for other in found[1:])
+
+    def _program(self) -> str:
+        """The hash of what stands in for a program: the plant's own file and those that it reads."""
+        digest = hashlib.sha256(str(self.source).encode())
+        for path in getattr(self.declaration, "files", ()):
+            try:
+                digest.update(Path(path).read_bytes())
+            except OSError as error:
+                what = f"expected a file to read at {path}, got: {error.strerror}"
+                raise ConfigError(f"plant {self.name}: files {what}; mend the path") from None
+        return digest.hexdigest()
+
+
+def _difference(function: Any, X: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Central difference of the function of X (..., n) along v (..., n)."""
+    length = np.linalg.norm(v, axis=-1, keepdims=True)
+    h = STEP * (1.0 + np.linalg.norm(X, axis=-1, keepdims=True)) / np.where(length > 0, length, 1.0)
+    return (function(X + h * v) - function(X - h * v)) / (2 * h)
+
+
+def _source(name: str, declaration: Any) -> str:
+    """The digest of the file that declares the plant."""
+    try:
+        return hashlib.sha256(Path(inspect.getfile(declaration)).read_bytes()).hexdigest()
+    except (TypeError, OSError):
+        raise ConfigError(f"plant {name}: traced = False expected a class in a file of its own; write one") from None
