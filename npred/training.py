@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import torch
 from torch import Tensor
 
-from npred import randomness
+from npred import randomness, ranks
 from npred.config import Training
 from npred.errors import ConfigError, DivergedError
 from npred.operators import Operator, checkpoint, io
@@ -102,18 +102,25 @@ def fit(task: Task, scratch: Path, progress: Any) -> Metrics:
     operator, config = task.operator, task.config
     optimiser = _optimiser(operator, config)
     metrics = checkpoint.restore(scratch, operator, optimiser)
+    network = ranks.shared(operator)
     with progress.bar(task.title, config.epochs, "epoch") as bar:
         bar.advance(len(metrics))
         for epoch in range(len(metrics) + 1, config.epochs + 1):
-            loss = _epoch(task, optimiser, epoch, bar)
+            loss = _epoch(task, network, optimiser, epoch, bar)
             lr = optimiser.param_groups[0]["lr"]
             metrics.append({"epoch": epoch, "lr": lr, "loss": loss, **errors(operator, task.test)})
-            if epoch in config.snapshots:
-                io.save_weights(scratch / io.weights(epoch), operator)
-            if epoch % config.checkpoint_every == 0:
-                checkpoint.save(scratch, operator, optimiser, metrics)
+            if ranks.number() == 0:
+                _keep(task, scratch, optimiser, metrics)
             bar.advance(1, f"loss {loss:.2e}, test mse {metrics[-1]['mse']:.2e}")
     return metrics
+
+
+def _keep(task: Task, scratch: Path, optimiser: torch.optim.Optimizer, metrics: Metrics) -> None:
+    """The snapshot and the checkpoint after an epoch, if they are due."""
+    if len(metrics) in task.config.snapshots:
+        io.save_weights(scratch / io.weights(len(metrics)), task.operator)
+    if len(metrics) % task.config.checkpoint_every == 0:
+        checkpoint.save(scratch, task.operator, optimiser, metrics)
 
 
 def _optimiser(operator: Operator, config: Training) -> torch.optim.Optimizer:
@@ -123,21 +130,25 @@ def _optimiser(operator: Operator, config: Training) -> torch.optim.Optimizer:
     return torch.optim.Adam(operator.parameters(), lr=config.lr, weight_decay=config.weight_decay, fused=True)
 
 
-def _epoch(task: Task, optimiser: torch.optim.Optimizer, epoch: int, bar: Any) -> float:
-    """One pass over the rows in an order of its own; the mean loss."""
+def _epoch(task: Task, network: Operator, optimiser: torch.optim.Optimizer, epoch: int, bar: Any) -> float:
+    """One pass over the rows in an order of its own, each batch shared by the processes if there are several; the mean
+    loss.
+    """
     config, count = task.config, len(task.train)
     shuffle = torch.Generator().manual_seed(randomness.integer(task.seed, "order", epoch))
     total = torch.zeros((), device=task.test.X.device)
     for step, rows in enumerate(task.train.batches(shuffle, config.batch)):
         for group in optimiser.param_groups:
             group["lr"] = rate(config, epoch - 1 + step * config.batch / count)
-        loss = task.loss(task.operator(rows.X, rows.u, rows.D_hat, REST_NODES, rows.stride), rows.P)
+        some, weight = ranks.part(len(rows))
+        part = rows[some]
+        loss = weight * task.loss(network(part.X, part.u, part.D_hat, REST_NODES, part.stride), part.P)
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()
         total += loss.detach() * len(rows)
         bar.advance(0)  # Ctrl-C in another thread ends this one here
-    mean = float(total) / count
+    mean = ranks.mean(total) / count
     if not math.isfinite(mean):
         raise DivergedError(
             f"{task.title}: expected a finite loss, got {mean} in epoch {epoch}; lower lr={config.lr:g}"

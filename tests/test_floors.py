@@ -14,7 +14,7 @@ from conftest import process_environment
 ROOT = Path(__file__).parent.parent / "npred"
 FLOORS = [
     {"errors"},
-    {"config", "devices", "documents", "executors", "grid", "places", "randomness", "shapes"},
+    {"config", "devices", "documents", "executors", "grid", "places", "randomness", "ranks"} | {"shapes"},
     {"plants"},
     {"actuator", "predictors", "operators"},
     {"adaptation", "arguments", "closed_loop", "delay_estimate", "delayed_law", "engine", "laws", "lyapunov"}

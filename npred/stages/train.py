@@ -2,16 +2,17 @@
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from threading import Lock
-from typing import Any
+from typing import Any, NamedTuple, Self
 
 import torch
 
-from npred import randomness, shards, training
-from npred.config import Training
+from npred import plants, randomness, ranks, shards, training
+from npred.config import Pipeline, Training
 from npred.operators import Operator, Scaling, build, io, loss, save
-from npred.stages import Job
+from npred.stages import Job, Progress, rollouts
 from npred.streaming import Stream
 from npred.training import Rows, Task
 
@@ -21,24 +22,59 @@ SEEDING = Lock()  # torch has one generator for all threads, and another network
 def run(job: Job) -> dict[str, Any]:
     """Train job.model on the rows of job.inputs["generate"] that are not held out; the held-out ones give the errors.
 
+    Started by torchrun, its processes share each batch; this one alone writes.
     Writes model.safetensors, model.json, metrics.jsonl and a snapshot-E.safetensors for each E of `snapshots`.
     The same bytes for the same configuration, data and number of threads (CPU). Raises ConfigError for an anchor or
     `nodes` that do not fit, DivergedError for a loss that is not finite.
     """
     torch.set_num_threads(1)  # the same bits on any machine; another network takes the other cores
-    config = job.config.train.deeponet if job.model == "deeponet" else job.config.train.fno
-    task = _task(job, config, job.inputs["generate"] / "data.h5")
-    metrics = training.fit(task, job.scratch, job.progress)
-    _write(job, config, task.operator.to("cpu"), metrics)
+    with ranks.together(_Order.of(job)):
+        task, metrics = _fit(job)
+    _write(job, task.config, task.operator.to("cpu"), metrics)
     parameters = sum(p.numel() for p in task.operator.parameters())
     last = {key: metrics[-1][key] for key in ("loss", "mse", "eps_sup")}
     return {"model": job.model, "parameters": parameters, "samples": len(task.train), "epochs": len(metrics)} | last
+
+
+class _Order(NamedTuple):
+    """A training to help with."""
+
+    config: Pipeline
+    data: Path
+    scratch: Path
+    device: str
+    model: str | None
+
+    @classmethod
+    def of(cls, job: Job) -> Self:
+        """What the helpers have to know of a job."""
+        folders = job.inputs["generate"].absolute(), job.scratch.absolute()
+        return cls(rollouts.located(job.config), *folders, job.device, job.model)
+
+    def job(self, progress: Progress) -> Job:
+        """The job as a helper sees it, who writes nothing."""
+        plant = plants.resolve(self.config.plant, self.config.parameters)
+        inputs = {"generate": self.data}
+        return Job(self.config, plant, self.scratch, inputs, self.scratch, self.device, 1, progress, self.model)
+
+
+def help_out(progress: Progress) -> None:
+    """What the processes of torchrun but the first do: their part of each batch, training by training."""
+    torch.set_num_threads(1)
+    while order := ranks.receive():
+        _fit(order.job(progress))
 
 
 def summary(result: dict[str, Any]) -> str:
     """The trained network in a line."""
     size = f"{result['parameters']} parameters, {result['epochs']} epochs of {result['samples']} samples"
     return f"{result['model']}: {size}; held-out rollouts: MSE {result['mse']:.3g}, sup error {result['eps_sup']:.3g}"
+
+
+def _fit(job: Job) -> tuple[Task, list[dict[str, Any]]]:
+    config = job.config.train.deeponet if job.model == "deeponet" else job.config.train.fno
+    task = _task(replace(job, device=ranks.device(job.device)), config, job.inputs["generate"] / "data.h5")
+    return task, training.fit(task, job.scratch, job.progress)
 
 
 def _task(job: Job, config: Training, path: Path) -> Task:
