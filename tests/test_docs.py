@@ -22,7 +22,7 @@ from typer.testing import CliRunner
 from npred.cli import app
 
 ROOT = HERE.parent
-GENERATED = {"cli.md", "configuration.md"}
+GENERATED = {"commands.md", "configuration.md", "named_plants.md"}
 PAGES = [
     *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "benchmarks/README.md")),
     *sorted(page for page in (ROOT / "docs").rglob("*.md") if page.name not in GENERATED),

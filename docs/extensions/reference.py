@@ -1,6 +1,8 @@
-"""Pages made from the code: every command with its flags, every key of a pipeline file with its type and default."""
+"""Pages made from the code: the commands with their flags, the keys of a pipeline file, the plants that have a name."""
 
+import inspect
 import json
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import fields
 from pathlib import Path
@@ -12,11 +14,10 @@ from sphinx.application import Sphinx
 from sphinx.pycode import ModuleAnalyzer
 from sphinx.util import logging
 
-from npred import cli, config
+from npred import cli, config, plants
 from npred.cli.options import Common, Planned, Work
 
 logger = logging.getLogger(__name__)
-PAGES = "cli", "configuration"
 
 
 def _own(options: type[Common], *bases: type[Common]) -> list[str]:
@@ -32,9 +33,9 @@ SHARED = [
 
 
 def write(app: Sphinx) -> None:
-    """Write reference/cli.md and reference/configuration.md, where they have changed."""
-    for name, text in zip(PAGES, ("\n".join(commands()), "\n".join(configuration())), strict=True):
-        path = Path(app.srcdir) / "reference" / f"{name}.md"
+    """Write the pages below reference/, where they have changed."""
+    for make in (commands, configuration, named_plants):
+        text, path = "\n".join(make()), Path(app.srcdir) / "reference" / f"{make.__name__}.md"
         if not path.exists() or path.read_text(encoding="utf-8") != text:
             path.write_text(text, encoding="utf-8")
 
@@ -100,6 +101,20 @@ def configuration() -> Iterator[str]:
     yield from _table("", config.Pipeline)
 
 
+def named_plants() -> Iterator[str]:
+    """The page of the built-in plants: the first sentence of each one's docstring."""
+    yield from ("# Built-in plants", "", "What `npred plants` lists: one file of `npred/plants/` each.", "")
+    yield from ("| name | states | inputs | |", "|---|---|---|---|")
+    for entry in plants.named():
+        first, *_ = (inspect.getdoc(plants.resolve(entry["name"]).declaration) or "").split("\n\n")
+        cells = [f"`{entry['name']}`", _few(entry["states"]), _few(entry["inputs"]), _cell(" ".join(first.split()))]
+        yield f"| {' | '.join(cells)} |"
+
+
+def _few(names: list[str]) -> str:
+    return ", ".join(names) if len(names) < 5 else f"{names[0]} … {names[-1]}: {len(names)}"
+
+
 def _table(path: str, model: type[config.Table]) -> Iterator[str]:
     told = ModuleAnalyzer.for_module(config.__name__).find_attr_docs()
     tables = {name: field for name, field in model.model_fields.items() if _is_table(field)}
@@ -144,15 +159,15 @@ def _name(kind: Any) -> str:
         return {float: "number", int: "integer", str: "text", bool: "true or false"}.get(kind, str(kind))
     if hasattr(kind, "__metadata__"):
         return _limited(_name(inner[0]), kind.__metadata__)
-    if origin is list:
-        return f"list of {_name(inner[0])}"
-    if origin is tuple:
-        return f"[{', '.join(_name(part) for part in inner)}]"
-    if origin is dict:
-        return f"table of {_name(inner[1])}"
+    if origin in (list, tuple, dict):
+        return {list: "list", tuple: "pair", dict: "table"}[origin] + " of " + _plural(_name(inner[-1]))
     if all(isinstance(part, str) for part in inner):
         return " · ".join(f"`{part}`" for part in inner)
     return " or ".join(text for text in map(_name, inner) if text)
+
+
+def _plural(name: str) -> str:
+    return re.sub(r"^(number|integer|pair)", r"\1s", name)
 
 
 def _limited(name: str, bounds: Sequence[Any]) -> str:

@@ -120,8 +120,7 @@ def _told(document: dict[str, Any]) -> str:
         f"{document['file']}: {document['samples']} samples on {document['nx']} nodes for plant {document['plant']}",
         f"sup |P(0) - X|: {_by_state(checks['start'])}",
         f"sup residual of P = X + D_hat ∫ f(P, u): {_by_state(checks['residual'])}",
-        f"its mean square over that of P - X, roots: {_by_state(checks['relative'])}; best fit {checks['horizon']:.4f} "
-        "D_hat",
+        f"rms of it over rms of P - X: {_by_state(checks['relative'])}; P fits {checks['horizon']:.4f} D_hat best",
     ]
     for name in ("rows", "rollouts"):
         if name in splits:
