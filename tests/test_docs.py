@@ -4,13 +4,14 @@ A block whose first line is `# name.py` or `# name.toml` is that file. A block a
 not run. The tests marked slow run every other block in the order of its page, on pipelines of the smallest sizes.
 """
 
+import importlib
 import json
 import re
 import shlex
 import subprocess
 import sys
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,6 +20,7 @@ import typer.main
 from conftest import HERE, process_environment
 from typer.testing import CliRunner
 
+from npred import config
 from npred.cli import app
 
 ROOT = HERE.parent
@@ -148,6 +150,30 @@ def lines_of(name: str, table: dict[str, Any]) -> Iterator[str]:
     for key, value in table.items():
         if isinstance(value, dict):
             yield from lines_of(f"{name}.{key}".strip("."), value)
+
+
+@pytest.fixture
+def extension(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], Any]:
+    """A module of docs/extensions."""
+    pytest.importorskip("furo")
+    monkeypatch.syspath_prepend(str(ROOT / "docs" / "extensions"))
+    return importlib.import_module
+
+
+def test_the_reference_has_every_flag_and_every_key(extension: Callable[[str], Any]):
+    reference = extension("reference")
+    told = "\n".join(reference.commands())
+    flags = re.findall(r"--[a-z-]+", CliRunner().invoke(app, ["export", "--help"], env={"COLUMNS": "200"}).output)
+    assert set(flags) - {"--help"} <= set(re.findall(r"--[a-z-]+", told)) and "## npred plants check" in told
+    keys = "\n".join(reference.configuration())
+    for model in (config.Generate, config.DeepONet, config.FNO, config.Evaluate, config.Bench):
+        assert all(f"| `{name}` | " in keys for name in model.model_fields)
+
+
+def test_primes_are_no_powers_and_a_tag_is_a_number(extension: Callable[[str], Any]):
+    formula = extension("mathml").mathml("X'(t) = |e|^2")
+    assert formula.count("<msup>") == 1 and "′" in formula
+    assert extension("mathml").TAG.findall(r"a = b \tag{12}") == ["12"]
 
 
 @pytest.mark.slow

@@ -75,13 +75,20 @@ def _slot(parameter: Any) -> str:
 def _parameters(parameters: list[Any]) -> Iterator[str]:
     if not parameters:
         return
-    yield from ("| | | default |", "|---|---|---|")
-    for p in parameters:
-        optional = p.opts[0].startswith("-")
-        names = ", ".join(f"`{name}`" for name in p.opts) if optional else f"`{p.metavar or p.name.upper()}`"
-        value = f" `{p.metavar or p.name.upper()}`" if optional and not p.is_flag else ""
-        yield f"| {names}{value} | {_cell(p.help or '')} | {_default(p)} |".replace("||", "|")
+    rows = [[_names(p), p.help or "", _default(p)] for p in parameters]
+    shown = 3 if any(row[2] for row in rows) else 2
+    yield f"| {' | '.join(('', '', 'default')[:shown])} |"
+    yield "|---" * shown + "|"
+    yield from (f"| {' | '.join(map(_cell, row[:shown]))} |" for row in rows)
     yield ""
+
+
+def _names(parameter: Any) -> str:
+    word = parameter.metavar or parameter.name.upper()
+    if not parameter.opts[0].startswith("-"):
+        return f"`{word}`"
+    value = "" if parameter.is_flag else f" `{word}`"
+    return ", ".join(f"`{name}`" for name in parameter.opts) + value
 
 
 def _default(parameter: Any) -> str:
