@@ -38,7 +38,7 @@ def opened(path: Path, arrays: Mapping[str, int]) -> Iterator[Mapping[str, Any]]
 
 
 def _file(path: Path) -> h5py.File:
-    if not path.is_file() or path.is_symlink():
+    if not path.is_file():
         raise ValueError("no regular file")
     return h5py.File(path, "r", locking=False)  # results never change, and a store may be read-only or on NFS
 
@@ -83,6 +83,8 @@ def _joined(array: h5py.Dataset, name: str, path: Path) -> int:
 
 
 def _shard(path: Path, name: str, axes: int) -> int:
+    if path.is_symlink():
+        raise ValueError(f"{path.name} is a link")
     with _file(path) as file:
         array = _dataset(file, name)
         if array.is_virtual:
