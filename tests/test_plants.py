@@ -170,7 +170,7 @@ def test_the_reference_is_part_of_the_identity():
         (lambda t, p, M: [0.0, t], None, r"reference \(test_plants.py:\d+\) expected to return 1 value, got 2; return"),
         (lambda x, t, p, M: [t], None, r"reference failed \(test_plants.py:\d+\): TypeE"),
         (0.5, None, "expected reference to be a function, got 0.5"),
-        (None, lambda x, t, p, M: [-x.X], "reference expected a kappa that depends on t"),
+        (None, lambda x, t, p, M: [-x.X], r"reference \(follower.py:\d+\) expected a kappa that depends on t"),
     ],
 )
 def test_a_wrong_reference_is_told(reference, kappa, message):
@@ -203,8 +203,15 @@ def test_derivatives_at_many_points_and_times_are_those_at_each():
         ("M.sqrt(x.h)]", "M.sinh(x.h)]", r"Tank: f failed at my_plant.py:11: .*M.sinh is unknown; expected one of pi"),
         ("M.sqrt(x.h)]", "M.sqrt(x.h, 2)]", r"Tank: f failed at my_plant.py:11: .*M.sqrt got 2 arguments"),
         ("def f(x, u, t, p, M)", "def f(x, u)", r"f failed \(my_plant.py:10\): TypeError: .* 2 positional arguments"),
+        ("p.c * M.sqrt(x.h)]", "c * M.sqrt(x.h)]", r"f failed at my_plant.py:11: NameError: .*; write p.c"),
+        ("M.sqrt(x.h)]", "sqrt(x.h)]", r"f failed at my_plant.py:11: NameError: .*; write M.sqrt"),
+        ("M.sqrt(x.h)]", "M.sqrt(h)]", r"f failed at my_plant.py:11: NameError: .*; write x.h"),
+        ("p.level - x.h", "p.level - U", r"kappa failed at my_plant.py:14: NameError: .*only f knows the inputs"),
+        ("p.level - x.h", "p.level - y", r"kappa failed at my_plant.py:14: NameError: .*expected one of x, t, p, M"),
+        ("M.sqrt(x.h)]", "__import__('numpy').sqrt(x.h)]", r"f failed at my_plant.py:11: TypeError: .*; write M.sqrt"),
+        ("(x.h - p.level) ** 2", "[x.h]", r"V \(my_plant.py:16\) expected .*, got list; return one number, not a"),
         ("class Tank", "import sys; sys.exit(3)\nclass Tank", r"failed on import: SystemExit"),
-        ("+ p.level - x.h", "+ 1 + x.h**2", r"Tank: no equilibrium near guess"),
+        ("+ p.level - x.h", "+ 1 + x.h**2", r"\(my_plant.py:13\) leads to no equilibrium near guess = \[0.8\]: h' = 1"),
     ],
 )  # fmt: skip
 def test_mistakes_are_told_in_one_line(write, old, new, message):

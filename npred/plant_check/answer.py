@@ -9,6 +9,7 @@ import numpy as np
 
 from npred import arguments, randomness
 from npred.errors import ConfigError
+from npred.plants import blame
 from npred.plants.base import Plant
 
 
@@ -60,7 +61,9 @@ class Case:
     def u(self) -> np.ndarray:
         """kappa of those states within the plant's input bounds, (samples, m)."""
         bounds = arguments.bounds(self.plant, None)
-        return np.clip(self.plant.kappa(self.X), bounds[:, 0], bounds[:, 1])
+        with np.errstate(all="ignore"):  # where it is not finite, the question `finite` tells
+            U = self.plant.kappa(self.X)
+        return np.clip(U, bounds[:, 0], bounds[:, 1])
 
     def place(self, function: str) -> str:
         """Plant, file and line of a declared function."""
@@ -68,9 +71,4 @@ class Case:
 
     def state(self, X: np.ndarray) -> str:
         """A state in words."""
-        return named(self.plant.states, X)
-
-
-def named(names: Sequence[str], values: np.ndarray) -> str:
-    """h = 1.2, v = 0 …"""
-    return ", ".join(f"{name} = {value + 0.0:.4g}" for name, value in zip(names, values, strict=True))
+        return blame.values(self.plant.states, X)

@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from npred.plant_check.answer import Answer, Case
+from npred.plants import faults
 from npred.predictors import RK4
 
 STABLE = 2.0  # h rho(f_X) from which on Euler, Heun and Picard diverge
@@ -33,18 +34,9 @@ def declared(case: Case) -> Answer:
 
 def finite(case: Case) -> Answer:
     """Whether f, kappa and V are finite on the box, and V is not negative."""
-    plant = case.plant
-    with np.errstate(all="ignore"):
-        values = {"kappa": case.u, "f": plant.f(case.X, case.u), "V": np.reshape(plant.V(case.X), (-1, 1))}
-    for name, value in values.items():
-        lost = ~np.isfinite(value).all(axis=-1)
-        if lost.any():
-            found = f"not finite at {case.state(case.X[np.argmax(lost)])}, and on {lost.mean():.0%} of the box"
-            return Answer("finite", "no", f"{case.place(name)} is {found}; shrink box, or guard it with M.where")
-    lowest = int(np.argmin(values["V"]))
-    if values["V"][lowest] < 0:
-        found = f"{values['V'][lowest, 0]:.3g} at {case.state(case.X[lowest])}"
-        return Answer("finite", "no", f"{case.place('V')} expected at least 0 on the box, got {found}; 1 + V divides")
+    fault = faults.infinite(case.plant, case.X, case.u)
+    if fault:
+        return Answer("finite", "no", fault)
     return Answer("finite", "yes", f"f, kappa and V are, at {len(case.X)} states of the box")
 
 

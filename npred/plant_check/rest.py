@@ -6,8 +6,8 @@ import numpy as np
 
 from npred import arguments
 from npred.errors import ConfigError
-from npred.plant_check.answer import Answer, Case, named
-from npred.plants import tape
+from npred.plant_check.answer import Answer, Case
+from npred.plants import blame, faults, tape
 from npred.plants.base import Plant
 from npred.plants.fit import SLIP, slip
 from npred.plants.trace import Trace, python
@@ -46,9 +46,9 @@ def equilibrium(case: Case) -> Answer:
     try:
         X, u = plant.equilibrium, plant.u_equilibrium
     except ConfigError as error:
-        return Answer("equilibrium", "no", f"{error}, or mend {case.place('kappa')}")
+        return Answer("equilibrium", "no", str(error))
     bounds = arguments.bounds(plant, None)
-    inputs = named(plant.inputs, u)
+    inputs = blame.values(plant.inputs, u)
     if (u < bounds[:, 0]).any() or (u > bounds[:, 1]).any():
         text = f"plant {plant.name}: rests with {inputs}, outside input_bounds {bounds.tolist()}; move the set point"
         return Answer("equilibrium", "no", text)
@@ -67,29 +67,13 @@ def reference(case: Case) -> Answer:
     return Answer("reference", "no", f"{text}; let reference' = f(reference, kappa(reference, t), t)")
 
 
-def closed_loop(case: Case) -> np.ndarray:
-    """f_X + f_U kappa' at the equilibrium, (n, n)."""
-    X, u = case.plant.equilibrium, case.plant.u_equilibrium
-    f_X, f_U = case.plant.jacobians(X, u)
-    return f_X + f_U @ case.plant.kappa_jacobian(X)
-
-
 def stability(case: Case) -> Answer:
     """Whether the loop of kappa without delay is stable: the eigenvalues of f_X + f_U kappa' at the equilibrium."""
-    A = closed_loop(case)
-    if not np.isfinite(A).all():
-        text = f"{case.place('kappa')}: the loop has no derivative at the equilibrium; guard the term that has none"
-        return Answer("stability", "no", text)
-    values = np.linalg.eigvals(A)
-    told = ", ".join(_complex(value) for value in sorted(values, key=lambda value: -value.real))
-    if values.real.max() < 0:
-        return Answer("stability", "yes", f"eigenvalues of the loop without delay: {told}")
-    text = f"{case.place('kappa')} does not stabilise: eigenvalues {told} without delay, expected all negative"
-    return Answer("stability", "no", f"{text}; check its signs and gains")
-
-
-def _complex(value: complex) -> str:
-    return f"{value.real:.3g}" + (f" {value.imag:+.3g}i" if value.imag else "")
+    fault = faults.unstable(case.plant)
+    if fault:
+        return Answer("stability", "no", fault)
+    rates = faults.eigenvalues(np.linalg.eigvals(faults.closed_loop(case.plant)))
+    return Answer("stability", "yes", f"eigenvalues of the loop without delay: {rates}")
 
 
 def decrease(case: Case) -> Answer:
@@ -139,7 +123,7 @@ def lyapunov(A: np.ndarray) -> np.ndarray:
 
 def _offer(case: Case, X: np.ndarray) -> str:
     """x'Sx as text for the plant's file, with how often it falls at the states X."""
-    S, e = lyapunov(closed_loop(case)), X - case.plant.equilibrium
+    S, e = lyapunov(faults.closed_loop(case.plant)), X - case.plant.equilibrium
     slopes = np.einsum("bi,ij,bj->b", e, S, case.plant.f(X, case.plant.kappa(X)))
     terms = [_term(case, S, i, j) for i in range(len(S)) for j in range(i, len(S)) if abs(S[i, j]) > 1e-9]
     return f"V = {' + '.join(terms)} solves the Lyapunov equation, and falls at {(slopes < 0).mean():.0%} of them"

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from npred.errors import ConfigError
-from npred.plants import blame, mathematics, tape
+from npred.plants import blame, mathematics, newton, tape
 from npred.plants import declaration as declared
 from npred.plants.trace import Trace, call, python
 
@@ -112,7 +112,14 @@ class Plant:
             raise ConfigError(
                 f"plant {self.name}: expected an equilibrium, but f or kappa depends on time; it only tracks"
             )
-        return _newton(self.name, self._at_rest, self.guess)
+        X, residual, found = newton.solve(self._at_rest, self.guess)
+        if not found:
+            left = blame.values([f"{name}'" for name in self.states], residual)
+            raise ConfigError(
+                f"{self.place('kappa')} leads to no equilibrium near guess = {self.guess.tolist()}: {left} is left; "
+                "let kappa hold a point where f vanishes, or give a `guess` closer to one"
+            )
+        return X
 
     @cached_property
     def u_equilibrium(self) -> np.ndarray:
@@ -198,8 +205,8 @@ class Plant:
         declared = hasattr(self.declaration, "reference")
         if declared and self.rests:
             raise ConfigError(
-                f"plant {self.name}: reference expected a kappa that depends on t, got one that rests; let kappa "
-                "follow it, or drop reference"
+                f"{self.place('reference')} expected a kappa that depends on t, got one that rests; let kappa follow "
+                "it, or drop reference"
             )
         return declared
 
@@ -236,22 +243,3 @@ class Plant:
 def _word(value: float) -> float | str:
     """JSON has no infinity, and an input bounded on one side only has one."""
     return value if np.isfinite(value) else str(value)
-
-
-def _newton(name: str, residual: Any, guess: np.ndarray) -> np.ndarray:
-    """Newton's method with the step halved while the residual grows; ends when a step no longer changes X."""
-    X = guess.copy()
-    g, J = residual(X)
-    for _ in range(100):
-        if not np.isfinite(g).all() or not np.isfinite(J).all() or np.linalg.matrix_rank(J) < len(X):
-            break
-        step, scale = np.linalg.solve(J, g), 1.0
-        while scale > 1e-8 and not np.linalg.norm(residual(X - scale * step)[0]) <= np.linalg.norm(g):
-            scale /= 2
-        if scale <= 1e-8 or np.array_equal(X - scale * step, X):
-            break
-        X = X - scale * step
-        g, J = residual(X)
-    if not np.linalg.norm(g) <= 1e-9 * max(1.0, float(np.linalg.norm(X))):
-        raise ConfigError(f"plant {name}: no equilibrium near guess = {guess.tolist()}; give a `guess` closer to it")
-    return X

@@ -2,9 +2,11 @@
 
 import inspect
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 
 def line(function: Callable[..., Any]) -> str:
@@ -29,6 +31,11 @@ def last_line(error: BaseException, file: str) -> str:
 def told(error: BaseException) -> str:
     """The failure in one line."""
     return " ".join(f"{type(error).__name__}: {error}".split())
+
+
+def values(names: Sequence[str], numbers: np.ndarray) -> str:
+    """A state in words: h = 1.2, v = 0."""
+    return ", ".join(f"{name} = {value + 0.0:.4g}" for name, value in zip(names, numbers, strict=True))
 
 
 def _code(function: Callable[..., Any]) -> Any:

@@ -6,9 +6,11 @@ import numpy as np
 
 from npred.config import Pipeline
 from npred.errors import ConfigError
+from npred.plants import faults
 from npred.plants.base import Plant
 from npred.plants.declaration import span
 
+STATES = 256  # drawn from the box
 SLIP = 1e-6  # how far a reference may be from a trajectory: the differences that tell it err by 1e-10
 
 
@@ -18,8 +20,7 @@ def check(plant: Plant, config: Pipeline, stages: Collection[str]) -> None:
     _bounds(plant, config)
     if not plant.autonomous:
         raise ConfigError(f"plant {plant.name}: expected f without time, for a network knows X, u, D_hat; simulate it")
-    if plant.tracks or plant.rests:
-        _ = plant.target(0.0)  # every loop wants the equilibrium, and it says so where it finds none
+    _sound(plant, config)
     if "train" in stages:
         _anchors(plant, config)
     if "evaluate" not in stages:
@@ -36,6 +37,19 @@ def check(plant: Plant, config: Pipeline, stages: Collection[str]) -> None:
         raise ConfigError(f"evaluate.X0: expected {plant.n} values ({wanted}), got {given}; give one a state")
     if not np.isfinite(config.evaluate.X0).all():
         raise ConfigError(f"evaluate.X0: expected finite values, got {config.evaluate.X0}; mend it")
+
+
+def _sound(plant: Plant, config: Pipeline) -> None:
+    """Whether it can be simulated from the box, and comes to rest without delay where it rests at all."""
+    ends = np.array([(plant.box | config.generate.box)[name] for name in plant.states])
+    X = np.random.default_rng(0).uniform(ends[:, 0], ends[:, 1], (STATES, plant.n))
+    with np.errstate(all="ignore"):
+        fault = faults.infinite(plant, X, plant.kappa(X))
+    if not fault and (plant.rests or plant.tracks):
+        _ = plant.target(0.0)  # it says so where there is no equilibrium
+        fault = faults.unstable(plant) if plant.rests else None
+    if fault:
+        raise ConfigError(fault)
 
 
 def _anchors(plant: Plant, config: Pipeline) -> None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from npred.errors import ConfigError
-from npred.plants import blame
+from npred.plants import blame, cures
 from npred.plants import tape as tapes
 
 if TYPE_CHECKING:
@@ -76,15 +76,14 @@ class Trace:
         values = self.plant.call(name, state, inputs, t, self.parameters, tapes.M)
         if len(values) != size:
             wanted = f"{size} value{'s' * (size > 1)}"
-            one = {"f": "a derivative a state", "kappa": "an input each", "reference": "a value a state"}.get(name, "")
             listed = ", ".join(self.plant.inputs if name == "kappa" else self.plant.states)
-            cure = f"return {one}: {listed}" if one else f"mend {name}"
+            cure = f"return {cures.RETURNS[name]}: {listed}"
             raise ConfigError(f"{self.plant.place(name)} expected to return {wanted}, got {len(values)}; {cure}")
         for value in values:
             if not isinstance(value, tapes.Symbol | Real):
                 raise ConfigError(
                     f"{self.plant.place(name)} expected to return numbers and formulas, got {type(value).__name__}; "
-                    "return a list of them"
+                    f"return {cures.RETURNS[name]}"
                 )
         return np.array(values, dtype=object)
 
@@ -105,7 +104,7 @@ def call(
     except ConfigError:
         raise
     except Exception as error:
-        raise ConfigError(f"{failure(plant, name, error)}{_cure(error)}") from None
+        raise ConfigError(f"{failure(plant, name, error)}; {cures.cure(plant, name, error)}") from None
     if name == "V":
         return [values]
     # A formula that returns a bare number returns, on arrays, an array without an axis of components.
@@ -123,16 +122,6 @@ def failure(plant: "Plant", name: str, error: Exception) -> str:
     function = getattr(plant.declaration, name)
     place = blame.where(error, function) or f" ({blame.line(function)})"
     return f"plant {plant.name}: {name} failed{place}: {blame.told(error)}"
-
-
-def _cure(error: Exception) -> str:
-    """What the author may have meant by a name that is none."""
-    known = getattr(getattr(error, "obj", None), "_fields", None)
-    if isinstance(error, AttributeError) and known is not None:
-        return f"; expected one of {', '.join(known) or 'none: none is declared'}"
-    if isinstance(error, NameError):
-        return "; f knows x, u, t, p and M, kappa and V know x, t, p and M, reference t, p and M"
-    return ""
 
 
 ON_ARRAYS = {name: f"np.{name}({{0}}, {{1}})" for name in ("maximum", "minimum")} | {"where": "np.where({0}, {1}, {2})"}

@@ -1,0 +1,46 @@
+"""What the author of a plant may have meant, where a declared function failed."""
+
+import re
+from typing import TYPE_CHECKING
+
+from npred.plants import blame
+from npred.plants.tape import FUNCTIONS
+
+if TYPE_CHECKING:
+    from npred.plants.base import Plant
+
+SIGNATURES = {"f": "f(x, u, t, p, M)", "reference": "reference(t, p, M)"}
+SIGNATURES |= {name: f"{name}(x, t, p, M)" for name in ("kappa", "V")}
+RETURNS = {
+    "f": "a derivative each",
+    "kappa": "an input each",
+    "reference": "a value each",
+    "V": "one number, not a list",
+}
+
+
+def cure(plant: "Plant", function: str, error: Exception) -> str:
+    """What to do about a failure of a declared function."""
+    if not blame.where(error, getattr(plant.declaration, function)):  # it was not even entered
+        return f"write def {SIGNATURES[function]}"
+    known = getattr(getattr(error, "obj", None), "_fields", None)
+    if isinstance(error, AttributeError) and known is not None:
+        return f"expected one of {', '.join(known) or 'none: none is declared'}"
+    if isinstance(error, NameError):
+        return _meant(str(error.name), plant, function)
+    ufunc = re.search(r"no callable (\w+) method", str(error))
+    return f"write M.{ufunc[1]}" if ufunc else f"mend {function}"
+
+
+def _meant(name: str, plant: "Plant", function: str) -> str:
+    """What to write for a name that the function does not know."""
+    homes = {"x": plant.states, "p": plant.parameters, "M": (*FUNCTIONS, "where", "pi")}
+    if function == "f":
+        homes["u"] = plant.inputs
+    for home, names in homes.items():
+        if name in names:
+            return f"write {home}.{name}"
+    known = SIGNATURES[function].partition("(")[2].rstrip(")")
+    if name in ("u", *plant.inputs) and function != "f":
+        return f"only f knows the inputs, and kappa gives them: write {function} in {known}"
+    return f"expected one of {known}, or what the file defines"
