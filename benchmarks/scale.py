@@ -22,7 +22,16 @@ import numpy as np
 SIZES = (10_000, 100_000, 1_000_000, 10_000_000)
 SHARE = 200  # samples a rollout
 LIMIT = 4 * 2**30
-PIPELINE = 'name = "scale"\n[generate]\nnx = 21\nt_end = 20.0\ndt = 0.01\n[train]\nmodels = ["deeponet"]\n'
+PIPELINE = """
+name = "scale"
+plant = "activator_repressor"
+[generate]
+nx = 21
+t_end = 20.0
+dt = 0.01
+[train]
+models = ["deeponet"]
+"""
 COMMANDS = {"generate": "data", "train": "one epoch"}  # the second reads and verifies what the first made
 
 

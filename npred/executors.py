@@ -60,7 +60,8 @@ def completed(
     left, under_way = iter(items), dict[Future[Result], Item]()
     try:
         while True:
-            for item in islice(left, 2 * executor.count - len(under_way)):
+            room = max(2 * executor.count - len(under_way), 0)  # workers may have left since
+            for item in islice(left, room):
                 under_way[executor.submit(function, item)] = item
             if not under_way:
                 return

@@ -16,6 +16,7 @@ from npred import ranks
 
 TINY = """
 name = "tiny"
+plant = "activator_repressor"
 seed = 1
 [generate]
 samples = 600
