@@ -22,6 +22,7 @@ html_static_path = ["_static"]
 html_css_files = ["npred.css"]
 html_math_renderer = "mathml"
 html_copy_source = html_show_sourcelink = False
+highlight_language = "none"
 pygments_style, pygments_dark_style = "a11y-light", "a11y-dark"
 
 autodoc_member_order = "bysource"
