@@ -25,9 +25,14 @@ def refine(values: np.ndarray, nx: int) -> np.ndarray:
 
     Linear where there are fewer than four nodes.
     """
+    return read(values, nodes(nx))
+
+
+def read(values: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Nodal values (..., nodes, m) at places x (k,) of [0, 1], (..., k, m), as `refine` reads them; exact at nodes."""
     old = values.shape[-2]
     width = 4 if old > 3 else 2
-    s = nodes(nx) * (old - 1)
+    s = x * (old - 1)
     first = np.clip(np.floor(s).astype(int) - (width // 2 - 1), 0, old - width)
     t = s - first  # position among the neighbours 0 … width - 1
     result = np.zeros(())

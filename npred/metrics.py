@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from npred import grid
 from npred.closed_loop import Trajectories
 from npred.plants.base import Plant
 
@@ -20,14 +21,14 @@ def size(X_star: np.ndarray) -> float:
     return norm if norm > ORIGIN else 1.0
 
 
-def errors(plant: Plant, P_hat: np.ndarray, P: np.ndarray, t: Any = 0.0) -> dict[str, Any]:
-    """Errors of P_hat against P, both (N, nx, n), over samples and nodes, in the plant's units; t (N,) of x = 1.
+def errors(plant: Plant, P_hat: np.ndarray, P: np.ndarray, t: Any = 0.0, D_hat: Any = 0.0) -> dict[str, Any]:
+    """Errors of P_hat against P, both (N, nx, n), over samples and nodes, in the plant's units; t, D_hat (N,).
 
     mse: mean square, as [DAPF] reports it. eps_sup: sup |P_hat - P|, the epsilon of [DAPF, Theorem 2]. eps_kappa:
-    sup |kappa(P_hat(1)) - kappa(P(1))|, what the control sees. rel_l2: mean of ||P_hat - P|| / ||P||.
+    sup |kappa(P_hat(1)) - kappa(P(1))|, what the control sees, kappa_j at r_j. rel_l2: mean of ||P_hat - P|| / ||P||.
     """
     gap = P_hat - P
-    control = plant.kappa(P_hat[:, -1], t) - plant.kappa(P[:, -1], t)
+    control = law(plant, P_hat, t, D_hat) - law(plant, P, t, D_hat)
     relative = np.linalg.norm(gap, axis=(1, 2)) / np.linalg.norm(P, axis=(1, 2))
     return {
         "mse": float(np.mean(gap**2)),
@@ -37,6 +38,12 @@ def errors(plant: Plant, P_hat: np.ndarray, P: np.ndarray, t: Any = 0.0) -> dict
         "mse_by_state": dict(zip(plant.states, np.mean(gap**2, axis=(0, 1)).tolist(), strict=True)),
         "sup_by_state": dict(zip(plant.states, np.abs(gap).max(axis=(0, 1)).tolist(), strict=True)),
     }
+
+
+def law(plant: Plant, P: np.ndarray, t: Any, D_hat: Any) -> np.ndarray:
+    """U_j = kappa_j(P(r_j), t + r_j D_hat), (N, m), of P (N, nx, n); r_j = 1 for one delay. Cubic between nodes."""
+    U = [plant.kappa(grid.read(P, np.array([r]))[:, 0], t + r * D_hat)[:, j] for j, r in enumerate(plant.ratios)]
+    return np.stack(U, axis=-1)
 
 
 def radius(loops: Trajectories, X_star: np.ndarray) -> np.ndarray:

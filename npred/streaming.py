@@ -1,6 +1,6 @@
 """Rows for training that do not fit in memory: read from shards in every epoch, shuffled by shards and in a buffer."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -17,11 +17,15 @@ BUFFER = 4  # shards in memory, whose rows are shuffled together
 
 @dataclass(frozen=True)
 class Stream:
-    """The rows of sharded data that are not held out; on a device, P on `nodes` nodes, as in Rows."""
+    """The rows of sharded data that are not held out; on a device, P on `nodes` nodes, as in Rows.
+
+    `phase` gives those of the rows' times to an operator that sees the clock; see Plant.phase.
+    """
 
     path: Path
     device: str = "cpu"
     nodes: int | None = None
+    phase: Callable[[np.ndarray], np.ndarray | None] = lambda t: None
 
     @cached_property
     def _count(self) -> int:
@@ -49,4 +53,5 @@ class Stream:
         yield from (rows for rows in left if len(rows))
 
     def _read(self, path: Path) -> Rows:
-        return Rows.of(Dataset.read(path).subset(test=False), self.device, self.nodes)
+        data = Dataset.read(path).subset(test=False)
+        return Rows.of(data, self.device, self.nodes, self.phase(data.t))

@@ -25,24 +25,25 @@ Loss = Callable[[Tensor, Tensor], Tensor]  # (P_hat, P) -> ()
 
 @dataclass(frozen=True)
 class Rows:
-    """Samples in memory as float32 tensors: X (N, n), u (N, nx, m), D_hat (N,), P (N, nodes, n)."""
+    """Samples in memory as float32 tensors: X (N, n), u (N, nx, m), D_hat (N,), P (N, nodes, n), phase (N,) or None."""
 
     X: Tensor
     u: Tensor
     D_hat: Tensor
     P: Tensor
+    phase: Tensor | None = None
 
     @classmethod
-    def of(cls, data: Samples, device: str = "cpu", nodes: int | None = None) -> "Rows":
+    def of(cls, data: Samples, device: str = "cpu", nodes: int | None = None, phase: Any = None) -> "Rows":
         """The samples on a device; P on every s-th node where `nodes` of them are asked for, u on all.
 
-        Raises ConfigError where `nodes` does not divide the grid.
+        `phase` (N,) is for an operator that sees the clock. Raises ConfigError where `nodes` does not divide the grid.
         """
         intervals = data.u.shape[1] - 1
         stride, rest = divmod(intervals, (nodes or intervals + 1) - 1)
         if rest or not stride:
             raise ConfigError(f"nodes: expected nodes - 1 to divide the data's {intervals} intervals, got {nodes}")
-        arrays = data.X, data.u, data.D_hat, data.P[:, ::stride]
+        arrays = data.X, data.u, data.D_hat, data.P[:, ::stride], *(() if phase is None else (phase,))
         return cls(*(torch.as_tensor(a).to(device, torch.float32).contiguous() for a in arrays))
 
     @property
@@ -54,12 +55,15 @@ class Rows:
         return len(self.D_hat)
 
     def __getitem__(self, index: Tensor | slice) -> "Rows":
-        return Rows(self.X[index], self.u[index], self.D_hat[index], self.P[index])
+        phase = None if self.phase is None else self.phase[index]
+        return Rows(self.X[index], self.u[index], self.D_hat[index], self.P[index], phase)
 
     @classmethod
     def joined(cls, parts: Sequence["Rows"]) -> "Rows":
         """Rows one after the other."""
-        return cls(*(torch.cat(tensors) for tensors in zip(*((p.X, p.u, p.D_hat, p.P) for p in parts), strict=True)))
+        phases = [p.phase for p in parts if p.phase is not None]
+        columns = zip(*((p.X, p.u, p.D_hat, p.P) for p in parts), strict=True)
+        return cls(*map(torch.cat, columns), torch.cat(phases) if phases else None)
 
     def batches(self, shuffle: torch.Generator, size: int) -> Iterator["Rows"]:
         """Each row once, in random order."""
@@ -142,7 +146,7 @@ def _epoch(task: Task, network: Operator, optimiser: torch.optim.Optimizer, epoc
             group["lr"] = rate(config, epoch - 1 + step * config.batch / count)
         some, weight = ranks.part(len(rows))
         part = rows[some]
-        loss = weight * task.loss(network(part.X, part.u, part.D_hat, REST_NODES, part.stride), part.P)
+        loss = weight * task.loss(network(part.X, part.u, part.D_hat, part.phase, REST_NODES, part.stride), part.P)
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()
@@ -175,7 +179,7 @@ def errors(operator: Operator, rows: Rows) -> dict[str, float]:
     squares, sup = 0.0, 0.0
     for start in range(0, len(rows), CHUNK):
         part = rows[start : start + CHUNK]
-        square = (operator(part.X, part.u, part.D_hat) - part.P).square()
+        square = (operator(part.X, part.u, part.D_hat, part.phase) - part.P).square()
         squares += float(square.sum(dtype=torch.float64))
         sup = max(sup, float(square.sum(-1).max()))
     return {"mse": squares / rows.P.numel(), "eps_sup": math.sqrt(sup)}

@@ -72,7 +72,7 @@ def test_a_state_without_a_range_is_told(tmp_path):
     ("old", "new", "message"),
     [
         ("[M.sin(t) - x.x]", "[1 + x.x**2]", "leads to no equilibrium near guess"),
-        ("[u.U]", "[u.U + M.sin(t)]", "Moving: expected f without time"),
+        ("[u.U]", "[u.U + M.sin(t)]", "Moving: expected a period, for its prediction depends on time"),
         (
             "[M.sin(t) - x.x]",
             "[x.x]",

@@ -12,6 +12,8 @@ from npred.operators.scaling import Scaling
 class Operator(nn.Module):
     """P_hat, the approximation of the predictor operator [DAPF, eq. 12] of a state, an actuator state and a delay.
 
+    Where P depends on the time too, N sees cos and sin of its phase in the plant's period, as two components of X.
+
     With N the network, a mean velocity in units of the data's speed S, the anchors are
         none         P_hat = P_mean + P_std N(x; X, u, D_hat)
         initial      P_hat = X + x D_hat S N(x; X, u, D_hat), so P_hat(0) = X
@@ -27,29 +29,41 @@ class Operator(nn.Module):
         self.register_buffer("X_rest", X_rest)
         self.register_buffer("u_rest", u_rest)
 
-    def forward(self, X: Tensor, u: Tensor, D_hat: Tensor, rest_nodes: int | None = None, stride: int = 1) -> Tensor:
+    def forward(
+        self, X: Tensor, u: Tensor, D_hat: Tensor, phase: Tensor | None = None, rest_nodes: int | None = None,
+        stride: int = 1,
+    ) -> Tensor:  # fmt: skip
         """P_hat (B, nx, n) of X (B, n), u (B, nx, m) on nx uniform nodes, both ends, and D_hat (B,) in seconds.
 
+        `phase` (B,), t / period modulo 1, is for plants whose P depends on time.
         `rest_nodes`: the term at rest is interpolated in D_hat through so many points, which halves the work of a
         large batch (training); without it the term is exact, and so is the anchor. `stride`: P_hat on every stride-th
         node only.
         """
-        N = self.network(*self.scaling.inputs(X, u, D_hat), stride)
+        N = self._velocity(X, u, D_hat, phase, stride)
         if self.anchor == "none":
             return self.scaling.P_mean + self.scaling.P_std * N
         if self.anchor == "equilibrium":
-            N = N - self._at_rest(D_hat, N.shape[1], rest_nodes or D_hat.shape[0])
+            N = N - self._at_rest(D_hat, phase, N.shape[1], rest_nodes or D_hat.shape[0])
         x = torch.linspace(0, 1, N.shape[1], dtype=u.dtype, device=u.device)[:, None]  # (nx, 1)
         return X[:, None, :] + x * D_hat[:, None, None] * self.scaling.speed * N
 
-    def at_rest(self, D_hat: Tensor, nx: int) -> Tensor:
-        """N(x; X*, u*, D_hat), (B, nx, n): a function of the delay alone, so a table at inference."""
+    def at_rest(self, D_hat: Tensor, nx: int, phase: Tensor | None = None) -> Tensor:
+        """N(x; X*, u*, D_hat), (B, nx, n): without a clock a function of the delay alone, so a table at inference."""
         u = self.u_rest.expand(D_hat.shape[0], nx, -1)
-        return self.network(*self.scaling.inputs(self.X_rest.expand(D_hat.shape[0], -1), u, D_hat))
+        return self._velocity(self.X_rest.expand(D_hat.shape[0], -1), u, D_hat, phase)
 
-    def _at_rest(self, D_hat: Tensor, nx: int, count: int) -> Tensor:
-        if count >= D_hat.shape[0]:
-            return self.at_rest(D_hat, nx)
+    def _velocity(self, X: Tensor, u: Tensor, D_hat: Tensor, phase: Tensor | None, stride: int = 1) -> Tensor:
+        """N, (B, nx, n)."""
+        X, u, D_hat = self.scaling.inputs(X, u, D_hat)
+        if phase is not None:
+            angle = 2 * math.pi * phase[:, None]
+            X = torch.cat([X, torch.cos(angle), torch.sin(angle)], dim=1)
+        return self.network(X, u, D_hat, stride)
+
+    def _at_rest(self, D_hat: Tensor, phase: Tensor | None, nx: int, count: int) -> Tensor:
+        if count >= D_hat.shape[0] or phase is not None:
+            return self.at_rest(D_hat, nx, phase)
         points, weights = chebyshev(D_hat, count)
         return torch.tensordot(weights, self.at_rest(points, nx), dims=1)
 

@@ -17,21 +17,21 @@ def build(config: Training, plant: Plant, scaling: Scaling) -> Operator:
 
     Raises ConfigError for the anchor `equilibrium` on a plant without one.
     """
-    network = _network(config, plant.n, plant.m)
+    network = _network(config, plant.n, plant.m, 2 if plant.clocked else 0)
     return Operator(network, scaling, config.anchor, *_rest(config, plant))
 
 
-def _network(config: Training, n: int, m: int) -> nn.Module:
+def _network(config: Training, n: int, m: int, clock: int) -> nn.Module:
     if isinstance(config, DeepONet):
-        return DeepONetwork(config, n, m)
+        return DeepONetwork(config, n, m, clock)
     if isinstance(config, FNO):
-        return FNOnetwork(config, n, m)
+        return FNOnetwork(config, n, m, clock)
     raise ConfigError(f"train: expected a table deeponet or fno, got {type(config).__name__}; use one of those")
 
 
 def _rest(config: Training, plant: Plant) -> tuple[torch.Tensor, torch.Tensor]:
-    if plant.rests:
-        return _float32(plant.equilibrium), _float32(plant.u_equilibrium)
+    if plant.rest:
+        return _float32(plant.rest[0]), _float32(plant.rest[1])
     if config.anchor == "equilibrium":
         raise ConfigError(f"anchor: expected a plant with an equilibrium, {plant.name} has none; use 'initial'")
     return torch.zeros(plant.n), torch.zeros(plant.m)

@@ -18,15 +18,15 @@ class DeepONetwork(nn.Module):
     The branch sees u as its Legendre moments; t depends on x alone, so that its values are folded at inference.
     """
 
-    def __init__(self, sizes: config.DeepONet, n: int, m: int) -> None:
+    def __init__(self, sizes: config.DeepONet, n: int, m: int, clock: int = 0) -> None:
         super().__init__()
         self.n, self.basis, self.moments = n, sizes.basis, sizes.moments
-        features = n + sizes.moments * m + 1
+        features = n + clock + sizes.moments * m + 1
         self.branch = mlp([features, *[sizes.width] * sizes.depth, n * (sizes.basis + m)], bias=False)
         self.trunk = mlp([DEGREE, sizes.trunk, sizes.trunk, sizes.basis])
 
     def forward(self, X: Tensor, u: Tensor, D_hat: Tensor, stride: int = 1) -> Tensor:
-        """N (B, nx, n), on every stride-th node, of scaled X (B, n), u (B, nx, m) and D_hat (B,)."""
+        """N (B, nx, n), on every stride-th node, of scaled X (B, n + clock), u (B, nx, m) and D_hat (B,)."""
         a, b = self.coefficients(X, u, D_hat)
         t = self.trunk(legendre(u.shape[1], DEGREE, u.dtype, u.device)[::stride])  # (nx, basis)
         return (b @ t.T + a @ running_mean(u, stride).mT).mT

@@ -22,15 +22,15 @@ class FNOnetwork(nn.Module):
     weights know nothing of the grid: any nx, with both ends of [0, 1] in.
     """
 
-    def __init__(self, sizes: config.FNO, n: int, m: int) -> None:
+    def __init__(self, sizes: config.FNO, n: int, m: int, clock: int = 0) -> None:
         super().__init__()
-        self.lift = nn.Linear(n + 1 + m + 1, sizes.width)
+        self.lift = nn.Linear(n + clock + 1 + m + 1, sizes.width)
         self.spectral = nn.ModuleList(Spectral(sizes.width, sizes.modes) for _ in range(sizes.layers))
         self.local = nn.ModuleList(nn.Linear(sizes.width, sizes.width) for _ in range(sizes.layers))
         self.project = mlp([sizes.width, 2 * sizes.width, n], bias=False)
 
     def forward(self, X: Tensor, u: Tensor, D_hat: Tensor, stride: int = 1) -> Tensor:
-        """N (B, nx, n), on every stride-th node, of scaled X (B, n), u (B, nx, m) and D_hat (B,)."""
+        """N (B, nx, n), on every stride-th node, of scaled X (B, n + clock), u (B, nx, m) and D_hat (B,)."""
         means = running_mean(u, stride)
         batch, nx, _ = means.shape
         x = torch.linspace(-1, 1, nx, dtype=u.dtype, device=u.device)[:, None].expand(batch, nx, 1)

@@ -96,7 +96,7 @@ def _check(tensors: dict[str, torch.Tensor], config: Training, plant: Plant) -> 
 def _as(operator: Operator, dtype: torch.dtype, plant: Plant) -> Operator:
     """The operator in another precision, its point of rest, saved in float32, in that precision too."""
     operator = operator.to(dtype)
-    if plant.rests and dtype != torch.float32:
-        operator.X_rest.copy_(torch.tensor(plant.equilibrium))
-        operator.u_rest.copy_(torch.tensor(plant.u_equilibrium))
+    if plant.rest and dtype != torch.float32:
+        operator.X_rest.copy_(torch.tensor(plant.rest[0]))
+        operator.u_rest.copy_(torch.tensor(plant.rest[1]))
     return operator

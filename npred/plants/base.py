@@ -19,8 +19,8 @@ class Plant:
     A declaration is a class with `states`, `inputs` (names) and the functions f(x, u, t, p, M), kappa(x, t, p, M) and
     V(x, t, p, M); optional are `parameters` (name to default), `box` (state to range, for experiments), `guess` (where
     the equilibrium is searched from), `input_bounds` (a range an input), `delays` (seconds, one an input, where they
-    differ) and, where kappa depends on time, `reference(t, p, M)`, the trajectory that it follows. M is the
-    mathematics: sin, exp, where …
+    differ) and, where f or kappa depends on time, `reference(t, p, M)`, the trajectory that kappa follows, and
+    `period`, the seconds after which they repeat. M is the mathematics: sin, exp, where …
     Raises ConfigError for a declaration with a part that is missing or wrong, or a parameter that it does not have.
     """
 
@@ -36,6 +36,7 @@ class Plant:
         self.guess = declared.guess(name, getattr(declaration, "guess", np.zeros(self.n)), self.n)
         self.input_bounds = declared.input_bounds(name, getattr(declaration, "input_bounds", None), self.m)
         self.delays = declared.delays(name, getattr(declaration, "delays", None), self.m)
+        self.period = declared.period(name, getattr(declaration, "period", None))
 
     @property
     def n(self) -> int:
@@ -62,6 +63,11 @@ class Plant:
         if not self.one_delay:
             seconds = ", ".join(f"{delay:g}" for delay in self.delays or ())
             raise ConfigError(f"{what}: expected one delay, plant {self.name} has delays {seconds} s; {cure}")
+
+    def needs_no_clock(self, what: str, cure: str) -> None:
+        """Raise ConfigError, naming what knows (X, u, D_hat) alone, where P depends on the time too."""
+        if self.clocked:
+            raise ConfigError(f"{what}: expected a prediction free of time, that of plant {self.name} is not; {cure}")
 
     @cached_property
     def p(self) -> np.ndarray:
@@ -200,6 +206,40 @@ class Plant:
         return not self._timed("f")
 
     @cached_property
+    def clocked(self) -> bool:
+        """Whether P depends on the time too: f does, or the law of an input that is predicted past its own delay."""
+        trace = Trace(self)
+        x, t = trace.vector("x", self.n), trace.input("t")
+        return not self.autonomous or tape.depends(trace.kappa(x, t)[self.ratios < 1], [t])
+
+    def phase(self, t: Any) -> np.ndarray | None:
+        """t / period modulo 1, (...): all that P can know of the time. None where it knows nothing of it.
+
+        Raises ConfigError for a prediction that depends on time without a period.
+        """
+        if not self.clocked:
+            return None
+        if self.period is None:
+            raise ConfigError(
+                f"plant {self.name}: expected a period, for its prediction depends on time and a network sees X, u, "
+                "D_hat and a phase; declare period, in seconds, or simulate it"
+            )
+        return np.asarray(t, dtype=float) / self.period % 1
+
+    @cached_property
+    def rest(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """(X*, u*), (n,) and (m,), that does not move: the equilibrium, or a reference with its input free of time."""
+        if self.rests:
+            return self.equilibrium, self.u_equilibrium
+        trace = Trace(self)
+        t = trace.input("t")
+        if not self.autonomous or not self.tracks or tape.depends(trace.reference(t), [t]):
+            return None
+        X = self.target(0.0)
+        moves = tape.depends(trace.kappa(np.array(X.tolist(), dtype=object), t), [t])
+        return None if moves else (X, self.u_target(0.0))
+
+    @cached_property
     def tracks(self) -> bool:
         """Whether the plant declares a reference. Raises ConfigError where f and kappa know no time to follow it."""
         declared = hasattr(self.declaration, "reference")
@@ -219,6 +259,7 @@ class Plant:
     def identity(self) -> dict[str, Any]:
         """What a result depends on: name, parameters, the hash of the traced functions and of a user's own file."""
         optional = {} if self.delays is None else {"ratios": self.ratios.tolist()}
+        optional |= {} if self.period is None else {"period": self.period}
         return {
             "name": self.name,
             "parameters": self.parameters,

@@ -93,6 +93,16 @@ def delays(plant: str, given: Any, m: int) -> tuple[float, ...] | None:
     return values
 
 
+def period(plant: str, given: Any) -> float | None:
+    """After how many seconds f and kappa repeat, or None. Raises ConfigError unless it is a positive number."""
+    if given is None:
+        return None
+    seconds = _number(f"plant {plant}: period", given)
+    if seconds <= 0:
+        raise ConfigError(f"plant {plant}: period expected seconds above 0, got {given!r}; mend it")
+    return seconds
+
+
 def span(what: str, given: Any) -> tuple[float, float]:
     """A range (low, high). Raises ConfigError unless it is two numbers in order."""
     try:

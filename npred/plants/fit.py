@@ -18,8 +18,7 @@ def check(plant: Plant, config: Pipeline, stages: Collection[str]) -> None:
     """Raise ConfigError, in one line, where those stages ask for what the plant does not have."""
     _box(plant, config)
     _bounds(plant, config)
-    if not plant.autonomous:
-        raise ConfigError(f"plant {plant.name}: expected f without time, for a network knows X, u, D_hat; simulate it")
+    _clock(plant)
     _sound(plant, config)
     if "train" in stages:
         _anchors(plant, config)
@@ -54,9 +53,20 @@ def _sound(plant: Plant, config: Pipeline) -> None:
 
 def _anchors(plant: Plant, config: Pipeline) -> None:
     for model in config.train.models:
-        if not plant.rests and getattr(config.train, model).anchor == "equilibrium":
+        if not plant.rest and getattr(config.train, model).anchor == "equilibrium":
             wanted = f"a plant with an equilibrium, {plant.name} has none"
             raise ConfigError(f'train.{model}.anchor: expected {wanted}; write anchor = "initial"')
+
+
+def _clock(plant: Plant) -> None:
+    """A network sees the time as a phase, so f and kappa have to repeat: tried near the origin, at n times."""
+    if plant.phase(0.0) is None or plant.period is None:
+        return
+    X, t = np.eye(plant.n), np.linspace(0.0, plant.period, plant.n)
+    u, again = plant.kappa(X, t), plant.kappa(X, t + plant.period)
+    gaps = again - u, plant.f(X, u, t + plant.period) - plant.f(X, u, t)
+    if max(np.abs(gap).max() for gap in gaps) > SLIP:
+        raise ConfigError(f"plant {plant.name}: f and kappa expected to repeat after {plant.period:g} s; mend period")
 
 
 def _followed(plant: Plant, t_end: float) -> None:

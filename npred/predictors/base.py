@@ -18,8 +18,9 @@ SIGNATURE = "void(float64[:,::1], float64[:,:,::1], float64[::1], float64, float
 class Predictor(ABC):
     """P(x) = X + D_hat ∫₀ˣ f(P(y), u(y)) dy on nx uniform nodes, both ends in [DAPF, eq. 10].
 
-    Call it with X (..., n), u (..., nx, m) and D_hat (...) in seconds; P is (..., nx, n). `t` is the time at x = 0, of
-    use to plants that depend on time. Raises ConfigError where the shapes do not fit the plant, or nx is below 2.
+    Call it with X (..., n), u (..., nx, m) and D_hat (...) in seconds; P is (..., nx, n). `t` (...) is the time at
+    x = 0, of use to plants that depend on time. Raises ConfigError where the shapes do not fit the plant, or nx is
+    below 2.
     """
 
     name: ClassVar[str]
@@ -29,18 +30,18 @@ class Predictor(ABC):
             raise ConfigError(f"nx: expected at least 2 nodes, both ends of [0, 1], got {nx!r}; dx = 0.01 is nx = 101")
         self.plant, self.nx = plant, int(nx)
 
-    def __call__(self, X: Any, u: Any, D_hat: Any, t: float = 0.0) -> np.ndarray:
-        X, u, D_hat = (shapes.floats(name, a) for name, a in (("X", X), ("u", u), ("D_hat", D_hat)))
+    def __call__(self, X: Any, u: Any, D_hat: Any, t: Any = 0.0) -> np.ndarray:
+        X, u, D_hat, t = (shapes.floats(name, a) for name, a in (("X", X), ("u", u), ("D_hat", D_hat), ("t", t)))
         self._check(X, u)
-        shape = shapes.batch(X=X.shape[:-1], u=u.shape[:-2], D_hat=D_hat.shape)
+        shape = shapes.batch(X=X.shape[:-1], u=u.shape[:-2], D_hat=D_hat.shape, t=t.shape)
         X = np.broadcast_to(X, (*shape, self.plant.n)).reshape(-1, self.plant.n)
         u = np.broadcast_to(u, (*shape, *u.shape[-2:])).reshape(-1, *u.shape[-2:])
-        P = self.predict(X, u, np.broadcast_to(D_hat, shape).reshape(-1), float(t))
+        P = self.predict(X, u, *(np.broadcast_to(a, shape).reshape(-1) for a in (D_hat, t)))
         return P.reshape(*shape, *P.shape[1:])
 
     @abstractmethod
-    def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: float) -> np.ndarray:
-        """P (B, nx, n) of X (B, n), u (B, nx, m), D_hat (B,)."""
+    def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Any) -> np.ndarray:
+        """P (B, nx, n) of X (B, n), u (B, nx, m), D_hat (B,), t (B,) or ()."""
 
     @abstractmethod
     def lanes(self) -> Callable[..., None]:
@@ -73,8 +74,17 @@ class Compiled(Predictor):
     def lanes(self) -> Callable[..., None]:
         return self.kernel
 
-    def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: float) -> np.ndarray:
+    def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Any) -> np.ndarray:
+        if not self.plant.clocked or np.ndim(t) == 0:
+            return self._at(np.max(t, initial=0.0), X, u, D_hat)
+        P = np.empty((*u.shape[:2], self.plant.n))
+        for moment in np.unique(t):  # the kernel knows one time a call
+            rows = t == moment
+            P[rows] = self._at(moment, X[rows], u[rows], D_hat[rows])
+        return P
+
+    def _at(self, t: float, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray) -> np.ndarray:
         P = np.empty((u.shape[1], self.plant.n, len(X)))
         X, u, D_hat = (np.array(a, order="C") for a in (X.T, u.transpose(1, 2, 0), D_hat))  # broadcasts are read-only
-        self.kernel(X, u, D_hat, t, self.plant.p, P)
+        self.kernel(X, u, D_hat, float(t), self.plant.p, P)
         return P.transpose(2, 0, 1)

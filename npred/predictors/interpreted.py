@@ -3,6 +3,7 @@
 from abc import abstractmethod
 from collections.abc import Callable
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -19,8 +20,8 @@ class Interpreted(Predictor):
         super().__init__(plant, nx)
         plant.needs_one_delay(self.name, "use euler, heun or rk4")
 
-    def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: float) -> np.ndarray:
-        return np.stack([self.one(*row, t) for row in zip(X, u, D_hat, strict=True)])
+    def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Any) -> np.ndarray:
+        return np.stack([self.one(*row) for row in zip(X, u, D_hat, np.broadcast_to(t, len(X)), strict=True)])
 
     def lanes(self) -> Callable[..., None]:
         def predict(X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: float, p: np.ndarray, P: np.ndarray) -> None:

@@ -14,6 +14,7 @@ from npred.predictors.base import Predictor
 class Neural(Predictor):
     """P_hat = operator(X, u, D_hat) on a device, with the call of every predictor [DAPF, Theorem 2].
 
+    Where P depends on the time too, the operator sees its share of the plant's period.
     It computes in the operator's precision. The operator is free of resolution: any nx in a call; `nx` is what a loop
     uses.
     """
@@ -23,17 +24,18 @@ class Neural(Predictor):
         self.name = name  # type: ignore[misc]
         self.operator, self.device = operator.to(device).eval(), device
 
-    def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: float) -> np.ndarray:
-        return self._forward(X, u, D_hat).numpy(force=True).astype(float)
+    def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Any) -> np.ndarray:
+        return self._forward(X, u, D_hat, t).numpy(force=True).astype(float)
 
     def lanes(self) -> Callable[..., None]:
         def predict(X: Any, u: Any, D_hat: Any, t: float, p: Any, P: np.ndarray) -> None:
-            P[:] = self._forward(X.T, u.transpose(2, 0, 1), D_hat).permute(1, 2, 0).numpy(force=True)
+            P[:] = self._forward(X.T, u.transpose(2, 0, 1), D_hat, t).permute(1, 2, 0).numpy(force=True)
 
         return predict
 
     @torch.inference_mode()
-    def _forward(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray) -> torch.Tensor:
+    def _forward(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Any) -> torch.Tensor:
         dtype = self.operator.X_rest.dtype
-        tensors = (torch.as_tensor(np.array(a, dtype=float)).to(self.device, dtype) for a in (X, u, D_hat))
+        phase = (self.plant.phase(np.broadcast_to(t, len(X))),) if self.plant.clocked else ()
+        tensors = (torch.as_tensor(np.array(a, dtype=float)).to(self.device, dtype) for a in (X, u, D_hat, *phase))
         return self.operator(*tensors)

@@ -52,7 +52,7 @@ class Picard(Compiled):
         plant.needs_one_delay("picard", "use rk4")
         self.tolerance, self.sweeps = tolerance, sweeps
 
-    def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: float) -> np.ndarray:
+    def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Any) -> np.ndarray:
         P = super().predict(X, u, D_hat, t)
         failed = ~np.isfinite(P).all(axis=(1, 2))
         if failed.any():

@@ -172,7 +172,8 @@ def export(operator: Operator, plant: Plant, path: Path, nx: int, probe: tuple[n
 
 
 def source(operator: Operator, plant: Plant, nx: int, probe: tuple[np.ndarray, ...]) -> str:
-    """The text of the C file."""
+    """The text of the C file. Raises ConfigError where inputs have delays of their own: its law reads P(1) alone."""
+    plant.needs_one_delay("export c", "use npred.controller")
     p = fold(operator, plant, nx)
     sizes = {
         "N_STATES": p.n,

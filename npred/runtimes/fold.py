@@ -25,8 +25,9 @@ def fold(operator: Operator, plant: Plant, nx: int, stride: int = 1, precision: 
 
     `precision` is that of the network: np.float32 or np.float64.
 
-    Raises ConfigError for a network without a program.
+    Raises ConfigError for a network without a program, or one that sees the clock.
     """
+    plant.needs_no_clock("fold", "use the runtime torch")
     if type(operator.network) not in NETWORKS:
         known = " or ".join(network.__name__ for network in NETWORKS)
         raise ConfigError(f"fold: expected a {known}, got {type(operator.network).__name__}; use the runtime torch")

@@ -118,10 +118,10 @@ class Fused(Compiled):
             self.kernels[nx] = build(fold(self.operator, self.plant, nx, stride, self.precision))
         return self.kernels[nx]
 
-    def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: float) -> np.ndarray:
+    def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Any) -> np.ndarray:
         P = np.empty((u.shape[1], self.plant.n, len(X)))
         X, u, D_hat = (np.array(a, order="C") for a in (X.T, u.transpose(1, 2, 0), D_hat))
-        self.on(u.shape[0])(X, u, D_hat, t, self.plant.p, P)
+        self.on(u.shape[0])(X, u, D_hat, 0.0, self.plant.p, P)
         return P.transpose(2, 0, 1)
 
 

@@ -36,10 +36,12 @@ class Deployed(nn.Module):
 def graph(operator: Operator, plant: Plant, nx: int) -> bytes:
     """The ONNX model of P and U on nx nodes, any batch: what the grid alone decides is folded into constants.
 
-    Raises MissingError without the onnx extra.
+    Raises MissingError without the onnx extra, ConfigError where inputs have delays of their own or P hangs on time.
     """
     for name in ("onnx", "onnxscript"):
         require(name)
+    plant.needs_one_delay("onnx", "use the runtime torch or fused")
+    plant.needs_no_clock("onnx", "use the runtime torch")
     model = Deployed(operator, plant).eval()
     batch = torch.export.Dim("batch")
     sample = torch.ones(2, plant.n), torch.zeros(2, nx, plant.m), torch.ones(2)
@@ -89,7 +91,7 @@ class Onnx(Predictor):
             self.sessions[nx] = session(graph(self.operator, self.plant, nx))
         return self.sessions[nx]
 
-    def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: float) -> np.ndarray:
+    def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Any) -> np.ndarray:
         return self._run(X, u, D_hat).astype(float)
 
     def lanes(self) -> Callable[..., None]:

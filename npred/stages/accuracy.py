@@ -44,7 +44,7 @@ class Rows:
         X, u, D_hat, t = (a.reshape(-1, *a.shape[2:]) for a in taken)
         known = np.isfinite(X).all(axis=1)
         X, u, D_hat = X[known], u[known], D_hat[known]
-        return cls(X, u, D_hat, numerical(X, u, D_hat), t[known])
+        return cls(X, u, D_hat, numerical(X, u, D_hat, t[known]), t[known])
 
 
 def sample_steps(seed: int, config: Evaluate, loops: int) -> np.ndarray:
@@ -57,13 +57,13 @@ def sample_steps(seed: int, config: Evaluate, loops: int) -> np.ndarray:
 def predict(predictor: Predictor, rows: Rows) -> np.ndarray:
     """P_hat (N, nx, n) on those rows, a block at a time."""
     blocks = [slice(i, i + ROWS) for i in range(0, len(rows.X), ROWS)]
-    return np.concatenate([predictor(rows.X[i], rows.u[i], rows.D_hat[i]) for i in blocks])
+    return np.concatenate([predictor(rows.X[i], rows.u[i], rows.D_hat[i], rows.t[i]) for i in blocks])
 
 
 def measure(plant: Plant, P_hat: np.ndarray, rows: Rows) -> dict[str, Any]:
     """All errors of npred.metrics on those rows."""
-    late = rows.t + rows.D_hat
-    return metrics.errors(plant, P_hat, rows.P, late) | metrics.relative(plant, rows.X, rows.u, P_hat, rows.P)
+    errors = metrics.errors(plant, P_hat, rows.P, rows.t, rows.D_hat)
+    return errors | metrics.relative(plant, rows.X, rows.u, P_hat, rows.P)
 
 
 def write(path: Path, rows: Rows, P_hat: dict[str, np.ndarray]) -> None:

@@ -62,8 +62,9 @@ class Reference:
     def __init__(self, plant: Plant, test: Dataset) -> None:
         later = np.flatnonzero(test.t > test.D)
         rows = later[np.linspace(0, len(later) - 1, min(PROBES, len(later))).astype(int)]
-        self.plant, self.X, self.u, self.D_hat = plant, test.X[rows], test.u[rows], test.D_hat[rows]
-        self.P = RK4(plant)(self.X, grid.refine(self.u, FINE), self.D_hat)
+        self.plant, self.X, self.u = plant, test.X[rows], test.u[rows]
+        self.D_hat, self.t = test.D_hat[rows], test.t[rows]
+        self.P = RK4(plant)(self.X, grid.refine(self.u, FINE), self.D_hat, self.t)
         self._known: dict[tuple[str, str, int], float] = {}
 
     def error(self, entry: Entry) -> float:
@@ -76,7 +77,7 @@ class Reference:
     def of(self, predictor: Predictor, nx: int) -> float:
         """sup |P_hat - P| of a predictor on nx nodes."""
         with np.errstate(over="ignore", invalid="ignore"):  # few steps may diverge: an infinite error
-            P_hat = predictor(self.X, grid.refine(self.u, nx), self.D_hat)
+            P_hat = predictor(self.X, grid.refine(self.u, nx), self.D_hat, self.t)
             errors = np.linalg.norm(P_hat - grid.refine(self.P, nx), axis=-1)
         return float(np.nan_to_num(errors, nan=np.inf).max())
 
@@ -129,7 +130,7 @@ def _available(job: Job, config: Bench) -> list[str]:
 
 
 def _numerical(plant: Plant, nx: int, batch: int) -> Iterator[Entry]:
-    for interpreted in (Published, EulerPython) if batch == 1 else ():
+    for interpreted in (Published, EulerPython) if batch == 1 and plant.one_delay else ():
         yield Entry(interpreted.name, "python", nx, batch, interpreted(plant, nx))
     for method in COMPILED:
         yield Entry(method.name, "compiled", nx, batch, METHODS[method.name](plant, nx))
@@ -166,11 +167,12 @@ def _resident(entry: Entry, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray) -> 
     import torch
 
     operator: Any = getattr(entry.run, "operator")  # noqa: B009 - a network's predictor has one
-    tensors = [torch.as_tensor(np.array(a), dtype=torch.float32, device=entry.device) for a in (X, u, D_hat)]
+    phase = (np.zeros(len(X)),) if entry.run.plant.clocked else ()
+    tensors = [torch.as_tensor(np.array(a), dtype=torch.float32, device=entry.device) for a in (X, u, D_hat, *phase)]
 
     @torch.inference_mode()
     def one(k: int) -> None:
-        operator(tensors[0], tensors[1], tensors[2][k])
+        operator(tensors[0], tensors[1], tensors[2][k], *tensors[3:])
         torch.cuda.synchronize(entry.device)
 
     return one

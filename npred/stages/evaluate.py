@@ -90,7 +90,10 @@ def _shares(contender: Contender, begin: Starts) -> list[slice]:
 
 
 def _neural(job: Job, model: str, snapshot: int | None, name: str) -> Predictor:
-    """The fused network, as it is deployed but in double precision: in float32 an FNO's loops end 3e-6 away."""
+    """The fused network, as it is deployed but in double precision: in float32 an FNO's loops end 3e-6 away.
+
+    A network that sees the clock is evaluated by torch.
+    """
     import torch
 
     from npred import operators
@@ -98,7 +101,7 @@ def _neural(job: Job, model: str, snapshot: int | None, name: str) -> Predictor:
     from npred.runtimes.fused import Fused
 
     operator = operators.load(job.inputs[model], job.plant, snapshot, torch.float64)
-    if job.device == "cpu":
+    if job.device == "cpu" and not job.plant.clocked:
         return Fused(job.plant, operator, job.config.evaluate.nx, name, precision=np.float64)
     return Neural(job.plant, operator, job.config.evaluate.nx, job.device, name)
 

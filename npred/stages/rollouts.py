@@ -73,8 +73,8 @@ def _chunk(pipeline: Pipeline, plant: Plant, chunk: range) -> Rows:
     count = steps.shape[1]
     D_hat = draws.redrawn(pipeline.seed, config, chunk, loops.samples.D_hat)
     rows = {"X": loops.samples.X, "u": loops.samples.u, "D_hat": D_hat}
-    rows["P"] = predictor(rows["X"], rows["u"], rows["D_hat"])
     rows |= {"D": np.repeat(D[:, None], count, 1), "t": steps * config.dt}
+    rows["P"] = predictor(rows["X"], rows["u"], rows["D_hat"], rows["t"])
     rows["rollout"] = np.repeat(np.array(chunk, dtype=np.int32)[:, None], count, 1)
     kept = np.arange(count) < np.array([draws.samples(config, r) for r in chunk])[:, None]
     return {name: array[kept] for name, array in rows.items()}

@@ -81,9 +81,10 @@ def _task(job: Job, config: Training, path: Path) -> Task:
     """Rows of one file are held in memory; shards are streamed, and a survey of them gives the errors."""
     data, streamed = shards.survey(path), len(shards.files(path)) > 1
     fitted, held_out = data.subset(test=False), data.subset(test=True)
-    known, test = Rows.of(fitted, job.device, config.nodes), Rows.of(held_out, job.device)
+    known = Rows.of(fitted, job.device, config.nodes, job.plant.phase(fitted.t))
+    test = Rows.of(held_out, job.device, phase=job.plant.phase(held_out.t))
     seed = randomness.integer(job.config.seed, "train", str(job.model))
-    stream = Stream(path, job.device, config.nodes)
+    stream = Stream(path, job.device, config.nodes, job.plant.phase)
     scaling = Scaling.of_parts(stream.parts) if streamed else Scaling.of(fitted)
     operator = _untrained(job, config, scaling, seed).to(job.device)
     criterion = loss.criterion(config.rows, loss.weights(config, job.plant, known.P))

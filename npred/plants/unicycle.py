@@ -1,0 +1,48 @@
+"""A wheeled robot that cannot move sideways; its commands to turn and to drive arrive unequally late."""
+
+import math
+from typing import Any
+
+
+class Unicycle:
+    """x' = v cos θ, y' = v sin θ, θ' = ω: position x, y (m) and heading theta (rad); turning rate ω = U_1(t - D_1)
+    (rad/s) and speed v = U_2(t - D_2) (m/s), with D_1 = 0.25 s and D_2 = 0.6 s.
+
+    No continuous law of the state alone brings it to rest at a pose (Brockett 1983). This one depends on time, with
+    p = x cos θ + y sin θ and q = x sin θ - y cos θ:
+        ω = -5 p² cos 3t - p q (1 + 25 cos² 3t) - θ,   v = -p + 5 q (sin 3t - cos 3t) + q ω.
+    It is of the kind of Pomet (Systems & Control Letters 18, 1992, 147-158), and the example of predictor feedback for
+    one delay (Bekiaris-Liberis and Krstic, doi:10.1115/1.4005278) and for two (IEEE TAC 62, 2017, 516-531).
+    From every pose it leads to the origin, at rest there for every t, but not exponentially: along y the linearised
+    loop does not move, and |X| falls as 1/sqrt(t). V is a squared distance, no Lyapunov function: it rises and falls.
+    """
+
+    states = ("x", "y", "theta")
+    inputs = ("omega", "v")
+    delays = (0.25, 0.6)
+    period = 2 * math.pi / 3
+    box = {"x": (-1.0, 1.0), "y": (-1.0, 1.0), "theta": (-1.0, 1.0)}
+
+    @staticmethod
+    def f(x: Any, u: Any, t: Any, p: Any, M: Any) -> list[Any]:
+        """The kinematics."""
+        return [u.v * M.cos(x.theta), u.v * M.sin(x.theta), u.omega]
+
+    @staticmethod
+    def kappa(x: Any, t: Any, p: Any, M: Any) -> list[Any]:
+        """The law without delay."""
+        sin, cos = M.sin(x.theta), M.cos(x.theta)
+        ahead, aside = x.x * cos + x.y * sin, x.x * sin - x.y * cos
+        sway, swing = M.sin(3 * t), M.cos(3 * t)
+        omega = -5 * ahead**2 * swing - ahead * aside * (1 + 25 * swing**2) - x.theta
+        return [omega, -ahead + 5 * aside * (sway - swing) + aside * omega]
+
+    @staticmethod
+    def reference(t: Any, p: Any, M: Any) -> list[Any]:
+        """The pose to come to."""
+        return [0.0, 0.0, 0.0]
+
+    @staticmethod
+    def V(x: Any, t: Any, p: Any, M: Any) -> Any:
+        """The squared distance from the origin."""
+        return x.x**2 + x.y**2 + x.theta**2
