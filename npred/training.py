@@ -62,8 +62,8 @@ class Rows:
     def joined(cls, parts: Sequence["Rows"]) -> "Rows":
         """Rows one after the other."""
         phases = [p.phase for p in parts if p.phase is not None]
-        columns = zip(*((p.X, p.u, p.D_hat, p.P) for p in parts), strict=True)
-        return cls(*map(torch.cat, columns), torch.cat(phases) if phases else None)
+        X, u, D_hat, P = map(torch.cat, zip(*((p.X, p.u, p.D_hat, p.P) for p in parts), strict=True))
+        return cls(X, u, D_hat, P, torch.cat(phases) if phases else None)
 
     def batches(self, shuffle: torch.Generator, size: int) -> Iterator["Rows"]:
         """Each row once, in random order."""

@@ -98,8 +98,8 @@ def test_the_loop_is_the_golden_one():
 
 def test_the_exact_predictors_loop_converges_from_its_box():
     """As 1/sqrt(t): |X| sqrt(t) stays below a half, from everywhere; 1 % of a metre takes half an hour."""
-    X0 = plant_claims.box(PLANT, 32)
-    loops = simulate(PLANT, RK4(PLANT, 49), D=D, D_hat=D, X0=X0, t_end=2500.0, dt=0.025, every=20)
+    X0 = plant_claims.box(PLANT, 8)
+    loops = simulate(PLANT, RK4(PLANT, 25), D=D, D_hat=D, X0=X0, t_end=2500.0, dt=0.05, every=20)
     late = loops.t > 20
     size = np.linalg.norm(loops.X[:, late], axis=-1)
     assert (size * np.sqrt(loops.t[late])).max() < 0.5

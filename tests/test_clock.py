@@ -1,0 +1,123 @@
+"""Predictions that depend on the time: what a network sees of it, and who refuses what."""
+
+import numpy as np
+import pytest
+import torch
+from operator_samples import SMALL
+
+from npred import grid, plants
+from npred.closed_loop import simulate
+from npred.errors import ConfigError
+from npred.operators import Scaling, build
+from npred.plants import Plant, fit
+from npred.predictors import RK4
+from npred.predictors.neural import Neural
+from npred.runtimes import predictor
+from npred.training import Rows
+
+UNICYCLE = plants.resolve("unicycle")
+NETWORKS = pytest.mark.parametrize("config", SMALL, ids=lambda config: type(config).__name__)
+
+
+def driven(**parts):
+    """x' = U + sin 2t, whose prediction depends on time even with one delay."""
+
+    class Driven:
+        states, inputs, box = ("x",), ("U",), {"x": (0.0, 1.0)}
+
+        def f(x, u, t, p, M):
+            return [u.U + M.sin(2 * t)]
+
+        def kappa(x, t, p, M):
+            return [-x.x]
+
+        def V(x, t, p, M):
+            return x.x**2
+
+    return Plant("Driven", type("Changed", (Driven,), parts))
+
+
+def network(config):
+    torch.manual_seed(0)
+    return Neural(UNICYCLE, build(config, UNICYCLE, Scaling(3, 2)), 21)
+
+
+def inputs(count=5, nx=21):
+    random = np.random.default_rng(2)
+    return random.normal(size=(count, 3)), random.normal(size=(count, nx, 2)), random.uniform(0.4, 0.8, count)
+
+
+def test_a_time_a_row_is_a_call_a_row():
+    X, u, D_hat = inputs()
+    t, rk4 = np.array([0.0, 0.3, 0.3, 1.7, 9.0]), RK4(UNICYCLE, 21)
+    P = rk4(X, u, D_hat, t)
+    for row in range(5):
+        np.testing.assert_allclose(P[row], rk4(X[row], u[row], D_hat[row], t[row]), rtol=1e-12)
+    np.testing.assert_allclose(P, rk4(X, u, D_hat, t + 7 * UNICYCLE.period), rtol=1e-9)
+    assert np.abs(P[1] - rk4(X[1], u[1], D_hat[1], 0.0)).max() > 0.1
+
+
+def test_only_laws_past_their_delay_and_f_make_a_prediction_depend_on_time():
+    assert UNICYCLE.clocked and driven().clocked
+    for name in ("planar_arm2", "chemostat"):  # one delay: the law is not in the prediction
+        assert not plants.resolve(name).clocked
+        assert plants.resolve(name).phase(1.0) is None
+
+
+@NETWORKS
+def test_a_network_sees_the_phase_and_rests_at_all_times(config):
+    run, (X, u, D_hat) = network(config), inputs()
+    t = np.linspace(0.0, 1.5, 5)
+    P = run(X, u, D_hat, t)
+    np.testing.assert_allclose(run(X, u, D_hat, t + 1000 * UNICYCLE.period), P, rtol=0, atol=1e-6)
+    assert np.abs(run(X, u, D_hat, t + 1.0) - P).max() > 1e-4
+    np.testing.assert_array_equal(run(np.zeros(3), np.zeros((21, 2)), D_hat, t), 0.0)
+
+
+@NETWORKS
+def test_the_loop_tells_the_network_its_time(config):
+    run = network(config)
+    loop = simulate(UNICYCLE, run, D=0.6, D_hat=0.6, X0=[0.1, 0.2, 0.1], t_end=1.0, dt=0.05, samples=np.arange(20))
+    P = run(loop.samples.X, loop.samples.u, loop.samples.D_hat, 0.05 * np.arange(20))
+    U = UNICYCLE.kappa(P[:, -1], 0.05 * np.arange(20) + 0.6)[:, 1]
+    np.testing.assert_allclose(loop.U[:20, 1], U, rtol=1e-4, atol=1e-5)
+
+
+def test_rows_keep_their_phase():
+    class Data:
+        X, u, D_hat = inputs(8)
+        P = np.zeros((8, 21, 3))
+
+    rows = Rows.of(Data(), phase=np.arange(8) / 8)
+    part = Rows.joined([rows[torch.tensor([3, 1])], rows[slice(0, 1)]])
+    assert part.phase is not None and part.phase.tolist() == [3 / 8, 1 / 8, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("runtime", "message"),
+    [
+        ("fused", "fold: expected a prediction free of time, that of plant unicycle is not; use the runtime torch"),
+        ("onnx", "onnx: expected one delay, plant unicycle has delays 0.25, 0.6 s; use the runtime torch"),
+    ],
+)
+def test_runtimes_without_a_clock_say_so(runtime, message):
+    if runtime == "onnx":
+        pytest.importorskip("onnx"), pytest.importorskip("onnxscript")
+    with pytest.raises(ConfigError, match=message):
+        predictor(runtime, UNICYCLE, network(SMALL[0]).operator, 21).lanes()
+
+
+def test_without_a_period_no_network_can_serve_it():
+    u = np.ones((21, 1)) * grid.nodes(21)[:, None]
+    assert RK4(driven(), 21)([1.0], u, 0.5, 0.3).shape == (21, 1)
+    with pytest.raises(ConfigError, match="Driven: expected a period, for its prediction depends on time"):
+        fit._clock(driven())
+    with pytest.raises(ConfigError, match="Driven: f and kappa expected to repeat after 3 s; mend period"):
+        fit._clock(driven(period=3.0))
+    fit._clock(driven(period=np.pi))
+
+
+@pytest.mark.parametrize("period", [0.0, -1.0, "often"])
+def test_a_period_that_is_none_is_told(period):
+    with pytest.raises(ConfigError, match="period"):
+        driven(period=period)
