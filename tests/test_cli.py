@@ -197,11 +197,28 @@ def test_bad_input_is_one_line_and_its_exit_code(call: Call, arguments: list[str
     assert words in line
 
 
-@pytest.mark.parametrize("arguments", [["run", "--nonsense"], ["nonsense"], ["run", "a.toml", "b.toml"], ["why"]])
-def test_bad_usage_is_exit_code_2(call: Call, arguments: list[str]):
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["nonsense"], "expected npred [OPTIONS] COMMAND [ARGS]..., got: No such command 'nonsense'; see npred --help"),
+        (["run", "--nonsense"], "got: No such option: --nonsense; see npred run --help"),
+        (["run", "--jobs", "many"], "got: Invalid value for '--jobs': "),
+        (["run", "a.toml", "b.toml"], "expected npred run [OPTIONS] [PIPELINE], got: Got unexpected extra argument"),
+        (["why"], "got: Missing argument 'stage'; see npred why --help"),
+        (["plants", "check"], "expected npred plants check [OPTIONS] {PLANT}, got: "),
+    ],
+)
+def test_bad_usage_is_one_line_and_exit_code_2(call: Call, arguments: list[str], words: str):
     result = call(*arguments)
     assert (result.exit_code, result.stdout) == (2, "")
-    assert "Usage" in result.stderr
+    (line,) = result.stderr.splitlines()
+    assert words in line
+
+
+def test_no_command_asks_for_help(call: Call):
+    result = call()
+    assert result.exit_code == 2
+    assert "Usage: npred" in result.stdout + result.stderr and "error:" not in result.stderr
 
 
 def test_a_flipped_byte_is_exit_code_4_and_nothing_is_overwritten(call: Call):

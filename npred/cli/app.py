@@ -10,11 +10,13 @@ from typing import Any
 import typer
 
 from npred.cli.options import Common, parameters
+from npred.cli.usage import OneLine
 from npred.console import Console
 from npred.errors import NpredError
 
 app = typer.Typer(
     name="npred",
+    cls=OneLine,
     help="Numerical and neural predictor feedback for delayed nonlinear plants: generate, train, evaluate, bench.",
     no_args_is_help=True,
     add_completion=False,
