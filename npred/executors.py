@@ -7,6 +7,7 @@
 `function` is one of a module, and it, the items and the results are pickled: they are plain data, no open files.
 """
 
+import logging
 import os
 import threading
 from collections.abc import Callable, Iterable, Iterator
@@ -176,12 +177,26 @@ class Cluster(Workers):
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """The future of a call on one of the workers."""
-        return self._inner.submit(fn, *args, **kwargs)
+        outcome: Future[Any] = Future()
+        inner = self._inner.submit(fn, *args, **kwargs)
+        outcome.add_done_callback(lambda done: done.cancelled() and inner.cancel())
+        inner.add_done_callback(lambda done: _pass_on(done, outcome))
+        return outcome
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """Leave the cluster, which stays up: after the work, or, without `wait`, now."""
         self._inner.shutdown(wait=wait and not cancel_futures)
         self._client.close()
+
+
+def _pass_on(done: Future[Any], outcome: Future[Any]) -> None:
+    """What became of a task of the cluster; its own failures in a line each."""
+    error = CancelledError() if done.cancelled() else done.exception()
+    if isinstance(error, CancelledError):
+        error = NpredError("--executor: expected a scheduler that stays up, lost it; start it and run the same again")
+    elif type(error).__name__ == "KilledWorker":
+        error = NpredError(f"--executor: expected workers that live, got: {error}; give them more memory")
+    _settle(outcome, error, None if error else done.result())
 
 
 def _executor(spec: str, jobs: int) -> Workers:
@@ -201,6 +216,7 @@ def _cluster(address: str) -> Cluster:
         raise MissingError(
             "--executor: expected the package distributed, found none; pip install 'npred[dask]'"
         ) from None
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what fails is said once, by an exception
     try:
         return Cluster(Client(address, timeout=ANSWER, set_as_default=False))
     except (OSError, ValueError) as error:

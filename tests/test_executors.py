@@ -3,6 +3,7 @@
 import os
 import signal
 import sys
+from collections.abc import Callable
 from concurrent.futures import Future, wait
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import pytest
 
 from npred import executors
 from npred.errors import ConfigError, MissingError, NpredError
-from npred.executors import Here, Processes
+from npred.executors import Cluster, Here, Processes
 
 
 def square(x: int) -> int:
@@ -99,6 +100,48 @@ def test_a_task_that_always_kills_its_process_is_told_in_one_line():
         executor.submit(die, 0).result()
     assert executor.submit(square, 3).result() == 9
     executor.shutdown()
+
+
+class KilledWorker(Exception):
+    """Known by its name, as Dask's."""
+
+
+class Lost:
+    """A client, its executor, and a cluster that loses all that it is given."""
+
+    def __init__(self, end: Callable[[Future], object]) -> None:
+        self.end, self.closed = end, False
+
+    def get_executor(self, pure: bool) -> "Lost":
+        return self
+
+    def submit(self, fn, /, *args, **kwargs) -> Future:
+        future = Future()
+        self.end(future)
+        return future
+
+    def nthreads(self) -> dict[str, int]:
+        return {}
+
+
+@pytest.mark.parametrize(
+    ("end", "words"),
+    [
+        (lambda f: (f.cancel(), f.set_running_or_notify_cancel()), "expected a scheduler that stays up, lost it"),
+        (lambda f: f.set_exception(KilledWorker("4 workers died")), "expected workers that live, got: 4 workers died"),
+    ],
+    ids=["scheduler", "workers"],
+)
+def test_a_cluster_that_is_lost_is_told_in_one_line(end, words):
+    executor = Cluster(Lost(end))
+    with pytest.raises(NpredError, match=f"^--executor: {words}"):
+        dict(executors.completed(executor, square, range(3)))
+
+
+def test_a_task_of_a_cluster_can_be_cancelled():
+    given: list[Future] = []
+    task = Cluster(Lost(given.append)).submit(square, 3)
+    assert task.cancel() and given[0].cancelled()
 
 
 @pytest.mark.parametrize("spec", ["dask", "dask:", "ray:there", ""])

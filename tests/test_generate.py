@@ -90,8 +90,23 @@ def test_an_interrupted_run_keeps_its_shards(tmp_path, little, monkeypatch):
     with pytest.raises(KeyboardInterrupt):
         generate.run(broken)
     made.clear()
+    (folder,) = broken.scratch.glob("shards-*")
+    (folder / ".data-00002.h5-killed").write_bytes(b"half")
     generate.run(broken)
     assert made == [128, 192] and payload(broken.folder) == payload(whole.folder)
+    assert sorted(p.name for p in folder.iterdir()) == [sharded.TOKEN, *(shards.name(k) for k in range(4))]
+
+
+def test_a_shard_that_cannot_be_written_leaves_nothing(tmp_path, little, monkeypatch):
+    def full(self, path, attributes):
+        path.write_bytes(b"half")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Dataset, "write", full)
+    stopped = job(tmp_path, "full", generate=SHARDED)
+    with pytest.raises(OSError, match="No space left"):
+        generate.run(stopped)
+    assert [p.name for p in stopped.scratch.rglob("*") if p.is_file()] == [sharded.TOKEN]
 
 
 def test_a_worker_that_does_not_see_the_folder_sends_its_shard_back(tmp_path, little, monkeypatch):

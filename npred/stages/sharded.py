@@ -77,6 +77,8 @@ def _place(job: Job) -> Place:
     text = json.dumps(rollouts.surroundings(job.config, job.plant), sort_keys=True)
     folder = job.scratch.absolute() / f"shards-{hashlib.sha256(text.encode()).hexdigest()[:12]}"
     folder.mkdir(exist_ok=True)
+    for half in folder.glob(".data-*"):  # a worker that was killed left it
+        half.unlink()
     place = Place(folder, uuid4().hex)
     (folder / TOKEN).write_text(place.token)
     return place
@@ -101,10 +103,13 @@ def _shard(
 def _durably(path: Path, save: Callable[[Path], Any]) -> None:
     """Write a file that is whole or absent, also where the machine fails, and where two workers write the same."""
     partly = path.with_name(f".{path.name}-{uuid4().hex}")
-    save(partly)
-    with partly.open("rb") as file:
-        os.fsync(file.fileno())
-    partly.replace(path)
+    try:
+        save(partly)
+        with partly.open("rb") as file:
+            os.fsync(file.fileno())
+        partly.replace(path)
+    finally:
+        partly.unlink(missing_ok=True)  # a disk that is full gets the room back
 
 
 def _copy(content: bytes, path: Path) -> None:
