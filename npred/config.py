@@ -4,7 +4,7 @@ import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from npred.errors import ConfigError
 
@@ -18,6 +18,7 @@ Item = TypeVar("Item")
 Some = Annotated[list[Item], Field(min_length=1)]
 Method = Literal["euler", "heun", "rk4", "picard"]
 PAPER, FROZEN = "bresch-pietri-krstic", "frozen"  # the delay laws that have a name
+Networks = Annotated[Some[Literal["deeponet", "fno"]], AfterValidator(lambda names: sorted(set(names)))]
 Anchor = Literal["none", "initial", "equilibrium"]
 
 
@@ -171,9 +172,9 @@ class FNO(Training):
 
 
 class Train(Table):
-    """One table a network; `models` says which of them are trained."""
+    """One table a network; `models` says which of them are trained, each once; their order means nothing."""
 
-    models: Some[Literal["deeponet", "fno"]] = ["deeponet", "fno"]  #: networks to train
+    models: Networks = ["deeponet", "fno"]  #: networks to train
     deeponet: DeepONet = DeepONet()
     fno: FNO = FNO()
 

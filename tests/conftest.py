@@ -100,3 +100,11 @@ def process_environment(**more: str) -> dict[str, str]:
     paths = f"{HERE.parent}{os.pathsep}{HERE}"
     kept = {name: value for name, value in os.environ.items() if name != "NPRED_STORE"}
     return kept | {"PYTHONPATH": paths, "COLUMNS": "200", "OMP_NUM_THREADS": "1"} | more
+
+
+@pytest.fixture(scope="session")
+def reported(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    """A tiny pipeline's file, and the outcomes of a run of all stages into `store` beside it."""
+    import reported
+
+    return reported.run(tmp_path_factory.mktemp("reported"))

@@ -46,7 +46,7 @@ calls = 10
 batches = [1]
 runtimes = ["torch"]
 """
-STAGES = ["generate", "train deeponet", "train fno", "evaluate", "bench"]
+STAGES = ["generate", "train deeponet", "train fno", "evaluate", "bench", "report"]
 
 
 @pytest.fixture

@@ -26,8 +26,8 @@ def actions(result: Result) -> dict[str, str]:
 def test_run_answers_in_one_document(call: Call):
     found = document(call("run", "tiny.toml", "--json", "--jobs", "3"))
     rows = found["stages"]
-    assert [row["stage"] for row in rows] == ["generate", "train", "train", "evaluate", "bench"]
-    assert [row.get("model") for row in rows] == [None, "deeponet", "fno", None, None]
+    assert [row["stage"] for row in rows] == ["generate", "train", "train", "evaluate", "bench", "report"]
+    assert [row.get("model") for row in rows] == [None, "deeponet", "fno", None, None, None]
     assert {row["action"] for row in rows} == {"run"}
     assert all(re.fullmatch("[0-9a-f]{64}", row["key"]) and row["seconds"] >= 0 for row in rows)
     assert found["result"]["rows"] == []
@@ -58,7 +58,8 @@ def test_people_get_a_table_the_folder_and_the_summary(call: Call):
 def test_set_reruns_what_depends_on_it(call: Call):
     call("run", "tiny.toml")
     result = call("run", "tiny.toml", "--json", "--set", "train.deeponet.epochs=40", "--set", "bench.calls=7")
-    assert actions(result) == {"generate": "hit", "deeponet": "run", "fno": "hit", "evaluate": "run", "bench": "run"}
+    assert actions(result) == {"generate": "hit", "deeponet": "run", "fno": "hit", "evaluate": "run", "bench": "run",
+                               "report": "run"}  # fmt: skip
 
 
 def test_a_dry_run_runs_nothing_and_writes_nothing(call: Call, fakes: Path):
@@ -84,7 +85,8 @@ def test_status_and_its_gate(call: Call):
     call("run", "tiny.toml")
     assert set(states("--check").values()) == {"fresh"}
     late = states("--check", "--set", "train.fno.epochs=2", code=3)
-    assert late == {"generate": "fresh", "deeponet": "fresh", "fno": "stale", "evaluate": "stale", "bench": "stale"}
+    assert late == {"generate": "fresh", "deeponet": "fresh", "fno": "stale", "evaluate": "stale", "bench": "stale",
+                    "report": "stale"}  # fmt: skip
     data = Store(Path("artifacts")).find("fno").folder / "data.bin"
     data.write_bytes(b"")
     assert str(data) in one_line(call("status", "tiny.toml", "--check"), 4)
@@ -104,10 +106,10 @@ def test_show_ls_and_diff(call: Call):
     call("train", "tiny.toml", "--set", "train.fno.epochs=2")
     listed = document(call("ls", "--json"))["artifacts"]
     assert [entry["model"] or entry["stage"] for entry in listed] == [
-        *("generate", "deeponet", "fno", "evaluate", "bench", "fno")
+        *("generate", "deeponet", "fno", "evaluate", "bench", "report", "fno")
     ]
-    old, new = listed[2]["key"], listed[5]["key"]
-    assert len(call("ls").stdout.splitlines()) == 7
+    old, new = listed[2]["key"], listed[6]["key"]
+    assert len(call("ls").stdout.splitlines()) == 8
     shown = document(call("show", f"train/{old[:8]}", "--json"))
     assert shown["result"] == {"mse": None, "epochs": 100}
     assert shown["manifest"]["question"]["config"]["train"]["fno"]["epochs"] == 100

@@ -14,14 +14,14 @@ from conftest import process_environment
 ROOT = Path(__file__).parent.parent / "npred"
 FLOORS = [
     {"errors"},
-    {"config", "devices", "documents", "executors", "grid", "places", "randomness", "ranks"} | {"shapes"},
+    {"config", "devices", "documents", "executors", "grid", "places", "randomness", "ranks", "shapes", "toml_text"},
     {"plants"},
     {"actuator", "predictors", "operators"},
     {"adaptation", "arguments", "closed_loop", "delay_estimate", "delayed_law", "engine", "laws", "lyapunov"}
     | {"untraced_law"},
     {"control", "dataset", "hdf5", "interop", "metrics", "plant_check", "runtimes", "shards", "streaming", "timing"}
     | {"training"},
-    {"store", "console"},
+    {"console", "figures", "store"},
     {"stages"},
     {"pipeline", "cli", "api", "__main__"},
 ]

@@ -18,7 +18,7 @@ from npred.pipeline.table import question
 from npred.store import Store
 
 Run = Callable[..., list[Outcome]]
-ALL = ("generate", "deeponet", "fno", "evaluate", "bench")
+ALL = ("generate", "deeponet", "fno", "evaluate", "bench", "report")
 
 
 def planner(pipeline: Path, *overrides: str, device: str = "cpu", force: tuple[str, ...] = ()) -> Planner:
@@ -59,7 +59,7 @@ def test_the_second_run_runs_nothing_and_touches_nothing(run: Run, fakes: Path, 
     before = bytes_of(pipeline.parent / "store")
     second = run()
     assert (ran(first), ran(second)) == (list(ALL), [])
-    assert len(fakes.read_text().splitlines()) == 5
+    assert len(fakes.read_text().splitlines()) == 6
     assert bytes_of(pipeline.parent / "store") == before
     assert [o.artifact.manifest.key for o in first] == [o.artifact.manifest.key for o in second]
 
@@ -81,14 +81,14 @@ def _run_afresh(run: Run, pipeline: Path) -> dict[str, tuple[bytes, int]]:
 @pytest.mark.parametrize(
     ("override", "expected", "words"),
     [
-        ("train.deeponet.epochs=40", ["deeponet", "evaluate", "bench"], "train.deeponet.epochs: 30 -> 40"),
-        ("train.fno.lr=0.5", ["fno"], "train.fno.lr: 0.002 -> 0.5"),
-        ("bench.calls=9", ["bench"], "bench.calls: 1000 -> 9"),
-        ("evaluate.X0=[1.0]", ["evaluate"], "evaluate.X0: [0.5] -> [1.0]"),
+        ("train.deeponet.epochs=40", ["deeponet", "evaluate", "bench", "report"], "train.deeponet.epochs: 30 -> 40"),
+        ("train.fno.lr=0.5", ["fno", "report"], "train.fno.lr: 0.002 -> 0.5"),
+        ("bench.calls=9", ["bench", "report"], "bench.calls: 1000 -> 9"),
+        ("evaluate.X0=[1.0]", ["evaluate", "report"], "evaluate.X0: [0.5] -> [1.0]"),
         ("generate.rollouts=60", list(ALL), "generate.rollouts: 50 -> 60"),
         ("seed=1", list(ALL), "seed: 0 -> 1"),
-        ("parameters.a=0.75", ["generate", "deeponet", "fno", "evaluate", "bench"], "plant.parameters.a: 0.5 -> 0.75"),
-        ("train.models=['fno']", ["evaluate", "bench"], 'train.models: ["deeponet", "fno"] -> ["fno"]'),
+        ("parameters.a=0.75", list(ALL), "plant.parameters.a: 0.5 -> 0.75"),
+        ("train.models=['fno']", ["evaluate", "bench", "report"], 'train.models: ["deeponet", "fno"] -> ["fno"]'),
     ],
 )
 def test_a_change_reruns_what_depends_on_it_and_says_why(run: Run, override: str, expected: list[str], words: str):
@@ -107,7 +107,8 @@ def test_a_changed_input_is_the_reason_downstream(run: Run):
 
 def test_an_equal_result_stops_the_reruns(run: Run):
     run()
-    assert ran(run("generate.samples=4000")) == ["generate"]  # the fake's data do not depend on samples
+    again = ran(run("generate.samples=4000"))  # the fake's data do not depend on samples; the report tells all settings
+    assert again == ["generate", "report"]
 
 
 def test_going_back_is_a_hit(run: Run):
@@ -150,7 +151,7 @@ def test_the_closest_earlier_result_gives_the_reason(run: Run, pipeline: Path):
 
 def test_another_pipelines_results_give_hits_but_no_reasons(run: Run, pipeline: Path):
     run("name=other")
-    assert ran(run()) == []
+    assert ran(run()) == ["report"]  # which bears the pipeline's name
     assert plan(pipeline, "train.fno.epochs=5")["fno"] == "no artifact yet"
 
 
@@ -167,7 +168,7 @@ def test_a_plan_says_what_waits_for_what_and_why(run: Run, pipeline: Path, fakes
     cause = "upstream generate will run (generate.rollouts: 50 -> 60)"
     assert found["deeponet"] == found["bench"] == f"stale: {cause}"
     assert found["fno"] == f"stale: train.fno.epochs: 100 -> 5; {cause}"
-    assert len(fakes.read_text().splitlines()) == 5
+    assert len(fakes.read_text().splitlines()) == 6
 
 
 def test_a_corrupt_input_stops_the_run_before_the_stage(run: Run, fakes: Path):
@@ -197,7 +198,7 @@ def test_a_stage_that_fails_leaves_its_checkpoint_and_nothing_else(run: Run, fak
     assert [artifact.manifest.question.stage for artifact in store.artifacts()] == ["generate"]
     assert [path.parent.name for path in store.leftovers()] == [".scratch"]
     monkeypatch.setitem(fake_stages.ANSWERS, "train", real)
-    assert ran(run()) == ["deeponet", "fno", "evaluate", "bench"]
+    assert ran(run()) == [*ALL[1:]]
     assert "train:deeponet:resumed" in fakes.read_text().splitlines()
     assert store.leftovers() == []
 
@@ -205,7 +206,7 @@ def test_a_stage_that_fails_leaves_its_checkpoint_and_nothing_else(run: Run, fak
 def test_where_it_runs_enters_the_key_of_bench_only(pipeline: Path):
     made = planner(pipeline).config
     same = {n.name: question(n, made, "cpu") == question(n, made, "cuda") for n in nodes(made, STAGES)}
-    assert same == {"generate": True, "deeponet": True, "fno": True, "evaluate": True, "bench": False}
+    assert same == {"generate": True, "deeponet": True, "fno": True, "evaluate": True, "bench": False, "report": True}
 
 
 def test_every_key_of_the_pipeline_file_enters_the_questions_that_it_should(pipeline: Path):

@@ -67,4 +67,4 @@ def test_what_is_written_runs():
     assert result.exit_code == 0, result.stderr
     assert json.loads(result.stdout)["result"]["plant"] == "MyPlant"
     planned = json.loads(call("run", "my_plant.toml", "--dry-run", *settings).stdout)["stages"]
-    assert [row["action"] for row in planned] == [*["hit"] * 4, "run"]
+    assert [row["action"] for row in planned] == [*["hit"] * 4, "run", "run"]

@@ -232,7 +232,7 @@ def test_bench_writes_raw_times_a_latex_table_and_a_figure(benched):
     with h5py.File(task.folder / "times.h5") as file:
         assert len(file) == len(result["rows"]) and all(len(samples) == 12 for samples in file.values())
     assert r"\toprule" in (task.folder / "bench.tex").read_text()
-    assert "<svg" in (task.folder / "front.svg").read_text()
+    assert "<svg" in (task.folder / "speed.svg").read_text()
 
 
 def test_bench_says_from_where_on_a_network_pays(benched):

@@ -73,6 +73,24 @@ def sweep(
     sweeps.sweep(options, sweeps.Wanted(to, output, csv))
 
 
+@command(RUN)
+def report(
+    options: Work,
+    *,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="The HTML file, or the folder of the figures.")
+    ] = None,
+    figures: Annotated[
+        str | None,
+        typer.Option(metavar="ieee1|ieee2|slides", help="Figures and tables for a paper instead of the page."),
+    ] = None,
+) -> None:
+    """All results as one HTML file; or as PDF, SVG and PNG, CSV and LaTeX."""
+    from npred.cli import report as reports
+
+    reports.report(options, output, figures)
+
+
 @command(LOOK)
 def status(
     options: Planned,

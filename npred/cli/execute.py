@@ -1,14 +1,17 @@
 """What the commands do that run stages."""
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from npred import devices, executors
 from npred.cli.options import Work
 from npred.console import columns
 from npred.errors import ConfigError
-from npred.pipeline import STAGES, Node, Outcome, Runner, Step, networks, nodes
+from npred.pipeline import STAGES, Node, Outcome, Planner, Runner, Step, networks, nodes
 from npred.store import short
+
+PAGE = "report.html"
 
 
 @dataclass(frozen=True)
@@ -37,33 +40,62 @@ def everything(options: Work) -> None:
     _work(options, list(STAGES), ("evaluate", "bench"))
 
 
-def stage(options: Work, name: str, model: str | None = None) -> None:
-    """One stage with what it needs upstream; `model` keeps one network of the train stage.
+def stage(options: Work, name: str, model: str | None = None, output: Path | None = None) -> None:
+    """One stage with what it needs upstream; `model` keeps one network of the train stage, `output` is a page's file.
 
     Raises ConfigError for a network that there is none of.
     """
     if model is not None and model not in networks():
         raise ConfigError(f"--model: expected {' or '.join(networks())}, got {model!r}; name one of them")
-    _work(options, [name], (name,), model)
+    _work(options, [name], (name,), model, output)
 
 
-def _work(options: Work, targets: list[str], answers: tuple[str, ...], model: str | None = None) -> None:
-    planner = options.planner(frozenset(targets) if options.force else frozenset())
-    wanted = nodes(options.config, targets, model)
+def bring(options: Work, targets: list[str], model: str | None = None) -> list[Outcome]:
+    """The targets and all that they need, from the store or run."""
+    planner = _planner(options, targets)
     devices.require(planner.device)
-    if options.dry_run:
-        rows = [_planned(step) for step in planner.plan(wanted)]
-        options.show(_document(rows, None), lambda: _table(rows))
-        return
     jobs = options.jobs or devices.cores()
     with executors.opened(options.executor, jobs) as executor:
-        outcomes = Runner(planner, options.console, jobs, executor).run(wanted)
+        return Runner(planner, options.console, jobs, executor).run(nodes(options.config, targets, model))
+
+
+def _work(
+    options: Work, targets: list[str], answers: tuple[str, ...], model: str | None = None, output: Path | None = None
+) -> None:
+    if options.dry_run:
+        rows = [_planned(step) for step in _planner(options, targets).plan(nodes(options.config, targets, model))]
+        options.show(_document(rows, None), lambda: _table(rows))
+        return
+    outcomes = bring(options, targets, model)
     rows = [_done(outcome) for outcome in outcomes]
     final = [outcome for outcome in outcomes if outcome.node.stage in answers]
+    page = publish(options, outcomes, output)
     if options.json:
-        options.console.json(_document(rows, _result(final)))
+        options.console.json(_document(rows, _result(final)) | ({"report": str(page)} if page else {}))
     else:
-        _report(options, rows, final)
+        _tell(options, rows, final, page)
+
+
+def _planner(options: Work, targets: list[str]) -> Planner:
+    return options.planner(frozenset(targets) if options.force else frozenset())
+
+
+def publish(options: Work, outcomes: list[Outcome], output: Path | None) -> Path | None:
+    """Copy the page to `output`, by default to the pipeline's name in the store; None where no report was made.
+
+    Raises ConfigError where it cannot be written.
+    """
+    made = [outcome for outcome in outcomes if outcome.node.stage == "report"]
+    if not made:
+        return None
+    path = output or options.store / f"{options.pipeline.stem}.html"
+    aside = path.with_name(path.name + ".part")
+    try:
+        aside.write_bytes((made[-1].artifact.folder / PAGE).read_bytes())
+        aside.replace(path)  # a browser that reads it meanwhile sees the old page or the new one
+    except OSError as error:
+        raise ConfigError(f"{path}: expected a file that can be written, got: {error.strerror}; name another") from None
+    return path
 
 
 def _planned(step: Step) -> Row:
@@ -90,8 +122,10 @@ def _table(rows: list[Row]) -> str:
     return columns(["stage", "key", "action", "seconds", "reason"], [row.cells() for row in rows])
 
 
-def _report(options: Work, rows: list[Row], final: list[Outcome]) -> None:
+def _tell(options: Work, rows: list[Row], final: list[Outcome], page: Path | None) -> None:
     options.console.out(_table(rows))
     for outcome in final:
         options.console.out(f"\n{outcome.node.title}: {outcome.artifact.folder}")
         options.console.out(STAGES[outcome.node.stage].summary(outcome.artifact.result()))
+    if page:
+        options.console.out(f"\nreport: {page}")

@@ -61,8 +61,8 @@ def networks() -> tuple[str, ...]:
 
 
 def models(config: Pipeline) -> tuple[str, ...]:
-    """The networks of a pipeline, each once, in an order that does not depend on the file's."""
-    return tuple(sorted(set(config.train.models)))
+    """The networks of a pipeline."""
+    return tuple(config.train.models)
 
 
 def nodes(config: Pipeline, targets: Iterable[str], only: str | None = None) -> list[Node]:
@@ -148,9 +148,14 @@ def _bench(config: Pipeline, model: str | None, device: str) -> dict[str, Any]:
     return table | {"hardware": devices.hardware(device)}
 
 
+def _report(config: Pipeline, model: str | None, device: str) -> dict[str, Any]:
+    return {"pipeline": _dump(config)}
+
+
 STAGES: dict[str, Stage] = {
     "generate": Stage(1, (), _generate, "npred.stages.generate"),
     "train": Stage(1, ("generate",), _train, "npred.stages.train"),
-    "evaluate": Stage(3, ("generate", "train"), _evaluate, "npred.stages.evaluate"),
-    "bench": Stage(3, ("generate", "train"), _bench, "npred.stages.bench"),
+    "evaluate": Stage(4, ("generate", "train"), _evaluate, "npred.stages.evaluate"),
+    "bench": Stage(4, ("generate", "train"), _bench, "npred.stages.bench"),
+    "report": Stage(1, ("generate", "train", "evaluate", "bench"), _report, "npred.stages.report"),
 }

@@ -1,14 +1,15 @@
 """The bench stage: Table I of [DAPF] with trained networks, compiled baselines, and the error of each row."""
 
+import platform
 from itertools import groupby
 from typing import Any
 
 import h5py
 import numpy as np
 
-from npred import devices, metrics, shards, timing
+from npred import devices, figures, metrics, shards, timing
 from npred.config import Bench
-from npred.stages import Job, bench_report, contenders, crossover
+from npred.stages import Job, bench_report, contenders, crossover, tables
 from npred.stages.contenders import Entry, Reference
 
 PACKAGES = ("npred", "torch", "numpy", "numba", "onnxruntime")
@@ -19,7 +20,7 @@ def run(job: Job) -> dict[str, Any]:
     """Time every predictor at every dx, as a loop calls it, and take its error on held-out samples.
 
     Protocol of [DAPF, Table I]: state at the box's corner, u(x) = x, D_hat ~ U(0.5, 1.7). Writes times.h5 (each call's
-    nanoseconds), bench.tex (booktabs), front.svg and front.png (latency against error). `crossover` says when a network
+    nanoseconds), bench.tex (booktabs), speed.svg and speed.png (latency against error). `crossover` says when a network
     pays, one row a network.
     """
     import torch
@@ -35,7 +36,8 @@ def run(job: Job) -> dict[str, Any]:
     result = {"rows": rows, "calls": config.calls}
     result |= {"crossover": [one | {"sentence": crossover.sentence(one)} for one in found]}
     result |= {"hardware": _hardware(job, config)}
-    bench_report.write(job.folder, result)
+    (job.folder / "bench.tex").write_text(tables.by_dx(rows).latex(), encoding="utf-8")
+    figures.write(figures.speed(rows), job.folder)
     return result
 
 
@@ -71,5 +73,5 @@ def _speedups(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def _hardware(job: Job, config: Bench) -> dict[str, Any]:
-    versions = {name: devices.package(name) for name in PACKAGES}
+    versions = {"python": platform.python_version()} | {name: devices.package(name) for name in PACKAGES}
     return devices.hardware(job.device) | {"threads": config.threads, "versions": versions}

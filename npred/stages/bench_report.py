@@ -1,30 +1,10 @@
-"""A benchmark for people and papers: a table, a LaTeX table, and the figure of latency against error."""
+"""A benchmark for people: its rows as a table, and when a network pays."""
 
-from pathlib import Path
 from typing import Any
-
-from npred.stages import drawing
 
 COLUMNS = ("predictor", "runtime", "dx", "batch", "median", "p95", "p99.9", "max", "ε sup", "× published", "× euler")
 TIMES = ("median_us", "p95_us", "p999_us", "max_us")
 RATIOS = ("speedup_published", "speedup_compiled")
-MARKERS = "osD^vP*X<>"
-
-LATEX = r"""% needs \usepackage{booktabs}
-\begin{tabular}{ll@alignment}
-\toprule
-predictor & runtime & @heads \\
-\midrule
-@lines
-\bottomrule
-\end{tabular}
-"""
-
-
-def write(folder: Path, result: dict[str, Any]) -> None:
-    """bench.tex, front.svg and front.png."""
-    (folder / "bench.tex").write_text(latex(result["rows"]), encoding="utf-8")
-    draw(folder, result["rows"])
 
 
 def summary(result: dict[str, Any]) -> Any:
@@ -63,44 +43,3 @@ def _error(row: dict[str, Any]) -> str:
 
 def _short(microseconds: float) -> str:
     return f"{microseconds:.1f}" if microseconds < 1000 else f"{microseconds:.0f}"
-
-
-def latex(rows: list[dict[str, Any]]) -> str:
-    """A booktabs table of batch 1: median microseconds and error at each dx."""
-    table = [row for row in rows if row["batch"] == 1 and row["matches"] is None]
-    steps = sorted({row["dx"] for row in table}, reverse=True)
-    found = {(_name(row), _runtime(row), row["dx"]): row for row in table}
-    lines = []
-    for name, runtime in dict.fromkeys((name, runtime) for name, runtime, _ in found):
-        cells = [_pair(found.get((name, runtime, dx))) for dx in steps]
-        lines.append(" & ".join([name.replace("_", r"\_"), runtime, *cells]) + r" \\")
-    heads = " & ".join(f"$dx = {dx:.3g}$: \\textmu s & $\\varepsilon$" for dx in steps)
-    text = LATEX.replace("@alignment", "rr" * len(steps)).replace("@heads", heads)
-    return text.replace("@lines", "\n".join(lines))
-
-
-def _pair(row: dict[str, Any] | None) -> str:
-    if row is None:
-        return "--- & ---"
-    if row["eps_sup"] is None:
-        return rf"{_short(row['median_us'])} & $\infty$"
-    mantissa, exponent = f"{row['eps_sup']:.1e}".split("e")
-    return rf"{_short(row['median_us'])} & ${mantissa} \cdot 10^{{{int(exponent)}}}$"
-
-
-def draw(folder: Path, rows: list[dict[str, Any]]) -> None:
-    """Write front.svg and front.png: each predictor's median at batch 1 against its error, a line over its grids."""
-    figure = drawing.figure(6.4, 4.4)
-    axis = figure.subplots()
-    series: dict[str, list[dict[str, Any]]] = {}
-    for row in rows:
-        if row["batch"] == 1 and row["matches"] in (None, "front") and row["eps_sup"] is not None:
-            series.setdefault(f"{drawing.words(row['predictor'])}, {_runtime(row)}", []).append(row)
-    for number, (label, points) in enumerate(series.items()):
-        points = sorted(points, key=lambda row: row["dx"])
-        look = {"color": drawing.COLOURS[number % 7], "marker": MARKERS[number % 10], "markersize": 4, "linewidth": 1.0}
-        axis.plot([p["eps_sup"] for p in points], [p["median_us"] for p in points], label=label, **look)
-    axis.set(xscale="log", yscale="log", xlabel="sup error (state units)", ylabel="median of a call (µs)")
-    axis.grid(alpha=0.3)
-    axis.legend(fontsize=7, frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
-    drawing.save(figure, folder, "front")

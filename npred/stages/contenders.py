@@ -85,7 +85,7 @@ class Reference:
 def entries(job: Job, reference: Reference) -> list[Entry]:
     """Every contender. Runtimes whose packages are missing are left out, with a note."""
     config = job.config.bench
-    networks = {name: operators.load(job.inputs[name], job.plant) for name in sorted(set(job.config.train.models))}
+    networks = {name: operators.load(job.inputs[name], job.plant) for name in job.config.train.models}
     available = _available(job, config)
     found: list[Entry] = []
     for batch in config.batches:

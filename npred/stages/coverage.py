@@ -9,7 +9,6 @@ import numpy as np
 from npred.closed_loop import Trajectories
 from npred.dataset import Dataset
 from npred.plants import Plant
-from npred.stages import drawing
 
 MARGIN = 1e-3  # of a quantity's range: beyond it a loop is outside
 WARN = 0.01  # of a contender's loop steps
@@ -49,19 +48,3 @@ def write(path: Path, plant: Plant, data: Dataset, loops: dict[str, Trajectories
                 edges = file[f"{name}/edges"][:]
                 inside = np.histogram(values, edges)[0] / max(len(values), 1)
                 file[f"{name}/loops/{contender}"] = inside / np.diff(edges)
-
-
-def draw(folder: Path) -> None:
-    """Write coverage.svg and .png from coverage.h5: the data, filled, and each contender's loops, as lines."""
-    with h5py.File(folder / "coverage.h5") as opened:
-        file: Any = opened
-        figure = drawing.figure(7.2, 1.9 * ((len(file) + 1) // 2))
-        axes = np.ravel(figure.subplots((len(file) + 1) // 2, 2))
-        for axis, (name, found) in zip(axes, file.items(), strict=False):
-            axis.stairs(found["data"][:], found["edges"][:], fill=True, color="#DDDDDD", label="data")
-            for number, (contender, density) in enumerate(found["loops"].items()):
-                look = {"color": drawing.COLOURS[number % 7], "linewidth": 1.0}
-                axis.stairs(density[:], found["edges"][:], label=drawing.words(contender), **look)
-            axis.set(xlabel=name, yscale="log", yticks=[])
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=5, frameon=False, fontsize=7)
-    drawing.save(figure, folder, "coverage")

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from npred import laws, metrics, shards
+from npred import figures, laws, metrics, shards
 from npred.closed_loop import Trajectories, simulate
 from npred.config import Evaluate
 from npred.dataset import Dataset
@@ -37,8 +37,8 @@ def run(job: Job) -> dict[str, Any]:
     models = {c.name: errors[c.name] | _row(job.plant, config, begin, c, errors[c.name], loops) for c in contenders}
     covered = coverage.measure(job.plant, data, {c.name: loops[c.name] for c in contenders if c.network})
     _warn(job, covered)
-    _draw(job, data, models, loops)
-    return {
+    _record(job, data, loops)
+    result = {
         "plant": job.plant.name,
         "equilibrium": job.plant.equilibrium.tolist() if job.plant.rests else None,
         "gain": metrics.gain(job.plant, config.case_t_end),
@@ -47,13 +47,15 @@ def run(job: Job) -> dict[str, Any]:
         "models": models,
         "coverage": covered,
     }
+    _draw(job, result)
+    return result
 
 
 def _contenders(job: Job) -> list[Contender]:
     config = job.config.evaluate
     numerical = METHODS[config.predictor](job.plant, config.nx)
     found = [Contender("numerical", numerical), Contender("no_adaptation", numerical, adapts=False)]
-    for model in sorted(set(job.config.train.models)):
+    for model in job.config.train.models:
         for snapshot in [*getattr(job.config.train, model).snapshots, None]:
             name = model if snapshot is None else f"{model}@{snapshot}"
             found.append(Contender(name, _neural(job, model, snapshot, name), network=True))
@@ -171,14 +173,16 @@ def _warn(job: Job, covered: dict[str, Any]) -> None:
                 )
 
 
-def _draw(job: Job, data: Dataset, models: dict[str, Any], loops: dict[str, Trajectories]) -> None:
-    config = job.config.evaluate
-    firsts = {name: figure1.first(config, run) for name, run in loops.items()}
-    figure1.draw(job.folder, job.plant, config.D, firsts)
-    certificate.draw(job.folder, config, models, metrics.gain(job.plant, config.case_t_end), firsts)
+def _record(job: Job, data: Dataset, loops: dict[str, Trajectories]) -> None:
+    figure1.write(job.folder / "figure1.h5", {n: figure1.first(job.config.evaluate, run) for n, run in loops.items()})
     named = {name: run for name, run in loops.items() if "@" not in name}
     coverage.write(job.folder / "coverage.h5", job.plant, data, named)
-    coverage.draw(job.folder)
+
+
+def _draw(job: Job, result: dict[str, Any]) -> None:
+    evidence = figures.Evidence.read(job.folder, job.plant, job.config.evaluate, result)
+    for plate in (figures.figure1(evidence), figures.certificate(evidence), figures.coverage(evidence)):
+        figures.write(plate, job.folder)
 
 
 def summary(result: dict[str, Any]) -> Any:

@@ -1,17 +1,21 @@
 """The front of accuracy, latency and radius: what no other network of a sweep beats in all of them."""
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from npred.stages import drawing
+from npred import figures
+from npred.figures.loops import keys
+from npred.figures.plate import Panel, Plate
+from npred.figures.style import ROLES, log, look
 
 AXES = {
-    "eps_sup": "sup error ε over held-out rollouts",
-    "latency_us": "latency of one call in µs",
-    "radius_worst": "worst radius over the cases",
+    "eps_sup": "sup error ε",
+    "latency_us": "µs a call",
+    "radius_worst": "worst radius",
 }
 PAIRS = (("latency_us", "eps_sup"), ("eps_sup", "radius_worst"), ("latency_us", "radius_worst"))
 NAMED = 20  # points of the front that have their row of the table beside them
@@ -51,25 +55,27 @@ def draw(folder: Path, rows: Sequence[Mapping[str, Any]]) -> list[Path]:
     pairs = [pair for pair in PAIRS if set(pair) <= set(known(rows))]
     if not pairs:
         return []
-    figure = drawing.figure(5.2 * len(pairs), 4.2)
-    for panel, (x, y) in zip(figure.subplots(1, len(pairs), squeeze=False)[0], pairs, strict=True):
-        _panel(panel, rows, x, y)
-    drawing.save(figure, folder, "front")
+    panels = tuple(Panel(f"{AXES[y]} over {AXES[x]}", _told(rows, x, y), partial(_panel, rows, x, y)) for x, y in pairs)
+    caption = "A point a row of the table; the line is the front, and its numbers are the table's rows."
+    figures.write(Plate("front", "The front", caption, panels, keys({str(row["model"]): None for row in rows})), folder)
     return [folder / "front.svg", folder / "front.png"]
 
 
-def _panel(panel: Any, rows: Sequence[Mapping[str, Any]], x: str, y: str) -> None:
+def _told(rows: Sequence[Mapping[str, Any]], x: str, y: str) -> str:
+    shown = [row for row in rows if row[x] is not None and row[y] is not None]
+    return f"{len(shown)} networks by {AXES[x]} and {AXES[y]}."
+
+
+def _panel(rows: Sequence[Mapping[str, Any]], x: str, y: str, axis: Any) -> None:
     shown = [k for k, row in enumerate(rows) if row[x] is not None and row[y] is not None]
     points = np.maximum([[rows[k][x], rows[k][y]] for k in shown], SMALLEST).reshape(-1, 2)
     best = ~dominated(points)
-    for index, model in enumerate(dict.fromkeys(rows[k]["model"] for k in shown)):
+    for model in dict.fromkeys(rows[k]["model"] for k in shown):
         own = np.array([rows[k]["model"] == model for k in shown])
-        panel.scatter(*points[own].T, s=22, color=drawing.COLOURS[index % len(drawing.COLOURS)], label=model)
+        axis.plot(*points[own].T, "o", color=look(str(model)).colour)
     order = np.flatnonzero(best)[np.argsort(points[best, 0])]
-    panel.plot(*points[order].T, color="0.6", zorder=0, drawstyle="steps-post")
+    axis.plot(*points[order].T, color=ROLES["muted"][0], zorder=0, drawstyle="steps-post")
     for k in order[:NAMED]:
-        panel.annotate(str(rows[shown[k]]["row"]), points[k], fontsize=7, xytext=(4, 3), textcoords="offset points")
-    panel.set(xscale="log", yscale="log", xlabel=AXES[x], ylabel=AXES[y])
-    panel.tick_params(which="both", labelsize=7)
-    panel.tick_params(axis="x", which="both", rotation=45)
-    panel.legend(frameon=False, fontsize=8)
+        axis.annotate(str(rows[shown[k]]["row"]), points[k], xytext=(4, 3), textcoords="offset points")
+    axis.set_xlabel(AXES[x])
+    log(axis, "x", "y")

@@ -1,0 +1,24 @@
+"""Every figure of the product, once: for the page, for papers, and beside the results of the stages."""
+
+from npred.figures.accuracy import box, certificate, errors
+from npred.figures.delay_map import delays
+from npred.figures.evidence import Evidence
+from npred.figures.histograms import coverage
+from npred.figures.latency import speed
+from npred.figures.loops import figure1
+from npred.figures.losses import learning
+from npred.figures.plate import Plate, write
+
+__all__ = [
+    "Evidence",
+    "Plate",
+    "box",
+    "certificate",
+    "coverage",
+    "delays",
+    "errors",
+    "figure1",
+    "learning",
+    "speed",
+    "write",
+]

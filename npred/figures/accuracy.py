@@ -1,0 +1,169 @@
+"""Where networks err on held-out samples, and what the error leaves of the closed loop."""
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from npred.figures.evidence import Errors, Evidence
+from npred.figures.loops import ends, keys
+from npred.figures.plate import Key, Panel, Plate
+from npred.figures.style import ROLES, Look, lettered, log, look, power, short, words
+
+BINS = 24
+CELLS = (18, 14)  # of the map over the first two states
+LEVELS = 9  # colours of that map
+
+
+def certificate(evidence: Evidence) -> Plate:
+    """Error against radius with the line of theory, the distance to the target, and W(t) [DAPF, Theorem 3]."""
+    radii = {name: row for name, row in evidence.models.items() if row["eps_kappa"] and row["radius"]["median"]}
+    caption = (
+        "Left: the radius in which loops end (filled: median over the cases, hollow: worst) over the error that the "
+        f"control sees. An error that stayed constant would move the end along the dotted line, {evidence.gain:.4g} ε. "
+        "Right: the loop of Fig. 1 on its way."
+    )
+    line = Key(f"constant error: {evidence.gain:.4g} ε", Look("muted", (1, 2)))
+    panels = (Panel("radius over ε κ", _told_radii(radii), partial(_radii, radii, evidence.gain)), *ends(evidence))
+    return Plate("certificate", "Error and radius", caption, panels, (*keys(evidence.loops), line))
+
+
+def errors(evidence: Evidence) -> Plate:
+    """Error over x, over D_hat, and its distribution."""
+    found = evidence.errors
+    held = len(evidence.D_hat)
+    sup = "; ".join(f"{words(name)} {error.sup.max():.2e}" for name, error in found.items())
+    half = "; ".join(f"{words(name)} {np.median(error.sup):.2e}" for name, error in found.items())
+    caption = (
+        f"|P̂ − P| on {held} held-out samples, in state units. Lines: the largest error, shaded: from the median to it. "
+        "x = 0 is now, x = 1 the state one delay ahead, which the control acts on."
+    )
+    panels = (
+        Panel("error over x", f"Largest error over all x: {sup}.", partial(_over_x, found)),
+        Panel("error over D̂", f"Largest error by delay estimate; over all: {sup}.",
+              partial(_over, evidence.D_hat, found, "D̂ (s)")),
+        Panel("share of samples below ε", f"Distribution of the largest error over x; median: {half}.",
+              partial(_distribution, found)),
+    )  # fmt: skip
+    return Plate("errors", "Where networks err", caption, panels, keys(found))
+
+
+def box(evidence: Evidence) -> Plate:
+    """The largest error over the state box: the first two states, or the one there is."""
+    names = list(evidence.plant.states)
+    said = "" if len(names) < 3 else f" (the first two of {len(names)} states)"
+    caption = f"The largest |P̂ − P| on held-out samples by where the state is{said}. Empty: no samples there."
+    if len(names) == 1:
+        draw = partial(_over, evidence.X[:, 0], evidence.errors, names[0])
+        panels = [Panel(f"error over {names[0]}", "Largest and median error by state.", draw)]
+        return Plate("box", "Over the states", caption, tuple(panels), keys(evidence.errors))
+    levels = _levels(evidence.errors)
+    panels = [
+        Panel(
+            f"{words(name)}: {names[1]} over {names[0]}",
+            _told_box(evidence, error),
+            partial(_cells, evidence, error, levels),
+        )
+        for name, error in evidence.errors.items()
+    ]
+    return Plate("box", "Over the states", caption, tuple(panels))
+
+
+def _radii(rows: dict[str, Any], gain: float, axis: Any) -> None:
+    for name, row in rows.items():
+        eps, median, worst = row["eps_kappa"], row["radius"]["median"], row["radius"]["worst"]
+        colour = look(name).colour
+        axis.plot([eps, eps], [median, worst or np.nan], "-", color=colour, linewidth=1.0)
+        axis.plot([eps], [median], "o", color=colour)
+        axis.plot([eps], [worst or np.nan], "o", markerfacecolor=ROLES["paper"][0], markeredgecolor=colour)
+    if rows:
+        eps = [row["eps_kappa"] for row in rows.values()]
+        span = np.array([min(eps) / 3, max(eps) * 3])
+        axis.plot(span, gain * span, color=ROLES["muted"][0], linestyle=(0, (1, 2)), linewidth=1.2)
+    axis.set_xlabel("ε κ on held-out samples")
+    log(axis, "x", "y")
+
+
+def _told_radii(rows: dict[str, Any]) -> str:
+    found = [
+        f"{words(name)}: ε κ {row['eps_kappa']:.2e}, radius from {short(row['radius']['median'])} (median) to "
+        f"{short(row['radius']['worst'])} (worst)"
+        for name, row in rows.items()
+    ]
+    return "; ".join(found) + "." if found else "No network's loops stay finite."
+
+
+def _band(axis: Any, name: str, x: np.ndarray, middle: np.ndarray, sup: np.ndarray) -> None:
+    axis.plot(x, _positive(sup), **look(name).line)
+    axis.fill_between(x, _positive(middle), _positive(sup), color=look(name).colour, alpha=0.14, linewidth=0)
+
+
+def _positive(values: np.ndarray) -> np.ndarray:
+    """For a logarithmic side: an error of zero is left out."""
+    return np.where(values > 0, values, np.nan)
+
+
+def _over_x(found: dict[str, Errors], axis: Any) -> None:
+    for name, error in found.items():
+        _band(axis, name, np.linspace(0, 1, len(error.over_x)), error.over_x[:, 0], error.over_x[:, -1])
+    axis.set(xlabel="x", xlim=(0, 1))
+    log(axis, "y")
+
+
+def _over(values: np.ndarray, found: dict[str, Errors], label: str, axis: Any) -> None:
+    edges = np.linspace(values.min(), values.max(), BINS + 1)
+    which = np.clip(np.digitize(values, edges) - 1, 0, BINS - 1)
+    centres = (edges[1:] + edges[:-1]) / 2
+    for name, error in found.items():
+        parts = [error.sup[which == k] for k in range(BINS)]
+        middle, sup = (np.array([f(part) if len(part) else np.nan for part in parts]) for f in (np.median, np.max))
+        _band(axis, name, centres, middle, sup)
+    axis.set_xlabel(label)
+    log(axis, "y")
+
+
+def _distribution(found: dict[str, Errors], axis: Any) -> None:
+    share = np.linspace(0, 1, 201)
+    for name, error in found.items():
+        axis.plot(_positive(np.quantile(error.sup, share)), share, **look(name).line)
+    axis.set(xlabel="ε", ylim=(0, 1.02))
+    log(axis, "x")
+
+
+def _levels(found: dict[str, Errors]) -> np.ndarray:
+    """Edges of the colours, equal on the logarithmic scale, the same for all networks."""
+    known = np.concatenate([error.sup for error in found.values()])
+    known = known[known > 0]
+    low, high = (known.min(), known.max()) if len(known) else (0.1, 1.0)
+    return np.geomspace(max(low, high * 1e-4), high * 1.0001, LEVELS + 1)
+
+
+def _cells(evidence: Evidence, error: Errors, levels: np.ndarray, axis: Any) -> None:
+    import matplotlib
+    from matplotlib.colors import BoundaryNorm
+    from matplotlib.ticker import FuncFormatter
+
+    edges, largest = worst(evidence.X[:, :2], error.sup)
+    colours = matplotlib.colormaps["cividis"].resampled(LEVELS)
+    shown = np.ma.masked_invalid(np.clip(largest, levels[0], None))
+    drawn = axis.pcolormesh(*edges, shown.T, cmap=colours, norm=BoundaryNorm(levels, LEVELS))
+    bar = axis.figure.colorbar(drawn, ax=axis, ticks=levels[::3], aspect=28, pad=0.02)
+    bar.ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: lettered(power(value))))
+    bar.outline.set_visible(False)
+    axis.set_xlabel(evidence.plant.states[0])
+    axis.grid(False)
+
+
+def worst(X: np.ndarray, sup: np.ndarray) -> tuple[list[np.ndarray], np.ndarray]:
+    """Edges of the cells over X (N, 2), and the largest error in each; NaN where there are no samples."""
+    edges = [np.linspace(X[:, k].min(), X[:, k].max(), count + 1) for k, count in enumerate(CELLS)]
+    where = tuple(np.clip(np.digitize(X[:, k], edges[k]) - 1, 0, CELLS[k] - 1) for k in range(2))
+    largest = np.full(CELLS, -np.inf)
+    np.maximum.at(largest, where, sup)
+    return edges, np.where(np.isfinite(largest), largest, np.nan)
+
+
+def _told_box(evidence: Evidence, error: Errors) -> str:
+    where = evidence.X[np.argmax(error.sup)]
+    at = ", ".join(f"{name} = {value:.3g}" for name, value in zip(evidence.plant.states, where, strict=True))
+    return f"Largest error in cells of the state space; largest of all {error.sup.max():.2e} at {at}."

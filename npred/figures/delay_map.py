@@ -1,0 +1,51 @@
+"""The map D x D_hat(0): which loops converge, each network beside the numerical predictor."""
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from npred.figures.evidence import Evidence
+from npred.figures.plate import Key, Panel, Plate
+from npred.figures.style import ROLES, Look, look, words
+
+
+def delays(evidence: Evidence) -> Plate | None:
+    """A panel a predictor; None where the pipeline asks for no map."""
+    maps = {name: row["map"] for name, row in evidence.models.items() if row["map"] and "@" not in name}
+    if not maps:
+        return None
+    wanted = np.array(maps["numerical"]["converged"], dtype=bool)
+    panels = [Panel(_title(name, cells), _told(name, cells, wanted), partial(_cells, name, cells, wanted))
+              for name, cells in maps.items()]  # fmt: skip
+    caption = (
+        "Loops from the state of Fig. 1, for each true delay D and first estimate D̂(0). Square: the loop converges; "
+        "cross: it does not; ringed: a network's loop is lost that the numerical predictor brings home. The share is "
+        "of the cells in which the numerical predictor converges."
+    )
+    marks = (Key("converges", Look("ink", (0.01, 9), marker="s")), Key("lost", Look("muted", (0.01, 9), marker="x")))
+    return Plate("delays", "Delays and first estimates", caption, tuple(panels), marks)
+
+
+def _title(name: str, cells: dict[str, Any]) -> str:
+    return f"{words(name)}: {cells['share']:.0%}"
+
+
+def _told(name: str, cells: dict[str, Any], wanted: np.ndarray) -> str:
+    found = np.array(cells["converged"], dtype=bool)
+    lost = "" if name == "numerical" else f"; {int((wanted & ~found).sum())} lost that the numerical predictor keeps"
+    return f"{words(name)} converges in {int(found.sum())} of {found.size} cells of D by D̂(0){lost}."
+
+
+def _cells(name: str, cells: dict[str, Any], wanted: np.ndarray, axis: Any) -> None:
+    x, y = np.meshgrid(cells["D_hat0"], cells["D"])
+    found = np.array(cells["converged"], dtype=bool)
+    size = min(90.0, 2600 / max(found.shape) ** 1.6)
+    axis.scatter(x[found], y[found], size, look(name).colour, marker="s", linewidths=0)
+    axis.scatter(x[~found], y[~found], size / 2, ROLES["muted"][0], marker="x", linewidths=1.0)
+    missed = wanted & ~found
+    ring = {"facecolors": "none", "edgecolors": ROLES["frozen"][0], "linewidths": 1.4}
+    axis.scatter(x[missed], y[missed], 2.2 * size, marker="o", **ring)
+    axis.set(xlabel="D̂(0) (s)", ylabel="D (s)")
+    axis.margins(0.08)
+    axis.grid(False)

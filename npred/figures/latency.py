@@ -1,0 +1,110 @@
+"""The time of a predictor call: against its error, over the grid, and its tail."""
+
+from collections.abc import Iterable
+from functools import partial
+from typing import Any
+
+from npred.figures.plate import Key, Panel, Plate
+from npred.figures.style import NETWORKS, Look, log, words
+
+Row = dict[str, Any]
+NUMERICAL = {
+    "published": Look("muted", (1, 1.5), 1.2, "X"),
+    "euler_python": Look("muted", (), 1.2, "P"),
+    "euler": Look("green", (), 1.2, "^"),
+    "heun": Look("green", (4, 1.6), 1.2, "v"),
+    "rk4": Look("ink", (), 1.2, "o"),
+}  # numerics in ink and green, networks in their own colours
+NAMES = {
+    "published": "published, interpreted",
+    "euler_python": "Euler, interpreted",
+    "euler": "Euler",
+    "heun": "Heun",
+    "rk4": "RK4",
+}
+RUNTIMES = {"fused": ((), "s"), "onnx": ((4, 1.6), "D"), "torch": ((1, 1.5), "*")}
+TAIL = {"median_us": "o", "p95_us": "|", "p999_us": "|"}
+
+
+def speed(rows: list[Row]) -> Plate:
+    """Latency over error with a line over each one's grids, latency over dx, and median to 99.9 % at the finest dx."""
+    single = [row for row in rows if row["batch"] == 1 and row["eps_sup"] is not None]
+    front = _series(row for row in single if row["matches"] in (None, "front"))
+    grids = _series(row for row in single if row["matches"] is None)
+    caption = (
+        "Time of one call at batch 1. Left: the median beside the error that it buys, a line over the grids; lower and "
+        "further left is better. Middle: over dx. Right: from the median to the 99.9 % quantile at the finest dx, for "
+        "a control loop misses its deadline in the tail."
+    )
+    panels = (
+        Panel("µs a call over ε", _told_front(front), partial(_lines, front, "eps_sup", "sup error ε (state units)")),
+        Panel("µs a call over dx", _told_grids(grids), partial(_lines, grids, "dx", "dx")),
+        Panel("µs, median to 99.9 %", _told_tail(grids), partial(_tails, grids)),
+    )  # fmt: skip
+    return Plate(
+        "speed", "Latency and accuracy", caption, panels, tuple(Key(name, _look(r[0])) for name, r in front.items())
+    )
+
+
+def label(row: Row) -> str:
+    """Predictor and runtime for people."""
+    if row["predictor"] in NAMES:
+        return NAMES[row["predictor"]]
+    place = "" if row["copies"] is None else f" on {row['device']}, {'with' if row['copies'] else 'without'} copies"
+    return f"{words(row['predictor'])}, {row['runtime']}{place}"
+
+
+def _look(row: Row) -> Look:
+    if row["predictor"] in NUMERICAL:
+        return NUMERICAL[row["predictor"]]
+    dash, marker = RUNTIMES[row["runtime"]]
+    role = NETWORKS[row["predictor"]][1 if row["copies"] is not None else 0]
+    return Look(role, dash, 1.2, marker)
+
+
+def _series(rows: Iterable[Row]) -> dict[str, list[Row]]:
+    """The rows of each predictor and runtime, from the finest grid to the coarsest."""
+    found: dict[str, list[Row]] = {}
+    for row in sorted(rows, key=lambda row: row["dx"]):
+        found.setdefault(label(row), []).append(row)
+    return dict(sorted(found.items(), key=lambda item: _rank(item[1][0])))
+
+
+def _rank(row: Row) -> tuple[int, str]:
+    order = [*NUMERICAL, *NETWORKS]
+    return order.index(row["predictor"]) if row["predictor"] in order else len(order), label(row)
+
+
+def _lines(series: dict[str, list[Row]], key: str, title: str, axis: Any) -> None:
+    for rows in series.values():
+        axis.plot([row[key] for row in rows], [row["median_us"] for row in rows], **_look(rows[0]).line)
+    axis.set_xlabel(title)
+    log(axis, "x", "y")
+
+
+def _tails(series: dict[str, list[Row]], axis: Any) -> None:
+    for place, rows in enumerate(series.values()):
+        finest, style = rows[0], _look(rows[0])
+        axis.plot([finest["median_us"], finest["p999_us"]], [place, place], color=style.colour, linewidth=1.2)
+        for key, marker in TAIL.items():
+            axis.plot([finest[key]], [place], marker if key != "median_us" else style.marker, color=style.colour)
+    axis.set(yticks=range(len(series)), yticklabels=list(series), xlabel="µs a call")
+    axis.invert_yaxis()
+    axis.grid(axis="y", visible=False)
+    log(axis, "x")
+
+
+def _told_front(series: dict[str, list[Row]]) -> str:
+    quickest = {name: min(rows, key=lambda row: row["median_us"]) for name, rows in series.items()}
+    return "; ".join(f"{n}: {r['median_us']:.3g} µs at error {r['eps_sup']:.1e}" for n, r in quickest.items()) + "."
+
+
+def _told_grids(series: dict[str, list[Row]]) -> str:
+    found = [f"{name}: {rows[-1]['median_us']:.3g} µs at dx = {rows[-1]['dx']:.3g}, {rows[0]['median_us']:.3g} µs at "
+             f"{rows[0]['dx']:.3g}" for name, rows in series.items()]  # fmt: skip
+    return "; ".join(found) + "."
+
+
+def _told_tail(series: dict[str, list[Row]]) -> str:
+    found = [f"{name}: {rows[0]['median_us']:.3g} to {rows[0]['p999_us']:.3g} µs" for name, rows in series.items()]
+    return "; ".join(found) + "."

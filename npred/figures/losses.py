@@ -1,0 +1,33 @@
+"""How networks learned: the loss, and the errors on held-out rollouts, epoch by epoch."""
+
+from functools import partial
+from typing import Any
+
+from npred.figures.loops import keys
+from npred.figures.plate import Panel, Plate
+from npred.figures.style import log, look, words
+
+Epochs = list[dict[str, float]]
+SHOWN = {"loss": "training loss", "mse": "held-out mean square", "eps_sup": "held-out sup error ε"}
+
+
+def learning(histories: dict[str, Epochs]) -> Plate:
+    """The metrics of each network's epochs, as its training left them."""
+    panels = [Panel(title, _told(title, key, histories), partial(_curves, key, histories))
+              for key, title in SHOWN.items()]  # fmt: skip
+    caption = "One point an epoch. The loss is each network's own; the errors are in state units, on held-out rollouts."
+    return Plate("learning", "Training", caption, tuple(panels), keys(histories))
+
+
+def _curves(key: str, histories: dict[str, Epochs], axis: Any) -> None:
+    for name, epochs in histories.items():
+        style = look(name).line | {"linestyle": "-"}
+        axis.plot([row["epoch"] for row in epochs], [row[key] for row in epochs], **style)
+    axis.set_xlabel("epoch")
+    log(axis, "y")
+
+
+def _told(title: str, key: str, histories: dict[str, Epochs]) -> str:
+    found = "; ".join(f"{words(name)} {rows[0][key]:.2e} to {rows[-1][key]:.2e} in {len(rows)} epochs"
+                      for name, rows in histories.items())  # fmt: skip
+    return f"{title}: {found}."

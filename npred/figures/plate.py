@@ -1,0 +1,97 @@
+"""A figure as data: panels that draw on any axes; laid out together for a paper, or one by one for a page."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from npred.figures.style import MEDIA, Look, Style, lettered, medium
+
+FORMATS = {"svg": {"Date": None}, "pdf": {"CreationDate": None}, "png": {"Software": None}}  # without dates
+DPI = 300
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One pair of axes: its title says what is drawn upwards, `alt` tells in words what can be seen."""
+
+    title: str
+    alt: str
+    draw: Callable[[Any], None]
+
+
+@dataclass(frozen=True)
+class Key:
+    """An entry of a legend."""
+
+    label: str
+    look: Look
+
+
+@dataclass(frozen=True)
+class Plate:
+    """A figure of several panels with one legend; `name` is its file's, `caption` what to see in it."""
+
+    name: str
+    title: str
+    caption: str
+    panels: tuple[Panel, ...]
+    keys: tuple[Key, ...] = ()
+
+
+def draw(panel: Panel, axis: Any) -> None:
+    """The panel on these axes."""
+    panel.draw(axis)
+    axis.set_title(panel.title)
+
+
+def write(plate: Plate, folder: Path, style: Style = MEDIA["ieee2"], formats: Sequence[str] = ("svg", "png")) -> None:
+    """The plate as name.svg, name.pdf, name.png: the same bytes for the same data."""
+    with medium(style):
+        figure = _figure(plate, style)
+        for form in formats:
+            figure.savefig(
+                folder / f"{plate.name}.{form}", metadata=FORMATS[form], dpi=DPI, facecolor="white", format=form
+            )
+
+
+def canvas(width: float, height: float) -> Any:
+    """An empty matplotlib figure of that many inches, free of pyplot's global state."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    made = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(made)
+    return made
+
+
+def _figure(plate: Plate, style: Style) -> Any:
+    columns = min(style.columns, len(plate.panels))
+    rows = -(-len(plate.panels) // columns)
+    figure = canvas(style.width, rows * style.height * (1.0 if columns > 1 else 1.5) + 0.04 * style.font)
+    axes = np.ravel(figure.subplots(rows, columns, squeeze=False))
+    for panel, axis in zip(plate.panels, axes, strict=False):
+        draw(panel, axis)
+    for axis in axes[len(plate.panels) :]:
+        axis.set_visible(False)
+    _legend(figure, plate, style)
+    _set_letters(figure)
+    return figure
+
+
+def _legend(figure: Any, plate: Plate, style: Style) -> None:
+    from matplotlib.lines import Line2D
+
+    if plate.keys:
+        lines = [Line2D([], [], label=key.label, **key.look.line) for key in plate.keys]
+        room = int(style.width * 72 / (style.font * 9.5))  # a key is about ten letters wide
+        figure.legend(handles=lines, loc="outside upper center", ncols=max(1, min(len(lines), room)))
+
+
+def _set_letters(figure: Any) -> None:
+    from matplotlib.text import Text
+
+    for text in figure.findobj(Text):
+        text.set_text(lettered(text.get_text()))

@@ -1,0 +1,176 @@
+"""What all figures share: who has which colour and line, the sizes of papers and screens, and ticks that read well."""
+
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+# Okabe and Ito's colours, which colour-blind readers can tell apart: first on a light page, then on a dark one.
+ROLES = {
+    "ink": ("#16191d", "#eceef0"),
+    "muted": ("#6b737c", "#9aa3ad"),
+    "grid": ("#dfe3e7", "#333a42"),
+    "paper": ("#fefefe", "#14171b"),
+    "fill": ("#d5dae0", "#3a424b"),
+    "frozen": ("#b0588f", "#e39cc8"),
+    "blue": ("#0072b2", "#56b4e9"),
+    "sky": ("#3d8fc4", "#a5d3f3"),
+    "orange": ("#d55e00", "#ff9a52"),
+    "amber": ("#b67509", "#f6cf8f"),
+    "green": ("#008f68", "#3fd0a4"),
+}
+NETWORKS = {"deeponet": ("blue", "sky"), "fno": ("orange", "amber")}  # trained, and stopped early
+SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+PLAIN = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
+RAISED = re.compile("[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+")
+
+
+@dataclass(frozen=True)
+class Look:
+    """How a series is drawn, in figures and in the legends of a page."""
+
+    role: str
+    dash: tuple[float, ...] = ()
+    width: float = 1.4
+    marker: str = ""
+
+    @property
+    def colour(self) -> str:
+        """On a light page."""
+        return ROLES[self.role][0]
+
+    @property
+    def line(self) -> dict[str, Any]:
+        """As matplotlib's plot takes it."""
+        style = (0, self.dash) if self.dash else "-"
+        return {"color": self.colour, "linestyle": style, "linewidth": self.width, "marker": self.marker or None}
+
+
+def look(name: str) -> Look:
+    """The look of a contender: the same in every figure."""
+    if name == "numerical":
+        return Look("ink", width=1.9)
+    if name == "no_adaptation":
+        return Look("frozen", (1.2, 1.4), 1.0)
+    model, _, snapshot = name.partition("@")
+    trained, early = NETWORKS.get(model, ("green", "green"))
+    return Look(early, (4, 1.6)) if snapshot else Look(trained, (6, 2.2))
+
+
+def words(name: str) -> str:
+    """A contender's name for people."""
+    model, _, snapshot = name.partition("@")
+    named = {"deeponet": "DeepONet", "fno": "FNO", "no_adaptation": "no adaptation"}.get(model, model)
+    return f"{named}, epoch {snapshot}" if snapshot else named
+
+
+@dataclass(frozen=True)
+class Style:
+    """A medium: width in inches, panels beside each other, points of text, its family, height of a panel."""
+
+    width: float
+    columns: int
+    font: float
+    family: str
+    height: float
+
+
+SCREEN = Style(300 / 72, 1, 9.5, "DejaVu Sans", 2.9)
+MEDIA = {
+    "ieee1": Style(3.5, 2, 6.5, "STIXGeneral", 1.35),
+    "ieee2": Style(7.16, 3, 8, "STIXGeneral", 1.75),
+    "slides": Style(12.8, 3, 15, "DejaVu Sans", 3.2),
+}
+
+
+@contextmanager
+def medium(style: Style) -> Iterator[None]:
+    """matplotlib as the style wants it, and as it was afterwards."""
+    import matplotlib
+
+    ink, muted, grid = (ROLES[role][0] for role in ("ink", "muted", "grid"))
+    settings: Any = {
+        "svg.hashsalt": "npred",  # else the identifiers inside an SVG are random
+        "svg.fonttype": "none" if style is SCREEN else "path",
+        "axes.formatter.use_mathtext": style is not SCREEN,  # a page's fonts have the letters and signs, few others do
+        "pdf.fonttype": 42,
+        "font.family": style.family,
+        "font.size": style.font,
+        "mathtext.fontset": "stix" if style.family.startswith("STIX") else "dejavusans",
+        "axes.titlesize": style.font,
+        "axes.titlelocation": "left",
+        "axes.titlecolor": ink,
+        "axes.labelcolor": muted,
+        "axes.edgecolor": muted,
+        "axes.linewidth": 0.6,
+        "axes.spines.top": False,
+        "axes.spines.right": False,
+        "axes.grid": True,
+        "axes.axisbelow": True,
+        "grid.color": grid,
+        "grid.linewidth": 0.6,
+        "xtick.color": muted,
+        "ytick.color": muted,
+        "xtick.labelsize": 0.92 * style.font,
+        "ytick.labelsize": 0.92 * style.font,
+        "text.color": ink,
+        "lines.markersize": 0.42 * style.font,
+        "lines.linewidth": style.font / 7,
+        "legend.frameon": False,
+        "legend.fontsize": style.font,
+        "legend.handlelength": 2.4,
+        "figure.facecolor": "none",
+        "axes.facecolor": "none",
+    }
+    with matplotlib.rc_context(settings):
+        yield
+
+
+def log(axis: Any, *sides: str) -> None:
+    """Logarithmic sides with few ticks, as 10⁻³; for call after everything is drawn."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
+
+    axis.set(**{f"{side}scale": "log" for side in sides})
+    for side in sides:
+        low, high = getattr(axis, f"get_{side}lim")()
+        decades = np.log10(high) - np.log10(low)
+        chosen = getattr(axis, f"{side}axis")
+        chosen.set_major_locator(LogLocator(numticks=6, subs=(1.0,) if decades > 2 else (1.0, 2.0, 5.0)))
+        chosen.set_major_formatter(FuncFormatter(lambda value, _: lettered(power(value))))
+        chosen.set_minor_formatter(NullFormatter())
+        if decades > 6:
+            chosen.set_minor_locator(NullLocator())
+
+
+def lettered(text: str) -> str:
+    """The text as the medium at hand can set it: hats and raised digits as mathematics, but on a page."""
+    import matplotlib
+
+    if not matplotlib.rcParams["axes.formatter.use_mathtext"]:
+        return text
+    text = RAISED.sub(lambda found: f"$^{{{found.group().translate(PLAIN)}}}$", text)
+    return text.replace("D̂", r"$\hat{D}$").replace("P̂", r"$\hat{P}$")
+
+
+def power(value: float) -> str:
+    """10⁻³, 2·10⁻³, or 0.5: a positive number of one digit, such as a tick of a logarithmic side."""
+    mantissa, exponent = f"{value:.0e}".split("e")
+    if -1 <= int(exponent) <= 2:
+        return f"{value:.0f}" if value >= 1 else f"{value:.1f}"
+    ten = "10" + str(int(exponent)).translate(SUPERSCRIPTS)
+    return ten if mantissa == "1" else f"{mantissa}·{ten}"
+
+
+def short(value: float | None, digits: int = 2) -> str:
+    """A number as people write it, with so many digits: 0.018, 9.2·10⁻⁸, 12,300, and ∞ for None."""
+    if value is None:
+        return "∞"
+    if value == 0 or 0.01 <= abs(value) < 10**digits - 0.5:
+        return f"{value:.{digits}g}"
+    if 1 <= abs(value) < 1e6:
+        return f"{value:,.0f}"
+    mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
+    return f"{mantissa}·10{str(int(exponent)).translate(SUPERSCRIPTS)}"

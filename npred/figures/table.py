@@ -1,0 +1,86 @@
+"""Tables as data: for a page, as CSV with all digits, and as LaTeX (booktabs)."""
+
+import csv
+import io
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from npred.figures.style import PLAIN, short
+
+LATEX = r"""% needs \usepackage{booktabs}
+\begin{tabular}{@alignment}
+\toprule
+@heads \\
+\midrule
+@lines
+\bottomrule
+\end{tabular}
+"""
+SYMBOLS = {
+    "%": r"\%", "_": r"\_", "&": r"\&", "#": r"\#", "µ": r"\textmu ", "ε": r"$\varepsilon$", "κ": r"$\kappa$",
+    "D̂": r"$\hat{D}$", "−": "$-$", "×": r"$\times$", "∞": r"$\infty$", "²": "$^2$", "ü": r'\"u', "|": "$|$",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Column:
+    """A heading, the key of its values, and how a number is written: a format, or so many `digits`."""
+
+    head: str
+    key: str
+    form: str = ""
+    digits: int = 0
+
+    @property
+    def numeric(self) -> bool:
+        """Whether its values are numbers."""
+        return bool(self.form or self.digits)
+
+    def text(self, value: Any) -> str:
+        """A value for people; a number that is not finite, None, as ∞, and what there is none of, "", as –."""
+        if value == "":
+            return "–"
+        if value is None:
+            return "∞"
+        return short(value, self.digits) if self.digits else format(value, self.form)
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A table: `name` is its file's."""
+
+    name: str
+    title: str
+    columns: Sequence[Column]
+    rows: Sequence[dict[str, Any]]
+
+    def csv(self) -> str:
+        """Headings and values, numbers with all their digits."""
+        buffer = io.StringIO()
+        writer = csv.writer(buffer, lineterminator="\n")
+        writer.writerow([column.head for column in self.columns])
+        for row in self.rows:
+            writer.writerow(["inf" if row[c.key] is None else row[c.key] for c in self.columns])
+        return buffer.getvalue()
+
+    def latex(self) -> str:
+        """A booktabs table: words to the left, numbers to the right."""
+        lines = [" & ".join(_cell(column, row[column.key]) for column in self.columns) + r" \\" for row in self.rows]
+        text = LATEX.replace("@alignment", "".join("r" if column.numeric else "l" for column in self.columns))
+        text = text.replace("@heads", " & ".join(_plain(column.head) for column in self.columns))
+        return text.replace("@lines", "\n".join(lines))
+
+
+def _cell(column: Column, value: Any) -> str:
+    text = column.text(value)
+    if found := re.fullmatch("(.*)·10([⁻⁰-⁹¹²³]+)", text):
+        return rf"${found[1]} \cdot 10^{{{found[2].translate(PLAIN)}}}$"
+    return {"–": "---"}.get(text, _plain(text))
+
+
+def _plain(text: str) -> str:
+    for symbol, command in SYMBOLS.items():
+        text = text.replace(symbol, command)
+    return text

@@ -1,0 +1,187 @@
+"""The report of a run: one file that needs nothing else, with the results' own numbers, the same bytes again."""
+
+import csv
+import re
+import tomllib
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+from conftest import Call, document, one_line
+from jobs import job
+
+from npred import config
+from npred.figures.style import MEDIA
+from npred.stages import report, sentences
+from npred.stages.story import Story
+
+LIMIT = 1_500_000  # bytes
+LOADED = ("src", "srcset", "data", "poster", "action", "formaction", "background")
+VOID = {"meta", "link", "input", "br", "img", "hr"}
+
+
+class Page(HTMLParser):
+    """What the tests ask of a page: its elements with their attributes, the text of its tables, and what is open."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.elements: list[tuple[str, dict[str, str | None]]] = []
+        self.tables: dict[str, list[list[str]]] = {}
+        self.open: list[str] = []
+        self.cell = False
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        found = dict(attrs)
+        self.elements.append((tag, found))
+        if tag not in VOID:
+            self.open.append(tag)
+        if tag == "table":
+            self.tables[found["id"]] = []
+        elif tag == "tr":
+            self.rows.append([])
+        elif tag in ("td", "th"):
+            self.rows[-1].append("")
+            self.cell = True
+
+    def handle_startendtag(self, tag, attrs):
+        self.elements.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+        self.cell = self.cell and tag not in ("td", "th")
+
+    def handle_data(self, data):
+        if self.cell:
+            self.rows[-1][-1] += data.strip()
+
+    @property
+    def rows(self) -> list[list[str]]:
+        return list(self.tables.values())[-1]
+
+
+@pytest.fixture(scope="module")
+def text(reported) -> str:
+    return (reported[1]["report"].artifact.folder / report.NAME).read_text()
+
+
+@pytest.fixture(scope="module")
+def page(text) -> Page:
+    return Page(text)
+
+
+@pytest.fixture(scope="module")
+def story(reported) -> Story:
+    path, outcomes = reported
+    made = job(path.parent / "read", "report").plant
+    folders = {name: done.artifact.folder for name, done in outcomes.items() if name != "report"}
+    return Story.read(config.load(path), made, folders)
+
+
+def test_nothing_is_loaded_and_nothing_could_be(page, text):
+    for tag, attributes in page.elements:
+        for name in LOADED:
+            assert name not in attributes, (tag, name)
+        link = attributes.get("href") or attributes.get("xlink:href") or "#"
+        assert link.startswith("#") or (tag, link) == ("link", "data:,")
+    assert not re.search(r"@import|url\((?!#)", text)
+    policy = next(a["content"] for tag, a in page.elements if a.get("http-equiv") == "Content-Security-Policy")
+    assert "default-src 'none'" in policy
+    assert len(text.encode()) < LIMIT
+
+
+def test_it_is_well_formed_and_no_name_is_given_twice(page):
+    assert page.open == []
+    names = [attributes["id"] for _, attributes in page.elements if "id" in attributes]
+    assert len(names) == len(set(names))
+    asked = [a["href"][1:] for tag, a in page.elements if tag == "a"]
+    asked += [
+        name
+        for _, a in page.elements
+        for key in ("aria-labelledby", "data-copies")
+        for name in (a.get(key) or "").split()
+    ]
+    assert set(asked) <= set(names)
+
+
+def test_every_figure_is_there_and_told_in_words(page, story):
+    drawn = [a for tag, a in page.elements if tag == "svg" and a.get("role") == "img"]
+    assert len(drawn) == sum(len(plate.panels) for plate in story.plates().values())
+    assert all(len(a["aria-labelledby"].split()) == 2 for a in drawn)
+    assert all(a.get("aria-hidden") == "true" for tag, a in page.elements if tag == "svg" and a not in drawn)
+    shown = [a["id"] for tag, a in page.elements if tag == "figure"]
+    assert shown == [f"figure-{name}" for name in story.plates()]
+
+
+def test_the_tables_say_what_the_results_say(page, story):
+    for name, table in story.tables().items():
+        shown = page.tables[f"table-{name}"]
+        assert shown[0] == [column.head for column in table.columns]
+        assert shown[1:] == [[column.text(row[column.key]) for column in table.columns] for row in table.rows]
+    errors = {row["predictor"]: row for row in story.tables()["accuracy"].rows}
+    assert errors["FNO"]["eps_sup"] == story.evaluated["models"]["fno"]["eps_sup"]
+    assert {row["median_us"] for row in story.tables()["speed"].rows} <= {r["median_us"] for r in story.benched["rows"]}
+
+
+def test_three_sentences_bear_the_numbers(reported, text):
+    result = reported[1]["report"].artifact.result()
+    assert len(result["summary"]) == 3 and result["bytes"] == len(text.encode())
+    evaluated = reported[1]["evaluate"].artifact.result()
+    assert f"{evaluated['models']['fno']['eps_sup']:.2g}" in result["summary"][0]
+    assert all(sentence.replace("'", "&#39;") in text for sentence in result["summary"])
+
+
+def test_the_sentences_know_loops_that_are_lost_and_a_benchmark_without_networks():
+    row = {"eps_sup": 0.5, "mse": 0.25, "radius": {"cases": 20, "converged": 0.0, "median": None}}
+    evaluated = {"held_out": 10, "models": dict.fromkeys(("numerical", "no_adaptation", "fno"), row)}
+    said = sentences.summary(evaluated, {"rows": [], "crossover": []}, ["fno"])
+    assert "0 of 20 loops with the FNO (median radius ∞)" in said[1] and said[2] == "No network was timed."
+
+
+def test_the_pipeline_can_be_copied_and_run_again(reported, text):
+    path, outcomes = reported
+    settings = re.search(r'<pre id="copied-pipeline"[^>]*>(.*?)</pre>', text, re.DOTALL)[1]
+    settings = settings.replace("&#34;", '"').replace("&#39;", "'")
+    assert config.parse(tomllib.loads(settings), "page") == config.load(path)
+    for name, done in outcomes.items():
+        assert name == "report" or done.artifact.manifest.key in text
+
+
+def test_the_same_results_give_the_same_bytes(reported, tmp_path, text):
+    path, outcomes = reported
+    inputs = {name: done.artifact.folder for name, done in outcomes.items() if name != "report"}
+    again = replace(job(tmp_path, "again", inputs=inputs), config=config.load(path))
+    report.run(again)
+    assert (again.folder / report.NAME).read_text() == text
+
+
+@pytest.fixture
+def here(reported, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder of the pipeline and its store."""
+    monkeypatch.chdir(reported[0].parent)
+    monkeypatch.setenv("NPRED_STORE", "store")
+    return reported[0].parent
+
+
+def test_report_writes_the_page_where_it_is_told(call: Call, here: Path, tmp_path: Path, text: str):
+    found = document(call("report", "tiny.toml", "--json"))
+    assert found["report"] == "store/tiny.html" and Path("store/tiny.html").read_text() == text
+    assert {row["action"] for row in found["stages"]} == {"hit"}
+    assert call("run", "tiny.toml").stdout.endswith("\nreport: store/tiny.html\n")
+    call("report", "tiny.toml", "-o", str(tmp_path / "page.html"))
+    assert (tmp_path / "page.html").read_text() == text
+    assert "no/folder" in one_line(call("report", "tiny.toml", "-o", "no/folder/page.html"), 2)
+
+
+def test_figures_and_tables_for_a_paper(call: Call, here: Path, tmp_path: Path, story: Story, monkeypatch):
+    monkeypatch.setattr("npred.cli.report.FORMATS", ("svg",))  # the others: tests/test_figures.py
+    found = document(call("report", "tiny.toml", "--figures", "ieee1", "-o", str(tmp_path / "figures"), "--json"))
+    wanted = {f"{name}.{form}" for name in story.plates() for form in ("svg",)}
+    wanted |= {f"{name}.{form}" for name in story.tables() for form in ("csv", "tex")}
+    assert {path.name for path in Path(found["folder"]).iterdir()} == set(found["files"]) == wanted
+    with (tmp_path / "figures/accuracy.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert float(rows[-1]["ε sup"]) == story.evaluated["models"]["fno"]["eps_sup"]
+    refused = one_line(call("report", "tiny.toml", "--figures", "poster"), 2)
+    assert all(medium in refused for medium in MEDIA)

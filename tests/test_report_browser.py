@@ -1,0 +1,145 @@
+"""The report in a real browser: at a desk and on a phone, in the light and in the dark, and in print."""
+
+import os
+import shutil
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+NEEDED = "NPRED_BROWSER"  # set by .ci/run: then a browser that is missing is a failure
+FOUND = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+WIDTHS = (1280, 390)
+LEGIBLE = 4.5  # contrast of text, WCAG 2.2 AA
+VISIBLE = 3.0  # of lines that carry meaning
+READABLE = 9.5  # pixels of the smallest letters in a figure
+
+CONTRAST = """([selector, property]) => {
+  const light = (colour) => {
+    const parts = colour.match(/[\\d.]+/g).slice(0, 3).map((part) => part / 255)
+      .map((part) => (part <= 0.04045 ? part / 12.92 : ((part + 0.055) / 1.055) ** 2.4));
+    return 0.2126 * parts[0] + 0.7152 * parts[1] + 0.0722 * parts[2];
+  };
+  const page = light(getComputedStyle(document.documentElement).backgroundColor);
+  return [...document.querySelectorAll(selector)].map((element) => getComputedStyle(element)[property])
+    .filter((colour) => colour.startsWith("rgb("))
+    .map(light).map((own) => (Math.max(own, page) + 0.05) / (Math.min(own, page) + 0.05));
+}"""
+LETTERS = """() => [...document.querySelectorAll(".panel svg text")].map((text) => {
+  const box = text.getBoundingClientRect(), size = parseFloat(getComputedStyle(text).fontSize);
+  return size * text.ownerSVGElement.getScreenCTM().a;
+})"""
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """Chromium, headless; the test is skipped where there is none, unless the environment says that it is needed."""
+    try:
+        from playwright.sync_api import sync_playwright
+    except ImportError:
+        sync_playwright = None
+    if FOUND is None or sync_playwright is None:
+        lacking = f"expected Chromium and playwright, got {FOUND} and {sync_playwright}"
+        pytest.fail(lacking) if os.environ.get(NEEDED) else pytest.skip(lacking)
+    with sync_playwright() as started:
+        opened = started.chromium.launch(executable_path=FOUND, args=["--no-sandbox"])
+        yield opened
+        opened.close()
+
+
+@pytest.fixture
+def look(browser, reported) -> Iterator[Any]:
+    """Open the report in a window; whatever it says or asks for must have been nothing at the end."""
+    heard: list[str] = []
+
+    def opened(width: int = 1280, **settings: Any) -> Any:
+        page = browser.new_page(viewport={"width": width, "height": 844}, **settings)
+        page.on("console", lambda message: heard.append(message.text))
+        page.on("pageerror", lambda error: heard.append(str(error)))
+        page.on("request", lambda request: heard.append(request.url) if request.url not in (url, "data:,") else None)
+        page.goto(url)
+        return page
+
+    url = (Path(reported[1]["report"].artifact.folder) / "report.html").as_uri()
+    yield opened
+    assert heard == []
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_every_figure_is_visible_inside_the_page(look, width):
+    page = look(width)
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    panels = page.locator(".panel svg[role=img]")
+    assert panels.count() > 20
+    for k in range(panels.count()):
+        box = panels.nth(k).bounding_box()
+        assert box["width"] >= 250 and box["height"] >= 150
+        assert box["x"] >= 0 and box["x"] + box["width"] <= width
+    assert min(page.evaluate(LETTERS)) >= READABLE
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_no_letters_of_a_figure_are_cut_off_or_lie_on_each_other(look, width):
+    page = look(width)
+    outside = page.evaluate("""(width) => [...document.querySelectorAll(".panel svg text")]
+      .filter((text) => { const box = text.getBoundingClientRect(); return box.left < 0 || box.right > width; })
+      .map((text) => text.textContent)""", width)  # fmt: skip
+    assert outside == []
+    ticks = page.evaluate("""() => [...document.querySelectorAll(".panel svg")].map((svg) =>
+      [...svg.querySelectorAll("text")].map((text) => text.getBoundingClientRect())
+        .map((box) => [box.left, box.right, box.top, box.bottom]))""")  # fmt: skip
+    for boxes in ticks:
+        rows: dict[float, list[list[float]]] = {}
+        for box in boxes:
+            rows.setdefault(round(box[2]), []).append(box)
+        for row in rows.values():
+            for left, right in pairwise(sorted(row)):
+                assert left[1] <= right[0] + 1.0, "tick labels overlap"
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_it_is_legible_in_the_light_and_in_the_dark(look, scheme):
+    page = look(color_scheme=scheme)
+    for selector in ("p, h1, h2, h3, td, th, figcaption, dt, dd, pre, nav a, th button", ".panel svg text"):
+        found = page.evaluate(CONTRAST, [selector, "color" if "svg" not in selector else "fill"])
+        assert len(found) > 20 and min(found) >= LEGIBLE
+    lines = page.evaluate(CONTRAST, [".keys line:not([stroke='var(--fill)'])", "stroke"])
+    assert len(lines) > 10 and min(lines) >= VISIBLE
+    background = page.evaluate("getComputedStyle(document.documentElement).backgroundColor")
+    assert background == {"light": "rgb(254, 254, 254)", "dark": "rgb(20, 23, 27)"}[scheme]
+
+
+def test_a_heading_sorts_its_table_by_keyboard(look):
+    page = look()
+    page.evaluate("document.querySelector('details').open = true")
+    button = page.locator("#table-speed th button").nth(3)
+    column = "[...document.querySelectorAll('#table-speed tbody tr')].map((row) => Number(row.cells[3].dataset.value))"
+    button.focus()
+    for key, sign in (("Enter", 1), ("Space", -1)):
+        page.keyboard.press(key)
+        values = page.evaluate(column)
+        assert len(values) > 5 and values == sorted(values, reverse=sign < 0)
+    assert page.locator("#table-speed th").nth(3).get_attribute("aria-sort") == "descending"
+
+
+def test_the_first_stop_of_the_keyboard_skips_to_the_summary(look):
+    page = look()
+    page.keyboard.press("Tab")
+    assert page.evaluate("document.activeElement.getAttribute('href')") == "#summary"
+
+
+def test_the_command_can_be_copied(look):
+    page = look()
+    page.locator("[data-copies=copied-command]").click()
+    page.wait_for_function("document.getElementById('said').textContent !== ''")
+    assert page.locator("#said").text_content() in ("Copied", "Selected")
+
+
+def test_it_prints_on_light_paper(look):
+    page = look(color_scheme="dark")
+    page.emulate_media(media="print")
+    assert page.evaluate("getComputedStyle(document.documentElement).getPropertyValue('--paper').trim()") == "#fefefe"
+    assert page.evaluate("getComputedStyle(document.querySelector('nav')).display") == "none"
+    assert page.pdf(format="A4").startswith(b"%PDF")
