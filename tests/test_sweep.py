@@ -4,6 +4,8 @@ import csv
 import json
 import signal
 from collections import Counter
+from collections.abc import Callable
+from concurrent.futures import BrokenExecutor, Future
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +18,7 @@ from test_cli import stopped_in
 from npred import executors
 from npred.console import Console
 from npred.errors import DivergedError
+from npred.executors import Here
 from npred.pipeline import STAGES, Planner, Progress, Runner, Sweep, cells, nodes
 from npred.pipeline.harvest import rows
 from npred.store import Store
@@ -169,6 +172,22 @@ def test_processes_make_the_same_bytes(tmp_path: Path):
     digests = [{a.manifest.key: a.manifest.digest for a in Store(tmp_path / name).artifacts()} for name in "ab"]
     assert digests[0] == digests[1]
     assert len(digests[0]) == 3
+
+
+class Killed(Here):
+    """An executor whose processes do not live."""
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        future.set_exception(BrokenExecutor("a process was killed"))
+        return future
+
+
+def test_a_process_that_dies_fails_its_cells_only(fakes: Path, pipeline: Path, tmp_path: Path):
+    grid = cells(pipeline, ["seed=0:2"])
+    found = Sweep(Store(tmp_path / "s"), "cpu", Console(quiet=True), 1, Killed()).run(grid, ["train"])
+    assert [progress.error for progress in found] == ["BrokenExecutor: a process was killed"] * 2
+    assert runs(fakes) == {"generate:": 2}
 
 
 def test_a_row_has_errors_radius_and_the_fastest_runtime(

@@ -1,13 +1,11 @@
 """A grid of pipelines as one graph: equal keys are one node, each is made once, and what it takes is made first."""
 
 import heapq
-import time
 from collections import defaultdict
 from collections.abc import Collection, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple
 
 from npred.config import Pipeline
 from npred.console import Bar, Console
@@ -15,33 +13,12 @@ from npred.errors import NpredError
 from npred.executors import Here, Workers
 from npred.pipeline import table
 from npred.pipeline.cells import Cell
-from npred.pipeline.plan import Planner, Step
-from npred.pipeline.runner import Runner
+from npred.pipeline.plan import Planner
 from npred.pipeline.table import Node, nodes
+from npred.pipeline.task import Made, Task, alone, make
 from npred.store import Artifact, Question, Store
 
-ALONE = {"generate": 0, "bench": 2}  # they use the whole machine: before all else, and after it
-REASON = "of a sweep"
-
-
-class Made(NamedTuple):
-    """What became of a node: its artifact, or why there is none."""
-
-    artifact: Artifact | None
-    action: str
-    seconds: float = 0.0
-    error: str = ""
-
-
-class Task(NamedTuple):
-    """All that another process needs to make a node; the store is the same folder there."""
-
-    config: Pipeline
-    root: Path
-    device: str
-    node: Node
-    question: Question
-    inputs: dict[str, Artifact]
+WHOLE = {"generate": 0, "bench": 2}  # they use the whole machine: before all else, and after it
 
 
 @dataclass(eq=False)
@@ -85,6 +62,9 @@ class Sweep:
     jobs: int
     executor: Workers = field(default_factory=Here)
 
+    def __post_init__(self) -> None:
+        self.store = Store(self.store.root.absolute())  # a worker may have another working folder
+
     def run(self, cells: Sequence[Cell], targets: Collection[str]) -> list[Progress]:
         """What became of each cell; one that fails does not stop the others.
 
@@ -102,7 +82,7 @@ class Sweep:
 
     def make(self, task: Task) -> Made:
         """A node that uses the whole machine, here."""
-        return _make(task, self.console, self.jobs, self.executor)
+        return make(task, self.console, self.jobs, self.executor)
 
 
 class _Graph:
@@ -122,21 +102,21 @@ class _Graph:
         while self.queue or self.under_way:
             self._start()
             for future in wait(self.under_way, return_when=FIRST_COMPLETED).done if self.under_way else ():
-                self._settle(self.under_way.pop(future), future.result())
+                self._settle(self.under_way.pop(future), _outcome(future))
 
     def _start(self) -> None:
         """As much as the executor works on; what uses the whole machine when nothing else is under way."""
         while self.queue and len(self.under_way) < self.sweep.executor.count:
             key = self.queue[0][2]
-            alone = self.tasks[key].node.stage in ALONE
-            if alone and self.under_way:
+            whole = self.tasks[key].node.stage in WHOLE
+            if whole and self.under_way:
                 return
             heapq.heappop(self.queue)
             task = self.tasks.pop(key)
-            if alone:
+            if whole:
                 self._settle(key, self.sweep.make(task))
             else:
-                self.under_way[self.sweep.executor.submit(make, task)] = key
+                self.under_way[self.sweep.executor.submit(alone, task)] = key
 
     def _ask(self, row: Progress) -> None:
         """Take what is there already of a cell's next nodes, and queue the rest, each key once."""
@@ -155,7 +135,7 @@ class _Graph:
     def _queue(self, row: Progress, node: Node, task: Task) -> None:
         key = task.question.key
         if not self.takers[key]:
-            heapq.heappush(self.queue, (ALONE.get(node.stage, 1), row.number, key))
+            heapq.heappush(self.queue, (WHOLE.get(node.stage, 1), row.number, key))
             self.tasks[key] = task
         self.takers[key].append((row, node.name))
 
@@ -184,18 +164,9 @@ class _Graph:
             self.bar.advance()
 
 
-def make(task: Task) -> Made:
-    """A node in a process of its own, one core."""
-    return _make(task, Console(quiet=True), 1, Here())
-
-
-def _make(task: Task, console: Console, jobs: int, executor: Workers) -> Made:
-    start = time.perf_counter()
-    runner = Runner(Planner(task.config, Store(task.root), task.device), console, jobs, executor)
-    step = Step(task.node, task.question, None, REASON)
+def _outcome(future: Future[Made]) -> Made:
+    """A task's outcome, also where its process did not live to give one."""
     try:
-        artifact, action, _ = runner.make(step, task.inputs)
-    except Exception as error:  # this cell has no answer; the others may
-        unforeseen = "" if isinstance(error, NpredError) else f"{task.node.title}: {type(error).__name__}: "
-        return Made(None, "failed", time.perf_counter() - start, unforeseen + " ".join(str(error).split()))
-    return Made(artifact, action, time.perf_counter() - start)
+        return future.result()
+    except Exception as error:
+        return Made(None, "failed", error=f"{type(error).__name__}: {' '.join(str(error).split())}")

@@ -1,0 +1,54 @@
+"""One node of a graph as work that another process can do."""
+
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+from npred.config import Pipeline
+from npred.console import Console
+from npred.errors import NpredError
+from npred.executors import Here, Workers
+from npred.pipeline.plan import Planner, Step
+from npred.pipeline.runner import Runner
+from npred.pipeline.table import Node
+from npred.store import Artifact, Question, Store
+
+REASON = "of a sweep"
+
+
+class Made(NamedTuple):
+    """What became of a node: its artifact, or why there is none."""
+
+    artifact: Artifact | None
+    action: str
+    seconds: float = 0.0
+    error: str = ""
+
+
+class Task(NamedTuple):
+    """All that another process needs to make a node; the store is the same folder there."""
+
+    config: Pipeline
+    root: Path
+    device: str
+    node: Node
+    question: Question
+    inputs: dict[str, Artifact]
+
+
+def make(task: Task, console: Console, jobs: int, executor: Workers) -> Made:
+    """The artifact of a node, or in one line why there is none; nothing is raised but an interruption."""
+    start = time.perf_counter()
+    runner = Runner(Planner(task.config, Store(task.root), task.device), console, jobs, executor)
+    step = Step(task.node, task.question, None, REASON)
+    try:
+        artifact, action, _ = runner.make(step, task.inputs)
+    except Exception as error:  # this cell has no answer; the others may
+        unforeseen = "" if isinstance(error, NpredError) else f"{task.node.title}: {type(error).__name__}: "
+        return Made(None, "failed", time.perf_counter() - start, unforeseen + " ".join(str(error).split()))
+    return Made(artifact, action, time.perf_counter() - start)
+
+
+def alone(task: Task) -> Made:
+    """A node in a process of its own, one core."""
+    return make(task, Console(quiet=True), 1, Here())
