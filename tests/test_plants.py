@@ -227,6 +227,7 @@ def test_mistakes_are_told_in_one_line(write, old, new, message):
         ("protein", {}, "expected one of activator_repressor, .*scalar.*, or a file"),
         ("scalar", {"k": 1.0}, "unknown parameter 'k'; expected one of: a, c"),
         ("nowhere.py:Tank", {}, "found none at nowhere.py"),
+        ("my_plant.py", {}, "expected the class too, got the file alone; write my_plant.py:Tank, say"),
     ],
 )
 def test_unknown_names_are_told(name, parameters, message):

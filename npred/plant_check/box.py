@@ -100,5 +100,5 @@ def complete(case: Case) -> Answer:
     found = f"leaves the finite numbers after {t:.3g} s from {case.state(case.X[first])}"
     return Answer(
         "completeness", "no", f"{case.place('f')}: the open loop {found} ({lost.mean():.0%} of the box); "
-        "shrink box or the delay",
+        "shrink box or the delay, or guard what is undefined there with M.where",
     )  # fmt: skip

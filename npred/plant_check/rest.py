@@ -130,5 +130,9 @@ def _offer(case: Case, X: np.ndarray) -> str:
 
 
 def _term(case: Case, S: np.ndarray, i: int, j: int) -> str:
-    a, b = (f"(x.{case.plant.states[k]} - {case.plant.equilibrium[k]:.6g})" for k in (i, j))
+    a, b = (_error(case.plant.states[k], case.plant.equilibrium[k]) for k in (i, j))
     return f"{S[i, j]:.4g} * {a} ** 2" if i == j else f"{2 * S[i, j]:.4g} * {a} * {b}"
+
+
+def _error(state: str, rest: float) -> str:
+    return f"(x.{state} - {rest:.6g})" if rest else f"x.{state}"

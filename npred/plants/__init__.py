@@ -21,6 +21,8 @@ def resolve(name: str, parameters: Mapping[str, float] = {}) -> Plant:
     if files.named(name):
         found = files.load("plant", name)
         return make(found.name, found.declaration, parameters, found.source)
+    if name.endswith(".py"):
+        raise ConfigError(f"plant {name}: expected the class too, got the file alone; write {name}:Tank, say")
     declaration = _builtin().get(name) or installed.find(name)
     if declaration is None:
         known = ", ".join([*_builtin(), *installed.names(_builtin())])
