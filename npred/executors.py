@@ -125,7 +125,12 @@ class Processes(Workers):
             _settle(outcome, error, None if error else done.result())
         elif retries and not self._closed and not outcome.cancelled():
             self._replace(pool)
-            self._start(call, outcome, retries - 1)
+            try:
+                self._start(call, outcome, retries - 1)
+            except (
+                RuntimeError
+            ) as lost:  # the fresh pool is closed or broken already: somebody may wait for the outcome
+                _settle(outcome, lost, None)
         else:
             _settle(outcome, NpredError("expected processes that live, got one killed twice; use fewer --jobs"), None)
 
@@ -216,7 +221,7 @@ def _cluster(address: str) -> Cluster:
         raise MissingError(
             "--executor: expected the package distributed, found none; pip install 'npred[dask]'"
         ) from None
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what fails is said once, by an exception
+    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # what fails is said once, in a line
     try:
         return Cluster(Client(address, timeout=ANSWER, set_as_default=False))
     except (OSError, ValueError) as error:

@@ -1,13 +1,16 @@
 """Executors: the same protocol and results in this process, in processes, on a cluster; lost work is done again."""
 
 import os
+import select
 import signal
+import subprocess
 import sys
 from collections.abc import Callable
 from concurrent.futures import Future, wait
 from pathlib import Path
 
 import pytest
+from conftest import process_environment
 
 from npred import executors
 from npred.errors import ConfigError, MissingError, NpredError
@@ -92,6 +95,40 @@ def test_work_lost_with_a_killed_process_is_done_again(tmp_path):
     assert lost[0].result() != os.getpid()
     assert executor.submit(square, 7).result() == 49
     executor.shutdown()
+
+
+def ended(pid: int) -> bool:
+    """Whether a process ends within ten seconds, or has."""
+    try:
+        descriptor = os.pidfd_open(pid)
+    except ProcessLookupError:
+        return True
+    try:
+        return bool(select.select([descriptor], [], [], 10)[0])
+    finally:
+        os.close(descriptor)
+
+
+def test_an_interrupted_run_ends_its_processes_at_once(monkeypatch):
+    monkeypatch.setattr(os, "cpu_count", lambda: 2)
+    pid = 0
+    with pytest.raises(KeyboardInterrupt), executors.opened("local", 2) as executor:
+        pid = executor.submit(os.getpid).result()
+        executor.submit(signal.pause)
+        executor.submit(signal.pause)
+        raise KeyboardInterrupt
+    assert pid and ended(pid)
+
+
+def test_processes_do_not_outlive_a_parent_that_was_killed():
+    program = (
+        "import os, signal\nfrom npred.executors import Processes\n"
+        "print(Processes(1).submit(os.getpid).result(), flush=True)\nos.kill(os.getpid(), signal.SIGKILL)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], env=process_environment(), stdout=subprocess.PIPE, text=True, timeout=60
+    )
+    assert done.returncode == -signal.SIGKILL and ended(int(done.stdout))
 
 
 def test_a_task_that_always_kills_its_process_is_told_in_one_line():

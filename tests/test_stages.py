@@ -11,7 +11,7 @@ import pytest
 import torch
 from jobs import job, tables
 
-from npred import config, metrics, operators, plants
+from npred import config, metrics, operators, plants, shards
 from npred.closed_loop import Samples, Trajectories
 from npred.dataset import Dataset
 from npred.predictors.neural import Neural
@@ -62,6 +62,22 @@ def test_errors_of_a_network_are_those_of_its_predictions(evaluated, made):
     row = result["models"]["fno"]
     assert row["mse"] == pytest.approx(np.mean((P_hat - test.P) ** 2), rel=1e-9)
     assert row["radius"]["predicted"] == pytest.approx(metrics.gain(PLANT) * row["eps_kappa"])
+
+
+def test_the_chain_runs_on_shards(evaluated, tmp_path, monkeypatch):
+    for limit in ("WHOLE", "SHARD"):
+        monkeypatch.setattr(shards, limit, 1)
+    data = job(tmp_path, "generate", generate={"rollouts": 130, "samples": 520, "t_end": 4.0})
+    assert generate.run(data)["shards"] == 3 == len(list(data.folder.glob("data-*.h5")))
+    inputs, trained = {"generate": data.folder}, {}
+    for model in ("deeponet", "fno"):
+        training = job(tmp_path, model, inputs={"generate": data.folder}, model=model)
+        trained[model] = train.run(training)
+        inputs[model] = training.folder
+    result = evaluate.run(job(tmp_path, "evaluate", inputs=inputs))
+    assert result["held_out"] == 52 and result["models"]["numerical"] == evaluated[1]["models"]["numerical"]
+    for model, found in trained.items():
+        assert found["samples"] == 468 and result["models"][model]["mse"] == pytest.approx(found["mse"], rel=1e-3)
 
 
 def test_fresh_rows_are_samples_of_the_numerical_loops(evaluated):
