@@ -72,7 +72,8 @@ def plant(write):
 def test_functions_are_those_declared_on_any_batch(plant):
     random = np.random.default_rng(0)
     X, u = random.uniform(-0.5, 0.5, (3, 2, 4)), random.uniform(-1, 1, (3, 2, 1))
-    assert isinstance(plant, BlackBox) and plant.rests and plant.autonomous
+    assert isinstance(plant, BlackBox) and plant.rests and plant.autonomous and plant.phase(0.0) is None
+    assert plant.rest is not None and plant.rest[0] is plant.equilibrium
     np.testing.assert_allclose(plant.f(X, u), TRACED.f(X, u), rtol=1e-14)
     np.testing.assert_allclose(plant.kappa(X), TRACED.kappa(X), rtol=1e-14)
     np.testing.assert_allclose(plant.V(X), TRACED.V(X), rtol=1e-14)
@@ -165,7 +166,7 @@ def test_a_reference_is_followed(write):
     def reference(t, p):
         return t[:, None] * [1.0, 0.0, 0.0, 0.0]
 """))  # fmt: skip
-    assert plant.tracks
+    assert plant.tracks and plant.rest is None and not plant.clocked
     np.testing.assert_allclose(plant.target(2.0), [2.0, 0, 0, 0])
     np.testing.assert_allclose(plant.target(np.array([1.0, 3.0]))[:, 0], [1.0, 3.0])
     assert plant.u_target(np.array([1.0, 3.0])).shape == (2, 1)

@@ -97,6 +97,15 @@ class BlackBox(Plant):
             raise ConfigError(f"plant {self.name}: {name} {found}; mend {name}")
         return values.reshape(shape if size is None else (*shape, size))
 
+    @property
+    def clocked(self) -> bool:
+        return not self.autonomous
+
+    @property
+    def rest(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """The equilibrium; None where a reference is declared, for nobody can see whether it moves."""
+        return (self.equilibrium, self.u_equilibrium) if self.rests else None
+
     def _timed(self, name: str) -> bool:
         """Whether f or kappa gives other values at other times, at a few states."""
         random = np.random.default_rng(0)
