@@ -36,6 +36,7 @@ from npred.store import Artifact, Store
 WARM = (h5py, matplotlib, numba, torch, bench, evaluate, generate, train)
 SIZES = (40, 100, 200, 300, 400, 500, 700)  # KiB of the disks that are too small
 PROCESSES = 8
+TIMED = ("bench", "report")
 CHAIN = 4  # runs of one store that are killed one after the other
 PIPELINE = """
 plant = "scalar"
@@ -134,9 +135,10 @@ class Run:
 
 
 def digests(store: Store) -> dict[str, str]:
-    """What the results hold, each verified; those of bench are times, which differ."""
-    whole = [artifact.verify() for artifact in store.artifacts()]
-    return {a.manifest.key: "" if a.manifest.question.stage == "bench" else a.manifest.digest for a in whole}
+    """What the results hold, each verified; those of bench are times, which differ, and so does what tells of them."""
+    whole = [artifact.verify().manifest for artifact in store.artifacts()]
+    names = {m.key: " ".join(filter(None, (m.question.stage, m.question.model))) for m in whole}
+    return {names[m.key]: "" if m.question.stage in TIMED else f"{m.key} {m.digest}" for m in whole}
 
 
 def faults(store: Store) -> list[str]:

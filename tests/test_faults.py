@@ -82,7 +82,7 @@ def test_eight_processes_make_each_result_once(pipeline: Path):
     assert [process.returncode for process in processes] == [0] * 8, answers
     rows = [row for out, _ in answers for row in json.loads(out)["stages"]]
     made = Counter(row["key"] for row in rows if row["action"] == "run")
-    assert len(made) == 5
+    assert len(made) == len(json.loads(answers[0][0])["stages"])
     assert set(made.values()) == {1}
     assert Store(pipeline.parent / "artifacts").leftovers() == []
 
