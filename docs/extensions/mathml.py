@@ -13,7 +13,7 @@ TAG = re.compile(r"\\tag\{(.+?)\}")
 
 
 def mathml(text: str, display: str = "inline") -> str:
-    """A formula of LaTeX as MathML; primes as characters, for as powers they come out small, and bars set tight."""
+    """A formula of LaTeX as MathML, mended: primes, which come out small as powers, and the room at bars and at cos."""
     ElementTree.register_namespace("", NAMESPACE)
     formula = ElementTree.fromstring(latex2mathml.converter.convert(text, display=display))
     for power in formula.iter(f"{{{NAMESPACE}}}msup"):
@@ -23,6 +23,9 @@ def mathml(text: str, display: str = "inline") -> str:
     for sign in formula.iter(f"{{{NAMESPACE}}}mo"):
         if sign.text == "|" and "form" not in sign.attrib:
             sign.attrib = {"stretchy": "false", "lspace": "0", "rspace": "0"}
+    for name in formula.iter(f"{{{NAMESPACE}}}mi"):
+        if len(name.text or "") > 1:
+            name.tag, name.attrib = f"{{{NAMESPACE}}}mo", {"lspace": "0.17em", "rspace": "0.17em"}
     return ElementTree.tostring(formula, encoding="unicode")
 
 
