@@ -3,7 +3,7 @@
 import json
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,6 +11,9 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 if TYPE_CHECKING:
     from tqdm import tqdm
+
+    from npred.events import Events
+    from npred.live import Live
 
 EVERY = 10.0  # seconds between two plain progress lines
 WIDE = 240  # columns of what rich prints where there is no screen
@@ -31,6 +34,8 @@ class Console:
     verbose: bool = False
     clock: Callable[[], float] = time.monotonic
     stopped: bool = False
+    live: "Live | None" = None
+    events: "Events | None" = None
 
     def stop(self) -> None:
         """End the work of all threads at its next word of progress, as Ctrl-C ends that of the main one."""
@@ -73,10 +78,40 @@ class Console:
         self._line("error: " + " ".join(text.split("\n")), "red")
 
     @contextmanager
+    def watch(self, heading: str, titles: Sequence[str]) -> Iterator[None]:
+        """On a terminal a live view of these stages while the block runs; elsewhere nothing but the lines of `bar`."""
+        if self.quiet or not sys.stderr.isatty():
+            yield
+            return
+        from npred.live import Live
+
+        self.live = Live(heading, titles, self.clock)
+        try:
+            with self.live.shown():
+                yield
+        finally:
+            self.live = None
+
+    def finish(self, title: str, action: str, seconds: float) -> None:
+        """A stage has its result: `hit` or `run`."""
+        if self.live:
+            self.live.finish(title, action, seconds)
+
+    def measured(self, title: str, values: Mapping[str, float]) -> None:
+        """What an epoch of a training reached: for the live view and for TensorBoard."""
+        if self.live:
+            self.live.measured(title, values)
+        if self.events:
+            self.events.write(title, values)
+
+    @contextmanager
     def bar(self, title: str, total: int, unit: str) -> Iterator[Bar]:
         """The progress of `total` units: a bar with rate and time left on a terminal, else a line now and then."""
         if self.quiet:
             yield _Silent(self._check)
+        elif self.live:
+            with self.live.bar(title, total, unit, self._check) as row:
+                yield row
         elif sys.stderr.isatty():
             from tqdm import tqdm
 
@@ -86,7 +121,9 @@ class Console:
             yield _Lines(self._line, self.clock, title, total, unit, self._check)
 
     def _line(self, text: str, style: str = "") -> None:
-        if sys.stderr.isatty():
+        if self.live:
+            self.live.console.print(text, style=style, markup=False, highlight=False, soft_wrap=True)
+        elif sys.stderr.isatty():
             from tqdm import tqdm
 
             with tqdm.external_write_mode(file=sys.stderr):  # above the bars, if there are any

@@ -109,13 +109,16 @@ def fit(task: Task, scratch: Path, progress: Any) -> Metrics:
     network = ranks.shared(operator)
     with progress.bar(task.title, config.epochs, "epoch") as bar:
         bar.advance(len(metrics))
+        for row in metrics:
+            progress.measured(task.title, row)
         for epoch in range(len(metrics) + 1, config.epochs + 1):
             loss = _epoch(task, network, optimiser, epoch, bar)
             lr = optimiser.param_groups[0]["lr"]
             metrics.append({"epoch": epoch, "lr": lr, "loss": loss, **errors(operator, task.test)})
             if ranks.number() == 0:
                 _keep(task, scratch, optimiser, metrics)
-            bar.advance(1, f"loss {loss:.2e}, test mse {metrics[-1]['mse']:.2e}")
+            progress.measured(task.title, metrics[-1])
+            bar.advance(1, f"loss {loss:.2e}, ε held out {metrics[-1]['eps_sup']:.2e}")
     return metrics
 
 

@@ -1,6 +1,6 @@
 """A Progress that shows nothing and keeps what it was told."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 
 
@@ -9,6 +9,7 @@ class Silent:
 
     def __init__(self, stop_after: int | None = None) -> None:
         self.notes: list[str] = []
+        self.measurements: list[tuple[str, dict[str, float]]] = []
         self.done, self.calls, self.stop_after = 0, 0, stop_after
 
     @contextmanager
@@ -21,6 +22,12 @@ class Silent:
         self.calls += n > 0
         if self.stop_after is not None and self.calls > self.stop_after:
             raise KeyboardInterrupt
+
+    def finish(self, title: str, action: str, seconds: float) -> None:
+        self.notes.append(f"{title}: {action}")
+
+    def measured(self, title: str, values: Mapping[str, float]) -> None:
+        self.measurements.append((title, dict(values)))
 
     def stop(self) -> None:
         self.stop_after = -1

@@ -21,7 +21,7 @@ FLOORS = [
     | {"untraced_law"},
     {"control", "dataset", "hdf5", "interop", "metrics", "plant_check", "runtimes", "shards", "streaming", "timing"}
     | {"training"},
-    {"console", "figures", "store"},
+    {"console", "events", "figures", "live", "store"},
     {"stages"},
     {"pipeline", "cli", "api", "__main__"},
 ]

@@ -1,5 +1,7 @@
 """What the commands do that run stages."""
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -52,11 +54,38 @@ def stage(options: Work, name: str, model: str | None = None, output: Path | Non
 
 def bring(options: Work, targets: list[str], model: str | None = None) -> list[Outcome]:
     """The targets and all that they need, from the store or run."""
-    planner = _planner(options, targets)
-    devices.require(planner.device)
+    planner, wanted = _planner(options, targets), nodes(options.config, targets, model)
     jobs = options.jobs or devices.cores()
-    with executors.opened(options.executor, jobs) as executor:
-        return Runner(planner, options.console, jobs, executor).run(nodes(options.config, targets, model))
+    heading = f"{options.config.name} on {planner.device}"
+    with (
+        _recorded(options) as record,
+        options.console.watch(heading, [node.title for node in wanted]),
+        executors.opened(options.executor, jobs) as executor,
+    ):
+        outcomes = Runner(planner, options.console, jobs, executor).run(wanted)
+        record(outcomes)
+    return outcomes
+
+
+@contextmanager
+def _recorded(options: Work) -> Iterator[Callable[[list[Outcome]], None]]:
+    """TensorBoard's event files while the block runs; what it yields adds the trainings that the store had."""
+    if options.tensorboard is None:
+        yield lambda outcomes: None
+        return
+    from npred.events import Events
+
+    options.console.events = events = Events(options.tensorboard)
+
+    def record(outcomes: list[Outcome]) -> None:
+        for done in outcomes:
+            if done.node.stage == "train" and done.action == "hit":
+                events.replay(done.node.title, done.artifact.folder / "metrics.jsonl")
+
+    try:
+        yield record
+    finally:
+        events.close()
 
 
 def _work(
@@ -77,7 +106,9 @@ def _work(
 
 
 def _planner(options: Work, targets: list[str]) -> Planner:
-    return options.planner(frozenset(targets) if options.force else frozenset())
+    planner = options.planner(frozenset(targets) if options.force else frozenset())
+    devices.require(planner.device)
+    return planner
 
 
 def publish(options: Work, outcomes: list[Outcome], output: Path | None) -> Path | None:

@@ -89,6 +89,9 @@ class Work(Running):
     """Flags of the commands that run stages."""
 
     force: Annotated[bool, typer.Option("--force", help="Run the named stages even if the store has them.")] = False
+    tensorboard: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Write the epochs of trainings as event files there.")
+    ] = None
 
 
 def parameters(options: type[Common]) -> list[inspect.Parameter]:

@@ -75,7 +75,9 @@ class Runner:
         inputs = {name: outcomes[name].artifact for name in node.inputs}
         step = self.planner.step(node, inputs)
         artifact, action, why = self._hit(step) if step.artifact else self.make(step, inputs)
-        return Outcome(node, artifact, action, why, time.perf_counter() - start)
+        seconds = time.perf_counter() - start
+        self.console.finish(node.title, action, seconds)
+        return Outcome(node, artifact, action, why, seconds)
 
     def _hit(self, step: Step) -> tuple[Artifact, str, str]:
         assert step.artifact is not None

@@ -1,5 +1,6 @@
 """The stages: pure functions of a job; none of them knows the store."""
 
+from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -23,6 +24,9 @@ class Progress(Protocol):
     def bar(self, title: str, total: int, unit: str) -> AbstractContextManager[Bar]:
         """The progress of `total` units."""
         ...
+
+    def measured(self, title: str, values: Mapping[str, float]) -> None:
+        """What an epoch of a training reached."""
 
     def note(self, text: str) -> None:
         """A line for people."""
