@@ -78,6 +78,16 @@ def test_figure_1_has_a_panel_a_quantity_and_a_close_look_at_each_state():
     assert titles == ["x1", "x2", "U", "delay estimate D̂ (s)", "x1, the last tenth", "x2, the last tenth"]
 
 
+def test_the_functional_of_the_proof_is_left_out_where_nothing_adapts():
+    evidence = found()
+    assert "W(t) of the proof" in [panel.title for panel in figures.certificate(evidence).panels]
+    frozen = {name: replace(loop, N=np.full_like(loop.N, np.nan)) for name, loop in evidence.loops.items()}
+    panels = figures.certificate(replace(evidence, loops=frozen)).panels
+    assert [panel.title for panel in panels] == ["radius over ε κ", "distance |X − X*|"]
+    for panel in panels:
+        ElementTree.fromstring(svg.inline(panel, "p"))
+
+
 def test_the_map_is_left_out_where_the_pipeline_asks_for_none_and_counts_what_is_lost():
     evidence = found(lost=True)
     alts = {panel.title.split(":")[0]: panel.alt for panel in figures.delays(evidence).panels}
