@@ -37,7 +37,7 @@ def test_verify_reads_every_file_of_every_result(call: Call):
     rows = {row["folder"]: row for row in document(found, 4)["artifacts"]}
     assert {f for f, row in rows.items() if row["state"] == "corrupt"} == {str(data.parent), str(torn)}
     assert str(data) in rows[str(data.parent)]["fault"]
-    assert len(rows) == 5
+    assert len(rows) == 6
     assert "Traceback" not in call("verify").output
 
 

@@ -114,7 +114,7 @@ def _planner(options: Work, targets: list[str]) -> Planner:
 def publish(options: Work, outcomes: list[Outcome], output: Path | None) -> Path | None:
     """Copy the page to `output`, by default to the pipeline's name in the store; None where no report was made.
 
-    Raises ConfigError where it cannot be written.
+    A store that cannot be written leaves it where it is. Raises ConfigError for an `output` that cannot be.
     """
     made = [outcome for outcome in outcomes if outcome.node.stage == "report"]
     if not made:
@@ -125,6 +125,8 @@ def publish(options: Work, outcomes: list[Outcome], output: Path | None) -> Path
         aside.write_bytes((made[-1].artifact.folder / PAGE).read_bytes())
         aside.replace(path)  # a browser that reads it meanwhile sees the old page or the new one
     except OSError as error:
+        if output is None:
+            return made[-1].artifact.folder / PAGE
         raise ConfigError(f"{path}: expected a file that can be written, got: {error.strerror}; name another") from None
     return path
 

@@ -47,8 +47,8 @@ class Spectral(nn.Module):
     def __init__(self, width: int, modes: int) -> None:
         super().__init__()
         self.modes = modes
-        self.real = nn.Parameter(torch.randn(modes, width, width) / (2 * width))
-        self.imag = nn.Parameter(torch.randn(modes, width, width) / (2 * width))
+        self.real = nn.Parameter(_drawn(modes, width))
+        self.imag = nn.Parameter(_drawn(modes, width))
 
     def forward(self, v: Tensor) -> Tensor:
         """v (B, nx, width) to the same shape."""
@@ -63,6 +63,14 @@ class Spectral(nn.Module):
             [torch.cat([self.real, self.imag], dim=2), torch.cat([-self.imag, self.real], dim=2)],
             dim=1,
         )
+
+
+def _drawn(modes: int, width: int) -> Tensor:
+    """A normal matrix a mode. Where a network is built for its shapes alone there is nothing to draw: to draw on torch's
+    meta device brings in its compiler, a second.
+    """
+    made = torch.empty(modes, width, width)
+    return made if made.is_meta else made.normal_().div_(2 * width)
 
 
 @lru_cache(maxsize=32)
