@@ -68,7 +68,7 @@ class Batch:
             return ("taken" if changed == sound or same else "sound"), ""
         except NpredError as error:
             return ("refused", "") if "\n" not in str(error) else ("traceback", f"two lines: {error}")
-        except TimeoutError:
+        except Late:
             return "hang", ""
         except Wrong as error:
             return "wrong", str(error)
@@ -81,8 +81,12 @@ class Batch:
             shutil.rmtree(folder, ignore_errors=True)
 
 
+class Late(BaseException):
+    """Time is up; no OSError, as TimeoutError is, for a loader may catch those."""
+
+
 def _late(number: int, frame: object) -> None:
-    raise TimeoutError
+    raise Late
 
 
 def _memory() -> int:

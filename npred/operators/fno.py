@@ -66,9 +66,8 @@ class Spectral(nn.Module):
 
 
 def _drawn(modes: int, width: int) -> Tensor:
-    """A normal matrix a mode. Where a network is built for its shapes alone there is nothing to draw: to draw on torch's
-    meta device brings in its compiler, a second.
-    """
+    """A normal matrix a mode; none where a network is built for its shapes alone, on torch's meta device."""
+    # To draw there would bring in torch's compiler, which takes a second.
     made = torch.empty(modes, width, width)
     return made if made.is_meta else made.normal_().div_(2 * width)
 
