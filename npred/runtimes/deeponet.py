@@ -34,17 +34,18 @@ def append(p: Program, operator: Operator) -> None:
 def _hidden(p: Program, network: DeepONetwork, hidden: list[nn.Linear]) -> Matrix:
     """The branch's hidden layers, of all rows side by side: in differences a bias cancels."""
     n, m, nx, rows, count, width = p.n, p.m, p.nx, p.rows, network.moments, hidden[0].out_features
-    transform = np.kron(moment_matrix(nx, count, torch.float64, CPU).numpy().T, np.eye(m))  # (nx m, count m)
+    transform = moment_matrix(nx, count, torch.float64, CPU).numpy().T  # (nx, count)
     first = hidden[0].weight.numpy().T  # rows: X, moments, D_hat
-    zero = p.z_zero @ first[:n] + np.tile(p.v_zero, nx) @ transform @ first[n:-1] + hidden[0].bias.numpy()
-    features, sums, h = p.buffer("features", 1, count * m), p.buffer("sums", rows, width), p.buffer("h", rows, width)
-    by_node, by_moment = p.constant("by_node", transform), p.constant("by_moment", first[n:-1])
+    by_input = first[n:-1].reshape(count, m, width).swapaxes(0, 1).reshape(m * count, width)
+    zero = p.z_zero @ first[:n] + np.outer(p.v_zero, transform.sum(axis=0)).ravel() @ by_input + hidden[0].bias.numpy()
+    features, sums, h = p.buffer("features", m, count), p.buffer("sums", rows, width), p.buffer("h", rows, width)
+    by_node, by_moment = p.constant("by_node", transform), p.constant("by_moment", by_input)
     by_z, bias = p.constant("by_z", np.concatenate([first[:n], first[-1:]])), p.constant("bias", _bias(zero, rows))
     activation = Silu("h", "sums", width) if rows == 1 else SiluPair("h", "sums", width)
     p.steps += [
-        Product(features, Matrix("v", nx * m), by_node, (1, nx * m, count * m)),
+        Product(features, Matrix("v", 1, m), by_node, (m, nx, count)),
         Product(sums, Matrix("z", n + 1), by_z, (rows, n + 1, width), bias),
-        Product(sums, features, by_moment, (1, count * m, width), adds=True),
+        Product(sums, Matrix("features", m * count), by_moment, (1, m * count, width), adds=True),
         activation,
     ]
     if hidden[1:]:
