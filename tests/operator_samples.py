@@ -32,6 +32,26 @@ def samples(count: int = 40, nx: int = 21, seed: int = 0) -> Arrays:
     return Arrays(X, u, D_hat, X[:, None] + D_hat[:, None, None] * x[:, None] * drift)
 
 
+def several_inputs() -> tuple[plants.Plant, Arrays]:
+    """A plant of three states and two inputs, and random rows for it."""
+
+    class Two:
+        states, inputs, box = ("a", "b", "c"), ("U", "V"), {}
+
+        def f(x, u, t, p, M):
+            return [u.U - x.a, u.V - x.b, x.a * x.b - x.c]
+
+        def kappa(x, t, p, M):
+            return [-x.a, -x.b]
+
+        def V(x, t, p, M):
+            return x.a**2
+
+    random = np.random.default_rng(0)
+    X, u, D_hat = random.normal(size=(4, 3)), random.normal(size=(4, 11, 2)), random.uniform(0.3, 2, 4)
+    return plants.Plant("two", Two), Arrays(X, u, D_hat, random.normal(size=(4, 11, 3)))
+
+
 def operator(config: Training, seed: int = 0, **changes: object) -> Operator:
     """An untrained operator of the activator-repressor plant."""
     torch.manual_seed(seed)

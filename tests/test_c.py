@@ -6,8 +6,9 @@ import subprocess
 
 import numpy as np
 import pytest
-from operator_samples import PLANT, SMALL, operator, samples
+from operator_samples import PLANT, SMALL, operator, samples, several_inputs
 
+from npred.operators import Scaling, build
 from npred.predictors.neural import Neural
 from npred.runtimes import c
 
@@ -44,6 +45,14 @@ def test_its_own_test_passes(exported):
     done = subprocess.run([compiled(exported[1], "-DNPRED_TEST")], capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stdout
     assert "of each state's size" in done.stdout
+
+
+@needs_gcc
+def test_several_inputs(tmp_path):
+    plant, data = several_inputs()
+    model = build(SMALL[0], plant, Scaling.of(data))
+    c.export(model, plant, tmp_path / "two.c", 11, (data.X, data.u, data.D_hat))
+    assert subprocess.run([compiled(tmp_path / "two.c", "-DNPRED_TEST")], timeout=60).returncode == 0
 
 
 @needs_gcc

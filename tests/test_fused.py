@@ -5,10 +5,9 @@ import copy
 import numpy as np
 import pytest
 import torch
-from operator_samples import PLANT, SMALL, operator, samples
+from operator_samples import PLANT, SMALL, operator, samples, several_inputs
 
 import npred
-from npred import plants
 from npred.config import FNO, DeepONet
 from npred.errors import ConfigError
 from npred.operators import Scaling, build
@@ -113,27 +112,15 @@ def test_error_is_relative_to_the_distance_from_rest(distance):
 
 
 def test_several_inputs():
-    class Two:
-        states, inputs, box = ("a", "b", "c"), ("U", "V"), {}
-
-        def f(x, u, t, p, M):
-            return [u.U - x.a, u.V - x.b, x.a * x.b - x.c]
-
-        def kappa(x, t, p, M):
-            return [-x.a, -x.b]
-
-        def V(x, t, p, M):
-            return x.a**2
-
-    plant, random = plants.Plant("two", Two), np.random.default_rng(0)
-    X, u, D_hat = random.normal(size=(4, 3)), random.normal(size=(4, 11, 2)), random.uniform(0.3, 2, 4)
-    data = type("Data", (), {"X": X, "u": u, "D_hat": D_hat, "P": random.normal(size=(4, 11, 3))})
+    plant, data = several_inputs()
     for config in (DeepONet(width=12, depth=2, basis=5, trunk=8, moments=4), FNO(width=6, modes=3, layers=2)):
         torch.manual_seed(0)
         model = build(config, plant, Scaling.of(data))
         np.testing.assert_allclose(
-            Fused(plant, model, 11)(X, u, D_hat), Neural(plant, model, 11)(X, u, D_hat), rtol=1e-5, atol=1e-5
-        )
+            Fused(plant, model, 11)(data.X, data.u, data.D_hat),
+            Neural(plant, model, 11)(data.X, data.u, data.D_hat),
+            rtol=1e-5, atol=1e-5,
+        )  # fmt: skip
 
 
 def test_lanes_give_what_single_calls_give():

@@ -201,7 +201,7 @@ def export(
         Path | None,
         typer.Option("-o", "--output", help="The file; by default MODEL-NX.onnx or .c, data.npy, .h5, .mat."),
     ] = None,
-    nx: Annotated[int, typer.Option(help="Nodes of a model's actuator state, both ends of [0, 1] in.")] = 101,
+    nx: Annotated[int, typer.Option(help="Nodes of a model's actuator state, any number; a file is for one.")] = 101,
     atol: Annotated[float, typer.Option(help="How far an ONNX graph's P and U may be from the model's.")] = 1e-4,
 ) -> None:
     """A trained model, P and U = kappa(P(1)), or the data, for another program."""
