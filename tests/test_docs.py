@@ -89,12 +89,18 @@ def test_python_that_needs_no_trained_network_runs(page: Path, tmp_path: Path, m
             execute(block, page, space)
 
 
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A store for all pages: what one has made is there for the next."""
+    return tmp_path_factory.mktemp("store")
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("page", pages_with("python", "sh"))
-def test_a_page_runs_from_top_to_bottom(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_page_runs_from_top_to_bottom(page: Path, store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     pytest.importorskip("onnxruntime")
     monkeypatch.chdir(tmp_path)
-    monkeypatch.delenv("NPRED_STORE", raising=False)
+    monkeypatch.setenv("NPRED_STORE", str(store))
     for name in ("paper", "smoke"):
         write(tmp_path / "pipeline" / f"{name}.toml", SMOKE | {"name": name})
     call("npred train pipeline/paper.toml -q")
