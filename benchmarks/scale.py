@@ -1,11 +1,11 @@
 """What a sample costs, from 10^4 to 10^7 of them: seconds, processor seconds and memory of data and of one epoch.
 
-    python benchmarks/scale.py [SAMPLES ...] [--folder DIR] [--figure docs/figures/scale]
+    python benchmarks/scale.py [SAMPLES ...] [--folder DIR] [--figures docs/figures]
 
 Each size is made and trained on in a store of its own below DIR (6 GB for 10^7 samples), which is removed afterwards.
 Memory is the largest sum, over all processes of a command, of resident bytes, taken five times a second; pages that two
 processes share count twice. Exit 1 where it passes 4 GiB. Processor seconds are what another load leaves alone.
-The exponent is of what comes on top of the start, the cost of 400 samples.
+A straight line, start + slope N, is fitted to them from 10^5 samples on; the misfit says how straight they are.
 """
 
 import argparse
@@ -15,14 +15,18 @@ import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from npred.figures.plate import Key, Panel, Plate, write
+from npred.figures.style import MEDIA, Look, log
+
 SIZES = (10_000, 100_000, 300_000, 1_000_000, 3_000_000, 10_000_000)
 SHARE = 200  # samples a rollout
-START = 2 * SHARE  # samples whose cost is that of starting the command
+FIRST = 100_000  # samples from which on both processes have work, so that the cost may be a straight line
 LIMIT = 4 * 2**30
 PIPELINE = """
 name = "scale"
@@ -94,33 +98,43 @@ def resident(pid: int) -> int:
         return 0
 
 
-def slope(costs: list[Cost]) -> float:
-    """The exponent of the cost less that of the start, least squares over sizes of 10^5 and more."""
-    start, *rest = costs
-    some = [cost for cost in rest if cost.samples >= 100_000]
-    logs = np.log([[cost.samples, cost.processor - start.processor] for cost in some])
-    return float(np.polyfit(logs[:, 0], logs[:, 1], 1)[0]) if len(some) > 1 else np.nan
+def line(costs: list[Cost]) -> tuple[float, float, float]:
+    """Start in seconds and slope in seconds a sample, by least squares of relative errors; the largest of those."""
+    N, seconds = np.array([(c.samples, c.processor) for c in costs if c.samples >= FIRST], dtype=float).T
+    start, slope = np.linalg.lstsq(np.stack([1 / seconds, N / seconds], 1), np.ones(len(N)), rcond=None)[0]
+    return start, slope, float(np.abs((start + slope * N) / seconds - 1).max())
 
 
-def draw(costs: dict[str, list[Cost]], path: Path) -> None:
-    """Write the figure: processor microseconds a sample, and memory, against the number of samples."""
-    from npred.stages import drawing
+def draw(costs: dict[str, list[Cost]], folder: Path) -> None:
+    """Write scale.svg and scale.png: processor time a sample with the straight lines, and memory, against N."""
+    looks = {command: Look(role, marker="o") for command, role in zip(COMMANDS, ("blue", "orange"), strict=True)}
 
-    figure = drawing.figure(7.2, 2.8)
-    left, right = figure.subplots(1, 2)
-    for colour, (command, row) in zip(drawing.COLOURS, costs.items(), strict=False):
-        (start, *rest), what = row, COMMANDS[command]
-        sizes = [cost.samples for cost in rest]
-        label, more = f"{what}, start and all", f"{what}, on top of the start: ~ N^{slope(row):.2f}"
-        left.loglog(sizes, [c.processor / c.samples * 1e6 for c in rest], "o:", color=colour, label=label)
-        above = [(c.processor - start.processor) / c.samples * 1e6 for c in rest]
-        left.loglog(sizes, above, "s-", color=colour, label=more)
-        right.semilogx(sizes, [c.resident / 2**30 for c in rest], "o-", color=colour)
-    left.set(xlabel="samples N", ylabel="processor time a sample, µs")
-    right.set(xlabel="samples N", ylabel="memory of all processes, GiB", ylim=(0, None))
-    right.axhline(LIMIT / 2**30, color="black", linewidth=0.8, linestyle=":")
-    left.legend(frameon=False, fontsize=7)
-    drawing.save(figure, path.parent, path.name)
+    def times(axis: Any) -> None:
+        for command, row in costs.items():
+            sizes, (start, slope, _) = np.array([cost.samples for cost in row]), line(row)
+            fitted = sizes[sizes >= FIRST]
+            axis.plot(sizes, [c.processor / c.samples * 1e6 for c in row], "o", color=looks[command].colour)
+            axis.plot(fitted, (start / fitted + slope) * 1e6, color=looks[command].colour)
+        axis.set_xlabel("samples")
+        log(axis, "x", "y")
+
+    def memory(axis: Any) -> None:
+        for command, row in costs.items():
+            axis.plot([c.samples for c in row], [c.resident / 2**30 for c in row], **looks[command].line)
+        axis.set(xlabel="samples", ylim=(0, None))
+        log(axis, "x")
+
+    panels = (
+        Panel(
+            "Processor time a sample, µs; the lines are straight in N",
+            "Processor microseconds a sample against samples.",
+            times,
+        ),
+        Panel("Memory of all processes, GiB", "Gibibytes against samples.", memory),
+    )
+    keys = tuple(Key(COMMANDS[command], look) for command, look in looks.items())
+    style = replace(MEDIA["ieee2"], columns=2)
+    write(Plate("scale", "What a sample costs", "From 10⁴ to 10⁷ samples.", panels, keys), folder, style)
 
 
 def main() -> None:
@@ -129,12 +143,14 @@ def main() -> None:
     parser.add_argument("samples", nargs="*", type=lambda text: int(float(text)), default=SIZES)
     parser.add_argument("--folder", type=Path, default=None)
     parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--figure", type=Path, default=Path("docs/figures/scale"))
+    parser.add_argument("--figures", type=Path, default=Path("docs/figures"))
     asked = parser.parse_args()
+    if sum(samples >= FIRST for samples in asked.samples) < 3:
+        parser.error(f"expected at least three sizes from {FIRST:.0e} on, for the straight line")
     header = ("samples", "what", "seconds", "processor seconds", "µs a sample", "memory, GiB", "stored, GB")
     print("| " + " | ".join(header) + " |\n|" + "---|" * len(header), flush=True)
     costs: dict[str, list[Cost]] = {command: [] for command in COMMANDS}
-    for samples in (START, START, *asked.samples):  # the first compiles, and is not kept
+    for samples in (asked.samples[0], *asked.samples):  # the first compiles, and is not kept
         folder = Path(tempfile.mkdtemp(dir=asked.folder))
         (folder / "scale.toml").write_text(PIPELINE)
         try:
@@ -145,8 +161,9 @@ def main() -> None:
             shutil.rmtree(folder)
     costs = {command: row[1:] for command, row in costs.items()}
     for command, row in costs.items():
-        print(f"{COMMANDS[command]}: processor seconds on top of the start grow as N^{slope(row):.3f}")
-    draw(costs, asked.figure)
+        start, slope, misfit = line(row)
+        print(f"{COMMANDS[command]}: {start:.1f} s + {slope * 1e6:.2f} µs N, within {misfit:.0%} from {FIRST:.0e} on")
+    draw(costs, asked.figures)
     most = max(cost.resident for row in costs.values() for cost in row)
     print(f"memory: {most / 2**30:.2f} GiB at most, of {LIMIT / 2**30:.0f}")
     sys.exit(most > LIMIT)
