@@ -74,7 +74,6 @@ dx = [0.1]
 calls = 12
 batches = [1]
 runtimes = ["torch"]
-costly = ""
 """
 
 

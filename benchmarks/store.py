@@ -21,7 +21,7 @@ from typer.testing import CliRunner
 from npred.cli import app
 from npred.console import columns
 from npred.errors import NpredError
-from npred.figures.plate import Key, Panel, Plate, write
+from npred.figures.plate import Panel, Plate, write
 from npred.figures.style import Look, log
 from npred.store import Question, Store, archive
 
@@ -106,20 +106,19 @@ def slope(sizes: list[int], times: list[float]) -> float:
 
 def draw(folder: Path, sizes: list[int], times: dict[str, list[float]]) -> None:
     """store.svg and store.png."""
-    looks = {name: Look(role, marker="o") for name, role in zip(times, ROLE, strict=True)}
 
     def lines(axis: Any) -> None:
-        for name, seconds in times.items():
-            axis.plot(sizes, seconds, **looks[name].line)
+        for role, (name, seconds) in zip(ROLE, times.items(), strict=True):
+            axis.plot(sizes, seconds, label=f"{name}: {slope(sizes, seconds):.2f}", **Look(role, marker="o").line)
         axis.set_xlabel("results in the store")
         log(axis, "x", "y")
+        axis.legend(loc="upper left", ncols=2, fontsize=6)
 
-    keys = tuple(Key(f"{name}: slope {slope(sizes, seconds):.2f}", looks[name]) for name, seconds in times.items())
     panel = Panel(
-        "seconds", "Seconds by the number of results in the store: straight lines of slope 1, or level.", lines
+        "seconds, and slopes", "Seconds by the number of results: straight lines of slope 1, or level.", lines
     )
     caption = "What the store's operations cost with ever more results in it."
-    write(Plate("store", "The store", caption, (panel,), keys), folder)
+    write(Plate("store", "The store", caption, (panel,)), folder)
 
 
 def main() -> None:
