@@ -136,7 +136,11 @@ def test_the_sentences_know_loops_that_are_lost_and_a_benchmark_without_networks
     row = {"eps_sup": 0.5, "mse": 0.25, "radius": {"cases": 20, "converged": 0.0, "median": None}}
     evaluated = {"held_out": 10, "models": dict.fromkeys(("numerical", "no_adaptation", "fno"), row)}
     said = sentences.summary(evaluated, {"rows": [], "crossover": []}, ["fno"])
-    assert "0 of 20 loops with the FNO (median radius ∞)" in said[1] and said[2] == "No network was timed."
+    assert (
+        "Of 20 closed loops" in said[1]
+        and "0 with the FNO (median radius ∞)" in said[1]
+        and said[2] == "No network was timed."
+    )
 
 
 def test_the_pipeline_can_be_copied_and_run_again(reported, text):

@@ -19,9 +19,9 @@ def certificate(evidence: Evidence) -> Plate:
     """Error against radius with the line of theory, the distance to the target, and W(t) [DAPF, Theorem 3]."""
     radii = {name: row for name, row in evidence.models.items() if row["eps_kappa"] and row["radius"]["median"]}
     caption = (
-        "Left: the radius in which loops end (filled: median over the cases, hollow: worst) over the error that the "
-        f"control sees. An error that stayed constant would move the end along the dotted line, {evidence.gain:.4g} ε. "
-        "Right: the loop of Fig. 1 on its way."
+        "Radius: where loops end (filled: median over the cases, hollow: worst) over the error that control sees; an "
+        f"error that stayed constant would move the end along the dotted line, {evidence.gain:.4g} ε. Distance and W: "
+        "the loop of Fig. 1 on its way."
     )
     line = Key(f"constant error: {evidence.gain:.4g} ε", Look("muted", (1, 2)))
     panels = (Panel("radius over ε κ", _told_radii(radii), partial(_radii, radii, evidence.gain)), *ends(evidence))

@@ -1,10 +1,10 @@
 """How networks learned: the loss, and the errors on held-out rollouts, epoch by epoch."""
 
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
-from npred.figures.loops import keys
-from npred.figures.plate import Panel, Plate
+from npred.figures.plate import Key, Panel, Plate
 from npred.figures.style import log, look, words
 
 Epochs = list[dict[str, float]]
@@ -16,13 +16,14 @@ def learning(histories: dict[str, Epochs]) -> Plate:
     panels = [Panel(title, _told(title, key, histories), partial(_curves, key, histories))
               for key, title in SHOWN.items()]  # fmt: skip
     caption = "One point an epoch. The loss is each network's own; the errors are in state units, on held-out rollouts."
-    return Plate("learning", "Training", caption, tuple(panels), keys(histories))
+    solid = tuple(Key(words(name), replace(look(name), dash=())) for name in histories)  # dashes hide what is rough
+    return Plate("learning", "Training", caption, tuple(panels), solid)
 
 
 def _curves(key: str, histories: dict[str, Epochs], axis: Any) -> None:
     for name, epochs in histories.items():
-        style = look(name).line | {"linestyle": "-"}
-        axis.plot([row["epoch"] for row in epochs], [row[key] for row in epochs], **style)
+        solid = replace(look(name), dash=())
+        axis.plot([row["epoch"] for row in epochs], [row[key] for row in epochs], **solid.line)
     axis.set_xlabel("epoch")
     log(axis, "y")
 

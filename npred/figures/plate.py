@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from npred.figures.style import MEDIA, Look, Style, lettered, medium
+from npred.figures.style import HANDLE, MEDIA, SCREEN, Look, Style, lettered, medium
 
 FORMATS = {"svg": {"Date": None}, "pdf": {"CreationDate": None}, "png": {"Software": None}}  # without dates
 DPI = 300
+LETTER, GAP = 0.47, 2.3  # widths of an M: a letter of a legend, and what surrounds an entry
 
 
 @dataclass(frozen=True)
@@ -78,6 +79,7 @@ def _figure(plate: Plate, style: Style) -> Any:
         axis.set_visible(False)
     _legend(figure, plate, style)
     _set_letters(figure)
+    _scale_lines(figure, style.font / SCREEN.font)
     return figure
 
 
@@ -86,8 +88,25 @@ def _legend(figure: Any, plate: Plate, style: Style) -> None:
 
     if plate.keys:
         lines = [Line2D([], [], label=key.label, **key.look.line) for key in plate.keys]
-        room = int(style.width * 72 / (style.font * 9.5))  # a key is about ten letters wide
-        figure.legend(handles=lines, loc="outside upper center", ncols=max(1, min(len(lines), room)))
+        figure.legend(handles=lines, loc="outside upper center", ncols=_columns(plate, style))
+
+
+def _columns(plate: Plate, style: Style) -> int:
+    """As many columns as fit beside each other; the entries are filled in column by column."""
+    room = style.width * 72 / style.font
+    for count in range(len(plate.keys), 1, -1):
+        columns = np.array_split([LETTER * len(key.label) for key in plate.keys], count)
+        if sum(column.max() + HANDLE + GAP for column in columns) < room:
+            return count
+    return 1
+
+
+def _scale_lines(figure: Any, factor: float) -> None:
+    """Lines as thick beside the letters as they are on a page."""
+    from matplotlib.lines import Line2D
+
+    for line in figure.findobj(Line2D):
+        line.set_linewidth(factor * line.get_linewidth())
 
 
 def _set_letters(figure: Any) -> None:

@@ -16,9 +16,9 @@ ROLES = {
     "paper": ("#fefefe", "#14171b"),
     "fill": ("#d5dae0", "#3a424b"),
     "frozen": ("#b0588f", "#e39cc8"),
-    "blue": ("#0072b2", "#56b4e9"),
+    "blue": ("#00639e", "#56b4e9"),
     "sky": ("#3d8fc4", "#a5d3f3"),
-    "orange": ("#d55e00", "#ff9a52"),
+    "orange": ("#c74a00", "#ff9a52"),
     "amber": ("#b67509", "#f6cf8f"),
     "green": ("#008f68", "#3fd0a4"),
 }
@@ -78,6 +78,7 @@ class Style:
     height: float
 
 
+HANDLE = 2.4  # widths of an M: the line of a legend's entry
 SCREEN = Style(300 / 72, 1, 9.5, "DejaVu Sans", 2.9)
 MEDIA = {
     "ieee1": Style(3.5, 2, 6.5, "STIXGeneral", 1.35),
@@ -118,10 +119,10 @@ def medium(style: Style) -> Iterator[None]:
         "ytick.labelsize": 0.92 * style.font,
         "text.color": ink,
         "lines.markersize": 0.42 * style.font,
-        "lines.linewidth": style.font / 7,
         "legend.frameon": False,
         "legend.fontsize": style.font,
-        "legend.handlelength": 2.4,
+        "legend.handlelength": HANDLE,
+        "legend.columnspacing": 1.5,
         "figure.facecolor": "none",
         "axes.facecolor": "none",
     }

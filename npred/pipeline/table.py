@@ -157,5 +157,5 @@ STAGES: dict[str, Stage] = {
     "train": Stage(1, ("generate",), _train, "npred.stages.train"),
     "evaluate": Stage(4, ("generate", "train"), _evaluate, "npred.stages.evaluate"),
     "bench": Stage(4, ("generate", "train"), _bench, "npred.stages.bench"),
-    "report": Stage(1, ("generate", "train", "evaluate", "bench"), _report, "npred.stages.report"),
+    "report": Stage(2, ("generate", "train", "evaluate", "bench"), _report, "npred.stages.report"),
 }

@@ -14,25 +14,24 @@ def summary(evaluated: Row, benched: Row, networks: list[str]) -> list[str]:
 
 
 def _errors(evaluated: Row, networks: list[str]) -> str:
-    models = evaluated["models"]
-    found = [f"{words(n)} is within {models[n]['eps_sup']:.2g} of the numerical predictor (mean-square error "
-             f"{short(models[n]['mse'])})" for n in networks]  # fmt: skip
-    return f"On {evaluated['held_out']} held-out samples the {' and the '.join(found)}."
+    rows = {words(name): evaluated["models"][name] for name in networks}
+    found = [f"{row['eps_sup']:.2g} for the {name} (mean square {short(row['mse'])})" for name, row in rows.items()]
+    return f"On {evaluated['held_out']:,} held-out samples the largest error of a prediction is {' and '.join(found)}."
 
 
 def _loops(models: dict[str, Row], networks: list[str]) -> str:
-    found = [f"{_share(models[n])} with the {words(n)} (median radius {short(models[n]['radius']['median'])})"
+    found = [f"{_home(models[n])} with the {words(n)} (median radius {short(models[n]['radius']['median'])})"
              for n in networks]  # fmt: skip
-    numerical, frozen = models["numerical"], models["no_adaptation"]
+    frozen = f"{_home(models['numerical'])} with the numerical predictor, and {_home(models['no_adaptation'])} without"
     return (
-        f"With a delay that the controller does not know, {', '.join(found)} converge, as do {_share(numerical)} with "
-        f"the numerical predictor; without adaptation, {_share(frozen)}."
+        f"Of {models['numerical']['radius']['cases']} closed loops with a delay that the controller does not know, "
+        f"{', '.join(found)}, {frozen} adaptation converge."
     )
 
 
-def _share(row: Row) -> str:
-    cases = row["radius"]["cases"]
-    return f"{round(row['radius']['converged'] * cases)} of {cases} loops"
+def _home(row: Row) -> int:
+    """How many of the cases converge."""
+    return round(row["radius"]["converged"] * row["radius"]["cases"])
 
 
 def _speed(benched: Row, networks: list[str]) -> str:
