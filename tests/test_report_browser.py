@@ -142,4 +142,6 @@ def test_it_prints_on_light_paper(look):
     page.emulate_media(media="print")
     assert page.evaluate("getComputedStyle(document.documentElement).getPropertyValue('--paper').trim()") == "#fefefe"
     assert page.evaluate("getComputedStyle(document.querySelector('nav')).display") == "none"
+    page.set_viewport_size({"width": 718, "height": 1016})  # A4 without its margins
+    assert min(page.evaluate(LETTERS)) >= READABLE
     assert page.pdf(format="A4").startswith(b"%PDF")
