@@ -10,6 +10,7 @@ from typing import Any
 
 import fake_stages
 import pytest
+from hypothesis import HealthCheck, settings
 from typer.testing import CliRunner, Result
 
 from npred.cli import app
@@ -17,6 +18,9 @@ from npred.pipeline import STAGES
 
 Call = Callable[..., Result]
 HERE = Path(__file__).parent
+# How long a draw takes says what else the machine does, not what the code does.
+settings.register_profile("npred", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("npred")
 TINY = """
 name = "tiny"
 plant = "scalar"

@@ -36,7 +36,7 @@ def held(values, u0, s):
 
 
 @given(steps=st.integers(0, 40), u0=st.floats(-1, 1))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_whole_steps_come_out_exactly_after_the_delay(steps, u0):
     line, inputs = Line(steps * DT, u0), np.random.default_rng(steps).normal(size=120)
     for k, U in enumerate(inputs):
@@ -46,7 +46,7 @@ def test_whole_steps_come_out_exactly_after_the_delay(steps, u0):
 
 
 @given(D=st.floats(0.003, 0.5))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_a_switch_inside_a_step_splits_it(D):
     line, inputs = Line(D), np.random.default_rng(7).normal(size=80)
     for k, U in enumerate(inputs):
@@ -67,7 +67,7 @@ def test_a_fine_grid_reads_points():
 
 
 @given(D=st.floats(0.2, 1.0), nx=st.integers(3, 12))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_a_coarse_grid_carries_cell_means(D, nx):
     line, inputs = Line(D, nx=nx), np.random.default_rng(3).normal(size=150)
     for U in inputs:

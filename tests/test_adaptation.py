@@ -48,7 +48,7 @@ def test_golden_q1_by_the_transition_formula(name):
 
 
 @given(X=st.floats(-2, 2), U=st.floats(-1, 1), D_hat=st.floats(0.1, 2))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_scalar_phi_in_closed_form(X, U, D_hat):
     """u constant: P = e^{g x} X + (e^{g x} - 1) U / a, r = (a X + U) e^{g x}, kappa = -(a + c) X, V = X²."""
     a, c, x = 0.8, 1.0, grid.nodes(2001)
@@ -61,7 +61,7 @@ def test_scalar_phi_in_closed_form(X, U, D_hat):
 
 
 @given(X=st.floats(-2, 2), D_hat=st.floats(0.1, 2))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_no_backstepping_error_no_update(X, D_hat):
     """u(x) = kappa(P(x)) has w = 0, so phi = 0: along X' = -c X the input is known in closed form."""
     P = np.exp(-D_hat * grid.nodes(101))[:, None] * X

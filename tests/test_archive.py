@@ -65,7 +65,7 @@ def test_other_programs_can_read_it(artifact: Artifact, tar: Path, tmp_path: Pat
     assert Artifact.read(tmp_path / "x" / "train" / artifact.manifest.key).verify().result() == {"mse": 0.5}
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(data=st.data())
 def test_no_byte_of_a_tar_can_be_changed_added_or_dropped(
     data: st.DataObject, tmp_path_factory: pytest.TempPathFactory

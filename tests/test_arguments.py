@@ -24,7 +24,7 @@ def run(predictor="own", plant=SCALAR, **change):
         ({"predictor": "rk4"}, "predictor: expected a Predictor, got 'rk4'"),
         ({"predictor": RK4(CLOCK)}, "expected one of plant scalar .* got one of activator_repressor"),
         ({"predictor": Euler(plants.resolve("scalar", {"a": 0.7}))}, "with its parameters"),
-        ({"adaptation": {"gamma": 1.0}}, "adaptation: expected a DelayAdaptation"),
+        ({"adaptation": {"gamma": 1.0}}, "adaptation: expected a DelayLaw"),
         ({"integrator": "picard"}, "integrator: expected one of euler, heun, rk4, got 'picard'"),
         ({"every": 0}, "every: expected a whole number of steps from 1 on, got 0"),
         ({"every": 1.5}, "every: expected a whole number"),

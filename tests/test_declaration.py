@@ -72,7 +72,8 @@ def test_a_wrong_part_is_told_in_one_line(parts, message):
 @pytest.mark.parametrize("name", ["f", "V"])
 def test_what_a_function_returns_is_checked(name, value):
     values = value if name == "V" else [value]
-    with pytest.raises(ConfigError, match=f"Tank: {name} expected to return numbers and formulas, got"):
+    place = r"\(test_declaration.py:\d+\)"
+    with pytest.raises(ConfigError, match=f"Tank: {name} {place} expected to return numbers and formulas, got"):
         _ = plant(**{name: staticmethod(lambda *_: values)}).identity
 
 

@@ -9,6 +9,7 @@ from typer.testing import CliRunner
 from npred.cli import app
 
 TEXT = """
+plant = "activator_repressor"
 name = "p"
 [generate]
 samples = 60

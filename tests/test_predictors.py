@@ -50,7 +50,7 @@ def test_fitted_order(method, name):
 
 @pytest.mark.parametrize("method", METHODS)
 @given(X=st.floats(-3, 3), a=st.floats(-1, 1), c=st.floats(-1, 1), D_hat=st.floats(0, 2))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_scalar_closed_form(method, X, a, c, D_hat):
     """P(x) = e^{g x} X + D_hat ∫ e^{g (x - y)} (a + c y) dy with g = 0.8 D_hat."""
     x, nx = grid.nodes(401), 401
@@ -71,7 +71,7 @@ def test_no_delay_predicts_the_state_and_P_starts_at_X(method):
 
 @pytest.mark.parametrize("method", ["euler", "heun"])
 @given(split=st.integers(1, 39), D_hat=st.floats(0.1, 2))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_semigroup_in_x(method, split, D_hat):
     """Predicting to x_k and on from there with the rest of u is predicting through."""
     u = 0.1 * np.cos(7 * grid.nodes(41))[:, None]

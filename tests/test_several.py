@@ -154,7 +154,7 @@ def test_control_is_the_law_of_the_prediction_at_each_delay(nx):
 
 
 @given(D=st.floats(0.05, 0.9))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_each_input_arrives_after_its_own_delay(D):
     """X' = U(t - r_j D) without feedback of X: the states are the integrals of the delayed inputs, to rounding."""
 
