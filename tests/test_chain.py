@@ -109,7 +109,7 @@ def test_killed_in_every_stage_it_ends_with_the_same_bytes(chain):
     assert run(chain, "whole").returncode == 0
     hurt, whole = digests(chain, "hurt"), digests(chain, "whole")
     assert set(hurt) == set(whole) == set(STAGES)
-    for stage in STAGES[:-1]:  # bench holds times
+    for stage in STAGES[:-2]:  # bench holds times, and the report shows them
         assert hurt[stage] == whole[stage], stage
 
 

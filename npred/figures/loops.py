@@ -83,7 +83,7 @@ def _over_time(t: np.ndarray, columns: dict[str, np.ndarray], k: int, goal: np.n
 
 def _end(t: np.ndarray, columns: dict[str, np.ndarray], k: int, goal: np.ndarray, axis: Any) -> None:
     """The last tenth, at least a part in a thousand of the value high: closer, lines are one line."""
-    late = t >= (1 - END) * t[-1]
+    late = t >= min((1 - END) * t[-1], t[-2:][0])  # a line has two ends
     shown = {name: found[late, k] for name, found in columns.items() if name != "no_adaptation"}
     for name, found in shown.items():
         axis.plot(t[late], found, **look(name).line)
