@@ -51,14 +51,20 @@ def test_break_even_is_where_both_take_as_long(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("speedup", "words"),
     [
-        (0.5, "is rk4 with 10 steps, by 2.0x over a fno (fused): 10.0 us the network, 5.0 us rk4."),
-        (4.0, "is a fno (fused), by 4.0x over rk4 with 10 steps"),
+        (0.5, "is rk4 with 10 steps, by 2.0x over a fno (fused): 10.0 us the network, 5.0 us rk4, 9.0 us"),
+        (
+            4.0,
+            "is a fno (fused), by 4.0x over rk4 with 10 steps: 10.0 us the network, 5.0 us rk4, 9.0 us euler with 99",
+        ),
     ],
 )
 def test_sentence(speedup, words):
+    numerical = [
+        {"predictor": name, "steps": k, "median_us": us} for name, k, us in (("rk4", 10, 5.0), ("euler", 99, 9.0))
+    ]
     found = {"plant": "arm", "eps_sup": 0.02, "best": "rk4", "best_steps": 10, "best_us": 5.0, "network_us": 10.0,
-             "f_ns": 80.0, "network_speedup": speedup, "pays_from_ns": 200.0, "predictor": "fno",
-             "runtime": "fused"}  # fmt: skip
+             "f_ns": 80.0, "numerical": numerical, "network_speedup": speedup, "pays_from_ns": 200.0,
+             "predictor": "fno", "runtime": "fused"}  # fmt: skip
     text = crossover.sentence(found)
     assert words in text and text.endswith("A network pays from 200 ns an evaluation of f on (here 80 ns).")
 

@@ -79,7 +79,7 @@ class Reference:
         with np.errstate(over="ignore", invalid="ignore"):  # few steps may diverge: an infinite error
             P_hat = predictor(self.X, grid.refine(self.u, nx), self.D_hat, self.t)
             errors = np.linalg.norm(P_hat - grid.refine(self.P, nx), axis=-1)
-        return float(np.nan_to_num(errors, nan=np.inf).max())
+        return float(np.nan_to_num(errors, nan=np.inf, posinf=np.inf).max())
 
 
 def entries(job: Job, reference: Reference) -> list[Entry]:

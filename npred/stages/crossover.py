@@ -73,5 +73,12 @@ def sentence(found: Row) -> str:
     pays = f"from {found['pays_from_ns']:.0f} ns an evaluation of f on (here {found['f_ns']:.0f} ns)"
     return (
         f"For {found['plant']} at eps = {found['eps_sup']:.1e} the fastest predictor is {first}, by "
-        f"{max(ratio, 1 / ratio):.1f}x over {second}: {times}. A network pays {pays}."
+        f"{max(ratio, 1 / ratio):.1f}x over {second}: {times}{_others(found)}. A network pays {pays}."
     )
+
+
+def _others(found: Row) -> str:
+    """The methods of that accuracy that are slower than the best."""
+    rows = [row for row in found["numerical"] if row["predictor"] != found["best"]]
+    words = [f"{row['median_us']:.1f} us {row['predictor']} with {row['steps']} steps" for row in rows]
+    return "".join(f", {word}" for word in words)
