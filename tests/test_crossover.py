@@ -67,6 +67,7 @@ def test_sentence(speedup, words):
              "predictor": "fno", "runtime": "fused"}  # fmt: skip
     text = crossover.sentence(found)
     assert words in text and text.endswith("A network pays from 200 ns an evaluation of f on (here 80 ns).")
+    assert crossover.sentence(found | {"pays_from_ns": 0.0}).endswith("A network pays however cheap f is (here 80 ns).")
 
 
 def test_equal_accuracy_is_not_taken_from_one_lucky_grid():

@@ -114,6 +114,14 @@ def test_interpreted_baselines_equal_euler(baseline):
     np.testing.assert_allclose(baseline(PLANT, nx)(golden.X, u, 1.0), Euler(PLANT, nx)(golden.X, u, 1.0), rtol=1e-12)
 
 
+def test_an_interpreted_prediction_that_leaves_the_floats_is_nan_from_there_on():
+    stiff = plants.resolve("planar_arm2", {"friction": 1e4})
+    X, u, D_hat = np.full((1, stiff.n), 0.1), np.zeros((1, 201, stiff.m)), np.ones(1)
+    compiled, interpreted = Euler(stiff, 201), EulerPython(stiff, 201)
+    P, Q = (np.isfinite(one.predict(X, u, D_hat, np.zeros(1))).all(axis=2)[0] for one in (compiled, interpreted))
+    assert P[0] and not P[-1] and (P == Q).all()
+
+
 @pytest.mark.parametrize(
     ("X", "u", "message"),
     [

@@ -1,5 +1,6 @@
 """Interpreted baselines: what a predictor costs that nobody compiled. For benchmarks, not for loops."""
 
+import contextlib
 from abc import abstractmethod
 from collections.abc import Callable
 from functools import cached_property
@@ -52,7 +53,10 @@ class Published(Interpreted):
 
 
 class EulerPython(Interpreted):
-    """Euler's method in plain Python on floats: the same values as `published` in linear time."""
+    """Euler's method in plain Python on floats: the same values as `published` in linear time.
+
+    Where Python's floats raise, the sine of infinity say, P is NaN from there on.
+    """
 
     name = "euler_python"
 
@@ -60,10 +64,11 @@ class EulerPython(Interpreted):
         f, p, h = self._f, self.plant.p.tolist(), float(D_hat) / (len(u) - 1)
         x = X.tolist()
         P = [x]
-        for j, inputs in enumerate(u[:-1].tolist()):
-            x = [a + h * b for a, b in zip(x, f(*x, *inputs, t + h * j, *p), strict=True)]
-            P.append(x)
-        return np.array(P)
+        with contextlib.suppress(ArithmeticError, ValueError):
+            for j, inputs in enumerate(u[:-1].tolist()):
+                x = [a + h * b for a, b in zip(x, f(*x, *inputs, t + h * j, *p), strict=True)]
+                P.append(x)
+        return np.array(P + [[np.nan] * self.plant.n] * (len(u) - len(P)))
 
     @cached_property
     def _f(self) -> Callable[..., list[float]]:

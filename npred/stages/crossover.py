@@ -28,7 +28,9 @@ def measure(job: Job, timed: Iterable[tuple[Entry, Row]], reference: Reference) 
 
 
 def _crossover(job: Job, network: Entry, row: Row, rivals: list[Entry], reference: Reference) -> Row:
-    """Both timed in turn. pays_from_ns: the cost of f at which the rival's steps take as long as the network."""
+    """Both timed in turn. pays_from_ns: the cost of f at which the rival's steps take as long as the network, 0 where
+    they do without f.
+    """
     runs = {entry.label: entry.run for entry in (network, *rivals)} | {str(k): RK4(job.plant, k + 1) for k in STEPS}
     calls = {label: _call(reference, run) for label, run in runs.items()}
     times = timing.sample(calls, job.config.bench.calls, job.config.bench.seconds)
@@ -70,7 +72,8 @@ def sentence(found: Row) -> str:
     network = f"a {found['predictor']} ({found['runtime']})"
     first, second = (numerical, network) if ratio < 1 else (network, numerical)
     times = f"{found['network_us']:.1f} us the network, {found['best_us']:.1f} us {found['best']}"
-    pays = f"from {found['pays_from_ns']:.0f} ns an evaluation of f on (here {found['f_ns']:.0f} ns)"
+    from_ns, here = found["pays_from_ns"], f"(here {found['f_ns']:.0f} ns)"
+    pays = f"from {from_ns:.0f} ns an evaluation of f on {here}" if from_ns else f"however cheap f is {here}"
     return (
         f"For {found['plant']} at eps = {found['eps_sup']:.1e} the fastest predictor is {first}, by "
         f"{max(ratio, 1 / ratio):.1f}x over {second}: {times}{_others(found)}. A network pays {pays}."
