@@ -46,13 +46,23 @@ def _energy(X, links, mass=1.0, length=0.5, gravity=9.81):
 
 @pytest.mark.parametrize("links", [2, 5])
 def test_law_makes_the_errors_linear_about_the_reference(links):
-    plant, t = plants.resolve(f"planar_arm{links}"), np.linspace(0, 6, 7)
+    plant, t = plants.resolve(f"planar_arm{links}", {"friction": 0.0}), np.linspace(0, 6, 7)
     X = np.random.default_rng(0).uniform(-1, 1, (7, 2 * links))
     goal, h = plant.target(t), 1e-4
     wanted = (plant.target(t + h) - plant.target(t - h))[:, links:] / (2 * h)
     errors = X - goal
     accelerations = plant.f(X, plant.kappa(X, t))[:, links:]
     np.testing.assert_allclose(accelerations - wanted, -4 * errors[:, :links] - 4 * errors[:, links:], atol=1e-7)
+
+
+def test_friction_damps_the_errors_as_forces_on_an_arm_without_it():
+    links, friction, t = 3, 5.0, np.linspace(0, 6, 7)
+    with_it, without = (plants.resolve(f"planar_arm{links}", {"friction": value}) for value in (friction, 0.0))
+    X = np.random.default_rng(0).uniform(-1, 1, (7, 2 * links))
+    errors = X - without.target(t)
+    forces = -friction * (errors[:, links:] + 2 * errors[:, :links])
+    torques = without.kappa(X, t) + forces[:, ::-1].cumsum(axis=1)[:, ::-1]  # a rod has its joint's, less the next one's
+    np.testing.assert_allclose(with_it.f(X, with_it.kappa(X, t)), without.f(X, torques), rtol=1e-9)
 
 
 @pytest.mark.parametrize("links", [2, 7])
@@ -68,9 +78,9 @@ def test_weight_is_held_where_nothing_moves():
 
 
 def test_gain_is_the_inverse_of_the_stiffness_against_a_torque_at_rest():
-    """A constant torque e turns the links by M^-1 e / stiffness, M the mass matrix; here one link, M = m l² / 3."""
+    """A constant torque e turns a link by e / (M stiffness + friction damping / 2), M = m l² / 3."""
     rod = Plant("rod", arm(1), {"amplitude": 0.0})
-    assert metrics.gain(rod, 30.0) == pytest.approx(3 / (0.25 * 4), rel=1e-4)
+    assert metrics.gain(rod, 30.0) == pytest.approx(1 / (0.25 / 3 * 4 + 0.1 * 2), rel=1e-4)
 
 
 class TestClaims(plant_claims.Claims):

@@ -12,9 +12,11 @@ def arm(links: int) -> type:
     inputs the joints' torques tau1, … (N m). Lagrange's equations in absolute angles:
         sum_j c_ij cos(theta_i - theta_j) omega_j' + sum_j c_ij sin(theta_i - theta_j) omega_j² + g d_i sin(theta_i)
             = tau_i - tau_i+1 - friction omega_i,
-    with c_ij the coupling of rods i and j and d_i the first moment that hangs on rod i. The law is computed torque: the
-    angles' errors obey e'' + damping e' + stiffness e = 0 about
-        theta_i = i pose + amplitude sin(frequency t + i).
+    with c_ij the coupling of rods i and j and d_i the first moment that hangs on rod i. The law is computed torque about
+        theta_i = i pose + amplitude sin(frequency t + i),
+    with friction made up for at the rate that the error calls for, r' - damping e / 2, in place of the measured one: a
+    stable term that is cancelled turns errors of the prediction into torques as large as friction is. So the angles'
+    errors obey M (e'' + damping e' + stiffness e) = -friction (e' + damping e / 2), the damping of drives.
     """
     angles = tuple(f"theta{i + 1}" for i in range(links))
     rates = tuple(f"omega{i + 1}" for i in range(links))
@@ -22,16 +24,18 @@ def arm(links: int) -> type:
     def f(x: Any, u: Any, t: Any, p: Any, M: Any) -> list[Any]:
         torques = [*u, 0.0]
         inertia, loads = _mechanics(x, p, M, links)
-        return [*x[links:], *M.solve(inertia, [torques[i] - torques[i + 1] - load for i, load in enumerate(loads)])]
+        drag = [p.friction * rate for rate in x[links:]]
+        return [*x[links:], *M.solve(inertia, [torques[i] - torques[i + 1] - loads[i] - drag[i] for i in range(links)])]
 
     def kappa(x: Any, t: Any, p: Any, M: Any) -> list[Any]:
         goal, speed, wanted = _motion(t, p, M, links)
+        errors = [x[i] - goal[i] for i in range(links)]
         for i in range(links):
-            wanted[i] = wanted[i] - p.stiffness * (x[i] - goal[i]) - p.damping * (x[links + i] - speed[i])
+            wanted[i] = wanted[i] - p.stiffness * errors[i] - p.damping * (x[links + i] - speed[i])
         inertia, loads = _mechanics(x, p, M, links)
+        drag = [p.friction * (speed[i] - 0.5 * p.damping * errors[i]) for i in range(links)]
         forces = [
-            load + total(a * b for a, b in zip(row, wanted, strict=True))
-            for row, load in zip(inertia, loads, strict=True)
+            loads[i] + drag[i] + total(a * b for a, b in zip(inertia[i], wanted, strict=True)) for i in range(links)
         ]
         return [total(forces[i:]) for i in range(links)]
 
@@ -64,13 +68,13 @@ def _motion(t: Any, p: Any, M: Any, links: int) -> tuple[list[Any], list[Any], l
 
 def _mechanics(x: Any, p: Any, M: Any, links: int) -> tuple[list[list[Any]], list[Any]]:
     """The mass matrix c_ij cos(theta_i - theta_j), by the sines and cosines of the angles alone, and the loads:
-    centrifugal forces, weight and friction.
+    centrifugal forces and weight.
     """
     s, c = [M.sin(x[i]) for i in range(links)], [M.cos(x[i]) for i in range(links)]
     squares, moment, spin = [rate * rate for rate in x[links:]], p.mass * p.length, p.mass * p.length * p.length
     # c_ij: what rod max(i, j) and those beyond it add, and a rod's own inertia, m l² / 3 about its end
     inertia = [[spin * (links - 1 - i + 1 / 3)] * links for i in range(links)]
-    loads = [moment * p.gravity * (links - 0.5 - i) * s[i] + p.friction * x[links + i] for i in range(links)]
+    loads = [moment * p.gravity * (links - 0.5 - i) * s[i] for i in range(links)]
     for i in range(links):
         for j in range(i):
             coupling = spin * (links - 1 - i + 0.5)
