@@ -61,7 +61,8 @@ def test_friction_damps_the_errors_as_forces_on_an_arm_without_it():
     X = np.random.default_rng(0).uniform(-1, 1, (7, 2 * links))
     errors = X - without.target(t)
     forces = -friction * (errors[:, links:] + 2 * errors[:, :links])
-    torques = without.kappa(X, t) + forces[:, ::-1].cumsum(axis=1)[:, ::-1]  # a rod has its joint's, less the next one's
+    pushed = forces[:, ::-1].cumsum(axis=1)[:, ::-1]  # a rod takes its joint's torque, less the next one's
+    torques = without.kappa(X, t) + pushed
     np.testing.assert_allclose(with_it.f(X, with_it.kappa(X, t)), without.f(X, torques), rtol=1e-9)
 
 

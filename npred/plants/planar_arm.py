@@ -12,11 +12,11 @@ def arm(links: int) -> type:
     inputs the joints' torques tau1, … (N m). Lagrange's equations in absolute angles:
         sum_j c_ij cos(theta_i - theta_j) omega_j' + sum_j c_ij sin(theta_i - theta_j) omega_j² + g d_i sin(theta_i)
             = tau_i - tau_i+1 - friction omega_i,
-    with c_ij the coupling of rods i and j and d_i the first moment that hangs on rod i. The law is computed torque about
-        theta_i = i pose + amplitude sin(frequency t + i),
-    with friction made up for at the rate that the error calls for, r' - damping e / 2, in place of the measured one: a
-    stable term that is cancelled turns errors of the prediction into torques as large as friction is. So the angles'
-    errors obey M (e'' + damping e' + stiffness e) = -friction (e' + damping e / 2), the damping of drives.
+    with c_ij the coupling of rods i and j, d_i the first moment that hangs on rod i. The law is computed torque about
+        r_i(t) = i pose + amplitude sin(frequency t + i),
+    with friction made up for at the rate that the error calls for, r' - damping e / 2, in place of the measured one: to
+    cancel what is stable turns an error of the prediction into a torque as large as friction is. So the errors e of the
+    angles obey M (e'' + damping e' + stiffness e) = -friction (e' + damping e / 2).
     """
     angles = tuple(f"theta{i + 1}" for i in range(links))
     rates = tuple(f"omega{i + 1}" for i in range(links))
