@@ -157,3 +157,14 @@ def test_speed_draws_finite_rows_of_batch_one():
     assert [key.label for key in plate.keys] == ["Euler", "RK4"]
     for panel in plate.panels:
         ElementTree.fromstring(svg.inline(panel, "p"))
+
+
+def test_speed_leaves_out_of_the_front_what_predicts_nothing():
+    row = {"runtime": "compiled", "batch": 1, "matches": None, "copies": None, "device": "cpu",
+           "median_us": 2.0, "p95_us": 3.0, "p999_us": 4.0, "max_us": 5.0}  # fmt: skip
+    rows = [row | {"predictor": "deeponet", "runtime": "fused", "dx": 0.1, "eps_sup": 0.01}]
+    rows += [row | {"predictor": "euler", "dx": dx, "eps_sup": eps} for dx, eps in ((0.1, 1e80), (0.01, 2.0))]
+    rows += [row | {"predictor": "euler", "dx": 0.001, "eps_sup": 0.008, "matches": "deeponet", "median_us": 20.0}]
+    front, grids, _ = figures.speed(rows).panels
+    assert front.alt == "Euler: 2 µs at error 2.0e+00; DeepONet, fused: 2 µs at error 1.0e-02."
+    assert "Euler: 2 µs at dx = 0.1, 2 µs at 0.01" in grids.alt
