@@ -88,6 +88,13 @@ def test_the_functional_of_the_proof_is_left_out_where_nothing_adapts():
         ElementTree.fromstring(svg.inline(panel, "p"))
 
 
+def test_the_line_of_theory_is_left_out_where_nothing_bounds_the_radius():
+    bounded, unbounded = figures.certificate(found()), figures.certificate(replace(found(), gain=None))
+    assert "110 ε" in bounded.caption and "ε" not in unbounded.caption
+    assert len(unbounded.keys) == len(bounded.keys) - 1
+    ElementTree.fromstring(svg.inline(unbounded.panels[0], "p"))
+
+
 def test_the_map_is_left_out_where_the_pipeline_asks_for_none_and_counts_what_is_lost():
     evidence = found(lost=True)
     alts = {panel.title.split(":")[0]: panel.alt for panel in figures.delays(evidence).panels}

@@ -12,6 +12,7 @@ from conftest import Call, document, one_line
 from jobs import job
 
 from npred import config
+from npred.config import FROZEN, PAPER
 from npred.figures.style import MEDIA
 from npred.stages import report, sentences
 from npred.stages.story import Story
@@ -132,15 +133,29 @@ def test_three_sentences_bear_the_numbers(reported, text):
     assert all(sentence.replace("'", "&#39;") in text for sentence in result["summary"])
 
 
+LOST = {"eps_sup": None, "mse": 0.25, "radius": {"cases": 20, "converged": 0.0, "median": None}}
+EVALUATED = {"held_out": 10, "models": dict.fromkeys(("numerical", "no_adaptation", "fno"), LOST)}
+
+
 def test_the_sentences_know_loops_that_are_lost_and_a_benchmark_without_networks():
-    row = {"eps_sup": 0.5, "mse": 0.25, "radius": {"cases": 20, "converged": 0.0, "median": None}}
-    evaluated = {"held_out": 10, "models": dict.fromkeys(("numerical", "no_adaptation", "fno"), row)}
-    said = sentences.summary(evaluated, {"rows": [], "crossover": []}, ["fno"])
-    assert (
-        "Of 20 closed loops" in said[1]
-        and "0 with the FNO (median radius ∞)" in said[1]
-        and said[2] == "No network was timed."
+    said = sentences.summary(EVALUATED, {"rows": [], "crossover": []}, ["fno"], PAPER)
+    assert said[0].endswith("is ∞ for the FNO (mean square 0.25).")
+    assert said[1] == (
+        "Of 20 closed loops with a delay that the controller does not know, 0 with the FNO (median radius ∞), "
+        "0 with the numerical predictor and 0 without adaptation converge."
     )
+    assert said[2] == "No network was timed."
+
+
+def test_the_sentences_know_delays_that_are_held_and_plants_without_a_published_predictor():
+    timed = {"predictor": "fno", "runtime": "torch", "batch": 1, "matches": None, "copies": None, "dx": 0.1,
+             "median_us": 200.0, "speedup_published": None}  # fmt: skip
+    said = sentences.summary(EVALUATED, {"rows": [timed], "crossover": []}, ["fno"], FROZEN)
+    assert said[1] == (
+        "Of 20 closed loops with the delay estimate held, 0 with the FNO (median radius ∞) and 0 with the numerical "
+        "predictor converge."
+    )
+    assert said[2] == "A call of the FNO, torch, takes 200.0 µs at dx = 0.1."
 
 
 def test_the_pipeline_can_be_copied_and_run_again(reported, text):

@@ -18,14 +18,16 @@ LEVELS = 9  # colours of that map
 def certificate(evidence: Evidence) -> Plate:
     """Error against radius with the line of theory, the distance to the target, and W(t) [DAPF, Theorem 3]."""
     radii = {name: row for name, row in evidence.models.items() if row["eps_kappa"] and row["radius"]["median"]}
+    gain, line, key = evidence.gain, "", ()
+    if gain is not None:  # None where an error that stays takes the linearised loop out of all bounds
+        line = f"; an error that stayed constant would move the end along the dotted line, {gain:.4g} ε"
+        key = (Key(f"constant error: {gain:.4g} ε", Look("muted", (1, 2))),)
     caption = (
-        "Radius: where loops end (filled: median over the cases, hollow: worst) over the error that control sees; an "
-        f"error that stayed constant would move the end along the dotted line, {evidence.gain:.4g} ε. Distance and W: "
-        "the loop of Fig. 1 on its way."
+        "Radius: where loops end (filled: median over the cases, hollow: worst) over the error that control sees"
+        f"{line}. Distance and W: the loop of Fig. 1 on its way."
     )
-    line = Key(f"constant error: {evidence.gain:.4g} ε", Look("muted", (1, 2)))
-    panels = (Panel("radius over ε κ", _told_radii(radii), partial(_radii, radii, evidence.gain)), *ends(evidence))
-    return Plate("certificate", "Error and radius", caption, panels, (*keys(evidence.loops), line))
+    panels = (Panel("radius over ε κ", _told_radii(radii), partial(_radii, radii, gain)), *ends(evidence))
+    return Plate("certificate", "Error and radius", caption, panels, (*keys(evidence.loops), *key))
 
 
 def errors(evidence: Evidence) -> Plate:
@@ -69,14 +71,14 @@ def box(evidence: Evidence) -> Plate:
     return Plate("box", "Over the states", caption, tuple(panels))
 
 
-def _radii(rows: dict[str, Any], gain: float, axis: Any) -> None:
+def _radii(rows: dict[str, Any], gain: float | None, axis: Any) -> None:
     for name, row in rows.items():
         eps, median, worst = row["eps_kappa"], row["radius"]["median"], row["radius"]["worst"]
         colour = look(name).colour
         axis.plot([eps, eps], [median, worst or np.nan], "-", color=colour, linewidth=1.0)
         axis.plot([eps], [median], "o", color=colour)
         axis.plot([eps], [worst or np.nan], "o", markerfacecolor=ROLES["paper"][0], markeredgecolor=colour)
-    if rows:
+    if rows and gain is not None:
         eps = [row["eps_kappa"] for row in rows.values()]
         span = np.array([min(eps) / 3, max(eps) * 3])
         axis.plot(span, gain * span, color=ROLES["muted"][0], linestyle=(0, (1, 2)), linewidth=1.2)

@@ -46,7 +46,7 @@ class Evidence:
     plant: Plant
     config: Evaluate
     models: dict[str, Any]
-    gain: float
+    gain: float | None
     loops: dict[str, Loop]
     X: np.ndarray
     D_hat: np.ndarray

@@ -32,8 +32,8 @@ def figure1(evidence: Evidence) -> Plate:
     ]
     where = "rest" if plant.rests else "the reference"
     caption = (
-        f"One closed loop from X(0) = {_vector(config.X0)} with D = {config.D:g} s, unknown to the controller, and "
-        f"D̂(0) = {config.D_hat0:g} s, run with each predictor. Grey and dotted: {where}, and the true delay."
+        f"One closed loop from X(0) = {_vector(config.X0)} with D = {config.D:g} s and D̂(0) = {config.D_hat0:g} s, run "
+        f"with each predictor. Grey and dotted: {where}, and the true delay."
     )
     return Plate("figure1", "The closed loop", caption, tuple(panels), keys(evidence.loops))
 

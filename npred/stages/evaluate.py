@@ -41,7 +41,7 @@ def run(job: Job) -> dict[str, Any]:
     result = {
         "plant": job.plant.name,
         "equilibrium": job.plant.equilibrium.tolist() if job.plant.rests else None,
-        "gain": metrics.gain(job.plant, config.case_t_end),
+        "gain": metrics.number(metrics.gain(job.plant, config.case_t_end)),
         "held_out": len(held_out.X),
         "fresh": len(fresh.X),
         "models": models,
@@ -136,7 +136,7 @@ def _row(
             "worst": metrics.number(radii.max()),
             "converged": float(metrics.converged(radii, target).mean()),
             "cases": len(radii),
-            "predicted": metrics.gain(plant, config.case_t_end) * errors["eps_kappa"],
+            "predicted": metrics.number(metrics.gain(plant, config.case_t_end) * errors["eps_kappa"]),
         },
         "settle_time": metrics.number(np.median(settle)),
         "settle_ratio": _median(settle[settled] / goal[settled]),

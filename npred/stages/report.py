@@ -30,7 +30,7 @@ def run(job: Job) -> dict[str, Any]:
     Inline SVG, style and script; nothing is loaded. Its three sentences are in the result.
     """
     story = Story.read(job.config, job.plant, job.inputs)
-    said = sentences.summary(story.evaluated, story.benched, sorted(story.trained))
+    said = sentences.summary(story.evaluated, story.benched, sorted(story.trained), job.config.evaluate.adaptation)
     page = _page(story, said, job)
     (job.folder / NAME).write_text(page, encoding="utf-8")
     return {"summary": said, "bytes": len(page.encode())}
@@ -83,7 +83,7 @@ def _pictures(plate: Plate, bar: Bar) -> list[str]:
 
 def _about(job: Job) -> str:
     plant, config = job.plant, job.config.evaluate
-    delay = f"D = {config.D:g} s, unknown to the controller"
+    delay = f"D = {config.D:g} s, {sentences.of_delay(config.adaptation)}"
     return f"{plant.name}: states {', '.join(plant.states)}; input {', '.join(plant.inputs)}; {delay}"
 
 

@@ -2,31 +2,38 @@
 
 from typing import Any
 
+from npred.config import FROZEN
 from npred.figures.latency import label
 from npred.figures.style import short, words
 
 Row = dict[str, Any]
 
 
-def summary(evaluated: Row, benched: Row, networks: list[str]) -> list[str]:
+def summary(evaluated: Row, benched: Row, networks: list[str], adaptation: str) -> list[str]:
     """The three, each with its numbers."""
-    return [_errors(evaluated, networks), _loops(evaluated["models"], networks), _speed(benched, networks)]
+    return [_errors(evaluated, networks), _loops(evaluated["models"], networks, adaptation), _speed(benched, networks)]
+
+
+def of_delay(adaptation: str) -> str:
+    """What a loop under that law knows of its delay."""
+    return "with the delay estimate held" if adaptation == FROZEN else "with a delay that the controller does not know"
 
 
 def _errors(evaluated: Row, networks: list[str]) -> str:
     rows = {words(name): evaluated["models"][name] for name in networks}
-    found = [f"{row['eps_sup']:.2g} for the {name} (mean square {short(row['mse'])})" for name, row in rows.items()]
+    found = [f"{short(row['eps_sup'])} for the {name} (mean square {short(row['mse'])})" for name, row in rows.items()]
     return f"On {evaluated['held_out']:,} held-out samples the largest error of a prediction is {' and '.join(found)}."
 
 
-def _loops(models: dict[str, Row], networks: list[str]) -> str:
+def _loops(models: dict[str, Row], networks: list[str], adaptation: str) -> str:
     found = [f"{_home(models[n])} with the {words(n)} (median radius {short(models[n]['radius']['median'])})"
              for n in networks]  # fmt: skip
-    frozen = f"{_home(models['numerical'])} with the numerical predictor, and {_home(models['no_adaptation'])} without"
-    return (
-        f"Of {models['numerical']['radius']['cases']} closed loops with a delay that the controller does not know, "
-        f"{', '.join(found)}, {frozen} adaptation converge."
-    )
+    found.append(f"{_home(models['numerical'])} with the numerical predictor")
+    if adaptation != FROZEN:
+        found.append(f"{_home(models['no_adaptation'])} without adaptation")
+    *first, last = found
+    cases = models["numerical"]["radius"]["cases"]
+    return f"Of {cases} closed loops {of_delay(adaptation)}, {', '.join(first)} and {last} converge."
 
 
 def _home(row: Row) -> int:
@@ -41,8 +48,9 @@ def _speed(benched: Row, networks: list[str]) -> str:
     if not mine:
         return "No network was timed."
     row = min(mine, key=lambda row: row["median_us"])
-    over = f"{row['speedup_published']:,.0f} times faster than the published predictor"
-    text = f"A call of the {label(row)}, takes {row['median_us']:.1f} µs at dx = {finest:.3g}, {over}"
+    ratio = row["speedup_published"]  # None where inputs have delays of their own, which that predictor has no word for
+    over = "" if ratio is None else f", {ratio:,.0f} times faster than the published predictor"
+    text = f"A call of the {label(row)}, takes {row['median_us']:.1f} µs at dx = {finest:.3g}{over}"
     return f"{text}{_against_numerics(benched, row['predictor'])}."
 
 
