@@ -51,7 +51,7 @@ class Floats:
 
 @given(VALUES, VALUES)
 def test_program_equals_function(x, y):
-    np.testing.assert_allclose(traced(mixture)(x, y), mixture(x, y, Floats), rtol=1e-13)
+    np.testing.assert_allclose(traced(mixture)(x, y), mixture(x, y, Floats), rtol=1e-13, atol=1e-13)
 
 
 @given(VALUES, VALUES, st.floats(-1, 1), st.floats(-1, 1))
@@ -61,6 +61,21 @@ def test_derivative_equals_central_difference(x, y, vx, vy):
     np.testing.assert_allclose(
         traced(mixture, derivative=True)(x, y, vx, vy), (ahead - behind) / (2 * h), rtol=1e-6, atol=1e-6
     )
+
+
+@pytest.mark.parametrize("above", [lambda x, y: M.cos(x - y), lambda x, y: 0.0], ids=["node of its own", "zero"])
+def test_derivative_of_a_solution_reads_what_the_solution_reads(above):
+    """Equal to the derivative by Cramer's rule, whatever stands above the diagonal."""
+
+    def solved(x, y, M):
+        return M.solve([[2 + x * x, above(x, y)], [M.cos(y - x), 3.0]], [x, M.sin(y)])
+
+    def cramer(x, y, M):
+        a, b, c = 2 + x * x, M.cos(y - x), M.sin(y)
+        return [(3 * x - b * c) / (3 * a - b * b), (a * c - b * x) / (3 * a - b * b)]
+
+    found, wanted = (traced(function, derivative=True)(0.7, 1.9, 1.0, -0.5) for function in (solved, cramer))
+    np.testing.assert_allclose(found, wanted, rtol=1e-13)
 
 
 def test_equal_operations_are_stored_once():

@@ -133,8 +133,10 @@ class Solution:
     inverse: list[Any]
 
     def tangent(self, tangents: dict[int, Any]) -> dict[int, Any]:
-        """A dy = db - dA y: the tangents of y's nodes."""
-        turned = [linear.total(_tangent(a, tangents) * y for a, y in zip(row, self.y, strict=True)) for row in self.A]
+        """A dy = db - dA y: the tangents of y's nodes. Of A those on and below the diagonal, which gave the factors."""
+        size = range(len(self.y))
+        dA = [[_tangent(self.A[max(i, j)][min(i, j)], tangents) for j in size] for i in size]
+        turned = [linear.total(a * y for a, y in zip(row, self.y, strict=True)) for row in dA]
         right = [_tangent(b, tangents) - a for b, a in zip(self.b, turned, strict=True)]
         found = linear.back(self.L, self.inverse, right)
         return {y.index: dy for y, dy in zip(self.y, found, strict=True) if isinstance(y, Symbol)}
@@ -298,7 +300,7 @@ class Mathematics:
         return _apply("where", condition, a, b)
 
     def solve(self, A: Sequence[Vector], b: Vector) -> list[Any]:
-        """y of A y = b for a symmetric positive definite A, given as rows."""
+        """y of A y = b for a symmetric positive definite A, given as rows; above its diagonal nothing is read."""
         tape = next((a.tape for row in [*A, b] for a in row if isinstance(a, Symbol)), None)
         return linear.solve([list(row) for row in A], list(b)) if tape is None else tape.solve(A, b)
 
