@@ -28,16 +28,7 @@ def arm(links: int) -> type:
         return [*x[links:], *M.solve(inertia, [torques[i] - torques[i + 1] - loads[i] - drag[i] for i in range(links)])]
 
     def kappa(x: Any, t: Any, p: Any, M: Any) -> list[Any]:
-        goal, speed, wanted = _motion(t, p, M, links)
-        errors = [x[i] - goal[i] for i in range(links)]
-        for i in range(links):
-            wanted[i] = wanted[i] - p.stiffness * errors[i] - p.damping * (x[links + i] - speed[i])
-        inertia, loads = _mechanics(x, p, M, links)
-        drag = [p.friction * (speed[i] - 0.5 * p.damping * errors[i]) for i in range(links)]
-        forces = [
-            loads[i] + drag[i] + total(a * b for a, b in zip(inertia[i], wanted, strict=True)) for i in range(links)
-        ]
-        return [total(forces[i:]) for i in range(links)]
+        return _computed_torque(x, t, p, M, links)
 
     def V(x: Any, t: Any, p: Any, M: Any) -> Any:
         return total((a - b) * (a - b) for a, b in zip(x, reference(t, p, M), strict=True))
@@ -55,6 +46,18 @@ def arm(links: int) -> type:
         "box": {name: (0.3 * i, 0.3 * i + 0.6) for i, name in enumerate(angles)} | dict.fromkeys(rates, (-0.3, 0.3)),
         "f": staticmethod(f), "kappa": staticmethod(kappa), "V": staticmethod(V), "reference": staticmethod(reference),
     })  # fmt: skip
+
+
+def _computed_torque(x: Any, t: Any, p: Any, M: Any, links: int) -> list[Any]:
+    """The joints' torques that move the arm as wanted."""
+    goal, speed, wanted = _motion(t, p, M, links)
+    errors = [x[i] - goal[i] for i in range(links)]
+    for i in range(links):
+        wanted[i] = wanted[i] - p.stiffness * errors[i] - p.damping * (x[links + i] - speed[i])
+    inertia, loads = _mechanics(x, p, M, links)
+    drag = [p.friction * (speed[i] - 0.5 * p.damping * errors[i]) for i in range(links)]
+    forces = [loads[i] + drag[i] + total(a * b for a, b in zip(inertia[i], wanted, strict=True)) for i in range(links)]
+    return [total(forces[i:]) for i in range(links)]
 
 
 def _motion(t: Any, p: Any, M: Any, links: int) -> tuple[list[Any], list[Any], list[Any]]:
