@@ -52,6 +52,29 @@ def several_inputs() -> tuple[plants.Plant, Arrays]:
     return plants.Plant("two", Two), Arrays(X, u, D_hat, random.normal(size=(4, 11, 3)))
 
 
+def holding() -> tuple[plants.Plant, Arrays]:
+    """A plant that tracks a reference which stands still, X = 0.5, by a law that depends on time, and random rows."""
+
+    class Holding:
+        states, inputs, box = ("X",), ("U",), {}
+
+        def f(x, u, t, p, M):
+            return [u.U - x.X]
+
+        def kappa(x, t, p, M):
+            return [0.5 - (2 + M.sin(t)) * (x.X - 0.5)]
+
+        def V(x, t, p, M):
+            return (x.X - 0.5) ** 2
+
+        def reference(t, p, M):
+            return [0.5]
+
+    random = np.random.default_rng(0)
+    X, u, D_hat = random.normal(size=(4, 1)), random.normal(size=(4, 11, 1)), random.uniform(0.3, 2, 4)
+    return plants.Plant("holding", Holding), Arrays(X, u, D_hat, random.normal(size=(4, 11, 1)))
+
+
 def operator(config: Training, seed: int = 0, **changes: object) -> Operator:
     """An untrained operator of the activator-repressor plant."""
     torch.manual_seed(seed)

@@ -5,7 +5,7 @@ import copy
 import numpy as np
 import pytest
 import torch
-from operator_samples import PLANT, SMALL, operator, samples, several_inputs
+from operator_samples import PLANT, SMALL, holding, operator, samples, several_inputs
 
 import npred
 from npred.config import FNO, DeepONet
@@ -121,6 +121,17 @@ def test_several_inputs():
             Neural(plant, model, 11)(data.X, data.u, data.D_hat),
             rtol=1e-5, atol=1e-5,
         )  # fmt: skip
+
+
+@pytest.mark.parametrize("config", SMALL, ids=lambda config: type(config).__name__)
+def test_a_plant_that_tracks_what_stands_still_has_a_point_of_rest(config):
+    plant, data = holding()
+    torch.manual_seed(0)
+    model = build(config, plant, Scaling.of(data))
+    fused, torch_model = Fused(plant, model, 11), Neural(plant, copy.deepcopy(model), 11)
+    found, wanted = (run(data.X, data.u, data.D_hat) for run in (fused, torch_model))
+    np.testing.assert_allclose(found, wanted, rtol=1e-5, atol=1e-5)
+    np.testing.assert_allclose(fused([0.5], np.full((11, 1), 0.5), 1.3), np.full((11, 1), 0.5), rtol=1e-6)
 
 
 def test_lanes_give_what_single_calls_give():

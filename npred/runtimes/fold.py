@@ -35,7 +35,7 @@ def fold(operator: Operator, plant: Plant, nx: int, stride: int = 1, precision: 
     paired = operator.anchor == "equilibrium" and isinstance(operator.network, DeepONetwork)
     rows, stride = 2 if paired else 1, stride if isinstance(operator.network, FNOnetwork) else 1
     p = Program(plant.n, plant.m, nx, rows, stride, precision)
-    _inputs(p, operator, plant)
+    _inputs(p, operator)
     NETWORKS[type(operator.network)](p, operator)
     scaling = operator.scaling
     if operator.anchor == "none":
@@ -49,19 +49,19 @@ def fold(operator: Operator, plant: Plant, nx: int, stride: int = 1, precision: 
 def _exact(operator: Operator, plant: Plant) -> Operator:
     """A copy in double precision, the point of rest too."""
     operator = copy.deepcopy(operator).double()
-    if operator.anchor == "equilibrium":
-        operator.X_rest.copy_(torch.as_tensor(plant.equilibrium))
-        operator.u_rest.copy_(torch.as_tensor(plant.u_equilibrium))
+    if operator.anchor == "equilibrium" and plant.rest:
+        operator.X_rest.copy_(torch.as_tensor(plant.rest[0]))
+        operator.u_rest.copy_(torch.as_tensor(plant.rest[1]))
     return operator
 
 
-def _inputs(p: Program, operator: Operator, plant: Plant) -> None:
+def _inputs(p: Program, operator: Operator) -> None:
     """How the inputs are scaled, and where z and v are zero: at rest, or at the mean of the data."""
     scaling, rests = operator.scaling, operator.anchor == "equilibrium"
     X_bend, X_mean, X_std = (scaling.get_buffer(f"X_{part}").numpy() for part in ("bend", "mean", "std"))
     u_mean, u_std = scaling.u_mean.numpy(), scaling.u_std.numpy()
-    X_zero = np.arcsinh(plant.equilibrium / X_bend) if rests else X_mean
-    u_zero = plant.u_equilibrium if rests else u_mean
+    X_zero = np.arcsinh(operator.X_rest.numpy() / X_bend) if rests else X_mean
+    u_zero = operator.u_rest.numpy() if rests else u_mean
     for name, values in {
         "X_bend": 1 / X_bend, "X_zero": X_zero, "X_gain": 1 / X_std, "u_zero": u_zero, "u_gain": 1 / u_std,
         "D_hat_zero": scaling.D_hat_mean.numpy(), "D_hat_gain": 1 / scaling.D_hat_std.numpy(),
