@@ -60,8 +60,13 @@ def checks(plant: Plant, data: Dataset) -> dict[str, Any]:
 
     start: sup |P(0) - X|. residual: sup over samples and nodes of |P(x) - X - D_hat ∫₀ˣ f(P, u) dy|, the integral by
     the trapezoidal rule. relative: the root of its mean square over that of P - X. horizon: the share a of D_hat that
-    fits P - X = a D_hat ∫ f best; 1 - dx where the last node is x = 1 - dx.
+    fits P - X = a D_hat ∫ f best; 1 - dx where the last node is x = 1 - dx. NaN where f leaves the finite numbers.
     """
+    with np.errstate(all="ignore"):
+        return _checks(plant, data)
+
+
+def _checks(plant: Plant, data: Dataset) -> dict[str, Any]:
     integral = _integral(plant, data)
     moved = data.P - data.X[:, None]
     residual = moved - integral
@@ -101,14 +106,13 @@ def together(data: Dataset) -> float:
 def read(path: Path) -> np.ndarray:
     """The matrix of an .npy file as float64. Raises ConfigError for anything else; pickles are not opened."""
     try:
-        array = np.load(
-            path, mmap_mode="r", allow_pickle=False
-        )  # mapped, the size promised is checked against the file
-    except (OSError, ValueError, EOFError) as error:
-        raise ConfigError(f"{path}: expected an .npy file of numbers, got: {error}; check the path") from None
-    kind = getattr(getattr(array, "dtype", None), "kind", "?")
-    if not isinstance(array, np.ndarray) or array.ndim < 2 or kind not in "fiu":
-        found = f"{array.dtype} {array.shape}" if isinstance(array, np.ndarray) else type(array).__name__
+        with np.errstate(over="ignore"):
+            array = np.lib.format.open_memmap(path, mode="r")  # mapped: the size promised is checked
+    except Exception as error:  # the header is read as Python's literals, and what is none fails in many ways
+        told = " ".join(str(error).split()) or type(error).__name__
+        raise ConfigError(f"{path}: expected an .npy file of numbers, got: {told}; check the path") from None
+    if array.ndim < 2 or not array.size or array.dtype.kind not in "fiu":
+        found = f"{array.dtype} {array.shape}"
         raise ConfigError(f"{path}: expected a matrix of numbers, one row a sample, got {found}; save it with np.save")
     return np.array(array, dtype=float).reshape(len(array), -1)
 

@@ -24,6 +24,7 @@ epochs = 1
 width = 8
 depth = 1
 """
+BENCH = ("--set", "bench.dx=[0.1]", "--set", "bench.calls=5", "--set", "bench.batches=[1]")
 SIMULATED = "samples = 200\nrollouts = 10\nt_end = 10.0\ndt = 0.01\nnx = 21"
 
 
@@ -69,9 +70,18 @@ def test_npy_out_and_in_again_is_the_same_data_and_trains(call):
     stages = document(call("train", "theirs.toml", "--json"))
     assert stages["result"]["deeponet"]["samples"] == 180
     assert {row["action"] for row in document(call("train", "theirs.toml", "--json"))["stages"]} == {"hit"}
+    timed = document(call("bench", "theirs.toml", "--json", *BENCH))["result"]["rows"]
+    assert {row["predictor"] for row in timed} >= {"rk4", "deeponet"} and timed[0]["eps_sup"] > 0
     Path("data.h5").rename("elsewhere.h5")
     moved = document(call("train", "theirs.toml", "--json", "--set", "generate.data=elsewhere.h5"))
     assert {row["action"] for row in moved["stages"]} == {"hit"}, "what the file holds counts, not where it lies"
+
+
+def test_bench_without_a_sample_after_the_first_delay_says_so(call):
+    short = ("--set", "generate.t_end=0.5", "--set", "generate.nx=6")
+    done = call("bench", "p.toml", *short, *BENCH)
+    assert done.exit_code == 2
+    assert "expected held-out samples after the first delay, got 20 before it" in done.stderr.splitlines()[-1]
 
 
 def test_people_are_told_what_holds_and_what_to_do(call):
@@ -93,6 +103,17 @@ def test_doubts_are_warned_of(call):
     assert "x2: P = X + D_hat ∫ f(P, u) leaves" in warned
     assert "do the nodes end at x = 1?" in warned
     assert "the rows look shuffled" in warned
+
+
+def test_what_is_no_number_is_doubted_and_written_as_none(call):
+    """The square of what P moves leaves the finite numbers, and a NaN is above no limit."""
+    call("export", "npy", "generate")
+    outputs = np.load("data-outputs.npy")
+    outputs[3, -1] = 1e200
+    np.save("data-outputs.npy", outputs)
+    done = call("import", "npy", "data-inputs.npy", "data-outputs.npy", "--json")
+    assert document(done)["checks"]["relative"]["x2"] is None
+    assert "x2: P = X + D_hat ∫ f(P, u) leaves" in done.stderr and "Warning" not in done.stderr
 
 
 def test_hdf5_and_mat_hold_every_array(call):

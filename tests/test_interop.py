@@ -132,10 +132,23 @@ def test_files_that_are_no_matrix_of_numbers_are_told(tmp_path):
         lambda: np.save(path, np.array([["a", "b"]])),
         lambda: np.savez(path.open("wb"), a=np.zeros((2, 2))),
         lambda: cut_short(path),
+        lambda: np.save(path, np.zeros((0, 4))),
+        lambda: path.write_bytes(b"PK\x03\x04 cut short"),
+        lambda: with_header(path, b"{'shape': (("),
+        lambda: with_header(path, b"{'descr': '<f8', 'fortran_order': False, 'shape': (%d, 4)}" % 2**62),
+        lambda: with_header(path, b"{'descr': '<f8', 'fortran_order': False, 'shape': (%d, 4)}" % 2**70),
+        lambda: with_header(path, b"{'descr': '<f8', 'fortran_order': False, 'shape': (-2, 4)}"),
+        lambda: with_header(path, b"{'descr': '<f8', 'fortran_order': False, 'shape': " + b"(" * 5000),
+        lambda: with_header(path, b"{'descr': [['<f8']], 'fortran_order': False, 'shape': (2, 4)}"),
+        lambda: with_header(path, b"{'descr': '<f8', 'fortran_order': 3, 'shape': (2, 4)}"),
+        lambda: with_header(path, b"{'descr': '<f8', 'fortran_order': False, 'shape': 4}"),
+        lambda: with_header(path, b"{[]: 3}"),
+        lambda: with_header(path, b" " * 20000),
     ):
         write()
-        with pytest.raises(ConfigError, match=r"a\.npy: expected"):
+        with pytest.raises(ConfigError, match=r"a\.npy: expected") as caught:
             interop.read(path)
+        assert len(str(caught.value).splitlines()) == 1
     with pytest.raises(ConfigError, match="No such file"):
         interop.read(tmp_path / "none.npy")
 
@@ -144,3 +157,8 @@ def cut_short(path):
     """A header that promises more than the file holds, as a hostile one would."""
     np.save(path, np.zeros((1000, 8)))
     path.write_bytes(path.read_bytes()[:200])
+
+
+def with_header(path, header):
+    """An .npy file of version 1 with that header and a few bytes of data."""
+    path.write_bytes(b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header + bytes(64))

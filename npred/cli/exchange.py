@@ -7,10 +7,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from npred import interop, plants, shards
-from npred.cli.options import Common
+from npred.cli.options import Common, writable
 from npred.dataset import MEANING, Dataset, attributes
 from npred.errors import ConfigError, MissingError
 from npred.pipeline import load_data
+from npred.pipeline.runner import plain
 
 RELATIVE = 0.05  # residual over what P moves: Euler's method leaves a third of it at dx = 0.01
 CELL = 0.5  # of a cell of the grid: by how much the delay that fits best may be off
@@ -39,18 +40,16 @@ def bring(options: Common, form: str, given: Given) -> None:
     found = {"checks": interop.checks(plant, data), "splits": _splits(data, given.rollouts)}
     for line in _doubts(found, data.u.shape[1]):
         options.console.warn(line)
-    _writable(given.output)
-    data.write(given.output, attributes(plant, "imported"))
+    data.write(writable(given.output), attributes(plant, "imported"))
     document = {"file": str(given.output), "plant": plant.name, "samples": len(data), "nx": data.u.shape[1], **found}
-    options.show(document, lambda: _told(document))
+    options.show(plain(document), lambda: _told(document))
 
 
 def export(options: Common, form: str, spec: str, output: Path | None) -> None:
     """Write the samples of a generate artifact. Raises ConfigError where there is none, MissingError without scipy."""
     artifact = load_data(spec, options.store)
     data = Dataset.read(artifact.folder / "data.h5")
-    path = output or Path(f"data.{'h5' if form == 'hdf5' else form}")
-    _writable(path)
+    path = writable(output or Path(f"data.{'h5' if form == 'hdf5' else form}"))
     files = WRITERS[form](artifact.folder / "data.h5", data, path)
     document = {"files": [str(file) for file in files], "format": form, "samples": len(data), "key": artifact.name}
     options.show(document, lambda: f"{', '.join(document['files'])}: {len(data)} samples of {artifact.name}")
@@ -83,11 +82,6 @@ def _mat(source: Path, data: Dataset, path: Path) -> list[Path]:
 WRITERS: dict[str, Callable[[Path, Dataset, Path], list[Path]]] = {"npy": _npy, "hdf5": _hdf5, "mat": _mat}
 
 
-def _writable(path: Path) -> None:
-    if not path.parent.is_dir() or path.is_dir():
-        raise ConfigError(f"{path}: expected a file that can be written, in a folder that is there; make {path.parent}")
-
-
 def _splits(data: Dataset, rollouts: int | None) -> dict[str, Any]:
     """Both splits: the rows held out, and how near the nearest training row is."""
     _, test = interop.split(len(data), None)
@@ -103,9 +97,9 @@ def _doubts(found: dict[str, Any], nx: int) -> list[str]:
     lines = [
         f"{state}: P = X + D_hat ∫ f(P, u) leaves {100 * relative:.3g} % of what P moves: is it another plant?"
         for state, relative in checks["relative"].items()
-        if relative > RELATIVE
+        if not relative <= RELATIVE
     ]
-    if abs(checks["horizon"] - 1) > CELL / (nx - 1):
+    if not abs(checks["horizon"] - 1) <= CELL / (nx - 1):
         lines.append(
             f"P fits {checks['horizon']:.4f} D_hat better: do the nodes end at x = 1? Expected linspace(0, 1, nx)"
         )

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from npred import operators, shards
 from npred.cli import exchange
-from npred.cli.options import Common
+from npred.cli.options import Common, writable
 from npred.errors import ConfigError
 from npred.pipeline import Stored, load_model
 from npred.runtimes import c, onnx
@@ -38,9 +38,7 @@ def export(options: Common, wanted: Wanted) -> None:
             f"--nx: expected at least 2 nodes, both ends of [0, 1], got {wanted.nx}; dx = 0.01 is nx = 101"
         )
     stored = load_model(wanted.key, options.store)
-    path = wanted.output or Path(f"{stored.model}-{wanted.nx}.{wanted.form}")
-    if not path.parent.is_dir() or path.is_dir():
-        raise ConfigError(f"{path}: expected a file that can be written, in a folder that is there; make {path.parent}")
+    path = writable(wanted.output or Path(f"{stored.model}-{wanted.nx}.{wanted.form}"))
     operator = operators.load(stored.folder, stored.plant, stored.snapshot)
     samples = _samples(options, stored, COMPARED[wanted.form], wanted.nx)
     document = {"file": str(path), "format": wanted.form, "model": stored.model, "nx": wanted.nx}

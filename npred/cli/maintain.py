@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from npred import devices
-from npred.cli.options import Common
+from npred.cli.options import Common, writable
 from npred.console import columns
-from npred.errors import ConfigError, StoreError
+from npred.errors import StoreError
 from npred.store import Artifact, Store, archive
 
 PACKAGES = (
@@ -52,9 +52,7 @@ def verify(options: Common) -> None:
 def export_artifact(options: Common, reference: str, output: Path | None) -> None:
     """One result as one tar. Raises ConfigError for a file that cannot be, StoreError for a corrupt result."""
     artifact = options.results.find(reference)
-    path = output or Path(artifact.name.replace("/", "-") + ".tar")
-    if not path.parent.is_dir() or path.is_dir():
-        raise ConfigError(f"{path}: expected a file that can be written, in a folder that is there; make {path.parent}")
+    path = writable(output or Path(artifact.name.replace("/", "-") + ".tar"))
     archive.export(artifact, path)
     document = {"file": str(path), "artifact": artifact.name, "digest": artifact.manifest.digest}
     options.show(document, lambda: f"{path}: {artifact.name}, {artifact.size / 1e6:.1f} MB, with its digests")

@@ -11,6 +11,7 @@ import typer
 
 from npred import places
 from npred.console import Console
+from npred.errors import ConfigError
 
 if TYPE_CHECKING:  # pydantic and filelock come with these, which `npred --help` has no use for
     from npred.config import Pipeline
@@ -92,6 +93,13 @@ class Work(Running):
     tensorboard: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Write the epochs of trainings as event files there.")
     ] = None
+
+
+def writable(path: Path) -> Path:
+    """The path. Raises ConfigError where no file can be written there."""
+    if not path.parent.is_dir() or path.is_dir():
+        raise ConfigError(f"{path}: expected a file that can be written, in a folder that is there; make {path.parent}")
+    return path
 
 
 def parameters(options: type[Common]) -> list[inspect.Parameter]:

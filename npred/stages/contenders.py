@@ -10,6 +10,7 @@ import numpy as np
 from npred import devices, grid, operators, randomness, runtimes
 from npred.config import Bench
 from npred.dataset import Dataset
+from npred.errors import ConfigError
 from npred.operators import Operator
 from npred.plants import Plant
 from npred.predictors import METHODS, RK4, Compiled, Euler, Heun, Predictor
@@ -56,11 +57,17 @@ class Reference:
     """Held-out samples with their P on a fine grid, to take any predictor's error on.
 
     Only samples after the first delay: before, u jumps from its past to the first control, and there every scheme is of
-    first order, so that no row would show what it can do.
+    first order, so that no row would show what it can do. Imported samples do not say when they are: all are taken.
+    Raises ConfigError where no sample is left.
     """
 
     def __init__(self, plant: Plant, test: Dataset) -> None:
-        later = np.flatnonzero(test.t > test.D)
+        later = np.flatnonzero(~(test.t <= test.D))
+        if not len(later):
+            raise ConfigError(
+                f"bench: expected held-out samples after the first delay, got {len(test)} before it; lengthen "
+                "generate.t_end"
+            )
         rows = later[np.linspace(0, len(later) - 1, min(PROBES, len(later))).astype(int)]
         self.plant, self.X, self.u = plant, test.X[rows], test.u[rows]
         self.D_hat, self.t = test.D_hat[rows], test.t[rows]
