@@ -83,7 +83,8 @@ def test_ls_shows_what_sets_the_results_of_a_sweep_apart(sweep: Call, call: Call
 def test_where_a_sweep_ends(sweep: Call, fakes: Path):
     found = document(sweep(*GRID, "--to", "train", "--json"))
     assert runs(fakes).keys() == {"generate:", "train:deeponet", "train:fno"}
-    assert {row["model"] for row in found["rows"]} == {"deeponet", "fno"}
+    keys = {s["model"]: f"train/{s['key'][:12]}" for s in found["cells"][0]["stages"] if s["stage"] == "train"}
+    assert {row["model"]: row["artifact"] for row in found["rows"][:2]} == keys
     assert document(sweep(*GRID, "--to", "generate", "--json"))["rows"] == []
     sweep(*GRID, "--to", "bench")
     assert runs(fakes)["bench:"] > 0

@@ -7,20 +7,20 @@ from npred.pipeline.sweep import Progress
 from npred.pipeline.table import STAGES
 
 REFERENCES = ("numerical", "no_adaptation")
-FIGURES = ("mse", "eps_sup", "eps_kappa", "radius", "radius_worst", "converged", "latency_us")
 
 
 def rows(progress: Progress) -> Iterator[dict[str, Any]]:
     """The cell's values, the network, its errors, radius and latency, and the artifact that says so.
 
-    Errors and radius are of the evaluate stage, or of training where that is all that ran; the latency, in µs, is the
-    fastest runtime's for one call at the bench stage's first dx.
+    Errors and radius are of the evaluate stage, or of the network's own training where that is all that ran; the
+    latency, in µs, is the fastest runtime's for one call at the bench stage's first dx.
     """
-    answers = {name: made.artifact.result() for name, made in progress.made.items() if made.artifact}
-    last = next(made.artifact for made in reversed(progress.made.values()) if made.artifact)
+    artifacts = {name: made.artifact for name, made in progress.made.items() if made.artifact}
+    answers = {name: artifact.result() for name, artifact in artifacts.items()}
     for model, found in _models(progress, answers).items():
         figures = _figures(found) | {"latency_us": _latency(answers.get("bench", {}), model, progress)}
-        yield {**progress.cell.values, "model": model, **figures, "artifact": last.name}
+        source = list(artifacts)[-1] if "evaluate" in answers else model
+        yield {**progress.cell.values, "model": model, **figures, "artifact": artifacts[source].name}
 
 
 def _models(progress: Progress, answers: Mapping[str, Any]) -> dict[str, Any]:
