@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from threading import Event, Thread
 from xml.etree import ElementTree
 
 import numpy as np
@@ -136,6 +137,38 @@ def test_files_for_papers_have_their_width_and_the_same_bytes_again(tmp_path, me
     for form in ("svg", "pdf", "png"):
         assert (tmp_path / f"a/some.{form}").read_bytes() == (tmp_path / f"b/some.{form}").read_bytes()
     assert f'width="{MEDIA[medium].width * 72:g}pt"' in (tmp_path / "a/some.svg").read_text()
+
+
+def test_threads_that_draw_at_once_leave_each_other_alone(tmp_path):
+    """A thread comes into its medium while another one is in the middle of drawing in its own."""
+    inside, gone = Event(), Event()
+
+    def draw(axis):
+        inside.set()
+        gone.wait(0.2)
+        axis.plot([0, 1], [0, 1])
+
+    def other():
+        inside.wait()
+        plain("b")
+        gone.set()
+
+    def plain(name):
+        write(Plate("some", "Some", "Some.", (Panel("b", "B.", lambda axis: axis.plot([1, 0])),)), room(name))
+
+    def room(name):
+        (tmp_path / name).mkdir()
+        return tmp_path / name
+
+    thread = Thread(target=other)
+    thread.start()
+    write(Plate("some", "Some", "Some.", (Panel("a", "A.", draw),)), room("a"), MEDIA["slides"])
+    thread.join()
+    write(Plate("some", "Some", "Some.", (Panel("a", "A.", draw),)), room("again"), MEDIA["slides"])
+    plain("b again")
+    for form in ("svg", "png"):
+        assert (tmp_path / f"a/some.{form}").read_bytes() == (tmp_path / f"again/some.{form}").read_bytes()
+        assert (tmp_path / f"b/some.{form}").read_bytes() == (tmp_path / f"b again/some.{form}").read_bytes()
 
 
 def test_drawing_leaves_the_settings_of_matplotlib_alone(tmp_path):

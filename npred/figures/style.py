@@ -4,6 +4,7 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -85,11 +86,12 @@ MEDIA = {
     "ieee2": Style(7.16, 3, 8, "STIXGeneral", 1.75),
     "slides": Style(12.8, 3, 15, "DejaVu Sans", 3.2),
 }
+_TURN = Lock()  # matplotlib's settings are the process's
 
 
 @contextmanager
 def medium(style: Style) -> Iterator[None]:
-    """matplotlib as the style wants it, and as it was afterwards."""
+    """matplotlib as the style wants it, for one thread at a time, and as it was afterwards."""
     import matplotlib
 
     ink, muted, grid = (ROLES[role][0] for role in ("ink", "muted", "grid"))
@@ -126,7 +128,7 @@ def medium(style: Style) -> Iterator[None]:
         "figure.facecolor": "none",
         "axes.facecolor": "none",
     }
-    with matplotlib.rc_context(settings):
+    with _TURN, matplotlib.rc_context(settings):
         yield
 
 
