@@ -10,14 +10,15 @@ from typing import TYPE_CHECKING, Any, TypeVar
 if TYPE_CHECKING:
     import torch
 
+LAUNCHED = "TORCHELASTIC_RUN_ID"  # torchrun says so; a WORLD_SIZE alone may be anybody's
 PATIENCE = timedelta(days=7)  # the helpers wait while rank 0 makes the data; torchrun ends them where it fails
 Module = TypeVar("Module", bound="torch.nn.Module")
 _TURN, _BUSY = Lock(), Event()  # one training after the other, whatever the threads of rank 0
 
 
 def count() -> int:
-    """How many processes there are: torchrun's WORLD_SIZE, 1 without it."""
-    return int(os.environ.get("WORLD_SIZE", "1"))
+    """How many processes there are: torchrun's WORLD_SIZE, 1 without torchrun."""
+    return int(os.environ["WORLD_SIZE"]) if LAUNCHED in os.environ else 1
 
 
 def number() -> int:

@@ -47,6 +47,7 @@ TWO = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-p
 def test_weighted_parts_make_the_mean_of_the_batch(rows, count, seed):
     losses, found, taken = np.random.default_rng(seed).normal(size=rows), 0.0, []
     with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(ranks.LAUNCHED, "run")
         patch.setenv("WORLD_SIZE", str(count))
         for rank in range(count):
             patch.setenv("RANK", str(rank))
@@ -56,9 +57,11 @@ def test_weighted_parts_make_the_mean_of_the_batch(rows, count, seed):
     assert found == pytest.approx(losses.mean(), abs=1e-12) and sorted(taken) == list(range(rows))
 
 
-def test_one_process_is_as_ever(monkeypatch):
-    monkeypatch.delenv("WORLD_SIZE", raising=False)
+@pytest.mark.parametrize("world", ["", "2", "many"])
+def test_one_process_is_as_ever(monkeypatch, world):
+    monkeypatch.delenv(ranks.LAUNCHED, raising=False)
     monkeypatch.setenv("RANK", "3")  # other launchers set it too
+    monkeypatch.setenv("WORLD_SIZE", world)
     assert (ranks.count(), ranks.number(), ranks.device("cuda")) == (1, 0, "cuda")
     assert ranks.part(7) == (slice(0, None, 1), 1.0)
     module = object()
@@ -68,7 +71,7 @@ def test_one_process_is_as_ever(monkeypatch):
 
 
 def test_each_process_has_a_gpu_of_its_own(monkeypatch):
-    for name, value in {"WORLD_SIZE": "4", "RANK": "3", "LOCAL_RANK": "1"}.items():
+    for name, value in {ranks.LAUNCHED: "run", "WORLD_SIZE": "4", "RANK": "3", "LOCAL_RANK": "1"}.items():
         monkeypatch.setenv(name, value)
     assert (ranks.device("cuda"), ranks.device("cpu")) == ("cuda:1", "cpu")
 
