@@ -70,10 +70,8 @@ class Live:
         from rich.table import Table
 
         table = Table(title=self.heading, title_justify="left", title_style="bold", box=None, pad_edge=False)
-        for name in ("", "stage", "", "", "left", "loss", "ε held out", ""):
-            table.add_column(
-                name, header_style="dim", justify="right" if name in ("left", "loss", "ε held out") else "left"
-            )
+        for name in HEADS:
+            table.add_column(name, header_style="dim", justify="right" if name in NUMBERS else "left")
         with self.lock:
             for row in self.rows.values():
                 table.add_row(*self._cells(row))

@@ -6,6 +6,7 @@ from pathlib import Path
 PIPELINE = Path("pipeline/paper.toml")
 STORE = Path("artifacts")
 STORE_VARIABLE = "NPRED_STORE"
+RESULT = "result.json"  # a stage's answer, among the files of its result
 EXECUTOR_VARIABLE = "NPRED_EXECUTOR"
 
 

@@ -68,6 +68,10 @@ def test_networks_and_predictors_meet_in_the_neural_predictor_only():
     assert [p for p in MODULES if room(p) == "operators" and "predictors" in rooms_of(p)] == []
 
 
+def test_no_stage_knows_the_store():
+    assert [path.name for path in MODULES if room(path) == "stages" and "store" in rooms_of(path)] == []
+
+
 def rooms_of(path: Path) -> set[str]:
     return {name for _, name in imports(path)}
 

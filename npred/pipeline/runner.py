@@ -15,7 +15,8 @@ from npred.console import Console
 from npred.executors import Here, Workers
 from npred.pipeline.plan import Planner, Step
 from npred.pipeline.table import STAGES, Node
-from npred.store import RESULT, Artifact, durable, short
+from npred.places import RESULT
+from npred.store import Artifact, durable, short
 
 if TYPE_CHECKING:
     from npred.plants import Plant

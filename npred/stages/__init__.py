@@ -42,9 +42,10 @@ class Progress(Protocol):
 class Job:
     """What a stage gets: write the payload to `folder`, read `inputs` (name to folder), return the result.
 
-    `scratch` outlives an interruption (checkpoints); `device`, `jobs`, `executor` and `progress` must not change the
-    result. `jobs` bounds the threads, which share this process's memory; `executor` does what needs none of it, in
-    other processes or on other machines. `model` names the network of the train stage.
+    `scratch` outlives an interruption (checkpoints); `jobs`, `executor` and `progress` must not change the result.
+    `device` changes its digits: a GPU rounds otherwise, a training makes more of that, and torch evaluates networks
+    there. `jobs` bounds the threads, which share this process's memory; `executor` does what needs none of it, in other
+    processes or on other machines. `model` names the network of the train stage.
     """
 
     config: Pipeline

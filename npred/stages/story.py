@@ -9,9 +9,9 @@ from npred import figures
 from npred.config import Pipeline
 from npred.figures import Evidence, Plate
 from npred.figures.table import Grid
+from npred.places import RESULT
 from npred.plants import Plant
 from npred.stages import tables
-from npred.store import RESULT
 
 
 @dataclass(frozen=True)

@@ -10,11 +10,11 @@ from typing import Any, Self
 
 from npred import documents
 from npred.errors import ConfigError, StoreError
+from npred.places import RESULT
 from npred.store import durable, locks
 from npred.store.keys import short
 from npred.store.manifest import NAME, Manifest, Question, cure
 
-RESULT = "result.json"
 _KEY = re.compile("[0-9a-f]{64}")  # whatever else lies under the root is not the store's to list or to remove
 
 
