@@ -80,6 +80,15 @@ def pages_with(*languages: str) -> list[Any]:
     return [pytest.param(page, id=str(page.relative_to(ROOT))) for page in chosen]
 
 
+@pytest.mark.parametrize("page", pages_with("toml"))
+def test_a_pipeline_of_a_page_is_whole(page: Path, tmp_path: Path):
+    for block in blocks(page):
+        named = FILE.match(block.text)
+        if named and named[1].endswith(".toml"):
+            (tmp_path / named[1]).write_text(block.text)
+            config.load(tmp_path / named[1])
+
+
 @pytest.mark.parametrize("page", pages_with("python"))
 def test_python_that_needs_no_trained_network_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.chdir(tmp_path)
