@@ -15,6 +15,7 @@ from npred.plant_check import check
 from npred.plants.black_box import BlackBox
 from npred.predictors import METHODS
 from npred.predictors.interpreted import EulerPython, Published
+from npred.runtimes import c, onnx
 from npred.stages import evaluate, generate, train
 
 TRACED = plants.resolve("cart_pole")
@@ -207,6 +208,15 @@ def test_plants_check_asks_what_can_be_asked(plant, write):
     assert "smooth law" not in found and "jacobians" not in found and "V" in found
     rising = plants.resolve(write("return CART.V(X)", "return 1 / (1 + CART.V(X))"))
     assert {answer.check: answer.verdict for answer in check(rising, 0.2, 21, samples=16)}["V"] == "warn"
+
+
+def test_exports_that_write_the_law_out_refuse_it(plant):
+    with pytest.raises(ConfigError, match="export c: expected a plant that is traced, Box says traced = False"):
+        c.source(None, plant, 11, ())  # type: ignore[arg-type]
+    for package in ("onnx", "onnxscript"):
+        pytest.importorskip(package)
+    with pytest.raises(ConfigError, match="onnx: expected a plant that is traced, Box says traced = False"):
+        onnx.graph(None, plant, 11)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("baseline", [Published, EulerPython])

@@ -6,7 +6,7 @@ import subprocess
 
 import numpy as np
 import pytest
-from operator_samples import PLANT, SMALL, operator, samples, several_inputs
+from operator_samples import PLANT, SMALL, holding, operator, samples, several_inputs
 
 from npred.operators import Scaling, build
 from npred.predictors.neural import Neural
@@ -53,6 +53,16 @@ def test_several_inputs(tmp_path):
     model = build(SMALL[0], plant, Scaling.of(data))
     c.export(model, plant, tmp_path / "two.c", 11, (data.X, data.u, data.D_hat))
     assert subprocess.run([compiled(tmp_path / "two.c", "-DNPRED_TEST")], timeout=60).returncode == 0
+
+
+@needs_gcc
+def test_a_law_that_depends_on_time_is_tested_at_another_than_zero(tmp_path):
+    plant, data = holding()
+    c.export(build(SMALL[0], plant, Scaling.of(data)), plant, tmp_path / "model.c", 11, (data.X, data.u, data.D_hat))
+    assert subprocess.run([compiled(tmp_path / "model.c", "-DNPRED_TEST")], timeout=60).returncode == 0
+    text = (tmp_path / "model.c").read_text()
+    (tmp_path / "model.c").write_text(text.replace("sin(", "0 * sin("))
+    assert subprocess.run([compiled(tmp_path / "model.c", "-DNPRED_TEST")], timeout=60).returncode == 1
 
 
 @needs_gcc

@@ -4,10 +4,13 @@ import sys
 
 import numpy as np
 import pytest
+import torch
 from operator_samples import PLANT, SMALL, operator, samples
 
 import npred
+from npred import plants
 from npred.errors import MissingError, NpredError
+from npred.operators import Scaling, build
 from npred.predictors.neural import Neural
 from npred.runtimes import onnx as runtime
 
@@ -42,6 +45,22 @@ def test_graph_is_standard_and_sound(exported):
     assert {node.domain for node in graph.graph.node} == {""} and not graph.functions
     assert [i.name for i in graph.graph.input] == ["X", "u", "D_hat"]
     assert [o.name for o in graph.graph.output] == ["P", "U"]
+
+
+def test_a_law_that_depends_on_time_takes_it(tmp_path):
+    """The graph's U is the closed loop's: kappa at the time when U arrives."""
+    plant, nx = plants.resolve("planar_arm2"), 11
+    torch.manual_seed(0)
+    model = build(SMALL[0].model_copy(update={"anchor": "initial"}), plant, Scaling(plant.n, plant.m)).eval()
+    loop = npred.simulate(plant, runtime.Onnx(plant, model, nx), D=0.3, D_hat=0.4, X0=[0.3, 0.6, 0.0, 0.0], t_end=1.0,
+                          dt=0.05, samples=np.arange(20))  # fmt: skip
+    probe = loop.samples.X, loop.samples.u, loop.samples.D_hat
+    assert runtime.export(model, plant, tmp_path / "arm.onnx", nx, probe, atol=1e-3) < 1e-3
+    session = runtime.session((tmp_path / "arm.onnx").read_bytes())
+    assert [i.name for i in session.get_inputs()] == ["X", "u", "D_hat", "t"]
+    given = dict(zip(runtime.inputs(plant), (*probe, loop.t[:20]), strict=True))
+    _, U = session.run(None, {name: a.astype(np.float32) for name, a in given.items()})
+    np.testing.assert_allclose(U, loop.U[:20], rtol=1e-4, atol=1e-4)
 
 
 def test_trunk_and_transforms_are_constants(exported):

@@ -69,6 +69,11 @@ class Plant:
         if self.clocked:
             raise ConfigError(f"{what}: expected a prediction free of time, that of plant {self.name} is not; {cure}")
 
+    def needs_trace(self, what: str, cure: str) -> None:
+        """Raise ConfigError, naming what writes the plant's formulas out, where they cannot be looked into."""
+        if not self.traced:
+            raise ConfigError(f"{what}: expected a plant that is traced, {self.name} says traced = False; {cure}")
+
     @cached_property
     def p(self) -> np.ndarray:
         """The parameters' values in the order of their declaration."""

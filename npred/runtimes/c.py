@@ -19,7 +19,8 @@ SOURCE = """\
  *
  * C99, no library but libm, no allocation. Its memory is static: one call at a time.
  * npred_predict: state X, actuator state u by nodes x = j / (NX - 1) and inputs, D_hat in seconds; writes P likewise.
- * npred_control: the control law at a state, that is P's last row; writes U, without bounds.
+ * npred_control: the control law at a state, that is P's last row, and at the time t when U arrives, now + D_hat, in
+ * seconds; writes U, without bounds.
  * With -DNPRED_TEST it is a program that compares itself with the model it was made from.
  */
 #include <math.h>
@@ -90,7 +91,7 @@ int main(void)
     double U[M_INPUTS], worst = 0;
     for (int s = 0; s < SAMPLES; s++) {
         npred_predict(test_X + s * N_STATES, test_u + s * SIZE_U, test_D_hat[s], P);
-        npred_control(P + (NX - 1) * N_STATES, 0, U);
+        npred_control(P + (NX - 1) * N_STATES, test_D_hat[s], U);
         for (int k = 0; k < SIZE_P; k++) {
             worst = fmax(worst, fabs(P[k] - test_P[s * SIZE_P + k]) / test_size[k % N_STATES]);
         }
@@ -172,8 +173,12 @@ def export(operator: Operator, plant: Plant, path: Path, nx: int, probe: tuple[n
 
 
 def source(operator: Operator, plant: Plant, nx: int, probe: tuple[np.ndarray, ...]) -> str:
-    """The text of the C file. Raises ConfigError where inputs have delays of their own: its law reads P(1) alone."""
+    """The text of the C file.
+
+    Raises ConfigError where inputs have delays of their own, for its law reads P(1) alone, and for an untraced plant.
+    """
     plant.needs_one_delay("export c", "use npred.controller")
+    plant.needs_trace("export c", "use npred.controller")
     p = fold(operator, plant, nx)
     sizes = {
         "N_STATES": p.n,
@@ -213,7 +218,7 @@ def _vector(operator: Operator, plant: Plant, probe: tuple[np.ndarray, ...]) -> 
     X, u, D_hat = (np.asarray(a, dtype=float) for a in probe)
     model = copy.deepcopy(operator).double()
     P = model(torch.as_tensor(X), torch.as_tensor(u), torch.as_tensor(D_hat)).numpy()
-    U = plant.kappa(P[:, -1])
+    U = plant.kappa(P[:, -1], D_hat)
     size = np.concatenate([np.abs(P).max(axis=(0, 1)), np.abs(U).max(axis=0)])
     arrays = {"X": X, "u": u, "D_hat": D_hat, "P": P, "U": U, "size": np.where(size > 0, size, 1.0)}
     return [c_text.constant(f"test_{name}", values.reshape(-1)) for name, values in arrays.items()]

@@ -22,34 +22,45 @@ INPUTS, OUTPUTS = ("X", "u", "D_hat"), ("P", "U")
 
 
 class Deployed(nn.Module):
-    """X (B, n), u (B, nx, m), D_hat (B,) to P (B, nx, n) and U = kappa(P(1)) (B, m) [DAPF, eq. 9], without bounds."""
+    """X (B, n), u (B, nx, m), D_hat (B,) to P (B, nx, n) and U = kappa(P(1)) (B, m) [DAPF, eq. 9], without bounds.
+
+    A law that depends on time takes t (B,) too, the time now, for U = kappa(P(1), t + D_hat) as in the closed loop.
+    """
 
     def __init__(self, operator: Operator, plant: Plant):
         super().__init__()
         self.operator, self.plant = operator, plant
 
-    def forward(self, X: Tensor, u: Tensor, D_hat: Tensor) -> tuple[Tensor, Tensor]:
+    def forward(self, X: Tensor, u: Tensor, D_hat: Tensor, t: Tensor | None = None) -> tuple[Tensor, Tensor]:
         P = self.operator(X, u, D_hat)
-        return P, self.plant.kappa(P[:, -1])
+        return P, self.plant.kappa(P[:, -1], 0.0 if t is None else t + D_hat)
+
+
+def inputs(plant: Plant) -> tuple[str, ...]:
+    """The names of the graph's inputs."""
+    return INPUTS if plant.rests else (*INPUTS, "t")
 
 
 def graph(operator: Operator, plant: Plant, nx: int) -> bytes:
     """The ONNX model of P and U on nx nodes, any batch: what the grid alone decides is folded into constants.
 
-    Raises MissingError without the onnx extra, ConfigError where inputs have delays of their own or P hangs on time.
+    Raises MissingError without the onnx extra, ConfigError where inputs have delays of their own, P hangs on time, or
+    the plant is not traced.
     """
     for name in ("onnx", "onnxscript"):
         require(name)
     plant.needs_one_delay("onnx", "use the runtime torch or fused")
     plant.needs_no_clock("onnx", "use the runtime torch")
+    plant.needs_trace("onnx", "use the runtime torch or fused")
     model = Deployed(operator, plant).eval()
     batch = torch.export.Dim("batch")
-    sample = torch.ones(2, plant.n), torch.zeros(2, nx, plant.m), torch.ones(2)
+    names = inputs(plant)
+    sample = (torch.ones(2, plant.n), torch.zeros(2, nx, plant.m), torch.ones(2), torch.ones(2))[: len(names)]
     model(*sample)  # the grid's matrices are cached as tensors before the tracer sees them
     with _quiet():
         program = torch.onnx.export(
-            model, sample, input_names=INPUTS, output_names=OUTPUTS, opset_version=OPSET, dynamo=True,
-            dynamic_shapes=({0: batch}, {0: batch}, {0: batch}), external_data=False, verbose=False,
+            model, sample, input_names=names, output_names=OUTPUTS, opset_version=OPSET, dynamo=True,
+            dynamic_shapes=tuple({0: batch} for _ in names), external_data=False, verbose=False,
         )  # fmt: skip
     assert program is not None
     return program.model_proto.SerializeToString()
@@ -58,14 +69,14 @@ def graph(operator: Operator, plant: Plant, nx: int) -> bytes:
 def export(operator: Operator, plant: Plant, path: Path, nx: int, probe: tuple[np.ndarray, ...], atol: float) -> float:
     """Write the graph for nx nodes to `path` unless it differs from the operator; the largest difference of P and U.
 
-    `probe`: X (B, n), u (B, nx, m), D_hat (B,) to compare on. Raises NpredError above `atol`, in units of the states
-    and inputs, MissingError without the onnx extra.
+    `probe`: X (B, n), u (B, nx, m), D_hat (B,) to compare on, where t matters at times from 1 s to 9 s. Raises
+    NpredError above `atol`, in units of the states and inputs, MissingError without the onnx extra.
     """
-    model = graph(operator, plant, nx)
-    inputs = [np.asarray(a, dtype=np.float32) for a in probe]
+    model, names = graph(operator, plant, nx), inputs(plant)
+    given = [np.asarray(a, dtype=np.float32) for a in (*probe, np.linspace(1.0, 9.0, len(probe[0])))][: len(names)]
     with torch.no_grad():
-        wanted = Deployed(operator, plant)(*map(torch.as_tensor, inputs))
-    found = session(model).run(list(OUTPUTS), dict(zip(INPUTS, inputs, strict=True)))
+        wanted = Deployed(operator, plant)(*map(torch.as_tensor, given))
+    found = session(model).run(list(OUTPUTS), dict(zip(names, given, strict=True)))
     error = max(float(np.abs(a - b.numpy()).max()) for a, b in zip(found, wanted, strict=True))
     if not error <= atol:
         raise NpredError(f"export onnx: expected P and U within {atol:g} of the model, got {error:.3g}; raise --atol")
@@ -92,17 +103,18 @@ class Onnx(Predictor):
         return self.sessions[nx]
 
     def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Any) -> np.ndarray:
-        return self._run(X, u, D_hat).astype(float)
+        return self._run(X, u, D_hat, t).astype(float)
 
     def lanes(self) -> Callable[..., None]:
         def predict(X: Any, u: Any, D_hat: Any, t: float, p: Any, P: np.ndarray) -> None:
-            P[:] = self._run(X.T, u.transpose(2, 0, 1), D_hat).transpose(1, 2, 0)
+            P[:] = self._run(X.T, u.transpose(2, 0, 1), D_hat, t).transpose(1, 2, 0)
 
         return predict
 
-    def _run(self, *inputs: np.ndarray) -> np.ndarray:
-        arrays = (np.ascontiguousarray(a, dtype=np.float32) for a in inputs)
-        return self.on(inputs[1].shape[1]).run(["P"], dict(zip(INPUTS, arrays, strict=True)))[0]
+    def _run(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Any) -> np.ndarray:
+        given = X, u, D_hat, np.broadcast_to(t, len(X))
+        arrays = (np.ascontiguousarray(a, dtype=np.float32) for a in given)
+        return self.on(u.shape[1]).run(["P"], dict(zip(inputs(self.plant), arrays, strict=False)))[0]
 
 
 def session(model: bytes) -> Any:
