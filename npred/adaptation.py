@@ -117,7 +117,8 @@ def part(plant: Plant, law: DelayLaw | None) -> Part:
     if law is None:
         return Part(control_law(plant), 0.0, 1.0, np.array((0.0, np.inf)), True)
     bounds = np.array(law.bounds, dtype=float)
-    if type(law).rate is DelayAdaptation.rate:
+    papers = DelayAdaptation.rate, DelayAdaptation.phi
+    if isinstance(law, DelayAdaptation) and (type(law).rate, type(law).phi) == papers:
         return Part(update_law(plant), law.gamma, law.b, bounds, True)
     return Part(interpreted(law, plant, control_law(plant)), 1.0, law.b, bounds, False)
 

@@ -56,11 +56,11 @@ class Controller:
         U is the controller's own memory, overwritten by the next step. Raises ConfigError for shapes that do not fit,
         and DivergedError for a measurement that is not finite; the controller then stands as before.
         """
-        try:
-            self._X[:, 0], self._u[:, :, 0] = X, u
-        except (TypeError, ValueError):
-            wanted = f"X {self._X.shape[:1]} and u {self._u.shape[:2]}"
-            raise ConfigError(f"step: expected {wanted}, got {np.shape(X)} and {np.shape(u)}; measure those") from None
+        X, u, wanted = shapes.floats("X", X), shapes.floats("u", u), (self._X.shape[:1], self._u.shape[:2])
+        if (X.shape, u.shape) != wanted:  # broadcasting would hide a sensor that is lost
+            found = f"{X.shape} and {u.shape}"
+            raise ConfigError(f"step: expected X {wanted[0]} and u {wanted[1]}, got {found}; measure those")
+        self._X[:, 0], self._u[:, :, 0] = X, u
         if not math.isfinite(self._X.sum() + self._u.sum()):
             raise DivergedError("step: expected finite X and u, got one that is not; hold the last U and measure again")
         self._advance()

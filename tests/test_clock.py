@@ -57,6 +57,15 @@ def test_a_time_a_row_is_a_call_a_row():
     assert np.abs(P[1] - rk4(X[1], u[1], D_hat[1], 0.0)).max() > 0.1
 
 
+def test_a_time_is_taken_as_it_is():
+    X, u, D_hat = inputs()
+    rk4 = RK4(UNICYCLE, 21)
+    np.testing.assert_array_equal(rk4.predict(X, u, D_hat, -0.7), rk4(X, u, D_hat, -0.7))
+    P = rk4(X, u, D_hat, [0.0, np.nan, 0.3, np.nan, -0.7])
+    assert np.isnan(P[[1, 3]]).all() and np.isfinite(P[[0, 2, 4]]).all()
+    assert np.isnan(rk4.predict(X, u, D_hat, np.nan)[:, -1, 0]).all()
+
+
 def test_only_laws_past_their_delay_and_f_make_a_prediction_depend_on_time():
     assert UNICYCLE.clocked and driven().clocked
     for name in ("planar_arm2", "chemostat"):  # one delay: the law is not in the prediction

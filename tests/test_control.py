@@ -89,6 +89,23 @@ def test_a_bad_measurement_leaves_it_as_it_was():
 
 
 @pytest.mark.parametrize(
+    ("X", "u", "message"),
+    [
+        (0.5, np.zeros((21, 1)), r"step: expected X \(2,\) and u \(21, 1\), got \(\) and \(21, 1\)"),
+        ([0.03], np.zeros((21, 1)), r"got \(1,\) and \(21, 1\)"),
+        (X0, 0.0, r"got \(2,\) and \(\)"),
+        (X0, np.zeros((1, 1)), r"got \(2,\) and \(1, 1\)"),
+        (["a", "b"], np.zeros((21, 1)), "X: expected an array of numbers"),
+        (X0, [[1.0], [1.0, 2.0]], "u: expected an array of numbers"),
+    ],
+)
+def test_a_measurement_of_another_shape_is_told(X, u, message):
+    controller = npred.controller(PLANT, RK4(PLANT, 21), LAW, 0.01, D_hat=2.0)
+    with pytest.raises(ConfigError, match=message):
+        controller.step(X, u)
+
+
+@pytest.mark.parametrize(
     ("changes", "message"),
     [
         ({"dt": 0.0}, "dt: expected a control step above 0 s"),

@@ -61,6 +61,15 @@ def test_a_law_may_extend_the_papers():
     np.testing.assert_allclose(found, 1.0, atol=1e-3)
 
 
+def test_a_law_may_replace_phi():
+    class Still(npred.DelayAdaptation):
+        def phi(self, plant, X, u, P, D_hat, t=0.0):
+            return np.zeros(len(D_hat))
+
+    run = loops(Still(gamma=1000.0))
+    np.testing.assert_array_equal(run.D_hat, np.broadcast_to(run.D_hat[..., :1], run.D_hat.shape))
+
+
 def test_the_controller_takes_the_same_steps():
     law = Leaky(gamma=2.0)
     loop = loops(law, D_hat=1.6, X0=[1.0], samples=np.arange(300))

@@ -215,8 +215,8 @@ def import_(
     options: Common,
     *,
     form: Annotated[str, typer.Argument(metavar="npy", help="The format: the layout that [DAPF]'s authors published.")],
-    inputs: Annotated[Path, typer.Argument(metavar="INPUTS", help="Rows of D_hat, u, x1, x2, node after node.")],
-    outputs: Annotated[Path, typer.Argument(metavar="OUTPUTS", help="Rows of P1, P2, node after node.")],
+    inputs: Annotated[Path, typer.Argument(metavar="INPUTS", help="Rows of D_hat, inputs, states, node after node.")],
+    outputs: Annotated[Path, typer.Argument(metavar="OUTPUTS", help="Rows of P, a number a state, node after node.")],
     plant: Annotated[
         str, typer.Option(help="The plant whose samples they are: a name or my_plant.py:Tank.")
     ] = "activator_repressor",

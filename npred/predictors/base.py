@@ -75,9 +75,11 @@ class Compiled(Predictor):
         return self.kernel
 
     def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Any) -> np.ndarray:
-        if not self.plant.clocked or np.ndim(t) == 0:
-            return self._at(np.max(t, initial=0.0), X, u, D_hat)
-        P = np.empty((*u.shape[:2], self.plant.n))
+        if not self.plant.clocked:
+            return self._at(0.0, X, u, D_hat)
+        if np.ndim(t) == 0:
+            return self._at(t, X, u, D_hat)
+        P = np.full((*u.shape[:2], self.plant.n), np.nan)  # that of a time that is NaN
         for moment in np.unique(t):  # the kernel knows one time a call
             rows = t == moment
             P[rows] = self._at(moment, X[rows], u[rows], D_hat[rows])
