@@ -1,10 +1,13 @@
 """A pipeline that does not fit its plant is told before anything runs."""
 
+import numpy as np
 import pytest
+from follower import Follower
 
 from npred import config, plants
 from npred.errors import ConfigError
-from npred.plants import fit
+from npred.plants import Plant, fit
+from npred.plants.black_box import BlackBox
 
 MOVING = """
 class Moving:
@@ -12,6 +15,21 @@ class Moving:
     def f(x, u, t, p, M): return [u.U]
     def kappa(x, t, p, M): return [M.sin(t) - x.x]
     def V(x, t, p, M): return x.x**2
+"""
+
+LATE = """
+class Late:
+    states, inputs, box, delays = ("x", "y"), ("U", "V"), {"x": (0, 1), "y": (0, 1)}, (1.0, 2.0)
+    def f(x, u, t, p, M): return [u.U, u.V]
+    def kappa(x, t, p, M): return [-x.x, -x.y]
+    def V(x, t, p, M): return x.x**2 + x.y**2
+"""
+BOX = """
+class Box:
+    traced, states, inputs, box = False, ("x",), ("U",), {"x": (0, 1)}
+    def f(X, u, t, p): return u
+    def kappa(X, t, p): return -X
+    def V(X, t, p): return X[:, 0] ** 2
 """
 
 
@@ -59,6 +77,63 @@ def test_a_plant_with_a_reference_is_evaluated_if_its_law_follows_it(tmp_path):
     path.write_text(MOVING + follows.replace("- M.cos", "+ M.cos"))
     with pytest.raises(ConfigError, match="reference expected a trajectory of f with kappa, got one that differs"):
         check(plant=f"{path}:Moving", evaluate={"X0": [0.5]})
+
+
+class Black(Follower):
+    """The follower in functions that are not traced."""
+
+    traced = False
+
+    @staticmethod
+    def f(X, u, t, p):
+        return p.a * X + u
+
+    @staticmethod
+    def kappa(X, t, p):
+        turn = p.w * np.reshape(t, (-1, 1))  # t is a number or (B,)
+        return p.A * p.w * np.cos(turn) - p.a * X - p.c * (X - p.A * np.sin(turn))
+
+    @staticmethod
+    def V(X, t, p):
+        return (X[:, 0] - p.A * np.sin(p.w * t)) ** 2
+
+    @staticmethod
+    def reference(t, p):
+        return p.A * np.sin(p.w * t)[:, None]
+
+
+@pytest.mark.parametrize("plant", [Plant("Follower", Follower, {"w": 3000.0}), BlackBox("Black", Black, {"w": 3000.0})])
+def test_a_fast_reference_is_a_trajectory_too(plant):
+    assert fit.slip(plant, 5.0)[0] < fit.SLIP
+
+
+@pytest.mark.parametrize("kind", [Plant, BlackBox])
+def test_a_fast_reference_that_is_none_is_found_out(kind):
+    late = {Plant: lambda t, p, M: [p.A * M.sin(p.w * t - 1e-4)],
+            BlackBox: lambda t, p: p.A * np.sin(p.w * t - 1e-4)[:, None]}  # fmt: skip
+    base = Follower if kind is Plant else Black
+    plant = kind("late", type("Late", (base,), {"reference": staticmethod(late[kind])}), {"w": 3000.0, "c": 1.0})
+    assert fit.slip(plant, 5.0)[0] > 10 * fit.SLIP
+
+
+@pytest.mark.parametrize(
+    ("plant", "runtimes", "message"),
+    [
+        ("unicycle", None, "bench.runtimes: fused: expected a prediction free of time, that of plant unicycle is not"),
+        ("unicycle", ["torch", "onnx"], 'onnx: expected .*; leave "onnx" out of runtimes in .bench.'),
+        ("LATE", None, "bench.runtimes: onnx: expected one delay, plant Late has delays 1, 2 s"),
+        ("BOX", None, "bench.runtimes: onnx: expected a plant that is traced, Box says traced = False"),
+    ],
+)
+def test_runtimes_that_bench_cannot_run_are_told_before_anything_runs(tmp_path, plant, runtimes, message):
+    path = tmp_path / "given.py"
+    path.write_text(LATE if plant == "LATE" else BOX)
+    named = {"LATE": f"{path}:Late", "BOX": f"{path}:Box"}.get(plant, plant)
+    bench = {} if runtimes is None else {"runtimes": runtimes}
+    check(stages=("generate", "bench"), plant=named, bench={"runtimes": ["torch"]})
+    check(stages=("generate",), plant=named, bench=bench)
+    with pytest.raises(ConfigError, match=message):
+        check(stages=("generate", "bench"), plant=named, bench=bench)
 
 
 def test_a_state_without_a_range_is_told(tmp_path):

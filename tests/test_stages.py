@@ -14,6 +14,7 @@ from jobs import job, tables
 from npred import config, metrics, operators, plants, shards
 from npred.closed_loop import Samples, Trajectories
 from npred.dataset import Dataset
+from npred.errors import MissingError
 from npred.predictors.neural import Neural
 from npred.stages import accuracy, bench, certificate, coverage, evaluate, generate, starts, train
 
@@ -280,6 +281,15 @@ def test_bench_without_the_onnx_extra_leaves_its_rows_out(made, tmp_path, monkey
     monkeypatch.setattr(contenders.devices, "package", lambda name: None if name == "onnx" else "1")
     task = job(tmp_path, "bench", inputs=made, bench={"runtimes": ["torch", "onnx"]})
     assert contenders._available(task, task.config.bench) == ["torch"]
+
+
+def test_bench_of_the_runtime_onnx_alone_asks_for_its_package(made, tmp_path, monkeypatch):
+    from npred.stages import contenders
+
+    monkeypatch.setattr(contenders.devices, "package", lambda name: None if name == "onnx" else "1")
+    task = job(tmp_path, "bench", inputs=made, bench={"runtimes": ["onnx"]})
+    with pytest.raises(MissingError, match=r"bench: expected the package onnx .*; pip install 'npred\[onnx\]'"):
+        bench.run(task)
 
 
 @pytest.mark.parametrize("stage", [evaluate, bench])

@@ -6,12 +6,14 @@ import numpy as np
 
 from npred.config import Pipeline
 from npred.errors import ConfigError
-from npred.plants import faults
+from npred.plants import faults, mathematics, tape
 from npred.plants.base import Plant
 from npred.plants.declaration import span
+from npred.plants.trace import Trace, python
 
 STATES = 256  # drawn from the box
-SLIP = 1e-6  # how far a reference may be from a trajectory: the differences that tell it err by 1e-10
+SLIP = 1e-6  # how far a reference may be from a trajectory, as a share of 1 + its rate
+STEPS = (1e-5, 1e-6, 1e-7)  # s, of differences in time: short for what is fast, long against rounding
 
 
 def check(plant: Plant, config: Pipeline, stages: Collection[str]) -> None:
@@ -22,8 +24,13 @@ def check(plant: Plant, config: Pipeline, stages: Collection[str]) -> None:
     _sound(plant, config)
     if "train" in stages:
         _anchors(plant, config)
-    if "evaluate" not in stages:
-        return
+    if "bench" in stages:
+        _runtimes(plant, config)
+    if "evaluate" in stages:
+        _evaluated(plant, config)
+
+
+def _evaluated(plant: Plant, config: Pipeline) -> None:
     if not (plant.rests or plant.tracks):
         raise ConfigError(
             f"evaluate: expected a plant with an equilibrium or a reference, {plant.name} has neither; its loops have "
@@ -58,6 +65,16 @@ def _anchors(plant: Plant, config: Pipeline) -> None:
             raise ConfigError(f'train.{model}.anchor: expected {wanted}; write anchor = "initial"')
 
 
+def _runtimes(plant: Plant, config: Pipeline) -> None:
+    for runtime in config.bench.runtimes:
+        what, cure = f"bench.runtimes: {runtime}", f'leave "{runtime}" out of runtimes in [bench]'
+        if runtime != "torch":
+            plant.needs_no_clock(what, cure)
+        if runtime == "onnx":
+            plant.needs_one_delay(what, cure)
+            plant.needs_trace(what, cure)
+
+
 def _clock(plant: Plant) -> None:
     """A network sees the time as a phase, so f and kappa have to repeat: tried near the origin, at n times."""
     if plant.phase(0.0) is None or plant.period is None:
@@ -80,11 +97,23 @@ def _followed(plant: Plant, t_end: float) -> None:
 
 def slip(plant: Plant, t_end: float) -> tuple[float, float]:
     """sup |reference' - f(reference, kappa)| / (1 + |reference'|) over t_end seconds, and the time where it is."""
-    t, h = np.linspace(0.0, t_end, 1001), 1e-5
-    slope = (plant.target(t + h) - plant.target(t - h)) / (2 * h)
-    gap = np.linalg.norm(slope - plant.f(plant.target(t), plant.u_target(t), t), axis=-1)
-    gap = np.where(np.isfinite(gap), gap / (1 + np.linalg.norm(slope, axis=-1)), np.inf)
+    t = np.linspace(0.0, t_end, 1001)
+    right = plant.f(plant.target(t), plant.u_target(t), t)
+    gaps = [np.linalg.norm(s - right, axis=-1) / (1 + np.linalg.norm(s, axis=-1)) for s in _slopes(plant, t)]
+    gap = np.min(np.nan_to_num(gaps, nan=np.inf, posinf=np.inf), axis=0)
     return float(gap.max()), float(t[np.argmax(gap)])
+
+
+def _slopes(plant: Plant, t: np.ndarray) -> list[np.ndarray]:
+    """reference' (T, n): exact, or of a plant that is not traced by differences, of which the nearest counts."""
+    if not plant.traced:
+        return [(plant.target(t + h) - plant.target(t - h)) / (2 * h) for h in STEPS]
+    trace = Trace(plant)
+    clock = trace.input("t")
+    by_t = tape.derivative(trace.reference(clock), [clock], [1.0])
+    with np.errstate(all="ignore"):
+        values = python(by_t, ["t", *(f"p{k}" for k in range(len(plant.p)))], np)(t, *plant.p)
+    return [mathematics.stack(values, t)]
 
 
 def _box(plant: Plant, config: Pipeline) -> None:

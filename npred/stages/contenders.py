@@ -10,7 +10,7 @@ import numpy as np
 from npred import devices, grid, operators, randomness, runtimes
 from npred.config import Bench
 from npred.dataset import Dataset
-from npred.errors import ConfigError
+from npred.errors import ConfigError, MissingError
 from npred.operators import Operator
 from npred.plants import Plant
 from npred.predictors import METHODS, RK4, Compiled, Euler, Heun, Predictor
@@ -90,7 +90,10 @@ class Reference:
 
 
 def entries(job: Job, reference: Reference) -> list[Entry]:
-    """Every contender. Runtimes whose packages are missing are left out, with a note."""
+    """Every contender. Runtimes whose packages are missing are left out, with a note.
+
+    Raises MissingError where none is left.
+    """
     config = job.config.bench
     networks = {name: operators.load(job.inputs[name], job.plant) for name in job.config.train.models}
     available = _available(job, config)
@@ -131,6 +134,9 @@ def matching(reference: Reference, method: type[Compiled], eps: float) -> int | 
 
 def _available(job: Job, config: Bench) -> list[str]:
     missing = [name for name in ("onnx", "onnxscript", "onnxruntime") if devices.package(name) is None]
+    if set(config.runtimes) == {"onnx"} and missing:
+        wanted = f"expected the package {missing[0]} for the one runtime onnx, found none"
+        raise MissingError(f"bench: {wanted}; pip install 'npred[onnx]', or name torch in [bench] runtimes")
     if "onnx" in config.runtimes and missing:
         job.progress.note(f"bench: no rows of the runtime onnx without {', '.join(missing)}")
     return [name for name in config.runtimes if name != "onnx" or not missing]
