@@ -1,11 +1,13 @@
 """The C file: compiles without a warning as C99, and equals the model to 1e-5."""
 
 import ctypes
+import re
 import shutil
 import subprocess
 
 import numpy as np
 import pytest
+from conftest import HERE
 from operator_samples import PLANT, SMALL, holding, operator, samples, several_inputs
 
 from npred.operators import Scaling, build
@@ -88,6 +90,18 @@ def test_equals_the_model_on_other_samples(exported):
         library.npred_control(_address(P[-1]), ctypes.c_double(0.0), _address(U))
         assert (np.abs(P - wanted[k]).max(axis=0) < 1e-5 * size).all()
         np.testing.assert_allclose(U, PLANT.kappa(P[-1]), rtol=1e-12)
+
+
+@needs_gcc
+def test_the_example_of_the_documentation_is_the_model(tmp_path):
+    model = operator(SMALL[0])
+    c.export(model, PLANT, tmp_path / "deeponet.c", 21, probe())
+    page = (HERE.parent / "docs" / "deployment.md").read_text()
+    (example,) = re.findall(r"^```c\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
+    (tmp_path / "main.c").write_text(example)
+    done = subprocess.run([compiled(tmp_path / "main.c")], capture_output=True, text=True, timeout=60)
+    P = Neural(PLANT, model.double(), 21)([0.03, 30.0], np.zeros((21, 1)), 1.0)
+    assert float(done.stdout) == pytest.approx(PLANT.kappa(P[-1])[0], rel=1e-4)
 
 
 def _address(array):
