@@ -33,6 +33,7 @@ BLOCK = re.compile(r"(<!-- not run: [^>]*-->\n)?^```(\w*)\n(.*?)^```", re.MULTIL
 INLINE = re.compile(r"`(npred [a-z][^`]*)`")
 FILE = re.compile(r"# (\w+\.(?:py|toml))\n")
 SMOKE = tomllib.loads((ROOT / "pipeline" / "smoke.toml").read_text())
+BY_NAME = {"models", "coverage", "outside", "mse_by_state", "sup_by_state", "versions"}
 TRAINED = ("npred.load(", "onnxruntime")
 
 
@@ -119,6 +120,24 @@ def test_a_page_runs_from_top_to_bottom(page: Path, store: Path, tmp_path: Path,
             for line in block.commands:
                 call(line)
             execute(block, page, space)
+
+
+@pytest.mark.slow
+def test_every_key_of_a_run_is_told(store: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("NPRED_STORE", str(store))
+    done = CliRunner().invoke(app, ["run", str(ROOT / "pipeline" / "smoke.toml"), "-q", "--json"])
+    told, found = (ROOT / "docs" / "reference" / "results.md").read_text(), set(keys_of(json.loads(done.stdout)))
+    assert {"stages", "eps_relative", "matches", "pays_from_ns"} <= found
+    assert [key for key in sorted(found) if f"`{key}`" not in told] == []
+
+
+def keys_of(value: Any) -> Iterator[str]:
+    """The keys of a JSON document at every depth, but for names of networks, states and packages."""
+    pairs = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, item in pairs:
+        if isinstance(key, str):
+            yield key
+        yield from keys_of(list(item.values()) if key in BY_NAME else item)
 
 
 def keep(block: Block, small: bool) -> bool:
