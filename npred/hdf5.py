@@ -44,8 +44,10 @@ def _file(path: Path) -> h5py.File:
 
 
 def _dataset(file: h5py.File, name: str) -> h5py.Dataset:
-    if not isinstance(file.get(name, getlink=True), h5py.HardLink):
-        raise ValueError(f"{name} is missing, or a link to elsewhere")
+    steps = name.split("/")
+    for last in range(1, len(steps) + 1):  # a link anywhere on the way leads elsewhere as well
+        if not isinstance(file.get("/".join(steps[:last]), getlink=True), h5py.HardLink):
+            raise ValueError(f"{name} is missing, or a link to elsewhere")
     found = file[name]
     if not isinstance(found, h5py.Dataset) or found.dtype.kind not in "fiu":
         raise ValueError(f"{name} is no array of numbers")
@@ -76,9 +78,11 @@ def _joined(array: h5py.Dataset, name: str, path: Path) -> int:
     for source in array.virtual_sources():
         if not SHARD.fullmatch(source.file_name) or source.file_name == path.name:
             raise ValueError(f"{name} is joined from {source.file_name!r}, no file beside it")
-        if (source.file_name, source.dset_name) not in seen:
-            seen.add((source.file_name, source.dset_name))
-            room += _shard(path.with_name(source.file_name), source.dset_name, array.ndim)
+        if source.dset_name.strip("/") != name:  # what HDF5 makes of other names (%b, links on the way) is not checked
+            raise ValueError(f"{name} is joined from {source.dset_name!r} of {source.file_name}")
+        if source.file_name not in seen:
+            seen.add(source.file_name)
+            room += _shard(path.with_name(source.file_name), name, array.ndim)
     return room
 
 

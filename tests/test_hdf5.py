@@ -77,6 +77,25 @@ def test_links_out_of_the_file_are_refused(tmp_path: Path):
             read(tmp_path / "a.h5")
 
 
+def test_a_link_on_the_way_is_refused_also_behind_a_virtual_array(tmp_path: Path):
+    (tmp_path / "other").mkdir()
+    write(tmp_path / "other" / "secret.h5")
+    with h5py.File(tmp_path / "s.h5", "w") as file:
+        file["g"] = h5py.ExternalLink("other/secret.h5", "/")
+        file["a/b"] = NUMBERS
+    for name in ("g/X", "/g/X", "a/b"):
+        with pytest.raises(StoreError, match=rf"X is joined from '{name}' of s\.h5"):
+            read(joined(tmp_path / "a.h5", "s.h5", name))
+    with hdf5.opened(tmp_path / "s.h5", {"a/b": 2}) as arrays:
+        assert (arrays["a/b"][:] == NUMBERS).all()
+    for name in ("g/X", "a/b/c", "none/X"):
+        with (
+            pytest.raises(StoreError, match=f"{name} is missing, or a link"),
+            hdf5.opened(tmp_path / "s.h5", {name: 2}),
+        ):
+            pass
+
+
 def test_numbers_kept_in_another_file_are_refused(tmp_path: Path):
     (tmp_path / "raw").write_bytes(NUMBERS.tobytes())
     with h5py.File(tmp_path / "a.h5", "w") as file:

@@ -2,17 +2,21 @@
 
 import csv
 import re
+import shutil
 import tomllib
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
+import h5py
 import pytest
 from conftest import Call, document, one_line
 from jobs import job
 
-from npred import config
+from npred import config, documents
 from npred.config import FROZEN, PAPER
+from npred.errors import StoreError
+from npred.figures import Evidence
 from npred.figures.style import MEDIA
 from npred.stages import report, sentences
 from npred.stages.story import Story
@@ -78,6 +82,27 @@ def story(reported) -> Story:
     made = job(path.parent / "read", "report").plant
     folders = {name: done.artifact.folder for name, done in outcomes.items() if name != "report"}
     return Story.read(config.load(path), made, folders)
+
+
+def test_what_an_evaluation_announces_is_checked_before_room_is_made(reported, story: Story, tmp_path: Path):
+    done = reported[1]["evaluate"].artifact
+    for file, name in (("errors.h5", "networks/fno/sup"), ("figure1.h5", "fno/t"), ("coverage.h5", "D_hat/edges")):
+        folder = shutil.copytree(done.folder, tmp_path / file)
+        with h5py.File(folder / file, "r+") as opened:
+            del opened[name]
+            opened.create_dataset(name, shape=(10**13,), dtype="f8")
+        with pytest.raises(StoreError, match=f"{name} of shape .* is larger than what is stored of it"):
+            Evidence.read(folder, story.plant, story.config.evaluate, done.result())
+
+
+def test_a_result_too_long_for_a_table_is_not_read(reported, story: Story, tmp_path: Path):
+    path, outcomes = reported
+    folders = {name: done.artifact.folder for name, done in outcomes.items() if name != "report"}
+    folders["bench"] = tmp_path
+    with (tmp_path / "result.json").open("wb") as file:
+        file.truncate(documents.LIMIT + 1)
+    with pytest.raises(ValueError, match=f"more than {documents.LIMIT}"):
+        Story.read(config.load(path), story.plant, folders)
 
 
 def test_nothing_is_loaded_and_nothing_could_be(page, text):

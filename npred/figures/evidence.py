@@ -4,11 +4,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 
+from npred import hdf5
 from npred.config import Evaluate
+from npred.figures.style import NETWORKS
 from npred.plants import Plant
+
+LOOP = {"t": 1, "X": 2, "U": 2, "D_hat": 1, "N": 1}  # axes of each array
+ERRORS = {"sup": 1, "over_x": 2}
 
 
 @dataclass(frozen=True)
@@ -57,22 +61,24 @@ class Evidence:
     def read(cls, folder: Path, plant: Plant, config: Evaluate, result: dict[str, Any]) -> "Evidence":
         """What lies in the folder of an evaluate artifact with that result."""
         order = list(result["models"])
-        with h5py.File(folder / "errors.h5") as file:
-            arrays: Any = file
-            X, D_hat = arrays["X"][:], arrays["D_hat"][:]
-            errors = {name: _arrays(Errors, arrays["networks"][name]) for name in order if name in arrays["networks"]}
-        with h5py.File(folder / "figure1.h5") as file:
-            loops = {name: _arrays(Loop, file[name]) for name in order}
-        with h5py.File(folder / "coverage.h5") as file:
-            names = [*plant.states, *plant.inputs, "D_hat"]
-            coverage = {name: _histogram(file[name], order) for name in names}
-        return cls(plant, config, result["models"], result["gain"], loops, X, D_hat, errors, coverage)
+        networks = [name for name in order if name.partition("@")[0] in NETWORKS]
+        densities = {f"loops/{name}": name for name in order if "@" not in name}
+        (rows,) = _arrays(folder / "errors.h5", [""], {"X": 2, "D_hat": 1})
+        errors = _arrays(folder / "errors.h5", [f"networks/{name}/" for name in networks], ERRORS)
+        loops = _arrays(folder / "figure1.h5", [f"{name}/" for name in order], LOOP)
+        quantities = [*plant.states, *plant.inputs, "D_hat"]
+        kinds = dict.fromkeys(("edges", "data", *densities), 1)
+        histograms = _arrays(folder / "coverage.h5", [f"{name}/" for name in quantities], kinds)
+        coverage = [Histogram(h["edges"], h["data"], {densities[k]: h[k] for k in densities}) for h in histograms]
+        return cls(
+            plant, config, result["models"], result["gain"],
+            {name: Loop(**found) for name, found in zip(order, loops, strict=True)}, **rows,
+            errors={name: Errors(**found) for name, found in zip(networks, errors, strict=True)},
+            coverage=dict(zip(quantities, coverage, strict=True)),
+        )  # fmt: skip
 
 
-def _arrays(kind: type, group: Any) -> Any:
-    return kind(**{name: group[name][:] for name in kind.__dataclass_fields__})
-
-
-def _histogram(group: Any, order: list[str]) -> Histogram:
-    loops = {name: group["loops"][name][:] for name in order if name in group["loops"]}
-    return Histogram(group["edges"][:], group["data"][:], loops)
+def _arrays(path: Path, groups: list[str], axes: dict[str, int]) -> list[dict[str, np.ndarray]]:
+    """Of each group (the file itself is "") the arrays of these names, with so many axes."""
+    with hdf5.opened(path, {group + name: count for group in groups for name, count in axes.items()}) as arrays:
+        return [{name: arrays[group + name][:] for name in axes} for group in groups]

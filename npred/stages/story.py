@@ -1,11 +1,10 @@
 """All results of a pipeline as one story: its figures and its tables, for the page and for papers."""
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from npred import figures
+from npred import documents, figures
 from npred.config import Pipeline
 from npred.figures import Evidence, Plate
 from npred.figures.table import Grid
@@ -31,7 +30,7 @@ class Story:
     @classmethod
     def read(cls, config: Pipeline, plant: Plant, inputs: dict[str, Path]) -> "Story":
         """The story of the results in these folders: generate, each network, evaluate, bench."""
-        results = {name: json.loads((folder / RESULT).read_text(encoding="utf-8")) for name, folder in inputs.items()}
+        results = {name: documents.table(folder / RESULT) for name, folder in inputs.items()}
         networks = config.train.models
         histories = {name: _lines(inputs[name] / "metrics.jsonl") for name in networks}
         evidence = Evidence.read(inputs["evaluate"], plant, config.evaluate, results["evaluate"])
@@ -65,4 +64,4 @@ class Story:
 
 
 def _lines(path: Path) -> list[dict[str, float]]:
-    return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+    return [documents.parse(line) for line in documents.read(path).splitlines()]
