@@ -20,7 +20,7 @@ class Plant:
     V(x, t, p, M); optional are `parameters` (name to default), `box` (state to range, for experiments), `guess` (where
     the equilibrium is searched from), `input_bounds` (a range an input), `delays` (seconds, one an input, where they
     differ) and, where f or kappa depends on time, `reference(t, p, M)`, the trajectory that kappa follows, and
-    `period`, the seconds after which they repeat. M is the mathematics: sin, exp, where …
+    `period`, the seconds after which they repeat. M provides the functions: sin, exp, where …
     Raises ConfigError for a declaration with a part that is missing or wrong, or a parameter that it does not have.
     """
 

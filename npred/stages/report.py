@@ -84,7 +84,7 @@ def _pictures(plate: Plate, bar: Bar) -> list[str]:
 def _about(job: Job) -> str:
     plant, config = job.plant, job.config.evaluate
     delay = f"D = {config.D:g} s, {sentences.of_delay(config.adaptation)}"
-    return f"{plant.name}: states {', '.join(plant.states)}; input {', '.join(plant.inputs)}; {delay}"
+    return f"{plant.name}: states {', '.join(plant.states)}; inputs {', '.join(plant.inputs)}; {delay}"
 
 
 def _facts(story: Story, job: Job) -> dict[str, dict[str, Any]]:
