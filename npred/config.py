@@ -1,5 +1,6 @@
 """The pipeline file as frozen models: one table a stage, every key checked, `--set` overrides included."""
 
+import re
 import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar
@@ -8,6 +9,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 
 from npred.errors import ConfigError
 
+NAME = re.compile(r"[^\W_][\w.-]{0,99}")  # of a pipeline
 LONGEST = 2**20  # bytes of a pipeline file
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Delay = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -40,6 +42,10 @@ class Table(BaseModel):
     """A table of the pipeline file: frozen, and an unknown key is an error."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+    def bare(self, *keys: str) -> Self:
+        """The same without the folders of the paths at those keys."""
+        return self.model_copy(update={key: Path(getattr(self, key)).name for key in keys})
 
 
 class Loop(Table):
@@ -184,7 +190,7 @@ class Evaluate(Loop):
 
     t_end: Positive = 100.0  #: length of the loop of Fig. 1, in seconds
     D: Positive = 1.0  #: true delay, in seconds
-    X0: list[float] = [0.03, 30.0]  #: start of Fig. 1
+    X0: list[float] = []  #: start of Fig. 1, one number a state; has to be given
     D_hat0: Positive = 2.0  #: D_hat(0) of Fig. 1
     case_states: Count = 10  #: random initial states of the box …
     case_D_hat0: Some[Positive] = [0.3, 0.5, 1.0, 1.5, 2.0]  #: … times these D_hat(0)
@@ -232,6 +238,27 @@ class Pipeline(Table):
     train: Train = Train()
     evaluate: Evaluate = Evaluate()
     bench: Bench = Bench()
+
+    @model_validator(mode="after")
+    def _check_name(self) -> Self:
+        if not NAME.fullmatch(self.name):
+            raise ValueError(
+                f"name: expected up to 100 letters, digits, . _ and -, a letter or digit first, got {self.name!r}; "
+                "files are named after it: choose another"
+            )
+        return self
+
+    @property
+    def files(self) -> list[str]:
+        """The names of the files of one's own that it takes: of a plant, of laws, of data."""
+        named = [self.plant, self.generate.adaptation, self.evaluate.adaptation]
+        paths = [f"{spec.partition('.py:')[0]}.py" for spec in named if ".py:" in spec]
+        return list(dict.fromkeys(Path(path).name for path in [*paths, self.generate.data] if path))
+
+    def beside(self) -> Self:
+        """The same as a file beside its `files` says it: without folders, and so the same wherever they lie."""
+        generate, evaluate = self.generate.bare("adaptation", "data"), self.evaluate.bare("adaptation")
+        return self.bare("plant").model_copy(update={"generate": generate, "evaluate": evaluate})
 
 
 def load(path: Path, overrides: list[str] | None = None) -> Pipeline:

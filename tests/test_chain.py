@@ -35,6 +35,7 @@ width = 8
 layers = 2
 checkpoint_every = 1
 [evaluate]
+X0 = [0.03, 30.0]
 t_end = 3.0
 case_t_end = 3.0
 case_states = 2

@@ -47,12 +47,23 @@ def test_files_lie_relative_to_the_pipeline_and_those_of_overrides_relative_to_t
     assert config.load(path).plant == f"{tmp_path}/c.py:C"
 
 
+def test_beside_the_files_that_it_names_a_pipeline_gives_their_names_alone(tmp_path: Path, empty: Path):
+    path = tmp_path / "p.toml"
+    path.write_text('plant = "sub/a.py:A"\n[generate]\ndata = "d.h5"\n[evaluate]\nadaptation = "../law.py:Law"\n')
+    found = config.load(path)
+    assert found.files == ["a.py", "law.py", "d.h5"]
+    bare = found.beside()
+    assert (bare.plant, bare.generate.data, bare.evaluate.adaptation) == ("a.py:A", "d.h5", "law.py:Law")
+    named = config.load(empty)
+    assert (named.beside(), named.files) == (named, [])
+
+
 def test_overrides_reach_nested_keys_in_their_toml_type(empty: Path):
-    overrides = ["train.deeponet.epochs=5", "generate.D=[0.5, 2]", "plant=scalar", "parameters.a=-1.5", "name='x y'"]
+    overrides = ["train.deeponet.epochs=5", "generate.D=[0.5, 2]", "plant=scalar", "parameters.a=-1.5", "name='x-y'"]
     found = config.load(empty, overrides)
     assert found.train.deeponet.epochs == 5
     assert found.generate.D == (0.5, 2.0)
-    assert (found.plant, found.parameters, found.name) == ("scalar", {"a": -1.5}, "x y")
+    assert (found.plant, found.parameters, found.name) == ("scalar", {"a": -1.5}, "x-y")
 
 
 def test_a_later_override_wins_and_the_rest_of_its_table_stays(tmp_path: Path):
@@ -90,6 +101,9 @@ def test_a_pipeline_is_frozen(empty: Path):
         ("train.models=['cnn']", ["train.models.0", "'deeponet' or 'fno'", "'cnn'"]),
         ("train.fno.snapshots=[9999]", ["train.fno", "snapshots", "9999"]),
         ("generate=3", ["generate", "3"]),
+        ("name='../away'", ["name: expected", "letters, digits", "'../away'"]),
+        ("name=.hidden", ["name: expected", "a letter or digit first"]),
+        (f"name={'n' * 101}", ["name: expected up to 100"]),
         ("seed.x.y=3", ["seed", "3"]),
         ("seed", ["--set", "key.path=value", "'seed'"]),
         ("=3", ["--set", "key.path=value", "'=3'"]),

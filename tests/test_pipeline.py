@@ -221,6 +221,44 @@ def test_every_key_of_the_pipeline_file_enters_the_questions_that_it_should(pipe
         assert set(asked[model]["train"][model]) == set(type(getattr(made.train, model)).model_fields)
 
 
+MOVER = """
+class Mover:
+    states, inputs, box = ("x", "y"), ("U",), {"y": (0, 1)}
+    def f(x, u, t, p, M): return [u.U, -x.y]
+    def kappa(x, t, p, M): return [-x.x]
+    def V(x, t, p, M): return x.x**2
+"""
+
+
+def test_ranges_of_the_pipeline_enter_where_data_were_given_and_the_plant_has_none(tmp_path: Path, pipeline: Path):
+    (tmp_path / "mover.py").write_text(MOVER)
+    (tmp_path / "d.h5").write_bytes(b"samples")
+
+    def asked(name: str, *more: str) -> dict[str, Any]:
+        made = planner(pipeline, f"plant={tmp_path}/mover.py:Mover", *more).config
+        return next(question(node, made, "cpu") for node in nodes(made, STAGES) if node.name == name)
+
+    given = f"generate.data={tmp_path}/d.h5"
+    for name in ("evaluate", "bench"):
+        near = asked(name, given, "generate.box={x = [0, 1]}")
+        assert near != asked(name, given, "generate.box={x = [0, 2]}")
+        assert near == asked(name, given, "generate.box={x = [0, 1], y = [0, 9]}"), "the plant has a range of its own"
+        assert asked(name, "generate.box={x = [0, 1]}") == asked(name), "the data's digest tells simulated ones apart"
+    assert asked("deeponet", given, "generate.box={x = [0, 1]}") == asked("deeponet")
+
+
+def test_where_files_lie_enters_no_key(pipeline: Path, monkeypatch: pytest.MonkeyPatch):
+    folder = pipeline.parent
+    (folder / "mover.py").write_text(MOVER)
+    (folder / "d.h5").write_bytes(b"samples")
+    pipeline.write_text('plant = "mover.py:Mover"\n[generate]\ndata = "d.h5"\nbox = { x = [0, 1] }\n')
+    monkeypatch.chdir(folder)
+    here, there = config.load(Path(pipeline.name)), config.load(pipeline)
+    assert here != there
+    for node in nodes(here, STAGES):
+        assert question(node, here, "cpu") == question(node, there, "cpu")
+
+
 def test_the_order_of_the_networks_does_not_matter(pipeline: Path):
     for order in itertools.permutations(["deeponet", "fno", "fno"]):
         made = planner(pipeline, f"train.models={list(order)}").config

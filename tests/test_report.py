@@ -192,6 +192,18 @@ def test_the_pipeline_can_be_copied_and_run_again(reported, text):
         assert name == "report" or done.artifact.manifest.key in text
 
 
+def test_files_of_ones_own_are_named_beside_the_pipeline_on_the_page(reported, tmp_path, text):
+    path, outcomes = reported
+    inputs = {name: done.artifact.folder for name, done in outcomes.items() if name != "report"}
+    named = config.load(path, [f"plant={tmp_path}/tank.py:Tank", "generate.data=sub/d.h5"])
+    made = replace(job(tmp_path, "named", inputs=inputs), config=named)
+    report.run(made)
+    page = (made.folder / report.NAME).read_text()
+    assert "Saved as <code>tiny.toml</code> beside tank.py, d.h5, it gives these results again" in page
+    assert "&#34;tank.py:Tank&#34;" in page and str(tmp_path) not in page and "sub/" not in page
+    assert "Saved as <code>tiny.toml</code>, it gives" in text
+
+
 def test_the_same_results_give_the_same_bytes(reported, tmp_path, text):
     path, outcomes = reported
     inputs = {name: done.artifact.folder for name, done in outcomes.items() if name != "report"}

@@ -140,16 +140,27 @@ def _train(config: Pipeline, model: str | None, device: str) -> dict[str, Any]:
 
 
 def _evaluate(config: Pipeline, model: str | None, device: str) -> dict[str, Any]:
-    return {"evaluate": _loop(config.evaluate), "train": {"models": list(models(config))}}
+    return {"evaluate": _loop(config.evaluate), "train": {"models": list(models(config))}} | _box(config)
 
 
 def _bench(config: Pipeline, model: str | None, device: str) -> dict[str, Any]:
     table = {"bench": _dump(config.bench), "train": {"models": list(models(config))}}
-    return table | {"hardware": devices.hardware(device)}
+    return table | {"hardware": devices.hardware(device)} | _box(config)
+
+
+def _box(config: Pipeline) -> dict[str, Any]:
+    """The ranges that the plant leaves to the pipeline; data that are simulated in them differ where they do."""
+    from npred import plants
+
+    if not config.generate.data:
+        return {}
+    declared = plants.resolve(config.plant, config.parameters).box
+    ranges = {name: ends for name, ends in _dump(config.generate)["box"].items() if name not in declared}
+    return {"box": ranges} if ranges else {}
 
 
 def _report(config: Pipeline, model: str | None, device: str) -> dict[str, Any]:
-    return {"pipeline": _dump(config)}
+    return {"pipeline": _dump(config.beside())}
 
 
 STAGES: dict[str, Stage] = {

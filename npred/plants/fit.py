@@ -39,8 +39,8 @@ def _evaluated(plant: Plant, config: Pipeline) -> None:
     if plant.tracks:
         _followed(plant, config.evaluate.case_t_end)
     if len(config.evaluate.X0) != plant.n:
-        wanted, given = ", ".join(plant.states), config.evaluate.X0
-        raise ConfigError(f"evaluate.X0: expected {plant.n} values ({wanted}), got {given}; give one a state")
+        wanted, given = ", ".join(plant.states), config.evaluate.X0 or "none"
+        raise ConfigError(f"evaluate.X0: expected {plant.n} numbers ({wanted}), got {given}; give one a state")
     if not np.isfinite(config.evaluate.X0).all():
         raise ConfigError(f"evaluate.X0: expected finite values, got {config.evaluate.X0}; mend it")
 

@@ -56,7 +56,8 @@ def _page(story: Story, said: list[str], job: Job) -> str:
         folded=FOLDED,
         roles=ROLES,
         facts=_facts(story, job),
-        settings=toml_text.dumps(job.config.model_dump()),
+        files=job.config.files,
+        settings=toml_text.dumps(job.config.beside().model_dump()),
         style=_text("page.css"),
         script=_text("page.js"),
     )
