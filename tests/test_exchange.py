@@ -23,6 +23,8 @@ models = ["deeponet"]
 epochs = 1
 width = 8
 depth = 1
+[evaluate]
+X0 = [0.03, 30.0]
 """
 BENCH = ("--set", "bench.dx=[0.1]", "--set", "bench.calls=5", "--set", "bench.batches=[1]")
 SIMULATED = "samples = 200\nrollouts = 10\nt_end = 10.0\ndt = 0.01\nnx = 21"
