@@ -40,7 +40,7 @@ def _evaluated(plant: Plant, config: Pipeline) -> None:
         _followed(plant, config.evaluate.case_t_end)
     if len(config.evaluate.X0) != plant.n:
         wanted, given = ", ".join(plant.states), config.evaluate.X0 or "none"
-        raise ConfigError(f"evaluate.X0: expected {plant.n} numbers ({wanted}), got {given}; give one a state")
+        raise ConfigError(f"evaluate.X0: expected a number a state ({wanted}), got {given}; give as many")
     if not np.isfinite(config.evaluate.X0).all():
         raise ConfigError(f"evaluate.X0: expected finite values, got {config.evaluate.X0}; mend it")
 
