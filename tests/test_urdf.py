@@ -1,5 +1,6 @@
 """URDF files: a chain of six joints is read, what is fixed is merged, and what is no chain is told in one line."""
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -84,3 +85,41 @@ def test_other_files_are_told(tmp_path):
     path.write_text("<html/>")
     with pytest.raises(ConfigError, match="expected a <robot>, got <html>"):
         urdf.read(path)
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-32"])
+def test_no_entity_is_expanded_in_any_encoding(tmp_path, encoding):
+    path = tmp_path / "wide.urdf"
+    head = f'<?xml version="1.0" encoding="{encoding}"?><!DOCTYPE robot [<!ENTITY a "turned">]>'
+    text = TEXT[TEXT.index("<robot") :].replace('name="turn"', 'name="&a;"')
+    path.write_bytes((head + text).encode(encoding))
+    with pytest.raises(ConfigError, match="expected a URDF file in UTF-8, got zero bytes"):
+        urdf.read(path)
+
+
+def test_only_a_regular_file_is_read_links_to_one_included(tmp_path):
+    (tmp_path / "link.urdf").symlink_to(SIX)
+    assert len(urdf.read(tmp_path / "link.urdf")) == 6
+    (tmp_path / "loop.urdf").symlink_to("loop.urdf")
+    os.mkfifo(tmp_path / "pipe.urdf")
+    for name in ("pipe.urdf", "loop.urdf", "."):
+        with pytest.raises(ConfigError, match=r"expected a URDF file of at most .*, got: a link, a folder or a device"):
+            urdf.read(tmp_path / name)
+
+
+def test_thousands_of_links_fixed_in_a_row_are_merged(tmp_path):
+    """Each is 1 mm above the one before; the last has the mass."""
+    count = 3000
+    rows = ['<robot name="tower"><link name="base"/><joint name="turn" type="revolute"><parent link="base"/>']
+    rows += ['<child link="l0"/></joint>', *(f'<link name="l{k}"/>' for k in range(count))]
+    rise = '<origin xyz="0 0 0.001"/>'
+    rows += [
+        f'<joint name="j{k}" type="fixed">{rise}<parent link="l{k}"/><child link="l{k + 1}"/></joint>'
+        for k in range(count)
+    ]
+    inertia = '<inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/>'
+    rows += [f'<link name="l{count}"><inertial><mass value="2"/>{inertia}</inertial></link></robot>']
+    (tmp_path / "tower.urdf").write_text("".join(rows))
+    (body,) = urdf.read(tmp_path / "tower.urdf")
+    assert body.mass == 2
+    np.testing.assert_allclose(body.centre, [0, 0, 3])

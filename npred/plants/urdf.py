@@ -1,6 +1,7 @@
 """A serial chain from a URDF file: its moving bodies, what is fixed to them merged into them."""
 
 import math
+import os
 import re
 from pathlib import Path
 from typing import Any
@@ -8,6 +9,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from npred import documents
 from npred.errors import ConfigError
 from npred.plants.rigid_body import Body
 
@@ -36,11 +38,15 @@ class _Wrong(ValueError):
 
 def _parsed(path: Path) -> ElementTree.Element:
     try:
-        text = path.read_bytes()
+        text = documents.read(Path(os.path.realpath(path)), LARGEST)
     except OSError as error:
         raise ConfigError(f"{path}: expected a URDF file, got: {error.strerror}; check the path") from None
-    if len(text) > LARGEST:
-        raise ConfigError(f"{path}: expected a URDF file of at most {LARGEST} bytes, got {len(text)}; is it one?")
+    except ValueError as error:
+        raise ConfigError(
+            f"{path}: expected a URDF file of at most {LARGEST} bytes, got: {error}; is it one?"
+        ) from None
+    if b"\0" in text:  # UTF-16 and UTF-32, in which a DOCTYPE would not be seen
+        raise ConfigError(f"{path}: expected a URDF file in UTF-8, got zero bytes; save it as UTF-8")
     if b"<!DOCTYPE" in text or b"<!ENTITY" in text:
         raise ConfigError(f"{path}: expected a URDF file without DOCTYPE and ENTITY, got one; remove them")
     try:
@@ -76,13 +82,13 @@ class _Tree:
         """From the base to the tip."""
         found: list[Body] = []
         self.reached: set[str] = set()
-        _, leaving = self._rigid(self.base, np.eye(3), np.zeros(3))
+        _, leaving = self._rigid(self.base)
         while leaving:
             if len(leaving) > 1:
                 names = ", ".join(_text(joint, "name") for joint, _, _ in leaving)
                 raise _Wrong(f"expected a serial chain, but it branches at the joints {names}")
             joint, turn, place = leaving[0]
-            inertial, leaving = self._rigid(_text(_part(joint, "child"), "link"), np.eye(3), np.zeros(3))
+            inertial, leaving = self._rigid(_text(_part(joint, "child"), "link"))
             found.append(_body(joint, turn, place, inertial))
         if not found:
             raise _Wrong("expected a joint that moves, found none")
@@ -91,18 +97,19 @@ class _Tree:
             raise _Wrong(f"expected every link to hang on {self.base}, found a ring of {astray}")
         return found
 
-    def _rigid(self, link: str, turn: np.ndarray, place: np.ndarray) -> tuple[list[Any], list[Any]]:
+    def _rigid(self, base: str) -> tuple[list[Any], list[Any]]:
         """Inertias of the link and all that is fixed to it, and the moving joints that leave it, in its frame."""
-        self.reached.add(link)
-        inertials, leaving = _inertial(self.links[link], turn, place), []
-        for joint in self.leaving[link]:
-            local, offset = _origin(joint)
-            there = turn @ local, place + turn @ offset
-            if joint.get("type") == "fixed":
-                more, beyond = self._rigid(_text(_part(joint, "child"), "link"), *there)
-                inertials, leaving = inertials + more, leaving + beyond
-            else:
-                leaving.append((joint, *there))
+        inertials, leaving, fixed = [], [], [(base, np.eye(3), np.zeros(3))]
+        for link, turn, place in fixed:  # which grows meanwhile
+            self.reached.add(link)
+            inertials += _inertial(self.links[link], turn, place)
+            for joint in self.leaving[link]:
+                local, offset = _origin(joint)
+                there = turn @ local, place + turn @ offset
+                if joint.get("type") == "fixed":
+                    fixed.append((_text(_part(joint, "child"), "link"), *there))
+                else:
+                    leaving.append((joint, *there))
         return inertials, leaving
 
 
