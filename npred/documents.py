@@ -29,6 +29,17 @@ def parse(content: bytes | str) -> Any:
         raise ValueError("JSON nested too deeply") from None
 
 
+def escaped(value: Any) -> Any:
+    """A JSON value whose texts a terminal shows as they are, on one line: escape sequences and line ends spelt out."""
+    if isinstance(value, dict):
+        return {escaped(key): escaped(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [escaped(item) for item in value]
+    if not isinstance(value, str):
+        return value
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in value)
+
+
 def table(path: Path, limit: int = LIMIT) -> dict[str, Any]:
     """The JSON object in a file. Raises OSError and ValueError as `read` and `parse` do, and for any other value."""
     value = parse(read(path, limit))

@@ -4,6 +4,7 @@ import io
 import os
 import tarfile
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -33,6 +34,11 @@ def forged(path: Path, members: list[tuple[tarfile.TarInfo, bytes]]) -> Path:
             info.size = len(content)
             made.addfile(info, io.BytesIO(content))
     return path
+
+
+def signed(fields: dict[str, Any]) -> dict[str, Any]:
+    """The fields of a manifest with the checksum that they need."""
+    return fields | {"checksum": sha256({key: value for key, value in fields.items() if key != "checksum"})}
 
 
 def refused(tmp_path: Path, tar: Path) -> None:
@@ -103,15 +109,26 @@ def test_what_is_no_plain_file_is_refused(artifact: Artifact, tar: Path, tmp_pat
 
 
 @pytest.mark.parametrize(
-    "name", ["../escaped", "/etc/escaped", "a\\b", "a//b", "", ".", "manifest.json", "a\nb", "x" * 201]
+    "name",
+    ["../escaped", "/etc/escaped", "a\\b", "a//b", "", ".", "manifest.json", "a\nb", "x" * 201, ".nfs1", "a/.nfs1"],
 )
 def test_a_manifest_with_such_a_name_is_none(artifact: Artifact, name: str):
     fields = artifact.manifest.model_dump()
     fields["files"][name] = fields["files"].pop("data.bin")
     fields["digest"] = sha256(fields["files"])
-    fields["checksum"] = sha256({key: value for key, value in fields.items() if key != "checksum"})
     with pytest.raises(ValueError, match="files"):
-        Manifest.model_validate(fields)
+        Manifest.model_validate(signed(fields))
+
+
+@pytest.mark.parametrize("path", ["pipeline", "provenance", "provenance numpy", "question inputs"])
+def test_a_manifest_that_would_write_over_a_terminal_is_none(artifact: Artifact, path: str):
+    fields = artifact.manifest.model_dump()
+    *parents, last = path.split()
+    table = fields[parents[0]] if parents else fields
+    strange = "x\x1b[2J\ny"
+    table[last] = {strange: next(iter(table[last].values()))} if isinstance(table[last], dict) else strange
+    with pytest.raises(ValueError, match="expected printable characters"):
+        Manifest.model_validate(signed(fields))
 
 
 def test_what_the_manifest_announces_must_fit_on_the_disk(tar: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

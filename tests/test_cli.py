@@ -16,7 +16,8 @@ import pytest
 from conftest import HERE, Call, document, one_line, process_environment
 from typer.testing import Result
 
-from npred.store import Store
+from npred.cli import look
+from npred.store import Question, Store
 
 
 def actions(result: Result) -> dict[str, str]:
@@ -121,6 +122,24 @@ def test_show_ls_and_diff(call: Call):
     assert (found["question"], found["result"]) == (["train.fno.epochs: 100 -> 2"], ["epochs: 100 -> 2"])
     assert call("diff", old[:8], new[:8]).stdout == "train.fno.epochs: 100 -> 2\nresult.epochs: 100 -> 2\n"
     assert "no difference" in call("diff", old[:8], old[:8]).stdout
+
+
+def test_nothing_in_a_result_moves_the_cursor(call: Call):
+    """A result that somebody else sent may hold any text."""
+    store, strange = Store(Path("artifacts")), "\x1b[2J\x9b1m\n"
+    asked = Question(stage="generate", version=1, model=None, config={strange: strange}, inputs={})
+    with store.draft("generate", asked.key) as folder:
+        (folder / "result.json").write_text(json.dumps({strange: strange}))
+        store.commit(folder, asked, "p")
+    for command in ("show", "ls"):
+        done = call(command)
+        assert done.exit_code == 0
+        assert [line for line in done.stdout.splitlines() if not line.isprintable()] == []
+    assert r"\x1b[2J\x9b1m\n" in call("show").stdout
+
+
+def test_a_summary_moves_no_cursor():
+    assert look._summary("report", {"summary": ["\x1b[2J"]}) == r"\x1b[2J"
 
 
 def test_gc_plans_first_and_keeps_what_a_pipeline_needs(call: Call):

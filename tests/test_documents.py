@@ -35,3 +35,9 @@ def test_links_and_pipes_are_not_opened(tmp_path: Path):
             documents.read(tmp_path / name)
     with pytest.raises(FileNotFoundError):
         documents.read(tmp_path / "nothing")
+
+
+def test_what_moves_a_cursor_is_spelt_out():
+    strange = {"a\x1b[2J\n": ["\x9b1m", "\u202e", "\ud800", 1, None, {"ε µ": "\\x1b"}]}
+    plain = {r"a\x1b[2J\n": [r"\x9b1m", r"\u202e", r"\ud800", 1, None, {"ε µ": r"\x1b"}]}
+    assert documents.escaped(strange) == plain

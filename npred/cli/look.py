@@ -5,6 +5,7 @@ from typing import Any
 
 from npred.cli.options import Common, Planned
 from npred.console import columns
+from npred.documents import escaped
 from npred.errors import ConfigError, UnmetError
 from npred.pipeline import STAGES, Step, nodes
 from npred.pipeline.reasons import changes, differences, flat
@@ -145,6 +146,7 @@ def _facts(artifact: Artifact) -> str:
 
 def _summary(stage: str, result: dict[str, Any]) -> Any:
     """A result that somebody else sent may be of a stage, or of a form, that this npred does not have."""
+    result = escaped(result)
     try:
         return STAGES[stage].summary(result)
     except (LookupError, TypeError, ValueError, AttributeError):

@@ -4,6 +4,7 @@ import json
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+from npred.documents import escaped
 from npred.store import Artifact, Question, short
 
 NEVER = "no artifact yet"
@@ -42,13 +43,13 @@ def changes(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[str]:
 
 
 def flat(table: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
-    """The leaves of nested tables under dotted keys, as JSON; a list is a leaf."""
+    """The leaves of nested tables under dotted keys, as JSON; a list is a leaf. Nothing in them moves a cursor."""
     leaves: dict[str, str] = {}
     for key, value in table.items():
         if isinstance(value, Mapping):
             leaves |= flat(value, f"{prefix}{key}.")
         else:
-            leaves[f"{prefix}{key}"] = json.dumps(value, ensure_ascii=False)
+            leaves[escaped(f"{prefix}{key}")] = escaped(json.dumps(value, ensure_ascii=False))
     return leaves
 
 

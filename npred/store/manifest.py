@@ -21,15 +21,24 @@ PARTIAL = ".nfs"  # how NFS calls a file that was removed while somebody had it 
 def inside(name: str) -> str:
     """The name, if it is a plain relative path to a file that may lie beside a manifest; else ValueError."""
     path = PurePosixPath(name)
-    plain = name.isprintable() and "\\" not in name and 0 < len(name.encode()) <= 200 and ".." not in path.parts
-    if not plain or path.is_absolute() or path.as_posix() != name or name in (".", NAME):
+    plain = name.isprintable() and "\\" not in name and 0 < len(name.encode()) <= 200
+    hidden = any(part == ".." or part.startswith(PARTIAL) for part in path.parts)
+    if not plain or hidden or path.is_absolute() or path.as_posix() != name or name in (".", NAME):
         raise ValueError("expected a relative path inside the artifact")
     return name
+
+
+def printable(text: str) -> str:
+    """The text, if a terminal shows it as it is, on one line; else ValueError."""
+    if not text.isprintable():
+        raise ValueError("expected printable characters")
+    return text
 
 
 Digest = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
 Word = Annotated[str, Field(pattern="^[a-z][a-z0-9_]{0,63}$")]
 Name = Annotated[str, AfterValidator(inside)]
+Line = Annotated[str, AfterValidator(printable)]
 
 
 class Record(BaseModel):
@@ -59,7 +68,7 @@ class Question(Record):
     version: int
     model: Word | None
     config: dict[str, Any]
-    inputs: dict[str, Source]
+    inputs: dict[Line, Source]
 
     @property
     def key(self) -> str:
@@ -79,8 +88,8 @@ class Manifest(Record):
     question: Question
     files: dict[Name, Payload]
     digest: Digest
-    pipeline: str
-    provenance: dict[str, str | None]
+    pipeline: Line
+    provenance: dict[Line, Line | None]
     checksum: Digest
 
     @classmethod
