@@ -87,6 +87,29 @@ def test_a_checkpoint_whose_key_cannot_be_known_stays(call: Call):
     assert {path.parent.name for path in planned(call)} == {"generate"}
 
 
+def test_what_a_run_at_work_has_just_removed_is_nothing(call: Call, stale: list[Path], monkeypatch):
+    gone = Path("artifacts/.tmp/train-0")
+    monkeypatch.setattr(Store, "leftovers", lambda store: [gone])
+    assert planned(call) == set(stale)
+
+
+def test_a_result_that_was_being_replaced_when_the_store_was_read_stays(call: Call, stale: list[Path], monkeypatch):
+    """A forced rerun: one folder is seen without its manifest, and another is made anew after the plan."""
+    torn, renewed, old = stale
+    survey = Store.survey
+
+    def between(store: Store):
+        sound, _ = survey(store)
+        os.utime(renewed / "manifest.json")
+        return [artifact for artifact in sound if artifact.folder != torn], [torn]
+
+    monkeypatch.setattr(Store, "survey", between)
+    done = document(call("gc", "tiny.toml", "--json", "--yes"))
+    assert {Path(row["path"]) for row in done["plan"]} == set(stale)
+    assert done["deleted"] == [str(old)]
+    assert [folder.exists() for folder in stale] == [True, True, False]
+
+
 def test_sizes_in_words(call: Call):
     assert [size(text) for text in (None, "0", "12", "2k", "2.5MB", "1G")] == [-1, 0, 12, 2000, 2_500_000, 10**9]
     for text in ("", "two", "-1G", "5 G", "nan", "1e9"):

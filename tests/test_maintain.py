@@ -67,6 +67,14 @@ def test_a_result_goes_from_store_to_store_in_a_tar(call: Call):
     assert "make nowhere" in one_line(call("export-artifact", "fno", "-o", "nowhere/a.tar"), 2)
 
 
+@pytest.mark.parametrize("command", ["ls", "verify", "doctor", "show", "gc tiny.toml", "status tiny.toml"])
+def test_a_store_that_is_a_file_is_one_line_and_one_that_is_not_there_yet_is_empty(call: Call, command: str):
+    Path("file").write_text("")
+    line = one_line(call(*command.split(), "--store", "file"), 4)
+    assert line == "error: file: expected a store, a folder, got a file; choose another --store"
+    assert call(*command.split(), "--store", "nowhere").exit_code == (2 if command == "show" else 0)
+
+
 def test_a_read_only_store_gives_hits_and_refuses_a_run_in_one_line(call: Call, read_only: Path):
     rows = document(call("run", "tiny.toml", "--store", read_only, "--json"))["stages"]
     assert {row["action"] for row in rows} == {"hit"}

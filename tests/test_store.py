@@ -294,6 +294,35 @@ def test_what_is_being_worked_on_is_not_deleted(store: Store, holder: subprocess
     assert not artifact.folder.exists()
 
 
+def test_what_is_due_is_asked_again_under_the_lock(store: Store):
+    artifact = put(store)
+
+    def due(folder: Path) -> bool:
+        with pytest.raises(StoreError, match="expected a free lock"), store.lock("train", folder.name):
+            pass
+        return False
+
+    assert not store.delete(artifact.folder, due)
+    assert artifact.verify().folder.exists()
+
+
+def test_a_result_that_is_removed_while_the_store_is_read_is_none(store: Store, monkeypatch: pytest.MonkeyPatch):
+    """Whether before its manifest is read or after."""
+    kept, *gone = (put(store, question(version=version)) for version in (1, 2, 3))
+    read = Artifact.read
+
+    def removing(folder: Path) -> Artifact:
+        if folder == gone[0].folder:
+            store.discard(folder)
+        found = read(folder)
+        if folder == gone[1].folder:
+            store.discard(folder)
+        return found
+
+    monkeypatch.setattr(Artifact, "read", removing)
+    assert store.survey() == ([kept], [])
+
+
 def test_a_store_that_cannot_be_written_is_one_line(tmp_path: Path):
     (tmp_path / "file").write_text("")
     with (

@@ -1,6 +1,8 @@
 """What `npred gc` does: what no pipeline needs, by age and size, planned first and deleted when told to."""
 
+import os
 import re
+import stat
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -9,7 +11,7 @@ from typing import NamedTuple
 
 from npred import devices, places
 from npred.cli.options import Common
-from npred.errors import ConfigError
+from npred.errors import ConfigError, StoreError
 from npred.pipeline import STAGES, Kept, Planner, cells, closure, nodes
 from npred.store import Artifact, Store
 
@@ -29,17 +31,25 @@ class Wanted:
 
 
 class Waste(NamedTuple):
-    """Something to delete, and why."""
+    """Something to delete, and why; of a sound result also when it was made."""
 
     path: Path
     bytes: int
     reason: str
+    made: float | None = None
+
+    def as_seen(self, path: Path) -> bool:
+        """Whether the path is still what the plan was made for: a run may have put a new result there."""
+        try:
+            return Artifact.read(path).made == self.made
+        except StoreError:
+            return self.made is None
 
 
 def gc(options: Common, wanted: Wanted, yes: bool) -> None:
     """The plan of what to delete, and with `yes` the deed. Raises ConfigError where no pipeline says what stays."""
     plan = _plan(options.results, wanted)
-    deleted = [str(waste.path) for waste in plan if yes and options.results.delete(waste.path)]
+    deleted = [str(waste.path) for waste in plan if yes and options.results.delete(waste.path, waste.as_seen)]
     rows = [{"path": str(waste.path), "bytes": waste.bytes, "reason": waste.reason} for waste in plan]
     options.show({"plan": rows, "deleted": deleted}, lambda: _told(plan, deleted, yes))
 
@@ -72,8 +82,8 @@ def _beyond(unneeded: list[Artifact], sound: list[Artifact], limit: int) -> Iter
     for artifact in unneeded:
         if total > limit:
             total -= artifact.size
-            made = artifact.manifest.pipeline
-            yield Waste(artifact.folder, artifact.size, f"no pipeline needs it (made for {made})")
+            reason = f"no pipeline needs it (made for {artifact.manifest.pipeline})"
+            yield Waste(artifact.folder, artifact.size, reason, artifact.made)
 
 
 def _broken(store: Store, broken: list[Path], kept: Kept, since: float) -> Iterator[Waste]:
@@ -81,7 +91,8 @@ def _broken(store: Store, broken: list[Path], kept: Kept, since: float) -> Itera
         yield Waste(folder, _bytes(folder), "no sound manifest")
     for path in store.leftovers():
         resumed = path.parent.name == ".scratch" and kept.holds_checkpoint(path.name)
-        if not resumed and path.stat().st_mtime <= since:
+        found = _stat(path)
+        if not resumed and found and found.st_mtime <= since:
             yield Waste(path, _bytes(path), "left by a run that ended early")
 
 
@@ -106,4 +117,13 @@ def _told(plan: list[Waste], deleted: list[str], yes: bool) -> str:
 
 
 def _bytes(folder: Path) -> int:
-    return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
+    files = (_stat(Path(here, name)) for here, _, names in os.walk(folder) for name in names)
+    return sum(found.st_size for found in files if found and stat.S_ISREG(found.st_mode))
+
+
+def _stat(path: Path) -> os.stat_result | None:
+    """None for what a run at work has just removed."""
+    try:
+        return path.stat()
+    except FileNotFoundError:
+        return None

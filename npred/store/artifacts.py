@@ -5,6 +5,8 @@ import shutil
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
+from functools import cached_property
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, Self
 
@@ -35,7 +37,7 @@ class Artifact:
         """`stage/key` with the key cut short, as people write it."""
         return f"{self.manifest.question.stage}/{short(self.manifest.key)}"
 
-    @property
+    @cached_property
     def made(self) -> float:
         """When it was written, in seconds since 1970."""
         return (self.folder / NAME).stat().st_mtime
@@ -110,14 +112,20 @@ class Store:
         return Artifact(target, manifest)
 
     def survey(self) -> tuple[list[Artifact], list[Path]]:
-        """Every result with a sound manifest, the most recent last, and the folders whose manifest is none."""
+        """Every result with a sound manifest, the most recent last, and the folders whose manifest is none.
+
+        Raises StoreError where the store is no folder; one that does not exist yet is empty.
+        """
+        if self.root.exists() and not self.root.is_dir():
+            raise StoreError(f"{self.root}: expected a store, a folder, got a file; choose another --store")
         sound, broken = [], []
         for folder in sorted(p for p in self.root.glob("[!.]*/*") if _KEY.fullmatch(p.name) and p.is_dir()):
             try:
-                sound.append(Artifact.read(folder))
-            except StoreError:
-                broken.append(folder)
-        return sorted(sound, key=lambda artifact: artifact.made), broken
+                artifact = Artifact.read(folder)
+                sound.append((artifact.made, artifact))
+            except (StoreError, FileNotFoundError):  # one that was removed meanwhile is none
+                broken += [folder] if folder.exists() else []
+        return [artifact for _, artifact in sorted(sound, key=itemgetter(0))], broken
 
     def artifacts(self) -> list[Artifact]:
         """Every result with a sound manifest, the most recent last."""
@@ -147,16 +155,21 @@ class Store:
             raise ConfigError(f"{reference}: expected one artifact of {self.root}, got {names}; see npred ls")
         return found[0]
 
-    def delete(self, path: Path) -> bool:
-        """Remove a result, a draft or a checkpoint; False, and nothing done, while its key is being worked on."""
+    def delete(self, path: Path, due: Callable[[Path], bool] = lambda path: True) -> bool:
+        """Remove a result, a draft or a checkpoint; False, and nothing done, while its key is being worked on.
+
+        So too unless it is `due`, which is asked once nobody else can change it.
+        """
         name = path.name if path.parent.name.startswith(".") else f"{path.parent.name}-{path.name}"
         stage, _, key = name.partition("-")
         try:
             with self.lock(stage, key):
-                self.discard(path)
+                found = due(path)
+                if found:
+                    self.discard(path)
+                return found
         except locks.HeldError:
             return False
-        return True
 
     def discard(self, path: Path) -> None:
         """Remove a folder of the store whose key's lock is held."""
