@@ -5,6 +5,7 @@ from importlib.resources import files
 from typing import Any
 
 from npred import toml_text
+from npred.config import FROZEN
 from npred.figures import svg
 from npred.figures.plate import Plate
 from npred.figures.style import ROLES
@@ -84,7 +85,8 @@ def _pictures(plate: Plate, bar: Bar) -> list[str]:
 
 def _about(job: Job) -> str:
     plant, config = job.plant, job.config.evaluate
-    delay = f"D = {config.D:g} s, {sentences.of_delay(config.adaptation)}"
+    known = "its estimate held" if config.adaptation == FROZEN else "unknown to the controller"
+    delay = f"delay D = {config.D:g} s, {known}"
     return f"{plant.name}: states {', '.join(plant.states)}; inputs {', '.join(plant.inputs)}; {delay}"
 
 

@@ -14,8 +14,7 @@ def summary(evaluated: Row, benched: Row, networks: list[str], adaptation: str) 
     return [_errors(evaluated, networks), _loops(evaluated["models"], networks, adaptation), _speed(benched, networks)]
 
 
-def of_delay(adaptation: str) -> str:
-    """What a loop under that law knows of its delay."""
+def _of_delay(adaptation: str) -> str:
     return "with the delay estimate held" if adaptation == FROZEN else "with a delay that the controller does not know"
 
 
@@ -33,7 +32,7 @@ def _loops(models: dict[str, Row], networks: list[str], adaptation: str) -> str:
         found.append(f"{_home(models['no_adaptation'])} without adaptation")
     *first, last = found
     cases = models["numerical"]["radius"]["cases"]
-    return f"Of {cases} closed loops {of_delay(adaptation)}, {', '.join(first)} and {last} converge."
+    return f"Of {cases} closed loops {_of_delay(adaptation)}, {', '.join(first)} and {last} converge."
 
 
 def _home(row: Row) -> int:
