@@ -21,7 +21,10 @@ GRIDS, CALLS, SECONDS = (101, 1001), 2000, 4.0
 def theirs(config: FNO, channels: int, n: int, nx: int):
     """neuraloperator's FNO with as many complex modes kept; it wants twice the number."""
     warnings.simplefilter("ignore")
-    from neuralop.models import FNO as Theirs
+    try:
+        from neuralop.models import FNO as Theirs
+    except ImportError:
+        raise SystemExit("error: expected neuraloperator, found none; pip install neuraloperator") from None
 
     torch.manual_seed(0)
     modes = 2 * (config.modes - 1)

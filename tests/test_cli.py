@@ -225,6 +225,8 @@ def test_bad_input_is_one_line_and_its_exit_code(call: Call, arguments: list[str
         (["run", "--nonsense"], "got: No such option: --nonsense; see npred run --help"),
         (["run", "--jobs", "many"], "got: Invalid value for '--jobs': "),
         (["run", "a.toml", "b.toml"], "expected npred run [OPTIONS] [PIPELINE], got: Got unexpected extra argument"),
+        (["evaluate", "--set"], "Option '--set' requires an argument; see npred --help"),
+        (["evaluate", "--json=3"], "Option '--json' does not take a value; see npred --help"),
         (["why"], "got: Missing argument 'stage'; see npred why --help"),
         (["plants", "check"], "expected npred plants check [OPTIONS] {PLANT}, got: "),
     ],

@@ -209,3 +209,9 @@ def test_the_command_says_it_to_people_and_programs(tank):
     assert "got stability" in line
     assert call("nonesuch").exit_code == 2
     assert call("scalar", "--delay", "-1").exit_code == 2
+
+
+def test_V_is_looked_at_on_all_sides_of_rest():
+    """The paper's V falls in its box, which lies on one side of rest, and rises close to rest on another side."""
+    found = answers(plants.resolve("activator_repressor"))
+    assert found["V"].verdict == "warn" and "falls at 100% of them" in found["V"].text

@@ -31,6 +31,12 @@ def _tell(error: Any) -> int:
     """Say it on stderr; the exit code."""
     got = " ".join(error.format_message().split()).rstrip(".")
     if got:  # else no command was named, and the help is printed
-        path, wanted = error.ctx.command_path, " ".join(error.ctx.command.collect_usage_pieces(error.ctx))
-        Console().error(f"expected {path} {wanted}, got: {got}; see {path} --help")
+        Console().error(f"{_expected(error.ctx)}{got}; see {error.ctx.command_path if error.ctx else 'npred'} --help")
     return error.exit_code
+
+
+def _expected(context: Any) -> str:
+    """The usage, where the parser says of which command: of an option without its value it does not."""
+    if context is None:
+        return ""
+    return f"expected {context.command_path} {' '.join(context.command.collect_usage_pieces(context))}, got: "

@@ -12,6 +12,7 @@ from npred.plants.base import Plant
 from npred.plants.fit import SLIP, slip
 from npred.plants.trace import Trace, python
 
+NEAR = 0.01  # of the box, around rest: loops come there from all sides, whichever side the box is on
 HORIZON = 100.0  # s, over which a reference is looked at
 
 
@@ -82,16 +83,20 @@ def decrease(case: Case) -> Answer:
     rates = _along(case, X)
     rising = ~(rates < 0)
     if not rising.any():
-        return Answer("V", "yes", f"V' < 0 along the loop of kappa, at {len(X)} states of the box and towards rest")
+        return Answer(
+            "V", "yes", f"V' < 0 along the loop of kappa, at {len(X)} states of the box, towards rest and around it"
+        )
     worst = int(np.argmax(np.where(np.isnan(rates), np.inf, rates)))
     found = f"V' = {rates[worst]:.3g} at {case.state(X[worst])}, and {rising.mean():.0%} of {len(X)} states are like it"
     return Answer("V", "warn", f"{case.place('V')} does not fall along the loop: {found}; {_offer(case, X)}")
 
 
 def _towards_rest(case: Case) -> np.ndarray:
-    """The states of the box, and as many between them and the equilibrium, (2 samples, n)."""
-    share = np.linspace(0.02, 1.0, len(case.X))[:, None]
-    return np.concatenate([case.X, case.plant.equilibrium + share * (case.X - case.plant.equilibrium)])
+    """The states of the box, as many between them and the equilibrium, and as many close around it, (3 samples, n)."""
+    rest, X = case.plant.equilibrium, case.X
+    share = np.linspace(0.02, 1.0, len(X))[:, None]
+    around = NEAR * np.ptp(X, axis=0) * np.random.default_rng(0).uniform(-1, 1, X.shape)
+    return np.concatenate([X, rest + share * (X - rest), rest + around])
 
 
 def _along(case: Case, X: np.ndarray) -> np.ndarray:
