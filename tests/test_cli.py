@@ -272,6 +272,11 @@ def test_quiet_says_nothing_but_the_answer(call: Call):
     assert call("run", "tiny.toml", "-q").stderr == ""
 
 
+def _hear_interrupts() -> None:
+    """A shell starts what it puts into the background deaf to SIGINT, and children inherit that."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 class Process:
     """`npred` with fake stages, stopped in the middle of one of them."""
 
@@ -284,6 +289,7 @@ class Process:
             cwd=folder,
             env=process_environment(**more, **({"FAKE_HANG": hang} if hang else {})),
             pass_fds=(theirs, mine),
+            preexec_fn=_hear_interrupts,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
