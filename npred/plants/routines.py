@@ -1,6 +1,7 @@
 """Costly plants: f, kappa and their derivatives compiled once as functions of their own, which the kernels call.
 
 Written out, RK4 holds f four times and the update law its derivative twice; a compiler's time grows faster than that.
+The functions themselves go past most of the compiler: their programs are lowered operation by operation (lowering.py).
 """
 
 from functools import cache
@@ -15,6 +16,20 @@ if TYPE_CHECKING:
     from npred.plants.base import Plant
 
 LONG = 150  # lines from which on a function is called; below, all fits into registers and SIMD lanes
+
+VERSION = 1  # compiled programs are kept under their text: a change of what lowering.py makes of it counts here
+TEXTS = {name: f"o.{name}({', '.join(f'{{{k}}}' for k in range(op.arity))})" for name, op in tape.OPS.items()}
+PROGRAM = """\
+from npred.plants.lowering import function  # {version}
+
+
+def program(o, {given}):
+    {lines}
+    return ({found},)
+
+
+lowered = function(program, {size})
+"""
 
 
 @cache
@@ -37,10 +52,12 @@ def imports(trace: Trace) -> str:
 def _module(plant: "Plant", name: str) -> str:
     """The name of the module that holds the compiled function, which is loaded."""
     arguments, lines, size = _lines(plant, name)
-    text = f"def plant_{name}({', '.join(arguments)}):\n    " + "\n    ".join(lines)
-    text += f"\n    return ({', '.join(f'y{k}' for k in range(size))},)\n"
+    given, found = ", ".join(arguments), ", ".join(_names("y", size))
+    program = {"given": given, "found": found, "lines": "\n    ".join(lines), "size": size}
+    preamble = PROGRAM.format(version=VERSION, **program)
+    text = f"def plant_{name}({given}):\n    return lowered(({given},))\n"
     signature = f"UniTuple(float64, {size})({', '.join(['float64'] * len(arguments))})"
-    return kernels.build(f"plant_{name}", signature, text).__module__
+    return kernels.build(f"plant_{name}", signature, text, preamble).__module__
 
 
 def _lines(plant: "Plant", name: str) -> tuple[list[str], list[str], int]:
@@ -52,7 +69,7 @@ def _lines(plant: "Plant", name: str) -> tuple[list[str], list[str], int]:
     names = [*_names("x", plant.n), *(_names("u", plant.m) if u is inputs[1] else []), "t"]
     names += _names("p", len(plant.p)) + (_names("d", plant.n) if inputs[-1] is v else [])
     targets = _names("y", len(outputs))
-    return names, tape.program(outputs, {name: name for name in names}, targets), len(outputs)
+    return names, tape.program(outputs, {name: name for name in names}, targets, TEXTS), len(outputs)
 
 
 def _names(prefix: str, count: int) -> list[str]:

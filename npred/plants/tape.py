@@ -25,6 +25,11 @@ class Op:
     text: str
     tangent: Callable[..., Any]
 
+    @property
+    def arity(self) -> int:
+        """The number of its arguments."""
+        return self.text.count("{")
+
 
 def _sign(a: float) -> float:
     return float((a > 0) - (a < 0))
