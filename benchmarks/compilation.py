@@ -3,7 +3,7 @@
     python benchmarks/compilation.py [PLANT ...]
 
 A plant is a name or my_plant.py:Tank; by default some built-in ones and the six-joint arm of the tests' URDF file. The
-engine, which serves every plant, is compiled beforehand; the import of npred is not counted, a process for each time is.
+engine, which serves every plant, is compiled beforehand. Each time is of a process of its own, its imports left out.
 """
 
 import os

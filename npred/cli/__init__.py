@@ -1,7 +1,6 @@
 """The command line, `npred`."""
 
 import signal
-import sys
 from types import FrameType
 
 from npred import ranks
@@ -18,13 +17,21 @@ def main() -> None:
     Of the processes that torchrun starts, the first does so and the others help it train.
     """
     signal.signal(signal.SIGTERM, _terminate)
-    ranks.join()
-    if ranks.number() > 0:
-        sys.exit(_help_out())
+    if ranks.count() > 1:
+        ranks.join()
+        ranks.leave(_lead() if ranks.number() == 0 else _help_out())
+    app()
+
+
+def _lead() -> int:
+    """The exit code of the first of several processes."""
     try:
         app()
+    except SystemExit as end:
+        return int(end.code or 0)
     finally:
         ranks.dismiss()
+    return 0
 
 
 def _help_out() -> int:
