@@ -9,6 +9,7 @@ from contextlib import contextmanager
 import numpy as np
 
 ROUNDS = 10  # the machine's drift falls on all contenders alike
+STOP = 5000  # ns: reading the clock takes a hundredth of that
 LEAST = 10  # calls of a contender, however long they take
 WARM_UP = 3
 Call = Callable[[int], None]
@@ -57,6 +58,23 @@ def undisturbed() -> Iterator[None]:
             os.sched_setaffinity(0, cores)
         if collects:
             gc.enable()
+
+
+def stops(seconds: float = 0.5) -> dict[str, float]:
+    """How often the system takes the core from a thread that only reads the clock, a second, and for how long.
+
+    That is in the tail of whatever is timed here: of calls that last c seconds it meets the share c times `per_s`.
+    """
+    gaps, now = [], time.perf_counter_ns
+    with undisturbed():
+        before = now()
+        end = before + int(seconds * 1e9)
+        while before < end:
+            after = now()
+            if after - before > STOP:
+                gaps.append(after - before)
+            before = after
+    return {"per_s": len(gaps) / seconds, "median_us": float(np.median(gaps)) / 1000 if gaps else 0.0}
 
 
 def _clock(call: Call, numbers: range) -> np.ndarray:

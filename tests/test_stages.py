@@ -16,7 +16,7 @@ from npred.closed_loop import Samples, Trajectories
 from npred.dataset import Dataset
 from npred.errors import MissingError
 from npred.predictors.neural import Neural
-from npred.stages import accuracy, bench, certificate, coverage, evaluate, generate, starts, train
+from npred.stages import accuracy, bench, bench_report, certificate, coverage, evaluate, generate, starts, train
 
 PLANT = plants.resolve("activator_repressor")
 
@@ -264,6 +264,15 @@ def test_bench_says_from_where_on_a_network_pays(benched):
         assert found["best_us"] == min(rival["median_us"] for rival in found["numerical"])
         assert found["f_ns"] > 0 and found["best_steps"] >= 1
         assert found["sentence"].startswith("For activator_repressor at eps = ")
+
+
+def test_bench_says_what_of_the_tails_is_the_machines(benched):
+    found = benched[1]["stops"]
+    assert found["per_s"] >= 0 and found["sentence"] == bench_report.stopped(found)
+    told = bench_report.stopped({"per_s": 400.0, "median_us": 38.2})
+    assert "400 times a second, for 38 µs in the median: from 2.5 µs a call on" in told
+    assert "did not stop" in bench_report.stopped({"per_s": 0.0, "median_us": 0.0})
+    assert bench_report.sentences(benched[1])[-1] == found["sentence"]
 
 
 @pytest.mark.slow

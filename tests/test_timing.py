@@ -1,6 +1,7 @@
 """Timing: every call is taken, contenders take turns, the collector is given back."""
 
 import gc
+import itertools
 import os
 import time
 
@@ -42,6 +43,15 @@ def test_one_core_meanwhile_and_all_after():
         assert len(os.sched_getaffinity(0)) == 1
         raise RuntimeError
     assert os.sched_getaffinity(0) == before and gc.isenabled()
+
+
+def test_stops_are_gaps_between_two_looks_at_the_clock(monkeypatch):
+    """A clock that goes on by 50 ns a look, and by 30 or 40 µs more at three of them."""
+    late = {100: 40_000, 2000: 30_000, 3000: 40_000}
+    looks = itertools.accumulate(50 + late.get(k, 0) for k in itertools.count())
+    monkeypatch.setattr(timing.time, "perf_counter_ns", lambda: next(looks))
+    assert timing.stops(0.001) == {"per_s": 3000.0, "median_us": pytest.approx(40.05)}
+    assert timing.stops(0.001) == {"per_s": 0.0, "median_us": 0.0}
 
 
 def test_quantiles_in_microseconds():

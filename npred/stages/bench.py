@@ -21,7 +21,7 @@ def run(job: Job) -> dict[str, Any]:
 
     Protocol of [DAPF, Table I]: state at the box's corner, u(x) = x, D_hat ~ U(0.5, 1.7). Writes times.h5 (each call's
     nanoseconds), bench.tex (booktabs), speed.svg and speed.png (latency against error). `crossover` says when a network
-    pays, one row a network.
+    pays, one row a network; `stops` what of the tails is the machine's own.
     """
     import torch
 
@@ -35,6 +35,8 @@ def run(job: Job) -> dict[str, Any]:
     found = crossover.measure(job, zip(entries, rows, strict=True), reference)
     result = {"rows": rows, "calls": config.calls}
     result |= {"crossover": [one | {"sentence": crossover.sentence(one)} for one in found]}
+    stops = timing.stops()
+    result |= {"stops": stops | {"sentence": bench_report.stopped(stops)}}
     result |= {"hardware": _hardware(job, config)}
     (job.folder / "bench.tex").write_text(tables.by_dx(rows).latex(), encoding="utf-8")
     figures.write(figures.speed(rows), job.folder)

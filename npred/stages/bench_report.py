@@ -1,4 +1,4 @@
-"""A benchmark for people: its rows as a table, and when a network pays."""
+"""A benchmark for people: its rows as a table, when a network pays, and what of the tails is the machine's own."""
 
 from typing import Any
 
@@ -8,7 +8,7 @@ RATIOS = ("speedup_published", "speedup_compiled")
 
 
 def summary(result: dict[str, Any]) -> Any:
-    """The rows as a table, and when a network pays."""
+    """The rows as a table, and the sentences on them."""
     from rich.console import Group
     from rich.table import Table
 
@@ -18,7 +18,21 @@ def summary(result: dict[str, Any]) -> Any:
         table.add_column(column, justify="left" if column in ("predictor", "runtime") else "right")
     for row in result["rows"]:
         table.add_row(*_cells(row))
-    return Group(table, *(found["sentence"] for found in result["crossover"]))
+    return Group(table, *sentences(result))
+
+
+def sentences(result: dict[str, Any]) -> list[str]:
+    """When a network pays, one a network; then the machine."""
+    return [*(found["sentence"] for found in result["crossover"]), result["stops"]["sentence"]]
+
+
+def stopped(stops: dict[str, float]) -> str:
+    """What of the tails is the machine's own; see timing.stops."""
+    if not stops["per_s"]:
+        return "The machine did not stop a thread that only reads the clock: the tails are the predictors' own."
+    often = f"{stops['per_s']:.0f} times a second, for {stops['median_us']:.0f} µs in the median"
+    long = f"{1000 / stops['per_s']:.1f} µs"
+    return f"The machine stops a thread that only reads the clock {often}: from {long} a call on, p99.9 includes that."
 
 
 def _cells(row: dict[str, Any]) -> list[str]:

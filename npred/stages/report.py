@@ -9,7 +9,7 @@ from npred.config import FROZEN
 from npred.figures import svg
 from npred.figures.plate import Plate
 from npred.figures.style import ROLES
-from npred.stages import Bar, Job, Progress, sentences
+from npred.stages import Bar, Job, Progress, bench_report, sentences
 from npred.stages.story import Story
 
 NAME = "report.html"
@@ -70,7 +70,7 @@ def _chapters(story: Story, progress: Progress) -> Iterator[dict[str, Any]]:
         for name, title, shown, told in CHAPTERS:
             drawn = [(plates[p], _pictures(plates[p], bar)) for p in shown if p in plates]
             if drawn:
-                notes = [found["sentence"] for found in story.benched["crossover"]] if name == "speed" else []
+                notes = bench_report.sentences(story.benched) if name == "speed" else []
                 yield {"id": name, "title": title, "plates": drawn, "notes": notes, "tables": [tables[t] for t in told]}
 
 
