@@ -17,6 +17,7 @@ COARSE = 100  # intervals that an FNO is evaluated on, at least
 
 SOURCE = """\
 def fused(X, u, D_hat, t, p, P):
+    _wide()
     lanes = X.shape[1]
     flat_u, flat_P = u.reshape(-1), P.reshape(-1)
     {memory}

@@ -1,7 +1,8 @@
 """A program printed as the text of one Numba function on the loop's memory.
 
 Lengths are literal and buffers are on the stack, so that LLVM vectorises every inner loop and nothing is allocated.
-Products go by blocks of four rows and eight terms: each weight that is loaded serves all rows of the block.
+Products go by blocks of four rows and eight terms: each weight that is loaded serves all rows of the block. Where the
+processor has vectors of 512 bits LLVM is told to take them, which it would not: products gain a tenth and more by it.
 """
 
 import base64
@@ -66,6 +67,15 @@ def _constant(text, kind):
         return types.CPointer(kind)(), code
 
     return take
+
+
+@intrinsic
+def _wide(context):
+    def code(context, builder, signature, arguments):
+        set.add(builder.function.attributes, '"prefer-vector-width"="512"')  # its own add knows no such attribute
+        return context.get_dummy_value()
+
+    return types.void(), code
 
 
 REAL, INT, MANTISSA, EXPONENT = {real}, {integer}, {mantissa}, {exponent}
