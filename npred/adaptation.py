@@ -10,7 +10,7 @@ import numpy as np
 from npred import delayed_law, shapes, untraced_law
 from npred.delay_estimate import DelayLaw, interpreted
 from npred.errors import ConfigError
-from npred.plants import kernels, routines, tape
+from npred.plants import kernels, programs, routines
 from npred.plants.base import Plant
 from npred.plants.black_box import BlackBox
 from npred.plants.trace import Trace
@@ -182,12 +182,12 @@ def _node(trace: Trace, x: Any, u: Any, t: Any, h: Any, r: Any, s: Any) -> list[
     kappa, q1 = trace.law(x, t, r)
     w, n = u - kappa, trace.plant.n
     targets = [f"r[{k}, l]" for k in range(n)] + [f"s[{k}, l]" for k in range(n)] + ["i1", "i2"]
-    return tape.program([*r, *s, np.dot(q1, w), np.dot(w, w)], _bindings(trace.plant), targets)
+    return programs.lines([*r, *s, np.dot(q1, w), np.dot(w, w)], _bindings(trace.plant), targets)
 
 
 def _end(trace: Trace, x: Any, t: Any, extra: list[tuple[str, Any]]) -> list[str]:
     targets = [f"U[{k}, l]" for k in range(trace.plant.m)] + [name for name, _ in extra]
-    return tape.program([*trace.kappa(x, t), *(y for _, y in extra)], _bindings(trace.plant), targets)
+    return programs.lines([*trace.kappa(x, t), *(y for _, y in extra)], _bindings(trace.plant), targets)
 
 
 def _bindings(plant: Plant) -> dict[str, str]:

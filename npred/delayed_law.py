@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Any
 
-from npred.plants import kernels, tape
+from npred.plants import kernels, programs
 from npred.plants.base import Plant
 from npred.plants.trace import Trace
 from npred.predictors import RK4, several
@@ -53,7 +53,7 @@ def _law(plant: Plant) -> list[str]:
     for c, r in enumerate(plant.ratios.tolist()):
         U.append(trace.kappa(trace.vector(f"x{c}_", plant.n), trace.input(f"t{c}"))[c])
         names |= {f"x{c}_{k}": f"Y[{c}, {k}, l]" for k in range(plant.n)} | {f"t{c}": f"(t + {r!r} * D_hat[l])"}
-    return tape.program(U, names, [f"U[{c}, l]" for c in range(plant.m)])
+    return programs.lines(U, names, [f"U[{c}, l]" for c in range(plant.m)])
 
 
 def build(plant: Plant, signature: str) -> Callable[..., None]:

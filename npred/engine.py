@@ -13,7 +13,7 @@ from numba import njit, types
 from numba.core.sigutils import normalize_signature
 
 from npred import actuator, adaptation, untraced_law
-from npred.plants import kernels, routines, tape
+from npred.plants import kernels, programs, routines
 from npred.plants.base import Plant
 from npred.plants.black_box import BlackBox
 from npred.plants.trace import Trace
@@ -222,4 +222,4 @@ def _advance(trace: Trace, method: type[OneStep], U: str) -> list[str]:
     y = method.step(trace.f, x, u, u, u, trace.input("t"), trace.input("h"))
     names = {f"p{k}": f"p{k}" for k in range(len(plant.p))} | {"t": "start", "h": "h"}
     names |= {f"x{k}": f"X[{k}, l]" for k in range(plant.n)} | {f"u{k}": U.format(k) for k in range(plant.m)}
-    return tape.program(y, names, [f"X[{k}, l]" for k in range(plant.n)])
+    return programs.lines(y, names, [f"X[{k}, l]" for k in range(plant.n)])

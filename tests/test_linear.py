@@ -6,7 +6,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from npred.plants import linear, mathematics, tape
+from npred.plants import linear, mathematics, programs, tape
 from npred.plants.trace import python
 
 
@@ -41,13 +41,13 @@ def test_the_derivative_equals_differences_and_factors_once(x, y):
     t = tape.Tape()
     at, along = [t.input("x"), t.input("y")], [t.input("dx"), t.input("dy")]
     outputs = equations(*at, tape.M)
-    slope = tape.derivative(outputs, at, along)
+    slope = programs.derivative(outputs, at, along)
     h, d = 1e-6, (0.6, -1.1)
     ends = [equations(x + s * h * d[0], y + s * h * d[1], mathematics.NUMPY) for s in (1, -1)]
     differences = (np.array(ends[0]) - np.array(ends[1])) / (2 * h)
     np.testing.assert_allclose(python(slope, ["x", "y", "dx", "dy"])(x, y, *d), differences, rtol=1e-8)
     divisions = sum(
-        " / " in line for line in tape.program(slope, {name: name for name in ("x", "y", "dx", "dy")}, "ab")
+        " / " in line for line in programs.lines(slope, {name: name for name in ("x", "y", "dx", "dy")}, "ab")
     )
     assert divisions == 2  # one a pivot, for the solution and its derivative together
 
@@ -60,4 +60,4 @@ def test_a_solution_that_is_its_right_side_keeps_the_rule_of_that():
     t = tape.Tape()
     x = t.input("x")
     (y,) = tape.M.solve([[1.0]], [x * x])
-    assert python(tape.derivative([y], [x], [1.0]), ["x"])(3.0) == [6.0]
+    assert python(programs.derivative([y], [x], [1.0]), ["x"])(3.0) == [6.0]

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from numba import njit, types
 
 from npred.plants import lowering, routines
-from npred.plants.tape import OPS, M, Tape, program
+from npred.plants.programs import lines
+from npred.plants.tape import OPS, M, Tape
 
 REALS = st.floats(0.1, 5) | st.floats(-5, -0.1) | st.just(0.0)
 CONDITIONS = ("lt", "le")
@@ -79,10 +80,10 @@ def function(x, y, z, M=np):
 def from_the_tape():
     tape = Tape()
     x, y, z = tape.inputs("x", 3)
-    lines = program(function(x, y, z, M), {f"x{k}": f"x{k}" for k in range(3)}, ["y0", "y1", "y2", "y3"],
+    told = lines(function(x, y, z, M), {f"x{k}": f"x{k}" for k in range(3)}, ["y0", "y1", "y2", "y3"],
                     routines.TEXTS)  # fmt: skip
     namespace = {}
-    text = "def text(o, x0, x1, x2):\n    " + "\n    ".join(lines) + "\n    return y0, y1, y2, y3\n"
+    text = "def text(o, x0, x1, x2):\n    " + "\n    ".join(told) + "\n    return y0, y1, y2, y3\n"
     exec(text, namespace)
     return compiled(namespace["text"], 3, 4)
 

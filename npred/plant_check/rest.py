@@ -7,7 +7,7 @@ import numpy as np
 from npred import arguments
 from npred.errors import ConfigError
 from npred.plant_check.answer import Answer, Case
-from npred.plants import blame, faults, tape
+from npred.plants import blame, faults, programs
 from npred.plants.base import Plant
 from npred.plants.fit import SLIP, slip
 from npred.plants.trace import Trace, python
@@ -33,7 +33,7 @@ def smooth(case: Case) -> Answer:
     """Whether kappa has kinks: the update law takes its derivative."""
     trace = Trace(case.plant)
     x = trace.vector("x", case.plant.n)
-    kinks = tape.kinks(trace.kappa(x, trace.input("t")), x)
+    kinks = programs.kinks(trace.kappa(x, trace.input("t")), x)
     if not kinks:
         return Answer("smooth law", "yes", "kappa has derivatives everywhere it is defined")
     harm = "a law of signs chatters, and its derivative is 0" if "sign" in kinks else "its derivative may jump there"
@@ -106,7 +106,7 @@ def _along(case: Case, X: np.ndarray) -> np.ndarray:
     trace, plant = Trace(case.plant), case.plant
     x, t = trace.vector("x", plant.n), 0.0
     V = trace.V(x, t)
-    slope = tape.derivative([V], x, trace.f(x, trace.kappa(x, t), t))
+    slope = programs.derivative([V], x, trace.f(x, trace.kappa(x, t), t))
     names = [*(f"x{k}" for k in range(plant.n)), *(f"p{k}" for k in range(len(plant.p)))]
     rate = python(slope, names, np)
     with np.errstate(all="ignore"):

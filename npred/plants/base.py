@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from npred.errors import ConfigError
-from npred.plants import blame, mathematics, newton, tape
+from npred.plants import blame, mathematics, newton, programs
 from npred.plants import declaration as declared
 from npred.plants.trace import Trace, call, python
 
@@ -180,8 +180,8 @@ class Plant:
         trace = Trace(self)
         x, u, t = trace.vector("x", self.n), trace.vector("u", self.m), trace.input("t")
         f, kappa, both = trace.f(x, u, t), trace.kappa(x, t), np.concatenate([x, u])
-        by_xu = [y for unit in np.eye(self.n + self.m) for y in tape.derivative(f, both, unit)]
-        by_x = [y for unit in np.eye(self.n) for y in tape.derivative(kappa, x, unit)]
+        by_xu = [y for unit in np.eye(self.n + self.m) for y in programs.derivative(f, both, unit)]
+        by_x = [y for unit in np.eye(self.n) for y in programs.derivative(kappa, x, unit)]
         x_names, rest = self._names("x", self.n), ["t", *self._names("p", len(self.p))]
         f_names = [*x_names, *self._names("u", self.m), *rest]
         return {"f": python(by_xu, f_names, np), "kappa": python(by_x, [*x_names, *rest], np)}
@@ -215,7 +215,7 @@ class Plant:
         """Whether P depends on the time too: f does, or the law of an input that is predicted past its own delay."""
         trace = Trace(self)
         x, t = trace.vector("x", self.n), trace.input("t")
-        return not self.autonomous or tape.depends(trace.kappa(x, t)[self.ratios < 1], [t])
+        return not self.autonomous or programs.depends(trace.kappa(x, t)[self.ratios < 1], [t])
 
     def phase(self, t: Any) -> np.ndarray | None:
         """t / period modulo 1, (...): all that P can know of the time. None where it knows nothing of it.
@@ -238,10 +238,10 @@ class Plant:
             return self.equilibrium, self.u_equilibrium
         trace = Trace(self)
         t = trace.input("t")
-        if not self.autonomous or not self.tracks or tape.depends(trace.reference(t), [t]):
+        if not self.autonomous or not self.tracks or programs.depends(trace.reference(t), [t]):
             return None
         X = self.target(0.0)
-        moves = tape.depends(trace.kappa(np.array(X.tolist(), dtype=object), t), [t])
+        moves = programs.depends(trace.kappa(np.array(X.tolist(), dtype=object), t), [t])
         return None if moves else (X, self.u_target(0.0))
 
     @cached_property
@@ -258,7 +258,7 @@ class Plant:
     def _timed(self, name: str) -> bool:
         trace = Trace(self)
         x, u, t = trace.vector("x", self.n), trace.vector("u", self.m), trace.input("t")
-        return tape.depends(trace.f(x, u, t) if name == "f" else trace.kappa(x, t), [t])
+        return programs.depends(trace.f(x, u, t) if name == "f" else trace.kappa(x, t), [t])
 
     @cached_property
     def identity(self) -> dict[str, Any]:
@@ -282,7 +282,7 @@ class Plant:
         x, u, t = trace.vector("x", self.n), trace.vector("u", self.m), trace.input("t")
         outputs = [*trace.f(x, u, t), *trace.kappa(x, t), trace.V(x, t), *(trace.reference(t) if self.tracks else ())]
         names = [*self._names("x", self.n), *self._names("u", self.m), "t", *self._names("p", len(self.p))]
-        lines = tape.program(outputs, {name: name for name in names}, [f"y{k}" for k in range(len(outputs))])
+        lines = programs.lines(outputs, {name: name for name in names}, [f"y{k}" for k in range(len(outputs))])
         return hashlib.sha256("\n".join(lines).encode()).hexdigest()
 
 

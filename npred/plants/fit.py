@@ -6,7 +6,7 @@ import numpy as np
 
 from npred.config import Pipeline
 from npred.errors import ConfigError
-from npred.plants import faults, mathematics, tape
+from npred.plants import faults, mathematics, programs
 from npred.plants.base import Plant
 from npred.plants.declaration import span
 from npred.plants.trace import Trace, python
@@ -110,7 +110,7 @@ def _slopes(plant: Plant, t: np.ndarray) -> list[np.ndarray]:
         return [(plant.target(t + h) - plant.target(t - h)) / (2 * h) for h in STEPS]
     trace = Trace(plant)
     clock = trace.input("t")
-    by_t = tape.derivative(trace.reference(clock), [clock], [1.0])
+    by_t = programs.derivative(trace.reference(clock), [clock], [1.0])
     with np.errstate(all="ignore"):
         values = python(by_t, ["t", *(f"p{k}" for k in range(len(plant.p)))], np)(t, *plant.p)
     return [mathematics.stack(values, t)]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from npred.plants import kernels, tape
+from npred.plants import kernels, programs, tape
 from npred.plants.trace import Trace
 
 if TYPE_CHECKING:
@@ -69,7 +69,7 @@ def _lines(plant: "Plant", name: str) -> tuple[list[str], list[str], int]:
     names = [*_names("x", plant.n), *(_names("u", plant.m) if u is inputs[1] else []), "t"]
     names += _names("p", len(plant.p)) + (_names("d", plant.n) if inputs[-1] is v else [])
     targets = _names("y", len(outputs))
-    return names, tape.program(outputs, {name: name for name in names}, targets, TEXTS), len(outputs)
+    return names, programs.lines(outputs, {name: name for name in names}, targets, TEXTS), len(outputs)
 
 
 def _names(prefix: str, count: int) -> list[str]:

@@ -1,12 +1,12 @@
-"""A small tape: run an ordinary Python function on symbols, get a straight-line program and its forward derivative.
+"""A small tape: an ordinary Python function, run on symbols, leaves its operations as nodes.
 
-Equal operations share one node, constants fold, and what no output needs is not printed. See docs/design.md for why
-this and not a computer-algebra system.
+Equal operations share one node, and constants fold. programs.py makes of a tape what is wanted. See docs/design.md for
+why this and not a computer-algebra system.
 """
 
 import math
 import operator
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -36,8 +36,8 @@ def _sign(a: float) -> float:
 
 
 def _pow_tangent(a: Any, b: Any, y: Any, da: Any, db: Any) -> Any:
-    by_base = b * a ** (b - 1) * da if _nonzero(da) else 0.0
-    return by_base + (y * M.log(a) * db if _nonzero(db) else 0.0)
+    by_base = b * a ** (b - 1) * da if nonzero(da) else 0.0
+    return by_base + (y * M.log(a) * db if nonzero(db) else 0.0)
 
 
 def _choose(c: bool, a: float, b: float) -> float:
@@ -95,7 +95,7 @@ class Tape:
 
     def input(self, name: str) -> "Symbol":
         """The symbol of an input; its text is `name`."""
-        return self._node("input", (name,))
+        return self.node("input", (name,))
 
     def inputs(self, prefix: str, count: int) -> list["Symbol"]:
         """The symbols prefix0, prefix1, …"""
@@ -106,20 +106,21 @@ class Tape:
         if not any(isinstance(a, Symbol) for a in args):
             return _fold(op, args)
         simple = _simplify(op, args)
-        return self._node(op, args) if simple is None else simple
+        return self.node(op, args) if simple is None else simple
 
     def call(self, name: str, args: Vector, direct: int, size: int) -> list["Symbol"]:
         """The `size` results of a function that is compiled on its own, whose derivative `d<name>` is by its first
         `direct` arguments.
         """
-        called = self._node("call", (name, direct, *args))
-        return [self._node("item", (called, k)) for k in range(size)]
+        called = self.node("call", (name, direct, *args))
+        return [self.node("item", (called, k)) for k in range(size)]
 
     def called(self) -> list[str]:
         """The names of the functions that are called, each once."""
         return sorted({args[0] for op, args in self.nodes if op == "call"})
 
-    def _node(self, op: str, args: tuple[Any, ...]) -> "Symbol":
+    def node(self, op: str, args: tuple[Any, ...]) -> "Symbol":
+        """The node op(args) as it stands, stored once."""
         key = (op, tuple(a.index if isinstance(a, Symbol) else _constant(a) for a in args))
         if key not in self._index:
             self._index[key] = len(self.nodes)
@@ -140,11 +141,16 @@ class Solution:
     def tangent(self, tangents: dict[int, Any]) -> dict[int, Any]:
         """A dy = db - dA y: the tangents of y's nodes. Of A those on and below the diagonal, which gave the factors."""
         size = range(len(self.y))
-        dA = [[_tangent(self.A[max(i, j)][min(i, j)], tangents) for j in size] for i in size]
+        dA = [[tangent_of(self.A[max(i, j)][min(i, j)], tangents) for j in size] for i in size]
         turned = [linear.total(a * y for a, y in zip(row, self.y, strict=True)) for row in dA]
-        right = [_tangent(b, tangents) - a for b, a in zip(self.b, turned, strict=True)]
+        right = [tangent_of(b, tangents) - a for b, a in zip(self.b, turned, strict=True)]
         found = linear.back(self.L, self.inverse, right)
         return {y.index: dy for y, dy in zip(self.y, found, strict=True) if isinstance(y, Symbol)}
+
+
+def tangent_of(a: Any, tangents: dict[int, Any]) -> Any:
+    """That of a node by its index, 0 of a number."""
+    return tangents.get(a.index, 0.0) if isinstance(a, Symbol) else 0.0
 
 
 def _constant(a: Any) -> tuple[str, Any]:
@@ -158,7 +164,7 @@ def _fold(op: str, args: tuple[Any, ...]) -> float:
         return math.nan
 
 
-def _nonzero(a: Any) -> bool:
+def nonzero(a: Any) -> bool:
     return isinstance(a, Symbol) or a != 0
 
 
@@ -328,101 +334,3 @@ M = Mathematics()
 def _apply(op: str, *args: Any) -> Any:
     tape = next((a.tape for a in args if isinstance(a, Symbol)), None)
     return _fold(op, args) if tape is None else tape.apply(op, *args)
-
-
-def derivative(outputs: Vector, inputs: Vector, direction: Vector) -> list[Any]:
-    """Forward mode: d/ds outputs(inputs + s direction) at s = 0, on the same tape."""
-    tape = inputs[0].tape
-    tangents: dict[int, Any] = {x.index: v for x, v in zip(inputs, direction, strict=True)}
-    for index in _needed(outputs):
-        op, args = tape.nodes[index]
-        if index in tangents or op == "input":
-            continue
-        solution = tape.solution(index)
-        if solution:
-            tangents |= solution.tangent(tangents)
-            continue
-        seeds = [_tangent(a, tangents) for a in args]
-        if op in ("call", "item") and any(_nonzero(s) for s in seeds if not isinstance(s, str)):
-            tangents[index] = _of_function(tape, op, args, seeds)
-        elif any(_nonzero(s) for s in seeds):
-            tangents[index] = OPS[op].tangent(*args, Symbol(tape, index), *seeds)
-    return [_tangent(y, tangents) for y in outputs]
-
-
-def _of_function(tape: Tape, op: str, args: tuple[Any, ...], seeds: list[Any]) -> Symbol:
-    """The tangent of a call, a call of the function's derivative, and of its items, the items of that."""
-    if op == "item":
-        return tape._node("item", (seeds[0], args[1]))
-    name, direct = args[:2]
-    assert not any(_nonzero(s) for s in seeds[2 + direct :]), f"d{name} is by its first {direct} arguments"
-    return tape._node("call", (f"d{name}", 0, *args[2:], *seeds[2 : 2 + direct]))
-
-
-def _tangent(a: Any, tangents: dict[int, Any]) -> Any:
-    return tangents.get(a.index, 0.0) if isinstance(a, Symbol) else 0.0
-
-
-def _needed(outputs: Vector) -> list[int]:
-    """Indices of the nodes that the outputs depend on, in order of evaluation."""
-    seen: set[int] = set()
-    stack = [y for y in outputs if isinstance(y, Symbol)]
-    while stack:
-        symbol = stack.pop()
-        if symbol.index not in seen:
-            seen.add(symbol.index)
-            stack.extend(a for a in symbol.tape.nodes[symbol.index][1] if isinstance(a, Symbol))
-    return sorted(seen)
-
-
-def program(
-    outputs: Vector, bindings: dict[str, str], targets: Sequence[str], texts: Mapping[str, str] = {}
-) -> list[str]:
-    """The lines that compute the outputs: inputs read from `bindings` (name to text), results written to `targets`.
-
-    `texts` replaces the text of operations, for another language than Python.
-    """
-    symbols = [y for y in outputs if isinstance(y, Symbol)]
-    lines, names = [], {}
-    for index in _needed(outputs):
-        op, args = symbols[0].tape.nodes[index]
-        names[index] = f"v{index}"
-        lines.append(f"v{index} = {_right_side(op, args, names, bindings, texts)}")
-    return lines + [f"{target} = {_text(y, names)}" for target, y in zip(targets, outputs, strict=True)]
-
-
-def _right_side(
-    op: str, args: tuple[Any, ...], names: dict[int, str], bindings: dict[str, str], texts: Mapping[str, str]
-) -> str:
-    if op == "input":
-        return bindings[args[0]]
-    if op == "call":
-        return f"plant_{args[0]}({', '.join(_text(a, names) for a in args[2:])})"
-    if op == "item":
-        return f"{names[args[0].index]}[{args[1]}]"
-    return texts.get(op, OPS[op].text).format(*(_text(a, names) for a in args))
-
-
-def _text(a: Any, names: dict[int, str]) -> str:
-    if isinstance(a, Symbol):
-        return names[a.index]
-    if isinstance(a, bool):
-        return repr(a)
-    return f"({float(a)!r})" if math.isfinite(a) else f"(np.{float(a)!r})".replace("np.-", "-np.")
-
-
-def depends(outputs: Vector, symbols: Vector) -> bool:
-    """Whether any output needs any of those inputs."""
-    return not {s.index for s in symbols}.isdisjoint(_needed(outputs))
-
-
-def kinks(outputs: Vector, inputs: Vector) -> list[str]:
-    """The operations without a derivative somewhere by which the outputs depend on those inputs, each named once."""
-    found = set()
-    nodes = next((y.tape.nodes for y in outputs if isinstance(y, Symbol)), [])
-    for index in _needed(outputs):
-        op, args = nodes[index]
-        decided = args[:1] if op == "where" else args
-        if op in ("abs", "sign", "where", "maximum", "minimum") and depends(decided, inputs):
-            found.add(op)
-    return sorted(found)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from npred.errors import ConfigError
-from npred.plants import blame, cures
+from npred.plants import blame, cures, programs
 from npred.plants import tape as tapes
 
 if TYPE_CHECKING:
@@ -55,11 +55,11 @@ class Trace:
 
     def df(self, x: np.ndarray, u: np.ndarray, t: Any, v: np.ndarray) -> np.ndarray:
         """f_X(x, u, t) v for x of input symbols, shape (n,)."""
-        return np.array(tapes.derivative(self.f(x, u, t), x, v), dtype=object)
+        return np.array(programs.derivative(self.f(x, u, t), x, v), dtype=object)
 
     def dkappa(self, x: np.ndarray, t: Any, v: np.ndarray) -> np.ndarray:
         """kappa'(x, t) v for x of input symbols, shape (m,)."""
-        return np.array(tapes.derivative(self.kappa(x, t), x, v), dtype=object)
+        return np.array(programs.derivative(self.kappa(x, t), x, v), dtype=object)
 
     def law(self, x: np.ndarray, t: Any, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """kappa(x, t) and kappa'(x, t) v, in one call where kappa is called."""
@@ -139,7 +139,7 @@ def python(outputs: tapes.Vector, names: Sequence[str], library: Any = math) -> 
     compiled kernels.
     """
     targets = [f"y{k}" for k in range(len(outputs))]
-    lines = tapes.program(outputs, {name: name for name in names}, targets, ON_ARRAYS if library is np else {})
+    lines = programs.lines(outputs, {name: name for name in names}, targets, ON_ARRAYS if library is np else {})
     text = f"def function({', '.join(names)}):\n    " + "\n    ".join(lines) + f"\n    return [{', '.join(targets)}]"
     space: dict[str, Any] = {"math": library, "np": np}
     exec(text, space)

@@ -4,7 +4,7 @@ from abc import abstractmethod
 from collections.abc import Callable
 from typing import Any
 
-from npred.plants import kernels, routines, tape
+from npred.plants import kernels, programs, routines
 from npred.plants.black_box import BlackBox
 from npred.predictors import several, untraced
 from npred.predictors.base import SIGNATURE, Compiled
@@ -78,10 +78,10 @@ class OneStep(Compiled):
             bindings |= {f"a{k}": f"u[j, {k}, l]", f"b{k}": f"u[j + 1, {k}, l]", f"m{k}": middle}
         local, memory = [f"x{k}" for k in range(n)], [f"P[j, {k}, l]" for k in range(n)]
         new = [f"y{k}" for k in range(n)]
-        scalar = tape.program(y, bindings | dict(zip(local, local, strict=True)), new)
+        scalar = programs.lines(y, bindings | dict(zip(local, local, strict=True)), new)
         scalar += [f"x{k} = P[j + 1, {k}, l] = y{k}" for k in range(n)]
         target = [f"P[j + 1, {k}, l]" for k in range(n)]
-        weights = WEIGHTS.splitlines() if tape.depends(y, um) else []
+        weights = WEIGHTS.splitlines() if programs.depends(y, um) else []
         start = [f"x{k} = P[0, {k}, l] = X[{k}, l]" for k in range(n)]
         few = kernels.fill(FEW, start=start, weights=weights, scalar=scalar).splitlines()
         source = kernels.fill(
@@ -89,6 +89,6 @@ class OneStep(Compiled):
             parameters=kernels.parameters(len(self.plant.p)),
             few=few if len(scalar) < LONG else [],
             weights=weights,
-            lane=tape.program(y, bindings | dict(zip(local, memory, strict=True)), target),
+            lane=programs.lines(y, bindings | dict(zip(local, memory, strict=True)), target),
         )
         return source, routines.imports(trace)

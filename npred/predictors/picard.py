@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from npred.errors import DivergedError
-from npred.plants import kernels, routines, tape
+from npred.plants import kernels, programs, routines
 from npred.plants.base import Plant
 from npred.plants.black_box import BlackBox
 from npred.predictors import untraced
@@ -70,7 +70,7 @@ class Picard(Compiled):
         y = trace.f(trace.vector("x", n), trace.vector("a", m), trace.input("t"))
         bindings: dict[str, Any] = {f"p{k}": f"p{k}" for k in range(count)} | {"t": "(t + j * h)"}
         bindings |= {f"x{k}": f"P[j, {k}, l]" for k in range(n)} | {f"a{k}": f"u[j, {k}, l]" for k in range(m)}
-        node = tape.program(y, bindings, [f"f{k}" for k in range(n)])
+        node = programs.lines(y, bindings, [f"f{k}" for k in range(n)])
         node.append(f"f = ({', '.join(f'f{k}' for k in range(n))},)")
         parameters = kernels.parameters(count)
         source = SOURCE.replace("SWEEPS", str(self.sweeps)).replace("TOLERANCE", repr(self.tolerance))

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from npred.plants import kernels, tape
+from npred.plants import kernels, programs, tape
 from npred.plants.base import Plant
 from npred.plants.trace import Trace
 
@@ -88,7 +88,7 @@ def piece(plant: Plant, step: Callable[..., Any], state: list[str]) -> list[str]
         places = {"a": "begin", "m": "(begin + end) / 2.0", "b": "end"}
         names |= {f"{name}{c}": f"read(u, {c}, l, {place} / {r!r})" for name, place in places.items()}
         names[f"past{c}"] = f"past{c}"
-    return tape.program(y, names, state)
+    return programs.lines(y, names, state)
 
 
 def _closed(trace: Trace) -> Callable[..., Any]:

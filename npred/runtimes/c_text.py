@@ -4,7 +4,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from npred.plants import tape
+from npred.plants import programs
 from npred.plants.base import Plant
 from npred.plants.trace import Trace
 from npred.runtimes.program import Loop, Matrix, Product, Silu, SiluPair, Step, Transpose
@@ -75,6 +75,6 @@ def control_law(plant: Plant) -> list[str]:
     outputs = trace.kappa(trace.vector("x", plant.n), trace.input("t"))
     bindings = {f"x{k}": f"X[{k}]" for k in range(plant.n)} | {"t": "t"}
     bindings |= {f"p{k}": f"({value!r})" for k, value in enumerate(plant.p.tolist())}
-    lines = tape.program(outputs, bindings, [f"U[{k}]" for k in range(plant.m)], MATHEMATICS)
+    lines = programs.lines(outputs, bindings, [f"U[{k}]" for k in range(plant.m)], MATHEMATICS)
     words = [line.replace("np.inf", "INFINITY").replace("np.nan", "NAN") for line in lines]
     return [f"{'' if line.startswith('U[') else 'const double '}{line};" for line in words]
