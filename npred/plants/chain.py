@@ -25,7 +25,9 @@ def chain(path: str | Path, pose: Sequence[float] | None = None) -> type:
 
     M(q) q'' + C(q, q') q' + G(q) + joint damping q' = U(t - D); states are the joints' positions and rates, by the
     joints' names (rad or m, and per second), inputs their torques or forces. The law is computed torque towards
-    q_i(t) = pose_i + amplitude sin(frequency t + i), by default about 0: e'' + damping e' + stiffness e = 0. Inputs are
+    q_i(t) = pose_i + amplitude sin(frequency t + i), by default about 0. It makes up for friction at the rate that the
+    error e calls for, r' - damping e / 2, in place of the measured one, which would turn errors of a prediction into
+    torques: without delay M (e'' + damping e' + stiffness e) = -(joint damping) (e' + damping e / 2). Inputs are
     bounded by the file's efforts where every joint has one. Raises ConfigError for a file that is no such chain.
     """
     bodies = urdf.read(path)
@@ -39,8 +41,9 @@ def chain(path: str | Path, pose: Sequence[float] | None = None) -> type:
 
     def kappa(x: Any, t: Any, p: Any, M: Any) -> list[Any]:
         q, rates = list(x[:n]), list(x[n:])
-        torques = rigid_body.torques(bodies, q, rates, wanted(x, t, p, M, middle), p.gravity, M)
-        return [a + c * rate for a, c, rate in zip(torques, rubs, rates, strict=True)]
+        speeds, accelerations = wanted(x, t, p, M, middle)
+        torques = rigid_body.torques(bodies, q, rates, accelerations, p.gravity, M)
+        return [a + c * speed for a, c, speed in zip(torques, rubs, speeds, strict=True)]
 
     def V(x: Any, t: Any, p: Any, M: Any) -> Any:
         return total((a - b) * (a - b) for a, b in zip(x, reference(t, p, M), strict=True))
@@ -86,10 +89,9 @@ def motion(t: Any, p: Any, M: Any, middle: list[float]) -> tuple[list[Any], list
     return [at + wave for at, wave in zip(middle, waves, strict=True)], speed, [-(p.frequency**2) * w for w in waves]
 
 
-def wanted(x: Any, t: Any, p: Any, M: Any, middle: list[float]) -> list[Any]:
-    """The accelerations that make the errors linear."""
-    n = len(middle)
-    return [
-        c - p.stiffness * (x[i] - a) - p.damping * (x[n + i] - b)
-        for i, (a, b, c) in enumerate(zip(*motion(t, p, M, middle), strict=True))
-    ]
+def wanted(x: Any, t: Any, p: Any, M: Any, middle: list[float]) -> tuple[list[Any], list[Any]]:
+    """The rates that the errors call for, and the accelerations that make the errors linear."""
+    n, (goal, speed, push) = len(middle), motion(t, p, M, middle)
+    errors = [x[i] - goal[i] for i in range(n)]
+    rates = [speed[i] - 0.5 * p.damping * errors[i] for i in range(n)]
+    return rates, [push[i] - p.stiffness * errors[i] - p.damping * (x[n + i] - speed[i]) for i in range(n)]

@@ -24,8 +24,10 @@ def pin_chain(path: str | Path, pose: Sequence[float] | None = None) -> type:
         return np.hstack([X[:, n:], library.accelerations(X[:, :n], X[:, n:], u, p.gravity)])
 
     def kappa(X: np.ndarray, t: Any, p: Any) -> np.ndarray:
-        goal = np.stack([a + np.zeros(len(X)) for a in wanted(X.T, t, p, mathematics.NUMPY, middle)], axis=1)
-        return library.torques(X[:, :n], X[:, n:], goal, p.gravity)
+        sought = wanted(X.T, t, p, mathematics.NUMPY, middle)
+        speeds, accelerations = (np.stack([a + np.zeros(len(X)) for a in rows], axis=1) for rows in sought)
+        torques = library.torques(X[:, :n], X[:, n:], accelerations, p.gravity)
+        return torques + library.model.damping * speeds
 
     def V(X: np.ndarray, t: Any, p: Any) -> np.ndarray:
         return ((X - reference(np.broadcast_to(t, len(X)), p)) ** 2).sum(axis=1)
@@ -59,11 +61,10 @@ class _Library:
         return np.array([self.pin.aba(self.model, self.data, self._at(a), b, c) for a, b, c in rows])
 
     def torques(self, q: np.ndarray, rates: np.ndarray, wanted: np.ndarray, gravity: float) -> np.ndarray:
-        """U (B, n) by the recursive Newton-Euler algorithm."""
+        """The torques (B, n) of that motion without friction, by the recursive Newton-Euler algorithm."""
         self._pull(gravity)
         rows = zip(q, rates, wanted, strict=True)
-        found = np.array([self.pin.rnea(self.model, self.data, self._at(a), b, c) for a, b, c in rows])
-        return found + self.model.damping * rates
+        return np.array([self.pin.rnea(self.model, self.data, self._at(a), b, c) for a, b, c in rows])
 
     def _pull(self, gravity: float) -> None:
         self.model.gravity.linear = np.array([0.0, 0.0, -gravity])
