@@ -1,7 +1,9 @@
 """The controller alone, for a real plant: one step a call, on memory taken at the start."""
 
 import math
+import operator
 from collections.abc import Mapping
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -28,7 +30,9 @@ class Controller:
         D_hat: float | None = None, input_bounds: Any = None,
     ) -> None:  # fmt: skip
         arguments.parts(plant, predictor, adaptation, "rk4", 1)
-        if not 0 < dt < math.inf:
+        if predictor is None:
+            raise ConfigError("predictor: expected one, got None; make one with npred.predictor or npred.load")
+        if not isinstance(dt, Real) or not 0 < dt < math.inf:
             raise ConfigError(f"dt: expected a control step above 0 s, got {dt!r}; give seconds")
         self.plant, self.predictor, self.adaptation, self.dt = plant, predictor, adaptation, float(dt)
         law, self._limits = part(plant, adaptation), arguments.bounds(plant, input_bounds)
@@ -41,7 +45,7 @@ class Controller:
             np.empty((nx, n, 1)),
             np.zeros((m, 1)),
         )
-        self._D_hat, self._phi, self._N = np.empty(1), np.empty(1), np.empty(1)
+        self._given, self._D_hat, self._phi, self._N = np.zeros(m), np.empty(1), np.empty(1), np.empty(1)
         self.restore({"D_hat": self._start(D_hat), "step": 0})
         self._warm_up()
 
@@ -54,7 +58,8 @@ class Controller:
         """U (m,) for the state X (n,) and the actuator state u (nx, m) on the predictor's nodes, both measured now.
 
         U is the controller's own memory, overwritten by the next step. Raises ConfigError for shapes that do not fit,
-        and DivergedError for a measurement that is not finite; the controller then stands as before.
+        and DivergedError for a measurement that is not finite, or that the prediction leaves the finite numbers from;
+        the controller, and that memory, then stand as before.
         """
         X, u, wanted = shapes.floats("X", X), shapes.floats("u", u), (self._X.shape[:1], self._u.shape[:2])
         if (X.shape, u.shape) != wanted:  # broadcasting would hide a sensor that is lost
@@ -63,9 +68,14 @@ class Controller:
         self._X[:, 0], self._u[:, :, 0] = X, u
         if not math.isfinite(self._X.sum() + self._u.sum()):
             raise DivergedError("step: expected finite X and u, got one that is not; hold the last U and measure again")
+        D_hat = self.D_hat
         self._advance()
+        if not math.isfinite(self._U.sum() + self._D_hat[0]):
+            self._D_hat[0] = D_hat
+            raise DivergedError("step: the prediction from X and u is not finite; hold the last U and measure again")
         self._step += 1
-        return self._U[:, 0]
+        self._given[:] = self._U[:, 0]
+        return self._given
 
     def state(self) -> dict[str, Any]:
         """What it remembers, ready for JSON."""
@@ -74,11 +84,11 @@ class Controller:
     def restore(self, state: Mapping[str, Any]) -> None:
         """Go on from a saved state. Raises ConfigError for one that is none."""
         try:
-            D_hat, step = float(state["D_hat"]), int(state["step"])
+            D_hat, step = float(state["D_hat"]), operator.index(state["step"])
         except (KeyError, TypeError, ValueError):
             raise ConfigError(f"state: expected D_hat and step, got {state!r}; save it with state()") from None
         low, high = self._bounds
-        if not (low <= D_hat <= high and step >= 0):
+        if not (low <= D_hat <= high and D_hat < math.inf and step >= 0):
             raise ConfigError(
                 f"D_hat: expected within [{low:g}, {high:g}] s, got {D_hat:g}; widen the bounds or move D_hat"
             )
@@ -86,7 +96,10 @@ class Controller:
 
     def _start(self, D_hat: float | None) -> float:
         if D_hat is not None:
-            return float(shapes.floats("D_hat", D_hat))
+            given = shapes.floats("D_hat", D_hat)
+            if given.ndim:
+                raise ConfigError(f"D_hat: expected one delay in seconds, got {D_hat!r}; give a number")
+            return float(given)
         if self.adaptation is None:
             raise ConfigError("D_hat: expected a delay in seconds, for nothing adapts it, got none; give D_hat")
         return sum(self.adaptation.bounds) / 2

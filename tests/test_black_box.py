@@ -179,11 +179,21 @@ def test_a_reference_is_followed(write):
         (
             "return CART.f(X, u)",
             "return CART.f(X, u)[:, :3]",
-            r"Box: f expected to return shape \(4, 4\), got \(4, 3\)",
+            r"Box: f \(box.py:15\) expected to return shape \(4, 4\), .*, got \(4, 3\); return a derivative each",
+        ),
+        (
+            "return CART.kappa(X)",
+            "return -u",
+            r"Box: kappa failed at box.py:20: NameError: .*; only f knows the inputs",
+        ),
+        (
+            "return CART.f(X, u)",
+            "return foo",
+            r"Box: f failed at box.py:17: NameError: .*; expected one of X, u, t, p,",
         ),
         ("return CART.kappa(X)", "raise OSError('no robot')", r"Box: kappa failed at box.py:20: OSError: no robot"),
         ("return CART.f(X, u)", "return X[:, 9]", r"Box: f failed at box.py:17: IndexError"),
-        ("def V(X, t, p)", "def V(X)", r"Box: V failed \(box.py:22\): TypeError"),
+        ("def V(X, t, p)", "def V(X)", r"Box: V failed \(box.py:22\): TypeError.*; write def V\(X, t, p\)"),
         ("traced = False", "traced, delays = False, (0.2,)", None),
     ],
 )

@@ -19,6 +19,18 @@ from typer.testing import Result
 from npred.cli import look
 from npred.store import Question, Store
 
+TANK = """
+class Tank:
+    states, inputs, guess, box = ("h",), ("q",), (1.0,), {"h": (0.5, 2.0)}
+
+    def f(x, u, t, p, M):
+        return [u.q - x.h]
+    def kappa(x, t, p, M):
+        return [1 + 0.5 * (1 - x.h)]
+    def V(x, t, p, M):
+        return (x.h - 1) ** 2
+"""
+
 
 def actions(result: Result) -> dict[str, str]:
     return {row.get("model", row["stage"]): row["action"] for row in document(result)["stages"]}
@@ -61,6 +73,31 @@ def test_set_reruns_what_depends_on_it(call: Call):
     result = call("run", "tiny.toml", "--json", "--set", "train.deeponet.epochs=40", "--set", "bench.calls=7")
     assert actions(result) == {"generate": "hit", "deeponet": "run", "fno": "hit", "evaluate": "run", "bench": "run",
                                "report": "run"}  # fmt: skip
+
+
+@pytest.mark.parametrize("stage", ["generate", "train", "evaluate", "bench", "run"])
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("0.5 * (1 - x.h)", "2 * (x.h - 1)", r"kappa \(tank.py:7\) does not stabilise without delay: eigenvalues 1 at"),
+        ("u.q - x.h", "u.q - M.log(x.h - 1)", r"plant Tank: f \(tank.py:5\) is not finite at h = .*; shrink box"),
+        ("u.q - x.h", "u.q, x.h", r"plant Tank: f \(tank.py:5\) expected to return 1 value, got 2; return"),
+        ("(x.h - 1)", "(u.q - 1)", r"plant Tank: V failed at tank.py:10: NameError: .*; only f knows the inputs"),
+        ("def V", "def W", r"plant Tank: found no V\(x, t, p, M\).*; npred plants check offers one"),
+    ],
+)
+def test_what_does_not_fit_the_plant_is_told_before_anything_runs(call: Call, fakes: Path, stage, old, new, words):
+    assert TANK.count(old) >= 1
+    Path("tank.py").write_text(TANK.replace(old, new))
+    line = one_line(call(stage, "tiny.toml", "--set", 'plant="tank.py:Tank"'), 2)
+    assert re.search(words, line), line
+    assert fakes.read_text() == "" and not list(Path().glob("artifacts/*/*/manifest.json"))
+
+
+def test_a_start_of_another_length_is_told_before_anything_runs(call: Call, fakes: Path):
+    line = one_line(call("run", "tiny.toml", "--set", "evaluate.X0=[1.0, 2.0]"), 2)
+    assert line.startswith("error: evaluate.X0: expected a number a state (X), got [1.0, 2.0]")
+    assert fakes.read_text() == ""
 
 
 def test_a_dry_run_runs_nothing_and_writes_nothing(call: Call, fakes: Path):

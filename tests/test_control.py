@@ -12,11 +12,30 @@ from operator_samples import PLANT, SMALL, operator
 import npred
 from npred.control import Controller
 from npred.errors import ConfigError, DivergedError
+from npred.plants import Plant
 from npred.predictors import RK4
 from npred.runtimes import RUNTIMES, predictor
 
 LAW = npred.DelayAdaptation(1000.0, 1.0, (0.1, 4.0))
 X0 = [0.03, 30.0]
+
+
+class Cube:
+    """x' = x³ + u, whose open loop escapes in finite time."""
+
+    states, inputs = ("x",), ("u",)
+
+    def f(x, u, t, p, M):
+        return [x.x**3 + u.u]
+
+    def kappa(x, t, p, M):
+        return [-(x.x**3) - x.x]
+
+    def V(x, t, p, M):
+        return x.x**2
+
+
+CUBE = Plant("cube", Cube)
 
 
 def loop(run, adaptation=LAW, bounds=None):
@@ -88,6 +107,18 @@ def test_a_bad_measurement_leaves_it_as_it_was():
     assert controller.state() == before
 
 
+def test_a_prediction_that_diverges_leaves_it_as_it_was():
+    """x' = x³ + u from 3 escapes within the horizon: no NaN goes to the actuator, nor stays inside."""
+    run, law = RK4(CUBE, 51), npred.DelayAdaptation(1.0, 1.0, (0.1, 2.0))
+    controller, u = npred.controller(CUBE, run, law, 0.01, D_hat=1.0), np.zeros((51, 1))
+    U = controller.step([0.3], u)
+    before, given = controller.state(), U.copy()
+    with pytest.raises(DivergedError, match="the prediction from X and u is not finite; hold the last U"):
+        controller.step([3.0], u)
+    assert controller.state() == before and given == U
+    assert np.isfinite(controller.step([0.3], u)).all() and np.isfinite(controller.D_hat)
+
+
 @pytest.mark.parametrize(
     ("X", "u", "message"),
     [
@@ -112,6 +143,10 @@ def test_a_measurement_of_another_shape_is_told(X, u, message):
         ({"D_hat": 9.0}, r"D_hat: expected within \[0.1, 4\] s, got 9"),
         ({"adaptation": None}, "give D_hat"),
         ({"adaptation": 3.0}, "adaptation: expected a DelayLaw"),
+        ({"predictor": None}, "predictor: expected one, got None"),
+        ({"dt": "0.1"}, "dt: expected a control step above 0 s, got '0.1'"),
+        ({"D_hat": [1.0, 2.0]}, "D_hat: expected one delay"),
+        ({"D_hat": np.inf, "adaptation": None}, "D_hat: expected within"),
     ],
 )
 def test_mistakes_are_told(changes, message):
@@ -121,8 +156,9 @@ def test_mistakes_are_told(changes, message):
 
 def test_a_state_that_is_none_is_told():
     controller = npred.controller(PLANT, RK4(PLANT, 21), LAW, 0.01)
-    with pytest.raises(ConfigError, match="expected D_hat and step"):
-        controller.restore({"D_hat": 1.0})
+    for state in ({"D_hat": 1.0}, {"D_hat": 1.0, "step": 2.5}, {"D_hat": 1.0, "step": np.inf}):
+        with pytest.raises(ConfigError, match="expected D_hat and step"):
+            controller.restore(state)
 
 
 def test_the_example_converges():

@@ -3,8 +3,10 @@
 import sys
 
 import pytest
+from typer.testing import CliRunner
 
 from npred import plants
+from npred.cli import app
 from npred.errors import ConfigError
 
 PACKAGE = """
@@ -57,12 +59,25 @@ def test_a_built_in_name_cannot_be_taken(package):
     assert [row["name"] for row in plants.named()].count("scalar") == 1
 
 
+def test_a_broken_package_hides_no_other_plant(package):
+    package("round_tank = shed_of_tanks:Tank", "import nowhere")
+    rows = {row["name"]: row for row in plants.named()}
+    assert "failed on import" in rows["round_tank"]["error"] and rows["scalar"]["states"] == ["X"]
+    listed = CliRunner().invoke(app, ["plants"])
+    assert listed.exit_code == 0 and "scalar" in listed.stdout
+    assert listed.stderr.startswith("warning: plant round_tank: shed-of-tanks failed on import")
+
+
 @pytest.mark.parametrize(
     ("entry", "text", "words"),
     [
         ("round_tank = shed_of_tanks:Tank", "import nowhere", "shed-of-tanks failed on import of shed_of_tanks:Tank"),
         ("round_tank = shed_of_tanks:Vat", PACKAGE, "failed on import of shed_of_tanks:Vat: AttributeError"),
-        ("round_tank = shed_of_tanks:Tank", "Tank = 3", "plant round_tank: expected states, inputs, f, kappa, V"),
+        (
+            "round_tank = shed_of_tanks:Tank",
+            "Tank = 3",
+            "plant round_tank: expected states, inputs, f, kappa, found no states",
+        ),
     ],
 )
 def test_a_broken_package_is_told_by_name(package, entry, text, words):

@@ -32,6 +32,13 @@ def test_a_file_of_three_lines_declares_it(tmp_path):
     np.testing.assert_allclose(plant.target(1.0), [0.1, 0.2] + [0.0] * 10, atol=1e-16)
 
 
+@pytest.mark.parametrize(("joint", "state"), [("1st", "joint_1st"), ("lambda", "joint_lambda"), ("_a.b", "joint_a_b")])
+def test_a_joint_may_have_any_name(tmp_path, joint, state):
+    path = tmp_path / "named.urdf"
+    path.write_text(TEXT.replace('"shoulder"', f'"{joint}"'))
+    assert Plant("six", chain(path)).states[1] == state
+
+
 def test_the_file_is_part_of_the_identity(tmp_path):
     path = tmp_path / "heavier.urdf"
     path.write_text(TEXT.replace('<mass value="1.2"/>', '<mass value="1.3"/>'))

@@ -51,7 +51,7 @@ def test_nothing_is_overwritten(there):
     assert [path.read_text() for path in Path().iterdir()] == ["mine"]
 
 
-@pytest.mark.parametrize("name", ["My_plant", "my-plant", "class", "../plant", "my_plant.py", ""])
+@pytest.mark.parametrize("name", ["My_plant", "my-plant", "class", "none", "true", "_", "../plant", "my_plant.py", ""])
 def test_a_name_that_is_none_is_told(name):
     result = call("init", name)
     assert result.exit_code == 2

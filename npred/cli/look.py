@@ -74,7 +74,10 @@ def plants(options: Common) -> None:
     from npred.plants import named
 
     known = named()
-    rows = [[p["name"], ", ".join(p["states"]), ", ".join(p["inputs"]), _assignments(p)] for p in known]
+    for broken in (p for p in known if "error" in p):
+        options.console.warn(broken["error"])
+    sound = [p for p in known if "error" not in p]
+    rows = [[p["name"], ", ".join(p["states"]), ", ".join(p["inputs"]), _assignments(p)] for p in sound]
     options.show({"plants": known}, lambda: columns(["plant", "states", "inputs", "parameters"], rows))
 
 

@@ -12,9 +12,10 @@ TEMPLATES = {".py": "plant.py.txt", ".toml": "pipeline.toml.txt"}
 
 def init(options: Common, name: str) -> None:
     """Write NAME.py and NAME.toml here. Raises ConfigError for a name that Python refuses, and where a file exists."""
-    if not (name.isascii() and name.isidentifier() and name.islower()) or iskeyword(name):
-        raise ConfigError(f"init: expected a name as my_plant, small letters and _, got {name!r}; choose another")
     class_name = "".join(word.capitalize() for word in name.split("_"))
+    written = name.isascii() and name.isidentifier() and name.islower() and class_name.isidentifier()
+    if not written or iskeyword(name) or iskeyword(class_name):
+        raise ConfigError(f"init: expected a name as my_plant, small letters and _, got {name!r}; choose another")
     texts = {Path(name + suffix): _text(template, name, class_name) for suffix, template in TEMPLATES.items()}
     there = [str(path) for path in texts if path.exists()]
     if there:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from npred.console import Console
 from npred.executors import Here, Workers
+from npred.pipeline import table
 from npred.pipeline.plan import Planner, Step
 from npred.pipeline.table import STAGES, Node
 from npred.places import RESULT
@@ -46,8 +47,11 @@ class Runner:
     def run(self, nodes: Iterable[Node]) -> list[Outcome]:
         """One outcome a node, in order; every result is verified. The networks of a pipeline train side by side.
 
-        Raises StoreError for corrupt files, and what the stages raise; what was finished before stays in the store.
+        Raises ConfigError for a pipeline that does not fit its plant, before anything runs, StoreError for corrupt
+        files, and what the stages raise; what was finished before stays in the store.
         """
+        nodes = list(nodes)
+        table.check(self.planner.config, {node.stage for node in nodes})
         outcomes: dict[str, Outcome] = {}
         for _, wave in groupby(nodes, key=lambda node: node.stage):
             outcomes |= {done.node.name: done for done in self._wave(list(wave), outcomes)}

@@ -42,11 +42,19 @@ def identity(name: str, parameters: Mapping[str, float] = {}) -> dict[str, Any]:
 
 
 def named() -> list[dict[str, Any]]:
-    """Name, states, inputs and parameters of the plants that have a name: built in, or of installed packages."""
-    plants = [resolve(name) for name in [*_builtin(), *installed.names(_builtin())]]
-    return [
-        {"name": p.name, "states": list(p.states), "inputs": list(p.inputs), "parameters": p.parameters} for p in plants
-    ]
+    """Name, states, inputs and parameters of the plants that have a name: built in, or of installed packages.
+
+    One that cannot be made, of a package that fails on import say, has its name and `error`, a sentence.
+    """
+    return [_told(name) for name in [*_builtin(), *installed.names(_builtin())]]
+
+
+def _told(name: str) -> dict[str, Any]:
+    try:
+        p = resolve(name)
+    except ConfigError as error:
+        return {"name": name, "error": str(error)}
+    return {"name": name, "states": list(p.states), "inputs": list(p.inputs), "parameters": p.parameters}
 
 
 def is_builtin(name: Any) -> bool:

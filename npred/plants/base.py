@@ -28,7 +28,8 @@ class Plant:
 
     def __init__(self, name: str, declaration: Any, overrides: Mapping[str, float] = {}, source: str | None = None):
         declared.check(name, declaration)
-        self.name, self.declaration, self.source = name, declaration, source
+        self.name, self.declaration, self.source = name, declared.completed(declaration), source
+        self.declares_V = hasattr(declaration, "V")
         self.states = declared.names(name, "states", declaration.states)
         self.inputs = declared.names(name, "inputs", declaration.inputs)
         self.parameters = declared.parameters(name, getattr(declaration, "parameters", {}), overrides)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from npred.errors import ConfigError
+from npred.plants import cures
 from npred.plants.base import Plant
 from npred.plants.trace import failure, parameters
 
@@ -89,12 +90,12 @@ class BlackBox(Plant):
         except ConfigError:
             raise
         except Exception as error:
-            raise ConfigError(failure(self, name, error)) from None
+            raise ConfigError(f"{failure(self, name, error)}; {cures.cure(self, name, error)}") from None
         count = len(rows[0]) if rows else t.size
         wanted = (count,) if size is None else (count, size)
         if values.shape != wanted:
-            found = f"expected to return shape {wanted}, got {values.shape}"
-            raise ConfigError(f"plant {self.name}: {name} {found}; mend {name}")
+            found = f"expected to return shape {wanted}, a row a loop, got {values.shape}"
+            raise ConfigError(f"{self.place(name)} {found}; return {cures.RETURNS.get(name, 'a value each')}")
         return values.reshape(shape if size is None else (*shape, size))
 
     @property

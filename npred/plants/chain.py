@@ -9,6 +9,7 @@ Arm = chain(Path(__file__).with_name("my_arm.urdf"))
 import math
 import re
 from collections.abc import Sequence
+from keyword import iskeyword
 from pathlib import Path
 from typing import Any
 
@@ -58,7 +59,7 @@ def chain(path: str | Path, pose: Sequence[float] | None = None) -> type:
 
 def declaration(path: str | Path, bodies: list[Body], middle: list[float], more: dict[str, Any]) -> type:
     """The class that says what a chain of these bodies is, with the functions in `more`."""
-    names = [re.sub(r"\W", "_", body.joint) for body in bodies]
+    names = [_name(body.joint) for body in bodies]
     rates, efforts = [f"{name}_rate" for name in names], [body.effort for body in bodies]
     kinds = ["force" if body.slides else "torque" for body in bodies]
     ranges = {name: (at - 0.3, at + 0.3) for name, at in zip(names, middle, strict=True)}
@@ -71,6 +72,12 @@ def declaration(path: str | Path, bodies: list[Body], middle: list[float], more:
         "input_bounds": [(-e, e) for e in efforts] if all(map(math.isfinite, efforts)) else None,
         **more,
     })  # fmt: skip
+
+
+def _name(joint: str) -> str:
+    """The joint's name as Python and npred accept it."""
+    name = re.sub(r"\W", "_", joint)
+    return name if name.isidentifier() and not iskeyword(name) and name[0] != "_" else f"joint_{name.lstrip('_')}"
 
 
 def middles(bodies: list[Body], pose: Sequence[float] | None) -> list[float]:

@@ -9,18 +9,28 @@ import numpy as np
 
 from npred.errors import ConfigError
 
-REQUIRED = ("states", "inputs", "f", "kappa", "V")
+REQUIRED = ("states", "inputs", "f", "kappa")
 
 
 def check(plant: str, declaration: Any) -> None:
     """Raise ConfigError for a part that is missing, or for an f, kappa or V that is no function."""
     for part in REQUIRED:
         if not hasattr(declaration, part):
-            hint = "declare it" + (", as 0.0 to have npred plants check offer one" if part == "V" else "")
-            raise ConfigError(f"plant {plant}: expected {', '.join(REQUIRED)}, found no {part}; {hint}")
-    for part in [*REQUIRED[2:], "reference"]:
+            raise ConfigError(f"plant {plant}: expected {', '.join(REQUIRED)}, found no {part}; declare it")
+    for part in [*REQUIRED[2:], "V", "reference"]:
         if not callable(getattr(declaration, part, check)):
             raise ConfigError(f"plant {plant}: expected {part} to be a function, got {getattr(declaration, part)!r}")
+
+
+def completed(declaration: Any) -> Any:
+    """The declaration, with V = 0 where it has none: such a plant can be looked at, and be offered one."""
+    if hasattr(declaration, "V"):
+        return declaration
+    return type(declaration.__name__, (declaration,), {"V": staticmethod(_zero)})
+
+
+def _zero(x: Any, t: Any, p: Any, M: Any = None) -> Any:
+    return np.zeros(len(x)) if M is None else 0.0
 
 
 def names(plant: str, part: str, given: Any) -> tuple[str, ...]:

@@ -41,6 +41,7 @@ def write(path: Path, plant: Plant, data: Dataset, loops: dict[str, Trajectories
         file: Any = opened
         for name, values in quantities(plant, data.X, data.u, data.D_hat).items():
             slack = MARGIN * np.ptp(values)  # what `measure` counts as inside is in the picture
+            slack = slack or 0.01 * max(abs(values[0]), 1.0)  # of a delay that is known there is one value
             edges = np.linspace(values.min() - slack, values.max() + slack, BINS + 1)
             file[f"{name}/edges"], file[f"{name}/data"] = edges, np.histogram(values, edges, density=True)[0]
         for contender, run in loops.items():
