@@ -1,5 +1,6 @@
 """The pipeline file as frozen models: one table a stage, every key checked, `--set` overrides included."""
 
+import math
 import re
 import tomllib
 from pathlib import Path
@@ -11,10 +12,12 @@ from npred.errors import ConfigError
 
 NAME = re.compile(r"[^\W_][\w.-]{0,99}")  # of a pipeline
 LONGEST = 2**20  # bytes of a pipeline file
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-Delay = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Count = Annotated[int, Field(ge=1)]
-Nodes = Annotated[int, Field(ge=2)]
+MOST = 2**31 - 1  # of anything that is counted
+LONGEST_RUN = 10**9  # control steps of a loop
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
+Delay = Annotated[float, Field(ge=0, allow_inf_nan=False, strict=True)]
+Count = Annotated[int, Field(ge=1, le=MOST, strict=True)]
+Nodes = Annotated[int, Field(ge=2, le=MOST, strict=True)]
 Range = tuple[Delay, Delay]
 Item = TypeVar("Item")
 Some = Annotated[list[Item], Field(min_length=1)]
@@ -47,6 +50,12 @@ class Table(BaseModel):
         """The same without the folders of the paths at those keys."""
         return self.model_copy(update={key: Path(getattr(self, key)).name for key in keys})
 
+    def absolute(self, *keys: str) -> Self:
+        """The same with absolute paths where those keys name files."""
+        paths = {key: str(getattr(self, key)) for key in keys}
+        named = {key: path for key, path in paths.items() if ".py:" in path or (key == "data" and path)}
+        return self.model_copy(update={key: str(Path(path).absolute()) for key, path in named.items()})
+
 
 class Loop(Table):
     """The closed loop [DAPF, eqs. 6-14] that a stage runs: times and delays in seconds, nx nodes on [0, 1].
@@ -74,6 +83,9 @@ class Loop(Table):
             )
         if self.dt > self.t_end:
             raise ValueError(f"dt: expected at most t_end = {self.t_end:g}, got {self.dt:g}; shorten the step")
+        if self.t_end > LONGEST_RUN * self.dt:
+            steps = f"expected at most {LONGEST_RUN} steps, got {self.t_end:g} s of {self.dt:g} s"
+            raise ValueError(f"t_end: {steps}; shorten t_end or lengthen dt")
         return self
 
 
@@ -116,6 +128,9 @@ class Generate(Loop):
         for k, span in enumerate(self.D_hat0):
             ordered(f"D_hat0[{k}]", span)
             within(f"D_hat0[{k}]", span, self.bounds)
+        for name, ends in self.box.items():
+            if not (all(map(math.isfinite, ends)) and ends[0] <= ends[1]):
+                raise ValueError(f"box.{name}: expected [low, high], finite and in order, got {list(ends)}; mend it")
         if isinstance(self.D, tuple):
             ordered("D", self.D)
         if self.rollouts < 2:
@@ -231,7 +246,7 @@ class Pipeline(Table):
     """A pipeline file, resolved: `plant` is a built-in name or `file.py:Class`, `parameters` override its defaults."""
 
     name: str = "pipeline"  #: what its results are called
-    seed: Annotated[int, Field(ge=0)] = 0  #: of everything random
+    seed: Annotated[int, Field(ge=0, strict=True)] = 0  #: of everything random
     plant: str  #: a name, or `file.py:Class`
     parameters: dict[str, float] = {}  #: overrides of the plant's
     generate: Generate = Generate()
@@ -259,6 +274,11 @@ class Pipeline(Table):
         """The same as a file beside its `files` says it: without folders, and so the same wherever they lie."""
         generate, evaluate = self.generate.bare("adaptation", "data"), self.evaluate.bare("adaptation")
         return self.bare("plant").model_copy(update={"generate": generate, "evaluate": evaluate})
+
+    def located(self) -> Self:
+        """The same for a process elsewhere, where a relative path would be another file."""
+        generate, evaluate = self.generate.absolute("adaptation", "data"), self.evaluate.absolute("adaptation")
+        return self.absolute("plant").model_copy(update={"generate": generate, "evaluate": evaluate})
 
 
 def load(path: Path, overrides: list[str] | None = None) -> Pipeline:

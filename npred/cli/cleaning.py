@@ -13,7 +13,7 @@ from npred import devices, places
 from npred.cli.options import Common
 from npred.errors import ConfigError, StoreError
 from npred.pipeline import STAGES, Kept, Planner, cells, closure, nodes
-from npred.store import Artifact, Store
+from npred.store import Artifact, Store, claims
 
 UNITS = {"": 1, "k": 10**3, "M": 10**6, "G": 10**9, "T": 10**12}
 DAY = 86400.0
@@ -49,9 +49,14 @@ class Waste(NamedTuple):
 def gc(options: Common, wanted: Wanted, yes: bool) -> None:
     """The plan of what to delete, and with `yes` the deed. Raises ConfigError where no pipeline says what stays."""
     plan = _plan(options.results, wanted)
-    deleted = [str(waste.path) for waste in plan if yes and options.results.delete(waste.path, waste.as_seen)]
+    deleted = [str(waste.path) for waste in plan if yes and _deleted(options.results, waste)]
     rows = [{"path": str(waste.path), "bytes": waste.bytes, "reason": waste.reason} for waste in plan]
     options.show({"plan": rows, "deleted": deleted}, lambda: _told(plan, deleted, yes))
+
+
+def _deleted(store: Store, waste: Waste) -> bool:
+    """Whether it could be deleted: what a run makes or has taken stays."""
+    return store.delete(waste.path, lambda path: path.name not in claims.in_use(store.root) and waste.as_seen(path))
 
 
 def _plan(store: Store, wanted: Wanted) -> list[Waste]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,8 +13,10 @@ from npred.dataset import MEANING, Dataset, attributes
 from npred.errors import ConfigError, MissingError
 from npred.pipeline import load_data
 from npred.pipeline.runner import plain
+from npred.store import durable
 
 RELATIVE = 0.05  # residual over what P moves: Euler's method leaves a third of it at dx = 0.01
+START = 1e-3  # of P(0) from X, in units of the state: files in single precision round a state of 1000 by less
 CELL = 0.5  # of a cell of the grid: by how much the delay that fits best may be off
 SHUFFLED = 0.1  # of interop.together
 
@@ -32,6 +35,10 @@ def bring(options: Common, form: str, given: Given) -> None:
     """Write the HDF5 file of the authors' layout, and say what holds of it. Raises ConfigError where it cannot."""
     if form != "npy":
         raise ConfigError(f"import: expected npy, got {form!r}; name the format of the two files")
+    if given.output.resolve() in (given.inputs.resolve(), given.outputs.resolve()):
+        raise ConfigError(
+            f"import: expected another file than the two, got --output {given.output}; name one"
+        )
     plant = plants.resolve(given.plant)
     if not plant.autonomous:
         raise ConfigError(f"import: expected a plant free of time, {plant.name} is not; the files hold no time")
@@ -40,7 +47,8 @@ def bring(options: Common, form: str, given: Given) -> None:
     found = {"checks": interop.checks(plant, data), "splits": _splits(data, given.rollouts)}
     for line in _doubts(found, data.u.shape[1]):
         options.console.warn(line)
-    data.write(writable(given.output), attributes(plant, "imported"))
+    with durable.room(given.output):
+        data.write(writable(given.output), attributes(plant, "imported"))
     document = {"file": str(given.output), "plant": plant.name, "samples": len(data), "nx": data.u.shape[1], **found}
     options.show(plain(document), lambda: _told(document))
 
@@ -50,7 +58,9 @@ def export(options: Common, form: str, spec: str, output: Path | None) -> None:
     artifact = load_data(spec, options.store)
     data = Dataset.read(artifact.folder / "data.h5")
     path = writable(output or Path(f"data.{'h5' if form == 'hdf5' else form}"))
-    files = WRITERS[form](artifact.folder / "data.h5", data, path)
+    with durable.room(path), TemporaryDirectory(dir=path.parent, prefix=".npred-") as aside:
+        written = WRITERS[form](artifact.folder / "data.h5", data, Path(aside, path.name))
+        files = [file.replace(path.parent / file.name) for file in written]
     document = {"files": [str(file) for file in files], "format": form, "samples": len(data), "key": artifact.name}
     options.show(document, lambda: f"{', '.join(document['files'])}: {len(data)} samples of {artifact.name}")
 
@@ -98,6 +108,11 @@ def _doubts(found: dict[str, Any], nx: int) -> list[str]:
         f"{state}: P = X + D_hat ∫ f(P, u) leaves {100 * relative:.3g} % of what P moves: is it another plant?"
         for state, relative in checks["relative"].items()
         if not relative <= RELATIVE
+    ]
+    lines += [
+        f"{state}: P(0) is up to {off:.3g} from X: does the first node lie at x = 0?"
+        for state, off in checks["start"].items()
+        if not off <= START
     ]
     if not abs(checks["horizon"] - 1) <= CELL / (nx - 1):
         lines.append(

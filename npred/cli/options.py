@@ -97,7 +97,7 @@ class Work(Running):
 
 def writable(path: Path) -> Path:
     """The path. Raises ConfigError where no file can be written there."""
-    if not path.parent.is_dir() or path.is_dir():
+    if not path.parent.is_dir() or (path.exists() and not path.is_file()):
         raise ConfigError(f"{path}: expected a file that can be written, in a folder that is there; make {path.parent}")
     return path
 

@@ -17,7 +17,8 @@ from npred.pipeline import table
 from npred.pipeline.plan import Planner, Step
 from npred.pipeline.table import STAGES, Node
 from npred.places import RESULT
-from npred.store import Artifact, durable, short
+from npred.store import Artifact, claims, durable, short
+from npred.store.claims import Claim
 
 if TYPE_CHECKING:
     from npred.plants import Plant
@@ -53,20 +54,21 @@ class Runner:
         nodes = list(nodes)
         table.check(self.planner.config, {node.stage for node in nodes})
         outcomes: dict[str, Outcome] = {}
-        for _, wave in groupby(nodes, key=lambda node: node.stage):
-            outcomes |= {done.node.name: done for done in self._wave(list(wave), outcomes)}
+        with claims.claimed(self.planner.store.root) as claim:
+            for _, wave in groupby(nodes, key=lambda node: node.stage):
+                outcomes |= {done.node.name: done for done in self._wave(list(wave), outcomes, claim)}
         return list(outcomes.values())
 
-    def _wave(self, nodes: list[Node], outcomes: Mapping[str, Outcome]) -> list[Outcome]:
+    def _wave(self, nodes: list[Node], outcomes: Mapping[str, Outcome], claim: Claim) -> list[Outcome]:
         """The nodes of one stage, at most `jobs` at a time, in threads.
 
         The numerical libraries let go of the GIL, and progress, Ctrl-C and the store's locks are this process's.
         """
         if min(len(nodes), self.jobs) == 1:
-            return [self._node(node, outcomes) for node in nodes]
+            return [self._node(node, outcomes, claim) for node in nodes]
         with ThreadPoolExecutor(min(len(nodes), self.jobs)) as pool:
             try:
-                futures = [pool.submit(self._node, node, outcomes) for node in nodes]
+                futures = [pool.submit(self._node, node, outcomes, claim) for node in nodes]
                 wait(futures, return_when=FIRST_EXCEPTION)
                 failed = [future for future in futures if future.done() and future.exception()]
                 return [future.result() for future in failed or futures]
@@ -75,10 +77,11 @@ class Runner:
                 pool.shutdown(wait=False, cancel_futures=True)
                 raise
 
-    def _node(self, node: Node, outcomes: Mapping[str, Outcome]) -> Outcome:
+    def _node(self, node: Node, outcomes: Mapping[str, Outcome], claim: Claim) -> Outcome:
         start = time.perf_counter()
         inputs = {name: outcomes[name].artifact for name in node.inputs}
         step = self.planner.step(node, inputs)
+        claim(step.key or "")
         artifact, action, why = self._hit(step) if step.artifact else self.make(step, inputs)
         seconds = time.perf_counter() - start
         self.console.finish(node.title, action, seconds)

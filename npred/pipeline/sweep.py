@@ -5,9 +5,7 @@ from collections import defaultdict
 from collections.abc import Collection, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass, field
-from pathlib import Path
 
-from npred.config import Pipeline
 from npred.console import Bar, Console
 from npred.errors import NpredError
 from npred.executors import Here, Workers
@@ -16,7 +14,8 @@ from npred.pipeline.cells import Cell
 from npred.pipeline.plan import Planner
 from npred.pipeline.table import Node, nodes
 from npred.pipeline.task import Made, Task, alone, make
-from npred.store import Artifact, Question, Store
+from npred.store import Artifact, Question, Store, claims
+from npred.store.claims import Claim
 
 WHOLE = {"generate": 0, "bench": 2}  # they use the whole machine: before all else, and after it
 
@@ -76,8 +75,8 @@ class Sweep:
             rows.append(Progress(number, cell, planner, nodes(cell.config, targets)))
         for row in rows:
             table.check(row.cell.config, {node.stage for node in row.nodes})
-        with self.console.bar("sweep", len(rows), "cells") as bar:
-            _Graph(self, rows, bar).run()
+        with self.console.bar("sweep", len(rows), "cells") as bar, claims.claimed(self.store.root) as claim:
+            _Graph(self, rows, bar, claim).run()
         return rows
 
     def make(self, task: Task) -> Made:
@@ -88,8 +87,8 @@ class Sweep:
 class _Graph:
     """The nodes by key: found, under way, or waiting for their turn."""
 
-    def __init__(self, sweep: Sweep, rows: list[Progress], bar: Bar) -> None:
-        self.sweep, self.rows, self.bar = sweep, rows, bar
+    def __init__(self, sweep: Sweep, rows: list[Progress], bar: Bar, claim: Claim) -> None:
+        self.sweep, self.rows, self.bar, self.claim = sweep, rows, bar, claim
         self.found: dict[str, Made] = {}
         self.takers: defaultdict[str, list[tuple[Progress, str]]] = defaultdict(list)
         self.queue: list[tuple[int, int, str]] = []
@@ -124,13 +123,14 @@ class _Graph:
             for node, inputs in ready:
                 row.asked.add(node.name)
                 question = row.planner.question(node, inputs)
+                self.claim(question.key)
                 if made := self._known(node, question):
                     self._take(row, node.name, made)
                 else:
-                    self._queue(row, node, Task(*self._place(row), node, question, inputs))
+                    self._queue(row, node, self._task(row, node, question, inputs))
 
-    def _place(self, row: Progress) -> tuple[Pipeline, Path, str]:
-        return row.cell.config, self.sweep.store.root, self.sweep.device
+    def _task(self, row: Progress, node: Node, question: Question, inputs: dict[str, Artifact]) -> Task:
+        return Task.of(row.cell.config, self.sweep.store, self.sweep.device, node, question, inputs)
 
     def _queue(self, row: Progress, node: Node, task: Task) -> None:
         key = task.question.key

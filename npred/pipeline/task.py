@@ -2,11 +2,12 @@
 
 import time
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
+from npred import devices
 from npred.config import Pipeline
 from npred.console import Console
-from npred.errors import NpredError
+from npred.errors import ConfigError, NpredError
 from npred.executors import Here, Workers
 from npred.pipeline.plan import Planner, Step
 from npred.pipeline.runner import Runner
@@ -14,6 +15,8 @@ from npred.pipeline.table import Node
 from npred.store import Artifact, Question, Store
 
 REASON = "of a sweep"
+PACKAGES = ("npred", "torch", "numpy", "numba")
+Inputs = dict[str, Artifact]
 
 
 class Made(NamedTuple):
@@ -33,7 +36,18 @@ class Task(NamedTuple):
     device: str
     node: Node
     question: Question
-    inputs: dict[str, Artifact]
+    inputs: Inputs
+    packages: dict[str, str | None]
+
+    @classmethod
+    def of(cls, config: Pipeline, store: Store, device: str, node: Node, question: Question, inputs: Inputs) -> Self:
+        """The task as this process would do it."""
+        return cls(config.located(), store.root, device, node, question, inputs, packages())
+
+
+def packages() -> dict[str, str | None]:
+    """The versions that a result's bytes may depend on."""
+    return {name: devices.package(name) for name in PACKAGES}
 
 
 def make(task: Task, console: Console, jobs: int, executor: Workers) -> Made:
@@ -50,5 +64,12 @@ def make(task: Task, console: Console, jobs: int, executor: Workers) -> Made:
 
 
 def alone(task: Task) -> Made:
-    """A node in a process of its own, one core."""
+    """A node in a process of its own, one core; nothing where that process has another plant, law or package."""
+    try:
+        asked = Planner(task.config, Store(task.root), task.device).question(task.node, task.inputs)
+        if asked.key != task.question.key or packages() != task.packages:
+            what = "expected the same plant, delay law and packages on every worker, got others"
+            raise ConfigError(f"{task.node.title}: {what}; install them there")
+    except NpredError as error:
+        return Made(None, "failed", error=str(error))
     return make(task, Console(quiet=True), 1, Here())

@@ -59,7 +59,7 @@ def _given(job: Job, path: Path) -> dict[str, Any]:
 def _parts(job: Job) -> Iterator[tuple[int, Rows]]:
     """The rows of each batch, after its first rollout; a single batch is not worth a process."""
     batches, executor = _batches(job.config.generate, job.executor.count), job.executor
-    make = partial(rollouts.elsewhere, rollouts.located(job.config), rollouts.surroundings(job.config, job.plant))
+    make = partial(rollouts.elsewhere, job.config.located(), rollouts.surroundings(job.config, job.plant))
     if len(batches) == 1 or isinstance(executor, executors.Here):
         make, executor = partial(rollouts.rows, job.config, job.plant), executors.Here()
     total = job.config.generate.rollouts

@@ -1,6 +1,5 @@
 """Batches of rollouts as rows of data, in this process or in another one, on this machine or on another one."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,23 +8,12 @@ from npred import devices, laws, plants
 from npred.closed_loop import LANES, simulate
 from npred.config import Pipeline
 from npred.errors import ConfigError, DivergedError
-from npred.plants import Plant, files
+from npred.plants import Plant
 from npred.predictors import METHODS
 from npred.stages import draws
 
 Rows = dict[str, np.ndarray]
 PACKAGES = ("npred", "numpy", "numba")  # what the bytes of a row may depend on
-
-
-def located(pipeline: Pipeline) -> Pipeline:
-    """The pipeline for a process elsewhere, where the same relative path would be another file."""
-    law = _absolute(pipeline.generate.adaptation)
-    generate = pipeline.generate.model_copy(update={"adaptation": law})
-    return pipeline.model_copy(update={"plant": _absolute(pipeline.plant), "generate": generate})
-
-
-def _absolute(name: str) -> str:
-    return str(Path(name).absolute()) if files.named(name) else name
 
 
 def surroundings(pipeline: Pipeline, plant: Plant) -> dict[str, Any]:

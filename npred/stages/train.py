@@ -12,7 +12,7 @@ import torch
 from npred import plants, randomness, ranks, shards, training
 from npred.config import Pipeline, Training
 from npred.operators import Operator, Scaling, build, io, loss, save
-from npred.stages import Job, Progress, rollouts
+from npred.stages import Job, Progress
 from npred.streaming import Stream
 from npred.training import Rows, Task
 
@@ -49,7 +49,7 @@ class _Order(NamedTuple):
     def of(cls, job: Job) -> Self:
         """What the helpers have to know of a job."""
         folders = job.inputs["generate"].absolute(), job.scratch.absolute()
-        return cls(rollouts.located(job.config), *folders, job.device, job.model)
+        return cls(job.config.located(), *folders, job.device, job.model)
 
     def job(self, progress: Progress) -> Job:
         """The job as a helper sees it, who writes nothing."""

@@ -55,6 +55,8 @@ def load(store: Store, path: Path, waiting: Callable[[str], None] | None = None)
         raise StoreError(f"{path}: expected a tar of npred export-artifact, found no such file; check the path")
     with path.open("rb") as tar:
         manifest, content = _manifest(tar, path)
+        if manifest.question.stage == "report":  # a page may carry a script, and npred run would show it as its own
+            raise StoreError(f"{path}: expected a result, got a page; npred report makes it anew from its results")
         with store.lock(manifest.question.stage, manifest.key, waiting):
             there = store.get(manifest.question.stage, manifest.key)
             return (_same(there, manifest), False) if there else (_place(store, manifest, content, tar, path), True)

@@ -106,9 +106,10 @@ class Store:
         durable.sync_tree(draft)
         target = self.folder(manifest.question.stage, manifest.key)
         durable.make(target.parent)
-        self.discard(target)
+        before = self._aside(target)  # what takes time, its removal, comes when the new one is there
         draft.rename(target)
         durable.sync(target.parent)
+        shutil.rmtree(before, ignore_errors=True)
         return Artifact(target, manifest)
 
     def survey(self) -> tuple[list[Artifact], list[Path]]:
@@ -173,10 +174,13 @@ class Store:
 
     def discard(self, path: Path) -> None:
         """Remove a folder of the store whose key's lock is held."""
-        # Renamed first: a removal cut short must not leave half a result in the place of a whole one.
+        shutil.rmtree(self._aside(path), ignore_errors=True)
+
+    def _aside(self, path: Path) -> Path:
+        """Rename a folder: a removal cut short must not leave half a result in the place of a whole one."""
+        aside = self.root / ".tmp" / f"{path.parent.name.strip('.')}-{path.name}.removed"
         if path.exists():
-            aside = self.root / ".tmp" / f"{path.parent.name.strip('.')}-{path.name}.removed"
             aside.parent.mkdir(parents=True, exist_ok=True)
             shutil.rmtree(aside, ignore_errors=True)
             path.rename(aside)
-            shutil.rmtree(aside, ignore_errors=True)
+        return aside

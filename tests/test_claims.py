@@ -1,0 +1,59 @@
+"""Claims: what a run has taken stays in use until it ends, however it ends."""
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from conftest import document, process_environment
+
+from npred.store import claims
+
+
+def locks(root):
+    return sorted(path.name for path in (root / ".locks").glob("run-*"))
+
+
+def test_a_claim_holds_until_its_block_ends(tmp_path):
+    with claims.claimed(tmp_path) as claim:
+        claim("a" * 64)
+        with claims.claimed(tmp_path) as other:
+            other("b" * 64)
+            assert claims.in_use(tmp_path) == {"a" * 64, "b" * 64}
+        assert claims.in_use(tmp_path) == {"a" * 64}
+    assert claims.in_use(tmp_path) == set() and locks(tmp_path) == []
+
+
+def test_a_process_that_was_killed_claims_nothing(tmp_path):
+    program = (
+        "import sys, time\nfrom pathlib import Path\nfrom npred.store import claims\n"
+        "with claims.claimed(Path(sys.argv[1])) as claim:\n"
+        "    claim('c' * 64)\n    print('claimed', flush=True)\n    sys.stdin.read()\n"
+    )
+    running = subprocess.Popen([sys.executable, "-c", program, str(tmp_path)], env=process_environment(),
+                               stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)  # fmt: skip
+    assert running.stdout is not None and running.stdout.readline() == "claimed\n"
+    assert claims.in_use(tmp_path) == {"c" * 64}
+    running.send_signal(signal.SIGKILL)
+    running.wait()
+    assert claims.in_use(tmp_path) == set() and locks(tmp_path) == []
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root writes everywhere")
+def test_a_store_that_cannot_be_written_takes_no_claims(tmp_path):
+    tmp_path.chmod(0o500)
+    with claims.claimed(tmp_path) as claim:
+        claim("a" * 64)
+    tmp_path.chmod(0o700)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_gc_leaves_what_a_run_has_taken(call):
+    """The data of another seed, which no pipeline needs, while a run trains from them, and when it has ended."""
+    made = document(call("generate", "tiny.toml", "--set", "seed=7", "--json"))["stages"][0]
+    with claims.claimed(Path("artifacts")) as claim:
+        claim(made["key"])
+        assert document(call("gc", "tiny.toml", "--yes", "--json"))["deleted"] == []
+    assert len(document(call("gc", "tiny.toml", "--yes", "--json"))["deleted"]) == 1
