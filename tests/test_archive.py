@@ -64,6 +64,15 @@ def test_there_and_back(artifact: Artifact, tar: Path, tmp_path: Path):
     assert (tmp_path / "b.tar").read_bytes() == tar.read_bytes()
 
 
+def test_a_page_is_not_brought_in(tmp_path: Path):
+    """It may hold a script, and `npred run` would show it as a page of its own."""
+    page = put(Store(tmp_path / "mine"), question(stage="report"))
+    archive.export(page, tmp_path / "page.tar")
+    with pytest.raises(StoreError, match="expected a result, got a page; npred report makes it anew"):
+        archive.load(Store(tmp_path / "theirs"), tmp_path / "page.tar")
+    assert Store(tmp_path / "theirs").artifacts() == []
+
+
 def test_other_programs_can_read_it(artifact: Artifact, tar: Path, tmp_path: Path):
     with tarfile.open(tar) as opened:
         assert all(member.isreg() and member.mtime == 0 for member in opened)

@@ -5,15 +5,21 @@ import os
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 from conftest import process_environment
 from jobs import job
 from silent import Silent
+from test_cli import TANK
 
 from npred import executors, shards
+from npred.console import Console
 from npred.errors import ConfigError
+from npred.executors import Here
+from npred.pipeline import Sweep, cells
 from npred.stages import generate
+from npred.store import Store
 
 distributed = pytest.importorskip("distributed")
 pytestmark = pytest.mark.slow
@@ -112,3 +118,19 @@ def test_an_error_of_a_task_comes_back_as_it_is(executor):
 
 def raise_config_error(text: str) -> None:
     raise ConfigError(text)
+
+
+def test_a_sweep_on_the_cluster_makes_the_bytes_of_one_here(tmp_path, executor, monkeypatch):
+    """A plant of one's own by a relative path, which in the workers' folder is another file or none."""
+    (tmp_path / "tank.py").write_text(TANK)
+    sizes = "[generate]\nrollouts = 8\nsamples = 64\nt_end = 2.0\nnx = 11\n[train]\nmodels = ['fno']\n"
+    network = "[train.fno]\nepochs = 1\nbatch = 64\nwidth = 4\nmodes = 3\nlayers = 1\n"
+    (tmp_path / "p.toml").write_text("plant = 'tank.py:Tank'\n" + sizes + network)
+    monkeypatch.chdir(tmp_path)
+    grid, digests = cells(Path("p.toml"), ["seed=0:2"]), []
+    for name, where in (("here", Here()), ("there", executor)):
+        store = Store(tmp_path / name)
+        done = Sweep(store, "cpu", Console(quiet=True), 1, where).run(grid, ["train"])
+        assert [progress.error for progress in done] == ["", ""]
+        digests.append({a.manifest.key: a.manifest.digest for a in store.artifacts()})
+    assert digests[0] == digests[1] and len(digests[0]) == 4

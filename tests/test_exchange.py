@@ -1,5 +1,6 @@
 """`npred import` and `npred export` of data, and a pipeline that trains on what came in."""
 
+import errno
 import json
 import shutil
 from pathlib import Path
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from npred.cli import app
+from npred.cli import app, exchange
 from npred.dataset import MEANING, Dataset
 
 PIPELINE = """
@@ -138,6 +139,8 @@ def test_hdf5_and_mat_hold_every_array(call):
         (["export", "npy", "0123"], 2, "expected one artifact"),
         (["export", "npy", "none.toml"], 2, "none.toml: expected a pipeline file"),
         (["export", "hdf5", "generate", "-o", "nowhere/a.h5"], 2, "expected a file that can be written"),
+        (["export", "hdf5", "generate", "-o", "/dev/null"], 2, "/dev/null: expected a file that can be written"),
+        (["import", "npy", "a.npy", "b.npy", "-o", "a.npy"], 2, "expected another file than the two, got --output a.n"),
     ],
 )
 def test_mistakes_are_told_in_one_line(call, arguments, code, words):
@@ -156,6 +159,19 @@ def test_a_pipeline_whose_data_do_not_fit_is_told(call):
     with h5py.File("a.h5", "r+") as file:
         file["test"][:] = 0  # type: ignore[index]
     assert "expected rows of both kinds, got 0 of 200 held out" in call("generate", "cart.toml").stderr
+
+
+@pytest.mark.parametrize("form", ["npy", "hdf5", "mat"])
+def test_a_disk_that_fills_is_one_line_and_leaves_nothing(call, monkeypatch, form):
+    def full(source, data, path):
+        path.write_bytes(b"half")
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setitem(exchange.WRITERS, form, full)
+    done = call("export", form, "generate", "-o", "a.out")
+    assert (done.exit_code, done.stdout) == (1, "")
+    assert "expected room to write, got a full disk" in done.stderr and not list(Path().glob("*.out"))
+    assert not list(Path().glob(".npred-*"))
 
 
 def test_what_is_no_data_cannot_be_exported_as_such(call):

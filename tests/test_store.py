@@ -4,6 +4,7 @@ import hashlib
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -49,6 +50,23 @@ def tree(root: Path) -> dict[str, bytes]:
 @pytest.fixture
 def store(tmp_path: Path) -> Store:
     return Store(tmp_path / "store")
+
+
+def test_a_forced_rerun_keeps_the_old_result_until_the_new_one_is_there(store: Store, monkeypatch):
+    """To remove the old one takes time, in which a process may be killed."""
+    old = put(store)
+
+    def killed(path, ignore_errors=False):
+        if path.name.endswith(".removed") and path.exists():
+            raise KeyboardInterrupt
+
+    draft = store.root / ".tmp" / "new"
+    shutil.copytree(old.folder, draft)
+    monkeypatch.setattr(shutil, "rmtree", killed)
+    with pytest.raises(KeyboardInterrupt):
+        store.place(draft, old.manifest)
+    monkeypatch.undo()
+    assert store.get(old.manifest.question.stage, old.manifest.key).verify() and not draft.exists()
 
 
 def test_golden_key():

@@ -13,7 +13,7 @@ import fake_stages
 import pytest
 from conftest import Call, document, one_line
 from jobs import SMALL
-from test_cli import stopped_in
+from test_cli import TANK, stopped_in
 
 from npred import executors
 from npred.console import Console
@@ -21,6 +21,7 @@ from npred.errors import DivergedError
 from npred.executors import Here
 from npred.pipeline import STAGES, Planner, Progress, Runner, Sweep, cells, nodes
 from npred.pipeline.harvest import rows
+from npred.pipeline.task import Task, alone
 from npred.store import Store
 
 GRID = ("--set", "train.fno.width=4,8", "--set", "seed=0:2")
@@ -173,6 +174,29 @@ def test_processes_make_the_same_bytes(tmp_path: Path):
     digests = [{a.manifest.key: a.manifest.digest for a in Store(tmp_path / name).artifacts()} for name in "ab"]
     assert digests[0] == digests[1]
     assert len(digests[0]) == 3
+
+
+@pytest.mark.parametrize("change", ["plant", "packages"])
+def test_a_process_with_another_plant_or_package_makes_nothing(tmp_path: Path, monkeypatch, change: str):
+    """What a worker reads at the plant's path may have changed, and what is installed there may be another version."""
+    tank = tmp_path / "tank.py"
+    tank.write_text(TANK)
+    path = tmp_path / "p.toml"
+    path.write_text("plant = 'tank.py:Tank'\n[generate]\nrollouts = 2\nsamples = 4\n")
+    (cell,) = cells(path, [])
+    store, (node,) = Store(tmp_path / "s"), nodes(cell.config, ["generate"])
+    asked = Planner(cell.config, store, "cpu").question(node, {})
+    task = Task.of(cell.config, store, "cpu", node, asked, {})
+    monkeypatch.chdir("/")
+    if change == "plant":
+        tank.write_text(TANK.replace("u.q - x.h", "u.q - 2 * x.h"))
+    else:
+        task = task._replace(packages=task.packages | {"numpy": "0.1"})
+    made = alone(task)
+    assert made.artifact is None and store.artifacts() == []
+    assert made.error == (
+        "generate: expected the same plant, delay law and packages on every worker, got others; install them there"
+    )
 
 
 class Killed(Here):
