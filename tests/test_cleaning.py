@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from conftest import Call, document, one_line
 
+from npred import devices
 from npred.cli.cleaning import size
 from npred.errors import ConfigError
 from npred.store import Store
@@ -34,6 +35,15 @@ def stale(call: Call) -> list[Path]:
         call("train", "tiny.toml", "--model", "fno", "--set", f"train.fno.epochs={epochs}")
         folders.append(older(Store(Path("artifacts")).find("fno").folder, days))
     return folders
+
+
+def test_what_another_machine_timed_is_needed(call: Call, monkeypatch: pytest.MonkeyPatch):
+    """The machine is part of bench's question: one with other cores would ask for other times."""
+    call("bench", "tiny.toml", "--jobs", "1")
+    monkeypatch.setattr(devices, "hardware", lambda device: {"cpu": "another", "cores": 64, "device": device})
+    assert planned(call) == set()
+    call("bench", "tiny.toml", "--jobs", "1", "--set", "bench.calls=7")
+    assert [path.parent.name for path in planned(call)] == ["bench"]
 
 
 def test_by_age(call: Call, stale: list[Path]):

@@ -28,6 +28,12 @@ def test_people_read_few_digits_and_programs_all():
     ]  # fmt: skip
 
 
+def test_latex_has_commands_for_greek_letters():
+    table = Grid("t", "T", [Column("θ", "a"), Column("Ω_1", "b")], [{"a": "ε of κ", "b": "µ"}])
+    heads, row = (line for line in table.latex().splitlines() if "&" in line)
+    assert (heads, row) == (r"$\theta$ & $\Omega$\_1 \\", r"$\varepsilon$ of $\kappa$ & \textmu  \\")
+
+
 def test_latex_escapes_words_and_sets_powers():
     lines = GRID.latex().splitlines()
     assert lines[1:] == [

@@ -36,9 +36,7 @@ def bring(options: Common, form: str, given: Given) -> None:
     if form != "npy":
         raise ConfigError(f"import: expected npy, got {form!r}; name the format of the two files")
     if given.output.resolve() in (given.inputs.resolve(), given.outputs.resolve()):
-        raise ConfigError(
-            f"import: expected another file than the two, got --output {given.output}; name one"
-        )
+        raise ConfigError(f"import: expected another file than the two, got --output {given.output}; name one")
     plant = plants.resolve(given.plant)
     if not plant.autonomous:
         raise ConfigError(f"import: expected a plant free of time, {plant.name} is not; the files hold no time")

@@ -8,7 +8,7 @@ import numpy as np
 from npred.figures.evidence import Errors, Evidence
 from npred.figures.loops import ends, keys
 from npred.figures.plate import Key, Panel, Plate
-from npred.figures.style import ROLES, Look, lettered, log, look, power, short, words
+from npred.figures.style import EARLY, ROLES, Look, lettered, log, look, power, short, words
 
 BINS = 24
 CELLS = (18, 14)  # of the map over the first two states
@@ -23,8 +23,8 @@ def certificate(evidence: Evidence) -> Plate:
         line = f"; an error that stayed constant would move the end along the dotted line, {gain:.4g} ε"
         key = (Key(f"constant error: {gain:.4g} ε", Look("muted", (1, 2))),)
     caption = (
-        "Radius: where loops end (filled: median over the cases, hollow: worst) over the error that control sees"
-        f"{line}. Distance and W: the loop of Fig. 1 on its way."
+        "Radius: where loops end (filled: median over the cases, hollow: worst; squares: stopped early) over the error "
+        f"that control sees{line}. Distance and W: the loop of Fig. 1 on its way."
     )
     panels = (Panel("radius over ε κ", _told_radii(radii), partial(_radii, radii, gain)), *ends(evidence))
     return Plate("certificate", "Error and radius", caption, panels, (*keys(evidence.loops), *key))
@@ -54,7 +54,7 @@ def box(evidence: Evidence) -> Plate:
     """The largest error over the state box: the first two states, or the one there is."""
     names = list(evidence.plant.states)
     said = "" if len(names) < 3 else f" (the first two of {len(names)} states)"
-    caption = f"The largest |P̂ − P| on held-out samples by where the state is{said}. Empty: no samples there."
+    caption = f"The largest |P̂ − P| on held-out samples by where the state is{said}. Hatched: no samples there."
     if len(names) == 1:
         draw = partial(_over, evidence.X[:, 0], evidence.errors, names[0])
         panels = [Panel(f"error over {names[0]}", "Largest and median error by state.", draw)]
@@ -74,10 +74,10 @@ def box(evidence: Evidence) -> Plate:
 def _radii(rows: dict[str, Any], gain: float | None, axis: Any) -> None:
     for name, row in rows.items():
         eps, median, worst = row["eps_kappa"], row["radius"]["median"], row["radius"]["worst"]
-        colour = look(name).colour
+        colour, marker = look(name).colour, "s" if look(name).role in EARLY else "o"
         axis.plot([eps, eps], [median, worst or np.nan], "-", color=colour, linewidth=1.0)
-        axis.plot([eps], [median], "o", color=colour)
-        axis.plot([eps], [worst or np.nan], "o", markerfacecolor=ROLES["paper"][0], markeredgecolor=colour)
+        axis.plot([eps], [median], marker, color=colour)
+        axis.plot([eps], [worst or np.nan], marker, markerfacecolor=ROLES["paper"][0], markeredgecolor=colour)
     if rows and gain is not None:
         eps = [row["eps_kappa"] for row in rows.values()]
         span = np.array([min(eps) / 3, max(eps) * 3])
@@ -147,6 +147,7 @@ def _cells(evidence: Evidence, error: Errors, levels: np.ndarray, axis: Any) -> 
 
     edges, largest = worst(evidence.X[:, :2], error.sup)
     colours = matplotlib.colormaps["cividis"].resampled(LEVELS)
+    axis.patch.set(hatch="/////", edgecolor=ROLES["muted"][0], linewidth=0)  # no colour of the page's is free for it
     shown = np.ma.masked_invalid(np.clip(largest, levels[0], None))
     drawn = axis.pcolormesh(*edges, shown.T, cmap=colours, norm=BoundaryNorm(levels, LEVELS))
     bar = axis.figure.colorbar(drawn, ax=axis, ticks=levels[::3], aspect=28, pad=0.02)

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-# Okabe and Ito's colours, which colour-blind readers can tell apart: first on a light page, then on a dark one.
+# Near Okabe and Ito's colours, darker on a light page, which comes first, lighter on a dark one. What is close for some
+# colour-blind readers, a network and the same stopped early, differs in its dashes or markers too.
 ROLES = {
     "ink": ("#16191d", "#eceef0"),
     "muted": ("#6b737c", "#9aa3ad"),
@@ -24,6 +25,7 @@ ROLES = {
     "green": ("#008f68", "#3fd0a4"),
 }
 NETWORKS = {"deeponet": ("blue", "sky"), "fno": ("orange", "amber")}  # trained, and stopped early
+EARLY = {early for _, early in NETWORKS.values()}
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 PLAIN = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
 RAISED = re.compile("[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+")

@@ -3,6 +3,7 @@
 import csv
 import io
 import re
+import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -18,6 +19,7 @@ LATEX = r"""% needs \usepackage{booktabs}
 \bottomrule
 \end{tabular}
 """
+GREEK = re.compile("[Α-Ωα-ω]")
 SYMBOLS = {
     "%": r"\%", "_": r"\_", "&": r"\&", "#": r"\#", "µ": r"\textmu ", "ε": r"$\varepsilon$", "κ": r"$\kappa$",
     "D̂": r"$\hat{D}$", "−": "$-$", "×": r"$\times$", "∞": r"$\infty$", "²": "$^2$", "ü": r'\"u', "|": "$|$",
@@ -83,4 +85,10 @@ def _cell(column: Column, value: Any) -> str:
 def _plain(text: str) -> str:
     for symbol, command in SYMBOLS.items():
         text = text.replace(symbol, command)
-    return text
+    return GREEK.sub(_greek, text)
+
+
+def _greek(letter: re.Match[str]) -> str:
+    """The command of a letter, which Unicode's name of it ends in."""
+    name = unicodedata.name(letter[0]).split()[-1].lower()
+    return rf"$\{name if letter[0].islower() else name.capitalize()}$"

@@ -8,7 +8,7 @@ from npred.errors import StoreError
 from npred.pipeline import table
 from npred.pipeline.plan import Planner
 from npred.pipeline.table import Node
-from npred.store import Artifact
+from npred.store import Artifact, Question
 
 
 @dataclass
@@ -16,6 +16,7 @@ class Kept:
     """Keys that are needed and, where an input is not there to tell the key, the settings of what is needed."""
 
     keys: set[str] = field(default_factory=set)
+    questions: list[Question] = field(default_factory=list)
     loose: list[tuple[Node, dict[str, Any]]] = field(default_factory=list)
 
     def add(self, planner: Planner, nodes: Iterable[Node]) -> None:
@@ -30,7 +31,8 @@ class Kept:
         """Whether an artifact is needed, or may be."""
         asked = artifact.manifest.question
         alike = ((asked.stage, asked.model, asked.config) == (n.stage, n.model, config) for n, config in self.loose)
-        return artifact.manifest.key in self.keys or any(alike)
+        timed = (_elsewhere(asked) == _elsewhere(question) for question in self.questions)
+        return artifact.manifest.key in self.keys or any(alike) or any(timed)
 
     def holds_checkpoint(self, name: str) -> bool:
         """Whether the checkpoint `stage-key` is one that a run would go on from, or may be."""
@@ -38,15 +40,22 @@ class Kept:
         return key in self.keys or any(node.stage == stage for node, _ in self.loose)
 
     def _keep(self, planner: Planner, node: Node, inputs: dict[str, Artifact]) -> Artifact | None:
-        key = planner.question(node, inputs).key
-        self.keys.add(key)
+        question = planner.question(node, inputs)
+        self.keys.add(question.key)
+        self.questions.append(question)
         try:
-            return planner.store.get(node.stage, key)
+            return planner.store.get(node.stage, question.key)
         except StoreError:  # that one is corrupt; what was made from it need not be
             return None
 
     def _keep_alike(self, planner: Planner, node: Node) -> None:
         self.loose.append((node, table.question(node, planner.config, planner.device)))
+
+
+def _elsewhere(asked: Question) -> Question:
+    """The question without the machine that is part of bench's: another machine's times are needed there."""
+    config = {key: value for key, value in asked.config.items() if key != "hardware"}
+    return asked.model_copy(update={"config": config})
 
 
 def closure(kept: Iterable[Artifact], everything: Iterable[Artifact]) -> set[str]:
