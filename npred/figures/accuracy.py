@@ -147,7 +147,7 @@ def _cells(evidence: Evidence, error: Errors, levels: np.ndarray, axis: Any) -> 
 
     edges, largest = worst(evidence.X[:, :2], error.sup)
     colours = matplotlib.colormaps["cividis"].resampled(LEVELS)
-    axis.patch.set(hatch="/////", edgecolor=ROLES["muted"][0], linewidth=0)  # no colour of the page's is free for it
+    axis.patch.set(hatch="//", edgecolor=ROLES["muted"][0], linewidth=0)  # no colour of the page's is free for it
     shown = np.ma.masked_invalid(np.clip(largest, levels[0], None))
     drawn = axis.pcolormesh(*edges, shown.T, cmap=colours, norm=BoundaryNorm(levels, LEVELS))
     bar = axis.figure.colorbar(drawn, ax=axis, ticks=levels[::3], aspect=28, pad=0.02)
