@@ -129,7 +129,8 @@ class Console:
             with tqdm.external_write_mode(file=sys.stderr):  # above the bars, if there are any
                 self._rich.print(text, style=style, markup=False, highlight=False, soft_wrap=True)
         else:
-            print(text, file=sys.stderr, flush=True)
+            sys.stderr.write(text + "\n")  # at once: networks that train side by side speak side by side
+            sys.stderr.flush()
 
     @cached_property
     def _rich(self) -> Any:

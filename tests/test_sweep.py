@@ -92,6 +92,16 @@ def test_where_a_sweep_ends(sweep: Call, fakes: Path):
     assert "--to: expected one of generate, train" in one_line(sweep("--to", "nowhere"), 2)
 
 
+def test_without_a_row_it_says_what_is_done(sweep: Call):
+    assert sweep("--to", "generate", "--set", "seed=0:2").stdout.strip() == "2 cells are done; rows come from train on"
+
+
+def test_a_file_in_the_place_of_the_folder_is_told_before_anything_runs(sweep: Call, fakes: Path):
+    Path("taken").write_text("")
+    line = one_line(sweep("--set", "seed=0:2", "-o", "taken"), 2)
+    assert "--output: expected a folder for the table, taken is a file" in line and fakes.read_text() == ""
+
+
 def test_the_bench_stage_comes_last_and_the_data_first(sweep: Call, fakes: Path):
     sweep(*GRID, "--to", "bench")
     order = [line.partition(":")[0] for line in fakes.read_text().splitlines()]

@@ -29,6 +29,8 @@ def sweep(options: Running, wanted: Wanted) -> None:
     """Run the grid. Raises NpredError, once all the others are done, where a cell failed."""
     if wanted.to not in harvest.stages():
         raise ConfigError(f"--to: expected one of {', '.join(harvest.stages())}, got {wanted.to!r}; name one of them")
+    if wanted.output and wanted.output.exists() and not wanted.output.is_dir():
+        raise ConfigError(f"--output: expected a folder for the table, {wanted.output} is a file; choose another")
     device = devices.resolve(options.device)
     devices.require(device)
     grid, targets = cells(options.pipeline, options.set or []), harvest.targets(wanted.to)
@@ -57,7 +59,7 @@ def _report(options: Running, wanted: Wanted, found: list[Progress]) -> None:
     if wanted.csv:
         options.console.out(_csv(rows).rstrip("\n"))
     else:
-        options.show(_document(found, rows, files), lambda: _told(rows, files))
+        options.show(_document(found, rows, files), lambda: _told(len(fine), rows, files))
     if lost:
         first = f"{lost[0].cell.name}: {lost[0].error}"
         others = f"; and {len(lost) - 1} more, as --json says" if len(lost) > 1 else ""
@@ -110,9 +112,9 @@ def _stages(progress: Progress) -> list[dict[str, Any]]:
     ]  # fmt: skip
 
 
-def _told(rows: list[dict[str, Any]], files: list[Path]) -> str:
+def _told(done: int, rows: list[dict[str, Any]], files: list[Path]) -> str:
     if not rows:
-        return "no cell has an answer"
+        return f"{done} cells are done; rows come from train on" if done else "no cell is done"
     shown = [name for name in rows[0] if any(row[name] is not None for row in rows)]
     table = columns(shown, [[_text(row[name]) for name in shown] for row in rows])
     return "\n".join([table, *map(str, files)])
