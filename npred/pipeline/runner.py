@@ -4,7 +4,7 @@ import json
 import math
 import time
 from collections.abc import Iterable, Mapping
-from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
+from concurrent.futures import FIRST_EXCEPTION, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import groupby
@@ -23,6 +23,8 @@ from npred.store.claims import Claim
 if TYPE_CHECKING:
     from npred.plants import Plant
     from npred.stages import Job
+
+BEAT = 0.5  # s: a signal that arrives on the way into a wait without an end would be heard at its end
 
 
 @dataclass(frozen=True)
@@ -69,9 +71,9 @@ class Runner:
         with ThreadPoolExecutor(min(len(nodes), self.jobs)) as pool:
             try:
                 futures = [pool.submit(self._node, node, outcomes, claim) for node in nodes]
-                wait(futures, return_when=FIRST_EXCEPTION)
-                failed = [future for future in futures if future.done() and future.exception()]
-                return [future.result() for future in failed or futures]
+                while wait(futures, BEAT, FIRST_EXCEPTION).not_done and not _failed(futures):
+                    pass
+                return [future.result() for future in _failed(futures) or futures]
             except BaseException:
                 self.console.stop()
                 pool.shutdown(wait=False, cancel_futures=True)
@@ -145,6 +147,10 @@ class Runner:
         from npred import plants
 
         return plants.resolve(self.planner.config.plant, self.planner.config.parameters)
+
+
+def _failed(futures: list[Future[Outcome]]) -> list[Future[Outcome]]:
+    return [future for future in futures if future.done() and future.exception()]
 
 
 def plain(value: Any) -> Any:

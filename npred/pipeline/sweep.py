@@ -12,6 +12,7 @@ from npred.executors import Here, Workers
 from npred.pipeline import table
 from npred.pipeline.cells import Cell
 from npred.pipeline.plan import Planner
+from npred.pipeline.runner import BEAT
 from npred.pipeline.table import Node, nodes
 from npred.pipeline.task import Made, Task, alone, make
 from npred.store import Artifact, Question, Store, claims
@@ -100,7 +101,7 @@ class _Graph:
             self._ask(row)
         while self.queue or self.under_way:
             self._start()
-            for future in wait(self.under_way, return_when=FIRST_COMPLETED).done if self.under_way else ():
+            for future in wait(self.under_way, BEAT, FIRST_COMPLETED).done if self.under_way else ():
                 self._settle(self.under_way.pop(future), _outcome(future))
 
     def _start(self) -> None:

@@ -1,13 +1,13 @@
 """What runs at work take from a store: gc leaves it alone, though no lock is held on what is only read."""
 
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from uuid import uuid4
 
 from filelock import FileLock, Timeout
 
-from npred.errors import StoreError
+from npred.errors import NpredError
 from npred.store import locks
 
 Claim = Callable[[str], None]
@@ -26,12 +26,17 @@ def claimed(root: Path) -> Iterator[Claim]:
             stack.callback(path.unlink, missing_ok=True)
             stack.enter_context(locks.held(path))
             stack.callback(_keys(path).unlink, missing_ok=True)
-            file = stack.enter_context(_keys(path).open("a", encoding="ascii", buffering=1))
-        except (OSError, StoreError):
+            file = stack.enter_context(_keys(path).open("ab", buffering=0))
+        except (OSError, NpredError):  # read-only, or full: what has to be written will say so
             stack.pop_all()
             yield lambda key: None
             return
-        yield lambda key: print(key, file=file)
+
+        def claim(key: str) -> None:
+            with suppress(OSError):
+                file.write(f"{key}\n".encode("ascii"))
+
+        yield claim
 
 
 def in_use(root: Path) -> set[str]:
