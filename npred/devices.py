@@ -57,6 +57,11 @@ def package(name: str) -> str | None:
         return None
 
 
+def packages(*names: str) -> dict[str, str | None]:
+    """The installed versions of packages, by name."""
+    return {name: package(name) for name in names}
+
+
 def _cuda_likely() -> bool:
     built_for_cpu = "+cpu" in (package("torch") or "+cpu")
     hidden = os.environ.get("CUDA_VISIBLE_DEVICES") in ("", "-1")

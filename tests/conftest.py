@@ -21,6 +21,19 @@ HERE = Path(__file__).parent
 # How long a draw takes says what else the machine does, not what the code does.
 settings.register_profile("npred", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("npred")
+TANK = """
+class Tank:
+    states, inputs, guess, box = ("h",), ("q",), (1.0,), {"h": (0.5, 2.0)}
+
+    def f(x, u, t, p, M):
+        return [u.q - x.h]
+
+    def kappa(x, t, p, M):
+        return [2 - x.h]
+
+    def V(x, t, p, M):
+        return (x.h - 1) ** 2
+"""
 TINY = """
 name = "tiny"
 plant = "scalar"

@@ -8,10 +8,9 @@ import sys
 from pathlib import Path
 
 import pytest
-from conftest import process_environment
+from conftest import TANK, process_environment
 from jobs import job
 from silent import Silent
-from test_cli import TANK
 
 from npred import executors, shards
 from npred.console import Console

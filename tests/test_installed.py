@@ -3,32 +3,19 @@
 import sys
 
 import pytest
+from conftest import TANK
 from typer.testing import CliRunner
 
 from npred import plants
 from npred.cli import app
 from npred.errors import ConfigError
 
-PACKAGE = """
-class Tank:
-    states, inputs, guess, box = ("h",), ("q",), (1.0,), {"h": (0.5, 2.0)}
-
-    def f(x, u, t, p, M):
-        return [u.q - x.h]
-
-    def kappa(x, t, p, M):
-        return [2 - x.h]
-
-    def V(x, t, p, M):
-        return (x.h - 1) ** 2
-"""
-
 
 @pytest.fixture
 def package(tmp_path, monkeypatch):
     """Install a package that registers plants, as `pip install` leaves it."""
 
-    def install(entries: str, text: str = PACKAGE) -> None:
+    def install(entries: str, text: str = TANK) -> None:
         (tmp_path / "shed_of_tanks.py").write_text(text)
         info = tmp_path / "shed_of_tanks-1.0.dist-info"
         info.mkdir()
@@ -72,7 +59,7 @@ def test_a_broken_package_hides_no_other_plant(package):
     ("entry", "text", "words"),
     [
         ("round_tank = shed_of_tanks:Tank", "import nowhere", "shed-of-tanks failed on import of shed_of_tanks:Tank"),
-        ("round_tank = shed_of_tanks:Vat", PACKAGE, "failed on import of shed_of_tanks:Vat: AttributeError"),
+        ("round_tank = shed_of_tanks:Vat", TANK, "failed on import of shed_of_tanks:Vat: AttributeError"),
         (
             "round_tank = shed_of_tanks:Tank",
             "Tank = 3",

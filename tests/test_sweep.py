@@ -11,9 +11,9 @@ from typing import Any
 
 import fake_stages
 import pytest
-from conftest import Call, document, one_line
+from conftest import TANK, Call, document, one_line
 from jobs import SMALL
-from test_cli import TANK, stopped_in
+from test_cli import stopped_in
 
 from npred import executors
 from npred.console import Console

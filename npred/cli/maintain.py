@@ -89,7 +89,7 @@ def _machine() -> dict[str, Any]:
 
 
 def _packages() -> dict[str, Any]:
-    return {"packages": {name: devices.package(name) for name in PACKAGES}}
+    return {"packages": devices.packages(*PACKAGES)}
 
 
 def _store(store: Store) -> dict[str, Any]:

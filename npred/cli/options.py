@@ -102,6 +102,13 @@ def writable(path: Path) -> Path:
     return path
 
 
+def writable_folder(path: Path, of: str) -> Path:
+    """The path. Raises ConfigError where it is no folder, and none can be made there."""
+    if path.exists() and not path.is_dir():
+        raise ConfigError(f"--output: expected a folder for the {of}, {path} is a file; choose another")
+    return path
+
+
 def parameters(options: type[Common]) -> list[inspect.Parameter]:
     """The fields of an options class as parameters of a command: the pipeline file first, then the flags."""
     hints = get_type_hints(options, include_extras=True)

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from npred.cli import execute
-from npred.cli.options import Work
+from npred.cli.options import Work, writable_folder
 from npred.errors import ConfigError
 from npred.store import durable
 
@@ -30,25 +30,23 @@ def _figures(options: Work, output: Path | None, medium: str) -> None:
 
     if medium not in MEDIA:
         raise ConfigError(f"--figures: expected {', '.join(MEDIA)}, got {medium!r}; name one of them")
-    folder = output or options.store / f"{options.pipeline.stem}-{medium}"
-    if folder.exists() and not folder.is_dir():
-        raise ConfigError(f"--output: expected a folder for the figures, {folder} is a file; choose another")
+    target = writable_folder(output or options.store / f"{options.pipeline.stem}-{medium}", "figures")
     folders = {done.node.name: done.artifact.folder for done in execute.bring(options, ["evaluate", "bench"])}
     plant = plants.resolve(options.config.plant, options.config.parameters)
     story = Story.read(options.config, plant, folders)
-    with durable.room(folder):
-        _write(story, folder, MEDIA[medium])
+    with durable.room(target):
+        _write(story, target, MEDIA[medium])
     files = [f"{plate}.{form}" for plate in story.plates() for form in FORMATS]
     files += [f"{table}.{form}" for table in story.tables() for form in ("csv", "tex")]
-    options.show({"folder": str(folder), "files": files}, lambda: "\n".join(str(folder / file) for file in files))
+    options.show({"folder": str(target), "files": files}, lambda: "\n".join(str(target / file) for file in files))
 
 
-def _write(story: "Story", folder: Path, style: "Style") -> None:
+def _write(story: "Story", target: Path, style: "Style") -> None:
     from npred.figures import write
 
-    folder.mkdir(parents=True, exist_ok=True)
+    target.mkdir(parents=True, exist_ok=True)
     for plate in story.plates().values():
-        write(plate, folder, style, FORMATS)
+        write(plate, target, style, FORMATS)
     for table in story.tables().values():
-        (folder / f"{table.name}.csv").write_text(table.csv(), encoding="utf-8")
-        (folder / f"{table.name}.tex").write_text(table.latex(), encoding="utf-8")
+        (target / f"{table.name}.csv").write_text(table.csv(), encoding="utf-8")
+        (target / f"{table.name}.tex").write_text(table.latex(), encoding="utf-8")

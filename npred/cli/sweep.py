@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from npred import devices, executors
-from npred.cli.options import Running
+from npred.cli.options import Running, writable_folder
 from npred.console import columns
 from npred.errors import ConfigError, NpredError
 from npred.pipeline import Cell, Planner, Progress, Sweep, cells, harvest, nodes
@@ -29,8 +29,8 @@ def sweep(options: Running, wanted: Wanted) -> None:
     """Run the grid. Raises NpredError, once all the others are done, where a cell failed."""
     if wanted.to not in harvest.stages():
         raise ConfigError(f"--to: expected one of {', '.join(harvest.stages())}, got {wanted.to!r}; name one of them")
-    if wanted.output and wanted.output.exists() and not wanted.output.is_dir():
-        raise ConfigError(f"--output: expected a folder for the table, {wanted.output} is a file; choose another")
+    if wanted.output:
+        writable_folder(wanted.output, "table")
     device = devices.resolve(options.device)
     devices.require(device)
     grid, targets = cells(options.pipeline, options.set or []), harvest.targets(wanted.to)

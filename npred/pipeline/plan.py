@@ -49,12 +49,16 @@ class Planner:
     device: str
     forced: frozenset[str] = frozenset()
 
+    def check(self, nodes: Iterable[Node]) -> None:
+        """Raise ConfigError where these nodes ask for what the plant does not have."""
+        table.check(self.config, {node.stage for node in nodes})
+
     def plan(self, nodes: Iterable[Node]) -> list[Step]:
         """One step a node, in order, without running anything. Raises StoreError for a corrupt
         manifest, ConfigError for a pipeline that does not fit its plant.
         """
         nodes = list(nodes)
-        table.check(self.config, {node.stage for node in nodes})
+        self.check(nodes)
         steps: dict[str, Step] = {}
         for node in nodes:
             blocked = [name for name in node.inputs if not steps[name].artifact]

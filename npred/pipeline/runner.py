@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 
 from npred.console import Console
 from npred.executors import Here, Workers
-from npred.pipeline import table
 from npred.pipeline.plan import Planner, Step
 from npred.pipeline.table import STAGES, Node
 from npred.places import RESULT
@@ -54,7 +53,7 @@ class Runner:
         files, and what the stages raise; what was finished before stays in the store.
         """
         nodes = list(nodes)
-        table.check(self.planner.config, {node.stage for node in nodes})
+        self.planner.check(nodes)
         outcomes: dict[str, Outcome] = {}
         with claims.claimed(self.planner.store.root) as claim:
             for _, wave in groupby(nodes, key=lambda node: node.stage):
@@ -83,7 +82,8 @@ class Runner:
         start = time.perf_counter()
         inputs = {name: outcomes[name].artifact for name in node.inputs}
         step = self.planner.step(node, inputs)
-        claim(step.key or "")
+        assert step.key is not None
+        claim(step.key)
         artifact, action, why = self._hit(step) if step.artifact else self.make(step, inputs)
         seconds = time.perf_counter() - start
         self.console.finish(node.title, action, seconds)

@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 from npred.console import Bar, Console
 from npred.errors import NpredError
 from npred.executors import Here, Workers
-from npred.pipeline import table
 from npred.pipeline.cells import Cell
 from npred.pipeline.plan import Planner
 from npred.pipeline.runner import BEAT
@@ -75,7 +74,7 @@ class Sweep:
             planner = Planner(cell.config, self.store, self.device)
             rows.append(Progress(number, cell, planner, nodes(cell.config, targets)))
         for row in rows:
-            table.check(row.cell.config, {node.stage for node in row.nodes})
+            row.planner.check(row.nodes)
         with self.console.bar("sweep", len(rows), "cells") as bar, claims.claimed(self.store.root) as claim:
             _Graph(self, rows, bar, claim).run()
         return rows
@@ -128,10 +127,8 @@ class _Graph:
                 if made := self._known(node, question):
                     self._take(row, node.name, made)
                 else:
-                    self._queue(row, node, self._task(row, node, question, inputs))
-
-    def _task(self, row: Progress, node: Node, question: Question, inputs: dict[str, Artifact]) -> Task:
-        return Task.of(row.cell.config, self.sweep.store, self.sweep.device, node, question, inputs)
+                    task = Task.of(row.cell.config, self.sweep.store, self.sweep.device, node, question, inputs)
+                    self._queue(row, node, task)
 
     def _queue(self, row: Progress, node: Node, task: Task) -> None:
         key = task.question.key

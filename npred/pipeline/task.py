@@ -1,6 +1,7 @@
 """One node of a graph as work that another process can do."""
 
 import time
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple, Self
 
@@ -45,9 +46,10 @@ class Task(NamedTuple):
         return cls(config.located(), store.root, device, node, question, inputs, packages())
 
 
+@cache
 def packages() -> dict[str, str | None]:
     """The versions that a result's bytes may depend on."""
-    return {name: devices.package(name) for name in PACKAGES}
+    return devices.packages(*PACKAGES)
 
 
 def make(task: Task, console: Console, jobs: int, executor: Workers) -> Made:

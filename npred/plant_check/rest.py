@@ -13,7 +13,6 @@ from npred.plants.fit import SLIP, slip
 from npred.plants.trace import Trace, python
 
 NEAR = 0.01  # of the box, around rest: loops come there from all sides, whichever side the box is on
-NONE = "found no V(x, t, p, M), which the update law takes"
 HORIZON = 100.0  # s, over which a reference is looked at
 
 
@@ -21,8 +20,8 @@ def answers(case: Case, sound: bool) -> Iterator[Answer]:
     """Equilibrium, stability and, where the box is `sound`, V along the loop; of a plant that tracks, the reference."""
     if not case.plant.rests:
         yield reference(case)
-        if not case.plant.declares_V:
-            yield Answer("V", "no", f"plant {case.plant.name}: {NONE}; declare the squared distance to what it follows")
+        if missing := faults.undeclared(case.plant):
+            yield Answer("V", "no", f"{missing}; declare the squared distance to what it follows")
         return
     yield (found := equilibrium(case))
     if found.verdict == "no":
@@ -83,8 +82,8 @@ def stability(case: Case) -> Answer:
 def decrease(case: Case) -> Answer:
     """Whether V' = V_X f(X, kappa(X)) < 0 from the box to rest; where not, x'Sx of the Lyapunov equation is offered."""
     X = _towards_rest(case)
-    if not case.plant.declares_V:
-        return Answer("V", "no", f"plant {case.plant.name}: {NONE}; declare one: {_offer(case, X)}")
+    if missing := faults.undeclared(case.plant):
+        return Answer("V", "no", f"{missing}; declare one: {_offer(case, X)}")
     rates = _along(case, X)
     rising = ~(rates < 0)
     if not rising.any():

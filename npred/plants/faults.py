@@ -6,6 +6,11 @@ from npred.plants import blame
 from npred.plants.base import Plant
 
 
+def undeclared(plant: Plant) -> str | None:
+    """What the plant lacks that an update law takes; the cure is the caller's."""
+    return None if plant.declares_V else f"plant {plant.name}: found no V(x, t, p, M), which the update law takes"
+
+
 def infinite(plant: Plant, X: np.ndarray, u: np.ndarray) -> str | None:
     """Where kappa, f or V are not finite, or V is negative, at states X (N, n) with inputs u (N, m)."""
     with np.errstate(all="ignore"):

@@ -47,10 +47,8 @@ def _evaluated(plant: Plant, config: Pipeline) -> None:
 
 def _sound(plant: Plant, config: Pipeline) -> None:
     """Whether it can be simulated from the box, and comes to rest without delay where it rests at all."""
-    if not plant.declares_V:
-        raise ConfigError(
-            f"plant {plant.name}: found no V(x, t, p, M), which the update law takes; npred plants check offers one"
-        )
+    if missing := faults.undeclared(plant):
+        raise ConfigError(f"{missing}; npred plants check offers one")
     ends = np.array([(plant.box | config.generate.box)[name] for name in plant.states])
     X = np.random.default_rng(0).uniform(ends[:, 0], ends[:, 1], (STATES, plant.n))
     with np.errstate(all="ignore"):

@@ -34,13 +34,15 @@ class Operations:
     """The operations `o` of a program, on values of the code that is being written."""
 
     def __init__(self, context: Any, builder: Any) -> None:
-        self._context, self._builder = context, builder
+        from numba import float64
+
+        self._context, self._builder, self._float = context, builder, float64
 
     def __getattr__(self, op: str) -> Callable[..., Any]:
-        from numba import boolean, float64
+        from numba import boolean
 
         function = np.sign if op == "sign" else OPS[op].value
-        types = (boolean if op in ("lt", "le") else float64)(*[float64] * OPS[op].arity)
+        types = (boolean if op in ("lt", "le") else self._float)(*[self._float] * OPS[op].arity)
         lowered = self._context.get_function(function, types)
 
         def call(*args: Any) -> Any:
@@ -63,6 +65,4 @@ class Operations:
 
     def value(self, a: Any) -> Any:
         """A number becomes a constant of the code."""
-        from numba import float64
-
-        return self._context.get_constant(float64, a) if isinstance(a, float) else a
+        return self._context.get_constant(self._float, a) if isinstance(a, float) else a

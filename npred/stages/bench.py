@@ -76,5 +76,5 @@ def _speedups(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def _hardware(job: Job, config: Bench) -> dict[str, Any]:
-    versions = {"python": platform.python_version()} | {name: devices.package(name) for name in PACKAGES}
+    versions = {"python": platform.python_version()} | devices.packages(*PACKAGES)
     return devices.hardware(job.device) | {"threads": config.threads, "versions": versions}

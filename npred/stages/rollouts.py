@@ -18,8 +18,8 @@ PACKAGES = ("npred", "numpy", "numba")  # what the bytes of a row may depend on
 
 def surroundings(pipeline: Pipeline, plant: Plant) -> dict[str, Any]:
     """What has to be the same in every process that makes rows of one data set."""
-    packages = {name: devices.package(name) for name in PACKAGES}
-    return {"plant": plant.identity, "delay law": laws.identity(pipeline.generate), **packages}
+    versions = devices.packages(*PACKAGES)
+    return {"plant": plant.identity, "delay law": laws.identity(pipeline.generate), **versions}
 
 
 def elsewhere(pipeline: Pipeline, expected: dict[str, Any], batch: range) -> Rows:
