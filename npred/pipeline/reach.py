@@ -16,7 +16,7 @@ class Kept:
     """Keys that are needed and, where an input is not there to tell the key, the settings of what is needed."""
 
     keys: set[str] = field(default_factory=set)
-    questions: list[Question] = field(default_factory=list)
+    timed: set[str] = field(default_factory=set)  # keys of what was asked of a machine, leaving the machine out
     loose: list[tuple[Node, dict[str, Any]]] = field(default_factory=list)
 
     def add(self, planner: Planner, nodes: Iterable[Node]) -> None:
@@ -31,8 +31,7 @@ class Kept:
         """Whether an artifact is needed, or may be."""
         asked = artifact.manifest.question
         alike = ((asked.stage, asked.model, asked.config) == (n.stage, n.model, config) for n, config in self.loose)
-        timed = (_elsewhere(asked) == _elsewhere(question) for question in self.questions)
-        return artifact.manifest.key in self.keys or any(alike) or any(timed)
+        return artifact.manifest.key in self.keys or _elsewhere(asked) in self.timed or any(alike)
 
     def holds_checkpoint(self, name: str) -> bool:
         """Whether the checkpoint `stage-key` is one that a run would go on from, or may be."""
@@ -42,7 +41,8 @@ class Kept:
     def _keep(self, planner: Planner, node: Node, inputs: dict[str, Artifact]) -> Artifact | None:
         question = planner.question(node, inputs)
         self.keys.add(question.key)
-        self.questions.append(question)
+        if anywhere := _elsewhere(question):
+            self.timed.add(anywhere)
         try:
             return planner.store.get(node.stage, question.key)
         except StoreError:  # that one is corrupt; what was made from it need not be
@@ -52,10 +52,12 @@ class Kept:
         self.loose.append((node, table.question(node, planner.config, planner.device)))
 
 
-def _elsewhere(asked: Question) -> Question:
-    """The question without the machine that is part of bench's: another machine's times are needed there."""
+def _elsewhere(asked: Question) -> str | None:
+    """The key without the machine, where that is part of the question: what another one timed is needed there."""
+    if "hardware" not in asked.config:
+        return None
     config = {key: value for key, value in asked.config.items() if key != "hardware"}
-    return asked.model_copy(update={"config": config})
+    return asked.model_copy(update={"config": config}).key
 
 
 def closure(kept: Iterable[Artifact], everything: Iterable[Artifact]) -> set[str]:

@@ -28,7 +28,8 @@ def claimed(root: Path) -> Iterator[Claim]:
             stack.callback(_keys(path).unlink, missing_ok=True)
             file = stack.enter_context(_keys(path).open("ab", buffering=0))
         except (OSError, NpredError):  # read-only, or full: what has to be written will say so
-            stack.pop_all()
+            with suppress(OSError):
+                stack.close()
             yield lambda key: None
             return
 
