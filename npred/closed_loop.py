@@ -31,8 +31,9 @@ class Samples:
 
 @dataclass(frozen=True)
 class Trajectories:
-    """Closed loops: t (nt,) in seconds, X (..., nt, n), U (..., nt, m), D_hat, N and energy (..., nt).
+    """Closed loops: t (nt,) in seconds, X and P (..., nt, n), U (..., nt, m), D_hat, N and energy (..., nt).
 
+    P is the prediction at x = 1, P(1, t), for X(t + D_hat); NaN in the open loop.
     N = 1 + V + b ∫₀¹ (1+x) w² dx, NaN without adaptation; energy = ∫_{t-D}^t |U - U*|² ds; both feed npred.lyapunov.
     `escaped` (...) is the first step whose state is not finite, or -1.
     """
@@ -45,6 +46,7 @@ class Trajectories:
     energy: np.ndarray
     escaped: np.ndarray
     samples: Samples
+    P: np.ndarray
 
     def part(self, some: slice) -> "Trajectories":
         """The loops `some` of a batch with one axis."""
@@ -186,7 +188,7 @@ class _Loop:
 
     def _record(self, count: int, samples: int, nx: int, lanes: int) -> engine.Record:
         n, m, rows = self.plant.n, self.plant.m, (count - 1) // self.every + 1
-        series = {"X": (rows, n), "U": (rows, m), "D_hat": (rows,), "N": (rows,), "energy": (rows,)}
+        series = {"X": (rows, n), "P": (rows, n), "U": (rows, m), "D_hat": (rows,), "N": (rows,), "energy": (rows,)}
         taken = {"sample_X": (samples, n), "sample_u": (samples, nx, m), "sample_D_hat": (samples,)}
         arrays = {name: np.full((*shape, lanes), np.nan) for name, shape in (series | taken).items()}
         return engine.Record(**arrays, escaped=np.full(lanes, -1, dtype=np.int64))
@@ -198,5 +200,5 @@ def _trajectories(r: engine.Record, shape: tuple[int, ...], step: float) -> Traj
         return np.moveaxis(a, -1, 0).reshape((*shape, *a.shape[:-1]))
 
     samples = Samples(lead(r.sample_X), lead(r.sample_u), lead(r.sample_D_hat))
-    series = {name: lead(getattr(r, name)) for name in ("X", "U", "D_hat", "N", "energy", "escaped")}
+    series = {name: lead(getattr(r, name)) for name in ("X", "P", "U", "D_hat", "N", "energy", "escaped")}
     return Trajectories(t=np.arange(len(r.X)) * step, samples=samples, **series)

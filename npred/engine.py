@@ -58,6 +58,7 @@ class Record(NamedTuple):
     """What is kept, time first, lanes last."""
 
     X: np.ndarray  # (rows, n, B)
+    P: np.ndarray  # (rows, n, B), the prediction at x = 1
     U: np.ndarray  # (rows, m, B)
     D_hat: np.ndarray  # (rows, B)
     N: np.ndarray  # (rows, B)
@@ -74,7 +75,7 @@ SETTINGS = types.NamedTuple(
     [types.float64, types.int64, types.float64, types.float64, A1, A2, A1, A1, I2], Settings
 )  # fmt: skip
 STATE = types.NamedTuple([A2, A2, A1, A3, A3, A3, A3, A2, A1, A1, A2, A2, A2, I1], State)
-RECORD = types.NamedTuple([A3, A3, A2, A2, A2, A3, A4, A2, I1], Record)
+RECORD = types.NamedTuple([A3, A3, A3, A2, A2, A2, A3, A4, A2, I1], Record)
 
 
 def steps(
@@ -139,7 +140,8 @@ def keep(k: int, s: Settings, z: State, out: Record) -> None:
                 out.escaped[l] = k
     if k % s.every == 0:
         row = k // s.every
-        out.X[row], out.U[row], out.D_hat[row], out.N[row] = z.X, z.U, z.D_hat, z.N
+        out.X[row], out.P[row] = z.X, z.P[z.P.shape[0] - 1]
+        out.U[row], out.D_hat[row], out.N[row] = z.U, z.D_hat, z.N
         energy(z.u, s.u_star, z.D, out.energy[row])
 
 

@@ -214,3 +214,15 @@ def test_progress_counts_every_step_of_every_loop():
     told = []
     simulate(SCALAR, Euler(SCALAR, 5), D=0.1, D_hat=0.1, X0=np.ones((70, 1)), t_end=6.0, dt=0.01, progress=told.append)
     assert sum(told) == 70 * 601
+
+
+def test_predictions_of_kept_steps_are_kept():
+    """P(1, t) of every kept step, compiled or not; there is none in the open loop."""
+    steps = np.arange(0, 401, 40)
+    given = {"D": 1.0, "D_hat": [0.8, 1.3], "X0": [0.03, 30.0], "t_end": 2.0, "every": 40, "samples": steps}
+    for predictor in (RK4(PLANT, 51), Interpreted(PLANT, 51)):
+        loops = simulate(PLANT, predictor, adaptation=LAW, **given)
+        P = predictor(loops.samples.X, loops.samples.u, loops.samples.D_hat)
+        np.testing.assert_allclose(loops.P, P[..., -1, :], rtol=1e-12)
+    np.testing.assert_array_equal(loops.part(slice(1, 2)).P, loops.P[1:])
+    assert np.isnan(simulate(PLANT, None, **given).P).all()

@@ -14,7 +14,7 @@ EMPTY = Samples(*[np.empty(0)] * 3)
 
 def loops(X, t):
     zeros = np.zeros(X.shape[:-1])
-    return Trajectories(t, X, zeros[..., None], zeros, zeros, zeros, np.full(X.shape[:-2], -1), EMPTY)
+    return Trajectories(t, X, zeros[..., None], zeros, zeros, zeros, np.full(X.shape[:-2], -1), EMPTY, X)
 
 
 def test_errors_by_hand():

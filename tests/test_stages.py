@@ -197,7 +197,7 @@ def test_loops_that_leave_the_data_are_warned_of(evaluated):
 def still(t, X):
     zeros = np.zeros(X.shape[:-1])
     nothing = Samples(*[np.empty((len(X), 0))] * 3)
-    return Trajectories(t, X, zeros[..., None], zeros, zeros, zeros, np.full(len(X), -1), nothing)
+    return Trajectories(t, X, zeros[..., None], zeros, zeros, zeros, np.full(len(X), -1), nothing, X)
 
 
 def dataset(X, u, D_hat):

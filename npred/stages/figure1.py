@@ -18,7 +18,7 @@ SERIES = ("t", "X", "U", "D_hat", "N")
 def first(config: Evaluate, loops: Trajectories) -> Trajectories:
     """The loop of Fig. 1, the first of the batch, up to t_end."""
     rows = slice(0, int(np.searchsorted(loops.t, config.t_end + 1e-9)))
-    series = {name: getattr(loops, name)[0, rows] for name in ("X", "U", "D_hat", "N", "energy")}
+    series = {name: getattr(loops, name)[0, rows] for name in ("X", "P", "U", "D_hat", "N", "energy")}
     return replace(loops, t=loops.t[rows], escaped=loops.escaped[0], **series)
 
 
