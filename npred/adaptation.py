@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -85,8 +85,9 @@ class DelayAdaptation(DelayLaw):
     def phi(self, plant: Plant, X: Any, u: Any, P: Any, D_hat: Any, t: float = 0.0) -> np.ndarray:
         """phi = -∫₀¹ (1+x) q1 w dx / (1 + V(X) + b ∫₀¹ (1+x) w² dx) [DAPF, eq. 12, with V at X(t)].
 
-        X (..., n), u (..., nx, m), P (..., nx, n), D_hat (...) to phi (...). w = u - kappa(P) and
-        q1 = kappa'(P) Phi(x, 0) f(P(0), u(0)); the integrals by the trapezoidal rule, Phi by Heun's method.
+        X (..., n), u (..., nx, m), P (..., nx, n), D_hat (...) to phi (...). w = u - kappa(P, s) at s = t + x D_hat,
+        and q1 = kappa_P r + kappa_s with dr/dx = D_hat (f_P r + f_s), r(0) = f(P(0), u(0), t): [DAPF, eq. 14] where
+        f and kappa know no time. The integrals by the trapezoidal rule, r by Heun's method.
         Raises ConfigError where the shapes do not fit the plant or each other.
         """
         named = (("X", X), ("u", u), ("P", P), ("D_hat", D_hat))
@@ -144,12 +145,12 @@ def update_law(plant: Plant) -> Callable[..., None]:
     trace = routines.trace(plant)
     x, u, t, h = trace.vector("x", plant.n), trace.vector("a", plant.m), trace.input("t"), trace.input("h")
     r, s = trace.vector("r", plant.n), trace.vector("s", plant.n)
-    first = trace.f(x, u, t)
+    first, df = trace.f(x, u, t), partial(trace.df, dt=1.0)
     source = kernels.fill(
         LAW,
         parameters=kernels.parameters(len(plant.p)),
-        first=_node(trace, x, u, t, h, first, h * trace.df(x, u, t, first)),
-        node=_node(trace, x, u, t, h, *transition(trace.df, x, u, t, h, r, s)),
+        first=_node(trace, x, u, t, h, first, h * df(x, u, t, first)),
+        node=_node(trace, x, u, t, h, *transition(df, x, u, t, h, r, s)),
         end=_end(trace, x, t, [("v", trace.V(trace.vector("X", plant.n), trace.input("t0")))]),
     )
     return kernels.build("law", SIGNATURE, source, routines.imports(trace))
@@ -169,9 +170,9 @@ def control_law(plant: Plant) -> Callable[..., None]:
 
 
 def transition(df: Any, x: Any, u: Any, t: Any, h: Any, r: Any, s: Any) -> tuple[Any, Any]:
-    """One step of dr/dx = D_hat f_P(P, u) r by Heun's method: r at this node, and s = h f_P r for the next.
+    """One step of dr/dx = D_hat (f_P r + f_t) by Heun's method: r at this node, and s = h (f_P r + f_t) for the next.
 
-    x, u are of this node; r, s of the one before; h = D_hat / (nx - 1).
+    x, u are of this node; r, s of the one before; h = D_hat / (nx - 1); df(x, u, t, r) is f_P r + f_t.
     """
     new = r + (s + h * df(x, u, t, r + s)) / 2
     return new, h * df(x, u, t, new)
@@ -179,7 +180,7 @@ def transition(df: Any, x: Any, u: Any, t: Any, h: Any, r: Any, s: Any) -> tuple
 
 def _node(trace: Trace, x: Any, u: Any, t: Any, h: Any, r: Any, s: Any) -> list[str]:
     """The lines of one node: r and s stored, i1 = q1·w and i2 = |w|²."""
-    kappa, q1 = trace.law(x, t, r)
+    kappa, q1 = trace.law(x, t, r, 1.0)
     w, n = u - kappa, trace.plant.n
     targets = [f"r[{k}, l]" for k in range(n)] + [f"s[{k}, l]" for k in range(n)] + ["i1", "i2"]
     return programs.lines([*r, *s, np.dot(q1, w), np.dot(w, w)], _bindings(trace.plant), targets)

@@ -25,7 +25,7 @@ def update(plant: BlackBox, transition: Callable[..., Any]) -> Callable[..., Non
     f = on_lanes(plant)
 
     def df(x: np.ndarray, v: np.ndarray, t: Any, along: np.ndarray) -> np.ndarray:
-        return plant.df(x.T, v.T, t, along.T).T
+        return plant.df(x.T, v.T, t, along.T, 1.0).T
 
     def law(P: Any, X: Any, u: Any, D_hat: Any, t: float, p: Any, b: float, U: Any, phi: Any, N: Any) -> None:
         last, h = len(P) - 1, D_hat / (len(P) - 1)
@@ -35,7 +35,7 @@ def update(plant: BlackBox, transition: Callable[..., Any]) -> Callable[..., Non
             now = t + j * h
             if j:
                 r, s = transition(df, P[j], u[j], now, h, r, s)
-            w, q1 = u[j] - plant.kappa(P[j].T, now).T, plant.dkappa(P[j].T, now, r.T).T
+            w, q1 = u[j] - plant.kappa(P[j].T, now).T, plant.dkappa(P[j].T, now, r.T, 1.0).T
             weight = (1.0 + j / last) * (0.5 if j in (0, last) else 1.0)
             I1, I2 = I1 + weight * (q1 * w).sum(axis=0), I2 + weight * (w * w).sum(axis=0)
         N[:] = 1.0 + plant.V(X.T, t) + b * I2 / last

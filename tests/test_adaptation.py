@@ -5,10 +5,14 @@ import pytest
 from golden import CASES, case
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
 
 from npred import engine, grid, plants
 from npred.adaptation import DelayAdaptation, transition
+from npred.closed_loop import simulate
 from npred.errors import ConfigError
+from npred.plants import Plant, routines
+from npred.plants.black_box import BlackBox
 from npred.predictors import METHODS, RK4
 
 PLANT = plants.resolve("activator_repressor")
@@ -137,3 +141,106 @@ def test_senseless_settings_are_told(bad):
 def test_phi_of_shapes_that_do_not_fit_is_told(X, u, P, message):
     with pytest.raises(ConfigError, match=message):
         DelayAdaptation().phi(PLANT, np.ones(X), np.ones(u), np.ones(P), 1.0)
+
+
+class Follower:
+    """x' = -x/2 + U + sin(t)/4, led along sin t: f and kappa both depend on time."""
+
+    states, inputs, guess = ("x",), ("U",), (0.0,)
+
+    def f(x, u, t, p, M):
+        return [-x.x / 2 + u.U + M.sin(t) / 4]
+
+    def kappa(x, t, p, M):
+        return [x.x / 2 + M.cos(t) - M.sin(t) / 4 - (1 + M.cos(t) ** 2) * (x.x - M.sin(t))]
+
+    def V(x, t, p, M):
+        return (x.x - M.sin(t)) ** 2
+
+    def reference(t, p, M):
+        return [M.sin(t)]
+
+
+class ClockInside:
+    """The same plant with sin t and cos t as states of its own."""
+
+    states, inputs, guess = ("x", "s", "c"), ("U",), (0.0, 0.0, 0.0)
+
+    def f(x, u, t, p, M):
+        return [-x.x / 2 + u.U + x.s / 4, x.c, -x.s]
+
+    def kappa(x, t, p, M):
+        return [x.x / 2 + x.c - x.s / 4 - (1 + x.c**2) * (x.x - x.s)]
+
+    def V(x, t, p, M):
+        return (x.x - x.s) ** 2
+
+
+class FollowerOnArrays:
+    """The follower as a plant that is not traced."""
+
+    states, inputs, traced = ("x",), ("U",), False
+
+    def f(X, u, t, p):
+        return -X / 2 + u + (np.sin(t) / 4 * np.ones(len(X)))[:, None]
+
+    def kappa(X, t, p):
+        s, c = (wave(t) * np.ones(len(X)) for wave in (np.sin, np.cos))
+        return (X[:, 0] / 2 + c - s / 4 - (1 + c**2) * (X[:, 0] - s))[:, None]
+
+    def V(X, t, p):
+        return (X[:, 0] - np.sin(t)) ** 2
+
+    def reference(t, p):
+        return np.sin(t)[:, None]
+
+
+def follower(kind):
+    return BlackBox("follower", FollowerOnArrays) if kind == "black box" else Plant("follower", Follower)
+
+
+@pytest.mark.parametrize("kind", ["traced", "called", "black box"])
+def test_phi_of_a_law_of_time_is_that_of_the_clock_as_states(kind, monkeypatch):
+    """q1 = kappa_P r + kappa_s, r_x = D_hat (f_P r + f_s): the clock's share of the derivative along the prediction."""
+    if kind == "called":
+        monkeypatch.setattr(routines, "LONG", 0)
+    plant, inside, t, D_hat = follower(kind), Plant("clock", ClockInside), 0.7, 1.3
+    u = np.cos(3 * grid.nodes(801))[:, None]
+    state = [0.4, np.sin(t), np.cos(t)]
+    phi = LAW.phi(plant, [0.4], u, RK4(plant, 801)([0.4], u, D_hat, t), D_hat, t)
+    wanted = LAW.phi(inside, state, u, RK4(inside, 801)(state, u, D_hat), D_hat)
+    assert abs(wanted) > 0.1
+    np.testing.assert_allclose(phi, wanted, rtol=1e-5)
+
+
+def test_q1_of_a_law_of_time_moves_w_along_its_transport():
+    """D w_t - w_x = -(D - D_hat) q1 at frozen D_hat, by differences of w alone: no derivative of f or kappa."""
+    plant, D, D_hat, t, step, nx = follower("traced"), 1.0, 1.3, 0.7, 1e-4, 2001
+    nodes = grid.nodes(nx)
+
+    def w(moment):
+        u = np.cos(3 * (moment + D * (nodes - 1)))[:, None]  # U(s) = cos 3s, read at t + D (x - 1)
+        X = solve_ivp(lambda s, x: plant.f(x, np.cos([3 * (s - D)]), s), (t, moment), [0.4], rtol=1e-12, atol=1e-12).y[
+            :, -1
+        ]
+        P = RK4(plant, nx)(X, u, D_hat, moment)
+        kappa = plant.kappa(P, moment + nodes * D_hat)
+        return (u - kappa)[:, 0], u, P, X
+
+    (before, *_), (now, u, P, X), (after, *_) = w(t - step), w(t), w(t + step)
+    q1 = -(D * (after - before) / (2 * step) - np.gradient(now, nodes, edge_order=2)) / (D - D_hat)
+    I1, I2 = (np.trapezoid((1 + nodes) * y, nodes) for y in (q1 * now, now**2))
+    wanted = -I1 / (1 + plant.V(X, t) + I2)
+    np.testing.assert_allclose(LAW.phi(plant, X, u, P, D_hat, t), wanted, rtol=1e-5)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("start", [0.8, 1.2])
+def test_a_tracking_loop_finds_its_delay(start):
+    plant = follower("traced")
+    law = DelayAdaptation(gamma=0.2, bounds=(0.1, 3.0))
+    loop = simulate(
+        plant, RK4(plant, 101), D=1.0, D_hat=start, X0=[0.5], t_end=200.0, dt=0.01, adaptation=law, every=100
+    )
+    assert abs(loop.D_hat[-1] - 1.0) <= 0.05
+    assert abs(loop.X[-1] - plant.target(200.0)) < 1e-2

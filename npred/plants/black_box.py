@@ -3,6 +3,7 @@
 import hashlib
 import inspect
 from collections.abc import Mapping
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +24,9 @@ class BlackBox(Plant):
     The declaration says `traced = False` and gives f(X, u, t, p) -> (B, n), kappa(X, t, p) -> (B, m) and V(X, t, p) ->
     (B,) for X (B, n), u (B, m), t a number or (B,), and p with the parameters' names; `reference(t, p)` takes t (B,)
     and gives (B, n). Optional are df(X, u, t, p, v) -> (B, n) and dkappa(X, t, p, v) -> (B, m), the derivatives by X
-    along v (B, n), else taken by central differences, good to about 1e-9 of the function's size; and `files`, paths
-    whose content is part of the identity, as is that of the plant's own file. All else is as for any Plant.
+    along v (B, n), else taken by central differences, good to about 1e-9 of the function's size, as those by t are;
+    and `files`, paths whose content is part of the identity, as is that of the plant's own file. All else is as for
+    any Plant.
     Raises ConfigError, in one line, for a function that fails or returns another shape, and for several delays.
     """
 
@@ -50,17 +52,19 @@ class BlackBox(Plant):
         self._fits(X, None)
         return self._rows("V", None, t, X)
 
-    def df(self, X: np.ndarray, u: np.ndarray, t: Any, v: np.ndarray) -> np.ndarray:
-        """f_X(X, u, t) v, (..., n)."""
+    def df(self, X: np.ndarray, u: np.ndarray, t: Any, v: np.ndarray, dt: float = 0.0) -> np.ndarray:
+        """f_X v + f_t dt, (..., n): the change of f as X moves along v and t by dt, per unit."""
+        by_time = dt * _rate(lambda at: self.f(X, u, at), t) if dt and not self.autonomous else 0.0
         if hasattr(self.declaration, "df"):
-            return self._rows("df", self.n, t, X, u, last=v)
-        return _difference(lambda moved: self.f(moved, u, t), X, v)
+            return self._rows("df", self.n, t, X, u, last=v) + by_time
+        return _difference(lambda moved: self.f(moved, u, t), X, v) + by_time
 
-    def dkappa(self, X: np.ndarray, t: Any, v: np.ndarray) -> np.ndarray:
-        """kappa'(X, t) v, (..., m)."""
+    def dkappa(self, X: np.ndarray, t: Any, v: np.ndarray, dt: float = 0.0) -> np.ndarray:
+        """kappa_X v + kappa_t dt, (..., m), likewise."""
+        by_time = dt * _rate(lambda at: self.kappa(X, at), t) if dt and self._law_timed else 0.0
         if hasattr(self.declaration, "dkappa"):
-            return self._rows("dkappa", self.m, t, X, last=v)
-        return _difference(lambda moved: self.kappa(moved, t), X, v)
+            return self._rows("dkappa", self.m, t, X, last=v) + by_time
+        return _difference(lambda moved: self.kappa(moved, t), X, v) + by_time
 
     def jacobians(self, X: np.ndarray, u: np.ndarray, t: Any = 0.0) -> tuple[np.ndarray, np.ndarray]:
         X, u = np.asarray(X, dtype=float), np.asarray(u, dtype=float)
@@ -107,6 +111,10 @@ class BlackBox(Plant):
         """The equilibrium; None where a reference is declared, for nobody can see whether it moves."""
         return (self.equilibrium, self.u_equilibrium) if self.rests else None
 
+    @cached_property
+    def _law_timed(self) -> bool:
+        return self._timed("kappa")
+
     def _timed(self, name: str) -> bool:
         """Whether f or kappa gives other values at other times, at a few states."""
         random = np.random.default_rng(0)
@@ -132,6 +140,12 @@ def _difference(function: Any, X: np.ndarray, v: np.ndarray) -> np.ndarray:
     length = np.linalg.norm(v, axis=-1, keepdims=True)
     h = STEP * (1.0 + np.linalg.norm(X, axis=-1, keepdims=True)) / np.where(length > 0, length, 1.0)
     return (function(X + h * v) - function(X - h * v)) / (2 * h)
+
+
+def _rate(function: Any, t: Any) -> np.ndarray:
+    """Central difference of the function of the time t, by the seconds between the two times as they are rounded."""
+    later, earlier = np.asarray(t) + STEP, np.asarray(t) - STEP
+    return (function(later) - function(earlier)) / (later - earlier)[..., None]
 
 
 def _source(name: str, declaration: Any) -> str:

@@ -61,13 +61,14 @@ def _module(plant: "Plant", name: str) -> str:
 
 
 def _lines(plant: "Plant", name: str) -> tuple[list[str], list[str], int]:
-    """Arguments, lines and number of results of f, its derivative df by x along v, kappa, or kappa and its own, law."""
+    """Arguments, lines and number of results of f, its derivative df along (v, dt), kappa, or kappa with its: law."""
     trace = Trace(plant)
-    x, u, v, t = trace.vector("x", plant.n), trace.vector("u", plant.m), trace.vector("d", plant.n), trace.input("t")
-    inputs = {"f": (x, u, t), "df": (x, u, t, v), "kappa": (x, t), "law": (x, t, v)}[name]
+    x, u, v = trace.vector("x", plant.n), trace.vector("u", plant.m), trace.vector("d", plant.n)
+    t, dt = trace.input("t"), trace.input("dt")
+    inputs = {"f": (x, u, t), "df": (x, u, t, v, dt), "kappa": (x, t), "law": (x, t, v, dt)}[name]
     outputs = np.ravel(getattr(trace, name)(*inputs))
-    names = [*_names("x", plant.n), *(_names("u", plant.m) if u is inputs[1] else []), "t"]
-    names += _names("p", len(plant.p)) + (_names("d", plant.n) if inputs[-1] is v else [])
+    names = ["t", *_names("x", plant.n), *(_names("u", plant.m) if u is inputs[1] else [])]
+    names += _names("p", len(plant.p)) + (["dt", *_names("d", plant.n)] if inputs[-1] is dt else [])
     targets = _names("y", len(outputs))
     return names, programs.lines(outputs, {name: name for name in names}, targets, TEXTS), len(outputs)
 

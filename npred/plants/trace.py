@@ -53,25 +53,25 @@ class Trace:
         """reference(t), shape (n,)."""
         return self._call("reference", self.plant.n, None, None, t)
 
-    def df(self, x: np.ndarray, u: np.ndarray, t: Any, v: np.ndarray) -> np.ndarray:
-        """f_X(x, u, t) v for x of input symbols, shape (n,)."""
-        return np.array(programs.derivative(self.f(x, u, t), x, v), dtype=object)
+    def df(self, x: np.ndarray, u: np.ndarray, t: Any, v: np.ndarray, dt: Any = 0.0) -> np.ndarray:
+        """f_X v + f_t dt, the change of f(x, u, t) as x moves along v and t by dt, both input symbols, shape (n,)."""
+        return np.array(programs.derivative(self.f(x, u, t), [t, *x], [dt, *v]), dtype=object)
 
-    def dkappa(self, x: np.ndarray, t: Any, v: np.ndarray) -> np.ndarray:
-        """kappa'(x, t) v for x of input symbols, shape (m,)."""
-        return np.array(programs.derivative(self.kappa(x, t), x, v), dtype=object)
+    def dkappa(self, x: np.ndarray, t: Any, v: np.ndarray, dt: Any = 0.0) -> np.ndarray:
+        """kappa_X v + kappa_t dt, the change of kappa(x, t), likewise, shape (m,)."""
+        return np.array(programs.derivative(self.kappa(x, t), [t, *x], [dt, *v]), dtype=object)
 
-    def law(self, x: np.ndarray, t: Any, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """kappa(x, t) and kappa'(x, t) v, in one call where kappa is called."""
+    def law(self, x: np.ndarray, t: Any, v: np.ndarray, dt: Any = 0.0) -> tuple[np.ndarray, np.ndarray]:
+        """kappa(x, t) and its change along (v, dt), in one call where kappa is called."""
         if "kappa" not in self.called:
-            return self.kappa(x, t), self.dkappa(x, t, v)
-        both = self.tape.call("law", [*x, t, *self.parameters, *v], 0, 2 * self.plant.m)
+            return self.kappa(x, t), self.dkappa(x, t, v, dt)
+        both = self.tape.call("law", [t, *x, *self.parameters, dt, *v], 0, 2 * self.plant.m)
         return np.array(both[: self.plant.m], dtype=object), np.array(both[self.plant.m :], dtype=object)
 
     def _call(self, name: str, size: int, x: np.ndarray | None, u: np.ndarray | None, t: Any) -> np.ndarray:
         if name in self.called:
-            args = [*(() if x is None else x), *(() if u is None else u), t, *self.parameters]
-            return np.array(self.tape.call(name, args, self.plant.n, size), dtype=object)
+            args = [t, *(() if x is None else x), *(() if u is None else u), *self.parameters]
+            return np.array(self.tape.call(name, args, 1 + self.plant.n, size), dtype=object)
         state, inputs = (None if part is None else list(part) for part in (x, u))
         values = self.plant.call(name, state, inputs, t, self.parameters, tapes.M)
         if len(values) != size:
