@@ -2,12 +2,15 @@
 
 import re
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic.fields import FieldInfo
 
-from npred.errors import ConfigError
+from npred import places
+from npred.errors import ConfigError, similar
 
 NAME = re.compile(r"[^\W_][\w.-]{0,99}")  # of a pipeline
 LONGEST = 2**20  # bytes of a pipeline file
@@ -287,7 +290,7 @@ def load(path: Path, overrides: list[str] | None = None) -> Pipeline:
     try:
         data = tomllib.loads(_text(path))
     except FileNotFoundError:
-        raise ConfigError(f"{path}: expected a pipeline file, found none; see pipeline/ for examples") from None
+        raise ConfigError(places.missing(path)) from None
     except (OSError, ValueError, RecursionError) as error:
         raise ConfigError(f"{path}: expected a TOML file, got: {error}; correct that line") from None
     _anchor(data, path.parent if path.is_file() else Path())
@@ -345,7 +348,8 @@ def _sentence(error: ValidationError) -> str:
     fields = [part for part in first["loc"] if isinstance(part, int) or part.isidentifier()]  # without a union's types
     where = ".".join(str(part) for part in fields)
     if first["type"] == "extra_forbidden":
-        return f"{where}: unknown key; expected one of {', '.join(_siblings(first['loc']))}"
+        names = _siblings(first["loc"])
+        return f"{where}: unknown key; expected one of {', '.join(names)}{_meant(where, names)}"
     if first["type"] == "value_error":
         return f"{where + '.' if where else ''}{first['ctx']['error']}"
     if first["type"] == "missing":
@@ -364,3 +368,21 @@ def _siblings(loc: tuple[int | str, ...]) -> list[str]:
     for part in loc[:-1]:
         model = model.model_fields[part].annotation
     return sorted(model.model_fields)
+
+
+def _meant(key: str, siblings: list[str]) -> str:
+    """What an unknown key may have meant: one of the same table that is spelt alike, else one of another table."""
+    leaf = key.rpartition(".")[2]
+    near = similar(leaf, siblings)
+    known = [other for other, _ in leaves()]
+    elsewhere = [other for other in known if other.rpartition(".")[2] == leaf]
+    return near or (f"; did you mean {' or '.join(elsewhere)}?" if elsewhere else similar(key, known))
+
+
+def leaves(model: type[Table] = Pipeline, path: str = "") -> Iterator[tuple[str, FieldInfo]]:
+    """Every key of a pipeline file, dotted, with its declaration."""
+    for name, field in model.model_fields.items():
+        if isinstance(field.annotation, type) and issubclass(field.annotation, Table):
+            yield from leaves(field.annotation, f"{path}{name}.")
+        else:
+            yield path + name, field

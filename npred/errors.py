@@ -1,5 +1,7 @@
 """Every failure a user can meet, each with its exit code; messages say what was expected, what came, what to do."""
 
+from collections.abc import Iterable
+
 
 class NpredError(Exception):
     """A failure in one line: what was expected, what came, what to do. The base is a stage that failed."""
@@ -33,3 +35,11 @@ class MissingError(NpredError):
 
 class DivergedError(NpredError):
     """A rollout, a predictor or a training left the finite numbers."""
+
+
+def similar(name: str, names: Iterable[str]) -> str:
+    """`; did you mean …?` with what comes closest to a name, or nothing where nothing comes close."""
+    from difflib import get_close_matches
+
+    close = get_close_matches(name, list(names), n=2)
+    return f"; did you mean {' or '.join(close)}?" if close else ""

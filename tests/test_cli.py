@@ -16,6 +16,7 @@ import pytest
 from conftest import HERE, TANK, Call, document, one_line, process_environment
 from typer.testing import Result
 
+import npred
 from npred.cli import look
 from npred.store import Question, Store
 
@@ -261,6 +262,50 @@ def test_bad_usage_is_one_line_and_exit_code_2(call: Call, arguments: list[str],
     assert (result.exit_code, result.stdout) == (2, "")
     (line,) = result.stderr.splitlines()
     assert words in line
+
+
+@pytest.mark.parametrize("arguments", [["run", "--help"], ["run", "-h"], ["help", "run"]])
+def test_help_has_three_names_and_a_flag_no_type(call: Call, arguments: list[str]):
+    result = call(*arguments)
+    assert result.exit_code == 0
+    assert re.search(r"Usage: \S+ run ", result.stdout)
+    assert re.search(r"--json +Print one JSON", result.stdout)
+    assert re.search(r"--help +-h +Show", result.stdout)
+    assert "bool" not in result.stdout.lower()
+
+
+def test_help_of_all_of_a_group_and_of_nothing(call: Call):
+    assert call("help").stdout == call("--help").stdout
+    assert call("help", "plants", "check").stdout == call("plants", "check", "-h").stdout
+    assert "No such command 'nonsense'" in one_line(call("help", "nonsense"), 2)
+
+
+def test_the_version_is_the_packages(call: Call):
+    assert call("--version").stdout == f"npred {npred.__version__}\n"
+
+
+def test_a_pipeline_has_a_name_and_a_folder_a_default(call: Call, monkeypatch: pytest.MonkeyPatch):
+    assert (
+        actions(call("run", "--dry-run", "--json")).keys()
+        == actions(call("run", "tiny.toml", "--dry-run", "--json")).keys()
+    )
+    call("run", "smoke", "-q")
+    assert Path("artifacts/smoke.html").is_file()
+    late = call("status", "smoke", "--check", "--set", "seed=7")
+    assert late.exit_code == 3 and "smoke.toml" in late.stderr
+    monkeypatch.setenv("NPRED_PIPELINE", "smoke")
+    assert set(actions(call("run", "--json")).values()) == {"hit"}
+    Path("other.toml").touch()
+    monkeypatch.delenv("NPRED_PIPELINE")
+    assert "got other.toml, tiny.toml; name a pipeline" in one_line(call("run"), 2)
+
+
+def test_diff_across_stages_says_so(call: Call):
+    call("train", "tiny.toml", "--jobs", "1")
+    first = call("diff", "generate", "fno").stdout.splitlines()[0]
+    assert first == "these are results of different stages: generate and train fno"
+    assert document(call("diff", "generate", "fno", "--json"))["stages"] == ["generate", "train fno"]
+    assert "different stages" not in call("diff", "fno", "fno").stdout
 
 
 def test_no_command_asks_for_help(call: Call):

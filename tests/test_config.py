@@ -82,6 +82,10 @@ def test_a_pipeline_is_frozen(empty: Path):
     ("override", "words"),
     [
         ("generate.smaples=3", ["generate.smaples", "unknown key", "samples"]),
+        ("generate.smaples=3", ["generate.smaples", "did you mean samples?"]),
+        ("gamma=3", ["gamma", "did you mean generate.gamma or evaluate.gamma?"]),
+        ("train.width=3", ["train.width", "did you mean train.deeponet.width or train.fno.width?"]),
+        ("evalaute.dt=3", ["evalaute", "unknown key", "did you mean evaluate?"]),
         ("foo=3", ["foo", "unknown key", "generate"]),
         ("train.deeponet.modes=3", ["train.deeponet.modes", "unknown key", "width"]),
         ("generate.samples=many", ["generate.samples", "integer", "'many'"]),

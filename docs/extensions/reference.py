@@ -26,7 +26,7 @@ def _own(options: type[Common], *bases: type[Common]) -> list[str]:
 
 
 SHARED = [
-    ("Every command takes these flags:", "", _own(Common)),
+    ("Every command but `help` takes these flags:", "", _own(Common)),
     ("The flags *of a pipeline*, of the commands that read one:", "of a pipeline", _own(Planned, Common)),
     ("The flags *of work*, of the commands that run stages:", "of work", _own(Work, Planned)),
 ]
@@ -94,6 +94,8 @@ def _names(parameter: Any) -> str:
 def _default(parameter: Any) -> str:
     if parameter.required:
         return "required"
+    if isinstance(parameter.show_default, str):
+        return parameter.show_default
     if parameter.default in (None, False, ()):
         return ""
     told = f"`{parameter.default}`"

@@ -10,16 +10,16 @@ from typing import Any
 import typer
 
 from npred.cli.options import Common, parameters
-from npred.cli.usage import OneLine
+from npred.cli.usage import Command, Group
 from npred.console import Console
 from npred.errors import NpredError
 
 app = typer.Typer(
     name="npred",
-    cls=OneLine,
+    cls=Group,
     help="Numerical and neural predictor feedback for delayed nonlinear plants: generate, train, evaluate, bench.",
     no_args_is_help=True,
-    add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
 )
 
@@ -33,7 +33,7 @@ def command(panel: str, to: typer.Typer = app) -> Callable[[Callable[..., None]]
 
     def register(function: Callable[..., None]) -> Callable[..., None]:
         name = function.__name__.strip("_").replace("_", "-")
-        to.command(name=name, rich_help_panel=panel, help=function.__doc__)(_with_flags(function))
+        to.command(name=name, cls=Command, rich_help_panel=panel, help=function.__doc__)(_with_flags(function))
         return function
 
     return register
@@ -43,7 +43,7 @@ def group(panel: str) -> Callable[[Callable[..., None]], typer.Typer]:
     """Make f(options, *, own parameters) a command with commands of its own: it runs where none of them is named."""
 
     def register(function: Callable[..., None]) -> typer.Typer:
-        made = typer.Typer(no_args_is_help=False)
+        made = typer.Typer(cls=Group, no_args_is_help=False)
         made.callback(invoke_without_command=True, help=function.__doc__)(_with_flags(function))
         app.add_typer(made, name=function.__name__, rich_help_panel=panel)
         return made

@@ -5,10 +5,28 @@ from typing import Annotated
 
 import typer
 
-from npred.cli.app import command, group
+import npred
+from npred import places
+from npred.cli import completion
+from npred.cli.app import app, command, group
 from npred.cli.options import Common, Planned, Running, Work
+from npred.cli.usage import Command
 
 RUN, LOOK, CARE = "Run", "Look", "Look after"
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        typer.echo(f"npred {npred.__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+) -> None: ...
 
 
 @command(RUN)
@@ -31,7 +49,10 @@ def generate(options: Work) -> None:
 def train(
     options: Work,
     *,
-    model: Annotated[str | None, typer.Option(help="deeponet or fno; those of the pipeline by default.")] = None,
+    model: Annotated[
+        str | None,
+        typer.Option(help="deeponet or fno; those of the pipeline by default.", autocompletion=completion.models),
+    ] = None,
 ) -> None:
     """The networks, each as an artifact of its own."""
     from npred.cli import execute
@@ -60,7 +81,12 @@ def sweep(
     options: Running,
     *,
     to: Annotated[
-        str, typer.Option(metavar="STAGE", help="The last stage of each cell; bench for latencies.")
+        str,
+        typer.Option(
+            metavar="STAGE",
+            help="The last stage of each cell; bench for latencies.",
+            autocompletion=completion.words("generate", "train", "evaluate", "bench"),
+        ),
     ] = "evaluate",
     output: Annotated[
         Path | None, typer.Option("-o", "--output", metavar="DIR", help="For table and figure; sweep-NAME by default.")
@@ -82,7 +108,11 @@ def report(
     ] = None,
     figures: Annotated[
         str | None,
-        typer.Option(metavar="ieee1|ieee2|slides", help="Figures and tables for a paper instead of the page."),
+        typer.Option(
+            metavar="ieee1|ieee2|slides",
+            help="Figures and tables for a paper instead of the page.",
+            autocompletion=completion.words("ieee1", "ieee2", "slides"),
+        ),
     ] = None,
 ) -> None:
     """All results as one HTML file; or as PDF, SVG and PNG, CSV and LaTeX."""
@@ -104,7 +134,11 @@ def status(
 
 
 @command(LOOK)
-def why(options: Planned, *, stage: Annotated[str, typer.Argument(help="A stage, or a network.")]) -> None:
+def why(
+    options: Planned,
+    *,
+    stage: Annotated[str, typer.Argument(help="A stage, or a network.", autocompletion=completion.stages)],
+) -> None:
     """Why a stage would run again: what changed, before -> after."""
     from npred.cli import look
 
@@ -116,7 +150,12 @@ def show(
     options: Common,
     *,
     reference: Annotated[
-        str | None, typer.Argument(metavar="STAGE/KEY", help="A key, a stage or a network; the latest by default.")
+        str | None,
+        typer.Argument(
+            metavar="STAGE/KEY",
+            help="A key, a stage or a network; the latest by default.",
+            autocompletion=completion.artifacts,
+        ),
     ] = None,
 ) -> None:
     """What is inside a result: question, files, answer."""
@@ -143,13 +182,25 @@ def ls(
 def diff(
     options: Common,
     *,
-    a: Annotated[str, typer.Argument(metavar="A", help="An artifact, as for show.")],
-    b: Annotated[str, typer.Argument(metavar="B", help="Another.")],
+    a: Annotated[str, typer.Argument(metavar="A", help="A result, as for show.", autocompletion=completion.artifacts)],
+    b: Annotated[str, typer.Argument(metavar="B", help="Another.", autocompletion=completion.artifacts)],
 ) -> None:
     """How two results differ: in their questions, and in their answers."""
     from npred.cli import look
 
     look.diff(options, a, b)
+
+
+@app.command("help", cls=Command, rich_help_panel=LOOK)
+def help_(
+    context: typer.Context,
+    words: Annotated[
+        list[str] | None, typer.Argument(metavar="[COMMAND]...", help="As `run` or `plants check`.")
+    ] = None,
+) -> None:
+    """What a command does, with its flags; all commands without a name."""
+    root = context.find_root()
+    root.command.main([*(words or []), "--help"], prog_name=root.info_name, standalone_mode=False)
 
 
 @group(LOOK)
@@ -165,7 +216,12 @@ def plants(options: Common, *, context: typer.Context) -> None:
 def check(
     options: Common,
     *,
-    plant: Annotated[str, typer.Argument(metavar="PLANT", help="A name, or a file as my_plant.py:Tank.")],
+    plant: Annotated[
+        str,
+        typer.Argument(
+            metavar="PLANT", help="A name, or a file as my_plant.py:Tank.", autocompletion=completion.plants
+        ),
+    ],
     delay: Annotated[float, typer.Option(help="The largest delay to predict over, in seconds.")] = 1.0,
     nodes: Annotated[int, typer.Option(help="Nodes of the prediction; dx = 0.01 is 101.")] = 101,
 ) -> None:
@@ -191,11 +247,19 @@ def export(
     *,
     form: Annotated[
         str,
-        typer.Argument(metavar="onnx|c|npy|hdf5|mat", help="A model as ONNX graph or C99 file; data as the others."),
+        typer.Argument(
+            metavar="onnx|c|npy|hdf5|mat",
+            help="A model as ONNX graph or C99 file; data as the others.",
+            autocompletion=completion.words("onnx", "c", "npy", "hdf5", "mat"),
+        ),
     ],
     key: Annotated[
         str,
-        typer.Argument(metavar="KEY", help="PIPELINE.toml:MODEL or MODEL; PIPELINE.toml for data; a folder or key."),
+        typer.Argument(
+            metavar="KEY",
+            help="PIPELINE:MODEL or MODEL; PIPELINE for data; a folder or key.",
+            autocompletion=completion.artifacts,
+        ),
     ],
     output: Annotated[
         Path | None,
@@ -216,9 +280,14 @@ def import_(
     *,
     form: Annotated[str, typer.Argument(metavar="npy", help="The format: the layout that [DAPF]'s authors published.")],
     inputs: Annotated[Path, typer.Argument(metavar="INPUTS", help="Rows of D_hat, inputs, states, node after node.")],
-    outputs: Annotated[Path, typer.Argument(metavar="OUTPUTS", help="Rows of P, a number a state, node after node.")],
+    outputs: Annotated[
+        Path, typer.Argument(metavar="OUTPUTS", help="Rows of P, one number per state, node after node.")
+    ],
     plant: Annotated[
-        str, typer.Option(help="The plant whose samples they are: a name or my_plant.py:Tank.")
+        str,
+        typer.Option(
+            help="The plant whose samples they are: a name or my_plant.py:Tank.", autocompletion=completion.plants
+        ),
     ] = "activator_repressor",
     rollouts: Annotated[
         int | None,
@@ -245,30 +314,43 @@ def gc(
     options: Common,
     *,
     pipelines: Annotated[
-        list[Path] | None, typer.Argument(help="Pipelines whose results stay; all in pipeline/ by default.")
+        list[Path] | None,
+        typer.Argument(
+            help="Pipelines whose results stay; all in pipeline/ by default.", autocompletion=completion.pipelines
+        ),
     ] = None,
     set: Annotated[
         list[str] | None,
-        typer.Option("--set", metavar="KEY=VALUES", help="What a sweep was run with: its results stay as well."),
+        typer.Option(
+            "--set",
+            metavar="KEY=VALUES",
+            help="What a sweep was run with: its results stay as well.",
+            autocompletion=completion.settings,
+        ),
     ] = None,
     older: Annotated[float, typer.Option(min=0, metavar="DAYS", help="Only what is older than so many days.")] = 0.0,
     keep: Annotated[
         str | None, typer.Option(metavar="SIZE", help="The oldest only, until the store has this size: 500M, 2G.")
     ] = None,
     yes: Annotated[bool, typer.Option("--yes", help="Delete what the plan names.")] = False,
-    device: Annotated[str, typer.Option(help="auto, cpu, cuda or cuda:N, as in the runs to keep.")] = "auto",
+    device: Annotated[
+        str, typer.Option(help="auto, cpu, cuda or cuda:N, as in the runs to keep.", autocompletion=completion.devices)
+    ] = "auto",
 ) -> None:
     """What no pipeline needs: the plan first, deleted with --yes."""
     from npred.cli import cleaning
 
-    cleaning.gc(options, cleaning.Wanted(pipelines, set, older, keep, device), yes)
+    paths = [places.pipeline(path) for path in pipelines or []]
+    cleaning.gc(options, cleaning.Wanted(paths, set, older, keep, device), yes)
 
 
 @command(CARE)
 def export_artifact(
     options: Common,
     *,
-    reference: Annotated[str, typer.Argument(metavar="STAGE/KEY", help="A result, as for show.")],
+    reference: Annotated[
+        str, typer.Argument(metavar="STAGE/KEY", help="A result, as for show.", autocompletion=completion.artifacts)
+    ],
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="The file; by default STAGE-KEY.tar here.")
     ] = None,

@@ -64,9 +64,18 @@ def diff(options: Common, a: str, b: str) -> None:
     left, right = (options.results.find(reference).verify() for reference in (a, b))
     asked = differences(left.manifest.question, right.manifest.question)
     answered = changes(left.result(), right.result())
-    document = {"a": str(left.folder), "b": str(right.folder), "question": asked, "result": answered}
+    kinds = [_kind(left), _kind(right)]
+    folders = {"a": str(left.folder), "b": str(right.folder)}
+    document = folders | {"stages": kinds, "question": asked, "result": answered}
+    across = [f"these are results of different stages: {kinds[0]} and {kinds[1]}"] if kinds[0] != kinds[1] else []
     same = f"{left.name} and {right.name}: no difference"
-    options.show(document, lambda: "\n".join([*asked, *(f"result.{line}" for line in answered)]) or same)
+    options.show(document, lambda: "\n".join([*across, *asked, *(f"result.{line}" for line in answered)]) or same)
+
+
+def _kind(artifact: Artifact) -> str:
+    """Its stage, and its network if it has one."""
+    asked = artifact.manifest.question
+    return f"{asked.stage} {asked.model}" if asked.model else asked.stage
 
 
 def plants(options: Common) -> None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 import typer
 
 from npred import places
+from npred.cli import completion
 from npred.console import Console
 from npred.errors import ConfigError
 
@@ -49,13 +50,31 @@ class Common:
 class Planned(Common):
     """Flags of the commands that read a pipeline file."""
 
-    pipeline: Annotated[Path, typer.Argument(metavar="PIPELINE", help="The pipeline file.")] = places.PIPELINE
+    pipeline_name: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="PIPELINE",
+            show_default=f"{places.PIPELINE_VARIABLE}, {places.PIPELINE}, or the only TOML file here",
+            help="A pipeline file, or the name of one that is part of npred, as smoke.",
+            autocompletion=completion.pipelines,
+        ),
+    ] = None
     set: Annotated[
         list[str] | None,
-        typer.Option("--set", metavar="KEY=VALUE", help="Override a key, as in train.fno.epochs=5; repeatable."),
+        typer.Option(
+            "--set",
+            metavar="KEY=VALUE",
+            help="Override a key, as in train.fno.epochs=5; repeatable.",
+            autocompletion=completion.settings,
+        ),
     ] = None
-    device: Annotated[str, typer.Option(help="auto, cpu, cuda or cuda:N.")] = "auto"
+    device: Annotated[str, typer.Option(help="auto, cpu, cuda or cuda:N.", autocompletion=completion.devices)] = "auto"
     jobs: Annotated[int | None, typer.Option(min=1, help="Processes and threads; all cores by default.")] = None
+
+    @cached_property
+    def pipeline(self) -> Path:
+        """The pipeline file."""
+        return places.pipeline(self.pipeline_name)
 
     @cached_property
     def config(self) -> "Pipeline":
@@ -112,6 +131,6 @@ def writable_folder(path: Path, of: str) -> Path:
 def parameters(options: type[Common]) -> list[inspect.Parameter]:
     """The fields of an options class as parameters of a command: the pipeline file first, then the flags."""
     hints = get_type_hints(options, include_extras=True)
-    ordered = sorted(fields(options), key=lambda field: field.name != "pipeline")
+    ordered = sorted(fields(options), key=lambda field: field.name != "pipeline_name")
     kind = inspect.Parameter.KEYWORD_ONLY
     return [inspect.Parameter(f.name, kind, default=f.default, annotation=hints[f.name]) for f in ordered]

@@ -1,18 +1,30 @@
-"""Usage errors in one line, as all others: typer would draw a box of several."""
+"""What typer does differently here: usage errors in one line, where it draws a box, and flags without a type."""
 
 import sys
 from typing import Any
 
 import typer
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 
 from npred.console import Console
 
 USAGE: type[BaseException] = typer.BadParameter.__mro__[1]  # what every usage error is; typer keeps the name to itself
 
 
-class OneLine(TyperGroup):
-    """The group of all commands."""
+class Command(TyperCommand):
+    """A command."""
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        """The parameters, as the help lists them."""
+        return _untyped(super().get_params(ctx))
+
+
+class Group(TyperGroup):
+    """Commands under one name, or all of them."""
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        """The parameters, as the help lists them."""
+        return _untyped(super().get_params(ctx))
 
     def main(self, *args: Any, standalone_mode: bool = True, **extra: Any) -> Any:
         """Run the command of the arguments and exit with its code; without `standalone_mode` return it."""
@@ -25,6 +37,14 @@ class OneLine(TyperGroup):
         except typer.Abort:
             sys.exit(1)
         sys.exit(code if isinstance(code, int) else 0)
+
+
+def _untyped(parameters: list[Any]) -> list[Any]:
+    """The same, where a flag has no word for its value: it takes none."""
+    for parameter in parameters:
+        if getattr(parameter, "is_flag", False) and parameter.metavar is None:
+            parameter.metavar = ""
+    return parameters
 
 
 def _tell(error: Any) -> int:

@@ -21,7 +21,7 @@ class Stored(NamedTuple):
 
 
 def load_model(spec: str, root: Path | None = None) -> Stored:
-    """The trained model meant by `PIPELINE.toml:MODEL`, `MODEL` (of pipeline/paper.toml), an artifact's folder or key.
+    """The trained model meant by `PIPELINE:MODEL`, `MODEL` (of the default pipeline), an artifact's folder or key.
 
     Each may end in `@EPOCH`, for a snapshot. Raises ConfigError where there is none, StoreError for corrupt files.
     """
@@ -29,24 +29,24 @@ def load_model(spec: str, root: Path | None = None) -> Stored:
     name, epoch = _split(spec)
     path, colon, model = name.rpartition(":")
     if colon or name in networks():
-        artifact, plant = _of_pipeline(Path(path) if colon else places.PIPELINE, model, store)
+        artifact, plant = _of_pipeline(places.pipeline(path), model, store)
     else:
         artifact, plant = store.find(name), None
     return _stored(artifact.verify(), epoch, spec, plant)
 
 
 def load_data(spec: str, root: Path | None = None) -> Artifact:
-    """The data meant by `PIPELINE.toml`, an artifact's folder or key, or `generate` for the latest; verified.
+    """The data meant by `PIPELINE`, an artifact's folder or key, or `generate` for the latest; verified.
 
     Raises ConfigError where there is none, StoreError for corrupt files.
     """
     store = Store(root or places.store())
-    if not spec.endswith(".toml"):
+    if not spec.endswith(".toml") and spec not in places.shipped():
         artifact = store.find(spec).verify()
         if artifact.manifest.question.stage != "generate":
             raise ConfigError(f"{spec}: expected data, got {artifact.name}; see npred ls for generate/…")
         return artifact
-    (step,) = Planner(config.load(Path(spec)), store, "cpu").plan([Node("generate", None, ())])
+    (step,) = Planner(config.load(places.pipeline(spec)), store, "cpu").plan([Node("generate", None, ())])
     if step.artifact is None:
         raise ConfigError(f"{spec}: expected data in {store.root}, got none ({step.reason}); run npred generate {spec}")
     return step.artifact.verify()

@@ -5,7 +5,7 @@ import pkgutil
 from collections.abc import Mapping
 from typing import Any
 
-from npred.errors import ConfigError
+from npred.errors import ConfigError, similar
 from npred.plants import files, installed
 from npred.plants.base import Plant
 from npred.plants.black_box import BlackBox
@@ -25,8 +25,9 @@ def resolve(name: str, parameters: Mapping[str, float] = {}) -> Plant:
         raise ConfigError(f"plant {name}: expected the class too, got the file alone; write {name}:Tank, say")
     declaration = _builtin().get(name) or installed.find(name)
     if declaration is None:
-        known = ", ".join([*_builtin(), *installed.names(_builtin())])
-        raise ConfigError(f"plant {name!r}: expected one of {known}, or a file as my_plant.py:Tank")
+        known = names()
+        near = similar(name, known)
+        raise ConfigError(f"plant {name!r}: expected one of {', '.join(known)}, or a file as my_plant.py:Tank{near}")
     return make(name, declaration, parameters)
 
 
@@ -46,7 +47,12 @@ def named() -> list[dict[str, Any]]:
 
     One that cannot be made, of a package that fails on import say, has its name and `error`, a sentence.
     """
-    return [_told(name) for name in [*_builtin(), *installed.names(_builtin())]]
+    return [_told(name) for name in names()]
+
+
+def names() -> list[str]:
+    """The plants that have a name: built in, or of installed packages, of which nothing is imported."""
+    return [*_builtin(), *installed.names(_builtin())]
 
 
 def _told(name: str) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from npred.errors import ConfigError
+from npred.errors import ConfigError, similar
 
 REQUIRED = ("states", "inputs", "f", "kappa")
 
@@ -53,7 +53,8 @@ def parameters(plant: str, defaults: Any, overrides: Mapping[str, Any]) -> dict[
     for key in overrides:
         if key not in defaults:
             known = ", ".join(defaults) or "none"
-            raise ConfigError(f"plant {plant}: unknown parameter {key!r}; expected one of: {known}")
+            near = similar(key, defaults)
+            raise ConfigError(f"plant {plant}: unknown parameter {key!r}; expected one of: {known}{near}")
     return {key: _number(f"plant {plant}: parameter {key}", value) for key, value in {**defaults, **overrides}.items()}
 
 

@@ -1,0 +1,114 @@
+"""What the shell offers where Tab is pressed. It never fails and says nothing: a broken file offers nothing."""
+
+from collections.abc import Callable, Iterator
+from functools import wraps
+from pathlib import Path
+from typing import Any, Literal, get_args, get_origin
+
+import typer
+
+from npred import places
+
+Offer = tuple[str, str]  # a word, and what the shell says beside it
+Complete = Callable[[typer.Context, str], list[Offer]]
+
+
+def _offered(find: Callable[[typer.Context, str], Iterator[Offer]]) -> Complete:
+    """The offers that begin with what is typed; none where they cannot be found."""
+
+    @wraps(find)
+    def complete(ctx: typer.Context, incomplete: str) -> list[Offer]:
+        try:
+            return [offer for offer in find(ctx, incomplete) if offer[0].startswith(incomplete)]
+        except Exception:
+            return []
+
+    vars(complete)["__annotations__"] = find.__annotations__
+    return complete
+
+
+def words(*choices: str) -> Complete:
+    """These words."""
+    return _offered(lambda ctx, incomplete: ((choice, "") for choice in choices))
+
+
+@_offered
+def pipelines(ctx: typer.Context, incomplete: str) -> Iterator[Offer]:
+    """The pipelines that are part of npred, and the TOML files of the folder that is typed."""
+    yield from ((name, _first_line(path)) for name, path in places.shipped().items())
+    folder = incomplete.rpartition("/")[0]
+    for path in sorted(Path(folder or ".").glob("*.toml")):
+        if path.name not in places.NO_PIPELINE:
+            yield f"{folder}/{path.name}" if folder else path.name, _first_line(path)
+
+
+@_offered
+def settings(ctx: typer.Context, incomplete: str) -> Iterator[Offer]:
+    """The keys of a pipeline; of the only one that fits, its values, so that the shell puts no space behind it."""
+    from npred import config
+
+    key, sign, _ = incomplete.partition("=")
+    known = {name: field for name, field in config.leaves() if (name == key if sign else name.startswith(key))}
+    if len(known) > 1:
+        yield from ((name, "") for name in known)
+    for name, field in known.items() if len(known) == 1 else ():
+        yield from ((f"{name}={value}", "") for value in ["", *_values(ctx, name, field)])
+
+
+@_offered
+def stages(ctx: typer.Context, incomplete: str) -> Iterator[Offer]:
+    """The stages and the networks."""
+    from npred.pipeline import STAGES, networks
+
+    yield from ((name, "") for name in (*STAGES, *networks()))
+
+
+@_offered
+def models(ctx: typer.Context, incomplete: str) -> Iterator[Offer]:
+    """The networks."""
+    from npred.pipeline import networks
+
+    yield from ((name, "") for name in networks())
+
+
+@_offered
+def artifacts(ctx: typer.Context, incomplete: str) -> Iterator[Offer]:
+    """The results in the store, the most recent first."""
+    from npred.store import Store
+
+    for artifact in reversed(Store(ctx.params.get("store") or places.store()).survey()[0]):
+        asked = artifact.manifest.question
+        yield artifact.name, f"{asked.model or asked.stage} of {artifact.manifest.pipeline}"
+
+
+@_offered
+def plants(ctx: typer.Context, incomplete: str) -> Iterator[Offer]:
+    """The plants that have a name."""
+    from npred import plants
+
+    yield from ((name, "") for name in plants.names())
+
+
+def _values(ctx: typer.Context, key: str, field: Any) -> list[str]:
+    """The words that a key takes, else its value in the pipeline."""
+    from npred import config
+    from npred.errors import NpredError
+    from npred.pipeline.reasons import flat
+
+    if get_origin(field.annotation) is Literal:
+        return list(get_args(field.annotation))
+    rest = ctx.args[-1] if ctx.args else None  # before an option without its value, arguments have no names yet
+    try:
+        pipeline = config.load(places.pipeline(ctx.params.get("pipeline_name") or rest))
+    except NpredError:
+        pipeline = config.Pipeline(plant="")
+    return [value.strip('"') for name, value in flat(pipeline.model_dump()).items() if name == key]
+
+
+def _first_line(path: Path) -> str:
+    with path.open(encoding="utf-8", errors="replace") as file:
+        line = file.readline(200).strip()
+    return line.removeprefix("#").strip() if line.startswith("#") else ""
+
+
+devices = words("auto", "cpu", "cuda")
