@@ -77,9 +77,9 @@ def actuate(
 
 
 def history(D: np.ndarray, dt: float, u0: np.ndarray) -> tuple[int, np.ndarray, np.ndarray]:
-    """The first step's number and the ring buffers for delays D (m, B), filled with the input u0 (m,) before t = 0."""
+    """The first step's number and the ring buffers for delays D (m, B), filled with the input u0 (m, B) of t < 0."""
     rows = int(np.max(D) / dt) + 4
     held = np.empty((rows, *D.shape))
-    held[:] = u0[:, None]
+    held[:] = u0
     total = np.arange(rows, dtype=float)[:, None, None] * held - (rows - 1) * held
     return rows - 1, held, total

@@ -26,26 +26,6 @@ def samples(samples: Any, shape: tuple[int, ...], last: int) -> np.ndarray:
     return np.broadcast_to(steps.astype(np.int64), (*shape, count)).reshape(math.prod(shape), count)
 
 
-def before(plant: Plant, u0: Any) -> np.ndarray:
-    """The input before t = 0, (m,)."""
-    array = shapes.floats("u0", u0)
-    if not shapes.fits(array.shape, (plant.m,)) or not np.isfinite(array).all():
-        raise ConfigError(f"u0: expected {plant.m} finite numbers, one an input, got {u0}; mend it")
-    return np.array(np.broadcast_to(array, (plant.m,)))
-
-
-def bounds(plant: Plant, bounds: Any) -> np.ndarray:
-    """The range of each input, (m, 2): those given, else the plant's, else none. One input's pair may stand alone."""
-    given = plant.input_bounds if bounds is None else bounds
-    if given is None:
-        given = [(-np.inf, np.inf)] * plant.m
-    array = shapes.floats("input_bounds", given)
-    array = array[None] if array.shape == (2,) else array
-    if array.shape != (plant.m, 2) or not (array[:, 0] <= array[:, 1]).all():
-        raise ConfigError(f"input_bounds: expected {plant.m} pairs (low, high), got {given}; give one pair an input")
-    return array
-
-
 def numbers(
     plant: Plant, X0: Any, D: np.ndarray, D_hat: np.ndarray, t_end: float, dt: float, law: DelayLaw | None
 ) -> None:

@@ -11,6 +11,7 @@ from npred import actuator, arguments, engine, shapes
 from npred.adaptation import Part, part
 from npred.delay_estimate import DelayLaw
 from npred.errors import ConfigError
+from npred.plants import inputs
 from npred.plants.base import Plant
 from npred.predictors import Compiled, Predictor
 from npred.predictors.onestep import OneStep
@@ -77,7 +78,7 @@ def simulate(
     dt: float = 0.005,
     adaptation: DelayLaw | None = None,
     input_bounds: Any = None,
-    u0: Any = 0.0,
+    u0: Any = None,
     every: int = 1,
     samples: np.ndarray | None = None,
     integrator: str = "rk4",
@@ -87,9 +88,10 @@ def simulate(
 
     D, D_hat (...) in seconds and X0 (..., n) broadcast to the batch. Where inputs have delays of their own D is the
     longest, input j comes after r_j D, and U_j = kappa_j(P(r_j), t + r_j D_hat). U is held over each step of dt and
-    clipped to `input_bounds` (m, 2), by default the plant's; before t = 0 it is u0. `predictor=None` is the open loop
-    U = 0, `adaptation=None` freezes D_hat; a law of one's own, a DelayLaw, runs in Python. Every `every`-th step is
-    kept; `samples` (..., S) are sorted steps whose (X, u, D_hat) are kept too. `integrator` advances the plant.
+    clipped to `input_bounds` (m, 2), by default the plant's. Before t = 0 the input is u0: numbers (m,), "equilibrium"
+    or "law", kappa(X0, 0); by default 0 where the bounds allow it, else the equilibrium's. `predictor=None` is the open
+    loop U = 0, `adaptation=None` freezes D_hat; a law of one's own, a DelayLaw, runs in Python. Every `every`-th step
+    is kept; `samples` (..., S) are sorted steps whose (X, u, D_hat) are kept too. `integrator` advances the plant.
     `progress` is told of loop steps done.
     A loop that leaves the finite numbers goes on as NaN and leaves the others alone.
     Raises ConfigError for delays, bounds, times, shapes or a predictor that do not fit.
@@ -103,11 +105,12 @@ def simulate(
     X0 = np.broadcast_to(X0, (*shape, plant.n)).reshape(-1, plant.n)
     D, D_hat = (np.broadcast_to(a, shape).reshape(-1) for a in (D, D_hat))
     wanted = arguments.samples(samples, shape, round(t_end / dt))
-    limits, held, method = arguments.bounds(plant, input_bounds), arguments.before(plant, u0), arguments.INTEGRATORS
-    loop = _Loop(plant, predictor, adaptation, limits, held, dt, t_end, every, method[integrator])
+    limits, method = inputs.bounds(plant, input_bounds), arguments.INTEGRATORS[integrator]
+    held = inputs.before(plant, u0, limits, X0)
+    loop = _Loop(plant, predictor, adaptation, limits, dt, t_end, every, method)
     width = LANES if loop.compiled else NEURAL_LANES
     chunks = [slice(i, i + width) for i in range(0, len(D), width)]
-    records = [loop.run(X0[c], D[c], D_hat[c], wanted[c], progress) for c in chunks]
+    records = [loop.run(X0[c], D[c], D_hat[c], held[c], wanted[c], progress) for c in chunks]
     joined = engine.Record(*(np.concatenate(parts, axis=-1) for parts in zip(*records, strict=True)))
     return _trajectories(joined, shape, dt * every)
 
@@ -120,7 +123,6 @@ class _Loop:
     predictor: Predictor | None
     adaptation: DelayLaw | None
     input_bounds: np.ndarray
-    u0: np.ndarray
     dt: float
     t_end: float
     every: int
@@ -140,12 +142,12 @@ class _Loop:
         return parts and (self.predictor is None or isinstance(self.predictor, Compiled))
 
     def run(
-        self, X0: np.ndarray, D: np.ndarray, D_hat: np.ndarray, samples: np.ndarray, progress: Any
+        self, X0: np.ndarray, D: np.ndarray, D_hat: np.ndarray, u0: np.ndarray, samples: np.ndarray, progress: Any
     ) -> engine.Record:
-        """Simulate one chunk of loops: X0 (B, n), D and D_hat (B,), samples (B, S)."""
+        """Simulate one chunk of loops: X0 (B, n), D and D_hat (B,), u0 (B, m), samples (B, S)."""
         lanes, nx = len(D), 2 if self.predictor is None else self.predictor.nx
         count = round(self.t_end / self.dt) + 1
-        origin, state = self._state(X0, D, D_hat, nx)
+        origin, state = self._state(X0, D, D_hat, u0, nx)
         settings, out = self._settings(samples), self._record(count, samples.shape[1], nx, lanes)
         parts = self._parts()
         steps = engine.compiled_steps if self.compiled else engine.steps
@@ -175,9 +177,11 @@ class _Loop:
             samples=np.array(samples.T, order="C"),
         )
 
-    def _state(self, X0: np.ndarray, D: np.ndarray, D_hat: np.ndarray, nx: int) -> tuple[int, engine.State]:
+    def _state(
+        self, X0: np.ndarray, D: np.ndarray, D_hat: np.ndarray, u0: np.ndarray, nx: int
+    ) -> tuple[int, engine.State]:
         n, m, lanes, D = self.plant.n, self.plant.m, len(D), self.plant.ratios[:, None] * D
-        origin, held, total = actuator.history(D, self.dt, self.u0)
+        origin, held, total = actuator.history(D, self.dt, u0.T)
         state = engine.State(
             X=np.array(X0.T, order="C"), D=D, D_hat=np.array(D_hat), held=held, total=total,
             u=np.empty((nx, m, lanes)), P=np.full((nx, n, lanes), np.nan), U=np.empty((m, lanes)), phi=np.empty(lanes),

@@ -1,5 +1,6 @@
 """The pipeline file as frozen models: one table a stage, every key checked, `--set` overrides included."""
 
+import math
 import re
 import tomllib
 from collections.abc import Iterator
@@ -24,6 +25,8 @@ Range = tuple[Delay, Delay]
 Item = TypeVar("Item")
 Some = Annotated[list[Item], Field(min_length=1)]
 Method = Literal["euler", "heun", "rk4", "picard"]
+Number = Annotated[float, Field(gt=-math.inf, allow_inf_nan=False, strict=True)]  # gt: else errors name the type
+StartInput = Number | list[Number] | Literal["equilibrium", "law"]
 PAPER, FROZEN = "bresch-pietri-krstic", "frozen"  # the delay laws that have a name
 Networks = Annotated[Some[Literal["deeponet", "fno"]], AfterValidator(lambda names: sorted(set(names)))]
 Anchor = Literal["none", "initial", "equilibrium"]
@@ -75,6 +78,9 @@ class Loop(Table):
     b: Positive = 1.0  #: weight of w in phi [DAPF, eq. 12]
     bounds: Range = (0.1, 4.0)  #: where D_hat stays, in seconds
     input_bounds: list[tuple[float, float]] | None = None  #: of U, a pair an input; by default the plant's
+    #: the input before t = 0, which fills the delay: numbers, "equilibrium" or "law" (κ of the start); by default 0
+    #: where input_bounds allow it, else "equilibrium"
+    u0: StartInput | None = None
 
     @model_validator(mode="after")
     def _check(self) -> Self:

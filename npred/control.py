@@ -12,6 +12,7 @@ from npred import arguments, engine, shapes
 from npred.adaptation import part
 from npred.delay_estimate import DelayLaw
 from npred.errors import ConfigError, DivergedError
+from npred.plants import inputs
 from npred.plants.base import Plant
 from npred.predictors import Predictor
 
@@ -35,7 +36,7 @@ class Controller:
         if not isinstance(dt, Real) or not 0 < dt < math.inf:
             raise ConfigError(f"dt: expected a control step above 0 s, got {dt!r}; give seconds")
         self.plant, self.predictor, self.adaptation, self.dt = plant, predictor, adaptation, float(dt)
-        law, self._limits = part(plant, adaptation), arguments.bounds(plant, input_bounds)
+        law, self._limits = part(plant, adaptation), inputs.bounds(plant, input_bounds)
         self._predict, self._law = predictor.lanes(), law.kernel
         self._gain, self._b, self._bounds = law.gain * self.dt, law.b, law.bounds
         n, m, nx = plant.n, plant.m, predictor.nx

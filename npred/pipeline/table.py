@@ -112,18 +112,25 @@ def _words(value: Any) -> Any:
 
 
 def _generate(config: Pipeline, model: str | None, device: str) -> dict[str, Any]:
-    section = _loop(config.generate)
+    section = _loop(config, "generate")
     source = section.pop("data")
     return {"generate": section | ({"data": _digest(Path(source))} if source else {})}
 
 
-def _loop(loop: Loop) -> dict[str, Any]:
-    """A stage's table; a law of D_hat other than the paper's enters, by what its file holds and not by where it is."""
-    from npred import laws
+def _loop(config: Pipeline, stage: str) -> dict[str, Any]:
+    """A stage's table; a law of D_hat other than the paper's enters, by what its file holds and not by where it is.
 
+    So does an input before t = 0 other than zero, the default where the plant's inputs may be zero.
+    """
+    from npred import laws, plants
+    from npred.plants import inputs
+
+    loop: Loop = getattr(config, stage)
     section, law = _dump(loop), laws.identity(loop)
-    del section["adaptation"]
-    return section | ({} if law is None else {"adaptation": law})
+    u0 = inputs.configured(plants.resolve(config.plant, config.parameters), loop, stage)
+    del section["adaptation"], section["u0"]
+    section |= {} if law is None else {"adaptation": law}
+    return section | ({"u0": u0 if isinstance(u0, str) else u0.tolist()} if isinstance(u0, str) or u0.any() else {})
 
 
 def _digest(path: Path) -> str:
@@ -140,7 +147,7 @@ def _train(config: Pipeline, model: str | None, device: str) -> dict[str, Any]:
 
 
 def _evaluate(config: Pipeline, model: str | None, device: str) -> dict[str, Any]:
-    return {"evaluate": _loop(config.evaluate), "train": {"models": list(models(config))}} | _box(config)
+    return {"evaluate": _loop(config, "evaluate"), "train": {"models": list(models(config))}} | _box(config)
 
 
 def _bench(config: Pipeline, model: str | None, device: str) -> dict[str, Any]:
@@ -160,7 +167,11 @@ def _box(config: Pipeline) -> dict[str, Any]:
 
 
 def _report(config: Pipeline, model: str | None, device: str) -> dict[str, Any]:
-    return {"pipeline": _dump(config.beside())}
+    pipeline = _dump(config.beside())
+    for stage in ("generate", "evaluate"):
+        if pipeline[stage]["u0"] is None:
+            del pipeline[stage]["u0"]
+    return {"pipeline": pipeline}
 
 
 STAGES: dict[str, Stage] = {

@@ -7,9 +7,9 @@ from typing import Literal
 
 import numpy as np
 
-from npred import arguments, randomness
+from npred import randomness
 from npred.errors import ConfigError
-from npred.plants import blame
+from npred.plants import blame, inputs
 from npred.plants.base import Plant
 
 
@@ -60,7 +60,7 @@ class Case:
     @cached_property
     def u(self) -> np.ndarray:
         """kappa of those states within the plant's input bounds, (samples, m)."""
-        bounds = arguments.bounds(self.plant, None)
+        bounds = inputs.bounds(self.plant, None)
         with np.errstate(all="ignore"):  # where it is not finite, the question `finite` tells
             U = self.plant.kappa(self.X)
         return np.clip(U, bounds[:, 0], bounds[:, 1])

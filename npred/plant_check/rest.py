@@ -4,10 +4,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from npred import arguments
 from npred.errors import ConfigError
 from npred.plant_check.answer import Answer, Case
-from npred.plants import blame, faults, programs
+from npred.plants import blame, faults, inputs, programs
 from npred.plants.base import Plant
 from npred.plants.fit import SLIP, slip
 from npred.plants.trace import Trace, python
@@ -50,12 +49,12 @@ def equilibrium(case: Case) -> Answer:
         X, u = plant.equilibrium, plant.u_equilibrium
     except ConfigError as error:
         return Answer("equilibrium", "no", str(error))
-    bounds = arguments.bounds(plant, None)
-    inputs = blame.values(plant.inputs, u)
+    bounds = inputs.bounds(plant, None)
+    values = blame.values(plant.inputs, u)
     if (u < bounds[:, 0]).any() or (u > bounds[:, 1]).any():
-        text = f"plant {plant.name}: rests with {inputs}, outside input_bounds {bounds.tolist()}; move the set point"
+        text = f"plant {plant.name}: rests with {values}, outside input_bounds {bounds.tolist()}; move the set point"
         return Answer("equilibrium", "no", text)
-    return Answer("equilibrium", "yes", f"{case.state(X)}, with {inputs}")
+    return Answer("equilibrium", "yes", f"{case.state(X)}, with {values}")
 
 
 def reference(case: Case) -> Answer:

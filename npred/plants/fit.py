@@ -6,7 +6,7 @@ import numpy as np
 
 from npred.config import Pipeline
 from npred.errors import ConfigError
-from npred.plants import faults, mathematics, programs
+from npred.plants import faults, inputs, mathematics, programs
 from npred.plants.base import Plant
 from npred.plants.declaration import span
 from npred.plants.trace import Trace, python
@@ -22,6 +22,7 @@ def check(plant: Plant, config: Pipeline, stages: Collection[str]) -> None:
     _bounds(plant, config)
     _clock(plant)
     _sound(plant, config)
+    _start_inputs(plant, config, stages)
     if "train" in stages:
         _anchors(plant, config)
     if "bench" in stages:
@@ -58,6 +59,12 @@ def _sound(plant: Plant, config: Pipeline) -> None:
         fault = faults.unstable(plant) if plant.rests else None
     if fault:
         raise ConfigError(fault)
+
+
+def _start_inputs(plant: Plant, config: Pipeline, stages: Collection[str]) -> None:
+    """Whether the loops of each stage have an input before t = 0 that the plant accepts."""
+    for stage in {"generate", "evaluate"} & set(stages):
+        inputs.configured(plant, getattr(config, stage), stage)
 
 
 def _anchors(plant: Plant, config: Pipeline) -> None:

@@ -114,7 +114,7 @@ def _loops(job: Job, contender: Contender, begin: Starts, some: slice, progress:
     return simulate(
         job.plant, contender.predictor, D=begin.D[some], D_hat=begin.D_hat0[some], X0=begin.X0[some], dt=config.dt,
         t_end=config.case_t_end, adaptation=laws.resolve(config) if contender.adapts else None,
-        input_bounds=config.input_bounds, every=EVERY, samples=taken, progress=progress,
+        input_bounds=config.input_bounds, u0=config.u0, every=EVERY, samples=taken, progress=progress,
     )  # fmt: skip
 
 

@@ -6,9 +6,9 @@ import numpy as np
 
 from npred import devices, laws, plants
 from npred.closed_loop import LANES, simulate
-from npred.config import Pipeline
+from npred.config import Generate, Pipeline
 from npred.errors import ConfigError, DivergedError
-from npred.plants import Plant
+from npred.plants import Plant, inputs
 from npred.predictors import METHODS
 from npred.stages import draws
 
@@ -55,9 +55,9 @@ def _chunk(pipeline: Pipeline, plant: Plant, chunk: range) -> Rows:
     law = laws.resolve(config)
     loops = simulate(
         plant, predictor, D=D, D_hat=D_hat0, X0=X0, t_end=config.t_end, dt=config.dt, adaptation=law,
-        input_bounds=config.input_bounds, every=draws.steps(config), samples=steps,
+        input_bounds=config.input_bounds, u0=config.u0, every=draws.steps(config), samples=steps,
     )  # fmt: skip
-    _finite(chunk, X0, loops.escaped, config.dt)
+    _finite(plant, config, chunk, X0, loops.escaped)
     count = steps.shape[1]
     D_hat = draws.redrawn(pipeline.seed, config, chunk, loops.samples.D_hat)
     rows = {"X": loops.samples.X, "u": loops.samples.u, "D_hat": D_hat}
@@ -68,11 +68,14 @@ def _chunk(pipeline: Pipeline, plant: Plant, chunk: range) -> Rows:
     return {name: array[kept] for name, array in rows.items()}
 
 
-def _finite(chunk: range, X0: np.ndarray, escaped: np.ndarray, dt: float) -> None:
+def _finite(plant: Plant, config: Generate, chunk: range, X0: np.ndarray, escaped: np.ndarray) -> None:
     lost = np.flatnonzero(escaped >= 0)
     if len(lost):
         first = lost[np.argmin(escaped[lost])]
+        u0 = inputs.told(plant, config.u0, inputs.bounds(plant, config.input_bounds))
+        share = f"{len(lost)} of {len(chunk)} rollouts"
         raise DivergedError(
-            f"generate: expected finite states, got NaN in rollout {chunk[first]} at t = {escaped[first] * dt:g} s, "
-            f"from X0 = {X0[first].tolist()} ({len(lost)} of {len(chunk)} rollouts); shrink the box, D or dt"
+            f"generate: expected finite states, got NaN in rollout {chunk[first]} at "
+            f"t = {escaped[first] * config.dt:g} s, from X0 = {X0[first].tolist()} ({share}); "
+            f"shrink the box, D or dt, or set u0, the input before t = 0 (here {u0})"
         )
