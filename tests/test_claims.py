@@ -4,15 +4,16 @@ import os
 import signal
 import subprocess
 import sys
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 from conftest import document, process_environment
 
-from npred.store import claims
+from npred.store import claims, locks
 
 
-def locks(root):
+def lock_files(root):
     return sorted(path.name for path in (root / ".locks").glob("run-*"))
 
 
@@ -23,7 +24,7 @@ def test_a_claim_holds_until_its_block_ends(tmp_path):
             other("b" * 64)
             assert claims.in_use(tmp_path) == {"a" * 64, "b" * 64}
         assert claims.in_use(tmp_path) == {"a" * 64}
-    assert claims.in_use(tmp_path) == set() and locks(tmp_path) == []
+    assert claims.in_use(tmp_path) == set() and lock_files(tmp_path) == []
 
 
 def test_a_process_that_was_killed_claims_nothing(tmp_path):
@@ -38,7 +39,7 @@ def test_a_process_that_was_killed_claims_nothing(tmp_path):
     assert claims.in_use(tmp_path) == {"c" * 64}
     running.send_signal(signal.SIGKILL)
     running.wait()
-    assert claims.in_use(tmp_path) == set() and locks(tmp_path) == []
+    assert claims.in_use(tmp_path) == set() and lock_files(tmp_path) == []
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root writes everywhere")
@@ -57,3 +58,50 @@ def test_gc_leaves_what_a_run_has_taken(call):
         claim(made["key"])
         assert document(call("gc", "tiny.toml", "--yes", "--json"))["deleted"] == []
     assert len(document(call("gc", "tiny.toml", "--yes", "--json"))["deleted"]) == 1
+
+
+def test_a_claim_that_is_taken_for_one_left_behind_is_made_again(tmp_path, monkeypatch):
+    """Another process may lock and remove the file between its opening and its lock, or before that lock is there."""
+    held, moments = locks.held, iter(["held elsewhere", "removed"])
+
+    @contextmanager
+    def disturbed(path, waiting=None):
+        moment = next(moments, "")
+        if moment == "held elsewhere":
+            raise locks.HeldError
+        with held(path, waiting):
+            if moment == "removed":
+                path.unlink()
+            yield
+
+    monkeypatch.setattr(locks, "held", disturbed)
+    with claims.claimed(tmp_path) as claim:
+        claim("a" * 64)
+        assert claims.in_use(tmp_path) == {"a" * 64}
+    assert lock_files(tmp_path) == []
+
+
+def test_a_name_that_no_claim_has_is_left_alone(tmp_path):
+    (tmp_path / ".locks").mkdir()
+    (tmp_path / ".locks" / "run-mine.lock").write_text("x")
+    assert claims.in_use(tmp_path) == set() and lock_files(tmp_path) == ["run-mine.lock"]
+
+
+def test_no_claim_is_invisible_to_processes_that_look_while_it_is_made(tmp_path):
+    """Four processes, each making claims and looking at all of them; each has to see its own."""
+    program = (
+        "import sys\nfrom pathlib import Path\nfrom npred.store import claims\n"
+        "root, lost = Path(sys.argv[1]), 0\n"
+        "for number in range(400):\n"
+        "    key = sys.argv[2] * 32 + f'{number:032x}'\n"
+        "    with claims.claimed(root) as claim:\n"
+        "        claim(key)\n        lost += key not in claims.in_use(root)\n"
+        "print(lost)\n"
+    )
+    command = [sys.executable, "-c", program, str(tmp_path)]
+    processes = [
+        subprocess.Popen([*command, digit], env=process_environment(), stdout=subprocess.PIPE, text=True)
+        for digit in "abcd"
+    ]
+    assert [process.communicate()[0] for process in processes] == ["0\n"] * 4
+    assert lock_files(tmp_path) == []

@@ -1,16 +1,20 @@
 """What runs at work take from a store: gc leaves it alone, though no lock is held on what is only read."""
 
+import re
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+from typing import BinaryIO
 from uuid import uuid4
 
 from filelock import FileLock, Timeout
 
-from npred.errors import NpredError
+from npred.errors import NpredError, StoreError
 from npred.store import locks
 
 Claim = Callable[[str], None]
+ATTEMPTS = 100  # each is lost only if another process looks at the claims in the microseconds between two calls
+_CLAIM = re.compile(r"run-[0-9a-f]{32}\.lock")
 
 
 @contextmanager
@@ -20,16 +24,10 @@ def claimed(root: Path) -> Iterator[Claim]:
     A store that cannot be written takes no claims, and nobody deletes from it either.
     """
     in_use(root)  # takes away what a process that was killed left
-    path = root / ".locks" / f"run-{uuid4().hex}.lock"
     with ExitStack() as stack:
         try:
-            stack.callback(path.unlink, missing_ok=True)
-            stack.enter_context(locks.held(path))
-            stack.callback(_keys(path).unlink, missing_ok=True)
-            file = stack.enter_context(_keys(path).open("ab", buffering=0))
+            file = stack.enter_context(_opened(root))
         except (OSError, NpredError):  # read-only, or full: what has to be written will say so
-            with suppress(OSError):
-                stack.close()
             yield lambda key: None
             return
 
@@ -40,10 +38,35 @@ def claimed(root: Path) -> Iterator[Claim]:
         yield claim
 
 
+@contextmanager
+def _opened(root: Path) -> Iterator[BinaryIO]:
+    """The file of a new claim, under a lock that `in_use` of other processes sees.
+
+    Between its opening and its lock, another process may lock and remove a lock file, for nobody seems to hold it. Then
+    the claim is made again under another name, so that no name ever has a second file. Raises OSError and NpredError.
+    """
+    for _ in range(ATTEMPTS):
+        path = root / ".locks" / f"run-{uuid4().hex}.lock"
+        with ExitStack() as stack:
+            try:
+                stack.callback(_remove, path)
+                stack.enter_context(locks.held(path))
+            except locks.HeldError:  # by the process that is about to remove it
+                continue
+            if not path.exists():  # removed before it was locked
+                continue
+            stack.callback(_remove, _keys(path))
+            yield stack.enter_context(_keys(path).open("ab", buffering=0))
+            return
+    raise StoreError(f"{root}: expected a claim that lasts, lost {ATTEMPTS}; run again")
+
+
 def in_use(root: Path) -> set[str]:
     """The keys that runs at work have claimed; the claims of processes that have ended are removed."""
     found: set[str] = set()
     for path in root.glob(".locks/run-*.lock"):
+        if not _CLAIM.fullmatch(path.name):
+            continue
         lock = FileLock(path, fallback_to_soft=False)
         try:
             with lock.acquire(timeout=0):
@@ -54,6 +77,11 @@ def in_use(root: Path) -> set[str]:
         except OSError:  # a store that cannot be written, or one that has just gone
             continue
     return found
+
+
+def _remove(path: Path) -> None:
+    with suppress(OSError):
+        path.unlink(missing_ok=True)
 
 
 def _keys(path: Path) -> Path:

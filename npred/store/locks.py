@@ -26,13 +26,11 @@ def held(path: Path, waiting: Callable[[str], None] | None = None) -> Iterator[N
     So is a store that cannot be written or whose file system has no locks.
     """
     lock = _acquire(path, waiting)
-    note = _note(path)
     try:
-        with durable.room(path):
-            note.write_text(json.dumps({"pid": os.getpid(), "host": platform.node()}))
+        _sign(_note(path))
         yield
     finally:
-        note.unlink(missing_ok=True)
+        _note(path).unlink(missing_ok=True)
         lock.release()
 
 
@@ -43,6 +41,15 @@ def holder(path: Path) -> str:
         return f"process {who['pid']} on {who['host']}"
     except (OSError, ValueError, KeyError):  # the holder is between taking the lock and signing it, or has just left
         return "another process"
+
+
+def _sign(note: Path) -> None:
+    """Write who holds the lock, for people; on a full disk nobody can, and the lock holds all the same."""
+    try:
+        note.write_text(json.dumps({"pid": os.getpid(), "host": platform.node()}))
+    except OSError as error:
+        if not durable.is_full(error):
+            raise
 
 
 def _acquire(path: Path, waiting: Callable[[str], None] | None) -> FileLock:
