@@ -3,12 +3,21 @@
 import os
 import platform
 import re
+import sys
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+from npred import documents
 from npred.errors import ConfigError, MissingError
 
 _CPUINFO = Path("/proc/cpuinfo")
+_VECTOR = re.compile("avx|amx|fma|f16c|sse4|asimd|sve|bf16")
+# What the libraries read on their start to choose instructions and the order of sums.
+_MODES = (
+    "MKL_CBWR", "MKL_ENABLE_INSTRUCTIONS", "MKL_DEBUG_CPU_TYPE", "ATEN_CPU_CAPABILITY", "ONEDNN_MAX_CPU_ISA",
+    "DNNL_MAX_CPU_ISA", "OPENBLAS_CORETYPE", "NPY_DISABLE_CPU_FEATURES", "NPY_ENABLE_CPU_FEATURES", "NUMBA_CPU_NAME",
+    "NUMBA_CPU_FEATURES", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "WORLD_SIZE",
+)  # fmt: skip
 _GPUS = Path("/proc/driver/nvidia/gpus")
 
 
@@ -49,6 +58,24 @@ def hardware(device: str) -> dict[str, object]:
     return described if device == "cpu" else described | {"gpus": _gpus()}
 
 
+def arithmetic(device: str) -> dict[str, str | None]:
+    """What the last digits of a result depend on beyond its question: processor, vector units, modes of libraries.
+
+    `torch_kernels` is the set of kernels that torch chose, None where torch was not needed.
+    """
+    torch = sys.modules.get("torch")
+    settings = " ".join(f"{name}={os.environ[name]}" for name in _MODES if os.environ.get(name))
+    facts = {
+        "device": "cpu" if device == "cpu" else ", ".join(["cuda", *_gpus()]),
+        "cpu": _cpu(),
+        "cpu_features": " ".join(_features()),
+        "torch_kernels": torch.backends.cpu.get_cpu_capability() if torch else None,
+        "mkl_mode": os.environ.get("MKL_CBWR") or "default",
+        "arithmetic_settings": settings or None,
+    }
+    return {name: value and documents.escaped(value) for name, value in facts.items()}
+
+
 def package(name: str) -> str | None:
     """The installed version of a package, read from its metadata; None where it is not installed."""
     try:
@@ -74,6 +101,15 @@ def _cpu() -> str:
             if line.startswith("model name"):
                 return line.partition(":")[2].strip()
     return platform.processor() or platform.machine()
+
+
+def _features() -> list[str]:
+    """The vector instructions of the processor, by the kernel's names."""
+    if not _CPUINFO.exists():
+        return []
+    lines = (line.partition(":") for line in _CPUINFO.read_text().splitlines())
+    flags = next((value.split() for name, _, value in lines if name.strip() in ("flags", "Features")), [])
+    return sorted(flag for flag in set(flags) if _VECTOR.match(flag))
 
 
 def _gpus() -> list[str]:

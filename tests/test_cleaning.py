@@ -1,16 +1,18 @@
 """`npred gc`: what goes by age, by size, by reachability, and what stays when parts of the store are corrupt."""
 
+import errno
 import os
-import time
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
 from conftest import Call, document, one_line
+from test_store import made_at
 
 from npred import devices
 from npred.cli.cleaning import size
-from npred.errors import ConfigError
-from npred.store import Store
+from npred.errors import ConfigError, NpredError
+from npred.store import MARKER, Store, gc_roots
 
 NEVER_MIND = ("run", "tiny.toml", "--jobs", "1")
 
@@ -21,9 +23,7 @@ def planned(call: Call, *arguments: str) -> set[Path]:
 
 def older(folder: Path, days: float) -> Path:
     """As if it had been made so many days ago."""
-    stamp = time.time() - days * 86400
-    os.utime(folder / "manifest.json", (stamp, stamp))
-    return folder
+    return made_at(folder, datetime.now(UTC) - timedelta(days=days))
 
 
 @pytest.fixture
@@ -110,7 +110,7 @@ def test_a_result_that_was_being_replaced_when_the_store_was_read_stays(call: Ca
 
     def between(store: Store):
         sound, _ = survey(store)
-        os.utime(renewed / "manifest.json")
+        older(renewed, 0)
         return [artifact for artifact in sound if artifact.folder != torn], [torn]
 
     monkeypatch.setattr(Store, "survey", between)
@@ -126,3 +126,98 @@ def test_sizes_in_words(call: Call):
         with pytest.raises(ConfigError, match="expected a size as 500M"):
             size(text)
     assert "--keep" in one_line(call("gc", "tiny.toml", "--keep", "much"), 2)
+
+
+@pytest.fixture
+def elsewhere(call: Call, tmp_path: Path) -> Path:
+    """A pipeline file of another folder whose results, with another seed, are in the store; gc names tiny.toml only."""
+    file = tmp_path / "elsewhere" / "mine.toml"
+    file.parent.mkdir()
+    file.write_text("seed = 5\n" + Path("tiny.toml").read_text())
+    call("run", file, "--jobs", "1")
+    call(*NEVER_MIND)
+    return file
+
+
+def test_what_a_pipeline_file_elsewhere_asks_for_stays_while_it_exists_and_asks_for_it(call: Call, elsewhere: Path):
+    assert planned(call) == set()
+    text = elsewhere.read_text()
+    elsewhere.write_text(text.replace("seed = 5", "seed = 6"))
+    assert len(planned(call)) == 6
+    elsewhere.write_text(text)
+    assert planned(call) == set()
+    elsewhere.unlink()
+    assert len(planned(call)) == 6
+
+
+def test_what_an_override_asks_for_is_not_what_the_file_asks_for(call: Call, elsewhere: Path):
+    call("generate", elsewhere, "--set", "seed=6")
+    assert planned(call) == {Store(Path("artifacts")).find("generate").folder}
+
+
+def test_what_a_run_elsewhere_was_interrupted_in_stays(call: Call, tmp_path: Path):
+    call(*NEVER_MIND)
+    (tmp_path / "mine.toml").write_text("seed = 5\n" + Path("tiny.toml").read_text())
+    key = document(call("generate", "mine.toml", "--dry-run", "--json"))["stages"][0]["key"]
+    scratch = Path(f"artifacts/.scratch/generate-{key}")
+    scratch.mkdir(parents=True)
+    assert planned(call) == {scratch}
+    call("generate", "mine.toml", "--set", "seed=6")
+    assert scratch not in planned(call)
+
+
+def test_a_pipeline_file_that_is_broken_now_keeps_what_it_last_asked_for(call: Call, elsewhere: Path):
+    elsewhere.write_text("seed = [")
+    done = call("gc", "tiny.toml")
+    assert done.stdout == "nothing to delete\n"
+    (warning,) = done.stderr.splitlines()
+    assert "expected a TOML file" in warning and "what it last asked for stays" in warning
+
+
+def test_the_plant_of_a_pipeline_that_another_user_ran_is_not_run(call: Call, elsewhere: Path, monkeypatch):
+    """In a store that several share: whoever can write there can write an entry."""
+    Path("elsewhere/evil.py").write_text("open('ran', 'w')\n")
+    elsewhere.write_text(elsewhere.read_text().replace('"scalar"', '"evil.py:Tank"'))
+    uid = os.geteuid()
+    monkeypatch.setattr(gc_roots.os, "geteuid", lambda: uid + 1)
+    assert planned(call) == set() and not Path("ran").exists()
+    monkeypatch.undo()
+
+
+def test_a_strange_entry_is_none(call: Call, stale: list[Path]):
+    for number, text in enumerate(["[]", "{", '{"file": 3}', '{"file": "a\\u0000b", "keys": 1}', '{"keys": {}}']):
+        Path(f"artifacts/.pipelines/{number}.json").write_text(text)
+    assert planned(call) == set(stale)
+
+
+def test_a_folder_without_the_marker_is_refused_until_npred_has_results_in_it(call: Call, stale: list[Path]):
+    (Path("artifacts") / MARKER).unlink()
+    line = one_line(call("gc", "tiny.toml", "--yes"), 4)
+    assert "artifacts: expected a store of npred, found no .npred-store in it; if npred made its results" in line
+    assert all(folder.exists() for folder in stale)
+    call(*NEVER_MIND)
+    assert planned(call) == set(stale)
+
+
+def test_what_is_not_npreds_stays_in_a_store(call: Call, stale: list[Path]):
+    """Files of other programs in its folders, and other programs' folders that are named by a digest."""
+    names = [".tmp/mine/data", ".scratch/train-1/data", f"layers/{'a' * 64}/data", f"train/{'b' * 64}x/data"]
+    for name in names:
+        (Path("artifacts") / name).parent.mkdir(parents=True)
+        (Path("artifacts") / name).write_text("x")
+    assert planned(call) == set(stale)
+    call("gc", "tiny.toml", "--yes")
+    assert all((Path("artifacts") / name).exists() for name in names) and not any(path.exists() for path in stale)
+
+
+def test_where_a_full_disk_has_no_room_for_a_lock_the_others_make_it(call: Call, stale: list[Path], monkeypatch):
+    lock, tried = Store.lock, set()
+
+    def full(self, stage, key, waiting=None):
+        if key == stale[0].name and key not in tried:
+            tried.add(key)
+            raise NpredError from OSError(errno.ENOSPC, "No space left on device")
+        return lock(self, stage, key, waiting)
+
+    monkeypatch.setattr(Store, "lock", full)
+    assert len(document(call("gc", "tiny.toml", "--yes", "--json"))["deleted"]) == 3

@@ -93,3 +93,23 @@ def test_real_stages_that_are_killed_continue_to_the_same_digests():
     done = subprocess.run(command, env=process_environment(), capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "killed -9: 4 of 4 continued to the same digests" in done.stdout
+
+
+def test_gc_frees_a_disk_that_is_full(call: Call, disk: Disk):
+    """Nothing can be written any more, neither who holds a lock nor a new lock file."""
+    folder = disk("1m")
+    call("run", "tiny.toml", "--store", folder)
+    call("generate", "tiny.toml", "--store", folder, "--set", "seed=7")
+    stale = Store(folder).find("generate").folder
+    for lock in (folder / ".locks").iterdir():
+        lock.unlink()
+    _fill(folder)
+    done = call("gc", "tiny.toml", "--store", folder, "--yes", "--json")
+    assert document(done)["deleted"] == [str(stale)] and not stale.exists()
+    (folder / "room").write_bytes(bytes(4096))
+
+
+def _fill(folder: Path) -> None:
+    with pytest.raises(OSError, match="No space left"), (folder / "full").open("wb", buffering=0) as file:
+        while file.write(bytes(4096)):
+            pass

@@ -1,5 +1,6 @@
 """The store: what is in it is whole and unchanged, or it is an error that names the file."""
 
+import errno
 import hashlib
 import json
 import os
@@ -8,6 +9,7 @@ import shutil
 import signal
 import subprocess
 import sys
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +17,14 @@ import pytest
 from conftest import process_environment
 
 from npred.errors import ConfigError, StoreError
-from npred.store import Artifact, Manifest, Question, Source, Store, keys
+from npred.store import MARKER, Artifact, Manifest, Question, Source, Store, keys
 
+HELD = "0" * 64
 HOLD = """
 import sys
 from pathlib import Path
 from npred.store import Store
-with Store(Path(sys.argv[1])).lock("train", "k"):
+with Store(Path(sys.argv[1])).lock("train", "0" * 64):
     print("held", flush=True)
     sys.stdin.read()
 """
@@ -41,6 +44,16 @@ def put(store: Store, asked: Question | None = None, data: bytes = b"payload", p
         (folder / "more" / "figure.svg").write_text("<svg/>")
         (folder / "result.json").write_text('{"mse": 0.5}')
         return store.commit(folder, asked, pipeline)
+
+
+def made_at(folder: Path, moment: datetime | None) -> Path:
+    """A result's folder, its manifest as if written at that moment; None: by an npred that did not note it."""
+    fields = json.loads((folder / "manifest.json").read_text())
+    del fields["checksum"], fields["provenance"]["made"]
+    fields["provenance"] |= {} if moment is None else {"made": moment.isoformat()}
+    fields["checksum"] = keys.sha256(fields)
+    (folder / "manifest.json").write_text(json.dumps(fields))
+    return folder
 
 
 def tree(root: Path) -> dict[str, bytes]:
@@ -257,7 +270,7 @@ def holder(store: Store):
 
 
 def test_a_held_lock_names_its_holder(store: Store, holder: subprocess.Popen[str]):
-    with pytest.raises(StoreError, match=f"process {holder.pid} on "), store.lock("train", "k"):
+    with pytest.raises(StoreError, match=f"process {holder.pid} on "), store.lock("train", HELD):
         pass
     with store.lock("train", "another"):
         pass
@@ -266,10 +279,10 @@ def test_a_held_lock_names_its_holder(store: Store, holder: subprocess.Popen[str
 def test_a_lock_dies_with_its_holder(store: Store, holder: subprocess.Popen[str]):
     holder.send_signal(signal.SIGKILL)
     holder.wait()
-    with store.lock("train", "k"):
-        note = json.loads((store.root / ".locks" / "train-k.holder").read_text())
-        assert note["pid"] == os.getpid()
-    assert not (store.root / ".locks" / "train-k.holder").exists()
+    note = store.root / ".locks" / f"train-{HELD}.holder"
+    with store.lock("train", HELD):
+        assert json.loads(note.read_text())["pid"] == os.getpid()
+    assert not note.exists()
 
 
 def test_a_worker_forked_by_the_holder_does_not_keep_the_lock(store: Store):
@@ -295,16 +308,16 @@ def test_waiting_tells_who_is_waited_for(store: Store, holder: subprocess.Popen[
         assert holder.stdin is not None
         holder.stdin.close()  # lets it go
 
-    with store.lock("train", "k", waiting):
+    with store.lock("train", HELD, waiting):
         assert [str(holder.pid) in who for who in told] == [True]
 
 
 def test_what_is_being_worked_on_is_not_deleted(store: Store, holder: subprocess.Popen[str]):
-    draft = store.root / ".tmp" / "train-k"
+    draft = store.root / ".tmp" / f"train-{HELD}"
     draft.mkdir(parents=True)
     assert not store.delete(draft)
     assert draft.exists()
-    kept, artifact = store.scratch("train", "j"), put(store)
+    kept, artifact = store.scratch("train", "1" * 64), put(store)
     kept.mkdir(parents=True)
     assert store.delete(kept)
     assert store.delete(artifact.folder)
@@ -348,3 +361,112 @@ def test_a_store_that_cannot_be_written_is_one_line(tmp_path: Path):
         Store(tmp_path / "file").lock("train", "k"),
     ):
         pass
+
+
+def test_made_is_the_time_of_the_manifest_so_that_a_copy_is_as_old_as_its_original(store: Store, tmp_path: Path):
+    now = datetime.now(UTC)
+    ages = {1: timedelta(days=3), 2: timedelta(days=1), 3: timedelta(days=2)}
+    for version, age in ages.items():
+        made_at(put(store, question(version=version)).folder, now - age)
+    shutil.copytree(store.root, tmp_path / "copy")
+    for number, path in enumerate(sorted((tmp_path / "copy").glob("train/*/manifest.json"))):
+        os.utime(path, (number, number))
+    copies = Store(tmp_path / "copy").artifacts()
+    assert [a.manifest.question.version for a in copies] == [1, 3, 2]
+    assert copies[0].made == (now - ages[1]).timestamp()
+    assert Store(tmp_path / "copy").find("fno").manifest.question.version == 2
+
+
+@pytest.mark.parametrize("moment", [None, datetime.now(UTC) + timedelta(days=9)])
+def test_made_is_the_time_of_the_file_where_the_manifest_has_none_that_is_past(store: Store, moment: datetime | None):
+    folder = made_at(put(store).folder, moment)
+    os.utime(folder / "manifest.json", (1e9, 1e9))
+    assert Artifact.read(folder).made == 1e9
+
+
+def test_a_store_is_marked_with_its_first_result(store: Store):
+    assert not store.marked
+    put(store)
+    assert store.marked and (store.root / MARKER).read_bytes() == b""
+
+
+def test_a_new_an_empty_and_an_older_store_are_adopted_a_folder_of_other_things_is_not(store: Store, tmp_path: Path):
+    store.adopt()
+    assert store.marked
+    put(store)
+    (store.root / MARKER).unlink()
+    store.adopt()
+    assert store.marked
+    foreign, empty = Store(tmp_path / "foreign"), Store(tmp_path / "empty")
+    (foreign.root / "train" / HELD).mkdir(parents=True)
+    empty.root.mkdir()
+    for other in (foreign, empty):
+        other.adopt()
+    assert (foreign.marked, empty.marked) == (False, True)
+    (foreign.root / MARKER).symlink_to("train")
+    assert not foreign.marked
+
+
+def test_only_what_npred_names_is_deleted(store: Store, tmp_path: Path):
+    """Not other files of .tmp and .scratch, not what a link leads to, not other depths."""
+    artifact, elsewhere = put(store), tmp_path / "elsewhere"
+    (elsewhere / HELD).mkdir(parents=True)
+    names = (".tmp/mine", f".tmp/{HELD}", ".scratch/train-k", f"Train/{HELD}", f".git/{HELD}", f"train/{HELD}/{HELD}")
+    for name in names:
+        (store.root / name).mkdir(parents=True)
+    (store.root / ".tmp" / f"train-{HELD}").write_text("a file")
+    (store.root / "linked").symlink_to(elsewhere)
+    (store.root / ".scratch" / f"train-{HELD}").symlink_to(elsewhere)
+    assert store.leftovers() == []
+    foreign = [*names, f".tmp/train-{HELD}", f"linked/{HELD}", f".scratch/train-{HELD}"]
+    assert [name for name in foreign if store.owns(store.root / name) or store.delete(store.root / name)] == []
+    assert all((store.root / name).exists() for name in foreign)
+    shutil.rmtree(store.root / ".scratch")
+    (elsewhere / f"train-{HELD}").mkdir()
+    (store.root / ".scratch").symlink_to(elsewhere)
+    assert store.leftovers() == [] and not store.delete(store.root / ".scratch" / f"train-{HELD}")
+    assert store.delete(artifact.folder)
+
+
+def test_what_a_removal_left_is_removed_under_the_lock_of_its_key(store: Store, holder: subprocess.Popen[str]):
+    left = store.root / ".tmp" / f"train-{HELD}.removed"
+    left.mkdir(parents=True)
+    assert store.leftovers() == [left] and not store.delete(left)
+    holder.kill()
+    holder.wait()
+    assert store.delete(left) and store.leftovers() == []
+
+
+def test_where_a_full_disk_has_no_room_for_another_name_a_result_goes_from_where_it_is(store: Store, monkeypatch):
+    def full(self: Path, target: Path) -> Path:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    artifact = put(store)
+    monkeypatch.setattr(Path, "rename", full)
+    assert store.delete(artifact.folder) and not artifact.folder.exists()
+
+
+def test_a_lock_works_where_its_note_cannot_be_written(store: Store, monkeypatch):
+    def full(self: Path, text: str) -> int:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_text", full)
+    with (
+        store.lock("train", HELD),
+        pytest.raises(StoreError, match="held by another process"),
+        store.lock("train", HELD),
+    ):
+        pass
+
+
+def test_a_manifest_says_what_the_numbers_depend_on_beyond_the_question(store: Store, monkeypatch):
+    """The same question under another mode of the libraries has the same key."""
+    before = put(store).manifest
+    monkeypatch.setenv("ATEN_CPU_CAPABILITY", "default")
+    monkeypatch.setenv("MKL_CBWR", "COMPATIBLE")
+    after = put(store).manifest
+    assert (before.key, before.digest) == (after.key, after.digest)
+    assert {"cpu", "cpu_features", "torch_kernels", "mkl_mode", "device"} <= before.circumstances.keys()
+    assert before.circumstances["mkl_mode"] == "default" and after.circumstances["mkl_mode"] == "COMPATIBLE"
+    assert "ATEN_CPU_CAPABILITY=default" in str(after.circumstances["arithmetic_settings"])
+    assert "made" not in after.circumstances

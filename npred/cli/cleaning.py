@@ -9,11 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-from npred import devices, places
+from npred import config, devices, places
 from npred.cli.options import Common
-from npred.errors import ConfigError, StoreError
+from npred.errors import ConfigError, NpredError, StoreError
 from npred.pipeline import STAGES, Kept, Planner, cells, closure, nodes
-from npred.store import Artifact, Store, claims
+from npred.store import MARKER, Artifact, Store, claims, durable, gc_roots
+from npred.store.gc_roots import GcRoot
 
 UNITS = {"": 1, "k": 10**3, "M": 10**6, "G": 10**9, "T": 10**12}
 DAY = 86400.0
@@ -31,27 +32,40 @@ class Wanted:
 
 
 class Waste(NamedTuple):
-    """Something to delete, and why; of a sound result also when it was made."""
+    """Something to delete, and why; of a sound result also the checksum of its manifest."""
 
     path: Path
     bytes: int
     reason: str
-    made: float | None = None
+    checksum: str | None = None
 
     def as_seen(self, path: Path) -> bool:
         """Whether the path is still what the plan was made for: a run may have put a new result there."""
         try:
-            return Artifact.read(path).made == self.made
+            return Artifact.read(path).manifest.checksum == self.checksum
         except StoreError:
-            return self.made is None
+            return self.checksum is None
 
 
 def gc(options: Common, wanted: Wanted, yes: bool) -> None:
     """The plan of what to delete, and with `yes` the deed. Raises ConfigError where no pipeline says what stays."""
-    plan = _plan(options.results, wanted)
-    deleted = [str(waste.path) for waste in plan if yes and _deleted(options.results, waste)]
+    plan = _plan(options, wanted)
+    deleted = [str(path) for path in _delete(options.results, plan)] if yes else []
     rows = [{"path": str(waste.path), "bytes": waste.bytes, "reason": waste.reason} for waste in plan]
     options.show({"plan": rows, "deleted": deleted}, lambda: _told(plan, deleted, yes))
+
+
+def _delete(store: Store, plan: list[Waste]) -> list[Path]:
+    """What could be deleted. Where a disk has no room for a lock, the others make it: those are tried once more."""
+    deleted, blocked = [], []
+    for waste in plan:
+        try:
+            deleted += [waste.path] if _deleted(store, waste) else []
+        except NpredError as error:
+            if not durable.is_full(error):
+                raise
+            blocked.append(waste)
+    return deleted + [waste.path for waste in blocked if _deleted(store, waste)]
 
 
 def _deleted(store: Store, waste: Waste) -> bool:
@@ -59,16 +73,29 @@ def _deleted(store: Store, waste: Waste) -> bool:
     return store.delete(waste.path, lambda path: path.name not in claims.in_use(store.root) and waste.as_seen(path))
 
 
-def _plan(store: Store, wanted: Wanted) -> list[Waste]:
+def _plan(options: Common, wanted: Wanted) -> list[Waste]:
+    store = options.results
     limit, since = size(wanted.keep), time.time() - wanted.older * DAY
-    kept = _kept(store, wanted)
+    _check_marker(store)
+    kept = _kept(options, wanted)
     sound, broken = store.survey()
     stays = closure([a for a in sound if kept.holds(a) or a.made > since], sound)
-    unneeded = [artifact for artifact in sound if artifact.manifest.key not in stays]
+    unneeded = [a for a in sound if a.manifest.key not in stays and store.owns(a.folder)]
     return [*_beyond(unneeded, sound, limit), *_broken(store, broken, kept, since)]
 
 
-def _kept(store: Store, wanted: Wanted) -> Kept:
+def _check_marker(store: Store) -> None:
+    """Raise StoreError for a folder of other things, as a --store that was meant otherwise may be."""
+    if store.root.is_dir() and any(store.root.iterdir()) and not store.marked:
+        marker = store.root / MARKER
+        raise StoreError(
+            f"{store.root}: expected a store of npred, found no {MARKER} in it; if npred made its results, "
+            f"npred run of one of their pipelines marks it, or touch {marker}"
+        )
+
+
+def _kept(options: Common, wanted: Wanted) -> Kept:
+    store = options.results
     paths = wanted.pipelines or sorted(places.PIPELINE.parent.glob("*.toml"))
     if not paths:
         raise ConfigError(
@@ -78,7 +105,27 @@ def _kept(store: Store, wanted: Wanted) -> Kept:
     for path in paths:
         for cell in [*cells(path, []), *(cells(path, wanted.set) if wanted.set else [])]:
             kept.add(Planner(cell.config, store, device), nodes(cell.config, STAGES))
+    named = {path.resolve() for path in paths}
+    for known in gc_roots.registered(store.root):
+        if known.file not in named:
+            _keep_known(options, kept, known, device)
     return kept
+
+
+def _keep_known(options: Common, kept: Kept, known: GcRoot, device: str) -> None:
+    """Keep what a pipeline file asks for that a run of this store took.
+
+    What it last asked for stays where the file is broken now, and where another user ran it: to know what it asks for
+    its plant is run, which is code.
+    """
+    try:
+        if known.own:
+            pipeline = config.load(known.file)
+            kept.add(Planner(pipeline, options.results, device), nodes(pipeline, STAGES))
+            return
+    except NpredError as error:
+        options.console.warn(f"{error}; what it last asked for stays")
+    kept.keep(known.keys)
 
 
 def _beyond(unneeded: list[Artifact], sound: list[Artifact], limit: int) -> Iterator[Waste]:
@@ -88,11 +135,11 @@ def _beyond(unneeded: list[Artifact], sound: list[Artifact], limit: int) -> Iter
         if total > limit:
             total -= artifact.size
             reason = f"no pipeline needs it (made for {artifact.manifest.pipeline})"
-            yield Waste(artifact.folder, artifact.size, reason, artifact.made)
+            yield Waste(artifact.folder, artifact.size, reason, artifact.manifest.checksum)
 
 
 def _broken(store: Store, broken: list[Path], kept: Kept, since: float) -> Iterator[Waste]:
-    for folder in broken:
+    for folder in (f for f in broken if store.owns(f) and f.parent.name in STAGES):
         yield Waste(folder, _bytes(folder), "no sound manifest")
     for path in store.leftovers():
         resumed = path.parent.name == ".scratch" and kept.holds_checkpoint(path.name)

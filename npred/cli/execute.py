@@ -56,6 +56,7 @@ def bring(options: Work, targets: list[str], model: str | None = None) -> list[O
     """The targets and all that they need, from the store or run."""
     planner, wanted = _planner(options, targets), nodes(options.config, targets, model)
     jobs = options.jobs or devices.cores()
+    options.results.remember(options.pipeline)  # also where the run is interrupted
     heading = f"{options.config.name} on {planner.device}"
     with (
         _recorded(options) as record,
@@ -64,6 +65,9 @@ def bring(options: Work, targets: list[str], model: str | None = None) -> list[O
     ):
         outcomes = Runner(planner, options.console, jobs, executor).run(wanted)
         record(outcomes)
+    if not options.set:  # what an override asks for, the file does not
+        keys = {done.node.name: done.artifact.manifest.key for done in outcomes}
+        options.results.remember(options.pipeline, keys)
     return outcomes
 
 

@@ -38,6 +38,7 @@ def sweep(options: Running, wanted: Wanted) -> None:
         _planned(options, grid, targets, device)
         return
     jobs = options.jobs or devices.cores()
+    options.results.remember(options.pipeline)
     with executors.opened(options.executor, jobs) as executor:
         found = Sweep(options.results, device, options.console, jobs, executor).run(grid, targets)
     _report(options, wanted, found)

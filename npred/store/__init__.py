@@ -1,8 +1,8 @@
 """The content-addressed store of results."""
 
-from npred.store import claims
-from npred.store.artifacts import Artifact, Store
+from npred.store import claims, gc_roots
+from npred.store.artifacts import MARKER, Artifact, Store
 from npred.store.keys import short
 from npred.store.manifest import Manifest, Question, Source
 
-__all__ = ["Artifact", "Manifest", "Question", "Source", "Store", "claims", "short"]
+__all__ = ["MARKER", "Artifact", "Manifest", "Question", "Source", "Store", "claims", "gc_roots", "short"]

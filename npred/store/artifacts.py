@@ -2,8 +2,9 @@
 
 import re
 import shutil
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property
 from operator import itemgetter
@@ -13,11 +14,14 @@ from typing import Any, Self
 from npred import documents
 from npred.errors import ConfigError, StoreError
 from npred.places import RESULT
-from npred.store import durable, locks
+from npred.store import durable, gc_roots, locks
 from npred.store.keys import short
 from npred.store.manifest import NAME, Manifest, Question, cure
 
+MARKER = ".npred-store"  # an empty file: without it nothing in a folder is npred's to delete
+_LEFT = (".tmp", ".scratch")
 _KEY = re.compile("[0-9a-f]{64}")  # whatever else lies under the root is not the store's to list or to remove
+_OWN = re.compile(r"(?:(?:tmp|scratch)-)?([a-z][a-z0-9_]{0,63})-([0-9a-f]{64})(?:\.removed)?")
 
 
 @dataclass(frozen=True)
@@ -39,8 +43,13 @@ class Artifact:
 
     @cached_property
     def made(self) -> float:
-        """When it was written, in seconds since 1970."""
-        return (self.folder / NAME).stat().st_mtime
+        """When it was made, in seconds since 1970: what the manifest says, so that a copy is as old as its original.
+
+        The time of the file counts where the manifest of an older npred has none, or one that is still to come.
+        """
+        written = (self.folder / NAME).stat().st_mtime
+        made = self.manifest.made
+        return written if made is None or made > time.time() else made
 
     @property
     def size(self) -> int:
@@ -62,10 +71,37 @@ class Artifact:
 
 
 class Store:
-    """`root/<stage>/<key>/` holds a result; `.tmp`, `.scratch` and `.locks` what is needed to make one."""
+    """`root/<stage>/<key>/` holds a result; `.tmp`, `.scratch` and `.locks` what is needed to make one.
+
+    `.npred-store` says that the folder is a store: only in such a one is anything deleted.
+    """
 
     def __init__(self, root: Path) -> None:
         self.root = root
+
+    @property
+    def marked(self) -> bool:
+        """Whether the folder says that it is a store."""
+        marker = self.root / MARKER
+        return marker.is_file() and not marker.is_symlink()
+
+    def adopt(self) -> None:
+        """Mark a folder that is new, empty or holds results, as one of an older npred does; not one of other things.
+
+        A folder that cannot be written goes without.
+        """
+        if not self.marked and (not self.root.exists() or not any(self.root.iterdir()) or self.artifacts()):
+            self._mark()
+
+    def remember(self, pipeline: Path, keys: Mapping[str, str] | None = None) -> None:
+        """Note that a run takes its pipeline from a file, and what it asked for, so that gc keeps that."""
+        self.adopt()
+        gc_roots.register(self.root, pipeline, keys or {})
+
+    def _mark(self) -> None:
+        with suppress(OSError):
+            self.root.mkdir(parents=True, exist_ok=True)
+            (self.root / MARKER).touch()
 
     def folder(self, stage: str, key: str) -> Path:
         """Where the result of a key is or will be."""
@@ -95,9 +131,9 @@ class Store:
         finally:
             shutil.rmtree(folder, ignore_errors=True)
 
-    def commit(self, draft: Path, question: Question, pipeline: str) -> Artifact:
+    def commit(self, draft: Path, question: Question, pipeline: str, device: str = "cpu") -> Artifact:
         """Make a draft durable and rename it into place; a result already there steps aside (a forced rerun)."""
-        manifest = Manifest.describe(question, pipeline, draft)
+        manifest = Manifest.describe(question, pipeline, draft, device)
         (draft / NAME).write_text(manifest.text(), encoding="utf-8")
         return self.place(draft, manifest)
 
@@ -110,6 +146,7 @@ class Store:
         draft.rename(target)
         durable.sync(target.parent)
         shutil.rmtree(before, ignore_errors=True)
+        self._mark()
         return Artifact(target, manifest)
 
     def survey(self) -> tuple[list[Artifact], list[Path]]:
@@ -134,7 +171,14 @@ class Store:
 
     def leftovers(self) -> list[Path]:
         """Drafts and checkpoints of runs that ended early, or are still at work."""
-        return sorted(path for place in (".tmp", ".scratch") for path in self.root.glob(f"{place}/*"))
+        return sorted(path for place in _LEFT for path in self.root.glob(f"{place}/*") if self.owns(path))
+
+    def owns(self, path: Path) -> bool:
+        """Whether a folder is one that npred makes, by its place and name, and no link leads to it."""
+        folder, place = path.parent, path.parent.name
+        named = place in _LEFT or (not place.startswith(".") and _KEY.fullmatch(path.name))
+        links = path.is_symlink() or folder.is_symlink()
+        return bool(folder.parent == self.root and named and _whose(path) and not links and path.is_dir())
 
     def find(self, reference: str) -> Artifact:
         """The artifact meant by `stage/prefix`, `prefix`, a stage or a model (its most recent), or a folder.
@@ -159,28 +203,42 @@ class Store:
     def delete(self, path: Path, due: Callable[[Path], bool] = lambda path: True) -> bool:
         """Remove a result, a draft or a checkpoint; False, and nothing done, while its key is being worked on.
 
-        So too unless it is `due`, which is asked once nobody else can change it.
+        So too unless it is `due`, which is asked once nobody else can change it, and for what npred has not made.
         """
-        name = path.name if path.parent.name.startswith(".") else f"{path.parent.name}-{path.name}"
-        stage, _, key = name.partition("-")
+        whose = _whose(path)
+        if whose is None:
+            return False
         try:
-            with self.lock(stage, key):
-                found = due(path)
-                if found:
+            with self.lock(*whose):
+                removable = self.owns(path) and due(path)
+                if removable:
                     self.discard(path)
-                return found
+                return removable
         except locks.HeldError:
             return False
 
     def discard(self, path: Path) -> None:
         """Remove a folder of the store whose key's lock is held."""
-        shutil.rmtree(self._aside(path), ignore_errors=True)
+        try:
+            path = self._aside(path)
+        except OSError as error:
+            if not durable.is_full(error):
+                raise  # a full disk may have no room for another name: then it goes from where it is
+        shutil.rmtree(path, ignore_errors=True)
 
     def _aside(self, path: Path) -> Path:
         """Rename a folder: a removal cut short must not leave half a result in the place of a whole one."""
-        aside = self.root / ".tmp" / f"{path.parent.name.strip('.')}-{path.name}.removed"
-        if path.exists():
+        name = path.name if path.parent.name in _LEFT else f"{path.parent.name}-{path.name}"
+        aside = self.root / ".tmp" / f"{name.removesuffix('.removed')}.removed"
+        if path.exists() and path != aside:
             aside.parent.mkdir(parents=True, exist_ok=True)
             shutil.rmtree(aside, ignore_errors=True)
             path.rename(aside)
         return aside
+
+
+def _whose(path: Path) -> tuple[str, str] | None:
+    """Stage and key of a folder, by its name; None for names that npred does not give."""
+    name = path.name if path.parent.name in _LEFT else f"{path.parent.name}-{path.name}"
+    match = _OWN.fullmatch(name)
+    return (match[1], match[2]) if match else None

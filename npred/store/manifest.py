@@ -3,18 +3,20 @@
 import os
 import platform
 import stat
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
+from datetime import UTC, datetime
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, Self
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from npred import documents
-from npred.devices import package
+from npred.devices import arithmetic, packages
 from npred.errors import StoreError
 from npred.store.keys import key, sha256, sha256_file
 
 NAME = "manifest.json"
+MADE = "made"  # in the provenance: when
 PARTIAL = ".nfs"  # how NFS calls a file that was removed while somebody had it open
 
 
@@ -93,8 +95,8 @@ class Manifest(Record):
     checksum: Digest
 
     @classmethod
-    def describe(cls, question: Question, pipeline: str, folder: Path) -> Self:
-        """The manifest of the files in a folder, subfolders included."""
+    def describe(cls, question: Question, pipeline: str, folder: Path, device: str = "cpu") -> Self:
+        """The manifest of the files in a folder, subfolders included, made now, on this machine and this device."""
         files = _payloads(folder)
         fields = {
             "key": question.key,
@@ -102,9 +104,16 @@ class Manifest(Record):
             "files": files,
             "digest": sha256(files),
             "pipeline": pipeline,
-            "provenance": provenance(),
+            "provenance": {MADE: datetime.now(UTC).isoformat()} | provenance(device),
         }
         return cls.model_validate(fields | {"checksum": sha256(fields)})
+
+    def without(self, names: Collection[str]) -> Self:
+        """The manifest of the same result without some of its files."""
+        fields = self.model_dump(exclude={"checksum"})
+        fields["files"] = {name: payload for name, payload in fields["files"].items() if name not in names}
+        fields["digest"] = sha256(fields["files"])
+        return type(self).model_validate(fields | {"checksum": sha256(fields)})
 
     @classmethod
     def read(cls, path: Path) -> Self:
@@ -128,6 +137,19 @@ class Manifest(Record):
         except (ValueError, RecursionError):  # a number or a nesting that no configuration of npred has
             return False
         return (self.checksum, self.digest, self.key) == found
+
+    @property
+    def made(self) -> float | None:
+        """When it was made, in seconds since 1970; None in a manifest of an older npred."""
+        try:
+            return datetime.fromisoformat(self.provenance.get(MADE) or "").timestamp()
+        except (ValueError, OverflowError):
+            return None
+
+    @property
+    def circumstances(self) -> dict[str, str | None]:
+        """What the numbers may depend on beyond the question: versions, processor, modes of the libraries."""
+        return {name: value for name, value in self.provenance.items() if name != MADE}
 
     @property
     def size(self) -> int:
@@ -162,10 +184,11 @@ def cure(folder: Path) -> str:
     return f"remove {folder} and run again"
 
 
-def provenance() -> dict[str, str | None]:
-    """Where a result was made; no part of any key or digest."""
-    versions = {name: package(name) for name in ("npred", "numpy", "numba", "torch")}
-    return {"python": platform.python_version(), "platform": platform.platform(), **versions}
+def provenance(device: str) -> dict[str, str | None]:
+    """Where a result was made, and what its last digits depend on; no part of any key or digest."""
+    versions = packages("npred", "numpy", "numba", "torch")
+    here = {"python": platform.python_version(), "platform": platform.platform()}
+    return here | versions | arithmetic(device)
 
 
 def _payloads(folder: Path) -> dict[str, dict[str, Any]]:
