@@ -101,8 +101,9 @@ class Generate(Loop):
     """Rollouts with the numerical predictor and the samples taken from them.
 
     The share `explore` of the rollouts, the last ones, takes its delays from explore_D and explore_D_hat0: they widen
-    what a network is trained on, and none of them is held out. So does the share `redraw` of all rows to train on:
-    their D_hat is drawn from explore_D_hat0 in place of the loop's own, and P is the numerical predictor's for it.
+    what a network is trained on, and all of them are trained on. So does the share `redraw` of all rows to train on:
+    their D_hat is drawn from explore_D_hat0 in place of the loop's own, and P is the numerical predictor's for it. The
+    evaluation makes more rollouts and rows of both kinds, which no network has seen, and reports their errors apart.
     `data` is an HDF5 file with these samples, as `npred import` and `npred export hdf5` write it: nothing is simulated.
     """
 
@@ -206,7 +207,9 @@ class Train(Table):
 
 
 class Evaluate(Loop):
-    """Held-out errors; the loop of Fig. 1, initial states x D_hat(0), and Fig. 1's start over a map D x D_hat(0)."""
+    """Held-out errors by kind of row; the error |P(1, t) - X(t + D)| in loops that know the delay; the loop of Fig. 1,
+    initial states x D_hat(0), and Fig. 1's start over a map D x D_hat(0).
+    """
 
     t_end: Positive = 100.0  #: length of the loop of Fig. 1, in seconds
     D: Positive = 1.0  #: true delay, in seconds

@@ -57,6 +57,18 @@ def radius(loops: Trajectories, X_star: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(distance), distance, np.inf)
 
 
+def in_loop(loops: Trajectories, D: float) -> np.ndarray:
+    """sup |P(1, t) - X(t + D)| over 2 D <= t <= t_end - D, (...), of loops with D_hat = D, every step of them kept.
+
+    D is a whole number of steps. Before 2 D the history of U has the jump from its past to the first control in it, and
+    every scheme is of first order. Where inputs have delays of their own, D is the longest of them: P goes on past the
+    others with the law's values. Infinite for a loop that left the finite numbers.
+    """
+    k = round(D / (loops.t[1] - loops.t[0]))
+    gap = np.linalg.norm(loops.P[..., 2 * k : -k, :] - loops.X[..., 3 * k :, :], axis=-1).max(axis=-1)
+    return np.where(np.isfinite(gap), gap, np.inf)
+
+
 def settle_time(loops: Trajectories, X_star: np.ndarray) -> np.ndarray:
     """The time in seconds after which |X - X*| stays within 1 % of size(X*), (...); infinite where it does not."""
     return _last_outside(loops.t, np.linalg.norm(loops.X - X_star, axis=-1), SETTLED * size(X_star))

@@ -1,5 +1,7 @@
 """Errors and loop figures on hand-made numbers."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from follower import Follower, follower
@@ -117,3 +119,15 @@ def test_errors_of_kappa_are_taken_at_the_time_of_the_prediction():
 def test_numbers_for_json():
     assert metrics.number(np.float64(2.5)) == 2.5
     assert metrics.number(np.inf) is None and metrics.number(np.nan) is None
+
+
+def test_the_error_in_the_loop_compares_what_was_predicted_with_what_came():
+    """P(1, t) = X(t + D) but for one step after 2 D, and one before, which does not count."""
+    t = np.arange(9.0)
+    X = np.stack([t, -t], axis=-1)[None].repeat(3, axis=0)
+    P = np.concatenate([X[:, 2:], X[:, -2:]], axis=1)
+    P[:2, 5] += [3.0, 4.0]
+    P[:, 3] += 100.0
+    X[1, 8] = np.nan
+    run = replace(loops(X, t), P=P)
+    assert metrics.in_loop(run, 2.0).tolist() == [5.0, np.inf, 0.0]

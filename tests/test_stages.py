@@ -65,6 +65,36 @@ def test_errors_of_a_network_are_those_of_its_predictions(evaluated, made):
     assert row["radius"]["predicted"] == pytest.approx(metrics.gain(PLANT) * row["eps_kappa"])
 
 
+def test_errors_are_reported_by_kind_of_row(made, tmp_path):
+    """Networks that were trained on nominal rollouts alone, asked for what explorers would have shown them."""
+    task = job(tmp_path, "evaluate", inputs=made, generate={"explore": 0.5, "redraw": 0.25})
+    result = evaluate.run(task)
+    counts = {"nominal": 30, "exploring": 30, "redrawn": 60}
+    assert {kind: found["rows"] for kind, found in result["kinds"].items()} == counts
+    assert result["held_out_kind"] == "nominal" and result["held_out"] == 30
+    for name, row in result["models"].items():
+        assert list(row["kinds"]) == list(counts)
+        for key in ("mse", "eps_sup", "eps_kappa", "rel_l2"):
+            assert row["kinds"]["nominal"][key] == row[key]
+        assert (row["kinds"]["exploring"]["eps_sup"] > 0) == (name not in ("numerical", "no_adaptation"))
+    with h5py.File(task.folder / "errors.h5") as file:
+        for kind in ("exploring", "redrawn"):
+            sup = file[f"kinds/{kind}/networks/fno/sup"][:]
+            assert sup.shape == file[f"kinds/{kind}/D_hat"].shape == (counts[kind],)
+            assert sup.max() == pytest.approx(result["models"]["fno"]["kinds"][kind]["eps_sup"])
+    headings = [str(column.header) for column in evaluate.summary(result).columns]
+    assert {"exploring: ε sup", "redrawn: ε sup", "in the loop"} <= set(headings)
+
+
+def test_prediction_errors_in_the_loop_are_reported(evaluated):
+    """Small for the numerical predictor, which is not its own reference there, and a network's own for a network."""
+    _, result = evaluated
+    assert result["in_loop"] == {"D": 1.0, "from": 2.0, "to": 5.0, "loops": 3}
+    errors = {name: row["in_loop"] for name, row in result["models"].items()}
+    assert 0 < errors["numerical"] == errors["no_adaptation"] < 1e-3
+    assert all(errors[name] > 100 * errors["numerical"] for name in ("deeponet@1", "deeponet", "fno"))
+
+
 def test_the_chain_runs_on_shards(evaluated, tmp_path, monkeypatch):
     for limit in ("WHOLE", "SHARD"):
         monkeypatch.setattr(shards, limit, 1)
@@ -129,7 +159,7 @@ def test_a_plant_that_tracks_is_evaluated_against_its_reference(tmp_path):
     networks = {name: small | {"anchor": "initial"} for name, small in tables()["train"].items()}
     pipeline = {
         "plant": f"{Path(follower.__file__)}:Follower", "train": networks, "generate": {"gamma": 1.0},
-        "evaluate": {"X0": [0.5], "D_hat0": 1.0, "gamma": 1.0, "map_D": [1.0], "map_D_hat0": [1.0]},
+        "evaluate": {"X0": [0.5], "D_hat0": 1.0, "gamma": 0.2, "map_D": [1.0], "map_D_hat0": [1.0]},
     }  # fmt: skip
     data = job(tmp_path, "generate", **pipeline)
     generate.run(data)

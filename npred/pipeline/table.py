@@ -177,7 +177,7 @@ def _report(config: Pipeline, model: str | None, device: str) -> dict[str, Any]:
 STAGES: dict[str, Stage] = {
     "generate": Stage(1, (), _generate, "npred.stages.generate"),
     "train": Stage(1, ("generate",), _train, "npred.stages.train"),
-    "evaluate": Stage(4, ("generate", "train"), _evaluate, "npred.stages.evaluate"),
+    "evaluate": Stage(5, ("generate", "train"), _evaluate, "npred.stages.evaluate"),
     "bench": Stage(6, ("generate", "train"), _bench, "npred.stages.bench"),
     "report": Stage(4, ("generate", "train", "evaluate", "bench"), _report, "npred.stages.report"),
 }

@@ -1,6 +1,7 @@
-"""Errors of a network on held-out rollouts, and on fresh ones made for the evaluation."""
+"""Errors of a network on held-out rows of each kind, and on the numerical predictor's loops of the evaluation."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +34,7 @@ class Rows:
 
     @classmethod
     def held_out(cls, data: Dataset) -> "Rows":
-        """The rows of the rollouts that no network has seen."""
+        """The data's rows of rollouts that no network has seen."""
         test = data.subset(test=True)
         return cls(test.X, test.u, test.D_hat, test.P, test.t)
 
@@ -45,6 +46,15 @@ class Rows:
         known = np.isfinite(X).all(axis=1)
         X, u, D_hat = X[known], u[known], D_hat[known]
         return cls(X, u, D_hat, numerical(X, u, D_hat, t[known]), t[known])
+
+    @classmethod
+    def joined(cls, parts: Sequence["Rows"]) -> "Rows":
+        """Rows one after the other."""
+        return cls(**{f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls)})
+
+    def take(self, kept: np.ndarray) -> "Rows":
+        """The rows of these numbers."""
+        return Rows(**{f.name: getattr(self, f.name)[kept] for f in fields(self)})
 
 
 def sample_steps(seed: int, config: Evaluate, loops: int) -> np.ndarray:
@@ -66,14 +76,36 @@ def measure(plant: Plant, P_hat: np.ndarray, rows: Rows) -> dict[str, Any]:
     return errors | metrics.relative(plant, rows.X, rows.u, P_hat, rows.P)
 
 
-def write(path: Path, rows: Rows, P_hat: dict[str, np.ndarray]) -> None:
-    """Where each network errs, as HDF5: X and D_hat of the rows, and, by network, |P_hat - P| as
-    `sup` over x (N,) and as `over_x` (nx, 3), the quantiles of QUANTILES over the rows at each node.
+def by_kind(plant: Plant, P_hat: Mapping[str, np.ndarray], kinds: Mapping[str, Rows]) -> dict[str, Any]:
+    """The errors of one network on the rows of each kind, of which the first is the headline's.
+
+    `above`: the share of the kind's rows whose largest error over x is above eps_sup of the first kind.
+    """
+    errors = {name: measure(plant, P_hat[name], rows) for name, rows in kinds.items()}
+    first = next(iter(errors.values()))["eps_sup"]
+    above = {
+        name: {"above": float(np.mean(gap(P_hat[name], rows).max(axis=1) > first))} for name, rows in kinds.items()
+    }
+    return {name: errors[name] | above[name] for name in kinds}
+
+
+def gap(P_hat: np.ndarray, rows: Rows) -> np.ndarray:
+    """|P_hat - P| at each node, (N, nx)."""
+    return np.linalg.norm(P_hat - rows.P, axis=-1)
+
+
+def write(path: Path, kinds: Mapping[str, Rows], P_hat: Mapping[str, Mapping[str, np.ndarray]]) -> None:
+    """Where each network errs, as HDF5, with P_hat by network and kind.
+
+    X and D_hat of the rows of the first kind, and by network |P_hat - P|: `sup` over x (N,), and `over_x` (nx, 3), the
+    quantiles of QUANTILES over the rows at each node; the same below `kinds/KIND` for the rows of the others.
     """
     with h5py.File(path, "w") as file:
         file.attrs["quantiles"] = QUANTILES
-        file["X"], file["D_hat"] = rows.X, rows.D_hat
-        for name, found in P_hat.items():
-            gap = np.linalg.norm(found - rows.P, axis=-1)
-            file[f"networks/{name}/sup"] = gap.max(axis=1)
-            file[f"networks/{name}/over_x"] = np.quantile(gap, QUANTILES, axis=0).T
+        for number, (kind, rows) in enumerate(kinds.items()):
+            group = f"kinds/{kind}/" if number else ""
+            file[f"{group}X"], file[f"{group}D_hat"] = rows.X, rows.D_hat
+            for name, predicted in P_hat.items():
+                errors = gap(predicted[kind], rows)
+                file[f"{group}networks/{name}/sup"] = errors.max(axis=1)
+                file[f"{group}networks/{name}/over_x"] = np.quantile(errors, QUANTILES, axis=0).T

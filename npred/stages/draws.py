@@ -23,10 +23,10 @@ def starts(seed: int, config: Generate, plant: Plant, chunk: range) -> tuple[np.
 
 
 def redrawn(seed: int, config: Generate, chunk: range, D_hat: np.ndarray) -> np.ndarray:
-    """D_hat (B, S) with the share `redraw` of it drawn anew, in rollouts that are not held out."""
+    """D_hat (B, S) with the share `redraw` of it drawn anew, in the rollouts that are trained on."""
     D_hat, kept = D_hat.copy(), spared(seed, config)
     for row, r in zip(D_hat, chunk, strict=True):
-        if config.redraw and r not in kept:
+        if config.redraw and r < config.rollouts and r not in kept:
             rng = randomness.generator(seed, "redraw", r)
             chosen = rng.random(len(row)) < config.redraw
             row[chosen] = rng.uniform(*config.explore_D_hat0, chosen.sum())
@@ -34,8 +34,17 @@ def redrawn(seed: int, config: Generate, chunk: range, D_hat: np.ndarray) -> np.
 
 
 def held_out(seed: int, config: Generate) -> np.ndarray:
-    """The numbers of the held-out rollouts: at least one, never all, and no explorer."""
+    """The numbers of the data's held-out rollouts: at least one, never all, and no explorer."""
     return np.array(sorted(spared(seed, config)))
+
+
+def explorers(config: Generate, most: int) -> range:
+    """The numbers of explorers beyond those of the data, as large a share of them as is held out of the others.
+
+    At most `most`, at least one; none where none is trained on.
+    """
+    count = min(max(round(config.test_share * config.explorers), 1), most) if config.explorers else 0
+    return range(config.rollouts, config.rollouts + count)
 
 
 def spared(seed: int, config: Generate) -> frozenset[int]:

@@ -1,4 +1,4 @@
-"""The evaluate stage: errors on held-out rollouts, what closed loops make of them, and the certificate of both."""
+"""The evaluate stage: errors on held-out rows of each kind, what closed loops make of them, the certificate of both."""
 
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -11,7 +11,7 @@ from npred.config import Evaluate
 from npred.dataset import Dataset
 from npred.plants import Plant
 from npred.predictors import METHODS, Compiled, Predictor
-from npred.stages import Job, accuracy, certificate, coverage, figure1
+from npred.stages import Job, accuracy, certificate, coverage, figure1, in_loop, kinds
 from npred.stages.accuracy import Rows
 from npred.stages.starts import Contender, Starts, starts
 
@@ -22,18 +22,21 @@ SHARE = 16  # loops of a compiled predictor in a task
 def run(job: Job) -> dict[str, Any]:
     """For the numerical predictor, without adaptation, and each network and snapshot: errors, cases, map, Fig. 1.
 
+    The errors mse, eps_sup, … are on the data's own held-out rows, of the kind `held_out_kind`; `kinds` has them for
+    the rows of each kind, and `in_loop` the largest |P(1, t) - X(t + D)| where D_hat = D.
+
     Writes figure1, certificate and coverage (.svg, .png); figure1.h5 (its loops), errors.h5 (where networks err) and
     coverage.h5 (histograms). Warns where loops leave the data.
     """
     config, data = job.config.evaluate, shards.survey(job.inputs["generate"] / "data.h5")
     begin, contenders = starts(job.config, job.plant), _contenders(job)
-    loops = _all_loops(job, contenders, begin)
+    loops, in_loops = _all_loops(job, contenders, begin)
     taken = accuracy.sample_steps(job.config.seed, config, len(begin.D))[begin.cases] * config.dt
     cases = loops["numerical"].part(begin.cases)
-    held_out, fresh = Rows.held_out(data), Rows.fresh(cases, taken, contenders[0].predictor)
-    P_hat = {c.name: accuracy.predict(c.predictor, held_out) for c in contenders if c.network}
+    held_out, fresh = kinds.held_out(job, data), Rows.fresh(cases, taken, contenders[0].predictor)
+    P_hat = {c.name: _predicted(c, held_out) for c in contenders if c.network}
     accuracy.write(job.folder / "errors.h5", held_out, P_hat)
-    errors = {c.name: _errors(job.plant, c, P_hat, held_out, fresh) for c in contenders}
+    errors = {c.name: _errors(job.plant, c, P_hat, held_out, fresh) | {"in_loop": in_loops[c.name]} for c in contenders}
     models = {c.name: errors[c.name] | _row(job.plant, config, begin, c, errors[c.name], loops) for c in contenders}
     covered = coverage.measure(job.plant, data, {c.name: loops[c.name] for c in contenders if c.network})
     _warn(job, covered)
@@ -42,8 +45,11 @@ def run(job: Job) -> dict[str, Any]:
         "plant": job.plant.name,
         "equilibrium": job.plant.equilibrium.tolist() if job.plant.rests else None,
         "gain": metrics.number(metrics.gain(job.plant, config.case_t_end)),
-        "held_out": len(held_out.X),
+        "held_out": len(next(iter(held_out.values())).X),
+        "held_out_kind": next(iter(held_out)),
+        "kinds": {name: {"rows": len(rows.X)} for name, rows in held_out.items()},
         "fresh": len(fresh.X),
+        "in_loop": in_loop.about(config, begin),
         "models": models,
         "coverage": covered,
     }
@@ -62,22 +68,30 @@ def _contenders(job: Job) -> list[Contender]:
     return found
 
 
-def _all_loops(job: Job, contenders: list[Contender], begin: Starts) -> dict[str, Trajectories]:
-    """Every contender's loops, in threads: kernels and torch let go of the GIL, and networks need not be sent.
+def _all_loops(
+    job: Job, contenders: list[Contender], begin: Starts
+) -> tuple[dict[str, Trajectories], dict[str, float | None]]:
+    """Every contender's loops, and its prediction error in the loop.
 
+    In threads: kernels and torch let go of the GIL, and networks need not be sent.
     Shares are of fixed size, so that the bytes do not depend on the number of threads.
     """
     config = job.config.evaluate
     for contender in contenders:
         contender.predictor.lanes()  # compiled here, once, not by threads side by side
+    known = [contender for contender in contenders if contender.adapts]  # with D_hat = D adaptation makes no difference
     total = sum(begin.of(contender) for contender in contenders) * (round(config.case_t_end / config.dt) + 1)
+    total += len(known) * in_loop.steps(config, begin)
     with job.progress.bar("evaluate", total, "steps") as bar, ThreadPoolExecutor(job.jobs) as pool:
         try:
             tasks = {
                 c.name: [pool.submit(_loops, job, c, begin, some, bar.advance) for some in _shares(c, begin)]
                 for c in contenders
             }
-            return {name: Trajectories.joined([done.result() for done in parts]) for name, parts in tasks.items()}
+            checks = {c.name: pool.submit(in_loop.error, job, c, begin, bar.advance) for c in known}
+            loops = {name: Trajectories.joined([done.result() for done in parts]) for name, parts in tasks.items()}
+            errors = {name: metrics.number(done.result()) for name, done in checks.items()}
+            return loops, errors | {"no_adaptation": errors["numerical"]}
         except BaseException:
             job.progress.stop()
             pool.shutdown(wait=False, cancel_futures=True)
@@ -152,14 +166,21 @@ def _median(values: np.ndarray) -> float | None:
     return metrics.number(np.median(known)) if len(known) else None
 
 
+def _predicted(contender: Contender, held_out: dict[str, Rows]) -> dict[str, np.ndarray]:
+    return {kind: accuracy.predict(contender.predictor, rows) for kind, rows in held_out.items()}
+
+
 def _errors(
-    plant: Plant, contender: Contender, P_hat: dict[str, np.ndarray], held_out: Rows, fresh: Rows
+    plant: Plant, contender: Contender, P_hat: dict[str, dict[str, np.ndarray]], held_out: dict[str, Rows], fresh: Rows
 ) -> dict[str, Any]:
-    """On the held-out rollouts, and, as `fresh`, on those made for this evaluation."""
+    """On held-out rows of the first kind; `kinds`: on those of each; `fresh`: on rows of this evaluation's loops."""
     if not contender.network:
-        return accuracy.EXACT | {"fresh": dict(accuracy.EXACT)}
+        exact = {kind: accuracy.EXACT | {"above": 0.0} for kind in held_out}
+        return accuracy.EXACT | {"kinds": exact, "fresh": dict(accuracy.EXACT)}
+    errors = accuracy.by_kind(plant, P_hat[contender.name], held_out)
+    headline = {key: value for key, value in next(iter(errors.values())).items() if key != "above"}
     again = accuracy.measure(plant, accuracy.predict(contender.predictor, fresh), fresh)
-    return accuracy.measure(plant, P_hat[contender.name], held_out) | {"fresh": again}
+    return headline | {"kinds": errors, "fresh": again}
 
 
 def _warn(job: Job, covered: dict[str, Any]) -> None:
@@ -189,15 +210,19 @@ def summary(result: dict[str, Any]) -> Any:
     """The contenders as a table."""
     from rich.table import Table
 
-    title = f"{result['plant']}: {result['held_out']} held-out samples, {result['fresh']} fresh ones, and closed loops"
+    own, *others = result["kinds"]
+    rows = f"{result['held_out']} held-out samples ({own}), {result['fresh']} fresh ones"
+    title = f"{result['plant']}: {rows}, and closed loops"
     table = Table("predictor", title=title)
-    errors, ends = ("MSE", "ε sup", "ε κ", "fresh: MSE", "ε sup"), ("converged", "settles", "map", "Fig. 1", "D̂")
+    errors = ("MSE", "ε sup", "ε κ", *(f"{kind}: ε sup" for kind in others), "fresh: MSE", "ε sup", "in the loop")
+    ends = ("converged", "settles", "map", "Fig. 1", "D̂")
     for column in (*errors, "radius", "worst", "from ε κ", *ends):
         table.add_column(column, justify="right")
     for name, row in result["models"].items():
         radius, figure = row["radius"], row["figure1"]
         cells = [_text(row[key]) for key in ("mse", "eps_sup", "eps_kappa")]
-        cells += [_text(row["fresh"][key]) for key in ("mse", "eps_sup")]
+        cells += [_text(row["kinds"][kind]["eps_sup"]) for kind in others]
+        cells += [_text(row["fresh"][key]) for key in ("mse", "eps_sup")] + [_text(row["in_loop"])]
         cells += [_text(radius[key]) for key in ("median", "worst", "predicted")]
         cells += [f"{radius['converged']:.0%}", "" if row["settle_ratio"] is None else f"{row['settle_ratio']:.2f} ×"]
         cells += [

@@ -32,14 +32,14 @@ def elsewhere(pipeline: Pipeline, expected: dict[str, Any], batch: range) -> Row
     return rows(pipeline, plant, batch)
 
 
-def rows(pipeline: Pipeline, plant: Plant, batch: range) -> Rows:
+def rows(pipeline: Pipeline, plant: Plant, batch: range, finite: bool = True) -> Rows:
     """The rows of the rollouts `batch`, which starts at a multiple of LANES.
 
     They are computed LANES at a time whatever the batch, so the bytes do not depend on how rollouts are batched.
-    Raises DivergedError, naming the rollout, where a state is not finite.
+    Raises DivergedError, naming the rollout, where a state is not finite; without `finite` it stays in the rows.
     """
     chunks = [range(i, min(i + LANES, batch.stop)) for i in range(batch.start, batch.stop, LANES)]
-    return joined([_chunk(pipeline, plant, chunk) for chunk in chunks])
+    return joined([_chunk(pipeline, plant, chunk, finite) for chunk in chunks])
 
 
 def joined(parts: list[Rows]) -> Rows:
@@ -47,7 +47,7 @@ def joined(parts: list[Rows]) -> Rows:
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
-def _chunk(pipeline: Pipeline, plant: Plant, chunk: range) -> Rows:
+def _chunk(pipeline: Pipeline, plant: Plant, chunk: range, finite: bool) -> Rows:
     """Closed loops from random starts, sampled at random steps, P by the predictor."""
     config = pipeline.generate
     X0, D, D_hat0, steps = draws.starts(pipeline.seed, config, plant, chunk)
@@ -57,7 +57,8 @@ def _chunk(pipeline: Pipeline, plant: Plant, chunk: range) -> Rows:
         plant, predictor, D=D, D_hat=D_hat0, X0=X0, t_end=config.t_end, dt=config.dt, adaptation=law,
         input_bounds=config.input_bounds, u0=config.u0, every=draws.steps(config), samples=steps,
     )  # fmt: skip
-    _finite(plant, config, chunk, X0, loops.escaped)
+    if finite:
+        _finite(plant, config, chunk, X0, loops.escaped)
     count = steps.shape[1]
     D_hat = draws.redrawn(pipeline.seed, config, chunk, loops.samples.D_hat)
     rows = {"X": loops.samples.X, "u": loops.samples.u, "D_hat": D_hat}
