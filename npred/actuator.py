@@ -10,6 +10,8 @@ import math
 import numpy as np
 from numba import njit
 
+from npred.plants.compile_cache import jit
+
 ROUNDING = 1e-9  # of a control step: positions this close to a step's start are on it
 
 
@@ -22,7 +24,7 @@ ACTUATE = (
 )
 
 
-@njit(cache=True)
+@njit  # compiled into those that call it
 def _sum_to(s: float, held: np.ndarray, total: np.ndarray, c: int, l: int, wrap: int) -> float:
     """The integral of U over time up to position s, in control steps."""
     i = int(s + ROUNDING)
@@ -30,7 +32,7 @@ def _sum_to(s: float, held: np.ndarray, total: np.ndarray, c: int, l: int, wrap:
     return total[row, c, l] + max(s - i, 0.0) * held[row, c, l]
 
 
-@njit(TRANSPORT, cache=True, nogil=True, error_model="numpy")
+@jit(TRANSPORT, nogil=True, error_model="numpy")
 def transport(k: int, dt: float, D: np.ndarray, held: np.ndarray, total: np.ndarray, u: np.ndarray) -> None:
     """Write u(x_j, k dt) on the nodes, for the true delays D.
 
@@ -58,7 +60,7 @@ def transport(k: int, dt: float, D: np.ndarray, held: np.ndarray, total: np.ndar
                 before[l], sum_before[l] = s, sum_s
 
 
-@njit(ACTUATE, cache=True, nogil=True)
+@jit(ACTUATE, nogil=True)
 def actuate(
     k: int, dt: float, D: np.ndarray, U: np.ndarray, held: np.ndarray, total: np.ndarray, U0: np.ndarray,
     U1: np.ndarray, share: np.ndarray,

@@ -9,13 +9,14 @@ from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit, types
+from numba import types
 from numba.core.sigutils import normalize_signature
 
 from npred import actuator, adaptation, untraced_law
 from npred.plants import kernels, programs, routines
 from npred.plants.base import Plant
 from npred.plants.black_box import BlackBox
+from npred.plants.compile_cache import jit
 from npred.plants.trace import Trace
 from npred.predictors import base as predictors
 from npred.predictors.onestep import OneStep
@@ -95,7 +96,7 @@ def steps(
         advance(z.X, z.U0, z.U1, z.share, s.dt, t, s.p)
 
 
-@njit(types.void(A2, A2), cache=True, nogil=True)
+@jit(types.void(A2, A2), nogil=True)
 def clip(U: np.ndarray, bounds: np.ndarray) -> None:
     """U (m, B) to its bounds; NaN stays NaN."""
     for c in range(U.shape[0]):
@@ -106,7 +107,7 @@ def clip(U: np.ndarray, bounds: np.ndarray) -> None:
                 U[c, l] = bounds[c, 1]
 
 
-@njit(types.void(A1, A1, types.float64, A1), cache=True, nogil=True)
+@jit(types.void(A1, A1, types.float64, A1), nogil=True)
 def adapt(D_hat: np.ndarray, phi: np.ndarray, gain: float, bounds: np.ndarray) -> None:
     """D_hat += gain Proj{D_hat, phi}: clipping to the bounds is the projection [DAPF, eq. 11] in discrete time."""
     if gain > 0:
@@ -114,7 +115,7 @@ def adapt(D_hat: np.ndarray, phi: np.ndarray, gain: float, bounds: np.ndarray) -
             D_hat[l] = min(max(D_hat[l] + gain * phi[l], bounds[0]), bounds[1])
 
 
-@njit(types.void(A3, A1, A2, A1), cache=True, nogil=True)
+@jit(types.void(A3, A1, A2, A1), nogil=True)
 def energy(u: np.ndarray, u_star: np.ndarray, D: np.ndarray, out: np.ndarray) -> None:
     """Sum over inputs of ∫_{t-D_c}^t (U_c - U_c*)² ds = D_c ∫₀¹ (u_c - u_c*)² dx by the trapezoidal rule."""
     nx, m, lanes = u.shape
@@ -126,7 +127,7 @@ def energy(u: np.ndarray, u_star: np.ndarray, D: np.ndarray, out: np.ndarray) ->
                 out[l] += weight * (u[j, c, l] - u_star[c]) ** 2
 
 
-@njit(types.void(types.int64, SETTINGS, STATE, RECORD), cache=True, nogil=True)
+@jit(types.void(types.int64, SETTINGS, STATE, RECORD), nogil=True)
 def keep(k: int, s: Settings, z: State, out: Record) -> None:
     """Write step k to the record: every `every`-th state, the samples asked for, the first step not finite."""
     for l in range(z.X.shape[1]):
@@ -154,18 +155,17 @@ ADVANCE_SIGNATURE = (
     "void(float64[:,::1], float64[:,::1], float64[:,::1], float64[:,::1], float64, float64, float64[::1])"
 )
 PARTS = (actuator.TRANSPORT, predictors.SIGNATURE, adaptation.SIGNATURE, actuator.ACTUATE, ADVANCE_SIGNATURE)
-compiled_steps = njit(
-    types.void(types.int64, types.int64, types.int64, *map(_pointer, PARTS), SETTINGS, STATE, RECORD),
-    cache=True, nogil=True,
-)(steps)  # fmt: skip
+compiled_steps = jit(
+    types.void(types.int64, types.int64, types.int64, *map(_pointer, PARTS), SETTINGS, STATE, RECORD), nogil=True
+)(steps)
 
 
-@njit(predictors.SIGNATURE, cache=True, nogil=True)
+@jit(predictors.SIGNATURE, nogil=True)
 def no_predictor(X, u, D_hat, t, p, P):  # type: ignore[no-untyped-def]
     """The open loop predicts nothing."""
 
 
-@njit(adaptation.SIGNATURE, cache=True, nogil=True)
+@jit(adaptation.SIGNATURE, nogil=True)
 def no_control(P, X, u, D_hat, t, p, b, U, phi, N):  # type: ignore[no-untyped-def]
     """The open loop: U = 0."""
     U[:] = 0.0

@@ -1,11 +1,9 @@
-"""Generated text to compiled kernel, cached on disk under the hash of the text.
+"""Generated text to a compiled kernel, kept on the disk under the hash of the text.
 
 Numba's own cache does not see an edit in another file and never hits for closures, so each kernel is a file of its
 own, named by its content: the name is the version. `_pointer` kernels reach the one engine as function pointers.
 """
 
-import hashlib
-import importlib.util
 import os
 import sys
 import tempfile
@@ -14,6 +12,8 @@ from functools import cache
 from pathlib import Path
 from types import ModuleType
 from typing import Any
+
+from npred.plants import compile_cache
 
 HEADER = """import math
 
@@ -37,51 +37,32 @@ def build(
     """
     flags = ", ".join(f'"{flag}"' for flag in fastmath)
     text = HEADER.format(signature=signature, preamble=preamble, fastmath=flags) + source
-    return getattr(_module(f"npred_{name}_{_digest(text)}", text), name)
-
-
-def folder() -> Path:
-    """Where kernels are kept: $NPRED_CACHE, else the user's cache, else a temporary folder if that is read-only."""
-    home = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
-    chosen = Path(os.environ.get("NPRED_CACHE", home / "npred")) / "kernels"
-    try:
-        chosen.mkdir(parents=True, exist_ok=True)
-        tempfile.TemporaryFile(dir=chosen).close()
-        return chosen
-    except OSError:
-        return Path(tempfile.mkdtemp(prefix="npred-kernels-"))
-
-
-def _digest(text: str) -> str:
-    import numba
-
-    return hashlib.sha256(f"{numba.__version__}\n{text}".encode()).hexdigest()[:20]
+    return getattr(_module(compile_cache.named(name, compile_cache.root(), text), text), name)
 
 
 @cache
 def _module(name: str, text: str) -> ModuleType:
-    path = _written(_cache() / f"{name}.py", text)
-    spec = importlib.util.spec_from_file_location(name, path)
-    assert spec and spec.loader
-    module = importlib.util.module_from_spec(spec)
+    """The module of that text. It is run as it stands here: its file is for Numba, which wants one to stand by."""
+    path = compile_cache.root() / f"{name}.py"
+    module = ModuleType(name)
     sys.modules[name] = module  # before it runs: Numba looks the module up by its name
-    spec.loader.exec_module(module)
+    with compile_cache.kept(name):
+        _write(path, text)
+        exec(compile(text, str(path), "exec"), vars(module))
     return module
 
 
-@cache
-def _cache() -> Path:
-    return folder()
-
-
-def _written(path: Path, text: str) -> Path:
-    """The file with that text. An existing one is left alone: its time stamp is part of Numba's key."""
-    if not path.exists():
-        handle, temporary = tempfile.mkstemp(dir=path.parent, suffix=".tmp")
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(text)
-        os.replace(temporary, path)
-    return path
+def _write(path: Path, text: str) -> None:
+    """The file with that text. One that has it is left alone: its time stamp may be part of Numba's key."""
+    content = text.encode()
+    if path.is_file() and path.read_bytes() == content:
+        return
+    handle, temporary = tempfile.mkstemp(dir=path.parent, suffix=".tmp")
+    with os.fdopen(handle, "wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(handle)
+    os.replace(temporary, path)
 
 
 def parameters(count: int) -> list[str]:

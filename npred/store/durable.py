@@ -48,8 +48,11 @@ def room(root: Path) -> Iterator[None]:
 
 
 def is_full(error: BaseException | None) -> bool:
-    """Whether an error, or what it came from, is a full disk or a quota used up."""
+    """Whether an error, or what it came from, is a full disk or a quota used up; not where it was raised `from None`,
+    for then it says of which disk it is.
+    """
     if error is None:
         return False
     told = isinstance(error, OSError) and error.errno in _FULL
-    return told or any(word in str(error) for word in _WORDS) or is_full(error.__cause__ or error.__context__)
+    before = error.__cause__ or (None if error.__suppress_context__ else error.__context__)
+    return told or any(word in str(error) for word in _WORDS) or is_full(before)

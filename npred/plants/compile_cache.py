@@ -1,0 +1,217 @@
+"""Numba's compiled code on the disk: written aside, sealed with digests, renamed into place, verified before it is run.
+
+A compiled file is code. So it lies where only its owner can write, and one that is not as it was written is compiled
+again: a flipped bit in a constant would give other numbers without a word. Numba would keep it beside the source, where
+a read-only installation has no room, and checks nothing of it.
+"""
+
+import errno
+import hashlib
+import json
+import os
+import shutil
+import sys
+import tempfile
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from npred.errors import ConfigError, NpredError
+
+VARIABLE, HOME = "NPRED_CACHE", "XDG_CACHE_HOME"
+SEAL = "digests.json"
+FULL = {errno.ENOSPC, errno.EDQUOT}
+_LOCK = threading.RLock()  # Numba has one setting for all threads, and networks are compiled side by side
+
+
+def jit(signature: Any, **flags: Any) -> Callable[[Callable[..., Any]], Any]:
+    """Compile a function of a module for a signature, or load what was compiled of this text of its file."""
+
+    def compiled(function: Callable[..., Any]) -> Any:
+        from numba import njit  # here: the folder of this module is looked through for plants, and Numba loads slowly
+
+        path = Path(function.__code__.co_filename)
+        text = path.read_text(encoding="utf-8")
+        with kept(named(f"{path.stem}_{function.__name__}", path.parent, text)):
+            return njit(signature, cache=True, **flags)(function)
+
+    return compiled
+
+
+def named(name: str, folder: Path, text: str) -> str:
+    """npred_<name>_<digest> for what this machine compiles of a text that lies in a folder."""
+    depends = "\n".join([*_machine(), str(folder), text])
+    return f"npred_{name}_{hashlib.sha256(depends.encode()).hexdigest()[:20]}"
+
+
+@contextmanager
+def kept(name: str) -> Iterator[None]:
+    """What Numba compiles in the block comes from the cache, or enters it, under a name that says all it depends on.
+
+    Raises NpredError where the disk of the cache is full.
+    """
+    from numba.core import config
+
+    place = root() / name
+    with _LOCK:
+        sound = _sound(place)
+        at = place if sound else _aside()
+        before, config.CACHE_DIR = config.CACHE_DIR, str(at)  # type: ignore[attr-defined]
+        try:
+            yield
+            if not sound:
+                _place(at, place)
+        except OSError as error:
+            raise full(error, root()) or error from None
+        finally:
+            config.CACHE_DIR = before  # type: ignore[attr-defined]
+            if not sound:
+                shutil.rmtree(at, ignore_errors=True)
+
+
+def full(error: OSError, folder: Path) -> NpredError | None:
+    """The failure in words where the disk of the cache is full, else None."""
+    if error.errno not in FULL:
+        return None
+    todo = f"free some, or name a folder on another disk in {VARIABLE}"
+    return NpredError(f"{folder}: expected room for compiled code, got a full disk; {todo}")
+
+
+@cache
+def root() -> Path:
+    """The folder of this process, once it is checked; see folder."""
+    return folder()
+
+
+def folder() -> Path:
+    """Where compiled code is kept: $NPRED_CACHE, else the user's cache, else a temporary folder; none but the owner may
+    enter it.
+
+    Raises ConfigError for a relative path, and for a folder that others can write to; NpredError for a full disk.
+    """
+    home = _absolute(HOME) or Path(os.path.expanduser("~/.cache"))
+    chosen = (_absolute(VARIABLE) or home / "npred") / "kernels"
+    if not chosen.is_absolute():  # there is no home
+        return _temporary()
+    try:
+        chosen.mkdir(mode=0o700, parents=True, exist_ok=True)
+        _private(chosen)
+        tempfile.TemporaryFile(dir=chosen).close()
+        return chosen
+    except OSError as error:
+        if error := full(error, chosen):
+            raise error from None
+        return _temporary()
+
+
+def sync(path: Path) -> None:
+    """A file's bytes, or a folder's names, made to outlive a loss of power."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _absolute(variable: str) -> Path | None:
+    """The folder that an environment variable names; an empty one is unset."""
+    text = os.environ.get(variable, "")
+    if text and not os.path.isabs(text):
+        raise ConfigError(f"{variable}: expected an absolute path, got {text!r}; the code kept there is run: name it")
+    return Path(text) if text else None
+
+
+def _private(folder: Path) -> None:
+    """Keep others out. Raises ConfigError for a folder of another user, or that others could write to until now, and
+    OSError for one that this user cannot write to.
+    """
+    found = folder.stat()
+    if found.st_uid == os.geteuid() and not found.st_mode & 0o022:
+        if found.st_mode & 0o777 != 0o700:
+            folder.chmod(0o700)
+    elif not os.access(folder, os.W_OK):
+        raise PermissionError(errno.EACCES, "cannot be written", str(folder))
+    else:
+        raise ConfigError(
+            f"{folder}: expected a folder that only you can write to, for the code in it is run, got mode "
+            f"{found.st_mode & 0o777:o} of user {found.st_uid}; remove it (all is compiled again) or name another in "
+            f"{VARIABLE}"
+        )
+
+
+def _temporary() -> Path:
+    """A folder for this process and those that it starts, removed at its end."""
+    from multiprocessing.util import Finalize  # runs at the end of pools' processes too, where atexit does not
+
+    try:
+        home = Path(tempfile.mkdtemp(prefix="npred-"))
+    except OSError as error:
+        cure = f"name one that can be written in {VARIABLE}"
+        raise ConfigError(f"{VARIABLE}: expected a folder for compiled code, got: {error.strerror}; {cure}") from None
+    os.environ[VARIABLE] = str(home)
+    Finalize(None, shutil.rmtree, (home, True), exitpriority=0)
+    (home / "kernels").mkdir(mode=0o700)
+    return home / "kernels"
+
+
+@cache
+def _machine() -> tuple[str, ...]:
+    """What compiled code depends on beside its source: Numba and Python, and what LLVM knows of the processor."""
+    import numba
+    from llvmlite import binding
+    from numba.core import config
+
+    settings = [str(getattr(config, name, None)) for name in ("CPU_NAME", "CPU_FEATURES", "OPT")]
+    host = binding.get_host_cpu_name(), binding.get_host_cpu_features().flatten()
+    return numba.__version__, sys.implementation.cache_tag or "", *settings, *host
+
+
+def _aside() -> Path:
+    try:
+        return Path(tempfile.mkdtemp(dir=root(), prefix=".new-"))
+    except OSError as error:
+        raise full(error, root()) or error from None
+
+
+def _sound(place: Path) -> bool:
+    """Whether every file that was sealed is as it was. Numba opens no other: its index, one of them, names them."""
+    try:
+        sealed = json.loads((place / SEAL).read_bytes())
+        return all(_digest(place / name) == digest for name, digest in sealed.items())
+    except (OSError, ValueError, AttributeError):
+        return False
+
+
+def _place(aside: Path, place: Path) -> None:
+    """Seal what was compiled, make it durable and rename it into place, where another process may have been faster."""
+    digests = _digests(aside)
+    (aside / SEAL).write_text(json.dumps(digests), encoding="utf-8")
+    for path in [*(aside / name for name in digests), aside / SEAL, aside]:
+        sync(path)
+    if place.exists() and not _sound(place):
+        broken = Path(tempfile.mkdtemp(dir=place.parent, prefix=".old-"))
+        place.rename(broken / place.name)
+        shutil.rmtree(broken, ignore_errors=True)
+    if not place.exists():
+        try:
+            aside.rename(place)
+        except FileExistsError:
+            return
+        except OSError as error:
+            if error.errno != errno.ENOTEMPTY:
+                raise
+        sync(place.parent)
+
+
+def _digests(folder: Path) -> dict[str, str]:
+    """The sha256 of each file of a folder, by its path."""
+    files = (Path(here, name) for here, _, names in os.walk(folder) for name in names)
+    return {str(path.relative_to(folder)): _digest(path) for path in files}
+
+
+def _digest(path: str | Path) -> str:
+    with open(path, "rb") as file:
+        return hashlib.sha256(file.read()).hexdigest()
