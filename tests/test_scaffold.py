@@ -1,8 +1,10 @@
 """`npred init`: a plant and a pipeline to start from, sound as written, and nothing overwritten."""
 
 import json
+import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
@@ -55,6 +57,35 @@ def test_nothing_is_overwritten(there):
 def test_a_name_that_is_none_is_told(name):
     result = call("init", name)
     assert result.exit_code == 2
+    assert list(Path().iterdir()) == []
+
+
+@pytest.mark.parametrize("source", ["scalar", "cart_pole", "unicycle", "planar_arm2", "activator_repressor"])
+def test_a_copy_of_a_plant_is_the_plant(source: str):
+    spec = json.loads(call("init", "my_copy", "--from", source, "--json").stdout)["plant"]
+    pipeline, copy, plant = config.load(Path("my_copy.toml")), plants.resolve(spec), plants.resolve(source)
+    assert (pipeline.name, pipeline.plant) == ("my_copy", "my_copy.py:MyCopy")
+    fit.check(copy, pipeline, ("generate", "train", "evaluate", "bench"))
+    x, u = np.array([plant.box.get(name, (0.1, 0.3))[1] for name in plant.states]), np.full(plant.m, 0.7)
+    assert np.array_equal(copy.f(x, u, 0.2), plant.f(x, u, 0.2))
+    assert np.array_equal(copy.kappa(x, 0.2), plant.kappa(x, 0.2))
+    assert not re.search(rf"\bclass {plants.resolve(source).declaration.__name__}\b", Path("my_copy.py").read_text())
+
+
+def test_a_plant_without_a_pipeline_gets_one_that_fits():
+    call("init", "arm", "--from", "planar_arm3")
+    pipeline, plant = config.load(Path("arm.toml")), plants.resolve("arm.py:Arm")
+    fit.check(plant, pipeline, ("generate", "train", "evaluate", "bench"))
+    assert pipeline.train.deeponet.anchor == pipeline.train.fno.anchor == "initial"
+    call("init", "mine")
+    assert call("init", "copy", "--from", "mine.py:Mine").exit_code == 0
+    assert plants.resolve("copy.py:Copy").parameters == plants.resolve("mine.py:Mine").parameters
+
+
+def test_a_plant_to_copy_that_there_is_none_of():
+    result = call("init", "arm", "--from", "planar_arm9")
+    assert result.exit_code == 2
+    assert "did you mean planar_arm" in result.stderr
     assert list(Path().iterdir()) == []
 
 

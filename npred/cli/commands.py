@@ -233,12 +233,23 @@ def check(
 
 @command(RUN)
 def init(
-    options: Common, *, name: Annotated[str, typer.Argument(metavar="NAME", help="The plant's name, as my_plant.")]
+    options: Common,
+    *,
+    name: Annotated[str, typer.Argument(metavar="NAME", help="The plant's name, as my_plant.")],
+    source: Annotated[
+        str | None,
+        typer.Option(
+            "--from",
+            metavar="PLANT",
+            help="A plant to copy, by name or as my_plant.py:Tank; a tank with comments by default.",
+            autocompletion=completion.plants,
+        ),
+    ] = None,
 ) -> None:
     """A plant of your own to start from: NAME.py and NAME.toml in this folder."""
     from npred.cli import scaffold
 
-    scaffold.init(options, name)
+    scaffold.init(options, name, source)
 
 
 @command(LOOK)

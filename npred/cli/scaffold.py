@@ -1,33 +1,101 @@
-"""What `npred init` writes: a plant file with comments, and a pipeline that runs as it is."""
+"""What `npred init` writes: a plant file and its pipeline, from comments or from a plant that there is."""
 
+import inspect
+import re
+import sys
+import tomllib
 from importlib.resources import files
 from keyword import iskeyword
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from npred import places
 from npred.cli.options import Common
 from npred.errors import ConfigError
 
-TEMPLATES = {".py": "plant.py.txt", ".toml": "pipeline.toml.txt"}
+if TYPE_CHECKING:
+    from npred.plants import Plant
+
+PLANT, PIPELINE = "plant.py.txt", "pipeline.toml.txt"
 
 
-def init(options: Common, name: str) -> None:
-    """Write NAME.py and NAME.toml here. Raises ConfigError for a name that Python refuses, and where a file exists."""
+def init(options: Common, name: str, source: str | None = None) -> None:
+    """Write NAME.py and NAME.toml here, from the plant `source` if there is one.
+
+    Raises ConfigError for a name that Python refuses, where a file exists, and for a plant that there is none of.
+    """
     class_name = "".join(word.capitalize() for word in name.split("_"))
     written = name.isascii() and name.isidentifier() and name.islower() and class_name.isidentifier()
     if not written or iskeyword(name) or iskeyword(class_name):
         raise ConfigError(f"init: expected a name as my_plant, small letters and _, got {name!r}; choose another")
-    texts = {Path(name + suffix): _text(template, name, class_name) for suffix, template in TEMPLATES.items()}
-    there = [str(path) for path in texts if path.exists()]
+    paths = Path(name + ".py"), Path(name + ".toml")
+    there = [str(path) for path in paths if path.exists()]
     if there:
         raise ConfigError(f"init: expected no {' or '.join(there)} here, found it; choose another name or move it")
-    for path, text in texts.items():
+    for path, text in zip(
+        paths, _copies(source, name, class_name) if source else _fresh(name, class_name), strict=True
+    ):
         with path.open("x", encoding="utf-8") as file:
             file.write(text)
     spec = f"{name}.py:{class_name}"
     todo = f"wrote {name}.py and {name}.toml\nnext: npred plants check {spec}, then npred run {name}.toml"
-    options.show({"plant": spec, "files": [str(path) for path in texts]}, lambda: todo)
+    options.show({"plant": spec, "files": [str(path) for path in paths]}, lambda: todo)
+
+
+def _fresh(name: str, class_name: str) -> tuple[str, str]:
+    return _text(PLANT, name, class_name), _text(PIPELINE, name, class_name)
 
 
 def _text(template: str, name: str, class_name: str) -> str:
     text = (files("npred") / "templates" / template).read_text(encoding="utf-8")
     return text.replace("NAME", name).replace("CLASS", class_name)
+
+
+def _copies(source: str, name: str, class_name: str) -> tuple[str, str]:
+    """The plant's file with its class renamed, and a pipeline of the plant that is part of npred, else the template."""
+    from npred import plants
+
+    plant = plants.resolve(source)
+    toml = _shipped(source)
+    if toml is None:
+        return _renamed(source, plant, class_name), _fitted(_text(PIPELINE, name, class_name), plant)
+    toml = re.sub(r"^name = .*$", f'name = "{name}"', toml, count=1, flags=re.MULTILINE)
+    toml = re.sub(r"^plant = .*$", f'plant = "{name}.py:{class_name}"', toml, count=1, flags=re.MULTILINE)
+    return _renamed(source, plant, class_name), toml
+
+
+def _renamed(source: str, plant: "Plant", class_name: str) -> str:
+    """The text of the file of a plant's class, which is called `class_name` there; of a family, one of its own."""
+    from npred.plants import files as plant_files
+
+    own = plant_files.named(source)
+    path = plant_files.split(source)[0] if own else Path(_module_file(plant.declaration))
+    text, old = path.read_text(encoding="utf-8"), plant.declaration.__name__
+    if re.search(rf"^class {old}\b", text, re.MULTILINE):
+        return re.sub(rf"\b{old}\b", class_name, text)
+    made = plant_files.split(source)[1] if own else f'PLANTS["{source}"]'
+    return f"{text.rstrip()}\n{class_name} = {made}\n"
+
+
+def _module_file(declaration: type) -> str:
+    """A declaration without V is completed by a class of npred's own below it."""
+    modules = [sys.modules.get(kind.__module__) for kind in declaration.__mro__ if "states" in vars(kind)]
+    return inspect.getfile(next(module for module in modules if module))
+
+
+def _shipped(source: str) -> str | None:
+    """The pipeline of a plant: of its own name, else pipeline/paper.toml or the first that has this plant."""
+    texts = {name: path.read_text(encoding="utf-8") for name, path in places.shipped().items()}
+    names = sorted(texts, key=lambda name: (name != source, name != places.PIPELINE.stem))
+    return next((texts[name] for name in names if tomllib.loads(texts[name])["plant"] == source), None)
+
+
+def _fitted(text: str, plant: "Plant") -> str:
+    """The template for this plant: it starts in the middle of its box, and where nothing rests so do the networks."""
+    middle = [sum(plant.box[state]) / 2 if state in plant.box else 0.0 for state in plant.states]
+    text = re.sub(r"^X0 = \S.*?(?=  |$)", f"X0 = {[round(value, 6) for value in middle]}", text, flags=re.MULTILINE)
+    if hasattr(plant.declaration, "reference"):
+        text = re.sub(
+            r"^(\[train\.\w+\])$", r'\1\nanchor = "initial"    # nothing rests here', text, flags=re.MULTILINE
+        )
+    return text
