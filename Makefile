@@ -2,10 +2,11 @@ PYTHON ?= python3
 PIPELINE ?= pipeline/paper.toml
 VENV := .venv
 BIN := $(VENV)/bin
-PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+# CONSTRAINTS=constraints.txt installs the exact versions that were tested
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check $(if $(CONSTRAINTS),--constraint $(CONSTRAINTS))
 
 .DEFAULT_GOAL := all
-.PHONY: all install dev test test-fast smoke lint types docs check clean help
+.PHONY: all install dev test test-fast smoke lint types docs check constraints clean help force
 
 all: install ## set up, then run the paper's whole experiment (what is done already is not done again)
 	$(BIN)/npred run $(PIPELINE)
@@ -35,22 +36,25 @@ docs: dev ## the documentation, in docs/_build/html; a warning is an error
 
 check: lint types test docs ## lint, types, tests and documentation
 
+constraints: dev ## the versions in .venv, as constraints.txt
+	$(BIN)/python -m pip freeze --exclude-editable --disable-pip-version-check > constraints.txt
+
 clean: ## remove caches and build output; .venv and artifacts/ stay
 	rm -rf build dist *.egg-info .pytest_cache .ruff_cache .hypothesis docs/_build
 	find npred tests -type d -name __pycache__ -exec rm -rf {} +
 
 help: ## this list
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "%-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "%-11s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 $(BIN)/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || \
 		{ echo "expected Python 3.11 or newer, got $$($(PYTHON) --version 2>&1); name one with make PYTHON=..." >&2; exit 1; }
 	$(PYTHON) -m venv $(VENV)
 
-$(VENV)/.installed: pyproject.toml | $(BIN)/python
+$(VENV)/.installed: pyproject.toml $(if $(CONSTRAINTS),force) | $(BIN)/python
 	$(PIP) -e .
 	touch $@
 
-$(VENV)/.installed-dev: pyproject.toml | $(BIN)/python
+$(VENV)/.installed-dev: pyproject.toml $(if $(CONSTRAINTS),force) | $(BIN)/python
 	$(PIP) -e ".[dev]"
 	touch $@ $(VENV)/.installed

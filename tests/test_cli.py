@@ -247,21 +247,27 @@ def test_bad_input_is_one_line_and_its_exit_code(call: Call, arguments: list[str
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["nonsense"], "expected npred [OPTIONS] COMMAND [ARGS]..., got: No such command 'nonsense'; see npred --help"),
-        (["run", "--nonsense"], "got: No such option: --nonsense; see npred run --help"),
+        (
+            ["nonsense"],
+            r"expected npred \[OPTIONS\] COMMAND \[ARGS\]..., got: No such command 'nonsense'; see npred --help",
+        ),
+        (["run", "--nonsense"], r"got: No such option:? '?--nonsense'?; see npred run --help"),
         (["run", "--jobs", "many"], "got: Invalid value for '--jobs': "),
-        (["run", "a.toml", "b.toml"], "expected npred run [OPTIONS] [PIPELINE], got: Got unexpected extra argument"),
+        (
+            ["run", "a.toml", "b.toml"],
+            r"expected npred run \[OPTIONS\] \[PIPELINE\], got: Got unexpected extra argument",
+        ),
         (["evaluate", "--set"], "Option '--set' requires an argument; see npred --help"),
         (["evaluate", "--json=3"], "Option '--json' does not take a value; see npred --help"),
-        (["why"], "got: Missing argument 'stage'; see npred why --help"),
-        (["plants", "check"], "expected npred plants check [OPTIONS] {PLANT}, got: "),
+        (["why"], r"got: Missing argument '(?i:stage)'; see npred why --help"),
+        (["plants", "check"], r"expected npred plants check \[OPTIONS\] \{?PLANT\}?, got: "),
     ],
 )
 def test_bad_usage_is_one_line_and_exit_code_2(call: Call, arguments: list[str], words: str):
     result = call(*arguments)
     assert (result.exit_code, result.stdout) == (2, "")
     (line,) = result.stderr.splitlines()
-    assert words in line
+    assert re.search(words, line)
 
 
 @pytest.mark.parametrize("arguments", [["run", "--help"], ["run", "-h"], ["help", "run"]])
