@@ -192,6 +192,11 @@ def test_a_reference_is_followed(write):
             r"Box: f failed at box.py:17: NameError: .*; expected one of X, u, t, p,",
         ),
         ("return CART.kappa(X)", "raise OSError('no robot')", r"Box: kappa failed at box.py:20: OSError: no robot"),
+        (
+            "return CART.kappa(X)",
+            "raise ValueError('no robot')",
+            r"Box: kappa failed at box.py:20: ValueError: no robot",
+        ),
         ("return CART.f(X, u)", "return X[:, 9]", r"Box: f failed at box.py:17: IndexError"),
         ("def V(X, t, p)", "def V(X)", r"Box: V failed \(box.py:22\): TypeError.*; write def V\(X, t, p\)"),
         ("traced = False", "traced, delays = False, (0.2,)", None),
@@ -210,6 +215,45 @@ def test_failures_are_told_in_one_line(write, old, new, message):
     with pytest.raises(ConfigError, match=message) as caught:
         run()
     assert "\n" not in str(caught.value)
+
+
+POWERS = '''
+import math
+
+import numpy as np
+
+
+class Powers:
+    """x' = x³ + u and a root, by functions of Python's own floats, which raise where arrays give NaN."""
+
+    traced = False
+    states, inputs, box = ("x",), ("u",), {"x": (-1.0, 1.0)}
+
+    def f(X, u, t, p):
+        return np.array([[math.pow(x, 3) + v] for x, v in zip(X[:, 0], u[:, 0], strict=True)])
+
+    def kappa(X, t, p):
+        return np.array([[-2 * x - math.pow(x, 3) + 0 * math.sqrt(50 - x)] for x in X[:, 0]])
+
+    def V(X, t, p):
+        return X[:, 0] ** 2
+'''
+
+
+@pytest.fixture
+def powers(tmp_path):
+    (tmp_path / "powers.py").write_text(POWERS)
+    return plants.resolve(f"{tmp_path / 'powers.py'}:Powers")
+
+
+def test_a_function_that_raises_loses_its_own_loop_alone(powers):
+    """From 1e200 f overflows, from 60 kappa leaves its domain; the third loop is as if it ran alone."""
+    settings = {"D": 0.1, "D_hat": 0.1, "t_end": 0.5, "dt": 0.05}
+    loops = simulate(powers, METHODS["rk4"](powers, 5), X0=[[1e200], [60.0], [0.5]], **settings)
+    alone = simulate(powers, METHODS["rk4"](powers, 5), X0=[0.5], **settings)
+    assert (loops.escaped >= 0).tolist() == [True, True, False]
+    np.testing.assert_array_equal(loops.X[2], alone.X)
+    assert np.isnan(powers.f(np.array([1e200]), np.zeros(1))).all(), "one row, and not at the guess"
 
 
 def test_plants_check_asks_what_can_be_asked(plant, write):

@@ -139,6 +139,17 @@ def test_runtimes_that_bench_cannot_run_are_told_before_anything_runs(tmp_path, 
         check(stages=("generate", "bench"), plant=named, bench=bench)
 
 
+def test_a_frozen_estimate_takes_no_V(tmp_path):
+    path = tmp_path / "late.py"
+    path.write_text(LATE.replace("    def V(x, t, p, M): return x.x**2 + x.y**2\n", ""))
+    frozen = {"adaptation": "frozen"}
+    check(plant=f"{path}:Late", generate=frozen, evaluate=frozen | {"X0": [0.5, 0.5]})
+    check(plant=f"{path}:Late", generate=frozen, stages=("generate",))
+    for tables in ({"generate": frozen}, {"evaluate": frozen}):
+        with pytest.raises(ConfigError, match="plant Late: found no V"):
+            check(plant=f"{path}:Late", **tables)
+
+
 def test_a_state_without_a_range_is_told(tmp_path):
     path = tmp_path / "moving.py"
     path.write_text(MOVING.replace('{"x": (0, 1)}', "{}"))

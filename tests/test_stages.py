@@ -49,6 +49,15 @@ def test_every_contender_is_there(evaluated):
         assert set(row["figure1"]) == {"X_end", "D_hat_end", "radius", "settle_time"}
 
 
+def test_a_frozen_estimate_has_one_row_without_adaptation(made, tmp_path):
+    """The numerical predictor's: the other would repeat it."""
+    task = job(tmp_path, "frozen", inputs=made, evaluate={"adaptation": "frozen"})
+    result = evaluate.run(task)
+    assert list(result["models"]) == ["numerical", "deeponet@1", "deeponet", "fno"]
+    assert result["models"]["numerical"]["figure1"]["D_hat_end"] == 2.0
+    assert "no_adaptation" not in h5py.File(task.folder / "figure1.h5")
+
+
 def test_numerical_is_exact_and_adapts(evaluated):
     _, result = evaluated
     numerical, frozen = result["models"]["numerical"], result["models"]["no_adaptation"]

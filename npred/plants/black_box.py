@@ -15,6 +15,7 @@ from npred.plants.base import Plant
 from npred.plants.trace import failure, parameters
 
 STEP = 6e-6  # of a central difference: the cube root of the machine epsilon balances rounding and the third derivative
+UNDEFINED = (ArithmeticError, ValueError)  # how Python's own numbers say what arrays say by NaN: overflow, a domain
 TIMES = (0.0, 0.37, 1.93)  # at which functions are compared to see whether they depend on time
 
 
@@ -27,6 +28,7 @@ class BlackBox(Plant):
     along v (B, n), else taken by central differences, good to about 1e-9 of the function's size, as those by t are;
     and `files`, paths whose content is part of the identity, as is that of the plant's own file. All else is as for
     any Plant.
+    Where a function overflows or leaves a domain by an exception, as math.pow does, that row is NaN.
     Raises ConfigError, in one line, for a function that fails or returns another shape, and for several delays.
     """
 
@@ -89,18 +91,55 @@ class BlackBox(Plant):
         if t.ndim or not arrays:
             t = np.broadcast_to(t, shape).reshape(-1)
         arguments = [*rows[: len(given)], t, parameters(self), *rows[len(given) :]]
-        try:
-            values = np.asarray(getattr(self.declaration, name)(*arguments), dtype=float)
-        except ConfigError:
-            raise
-        except Exception as error:
-            raise ConfigError(f"{failure(self, name, error)}; {cures.cure(self, name, error)}") from None
         count = len(rows[0]) if rows else t.size
         wanted = (count,) if size is None else (count, size)
+        try:
+            values = self._declared(name, arguments)
+        except UNDEFINED as error:
+            values = self._one_by_one(name, arguments, wanted, error)
         if values.shape != wanted:
             found = f"expected to return shape {wanted}, a row a loop, got {values.shape}"
             raise ConfigError(f"{self.place(name)} {found}; return {cures.RETURNS.get(name, 'a value each')}")
         return values.reshape(shape if size is None else (*shape, size))
+
+    def _declared(self, name: str, arguments: list[Any]) -> np.ndarray:
+        """The declared function's values. Raises UNDEFINED as they come, and ConfigError for another failure."""
+        try:
+            return np.asarray(getattr(self.declaration, name)(*arguments), dtype=float)
+        except (ConfigError, *UNDEFINED):
+            raise
+        except Exception as error:
+            raise self._failed(name, error) from None
+
+    def _one_by_one(self, name: str, arguments: list[Any], shape: tuple[int, ...], error: Exception) -> np.ndarray:
+        """The values row by row, NaN in those in which the function is undefined: one loop must not end the others.
+
+        Raises ConfigError where it fails in every row and at the guess too, for that is no matter of the state.
+        """
+        values = np.full(shape, np.nan)
+        defined = [self._row(name, arguments, slice(k, k + 1), values) for k in range(shape[0])]
+        if not any(defined):
+            harmless = [self._at_guess(k, a) for k, a in enumerate(arguments)]
+            if not self._row(name, harmless, slice(0, 1), np.empty((1, *shape[1:]))):
+                raise self._failed(name, error) from None
+        return values
+
+    def _row(self, name: str, arguments: list[Any], row: slice, values: np.ndarray) -> bool:
+        """Write the values of one row where the function is defined there, and say whether it is."""
+        try:
+            values[row] = self._declared(name, [a[row] if _batched(a) else a for a in arguments])
+        except UNDEFINED:
+            return False
+        return True
+
+    def _at_guess(self, k: int, argument: Any) -> Any:
+        """One row of the k-th argument where nothing is extreme: X at the guess, all else zero."""
+        if not _batched(argument):
+            return argument
+        return self.guess[None] if k == 0 and argument.ndim == 2 else np.zeros_like(argument[:1])
+
+    def _failed(self, name: str, error: Exception) -> ConfigError:
+        return ConfigError(f"{failure(self, name, error)}; {cures.cure(self, name, error)}")
 
     @property
     def clocked(self) -> bool:
@@ -133,6 +172,11 @@ class BlackBox(Plant):
                 what = f"expected a file to read at {path}, got: {error.strerror}"
                 raise ConfigError(f"plant {self.name}: files {what}; mend the path") from None
         return digest.hexdigest()
+
+
+def _batched(argument: Any) -> bool:
+    """Whether it is an array of rows, and neither a number nor the parameters."""
+    return isinstance(argument, np.ndarray) and argument.ndim > 0
 
 
 def _difference(function: Any, X: np.ndarray, v: np.ndarray) -> np.ndarray:

@@ -4,7 +4,7 @@ from collections.abc import Collection
 
 import numpy as np
 
-from npred.config import Pipeline
+from npred.config import FROZEN, Pipeline
 from npred.errors import ConfigError
 from npred.plants import faults, inputs, mathematics, programs
 from npred.plants.base import Plant
@@ -21,7 +21,7 @@ def check(plant: Plant, config: Pipeline, stages: Collection[str]) -> None:
     _box(plant, config)
     _bounds(plant, config)
     _clock(plant)
-    _sound(plant, config)
+    _sound(plant, config, stages)
     _start_inputs(plant, config, stages)
     if "train" in stages:
         _anchors(plant, config)
@@ -29,6 +29,11 @@ def check(plant: Plant, config: Pipeline, stages: Collection[str]) -> None:
         _runtimes(plant, config)
     if "evaluate" in stages:
         _evaluated(plant, config)
+
+
+def adapts(config: Pipeline, stages: Collection[str]) -> bool:
+    """Whether a law for the delay estimate, which takes V, runs in one of the stages."""
+    return any(getattr(config, stage).adaptation != FROZEN for stage in {"generate", "evaluate"} & set(stages))
 
 
 def _evaluated(plant: Plant, config: Pipeline) -> None:
@@ -46,9 +51,9 @@ def _evaluated(plant: Plant, config: Pipeline) -> None:
         raise ConfigError(f"evaluate.X0: expected finite values, got {config.evaluate.X0}; mend it")
 
 
-def _sound(plant: Plant, config: Pipeline) -> None:
+def _sound(plant: Plant, config: Pipeline, stages: Collection[str]) -> None:
     """Whether it can be simulated from the box, and comes to rest without delay where it rests at all."""
-    if missing := faults.undeclared(plant):
+    if adapts(config, stages) and (missing := faults.undeclared(plant)):
         raise ConfigError(f"{missing}; npred plants check offers one")
     ends = np.array([(plant.box | config.generate.box)[name] for name in plant.states])
     X = np.random.default_rng(0).uniform(ends[:, 0], ends[:, 1], (STATES, plant.n))

@@ -7,7 +7,7 @@ import numpy as np
 
 from npred import figures, laws, metrics, shards
 from npred.closed_loop import Trajectories, simulate
-from npred.config import Evaluate
+from npred.config import FROZEN, Evaluate
 from npred.dataset import Dataset
 from npred.plants import Plant
 from npred.predictors import METHODS, Compiled, Predictor
@@ -24,7 +24,7 @@ def run(job: Job) -> dict[str, Any]:
 
     The errors mse, eps_sup, … are on the data's own held-out rows, of the kind `held_out_kind`; `kinds` has them for
     the rows of each kind, and `in_loop` the largest |P(1, t) - X(t + D)| where D_hat = D.
-
+    Where none adapts, "without adaptation" would be the numerical predictor's loop again and is left out.
     Writes figure1, certificate and coverage (.svg, .png); figure1.h5 (its loops), errors.h5 (where networks err) and
     coverage.h5 (histograms). Warns where loops leave the data.
     """
@@ -60,7 +60,9 @@ def run(job: Job) -> dict[str, Any]:
 def _contenders(job: Job) -> list[Contender]:
     config = job.config.evaluate
     numerical = METHODS[config.predictor](job.plant, config.nx)
-    found = [Contender("numerical", numerical), Contender("no_adaptation", numerical, adapts=False)]
+    found = [Contender("numerical", numerical)]
+    if config.adaptation != FROZEN:
+        found.append(Contender("no_adaptation", numerical, adapts=False))
     for model in job.config.train.models:
         for snapshot in [*getattr(job.config.train, model).snapshots, None]:
             name = model if snapshot is None else f"{model}@{snapshot}"
