@@ -14,7 +14,7 @@ _CPUINFO = Path("/proc/cpuinfo")
 _VECTOR = re.compile("avx|amx|fma|f16c|sse4|asimd|sve|bf16")
 # What the libraries read on their start to choose instructions and the order of sums.
 _MODES = (
-    "MKL_CBWR", "MKL_ENABLE_INSTRUCTIONS", "MKL_DEBUG_CPU_TYPE", "ATEN_CPU_CAPABILITY", "ONEDNN_MAX_CPU_ISA",
+    "MKL_ENABLE_INSTRUCTIONS", "MKL_DEBUG_CPU_TYPE", "ATEN_CPU_CAPABILITY", "ONEDNN_MAX_CPU_ISA",
     "DNNL_MAX_CPU_ISA", "OPENBLAS_CORETYPE", "NPY_DISABLE_CPU_FEATURES", "NPY_ENABLE_CPU_FEATURES", "NUMBA_CPU_NAME",
     "NUMBA_CPU_FEATURES", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "WORLD_SIZE",
 )  # fmt: skip

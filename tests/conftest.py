@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, settings
 from typer.testing import CliRunner, Result
 
 from npred.cli import app
-from npred.pipeline import STAGES
+from npred.pipeline import STAGES, payload
 
 Call = Callable[..., Result]
 HERE = Path(__file__).parent
@@ -70,6 +70,8 @@ def fakes(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     fake_stages.install(table)
     for name, stage in table.items():
         monkeypatch.setitem(STAGES, name, stage)
+    for name, files in payload.DATA.items():
+        monkeypatch.setitem(payload.DATA, name, rf"{files}|data\.bin")
     log = tmp_path / "log"
     log.touch()
     monkeypatch.setenv("FAKE_LOG", str(log))

@@ -27,6 +27,11 @@ def tar(artifact: Artifact, tmp_path: Path) -> Path:
     return tmp_path / "a.tar"
 
 
+def nothing(manifest: Manifest) -> tuple[()]:
+    """Nothing is left out."""
+    return ()
+
+
 def forged(path: Path, members: list[tuple[tarfile.TarInfo, bytes]]) -> Path:
     """A tar as other programs write it."""
     with tarfile.open(path, "w", format=tarfile.GNU_FORMAT) as made:
@@ -45,31 +50,49 @@ def refused(tmp_path: Path, tar: Path) -> None:
     """Nothing of it may be left in the store, and nothing outside of it."""
     before = tree(tmp_path)
     with pytest.raises(StoreError, match="expected a tar as npred export-artifact wrote it"):
-        archive.load(Store(tmp_path / "theirs"), tar)
+        archive.load(Store(tmp_path / "theirs"), tar, nothing)
     after = {name: content for name, content in tree(tmp_path).items() if not name.endswith(".lock")}
     assert after == before
 
 
 def test_there_and_back(artifact: Artifact, tar: Path, tmp_path: Path):
     theirs = Store(tmp_path / "theirs")
-    found, new = archive.load(theirs, tar)
+    found, new = archive.load(theirs, tar, nothing)
     assert new
     assert {p.name: p.read_bytes() for p in found.folder.rglob("*") if p.is_file()} == {
         p.name: p.read_bytes() for p in artifact.folder.rglob("*") if p.is_file()
     }
     assert found.verify().manifest == artifact.manifest
     assert theirs.leftovers() == []
-    assert archive.load(theirs, tar) == (found, False)
+    assert archive.load(theirs, tar, nothing) == (found, False)
     archive.export(found, tmp_path / "b.tar")
     assert (tmp_path / "b.tar").read_bytes() == tar.read_bytes()
 
 
-def test_a_page_is_not_brought_in(tmp_path: Path):
-    """It may hold a script, and `npred run` would show it as a page of its own."""
-    page = put(Store(tmp_path / "mine"), question(stage="report"))
-    archive.export(page, tmp_path / "page.tar")
-    with pytest.raises(StoreError, match="expected a result, got a page; npred report makes it anew"):
-        archive.load(Store(tmp_path / "theirs"), tmp_path / "page.tar")
+def test_what_is_left_out_is_checked_and_not_there(artifact: Artifact, tar: Path, tmp_path: Path):
+    """The rest is a sound result of the same key; with or without it, it is the same one."""
+
+    def figures(manifest: Manifest) -> set[str]:
+        return {name for name in manifest.files if name.endswith(".svg")}
+
+    theirs = Store(tmp_path / "theirs")
+    found, new = archive.load(theirs, tar, figures)
+    assert new and set(found.verify().manifest.files) == {"data.bin", "result.json"}
+    assert found.manifest.key == artifact.manifest.key and found.manifest.made == artifact.manifest.made
+    assert archive.load(theirs, tar, figures) == (found, False)
+    assert archive.load(Store(tmp_path / "mine"), tar, figures) == (artifact, False)
+    content = tar.read_bytes()
+    tar.write_bytes(content.replace(b"<svg/>", b"<SVG/>"))
+    with pytest.raises(StoreError, match=r"got other bytes at figure\.svg"):
+        archive.load(Store(tmp_path / "others"), tar, figures)
+
+
+def test_what_refuses_a_manifest_names_the_file(tar: Path, tmp_path: Path):
+    def refusing(manifest: Manifest) -> tuple[()]:
+        raise StoreError("expected other names")
+
+    with pytest.raises(StoreError, match=r"a\.tar: expected other names"):
+        archive.load(Store(tmp_path / "theirs"), tar, refusing)
     assert Store(tmp_path / "theirs").artifacts() == []
 
 
@@ -96,7 +119,7 @@ def test_no_byte_of_a_tar_can_be_changed_added_or_dropped(
         return
     (folder / "a.tar").write_bytes(changed)
     with pytest.raises(StoreError):
-        archive.load(Store(folder / "theirs"), folder / "a.tar")
+        archive.load(Store(folder / "theirs"), folder / "a.tar", nothing)
     assert Store(folder / "theirs").survey() == ([], [])
 
 
@@ -143,15 +166,19 @@ def test_a_manifest_that_would_write_over_a_terminal_is_none(artifact: Artifact,
 def test_what_the_manifest_announces_must_fit_on_the_disk(tar: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(archive.shutil, "disk_usage", lambda path: type("Usage", (), {"free": 10}))
     with pytest.raises(NpredError, match=r"expected \d+ free bytes in .*, got 10; free some"):
-        archive.load(Store(tmp_path / "theirs"), tar)
+        archive.load(Store(tmp_path / "theirs"), tar, nothing)
     assert Store(tmp_path / "theirs").survey() == ([], [])
 
 
-def test_another_answer_to_the_same_question_is_not_replaced(tar: Path, tmp_path: Path):
+def test_another_answer_to_the_same_question_is_not_replaced(tar: Path, tmp_path: Path, monkeypatch):
     theirs = Store(tmp_path / "theirs")
     kept = put(theirs, data=b"another")
-    with pytest.raises(NpredError, match="got another answer to this question"):
-        archive.load(theirs, tar)
+    with pytest.raises(NpredError, match="got another answer to this question; remove one"):
+        archive.load(theirs, tar, nothing)
+    monkeypatch.setenv("MKL_CBWR", "COMPATIBLE")
+    kept = put(theirs, data=b"another")
+    with pytest.raises(NpredError, match=r"another answer to this question \(mkl_mode differ\)"):
+        archive.load(theirs, tar, nothing)
     assert sha256_file(kept.folder / "data.bin") == kept.manifest.files["data.bin"].sha256
 
 
@@ -166,7 +193,7 @@ def test_what_is_no_file_is_one_line(tmp_path: Path):
     os.mkfifo(tmp_path / "pipe")
     for name in ("none.tar", ".", "pipe"):
         with pytest.raises(StoreError, match="found no such file"):
-            archive.load(Store(tmp_path / "theirs"), tmp_path / name)
+            archive.load(Store(tmp_path / "theirs"), tmp_path / name, nothing)
 
 
 def test_names_longer_than_a_tar_header_come_back(tmp_path: Path):
@@ -175,5 +202,5 @@ def test_names_longer_than_a_tar_header_come_back(tmp_path: Path):
         (folder / name).parent.mkdir(parents=True)
         (folder / name).write_bytes(b"x" * 513)
         archive.export(mine.commit(folder, asked, "p"), tmp_path / "a.tar")
-    found, _ = archive.load(Store(tmp_path / "theirs"), tmp_path / "a.tar")
+    found, _ = archive.load(Store(tmp_path / "theirs"), tmp_path / "a.tar", nothing)
     assert (found.verify().folder / name).read_bytes() == b"x" * 513

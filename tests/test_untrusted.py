@@ -12,6 +12,7 @@ import pytest
 import torch
 from conftest import HERE, process_environment
 from safetensors.torch import save_file
+from test_archive import nothing
 from test_store import put, question
 
 from npred import operators, plants
@@ -66,7 +67,7 @@ def test_an_artifact_does_not_run_the_plant_that_it_names(
     plant = {"name": "evil.py:Tank", "parameters": {}, "source": source, "program": "x"}
     made = put(Store(Path("mine")), question(config={"plant": plant}))
     archive.export(made, Path("a.tar"))
-    found, _ = archive.load(Store(Path("artifacts")), Path("a.tar"))
+    found, _ = archive.load(Store(Path("artifacts")), Path("a.tar"), nothing)
     for spec in (str(found.folder), found.manifest.key):
         with pytest.raises(ConfigError, match=r"expected a built-in plant, got 'evil\.py:Tank'; use PIPELINE:MODEL"):
             load_model(spec)

@@ -9,6 +9,7 @@ from npred import devices
 from npred.cli.options import Common, writable
 from npred.console import columns
 from npred.errors import StoreError
+from npred.pipeline import payload
 from npred.store import Artifact, Store, archive
 
 PACKAGES = (
@@ -60,8 +61,12 @@ def export_artifact(options: Common, reference: str, output: Path | None) -> Non
 
 def import_artifact(options: Common, path: Path) -> None:
     """The result in a tar into the store, verified."""
-    artifact, new = archive.load(options.results, path, lambda holder: options.console.note(f"waiting for {holder}"))
+    artifact, new = archive.load(
+        options.results, path, payload.drawn, lambda holder: options.console.note(f"waiting for {holder}")
+    )
     done = "brought in, every digest as it should be" if new else "already in the store, the same bytes"
+    if new and artifact.manifest.question.stage in payload.DRAWING:
+        done += "; npred report draws its figures here, from its arrays"
     document = {"folder": str(artifact.folder), "key": artifact.manifest.key, "new": new}
     options.show(document, lambda: f"{artifact.name}: {done}\n{artifact.folder}")
 

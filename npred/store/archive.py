@@ -10,7 +10,7 @@ import os
 import re
 import shutil
 import tarfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 from typing import IO
 
@@ -45,9 +45,13 @@ def export(artifact: Artifact, path: Path) -> None:
         partial.unlink(missing_ok=True)
 
 
-def load(store: Store, path: Path, waiting: Callable[[str], None] | None = None) -> tuple[Artifact, bool]:
+def load(
+    store: Store, path: Path, omitted: Callable[[Manifest], Collection[str]],
+    waiting: Callable[[str], None] | None = None,
+) -> tuple[Artifact, bool]:  # fmt: skip
     """Bring the artifact of a tar into the store, whole or not at all; whether it is new there.
 
+    `omitted` names the files that are left out, once they were checked as all others; what it raises refuses the tar.
     Raises StoreError for a file that `export` has not written or that was changed since, NpredError where the disk has
     no room for what the manifest announces or where the store has another answer to the same question.
     """
@@ -55,32 +59,45 @@ def load(store: Store, path: Path, waiting: Callable[[str], None] | None = None)
         raise StoreError(f"{path}: expected a tar of npred export-artifact, found no such file; check the path")
     with path.open("rb") as tar:
         manifest, content = _manifest(tar, path)
-        if manifest.question.stage == "report":  # a page may carry a script, and npred run would show it as its own
-            raise StoreError(f"{path}: expected a result, got a page; npred report makes it anew from its results")
+        try:
+            left_out = omitted(manifest)
+        except StoreError as error:
+            raise StoreError(f"{path}: {error}") from None
         with store.lock(manifest.question.stage, manifest.key, waiting):
             there = store.get(manifest.question.stage, manifest.key)
-            return (_same(there, manifest), False) if there else (_place(store, manifest, content, tar, path), True)
+            if there:
+                return _same(there, manifest, omitted), False
+            return _place(store, manifest, content, tar, left_out, path), True
 
 
-def _same(there: Artifact, manifest: Manifest) -> Artifact:
-    if there.verify().manifest.digest != manifest.digest:
-        raise NpredError(
-            f"{there.folder}: expected none or the same bytes, got another answer to this question; remove one of them"
-        )
+def _same(there: Artifact, manifest: Manifest, omitted: Callable[[Manifest], Collection[str]]) -> Artifact:
+    """The artifact in the store, if it is the same but for what is left out."""
+    here = there.verify().manifest
+    if here.without(omitted(here)).digest != manifest.without(omitted(manifest)).digest:
+        ours, theirs = here.circumstances, manifest.circumstances
+        differing = ", ".join(sorted(name for name in ours | theirs if ours.get(name) != theirs.get(name)))
+        why = f" ({differing} differ)" if differing else ""
+        what = f"expected none or the same bytes, got another answer to this question{why}"
+        raise NpredError(f"{there.folder}: {what}; remove one of them")
     return there
 
 
-def _place(store: Store, manifest: Manifest, content: bytes, tar: IO[bytes], path: Path) -> Artifact:
+def _place(
+    store: Store, manifest: Manifest, content: bytes, tar: IO[bytes], left_out: Collection[str], path: Path
+) -> Artifact:
     _fits(store, manifest, path)
+    kept = manifest.without(left_out) if left_out else manifest
     with store.draft(manifest.question.stage, manifest.key) as folder, durable.room(store.root):
-        (folder / NAME).write_bytes(content)
+        (folder / NAME).write_bytes(kept.text().encode() if left_out else content)
         for name, size in list(_members(manifest, len(content)))[1:]:
             _expect(tar, _header(manifest, name, size), path, name)
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             _copy(tar, folder / name, manifest.files[name].sha256, size, path)
             _expect(tar, _padding(size), path, name)
         _expect(tar, _END, path, "the end")
-        return store.place(folder, manifest)
+        for name in left_out:
+            (folder / name).unlink()
+        return store.place(folder, kept)
 
 
 def _manifest(tar: IO[bytes], path: Path) -> tuple[Manifest, bytes]:

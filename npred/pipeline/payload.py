@@ -1,0 +1,38 @@
+"""The files of each stage's result: which may come in from elsewhere, and which are drawn again here.
+
+A figure can carry a script (SVG, HTML) or a command (LaTeX), and all of them follow from the arrays beside them. So of
+a result from elsewhere arrays, weights and JSON are taken, figures and tables for print are left out, and a name that
+the stage does not give refuses the whole.
+"""
+
+import re
+
+from npred.errors import StoreError
+from npred.places import RESULT
+from npred.store import Manifest
+
+DATA = {
+    "generate": r"data(-\d{5,})?\.h5",
+    "train": r"model\.safetensors|model\.json|metrics\.jsonl|snapshot-\d+\.safetensors",
+    "evaluate": r"(errors|figure1|coverage)\.h5",
+    "bench": r"times\.h5",
+}
+DRAWN = re.compile(r"[a-z][a-z0-9_]*\.(svg|png|pdf|tex)")
+DRAWING = {"evaluate", "bench"}
+
+
+def drawn(manifest: Manifest) -> frozenset[str]:
+    """The files of a result that are drawn from its others.
+
+    Raises StoreError for a result of another stage, a page among them, and for a file that its stage does not write.
+    """
+    stage = manifest.question.stage
+    if stage == "report":
+        raise StoreError("expected a result, got a page; npred report makes it anew from its results")
+    if stage not in DATA:
+        raise StoreError(f"expected a result of {', '.join(DATA)}, got one of {stage}; this npred has no such stage")
+    others = [name for name in manifest.files if name != RESULT and not re.fullmatch(DATA[stage], name)]
+    for name in others:
+        if stage not in DRAWING or not DRAWN.fullmatch(name):
+            raise StoreError(f"expected the files of a result of {stage}, got {name} among them; export it anew")
+    return frozenset(others)
