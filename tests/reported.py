@@ -10,13 +10,14 @@ from npred.pipeline import STAGES, Outcome, Planner, Runner, nodes
 from npred.store import Store
 
 MAP = {"map_D": [0.5, 1.0], "map_D_hat0": [0.8, 1.2, 2.0], "case_t_end": 4.0, "t_end": 3.0}
+REDRAW = {"redraw": 0.25}  # rows of two kinds are held out
 BENCH = {"dx": [0.1], "calls": 10, "batches": [1]}
 
 
 def run(folder: Path) -> tuple[Path, dict[str, Outcome]]:
     """The pipeline's file beside its store, and what became of each node."""
     path = folder / "tiny.toml"
-    path.write_text(toml_text.dumps({"name": "tiny"} | tables(evaluate=MAP, bench=BENCH)))
+    path.write_text(toml_text.dumps({"name": "tiny"} | tables(evaluate=MAP, bench=BENCH, generate=REDRAW)))
     made = config.load(path)
     planner = Planner(made, Store(folder / "store"), "cpu")
     console: object = Silent()

@@ -37,15 +37,18 @@ def found(plant: str = "activator_repressor", lost: bool = False) -> Evidence:
             loops[name].X[50:], loops[name].N[50:] = np.nan, np.inf
     X, D_hat = rng.uniform(0, 1, (60, made.n)), rng.uniform(0.3, 2, 60)
     errors = {name: Errors(rng.lognormal(size=60), np.sort(rng.lognormal(size=(11, 3)))) for name in NAMES[2:]}
+    by_kind = {kind: {name: rng.lognormal(size=9) for name in errors} for kind in ("nominal", "exploring", "redrawn")}
     edges = np.linspace(0, 1, 11)
     density = {name: rng.uniform(size=10) for name in ("numerical", "fno")}
     covered = {name: Histogram(edges, np.ones(10), density) for name in (*made.states, *made.inputs, "D_hat")}
     models = {name: row(k, lost and name == "deeponet") for k, name in enumerate(NAMES)}
     evaluate = config.parse({"plant": plant, "evaluate": {"X0": [0.5] * made.n}}, "test").evaluate
-    return Evidence(made, evaluate, models, 110.0, loops, X, D_hat, errors, covered)
+    return Evidence(made, evaluate, models, 110.0, loops, X, D_hat, errors, covered, by_kind)
 
 
-KINDS = (figures.figure1, figures.certificate, figures.errors, figures.box, figures.delays, figures.coverage)
+KINDS = (
+    figures.figure1, figures.certificate, figures.errors, figures.kinds, figures.box, figures.delays, figures.coverage,
+)  # fmt: skip
 
 
 def test_a_contender_looks_the_same_everywhere_and_like_no_other():
@@ -102,6 +105,22 @@ def test_the_map_is_left_out_where_the_pipeline_asks_for_none_and_counts_what_is
     assert set(alts) == {"numerical", "no adaptation", "DeepONet", "FNO"}
     assert "3 of 6 cells" in alts["DeepONet"] and "3 lost that the numerical" in alts["DeepONet"]
     assert figures.delays(replace(evidence, models={n: r | {"map": None} for n, r in evidence.models.items()})) is None
+
+
+def test_each_kind_of_held_out_row_has_a_panel_where_there_are_several():
+    evidence = found()
+    plate = figures.kinds(evidence)
+    assert [panel.title for panel in plate.panels] == [
+        "nominal rollouts",
+        "exploring rollouts",
+        "rows with a redrawn D̂",
+    ]
+    assert "largest" in plate.panels[1].alt and f"{evidence.kinds['exploring']['fno'].max():.2g}" in plate.panels[1].alt
+    assert "held-out samples of nominal rollouts" in figures.errors(evidence).caption
+    exact = {kind: dict.fromkeys(sup, np.zeros(9)) for kind, sup in evidence.kinds.items()}
+    ElementTree.fromstring(svg.inline(figures.kinds(replace(evidence, kinds=exact)).panels[0], "p"))
+    imported = replace(evidence, kinds={"imported": evidence.kinds["nominal"]})
+    assert figures.kinds(imported) is None and "of the imported data" in figures.box(imported).caption
 
 
 def test_the_map_of_errors_takes_the_largest_in_each_cell():

@@ -147,6 +147,8 @@ def test_the_tables_say_what_the_results_say(page, story):
         assert shown[1:] == [[column.text(row[column.key]) for column in table.columns] for row in table.rows]
     errors = {row["predictor"]: row for row in story.tables()["accuracy"].rows}
     assert errors["FNO"]["eps_sup"] == story.evaluated["models"]["fno"]["eps_sup"]
+    assert {row["kind"] for row in story.tables()["kinds"].rows} == {"nominal rollouts", "rows with a redrawn D̂"}
+    assert all(row["in_loop"] > 0 for row in story.tables()["loops"].rows)
     assert {row["median_us"] for row in story.tables()["speed"].rows} <= {r["median_us"] for r in story.benched["rows"]}
 
 
@@ -158,13 +160,27 @@ def test_three_sentences_bear_the_numbers(reported, text):
     assert all(sentence.replace("'", "&#39;") in text for sentence in result["summary"])
 
 
-LOST = {"eps_sup": None, "mse": 0.25, "radius": {"cases": 20, "converged": 0.0, "median": None}}
-EVALUATED = {"held_out": 10, "models": dict.fromkeys(("numerical", "no_adaptation", "fno"), LOST)}
+LOST = {
+    "kinds": {"exploring": {"eps_sup": 3.5}},
+    "eps_sup": None,
+    "mse": 0.25,
+    "radius": {"cases": 20, "converged": 0.0, "median": None},
+}
+KINDS = {"nominal": {"rows": 10}, "exploring": {"rows": 2000}}
+EVALUATED = {
+    "held_out": 10,
+    "held_out_kind": "nominal",
+    "kinds": KINDS,
+    "models": dict.fromkeys(("numerical", "no_adaptation", "fno"), LOST),
+}
 
 
 def test_the_sentences_know_loops_that_are_lost_and_a_benchmark_without_networks():
     said = sentences.summary(EVALUATED, {"rows": [], "crossover": []}, ["fno"], PAPER)
-    assert said[0].endswith("is ∞ for the FNO (mean square 0.25).")
+    assert said[0] == (
+        "On 10 held-out samples of nominal rollouts the largest error of a prediction is ∞ for the FNO (mean square "
+        "0.25); on 2,000 of exploring rollouts it is 3.5."
+    )
     assert said[1] == (
         "Of 20 closed loops with a delay that the controller does not know, 0 with the FNO (median radius ∞), "
         "0 with the numerical predictor and 0 without adaptation converge."

@@ -4,6 +4,7 @@ from npred.figures.accuracy import box, certificate, errors
 from npred.figures.delay_map import delays
 from npred.figures.evidence import Evidence
 from npred.figures.histograms import coverage
+from npred.figures.kinds import kinds
 from npred.figures.latency import speed
 from npred.figures.loops import figure1
 from npred.figures.losses import learning
@@ -18,6 +19,7 @@ __all__ = [
     "delays",
     "errors",
     "figure1",
+    "kinds",
     "learning",
     "speed",
     "write",

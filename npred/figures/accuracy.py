@@ -37,8 +37,8 @@ def errors(evidence: Evidence) -> Plate:
     sup = "; ".join(f"{words(name)} {error.sup.max():.2e}" for name, error in found.items())
     half = "; ".join(f"{words(name)} {np.median(error.sup):.2e}" for name, error in found.items())
     caption = (
-        f"|P̂ − P| on {held} held-out samples, in state units. Lines: the largest error, shaded: from the median to it. "
-        "x = 0 is now, x = 1 the state one delay ahead, which the control acts on."
+        f"|P̂ − P| on {held} {evidence.samples}, in state units. Lines: the largest error, shaded: from the "
+        "median to it. x = 0 is now, x = 1 the state one delay ahead, which the control acts on."
     )
     panels = (
         Panel("error over x", f"Largest error over all x: {sup}.", partial(_over_x, found)),
@@ -54,7 +54,7 @@ def box(evidence: Evidence) -> Plate:
     """The largest error over the state box: the first two states, or the one there is."""
     names = list(evidence.plant.states)
     said = "" if len(names) < 3 else f" (the first two of {len(names)} states)"
-    caption = f"The largest |P̂ − P| on held-out samples by where the state is{said}. Hatched: no samples there."
+    caption = f"The largest |P̂ − P| on {evidence.samples} by where the state is{said}. Hatched: no samples there."
     if len(names) == 1:
         draw = partial(_over, evidence.X[:, 0], evidence.errors, names[0])
         panels = [Panel(f"error over {names[0]}", "Largest and median error by state.", draw)]

@@ -1,5 +1,6 @@
 """What an evaluation left in its folder, as the figures read it."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,12 @@ from npred.plants import Plant
 
 LOOP = {"t": 1, "X": 2, "U": 2, "D_hat": 1, "N": 1}  # axes of each array
 ERRORS = {"sup": 1, "over_x": 2}
+OF = {  # what rows of each kind are of
+    "nominal": "nominal rollouts",
+    "exploring": "exploring rollouts",
+    "redrawn": "rows with a redrawn D̂",
+    "imported": "the imported data",
+}
 
 
 @dataclass(frozen=True)
@@ -45,7 +52,11 @@ class Histogram:
 
 @dataclass(frozen=True)
 class Evidence:
-    """An evaluation: its answer, and the arrays beside it; X (N, n) and D_hat (N,) of the held-out samples."""
+    """An evaluation: its answer, and the arrays beside it; X (N, n) and D_hat (N,) of the held-out samples.
+
+    X, D_hat and `errors` are of held-out samples of the first kind; `kinds` has the sup over x of |P_hat - P| by kind
+    and network, (N,).
+    """
 
     plant: Plant
     config: Evaluate
@@ -56,6 +67,12 @@ class Evidence:
     D_hat: np.ndarray
     errors: dict[str, Errors]
     coverage: dict[str, Histogram]
+    kinds: dict[str, dict[str, np.ndarray]]
+
+    @property
+    def samples(self) -> str:
+        """What X, D_hat and `errors` are of, in words."""
+        return f"held-out samples of {OF[next(iter(self.kinds))]}"
 
     @classmethod
     def read(cls, folder: Path, plant: Plant, config: Evaluate, result: dict[str, Any]) -> "Evidence":
@@ -74,8 +91,16 @@ class Evidence:
             plant, config, result["models"], result["gain"],
             {name: Loop(**found) for name, found in zip(order, loops, strict=True)}, **rows,
             errors={name: Errors(**found) for name, found in zip(networks, errors, strict=True)},
-            coverage=dict(zip(quantities, coverage, strict=True)),
+            coverage=dict(zip(quantities, coverage, strict=True)), kinds=_by_kind(folder, result["kinds"], networks),
         )  # fmt: skip
+
+
+def _by_kind(folder: Path, kinds: Iterable[str], networks: list[str]) -> dict[str, dict[str, np.ndarray]]:
+    """The sup over x of each network's error by kind of row; those of the first kind are the file's own."""
+    places = {kind: f"kinds/{kind}/" if number else "" for number, kind in enumerate(kinds)}
+    groups = {kind: [f"{place}networks/{name}/" for name in networks] for kind, place in places.items()}
+    found = {kind: _arrays(folder / "errors.h5", group, {"sup": 1}) for kind, group in groups.items()}
+    return {kind: {name: a["sup"] for name, a in zip(networks, arrays, strict=True)} for kind, arrays in found.items()}
 
 
 def _arrays(path: Path, groups: list[str], axes: dict[str, int]) -> list[dict[str, np.ndarray]]:

@@ -16,7 +16,7 @@ NAME = "report.html"
 CHAPTERS = (
     ("loop", "The closed loop", ("figure1",), ("loops",)),
     ("radius", "Error and radius", ("certificate",), ()),
-    ("errors", "Where networks err", ("errors", "box"), ("accuracy",)),
+    ("errors", "Where networks err", ("errors", "kinds", "box"), ("accuracy", "kinds")),
     ("delays", "Delays and first estimates", ("delays",), ()),
     ("training", "Training", ("learning",), ("training",)),
     ("speed", "Speed", ("speed",), ("bench", "speed")),

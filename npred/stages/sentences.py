@@ -3,6 +3,7 @@
 from typing import Any
 
 from npred.config import FROZEN
+from npred.figures.evidence import OF
 from npred.figures.latency import label
 from npred.figures.style import short, words
 
@@ -21,7 +22,15 @@ def _of_delay(adaptation: str) -> str:
 def _errors(evaluated: Row, networks: list[str]) -> str:
     rows = {words(name): evaluated["models"][name] for name in networks}
     found = [f"{short(row['eps_sup'])} for the {name} (mean square {short(row['mse'])})" for name, row in rows.items()]
-    return f"On {evaluated['held_out']:,} held-out samples the largest error of a prediction is {' and '.join(found)}."
+    own, *others = evaluated["kinds"]
+    samples = f"{evaluated['held_out']:,} held-out samples of {OF[own]}"
+    others = [_of_kind(kind, evaluated["kinds"][kind]["rows"], list(rows.values())) for kind in others]
+    return "; ".join([f"On {samples} the largest error of a prediction is {' and '.join(found)}", *others]) + "."
+
+
+def _of_kind(kind: str, count: int, rows: list[Row]) -> str:
+    errors = " and ".join(short(row["kinds"][kind]["eps_sup"]) for row in rows)
+    return f"on {count:,} of {OF[kind]} it is {errors}"
 
 
 def _loops(models: dict[str, Row], networks: list[str], adaptation: str) -> str:

@@ -41,7 +41,7 @@ class Story:
 
     def plates(self) -> dict[str, Plate]:
         """Every figure by name, in order."""
-        kinds = figures.figure1, figures.certificate, figures.errors, figures.box, figures.delays
+        kinds = figures.figure1, figures.certificate, figures.errors, figures.kinds, figures.box, figures.delays
         plates = [kind(self.evidence) for kind in kinds]
         plates += [
             figures.learning(self.histories),
@@ -53,7 +53,8 @@ class Story:
     def tables(self) -> dict[str, Grid]:
         """Every table by name, in order."""
         made = [
-            tables.accuracy(self.evaluated["models"]),
+            tables.accuracy(self.evaluated["models"], self.evaluated["held_out_kind"]),
+            tables.kinds(self.evaluated),
             tables.loops(self.evaluated["models"]),
             tables.training(self.trained),
             tables.speed(self.benched["rows"]),

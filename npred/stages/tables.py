@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from npred.figures.evidence import OF
 from npred.figures.latency import label
 from npred.figures.style import words
 from npred.figures.table import Column, Grid
@@ -11,8 +12,8 @@ ERRORS = {"mse": "mean square", "eps_sup": "ε sup", "eps_kappa": "ε κ", "rel_
 TIMES = {"median_us": "median µs", "p95_us": "95 %", "p999_us": "99.9 %", "max_us": "max"}
 
 
-def accuracy(models: dict[str, Row]) -> Grid:
-    """Errors of each network on held-out rollouts, and the sup error on fresh ones."""
+def accuracy(models: dict[str, Row], kind: str) -> Grid:
+    """Errors of each network on held-out rows of the first kind, and the sup error on fresh ones."""
     networks = {name: row for name, row in models.items() if row["eps_sup"]}
     rows = [
         {"predictor": words(name)} | {key: row[key] for key in ERRORS} | {"fresh": row["fresh"]["eps_sup"]}
@@ -20,7 +21,22 @@ def accuracy(models: dict[str, Row]) -> Grid:
     ]
     columns = [Column(head, key, digits=2) for key, head in ERRORS.items()]
     fresh = Column("ε sup, fresh rollouts", "fresh", digits=2)
-    return Grid("accuracy", "Errors on held-out rollouts", [Column("predictor", "predictor"), *columns, fresh], rows)
+    title = f"Errors on held-out samples of {OF[kind]}"
+    return Grid("accuracy", title, [Column("predictor", "predictor"), *columns, fresh], rows)
+
+
+def kinds(evaluated: Row) -> Grid:
+    """Errors of each network on held-out rows of each kind."""
+    rows = [
+        {"predictor": words(name), "kind": OF[kind], "rows": evaluated["kinds"][kind]["rows"]} | found
+        for name, row in evaluated["models"].items()
+        if row["eps_sup"]
+        for kind, found in row["kinds"].items()
+    ]
+    columns = [Column("predictor", "predictor"), Column("held out", "kind"), Column("samples", "rows", ",d")]
+    columns += [Column(head, key, digits=2) for key, head in ERRORS.items()]
+    above = Column(f"above ε sup of {OF[evaluated['held_out_kind']]}", "above", ".1%")
+    return Grid("kinds", "Errors by kind of row", [*columns, above], rows)
 
 
 def loops(models: dict[str, Row]) -> Grid:
@@ -34,6 +50,7 @@ def loops(models: dict[str, Row]) -> Grid:
         Column("map kept", "kept", ".0%"),
         Column("radius, Fig. 1", "radius", digits=2),
         Column("D̂ at its end", "D_hat", ".3f"),
+        Column("sup |P(1, t) − X(t + D)|", "in_loop", digits=2),
     ]
     return Grid("loops", "Closed loops", columns, [_loops(name, row) for name, row in models.items()])
 
@@ -43,7 +60,7 @@ def _loops(name: str, row: Row) -> Row:
     settles = "" if row["settle_ratio"] is None else row["settle_ratio"]
     kept = row["map"]["share"] if row["map"] else ""
     end = {"radius": row["figure1"]["radius"], "D_hat": row["figure1"]["D_hat_end"]}
-    return {"predictor": words(name)} | found | {"settles": settles, "kept": kept} | end
+    return {"predictor": words(name)} | found | {"settles": settles, "kept": kept} | end | {"in_loop": row["in_loop"]}
 
 
 def training(trained: dict[str, Row]) -> Grid:

@@ -1,0 +1,45 @@
+"""The errors of networks on held-out rows of each kind."""
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from npred.figures.evidence import OF, Evidence
+from npred.figures.loops import keys
+from npred.figures.plate import Panel, Plate
+from npred.figures.style import log, look, short, words
+
+
+def kinds(evidence: Evidence) -> Plate | None:
+    """The distribution of the error on rows of each kind, all on one scale; None where there is one kind alone."""
+    if len(evidence.kinds) < 2:
+        return None
+    caption = (
+        "The share of held-out rows whose largest |P̂ − P| over x is below ε, by kind of row: nominal rollouts have the "
+        "experiment's delays, exploring ones wider ranges of delays and estimates, a redrawn D̂ is not the loop's."
+    )
+    span = _span(evidence)
+    panels = [Panel(OF[kind], _told(sup), partial(_shares, sup, span)) for kind, sup in evidence.kinds.items()]
+    return Plate("kinds", "By kind of row", caption, tuple(panels), keys(evidence.errors))
+
+
+def _span(evidence: Evidence) -> tuple[float, float]:
+    """From the smallest positive error to the largest."""
+    errors = np.concatenate([sup for networks in evidence.kinds.values() for sup in networks.values()])
+    errors = errors[errors > 0]
+    return (errors.min() / 2, errors.max() * 2) if len(errors) else (0.1, 1.0)
+
+
+def _told(networks: dict[str, np.ndarray]) -> str:
+    said = [f"{words(name)} {short(np.median(sup))} and {short(sup.max())}" for name, sup in networks.items()]
+    return f"Median and largest error: {'; '.join(said)}."
+
+
+def _shares(networks: dict[str, np.ndarray], span: tuple[float, float], axis: Any) -> None:
+    share = np.linspace(0, 1, 201)
+    for name, sup in networks.items():
+        errors = np.quantile(sup, share)
+        axis.plot(np.where(errors > 0, errors, np.nan), share, **look(name).line)
+    axis.set(xlabel="ε", xlim=span, ylim=(0, 1.02))
+    log(axis, "x")
