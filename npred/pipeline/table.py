@@ -179,5 +179,5 @@ STAGES: dict[str, Stage] = {
     "train": Stage(1, ("generate",), _train, "npred.stages.train"),
     "evaluate": Stage(5, ("generate", "train"), _evaluate, "npred.stages.evaluate"),
     "bench": Stage(6, ("generate", "train"), _bench, "npred.stages.bench"),
-    "report": Stage(4, ("generate", "train", "evaluate", "bench"), _report, "npred.stages.report"),
+    "report": Stage(5, ("generate", "train", "evaluate", "bench"), _report, "npred.stages.report"),
 }
