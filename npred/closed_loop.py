@@ -153,7 +153,8 @@ class _Loop:
         steps = engine.compiled_steps if self.compiled else engine.steps
         for start in range(0, count, BLOCK):
             stop = min(start + BLOCK, count)
-            steps(origin, start, stop, *parts, settings, state, out)
+            with np.errstate(all="ignore"):  # a loop that leaves the finite numbers is NaN from there on
+                steps(origin, start, stop, *parts, settings, state, out)
             if progress:
                 progress((stop - start) * lanes)
         return out

@@ -1,4 +1,7 @@
-"""The control and update laws, and a step of the plant, for plants that are not traced: the same formulas on arrays."""
+"""The control and update laws, and a step of the plant, for plants that are not traced: the same formulas on arrays.
+
+A lane that leaves the finite numbers is NaN from there on, which its reader says in words: NumPy warns of nothing.
+"""
 
 from collections.abc import Callable
 from typing import Any
@@ -13,6 +16,7 @@ from npred.predictors.untraced import on_lanes
 def control(plant: BlackBox) -> Callable[..., None]:
     """U = kappa(P(1)), phi = 0."""
 
+    @np.errstate(all="ignore")
     def law(P: Any, X: Any, u: Any, D_hat: Any, t: float, p: Any, b: float, U: Any, phi: Any, N: Any) -> None:
         U[:] = plant.kappa(P[-1].T, t + D_hat).T
         phi[:], N[:] = 0.0, np.nan
@@ -27,6 +31,7 @@ def update(plant: BlackBox, transition: Callable[..., Any]) -> Callable[..., Non
     def df(x: np.ndarray, v: np.ndarray, t: Any, along: np.ndarray) -> np.ndarray:
         return plant.df(x.T, v.T, t, along.T, 1.0).T
 
+    @np.errstate(all="ignore")
     def law(P: Any, X: Any, u: Any, D_hat: Any, t: float, p: Any, b: float, U: Any, phi: Any, N: Any) -> None:
         last, h = len(P) - 1, D_hat / (len(P) - 1)
         r = f(P[0], u[0], t + 0.0 * h)
@@ -49,6 +54,7 @@ def advance(plant: BlackBox, method: type[OneStep]) -> Callable[..., None]:
     """A step of the plant with held input, split where a switch of the delayed input falls inside it."""
     f = on_lanes(plant)
 
+    @np.errstate(all="ignore")
     def step(X: np.ndarray, U0: Any, U1: Any, share: np.ndarray, dt: float, t: float, p: Any) -> None:
         part = share[0]
         X[:] = method.step(f, X, U0, U0, U0, t, part * dt)

@@ -285,3 +285,28 @@ def test_a_class_of_no_file_is_told():
     space["Box"].__module__ = "nowhere"
     with pytest.raises(ConfigError, match="expected a class in a file of its own"):
         plants.make("Box", space["Box"])
+
+
+class Explosive:
+    """x' = x³ + u, too fast for the delay: loops leave the finite numbers at once."""
+
+    traced = False
+    states, inputs, box = ("x",), ("u",), {"x": (-1.0, 1.0)}
+
+    def f(X, u, t, p):
+        return X**3 + u
+
+    def kappa(X, t, p):
+        return -(X**3) - X
+
+    def V(X, t, p):
+        return X[:, 0] ** 2
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+@pytest.mark.parametrize("method", ["euler", "rk4", "picard"])
+def test_a_loop_that_explodes_is_nan_without_a_warning(method: str):
+    plant = plants.make("explosive", Explosive)
+    predictor = METHODS[method](plant, nx=11)
+    loop = simulate(plant, predictor, D=0.2, D_hat=0.3, X0=[3.0], t_end=4.0, dt=0.01, adaptation=LAW)
+    assert not np.isfinite(loop.X[-1]).all()

@@ -102,6 +102,7 @@ class BlackBox(Plant):
             raise ConfigError(f"{self.place(name)} {found}; return {cures.RETURNS.get(name, 'a value each')}")
         return values.reshape(shape if size is None else (*shape, size))
 
+    @np.errstate(all="ignore")  # where it is not finite is for the caller to say, in words
     def _declared(self, name: str, arguments: list[Any]) -> np.ndarray:
         """The declared function's values. Raises UNDEFINED as they come, and ConfigError for another failure."""
         try:
@@ -179,6 +180,7 @@ def _batched(argument: Any) -> bool:
     return isinstance(argument, np.ndarray) and argument.ndim > 0
 
 
+@np.errstate(all="ignore")
 def _difference(function: Any, X: np.ndarray, v: np.ndarray) -> np.ndarray:
     """Central difference of the function of X (..., n) along v (..., n)."""
     length = np.linalg.norm(v, axis=-1, keepdims=True)

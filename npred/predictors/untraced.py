@@ -1,4 +1,7 @@
-"""The predictors' maps for plants that are not traced: the same formulas on arrays (n, B), f called as it is."""
+"""The predictors' maps for plants that are not traced: the same formulas on arrays (n, B), f called as it is.
+
+A lane that leaves the finite numbers is NaN from there on, which its reader says in words: NumPy warns of nothing.
+"""
 
 from collections.abc import Callable
 from typing import Any
@@ -18,6 +21,7 @@ def sweep(plant: BlackBox, step: Callable[..., Any]) -> Callable[..., None]:
     """A one-step method over the nodes."""
     f = on_lanes(plant)
 
+    @np.errstate(all="ignore")
     def predict(X: Any, u: np.ndarray, D_hat: np.ndarray, t: float, p: Any, P: np.ndarray) -> None:
         nx, h = len(P), D_hat / (len(P) - 1)
         middle = grid.refine(np.moveaxis(u, -1, 0), 2 * nx - 1)[:, 1::2].transpose(1, 2, 0)
@@ -31,6 +35,7 @@ def sweep(plant: BlackBox, step: Callable[..., Any]) -> Callable[..., None]:
 def picard(plant: BlackBox, tolerance: float, sweeps: int) -> Callable[..., None]:
     """Successive approximations, all nodes in one call of f."""
 
+    @np.errstate(all="ignore")
     def predict(X: Any, u: np.ndarray, D_hat: np.ndarray, t: float, p: Any, P: np.ndarray) -> None:
         h, times = D_hat / (len(P) - 1), t + np.arange(len(P))[:, None] * D_hat / (len(P) - 1)
         P[:] = X
