@@ -272,6 +272,16 @@ class Pipeline(Table):
         return self
 
     @property
+    def longest_delay(self) -> float:
+        """The longest delay or first estimate of one that the loops have, in seconds."""
+        made, seen = self.generate, self.evaluate
+        spans = [made.D if isinstance(made.D, tuple) else (made.D,), *made.D_hat0]
+        spans += [made.explore_D] if made.explore else []
+        spans += [made.explore_D_hat0] if made.explore or made.redraw else []
+        spans += [(seen.D, seen.D_hat0), seen.case_D_hat0, seen.map_D, seen.map_D_hat0]
+        return max(seconds for span in spans for seconds in span)
+
+    @property
     def files(self) -> list[str]:
         """The names of the files of one's own that it takes: of a plant, of laws, of data."""
         named = [self.plant, self.generate.adaptation, self.evaluate.adaptation]

@@ -219,11 +219,18 @@ def check(
     plant: Annotated[
         str,
         typer.Argument(
-            metavar="PLANT", help="A name, or a file as my_plant.py:Tank.", autocompletion=completion.plants
+            metavar="PLANT",
+            help="A name, a file as my_plant.py:Tank, or a pipeline as tank.toml.",
+            autocompletion=completion.plants,
         ),
     ],
-    delay: Annotated[float, typer.Option(help="The largest delay to predict over, in seconds.")] = 1.0,
-    nodes: Annotated[int, typer.Option(help="Nodes of the prediction; dx = 0.01 is 101.")] = 101,
+    delay: Annotated[
+        float | None,
+        typer.Option(help="The largest delay to predict over, in seconds; the pipeline's or the plant's, else 1."),
+    ] = None,
+    nodes: Annotated[
+        int | None, typer.Option(help="Nodes of the prediction; dx = 0.01 is 101; the pipeline's, else 101.")
+    ] = None,
 ) -> None:
     """What is right and wrong with a plant, in words; exit 3 where an answer is no."""
     from npred.cli import look

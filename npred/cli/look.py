@@ -1,7 +1,8 @@
 """What the commands do that look at a pipeline or at the store, and change nothing."""
 
 import time
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from npred.cli.options import Common, Planned
 from npred.console import columns
@@ -10,6 +11,10 @@ from npred.errors import ConfigError, UnmetError
 from npred.pipeline import STAGES, Step, nodes
 from npred.pipeline.reasons import changes, differences, flat
 from npred.store import Artifact, short
+
+if TYPE_CHECKING:
+    from npred.config import Pipeline
+    from npred.plant_check import Answer
 
 
 def status(options: Planned, check: bool) -> None:
@@ -90,11 +95,13 @@ def plants(options: Common) -> None:
     options.show({"plants": known}, lambda: columns(["plant", "states", "inputs", "parameters"], rows))
 
 
-def check(options: Common, plant: str, delay: float, nodes: int) -> None:
-    """Every question about a plant with its answer. Raises UnmetError where one is no."""
-    from npred import plant_check, plants
+def check(options: Common, plant: str, delay: float | None, nodes: int | None) -> None:
+    """Every question about a plant, or about that of a pipeline, with its answer. Raises UnmetError where one is no."""
+    from npred import config, plant_check, plants
 
-    answers = plant_check.check(plants.resolve(plant), delay, nodes)
+    pipeline = config.load(Path(plant)) if plant.endswith(".toml") else None
+    asked = plants.resolve(pipeline.plant, pipeline.parameters) if pipeline else plants.resolve(plant)
+    answers = plant_check.check(asked, delay, nodes, pipeline=pipeline) + ([_fits(pipeline)] if pipeline else [])
     fine = plant_check.settled(answers)
     rows = [[answer.check, answer.verdict, answer.text] for answer in answers]
     document = {"plant": plant, "fine": fine, "answers": [answer.json() for answer in answers]}
@@ -102,6 +109,18 @@ def check(options: Common, plant: str, delay: float, nodes: int) -> None:
     if not fine:
         failed = ", ".join(answer.check for answer in answers if answer.verdict == "no")
         raise UnmetError(f"plants check {plant}: expected no answer of no, got {failed}; the table says what to mend")
+
+
+def _fits(config: "Pipeline") -> "Answer":
+    """Whether every stage of the pipeline can run with its plant."""
+    from npred.pipeline.table import check
+    from npred.plant_check import Answer
+
+    try:
+        check(config, STAGES)
+    except ConfigError as error:
+        return Answer("pipeline", "no", str(error))
+    return Answer("pipeline", "yes", f"{config.name} fits its plant")
 
 
 def _verify(steps: list[Step]) -> None:

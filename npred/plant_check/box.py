@@ -4,8 +4,8 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from npred.plant_check.answer import Answer, Case
-from npred.plants import faults
+from npred.plant_check.answer import Answer, Case, asked
+from npred.plants import faults, inputs
 from npred.predictors import RK4
 
 STABLE = 2.0  # h rho(f_X) from which on Euler, Heun and Picard diverge
@@ -16,20 +16,21 @@ AGREE = 1e-4  # of the largest entry: how far differences may be from derivative
 
 def answers(case: Case) -> Iterator[Answer]:
     """What can be asked once f, kappa and V are finite on the box."""
-    equal = [jacobians(case)] if case.plant.traced else []
-    yield from equal
-    if all(answer.verdict != "no" for answer in equal):
-        yield stiff(case)
-    yield complete(case)
+    found = [asked("jacobians", jacobians, case)] if case.plant.traced else []
+    if all(answer.verdict != "no" for answer in found):
+        found.append(asked("stiffness", stiff, case))
+    yield from found
+    if found[-1].verdict == "yes" or found[-1].check != "stiffness":  # RK4 of a stiff plant says nothing of the plant
+        yield asked("completeness", complete, case)
 
 
 def declared(case: Case) -> Answer:
     """Whether every state has a range to start experiments from."""
-    missing = [name for name in case.plant.states if name not in case.plant.box]
+    missing = [name for name in case.plant.states if name not in case.box]
     if missing:
         what = f"plant {case.plant.name}: box has no range for {', '.join(missing)}"
         return Answer("box", "no", f'{what}; add box = {{"{missing[0]}": (low, high)}} for experiments to start in')
-    return Answer("box", "yes", ", ".join(f"{name} in [{a:g}, {b:g}]" for name, (a, b) in case.plant.box.items()))
+    return Answer("box", "yes", ", ".join(f"{name} in [{a:g}, {b:g}]" for name, (a, b) in case.box.items()))
 
 
 def finite(case: Case) -> Answer:
@@ -58,7 +59,7 @@ def _excess(function: Callable[[np.ndarray], np.ndarray], J: np.ndarray, case: C
     """How far the Jacobians J (N, k, n) are outside the tolerance, (N,); across a kink both slopes count."""
     worst = np.full(len(J), -np.inf)
     for k, name in enumerate(case.plant.states):
-        low, high = case.plant.box[name]
+        low, high = case.box[name]
         h = STEP * ((high - low) or 1.0)
         step = h * np.eye(case.plant.n)[k]
         with np.errstate(all="ignore"):
@@ -82,23 +83,24 @@ def stiff(case: Case) -> Answer:
 
 
 def complete(case: Case) -> Answer:
-    """Whether the open loop stays finite over the delay from the whole box, the input held at 0 or at a value of kappa.
+    """Whether the open loop stays finite over the delay from the whole box, the input held at u0 or a value of kappa.
 
     The predictor equation is that rollout [DAPF, eq. 10]: where it escapes, no delay of that length can be predicted.
     """
     held = np.roll(case.u, 1, axis=0)
-    held[: len(held) // 2] = 0.0
+    half = len(held) // 2
+    held[:half] = inputs.before(case.plant, case.u0, case.limits, case.X[:half])
     nodes = max(case.nodes, FINE)
     P = RK4(case.plant, nodes)(case.X, np.repeat(held[:, None], nodes, axis=1), case.delay)
     ended = ~np.all(np.isfinite(P), axis=2)  # (samples, nodes)
-    lost = ended[:, -1]
+    lost, loop = ended[:, -1], f"the open loop (u0: {inputs.told(case.plant, case.u0, case.limits)}, or kappa)"
     if not lost.any():
         largest = ", ".join(f"|{s}| <= {a:.3g}" for s, a in zip(case.plant.states, np.abs(P).max((0, 1)), strict=True))
-        return Answer("completeness", "yes", f"the open loop stays finite for {case.delay:g} s: {largest}")
+        return Answer("completeness", "yes", f"{loop} stays finite for {case.delay:g} s: {largest}")
     first = int(np.argmax(lost))
     t = case.delay * int(np.argmax(ended[first])) / (nodes - 1)
     found = f"leaves the finite numbers after {t:.3g} s from {case.state(case.X[first])}"
     return Answer(
-        "completeness", "no", f"{case.place('f')}: the open loop {found} ({lost.mean():.0%} of the box); "
+        "completeness", "no", f"{case.place('f')}: {loop} {found} ({lost.mean():.0%} of the box); "
         "shrink box or the delay, or guard what is undefined there with M.where",
     )  # fmt: skip

@@ -5,29 +5,49 @@ from collections.abc import Iterator
 import numpy as np
 
 from npred.errors import ConfigError
-from npred.plant_check.answer import Answer, Case
-from npred.plants import blame, faults, inputs, programs
+from npred.plant_check import loop
+from npred.plant_check.answer import Answer, Case, asked
+from npred.plants import blame, faults, programs
 from npred.plants.base import Plant
 from npred.plants.fit import SLIP, slip
 from npred.plants.trace import Trace, python
 
 NEAR = 0.01  # of the box, around rest: loops come there from all sides, whichever side the box is on
+SAME = 1e-3  # of its largest value: this close to x'Sx a V is taken for it
 HORIZON = 100.0  # s, over which a reference is looked at
 
 
 def answers(case: Case, sound: bool) -> Iterator[Answer]:
-    """Equilibrium, stability and, where the box is `sound`, V along the loop; of a plant that tracks, the reference."""
-    if not case.plant.rests:
-        yield reference(case)
-        if missing := faults.undeclared(case.plant):
-            yield Answer("V", "no", f"{missing}; declare the squared distance to what it follows")
-        return
-    yield (found := equilibrium(case))
+    """Equilibrium, stability and, where the box is `sound`, V along the loop; of a plant that tracks, the reference.
+
+    Where there is something to come to, the box is sound and the law stabilises: whether loops come there.
+    """
+    questions = _at_rest(case, sound) if case.plant.rests else _following(case)
+    found = {}
+    for answer in questions:
+        found[answer.check] = answer.verdict
+        yield answer
+    if sound and np.isfinite(case.limits).any():
+        yield asked("input bounds", loop.limited, case)
+    if sound and found.get("stability", found.get("reference")) == "yes":
+        yield asked("convergence", loop.converges, case)
+
+
+def _at_rest(case: Case, sound: bool) -> Iterator[Answer]:
+    yield (found := asked("equilibrium", equilibrium, case))
     if found.verdict == "no":
         return
-    yield (stable := stability(case))
-    if sound and stable.verdict == "yes":
-        yield decrease(case)
+    yield (stable := asked("stability", stability, case))
+    if not case.plant.declares_V and not case.takes_V:
+        yield Answer("V", "yes", "none is declared and none is needed: no update law runs")
+    elif sound and stable.verdict == "yes":
+        yield asked("V", decrease, case)
+
+
+def _following(case: Case) -> Iterator[Answer]:
+    yield asked("reference", reference, case)
+    if case.takes_V and (missing := faults.undeclared(case.plant)):
+        yield Answer("V", "no", f"{missing}; declare the squared distance to what it follows")
 
 
 def smooth(case: Case) -> Answer:
@@ -49,12 +69,22 @@ def equilibrium(case: Case) -> Answer:
         X, u = plant.equilibrium, plant.u_equilibrium
     except ConfigError as error:
         return Answer("equilibrium", "no", str(error))
-    bounds = inputs.bounds(plant, None)
     values = blame.values(plant.inputs, u)
-    if (u < bounds[:, 0]).any() or (u > bounds[:, 1]).any():
-        text = f"plant {plant.name}: rests with {values}, outside input_bounds {bounds.tolist()}; move the set point"
+    if (u < case.limits[:, 0]).any() or (u > case.limits[:, 1]).any():
+        text = (
+            f"plant {plant.name}: rests with {values}, outside input_bounds {case.limits.tolist()}; move the set point"
+        )
         return Answer("equilibrium", "no", text)
+    beyond = [f"{name} in [{a:g}, {b:g}]" for name, x, (a, b) in _ranges(case, X) if not a <= x <= b]
+    if beyond:
+        text = f"{case.state(X)}, with {values}: outside the box, {', '.join(beyond)}, so loops start on one side of it"
+        return Answer("equilibrium", "warn", text)
     return Answer("equilibrium", "yes", f"{case.state(X)}, with {values}")
+
+
+def _ranges(case: Case, X: np.ndarray) -> Iterator[tuple[str, float, tuple[float, float]]]:
+    """Name, value and range of each state that has one."""
+    return ((name, x, case.box[name]) for name, x in zip(case.plant.states, X, strict=True) if name in case.box)
 
 
 def reference(case: Case) -> Answer:
@@ -81,8 +111,9 @@ def stability(case: Case) -> Answer:
 def decrease(case: Case) -> Answer:
     """Whether V' = V_X f(X, kappa(X)) < 0 from the box to rest; where not, x'Sx of the Lyapunov equation is offered."""
     X = _towards_rest(case)
+    S = lyapunov(faults.closed_loop(case.plant))
     if missing := faults.undeclared(case.plant):
-        return Answer("V", "no", f"{missing}; declare one: {_offer(case, X)}")
+        return Answer("V", "no", f"{missing}; declare one: {_offer(case, S, X)}")
     rates = _along(case, X)
     rising = ~(rates < 0)
     if not rising.any():
@@ -91,7 +122,16 @@ def decrease(case: Case) -> Answer:
         )
     worst = int(np.argmax(np.where(np.isnan(rates), np.inf, rates)))
     found = f"V' = {rates[worst]:.3g} at {case.state(X[worst])}, and {rising.mean():.0%} of {len(X)} states are like it"
-    return Answer("V", "warn", f"{case.place('V')} does not fall along the loop: {found}; {_offer(case, X)}")
+    if rising.mean() > (_offered(case, S, X) >= 0).mean():
+        return Answer("V", "warn", f"{case.place('V')} does not fall along the loop: {found}; {_offer(case, S, X)}")
+    if _proportional(case, S, X):
+        text = (
+            f"solves the Lyapunov equation, and falls at {1 - rising.mean():.0%} of {len(X)} states: the box is wider"
+        )
+        return Answer("V", "yes", f"V {text} than where it does")
+    return Answer(
+        "V", "warn", f"{case.place('V')} does not fall along the loop: {found}; no x'Sx does better: shrink box"
+    )
 
 
 def _towards_rest(case: Case) -> np.ndarray:
@@ -129,19 +169,30 @@ def lyapunov(A: np.ndarray) -> np.ndarray:
     return np.linalg.solve(np.kron(A.T, eye) + np.kron(eye, A.T), -eye.ravel()).reshape(A.shape)
 
 
-def _offer(case: Case, X: np.ndarray) -> str:
-    """x'Sx as text for the plant's file, with how often it falls at the states X."""
-    S, e = lyapunov(faults.closed_loop(case.plant)), X - case.plant.equilibrium
-    slopes = np.einsum("bi,ij,bj->b", e, S, case.plant.f(X, case.plant.kappa(X)))
-    terms = [_term(case, S, i, j) for i in range(len(S)) for j in range(i, len(S)) if abs(S[i, j]) > 1e-9]
-    falls = f"falls at {(slopes < 0).mean():.0%} of {len(X)} states"
-    return f"V = {' + '.join(terms)} solves the Lyapunov equation, and {falls}"
+def _offered(case: Case, S: np.ndarray, X: np.ndarray) -> np.ndarray:
+    """Half the derivative of e'Se along the loop of kappa, e = X - X*, at the states X (B, n), (B,)."""
+    return np.einsum("bi,ij,bj->b", X - case.plant.equilibrium, S, case.plant.f(X, case.plant.kappa(X)))
+
+
+def _proportional(case: Case, S: np.ndarray, X: np.ndarray) -> bool:
+    """Whether the declared V is e'Se times a number."""
+    e = X - case.plant.equilibrium
+    V, own = case.plant.V(X), np.einsum("bi,ij,bj->b", e, S, e)
+    return bool(np.abs(V * own.sum() - own * np.sum(V)).max() <= SAME * np.abs(own).max() * np.sum(V))
+
+
+def _offer(case: Case, S: np.ndarray, X: np.ndarray) -> str:
+    """e'Se as text for the plant's file, with how often it falls at the states X."""
+    scale = np.sqrt(np.outer(np.diag(S), np.diag(S)))
+    pairs = [(i, j) for i in range(len(S)) for j in range(i, len(S)) if abs(S[i, j]) > 1e-9 * scale[i, j]]
+    falls = f"falls at {(_offered(case, S, X) < 0).mean():.0%} of {len(X)} states"
+    return f"V = {' + '.join(_term(case, S, i, j) for i, j in pairs)} solves the Lyapunov equation, and {falls}"
 
 
 def _term(case: Case, S: np.ndarray, i: int, j: int) -> str:
     a, b = (_error(case.plant.states[k], case.plant.equilibrium[k]) for k in (i, j))
-    return f"{S[i, j]:.4g} * {a} ** 2" if i == j else f"{2 * S[i, j]:.4g} * {a} * {b}"
+    return f"{S[i, j]:.8g} * {a} ** 2" if i == j else f"{2 * S[i, j]:.8g} * {a} * {b}"
 
 
 def _error(state: str, rest: float) -> str:
-    return f"(x.{state} - {rest:.6g})" if rest else f"x.{state}"
+    return f"(x.{state} - {rest:.12g})" if rest else f"x.{state}"

@@ -70,10 +70,14 @@ def before(plant: Plant, u0: Any, limits: np.ndarray, X0: np.ndarray) -> np.ndar
 
 
 def told(plant: Plant, u0: Any, limits: np.ndarray) -> str:
-    """u0 in words: q = 0, or equilibrium: q = 0.5, or law."""
+    """u0 in words: q = 0, or q = 0.5 of the equilibrium, or kappa(X0, 0)."""
     value = start(plant, u0, limits)
     if isinstance(value, str):
-        return value if value == LAW else f"{value}: {blame.values(plant.inputs, _at_rest(plant, limits))}"
+        return (
+            "kappa(X0, 0)"
+            if value == LAW
+            else f"{blame.values(plant.inputs, _at_rest(plant, limits))} of the equilibrium"
+        )
     return blame.values(plant.inputs, value)
 
 
