@@ -15,7 +15,10 @@ def learning(histories: dict[str, Epochs]) -> Plate:
     """The metrics of each network's epochs, as its training left them."""
     panels = [Panel(title, _told(title, key, histories), partial(_curves, key, histories))
               for key, title in SHOWN.items()]  # fmt: skip
-    caption = "One point an epoch. The loss is each network's own; the errors are in state units, on the rollouts that the data hold out."
+    caption = (
+        "One point an epoch. The loss is each network's own; the errors are in state units, on the rollouts that the "
+        "data hold out."
+    )
     solid = tuple(Key(words(name), replace(look(name), dash=())) for name in histories)  # dashes hide what is rough
     return Plate("learning", "Training", caption, tuple(panels), solid)
 
