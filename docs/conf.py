@@ -23,6 +23,7 @@ html_css_files = ["npred.css"]
 html_math_renderer = "mathml"
 html_copy_source = html_show_sourcelink = False
 highlight_language = "none"
+smartquotes = False  # two hyphens are a flag's, not a dash
 pygments_style, pygments_dark_style = "a11y-light", "a11y-dark"
 
 autodoc_member_order = "bysource"

@@ -194,6 +194,22 @@ def extension(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], Any]:
     return importlib.import_module
 
 
+ARTICLE = ("Luke Bhan", "Miroslav Krstic", "Yuanyuan Shi", "2025", "https://arxiv.org/abs/2508.20367")
+
+
+@pytest.mark.parametrize("name", ["README.md", "docs/index.md", "docs/fidelity.md"])
+def test_the_article_is_cited_in_full_where_it_is_first_named(name: str):
+    text = (ROOT / name).read_text()
+    told = " ".join(text[text.index("[DAPF]") :].split()).replace("> ", "")[:600]
+    assert [part for part in ARTICLE if part not in told] == []
+
+
+def test_the_citation_file_names_the_article_as_the_readme_does():
+    text = (ROOT / "CITATION.cff").read_text()
+    assert "arXiv:2508.20367" in text and "year: 2025" in text and ARTICLE[-1] in text
+    assert all(name.split()[1] in text for name in ARTICLE[:3])
+
+
 def test_the_reference_has_every_flag_and_every_key(extension: Callable[[str], Any]):
     reference = extension("reference")
     told = "\n".join(reference.commands())
@@ -216,6 +232,8 @@ def test_the_documentation_builds_without_a_warning_and_asks_no_one(tmp_path: Pa
     command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-n", "-q", "docs", str(tmp_path)]
     done = subprocess.run(command, cwd=ROOT, env=process_environment(), capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
+    commands = (tmp_path / "reference" / "commands.html").read_text()
+    assert "--set train.deeponet.width" in commands and not re.search(r"–[a-z]", commands)
     for page in tmp_path.rglob("*.html"):
         fetched = re.findall(r"<(?:script|img|link|iframe)\b[^>]*(?:src|href)=\"(https?:[^\"]+)", page.read_text())
         assert fetched == [], page.name
