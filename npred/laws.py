@@ -38,7 +38,7 @@ def identity(loop: config.Loop) -> Any:
     if not files.named(loop.adaptation):
         return None if loop.adaptation == config.PAPER else loop.adaptation
     path, name = files.split(loop.adaptation)
-    return {"name": name, "source": files.digest("adaptation", path)}
+    return {"name": name, "source": files.read("adaptation", path).sha256}
 
 
 def check(loop: config.Loop, plant: "Plant") -> None:

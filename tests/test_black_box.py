@@ -151,8 +151,9 @@ def test_identity_follows_the_file_the_parameters_and_the_files_it_reads(write, 
     data.write_text("2")
     changed = plants.resolve(write(more=more)).identity
     commented = plants.resolve(write(more=more + "# a remark\n")).identity
-    assert before["source"] == changed["source"] != commented["source"]
-    assert len({before["program"], changed["program"], commented["program"]}) == 3
+    assert before["program"]["source"] == changed["program"]["source"] != commented["program"]["source"]
+    assert before["program"]["files"] != changed["program"]["files"] == commented["program"]["files"]
+    assert set(before["program"]["files"]) == {"data.txt"}
     with pytest.raises(ConfigError, match="files expected a file to read at"):
         _ = plants.resolve(write(more="\n    files = ('nowhere.urdf',)\n")).identity
 

@@ -36,7 +36,7 @@ def test_a_registered_plant_is_found_listed_and_lazily_imported(package):
     assert "shed_of_tanks" not in sys.modules
     tank = plants.resolve("round_tank")
     assert (tank.name, tank.states, tank.equilibrium.tolist()) == ("round_tank", ("h",), [1.0])
-    assert tank.identity["source"] is None
+    assert tank.source is not None and tank.source.file == "shed_of_tanks.py"
     assert "round_tank" in [row["name"] for row in plants.named()]
 
 

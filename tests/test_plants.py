@@ -133,12 +133,41 @@ def test_own_file(write):
     np.testing.assert_allclose(tank.f(np.array([[4.0]]), np.array([[1.0]])), [[0.0]])
 
 
-def test_identity_follows_the_file_and_its_formulas(write):
-    before = plants.resolve(write()).identity
-    commented = plants.resolve(write("class Tank", "# a remark\nclass Tank")).identity
-    stronger = plants.resolve(write("- p.c * M.sqrt", "- 2 * p.c * M.sqrt")).identity
-    assert before["program"] == commented["program"] != stronger["program"]
-    assert len({before["source"], commented["source"], stronger["source"]}) == 3
+def test_identity_follows_the_formulas_and_not_the_text(write):
+    before = plants.resolve(write())
+    remark = plants.resolve(write("class Tank", "# a remark\nimport os  # unused\nclass Tank"))
+    unused = plants.resolve(write("return [u.U", "x.h * x.h  # of no use\n        return [u.U"))
+    assert before.identity == remark.identity == unused.identity
+    assert len({plant.source.text for plant in (before, remark, unused)}) == 3
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "parts"),
+    [
+        ("- p.c * M.sqrt", "- 2 * p.c * M.sqrt", {"f"}),
+        ("+ p.level - x.h", "+ p.level - 2 * x.h", {"kappa"}),
+        ("(x.h - p.level) ** 2", "2 * (x.h - p.level) ** 2", {"V"}),
+    ],
+)
+def test_identity_tells_which_formula_changed(write, old, new, parts):
+    before, after = plants.resolve(write()).identity, plants.resolve(write(old, new)).identity
+    assert {name for name, digest in before["program"].items() if after["program"][name] != digest} == parts
+    assert {key for key in before if before[key] != after[key]} == {"program"}
+
+
+def _driven(x, u, t, p, M):
+    return [u[0] - x[0]]
+
+
+def test_names_of_inputs_are_part_of_the_identity():
+    before, after = (type("Any", (Follower,), {"inputs": (name,), "f": staticmethod(_driven)}) for name in "ab")
+    assert Plant("Any", before).identity != Plant("Any", after).identity
+
+
+def test_a_plant_knows_the_text_that_declares_it(write):
+    source = plants.resolve(write()).source
+    assert (source.file, source.text) == ("my_plant.py", TANK)
+    assert "class Scalar" in plants.resolve("scalar").source.text
 
 
 def test_time_dependence_means_no_equilibrium(write):

@@ -17,7 +17,7 @@ import pytest
 from conftest import process_environment
 
 from npred.errors import ConfigError, StoreError
-from npred.store import MARKER, Artifact, Manifest, Question, Source, Store, keys
+from npred.store import MARKER, Artifact, Manifest, Question, Source, SourceText, Store, keys
 
 HELD = "0" * 64
 HOLD = """
@@ -470,3 +470,19 @@ def test_a_manifest_says_what_the_numbers_depend_on_beyond_the_question(store: S
     assert before.circumstances["mkl_mode"] == "default" and after.circumstances["mkl_mode"] == "COMPATIBLE"
     assert "ATEN_CPU_CAPABILITY=default" in str(after.circumstances["arithmetic_settings"])
     assert "made" not in after.circumstances
+
+
+def test_the_code_of_a_result_enters_neither_key_nor_digest_but_the_checksum(tmp_path: Path):
+    plain, store = put(Store(tmp_path / "a")), Store(tmp_path / "b")
+    with store.draft("train", question().key) as folder:
+        for name in plain.manifest.files:
+            (folder / name).parent.mkdir(exist_ok=True)
+            (folder / name).write_bytes((plain.folder / name).read_bytes())
+        coded = store.commit(folder, question(), "p", sources={"plant": SourceText(file="a.py", text="1")})
+    assert (coded.manifest.key, coded.manifest.digest) == (plain.manifest.key, plain.manifest.digest)
+    assert Artifact.read(coded.folder).manifest.sources["plant"].text == "1"
+    path = coded.folder / "manifest.json"
+    path.write_text(path.read_text().replace('"text": "1"', '"text": "2"'))
+    with pytest.raises(StoreError, match="got changed bytes"):
+        Artifact.read(coded.folder)
+    assert "sources" not in (plain.folder / "manifest.json").read_text()  # as an older npred wrote it

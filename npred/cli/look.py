@@ -11,6 +11,7 @@ from npred.errors import ConfigError, UnmetError
 from npred.pipeline import STAGES, Step, nodes
 from npred.pipeline.reasons import changes, differences, flat
 from npred.store import Artifact, short
+from npred.store.manifest import NAME
 
 if TYPE_CHECKING:
     from npred.config import Pipeline
@@ -67,7 +68,8 @@ def ls(options: Common, shown: list[str]) -> None:
 def diff(options: Common, a: str, b: str) -> None:
     """The differences of two results."""
     left, right = (options.results.find(reference).verify() for reference in (a, b))
-    asked = differences(left.manifest.question, right.manifest.question)
+    before, after = left.manifest, right.manifest
+    asked = differences(before.question, after.question, before.sources, after.sources)
     answered = changes(left.result(), right.result())
     kinds = [_kind(left), _kind(right)]
     folders = {"a": str(left.folder), "b": str(right.folder)}
@@ -170,9 +172,10 @@ def _facts(artifact: Artifact) -> str:
         *(f"  {name}  {p.size} bytes" for name, p in manifest.files.items()),
     ]
     inputs = [f"  from {name}: {short(source.key)}" for name, source in manifest.question.inputs.items()]
+    code = [f"  {role}: {escaped(source.file)}, its text in {NAME}" for role, source in manifest.sources.items()]
     settings = [f"  {line.replace(': unset ->', ' =')}" for line in changes({}, manifest.question.config)]
     made = ", ".join(f"{name} {value}" for name, value in manifest.provenance.items() if value)
-    return "\n".join([*lines, *inputs, *settings, f"  made with {made}"])
+    return "\n".join([*lines, *inputs, *code, *settings, f"  made with {made}"])
 
 
 def _summary(stage: str, result: dict[str, Any]) -> Any:

@@ -89,6 +89,10 @@ def _named(artifact: Artifact, spec: str) -> Plant:
     identity = artifact.manifest.question.config.get("plant")
     named = identity if isinstance(identity, dict) else {}
     name, parameters = named.get("name"), named.get("parameters")
-    if not plants.is_builtin(name) or named.get("source") is not None or not isinstance(parameters, dict):
-        raise ConfigError(f"{spec}: expected a built-in plant, got {name!r}; use PIPELINE:MODEL")
-    return plants.resolve(str(name), parameters)
+    values = parameters if isinstance(parameters, dict) else {}
+    plant = plants.resolve(str(name), values) if plants.is_builtin(name) else None
+    if plant is None or plant.identity != named:
+        raise ConfigError(
+            f"{spec}: expected a built-in plant, got {name!r} of another npred or of a file; use PIPELINE:MODEL"
+        )
+    return plant

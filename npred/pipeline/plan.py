@@ -6,9 +6,9 @@ from functools import cached_property
 
 from npred.config import Pipeline
 from npred.pipeline import table
-from npred.pipeline.reasons import NEVER, alike, changes, reason, sentence
+from npred.pipeline.reasons import NEVER, alike, reason, sentence, settings
 from npred.pipeline.table import STAGES, Node
-from npred.store import Artifact, Question, Source, Store
+from npred.store import Artifact, Question, Source, SourceText, Store
 
 UP_TO_DATE = "up to date"
 
@@ -74,7 +74,7 @@ class Planner:
         if node.stage in self.forced:
             return Step(node, question, None, "--force")
         artifact = self.store.get(node.stage, question.key)
-        why = UP_TO_DATE if artifact else reason(question, self.config.name, self._artifacts)
+        why = UP_TO_DATE if artifact else reason(question, self.config.name, self._artifacts, self.sources(node))
         return Step(node, question, artifact, why)
 
     def question(self, node: Node, inputs: Mapping[str, Artifact]) -> Question:
@@ -91,11 +91,16 @@ class Planner:
             inputs=sources,
         )
 
+    def sources(self, node: Node) -> dict[str, SourceText]:
+        """The files of code that a node's result depends on, as they are now."""
+        return table.sources(node, self.config)
+
     def _waiting(self, node: Node, blocked: list[Step]) -> Step:
         causes = [f"upstream {step.node.name} will run ({step.reason})" for step in blocked if step.question]
         older = [a for a in self._artifacts if alike(a, node.stage, node.model, self.config.name)]
-        asked = table.question(node, self.config, self.device)
-        own = min((changes(a.manifest.question.config, asked) for a in reversed(older)), key=len, default=[])
+        asked, sources = table.question(node, self.config, self.device), self.sources(node)
+        lists = (settings(a.manifest.question.config, asked, a.manifest.sources, sources) for a in reversed(older))
+        own = min(lists, key=len, default=[])
         return Step(node, None, None, f"{'stale' if older else NEVER}: {sentence([*own, *causes])}")
 
     @cached_property

@@ -1,18 +1,22 @@
 """Why a stage would run, in words: what differs from the closest result that the store has."""
 
 import json
+import re
 from collections.abc import Iterable, Mapping
 from typing import Any
 
 from npred.documents import escaped
-from npred.store import Artifact, Question, short
+from npred.pipeline import code_changes
+from npred.store import Artifact, Question, SourceText, short
 
 NEVER = "no artifact yet"
 UNSET = "unset"
 SHOWN = 4
+CODE = re.compile(r"plant\.program\.(?:source|files\.(?P<file>.+)|(?P<function>\w+))|(?P<law>\w+\.adaptation)\.source")
+Sources = Mapping[str, SourceText]
 
 
-def reason(question: Question, pipeline: str, artifacts: Iterable[Artifact]) -> str:
+def reason(question: Question, pipeline: str, artifacts: Iterable[Artifact], sources: Sources = {}) -> str:
     """The differences, before -> after, from the closest result of the same stage, network and pipeline.
 
     The closest has the fewest differences; among equals the most recent (last) one counts.
@@ -20,26 +24,55 @@ def reason(question: Question, pipeline: str, artifacts: Iterable[Artifact]) -> 
     same = [a for a in artifacts if alike(a, question.stage, question.model, pipeline)]
     if not same:
         return NEVER
-    lists = [differences(artifact.manifest.question, question) for artifact in reversed(same)]
+    lists = [differences(a.manifest.question, question, a.manifest.sources, sources) for a in reversed(same)]
     return sentence(min(lists, key=len))
 
 
-def differences(before: Question, after: Question) -> list[str]:
-    """Each difference of two questions of one stage as `key: before -> after`."""
+def differences(before: Question, after: Question, old_sources: Sources = {}, new_sources: Sources = {}) -> list[str]:
+    """Each difference of two questions of one stage as `key: before -> after`; that of code in its lines."""
     found = [f"stage version: {before.version} -> {after.version}"] if before.version != after.version else []
-    found += changes(before.config, after.config)
+    found += settings(before.config, after.config, old_sources, new_sources)
     for name in sorted(before.inputs.keys() | after.inputs.keys()):
         old, new = (short(q.inputs[name].digest) if name in q.inputs else UNSET for q in (before, after))
         found += [f"input {name} changed: {old} -> {new}"] if old != new else []
     return found
 
 
+def settings(
+    before: Mapping[str, Any], after: Mapping[str, Any], old_sources: Sources = {}, new_sources: Sources = {}
+) -> list[str]:
+    """Each difference of two slices of the configuration; one of code, of which they hold a hash, in its lines."""
+    name = after["plant"].get("name", "") if isinstance(after.get("plant"), Mapping) else ""
+    return [
+        _code(key, old, new, name, old_sources, new_sources) or f"{key}: {old} -> {new}"
+        for key, old, new in _pairs(before, after)
+    ]
+
+
+def _code(key: str, old: str, new: str, plant: str, before: Sources, after: Sources) -> str | None:
+    """A difference of a hash of code in words; None for any other key."""
+    found = CODE.fullmatch(key)
+    if found is None:
+        return None
+    role = found["law"] or "plant"
+    what = found["function"] or (f"file {found['file']}" if found["file"] else role)
+    if UNSET in (old, new):
+        return f"{what} {'added' if old == UNSET else 'dropped'}"
+    if found["file"]:
+        return f"{what} changed"
+    return code_changes.change(what, plant, before.get(role), after.get(role))
+
+
 def changes(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[str]:
     """Each leaf in which two nested tables differ, as `dotted.key: before -> after`."""
+    return [f"{key}: {left} -> {right}" for key, left, right in _pairs(before, after)]
+
+
+def _pairs(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     old, new = flat(before), flat(after)
     keys = [*old, *(key for key in new if key not in old)]
     pairs = [(key, old.get(key, UNSET), new.get(key, UNSET)) for key in keys]
-    return [f"{key}: {left} -> {right}" for key, left, right in pairs if left != right]
+    return [(key, left, right) for key, left, right in pairs if left != right]
 
 
 def flat(table: Mapping[str, Any], prefix: str = "") -> dict[str, str]:

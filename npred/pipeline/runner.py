@@ -122,7 +122,8 @@ class Runner:
             scratch.mkdir(parents=True, exist_ok=True)
             result = STAGES[stage].run(self._job(step.node, folder, inputs, scratch))
             (folder / RESULT).write_text(json.dumps(plain(result), indent=1, allow_nan=False) + "\n", encoding="utf-8")
-            artifact = store.commit(folder, step.question, self.planner.config.name, self.planner.device)
+            sources = self.planner.sources(step.node)
+            artifact = store.commit(folder, step.question, self.planner.config.name, self.planner.device, sources)
         store.discard(scratch)
         return artifact
 

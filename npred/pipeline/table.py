@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 from npred import devices
 from npred.config import Loop, Pipeline, Table, Train
+from npred.documents import escaped
 from npred.errors import ConfigError
 from npred.store.keys import sha256_file
+from npred.store.manifest import LONGEST, SourceText
 
 if TYPE_CHECKING:
     from npred.stages import Job
@@ -79,6 +81,22 @@ def question(node: Node, config: Pipeline, device: str) -> dict[str, Any]:
 
     shared = {"plant": plants.identity(config.plant, config.parameters), "seed": config.seed}
     return shared | STAGES[node.stage].slice(config, node.model, device)
+
+
+def sources(node: Node, config: Pipeline) -> dict[str, SourceText]:
+    """The files of code behind a node's question: the plant's, and that of a delay law of the user's; long ones not."""
+    from npred import plants
+    from npred.plants import files
+
+    found = {"plant": plants.resolve(config.plant, config.parameters).source}
+    law = getattr(getattr(config, node.stage, None), "adaptation", "")
+    if files.named(law):
+        found[f"{node.stage}.adaptation"] = files.read("adaptation", files.split(law)[0])
+    return {
+        role: SourceText(file=escaped(source.file), text=source.text)
+        for role, source in found.items()
+        if source and len(source.text) <= LONGEST
+    }
 
 
 def check(config: Pipeline, stages: Collection[str]) -> None:

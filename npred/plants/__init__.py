@@ -31,7 +31,9 @@ def resolve(name: str, parameters: Mapping[str, float] = {}) -> Plant:
     return make(name, declaration, parameters)
 
 
-def make(name: str, declaration: Any, parameters: Mapping[str, float] = {}, source: str | None = None) -> Plant:
+def make(
+    name: str, declaration: Any, parameters: Mapping[str, float] = {}, source: files.Source | None = None
+) -> Plant:
     """The plant of a declaration: traced, unless it says `traced = False`."""
     kind = Plant if getattr(declaration, "traced", True) else BlackBox
     return kind(name, declaration, parameters, source)

@@ -8,8 +8,9 @@ from typing import Any, ClassVar
 import numpy as np
 
 from npred.errors import ConfigError
-from npred.plants import blame, mathematics, newton, programs
+from npred.plants import blame, files, mathematics, newton, programs
 from npred.plants import declaration as declared
+from npred.plants.files import Source
 from npred.plants.trace import Trace, call, python
 
 
@@ -26,9 +27,10 @@ class Plant:
 
     traced: ClassVar[bool] = True
 
-    def __init__(self, name: str, declaration: Any, overrides: Mapping[str, float] = {}, source: str | None = None):
+    def __init__(self, name: str, declaration: Any, overrides: Mapping[str, float] = {}, source: Source | None = None):
         declared.check(name, declaration)
-        self.name, self.declaration, self.source = name, declared.completed(declaration), source
+        self.name, self.declaration = name, declared.completed(declaration)
+        self.source = source or files.declaring(declaration)
         self.declares_V = hasattr(declaration, "V")
         self.states = declared.names(name, "states", declaration.states)
         self.inputs = declared.names(name, "inputs", declaration.inputs)
@@ -263,28 +265,37 @@ class Plant:
 
     @cached_property
     def identity(self) -> dict[str, Any]:
-        """What a result depends on: name, parameters, the hash of the traced functions and of a user's own file."""
+        """What a result depends on: names, parameters, and the hash of each traced function.
+
+        A remark in the file that declares the plant changes no formula, and so no key.
+        """
         optional = {} if self.delays is None else {"ratios": self.ratios.tolist()}
         optional |= {} if self.period is None else {"period": self.period}
         return {
             "name": self.name,
+            "states": list(self.states),
+            "inputs": list(self.inputs),
             "parameters": self.parameters,
             "box": {name: list(span) for name, span in self.box.items()},
             "input_bounds": None if self.input_bounds is None else [[*map(_word, pair)] for pair in self.input_bounds],
             "guess": self.guess.tolist(),
             "program": self._program(),
-            "source": self.source,
             **optional,
         }
 
-    def _program(self) -> str:
-        """The hash of the traced functions."""
+    def _program(self) -> dict[str, Any]:
+        """The hash of each function, as the program that its trace prints."""
+        functions = ["f", "kappa", "V", *(["reference"] if self.tracks else [])]
+        return {name: hashlib.sha256("\n".join(self._printed(name)).encode()).hexdigest() for name in functions}
+
+    def _printed(self, name: str) -> list[str]:
+        """The lines of a function's program, from x0, …, u0, …, t and p0, … to y0, …; equal formulas, equal lines."""
         trace = Trace(self)
         x, u, t = trace.vector("x", self.n), trace.vector("u", self.m), trace.input("t")
-        outputs = [*trace.f(x, u, t), *trace.kappa(x, t), trace.V(x, t), *(trace.reference(t) if self.tracks else ())]
+        inputs = {"f": (x, u, t), "reference": (t,)}.get(name, (x, t))
+        outputs = np.ravel(np.array(getattr(trace, name)(*inputs), dtype=object))
         names = [*self._names("x", self.n), *self._names("u", self.m), "t", *self._names("p", len(self.p))]
-        lines = programs.lines(outputs, {name: name for name in names}, [f"y{k}" for k in range(len(outputs))])
-        return hashlib.sha256("\n".join(lines).encode()).hexdigest()
+        return programs.lines(outputs, {name: name for name in names}, self._names("y", len(outputs)))
 
 
 def _word(value: float) -> float | str:

@@ -1,7 +1,6 @@
 """A plant that cannot be traced, a rigid-body library say: NumPy callables in the same loop, slower."""
 
 import hashlib
-import inspect
 from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
@@ -12,6 +11,7 @@ import numpy as np
 from npred.errors import ConfigError
 from npred.plants import cures
 from npred.plants.base import Plant
+from npred.plants.files import Source
 from npred.plants.trace import failure, parameters
 
 STEP = 6e-6  # of a central difference: the cube root of the machine epsilon balances rounding and the third derivative
@@ -34,8 +34,10 @@ class BlackBox(Plant):
 
     traced = False
 
-    def __init__(self, name: str, declaration: Any, overrides: Mapping[str, float] = {}, source: str | None = None):
-        super().__init__(name, declaration, overrides, source or _source(name, declaration))
+    def __init__(self, name: str, declaration: Any, overrides: Mapping[str, float] = {}, source: Source | None = None):
+        super().__init__(name, declaration, overrides, source)
+        if self.source is None:
+            raise ConfigError(f"plant {name}: traced = False expected a class in a file of its own; write one")
         self.needs_one_delay("traced = False", "trace the plant, or drop delays")
 
     def call(self, name: str, x: Any, u: Any, t: Any, p: Any, M: Any) -> list[Any]:
@@ -163,16 +165,18 @@ class BlackBox(Plant):
         found = [self.f(X, u, t) if name == "f" else self.kappa(X, t) for t in TIMES]
         return not all(np.array_equal(found[0], other, equal_nan=True) for other in found[1:])
 
-    def _program(self) -> str:
-        """The hash of what stands in for a program: the plant's own file and those that it reads."""
-        digest = hashlib.sha256(str(self.source).encode())
-        for path in getattr(self.declaration, "files", ()):
+    def _program(self) -> dict[str, Any]:
+        """What stands in for a program: the hash of the plant's own file, and of those that it reads, by name."""
+        assert self.source is not None
+        contents: dict[str, Any] = {}
+        for path in map(Path, getattr(self.declaration, "files", ())):
             try:
-                digest.update(Path(path).read_bytes())
+                contents.setdefault(path.name, hashlib.sha256()).update(path.read_bytes())
             except OSError as error:
                 what = f"expected a file to read at {path}, got: {error.strerror}"
                 raise ConfigError(f"plant {self.name}: files {what}; mend the path") from None
-        return digest.hexdigest()
+        files = {name: content.hexdigest() for name, content in contents.items()}
+        return {"source": self.source.sha256} | ({"files": files} if files else {})
 
 
 def _batched(argument: Any) -> bool:
@@ -192,11 +196,3 @@ def _rate(function: Any, t: Any) -> np.ndarray:
     """Central difference of the function of the time t, by the seconds between the two times as they are rounded."""
     later, earlier = np.asarray(t) + STEP, np.asarray(t) - STEP
     return (function(later) - function(earlier)) / (later - earlier)[..., None]
-
-
-def _source(name: str, declaration: Any) -> str:
-    """The digest of the file that declares the plant."""
-    try:
-        return hashlib.sha256(Path(inspect.getfile(declaration)).read_bytes()).hexdigest()
-    except (TypeError, OSError):
-        raise ConfigError(f"plant {name}: traced = False expected a class in a file of its own; write one") from None

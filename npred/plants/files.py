@@ -1,6 +1,7 @@
 """A class of a user's own file, named as my_plant.py:Tank. A file is code: it is run when somebody names it."""
 
 import hashlib
+import inspect
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -10,12 +11,20 @@ from npred.plants import blame
 SUFFIX = ".py:"
 
 
+class Source(NamedTuple):
+    """A file of code: its name without folders, its text, and the sha256 of its bytes."""
+
+    file: str
+    text: str
+    sha256: str
+
+
 class Loaded(NamedTuple):
-    """A class, its name, and the sha256 of its file."""
+    """A class, its name, and its file."""
 
     name: str
     declaration: Any
-    source: str
+    source: Source
 
 
 def named(spec: str) -> bool:
@@ -29,12 +38,25 @@ def split(spec: str) -> tuple[Path, str]:
     return Path(path + ".py"), name
 
 
-def digest(what: str, path: Path) -> str:
-    """The sha256 of the file. Raises ConfigError where it cannot be read."""
+def read(what: str, path: Path) -> Source:
+    """The file as it is now. Raises ConfigError where it cannot be read."""
     try:
-        return hashlib.sha256(path.read_bytes()).hexdigest()
+        return _source(path, path.read_bytes())
     except OSError as error:
         raise ConfigError(f"{what}: expected a file at {path}, got: {error.strerror}; check the path") from None
+
+
+def declaring(declaration: Any) -> Source | None:
+    """The file of the module that a class comes from; None where there is none, as at a prompt."""
+    try:
+        path = Path(inspect.getfile(declaration))
+        return _source(path, path.read_bytes())
+    except (TypeError, OSError):
+        return None
+
+
+def _source(path: Path, content: bytes) -> Source:
+    return Source(path.name, content.decode(errors="replace"), hashlib.sha256(content).hexdigest())
 
 
 def load(what: str, spec: str) -> Loaded:
@@ -45,10 +67,10 @@ def load(what: str, spec: str) -> Loaded:
             f"{what} {spec}: expected a Python file, found none at {path}; check the path, which a pipeline gives from "
             "its own folder and the command line from yours"
         )
-    text = path.read_bytes()
+    content = path.read_bytes()
     space: dict[str, Any] = {"__name__": path.stem, "__file__": str(path)}
     try:
-        exec(compile(text, str(path), "exec"), space)
+        exec(compile(content, str(path), "exec"), space)
     except SyntaxError as error:
         line = f":{error.lineno}" if error.lineno else ""
         raise ConfigError(f"{what} {path}{line}: expected Python, got a syntax error: {error.msg}; mend it") from None
@@ -60,4 +82,4 @@ def load(what: str, spec: str) -> Loaded:
         raise ConfigError(
             f"{what} {path}: expected a class {name}, found {', '.join(own) or 'none'}; check the name after the colon"
         )
-    return Loaded(name, space[name], hashlib.sha256(text).hexdigest())
+    return Loaded(name, space[name], _source(path, content))

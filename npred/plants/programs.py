@@ -56,14 +56,16 @@ def lines(
 ) -> list[str]:
     """The lines that compute the outputs: inputs read from `bindings` (name to text), results written to `targets`.
 
-    `texts` replaces the text of operations, for another language than Python.
+    `texts` replaces the text of operations, for another language than Python. Variables are numbered in their order,
+    so that the text does not depend on what else is on the tape.
     """
     symbols = [y for y in outputs if isinstance(y, Symbol)]
     found, names = [], {}
     for index in _needed(outputs):
         op, args = symbols[0].tape.nodes[index]
-        names[index] = f"v{index}"
-        found.append(f"v{index} = {_right_side(op, args, names, bindings, texts)}")
+        right = _right_side(op, args, names, bindings, texts)
+        names[index] = f"v{len(names)}"
+        found.append(f"{names[index]} = {right}")
     return found + [f"{target} = {_text(y, names)}" for target, y in zip(targets, outputs, strict=True)]
 
 

@@ -16,7 +16,7 @@ from npred.errors import ConfigError, StoreError
 from npred.places import RESULT
 from npred.store import durable, gc_roots, locks
 from npred.store.keys import short
-from npred.store.manifest import NAME, Manifest, Question, cure
+from npred.store.manifest import NAME, Manifest, Question, SourceText, cure
 
 MARKER = ".npred-store"  # an empty file: without it nothing in a folder is npred's to delete
 _LEFT = (".tmp", ".scratch")
@@ -131,9 +131,16 @@ class Store:
         finally:
             shutil.rmtree(folder, ignore_errors=True)
 
-    def commit(self, draft: Path, question: Question, pipeline: str, device: str = "cpu") -> Artifact:
+    def commit(
+        self,
+        draft: Path,
+        question: Question,
+        pipeline: str,
+        device: str = "cpu",
+        sources: Mapping[str, SourceText] = {},
+    ) -> Artifact:
         """Make a draft durable and rename it into place; a result already there steps aside (a forced rerun)."""
-        manifest = Manifest.describe(question, pipeline, draft, device)
+        manifest = Manifest.describe(question, pipeline, draft, device, sources)
         (draft / NAME).write_text(manifest.text(), encoding="utf-8")
         return self.place(draft, manifest)
 

@@ -3,7 +3,7 @@
 import os
 import platform
 import stat
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from datetime import UTC, datetime
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, Self
@@ -17,6 +17,7 @@ from npred.store.keys import key, sha256, sha256_file
 
 NAME = "manifest.json"
 MADE = "made"  # in the provenance: when
+LONGEST = 2**18  # letters of a file of code that is kept
 PARTIAL = ".nfs"  # how NFS calls a file that was removed while somebody had it open
 
 
@@ -63,6 +64,13 @@ class Source(Record):
     digest: Digest
 
 
+class SourceText(Record):
+    """A file of code that a result was made with, as it was then: for people, and for saying what changed since."""
+
+    file: Line
+    text: Annotated[str, Field(max_length=LONGEST)]
+
+
 class Question(Record):
     """What determines a result; `key` is its sha256."""
 
@@ -83,7 +91,8 @@ class Manifest(Record):
     """A question and the digests of its answer.
 
     `digest` covers the payload only and is what keys downstream use: an equal answer to another question stops reruns
-    from spreading. `pipeline` and `provenance` enter neither. `checksum` covers all the other fields.
+    from spreading. `pipeline`, `provenance` and `sources`, the code by its place in the pipeline, enter neither.
+    `checksum` covers all the other fields.
     """
 
     key: Digest
@@ -92,10 +101,18 @@ class Manifest(Record):
     digest: Digest
     pipeline: Line
     provenance: dict[Line, Line | None]
+    sources: dict[Line, SourceText] = {}
     checksum: Digest
 
     @classmethod
-    def describe(cls, question: Question, pipeline: str, folder: Path, device: str = "cpu") -> Self:
+    def describe(
+        cls,
+        question: Question,
+        pipeline: str,
+        folder: Path,
+        device: str = "cpu",
+        sources: Mapping[str, SourceText] = {},
+    ) -> Self:
         """The manifest of the files in a folder, subfolders included, made now, on this machine and this device."""
         files = _payloads(folder)
         fields = {
@@ -106,11 +123,12 @@ class Manifest(Record):
             "pipeline": pipeline,
             "provenance": {MADE: datetime.now(UTC).isoformat()} | provenance(device),
         }
+        fields |= {"sources": {role: source.model_dump() for role, source in sources.items()}} if sources else {}
         return cls.model_validate(fields | {"checksum": sha256(fields)})
 
     def without(self, names: Collection[str]) -> Self:
         """The manifest of the same result without some of its files."""
-        fields = self.model_dump(exclude={"checksum"})
+        fields = self._covered()
         fields["files"] = {name: payload for name, payload in fields["files"].items() if name not in names}
         fields["digest"] = sha256(fields["files"])
         return type(self).model_validate(fields | {"checksum": sha256(fields)})
@@ -131,12 +149,16 @@ class Manifest(Record):
     @property
     def consistent(self) -> bool:
         """Whether checksum, digest and key all follow from the other fields."""
-        fields = self.model_dump(exclude={"checksum"})
+        fields = self._covered()
         try:
             found = (sha256(fields), sha256(fields["files"]), self.question.key)
         except (ValueError, RecursionError):  # a number or a nesting that no configuration of npred has
             return False
         return (self.checksum, self.digest, self.key) == found
+
+    def _covered(self) -> dict[str, Any]:
+        """What the checksum covers; manifests of an older npred have no sources."""
+        return self.model_dump(exclude={"checksum"} if self.sources else {"checksum", "sources"})
 
     @property
     def made(self) -> float | None:
@@ -158,7 +180,7 @@ class Manifest(Record):
 
     def text(self) -> str:
         """The JSON that `read` takes."""
-        return self.model_dump_json(indent=1) + "\n"
+        return self.model_dump_json(indent=1, exclude=None if self.sources else {"sources"}) + "\n"
 
     def verify(self, folder: Path) -> None:
         """Raise StoreError, naming the file, unless the folder holds the payload as it was written and nothing else."""
