@@ -47,6 +47,8 @@ def test_delays_are_rounded_to_control_steps(tmp_path):
         assert in_loop.delay(config) == pytest.approx(delay) and in_loop.length(config) == pytest.approx(length)
         about = in_loop.about(config, begin)
         assert about["from"] < about["to"]
+    rounded = in_loop.about(job(tmp_path, "some", evaluate={"D": 0.6, "dt": 0.025}).config.evaluate, begin)
+    assert rounded | {"loops": 0} == {"D": 0.6, "from": 1.2, "to": 5.4, "loops": 0}
 
 
 class Lost(Predictor):

@@ -52,4 +52,5 @@ def error(job: Job, contender: Contender, begin: Starts, progress: Any) -> float
 def about(config: Evaluate, begin: Starts) -> dict[str, Any]:
     """What the error is of: D = D_hat in seconds, the times that it is the largest over, and how many loops."""
     D = delay(config)
-    return {"D": D, "from": 2 * D, "to": length(config) - D, "loops": len(states(config, begin))}
+    times = {"D": D, "from": 2 * D, "to": length(config) - D}
+    return {name: round(t, 9) for name, t in times.items()} | {"loops": len(states(config, begin))}  # 0.6, not 0.6…01
