@@ -55,6 +55,12 @@ def plant(**parts):
         ({"input_bounds": [(0, 1), (0, 1)]}, "input_bounds expected 1 pairs"),
         ({"input_bounds": [(1, 0)]}, r"input_bounds\[0\]: expected a range"),
         ({"input_bounds": "none"}, "input_bounds expected 1 pairs"),
+        ({"units": "m"}, "units expected texts as"),
+        ({"units": {"level": "m"}}, "units has an unknown name 'level'; expected one of h, q"),
+        ({"labels": {"h": 3}}, r"labels\['h'\]: expected up to 40 letters on one line, .* got 3; shorten it"),
+        ({"labels": {"h": "h\nq"}}, "on one line"),
+        ({"labels": {"h": "$h"}}, r"without \$ and backslash"),
+        ({"time_unit": "a" * 41}, "time_unit: expected up to 40 letters"),
         ({"delays": 0.5}, "delays expected 1 seconds, one an input, got 0.5"),
         ({"delays": (0.5, 0.6)}, "delays expected 1 seconds, one an input"),
         ({"delays": (0.0,)}, "delays expected seconds above 0"),
@@ -87,3 +93,9 @@ def test_one_sided_input_bounds_are_part_of_a_json_identity():
 def test_a_bare_number_is_one_component_on_arrays_too():
     bare, X = plant(f=staticmethod(lambda x, u, t, p, M: u.q - p.c * x.h)), np.ones((4, 3, 1))
     np.testing.assert_array_equal(bare.f(X, X), plant().f(X, X))
+
+
+def test_labels_and_units_are_no_part_of_what_a_result_depends_on():
+    named = plant(labels={"h": "level"}, units={"h": "m", "q": "m^3/h"}, time_unit="h")
+    assert named.notation == {"labels": {"h": "level"}, "units": {"h": "m", "q": "m^3/h"}, "time_unit": "h"}
+    assert named.identity == plant().identity and plant().notation == {}

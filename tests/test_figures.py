@@ -7,6 +7,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from npred import config, figures, plants
 from npred.figures import accuracy, svg
@@ -79,7 +80,40 @@ def test_every_figure_of_every_plant_can_be_drawn_and_is_told_in_words(plant, lo
 
 def test_figure_1_has_a_panel_a_quantity_and_a_close_look_at_each_state():
     titles = [panel.title for panel in figures.figure1(found()).panels]
-    assert titles == ["x1", "x2", "U", "delay estimate D̂ (s)", "x1, the last tenth", "x2, the last tenth"]
+    assert titles == ["x_{1}", "x_{2}", "U", "delay estimate D̂ (s)", "x_{1}, the last tenth", "x_{2}, the last tenth"]
+
+
+def limits(panel: Panel) -> tuple[float, float]:
+    axis = Figure().subplots()
+    panel.draw(axis)
+    return axis.get_ylim()
+
+
+def test_a_panel_of_the_loop_covers_every_loop_that_converges_and_the_true_delay():
+    evidence = found()
+    far, lost = replace(evidence.loops["fno"]), replace(evidence.loops["deeponet"])
+    far.X[3, 0], far.D_hat[5], lost.X[3:, 0] = 7.0, 2.9, 50.0
+    loops = evidence.loops | {"fno": far, "deeponet": lost}
+    states = evidence.plant.states
+    config = evidence.config.model_copy(update={"D": 0.2})
+    panels = figures.figure1(replace(evidence, loops=loops, config=config)).panels
+    low, high = limits(panels[0])
+    assert 7 < high < 20  # the lost loop's 50 leave the picture
+    low, high = limits(panels[len(states) + 1])
+    assert low < 0.2 and high > 2.9
+
+
+def test_only_the_papers_plant_has_its_figure_and_axes_have_units():
+    paper, arm = figures.figure1(found()), figures.figure1(found("planar_arm2"))
+    assert "[DAPF, Fig. 1]" in paper.caption and "Fig. 1" not in arm.caption
+    assert [panel.title for panel in arm.panels[:5:2]] == ["θ_{1} (rad)", "ω_{1} (rad/s)", "τ_{1} (N m)"]
+    cart = plants.resolve("cart_pole")
+    assert set(cart.units) == {*cart.states, *cart.inputs}
+
+
+def test_titles_say_versus():
+    for kind in KINDS:
+        assert not [panel.title for panel in kind(found()).panels if " over " in panel.title]
 
 
 def test_the_functional_of_the_proof_is_left_out_where_nothing_adapts():
@@ -87,7 +121,7 @@ def test_the_functional_of_the_proof_is_left_out_where_nothing_adapts():
     assert "W(t) of the proof" in [panel.title for panel in figures.certificate(evidence).panels]
     frozen = {name: replace(loop, N=np.full_like(loop.N, np.nan)) for name, loop in evidence.loops.items()}
     panels = figures.certificate(replace(evidence, loops=frozen)).panels
-    assert [panel.title for panel in panels] == ["radius over ε κ", "distance |X − X*|"]
+    assert [panel.title for panel in panels] == ["radius versus ε_{κ}", "distance |X − X*|"]
     for panel in panels:
         ElementTree.fromstring(svg.inline(panel, "p"))
 
@@ -104,6 +138,8 @@ def test_the_map_is_left_out_where_the_pipeline_asks_for_none_and_counts_what_is
     alts = {panel.title.split(":")[0]: panel.alt for panel in figures.delays(evidence).panels}
     assert set(alts) == {"numerical", "no adaptation", "DeepONet", "FNO"}
     assert "3 of 6 cells" in alts["DeepONet"] and "3 lost that the numerical" in alts["DeepONet"]
+    titles = [panel.title for panel in figures.delays(evidence).panels]
+    assert titles == ["numerical: 6 of 6", "no adaptation: 6 of 6", "DeepONet: 3 of 6", "FNO: 6 of 6"]
     assert figures.delays(replace(evidence, models={n: r | {"map": None} for n, r in evidence.models.items()})) is None
 
 
@@ -128,6 +164,18 @@ def test_the_map_of_errors_takes_the_largest_in_each_cell():
     edges, largest = accuracy.worst(X, sup)
     assert (largest[0, 0], largest[-1, -1]) == (1.0, 3.0) and np.isnan(largest).sum() == largest.size - 2
     assert [len(edge) - 1 for edge in edges] == list(largest.shape)
+
+
+def test_subscripts_of_a_panel_are_spans_below_the_line():
+    def draw(axis):
+        axis.set(xlabel="ε_{κ} and x_{1} (m)", ylabel="T_{out}")
+
+    root = ElementTree.fromstring(svg.inline(Panel("radius versus ε_{κ}", "ε_{κ} is 1.", draw), "a"))
+    texts = {"".join(text.itertext()): text for text in root.iter(f"{SVG}text")}
+    spans = [(span.text, span.get("font-size")) for span in texts["εκ and x1 (m)"]]
+    assert spans == [("κ", "72%"), (" and x", None), ("1", "72%"), (" (m)", None)]
+    assert len(texts["Tout"]) == 1
+    assert [root.find(f"{SVG}{tag}").text for tag in ("title", "desc")] == ["radius versus ε_κ", "ε_κ is 1."]
 
 
 def test_a_panel_on_a_page_follows_its_colours_and_names_only_its_own_parts():

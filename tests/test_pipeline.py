@@ -337,3 +337,14 @@ def test_corrupt_weights_are_not_loaded(trained: dict[str, Path], pipeline: Path
     (trained["fno"] / "data.bin").write_bytes(b"")
     with pytest.raises(StoreError, match=r"data\.bin"):
         load_model(f"{pipeline}:fno")
+
+
+def test_labels_and_units_enter_the_keys_of_what_draws_them_and_no_other():
+    named = {
+        node.title
+        for node in nodes(config.parse({"plant": "cart_pole"}, "test"), STAGES)
+        if "notation" in question(node, config.parse({"plant": "cart_pole"}, "test"), "cpu")
+    }
+    assert named == {"evaluate", "report"}
+    plain = config.parse({"plant": "scalar"}, "test")
+    assert not any("notation" in question(node, plain, "cpu") for node in nodes(plain, STAGES))

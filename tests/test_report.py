@@ -13,17 +13,23 @@ import pytest
 from conftest import Call, document, one_line
 from jobs import job
 
-from npred import config, documents
+from npred import config, documents, plants
 from npred.config import FROZEN, PAPER
 from npred.errors import StoreError
 from npred.figures import Evidence
 from npred.figures.style import MEDIA
+from npred.plants.activator_repressor import ActivatorRepressor
 from npred.stages import report, sentences
 from npred.stages.story import Story
 
 LIMIT = 1_500_000  # bytes
 LOADED = ("src", "srcset", "data", "poster", "action", "formaction", "background")
 VOID = {"meta", "link", "input", "br", "img", "hr"}
+
+
+def unset(text: str) -> str:
+    """The text of a page without its subscripts' tags."""
+    return re.sub(r"_\{(.*?)\}", r"\1", text)
 
 
 class Page(HTMLParser):
@@ -143,8 +149,8 @@ def test_every_figure_is_there_and_told_in_words(page, story):
 def test_the_tables_say_what_the_results_say(page, story):
     for name, table in story.tables().items():
         shown = page.tables[f"table-{name}"]
-        assert shown[0] == [column.head for column in table.columns]
-        assert shown[1:] == [[column.text(row[column.key]) for column in table.columns] for row in table.rows]
+        assert shown[0] == [unset(column.head) for column in table.columns]
+        assert shown[1:] == [[unset(column.text(row[column.key])) for column in table.columns] for row in table.rows]
     errors = {row["predictor"]: row for row in story.tables()["accuracy"].rows}
     assert errors["FNO"]["eps_sup"] == story.evaluated["models"]["fno"]["eps_sup"]
     assert {row["kind"] for row in story.tables()["kinds"].rows} == {"nominal rollouts", "rows with a redrawn D̂"}
@@ -218,6 +224,21 @@ def test_files_of_ones_own_are_named_beside_the_pipeline_on_the_page(reported, t
     assert "Saved as <code>tiny.toml</code> beside tank.py, d.h5, it gives these results again" in page
     assert "&#34;tank.py:Tank&#34;" in page and str(tmp_path) not in page and "sub/" not in page
     assert "Saved as <code>tiny.toml</code>, it gives" in text
+
+
+def test_a_page_of_another_plant_names_no_figure_of_the_paper_and_its_own_units(reported, tmp_path, text):
+    path, outcomes = reported
+    inputs = {name: done.artifact.folder for name, done in outcomes.items() if name != "report"}
+    units = {"labels": {"x1": "activator"}, "units": {"x1": "mol/m^3"}, "time_unit": "h"}
+    plant = plants.make("Clock", type("Clock", (ActivatorRepressor,), units))
+    made = replace(job(tmp_path, "other", inputs=inputs), config=config.load(path), plant=plant)
+    report.run(made)
+    page = (made.folder / report.NAME).read_text()
+    assert "Fig. 1" in text and "Fig. 1" not in page and "published" not in page
+    assert "states activator, x<sub>2</sub>; inputs U; delay D = 1 h, unknown" in page
+    for title in ("activator (mol/m³), the last tenth", "density of x<sub>2</sub>", "delay estimate D̂ (h)"):
+        assert f"<h3>{title}</h3>" in page
+    assert "radius versus ε<sub>κ</sub>" in page and ">t (h)</text>" in page and ">t (s)</text>" not in page
 
 
 def test_the_same_results_give_the_same_bytes(reported, tmp_path, text):

@@ -137,6 +137,17 @@ def test_the_command_can_be_copied(look):
     assert page.locator("#said").text_content() in ("Copied", "Selected")
 
 
+def test_no_panel_is_cut_in_print_and_no_heading_is_left_behind(look):
+    page = look()
+    page.emulate_media(media="print")
+    style = "(name) => { const found = getComputedStyle(document.querySelector(name));"
+    kept = style + "return [found.display, found.breakInside, found.breakAfter]; }"
+    assert page.evaluate(kept, ".panels")[0] == "block"  # rows of a grid are cut by some browsers
+    assert page.evaluate(kept, ".panel")[:2] == ["inline-block", "avoid"]
+    assert page.evaluate(kept, ".keys")[1:] == ["avoid", "avoid"]
+    assert page.evaluate(kept, "h2")[2] == "avoid"
+
+
 def test_it_prints_on_light_paper(look):
     page = look(color_scheme="dark")
     page.emulate_media(media="print")

@@ -48,6 +48,14 @@ def test_latex_escapes_words_and_sets_powers():
     ]
 
 
+def test_subscripts_and_units_are_set_in_latex_and_plain_in_csv():
+    table = Grid("t", "T", [Column("ε_{κ} (s⁻¹)", "a"), Column("°C", "b")], [{"a": "T_{out} {x}", "b": "a~b^2"}])
+    heads, row = (line for line in table.latex().splitlines() if "&" in line)
+    assert heads == r"$\varepsilon$$_{\textrm{$\kappa$}}$ (s$^{-1}$) & $^\circ$C \\"
+    assert row == r"T$_{\textrm{out}}$ \{x\} & a\textasciitilde{}b\^{}2 \\"
+    assert table.csv() == "ε_κ (s⁻¹),°C\nT_out {x},a~b^2\n"
+
+
 def test_the_table_of_the_paper_has_a_line_a_predictor_and_a_pair_of_columns_a_dx():
     measured = [("euler_python", 0.1, 60.0, 1.1), ("rk4", 0.1, 1.25, 3.8e-4), ("rk4", 0.01, 4200.0, None)]
     rows = [ROW | {"predictor": p, "dx": dx, "median_us": t, "eps_sup": eps} for p, dx, t, eps in measured]

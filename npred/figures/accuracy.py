@@ -7,6 +7,7 @@ import numpy as np
 
 from npred.figures.evidence import Errors, Evidence
 from npred.figures.loops import ends, keys
+from npred.figures.notation import common_unit, quantity, symbol, with_unit
 from npred.figures.plate import Key, Panel, Plate
 from npred.figures.style import EARLY, ROLES, Look, lettered, log, look, power, short, words
 
@@ -23,27 +24,28 @@ def certificate(evidence: Evidence) -> Plate:
         line = f"; an error that stayed constant would move the end along the dotted line, {gain:.4g} ε"
         key = (Key(f"constant error: {gain:.4g} ε", Look("muted", (1, 2))),)
     caption = (
-        "Radius: where loops end (filled: median over the cases, hollow: worst; squares: stopped early) over the error "
-        f"that control sees{line}. Distance and W: the loop of Fig. 1 on its way."
+        "Radius: where loops end (filled: median over the cases, hollow: worst; squares: stopped early) against the "
+        f"error that control sees{line}. Distance and W: the loop of the first figure on its way."
     )
-    panels = (Panel("radius over ε κ", _told_radii(radii), partial(_radii, radii, gain)), *ends(evidence))
+    eps = with_unit("ε_{κ} on held-out samples", common_unit(evidence.plant, evidence.plant.inputs))
+    panels = (Panel("radius versus ε_{κ}", _told_radii(radii), partial(_radii, radii, gain, eps)), *ends(evidence))
     return Plate("certificate", "Error and radius", caption, panels, (*keys(evidence.loops), *key))
 
 
 def errors(evidence: Evidence) -> Plate:
     """Error over x, over D_hat, and its distribution."""
     found = evidence.errors
-    held = len(evidence.D_hat)
+    held, unit = len(evidence.D_hat), common_unit(evidence.plant, evidence.plant.states, "state units")
     sup = "; ".join(f"{words(name)} {error.sup.max():.2e}" for name, error in found.items())
     half = "; ".join(f"{words(name)} {np.median(error.sup):.2e}" for name, error in found.items())
     caption = (
-        f"|P̂ − P| on {held} {evidence.samples}, in state units. Lines: the largest error, shaded: from the "
+        f"|P̂ − P| on {held} {evidence.samples}, in {unit}. Lines: the largest error, shaded: from the "
         "median to it. x = 0 is now, x = 1 the state one delay ahead, which the control acts on."
     )
     panels = (
-        Panel("error over x", f"Largest error over all x: {sup}.", partial(_over_x, found)),
-        Panel("error over D̂", f"Largest error by delay estimate; over all: {sup}.",
-              partial(_over, evidence.D_hat, found, "D̂ (s)")),
+        Panel("error versus x", f"Largest error over all x: {sup}.", partial(_over_x, found)),
+        Panel("error versus D̂", f"Largest error by delay estimate; over all: {sup}.",
+              partial(_over, evidence.D_hat, found, quantity(evidence.plant, "D_hat"))),
         Panel("share of samples below ε", f"Distribution of the largest error over x; median: {half}.",
               partial(_distribution, found)),
     )  # fmt: skip
@@ -52,17 +54,17 @@ def errors(evidence: Evidence) -> Plate:
 
 def box(evidence: Evidence) -> Plate:
     """The largest error over the state box: the first two states, or the one there is."""
-    names = list(evidence.plant.states)
+    plant, names = evidence.plant, list(evidence.plant.states)
     said = "" if len(names) < 3 else f" (the first two of {len(names)} states)"
     caption = f"The largest |P̂ − P| on {evidence.samples} by where the state is{said}. Hatched: no samples there."
     if len(names) == 1:
-        draw = partial(_over, evidence.X[:, 0], evidence.errors, names[0])
-        panels = [Panel(f"error over {names[0]}", "Largest and median error by state.", draw)]
+        draw = partial(_over, evidence.X[:, 0], evidence.errors, quantity(plant, names[0]))
+        panels = [Panel(f"error versus {symbol(plant, names[0])}", "Largest and median error by state.", draw)]
         return Plate("box", "Over the states", caption, tuple(panels), keys(evidence.errors))
     levels = _levels(evidence.errors)
     panels = [
         Panel(
-            f"{words(name)}: {names[1]} over {names[0]}",
+            f"{words(name)}: {quantity(plant, names[1])}",
             _told_box(evidence, error),
             partial(_cells, evidence, error, levels),
         )
@@ -71,7 +73,7 @@ def box(evidence: Evidence) -> Plate:
     return Plate("box", "Over the states", caption, tuple(panels))
 
 
-def _radii(rows: dict[str, Any], gain: float | None, axis: Any) -> None:
+def _radii(rows: dict[str, Any], gain: float | None, label: str, axis: Any) -> None:
     for name, row in rows.items():
         eps, median, worst = row["eps_kappa"], row["radius"]["median"], row["radius"]["worst"]
         colour, marker = look(name).colour, "s" if look(name).role in EARLY else "o"
@@ -82,13 +84,13 @@ def _radii(rows: dict[str, Any], gain: float | None, axis: Any) -> None:
         eps = [row["eps_kappa"] for row in rows.values()]
         span = np.array([min(eps) / 3, max(eps) * 3])
         axis.plot(span, gain * span, color=ROLES["muted"][0], linestyle=(0, (1, 2)), linewidth=1.2)
-    axis.set_xlabel("ε κ on held-out samples")
+    axis.set_xlabel(label)
     log(axis, "x", "y")
 
 
 def _told_radii(rows: dict[str, Any]) -> str:
     found = [
-        f"{words(name)}: ε κ {row['eps_kappa']:.2e}, radius from {short(row['radius']['median'])} (median) to "
+        f"{words(name)}: ε_{{κ}} {row['eps_kappa']:.2e}, radius from {short(row['radius']['median'])} (median) to "
         f"{short(row['radius']['worst'])} (worst)"
         for name, row in rows.items()
     ]
@@ -153,7 +155,7 @@ def _cells(evidence: Evidence, error: Errors, levels: np.ndarray, axis: Any) -> 
     bar = axis.figure.colorbar(drawn, ax=axis, ticks=levels[::3], aspect=28, pad=0.02)
     bar.ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: lettered(power(value))))
     bar.outline.set_visible(False)
-    axis.set_xlabel(evidence.plant.states[0])
+    axis.set_xlabel(quantity(evidence.plant, evidence.plant.states[0]))
     axis.grid(False)
 
 
@@ -168,5 +170,6 @@ def worst(X: np.ndarray, sup: np.ndarray) -> tuple[list[np.ndarray], np.ndarray]
 
 def _told_box(evidence: Evidence, error: Errors) -> str:
     where = evidence.X[np.argmax(error.sup)]
-    at = ", ".join(f"{name} = {value:.3g}" for name, value in zip(evidence.plant.states, where, strict=True))
+    pairs = zip(evidence.plant.states, where, strict=True)
+    at = ", ".join(f"{symbol(evidence.plant, name)} = {value:.3g}" for name, value in pairs)
     return f"Largest error in cells of the state space; largest of all {error.sup.max():.2e} at {at}."

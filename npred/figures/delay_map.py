@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from npred.figures.evidence import Evidence
+from npred.figures.notation import timed
 from npred.figures.plate import Key, Panel, Plate
 from npred.figures.style import ROLES, Look, look, words
 
@@ -16,19 +17,24 @@ def delays(evidence: Evidence) -> Plate | None:
     if not maps:
         return None
     wanted = np.array(maps["numerical"]["converged"], dtype=bool)
-    panels = [Panel(_title(name, cells), _told(name, cells, wanted), partial(_cells, name, cells, wanted))
-              for name, cells in maps.items()]  # fmt: skip
+    axes = [timed(evidence.plant, delay) for delay in ("D̂(0)", "D")]
+    panels = [
+        Panel(_title(name, cells, wanted), _told(name, cells, wanted), partial(_cells, name, cells, wanted, axes))
+        for name, cells in maps.items()
+    ]
     caption = (
-        "Loops from the state of Fig. 1, for each true delay D and first estimate D̂(0). Square: the loop converges; "
-        "cross: it does not; ringed: a network's loop is lost that the numerical predictor brings home. The share is "
-        "of the cells in which the numerical predictor converges."
+        "Loops from the same state, for each true delay D and first estimate D̂(0). Square: the loop converges; cross: "
+        "it does not; ringed: only the numerical predictor's does. A network's count is of those cells in which the "
+        "numerical predictor's loop converges."
     )
     marks = (Key("converges", Look("ink", (0.01, 9), marker="s")), Key("lost", Look("muted", (0.01, 9), marker="x")))
     return Plate("delays", "Delays and first estimates", caption, tuple(panels), marks)
 
 
-def _title(name: str, cells: dict[str, Any]) -> str:
-    return f"{words(name)}: {cells['share']:.0%}"
+def _title(name: str, cells: dict[str, Any], wanted: np.ndarray) -> str:
+    found = np.array(cells["converged"], dtype=bool)
+    total = found.size if name == "numerical" else wanted.sum()
+    return f"{words(name)}: {(found & wanted).sum()} of {total}"
 
 
 def _told(name: str, cells: dict[str, Any], wanted: np.ndarray) -> str:
@@ -37,7 +43,7 @@ def _told(name: str, cells: dict[str, Any], wanted: np.ndarray) -> str:
     return f"{words(name)} converges in {int(found.sum())} of {found.size} cells of D by D̂(0){lost}."
 
 
-def _cells(name: str, cells: dict[str, Any], wanted: np.ndarray, axis: Any) -> None:
+def _cells(name: str, cells: dict[str, Any], wanted: np.ndarray, labels: list[str], axis: Any) -> None:
     x, y = np.meshgrid(cells["D_hat0"], cells["D"])
     found = np.array(cells["converged"], dtype=bool)
     size = min(90.0, 2600 / max(found.shape) ** 1.6)
@@ -46,6 +52,6 @@ def _cells(name: str, cells: dict[str, Any], wanted: np.ndarray, axis: Any) -> N
     missed = wanted & ~found
     ring = {"facecolors": "none", "edgecolors": ROLES["frozen"][0], "linewidths": 1.4}
     axis.scatter(x[missed], y[missed], 2.2 * size, marker="o", **ring)
-    axis.set(xlabel="D̂(0) (s)", ylabel="D (s)")
+    axis.set(xlabel=labels[0], ylabel=labels[1])
     axis.margins(0.08)
     axis.grid(False)

@@ -5,6 +5,7 @@ from typing import Any
 
 from npred.figures.evidence import Evidence, Histogram
 from npred.figures.loops import keys
+from npred.figures.notation import quantity
 from npred.figures.plate import Key, Panel, Plate
 from npred.figures.style import ROLES, Look, look
 
@@ -12,7 +13,8 @@ from npred.figures.style import ROLES, Look, look
 def coverage(evidence: Evidence) -> Plate:
     """A panel a state, an input, and the delay estimate."""
     found = evidence.coverage
-    panels = [Panel(f"density over {_named(name)}", _told(name, each), partial(_histogram, each))
+    named = {name: quantity(evidence.plant, name) for name in found}
+    panels = [Panel(f"density of {named[name]}", _told(named[name], each), partial(_histogram, each))
               for name, each in found.items()]  # fmt: skip
     caption = (
         "Filled: the training data; lines: what the closed loops visit, both on a logarithmic scale. A network is only "
@@ -24,12 +26,8 @@ def coverage(evidence: Evidence) -> Plate:
     )
 
 
-def _named(name: str) -> str:
-    return "D̂ (s)" if name == "D_hat" else name
-
-
 def _told(name: str, found: Histogram) -> str:
-    return f"The data cover {_named(name)} from {found.edges[0]:.4g} to {found.edges[-1]:.4g}."
+    return f"The data cover {name} from {found.edges[0]:.4g} to {found.edges[-1]:.4g}."
 
 
 def _histogram(found: Histogram, axis: Any) -> None:

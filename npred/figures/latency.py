@@ -1,4 +1,4 @@
-"""The time of a predictor call: against its error, over the grid, and its tail."""
+"""The time of a predictor call: against its error, against the grid, and its tail."""
 
 from collections.abc import Iterable
 from functools import partial
@@ -16,7 +16,7 @@ NUMERICAL = {
     "rk4": Look("ink", (), 1.2, "o"),
 }  # numerics in ink and green, networks in their own colours
 NAMES = {
-    "published": "published, interpreted",
+    "published": "O(nx²) sums, interpreted",
     "euler_python": "Euler, interpreted",
     "euler": "Euler",
     "heun": "Heun",
@@ -28,19 +28,19 @@ TAIL = {"median_us": "o", "p95_us": "|", "p999_us": "|"}
 
 
 def speed(rows: list[Row]) -> Plate:
-    """Latency over error with a line over each one's grids, latency over dx, and median to 99.9 % at the finest dx."""
+    """Latency against error and against dx, a line through the grids of each; median to 99.9 % at the finest dx."""
     single = [row for row in rows if row["batch"] == 1 and row["eps_sup"] is not None]
     front = _series(_near(single))
     grids = _series(row for row in single if row["matches"] is None)
     every = _series(single)
     caption = (
-        "Time of one call at batch 1. Over ε: the median beside the error that it buys, a line over grids; lower and "
-        "further left is better. From the median to the 99.9 % quantile: at the finest dx, for a control loop misses "
+        "Time of one call at batch 1. Versus ε: the median and the error that it buys, a line through the grids; lower "
+        "and further left is better. From the median to the 99.9 % quantile: at the finest dx; a control loop misses "
         "its deadline in the tail."
     )
     panels = (
-        Panel("µs a call over ε", _told_front(front), partial(_lines, front, "eps_sup", "sup error ε (state units)")),
-        Panel("µs a call over dx", _told_grids(grids), partial(_lines, grids, "dx", "dx")),
+        Panel("µs per call versus ε", _told_front(front), partial(_lines, front, "eps_sup", "sup error ε")),
+        Panel("µs per call versus dx", _told_grids(grids), partial(_lines, grids, "dx", "dx")),
         Panel("µs, median to 99.9 %", _told_tail(grids), partial(_tails, grids)),
     )  # fmt: skip
     return Plate(
@@ -97,7 +97,7 @@ def _tails(series: dict[str, list[Row]], axis: Any) -> None:
         for key, marker in TAIL.items():
             axis.plot([finest[key]], [place], marker if key != "median_us" else style.marker, color=style.colour)
     named = list(series) if _room(axis) > len(series) else [""] * len(series)  # else the legend has to do
-    axis.set(yticks=range(len(series)), yticklabels=named, xlabel="µs a call")
+    axis.set(yticks=range(len(series)), yticklabels=named, xlabel="µs per call")
     axis.invert_yaxis()
     axis.grid(axis="y", visible=False)
     log(axis, "x")

@@ -1,45 +1,62 @@
-"""Fig. 1 of [DAPF]: states, input and delay estimate of one loop with each predictor, and how it ends."""
+"""The loop of [DAPF, Fig. 1]: states, input and delay estimate with each predictor, and how it ends."""
 
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
-from npred import lyapunov
+from npred import lyapunov, metrics
 from npred.figures.evidence import Evidence, Loop
+from npred.figures.notation import common_unit, quantity, symbol, timed, with_unit
 from npred.figures.plate import Key, Panel, Plate
 from npred.figures.style import ROLES, log, look, words
 
-FOCUS = "numerical"  # a loop that is lost may leave the picture, so that the others can be told apart
+FOCUS = "numerical"  # always in the picture; a loop that is lost may leave it, so that the others can be told apart
+PAPER = "activator_repressor"  # the plant of [DAPF]
 GOAL = {"color": ROLES["muted"][0], "linewidth": 0.8, "linestyle": (0, (1, 2)), "zorder": 0}
 END = 0.1  # the share of the horizon that is looked at closely
 
 
 def figure1(evidence: Evidence) -> Plate:
     """x, U and D_hat over time [DAPF, Fig. 1], and the states at the end."""
+    plant, columns = evidence.plant, {name: _columns(loop) for name, loop in evidence.loops.items()}
+    t, time = evidence.loops[FOCUS].t, timed(plant, "t")
+    goals, kept = _goals(evidence, t), _converging(evidence)
+    panels = []
+    for k, name in enumerate((*plant.states, *plant.inputs, "D_hat")):
+        title = ("delay estimate " if name == "D_hat" else "") + quantity(plant, name)
+        span = _around([goals[:, k], *(columns[c][:, k] for c in kept)])
+        panels.append(Panel(title, _told(title, k, columns, t), partial(_over_time, t, columns, k, goals, span, time)))
+    for k, name in enumerate(plant.states):
+        title = f"{quantity(plant, name)}, the last tenth"
+        told = _told_end(symbol(plant, name), k, columns)
+        panels.append(Panel(title, told, partial(_end, t, columns, k, goals[:, k], time)))
+    return Plate("figure1", "The closed loop", _caption(evidence), tuple(panels), keys(evidence.loops))
+
+
+def _caption(evidence: Evidence) -> str:
     plant, config = evidence.plant, evidence.config
-    names = [*plant.states, *plant.inputs, "delay estimate D̂ (s)"]
-    columns = {name: _columns(loop) for name, loop in evidence.loops.items()}
-    t = evidence.loops[FOCUS].t
-    goals = _goals(evidence, t)
-    panels = [
-        Panel(name, _told(name, k, columns, t), partial(_over_time, t, columns, k, goals[:, k]))
-        for k, name in enumerate(names)
-    ]
-    panels += [
-        Panel(f"{name}, the last tenth", _told_end(name, k, columns), partial(_end, t, columns, k, goals[:, k]))
-        for k, name in enumerate(plant.states)
-    ]
+    D, D_hat0 = (f"{value:g} {plant.time_unit}".strip() for value in (config.D, config.D_hat0))
+    of = " [DAPF, Fig. 1]" if plant.name == PAPER else ""
     where = "rest" if plant.rests else "the reference"
-    caption = (
-        f"One closed loop from X(0) = {_vector(config.X0)} with D = {config.D:g} s and D̂(0) = {config.D_hat0:g} s, run "
-        f"with each predictor. Grey and dotted: {where}, and the true delay."
+    return (
+        f"One closed loop{of} from X(0) = {_vector(config.X0)} with D = {D} and D̂(0) = {D_hat0}, run with each "
+        f"predictor. Grey and dotted: {where}, and the true delay. A loop that does not converge may leave the picture."
     )
-    return Plate("figure1", "The closed loop", caption, tuple(panels), keys(evidence.loops))
+
+
+def _converging(evidence: Evidence) -> list[str]:
+    """Whose loops a panel has to show whole: the numerical predictor's, and all that end settled."""
+    found = []
+    for name, loop in evidence.loops.items():
+        target, run = evidence.plant.target(loop.t), cast(Any, loop)  # t and X of Trajectories, all that a radius takes
+        if name == FOCUS or metrics.converged(metrics.radius(run, target), target):
+            found.append(name)
+    return found
 
 
 def ends(evidence: Evidence) -> tuple[Panel, ...]:
-    """The distance to rest, and W(t) of the stability proof where the update law runs, along the loops of Fig. 1."""
+    """The distance to rest, and W(t) of the stability proof where the update law runs, along the loops of figure1."""
     plant, config = evidence.plant, evidence.config
     distance = {name: np.linalg.norm(loop.X - plant.target(loop.t), axis=1) for name, loop in evidence.loops.items()}
     W = {name: _W(evidence, loop) for name, loop in evidence.loops.items() if np.isfinite(loop.N).any()}
@@ -48,9 +65,10 @@ def ends(evidence: Evidence) -> tuple[Panel, ...]:
     falls = "; ".join(f"{words(name)} from {values[0]:.3g} to {values[-1]:.3g}" for name, values in W.items())
     told = f"D log N + (b / γ) (D − D̂)², with b = {config.b:g}, γ = {config.gamma:g}: {falls}."
     return (
-        Panel("distance |X − X*|", f"Over {t[-1]:g} s on a logarithmic scale; at the end: {last}.",
-              partial(_curves, t, distance)),
-        *([Panel("W(t) of the proof", told, partial(_curves, t, W))] if W else []),
+        Panel(with_unit("distance |X − X*|", common_unit(plant, plant.states)),
+              f"Over {t[-1]:g} {plant.time_unit} on a logarithmic scale; at the end: {last}.",
+              partial(_curves, t, distance, timed(plant, "t"))),
+        *([Panel("W(t) of the proof", told, partial(_curves, t, W, timed(plant, "t")))] if W else []),
     )  # fmt: skip
 
 
@@ -73,15 +91,16 @@ def _goals(evidence: Evidence, t: np.ndarray) -> np.ndarray:
     return np.concatenate([X, u, D], axis=1)
 
 
-def _over_time(t: np.ndarray, columns: dict[str, np.ndarray], k: int, goal: np.ndarray, axis: Any) -> None:
+def _over_time(
+    t: np.ndarray, columns: dict[str, np.ndarray], k: int, goals: np.ndarray, span: Any, time: str, axis: Any
+) -> None:
     for name, found in columns.items():
         axis.plot(t, found[:, k], **look(name).line)
-    axis.plot(t, goal, **GOAL)
-    axis.set_ylim(*_around(columns[FOCUS][:, k]))
-    axis.set(xlabel="t (s)", xlim=(t[0], t[-1]))
+    axis.plot(t, goals[:, k], **GOAL)
+    axis.set(xlabel=time, xlim=(t[0], t[-1]), ylim=span)
 
 
-def _end(t: np.ndarray, columns: dict[str, np.ndarray], k: int, goal: np.ndarray, axis: Any) -> None:
+def _end(t: np.ndarray, columns: dict[str, np.ndarray], k: int, goal: np.ndarray, time: str, axis: Any) -> None:
     """The last tenth, at least a part in a thousand of the value high: closer, lines are one line."""
     late = t >= min((1 - END) * t[-1], t[-2:][0])  # a line has two ends
     shown = {name: found[late, k] for name, found in columns.items() if name != "no_adaptation"}
@@ -90,15 +109,15 @@ def _end(t: np.ndarray, columns: dict[str, np.ndarray], k: int, goal: np.ndarray
     axis.plot(t[late], goal[late], **GOAL)
     gaps = [gap for found in shown.values() if np.isfinite(gap := float(np.abs(found - goal[late]).max()))]
     reach = max([1.5 * gap for gap in gaps] + [1e-3 * float(np.abs(goal).max()), 1e-9])
-    axis.set(xlabel="t (s)", xlim=(t[late][0], t[-1]), ylim=(goal[late].min() - reach, goal[late].max() + reach))
+    axis.set(xlabel=time, xlim=(t[late][0], t[-1]), ylim=(goal[late].min() - reach, goal[late].max() + reach))
     axis.ticklabel_format(axis="y", useOffset=False)
 
 
-def _curves(t: np.ndarray, curves: dict[str, np.ndarray], axis: Any) -> None:
+def _curves(t: np.ndarray, curves: dict[str, np.ndarray], time: str, axis: Any) -> None:
     for name, values in curves.items():
         positive = np.where(np.isfinite(values) & (values > 0), values, np.nan)
         axis.plot(t, positive, **look(name).line)
-    axis.set(xlabel="t (s)", xlim=(t[0], t[-1]))
+    axis.set(xlabel=time, xlim=(t[0], t[-1]))
     log(axis, "y")
 
 
@@ -107,8 +126,9 @@ def _W(evidence: Evidence, loop: Loop) -> np.ndarray:
     return lyapunov.W(loop.N, config.D, loop.D_hat, config.gamma, config.b)
 
 
-def _around(values: np.ndarray) -> tuple[float, float]:
-    """The range of the values with room on both sides."""
+def _around(series: list[np.ndarray]) -> tuple[float, float]:
+    """The range of all series with room on both sides."""
+    values = np.concatenate(series)
     known = values[np.isfinite(values)]
     low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 1.0)
     room = 0.15 * (high - low) or 1.0
@@ -117,7 +137,7 @@ def _around(values: np.ndarray) -> tuple[float, float]:
 
 def _told(name: str, k: int, columns: dict[str, np.ndarray], t: np.ndarray) -> str:
     found = "; ".join(f"{words(c)} {values[0, k]:.4g} to {values[-1, k]:.4g}" for c, values in columns.items())
-    return f"{name} from 0 to {t[-1]:g} s: {found}."
+    return f"{name} from t = 0 to {t[-1]:g}: {found}."
 
 
 def _told_end(name: str, k: int, columns: dict[str, np.ndarray]) -> str:

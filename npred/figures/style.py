@@ -1,6 +1,5 @@
 """What all figures share: who has which colour and line, the sizes of papers and screens, and ticks that read well."""
 
-import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -8,6 +7,8 @@ from threading import Lock
 from typing import Any
 
 import numpy as np
+
+from npred.figures.typography import SUPERSCRIPTS, mathematics
 
 # Near Okabe and Ito's colours, darker on a light page, which comes first, lighter on a dark one. What is close for some
 # colour-blind readers, a network and the same stopped early, differs in its dashes or markers too.
@@ -26,9 +27,6 @@ ROLES = {
 }
 NETWORKS = {"deeponet": ("blue", "sky"), "fno": ("orange", "amber")}  # trained, and stopped early
 EARLY = {early for _, early in NETWORKS.values()}
-SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-PLAIN = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
-RAISED = re.compile("[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+")
 
 
 @dataclass(frozen=True)
@@ -151,13 +149,10 @@ def log(axis: Any, *sides: str) -> None:
 
 
 def lettered(text: str) -> str:
-    """The text as the medium at hand can set it: hats and raised digits as mathematics, but on a page."""
+    """The text as the medium at hand can set it: as mathematics, but on a page."""
     import matplotlib
 
-    if not matplotlib.rcParams["axes.formatter.use_mathtext"]:
-        return text
-    text = RAISED.sub(lambda found: f"$^{{{found.group().translate(PLAIN)}}}$", text)
-    return text.replace("D̂", r"$\hat{D}$").replace("P̂", r"$\hat{P}$")
+    return mathematics(text) if matplotlib.rcParams["axes.formatter.use_mathtext"] else text
 
 
 def power(value: float) -> str:

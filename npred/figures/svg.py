@@ -6,6 +6,7 @@ from xml.etree import ElementTree
 
 from npred.figures.plate import Panel, canvas, draw
 from npred.figures.style import ROLES, SCREEN, medium
+from npred.figures.typography import SUBSCRIPT, plain
 
 SVG = "http://www.w3.org/2000/svg"
 LINK = "{http://www.w3.org/1999/xlink}href"
@@ -23,9 +24,21 @@ def inline(panel: Panel, prefix: str) -> str:
         figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
     ElementTree.register_namespace("", SVG)
     root = ElementTree.fromstring(buffer.getvalue())
+    _lower(root)
     _tidy(root, prefix)
     _describe(root, panel, prefix)
     return ElementTree.tostring(root, encoding="unicode")
+
+
+def _lower(root: ElementTree.Element) -> None:
+    """The subscripts of texts as spans below the line; what follows one comes back up."""
+    for element in [found for found in root.iter(f"{{{SVG}}}text") if SUBSCRIPT.search(found.text or "")]:
+        first, *parts = SUBSCRIPT.split(element.text or "")
+        element.text = first
+        for below, after in zip(parts[::2], parts[1::2], strict=True):
+            ElementTree.SubElement(element, f"{{{SVG}}}tspan", {"font-size": "72%", "dy": ".35em"}).text = below
+            if after:
+                ElementTree.SubElement(element, f"{{{SVG}}}tspan", {"dy": "-.252em"}).text = after
 
 
 def _tidy(root: ElementTree.Element, prefix: str) -> None:
@@ -71,5 +84,5 @@ def _describe(root: ElementTree.Element, panel: Panel, prefix: str) -> None:
     root.attrib |= {"role": "img", "aria-labelledby": f"{prefix}-title {prefix}-desc"}
     for place, (name, text) in enumerate({"title": panel.title, "desc": panel.alt}.items()):
         element = ElementTree.Element(f"{{{SVG}}}{name}", {"id": f"{prefix}-{name}"})
-        element.text = text
+        element.text = plain(text)
         root.insert(place, element)

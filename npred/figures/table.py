@@ -8,7 +8,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from npred.figures.style import PLAIN, short
+from npred.figures.style import short
+from npred.figures.typography import PLAIN, RAISED, SUBSCRIPT, plain
 
 LATEX = r"""% needs \usepackage{booktabs}
 \begin{tabular}{@alignment}
@@ -21,8 +22,10 @@ LATEX = r"""% needs \usepackage{booktabs}
 """
 GREEK = re.compile("[Α-Ωα-ω]")
 SYMBOLS = {
+    "{": r"\{", "}": r"\}", "^": r"\^{}", "~": r"\textasciitilde{}",  # first, for others bring them
     "%": r"\%", "_": r"\_", "&": r"\&", "#": r"\#", "µ": r"\textmu ", "ε": r"$\varepsilon$", "κ": r"$\kappa$",
-    "D̂": r"$\hat{D}$", "−": "$-$", "×": r"$\times$", "∞": r"$\infty$", "²": "$^2$", "ü": r'\"u', "|": "$|$",
+    "D̂": r"$\hat{D}$", "−": "$-$", "×": r"$\times$", "∞": r"$\infty$", "°": r"$^\circ$", "·": r"$\cdot$",
+    "ü": r'\"u', "|": "$|$",
 }  # fmt: skip
 
 
@@ -62,9 +65,9 @@ class Grid:
         """Headings and values, numbers with all their digits."""
         buffer = io.StringIO()
         writer = csv.writer(buffer, lineterminator="\n")
-        writer.writerow([column.head for column in self.columns])
+        writer.writerow([plain(column.head) for column in self.columns])
         for row in self.rows:
-            writer.writerow(["inf" if row[c.key] is None else row[c.key] for c in self.columns])
+            writer.writerow([_written(row[column.key]) for column in self.columns])
         return buffer.getvalue()
 
     def latex(self) -> str:
@@ -75,6 +78,10 @@ class Grid:
         return text.replace("@lines", "\n".join(lines))
 
 
+def _written(value: Any) -> Any:
+    return "inf" if value is None else plain(value) if isinstance(value, str) else value
+
+
 def _cell(column: Column, value: Any) -> str:
     text = column.text(value)
     if found := re.fullmatch("(.*)·10([⁻⁰-⁹¹²³]+)", text):
@@ -83,8 +90,15 @@ def _cell(column: Column, value: Any) -> str:
 
 
 def _plain(text: str) -> str:
+    """The text for LaTeX; what `_{…}` lowers is set upright."""
+    parts = SUBSCRIPT.split(text)  # text, subscript, text, …
+    return "".join(rf"$_{{\textrm{{{_signs(part)}}}}}$" if k % 2 else _signs(part) for k, part in enumerate(parts))
+
+
+def _signs(text: str) -> str:
     for symbol, command in SYMBOLS.items():
         text = text.replace(symbol, command)
+    text = RAISED.sub(lambda part: f"$^{{{part[0].translate(PLAIN)}}}$", text)
     return GREEK.sub(_greek, text)
 
 

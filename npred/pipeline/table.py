@@ -165,7 +165,8 @@ def _train(config: Pipeline, model: str | None, device: str) -> dict[str, Any]:
 
 
 def _evaluate(config: Pipeline, model: str | None, device: str) -> dict[str, Any]:
-    return {"evaluate": _loop(config, "evaluate"), "train": {"models": list(models(config))}} | _box(config)
+    table = {"evaluate": _loop(config, "evaluate"), "train": {"models": list(models(config))}}
+    return table | _box(config) | _notation(config)
 
 
 def _bench(config: Pipeline, model: str | None, device: str) -> dict[str, Any]:
@@ -189,13 +190,21 @@ def _report(config: Pipeline, model: str | None, device: str) -> dict[str, Any]:
     for stage in ("generate", "evaluate"):
         if pipeline[stage]["u0"] is None:
             del pipeline[stage]["u0"]
-    return {"pipeline": pipeline}
+    return {"pipeline": pipeline} | _notation(config)
+
+
+def _notation(config: Pipeline) -> dict[str, Any]:
+    """What figures write on their axes: other labels draw them again, and train nothing."""
+    from npred import plants
+
+    declared = plants.resolve(config.plant, config.parameters).notation
+    return {"notation": declared} if declared else {}
 
 
 STAGES: dict[str, Stage] = {
     "generate": Stage(1, (), _generate, "npred.stages.generate"),
     "train": Stage(1, ("generate",), _train, "npred.stages.train"),
     "evaluate": Stage(5, ("generate", "train"), _evaluate, "npred.stages.evaluate"),
-    "bench": Stage(6, ("generate", "train"), _bench, "npred.stages.bench"),
+    "bench": Stage(7, ("generate", "train"), _bench, "npred.stages.bench"),
     "report": Stage(5, ("generate", "train", "evaluate", "bench"), _report, "npred.stages.report"),
 }

@@ -20,7 +20,8 @@ class Plant:
     A declaration is a class with `states`, `inputs` (names) and the functions f(x, u, t, p, M), kappa(x, t, p, M) and
     V(x, t, p, M); optional are `parameters` (name to default), `box` (state to range, for experiments), `guess` (where
     the equilibrium is searched from), `input_bounds` (a range an input), `delays` (seconds, one an input, where they
-    differ) and, where f or kappa depends on time, `reference(t, p, M)`, the trajectory that kappa follows, and
+    differ), what figures write on their axes, `labels` and `units` (by state or input) and `time_unit` ("s" by
+    default), and, where f or kappa depends on time, `reference(t, p, M)`, the trajectory that kappa follows, and
     `period`, the seconds after which they repeat. M provides the functions: sin, exp, where …
     Raises ConfigError for a declaration with a part that is missing or wrong, or a parameter that it does not have.
     """
@@ -40,6 +41,10 @@ class Plant:
         self.input_bounds = declared.input_bounds(name, getattr(declaration, "input_bounds", None), self.m)
         self.delays = declared.delays(name, getattr(declaration, "delays", None), self.m)
         self.period = declared.period(name, getattr(declaration, "period", None))
+        quantities = (*self.states, *self.inputs)
+        self.labels = declared.texts(name, "labels", getattr(declaration, "labels", {}), quantities)
+        self.units = declared.texts(name, "units", getattr(declaration, "units", {}), quantities)
+        self.time_unit = declared.text(f"plant {name}: time_unit", getattr(declaration, "time_unit", "s"))
 
     @property
     def n(self) -> int:
@@ -282,6 +287,13 @@ class Plant:
             "program": self._program(),
             **optional,
         }
+
+    @property
+    def notation(self) -> dict[str, Any]:
+        """What figures write beside the names: part of the keys of the stages that draw states, and of no other."""
+        declared = {"labels": self.labels, "units": self.units}
+        optional = {} if self.time_unit == "s" else {"time_unit": self.time_unit}
+        return {part: texts for part, texts in declared.items() if texts} | optional
 
     def _program(self) -> dict[str, Any]:
         """The hash of each function, as the program that its trace prints."""

@@ -22,6 +22,7 @@ class CartPole:
 
     states = ("p", "v", "theta", "omega")
     inputs = ("F",)
+    units = {"p": "m", "v": "m/s", "theta": "rad", "omega": "rad/s", "F": "N"}
     parameters = {
         "mass_cart": 1.0, "mass": 0.1, "length": 1.0, "gravity": 9.81,
         "k_p": 1.0, "k_v": 2.4106, "k_theta": 34.3894, "k_omega": 10.7039,

@@ -19,6 +19,7 @@ from npred.plants.linear import total
 from npred.plants.rigid_body import Body
 
 GAINS = {"stiffness": 40.0, "damping": 14.0, "amplitude": 0.2, "frequency": 0.6, "gravity": 9.81}
+TURNS, SLIDES = ("rad", "rad/s", "N m"), ("m", "m/s", "N")  # units of a joint's position, rate and input
 
 
 def chain(path: str | Path, pose: Sequence[float] | None = None) -> type:
@@ -61,12 +62,16 @@ def declaration(path: str | Path, bodies: list[Body], middle: list[float], more:
     """The class that says what a chain of these bodies is, with the functions in `more`."""
     names = [_name(body.joint) for body in bodies]
     rates, efforts = [f"{name}_rate" for name in names], [body.effort for body in bodies]
-    kinds = ["force" if body.slides else "torque" for body in bodies]
+    inputs = tuple(f"{name}_{'force' if body.slides else 'torque'}" for name, body in zip(names, bodies, strict=True))
+    units: dict[str, str] = {}
+    for body, *joint in zip(bodies, names, rates, inputs, strict=True):
+        units |= zip(joint, SLIDES if body.slides else TURNS, strict=True)
     ranges = {name: (at - 0.3, at + 0.3) for name, at in zip(names, middle, strict=True)}
     return type("Chain", (), {
         "__doc__": f"The chain of {Path(path).name} under computed torque; see npred.plants.chain.",
         "states": (*names, *rates),
-        "inputs": tuple(f"{name}_{kind}" for name, kind in zip(names, kinds, strict=True)),
+        "inputs": inputs,
+        "units": units,
         "parameters": dict(GAINS),
         "box": ranges | dict.fromkeys(rates, (-0.2, 0.2)),
         "input_bounds": [(-e, e) for e in efforts] if all(map(math.isfinite, efforts)) else None,

@@ -16,6 +16,8 @@ class Chemostat:
 
     states = ("Z", "S")
     inputs = ("u",)
+    labels = {"Z": "biomass Z", "S": "substrate S", "u": "dilution rate u"}
+    units = {"u": "1/s"}
     parameters = {
         "a": 3.5, "rho": 1.0, "m": 0.1, "S_in": 2 + 10 / 3, "Z_set": 3.0, "S_set": 2.0, "u_set": 0.9, "delta": 10.0,
     }  # fmt: skip

@@ -10,6 +10,8 @@ import numpy as np
 from npred.errors import ConfigError, similar
 
 REQUIRED = ("states", "inputs", "f", "kappa")
+LONGEST = 40  # letters of a label or a unit
+MARKUP = set("$\\")  # what matplotlib would read as mathematics
 
 
 def check(plant: str, declaration: Any) -> None:
@@ -112,6 +114,25 @@ def period(plant: str, given: Any) -> float | None:
     if seconds <= 0:
         raise ConfigError(f"plant {plant}: period expected seconds above 0, got {given!r}; mend it")
     return seconds
+
+
+def texts(plant: str, part: str, given: Any, known: tuple[str, ...]) -> dict[str, str]:
+    """Labels or units by state or input. Raises ConfigError for a name that is not declared, or for no such text."""
+    if not isinstance(given, Mapping):
+        raise ConfigError(f'plant {plant}: {part} expected texts as {{"h": "m"}}, got {given!r}; write a dict')
+    for name in given:
+        if name not in known:
+            raise ConfigError(f"plant {plant}: {part} has an unknown name {name!r}; expected one of {', '.join(known)}")
+    return {name: text(f"plant {plant}: {part}[{name!r}]", value) for name, value in given.items()}
+
+
+def text(what: str, given: Any) -> str:
+    """A few words for a figure. Raises ConfigError unless it is one short line of plain text."""
+    if not isinstance(given, str) or not given.isprintable() or len(given) > LONGEST or MARKUP & set(given):
+        raise ConfigError(
+            f"{what}: expected up to {LONGEST} letters on one line, without $ and backslash, got {given!r}; shorten it"
+        )
+    return given.strip()
 
 
 def span(what: str, given: Any) -> tuple[float, float]:

@@ -20,6 +20,7 @@ def arm(links: int) -> type:
     """
     angles = tuple(f"theta{i + 1}" for i in range(links))
     rates = tuple(f"omega{i + 1}" for i in range(links))
+    inputs = tuple(f"tau{i + 1}" for i in range(links))
 
     def f(x: Any, u: Any, t: Any, p: Any, M: Any) -> list[Any]:
         torques = [*u, 0.0]
@@ -40,7 +41,8 @@ def arm(links: int) -> type:
     return type(f"PlanarArm{links}", (), {
         "__doc__": f"A planar chain of {links} links that tracks by computed torque; see arm.",
         "states": angles + rates,
-        "inputs": tuple(f"tau{i + 1}" for i in range(links)),
+        "inputs": inputs,
+        "units": dict.fromkeys(angles, "rad") | dict.fromkeys(rates, "rad/s") | dict.fromkeys(inputs, "N m"),
         "parameters": {"mass": 1.0, "length": 0.5, "gravity": 9.81, "friction": 0.1, "stiffness": 4.0, "damping": 4.0,
                        "pose": 0.3, "amplitude": 0.1, "frequency": 1.0},
         "box": {name: (0.3 * i, 0.3 * i + 0.6) for i, name in enumerate(angles)} | dict.fromkeys(rates, (-0.3, 0.3)),

@@ -19,6 +19,7 @@ class Unicycle:
 
     states = ("x", "y", "theta")
     inputs = ("omega", "v")
+    units = {"x": "m", "y": "m", "theta": "rad", "omega": "rad/s", "v": "m/s"}
     delays = (0.25, 0.6)
     period = 2 * math.pi / 3
     box = {"x": (-1.0, 1.0), "y": (-1.0, 1.0), "theta": (-1.0, 1.0)}

@@ -14,7 +14,7 @@ from npred.figures.style import ROLES, log, look
 
 AXES = {
     "eps_sup": "sup error ε",
-    "latency_us": "µs a call",
+    "latency_us": "µs per call",
     "radius_worst": "worst radius",
 }
 PAIRS = (("latency_us", "eps_sup"), ("eps_sup", "radius_worst"), ("latency_us", "radius_worst"))
@@ -55,8 +55,10 @@ def draw(folder: Path, rows: Sequence[Mapping[str, Any]]) -> list[Path]:
     pairs = [pair for pair in PAIRS if set(pair) <= set(known(rows))]
     if not pairs:
         return []
-    panels = tuple(Panel(f"{AXES[y]} over {AXES[x]}", _told(rows, x, y), partial(_panel, rows, x, y)) for x, y in pairs)
-    caption = "A point a row of the table; the line is the front, and its numbers are the table's rows."
+    panels = tuple(
+        Panel(f"{AXES[y]} versus {AXES[x]}", _told(rows, x, y), partial(_panel, rows, x, y)) for x, y in pairs
+    )
+    caption = "One point per row of the table; the line is the front, and its numbers are the table's rows."
     figures.write(Plate("front", "The front", caption, panels, keys({str(row["model"]): None for row in rows})), folder)
     return [folder / "front.svg", folder / "front.png"]
 

@@ -6,7 +6,8 @@ from typing import Any
 
 from npred import toml_text
 from npred.config import FROZEN
-from npred.figures import svg
+from npred.figures import svg, typography
+from npred.figures.notation import symbol
 from npred.figures.plate import Plate
 from npred.figures.style import ROLES
 from npred.stages import Bar, Job, Progress, bench_report, sentences
@@ -44,11 +45,14 @@ def summary(result: dict[str, Any]) -> str:
 
 def _page(story: Story, said: list[str], job: Job) -> str:
     from jinja2 import Environment, PackageLoader, StrictUndefined
+    from markupsafe import Markup
 
     loader = PackageLoader("npred", "templates/report")
     environment = Environment(
         loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
+    environment.filters["typeset"] = lambda text: Markup(typography.markup(text))  # which escapes
+    environment.filters["plain"] = typography.plain
     return environment.get_template("page.html").render(
         name=job.config.name,
         about=_about(job),
@@ -86,8 +90,9 @@ def _pictures(plate: Plate, bar: Bar) -> list[str]:
 def _about(job: Job) -> str:
     plant, config = job.plant, job.config.evaluate
     known = "its estimate held" if config.adaptation == FROZEN else "unknown to the controller"
-    delay = f"delay D = {config.D:g} s, {known}"
-    return f"{plant.name}: states {', '.join(plant.states)}; inputs {', '.join(plant.inputs)}; {delay}"
+    delay = f"delay D = {config.D:g} {plant.time_unit}".rstrip() + f", {known}"
+    states, inputs = (", ".join(symbol(plant, name) for name in names) for names in (plant.states, plant.inputs))
+    return f"{plant.name}: states {states}; inputs {inputs}; {delay}"
 
 
 def _facts(story: Story, job: Job) -> dict[str, dict[str, Any]]:

@@ -6,6 +6,7 @@ from npred.config import FROZEN
 from npred.figures.evidence import OF
 from npred.figures.latency import label
 from npred.figures.style import short, words
+from npred.stages.tables import converged
 
 Row = dict[str, Any]
 
@@ -34,19 +35,14 @@ def _of_kind(kind: str, count: int, rows: list[Row]) -> str:
 
 
 def _loops(models: dict[str, Row], networks: list[str], adaptation: str) -> str:
-    found = [f"{_home(models[n])} with the {words(n)} (median radius {short(models[n]['radius']['median'])})"
+    found = [f"{converged(models[n])} with the {words(n)} (median radius {short(models[n]['radius']['median'])})"
              for n in networks]  # fmt: skip
-    found.append(f"{_home(models['numerical'])} with the numerical predictor")
+    found.append(f"{converged(models['numerical'])} with the numerical predictor")
     if adaptation != FROZEN:
-        found.append(f"{_home(models['no_adaptation'])} without adaptation")
+        found.append(f"{converged(models['no_adaptation'])} without adaptation")
     *first, last = found
     cases = models["numerical"]["radius"]["cases"]
     return f"Of {cases} closed loops {_of_delay(adaptation)}, {', '.join(first)} and {last} converge."
-
-
-def _home(row: Row) -> int:
-    """How many of the cases converge."""
-    return round(row["radius"]["converged"] * row["radius"]["cases"])
 
 
 def _speed(benched: Row, networks: list[str]) -> str:
@@ -57,7 +53,7 @@ def _speed(benched: Row, networks: list[str]) -> str:
         return "No network was timed."
     row = min(mine, key=lambda row: row["median_us"])
     ratio = row["speedup_published"]  # None where inputs have delays of their own, which that predictor has no word for
-    over = "" if ratio is None else f", {ratio:,.0f} times faster than the published predictor"
+    over = "" if ratio is None else f", {ratio:,.0f} times faster than interpreted O(nx²) sums"
     text = f"A call of the {label(row)}, takes {row['median_us']:.1f} µs at dx = {finest:.3g}{over}"
     return f"{text}{_against_numerics(benched, row['predictor'])}."
 
@@ -67,5 +63,6 @@ def _against_numerics(benched: Row, network: str) -> str:
     if not found:
         return ""
     one = found[0]
+    steps = f"{one['best_steps']} step" + ("s" if one["best_steps"] > 1 else "")
     numerical = label({"predictor": one["best"]})
-    return f"; {numerical} on {one['best_steps']} steps is as accurate in {one['best_us']:.1f} µs"
+    return f"; {numerical} on {steps} is as accurate in {one['best_us']:.1f} µs"

@@ -59,7 +59,7 @@ class Story:
             tables.training(self.trained),
             tables.speed(self.benched["rows"]),
             tables.by_dx(self.benched["rows"]),
-            tables.outside(self.evaluated["coverage"]),
+            tables.outside(self.plant, self.evaluated["coverage"]),
         ]
         return {table.name: table for table in made}
 

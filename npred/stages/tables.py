@@ -2,13 +2,17 @@
 
 from typing import Any
 
+import numpy as np
+
 from npred.figures.evidence import OF
 from npred.figures.latency import label
+from npred.figures.notation import quantity
 from npred.figures.style import words
 from npred.figures.table import Column, Grid
+from npred.plants import Plant
 
 Row = dict[str, Any]
-ERRORS = {"mse": "mean square", "eps_sup": "ε sup", "eps_kappa": "ε κ", "rel_l2": "relative L²"}
+ERRORS = {"mse": "mean square", "eps_sup": "ε sup", "eps_kappa": "ε_{κ}", "rel_l2": "relative L²"}
 TIMES = {"median_us": "median µs", "p95_us": "95 %", "p999_us": "99.9 %", "max_us": "max"}
 
 
@@ -41,26 +45,34 @@ def kinds(evaluated: Row) -> Grid:
 
 def loops(models: dict[str, Row]) -> Grid:
     """What the closed loops of each contender do."""
+    numerical = models["numerical"]
+    wanted = np.array(numerical["map"]["converged"] if numerical["map"] else [], dtype=bool)
     columns = [
         Column("predictor", "predictor"),
         Column("radius, median", "median", digits=2),
         Column("worst", "worst", digits=2),
-        Column("converged", "converged", ".0%"),
+        Column(f"converged of {numerical['radius']['cases']}", "converged", "d"),
         Column("settles ×", "settles", ".2f"),
-        Column("map kept", "kept", ".0%"),
-        Column("radius, Fig. 1", "radius", digits=2),
+        Column(f"map, of {wanted.sum()}", "kept", "d"),
+        Column("radius, loop shown", "radius", digits=2),
         Column("D̂ at its end", "D_hat", ".3f"),
         Column("sup |P(1, t) − X(t + D)|", "in_loop", digits=2),
     ]
-    return Grid("loops", "Closed loops", columns, [_loops(name, row) for name, row in models.items()])
+    return Grid("loops", "Closed loops", columns, [_loops(name, row, wanted) for name, row in models.items()])
 
 
-def _loops(name: str, row: Row) -> Row:
-    found = {key: row["radius"][key] for key in ("median", "worst", "converged")}
+def _loops(name: str, row: Row, wanted: np.ndarray) -> Row:
+    found = {key: row["radius"][key] for key in ("median", "worst")}
+    found["converged"] = converged(row)
     settles = "" if row["settle_ratio"] is None else row["settle_ratio"]
-    kept = row["map"]["share"] if row["map"] else ""
+    kept = int((np.array(row["map"]["converged"]) & wanted).sum()) if row["map"] else ""
     end = {"radius": row["figure1"]["radius"], "D_hat": row["figure1"]["D_hat_end"]}
     return {"predictor": words(name)} | found | {"settles": settles, "kept": kept} | end | {"in_loop": row["in_loop"]}
+
+
+def converged(row: Row) -> int:
+    """How many of a contender's cases converge."""
+    return round(row["radius"]["converged"] * row["radius"]["cases"])
 
 
 def training(trained: dict[str, Row]) -> Grid:
@@ -81,7 +93,7 @@ def speed(rows: list[Row]) -> Grid:
     columns += [Column(head, key, digits=3) for key, head in TIMES.items()]
     columns += [
         Column("ε sup", "eps_sup", digits=2),
-        Column("× published", "published", digits=3),
+        Column("× O(nx²) sums", "published", digits=3),
         Column("× Euler", "euler", digits=3),
     ]
     return Grid("speed", "Time of a call", columns, [_speed(row) for row in rows if row["matches"] != "front"])
@@ -94,7 +106,7 @@ def _speed(row: Row) -> Row:
 
 
 def by_dx(rows: list[Row]) -> Grid:
-    """Table I of [DAPF]: median and error at batch 1, a pair of columns a dx."""
+    """Table I of [DAPF]: median and error at batch 1, a pair of columns for each dx."""
     single = [row for row in rows if row["batch"] == 1 and row["matches"] is None]
     steps = sorted({row["dx"] for row in single}, reverse=True)
     found: dict[str, Row] = {}
@@ -103,17 +115,16 @@ def by_dx(rows: list[Row]) -> Grid:
         mine |= {f"t{row['dx']}": row["median_us"], f"e{row['dx']}": row["eps_sup"]}
     pairs = [[Column(f"µs, dx = {dx:.3g}", f"t{dx}", digits=3), Column("ε sup", f"e{dx}", digits=2)] for dx in steps]
     columns = [Column("predictor", "name"), *(column for pair in pairs for column in pair)]
-    return Grid("bench", "Median of a call over dx", columns, list(found.values()))
+    return Grid("bench", "Median of a call by dx", columns, list(found.values()))
 
 
-def outside(coverage: dict[str, Row]) -> Grid:
+def outside(plant: Plant, coverage: dict[str, Row]) -> Grid:
     """The range of the data, and the share of each network's loop steps outside it."""
     names = list(next(iter(coverage.values()))["outside"])
     columns = [Column("quantity", "quantity"), Column("data from", "low", digits=3), Column("to", "high", digits=3)]
     columns += [Column(f"outside, {words(name)}", name, ".2%") for name in names]
     rows = [
-        {"quantity": "D̂ (s)" if quantity == "D_hat" else quantity, "low": found["data"][0], "high": found["data"][1]}
-        | found["outside"]
-        for quantity, found in coverage.items()
+        {"quantity": quantity(plant, name), "low": found["data"][0], "high": found["data"][1]} | found["outside"]
+        for name, found in coverage.items()
     ]
     return Grid("coverage", "Loops outside the data", columns, rows)

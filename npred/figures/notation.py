@@ -1,0 +1,54 @@
+"""What figures call a plant's states and inputs: x₁ for x1, θ for theta, or the declared label; and the unit."""
+
+import re
+from unicodedata import lookup
+
+from npred.figures.typography import raised
+from npred.plants import Plant
+
+SPELT = "alpha|beta|gamma|delta|epsilon|zeta|eta|theta|iota|kappa|mu|nu|xi|pi|rho|sigma|tau|phi|chi|psi|omega"
+LETTER = re.compile(f"(?i:{SPELT})")
+NAME = re.compile(rf"((?i:{SPELT})|[A-Za-z])(?:_?(\d+)|_(?!dot)([A-Za-z][A-Za-z0-9]*))?")  # x, x1, x_1, T_out, theta1
+D_HAT = "D̂"
+
+
+def symbol(plant: Plant, name: str) -> str:
+    """A state, an input or D_hat without its unit: the label that the plant declares, else its name in letters."""
+    return D_HAT if name == "D_hat" else raised(plant.labels.get(name) or spelt(name))
+
+
+def quantity(plant: Plant, name: str) -> str:
+    """The same with its unit in brackets: θ (rad)."""
+    unit = plant.time_unit if name == "D_hat" else plant.units.get(name, "")
+    return with_unit(symbol(plant, name), unit)
+
+
+def timed(plant: Plant, text: str) -> str:
+    """A time or a delay with the plant's unit of time: t (s)."""
+    return with_unit(text, plant.time_unit)
+
+
+def common_unit(plant: Plant, names: tuple[str, ...], otherwise: str = "") -> str:
+    """The unit that all of these have, where a norm of them has one."""
+    units = {plant.units.get(name, "") for name in names}
+    return raised(units.pop()) or otherwise if len(units) == 1 else otherwise
+
+
+def with_unit(text: str, unit: str) -> str:
+    """The text and, in brackets, the unit, where there is one."""
+    return f"{text} ({raised(unit)})" if unit else text
+
+
+def spelt(name: str) -> str:
+    """A declared name in the letters that it spells: x1 as x_{1}, theta_in as θ_{in}; any other as it is."""
+    parts = NAME.fullmatch(name)
+    if not parts:
+        return name
+    letter, number, word = parts.groups()
+    below = number or (word and _greek(word))
+    return _greek(letter) + (f"_{{{below}}}" if below else "")
+
+
+def _greek(word: str) -> str:
+    """theta as θ, Theta as Θ, any other word as it is."""
+    return lookup(f"GREEK {'SMALL' if word.islower() else 'CAPITAL'} LETTER {word}") if LETTER.fullmatch(word) else word

@@ -1,0 +1,42 @@
+"""What figures call states and inputs: the field's letters, or the author's words, with units."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from npred import plants
+from npred.figures.notation import common_unit, quantity, spelt, symbol, timed
+
+TANK: Any = SimpleNamespace(labels={"h": "level h_{1}"}, units={"h": "m", "q": "m^3/h", "T": "K^-1"}, time_unit="h")
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("x1", "x_{1}"), ("x_12", "x_{12}"), ("theta", "θ"), ("omega2", "ω_{2}"), ("Omega", "Ω"), ("T_out", "T_{out}"),
+        ("eps_kappa", "eps_kappa"), ("T_kappa", "T_{κ}"), ("level", "level"), ("joint_1_rate", "joint_1_rate"),
+        ("theta_dot", "theta_dot"), ("e", "e"),
+    ],
+)  # fmt: skip
+def test_a_name_is_written_in_the_letters_that_it_spells(name, text):
+    assert spelt(name) == text
+
+
+def test_a_quantity_has_its_label_and_its_unit():
+    assert [quantity(TANK, name) for name in ("h", "q", "T", "v1", "D_hat")] == [
+        "level h_{1} (m)", "q (m³/h)", "T (K⁻¹)", "v_{1}", "D̂ (h)",
+    ]  # fmt: skip
+    assert symbol(TANK, "h") == "level h_{1}" and timed(TANK, "t") == "t (h)"
+
+
+def test_a_norm_has_a_unit_where_all_its_parts_share_one():
+    assert common_unit(TANK, ("h",)) == "m"
+    assert common_unit(TANK, ("h", "q"), "state units") == common_unit(TANK, ("v",), "state units") == "state units"
+
+
+@pytest.mark.parametrize("name", [row["name"] for row in plants.named()])
+def test_a_plant_of_mechanics_has_a_unit_for_every_state_and_input(name):
+    plant = plants.resolve(name)
+    if plant.units and name != "chemostat":
+        assert set(plant.units) == {*plant.states, *plant.inputs}
