@@ -23,7 +23,6 @@ def _offered(find: Callable[[typer.Context, str], Iterator[Offer]]) -> Complete:
         except Exception:
             return []
 
-    vars(complete)["__annotations__"] = find.__annotations__
     return complete
 
 
