@@ -2,28 +2,27 @@
 
 import json
 import sys
+import textwrap
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from functools import cached_property
-from typing import TYPE_CHECKING, Any, Protocol
+from itertools import zip_longest
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from npred import terminal
+from npred.bars import EVERY as EVERY
+from npred.bars import Bar, Checked, Lines
+from npred.documents import escaped
+from npred.run_log import RunLog
 
 if TYPE_CHECKING:
-    from tqdm import tqdm
-
     from npred.events import Events
     from npred.live import Live
 
-EVERY = 10.0  # seconds between two plain progress lines
-WIDE = 240  # columns of what rich prints where there is no screen
-
-
-class Bar(Protocol):
-    """A task under way."""
-
-    def advance(self, n: int = 1, note: str = "") -> None:
-        """n units more are done; the note (a loss, say) replaces the last one."""
+GAP = 2  # columns between two of a table
+NARROW = 12  # a column is not folded to less
 
 
 @dataclass
@@ -36,6 +35,7 @@ class Console:
     stopped: bool = False
     live: "Live | None" = None
     events: "Events | None" = None
+    log: RunLog | None = None
 
     def stop(self) -> None:
         """End the work of all threads at its next word of progress, as Ctrl-C ends that of the main one."""
@@ -45,29 +45,27 @@ class Console:
         if self.stopped:
             raise KeyboardInterrupt
 
-    def out(self, data: Any) -> None:
-        """Data for stdout: text as it is, anything else as rich prints it."""
-        if isinstance(data, str):
-            print(data, flush=True)
-        else:
-            from rich.console import Console as Rich
+    @property
+    def width(self) -> int | None:
+        """The columns of the screen that stdout is; None for a file or a pipe, where nothing is folded."""
+        return terminal.width()
 
-            # Into a file or a pipe nothing is cut to the width of a screen.
-            Rich(width=None if sys.stdout.isatty() else WIDE).print(data)
+    def out(self, text: str) -> None:
+        """Data for stdout, its lines folded to the screen. Raises NpredError where stdout is closed or full."""
+        terminal.answer(terminal.wrapped(terminal.printable(text), self.width))
 
     def json(self, document: Any) -> None:
-        """One JSON document on stdout."""
-        print(json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False), flush=True)
+        """One JSON document on stdout, with escapes for what a terminal obeys. Raises NpredError as `out` does."""
+        text = json.dumps(document, indent=2, ensure_ascii=not terminal.is_utf8(sys.stdout), allow_nan=False)
+        terminal.answer("".join(c if c.isprintable() or c == "\n" else json.dumps(c)[1:-1] for c in text))
 
     def note(self, text: str) -> None:
         """A message, unless quiet."""
-        if not self.quiet:
-            self._line(text)
+        self._line(text, shown=not self.quiet)
 
     def detail(self, text: str) -> None:
-        """A message for those who asked for more."""
-        if self.verbose:
-            self._line(text)
+        """A message for those who asked for more, and for the log."""
+        self._line(text, shown=self.verbose)
 
     def warn(self, text: str) -> None:
         """A warning."""
@@ -77,10 +75,21 @@ class Console:
         """A failure, in one line."""
         self._line("error: " + " ".join(text.split("\n")), "red")
 
+    def keep_log(self, store: Path, name: str) -> None:
+        """From now on also write all messages, and each epoch of a training, to a file in the store's folder."""
+        self.log = self.log or RunLog.open(store, name)
+        self._logged(f"npred {' '.join(sys.argv[1:])}  (in {Path.cwd()})")
+
+    def close(self) -> None:
+        """The end of the log."""
+        if self.log:
+            self.log.close()
+            self.log = None
+
     @contextmanager
     def watch(self, heading: str, titles: Sequence[str]) -> Iterator[None]:
         """On a terminal a live view of these stages while the block runs; elsewhere nothing but the lines of `bar`."""
-        if self.quiet or not sys.stderr.isatty():
+        if self.quiet or not (terminal.MESSAGES.isatty() and terminal.is_utf8(terminal.MESSAGES)):
             yield
             return
         from npred.live import Live
@@ -92,99 +101,101 @@ class Console:
         finally:
             self.live = None
 
+    def head(self, heading: str) -> None:
+        """Another heading for the live view."""
+        if self.live:
+            self.live.heading = heading
+
+    def doing(self, title: str, what: str) -> None:
+        """A stage begins, or does something else now: importing, compiling, drawing."""
+        if self.live:
+            self.live.doing(title, what)
+            self._logged(f"{title}: {what}")
+        else:
+            self.detail(f"{title}: {what}")
+
     def finish(self, title: str, action: str, seconds: float) -> None:
-        """A stage has its result: `hit` or `run`."""
+        """A stage has its result, `hit` or `run`, or none: `stopped`."""
         if self.live:
             self.live.finish(title, action, seconds)
+        outcome = {"hit": "from the store", "run": "done"}.get(action, action)
+        self._logged(f"{title}: {outcome} after {seconds:.1f} s")
 
     def measured(self, title: str, values: Mapping[str, float]) -> None:
-        """What an epoch of a training reached: for the live view and for TensorBoard."""
+        """What an epoch of a training reached: for the live view, for TensorBoard and for the log."""
         if self.live:
             self.live.measured(title, values)
         if self.events:
             self.events.write(title, values)
+        self._logged(f"{title}: " + ", ".join(f"{name} {value:.4g}" for name, value in values.items()))
 
     @contextmanager
-    def bar(self, title: str, total: int, unit: str) -> Iterator[Bar]:
-        """The progress of `total` units: a bar with rate and time left on a terminal, else a line now and then."""
-        if self.quiet:
-            yield _Silent(self._check)
-        elif self.live:
-            with self.live.bar(title, total, unit, self._check) as row:
-                yield row
-        elif sys.stderr.isatty():
-            from tqdm import tqdm
+    def bar(self, title: str, total: int, unit: str, done: int = 0) -> Iterator[Bar]:
+        """The progress of `total` units, named in the plural: a bar with the time left on a terminal, else a line now
+        and then. `done` of them were there before.
+        """
+        with ExitStack() as stack:
+            if not self.live:
+                stack.enter_context(self.watch("", []))
+            bars: list[Bar] = []
+            if self.live:
+                bars.append(stack.enter_context(self.live.bar(title, total, unit, done)))
+            if self.log or not (self.live or self.quiet):
+                line = self._logged if self.live or self.quiet else self._line
+                bars.append(Lines(line, self.clock, title, total, unit, done))
+            yield Checked(self._check, *bars)
 
-            with tqdm(total=total, desc=title, unit=f" {unit}", unit_scale=total >= 10_000, dynamic_ncols=True) as bar:
-                yield _Task(bar, self._check)
-        else:
-            yield _Lines(self._line, self.clock, title, total, unit, self._check)
+    def _logged(self, text: str) -> None:
+        if self.log:
+            self.log.write(text)
 
-    def _line(self, text: str, style: str = "") -> None:
+    def _line(self, text: str, style: str = "", shown: bool = True) -> None:
+        self._logged(text)
+        if not shown:
+            return
+        text = terminal.printable(text)
         if self.live:
-            self.live.console.print(text, style=style, markup=False, highlight=False, soft_wrap=True)
-        elif sys.stderr.isatty():
-            from tqdm import tqdm
+            self.live.console.print(text, style=style, markup=False, emoji=False, highlight=False, soft_wrap=True)
+        elif style and terminal.MESSAGES.isatty():
+            from rich.console import Console as Rich
 
-            with tqdm.external_write_mode(file=sys.stderr):  # above the bars, if there are any
-                self._rich.print(text, style=style, markup=False, highlight=False, soft_wrap=True)
+            rich = Rich(file=terminal.MESSAGES)
+            rich.print(text, style=style, markup=False, emoji=False, highlight=False, soft_wrap=True)
         else:
-            sys.stderr.write(text + "\n")  # at once: networks that train side by side speak side by side
-            sys.stderr.flush()
-
-    @cached_property
-    def _rich(self) -> Any:
-        from rich.console import Console as Rich
-
-        return Rich(stderr=True)
+            terminal.say(text)
 
 
-class _Silent:
-    def __init__(self, check: Callable[[], None]) -> None:
-        self.check = check
+def columns(
+    header: Sequence[str], rows: Sequence[Sequence[str]], width: int | None = None, numbers: Collection[str] = ()
+) -> str:
+    """An aligned table that is never cut; the columns of `numbers` are aligned at their right.
 
-    def advance(self, n: int = 1, note: str = "") -> None:
-        self.check()
-
-
-class _Task:
-    def __init__(self, bar: "tqdm[Any]", check: Callable[[], None]) -> None:
-        self.bar, self.check = bar, check
-
-    def advance(self, n: int = 1, note: str = "") -> None:
-        self.check()
-        if note:
-            self.bar.set_postfix_str(note, refresh=False)
-        self.bar.update(n)
-
-
-class _Lines:
-    def __init__(
-        self, line: Callable[[str], None], clock: Callable[[], float], title: str, total: int, unit: str,
-        check: Callable[[], None],
-    ):  # fmt: skip
-        self.line, self.clock, self.title, self.total, self.unit, self.check = line, clock, title, total, unit, check
-        self.start, self.done = clock(), 0
-        self.last = self.start
-
-    def advance(self, n: int = 1, note: str = "") -> None:
-        self.check()
-        self.done += n
-        now = self.clock()
-        if self.done >= self.total or (self.done and now - self.last >= EVERY):
-            self.last = now
-            self.line(self._text(now - self.start, note))
-
-    def _text(self, elapsed: float, note: str) -> str:
-        done = self.done >= self.total
-        left = "" if done else f", {elapsed / self.done * (self.total - self.done):.0f} s left"
-        progress = f"{self.title}: {self.done}/{self.total} {self.unit} in {elapsed:.1f} s{left}"
-        return f"{progress}, {note}" if note else progress
+    One row a line, so that grep and awk can read it, or, with a `width`, the widest columns folded until it fits.
+    """
+    table = [[escaped(cell) for cell in row] for row in (header, *rows)]
+    widths = _fitted([max(map(terminal.columns_of, cells)) for cells in zip(*table, strict=True)], width)
+    right = [name in numbers for name in header]
+    lines: list[str] = []
+    for row in table:
+        folded = [_folded(cell, room) for cell, room in zip(row, widths, strict=True)]
+        for parts in zip_longest(*folded, fillvalue=""):
+            padded = [_padded(*cell) for cell in zip(parts, widths, right, strict=True)]
+            lines.append((" " * GAP).join(padded).rstrip())
+    return "\n".join(lines)
 
 
-def columns(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """An aligned table that is never cut, however wide: one row a line, so that grep and awk can read it."""
-    table = [header, *rows]
-    widths = [max(len(row[i]) for row in table) for i in range(len(header))]
-    padded = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in table]
-    return "\n".join(line.rstrip() for line in padded)
+def _fitted(widths: list[int], width: int | None) -> list[int]:
+    """The widths, the largest made smaller until they fit, but none less than NARROW."""
+    fitted = list(widths)
+    while width is not None and sum(fitted) + GAP * (len(fitted) - 1) > width and max(fitted) > NARROW:
+        fitted[fitted.index(max(fitted))] -= 1
+    return fitted
+
+
+def _folded(cell: str, room: int) -> list[str]:
+    return [cell] if terminal.columns_of(cell) <= room else textwrap.wrap(cell, room, break_on_hyphens=False)
+
+
+def _padded(cell: str, room: int, right: bool) -> str:
+    blanks = " " * (room - terminal.columns_of(cell))
+    return blanks + cell if right else cell + blanks

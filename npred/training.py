@@ -107,8 +107,9 @@ def fit(task: Task, scratch: Path, progress: Any) -> Metrics:
     optimiser = _optimiser(operator, config)
     metrics = checkpoint.restore(scratch, operator, optimiser)
     network = ranks.shared(operator)
-    with progress.bar(task.title, config.epochs, "epoch") as bar:
-        bar.advance(len(metrics))
+    if metrics:
+        progress.note(f"{task.title}: resuming at epoch {len(metrics) + 1} of {config.epochs}")
+    with progress.bar(task.title, config.epochs, "epochs", done=len(metrics)) as bar:
         for row in metrics:
             progress.measured(task.title, row)
         for epoch in range(len(metrics) + 1, config.epochs + 1):
@@ -118,7 +119,7 @@ def fit(task: Task, scratch: Path, progress: Any) -> Metrics:
             if ranks.number() == 0:
                 _keep(task, scratch, optimiser, metrics)
             progress.measured(task.title, metrics[-1])
-            bar.advance(1, f"loss {loss:.2e}, ε held out {metrics[-1]['eps_sup']:.2e}")
+            bar.advance(1, f"loss {loss:.2e}, ε sup {metrics[-1]['eps_sup']:.2e}")
     return metrics
 
 

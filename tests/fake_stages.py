@@ -22,8 +22,8 @@ class Fake(Stage):
     def run(self, job: Any) -> dict[str, Any]:
         return run(self.name, job)
 
-    def summary(self, result: dict[str, Any]) -> str:
-        return f"summary of {result}"
+    def summary(self, result: dict[str, Any], width: int | None = None, wide: bool = False) -> str:
+        return f"{'details' if wide else 'summary'} of {result}"
 
 
 def install(table: MutableMapping[str, Stage] = STAGES, **versions: int) -> None:
@@ -44,12 +44,16 @@ def run(name: str, job: Any) -> dict[str, Any]:
     return ANSWERS[name](job)
 
 
+MODEL = {"mse": 1.0, "eps_sup": 0.5, "radius": {"worst": 0.25, "converged": 0.75, "cases": 4}}
 ANSWERS: dict[str, Callable[[Any], dict[str, Any]]] = {
     "generate": lambda job: {"rollouts": job.config.generate.rollouts},
     "train": lambda job: {"mse": float("nan"), "epochs": getattr(job.config.train, job.model).epochs},
-    "evaluate": lambda job: {"models": {name: {"mse": 1.0} for name in sorted(job.inputs)}},
+    "evaluate": lambda job: {"models": {name: dict(MODEL) for name in sorted(job.inputs)}},
     "bench": lambda job: {"rows": [], "hardware": {"device": job.device, "jobs": job.jobs}},
-    "report": lambda job: {"bytes": (job.folder / "report.html").write_text("<!doctype html>")},
+    "report": lambda job: {
+        "summary": ["Errors.", "Loops.", "Times."],
+        "bytes": (job.folder / "report.html").write_text("<!doctype html>"),
+    },
 }
 
 

@@ -9,12 +9,17 @@ class Silent:
 
     def __init__(self, stop_after: int | None = None) -> None:
         self.notes: list[str] = []
+        self.phases: list[str] = []
         self.measurements: list[tuple[str, dict[str, float]]] = []
         self.done, self.calls, self.stop_after = 0, 0, stop_after
 
     @contextmanager
-    def bar(self, title: str, total: int, unit: str) -> Iterator["Silent"]:
+    def bar(self, title: str, total: int, unit: str, done: int = 0) -> Iterator["Silent"]:
+        self.done += done
         yield self
+
+    def doing(self, title: str, what: str) -> None:
+        self.phases.append(f"{title}: {what}")
 
     def advance(self, n: int = 1, note: str = "") -> None:
         self.done += n

@@ -46,15 +46,49 @@ def test_a_stage_answers_with_its_own_result(call: Call):
     assert list(document(call("evaluate", "tiny.toml", "--json"))["result"]) == ["models"]
 
 
-def test_people_get_a_table_the_folder_and_the_summary(call: Call):
+def test_people_get_the_summary_and_its_name(call: Call):
     result = call("bench", "tiny.toml")
     assert result.exit_code == 0
+    assert result.stdout.startswith("summary of {'rows'")
+    assert re.search(r"^bench: bench/[0-9a-f]{12}$", result.stdout, re.MULTILINE)
+    assert "bench: running (no artifact yet)" in result.stderr
+
+
+def test_wide_adds_the_table_of_stages_the_details_and_the_folder(call: Call):
+    result = call("bench", "tiny.toml", "--wide")
     assert re.search(r"^train fno +[0-9a-f]{12} +run +[0-9.]+ +no artifact yet$", result.stdout, re.MULTILINE)
     folder = re.search(r"^bench: (.+)$", result.stdout, re.MULTILINE)
     assert folder is not None
     assert (Path(folder[1]) / "manifest.json").is_file()
-    assert "summary of {'rows'" in result.stdout
-    assert "bench: running (no artifact yet)" in result.stderr
+    assert "details of {'rows'" in result.stdout
+
+
+def test_a_run_ends_with_the_sentences_one_table_and_the_page(call: Call):
+    end = call("run", "tiny.toml").stdout.splitlines()
+    assert [line for line in end[:6] if line] == ["Errors.", "Loops.", "Times."]
+    assert end[6].split("  ") == ["predictor", "ε sup", "worst radius", "converged", "µs a call"]
+    assert [line.split()[0] for line in end[7:10]] == ["DeepONet", "FNO", "generate"]
+    assert end[7].split()[1:] == ["0.5", "0.25", "3", "of", "4", "–"]
+    assert end[10:] == ["", "report: artifacts/tiny.html"]
+    wide = call("run", "tiny.toml", "--wide").stdout
+    assert "up to date" in wide and "details of" in wide and wide.endswith("report: artifacts/tiny.html\n")
+
+
+def test_a_run_leaves_its_log_in_the_store(call: Call):
+    call("run", "tiny.toml", "-q")
+    (log,) = Path("artifacts/logs").iterdir()
+    assert re.fullmatch(r"\d{4}-\d\d-\d\d-\d{6}-tiny.log", log.name)
+    text = log.read_text()
+    for words in ("npred ", "generate: running (no artifact yet)", "report: done after "):
+        assert words in text
+    assert call("status", "tiny.toml").exit_code == 0 and len(list(log.parent.iterdir())) == 1
+
+
+def test_the_log_has_how_it_ended_with_the_traceback(call: Call, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setitem(fake_stages.ANSWERS, "generate", lambda job: 1 / 0)
+    call("run", "tiny.toml")
+    (log,) = Path("artifacts/logs").iterdir()
+    assert "Traceback" in log.read_text() and "error: ZeroDivisionError" in log.read_text().splitlines()[-1]
 
 
 def test_set_reruns_what_depends_on_it(call: Call):
@@ -338,7 +372,9 @@ def test_a_flipped_byte_is_exit_code_4_and_nothing_is_overwritten(call: Call):
 def test_a_failure_that_nobody_foresaw_is_one_line_and_v_shows_where(call: Call, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setitem(fake_stages.ANSWERS, "generate", lambda job: 1 / 0)
     last = call("run", "tiny.toml").stderr.splitlines()[-1]
-    assert last == "error: ZeroDivisionError: division by zero; run with -v for the traceback"
+    assert re.fullmatch(
+        r"error: ZeroDivisionError: division by zero; the traceback is in artifacts/logs/\S+-tiny\.log", last
+    )
     result = call("run", "tiny.toml", "-v")
     assert result.exit_code == 1
     assert "Traceback" in result.stderr
@@ -413,14 +449,14 @@ def test_kill_9_leaves_no_half_result_and_the_next_run_goes_on(npred: Any, pipel
     assert store.leftovers() == []
 
 
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)])
 def test_an_interrupted_run_keeps_its_checkpoint(pipeline: Path, number: int, code: int):
     with stopped_in("train", pipeline.parent, "train", "tiny.toml") as running:
         assert running.end(number) == code
         out, err = running.process.communicate()
     assert out == ""
     assert "Traceback" not in err
-    assert err.splitlines()[-1].startswith("error: interrupted")
+    assert [line[:18] for line in err.splitlines() if "error" in line] == ["error: interrupted"]
     assert [path.parent.name for path in Store(pipeline.parent / "artifacts").leftovers()] == [".scratch"]
 
 

@@ -14,14 +14,15 @@ from conftest import process_environment
 ROOT = Path(__file__).parent.parent / "npred"
 FLOORS = [
     {"errors"},
-    {"config", "devices", "documents", "executors", "grid", "places", "randomness", "ranks", "shapes", "toml_text"},
+    {"config", "devices", "documents", "executors", "grid", "interruption", "places", "randomness", "ranks", "shapes"}
+    | {"toml_text"},
     {"plants"},
     {"actuator", "predictors", "operators"},
     {"adaptation", "arguments", "closed_loop", "delay_estimate", "delayed_law", "engine", "laws", "lyapunov"}
     | {"untraced_law"},
     {"control", "dataset", "hdf5", "interop", "metrics", "plant_check", "runtimes", "shards", "streaming", "timing"}
     | {"training"},
-    {"console", "events", "figures", "live", "store"},
+    {"bars", "console", "events", "figures", "live", "run_log", "store", "terminal"},
     {"stages"},
     {"pipeline", "cli", "api", "__main__"},
 ]

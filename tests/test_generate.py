@@ -189,7 +189,7 @@ def test_a_diverging_rollout_is_told(tmp_path):
 
 def test_summary_says_the_numbers(tmp_path):
     result, _ = rows(tmp_path)
-    assert generate.summary(result) == "300 samples of 10 rollouts on 21 nodes, 1 rollouts held out"
+    assert generate.summary(result) == "300 samples of 10 rollouts on 21 nodes, 1 rollout held out"
 
 
 def test_explorers_have_delays_of_their_own_and_are_not_held_out(tmp_path):

@@ -342,13 +342,9 @@ def test_bench_of_the_runtime_onnx_alone_asks_for_its_package(made, tmp_path, mo
 
 @pytest.mark.parametrize("stage", [evaluate, bench])
 def test_summaries_print(stage, evaluated, benched):
-    from rich.console import Console
-
     result = evaluated[1] if stage is evaluate else benched[1]
-    console = Console(width=200, record=True, file=open("/dev/null", "w"))  # noqa: SIM115
-    console.print(stage.summary(result))
-    text = console.export_text()
-    assert "deeponet" in text and ("numerical" if stage is evaluate else "A network pays from") in text
+    for text in (stage.summary(result), stage.details(result)):
+        assert "deeponet" in text.lower() and ("numerical" if stage is evaluate else "A network pays from") in text
 
 
 def test_figure_numbers_of_a_loop_that_never_settles(evaluated):
@@ -359,5 +355,4 @@ def test_figure_numbers_of_a_loop_that_never_settles(evaluated):
 def test_the_summary_of_a_loop_that_left_the_finite_numbers_prints(evaluated):
     lost = copy.deepcopy(evaluated[1])
     lost["models"]["deeponet"]["figure1"] |= {"X_end": [None, None], "D_hat_end": None, "radius": None}
-    table = evaluate.summary(lost)
-    assert list(table.columns[-1].cells).count("∞") == 1
+    assert [line.endswith("∞") for line in evaluate.details(lost).splitlines()].count(True) == 1

@@ -63,7 +63,8 @@ def test_the_table_for_people_and_for_programs(sweep: Call):
     shown = sweep(*GRID)
     assert shown.exit_code == 0, shown.output
     assert shown.stdout.splitlines()[0].split()[:5] == ["row", "train.fno.width", "seed", "model", "mse"]
-    assert shown.stdout.splitlines()[-1] == "sweep-tiny/table.csv"
+    files = [f"sweep-tiny/{name}" for name in ("table.csv", "front.svg", "front.png")]
+    assert shown.stdout.splitlines()[-3:] == files
     assert "sweep: 4/4 cells in" in shown.stderr
     with Path("sweep-tiny/table.csv").open() as file:
         table = list(csv.DictReader(file))
@@ -93,7 +94,7 @@ def test_where_a_sweep_ends(sweep: Call, fakes: Path):
 
 
 def test_without_a_row_it_says_what_is_done(sweep: Call):
-    assert sweep("--to", "generate", "--set", "seed=0:2").stdout.strip() == "2 cells are done; rows come from train on"
+    assert sweep("--to", "generate", "--set", "seed=0:2").stdout.strip() == "done: 2 cells; rows come from train on"
 
 
 def test_a_file_in_the_place_of_the_folder_is_told_before_anything_runs(sweep: Call, fakes: Path):

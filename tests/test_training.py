@@ -59,7 +59,8 @@ def test_interrupted_training_ends_where_an_uninterrupted_one_does(config, tmp_p
     progress = Silent()
     assert training.fit(resumed, scratch, progress) == metrics
     assert [values["epoch"] for _, values in progress.measurements] == [*range(1, 1 + len(metrics))]
-    assert progress.done == 6 and progress.calls == 1 + 2  # the checkpoint stood after epoch 4
+    assert progress.done == 6 and progress.calls == 2  # the checkpoint stood after epoch 4
+    assert progress.notes[0].endswith(": resuming at epoch 5 of 6")
     assert same(state(resumed), state(whole))
 
 

@@ -1,22 +1,20 @@
 """The command line, `npred`."""
 
-import signal
-from types import FrameType
-
-from npred import ranks
+from npred import interruption, ranks, terminal
 from npred.cli import commands
-from npred.cli.app import Terminated, app, guarded
+from npred.cli.app import app, guarded
 from npred.console import Console
 
 __all__ = ["app", "commands", "main"]
 
 
 def main() -> None:
-    """Run the command of sys.argv and exit with its code; SIGTERM ends it as Ctrl-C does, with 143.
+    """Run the command of sys.argv and exit with its code; SIGTERM and SIGHUP end it as Ctrl-C does.
 
     Of the processes that torchrun starts, the first does so and the others help it train.
     """
-    signal.signal(signal.SIGTERM, _terminate)
+    interruption.listen()
+    terminal.open_closed()
     if ranks.count() > 1:
         ranks.join()
         ranks.leave(_lead() if ranks.number() == 0 else _help_out())
@@ -40,7 +38,3 @@ def _help_out() -> int:
 
     console = Console(quiet=True)
     return guarded(lambda: train.help_out(console), console)
-
-
-def _terminate(number: int, frame: FrameType | None) -> None:
-    raise Terminated

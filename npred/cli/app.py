@@ -1,14 +1,13 @@
 """The typer application: how a function becomes a command, and how a failure becomes an exit code."""
 
 import inspect
-import os
-import sys
 import traceback
 from collections.abc import Callable
 from typing import Any
 
 import typer
 
+from npred import interruption
 from npred.cli.options import Common, parameters
 from npred.cli.usage import Command, Group
 from npred.console import Console
@@ -22,10 +21,6 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
 )
-
-
-class Terminated(KeyboardInterrupt):
-    """SIGTERM: the same way out as Ctrl-C, with another exit code."""
 
 
 def command(panel: str, to: typer.Typer = app) -> Callable[[Callable[..., None]], Callable[..., None]]:
@@ -70,27 +65,32 @@ def _with_flags(function: Callable[..., None]) -> Callable[..., None]:
 
 
 def guarded(call: Callable[[], None], console: Console) -> int:
-    """The exit code of a call: 0, the failure's own, 130 or 143 where it was interrupted, 1 for the unforeseen."""
+    """The exit code of a call: 0, the failure's own, that of a signal, 1 for the unforeseen. Ends the console's log."""
     try:
         call()
-    except NpredError as error:
+        return 0
+    except BrokenPipeError:  # the reader of stdout has left, as `head` does
+        return 1
+    except (Exception, KeyboardInterrupt) as error:
+        return _failed(error, console)
+    finally:
+        console.close()
+
+
+def _failed(error: BaseException, console: Console) -> int:
+    if interruption.heard() or isinstance(error, KeyboardInterrupt):  # libraries make errors of their own of a signal
+        interruption.say(console.error)
+        return interruption.code()
+    if isinstance(error, NpredError):
         console.error(str(error))
         return error.exit_code
-    except KeyboardInterrupt as stop:
-        console.error("interrupted; finished stages and checkpoints are kept: the same command goes on from there")
-        return 143 if isinstance(stop, Terminated) else 130
-    except BrokenPipeError:  # the reader of stdout has left, as `head` does
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 1
-    except Exception as error:
-        return _unforeseen(error, console)
-    return 0
+    return _unforeseen(error, console)
 
 
-def _unforeseen(error: Exception, console: Console) -> int:
-    if console.verbose:
-        traceback.print_exception(error)
-        return 1
+def _unforeseen(error: BaseException, console: Console) -> int:
+    console.detail("".join(traceback.format_exception(error)).rstrip())
     first = (str(error).splitlines() or ["no message"])[0]
-    console.error(f"{type(error).__name__}: {first}; run with -v for the traceback")
+    todo = f"the traceback is in {console.log.path}" if console.log else "run with -v for the traceback"
+    if not console.verbose:
+        console.error(f"{type(error).__name__}: {first}; {todo}")
     return 1

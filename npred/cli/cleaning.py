@@ -11,13 +11,15 @@ from typing import NamedTuple
 
 from npred import config, devices, places
 from npred.cli.options import Common
+from npred.console import columns
 from npred.errors import ConfigError, NpredError, StoreError
 from npred.pipeline import STAGES, Kept, Planner, cells, closure, nodes
-from npred.store import MARKER, Artifact, Store, claims, durable, gc_roots
+from npred.store import MARKER, Artifact, Store, claims, durable, gc_roots, short
 from npred.store.gc_roots import GcRoot
 
 UNITS = {"": 1, "k": 10**3, "M": 10**6, "G": 10**9, "T": 10**12}
 DAY = 86400.0
+KEY = re.compile("[0-9a-f]{64}")
 
 
 @dataclass(frozen=True)
@@ -52,7 +54,7 @@ def gc(options: Common, wanted: Wanted, yes: bool) -> None:
     plan = _plan(options, wanted)
     deleted = [str(path) for path in _delete(options.results, plan)] if yes else []
     rows = [{"path": str(waste.path), "bytes": waste.bytes, "reason": waste.reason} for waste in plan]
-    options.show({"plan": rows, "deleted": deleted}, lambda: _told(plan, deleted, yes))
+    options.show({"plan": rows, "deleted": deleted}, lambda: _told(plan, deleted, yes, options.console.width))
 
 
 def _delete(store: Store, plan: list[Waste]) -> list[Path]:
@@ -158,14 +160,19 @@ def size(text: str | None) -> int:
     return round(float(found[1]) * UNITS[found[2]])
 
 
-def _told(plan: list[Waste], deleted: list[str], yes: bool) -> str:
+def _told(plan: list[Waste], deleted: list[str], yes: bool, width: int | None) -> str:
     if not plan:
         return "nothing to delete"
-    lines = [f"{waste.path}  {waste.bytes / 1e6:.1f} MB  {waste.reason}" for waste in plan]
+    rows = [[_short(waste.path), f"{waste.bytes / 1e6:.1f} MB", waste.reason] for waste in plan]
     busy = f", {len(plan) - len(deleted)} in use and kept" if len(deleted) < len(plan) else ""
     total = f"{sum(waste.bytes for waste in plan) / 1e6:.1f} MB"
     last = f"deleted {len(deleted)}{busy}" if yes else f"{len(plan)} to delete, {total}; do it with --yes"
-    return "\n".join([*lines, last])
+    return columns(["artifact", "size", "reason"], rows, width, numbers=["size"]) + f"\n{last}"
+
+
+def _short(path: Path) -> str:
+    """`stage/key`, or `.scratch/stage-key`, with the key cut short."""
+    return f"{path.parent.name}/{KEY.sub(lambda found: short(found[0]), path.name)}"
 
 
 def _bytes(folder: Path) -> int:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from npred import devices, executors
-from npred.cli.options import Work
+from npred.cli.options import Running, Work
 from npred.console import columns
 from npred.errors import ConfigError
 from npred.pipeline import STAGES, Node, Outcome, Planner, Runner, Step, networks, nodes
@@ -38,8 +38,8 @@ class Row:
 
 
 def everything(options: Work) -> None:
-    """Every stage; the answer is that of evaluate and of bench together."""
-    _work(options, list(STAGES), ("evaluate", "bench"))
+    """Every stage; the answer is that of evaluate and of bench together, and for people how it all ends."""
+    _work(options, list(STAGES), ("evaluate", "bench"), closing=True)
 
 
 def stage(options: Work, name: str, model: str | None = None, output: Path | None = None) -> None:
@@ -54,21 +54,27 @@ def stage(options: Work, name: str, model: str | None = None, output: Path | Non
 
 def bring(options: Work, targets: list[str], model: str | None = None) -> list[Outcome]:
     """The targets and all that they need, from the store or run."""
-    planner, wanted = _planner(options, targets), nodes(options.config, targets, model)
-    jobs = options.jobs or devices.cores()
-    options.results.remember(options.pipeline)  # also where the run is interrupted
-    heading = f"{options.config.name} on {planner.device}"
+    wanted, jobs, console = nodes(options.config, targets, model), options.jobs or devices.cores(), options.console
     with (
         _recorded(options) as record,
-        options.console.watch(heading, [node.title for node in wanted]),
+        console.watch(options.config.name, [node.title for node in wanted]),
         executors.opened(options.executor, jobs) as executor,
     ):
-        outcomes = Runner(planner, options.console, jobs, executor).run(wanted)
+        planner = _planner(options, targets)  # on the screen already: to look for a GPU imports torch
+        console.head(f"{options.config.name} on {planner.device}")
+        options.results.remember(options.pipeline)  # also where the run is interrupted
+        keep_log(options)
+        outcomes = Runner(planner, console, jobs, executor).run(wanted)
         record(outcomes)
     if not options.set:  # what an override asks for, the file does not
         keys = {done.node.name: done.artifact.manifest.key for done in outcomes}
         options.results.remember(options.pipeline, keys)
     return outcomes
+
+
+def keep_log(options: Running) -> None:
+    """A log of this run in the store's folder."""
+    options.console.keep_log(options.store, options.pipeline.stem)
 
 
 @contextmanager
@@ -93,11 +99,12 @@ def _recorded(options: Work) -> Iterator[Callable[[list[Outcome]], None]]:
 
 
 def _work(
-    options: Work, targets: list[str], answers: tuple[str, ...], model: str | None = None, output: Path | None = None
-) -> None:
+    options: Work, targets: list[str], answers: tuple[str, ...], model: str | None = None, output: Path | None = None,
+    closing: bool = False,
+) -> None:  # fmt: skip
     if options.dry_run:
         rows = [_planned(step) for step in _planner(options, targets).plan(nodes(options.config, targets, model))]
-        options.show(_document(rows, None), lambda: _table(rows))
+        options.show(_document(rows, None), lambda: _table(options, rows))
         return
     outcomes = bring(options, targets, model)
     rows = [_done(outcome) for outcome in outcomes]
@@ -105,8 +112,12 @@ def _work(
     page = publish(options, outcomes, output)
     if options.json:
         options.console.json(_document(rows, _result(final)) | ({"report": str(page)} if page else {}))
+    elif options.wide:
+        options.console.out("\n".join([_table(options, rows), *_answers(options, final), *_page(page)]))
+    elif closing:
+        options.console.out("\n".join([_closing(options, outcomes), *_page(page)]))
     else:
-        _tell(options, rows, final, page)
+        options.console.out("\n".join([*_answers(options, final), *_page(page)]))
 
 
 def _planner(options: Work, targets: list[str]) -> Planner:
@@ -155,14 +166,28 @@ def _result(final: list[Outcome]) -> dict[str, Any]:
     return merged
 
 
-def _table(rows: list[Row]) -> str:
-    return columns(["stage", "key", "action", "seconds", "reason"], [row.cells() for row in rows])
+def _table(options: Work, rows: list[Row]) -> str:
+    head = ["stage", "key", "action", "seconds", "reason"]
+    return columns(head, [row.cells() for row in rows], options.console.width)
 
 
-def _tell(options: Work, rows: list[Row], final: list[Outcome], page: Path | None) -> None:
-    options.console.out(_table(rows))
+def _answers(options: Work, final: list[Outcome]) -> Iterator[str]:
+    """Each result in words, and what it is called; with `wide` its folder."""
     for outcome in final:
-        options.console.out(f"\n{outcome.node.title}: {outcome.artifact.folder}")
-        options.console.out(STAGES[outcome.node.stage].summary(outcome.artifact.result()))
-    if page:
-        options.console.out(f"\nreport: {page}")
+        stage, artifact = STAGES[outcome.node.stage], outcome.artifact
+        yield stage.summary(artifact.result(), options.console.width, options.wide)
+        yield f"\n{outcome.node.title}: {artifact.folder if options.wide else artifact.name}"
+
+
+def _page(page: Path | None) -> list[str]:
+    return [f"report: {page}"] if page else []
+
+
+def _closing(options: Work, outcomes: list[Outcome]) -> str:
+    """How a whole run ends: the report's sentences, and a table of the predictors."""
+    from npred.stages import bench_report, evaluate_report
+
+    results = {outcome.node.name: outcome.artifact.result() for outcome in outcomes}
+    times = bench_report.fastest(results["bench"], options.config.train.models, options.config.evaluate.predictor)
+    table = evaluate_report.table(results["evaluate"], options.console.width, times)
+    return "\n\n".join([*results["report"]["summary"], table]) + "\n"

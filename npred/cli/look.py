@@ -25,7 +25,7 @@ def status(options: Planned, check: bool) -> None:
         _verify(steps)
     rows = [[s.node.title, short(s.key or "-"), s.state, s.reason] for s in steps]
     document = {"stages": [_step(step) for step in steps]}
-    options.show(document, lambda: columns(["stage", "key", "state", "reason"], rows))
+    options.show(document, lambda: columns(["stage", "key", "state", "reason"], rows, options.console.width))
     late = [step.node.title for step in steps if step.state != "fresh"]
     if check and late:
         raise UnmetError(f"expected every stage fresh, got {', '.join(late)} not; run npred run {options.pipeline}")
@@ -49,7 +49,7 @@ def show(options: Common, reference: str | None) -> None:
     document = {"folder": str(artifact.folder), "manifest": artifact.manifest.model_dump(), "result": result}
     options.show(document, lambda: _facts(artifact))
     if not options.json:
-        options.console.out(_summary(artifact.manifest.question.stage, result))
+        options.console.out(_summary(artifact.manifest.question.stage, result, options.console.width))
 
 
 def ls(options: Common, shown: list[str]) -> None:
@@ -62,7 +62,7 @@ def ls(options: Common, shown: list[str]) -> None:
     header = ["artifact", "model", "pipeline", "made", "size", "digest", *shown]
     rows = [[*_row(a), *(s[key] or "-" for key in shown)] for a, s in zip(artifacts, settings, strict=True)]
     entries = [_entry(a) | {"settings": s} for a, s in zip(artifacts, settings, strict=True)]
-    options.show({"artifacts": entries}, lambda: columns(header, rows))
+    options.show({"artifacts": entries}, lambda: columns(header, rows, options.console.width))
 
 
 def diff(options: Common, a: str, b: str) -> None:
@@ -94,7 +94,9 @@ def plants(options: Common) -> None:
         options.console.warn(broken["error"])
     sound = [p for p in known if "error" not in p]
     rows = [[p["name"], ", ".join(p["states"]), ", ".join(p["inputs"]), _assignments(p)] for p in sound]
-    options.show({"plants": known}, lambda: columns(["plant", "states", "inputs", "parameters"], rows))
+    options.show(
+        {"plants": known}, lambda: columns(["plant", "states", "inputs", "parameters"], rows, options.console.width)
+    )
 
 
 def check(options: Common, plant: str, delay: float | None, nodes: int | None) -> None:
@@ -107,7 +109,7 @@ def check(options: Common, plant: str, delay: float | None, nodes: int | None) -
     fine = plant_check.settled(answers)
     rows = [[answer.check, answer.verdict, answer.text] for answer in answers]
     document = {"plant": plant, "fine": fine, "answers": [answer.json() for answer in answers]}
-    options.show(document, lambda: columns(["question", "answer", "found"], rows))
+    options.show(document, lambda: columns(["question", "answer", "found"], rows, options.console.width))
     if not fine:
         failed = ", ".join(answer.check for answer in answers if answer.verdict == "no")
         raise UnmetError(f"plants check {plant}: expected no answer of no, got {failed}; the table says what to mend")
@@ -178,11 +180,11 @@ def _facts(artifact: Artifact) -> str:
     return "\n".join([*lines, *inputs, *code, *settings, f"  made with {made}"])
 
 
-def _summary(stage: str, result: dict[str, Any]) -> Any:
+def _summary(stage: str, result: dict[str, Any], width: int | None = None) -> str:
     """A result that somebody else sent may be of a stage, or of a form, that this npred does not have."""
     result = escaped(result)
     try:
-        return STAGES[stage].summary(result)
+        return STAGES[stage].summary(result, width)
     except (LookupError, TypeError, ValueError, AttributeError):
         return "\n".join(changes({}, result)).replace(": unset ->", " =")
 

@@ -10,7 +10,7 @@ from npred.cli.options import Common, writable
 from npred.console import columns
 from npred.errors import StoreError
 from npred.pipeline import payload
-from npred.store import Artifact, Store, archive
+from npred.store import Artifact, Store, archive, short
 
 PACKAGES = (
     "npred",
@@ -42,9 +42,9 @@ def verify(options: Common) -> None:
             bar.advance()
     rows = [{"folder": str(a.folder), "state": "corrupt" if str(a.folder) in faults else "sound"} for a in sound]
     rows += [{"folder": str(folder), "state": "corrupt"} for folder in broken]
-    table = [[row["folder"], row["state"], faults.get(row["folder"], "")] for row in rows]
+    table = [[_short(row["folder"]), row["state"], faults.get(row["folder"], "")] for row in rows]
     document = {"artifacts": [row | {"fault": faults.get(row["folder"])} for row in rows]}
-    options.show(document, lambda: columns(["artifact", "state", "fault"], table))
+    options.show(document, lambda: columns(["artifact", "state", "fault"], table, options.console.width))
     if faults:
         first = next(iter(faults))
         raise StoreError(f"{options.store}: expected sound results, got {len(faults)} corrupt, as {first}; remove them")
@@ -69,6 +69,11 @@ def import_artifact(options: Common, path: Path) -> None:
         done += "; npred report draws its figures here, from its arrays"
     document = {"folder": str(artifact.folder), "key": artifact.manifest.key, "new": new}
     options.show(document, lambda: f"{artifact.name}: {done}\n{artifact.folder}")
+
+
+def _short(folder: str) -> str:
+    """`stage/key` with the key cut short, of a folder whose manifest may be broken."""
+    return f"{Path(folder).parent.name}/{short(Path(folder).name)}"
 
 
 def _fault(artifact: Artifact) -> dict[str, str]:

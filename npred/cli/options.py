@@ -109,6 +109,7 @@ class Work(Running):
     """Flags of the commands that run stages."""
 
     force: Annotated[bool, typer.Option("--force", help="Run the named stages even if the store has them.")] = False
+    wide: Annotated[bool, typer.Option("--wide", help="Print all that was measured, in tables of any width.")] = False
     tensorboard: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Write the epochs of trainings as event files there.")
     ] = None

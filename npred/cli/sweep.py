@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from npred import devices, executors
+from npred.bars import counted
+from npred.cli import execute
 from npred.cli.options import Running, writable_folder
 from npred.console import columns
 from npred.errors import ConfigError, NpredError
@@ -39,6 +41,7 @@ def sweep(options: Running, wanted: Wanted) -> None:
         return
     jobs = options.jobs or devices.cores()
     options.results.remember(options.pipeline)
+    execute.keep_log(options)
     with executors.opened(options.executor, jobs) as executor:
         found = Sweep(options.results, device, options.console, jobs, executor).run(grid, targets)
     _report(options, wanted, found)
@@ -60,7 +63,7 @@ def _report(options: Running, wanted: Wanted, found: list[Progress]) -> None:
     if wanted.csv:
         options.console.out(_csv(rows).rstrip("\n"))
     else:
-        options.show(_document(found, rows, files), lambda: _told(len(fine), rows, files))
+        options.show(_document(found, rows, files), lambda: _told(len(fine), rows, files, options.console.width))
     if lost:
         first = f"{lost[0].cell.name}: {lost[0].error}"
         others = f"; and {len(lost) - 1} more, as --json says" if len(lost) > 1 else ""
@@ -113,11 +116,11 @@ def _stages(progress: Progress) -> list[dict[str, Any]]:
     ]  # fmt: skip
 
 
-def _told(done: int, rows: list[dict[str, Any]], files: list[Path]) -> str:
+def _told(done: int, rows: list[dict[str, Any]], files: list[Path], width: int | None) -> str:
     if not rows:
-        return f"{done} cells are done; rows come from train on" if done else "no cell is done"
+        return f"done: {counted(done, 'cells')}; rows come from train on" if done else "no cell is done"
     shown = [name for name in rows[0] if any(row[name] is not None for row in rows)]
-    table = columns(shown, [[_text(row[name]) for name in shown] for row in rows])
+    table = columns(shown, [[_text(row[name]) for name in shown] for row in rows], width)
     return "\n".join([table, *map(str, files)])
 
 

@@ -6,6 +6,7 @@ from typing import Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 
+from npred import interruption, terminal
 from npred.console import Console
 
 USAGE: type[BaseException] = typer.BadParameter.__mro__[1]  # what every usage error is; typer keeps the name to itself
@@ -35,8 +36,18 @@ class Group(TyperGroup):
         except USAGE as error:
             sys.exit(_tell(error))
         except typer.Abort:
+            sys.exit(_interrupted())
+        except OSError as error:  # commands say theirs: this is of a help that stdout does not take
+            terminal.silence(sys.stdout)
+            Console().error(str(terminal.unwritable(error.strerror)))
             sys.exit(1)
         sys.exit(code if isinstance(code, int) else 0)
+
+
+def _interrupted() -> int:
+    """The exit code of a command that was interrupted before it began, once that is said."""
+    interruption.say(Console().error)
+    return interruption.code()
 
 
 def _untyped(parameters: list[Any]) -> list[Any]:

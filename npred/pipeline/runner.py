@@ -80,6 +80,7 @@ class Runner:
 
     def _node(self, node: Node, outcomes: Mapping[str, Outcome], claim: Claim) -> Outcome:
         start = time.perf_counter()
+        self.console.doing(node.title, "looking it up")
         inputs = {name: outcomes[name].artifact for name in node.inputs}
         step = self.planner.step(node, inputs)
         assert step.key is not None
@@ -91,6 +92,7 @@ class Runner:
 
     def _hit(self, step: Step) -> tuple[Artifact, str, str]:
         assert step.artifact is not None
+        self.console.doing(step.node.title, "checking digests")
         return step.artifact.verify(), "hit", step.reason
 
     def make(self, step: Step, inputs: dict[str, Artifact]) -> tuple[Artifact, str, str]:
@@ -104,6 +106,7 @@ class Runner:
 
         def waiting(holder: str) -> None:
             waited.append(holder)
+            self.console.doing(title, "waiting")
             self.console.note(f"{title}: {short(key)} is being made by {holder}; waiting for it")
 
         with self.planner.store.lock(step.node.stage, key, waiting):
@@ -112,6 +115,7 @@ class Runner:
             if not forced and (made := self.planner.store.get(step.node.stage, key)):
                 return made.verify(), "hit", f"made meanwhile by {waited[0] if waited else 'another process'}"
             self.console.note(f"{title}: running ({step.reason})")
+            self.console.doing(title, "importing and compiling")
             return self._execute(step, inputs), "run", step.reason
 
     def _execute(self, step: Step, inputs: dict[str, Artifact]) -> Artifact:

@@ -81,7 +81,9 @@ class Sweep:
 
     def make(self, task: Task) -> Made:
         """A node that uses the whole machine, here."""
-        return make(task, self.console, self.jobs, self.executor)
+        made = make(task, self.console, self.jobs, self.executor)
+        self.console.finish(task.node.title, made.action if made.artifact else "stopped", made.seconds)
+        return made
 
 
 class _Graph:

@@ -33,9 +33,10 @@ class Stage:
         """The stage's own run(job); its module is imported here, for it may bring torch."""
         return importlib.import_module(self.module).run(job)
 
-    def summary(self, result: dict[str, Any]) -> Any:
-        """A result in a few lines for people: text, or something that rich can print."""
-        return importlib.import_module(self.module).summary(result)
+    def summary(self, result: dict[str, Any], width: int | None = None, wide: bool = False) -> str:
+        """A result in a few lines for people, its tables folded to `width` columns; `wide`: all that is in it."""
+        module = importlib.import_module(self.module)
+        return (getattr(module, "details", module.summary) if wide else module.summary)(result, width)
 
 
 @dataclass(frozen=True)

@@ -6,24 +6,21 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
+from npred.bars import Bar as Bar
 from npred.config import Pipeline
 from npred.executors import Here, Workers
 from npred.plants import Plant
 
 
-class Bar(Protocol):
-    """A task under way."""
-
-    def advance(self, n: int = 1, note: str = "") -> None:
-        """n units more are done; the note (a loss, say) replaces the last one."""
-
-
 class Progress(Protocol):
     """Where a stage tells how far it is."""
 
-    def bar(self, title: str, total: int, unit: str) -> AbstractContextManager[Bar]:
-        """The progress of `total` units."""
+    def bar(self, title: str, total: int, unit: str, done: int = 0) -> AbstractContextManager[Bar]:
+        """The progress of `total` units, named in the plural; `done` of them were there before."""
         ...
+
+    def doing(self, title: str, what: str) -> None:
+        """A stage begins, or does something else now: compiling, drawing."""
 
     def measured(self, title: str, values: Mapping[str, float]) -> None:
         """What an epoch of a training reached."""

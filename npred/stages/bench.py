@@ -13,7 +13,7 @@ from npred.stages import Job, bench_report, contenders, crossover, tables
 from npred.stages.contenders import Entry, Reference
 
 PACKAGES = ("npred", "torch", "numpy", "numba", "onnxruntime")
-summary = bench_report.summary
+summary, details = bench_report.summary, bench_report.details
 
 
 def run(job: Job) -> dict[str, Any]:
@@ -28,16 +28,20 @@ def run(job: Job) -> dict[str, Any]:
     config = job.config.bench
     torch.set_num_threads(config.threads)
     reference = Reference(job.plant, shards.survey(job.inputs["generate"] / "data.h5").subset(test=True))
+    job.progress.doing("bench", "compiling")
     entries = contenders.entries(job, reference)
+    job.progress.doing("bench", "measuring errors")
     errors = {entry.label: reference.error(entry) for entry in entries}
     times = _times(job, config, entries)
     rows = _speedups([_row(entry, times[entry.label], errors[entry.label]) for entry in entries])
+    job.progress.doing("bench", "timing f")
     found = crossover.measure(job, zip(entries, rows, strict=True), reference)
     result = {"rows": rows, "calls": config.calls}
     result |= {"crossover": [one | {"sentence": crossover.sentence(one)} for one in found]}
     stops = timing.stops()
     result |= {"stops": stops | {"sentence": bench_report.stopped(stops)}}
     result |= {"hardware": _hardware(job, config)}
+    job.progress.doing("bench", "drawing")
     (job.folder / "bench.tex").write_text(tables.by_dx(rows).latex(), encoding="utf-8")
     figures.write(figures.speed(rows), job.folder)
     return result
@@ -47,7 +51,7 @@ def _times(job: Job, config: Bench, entries: list[Entry]) -> dict[str, np.ndarra
     """Nanoseconds of each call of each entry, by label; one group after the other."""
     times: dict[str, np.ndarray] = {}
     ordered = sorted(entries, key=lambda entry: entry.group)
-    with job.progress.bar("bench", len(entries) * config.calls, "call") as bar:
+    with job.progress.bar("bench", len(entries) * config.calls, "calls") as bar:
         for _, group in groupby(ordered, key=lambda entry: entry.group):
             calls = {entry.label: contenders.call(job, entry, config.calls) for entry in group}
             with np.errstate(all="ignore"):  # with few steps a method may diverge: its error says so

@@ -11,12 +11,13 @@ from npred.config import FROZEN, Evaluate
 from npred.dataset import Dataset
 from npred.plants import Plant
 from npred.predictors import METHODS, Compiled, Predictor
-from npred.stages import Job, accuracy, certificate, coverage, figure1, in_loop, kinds
+from npred.stages import Job, accuracy, certificate, coverage, evaluate_report, figure1, in_loop, kinds
 from npred.stages.accuracy import Rows
 from npred.stages.starts import Contender, Starts, starts
 
 EVERY = 10  # control steps between two kept states
 SHARE = 16  # loops of a compiled predictor in a task
+summary, details = evaluate_report.summary, evaluate_report.details
 
 
 def run(job: Job) -> dict[str, Any]:
@@ -31,6 +32,7 @@ def run(job: Job) -> dict[str, Any]:
     config, data = job.config.evaluate, shards.survey(job.inputs["generate"] / "data.h5")
     begin, contenders = starts(job.config, job.plant), _contenders(job)
     loops, in_loops = _all_loops(job, contenders, begin)
+    job.progress.doing("evaluate", "measuring errors")
     taken = accuracy.sample_steps(job.config.seed, config, len(begin.D))[begin.cases] * config.dt
     cases = loops["numerical"].part(begin.cases)
     held_out, fresh = kinds.held_out(job, data), Rows.fresh(cases, taken, contenders[0].predictor)
@@ -79,6 +81,7 @@ def _all_loops(
     Shares are of fixed size, so that the bytes do not depend on the number of threads.
     """
     config = job.config.evaluate
+    job.progress.doing("evaluate", "compiling")
     for contender in contenders:
         contender.predictor.lanes()  # compiled here, once, not by threads side by side
     known = [contender for contender in contenders if contender.adapts]  # with D_hat = D adaptation makes no difference
@@ -203,38 +206,7 @@ def _record(job: Job, data: Dataset, loops: dict[str, Trajectories]) -> None:
 
 
 def _draw(job: Job, result: dict[str, Any]) -> None:
+    job.progress.doing("evaluate", "drawing")
     evidence = figures.Evidence.read(job.folder, job.plant, job.config.evaluate, result)
     for plate in (figures.figure1(evidence), figures.certificate(evidence), figures.coverage(evidence)):
         figures.write(plate, job.folder)
-
-
-def summary(result: dict[str, Any]) -> Any:
-    """The contenders as a table."""
-    from rich.table import Table
-
-    own, *others = result["kinds"]
-    rows = f"{result['held_out']} held-out samples ({own}), {result['fresh']} fresh ones"
-    title = f"{result['plant']}: {rows}, and closed loops"
-    table = Table("predictor", title=title)
-    errors = ("MSE", "ε sup", "ε κ", *(f"{kind}: ε sup" for kind in others), "fresh: MSE", "ε sup", "in the loop")
-    ends = ("converged", "settles", "map", "Fig. 1", "D̂")
-    for column in (*errors, "radius", "worst", "from ε κ", *ends):
-        table.add_column(column, justify="right")
-    for name, row in result["models"].items():
-        radius, figure = row["radius"], row["figure1"]
-        cells = [_text(row[key]) for key in ("mse", "eps_sup", "eps_kappa")]
-        cells += [_text(row["kinds"][kind]["eps_sup"]) for kind in others]
-        cells += [_text(row["fresh"][key]) for key in ("mse", "eps_sup")] + [_text(row["in_loop"])]
-        cells += [_text(radius[key]) for key in ("median", "worst", "predicted")]
-        cells += [f"{radius['converged']:.0%}", "" if row["settle_ratio"] is None else f"{row['settle_ratio']:.2f} ×"]
-        cells += [
-            f"{row['map']['share']:.0%}" if row["map"] else "",
-            _text(figure["radius"]),
-            "∞" if figure["D_hat_end"] is None else f"{figure['D_hat_end']:.3f}",
-        ]
-        table.add_row(name, *cells)
-    return table
-
-
-def _text(value: float | None) -> str:
-    return "∞" if value is None else f"{value:.2e}"

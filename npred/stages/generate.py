@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from npred import executors
+from npred.bars import counted
 from npred.closed_loop import LANES
 from npred.config import Generate
 from npred.dataset import Dataset, attributes
@@ -39,12 +40,11 @@ def run(job: Job) -> dict[str, Any]:
     return made
 
 
-def summary(result: dict[str, Any]) -> str:
+def summary(result: dict[str, Any], width: int | None = None) -> str:
     """The data in a line."""
-    return (
-        f"{result['samples']} samples of {result['rollouts']} rollouts on {result['nx']} nodes, "
-        f"{len(result['held_out'])} rollouts held out"
-    )
+    samples, rollouts = counted(result["samples"], "samples"), counted(result["rollouts"], "rollouts")
+    held_out = counted(len(result["held_out"]), "rollouts")
+    return f"{samples} of {rollouts} on {result['nx']} nodes, {held_out} held out"
 
 
 def _given(job: Job, path: Path) -> dict[str, Any]:
@@ -63,6 +63,7 @@ def _parts(job: Job) -> Iterator[tuple[int, Rows]]:
     if len(batches) == 1 or isinstance(executor, executors.Here):
         make, executor = partial(rollouts.rows, job.config, job.plant), executors.Here()
     total = job.config.generate.rollouts
+    job.progress.doing("generate", "compiling")
     with job.progress.bar("generate", total, "rollouts") as bar:
         for batch, rows in executors.completed(executor, make, batches):
             bar.advance(len(batch))

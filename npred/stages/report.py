@@ -38,7 +38,7 @@ def run(job: Job) -> dict[str, Any]:
     return {"summary": said, "bytes": len(page.encode())}
 
 
-def summary(result: dict[str, Any]) -> str:
+def summary(result: dict[str, Any], width: int | None = None) -> str:
     """The report in its sentences."""
     return "\n".join(result["summary"])
 

@@ -52,6 +52,7 @@ def write(job: Job) -> int:
     missing = [batch for batch in batches if not (place.folder / shards.name(batch[0])).exists()]
     about = attributes(job.plant, config.predictor)
     make = partial(_shard, job.config.located(), rollouts.surroundings(job.config, job.plant), place, about)
+    job.progress.doing("generate", "compiling")
     with job.progress.bar("generate", config.rollouts, "rollouts") as bar:
         bar.advance(config.rollouts - sum(len(batch) for _, batch in missing))
         for (number, batch), content in executors.completed(job.executor, make, missing):

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple, Self
 import torch
 
 from npred import plants, randomness, ranks, shards, training
+from npred.bars import counted
 from npred.config import Pipeline, Training
 from npred.operators import Operator, Scaling, build, io, loss, save
 from npred.stages import Job, Progress
@@ -65,14 +66,16 @@ def help_out(progress: Progress) -> None:
         _fit(order.job(progress))
 
 
-def summary(result: dict[str, Any]) -> str:
+def summary(result: dict[str, Any], width: int | None = None) -> str:
     """The trained network in a line."""
-    size = f"{result['parameters']} parameters, {result['epochs']} epochs of {result['samples']} samples"
+    epochs, samples = counted(result["epochs"], "epochs"), counted(result["samples"], "samples")
+    size = f"{result['parameters']} parameters, {epochs} of {samples}"
     return f"{result['model']}: {size}; held-out rollouts: MSE {result['mse']:.3g}, sup error {result['eps_sup']:.3g}"
 
 
 def _fit(job: Job) -> tuple[Task, list[dict[str, Any]]]:
     config = job.config.train.deeponet if job.model == "deeponet" else job.config.train.fno
+    job.progress.doing(f"train {job.model}", "reading the data")
     task = _task(replace(job, device=ranks.device(job.device)), config, job.inputs["generate"] / "data.h5")
     return task, training.fit(task, job.scratch, job.progress)
 
