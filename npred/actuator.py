@@ -15,8 +15,10 @@ from npred.plants.compile_cache import jit
 ROUNDING = 1e-9  # of a control step: positions this close to a step's start are on it
 
 
-# k, dt, D (m, B), held, total (R, m, B) -> u (nx, m, B)
-TRANSPORT = "void(int64, float64, float64[:,::1], float64[:,:,::1], float64[:,:,::1], float64[:,:,::1])"
+# k, dt, D (m, B), held, total (R, m, B) -> u, u_nodes (nx, m, B)
+TRANSPORT = (
+    "void(int64, float64, float64[:,::1], float64[:,:,::1], float64[:,:,::1], float64[:,:,::1], float64[:,:,::1])"
+)
 # k, dt, D (m, B), U (m, B) -> held, total (R, m, B), U0, U1, share (m, B)
 ACTUATE = (
     "void(int64, float64, float64[:,::1], float64[:,::1], float64[:,:,::1], float64[:,:,::1], float64[:,::1], "
@@ -33,11 +35,15 @@ def _sum_to(s: float, held: np.ndarray, total: np.ndarray, c: int, l: int, wrap:
 
 
 @jit(TRANSPORT, nogil=True, error_model="numpy")
-def transport(k: int, dt: float, D: np.ndarray, held: np.ndarray, total: np.ndarray, u: np.ndarray) -> None:
-    """Write u(x_j, k dt) on the nodes, for the true delays D.
+def transport(
+    k: int, dt: float, D: np.ndarray, held: np.ndarray, total: np.ndarray, u: np.ndarray, u_nodes: np.ndarray
+) -> None:
+    """Write u(x, k dt) for the true delays D as its two readers need it.
 
-    Where the grid is coarser than the control step a node carries the mean of U over its cell: point values there let
-    U chatter. At x = 1 it is the newest U, from the left.
+    `u` has the mean over each node's cell: the predictor integrates u, and the trapezoidal rule on cell means is the
+    integral of the held input, on any grid. `u_nodes` has values at the nodes, which the update law compares with
+    kappa(P): linear between the starts of control steps, where U = kappa(P(1)) was commanded; the held value lags
+    behind by half a step on average. At x = 1 it is the newest U, from the left.
     """
     nx, m, lanes = u.shape
     rows = held.shape[0]
@@ -53,11 +59,14 @@ def transport(k: int, dt: float, D: np.ndarray, held: np.ndarray, total: np.ndar
             for l in range(lanes):
                 s = k - edge * span[l]
                 sum_s = _sum_to(s, held, total, c, l, wrap)
-                row = min(int(k - node * span[l] + ROUNDING), k - 1) - wrap
-                point = held[row if row >= 0 else row + rows, c, l]
-                mean = (sum_s - sum_before[l]) / (s - before[l])
-                u[j, c, l] = mean if span[l] > (nx - 1) * (1.0 + ROUNDING) else point
+                u[j, c, l] = (sum_s - sum_before[l]) / (s - before[l])
                 before[l], sum_before[l] = s, sum_s
+                position = k - node * span[l]
+                i = min(int(position + ROUNDING), k - 1)
+                row, after = i - wrap, min(i + 1, k - 1) - wrap
+                start = held[row if row >= 0 else row + rows, c, l]
+                end = held[after if after >= 0 else after + rows, c, l]
+                u_nodes[j, c, l] = start + max(position - i, 0.0) * (end - start)
 
 
 @jit(ACTUATE, nogil=True)

@@ -13,16 +13,19 @@ from npred.errors import ConfigError
 from npred.plants import kernels, programs, routines
 from npred.plants.base import Plant
 from npred.plants.black_box import BlackBox
+from npred.plants.compile_cache import jit
 from npred.plants.trace import Trace
 
-# P (nx, n, B), X (n, B), u (nx, m, B), D_hat (B,), t, p, b -> U (m, B), phi (B,), N (B,)
-SIGNATURE = (
+# P (nx, n, B), u (nx, m, B), D_hat (B,), t, p -> U (m, B)
+CONTROL_SIGNATURE = "void(float64[:,:,::1], float64[:,:,::1], float64[::1], float64, float64[::1], float64[:,::1])"
+# P (nx, n, B), X (n, B), u at the nodes (nx, m, B), D_hat (B,), t, p, b -> phi (B,), N (B,)
+UPDATE_SIGNATURE = (
     "void(float64[:,:,::1], float64[:,::1], float64[:,:,::1], float64[::1], float64, float64[::1], float64, "
-    "float64[:,::1], float64[::1], float64[::1])"
+    "float64[::1], float64[::1])"
 )
 
-LAW = """\
-def law(P, X, u, D_hat, t, p, b, U, phi, N):
+UPDATE = """\
+def update(P, X, u, D_hat, t, p, b, phi, N):
     nx, n, lanes = P.shape
     {parameters}
     r, s = np.empty((n, lanes)), np.empty((n, lanes))
@@ -40,23 +43,19 @@ def law(P, X, u, D_hat, t, p, b, U, phi, N):
             {node}
             I1[l] += weight * i1
             I2[l] += weight * i2
-    j = nx - 1
     for l in range(lanes):
-        h = D_hat[l] / (nx - 1)
         {end}
         N[l] = 1.0 + v + b * I2[l] / (nx - 1)
         phi[l] = -I1[l] / (nx - 1) / N[l]
 """
 
 CONTROL = """\
-def control(P, X, u, D_hat, t, p, b, U, phi, N):
+def control(P, u, D_hat, t, p, U):
     lanes = P.shape[2]
     {parameters}
     j = P.shape[0] - 1
     for l in range(lanes):
         h = D_hat[l] / j
-        phi[l] = 0.0
-        N[l] = np.nan
         {end}
 """
 
@@ -98,15 +97,16 @@ class DelayAdaptation(DelayLaw):
         lanes = [np.broadcast_to(a, (*shape, *a.shape[a.ndim - k :])) for a, k in ((X, 1), (u, 2), (P, 2), (D_hat, 0))]
         X, u, P, D_hat = (_lanes_last(a, len(shape)) for a in lanes)
         count = D_hat.shape[0]
-        U, phi, N = np.empty((plant.m, count)), np.empty(count), np.empty(count)
-        update_law(plant)(P, X, u, D_hat, float(t), plant.p, self.b, U, phi, N)
+        phi, N = np.empty(count), np.empty(count)
+        update_law(plant)(P, X, u, D_hat, float(t), plant.p, self.b, phi, N)
         return phi.reshape(shape)
 
 
 class Part(NamedTuple):
-    """A law as the time loop runs it: U, phi and N on lanes, and D_hat += gain phi dt within the bounds."""
+    """The laws as the time loop runs them: U, then phi and N on lanes, and D_hat += gain phi dt within the bounds."""
 
-    kernel: Callable[..., None]
+    control: Callable[..., None]
+    update: Callable[..., None]
     gain: float
     b: float
     bounds: np.ndarray
@@ -114,14 +114,20 @@ class Part(NamedTuple):
 
 
 def part(plant: Plant, law: DelayLaw | None) -> Part:
-    """The law's part of a control step: compiled for the paper's law and for None, which freezes D_hat."""
+    """The laws' part of a control step: compiled for the paper's law and for None, which freezes D_hat."""
+    control = control_law(plant)
     if law is None:
-        return Part(control_law(plant), 0.0, 1.0, np.array((0.0, np.inf)), True)
+        return Part(control, frozen, 0.0, 1.0, np.array((0.0, np.inf)), True)
     bounds = np.array(law.bounds, dtype=float)
     papers = DelayAdaptation.rate, DelayAdaptation.phi
     if isinstance(law, DelayAdaptation) and (type(law).rate, type(law).phi) == papers:
-        return Part(update_law(plant), law.gamma, law.b, bounds, True)
-    return Part(interpreted(law, plant, control_law(plant)), 1.0, law.b, bounds, False)
+        return Part(control, update_law(plant), law.gamma, law.b, bounds, True)
+    return Part(control, interpreted(law, plant), 1.0, law.b, bounds, False)
+
+
+@jit(UPDATE_SIGNATURE, nogil=True)
+def frozen(P, X, u, D_hat, t, p, b, phi, N):  # type: ignore[no-untyped-def]
+    """D_hat stays as it is."""
 
 
 def _check(plant: Plant, X: np.ndarray, u: np.ndarray, P: np.ndarray) -> None:
@@ -139,7 +145,7 @@ def _lanes_last(a: np.ndarray, leading: int) -> np.ndarray:
 
 @cache
 def update_law(plant: Plant) -> Callable[..., None]:
-    """The compiled law: U = kappa(P(1)) [DAPF, eq. 9], phi and N = 1 + V + b ∫ (1+x) w²."""
+    """The compiled update law: phi [DAPF, eq. 12] and N = 1 + V + b ∫ (1+x) w²."""
     if isinstance(plant, BlackBox):
         return untraced_law.update(plant, transition)
     trace = routines.trace(plant)
@@ -147,26 +153,27 @@ def update_law(plant: Plant) -> Callable[..., None]:
     r, s = trace.vector("r", plant.n), trace.vector("s", plant.n)
     first, df = trace.f(x, u, t), partial(trace.df, dt=1.0)
     source = kernels.fill(
-        LAW,
+        UPDATE,
         parameters=kernels.parameters(len(plant.p)),
         first=_node(trace, x, u, t, h, first, h * df(x, u, t, first)),
         node=_node(trace, x, u, t, h, *transition(df, x, u, t, h, r, s)),
-        end=_end(trace, x, t, [("v", trace.V(trace.vector("X", plant.n), trace.input("t0")))]),
+        end=programs.lines([trace.V(trace.vector("X", plant.n), trace.input("t0"))], _bindings(plant), ["v"]),
     )
-    return kernels.build("law", SIGNATURE, source, routines.imports(trace))
+    return kernels.build("update", UPDATE_SIGNATURE, source, routines.imports(trace))
 
 
 @cache
 def control_law(plant: Plant) -> Callable[..., None]:
-    """The compiled law without adaptation: U_j = kappa_j(P(r_j)) with r_j = 1 for one delay, phi = 0."""
+    """The compiled control law: U_j = kappa_j(P(r_j)) with r_j = 1 for one delay [DAPF, eq. 9]."""
     if isinstance(plant, BlackBox):
         return untraced_law.control(plant)
     if not plant.one_delay:
-        return delayed_law.build(plant, SIGNATURE)
+        return delayed_law.build(plant, CONTROL_SIGNATURE)
     trace = routines.trace(plant)
-    end = _end(trace, trace.vector("x", plant.n), trace.input("t"), [])
+    U = trace.kappa(trace.vector("x", plant.n), trace.input("t"))
+    end = programs.lines(U, _bindings(plant), [f"U[{k}, l]" for k in range(plant.m)])
     source = kernels.fill(CONTROL, parameters=kernels.parameters(len(plant.p)), end=end)
-    return kernels.build("control", SIGNATURE, source, routines.imports(trace))
+    return kernels.build("control", CONTROL_SIGNATURE, source, routines.imports(trace))
 
 
 def transition(df: Any, x: Any, u: Any, t: Any, h: Any, r: Any, s: Any) -> tuple[Any, Any]:
@@ -184,11 +191,6 @@ def _node(trace: Trace, x: Any, u: Any, t: Any, h: Any, r: Any, s: Any) -> list[
     w, n = u - kappa, trace.plant.n
     targets = [f"r[{k}, l]" for k in range(n)] + [f"s[{k}, l]" for k in range(n)] + ["i1", "i2"]
     return programs.lines([*r, *s, np.dot(q1, w), np.dot(w, w)], _bindings(trace.plant), targets)
-
-
-def _end(trace: Trace, x: Any, t: Any, extra: list[tuple[str, Any]]) -> list[str]:
-    targets = [f"U[{k}, l]" for k in range(trace.plant.m)] + [name for name, _ in extra]
-    return programs.lines([*trace.kappa(x, t), *(y for _, y in extra)], _bindings(trace.plant), targets)
 
 
 def _bindings(plant: Plant) -> dict[str, str]:

@@ -132,7 +132,7 @@ class _Loop:
     def law(self) -> Part:
         """What gives U and D_hat's rate; the open loop's is U = 0."""
         if self.predictor is None:
-            return part(self.plant, None)._replace(kernel=engine.no_control)
+            return part(self.plant, None)._replace(control=engine.no_control)
         return part(self.plant, self.adaptation)
 
     @property
@@ -159,11 +159,11 @@ class _Loop:
                 progress((stop - start) * lanes)
         return out
 
-    def _parts(self) -> tuple[Any, Any, Any, Any, Any]:
-        """The five sentences of a control step, on lanes."""
+    def _parts(self) -> tuple[Any, ...]:
+        """The six sentences of a control step, on lanes."""
         advance = engine.advance_kernel(self.plant, self.integrator)
         predict = engine.no_predictor if self.predictor is None else self.predictor.lanes()
-        return actuator.transport, predict, self.law.kernel, actuator.actuate, advance
+        return actuator.transport, predict, self.law.control, self.law.update, actuator.actuate, advance
 
     def _settings(self, samples: np.ndarray) -> engine.Settings:
         return engine.Settings(
@@ -185,8 +185,9 @@ class _Loop:
         origin, held, total = actuator.history(D, self.dt, u0.T)
         state = engine.State(
             X=np.array(X0.T, order="C"), D=D, D_hat=np.array(D_hat), held=held, total=total,
-            u=np.empty((nx, m, lanes)), P=np.full((nx, n, lanes), np.nan), U=np.empty((m, lanes)), phi=np.empty(lanes),
-            N=np.empty(lanes), U0=np.empty((m, lanes)), U1=np.empty((m, lanes)), share=np.empty((m, lanes)),
+            u=np.empty((nx, m, lanes)), u_nodes=np.empty((nx, m, lanes)), P=np.full((nx, n, lanes), np.nan),
+            U=np.empty((m, lanes)), phi=np.zeros(lanes), phi_before=np.full(lanes, np.nan), N=np.full(lanes, np.nan),
+            U0=np.empty((m, lanes)), U1=np.empty((m, lanes)), share=np.empty((m, lanes)),
             drawn=np.zeros(lanes, dtype=np.int64),
         )  # fmt: skip
         return origin, state

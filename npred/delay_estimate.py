@@ -43,15 +43,15 @@ class DelayLaw(ABC):
     ) -> Any:  # fmt: skip
         """D_hat' (B,) of B loops side by side: X (B, n), u (B, nx, m), P (B, nx, n), D_hat (B,), t in seconds.
 
-        plant.f, plant.kappa and plant.V work on these arrays. The estimate is clipped to the bounds after each step.
+        u has its values at the nodes. plant.f, plant.kappa and plant.V work on these arrays. The estimate is clipped
+        to the bounds after each step.
         """
 
 
-def interpreted(law: DelayLaw, plant: Plant, control: Callable[..., None]) -> Callable[..., None]:
-    """The law on the loop's memory: U by the compiled `control`, phi = rate, N unknown."""
+def interpreted(law: DelayLaw, plant: Plant) -> Callable[..., None]:
+    """The law on the loop's memory: phi = rate, N unknown."""
 
-    def step(P: Any, X: Any, u: Any, D_hat: Any, t: float, p: Any, b: float, U: Any, phi: Any, N: Any) -> None:
-        control(P, X, u, D_hat, t, p, b, U, phi, N)
+    def step(P: Any, X: Any, u: Any, D_hat: Any, t: float, p: Any, b: float, phi: Any, N: Any) -> None:
         seen = [X.T, u.transpose(2, 0, 1), P.transpose(2, 0, 1), D_hat.view()]
         for view in seen:
             view.flags.writeable = False  # it is the loop's own memory

@@ -9,7 +9,7 @@ from npred.plants.trace import Trace
 from npred.predictors import RK4, several
 
 SOURCE = """\
-def control(P, X, u, D_hat, t, p, b, U, phi, N):
+def control(P, u, D_hat, t, p, U):
     nx, n, lanes = P.shape
     last = nx - 1
     {parameters}
@@ -26,14 +26,12 @@ def control(P, X, u, D_hat, t, p, b, U, phi, N):
                 {piece}
             begin = end
     for l in range(lanes):
-        phi[l] = 0.0
-        N[l] = np.nan
         {law}
 """
 
 
 def source(plant: Plant) -> str:
-    """The text of the kernel: P(r_j) is a node of P, or a step of RK4 from the node before it; phi = 0, N is NaN."""
+    """The text of the kernel: P(r_j) is a node of P, or a step of RK4 from the node before it."""
     text = SOURCE.replace("{all}", f"({', '.join(f'edge{c}' for c in range(plant.m))},)")
     return kernels.fill(
         text,

@@ -44,10 +44,12 @@ class State(NamedTuple):
     D_hat: np.ndarray  # (B,)
     held: np.ndarray  # (R, m, B)
     total: np.ndarray  # (R, m, B)
-    u: np.ndarray  # (nx, m, B)
+    u: np.ndarray  # (nx, m, B), means over the nodes' cells
+    u_nodes: np.ndarray  # (nx, m, B), values at the nodes
     P: np.ndarray  # (nx, n, B)
     U: np.ndarray  # (m, B)
     phi: np.ndarray  # (B,)
+    phi_before: np.ndarray  # (B,), that of the step before; NaN at first
     N: np.ndarray  # (B,)
     U0: np.ndarray  # (m, B), the delayed input for the first share of a step
     U1: np.ndarray  # (m, B), and for the rest
@@ -75,23 +77,24 @@ I1, I2 = (types.Array(types.int64, d, "C") for d in (1, 2))
 SETTINGS = types.NamedTuple(
     [types.float64, types.int64, types.float64, types.float64, A1, A2, A1, A1, I2], Settings
 )  # fmt: skip
-STATE = types.NamedTuple([A2, A2, A1, A3, A3, A3, A3, A2, A1, A1, A2, A2, A2, I1], State)
+STATE = types.NamedTuple([A2, A2, A1, A3, A3, A3, A3, A3, A2, A1, A1, A1, A2, A2, A2, I1], State)
 RECORD = types.NamedTuple([A3, A3, A3, A2, A2, A2, A3, A4, A2, I1], Record)
 
 
 def steps(
-    origin: int, start: int, stop: int, transport: Any, predict: Any, control: Any, actuate: Any, advance: Any,
-    s: Settings, z: State, out: Record,
+    origin: int, start: int, stop: int, transport: Any, predict: Any, control: Any, update: Any, actuate: Any,
+    advance: Any, s: Settings, z: State, out: Record,
 ) -> None:  # fmt: skip
     """Control steps start … stop - 1 [DAPF, eqs. 6-14]; `origin` is the ring buffers' number of step 0."""
     for k in range(start, stop):
         t = k * s.dt
-        transport(origin + k, s.dt, z.D, z.held, z.total, z.u)
+        transport(origin + k, s.dt, z.D, z.held, z.total, z.u, z.u_nodes)
         predict(z.X, z.u, z.D_hat, t, s.p, z.P)
-        control(z.P, z.X, z.u, z.D_hat, t, s.p, s.b, z.U, z.phi, z.N)
+        control(z.P, z.u, z.D_hat, t, s.p, z.U)
         clip(z.U, s.input_bounds)
+        update(z.P, z.X, z.u_nodes, z.D_hat, t, s.p, s.b, z.phi, z.N)
         keep(k, s, z, out)
-        adapt(z.D_hat, z.phi, s.gain, s.bounds)
+        adapt(z.D_hat, z.phi, z.phi_before, s.gain, s.bounds)
         actuate(origin + k, s.dt, z.D, z.U, z.held, z.total, z.U0, z.U1, z.share)
         advance(z.X, z.U0, z.U1, z.share, s.dt, t, s.p)
 
@@ -107,12 +110,18 @@ def clip(U: np.ndarray, bounds: np.ndarray) -> None:
                 U[c, l] = bounds[c, 1]
 
 
-@jit(types.void(A1, A1, types.float64, A1), nogil=True)
-def adapt(D_hat: np.ndarray, phi: np.ndarray, gain: float, bounds: np.ndarray) -> None:
-    """D_hat += gain Proj{D_hat, phi}: clipping to the bounds is the projection [DAPF, eq. 11] in discrete time."""
+@jit(types.void(A1, A1, A1, types.float64, A1), nogil=True)
+def adapt(D_hat: np.ndarray, phi: np.ndarray, phi_before: np.ndarray, gain: float, bounds: np.ndarray) -> None:
+    """D_hat += gain Proj{D_hat, phi}: clipping to the bounds is the projection [DAPF, eq. 11] in discrete time.
+
+    phi is taken at the middle of the step, from this value and the one before: the method of Adams and Bashforth of
+    order 2 (Hairer, Nørsett, Wanner, III.1.5). A first step, which has none before, is Euler's.
+    """
     if gain > 0:
         for l in range(D_hat.shape[0]):
-            D_hat[l] = min(max(D_hat[l] + gain * phi[l], bounds[0]), bounds[1])
+            rate = phi[l] if np.isnan(phi_before[l]) else 1.5 * phi[l] - 0.5 * phi_before[l]
+            D_hat[l] = min(max(D_hat[l] + gain * rate, bounds[0]), bounds[1])
+            phi_before[l] = phi[l]
 
 
 @jit(types.void(A3, A1, A2, A1), nogil=True)
@@ -154,7 +163,10 @@ def _pointer(signature: str) -> types.FunctionType:
 ADVANCE_SIGNATURE = (
     "void(float64[:,::1], float64[:,::1], float64[:,::1], float64[:,::1], float64, float64, float64[::1])"
 )
-PARTS = (actuator.TRANSPORT, predictors.SIGNATURE, adaptation.SIGNATURE, actuator.ACTUATE, ADVANCE_SIGNATURE)
+PARTS = (
+    actuator.TRANSPORT, predictors.SIGNATURE, adaptation.CONTROL_SIGNATURE, adaptation.UPDATE_SIGNATURE,
+    actuator.ACTUATE, ADVANCE_SIGNATURE,
+)  # fmt: skip
 compiled_steps = jit(
     types.void(types.int64, types.int64, types.int64, *map(_pointer, PARTS), SETTINGS, STATE, RECORD), nogil=True
 )(steps)
@@ -165,12 +177,10 @@ def no_predictor(X, u, D_hat, t, p, P):  # type: ignore[no-untyped-def]
     """The open loop predicts nothing."""
 
 
-@jit(adaptation.SIGNATURE, nogil=True)
-def no_control(P, X, u, D_hat, t, p, b, U, phi, N):  # type: ignore[no-untyped-def]
+@jit(adaptation.CONTROL_SIGNATURE, nogil=True)
+def no_control(P, u, D_hat, t, p, U):  # type: ignore[no-untyped-def]
     """The open loop: U = 0."""
     U[:] = 0.0
-    phi[:] = 0.0
-    N[:] = np.nan
 
 
 ADVANCE = """\

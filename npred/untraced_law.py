@@ -14,25 +14,24 @@ from npred.predictors.untraced import on_lanes
 
 
 def control(plant: BlackBox) -> Callable[..., None]:
-    """U = kappa(P(1)), phi = 0."""
+    """U = kappa(P(1))."""
 
     @np.errstate(all="ignore")
-    def law(P: Any, X: Any, u: Any, D_hat: Any, t: float, p: Any, b: float, U: Any, phi: Any, N: Any) -> None:
+    def law(P: Any, u: Any, D_hat: Any, t: float, p: Any, U: Any) -> None:
         U[:] = plant.kappa(P[-1].T, t + D_hat).T
-        phi[:], N[:] = 0.0, np.nan
 
     return law
 
 
 def update(plant: BlackBox, transition: Callable[..., Any]) -> Callable[..., None]:
-    """U = kappa(P(1)), phi and N as in npred.adaptation, derivatives as the plant has them."""
+    """phi and N as in npred.adaptation, derivatives as the plant has them."""
     f = on_lanes(plant)
 
     def df(x: np.ndarray, v: np.ndarray, t: Any, along: np.ndarray) -> np.ndarray:
         return plant.df(x.T, v.T, t, along.T, 1.0).T
 
     @np.errstate(all="ignore")
-    def law(P: Any, X: Any, u: Any, D_hat: Any, t: float, p: Any, b: float, U: Any, phi: Any, N: Any) -> None:
+    def law(P: Any, X: Any, u: Any, D_hat: Any, t: float, p: Any, b: float, phi: Any, N: Any) -> None:
         last, h = len(P) - 1, D_hat / (len(P) - 1)
         r = f(P[0], u[0], t + 0.0 * h)
         s, I1, I2 = h * df(P[0], u[0], t + 0.0 * h, r), 0.0, 0.0
@@ -45,7 +44,6 @@ def update(plant: BlackBox, transition: Callable[..., Any]) -> Callable[..., Non
             I1, I2 = I1 + weight * (q1 * w).sum(axis=0), I2 + weight * (w * w).sum(axis=0)
         N[:] = 1.0 + plant.V(X.T, t) + b * I2 / last
         phi[:] = -I1 / last / N
-        U[:] = plant.kappa(P[-1].T, t + D_hat).T
 
     return law
 

@@ -16,12 +16,13 @@ class Line:
     def __init__(self, D, u0=0.0, nx=11):
         self.D, self.k = np.array([[D]]), 0
         self.origin, self.held, self.total = actuator.history(self.D, DT, np.array([[u0]]))
-        self.u = np.empty((nx, 1, 1))
+        self.u, self.u_nodes = np.empty((nx, 1, 1)), np.empty((nx, 1, 1))
         self.out = [np.empty((1, 1)) for _ in range(3)]
 
     def read(self):
-        actuator.transport(self.origin + self.k, DT, self.D, self.held, self.total, self.u)
-        return self.u[:, 0, 0].copy()
+        """The means over the nodes' cells, and the values at the nodes."""
+        actuator.transport(self.origin + self.k, DT, self.D, self.held, self.total, self.u, self.u_nodes)
+        return self.u[:, 0, 0].copy(), self.u_nodes[:, 0, 0].copy()
 
     def feed(self, U):
         """Hold U for a step; the input that leaves: before the switch, after it, and the share before it."""
@@ -58,37 +59,38 @@ def test_a_switch_inside_a_step_splits_it(D):
             assert share == pytest.approx(np.floor(s) + 1 - s, abs=1e-9)
 
 
-def test_a_fine_grid_reads_points():
-    """dx D <= dt: u(x_j) = U(t + D (x_j - 1))."""
-    line, inputs = Line(0.1, nx=11), np.arange(1.0, 31.0)
-    for U in inputs:
-        line.feed(U)
-    np.testing.assert_array_equal(line.read(), [*inputs[20:30], inputs[29]])
-
-
-@given(D=st.floats(0.2, 1.0), nx=st.integers(3, 12))
-@settings(max_examples=30)
-def test_a_coarse_grid_carries_cell_means(D, nx):
+@given(D=st.floats(0.02, 1.0), nx=st.integers(2, 40))
+@settings(max_examples=50)
+def test_u_carries_cell_means_on_any_grid(D, nx):
+    """The mean of the held input over each node's cell, by the exact integral of the staircase."""
     line, inputs = Line(D, nx=nx), np.random.default_rng(3).normal(size=150)
     for U in inputs:
         line.feed(U)
-    u, cell = line.read(), D / DT / (nx - 1)
-    if cell <= 1.0 + 1e-6:
-        return
-    for j, x in enumerate(grid.nodes(nx)):
-        s = 150 + D / DT * (x - 1)
-        low, high = max(s - cell / 2, 150 - D / DT), min(s + cell / 2, 150.0)
-        fine = np.linspace(low, high, 20001)
-        mean = np.mean([inputs[min(int((a + b) / 2), 149)] for a, b in zip(fine, fine[1:], strict=False)])
-        assert u[j] == pytest.approx(mean, abs=2e-3)
+    edges = np.concatenate([[0.0], (np.arange(nx - 1) + 0.5) / (nx - 1), [1.0]])
+    position = 150 + D / DT * (edges - 1)  # in control steps
+    integral = np.interp(position, np.arange(-150, 151), np.concatenate([np.zeros(150), [0.0], np.cumsum(inputs)]))
+    u, _ = line.read()
+    np.testing.assert_allclose(u, np.diff(integral) / np.diff(position), rtol=0, atol=1e-6)
 
 
-def test_the_integral_of_the_input_is_kept():
-    """The trapezoidal rule on cell means is the exact integral of the held input."""
-    line, inputs = Line(0.5, nx=11), np.random.default_rng(5).normal(size=100)
+@given(D=st.floats(0.02, 1.0), nx=st.integers(2, 120))
+@settings(max_examples=50)
+def test_u_nodes_are_linear_between_the_starts_of_steps(D, nx):
+    line, inputs = Line(D, nx=nx), np.random.default_rng(4).normal(size=150)
     for U in inputs:
         line.feed(U)
-    assert grid.trapezoid(11) @ line.read() == pytest.approx(inputs[50:].mean(), abs=1e-13)
+    position = 150 + D / DT * (grid.nodes(nx) - 1)
+    _, u_nodes = line.read()
+    np.testing.assert_allclose(u_nodes, np.interp(position, np.arange(150), inputs), rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("nx", [11, 50, 51, 201])
+def test_the_integral_of_the_input_is_kept(nx):
+    """The trapezoidal rule on cell means is the exact integral of the held input, on coarse and fine grids."""
+    line, inputs = Line(0.5, nx=nx), np.random.default_rng(5).normal(size=100)
+    for U in inputs:
+        line.feed(U)
+    assert grid.trapezoid(nx) @ line.read()[0] == pytest.approx(inputs[50:].mean(), abs=1e-13)
 
 
 def test_before_the_start_the_input_is_u0():
@@ -100,10 +102,11 @@ def test_inputs_with_delays_of_their_own_are_two_lines():
     D, random = np.array([[0.213], [0.5]]), np.random.default_rng(11)
     lines = [Line(d, nx=7) for d in D[:, 0]]
     origin, rows, total = actuator.history(D, DT, np.zeros((2, 1)))
-    u, out = np.empty((7, 2, 1)), [np.empty((2, 1)) for _ in range(3)]
+    reads, out = [np.empty((7, 2, 1)) for _ in range(2)], [np.empty((2, 1)) for _ in range(3)]
     for k, U in enumerate(random.normal(size=(90, 2, 1))):
         actuator.actuate(origin + k, DT, D, U, rows, total, *out)
         fed = [line.feed(float(value)) for line, value in zip(lines, U[:, 0], strict=True)]
         np.testing.assert_allclose(np.array(out)[:, :, 0].T, fed, rtol=0, atol=1e-12)
-    actuator.transport(origin + 90, DT, D, rows, total, u)
-    np.testing.assert_allclose(u[:, :, 0].T, [line.read() for line in lines], rtol=0, atol=1e-12)
+    actuator.transport(origin + 90, DT, D, rows, total, *reads)
+    for read, alone in zip(reads, zip(*[line.read() for line in lines], strict=True), strict=True):
+        np.testing.assert_allclose(read[:, :, 0].T, alone, rtol=0, atol=1e-12)

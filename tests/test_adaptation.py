@@ -101,7 +101,7 @@ def test_batch_equals_single_calls():
 @given(D_hat=st.floats(0.1, 4.0), phi=st.floats(-5, 5), low=st.just(0.1), high=st.just(4.0))
 def test_projection_keeps_the_estimate_inside(D_hat, phi, low, high):
     values = np.array([D_hat])
-    engine.adapt(values, np.array([phi]), 1.0, np.array([low, high]))
+    engine.adapt(values, np.array([phi]), np.array([np.nan]), 1.0, np.array([low, high]))
     assert low <= values[0] <= high
     if low < D_hat + phi < high:
         assert values[0] == D_hat + phi

@@ -52,7 +52,7 @@ def figure1():
 
 
 def test_golden_exact_loop(figure1):
-    """The mesh limit of an independent solver; the held input and Euler's D_hat are of first order in dt."""
+    """The mesh limit of an independent solver; the held input is of first order in dt."""
     for t, X, D_hat in [(1, (0.01119907, 18.284676), 1.999935), (5, (0.05731731, 4.168447), 0.4075),
                         (10, (0.10337582, 5.963860), 1.217051), (30, (0.09388633, 5.251668), 1.192244)]:  # fmt: skip
         k = round(t / 0.005)
@@ -69,12 +69,16 @@ def test_golden_loop_is_met_at_first_order_in_dt(figure1):
 
 
 def test_golden_loop_with_the_input_clipped():
-    """u* < 0 is out of reach with U >= 0: a cycle of radius 1.5e-3 stays."""
-    loop = simulate(PLANT, RK4(PLANT, 101), adaptation=LAW, input_bounds=[(0.0, np.inf)], **FIGURE1)
-    assert loop.U.min() == 0.0
-    np.testing.assert_allclose(loop.D_hat[-1], 0.4975, rtol=0.01)
-    np.testing.assert_allclose(metrics.radius(loop, PLANT.equilibrium), 1.5e-3, rtol=0.01)
-    np.testing.assert_allclose(metrics.settle_time(loop, PLANT.equilibrium), 25.5, atol=0.1)
+    """u* < 0 is out of reach with U >= 0: a cycle of radius 1.5e-3 stays. D_hat meets its mesh limit at first order."""
+    fine, coarse = (
+        simulate(PLANT, RK4(PLANT, nx), adaptation=LAW, input_bounds=[(0.0, np.inf)], dt=dt, **FIGURE1)
+        for dt, nx in ((0.0025, 201), (0.005, 101))
+    )
+    assert coarse.U.min() == 0.0
+    np.testing.assert_allclose(2 * fine.D_hat[-1] - coarse.D_hat[-1], 0.4975, rtol=1e-3)
+    assert 0.4 < (fine.D_hat[-1] - 0.4975) / (coarse.D_hat[-1] - 0.4975) < 0.6
+    np.testing.assert_allclose(metrics.radius(coarse, PLANT.equilibrium), 1.5e-3, rtol=0.01)
+    np.testing.assert_allclose(metrics.settle_time(coarse, PLANT.equilibrium), 25.5, atol=0.1)
 
 
 def test_frozen_wrong_estimate_does_not_converge():
@@ -119,11 +123,12 @@ def test_known_delay_is_compensated_exactly():
 
 
 def test_predictor_and_plant_agree_on_the_control_steps():
-    """With one node a control step and Euler for both, P(1, t) is X(t + D) to rounding."""
+    """With one node a control step, Euler for both and the held input at the nodes, P(1, t) is X(t + D) to rounding."""
     steps = np.arange(200, 1800, 50)
     loop = simulate(PLANT, Euler(PLANT, 101), D=0.5, D_hat=0.5, X0=[0.03, 30.0], t_end=10.0, dt=0.005, samples=steps,
                     integrator="euler")  # fmt: skip
-    P = Euler(PLANT, 101)(loop.samples.X, loop.samples.u, 0.5)
+    held = np.stack([loop.U[k - 100 : k + 1] for k in steps])
+    P = Euler(PLANT, 101)(loop.samples.X, held, 0.5)
     np.testing.assert_allclose(P[:, -1], loop.X[steps + 100], rtol=1e-12, atol=1e-12)
     np.testing.assert_array_equal(loop.samples.X, loop.X[steps])
 
@@ -226,3 +231,47 @@ def test_predictions_of_kept_steps_are_kept():
         np.testing.assert_allclose(loops.P, P[..., -1, :], rtol=1e-12)
     np.testing.assert_array_equal(loops.part(slice(1, 2)).P, loops.P[1:])
     assert np.isnan(simulate(PLANT, None, **given).P).all()
+
+
+FOUR = {
+    "planar_arm2": {"D": 0.5, "X0": [0.6, 0.7, 0.0, 0.0]},
+    "cart_pole": {"D": 0.2, "X0": [0.1, 0.0, 0.1, 0.0]},
+    "scalar": {"D": 1.0, "X0": [1.0]},
+    "activator_repressor": {"D": 1.0, "X0": [0.03, 30.0]},
+}
+
+
+@pytest.mark.parametrize("name", FOUR)
+def test_the_prediction_in_the_loop_does_not_jump_with_the_grid(name):
+    """|P(1, t) - X(t + D)| past 2 D on a grid as fine as the control step, and on one that has one node less."""
+    plant, case, dt = plants.resolve(name), FOUR[name], 0.005
+    late, errors = round(case["D"] / dt), []
+    for nx in (late, late + 1):
+        loop = simulate(plant, RK4(plant, nx), **case, D_hat=case["D"], t_end=6.0, dt=dt)
+        errors.append(np.abs(loop.P[:-late] - loop.X[late:])[2 * late :].max())
+    assert errors[1] <= 2.2 * errors[0]  # reading u in two ways, above 200 times as large
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "D_hat", "law", "today"),  # today: the errors of one reading of u for both, at nx = D / dt and one more
+    [
+        ("planar_arm2", 0.35, DelayAdaptation(0.5, 1.0, (0.1, 0.6)), (3.90e-3, 7.43e-4)),
+        ("cart_pole", 0.3, DelayAdaptation(1.0, 1.0, (0.1, 0.3)), (3.81e-3, 3.34e-3)),
+        ("scalar", 2.0, DelayAdaptation(1.0, 1.0, (0.5, 2.0)), (5.35e-3, 4.08e-3)),
+        ("activator_repressor", 2.0, DelayAdaptation(1000.0, 1.0, (0.1, 4.0)), (1.15e-2, 9.97e-3)),
+    ],
+)
+def test_the_estimate_is_closer_to_its_mesh_limit_than_with_one_reading_of_u(name, D_hat, law, today):
+    """D_hat at the end against the limit dt to 0, extrapolated from two finer runs of first order."""
+    plant, case = plants.resolve(name), FOUR[name]
+    t_end = {"planar_arm2": 12.0, "cart_pole": 10.0, "scalar": 12.0, "activator_repressor": 20.0}[name]
+
+    def end(dt, nx):
+        loop = simulate(plant, RK4(plant, nx), **case, D_hat=D_hat, t_end=t_end, dt=dt, adaptation=law)
+        return loop.D_hat[round(t_end / dt) - round(0.005 / dt)]
+
+    finer = [end(0.005 / split, round(case["D"] * split / 0.005) + 1) for split in (8, 16)]
+    limit, late = 2 * finer[1] - finer[0], round(case["D"] / 0.005)
+    for nx, before in zip((late, late + 1), today, strict=True):
+        assert abs(end(0.005, nx) - limit) <= before

@@ -203,7 +203,7 @@ def _notation(config: Pipeline) -> dict[str, Any]:
 
 
 STAGES: dict[str, Stage] = {
-    "generate": Stage(1, (), _generate, "npred.stages.generate"),
+    "generate": Stage(2, (), _generate, "npred.stages.generate"),
     "train": Stage(1, ("generate",), _train, "npred.stages.train"),
     "evaluate": Stage(5, ("generate", "train"), _evaluate, "npred.stages.evaluate"),
     "bench": Stage(7, ("generate", "train"), _bench, "npred.stages.bench"),
