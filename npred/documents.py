@@ -1,5 +1,6 @@
 """Small files from anywhere: read only if regular and no longer than they should be, parsed without surprises."""
 
+import hashlib
 import json
 import stat
 from pathlib import Path
@@ -19,6 +20,12 @@ def read(path: Path, limit: int = LIMIT) -> bytes:
         raise ValueError(f"{found.st_size} bytes, more than {limit}")
     with path.open("rb") as file:
         return file.read(limit)
+
+
+def sha256(path: Path) -> str:
+    """The sha256 of a file's bytes, in hexadecimal."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def parse(content: bytes | str) -> Any:

@@ -13,6 +13,7 @@ from npred.errors import ConfigError, DivergedError
 from npred.executors import Processes
 from npred.predictors import RK4
 from npred.stages import generate, rollouts, sharded
+from npred.store.keys import sha256_file
 
 
 def rows(tmp_path, name="data", **changes):
@@ -80,7 +81,7 @@ def test_an_interrupted_run_keeps_its_shards(tmp_path, little, monkeypatch):
     made, real = [], rollouts.elsewhere
 
     def stopped(pipeline, expected, batch):
-        if len(made) == 2:
+        if made == [0, 64]:
             raise KeyboardInterrupt
         made.append(batch.start)
         return real(pipeline, expected, batch)
@@ -91,10 +92,18 @@ def test_an_interrupted_run_keeps_its_shards(tmp_path, little, monkeypatch):
         generate.run(broken)
     made.clear()
     (folder,) = broken.scratch.glob("shards-*")
+    _flip(next(folder.glob("data-00000.h5.*")))
     (folder / ".data-00002.h5-killed").write_bytes(b"half")
     generate.run(broken)
-    assert made == [128, 192] and payload(broken.folder) == payload(whole.folder)
-    assert sorted(p.name for p in folder.iterdir()) == [sharded.TOKEN, *(shards.name(k) for k in range(4))]
+    assert made == [0, 128, 192] and payload(broken.folder) == payload(whole.folder)
+    kept = {sharded.TOKEN, *(f"{shards.name(k)}.{sha256_file(whole.folder / shards.name(k))}" for k in range(4))}
+    assert {path.name for path in folder.iterdir()} == kept
+
+
+def _flip(path):
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(content)
 
 
 def test_a_shard_that_cannot_be_written_leaves_nothing(tmp_path, little, monkeypatch):

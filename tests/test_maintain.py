@@ -3,10 +3,13 @@
 import shutil
 import subprocess
 from collections.abc import Iterator
+from datetime import UTC, datetime
 from pathlib import Path
 
+import fake_stages
 import pytest
 from conftest import Call, document, one_line
+from test_store import made_at
 
 from npred.store import Store
 
@@ -87,3 +90,52 @@ def test_a_read_only_store_gives_hits_and_refuses_a_run_in_one_line(call: Call, 
     shutil.rmtree("writable/train")
     assert "Read-only file system" in one_line(call("import-artifact", tar, "--store", read_only), 4)
     assert "Read-only file system" in one_line(call("gc", "tiny.toml", "--yes", "--store", read_only), 4)
+
+
+def test_doctor_counts_corrupt_and_incomplete_results(call: Call):
+    call("run", "tiny.toml")
+    store = Store(Path("artifacts"))
+    assert counts(call) == (6, 0, 0)
+    data = store.find("fno").folder / "data.bin"
+    data.write_bytes(data.read_bytes()[:-1] + b"?")
+    (store.find("evaluate").folder / "data.bin").unlink()
+    torn, changed = store.find("bench").folder, store.find("generate").folder
+    (torn / "manifest.json").unlink()
+    (changed / "manifest.json").write_text("{}")
+    assert counts(call) == (4, 2, 2)
+    assert "corrupt 2, incomplete 2" in call("doctor").stdout
+
+
+def counts(call: Call) -> tuple[int, int, int]:
+    """Results with a sound manifest, corrupt and incomplete ones, as doctor says."""
+    facts = document(call("doctor", "--json"))["store"]
+    return facts["artifacts"], facts["corrupt"], facts["incomplete"]
+
+
+def test_what_the_numbers_depend_on_is_shown_where_it_differs(call: Call, monkeypatch: pytest.MonkeyPatch):
+    """The same key on two machines, or under two modes of a library, and other bytes."""
+    call("generate", "tiny.toml")
+    assert "made with different" not in call("verify").stdout
+    assert document(call("verify", "--json"))["artifacts"][0]["made_with"]["mkl_mode"] == "default"
+    monkeypatch.setenv("MKL_CBWR", "COMPATIBLE")
+    monkeypatch.setenv("ATEN_CPU_CAPABILITY", "default")
+    write = lambda job: {"rollouts": 50, "file": (job.folder / "data.bin").write_bytes(b"other bytes")}  # noqa: E731
+    monkeypatch.setitem(fake_stages.ANSWERS, "generate", write)
+    call("generate", "tiny.toml", "--store", "other")
+    call("generate", "tiny.toml", "--set", "seed=2")
+    lines = call("verify").stdout.splitlines()
+    assert "made with different mkl_mode:" in lines
+    assert [line.split(":")[0].strip() for line in lines[lines.index("made with different mkl_mode:") + 1 :][:2]] == [
+        "default", "COMPATIBLE"]  # fmt: skip
+    key = document(call("generate", "tiny.toml", "--json", "--store", "other"))["stages"][0]["key"]
+    found = call("diff", f"artifacts/generate/{key}", f"other/generate/{key}").stdout.splitlines()
+    assert "file data.bin differs" in found and 'made with mkl_mode: "default" -> "COMPATIBLE"' in found
+    assert not any(line.startswith("made with made") for line in found)
+
+
+def test_ls_says_when_a_result_was_made_not_when_its_file_was_copied(call: Call):
+    call("generate", "tiny.toml")
+    folder = Store(Path("artifacts")).find("generate").folder
+    made_at(folder, datetime(2020, 1, 2, 12, tzinfo=UTC))
+    assert "2020-01-02" in call("ls").stdout
+    assert document(call("ls", "--json"))["artifacts"][0]["made"] == "2020-01-02T12:00:00+00:00"

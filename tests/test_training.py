@@ -127,6 +127,35 @@ def test_broken_checkpoint_names_the_file(tmp_path):
         training.fit(task(SMALL[0]), tmp_path, Silent())
 
 
+@NETWORKS
+def test_a_flipped_bit_anywhere_in_a_checkpoint_is_found(config, tmp_path):
+    """In the header as in the tensors and the metrics: what is resumed becomes a result that counts as sound."""
+    training.fit(task(config), tmp_path, Silent())
+    path, draw = tmp_path / checkpoint.NAME, np.random.default_rng(0)
+    whole = path.read_bytes()
+    header = 8 + int.from_bytes(whole[:8], "little")
+    for position in [*draw.integers(0, header, 20), *draw.integers(header, len(whole), 20)]:
+        content = bytearray(whole)
+        content[position] ^= 1 << draw.integers(8)
+        path.write_bytes(content)
+        with pytest.raises(StoreError, match=r"checkpoint\.safetensors: expected a checkpoint, got: "):
+            training.fit(task(config), tmp_path, Silent())
+    path.write_bytes(whole)
+    training.fit(task(config), tmp_path, Silent())
+
+
+@pytest.mark.parametrize("damage", ["flip", "remove"])
+def test_a_snapshot_that_changed_since_the_checkpoint_is_found(tmp_path, damage):
+    training.fit(task(SMALL[0], snapshots=[1]), tmp_path, Silent())
+    path = tmp_path / "snapshot-1.safetensors"
+    content = path.read_bytes()
+    path.write_bytes(content[:-1] + bytes([content[-1] ^ 1]))
+    if damage == "remove":
+        path.unlink()
+    with pytest.raises(StoreError, match=r"got: snapshot-1\.safetensors missing or with other bytes.*start over"):
+        training.fit(task(SMALL[0], snapshots=[1]), tmp_path, Silent())
+
+
 def test_checkpoint_leaves_no_partial_file(tmp_path):
     training.fit(task(SMALL[0]), tmp_path, Silent())
     assert [path.name for path in tmp_path.iterdir()] == [checkpoint.NAME]

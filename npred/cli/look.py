@@ -1,6 +1,7 @@
 """What the commands do that look at a pipeline or at the store, and change nothing."""
 
 import time
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -73,10 +74,19 @@ def diff(options: Common, a: str, b: str) -> None:
     answered = changes(left.result(), right.result())
     kinds = [_kind(left), _kind(right)]
     folders = {"a": str(left.folder), "b": str(right.folder)}
-    document = folders | {"stages": kinds, "question": asked, "result": answered}
+    made = changes(left.manifest.circumstances, right.manifest.circumstances)
+    files = [] if asked or kinds[0] != kinds[1] else _changed_files(left, right)
+    document = folders | {"stages": kinds, "question": asked, "result": answered, "files": files, "made_with": made}
     across = [f"these are results of different stages: {kinds[0]} and {kinds[1]}"] if kinds[0] != kinds[1] else []
-    same = f"{left.name} and {right.name}: no difference"
-    options.show(document, lambda: "\n".join([*across, *asked, *(f"result.{line}" for line in answered)]) or same)
+    lines = [*across, *asked, *(f"result.{line}" for line in answered), *(f"file {name} differs" for name in files)]
+    lines = lines or [f"{left.name} and {right.name}: no difference"]
+    options.show(document, lambda: "\n".join([*lines, *(f"made with {line}" for line in made)]))
+
+
+def _changed_files(a: Artifact, b: Artifact) -> list[str]:
+    """The files in which two answers to one question differ."""
+    left, right = a.manifest.files, b.manifest.files
+    return sorted(name for name in left | right if left.get(name) != right.get(name))
 
 
 def _kind(artifact: Artifact) -> str:
@@ -149,7 +159,8 @@ def _entry(artifact: Artifact) -> dict[str, Any]:
     manifest = artifact.manifest
     entry = {"stage": manifest.question.stage, "model": manifest.question.model, "key": manifest.key}
     more = {"pipeline": manifest.pipeline, "digest": manifest.digest, "bytes": artifact.size}
-    return entry | more | {"folder": str(artifact.folder)}
+    made = datetime.fromtimestamp(artifact.made, UTC).isoformat()
+    return entry | more | {"folder": str(artifact.folder), "made": made}
 
 
 def _row(artifact: Artifact) -> list[str]:
@@ -176,7 +187,7 @@ def _facts(artifact: Artifact) -> str:
     inputs = [f"  from {name}: {short(source.key)}" for name, source in manifest.question.inputs.items()]
     code = [f"  {role}: {escaped(source.file)}, its text in {NAME}" for role, source in manifest.sources.items()]
     settings = [f"  {line.replace(': unset ->', ' =')}" for line in changes({}, manifest.question.config)]
-    made = ", ".join(f"{name} {value}" for name, value in manifest.provenance.items() if value)
+    made = ", ".join(f"{name} {value}" for name, value in manifest.circumstances.items() if value)
     return "\n".join([*lines, *inputs, *code, *settings, f"  made with {made}"])
 
 

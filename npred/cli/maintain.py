@@ -2,6 +2,7 @@
 
 import os
 import platform
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +11,10 @@ from npred.cli.options import Common, writable
 from npred.console import columns
 from npred.errors import StoreError
 from npred.pipeline import payload
-from npred.store import Artifact, Store, archive, short
+from npred.store import Artifact, archive, short
+from npred.store.manifest import NAME
 
+SHOWN = 4  # names of results on a line
 PACKAGES = (
     "npred",
     "numpy",
@@ -28,7 +31,7 @@ PACKAGES = (
 
 def doctor(options: Common) -> None:
     """Versions, devices, threads and the store."""
-    facts = _machine() | _packages() | {"store": _store(options.results)}
+    facts = _machine() | _packages() | {"store": _store(options)}
     options.show(facts, lambda: "\n".join(f"{name}: {_words(value)}" for name, value in facts.items()))
 
 
@@ -40,11 +43,17 @@ def verify(options: Common) -> None:
         for artifact in sound:
             faults |= _fault(artifact)
             bar.advance()
-    rows = [{"folder": str(a.folder), "state": "corrupt" if str(a.folder) in faults else "sound"} for a in sound]
-    rows += [{"folder": str(folder), "state": "corrupt"} for folder in broken]
+    rows: list[dict[str, Any]] = [
+        {"folder": str(a.folder), "state": "corrupt" if str(a.folder) in faults else "sound"}
+        | {"made_with": a.manifest.circumstances}
+        for a in sound
+    ]
+    rows += [{"folder": str(folder), "state": "corrupt", "made_with": {}} for folder in broken]
     table = [[_short(row["folder"]), row["state"], faults.get(row["folder"], "")] for row in rows]
     document = {"artifacts": [row | {"fault": faults.get(row["folder"])} for row in rows]}
     options.show(document, lambda: columns(["artifact", "state", "fault"], table, options.console.width))
+    if not options.json and (different := list(_circumstances(sound))):
+        options.console.out("\n".join(different))
     if faults:
         first = next(iter(faults))
         raise StoreError(f"{options.store}: expected sound results, got {len(faults)} corrupt, as {first}; remove them")
@@ -84,6 +93,23 @@ def _fault(artifact: Artifact) -> dict[str, str]:
     return {}
 
 
+def _circumstances(artifacts: list[Artifact]) -> Iterator[str]:
+    """Each circumstance, as the processor or a mode of a library, in which results of a store differ."""
+    for name in dict.fromkeys(name for artifact in artifacts for name in artifact.manifest.circumstances):
+        results: dict[str, list[str]] = {}
+        for artifact in artifacts:
+            if value := artifact.manifest.circumstances.get(name):  # none where the stage does not need it
+                results.setdefault(value, []).append(artifact.name)
+        if len(results) > 1:
+            yield f"made with different {name}:"
+            yield from (f"  {value}: {_some(names)}" for value, names in results.items())
+
+
+def _some(names: list[str]) -> str:
+    more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
+    return ", ".join(names[:SHOWN]) + more
+
+
 def _machine() -> dict[str, Any]:
     import torch
 
@@ -102,12 +128,23 @@ def _packages() -> dict[str, Any]:
     return {"packages": devices.packages(*PACKAGES)}
 
 
-def _store(store: Store) -> dict[str, Any]:
+def _store(options: Common) -> dict[str, Any]:
+    """What is in the store. Every file is read: corrupt are results with changed bytes, incomplete those with fewer."""
+    store = options.results
     artifacts, broken = store.survey()
+    faulty = set(broken)
+    with options.console.bar("verify", len(artifacts), "results") as bar:
+        for artifact in artifacts:
+            faulty |= {artifact.folder} if _fault(artifact) else set()
+            bar.advance()
+    lacking = {a.folder for a in artifacts if not all((a.folder / name).exists() for name in a.manifest.files)}
+    lacking |= {folder for folder in broken if not (folder / NAME).exists()}
     above = next(path for path in [store.root, *store.root.absolute().parents] if path.exists())
     facts = {"path": str(store.root), "writable": os.access(above, os.W_OK), "artifacts": len(artifacts)}
     return facts | {
         "bytes": sum(artifact.size for artifact in artifacts),
+        "corrupt": len(faulty - lacking),
+        "incomplete": len(lacking),
         "broken": [str(folder) for folder in broken],
         "leftovers": [str(path) for path in store.leftovers()],
     }

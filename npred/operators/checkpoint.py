@@ -1,5 +1,9 @@
-"""Where an interrupted training goes on: one safetensors file, replaced in one step; nothing is ever unpickled."""
+"""Where an interrupted training goes on: one safetensors file, replaced in one step; nothing is ever unpickled.
 
+It holds a digest of all that is in it and of the snapshots beside it: a bit that flips must not become a result.
+"""
+
+import hashlib
 import json
 import os
 from pathlib import Path
@@ -22,8 +26,9 @@ def save(folder: Path, network: nn.Module, optimiser: torch.optim.Optimizer, met
 
     The file is complete or absent: it is written beside its name, synced and renamed.
     """
-    partial = folder / f"{NAME}.partial"
-    save_file(_tensors(network, optimiser), partial, metadata={"metrics": json.dumps(metrics)})
+    partial, tensors = folder / f"{NAME}.partial", _tensors(network, optimiser)
+    texts = {"metrics": json.dumps(metrics), "snapshots": json.dumps(_snapshots(folder))}
+    save_file(tensors, partial, metadata=texts | {"sha256": _digest(tensors, texts)})
     with partial.open("rb") as file:
         os.fsync(file.fileno())
     partial.replace(folder / NAME)
@@ -32,7 +37,7 @@ def save(folder: Path, network: nn.Module, optimiser: torch.optim.Optimizer, met
 def restore(folder: Path, network: nn.Module, optimiser: torch.optim.Optimizer) -> Metrics:
     """Load the folder's checkpoint in place, if there is one; the metrics of the epochs behind it, else none.
 
-    Raises StoreError for a file that is broken.
+    Raises StoreError for a file that is broken or was changed, and for such a snapshot.
     """
     if not (folder / NAME).exists():
         return []
@@ -46,14 +51,37 @@ def restore(folder: Path, network: nn.Module, optimiser: torch.optim.Optimizer) 
 def _restored(path: Path, network: nn.Module, optimiser: torch.optim.Optimizer) -> Metrics:
     with safe_open(path, framework="pt") as file:
         tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - no mapping
-        metrics = documents.parse(file.metadata()["metrics"])
+        texts = file.metadata()
+    if texts.pop("sha256", "") != _digest(tensors, texts):
+        raise ValueError("other bytes than were written")
+    _check_snapshots(path.parent, documents.parse(texts["snapshots"]))
     network.load_state_dict({name: tensors.pop(name) for name in network.state_dict()})
     state: dict[int, dict[str, Tensor]] = {}
     for name, tensor in tensors.items():
         _, index, key = name.split("/")
         state.setdefault(int(index), {})[key] = tensor
     optimiser.load_state_dict({"state": state, "param_groups": optimiser.state_dict()["param_groups"]})
-    return metrics
+    return documents.parse(texts["metrics"])
+
+
+def _snapshots(folder: Path) -> dict[str, str]:
+    """The sha256 of each snapshot of weights in the folder; they become part of the result as they are."""
+    return {path.name: documents.sha256(path) for path in sorted(folder.glob("snapshot-*.safetensors"))}
+
+
+def _check_snapshots(folder: Path, digests: dict[str, str]) -> None:
+    for name, digest in digests.items():
+        if not (folder / name).is_file() or documents.sha256(folder / name) != digest:
+            raise ValueError(f"{name} missing or with other bytes than were written")
+
+
+def _digest(tensors: dict[str, Tensor], texts: dict[str, str]) -> str:
+    """The sha256 of names, types, shapes and bytes of tensors, and of the texts beside them."""
+    digest = hashlib.sha256(json.dumps(texts, sort_keys=True).encode())
+    for name, tensor in sorted(tensors.items()):
+        digest.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}".encode())
+        digest.update(tensor.detach().cpu().contiguous().flatten().view(torch.uint8).numpy().data)
+    return digest.hexdigest()
 
 
 def _tensors(network: nn.Module, optimiser: torch.optim.Optimizer) -> dict[str, Tensor]:

@@ -1,4 +1,7 @@
-"""Data beyond one file: each worker writes the shard of its rollouts; an interrupted run finds those that it has."""
+"""Data beyond one file: each worker writes the shard of its rollouts; an interrupted run finds those that it has.
+
+In scratch a shard is called data-00000.h5.SHA256: it is whole and named after what it holds, or it is made again.
+"""
 
 import hashlib
 import json
@@ -13,7 +16,7 @@ from uuid import uuid4
 
 import numpy as np
 
-from npred import executors, shards
+from npred import documents, executors, shards
 from npred.closed_loop import LANES
 from npred.config import Generate, Pipeline
 from npred.dataset import Dataset, attributes
@@ -49,7 +52,7 @@ def write(job: Job) -> int:
     """
     config, place = job.config.generate, _place(job)
     batches = list(enumerate(_batches(job.plant, config)))
-    missing = [batch for batch in batches if not (place.folder / shards.name(batch[0])).exists()]
+    missing = [batch for batch in batches if not _kept(place.folder / shards.name(batch[0]))]
     about = attributes(job.plant, config.predictor)
     make = partial(_shard, job.config.located(), rollouts.surroundings(job.config, job.plant), place, about)
     job.progress.doing("generate", "compiling")
@@ -101,14 +104,25 @@ def _shard(
         return (Path(folder) / "shard.h5").read_bytes()
 
 
+def _kept(path: Path) -> bool:
+    """Whether scratch has the shard as it was written; what is there under its name else is removed."""
+    for file in path.parent.glob(f"{path.name}*"):
+        if file.name != f"{path.name}.{documents.sha256(file)}":
+            file.unlink()
+    return any(path.parent.glob(f"{path.name}.*"))
+
+
 def _durably(path: Path, save: Callable[[Path], Any]) -> None:
-    """Write a file that is whole or absent, also where the machine fails, and where two workers write the same."""
+    """Write a file that is whole or absent, also where the machine fails, and where two workers write the same.
+
+    Its name is the path's with its sha256.
+    """
     partly = path.with_name(f".{path.name}-{uuid4().hex}")
     try:
         save(partly)
         with partly.open("rb") as file:
             os.fsync(file.fileno())
-        partly.replace(path)
+        partly.replace(path.with_name(f"{path.name}.{documents.sha256(partly)}"))
     finally:
         partly.unlink(missing_ok=True)  # a disk that is full gets the room back
 
@@ -118,8 +132,9 @@ def _copy(content: bytes, path: Path) -> None:
 
 
 def _place_in(path: Path, folder: Path) -> None:
-    """A second name for a file: an end that comes before the result is in the store loses no shard."""
+    """A second name for a shard: an end that comes before the result is in the store loses none."""
+    kept = next(path.parent.glob(f"{path.name}.*"))
     try:
-        os.link(path, folder / path.name)
+        os.link(kept, folder / path.name)
     except OSError:  # a file system without links
-        shutil.copyfile(path, folder / path.name)
+        shutil.copyfile(kept, folder / path.name)

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from npred import documents
+
 SHORT = 12
 
 
@@ -21,8 +23,7 @@ def sha256(value: Any) -> str:
 
 def sha256_file(path: Path) -> str:
     """The sha256 of a file's bytes, in hexadecimal."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    return documents.sha256(path)
 
 
 def key(stage: str, version: int, model: str | None, config: Mapping[str, Any], inputs: Mapping[str, str]) -> str:
