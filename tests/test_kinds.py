@@ -4,11 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from jobs import job
+from jobs import job, tables
 
 from npred import config, plants
 from npred.dataset import Dataset
 from npred.errors import DivergedError
+from npred.pipeline.table import Node, question
 from npred.predictors import RK4, Euler
 from npred.stages import accuracy, draws, generate, kinds, rollouts
 
@@ -68,6 +69,17 @@ def test_as_large_a_share_of_explorers_is_held_out_as_of_the_others():
     assert len(draws.explorers(config.Generate(samples=100, rollouts=10, explore=0.1), 400)) == 1
     assert kinds._most(PLANT, paper) > 50
     assert kinds._most(PLANT, config.Generate(samples=10**6, rollouts=2, t_end=1e4, nx=1001)) == 1
+
+
+def test_the_share_of_explorers_is_part_of_the_evaluations_key_where_data_are_the_same():
+    """One of the 2 other rollouts is held out with either share, but of 8 explorers one or two."""
+    few, many = (config.parse(tables(generate={"explore": 0.8, "test_share": share}), "tests") for share in (0.1, 0.2))
+    assert (draws.held_out(0, few.generate) == draws.held_out(0, many.generate)).all()
+    assert len(draws.explorers(few.generate, 99)) < len(draws.explorers(many.generate, 99))
+    node = Node("evaluate", None, ())
+    assert question(node, few, "cpu") != question(node, many, "cpu")
+    plain = config.parse(tables(generate={"test_share": 0.2}), "tests")
+    assert "generate" not in question(node, plain, "cpu")
 
 
 def test_data_that_neither_explore_nor_redraw_have_one_kind(made):

@@ -167,7 +167,16 @@ def _train(config: Pipeline, model: str | None, device: str) -> dict[str, Any]:
 
 def _evaluate(config: Pipeline, model: str | None, device: str) -> dict[str, Any]:
     table = {"evaluate": _loop(config, "evaluate"), "train": {"models": list(models(config))}}
-    return table | _box(config) | _notation(config)
+    return table | _box(config) | _notation(config) | _held_out(config)
+
+
+def _held_out(config: Pipeline) -> dict[str, Any]:
+    """What the evaluation's own held-out rows are drawn by; the same data may be held out in other shares of these."""
+    section = config.generate
+    if section.data or not (section.explore or section.redraw):
+        return {}
+    keys = ("test_share", "explore", "redraw", "explore_D", "explore_D_hat0")
+    return {"generate": {key: value for key, value in _dump(section).items() if key in keys}}
 
 
 def _bench(config: Pipeline, model: str | None, device: str) -> dict[str, Any]:
