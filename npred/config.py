@@ -41,9 +41,8 @@ def ordered(key: str, span: Range) -> None:
 def within(key: str, span: Range, bounds: Range) -> None:
     """Raise ValueError unless the span lies inside the bounds of the delay estimate."""
     if span[0] < bounds[0] or span[1] > bounds[1]:
-        raise ValueError(
-            f"{key}: expected within bounds = {list(bounds)}, got {list(span)}; widen bounds or move {key}"
-        )
+        values = list(span) if span[0] < span[1] else f"{span[0]:g}"
+        raise ValueError(f"{key}: expected within bounds = {list(bounds)}, got {values}; widen bounds or move {key}")
 
 
 class Table(BaseModel):
@@ -96,6 +95,11 @@ class Loop(Table):
             raise ValueError(f"t_end: {steps}; shorten t_end or lengthen dt")
         return self
 
+    def reached(self, key: str, span: Range) -> None:
+        """Raise ValueError for a true delay that the estimate cannot reach, where it adapts."""
+        if self.adaptation != FROZEN:
+            within(key, span, self.bounds)
+
 
 class Generate(Loop):
     """Rollouts with the numerical predictor and the samples taken from them.
@@ -128,6 +132,8 @@ class Generate(Loop):
     def _check_explorers(self) -> Self:
         ordered("explore_D", self.explore_D)
         ordered("explore_D_hat0", self.explore_D_hat0)
+        if self.explore:
+            self.reached("explore_D", self.explore_D)
         if self.explore or self.redraw:
             within("explore_D_hat0", self.explore_D_hat0, self.bounds)
         return self
@@ -139,6 +145,7 @@ class Generate(Loop):
             within(f"D_hat0[{k}]", span, self.bounds)
         if isinstance(self.D, tuple):
             ordered("D", self.D)
+        self.reached("D", self.D if isinstance(self.D, tuple) else (self.D, self.D))
         if self.rollouts < 2:
             raise ValueError("rollouts: expected at least 2, got 1; one is held out for the test")
         if not self.rollouts <= self.samples <= self.rollouts * round(self.t_end / self.dt):
@@ -224,6 +231,9 @@ class Evaluate(Loop):
     @model_validator(mode="after")
     def _check_delays(self) -> Self:
         within("D_hat0", (self.D_hat0, self.D_hat0), self.bounds)
+        self.reached("D", (self.D, self.D))
+        for k, delay in enumerate(self.map_D):
+            self.reached(f"map_D[{k}]", (delay, delay))
         for key, values in {"case_D_hat0": self.case_D_hat0, "map_D_hat0": self.map_D_hat0}.items():
             for k, value in enumerate(values):
                 within(f"{key}[{k}]", (value, value), self.bounds)
@@ -261,6 +271,19 @@ class Pipeline(Table):
     train: Train = Train()
     evaluate: Evaluate = Evaluate()
     bench: Bench = Bench()
+
+    @model_validator(mode="after")
+    def _check_nodes(self) -> Self:
+        intervals = self.generate.nx - 1
+        for name in self.train.models:
+            nodes = getattr(self.train, name).nodes
+            if nodes and not self.generate.data and intervals % (nodes - 1):
+                counts = ", ".join(str(k + 1) for k in range(1, intervals + 1) if intervals % k == 0)
+                raise ValueError(
+                    f"train.{name}.nodes: expected nodes - 1 to divide generate.nx - 1 = {intervals}, got {nodes}; "
+                    f"take one of {counts}"
+                )
+        return self
 
     @model_validator(mode="after")
     def _check_name(self) -> Self:

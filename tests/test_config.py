@@ -97,7 +97,13 @@ def test_a_pipeline_is_frozen(empty: Path):
         ("generate.nx=1", ["generate.nx", "2", "1"]),
         ("bench.dx=[-0.01]", ["bench.dx.0", "greater than 0", "-0.01"]),
         ("generate.bounds=[2, 1]", ["generate", "bounds", "low <= high", "[2.0, 1.0]"]),
+        ("generate.u0=warm", ["generate.u0", "number", "'equilibrium' or 'law'", "'warm'"]),
+        ("generate.u0=nan", ["generate.u0", "finite", "nan"]),
         ("generate.bounds=[0.1, 1.5]", ["generate", "D_hat0[1]", "[1.0, 2.0]", "[0.1, 1.5]"]),
+        ("evaluate.D=9", ["evaluate.D: expected within bounds = [0.1, 4.0], got 9;"]),
+        ("evaluate.bounds=[1.5, 4]", ["evaluate.D: expected within bounds = [1.5, 4.0], got 1;"]),
+        ("generate.D=[0.05, 1]", ["generate.D: expected within bounds = [0.1, 4.0], got [0.05, 1.0]"]),
+        ("train.fno.nodes=40", ["train.fno.nodes", "generate.nx - 1 = 100, got 40", "2, 3, 5, 6, 11, 21, 26, 51, 101"]),
         ("evaluate.D_hat0=9", ["evaluate", "D_hat0", "9", "[0.1, 4.0]"]),
         ("evaluate.case_D_hat0=[1, 9]", ["evaluate", "case_D_hat0[1]", "9", "[0.1, 4.0]"]),
         ("generate.rollouts=1", ["generate", "rollouts", "at least 2", "1"]),
@@ -125,6 +131,18 @@ def test_a_bad_value_is_one_line_that_names_key_expectation_and_value(empty: Pat
     message = str(caught.value)
     assert "\n" not in message
     assert [word for word in words if word not in message] == []
+
+
+@pytest.mark.parametrize("keys", [{"train": {"fno": {"nodes": 51}}}, {"evaluate": {"adaptation": "frozen", "D": 9.0}}])
+def test_a_divisor_of_the_grid_and_a_known_delay_are_accepted(keys):
+    config.parse({"plant": "scalar"} | keys, "tests")
+
+
+def test_nodes_are_of_the_grid_of_the_data(empty: Path):
+    assert config.load(empty, ["generate.nx=41", "train.fno.nodes=21"]).train.fno.nodes == 21
+    unused = ["train.fno.nodes=40", 'train.models=["deeponet"]']
+    assert config.load(empty, unused).train.fno.nodes == 40, "a network that is not trained"
+    assert config.load(empty, ["train.fno.nodes=40", "generate.data=d.h5"]).train.fno.nodes == 40, "another grid"
 
 
 def test_an_override_below_a_plain_value_is_refused(tmp_path: Path):

@@ -1,5 +1,7 @@
 """A pipeline that does not fit its plant is told before anything runs."""
 
+import tomllib
+
 import numpy as np
 import pytest
 from follower import Follower
@@ -30,6 +32,13 @@ class Box:
     def f(X, u, t, p): return u
     def kappa(X, t, p): return -X
     def V(X, t, p): return X[:, 0] ** 2
+"""
+CLOCK = """
+class Clock:
+    states, inputs, box, period = ("x",), ("U",), {"x": (0, 1)}, 6.283185307179586
+    def f(x, u, t, p, M): return [u.U + M.sin(t)]
+    def kappa(x, t, p, M): return [-x.x - M.sin(t)]
+    def V(x, t, p, M): return x.x**2
 """
 
 
@@ -122,26 +131,50 @@ def test_a_fast_reference_that_is_none_is_found_out(kind):
 @pytest.mark.parametrize(
     ("plant", "runtimes", "message"),
     [
-        ("unicycle", None, "bench.runtimes: fused: expected a prediction free of time, that of plant unicycle is not"),
-        ("unicycle", ["torch", "onnx"], 'onnx: expected .*; leave "onnx" out of runtimes in .bench.'),
-        ("LATE", None, "bench.runtimes: onnx: expected one delay, plant Late has delays 1, 2 s"),
+        (
+            "unicycle",
+            None,
+            'bench.runtimes: expected one delay, plant unicycle has .*; set bench.runtimes = ."torch".$',
+        ),
+        (
+            "CLOCK",
+            None,
+            'bench.runtimes: fused: expected .* free of time, .*; leave "fused" and "onnx" out of runtimes',
+        ),
+        ("CLOCK", ["torch", "onnx"], 'onnx: expected .*; leave "onnx" out of runtimes in .bench.'),
+        ("LATE", None, 'bench.runtimes: expected one delay, .* 1, 2 s; set bench.runtimes = ."torch", "fused".'),
         ("BOX", None, "bench.runtimes: onnx: expected a plant that is traced, Box says traced = False"),
     ],
 )
 def test_runtimes_that_bench_cannot_run_are_told_before_anything_runs(tmp_path, plant, runtimes, message):
     path = tmp_path / "given.py"
-    path.write_text(LATE if plant == "LATE" else BOX)
-    named = {"LATE": f"{path}:Late", "BOX": f"{path}:Box"}.get(plant, plant)
+    path.write_text(LATE + BOX + CLOCK)
+    named = plant if plant == "unicycle" else f"{path}:{plant.capitalize()}"
     bench = {} if runtimes is None else {"runtimes": runtimes}
-    check(stages=("generate", "bench"), plant=named, bench={"runtimes": ["torch"]})
-    check(stages=("generate",), plant=named, bench=bench)
+    frozen = {"adaptation": "frozen"}
+    check(stages=("generate", "bench"), plant=named, generate=frozen, bench={"runtimes": ["torch"]})
+    check(stages=("generate",), plant=named, generate=frozen, bench=bench)
     with pytest.raises(ConfigError, match=message):
-        check(stages=("generate", "bench"), plant=named, bench=bench)
+        check(stages=("generate", "bench"), plant=named, generate=frozen, bench=bench)
+
+
+def test_all_that_is_for_one_delay_is_told_at_once_with_one_cure(tmp_path):
+    path = tmp_path / "late.py"
+    path.write_text(LATE)
+    stages, picard = ("generate", "train", "evaluate", "bench"), {"predictor": "picard"}
+    with pytest.raises(ConfigError) as caught:
+        check(stages, plant=f"{path}:Late", generate=picard)
+    cure = tomllib.loads(f"all = {{ {str(caught.value).partition('; set ')[2]} }}")["all"]
+    assert set(cure["generate"]) == {"adaptation", "predictor"} and set(cure["evaluate"]) == {"adaptation"}
+    cure["evaluate"]["X0"] = [0.5, 0.5]
+    check(stages, plant=f"{path}:Late", **cure)
 
 
 def test_a_frozen_estimate_takes_no_V(tmp_path):
     path = tmp_path / "late.py"
-    path.write_text(LATE.replace("    def V(x, t, p, M): return x.x**2 + x.y**2\n", ""))
+    path.write_text(
+        LATE.replace("(1.0, 2.0)", "(2.0, 2.0)").replace("    def V(x, t, p, M): return x.x**2 + x.y**2\n", "")
+    )
     frozen = {"adaptation": "frozen"}
     check(plant=f"{path}:Late", generate=frozen, evaluate=frozen | {"X0": [0.5, 0.5]})
     check(plant=f"{path}:Late", generate=frozen, stages=("generate",))

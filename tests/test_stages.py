@@ -1,6 +1,7 @@
 """The stages together on a tiny problem: evaluate, Fig. 1 and bench read what generate and train wrote."""
 
 import copy
+import dataclasses
 import types
 from pathlib import Path
 
@@ -223,6 +224,18 @@ def test_map_and_coverage_of_known_loops():
     covered = coverage.measure(PLANT, data, {"far": still(t, far)})
     assert covered["x1"] == {"data": [0.0, 1.0], "outside": {"far": 0.25}}
     assert covered["x2"]["outside"]["far"] == 0.25 and covered["U"]["outside"]["far"] == 0.0
+
+
+@pytest.mark.parametrize(("low", "outside"), [(0.13, 0.0), (0.6, 1.0)])
+def test_an_estimate_at_its_bound_is_covered_by_data_that_come_near_it(low, outside):
+    """Drawn from [0.1, 1.2], data hardly meet the bound 0.1; data above 0.6 are another matter."""
+    t, X = np.linspace(0, 1, 11), np.zeros((4, 11, 2))
+    data = dataset(X=np.ones((2, 2)), u=np.zeros(2), D_hat=np.array([low, 1.2]))
+    loops = {"low": dataclasses.replace(still(t, X), D_hat=np.full((4, 11), 0.1))}
+    covered = coverage.measure(PLANT, data, loops, (0.1, 2.0))
+    assert covered["D_hat"] == {"data": [low, 1.2], "outside": {"low": outside}}
+    below = {"low": dataclasses.replace(still(t, X), D_hat=np.full((4, 11), 0.05))}
+    assert coverage.measure(PLANT, data, below, (0.1, 2.0))["D_hat"]["outside"]["low"] == 1.0
 
 
 def test_loops_that_leave_the_data_are_warned_of(evaluated):

@@ -106,9 +106,9 @@ def check(config: Pipeline, stages: Collection[str]) -> None:
     from npred.plants import fit
 
     plant = plants.resolve(config.plant, config.parameters)
+    fit.check(plant, config, stages)
     for name in {"generate", "evaluate"} & set(stages):
         laws.check(getattr(config, name), plant)
-    fit.check(plant, config, stages)
 
 
 def _nodes(stage: str, networks: tuple[str, ...]) -> list[Node]:

@@ -1,10 +1,11 @@
 """Whether a pipeline fits its plant: told before the first stage runs, not after an hour of training."""
 
+import json
 from collections.abc import Collection
 
 import numpy as np
 
-from npred.config import FROZEN, Pipeline
+from npred.config import FROZEN, PAPER, Pipeline
 from npred.errors import ConfigError
 from npred.plants import faults, inputs, mathematics, programs
 from npred.plants.base import Plant
@@ -18,6 +19,7 @@ STEPS = (1e-5, 1e-6, 1e-7)  # s, of differences in time: short for what is fast,
 
 def check(plant: Plant, config: Pipeline, stages: Collection[str]) -> None:
     """Raise ConfigError, in one line, where those stages ask for what the plant does not have."""
+    _delays(plant, config, stages)
     _box(plant, config)
     _bounds(plant, config)
     _clock(plant)
@@ -73,20 +75,47 @@ def _start_inputs(plant: Plant, config: Pipeline, stages: Collection[str]) -> No
 
 
 def _anchors(plant: Plant, config: Pipeline) -> None:
-    for model in config.train.models:
-        if not plant.rest and getattr(config.train, model).anchor == "equilibrium":
-            wanted = f"a plant with an equilibrium, {plant.name} has none"
-            raise ConfigError(f'train.{model}.anchor: expected {wanted}; write anchor = "initial"')
+    at_rest = [name for name in config.train.models if getattr(config.train, name).anchor == "equilibrium"]
+    if at_rest and not plant.rest:
+        keys = ", ".join(f"train.{name}.anchor" for name in at_rest)
+        raise ConfigError(
+            f'{keys}: expected a plant with an equilibrium, {plant.name} has none; write anchor = "initial"'
+        )
+
+
+def _delays(plant: Plant, config: Pipeline, stages: Collection[str]) -> None:
+    """All that is for one delay in one refusal, with all that has to be changed."""
+    if plant.one_delay:
+        return
+    changes = {}
+    for stage in ("generate", "evaluate"):
+        loop = getattr(config, stage)
+        if stage in stages and loop.adaptation == PAPER:
+            changes[f"{stage}.adaptation"] = FROZEN
+        if stage in stages and loop.predictor == "picard":
+            changes[f"{stage}.predictor"] = "rk4"
+    if "bench" in stages and (unserved := _unserved(plant, config)):
+        changes["bench.runtimes"] = [name for name in config.bench.runtimes if name not in unserved] or ["torch"]
+    if changes:
+        what = ", ".join(f"{key} = {json.dumps(value)}" for key, value in changes.items())
+        plant.needs_one_delay(", ".join(changes), f"set {what}")
 
 
 def _runtimes(plant: Plant, config: Pipeline) -> None:
-    for runtime in config.bench.runtimes:
-        what, cure = f"bench.runtimes: {runtime}", f'leave "{runtime}" out of runtimes in [bench]'
-        if runtime != "torch":
-            plant.needs_no_clock(what, cure)
-        if runtime == "onnx":
-            plant.needs_one_delay(what, cure)
-            plant.needs_trace(what, cure)
+    unserved = _unserved(plant, config)
+    if unserved:
+        names = " and ".join(f'"{name}"' for name in unserved)
+        what, cure = f"bench.runtimes: {unserved[0]}", f"leave {names} out of runtimes in [bench]"
+        plant.needs_no_clock(what, cure)
+        plant.needs_one_delay(what, cure)
+        plant.needs_trace(what, cure)
+
+
+def _unserved(plant: Plant, config: Pipeline) -> list[str]:
+    """The runtimes of bench that cannot run networks of the plant."""
+    unserved = {"onnx"} if not plant.one_delay or not plant.traced else set()
+    unserved |= {"fused", "onnx"} if plant.clocked else set()
+    return [name for name in config.bench.runtimes if name in unserved]
 
 
 def _clock(plant: Plant) -> None:

@@ -40,7 +40,7 @@ def run(job: Job) -> dict[str, Any]:
     accuracy.write(job.folder / "errors.h5", held_out, P_hat)
     errors = {c.name: _errors(job.plant, c, P_hat, held_out, fresh) | {"in_loop": in_loops[c.name]} for c in contenders}
     models = {c.name: errors[c.name] | _row(job.plant, config, begin, c, errors[c.name], loops) for c in contenders}
-    covered = coverage.measure(job.plant, data, {c.name: loops[c.name] for c in contenders if c.network})
+    covered = coverage.measure(job.plant, data, {c.name: loops[c.name] for c in contenders if c.network}, config.bounds)
     _warn(job, covered)
     _record(job, data, loops)
     result = {
@@ -190,12 +190,14 @@ def _errors(
 
 def _warn(job: Job, covered: dict[str, Any]) -> None:
     for quantity, found in covered.items():
+        cure = (
+            "widen generate's D_hat0 or narrow bounds" if quantity == "D_hat" else "widen generate's box, D or D_hat0"
+        )
         for contender, share in found["outside"].items():
             if share > coverage.WARN:
                 known = f"[{found['data'][0]:.3g}, {found['data'][1]:.3g}]"
                 job.progress.warn(
-                    f"{contender}: {share:.1%} of the loops' steps have {quantity} outside the data's {known}; "
-                    "widen generate's box, D or D_hat0"
+                    f"{contender}: {share:.1%} of the loops' steps have {quantity} outside the data's {known}; {cure}"
                 )
 
 
