@@ -1,6 +1,7 @@
 """The report of a run: one file that needs nothing else, with the results' own numbers, the same bytes again."""
 
 import csv
+import html
 import re
 import shutil
 import tomllib
@@ -14,6 +15,7 @@ from conftest import Call, document, one_line
 from jobs import job
 
 from npred import config, documents, plants
+from npred.cli.page import OWNER, PLACE
 from npred.config import FROZEN, PAPER
 from npred.errors import StoreError
 from npred.figures import Evidence
@@ -229,7 +231,7 @@ def test_files_of_ones_own_are_named_beside_the_pipeline_on_the_page(reported, t
 def test_a_page_of_another_plant_names_no_figure_of_the_paper_and_its_own_units(reported, tmp_path, text):
     path, outcomes = reported
     inputs = {name: done.artifact.folder for name, done in outcomes.items() if name != "report"}
-    units = {"labels": {"x1": "activator"}, "units": {"x1": "mol/m^3"}, "time_unit": "h"}
+    units = {"labels": {"x1": "activator"}, "units": {"x1": "mol/m^3"}, "time_unit": "h", "figure": ""}
     plant = plants.make("Clock", type("Clock", (ActivatorRepressor,), units))
     made = replace(job(tmp_path, "other", inputs=inputs), config=config.load(path), plant=plant)
     report.run(made)
@@ -259,12 +261,41 @@ def here(reported, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_report_writes_the_page_where_it_is_told(call: Call, here: Path, tmp_path: Path, text: str):
     found = document(call("report", "tiny.toml", "--json"))
-    assert found["report"] == "store/tiny.html" and Path("store/tiny.html").read_text() == text
+    assert found["report"] == "store/tiny.html" and unmarked(Path("store/tiny.html")) == text
     assert {row["action"] for row in found["stages"]} == {"hit"}
     assert call("run", "tiny.toml").stdout.endswith("\nreport: store/tiny.html\n")
     call("report", "tiny.toml", "-o", str(tmp_path / "page.html"))
-    assert (tmp_path / "page.html").read_text() == text
+    assert unmarked(tmp_path / "page.html") == text
     assert "no/folder" in one_line(call("report", "tiny.toml", "-o", "no/folder/page.html"), 2)
+
+
+def unmarked(path: Path) -> str:
+    """A page as its result has it, without the line that says what made it."""
+    return re.sub(f"{OWNER.pattern}.*</p>", PLACE, path.read_text())
+
+
+def test_a_page_says_which_file_and_which_flags_made_it(call: Call, here: Path, tmp_path: Path):
+    call("report", "tiny.toml")
+    line = '<p class="about" data-pipeline="tiny.toml">From <code>tiny.toml</code></p>'
+    assert line in Path("store/tiny.html").read_text()
+    models = 'train.models=["deeponet","fno"]'
+    call("report", "tiny.toml", "--set", models, "-o", str(tmp_path / "page.html"))
+    said = f"From <code>tiny.toml</code> with <code>--set {html.escape(models)}</code></p>"
+    assert said in (tmp_path / "page.html").read_text()
+
+
+def test_a_page_is_not_overwritten_by_another_pipeline_of_its_name(call: Call, here: Path):
+    call("report", "tiny.toml")
+    before = Path("store/tiny.html").read_bytes()
+    for folder, name in (("a", "tiny-a.html"), ("b/a", "tiny-*.html"), ("a", "tiny-a.html")):
+        Path(folder).mkdir(parents=True, exist_ok=True)
+        other = shutil.copy("tiny.toml", f"{folder}/tiny.toml")
+        result = call("report", other, "--json")
+        path = Path(document(result)["report"])
+        assert path.match(name) and f'data-pipeline="{other}"' in path.read_text()
+        assert f"store/tiny.html is the page of tiny.toml; that of {other} is {path}" in result.stderr
+    assert len(list(Path("store").glob("tiny*.html"))) == 3 and Path("store/tiny.html").read_bytes() == before
+    assert document(call("report", "tiny.toml", "--json"))["report"] == "store/tiny.html"
 
 
 def test_figures_and_tables_for_a_paper(call: Call, here: Path, tmp_path: Path, story: Story, monkeypatch):

@@ -8,12 +8,11 @@ from typing import Any
 
 from npred import devices, executors
 from npred.cli.options import Running, Work
+from npred.cli.page import publish
 from npred.console import columns
 from npred.errors import ConfigError
 from npred.pipeline import STAGES, Node, Outcome, Planner, Runner, Step, networks, nodes
 from npred.store import short
-
-PAGE = "report.html"
 
 
 @dataclass(frozen=True)
@@ -124,26 +123,6 @@ def _planner(options: Work, targets: list[str]) -> Planner:
     planner = options.planner(frozenset(targets) if options.force else frozenset())
     devices.require(planner.device)
     return planner
-
-
-def publish(options: Work, outcomes: list[Outcome], output: Path | None) -> Path | None:
-    """Copy the page to `output`, by default to the pipeline's name in the store; None where no report was made.
-
-    A store that cannot be written leaves it where it is. Raises ConfigError for an `output` that cannot be.
-    """
-    made = [outcome for outcome in outcomes if outcome.node.stage == "report"]
-    if not made:
-        return None
-    path = output or options.store / f"{options.pipeline.stem}.html"
-    aside = path.with_name(path.name + ".part")
-    try:
-        aside.write_bytes((made[-1].artifact.folder / PAGE).read_bytes())
-        aside.replace(path)  # a browser that reads it meanwhile sees the old page or the new one
-    except OSError as error:
-        if output is None:
-            return made[-1].artifact.folder / PAGE
-        raise ConfigError(f"{path}: expected a file that can be written, got: {error.strerror}; name another") from None
-    return path
 
 
 def _planned(step: Step) -> Row:

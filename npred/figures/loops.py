@@ -12,7 +12,6 @@ from npred.figures.plate import Key, Panel, Plate
 from npred.figures.style import ROLES, log, look, words
 
 FOCUS = "numerical"  # always in the picture; a loop that is lost may leave it, so that the others can be told apart
-PAPER = "activator_repressor"  # the plant of [DAPF]
 GOAL = {"color": ROLES["muted"][0], "linewidth": 0.8, "linestyle": (0, (1, 2)), "zorder": 0}
 END = 0.1  # the share of the horizon that is looked at closely
 
@@ -37,7 +36,7 @@ def figure1(evidence: Evidence) -> Plate:
 def _caption(evidence: Evidence) -> str:
     plant, config = evidence.plant, evidence.config
     D, D_hat0 = (f"{value:g} {plant.time_unit}".strip() for value in (config.D, config.D_hat0))
-    of = " [DAPF, Fig. 1]" if plant.name == PAPER else ""
+    of = f" [{plant.figure}]" if plant.figure else ""
     where = "rest" if plant.rests else "the reference"
     return (
         f"One closed loop{of} from X(0) = {_vector(config.X0)} with D = {D} and D̂(0) = {D_hat0}, run with each "

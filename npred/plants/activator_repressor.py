@@ -13,6 +13,7 @@ class ActivatorRepressor:
 
     states = ("x1", "x2")
     inputs = ("U",)
+    figure = "DAPF, Fig. 1"
     parameters = {
         "K1": 300.0, "K2": 300.0, "Ka": 0.04, "Kb": 0.004, "x1_set": 0.0939, "x2_set": 5.2525,
     }  # fmt: skip

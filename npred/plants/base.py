@@ -20,9 +20,10 @@ class Plant:
     A declaration is a class with `states`, `inputs` (names) and the functions f(x, u, t, p, M), kappa(x, t, p, M) and
     V(x, t, p, M); optional are `parameters` (name to default), `box` (state to range, for experiments), `guess` (where
     the equilibrium is searched from), `input_bounds` (a range an input), `delays` (seconds, one an input, where they
-    differ), what figures write on their axes, `labels` and `units` (by state or input) and `time_unit` ("s" by
-    default), and, where f or kappa depends on time, `reference(t, p, M)`, the trajectory that kappa follows, and
-    `period`, the seconds after which they repeat. M provides the functions: sin, exp, where …
+    differ), what figures write: `labels` and `units` (by state or input), `time_unit` ("s" by default) and `figure`
+    (that of an article which the evaluated loop is), and, where f or kappa depends on time, `reference(t, p, M)`, the
+    trajectory that kappa follows, and `period`, the seconds after which they repeat. M provides the functions: sin,
+    exp, where …
     Raises ConfigError for a declaration with a part that is missing or wrong, or a parameter that it does not have.
     """
 
@@ -45,6 +46,7 @@ class Plant:
         self.labels = declared.texts(name, "labels", getattr(declaration, "labels", {}), quantities)
         self.units = declared.texts(name, "units", getattr(declaration, "units", {}), quantities)
         self.time_unit = declared.text(f"plant {name}: time_unit", getattr(declaration, "time_unit", "s"))
+        self.figure = declared.text(f"plant {name}: figure", getattr(declaration, "figure", ""))
 
     @property
     def n(self) -> int:
@@ -293,6 +295,7 @@ class Plant:
         """What figures write beside the names: part of the keys of the stages that draw states, and of no other."""
         declared = {"labels": self.labels, "units": self.units}
         optional = {} if self.time_unit == "s" else {"time_unit": self.time_unit}
+        optional |= {"figure": self.figure} if self.figure else {}
         return {part: texts for part, texts in declared.items() if texts} | optional
 
     def _program(self) -> dict[str, Any]:

@@ -1,0 +1,76 @@
+"""Where the page of a pipeline goes: a file that says what made it, and is not overwritten by another pipeline's."""
+
+import hashlib
+import html
+import os
+import re
+from pathlib import Path
+
+from npred.cli.options import Work
+from npred.errors import ConfigError
+from npred.pipeline import Outcome
+
+NAME = "report.html"  # in a result
+PLACE = "<!-- made from -->"  # in the header of that page, which knows neither files nor flags
+OWNER = re.compile('<p class="about" data-pipeline="([^"]*)">')
+HEAD = 2**16  # bytes of a page that its header is in
+
+
+def publish(options: Work, outcomes: list[Outcome], output: Path | None) -> Path | None:
+    """Copy the page to `output`, by default to the pipeline's name in the store, and say what made it.
+
+    Where that name is another pipeline's, the page gets a second one, and a line says so. A store that cannot be
+    written leaves the page where it is; None where no report was made. Raises ConfigError for an `output` that cannot
+    be written.
+    """
+    folders = [outcome.artifact.folder for outcome in outcomes if outcome.node.stage == "report"]
+    if not folders:
+        return None
+    folder, source = folders[-1], _source(options)
+    path = output or _place(options, source)
+    aside = path.with_name(path.name + ".part")
+    try:
+        text = (folder / NAME).read_text(encoding="utf-8").replace(PLACE, _made_from(source, options.set or []), 1)
+        aside.write_text(text, encoding="utf-8", errors="backslashreplace")
+        aside.replace(path)  # a browser that reads it meanwhile sees the old page or the new one
+    except OSError as error:
+        if output is None:
+            return folder / NAME
+        raise ConfigError(f"{path}: expected a file that can be written, got: {error.strerror}; name another") from None
+    return path
+
+
+def _source(options: Work) -> str:
+    """The pipeline file, from the folder that the store is in: a folder that is moved or copied whole stays itself."""
+    return Path(os.path.relpath(options.pipeline.absolute(), options.store.absolute().parent)).as_posix()
+
+
+def _made_from(source: str, overrides: list[str]) -> str:
+    flags = "".join(f" <code>--set {html.escape(override)}</code>" for override in overrides)
+    name = html.escape(source)
+    return f'<p class="about" data-pipeline="{name}">From <code>{name}</code>{" with" if flags else ""}{flags}</p>'
+
+
+def _place(options: Work, source: str) -> Path:
+    """NAME.html; where that is another pipeline's, NAME-FOLDER.html after the file's own folder, else with a digest."""
+    stem, folder = options.pipeline.stem, re.sub(r"[^\w.-]", "_", options.pipeline.absolute().parent.name)
+    names = [stem, f"{stem}-{folder}", f"{stem}-{hashlib.sha256(os.fsencode(source)).hexdigest()[:8]}"]
+    owners = {path: _owner(path) for path in (options.store / f"{name}.html" for name in names)}
+    own = [path for path, owner in owners.items() if owner == source]
+    free = [path for path, owner in owners.items() if owner is None]
+    first, path = next(iter(owners)), [*own, *free, *owners][0]
+    if path != first and owners[first]:
+        options.console.note(f"{first} is the page of {owners[first]}; that of {source} is {path}")
+    return path
+
+
+def _owner(path: Path) -> str | None:
+    """The pipeline that a page names as its own; None for no page, and for one that names none."""
+    try:
+        if not path.is_file():
+            return None
+        with path.open("rb") as file:
+            named = OWNER.search(file.read(HEAD).decode("utf-8", errors="replace"))
+    except OSError:
+        return None
+    return html.unescape(named[1]) if named else None
