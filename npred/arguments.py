@@ -30,25 +30,26 @@ def numbers(
     plant: Plant, X0: Any, D: np.ndarray, D_hat: np.ndarray, t_end: float, dt: float, law: DelayLaw | None
 ) -> None:
     """Raise ConfigError for a start, delays or times that make no loop."""
-    if X0.ndim < 1 or X0.shape[-1] != plant.n or not np.isfinite(X0).all():
-        raise ConfigError(f"X0: expected finite values of shape (..., {plant.n}) for plant {plant.name}, got {X0}")
-    if not 0 < shapes.floats("dt", dt) <= shapes.floats("t_end", t_end) < np.inf:
-        raise ConfigError(f"dt, t_end: expected 0 < dt <= t_end in seconds, got dt = {dt}, t_end = {t_end}")
-    for name, value in (("D", D), ("D_hat", D_hat)):
-        if not (np.isfinite(value) & (value >= 0)).all():
-            raise ConfigError(f"{name}: expected a delay of at least 0 s, got {value}; correct it")
-    if law and not ((D_hat >= law.bounds[0]) & (D_hat <= law.bounds[1])).all():
+    if X0.ndim < 1 or X0.shape[-1] != plant.n:
+        axes = ", ".join(plant.states) if plant.n < 5 else "its states"
         raise ConfigError(
-            f"D_hat: expected within the bounds {law.bounds}, got {D_hat}; widen the bounds or move D_hat"
+            f"X0: expected shape (..., {plant.n}) for plant {plant.name}, got {X0.shape}; the last axis is {axes}"
         )
+    shapes.finite("X0", X0)
+    if not 0 < shapes.number("dt", dt) <= shapes.number("t_end", t_end) < np.inf:
+        raise ConfigError(f"dt, t_end: expected 0 < dt <= t_end in seconds, got dt = {dt}, t_end = {t_end}")
+    for name, seconds in (("D", D), ("D_hat", D_hat)):
+        shapes.delays(name, seconds)
+    if law:
+        shapes.within("D_hat", D_hat, law.bounds)
 
 
 def parts(plant: Any, predictor: Any, adaptation: Any, integrator: Any, every: Any) -> None:
     """Raise ConfigError for a part of the wrong kind, or a predictor of another plant."""
     kinds = {"plant": (plant, Plant), "predictor": (predictor, Predictor), "adaptation": (adaptation, DelayLaw)}
-    for name, (given, kind) in kinds.items():
-        if not isinstance(given, kind) and (given is not None or name == "plant"):
-            raise ConfigError(f"{name}: expected a {kind.__name__}, got {given!r}; see npred.simulate")
+    for name, (thing, kind) in kinds.items():
+        if not isinstance(thing, kind) and (thing is not None or name == "plant"):
+            raise ConfigError(f"{name}: expected a {kind.__name__}, got {thing!r}; see npred.simulate")
     if predictor is not None:
         _same_plant(plant, predictor)
     if adaptation is not None:

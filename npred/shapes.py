@@ -1,5 +1,7 @@
-"""Arrays as a caller gave them: told in one line where they are no numbers or do not fit together."""
+"""Arrays as a caller gave them, refused in one line where they are not real numbers or do not fit together."""
 
+import reprlib
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -7,13 +9,75 @@ import numpy as np
 from npred.errors import ConfigError
 
 
-def floats(name: str, given: Any) -> np.ndarray:
-    """The float64 array of what was given. Raises ConfigError for text, ragged lists, and other things."""
+def floats(name: str, value: Any, kind: str = "an array of real numbers") -> np.ndarray:
+    """The float64 array of real numbers. Raises ConfigError for text, dates, complex numbers, masked arrays, others.
+
+    A masked value and the imaginary part of a complex one would be lost without a word, and a date has no unit.
+    """
     try:
-        return np.asarray(given, dtype=float)
-    except (TypeError, ValueError, RuntimeError):  # torch raises the last, for a tensor that has a gradient
-        what = f"a {type(given).__name__}" if hasattr(given, "shape") else repr(given)
-        raise ConfigError(f"{name}: expected an array of numbers, got {what}; convert it") from None
+        array = np.asarray(None if _masked(value) else value)
+        if array.dtype.kind in "biuf" or (array.dtype == object and all(map(_is_real, array.flat))):
+            return array.astype(float, copy=False)
+    except (TypeError, ValueError, RuntimeError, OverflowError):  # torch raises the third, for a tensor with a gradient
+        pass
+    raise ConfigError(f"{name}: expected {kind}, got {_described(value)}; convert it")
+
+
+def number(name: str, value: Any) -> float:
+    """One real number, which may be infinite. Raises ConfigError for an array with axes and what `floats` refuses."""
+    array = floats(name, value, "a real number")
+    if array.ndim:
+        raise ConfigError(f"{name}: expected a real number, got an array of shape {array.shape}; give one number")
+    return float(array)
+
+
+def finite(name: str, array: np.ndarray) -> None:
+    """Raise ConfigError for an array with NaN or infinity."""
+    _all(np.isfinite(array), array, f"{name}: expected finite numbers", "correct it")
+
+
+def finite_rows(X: np.ndarray, u: np.ndarray, D_hat: np.ndarray) -> np.ndarray:
+    """Which samples X (..., n), u (..., nx, m), D_hat (...) are finite, (...): those that a predictor takes."""
+    return np.isfinite(X).all(axis=-1) & np.isfinite(u).all(axis=(-2, -1)) & np.isfinite(D_hat)
+
+
+def delays(name: str, array: np.ndarray) -> None:
+    """Raise ConfigError unless all are finite numbers of at least 0 s."""
+    _all(np.isfinite(array) & (array >= 0), array, f"{name}: expected a delay of at least 0 s", "correct it")
+
+
+def within(name: str, array: np.ndarray, bounds: tuple[float, float]) -> None:
+    """Raise ConfigError for a delay estimate outside the bounds, both ends in."""
+    low, high = bounds
+    inside = (low <= array) & (array <= high) & np.isfinite(array)
+    _all(inside, array, f"{name}: expected within the bounds [{low:g}, {high:g}] s", f"widen them or move {name}")
+
+
+def _all(right: np.ndarray, array: np.ndarray, expected: str, cure: str) -> None:
+    """Raise ConfigError with the first value that is not right, and its place in the array."""
+    if not right.all():
+        place = tuple(int(k) for k in np.argwhere(~right)[0])
+        at = f" at {list(place)}" if place else ""
+        raise ConfigError(f"{expected}, got {array[place]:g}{at}; {cure}")
+
+
+def _masked(value: Any) -> bool:
+    """Whether the value is a masked array, or a list of some: np.asarray would take what is below the mask."""
+    items = value if isinstance(value, list | tuple) else (value,)
+    return any(isinstance(item, np.ma.MaskedArray) for item in items)
+
+
+def _is_real(item: Any) -> bool:
+    return isinstance(item, Real) and not isinstance(item, np.timedelta64)  # NumPy counts that among the integers
+
+
+def _described(value: Any) -> str:
+    """What came, on one line."""
+    if _masked(value):
+        return "a masked array"
+    if isinstance(value, np.ndarray):
+        return f"an array of {value.dtype}"
+    return f"a {type(value).__name__}" if hasattr(value, "shape") else reprlib.repr(value)
 
 
 def batch(**leading: tuple[int, ...]) -> tuple[int, ...]:
@@ -21,15 +85,15 @@ def batch(**leading: tuple[int, ...]) -> tuple[int, ...]:
     try:
         return np.broadcast_shapes(*leading.values())
     except ValueError:
-        found = ", ".join(f"{name} {shape}" for name, shape in leading.items())
+        axes = ", ".join(f"{name} {shape}" for name, shape in leading.items())
         raise ConfigError(
-            f"expected batches that broadcast, got leading axes {found}; give each one loop a row"
+            f"expected batches that broadcast, got leading axes {axes}; give each one loop a row"
         ) from None
 
 
-def fits(given: tuple[int, ...], wanted: tuple[int, ...]) -> bool:
-    """Whether an array of the given shape broadcasts to the wanted one."""
+def fits(shape: tuple[int, ...], target: tuple[int, ...]) -> bool:
+    """Whether an array of the shape broadcasts to the target."""
     try:
-        return np.broadcast_shapes(given, wanted) == wanted
+        return np.broadcast_shapes(shape, target) == target
     except ValueError:
         return False

@@ -38,8 +38,14 @@ def run(predictor="own", plant=SCALAR, **change):
         ({"input_bounds": (1.0, 2.0, 3.0)}, "input_bounds: expected 1 pairs"),
         ({"D": np.ones(3), "D_hat": np.ones(4)}, r"leading axes X0 \(\), D \(3,\), D_hat \(4,\)"),
         ({"X0": np.zeros((0, 1))}, r"expected at least one loop, got a batch of shape \(0,\)"),
-        ({"D": "long"}, "D: expected an array of numbers, got 'long'"),
-        ({"t_end": None}, "dt, t_end: expected 0 < dt <= t_end"),
+        ({"D": "long"}, "D: expected an array of real numbers, got 'long'"),
+        ({"t_end": 0.001}, "dt, t_end: expected 0 < dt <= t_end"),
+        ({"t_end": None}, "t_end: expected a real number, got None"),
+        ({"dt": [0.01, 0.02]}, r"dt: expected a real number, got an array of shape \(2,\)"),
+        ({"X0": [1.0 + 0j]}, r"X0: expected an array of real numbers, got \[\(1\+0j\)\]"),
+        ({"X0": np.ma.array([1.0], mask=[1])}, "X0: expected an array of real numbers, got a masked array"),
+        ({"X0": np.array([[1.0], [np.inf]])}, r"X0: expected finite numbers, got inf at \[1, 0\]"),
+        ({"D": [0.1, np.nan]}, r"D: expected a delay of at least 0 s, got nan at \[1\]"),
     ],
 )  # fmt: skip
 def test_a_wrong_argument_is_told(change, message):

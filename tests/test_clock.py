@@ -61,7 +61,7 @@ def test_a_time_is_taken_as_it_is():
     X, u, D_hat = inputs()
     rk4 = RK4(UNICYCLE, 21)
     np.testing.assert_array_equal(rk4.predict(X, u, D_hat, -0.7), rk4(X, u, D_hat, -0.7))
-    P = rk4(X, u, D_hat, [0.0, np.nan, 0.3, np.nan, -0.7])
+    P = rk4.predict(X, u, D_hat, np.array([0.0, np.nan, 0.3, np.nan, -0.7]))
     assert np.isnan(P[[1, 3]]).all() and np.isfinite(P[[0, 2, 4]]).all()
     assert np.isnan(rk4.predict(X, u, D_hat, np.nan)[:, -1, 0]).all()
 

@@ -205,7 +205,7 @@ def test_energy_is_the_integral_of_the_past_input(figure1):
         ({"D_hat": 5.0}, r"D_hat: expected within the bounds"),
         ({"D": -1.0}, r"D: expected a delay of at least 0 s"),
         ({"dt": 0.0}, r"expected 0 < dt <= t_end"),
-        ({"X0": [0.1]}, r"X0: expected finite values of shape \(..., 2\)"),
+        ({"X0": [0.1]}, r"X0: expected shape \(..., 2\) for plant activator_repressor, got \(1,\)"),
         ({"X0": [np.nan, 1.0]}, r"X0: expected finite"),
         ({"input_bounds": [(1.0, 0.0)]}, r"input_bounds: expected 1 pairs"),
     ],

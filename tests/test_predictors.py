@@ -1,15 +1,23 @@
 """Numerical predictors: golden numbers, fitted orders, closed form, and the identities of the predictor equation."""
 
+import multiprocessing
+import pickle
+from concurrent.futures import ProcessPoolExecutor
+
 import numpy as np
 import pytest
 from golden import CASES, case
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from operator_samples import SMALL, operator
 
 from npred import grid, plants
+from npred.closed_loop import simulate
+from npred.control import Controller
 from npred.errors import ConfigError, DivergedError
-from npred.predictors import METHODS, RK4, Euler, Picard
+from npred.predictors import METHODS, RK4, Euler, Picard, Predictor
 from npred.predictors.interpreted import EulerPython, Published
+from npred.runtimes import predictor as predictor_of
 
 PLANT = plants.resolve("activator_repressor")
 SCALAR = plants.resolve("scalar", {"a": 0.8})
@@ -149,3 +157,88 @@ def test_batches_that_do_not_fit_are_told():
 def test_picard_that_does_not_contract_says_so():
     with pytest.raises(DivergedError, match="expected a change below 1e-12 within 5 sweeps"):
         Picard(PLANT, 101, sweeps=5)([0.5, 5.0], np.zeros((101, 1)), 2.0)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("kind", [RK4, EulerPython, "own"])
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"D_hat": -1.0}, "D_hat: expected a delay of at least 0 s, got -1"),
+        ({"D_hat": [0.5, np.nan]}, r"D_hat: expected a delay of at least 0 s, got nan at \[1\]"),
+        ({"D_hat": np.inf}, "D_hat: expected a delay of at least 0 s, got inf"),
+        ({"X": [np.nan, 5.0]}, r"X: expected finite numbers, got nan at \[0\]"),
+        ({"X": [0.1 + 1j, 5.0]}, "X: expected an array of real numbers"),
+        ({"X": np.ma.array([0.1, 5.0], mask=[0, 1])}, "X: expected an array of real numbers, got a masked array"),
+        ({"u": np.full((5, 1), np.inf)}, r"u: expected finite numbers, got inf at \[0, 0\]"),
+        ({"t": np.nan}, "t: expected finite numbers, got nan"),
+    ],
+)
+def test_what_a_loop_refuses_a_call_refuses_too(kind, change, message):
+    predictor = Bent(PLANT, 5) if kind == "own" else kind(PLANT, 5)
+    with pytest.raises(ConfigError, match=message):
+        predictor(**{"X": [0.1, 5.0], "u": np.zeros((5, 1)), "D_hat": 1.0} | change)
+
+
+class Bent(Predictor):
+    """A predictor of one's own, on arrays: P = X + x D_hat f(X, u(0))."""
+
+    def __init__(self, plant, nx=101, shape=None):
+        super().__init__(plant, nx)
+        self.shape, self.seen = shape, []
+
+    def predict(self, X, u, D_hat, t):
+        self.seen.append(np.ndim(t))
+        x = grid.nodes(u.shape[1])[:, None]
+        P = X[:, None] + x * D_hat[:, None, None] * self.plant.f(X, u[:, 0])[:, None]
+        return P if self.shape is None else P.reshape(self.shape)
+
+
+def test_a_predictor_of_ones_own_needs_predict_alone():
+    bent, u = Bent(SCALAR, 2), np.zeros((3, 2, 1))
+    np.testing.assert_allclose(bent([[1.0], [2.0], [3.0]], u, 0.5), Euler(SCALAR, 2)([[1.0], [2.0], [3.0]], u, 0.5))
+    settings = {"D": 0.3, "D_hat": [0.2, 0.3], "X0": [1.0], "t_end": 1.0, "dt": 0.01}
+    loops = simulate(SCALAR, bent, **settings)
+    np.testing.assert_allclose(loops.X, simulate(SCALAR, Euler(SCALAR, 2), **settings).X, rtol=1e-12)
+    assert set(bent.seen) == {0, 1}
+    assert repr(bent) == "<Bent 'predictor' of plant scalar, nx = 2>"
+
+
+def test_a_predictor_of_ones_own_may_not_write_to_the_loop_nor_return_another_shape():
+    class Writes(Bent):
+        def predict(self, X, u, D_hat, t):
+            u[:] = 0.0
+            return super().predict(X, u, D_hat, t)
+
+    settings = {"D": 0.3, "D_hat": 0.3, "X0": [1.0], "t_end": 1.0, "dt": 0.01}
+    with pytest.raises(ValueError, match="read-only"):
+        simulate(SCALAR, Writes(SCALAR, 2), **settings)
+    for act in (lambda: simulate(SCALAR, Bent(SCALAR, 2, (2, 1)), **settings),
+                lambda: Bent(SCALAR, 2, (2, 1))([1.0], np.zeros((2, 1)), 0.1)):  # fmt: skip
+        with pytest.raises(ConfigError, match=r"Bent.predict: expected to return P \(1, 2, 1\), .* got shape \(2, 1\)"):
+            act()
+
+
+@pytest.mark.parametrize("kind", [*METHODS.values(), EulerPython, Published, Bent])
+def test_a_predictor_pickles_without_what_it_compiled(kind):
+    predictor, u = kind(SCALAR, 5), np.linspace(0, 1, 5)[:, None]
+    P = predictor([1.0], u, 0.4)
+    copy = pickle.loads(pickle.dumps(predictor))
+    assert (copy.nx, copy.name, copy.plant.identity) == (5, predictor.name, SCALAR.identity)
+    np.testing.assert_array_equal(copy([1.0], u, 0.4), P)
+
+
+def test_what_picard_was_asked_for_is_pickled():
+    copy = pickle.loads(pickle.dumps(Picard(SCALAR, 5, tolerance=1e-6, sweeps=7)))
+    assert (copy.tolerance, copy.sweeps) == (1e-6, 7)
+
+
+@pytest.mark.slow
+def test_predictors_and_controllers_work_in_a_process_that_was_spawned():
+    u, X = np.zeros((21, 1)), [0.03, 30.0]
+    runs = [RK4(PLANT, 21), predictor_of("torch", PLANT, operator(SMALL[1]), 21)]
+    controller = Controller(PLANT, runs[0], None, 0.01, D_hat=1.0)
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+        for run in runs:
+            np.testing.assert_array_equal(pool.submit(run, X, u, 1.0).result(), run(X, u, 1.0))
+        np.testing.assert_array_equal(pool.submit(controller.step, X, u).result(), controller.step(X, u))

@@ -4,6 +4,7 @@ import copy
 import dataclasses
 import types
 from pathlib import Path
+from typing import Any
 
 import follower
 import h5py
@@ -16,6 +17,7 @@ from npred import config, metrics, operators, plants, shards
 from npred.closed_loop import Samples, Trajectories
 from npred.dataset import Dataset
 from npred.errors import MissingError
+from npred.predictors import RK4
 from npred.predictors.neural import Neural
 from npred.stages import accuracy, bench, bench_report, certificate, coverage, evaluate, generate, starts, train
 
@@ -128,6 +130,15 @@ def test_fresh_rows_are_samples_of_the_numerical_loops(evaluated):
     assert set(result["models"]["fno"]["fresh"]) >= {"mse", "eps_sup", "eps_kappa", "eps_relative"}
     steps = accuracy.sample_steps(0, config.parse(tables(), "tests").evaluate, 3)
     assert steps.shape == (3, accuracy.FRESH) and (np.diff(steps) >= 0).all() and steps.max() <= 600
+
+
+def test_a_fresh_row_whose_input_is_lost_before_its_state_is_left_out():
+    """P diverges first, U with it, and X only when that U arrives."""
+    u = np.zeros((2, 3, 5, 1))
+    u[1, 2, -1] = np.nan
+    loops: Any = types.SimpleNamespace(samples=Samples(np.ones((2, 3, 1)), u, np.full((2, 3), 0.4)))
+    rows = accuracy.Rows.fresh(loops, np.zeros((2, 3)), RK4(plants.resolve("scalar"), 5))
+    assert len(rows.X) == 5 and np.isfinite(rows.P).all()
 
 
 def test_figure_and_loops_are_written(evaluated):

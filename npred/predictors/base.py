@@ -19,11 +19,12 @@ class Predictor(ABC):
     """P(x) = X + D_hat ∫₀ˣ f(P(y), u(y)) dy on nx uniform nodes, both ends in [DAPF, eq. 10].
 
     Call it with X (..., n), u (..., nx, m) and D_hat (...) in seconds; P is (..., nx, n). `t` (...) is the time at
-    x = 0, of use to plants that depend on time. Raises ConfigError where the shapes do not fit the plant, or nx is
-    below 2.
+    x = 0, of use to plants that depend on time. A predictor that you write is a subclass with `predict`.
+    Raises ConfigError where the shapes do not fit the plant, nx is below 2, a number is not finite or a delay is
+    negative.
     """
 
-    name: ClassVar[str]
+    name: ClassVar[str] = "predictor"
 
     def __init__(self, plant: Plant, nx: int = 101):
         if not isinstance(nx, int | np.integer) or nx < 2:
@@ -33,19 +34,44 @@ class Predictor(ABC):
     def __call__(self, X: Any, u: Any, D_hat: Any, t: Any = 0.0) -> np.ndarray:
         X, u, D_hat, t = (shapes.floats(name, a) for name, a in (("X", X), ("u", u), ("D_hat", D_hat), ("t", t)))
         self._check(X, u)
+        for name, array in (("X", X), ("u", u), ("t", t)):
+            shapes.finite(name, array)
+        shapes.delays("D_hat", D_hat)
         shape = shapes.batch(X=X.shape[:-1], u=u.shape[:-2], D_hat=D_hat.shape, t=t.shape)
         X = np.broadcast_to(X, (*shape, self.plant.n)).reshape(-1, self.plant.n)
         u = np.broadcast_to(u, (*shape, *u.shape[-2:])).reshape(-1, *u.shape[-2:])
-        P = self.predict(X, u, *(np.broadcast_to(a, shape).reshape(-1) for a in (D_hat, t)))
+        P = self._predicted(X, u, *(np.broadcast_to(a, shape).reshape(-1) for a in (D_hat, t)))
         return P.reshape(*shape, *P.shape[1:])
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__} {self.name!r} of plant {self.plant.name}, nx = {self.nx}>"
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What pickle keeps: all but what was compiled or derived, which is made again on use."""
+        return {k: v for k, v in vars(self).items() if not isinstance(getattr(type(self), k, None), cached_property)}
 
     @abstractmethod
     def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Any) -> np.ndarray:
         """P (B, nx, n) of X (B, n), u (B, nx, m), D_hat (B,), t (B,) or ()."""
 
-    @abstractmethod
     def lanes(self) -> Callable[..., None]:
         """The same map on the loop's memory, lanes innermost: SIGNATURE, P written in place."""
+
+        def predict(X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: float, p: np.ndarray, P: np.ndarray) -> None:
+            X, u, D_hat = X.T, u.transpose(2, 0, 1), D_hat.view()
+            for view in (X, u, D_hat):
+                view.flags.writeable = False  # it is the loop's own memory
+            P[:] = self._predicted(X, u, D_hat, t).transpose(1, 2, 0)
+
+        return predict
+
+    def _predicted(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Any) -> np.ndarray:
+        """P of `predict`. Raises ConfigError where its shape is another, which a loop would broadcast."""
+        P, shape = self.predict(X, u, D_hat, t), (*u.shape[:2], self.plant.n)
+        if not isinstance(P, np.ndarray) or P.shape != shape:
+            came = f"shape {P.shape}" if isinstance(P, np.ndarray) else f"a {type(P).__name__}"
+            raise ConfigError(f"{type(self).__name__}.predict: expected to return P {shape}, (B, nx, n), got {came}")
+        return P
 
     def _check(self, X: np.ndarray, u: np.ndarray) -> None:
         n, m = self.plant.n, self.plant.m

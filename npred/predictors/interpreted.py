@@ -24,12 +24,6 @@ class Interpreted(Predictor):
     def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Any) -> np.ndarray:
         return np.stack([self.one(*row) for row in zip(X, u, D_hat, np.broadcast_to(t, len(X)), strict=True)])
 
-    def lanes(self) -> Callable[..., None]:
-        def predict(X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: float, p: np.ndarray, P: np.ndarray) -> None:
-            P[:] = self.predict(X.T, u.transpose(2, 0, 1), D_hat, t).transpose(1, 2, 0)
-
-        return predict
-
     @abstractmethod
     def one(self, X: np.ndarray, u: np.ndarray, D_hat: float, t: float) -> np.ndarray:
         """P (nx, n) of one X (n,), u (nx, m), D_hat."""

@@ -1,6 +1,5 @@
 """A trained operator as a predictor: the one place that knows networks and the loop's memory."""
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -24,18 +23,9 @@ class Neural(Predictor):
         self.name = name  # type: ignore[misc]
         self.operator, self.device = operator.to(device).eval(), device
 
-    def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Any) -> np.ndarray:
-        return self._forward(X, u, D_hat, t).numpy(force=True).astype(float)
-
-    def lanes(self) -> Callable[..., None]:
-        def predict(X: Any, u: Any, D_hat: Any, t: float, p: Any, P: np.ndarray) -> None:
-            P[:] = self._forward(X.T, u.transpose(2, 0, 1), D_hat, t).permute(1, 2, 0).numpy(force=True)
-
-        return predict
-
     @torch.inference_mode()
-    def _forward(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Any) -> torch.Tensor:
+    def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Any) -> np.ndarray:
         dtype = self.operator.X_rest.dtype
         phase = (self.plant.phase(np.broadcast_to(t, len(X))),) if self.plant.clocked else ()
         tensors = (torch.as_tensor(np.array(a, dtype=float)).to(self.device, dtype) for a in (X, u, D_hat, *phase))
-        return self.operator(*tensors)
+        return self.operator(*tensors).numpy(force=True).astype(float)

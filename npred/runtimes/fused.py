@@ -119,6 +119,10 @@ class Fused(Compiled):
             self.kernels[nx] = build(fold(self.operator, self.plant, nx, stride, self.precision))
         return self.kernels[nx]
 
+    def __getstate__(self) -> dict[str, Any]:
+        """The operator; its functions are compiled again, or read from the disk, on use."""
+        return super().__getstate__() | {"kernels": {}}
+
     def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Any) -> np.ndarray:
         P = np.empty((u.shape[1], self.plant.n, len(X)))
         X, u, D_hat = (np.array(a, order="C") for a in (X.T, u.transpose(1, 2, 0), D_hat))

@@ -2,7 +2,7 @@
 
 import logging
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
@@ -93,28 +93,26 @@ class Onnx(Predictor):
     def __init__(self, plant: Plant, operator: Operator, nx: int = 101, name: str = "neural"):
         super().__init__(plant, nx)
         self.name = name  # type: ignore[misc]
-        self.operator, self.sessions = operator.to("cpu").float().eval(), {}
+        self.operator, self.graphs, self.sessions = operator.to("cpu").float().eval(), {}, {}
         self.on(nx)
 
     def on(self, nx: int) -> Any:
         """The session for nx nodes."""
+        if nx not in self.graphs:
+            self.graphs[nx] = graph(self.operator, self.plant, nx)
         if nx not in self.sessions:
-            self.sessions[nx] = session(graph(self.operator, self.plant, nx))
+            self.sessions[nx] = session(self.graphs[nx])
         return self.sessions[nx]
 
     def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Any) -> np.ndarray:
-        return self._run(X, u, D_hat, t).astype(float)
+        columns = X, u, D_hat, np.broadcast_to(t, len(X))
+        arrays = (np.ascontiguousarray(a, dtype=np.float32) for a in columns)
+        feed = dict(zip(inputs(self.plant), arrays, strict=False))
+        return self.on(u.shape[1]).run(["P"], feed)[0].astype(float)
 
-    def lanes(self) -> Callable[..., None]:
-        def predict(X: Any, u: Any, D_hat: Any, t: float, p: Any, P: np.ndarray) -> None:
-            P[:] = self._run(X.T, u.transpose(2, 0, 1), D_hat, t).transpose(1, 2, 0)
-
-        return predict
-
-    def _run(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Any) -> np.ndarray:
-        given = X, u, D_hat, np.broadcast_to(t, len(X))
-        arrays = (np.ascontiguousarray(a, dtype=np.float32) for a in given)
-        return self.on(u.shape[1]).run(["P"], dict(zip(inputs(self.plant), arrays, strict=False)))[0]
+    def __getstate__(self) -> dict[str, Any]:
+        """The graphs' bytes; sessions are opened again on use."""
+        return super().__getstate__() | {"sessions": {}}
 
 
 def session(model: bytes) -> Any:

@@ -8,7 +8,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from npred import metrics, randomness
+from npred import metrics, randomness, shapes
 from npred.closed_loop import Trajectories
 from npred.config import Evaluate
 from npred.dataset import Dataset
@@ -43,7 +43,7 @@ class Rows:
         """The samples taken at times t (B, S) from the numerical predictor's own loops of this evaluation."""
         taken = (loops.samples.X, loops.samples.u, loops.samples.D_hat, t)
         X, u, D_hat, t = (a.reshape(-1, *a.shape[2:]) for a in taken)
-        known = np.isfinite(X).all(axis=1)
+        known = shapes.finite_rows(X, u, D_hat)
         X, u, D_hat = X[known], u[known], D_hat[known]
         return cls(X, u, D_hat, numerical(X, u, D_hat, t[known]), t[known])
 

@@ -4,12 +4,12 @@ from typing import Any
 
 import numpy as np
 
-from npred import devices, laws, plants
+from npred import devices, laws, plants, shapes
 from npred.closed_loop import LANES, simulate
 from npred.config import Generate, Pipeline
 from npred.errors import ConfigError, DivergedError
 from npred.plants import Plant, inputs
-from npred.predictors import METHODS
+from npred.predictors import METHODS, Predictor
 from npred.stages import draws
 
 Rows = dict[str, np.ndarray]
@@ -63,10 +63,18 @@ def _chunk(pipeline: Pipeline, plant: Plant, chunk: range, finite: bool) -> Rows
     D_hat = draws.redrawn(pipeline.seed, config, chunk, loops.samples.D_hat)
     rows = {"X": loops.samples.X, "u": loops.samples.u, "D_hat": D_hat}
     rows |= {"D": np.repeat(D[:, None], count, 1), "t": steps * config.dt}
-    rows["P"] = predictor(rows["X"], rows["u"], rows["D_hat"], rows["t"])
+    rows["P"] = _predicted(predictor, rows)
     rows["rollout"] = np.repeat(np.array(chunk, dtype=np.int32)[:, None], count, 1)
     kept = np.arange(count) < np.array([draws.samples(config, r) for r in chunk])[:, None]
     return {name: array[kept] for name, array in rows.items()}
+
+
+def _predicted(predictor: Predictor, rows: Rows) -> np.ndarray:
+    """P (B, S, nx, n) of the rows, NaN for those that are not finite, which a predictor refuses."""
+    known = shapes.finite_rows(rows["X"], rows["u"], rows["D_hat"])
+    P = np.full((*rows["u"].shape[:-1], predictor.plant.n), np.nan)
+    P[known] = predictor(*(rows[name][known] for name in ("X", "u", "D_hat", "t")))
+    return P
 
 
 def _finite(plant: Plant, config: Generate, chunk: range, X0: np.ndarray, escaped: np.ndarray) -> None:
