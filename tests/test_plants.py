@@ -1,6 +1,8 @@
 """Plants: declaration, equilibrium, derivatives, arrays and tensors, a user's own file, and what goes wrong."""
 
+import pickle
 import textwrap
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +13,7 @@ from hypothesis import strategies as st
 
 from npred import plants
 from npred.errors import ConfigError
-from npred.plants import Plant
+from npred.plants import BlackBox, Plant
 
 X_STAR = (0.093894784596175314799, 5.2514404348957272692)  # independent solver, 18 digits
 U_STAR = -2.62808664394595e-5
@@ -33,6 +35,20 @@ class Tank:
 
     def V(x, t, p, M):
         return (x.h - p.level) ** 2
+"""
+
+CALLED = """
+class Tank:
+    states, inputs, parameters, guess, traced = ("h",), ("U",), {"c": 0.5}, (0.8,), False
+
+    def f(X, u, t, p):
+        return u - p.c * X
+
+    def kappa(X, t, p):
+        return p.c - X
+
+    def V(X, t, p):
+        return X[:, 0] ** 2
 """
 
 
@@ -265,3 +281,94 @@ def test_mistakes_are_told_in_one_line(write, old, new, message):
 def test_unknown_names_are_told(name, parameters, message):
     with pytest.raises(ConfigError, match=message):
         plants.resolve(name, parameters)
+
+
+class Lag:
+    """A class of this module, without V, which Python can import."""
+
+    states, inputs, parameters = ("x",), ("u",), {"a": 1.0}
+
+    def f(x, u, t, p, M):
+        return [u.u - p.a * x.x]
+
+    def kappa(x, t, p, M):
+        return [-x.x]
+
+
+class Called(Lag):
+    """The same behind functions of arrays."""
+
+    traced = False
+
+    def f(X, u, t, p):
+        return u - p.a * X
+
+    def kappa(X, t, p):
+        return -X
+
+    def V(X, t, p):
+        return X[:, 0] ** 2
+
+
+def pickled(plant):
+    """The plant after a look at all that it derives, through pickle."""
+    plant.jacobians(plant.guess, np.zeros(plant.m))
+    return pickle.loads(pickle.dumps(plant))
+
+
+@pytest.mark.parametrize("name", ["activator_repressor", "planar_arm3", "unicycle"])
+def test_a_plant_with_a_name_pickles_by_its_name(name):
+    plant = plants.resolve(name)
+    copy = pickled(plant)
+    assert copy.identity == plant.identity and copy is not plant
+    assert pickled(plant) is copy  # once a process: it keeps what is compiled
+    assert len(pickle.dumps(plant)) < 2000
+
+
+def test_a_plant_of_a_class_pickles_with_it():
+    for kind, declaration in ((Plant, Lag), (BlackBox, Called)):
+        plant = kind("lag", declaration, {"a": 2.5})
+        copy = pickled(plant)
+        assert type(copy) is kind and copy.parameters == {"a": 2.5} and copy.identity == plant.identity
+        assert copy.declares_V == plant.declares_V
+
+
+@pytest.mark.parametrize("traced", [True, False])
+def test_a_plant_of_a_file_pickles_by_its_path(write, traced, monkeypatch):
+    spec = write() if traced else write(text=CALLED)
+    path = Path(spec.removesuffix(":Tank"))
+    monkeypatch.chdir(path.parent)
+    plant = plants.resolve(f"{path.name}:Tank", {"c": 0.7})
+    text = pickle.dumps(plant)
+    monkeypatch.chdir("/")
+    copy = pickle.loads(text)
+    assert type(copy) is type(plant) and copy.identity == plant.identity and copy.parameters["c"] == 0.7
+
+
+def test_a_pickled_plant_whose_file_changed_or_went_is_refused(write):
+    spec = write()
+    text = pickle.dumps(plants.resolve(spec, {"c": 0.8}))
+    Path(spec.removesuffix(":Tank")).write_text(TANK + "# edited")
+    with pytest.raises(ConfigError, match=r"my_plant.py:Tank: expected the file that was pickled, got another text"):
+        pickle.loads(text)
+    Path(spec.removesuffix(":Tank")).unlink()
+    with pytest.raises(ConfigError, match="expected a Python file, found none"):
+        pickle.loads(text)
+
+
+def test_a_class_that_nobody_can_import_pickles_by_value_where_the_pickler_can():
+    cloudpickle = pytest.importorskip("cloudpickle")
+
+    class Local(Lag):
+        pass
+
+    plant = Plant("local", Local)
+    with pytest.raises((pickle.PicklingError, AttributeError), match="Local"):
+        pickle.dumps(plant)
+    assert pickle.loads(cloudpickle.dumps(plant)).identity == plant.identity
+
+
+def test_plants_say_what_they_are():
+    assert repr(plants.resolve("scalar", {"a": 0.3})) == "<Plant scalar: states X; inputs U; a = 0.3, c = 1>"
+    assert repr(BlackBox("lag", Called)) == "<BlackBox lag: states x; inputs u; a = 1>"
+    assert len(repr(plants.resolve("planar_arm7"))) < 200

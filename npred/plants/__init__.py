@@ -3,6 +3,7 @@
 import importlib
 import pkgutil
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import Any
 
 from npred.errors import ConfigError, similar
@@ -19,8 +20,10 @@ def resolve(name: str, parameters: Mapping[str, float] = {}) -> Plant:
     if not isinstance(name, str):
         raise ConfigError(f"plant: expected a name or my_plant.py:Tank, got {name!r}; write it as text")
     if files.named(name):
-        found = files.load("plant", name)
-        return make(found.name, found.declaration, parameters, found.source)
+        loaded = files.load("plant", name)
+        path, _ = files.split(name)
+        spec = f"{path.absolute()}:{loaded.name}"
+        return _named(spec, make(loaded.name, loaded.declaration, parameters, loaded.source))
     if name.endswith(".py"):
         raise ConfigError(f"plant {name}: expected the class too, got the file alone; write {name}:Tank, say")
     declaration = _builtin().get(name) or installed.find(name)
@@ -28,7 +31,31 @@ def resolve(name: str, parameters: Mapping[str, float] = {}) -> Plant:
         known = names()
         near = similar(name, known)
         raise ConfigError(f"plant {name!r}: expected one of {', '.join(known)}, or a file as my_plant.py:Tank{near}")
-    return make(name, declaration, parameters)
+    return _named(name, make(name, declaration, parameters))
+
+
+def _named(spec: str, plant: Plant) -> Plant:
+    """The plant, which knows by what name it is resolved again: in another process, say."""
+    plant.spec = spec
+    return plant
+
+
+@lru_cache(maxsize=128)
+def restored(spec: str, parameters: tuple[tuple[str, float], ...], digest: str | None) -> Plant:
+    """The plant that was pickled by its name, once a process, for it keeps what is compiled.
+
+    Raises ConfigError where it is not there, or its file has changed since.
+    """
+    plant = resolve(spec, dict(parameters))
+    if plant.digest != digest:
+        raise ConfigError(f"plant {spec}: expected the file that was pickled, got another text; pickle the plant again")
+    return plant
+
+
+@lru_cache(maxsize=128)
+def remade(kind: type[Plant], name: str, declaration: Any, parameters: tuple[tuple[str, float], ...]) -> Plant:
+    """The plant that was pickled with its class, which Python could import; once a process."""
+    return kind(name, declaration, dict(parameters))
 
 
 def make(

@@ -1,7 +1,7 @@
 """A plant: what its author declared, its equilibrium, its functions on arrays, and its identity."""
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -28,6 +28,7 @@ class Plant:
     """
 
     traced: ClassVar[bool] = True
+    spec: str | None = None  # what npred.plants.resolve was given; None for a class that a script gave
 
     def __init__(self, name: str, declaration: Any, overrides: Mapping[str, float] = {}, source: Source | None = None):
         declared.check(name, declaration)
@@ -47,6 +48,26 @@ class Plant:
         self.units = declared.texts(name, "units", getattr(declaration, "units", {}), quantities)
         self.time_unit = declared.text(f"plant {name}: time_unit", getattr(declaration, "time_unit", "s"))
         self.figure = declared.text(f"plant {name}: figure", getattr(declaration, "figure", ""))
+
+    def __repr__(self) -> str:
+        parts = [f"states {_few(self.states)}", f"inputs {_few(self.inputs)}"]
+        values = [f"{name} = {value:g}" for name, value in self.parameters.items()]
+        return f"<{type(self).__name__} {self.name}: {'; '.join(parts + ([_few(values)] if values else []))}>"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickled by name or file where there is one, else with its class; what is derived is made again."""
+        from npred import plants
+
+        parameters = tuple(self.parameters.items())
+        if self.spec is not None:
+            return plants.restored, (self.spec, parameters, self.digest)
+        declaration = self.declaration if self.declares_V else self.declaration.__base__  # see declared.completed
+        return plants.remade, (type(self), self.name, declaration, parameters)
+
+    @property
+    def digest(self) -> str | None:
+        """The sha256 of the file that declares the plant; None where there is none."""
+        return None if self.source is None else self.source.sha256
 
     @property
     def n(self) -> int:
@@ -311,6 +332,10 @@ class Plant:
         outputs = np.ravel(np.array(getattr(trace, name)(*inputs), dtype=object))
         names = [*self._names("x", self.n), *self._names("u", self.m), "t", *self._names("p", len(self.p))]
         return programs.lines(outputs, {name: name for name in names}, self._names("y", len(outputs)))
+
+
+def _few(words: Sequence[str]) -> str:
+    return ", ".join(words) if len(words) < 6 else f"{words[0]} … {words[-1]} ({len(words)})"
 
 
 def _word(value: float) -> float | str:
