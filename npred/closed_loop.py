@@ -1,13 +1,13 @@
 """Closed loops of plant, actuator, predictor and delay adaptation, simulated side by side [DAPF, eqs. 6-14]."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from npred import actuator, arguments, engine, shapes
+from npred import actuator, arguments, engine, shapes, trajectory_views
 from npred.adaptation import Part, part
 from npred.delay_estimate import DelayLaw
 from npred.errors import ConfigError
@@ -18,6 +18,7 @@ from npred.predictors.onestep import OneStep
 
 LANES = 64  # loops a chunk: with more, their memory leaves the second-level cache
 NEURAL_LANES = 512  # a network's call has a fixed cost to share
+LOOPS = ("X", "U", "D_hat", "N", "energy", "escaped", "P")  # of Trajectories: arrays whose first axes are the batch
 BLOCK = 500  # control steps between two words of progress
 
 
@@ -30,13 +31,14 @@ class Samples:
     D_hat: np.ndarray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Trajectories:
     """Closed loops: t (nt,) in seconds, X and P (..., nt, n), U (..., nt, m), D_hat, N and energy (..., nt).
 
     P is the prediction at x = 1, P(1, t), for X(t + D_hat); NaN in the open loop.
     N = 1 + V + b ∫₀¹ (1+x) w² dx, NaN without adaptation; energy = ∫_{t-D}^t |U - U*|² ds; both feed npred.lyapunov.
-    `escaped` (...) is the first step whose state is not finite, or -1.
+    `escaped` (...) is the first step whose state is not finite, or -1; `states`, `inputs` and `time_unit` are of the
+    plant. print(loop) gives the ranges and ends of all series.
     """
 
     t: np.ndarray
@@ -48,23 +50,43 @@ class Trajectories:
     escaped: np.ndarray
     samples: Samples
     P: np.ndarray
+    states: tuple[str, ...] = ()
+    inputs: tuple[str, ...] = ()
+    time_unit: str = "s"
+
+    def __repr__(self) -> str:
+        return trajectory_views.summary(self)
+
+    def plot(self, D: Any = None) -> Any:
+        """States, inputs and D_hat over time, a panel each, all loops in each; `D` (...) adds the true delay, dashed.
+
+        Gives matplotlib's axes (n + m + 1,); their figure is `axes[0].figure`, shown by matplotlib.pyplot.show().
+        """
+        return trajectory_views.plot(self, D)
+
+    def to_dataframe(self) -> Any:
+        """A pandas DataFrame: a row a kept time, a column a state, an input, and D_hat; the index is t in seconds.
+
+        A batch's index has the loop's number along each axis before t. A name that stands twice gets its letter in
+        front, as `X.h` and `U.h`. Raises MissingError where pandas is not installed.
+        """
+        return trajectory_views.dataframe(self)
 
     def part(self, some: slice) -> "Trajectories":
         """The loops `some` of a batch with one axis."""
-        cut = {f.name: getattr(self, f.name)[some] for f in fields(self) if f.name not in ("t", "samples")}
+        cut = {name: getattr(self, name)[some] for name in LOOPS}
         taken = {f.name: getattr(self.samples, f.name)[some] for f in fields(Samples)}
-        return Trajectories(t=self.t, samples=Samples(**taken), **cut)
+        return replace(self, samples=Samples(**taken), **cut)
 
     @classmethod
     def joined(cls, parts: Sequence["Trajectories"]) -> "Trajectories":
         """The loops of several batches of one axis and the same times, one batch after the other."""
 
-        def join(of: Sequence[Any], skipped: tuple[str, ...] = ()) -> dict[str, np.ndarray]:
-            names = [f.name for f in fields(of[0]) if f.name not in skipped]
+        def join(of: Sequence[Any], names: Sequence[str]) -> dict[str, np.ndarray]:
             return {name: np.concatenate([getattr(part, name) for part in of]) for name in names}
 
-        samples = Samples(**join([part.samples for part in parts]))
-        return cls(t=parts[0].t, samples=samples, **join(parts, ("t", "samples")))
+        samples = Samples(**join([part.samples for part in parts], [f.name for f in fields(Samples)]))
+        return replace(parts[0], samples=samples, **join(parts, LOOPS))
 
 
 def simulate(
@@ -112,7 +134,7 @@ def simulate(
     chunks = [slice(i, i + width) for i in range(0, len(D), width)]
     records = [loop.run(X0[c], D[c], D_hat[c], held[c], wanted[c], progress) for c in chunks]
     joined = engine.Record(*(np.concatenate(parts, axis=-1) for parts in zip(*records, strict=True)))
-    return _trajectories(joined, shape, dt * every)
+    return _trajectories(joined, shape, dt * every, plant)
 
 
 @dataclass(frozen=True)
@@ -200,11 +222,13 @@ class _Loop:
         return engine.Record(**arrays, escaped=np.full(lanes, -1, dtype=np.int64))
 
 
-def _trajectories(r: engine.Record, shape: tuple[int, ...], step: float) -> Trajectories:
+def _trajectories(r: engine.Record, shape: tuple[int, ...], step: float, plant: Plant) -> Trajectories:
     def lead(a: np.ndarray) -> np.ndarray:
         """Lanes last to the batch's shape first."""
         return np.moveaxis(a, -1, 0).reshape((*shape, *a.shape[:-1]))
 
     samples = Samples(lead(r.sample_X), lead(r.sample_u), lead(r.sample_D_hat))
-    series = {name: lead(getattr(r, name)) for name in ("X", "P", "U", "D_hat", "N", "energy", "escaped")}
-    return Trajectories(t=np.arange(len(r.X)) * step, samples=samples, **series)
+    series = {name: lead(getattr(r, name)) for name in LOOPS}
+    times = np.arange(len(r.X)) * step
+    names = {"states": plant.states, "inputs": plant.inputs, "time_unit": plant.time_unit}
+    return Trajectories(t=times, samples=samples, **names, **series)

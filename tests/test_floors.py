@@ -19,7 +19,7 @@ FLOORS = [
     {"plants"},
     {"actuator", "predictors", "operators"},
     {"adaptation", "arguments", "closed_loop", "delay_estimate", "delayed_law", "engine", "laws", "lyapunov"}
-    | {"untraced_law"},
+    | {"trajectory_views", "untraced_law"},
     {"control", "dataset", "hdf5", "interop", "metrics", "plant_check", "runtimes", "shards", "streaming", "timing"}
     | {"training"},
     {"bars", "console", "events", "figures", "live", "run_log", "store", "terminal"},
