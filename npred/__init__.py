@@ -1,8 +1,15 @@
-"""npred: certified predictor feedback for delayed nonlinear plants, with numerical and neural predictors."""
+"""npred: certified predictor feedback for delayed nonlinear plants, with numerical and neural predictors.
+
+`plant` and `predictor` make the parts by name, `simulate` closes the loop, `load` takes a trained network from the
+store, `controller` is the law alone for a real plant. DelayAdaptation is the paper's law for the delay estimate;
+DelayLaw and Predictor are what a law and a predictor that you write derive from. npred.errors has the failures.
+"""
 
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from npred import errors as errors
+    from npred import plants as plants
     from npred.adaptation import DelayAdaptation as DelayAdaptation
     from npred.api import controller as controller
     from npred.api import load as load
@@ -10,21 +17,31 @@ if TYPE_CHECKING:
     from npred.api import predictor as predictor
     from npred.closed_loop import simulate as simulate
     from npred.delay_estimate import DelayLaw as DelayLaw
+    from npred.predictors import Predictor as Predictor
 
 __version__ = "0.1.0"
-__all__ = ["DelayAdaptation", "DelayLaw", "controller", "load", "plant", "predictor", "simulate"]
+__all__ = ["DelayAdaptation", "DelayLaw", "Predictor", "controller", "load", "plant", "predictor", "simulate"]
 
 _HOME = dict.fromkeys(__all__, "api") | {
     "DelayAdaptation": "adaptation",
     "DelayLaw": "delay_estimate",
+    "Predictor": "predictors",
     "simulate": "closed_loop",
 }
+_MODULES = ("errors", "plants")  # documented by their own names, as npred.errors.ConfigError
 
 
 def __getattr__(name: str) -> Any:
     """The public names, imported on first use: numba and torch take seconds that `npred --help` has no use for."""
-    if name not in _HOME:
+    if name not in (*_HOME, *_MODULES):
         raise AttributeError(f"module 'npred' has no attribute {name!r}")
     import importlib
 
+    if name in _MODULES:
+        return importlib.import_module(f"npred.{name}")
     return getattr(importlib.import_module(f"npred.{_HOME[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    """The public names before their first use too, and the modules imported so far."""
+    return sorted({*__all__, *_MODULES, *globals()} - {"Any", "TYPE_CHECKING"})

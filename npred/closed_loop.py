@@ -230,5 +230,6 @@ def _trajectories(r: engine.Record, shape: tuple[int, ...], step: float, plant: 
     samples = Samples(lead(r.sample_X), lead(r.sample_u), lead(r.sample_D_hat))
     series = {name: lead(getattr(r, name)) for name in LOOPS}
     times = np.arange(len(r.X)) * step
-    names = {"states": plant.states, "inputs": plant.inputs, "time_unit": plant.time_unit}
-    return Trajectories(t=times, samples=samples, **names, **series)
+    return Trajectories(
+        t=times, samples=samples, states=plant.states, inputs=plant.inputs, time_unit=plant.time_unit, **series
+    )

@@ -1,7 +1,9 @@
 """The public names, as a script uses them."""
 
+import pydoc
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +13,8 @@ from npred.errors import ConfigError, MissingError
 
 
 def test_public_names_are_the_documented_ones():
-    assert set(npred.__all__) == {"DelayAdaptation", "DelayLaw", "controller", "load", "plant", "predictor", "simulate"}
+    names = {"DelayAdaptation", "DelayLaw", "Predictor", "controller", "load", "plant", "predictor", "simulate"}
+    assert set(npred.__all__) == names
     for name in npred.__all__:
         assert callable(getattr(npred, name))
     with pytest.raises(AttributeError, match="has no attribute 'nothing'"):
@@ -82,3 +85,25 @@ def test_a_trained_model_by_pipeline_artifact_and_snapshot(tmp_path, monkeypatch
     assert model.plant.name == "activator_repressor" and model.operator is not None
     with pytest.raises(ConfigError, match="expected a trained model"):
         npred.load(f"{path}:fno", store=store)
+
+
+def test_dir_and_help_list_the_public_names_and_stay_light():
+    program = (
+        "import sys, npred; print(*dir(npred)); print([m for m in ('torch', 'numba', 'numpy') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=60)
+    names, heavy = done.stdout.splitlines()
+    assert {*npred.__all__, "__version__", "errors", "plants"} <= set(names.split())
+    assert heavy == "[]" and "TYPE_CHECKING" not in names
+    text = pydoc.plain(pydoc.render_doc(npred))
+    assert all(f"    {name}(" in text or f"    class {name}(" in text for name in npred.__all__)
+
+
+def test_documented_modules_are_there_before_they_are_imported():
+    program = "import npred; print(npred.errors.ConfigError.exit_code, npred.plants.resolve('scalar').name)"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=60)
+    assert done.stdout.split() == ["2", "scalar"]
+
+
+def test_type_checkers_are_told_that_the_package_has_types():
+    assert (Path(npred.__file__).parent / "py.typed").is_file()

@@ -185,6 +185,8 @@ def test_a_state_that_is_none_is_told():
         ({"step": 10**5000}, "got a larger one"),
         ({"step": -1}, "got a negative one"),
         ({"t0": np.nan}, "t: expected a finite time"),
+        ({"phi": np.inf}, "phi: expected a finite number or none"),
+        ({"phi": "0.1"}, "phi: expected a real number"),
         ({"D_hat": np.nan}, "D_hat: expected within the bounds"),
         ({"D_hat": np.ma.masked}, "D_hat: expected a real number, got a masked array"),
     ]:
@@ -236,7 +238,9 @@ def test_estimate_and_time_can_be_set():
     with pytest.raises(ConfigError, match=r"D_hat: expected within the bounds \[0.1, 4\] s, got 5"):
         controller.D_hat = 5.0
     controller.step(X0, np.zeros((21, 1)))
-    assert controller.t == 0.01
+    assert controller.t == 0.01 and controller.state()["phi"] is not None
+    controller.D_hat = 1.5
+    assert controller.state() == {"D_hat": 1.5, "phi": None, "step": 1, "t0": 0.0}  # no step back across the jump
     controller.t = 7.3
     assert controller.t == 7.3 and controller.state()["step"] == 0
     with pytest.raises(ConfigError, match="t: expected a finite time in seconds, got inf"):

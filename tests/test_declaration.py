@@ -2,11 +2,14 @@
 
 import json
 import math
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from npred.errors import ConfigError
+from npred.plants import declaration, mathematics
 from npred.plants.base import Plant
 
 
@@ -99,3 +102,13 @@ def test_labels_and_units_are_no_part_of_what_a_result_depends_on():
     named = plant(labels={"h": "level"}, units={"h": "m", "q": "m^3/h"}, time_unit="h")
     assert named.notation == {"labels": {"h": "level"}, "units": {"h": "m", "q": "m^3/h"}, "time_unit": "h"}
     assert named.identity == plant().identity and plant().notation == {}
+
+
+def test_every_part_that_is_read_stands_on_the_page_of_the_declaration():
+    root = Path(__file__).parent.parent
+    code = "".join(path.read_text() for path in (root / "npred" / "plants").glob("*.py"))
+    parts = set(re.findall(r'(?:get|has)attr\((?:self\.)?declaration, "(\w+)"', code)) | set(declaration.REQUIRED)
+    page = (root / "docs" / "plant_declaration.md").read_text()
+    assert {"f", "delays", "period", "df", "files", "traced"} <= parts
+    assert [part for part in sorted(parts) if not re.search(rf"`{part}[`(]", page)] == []
+    assert [name for name in vars(mathematics.NUMPY) if not re.search(rf"\b{name}\b", page)] == []
