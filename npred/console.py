@@ -22,7 +22,8 @@ if TYPE_CHECKING:
     from npred.live import Live
 
 GAP = 2  # columns between two of a table
-NARROW = 12  # a column is not folded to less
+NARROW = 12  # a column is not folded to less …
+WORD = 40  # … and words of up to so many columns are broken last
 
 
 @dataclass
@@ -48,7 +49,7 @@ class Console:
     @property
     def width(self) -> int | None:
         """The columns of the screen that stdout is; None for a file or a pipe, where nothing is folded."""
-        return terminal.width()
+        return terminal.width(sys.stdout)
 
     def out(self, text: str) -> None:
         """Data for stdout, its lines folded to the screen. Raises NpredError where stdout is closed or full."""
@@ -153,7 +154,7 @@ class Console:
         self._logged(text)
         if not shown:
             return
-        text = terminal.printable(text)
+        text = terminal.wrapped(terminal.printable(text), terminal.width(terminal.MESSAGES))
         if self.live:
             self.live.console.print(text, style=style, markup=False, emoji=False, highlight=False, soft_wrap=True)
         elif style and terminal.MESSAGES.isatty():
@@ -173,7 +174,10 @@ def columns(
     One row a line, so that grep and awk can read it, or, with a `width`, the widest columns folded until it fits.
     """
     table = [[escaped(cell) for cell in row] for row in (header, *rows)]
-    widths = _fitted([max(map(terminal.columns_of, cells)) for cells in zip(*table, strict=True)], width)
+    widths = [max(map(terminal.columns_of, cells)) for cells in zip(*table, strict=True)]
+    if width is not None:
+        words = [min(WORD, max(map(_longest, cells))) for cells in zip(*table, strict=True)]
+        widths = _fitted(_fitted(widths, width, words), width, [NARROW] * len(widths))
     right = [name in numbers for name in header]
     lines: list[str] = []
     for row in table:
@@ -184,12 +188,19 @@ def columns(
     return "\n".join(lines)
 
 
-def _fitted(widths: list[int], width: int | None) -> list[int]:
-    """The widths, the largest made smaller until they fit, but none less than NARROW."""
+def _fitted(widths: list[int], width: int, least: list[int]) -> list[int]:
+    """The widths, the largest made smaller until they fit, but none less than its least."""
     fitted = list(widths)
-    while width is not None and sum(fitted) + GAP * (len(fitted) - 1) > width and max(fitted) > NARROW:
-        fitted[fitted.index(max(fitted))] -= 1
+    while sum(fitted) + GAP * (len(fitted) - 1) > width:
+        foldable = [i for i in range(len(fitted)) if fitted[i] > least[i]]
+        if not foldable:
+            break
+        fitted[max(foldable, key=fitted.__getitem__)] -= 1
     return fitted
+
+
+def _longest(cell: str) -> int:
+    return max(map(terminal.columns_of, cell.split()), default=0)
 
 
 def _folded(cell: str, room: int) -> list[str]:

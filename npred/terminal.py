@@ -42,9 +42,9 @@ def is_terminal(stream: Any) -> bool:
         return False
 
 
-def width() -> int | None:
-    """The columns of the screen that stdout is, or None where it is none: nothing is folded for a file or a pipe."""
-    return shutil.get_terminal_size().columns if is_terminal(sys.stdout) else None
+def width(stream: Any) -> int | None:
+    """The columns of the screen that a stream is, or None where it is none: nothing is folded for a file or a pipe."""
+    return shutil.get_terminal_size().columns if is_terminal(stream) else None
 
 
 def columns_of(text: str) -> int:

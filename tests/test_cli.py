@@ -479,3 +479,20 @@ def test_a_reader_that_leaves_early_is_no_traceback(pipeline: Path):
         ["bash", "-c", command], cwd=pipeline.parent, env=process_environment(), capture_output=True, text=True
     )
     assert done.stderr == ""
+
+
+def test_no_answer_of_a_stage_moves_the_cursor(call: Call, monkeypatch: pytest.MonkeyPatch):
+    """What a run, an evaluation or a failure says may come from a plant or an artifact that somebody else wrote."""
+    strange = "\x1b[2J\x9b1m\u202e[red]"
+    answers = {"evaluate": {"models": {strange: fake_stages.MODEL}}, "report": {"summary": [strange], "bytes": 0}}
+    for name, answer in answers.items():
+        before = fake_stages.ANSWERS[name]
+        monkeypatch.setitem(fake_stages.ANSWERS, name, lambda job, a=answer, b=before: b(job) | a)
+    run, evaluated = call("run", "tiny.toml", "-v"), call("evaluate", "tiny.toml")
+    assert (run.exit_code, evaluated.exit_code) == (0, 0)
+    monkeypatch.setitem(fake_stages.ANSWERS, "generate", lambda job: {}[strange])
+    failed = call("generate", "tiny.toml", "--force")
+    assert failed.exit_code == 1 and r"\u202e[red]" in failed.stderr
+    for done in (run, evaluated, failed):
+        assert [line for line in (done.stdout + done.stderr).split("\n") if not line.isprintable()] == []
+    assert r"\x1b[2J\x9b1m\u202e[red]" in run.stdout

@@ -112,8 +112,8 @@ def test_colours_are_for_terminals_that_want_them(on_terminal: Callable[[], Term
     monkeypatch.setenv("NO_COLOR", "1")
     before = len(terminal.getvalue())
     Console().error("a path that is longer than the screen: " + "x" * 200)
-    (line,) = terminal.getvalue()[before:].splitlines()
-    assert "\x1b[31m" not in line
+    first, path = terminal.getvalue()[before:].splitlines()
+    assert (first, path) == ("error: a path that is longer than the screen:", "x" * 200)
 
 
 def test_only_a_screen_folds_what_is_said(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
@@ -200,6 +200,18 @@ def test_columns_fold_the_widest_until_the_screen_holds_them():
     assert max(map(len, lines)) <= 80
     assert "".join(lines).count("word") == 40 and "".join(lines).count("z") == 100  # nothing is cut
     assert all(line.startswith(" " * 25) for line in lines[2:] if not line.startswith("evaluate"))
+
+
+def test_words_are_broken_last():
+    rows = [
+        ["activator_repressor", "x1, x2", "a=1 b=2 " * 10],
+        ["generate/0123456789ab", "theta1, theta2, " * 3, "c=3"],
+    ]
+    lines = columns(["plant", "states", "parameters"], rows, 60).splitlines()
+    assert max(map(len, lines)) <= 60
+    assert any("activator_repressor" in line for line in lines)
+    narrow = columns(["plant", "states", "parameters"], rows, 36).splitlines()
+    assert max(map(len, narrow)) <= 36 and not any("activator_repressor" in line for line in narrow)
 
 
 def test_numbers_are_aligned_at_their_right_and_hats_take_no_column():

@@ -60,8 +60,12 @@ def ls(options: Common, shown: list[str]) -> None:
         options.console.warn(f"{folder}: expected a sound manifest, got none; remove that folder")
     known = {artifact.manifest.key: artifact for artifact in artifacts}
     settings = [{key: _setting(artifact, key, known) for key in shown} for artifact in artifacts]
-    header = ["artifact", "model", "pipeline", "made", "size", "digest", *shown]
-    rows = [[*_row(a), *(s[key] or "-" for key in shown)] for a, s in zip(artifacts, settings, strict=True)]
+    digest = ["digest"] if options.console.width is None else []  # a screen has no room for it
+    header = ["artifact", "model", "pipeline", "made", "size", *digest, *shown]
+    rows = [
+        [*_row(a)[: 5 + len(digest)], *(s[key] or "-" for key in shown)]
+        for a, s in zip(artifacts, settings, strict=True)
+    ]
     entries = [_entry(a) | {"settings": s} for a, s in zip(artifacts, settings, strict=True)]
     options.show({"artifacts": entries}, lambda: columns(header, rows, options.console.width))
 
