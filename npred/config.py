@@ -1,6 +1,5 @@
 """The pipeline file as frozen models: one table a stage, every key checked, `--set` overrides included."""
 
-import math
 import re
 import tomllib
 from collections.abc import Iterator
@@ -25,7 +24,7 @@ Range = tuple[Delay, Delay]
 Item = TypeVar("Item")
 Some = Annotated[list[Item], Field(min_length=1)]
 Method = Literal["euler", "heun", "rk4", "picard"]
-Number = Annotated[float, Field(gt=-math.inf, allow_inf_nan=False, strict=True)]  # gt: else errors name the type
+Number = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 StartInput = Number | list[Number] | Literal["equilibrium", "law"]
 PAPER, FROZEN = "bresch-pietri-krstic", "frozen"  # the delay laws that have a name
 Networks = Annotated[Some[Literal["deeponet", "fno"]], AfterValidator(lambda names: sorted(set(names)))]
@@ -387,7 +386,8 @@ def _apply(data: dict[str, Any], override: str) -> None:
 
 def _sentence(error: ValidationError) -> str:
     first: Any = error.errors()[0]
-    fields = [part for part in first["loc"] if isinstance(part, int) or part.isidentifier()]  # without a union's types
+    named = [part for part in first["loc"] if part != "float"]  # without a union's types
+    fields = [part for part in named if isinstance(part, int) or part.isidentifier()]
     where = ".".join(str(part) for part in fields)
     if first["type"] == "extra_forbidden":
         names = _siblings(first["loc"])
