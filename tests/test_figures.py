@@ -13,7 +13,7 @@ from npred import config, figures, plants
 from npred.figures import accuracy, svg
 from npred.figures.evidence import Errors, Evidence, Histogram, Loop
 from npred.figures.plate import Key, Panel, Plate, write
-from npred.figures.style import MEDIA, ROLES, Look, look, words
+from npred.figures.style import MEDIA, ROLES, SCREEN, Look, log, look, medium, words
 
 SVG = "{http://www.w3.org/2000/svg}"
 NAMES = ("numerical", "no_adaptation", "deeponet@2", "deeponet", "fno")
@@ -236,6 +236,16 @@ def test_threads_that_draw_at_once_leave_each_other_alone(tmp_path):
     for form in ("svg", "png"):
         assert (tmp_path / f"a/some.{form}").read_bytes() == (tmp_path / f"again/some.{form}").read_bytes()
         assert (tmp_path / f"b/some.{form}").read_bytes() == (tmp_path / f"b again/some.{form}").read_bytes()
+
+
+@pytest.mark.parametrize("span", [(1.5, 4.4), (0.021, 0.034), (3.1e-5, 4.2e-5), (1e-9, 1.0), (0.9, 120.0)])
+def test_ticks_of_a_logarithmic_side_have_labels_of_their_own(span):
+    with medium(SCREEN):
+        axis = Figure().subplots()
+        axis.plot(span, span)
+        log(axis, "y")
+        labels = [axis.yaxis.get_major_formatter()(value) for value in axis.get_yticks()]
+    assert len(labels) == len(set(labels)) > 1
 
 
 def test_drawing_leaves_the_settings_of_matplotlib_alone(tmp_path):

@@ -142,7 +142,7 @@ def log(axis: Any, *sides: str) -> None:
         decades = np.log10(high) - np.log10(low)
         chosen = getattr(axis, f"{side}axis")
         chosen.set_major_locator(LogLocator(numticks=6, subs=(1.0,) if decades > 2 else (1.0, 2.0, 5.0)))
-        chosen.set_major_formatter(FuncFormatter(lambda value, _: lettered(power(value))))
+        chosen.set_major_formatter(FuncFormatter(lambda value, _: lettered(tick(value))))
         chosen.set_minor_formatter(NullFormatter())
         if decades > 6:
             chosen.set_minor_locator(NullLocator())
@@ -153,6 +153,11 @@ def lettered(text: str) -> str:
     import matplotlib
 
     return mathematics(text) if matplotlib.rcParams["axes.formatter.use_mathtext"] else text
+
+
+def tick(value: float) -> str:
+    """A tick of a logarithmic side: over less than a decade it may need a second digit, 2.5."""
+    return power(value) if np.isclose(value, float(f"{value:.0e}"), rtol=1e-6) else short(value)
 
 
 def power(value: float) -> str:
