@@ -117,7 +117,7 @@ def part(plant: Plant, law: DelayLaw | None) -> Part:
     """The laws' part of a control step: compiled for the paper's law and for None, which freezes D_hat."""
     control = control_law(plant)
     if law is None:
-        return Part(control, frozen, 0.0, 1.0, np.array((0.0, np.inf)), True)
+        return Part(control, _frozen(), 0.0, 1.0, np.array((0.0, np.inf)), True)
     bounds = np.array(law.bounds, dtype=float)
     papers = DelayAdaptation.rate, DelayAdaptation.phi
     if isinstance(law, DelayAdaptation) and (type(law).rate, type(law).phi) == papers:
@@ -125,9 +125,15 @@ def part(plant: Plant, law: DelayLaw | None) -> Part:
     return Part(control, interpreted(law, plant), 1.0, law.b, bounds, False)
 
 
-@jit(UPDATE_SIGNATURE, nogil=True)
-def frozen(P, X, u, D_hat, t, p, b, phi, N):  # type: ignore[no-untyped-def]
-    """D_hat stays as it is."""
+@cache
+def _frozen() -> Callable[..., None]:
+    """D_hat stays as it is. Compiled on first use: `npred status` looks laws up, and has no use for Numba."""
+
+    @jit(UPDATE_SIGNATURE, nogil=True)
+    def frozen(P, X, u, D_hat, t, p, b, phi, N):  # type: ignore[no-untyped-def]
+        """Nothing is added."""
+
+    return frozen
 
 
 def _check(plant: Plant, X: np.ndarray, u: np.ndarray, P: np.ndarray) -> None:
