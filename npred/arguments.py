@@ -1,13 +1,14 @@
 """What a closed loop is asked for, checked before it runs: the compiled engine reads what the shapes promise."""
 
 import math
+import os
 from typing import Any
 
 import numpy as np
 
 from npred import shapes
 from npred.delay_estimate import DelayLaw
-from npred.errors import ConfigError
+from npred.errors import ConfigError, size
 from npred.plants.base import Plant
 from npred.predictors import METHODS, Compiled, Predictor
 from npred.predictors.onestep import OneStep
@@ -42,6 +43,18 @@ def numbers(
         shapes.delays(name, seconds)
     if law:
         shapes.within("D_hat", D_hat, law.bounds)
+
+
+def room(plant: Plant, D: np.ndarray, t_end: float, dt: float, every: int) -> None:
+    """Raise ConfigError for loops, D (B,), whose record, or the actuator's history, this machine cannot hold."""
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    record = 8 * len(D) * (2 * plant.n + plant.m + 3) * (float(t_end) / dt / every + 1)
+    history = 16 * plant.m * float(np.max(D)) / dt
+    cures = {"t_end": "shorten t_end, lengthen dt or keep every 10th step with every", "D": "shorten D or lengthen dt"}
+    for name, bytes_needed in (("t_end", record), ("D", history)):
+        if bytes_needed > memory:
+            what = f"{'the history' if name == 'D' else 'a record'} of {size(bytes_needed)}"
+            raise ConfigError(f"{name}: expected what fits into memory, {size(memory)}, got {what}; {cures[name]}")
 
 
 def parts(plant: Any, predictor: Any, adaptation: Any, integrator: Any, every: Any) -> None:

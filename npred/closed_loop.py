@@ -126,6 +126,7 @@ def simulate(
         raise ConfigError(f"X0, D, D_hat: expected at least one loop, got a batch of shape {shape}; give one a start")
     X0 = np.broadcast_to(X0, (*shape, plant.n)).reshape(-1, plant.n)
     D, D_hat = (np.broadcast_to(a, shape).reshape(-1) for a in (D, D_hat))
+    arguments.room(plant, D, t_end, dt, every)
     wanted = arguments.samples(samples, shape, round(t_end / dt))
     limits, method = inputs.bounds(plant, input_bounds), arguments.INTEGRATORS[integrator]
     held = inputs.before(plant, u0, limits, X0)

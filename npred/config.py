@@ -1,6 +1,8 @@
 """The pipeline file as frozen models: one table a stage, every key checked, `--set` overrides included."""
 
+import os
 import re
+import stat
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,12 +12,13 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from pydantic.fields import FieldInfo
 
 from npred import places
-from npred.errors import ConfigError, similar
+from npred.errors import ConfigError, similar, size
 
 NAME = re.compile(r"[^\W_][\w.-]{0,99}")  # of a pipeline
 LONGEST = 2**20  # bytes of a pipeline file
 MOST = 2**53  # of anything that is counted
 LONGEST_RUN = 10**9  # control steps of a loop
+STEP = 6  # numbers that are kept of a step at least: X, P, U, D_hat, N and an energy
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
 Delay = Annotated[float, Field(ge=0, allow_inf_nan=False, strict=True)]
 Count = Annotated[int, Field(ge=1, le=MOST, strict=True)]
@@ -90,8 +93,9 @@ class Loop(Table):
         if self.dt > self.t_end:
             raise ValueError(f"dt: expected at most t_end = {self.t_end:g}, got {self.dt:g}; shorten the step")
         if self.t_end > LONGEST_RUN * self.dt:
-            steps = f"expected at most {LONGEST_RUN} steps, got {self.t_end:g} s of {self.dt:g} s"
-            raise ValueError(f"t_end: {steps}; shorten t_end or lengthen dt")
+            steps = self.t_end / self.dt
+            room = f"{steps:.3g} steps of {self.dt:g} s, whose record takes {size(8 * STEP * steps)} for each loop"
+            raise ValueError(f"t_end: expected at most {LONGEST_RUN} steps, got {room}; shorten t_end or lengthen dt")
         return self
 
     def reached(self, key: str, span: Range) -> None:
@@ -341,8 +345,16 @@ def load(path: Path, overrides: list[str] | None = None) -> Pipeline:
 
 
 def _text(path: Path) -> str:
-    with path.open("rb") as file:  # perhaps a pipe, which does not tell its size
-        content = file.read(LONGEST + 1)
+    """The text of a file, or of a pipe that somebody writes to: an abandoned one would be waited for without an end."""
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    with open(descriptor, "rb", buffering=0) as file:
+        first = file.read(LONGEST + 1)  # None where a pipe's writer has written nothing yet
+        if first == b"" and stat.S_ISFIFO(os.fstat(descriptor).st_mode):
+            raise ValueError("a pipe that nobody writes to")
+        content = first or b""
+        os.set_blocking(descriptor, True)
+        while chunk := file.read(LONGEST + 1 - len(content)):
+            content += chunk
     if len(content) > LONGEST:
         raise ValueError(f"more than {LONGEST} bytes")
     return content.decode("utf-8")

@@ -1,5 +1,6 @@
 """Small files from anywhere: read only if regular and no longer than they should be, parsed without surprises."""
 
+import errno
 import hashlib
 import json
 import stat
@@ -26,6 +27,13 @@ def sha256(path: Path) -> str:
     """The sha256 of a file's bytes, in hexadecimal."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def regular(path: Path) -> Path:
+    """The path, if it leads to a file. Raises OSError for a pipe or a device, which might be read without an end."""
+    if path.exists() and not path.is_file():
+        raise OSError(errno.EINVAL, "a pipe, a device or a folder", str(path))
+    return path
 
 
 def parse(content: bytes | str) -> Any:

@@ -37,6 +37,13 @@ class DivergedError(NpredError):
     """A rollout, a predictor or a training left the finite numbers."""
 
 
+def size(count: float) -> str:
+    """A number of bytes in words: 9.6 PB."""
+    units = ("B", "kB", "MB", "GB", "TB", "PB")
+    power = min(max(len(f"{count:.0f}") - 1, 0) // 3, len(units) - 1)
+    return f"{count / 1000**power:.3g} {units[power]}"
+
+
 def similar(name: str, names: Iterable[str]) -> str:
     """`; did you mean …?` with what comes closest to a name, or nothing where nothing comes close."""
     from difflib import get_close_matches

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from npred import randomness
+from npred import documents, randomness
 from npred.dataset import Dataset
 from npred.errors import ConfigError
 from npred.plants import Plant
@@ -107,7 +107,7 @@ def read(path: Path) -> np.ndarray:
     """The matrix of an .npy file as float64. Raises ConfigError for anything else; pickles are not opened."""
     try:
         with np.errstate(over="ignore"):
-            array = np.lib.format.open_memmap(path, mode="r")  # mapped: the size promised is checked
+            array = np.lib.format.open_memmap(documents.regular(path), mode="r")  # mapped: the size promised is checked
     except Exception as error:  # the header is read as Python's literals, and what is none fails in many ways
         told = " ".join(str(error).split()) or type(error).__name__
         raise ConfigError(f"{path}: expected an .npy file of numbers, got: {told}; check the path") from None
@@ -140,7 +140,10 @@ def _columns(plant: Plant, inputs: np.ndarray, outputs: np.ndarray) -> tuple[np.
                 f"row {row}; a node's columns are D_hat, {', '.join([*plant.inputs, *plant.states])}"
             )
     if D_hat.min() < 0:
-        raise ConfigError(f"import: expected D_hat >= 0, got {D_hat.min():.3g}; it is the first column of a node")
+        row = int(D_hat[:, 0].argmin())
+        raise ConfigError(
+            f"import: expected D_hat >= 0, got {D_hat.min():.3g} in row {row}; it is the first column of a node"
+        )
     return D_hat[:, 0].copy(), u.copy(), X[:, 0].copy(), outputs.reshape(len(outputs), nodes, plant.n).copy()
 
 

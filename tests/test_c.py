@@ -12,7 +12,7 @@ from operator_samples import PLANT, SMALL, holding, operator, samples, several_i
 
 from npred.operators import Scaling, build
 from npred.predictors.neural import Neural
-from npred.runtimes import c
+from npred.runtimes import c, c_text
 
 FLAGS = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Werror"]
 needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc on this machine")
@@ -102,6 +102,10 @@ def test_the_example_of_the_documentation_is_the_model(tmp_path):
     done = subprocess.run([compiled(tmp_path / "main.c")], capture_output=True, text=True, timeout=60)
     P = Neural(PLANT, model.double(), 21)([0.03, 30.0], np.zeros((21, 1)), 1.0)
     assert float(done.stdout) == pytest.approx(PLANT.kappa(P[-1])[0], rel=1e-4)
+
+
+def test_no_name_ends_a_comment():
+    assert c_text.comment("a */ int owned; /* \n??/") == "a * / int owned; /* \\n??/"
 
 
 def _address(array):

@@ -1,5 +1,7 @@
 """The pipeline file: what is accepted, and one clear line for what is not."""
 
+import os
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -166,3 +168,33 @@ def test_a_missing_file_and_a_folder_are_named(tmp_path: Path):
         with pytest.raises(ConfigError) as caught:
             config.load(path)
         assert str(path) in str(caught.value)
+
+
+def test_a_pipe_that_nobody_writes_to_is_not_waited_for(tmp_path: Path):
+    os.mkfifo(tmp_path / "p.toml")
+    with pytest.raises(ConfigError, match=r"p\.toml: expected a TOML file, got: a pipe that nobody writes to"):
+        config.load(tmp_path / "p.toml")
+
+
+def test_a_pipe_whose_writer_takes_its_time_is_read_to_its_end(tmp_path: Path):
+    reading, writing = os.pipe()
+    with ThreadPoolExecutor(1) as pool:
+        loaded = pool.submit(config.load, Path(f"/dev/fd/{reading}"))
+        for part in (b'plant = "sca', b'lar"\n' + b"#" * 200_000):  # more than a pipe holds
+            os.write(writing, part[:60_000])
+            for rest in range(60_000, len(part), 60_000):
+                os.write(writing, part[rest : rest + 60_000])
+        os.close(writing)
+        assert loaded.result().plant == "scalar"
+    os.close(reading)
+
+
+def test_a_device_without_an_end_is_not_read_to_it():
+    with pytest.raises(ConfigError, match="more than 1048576 bytes"):
+        config.load(Path("/dev/zero"))
+
+
+def test_a_run_without_an_end_is_refused_with_its_size(tmp_path: Path, empty: Path):
+    said = "generate.t_end: expected at most 1000000000 steps, got 2e\\+14 steps of 0.005 s, whose record takes 9.6 PB"
+    with pytest.raises(ConfigError, match=said):
+        config.load(empty, ["generate.t_end=1e12"])

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from npred.dataset import MEANING, Dataset
-from npred.errors import StoreError
+from npred.errors import ConfigError, StoreError
+from npred.plants import resolve
 
 
 def dataset(count=6):
@@ -59,3 +60,29 @@ def test_broken_files_are_told(tmp_path):
         file["X"] = np.zeros(3)
     with pytest.raises(StoreError, match="generate it again"):
         Dataset.read(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "at", "value", "message"),
+    [
+        ("P", (3, 2, 1), np.nan, "P: expected finite numbers, got nan in row 3; leave that row out"),
+        ("X", (2, 0), np.inf, "X: expected finite numbers, got inf in row 2"),
+        ("u", (5, 0, 0), -np.inf, "u: expected finite numbers, got -inf in row 5"),
+        ("D_hat", 1, np.nan, "D_hat: expected finite numbers, got nan in row 1"),
+        ("D_hat", 4, -0.1, "D_hat: expected seconds from 0 on, got -0.1 in row 4"),
+        ("D", 0, -1.0, "D: expected seconds from 0 on, got -1 in row 0"),
+        ("test", 3, 2, "test: expected 1 where a row is held out, else 0, got 2 in row 3"),
+    ],
+)
+def test_a_value_that_no_sample_has_is_told_with_its_row(name, at, value, message):
+    data = dataset()
+    data.fit(resolve("activator_repressor"))
+    getattr(data, name)[at] = value
+    with pytest.raises(ConfigError, match=message):
+        data.fit(resolve("activator_repressor"))
+
+
+def test_true_delays_and_times_may_be_unknown():
+    data = dataset()
+    data.D[:], data.t[:] = np.nan, np.nan
+    data.fit(resolve("activator_repressor"))

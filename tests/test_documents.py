@@ -41,3 +41,14 @@ def test_what_moves_a_cursor_is_spelt_out():
     strange = {"a\x1b[2J\n": ["\x9b1m", "\u202e", "\ud800", 1, None, {"ε µ": "\\x1b"}]}
     plain = {r"a\x1b[2J\n": [r"\x9b1m", r"\u202e", r"\ud800", 1, None, {"ε µ": r"\x1b"}]}
     assert documents.escaped(strange) == plain
+
+
+def test_what_is_read_whole_is_a_file(tmp_path: Path):
+    (tmp_path / "file").write_text("1")
+    (tmp_path / "link").symlink_to(tmp_path / "file")
+    os.mkfifo(tmp_path / "pipe")
+    for name in ("file", "link", "missing"):
+        assert documents.regular(tmp_path / name) == tmp_path / name
+    for path in (tmp_path / "pipe", tmp_path, Path("/dev/zero")):
+        with pytest.raises(OSError, match="a pipe, a device or a folder"):
+            documents.regular(path)

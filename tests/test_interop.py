@@ -1,6 +1,7 @@
 """The authors' layout: there and back, the predictor equation as a check, and what a split by rows hides."""
 
 import dataclasses
+import os
 
 import numpy as np
 import pytest
@@ -151,6 +152,12 @@ def test_files_that_are_no_matrix_of_numbers_are_told(tmp_path):
         assert len(str(caught.value).splitlines()) == 1
     with pytest.raises(ConfigError, match="No such file"):
         interop.read(tmp_path / "none.npy")
+
+
+def test_a_pipe_is_no_matrix(tmp_path):
+    os.mkfifo(tmp_path / "pipe.npy")
+    with pytest.raises(ConfigError, match=r"pipe\.npy: expected an \.npy file of numbers, got: .*a pipe"):
+        interop.read(tmp_path / "pipe.npy")
 
 
 def cut_short(path):

@@ -2,6 +2,7 @@
 
 import ast
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -15,10 +16,10 @@ from safetensors.torch import save_file
 from test_archive import nothing
 from test_store import put, question
 
-from npred import operators, plants
+from npred import config, laws, operators, plants
 from npred.config import FNO, DeepONet
 from npred.errors import ConfigError, StoreError
-from npred.pipeline import load_model
+from npred.pipeline import load_model, nodes, table
 from npred.store import Store, archive
 
 ROOT = HERE.parent
@@ -139,3 +140,31 @@ def test_some_hundreds_of_mutated_files():
     done = subprocess.run(command, env=process_environment(), capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
     assert int(done.stdout.splitlines()[-1].split()[1]) > 400  # most of them were refused
+
+
+@pytest.mark.parametrize("line", ['data = "{}"', 'adaptation = "{}:Law"'])
+def test_a_pipe_in_the_place_of_a_file_is_not_waited_for(tmp_path: Path, line: str):
+    os.mkfifo(tmp_path / "pipe.py")
+    (tmp_path / "p.toml").write_text(f'plant = "scalar"\n[generate]\n{line.format("pipe.py")}\n')
+    pipeline = config.load(tmp_path / "p.toml")
+    node = nodes(pipeline, ["generate"])[0]
+    with pytest.raises(ConfigError, match=r"expected a.* file"):
+        table.question(node, pipeline, "cpu")
+
+
+@pytest.mark.parametrize("name", ["*/ int owned; /*", "a b", "", "class", "a\nb"])
+def test_a_class_is_an_identifier_everywhere(tmp_path: Path, name: str):
+    (tmp_path / "x.py").write_text(f"from npred.plants.scalar import Scalar\nglobals()[{name!r}] = Scalar\n")
+    for call in (lambda: plants.resolve(f"{tmp_path}/x.py:{name}"), lambda: laws.identity(_loop(tmp_path, name))):
+        with pytest.raises(ConfigError, match="expected the name of a class after the colon"):
+            call()
+
+
+def _loop(folder: Path, name: str) -> config.Generate:
+    return config.Generate(adaptation=f"{folder}/x.py:{name}")
+
+
+@pytest.mark.parametrize("name", ["*/ int owned; /*", "a\nb", "", "-x", "a\\", "<b>", "x" * 101])
+def test_a_plants_name_is_no_more_than_a_name(name: str):
+    with pytest.raises(ConfigError, match=r"plant: expected a name of letters"):
+        plants.make(name, plants.resolve("scalar").declaration)

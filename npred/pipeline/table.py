@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from npred import devices
 from npred.config import Loop, Pipeline, Table, Train
-from npred.documents import escaped
+from npred.documents import escaped, regular
 from npred.errors import ConfigError
 from npred.store.keys import sha256_file
 from npred.store.manifest import LONGEST, SourceText
@@ -155,7 +155,7 @@ def _loop(config: Pipeline, stage: str) -> dict[str, Any]:
 def _digest(path: Path) -> str:
     """What a file of data holds, not where it lies."""
     try:
-        return sha256_file(path)
+        return sha256_file(regular(path))
     except OSError as error:
         raise ConfigError(f"generate.data: expected a file at {path}, got: {error.strerror}; check the path") from None
 

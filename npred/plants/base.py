@@ -31,6 +31,7 @@ class Plant:
     spec: str | None = None  # what npred.plants.resolve was given; None for a class that a script gave
 
     def __init__(self, name: str, declaration: Any, overrides: Mapping[str, float] = {}, source: Source | None = None):
+        declared.called(name)
         declared.check(name, declaration)
         self.name, self.declaration = name, declared.completed(declaration)
         self.source = source or files.declaring(declaration)

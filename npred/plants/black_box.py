@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from npred import documents
 from npred.errors import ConfigError
 from npred.plants import cures
 from npred.plants.base import Plant
@@ -171,7 +172,7 @@ class BlackBox(Plant):
         contents: dict[str, Any] = {}
         for path in map(Path, getattr(self.declaration, "files", ())):
             try:
-                contents.setdefault(path.name, hashlib.sha256()).update(path.read_bytes())
+                contents.setdefault(path.name, hashlib.sha256()).update(documents.regular(path).read_bytes())
             except OSError as error:
                 what = f"expected a file to read at {path}, got: {error.strerror}"
                 raise ConfigError(f"plant {self.name}: files {what}; mend the path") from None

@@ -1,6 +1,7 @@
 """What a plant's author declared, checked part by part: a mistake is told in one line, before anything is traced."""
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from keyword import iskeyword
 from typing import Any
@@ -9,9 +10,18 @@ import numpy as np
 
 from npred.errors import ConfigError, similar
 
+NAME = re.compile(r"\w[\w., -]{0,99}")
 REQUIRED = ("states", "inputs", "f", "kappa")
 LONGEST = 40  # letters of a label or a unit
 MARKUP = set("$\\")  # what matplotlib would read as mathematics
+
+
+def called(plant: Any) -> None:
+    """Raise ConfigError for a name of a plant that could be more than a name where it is written, in C say."""
+    if not isinstance(plant, str) or not NAME.fullmatch(plant):
+        raise ConfigError(
+            f"plant: expected a name of letters, digits, spaces and . , _ -, got {plant!r}; choose another"
+        )
 
 
 def check(plant: str, declaration: Any) -> None:

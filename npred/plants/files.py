@@ -2,9 +2,11 @@
 
 import hashlib
 import inspect
+from keyword import iskeyword
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from npred import documents
 from npred.errors import ConfigError
 from npred.plants import blame
 
@@ -33,15 +35,17 @@ def named(spec: str) -> bool:
 
 
 def split(spec: str) -> tuple[Path, str]:
-    """File and class of my_plant.py:Tank."""
+    """File and class of my_plant.py:Tank. Raises ConfigError for a class that no Python file could have."""
     path, _, name = spec.partition(SUFFIX)
+    if not name.isidentifier() or iskeyword(name):
+        raise ConfigError(f"{spec}: expected the name of a class after the colon, got {name!r}; write my_plant.py:Tank")
     return Path(path + ".py"), name
 
 
 def read(what: str, path: Path) -> Source:
-    """The file as it is now. Raises ConfigError where it cannot be read."""
+    """The file as it is now. Raises ConfigError where it cannot be read, or is none: a pipe, a device."""
     try:
-        return _source(path, path.read_bytes())
+        return _source(path, documents.regular(path).read_bytes())
     except OSError as error:
         raise ConfigError(f"{what}: expected a file at {path}, got: {error.strerror}; check the path") from None
 
@@ -62,7 +66,7 @@ def _source(path: Path, content: bytes) -> Source:
 def load(what: str, spec: str) -> Loaded:
     """Run the file and take the class. Raises ConfigError, in one line, where either is missing or the file fails."""
     path, name = split(spec)
-    if not path.is_file():
+    if not path.is_file():  # a pipe or a device would be read without an end
         raise ConfigError(
             f"{what} {spec}: expected a Python file, found none at {path}; check the path, which a pipeline gives from "
             "its own folder and the command line from yours"

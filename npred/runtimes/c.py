@@ -193,7 +193,10 @@ def source(operator: Operator, plant: Plant, nx: int, probe: tuple[np.ndarray, .
         p.scale("series_range", np.array([p.series.low, 2 / (p.series.high - p.series.low)]))
     return kernels.fill(
         SOURCE,
-        title=[f"/* The trained predictor of plant {plant.name} on {nx} nodes: P_hat(x), and U = kappa(P_hat(1))."],
+        title=[
+            f"/* The trained predictor of plant {c_text.comment(plant.name)} on {nx} nodes: P_hat(x), and "
+            "U = kappa(P_hat(1))."
+        ],
         sizes=[f"enum {{ {', '.join(f'{name} = {value}' for name, value in sizes.items())} }};"],
         constants=[c_text.constant(name, values) for name, values in p.constants.items()],
         buffers=[f"static float {name}[{size}];" for name, size in p.buffers.items()],

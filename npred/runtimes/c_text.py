@@ -4,6 +4,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from npred.documents import escaped
 from npred.plants import programs
 from npred.plants.base import Plant
 from npred.plants.trace import Trace
@@ -13,6 +14,11 @@ MATHEMATICS = {
     "pow": "pow({0}, {1})", "abs": "fabs({0})", "sign": "(double)(({0} > 0) - ({0} < 0))",
     "where": "{0} ? {1} : {2}", "maximum": "{1} > {0} ? {1} : {0}", "minimum": "{1} < {0} ? {1} : {0}",
 } | {name: f"{name}({{0}})" for name in ("sqrt", "exp", "log", "sin", "cos", "tan", "tanh")}  # fmt: skip
+
+
+def comment(text: str) -> str:
+    """The text as a comment may hold it: it cannot end the comment."""
+    return escaped(text).replace("*/", "* /")
 
 
 def constant(name: str, values: np.ndarray) -> str:
