@@ -67,6 +67,7 @@ def test_sentence(speedup, words):
              "predictor": "fno", "runtime": "fused"}  # fmt: skip
     text = crossover.sentence(found)
     assert words in text and text.endswith("A network pays from 200 ns an evaluation of f on (here 80 ns).")
+    assert "with 1 step:" in crossover.sentence(found | {"best_steps": 1, "network_speedup": 4.0})
     assert crossover.sentence(found | {"pays_from_ns": 0.0}).endswith("A network pays however cheap f is (here 80 ns).")
 
 

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from npred import grid, timing
+from npred.bars import counted
 from npred.predictors import METHODS, RK4, Predictor
 from npred.stages import Job
 from npred.stages.contenders import Entry, Reference
@@ -68,7 +69,7 @@ def _call(reference: Reference, run: Predictor) -> Callable[[int], None]:
 
 def sentence(found: Row) -> str:
     """What it means, for people."""
-    numerical, ratio = f"{found['best']} with {found['best_steps']} steps", found["network_speedup"]
+    numerical, ratio = f"{found['best']} with {counted(found['best_steps'], 'steps')}", found["network_speedup"]
     network = f"a {found['predictor']} ({found['runtime']})"
     first, second = (numerical, network) if ratio < 1 else (network, numerical)
     times = f"{found['network_us']:.1f} us the network, {found['best_us']:.1f} us {found['best']}"
@@ -83,5 +84,5 @@ def sentence(found: Row) -> str:
 def _others(found: Row) -> str:
     """The methods of that accuracy that are slower than the best."""
     rows = [row for row in found["numerical"] if row["predictor"] != found["best"]]
-    words = [f"{row['median_us']:.1f} us {row['predictor']} with {row['steps']} steps" for row in rows]
+    words = [f"{row['median_us']:.1f} us {row['predictor']} with {counted(row['steps'], 'steps')}" for row in rows]
     return "".join(f", {word}" for word in words)

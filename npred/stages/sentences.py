@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from npred.bars import counted
 from npred.config import FROZEN
 from npred.figures.evidence import OF
 from npred.figures.latency import label
@@ -63,6 +64,6 @@ def _against_numerics(benched: Row, network: str) -> str:
     if not found:
         return ""
     one = found[0]
-    steps = f"{one['best_steps']} step" + ("s" if one["best_steps"] > 1 else "")
+    steps = counted(one["best_steps"], "steps")
     numerical = label({"predictor": one["best"]})
     return f"; {numerical} on {steps} is as accurate in {one['best_us']:.1f} µs"
