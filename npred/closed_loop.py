@@ -182,7 +182,7 @@ class _Loop:
                 progress((stop - start) * lanes)
         return out
 
-    def _parts(self) -> tuple[Any, ...]:
+    def _parts(self) -> tuple[Any, Any, Any, Any, Any, Any]:
         """The six sentences of a control step, on lanes."""
         advance = engine.advance_kernel(self.plant, self.integrator)
         predict = engine.no_predictor if self.predictor is None else self.predictor.lanes()
