@@ -1,6 +1,7 @@
 """Closed loops of plant, actuator, predictor and delay adaptation, simulated side by side [DAPF, eqs. 6-14]."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
@@ -104,7 +105,7 @@ def simulate(
     every: int = 1,
     samples: np.ndarray | None = None,
     integrator: str = "rk4",
-    progress: Callable[[int], None] | None = None,
+    progress: Callable[[int], None] | bool | None = None,
 ) -> Trajectories:
     """Loops of X' = f(X, U(t - D)), U = kappa(P(1)), D_hat' = gamma Proj{D_hat, phi} [DAPF, eqs. 6-14].
 
@@ -114,7 +115,7 @@ def simulate(
     or "law", kappa(X0, 0); by default 0 where the bounds allow it, else the equilibrium's. `predictor=None` is the open
     loop U = 0, `adaptation=None` freezes D_hat; a law of one's own, a DelayLaw, runs in Python. Every `every`-th step
     is kept; `samples` (..., S) are sorted steps whose (X, u, D_hat) are kept too. `integrator` advances the plant.
-    `progress` is told of loop steps done.
+    `progress=True` shows a bar of the loop steps done, in a terminal or a notebook; a function gets their number.
     A loop that leaves the finite numbers goes on as NaN and leaves the others alone.
     Raises ConfigError for delays, bounds, times, shapes or a predictor that do not fit.
     """
@@ -133,9 +134,25 @@ def simulate(
     loop = _Loop(plant, predictor, adaptation, limits, dt, t_end, every, method)
     width = LANES if loop.compiled else NEURAL_LANES
     chunks = [slice(i, i + width) for i in range(0, len(D), width)]
-    records = [loop.run(X0[c], D[c], D_hat[c], held[c], wanted[c], progress) for c in chunks]
+    with _counted(progress, len(D) * (round(t_end / dt) + 1)) as count:
+        records = [loop.run(X0[c], D[c], D_hat[c], held[c], wanted[c], count) for c in chunks]
     joined = engine.Record(*(np.concatenate(parts, axis=-1) for parts in zip(*records, strict=True)))
     return _trajectories(joined, shape, dt * every, plant)
+
+
+@contextmanager
+def _counted(progress: Callable[[int], None] | bool | None, total: int) -> Iterator[Callable[[int], None] | None]:
+    """What is called with the number of loop steps done, of `total`: a bar where `progress` is True."""
+    if isinstance(progress, bool) or progress is None:
+        if not progress:
+            yield None
+            return
+        from tqdm.auto import tqdm
+
+        with tqdm(total=total, unit="step", unit_scale=True) as bar:
+            yield bar.update
+    else:
+        yield progress
 
 
 @dataclass(frozen=True)

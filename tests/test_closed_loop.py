@@ -221,6 +221,13 @@ def test_progress_counts_every_step_of_every_loop():
     assert sum(told) == 70 * 601
 
 
+def test_progress_can_be_a_bar(capsys):
+    simulate(SCALAR, Euler(SCALAR, 5), D=0.1, D_hat=0.1, X0=np.ones((70, 1)), t_end=6.0, dt=0.01, progress=True)
+    assert "42.1k/42.1k" in capsys.readouterr().err
+    simulate(SCALAR, Euler(SCALAR, 5), D=0.1, D_hat=0.1, X0=[1.0], t_end=1.0, dt=0.01, progress=False)
+    assert capsys.readouterr().err == ""
+
+
 def test_predictions_of_kept_steps_are_kept():
     """P(1, t) of every kept step, compiled or not; there is none in the open loop."""
     steps = np.arange(0, 401, 40)
