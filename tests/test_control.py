@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from input_histories import at_nodes
 from operator_samples import PLANT, SMALL, operator
 
 import npred
@@ -37,13 +38,6 @@ class Cube:
 
 
 CUBE, ARM = Plant("cube", Cube), npred.plant("planar_arm2")
-
-
-def at_nodes(U, k, nx, steps):
-    """u at the nodes as step k reads it: U linear between starts of steps, 0 before t = 0, and U[k - 1] at x = 1."""
-    times = np.arange(-steps, k)
-    commanded = np.concatenate([np.zeros((steps, 1)), U[:k]])
-    return np.interp(k - steps * (1 - np.linspace(0, 1, nx)), times, commanded[:, 0])[:, None]
 
 
 def loop(run, adaptation=LAW, bounds=None):

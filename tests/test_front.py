@@ -45,5 +45,5 @@ def test_a_panel_for_each_pair_that_is_known_and_the_same_bytes(tmp_path: Path):
         assert front.draw(tmp_path, rows) == [tmp_path / "front.svg", tmp_path / "front.png"]
         written.append((tmp_path / "front.svg").read_bytes())
     assert written[0] == written[1]
-    assert written[0].decode().count("<!-- µs a call -->") == 2
+    assert written[0].decode().count("<!-- µs per call -->") == 2
     assert front.draw(tmp_path, [row(1.0), row(2.0)]) == []

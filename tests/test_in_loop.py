@@ -43,7 +43,7 @@ def test_delays_are_rounded_to_control_steps(tmp_path):
     """X(t + D) is on a step; a delay below a step, or longer than the loop, leaves something to measure too."""
     begin = starts(job(tmp_path, "any").config, PLANT)
     for D, delay, length in ((0.994, 0.99, 6.0), (0.001, 0.01, 6.0), (3.0, 3.0, 12.0)):
-        config = job(tmp_path, f"{D}", evaluate={"D": D}).config.evaluate
+        config = job(tmp_path, f"{D}", evaluate={"D": D, "bounds": (0.001, 4.0)}).config.evaluate
         assert in_loop.delay(config) == pytest.approx(delay) and in_loop.length(config) == pytest.approx(length)
         about = in_loop.about(config, begin)
         assert about["from"] < about["to"]

@@ -100,7 +100,7 @@ class TestPublishedDelay:
         """Steps of 0.0025 s: with 0.005 s RK4 itself is 4e-6 away from DOP853."""
         X0, dt = self.plant.target(0.0) + 0.1, 0.0025
         golden = plant_claims.golden_loop(self.plant, 0.5, X0, 1.5, dt)
-        held = plant_claims.Held(self.plant, 201)
+        held = plant_claims.Held(self.plant, 401)
         loop = simulate(self.plant, held, D=0.5, D_hat=0.5, X0=X0, t_end=1.5, dt=dt)
         np.testing.assert_allclose(loop.X, golden, rtol=0, atol=1e-6)
 

@@ -68,7 +68,7 @@ def test_predictor_order(method):
 def test_the_loop_is_the_golden_one():
     X0, dt = PLANT.target(0.0) + 0.02, 0.0025
     golden = plant_claims.golden_loop(PLANT, D, X0, 0.6, dt)
-    loop = simulate(PLANT, plant_claims.Held(PLANT, 81), D=D, D_hat=D, X0=X0, t_end=0.6, dt=dt, input_bounds=FREE)
+    loop = simulate(PLANT, plant_claims.Held(PLANT, 161), D=D, D_hat=D, X0=X0, t_end=0.6, dt=dt, input_bounds=FREE)
     np.testing.assert_allclose(loop.X, golden, rtol=0, atol=1e-6)
 
 

@@ -34,8 +34,8 @@ class Predictor(ABC):
     def __call__(self, X: Any, u: Any, D_hat: Any, t: Any = 0.0) -> np.ndarray:
         X, u, D_hat, t = (shapes.floats(name, a) for name, a in (("X", X), ("u", u), ("D_hat", D_hat), ("t", t)))
         self._check(X, u)
-        for name, array in (("X", X), ("u", u), ("t", t)):
-            shapes.finite(name, array)
+        for name, array in (("X", X), ("u", u), *([("t", t)] if self.plant.clocked else [])):
+            shapes.finite(name, array)  # the time of samples from elsewhere may be unknown, where nothing needs it
         shapes.delays("D_hat", D_hat)
         shape = shapes.batch(X=X.shape[:-1], u=u.shape[:-2], D_hat=D_hat.shape, t=t.shape)
         X = np.broadcast_to(X, (*shape, self.plant.n)).reshape(-1, self.plant.n)

@@ -1,0 +1,12 @@
+"""u at the nodes as a control step reads it, from the commands alone: what the engine's transport is held against."""
+
+import numpy as np
+
+
+def at_nodes(U, k, nx, steps):
+    """Of commands U (nt, 1) at step k, a delay of `steps`: (nx, 1), linear between the starts of steps.
+
+    U is 0 before t = 0; at x = 1 it is U[k - 1].
+    """
+    commanded = np.concatenate([np.zeros(steps), U[:k, 0]])
+    return np.interp(k - steps * (1 - np.linspace(0, 1, nx)), np.arange(-steps, k), commanded)[:, None]
