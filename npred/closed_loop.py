@@ -105,7 +105,7 @@ def simulate(
     every: int = 1,
     samples: np.ndarray | None = None,
     integrator: str = "rk4",
-    progress: Callable[[int], None] | bool | None = None,
+    progress: Callable[[int], Any] | bool | None = None,
 ) -> Trajectories:
     """Loops of X' = f(X, U(t - D)), U = kappa(P(1)), D_hat' = gamma Proj{D_hat, phi} [DAPF, eqs. 6-14].
 
@@ -141,7 +141,7 @@ def simulate(
 
 
 @contextmanager
-def _counted(progress: Callable[[int], None] | bool | None, total: int) -> Iterator[Callable[[int], None] | None]:
+def _counted(progress: Callable[[int], Any] | bool | None, total: int) -> Iterator[Callable[[int], Any] | None]:
     """What is called with the number of loop steps done, of `total`: a bar where `progress` is True."""
     if isinstance(progress, bool) or progress is None:
         if not progress:
