@@ -142,7 +142,7 @@ def _check(plant: Plant, X: np.ndarray, u: np.ndarray, P: np.ndarray) -> None:
     for name, a, wanted in (("u", u, (max(nx, 2), plant.m)), ("P", P, (nx, plant.n)), ("X", X, (plant.n,))):
         if a.shape[-len(wanted) :] != wanted:
             axes = ", ".join(["..."] + ["nx"] * (len(wanted) - 1) + [str(wanted[-1])])
-            raise ConfigError(f"{name}: expected shape ({axes}), nx >= 2 the same in u and P, got {a.shape}; mend it")
+            raise ConfigError(f"{name}: expected shape ({axes}), nx >= 2 the same in u and P, got {a.shape}; fix it")
 
 
 def _lanes_last(a: np.ndarray, leading: int) -> np.ndarray:

@@ -22,7 +22,7 @@ def samples(samples: Any, shape: tuple[int, ...], last: int) -> np.ndarray:
     steps = np.zeros(0, dtype=np.int64) if samples is None else np.asarray(samples)
     fits = steps.ndim > 0 and steps.dtype.kind in "iu" and shapes.fits(steps.shape[:-1], shape)
     if not fits or (np.diff(steps) < 0).any() or (steps < 0).any() or (steps > last).any():
-        raise ConfigError(f"samples: expected sorted whole steps of 0 to {last}, (..., S), got {samples}; mend them")
+        raise ConfigError(f"samples: expected sorted whole steps of 0 to {last}, (..., S), got {samples}; fix them")
     count = steps.shape[-1]
     return np.broadcast_to(steps.astype(np.int64), (*shape, count)).reshape(math.prod(shape), count)
 
@@ -70,7 +70,7 @@ def parts(plant: Any, predictor: Any, adaptation: Any, integrator: Any, every: A
     if integrator not in INTEGRATORS:
         raise ConfigError(f"integrator: expected one of {', '.join(INTEGRATORS)}, got {integrator!r}; choose one")
     if not isinstance(every, int | np.integer) or every < 1:
-        raise ConfigError(f"every: expected a whole number of steps from 1 on, got {every!r}; mend it")
+        raise ConfigError(f"every: expected a whole number of steps from 1 on, got {every!r}; fix it")
 
 
 def _same_plant(plant: Plant, predictor: Predictor) -> None:

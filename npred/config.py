@@ -78,7 +78,7 @@ class Loop(Table):
     gamma: Positive = 1000.0  #: adaptation gain [DAPF, eq. 11]
     b: Positive = 1.0  #: weight of w in phi [DAPF, eq. 12]
     bounds: Range = (0.1, 4.0)  #: where D_hat stays, in seconds
-    input_bounds: list[tuple[float, float]] | None = None  #: of U, a pair an input; by default the plant's
+    input_bounds: list[tuple[float, float]] | None = None  #: of U, a pair per input; by default the plant's
     #: the input before t = 0, which fills the delay: numbers, "equilibrium" or "law" (κ of the start); by default 0
     #: where input_bounds allow it, else "equilibrium"
     u0: StartInput | None = None
@@ -153,7 +153,7 @@ class Generate(Loop):
             raise ValueError("rollouts: expected at least 2, got 1; one is held out for the test")
         if not self.rollouts <= self.samples <= self.rollouts * round(self.t_end / self.dt):
             raise ValueError(
-                f"samples: expected 1 to t_end / dt a rollout, got {self.samples} of {self.rollouts}; mend either"
+                f"samples: expected 1 to t_end / dt a rollout, got {self.samples} of {self.rollouts}; change either"
             )
         return self
 
@@ -223,7 +223,7 @@ class Evaluate(Loop):
 
     t_end: Positive = 100.0  #: length of the loop of Fig. 1, in seconds
     D: Positive = 1.0  #: true delay, in seconds
-    X0: list[float] = []  #: start of Fig. 1, one number a state; has to be given
+    X0: list[float] = []  #: start of Fig. 1, one number per state; has to be given
     D_hat0: Positive = 2.0  #: D_hat(0) of Fig. 1
     case_states: Count = 10  #: random initial states of the box …
     case_D_hat0: Some[Positive] = [0.3, 0.5, 1.0, 1.5, 2.0]  #: … times these D_hat(0)

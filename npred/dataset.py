@@ -13,7 +13,7 @@ from npred.errors import ConfigError
 from npred.plants import Plant
 
 MEANING = {
-    "X": "plant state X(t), one row a sample (N, n), in the plant's units",
+    "X": "plant state X(t), one row per sample (N, n), in the plant's units",
     "u": "actuator state u(x_j, t) = U(t + D (x_j - 1)) on nx uniform nodes of [0, 1], both ends in (N, nx, m)",
     "D_hat": "delay estimate in seconds (N,)",
     "P": "predictor P(x_j) = X + D_hat * integral of f(P, u) from 0 to x_j (N, nx, n)",
@@ -84,7 +84,7 @@ class Dataset:
         for name, shape in wanted.items():
             found = getattr(self, name).shape
             if found != shape or nodes < 2:
-                raise ConfigError(f"{name}: expected shape {shape} for plant {plant.name}, got {found}; mend the data")
+                raise ConfigError(f"{name}: expected shape {shape} for plant {plant.name}, got {found}; fix the data")
         self._plausible()
         if not 0 < np.count_nonzero(self.test) < rows:
             raise ConfigError(

@@ -32,7 +32,7 @@ class DelayLaw(ABC):
             raise ConfigError(f"adaptation: expected gamma > 0 and b > 0, got gamma = {self.gamma}, b = {self.b}")
         bounds = shapes.floats("adaptation: bounds", self.bounds)
         if bounds.shape != (2,) or not 0 <= bounds[0] <= bounds[1] < np.inf:
-            raise ConfigError(f"adaptation: expected bounds 0 <= low <= high, got {self.bounds}; swap or mend them")
+            raise ConfigError(f"adaptation: expected bounds 0 <= low <= high, got {self.bounds}; swap or fix them")
 
     def check(self, plant: Plant) -> None:  # noqa: B027  a law that serves every plant has nothing to refuse
         """Raise ConfigError where the law is not for this plant; asked before anything runs."""
@@ -69,10 +69,10 @@ def _rates(law: DelayLaw, plant: Plant, seen: list[np.ndarray], t: float) -> np.
     except ConfigError:
         raise
     except Exception as error:
-        raise ConfigError(f"{_place(law)} failed{blame.where(error, law.rate)}: {blame.told(error)}; mend it") from None
+        raise ConfigError(f"{_place(law)} failed{blame.where(error, law.rate)}: {blame.told(error)}; fix it") from None
     if given is None or not shapes.fits(rates.shape, D_hat.shape):
         found = None if given is None else rates.shape
-        raise ConfigError(f"{_place(law)} expected to return {D_hat.shape}, one a loop, got {found}; mend it")
+        raise ConfigError(f"{_place(law)} expected to return {D_hat.shape}, one per loop, got {found}; fix it")
     return rates
 
 

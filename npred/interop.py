@@ -49,14 +49,14 @@ def split(count: int, rollouts: int | None) -> tuple[np.ndarray, np.ndarray]:
     groups = count if rollouts is None else rollouts
     if not 2 <= groups <= count or count % groups:
         what = "two rows or more" if rollouts is None else "at least 2 rollouts with as many rows of each"
-        raise ConfigError(f"import: expected {what}, got {count} rows and {groups} rollouts; mend --rollouts")
+        raise ConfigError(f"import: expected {what}, got {count} rows and {groups} rollouts; fix --rollouts")
     held_out = randomness.generator(0, "import").permutation(groups)[: max(round(TEST_SHARE * groups), 1)]
     rollout = np.repeat(np.arange(groups, dtype=np.int32), count // groups)
     return rollout, np.isin(rollout, held_out).astype(np.uint8)
 
 
 def checks(plant: Plant, data: Dataset) -> dict[str, Any]:
-    """What holds of the samples [DAPF, eq. 10], each a number a state.
+    """What holds of the samples [DAPF, eq. 10], each one number per state.
 
     start: sup |P(0) - X|. residual: sup over samples and nodes of |P(x) - X - D_hat ∫₀ˣ f(P, u) dy|, the integral by
     the trapezoidal rule. relative: the root of its mean square over that of P - X. horizon: the share a of D_hat that
@@ -113,7 +113,7 @@ def read(path: Path) -> np.ndarray:
         raise ConfigError(f"{path}: expected an .npy file of numbers, got: {told}; check the path") from None
     if array.ndim < 2 or not array.size or array.dtype.kind not in "fiu":
         found = f"{array.dtype} {array.shape}"
-        raise ConfigError(f"{path}: expected a matrix of numbers, one row a sample, got {found}; save it with np.save")
+        raise ConfigError(f"{path}: expected a matrix, one row per sample, got {found}; save it with np.save")
     return np.array(array, dtype=float).reshape(len(array), -1)
 
 

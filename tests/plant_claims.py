@@ -43,7 +43,7 @@ class Held(OneStep):
 
 
 class Claims:
-    """The claims, as tests. D is the largest delay of the plant's pipeline in seconds, or one an input; X0 a start.
+    """The claims, as tests. D is the largest delay of the plant's pipeline in seconds, or one per input; X0 a start.
 
     By `t_end` the exact predictor's loops from the box are within `near` of the target, the equilibrium or the
     reference, and the loops of U = kappa(X(t)) are not within `far`.

@@ -119,7 +119,7 @@ def test_what_does_not_fit_the_plant_is_told_before_anything_runs(call: Call, fa
 
 def test_a_start_of_another_length_is_told_before_anything_runs(call: Call, fakes: Path):
     line = one_line(call("run", "tiny.toml", "--set", "evaluate.X0=[1.0, 2.0]"), 2)
-    assert line.startswith("error: evaluate.X0: expected a number a state (X), got [1.0, 2.0]")
+    assert line.startswith("error: evaluate.X0: expected one number per state (X), got [1.0, 2.0]")
     assert fakes.read_text() == ""
 
 

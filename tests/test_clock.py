@@ -121,7 +121,7 @@ def test_without_a_period_no_network_can_serve_it():
     assert RK4(driven(), 21)([1.0], u, 0.5, 0.3).shape == (21, 1)
     with pytest.raises(ConfigError, match="Driven: expected a period, for its prediction depends on time"):
         fit._clock(driven())
-    with pytest.raises(ConfigError, match="Driven: f and kappa expected to repeat after 3 s; mend period"):
+    with pytest.raises(ConfigError, match="Driven: f and kappa expected to repeat after 3 s; fix period"):
         fit._clock(driven(period=3.0))
     fit._clock(driven(period=np.pi))
 

@@ -90,7 +90,7 @@ def test_what_it_sees_is_the_loops_own_and_may_not_be_written_to():
         def rate(self, plant, X, u, P, D_hat, t):
             X[:] = 0.0
 
-    with pytest.raises(ConfigError, match=r"Vandal: rate \(test_delay_estimate.py:\d+\) failed at .*read-only; mend"):
+    with pytest.raises(ConfigError, match=r"Vandal: rate \(test_delay_estimate.py:\d+\) failed at .*read-only; fix"):
         loops(Vandal())
 
 
@@ -110,7 +110,7 @@ def test_shapes_are_batch_first():
 @pytest.mark.parametrize(
     ("law", "message"),
     [
-        (lambda self, plant, X, u, P, D_hat, t: X, r"expected to return \(2,\), one a loop, got \(2, 1\)"),
+        (lambda self, plant, X, u, P, D_hat, t: X, r"expected to return \(2,\), one per loop, got \(2, 1\)"),
         (lambda self, plant, X, u, P, D_hat, t: None, r"rate \(test_delay_estimate.py:\d+\) expected .*, got None"),
         (lambda self, plant, X, u, P, D_hat, t: X.nothing, r"failed at test_delay_estimate.py:\d+: AttributeError"),
         (lambda self, plant, X: 0.0, r"failed: TypeError: .*takes 3 positional arguments"),

@@ -50,7 +50,7 @@ def check(stages=("generate", "evaluate"), **tables):
 def test_the_default_pipeline_fits_but_for_the_start_that_it_has_to_give():
     check(evaluate={"X0": [0.03, 30.0]})
     check(stages=("generate", "train", "bench"))
-    with pytest.raises(ConfigError, match=r"evaluate.X0: expected a number a state \(x1, x2\), got none; give as many"):
+    with pytest.raises(ConfigError, match=r"expected one number per state \(x1, x2\), got none; give as many"):
         check()
 
 
@@ -58,7 +58,7 @@ def test_the_default_pipeline_fits_but_for_the_start_that_it_has_to_give():
     ("tables", "message"),
     [
         ({"generate": {"box": {"x3": [0, 1]}}}, "unknown state 'x3'; expected one of x1, x2"),
-        ({"evaluate": {"X0": [1.0]}}, r"evaluate.X0: expected a number a state \(x1, x2\), got \[1.0\]"),
+        ({"evaluate": {"X0": [1.0]}}, r"evaluate.X0: expected one number per state \(x1, x2\), got \[1.0\]"),
         ({"evaluate": {"X0": [float("nan"), 1.0]}}, "evaluate.X0: expected finite values"),
         ({"generate": {"input_bounds": [[0, 1], [0, 1]]}}, "expected 1 pairs .* got 2"),
         ({"evaluate": {"input_bounds": [[1, 0]]}}, r"evaluate.input_bounds\[0\]: expected a range"),

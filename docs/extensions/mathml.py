@@ -13,7 +13,7 @@ TAG = re.compile(r"\\tag\{(.+?)\}")
 
 
 def mathml(text: str, display: str = "inline") -> str:
-    """A formula of LaTeX as MathML, mended: primes, which come out small as powers, and the room at bars and at cos."""
+    """A formula of LaTeX as MathML, its primes no longer small as powers, with room at bars and at cos."""
     ElementTree.register_namespace("", NAMESPACE)
     formula = ElementTree.fromstring(latex2mathml.converter.convert(text, display=display))
     for power in formula.iter(f"{{{NAMESPACE}}}msup"):

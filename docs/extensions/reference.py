@@ -103,7 +103,7 @@ def _default(parameter: Any) -> str:
 
 
 def configuration() -> Iterator[str]:
-    """The page of the pipeline file: a section a table, a row a key."""
+    """The page of the pipeline file: a section per table, a row per key."""
     yield from ("# Configuration", "", "A pipeline is a TOML file; `--set table.key=value` overrides a key for a run.")
     yield "An unknown key or a value out of range is an error that names the key. Delays and times are in seconds."
     yield from ("The pipelines in `pipeline/` are examples.", "")

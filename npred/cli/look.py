@@ -126,7 +126,7 @@ def check(options: Common, plant: str, delay: float | None, nodes: int | None) -
     options.show(document, lambda: columns(["question", "answer", "found"], rows, options.console.width))
     if not fine:
         failed = ", ".join(answer.check for answer in answers if answer.verdict == "no")
-        raise UnmetError(f"plants check {plant}: expected no answer of no, got {failed}; the table says what to mend")
+        raise UnmetError(f"plants check {plant}: expected no answer of no, got {failed}; the table says what to change")
 
 
 def _fits(config: "Pipeline") -> "Answer":

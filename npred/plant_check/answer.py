@@ -55,9 +55,9 @@ class Case:
 
     def __post_init__(self) -> None:
         if not 0 < self.delay < np.inf:
-            raise ConfigError(f"delay: expected a positive number of seconds, got {self.delay:g}; mend it")
+            raise ConfigError(f"delay: expected a positive number of seconds, got {self.delay:g}; fix it")
         if self.nodes < 2:
-            raise ConfigError(f"nodes: expected at least 2, both ends of [0, 1], got {self.nodes}; mend it")
+            raise ConfigError(f"nodes: expected at least 2, both ends of [0, 1], got {self.nodes}; fix it")
 
     @property
     def h(self) -> float:

@@ -19,7 +19,7 @@ class Plant:
 
     A declaration is a class with `states`, `inputs` (names) and the functions f(x, u, t, p, M), kappa(x, t, p, M) and
     V(x, t, p, M); optional are `parameters` (name to default), `box` (state to range, for experiments), `guess` (where
-    the equilibrium is searched from), `input_bounds` (a range an input), `delays` (seconds, one an input, where they
+    the equilibrium is searched from), `input_bounds` (a range per input), `delays` (seconds, one per input, where they
     differ), what figures write: `labels` and `units` (by state or input), `time_unit` ("s" by default) and `figure`
     (that of an article which the evaluated loop is), and, where f or kappa depends on time, `reference(t, p, M)`, the
     trajectory that kappa follows, and `period`, the seconds after which they repeat. M provides the functions: sin,

@@ -101,7 +101,7 @@ class BlackBox(Plant):
         except UNDEFINED as error:
             values = self._one_by_one(name, arguments, wanted, error)
         if values.shape != wanted:
-            found = f"expected to return shape {wanted}, a row a loop, got {values.shape}"
+            found = f"expected to return shape {wanted}, a row per loop, got {values.shape}"
             raise ConfigError(f"{self.place(name)} {found}; return {cures.RETURNS.get(name, 'a value each')}")
         return values.reshape(shape if size is None else (*shape, size))
 
@@ -175,7 +175,7 @@ class BlackBox(Plant):
                 contents.setdefault(path.name, hashlib.sha256()).update(documents.regular(path).read_bytes())
             except OSError as error:
                 what = f"expected a file to read at {path}, got: {error.strerror}"
-                raise ConfigError(f"plant {self.name}: files {what}; mend the path") from None
+                raise ConfigError(f"plant {self.name}: files {what}; fix the path") from None
         files = {name: content.hexdigest() for name, content in contents.items()}
         return {"source": self.source.sha256} | ({"files": files} if files else {})
 

@@ -89,7 +89,7 @@ def middles(bodies: list[Body], pose: Sequence[float] | None) -> list[float]:
     """Where the joints' waves are around. Raises ConfigError for another number of them."""
     found = [0.0] * len(bodies) if pose is None else [float(at) for at in pose]
     if len(found) != len(bodies):
-        raise ConfigError(f"chain: pose expected {len(bodies)} numbers, one a joint that moves, got {pose!r}; mend it")
+        raise ConfigError(f"chain: pose expected {len(bodies)} numbers, one per joint that moves, got {pose!r}; fix it")
     return found
 
 

@@ -41,7 +41,7 @@ def cure(plant: "Plant", function: str, error: Exception) -> str:
         if words in str(error):
             return hint.format(signature=signature)
     ufunc = re.search(r"no callable (\w+) method", str(error))
-    return f"write M.{ufunc[1]}" if ufunc else f"mend {function}"
+    return f"write M.{ufunc[1]}" if ufunc else f"fix {function}"
 
 
 def _meant(name: str, plant: "Plant", function: str, signature: str) -> str:

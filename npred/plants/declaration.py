@@ -53,7 +53,7 @@ def names(plant: str, part: str, given: Any) -> tuple[str, ...]:
         if not isinstance(name, str) or not name.isidentifier() or iskeyword(name) or name.startswith("_"):
             raise ConfigError(f"plant {plant}: {part} expected names that Python accepts, got {name!r}; rename it")
     if len(set(given)) < len(given) or (not given and part != "parameters"):
-        raise ConfigError(f"plant {plant}: {part} expected different names, at least one, got {tuple(given)}; mend it")
+        raise ConfigError(f"plant {plant}: {part} expected different names, at least one, got {tuple(given)}; fix it")
     return tuple(given)
 
 
@@ -80,7 +80,7 @@ def box(plant: str, given: Any, states: tuple[str, ...]) -> dict[str, tuple[floa
     ranges = {name: span(f"plant {plant}: box[{name!r}]", value) for name, value in given.items()}
     for name, ends in ranges.items():
         if not np.isfinite(ends).all():
-            raise ConfigError(f"plant {plant}: box[{name!r}] expected finite ends, got {ends}; mend it")
+            raise ConfigError(f"plant {plant}: box[{name!r}] expected finite ends, got {ends}; fix it")
     return ranges
 
 
@@ -91,7 +91,7 @@ def guess(plant: str, given: Any, n: int) -> np.ndarray:
     except (TypeError, ValueError):
         values = np.empty(0)
     if values.shape != (n,) or not np.isfinite(values).all():
-        raise ConfigError(f"plant {plant}: guess expected {n} finite numbers, one a state, got {given!r}; mend it")
+        raise ConfigError(f"plant {plant}: guess expected {n} finite numbers, one per state, got {given!r}; fix it")
     return values
 
 
@@ -100,7 +100,7 @@ def input_bounds(plant: str, given: Any, m: int) -> list[tuple[float, float]] | 
     if given is None:
         return None
     if isinstance(given, str | Mapping) or np.ndim(given) != 2 or len(given) != m:
-        raise ConfigError(f"plant {plant}: input_bounds expected {m} pairs (low, high), got {given!r}; one an input")
+        raise ConfigError(f"plant {plant}: input_bounds expected {m} pairs (low, high), got {given!r}; one per input")
     return [span(f"plant {plant}: input_bounds[{k}]", pair) for k, pair in enumerate(given)]
 
 
@@ -109,10 +109,10 @@ def delays(plant: str, given: Any, m: int) -> tuple[float, ...] | None:
     if given is None:
         return None
     if isinstance(given, str | Mapping) or np.ndim(given) != 1 or len(given) != m:
-        raise ConfigError(f"plant {plant}: delays expected {m} seconds, one an input, got {given!r}; mend it")
+        raise ConfigError(f"plant {plant}: delays expected {m} seconds, one per input, got {given!r}; fix it")
     values = tuple(_number(f"plant {plant}: delays[{k}]", value) for k, value in enumerate(given))
     if min(values) <= 0:
-        raise ConfigError(f"plant {plant}: delays expected seconds above 0, got {given!r}; mend it")
+        raise ConfigError(f"plant {plant}: delays expected seconds above 0, got {given!r}; fix it")
     return values
 
 
@@ -122,7 +122,7 @@ def period(plant: str, given: Any) -> float | None:
         return None
     seconds = _number(f"plant {plant}: period", given)
     if seconds <= 0:
-        raise ConfigError(f"plant {plant}: period expected seconds above 0, got {given!r}; mend it")
+        raise ConfigError(f"plant {plant}: period expected seconds above 0, got {given!r}; fix it")
     return seconds
 
 
@@ -152,7 +152,7 @@ def span(what: str, given: Any) -> tuple[float, float]:
     except (TypeError, ValueError):
         low = high = math.nan
     if not low <= high:
-        raise ConfigError(f"{what}: expected a range (low, high) with low <= high, got {given!r}; mend it")
+        raise ConfigError(f"{what}: expected a range (low, high) with low <= high, got {given!r}; fix it")
     return low, high
 
 
@@ -162,5 +162,5 @@ def _number(what: str, given: Any) -> float:
     except (TypeError, ValueError):
         value = math.nan
     if not math.isfinite(value):
-        raise ConfigError(f"{what}: expected a finite number, got {given!r}; mend it")
+        raise ConfigError(f"{what}: expected a finite number, got {given!r}; fix it")
     return value

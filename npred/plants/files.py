@@ -77,10 +77,10 @@ def load(what: str, spec: str) -> Loaded:
         exec(compile(content, str(path), "exec"), space)
     except SyntaxError as error:
         line = f":{error.lineno}" if error.lineno else ""
-        raise ConfigError(f"{what} {path}{line}: expected Python, got a syntax error: {error.msg}; mend it") from None
+        raise ConfigError(f"{what} {path}{line}: expected Python, got a syntax error: {error.msg}; fix it") from None
     except (Exception, SystemExit) as error:
         line = blame.last_line(error, str(path))
-        raise ConfigError(f"{what} {path}{line}: failed on import: {blame.told(error)}; mend the file") from None
+        raise ConfigError(f"{what} {path}{line}: failed on import: {blame.told(error)}; fix the file") from None
     if not isinstance(space.get(name), type):
         own = [key for key, value in space.items() if isinstance(value, type) and value.__module__ == path.stem]
         raise ConfigError(

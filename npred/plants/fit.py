@@ -48,9 +48,9 @@ def _evaluated(plant: Plant, config: Pipeline) -> None:
         _followed(plant, config.evaluate.case_t_end)
     if len(config.evaluate.X0) != plant.n:
         wanted, given = ", ".join(plant.states), config.evaluate.X0 or "none"
-        raise ConfigError(f"evaluate.X0: expected a number a state ({wanted}), got {given}; give as many")
+        raise ConfigError(f"evaluate.X0: expected one number per state ({wanted}), got {given}; give as many")
     if not np.isfinite(config.evaluate.X0).all():
-        raise ConfigError(f"evaluate.X0: expected finite values, got {config.evaluate.X0}; mend it")
+        raise ConfigError(f"evaluate.X0: expected finite values, got {config.evaluate.X0}; fix it")
 
 
 def _sound(plant: Plant, config: Pipeline, stages: Collection[str]) -> None:
@@ -126,7 +126,7 @@ def _clock(plant: Plant) -> None:
     u, again = plant.kappa(X, t), plant.kappa(X, t + plant.period)
     gaps = again - u, plant.f(X, u, t + plant.period) - plant.f(X, u, t)
     if max(np.abs(gap).max() for gap in gaps) > SLIP:
-        raise ConfigError(f"plant {plant.name}: f and kappa expected to repeat after {plant.period:g} s; mend period")
+        raise ConfigError(f"plant {plant.name}: f and kappa expected to repeat after {plant.period:g} s; fix period")
 
 
 def _followed(plant: Plant, t_end: float) -> None:
@@ -165,7 +165,7 @@ def _box(plant: Plant, config: Pipeline) -> None:
             raise ConfigError(f"generate.box: unknown state {name!r}; expected one of {', '.join(plant.states)}")
     for name, ends in config.generate.box.items():
         if not np.isfinite(span(f"generate.box.{name}", ends)).all():
-            raise ConfigError(f"generate.box.{name}: expected finite ends, got {list(ends)}; mend it")
+            raise ConfigError(f"generate.box.{name}: expected finite ends, got {list(ends)}; fix it")
     for name in plant.states:
         if name not in plant.box | config.generate.box:
             raise ConfigError(f"generate.box: expected a range for {name!r}, found none; add {name} = [low, high]")
@@ -176,7 +176,7 @@ def _bounds(plant: Plant, config: Pipeline) -> None:
         given = table.input_bounds or []
         if table.input_bounds is not None and len(given) != plant.m:
             raise ConfigError(
-                f"{name}.input_bounds: expected {plant.m} pairs [low, high], one an input, got {len(given)}; mend it"
+                f"{name}.input_bounds: expected {plant.m} pairs [low, high], one per input, got {len(given)}; fix it"
             )
         for k, pair in enumerate(given):
             span(f"{name}.input_bounds[{k}]", pair)

@@ -22,7 +22,7 @@ def bounds(plant: Plant, bounds: Any) -> np.ndarray:
     array = shapes.floats("input_bounds", pairs)
     array = array[None] if array.shape == (2,) else array
     if array.shape != (plant.m, 2) or not (array[:, 0] <= array[:, 1]).all():
-        raise ConfigError(f"input_bounds: expected {plant.m} pairs (low, high), got {pairs}; give one pair an input")
+        raise ConfigError(f"input_bounds: expected {plant.m} pairs (low, high), got {pairs}; give one pair per input")
     return array
 
 

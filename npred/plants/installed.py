@@ -23,7 +23,7 @@ def find(name: str) -> Any:
     except (Exception, SystemExit) as error:
         package = entry.dist.name if entry.dist else "a package"
         told = " ".join(f"{type(error).__name__}: {error}".split())
-        raise ConfigError(f"plant {name}: {package} failed on import of {entry.value}: {told}; mend it") from None
+        raise ConfigError(f"plant {name}: {package} failed on import of {entry.value}: {told}; fix it") from None
 
 
 def _entries() -> dict[str, Any]:

@@ -29,7 +29,7 @@ def read(path: str | Path) -> list[Body]:
     try:
         return _Tree(root).bodies()
     except _Wrong as error:
-        raise ConfigError(f"{path}: {error}; mend the file") from None
+        raise ConfigError(f"{path}: {error}; fix the file") from None
 
 
 class _Wrong(ValueError):
@@ -52,7 +52,7 @@ def _parsed(path: Path) -> ElementTree.Element:
     try:
         return ElementTree.fromstring(text)
     except ElementTree.ParseError as error:
-        raise ConfigError(f"{path}: expected XML, got: {error}; mend that line") from None
+        raise ConfigError(f"{path}: expected XML, got: {error}; fix that line") from None
 
 
 class _Tree:
