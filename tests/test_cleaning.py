@@ -150,6 +150,17 @@ def test_what_a_pipeline_file_elsewhere_asks_for_stays_while_it_exists_and_asks_
     assert len(planned(call)) == 6
 
 
+def test_gc_needs_no_names_where_the_store_knows_its_pipelines(
+    call: Call, elsewhere: Path, tmp_path: Path, monkeypatch
+):
+    store = str(Path("artifacts").absolute())
+    (tmp_path / "empty").mkdir()
+    monkeypatch.chdir(tmp_path / "empty")
+    assert "to delete" in call("gc", "--store", store).output
+    unknown = one_line(call("gc", "--store", str(tmp_path / "none")), 2)
+    assert "none that this store was run with; name them" in unknown
+
+
 def test_what_an_override_asks_for_is_not_what_the_file_asks_for(call: Call, elsewhere: Path):
     call("generate", elsewhere, "--set", "seed=6")
     assert planned(call) == {Store(Path("artifacts")).find("generate").folder}

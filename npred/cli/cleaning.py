@@ -99,18 +99,19 @@ def _check_marker(store: Store) -> None:
 def _kept(options: Common, wanted: Wanted) -> Kept:
     store = options.results
     paths = wanted.pipelines or sorted(places.PIPELINE.parent.glob("*.toml"))
-    if not paths:
+    named = {path.resolve() for path in paths}
+    remembered = [root for root in gc_roots.registered(store.root) if root.file not in named]
+    if not paths and not remembered:
         raise ConfigError(
-            f"gc: expected pipelines whose results stay, found none in {places.PIPELINE.parent}/; name them"
+            f"gc: expected pipelines whose results stay, found none in {places.PIPELINE.parent}/ and none that this "
+            "store was run with; name them"
         )
     kept, device = Kept(), devices.resolve(wanted.device)
     for path in paths:
         for cell in [*cells(path, []), *(cells(path, wanted.set) if wanted.set else [])]:
             kept.add(Planner(cell.config, store, device), nodes(cell.config, STAGES))
-    named = {path.resolve() for path in paths}
-    for known in gc_roots.registered(store.root):
-        if known.file not in named:
-            _keep_known(options, kept, known, device)
+    for root in remembered:
+        _keep_known(options, kept, root, device)
     return kept
 
 
