@@ -293,9 +293,20 @@ def test_a_page_is_not_overwritten_by_another_pipeline_of_its_name(call: Call, h
         result = call("report", other, "--json")
         path = Path(document(result)["report"])
         assert path.match(name) and f'data-pipeline="{other}"' in path.read_text()
-        assert f"store/tiny.html is the page of tiny.toml; that of {other} is {path}" in result.stderr
+        assert f"store/tiny.html is of tiny.toml; that of {other} is {path}" in result.stderr
     assert len(list(Path("store").glob("tiny*.html"))) == 3 and Path("store/tiny.html").read_bytes() == before
     assert document(call("report", "tiny.toml", "--json"))["report"] == "store/tiny.html"
+
+
+def test_figures_of_two_pipelines_of_one_name_have_folders_of_their_own(call: Call, here: Path, monkeypatch):
+    monkeypatch.setattr("npred.cli.report.FORMATS", ("svg",))
+    monkeypatch.setattr(Story, "plates", lambda self: {})
+    Path("a").mkdir()
+    other = shutil.copy("tiny.toml", "a/tiny.toml")
+    files = [("tiny.toml", "tiny-ieee1"), (other, "tiny-a-ieee1"), ("tiny.toml", "tiny-ieee1")]
+    for file, name in files:
+        assert document(call("report", file, "--figures", "ieee1", "--json"))["folder"] == f"store/{name}"
+        assert Path(f"store/{name}/pipeline.txt").read_text() == f"{file}\n"
 
 
 def test_figures_and_tables_for_a_paper(call: Call, here: Path, tmp_path: Path, story: Story, monkeypatch):

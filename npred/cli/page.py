@@ -4,6 +4,7 @@ import hashlib
 import html
 import os
 import re
+from collections.abc import Callable
 from pathlib import Path
 
 from npred.cli.options import Work
@@ -26,8 +27,8 @@ def publish(options: Work, outcomes: list[Outcome], output: Path | None) -> Path
     folders = [outcome.artifact.folder for outcome in outcomes if outcome.node.stage == "report"]
     if not folders:
         return None
-    folder, source = folders[-1], _source(options)
-    path = output or _place(options, source)
+    folder, source = folders[-1], source_of(options)
+    path = output or place(options, ".html", _owner)
     aside = path.with_name(path.name + ".part")
     try:
         text = (folder / NAME).read_text(encoding="utf-8").replace(PLACE, _made_from(source, options.set or []), 1)
@@ -40,7 +41,7 @@ def publish(options: Work, outcomes: list[Outcome], output: Path | None) -> Path
     return path
 
 
-def _source(options: Work) -> str:
+def source_of(options: Work) -> str:
     """The pipeline file, from the folder that the store is in: a folder that is moved or copied whole stays itself."""
     return Path(os.path.relpath(options.pipeline.absolute(), options.store.absolute().parent)).as_posix()
 
@@ -51,16 +52,19 @@ def _made_from(source: str, overrides: list[str]) -> str:
     return f'<p class="about" data-pipeline="{name}">From <code>{name}</code>{" with" if flags else ""}{flags}</p>'
 
 
-def _place(options: Work, source: str) -> Path:
-    """NAME.html; where that is another pipeline's, NAME-FOLDER.html after the file's own folder, else with a digest."""
+def place(options: Work, ending: str, owner: Callable[[Path], str | None]) -> Path:
+    """NAME and the ending, as NAME.html, in the store; where `owner` says that this is another pipeline's,
+    NAME-FOLDER.html after the file's own folder, else with a digest. A line says which is whose.
+    """
+    source = source_of(options)
     stem, folder = options.pipeline.stem, re.sub(r"[^\w.-]", "_", options.pipeline.absolute().parent.name)
     names = [stem, f"{stem}-{folder}", f"{stem}-{hashlib.sha256(os.fsencode(source)).hexdigest()[:8]}"]
-    owners = {path: _owner(path) for path in (options.store / f"{name}.html" for name in names)}
+    owners = {path: owner(path) for path in (options.store / f"{name}{ending}" for name in names)}
     own = [path for path, owner in owners.items() if owner == source]
     free = [path for path, owner in owners.items() if owner is None]
     first, path = next(iter(owners)), [*own, *free, *owners][0]
     if path != first and owners[first]:
-        options.console.note(f"{first} is the page of {owners[first]}; that of {source} is {path}")
+        options.console.note(f"{first} is of {owners[first]}; that of {source} is {path}")
     return path
 
 
