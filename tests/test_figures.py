@@ -238,7 +238,9 @@ def test_threads_that_draw_at_once_leave_each_other_alone(tmp_path):
         assert (tmp_path / f"b/some.{form}").read_bytes() == (tmp_path / f"b again/some.{form}").read_bytes()
 
 
-@pytest.mark.parametrize("span", [(1.5, 4.4), (0.021, 0.034), (3.1e-5, 4.2e-5), (1e-9, 1.0), (0.9, 120.0)])
+@pytest.mark.parametrize(
+    "span", [(1.5, 4.4), (0.021, 0.034), (3.1e-5, 4.2e-5), (0.17, 0.21), (0.1172, 0.1201), (1e-9, 1.0), (0.9, 120.0)]
+)
 def test_ticks_of_a_logarithmic_side_have_labels_of_their_own(span):
     with medium(SCREEN):
         axis = Figure().subplots()

@@ -11,7 +11,7 @@ from npred.figures.style import ROLES, Look, look
 
 
 def coverage(evidence: Evidence) -> Plate:
-    """A panel a state, an input, and the delay estimate."""
+    """A panel per state, an input, and the delay estimate."""
     found = evidence.coverage
     named = {name: quantity(evidence.plant, name) for name in found}
     panels = [Panel(f"density of {named[name]}", _told(named[name], each), partial(_histogram, each))

@@ -1,6 +1,6 @@
 """What all figures share: who has which colour and line, the sizes of papers and screens, and ticks that read well."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from threading import Lock
@@ -142,7 +142,7 @@ def log(axis: Any, *sides: str) -> None:
         decades = np.log10(high) - np.log10(low)
         chosen = getattr(axis, f"{side}axis")
         chosen.set_major_locator(LogLocator(numticks=6, subs=(1.0,) if decades > 2 else (1.0, 2.0, 5.0)))
-        chosen.set_major_formatter(FuncFormatter(lambda value, _: lettered(tick(value))))
+        chosen.set_major_formatter(FuncFormatter(_labels(chosen.get_majorticklocs(), low, high)))
         chosen.set_minor_formatter(NullFormatter())
         if decades > 6:
             chosen.set_minor_locator(NullLocator())
@@ -155,9 +155,16 @@ def lettered(text: str) -> str:
     return mathematics(text) if matplotlib.rcParams["axes.formatter.use_mathtext"] else text
 
 
-def tick(value: float) -> str:
-    """A tick of a logarithmic side: over less than a decade it may need a second digit, 2.5."""
-    return power(value) if np.isclose(value, float(f"{value:.0e}"), rtol=1e-6) else short(value)
+def _labels(ticks: np.ndarray, low: float, high: float) -> Callable[[float, int], str]:
+    """The label of a tick, with as many digits as tell those between the ends apart: 0.185 and 0.19."""
+    seen = [value for value in ticks if low <= value <= high]
+    digits = next((d for d in range(2, 8) if len({tick(value, d) for value in seen}) == len(seen)), 2)
+    return lambda value, _: lettered(tick(value, digits))
+
+
+def tick(value: float, digits: int = 2) -> str:
+    """A tick of a logarithmic side: over less than a decade it may need more than one digit, 2.5."""
+    return power(value) if np.isclose(value, float(f"{value:.0e}"), rtol=1e-6) else short(value, digits)
 
 
 def power(value: float) -> str:
