@@ -1,8 +1,8 @@
 """Closed loops of plant, actuator, predictor and delay adaptation, simulated side by side [DAPF, eqs. 6-14]."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -38,8 +38,8 @@ class Trajectories:
 
     P is the prediction at x = 1, P(1, t), for X(t + D_hat); NaN in the open loop.
     N = 1 + V + b ∫₀¹ (1+x) w² dx, NaN without adaptation; energy = ∫_{t-D}^t |U - U*|² ds; both feed npred.lyapunov.
-    `escaped` (...) is the first step whose state is not finite, or -1; `states`, `inputs` and `time_unit` are of the
-    plant. print(loop) gives the ranges and ends of all series.
+    `escaped` (...) is the first step whose state is not finite, or -1; `states`, `inputs`, `time_unit`, `labels` and
+    `units` are the plant's. print(loop) gives the ranges and ends of all series.
     """
 
     t: np.ndarray
@@ -54,6 +54,8 @@ class Trajectories:
     states: tuple[str, ...] = ()
     inputs: tuple[str, ...] = ()
     time_unit: str = "s"
+    labels: Mapping[str, str] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         return trajectory_views.summary(self)
@@ -66,7 +68,7 @@ class Trajectories:
         return trajectory_views.plot(self, D)
 
     def to_dataframe(self) -> Any:
-        """A pandas DataFrame: a row a kept time, a column a state, an input, and D_hat; the index is t in seconds.
+        """A pandas DataFrame: a row per kept time, a column per state and input, and D_hat; the index is t in seconds.
 
         A batch's index has the loop's number along each axis before t. A name that stands twice gets its letter in
         front, as `X.h` and `U.h`. Raises MissingError where pandas is not installed.
@@ -249,5 +251,6 @@ def _trajectories(r: engine.Record, shape: tuple[int, ...], step: float, plant: 
     series = {name: lead(getattr(r, name)) for name in LOOPS}
     times = np.arange(len(r.X)) * step
     return Trajectories(
-        t=times, samples=samples, states=plant.states, inputs=plant.inputs, time_unit=plant.time_unit, **series
-    )
+        t=times, samples=samples, states=plant.states, inputs=plant.inputs, time_unit=plant.time_unit,
+        labels=plant.labels, units=plant.units, **series,
+    )  # fmt: skip

@@ -1,6 +1,7 @@
 """Closed loops for the eye and for other programs: a summary in text, a plot, a data frame."""
 
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Mapping
 from importlib import import_module
 from typing import Any, Protocol
 
@@ -29,10 +30,14 @@ class Loops(Protocol):
     def inputs(self) -> tuple[str, ...]: ...
     @property
     def time_unit(self) -> str: ...
+    @property
+    def labels(self) -> Mapping[str, str]: ...
+    @property
+    def units(self) -> Mapping[str, str]: ...
 
 
 def summary(loops: Loops) -> str:
-    """How many loops and times, then a line a series: its range over all times, and where it ends."""
+    """How many loops and times, then a line per series: its range over all times, and where it ends."""
     count, shape = loops.escaped.size, loops.escaped.shape
     batch = ("1 loop" if not shape else f"{count} loops") + (f" {shape}" if len(shape) > 1 else "")
     lines = [f"Trajectories: {batch}, {len(loops.t)} times from {loops.t[0]:g} to {loops.t[-1]:g} {loops.time_unit}"]
@@ -58,7 +63,7 @@ def plot(loops: Loops, D: Any = None) -> np.ndarray:
     )
     for panel, (name, values) in zip(axes[:, 0], named.items(), strict=True):
         panel.plot(loops.t, values.reshape(-1, len(loops.t)).T, linewidth=1.2)
-        panel.set_ylabel(f"D_hat ({loops.time_unit})" if name == "D_hat" else name)
+        panel.set_ylabel(_axis_label(loops, name))
         panel.grid(alpha=0.3)
     if D is not None:
         for delay in np.unique(shapes.floats("D", D)):
@@ -67,8 +72,16 @@ def plot(loops: Loops, D: Any = None) -> np.ndarray:
     return axes[:, 0]
 
 
+def _axis_label(loops: Loops, name: str) -> str:
+    """A series' declared label, else its name, with its unit in brackets; subscripts and powers as matplotlib sets."""
+    declared = name.removeprefix("X.").removeprefix("U.")
+    unit = loops.time_unit if name == "D_hat" else loops.units.get(declared, "")
+    text = loops.labels.get(declared, name) + (f" ({unit})" if unit else "")
+    return re.sub(r"\^\{?(-?\d+)\}?", r"$^{\1}$", re.sub(r"_\{([^}]+)\}", r"$_{\\mathrm{\1}}$", text))
+
+
 def dataframe(loops: Loops) -> Any:
-    """A row a loop and time, a column a series; the index is t, behind the loop's number along each axis of a batch.
+    """One row per loop and time, a column per series; the index is t, behind the loop's number on each axis of a batch.
 
     Raises MissingError without pandas.
     """

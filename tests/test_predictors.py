@@ -242,3 +242,17 @@ def test_predictors_and_controllers_work_in_a_process_that_was_spawned():
         for run in runs:
             np.testing.assert_array_equal(pool.submit(run, X, u, 1.0).result(), run(X, u, 1.0))
         np.testing.assert_array_equal(pool.submit(controller.step, X, u).result(), controller.step(X, u))
+
+
+@pytest.mark.slow
+def test_joblib_runs_predictors_and_controllers_in_processes():
+    joblib = pytest.importorskip("joblib")
+    u, X = np.zeros((21, 1)), [0.03, 30.0]
+    run = RK4(PLANT, 21)
+    controller = Controller(PLANT, run, None, 0.01, D_hat=1.0)
+    with joblib.parallel_config(backend="loky"):
+        calls = [joblib.delayed(run)(X, u, D_hat) for D_hat in (0.5, 1.0)]
+        *predictions, U = joblib.Parallel(n_jobs=2)([*calls, joblib.delayed(controller.step)(X, u)])
+    for P, D_hat in zip(predictions, (0.5, 1.0), strict=True):
+        np.testing.assert_array_equal(P, run(X, u, D_hat))
+    np.testing.assert_array_equal(U, controller.step(X, u))
