@@ -51,10 +51,13 @@ def test_break_even_is_where_both_take_as_long(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("speedup", "words"),
     [
-        (0.5, "is rk4 with 10 steps, by 2.0x over a fno (fused): 10.0 us the network, 5.0 us rk4, 9.0 us"),
+        (
+            0.5,
+            "is RK4 on 10 steps, 2.0 times as fast as the FNO (fused): the network takes 10.0 µs, RK4 on",
+        ),
         (
             4.0,
-            "is a fno (fused), by 4.0x over rk4 with 10 steps: 10.0 us the network, 5.0 us rk4, 9.0 us euler with 99",
+            "is the FNO (fused), 4.0 times as fast as RK4 on 10 steps: the network takes 10.0 µs, RK4",
         ),
     ],
 )
@@ -66,8 +69,9 @@ def test_sentence(speedup, words):
              "f_ns": 80.0, "numerical": numerical, "network_speedup": speedup, "pays_from_ns": 200.0,
              "predictor": "fno", "runtime": "fused"}  # fmt: skip
     text = crossover.sentence(found)
-    assert words in text and text.endswith("A network pays from 200 ns an evaluation of f on (here 80 ns).")
-    assert "with 1 step:" in crossover.sentence(found | {"best_steps": 1, "network_speedup": 4.0})
+    assert "the network takes 10.0 µs, RK4 on 10 steps 5.0 µs, Euler on 99 steps 9.0 µs. A network" in text
+    assert words in text and text.endswith("A network pays from 200 ns per evaluation of f on (here 80 ns).")
+    assert "on 1 step:" in crossover.sentence(found | {"best_steps": 1, "network_speedup": 4.0})
     assert crossover.sentence(found | {"pays_from_ns": 0.0}).endswith("A network pays however cheap f is (here 80 ns).")
 
 

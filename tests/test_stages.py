@@ -326,7 +326,7 @@ def test_bench_says_from_where_on_a_network_pays(benched):
         assert all(row["eps_sup"] <= found["eps_sup"] for row in rivals)
         assert found["best_us"] == min(rival["median_us"] for rival in found["numerical"])
         assert found["f_ns"] > 0 and found["best_steps"] >= 1
-        assert found["sentence"].startswith("For activator_repressor at eps = ")
+        assert found["sentence"].startswith("For activator_repressor at ε = ")
 
 
 def test_bench_says_what_of_the_tails_is_the_machines(benched):

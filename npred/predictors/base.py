@@ -79,7 +79,7 @@ class Predictor(ABC):
             raise ConfigError(f"X: expected shape (..., {n}) for plant {self.plant.name}, got {X.shape}; add the axis")
         if u.ndim < 2 or u.shape[-1] != m or u.shape[-2] < 2:
             raise ConfigError(
-                f"u: expected shape (..., nx, {m}) with nx >= 2, got {u.shape}; one row a node, both ends in"
+                f"u: expected shape (..., nx, {m}) with nx >= 2, got {u.shape}; one row per node, both ends in"
             )
 
 

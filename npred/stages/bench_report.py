@@ -7,7 +7,7 @@ from npred.console import columns
 
 Row = dict[str, Any]
 TIMES = {"median": "median_us", "p95": "p95_us", "p99.9": "p999_us", "max": "max_us"}
-RATIOS = {"× published": "speedup_published", "× euler": "speedup_compiled"}
+RATIOS = {"× O(nx²) sums": "speedup_published", "× euler": "speedup_compiled"}
 
 
 def summary(result: Row, width: int | None = None) -> str:
@@ -22,7 +22,7 @@ def details(result: Row, width: int | None = None) -> str:
 
 
 def sentences(result: Row) -> list[str]:
-    """When a network pays, one a network; then the machine."""
+    """When a network pays, one per network; then the machine."""
     return [*(found["sentence"] for found in result["crossover"]), result["stops"]["sentence"]]
 
 

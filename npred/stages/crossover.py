@@ -7,6 +7,8 @@ import numpy as np
 
 from npred import grid, timing
 from npred.bars import counted
+from npred.figures.latency import label
+from npred.figures.style import short, words
 from npred.predictors import METHODS, RK4, Predictor
 from npred.stages import Job
 from npred.stages.contenders import Entry, Reference
@@ -16,16 +18,16 @@ Row = dict[str, Any]
 
 
 def measure(job: Job, timed: Iterable[tuple[Entry, Row]], reference: Reference) -> list[Row]:
-    """A row a trained network: its quickest runtime at batch 1 and the first dx, and every method as accurate."""
+    """One row per trained network: its quickest runtime at batch 1 and the first dx, and every method as accurate."""
     single = [(entry, row) for entry, row in timed if entry.batch == 1 and entry.device == "cpu" and row["eps_sup"]]
     first = grid.count(job.config.bench.dx[0])
-    found = []
+    crossovers = []
     for name in sorted(set(job.config.train.models)):
         own = [(e, row) for e, row in single if (e.predictor, e.nx, e.matches) == (name, first, None)]
         rivals = [entry for entry, _ in single if entry.matches == name]
         if own and rivals:
-            found.append(_crossover(job, *min(own, key=lambda pair: pair[1]["median_us"]), rivals, reference))
-    return found
+            crossovers.append(_crossover(job, *min(own, key=lambda pair: pair[1]["median_us"]), rivals, reference))
+    return crossovers
 
 
 def _crossover(job: Job, network: Entry, row: Row, rivals: list[Entry], reference: Reference) -> Row:
@@ -67,22 +69,25 @@ def _call(reference: Reference, run: Predictor) -> Callable[[int], None]:
     return call
 
 
-def sentence(found: Row) -> str:
+def sentence(crossover: Row) -> str:
     """What it means, for people."""
-    numerical, ratio = f"{found['best']} with {counted(found['best_steps'], 'steps')}", found["network_speedup"]
-    network = f"a {found['predictor']} ({found['runtime']})"
+    numerical, ratio = _method(crossover["best"], crossover["best_steps"]), crossover["network_speedup"]
+    network = f"the {words(crossover['predictor'])} ({crossover['runtime']})"
     first, second = (numerical, network) if ratio < 1 else (network, numerical)
-    times = f"{found['network_us']:.1f} us the network, {found['best_us']:.1f} us {found['best']}"
-    from_ns, here = found["pays_from_ns"], f"(here {found['f_ns']:.0f} ns)"
-    pays = f"from {from_ns:.0f} ns an evaluation of f on {here}" if from_ns else f"however cheap f is {here}"
+    times = f"the network takes {crossover['network_us']:.1f} µs, {numerical} {crossover['best_us']:.1f} µs"
+    from_ns, here = crossover["pays_from_ns"], f"(here {crossover['f_ns']:.0f} ns)"
+    pays = f"from {from_ns:.0f} ns per evaluation of f on {here}" if from_ns else f"however cheap f is {here}"
     return (
-        f"For {found['plant']} at eps = {found['eps_sup']:.1e} the fastest predictor is {first}, by "
-        f"{max(ratio, 1 / ratio):.1f}x over {second}: {times}{_others(found)}. A network pays {pays}."
+        f"For {crossover['plant']} at ε = {short(crossover['eps_sup'])} the fastest predictor is {first}, "
+        f"{max(ratio, 1 / ratio):.1f} times as fast as {second}: {times}{_others(crossover)}. A network pays {pays}."
     )
 
 
-def _others(found: Row) -> str:
+def _others(crossover: Row) -> str:
     """The methods of that accuracy that are slower than the best."""
-    rows = [row for row in found["numerical"] if row["predictor"] != found["best"]]
-    words = [f"{row['median_us']:.1f} us {row['predictor']} with {counted(row['steps'], 'steps')}" for row in rows]
-    return "".join(f", {word}" for word in words)
+    rows = [row for row in crossover["numerical"] if row["predictor"] != crossover["best"]]
+    return "".join(f", {_method(row['predictor'], row['steps'])} {row['median_us']:.1f} µs" for row in rows)
+
+
+def _method(name: str, steps: int) -> str:
+    return f"{label({'predictor': name})} on {counted(steps, 'steps')}"
