@@ -17,6 +17,7 @@ from npred.cli import app
 from npred.pipeline import STAGES, payload
 
 Call = Callable[..., Result]
+OWN_SETTINGS = ("NPRED_STORE", "NPRED_PIPELINE", "NPRED_EXECUTOR")  # of who runs the tests
 HERE = Path(__file__).parent
 # How long a draw takes says what else the machine does, not what the code does.
 settings.register_profile("npred", deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -55,6 +56,12 @@ calls = 1000
 """
 
 
+@pytest.fixture(autouse=True)
+def _no_settings_of_ones_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in OWN_SETTINGS:
+        monkeypatch.delenv(name, raising=False)
+
+
 @pytest.fixture
 def pipeline(tmp_path: Path) -> Path:
     """A pipeline file beside an empty store."""
@@ -83,7 +90,6 @@ def call(fakes: Path, pipeline: Path, monkeypatch: pytest.MonkeyPatch) -> Call:
     """A command with fake stages, in this process, beside the pipeline file tiny.toml."""
     monkeypatch.chdir(pipeline.parent)
     monkeypatch.setenv("COLUMNS", "200")
-    monkeypatch.delenv("NPRED_STORE", raising=False)
     return lambda *arguments: CliRunner().invoke(app, [str(argument) for argument in arguments])
 
 
@@ -117,7 +123,7 @@ def npred(tmp_path: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
 def process_environment(**more: str) -> dict[str, str]:
     """The environment of a child that imports npred from this checkout."""
     paths = f"{HERE.parent}{os.pathsep}{HERE}"
-    kept = {name: value for name, value in os.environ.items() if name != "NPRED_STORE"}
+    kept = {name: value for name, value in os.environ.items() if name not in OWN_SETTINGS}
     return kept | {"PYTHONPATH": paths, "COLUMNS": "200", "OMP_NUM_THREADS": "1"} | more
 
 

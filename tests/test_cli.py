@@ -223,7 +223,7 @@ def test_gc_keeps_the_checkpoint_that_a_pipeline_goes_on_from(call: Call, monkey
         patch.setitem(fake_stages.ANSWERS, "generate", lambda job: 1 / 0)
         call("generate", "tiny.toml")
     assert call("gc", "tiny.toml").stdout == "nothing to delete\n"
-    assert "expected pipelines whose results stay" in one_line(call("gc"), 2)
+    assert call("gc").stdout == "nothing to delete\n"  # the store knows the pipeline
 
 
 def test_doctor_and_plants(call: Call):

@@ -301,9 +301,9 @@ def test_a_page_is_not_overwritten_by_another_pipeline_of_its_name(call: Call, h
 def test_figures_of_two_pipelines_of_one_name_have_folders_of_their_own(call: Call, here: Path, monkeypatch):
     monkeypatch.setattr("npred.cli.report.FORMATS", ("svg",))
     monkeypatch.setattr(Story, "plates", lambda self: {})
-    Path("a").mkdir()
-    other = shutil.copy("tiny.toml", "a/tiny.toml")
-    files = [("tiny.toml", "tiny-ieee1"), (other, "tiny-a-ieee1"), ("tiny.toml", "tiny-ieee1")]
+    Path("c").mkdir()
+    other = shutil.copy("tiny.toml", "c/tiny.toml")
+    files = [("tiny.toml", "tiny-ieee1"), (other, "tiny-c-ieee1"), ("tiny.toml", "tiny-ieee1")]
     for file, name in files:
         assert document(call("report", file, "--figures", "ieee1", "--json"))["folder"] == f"store/{name}"
         assert Path(f"store/{name}/pipeline.txt").read_text() == f"{file}\n"
