@@ -337,7 +337,7 @@ def load(path: Path, overrides: list[str] | None = None) -> Pipeline:
     except FileNotFoundError:
         raise ConfigError(places.missing(path)) from None
     except (OSError, ValueError, RecursionError) as error:
-        raise ConfigError(f"{path}: expected a TOML file, got: {error}; correct that line") from None
+        raise ConfigError(f"{path}: expected a TOML file, got: {error}; correct that") from None
     _anchor(data, path.parent if path.is_file() else Path())
     for override in overrides or []:
         _apply(data, override)
@@ -402,7 +402,7 @@ def _sentence(error: ValidationError) -> str:
     fields = [part for part in named if isinstance(part, int) or part.isidentifier()]
     where = ".".join(str(part) for part in fields)
     if first["type"] == "extra_forbidden":
-        names = _siblings(first["loc"])
+        names, where = _siblings(first["loc"]), ".".join(map(str, first["loc"]))
         return f"{where}: unknown key; expected one of {', '.join(names)}{_meant(where, names)}"
     if first["type"] == "value_error":
         return f"{where + '.' if where else ''}{first['ctx']['error']}"

@@ -120,7 +120,7 @@ def _absolute(variable: str) -> Path | None:
     """The folder that an environment variable names; an empty one is unset."""
     text = os.environ.get(variable, "")
     if text and not os.path.isabs(text):
-        raise ConfigError(f"{variable}: expected an absolute path, got {text!r}; the code kept there is run: name it")
+        raise ConfigError(f"{variable}: expected an absolute path, got {text!r}; begin it with /")
     return Path(text) if text else None
 
 
@@ -128,16 +128,16 @@ def _private(folder: Path) -> None:
     """Keep others out. Raises ConfigError for a folder of another user, or that others could write to until now, and
     OSError for one that this user cannot write to.
     """
-    found = folder.stat()
-    if found.st_uid == os.geteuid() and not found.st_mode & 0o022:
-        if found.st_mode & 0o777 != 0o700:
+    status = folder.stat()
+    if status.st_uid == os.geteuid() and not status.st_mode & 0o022:
+        if status.st_mode & 0o777 != 0o700:
             folder.chmod(0o700)
     elif not os.access(folder, os.W_OK):
         raise PermissionError(errno.EACCES, "cannot be written", str(folder))
     else:
         raise ConfigError(
             f"{folder}: expected a folder that only you can write to, for the code in it is run, got mode "
-            f"{found.st_mode & 0o777:o} of user {found.st_uid}; remove it (all is compiled again) or name another in "
+            f"{status.st_mode & 0o777:o} of user {status.st_uid}; remove it (all is compiled again) or name another in "
             f"{VARIABLE}"
         )
 
