@@ -38,10 +38,10 @@ def group(panel: str) -> Callable[[Callable[..., None]], typer.Typer]:
     """Make f(options, *, own parameters) a command with commands of its own: it runs where none of them is named."""
 
     def register(function: Callable[..., None]) -> typer.Typer:
-        made = typer.Typer(cls=Group, no_args_is_help=False)
-        made.callback(invoke_without_command=True, help=function.__doc__)(_with_flags(function))
-        app.add_typer(made, name=function.__name__, rich_help_panel=panel)
-        return made
+        subcommands = typer.Typer(cls=Group, no_args_is_help=False)
+        subcommands.callback(invoke_without_command=True, help=function.__doc__)(_with_flags(function))
+        app.add_typer(subcommands, name=function.__name__, rich_help_panel=panel)
+        return subcommands
 
     return register
 

@@ -78,13 +78,14 @@ def diff(options: Common, a: str, b: str) -> None:
     answered = changes(left.result(), right.result())
     kinds = [_kind(left), _kind(right)]
     folders = {"a": str(left.folder), "b": str(right.folder)}
-    made = changes(left.manifest.circumstances, right.manifest.circumstances)
+    made_with = changes(left.manifest.circumstances, right.manifest.circumstances)
     files = [] if asked or kinds[0] != kinds[1] else _changed_files(left, right)
-    document = folders | {"stages": kinds, "question": asked, "result": answered, "files": files, "made_with": made}
+    answer = {"stages": kinds, "question": asked, "result": answered, "files": files, "made_with": made_with}
+    document = folders | answer
     across = [f"these are results of different stages: {kinds[0]} and {kinds[1]}"] if kinds[0] != kinds[1] else []
     lines = [*across, *asked, *(f"result.{line}" for line in answered), *(f"file {name} differs" for name in files)]
     lines = lines or [f"{left.name} and {right.name}: no difference"]
-    options.show(document, lambda: "\n".join([*lines, *(f"made with {line}" for line in made)]))
+    options.show(document, lambda: "\n".join([*lines, *(f"made with {line}" for line in made_with)]))
 
 
 def _changed_files(a: Artifact, b: Artifact) -> list[str]:
@@ -163,15 +164,15 @@ def _entry(artifact: Artifact) -> dict[str, Any]:
     manifest = artifact.manifest
     entry = {"stage": manifest.question.stage, "model": manifest.question.model, "key": manifest.key}
     more = {"pipeline": manifest.pipeline, "digest": manifest.digest, "bytes": artifact.size}
-    made = datetime.fromtimestamp(artifact.made, UTC).isoformat()
-    return entry | more | {"folder": str(artifact.folder), "made": made}
+    time_made = datetime.fromtimestamp(artifact.made, UTC).isoformat()
+    return entry | more | {"folder": str(artifact.folder), "made": time_made}
 
 
 def _row(artifact: Artifact) -> list[str]:
     manifest = artifact.manifest
-    made = time.strftime("%Y-%m-%d %H:%M", time.localtime(artifact.made))
+    time_made = time.strftime("%Y-%m-%d %H:%M", time.localtime(artifact.made))
     size = f"{artifact.size / 1e6:.1f} MB"
-    return [artifact.name, manifest.question.model or "-", manifest.pipeline, made, size, short(manifest.digest)]
+    return [artifact.name, manifest.question.model or "-", manifest.pipeline, time_made, size, short(manifest.digest)]
 
 
 def _setting(artifact: Artifact, key: str, known: dict[str, Artifact]) -> str | None:
@@ -191,8 +192,8 @@ def _facts(artifact: Artifact) -> str:
     inputs = [f"  from {name}: {short(source.key)}" for name, source in manifest.question.inputs.items()]
     code = [f"  {role}: {escaped(source.file)}, its text in {NAME}" for role, source in manifest.sources.items()]
     settings = [f"  {line.replace(': unset ->', ' =')}" for line in changes({}, manifest.question.config)]
-    made = ", ".join(f"{name} {value}" for name, value in manifest.circumstances.items() if value)
-    return "\n".join([*lines, *inputs, *code, *settings, f"  made with {made}"])
+    circumstances = ", ".join(f"{name} {value}" for name, value in manifest.circumstances.items() if value)
+    return "\n".join([*lines, *inputs, *code, *settings, f"  made with {circumstances}"])
 
 
 def _summary(stage: str, result: dict[str, Any], width: int | None = None) -> str:

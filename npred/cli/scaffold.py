@@ -73,8 +73,8 @@ def _renamed(source: str, plant: "Plant", class_name: str) -> str:
     text, old = path.read_text(encoding="utf-8"), plant.declaration.__name__
     if re.search(rf"^class {old}\b", text, re.MULTILINE):
         return re.sub(rf"\b{old}\b", class_name, text)
-    made = plant_files.split(source)[1] if own else f'PLANTS["{source}"]'
-    return f"{text.rstrip()}\n{class_name} = {made}\n"
+    declaration = plant_files.split(source)[1] if own else f'PLANTS["{source}"]'
+    return f"{text.rstrip()}\n{class_name} = {declaration}\n"
 
 
 def _module_file(declaration: type) -> str:

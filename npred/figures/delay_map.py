@@ -32,24 +32,25 @@ def delays(evidence: Evidence) -> Plate | None:
 
 
 def _title(name: str, cells: dict[str, Any], wanted: np.ndarray) -> str:
-    found = np.array(cells["converged"], dtype=bool)
-    total = found.size if name == "numerical" else wanted.sum()
-    return f"{words(name)}: {(found & wanted).sum()} of {total}"
+    converged = np.array(cells["converged"], dtype=bool)
+    total = converged.size if name == "numerical" else wanted.sum()
+    return f"{words(name)}: {(converged & wanted).sum()} of {total}"
 
 
 def _told(name: str, cells: dict[str, Any], wanted: np.ndarray) -> str:
-    found = np.array(cells["converged"], dtype=bool)
-    lost = "" if name == "numerical" else f"; {int((wanted & ~found).sum())} lost that the numerical predictor keeps"
-    return f"{words(name)} converges in {int(found.sum())} of {found.size} cells of D by D̂(0){lost}."
+    converged = np.array(cells["converged"], dtype=bool)
+    lost = int((wanted & ~converged).sum())
+    beside = "" if name == "numerical" else f"; {lost} lost that the numerical predictor keeps"
+    return f"{words(name)} converges in {int(converged.sum())} of {converged.size} cells of D by D̂(0){beside}."
 
 
 def _cells(name: str, cells: dict[str, Any], wanted: np.ndarray, labels: list[str], axis: Any) -> None:
     x, y = np.meshgrid(cells["D_hat0"], cells["D"])
-    found = np.array(cells["converged"], dtype=bool)
-    size = min(90.0, 2600 / max(found.shape) ** 1.6)
-    axis.scatter(x[found], y[found], size, look(name).colour, marker="s", linewidths=0)
-    axis.scatter(x[~found], y[~found], size / 2, ROLES["muted"][0], marker="x", linewidths=1.0)
-    missed = wanted & ~found
+    converged = np.array(cells["converged"], dtype=bool)
+    size = min(90.0, 2600 / max(converged.shape) ** 1.6)
+    axis.scatter(x[converged], y[converged], size, look(name).colour, marker="s", linewidths=0)
+    axis.scatter(x[~converged], y[~converged], size / 2, ROLES["muted"][0], marker="x", linewidths=1.0)
+    missed = wanted & ~converged
     ring = {"facecolors": "none", "edgecolors": ROLES["frozen"][0], "linewidths": 1.4}
     axis.scatter(x[missed], y[missed], 2.2 * size, marker="o", **ring)
     axis.set(xlabel=labels[0], ylabel=labels[1])

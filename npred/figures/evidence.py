@@ -99,8 +99,10 @@ def _by_kind(folder: Path, kinds: Iterable[str], networks: list[str]) -> dict[st
     """The sup over x of each network's error by kind of row; those of the first kind are the file's own."""
     places = {kind: f"kinds/{kind}/" if number else "" for number, kind in enumerate(kinds)}
     groups = {kind: [f"{place}networks/{name}/" for name in networks] for kind, place in places.items()}
-    found = {kind: _arrays(folder / "errors.h5", group, {"sup": 1}) for kind, group in groups.items()}
-    return {kind: {name: a["sup"] for name, a in zip(networks, arrays, strict=True)} for kind, arrays in found.items()}
+    by_kind = {kind: _arrays(folder / "errors.h5", group, {"sup": 1}) for kind, group in groups.items()}
+    return {
+        kind: {name: a["sup"] for name, a in zip(networks, arrays, strict=True)} for kind, arrays in by_kind.items()
+    }
 
 
 def _arrays(path: Path, groups: list[str], axes: dict[str, int]) -> list[dict[str, np.ndarray]]:

@@ -28,8 +28,8 @@ def figure1(evidence: Evidence) -> Plate:
         panels.append(Panel(title, _told(title, k, columns, t), partial(_over_time, t, columns, k, goals, span, time)))
     for k, name in enumerate(plant.states):
         title = f"{quantity(plant, name)}, the last tenth"
-        told = _told_end(symbol(plant, name), k, columns)
-        panels.append(Panel(title, told, partial(_end, t, columns, k, goals[:, k], time)))
+        caption = _told_end(symbol(plant, name), k, columns)
+        panels.append(Panel(title, caption, partial(_end, t, columns, k, goals[:, k], time)))
     return Plate("figure1", "The closed loop", _caption(evidence), tuple(panels), keys(evidence.loops))
 
 
@@ -46,12 +46,12 @@ def _caption(evidence: Evidence) -> str:
 
 def _converging(evidence: Evidence) -> list[str]:
     """Whose loops a panel has to show whole: the numerical predictor's, and all that end settled."""
-    found = []
+    kept = []
     for name, loop in evidence.loops.items():
         target, run = evidence.plant.target(loop.t), cast(Any, loop)  # t and X of Trajectories, all that a radius takes
         if name == FOCUS or metrics.converged(metrics.radius(run, target), target):
-            found.append(name)
-    return found
+            kept.append(name)
+    return kept
 
 
 def ends(evidence: Evidence) -> tuple[Panel, ...]:
@@ -62,12 +62,12 @@ def ends(evidence: Evidence) -> tuple[Panel, ...]:
     t = evidence.loops[FOCUS].t
     last = "; ".join(f"{words(name)} {values[-1]:.1e}" for name, values in distance.items())
     falls = "; ".join(f"{words(name)} from {values[0]:.3g} to {values[-1]:.3g}" for name, values in W.items())
-    told = f"D log N + (b / γ) (D − D̂)², with b = {config.b:g}, γ = {config.gamma:g}: {falls}."
+    caption = f"D log N + (b / γ) (D − D̂)², with b = {config.b:g}, γ = {config.gamma:g}: {falls}."
     return (
         Panel(with_unit("distance |X − X*|", common_unit(plant, plant.states)),
               f"Over {t[-1]:g} {plant.time_unit} on a logarithmic scale; at the end: {last}.",
               partial(_curves, t, distance, timed(plant, "t"))),
-        *([Panel("W(t) of the proof", told, partial(_curves, t, W, timed(plant, "t")))] if W else []),
+        *([Panel("W(t) of the proof", caption, partial(_curves, t, W, timed(plant, "t")))] if W else []),
     )  # fmt: skip
 
 

@@ -38,8 +38,8 @@ def _hunks(before: str, after: str, function: str, owner: str) -> list[str] | No
 
 def _compared(before: Mapping[int, str], after: Mapping[int, str]) -> list[str]:
     old, new = list(before.values()), list(after.values())
-    found = SequenceMatcher(None, old, new, autojunk=False).get_opcodes()
-    return [_hunk(old[a:b], new[c:d]) for kind, a, b, c, d in found if kind != "equal"]
+    edits = SequenceMatcher(None, old, new, autojunk=False).get_opcodes()
+    return [_hunk(old[a:b], new[c:d]) for kind, a, b, c, d in edits if kind != "equal"]
 
 
 def _hunk(old: list[str], new: list[str]) -> str:

@@ -51,14 +51,14 @@ def settings(
 
 def _code(key: str, old: str, new: str, plant: str, before: Sources, after: Sources) -> str | None:
     """A difference of a hash of code in words; None for any other key."""
-    found = CODE.fullmatch(key)
-    if found is None:
+    code = CODE.fullmatch(key)
+    if code is None:
         return None
-    role = found["law"] or "plant"
-    what = found["function"] or (f"file {found['file']}" if found["file"] else role)
+    role = code["law"] or "plant"
+    what = code["function"] or (f"file {code['file']}" if code["file"] else role)
     if UNSET in (old, new):
         return f"{what} {'added' if old == UNSET else 'dropped'}"
-    if found["file"]:
+    if code["file"]:
         return f"{what} changed"
     return code_changes.change(what, plant, before.get(role), after.get(role))
 

@@ -81,9 +81,9 @@ class Sweep:
 
     def make(self, task: Task) -> Made:
         """A node that uses the whole machine, here."""
-        made = make(task, self.console, self.jobs, self.executor)
-        self.console.finish(task.node.title, made.action if made.artifact else "stopped", made.seconds)
-        return made
+        outcome = make(task, self.console, self.jobs, self.executor)
+        self.console.finish(task.node.title, outcome.action if outcome.artifact else "stopped", outcome.seconds)
+        return outcome
 
 
 class _Graph:

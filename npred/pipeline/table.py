@@ -89,13 +89,13 @@ def sources(node: Node, config: Pipeline) -> dict[str, SourceText]:
     from npred import plants
     from npred.plants import files
 
-    found = {"plant": plants.resolve(config.plant, config.parameters).source}
+    files_by_role = {"plant": plants.resolve(config.plant, config.parameters).source}
     law = getattr(getattr(config, node.stage, None), "adaptation", "")
     if files.named(law):
-        found[f"{node.stage}.adaptation"] = files.read("adaptation", files.split(law)[0])
+        files_by_role[f"{node.stage}.adaptation"] = files.read("adaptation", files.split(law)[0])
     return {
         role: SourceText(file=escaped(source.file), text=source.text)
-        for role, source in found.items()
+        for role, source in files_by_role.items()
         if source and len(source.text) <= LONGEST
     }
 

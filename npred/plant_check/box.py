@@ -16,11 +16,12 @@ AGREE = 1e-4  # of the largest entry: how far differences may be from derivative
 
 def answers(case: Case) -> Iterator[Answer]:
     """What can be asked once f, kappa and V are finite on the box."""
-    found = [asked("jacobians", jacobians, case)] if case.plant.traced else []
-    if all(answer.verdict != "no" for answer in found):
-        found.append(asked("stiffness", stiff, case))
-    yield from found
-    if found[-1].verdict == "yes" or found[-1].check != "stiffness":  # RK4 of a stiff plant says nothing of the plant
+    first = [asked("jacobians", jacobians, case)] if case.plant.traced else []
+    if all(answer.verdict != "no" for answer in first):
+        first.append(asked("stiffness", stiff, case))
+    yield from first
+    stiff_plant = first[-1].check == "stiffness" and first[-1].verdict != "yes"
+    if not stiff_plant:  # of which RK4 says nothing
         yield asked("completeness", complete, case)
 
 

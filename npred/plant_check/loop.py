@@ -36,7 +36,7 @@ def limited(case: Case) -> Answer:
 
 def converges(case: Case) -> Answer:
     """Whether loops of the clipped kappa without delay come from the box to the equilibrium or the reference."""
-    closed, (h, seconds, wanted) = _closed(case), _times(case)
+    closed, (h, seconds, horizon) = _closed(case), _times(case)
     X0, nodes = case.X[:LOOPS], max(int(seconds / h), 4) + 1
     X = RK4(closed, nodes)(X0, np.zeros((nodes, closed.m)), seconds)
     _, middle, _, end = (part.max(axis=1) for part in np.array_split(_distances(case, X, seconds), 4, axis=1))
@@ -44,17 +44,17 @@ def converges(case: Case) -> Answer:
     if home.all():
         return Answer("convergence", "yes", f"{len(X0)} loops from the box, without delay, converge in {seconds:.3g} s")
     lost = ~home & ~(end < FALLING * middle)
-    if seconds < wanted:
+    if seconds < horizon:
         text = f"{home.mean():.0%} of {len(X0)} loops without delay converged in {seconds:.3g} s, as long as was looked"
-        return Answer("convergence", "warn", f"{text}: its slowest rate is {wanted / seconds:.2g} times slower")
+        return Answer("convergence", "warn", f"{text}: its slowest rate is {horizon / seconds:.2g} times slower")
     if not lost.any():
         text = f"{home.mean():.0%} of {len(X0)} loops without delay have converged after {seconds:.3g} s"
         return Answer("convergence", "warn", f"{text}, the others are on their way")
-    found = (
+    failing = (
         f"{lost.mean():.0%} of {len(X0)} loops without delay do not converge, as from {case.state(X0[np.argmax(lost)])}"
     )
     cure = "shrink box" + (", or widen input_bounds" if np.isfinite(case.limits).any() else ", or change kappa there")
-    return Answer("convergence", "no", f"{case.place('kappa')}: {found}; {cure}")
+    return Answer("convergence", "no", f"{case.place('kappa')}: {failing}; {cure}")
 
 
 def _times(case: Case) -> tuple[float, float, float]:
@@ -62,12 +62,12 @@ def _times(case: Case) -> tuple[float, float, float]:
     plant, X = case.plant, case.X
     f_X, f_U = plant.jacobians(X, case.u)
     rates = np.abs(np.linalg.eigvals(np.concatenate([f_X, f_X + f_U @ plant.kappa_jacobian(X)]))).max()
-    wanted = HORIZON
+    horizon = HORIZON
     if plant.rests:
         own = np.linalg.eigvals(faults.closed_loop(plant))
-        rates, wanted = max(rates, np.abs(own).max()), SPAN / -own.real.max()
-    h = STEP / rates if rates > 0 else wanted / MOST
-    return h, min(wanted, MOST * h), wanted
+        rates, horizon = max(rates, np.abs(own).max()), SPAN / -own.real.max()
+    h = STEP / rates if rates > 0 else horizon / MOST
+    return h, min(horizon, MOST * h), horizon
 
 
 def _distances(case: Case, X: np.ndarray, seconds: float) -> np.ndarray:

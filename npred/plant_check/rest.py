@@ -23,13 +23,13 @@ def answers(case: Case, sound: bool) -> Iterator[Answer]:
     Where there is something to come to, the box is sound and the law stabilises: whether loops come there.
     """
     questions = _at_rest(case, sound) if case.plant.rests else _following(case)
-    found = {}
+    verdicts = {}
     for answer in questions:
-        found[answer.check] = answer.verdict
+        verdicts[answer.check] = answer.verdict
         yield answer
     if sound and np.isfinite(case.limits).any():
         yield asked("input bounds", loop.limited, case)
-    if sound and found.get("stability", found.get("reference")) == "yes":
+    if sound and verdicts.get("stability", verdicts.get("reference")) == "yes":
         yield asked("convergence", loop.converges, case)
 
 

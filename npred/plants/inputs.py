@@ -48,12 +48,12 @@ def configured(plant: Plant, loop: Loop, stage: str) -> np.ndarray | str:
     """The `start` of a stage's loops. Raises ConfigError, naming the stage's table, also where nothing rests."""
     try:
         limits = bounds(plant, loop.input_bounds)
-        found = start(plant, loop.u0, limits)
-        if isinstance(found, str) and found == EQUILIBRIUM:
+        commands = start(plant, loop.u0, limits)
+        if isinstance(commands, str) and commands == EQUILIBRIUM:
             _at_rest(plant, limits)
     except ConfigError as error:
         raise ConfigError(f"{stage}.{error}") from None
-    return found
+    return commands
 
 
 def before(plant: Plant, u0: Any, limits: np.ndarray, X0: np.ndarray) -> np.ndarray:

@@ -62,14 +62,14 @@ def run(job: Job) -> dict[str, Any]:
 def _contenders(job: Job) -> list[Contender]:
     config = job.config.evaluate
     numerical = METHODS[config.predictor](job.plant, config.nx)
-    found = [Contender("numerical", numerical)]
+    contenders = [Contender("numerical", numerical)]
     if config.adaptation != FROZEN:
-        found.append(Contender("no_adaptation", numerical, adapts=False))
+        contenders.append(Contender("no_adaptation", numerical, adapts=False))
     for model in job.config.train.models:
         for snapshot in [*getattr(job.config.train, model).snapshots, None]:
             name = model if snapshot is None else f"{model}@{snapshot}"
-            found.append(Contender(name, _neural(job, model, snapshot, name), network=True))
-    return found
+            contenders.append(Contender(name, _neural(job, model, snapshot, name), network=True))
+    return contenders
 
 
 def _all_loops(

@@ -23,11 +23,11 @@ def _of_delay(adaptation: str) -> str:
 
 def _errors(evaluated: Row, networks: list[str]) -> str:
     rows = {words(name): evaluated["models"][name] for name in networks}
-    found = [f"{short(row['eps_sup'])} for the {name} (mean square {short(row['mse'])})" for name, row in rows.items()]
+    errors = [f"{short(row['eps_sup'])} for the {name} (mean square {short(row['mse'])})" for name, row in rows.items()]
     own, *others = evaluated["kinds"]
     samples = f"{evaluated['held_out']:,} held-out samples of {OF[own]}"
     others = [_of_kind(kind, evaluated["kinds"][kind]["rows"], list(rows.values())) for kind in others]
-    return "; ".join([f"On {samples} the largest error of a prediction is {' and '.join(found)}", *others]) + "."
+    return "; ".join([f"On {samples} the largest error of a prediction is {' and '.join(errors)}", *others]) + "."
 
 
 def _of_kind(kind: str, count: int, rows: list[Row]) -> str:
@@ -36,12 +36,12 @@ def _of_kind(kind: str, count: int, rows: list[Row]) -> str:
 
 
 def _loops(models: dict[str, Row], networks: list[str], adaptation: str) -> str:
-    found = [f"{converged(models[n])} with the {words(n)} (median radius {short(models[n]['radius']['median'])})"
+    counts = [f"{converged(models[n])} with the {words(n)} (median radius {short(models[n]['radius']['median'])})"
              for n in networks]  # fmt: skip
-    found.append(f"{converged(models['numerical'])} with the numerical predictor")
+    counts.append(f"{converged(models['numerical'])} with the numerical predictor")
     if adaptation != FROZEN:
-        found.append(f"{converged(models['no_adaptation'])} without adaptation")
-    *first, last = found
+        counts.append(f"{converged(models['no_adaptation'])} without adaptation")
+    *first, last = counts
     cases = models["numerical"]["radius"]["cases"]
     return f"Of {cases} closed loops {_of_delay(adaptation)}, {', '.join(first)} and {last} converge."
 
@@ -60,10 +60,10 @@ def _speed(benched: Row, networks: list[str]) -> str:
 
 
 def _against_numerics(benched: Row, network: str) -> str:
-    found = [one for one in benched["crossover"] if one["predictor"] == network]
-    if not found:
+    crossovers = [one for one in benched["crossover"] if one["predictor"] == network]
+    if not crossovers:
         return ""
-    one = found[0]
+    one = crossovers[0]
     steps = counted(one["best_steps"], "steps")
     numerical = label({"predictor": one["best"]})
     return f"; {numerical} on {steps} is as accurate in {one['best_us']:.1f} µs"

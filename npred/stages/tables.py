@@ -46,28 +46,30 @@ def kinds(evaluated: Row) -> Grid:
 def loops(models: dict[str, Row]) -> Grid:
     """What the closed loops of each contender do."""
     numerical = models["numerical"]
-    wanted = np.array(numerical["map"]["converged"] if numerical["map"] else [], dtype=bool)
+    numerical_converged = np.array(numerical["map"]["converged"] if numerical["map"] else [], dtype=bool)
     columns = [
         Column("predictor", "predictor"),
         Column("radius, median", "median", digits=2),
         Column("worst", "worst", digits=2),
         Column(f"converged of {numerical['radius']['cases']}", "converged", "d"),
         Column("settles ×", "settles", ".2f"),
-        Column(f"map, of {wanted.sum()}", "kept", "d"),
+        Column(f"map, of {numerical_converged.sum()}", "kept", "d"),
         Column("radius, loop shown", "radius", digits=2),
         Column("D̂ at its end", "D_hat", ".3f"),
         Column("sup |P(1, t) − X(t + D)|", "in_loop", digits=2),
     ]
-    return Grid("loops", "Closed loops", columns, [_loops(name, row, wanted) for name, row in models.items()])
+    return Grid(
+        "loops", "Closed loops", columns, [_loops(name, row, numerical_converged) for name, row in models.items()]
+    )
 
 
-def _loops(name: str, row: Row, wanted: np.ndarray) -> Row:
-    found = {key: row["radius"][key] for key in ("median", "worst")}
-    found["converged"] = converged(row)
+def _loops(name: str, row: Row, numerical_converged: np.ndarray) -> Row:
+    cells = {key: row["radius"][key] for key in ("median", "worst")}
+    cells["converged"] = converged(row)
     settles = "" if row["settle_ratio"] is None else row["settle_ratio"]
-    kept = int((np.array(row["map"]["converged"]) & wanted).sum()) if row["map"] else ""
+    kept = int((np.array(row["map"]["converged"]) & numerical_converged).sum()) if row["map"] else ""
     end = {"radius": row["figure1"]["radius"], "D_hat": row["figure1"]["D_hat_end"]}
-    return {"predictor": words(name)} | found | {"settles": settles, "kept": kept} | end | {"in_loop": row["in_loop"]}
+    return {"predictor": words(name)} | cells | {"settles": settles, "kept": kept} | end | {"in_loop": row["in_loop"]}
 
 
 def converged(row: Row) -> int:

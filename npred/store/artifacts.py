@@ -48,8 +48,8 @@ class Artifact:
         The time of the file counts where the manifest of an older npred has none, or one that is still to come.
         """
         written = (self.folder / NAME).stat().st_mtime
-        made = self.manifest.made
-        return written if made is None or made > time.time() else made
+        recorded = self.manifest.made
+        return written if recorded is None or recorded > time.time() else recorded
 
     @property
     def size(self) -> int:
