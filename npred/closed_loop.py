@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -54,8 +54,8 @@ class Trajectories:
     states: tuple[str, ...] = ()
     inputs: tuple[str, ...] = ()
     time_unit: str = "s"
-    labels: Mapping[str, str] = field(default_factory=dict)
-    units: Mapping[str, str] = field(default_factory=dict)
+    labels: Mapping[str, str] | None = None
+    units: Mapping[str, str] | None = None
 
     def __repr__(self) -> str:
         return trajectory_views.summary(self)

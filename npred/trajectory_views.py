@@ -31,9 +31,9 @@ class Loops(Protocol):
     @property
     def time_unit(self) -> str: ...
     @property
-    def labels(self) -> Mapping[str, str]: ...
+    def labels(self) -> Mapping[str, str] | None: ...
     @property
-    def units(self) -> Mapping[str, str]: ...
+    def units(self) -> Mapping[str, str] | None: ...
 
 
 def summary(loops: Loops) -> str:
@@ -75,8 +75,8 @@ def plot(loops: Loops, D: Any = None) -> np.ndarray:
 def _axis_label(loops: Loops, name: str) -> str:
     """A series' declared label, else its name, with its unit in brackets; subscripts and powers as matplotlib sets."""
     declared = name.removeprefix("X.").removeprefix("U.")
-    unit = loops.time_unit if name == "D_hat" else loops.units.get(declared, "")
-    text = loops.labels.get(declared, name) + (f" ({unit})" if unit else "")
+    unit = loops.time_unit if name == "D_hat" else (loops.units or {}).get(declared, "")
+    text = (loops.labels or {}).get(declared, name) + (f" ({unit})" if unit else "")
     return re.sub(r"\^\{?(-?\d+)\}?", r"$^{\1}$", re.sub(r"_\{([^}]+)\}", r"$_{\\mathrm{\1}}$", text))
 
 

@@ -66,6 +66,15 @@ def test_a_time_is_taken_as_it_is():
     assert np.isnan(rk4.predict(X, u, D_hat, np.nan)[:, -1, 0]).all()
 
 
+def test_a_time_that_is_unknown_is_refused_where_the_prediction_needs_it():
+    X, u, D_hat = inputs()
+    with pytest.raises(ConfigError, match=r"t: expected finite numbers, got nan at \[1\]"):
+        RK4(UNICYCLE, 21)(X, u, D_hat, [0.0, np.nan, 0.3, 1.0, 2.0])
+    arm = plants.resolve("planar_arm2")  # whose law alone knows the time
+    X, u = np.zeros((1, 4)), np.zeros((21, 2))
+    np.testing.assert_array_equal(RK4(arm, 21)(X, u, 0.4, np.nan), RK4(arm, 21)(X, u, 0.4))
+
+
 def test_only_laws_past_their_delay_and_f_make_a_prediction_depend_on_time():
     assert UNICYCLE.clocked and driven().clocked
     for name in ("planar_arm2", "chemostat"):  # one delay: the law is not in the prediction

@@ -278,7 +278,7 @@ def test_the_estimate_is_closer_to_its_mesh_limit_than_with_one_reading_of_u(nam
         loop = simulate(plant, RK4(plant, nx), **case, D_hat=D_hat, t_end=t_end, dt=dt, adaptation=law)
         return loop.D_hat[round(t_end / dt) - round(0.005 / dt)]
 
-    finer = [end(0.005 / split, round(case["D"] * split / 0.005) + 1) for split in (8, 16)]
+    finer = [end(0.005 / split, round(case["D"] * split / 0.005) + 1) for split in (4, 8)]
     limit, late = 2 * finer[1] - finer[0], round(case["D"] / 0.005)
     for nx, before in zip((late, late + 1), today, strict=True):
         assert abs(end(0.005, nx) - limit) <= before
