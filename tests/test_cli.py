@@ -137,6 +137,13 @@ def test_force_reruns_the_stage_and_not_what_it_needs(call: Call):
     assert actions(result) == {"generate": "hit", "deeponet": "run", "fno": "run"}
 
 
+def test_status_says_stale_once(call: Call):
+    call("run", "tiny.toml")
+    lines = call("status", "tiny.toml", "--set", "train.deeponet.epochs=40").stdout.splitlines()
+    (late,) = (line for line in lines if line.startswith("evaluate"))
+    assert late.split()[2:4] == ["stale", "upstream"]
+
+
 def test_status_and_its_gate(call: Call):
     def states(*arguments: str, code: int = 0) -> dict[str, str]:
         rows = document(call("status", "tiny.toml", "--json", *arguments), code)["stages"]
@@ -230,7 +237,7 @@ def test_doctor_and_plants(call: Call):
     facts = document(call("doctor", "--json"))
     assert facts["packages"]["torch"]
     assert (facts["store"]["artifacts"], facts["store"]["writable"]) == (0, True)
-    assert "cores:" in call("doctor").stdout
+    assert all(part in call("doctor").stdout for part in ("cores:", "writable yes", "broken none, leftovers none"))
     found = {plant["name"]: plant for plant in document(call("plants", "--json"))["plants"]}
     assert found["activator_repressor"]["states"] == ["x1", "x2"]
     assert "scalar" in call("plants").stdout

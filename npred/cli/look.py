@@ -24,7 +24,7 @@ def status(options: Planned, check: bool) -> None:
     steps = options.planner().plan(nodes(options.config, STAGES))
     if check:
         _verify(steps)
-    rows = [[s.node.title, short(s.key or "-"), s.state, s.reason] for s in steps]
+    rows = [[s.node.title, short(s.key or "-"), s.state, s.reason.removeprefix(f"{s.state}: ")] for s in steps]
     document = {"stages": [_step(step) for step in steps]}
     options.show(document, lambda: columns(["stage", "key", "state", "reason"], rows, options.console.width))
     late = [step.node.title for step in steps if step.state != "fresh"]

@@ -152,5 +152,7 @@ def _store(options: Common) -> dict[str, Any]:
 
 def _words(value: Any) -> str:
     if isinstance(value, dict):
-        return ", ".join(f"{key} {item if item is not None else 'absent'}" for key, item in value.items())
+        return ", ".join(f"{key} {_words(item)}" for key, item in value.items())
+    if value is None or isinstance(value, bool):
+        return {None: "absent", True: "yes", False: "no"}[value]
     return ", ".join(map(str, value)) or "none" if isinstance(value, list) else str(value)

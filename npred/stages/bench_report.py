@@ -7,6 +7,7 @@ from npred.console import columns
 
 Row = dict[str, Any]
 TIMES = {"median": "median_us", "p95": "p95_us", "p99.9": "p999_us", "max": "max_us"}
+NAMES = {"published": "O(nx²) sums", "euler_python": "euler"}  # a name says nothing of a plant of one's own
 RATIOS = {"× O(nx²) sums": "speedup_published", "× euler": "speedup_compiled"}
 
 
@@ -71,7 +72,8 @@ def _all(row: Row) -> dict[str, str]:
 
 
 def _name(row: Row) -> str:
-    return f"{row['predictor']} (ε of {row['matches']})" if row["matches"] not in (None, "front") else row["predictor"]
+    name = NAMES.get(row["predictor"], row["predictor"])
+    return f"{name} (ε of {row['matches']})" if row["matches"] not in (None, "front") else name
 
 
 def _runtime(row: Row) -> str:
