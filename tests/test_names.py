@@ -1,4 +1,4 @@
-"""No plant's name occurs in the package outside its own file: adding one touches no other."""
+"""No plant's name occurs in the package outside its own file; messages are in plain words."""
 
 import inspect
 import re
@@ -21,3 +21,10 @@ def test_a_plants_name_occurs_in_its_own_file_only(name: str):
     texts = [path for path in PACKAGE.rglob("*") if path.suffix in (".py", ".txt") and path != own]
     found = {path.relative_to(PACKAGE).as_posix() for path in texts if re.search(said, path.read_text())}
     assert found == EXCEPTIONS.get(name, set())
+
+
+@pytest.mark.parametrize("path", sorted(PACKAGE.rglob("*.py")), ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_messages_are_in_plain_words(path: Path):
+    """Not every reader's first language is English: fix, not mend; one number per state, not a number a state."""
+    odd = re.findall(r"\bmend\b|\bone an? (?:state|input|loop|joint)\b|\ba number an? \w+", path.read_text())
+    assert odd == []
