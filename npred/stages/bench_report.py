@@ -72,7 +72,7 @@ def _all(row: Row) -> dict[str, str]:
 
 
 def _name(row: Row) -> str:
-    name = NAMES.get(row["predictor"], row["predictor"])
+    name = NAMES.get(row["predictor"]) or str(row["predictor"])
     return f"{name} (ε of {row['matches']})" if row["matches"] not in (None, "front") else name
 
 
