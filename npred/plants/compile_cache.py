@@ -97,7 +97,10 @@ def folder() -> Path:
     if not chosen.is_absolute():  # there is no home
         return _temporary()
     try:
-        chosen.mkdir(mode=0o700, parents=True, exist_ok=True)
+        if not chosen.parent.exists():  # who could write to it could put another folder in the place of kernels
+            chosen.parent.mkdir(parents=True, exist_ok=True)
+            chosen.parent.chmod(0o700)
+        chosen.mkdir(mode=0o700, exist_ok=True)
         _private(chosen)
         tempfile.TemporaryFile(dir=chosen).close()
         return chosen
