@@ -258,6 +258,15 @@ def test_drawing_leaves_the_settings_of_matplotlib_alone(tmp_path):
     assert dict(matplotlib.rcParams) == before
 
 
+def test_a_training_of_one_epoch_is_seen_as_a_point():
+    row = {"epoch": 1, "loss": 0.1, "mse": 0.01, "eps_sup": 0.2}
+    plate = figures.learning({"fno": [row], "deeponet": [row, row | {"epoch": 2}]})
+    for panel in plate.panels:
+        axis = Figure().subplots()
+        panel.draw(axis)
+        assert [line.get_marker() for line in axis.lines] == ["o", "None"]
+
+
 def test_learning_tells_where_each_network_began_and_ended():
     histories = {"fno": [{"epoch": k, "loss": 1.0 / k, "mse": 0.1 / k, "eps_sup": 2.0 / k} for k in (1, 2, 4)]}
     plate = figures.learning(histories)

@@ -16,7 +16,7 @@ def learning(histories: dict[str, Epochs]) -> Plate:
     panels = [Panel(title, _told(title, key, histories), partial(_curves, key, histories))
               for key, title in SHOWN.items()]  # fmt: skip
     caption = (
-        "One point an epoch. The loss is each network's own; the errors are in state units, on the rollouts that the "
+        "One point per epoch. The loss is each network's own; the errors are in state units, on the rollouts that the "
         "data hold out."
     )
     solid = tuple(Key(words(name), replace(look(name), dash=())) for name in histories)  # dashes hide what is rough
@@ -25,7 +25,7 @@ def learning(histories: dict[str, Epochs]) -> Plate:
 
 def _curves(key: str, histories: dict[str, Epochs], axis: Any) -> None:
     for name, epochs in histories.items():
-        solid = replace(look(name), dash=())
+        solid = replace(look(name), dash=(), marker="" if len(epochs) > 1 else "o")  # one point makes no line
         axis.plot([row["epoch"] for row in epochs], [row[key] for row in epochs], **solid.line)
     axis.set_xlabel("epoch")
     log(axis, "y")
