@@ -12,19 +12,19 @@ import sys
 import tempfile
 from pathlib import Path
 
-from npred.console import columns
+from npred.terminal.console import columns
 
 HERE = Path(__file__).resolve().parent
 PLANTS = ("activator_repressor", "planar_arm2", "planar_arm5", "planar_arm7")
 URDF = """\
-from npred.plants.chain import chain
+from npred.robots.chain import chain
 
 Arm = chain({path!r})
 """
 STEP = """\
 import sys, time
 import npred
-from npred.closed_loop import simulate
+from npred.loop.closed_loop import simulate
 
 start = time.perf_counter()
 plant = npred.plant(sys.argv[1])

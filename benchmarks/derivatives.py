@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 import npred
-from npred import metrics
-from npred.console import columns
+from npred.loop import metrics
+from npred.terminal.console import columns
 
 FIRST = (0.3, 0.5, 1.0, 1.5, 2.0, 3.5)  # s: D_hat(0)
 

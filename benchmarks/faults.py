@@ -30,7 +30,10 @@ import numba
 import torch
 
 from npred.cli import main as npred
-from npred.stages import bench, evaluate, generate, train
+from npred.stages import train
+from npred.stages.bench import bench
+from npred.stages.evaluate import evaluate
+from npred.stages.generate import generate
 from npred.store import Artifact, Store
 
 WARM = (h5py, matplotlib, numba, torch, bench, evaluate, generate, train)

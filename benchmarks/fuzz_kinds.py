@@ -15,7 +15,7 @@ import torch
 
 from npred import config, operators, plants
 from npred.config import FNO, DeepONet
-from npred.dataset import MEANING, Dataset
+from npred.data.dataset import MEANING, Dataset
 from npred.errors import NpredError, StoreError
 from npred.pipeline import STAGES, Planner, nodes
 from npred.store import Artifact, Question, Store, archive

@@ -11,9 +11,10 @@ import warnings
 import numpy as np
 import torch
 
-from npred import operators, plants, runtimes, timing
+from npred import operators, plants, runtimes
 from npred.config import FNO
 from npred.operators import Scaling
+from npred.stages.bench import timing
 
 GRIDS, CALLS, SECONDS = (101, 1001), 2000, 4.0
 

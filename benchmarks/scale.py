@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from npred.figures.plate import Key, Panel, Plate, write
+from npred.figures.figure import Key, Panel, Plate, write
 from npred.figures.style import MEDIA, Look, log
 
 SIZES = (10_000, 100_000, 300_000, 1_000_000, 3_000_000, 10_000_000)

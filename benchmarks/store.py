@@ -19,11 +19,11 @@ import numpy as np
 from typer.testing import CliRunner
 
 from npred.cli import app
-from npred.console import columns
 from npred.errors import NpredError
-from npred.figures.plate import Panel, Plate, write
+from npred.figures.figure import Panel, Plate, write
 from npred.figures.style import Look, log
 from npred.store import Question, Store, archive
+from npred.terminal.console import columns
 
 REPEATS = 3
 ROLE = ("ink", "muted", "blue", "orange", "green", "frozen", "sky", "amber")

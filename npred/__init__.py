@@ -10,25 +10,30 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from npred import errors as errors
     from npred import plants as plants
-    from npred.adaptation import DelayAdaptation as DelayAdaptation
     from npred.api import controller as controller
     from npred.api import load as load
     from npred.api import plant as plant
     from npred.api import predictor as predictor
-    from npred.closed_loop import simulate as simulate
-    from npred.delay_estimate import DelayLaw as DelayLaw
+    from npred.loop.adaptation import DelayAdaptation as DelayAdaptation
+    from npred.loop.closed_loop import simulate as simulate
+    from npred.loop.delay_law import DelayLaw as DelayLaw
     from npred.predictors import Predictor as Predictor
 
 __version__ = "0.1.0"
 __all__ = ["DelayAdaptation", "DelayLaw", "Predictor", "controller", "load", "plant", "predictor", "simulate"]
 
 _HOME = dict.fromkeys(__all__, "api") | {
-    "DelayAdaptation": "adaptation",
-    "DelayLaw": "delay_estimate",
+    "DelayAdaptation": "loop.adaptation",
+    "DelayLaw": "loop.delay_law",
     "Predictor": "predictors",
-    "simulate": "closed_loop",
+    "simulate": "loop.closed_loop",
 }
-_MODULES = ("errors", "plants")  # documented by their own names, as npred.errors.ConfigError
+_MODULES = {
+    "errors": "errors",
+    "plants": "plants",
+    "metrics": "loop.metrics",
+    "lyapunov": "loop.lyapunov",
+}  # as npred.errors
 
 
 def __getattr__(name: str) -> Any:
@@ -38,7 +43,7 @@ def __getattr__(name: str) -> Any:
     import importlib
 
     if name in _MODULES:
-        return importlib.import_module(f"npred.{name}")
+        return importlib.import_module(f"npred.{_MODULES[name]}")
     return getattr(importlib.import_module(f"npred.{_HOME[name]}"), name)
 
 

@@ -2,7 +2,7 @@
 
 import sys
 
-from npred import interruption
+from npred.terminal import interruption
 
 
 def main() -> None:

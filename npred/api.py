@@ -4,9 +4,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from npred import plants
-from npred.control import Controller
-from npred.delay_estimate import DelayLaw
 from npred.errors import ConfigError
+from npred.loop.controller import Controller
+from npred.loop.delay_law import DelayLaw
 from npred.plants import Plant
 from npred.predictors import METHODS, Compiled, Predictor
 
@@ -45,7 +45,8 @@ def load(
     """
     import torch
 
-    from npred import devices, operators, runtimes
+    from npred import operators, runtimes
+    from npred.parallel import devices
     from npred.pipeline.models import load_model
 
     device = devices.resolve(device)
@@ -60,5 +61,5 @@ def controller(
     plant: Plant, predictor: Predictor, adaptation: DelayLaw | None, dt: float, *,
     D_hat: float | None = None, input_bounds: Any = None,
 ) -> Controller:  # fmt: skip
-    """The controller alone, for a real plant: `U = controller.step(X, u)` each dt seconds; see npred.control."""
+    """The controller alone, for a real plant: `U = controller.step(X, u)` each dt seconds (npred.loop.controller)."""
     return Controller(plant, predictor, adaptation, dt, D_hat=D_hat, input_bounds=input_bounds)

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, Self, TypeVar
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 from pydantic.fields import FieldInfo
 
-from npred import places
+from npred import defaults
 from npred.errors import ConfigError, similar, size
 
 NAME = re.compile(r"[^\W_][\w.-]{0,99}")  # of a pipeline
@@ -335,7 +335,7 @@ def load(path: Path, overrides: list[str] | None = None) -> Pipeline:
     try:
         data = tomllib.loads(_text(path))
     except FileNotFoundError:
-        raise ConfigError(places.missing(path)) from None
+        raise ConfigError(defaults.missing(path)) from None
     except (OSError, ValueError, RecursionError) as error:
         raise ConfigError(f"{path}: expected a TOML file, got: {error}; correct that") from None
     _anchor(data, path.parent if path.is_file() else Path())

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from npred.pipeline.table import STAGES, Stage
+from npred.pipeline.stage_registry import STAGES, Stage
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from typing import Any
 from silent import Silent
 
 from npred import config, plants
-from npred.executors import Here, Workers
+from npred.parallel.executors import Here, Workers
 from npred.stages import Job
 
 PLANT = "activator_repressor"

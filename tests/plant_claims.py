@@ -14,8 +14,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from npred import config, grid
-from npred.closed_loop import Trajectories, simulate
-from npred.plants import Plant, fit
+from npred.diagnosis import pipeline_fit
+from npred.loop.closed_loop import Trajectories, simulate
+from npred.plants import Plant
 from npred.predictors import METHODS, RK4
 from npred.predictors.onestep import OneStep
 
@@ -65,7 +66,7 @@ class Claims:
         name = self.pipeline or self.plant.name
         found = config.load(Path(__file__).parent.parent / f"pipeline/{name}.toml")
         assert (found.plant, found.name) == (self.plant.name, name)
-        fit.check(self.plant, found, ("generate", "train", "evaluate", "bench"))
+        pipeline_fit.check(self.plant, found, ("generate", "train", "evaluate", "bench"))
 
     def test_derivatives_equal_differences(self):
         derivatives_equal_differences(self.plant)

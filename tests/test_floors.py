@@ -13,18 +13,17 @@ from conftest import process_environment
 
 ROOT = Path(__file__).parent.parent / "npred"
 FLOORS = [
-    {"errors"},
-    {"config", "devices", "documents", "executors", "grid", "interruption", "places", "randomness", "ranks", "shapes"}
-    | {"toml_text"},
-    {"plants"},
-    {"actuator", "predictors", "operators"},
-    {"adaptation", "arguments", "closed_loop", "delay_estimate", "delayed_law", "engine", "laws", "lyapunov"}
-    | {"trajectory_views", "untraced_law"},
-    {"control", "dataset", "hdf5", "interop", "metrics", "plant_check", "runtimes", "shards", "streaming", "timing"}
-    | {"training"},
-    {"bars", "console", "events", "figures", "live", "run_log", "store", "terminal"},
+    {"errors", "grid", "json_files", "randomness", "toml_text"},
+    {"array_checks", "config", "defaults", "parallel", "symbolic", "terminal"},
+    {"plants", "robots", "store"},
+    {"data", "operators"},
+    {"predictors", "training"},
+    {"diagnosis", "loop", "runtimes"},
+    {"figures"},
     {"stages"},
-    {"pipeline", "cli", "api", "__main__"},
+    {"pipeline"},
+    {"api", "sweep"},
+    {"cli", "__main__"},
 ]
 FLOOR = {name: floor for floor, names in enumerate(FLOORS) for name in names}
 MODULES = sorted(path for path in ROOT.rglob("*.py") if path != ROOT / "__init__.py")

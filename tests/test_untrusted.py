@@ -13,13 +13,13 @@ import pytest
 import torch
 from conftest import HERE, process_environment
 from safetensors.torch import save_file
-from test_archive import nothing
-from test_store import put, question
+from store_samples import put, question
 
-from npred import config, laws, operators, plants
+from npred import config, operators, plants
 from npred.config import FNO, DeepONet
 from npred.errors import ConfigError, StoreError
-from npred.pipeline import load_model, nodes, table
+from npred.loop import delay_laws
+from npred.pipeline import load_model, nodes, stage_registry
 from npred.store import Store, archive
 
 ROOT = HERE.parent
@@ -68,7 +68,7 @@ def test_an_artifact_does_not_run_the_plant_that_it_names(
     plant = {"name": "evil.py:Tank", "parameters": {}, "source": source, "program": "x"}
     made = put(Store(Path("mine")), question(config={"plant": plant}))
     archive.export(made, Path("a.tar"))
-    found, _ = archive.load(Store(Path("artifacts")), Path("a.tar"), nothing)
+    found, _ = archive.load(Store(Path("artifacts")), Path("a.tar"), lambda _: ())
     for spec in (str(found.folder), found.manifest.key):
         with pytest.raises(ConfigError, match=r"expected a built-in plant, got 'evil\.py:Tank' .*; use PIPELINE:MODEL"):
             load_model(spec)
@@ -149,13 +149,13 @@ def test_a_pipe_in_the_place_of_a_file_is_not_waited_for(tmp_path: Path, line: s
     pipeline = config.load(tmp_path / "p.toml")
     node = nodes(pipeline, ["generate"])[0]
     with pytest.raises(ConfigError, match=r"expected a.* file"):
-        table.question(node, pipeline, "cpu")
+        stage_registry.question(node, pipeline, "cpu")
 
 
 @pytest.mark.parametrize("name", ["*/ int owned; /*", "a b", "", "class", "a\nb"])
 def test_a_class_is_an_identifier_everywhere(tmp_path: Path, name: str):
-    (tmp_path / "x.py").write_text(f"from npred.plants.scalar import Scalar\nglobals()[{name!r}] = Scalar\n")
-    for call in (lambda: plants.resolve(f"{tmp_path}/x.py:{name}"), lambda: laws.identity(_loop(tmp_path, name))):
+    (tmp_path / "x.py").write_text(f"from npred.plants.builtin.scalar import Scalar\nglobals()[{name!r}] = Scalar\n")
+    for call in (lambda: plants.resolve(f"{tmp_path}/x.py:{name}"), lambda: delay_laws.identity(_loop(tmp_path, name))):
         with pytest.raises(ConfigError, match="expected the name of a class after the colon"):
             call()
 

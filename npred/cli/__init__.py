@@ -1,9 +1,10 @@
 """The command line, `npred`."""
 
-from npred import interruption, ranks, terminal
 from npred.cli import commands
 from npred.cli.app import app, guarded
-from npred.console import Console
+from npred.parallel import torchrun
+from npred.terminal import interruption, streams
+from npred.terminal.console import Console
 
 __all__ = ["app", "commands", "main"]
 
@@ -14,10 +15,10 @@ def main() -> None:
     Of the processes that torchrun starts, the first does so and the others help it train.
     """
     interruption.listen()
-    terminal.open_closed()
-    if ranks.count() > 1:
-        ranks.join()
-        ranks.leave(_lead() if ranks.number() == 0 else _help_out())
+    streams.open_closed()
+    if torchrun.count() > 1:
+        torchrun.join()
+        torchrun.leave(_lead() if torchrun.number() == 0 else _help_out())
     app()
 
 
@@ -28,7 +29,7 @@ def _lead() -> int:
     except SystemExit as end:
         return int(end.code or 0)
     finally:
-        ranks.dismiss()
+        torchrun.dismiss()
     return 0
 
 

@@ -7,11 +7,11 @@ from typing import Any
 
 import typer
 
-from npred import interruption
 from npred.cli.options import Common, parameters
 from npred.cli.usage import Command, Group
-from npred.console import Console
 from npred.errors import NpredError
+from npred.terminal import interruption
+from npred.terminal.console import Console
 
 app = typer.Typer(
     name="npred",

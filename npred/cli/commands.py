@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 import npred
-from npred import places
+from npred import defaults
 from npred.cli import completion
 from npred.cli.app import app, command, group
 from npred.cli.options import Common, Planned, Running, Work
@@ -128,9 +128,9 @@ def status(
     check: Annotated[bool, typer.Option("--check", help="Read every file; exit 3 unless all is fresh.")] = False,
 ) -> None:
     """What is fresh, stale or missing."""
-    from npred.cli import look
+    from npred.cli import inspect
 
-    look.status(options, check)
+    inspect.status(options, check)
 
 
 @command(LOOK)
@@ -140,9 +140,9 @@ def why(
     stage: Annotated[str, typer.Argument(help="A stage, or a network.", autocompletion=completion.stages)],
 ) -> None:
     """Why a stage would run again: what changed, before -> after."""
-    from npred.cli import look
+    from npred.cli import inspect
 
-    look.why(options, stage)
+    inspect.why(options, stage)
 
 
 @command(LOOK)
@@ -159,9 +159,9 @@ def show(
     ] = None,
 ) -> None:
     """What is inside a result: question, files, answer."""
-    from npred.cli import look
+    from npred.cli import inspect
 
-    look.show(options, reference)
+    inspect.show(options, reference)
 
 
 @command(LOOK)
@@ -173,9 +173,9 @@ def ls(
     ] = None,
 ) -> None:
     """Every result in the store, the most recent last."""
-    from npred.cli import look
+    from npred.cli import inspect
 
-    look.ls(options, shown or [])
+    inspect.ls(options, shown or [])
 
 
 @command(LOOK)
@@ -186,9 +186,9 @@ def diff(
     b: Annotated[str, typer.Argument(metavar="B", help="Another.", autocompletion=completion.artifacts)],
 ) -> None:
     """How two results differ: in their questions, and in their answers."""
-    from npred.cli import look
+    from npred.cli import inspect
 
-    look.diff(options, a, b)
+    inspect.diff(options, a, b)
 
 
 @app.command("help", cls=Command, rich_help_panel=LOOK)
@@ -206,10 +206,10 @@ def help_(
 @group(LOOK)
 def plants(options: Common, *, context: typer.Context) -> None:
     """The plants that are built in or installed; `npred plants check` asks what is wrong with one."""
-    from npred.cli import look
+    from npred.cli import inspect
 
     if context.invoked_subcommand is None:
-        look.plants(options)
+        inspect.plants(options)
 
 
 @command(LOOK, to=plants)
@@ -233,9 +233,9 @@ def check(
     ] = None,
 ) -> None:
     """What is right and wrong with a plant, in words; exit 3 where an answer is no."""
-    from npred.cli import look
+    from npred.cli import inspect
 
-    look.check(options, plant, delay, nodes)
+    inspect.check(options, plant, delay, nodes)
 
 
 @command(RUN)
@@ -314,17 +314,17 @@ def import_(
     output: Annotated[Path, typer.Option("-o", "--output", help="The HDF5 file to write.")] = Path("data.h5"),
 ) -> None:
     """Data of others as a file that a pipeline can train on, checked against the predictor equation."""
-    from npred.cli import exchange
+    from npred.cli import data_exchange
 
-    exchange.bring(options, form, exchange.Given(inputs, outputs, plant, rollouts, output))
+    data_exchange.bring(options, form, data_exchange.Given(inputs, outputs, plant, rollouts, output))
 
 
 @command(CARE)
 def verify(options: Common) -> None:
     """Every file of every result against its digest; exit 4 where one differs."""
-    from npred.cli import maintain
+    from npred.cli import store_admin
 
-    maintain.verify(options)
+    store_admin.verify(options)
 
 
 @command(CARE)
@@ -356,10 +356,10 @@ def gc(
     ] = "auto",
 ) -> None:
     """What no pipeline needs: the plan first, deleted with --yes."""
-    from npred.cli import cleaning
+    from npred.cli import gc
 
-    paths = [places.pipeline(path) for path in pipelines or []]
-    cleaning.gc(options, cleaning.Wanted(paths, set, older, keep, device), yes)
+    paths = [defaults.pipeline(path) for path in pipelines or []]
+    gc.gc(options, gc.Wanted(paths, set, older, keep, device), yes)
 
 
 @command(CARE)
@@ -374,9 +374,9 @@ def export_artifact(
     ] = None,
 ) -> None:
     """A result as one tar with its digests, to take elsewhere."""
-    from npred.cli import maintain
+    from npred.cli import store_admin
 
-    maintain.export_artifact(options, reference, output)
+    store_admin.export_artifact(options, reference, output)
 
 
 @command(CARE)
@@ -384,14 +384,14 @@ def import_artifact(
     options: Common, *, path: Annotated[Path, typer.Argument(metavar="FILE.tar", help="What export-artifact wrote.")]
 ) -> None:
     """A result from elsewhere into the store, checked; nothing in it is run."""
-    from npred.cli import maintain
+    from npred.cli import store_admin
 
-    maintain.import_artifact(options, path)
+    store_admin.import_artifact(options, path)
 
 
 @command(CARE)
 def doctor(options: Common) -> None:
     """Versions, devices, threads and the store."""
-    from npred.cli import maintain
+    from npred.cli import store_admin
 
-    maintain.doctor(options)
+    store_admin.doctor(options)

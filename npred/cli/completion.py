@@ -7,7 +7,7 @@ from typing import Any, Literal, get_args, get_origin
 
 import typer
 
-from npred import places
+from npred import defaults
 
 Offer = tuple[str, str]  # a word, and what the shell says beside it
 Complete = Callable[[typer.Context, str], list[Offer]]
@@ -34,10 +34,10 @@ def words(*choices: str) -> Complete:
 @_offered
 def pipelines(ctx: typer.Context, incomplete: str) -> Iterator[Offer]:
     """The pipelines that are part of npred, and the TOML files of the folder that is typed."""
-    yield from ((name, _first_line(path)) for name, path in places.shipped().items())
+    yield from ((name, _first_line(path)) for name, path in defaults.shipped().items())
     folder = incomplete.rpartition("/")[0]
     for path in sorted(Path(folder or ".").glob("*.toml")):
-        if path.name not in places.NO_PIPELINE:
+        if path.name not in defaults.NO_PIPELINE:
             yield f"{folder}/{path.name}" if folder else path.name, _first_line(path)
 
 
@@ -75,7 +75,7 @@ def artifacts(ctx: typer.Context, incomplete: str) -> Iterator[Offer]:
     """The results in the store, the most recent first."""
     from npred.store import Store
 
-    for artifact in reversed(Store(ctx.params.get("store") or places.store()).survey()[0]):
+    for artifact in reversed(Store(ctx.params.get("store") or defaults.store()).survey()[0]):
         asked = artifact.manifest.question
         yield artifact.name, f"{asked.model or asked.stage} of {artifact.manifest.pipeline}"
 
@@ -98,7 +98,7 @@ def _values(ctx: typer.Context, key: str, field: Any) -> list[str]:
         return list(get_args(field.annotation))
     rest = ctx.args[-1] if ctx.args else None  # before an option without its value, arguments have no names yet
     try:
-        pipeline = config.load(places.pipeline(ctx.params.get("pipeline_name") or rest))
+        pipeline = config.load(defaults.pipeline(ctx.params.get("pipeline_name") or rest))
     except NpredError:
         pipeline = config.Pipeline(plant="")
     return [value.strip('"') for name, value in flat(pipeline.model_dump()).items() if name == key]

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from npred import devices, executors
 from npred.cli.options import Running, Work
 from npred.cli.page import publish
-from npred.console import columns
 from npred.errors import ConfigError
+from npred.parallel import devices, executors
 from npred.pipeline import STAGES, Node, Outcome, Planner, Runner, Step, networks, nodes
 from npred.store import short
+from npred.terminal.console import columns
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ def _recorded(options: Work) -> Iterator[Callable[[list[Outcome]], None]]:
     if options.tensorboard is None:
         yield lambda outcomes: None
         return
-    from npred.events import Events
+    from npred.terminal.tensorboard import Events
 
     options.console.events = events = Events(options.tensorboard)
 
@@ -164,9 +164,10 @@ def _page(page: Path | None) -> list[str]:
 
 def _closing(options: Work, outcomes: list[Outcome]) -> str:
     """How a whole run ends: the report's sentences, and a table of the predictors."""
-    from npred.stages import bench_report, evaluate_report
+    from npred.stages.bench import timing_tables
+    from npred.stages.evaluate import summary_tables
 
     results = {outcome.node.name: outcome.artifact.result() for outcome in outcomes}
-    times = bench_report.fastest(results["bench"], options.config.train.models, options.config.evaluate.predictor)
-    table = evaluate_report.table(results["evaluate"], options.console.width, times)
+    times = timing_tables.fastest(results["bench"], options.config.train.models, options.config.evaluate.predictor)
+    table = summary_tables.table(results["evaluate"], options.console.width, times)
     return "\n\n".join([*results["report"]["summary"], table]) + "\n"

@@ -3,9 +3,10 @@
 from pathlib import Path
 from typing import NamedTuple
 
-from npred import operators, shards
-from npred.cli import exchange
+from npred import operators
+from npred.cli import data_exchange
 from npred.cli.options import Common, writable
+from npred.data import shards
 from npred.errors import ConfigError
 from npred.pipeline import Stored, load_model
 from npred.runtimes import c, onnx
@@ -27,11 +28,11 @@ class Wanted(NamedTuple):
 
 def export(options: Common, wanted: Wanted) -> None:
     """Write the file. Raises ConfigError for a format that there is none of, NpredError for a graph that differs."""
-    if wanted.form in exchange.WRITERS:
-        exchange.export(options, wanted.form, wanted.key, wanted.output)
+    if wanted.form in data_exchange.WRITERS:
+        data_exchange.export(options, wanted.form, wanted.key, wanted.output)
         return
     if wanted.form not in FORMATS:
-        known = ", ".join([*FORMATS, *exchange.WRITERS])
+        known = ", ".join([*FORMATS, *data_exchange.WRITERS])
         raise ConfigError(f"export: expected one of {known}, got {wanted.form!r}; name one of them")
     if wanted.nx < 2:
         raise ConfigError(

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
 
-from npred import places
+from npred import defaults
 from npred.cli import completion
-from npred.console import Console
 from npred.errors import ConfigError
+from npred.terminal.console import Console
 
 if TYPE_CHECKING:  # pydantic and filelock come with these, which `npred --help` has no use for
     from npred.config import Pipeline
@@ -24,7 +24,9 @@ if TYPE_CHECKING:  # pydantic and filelock come with these, which `npred --help`
 class Common:
     """Flags of every command."""
 
-    store: Annotated[Path, typer.Option(envvar=places.STORE_VARIABLE, help="Where results are kept.")] = places.STORE
+    store: Annotated[Path, typer.Option(envvar=defaults.STORE_VARIABLE, help="Where results are kept.")] = (
+        defaults.STORE
+    )
     json: Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout.")] = False
     quiet: Annotated[bool, typer.Option("-q", "--quiet", help="Warnings and errors only.")] = False
     verbose: Annotated[bool, typer.Option("-v", "--verbose", help="More messages; tracebacks.")] = False
@@ -54,7 +56,7 @@ class Planned(Common):
         str | None,
         typer.Argument(
             metavar="PIPELINE",
-            show_default=f"{places.PIPELINE_VARIABLE}, {places.PIPELINE}, or the only TOML file here",
+            show_default=f"{defaults.PIPELINE_VARIABLE}, {defaults.PIPELINE}, or the only TOML file here",
             help="A pipeline file, or the name of one that is part of npred, as smoke.",
             autocompletion=completion.pipelines,
         ),
@@ -74,7 +76,7 @@ class Planned(Common):
     @cached_property
     def pipeline(self) -> Path:
         """The pipeline file."""
-        return places.pipeline(self.pipeline_name)
+        return defaults.pipeline(self.pipeline_name)
 
     @cached_property
     def config(self) -> "Pipeline":
@@ -85,7 +87,7 @@ class Planned(Common):
 
     def planner(self, forced: frozenset[str] = frozenset()) -> "Planner":
         """The pipeline against the store."""
-        from npred import devices
+        from npred.parallel import devices
         from npred.pipeline import Planner
 
         return Planner(self.config, self.results, devices.resolve(self.device), forced)
@@ -99,7 +101,7 @@ class Running(Planned):
     executor: Annotated[
         str,
         typer.Option(
-            envvar=places.EXECUTOR_VARIABLE, metavar="local|dask:ADDRESS", help="Where batches of rollouts run."
+            envvar=defaults.EXECUTOR_VARIABLE, metavar="local|dask:ADDRESS", help="Where batches of rollouts run."
         ),
     ] = "local"
 

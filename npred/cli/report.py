@@ -11,7 +11,7 @@ from npred.store import durable
 
 if TYPE_CHECKING:
     from npred.figures.style import Style
-    from npred.stages.story import Story
+    from npred.stages.report.report_data import Story
 
 FORMATS = ("pdf", "svg", "png")
 OWNER = "pipeline.txt"  # in a folder of figures: the pipeline file that they are of
@@ -28,7 +28,7 @@ def report(options: Work, output: Path | None, medium: str | None) -> None:
 def _figures(options: Work, output: Path | None, medium: str) -> None:
     from npred import plants
     from npred.figures.style import MEDIA
-    from npred.stages.story import Story
+    from npred.stages.report.report_data import Story
 
     if medium not in MEDIA:
         raise ConfigError(f"--figures: expected {', '.join(MEDIA)}, got {medium!r}; name one of them")

@@ -9,7 +9,7 @@ from keyword import iskeyword
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from npred import places
+from npred import defaults
 from npred.cli.options import Common
 from npred.errors import ConfigError
 
@@ -85,8 +85,8 @@ def _module_file(declaration: type) -> str:
 
 def _shipped(source: str) -> str | None:
     """The pipeline of a plant: of its own name, else pipeline/paper.toml or the first that has this plant."""
-    texts = {name: path.read_text(encoding="utf-8") for name, path in places.shipped().items()}
-    names = sorted(texts, key=lambda name: (name != source, name != places.PIPELINE.stem))
+    texts = {name: path.read_text(encoding="utf-8") for name, path in defaults.shipped().items()}
+    names = sorted(texts, key=lambda name: (name != source, name != defaults.PIPELINE.stem))
     return next((texts[name] for name in names if tomllib.loads(texts[name])["plant"] == source), None)
 
 

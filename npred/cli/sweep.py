@@ -6,14 +6,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from npred import devices, executors
-from npred.bars import counted
 from npred.cli import execute
 from npred.cli.options import Running, writable_folder
-from npred.console import columns
 from npred.errors import ConfigError, NpredError
-from npred.pipeline import Cell, Planner, Progress, Sweep, cells, harvest, nodes
+from npred.parallel import devices, executors
+from npred.pipeline import Planner, nodes
 from npred.store import durable
+from npred.sweep import Cell, Progress, Sweep, cells, sweep_table
+from npred.terminal.console import columns
+from npred.terminal.progress_bars import counted
 
 PRECISION = 4  # digits of the table that people read
 
@@ -29,13 +30,15 @@ class Wanted:
 
 def sweep(options: Running, wanted: Wanted) -> None:
     """Run the grid. Raises NpredError, once all the others are done, where a cell failed."""
-    if wanted.to not in harvest.stages():
-        raise ConfigError(f"--to: expected one of {', '.join(harvest.stages())}, got {wanted.to!r}; name one of them")
+    if wanted.to not in sweep_table.stages():
+        raise ConfigError(
+            f"--to: expected one of {', '.join(sweep_table.stages())}, got {wanted.to!r}; name one of them"
+        )
     if wanted.output:
         writable_folder(wanted.output, "table")
     device = devices.resolve(options.device)
     devices.require(device)
-    grid, targets = cells(options.pipeline, options.set or []), harvest.targets(wanted.to)
+    grid, targets = cells(options.pipeline, options.set or []), sweep_table.targets(wanted.to)
     if options.dry_run:
         _planned(options, grid, targets, device)
         return
@@ -71,21 +74,21 @@ def _report(options: Running, wanted: Wanted, found: list[Progress]) -> None:
 
 
 def _rows(found: list[Progress]) -> list[dict[str, Any]]:
-    from npred.stages import front
+    from npred.sweep import pareto
 
-    rows = [row for progress in found for row in harvest.rows(progress)]
-    marked = zip(rows, front.front(rows), strict=True)
+    rows = [row for progress in found for row in sweep_table.rows(progress)]
+    marked = zip(rows, pareto.front(rows), strict=True)
     return [{"row": number, **row, "front": best} for number, (row, best) in enumerate(marked, 1)]
 
 
 def _write(folder: Path, rows: list[dict[str, Any]]) -> list[Path]:
     """table.csv, and front.svg and front.png where there are two quantities to draw."""
-    from npred.stages import front
+    from npred.sweep import pareto
 
     with durable.room(folder):
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "table.csv").write_text(_csv(rows), encoding="utf-8")
-        return [folder / "table.csv", *front.draw(folder, rows)]
+        return [folder / "table.csv", *pareto.draw(folder, rows)]
 
 
 def _csv(rows: list[dict[str, Any]]) -> str:

@@ -6,8 +6,8 @@ from typing import Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from npred import interruption, terminal
-from npred.console import Console
+from npred.terminal import interruption, streams
+from npred.terminal.console import Console
 
 USAGE: type[BaseException] = typer.BadParameter.__mro__[1]  # what every usage error is; typer keeps the name to itself
 
@@ -38,8 +38,8 @@ class Group(TyperGroup):
         except typer.Abort:
             sys.exit(_interrupted())
         except OSError as error:  # commands say theirs: this is of a help that stdout does not take
-            terminal.silence(sys.stdout)
-            Console().error(str(terminal.unwritable(error.strerror)))
+            streams.silence(sys.stdout)
+            Console().error(str(streams.unwritable(error.strerror)))
             sys.exit(1)
         sys.exit(code if isinstance(code, int) else 0)
 

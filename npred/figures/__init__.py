@@ -2,13 +2,13 @@
 
 from npred.figures.accuracy import box, certificate, errors
 from npred.figures.delay_map import delays
-from npred.figures.evidence import Evidence
+from npred.figures.evaluation_data import Evidence
+from npred.figures.figure import Plate, write
 from npred.figures.histograms import coverage
 from npred.figures.kinds import kinds
 from npred.figures.latency import speed
 from npred.figures.loops import figure1
 from npred.figures.losses import learning
-from npred.figures.plate import Plate, write
 
 __all__ = [
     "Evidence",

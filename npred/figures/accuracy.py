@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from npred.figures.evidence import Errors, Evidence
+from npred.figures.evaluation_data import Errors, Evidence
+from npred.figures.figure import Key, Panel, Plate
 from npred.figures.loops import ends, keys
 from npred.figures.notation import common_unit, quantity, symbol, with_unit
-from npred.figures.plate import Key, Panel, Plate
 from npred.figures.style import EARLY, ROLES, Look, lettered, log, look, power, short, words
 
 BINS = 24

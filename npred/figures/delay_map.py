@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from npred.figures.evidence import Evidence
+from npred.figures.evaluation_data import Evidence
+from npred.figures.figure import Key, Panel, Plate
 from npred.figures.notation import timed
-from npred.figures.plate import Key, Panel, Plate
 from npred.figures.style import ROLES, Look, look, words
 
 

@@ -3,10 +3,10 @@
 from functools import partial
 from typing import Any
 
-from npred.figures.evidence import Evidence, Histogram
+from npred.figures.evaluation_data import Evidence, Histogram
+from npred.figures.figure import Key, Panel, Plate
 from npred.figures.loops import keys
 from npred.figures.notation import quantity
-from npred.figures.plate import Key, Panel, Plate
 from npred.figures.style import ROLES, Look, look
 
 

@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from npred.figures.evidence import OF, Evidence
+from npred.figures.evaluation_data import OF, Evidence
+from npred.figures.figure import Panel, Plate
 from npred.figures.loops import keys
-from npred.figures.plate import Panel, Plate
 from npred.figures.style import log, look, short, words
 
 

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from functools import partial
 from typing import Any
 
-from npred.figures.plate import Key, Panel, Plate
+from npred.figures.figure import Key, Panel, Plate
 from npred.figures.style import NETWORKS, Look, log, words
 
 Row = dict[str, Any]

@@ -5,11 +5,11 @@ from typing import Any, cast
 
 import numpy as np
 
-from npred import lyapunov, metrics
-from npred.figures.evidence import Evidence, Loop
+from npred.figures.evaluation_data import Evidence, Loop
+from npred.figures.figure import Key, Panel, Plate
 from npred.figures.notation import common_unit, quantity, symbol, timed, with_unit
-from npred.figures.plate import Key, Panel, Plate
 from npred.figures.style import ROLES, log, look, words
+from npred.loop import lyapunov, metrics
 
 FOCUS = "numerical"  # always in the picture; a loop that is lost may leave it, so that the others can be told apart
 GOAL = {"color": ROLES["muted"][0], "linewidth": 0.8, "linestyle": (0, (1, 2)), "zorder": 0}

@@ -4,7 +4,7 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-from npred.figures.plate import Key, Panel, Plate
+from npred.figures.figure import Key, Panel, Plate
 from npred.figures.style import log, look, words
 
 Epochs = list[dict[str, float]]

@@ -4,7 +4,7 @@ import io
 import re
 from xml.etree import ElementTree
 
-from npred.figures.plate import Panel, canvas, draw
+from npred.figures.figure import Panel, canvas, draw
 from npred.figures.style import ROLES, SCREEN, medium
 from npred.figures.typography import SUBSCRIPT, plain
 

@@ -8,7 +8,7 @@ import torch
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 
-from npred import documents
+from npred import json_files
 from npred.config import FNO, DeepONet, Training
 from npred.errors import StoreError
 from npred.operators.base import Operator
@@ -42,7 +42,7 @@ def describe(folder: Path) -> dict[str, Any]:
     """The saved model.json: `model`, `config` and `plant`. Raises StoreError where it is missing or no such object."""
     path = folder / MANIFEST
     try:
-        return documents.table(path)
+        return json_files.table(path)
     except (OSError, ValueError) as error:
         raise StoreError(f"{path}: expected a saved model, got: {error}; train it again") from None
 

@@ -6,7 +6,7 @@ import tokenize
 from collections.abc import Iterator, Mapping
 from difflib import SequenceMatcher
 
-from npred.documents import escaped
+from npred.json_files import escaped
 from npred.store.manifest import SourceText
 
 LINES = 2000  # of a file that is compared

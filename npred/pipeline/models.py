@@ -3,10 +3,11 @@
 from pathlib import Path
 from typing import NamedTuple
 
-from npred import config, devices, places, plants
+from npred import config, defaults, plants
 from npred.errors import ConfigError
+from npred.parallel import devices
 from npred.pipeline.plan import Planner
-from npred.pipeline.table import Node, networks, nodes
+from npred.pipeline.stage_registry import Node, networks, nodes
 from npred.plants import Plant
 from npred.store import Artifact, Store
 
@@ -25,11 +26,11 @@ def load_model(spec: str, root: Path | None = None) -> Stored:
 
     Each may end in `@EPOCH`, for a snapshot. Raises ConfigError where there is none, StoreError for corrupt files.
     """
-    store = Store(root or places.store())
+    store = Store(root or defaults.store())
     name, epoch = _split(spec)
     path, colon, model = name.rpartition(":")
     if colon or name in networks():
-        artifact, plant = _of_pipeline(places.pipeline(path), model, store)
+        artifact, plant = _of_pipeline(defaults.pipeline(path), model, store)
     else:
         artifact, plant = store.find(name), None
     return _stored(artifact.verify(), epoch, spec, plant)
@@ -40,13 +41,13 @@ def load_data(spec: str, root: Path | None = None) -> Artifact:
 
     Raises ConfigError where there is none, StoreError for corrupt files.
     """
-    store = Store(root or places.store())
-    if not spec.endswith(".toml") and spec not in places.shipped():
+    store = Store(root or defaults.store())
+    if not spec.endswith(".toml") and spec not in defaults.shipped():
         artifact = store.find(spec).verify()
         if artifact.manifest.question.stage != "generate":
             raise ConfigError(f"{spec}: expected data, got {artifact.name}; see npred ls for generate/…")
         return artifact
-    (step,) = Planner(config.load(places.pipeline(spec)), store, "cpu").plan([Node("generate", None, ())])
+    (step,) = Planner(config.load(defaults.pipeline(spec)), store, "cpu").plan([Node("generate", None, ())])
     if step.artifact is None:
         raise ConfigError(f"{spec}: expected data in {store.root}, got none ({step.reason}); run npred generate {spec}")
     return step.artifact.verify()

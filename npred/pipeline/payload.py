@@ -7,8 +7,8 @@ the stage does not give refuses the whole.
 
 import re
 
+from npred.defaults import RESULT
 from npred.errors import StoreError
-from npred.places import RESULT
 from npred.store import Manifest
 
 DATA = {

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from npred.config import Pipeline
-from npred.pipeline import table
+from npred.pipeline import stage_registry
 from npred.pipeline.reasons import NEVER, alike, reason, sentence, settings
-from npred.pipeline.table import STAGES, Node
+from npred.pipeline.stage_registry import STAGES, Node
 from npred.store import Artifact, Question, Source, SourceText, Store
 
 UP_TO_DATE = "up to date"
@@ -51,7 +51,7 @@ class Planner:
 
     def check(self, nodes: Iterable[Node]) -> None:
         """Raise ConfigError where these nodes ask for what the plant does not have."""
-        table.check(self.config, {node.stage for node in nodes})
+        stage_registry.check(self.config, {node.stage for node in nodes})
 
     def plan(self, nodes: Iterable[Node]) -> list[Step]:
         """One step a node, in order, without running anything. Raises StoreError for a corrupt
@@ -87,18 +87,18 @@ class Planner:
             stage=node.stage,
             version=STAGES[node.stage].version,
             model=node.model,
-            config=table.question(node, self.config, self.device),
+            config=stage_registry.question(node, self.config, self.device),
             inputs=sources,
         )
 
     def sources(self, node: Node) -> dict[str, SourceText]:
         """The files of code that a node's result depends on, as they are now."""
-        return table.sources(node, self.config)
+        return stage_registry.sources(node, self.config)
 
     def _waiting(self, node: Node, blocked: list[Step]) -> Step:
         causes = [f"upstream {step.node.name} will run ({step.reason})" for step in blocked if step.question]
         older = [a for a in self._artifacts if alike(a, node.stage, node.model, self.config.name)]
-        asked, sources = table.question(node, self.config, self.device), self.sources(node)
+        asked, sources = stage_registry.question(node, self.config, self.device), self.sources(node)
         lists = (settings(a.manifest.question.config, asked, a.manifest.sources, sources) for a in reversed(older))
         own = min(lists, key=len, default=[])
         return Step(node, None, None, f"{'stale' if older else NEVER}: {sentence([*own, *causes])}")

@@ -5,7 +5,7 @@ import re
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from npred.documents import escaped
+from npred.json_files import escaped
 from npred.pipeline import code_changes
 from npred.store import Artifact, Question, SourceText, short
 

@@ -11,13 +11,13 @@ from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from npred.console import Console
-from npred.executors import Here, Workers
+from npred.defaults import RESULT
+from npred.parallel.executors import Here, Workers
 from npred.pipeline.plan import Planner, Step
-from npred.pipeline.table import STAGES, Node
-from npred.places import RESULT
+from npred.pipeline.stage_registry import STAGES, Node
 from npred.store import Artifact, claims, durable, short
 from npred.store.claims import Claim
+from npred.terminal.console import Console
 
 if TYPE_CHECKING:
     from npred.plants import Plant

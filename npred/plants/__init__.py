@@ -1,4 +1,4 @@
-"""Plants by name or from a user's file; a plant is one file of this folder and nothing else."""
+"""Plants by name or from a user's file."""
 
 import importlib
 import pkgutil
@@ -7,7 +7,7 @@ from functools import lru_cache
 from typing import Any
 
 from npred.errors import ConfigError, similar
-from npred.plants import files, installed
+from npred.plants import builtin, files, installed
 from npred.plants.base import Plant
 from npred.plants.black_box import BlackBox
 
@@ -98,10 +98,10 @@ def is_builtin(name: Any) -> bool:
 
 
 def _builtin() -> dict[str, type]:
-    """What the modules of this folder declare: thermal_tank.py ThermalTank, or PLANTS, a table of names to classes."""
+    """What the modules of `builtin` declare: thermal_tank.py ThermalTank, or PLANTS, a table of names to classes."""
     found: dict[str, type] = {}
-    for module in pkgutil.iter_modules(__path__):
-        content = importlib.import_module(f"{__name__}.{module.name}")
+    for module in pkgutil.iter_modules(builtin.__path__):
+        content = importlib.import_module(f"{builtin.__name__}.{module.name}")
         camel = "".join(word.capitalize() for word in module.name.split("_"))
         family = getattr(content, "PLANTS", {module.name: getattr(content, camel, None)})
         found |= {name: declaration for name, declaration in family.items() if hasattr(declaration, "states")}

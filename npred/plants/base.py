@@ -8,10 +8,11 @@ from typing import Any, ClassVar
 import numpy as np
 
 from npred.errors import ConfigError
-from npred.plants import blame, files, mathematics, newton, programs
 from npred.plants import declaration as declared
+from npred.plants import files, newton
 from npred.plants.files import Source
-from npred.plants.trace import Trace, call, python
+from npred.symbolic import array_math, programs, source_lines
+from npred.symbolic.trace import Trace, call, python
 
 
 class Plant:
@@ -113,7 +114,7 @@ class Plant:
 
     def place(self, name: str) -> str:
         """A declared function in words, with file and line: plant Tank: f (my_plant.py:12)."""
-        line = blame.line(getattr(self.declaration, name))
+        line = source_lines.line(getattr(self.declaration, name))
         return f"plant {self.name}: {name}" + (f" ({line})" if line else "")
 
     def call(self, name: str, x: list[Any] | None, u: list[Any] | None, t: Any, p: Any, M: Any) -> list[Any]:
@@ -122,11 +123,11 @@ class Plant:
 
     def f(self, X: Any, u: Any, t: Any = 0.0) -> Any:
         """f(X, u, t): X (..., n), u (..., m) to (..., n); NumPy arrays or torch tensors."""
-        return mathematics.stack(self._on("f", X, u, t), X[..., 0])
+        return array_math.stack(self._on("f", X, u, t), X[..., 0])
 
     def kappa(self, X: Any, t: Any = 0.0) -> Any:
         """kappa(X, t): X (..., n) to (..., m)."""
-        return mathematics.stack(self._on("kappa", X, None, t), X[..., 0])
+        return array_math.stack(self._on("kappa", X, None, t), X[..., 0])
 
     def V(self, X: Any, t: Any = 0.0) -> Any:
         """V(X, t): X (..., n) to (...)."""
@@ -136,7 +137,7 @@ class Plant:
         self._fits(X, u)
         x = [X[..., k] for k in range(self.n)]
         inputs = None if u is None else [u[..., k] for k in range(self.m)]
-        return self.call(name, x, inputs, t, list(self.parameters.values()), mathematics.of(X))
+        return self.call(name, x, inputs, t, list(self.parameters.values()), array_math.of(X))
 
     def _fits(self, X: Any, u: Any) -> None:
         """Raise ConfigError unless the last axes of X and u are of the plant's sizes."""
@@ -157,7 +158,7 @@ class Plant:
             )
         X, residual, found = newton.solve(self._at_rest, self.guess)
         if not found:
-            left = blame.values([f"{name}'" for name in self.states], residual)
+            left = source_lines.values([f"{name}'" for name in self.states], residual)
             raise ConfigError(
                 f"{self.place('kappa')} leads to no equilibrium near guess = {self.guess.tolist()}: {left} is left; "
                 "let kappa hold a point where f vanishes, or give a `guess` closer to one"
@@ -183,7 +184,7 @@ class Plant:
         return self._reference(np.asarray(t, dtype=float))
 
     def _reference(self, t: np.ndarray) -> np.ndarray:
-        return mathematics.stack(self.call("reference", None, None, t, [*self.p], mathematics.NUMPY), t)
+        return array_math.stack(self.call("reference", None, None, t, [*self.p], array_math.NUMPY), t)
 
     def u_target(self, t: Any) -> np.ndarray:
         """The input at the target, kappa(target(t), t): (m,) or (..., m)."""
@@ -203,7 +204,7 @@ class Plant:
         """The derivatives as matrices (..., rows, columns), a column a direction."""
         with np.errstate(all="ignore"):
             values = self._interpreted[name](*np.moveaxis(X, -1, 0), *more, *self.p)
-        values = mathematics.stack(values, X[..., 0])
+        values = array_math.stack(values, X[..., 0])
         return np.swapaxes(values.reshape(*X.shape[:-1], -1, rows), -1, -2)
 
     @cached_property

@@ -4,16 +4,16 @@ import hashlib
 from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
-from npred import documents
+from npred import json_files
 from npred.errors import ConfigError
-from npred.plants import cures
 from npred.plants.base import Plant
 from npred.plants.files import Source
-from npred.plants.trace import failure, parameters
+from npred.symbolic import hints
+from npred.symbolic.trace import failure, parameters
 
 STEP = 6e-6  # of a central difference: the cube root of the machine epsilon balances rounding and the third derivative
 UNDEFINED = (ArithmeticError, ValueError)  # how Python's own numbers say what arrays say by NaN: overflow, a domain
@@ -33,7 +33,7 @@ class BlackBox(Plant):
     Raises ConfigError, in one line, for a function that fails or returns another shape, and for several delays.
     """
 
-    traced = False
+    traced: ClassVar[bool] = False
 
     def __init__(self, name: str, declaration: Any, overrides: Mapping[str, float] = {}, source: Source | None = None):
         super().__init__(name, declaration, overrides, source)
@@ -102,7 +102,7 @@ class BlackBox(Plant):
             values = self._one_by_one(name, arguments, wanted, error)
         if values.shape != wanted:
             found = f"expected to return shape {wanted}, a row per loop, got {values.shape}"
-            raise ConfigError(f"{self.place(name)} {found}; return {cures.RETURNS.get(name, 'a value each')}")
+            raise ConfigError(f"{self.place(name)} {found}; return {hints.RETURNS.get(name, 'a value each')}")
         return values.reshape(shape if size is None else (*shape, size))
 
     @np.errstate(all="ignore")  # where it is not finite is for the caller to say, in words
@@ -143,7 +143,7 @@ class BlackBox(Plant):
         return self.guess[None] if k == 0 and argument.ndim == 2 else np.zeros_like(argument[:1])
 
     def _failed(self, name: str, error: Exception) -> ConfigError:
-        return ConfigError(f"{failure(self, name, error)}; {cures.cure(self, name, error)}")
+        return ConfigError(f"{failure(self, name, error)}; {hints.cure(self, name, error)}")
 
     @property
     def clocked(self) -> bool:
@@ -172,7 +172,7 @@ class BlackBox(Plant):
         contents: dict[str, Any] = {}
         for path in map(Path, getattr(self.declaration, "files", ())):
             try:
-                contents.setdefault(path.name, hashlib.sha256()).update(documents.regular(path).read_bytes())
+                contents.setdefault(path.name, hashlib.sha256()).update(json_files.regular(path).read_bytes())
             except OSError as error:
                 what = f"expected a file to read at {path}, got: {error.strerror}"
                 raise ConfigError(f"plant {self.name}: files {what}; fix the path") from None

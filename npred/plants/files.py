@@ -6,9 +6,9 @@ from keyword import iskeyword
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from npred import documents
+from npred import json_files
 from npred.errors import ConfigError
-from npred.plants import blame
+from npred.symbolic import source_lines
 
 SUFFIX = ".py:"
 
@@ -45,7 +45,7 @@ def split(spec: str) -> tuple[Path, str]:
 def read(what: str, path: Path) -> Source:
     """The file as it is now. Raises ConfigError where it cannot be read, or is none: a pipe, a device."""
     try:
-        return _source(path, documents.regular(path).read_bytes())
+        return _source(path, json_files.regular(path).read_bytes())
     except OSError as error:
         raise ConfigError(f"{what}: expected a file at {path}, got: {error.strerror}; check the path") from None
 
@@ -79,8 +79,8 @@ def load(what: str, spec: str) -> Loaded:
         line = f":{error.lineno}" if error.lineno else ""
         raise ConfigError(f"{what} {path}{line}: expected Python, got a syntax error: {error.msg}; fix it") from None
     except (Exception, SystemExit) as error:
-        line = blame.last_line(error, str(path))
-        raise ConfigError(f"{what} {path}{line}: failed on import: {blame.told(error)}; fix the file") from None
+        line = source_lines.last_line(error, str(path))
+        raise ConfigError(f"{what} {path}{line}: failed on import: {source_lines.told(error)}; fix the file") from None
     if not isinstance(space.get(name), type):
         own = [key for key, value in space.items() if isinstance(value, type) and value.__module__ == path.stem]
         raise ConfigError(

@@ -4,11 +4,11 @@ from typing import Any
 
 import numpy as np
 
-from npred import shapes
+from npred import array_checks
 from npred.config import Loop
 from npred.errors import ConfigError
-from npred.plants import blame
 from npred.plants.base import Plant
+from npred.symbolic import source_lines
 
 EQUILIBRIUM, LAW = "equilibrium", "law"  # the inputs before t = 0 that have a name
 ROUNDING = 1e-9  # of an input: this close to a bound it is on it
@@ -19,7 +19,7 @@ def bounds(plant: Plant, bounds: Any) -> np.ndarray:
     pairs = plant.input_bounds if bounds is None else bounds
     if pairs is None:
         pairs = [(-np.inf, np.inf)] * plant.m
-    array = shapes.floats("input_bounds", pairs)
+    array = array_checks.floats("input_bounds", pairs)
     array = array[None] if array.shape == (2,) else array
     if array.shape != (plant.m, 2) or not (array[:, 0] <= array[:, 1]).all():
         raise ConfigError(f"input_bounds: expected {plant.m} pairs (low, high), got {pairs}; give one pair per input")
@@ -38,8 +38,8 @@ def start(plant: Plant, u0: Any, limits: np.ndarray) -> np.ndarray | str:
         if u0 not in (EQUILIBRIUM, LAW):
             raise ConfigError(f'u0: expected numbers, "{EQUILIBRIUM}" or "{LAW}", got {u0!r}; choose one')
         return u0
-    array = shapes.floats("u0", u0)
-    if not shapes.fits(array.shape, (plant.m,)) or not np.isfinite(array).all():
+    array = array_checks.floats("u0", u0)
+    if not array_checks.fits(array.shape, (plant.m,)) or not np.isfinite(array).all():
         raise ConfigError(f"u0: expected a finite number per input ({', '.join(plant.inputs)}), got {u0}; correct it")
     return _accepted(plant, np.broadcast_to(array, (plant.m,)), limits, "")
 
@@ -76,9 +76,9 @@ def told(plant: Plant, u0: Any, limits: np.ndarray) -> str:
         return (
             "kappa(X0, 0)"
             if value == LAW
-            else f"{blame.values(plant.inputs, _at_rest(plant, limits))} of the equilibrium"
+            else f"{source_lines.values(plant.inputs, _at_rest(plant, limits))} of the equilibrium"
         )
-    return blame.values(plant.inputs, value)
+    return source_lines.values(plant.inputs, value)
 
 
 def _of_law(plant: Plant, limits: np.ndarray, X0: np.ndarray) -> np.ndarray:
@@ -98,7 +98,7 @@ def _at_rest(plant: Plant, limits: np.ndarray) -> np.ndarray:
 def _accepted(plant: Plant, u: np.ndarray, limits: np.ndarray, which: str) -> np.ndarray:
     """u (m,), rounding errors beyond the limits removed."""
     if not _inside(u, limits):
-        values, pairs = blame.values(plant.inputs, u), limits.tolist()
+        values, pairs = source_lines.values(plant.inputs, u), limits.tolist()
         raise ConfigError(
             f"u0: expected within input_bounds {pairs}, got {which}{values}; give u0, the input at t < 0, within"
         )

@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from npred import shapes
+from npred import array_checks
 from npred.errors import ConfigError
 from npred.plants.base import Plant
 
@@ -32,12 +32,14 @@ class Predictor(ABC):
         self.plant, self.nx = plant, int(nx)
 
     def __call__(self, X: Any, u: Any, D_hat: Any, t: Any = 0.0) -> np.ndarray:
-        X, u, D_hat, t = (shapes.floats(name, a) for name, a in (("X", X), ("u", u), ("D_hat", D_hat), ("t", t)))
+        X, u, D_hat, t = (array_checks.floats(name, a) for name, a in (("X", X), ("u", u), ("D_hat", D_hat), ("t", t)))
         self._check(X, u)
         for name, array in (("X", X), ("u", u), *([("t", t)] if self.plant.clocked else [])):
-            shapes.finite(name, array)  # the time of samples from elsewhere may be unknown, where nothing needs it
-        shapes.delays("D_hat", D_hat)
-        shape = shapes.batch(X=X.shape[:-1], u=u.shape[:-2], D_hat=D_hat.shape, t=t.shape)
+            array_checks.finite(
+                name, array
+            )  # the time of samples from elsewhere may be unknown, where nothing needs it
+        array_checks.delays("D_hat", D_hat)
+        shape = array_checks.batch(X=X.shape[:-1], u=u.shape[:-2], D_hat=D_hat.shape, t=t.shape)
         X = np.broadcast_to(X, (*shape, self.plant.n)).reshape(-1, self.plant.n)
         u = np.broadcast_to(u, (*shape, *u.shape[-2:])).reshape(-1, *u.shape[-2:])
         P = self._predicted(X, u, *(np.broadcast_to(a, shape).reshape(-1) for a in (D_hat, t)))

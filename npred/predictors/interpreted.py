@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from npred.plants import mathematics
 from npred.plants.base import Plant
-from npred.plants.trace import Trace, python
 from npred.predictors.base import Predictor
+from npred.symbolic import array_math
+from npred.symbolic.trace import Trace, python
 
 
 class Interpreted(Predictor):
@@ -42,7 +42,7 @@ class Published(Interpreted):
         P, F = np.empty((nx, self.plant.n)), np.empty((nx, self.plant.n))
         for j in range(nx):
             P[j] = X + D_hat * dx * np.sum(F[:j], axis=0)
-            F[j] = self.plant.call("f", list(P[j]), list(u[j]), t + D_hat * dx * j, p, mathematics.NUMPY)
+            F[j] = self.plant.call("f", list(P[j]), list(u[j]), t + D_hat * dx * j, p, array_math.NUMPY)
         return P
 
 

@@ -4,10 +4,10 @@ from abc import abstractmethod
 from collections.abc import Callable
 from typing import Any
 
-from npred.plants import kernels, programs, routines
 from npred.plants.black_box import BlackBox
-from npred.predictors import several, untraced
+from npred.predictors import array_predictors, multi_delay
 from npred.predictors.base import SIGNATURE, Compiled
+from npred.symbolic import called_functions, kernels, programs
 
 # With few lanes the states stay in registers along x; with many, the lanes are the SIMD loop. A long step fits no
 # registers, and compiling it twice takes twice as long.
@@ -61,14 +61,14 @@ class OneStep(Compiled):
 
     def compile(self) -> Callable[..., None]:
         if isinstance(self.plant, BlackBox):
-            return untraced.sweep(self.plant, self.step)
+            return array_predictors.sweep(self.plant, self.step)
         if not self.plant.one_delay:
-            return kernels.build("sweep", SIGNATURE, several.sweep(self.plant, self.step), several.PREAMBLE)
+            return kernels.build("sweep", SIGNATURE, multi_delay.sweep(self.plant, self.step), multi_delay.PREAMBLE)
         return kernels.build("sweep", SIGNATURE, *self._source())
 
     def _source(self) -> tuple[str, str]:
         """The kernel's text, and the lines that stand before it."""
-        n, m, trace = self.plant.n, self.plant.m, routines.trace(self.plant)
+        n, m, trace = self.plant.n, self.plant.m, called_functions.trace(self.plant)
         x, (u0, um, u1) = trace.vector("x", n), (trace.vector(name, m) for name in ("a", "m", "b"))
         y = self.step(trace.f, x, u0, um, u1, trace.input("t"), trace.input("h"))
         bindings = {f"p{k}": f"p{k}" for k in range(len(self.plant.p))} | {"t": "(t + j * h)", "h": "h"}
@@ -91,4 +91,4 @@ class OneStep(Compiled):
             weights=weights,
             lane=programs.lines(y, bindings | dict(zip(local, memory, strict=True)), target),
         )
-        return source, routines.imports(trace)
+        return source, called_functions.imports(trace)

@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 
 from npred.errors import DivergedError
-from npred.plants import kernels, programs, routines
 from npred.plants.base import Plant
 from npred.plants.black_box import BlackBox
-from npred.predictors import untraced
+from npred.predictors import array_predictors
 from npred.predictors.base import SIGNATURE, Compiled
+from npred.symbolic import called_functions, kernels, programs
 
 SOURCE = """\
 def picard(X, u, D_hat, t, p, P):
@@ -64,9 +64,9 @@ class Picard(Compiled):
 
     def compile(self) -> Callable[..., None]:
         if isinstance(self.plant, BlackBox):
-            return untraced.picard(self.plant, self.tolerance, self.sweeps)
+            return array_predictors.picard(self.plant, self.tolerance, self.sweeps)
         n, m, count = self.plant.n, self.plant.m, len(self.plant.p)
-        trace = routines.trace(self.plant)
+        trace = called_functions.trace(self.plant)
         y = trace.f(trace.vector("x", n), trace.vector("a", m), trace.input("t"))
         bindings: dict[str, Any] = {f"p{k}": f"p{k}" for k in range(count)} | {"t": "(t + j * h)"}
         bindings |= {f"x{k}": f"P[j, {k}, l]" for k in range(n)} | {f"a{k}": f"u[j, {k}, l]" for k in range(m)}
@@ -75,4 +75,4 @@ class Picard(Compiled):
         parameters = kernels.parameters(count)
         source = SOURCE.replace("SWEEPS", str(self.sweeps)).replace("TOLERANCE", repr(self.tolerance))
         source = kernels.fill(source, parameters=parameters, node=node)
-        return kernels.build("picard", SIGNATURE, source, routines.imports(trace))
+        return kernels.build("picard", SIGNATURE, source, called_functions.imports(trace))

@@ -8,11 +8,11 @@ import numpy as np
 import torch
 
 from npred.operators import Operator
-from npred.plants import kernels
 from npred.plants.base import Plant
 from npred.runtimes import c_text
-from npred.runtimes.fold import fold
+from npred.runtimes.lower import fold
 from npred.runtimes.program import Program
+from npred.symbolic import kernels
 
 SOURCE = """\
 {title}

@@ -4,11 +4,11 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from npred.documents import escaped
-from npred.plants import programs
+from npred.json_files import escaped
 from npred.plants.base import Plant
-from npred.plants.trace import Trace
 from npred.runtimes.program import Loop, Matrix, Product, Silu, SiluPair, Step, Transpose
+from npred.symbolic import programs
+from npred.symbolic.trace import Trace
 
 MATHEMATICS = {
     "pow": "pow({0}, {1})", "abs": "fabs({0})", "sign": "(double)(({0} > 0) - ({0} < 0))",

@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 
 from npred.operators import Operator
-from npred.plants import kernels
 from npred.plants.base import Plant
 from npred.predictors.base import SIGNATURE, Compiled
 from npred.runtimes import numba_text
-from npred.runtimes.fold import fold
+from npred.runtimes.lower import fold
 from npred.runtimes.program import Program
+from npred.symbolic import kernels
 
 COARSE = 100  # intervals that an FNO is evaluated on, at least
 

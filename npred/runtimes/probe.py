@@ -3,7 +3,7 @@
 import numpy as np
 
 from npred import grid
-from npred.dataset import Dataset
+from npred.data.dataset import Dataset
 
 Probe = tuple[np.ndarray, np.ndarray, np.ndarray]
 

@@ -6,10 +6,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
-from npred.bars import Bar as Bar
 from npred.config import Pipeline
-from npred.executors import Here, Workers
+from npred.parallel.executors import Here, Workers
 from npred.plants import Plant
+from npred.terminal.progress_bars import Bar as Bar
 
 
 class Progress(Protocol):

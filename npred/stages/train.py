@@ -9,13 +9,16 @@ from typing import Any, NamedTuple, Self
 
 import torch
 
-from npred import plants, randomness, ranks, shards, training
-from npred.bars import counted
+from npred import plants, randomness
 from npred.config import Pipeline, Training
-from npred.operators import Operator, Scaling, build, io, loss, save
+from npred.data import shards
+from npred.operators import Operator, Scaling, build, io, save
+from npred.parallel import torchrun
 from npred.stages import Job, Progress
-from npred.streaming import Stream
-from npred.training import Rows, Task
+from npred.terminal.progress_bars import counted
+from npred.training import loss, training_loop
+from npred.training.streaming import Stream
+from npred.training.training_loop import Rows, Task
 
 SEEDING = Lock()  # torch has one generator for all threads, and another network may be starting beside this one
 
@@ -29,7 +32,7 @@ def run(job: Job) -> dict[str, Any]:
     `nodes` that do not fit, DivergedError for a loss that is not finite.
     """
     torch.set_num_threads(1)  # the same bits on any machine; another network takes the other cores
-    with ranks.together(_Order.of(job)):
+    with torchrun.together(_Order.of(job)):
         task, metrics = _fit(job)
     _write(job, task.config, task.operator.to("cpu"), metrics)
     parameters = sum(p.numel() for p in task.operator.parameters())
@@ -62,7 +65,7 @@ class _Order(NamedTuple):
 def help_out(progress: Progress) -> None:
     """What the processes of torchrun but the first do: their part of each batch, training by training."""
     torch.set_num_threads(1)
-    while order := ranks.receive():
+    while order := torchrun.receive():
         _fit(order.job(progress))
 
 
@@ -76,8 +79,8 @@ def summary(result: dict[str, Any], width: int | None = None) -> str:
 def _fit(job: Job) -> tuple[Task, list[dict[str, Any]]]:
     config = job.config.train.deeponet if job.model == "deeponet" else job.config.train.fno
     job.progress.doing(f"train {job.model}", "reading the data")
-    task = _task(replace(job, device=ranks.device(job.device)), config, job.inputs["generate"] / "data.h5")
-    return task, training.fit(task, job.scratch, job.progress)
+    task = _task(replace(job, device=torchrun.device(job.device)), config, job.inputs["generate"] / "data.h5")
+    return task, training_loop.fit(task, job.scratch, job.progress)
 
 
 def _task(job: Job, config: Training, path: Path) -> Task:

@@ -14,7 +14,7 @@ from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 from typing import IO
 
-from npred import documents
+from npred import json_files
 from npred.errors import NpredError, StoreError
 from npred.store import durable
 from npred.store.artifacts import Artifact, Store
@@ -105,8 +105,8 @@ def _manifest(tar: IO[bytes], path: Path) -> tuple[Manifest, bytes]:
     header = tar.read(_BLOCK)
     named = _FIRST.match(header)
     digits = header[124:135]
-    size = int(digits, 8) if re.fullmatch(b"[0-7]{11}", digits) else documents.LIMIT + 1
-    if named is None or size > documents.LIMIT:
+    size = int(digits, 8) if re.fullmatch(b"[0-7]{11}", digits) else json_files.LIMIT + 1
+    if named is None or size > json_files.LIMIT:
         raise _refused(path, "its beginning")
     content = tar.read(size)
     try:

@@ -11,9 +11,9 @@ from operator import itemgetter
 from pathlib import Path
 from typing import Any, Self
 
-from npred import documents
+from npred import json_files
+from npred.defaults import RESULT
 from npred.errors import ConfigError, StoreError
-from npred.places import RESULT
 from npred.store import durable, gc_roots, locks
 from npred.store.keys import short
 from npred.store.manifest import NAME, Manifest, Question, SourceText, cure
@@ -65,7 +65,7 @@ class Artifact:
         """What the stage returned. Raises StoreError where its file is missing or no JSON object."""
         path = self.folder / RESULT
         try:
-            return documents.table(path)
+            return json_files.table(path)
         except (OSError, ValueError) as error:
             raise StoreError(f"{path}: expected the answer as JSON, got: {error}; {cure(self.folder)}") from None
 

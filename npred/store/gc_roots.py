@@ -13,7 +13,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
-from npred import documents
+from npred import json_files
 
 FOLDER = ".pipelines"
 LIMIT = 2**20  # bytes of an entry
@@ -61,7 +61,7 @@ def registered(root: Path) -> list[GcRoot]:
 
 def _read(entry: Path) -> dict[str, object]:
     try:
-        return documents.table(entry, LIMIT)
+        return json_files.table(entry, LIMIT)
     except (OSError, ValueError):
         return {}
 

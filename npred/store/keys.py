@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from npred import documents
+from npred import json_files
 
 SHORT = 12
 
@@ -23,7 +23,7 @@ def sha256(value: Any) -> str:
 
 def sha256_file(path: Path) -> str:
     """The sha256 of a file's bytes, in hexadecimal."""
-    return documents.sha256(path)
+    return json_files.sha256(path)
 
 
 def key(stage: str, version: int, model: str | None, config: Mapping[str, Any], inputs: Mapping[str, str]) -> str:

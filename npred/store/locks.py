@@ -9,7 +9,7 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout
 
-from npred import documents
+from npred import json_files
 from npred.errors import StoreError
 from npred.store import durable
 
@@ -37,7 +37,7 @@ def held(path: Path, waiting: Callable[[str], None] | None = None) -> Iterator[N
 def holder(path: Path) -> str:
     """Who holds the lock, in words."""
     try:
-        who = documents.table(_note(path), limit=1024)
+        who = json_files.table(_note(path), limit=1024)
         return f"process {who['pid']} on {who['host']}"
     except (OSError, ValueError, KeyError):  # the holder is between taking the lock and signing it, or has just left
         return "another process"

@@ -10,9 +10,9 @@ from typing import Annotated, Any, Self
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
-from npred import documents
-from npred.devices import arithmetic, packages
+from npred import json_files
 from npred.errors import StoreError
+from npred.parallel.devices import arithmetic, packages
 from npred.store.keys import key, sha256, sha256_file
 
 NAME = "manifest.json"
@@ -137,7 +137,7 @@ class Manifest(Record):
     def read(cls, path: Path) -> Self:
         """The manifest in a file. Raises StoreError, naming the file, unless every digest in it holds."""
         try:
-            manifest = cls.model_validate_json(documents.read(path))
+            manifest = cls.model_validate_json(json_files.read(path))
         except FileNotFoundError:
             raise StoreError(f"{path}: expected a manifest, found none; {cure(path.parent)}") from None
         except (OSError, ValueError):

@@ -1,0 +1,209 @@
+"""What the commands do that look at a pipeline or at the store, and change nothing."""
+
+import time
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from npred.cli.options import Common, Planned
+from npred.errors import ConfigError, UnmetError
+from npred.json_files import escaped
+from npred.pipeline import STAGES, Step, nodes
+from npred.pipeline.reasons import changes, differences, flat
+from npred.store import Artifact, short
+from npred.store.manifest import NAME
+from npred.terminal.console import columns
+
+if TYPE_CHECKING:
+    from npred.config import Pipeline
+    from npred.diagnosis import Answer
+
+
+def status(options: Planned, check: bool) -> None:
+    """The state of every node; `check` reads every file and raises UnmetError unless all is fresh."""
+    steps = options.planner().plan(nodes(options.config, STAGES))
+    if check:
+        _verify(steps)
+    rows = [[s.node.title, short(s.key or "-"), s.state, s.reason.removeprefix(f"{s.state}: ")] for s in steps]
+    document = {"stages": [_step(step) for step in steps]}
+    options.show(document, lambda: columns(["stage", "key", "state", "reason"], rows, options.console.width))
+    late = [step.node.title for step in steps if step.state != "fresh"]
+    if check and late:
+        raise UnmetError(f"expected every stage fresh, got {', '.join(late)} not; run npred run {options.pipeline}")
+
+
+def why(options: Planned, stage: str) -> None:
+    """The reason of a stage or of a network. Raises ConfigError for another name."""
+    steps = options.planner().plan(nodes(options.config, STAGES))
+    asked = [step for step in steps if stage in (step.node.stage, step.node.model)]
+    if not asked:
+        names = ", ".join(dict.fromkeys(name for s in steps for name in (s.node.stage, s.node.name)))
+        raise ConfigError(f"why: expected one of {names}, got {stage!r}; name one of them")
+    document = {"stages": [_step(step) for step in asked]}
+    options.show(document, lambda: "\n".join(f"{step.node.title}: {step.reason}" for step in asked))
+
+
+def show(options: Common, reference: str | None) -> None:
+    """A result, verified: manifest and answer."""
+    artifact = (options.results.find(reference) if reference else _latest(options)).verify()
+    result = artifact.result()
+    document = {"folder": str(artifact.folder), "manifest": artifact.manifest.model_dump(), "result": result}
+    options.show(document, lambda: _facts(artifact))
+    if not options.json:
+        options.console.out(_summary(artifact.manifest.question.stage, result, options.console.width))
+
+
+def ls(options: Common, shown: list[str]) -> None:
+    """Every result with a sound manifest and, of the keys to show, its settings; a warning for each of the others."""
+    artifacts, broken = options.results.survey()
+    for folder in broken:
+        options.console.warn(f"{folder}: expected a sound manifest, got none; remove that folder")
+    known = {artifact.manifest.key: artifact for artifact in artifacts}
+    settings = [{key: _setting(artifact, key, known) for key in shown} for artifact in artifacts]
+    digest = ["digest"] if options.console.width is None else []  # a screen has no room for it
+    header = ["artifact", "model", "pipeline", "made", "size", *digest, *shown]
+    rows = [
+        [*_row(a)[: 5 + len(digest)], *(s[key] or "-" for key in shown)]
+        for a, s in zip(artifacts, settings, strict=True)
+    ]
+    entries = [_entry(a) | {"settings": s} for a, s in zip(artifacts, settings, strict=True)]
+    options.show({"artifacts": entries}, lambda: columns(header, rows, options.console.width))
+
+
+def diff(options: Common, a: str, b: str) -> None:
+    """The differences of two results."""
+    left, right = (options.results.find(reference).verify() for reference in (a, b))
+    before, after = left.manifest, right.manifest
+    asked = differences(before.question, after.question, before.sources, after.sources)
+    answered = changes(left.result(), right.result())
+    kinds = [_kind(left), _kind(right)]
+    folders = {"a": str(left.folder), "b": str(right.folder)}
+    made_with = changes(left.manifest.circumstances, right.manifest.circumstances)
+    files = [] if asked or kinds[0] != kinds[1] else _changed_files(left, right)
+    answer = {"stages": kinds, "question": asked, "result": answered, "files": files, "made_with": made_with}
+    document = folders | answer
+    across = [f"these are results of different stages: {kinds[0]} and {kinds[1]}"] if kinds[0] != kinds[1] else []
+    lines = [*across, *asked, *(f"result.{line}" for line in answered), *(f"file {name} differs" for name in files)]
+    lines = lines or [f"{left.name} and {right.name}: no difference"]
+    options.show(document, lambda: "\n".join([*lines, *(f"made with {line}" for line in made_with)]))
+
+
+def _changed_files(a: Artifact, b: Artifact) -> list[str]:
+    """The files in which two answers to one question differ."""
+    left, right = a.manifest.files, b.manifest.files
+    return sorted(name for name in left | right if left.get(name) != right.get(name))
+
+
+def _kind(artifact: Artifact) -> str:
+    """Its stage, and its network if it has one."""
+    asked = artifact.manifest.question
+    return f"{asked.stage} {asked.model}" if asked.model else asked.stage
+
+
+def plants(options: Common) -> None:
+    """The plants that are built in, and those of installed packages."""
+    from npred.plants import named
+
+    known = named()
+    for broken in (p for p in known if "error" in p):
+        options.console.warn(broken["error"])
+    sound = [p for p in known if "error" not in p]
+    rows = [[p["name"], ", ".join(p["states"]), ", ".join(p["inputs"]), _assignments(p)] for p in sound]
+    options.show(
+        {"plants": known}, lambda: columns(["plant", "states", "inputs", "parameters"], rows, options.console.width)
+    )
+
+
+def check(options: Common, plant: str, delay: float | None, nodes: int | None) -> None:
+    """Every question about a plant, or about that of a pipeline, with its answer. Raises UnmetError where one is no."""
+    from npred import config, diagnosis, plants
+
+    pipeline = config.load(Path(plant)) if plant.endswith(".toml") else None
+    asked = plants.resolve(pipeline.plant, pipeline.parameters) if pipeline else plants.resolve(plant)
+    answers = diagnosis.check(asked, delay, nodes, pipeline=pipeline) + ([_fits(pipeline)] if pipeline else [])
+    fine = diagnosis.settled(answers)
+    rows = [[answer.check, answer.verdict, answer.text] for answer in answers]
+    document = {"plant": plant, "fine": fine, "answers": [answer.json() for answer in answers]}
+    options.show(document, lambda: columns(["question", "answer", "found"], rows, options.console.width))
+    if not fine:
+        failed = ", ".join(answer.check for answer in answers if answer.verdict == "no")
+        raise UnmetError(f"plants check {plant}: expected no answer of no, got {failed}; the table says what to change")
+
+
+def _fits(config: "Pipeline") -> "Answer":
+    """Whether every stage of the pipeline can run with its plant."""
+    from npred.diagnosis import Answer
+    from npred.pipeline.stage_registry import check
+
+    try:
+        check(config, STAGES)
+    except ConfigError as error:
+        return Answer("pipeline", "no", str(error))
+    return Answer("pipeline", "yes", f"{config.name} fits its plant")
+
+
+def _verify(steps: list[Step]) -> None:
+    for step in steps:
+        if step.artifact:
+            step.artifact.verify()
+
+
+def _step(step: Step) -> dict[str, Any]:
+    model = {"model": step.node.model} if step.node.model else {}
+    return {"stage": step.node.stage, "key": step.key, "state": step.state} | model | {"reason": step.reason}
+
+
+def _latest(options: Common) -> Artifact:
+    artifacts = options.results.artifacts()
+    if not artifacts:
+        raise ConfigError(f"show: expected a result in {options.store}, got an empty store; run npred run")
+    return artifacts[-1]
+
+
+def _entry(artifact: Artifact) -> dict[str, Any]:
+    manifest = artifact.manifest
+    entry = {"stage": manifest.question.stage, "model": manifest.question.model, "key": manifest.key}
+    more = {"pipeline": manifest.pipeline, "digest": manifest.digest, "bytes": artifact.size}
+    time_made = datetime.fromtimestamp(artifact.made, UTC).isoformat()
+    return entry | more | {"folder": str(artifact.folder), "made": time_made}
+
+
+def _row(artifact: Artifact) -> list[str]:
+    manifest = artifact.manifest
+    time_made = time.strftime("%Y-%m-%d %H:%M", time.localtime(artifact.made))
+    size = f"{artifact.size / 1e6:.1f} MB"
+    return [artifact.name, manifest.question.model or "-", manifest.pipeline, time_made, size, short(manifest.digest)]
+
+
+def _setting(artifact: Artifact, key: str, known: dict[str, Artifact]) -> str | None:
+    """A setting of the artifact or of what it was made from, as JSON."""
+    asked = artifact.manifest.question
+    own = flat(asked.config).get(key)
+    sources = (known[source.key] for source in asked.inputs.values() if source.key in known)
+    return own or next((found for source in sources if (found := _setting(source, key, known))), None)
+
+
+def _facts(artifact: Artifact) -> str:
+    manifest = artifact.manifest
+    lines = [
+        f"{artifact.name}  {artifact.folder}",
+        *(f"  {name}  {p.size} bytes" for name, p in manifest.files.items()),
+    ]
+    inputs = [f"  from {name}: {short(source.key)}" for name, source in manifest.question.inputs.items()]
+    code = [f"  {role}: {escaped(source.file)}, its text in {NAME}" for role, source in manifest.sources.items()]
+    settings = [f"  {line.replace(': unset ->', ' =')}" for line in changes({}, manifest.question.config)]
+    circumstances = ", ".join(f"{name} {value}" for name, value in manifest.circumstances.items() if value)
+    return "\n".join([*lines, *inputs, *code, *settings, f"  made with {circumstances}"])
+
+
+def _summary(stage: str, result: dict[str, Any], width: int | None = None) -> str:
+    """A result that somebody else sent may be of a stage, or of a form, that this npred does not have."""
+    result = escaped(result)
+    try:
+        return STAGES[stage].summary(result, width)
+    except (LookupError, TypeError, ValueError, AttributeError):
+        return "\n".join(changes({}, result)).replace(": unset ->", " =")
+
+
+def _assignments(plant: dict[str, Any]) -> str:
+    return " ".join(f"{name}={value:g}" for name, value in plant["parameters"].items())

@@ -1,0 +1,158 @@
+"""What the commands do that look after the store and the machine."""
+
+import os
+import platform
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from npred.cli.options import Common, writable
+from npred.errors import StoreError
+from npred.parallel import devices
+from npred.pipeline import payload
+from npred.store import Artifact, archive, short
+from npred.store.manifest import NAME
+from npred.terminal.console import columns
+
+SHOWN = 4  # names of results on a line
+PACKAGES = (
+    "npred",
+    "numpy",
+    "torch",
+    "numba",
+    "h5py",
+    "pydantic",
+    "safetensors",
+    "typer",
+    "onnxruntime",
+    "distributed",
+)
+
+
+def doctor(options: Common) -> None:
+    """Versions, devices, threads and the store."""
+    facts = _machine() | _packages() | {"store": _store(options)}
+    options.show(facts, lambda: "\n".join(f"{name}: {_words(value)}" for name, value in facts.items()))
+
+
+def verify(options: Common) -> None:
+    """Read every file of every result. Raises StoreError where one is not as it was written."""
+    sound, broken = options.results.survey()
+    faults = {str(folder): "no sound manifest" for folder in broken}
+    with options.console.bar("verify", len(sound), "results") as bar:
+        for artifact in sound:
+            faults |= _fault(artifact)
+            bar.advance()
+    rows: list[dict[str, Any]] = [
+        {"folder": str(a.folder), "state": "corrupt" if str(a.folder) in faults else "sound"}
+        | {"made_with": a.manifest.circumstances}
+        for a in sound
+    ]
+    rows += [{"folder": str(folder), "state": "corrupt", "made_with": {}} for folder in broken]
+    table = [[_short(row["folder"]), row["state"], faults.get(row["folder"], "")] for row in rows]
+    document = {"artifacts": [row | {"fault": faults.get(row["folder"])} for row in rows]}
+    options.show(document, lambda: columns(["artifact", "state", "fault"], table, options.console.width))
+    if not options.json and (different := list(_circumstances(sound))):
+        options.console.out("\n".join(different))
+    if faults:
+        first = next(iter(faults))
+        raise StoreError(f"{options.store}: expected sound results, got {len(faults)} corrupt, as {first}; remove them")
+
+
+def export_artifact(options: Common, reference: str, output: Path | None) -> None:
+    """One result as one tar. Raises ConfigError for a file that cannot be, StoreError for a corrupt result."""
+    artifact = options.results.find(reference)
+    path = writable(output or Path(artifact.name.replace("/", "-") + ".tar"))
+    archive.export(artifact, path)
+    document = {"file": str(path), "artifact": artifact.name, "digest": artifact.manifest.digest}
+    options.show(document, lambda: f"{path}: {artifact.name}, {artifact.size / 1e6:.1f} MB, with its digests")
+
+
+def import_artifact(options: Common, path: Path) -> None:
+    """The result in a tar into the store, verified."""
+    artifact, new = archive.load(
+        options.results, path, payload.drawn, lambda holder: options.console.note(f"waiting for {holder}")
+    )
+    done = "brought in, every digest as it should be" if new else "already in the store, the same bytes"
+    if new and artifact.manifest.question.stage in payload.DRAWING:
+        done += "; npred report draws its figures here, from its arrays"
+    document = {"folder": str(artifact.folder), "key": artifact.manifest.key, "new": new}
+    options.show(document, lambda: f"{artifact.name}: {done}\n{artifact.folder}")
+
+
+def _short(folder: str) -> str:
+    """`stage/key` with the key cut short, of a folder whose manifest may be broken."""
+    return f"{Path(folder).parent.name}/{short(Path(folder).name)}"
+
+
+def _fault(artifact: Artifact) -> dict[str, str]:
+    try:
+        artifact.verify()
+    except StoreError as error:
+        return {str(artifact.folder): str(error)}
+    return {}
+
+
+def _circumstances(artifacts: list[Artifact]) -> Iterator[str]:
+    """Each circumstance, as the processor or a mode of a library, in which results of a store differ."""
+    for name in dict.fromkeys(name for artifact in artifacts for name in artifact.manifest.circumstances):
+        results: dict[str, list[str]] = {}
+        for artifact in artifacts:
+            if value := artifact.manifest.circumstances.get(name):  # none where the stage does not need it
+                results.setdefault(value, []).append(artifact.name)
+        if len(results) > 1:
+            yield f"made with different {name}:"
+            yield from (f"  {value}: {_some(names)}" for value, names in results.items())
+
+
+def _some(names: list[str]) -> str:
+    more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
+    return ", ".join(names[:SHOWN]) + more
+
+
+def _machine() -> dict[str, Any]:
+    import torch
+
+    gpus = [torch.cuda.get_device_name(index) for index in range(torch.cuda.device_count())]
+    here = {"python": platform.python_version(), "platform": platform.platform()}
+    hardware = devices.hardware("cpu")
+    return here | {
+        "cpu": hardware["cpu"],
+        "cores": hardware["cores"],
+        "torch_threads": torch.get_num_threads(),
+        "gpus": gpus,
+    }
+
+
+def _packages() -> dict[str, Any]:
+    return {"packages": devices.packages(*PACKAGES)}
+
+
+def _store(options: Common) -> dict[str, Any]:
+    """What is in the store. Every file is read: corrupt are results with changed bytes, incomplete those with fewer."""
+    store = options.results
+    artifacts, broken = store.survey()
+    faulty = set(broken)
+    with options.console.bar("verify", len(artifacts), "results") as bar:
+        for artifact in artifacts:
+            faulty |= {artifact.folder} if _fault(artifact) else set()
+            bar.advance()
+    lacking = {a.folder for a in artifacts if not all((a.folder / name).exists() for name in a.manifest.files)}
+    lacking |= {folder for folder in broken if not (folder / NAME).exists()}
+    above = next(path for path in [store.root, *store.root.absolute().parents] if path.exists())
+    facts = {"path": str(store.root), "writable": os.access(above, os.W_OK), "artifacts": len(artifacts)}
+    return facts | {
+        "bytes": sum(artifact.size for artifact in artifacts),
+        "corrupt": len(faulty - lacking),
+        "incomplete": len(lacking),
+        "broken": [str(folder) for folder in broken],
+        "leftovers": [str(path) for path in store.leftovers()],
+    }
+
+
+def _words(value: Any) -> str:
+    if isinstance(value, dict):
+        return ", ".join(f"{key} {_words(item)}" for key, item in value.items())
+    if value is None or isinstance(value, bool):
+        return {None: "absent", True: "yes", False: "no"}[value]
+    return ", ".join(map(str, value)) or "none" if isinstance(value, list) else str(value)

@@ -1,0 +1,111 @@
+"""Questions about the loop of kappa without delay: what the input bounds leave of it, and whether it converges."""
+
+from typing import Any
+
+import numpy as np
+
+from npred.diagnosis import defects
+from npred.diagnosis.answer import Answer, Case
+from npred.plants.base import Plant
+from npred.plants.black_box import BlackBox
+from npred.predictors import RK4
+
+LOOPS = 64  # starts, of the states of the box
+STEP = 0.5  # of a step of RK4, times the fastest rate on the box
+MOST = 20_000  # steps
+SPAN = 30.0  # time constants of the slowest rate at the equilibrium
+HORIZON = 100.0  # s, of a plant that follows a reference
+HOME = 0.01  # of the box: this close to its target a loop has converged
+FALLING = 0.9  # a loop on its way is this much closer in the last quarter than in the second
+
+
+def limited(case: Case) -> Answer:
+    """Which share of kappa on the box lies outside the input bounds."""
+    with np.errstate(all="ignore"):
+        U = case.plant.kappa(case.X)
+    outside = (np.clip(U, *case.limits.T) != U).any(axis=-1)
+    pairs = ", ".join(
+        f"{name} in [{a:g}, {b:g}]" for name, (a, b) in zip(case.plant.inputs, case.limits.tolist(), strict=True)
+    )
+    if not outside.any():
+        return Answer("input bounds", "yes", f"kappa is within {pairs} at {len(U)} states of the box")
+    worst = int(np.argmax(outside))
+    text = f"kappa is outside {pairs} at {outside.mean():.0%} of {len(U)} states of the box, as at "
+    return Answer("input bounds", "warn", f"{text}{case.state(case.X[worst])}, and is clipped there")
+
+
+def converges(case: Case) -> Answer:
+    """Whether loops of the clipped kappa without delay come from the box to the equilibrium or the reference."""
+    closed, (h, seconds, horizon) = _closed(case), _times(case)
+    X0, nodes = case.X[:LOOPS], max(int(seconds / h), 4) + 1
+    X = RK4(closed, nodes)(X0, np.zeros((nodes, closed.m)), seconds)
+    _, middle, _, end = (part.max(axis=1) for part in np.array_split(_distances(case, X, seconds), 4, axis=1))
+    home = end <= HOME
+    if home.all():
+        return Answer("convergence", "yes", f"{len(X0)} loops from the box, without delay, converge in {seconds:.3g} s")
+    lost = ~home & ~(end < FALLING * middle)
+    if seconds < horizon:
+        text = f"{home.mean():.0%} of {len(X0)} loops without delay converged in {seconds:.3g} s, as long as was looked"
+        return Answer("convergence", "warn", f"{text}: its slowest rate is {horizon / seconds:.2g} times slower")
+    if not lost.any():
+        text = f"{home.mean():.0%} of {len(X0)} loops without delay have converged after {seconds:.3g} s"
+        return Answer("convergence", "warn", f"{text}, the others are on their way")
+    failing = (
+        f"{lost.mean():.0%} of {len(X0)} loops without delay do not converge, as from {case.state(X0[np.argmax(lost)])}"
+    )
+    cure = "shrink box" + (", or widen input_bounds" if np.isfinite(case.limits).any() else ", or change kappa there")
+    return Answer("convergence", "no", f"{case.place('kappa')}: {failing}; {cure}")
+
+
+def _times(case: Case) -> tuple[float, float, float]:
+    """The step, the seconds to look at, and the seconds that are needed: SPAN time constants, or HORIZON."""
+    plant, X = case.plant, case.X
+    f_X, f_U = plant.jacobians(X, case.u)
+    rates = np.abs(np.linalg.eigvals(np.concatenate([f_X, f_X + f_U @ plant.kappa_jacobian(X)]))).max()
+    horizon = HORIZON
+    if plant.rests:
+        own = np.linalg.eigvals(defects.closed_loop(plant))
+        rates, horizon = max(rates, np.abs(own).max()), SPAN / -own.real.max()
+    h = STEP / rates if rates > 0 else horizon / MOST
+    return h, min(horizon, MOST * h), horizon
+
+
+def _distances(case: Case, X: np.ndarray, seconds: float) -> np.ndarray:
+    """How far loops X (B, nt, n) are from what they are to reach, in widths of the box, (B, nt)."""
+    target = case.plant.target(np.linspace(0.0, seconds, X.shape[1]))
+    width = np.ptp(case.ends, axis=1)
+    width = np.where(width > 0, width, np.maximum(np.abs(case.ends[:, 0]), 1.0))
+    with np.errstate(all="ignore"):
+        return np.linalg.norm((X - target) / width, axis=-1)
+
+
+def _closed(case: Case) -> Plant:
+    """The plant with the clipped kappa for its input: X' = f(X, kappa(X, t), t), and an input that does nothing."""
+    kind = _on_rows if isinstance(case.plant, BlackBox) else _on_components
+    kept = {name: getattr(case.plant, name) for name in ("states", "inputs", "parameters", "period")}
+    functions = {name: staticmethod(function) for name, function in kind(case.plant, case.limits).items()}
+    declaration = type("Closed", (), kept | functions | {"guess": case.plant.guess, "traced": case.plant.traced})
+    return type(case.plant)(f"{case.plant.name}, controlled", declaration, {}, case.plant.source)
+
+
+def _on_components(plant: Plant, limits: np.ndarray) -> dict[str, Any]:
+    def kappa(x: Any, t: Any, p: Any, M: Any) -> list[Any]:
+        U = plant.call("kappa", [*x], None, t, [*p], M)
+        return [_clipped(u, low, high, M) for u, (low, high) in zip(U, limits, strict=True)]
+
+    def f(x: Any, u: Any, t: Any, p: Any, M: Any) -> list[Any]:
+        return plant.call("f", [*x], kappa(x, t, p, M), t, [*p], M)
+
+    return {"f": f, "kappa": kappa}
+
+
+def _clipped(u: Any, low: float, high: float, M: Any) -> Any:
+    u = M.maximum(u, low) if low > -np.inf else u
+    return M.minimum(u, high) if high < np.inf else u
+
+
+def _on_rows(plant: Plant, limits: np.ndarray) -> dict[str, Any]:
+    def kappa(X: np.ndarray, t: Any, p: Any) -> np.ndarray:
+        return np.clip(plant.kappa(X, t), *limits.T)
+
+    return {"f": lambda X, u, t, p: plant.f(X, kappa(X, t, p), t), "kappa": kappa}

@@ -1,0 +1,111 @@
+"""What an evaluation left in its folder, as the figures read it."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from npred.config import Evaluate
+from npred.data import hdf5
+from npred.figures.style import NETWORKS
+from npred.plants import Plant
+
+LOOP = {"t": 1, "X": 2, "U": 2, "D_hat": 1, "N": 1}  # axes of each array
+ERRORS = {"sup": 1, "over_x": 2}
+OF = {  # what rows of each kind are of
+    "nominal": "nominal rollouts",
+    "exploring": "exploring rollouts",
+    "redrawn": "rows with a redrawn D̂",
+    "imported": "the imported data",
+}
+
+
+@dataclass(frozen=True)
+class Loop:
+    """The loop of Fig. 1 with one predictor: t (nt,), X (nt, n), U (nt, m), D_hat (nt,), N (nt,) of the proof."""
+
+    t: np.ndarray
+    X: np.ndarray
+    U: np.ndarray
+    D_hat: np.ndarray
+    N: np.ndarray
+
+
+@dataclass(frozen=True)
+class Errors:
+    """|P_hat - P| of one network on held-out samples: sup over x (N,); over_x (nx, 3), median, 95 %, sup."""
+
+    sup: np.ndarray
+    over_x: np.ndarray
+
+
+@dataclass(frozen=True)
+class Histogram:
+    """One quantity: edges (k + 1,), density of the data (k,) and of each contender's loops."""
+
+    edges: np.ndarray
+    data: np.ndarray
+    loops: dict[str, np.ndarray]
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """An evaluation: its answer, and the arrays beside it; X (N, n) and D_hat (N,) of the held-out samples.
+
+    X, D_hat and `errors` are of held-out samples of the first kind; `kinds` has the sup over x of |P_hat - P| by kind
+    and network, (N,).
+    """
+
+    plant: Plant
+    config: Evaluate
+    models: dict[str, Any]
+    gain: float | None
+    loops: dict[str, Loop]
+    X: np.ndarray
+    D_hat: np.ndarray
+    errors: dict[str, Errors]
+    coverage: dict[str, Histogram]
+    kinds: dict[str, dict[str, np.ndarray]]
+
+    @property
+    def samples(self) -> str:
+        """What X, D_hat and `errors` are of, in words."""
+        return f"held-out samples of {OF[next(iter(self.kinds))]}"
+
+    @classmethod
+    def read(cls, folder: Path, plant: Plant, config: Evaluate, result: dict[str, Any]) -> "Evidence":
+        """What lies in the folder of an evaluate artifact with that result."""
+        order = list(result["models"])
+        networks = [name for name in order if name.partition("@")[0] in NETWORKS]
+        densities = {f"loops/{name}": name for name in order if "@" not in name}
+        (rows,) = _arrays(folder / "errors.h5", [""], {"X": 2, "D_hat": 1})
+        errors = _arrays(folder / "errors.h5", [f"networks/{name}/" for name in networks], ERRORS)
+        loops = _arrays(folder / "figure1.h5", [f"{name}/" for name in order], LOOP)
+        quantities = [*plant.states, *plant.inputs, "D_hat"]
+        kinds = dict.fromkeys(("edges", "data", *densities), 1)
+        histograms = _arrays(folder / "coverage.h5", [f"{name}/" for name in quantities], kinds)
+        coverage = [Histogram(h["edges"], h["data"], {densities[k]: h[k] for k in densities}) for h in histograms]
+        return cls(
+            plant, config, result["models"], result["gain"],
+            {name: Loop(**found) for name, found in zip(order, loops, strict=True)}, **rows,
+            errors={name: Errors(**found) for name, found in zip(networks, errors, strict=True)},
+            coverage=dict(zip(quantities, coverage, strict=True)), kinds=_by_kind(folder, result["kinds"], networks),
+        )  # fmt: skip
+
+
+def _by_kind(folder: Path, kinds: Iterable[str], networks: list[str]) -> dict[str, dict[str, np.ndarray]]:
+    """The sup over x of each network's error by kind of row; those of the first kind are the file's own."""
+    places = {kind: f"kinds/{kind}/" if number else "" for number, kind in enumerate(kinds)}
+    groups = {kind: [f"{place}networks/{name}/" for name in networks] for kind, place in places.items()}
+    by_kind = {kind: _arrays(folder / "errors.h5", group, {"sup": 1}) for kind, group in groups.items()}
+    return {
+        kind: {name: a["sup"] for name, a in zip(networks, arrays, strict=True)} for kind, arrays in by_kind.items()
+    }
+
+
+def _arrays(path: Path, groups: list[str], axes: dict[str, int]) -> list[dict[str, np.ndarray]]:
+    """Of each group (the file itself is "") the arrays of these names, with so many axes."""
+    with hdf5.opened(path, {group + name: count for group in groups for name, count in axes.items()}) as arrays:
+        return [{name: arrays[group + name][:] for name in axes} for group in groups]

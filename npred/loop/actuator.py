@@ -1,0 +1,96 @@
+"""The actuator state u(x, t) = U(t + D (x - 1)), the exact solution of D u_t = u_x, u(1, t) = U(t) [DAPF, eqs. 6-7].
+
+The controller holds U over each control step, so the history is piecewise constant and everything here is exact. Rows
+of the ring buffers are control steps: `held[k]` is U on [k dt, (k + 1) dt), `total[k]` the sum of U over the steps
+before k. Each input has a delay of its own, D (m, B).
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from npred.symbolic.compile_cache import jit
+
+ROUNDING = 1e-9  # of a control step: positions this close to a step's start are on it
+
+
+# k, dt, D (m, B), held, total (R, m, B) -> u, u_nodes (nx, m, B)
+TRANSPORT = (
+    "void(int64, float64, float64[:,::1], float64[:,:,::1], float64[:,:,::1], float64[:,:,::1], float64[:,:,::1])"
+)
+# k, dt, D (m, B), U (m, B) -> held, total (R, m, B), U0, U1, share (m, B)
+ACTUATE = (
+    "void(int64, float64, float64[:,::1], float64[:,::1], float64[:,:,::1], float64[:,:,::1], float64[:,::1], "
+    "float64[:,::1], float64[:,::1])"
+)
+
+
+@njit  # compiled into those that call it
+def _sum_to(s: float, held: np.ndarray, total: np.ndarray, c: int, l: int, wrap: int) -> float:
+    """The integral of U over time up to position s, in control steps."""
+    i = int(s + ROUNDING)
+    row = i - wrap if i >= wrap else i - wrap + held.shape[0]
+    return total[row, c, l] + max(s - i, 0.0) * held[row, c, l]
+
+
+@jit(TRANSPORT, nogil=True, error_model="numpy")
+def transport(
+    k: int, dt: float, D: np.ndarray, held: np.ndarray, total: np.ndarray, u: np.ndarray, u_nodes: np.ndarray
+) -> None:
+    """Write u(x, k dt) for the true delays D as its two readers need it.
+
+    `u` has the mean over each node's cell: the predictor integrates u, and the trapezoidal rule on cell means is the
+    integral of the held input, on any grid. `u_nodes` has values at the nodes, which the update law compares with
+    kappa(P): linear between the starts of control steps, where U = kappa(P(1)) was commanded; the held value lags
+    behind by half a step on average. At x = 1 it is the newest U, from the left.
+    """
+    nx, m, lanes = u.shape
+    rows = held.shape[0]
+    wrap = k - k % rows  # row of step i is i - wrap, plus rows where that is negative: a modulo a node costs too much
+    span, before, sum_before = np.empty(lanes), np.empty(lanes), np.empty(lanes)
+    for c in range(m):
+        for l in range(lanes):
+            span[l] = D[c, l] / dt
+            before[l] = k - span[l]
+            sum_before[l] = _sum_to(before[l], held, total, c, l, wrap)
+        for j in range(nx):
+            node, edge = 1.0 - j / (nx - 1), max(1.0 - (j + 0.5) / (nx - 1), 0.0)
+            for l in range(lanes):
+                s = k - edge * span[l]
+                sum_s = _sum_to(s, held, total, c, l, wrap)
+                u[j, c, l] = (sum_s - sum_before[l]) / (s - before[l])
+                before[l], sum_before[l] = s, sum_s
+                position = k - node * span[l]
+                i = min(int(position + ROUNDING), k - 1)
+                row, after = i - wrap, min(i + 1, k - 1) - wrap
+                start = held[row if row >= 0 else row + rows, c, l]
+                end = held[after if after >= 0 else after + rows, c, l]
+                u_nodes[j, c, l] = start + max(position - i, 0.0) * (end - start)
+
+
+@jit(ACTUATE, nogil=True)
+def actuate(
+    k: int, dt: float, D: np.ndarray, U: np.ndarray, held: np.ndarray, total: np.ndarray, U0: np.ndarray,
+    U1: np.ndarray, share: np.ndarray,
+) -> None:  # fmt: skip
+    """Hold U over control step k, and say what leaves the delay meanwhile: U0 for the first `share` of it, then U1."""
+    rows = held.shape[0]
+    for c in range(U.shape[0]):
+        for l in range(U.shape[1]):
+            s = k - D[c, l] / dt
+            i = math.floor(s + ROUNDING)
+            share[c, l] = 1.0 - (s - i) if s - i > ROUNDING else 1.0
+            held[k % rows, c, l] = U[c, l]
+            total[(k + 1) % rows, c, l] = total[k % rows, c, l] + U[c, l]
+            U0[c, l] = held[i % rows, c, l]
+            U1[c, l] = held[(i + 1) % rows, c, l]
+
+
+def history(D: np.ndarray, dt: float, u0: np.ndarray) -> tuple[int, np.ndarray, np.ndarray]:
+    """The first step's number and the ring buffers for delays D (m, B), filled with the input u0 (m, B) of t < 0."""
+    rows = int(np.max(D) / dt) + 4
+    held = np.empty((rows, *D.shape))
+    held[:] = u0
+    total = np.arange(rows, dtype=float)[:, None, None] * held - (rows - 1) * held
+    return rows - 1, held, total

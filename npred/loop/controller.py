@@ -1,0 +1,186 @@
+"""The controller alone, for a real plant: one step a call, on memory taken at the start."""
+
+import math
+import operator
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from npred import array_checks
+from npred.errors import ConfigError, DivergedError
+from npred.loop import engine, loop_checks
+from npred.loop.adaptation import part
+from npred.loop.delay_law import DelayLaw
+from npred.plants import inputs
+from npred.plants.base import Plant
+from npred.predictors import Predictor
+
+STEPS = 2**53  # beyond it a float64, as step * dt is one, no longer counts one by one
+
+
+class Controller:
+    """U = kappa(P(1)), P from the predictor, and D_hat' = gamma Proj{D_hat, phi} [DAPF, eqs. 9-14], each dt seconds.
+
+    The actuator state u is measured, so D_hat, phi of the last step and the time are all that it remembers. `D_hat`
+    (seconds) is the estimate that the next step uses, by default the middle of the adaptation's bounds;
+    `adaptation=None` freezes it. U is clipped to `input_bounds` (m, 2), by default the plant's. Steps equal those of
+    npred.simulate. It works on memory of its own, so one controller belongs to one thread; a pickled one goes on where
+    it stood.
+    Raises ConfigError for parts that do not fit together.
+    """
+
+    def __init__(
+        self, plant: Plant, predictor: Predictor, adaptation: DelayLaw | None, dt: float, *,
+        D_hat: float | None = None, input_bounds: Any = None,
+    ) -> None:  # fmt: skip
+        loop_checks.parts(plant, predictor, adaptation, "rk4", 1)
+        if predictor is None:
+            raise ConfigError("predictor: expected one, got None; make one with npred.predictor or npred.load")
+        if not 0 < (seconds := array_checks.number("dt", dt)) < math.inf:
+            raise ConfigError(f"dt: expected a control step above 0 s, got {dt!r}; give seconds")
+        self.plant, self.predictor, self.adaptation, self.dt = plant, predictor, adaptation, seconds
+        law, self._limits = part(plant, adaptation), inputs.bounds(plant, input_bounds)
+        self._predict, self._control, self._update = predictor.lanes(), law.control, law.update
+        self._gain, self._b, self._bounds = law.gain * self.dt, law.b, law.bounds
+        self._take_memory()
+        self._place(self._start(D_hat), None, 0, 0.0)
+        self._warm_up()
+
+    @property
+    def D_hat(self) -> float:
+        """The delay estimate of the next step, in seconds. Set it within the adaptation's bounds, else ConfigError.
+
+        D_hat goes on from there as from a first step, without phi of the last one.
+        """
+        return float(self._D_hat[0])
+
+    @D_hat.setter
+    def D_hat(self, seconds: float) -> None:
+        self._place(seconds, None, self._step, self._t0)
+
+    @property
+    def t(self) -> float:
+        """The time of the next step, in seconds, which a plant that depends on time reads: 0 at the start.
+
+        Each step adds dt. Set it to go on from another time, finite, else ConfigError, as from a first step.
+        """
+        return self._t0 + self._step * self.dt
+
+    @t.setter
+    def t(self, seconds: float) -> None:
+        self._place(self.D_hat, None, 0, seconds)
+
+    @property
+    def P(self) -> np.ndarray:
+        """The prediction of the last step on the predictor's nodes, (nx, n), a copy; NaN before the first step."""
+        return self._last_P[:, :, 0].copy()
+
+    def step(self, X: Any, u: Any, u_nodes: Any = None) -> np.ndarray:
+        """U (m,) for the state X (n,) and the actuator state u (nx, m) on the predictor's nodes, both measured now.
+
+        The predictor integrates u: where the measurement can tell them apart, `u` has the mean over each node's cell
+        and `u_nodes` the values at the nodes, which the update law compares with kappa(P); by default they are u.
+        U is the controller's own memory, overwritten by the next step. Raises ConfigError for shapes that do not fit
+        and for what are no real numbers, masked arrays among them, and DivergedError for a measurement that is not
+        finite, or that the prediction leaves the finite numbers from; the controller, and that memory, then stand as
+        before.
+        """
+        X, u = array_checks.floats("X", X), array_checks.floats("u", u)
+        self._measure(X, u, u if u_nodes is None else array_checks.floats("u_nodes", u_nodes))
+        before = self._D_hat[0], self._phi_before[0]
+        self._advance()
+        if not (np.isfinite(self._U).all() and math.isfinite(self._D_hat[0])):
+            self._D_hat[0], self._phi_before[0] = before
+            raise DivergedError("step: the prediction from X and u is not finite; hold the last U and measure again")
+        self._step += 1
+        self._P, self._last_P = self._last_P, self._P
+        self._last_U[:] = self._U[:, 0]
+        return self._last_U
+
+    def state(self) -> dict[str, Any]:
+        """What it remembers, ready for JSON: D_hat, phi of the last step, and the steps done since t0 (seconds)."""
+        phi = float(self._phi_before[0])
+        return {"D_hat": self.D_hat, "phi": None if math.isnan(phi) else phi, "step": self._step, "t0": self._t0}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on from a saved state; without phi as from a first step, without t0 from 0. Raises ConfigError if none."""
+        try:
+            D_hat, step = state["D_hat"], operator.index(state["step"])
+            phi, t0 = state.get("phi"), state.get("t0", 0.0)
+        except (AttributeError, KeyError, TypeError, ValueError):
+            raise ConfigError(f"state: expected D_hat and step, got {state!r}; save it with state()") from None
+        self._place(D_hat, phi, step, t0)
+
+    def __repr__(self) -> str:
+        adapts = "frozen" if self.adaptation is None else f"by {type(self.adaptation).__name__}"
+        times = f"dt = {self.dt:g} s, t = {self.t:g} s, D_hat = {self.D_hat:g} s {adapts}"
+        return f"<Controller of plant {self.plant.name} with {self.predictor!r}, {times}>"
+
+    def __getstate__(self) -> dict[str, Any]:
+        parts = (self.plant, self.predictor, self.adaptation, self.dt)
+        return {"parts": parts, "input_bounds": self._limits, "state": self.state(), "P": self._last_P}
+
+    def __setstate__(self, saved: Mapping[str, Any]) -> None:
+        D_hat = saved["state"]["D_hat"]
+        Controller.__init__(self, *saved["parts"], D_hat=D_hat, input_bounds=saved["input_bounds"])
+        self.restore(saved["state"])
+        self._last_P[:] = saved["P"]
+
+    def _start(self, D_hat: float | None) -> float:
+        if D_hat is not None:
+            return D_hat
+        if self.adaptation is None:
+            raise ConfigError("D_hat: expected a delay in seconds, for nothing adapts it, got none; give D_hat")
+        return sum(self.adaptation.bounds) / 2
+
+    def _take_memory(self) -> None:
+        """The buffers of all steps."""
+        n, m, nx = self.plant.n, self.plant.m, self.predictor.nx
+        self._X, self._U, self._last_U = np.zeros((n, 1)), np.zeros((m, 1)), np.zeros(m)
+        self._u, self._u_nodes = np.zeros((nx, m, 1)), np.zeros((nx, m, 1))
+        self._P, self._last_P = np.full((nx, n, 1), np.nan), np.full((nx, n, 1), np.nan)
+        self._D_hat, self._N = np.empty(1), np.empty(1)
+        self._phi, self._phi_before = np.zeros(1), np.full(1, np.nan)
+
+    def _place(self, D_hat: Any, phi: Any, step: int, t0: Any) -> None:
+        """Take what the next step starts from, phi None for none. Raises ConfigError, and stays as it is, if wrong."""
+        seconds, start = array_checks.number("D_hat", D_hat), array_checks.number("t", t0)
+        rate = math.nan if phi is None else array_checks.number("phi", phi)
+        low, high = self._bounds
+        array_checks.within("D_hat", np.array(seconds), (low, high))
+        if not 0 <= step <= STEPS:
+            came = "a negative one" if step < 0 else "a larger one"
+            raise ConfigError(f"step: expected a whole number of 0 to 2^53, got {came}; save it with state()")
+        if not math.isfinite(start + step * self.dt):
+            raise ConfigError(f"t: expected a finite time in seconds, got {start:g} s and {step} steps; give seconds")
+        if math.isinf(rate):
+            raise ConfigError("phi: expected a finite number or none, got infinity; save it with state()")
+        self._D_hat[0], self._phi_before[0], self._step, self._t0 = seconds, rate, step, start
+
+    def _measure(self, X: np.ndarray, u: np.ndarray, u_nodes: np.ndarray) -> None:
+        """Take the measurements into the buffers."""
+        expected = self._X.shape[:1], self._u.shape[:2]
+        for values in (u, u_nodes):
+            if (X.shape, values.shape) != expected:  # broadcasting would hide a sensor that is lost
+                came = f"{X.shape} and {values.shape}"
+                raise ConfigError(f"step: expected X {expected[0]} and u {expected[1]}, got {came}; measure those")
+        if not (np.isfinite(X).all() and np.isfinite(u).all() and np.isfinite(u_nodes).all()):
+            raise DivergedError("step: expected finite X and u, got one that is not; hold the last U and measure again")
+        self._X[:, 0], self._u[:, :, 0], self._u_nodes[:, :, 0] = X, u, u_nodes
+
+    @np.errstate(all="ignore")  # what leaves the finite numbers in Python is refused, once, by step
+    def _advance(self) -> None:
+        """One control step on the buffers, as in the engine's loop."""
+        t, p = self.t, self.plant.p
+        self._predict(self._X, self._u, self._D_hat, t, p, self._P)
+        self._control(self._P, self._u, self._D_hat, t, p, self._U)
+        engine.clip(self._U, self._limits)
+        self._update(self._P, self._X, self._u_nodes, self._D_hat, t, p, self._b, self._phi, self._N)
+        engine.adapt(self._D_hat, self._phi, self._phi_before, self._gain, self._bounds)
+
+    def _warm_up(self) -> None:
+        """Compile and load all that a step runs, so that the first step takes no longer than the others."""
+        state = self.state()
+        self._advance()
+        self.restore(state)

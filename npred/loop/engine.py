@@ -1,0 +1,237 @@
+"""The time loop on flat memory, lanes innermost: one compiled engine for every plant, predictor and number of loops.
+
+Its parts reach it as function pointers, so it is compiled once a machine, not once a plant, and an edit of a part never
+leaves a stale copy of it in Numba's cache. With a predictor in Python the same text runs uncompiled.
+"""
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import types
+from numba.core.sigutils import normalize_signature
+
+from npred.loop import actuator, adaptation, array_kernels
+from npred.plants.base import Plant
+from npred.plants.black_box import BlackBox
+from npred.predictors import base as predictors
+from npred.predictors.onestep import OneStep
+from npred.symbolic import called_functions, kernels, programs
+from npred.symbolic.compile_cache import jit
+from npred.symbolic.trace import Trace
+
+
+class Settings(NamedTuple):
+    """What stays fixed in a run; gain = gamma dt, or 0 with D_hat frozen."""
+
+    dt: float
+    every: int
+    b: float
+    gain: float
+    bounds: np.ndarray  # (2,)
+    input_bounds: np.ndarray  # (m, 2)
+    u_star: np.ndarray  # (m,)
+    p: np.ndarray
+    samples: np.ndarray  # (S, B), sorted steps whose (X, u, D_hat) are kept
+
+
+class State(NamedTuple):
+    """What evolves: the plant, the actuator's history, the delay estimate, and scratch for one step."""
+
+    X: np.ndarray  # (n, B)
+    D: np.ndarray  # (m, B), the delay of each input
+    D_hat: np.ndarray  # (B,)
+    held: np.ndarray  # (R, m, B)
+    total: np.ndarray  # (R, m, B)
+    u: np.ndarray  # (nx, m, B), means over the nodes' cells
+    u_nodes: np.ndarray  # (nx, m, B), values at the nodes
+    P: np.ndarray  # (nx, n, B)
+    U: np.ndarray  # (m, B)
+    phi: np.ndarray  # (B,)
+    phi_before: np.ndarray  # (B,), that of the step before; NaN at first
+    N: np.ndarray  # (B,)
+    U0: np.ndarray  # (m, B), the delayed input for the first share of a step
+    U1: np.ndarray  # (m, B), and for the rest
+    share: np.ndarray  # (m, B)
+    drawn: np.ndarray  # (B,), samples taken so far
+
+
+class Record(NamedTuple):
+    """What is kept, time first, lanes last."""
+
+    X: np.ndarray  # (rows, n, B)
+    P: np.ndarray  # (rows, n, B), the prediction at x = 1
+    U: np.ndarray  # (rows, m, B)
+    D_hat: np.ndarray  # (rows, B)
+    N: np.ndarray  # (rows, B)
+    energy: np.ndarray  # (rows, B), the integral of |U - U*|² over the delay
+    sample_X: np.ndarray  # (S, n, B)
+    sample_u: np.ndarray  # (S, nx, m, B)
+    sample_D_hat: np.ndarray  # (S, B)
+    escaped: np.ndarray  # (B,), the first step whose state is not finite, or -1
+
+
+A1, A2, A3, A4 = (types.Array(types.float64, d, "C") for d in (1, 2, 3, 4))
+I1, I2 = (types.Array(types.int64, d, "C") for d in (1, 2))
+SETTINGS = types.NamedTuple(
+    [types.float64, types.int64, types.float64, types.float64, A1, A2, A1, A1, I2], Settings
+)  # fmt: skip
+STATE = types.NamedTuple([A2, A2, A1, A3, A3, A3, A3, A3, A2, A1, A1, A1, A2, A2, A2, I1], State)
+RECORD = types.NamedTuple([A3, A3, A3, A2, A2, A2, A3, A4, A2, I1], Record)
+
+
+def steps(
+    origin: int, start: int, stop: int, transport: Any, predict: Any, control: Any, update: Any, actuate: Any,
+    advance: Any, s: Settings, z: State, out: Record,
+) -> None:  # fmt: skip
+    """Control steps start … stop - 1 [DAPF, eqs. 6-14]; `origin` is the ring buffers' number of step 0."""
+    for k in range(start, stop):
+        t = k * s.dt
+        transport(origin + k, s.dt, z.D, z.held, z.total, z.u, z.u_nodes)
+        predict(z.X, z.u, z.D_hat, t, s.p, z.P)
+        control(z.P, z.u, z.D_hat, t, s.p, z.U)
+        clip(z.U, s.input_bounds)
+        update(z.P, z.X, z.u_nodes, z.D_hat, t, s.p, s.b, z.phi, z.N)
+        keep(k, s, z, out)
+        adapt(z.D_hat, z.phi, z.phi_before, s.gain, s.bounds)
+        actuate(origin + k, s.dt, z.D, z.U, z.held, z.total, z.U0, z.U1, z.share)
+        advance(z.X, z.U0, z.U1, z.share, s.dt, t, s.p)
+
+
+@jit(types.void(A2, A2), nogil=True)
+def clip(U: np.ndarray, bounds: np.ndarray) -> None:
+    """U (m, B) to its bounds; NaN stays NaN."""
+    for c in range(U.shape[0]):
+        for l in range(U.shape[1]):
+            if U[c, l] < bounds[c, 0]:
+                U[c, l] = bounds[c, 0]
+            elif U[c, l] > bounds[c, 1]:
+                U[c, l] = bounds[c, 1]
+
+
+@jit(types.void(A1, A1, A1, types.float64, A1), nogil=True)
+def adapt(D_hat: np.ndarray, phi: np.ndarray, phi_before: np.ndarray, gain: float, bounds: np.ndarray) -> None:
+    """D_hat += gain Proj{D_hat, phi}: clipping to the bounds is the projection [DAPF, eq. 11] in discrete time.
+
+    phi is taken at the middle of the step, from this value and the one before: the method of Adams and Bashforth of
+    order 2 (Hairer, Nørsett, Wanner, III.1.5). A first step, which has none before, is Euler's.
+    """
+    if gain > 0:
+        for l in range(D_hat.shape[0]):
+            rate = phi[l] if np.isnan(phi_before[l]) else 1.5 * phi[l] - 0.5 * phi_before[l]
+            D_hat[l] = min(max(D_hat[l] + gain * rate, bounds[0]), bounds[1])
+            phi_before[l] = phi[l]
+
+
+@jit(types.void(A3, A1, A2, A1), nogil=True)
+def energy(u: np.ndarray, u_star: np.ndarray, D: np.ndarray, out: np.ndarray) -> None:
+    """Sum over inputs of ∫_{t-D_c}^t (U_c - U_c*)² ds = D_c ∫₀¹ (u_c - u_c*)² dx by the trapezoidal rule."""
+    nx, m, lanes = u.shape
+    for l in range(lanes):
+        out[l] = 0.0
+        for j in range(nx):
+            for c in range(m):
+                weight = D[c, l] / (nx - 1) * (0.5 if j == 0 or j == nx - 1 else 1.0)
+                out[l] += weight * (u[j, c, l] - u_star[c]) ** 2
+
+
+@jit(types.void(types.int64, SETTINGS, STATE, RECORD), nogil=True)
+def keep(k: int, s: Settings, z: State, out: Record) -> None:
+    """Write step k to the record: every `every`-th state, the samples asked for, the first step not finite."""
+    for l in range(z.X.shape[1]):
+        while z.drawn[l] < s.samples.shape[0] and s.samples[z.drawn[l], l] == k:
+            out.sample_X[z.drawn[l], :, l] = z.X[:, l]
+            out.sample_u[z.drawn[l], :, :, l] = z.u[:, :, l]
+            out.sample_D_hat[z.drawn[l], l] = z.D_hat[l]
+            z.drawn[l] += 1
+        for c in range(z.X.shape[0]):
+            if out.escaped[l] < 0 and not np.isfinite(z.X[c, l]):
+                out.escaped[l] = k
+    if k % s.every == 0:
+        row = k // s.every
+        out.X[row], out.P[row] = z.X, z.P[z.P.shape[0] - 1]
+        out.U[row], out.D_hat[row], out.N[row] = z.U, z.D_hat, z.N
+        energy(z.u, s.u_star, z.D, out.energy[row])
+
+
+def _pointer(signature: str) -> types.FunctionType:
+    arguments, _ = normalize_signature(signature)
+    return types.FunctionType(types.void(*arguments))
+
+
+ADVANCE_SIGNATURE = (
+    "void(float64[:,::1], float64[:,::1], float64[:,::1], float64[:,::1], float64, float64, float64[::1])"
+)
+PARTS = (
+    actuator.TRANSPORT, predictors.SIGNATURE, adaptation.CONTROL_SIGNATURE, adaptation.UPDATE_SIGNATURE,
+    actuator.ACTUATE, ADVANCE_SIGNATURE,
+)  # fmt: skip
+compiled_steps = jit(
+    types.void(types.int64, types.int64, types.int64, *map(_pointer, PARTS), SETTINGS, STATE, RECORD), nogil=True
+)(steps)
+
+
+@jit(predictors.SIGNATURE, nogil=True)
+def no_predictor(X, u, D_hat, t, p, P):  # type: ignore[no-untyped-def]
+    """The open loop predicts nothing."""
+
+
+@jit(adaptation.CONTROL_SIGNATURE, nogil=True)
+def no_control(P, u, D_hat, t, p, U):  # type: ignore[no-untyped-def]
+    """The open loop: U = 0."""
+    U[:] = 0.0
+
+
+ADVANCE = """\
+def advance(X, U0, U1, share, dt, t, p):
+    {parameters}
+    for l in range(X.shape[1]):
+        h, start = share[0, l] * dt, t
+        {first}
+    for l in range(X.shape[1]):
+        if share[0, l] < 1.0:
+            h, start = (1.0 - share[0, l]) * dt, t + share[0, l] * dt
+            {second}
+"""
+
+# Inputs with delays of their own switch at moments of their own.
+ADVANCE_SEVERAL = """\
+def advance(X, U0, U1, share, dt, t, p):
+    {parameters}
+    for l in range(X.shape[1]):
+        begin = 0.0
+        while begin < 1.0:
+            end = 1.0
+            for c in range(share.shape[0]):
+                if begin < share[c, l] < end:
+                    end = share[c, l]
+            h, start = (end - begin) * dt, t + begin * dt
+            {piece}
+            begin = end
+"""
+
+
+@cache
+def advance_kernel(plant: Plant, method: type[OneStep]) -> Callable[..., None]:
+    """The compiled step of the plant with held inputs, split where a switch of a delayed input falls inside it."""
+    if isinstance(plant, BlackBox):
+        return array_kernels.advance(plant, method)
+    parameters = kernels.parameters(len(plant.p))
+    trace = called_functions.trace(plant)
+    if plant.one_delay:
+        parts = {name: _advance(trace, method, f"{U}[{{0}}, l]") for name, U in (("first", "U0"), ("second", "U1"))}
+        source = kernels.fill(ADVANCE, parameters=parameters, **parts)
+    else:
+        piece = _advance(trace, method, "(U0[{0}, l] if begin < share[{0}, l] else U1[{0}, l])")
+        source = kernels.fill(ADVANCE_SEVERAL, parameters=parameters, piece=piece)
+    return kernels.build("advance", ADVANCE_SIGNATURE, source, called_functions.imports(trace))
+
+
+def _advance(trace: Trace, method: type[OneStep], U: str) -> list[str]:
+    plant = trace.plant
+    x, u = trace.vector("x", plant.n), trace.vector("u", plant.m)
+    y = method.step(trace.f, x, u, u, u, trace.input("t"), trace.input("h"))
+    names = {f"p{k}": f"p{k}" for k in range(len(plant.p))} | {"t": "start", "h": "h"}
+    names |= {f"x{k}": f"X[{k}, l]" for k in range(plant.n)} | {f"u{k}": U.format(k) for k in range(plant.m)}
+    return programs.lines(y, names, [f"X[{k}, l]" for k in range(plant.n)])

@@ -1,0 +1,86 @@
+"""What a closed loop is asked for, checked before it runs: the compiled engine reads what the shapes promise."""
+
+import math
+import os
+from typing import Any
+
+import numpy as np
+
+from npred import array_checks
+from npred.errors import ConfigError, size
+from npred.loop.delay_law import DelayLaw
+from npred.plants.base import Plant
+from npred.predictors import METHODS, Compiled, Predictor
+from npred.predictors.onestep import OneStep
+
+PARTS = ("program", "parameters", "ratios")  # of the identity: what a compiled predictor has in it
+INTEGRATORS = {name: method for name, method in METHODS.items() if issubclass(method, OneStep)}
+
+
+def samples(samples: Any, shape: tuple[int, ...], last: int) -> np.ndarray:
+    """The steps to keep of each loop, (B, S)."""
+    steps = np.zeros(0, dtype=np.int64) if samples is None else np.asarray(samples)
+    fits = steps.ndim > 0 and steps.dtype.kind in "iu" and array_checks.fits(steps.shape[:-1], shape)
+    if not fits or (np.diff(steps) < 0).any() or (steps < 0).any() or (steps > last).any():
+        raise ConfigError(f"samples: expected sorted whole steps of 0 to {last}, (..., S), got {samples}; fix them")
+    count = steps.shape[-1]
+    return np.broadcast_to(steps.astype(np.int64), (*shape, count)).reshape(math.prod(shape), count)
+
+
+def numbers(
+    plant: Plant, X0: Any, D: np.ndarray, D_hat: np.ndarray, t_end: float, dt: float, law: DelayLaw | None
+) -> None:
+    """Raise ConfigError for a start, delays or times that make no loop."""
+    if X0.ndim < 1 or X0.shape[-1] != plant.n:
+        axes = ", ".join(plant.states) if plant.n < 5 else "its states"
+        raise ConfigError(
+            f"X0: expected shape (..., {plant.n}) for plant {plant.name}, got {X0.shape}; the last axis is {axes}"
+        )
+    array_checks.finite("X0", X0)
+    if not 0 < array_checks.number("dt", dt) <= array_checks.number("t_end", t_end) < np.inf:
+        raise ConfigError(f"dt, t_end: expected 0 < dt <= t_end in seconds, got dt = {dt}, t_end = {t_end}")
+    for name, seconds in (("D", D), ("D_hat", D_hat)):
+        array_checks.delays(name, seconds)
+    if law:
+        array_checks.within("D_hat", D_hat, law.bounds)
+
+
+def room(plant: Plant, D: np.ndarray, t_end: float, dt: float, every: int) -> None:
+    """Raise ConfigError for loops, D (B,), whose record, or the actuator's history, this machine cannot hold."""
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    record = 8 * len(D) * (2 * plant.n + plant.m + 3) * (float(t_end) / dt / every + 1)
+    history = 16 * plant.m * float(np.max(D)) / dt
+    cures = {"t_end": "shorten t_end, lengthen dt or keep every 10th step with every", "D": "shorten D or lengthen dt"}
+    for name, bytes_needed in (("t_end", record), ("D", history)):
+        if bytes_needed > memory:
+            what = f"{'the history' if name == 'D' else 'a record'} of {size(bytes_needed)}"
+            raise ConfigError(f"{name}: expected what fits into memory, {size(memory)}, got {what}; {cures[name]}")
+
+
+def parts(plant: Any, predictor: Any, adaptation: Any, integrator: Any, every: Any) -> None:
+    """Raise ConfigError for a part of the wrong kind, or a predictor of another plant."""
+    kinds = {"plant": (plant, Plant), "predictor": (predictor, Predictor), "adaptation": (adaptation, DelayLaw)}
+    for name, (thing, kind) in kinds.items():
+        if not isinstance(thing, kind) and (thing is not None or name == "plant"):
+            raise ConfigError(f"{name}: expected a {kind.__name__}, got {thing!r}; see npred.simulate")
+    if predictor is not None:
+        _same_plant(plant, predictor)
+    if adaptation is not None:
+        adaptation.check(plant)
+    if integrator not in INTEGRATORS:
+        raise ConfigError(f"integrator: expected one of {', '.join(INTEGRATORS)}, got {integrator!r}; choose one")
+    if not isinstance(every, int | np.integer) or every < 1:
+        raise ConfigError(f"every: expected a whole number of steps from 1 on, got {every!r}; fix it")
+
+
+def _same_plant(plant: Plant, predictor: Predictor) -> None:
+    """A network may predict a plant that drifted; a kernel takes the loop's parameters and must be of its formulas."""
+    other = predictor.plant
+    alike = (other.n, other.m) == (plant.n, plant.m)
+    if alike and isinstance(predictor, Compiled):
+        alike = all(other.identity.get(part) == plant.identity.get(part) for part in PARTS)
+    if not alike:
+        raise ConfigError(
+            f"predictor: expected one of plant {plant.name} with its parameters, got one of {other.name} with "
+            f"{other.parameters}; build it for this plant"
+        )

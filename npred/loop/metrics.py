@@ -1,0 +1,145 @@
+"""How far a predictor is from the exact one, in the norms of the theory, and what a closed loop makes of it."""
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from npred import grid
+from npred.loop.closed_loop import Trajectories
+from npred.plants.base import Plant
+
+SETTLED = 0.01  # of size(X*): inside this distance a loop counts as settled, and as converged when it ends there
+ORIGIN = 1e-9  # an equilibrium closer to the origin than this is the origin, found by a solver
+TAIL = 0.1  # of the horizon: the radius is the supremum over this last share
+CELLS = 4000  # of the horizon, along which the gain of a plant that tracks is integrated
+
+
+def size(X_star: np.ndarray) -> float:
+    """What a distance from X* is measured against: the largest |X*|, or one unit of state where X* is the origin."""
+    norm = float(np.linalg.norm(X_star) if X_star.ndim == 1 else np.linalg.norm(X_star, axis=-1).max())
+    return norm if norm > ORIGIN else 1.0
+
+
+def errors(plant: Plant, P_hat: np.ndarray, P: np.ndarray, t: Any = 0.0, D_hat: Any = 0.0) -> dict[str, Any]:
+    """Errors of P_hat against P, both (N, nx, n), over samples and nodes, in the plant's units; t, D_hat (N,).
+
+    mse: mean square, as [DAPF] reports it. eps_sup: sup |P_hat - P|, the epsilon of [DAPF, Theorem 2]. eps_kappa:
+    sup |kappa(P_hat(1)) - kappa(P(1))|, what the control sees, kappa_j at r_j. rel_l2: mean of ||P_hat - P|| / ||P||.
+    """
+    gap = P_hat - P
+    control = law(plant, P_hat, t, D_hat) - law(plant, P, t, D_hat)
+    relative = np.linalg.norm(gap, axis=(1, 2)) / np.linalg.norm(P, axis=(1, 2))
+    return {
+        "mse": float(np.mean(gap**2)),
+        "eps_sup": float(np.linalg.norm(gap, axis=-1).max()),
+        "eps_kappa": float(np.linalg.norm(control, axis=-1).max()),
+        "rel_l2": float(relative.mean()),
+        "mse_by_state": dict(zip(plant.states, np.mean(gap**2, axis=(0, 1)).tolist(), strict=True)),
+        "sup_by_state": dict(zip(plant.states, np.abs(gap).max(axis=(0, 1)).tolist(), strict=True)),
+    }
+
+
+def law(plant: Plant, P: np.ndarray, t: Any, D_hat: Any) -> np.ndarray:
+    """U_j = kappa_j(P(r_j), t + r_j D_hat), (N, m), of P (N, nx, n); r_j = 1 for one delay. Cubic between nodes."""
+    U = [plant.kappa(grid.read(P, np.array([r]))[:, 0], t + r * D_hat)[:, j] for j, r in enumerate(plant.ratios)]
+    return np.stack(U, axis=-1)
+
+
+def radius(loops: Trajectories, X_star: np.ndarray) -> np.ndarray:
+    """sup |X - X*| over the last tenth of the horizon, (...); infinite for a loop that left the finite numbers.
+
+    Here and below X* is (n,), or (nt, n) for a plant that tracks: `plant.target(loops.t)`.
+    """
+    rows = loops.t >= (1 - TAIL) * loops.t[-1]
+    goal = X_star if X_star.ndim == 1 else X_star[rows]
+    distance = np.linalg.norm(loops.X[..., rows, :] - goal, axis=-1).max(axis=-1)
+    return np.where(np.isfinite(distance), distance, np.inf)
+
+
+def in_loop(loops: Trajectories, D: float) -> np.ndarray:
+    """sup |P(1, t) - X(t + D)| over 2 D <= t <= t_end - D, (...), of loops with D_hat = D, every step of them kept.
+
+    D is a whole number of steps. Before 2 D the history of U has the jump from its past to the first control in it, and
+    every scheme is of first order. Where inputs have delays of their own, D is the longest of them: P goes on past the
+    others with the law's values. Infinite for a loop that left the finite numbers.
+    """
+    k = round(D / (loops.t[1] - loops.t[0]))
+    gap = np.linalg.norm(loops.P[..., 2 * k : -k, :] - loops.X[..., 3 * k :, :], axis=-1).max(axis=-1)
+    return np.where(np.isfinite(gap), gap, np.inf)
+
+
+def settle_time(loops: Trajectories, X_star: np.ndarray) -> np.ndarray:
+    """The time in seconds after which |X - X*| stays within 1 % of size(X*), (...); infinite where it does not."""
+    return _last_outside(loops.t, np.linalg.norm(loops.X - X_star, axis=-1), SETTLED * size(X_star))
+
+
+def decay_rate(loops: Trajectories, X_star: np.ndarray) -> np.ndarray:
+    """The mean rate in 1/s at which |X - X*| falls from 1e-2 to 1e-4 of size(X*), (...); NaN where it does not."""
+    distance = np.linalg.norm(loops.X - X_star, axis=-1) / size(X_star)
+    ends = [_last_outside(loops.t, distance, level) for level in (1e-2, 1e-4)]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.where(np.isfinite(ends[1]), np.log(100) / (ends[1] - ends[0]), np.nan)
+
+
+def _last_outside(t: np.ndarray, distance: np.ndarray, level: float) -> np.ndarray:
+    """The time after which the distance stays within the level; infinite where it does not, 0 where it always is."""
+    outside = ~(distance <= level)
+    last = len(t) - 1 - np.argmax(outside[..., ::-1], axis=-1)
+    return np.where(outside.any(axis=-1), np.append(t[1:], np.inf)[last], 0.0)
+
+
+def relative(plant: Plant, X: np.ndarray, u: np.ndarray, P_hat: np.ndarray, P: np.ndarray) -> dict[str, Any]:
+    """sup_x |P_hat - P| / (|X - X*| + sup_x |u - u*|), its supremum and median over the samples.
+
+    Finite and small, it makes the loop converge to the point: near rest the error vanishes with the distance. Nothing
+    is told of a plant that tracks: it has no such point.
+    """
+    if not plant.rests:
+        return {}
+    distance = np.linalg.norm(X - plant.equilibrium, axis=-1)
+    distance = distance + np.linalg.norm(u - plant.u_equilibrium, axis=-1).max(axis=-1)
+    ratio = np.linalg.norm(P_hat - P, axis=-1).max(axis=-1) / distance
+    return {"eps_relative": {"sup": float(ratio.max()), "median": float(np.median(ratio))}}
+
+
+def converged(radii: np.ndarray, X_star: np.ndarray) -> np.ndarray:
+    """Whether a loop of that radius ends settled."""
+    return radii <= SETTLED * size(X_star)
+
+
+@cache
+def gain(plant: Plant, t_end: float = 100.0) -> float:
+    """|dX*| per unit of a constant control error: |(f_X + f_U kappa')^{-1} f_U|, largest singular value.
+
+    A constant error e of kappa(P_hat(1)) moves the equilibrium to f(X, kappa(X) + e) = 0, whatever D, D_hat, gamma, b:
+    the radius that an error of the predictor must leave behind. Where the plant tracks, it moves the trajectory by
+    G(t) e, with G' = (f_X + f_U kappa') G + f_U along the reference and G(0) = 0: the largest |G| over the last tenth
+    of t_end seconds, to first order in e. Where nothing changes in time, both are the same.
+    """
+    if plant.rests:
+        closed, f_U = _linear(plant, 0.0)
+        return float(np.linalg.norm(np.linalg.solve(closed, f_U), 2))
+    return max(float(np.linalg.norm(G, 2)) for G in _responses(plant, t_end)[round((1 - TAIL) * CELLS) :])
+
+
+def _linear(plant: Plant, t: Any) -> tuple[np.ndarray, np.ndarray]:
+    """f_X + f_U kappa' (..., n, n) and f_U (..., n, m) at the target at times t (...)."""
+    X, u = plant.target(t), plant.u_target(t)
+    f_X, f_U = plant.jacobians(X, u, t)
+    return f_X + f_U @ plant.kappa_jacobian(X, t), f_U
+
+
+def _responses(plant: Plant, t_end: float) -> list[np.ndarray]:
+    """G (n, m) of `gain` on CELLS + 1 times, by the trapezoidal rule, which no rate makes unstable."""
+    A, B = _linear(plant, np.linspace(0.0, t_end, CELLS + 1))
+    h, eye, found = t_end / CELLS, np.eye(plant.n), [np.zeros((plant.n, plant.m))]
+    for k in range(CELLS):
+        right = found[-1] + h / 2 * (A[k] @ found[-1] + B[k] + B[k + 1])
+        found.append(np.linalg.solve(eye - h / 2 * A[k + 1], right))
+    return found
+
+
+def number(value: Any) -> float | None:
+    """A float for JSON, which has no infinity: None where a loop diverged or never settled."""
+    return float(value) if np.isfinite(value) else None

@@ -1,0 +1,128 @@
+"""Closed loops for the eye and for other programs: a summary in text, a plot, a data frame."""
+
+import re
+from collections.abc import Iterator, Mapping
+from importlib import import_module
+from typing import Any, Protocol
+
+import numpy as np
+
+from npred import array_checks
+from npred.errors import ConfigError, MissingError
+
+
+class Loops(Protocol):
+    """What is shown: npred.loop.closed_loop.Trajectories."""
+
+    @property
+    def t(self) -> np.ndarray: ...  # (nt,)
+    @property
+    def X(self) -> np.ndarray: ...  # (..., nt, n)
+    @property
+    def U(self) -> np.ndarray: ...  # (..., nt, m)
+    @property
+    def D_hat(self) -> np.ndarray: ...  # (..., nt)
+    @property
+    def escaped(self) -> np.ndarray: ...  # (...)
+    @property
+    def states(self) -> tuple[str, ...]: ...
+    @property
+    def inputs(self) -> tuple[str, ...]: ...
+    @property
+    def time_unit(self) -> str: ...
+    @property
+    def labels(self) -> Mapping[str, str] | None: ...
+    @property
+    def units(self) -> Mapping[str, str] | None: ...
+
+
+def summary(loops: Loops) -> str:
+    """How many loops and times, then a line per series: its range over all times, and where it ends."""
+    count, shape = loops.escaped.size, loops.escaped.shape
+    batch = ("1 loop" if not shape else f"{count} loops") + (f" {shape}" if len(shape) > 1 else "")
+    lines = [f"Trajectories: {batch}, {len(loops.t)} times from {loops.t[0]:g} to {loops.t[-1]:g} {loops.time_unit}"]
+    named = dict(series(loops))
+    width = max(map(len, named))
+    for name, values in named.items():
+        unit = f" {loops.time_unit}" if name == "D_hat" else ""
+        lines.append(f"  {name:{width}}  {_span(values)}, ends at {_span(values[..., -1])}{unit}")
+    lost = loops.escaped[loops.escaped >= 0]
+    if lost.size:
+        what = "it leaves" if not shape else f"{lost.size} of {count} leave"
+        lines.append(f"  {what} the finite numbers, first at control step {lost.min()}")
+    return "\n".join(lines)
+
+
+def plot(loops: Loops, D: Any = None) -> np.ndarray:
+    """A panel for each state, input and D_hat, all loops in each; the axes (n + m + 1,). D adds the true delay."""
+    from matplotlib import pyplot
+
+    named = dict(series(loops))
+    _, axes = pyplot.subplots(
+        len(named), 1, sharex=True, squeeze=False, figsize=(6.4, 1.0 + 1.2 * len(named)), layout="constrained"
+    )
+    for panel, (name, values) in zip(axes[:, 0], named.items(), strict=True):
+        panel.plot(loops.t, values.reshape(-1, len(loops.t)).T, linewidth=1.2)
+        panel.set_ylabel(_axis_label(loops, name))
+        panel.grid(alpha=0.3)
+    if D is not None:
+        for delay in np.unique(array_checks.floats("D", D)):
+            axes[-1, 0].axhline(delay, color="black", linestyle="--", linewidth=0.8)
+    axes[-1, 0].set_xlabel(f"t ({loops.time_unit})")
+    return axes[:, 0]
+
+
+def _axis_label(loops: Loops, name: str) -> str:
+    """A series' declared label, else its name, with its unit in brackets; subscripts and powers as matplotlib sets."""
+    declared = name.removeprefix("X.").removeprefix("U.")
+    unit = loops.time_unit if name == "D_hat" else (loops.units or {}).get(declared, "")
+    text = (loops.labels or {}).get(declared, name) + (f" ({unit})" if unit else "")
+    return re.sub(r"\^\{?(-?\d+)\}?", r"$^{\1}$", re.sub(r"_\{([^}]+)\}", r"$_{\\mathrm{\1}}$", text))
+
+
+def dataframe(loops: Loops) -> Any:
+    """One row per loop and time, a column per series; the index is t, behind the loop's number on each axis of a batch.
+
+    Raises MissingError without pandas.
+    """
+    try:
+        pandas = import_module("pandas")
+    except ImportError:
+        raise MissingError("to_dataframe: expected the package pandas, found none; pip install pandas") from None
+    columns = {name: values.reshape(-1) for name, values in series(loops)}
+    shape = loops.escaped.shape
+    if not shape:
+        return pandas.DataFrame(columns, index=pandas.Index(loops.t, name="t"))
+    axes = ["loop"] if len(shape) == 1 else [f"loop{k}" for k in range(len(shape))]
+    index = pandas.MultiIndex.from_product([*map(range, shape), loops.t], names=[*axes, "t"])
+    return pandas.DataFrame(columns, index=index)
+
+
+def series(loops: Loops) -> Iterator[tuple[str, np.ndarray]]:
+    """Name and values (..., nt) of each state, each input and D_hat.
+
+    Without names they are X1, X2, …, U1, …; a name that stands twice, or is D_hat, gets its letter in front.
+    Raises ConfigError where the names do not fit the arrays.
+    """
+    names = {"X": _names("X", loops.X, loops.states), "U": _names("U", loops.U, loops.inputs)}
+    every = [*names["X"], *names["U"], "D_hat"]
+    for letter, values in (("X", loops.X), ("U", loops.U)):
+        for k, name in enumerate(names[letter]):
+            yield name if every.count(name) == 1 else f"{letter}.{name}", values[..., k]
+    yield "D_hat", loops.D_hat
+
+
+def _names(letter: str, values: np.ndarray, names: tuple[str, ...]) -> tuple[str, ...]:
+    size = values.shape[-1]
+    if names and len(names) != size:
+        raise ConfigError(f"Trajectories: expected {size} names for {letter}, got {', '.join(names)}; name each")
+    return names or tuple(f"{letter}{k + 1}" for k in range(size))
+
+
+def _span(values: np.ndarray) -> str:
+    """The range of the finite values in four digits, or the one value that there is."""
+    finite = values[np.isfinite(values)]
+    if not finite.size:
+        return "nan"
+    low, high = f"{finite.min():.4g}", f"{finite.max():.4g}"
+    return low if low == high else f"{low} … {high}"

@@ -1,0 +1,1 @@
+"""Other processes and devices: executors, torchrun, and what a machine has."""

@@ -1,0 +1,117 @@
+"""Where the work runs: the device asked for, and the machine in words. torch is imported to check CUDA only."""
+
+import os
+import platform
+import re
+import sys
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+from npred import json_files
+from npred.errors import ConfigError, MissingError
+
+_CPUINFO = Path("/proc/cpuinfo")
+_VECTOR = re.compile("avx|amx|fma|f16c|sse4|asimd|sve|bf16")
+# What the libraries read on their start to choose instructions and the order of sums.
+_MODES = (
+    "MKL_ENABLE_INSTRUCTIONS", "MKL_DEBUG_CPU_TYPE", "ATEN_CPU_CAPABILITY", "ONEDNN_MAX_CPU_ISA",
+    "DNNL_MAX_CPU_ISA", "OPENBLAS_CORETYPE", "NPY_DISABLE_CPU_FEATURES", "NPY_ENABLE_CPU_FEATURES", "NUMBA_CPU_NAME",
+    "NUMBA_CPU_FEATURES", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "WORLD_SIZE",
+)  # fmt: skip
+_GPUS = Path("/proc/driver/nvidia/gpus")
+
+
+def resolve(requested: str) -> str:
+    """The device meant by `auto`, `cpu`, `cuda` or `cuda:N`, found without importing torch.
+
+    Raises ConfigError for anything else.
+    """
+    if requested == "auto":
+        return "cuda" if _cuda_likely() else "cpu"
+    if not re.fullmatch(r"cpu|cuda(:\d+)?", requested):
+        raise ConfigError(f"--device: expected auto, cpu, cuda or cuda:N, got {requested!r}; choose one of those")
+    return requested
+
+
+def require(device: str) -> None:
+    """Raise MissingError unless this machine has the device."""
+    if device == "cpu":
+        return
+    import torch
+
+    found = torch.cuda.device_count() if torch.cuda.is_available() else 0
+    wanted = int(device.partition(":")[2] or 0)
+    if wanted >= found:
+        raise MissingError(
+            f"--device: expected a device of this machine, got {device!r} with {found} CUDA devices; use --device cpu"
+        )
+
+
+def cores() -> int:
+    """The cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def hardware(device: str) -> dict[str, object]:
+    """What a timing depends on: processor, cores and, on CUDA, the GPUs by name."""
+    described: dict[str, object] = {"cpu": _cpu(), "cores": cores(), "device": device.partition(":")[0]}
+    return described if device == "cpu" else described | {"gpus": _gpus()}
+
+
+def arithmetic(device: str) -> dict[str, str | None]:
+    """What the last digits of a result depend on beyond its question: processor, vector units, modes of libraries.
+
+    `torch_kernels` is the set of kernels that torch chose, None where torch was not needed.
+    """
+    torch = sys.modules.get("torch")
+    settings = " ".join(f"{name}={os.environ[name]}" for name in _MODES if os.environ.get(name))
+    facts = {
+        "device": "cpu" if device == "cpu" else ", ".join(["cuda", *_gpus()]),
+        "cpu": _cpu(),
+        "cpu_features": " ".join(_features()),
+        "torch_kernels": torch.backends.cpu.get_cpu_capability() if torch else None,
+        "mkl_mode": os.environ.get("MKL_CBWR") or "default",
+        "arithmetic_settings": settings or None,
+    }
+    return {name: value and json_files.escaped(value) for name, value in facts.items()}
+
+
+def package(name: str) -> str | None:
+    """The installed version of a package, read from its metadata; None where it is not installed."""
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return None
+
+
+def packages(*names: str) -> dict[str, str | None]:
+    """The installed versions of packages, by name."""
+    return {name: package(name) for name in names}
+
+
+def _cuda_likely() -> bool:
+    built_for_cpu = "+cpu" in (package("torch") or "+cpu")
+    hidden = os.environ.get("CUDA_VISIBLE_DEVICES") in ("", "-1")
+    return not built_for_cpu and not hidden and any(Path("/dev").glob("nvidia[0-9]*"))
+
+
+def _cpu() -> str:
+    if _CPUINFO.exists():
+        for line in _CPUINFO.read_text().splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.processor() or platform.machine()
+
+
+def _features() -> list[str]:
+    """The vector instructions of the processor, by the kernel's names."""
+    if not _CPUINFO.exists():
+        return []
+    lines = (line.partition(":") for line in _CPUINFO.read_text().splitlines())
+    flags = next((value.split() for name, _, value in lines if name.strip() in ("flags", "Features")), [])
+    return sorted(flag for flag in set(flags) if _VECTOR.match(flag))
+
+
+def _gpus() -> list[str]:
+    texts = [path.read_text() for path in _GPUS.glob("*/information")] if _GPUS.exists() else []
+    return sorted(line.partition(":")[2].strip() for text in texts for line in text.splitlines() if "Model:" in line)

@@ -1,0 +1,76 @@
+"""What pipelines need of a store, also where parts of it are missing or corrupt."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any
+
+from npred.errors import StoreError
+from npred.pipeline import stage_registry
+from npred.pipeline.plan import Planner
+from npred.pipeline.stage_registry import Node
+from npred.store import Artifact, Question
+
+
+@dataclass
+class Kept:
+    """Keys that are needed and, where an input is not there to tell the key, the settings of what is needed."""
+
+    keys: set[str] = field(default_factory=set)
+    timed: set[str] = field(default_factory=set)  # keys of what was asked of a machine, leaving the machine out
+    loose: list[tuple[Node, dict[str, Any]]] = field(default_factory=list)
+
+    def keep(self, keys: Iterable[str]) -> None:
+        """Keep these keys, whatever asks for them."""
+        self.keys.update(keys)
+
+    def add(self, planner: Planner, nodes: Iterable[Node]) -> None:
+        """Keep what these nodes of a pipeline need, each after its inputs."""
+        found: dict[str, Artifact | None] = {}
+        for node in nodes:
+            inputs = {name: artifact for name in node.inputs if (artifact := found[name])}
+            known = len(inputs) == len(node.inputs)
+            found[node.name] = self._keep(planner, node, inputs) if known else self._keep_alike(planner, node)
+
+    def holds(self, artifact: Artifact) -> bool:
+        """Whether an artifact is needed, or may be."""
+        asked = artifact.manifest.question
+        alike = ((asked.stage, asked.model, asked.config) == (n.stage, n.model, config) for n, config in self.loose)
+        return artifact.manifest.key in self.keys or _elsewhere(asked) in self.timed or any(alike)
+
+    def holds_checkpoint(self, name: str) -> bool:
+        """Whether the checkpoint `stage-key` is one that a run would go on from, or may be."""
+        stage, _, key = name.rpartition("-")
+        return key in self.keys or any(node.stage == stage for node, _ in self.loose)
+
+    def _keep(self, planner: Planner, node: Node, inputs: dict[str, Artifact]) -> Artifact | None:
+        question = planner.question(node, inputs)
+        self.keys.add(question.key)
+        if anywhere := _elsewhere(question):
+            self.timed.add(anywhere)
+        try:
+            return planner.store.get(node.stage, question.key)
+        except StoreError:  # that one is corrupt; what was made from it need not be
+            return None
+
+    def _keep_alike(self, planner: Planner, node: Node) -> None:
+        self.loose.append((node, stage_registry.question(node, planner.config, planner.device)))
+
+
+def _elsewhere(asked: Question) -> str | None:
+    """The key without the machine, where that is part of the question: what another one timed is needed there."""
+    if "hardware" not in asked.config:
+        return None
+    config = {key: value for key, value in asked.config.items() if key != "hardware"}
+    return asked.model_copy(update={"config": config}).key
+
+
+def closure(kept: Iterable[Artifact], everything: Iterable[Artifact]) -> set[str]:
+    """The keys of the kept artifacts and of all that they were made from."""
+    known = {artifact.manifest.key: artifact for artifact in everything}
+    keys, todo = set(), [artifact.manifest.key for artifact in kept]
+    while todo:
+        key = todo.pop()
+        if key not in keys:
+            keys.add(key)
+            todo += [source.key for source in known[key].manifest.question.inputs.values() if source.key in known]
+    return keys

@@ -1,0 +1,222 @@
+"""The stages as a table: version, inputs, and the slice of the configuration that each one's key holds."""
+
+import importlib
+import math
+from collections.abc import Callable, Collection, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from npred.config import Loop, Pipeline, Table, Train
+from npred.errors import ConfigError
+from npred.json_files import escaped, regular
+from npred.parallel import devices
+from npred.store.keys import sha256_file
+from npred.store.manifest import LONGEST, SourceText
+
+if TYPE_CHECKING:
+    from npred.stages import Job
+
+Slice = Callable[[Pipeline, str | None, str], dict[str, Any]]
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A row of the table; raise `version` when the stage's results change for the same configuration."""
+
+    version: int
+    upstream: tuple[str, ...]
+    slice: Slice
+    module: str
+
+    def run(self, job: "Job") -> dict[str, Any]:
+        """The stage's own run(job); its module is imported here, for it may bring torch."""
+        return importlib.import_module(self.module).run(job)
+
+    def summary(self, result: dict[str, Any], width: int | None = None, wide: bool = False) -> str:
+        """A result in a few lines for people, its tables folded to `width` columns; `wide`: all that is in it."""
+        module = importlib.import_module(self.module)
+        return (getattr(module, "details", module.summary) if wide else module.summary)(result, width)
+
+
+@dataclass(frozen=True)
+class Node:
+    """A stage, and the network where the stage has one artifact a network."""
+
+    stage: str
+    model: str | None
+    inputs: tuple[str, ...]
+
+    @property
+    def name(self) -> str:
+        """What the result is called as an input of others: `generate`, `deeponet`, …"""
+        return self.model or self.stage
+
+    @property
+    def title(self) -> str:
+        """For people: `train deeponet`."""
+        return f"{self.stage} {self.model}" if self.model else self.stage
+
+
+def networks() -> tuple[str, ...]:
+    """The networks that can be trained: the tables below `train`."""
+    return tuple(name for name in Train.model_fields if name != "models")
+
+
+def models(config: Pipeline) -> tuple[str, ...]:
+    """The networks of a pipeline."""
+    return tuple(config.train.models)
+
+
+def nodes(config: Pipeline, targets: Iterable[str], only: str | None = None) -> list[Node]:
+    """The targets with all that they need, each after its inputs; `only` keeps one network of the train stage."""
+    wanted = set(targets)
+    for name in reversed(STAGES):
+        wanted.update(STAGES[name].upstream if name in wanted else ())
+    return [node for name in STAGES if name in wanted for node in _nodes(name, (only,) if only else models(config))]
+
+
+def question(node: Node, config: Pipeline, device: str) -> dict[str, Any]:
+    """The slice of the configuration that the node's key holds, with the plant and the seed."""
+    from npred import plants  # brings NumPy, which `npred --help` has no use for
+
+    shared = {"plant": plants.identity(config.plant, config.parameters), "seed": config.seed}
+    return shared | STAGES[node.stage].slice(config, node.model, device)
+
+
+def sources(node: Node, config: Pipeline) -> dict[str, SourceText]:
+    """The files of code behind a node's question: the plant's, and that of a delay law of the user's; long ones not."""
+    from npred import plants
+    from npred.plants import files
+
+    files_by_role = {"plant": plants.resolve(config.plant, config.parameters).source}
+    law = getattr(getattr(config, node.stage, None), "adaptation", "")
+    if files.named(law):
+        files_by_role[f"{node.stage}.adaptation"] = files.read("adaptation", files.split(law)[0])
+    return {
+        role: SourceText(file=escaped(source.file), text=source.text)
+        for role, source in files_by_role.items()
+        if source and len(source.text) <= LONGEST
+    }
+
+
+def check(config: Pipeline, stages: Collection[str]) -> None:
+    """Raise ConfigError where the stages ask for what the pipeline's plant does not have."""
+    from npred import plants
+    from npred.diagnosis import pipeline_fit
+    from npred.loop import delay_laws
+
+    plant = plants.resolve(config.plant, config.parameters)
+    pipeline_fit.check(plant, config, stages)
+    for name in {"generate", "evaluate"} & set(stages):
+        delay_laws.check(getattr(config, name), plant)
+
+
+def _nodes(stage: str, networks: tuple[str, ...]) -> list[Node]:
+    upstream = STAGES[stage].upstream
+    inputs = tuple(name for above in upstream for name in (networks if above == "train" else (above,)))
+    return [Node(stage, model, inputs) for model in (networks if stage == "train" else (None,))]
+
+
+def _dump(section: Table) -> dict[str, Any]:
+    return _words(section.model_dump(mode="json"))
+
+
+def _words(value: Any) -> Any:
+    """JSON has no infinity, and an input bounded on one side only has one: as text it can enter a key."""
+    if isinstance(value, dict):
+        return {key: _words(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_words(item) for item in value]
+    return str(value) if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _generate(config: Pipeline, model: str | None, device: str) -> dict[str, Any]:
+    section = _loop(config, "generate")
+    source = section.pop("data")
+    return {"generate": section | ({"data": _digest(Path(source))} if source else {})}
+
+
+def _loop(config: Pipeline, stage: str) -> dict[str, Any]:
+    """A stage's table; a law of D_hat other than the paper's enters, by what its file holds and not by where it is.
+
+    So does an input before t = 0 other than zero, the default where the plant's inputs may be zero.
+    """
+    from npred import plants
+    from npred.loop import delay_laws
+    from npred.plants import inputs
+
+    loop: Loop = getattr(config, stage)
+    section, law = _dump(loop), delay_laws.identity(loop)
+    u0 = inputs.configured(plants.resolve(config.plant, config.parameters), loop, stage)
+    del section["adaptation"], section["u0"]
+    section |= {} if law is None else {"adaptation": law}
+    return section | ({"u0": u0 if isinstance(u0, str) else u0.tolist()} if isinstance(u0, str) or u0.any() else {})
+
+
+def _digest(path: Path) -> str:
+    """What a file of data holds, not where it lies."""
+    try:
+        return sha256_file(regular(path))
+    except OSError as error:
+        raise ConfigError(f"generate.data: expected a file at {path}, got: {error.strerror}; check the path") from None
+
+
+def _train(config: Pipeline, model: str | None, device: str) -> dict[str, Any]:
+    assert model is not None
+    return {"train": {model: _dump(getattr(config.train, model))}}
+
+
+def _evaluate(config: Pipeline, model: str | None, device: str) -> dict[str, Any]:
+    table = {"evaluate": _loop(config, "evaluate"), "train": {"models": list(models(config))}}
+    return table | _box(config) | _notation(config) | _held_out(config)
+
+
+def _held_out(config: Pipeline) -> dict[str, Any]:
+    """What the evaluation's own held-out rows are drawn by; the same data may be held out in other shares of these."""
+    section = config.generate
+    if section.data or not (section.explore or section.redraw):
+        return {}
+    keys = ("test_share", "explore", "redraw", "explore_D", "explore_D_hat0")
+    return {"generate": {key: value for key, value in _dump(section).items() if key in keys}}
+
+
+def _bench(config: Pipeline, model: str | None, device: str) -> dict[str, Any]:
+    table = {"bench": _dump(config.bench), "train": {"models": list(models(config))}}
+    return table | {"hardware": devices.hardware(device)} | _box(config)
+
+
+def _box(config: Pipeline) -> dict[str, Any]:
+    """The ranges that the plant leaves to the pipeline; data that are simulated in them differ where they do."""
+    from npred import plants
+
+    if not config.generate.data:
+        return {}
+    declared = plants.resolve(config.plant, config.parameters).box
+    ranges = {name: ends for name, ends in _dump(config.generate)["box"].items() if name not in declared}
+    return {"box": ranges} if ranges else {}
+
+
+def _report(config: Pipeline, model: str | None, device: str) -> dict[str, Any]:
+    pipeline = _dump(config.beside())
+    for stage in ("generate", "evaluate"):
+        if pipeline[stage]["u0"] is None:
+            del pipeline[stage]["u0"]
+    return {"pipeline": pipeline} | _notation(config)
+
+
+def _notation(config: Pipeline) -> dict[str, Any]:
+    """What figures write on their axes: other labels draw them again, and train nothing."""
+    from npred import plants
+
+    declared = plants.resolve(config.plant, config.parameters).notation
+    return {"notation": declared} if declared else {}
+
+
+STAGES: dict[str, Stage] = {
+    "generate": Stage(2, (), _generate, "npred.stages.generate.generate"),
+    "train": Stage(1, ("generate",), _train, "npred.stages.train"),
+    "evaluate": Stage(5, ("generate", "train"), _evaluate, "npred.stages.evaluate.evaluate"),
+    "bench": Stage(7, ("generate", "train"), _bench, "npred.stages.bench.bench"),
+    "report": Stage(5, ("generate", "train", "evaluate", "bench"), _report, "npred.stages.report.report"),
+}

@@ -1,0 +1,1 @@
+"""Plants of rigid bodies: chains, URDF files, and Pinocchio."""

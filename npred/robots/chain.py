@@ -1,0 +1,109 @@
+"""A robot arm from its URDF file as a declaration: computed torque about a wave, traced or by a rigid-body library.
+
+from pathlib import Path
+from npred.robots.chain import chain
+
+Arm = chain(Path(__file__).with_name("my_arm.urdf"))
+"""
+
+import math
+import re
+from collections.abc import Sequence
+from keyword import iskeyword
+from pathlib import Path
+from typing import Any
+
+from npred.errors import ConfigError
+from npred.robots import rigid_body, urdf
+from npred.robots.rigid_body import Body
+from npred.symbolic.ldl import total
+
+GAINS = {"stiffness": 40.0, "damping": 14.0, "amplitude": 0.2, "frequency": 0.6, "gravity": 9.81}
+TURNS, SLIDES = ("rad", "rad/s", "N m"), ("m", "m/s", "N")  # units of a joint's position, rate and input
+
+
+def chain(path: str | Path, pose: Sequence[float] | None = None) -> type:
+    """The declaration of the serial chain of a URDF file, traced.
+
+    M(q) q'' + C(q, q') q' + G(q) + joint damping q' = U(t - D); states are the joints' positions and rates, by the
+    joints' names (rad or m, and per second), inputs their torques or forces. The law is computed torque towards
+    q_i(t) = pose_i + amplitude sin(frequency t + i), by default about 0. It makes up for friction at the rate that the
+    error e calls for, r' - damping e / 2, in place of the measured one, which would turn errors of a prediction into
+    torques: without delay M (e'' + damping e' + stiffness e) = -(joint damping) (e' + damping e / 2). Inputs are
+    bounded by the file's efforts where every joint has one. Raises ConfigError for a file that is no such chain.
+    """
+    bodies = urdf.read(path)
+    n, rubs, middle = len(bodies), [body.damping for body in bodies], middles(bodies, pose)
+
+    def f(x: Any, u: Any, t: Any, p: Any, M: Any) -> list[Any]:
+        q, rates = list(x[:n]), list(x[n:])
+        loads = rigid_body.torques(bodies, q, rates, [0.0] * n, p.gravity, M)
+        forces = [a - b - c * rate for a, b, c, rate in zip(u, loads, rubs, rates, strict=True)]
+        return [*rates, *M.solve(rigid_body.mass_matrix(bodies, q, M), forces)]
+
+    def kappa(x: Any, t: Any, p: Any, M: Any) -> list[Any]:
+        q, rates = list(x[:n]), list(x[n:])
+        speeds, accelerations = wanted(x, t, p, M, middle)
+        torques = rigid_body.torques(bodies, q, rates, accelerations, p.gravity, M)
+        return [a + c * speed for a, c, speed in zip(torques, rubs, speeds, strict=True)]
+
+    def V(x: Any, t: Any, p: Any, M: Any) -> Any:
+        return total((a - b) * (a - b) for a, b in zip(x, reference(t, p, M), strict=True))
+
+    def reference(t: Any, p: Any, M: Any) -> list[Any]:
+        goal, speed, _ = motion(t, p, M, middle)
+        return goal + speed
+
+    functions = {"f": f, "kappa": kappa, "V": V, "reference": reference}
+    return declaration(path, bodies, middle, {name: staticmethod(function) for name, function in functions.items()})
+
+
+def declaration(path: str | Path, bodies: list[Body], middle: list[float], more: dict[str, Any]) -> type:
+    """The class that says what a chain of these bodies is, with the functions in `more`."""
+    names = [_name(body.joint) for body in bodies]
+    rates, efforts = [f"{name}_rate" for name in names], [body.effort for body in bodies]
+    inputs = tuple(f"{name}_{'force' if body.slides else 'torque'}" for name, body in zip(names, bodies, strict=True))
+    units: dict[str, str] = {}
+    for body, *joint in zip(bodies, names, rates, inputs, strict=True):
+        units |= zip(joint, SLIDES if body.slides else TURNS, strict=True)
+    ranges = {name: (at - 0.3, at + 0.3) for name, at in zip(names, middle, strict=True)}
+    return type("Chain", (), {
+        "__doc__": f"The chain of {Path(path).name} under computed torque; see npred.robots.chain.",
+        "states": (*names, *rates),
+        "inputs": inputs,
+        "units": units,
+        "parameters": dict(GAINS),
+        "box": ranges | dict.fromkeys(rates, (-0.2, 0.2)),
+        "input_bounds": [(-e, e) for e in efforts] if all(map(math.isfinite, efforts)) else None,
+        **more,
+    })  # fmt: skip
+
+
+def _name(joint: str) -> str:
+    """The joint's name as Python and npred accept it."""
+    name = re.sub(r"\W", "_", joint)
+    return name if name.isidentifier() and not iskeyword(name) and name[0] != "_" else f"joint_{name.lstrip('_')}"
+
+
+def middles(bodies: list[Body], pose: Sequence[float] | None) -> list[float]:
+    """Where the joints' waves are around. Raises ConfigError for another number of them."""
+    found = [0.0] * len(bodies) if pose is None else [float(at) for at in pose]
+    if len(found) != len(bodies):
+        raise ConfigError(f"chain: pose expected {len(bodies)} numbers, one per joint that moves, got {pose!r}; fix it")
+    return found
+
+
+def motion(t: Any, p: Any, M: Any, middle: list[float]) -> tuple[list[Any], list[Any], list[Any]]:
+    """The desired positions, rates and accelerations."""
+    turns = [p.frequency * t + float(i) for i in range(len(middle))]
+    waves = [p.amplitude * M.sin(turn) for turn in turns]
+    speed = [p.amplitude * p.frequency * M.cos(turn) for turn in turns]
+    return [at + wave for at, wave in zip(middle, waves, strict=True)], speed, [-(p.frequency**2) * w for w in waves]
+
+
+def wanted(x: Any, t: Any, p: Any, M: Any, middle: list[float]) -> tuple[list[Any], list[Any]]:
+    """The rates that the errors call for, and the accelerations that make the errors linear."""
+    n, (goal, speed, push) = len(middle), motion(t, p, M, middle)
+    errors = [x[i] - goal[i] for i in range(n)]
+    rates = [speed[i] - 0.5 * p.damping * errors[i] for i in range(n)]
+    return rates, [push[i] - p.stiffness * errors[i] - p.damping * (x[n + i] - speed[i]) for i in range(n)]

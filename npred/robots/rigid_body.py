@@ -1,0 +1,159 @@
+"""Rigid-body dynamics of a serial chain by recursion, on numbers, arrays or symbols.
+
+Featherstone, Rigid Body Dynamics Algorithms, 2008: the recursive Newton-Euler algorithm (sec. 5.3) for the torques, the
+composite-rigid-body algorithm (sec. 6.2) for the mass matrix. Vectors are lists of three, in the frame of their body.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from npred.symbolic.ldl import total
+
+Vector = list[Any]
+Matrix = list[list[Any]]
+
+
+@dataclass(frozen=True)
+class Body:
+    """A moving link with the joint that carries it: angles in rad, lengths in m, masses in kg.
+
+    `turn` (3, 3) and `place` (3,) are the joint's frame in that of the body before it, `axis` (3,) the joint's unit
+    axis; `mass`, `centre` (3,) and `inertia` (3, 3) about the centre are the link's, in the joint's frame.
+    """
+
+    joint: str
+    slides: bool
+    turn: np.ndarray
+    place: np.ndarray
+    axis: np.ndarray
+    mass: float
+    centre: np.ndarray
+    inertia: np.ndarray
+    damping: float
+    effort: float
+
+
+def torques(bodies: list[Body], q: Vector, rates: Vector, accelerations: Vector, gravity: Any, M: Any) -> Vector:
+    """What the joints must give for those accelerations, damping left out: M(q) q'' + C(q, q') q' + G(q)."""
+    placed = [_placed(body, angle, M) for body, angle in zip(bodies, q, strict=True)]
+    spin, spun, pushed = [0.0] * 3, [0.0] * 3, [0.0, 0.0, gravity]
+    forces: list[tuple[Vector, Vector]] = []
+    for body, (turn, place), rate, acceleration in zip(bodies, placed, rates, accelerations, strict=True):
+        pushed = back(turn, add(pushed, cross(spun, place), cross(spin, cross(spin, place))))
+        spin, spun, axis = back(turn, spin), back(turn, spun), body.axis.tolist()
+        along, sped = [rate * a for a in axis], [acceleration * a for a in axis]
+        if body.slides:
+            pushed = add(pushed, [2.0 * c for c in cross(spin, along)], sped)
+        else:
+            spun = add(spun, cross(spin, along), sped)
+            spin = add(spin, along)
+        forces.append(_force(body, spin, spun, pushed))
+    return _carried(bodies, placed, forces)
+
+
+def _force(body: Body, spin: Vector, spun: Vector, pushed: Vector) -> tuple[Vector, Vector]:
+    """Force and moment about the body's origin that its own motion takes."""
+    centre, inertia = body.centre.tolist(), body.inertia.tolist()
+    force = [body.mass * a for a in add(pushed, cross(spun, centre), cross(spin, cross(spin, centre)))]
+    return force, add(times(inertia, spun), cross(spin, times(inertia, spin)), cross(centre, force))
+
+
+def _carried(bodies: list[Body], placed: list[Any], forces: list[tuple[Vector, Vector]]) -> Vector:
+    """The joints' shares, from the tip to the base: each body carries those beyond it."""
+    found: Vector = []
+    force, moment = [0.0] * 3, [0.0] * 3
+    for body, (turn, place), (own, turned) in reversed(list(zip(bodies, placed, forces, strict=True))):
+        force, moment = add(own, force), add(turned, moment)
+        found.append(dot(body.axis.tolist(), force if body.slides else moment))
+        force, moment = moved(turn, place, force, moment)
+    return found[::-1]
+
+
+def mass_matrix(bodies: list[Body], q: Vector, M: Any) -> Matrix:
+    """M(q), (n, n), symmetric."""
+    placed = [_placed(body, angle, M) for body, angle in zip(bodies, q, strict=True)]
+    H: Matrix = [[0.0] * len(bodies) for _ in bodies]
+    mass, first, second = 0.0, [0.0] * 3, [[0.0] * 3 for _ in range(3)]  # of all from here on, about this origin
+    for i in reversed(range(len(bodies))):
+        body, axis = bodies[i], bodies[i].axis.tolist()
+        mass = mass + body.mass
+        first = add(first, [body.mass * c for c in body.centre.tolist()])
+        second = [add(a, b) for a, b in zip(second, _about_origin(body), strict=True)]
+        force = [mass * a for a in axis] if body.slides else cross(axis, first)
+        moment = cross(first, axis) if body.slides else times(second, axis)
+        for j in range(i, -1, -1):
+            H[i][j] = H[j][i] = dot(bodies[j].axis.tolist(), force if bodies[j].slides else moment)
+            force, moment = moved(*placed[j], force, moment)
+        first, second = _composite(*placed[i], mass, first, second)
+    return H
+
+
+def _about_origin(body: Body) -> Matrix:
+    """The body's inertia about its origin, by Steiner."""
+    c = body.centre
+    return (body.inertia + body.mass * (c @ c * np.eye(3) - np.outer(c, c))).tolist()
+
+
+def _composite(turn: Matrix, place: Vector, mass: Any, first: Vector, second: Matrix) -> tuple[Vector, Matrix]:
+    """First moment and inertia about the origin of the body before: turned, then shifted by `place`."""
+    first = times(turn, first)
+    columns = [times(turn, row) for row in second]  # second is symmetric: rows are columns
+    turned = [times(turn, [columns[j][i] for j in range(3)]) for i in range(3)]
+    shifted = [first[i] + mass * place[i] for i in range(3)]
+    inner = dot(place, first) + dot(place, shifted)
+    for i in range(3):
+        for j in range(i + 1):
+            less = place[i] * first[j] + shifted[i] * place[j]
+            turned[i][j] = turned[j][i] = turned[i][j] + (inner if i == j else 0.0) - less
+    return shifted, turned
+
+
+def _placed(body: Body, q: Any, M: Any) -> tuple[Matrix, Vector]:
+    """Turn and place of the body's frame in that of the body before, at joint position q."""
+    if body.slides:
+        along = (body.turn @ body.axis).tolist()
+        return body.turn.tolist(), [p + q * a for p, a in zip(body.place.tolist(), along, strict=True)]
+    x, y, z = body.axis.tolist()
+    K = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    constant, sine, cosine = (_clean(body.turn @ part) for part in (np.eye(3) + K @ K, K, -K @ K))
+    s, c = M.sin(q), M.cos(q)
+    turn = [[constant[i][j] + sine[i][j] * s + cosine[i][j] * c for j in range(3)] for i in range(3)]
+    return turn, body.place.tolist()
+
+
+def _clean(matrix: np.ndarray) -> list[list[float]]:
+    """Numbers that only rounding keeps from 0 are 0: the program leaves those out."""
+    return np.where(np.abs(matrix) < 1e-15, 0.0, matrix).tolist()
+
+
+def moved(turn: Matrix, place: Vector, force: Vector, moment: Vector) -> tuple[Vector, Vector]:
+    """Force and moment as the body before sees them."""
+    force = times(turn, force)
+    return force, add(times(turn, moment), cross(place, force))
+
+
+def times(A: Matrix, v: Vector) -> Vector:
+    """A v."""
+    return [dot(row, v) for row in A]
+
+
+def back(A: Matrix, v: Vector) -> Vector:
+    """A' v: of a turn, v in the frame of the body."""
+    return [dot([row[k] for row in A], v) for k in range(3)]
+
+
+def dot(a: Vector, b: Vector) -> Any:
+    """a · b."""
+    return total(x * y for x, y in zip(a, b, strict=True))
+
+
+def cross(a: Vector, b: Vector) -> Vector:
+    """a × b."""
+    return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+
+
+def add(*vectors: Vector) -> Vector:
+    """The sum of vectors."""
+    return [total(parts) for parts in zip(*vectors, strict=True)]

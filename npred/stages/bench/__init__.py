@@ -1,0 +1,1 @@
+"""The stage bench: predictors timed beside their errors."""

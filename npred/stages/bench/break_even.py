@@ -1,0 +1,94 @@
+"""When a network pays: against the quickest numerical predictor of the same accuracy, on the same samples."""
+
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import numpy as np
+
+from npred import grid
+from npred.figures.latency import label
+from npred.figures.style import short, words
+from npred.predictors import METHODS, RK4, Predictor
+from npred.stages import Job
+from npred.stages.bench import timing
+from npred.stages.bench.candidates import Entry, Reference
+from npred.terminal.progress_bars import counted
+
+STEPS = (10, 210)  # of the two runs whose difference is the cost of f
+Row = dict[str, Any]
+
+
+def measure(job: Job, timed: Iterable[tuple[Entry, Row]], reference: Reference) -> list[Row]:
+    """One row per trained network: its quickest runtime at batch 1 and the first dx, and every method as accurate."""
+    single = [(entry, row) for entry, row in timed if entry.batch == 1 and entry.device == "cpu" and row["eps_sup"]]
+    first = grid.count(job.config.bench.dx[0])
+    crossovers = []
+    for name in sorted(set(job.config.train.models)):
+        own = [(e, row) for e, row in single if (e.predictor, e.nx, e.matches) == (name, first, None)]
+        rivals = [entry for entry, _ in single if entry.matches == name]
+        if own and rivals:
+            crossovers.append(_crossover(job, *min(own, key=lambda pair: pair[1]["median_us"]), rivals, reference))
+    return crossovers
+
+
+def _crossover(job: Job, network: Entry, row: Row, rivals: list[Entry], reference: Reference) -> Row:
+    """Both timed in turn. pays_from_ns: the cost of f at which the rival's steps take as long as the network, 0 where
+    they do without f.
+    """
+    runs = {entry.label: entry.run for entry in (network, *rivals)} | {str(k): RK4(job.plant, k + 1) for k in STEPS}
+    calls = {label: _call(reference, run) for label, run in runs.items()}
+    times = timing.sample(calls, job.config.bench.calls, job.config.bench.seconds)
+    median = {label: timing.quantiles(taken)["median_us"] for label, taken in times.items()}
+    few, many = (median[str(k)] for k in STEPS)
+    f_ns = 1000 * (many - few) / (RK4.order * (STEPS[1] - STEPS[0]))
+    best = min(rivals, key=lambda entry: median[entry.label])
+    evaluations = METHODS[best.predictor].order * (best.nx - 1)  # up to order four a step needs as many as its order
+    network_us, best_us = median[network.label], median[best.label]
+    overhead = max(best_us - f_ns * evaluations / 1000, 0.0)
+    return {
+        "plant": job.plant.name, "predictor": network.predictor, "runtime": network.runtime, "eps_sup": row["eps_sup"],
+        "eps_relative": row["eps_sup"] / float(np.abs(reference.P).max()), "network_us": network_us,
+        "numerical": [{"predictor": e.predictor, "steps": e.nx - 1, "median_us": median[e.label]} for e in rivals],
+        "best": best.predictor, "best_steps": best.nx - 1, "best_us": best_us, "network_speedup": best_us / network_us,
+        "f_ns": f_ns, "pays_from_ns": 1000 * max(network_us - overhead, 0.0) / evaluations,
+    }  # fmt: skip
+
+
+def _call(reference: Reference, run: Predictor) -> Callable[[int], None]:
+    """The k-th call on a held-out sample of the reference, as a loop makes it, on memory that is there."""
+    plant, predict = run.plant, run.lanes()
+    u = grid.refine(reference.u, run.nx)
+    inputs = [
+        (reference.X[i][:, None].copy(), u[i][..., None].copy(), reference.D_hat[i : i + 1].copy())
+        for i in range(len(reference.X))
+    ]
+    P, p = np.empty((run.nx, plant.n, 1)), plant.p
+
+    def call(k: int) -> None:
+        predict(*inputs[k % len(inputs)], 0.0, p, P)
+
+    return call
+
+
+def sentence(crossover: Row) -> str:
+    """What it means, for people."""
+    numerical, ratio = _method(crossover["best"], crossover["best_steps"]), crossover["network_speedup"]
+    network = f"the {words(crossover['predictor'])} ({crossover['runtime']})"
+    first, second = (numerical, network) if ratio < 1 else (network, numerical)
+    times = f"the network takes {crossover['network_us']:.1f} µs, {numerical} {crossover['best_us']:.1f} µs"
+    from_ns, here = crossover["pays_from_ns"], f"(here {crossover['f_ns']:.0f} ns)"
+    pays = f"from {from_ns:.0f} ns per evaluation of f on {here}" if from_ns else f"however cheap f is {here}"
+    return (
+        f"For {crossover['plant']} at ε = {short(crossover['eps_sup'])} the fastest predictor is {first}, "
+        f"{max(ratio, 1 / ratio):.1f} times as fast as {second}: {times}{_others(crossover)}. A network pays {pays}."
+    )
+
+
+def _others(crossover: Row) -> str:
+    """The methods of that accuracy that are slower than the best."""
+    rows = [row for row in crossover["numerical"] if row["predictor"] != crossover["best"]]
+    return "".join(f", {_method(row['predictor'], row['steps'])} {row['median_us']:.1f} µs" for row in rows)
+
+
+def _method(name: str, steps: int) -> str:
+    return f"{label({'predictor': name})} on {counted(steps, 'steps')}"

@@ -1,0 +1,193 @@
+"""Who is timed: each predictor at each dx and batch, in each runtime and on each device, with its error."""
+
+from bisect import bisect_left
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from npred import grid, operators, randomness, runtimes
+from npred.config import Bench
+from npred.data.dataset import Dataset
+from npred.errors import ConfigError, MissingError
+from npred.operators import Operator
+from npred.parallel import devices
+from npred.plants import Plant
+from npred.predictors import METHODS, RK4, Compiled, Euler, Heun, Predictor
+from npred.predictors.interpreted import EulerPython, Published
+from npred.stages import Job
+from npred.stages.evaluate.initial_conditions import box
+
+FINE = 2001  # nodes of the reference
+PROBES = 200  # held-out samples that a row's error is taken over
+LADDER = sorted({round(1.2**k) for k in range(42)} | {FINE - 1})  # numbers of intervals to try
+FRONT = (4, 10, 20, 50)  # intervals of the compiled methods' coarse end
+COMPILED = (Euler, Heun, RK4)
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A contender at one grid; `matches` names the network whose accuracy set its grid, or `front`.
+
+    `copies` says of a GPU whether samples come from and go to the host's memory in the time that is taken.
+    """
+
+    predictor: str
+    runtime: str
+    nx: int
+    batch: int
+    run: Predictor
+    matches: str | None = None
+    device: str = "cpu"
+    copies: bool | None = None
+
+    @property
+    def label(self) -> str:
+        """What tells its raw times from the others'."""
+        parts = (self.predictor, self.runtime, self.nx, self.batch, self.matches or "grid", self.device, self.copies)
+        return "/".join(str(part) for part in parts)
+
+    @property
+    def group(self) -> tuple[int, int]:
+        """Entries of a group are timed in turn, so that their ratios are of the same minutes."""
+        return self.batch, 0 if self.matches else self.nx
+
+
+class Reference:
+    """Held-out samples with their P on a fine grid, to take any predictor's error on.
+
+    Only samples after the first delay: before, u jumps from its past to the first control, and there every scheme is of
+    first order, so that no row would show what it can do. Imported samples do not say when they are: all are taken.
+    Raises ConfigError where no sample is left.
+    """
+
+    def __init__(self, plant: Plant, test: Dataset) -> None:
+        later = np.flatnonzero(~(test.t <= test.D))
+        if not len(later):
+            raise ConfigError(
+                f"bench: expected held-out samples after the first delay, got {len(test)} before it; lengthen "
+                "generate.t_end"
+            )
+        rows = later[np.linspace(0, len(later) - 1, min(PROBES, len(later))).astype(int)]
+        self.plant, self.X, self.u = plant, test.X[rows], test.u[rows]
+        self.D_hat, self.t = test.D_hat[rows], test.t[rows]
+        self.P = RK4(plant)(self.X, grid.refine(self.u, FINE), self.D_hat, self.t)
+        self._known: dict[tuple[str, str, int], float] = {}
+
+    def error(self, entry: Entry) -> float:
+        """sup |P_hat - P| over samples and the entry's nodes."""
+        key = entry.predictor, entry.runtime, entry.nx
+        if key not in self._known:
+            self._known[key] = self.of(entry.run, entry.nx)
+        return self._known[key]
+
+    def of(self, predictor: Predictor, nx: int) -> float:
+        """sup |P_hat - P| of a predictor on nx nodes."""
+        with np.errstate(over="ignore", invalid="ignore"):  # few steps may diverge: an infinite error
+            P_hat = predictor(self.X, grid.refine(self.u, nx), self.D_hat, self.t)
+            errors = np.linalg.norm(P_hat - grid.refine(self.P, nx), axis=-1)
+        return float(np.nan_to_num(errors, nan=np.inf, posinf=np.inf).max())
+
+
+def entries(job: Job, reference: Reference) -> list[Entry]:
+    """Every contender. Runtimes whose packages are missing are left out, with a note.
+
+    Raises MissingError where none is left.
+    """
+    config = job.config.bench
+    networks = {name: operators.load(job.inputs[name], job.plant) for name in job.config.train.models}
+    available = _available(job, config)
+    found: list[Entry] = []
+    for batch in config.batches:
+        for nx in map(grid.count, config.dx if batch == 1 else config.dx[:1]):
+            found += _numerical(job.plant, nx, batch)
+            for name, operator in networks.items():
+                found += _neural(job, operator, name, nx, batch, available)
+    nx = grid.count(config.dx[0])
+    for name in networks:
+        eps = reference.error(next(e for e in found if (e.predictor, e.nx) == (name, nx)))
+        for method in COMPILED:
+            if coarse := matching(reference, method, eps):
+                found.append(Entry(method.name, "compiled", coarse, 1, method(job.plant, coarse), name))
+    return found + [Entry(m.name, "compiled", k + 1, 1, m(job.plant, k + 1), "front") for k in FRONT for m in COMPILED]
+
+
+def matching(reference: Reference, method: type[Compiled], eps: float) -> int | None:
+    """The fewest nodes from which on the method is at least as accurate as eps; a single grid may fit u by luck.
+
+    None where even the reference's nodes are not enough.
+    """
+    run = method(reference.plant)
+
+    def suffices(intervals: int) -> bool:
+        return reference.of(run, intervals + 1) <= eps
+
+    known: list[int] = []
+    for intervals in reversed(LADDER):
+        if not suffices(intervals):
+            if not known:
+                return None
+            return bisect_left(range(known[-1]), True, intervals + 1, key=suffices) + 1
+        known.append(intervals)
+    return known[-1] + 1
+
+
+def _available(job: Job, config: Bench) -> list[str]:
+    missing = [name for name in ("onnx", "onnxscript", "onnxruntime") if devices.package(name) is None]
+    if set(config.runtimes) == {"onnx"} and missing:
+        wanted = f"expected the package {missing[0]} for the one runtime onnx, found none"
+        raise MissingError(f"bench: {wanted}; pip install 'npred[onnx]', or name torch in [bench] runtimes")
+    if "onnx" in config.runtimes and missing:
+        job.progress.note(f"bench: no rows of the runtime onnx without {', '.join(missing)}")
+    return [name for name in config.runtimes if name != "onnx" or not missing]
+
+
+def _numerical(plant: Plant, nx: int, batch: int) -> Iterator[Entry]:
+    for interpreted in (Published, EulerPython) if batch == 1 and plant.one_delay else ():
+        yield Entry(interpreted.name, "python", nx, batch, interpreted(plant, nx))
+    for method in COMPILED:
+        yield Entry(method.name, "compiled", nx, batch, METHODS[method.name](plant, nx))
+
+
+def _neural(job: Job, operator: Operator, name: str, nx: int, batch: int, available: list[str]) -> Iterator[Entry]:
+    for runtime in available:
+        yield Entry(name, runtime, nx, batch, runtimes.predictor(runtime, job.plant, operator, nx, name))
+    if job.device != "cpu":
+        moved = operators.load(job.inputs[name], job.plant)
+        run = runtimes.predictor("torch", job.plant, moved, nx, name, job.device)
+        for copies in (True, False):
+            yield Entry(name, "torch", nx, batch, run, device=job.device, copies=copies)
+
+
+def call(job: Job, entry: Entry, count: int) -> Callable[[int], None]:
+    """The k-th call as a loop makes it, on memory that is there: state at the box's corner, u(x) = x, D_hat random."""
+    n, m, lanes = job.plant.n, job.plant.m, entry.batch
+    X = np.tile(box(job.plant, job.config)[:, :1], (1, lanes))
+    u = np.tile(grid.nodes(entry.nx)[:, None, None], (1, m, lanes))
+    drawn = randomness.generator(job.config.seed, "bench").uniform(0.5, 1.7, count + lanes - 1)
+    D_hat = np.lib.stride_tricks.sliding_window_view(drawn, lanes, writeable=True)  # (count, lanes), in little memory
+    if entry.copies is False:
+        return _resident(entry, X.T, u.transpose(2, 0, 1), D_hat)
+    P, p, predict = np.empty((entry.nx, n, lanes)), job.plant.p, entry.run.lanes()
+
+    def one(k: int) -> None:
+        predict(X, u, D_hat[k], 0.0, p, P)
+
+    return one
+
+
+def _resident(entry: Entry, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray) -> Callable[[int], None]:
+    """The call on a GPU's own memory, up to the end of its work."""
+    import torch
+
+    operator: Any = getattr(entry.run, "operator")  # noqa: B009 - a network's predictor has one
+    phase = (np.zeros(len(X)),) if entry.run.plant.clocked else ()
+    tensors = [torch.as_tensor(np.array(a), dtype=torch.float32, device=entry.device) for a in (X, u, D_hat, *phase)]
+
+    @torch.inference_mode()
+    def one(k: int) -> None:
+        operator(tensors[0], tensors[1], tensors[2][k], *tensors[3:])
+        torch.cuda.synchronize(entry.device)
+
+    return one

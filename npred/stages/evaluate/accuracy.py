@@ -1,0 +1,112 @@
+"""Errors of a network on held-out rows of each kind, and on the numerical predictor's loops of the evaluation."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from npred import array_checks, randomness
+from npred.config import Evaluate
+from npred.data.dataset import Dataset
+from npred.loop import metrics
+from npred.loop.closed_loop import Trajectories
+from npred.plants import Plant
+from npred.predictors import Predictor
+
+ROWS = 1024  # rows a call
+FRESH = 40  # samples of each fresh loop, at random times …
+START = 40.0  # … of its first seconds: the start-up is in them, and not too much of the rest
+QUANTILES = (0.5, 0.95, 1.0)
+EXACT = {"mse": 0.0, "eps_sup": 0.0, "eps_kappa": 0.0, "rel_l2": 0.0}  # the numerical predictor is the reference
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Inputs and the reference's answer at times t: X (N, n), u (N, nx, m), D_hat (N,), P (N, nx, n), t (N,)."""
+
+    X: np.ndarray
+    u: np.ndarray
+    D_hat: np.ndarray
+    P: np.ndarray
+    t: np.ndarray
+
+    @classmethod
+    def held_out(cls, data: Dataset) -> "Rows":
+        """The data's rows of rollouts that no network has seen."""
+        test = data.subset(test=True)
+        return cls(test.X, test.u, test.D_hat, test.P, test.t)
+
+    @classmethod
+    def fresh(cls, loops: Trajectories, t: np.ndarray, numerical: Predictor) -> "Rows":
+        """The samples taken at times t (B, S) from the numerical predictor's own loops of this evaluation."""
+        taken = (loops.samples.X, loops.samples.u, loops.samples.D_hat, t)
+        X, u, D_hat, t = (a.reshape(-1, *a.shape[2:]) for a in taken)
+        known = array_checks.finite_rows(X, u, D_hat)
+        X, u, D_hat = X[known], u[known], D_hat[known]
+        return cls(X, u, D_hat, numerical(X, u, D_hat, t[known]), t[known])
+
+    @classmethod
+    def joined(cls, parts: Sequence["Rows"]) -> "Rows":
+        """Rows one after the other."""
+        return cls(**{f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls)})
+
+    def take(self, kept: np.ndarray) -> "Rows":
+        """The rows of these numbers."""
+        return Rows(**{f.name: getattr(self, f.name)[kept] for f in fields(self)})
+
+
+def sample_steps(seed: int, config: Evaluate, loops: int) -> np.ndarray:
+    """At which steps the fresh rows are taken from each loop: (loops, FRESH), sorted."""
+    rng = randomness.generator(seed, "evaluate", "fresh")
+    count = round(min(START, config.case_t_end) / config.dt) + 1
+    return np.sort(rng.integers(0, count, (loops, FRESH)), axis=1)
+
+
+def predict(predictor: Predictor, rows: Rows) -> np.ndarray:
+    """P_hat (N, nx, n) on those rows, a block at a time."""
+    blocks = [slice(i, i + ROWS) for i in range(0, len(rows.X), ROWS)]
+    return np.concatenate([predictor(rows.X[i], rows.u[i], rows.D_hat[i], rows.t[i]) for i in blocks])
+
+
+def measure(plant: Plant, P_hat: np.ndarray, rows: Rows) -> dict[str, Any]:
+    """All errors of npred.loop.metrics on those rows."""
+    errors = metrics.errors(plant, P_hat, rows.P, rows.t, rows.D_hat)
+    return errors | metrics.relative(plant, rows.X, rows.u, P_hat, rows.P)
+
+
+def by_kind(plant: Plant, P_hat: Mapping[str, np.ndarray], kinds: Mapping[str, Rows]) -> dict[str, Any]:
+    """The errors of one network on the rows of each kind, of which the first is the headline's.
+
+    `above`: the share of the kind's rows whose largest error over x is above eps_sup of the first kind.
+    """
+    errors = {name: measure(plant, P_hat[name], rows) for name, rows in kinds.items()}
+    first = next(iter(errors.values()))["eps_sup"]
+    above = {
+        name: {"above": float(np.mean(gap(P_hat[name], rows).max(axis=1) > first))} for name, rows in kinds.items()
+    }
+    return {name: errors[name] | above[name] for name in kinds}
+
+
+def gap(P_hat: np.ndarray, rows: Rows) -> np.ndarray:
+    """|P_hat - P| at each node, (N, nx)."""
+    return np.linalg.norm(P_hat - rows.P, axis=-1)
+
+
+def write(path: Path, kinds: Mapping[str, Rows], P_hat: Mapping[str, Mapping[str, np.ndarray]]) -> None:
+    """Where each network errs, as HDF5, with P_hat by network and kind.
+
+    X and D_hat of the rows of the first kind, and by network |P_hat - P|: `sup` over x (N,), and `over_x` (nx, 3), the
+    quantiles of QUANTILES over the rows at each node; the same below `kinds/KIND` for the rows of the others.
+    """
+    with h5py.File(path, "w") as file:
+        file.attrs["quantiles"] = QUANTILES
+        for number, (kind, rows) in enumerate(kinds.items()):
+            group = f"kinds/{kind}/" if number else ""
+            file[f"{group}X"], file[f"{group}D_hat"] = rows.X, rows.D_hat
+            for name, predicted in P_hat.items():
+                errors = gap(predicted[kind], rows)
+                file[f"{group}networks/{name}/sup"] = errors.max(axis=1)
+                file[f"{group}networks/{name}/over_x"] = np.quantile(errors, QUANTILES, axis=0).T

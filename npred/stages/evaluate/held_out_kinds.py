@@ -1,0 +1,60 @@
+"""Held-out rows by kind: those of nominal rollouts, of exploring ones, and rows with a redrawn D_hat.
+
+The data hold out nominal rollouts alone. Those of the other kinds are made for the evaluation, in addition, from child
+seeds of their own: the rows that are trained on stay as they are.
+"""
+
+import numpy as np
+
+from npred import randomness
+from npred.config import Generate
+from npred.data import shards
+from npred.data.dataset import Dataset
+from npred.plants import Plant
+from npred.predictors import METHODS
+from npred.stages import Job
+from npred.stages.evaluate.accuracy import Rows
+from npred.stages.generate import rollouts, sampling
+
+NOMINAL, EXPLORING, REDRAWN, IMPORTED = "nominal", "exploring", "redrawn", "imported"
+
+
+def held_out(job: Job, data: Dataset) -> dict[str, Rows]:
+    """Rows of each kind that the networks were trained on; the first are the data's own, and the headline's.
+
+    nominal: rollouts with the delays of `D` and `D_hat0`, and the D_hat of the loop. exploring: rollouts with the
+    delays of `explore_D` and `explore_D_hat0`. redrawn: the rows of both with a D_hat drawn from `explore_D_hat0`. Of
+    imported data, `imported`, nobody knows what they are. Rows that are not finite are left out, with a note.
+    """
+    config, own = job.config.generate, Rows.held_out(data)
+    if config.data:
+        return {IMPORTED: own}
+    kinds, explored = {NOMINAL: own}, sampling.explorers(config, _most(job.plant, config))
+    if explored:
+        columns = rollouts.rows(job.config, job.plant, explored, finite=False)
+        kinds[EXPLORING] = _finite(
+            job, EXPLORING, Rows(**{name: columns[name] for name in ("X", "u", "D_hat", "P", "t")})
+        )
+    if config.redraw:
+        kinds[REDRAWN] = _finite(job, REDRAWN, _redrawn(job, Rows.joined(list(kinds.values()))))
+    return {name: rows for name, rows in kinds.items() if len(rows.X)}
+
+
+def _most(plant: Plant, config: Generate) -> int:
+    """Rollouts whose rows stand for all of their kind in memory."""
+    return max(shards.SURVEY // (sampling.samples(config, 0) * shards.width(plant.n, plant.m, config.nx)), 1)
+
+
+def _redrawn(job: Job, rows: Rows) -> Rows:
+    config = job.config.generate
+    rng = randomness.generator(job.config.seed, "held out", "redraw")
+    D_hat = rng.uniform(*config.explore_D_hat0, len(rows.X))
+    P = METHODS[config.predictor](job.plant, config.nx)(rows.X, rows.u, D_hat, rows.t)
+    return Rows(rows.X, rows.u, D_hat, P, rows.t)
+
+
+def _finite(job: Job, kind: str, rows: Rows) -> Rows:
+    known = np.flatnonzero(np.all(np.isfinite(rows.P), axis=(1, 2)))  # P(0) = X
+    if lost := len(rows.X) - len(known):
+        job.progress.note(f"evaluate: {lost} of {len(rows.X)} {kind} held-out rows have no finite P; left out")
+    return rows.take(known)

@@ -1,0 +1,56 @@
+"""How far the prediction in a closed loop is from the state that comes a delay later, where the delay is known.
+
+Errors on data compare a network with a numerical predictor on the same (X, u, D_hat). They cannot show what the
+numerical predictor, or the u that the loop gives to it, is wrong by. This error can: nothing is its reference but the
+plant.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from npred.config import Evaluate
+from npred.loop import metrics
+from npred.loop.closed_loop import simulate
+from npred.stages import Job
+from npred.stages.evaluate.initial_conditions import Contender, Starts
+
+LONGEST = 40.0  # seconds of a loop: transients are over by then
+SHORTEST = 4  # delays: two of them pass before the error is taken, and the last one has nothing to compare with
+
+
+def delay(config: Evaluate) -> float:
+    """The nearest whole number of control steps to D, in seconds: there X(t + D) is on a step, and not interpolated."""
+    return max(round(config.D / config.dt), 1) * config.dt
+
+
+def length(config: Evaluate) -> float:
+    """How long these loops run, in seconds."""
+    return max(min(LONGEST, config.case_t_end), SHORTEST * delay(config))
+
+
+def states(config: Evaluate, begin: Starts) -> np.ndarray:
+    """Where they start, (B, n): the state of Fig. 1, then the initial states of the cases."""
+    return np.concatenate([begin.X0[:1], begin.X0[begin.cases][:: len(config.case_D_hat0)]])
+
+
+def steps(config: Evaluate, begin: Starts) -> int:
+    """The control steps of one contender's loops."""
+    return len(states(config, begin)) * (round(length(config) / config.dt) + 1)
+
+
+def error(job: Job, contender: Contender, begin: Starts, progress: Any) -> float:
+    """The largest metrics.in_loop of loops in which D_hat = D throughout; infinite where one is lost."""
+    config, D = job.config.evaluate, delay(job.config.evaluate)
+    loops = simulate(
+        job.plant, contender.predictor, D=D, D_hat=D, X0=states(config, begin), t_end=length(config), dt=config.dt,
+        adaptation=None, input_bounds=config.input_bounds, u0=config.u0, progress=progress,
+    )  # fmt: skip
+    return float(metrics.in_loop(loops, D).max())
+
+
+def about(config: Evaluate, begin: Starts) -> dict[str, Any]:
+    """What the error is of: D = D_hat in seconds, the times that it is the largest over, and how many loops."""
+    D = delay(config)
+    times = {"D": D, "from": 2 * D, "to": length(config) - D}
+    return {name: round(t, 9) for name, t in times.items()} | {"loops": len(states(config, begin))}  # 0.6, not 0.6…01

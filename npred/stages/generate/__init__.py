@@ -1,0 +1,1 @@
+"""The stage generate: rollouts, and the samples taken from them."""

@@ -1,0 +1,78 @@
+"""The generate stage: rollouts with a numerical predictor, and samples of (X, u, D_hat) -> P taken from them."""
+
+import math
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from npred.config import Generate
+from npred.data.dataset import Dataset, attributes
+from npred.loop.closed_loop import LANES
+from npred.parallel import executors
+from npred.stages import Job
+from npred.stages.generate import rollouts, sampling, sharded
+from npred.stages.generate.rollouts import Rows
+from npred.terminal.progress_bars import counted
+
+BATCH = 8 * LANES  # rollouts of a task at most: a cluster's scheduler has little to do with each
+
+
+def run(job: Job) -> dict[str, Any]:
+    """Write data.h5, and its shards where one file would be too large: `samples` rows from `rollouts` closed loops.
+
+    Whole rollouts are held out. A rollout's start, delays and times come from its own child seed, and rollouts are
+    computed in chunks of fixed size, so the bytes do not depend on who computes them. With `data`, that file's samples
+    instead, checked against the plant. Raises DivergedError, naming the rollout, where a state is not finite.
+    """
+    config = job.config.generate
+    if config.data:
+        return _given(job, Path(config.data))
+    held_out = sampling.held_out(job.config.seed, config)
+    made = {"samples": config.samples, "rollouts": config.rollouts, "held_out": held_out.tolist(), "nx": config.nx}
+    if sharded.needed(job.plant, config):
+        return made | {"shards": sharded.write(job)}
+    parts = dict(_parts(job))
+    rows = rollouts.joined([parts[start] for start in sorted(parts)])
+    data = Dataset(**rows, test=np.isin(rows["rollout"], held_out).astype(np.uint8))
+    data.write(job.folder / "data.h5", attributes(job.plant, config.predictor))
+    return made
+
+
+def summary(result: dict[str, Any], width: int | None = None) -> str:
+    """The data in a line."""
+    samples, rollouts = counted(result["samples"], "samples"), counted(result["rollouts"], "rollouts")
+    held_out = counted(len(result["held_out"]), "rollouts")
+    return f"{samples} of {rollouts} on {result['nx']} nodes, {held_out} held out"
+
+
+def _given(job: Job, path: Path) -> dict[str, Any]:
+    """The samples of a file in the place of simulated ones."""
+    data = Dataset.read(path)
+    data.fit(job.plant)
+    data.write(job.folder / "data.h5", attributes(job.plant, "imported"))
+    held_out = np.unique(data.rollout[data.test == 1]).tolist()
+    return {"samples": len(data), "rollouts": len(np.unique(data.rollout)), "held_out": held_out, "nx": data.u.shape[1]}
+
+
+def _parts(job: Job) -> Iterator[tuple[int, Rows]]:
+    """The rows of each batch, after its first rollout; a single batch is not worth a process."""
+    batches, executor = _batches(job.config.generate, job.executor.count), job.executor
+    make = partial(rollouts.elsewhere, job.config.located(), rollouts.surroundings(job.config, job.plant))
+    if len(batches) == 1 or isinstance(executor, executors.Here):
+        make, executor = partial(rollouts.rows, job.config, job.plant), executors.Here()
+    total = job.config.generate.rollouts
+    job.progress.doing("generate", "compiling")
+    with job.progress.bar("generate", total, "rollouts") as bar:
+        for batch, rows in executors.completed(executor, make, batches):
+            bar.advance(len(batch))
+            yield batch.start, rows
+
+
+def _batches(config: Generate, workers: int) -> list[range]:
+    """Hundreds of rollouts each where there are enough of them to go round."""
+    size = LANES * math.ceil(config.rollouts / (2 * workers * LANES))
+    size = min(size, BATCH)
+    return [range(i, min(i + size, config.rollouts)) for i in range(0, config.rollouts, size)]

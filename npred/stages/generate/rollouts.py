@@ -1,0 +1,92 @@
+"""Batches of rollouts as rows of data, in this process or in another one, on this machine or on another one."""
+
+from typing import Any
+
+import numpy as np
+
+from npred import array_checks, plants
+from npred.config import Generate, Pipeline
+from npred.errors import ConfigError, DivergedError
+from npred.loop import delay_laws
+from npred.loop.closed_loop import LANES, simulate
+from npred.parallel import devices
+from npred.plants import Plant, inputs
+from npred.predictors import METHODS, Predictor
+from npred.stages.generate import sampling
+
+Rows = dict[str, np.ndarray]
+PACKAGES = ("npred", "numpy", "numba")  # what the bytes of a row may depend on
+
+
+def surroundings(pipeline: Pipeline, plant: Plant) -> dict[str, Any]:
+    """What has to be the same in every process that makes rows of one data set."""
+    versions = devices.packages(*PACKAGES)
+    return {"plant": plant.identity, "delay law": delay_laws.identity(pipeline.generate), **versions}
+
+
+def elsewhere(pipeline: Pipeline, expected: dict[str, Any], batch: range) -> Rows:
+    """The rows of a batch in a process of its own. Raises ConfigError where plant or packages are not as expected."""
+    plant = plants.resolve(pipeline.plant, pipeline.parameters)
+    found = surroundings(pipeline, plant)
+    other = ", ".join(name for name in expected if found[name] != expected[name])
+    if other:
+        raise ConfigError(f"generate: expected the same {other} on every worker, got another; install it there")
+    return rows(pipeline, plant, batch)
+
+
+def rows(pipeline: Pipeline, plant: Plant, batch: range, finite: bool = True) -> Rows:
+    """The rows of the rollouts `batch`, which starts at a multiple of LANES.
+
+    They are computed LANES at a time whatever the batch, so the bytes do not depend on how rollouts are batched.
+    Raises DivergedError, naming the rollout, where a state is not finite; without `finite` it stays in the rows.
+    """
+    chunks = [range(i, min(i + LANES, batch.stop)) for i in range(batch.start, batch.stop, LANES)]
+    return joined([_chunk(pipeline, plant, chunk, finite) for chunk in chunks])
+
+
+def joined(parts: list[Rows]) -> Rows:
+    """Rows one after the other."""
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
+def _chunk(pipeline: Pipeline, plant: Plant, chunk: range, finite: bool) -> Rows:
+    """Closed loops from random starts, sampled at random steps, P by the predictor."""
+    config = pipeline.generate
+    X0, D, D_hat0, steps = sampling.starts(pipeline.seed, config, plant, chunk)
+    predictor = METHODS[config.predictor](plant, config.nx)
+    law = delay_laws.resolve(config)
+    loops = simulate(
+        plant, predictor, D=D, D_hat=D_hat0, X0=X0, t_end=config.t_end, dt=config.dt, adaptation=law,
+        input_bounds=config.input_bounds, u0=config.u0, every=sampling.steps(config), samples=steps,
+    )  # fmt: skip
+    if finite:
+        _finite(plant, config, chunk, X0, loops.escaped)
+    count = steps.shape[1]
+    D_hat = sampling.redrawn(pipeline.seed, config, chunk, loops.samples.D_hat)
+    rows = {"X": loops.samples.X, "u": loops.samples.u, "D_hat": D_hat}
+    rows |= {"D": np.repeat(D[:, None], count, 1), "t": steps * config.dt}
+    rows["P"] = _predicted(predictor, rows)
+    rows["rollout"] = np.repeat(np.array(chunk, dtype=np.int32)[:, None], count, 1)
+    kept = np.arange(count) < np.array([sampling.samples(config, r) for r in chunk])[:, None]
+    return {name: array[kept] for name, array in rows.items()}
+
+
+def _predicted(predictor: Predictor, rows: Rows) -> np.ndarray:
+    """P (B, S, nx, n) of the rows, NaN for those that are not finite, which a predictor refuses."""
+    known = array_checks.finite_rows(rows["X"], rows["u"], rows["D_hat"])
+    P = np.full((*rows["u"].shape[:-1], predictor.plant.n), np.nan)
+    P[known] = predictor(*(rows[name][known] for name in ("X", "u", "D_hat", "t")))
+    return P
+
+
+def _finite(plant: Plant, config: Generate, chunk: range, X0: np.ndarray, escaped: np.ndarray) -> None:
+    lost = np.flatnonzero(escaped >= 0)
+    if len(lost):
+        first = lost[np.argmin(escaped[lost])]
+        u0 = inputs.told(plant, config.u0, inputs.bounds(plant, config.input_bounds))
+        share = f"{len(lost)} of {len(chunk)} rollouts"
+        raise DivergedError(
+            f"generate: expected finite states, got NaN in rollout {chunk[first]} at "
+            f"t = {escaped[first] * config.dt:g} s, from X0 = {X0[first].tolist()} ({share}); "
+            f"shrink the box, D or dt, or set u0, the input before t = 0 (here {u0})"
+        )

@@ -1,0 +1,113 @@
+"""The report stage: all results of a pipeline as one HTML file that needs nothing else."""
+
+from collections.abc import Iterator
+from importlib.resources import files
+from typing import Any
+
+from npred import toml_text
+from npred.config import FROZEN
+from npred.figures import svg, typography
+from npred.figures.figure import Plate
+from npred.figures.notation import symbol
+from npred.figures.style import ROLES
+from npred.stages import Bar, Job, Progress
+from npred.stages.bench import timing_tables
+from npred.stages.report import headline
+from npred.stages.report.report_data import Story
+
+NAME = "report.html"
+CHAPTERS = (
+    ("loop", "The closed loop", ("figure1",), ("loops",)),
+    ("radius", "Error and radius", ("certificate",), ()),
+    ("errors", "Where networks err", ("errors", "kinds", "box"), ("accuracy", "kinds")),
+    ("delays", "Delays and first estimates", ("delays",), ()),
+    ("training", "Training", ("learning",), ("training",)),
+    ("speed", "Speed", ("speed",), ("bench", "speed")),
+    ("coverage", "Coverage of the data", ("coverage",), ("coverage",)),
+)  # identifier, heading, figures, tables
+FOLDED = "speed"  # a table that is long
+
+
+def run(job: Job) -> dict[str, Any]:
+    """Write report.html from what the other stages left; the same bytes for the same results.
+
+    Inline SVG, style and script; nothing is loaded. Its three sentences are in the result.
+    """
+    story = Story.read(job.config, job.plant, job.inputs)
+    said = headline.summary(story.evaluated, story.benched, sorted(story.trained), job.config.evaluate.adaptation)
+    page = _page(story, said, job)
+    (job.folder / NAME).write_text(page, encoding="utf-8")
+    return {"summary": said, "bytes": len(page.encode())}
+
+
+def summary(result: dict[str, Any], width: int | None = None) -> str:
+    """The report in its sentences."""
+    return "\n".join(result["summary"])
+
+
+def _page(story: Story, said: list[str], job: Job) -> str:
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+    from markupsafe import Markup
+
+    loader = PackageLoader("npred", "templates/report")
+    environment = Environment(
+        loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    environment.filters["typeset"] = lambda text: Markup(typography.markup(text))  # which escapes
+    environment.filters["plain"] = typography.plain
+    return environment.get_template("page.html").render(
+        name=job.config.name,
+        about=_about(job),
+        said=said,
+        chapters=list(_chapters(story, job.progress)),
+        folded=FOLDED,
+        roles=ROLES,
+        facts=_facts(story, job),
+        files=job.config.files,
+        settings=toml_text.dumps(job.config.beside().model_dump()),
+        style=_text("page.css"),
+        script=_text("page.js"),
+    )
+
+
+def _chapters(story: Story, progress: Progress) -> Iterator[dict[str, Any]]:
+    plates, tables = story.plates(), story.tables()
+    with progress.bar("report", sum(len(plate.panels) for plate in plates.values()), "panels") as bar:
+        for name, title, shown, told in CHAPTERS:
+            drawn = [(plates[p], _pictures(plates[p], bar)) for p in shown if p in plates]
+            if drawn:
+                notes = timing_tables.sentences(story.benched) if name == "speed" else []
+                yield {"id": name, "title": title, "plates": drawn, "notes": notes, "tables": [tables[t] for t in told]}
+
+
+def _pictures(plate: Plate, bar: Bar) -> list[str]:
+    """Each panel of a plate as inline SVG."""
+    made = []
+    for number, panel in enumerate(plate.panels):
+        made.append(svg.inline(panel, f"{plate.name}-{number}"))
+        bar.advance()
+    return made
+
+
+def _about(job: Job) -> str:
+    plant, config = job.plant, job.config.evaluate
+    known = "its estimate held" if config.adaptation == FROZEN else "unknown to the controller"
+    delay = f"delay D = {config.D:g} {plant.time_unit}".rstrip() + f", {known}"
+    states, inputs = (", ".join(symbol(plant, name) for name in names) for names in (plant.states, plant.inputs))
+    return f"{plant.name}: states {states}; inputs {inputs}; {delay}"
+
+
+def _facts(story: Story, job: Job) -> dict[str, dict[str, Any]]:
+    """Where the numbers come from, in three lists: the question, the results' keys, the machine that was timed."""
+    hardware = {key: value for key, value in story.benched["hardware"].items() if key != "versions"}
+    plant = {"plant": job.plant.name} | {name: f"{value:g}" for name, value in job.plant.parameters.items()}
+    data = {"samples": story.generated["samples"], "rollouts": story.generated["rollouts"]}
+    return {
+        "Question": {"pipeline": job.config.name, "seed": job.config.seed} | plant | data,
+        "Results": story.keys,
+        "Machine": hardware | story.benched["hardware"]["versions"],
+    }
+
+
+def _text(name: str) -> str:
+    return (files("npred") / "templates" / "report" / name).read_text(encoding="utf-8")

@@ -1,0 +1,55 @@
+"""The mathematics M that plant functions use, on NumPy arrays and on torch tensors."""
+
+import math
+from functools import cache
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from npred.symbolic import ldl
+
+NUMPY = SimpleNamespace(
+    pi=math.pi, sin=np.sin, cos=np.cos, tan=np.tan, exp=np.exp, log=np.log, sqrt=np.sqrt, tanh=np.tanh, abs=np.abs,
+    sign=np.sign, where=np.where, maximum=np.maximum, minimum=np.minimum, solve=ldl.solve,
+)  # fmt: skip
+
+
+def of(array: Any) -> SimpleNamespace:
+    """The mathematics of an array's kind; torch is not imported unless the array is a tensor."""
+    return _torch() if type(array).__module__.split(".")[0] == "torch" else NUMPY
+
+
+def stack(components: list[Any], like: Any) -> Any:
+    """Components broadcast to the shape of `like` and stacked as the last axis."""
+    if of(like) is NUMPY:
+        return np.stack([np.broadcast_to(c, like.shape) for c in components], axis=-1)
+    import torch
+
+    return torch.stack(
+        [torch.as_tensor(c, dtype=like.dtype, device=like.device).expand_as(like) for c in components], -1
+    )
+
+
+@cache
+def _torch() -> SimpleNamespace:
+    import torch
+
+    def on(function: Any) -> Any:
+        """torch's functions want tensors; plant functions also give numbers: a parameter, the time, a constant."""
+
+        def call(*args: Any) -> Any:
+            like = next((a for a in args if isinstance(a, torch.Tensor) and a.dtype != torch.bool), None)
+            return function(*(_tensor(a, like) for a in args))
+
+        return call
+
+    def _tensor(a: Any, like: Any) -> Any:
+        if isinstance(a, torch.Tensor):
+            return a
+        if like is None or isinstance(a, bool | np.bool_):
+            return torch.as_tensor(a, dtype=torch.bool if isinstance(a, bool | np.bool_) else torch.float64)
+        return torch.as_tensor(a, dtype=like.dtype, device=like.device)
+
+    names = [name for name in vars(NUMPY) if name not in ("pi", "solve")]
+    return SimpleNamespace(pi=math.pi, solve=ldl.solve, **{name: on(getattr(torch, name)) for name in names})

@@ -1,0 +1,83 @@
+"""Generated text to a compiled kernel, kept on the disk under the hash of the text.
+
+Numba's own cache does not see an edit in another file and never hits for closures, so each kernel is a file of its
+own, named by its content: the name is the version. `_pointer` kernels reach the one engine as function pointers.
+"""
+
+import os
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from functools import cache
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from npred.symbolic import compile_cache
+
+HEADER = """import math
+
+import numpy as np
+from numba import njit
+
+{preamble}
+@njit({signature!r}, cache=True, nogil=True, error_model="numpy", fastmath={{{fastmath}}})
+"""
+FASTMATH = ("contract", "nsz", "arcp")
+
+
+@cache
+def build(
+    name: str, signature: str, source: str, preamble: str = "", fastmath: tuple[str, ...] = FASTMATH
+) -> Callable[..., Any]:
+    """The compiled function `name` of the source text; from the disk where this text was compiled before.
+
+    `preamble` stands before the function: its constants and helpers. nnan and ninf are left out of fastmath: a rollout
+    that diverged must stay visible as such.
+    """
+    flags = ", ".join(f'"{flag}"' for flag in fastmath)
+    text = HEADER.format(signature=signature, preamble=preamble, fastmath=flags) + source
+    return getattr(_module(compile_cache.named(name, compile_cache.root(), text), text), name)
+
+
+@cache
+def _module(name: str, text: str) -> ModuleType:
+    """The module of that text. It is run as it stands here: its file is for Numba, which wants one to stand by."""
+    path = compile_cache.root() / f"{name}.py"
+    module = ModuleType(name)
+    sys.modules[name] = module  # before it runs: Numba looks the module up by its name
+    with compile_cache.kept(name):
+        _write(path, text)
+        exec(compile(text, str(path), "exec"), vars(module))
+    return module
+
+
+def _write(path: Path, text: str) -> None:
+    """The file with that text. One that has it is left alone: its time stamp may be part of Numba's key."""
+    content = text.encode()
+    if path.is_file() and path.read_bytes() == content:
+        return
+    handle, temporary = tempfile.mkstemp(dir=path.parent, suffix=".tmp")
+    with os.fdopen(handle, "wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(handle)
+    os.replace(temporary, path)
+
+
+def parameters(count: int) -> list[str]:
+    """The lines that load a plant's parameters, p0, p1, …, from the array p."""
+    return [f"p{k} = p[{k}]" for k in range(count)]
+
+
+def fill(skeleton: str, **slots: Sequence[str]) -> str:
+    """The skeleton with each line `{slot}` replaced by that slot's lines at its indentation."""
+    lines = []
+    for line in skeleton.splitlines():
+        name = line.strip().removeprefix("{").removesuffix("}")
+        if line.strip() != f"{{{name}}}":
+            lines.append(line)
+        else:
+            indent = line[: len(line) - len(line.lstrip())]
+            lines += [indent + text for text in slots[name]]
+    return "\n".join(lines) + "\n"

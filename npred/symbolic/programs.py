@@ -1,0 +1,106 @@
+"""What is made of a tape: the forward derivative of some outputs, their straight-line program, what they depend on.
+
+What no output needs is left out.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from npred.symbolic.tape import OPS, Symbol, Tape, Vector, nonzero, tangent_of
+
+
+def derivative(outputs: Vector, inputs: Vector, direction: Vector) -> list[Any]:
+    """Forward mode: d/ds outputs(inputs + s direction) at s = 0, on the same tape."""
+    tape = inputs[0].tape
+    tangents: dict[int, Any] = {x.index: v for x, v in zip(inputs, direction, strict=True)}
+    for index in _needed(outputs):
+        op, args = tape.nodes[index]
+        if index in tangents or op == "input":
+            continue
+        solution = tape.solution(index)
+        if solution:
+            tangents |= solution.tangent(tangents)
+            continue
+        seeds = [tangent_of(a, tangents) for a in args]
+        if op in ("call", "item") and any(nonzero(s) for s in seeds if not isinstance(s, str)):
+            tangents[index] = _of_function(tape, op, args, seeds)
+        elif any(nonzero(s) for s in seeds):
+            tangents[index] = OPS[op].tangent(*args, Symbol(tape, index), *seeds)
+    return [tangent_of(y, tangents) for y in outputs]
+
+
+def _of_function(tape: Tape, op: str, args: tuple[Any, ...], seeds: list[Any]) -> Symbol:
+    """The tangent of a call, a call of the function's derivative, and of its items, the items of that."""
+    if op == "item":
+        return tape.node("item", (seeds[0], args[1]))
+    name, direct = args[:2]
+    assert not any(nonzero(s) for s in seeds[2 + direct :]), f"d{name} is by its first {direct} arguments"
+    return tape.node("call", (f"d{name}", 0, *args[2:], *seeds[2 : 2 + direct]))
+
+
+def _needed(outputs: Vector) -> list[int]:
+    """Indices of the nodes that the outputs depend on, in order of evaluation."""
+    seen: set[int] = set()
+    stack = [y for y in outputs if isinstance(y, Symbol)]
+    while stack:
+        symbol = stack.pop()
+        if symbol.index not in seen:
+            seen.add(symbol.index)
+            stack.extend(a for a in symbol.tape.nodes[symbol.index][1] if isinstance(a, Symbol))
+    return sorted(seen)
+
+
+def lines(
+    outputs: Vector, bindings: dict[str, str], targets: Sequence[str], texts: Mapping[str, str] = {}
+) -> list[str]:
+    """The lines that compute the outputs: inputs read from `bindings` (name to text), results written to `targets`.
+
+    `texts` replaces the text of operations, for another language than Python. Variables are numbered in their order,
+    so that the text does not depend on what else is on the tape.
+    """
+    symbols = [y for y in outputs if isinstance(y, Symbol)]
+    found, names = [], {}
+    for index in _needed(outputs):
+        op, args = symbols[0].tape.nodes[index]
+        right = _right_side(op, args, names, bindings, texts)
+        names[index] = f"v{len(names)}"
+        found.append(f"{names[index]} = {right}")
+    return found + [f"{target} = {_text(y, names)}" for target, y in zip(targets, outputs, strict=True)]
+
+
+def _right_side(
+    op: str, args: tuple[Any, ...], names: dict[int, str], bindings: dict[str, str], texts: Mapping[str, str]
+) -> str:
+    if op == "input":
+        return bindings[args[0]]
+    if op == "call":
+        return f"plant_{args[0]}({', '.join(_text(a, names) for a in args[2:])})"
+    if op == "item":
+        return f"{names[args[0].index]}[{args[1]}]"
+    return texts.get(op, OPS[op].text).format(*(_text(a, names) for a in args))
+
+
+def _text(a: Any, names: dict[int, str]) -> str:
+    if isinstance(a, Symbol):
+        return names[a.index]
+    if isinstance(a, bool):
+        return repr(a)
+    return f"({float(a)!r})" if math.isfinite(a) else f"(np.{float(a)!r})".replace("np.-", "-np.")
+
+
+def depends(outputs: Vector, symbols: Vector) -> bool:
+    """Whether any output needs any of those inputs."""
+    return not {s.index for s in symbols}.isdisjoint(_needed(outputs))
+
+
+def kinks(outputs: Vector, inputs: Vector) -> list[str]:
+    """The operations without a derivative somewhere by which the outputs depend on those inputs, each named once."""
+    found = set()
+    nodes = next((y.tape.nodes for y in outputs if isinstance(y, Symbol)), [])
+    for index in _needed(outputs):
+        op, args = nodes[index]
+        decided = args[:1] if op == "where" else args
+        if op in ("abs", "sign", "where", "maximum", "minimum") and depends(decided, inputs):
+            found.add(op)
+    return sorted(found)

@@ -1,0 +1,145 @@
+"""A plant's functions on one tape, and programs of them printed as plain Python."""
+
+import math
+from collections import namedtuple
+from collections.abc import Callable, Collection, Sequence
+from functools import cache
+from numbers import Real
+from typing import Any
+
+import numpy as np
+
+from npred.errors import ConfigError
+from npred.symbolic import hints, programs, source_lines
+from npred.symbolic import tape as tapes
+from npred.symbolic.declared import Declared
+
+
+class Trace:
+    """f, kappa, V and their directional derivatives as expressions: vectors are object arrays of symbols.
+
+    Formulas (a predictor's step, the update law) are written once on arrays; run on a trace they become programs.
+    Functions whose names are in `called` are not written out in those, but called: see npred.symbolic.called_functions.
+    """
+
+    def __init__(self, plant: Declared, called: Collection[str] = ()) -> None:
+        self.plant: Any = plant
+        self.called = called
+        self.tape = tapes.Tape()
+        self.parameters = self.tape.inputs("p", len(plant.parameters))
+
+    def input(self, name: str) -> tapes.Symbol:
+        """A scalar input of the program."""
+        return self.tape.input(name)
+
+    def vector(self, prefix: str, size: int) -> np.ndarray:
+        """The vector input prefix0, prefix1, … of the program, shape (size,)."""
+        return np.array(self.tape.inputs(prefix, size), dtype=object)
+
+    def f(self, x: np.ndarray, u: np.ndarray, t: Any) -> np.ndarray:
+        """f(x, u, t), shape (n,)."""
+        return self._call("f", self.plant.n, x, u, t)
+
+    def kappa(self, x: np.ndarray, t: Any) -> np.ndarray:
+        """kappa(x, t), shape (m,)."""
+        return self._call("kappa", self.plant.m, x, None, t)
+
+    def V(self, x: np.ndarray, t: Any) -> Any:
+        """V(x, t), a scalar."""
+        return self._call("V", 1, x, None, t)[0]
+
+    def reference(self, t: Any) -> np.ndarray:
+        """reference(t), shape (n,)."""
+        return self._call("reference", self.plant.n, None, None, t)
+
+    def df(self, x: np.ndarray, u: np.ndarray, t: Any, v: np.ndarray, dt: Any = 0.0) -> np.ndarray:
+        """f_X v + f_t dt, the change of f(x, u, t) as x moves along v and t by dt, both input symbols, shape (n,)."""
+        return np.array(programs.derivative(self.f(x, u, t), [t, *x], [dt, *v]), dtype=object)
+
+    def dkappa(self, x: np.ndarray, t: Any, v: np.ndarray, dt: Any = 0.0) -> np.ndarray:
+        """kappa_X v + kappa_t dt, the change of kappa(x, t), likewise, shape (m,)."""
+        return np.array(programs.derivative(self.kappa(x, t), [t, *x], [dt, *v]), dtype=object)
+
+    def law(self, x: np.ndarray, t: Any, v: np.ndarray, dt: Any = 0.0) -> tuple[np.ndarray, np.ndarray]:
+        """kappa(x, t) and its change along (v, dt), in one call where kappa is called."""
+        if "kappa" not in self.called:
+            return self.kappa(x, t), self.dkappa(x, t, v, dt)
+        both = self.tape.call("law", [t, *x, *self.parameters, dt, *v], 0, 2 * self.plant.m)
+        return np.array(both[: self.plant.m], dtype=object), np.array(both[self.plant.m :], dtype=object)
+
+    def _call(self, name: str, size: int, x: np.ndarray | None, u: np.ndarray | None, t: Any) -> np.ndarray:
+        if name in self.called:
+            args = [t, *(() if x is None else x), *(() if u is None else u), *self.parameters]
+            return np.array(self.tape.call(name, args, 1 + self.plant.n, size), dtype=object)
+        state, inputs = (None if part is None else list(part) for part in (x, u))
+        values = self.plant.call(name, state, inputs, t, self.parameters, tapes.M)
+        if len(values) != size:
+            wanted = f"{size} value{'s' * (size > 1)}"
+            listed = ", ".join(self.plant.inputs if name == "kappa" else self.plant.states)
+            cure = f"return {hints.RETURNS[name]}: {listed}"
+            raise ConfigError(f"{self.plant.place(name)} expected to return {wanted}, got {len(values)}; {cure}")
+        for value in values:
+            if not isinstance(value, tapes.Symbol | Real):
+                raise ConfigError(
+                    f"{self.plant.place(name)} expected to return numbers and formulas, got {type(value).__name__}; "
+                    f"return {hints.RETURNS[name]}"
+                )
+        return np.array(values, dtype=object)
+
+
+def call(
+    plant: Declared, name: str, x: list[Any] | None, u: list[Any] | None, t: Any, p: Sequence[Any], M: Any
+) -> list[Any]:
+    """The declared function on named components; a failure inside it becomes one line with the line of the file.
+
+    Only f takes u, and `reference` takes the time alone.
+    """
+    state = () if x is None else (_record("State", plant.states)(*x),)
+    named = _record("Parameters", tuple(plant.parameters))(*p)
+    inputs = () if u is None else (_record("Inputs", plant.inputs)(*u),)
+    function = getattr(plant.declaration, name)
+    try:
+        values = function(*state, *inputs, t, named, M)
+    except ConfigError:
+        raise
+    except Exception as error:
+        raise ConfigError(f"{failure(plant, name, error)}; {hints.cure(plant, name, error)}") from None
+    if name == "V":
+        return [values]
+    # A formula that returns a bare number returns, on arrays, an array without an axis of components.
+    several = isinstance(values, list | tuple) or np.ndim(values) > np.ndim(t if x is None else x[0])
+    return list(values) if several else [values]
+
+
+def parameters(plant: Declared) -> Any:
+    """The parameters' values by name."""
+    return _record("Parameters", tuple(plant.parameters))(*np.array([*plant.parameters.values()], dtype=float))
+
+
+def failure(plant: Declared, name: str, error: Exception) -> str:
+    """What went wrong inside a declared function, in one line with the line of the author's file."""
+    function = getattr(plant.declaration, name)
+    place = source_lines.where(error, function) or f" ({source_lines.line(function)})"
+    return f"plant {plant.name}: {name} failed{place}: {source_lines.told(error)}"
+
+
+ON_ARRAYS = {name: f"np.{name}({{0}}, {{1}})" for name in ("maximum", "minimum")} | {"where": "np.where({0}, {1}, {2})"}
+
+
+@cache
+def _record(kind: str, names: tuple[str, ...]) -> Any:
+    return namedtuple(kind, names)
+
+
+def python(outputs: tapes.Vector, names: Sequence[str], library: Any = math) -> Callable[..., list[float]]:
+    """The program as an interpreted function of the named inputs: for the few evaluations of a solver.
+
+    With `library` np it takes arrays too, and a branch that M.where does not take may be undefined there, as in the
+    compiled kernels.
+    """
+    targets = [f"y{k}" for k in range(len(outputs))]
+    lines = programs.lines(outputs, {name: name for name in names}, targets, ON_ARRAYS if library is np else {})
+    text = f"def function({', '.join(names)}):\n    " + "\n    ".join(lines) + f"\n    return [{', '.join(targets)}]"
+    space: dict[str, Any] = {"math": library, "np": np}
+    exec(text, space)
+    return space["function"]

@@ -1,0 +1,154 @@
+"""The streams that people read: what may go there, in which encoding, and what becomes of one that is closed or full.
+
+All of npred's words on stdout and stderr pass through here, so that no text of a result, a plant or an error moves the
+cursor, turns the direction of writing or hides behind characters without a width.
+"""
+
+import os
+import shutil
+import sys
+import textwrap
+import unicodedata
+from contextlib import suppress
+from typing import Any
+
+from npred.errors import NpredError
+from npred.json_files import escaped
+
+SHOW_CURSOR = "\x1b[?25h"
+
+
+def printable(text: str) -> str:
+    """The text with all that a terminal obeys or hides spelt out, but for its line ends."""
+    return "\n".join(escaped(line) for line in text.split("\n"))
+
+
+def encodable(text: str, stream: Any) -> str:
+    """The text with the characters that the stream's encoding lacks spelt out, as \\u03b5."""
+    encoding = getattr(stream, "encoding", None) or "utf-8"
+    return text.encode(encoding, "backslashreplace").decode(encoding)
+
+
+def is_utf8(stream: Any) -> bool:
+    """Whether a stream takes any character; one without an encoding, in memory, does."""
+    return (getattr(stream, "encoding", None) or "utf-8").lower().replace("-", "") == "utf8"
+
+
+def is_terminal(stream: Any) -> bool:
+    """Whether a stream is a screen; one that is closed is none."""
+    try:
+        return stream is not None and stream.isatty()
+    except (OSError, ValueError):
+        return False
+
+
+def width(stream: Any) -> int | None:
+    """The columns of the screen that a stream is, or None where it is none: nothing is folded for a file or a pipe."""
+    return shutil.get_terminal_size().columns if is_terminal(stream) else None
+
+
+def columns_of(text: str) -> int:
+    """How many columns a line takes: D̂ is one, though it is two characters."""
+    return sum(not unicodedata.combining(c) for c in text)
+
+
+def wrapped(text: str, limit: int | None) -> str:
+    """The text with lines of more than `limit` columns broken between words; a path stays whole, to be copied."""
+    lines = text.split("\n")
+    if limit is None or all(columns_of(line) <= limit for line in lines):
+        return text
+    return "\n".join(_wrapped(line, limit) for line in lines)
+
+
+def _wrapped(line: str, limit: int) -> str:
+    indent = line[: len(line) - len(line.lstrip())]
+    parts = textwrap.wrap(
+        line, limit, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False, replace_whitespace=False
+    )
+    return "\n".join(parts)
+
+
+def answer(text: str) -> None:
+    """The text and a line end on stdout, at once.
+
+    Raises NpredError where stdout is closed or full, BrokenPipeError where its reader has left, as `head` does.
+    """
+    if sys.stdout is None:
+        raise unwritable("a closed one")
+    try:
+        sys.stdout.write(encodable(text, sys.stdout) + "\n")
+        sys.stdout.flush()
+    except BrokenPipeError:
+        silence(sys.stdout)
+        raise
+    except OSError as error:
+        silence(sys.stdout)
+        raise unwritable(error.strerror) from None
+    except ValueError:  # of a closed file
+        raise unwritable("a closed one") from None
+
+
+def unwritable(reason: str | None) -> NpredError:
+    """What to say of a stdout that takes nothing."""
+    todo = "what was made is in the store, send stdout elsewhere"
+    return NpredError(f"stdout: expected a stream that takes the answer, got {reason}; {todo}")
+
+
+def silence(stream: Any) -> None:
+    """Send what a stream still holds to nowhere: Python would fail at its own end to write it."""
+    with suppress(OSError, ValueError):
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, stream.fileno())
+        os.close(nowhere)
+
+
+def open_closed() -> None:
+    """Give a standard stream that is closed a file, or the next that is opened, a result's, would get its words."""
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free: this one
+
+
+class Messages:
+    """stderr as rich and `Console` write to it: one that is closed or full loses words, and no work."""
+
+    @property
+    def encoding(self) -> str:
+        """stderr's own."""
+        return getattr(sys.stderr, "encoding", None) or "utf-8"
+
+    def write(self, text: str) -> int:
+        """Write what can be written."""
+        return self._attempt(lambda: sys.stderr.write(encodable(text, sys.stderr)), len(text))
+
+    def flush(self) -> None:
+        """Flush what can be flushed."""
+        self._attempt(lambda: sys.stderr.flush(), None)
+
+    def isatty(self) -> bool:
+        """Whether it is a screen."""
+        return is_terminal(sys.stderr)
+
+    def fileno(self) -> int:
+        """Its number. Raises OSError where it has none."""
+        if sys.stderr is None:
+            raise OSError("stderr is closed")
+        return sys.stderr.fileno()
+
+    def _attempt(self, call: Any, otherwise: Any) -> Any:
+        try:
+            return otherwise if sys.stderr is None else call()
+        except (OSError, ValueError):
+            silence(sys.stderr)
+            return otherwise
+
+
+MESSAGES: Any = Messages()
+
+
+def say(text: str) -> None:
+    """A line on stderr, at once: networks that train side by side speak side by side."""
+    MESSAGES.write(text + "\n")
+    MESSAGES.flush()

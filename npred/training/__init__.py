@@ -1,0 +1,1 @@
+"""Training: the loop over epochs, streaming, losses, the optimiser SOAP, and checkpoints."""

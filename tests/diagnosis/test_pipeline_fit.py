@@ -1,0 +1,212 @@
+"""A pipeline that does not fit its plant is told before anything runs."""
+
+import tomllib
+
+import numpy as np
+import pytest
+from follower import Follower
+
+from npred import config, plants
+from npred.diagnosis import pipeline_fit
+from npred.errors import ConfigError
+from npred.plants import Plant
+from npred.plants.black_box import BlackBox
+
+MOVING = """
+class Moving:
+    states, inputs, box = ("x",), ("U",), {"x": (0, 1)}
+    def f(x, u, t, p, M): return [u.U]
+    def kappa(x, t, p, M): return [M.sin(t) - x.x]
+    def V(x, t, p, M): return x.x**2
+"""
+
+LATE = """
+class Late:
+    states, inputs, box, delays = ("x", "y"), ("U", "V"), {"x": (0, 1), "y": (0, 1)}, (1.0, 2.0)
+    def f(x, u, t, p, M): return [u.U, u.V]
+    def kappa(x, t, p, M): return [-x.x, -x.y]
+    def V(x, t, p, M): return x.x**2 + x.y**2
+"""
+BOX = """
+class Box:
+    traced, states, inputs, box = False, ("x",), ("U",), {"x": (0, 1)}
+    def f(X, u, t, p): return u
+    def kappa(X, t, p): return -X
+    def V(X, t, p): return X[:, 0] ** 2
+"""
+CLOCK = """
+class Clock:
+    states, inputs, box, period = ("x",), ("U",), {"x": (0, 1)}, 6.283185307179586
+    def f(x, u, t, p, M): return [u.U + M.sin(t)]
+    def kappa(x, t, p, M): return [-x.x - M.sin(t)]
+    def V(x, t, p, M): return x.x**2
+"""
+
+
+def check(stages=("generate", "evaluate"), **tables):
+    pipeline = config.parse({"plant": "activator_repressor"} | tables, "tests")
+    pipeline_fit.check(plants.resolve(pipeline.plant, pipeline.parameters), pipeline, stages)
+
+
+def test_the_default_pipeline_fits_but_for_the_start_that_it_has_to_give():
+    check(evaluate={"X0": [0.03, 30.0]})
+    check(stages=("generate", "train", "bench"))
+    with pytest.raises(ConfigError, match=r"expected one number per state \(x1, x2\), got none; give as many"):
+        check()
+
+
+@pytest.mark.parametrize(
+    ("tables", "message"),
+    [
+        ({"generate": {"box": {"x3": [0, 1]}}}, "unknown state 'x3'; expected one of x1, x2"),
+        ({"evaluate": {"X0": [1.0]}}, r"evaluate.X0: expected one number per state \(x1, x2\), got \[1.0\]"),
+        ({"evaluate": {"X0": [float("nan"), 1.0]}}, "evaluate.X0: expected finite values"),
+        ({"generate": {"input_bounds": [[0, 1], [0, 1]]}}, "expected 1 pairs .* got 2"),
+        ({"evaluate": {"input_bounds": [[1, 0]]}}, r"evaluate.input_bounds\[0\]: expected a range"),
+        ({"generate": {"box": {"x1": [3, 1]}}}, "generate.box.x1: expected a range .* low <= high"),
+        ({"generate": {"box": {"x1": [0, float("inf")]}}}, "generate.box.x1: expected finite ends"),
+    ],
+)
+def test_what_does_not_fit_is_told(tables, message):
+    with pytest.raises(ConfigError, match=message):
+        check(**tables)
+
+
+def test_a_plant_without_rest_or_reference_has_no_radius(tmp_path):
+    path = tmp_path / "moving.py"
+    path.write_text(MOVING)
+    check(stages=("generate",), plant=f"{path}:Moving")
+    with pytest.raises(ConfigError, match="expected a plant with an equilibrium or a reference, Moving has neither"):
+        check(plant=f"{path}:Moving")
+    with pytest.raises(ConfigError, match=r'train.fno.anchor: .* Moving has none; write anchor = "initial"'):
+        check(stages=("train",), plant=f"{path}:Moving", train={"deeponet": {"anchor": "initial"}})
+
+
+def test_a_plant_with_a_reference_is_evaluated_if_its_law_follows_it(tmp_path):
+    follows = "    def reference(t, p, M): return [(M.sin(t) - M.cos(t)) / 2]\n"
+    path = tmp_path / "moving.py"
+    path.write_text(MOVING + follows)
+    check(plant=f"{path}:Moving", evaluate={"X0": [0.5]})
+    path.write_text(MOVING + follows.replace("- M.cos", "+ M.cos"))
+    with pytest.raises(ConfigError, match="reference expected a trajectory of f with kappa, got one that differs"):
+        check(plant=f"{path}:Moving", evaluate={"X0": [0.5]})
+
+
+class Black(Follower):
+    """The follower in functions that are not traced."""
+
+    traced = False
+
+    @staticmethod
+    def f(X, u, t, p):
+        return p.a * X + u
+
+    @staticmethod
+    def kappa(X, t, p):
+        turn = p.w * np.reshape(t, (-1, 1))  # t is a number or (B,)
+        return p.A * p.w * np.cos(turn) - p.a * X - p.c * (X - p.A * np.sin(turn))
+
+    @staticmethod
+    def V(X, t, p):
+        return (X[:, 0] - p.A * np.sin(p.w * t)) ** 2
+
+    @staticmethod
+    def reference(t, p):
+        return p.A * np.sin(p.w * t)[:, None]
+
+
+@pytest.mark.parametrize("plant", [Plant("Follower", Follower, {"w": 3000.0}), BlackBox("Black", Black, {"w": 3000.0})])
+def test_a_fast_reference_is_a_trajectory_too(plant):
+    assert pipeline_fit.slip(plant, 5.0)[0] < pipeline_fit.SLIP
+
+
+@pytest.mark.parametrize("kind", [Plant, BlackBox])
+def test_a_fast_reference_that_is_none_is_found_out(kind):
+    late = {Plant: lambda t, p, M: [p.A * M.sin(p.w * t - 1e-4)],
+            BlackBox: lambda t, p: p.A * np.sin(p.w * t - 1e-4)[:, None]}  # fmt: skip
+    base = Follower if kind is Plant else Black
+    plant = kind("late", type("Late", (base,), {"reference": staticmethod(late[kind])}), {"w": 3000.0, "c": 1.0})
+    assert pipeline_fit.slip(plant, 5.0)[0] > 10 * pipeline_fit.SLIP
+
+
+@pytest.mark.parametrize(
+    ("plant", "runtimes", "message"),
+    [
+        (
+            "unicycle",
+            None,
+            'bench.runtimes: expected one delay, plant unicycle has .*; set bench.runtimes = ."torch".$',
+        ),
+        (
+            "CLOCK",
+            None,
+            'bench.runtimes: fused: expected .* free of time, .*; leave "fused" and "onnx" out of runtimes',
+        ),
+        ("CLOCK", ["torch", "onnx"], 'onnx: expected .*; leave "onnx" out of runtimes in .bench.'),
+        ("LATE", None, 'bench.runtimes: expected one delay, .* 1, 2 s; set bench.runtimes = ."torch", "fused".'),
+        ("BOX", None, "bench.runtimes: onnx: expected a plant that is traced, Box says traced = False"),
+    ],
+)
+def test_runtimes_that_bench_cannot_run_are_told_before_anything_runs(tmp_path, plant, runtimes, message):
+    path = tmp_path / "given.py"
+    path.write_text(LATE + BOX + CLOCK)
+    named = plant if plant == "unicycle" else f"{path}:{plant.capitalize()}"
+    bench = {} if runtimes is None else {"runtimes": runtimes}
+    frozen = {"adaptation": "frozen"}
+    check(stages=("generate", "bench"), plant=named, generate=frozen, bench={"runtimes": ["torch"]})
+    check(stages=("generate",), plant=named, generate=frozen, bench=bench)
+    with pytest.raises(ConfigError, match=message):
+        check(stages=("generate", "bench"), plant=named, generate=frozen, bench=bench)
+
+
+def test_all_that_is_for_one_delay_is_told_at_once_with_one_cure(tmp_path):
+    path = tmp_path / "late.py"
+    path.write_text(LATE)
+    stages, picard = ("generate", "train", "evaluate", "bench"), {"predictor": "picard"}
+    with pytest.raises(ConfigError) as caught:
+        check(stages, plant=f"{path}:Late", generate=picard)
+    cure = tomllib.loads(f"all = {{ {str(caught.value).partition('; set ')[2]} }}")["all"]
+    assert set(cure["generate"]) == {"adaptation", "predictor"} and set(cure["evaluate"]) == {"adaptation"}
+    cure["evaluate"]["X0"] = [0.5, 0.5]
+    check(stages, plant=f"{path}:Late", **cure)
+
+
+def test_a_frozen_estimate_takes_no_V(tmp_path):
+    path = tmp_path / "late.py"
+    path.write_text(
+        LATE.replace("(1.0, 2.0)", "(2.0, 2.0)").replace("    def V(x, t, p, M): return x.x**2 + x.y**2\n", "")
+    )
+    frozen = {"adaptation": "frozen"}
+    check(plant=f"{path}:Late", generate=frozen, evaluate=frozen | {"X0": [0.5, 0.5]})
+    check(plant=f"{path}:Late", generate=frozen, stages=("generate",))
+    for tables in ({"generate": frozen}, {"evaluate": frozen}):
+        with pytest.raises(ConfigError, match="plant Late: found no V"):
+            check(plant=f"{path}:Late", **tables)
+
+
+def test_a_state_without_a_range_is_told(tmp_path):
+    path = tmp_path / "moving.py"
+    path.write_text(MOVING.replace('{"x": (0, 1)}', "{}"))
+    with pytest.raises(ConfigError, match=r"found none; add x = \[low, high\]"):
+        check(plant=f"{path}:Moving")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("[M.sin(t) - x.x]", "[1 + x.x**2]", "leads to no equilibrium near guess"),
+        ("[u.U]", "[u.U + M.sin(t)]", "Moving: expected a period, for its prediction depends on time"),
+        (
+            "[M.sin(t) - x.x]",
+            "[x.x]",
+            r"moving.py:5\) does not stabilise without delay: eigenvalues 1 at x = 0",
+        ),
+        ("[u.U]", "[u.U / M.sqrt(x.x - 0.5)]", r"f \(moving.py:4\) is not finite at x = 0.\d+, .*; shrink box"),
+        ("[u.U]", "[u.U, x.x]", r"f \(moving.py:4\) expected to return 1 value, got 2; return a derivative each: x"),
+    ],
+)
+def test_a_plant_that_no_network_can_serve_is_told(tmp_path, old, new, message):
+    path = tmp_path / "moving.py"
+    path.write_text(MOVING.replace(old, new))
+    with pytest.raises(ConfigError, match=message):
+        check(stages=("generate",), plant=f"{path}:Moving")

@@ -1,0 +1,420 @@
+"""`npred plants check`: nothing wrong with the built-in plants; each mistake is named, with its line and its cure."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+from follower import Follower, follower
+from reactor import Reactor
+from scipy.linalg import solve_continuous_lyapunov
+from typer.testing import CliRunner
+
+from npred import config, plants
+from npred.cli import app
+from npred.diagnosis import Answer, check, equilibrium, settled
+from npred.errors import ConfigError
+from npred.plants import Plant
+
+TANK = """
+class Tank:
+    states = ("h",)
+    inputs = ("q",)
+    parameters = {"outflow": 0.5, "level": 1.0}
+    box = {"h": (0.5, 2.0)}
+    guess = (0.8,)
+
+    def f(x, u, t, p, M):
+        return [u.q - p.outflow * M.sqrt(x.h)]
+
+    def kappa(x, t, p, M):
+        return [p.outflow * M.sqrt(x.h) + p.level - x.h]
+
+    def V(x, t, p, M):
+        return (x.h - p.level) ** 2
+"""
+QUESTIONS = [
+    *("trace", "smooth law", "box", "finite", "delay", "equilibrium", "stability", "V", "convergence", "jacobians"),
+    *("stiffness", "completeness"),
+]
+
+
+@pytest.fixture
+def tank(tmp_path):
+    """The name of a plant file with a piece of the tank replaced."""
+
+    def make(old="", new=""):
+        assert old in TANK
+        (tmp_path / "my_plant.py").write_text(TANK.replace(old, new) if old else TANK)
+        return f"{tmp_path / 'my_plant.py'}:Tank"
+
+    return make
+
+
+def answers(plant: Plant, **settings) -> dict:
+    return {answer.check: answer for answer in check(plant, **settings)}
+
+
+@pytest.mark.parametrize("name", [row["name"] for row in plants.named() if plants.resolve(row["name"]).rests])
+def test_built_in_plants_have_no_answer_of_no(name):
+    found = check(plants.resolve(name), delay=0.5)
+    assert settled(found)
+    assert [answer.check for answer in found if answer.check != "input bounds"] == QUESTIONS
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "question", "words"),
+    [
+        ("[u.q - p", "[u.q, u.q - p", "trace", r"Tank: f \(my_plant.py:9\) expected to return 1 .*, got 2; return"),
+        ("[p.outflow * M.sqrt(x.h) +", "[u.q +", "trace", "kappa failed at my_plant.py:13: .*only f knows the inputs"),
+        ("- p.outflow *", "- p.drain *", "trace", "f failed at my_plant.py:10: .*expected one of outflow, level"),
+        ('box = {"h": (0.5, 2.0)}', "box = {}", "box", 'plant Tank: box has no range for h; add box = {"h":'),
+        ("(0.5, 2.0)", "(-0.5, 2.0)", "finite", r"kappa \(my_plant.py:12\) is not finite at h = -0.\d+, .*shrink box"),
+        ("(x.h - p.level) ** 2", "x.h - p.level", "finite", r"V \(my_plant.py:15\) expected at least 0 .*, got -0.\d+"),
+        ("+ p.level - x.h", "+ 1 + x.h**2", "equilibrium", r"py:12\) leads to no equilibrium .* `guess`"),
+        ("guess =", "input_bounds = [(0.0, 0.3)]\n    guess =", "equilibrium", "rests with q = 0.5, outside input_b"),
+        ("+ p.level - x.h", "+ x.h - p.level", "stability", r"py:12\) does not stabilise .*: eigenvalues 1 at"),
+        ("+ p.level - x.h", "+ M.sqrt(M.abs(x.h - 1))", "stability", "no derivative at the equilibrium; guard"),
+        ("* M.sqrt(x.h)]\n\n    def k", "* M.sqrt(x.h) + x.h**3]\n\n    def k", "completeness", "py:9.: the open"),
+        ("[u.q - p.", "[u.q - 900 * (x.h - 1) - p.", "stiffness", "= 9 with .* expected below 2; take 45. nodes or"),
+    ],
+)  # fmt: skip
+def test_a_mistake_is_one_answer_of_no_with_its_line_and_cure(tank, old, new, question, words):
+    answer = answers(plants.resolve(tank(old, new)))[question]
+    assert answer.verdict == "no"
+    assert "\n" not in answer.text
+    assert re.search(words, answer.text), answer.text
+
+
+def test_a_plant_without_a_V_is_offered_one(tank):
+    """x' = -x about 1: V = (h - 1)² / 2 solves the Lyapunov equation; declared, it satisfies."""
+    name = tank("    def V(x, t, p, M):\n        return (x.h - p.level) ** 2\n", "")
+    found = answers(plants.resolve(name))["V"]
+    assert found.verdict == "no" and "plant Tank: found no V(x, t, p, M)" in found.text
+    offered = re.search(r"V = (.+) solves the Lyapunov equation, and falls at 100% of \d+ states", found.text)
+    assert offered is not None
+    written = re.sub(r"\bh\b", "x.h", offered[1]) if "x.h" not in offered[1] else offered[1]
+    again = plants.resolve(tank("return (x.h - p.level) ** 2", f"return {written}"))
+    assert answers(again)["V"].verdict == "yes"
+
+
+def test_a_plant_that_tracks_without_a_V_is_told():
+    class Follower:
+        states, inputs, box = ("x",), ("u",), {"x": (-1.0, 1.0)}
+
+        def f(x, u, t, p, M):
+            return [u.u]
+
+        def kappa(x, t, p, M):
+            return [M.cos(t) - (x.x - M.sin(t))]
+
+        def reference(t, p, M):
+            return [M.sin(t)]
+
+    found = answers(Plant("follower", Follower))
+    assert found["reference"].verdict == "yes" and found["V"].verdict == "no"
+
+
+def test_what_cannot_be_asked_is_not_asked(tank):
+    assert list(answers(plants.resolve(tank("[u.q - p", "[u.q, u.q - p")))) == ["trace"]
+    assert list(answers(plants.resolve(tank('box = {"h": (0.5, 2.0)}', "box = {}")))) == [
+        *("trace", "smooth law", "box", "delay", "equilibrium", "stability")
+    ]
+
+
+@pytest.mark.parametrize(
+    ("law", "kinks"),
+    [
+        ("M.sign(p.level - x.h)", "sign: a law of signs chatters"),
+        ("M.where(x.h < 1, 1 - x.h, 0.0) + M.maximum(x.h, 0.2)", "maximum, where: its derivative may jump"),
+    ],
+)
+def test_kinks_of_the_law_are_a_warning(tank, law, kinks):
+    plant = plants.resolve(tank("p.outflow * M.sqrt(x.h) + p.level - x.h", law))
+    answer = answers(plant)["smooth law"]
+    assert answer.verdict == "warn"
+    assert kinks in answer.text
+
+
+def test_a_choice_by_a_parameter_is_no_kink(tank):
+    plant = plants.resolve(tank("+ p.level - x.h", "+ M.where(p.level > 0.5, p.level, 1.0) - x.h"))
+    assert answers(plant)["smooth law"].verdict == "yes"
+
+
+def test_a_V_that_rises_is_a_warning_with_a_better_one():
+    """x' = v, v' = -x - v: x² rises where x v > 0."""
+
+    class Spring:
+        states, inputs = ("x", "v"), ("F",)
+        box = {"x": (-1.0, 1.0), "v": (-1.0, 1.0)}
+
+        def f(x, u, t, p, M):
+            return [x.v, u.F - x.x]
+
+        def kappa(x, t, p, M):
+            return [-x.v]
+
+        def V(x, t, p, M):
+            return x.x**2
+
+    answer = answers(Plant("Spring", Spring))["V"]
+    assert answer.verdict == "warn"
+    assert "V = 1.5 * x.x ** 2 + 1 * x.x * x.v + 1 * x.v ** 2 solves" in answer.text
+    assert answer.text.endswith("falls at 100% of 768 states")
+
+
+def test_a_V_of_zero_gets_a_better_one(tank):
+    answer = answers(plants.resolve(tank("(x.h - p.level) ** 2", "0.0")))["V"]
+    assert answer.verdict == "warn"
+    assert "V = 0.5 * (x.h - 1) ** 2 solves" in answer.text
+
+
+def test_lyapunov_equation():
+    A = np.random.default_rng(0).normal(size=(4, 4)) - 5 * np.eye(4)
+    np.testing.assert_allclose(equilibrium.lyapunov(A), solve_continuous_lyapunov(A.T, -np.eye(4)), rtol=1e-10)
+
+
+def test_a_plant_that_tracks_has_no_equilibrium_and_that_is_no_failure(tank):
+    found = answers(plants.resolve(tank("+ p.level - x.h", "+ p.level + M.sin(t) - x.h")))
+    assert found["reference"].verdict == "warn"
+    assert "stability" not in found and "completeness" in found
+
+
+def test_a_reference_is_compared_with_the_loop_of_the_law():
+    assert answers(follower())["reference"].verdict == "yes"
+    bent = type("Bent", (Follower,), {"reference": staticmethod(lambda t, p, M: [1.1 * p.A * M.sin(p.w * t)])})
+    answer = answers(Plant("Bent", bent))["reference"]
+    assert answer.verdict == "no" and "is no trajectory of f with kappa" in answer.text
+
+
+@pytest.mark.parametrize("wrong", ["jacobians", "kappa_jacobian"])
+@pytest.mark.parametrize("factor", [1.001, np.nan])
+def test_a_wrong_derivative_is_found_and_stiffness_not_asked(tank, monkeypatch, wrong, factor):
+    plant = plants.resolve(tank())
+    right = getattr(plant, wrong)
+    _ = plant.equilibrium
+    monkeypatch.setattr(equilibrium, "stability", lambda case: Answer("stability", "no", "not asked here"))
+    monkeypatch.setattr(plant, wrong, lambda *at: factor * np.array(right(*at)))
+    found = answers(plant)
+    assert found["jacobians"].verdict == "no"
+    assert "stiffness" not in found and found["completeness"].verdict == "yes"
+
+
+def test_a_kink_on_the_box_is_no_wrong_derivative():
+    class Bent:
+        states, inputs, box = ("h",), ("q",), {"h": (-1e-4, 1e-4)}
+
+        def f(x, u, t, p, M):
+            return [u.q - M.abs(x.h)]
+
+        def kappa(x, t, p, M):
+            return [-2 * x.h]
+
+        def V(x, t, p, M):
+            return x.h**2
+
+    plant = Plant("Bent", Bent)
+    assert answers(plant)["jacobians"].verdict == "yes"
+
+
+@pytest.mark.parametrize("settings", [{"delay": 0.0}, {"delay": np.inf}, {"nodes": 1}])
+def test_settings_that_make_no_sense_are_told(settings):
+    with pytest.raises(ConfigError, match=f"{next(iter(settings))}: expected"):
+        check(plants.resolve("scalar"), **settings)
+
+
+def test_the_command_says_it_to_people_and_programs(tank):
+    def call(*arguments):
+        return CliRunner().invoke(app, ["plants", "check", *arguments])
+
+    good = call(tank(), "--json")
+    assert good.exit_code == 0
+    document = json.loads(good.stdout)
+    assert document["fine"] is True
+    assert [answer["check"] for answer in document["answers"]] == QUESTIONS
+    assert "stability" in call(tank()).stdout
+    bad = call(tank("+ p.level - x.h", "+ x.h - p.level"), "--json")
+    assert bad.exit_code == 3
+    assert json.loads(bad.stdout)["fine"] is False
+    (line,) = bad.stderr.splitlines()
+    assert "got stability" in line
+    assert call("nonesuch").exit_code == 2
+    assert call("scalar", "--delay", "-1").exit_code == 2
+
+
+def test_V_is_looked_at_on_all_sides_of_rest():
+    """The paper's V falls in its box, which lies on one side of rest, and rises close to rest on another side."""
+    found = answers(plants.resolve("activator_repressor"))
+    assert found["V"].verdict == "warn" and "falls at 100% of 768 states" in found["V"].text
+
+
+def declared(**parts):
+    """x' = a x + u with kappa = -2 x about 0, and some parts changed."""
+    plain = {
+        "states": ("x",), "inputs": ("u",), "box": {"x": (-3.0, 3.0)}, "parameters": {"a": 1.0},
+        "f": lambda x, u, t, p, M: [p.a * x.x + u.u],
+        "kappa": lambda x, t, p, M: [-2 * x.x],
+        "V": lambda x, t, p, M: x.x**2,
+    }  # fmt: skip
+    return Plant("line", type("Line", (), plain | parts))
+
+
+def test_the_share_of_kappa_outside_the_bounds_is_said_and_the_clipped_loop_tried():
+    """|u| <= 1/2 holds x' = x + u from |x| < 1/2 alone."""
+    found = answers(declared(input_bounds=[(-0.5, 0.5)]), samples=1000)
+    assert found["stability"].verdict == found["V"].verdict == "yes"
+    share = re.search(r"kappa is outside u in \[-0.5, 0.5\] at (\d+)% of 1000 states", found["input bounds"].text)
+    assert share is not None and int(share[1]) == pytest.approx(100 * (1 - 0.25 / 3), abs=2)
+    lost = re.search(r"(\d+)% of 64 loops without delay do not converge, as from x = ", found["convergence"].text)
+    assert found["convergence"].verdict == "no" and lost is not None
+    assert int(lost[1]) == pytest.approx(100 * (1 - 0.5 / 3), abs=10)
+    wide = answers(declared(input_bounds=[(-6.0, 6.0)]))
+    assert wide["input bounds"].verdict == wide["convergence"].verdict == "yes"
+
+
+def test_a_law_that_stabilises_near_rest_only_does_not_pass():
+    """x' = -x + x³ leaves from |x| > 1, though its eigenvalue is -1."""
+    found = answers(declared(kappa=lambda x, t, p, M: [-2 * x.x + x.x**3]))
+    assert found["stability"].verdict == "yes" and found["convergence"].verdict == "no"
+    near = answers(declared(kappa=lambda x, t, p, M: [-2 * x.x + x.x**3], box={"x": (-0.9, 0.9)}))
+    assert near["convergence"].verdict == "yes"
+
+
+def test_a_law_that_leads_elsewhere_does_not_pass():
+    """x' = -sin(pi x) rests at each even number."""
+    found = answers(declared(kappa=lambda x, t, p, M: [-x.x - M.sin(M.pi * x.x)]))
+    assert found["convergence"].verdict == "no"
+
+
+def test_a_slow_loop_on_its_way_is_a_warning():
+    """|x| falls as 1 / t: without a rate there are 100 s to look at."""
+
+    plant = declared(
+        box={"x": (1.0, 2.0)},
+        f=lambda x, u, t, p, M: [u.u],
+        kappa=lambda x, t, p, M: [-0.1 * x.x * M.abs(x.x) + 0.001 * M.exp(-t) * x.x],
+        reference=lambda t, p, M: [0.0 * t],
+    )
+    answer = answers(plant)
+    assert answer["convergence"].verdict == "warn" and "on their way" in answer["convergence"].text
+
+
+def test_an_equilibrium_outside_the_box_is_said():
+    answer = answers(declared(box={"x": (1.0, 2.0)}))["equilibrium"]
+    assert answer.verdict == "warn" and "outside the box, x in [1, 2]" in answer.text
+
+
+def test_a_stiff_plant_is_not_called_unbounded():
+    found = answers(declared(parameters={"a": -1e4}))
+    assert found["stiffness"].verdict == "no" and "completeness" not in found
+    assert found["convergence"].verdict == "yes"
+
+
+def test_the_V_that_is_offered_is_not_offered_again():
+    """Pasted as text it equals the one of the Lyapunov equation, also where that falls on a part of the box only."""
+    plant = Plant("reactor", Reactor)
+    offered = re.search(r"V = (.+) solves the Lyapunov equation, and falls at 100%", answers(plant)["V"].text)
+    assert offered is not None
+    pasted = {"V": eval(f"lambda x, t, p, M: {offered[1]}")}
+    assert answers(Plant("pasted", type("Pasted", (Reactor,), pasted)))["V"].verdict == "yes"
+    local = answers(declared(kappa=lambda x, t, p, M: [-2 * x.x + x.x**3], V=lambda x, t, p, M: 0.5 * x.x**2))["V"]
+    assert local.verdict == "yes" and "the box is wider than where it does" in local.text
+    other = answers(declared(kappa=lambda x, t, p, M: [-2 * x.x + x.x**3], V=lambda x, t, p, M: x.x**4))["V"]
+    assert other.verdict == "warn" and "V = " not in other.text.partition("no x'Sx")[2]
+
+
+def test_the_delay_is_the_plants_or_the_pipelines_before_it_is_assumed():
+    chain = declared(states=("x", "y"), inputs=("u", "v"), delays=(0.4, 2.5), box={"x": (0, 1), "y": (0, 1)},
+                     f=lambda x, u, t, p, M: [u.u, u.v], kappa=lambda x, t, p, M: [-x.x, -x.y])  # fmt: skip
+    assert answers(chain)["delay"].text == "2.5 s, the longest of the plant's delays"
+    assert answers(declared())["delay"].text.startswith("1 s, assumed")
+    assert answers(chain, delay=0.1)["delay"].text == "0.1 s, as asked"
+    loops = {"D": [0.5, 0.7], "D_hat0": [[0.2, 0.9]]}
+    tables = {"plant": "scalar", "generate": loops, "evaluate": {"D": 0.5, "D_hat0": 0.6, "case_D_hat0": [0.3]}}
+    found = answers(plants.resolve("scalar"), pipeline=config.parse(tables, "tests"))
+    assert found["delay"].text.startswith("0.9 s, the longest delay or first estimate")
+
+
+def test_the_open_loop_starts_with_u0():
+    found = answers(Plant("reactor", Reactor), delay=12.0)["completeness"]
+    assert found.verdict == "yes" and "u0: Tc = 300 of the equilibrium" in found.text
+
+
+RAISES = """
+import math
+
+import numpy as np
+
+
+class Raises:
+    traced, states, inputs, box = False, ("x",), ("u",), {"x": (-30.0, 30.0)}
+
+    def f(X, u, t, p):
+        return np.array([[math.exp(x * x) - 1 + v] for x, v in zip(X[:, 0], u[:, 0])])
+
+    def kappa(X, t, p):
+        return -2 * X
+
+    def V(X, t, p):
+        return X[:, 0] ** 2
+"""
+
+
+def test_a_function_that_raises_is_an_answer(tmp_path):
+    (tmp_path / "raises.py").write_text(RAISES)
+    found = answers(plants.resolve(f"{tmp_path / 'raises.py'}:Raises"))
+    assert found["finite"].verdict == "no" and "f (raises.py:10) is not finite at x = " in found["finite"].text
+    (tmp_path / "fails.py").write_text(RAISES.replace("return -2 * X", "raise OSError('no robot')"))
+    answer = answers(plants.resolve(f"{tmp_path / 'fails.py'}:Raises"))["trace"]
+    assert answer.verdict == "no" and "OSError: no robot" in answer.text
+
+
+PIPELINE = """
+name = "line"
+plant = "line.py:Line"
+
+[parameters]
+gain = 3.0
+
+[generate]
+adaptation = "frozen"
+D = 0.7
+D_hat0 = [[0.7, 0.7]]
+nx = 31
+box = { x = [-0.5, 0.5] }
+input_bounds = [[-4.0, 4.0]]
+u0 = [0.25]
+
+[evaluate]
+adaptation = "frozen"
+X0 = [0.5]
+D = 0.7
+D_hat0 = 0.7
+case_D_hat0 = [0.7]
+"""
+LINE = """
+class Line:
+    states, inputs, parameters = ("x",), ("u",), {"gain": 0.5}
+
+    def f(x, u, t, p, M):
+        return [x.x + u.u]
+
+    def kappa(x, t, p, M):
+        return [-p.gain * x.x]
+"""
+
+
+def test_a_pipeline_is_checked_with_its_own_settings(tmp_path):
+    """Its parameters stabilise, its box has the range, its estimate takes no V, its input starts at u0."""
+    (tmp_path / "line.py").write_text(LINE)
+    (tmp_path / "line.toml").write_text(PIPELINE)
+    call = CliRunner().invoke(app, ["plants", "check", str(tmp_path / "line.toml"), "--json"])
+    found = {row["check"]: row for row in json.loads(call.stdout)["answers"]}
+    assert call.exit_code == 0 and found["V"]["text"].endswith("no update law runs")
+    assert found["box"]["text"] == "x in [-0.5, 0.5]" and "eigenvalues of the loop without delay: -2" in str(found)
+    assert "31 nodes and a delay of 0.7 s" in found["stiffness"]["text"] and "u0: u = 0.25" in str(found)
+    assert found["pipeline"] == {"check": "pipeline", "verdict": "yes", "text": "line fits its plant"}
+    (tmp_path / "line.toml").write_text(PIPELINE.replace("[evaluate]", "[evaluate]\nu0 = [1.0, 2.0]"))
+    call = CliRunner().invoke(app, ["plants", "check", str(tmp_path / "line.toml"), "--json"])
+    wrong = [row for row in json.loads(call.stdout)["answers"] if row["verdict"] == "no"]
+    assert call.exit_code == 3 and [row["check"] for row in wrong] == ["pipeline"] and "evaluate.u0" in str(wrong)

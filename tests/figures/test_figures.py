@@ -1,0 +1,298 @@
+"""The figures: one look a contender, the same bytes for the same data, SVG that a page can hold."""
+
+import re
+from dataclasses import replace
+from threading import Event, Thread
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from npred import config, figures, plants
+from npred.figures import accuracy, svg
+from npred.figures.evaluation_data import Errors, Evidence, Histogram, Loop
+from npred.figures.figure import Key, Panel, Plate, write
+from npred.figures.style import MEDIA, ROLES, SCREEN, Look, log, look, medium, words
+
+SVG = "{http://www.w3.org/2000/svg}"
+NAMES = ("numerical", "no_adaptation", "deeponet@2", "deeponet", "fno")
+
+
+def row(number: int, lost: bool = False) -> dict:
+    eps = 0.0 if number < 2 else 10.0**-number
+    cells = {"D": [0.5, 1.0], "D_hat0": [0.3, 0.6, 0.9], "converged": [[True] * 3, [not lost] * 3], "share": 0.5}
+    radius = {"median": None if lost else 1e-9, "worst": None if lost else 1e-5}
+    return {"eps_kappa": eps, "eps_sup": eps, "radius": radius, "map": cells}
+
+
+def found(plant: str = "activator_repressor", lost: bool = False) -> Evidence:
+    """Five loops that decay, or whose networks are lost, and the errors of three networks."""
+    made = plants.resolve(plant)
+    t, rng = np.linspace(0, 10, 101), np.random.default_rng(1)
+    decay = np.exp(-t)[:, None]
+    target = made.target(t) + decay
+    loops = {n: Loop(t, target.copy(), made.u_target(t) + decay, 1 + decay[:, 0], 1 + decay[:, 0]) for n in NAMES}
+    if lost:
+        for name in ("no_adaptation", "deeponet"):
+            loops[name].X[50:], loops[name].N[50:] = np.nan, np.inf
+    X, D_hat = rng.uniform(0, 1, (60, made.n)), rng.uniform(0.3, 2, 60)
+    errors = {name: Errors(rng.lognormal(size=60), np.sort(rng.lognormal(size=(11, 3)))) for name in NAMES[2:]}
+    by_kind = {kind: {name: rng.lognormal(size=9) for name in errors} for kind in ("nominal", "exploring", "redrawn")}
+    edges = np.linspace(0, 1, 11)
+    density = {name: rng.uniform(size=10) for name in ("numerical", "fno")}
+    covered = {name: Histogram(edges, np.ones(10), density) for name in (*made.states, *made.inputs, "D_hat")}
+    models = {name: row(k, lost and name == "deeponet") for k, name in enumerate(NAMES)}
+    evaluate = config.parse({"plant": plant, "evaluate": {"X0": [0.5] * made.n}}, "test").evaluate
+    return Evidence(made, evaluate, models, 110.0, loops, X, D_hat, errors, covered, by_kind)
+
+
+KINDS = (
+    figures.figure1, figures.certificate, figures.errors, figures.kinds, figures.box, figures.delays, figures.coverage,
+)  # fmt: skip
+
+
+def test_a_contender_looks_the_same_everywhere_and_like_no_other():
+    looks = {name: (look(name).role, look(name).dash) for name in NAMES}
+    assert len(set(looks.values())) == len(NAMES)
+    for plate in (kind(found()) for kind in KINDS):
+        for key in plate.keys:
+            for name in NAMES:
+                if key.label == words(name):
+                    assert key.look == look(name)
+
+
+def test_colours_are_as_many_as_roles_on_light_and_on_dark():
+    for shade in (0, 1):
+        assert len({colours[shade] for colours in ROLES.values()}) == len(ROLES)
+
+
+@pytest.mark.parametrize(("plant", "lost"), [("activator_repressor", False), ("scalar", True), ("planar_arm2", True)])
+def test_every_figure_of_every_plant_can_be_drawn_and_is_told_in_words(plant, lost):
+    evidence = found(plant, lost)
+    for kind in KINDS:
+        plate = kind(evidence)
+        assert plate.caption.endswith(".") and plate.title
+        for panel in plate.panels:
+            assert len(panel.alt) > len(panel.title) and "nan" not in panel.title
+            ElementTree.fromstring(svg.inline(panel, "p"))
+
+
+def test_figure_1_has_a_panel_a_quantity_and_a_close_look_at_each_state():
+    titles = [panel.title for panel in figures.figure1(found()).panels]
+    assert titles == ["x_{1}", "x_{2}", "U", "delay estimate D̂ (s)", "x_{1}, the last tenth", "x_{2}, the last tenth"]
+
+
+def limits(panel: Panel) -> tuple[float, float]:
+    axis = Figure().subplots()
+    panel.draw(axis)
+    return axis.get_ylim()
+
+
+def test_a_panel_of_the_loop_covers_every_loop_that_converges_and_the_true_delay():
+    evidence = found()
+    far, lost = replace(evidence.loops["fno"]), replace(evidence.loops["deeponet"])
+    far.X[3, 0], far.D_hat[5], lost.X[3:, 0] = 7.0, 2.9, 50.0
+    loops = evidence.loops | {"fno": far, "deeponet": lost}
+    states = evidence.plant.states
+    config = evidence.config.model_copy(update={"D": 0.2})
+    panels = figures.figure1(replace(evidence, loops=loops, config=config)).panels
+    low, high = limits(panels[0])
+    assert 7 < high < 20  # the lost loop's 50 leave the picture
+    low, high = limits(panels[len(states) + 1])
+    assert low < 0.2 and high > 2.9
+
+
+def test_only_the_papers_plant_has_its_figure_and_axes_have_units():
+    paper, arm = figures.figure1(found()), figures.figure1(found("planar_arm2"))
+    assert "[DAPF, Fig. 1]" in paper.caption and "Fig. 1" not in arm.caption
+    assert [panel.title for panel in arm.panels[:5:2]] == ["θ_{1} (rad)", "ω_{1} (rad/s)", "τ_{1} (N m)"]
+    cart = plants.resolve("cart_pole")
+    assert set(cart.units) == {*cart.states, *cart.inputs}
+
+
+def test_titles_say_versus():
+    for kind in KINDS:
+        assert not [panel.title for panel in kind(found()).panels if " over " in panel.title]
+
+
+def test_the_functional_of_the_proof_is_left_out_where_nothing_adapts():
+    evidence = found()
+    assert "W(t) of the proof" in [panel.title for panel in figures.certificate(evidence).panels]
+    frozen = {name: replace(loop, N=np.full_like(loop.N, np.nan)) for name, loop in evidence.loops.items()}
+    panels = figures.certificate(replace(evidence, loops=frozen)).panels
+    assert [panel.title for panel in panels] == ["radius versus ε_{κ}", "distance |X − X*|"]
+    for panel in panels:
+        ElementTree.fromstring(svg.inline(panel, "p"))
+
+
+def test_the_line_of_theory_is_left_out_where_nothing_bounds_the_radius():
+    bounded, unbounded = figures.certificate(found()), figures.certificate(replace(found(), gain=None))
+    assert "110 ε" in bounded.caption and "ε" not in unbounded.caption
+    assert len(unbounded.keys) == len(bounded.keys) - 1
+    ElementTree.fromstring(svg.inline(unbounded.panels[0], "p"))
+
+
+def test_the_map_is_left_out_where_the_pipeline_asks_for_none_and_counts_what_is_lost():
+    evidence = found(lost=True)
+    alts = {panel.title.split(":")[0]: panel.alt for panel in figures.delays(evidence).panels}
+    assert set(alts) == {"numerical", "no adaptation", "DeepONet", "FNO"}
+    assert "3 of 6 cells" in alts["DeepONet"] and "3 lost that the numerical" in alts["DeepONet"]
+    titles = [panel.title for panel in figures.delays(evidence).panels]
+    assert titles == ["numerical: 6 of 6", "no adaptation: 6 of 6", "DeepONet: 3 of 6", "FNO: 6 of 6"]
+    assert figures.delays(replace(evidence, models={n: r | {"map": None} for n, r in evidence.models.items()})) is None
+
+
+def test_each_kind_of_held_out_row_has_a_panel_where_there_are_several():
+    evidence = found()
+    plate = figures.kinds(evidence)
+    assert [panel.title for panel in plate.panels] == [
+        "nominal rollouts",
+        "exploring rollouts",
+        "rows with a redrawn D̂",
+    ]
+    assert "largest" in plate.panels[1].alt and f"{evidence.kinds['exploring']['fno'].max():.2g}" in plate.panels[1].alt
+    assert "held-out samples of nominal rollouts" in figures.errors(evidence).caption
+    exact = {kind: dict.fromkeys(sup, np.zeros(9)) for kind, sup in evidence.kinds.items()}
+    ElementTree.fromstring(svg.inline(figures.kinds(replace(evidence, kinds=exact)).panels[0], "p"))
+    imported = replace(evidence, kinds={"imported": evidence.kinds["nominal"]})
+    assert figures.kinds(imported) is None and "of the imported data" in figures.box(imported).caption
+
+
+def test_the_map_of_errors_takes_the_largest_in_each_cell():
+    X, sup = np.array([[0.0, 0.0], [1.0, 1.0], [1.0, 1.0]]), np.array([1.0, 3.0, 2.0])
+    edges, largest = accuracy.worst(X, sup)
+    assert (largest[0, 0], largest[-1, -1]) == (1.0, 3.0) and np.isnan(largest).sum() == largest.size - 2
+    assert [len(edge) - 1 for edge in edges] == list(largest.shape)
+
+
+def test_subscripts_of_a_panel_are_spans_below_the_line():
+    def draw(axis):
+        axis.set(xlabel="ε_{κ} and x_{1} (m)", ylabel="T_{out}")
+
+    root = ElementTree.fromstring(svg.inline(Panel("radius versus ε_{κ}", "ε_{κ} is 1.", draw), "a"))
+    texts = {"".join(text.itertext()): text for text in root.iter(f"{SVG}text")}
+    spans = [(span.text, span.get("font-size")) for span in texts["εκ and x1 (m)"]]
+    assert spans == [("κ", "72%"), (" and x", None), ("1", "72%"), (" (m)", None)]
+    assert len(texts["Tout"]) == 1
+    assert [root.find(f"{SVG}{tag}").text for tag in ("title", "desc")] == ["radius versus ε_κ", "ε_κ is 1."]
+
+
+def test_a_panel_on_a_page_follows_its_colours_and_names_only_its_own_parts():
+    def draw(axis):
+        axis.plot([0.001, 2], [1, 3], color=ROLES["blue"][0], marker="o")
+
+    text = svg.inline(Panel("rise", "It goes up & up.", draw), "a")
+    root = ElementTree.fromstring(text)
+    assert "var(--blue)" in text and "var(--muted)" in text
+    assert not re.findall("#[0-9a-f]{6}", text) and "DejaVu" not in text
+    names = {element.get("id") for element in root.iter() if element.get("id")}
+    used = {e.get("href", "")[1:] for e in root.iter() if e.get("href")} | set(re.findall(r"url\(#([^)]+)\)", text))
+    assert used <= names and all(name.startswith("a-") for name in names)
+    assert root.get("role") == "img" and root.get("aria-labelledby") == "a-title a-desc"
+    assert [root.find(f"{SVG}{tag}").text for tag in ("title", "desc")] == ["rise", "It goes up & up."]
+    assert svg.inline(Panel("rise", "It goes up & up.", draw), "a") == text
+
+
+@pytest.mark.parametrize("medium", MEDIA)
+def test_files_for_papers_have_their_width_and_the_same_bytes_again(tmp_path, medium):
+    panel = Panel("error ε over D̂", "A line.", lambda axis: axis.loglog([1e-5, 1], [1e-9, 1]))
+    plate = Plate("some", "Some", "Some.", (panel, panel), (Key("line", Look("ink")),))
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        write(plate, tmp_path / name, MEDIA[medium], ("svg", "pdf", "png"))
+    for form in ("svg", "pdf", "png"):
+        assert (tmp_path / f"a/some.{form}").read_bytes() == (tmp_path / f"b/some.{form}").read_bytes()
+    assert f'width="{MEDIA[medium].width * 72:g}pt"' in (tmp_path / "a/some.svg").read_text()
+
+
+def test_threads_that_draw_at_once_leave_each_other_alone(tmp_path):
+    """A thread comes into its medium while another one is in the middle of drawing in its own."""
+    inside, gone = Event(), Event()
+
+    def draw(axis):
+        inside.set()
+        gone.wait(0.2)
+        axis.plot([0, 1], [0, 1])
+
+    def other():
+        inside.wait()
+        plain("b")
+        gone.set()
+
+    def plain(name):
+        write(Plate("some", "Some", "Some.", (Panel("b", "B.", lambda axis: axis.plot([1, 0])),)), room(name))
+
+    def room(name):
+        (tmp_path / name).mkdir()
+        return tmp_path / name
+
+    thread = Thread(target=other)
+    thread.start()
+    write(Plate("some", "Some", "Some.", (Panel("a", "A.", draw),)), room("a"), MEDIA["slides"])
+    thread.join()
+    write(Plate("some", "Some", "Some.", (Panel("a", "A.", draw),)), room("again"), MEDIA["slides"])
+    plain("b again")
+    for form in ("svg", "png"):
+        assert (tmp_path / f"a/some.{form}").read_bytes() == (tmp_path / f"again/some.{form}").read_bytes()
+        assert (tmp_path / f"b/some.{form}").read_bytes() == (tmp_path / f"b again/some.{form}").read_bytes()
+
+
+@pytest.mark.parametrize(
+    "span", [(1.5, 4.4), (0.021, 0.034), (3.1e-5, 4.2e-5), (0.17, 0.21), (0.1172, 0.1201), (1e-9, 1.0), (0.9, 120.0)]
+)
+def test_ticks_of_a_logarithmic_side_have_labels_of_their_own(span):
+    with medium(SCREEN):
+        axis = Figure().subplots()
+        axis.plot(span, span)
+        log(axis, "y")
+        labels = [axis.yaxis.get_major_formatter()(value) for value in axis.get_yticks()]
+    assert len(labels) == len(set(labels)) > 1
+
+
+def test_drawing_leaves_the_settings_of_matplotlib_alone(tmp_path):
+    import matplotlib
+
+    before = dict(matplotlib.rcParams)
+    svg.inline(figures.figure1(found()).panels[0], "p")
+    assert dict(matplotlib.rcParams) == before
+
+
+def test_a_training_of_one_epoch_is_seen_as_a_point():
+    row = {"epoch": 1, "loss": 0.1, "mse": 0.01, "eps_sup": 0.2}
+    plate = figures.learning({"fno": [row], "deeponet": [row, row | {"epoch": 2}]})
+    for panel in plate.panels:
+        axis = Figure().subplots()
+        panel.draw(axis)
+        assert [line.get_marker() for line in axis.lines] == ["o", "None"]
+
+
+def test_learning_tells_where_each_network_began_and_ended():
+    histories = {"fno": [{"epoch": k, "loss": 1.0 / k, "mse": 0.1 / k, "eps_sup": 2.0 / k} for k in (1, 2, 4)]}
+    plate = figures.learning(histories)
+    assert [panel.title for panel in plate.panels] == ["training loss", "held-out mean square", "held-out sup error ε"]
+    assert plate.panels[2].alt == "held-out sup error ε: FNO 2.00e+00 to 5.00e-01 in 3 epochs."
+
+
+def test_speed_draws_finite_rows_of_batch_one():
+    plain = {"runtime": "compiled", "batch": 1, "matches": None, "copies": None, "device": "cpu"}
+    timed = {"median_us": 2.0, "p95_us": 3.0, "p999_us": 4.0, "max_us": 5.0}
+    rows = [
+        plain | timed | {"predictor": name, "dx": dx, "eps_sup": dx} for name in ("rk4", "euler") for dx in (0.1, 0.01)
+    ]
+    rows += [plain | timed | {"predictor": "fno", "runtime": "fused", "dx": 0.1, "eps_sup": None}]
+    plate = figures.speed(rows)
+    assert [key.label for key in plate.keys] == ["Euler", "RK4"]
+    for panel in plate.panels:
+        ElementTree.fromstring(svg.inline(panel, "p"))
+
+
+def test_speed_leaves_out_of_the_front_what_predicts_nothing():
+    row = {"runtime": "compiled", "batch": 1, "matches": None, "copies": None, "device": "cpu",
+           "median_us": 2.0, "p95_us": 3.0, "p999_us": 4.0, "max_us": 5.0}  # fmt: skip
+    rows = [row | {"predictor": "deeponet", "runtime": "fused", "dx": 0.1, "eps_sup": 0.01}]
+    rows += [row | {"predictor": "euler", "dx": dx, "eps_sup": eps} for dx, eps in ((0.1, 1e80), (0.01, 2.0))]
+    rows += [row | {"predictor": "euler", "dx": 0.001, "eps_sup": 0.008, "matches": "deeponet", "median_us": 20.0}]
+    front, grids, _ = figures.speed(rows).panels
+    assert front.alt == "Euler: 2 µs at error 2.0e+00; DeepONet, fused: 2 µs at error 1.0e-02."
+    assert "Euler: 2 µs at dx = 0.1, 2 µs at 0.01" in grids.alt

@@ -1,0 +1,290 @@
+"""The controller alone: the loop's own steps, nothing kept but the estimate, and the example that shows it."""
+
+import importlib.util
+import json
+import pickle
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+from input_histories import at_nodes
+from operator_samples import PLANT, SMALL, operator
+
+import npred
+from npred.errors import ConfigError, DivergedError
+from npred.loop.controller import Controller
+from npred.plants import BlackBox, Plant
+from npred.predictors import RK4
+from npred.runtimes import RUNTIMES, predictor
+
+LAW = npred.DelayAdaptation(1000.0, 1.0, (0.1, 4.0))
+X0 = [0.03, 30.0]
+
+
+class Cube:
+    """x' = x³ + u, whose open loop escapes in finite time."""
+
+    states, inputs = ("x",), ("u",)
+
+    def f(x, u, t, p, M):
+        return [x.x**3 + u.u]
+
+    def kappa(x, t, p, M):
+        return [-(x.x**3) - x.x]
+
+    def V(x, t, p, M):
+        return x.x**2
+
+
+CUBE, ARM = Plant("cube", Cube), npred.plant("planar_arm2")
+
+
+def loop(run, adaptation=LAW, bounds=None):
+    """A simulated loop with all that each of its 200 steps saw."""
+    return npred.simulate(PLANT, run, D=1.0, D_hat=2.0, X0=X0, t_end=2.0, dt=0.01, adaptation=adaptation,
+                          input_bounds=bounds, samples=np.arange(200))  # fmt: skip
+
+
+@pytest.mark.parametrize("runtime", ["numerical", *RUNTIMES])
+def test_steps_equal_those_of_the_simulated_loop(runtime):
+    run = RK4(PLANT, 21) if runtime == "numerical" else predictor(runtime, PLANT, operator(SMALL[0]), 21)
+    wanted = loop(run)
+    controller = npred.controller(PLANT, run, LAW, 0.01, D_hat=2.0)
+    for k in range(200):
+        np.testing.assert_allclose(controller.D_hat, wanted.D_hat[k], rtol=1e-12)
+        u_nodes = at_nodes(wanted.U, k, 21, 100)
+        U = controller.step(wanted.samples.X[k], wanted.samples.u[k], u_nodes)
+        np.testing.assert_allclose(U, wanted.U[k], rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(controller.D_hat, wanted.D_hat[200], rtol=1e-12)
+    assert controller.D_hat != 2.0
+
+
+def test_without_adaptation_and_with_bounds():
+    run, bounds = RK4(PLANT, 21), [(-0.001, 0.002)]
+    wanted = loop(run, None, bounds)
+    controller = Controller(PLANT, run, None, 0.01, D_hat=2.0, input_bounds=bounds)
+    for k in range(200):
+        np.testing.assert_array_equal(controller.step(wanted.samples.X[k], wanted.samples.u[k]), wanted.U[k])
+    assert controller.D_hat == 2.0
+
+
+def test_goes_on_from_a_saved_state():
+    run, first, second = RK4(PLANT, 21), None, None
+    first, second = (npred.controller(PLANT, run, LAW, 0.01, D_hat=2.0) for _ in range(2))
+    u = 0.01 * np.ones((21, 1))
+    for _ in range(5):
+        first.step(X0, u)
+    saved = json.loads(json.dumps(first.state()))
+    assert saved["step"] == 5 and saved["t0"] == 0.0
+    second.restore(saved)
+    np.testing.assert_array_equal(first.step(X0, u), second.step(X0, u))
+    assert first.state() == second.state()
+
+
+def test_keeps_no_memory_in_the_steady_state():
+    controller = npred.controller(PLANT, predictor("fused", PLANT, operator(SMALL[0]), 21), LAW, 0.01, D_hat=2.0)
+    X, u = np.array(X0), np.zeros((21, 1))
+    for _ in range(10):
+        controller.step(X, u)
+    tracemalloc.start()
+    before = tracemalloc.get_traced_memory()[0]
+    for _ in range(1000):
+        controller.step(X, u)
+    grown = tracemalloc.get_traced_memory()[0] - before
+    tracemalloc.stop()
+    assert grown < 1000  # bytes in all, less than one a step
+
+
+def test_starts_in_the_middle_of_the_bounds():
+    assert npred.controller(PLANT, RK4(PLANT, 21), LAW, 0.01).D_hat == 2.05
+
+
+def test_a_bad_measurement_leaves_it_as_it_was():
+    controller = npred.controller(PLANT, RK4(PLANT, 21), LAW, 0.01, D_hat=2.0)
+    u = np.zeros((21, 1))
+    controller.step(X0, u)
+    before, P = controller.state(), controller.P
+    for X in ([np.nan, 1.0], [np.inf, -np.inf]):
+        with pytest.raises(DivergedError, match="expected finite X and u"):
+            controller.step(X, u)
+    with pytest.raises(ConfigError, match=r"step: expected X \(2,\) and u \(21, 1\), got \(3,\) and \(21, 1\)"):
+        controller.step([1.0, 2.0, 3.0], u)
+    assert controller.state() == before
+    np.testing.assert_array_equal(controller.P, P)
+
+
+def test_a_prediction_that_diverges_leaves_it_as_it_was():
+    """x' = x³ + u from 3 escapes within the horizon: no NaN goes to the actuator, nor stays inside."""
+    run, law = RK4(CUBE, 51), npred.DelayAdaptation(1.0, 1.0, (0.1, 2.0))
+    controller, u = npred.controller(CUBE, run, law, 0.01, D_hat=1.0), np.zeros((51, 1))
+    U = controller.step([0.3], u)
+    before, kept, P = controller.state(), U.copy(), controller.P
+    for X in ([3.0], [1e308]):
+        with pytest.raises(DivergedError, match="the prediction from X and u is not finite; hold the last U"):
+            controller.step(X, u)
+    assert controller.state() == before and kept == U
+    np.testing.assert_array_equal(controller.P, P)
+    assert np.isfinite(controller.step([0.3], u)).all() and np.isfinite(controller.D_hat)
+
+
+@pytest.mark.parametrize(
+    ("X", "u", "message"),
+    [
+        (0.5, np.zeros((21, 1)), r"step: expected X \(2,\) and u \(21, 1\), got \(\) and \(21, 1\)"),
+        ([0.03], np.zeros((21, 1)), r"got \(1,\) and \(21, 1\)"),
+        (X0, 0.0, r"got \(2,\) and \(\)"),
+        (X0, np.zeros((1, 1)), r"got \(2,\) and \(1, 1\)"),
+        (["a", "b"], np.zeros((21, 1)), "X: expected an array of real numbers"),
+        (np.ma.array(X0, mask=[0, 1]), np.zeros((21, 1)), "X: expected an array of real numbers, got a masked array"),
+        (X0, np.ma.zeros((21, 1)), "u: expected an array of real numbers, got a masked array"),
+        (np.array(X0) + 0j, np.zeros((21, 1)), "X: expected an array of real numbers, got an array of complex128"),
+        (np.array([1, 2], "m8[s]"), np.zeros((21, 1)), r"X: .*got an array of timedelta64\[s\]"),
+        (np.array(["2020", "2021"], "M8[s]"), np.zeros((21, 1)), r"X: .*got an array of datetime64\[s\]"),
+        (X0, [[1.0], [1.0, 2.0]], "u: expected an array of real numbers"),
+    ],
+)
+def test_a_measurement_of_another_shape_is_told(X, u, message):
+    controller = npred.controller(PLANT, RK4(PLANT, 21), LAW, 0.01, D_hat=2.0)
+    with pytest.raises(ConfigError, match=message):
+        controller.step(X, u)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"dt": 0.0}, "dt: expected a control step above 0 s"),
+        ({"D_hat": 9.0}, r"D_hat: expected within the bounds \[0.1, 4\] s, got 9"),
+        ({"adaptation": None}, "give D_hat"),
+        ({"adaptation": 3.0}, "adaptation: expected a DelayLaw"),
+        ({"predictor": None}, "predictor: expected one, got None"),
+        ({"dt": "0.1"}, "dt: expected a real number, got '0.1'"),
+        ({"D_hat": [1.0, 2.0]}, r"D_hat: expected a real number, got an array of shape \(2,\)"),
+        ({"D_hat": np.inf, "adaptation": None}, "D_hat: expected within"),
+    ],
+)
+def test_mistakes_are_told(changes, message):
+    with pytest.raises(ConfigError, match=message):
+        npred.controller(**{"plant": PLANT, "predictor": RK4(PLANT, 21), "adaptation": LAW, "dt": 0.01} | changes)
+
+
+def test_a_state_that_is_none_is_told():
+    controller = npred.controller(PLANT, RK4(PLANT, 21), LAW, 0.01)
+    before = controller.state()
+    for state in ({"D_hat": 1.0}, {"D_hat": 1.0, "step": 2.5}, {"D_hat": 1.0, "step": np.inf}, None):
+        with pytest.raises(ConfigError, match="expected D_hat and step"):
+            controller.restore(state)
+    for change, message in [
+        ({"step": 2**53 + 1}, r"step: expected a whole number of 0 to 2\^53, got a larger one"),
+        ({"step": 10**5000}, "got a larger one"),
+        ({"step": -1}, "got a negative one"),
+        ({"t0": np.nan}, "t: expected a finite time"),
+        ({"phi": np.inf}, "phi: expected a finite number or none"),
+        ({"phi": "0.1"}, "phi: expected a real number"),
+        ({"D_hat": np.nan}, "D_hat: expected within the bounds"),
+        ({"D_hat": np.ma.masked}, "D_hat: expected a real number, got a masked array"),
+    ]:
+        with pytest.raises(ConfigError, match=message):
+            controller.restore({"D_hat": 1.0, "step": 0} | change)
+    assert controller.state() == before
+    controller.restore({"D_hat": 1.0, "step": 2**53})
+    assert controller.t == 2**53 * 0.01
+
+
+class Hot:
+    """x' = exp(x), which leaves the floats, in NumPy, which warns of it."""
+
+    traced, states, inputs = False, ("x",), ("u",)
+
+    def f(X, u, t, p):
+        return np.exp(X) + u
+
+    def kappa(X, t, p):
+        return -np.exp(X) - X
+
+    def V(X, t, p):
+        return X[:, 0] ** 2
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_prediction_in_python_that_diverges_is_an_error_and_no_warning():
+    plant = BlackBox("hot", Hot)
+    controller = Controller(plant, RK4(plant, 11), npred.DelayAdaptation(1.0, 1.0, (0.1, 2.0)), 0.01)
+    with pytest.raises(DivergedError, match="is not finite"):
+        controller.step([900.0], np.zeros((11, 1)))
+
+
+def test_the_prediction_of_the_last_step_can_be_read():
+    run, u = RK4(PLANT, 21), 0.01 * np.ones((21, 1))
+    controller = npred.controller(PLANT, run, LAW, 0.01, D_hat=2.0)
+    assert controller.P.shape == (21, 2) and np.isnan(controller.P).all()
+    U = controller.step(X0, u)
+    np.testing.assert_array_equal(controller.P, run(X0, u, 2.0))
+    np.testing.assert_allclose(U, PLANT.kappa(controller.P[-1]), rtol=1e-12)
+    controller.P[:] = 0.0  # a copy
+    np.testing.assert_array_equal(controller.P, run(X0, u, 2.0))
+
+
+def test_estimate_and_time_can_be_set():
+    controller = npred.controller(PLANT, RK4(PLANT, 21), LAW, 0.01, D_hat=2.0)
+    controller.D_hat = 1.25
+    assert controller.D_hat == 1.25 and controller.t == 0.0
+    with pytest.raises(ConfigError, match=r"D_hat: expected within the bounds \[0.1, 4\] s, got 5"):
+        controller.D_hat = 5.0
+    controller.step(X0, np.zeros((21, 1)))
+    assert controller.t == 0.01 and controller.state()["phi"] is not None
+    controller.D_hat = 1.5
+    assert controller.state() == {"D_hat": 1.5, "phi": None, "step": 1, "t0": 0.0}  # no step back across the jump
+    controller.t = 7.3
+    assert controller.t == 7.3 and controller.state()["step"] == 0
+    with pytest.raises(ConfigError, match="t: expected a finite time in seconds, got inf"):
+        controller.t = np.inf
+    assert controller.t == 7.3
+
+
+def test_a_time_that_is_set_is_the_laws():
+    """A law of time at t = 0.5, set and reached by steps, gives one U; so does a controller restored there."""
+    run, u, X = RK4(ARM, 11), np.zeros((11, ARM.m)), np.full(ARM.n, 0.1)
+    walked, placed, restored = (npred.controller(ARM, run, None, 0.125, D_hat=0.2) for _ in range(3))
+    for _ in range(4):
+        walked.step(X, u)
+    placed.t = 0.5
+    restored.restore({"D_hat": 0.2, "step": 4})
+    reached = walked.step(X, u).copy()
+    assert reached != pytest.approx(npred.controller(ARM, run, None, 0.125, D_hat=0.2).step(X, u))
+    np.testing.assert_array_equal(placed.step(X, u), reached)
+    np.testing.assert_array_equal(restored.step(X, u), reached)
+
+
+@pytest.mark.parametrize("runtime", ["numerical", *RUNTIMES])
+def test_a_pickled_controller_goes_on_where_it_stood(runtime):
+    run, u = RK4(PLANT, 21), 0.01 * np.ones((21, 1))
+    run = run if runtime == "numerical" else predictor(runtime, PLANT, operator(SMALL[0]), 21)
+    controller = npred.controller(PLANT, run, LAW, 0.01, D_hat=2.0, input_bounds=(-0.01, 0.01))
+    controller.t = 3.0
+    controller.step(X0, u)
+    copy = pickle.loads(pickle.dumps(controller))
+    assert copy.state() == controller.state()
+    np.testing.assert_array_equal(copy.P, controller.P)
+    np.testing.assert_array_equal(copy.step(X0, u), controller.step(X0, u))
+    assert copy.state() == controller.state()
+
+
+def test_says_what_it_is():
+    controller = npred.controller(PLANT, RK4(PLANT, 21), LAW, 0.01, D_hat=2.0)
+    assert repr(controller) == (
+        "<Controller of plant activator_repressor with <RK4 'rk4' of plant activator_repressor, nx = 21>, "
+        "dt = 0.01 s, t = 0 s, D_hat = 2 s by DelayAdaptation>"
+    )
+
+
+def test_the_example_converges():
+    path = Path(__file__).parents[2] / "docs" / "hardware_in_the_loop.py"
+    assert len(path.read_text().splitlines()) <= 50
+    spec = importlib.util.spec_from_file_location("hardware_in_the_loop", path)
+    assert spec and spec.loader
+    example = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(example)
+    X, D_hat = example.main(t_end=40.0)
+    np.testing.assert_allclose(X, PLANT.equilibrium, rtol=1e-3)
+    assert D_hat == pytest.approx(1.19, abs=0.03)

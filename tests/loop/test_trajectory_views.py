@@ -1,0 +1,154 @@
+"""Closed loops in text, as a plot and as a data frame."""
+
+import pickle
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import npred
+from npred.errors import ConfigError, MissingError
+from npred.loop import trajectory_views
+from npred.loop.closed_loop import Trajectories
+from npred.plants import Plant
+
+
+class Escape:
+    """X' = X² leaves the numbers at t = 1 / X(0); its input has the name of its state."""
+
+    states, inputs, guess = ("X",), ("X",), (0.0,)
+
+    def f(x, u, t, p, M):
+        return [x.X**2 + 0 * u.X]
+
+    def kappa(x, t, p, M):
+        return [0 * x.X]
+
+
+def loops(**change):
+    plant = npred.plant("activator_repressor")
+    settings = {"D": 1.0, "D_hat": 1.0, "X0": [0.03, 30.0], "t_end": 0.5, "dt": 0.01} | change
+    return npred.simulate(plant, npred.predictor("heun", plant, nx=11), **settings)
+
+
+@pytest.fixture(scope="module")
+def one():
+    return loops()
+
+
+@pytest.fixture(scope="module")
+def batch():
+    return loops(D=[[1.0, 1.2, 1.4]], D_hat=[[0.5], [1.0]])
+
+
+def test_prints_ranges_and_ends(one):
+    ends = one.X[-1]
+    assert str(one).splitlines() == [
+        "Trajectories: 1 loop, 51 times from 0 to 0.5 s",
+        f"  x1     {ends[0]:.4g} … 0.03, ends at {ends[0]:.4g}",
+        f"  x2     {ends[1]:.4g} … 30, ends at {ends[1]:.4g}",
+        f"  U      {one.U.min():.4g} … {one.U.max():.4g}, ends at {one.U[-1, 0]:.4g}",
+        "  D_hat  1, ends at 1 s",
+    ]
+    assert repr(one) == str(one)
+
+
+def test_prints_a_batch_as_ranges(batch):
+    first, *_, last = str(batch).splitlines()
+    assert first == "Trajectories: 6 loops (2, 3), 51 times from 0 to 0.5 s"
+    assert last == "  D_hat  0.5 … 1, ends at 0.5 … 1 s"
+    assert all(len(line) <= 80 for line in str(batch).splitlines())
+
+
+@pytest.mark.filterwarnings("error")
+def test_says_which_loops_escape_and_tells_two_of_one_name_apart():
+    plant = Plant("escape", Escape)
+    heun, settings = npred.predictor("heun", plant, 11), {"D": 0.1, "D_hat": 0.1, "t_end": 1.0, "dt": 0.001}
+    both = npred.simulate(plant, heun, X0=[[0.1], [2.0]], **settings)
+    lines = str(both).splitlines()
+    assert lines[0] == "Trajectories: 2 loops, 1001 times from 0 to 1 s"
+    assert lines[1].startswith("  X.X ") and lines[2].startswith("  U.X ")
+    assert lines[-1] == f"  1 of 2 leave the finite numbers, first at control step {both.escaped[1]}"
+    one = npred.simulate(plant, heun, X0=[2.0], **settings)
+    assert str(one).splitlines()[1].endswith("ends at nan") and "it leaves the finite" in str(one)
+
+
+def test_parts_and_joined_batches_keep_the_names(batch):
+    flat = loops(D=[1.0, 1.2])
+    joined = Trajectories.joined([flat.part(slice(0, 1)), flat.part(slice(1, 2))])
+    assert joined.states == ("x1", "x2") and joined.inputs == ("U",)
+    assert str(joined) == str(flat)
+
+
+def test_names_are_numbers_where_there_are_none_and_must_fit(one):
+    unnamed = pickle.loads(pickle.dumps(one))
+    object.__setattr__(unnamed, "states", ())
+    assert [name for name, _ in trajectory_views.series(unnamed)] == ["X1", "X2", "U", "D_hat"]
+    object.__setattr__(unnamed, "states", ("a",))
+    with pytest.raises(ConfigError, match="expected 2 names for X, got a; name each"):
+        str(unnamed)
+
+
+def test_plots_a_panel_a_series_and_a_line_a_loop(batch):
+    pyplot = pytest.importorskip("matplotlib.pyplot")
+    with pyplot.rc_context({"backend": "agg"}):
+        axes = batch.plot(D=[1.0, 1.2, 1.0])
+        assert [panel.get_ylabel() for panel in axes] == ["x1", "x2", "U", "D_hat (s)"]
+        assert [len(panel.lines) for panel in axes] == [6, 6, 6, 6 + 2]
+        np.testing.assert_array_equal(axes[1].lines[4].get_ydata(), batch.X[1, 1, :, 1])
+        assert axes[-1].get_xlabel() == "t (s)"
+        pyplot.close(axes[0].figure)
+
+
+class Tank:
+    """A plant with names for axes."""
+
+    states, inputs, guess = ("h_a", "T"), ("q",), (1.0, 1.0)
+    labels, units, time_unit = {"h_a": "level h_{a}"}, {"h_a": "m", "q": "m^3/min"}, "min"
+
+    def f(x, u, t, p, M):
+        return [u.q - x.h_a, -x.T]
+
+    def kappa(x, t, p, M):
+        return [2 - x.h_a]
+
+
+def test_a_plot_has_the_labels_and_units_that_the_plant_declares():
+    from matplotlib import pyplot
+
+    plant = Plant("tank", Tank)
+    loop = npred.simulate(plant, npred.predictor("heun", plant, 5), D=0.1, D_hat=0.1, X0=[1, 1], t_end=0.2, dt=0.01)
+    with pyplot.rc_context({"backend": "agg"}):
+        axes = loop.plot()
+        axes[0].figure.canvas.draw()  # mathematics that matplotlib cannot read raises here
+        labels = [panel.get_ylabel() for panel in axes]
+        pyplot.close(axes[0].figure)
+    assert labels == ["level h$_{\\mathrm{a}}$ (m)", "T", "q (m$^{3}$/min)", "D_hat (min)"]
+    assert axes[-1].get_xlabel() == "t (min)"
+
+
+def test_a_data_frame_has_a_row_a_time(one):
+    frame = one.to_dataframe()
+    assert list(frame.columns) == ["x1", "x2", "U", "D_hat"] and frame.index.name == "t"
+    np.testing.assert_array_equal(frame.index, one.t)
+    np.testing.assert_array_equal(frame[["x1", "x2"]], one.X)
+
+
+def test_a_data_frame_of_a_batch_is_indexed_by_loop_and_time(batch):
+    frame = batch.to_dataframe()
+    assert frame.index.names == ["loop0", "loop1", "t"] and len(frame) == 6 * 51
+    np.testing.assert_array_equal(frame.loc[(1, 2), "x2"], batch.X[1, 2, :, 1])
+    assert loops(D=[1.0, 1.2]).to_dataframe().index.names == ["loop", "t"]
+
+
+def test_without_pandas_a_data_frame_says_what_to_install(one, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(MissingError, match="expected the package pandas, found none; pip install pandas"):
+        one.to_dataframe()
+
+
+def test_neither_matplotlib_nor_pandas_comes_with_a_loop():
+    program = "import sys, npred; npred.simulate; print([m for m in ('matplotlib', 'pandas') if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=60)
+    assert done.stdout.strip() == "[]"

@@ -1,0 +1,115 @@
+"""What a plant's author may declare, and one clear line for what not."""
+
+import json
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from npred.errors import ConfigError
+from npred.plants import declaration
+from npred.plants.base import Plant
+from npred.symbolic import array_math
+
+
+class Tank:
+    states, inputs, parameters = ("h",), ("q",), {"c": 0.5}
+    box, guess = {"h": (0.5, 2.0)}, (1.0,)
+
+    @staticmethod
+    def f(x, u, t, p, M):
+        return [u.q - p.c * x.h]
+
+    @staticmethod
+    def kappa(x, t, p, M):
+        return [p.c - x.h]
+
+    @staticmethod
+    def V(x, t, p, M):
+        return x.h**2
+
+
+def plant(**parts):
+    return Plant("Tank", type("Changed", (Tank,), parts))
+
+
+@pytest.mark.parametrize(
+    ("parts", "message"),
+    [
+        ({"states": "h"}, r"states expected names as \(\"h\",\), got 'h'; write a tuple"),
+        ({"states": None}, "states expected names"),
+        ({"states": ()}, "states expected different names, at least one"),
+        ({"states": ("h", "h")}, "states expected different names"),
+        ({"states": ("class",)}, "states expected names that Python accepts, got 'class'"),
+        ({"states": ("_h",)}, "states expected names that Python accepts"),
+        ({"inputs": (1,)}, "inputs expected names that Python accepts, got 1"),
+        ({"inputs": ()}, "inputs expected different names, at least one"),
+        ({"parameters": ["c"]}, "parameters expected a table"),
+        ({"parameters": {"c": "half"}}, "parameter c: expected a finite number, got 'half'"),
+        ({"parameters": {"c": math.nan}}, "parameter c: expected a finite number, got nan"),
+        ({"box": {"level": (0, 1)}}, "box has an unknown state 'level'; expected one of h"),
+        ({"box": {"h": 3}}, r"box\['h'\]: expected a range \(low, high\)"),
+        ({"box": {"h": (2.0, 1.0)}}, "with low <= high"),
+        ({"box": {"h": (0.0, math.inf)}}, "expected finite ends"),
+        ({"box": [(0, 1)]}, "box expected ranges as"),
+        ({"guess": (1.0, 2.0)}, r"guess expected 1 finite numbers, one per state, got \(1.0, 2.0\)"),
+        ({"guess": ("a",)}, "guess expected 1 finite numbers"),
+        ({"input_bounds": [(0, 1), (0, 1)]}, "input_bounds expected 1 pairs"),
+        ({"input_bounds": [(1, 0)]}, r"input_bounds\[0\]: expected a range"),
+        ({"input_bounds": "none"}, "input_bounds expected 1 pairs"),
+        ({"units": "m"}, "units expected texts as"),
+        ({"units": {"level": "m"}}, "units has an unknown name 'level'; expected one of h, q"),
+        ({"labels": {"h": 3}}, r"labels\['h'\]: expected up to 40 letters on one line, .* got 3; shorten it"),
+        ({"labels": {"h": "h\nq"}}, "on one line"),
+        ({"labels": {"h": "$h"}}, r"without \$ and backslash"),
+        ({"time_unit": "a" * 41}, "time_unit: expected up to 40 letters"),
+        ({"delays": 0.5}, "delays expected 1 seconds, one per input, got 0.5"),
+        ({"delays": (0.5, 0.6)}, "delays expected 1 seconds, one per input"),
+        ({"delays": (0.0,)}, "delays expected seconds above 0"),
+        ({"delays": ("late",)}, r"delays\[0\]: expected a finite number, got 'late'"),
+        ({"f": 3}, "expected f to be a function, got 3"),
+    ],
+)
+def test_a_wrong_part_is_told_in_one_line(parts, message):
+    with pytest.raises(ConfigError, match=message) as caught:
+        plant(**parts)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("value", [None, "1", [1.0], {"h": 1.0}])
+@pytest.mark.parametrize("name", ["f", "V"])
+def test_what_a_function_returns_is_checked(name, value):
+    values = value if name == "V" else [value]
+    place = r"\(test_declaration.py:\d+\)"
+    with pytest.raises(ConfigError, match=f"Tank: {name} {place} expected to return numbers and formulas, got"):
+        _ = plant(**{name: staticmethod(lambda *_: values)}).identity
+
+
+def test_one_sided_input_bounds_are_part_of_a_json_identity():
+    assert plant(input_bounds=np.array([[0.0, math.inf]])).input_bounds == [(0.0, math.inf)]
+    assert json.loads(json.dumps(plant(input_bounds=[(0, math.inf)]).identity, allow_nan=False))["input_bounds"] == [
+        [0.0, "inf"]
+    ]
+
+
+def test_a_bare_number_is_one_component_on_arrays_too():
+    bare, X = plant(f=staticmethod(lambda x, u, t, p, M: u.q - p.c * x.h)), np.ones((4, 3, 1))
+    np.testing.assert_array_equal(bare.f(X, X), plant().f(X, X))
+
+
+def test_labels_and_units_are_no_part_of_what_a_result_depends_on():
+    named = plant(labels={"h": "level"}, units={"h": "m", "q": "m^3/h"}, time_unit="h")
+    assert named.notation == {"labels": {"h": "level"}, "units": {"h": "m", "q": "m^3/h"}, "time_unit": "h"}
+    assert named.identity == plant().identity and plant().notation == {}
+
+
+def test_every_part_that_is_read_stands_on_the_page_of_the_declaration():
+    root = Path(__file__).parents[2]
+    code = "".join(path.read_text() for path in (root / "npred" / "plants").glob("*.py"))
+    parts = set(re.findall(r'(?:get|has)attr\((?:self\.)?declaration, "(\w+)"', code)) | set(declaration.REQUIRED)
+    page = (root / "docs" / "plant_declaration.md").read_text()
+    assert {"f", "delays", "period", "df", "files", "traced"} <= parts
+    assert [part for part in sorted(parts) if not re.search(rf"`{part}[`(]", page)] == []
+    assert [name for name in vars(array_math.NUMPY) if not re.search(rf"\b{name}\b", page)] == []

@@ -1,0 +1,122 @@
+"""The input before t = 0: its default, what is refused, and what the loops and the keys make of it."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from jobs import job
+from reactor import Reactor
+from scipy.integrate import solve_ivp
+
+from npred import config, plants
+from npred.data.dataset import Dataset
+from npred.diagnosis import pipeline_fit
+from npred.errors import ConfigError, DivergedError
+from npred.loop.closed_loop import simulate
+from npred.pipeline.stage_registry import nodes, question
+from npred.plants import Plant, inputs
+from npred.predictors import RK4
+from npred.stages.generate import generate
+
+REACTOR, SCALAR = Plant("reactor", Reactor), plants.resolve("scalar")
+NAME = f"{Path(__file__).parents[1] / 'reactor.py'}:Reactor"
+LOOPS = {
+    "samples": 60, "rollouts": 20, "D": 12.0, "D_hat0": [[7.0, 17.0]], "bounds": [1.0, 25.0], "gamma": 1.0, "dt": 0.5,
+    "t_end": 300.0, "nx": 41,
+}  # fmt: skip
+
+
+def pipeline(stage="generate", plant=NAME, **keys):
+    return config.parse({"plant": plant, stage: keys}, "tests")
+
+
+def test_the_default_is_zero_where_the_bounds_allow_it_else_the_input_at_rest():
+    limits = inputs.bounds(SCALAR, None)
+    np.testing.assert_array_equal(inputs.before(SCALAR, None, limits, np.zeros((3, 1))), np.zeros((3, 1)))
+    held = inputs.before(REACTOR, None, inputs.bounds(REACTOR, None), np.array([[0.5, 340.0], [0.4, 350.0]]))
+    np.testing.assert_allclose(held, [[300.0], [300.0]], atol=1e-3)
+    wide = inputs.bounds(REACTOR, [(-1.0, 350.0)])
+    assert inputs.before(REACTOR, None, wide, np.zeros((1, 2))).tolist() == [[0.0]]
+
+
+def test_the_law_holds_kappa_of_each_start_within_the_bounds():
+    X0 = np.array([[0.5, 345.0], [0.5, 355.0], [0.5, 330.0]])
+    held = inputs.before(REACTOR, "law", inputs.bounds(REACTOR, None), X0)
+    np.testing.assert_allclose(held[:, 0], [325.0, 275.0, 350.0])
+
+
+@pytest.mark.parametrize(
+    ("u0", "held"), [(None, 300.0), ("equilibrium", 300.0), ("law", 325.0), (310.0, 310.0), ([260], 260.0)]
+)
+def test_the_plant_gets_it_for_the_length_of_the_delay(u0, held):
+    loop = simulate(REACTOR, RK4(REACTOR, 11), D=12.0, D_hat=12.0, X0=[0.5, 345.0], t_end=12.0, dt=0.5, u0=u0)
+    wanted = solve_ivp(lambda t, X: REACTOR.f(X, np.array([held])), (0, 12), [0.5, 345.0], rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(loop.X[-1], wanted.y[:, -1], rtol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("u0", "words"),
+    [
+        (0.0, r"u0: expected within input_bounds \[\[250.0, 350.0\]\], got Tc = 0; give u0"),
+        (351.0, "got Tc = 351"),
+        ([300.0, 300.0], r"u0: expected a finite number per input \(Tc\)"),
+        (float("nan"), "a finite number per input"),
+        ("kappa", 'u0: expected numbers, "equilibrium" or "law", got \'kappa\''),
+    ],
+)
+def test_what_the_plant_does_not_accept_is_refused(u0, words):
+    with pytest.raises(ConfigError, match=words):
+        simulate(REACTOR, None, D=1.0, D_hat=1.0, X0=[0.5, 350.0], t_end=1.0, u0=u0)
+
+
+def test_an_equilibrium_is_needed_where_one_is_asked_for():
+    class Drifts:
+        states, inputs, box = ("x",), ("u",), {"x": (0.0, 1.0)}
+
+        def f(x, u, t, p, M):
+            return [u.u]
+
+        def kappa(x, t, p, M):
+            return [M.sin(t) - x.x]
+
+    with pytest.raises(ConfigError, match=r"u0: expected an equilibrium to take it from, got: .*or give u0 as numbers"):
+        inputs.before(Plant("drifts", Drifts), "equilibrium", np.array([[-1.0, 1.0]]), np.zeros((1, 1)))
+    beyond = np.array([[310.0, 320.0]])
+    with pytest.raises(ConfigError, match="got that of the equilibrium, Tc = 300"):
+        inputs.before(REACTOR, None, beyond, np.zeros((1, 2)))
+
+
+@pytest.mark.parametrize("stage", ["generate", "evaluate"])
+def test_a_pipeline_that_asks_for_what_is_refused_does_not_start(stage):
+    more = {"X0": [0.5, 350.0]} if stage == "evaluate" else {}
+    with pytest.raises(ConfigError, match=rf"{stage}.u0: expected within input_bounds .*got Tc = 0"):
+        pipeline_fit.check(REACTOR, pipeline(stage, u0=0.0, **more), [stage])
+    pipeline_fit.check(REACTOR, pipeline(stage, u0=[280], **more), [stage])
+
+
+def test_a_reactor_runs_from_its_own_file_and_zero_kelvin_does_not(tmp_path):
+    made = job(tmp_path, "reactor", plant=NAME, generate=LOOPS)
+    generate.run(made)
+    data = Dataset.read(made.folder / "data.h5")
+    assert data.u.min() > 249.999 and 330 < data.X[:, 1].min() < data.X[:, 1].max() < 430
+    cold = LOOPS | {"input_bounds": [[-1.0, 350.0]]}
+    with pytest.raises(DivergedError, match=r"or set u0, the input before t = 0 \(here Tc = 0\)"):
+        generate.run(job(tmp_path, "cold", plant=NAME, generate=cold))
+    hot = job(tmp_path, "hot", plant=NAME, generate=LOOPS | {"u0": "law", "t_end": 4.0, "samples": 160})
+    generate.run(hot)
+    rows = Dataset.read(hot.folder / "data.h5")
+    first = rows.t == 0
+    np.testing.assert_allclose(rows.u[first][:, 0, 0], np.clip(REACTOR.kappa(rows.X[first])[:, 0], 250, 350), rtol=1e-6)
+
+
+def asked(u0, plant="scalar", **more):
+    loops = pipeline(plant=plant, **({} if u0 is None else {"u0": u0}), **more)
+    return [question(node, loops, "cpu") for node in nodes(loops, ["generate", "evaluate", "report"])]
+
+
+def test_zero_by_default_leaves_the_keys_alone_and_another_input_does_not():
+    plain = asked(None)
+    assert [q for q in plain if "u0" in str(q)] == []
+    assert asked(0.0)[:-1] == asked([0])[:-1] == plain[:-1], "the report shows the file's text"
+    assert asked(2.0)[0]["generate"]["u0"] == [2.0] and asked("law")[0]["generate"]["u0"] == "law"
+    assert asked(None, NAME)[0]["generate"]["u0"] == "equilibrium", "where 0 is outside the bounds"

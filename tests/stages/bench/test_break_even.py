@@ -1,0 +1,89 @@
+"""When a network pays: arithmetic on made-up latencies, and grids of equal accuracy."""
+
+from types import SimpleNamespace
+
+import pytest
+from jobs import job
+
+from npred import plants
+from npred.predictors import RK4, Euler
+from npred.stages.bench import break_even, candidates
+from npred.stages.bench.candidates import Entry
+
+PLANT = plants.resolve("scalar")
+
+
+def entry(name, runtime, nx, run=None, matches=None):
+    return Entry(name, runtime, nx, 1, run or RK4(PLANT, nx), matches)
+
+
+def test_break_even_is_where_both_take_as_long(tmp_path, monkeypatch):
+    """1 us a call and 0.1 us an evaluation: 10 steps of RK4 take 5 us, so a network of 9 us pays from 0.2 us on."""
+    monkeypatch.setattr(break_even, "_call", lambda reference, run: run)
+    networks = {"network": 9.0, "slow": 11.0}
+
+    def sample(calls, count, seconds):
+        return {name: networks.get(run) or 1.0 + 0.1 * run.order * (run.nx - 1) for name, run in calls.items()}
+
+    monkeypatch.setattr(break_even.timing, "sample", sample)
+    monkeypatch.setattr(break_even.timing, "quantiles", lambda us: {"median_us": us})
+    timed = [
+        (entry("deeponet", "torch", 11, "slow"), {"eps_sup": 0.02, "median_us": 11.0}),
+        (entry("deeponet", "fused", 11, "network"), {"eps_sup": 0.02, "median_us": 9.0}),
+        (entry("rk4", "compiled", 11, matches="deeponet"), {"eps_sup": 0.01, "median_us": 5.0}),
+        (entry("euler", "compiled", 101, Euler(PLANT, 101), "deeponet"), {"eps_sup": 0.01, "median_us": 11.0}),
+        (entry("rk4", "compiled", 5, matches="front"), {"eps_sup": 0.2, "median_us": 2.6}),
+    ]
+    reference = SimpleNamespace(P=[[-4.0, 2.0]])
+    (found,) = break_even.measure(job(tmp_path, "bench", bench={"dx": [0.1]}), timed, reference)
+    assert (found["predictor"], found["runtime"], found["best"], found["best_steps"]) == (
+        "deeponet",
+        "fused",
+        "rk4",
+        10,
+    )
+    assert [row["predictor"] for row in found["numerical"]] == ["rk4", "euler"]
+    assert found["eps_relative"] == pytest.approx(0.005) and found["network_speedup"] == pytest.approx(5 / 9)
+    assert found["f_ns"] == pytest.approx(100) and found["best_us"] == pytest.approx(5.0)
+    assert found["pays_from_ns"] == pytest.approx(200)
+
+
+@pytest.mark.parametrize(
+    ("speedup", "words"),
+    [
+        (
+            0.5,
+            "is RK4 on 10 steps, 2.0 times as fast as the FNO (fused): the network takes 10.0 µs, RK4 on",
+        ),
+        (
+            4.0,
+            "is the FNO (fused), 4.0 times as fast as RK4 on 10 steps: the network takes 10.0 µs, RK4",
+        ),
+    ],
+)
+def test_sentence(speedup, words):
+    numerical = [
+        {"predictor": name, "steps": k, "median_us": us} for name, k, us in (("rk4", 10, 5.0), ("euler", 99, 9.0))
+    ]
+    found = {"plant": "arm", "eps_sup": 0.02, "best": "rk4", "best_steps": 10, "best_us": 5.0, "network_us": 10.0,
+             "f_ns": 80.0, "numerical": numerical, "network_speedup": speedup, "pays_from_ns": 200.0,
+             "predictor": "fno", "runtime": "fused"}  # fmt: skip
+    text = break_even.sentence(found)
+    assert "the network takes 10.0 µs, RK4 on 10 steps 5.0 µs, Euler on 99 steps 9.0 µs. A network" in text
+    assert words in text and text.endswith("A network pays from 200 ns per evaluation of f on (here 80 ns).")
+    assert "on 1 step:" in break_even.sentence(found | {"best_steps": 1, "network_speedup": 4.0})
+    assert break_even.sentence(found | {"pays_from_ns": 0.0}).endswith(
+        "A network pays however cheap f is (here 80 ns)."
+    )
+
+
+def test_equal_accuracy_is_not_taken_from_one_lucky_grid():
+    class Lucky:
+        plant = PLANT
+
+        def of(self, predictor, nx):
+            return 0.0 if nx == 5 else 1 / (nx - 1)
+
+    assert candidates.matching(Lucky(), RK4, 0.01) - 1 == 100  # not 4
+    assert candidates.matching(Lucky(), RK4, 2.0) - 1 == 1
+    assert candidates.matching(Lucky(), RK4, 1e-9) is None

@@ -1,0 +1,227 @@
+"""The generate stage: rows that solve the predictor equation, split by rollout, whatever the number of jobs."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from jobs import job, tables
+
+from npred import config, plants
+from npred.data import shards
+from npred.data.dataset import MEANING, Dataset
+from npred.errors import ConfigError, DivergedError
+from npred.loop.closed_loop import LANES
+from npred.parallel.executors import Processes
+from npred.predictors import RK4
+from npred.stages.generate import generate, rollouts, sharded
+from npred.store.keys import sha256_file
+
+
+def rows(tmp_path, name="data", **changes):
+    made = job(tmp_path, name, **changes)
+    return generate.run(made), Dataset.read(made.folder / "data.h5")
+
+
+def test_rows_are_what_they_say(tmp_path):
+    result, data = rows(tmp_path)
+    assert result["samples"] == len(data) == 300 and data.u.shape == (300, 21, 1) and data.P.shape == (300, 21, 2)
+    np.testing.assert_array_equal(data.P[:, 0], data.X)
+    exact = RK4(plants.resolve("activator_repressor"))(data.X, data.u, data.D_hat)
+    np.testing.assert_allclose(data.P, exact, rtol=1e-9)
+    assert (np.diff(data.rollout) >= 0).all() and set(np.bincount(data.rollout)) == {30}
+    assert data.t.min() < 0.8 and data.t.max() > 7.2, "the start of the rollouts is in the data"
+    assert ((data.D_hat >= 0.05) & (data.D_hat <= 4.0)).all()
+
+
+def test_no_rollout_is_in_both_parts(tmp_path):
+    result, data = rows(tmp_path)
+    held_out = set(data.rollout[data.test == 1])
+    assert held_out == set(result["held_out"]) and len(held_out) == 1
+    assert not held_out & set(data.rollout[data.test == 0])
+
+
+@pytest.mark.slow
+def test_processes_do_not_change_the_bytes(tmp_path):
+    changes = {"rollouts": 130, "samples": 1000}
+    two = Processes(2)
+    for name, executor in (("one", None), ("two", two)):
+        generate.run(job(tmp_path, name, executor=executor, generate=changes))
+    two.shutdown()
+    one, two = ((tmp_path / name / "data.h5").read_bytes() for name in ("one", "two"))
+    assert one == two
+
+
+SHARDED = {"rollouts": 200, "samples": 600, "t_end": 2.0}  # of 64 rollouts a shard: four
+
+
+@pytest.fixture
+def little(monkeypatch):
+    """Data of a few kilobytes count as large."""
+    monkeypatch.setattr(shards, "WHOLE", 1)
+    monkeypatch.setattr(shards, "SHARD", 1)
+
+
+def payload(folder):
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def test_shards_hold_the_rows_of_the_one_file(tmp_path, monkeypatch):
+    result, whole = rows(tmp_path, "whole", generate=SHARDED)
+    monkeypatch.setattr(shards, "WHOLE", 1)
+    monkeypatch.setattr(shards, "SHARD", 1)
+    again, joined = rows(tmp_path, "joined", generate=SHARDED)
+    assert again == result | {"shards": 4}
+    assert [len(part) for part in shards.parts(tmp_path / "joined" / "data.h5")] == [192, 192, 192, 24]
+    for name in MEANING:
+        assert getattr(joined, name).tobytes() == getattr(whole, name).tobytes()
+
+
+def test_an_interrupted_run_keeps_its_shards(tmp_path, little, monkeypatch):
+    whole = job(tmp_path, "whole", generate=SHARDED)
+    generate.run(whole)
+    made, real = [], rollouts.elsewhere
+
+    def stopped(pipeline, expected, batch):
+        if made == [0, 64]:
+            raise KeyboardInterrupt
+        made.append(batch.start)
+        return real(pipeline, expected, batch)
+
+    monkeypatch.setattr(rollouts, "elsewhere", stopped)
+    broken = job(tmp_path, "broken", generate=SHARDED)
+    with pytest.raises(KeyboardInterrupt):
+        generate.run(broken)
+    made.clear()
+    (folder,) = broken.scratch.glob("shards-*")
+    _flip(next(folder.glob("data-00000.h5.*")))
+    (folder / ".data-00002.h5-killed").write_bytes(b"half")
+    generate.run(broken)
+    assert made == [0, 128, 192] and payload(broken.folder) == payload(whole.folder)
+    kept = {sharded.TOKEN, *(f"{shards.name(k)}.{sha256_file(whole.folder / shards.name(k))}" for k in range(4))}
+    assert {path.name for path in folder.iterdir()} == kept
+
+
+def _flip(path):
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(content)
+
+
+def test_a_shard_that_cannot_be_written_leaves_nothing(tmp_path, little, monkeypatch):
+    def full(self, path, attributes):
+        path.write_bytes(b"half")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Dataset, "write", full)
+    stopped = job(tmp_path, "full", generate=SHARDED)
+    with pytest.raises(OSError, match="No space left"):
+        generate.run(stopped)
+    assert [p.name for p in stopped.scratch.rglob("*") if p.is_file()] == [sharded.TOKEN]
+
+
+def test_a_worker_that_does_not_see_the_folder_sends_its_shard_back(tmp_path, little, monkeypatch):
+    near, far = (job(tmp_path, name, generate=SHARDED) for name in ("near", "far"))
+    generate.run(near)
+    monkeypatch.setattr(sharded.Place, "shared", lambda place: False)
+    generate.run(far)
+    assert payload(far.folder) == payload(near.folder)
+    assert not [path for path in far.scratch.rglob("*") if path.name.startswith(".data")]
+
+
+def test_a_folder_of_the_same_name_elsewhere_is_not_taken_for_the_same(tmp_path):
+    place = sharded.Place(tmp_path, "a")
+    assert not place.shared()
+    (tmp_path / sharded.TOKEN).write_text("b")
+    assert not place.shared() and sharded.Place(tmp_path, "b").shared()
+
+
+def test_the_data_of_the_paper_are_one_file_and_ten_million_samples_are_not():
+    plant = plants.resolve("activator_repressor")
+    assert not sharded.needed(plant, config.Generate(samples=100_000, rollouts=1000, nx=101))
+    assert sharded.needed(plant, config.Generate(samples=10_000_000, rollouts=50_000, nx=21))
+
+
+@given(st.integers(2, 5000), st.integers(1, 64))
+def test_batches_part_the_rollouts_at_whole_chunks(count, workers):
+    batches = generate._batches(config.Generate(rollouts=count, samples=count), workers)
+    assert [r for batch in batches for r in batch] == list(range(count))
+    assert all(batch.start % LANES == 0 and len(batch) <= generate.BATCH for batch in batches)
+
+
+def test_batches_do_not_change_the_bytes():
+    """Two chunks in one batch, or each in its own."""
+    pipeline = config.parse(tables(generate={"rollouts": 70, "samples": 210, "t_end": 2.0}), "tests")
+    plant = plants.resolve(pipeline.plant)
+    whole = rollouts.rows(pipeline, plant, range(70))
+    parts = rollouts.joined([rollouts.rows(pipeline, plant, batch) for batch in (range(64), range(64, 70))])
+    assert {name: a.tobytes() for name, a in whole.items()} == {name: a.tobytes() for name, a in parts.items()}
+
+
+def test_a_worker_that_would_give_other_rows_is_refused():
+    pipeline = config.parse(tables(), "tests")
+    expected = rollouts.surroundings(pipeline, plants.resolve(pipeline.plant)) | {"numpy": "0.1"}
+    with pytest.raises(ConfigError, match=r"expected the same numpy on every worker, got another"):
+        rollouts.elsewhere(pipeline, expected, range(10))
+
+
+def test_a_plant_file_is_found_from_another_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    here = config.parse({"plant": "my_plant.py:Tank"}, "tests")
+    assert here.located().plant == f"{tmp_path}/my_plant.py:Tank"
+    assert config.parse({"plant": "scalar"}, "tests").located().plant == "scalar"
+
+
+def test_seed_and_shares(tmp_path):
+    _, data = rows(tmp_path, "a", generate={"samples": 305})
+    assert np.bincount(data.rollout).tolist() == [31] * 5 + [30] * 5
+    _, other = rows(tmp_path, "b", generate={"samples": 305}, seed=1)
+    assert not np.array_equal(data.X, other.X)
+
+
+def test_more_rollouts_leave_the_first_ones_alone(tmp_path):
+    """Each rollout has its own seed: the starts of the first do not depend on how many follow."""
+    one = {"D_hat0": [(1.0, 2.0)], "D": [0.5, 1.5]}
+    _, few = rows(tmp_path, "few", generate=one)
+    _, many = rows(tmp_path, "many", generate=one | {"rollouts": 20, "samples": 600})
+    for r in range(10):
+        assert few.D[few.rollout == r][0] == many.D[many.rollout == r][0]
+
+
+def test_delays_are_drawn_from_their_ranges(tmp_path):
+    _, data = rows(tmp_path, generate={"D": [0.5, 1.5]})
+    assert 0.5 <= data.D.min() < data.D.max() <= 1.5
+
+
+def test_a_diverging_rollout_is_told(tmp_path):
+    with pytest.raises(DivergedError, match=r"NaN in rollout \d+ at t = .* s, from X0 = .*; shrink the box, D or dt"):
+        rows(tmp_path, generate={"box": {"x1": [1e200, 1e200]}})
+
+
+def test_summary_says_the_numbers(tmp_path):
+    result, _ = rows(tmp_path)
+    assert generate.summary(result) == "300 samples of 10 rollouts on 21 nodes, 1 rollout held out"
+
+
+def test_explorers_have_delays_of_their_own_and_are_not_held_out(tmp_path):
+    ranges = {"D": 1.0, "D_hat0": [(0.9, 1.1), (1.9, 2.1)], "explore_D": (0.3, 0.4), "explore_D_hat0": (3.0, 3.5)}
+    result, data = rows(tmp_path, generate=ranges | {"explore": 0.5, "test_share": 0.4})
+    explorers = data.rollout >= 5
+    assert ((data.D[explorers] >= 0.3) & (data.D[explorers] <= 0.4)).all() and (data.D[~explorers] == 1).all()
+    assert len(result["held_out"]) == 2 and max(result["held_out"]) < 5
+
+
+def test_two_rollouts_at_least_do_not_explore():
+    assert config.Generate(explore=0.99, rollouts=50).explorers == 48
+
+
+def test_redrawn_delay_estimates_are_labelled_anew_and_spare_the_held_out_rows(tmp_path):
+    one = {"D_hat0": [(1.0, 2.0)], "D": 1.0, "explore_D_hat0": (3.0, 3.5)}
+    _, plain = rows(tmp_path, "plain", generate=one)
+    _, data = rows(tmp_path, "redrawn", generate=one | {"redraw": 0.5})
+    changed = data.D_hat != plain.D_hat
+    assert 0.35 < changed[data.test == 0].mean() < 0.65 and not changed[data.test == 1].any()
+    assert ((data.D_hat[changed] >= 3.0) & (data.D_hat[changed] <= 3.5)).all()
+    np.testing.assert_array_equal(data.u, plain.u)
+    np.testing.assert_allclose(
+        data.P, RK4(plants.resolve("activator_repressor"))(data.X, data.u, data.D_hat), rtol=1e-9
+    )

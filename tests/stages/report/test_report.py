@@ -1,0 +1,322 @@
+"""The report of a run: one file that needs nothing else, with the results' own numbers, the same bytes again."""
+
+import csv
+import html
+import re
+import shutil
+import tomllib
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import h5py
+import pytest
+from conftest import Call, document, one_line
+from jobs import job
+
+from npred import config, json_files, plants
+from npred.cli.page import OWNER, PLACE
+from npred.config import FROZEN, PAPER
+from npred.errors import StoreError
+from npred.figures import Evidence
+from npred.figures.style import MEDIA
+from npred.plants.builtin.activator_repressor import ActivatorRepressor
+from npred.stages.report import headline, report
+from npred.stages.report.report_data import Story
+
+LIMIT = 1_500_000  # bytes
+LOADED = ("src", "srcset", "data", "poster", "action", "formaction", "background")
+VOID = {"meta", "link", "input", "br", "img", "hr"}
+
+
+def unset(text: str) -> str:
+    """The text of a page without its subscripts' tags."""
+    return re.sub(r"_\{(.*?)\}", r"\1", text)
+
+
+class Page(HTMLParser):
+    """What the tests ask of a page: its elements with their attributes, the text of its tables, and what is open."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.elements: list[tuple[str, dict[str, str | None]]] = []
+        self.tables: dict[str, list[list[str]]] = {}
+        self.open: list[str] = []
+        self.cell = False
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        found = dict(attrs)
+        self.elements.append((tag, found))
+        if tag not in VOID:
+            self.open.append(tag)
+        if tag == "table":
+            self.tables[found["id"]] = []
+        elif tag == "tr":
+            self.rows.append([])
+        elif tag in ("td", "th"):
+            self.rows[-1].append("")
+            self.cell = True
+
+    def handle_startendtag(self, tag, attrs):
+        self.elements.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+        self.cell = self.cell and tag not in ("td", "th")
+
+    def handle_data(self, data):
+        if self.cell:
+            self.rows[-1][-1] += data.strip()
+
+    @property
+    def rows(self) -> list[list[str]]:
+        return list(self.tables.values())[-1]
+
+
+@pytest.fixture(scope="module")
+def text(reported) -> str:
+    return (reported[1]["report"].artifact.folder / report.NAME).read_text()
+
+
+@pytest.fixture(scope="module")
+def page(text) -> Page:
+    return Page(text)
+
+
+@pytest.fixture(scope="module")
+def story(reported) -> Story:
+    path, outcomes = reported
+    made = job(path.parent / "read", "report").plant
+    folders = {name: done.artifact.folder for name, done in outcomes.items() if name != "report"}
+    return Story.read(config.load(path), made, folders)
+
+
+def test_what_an_evaluation_announces_is_checked_before_room_is_made(reported, story: Story, tmp_path: Path):
+    done = reported[1]["evaluate"].artifact
+    for file, name in (("errors.h5", "networks/fno/sup"), ("figure1.h5", "fno/t"), ("coverage.h5", "D_hat/edges")):
+        folder = shutil.copytree(done.folder, tmp_path / file)
+        with h5py.File(folder / file, "r+") as opened:
+            del opened[name]
+            opened.create_dataset(name, shape=(10**13,), dtype="f8")
+        with pytest.raises(StoreError, match=f"{name} of shape .* is larger than what is stored of it"):
+            Evidence.read(folder, story.plant, story.config.evaluate, done.result())
+
+
+def test_a_result_too_long_for_a_table_is_not_read(reported, story: Story, tmp_path: Path):
+    path, outcomes = reported
+    folders = {name: done.artifact.folder for name, done in outcomes.items() if name != "report"}
+    folders["bench"] = tmp_path
+    with (tmp_path / "result.json").open("wb") as file:
+        file.truncate(json_files.LIMIT + 1)
+    with pytest.raises(ValueError, match=f"more than {json_files.LIMIT}"):
+        Story.read(config.load(path), story.plant, folders)
+
+
+def test_nothing_is_loaded_and_nothing_could_be(page, text):
+    for tag, attributes in page.elements:
+        for name in LOADED:
+            assert name not in attributes, (tag, name)
+        link = attributes.get("href") or attributes.get("xlink:href") or "#"
+        assert link.startswith("#") or (tag, link) == ("link", "data:,")
+    assert not re.search(r"@import|url\((?!#)", text)
+    policy = next(a["content"] for tag, a in page.elements if a.get("http-equiv") == "Content-Security-Policy")
+    assert "default-src 'none'" in policy
+    assert len(text.encode()) < LIMIT
+
+
+def test_it_is_well_formed_and_no_name_is_given_twice(page):
+    assert page.open == []
+    names = [attributes["id"] for _, attributes in page.elements if "id" in attributes]
+    assert len(names) == len(set(names))
+    asked = [a["href"][1:] for tag, a in page.elements if tag == "a"]
+    asked += [
+        name
+        for _, a in page.elements
+        for key in ("aria-labelledby", "data-copies")
+        for name in (a.get(key) or "").split()
+    ]
+    assert set(asked) <= set(names)
+
+
+def test_every_figure_is_there_and_told_in_words(page, story):
+    drawn = [a for tag, a in page.elements if tag == "svg" and a.get("role") == "img"]
+    assert len(drawn) == sum(len(plate.panels) for plate in story.plates().values())
+    assert all(len(a["aria-labelledby"].split()) == 2 for a in drawn)
+    assert all(a.get("aria-hidden") == "true" for tag, a in page.elements if tag == "svg" and a not in drawn)
+    shown = [a["id"] for tag, a in page.elements if tag == "figure"]
+    assert shown == [f"figure-{name}" for name in story.plates()]
+
+
+def test_the_tables_say_what_the_results_say(page, story):
+    for name, table in story.tables().items():
+        shown = page.tables[f"table-{name}"]
+        assert shown[0] == [unset(column.head) for column in table.columns]
+        assert shown[1:] == [[unset(column.text(row[column.key])) for column in table.columns] for row in table.rows]
+    errors = {row["predictor"]: row for row in story.tables()["accuracy"].rows}
+    assert errors["FNO"]["eps_sup"] == story.evaluated["models"]["fno"]["eps_sup"]
+    assert {row["kind"] for row in story.tables()["kinds"].rows} == {"nominal rollouts", "rows with a redrawn D̂"}
+    assert all(row["in_loop"] > 0 for row in story.tables()["loops"].rows)
+    assert {row["median_us"] for row in story.tables()["speed"].rows} <= {r["median_us"] for r in story.benched["rows"]}
+
+
+def test_three_sentences_bear_the_numbers(reported, text):
+    result = reported[1]["report"].artifact.result()
+    assert len(result["summary"]) == 3 and result["bytes"] == len(text.encode())
+    evaluated = reported[1]["evaluate"].artifact.result()
+    assert f"{evaluated['models']['fno']['eps_sup']:.2g}" in result["summary"][0]
+    assert all(sentence.replace("'", "&#39;") in text for sentence in result["summary"])
+
+
+LOST = {
+    "kinds": {"exploring": {"eps_sup": 3.5}},
+    "eps_sup": None,
+    "mse": 0.25,
+    "radius": {"cases": 20, "converged": 0.0, "median": None},
+}
+KINDS = {"nominal": {"rows": 10}, "exploring": {"rows": 2000}}
+EVALUATED = {
+    "held_out": 10,
+    "held_out_kind": "nominal",
+    "kinds": KINDS,
+    "models": dict.fromkeys(("numerical", "no_adaptation", "fno"), LOST),
+}
+
+
+def test_the_sentences_know_loops_that_are_lost_and_a_benchmark_without_networks():
+    said = headline.summary(EVALUATED, {"rows": [], "crossover": []}, ["fno"], PAPER)
+    assert said[0] == (
+        "On 10 held-out samples of nominal rollouts the largest error of a prediction is ∞ for the FNO (mean square "
+        "0.25); on 2,000 of exploring rollouts it is 3.5."
+    )
+    assert said[1] == (
+        "Of 20 closed loops with a delay that the controller does not know, 0 with the FNO (median radius ∞), "
+        "0 with the numerical predictor and 0 without adaptation converge."
+    )
+    assert said[2] == "No network was timed."
+
+
+def test_the_sentences_know_delays_that_are_held_and_plants_without_a_published_predictor():
+    timed = {"predictor": "fno", "runtime": "torch", "batch": 1, "matches": None, "copies": None, "dx": 0.1,
+             "median_us": 200.0, "speedup_published": None}  # fmt: skip
+    said = headline.summary(EVALUATED, {"rows": [timed], "crossover": []}, ["fno"], FROZEN)
+    assert said[1] == (
+        "Of 20 closed loops with the delay estimate held, 0 with the FNO (median radius ∞) and 0 with the numerical "
+        "predictor converge."
+    )
+    assert said[2] == "A call of the FNO, torch, takes 200.0 µs at dx = 0.1."
+
+
+def test_the_pipeline_can_be_copied_and_run_again(reported, text):
+    path, outcomes = reported
+    settings = re.search(r'<pre id="copied-pipeline"[^>]*>(.*?)</pre>', text, re.DOTALL)[1]
+    settings = settings.replace("&#34;", '"').replace("&#39;", "'")
+    assert config.parse(tomllib.loads(settings), "page") == config.load(path)
+    for name, done in outcomes.items():
+        assert name == "report" or done.artifact.manifest.key in text
+
+
+def test_files_of_ones_own_are_named_beside_the_pipeline_on_the_page(reported, tmp_path, text):
+    path, outcomes = reported
+    inputs = {name: done.artifact.folder for name, done in outcomes.items() if name != "report"}
+    named = config.load(path, [f"plant={tmp_path}/tank.py:Tank", "generate.data=sub/d.h5"])
+    made = replace(job(tmp_path, "named", inputs=inputs), config=named)
+    report.run(made)
+    page = (made.folder / report.NAME).read_text()
+    assert "Saved as <code>tiny.toml</code> beside tank.py, d.h5, it gives these results again" in page
+    assert "&#34;tank.py:Tank&#34;" in page and str(tmp_path) not in page and "sub/" not in page
+    assert "Saved as <code>tiny.toml</code>, it gives" in text
+
+
+def test_a_page_of_another_plant_names_no_figure_of_the_paper_and_its_own_units(reported, tmp_path, text):
+    path, outcomes = reported
+    inputs = {name: done.artifact.folder for name, done in outcomes.items() if name != "report"}
+    units = {"labels": {"x1": "activator"}, "units": {"x1": "mol/m^3"}, "time_unit": "h", "figure": ""}
+    plant = plants.make("Clock", type("Clock", (ActivatorRepressor,), units))
+    made = replace(job(tmp_path, "other", inputs=inputs), config=config.load(path), plant=plant)
+    report.run(made)
+    page = (made.folder / report.NAME).read_text()
+    assert "Fig. 1" in text and "Fig. 1" not in page and "published" not in page
+    assert "states activator, x<sub>2</sub>; inputs U; delay D = 1 h, unknown" in page
+    for title in ("activator (mol/m³), the last tenth", "density of x<sub>2</sub>", "delay estimate D̂ (h)"):
+        assert f"<h3>{title}</h3>" in page
+    assert "radius versus ε<sub>κ</sub>" in page and ">t (h)</text>" in page and ">t (s)</text>" not in page
+
+
+def test_the_same_results_give_the_same_bytes(reported, tmp_path, text):
+    path, outcomes = reported
+    inputs = {name: done.artifact.folder for name, done in outcomes.items() if name != "report"}
+    again = replace(job(tmp_path, "again", inputs=inputs), config=config.load(path))
+    report.run(again)
+    assert (again.folder / report.NAME).read_text() == text
+
+
+@pytest.fixture
+def here(reported, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder of the pipeline and its store."""
+    monkeypatch.chdir(reported[0].parent)
+    monkeypatch.setenv("NPRED_STORE", "store")
+    return reported[0].parent
+
+
+def test_report_writes_the_page_where_it_is_told(call: Call, here: Path, tmp_path: Path, text: str):
+    found = document(call("report", "tiny.toml", "--json"))
+    assert found["report"] == "store/tiny.html" and unmarked(Path("store/tiny.html")) == text
+    assert {row["action"] for row in found["stages"]} == {"hit"}
+    assert call("run", "tiny.toml").stdout.endswith("\nreport: store/tiny.html\n")
+    call("report", "tiny.toml", "-o", str(tmp_path / "page.html"))
+    assert unmarked(tmp_path / "page.html") == text
+    assert "no/folder" in one_line(call("report", "tiny.toml", "-o", "no/folder/page.html"), 2)
+
+
+def unmarked(path: Path) -> str:
+    """A page as its result has it, without the line that says what made it."""
+    return re.sub(f"{OWNER.pattern}.*</p>", PLACE, path.read_text())
+
+
+def test_a_page_says_which_file_and_which_flags_made_it(call: Call, here: Path, tmp_path: Path):
+    call("report", "tiny.toml")
+    line = '<p class="about" data-pipeline="tiny.toml">From <code>tiny.toml</code></p>'
+    assert line in Path("store/tiny.html").read_text()
+    models = 'train.models=["deeponet","fno"]'
+    call("report", "tiny.toml", "--set", models, "-o", str(tmp_path / "page.html"))
+    said = f"From <code>tiny.toml</code> with <code>--set {html.escape(models)}</code></p>"
+    assert said in (tmp_path / "page.html").read_text()
+
+
+def test_a_page_is_not_overwritten_by_another_pipeline_of_its_name(call: Call, here: Path):
+    call("report", "tiny.toml")
+    before = Path("store/tiny.html").read_bytes()
+    for folder, name in (("a", "tiny-a.html"), ("b/a", "tiny-*.html"), ("a", "tiny-a.html")):
+        Path(folder).mkdir(parents=True, exist_ok=True)
+        other = shutil.copy("tiny.toml", f"{folder}/tiny.toml")
+        result = call("report", other, "--json")
+        path = Path(document(result)["report"])
+        assert path.match(name) and f'data-pipeline="{other}"' in path.read_text()
+        assert f"store/tiny.html is of tiny.toml; that of {other} is {path}" in result.stderr
+    assert len(list(Path("store").glob("tiny*.html"))) == 3 and Path("store/tiny.html").read_bytes() == before
+    assert document(call("report", "tiny.toml", "--json"))["report"] == "store/tiny.html"
+
+
+def test_figures_of_two_pipelines_of_one_name_have_folders_of_their_own(call: Call, here: Path, monkeypatch):
+    monkeypatch.setattr("npred.cli.report.FORMATS", ("svg",))
+    monkeypatch.setattr(Story, "plates", lambda self: {})
+    Path("c").mkdir()
+    other = shutil.copy("tiny.toml", "c/tiny.toml")
+    files = [("tiny.toml", "tiny-ieee1"), (other, "tiny-c-ieee1"), ("tiny.toml", "tiny-ieee1")]
+    for file, name in files:
+        assert document(call("report", file, "--figures", "ieee1", "--json"))["folder"] == f"store/{name}"
+        assert Path(f"store/{name}/pipeline.txt").read_text() == f"{file}\n"
+
+
+def test_figures_and_tables_for_a_paper(call: Call, here: Path, tmp_path: Path, story: Story, monkeypatch):
+    monkeypatch.setattr("npred.cli.report.FORMATS", ("svg",))  # the others: tests/figures/test_figures.py
+    found = document(call("report", "tiny.toml", "--figures", "ieee1", "-o", str(tmp_path / "figures"), "--json"))
+    wanted = {f"{name}.{form}" for name in story.plates() for form in ("svg",)}
+    wanted |= {f"{name}.{form}" for name in story.tables() for form in ("csv", "tex")}
+    assert {path.name for path in Path(found["folder"]).iterdir()} == set(found["files"]) == wanted
+    with (tmp_path / "figures/accuracy.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert float(rows[-1]["ε sup"]) == story.evaluated["models"]["fno"]["eps_sup"]
+    refused = one_line(call("report", "tiny.toml", "--figures", "poster"), 2)
+    assert all(medium in refused for medium in MEDIA)

@@ -1,0 +1,387 @@
+"""The stages together on a tiny problem: evaluate, Fig. 1 and bench read what generate and train wrote."""
+
+import copy
+import dataclasses
+import types
+from pathlib import Path
+from typing import Any
+
+import follower
+import h5py
+import numpy as np
+import pytest
+import torch
+from jobs import job, tables
+
+from npred import config, operators, plants
+from npred.data import shards
+from npred.data.dataset import Dataset
+from npred.errors import MissingError
+from npred.loop import metrics
+from npred.loop.closed_loop import Samples, Trajectories
+from npred.predictors import RK4
+from npred.predictors.neural import Neural
+from npred.stages import train
+from npred.stages.bench import bench, timing_tables
+from npred.stages.evaluate import accuracy, convergence_map, coverage, evaluate, initial_conditions
+from npred.stages.generate import generate
+
+PLANT = plants.resolve("activator_repressor")
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """The data and both networks, as the inputs of the later stages."""
+    root = tmp_path_factory.mktemp("chain")
+    data = job(root, "generate")
+    generate.run(data)
+    inputs = {"generate": data.folder}
+    for model in ("deeponet", "fno"):
+        training = job(root, model, inputs={"generate": data.folder}, model=model)
+        train.run(training)
+        inputs[model] = training.folder
+    return inputs
+
+
+@pytest.fixture(scope="module")
+def evaluated(made, tmp_path_factory):
+    task = job(tmp_path_factory.mktemp("evaluate"), "evaluate", inputs=made)
+    return task, evaluate.run(task)
+
+
+def test_every_contender_is_there(evaluated):
+    _, result = evaluated
+    assert list(result["models"]) == ["numerical", "no_adaptation", "deeponet@1", "deeponet", "fno"]
+    for row in result["models"].values():
+        assert row["radius"]["cases"] == 4
+        assert set(row["figure1"]) == {"X_end", "D_hat_end", "radius", "settle_time"}
+
+
+def test_a_frozen_estimate_has_one_row_without_adaptation(made, tmp_path):
+    """The numerical predictor's: the other would repeat it."""
+    task = job(tmp_path, "frozen", inputs=made, evaluate={"adaptation": "frozen"})
+    result = evaluate.run(task)
+    assert list(result["models"]) == ["numerical", "deeponet@1", "deeponet", "fno"]
+    assert result["models"]["numerical"]["figure1"]["D_hat_end"] == 2.0
+    assert "no_adaptation" not in h5py.File(task.folder / "figure1.h5")
+
+
+def test_numerical_is_exact_and_adapts(evaluated):
+    _, result = evaluated
+    numerical, frozen = result["models"]["numerical"], result["models"]["no_adaptation"]
+    assert numerical["mse"] == numerical["eps_sup"] == numerical["radius"]["predicted"] == 0.0
+    assert frozen["figure1"]["D_hat_end"] == 2.0 != numerical["figure1"]["D_hat_end"]
+
+
+def test_errors_of_a_network_are_those_of_its_predictions(evaluated, made):
+    _, result = evaluated
+    test = Dataset.read(made["generate"] / "data.h5").subset(test=True)
+    P_hat = Neural(PLANT, operators.load(made["fno"], PLANT, dtype=torch.float64))(test.X, test.u, test.D_hat)
+    row = result["models"]["fno"]
+    assert row["mse"] == pytest.approx(np.mean((P_hat - test.P) ** 2), rel=1e-9)
+    assert row["radius"]["predicted"] == pytest.approx(metrics.gain(PLANT) * row["eps_kappa"])
+
+
+def test_errors_are_reported_by_kind_of_row(made, tmp_path):
+    """Networks that were trained on nominal rollouts alone, asked for what explorers would have shown them."""
+    task = job(tmp_path, "evaluate", inputs=made, generate={"explore": 0.5, "redraw": 0.25})
+    result = evaluate.run(task)
+    counts = {"nominal": 30, "exploring": 30, "redrawn": 60}
+    assert {kind: found["rows"] for kind, found in result["kinds"].items()} == counts
+    assert result["held_out_kind"] == "nominal" and result["held_out"] == 30
+    for name, row in result["models"].items():
+        assert list(row["kinds"]) == list(counts)
+        for key in ("mse", "eps_sup", "eps_kappa", "rel_l2"):
+            assert row["kinds"]["nominal"][key] == row[key]
+        assert (row["kinds"]["exploring"]["eps_sup"] > 0) == (name not in ("numerical", "no_adaptation"))
+    with h5py.File(task.folder / "errors.h5") as file:
+        for kind in ("exploring", "redrawn"):
+            sup = file[f"kinds/{kind}/networks/fno/sup"][:]
+            assert sup.shape == file[f"kinds/{kind}/D_hat"].shape == (counts[kind],)
+            assert sup.max() == pytest.approx(result["models"]["fno"]["kinds"][kind]["eps_sup"])
+    assert "30 held-out samples (nominal)" in evaluate.summary(result)
+    assert all(heading in evaluate.details(result) for heading in ("exploring: ε sup", "redrawn: ε sup", "in the loop"))
+
+
+def test_prediction_errors_in_the_loop_are_reported(evaluated):
+    """Small for the numerical predictor, which is not its own reference there, and a network's own for a network."""
+    _, result = evaluated
+    assert result["in_loop"] == {"D": 1.0, "from": 2.0, "to": 5.0, "loops": 3}
+    errors = {name: row["in_loop"] for name, row in result["models"].items()}
+    assert 0 < errors["numerical"] == errors["no_adaptation"] < 1e-3
+    assert all(errors[name] > 100 * errors["numerical"] for name in ("deeponet@1", "deeponet", "fno"))
+
+
+def test_the_chain_runs_on_shards(evaluated, tmp_path, monkeypatch):
+    for limit in ("WHOLE", "SHARD"):
+        monkeypatch.setattr(shards, limit, 1)
+    data = job(tmp_path, "generate", generate={"rollouts": 130, "samples": 520, "t_end": 4.0})
+    assert generate.run(data)["shards"] == 3 == len(list(data.folder.glob("data-*.h5")))
+    inputs, trained = {"generate": data.folder}, {}
+    for model in ("deeponet", "fno"):
+        training = job(tmp_path, model, inputs={"generate": data.folder}, model=model)
+        trained[model] = train.run(training)
+        inputs[model] = training.folder
+    result = evaluate.run(job(tmp_path, "evaluate", inputs=inputs))
+    assert result["held_out"] == 52 and result["models"]["numerical"] == evaluated[1]["models"]["numerical"]
+    for model, found in trained.items():
+        assert found["samples"] == 468 and result["models"][model]["mse"] == pytest.approx(found["mse"], rel=1e-3)
+
+
+def test_fresh_rows_are_samples_of_the_numerical_loops(evaluated):
+    _, result = evaluated
+    assert result["fresh"] == 4 * accuracy.FRESH
+    assert result["models"]["fno"]["fresh"]["mse"] > 0 == result["models"]["numerical"]["fresh"]["mse"]
+    assert set(result["models"]["fno"]["fresh"]) >= {"mse", "eps_sup", "eps_kappa", "eps_relative"}
+    steps = accuracy.sample_steps(0, config.parse(tables(), "tests").evaluate, 3)
+    assert steps.shape == (3, accuracy.FRESH) and (np.diff(steps) >= 0).all() and steps.max() <= 600
+
+
+def test_a_fresh_row_whose_input_is_lost_before_its_state_is_left_out():
+    """P diverges first, U with it, and X only when that U arrives."""
+    u = np.zeros((2, 3, 5, 1))
+    u[1, 2, -1] = np.nan
+    loops: Any = types.SimpleNamespace(samples=Samples(np.ones((2, 3, 1)), u, np.full((2, 3), 0.4)))
+    rows = accuracy.Rows.fresh(loops, np.zeros((2, 3)), RK4(plants.resolve("scalar"), 5))
+    assert len(rows.X) == 5 and np.isfinite(rows.P).all()
+
+
+def test_figure_and_loops_are_written(evaluated):
+    task, result = evaluated
+    assert (task.folder / "figure1.png").read_bytes().startswith(b"\x89PNG")
+    assert "<svg" in (task.folder / "figure1.svg").read_text()
+    with h5py.File(task.folder / "figure1.h5") as file:
+        assert set(file) == set(result["models"])
+        t, X = file["fno/t"][:], file["fno/X"][:]
+    assert t[-1] == pytest.approx(4.0) and X.shape == (len(t), 2)
+    np.testing.assert_allclose(X[0], [0.03, 30.0])
+    np.testing.assert_allclose(X[-1], result["models"]["fno"]["figure1"]["X_end"])
+
+
+def test_where_networks_err_is_written_and_adds_up(evaluated):
+    task, result = evaluated
+    with h5py.File(task.folder / "errors.h5") as file:
+        assert set(file["networks"]) == {"deeponet@1", "deeponet", "fno"}
+        for name, found in file["networks"].items():
+            sup, over_x = found["sup"][:], found["over_x"][:]
+            assert sup.shape == file["D_hat"].shape == (result["held_out"],) and over_x.shape == (21, 3)
+            assert sup.max() == over_x[:, 2].max() == pytest.approx(result["models"][name]["eps_sup"])
+            assert (np.diff(over_x, axis=1) >= 0).all()
+
+
+def test_histograms_of_data_and_loops_are_written(evaluated):
+    task, result = evaluated
+    with h5py.File(task.folder / "coverage.h5") as file:
+        assert set(file) == {"x1", "x2", "U", "D_hat"}
+        for name, found in file.items():
+            width = np.diff(found["edges"][:])
+            assert set(found["loops"]) == {"numerical", "no_adaptation", "deeponet", "fno"}
+            assert np.sum(found["data"][:] * width) == pytest.approx(1.0)
+            inside = np.sum(found["loops/fno"][:] * width)
+            assert 1.0 - inside == pytest.approx(result["coverage"][name]["outside"]["fno"], abs=0.02)
+
+
+def test_a_plant_that_tracks_is_evaluated_against_its_reference(tmp_path):
+    networks = {name: small | {"anchor": "initial"} for name, small in tables()["train"].items()}
+    pipeline = {
+        "plant": f"{Path(follower.__file__)}:Follower", "train": networks, "generate": {"gamma": 1.0},
+        "evaluate": {"X0": [0.5], "D_hat0": 1.0, "gamma": 0.2, "map_D": [1.0], "map_D_hat0": [1.0]},
+    }  # fmt: skip
+    data = job(tmp_path, "generate", **pipeline)
+    generate.run(data)
+    inputs = {"generate": data.folder}
+    for model in ("deeponet", "fno"):
+        training = job(tmp_path, model, inputs=inputs, model=model, **pipeline)
+        train.run(training)
+        inputs[model] = training.folder
+    found = evaluate.run(job(tmp_path, "evaluate", inputs=inputs, **pipeline))
+    assert found["equilibrium"] is None and found["gain"] == pytest.approx(0.5, rel=1e-4)
+    exact = found["models"]["numerical"]["figure1"]
+    assert exact["radius"] < 0.05 < abs(exact["X_end"][0]) and found["models"]["fno"]["eps_kappa"] > 0
+    assert "eps_relative" not in found["models"]["fno"]
+
+
+def test_evaluation_gives_the_same_bytes_again(evaluated, made, tmp_path):
+    first, result = evaluated
+    again = job(tmp_path, "again", inputs=made)
+    assert evaluate.run(again) == result
+    for name in sorted(path.name for path in first.folder.iterdir()):
+        assert (again.folder / name).read_bytes() == (first.folder / name).read_bytes()
+
+
+def test_starts_are_figure_1_then_cases_then_the_map():
+    tables_ = tables(evaluate={"map_D": [0.5, 1.5], "map_D_hat0": [0.6, 0.7, 0.8]})
+    begin = initial_conditions.starts(config.parse(tables_ | {"seed": 0}, "tests"), PLANT)
+    assert begin.D_hat0.tolist() == [2.0, 0.8, 1.2, 0.8, 1.2, 0.6, 0.7, 0.8, 0.6, 0.7, 0.8]
+    assert begin.D.tolist() == [1.0] * 5 + [0.5] * 3 + [1.5] * 3
+    np.testing.assert_array_equal(begin.X0[begin.map], np.tile([0.03, 30.0], (6, 1)))
+    np.testing.assert_array_equal(begin.X0[1], begin.X0[2])
+    assert (begin.X0[begin.cases, 1] >= 25).all() and (begin.X0[begin.cases, 1] <= 35).all()
+
+
+def test_the_pipelines_box_is_for_states_that_the_plant_has_none_for():
+    pipeline = config.parse({"plant": PLANT.name, "generate": {"box": {"x1": [0.5, 0.7], "x2": [3.0, 4.0]}}}, "tests")
+    boxless = types.SimpleNamespace(states=PLANT.states, box={"x2": (1.0, 2.0)})
+    np.testing.assert_array_equal(initial_conditions.box(boxless, pipeline), [[0.5, 0.7], [1.0, 2.0]])
+
+
+def test_map_and_coverage_of_known_loops():
+    """Three loops at rest and one far away; the reference loses one that the contender brings home."""
+    t, rest = np.linspace(0, 1, 11), np.tile(PLANT.equilibrium, (4, 11, 1))
+    far = rest.copy()
+    far[3] += 10.0
+    lost = rest.copy()
+    lost[2] += 10.0
+    table = config.parse(tables(evaluate={"map_D": [0.5, 1.0], "map_D_hat0": [0.6, 0.7]}), "tests").evaluate
+    found = convergence_map.delay_map(PLANT, table, still(t, far), still(t, lost))
+    assert found["converged"] == [[True, True], [True, False]]
+    assert found["share"] == pytest.approx(2 / 3) and found["band"] == [0.5, 0.5]
+    data = dataset(X=np.array([[0.0, 0.0], [1.0, 10.0]]), u=np.array([-1.0, 1.0]), D_hat=np.array([0.0, 2.0]))
+    covered = coverage.measure(PLANT, data, {"far": still(t, far)})
+    assert covered["x1"] == {"data": [0.0, 1.0], "outside": {"far": 0.25}}
+    assert covered["x2"]["outside"]["far"] == 0.25 and covered["U"]["outside"]["far"] == 0.0
+
+
+@pytest.mark.parametrize(("low", "outside"), [(0.13, 0.0), (0.6, 1.0)])
+def test_an_estimate_at_its_bound_is_covered_by_data_that_come_near_it(low, outside):
+    """Drawn from [0.1, 1.2], data hardly meet the bound 0.1; data above 0.6 are another matter."""
+    t, X = np.linspace(0, 1, 11), np.zeros((4, 11, 2))
+    data = dataset(X=np.ones((2, 2)), u=np.zeros(2), D_hat=np.array([low, 1.2]))
+    loops = {"low": dataclasses.replace(still(t, X), D_hat=np.full((4, 11), 0.1))}
+    covered = coverage.measure(PLANT, data, loops, (0.1, 2.0))
+    assert covered["D_hat"] == {"data": [low, 1.2], "outside": {"low": outside}}
+    below = {"low": dataclasses.replace(still(t, X), D_hat=np.full((4, 11), 0.05))}
+    assert coverage.measure(PLANT, data, below, (0.1, 2.0))["D_hat"]["outside"]["low"] == 1.0
+
+
+def test_loops_that_leave_the_data_are_warned_of(evaluated):
+    task, result = evaluated
+    shares = result["coverage"]["x2"]["outside"]
+    warned = [line for line in task.progress.notes if "outside" in line]
+    loud = [c for q in result["coverage"].values() for c, share in q["outside"].items() if share > coverage.WARN]
+    assert len(warned) == len(loud) and set(shares) == {"deeponet@1", "deeponet", "fno"}
+
+
+def still(t, X):
+    zeros = np.zeros(X.shape[:-1])
+    nothing = Samples(*[np.empty((len(X), 0))] * 3)
+    return Trajectories(t, X, zeros[..., None], zeros, zeros, zeros, np.full(len(X), -1), nothing, X)
+
+
+def dataset(X, u, D_hat):
+    rows = np.zeros(len(X))
+    return Dataset(X, u[:, None, None], D_hat, X[:, None], rows, rows, rows.astype(np.int32), rows.astype(np.uint8))
+
+
+@pytest.fixture(scope="module")
+def benched(made, tmp_path_factory):
+    task = job(tmp_path_factory.mktemp("bench"), "bench", inputs=made)
+    return task, bench.run(task)
+
+
+def test_bench_rows(benched):
+    """Batch 1 at each dx, larger batches at the first."""
+    _, result = benched
+    grid_rows = [r for r in result["rows"] if r["matches"] is None]
+    numerical = [("euler", "compiled"), ("heun", "compiled"), ("rk4", "compiled")]
+    neural = [(name, runtime) for name in ("deeponet", "fno") for runtime in ("torch", "fused")]
+    single = [("published", "python"), ("euler_python", "python"), *numerical, *neural]
+    wanted = [(*kind, dx, 1) for dx in (0.1, 0.05) for kind in single]
+    wanted += [(*kind, 0.1, 3) for kind in (*numerical, *neural)]
+    assert [(r["predictor"], r["runtime"], round(r["dx"], 3), r["batch"]) for r in grid_rows] == wanted
+    for row in result["rows"]:
+        assert 0 < row["median_us"] <= row["p95_us"] <= row["p999_us"] <= row["max_us"]
+        assert (row["calls"], row["device"], row["copies"]) == (12, "cpu", None)
+    assert {"cpu", "threads", "versions"} <= set(result["hardware"])
+
+
+def test_bench_errors_and_speedups(benched):
+    rows = benched[1]["rows"]
+    grid_rows = [r for r in rows if r["matches"] is None]
+    errors = {(r["predictor"], round(r["dx"], 3)): r["eps_sup"] for r in grid_rows}
+    assert errors["published", 0.1] == pytest.approx(errors["euler", 0.1], rel=1e-9)
+    assert max(errors["rk4", 0.1], errors["heun", 0.1]) < errors["euler", 0.1]
+    assert 1.5 < errors["euler", 0.1] / errors["euler", 0.05] < 3
+    matched = {r["matches"]: r for r in rows if r["matches"]}
+    assert set(matched) == {"deeponet", "fno", "front"}
+    for name in ("deeponet", "fno"):
+        assert matched[name]["eps_sup"] <= errors[name, 0.1]
+        by_runtime = {r["runtime"]: r["eps_sup"] for r in grid_rows if (r["predictor"], r["batch"]) == (name, 1)}
+        assert by_runtime["fused"] == pytest.approx(by_runtime["torch"], rel=1e-4)
+    euler = next(r for r in grid_rows if r["predictor"] == "euler")
+    assert euler["speedup_compiled"] == 1.0 and euler["speedup_published"] > 1.0
+
+
+def test_bench_writes_raw_times_a_latex_table_and_a_figure(benched):
+    task, result = benched
+    with h5py.File(task.folder / "times.h5") as file:
+        assert len(file) == len(result["rows"]) and all(len(samples) == 12 for samples in file.values())
+    assert r"\toprule" in (task.folder / "bench.tex").read_text()
+    assert "<svg" in (task.folder / "speed.svg").read_text()
+
+
+def test_bench_says_from_where_on_a_network_pays(benched):
+    """A sentence a network, each against every method that is as accurate."""
+    rows, crossover = benched[1]["rows"], benched[1]["crossover"]
+    assert [found["predictor"] for found in crossover] == ["deeponet", "fno"]
+    for found in crossover:
+        assert found["plant"] == "activator_repressor" and found["runtime"] in ("torch", "fused")
+        rivals = [row for row in rows if row["matches"] == found["predictor"]]
+        assert [rival["predictor"] for rival in found["numerical"]] == [row["predictor"] for row in rivals] != []
+        assert all(row["eps_sup"] <= found["eps_sup"] for row in rivals)
+        assert found["best_us"] == min(rival["median_us"] for rival in found["numerical"])
+        assert found["f_ns"] > 0 and found["best_steps"] >= 1
+        assert found["sentence"].startswith("For activator_repressor at ε = ")
+
+
+def test_bench_says_what_of_the_tails_is_the_machines(benched):
+    found = benched[1]["stops"]
+    assert found["per_s"] >= 0 and found["sentence"] == timing_tables.stopped(found)
+    told = timing_tables.stopped({"per_s": 400.0, "median_us": 38.2})
+    assert "400 times a second, for 38 µs in the median: from 2.5 µs a call on" in told
+    assert "did not stop" in timing_tables.stopped({"per_s": 0.0, "median_us": 0.0})
+    assert timing_tables.sentences(benched[1])[-1] == found["sentence"]
+
+
+@pytest.mark.slow
+def test_bench_with_onnx(made, tmp_path):
+    pytest.importorskip("onnxruntime")
+    task = job(tmp_path, "bench", inputs=made, bench={"runtimes": ["onnx"], "dx": [0.1], "batches": [1]})
+    result = bench.run(task)
+    assert {r["runtime"] for r in result["rows"]} == {"python", "compiled", "onnx"}
+    assert {found["runtime"] for found in result["crossover"]} == {"onnx"}
+
+
+def test_bench_without_the_onnx_extra_leaves_its_rows_out(made, tmp_path, monkeypatch):
+    from npred.stages.bench import candidates
+
+    monkeypatch.setattr(candidates.devices, "package", lambda name: None if name == "onnx" else "1")
+    task = job(tmp_path, "bench", inputs=made, bench={"runtimes": ["torch", "onnx"]})
+    assert candidates._available(task, task.config.bench) == ["torch"]
+
+
+def test_bench_of_the_runtime_onnx_alone_asks_for_its_package(made, tmp_path, monkeypatch):
+    from npred.stages.bench import candidates
+
+    monkeypatch.setattr(candidates.devices, "package", lambda name: None if name == "onnx" else "1")
+    task = job(tmp_path, "bench", inputs=made, bench={"runtimes": ["onnx"]})
+    with pytest.raises(MissingError, match=r"bench: expected the package onnx .*; pip install 'npred\[onnx\]'"):
+        bench.run(task)
+
+
+@pytest.mark.parametrize("stage", [evaluate, bench])
+def test_summaries_print(stage, evaluated, benched):
+    result = evaluated[1] if stage is evaluate else benched[1]
+    for text in (stage.summary(result), stage.details(result)):
+        assert "deeponet" in text.lower() and ("numerical" if stage is evaluate else "A network pays from") in text
+
+
+def test_figure_numbers_of_a_loop_that_never_settles(evaluated):
+    _, result = evaluated
+    assert result["models"]["no_adaptation"]["figure1"]["settle_time"] is None
+
+
+def test_the_summary_of_a_loop_that_left_the_finite_numbers_prints(evaluated):
+    lost = copy.deepcopy(evaluated[1])
+    lost["models"]["deeponet"]["figure1"] |= {"X_end": [None, None], "D_hat_end": None, "radius": None}
+    assert [line.endswith("∞") for line in evaluate.details(lost).splitlines()].count(True) == 1

@@ -1,0 +1,80 @@
+"""Signals: during imports, twice, and to a process that ignores them."""
+
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from conftest import HERE, process_environment
+
+from npred.terminal import interruption
+
+SIGNALS = [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)]
+# A finder is asked for each module before it is imported: there the process signals itself.
+DURING = """
+import os, signal, sys
+class Finder:
+    def find_spec(self, name, path=None, target=None):
+        if name == {module!r}:
+            os.kill(os.getpid(), {number})
+sys.meta_path.insert(0, Finder())
+sys.argv = ["npred", *{arguments!r}]
+from npred.__main__ import main
+main()
+"""
+# Two signals: the second comes while the first is still on its way out.
+TWICE = """
+import os, signal, time
+from npred.terminal import interruption
+interruption.listen()
+try:
+    os.kill(os.getpid(), {first})
+    time.sleep(60)
+except KeyboardInterrupt:
+    {said}
+    os.kill(os.getpid(), {second})
+    time.sleep(60)
+"""
+
+
+def run(program: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    command = ["env", "--default-signal=INT,TERM,HUP", sys.executable, "-c", program]
+    return subprocess.run(command, cwd=folder, env=process_environment(), capture_output=True, text=True, timeout=60)
+
+
+@pytest.mark.parametrize(("number", "code"), SIGNALS)
+@pytest.mark.parametrize("module", ["npred.cli", "npred.store", "numpy"])
+def test_a_signal_during_imports_says_so(tmp_path: Path, number: int, code: int, module: str):
+    done = run(DURING.format(module=module, number=int(number), arguments=["plants", "check", "scalar"]), tmp_path)
+    assert (done.returncode, done.stdout) == (code, "")
+    assert done.stderr == f"error: {interruption.LINE}\n"
+
+
+@pytest.mark.parametrize(("first", "code"), SIGNALS)
+@pytest.mark.parametrize("said", ["pass", "interruption.say(lambda line: os.write(2, f'error: {line}\\n'.encode()))"])
+def test_a_second_signal_ends_at_once_with_the_code_of_the_first(tmp_path: Path, first: int, code: int, said: str):
+    done = run(TWICE.format(first=int(first), second=int(signal.SIGTERM), said=said), tmp_path)
+    assert (done.returncode, done.stderr) == (code, f"error: {interruption.LINE}\n")
+
+
+def test_what_is_ignored_stays_ignored(tmp_path: Path):
+    program = (
+        "import os, signal\nfrom npred.terminal import interruption\nsignal.signal(signal.SIGHUP, signal.SIG_IGN)\n"
+        "interruption.listen()\nos.kill(os.getpid(), signal.SIGHUP)\nprint('alive')"
+    )
+    assert run(program, tmp_path).stdout == "alive\n"
+
+
+@pytest.mark.parametrize("error", ["ImportError('half a module')", "RuntimeError('the callback failed')"])
+def test_what_a_library_makes_of_a_signal_is_an_interruption(tmp_path: Path, error: str):
+    program = (
+        f"import os, signal, sys\nsys.path.insert(0, {str(HERE)!r})\nimport fake_stages\n"
+        "def interrupted(job):\n    try:\n        os.kill(os.getpid(), signal.SIGTERM)\n"
+        f"    except BaseException:\n        raise {error}\n"
+        "fake_stages.install()\nfake_stages.ANSWERS['generate'] = interrupted\n"
+        "sys.argv = ['npred', 'generate', 'tiny.toml', '-q']\nfrom npred.__main__ import main\nmain()\n"
+    )
+    (tmp_path / "tiny.toml").write_text('plant = "scalar"\n')
+    done = run(program, tmp_path)
+    assert (done.returncode, done.stderr) == (143, f"error: {interruption.LINE}\n")

@@ -1,0 +1,171 @@
+"""The live view: what it shows of each stage; and the console that shows it on terminals only."""
+
+import io
+import sys
+import threading
+
+import pytest
+from rich.console import Console as Rich
+
+from npred.terminal.console import Console
+from npred.terminal.live_view import Live
+
+
+class Clock:
+    now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+@pytest.fixture
+def live(clock: Clock) -> Live:
+    return Live("paper on cpu", ["generate", "train fno", "evaluate"], clock)
+
+
+def shown(live: Live, width: int = 120) -> list[str]:
+    """The lines of the table, without the heading and without spaces at their ends."""
+    live.console = rich = Rich(width=width, file=io.StringIO(), record=True)
+    rich.print(live.table())
+    return [line.rstrip() for line in rich.export_text().splitlines()][2:]
+
+
+def test_stages_wait_run_and_are_done(live: Live, clock: Clock):
+    live.finish("generate", "hit", 0.1)
+    with live.bar("train fno", 40, "epochs") as bar:
+        clock.now = 30.0
+        bar.advance(10)
+        done, running, waiting = shown(live)
+        assert done.split() == ["✓", "generate", "from", "the", "store", "0:00"]
+        assert running.startswith("▸  train fno  ━") and running.split()[-4:] == ["10/40", "epochs", "0:30", "1:30"]
+        assert waiting.split() == ["·", "evaluate"]
+    live.finish("train fno", "run", 3720.0)
+    assert shown(live)[1].split() == ["✓", "train", "fno", "1:02:00"]
+
+
+def test_a_stage_says_what_it_does_from_its_first_moment(live: Live, clock: Clock):
+    live.doing("evaluate", "importing")
+    clock.now = 41.0
+    assert shown(live)[2].split() == ["▸", "evaluate", "importing", "0:41"]
+    live.doing("evaluate", "compiling")
+    with live.bar("evaluate", 20_000, "steps") as bar:
+        clock.now = 65.0
+        assert shown(live)[2].endswith("1:05") and "compiling" in shown(live)[2]  # until it moves
+        bar.advance(5_000)
+        assert "25%" in shown(live)[2] and "compiling" not in shown(live)[2]
+    live.doing("evaluate", "drawing")
+    assert shown(live)[2].split() == ["▸", "evaluate", "drawing", "1:05"]
+
+
+def test_the_time_left_after_a_resume_counts_this_run_only(live: Live, clock: Clock):
+    with live.bar("train fno", 180, "epochs", done=116) as bar:
+        clock.now = 10.0
+        bar.advance(4)
+        assert shown(live)[1].split()[-4:] == ["120/180", "epochs", "0:10", "2:30"]
+
+
+def test_a_training_tells_loss_and_error_in_columns(live: Live):
+    with live.bar("train fno", 40, "epochs") as bar:
+        live.measured("train fno", {"epoch": 1, "loss": 0.25, "mse": 1.0, "eps_sup": 0.039})
+        bar.advance(1, "loss 0.25")
+    assert shown(live)[1].split()[-2:] == ["2.5e-01", "3.9e-02"]
+
+
+def test_work_that_is_no_stage_gets_a_row_of_its_own(live: Live):
+    with live.bar("warm up", 3, "calls") as bar:
+        bar.advance(0)
+        assert "0/3 calls" in shown(live)[3]
+        bar.advance(3)
+    assert shown(live)[3].split() == ["✓", "warm", "up", "3", "calls", "0:00"]
+
+
+@pytest.mark.parametrize("width", [60, 80, 100, 200])
+def test_no_row_is_wrapped_or_cut(clock: Clock, width: int):
+    live = Live("a pipeline on cuda:0", ["generate", "train deeponet", "train fno"], clock)
+    live.finish("generate", "hit", 4.0)
+    live.doing("train fno", "importing and compiling")
+    with live.bar("train deeponet", 2000, "epochs") as bar:
+        live.measured("train deeponet", {"epoch": 1000, "loss": 1.0e-10, "eps_sup": 1.0e10})
+        bar.advance(1000)
+        clock.now = 3599.0
+        lines = shown(live, width)
+        assert len(lines) == 3 and max(map(len, lines)) <= width
+        assert all("…" not in line for line in lines)
+        if width >= 80:
+            assert "1000/2000 epochs" in lines[1] and "59:59" in lines[1] and lines[1].endswith("1.0e-10  1.0e+10")
+        assert ("━" in lines[1]) == (width >= 80)
+
+
+def test_threads_count_together(live: Live):
+    with live.bar("evaluate", 4000, "steps") as bar:
+        threads = [threading.Thread(target=lambda: [bar.advance() for _ in range(1000)]) for _ in range(4)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        assert "4000/4000 steps" in shown(live)[2]
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_a_terminal_gets_the_view_and_messages_above_it(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("TERM", "xterm-256color")
+    monkeypatch.setenv("COLUMNS", "120")
+    monkeypatch.setattr(sys, "stderr", Terminal())
+    console = Console()
+    with console.watch("tiny on cpu", ["generate"]):
+        with console.bar("generate", 2, "steps") as bar:
+            bar.advance(2)
+        console.warn("far out")
+        console.finish("generate", "run", 1.5)
+    assert console.live is None
+    text = sys.stderr.getvalue()  # type: ignore[attr-defined]
+    assert "tiny on cpu" in text and "warning: far out" in text
+    assert text.rindex("0:02") > text.index("far out")
+
+
+def test_stopping_reaches_the_bars_of_the_view(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(sys, "stderr", Terminal())
+    console = Console()
+    with console.watch("tiny", ["train"]), console.bar("train", 2, "epoch") as bar:
+        console.stop()
+        with pytest.raises(KeyboardInterrupt):
+            bar.advance()
+
+
+def test_what_runs_when_a_run_fails_is_shown_as_stopped(live: Live):
+    live.display.auto_refresh = False
+    with pytest.raises(ZeroDivisionError), live.shown():
+        live.doing("generate", "importing")
+        raise ZeroDivisionError
+    assert shown(live)[0].split() == ["✗", "generate", "stopped", "0:00"]
+
+
+def test_a_screen_without_its_signs_gets_plain_lines(monkeypatch: pytest.MonkeyPatch, capsys):
+    class Latin(io.TextIOWrapper):
+        def isatty(self) -> bool:
+            return True
+
+    monkeypatch.setattr(sys, "stderr", Latin(io.BytesIO(), encoding="latin-1"))
+    with Console().watch("tiny", ["generate"]), Console().bar("generate", 2, "steps") as bar:
+        bar.advance(2, "ε sup 1")
+    sys.stderr.seek(0)
+    assert r"2/2 steps in 0.0 s, \u03b5 sup 1" in sys.stderr.read()
+
+
+def test_elsewhere_there_are_plain_lines(capsys: pytest.CaptureFixture[str]):
+    console = Console()
+    with console.watch("tiny", ["generate"]), console.bar("generate", 2, "steps") as bar:
+        bar.advance(2)
+        console.measured("generate", {"epoch": 1})
+        console.finish("generate", "run", 1.0)
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("generate: 2/2 steps in ")
