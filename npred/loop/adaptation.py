@@ -201,7 +201,7 @@ def _node(trace: Trace, x: Any, u: Any, t: Any, h: Any, r: Any, s: Any) -> list[
 
 
 def _bindings(plant: Plant) -> dict[str, str]:
-    names = {f"p{k}": f"p{k}" for k in range(len(plant.p))} | {"h": "h", "t": "(t + j * h)", "t0": "t"}
+    names = {"t": "(t + j * h)", "t0": "t"}
     for k in range(plant.n):
         names |= {f"x{k}": f"P[j, {k}, l]", f"X{k}": f"X[{k}, l]", f"r{k}": f"r[{k}, l]", f"s{k}": f"s[{k}, l]"}
     return names | {f"a{k}": f"u[j, {k}, l]" for k in range(plant.m)}

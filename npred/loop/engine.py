@@ -232,6 +232,5 @@ def _advance(trace: Trace, method: type[OneStep], U: str) -> list[str]:
     plant = trace.plant
     x, u = trace.vector("x", plant.n), trace.vector("u", plant.m)
     y = method.step(trace.f, x, u, u, u, trace.input("t"), trace.input("h"))
-    names = {f"p{k}": f"p{k}" for k in range(len(plant.p))} | {"t": "start", "h": "h"}
-    names |= {f"x{k}": f"X[{k}, l]" for k in range(plant.n)} | {f"u{k}": U.format(k) for k in range(plant.m)}
-    return programs.lines(y, names, [f"X[{k}, l]" for k in range(plant.n)])
+    names = {f"x{k}": f"X[{k}, l]" for k in range(plant.n)} | {f"u{k}": U.format(k) for k in range(plant.m)}
+    return programs.lines(y, names | {"t": "start"}, [f"X[{k}, l]" for k in range(plant.n)])

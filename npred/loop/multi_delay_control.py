@@ -46,7 +46,7 @@ def source(plant: Plant) -> str:
 def _law(plant: Plant) -> list[str]:
     """The lines of U: each component of kappa at its own prediction and time."""
     trace = Trace(plant)
-    names = {f"p{k}": f"p{k}" for k in range(len(plant.p))}
+    names: dict[str, str] = {}
     U: list[Any] = []
     for c, r in enumerate(plant.ratios.tolist()):
         U.append(trace.kappa(trace.vector(f"x{c}_", plant.n), trace.input(f"t{c}"))[c])

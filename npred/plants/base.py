@@ -332,8 +332,7 @@ class Plant:
         x, u, t = trace.vector("x", self.n), trace.vector("u", self.m), trace.input("t")
         inputs = {"f": (x, u, t), "reference": (t,)}.get(name, (x, t))
         outputs = np.ravel(np.array(getattr(trace, name)(*inputs), dtype=object))
-        names = [*self._names("x", self.n), *self._names("u", self.m), "t", *self._names("p", len(self.p))]
-        return programs.lines(outputs, {name: name for name in names}, self._names("y", len(outputs)))
+        return programs.lines(outputs, {}, self._names("y", len(outputs)))
 
 
 def _few(words: Sequence[str]) -> str:

@@ -82,12 +82,11 @@ def piece(plant: Plant, step: Callable[..., Any], state: list[str]) -> list[str]
     trace = Trace(plant)
     inputs = [trace.vector(name, plant.m) for name in "amb"]  # at the piece's begin, middle and end
     y = step(_closed(trace), trace.vector("x", plant.n), *inputs, trace.input("t"), trace.input("h"))
-    names = {f"p{k}": f"p{k}" for k in range(len(plant.p))} | {f"x{k}": text for k, text in enumerate(state)}
+    names = {f"x{k}": text for k, text in enumerate(state)}
     names |= {"h": "(D_hat[l] * (end - begin) / last)", "t": "(t + D_hat[l] * begin / last)"}
     for c, r in enumerate(plant.ratios.tolist()):
         places = {"a": "begin", "m": "(begin + end) / 2.0", "b": "end"}
         names |= {f"{name}{c}": f"read(u, {c}, l, {place} / {r!r})" for name, place in places.items()}
-        names[f"past{c}"] = f"past{c}"
     return programs.lines(y, names, state)
 
 

@@ -71,14 +71,12 @@ class OneStep(Compiled):
         n, m, trace = self.plant.n, self.plant.m, called_functions.trace(self.plant)
         x, (u0, um, u1) = trace.vector("x", n), (trace.vector(name, m) for name in ("a", "m", "b"))
         y = self.step(trace.f, x, u0, um, u1, trace.input("t"), trace.input("h"))
-        bindings = {f"p{k}": f"p{k}" for k in range(len(self.plant.p))} | {"t": "(t + j * h)", "h": "h"}
+        bindings = {"t": "(t + j * h)"}
         for k in range(m):
             middle = " + ".join(f"w{i} * u[{i}, {k}, l]" for i in "abcd")
             middle = f"({middle} + linear * (u[j, {k}, l] + u[j + 1, {k}, l]))"
             bindings |= {f"a{k}": f"u[j, {k}, l]", f"b{k}": f"u[j + 1, {k}, l]", f"m{k}": middle}
-        local, memory = [f"x{k}" for k in range(n)], [f"P[j, {k}, l]" for k in range(n)]
-        new = [f"y{k}" for k in range(n)]
-        scalar = programs.lines(y, bindings | dict(zip(local, local, strict=True)), new)
+        scalar = programs.lines(y, bindings, [f"y{k}" for k in range(n)])
         scalar += [f"x{k} = P[j + 1, {k}, l] = y{k}" for k in range(n)]
         target = [f"P[j + 1, {k}, l]" for k in range(n)]
         weights = WEIGHTS.splitlines() if programs.depends(y, um) else []
@@ -89,6 +87,6 @@ class OneStep(Compiled):
             parameters=kernels.parameters(len(self.plant.p)),
             few=few if len(scalar) < LONG else [],
             weights=weights,
-            lane=programs.lines(y, bindings | dict(zip(local, memory, strict=True)), target),
+            lane=programs.lines(y, bindings | {f"x{k}": f"P[j, {k}, l]" for k in range(n)}, target),
         )
         return source, called_functions.imports(trace)

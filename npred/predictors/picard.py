@@ -65,14 +65,12 @@ class Picard(Compiled):
     def compile(self) -> Callable[..., None]:
         if isinstance(self.plant, BlackBox):
             return array_predictors.picard(self.plant, self.tolerance, self.sweeps)
-        n, m, count = self.plant.n, self.plant.m, len(self.plant.p)
+        n, m = self.plant.n, self.plant.m
         trace = called_functions.trace(self.plant)
         y = trace.f(trace.vector("x", n), trace.vector("a", m), trace.input("t"))
-        bindings: dict[str, Any] = {f"p{k}": f"p{k}" for k in range(count)} | {"t": "(t + j * h)"}
-        bindings |= {f"x{k}": f"P[j, {k}, l]" for k in range(n)} | {f"a{k}": f"u[j, {k}, l]" for k in range(m)}
-        node = programs.lines(y, bindings, [f"f{k}" for k in range(n)])
+        names = {f"x{k}": f"P[j, {k}, l]" for k in range(n)} | {f"a{k}": f"u[j, {k}, l]" for k in range(m)}
+        node = programs.lines(y, names | {"t": "(t + j * h)"}, [f"f{k}" for k in range(n)])
         node.append(f"f = ({', '.join(f'f{k}' for k in range(n))},)")
-        parameters = kernels.parameters(count)
         source = SOURCE.replace("SWEEPS", str(self.sweeps)).replace("TOLERANCE", repr(self.tolerance))
-        source = kernels.fill(source, parameters=parameters, node=node)
+        source = kernels.fill(source, parameters=kernels.parameters(len(self.plant.p)), node=node)
         return kernels.build("picard", SIGNATURE, source, called_functions.imports(trace))

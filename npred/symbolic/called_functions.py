@@ -67,7 +67,7 @@ def _lines(plant: Declared, name: str) -> tuple[list[str], list[str], int]:
     names = ["t", *_names("x", plant.n), *(_names("u", plant.m) if u is inputs[1] else [])]
     names += _names("p", len(plant.parameters)) + (["dt", *_names("d", plant.n)] if inputs[-1] is dt else [])
     targets = _names("y", len(outputs))
-    return names, programs.lines(outputs, {name: name for name in names}, targets, TEXTS), len(outputs)
+    return names, programs.lines(outputs, {}, targets, TEXTS), len(outputs)
 
 
 def _names(prefix: str, count: int) -> list[str]:

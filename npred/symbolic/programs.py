@@ -52,9 +52,10 @@ def _needed(outputs: Vector) -> list[int]:
 
 
 def lines(
-    outputs: Vector, bindings: dict[str, str], targets: Sequence[str], texts: Mapping[str, str] = {}
+    outputs: Vector, bindings: Mapping[str, str], targets: Sequence[str], texts: Mapping[str, str] = {}
 ) -> list[str]:
-    """The lines that compute the outputs: inputs read from `bindings` (name to text), results written to `targets`.
+    """The lines that compute the outputs, results written to `targets`: inputs are read from `bindings` (name to text),
+    those that are not in it from a variable of their own name.
 
     `texts` replaces the text of operations, for another language than Python. Variables are numbered in their order,
     so that the text does not depend on what else is on the tape.
@@ -70,10 +71,10 @@ def lines(
 
 
 def _right_side(
-    op: str, args: tuple[Any, ...], names: dict[int, str], bindings: dict[str, str], texts: Mapping[str, str]
+    op: str, args: tuple[Any, ...], names: dict[int, str], bindings: Mapping[str, str], texts: Mapping[str, str]
 ) -> str:
     if op == "input":
-        return bindings[args[0]]
+        return bindings.get(args[0], args[0])
     if op == "call":
         return f"plant_{args[0]}({', '.join(_text(a, names) for a in args[2:])})"
     if op == "item":

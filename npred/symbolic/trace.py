@@ -138,7 +138,7 @@ def python(outputs: tapes.Vector, names: Sequence[str], library: Any = math) -> 
     compiled kernels.
     """
     targets = [f"y{k}" for k in range(len(outputs))]
-    lines = programs.lines(outputs, {name: name for name in names}, targets, ON_ARRAYS if library is np else {})
+    lines = programs.lines(outputs, {}, targets, ON_ARRAYS if library is np else {})
     text = f"def function({', '.join(names)}):\n    " + "\n    ".join(lines) + f"\n    return [{', '.join(targets)}]"
     space: dict[str, Any] = {"math": library, "np": np}
     exec(text, space)
