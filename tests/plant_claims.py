@@ -14,11 +14,14 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from npred import config, grid
+from npred.delays.constant import ConstantDelay
+from npred.delays.family import PREDICT
 from npred.diagnosis import pipeline_fit
 from npred.loop.closed_loop import Trajectories, simulate
 from npred.plants import Plant
 from npred.predictors import METHODS, RK4
 from npred.predictors.onestep import OneStep
+from npred.symbolic import kernels
 
 DT = 0.005
 GOLDEN = 5.0  # s of the golden loop: each of its control steps is solved anew
@@ -37,10 +40,10 @@ class Held(OneStep):
     def step(f: Any, x: Any, u0: Any, um: Any, u1: Any, t: Any, h: Any) -> Any:
         return RK4.step(f, x, u0, u0, u0, t, h)
 
-    def _source(self) -> tuple[str, str]:
-        text, imports = super()._source()
+    def compile(self) -> Any:
+        text, imports = ConstantDelay(self.plant).source(self.step)
         assert "u[j, " in text
-        return text.replace("u[j, ", "u[j | 1, "), imports
+        return kernels.build("sweep", PREDICT, text.replace("u[j, ", "u[j | 1, "), imports)
 
 
 class Claims:

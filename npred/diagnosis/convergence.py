@@ -7,7 +7,6 @@ import numpy as np
 from npred.diagnosis import defects
 from npred.diagnosis.answer import Answer, Case
 from npred.plants.base import Plant
-from npred.plants.black_box import BlackBox
 from npred.predictors import RK4
 
 LOOPS = 64  # starts, of the states of the box
@@ -81,7 +80,7 @@ def _distances(case: Case, X: np.ndarray, seconds: float) -> np.ndarray:
 
 def _closed(case: Case) -> Plant:
     """The plant with the clipped kappa for its input: X' = f(X, kappa(X, t), t), and an input that does nothing."""
-    kind = _on_rows if isinstance(case.plant, BlackBox) else _on_components
+    kind = _on_rows if not case.plant.traced else _on_components
     kept = {name: getattr(case.plant, name) for name in ("states", "inputs", "parameters", "period")}
     functions = {name: staticmethod(function) for name, function in kind(case.plant, case.limits).items()}
     declaration = type("Closed", (), kept | functions | {"guess": case.plant.guess, "traced": case.plant.traced})

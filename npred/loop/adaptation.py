@@ -1,64 +1,19 @@
 """The delay estimate's update law: w, q1, phi and the projection [DAPF, eqs. 11-14]."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from npred import array_checks
+from npred.delays import family_of
+from npred.delays.family import UPDATE, Kernel
 from npred.errors import ConfigError
-from npred.loop import array_kernels, multi_delay_control
 from npred.loop.delay_law import DelayLaw, interpreted
 from npred.plants.base import Plant
-from npred.plants.black_box import BlackBox
-from npred.symbolic import called_functions, kernels, programs
+from npred.predictors import RK4
 from npred.symbolic.compile_cache import jit
-from npred.symbolic.trace import Trace
-
-# P (nx, n, B), u (nx, m, B), D_hat (B,), t, p -> U (m, B)
-CONTROL_SIGNATURE = "void(float64[:,:,::1], float64[:,:,::1], float64[::1], float64, float64[::1], float64[:,::1])"
-# P (nx, n, B), X (n, B), u at the nodes (nx, m, B), D_hat (B,), t, p, b -> phi (B,), N (B,)
-UPDATE_SIGNATURE = (
-    "void(float64[:,:,::1], float64[:,::1], float64[:,:,::1], float64[::1], float64, float64[::1], float64, "
-    "float64[::1], float64[::1])"
-)
-
-UPDATE = """\
-def update(P, X, u, D_hat, t, p, b, phi, N):
-    nx, n, lanes = P.shape
-    {parameters}
-    r, s = np.empty((n, lanes)), np.empty((n, lanes))
-    I1, I2 = np.empty(lanes), np.empty(lanes)
-    j = 0
-    for l in range(lanes):
-        h = D_hat[l] / (nx - 1)
-        {first}
-        I1[l] = 0.5 * i1
-        I2[l] = 0.5 * i2
-    for j in range(1, nx):
-        weight = (1.0 + j / (nx - 1)) * (0.5 if j == nx - 1 else 1.0)
-        for l in range(lanes):
-            h = D_hat[l] / (nx - 1)
-            {node}
-            I1[l] += weight * i1
-            I2[l] += weight * i2
-    for l in range(lanes):
-        {end}
-        N[l] = 1.0 + v + b * I2[l] / (nx - 1)
-        phi[l] = -I1[l] / (nx - 1) / N[l]
-"""
-
-CONTROL = """\
-def control(P, u, D_hat, t, p, U):
-    lanes = P.shape[2]
-    {parameters}
-    j = P.shape[0] - 1
-    for l in range(lanes):
-        h = D_hat[l] / j
-        {end}
-"""
 
 
 @dataclass(frozen=True)
@@ -106,8 +61,8 @@ class DelayAdaptation(DelayLaw):
 class Part(NamedTuple):
     """The laws as the time loop runs them: U, then phi and N on lanes, and D_hat += gain phi dt within the bounds."""
 
-    control: Callable[..., None]
-    update: Callable[..., None]
+    control: Kernel
+    update: Kernel
     gain: float
     b: float
     bounds: np.ndarray
@@ -127,10 +82,10 @@ def part(plant: Plant, law: DelayLaw | None) -> Part:
 
 
 @cache
-def _frozen() -> Callable[..., None]:
+def _frozen() -> Kernel:
     """D_hat stays as it is. Compiled on first use: `npred status` looks laws up, and has no use for Numba."""
 
-    @jit(UPDATE_SIGNATURE, nogil=True)
+    @jit(UPDATE, nogil=True)
     def frozen(P, X, u, D_hat, t, p, b, phi, N):  # type: ignore[no-untyped-def]
         """Nothing is added."""
 
@@ -151,57 +106,12 @@ def _lanes_last(a: np.ndarray, leading: int) -> np.ndarray:
 
 
 @cache
-def update_law(plant: Plant) -> Callable[..., None]:
-    """The compiled update law: phi [DAPF, eq. 12] and N = 1 + V + b ∫ (1+x) w²."""
-    if isinstance(plant, BlackBox):
-        return array_kernels.update(plant, transition)
-    trace = called_functions.trace(plant)
-    x, u, t, h = trace.vector("x", plant.n), trace.vector("a", plant.m), trace.input("t"), trace.input("h")
-    r, s = trace.vector("r", plant.n), trace.vector("s", plant.n)
-    first, df = trace.f(x, u, t), partial(trace.df, dt=1.0)
-    source = kernels.fill(
-        UPDATE,
-        parameters=kernels.parameters(len(plant.p)),
-        first=_node(trace, x, u, t, h, first, h * df(x, u, t, first)),
-        node=_node(trace, x, u, t, h, *transition(df, x, u, t, h, r, s)),
-        end=programs.lines([trace.V(trace.vector("X", plant.n), trace.input("t0"))], _bindings(plant), ["v"]),
-    )
-    return kernels.build("update", UPDATE_SIGNATURE, source, called_functions.imports(trace))
+def update_law(plant: Plant) -> Kernel:
+    """The paper's law for D_hat: phi [DAPF, eq. 12] and N = 1 + V + b ∫ (1+x) w²."""
+    return family_of(plant).update()
 
 
 @cache
-def control_law(plant: Plant) -> Callable[..., None]:
-    """The compiled control law: U_j = kappa_j(P(r_j)) with r_j = 1 for one delay [DAPF, eq. 9]."""
-    if isinstance(plant, BlackBox):
-        return array_kernels.control(plant)
-    if not plant.one_delay:
-        return multi_delay_control.build(plant, CONTROL_SIGNATURE)
-    trace = called_functions.trace(plant)
-    U = trace.kappa(trace.vector("x", plant.n), trace.input("t"))
-    end = programs.lines(U, _bindings(plant), [f"U[{k}, l]" for k in range(plant.m)])
-    source = kernels.fill(CONTROL, parameters=kernels.parameters(len(plant.p)), end=end)
-    return kernels.build("control", CONTROL_SIGNATURE, source, called_functions.imports(trace))
-
-
-def transition(df: Any, x: Any, u: Any, t: Any, h: Any, r: Any, s: Any) -> tuple[Any, Any]:
-    """One step of dr/dx = D_hat (f_P r + f_t) by Heun's method: r at this node, and s = h (f_P r + f_t) for the next.
-
-    x, u are of this node; r, s of the one before; h = D_hat / (nx - 1); df(x, u, t, r) is f_P r + f_t.
-    """
-    new = r + (s + h * df(x, u, t, r + s)) / 2
-    return new, h * df(x, u, t, new)
-
-
-def _node(trace: Trace, x: Any, u: Any, t: Any, h: Any, r: Any, s: Any) -> list[str]:
-    """The lines of one node: r and s stored, i1 = q1·w and i2 = |w|²."""
-    kappa, q1 = trace.law(x, t, r, 1.0)
-    w, n = u - kappa, trace.plant.n
-    targets = [f"r[{k}, l]" for k in range(n)] + [f"s[{k}, l]" for k in range(n)] + ["i1", "i2"]
-    return programs.lines([*r, *s, np.dot(q1, w), np.dot(w, w)], _bindings(trace.plant), targets)
-
-
-def _bindings(plant: Plant) -> dict[str, str]:
-    names = {"t": "(t + j * h)", "t0": "t"}
-    for k in range(plant.n):
-        names |= {f"x{k}": f"P[j, {k}, l]", f"X{k}": f"X[{k}, l]", f"r{k}": f"r[{k}, l]", f"s{k}": f"s[{k}, l]"}
-    return names | {f"a{k}": f"u[j, {k}, l]" for k in range(plant.m)}
+def control_law(plant: Plant) -> Kernel:
+    """U_j = kappa_j(P(r_j)) with r_j = 1 for one delay [DAPF, eq. 9]; between nodes P(r_j) is a step of RK4."""
+    return family_of(plant).control(RK4.step)

@@ -4,7 +4,6 @@ Its parts reach it as function pointers, so it is compiled once a machine, not o
 leaves a stale copy of it in Numba's cache. With a predictor in Python the same text runs uncompiled.
 """
 
-from collections.abc import Callable
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -12,14 +11,12 @@ import numpy as np
 from numba import types
 from numba.core.sigutils import normalize_signature
 
-from npred.loop import actuator, adaptation, array_kernels
+from npred.delays import family, family_of
+from npred.delays.family import Kernel
+from npred.loop import actuator
 from npred.plants.base import Plant
-from npred.plants.black_box import BlackBox
-from npred.predictors import base as predictors
 from npred.predictors.onestep import OneStep
-from npred.symbolic import called_functions, kernels, programs
 from npred.symbolic.compile_cache import jit
-from npred.symbolic.trace import Trace
 
 
 class Settings(NamedTuple):
@@ -160,77 +157,24 @@ def _pointer(signature: str) -> types.FunctionType:
     return types.FunctionType(types.void(*arguments))
 
 
-ADVANCE_SIGNATURE = (
-    "void(float64[:,::1], float64[:,::1], float64[:,::1], float64[:,::1], float64, float64, float64[::1])"
-)
-PARTS = (
-    actuator.TRANSPORT, predictors.SIGNATURE, adaptation.CONTROL_SIGNATURE, adaptation.UPDATE_SIGNATURE,
-    actuator.ACTUATE, ADVANCE_SIGNATURE,
-)  # fmt: skip
+PARTS = (actuator.TRANSPORT, family.PREDICT, family.CONTROL, family.UPDATE, actuator.ACTUATE, family.ADVANCE)
 compiled_steps = jit(
     types.void(types.int64, types.int64, types.int64, *map(_pointer, PARTS), SETTINGS, STATE, RECORD), nogil=True
 )(steps)
 
 
-@jit(predictors.SIGNATURE, nogil=True)
+@jit(family.PREDICT, nogil=True)
 def no_predictor(X, u, D_hat, t, p, P):  # type: ignore[no-untyped-def]
     """The open loop predicts nothing."""
 
 
-@jit(adaptation.CONTROL_SIGNATURE, nogil=True)
+@jit(family.CONTROL, nogil=True)
 def no_control(P, u, D_hat, t, p, U):  # type: ignore[no-untyped-def]
     """The open loop: U = 0."""
     U[:] = 0.0
 
 
-ADVANCE = """\
-def advance(X, U0, U1, share, dt, t, p):
-    {parameters}
-    for l in range(X.shape[1]):
-        h, start = share[0, l] * dt, t
-        {first}
-    for l in range(X.shape[1]):
-        if share[0, l] < 1.0:
-            h, start = (1.0 - share[0, l]) * dt, t + share[0, l] * dt
-            {second}
-"""
-
-# Inputs with delays of their own switch at moments of their own.
-ADVANCE_SEVERAL = """\
-def advance(X, U0, U1, share, dt, t, p):
-    {parameters}
-    for l in range(X.shape[1]):
-        begin = 0.0
-        while begin < 1.0:
-            end = 1.0
-            for c in range(share.shape[0]):
-                if begin < share[c, l] < end:
-                    end = share[c, l]
-            h, start = (end - begin) * dt, t + begin * dt
-            {piece}
-            begin = end
-"""
-
-
 @cache
-def advance_kernel(plant: Plant, method: type[OneStep]) -> Callable[..., None]:
-    """The compiled step of the plant with held inputs, split where a switch of a delayed input falls inside it."""
-    if isinstance(plant, BlackBox):
-        return array_kernels.advance(plant, method)
-    parameters = kernels.parameters(len(plant.p))
-    trace = called_functions.trace(plant)
-    if plant.one_delay:
-        parts = {name: _advance(trace, method, f"{U}[{{0}}, l]") for name, U in (("first", "U0"), ("second", "U1"))}
-        source = kernels.fill(ADVANCE, parameters=parameters, **parts)
-    else:
-        piece = _advance(trace, method, "(U0[{0}, l] if begin < share[{0}, l] else U1[{0}, l])")
-        source = kernels.fill(ADVANCE_SEVERAL, parameters=parameters, piece=piece)
-    return kernels.build("advance", ADVANCE_SIGNATURE, source, called_functions.imports(trace))
-
-
-def _advance(trace: Trace, method: type[OneStep], U: str) -> list[str]:
-    plant = trace.plant
-    x, u = trace.vector("x", plant.n), trace.vector("u", plant.m)
-    y = method.step(trace.f, x, u, u, u, trace.input("t"), trace.input("h"))
-    names = {f"x{k}": f"X[{k}, l]" for k in range(plant.n)} | {f"u{k}": U.format(k) for k in range(plant.m)}
-    return programs.lines(y, names | {"t": "start"}, [f"X[{k}, l]" for k in range(plant.n)])
+def advance_kernel(plant: Plant, method: type[OneStep]) -> Kernel:
+    """The step of the plant with held inputs, split where a switch of a delayed input falls inside it."""
+    return family_of(plant).advance(method.step)

@@ -11,9 +11,6 @@ from npred import array_checks
 from npred.errors import ConfigError
 from npred.plants.base import Plant
 
-# X (n, B), u (nx, m, B), D_hat (B,), t, p, P (nx, n, B): lanes innermost, so that B loops share each instruction.
-SIGNATURE = "void(float64[:,::1], float64[:,:,::1], float64[::1], float64, float64[::1], float64[:,:,::1])"
-
 
 class Predictor(ABC):
     """P(x) = X + D_hat ∫₀ˣ f(P(y), u(y)) dy on nx uniform nodes, both ends in [DAPF, eq. 10].
@@ -57,7 +54,7 @@ class Predictor(ABC):
         """P (B, nx, n) of X (B, n), u (B, nx, m), D_hat (B,), t (B,) or ()."""
 
     def lanes(self) -> Callable[..., None]:
-        """The same map on the loop's memory, lanes innermost: SIGNATURE, P written in place."""
+        """The same map on the loop's memory, lanes innermost: npred.delays.family.PREDICT, P written in place."""
 
         def predict(X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: float, p: np.ndarray, P: np.ndarray) -> None:
             X, u, D_hat = X.T, u.transpose(2, 0, 1), D_hat.view()

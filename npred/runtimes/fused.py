@@ -5,9 +5,10 @@ from typing import Any
 
 import numpy as np
 
+from npred.delays.family import PREDICT
 from npred.operators import Operator
 from npred.plants.base import Plant
-from npred.predictors.base import SIGNATURE, Compiled
+from npred.predictors.base import Compiled
 from npred.runtimes import numba_text
 from npred.runtimes.lower import fold
 from npred.runtimes.program import Program
@@ -137,13 +138,13 @@ def coarsest(nx: int) -> int:
 
 
 def build(p: Program) -> Callable[..., None]:
-    """The compiled function of a program: SIGNATURE, for p.nx nodes and any number of lanes."""
+    """The compiled function of a program: PREDICT, for p.nx nodes and any number of lanes."""
     preamble = numba_text.preamble(p.constants, p.precision) + f"share = 0.5 / np.maximum(np.arange({p.nx}), 1)\n"
     memory = numba_text.buffers(p.buffers, p.precision) + numba_text.buffers({"prefix": p.nx}, np.float64)
     slots = {"memory": memory + numba_text.arrays(p.constants), "body": _body(p)}
     slots |= {"flat": _outputs(p, f"flat_P[j * {p.n} + {{c}}]"), "lane": _outputs(p, "P[j, {c}, l]")}
     source = kernels.fill(SOURCE, **slots).format(**_sizes(p))
-    return kernels.build("fused", SIGNATURE, source, preamble, numba_text.FASTMATH)
+    return kernels.build("fused", PREDICT, source, preamble, numba_text.FASTMATH)
 
 
 def _outputs(p: Program, target: str) -> list[str]:

@@ -8,9 +8,10 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from npred import grid, plants
+from npred.delays.family import transition
 from npred.errors import ConfigError
 from npred.loop import engine
-from npred.loop.adaptation import DelayAdaptation, transition
+from npred.loop.adaptation import DelayAdaptation
 from npred.loop.closed_loop import simulate
 from npred.plants import Plant
 from npred.plants.black_box import BlackBox

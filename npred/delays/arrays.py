@@ -1,0 +1,107 @@
+"""A plant that is not traced, with one constant delay: the same formulas on arrays (n, B), f called as it is.
+
+A lane that leaves the finite numbers is NaN from there on, which its reader says in words: NumPy warns of nothing.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from npred import grid
+from npred.delays.family import Family, Kernel, Step, transition
+from npred.plants.base import Plant
+from npred.plants.black_box import BlackBox
+
+
+class ArrayFamily(Family):
+    """All inputs of a black box arrive D late."""
+
+    plant: BlackBox
+
+    @staticmethod
+    def serves(plant: Plant) -> bool:
+        return isinstance(plant, BlackBox)
+
+    def sweep(self, step: Step) -> Kernel:
+        plant = self.plant
+        f = on_lanes(plant)
+
+        @np.errstate(all="ignore")
+        def predict(X: Any, u: np.ndarray, D_hat: np.ndarray, t: float, p: Any, P: np.ndarray) -> None:
+            nx, h = len(P), D_hat / (len(P) - 1)
+            middle = grid.refine(np.moveaxis(u, -1, 0), 2 * nx - 1)[:, 1::2].transpose(1, 2, 0)
+            P[0] = X
+            for j in range(nx - 1):
+                P[j + 1] = step(f, P[j], u[j], middle[j], u[j + 1], t + j * h, h)
+
+        return predict
+
+    def picard(self, tolerance: float, sweeps: int) -> Kernel:
+        plant = self.plant
+
+        @np.errstate(all="ignore")
+        def predict(X: Any, u: np.ndarray, D_hat: np.ndarray, t: float, p: Any, P: np.ndarray) -> None:
+            h, times = D_hat / (len(P) - 1), t + np.arange(len(P))[:, None] * D_hat / (len(P) - 1)
+            P[:] = X
+            for _ in range(sweeps):
+                f = np.moveaxis(plant.f(np.moveaxis(P, 1, -1), np.moveaxis(u, 1, -1), times), -1, 1)
+                new = np.concatenate([P[:1], X + np.cumsum(h / 2 * (f[:-1] + f[1:]), axis=0)])
+                change, size = np.abs(new - P).max(axis=(0, 1)), np.abs(new).max(axis=(0, 1))
+                P[:] = new
+                if (change <= tolerance * (1.0 + size)).all():
+                    return
+            P[..., ~(change <= tolerance * (1.0 + size))] = np.nan
+
+        return predict
+
+    def control(self, step: Step) -> Kernel:
+        plant = self.plant
+
+        @np.errstate(all="ignore")
+        def law(P: Any, u: Any, D_hat: Any, t: float, p: Any, U: Any) -> None:
+            U[:] = plant.kappa(P[-1].T, t + D_hat).T
+
+        return law
+
+    def update(self) -> Kernel:
+        plant = self.plant
+        f = on_lanes(plant)
+
+        def df(x: np.ndarray, v: np.ndarray, t: Any, along: np.ndarray) -> np.ndarray:
+            return plant.df(x.T, v.T, t, along.T, 1.0).T
+
+        @np.errstate(all="ignore")
+        def law(P: Any, X: Any, u: Any, D_hat: Any, t: float, p: Any, b: float, phi: Any, N: Any) -> None:
+            last, h = len(P) - 1, D_hat / (len(P) - 1)
+            r = f(P[0], u[0], t + 0.0 * h)
+            s, I1, I2 = h * df(P[0], u[0], t + 0.0 * h, r), 0.0, 0.0
+            for j in range(last + 1):
+                now = t + j * h
+                if j:
+                    r, s = transition(df, P[j], u[j], now, h, r, s)
+                w, q1 = u[j] - plant.kappa(P[j].T, now).T, plant.dkappa(P[j].T, now, r.T, 1.0).T
+                weight = (1.0 + j / last) * (0.5 if j in (0, last) else 1.0)
+                I1, I2 = I1 + weight * (q1 * w).sum(axis=0), I2 + weight * (w * w).sum(axis=0)
+            N[:] = 1.0 + plant.V(X.T, t) + b * I2 / last
+            phi[:] = -I1 / last / N
+
+        return law
+
+    def advance(self, step: Step) -> Kernel:
+        plant = self.plant
+        f = on_lanes(plant)
+
+        @np.errstate(all="ignore")
+        def held(X: np.ndarray, U0: Any, U1: Any, share: np.ndarray, dt: float, t: float, p: Any) -> None:
+            part = share[0]
+            X[:] = step(f, X, U0, U0, U0, t, part * dt)
+            if (part < 1.0).any():
+                rest = step(f, X, U1, U1, U1, t + part * dt, (1.0 - part) * dt)
+                X[:] = np.where(part < 1.0, rest, X)
+
+        return held
+
+
+def on_lanes(plant: Plant) -> Step:
+    """f(x, u, t) with lanes last: x (n, B), u (m, B), t a number or (B,), to (n, B)."""
+    return lambda x, u, t: plant.f(x.T, u.T, t).T
