@@ -15,11 +15,11 @@ install: $(VENV)/.installed ## set up .venv with npred in it
 
 dev: $(VENV)/.installed-dev ## the same with what the tests need
 
-test: dev ## all tests
-	$(BIN)/python -m pytest
+test: dev ## all tests, the files side by side on all cores
+	$(BIN)/python -m pytest -n auto --dist loadfile
 
 test-fast: dev ## the tests that take no more than a few seconds each
-	$(BIN)/python -m pytest -m "not slow"
+	$(BIN)/python -m pytest -n auto --dist loadfile -m "not slow"
 
 smoke: install ## the whole chain on a tiny problem
 	$(BIN)/npred run pipeline/smoke.toml
