@@ -2,11 +2,10 @@
 
 from typing import TYPE_CHECKING, Any
 
-from npred import config
+from npred import config, registry
 from npred.errors import ConfigError
 from npred.loop.adaptation import DelayAdaptation
 from npred.loop.delay_law import DelayLaw
-from npred.plants import files
 
 if TYPE_CHECKING:
     from npred.plants.base import Plant
@@ -22,7 +21,7 @@ def resolve(loop: config.Loop) -> DelayLaw | None:
         return None
     if loop.adaptation == config.PAPER:
         return DelayAdaptation(loop.gamma, loop.b, loop.bounds)
-    law = files.load("adaptation", loop.adaptation).declaration
+    law = registry.load("adaptation", loop.adaptation).declaration
     if not (isinstance(law, type) and issubclass(law, DelayLaw)):
         raise ConfigError(f"adaptation {loop.adaptation}: expected a subclass of npred.DelayLaw; derive it from that")
     try:
@@ -35,10 +34,10 @@ def resolve(loop: config.Loop) -> DelayLaw | None:
 
 def identity(loop: config.Loop) -> Any:
     """What a key holds of the law: None for the paper's, a name, or what the file of one's own holds."""
-    if not files.named(loop.adaptation):
+    if not registry.named(loop.adaptation):
         return None if loop.adaptation == config.PAPER else loop.adaptation
-    path, name = files.split(loop.adaptation)
-    return {"name": name, "source": files.read("adaptation", path).sha256}
+    path, name = registry.split(loop.adaptation)
+    return {"name": name, "source": registry.read("adaptation", path).sha256}
 
 
 def check(loop: config.Loop, plant: "Plant") -> None:

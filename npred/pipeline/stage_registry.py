@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from npred import registry
 from npred.config import Loop, Pipeline, Table, Train
 from npred.errors import ConfigError
 from npred.json_files import escaped, regular
@@ -87,12 +88,11 @@ def question(node: Node, config: Pipeline, device: str) -> dict[str, Any]:
 def sources(node: Node, config: Pipeline) -> dict[str, SourceText]:
     """The files of code behind a node's question: the plant's, and that of a delay law of the user's; long ones not."""
     from npred import plants
-    from npred.plants import files
 
     files_by_role = {"plant": plants.resolve(config.plant, config.parameters).source}
     law = getattr(getattr(config, node.stage, None), "adaptation", "")
-    if files.named(law):
-        files_by_role[f"{node.stage}.adaptation"] = files.read("adaptation", files.split(law)[0])
+    if registry.named(law):
+        files_by_role[f"{node.stage}.adaptation"] = registry.read("adaptation", registry.split(law)[0])
     return {
         role: SourceText(file=escaped(source.file), text=source.text)
         for role, source in files_by_role.items()

@@ -6,8 +6,9 @@ from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any
 
+from npred import registry
 from npred.errors import ConfigError, similar
-from npred.plants import builtin, files, installed
+from npred.plants import builtin
 from npred.plants.base import Plant
 from npred.plants.black_box import BlackBox
 
@@ -19,14 +20,14 @@ def resolve(name: str, parameters: Mapping[str, float] = {}) -> Plant:
     """
     if not isinstance(name, str):
         raise ConfigError(f"plant: expected a name or my_plant.py:Tank, got {name!r}; write it as text")
-    if files.named(name):
-        loaded = files.load("plant", name)
-        path, _ = files.split(name)
+    if registry.named(name):
+        loaded = registry.load("plant", name)
+        path, _ = registry.split(name)
         spec = f"{path.absolute()}:{loaded.name}"
         return _named(spec, make(loaded.name, loaded.declaration, parameters, loaded.source))
     if name.endswith(".py"):
         raise ConfigError(f"plant {name}: expected the class too, got the file alone; write {name}:Tank, say")
-    declaration = _builtin().get(name) or installed.find(name)
+    declaration = _builtin().get(name) or registry.PLANTS.installed(name)
     if declaration is None:
         known = names()
         near = similar(name, known)
@@ -59,7 +60,7 @@ def remade(kind: type[Plant], name: str, declaration: Any, parameters: tuple[tup
 
 
 def make(
-    name: str, declaration: Any, parameters: Mapping[str, float] = {}, source: files.Source | None = None
+    name: str, declaration: Any, parameters: Mapping[str, float] = {}, source: registry.Source | None = None
 ) -> Plant:
     """The plant of a declaration: traced, unless it says `traced = False`."""
     kind = Plant if getattr(declaration, "traced", True) else BlackBox
@@ -81,7 +82,7 @@ def named() -> list[dict[str, Any]]:
 
 def names() -> list[str]:
     """The plants that have a name: built in, or of installed packages, of which nothing is imported."""
-    return [*_builtin(), *installed.names(_builtin())]
+    return [*_builtin(), *(name for name in registry.PLANTS.names() if name not in _builtin())]
 
 
 def _told(name: str) -> dict[str, Any]:

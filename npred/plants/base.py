@@ -7,10 +7,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from npred import registry
 from npred.errors import ConfigError
 from npred.plants import declaration as declared
-from npred.plants import files, newton
-from npred.plants.files import Source
+from npred.plants import newton
+from npred.registry import Source
 from npred.symbolic import array_math, programs, source_lines
 from npred.symbolic.trace import Trace, call, python
 
@@ -35,7 +36,7 @@ class Plant:
         declared.called(name)
         declared.check(name, declaration)
         self.name, self.declaration = name, declared.completed(declaration)
-        self.source = source or files.declaring(declaration)
+        self.source = source or registry.declaring(declaration)
         self.declares_V = hasattr(declaration, "V")
         self.states = declared.names(name, "states", declaration.states)
         self.inputs = declared.names(name, "inputs", declaration.inputs)

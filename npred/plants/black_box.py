@@ -11,7 +11,7 @@ import numpy as np
 from npred import json_files
 from npred.errors import ConfigError
 from npred.plants.base import Plant
-from npred.plants.files import Source
+from npred.registry import Source
 from npred.symbolic import hints
 from npred.symbolic.trace import failure, parameters
 

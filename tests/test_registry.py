@@ -1,4 +1,4 @@
-"""Plants of installed packages: found by name, listed, and not imported before they are asked for."""
+"""Named parts: built in, of installed packages, or of a file; found by name, and imported when asked for."""
 
 import sys
 
@@ -6,7 +6,7 @@ import pytest
 from conftest import TANK
 from typer.testing import CliRunner
 
-from npred import plants
+from npred import plants, registry
 from npred.cli import app
 from npred.errors import ConfigError
 
@@ -71,3 +71,22 @@ def test_a_broken_package_is_told_by_name(package, entry, text, words):
     package(entry, text)
     with pytest.raises(ConfigError, match=words):
         plants.resolve("round_tank")
+
+
+@pytest.mark.parametrize("parts", [registry.NETWORKS, registry.METHODS, registry.DELAY_LAWS, registry.RUNTIMES])
+def test_what_is_built_in_can_be_imported_and_has_a_label(parts):
+    for name in parts.builtin:
+        assert isinstance(parts.load("part", name), type)
+        assert parts.label(name)
+
+
+def test_a_part_of_a_package_or_of_a_file_stands_beside_those_built_in(package, tmp_path):
+    package("round_tank = shed_of_tanks:Tank")
+    tanks = registry.Registry("tank", "npred.plants", {"square": registry.Entry("npred.errors:ConfigError", "Square")})
+    assert tanks.names() == ["square", "round_tank"]
+    assert (tanks.label("square"), tanks.label("round_tank")) == ("Square", "round_tank")
+    assert "shed_of_tanks" not in sys.modules
+    assert tanks.load("tank", "round_tank").states == ("h",)
+    assert tanks.load("tank", f"{tmp_path}/shed_of_tanks.py:Tank").states == ("h",)
+    with pytest.raises(ConfigError, match=r"tank: expected square, round_tank, or a class .* mean square"):
+        tanks.load("tank", "sqare")

@@ -1,0 +1,190 @@
+"""Named parts: built in, of an installed package (an entry point), or a class of a user's file, as my_plant.py:Tank.
+
+The tables below name what is built in: a new network, method, law or runtime is one file and a line here. Nothing is
+imported before it is asked for. A user's file is code: it is run when somebody names it.
+"""
+
+import hashlib
+import importlib
+import inspect
+from collections.abc import Mapping
+from keyword import iskeyword
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from npred import json_files
+from npred.errors import ConfigError, similar
+from npred.symbolic import source_lines
+
+SUFFIX = ".py:"
+
+
+class Entry(NamedTuple):
+    """A built-in part: where it is, as module:Class, and what people call it."""
+
+    target: str
+    label: str
+
+
+class Source(NamedTuple):
+    """A file of code: its name without folders, its text, and the sha256 of its bytes."""
+
+    file: str
+    text: str
+    sha256: str
+
+
+class Loaded(NamedTuple):
+    """A class, its name, and its file."""
+
+    name: str
+    declaration: Any
+    source: Source
+
+
+class Registry:
+    """The parts of one kind by name; `group` is that of the entry points of other packages."""
+
+    def __init__(self, kind: str, group: str, builtin: Mapping[str, Entry] = {}) -> None:
+        self.kind, self.group, self.builtin = kind, group, dict(builtin)
+
+    def names(self) -> list[str]:
+        """The built-in names, then those of installed packages, sorted; nothing of these is imported."""
+        return [*self.builtin, *sorted(self._installed().keys() - self.builtin.keys())]
+
+    def label(self, name: str) -> str:
+        """What people call a part: its own name where it is not built in."""
+        return self.builtin[name].label if name in self.builtin else name
+
+    def check(self, what: str, name: str) -> None:
+        """Raise ConfigError, after `what` (a key, say), unless the name is known or is that of a class of a file."""
+        if not named(name) and name not in self.names():
+            near = similar(name, self.names())
+            raise ConfigError(
+                f"{what}: expected {', '.join(self.names())}, or a class of a file as my_file.py:Name, "
+                f"got {name!r}{near or '; choose one'}"
+            )
+
+    def load(self, what: str, name: str) -> Any:
+        """The part of that name, imported now. Raises ConfigError as `check` does, and where the import fails."""
+        self.check(what, name)
+        if named(name):
+            return load(what, name).declaration
+        if name in self.builtin:
+            module, _, attribute = self.builtin[name].target.partition(":")
+            return getattr(importlib.import_module(module), attribute)
+        return self.installed(name)
+
+    def installed(self, name: str) -> Any:
+        """What an installed package registers, or None. Raises ConfigError, naming the package, where it fails."""
+        entry = self._installed().get(name)
+        if entry is None:
+            return None
+        try:
+            return entry.load()
+        except (Exception, SystemExit) as error:
+            package = entry.dist.name if entry.dist else "a package"
+            reason = source_lines.told(error)
+            raise ConfigError(
+                f"{self.kind} {name}: {package} failed on import of {entry.value}: {reason}; fix it"
+            ) from None
+
+    def _installed(self) -> dict[str, Any]:
+        from importlib.metadata import entry_points
+
+        return {entry.name: entry for entry in entry_points(group=self.group)}
+
+
+NETWORKS = Registry(
+    "network",
+    "npred.networks",
+    {
+        "deeponet": Entry("npred.operators.deeponet:DeepONetwork", "DeepONet"),
+        "fno": Entry("npred.operators.fno:FNOnetwork", "FNO"),
+    },
+)
+METHODS = Registry(
+    "predictor",
+    "npred.predictors",
+    {
+        "euler": Entry("npred.predictors.euler:Euler", "Euler"),
+        "heun": Entry("npred.predictors.heun:Heun", "Heun"),
+        "rk4": Entry("npred.predictors.rk4:RK4", "RK4"),
+        "picard": Entry("npred.predictors.picard:Picard", "Picard"),
+    },
+)
+DELAY_LAWS = Registry(
+    "adaptation",
+    "npred.delay_laws",
+    {"bresch-pietri-krstic": Entry("npred.loop.adaptation:DelayAdaptation", "Bresch-Pietri and Krstic")},
+)
+RUNTIMES = Registry(
+    "runtime",
+    "npred.runtimes",
+    {
+        "torch": Entry("npred.predictors.neural:Neural", "torch"),
+        "fused": Entry("npred.runtimes.fused:Fused", "fused"),
+        "onnx": Entry("npred.runtimes.onnx:Onnx", "ONNX Runtime"),
+    },
+)
+PLANTS = Registry("plant", "npred.plants")  # the built-in ones are the files of npred/plants/builtin
+
+
+def named(spec: str) -> bool:
+    """Whether the text names a class of a file."""
+    return SUFFIX in spec
+
+
+def split(spec: str) -> tuple[Path, str]:
+    """File and class of my_plant.py:Tank. Raises ConfigError for a class that no Python file could have."""
+    path, _, name = spec.partition(SUFFIX)
+    if not name.isidentifier() or iskeyword(name):
+        raise ConfigError(f"{spec}: expected the name of a class after the colon, got {name!r}; write my_plant.py:Tank")
+    return Path(path + ".py"), name
+
+
+def read(what: str, path: Path) -> Source:
+    """The file as it is now. Raises ConfigError where it cannot be read, or is none: a pipe, a device."""
+    try:
+        return _source(path, json_files.regular(path).read_bytes())
+    except OSError as error:
+        raise ConfigError(f"{what}: expected a file at {path}, got: {error.strerror}; check the path") from None
+
+
+def declaring(declaration: Any) -> Source | None:
+    """The file of the module that a class comes from; None where there is none, as at a prompt."""
+    try:
+        path = Path(inspect.getfile(declaration))
+        return _source(path, path.read_bytes())
+    except (TypeError, OSError):
+        return None
+
+
+def _source(path: Path, content: bytes) -> Source:
+    return Source(path.name, content.decode(errors="replace"), hashlib.sha256(content).hexdigest())
+
+
+def load(what: str, spec: str) -> Loaded:
+    """Run the file and take the class. Raises ConfigError, in one line, where either is missing or the file fails."""
+    path, name = split(spec)
+    if not path.is_file():  # a pipe or a device would be read without an end
+        raise ConfigError(
+            f"{what} {spec}: expected a Python file, found none at {path}; check the path, which a pipeline gives from "
+            "its own folder and the command line from yours"
+        )
+    content = path.read_bytes()
+    space: dict[str, Any] = {"__name__": path.stem, "__file__": str(path)}
+    try:
+        exec(compile(content, str(path), "exec"), space)
+    except SyntaxError as error:
+        line = f":{error.lineno}" if error.lineno else ""
+        raise ConfigError(f"{what} {path}{line}: expected Python, got a syntax error: {error.msg}; fix it") from None
+    except (Exception, SystemExit) as error:
+        line = source_lines.last_line(error, str(path))
+        raise ConfigError(f"{what} {path}{line}: failed on import: {source_lines.told(error)}; fix the file") from None
+    if not isinstance(space.get(name), type):
+        own = [key for key, value in space.items() if isinstance(value, type) and value.__module__ == path.stem]
+        raise ConfigError(
+            f"{what} {path}: expected a class {name}, found {', '.join(own) or 'none'}; check the name after the colon"
+        )
+    return Loaded(name, space[name], _source(path, content))
