@@ -11,6 +11,7 @@ from npred import plants
 from npred.cli.options import Common, writable
 from npred.data import exchange, shards
 from npred.data.dataset import MEANING, Dataset, attributes
+from npred.delays import family_of
 from npred.errors import ConfigError, MissingError
 from npred.pipeline import load_data
 from npred.pipeline.runner import plain
@@ -39,9 +40,7 @@ def bring(options: Common, form: str, given: Given) -> None:
     if given.output.resolve() in (given.inputs.resolve(), given.outputs.resolve()):
         raise ConfigError(f"import: expected another file than the two, got --output {given.output}; name one")
     plant = plants.resolve(given.plant)
-    if not plant.autonomous:
-        raise ConfigError(f"import: expected a plant free of time, {plant.name} is not; the files hold no time")
-    plant.needs_one_delay("import", "the files hold one D_hat a row")
+    family_of(plant).needs("import")
     data = exchange.part(plant, exchange.read(given.inputs), exchange.read(given.outputs), given.rollouts)
     found = {"checks": exchange.checks(plant, data), "splits": _splits(data, given.rollouts)}
     for line in _doubts(found, data.u.shape[1]):

@@ -3,7 +3,7 @@
 A lane that leaves the finite numbers is NaN from there on, which its reader says in words: NumPy warns of nothing.
 """
 
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -17,10 +17,14 @@ class ArrayFamily(Family):
     """All inputs of a black box arrive D late."""
 
     plant: BlackBox
+    lacks: ClassVar = {"onnx": "use the runtime torch or fused", "export c": "use npred.controller"}
 
     @staticmethod
     def serves(plant: Plant) -> bool:
         return isinstance(plant, BlackBox)
+
+    def expected(self) -> str:
+        return f"expected a plant that is traced, {self.plant.name} says traced = False"
 
     def sweep(self, step: Step) -> Kernel:
         plant = self.plant

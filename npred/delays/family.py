@@ -5,9 +5,10 @@ end. Arrays have their lanes innermost, so that B loops share each instruction.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar
 
+from npred.errors import ConfigError
 from npred.plants.base import Plant
 
 Kernel = Callable[..., None]
@@ -26,11 +27,40 @@ UPDATE = (
 ADVANCE = "void(float64[:,::1], float64[:,::1], float64[:,::1], float64[:,::1], float64, float64, float64[::1])"
 
 
+# What knows (X, u, D_hat) alone, and what to use where P depends on the time too.
+WITHOUT_TIME = {
+    "fused": "use the runtime torch",
+    "onnx": "use the runtime torch",
+    "export c": "use npred.controller",
+    "import": "the files hold no time",
+}
+
+
 class Family(ABC):
-    """The kernels of one plant. What a family lacks it refuses by ConfigError, with what to do instead."""
+    """The kernels of one plant. What a family lacks it refuses by ConfigError, with what to do instead.
+
+    `lacks` names the methods, laws, runtimes and formats that do not serve the family, each with what to use instead.
+    """
+
+    lacks: ClassVar[Mapping[str, str]] = {}
 
     def __init__(self, plant: Plant) -> None:
         self.plant = plant
+
+    def expected(self) -> str:
+        """What those in `lacks` need, and what the plant has."""
+        return ""
+
+    def refusal(self, part: str) -> tuple[str, str] | None:
+        """Why that method, law, runtime or format does not serve the plant, and what to do; None where it does."""
+        if part in WITHOUT_TIME and self.plant.clocked:
+            return f"expected a prediction free of time, that of plant {self.plant.name} is not", WITHOUT_TIME[part]
+        return (self.expected(), self.lacks[part]) if part in self.lacks else None
+
+    def needs(self, part: str) -> None:
+        """Raise ConfigError where the part does not serve the plant."""
+        if refusal := self.refusal(part):
+            raise ConfigError(f"{part}: {'; '.join(refusal)}")
 
     @staticmethod
     @abstractmethod
@@ -41,17 +71,19 @@ class Family(ABC):
     def sweep(self, step: Step) -> Kernel:
         """PREDICT by a one-step method over the nodes."""
 
-    @abstractmethod
     def picard(self, tolerance: float, sweeps: int) -> Kernel:
         """PREDICT by successive approximations."""
+        self.needs("picard")
+        raise NotImplementedError
 
     @abstractmethod
     def control(self, step: Step) -> Kernel:
         """CONTROL, U = kappa(P(1)) [DAPF, eq. 9]; `step` predicts between nodes where a delay ends there."""
 
-    @abstractmethod
     def update(self) -> Kernel:
         """UPDATE, the paper's law for D_hat: phi [DAPF, eq. 12] and N = 1 + V + b ∫ (1+x) w²."""
+        self.needs("adaptation")
+        raise NotImplementedError
 
     @abstractmethod
     def advance(self, step: Step) -> Kernel:

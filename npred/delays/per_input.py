@@ -8,7 +8,7 @@ The command is U_j = kappa_j(P(r_j), t + r_j D_hat).
 """
 
 from collections.abc import Callable
-from typing import Any, NoReturn
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -102,25 +102,29 @@ def advance(X, U0, U1, share, dt, t, p):
 class DelayPerInput(Family):
     """Each input arrives r_j D late."""
 
+    lacks: ClassVar = {
+        "picard": "use rk4",
+        "published": "use euler, heun or rk4",
+        "euler_python": "use euler, heun or rk4",
+        "adaptation": 'freeze the estimate, in a pipeline by adaptation = "frozen"',
+        "onnx": "use the runtime torch or fused",
+        "export c": "use npred.controller",
+        "import": "the files hold one D_hat per row",
+    }
+
     @staticmethod
     def serves(plant: Plant) -> bool:
         return plant.traced and not plant.one_delay
 
+    def expected(self) -> str:
+        seconds = ", ".join(f"{delay:g}" for delay in self.plant.delays or ())
+        return f"expected one delay, plant {self.plant.name} has delays {seconds} s"
+
     def sweep(self, step: Step) -> Kernel:
         return kernels.build("sweep", family.PREDICT, sweep_source(self.plant, step), PREAMBLE)
 
-    def picard(self, tolerance: float, sweeps: int) -> Kernel:
-        self._refuse("picard", "use rk4")
-
     def control(self, step: Step) -> Kernel:
         return kernels.build("control", family.CONTROL, control_source(self.plant, step), PREAMBLE)
-
-    def update(self) -> Kernel:
-        self._refuse("adaptation", "freeze the estimate")
-
-    def _refuse(self, what: str, cure: str) -> NoReturn:
-        self.plant.needs_one_delay(what, cure)
-        raise AssertionError(f"{self.plant.name} has one delay")  # and then another family serves it
 
     def advance(self, step: Step) -> Kernel:
         trace = called_functions.trace(self.plant)

@@ -9,6 +9,7 @@ import numpy as np
 
 from npred import randomness
 from npred.config import Pipeline
+from npred.delays import family_of
 from npred.diagnosis import pipeline_fit
 from npred.errors import ConfigError
 from npred.plants import inputs
@@ -90,7 +91,7 @@ class Case:
     def takes_V(self) -> bool:
         """Whether an update law runs: not with a frozen estimate, nor where inputs have delays of their own."""
         return (
-            self.plant.one_delay
+            family_of(self.plant).refusal("adaptation") is None
             if self.pipeline is None
             else pipeline_fit.adapts(self.pipeline, ("generate", "evaluate"))
         )

@@ -2,10 +2,12 @@
 
 import json
 from collections.abc import Collection
+from typing import Any
 
 import numpy as np
 
 from npred.config import FROZEN, PAPER, Pipeline
+from npred.delays import family_of
 from npred.diagnosis import defects
 from npred.errors import ConfigError
 from npred.plants import inputs
@@ -21,7 +23,7 @@ STEPS = (1e-5, 1e-6, 1e-7)  # s, of differences in time: short for what is fast,
 
 def check(plant: Plant, config: Pipeline, stages: Collection[str]) -> None:
     """Raise ConfigError, in one line, where those stages ask for what the plant does not have."""
-    _delays(plant, config, stages)
+    _served(plant, config, stages)
     _box(plant, config)
     _bounds(plant, config)
     _clock(plant)
@@ -29,8 +31,6 @@ def check(plant: Plant, config: Pipeline, stages: Collection[str]) -> None:
     _start_inputs(plant, config, stages)
     if "train" in stages:
         _anchors(plant, config)
-    if "bench" in stages:
-        _runtimes(plant, config)
     if "evaluate" in stages:
         _evaluated(plant, config)
 
@@ -85,39 +85,22 @@ def _anchors(plant: Plant, config: Pipeline) -> None:
         )
 
 
-def _delays(plant: Plant, config: Pipeline, stages: Collection[str]) -> None:
-    """All that is for one delay in one refusal, with all that has to be changed."""
-    if plant.one_delay:
-        return
-    changes = {}
+def _served(plant: Plant, config: Pipeline, stages: Collection[str]) -> None:
+    """All that does not serve the plant in one refusal, with all that has to be changed."""
+    refusal = family_of(plant).refusal
+    asked: dict[str, tuple[str, Any]] = {}  # what a key names, and what to set in its place
     for stage in ("generate", "evaluate"):
         loop = getattr(config, stage)
-        if stage in stages and loop.adaptation == PAPER:
-            changes[f"{stage}.adaptation"] = FROZEN
-        if stage in stages and loop.predictor == "picard":
-            changes[f"{stage}.predictor"] = "rk4"
-    if "bench" in stages and (unserved := _unserved(plant, config)):
-        changes["bench.runtimes"] = [name for name in config.bench.runtimes if name not in unserved] or ["torch"]
-    if changes:
-        what = ", ".join(f"{key} = {json.dumps(value)}" for key, value in changes.items())
-        plant.needs_one_delay(", ".join(changes), f"set {what}")
-
-
-def _runtimes(plant: Plant, config: Pipeline) -> None:
-    unserved = _unserved(plant, config)
-    if unserved:
-        names = " and ".join(f'"{name}"' for name in unserved)
-        what, cure = f"bench.runtimes: {unserved[0]}", f"leave {names} out of runtimes in [bench]"
-        plant.needs_no_clock(what, cure)
-        plant.needs_one_delay(what, cure)
-        plant.needs_trace(what, cure)
-
-
-def _unserved(plant: Plant, config: Pipeline) -> list[str]:
-    """The runtimes of bench that cannot run networks of the plant."""
-    unserved = {"onnx"} if not plant.one_delay or not plant.traced else set()
-    unserved |= {"fused", "onnx"} if plant.clocked else set()
-    return [name for name in config.bench.runtimes if name in unserved]
+        if stage in stages:
+            asked |= {f"{stage}.adaptation": ("adaptation" if loop.adaptation == PAPER else "", FROZEN)}
+            asked |= {f"{stage}.predictor": (loop.predictor, "rk4")}
+    if "bench" in stages and (refused := [name for name in config.bench.runtimes if refusal(name)]):
+        served = [name for name in config.bench.runtimes if name not in refused]
+        asked["bench.runtimes"] = refused[0], served or ["torch"]
+    reasons = {key: reason for key, (name, _) in asked.items() if (reason := refusal(name))}
+    if reasons:
+        changes = ", ".join(f"{key} = {json.dumps(asked[key][1])}" for key in reasons)
+        raise ConfigError(f"{', '.join(reasons)}: {next(iter(reasons.values()))[0]}; set {changes}")
 
 
 def _clock(plant: Plant) -> None:

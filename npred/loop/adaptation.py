@@ -27,9 +27,7 @@ class DelayAdaptation(DelayLaw):
 
     def check(self, plant: Plant) -> None:
         """Raise ConfigError where inputs have delays of their own."""
-        plant.needs_one_delay(
-            "adaptation", 'its update law is for one; freeze the estimate, in a pipeline by adaptation = "frozen"'
-        )
+        family_of(plant).needs("adaptation")
 
     def rate(
         self, plant: Plant, X: np.ndarray, u: np.ndarray, P: np.ndarray, D_hat: np.ndarray, t: float

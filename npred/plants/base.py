@@ -92,22 +92,6 @@ class Plant:
         """Whether all inputs arrive equally late."""
         return bool((self.ratios == 1).all())
 
-    def needs_one_delay(self, what: str, cure: str) -> None:
-        """Raise ConfigError, naming what is for one delay only, where inputs have delays of their own."""
-        if not self.one_delay:
-            seconds = ", ".join(f"{delay:g}" for delay in self.delays or ())
-            raise ConfigError(f"{what}: expected one delay, plant {self.name} has delays {seconds} s; {cure}")
-
-    def needs_no_clock(self, what: str, cure: str) -> None:
-        """Raise ConfigError, naming what knows (X, u, D_hat) alone, where P depends on the time too."""
-        if self.clocked:
-            raise ConfigError(f"{what}: expected a prediction free of time, that of plant {self.name} is not; {cure}")
-
-    def needs_trace(self, what: str, cure: str) -> None:
-        """Raise ConfigError, naming what writes the plant's formulas out, where they cannot be looked into."""
-        if not self.traced:
-            raise ConfigError(f"{what}: expected a plant that is traced, {self.name} says traced = False; {cure}")
-
     @cached_property
     def p(self) -> np.ndarray:
         """The parameters' values in the order of their declaration."""

@@ -39,7 +39,9 @@ class BlackBox(Plant):
         super().__init__(name, declaration, overrides, source)
         if self.source is None:
             raise ConfigError(f"plant {name}: traced = False expected a class in a file of its own; write one")
-        self.needs_one_delay("traced = False", "trace the plant, or drop delays")
+        if not self.one_delay:
+            what = f"expected one delay, plant {name} has delays {self.delays}"
+            raise ConfigError(f"traced = False: {what}; trace the plant, or drop delays")
 
     def call(self, name: str, x: Any, u: Any, t: Any, p: Any, M: Any) -> list[Any]:
         found = {"f": lambda: self.f(np.array(x), np.array(u), t), "kappa": lambda: self.kappa(np.array(x), t)}

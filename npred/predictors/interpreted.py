@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from npred.delays import family_of
 from npred.plants.base import Plant
 from npred.predictors.base import Predictor
 from npred.symbolic import array_math
@@ -19,7 +20,7 @@ class Interpreted(Predictor):
 
     def __init__(self, plant: Plant, nx: int = 101):
         super().__init__(plant, nx)
-        plant.needs_one_delay(self.name, "use euler, heun or rk4")
+        family_of(plant).needs(self.name)
 
     def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Any) -> np.ndarray:
         return np.stack([self.one(*row) for row in zip(X, u, D_hat, np.broadcast_to(t, len(X)), strict=True)])

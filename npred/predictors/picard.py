@@ -23,7 +23,7 @@ class Picard(Compiled):
 
     def __init__(self, plant: Plant, nx: int = 101, tolerance: float = 1e-12, sweeps: int = 200):
         super().__init__(plant, nx)
-        plant.needs_one_delay("picard", "use rk4")
+        family_of(plant).needs(self.name)
         self.tolerance, self.sweeps = tolerance, sweeps
 
     def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Any) -> np.ndarray:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from npred.delays import family_of
 from npred.operators import Operator
 from npred.plants.base import Plant
 from npred.runtimes import c_text
@@ -177,8 +178,7 @@ def source(operator: Operator, plant: Plant, nx: int, probe: tuple[np.ndarray, .
 
     Raises ConfigError where inputs have delays of their own, for its law reads P(1) alone, and for an untraced plant.
     """
-    plant.needs_one_delay("export c", "use npred.controller")
-    plant.needs_trace("export c", "use npred.controller")
+    family_of(plant).needs("export c")
     p = fold(operator, plant, nx)
     sizes = {
         "N_STATES": p.n,

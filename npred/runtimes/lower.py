@@ -8,6 +8,7 @@ import numpy as np
 import torch
 
 from npred import grid
+from npred.delays import family_of
 from npred.errors import ConfigError
 from npred.operators import Operator
 from npred.operators.deeponet import DeepONetwork
@@ -27,7 +28,7 @@ def fold(operator: Operator, plant: Plant, nx: int, stride: int = 1, precision: 
 
     Raises ConfigError for a network without a program, or one that sees the clock.
     """
-    plant.needs_no_clock("fold", "use the runtime torch")
+    family_of(plant).needs("fused")
     if type(operator.network) not in NETWORKS:
         known = " or ".join(network.__name__ for network in NETWORKS)
         raise ConfigError(f"fold: expected a {known}, got {type(operator.network).__name__}; use the runtime torch")

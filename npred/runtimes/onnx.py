@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from npred.delays import family_of
 from npred.errors import MissingError, NpredError
 from npred.operators import Operator
 from npred.plants.base import Plant
@@ -49,9 +50,7 @@ def graph(operator: Operator, plant: Plant, nx: int) -> bytes:
     """
     for name in ("onnx", "onnxscript"):
         require(name)
-    plant.needs_one_delay("onnx", "use the runtime torch or fused")
-    plant.needs_no_clock("onnx", "use the runtime torch")
-    plant.needs_trace("onnx", "use the runtime torch or fused")
+    family_of(plant).needs("onnx")
     model = Deployed(operator, plant).eval()
     batch = torch.export.Dim("batch")
     names = inputs(plant)

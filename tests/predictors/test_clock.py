@@ -115,8 +115,8 @@ def test_rows_keep_their_phase():
 @pytest.mark.parametrize(
     ("runtime", "message"),
     [
-        ("fused", "fold: expected a prediction free of time, that of plant unicycle is not; use the runtime torch"),
-        ("onnx", "onnx: expected one delay, plant unicycle has delays 0.25, 0.6 s; use the runtime torch"),
+        ("fused", "fused: expected a prediction free of time, that of plant unicycle is not; use the runtime torch"),
+        ("onnx", "onnx: expected a prediction free of time, that of plant unicycle is not; use the runtime torch"),
     ],
 )
 def test_runtimes_without_a_clock_say_so(runtime, message):

@@ -10,6 +10,7 @@ import numpy as np
 from npred import grid, operators, randomness, runtimes
 from npred.config import Bench
 from npred.data.dataset import Dataset
+from npred.delays import family_of
 from npred.errors import ConfigError, MissingError
 from npred.operators import Operator
 from npred.parallel import devices
@@ -144,8 +145,9 @@ def _available(job: Job, config: Bench) -> list[str]:
 
 
 def _numerical(plant: Plant, nx: int, batch: int) -> Iterator[Entry]:
-    for interpreted in (Published, EulerPython) if batch == 1 and plant.one_delay else ():
-        yield Entry(interpreted.name, "python", nx, batch, interpreted(plant, nx))
+    for interpreted in (Published, EulerPython) if batch == 1 else ():
+        if family_of(plant).refusal(interpreted.name) is None:
+            yield Entry(interpreted.name, "python", nx, batch, interpreted(plant, nx))
     for method in COMPILED:
         yield Entry(method.name, "compiled", nx, batch, METHODS[method.name](plant, nx))
 
