@@ -9,7 +9,7 @@ from typing import Protocol
 from npred.config import Pipeline
 from npred.parallel.executors import Here, Workers
 from npred.plants import Plant
-from npred.terminal.progress_bars import Bar as Bar
+from npred.terminal.progress_bars import Bar
 
 
 class Progress(Protocol):

@@ -15,7 +15,8 @@ from npred.store import Artifact, Question, Store, claims
 from npred.store.claims import Claim
 from npred.sweep.sweep_grid import Cell
 from npred.sweep.task import Made, Task, alone, make
-from npred.terminal.console import Bar, Console
+from npred.terminal.console import Console
+from npred.terminal.progress_bars import Bar
 
 WHOLE = {"generate": 0, "bench": 2}  # they use the whole machine: before all else, and after it
 

@@ -7,18 +7,18 @@ import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from functools import partial
 from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from npred.json_files import escaped
 from npred.terminal import streams
-from npred.terminal.progress_bars import EVERY as EVERY
-from npred.terminal.progress_bars import Bar, Checked, Lines
+from npred.terminal.progress_bars import Bar
 from npred.terminal.run_log import RunLog
 
 if TYPE_CHECKING:
-    from npred.terminal.live_view import Live
+    from npred.terminal.live_view import LiveView
     from npred.terminal.tensorboard import Events
 
 GAP = 2  # columns between two of a table
@@ -34,17 +34,13 @@ class Console:
     verbose: bool = False
     clock: Callable[[], float] = time.monotonic
     stopped: bool = False
-    live: "Live | None" = None
+    view: "LiveView | None" = None
     events: "Events | None" = None
     log: RunLog | None = None
 
     def stop(self) -> None:
         """End the work of all threads at its next word of progress, as Ctrl-C ends that of the main one."""
         self.stopped = True
-
-    def _check(self) -> None:
-        if self.stopped:
-            raise KeyboardInterrupt
 
     @property
     def width(self) -> int | None:
@@ -93,39 +89,39 @@ class Console:
         if self.quiet or not (streams.MESSAGES.isatty() and streams.is_utf8(streams.MESSAGES)):
             yield
             return
-        from npred.terminal.live_view import Live
+        from npred.terminal.live_view import LiveView
 
-        self.live = Live(heading, titles, self.clock)
+        self.view = LiveView(heading, titles, self.clock)
         try:
-            with self.live.shown():
+            with self.view:
                 yield
         finally:
-            self.live = None
+            self.view = None
 
     def head(self, heading: str) -> None:
         """Another heading for the live view."""
-        if self.live:
-            self.live.heading = heading
+        if self.view:
+            self.view.heading = heading
 
     def doing(self, title: str, what: str) -> None:
         """A stage begins, or does something else now: importing, compiling, drawing."""
-        if self.live:
-            self.live.doing(title, what)
+        if self.view:
+            self.view.doing(title, what)
             self._logged(f"{title}: {what}")
         else:
             self.detail(f"{title}: {what}")
 
     def finish(self, title: str, action: str, seconds: float) -> None:
         """A stage has its result, `hit` or `run`, or none: `stopped`."""
-        if self.live:
-            self.live.finish(title, action, seconds)
+        if self.view:
+            self.view.finish(title, action, seconds)
         outcome = {"hit": "from the store", "run": "done"}.get(action, action)
         self._logged(f"{title}: {outcome} after {seconds:.1f} s")
 
     def measured(self, title: str, values: Mapping[str, float]) -> None:
         """What an epoch of a training reached: for the live view, for TensorBoard and for the log."""
-        if self.live:
-            self.live.measured(title, values)
+        if self.view:
+            self.view.measured(title, values)
         if self.events:
             self.events.write(title, values)
         self._logged(f"{title}: " + ", ".join(f"{name} {value:.4g}" for name, value in values.items()))
@@ -136,15 +132,17 @@ class Console:
         and then. `done` of them were there before.
         """
         with ExitStack() as stack:
-            if not self.live:
+            if not self.view:
                 stack.enter_context(self.watch("", []))
-            bars: list[Bar] = []
-            if self.live:
-                bars.append(stack.enter_context(self.live.bar(title, total, unit, done)))
-            if self.log or not (self.live or self.quiet):
-                line = self._logged if self.live or self.quiet else self._line
-                bars.append(Lines(line, self.clock, title, total, unit, done))
-            yield Checked(self._check, *bars)
+            shown = stack.enter_context(self.view.bar(title, total, unit, done)) if self.view else None
+            line = self._logged if self.view or self.quiet else self._line
+            yield Bar(title, total, unit, done, self.clock, partial(self._moved, shown), line)
+
+    def _moved(self, shown: Callable[[int], None] | None, n: int) -> None:
+        if self.stopped:
+            raise KeyboardInterrupt
+        if shown:
+            shown(n)
 
     def _logged(self, text: str) -> None:
         if self.log:
@@ -155,8 +153,8 @@ class Console:
         if not shown:
             return
         text = streams.wrapped(streams.printable(text), streams.width(streams.MESSAGES))
-        if self.live:
-            self.live.console.print(text, style=style, markup=False, emoji=False, highlight=False, soft_wrap=True)
+        if self.view:
+            self.view.console.print(text, style=style, markup=False, emoji=False, highlight=False, soft_wrap=True)
         elif style and streams.MESSAGES.isatty():
             from rich.console import Console as Rich
 

@@ -1,183 +1,152 @@
 """The live view of a run on a terminal: each stage, what it does, for how long and how far, and a training's errors."""
 
+import math
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
-from typing import Any
+
+from rich.console import Console, RenderableType
+from rich.progress import Progress, ProgressColumn, Task
+from rich.progress_bar import ProgressBar
+from rich.table import Column, Table
+from rich.text import Text
 
 from npred.json_files import escaped
 from npred.terminal.progress_bars import counted
-from npred.terminal.streams import MESSAGES, columns_of
+from npred.terminal.streams import MESSAGES
 
-REFRESH = 8  # times a second
-BAR = 24  # columns of a bar at most …
-LEAST = 4  # … and at least; where there are not so many, there is none
+REFRESH = 8  # times per second
+BAR = 24  # columns of a bar at most
 GAP = 2
 MANY = 10_000  # units of which a share says more than a count
 MARKS = {
     "waiting": ("·", "dim"), "running": ("▸", "cyan"), "run": ("✓", "green"), "hit": ("✓", "dim"),
     "stopped": ("✗", "red"),
 }  # fmt: skip
-HEADS = ("", "stage", "", "elapsed", "left", "loss", "ε sup")
-PROGRESS = 2  # the column of HEADS with the bar before it
-NUMBERS = ("elapsed", "left", "loss", "ε sup")
 WORDS = {"hit": "from the store", "stopped": "stopped"}
 
 
-@dataclass
-class Row:
-    """A stage: its state (`waiting`, `running`, `run`, `hit` or `stopped`), since when it runs and what it does.
+class LiveView(Progress):
+    """A table of the stages that rewrites itself; safe to call from several threads.
 
-    Of a bar: `done` of `total`, `before` of them by an earlier run, and when it began.
+    The fields of a task: `state`, one of MARKS; `doing`, in words; `seconds`, of one that has ended; of a bar its
+    `unit` and the units `before` it, of an earlier run; of a training `loss` and `eps_sup`.
     """
 
-    title: str
-    state: str = "waiting"
-    since: float = 0.0
-    seconds: float = 0.0
-    doing: str = ""
-    total: int = 0
-    unit: str = ""
-    done: int = 0
-    before: int = 0
-    begun: float = 0.0
-    reached: dict[str, float] = field(default_factory=dict)
-
-    def begin(self, now: float) -> None:
-        """Run, from now on if it did not before."""
-        if self.state != "running":
-            self.state, self.since = "running", now
-
-    def end(self, state: str, seconds: float) -> None:
-        """Have run."""
-        self.state, self.seconds, self.total, self.doing = state, seconds, 0, ""
-
-
-class Live:
-    """A table of the stages that rewrites itself; safe to tell from several threads."""
-
     def __init__(self, heading: str, titles: Sequence[str], clock: Callable[[], float]) -> None:
-        from rich.console import Console
-        from rich.live import Live as Display
-
-        self.heading, self.clock, self.lock = heading, clock, threading.Lock()
-        self.rows = {title: Row(title) for title in titles}
-        self.console = Console(file=MESSAGES)
-        self.display = Display(get_renderable=self.table, console=self.console, refresh_per_second=REFRESH,
-                               redirect_stdout=False, redirect_stderr=False)  # fmt: skip
-
-    @contextmanager
-    def shown(self) -> Iterator[None]:
-        """On the screen while the block runs; its last state stays there."""
-        with self.display:
-            try:
-                yield
-            finally:
-                self._stop()
+        self.heading = heading  # rich draws at once
+        self.lock = threading.Lock()  # not rich's, which drawing takes: adding a task draws
+        super().__init__(console=Console(file=MESSAGES), refresh_per_second=REFRESH, speed_estimate_period=math.inf,
+                         redirect_stdout=False, redirect_stderr=False, get_time=clock)  # fmt: skip
+        self.stages: dict[str, Task] = {}
+        for title in titles:
+            self._task(title)
 
     def doing(self, title: str, what: str) -> None:
         """A stage begins, or does something else now."""
-        with self.lock:
-            row = self.rows.setdefault(title, Row(title))
-            row.begin(self.clock())
-            row.doing = what
+        self._running(title).fields["doing"] = escaped(what)
 
     @contextmanager
-    def bar(self, title: str, total: int, unit: str, done: int = 0) -> Iterator["Task"]:
-        """The progress of a stage, or of a part that gets a row of its own; `done` units were there before."""
-        with self.lock:
-            own = title not in self.rows
-            row, now = self.rows.setdefault(title, Row(title)), self.clock()
-            row.begin(now)
-            row.total, row.unit, row.done, row.before, row.begun = total, unit, done, done, now
-        yield Task(self, row)
-        with self.lock:
-            if own:
-                row.end("run", self.clock() - row.since)
-                row.doing = counted(row.done, unit)
-            row.total = 0
+    def bar(self, title: str, total: int, unit: str, done: int = 0) -> Iterator[Callable[[int], None]]:
+        """The progress of a stage, or of a part that gets a row of its own; what it yields takes the units done."""
+        own = title not in self.stages
+        task = self._running(title)
+        self.update(task.id, total=total, completed=done, unit=escaped(unit), before=done)
+        self.advance(task.id, 0)  # rich counts a rate from the second advance on
+        yield lambda n: self.advance(task.id, n) if n else None
+        with self._lock:  # or it would change amid a drawing
+            task.total = None
+        if own:
+            self.finish(title, "run", task.elapsed or 0.0)
+            self.update(task.id, doing=counted(int(task.completed), escaped(unit)))
 
-    def finish(self, title: str, action: str, seconds: float) -> None:
-        """A stage has its result: `hit` or `run`."""
-        with self.lock:
-            self.rows.setdefault(title, Row(title)).end(action, seconds)
+    def finish(self, title: str, state: str, seconds: float) -> None:
+        """A stage has its result, `hit` or `run`, or none: `stopped`."""
+        self.update(self._task(title).id, state=state, seconds=seconds, doing=WORDS.get(state, ""))
 
     def measured(self, title: str, values: Mapping[str, float]) -> None:
         """What an epoch of a training reached."""
-        with self.lock:
-            self.rows.setdefault(title, Row(title)).reached = dict(values)
+        errors = {name: f"{values[name]:.1e}" for name in ("loss", "eps_sup") if name in values}
+        self._task(title).fields.update(errors)
 
-    def table(self) -> Any:
+    def stop(self) -> None:
+        """The end: the last state stays on the screen. What still runs was stopped, or failed."""
+        for title, task in self.stages.items():
+            if task.fields["state"] == "running":
+                self.finish(title, "stopped", task.elapsed or 0.0)
+        super().stop()
+
+    def make_tasks_table(self, tasks: Iterable[Task]) -> Table:
         """The rows as they stand: no wider than the screen, for a row that wraps cannot be rewritten."""
-        from rich.table import Table
-
-        with self.lock:
-            rows, now = list(self.rows.values()), self.clock()
-            cells = [self._cells(row, now) for row in rows]
-        table = Table(title=self._heading(), title_justify="left", box=None, padding=(0, GAP, 0, 0), pad_edge=False)
-        for name in HEADS:
-            shown = name if name in ("", "stage", "elapsed") or any(row[HEADS.index(name)] for row in cells) else ""
-            justify = "right" if name in NUMBERS else "left"
-            table.add_column(shown, header_style="dim", justify=justify, no_wrap=True, overflow="crop")
-        room = self._room(cells, [row.total > 0 for row in rows])
-        for row, line in zip(rows, cells, strict=True):
-            table.add_row(*self._drawn(row, line, room))
+        with self._lock:
+            self.columns = tuple(column for column in COLUMNS if any(column(task) for task in tasks))
+            table = super().make_tasks_table(tasks)
+        table.show_header, table.padding = True, (0, GAP, 0, 0)
+        if self.heading:
+            table.title, table.title_justify = Text(escaped(self.heading), "bold"), "left"
         return table
 
-    def _heading(self) -> Any:
-        from rich.text import Text
-
-        return Text(escaped(self.heading), "bold") if self.heading else None
-
-    def _cells(self, row: Row, now: float) -> list[str]:
-        mark, _ = MARKS[row.state]
-        known = row.state == "running" and row.total > 0
-        elapsed = {"running": now - row.since, "waiting": None}.get(row.state, row.seconds)
-        losses = [f"{row.reached[key]:.1e}" if key in row.reached else "" for key in ("loss", "eps_sup")]
-        what = _count(row) if known and row.done > row.before else row.doing or (_count(row) if known else "")
-        return [mark, escaped(row.title), WORDS.get(row.state, what), _clock(elapsed),
-                _clock(_left(row, now)) if known else "", *losses]  # fmt: skip
-
-    def _room(self, cells: list[list[str]], barred: list[bool]) -> int:
-        """The columns left for a bar in the rows that have one, beside its count."""
-        others = [max(columns_of(row[i]) for row in [list(HEADS), *cells]) for i in range(len(HEADS)) if i != PROGRESS]
-        count = max((columns_of(row[PROGRESS]) for row, has in zip(cells, barred, strict=True) if has), default=0)
-        return min(BAR, self.console.width - sum(others) - GAP * len(others) - GAP - count - GAP)
-
-    def _drawn(self, row: Row, cells: list[str], room: int) -> list[Any]:
-        from rich.progress_bar import ProgressBar
-        from rich.table import Table
-        from rich.text import Text
-
-        _, style = MARKS[row.state]
-        title = Text(cells[1], style if row.state == "waiting" else "")
-        progress: Any = Text(cells[PROGRESS], "" if row.total else "dim")
-        if row.state == "running" and row.total and room >= LEAST:
-            line = Table.grid(padding=(0, GAP, 0, 0))
-            line.add_row(ProgressBar(row.total, min(row.done, row.total), room), progress)
-            progress = line
-        return [Text(cells[0], style), title, progress, *map(Text, cells[PROGRESS + 1 :])]
-
-    def _stop(self) -> None:
-        """What still runs at the end was stopped, or failed."""
+    def _task(self, title: str) -> Task:
         with self.lock:
-            for row in self.rows.values():
-                if row.state == "running":
-                    row.end("stopped", self.clock() - row.since)
+            if title not in self.stages:
+                fields = {"state": "waiting", "doing": "", "seconds": None, "loss": "", "eps_sup": ""}
+                self.stages[title] = self._tasks[self.add_task(escaped(title), start=False, total=None, **fields)]
+            return self.stages[title]
+
+    def _running(self, title: str) -> Task:
+        """The task of that title, which runs from now on if it did not before."""
+        task = self._task(title)
+        if task.fields["state"] != "running":
+            task.start_time = self.get_time()
+            self.update(task.id, state="running")
+        return task
 
 
-def _count(row: Row) -> str:
-    if row.total >= MANY:
-        return f"{min(row.done, row.total) / row.total:.0%}"
-    return f"{row.done}/{counted(row.total, row.unit)}"
+class Shown(ProgressColumn):
+    """A column of the view: its head, and what it shows of a task. Where the screen is narrow, flexible ones yield."""
+
+    def __init__(self, head: str, show: Callable[[Task], RenderableType], number: bool = True, flexible: bool = False):
+        justify = "right" if number else "left"
+        super().__init__(Column(head, header_style="dim", justify=justify, no_wrap=not flexible, overflow="crop"))
+        self.show = show
+
+    def render(self, task: Task) -> RenderableType:
+        """The cell; a column whose cells are all empty is left out."""
+        return self.show(task)
 
 
-def _left(row: Row, now: float) -> float | None:
-    """Seconds, from the rate of this run: what an earlier one did took no time of it."""
-    if row.done <= row.before:
-        return None
-    return (now - row.begun) / (row.done - row.before) * (row.total - row.done)
+def _mark(task: Task) -> Text:
+    return Text(*MARKS[task.fields["state"]])
+
+
+def _stage(task: Task) -> Text:
+    return Text(task.description, "dim" if task.fields["state"] == "waiting" else "")
+
+
+def _progress(task: Task) -> RenderableType:
+    """The bar and its count, or what the stage does."""
+    doing = task.fields["doing"]
+    if task.fields["state"] != "running" or not task.total:
+        return Text(doing, "dim", no_wrap=True, overflow="crop")
+    line = Table.grid(Column(max_width=BAR), Column(no_wrap=True, overflow="crop"), padding=(0, GAP, 0, 0))
+    text = _count(task, int(task.total)) if task.completed > task.fields["before"] or not doing else doing
+    line.add_row(ProgressBar(task.total, min(task.completed, task.total)), Text(text))
+    return line
+
+
+def _count(task: Task, total: int) -> str:
+    if total >= MANY:
+        return f"{task.percentage:.0f}%"
+    return f"{task.completed:.0f}/{counted(total, task.fields['unit'])}"
+
+
+def _elapsed(task: Task) -> Text:
+    return Text(_clock(task.elapsed if task.fields["state"] == "running" else task.fields["seconds"]))
+
+
+def _left(task: Task) -> Text:
+    """From the rate of this run: what an earlier one did took no time of it."""
+    return Text(_clock(task.time_remaining if task.fields["state"] == "running" and task.total else None))
 
 
 def _clock(seconds: float | None) -> str:
@@ -188,14 +157,12 @@ def _clock(seconds: float | None) -> str:
     return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
 
 
-@dataclass
-class Task:
-    """A bar of the live view."""
-
-    live: Live
-    row: Row
-
-    def advance(self, n: int = 1, note: str = "") -> None:
-        """n units more are done; a training's note is in columns of its own, another one stays out of the view."""
-        with self.live.lock:
-            self.row.done += n
+COLUMNS = (
+    Shown("", _mark, number=False),
+    Shown("stage", _stage, number=False),
+    Shown("", _progress, number=False, flexible=True),
+    Shown("elapsed", _elapsed),
+    Shown("left", _left),
+    Shown("loss", lambda task: Text(task.fields["loss"])),
+    Shown("ε sup", lambda task: Text(task.fields["eps_sup"])),
+)

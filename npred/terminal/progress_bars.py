@@ -1,50 +1,37 @@
-"""The progress of a task where there is no screen: nothing, or a line now and then."""
+"""The progress of a piece of work: what stages call, and the lines of a terminal that is no screen."""
 
+import threading
 from collections.abc import Callable
-from typing import Protocol
 
 EVERY = 10.0  # seconds between two lines
 
 
-class Bar(Protocol):
-    """A task under way."""
+class Bar:
+    """`total` units of work, named in the plural; `done` of them were there before, and took no time of this run.
 
-    def advance(self, n: int = 1, note: str = "") -> None:
-        """n units more are done; the note (a loss, say) replaces the last one."""
-
-
-class Checked:
-    """Several bars of one task; `check` ends it where its run has been stopped."""
-
-    def __init__(self, check: Callable[[], None], *bars: Bar) -> None:
-        self.check, self.bars = check, bars
-
-    def advance(self, n: int = 1, note: str = "") -> None:
-        """n units more are done. Raises what `check` raises."""
-        self.check()
-        for bar in self.bars:
-            bar.advance(n, note)
-
-
-class Lines:
-    """A line every EVERY seconds and one at the end; `done` units were there before, and took no time of this run."""
+    An advance calls `moved` with its units; `line` gets a text every EVERY seconds and one at the end.
+    """
 
     def __init__(
-        self, line: Callable[[str], None], clock: Callable[[], float], title: str, total: int, unit: str, done: int = 0
-    ) -> None:
-        self.line, self.clock, self.title, self.total, self.unit = line, clock, title, total, unit
-        self.before, self.done, self.note, self.start = done, done, "", clock()
+        self, title: str, total: int, unit: str, done: int, clock: Callable[[], float],
+        moved: Callable[[int], None], line: Callable[[str], None],
+    ) -> None:  # fmt: skip
+        self.title, self.total, self.unit, self.before, self.done = title, total, unit, done, done
+        self.clock, self.moved, self.line, self.lock = clock, moved, line, threading.Lock()
+        self.note, self.start = "", clock()
         self.last = self.start
 
     def advance(self, n: int = 1, note: str = "") -> None:
-        """n units more are done."""
-        self.done += n
-        self.note = note or self.note
-        now = self.clock()
-        finished = n > 0 and self.done >= self.total
-        if finished or (self.done > self.before and now - self.last >= EVERY):
-            self.last = now
-            self.line(self._text(now - self.start))
+        """n units more are done; the note (a loss, say) replaces the last one. Raises what `moved` raises."""
+        self.moved(n)
+        with self.lock:
+            self.done += n
+            self.note = note or self.note
+            now = self.clock()
+            finished = n > 0 and self.done >= self.total
+            if finished or (self.done > self.before and now - self.last >= EVERY):
+                self.last = now
+                self.line(self._text(now - self.start))
 
     def _text(self, elapsed: float) -> str:
         left = ""

@@ -8,7 +8,7 @@ import pytest
 from rich.console import Console as Rich
 
 from npred.terminal.console import Console
-from npred.terminal.live_view import Live
+from npred.terminal.live_view import LiveView
 
 
 class Clock:
@@ -24,76 +24,84 @@ def clock() -> Clock:
 
 
 @pytest.fixture
-def live(clock: Clock) -> Live:
-    return Live("paper on cpu", ["generate", "train fno", "evaluate"], clock)
+def view(clock: Clock) -> LiveView:
+    return LiveView("paper on cpu", ["generate", "train fno", "evaluate"], clock)
 
 
-def shown(live: Live, width: int = 120) -> list[str]:
+def shown(view: LiveView, width: int = 120) -> list[str]:
     """The lines of the table, without the heading and without spaces at their ends."""
-    live.console = rich = Rich(width=width, file=io.StringIO(), record=True)
-    rich.print(live.table())
+    rich = Rich(width=width, file=io.StringIO(), record=True)
+    rich.print(view.get_renderable())
     return [line.rstrip() for line in rich.export_text().splitlines()][2:]
 
 
-def test_stages_wait_run_and_are_done(live: Live, clock: Clock):
-    live.finish("generate", "hit", 0.1)
-    with live.bar("train fno", 40, "epochs") as bar:
+def test_stages_wait_run_and_are_done(view: LiveView, clock: Clock):
+    view.finish("generate", "hit", 0.1)
+    with view.bar("train fno", 40, "epochs") as advance:
         clock.now = 30.0
-        bar.advance(10)
-        done, running, waiting = shown(live)
+        advance(10)
+        done, running, waiting = shown(view)
         assert done.split() == ["✓", "generate", "from", "the", "store", "0:00"]
         assert running.startswith("▸  train fno  ━") and running.split()[-4:] == ["10/40", "epochs", "0:30", "1:30"]
         assert waiting.split() == ["·", "evaluate"]
-    live.finish("train fno", "run", 3720.0)
-    assert shown(live)[1].split() == ["✓", "train", "fno", "1:02:00"]
+    view.finish("train fno", "run", 3720.0)
+    assert shown(view)[1].split() == ["✓", "train", "fno", "1:02:00"]
 
 
-def test_a_stage_says_what_it_does_from_its_first_moment(live: Live, clock: Clock):
-    live.doing("evaluate", "importing")
+def test_a_stage_says_what_it_does_from_its_first_moment(view: LiveView, clock: Clock):
+    view.doing("evaluate", "importing")
     clock.now = 41.0
-    assert shown(live)[2].split() == ["▸", "evaluate", "importing", "0:41"]
-    live.doing("evaluate", "compiling")
-    with live.bar("evaluate", 20_000, "steps") as bar:
+    assert shown(view)[2].split() == ["▸", "evaluate", "importing", "0:41"]
+    view.doing("evaluate", "compiling")
+    with view.bar("evaluate", 20_000, "steps") as advance:
         clock.now = 65.0
-        assert shown(live)[2].endswith("1:05") and "compiling" in shown(live)[2]  # until it moves
-        bar.advance(5_000)
-        assert "25%" in shown(live)[2] and "compiling" not in shown(live)[2]
-    live.doing("evaluate", "drawing")
-    assert shown(live)[2].split() == ["▸", "evaluate", "drawing", "1:05"]
+        assert shown(view)[2].endswith("1:05") and "compiling" in shown(view)[2]  # until it moves
+        advance(5_000)
+        assert "25%" in shown(view)[2] and "compiling" not in shown(view)[2]
+    view.doing("evaluate", "drawing")
+    assert shown(view)[2].split() == ["▸", "evaluate", "drawing", "1:05"]
 
 
-def test_the_time_left_after_a_resume_counts_this_run_only(live: Live, clock: Clock):
-    with live.bar("train fno", 180, "epochs", done=116) as bar:
+def test_the_time_left_after_a_resume_counts_this_run_only(view: LiveView, clock: Clock):
+    with view.bar("train fno", 180, "epochs", done=116) as advance:
         clock.now = 10.0
-        bar.advance(4)
-        assert shown(live)[1].split()[-4:] == ["120/180", "epochs", "0:10", "2:30"]
+        advance(4)
+        assert shown(view)[1].split()[-4:] == ["120/180", "epochs", "0:10", "2:30"]
 
 
-def test_a_training_tells_loss_and_error_in_columns(live: Live):
-    with live.bar("train fno", 40, "epochs") as bar:
-        live.measured("train fno", {"epoch": 1, "loss": 0.25, "mse": 1.0, "eps_sup": 0.039})
-        bar.advance(1, "loss 0.25")
-    assert shown(live)[1].split()[-2:] == ["2.5e-01", "3.9e-02"]
+def test_a_training_tells_loss_and_error_in_columns(view: LiveView):
+    with view.bar("train fno", 40, "epochs") as advance:
+        view.measured("train fno", {"epoch": 1, "loss": 0.25, "mse": 1.0, "eps_sup": 0.039})
+        advance(1)
+    assert shown(view)[1].split()[-2:] == ["2.5e-01", "3.9e-02"]
 
 
-def test_work_that_is_no_stage_gets_a_row_of_its_own(live: Live):
-    with live.bar("warm up", 3, "calls") as bar:
-        bar.advance(0)
-        assert "0/3 calls" in shown(live)[3]
-        bar.advance(3)
-    assert shown(live)[3].split() == ["✓", "warm", "up", "3", "calls", "0:00"]
+def test_work_that_is_no_stage_gets_a_row_of_its_own(view: LiveView):
+    with view.bar("warm up", 3, "calls") as advance:
+        advance(0)
+        assert "0/3 calls" in shown(view)[3]
+        advance(3)
+    assert shown(view)[3].split() == ["✓", "warm", "up", "3", "calls", "0:00"]
 
 
-@pytest.mark.parametrize("width", [60, 80, 100, 200])
+def test_words_and_units_move_no_cursor(view: LiveView):
+    view.doing("generate", "\x1b[2Jlooking")
+    with view.bar("warm up", 3, "ca\u202ells") as advance:
+        advance(1)
+        lines = shown(view)
+    assert r"\x1b[2Jlooking" in lines[0] and r"1/3 ca\u202ells" in lines[3]
+
+
+@pytest.mark.parametrize("width", [40, 60, 80, 100, 200])
 def test_no_row_is_wrapped_or_cut(clock: Clock, width: int):
-    live = Live("a pipeline on cuda:0", ["generate", "train deeponet", "train fno"], clock)
-    live.finish("generate", "hit", 4.0)
-    live.doing("train fno", "importing and compiling")
-    with live.bar("train deeponet", 2000, "epochs") as bar:
-        live.measured("train deeponet", {"epoch": 1000, "loss": 1.0e-10, "eps_sup": 1.0e10})
-        bar.advance(1000)
+    view = LiveView("a pipeline on cuda:0", ["generate", "train deeponet", "train fno"], clock)
+    view.finish("generate", "hit", 4.0)
+    view.doing("train fno", "importing and compiling")
+    with view.bar("train deeponet", 2000, "epochs") as advance:
+        view.measured("train deeponet", {"epoch": 1000, "loss": 1.0e-10, "eps_sup": 1.0e10})
+        advance(1000)
         clock.now = 3599.0
-        lines = shown(live, width)
+        lines = shown(view, width)
         assert len(lines) == 3 and max(map(len, lines)) <= width
         assert all("…" not in line for line in lines)
         if width >= 80:
@@ -101,14 +109,14 @@ def test_no_row_is_wrapped_or_cut(clock: Clock, width: int):
         assert ("━" in lines[1]) == (width >= 80)
 
 
-def test_threads_count_together(live: Live):
-    with live.bar("evaluate", 4000, "steps") as bar:
-        threads = [threading.Thread(target=lambda: [bar.advance() for _ in range(1000)]) for _ in range(4)]
+def test_threads_count_together(view: LiveView):
+    with view.bar("evaluate", 4000, "steps") as advance:
+        threads = [threading.Thread(target=lambda: [advance(1) for _ in range(1000)]) for _ in range(4)]
         for thread in threads:
             thread.start()
         for thread in threads:
             thread.join()
-        assert "4000/4000 steps" in shown(live)[2]
+        assert "4000/4000 steps" in shown(view)[2]
 
 
 class Terminal(io.StringIO):
@@ -126,7 +134,7 @@ def test_a_terminal_gets_the_view_and_messages_above_it(monkeypatch: pytest.Monk
             bar.advance(2)
         console.warn("far out")
         console.finish("generate", "run", 1.5)
-    assert console.live is None
+    assert console.view is None
     text = sys.stderr.getvalue()  # type: ignore[attr-defined]
     assert "tiny on cpu" in text and "warning: far out" in text
     assert text.rindex("0:02") > text.index("far out")
@@ -141,12 +149,12 @@ def test_stopping_reaches_the_bars_of_the_view(monkeypatch: pytest.MonkeyPatch):
             bar.advance()
 
 
-def test_what_runs_when_a_run_fails_is_shown_as_stopped(live: Live):
-    live.display.auto_refresh = False
-    with pytest.raises(ZeroDivisionError), live.shown():
-        live.doing("generate", "importing")
+def test_what_runs_when_a_run_fails_is_shown_as_stopped(view: LiveView):
+    view.live.auto_refresh = False
+    with pytest.raises(ZeroDivisionError), view:
+        view.doing("generate", "importing")
         raise ZeroDivisionError
-    assert shown(live)[0].split() == ["✗", "generate", "stopped", "0:00"]
+    assert shown(view)[0].split() == ["✗", "generate", "stopped", "0:00"]
 
 
 def test_a_screen_without_its_signs_gets_plain_lines(monkeypatch: pytest.MonkeyPatch, capsys):

@@ -1,6 +1,8 @@
 """Progress where there is no screen: a line now and then."""
 
-from npred.terminal.progress_bars import EVERY, Lines, counted
+import threading
+
+from npred.terminal.progress_bars import EVERY, Bar, counted
 
 
 class Clock:
@@ -12,9 +14,9 @@ class Clock:
         return self.now
 
 
-def lines(total: int, unit: str, done: int = 0) -> tuple[Clock, list[str], Lines]:
+def lines(total: int, unit: str, done: int = 0) -> tuple[Clock, list[str], Bar]:
     clock, said = Clock(), list[str]()
-    return clock, said, Lines(said.append, clock, "train", total, unit, done)
+    return clock, said, Bar("train", total, unit, done, clock, lambda n: None, said.append)
 
 
 def test_progress_is_a_line_now_and_then():
@@ -49,6 +51,16 @@ def test_short_work_is_one_line():
     for _ in range(10):
         bar.advance(100)
     assert said == ["train: 1000/1000 samples in 0.0 s"]
+
+
+def test_threads_count_together():
+    _, said, bar = lines(4000, "steps")
+    threads = [threading.Thread(target=lambda: [bar.advance() for _ in range(1000)]) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert said == ["train: 4000/4000 steps in 0.0 s"]
 
 
 def test_units_are_plural_where_there_are_several():

@@ -10,10 +10,11 @@ from npred.figures import svg, typography
 from npred.figures.figure import Plate
 from npred.figures.notation import symbol
 from npred.figures.style import ROLES
-from npred.stages import Bar, Job, Progress
+from npred.stages import Job, Progress
 from npred.stages.bench import timing_tables
 from npred.stages.report import headline
 from npred.stages.report.report_data import Story
+from npred.terminal.progress_bars import Bar
 
 NAME = "report.html"
 CHAPTERS = (
