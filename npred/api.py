@@ -8,7 +8,7 @@ from npred.errors import ConfigError
 from npred.loop.controller import Controller
 from npred.loop.delay_law import DelayLaw
 from npred.plants import Plant
-from npred.predictors import METHODS, Compiled, Predictor
+from npred.predictors import Predictor, numerical
 
 if TYPE_CHECKING:  # these bring torch
     from npred.predictors.neural import Neural
@@ -21,16 +21,15 @@ def plant(name: str, **parameters: float) -> Plant:
     return plants.resolve(name, parameters)
 
 
-def predictor(method: str, plant: Plant, nx: int = 101) -> Compiled:
+def predictor(method: str, plant: Plant, nx: int = 101) -> Predictor:
     """The numerical predictor `euler`, `heun`, `rk4` or `picard` of a plant, nx nodes in a loop [DAPF, eq. 10].
 
-    Raises ConfigError for an unknown method, for fewer than two nodes, or for what is no plant.
+    `method` may also be that of an installed package, or a class of a file, `my_method.py:Ralston`.
+    Raises ConfigError for an unknown or broken method, for fewer than two nodes, or for what is no plant.
     """
     if not isinstance(plant, Plant):
         raise ConfigError(f"plant: expected a Plant, got {plant!r}; make one with npred.plant")
-    if method not in tuple(METHODS):
-        raise ConfigError(f"predictor: expected one of {', '.join(METHODS)}, got {method!r}")
-    return METHODS[method](plant, nx)
+    return numerical(method, plant, nx)
 
 
 def load(

@@ -4,15 +4,18 @@ import os
 import re
 import stat
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 from pydantic.fields import FieldInfo
+from pydantic_core import PydanticCustomError
 
-from npred import defaults
+from npred import defaults, registry
 from npred.errors import ConfigError, similar, size
+from npred.registry import DELAY_LAWS, METHODS, Registry
 
 NAME = re.compile(r"[^\W_][\w.-]{0,99}")  # of a pipeline
 LONGEST = 2**20  # bytes of a pipeline file
@@ -26,12 +29,21 @@ Nodes = Annotated[int, Field(ge=2, le=MOST, strict=True)]
 Range = tuple[Delay, Delay]
 Item = TypeVar("Item")
 Some = Annotated[list[Item], Field(min_length=1)]
-Method = Literal["euler", "heun", "rk4", "picard"]
 Number = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 StartInput = Number | list[Number] | Literal["equilibrium", "law"]
-PAPER, FROZEN = "bresch-pietri-krstic", "frozen"  # the delay laws that have a name
+PAPER, FROZEN = "bresch-pietri-krstic", "frozen"  # delay laws
 Networks = Annotated[Some[Literal["deeponet", "fno"]], AfterValidator(lambda names: sorted(set(names)))]
 Anchor = Literal["none", "initial", "equilibrium"]
+
+
+def _part(parts: Registry, others: tuple[str, ...], name: str) -> str:
+    if fault := parts.fault(name, *others):
+        raise PydanticCustomError("part", "{fault}", {"fault": fault})
+    return name
+
+
+Method = Annotated[str, AfterValidator(partial(_part, METHODS, ())), METHODS]
+Law = Annotated[str, AfterValidator(partial(_part, DELAY_LAWS, (FROZEN,))), DELAY_LAWS]
 
 
 def ordered(key: str, span: Range) -> None:
@@ -52,15 +64,21 @@ class Table(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    def bare(self, *keys: str) -> Self:
-        """The same without the folders of the paths at those keys."""
-        return self.model_copy(update={key: Path(getattr(self, key)).name for key in keys})
+    def moved(self, place: Callable[[str], str]) -> Self:
+        """The same with another path in each value that names a class of a file, or data."""
+        return self.model_copy(update={key: _moved(getattr(self, key), place, key) for key in type(self).model_fields})
 
-    def absolute(self, *keys: str) -> Self:
-        """The same with absolute paths where those keys name files."""
-        paths = {key: str(getattr(self, key)) for key in keys}
-        named = {key: path for key, path in paths.items() if ".py:" in path or (key == "data" and path)}
-        return self.model_copy(update={key: str(Path(path).absolute()) for key, path in named.items()})
+
+def _moved(value: Any, place: Callable[[str], str], key: Any = None) -> Any:
+    """A value of a pipeline, plain or parsed, with another path in each text that names a class of a file, or data."""
+    if isinstance(value, Table):
+        return value.moved(place)
+    if isinstance(value, dict):
+        return {name: _moved(item, place, name) for name, item in value.items()}
+    if isinstance(value, list):
+        return [_moved(item, place) for item in value]
+    is_path = isinstance(value, str) and (registry.named(value) or (key == "data" and value))
+    return place(value) if is_path else value
 
 
 class Loop(Table):
@@ -73,8 +91,8 @@ class Loop(Table):
     dt: Positive = 0.005  #: control step, in seconds
     nx: Nodes = 101  #: nodes of the predictor and of u, both ends of [0, 1]; dx = 0.01 is 101
     t_end: Positive = 40.0  #: length of a loop, in seconds
-    predictor: Method = "rk4"  #: the numerical predictor
-    adaptation: str = PAPER  #: the law of D_hat: the paper's, frozen, or `file.py:Class`
+    predictor: Method = "rk4"  #: euler, heun, rk4, picard, one of an installed package, or `file.py:Class`
+    adaptation: Law = PAPER  #: the law of D_hat: the paper's, frozen, one of a package, or `file.py:Class`
     gamma: Positive = 1000.0  #: adaptation gain [DAPF, eq. 11]
     b: Positive = 1.0  #: weight of w in phi [DAPF, eq. 12]
     bounds: Range = (0.1, 4.0)  #: where D_hat stays, in seconds
@@ -86,10 +104,6 @@ class Loop(Table):
     @model_validator(mode="after")
     def _check(self) -> Self:
         ordered("bounds", self.bounds)
-        if self.adaptation not in (PAPER, FROZEN) and ".py:" not in self.adaptation:
-            raise ValueError(
-                f"adaptation: expected {PAPER}, {FROZEN} or my_law.py:Law, got {self.adaptation!r}; choose one"
-            )
         if self.dt > self.t_end:
             raise ValueError(f"dt: expected at most t_end = {self.t_end:g}, got {self.dt:g}; shorten the step")
         if self.t_end > LONGEST_RUN * self.dt:
@@ -309,20 +323,28 @@ class Pipeline(Table):
 
     @property
     def files(self) -> list[str]:
-        """The names of the files of one's own that it takes: of a plant, of laws, of data."""
-        named = [self.plant, self.generate.adaptation, self.evaluate.adaptation]
-        paths = [f"{spec.partition('.py:')[0]}.py" for spec in named if ".py:" in spec]
-        return list(dict.fromkeys(Path(path).name for path in [*paths, self.generate.data] if path))
+        """The names of the user's files that it takes: of a plant, of parts, of data."""
+        paths: dict[str, None] = {}
+
+        def collect(path: str) -> str:
+            paths[registry.split(path)[0].name if registry.named(path) else Path(path).name] = None
+            return path
+
+        self.moved(collect)
+        return list(paths)
+
+    @property
+    def methods(self) -> list[str]:
+        """The numerical methods to compare: those that have a name, and those of files that it takes."""
+        return list(dict.fromkeys([*METHODS.names(), self.generate.predictor, self.evaluate.predictor]))
 
     def beside(self) -> Self:
         """The same as a file beside its `files` says it: without folders, and so the same wherever they lie."""
-        generate, evaluate = self.generate.bare("adaptation", "data"), self.evaluate.bare("adaptation")
-        return self.bare("plant").model_copy(update={"generate": generate, "evaluate": evaluate})
+        return self.moved(lambda path: Path(path).name)
 
     def located(self) -> Self:
         """The same for a process elsewhere, where a relative path would be another file."""
-        generate, evaluate = self.generate.absolute("adaptation", "data"), self.evaluate.absolute("adaptation")
-        return self.absolute("plant").model_copy(update={"generate": generate, "evaluate": evaluate})
+        return self.moved(lambda path: str(Path(path).absolute()))
 
 
 def load(path: Path, overrides: list[str] | None = None) -> Pipeline:
@@ -333,12 +355,12 @@ def load(path: Path, overrides: list[str] | None = None) -> Pipeline:
     Raises ConfigError, in one line, for a file that is missing or no TOML, an unknown key, a wrong type or value.
     """
     try:
-        data = tomllib.loads(_text(path))
+        folder = path.parent if path.is_file() else Path()
+        data = _moved(tomllib.loads(_text(path)), lambda file: str(folder / file))
     except FileNotFoundError:
         raise ConfigError(defaults.missing(path)) from None
     except (OSError, ValueError, RecursionError) as error:
         raise ConfigError(f"{path}: expected a TOML file, got: {error}; correct that") from None
-    _anchor(data, path.parent if path.is_file() else Path())
     for override in overrides or []:
         _apply(data, override)
     return parse(data, str(path))
@@ -358,16 +380,6 @@ def _text(path: Path) -> str:
     if len(content) > LONGEST:
         raise ValueError(f"more than {LONGEST} bytes")
     return content.decode("utf-8")
-
-
-def _anchor(data: dict[str, Any], folder: Path) -> None:
-    """Put the pipeline's folder before the relative files that it names."""
-    for table, key in ((data, "plant"), *((data.get(stage), "adaptation") for stage in ("generate", "evaluate"))):
-        if isinstance(table, dict) and ".py:" in str(table.get(key)):
-            table[key] = str(folder / str(table[key]))
-    generate = data.get("generate")
-    if isinstance(generate, dict) and isinstance(generate.get("data"), str) and generate["data"]:
-        generate["data"] = str(folder / generate["data"])
 
 
 def parse(data: dict[str, Any], source: str) -> Pipeline:
@@ -404,6 +416,8 @@ def _sentence(error: ValidationError) -> str:
     if first["type"] == "extra_forbidden":
         names, where = _siblings(first["loc"]), ".".join(map(str, first["loc"]))
         return f"{where}: unknown key; expected one of {', '.join(names)}{_meant(where, names)}"
+    if first["type"] == "part":
+        return f"{where}: {first['msg']}"
     if first["type"] == "value_error":
         return f"{where + '.' if where else ''}{first['ctx']['error']}"
     if first["type"] == "missing":

@@ -20,10 +20,14 @@ SUFFIX = ".py:"
 
 
 class Entry(NamedTuple):
-    """A built-in part: where it is, as module:Class, and what people call it."""
+    """A built-in part: where it is, as module:Class, what people call it, and its line in figures.
+
+    `look` is the role of the colour (of a runtime: its network's), the dash and the marker.
+    """
 
     target: str
     label: str
+    look: tuple[str, tuple[float, ...], str] = ("green", (1.0, 1.0), "<")
 
 
 class Source(NamedTuple):
@@ -56,18 +60,33 @@ class Registry:
         """What people call a part: its own name where it is not built in."""
         return self.builtin[name].label if name in self.builtin else name
 
-    def check(self, what: str, name: str) -> None:
-        """Raise ConfigError, after `what` (a key, say), unless the name is known or is that of a class of a file."""
-        if not named(name) and name not in self.names():
-            near = similar(name, self.names())
-            raise ConfigError(
-                f"{what}: expected {', '.join(self.names())}, or a class of a file as my_file.py:Name, "
-                f"got {name!r}{near or '; choose one'}"
-            )
+    def look(self, name: str) -> tuple[str, tuple[float, ...], str]:
+        """Its line in figures: the same for all that are not built in."""
+        return self.builtin[name].look if name in self.builtin else Entry("", "").look
+
+    def fault(self, name: str, *others: str) -> str | None:
+        """What is wrong with a name, in words; None for a part, for a class of a file, and for one of `others`."""
+        if name in (*self.builtin, *others) or named(name) or name in self._installed():
+            return None
+        names = [*self.names(), *others]
+        near = similar(name, names) or "; choose one"
+        return f"expected {', '.join(names)}, or a class of a file as my_file.py:Name, got {name!r}{near}"
+
+    def identity(self, name: str) -> Any:
+        """What a key holds of a part: a built-in name, what its file holds, or the package with version and target."""
+        if named(name):
+            path, attribute = split(name)
+            return {"name": attribute, "source": read(self.kind, path).sha256}
+        entry = None if name in self.builtin else self._installed().get(name)
+        if entry is None:
+            return name
+        package = {"package": entry.dist.name, "version": entry.dist.version} if entry.dist else {}
+        return {"name": name, "target": entry.value} | package
 
     def load(self, what: str, name: str) -> Any:
-        """The part of that name, imported now. Raises ConfigError as `check` does, and where the import fails."""
-        self.check(what, name)
+        """The part of that name, imported now. Raises ConfigError, after `what` (a key, say), where there is none."""
+        if fault := self.fault(name):
+            raise ConfigError(f"{what}: {fault}")
         if named(name):
             return load(what, name).declaration
         if name in self.builtin:
@@ -107,10 +126,20 @@ METHODS = Registry(
     "predictor",
     "npred.predictors",
     {
-        "euler": Entry("npred.predictors.euler:Euler", "Euler"),
-        "heun": Entry("npred.predictors.heun:Heun", "Heun"),
-        "rk4": Entry("npred.predictors.rk4:RK4", "RK4"),
-        "picard": Entry("npred.predictors.picard:Picard", "Picard"),
+        "euler": Entry("npred.predictors.euler:Euler", "Euler", ("green", (), "^")),
+        "heun": Entry("npred.predictors.heun:Heun", "Heun", ("green", (4, 1.6), "v")),
+        "rk4": Entry("npred.predictors.rk4:RK4", "RK4", ("ink", (), "o")),
+        "picard": Entry("npred.predictors.picard:Picard", "Picard", ("muted", (4, 1.6), "v")),
+    },
+)
+INTERPRETED = Registry(  # to compare with: no pipeline predicts by them
+    "interpreted predictor",
+    "npred.interpreted",
+    {
+        "published": Entry(
+            "npred.predictors.interpreted:Published", "O(nx²) sums, interpreted", ("muted", (1, 1.5), "X")
+        ),
+        "euler_python": Entry("npred.predictors.interpreted:EulerPython", "Euler, interpreted", ("muted", (), "P")),
     },
 )
 DELAY_LAWS = Registry(
@@ -122,9 +151,9 @@ RUNTIMES = Registry(
     "runtime",
     "npred.runtimes",
     {
-        "torch": Entry("npred.predictors.neural:Neural", "torch"),
-        "fused": Entry("npred.runtimes.fused:Fused", "fused"),
-        "onnx": Entry("npred.runtimes.onnx:Onnx", "ONNX Runtime"),
+        "torch": Entry("npred.predictors.neural:Neural", "torch", ("", (1, 1.5), "*")),
+        "fused": Entry("npred.runtimes.fused:Fused", "fused", ("", (), "s")),
+        "onnx": Entry("npred.runtimes.onnx:Onnx", "ONNX Runtime", ("", (4, 1.6), "D")),
     },
 )
 PLANTS = Registry("plant", "npred.plants")  # the built-in ones are the files of npred/plants/builtin
@@ -133,6 +162,11 @@ PLANTS = Registry("plant", "npred.plants")  # the built-in ones are the files of
 def named(spec: str) -> bool:
     """Whether the text names a class of a file."""
     return SUFFIX in spec
+
+
+def called(spec: str) -> str:
+    """What results call a part: a registered name, or the class of a file."""
+    return split(spec)[1] if named(spec) else spec
 
 
 def split(spec: str) -> tuple[Path, str]:

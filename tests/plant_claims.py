@@ -13,14 +13,15 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from npred import config, grid
+from npred import config, grid, predictors
 from npred.delays.constant import ConstantDelay
 from npred.delays.family import PREDICT
 from npred.diagnosis import pipeline_fit
 from npred.loop.closed_loop import Trajectories, simulate
 from npred.plants import Plant
-from npred.predictors import METHODS, RK4
+from npred.predictors import RK4
 from npred.predictors.onestep import OneStep
+from npred.registry import METHODS
 from npred.symbolic import kernels
 
 DT = 0.005
@@ -74,9 +75,9 @@ class Claims:
     def test_derivatives_equal_differences(self):
         derivatives_equal_differences(self.plant)
 
-    @pytest.mark.parametrize("method", METHODS)
+    @pytest.mark.parametrize("method", METHODS.builtin)
     def test_predictor_order(self, method: str):
-        assert order(self.plant, method, np.max(self.D)) == pytest.approx(METHODS[method].order, abs=0.25)
+        assert order(self.plant, method, np.max(self.D)) == pytest.approx(predictors.method(method).order, abs=0.25)
 
     def test_the_loop_is_the_golden_one(self):
         """Exact with nodes on the ends and middles of control steps; RK4 comes near with the square of the cells."""
@@ -172,4 +173,6 @@ def order(plant: Plant, method: str, D_hat: float) -> float:
 def _predict(plant: Plant, method: str, intervals: int, X: np.ndarray, D_hat: float) -> np.ndarray:
     x = grid.nodes(intervals + 1)
     middle = plant.u_equilibrium if plant.rests else np.zeros(plant.m)
-    return METHODS[method](plant, intervals + 1)(X, middle + 0.3 * np.sin(3 * x + 1)[:, None], D_hat)[:, -1]
+    return predictors.numerical(method, plant, intervals + 1)(X, middle + 0.3 * np.sin(3 * x + 1)[:, None], D_hat)[
+        :, -1
+    ]

@@ -44,7 +44,7 @@ def test_parameters_by_keyword():
 
 
 def test_unknown_predictor_is_told():
-    with pytest.raises(ConfigError, match="expected one of euler, heun, rk4, picard, got 'rk5'"):
+    with pytest.raises(ConfigError, match=r"euler, heun, rk4, picard, or a class .*, got 'rk5'; did you mean rk4"):
         npred.predictor("rk5", npred.plant("scalar"))
 
 

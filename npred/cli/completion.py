@@ -93,9 +93,12 @@ def _values(ctx: typer.Context, key: str, field: Any) -> list[str]:
     from npred import config
     from npred.errors import NpredError
     from npred.pipeline.reasons import flat
+    from npred.registry import Registry
 
     if get_origin(field.annotation) is Literal:
         return list(get_args(field.annotation))
+    for parts in (item for item in field.metadata if isinstance(item, Registry)):
+        return parts.names()
     rest = ctx.args[-1] if ctx.args else None  # before an option without its value, arguments have no names yet
     try:
         pipeline = config.load(defaults.pipeline(ctx.params.get("pipeline_name") or rest))

@@ -6,23 +6,9 @@ from typing import Any
 
 from npred.figures.figure import Key, Panel, Plate
 from npred.figures.style import NETWORKS, Look, log, words
+from npred.registry import INTERPRETED, METHODS, RUNTIMES, Registry
 
 Row = dict[str, Any]
-NUMERICAL = {
-    "published": Look("muted", (1, 1.5), 1.2, "X"),
-    "euler_python": Look("muted", (), 1.2, "P"),
-    "euler": Look("green", (), 1.2, "^"),
-    "heun": Look("green", (4, 1.6), 1.2, "v"),
-    "rk4": Look("ink", (), 1.2, "o"),
-}  # numerics in ink and green, networks in their own colours
-NAMES = {
-    "published": "O(nx²) sums, interpreted",
-    "euler_python": "Euler, interpreted",
-    "euler": "Euler",
-    "heun": "Heun",
-    "rk4": "RK4",
-}
-RUNTIMES = {"fused": ((), "s"), "onnx": ((4, 1.6), "D"), "torch": ((1, 1.5), "*")}
 FAR = 1000  #: times the networks' error: no prediction any more, an unstable step say
 TAIL = {"median_us": "o", "p95_us": "|", "p999_us": "|"}
 
@@ -56,18 +42,25 @@ def _near(rows: list[Row]) -> list[Row]:
 
 def label(row: Row) -> str:
     """Predictor and runtime for people."""
-    if row["predictor"] in NAMES:
-        return NAMES[row["predictor"]]
+    if (parts := _numerical(row)) is not None:
+        return parts.label(row["predictor"])
     place = "" if row["copies"] is None else f" on {row['device']}, {'with' if row['copies'] else 'without'} copies"
     return f"{words(row['predictor'])}, {row['runtime']}{place}"
 
 
 def _look(row: Row) -> Look:
-    if row["predictor"] in NUMERICAL:
-        return NUMERICAL[row["predictor"]]
-    dash, marker = RUNTIMES[row["runtime"]]
+    """Numerical predictors have looks of their own; networks their colour, and the dash and marker of the runtime."""
+    if (parts := _numerical(row)) is not None:
+        role, dash, marker = parts.look(row["predictor"])
+        return Look(role, dash, 1.2, marker)
+    _, dash, marker = RUNTIMES.look(row["runtime"])
     role = NETWORKS[row["predictor"]][1 if row["copies"] is not None else 0]
     return Look(role, dash, 1.2, marker)
+
+
+def _numerical(row: Row) -> Registry | None:
+    """Where the row's predictor is named; None for a network."""
+    return {"python": INTERPRETED, "compiled": METHODS}.get(row["runtime"])
 
 
 def _series(rows: Iterable[Row]) -> dict[str, list[Row]]:
@@ -79,7 +72,7 @@ def _series(rows: Iterable[Row]) -> dict[str, list[Row]]:
 
 
 def _rank(row: Row) -> tuple[int, str]:
-    order = [*NUMERICAL, *NETWORKS]
+    order = [*INTERPRETED.builtin, *METHODS.builtin, *NETWORKS]
     return order.index(row["predictor"]) if row["predictor"] in order else len(order), label(row)
 
 

@@ -15,8 +15,7 @@ from npred.loop.adaptation import Part, part
 from npred.loop.delay_law import DelayLaw
 from npred.plants import inputs
 from npred.plants.base import Plant
-from npred.predictors import Compiled, Predictor
-from npred.predictors.onestep import OneStep
+from npred.predictors import Compiled, OneStep, Predictor
 
 LANES = 64  # loops a chunk: with more, their memory leaves the second-level cache
 NEURAL_LANES = 512  # a network's call has a fixed cost to share
@@ -122,7 +121,7 @@ def simulate(
     A loop that leaves the finite numbers goes on as NaN and leaves the others alone.
     Raises ConfigError for delays, bounds, times, shapes or a predictor that do not fit.
     """
-    loop_checks.parts(plant, predictor, adaptation, integrator, every)
+    loop_checks.parts(plant, predictor, adaptation, every)
     X0, D, D_hat = (array_checks.floats(name, a) for name, a in (("X0", X0), ("D", D), ("D_hat", D_hat)))
     loop_checks.numbers(plant, X0, D, D_hat, t_end, dt, adaptation)
     shape = array_checks.batch(X0=X0.shape[:-1], D=D.shape, D_hat=D_hat.shape)
@@ -132,7 +131,7 @@ def simulate(
     D, D_hat = (np.broadcast_to(a, shape).reshape(-1) for a in (D, D_hat))
     loop_checks.room(plant, D, t_end, dt, every)
     wanted = loop_checks.samples(samples, shape, round(t_end / dt))
-    limits, method = inputs.bounds(plant, input_bounds), loop_checks.INTEGRATORS[integrator]
+    limits, method = inputs.bounds(plant, input_bounds), loop_checks.integrator(integrator)
     held = inputs.before(plant, u0, limits, X0)
     loop = _Loop(plant, predictor, adaptation, limits, dt, t_end, every, method)
     width = LANES if loop.compiled else NEURAL_LANES

@@ -34,7 +34,7 @@ class Controller:
         self, plant: Plant, predictor: Predictor, adaptation: DelayLaw | None, dt: float, *,
         D_hat: float | None = None, input_bounds: Any = None,
     ) -> None:  # fmt: skip
-        loop_checks.parts(plant, predictor, adaptation, "rk4", 1)
+        loop_checks.parts(plant, predictor, adaptation)
         if predictor is None:
             raise ConfigError("predictor: expected one, got None; make one with npred.predictor or npred.load")
         if not 0 < (seconds := array_checks.number("dt", dt)) < math.inf:

@@ -10,11 +10,9 @@ from npred import array_checks
 from npred.errors import ConfigError, size
 from npred.loop.delay_law import DelayLaw
 from npred.plants.base import Plant
-from npred.predictors import METHODS, Compiled, Predictor
-from npred.predictors.onestep import OneStep
+from npred.predictors import Compiled, OneStep, Predictor, method
 
 PARTS = ("program", "parameters", "ratios")  # of the identity: what a compiled predictor has in it
-INTEGRATORS = {name: method for name, method in METHODS.items() if issubclass(method, OneStep)}
 
 
 def samples(samples: Any, shape: tuple[int, ...], last: int) -> np.ndarray:
@@ -57,7 +55,7 @@ def room(plant: Plant, D: np.ndarray, t_end: float, dt: float, every: int) -> No
             raise ConfigError(f"{name}: expected what fits into memory, {size(memory)}, got {what}; {cures[name]}")
 
 
-def parts(plant: Any, predictor: Any, adaptation: Any, integrator: Any, every: Any) -> None:
+def parts(plant: Any, predictor: Any, adaptation: Any, every: Any = 1) -> None:
     """Raise ConfigError for a part of the wrong kind, or a predictor of another plant."""
     kinds = {"plant": (plant, Plant), "predictor": (predictor, Predictor), "adaptation": (adaptation, DelayLaw)}
     for name, (thing, kind) in kinds.items():
@@ -67,10 +65,16 @@ def parts(plant: Any, predictor: Any, adaptation: Any, integrator: Any, every: A
         _same_plant(plant, predictor)
     if adaptation is not None:
         adaptation.check(plant)
-    if integrator not in INTEGRATORS:
-        raise ConfigError(f"integrator: expected one of {', '.join(INTEGRATORS)}, got {integrator!r}; choose one")
     if not isinstance(every, int | np.integer) or every < 1:
         raise ConfigError(f"every: expected a whole number of steps from 1 on, got {every!r}; fix it")
+
+
+def integrator(name: Any) -> type[OneStep]:
+    """The one-step method of that name, or of a file. Raises ConfigError for any other."""
+    kind = method(name, "integrator") if isinstance(name, str) else None
+    if kind is None or not issubclass(kind, OneStep):
+        raise ConfigError(f"integrator: expected a one-step method, as euler, heun or rk4, got {name!r}; choose one")
+    return kind
 
 
 def _same_plant(plant: Plant, predictor: Predictor) -> None:

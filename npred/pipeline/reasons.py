@@ -12,7 +12,9 @@ from npred.store import Artifact, Question, SourceText, short
 NEVER = "no artifact yet"
 UNSET = "unset"
 SHOWN = 4
-CODE = re.compile(r"plant\.program\.(?:source|files\.(?P<file>.+)|(?P<function>\w+))|(?P<law>\w+\.adaptation)\.source")
+CODE = re.compile(
+    r"plant\.program\.(?:source|files\.(?P<file>.+)|(?P<function>\w+))|(?P<part>\w+\.(?:adaptation|predictor))\.source"
+)
 Sources = Mapping[str, SourceText]
 
 
@@ -54,7 +56,7 @@ def _code(key: str, old: str, new: str, plant: str, before: Sources, after: Sour
     code = CODE.fullmatch(key)
     if code is None:
         return None
-    role = code["law"] or "plant"
+    role = code["part"] or "plant"
     what = code["function"] or (f"file {code['file']}" if code["file"] else role)
     if UNSET in (old, new):
         return f"{what} {'added' if old == UNSET else 'dropped'}"

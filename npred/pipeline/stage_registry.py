@@ -4,6 +4,7 @@ import importlib
 import math
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -86,13 +87,15 @@ def question(node: Node, config: Pipeline, device: str) -> dict[str, Any]:
 
 
 def sources(node: Node, config: Pipeline) -> dict[str, SourceText]:
-    """The files of code behind a node's question: the plant's, and that of a delay law of the user's; long ones not."""
+    """The files of code behind a node's question: the plant's, those of methods and of delay laws; long ones not."""
     from npred import plants
 
     files_by_role = {"plant": plants.resolve(config.plant, config.parameters).source}
-    law = getattr(getattr(config, node.stage, None), "adaptation", "")
-    if registry.named(law):
-        files_by_role[f"{node.stage}.adaptation"] = registry.read("adaptation", registry.split(law)[0])
+    loops = ("generate", "evaluate") if node.stage == "bench" else (node.stage,)
+    for stage, key in product(loops, ("predictor",) if node.stage == "bench" else ("predictor", "adaptation")):
+        spec = getattr(getattr(config, stage, None), key, "")
+        if registry.named(spec):
+            files_by_role[f"{stage}.{key}"] = registry.read(key, registry.split(spec)[0])
     return {
         role: SourceText(file=escaped(source.file), text=source.text)
         for role, source in files_by_role.items()
@@ -102,14 +105,16 @@ def sources(node: Node, config: Pipeline) -> dict[str, SourceText]:
 
 def check(config: Pipeline, stages: Collection[str]) -> None:
     """Raise ConfigError where the stages ask for what the pipeline's plant does not have."""
-    from npred import plants
+    from npred import plants, predictors
     from npred.diagnosis import pipeline_fit
     from npred.loop import delay_laws
 
     plant = plants.resolve(config.plant, config.parameters)
     pipeline_fit.check(plant, config, stages)
     for name in {"generate", "evaluate"} & set(stages):
-        delay_laws.check(getattr(config, name), plant)
+        loop: Loop = getattr(config, name)
+        delay_laws.check(loop, plant)
+        predictors.numerical(loop.predictor, plant, loop.nx)
 
 
 def _nodes(stage: str, networks: tuple[str, ...]) -> list[Node]:
@@ -138,9 +143,10 @@ def _generate(config: Pipeline, model: str | None, device: str) -> dict[str, Any
 
 
 def _loop(config: Pipeline, stage: str) -> dict[str, Any]:
-    """A stage's table; a law of D_hat other than the paper's enters, by what its file holds and not by where it is.
+    """A stage's table; methods and laws of files enter by what they hold, not by where they are.
 
-    So does an input before t = 0 other than zero, the default where the plant's inputs may be zero.
+    A law of D_hat other than the paper's enters; so does an input before t = 0 other than zero, the default where the
+    plant's inputs may be zero.
     """
     from npred import plants
     from npred.loop import delay_laws
@@ -149,6 +155,7 @@ def _loop(config: Pipeline, stage: str) -> dict[str, Any]:
     loop: Loop = getattr(config, stage)
     section, law = _dump(loop), delay_laws.identity(loop)
     u0 = inputs.configured(plants.resolve(config.plant, config.parameters), loop, stage)
+    section["predictor"] = registry.METHODS.identity(loop.predictor)
     del section["adaptation"], section["u0"]
     section |= {} if law is None else {"adaptation": law}
     return section | ({"u0": u0 if isinstance(u0, str) else u0.tolist()} if isinstance(u0, str) or u0.any() else {})
@@ -183,6 +190,8 @@ def _held_out(config: Pipeline) -> dict[str, Any]:
 
 def _bench(config: Pipeline, model: str | None, device: str) -> dict[str, Any]:
     table = {"bench": _dump(config.bench), "train": {"models": list(models(config))}}
+    more = [registry.METHODS.identity(name) for name in config.methods if name not in registry.METHODS.builtin]
+    table |= {"methods": more} if more else {}
     return table | {"hardware": devices.hardware(device)} | _box(config)
 
 

@@ -1,11 +1,37 @@
 """Predictors: maps from (X, u, D_hat) to P."""
 
+from npred.errors import ConfigError
+from npred.plants.base import Plant
 from npred.predictors.base import Compiled, Predictor
 from npred.predictors.euler import Euler
 from npred.predictors.heun import Heun
+from npred.predictors.onestep import OneStep
 from npred.predictors.picard import Picard
 from npred.predictors.rk4 import RK4
+from npred.registry import METHODS
 
-METHODS: dict[str, type[Compiled]] = {method.name: method for method in (Euler, Heun, RK4, Picard)}
+__all__ = ["Compiled", "Euler", "Heun", "OneStep", "Picard", "Predictor", "RK4", "method", "numerical"]
 
-__all__ = ["METHODS", "Compiled", "Euler", "Heun", "Picard", "Predictor", "RK4"]
+
+def method(spec: str, what: str = "predictor") -> type[Predictor]:
+    """The numerical predictor of a name or of a class of a file, my_method.py:Ralston; `what` names it in messages.
+
+    Raises ConfigError, in one line, for one that is missing, broken or no predictor.
+    """
+    kind = METHODS.load(what, spec)
+    if not (isinstance(kind, type) and issubclass(kind, Predictor)):
+        raise ConfigError(f"{what} {spec}: expected a subclass of npred.Predictor; derive it from that")
+    if missing := sorted(kind.__abstractmethods__):
+        raise ConfigError(f"{what} {spec}: expected a class with {', '.join(missing)}, got none; define it")
+    if spec not in METHODS.builtin and issubclass(kind, OneStep):
+        kind.evaluations()
+    return kind
+
+
+def numerical(spec: str, plant: Plant, nx: int = 101) -> Predictor:
+    """The numerical predictor of that name on nx nodes. Raises ConfigError as `method` does, or where it is refused."""
+    kind = method(spec)
+    try:
+        return kind(plant, nx)
+    except TypeError as error:
+        raise ConfigError(f"predictor {spec}: expected a class that takes (plant, nx), got: {error}") from None

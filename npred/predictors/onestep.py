@@ -4,8 +4,12 @@ from abc import abstractmethod
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+
 from npred.delays import family_of
+from npred.errors import ConfigError
 from npred.predictors.base import Compiled
+from npred.symbolic import source_lines
 
 
 class OneStep(Compiled):
@@ -15,6 +19,26 @@ class OneStep(Compiled):
     @abstractmethod
     def step(f: Callable[..., Any], x: Any, u0: Any, um: Any, u1: Any, t: Any, h: Any) -> Any:
         """x(t + h) from x(t), the input being u0, um, u1 at t, t + h/2, t + h."""
+
+    @classmethod
+    def evaluations(cls) -> int:
+        """How often a step evaluates f. Raises ConfigError, with the line, for a formula that fails or is no step."""
+        times = []
+
+        def f(x: Any, u: Any, t: Any) -> Any:
+            times.append(t)
+            return -x
+
+        x, u, place = np.ones(2), np.zeros(1), f"predictor {cls.__name__}: step ({source_lines.line(cls.step)})"
+        try:
+            y = np.asarray(cls.step(f, x, u, u, u, 0.0, 0.1), dtype=float)
+        except Exception as error:
+            where, reason = source_lines.where(error, cls.step), source_lines.told(error)
+            raise ConfigError(f"{place} failed{where}: {reason}; fix it") from None
+        if y.shape != x.shape or not times:
+            came = f"{y.shape} after {len(times)} evaluations of f"
+            raise ConfigError(f"{place} expected to evaluate f and to return the state, shape (n,), got {came}; fix it")
+        return len(times)
 
     def compile(self) -> Callable[..., None]:
         return family_of(self.plant).sweep(self.step)

@@ -6,18 +6,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from npred import grid
+from npred import grid, predictors
 from npred.delays.constant import ConstantDelay
 from npred.errors import ConfigError
 from npred.loop.adaptation import DelayAdaptation
 from npred.loop.closed_loop import simulate
 from npred.loop.controller import Controller
 from npred.plants import Plant
-from npred.predictors import METHODS, RK4, Euler, Picard
+from npred.predictors import RK4, Euler, Picard
 from npred.predictors.interpreted import EulerPython
+from npred.registry import METHODS
 
 D_HAT = 0.7
-ONESTEP = [name for name in METHODS if name != "picard"]
+ONESTEP = [name for name in METHODS.builtin if name != "picard"]
 
 
 def plant(delays=None, inputs=2):
@@ -88,10 +89,10 @@ def test_fitted_order_against_dop853_with_kinks_between_nodes(method, delays):
     P = exact(declared, X, lambda x: u(x, len(delays)), t, quarters)
     errors = []
     for n in intervals:
-        found = METHODS[method](declared, n + 1)(X, u(grid.nodes(n + 1), len(delays)), D_HAT, t)
+        found = predictors.numerical(method, declared, n + 1)(X, u(grid.nodes(n + 1), len(delays)), D_HAT, t)
         errors.append(np.abs(found[[n // 4, n // 2, 3 * n // 4, n]] - P).max())
     order = -np.polyfit(np.log(intervals), np.log(errors), 1)[0]
-    assert order == pytest.approx(METHODS[method].order, abs=0.25)
+    assert order == pytest.approx(predictors.method(method).order, abs=0.25)
     assert errors[-1] < {"euler": 1e-2, "heun": 1e-4, "rk4": 1e-8}[method]
 
 
@@ -115,13 +116,22 @@ def test_almost_equal_delays_predict_and_control_as_one_delay(method):
     several, one = plant((0.6 * (1 - 1e-13), 0.6)), plant((0.6, 0.6))
     assert one.one_delay and not several.one_delay
     loops = [
-        simulate(p, METHODS[method](p, 41), D=0.6, D_hat=0.55, X0=[0.5, -0.3, 0.8], t_end=4.0, dt=0.013, samples=[150])
+        simulate(
+            p,
+            predictors.numerical(method, p, 41),
+            D=0.6,
+            D_hat=0.55,
+            X0=[0.5, -0.3, 0.8],
+            t_end=4.0,
+            dt=0.013,
+            samples=[150],
+        )
         for p in (several, one)
     ]
     for a, b in [(loops[0].X, loops[1].X), (loops[0].U, loops[1].U), (loops[0].samples.u, loops[1].samples.u)]:
         np.testing.assert_allclose(a, b, rtol=0, atol=1e-12)
     X, history = loops[0].samples.X, loops[0].samples.u
-    P = [METHODS[method](p, 41)(X, history, 0.55, 1.0) for p in (several, one)]
+    P = [predictors.numerical(method, p, 41)(X, history, 0.55, 1.0) for p in (several, one)]
     np.testing.assert_allclose(P[0], P[1], rtol=0, atol=1e-12)
 
 

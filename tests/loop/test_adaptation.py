@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from npred import grid, plants
+from npred import grid, plants, predictors
 from npred.delays.family import transition
 from npred.errors import ConfigError
 from npred.loop import engine
@@ -15,7 +15,7 @@ from npred.loop.adaptation import DelayAdaptation
 from npred.loop.closed_loop import simulate
 from npred.plants import Plant
 from npred.plants.black_box import BlackBox
-from npred.predictors import METHODS, RK4
+from npred.predictors import RK4
 from npred.symbolic import called_functions
 
 PLANT = plants.resolve("activator_repressor")
@@ -79,7 +79,7 @@ def test_constant_input_moves_along_f():
     """u constant in x: f(P(x), u) = Phi(x, 0) f(X, u), so q1 = kappa'(P) f(P, u)."""
     nx, h = 2001, 1.2 / 2000
     u = np.full((nx, 1), 0.03)
-    P = METHODS["rk4"](PLANT, nx)([0.08, 6.0], u, 1.2)
+    P = predictors.numerical("rk4", PLANT, nx)([0.08, 6.0], u, 1.2)
 
     def df(x, inputs, t, v):
         return PLANT.jacobians(x, inputs)[0] @ v

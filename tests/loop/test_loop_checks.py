@@ -25,7 +25,7 @@ def run(predictor="own", plant=SCALAR, **change):
         ({"predictor": RK4(CLOCK)}, "expected one of plant scalar .* got one of activator_repressor"),
         ({"predictor": Euler(plants.resolve("scalar", {"a": 0.7}))}, "with its parameters"),
         ({"adaptation": {"gamma": 1.0}}, "adaptation: expected a DelayLaw"),
-        ({"integrator": "picard"}, "integrator: expected one of euler, heun, rk4, got 'picard'"),
+        ({"integrator": "picard"}, "integrator: expected a one-step method, as euler, heun or rk4, got 'picard'"),
         ({"t_end": 1e12}, r"t_end: expected what fits into memory, .* got a record of 4.8 PB; shorten t_end"),
         ({"t_end": 1e300, "dt": 1e-300}, "got a record of inf"),
         ({"D": 1e12}, r"D: expected what fits into memory, .* got the history of 1.6 PB"),

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from jobs import job
 
-from npred import plants
+from npred import plants, predictors
 from npred.diagnosis import check
 from npred.errors import ConfigError
 from npred.loop.adaptation import DelayAdaptation
 from npred.loop.closed_loop import simulate
 from npred.loop.controller import Controller
 from npred.plants.black_box import BlackBox
-from npred.predictors import METHODS
 from npred.predictors.interpreted import EulerPython, Published
+from npred.registry import METHODS
 from npred.runtimes import c, onnx
 from npred.stages import train
 from npred.stages.evaluate import evaluate
@@ -94,18 +94,18 @@ def test_derivatives_are_differences_unless_given(write, more):
     assert (plant.df(X, u, 0.0, 0 * v) == 0).all()
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", METHODS.builtin)
 def test_predictions_are_those_of_the_compiled_predictor(plant, method):
     random = np.random.default_rng(2)
     X, u, D_hat = random.uniform(-0.3, 0.3, (6, 4)), random.uniform(-1, 1, (6, 11, 1)), random.uniform(0.1, 0.3, 6)
-    found, wanted = (METHODS[method](p, 11)(X, u, D_hat) for p in (plant, TRACED))
+    found, wanted = (predictors.numerical(method, p, 11)(X, u, D_hat) for p in (plant, TRACED))
     np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-11)
 
 
 def test_update_law_is_that_of_the_traced_plant(write):
     plant, random = plants.resolve(write(more=GIVEN)), np.random.default_rng(3)
     X, u, D_hat = random.uniform(-0.3, 0.3, (6, 4)), random.uniform(-1, 1, (6, 11, 1)), random.uniform(0.1, 0.3, 6)
-    P = METHODS["rk4"](TRACED, 11)(X, u, D_hat)
+    P = predictors.numerical("rk4", TRACED, 11)(X, u, D_hat)
     np.testing.assert_allclose(LAW.phi(plant, X, u, P, D_hat), LAW.phi(TRACED, X, u, P, D_hat), rtol=1e-11)
 
 
@@ -113,16 +113,16 @@ def test_update_law_is_that_of_the_traced_plant(write):
 def test_the_loop_is_that_of_the_traced_plant(plant, adaptation):
     """Delays off the control steps; with adaptation, differences in place of derivatives."""
     settings = {"D": [0.2, 0.1234], "D_hat": 0.25, "X0": [0.1, 0.0, 0.05, 0.0], "t_end": 3.0, "dt": 0.01}
-    runs = [simulate(p, METHODS["rk4"](p, 11), adaptation=adaptation, **settings) for p in (plant, TRACED)]
+    runs = [simulate(p, predictors.numerical("rk4", p, 11), adaptation=adaptation, **settings) for p in (plant, TRACED)]
     np.testing.assert_allclose(runs[0].X, runs[1].X, atol=1e-10 if adaptation is None else 1e-6)
     np.testing.assert_allclose(runs[0].D_hat, runs[1].D_hat, atol=1e-7)
     assert adaptation is None or np.ptp(runs[0].D_hat) > 1e-3
 
 
 def test_controller_steps_are_those_of_the_loop(plant):
-    controller = Controller(plant, METHODS["rk4"](plant, 11), LAW, 0.01, D_hat=0.25)
-    loop = simulate(plant, METHODS["rk4"](plant, 11), D=0.2, D_hat=0.25, X0=[0.1, 0, 0.05, 0], t_end=0.01, dt=0.01,
-                    adaptation=LAW)  # fmt: skip
+    controller = Controller(plant, predictors.numerical("rk4", plant, 11), LAW, 0.01, D_hat=0.25)
+    loop = simulate(plant, predictors.numerical("rk4", plant, 11), D=0.2, D_hat=0.25, X0=[0.1, 0, 0.05, 0], t_end=0.01,
+                    dt=0.01, adaptation=LAW)  # fmt: skip
     np.testing.assert_allclose(controller.step([0.1, 0, 0.05, 0], np.zeros((11, 1))), loop.U[0], rtol=1e-14)
     np.testing.assert_allclose(controller.D_hat, loop.D_hat[1], rtol=1e-14)
 
@@ -209,7 +209,14 @@ def test_failures_are_told_in_one_line(write, old, new, message):
     def run():
         plant = plants.resolve(write(old, new))
         simulate(
-            plant, METHODS["rk4"](plant, 5), D=0.2, D_hat=0.2, X0=[0.1, 0, 0, 0], t_end=0.1, dt=0.05, adaptation=LAW
+            plant,
+            predictors.numerical("rk4", plant, 5),
+            D=0.2,
+            D_hat=0.2,
+            X0=[0.1, 0, 0, 0],
+            t_end=0.1,
+            dt=0.05,
+            adaptation=LAW,
         )
 
     if message is None:
@@ -252,8 +259,8 @@ def powers(tmp_path):
 def test_a_function_that_raises_loses_its_own_loop_alone(powers):
     """From 1e200 f overflows, from 60 kappa leaves its domain; the third loop is as if it ran alone."""
     settings = {"D": 0.1, "D_hat": 0.1, "t_end": 0.5, "dt": 0.05}
-    loops = simulate(powers, METHODS["rk4"](powers, 5), X0=[[1e200], [60.0], [0.5]], **settings)
-    alone = simulate(powers, METHODS["rk4"](powers, 5), X0=[0.5], **settings)
+    loops = simulate(powers, predictors.numerical("rk4", powers, 5), X0=[[1e200], [60.0], [0.5]], **settings)
+    alone = simulate(powers, predictors.numerical("rk4", powers, 5), X0=[0.5], **settings)
     assert (loops.escaped >= 0).tolist() == [True, True, False]
     np.testing.assert_array_equal(loops.X[2], alone.X)
     assert np.isnan(powers.f(np.array([1e200]), np.zeros(1))).all(), "one row, and not at the guess"
@@ -279,7 +286,9 @@ def test_exports_that_write_the_law_out_refuse_it(plant):
 @pytest.mark.parametrize("baseline", [Published, EulerPython])
 def test_interpreted_baselines_call_it_too(plant, baseline):
     X, u = np.array([0.1, 0.0, 0.05, 0.0]), np.full((5, 1), 0.3)
-    np.testing.assert_allclose(baseline(plant, 5)(X, u, 0.2), METHODS["euler"](TRACED, 5)(X, u, 0.2), rtol=1e-12)
+    np.testing.assert_allclose(
+        baseline(plant, 5)(X, u, 0.2), predictors.numerical("euler", TRACED, 5)(X, u, 0.2), rtol=1e-12
+    )
 
 
 def test_a_class_of_no_file_is_told():
@@ -310,6 +319,6 @@ class Explosive:
 @pytest.mark.parametrize("method", ["euler", "rk4", "picard"])
 def test_a_loop_that_explodes_is_nan_without_a_warning(method: str):
     plant = plants.make("explosive", Explosive)
-    predictor = METHODS[method](plant, nx=11)
+    predictor = predictors.numerical(method, plant, nx=11)
     loop = simulate(plant, predictor, D=0.2, D_hat=0.3, X0=[3.0], t_end=4.0, dt=0.01, adaptation=LAW)
     assert not np.isfinite(loop.X[-1]).all()

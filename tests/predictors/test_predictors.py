@@ -11,12 +11,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from operator_samples import SMALL, operator
 
-from npred import grid, plants
+from npred import grid, plants, predictors
 from npred.errors import ConfigError, DivergedError
 from npred.loop.closed_loop import simulate
 from npred.loop.controller import Controller
-from npred.predictors import METHODS, RK4, Euler, Picard, Predictor
+from npred.predictors import RK4, Euler, Picard, Predictor
 from npred.predictors.interpreted import EulerPython, Published
+from npred.registry import METHODS
 from npred.runtimes import predictor as predictor_of
 
 PLANT = plants.resolve("activator_repressor")
@@ -25,7 +26,7 @@ SCALAR = plants.resolve("scalar", {"a": 0.8})
 
 def predict(method, name, nx):
     golden = case(name)
-    return METHODS[method](PLANT, nx)(golden.X, golden.u(grid.nodes(nx))[:, None], golden.D_hat)
+    return predictors.numerical(method, PLANT, nx)(golden.X, golden.u(grid.nodes(nx))[:, None], golden.D_hat)
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -37,7 +38,7 @@ def test_golden_P_on_a_fine_grid(name):
 @pytest.mark.parametrize("name", CASES)
 def test_golden_transition_matrix_as_derivative_of_P(name):
     """Phi(x, 0) = dP/dX by central differences of the fine RK4 predictor."""
-    golden, rk4 = case(name), METHODS["rk4"](PLANT, 2001)
+    golden, rk4 = case(name), predictors.numerical("rk4", PLANT, 2001)
     u = golden.u(grid.nodes(2001))[:, None]
     columns = []
     for k, h in enumerate((1e-5 * golden.X[0], 1e-5 * golden.X[1])):
@@ -47,32 +48,32 @@ def test_golden_transition_matrix_as_derivative_of_P(name):
     np.testing.assert_allclose(np.stack(columns, axis=-1), golden.Phi, rtol=1e-8, atol=1e-8)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", METHODS.builtin)
 @pytest.mark.parametrize("name", CASES)
 def test_fitted_order(method, name):
     golden, intervals = case(name), np.array([100, 200, 400])
     errors = [np.abs(golden.quarters(predict(method, name, n + 1)) - golden.P).max(axis=0) for n in intervals]
     slopes = -np.polyfit(np.log(intervals), np.log(errors), 1)[0]
-    np.testing.assert_allclose(slopes, METHODS[method].order, atol=0.2)
+    np.testing.assert_allclose(slopes, predictors.method(method).order, atol=0.2)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", METHODS.builtin)
 @given(X=st.floats(-3, 3), a=st.floats(-1, 1), c=st.floats(-1, 1), D_hat=st.floats(0, 2))
 @settings(max_examples=20)
 def test_scalar_closed_form(method, X, a, c, D_hat):
     """P(x) = e^{g x} X + D_hat ∫ e^{g (x - y)} (a + c y) dy with g = 0.8 D_hat."""
     x, nx = grid.nodes(401), 401
-    P = METHODS[method](SCALAR, nx)([X], (a + c * x)[:, None], D_hat)[:, 0]
+    P = predictors.numerical(method, SCALAR, nx)([X], (a + c * x)[:, None], D_hat)[:, 0]
     g = 0.8 * D_hat
     ramp = (np.expm1(g * x) / g if g > 1e-6 else x), ((np.expm1(g * x) / g - x) / g if g > 1e-3 else x**2 / 2)
     exact = np.exp(g * x) * X + D_hat * (a * ramp[0] + c * ramp[1])
     np.testing.assert_allclose(P, exact, atol=0.1 if method == "euler" else 2e-3)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", METHODS.builtin)
 def test_no_delay_predicts_the_state_and_P_starts_at_X(method):
     u = np.linspace(0, 1, 31)[:, None]
-    predictor = METHODS[method](PLANT, 31)
+    predictor = predictors.numerical(method, PLANT, 31)
     np.testing.assert_array_equal(predictor([0.1, 5.0], u, 0.0), np.tile([0.1, 5.0], (31, 1)))
     np.testing.assert_array_equal(predictor([0.1, 5.0], u, 1.3)[0], [0.1, 5.0])
 
@@ -83,13 +84,13 @@ def test_no_delay_predicts_the_state_and_P_starts_at_X(method):
 def test_semigroup_in_x(method, split, D_hat):
     """Predicting to x_k and on from there with the rest of u is predicting through."""
     u = 0.1 * np.cos(7 * grid.nodes(41))[:, None]
-    predictor = METHODS[method](PLANT, 41)
+    predictor = predictors.numerical(method, PLANT, 41)
     P = predictor([0.05, 8.0], u, D_hat)
     rest = predictor(P[split], u[split:], D_hat * (40 - split) / 40)
     np.testing.assert_allclose(rest, P[split:], rtol=1e-12)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", METHODS.builtin)
 def test_batch_equals_single_calls(method):
     """Many lanes and one lane are different code; they agree."""
     random = np.random.default_rng(1)
@@ -98,7 +99,7 @@ def test_batch_equals_single_calls(method):
         random.uniform(0, 0.2, (2, 6, 41, 1)),
         random.uniform(0.2, 1.5, (2, 6)),
     )
-    predictor = METHODS[method](PLANT, 41)
+    predictor = predictors.numerical(method, PLANT, 41)
     P = predictor(X, u, D_hat)
     assert P.shape == (2, 6, 41, 2)
     for i in np.ndindex(2, 6):
@@ -218,7 +219,7 @@ def test_a_predictor_of_ones_own_may_not_write_to_the_loop_nor_return_another_sh
             act()
 
 
-@pytest.mark.parametrize("kind", [*METHODS.values(), EulerPython, Published, Bent])
+@pytest.mark.parametrize("kind", [*map(predictors.method, METHODS.builtin), EulerPython, Published, Bent])
 def test_a_predictor_pickles_without_what_it_compiled(kind):
     predictor, u = kind(SCALAR, 5), np.linspace(0, 1, 5)[:, None]
     P = predictor([1.0], u, 0.4)

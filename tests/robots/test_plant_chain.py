@@ -5,13 +5,13 @@ import plant_claims
 import pytest
 from six_joint import SIX, TEXT
 
-from npred import plants
+from npred import plants, predictors
 from npred.diagnosis import pipeline_fit
 from npred.errors import ConfigError, MissingError
 from npred.loop import metrics
 from npred.loop.closed_loop import simulate
 from npred.plants.base import Plant
-from npred.predictors import METHODS, RK4
+from npred.predictors import RK4
 from npred.robots import pin_chain
 from npred.robots.chain import chain
 
@@ -64,7 +64,7 @@ def test_derivatives_equal_differences():
 
 @pytest.mark.parametrize("method", ["euler", "heun", "rk4"])
 def test_predictor_order(method):
-    assert plant_claims.order(PLANT, method, D) == pytest.approx(METHODS[method].order, abs=0.25)
+    assert plant_claims.order(PLANT, method, D) == pytest.approx(predictors.method(method).order, abs=0.25)
 
 
 def test_the_loop_is_the_golden_one():

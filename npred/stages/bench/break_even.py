@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 
 from npred import grid
-from npred.figures.latency import label
 from npred.figures.style import short, words
-from npred.predictors import METHODS, RK4, Predictor
+from npred.predictors import RK4, OneStep, Predictor
+from npred.registry import METHODS
 from npred.stages import Job
 from npred.stages.bench import timing
 from npred.stages.bench.candidates import Entry, Reference
@@ -40,9 +40,10 @@ def _crossover(job: Job, network: Entry, row: Row, rivals: list[Entry], referenc
     times = timing.sample(calls, job.config.bench.calls, job.config.bench.seconds)
     median = {label: timing.quantiles(taken)["median_us"] for label, taken in times.items()}
     few, many = (median[str(k)] for k in STEPS)
-    f_ns = 1000 * (many - few) / (RK4.order * (STEPS[1] - STEPS[0]))
+    f_ns = 1000 * (many - few) / (RK4.evaluations() * (STEPS[1] - STEPS[0]))
     best = min(rivals, key=lambda entry: median[entry.label])
-    evaluations = METHODS[best.predictor].order * (best.nx - 1)  # up to order four a step needs as many as its order
+    assert isinstance(best.run, OneStep)
+    evaluations = best.run.evaluations() * (best.nx - 1)
     network_us, best_us = median[network.label], median[best.label]
     overhead = max(best_us - f_ns * evaluations / 1000, 0.0)
     return {
@@ -91,4 +92,4 @@ def _others(crossover: Row) -> str:
 
 
 def _method(name: str, steps: int) -> str:
-    return f"{label({'predictor': name})} on {counted(steps, 'steps')}"
+    return f"{METHODS.label(name)} on {counted(steps, 'steps')}"

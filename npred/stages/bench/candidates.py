@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 
 from npred import grid, operators, randomness, runtimes
-from npred.config import Bench
+from npred.config import Bench, Pipeline
 from npred.data.dataset import Dataset
 from npred.delays import family_of
 from npred.errors import ConfigError, MissingError
 from npred.operators import Operator
 from npred.parallel import devices
 from npred.plants import Plant
-from npred.predictors import METHODS, RK4, Compiled, Euler, Heun, Predictor
-from npred.predictors.interpreted import EulerPython, Published
+from npred.predictors import RK4, OneStep, Predictor, method
+from npred.registry import INTERPRETED, called
 from npred.stages import Job
 from npred.stages.evaluate.initial_conditions import box
 
@@ -24,7 +24,6 @@ FINE = 2001  # nodes of the reference
 PROBES = 200  # held-out samples that a row's error is taken over
 LADDER = sorted({round(1.2**k) for k in range(42)} | {FINE - 1})  # numbers of intervals to try
 FRONT = (4, 10, 20, 50)  # intervals of the compiled methods' coarse end
-COMPILED = (Euler, Heun, RK4)
 
 
 @dataclass(frozen=True)
@@ -98,23 +97,32 @@ def entries(job: Job, reference: Reference) -> list[Entry]:
     """
     config = job.config.bench
     networks = {name: operators.load(job.inputs[name], job.plant) for name in job.config.train.models}
-    available = _available(job, config)
+    available, methods = _available(job, config), _methods(job.config)
     found: list[Entry] = []
     for batch in config.batches:
         for nx in map(grid.count, config.dx if batch == 1 else config.dx[:1]):
-            found += _numerical(job.plant, nx, batch)
+            found += _numerical(job.plant, methods, nx, batch)
             for name, operator in networks.items():
                 found += _neural(job, operator, name, nx, batch, available)
     nx = grid.count(config.dx[0])
     for name in networks:
         eps = reference.error(next(e for e in found if (e.predictor, e.nx) == (name, nx)))
-        for method in COMPILED:
-            if coarse := matching(reference, method, eps):
-                found.append(Entry(method.name, "compiled", coarse, 1, method(job.plant, coarse), name))
-    return found + [Entry(m.name, "compiled", k + 1, 1, m(job.plant, k + 1), "front") for k in FRONT for m in COMPILED]
+        for rival, kind in methods.items():
+            if coarse := matching(reference, kind, eps):
+                found.append(Entry(rival, "compiled", coarse, 1, kind(job.plant, coarse), name))
+    coarse_grids = [(k + 1, rival) for k in FRONT for rival in methods]
+    return found + [
+        Entry(rival, "compiled", nx, 1, methods[rival](job.plant, nx), "front") for nx, rival in coarse_grids
+    ]
 
 
-def matching(reference: Reference, method: type[Compiled], eps: float) -> int | None:
+def _methods(config: Pipeline) -> dict[str, type[OneStep]]:
+    """The one-step methods by what their rows are called: those that have a name, and those that the pipeline takes."""
+    kinds = {called(spec): method(spec) for spec in config.methods}
+    return {name: kind for name, kind in kinds.items() if issubclass(kind, OneStep)}
+
+
+def matching(reference: Reference, method: type[OneStep], eps: float) -> int | None:
     """The fewest nodes from which on the method is at least as accurate as eps; a single grid may fit u by luck.
 
     None where even the reference's nodes are not enough.
@@ -144,12 +152,12 @@ def _available(job: Job, config: Bench) -> list[str]:
     return [name for name in config.runtimes if name != "onnx" or not missing]
 
 
-def _numerical(plant: Plant, nx: int, batch: int) -> Iterator[Entry]:
-    for interpreted in (Published, EulerPython) if batch == 1 else ():
-        if family_of(plant).refusal(interpreted.name) is None:
-            yield Entry(interpreted.name, "python", nx, batch, interpreted(plant, nx))
-    for method in COMPILED:
-        yield Entry(method.name, "compiled", nx, batch, METHODS[method.name](plant, nx))
+def _numerical(plant: Plant, methods: dict[str, type[OneStep]], nx: int, batch: int) -> Iterator[Entry]:
+    for name in INTERPRETED.builtin if batch == 1 else ():
+        if family_of(plant).refusal(name) is None:
+            yield Entry(name, "python", nx, batch, INTERPRETED.load("bench", name)(plant, nx))
+    for name, kind in methods.items():
+        yield Entry(name, "compiled", nx, batch, kind(plant, nx))
 
 
 def _neural(job: Job, operator: Operator, name: str, nx: int, batch: int, available: list[str]) -> Iterator[Entry]:

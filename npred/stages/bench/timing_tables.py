@@ -3,6 +3,7 @@
 from collections.abc import Iterable
 from typing import Any
 
+from npred.registry import called
 from npred.terminal.console import columns
 
 Row = dict[str, Any]
@@ -31,6 +32,7 @@ def fastest(result: Row, networks: Iterable[str], numerical: str) -> dict[str, f
     """The median µs of a call at the finest dx and batch 1: each network's in its fastest runtime, and the compiled
     numerical predictor's.
     """
+    numerical = called(numerical)
     single = [row for row in result["rows"] if row["batch"] == 1 and row["matches"] is None]
     finest = min((row["dx"] for row in single), default=0.0)
     times: dict[str, float] = {}

@@ -5,14 +5,14 @@ from typing import Any
 
 import numpy as np
 
-from npred import figures
+from npred import figures, predictors
 from npred.config import FROZEN, Evaluate
 from npred.data import shards
 from npred.data.dataset import Dataset
 from npred.loop import delay_laws, metrics
 from npred.loop.closed_loop import Trajectories, simulate
 from npred.plants import Plant
-from npred.predictors import METHODS, Compiled, Predictor
+from npred.predictors import Compiled, Predictor
 from npred.stages import Job
 from npred.stages.evaluate import (
     accuracy,
@@ -72,7 +72,7 @@ def run(job: Job) -> dict[str, Any]:
 
 def _contenders(job: Job) -> list[Contender]:
     config = job.config.evaluate
-    numerical = METHODS[config.predictor](job.plant, config.nx)
+    numerical = predictors.numerical(config.predictor, job.plant, config.nx)
     contenders = [Contender("numerical", numerical)]
     if config.adaptation != FROZEN:
         contenders.append(Contender("no_adaptation", numerical, adapts=False))

@@ -11,7 +11,7 @@ from npred.config import Generate
 from npred.data import shards
 from npred.data.dataset import Dataset
 from npred.plants import Plant
-from npred.predictors import METHODS
+from npred.predictors import numerical
 from npred.stages import Job
 from npred.stages.evaluate.accuracy import Rows
 from npred.stages.generate import rollouts, sampling
@@ -49,7 +49,7 @@ def _redrawn(job: Job, rows: Rows) -> Rows:
     config = job.config.generate
     rng = randomness.generator(job.config.seed, "held out", "redraw")
     D_hat = rng.uniform(*config.explore_D_hat0, len(rows.X))
-    P = METHODS[config.predictor](job.plant, config.nx)(rows.X, rows.u, D_hat, rows.t)
+    P = numerical(config.predictor, job.plant, config.nx)(rows.X, rows.u, D_hat, rows.t)
     return Rows(rows.X, rows.u, D_hat, P, rows.t)
 
 

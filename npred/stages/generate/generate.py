@@ -12,6 +12,7 @@ from npred.config import Generate
 from npred.data.dataset import Dataset, attributes
 from npred.loop.closed_loop import LANES
 from npred.parallel import executors
+from npred.registry import called
 from npred.stages import Job
 from npred.stages.generate import rollouts, sampling, sharded
 from npred.stages.generate.rollouts import Rows
@@ -37,7 +38,7 @@ def run(job: Job) -> dict[str, Any]:
     parts = dict(_parts(job))
     rows = rollouts.joined([parts[start] for start in sorted(parts)])
     data = Dataset(**rows, test=np.isin(rows["rollout"], held_out).astype(np.uint8))
-    data.write(job.folder / "data.h5", attributes(job.plant, config.predictor))
+    data.write(job.folder / "data.h5", attributes(job.plant, called(config.predictor)))
     return made
 
 

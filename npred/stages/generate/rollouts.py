@@ -11,7 +11,7 @@ from npred.loop import delay_laws
 from npred.loop.closed_loop import LANES, simulate
 from npred.parallel import devices
 from npred.plants import Plant, inputs
-from npred.predictors import METHODS, Predictor
+from npred.predictors import Predictor, numerical
 from npred.stages.generate import sampling
 
 Rows = dict[str, np.ndarray]
@@ -53,7 +53,7 @@ def _chunk(pipeline: Pipeline, plant: Plant, chunk: range, finite: bool) -> Rows
     """Closed loops from random starts, sampled at random steps, P by the predictor."""
     config = pipeline.generate
     X0, D, D_hat0, steps = sampling.starts(pipeline.seed, config, plant, chunk)
-    predictor = METHODS[config.predictor](plant, config.nx)
+    predictor = numerical(config.predictor, plant, config.nx)
     law = delay_laws.resolve(config)
     loops = simulate(
         plant, predictor, D=D, D_hat=D_hat0, X0=X0, t_end=config.t_end, dt=config.dt, adaptation=law,

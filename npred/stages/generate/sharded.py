@@ -23,6 +23,7 @@ from npred.data.dataset import Dataset, attributes
 from npred.loop.closed_loop import LANES
 from npred.parallel import executors
 from npred.plants import Plant
+from npred.registry import called
 from npred.stages import Job
 from npred.stages.generate import rollouts, sampling
 
@@ -56,7 +57,7 @@ def write(job: Job) -> int:
     config, place = job.config.generate, _place(job)
     batches = list(enumerate(_batches(job.plant, config)))
     missing = [batch for batch in batches if not _kept(place.folder / shards.name(batch[0]))]
-    about = attributes(job.plant, config.predictor)
+    about = attributes(job.plant, called(config.predictor))
     make = partial(_shard, job.config.located(), rollouts.surroundings(job.config, job.plant), place, about)
     job.progress.doing("generate", "compiling")
     with job.progress.bar("generate", config.rollouts, "rollouts") as bar:

@@ -6,6 +6,7 @@ from npred.config import FROZEN
 from npred.figures.evaluation_data import OF
 from npred.figures.latency import label
 from npred.figures.style import short, words
+from npred.registry import METHODS
 from npred.stages.report.tables import converged
 from npred.terminal.progress_bars import counted
 
@@ -65,5 +66,5 @@ def _against_numerics(benched: Row, network: str) -> str:
         return ""
     one = crossovers[0]
     steps = counted(one["best_steps"], "steps")
-    numerical = label({"predictor": one["best"]})
+    numerical = METHODS.label(one["best"])
     return f"; {numerical} on {steps} is as accurate in {one['best_us']:.1f} µs"

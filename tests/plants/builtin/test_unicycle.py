@@ -5,15 +5,16 @@ import plant_claims
 import pytest
 from scipy.integrate import solve_ivp
 
-from npred import plants
+from npred import plants, predictors
 from npred.loop import metrics
 from npred.loop.closed_loop import simulate
-from npred.predictors import METHODS, RK4
+from npred.predictors import RK4
+from npred.registry import METHODS
 
 PLANT = plants.resolve("unicycle")
 D, EARLY = 0.6, 0.25
 START = (1.0, 1.0, 1.0)
-ONESTEP = [name for name in METHODS if name != "picard"]
+ONESTEP = [name for name in METHODS.builtin if name != "picard"]
 
 
 def test_law_and_kinematics_are_those_of_the_literature():
@@ -51,7 +52,7 @@ def test_derivatives_equal_differences():
 @pytest.mark.parametrize("method", ONESTEP)
 def test_predictor_order(method):
     """Intervals that never have x = 5/12 as a node."""
-    assert plant_claims.order(PLANT, method, D) == pytest.approx(METHODS[method].order, abs=0.25)
+    assert plant_claims.order(PLANT, method, D) == pytest.approx(predictors.method(method).order, abs=0.25)
 
 
 def test_the_plant_in_the_loop_is_that_of_an_independent_solver():

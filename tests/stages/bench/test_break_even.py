@@ -23,7 +23,7 @@ def test_break_even_is_where_both_take_as_long(tmp_path, monkeypatch):
     networks = {"network": 9.0, "slow": 11.0}
 
     def sample(calls, count, seconds):
-        return {name: networks.get(run) or 1.0 + 0.1 * run.order * (run.nx - 1) for name, run in calls.items()}
+        return {name: networks.get(run) or 1.0 + 0.1 * run.evaluations() * (run.nx - 1) for name, run in calls.items()}
 
     monkeypatch.setattr(break_even.timing, "sample", sample)
     monkeypatch.setattr(break_even.timing, "quantiles", lambda us: {"median_us": us})
