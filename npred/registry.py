@@ -27,7 +27,7 @@ class Entry(NamedTuple):
 
     target: str
     label: str
-    look: tuple[str, tuple[float, ...], str] = ("green", (1.0, 1.0), "<")
+    look: tuple[str, tuple[float, ...], str] = ("green", (1, 1), "D")
 
 
 class Source(NamedTuple):

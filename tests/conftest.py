@@ -4,7 +4,7 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -68,6 +68,23 @@ def pipeline(tmp_path: Path) -> Path:
     path = tmp_path / "tiny.toml"
     path.write_text(TINY)
     return path
+
+
+@pytest.fixture
+def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., None]]:
+    """Install a package that registers parts, plants by default, as `pip install` leaves it."""
+
+    def install(entries: str, text: str = TANK, group: str = "npred.plants") -> None:
+        (tmp_path / "shed_of_tanks.py").write_text(text)
+        info = tmp_path / "shed_of_tanks-1.0.dist-info"
+        info.mkdir()
+        (info / "METADATA").write_text("Metadata-Version: 2.1\nName: shed-of-tanks\nVersion: 1.0\n")
+        (info / "entry_points.txt").write_text(f"[{group}]\n{entries}\n")
+
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "shed_of_tanks", raising=False)
+    yield install
+    sys.modules.pop("shed_of_tanks", None)
 
 
 @pytest.fixture

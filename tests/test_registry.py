@@ -11,23 +11,6 @@ from npred.cli import app
 from npred.errors import ConfigError
 
 
-@pytest.fixture
-def package(tmp_path, monkeypatch):
-    """Install a package that registers plants, as `pip install` leaves it."""
-
-    def install(entries: str, text: str = TANK) -> None:
-        (tmp_path / "shed_of_tanks.py").write_text(text)
-        info = tmp_path / "shed_of_tanks-1.0.dist-info"
-        info.mkdir()
-        (info / "METADATA").write_text("Metadata-Version: 2.1\nName: shed-of-tanks\nVersion: 1.0\n")
-        (info / "entry_points.txt").write_text(f"[npred.plants]\n{entries}\n")
-
-    monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.delitem(sys.modules, "shed_of_tanks", raising=False)
-    yield install
-    sys.modules.pop("shed_of_tanks", None)
-
-
 def test_a_registered_plant_is_found_listed_and_lazily_imported(package):
     package("round_tank = shed_of_tanks:Tank")
     assert plants.resolve("scalar").n == 1
