@@ -21,5 +21,5 @@ def run(folder: Path) -> tuple[Path, dict[str, Outcome]]:
     made = config.load(path)
     planner = Planner(made, Store(folder / "store"), "cpu")
     console: object = Silent()
-    outcomes = Runner(planner, console, jobs=1).run(nodes(made, STAGES))  # type: ignore[arg-type]
+    outcomes = Runner(console, jobs=1).run(planner, nodes(made, STAGES))  # type: ignore[arg-type]
     return path, {outcome.node.name: outcome for outcome in outcomes}

@@ -96,7 +96,7 @@ def sweep(
     """A grid of pipelines: --set train.deeponet.width=32,64,128 --set seed=0:10; what cells share is made once."""
     from npred.cli import sweep as sweeps
 
-    sweeps.sweep(options, sweeps.Wanted(to, output, csv))
+    sweeps.sweep(options, to, output, csv)
 
 
 @command(RUN)

@@ -1,8 +1,7 @@
 """What the commands do that run stages."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -10,30 +9,9 @@ from npred.cli.options import Running, Work
 from npred.cli.page import publish
 from npred.errors import ConfigError
 from npred.parallel import devices, executors
-from npred.pipeline import STAGES, Node, Outcome, Planner, Runner, Step, networks, nodes
+from npred.pipeline import STAGES, Outcome, Planner, Runner, Step, networks, nodes
 from npred.store import short
 from npred.terminal.console import columns
-
-
-@dataclass(frozen=True)
-class Row:
-    """A node's line in the answer."""
-
-    node: Node
-    key: str | None
-    action: str
-    reason: str
-    seconds: float
-
-    def json(self) -> dict[str, Any]:
-        """As `--json` prints it."""
-        row = {"stage": self.node.stage, "key": self.key, "action": self.action}
-        model = {"model": self.node.model} if self.node.model else {}
-        return row | model | {"reason": self.reason, "seconds": round(self.seconds, 3)}
-
-    def cells(self) -> list[str]:
-        """As people read it."""
-        return [self.node.title, short(self.key or "-"), self.action, f"{self.seconds:.1f}", self.reason]
 
 
 def everything(options: Work) -> None:
@@ -63,7 +41,7 @@ def bring(options: Work, targets: list[str], model: str | None = None) -> list[O
         console.head(f"{options.config.name} on {planner.device}")
         options.results.remember(options.pipeline)  # also where the run is interrupted
         keep_log(options)
-        outcomes = Runner(planner, console, jobs, executor).run(wanted)
+        outcomes = Runner(console, jobs, executor).run(planner, wanted)
         record(outcomes)
     if not options.set:  # what an override asks for, the file does not
         keys = {done.node.name: done.artifact.manifest.key for done in outcomes}
@@ -102,17 +80,16 @@ def _work(
     closing: bool = False,
 ) -> None:  # fmt: skip
     if options.dry_run:
-        rows = [_planned(step) for step in _planner(options, targets).plan(nodes(options.config, targets, model))]
-        options.show(_document(rows, None), lambda: _table(options, rows))
+        steps = _planner(options, targets).plan(nodes(options.config, targets, model))
+        options.show(_document(steps, None), lambda: _table(options, steps))
         return
     outcomes = bring(options, targets, model)
-    rows = [_done(outcome) for outcome in outcomes]
     final = [outcome for outcome in outcomes if outcome.node.stage in answers]
     page = publish(options, outcomes, output)
     if options.json:
-        options.console.json(_document(rows, _result(final)) | ({"report": str(page)} if page else {}))
+        options.console.json(_document(outcomes, _result(final)) | ({"report": str(page)} if page else {}))
     elif options.wide:
-        options.console.out("\n".join([_table(options, rows), *_answers(options, final), *_page(page)]))
+        options.console.out("\n".join([_table(options, outcomes), *_answers(options, final), *_page(page)]))
     elif closing:
         options.console.out("\n".join([_closing(options, outcomes), *_page(page)]))
     else:
@@ -125,16 +102,14 @@ def _planner(options: Work, targets: list[str]) -> Planner:
     return planner
 
 
-def _planned(step: Step) -> Row:
-    return Row(step.node, step.key, step.action, step.reason, 0.0)
+def _document(stages: Sequence[Step | Outcome], result: dict[str, Any] | None) -> dict[str, Any]:
+    return {"stages": [_stage(stage) for stage in stages], "result": result}
 
 
-def _done(outcome: Outcome) -> Row:
-    return Row(outcome.node, outcome.artifact.manifest.key, outcome.action, outcome.reason, outcome.seconds)
-
-
-def _document(rows: list[Row], result: dict[str, Any] | None) -> dict[str, Any]:
-    return {"stages": [row.json() for row in rows], "result": result}
+def _stage(stage: Step | Outcome) -> dict[str, Any]:
+    model = {"model": stage.node.model} if stage.node.model else {}
+    shared = {"stage": stage.node.stage, "key": stage.key, "action": stage.action}
+    return shared | model | {"reason": stage.reason, "seconds": round(stage.seconds, 3)}
 
 
 def _result(final: list[Outcome]) -> dict[str, Any]:
@@ -145,9 +120,10 @@ def _result(final: list[Outcome]) -> dict[str, Any]:
     return merged
 
 
-def _table(options: Work, rows: list[Row]) -> str:
+def _table(options: Work, stages: Sequence[Step | Outcome]) -> str:
     head = ["stage", "key", "action", "seconds", "reason"]
-    return columns(head, [row.cells() for row in rows], options.console.width)
+    rows = [[s.node.title, short(s.key or "-"), s.action, f"{s.seconds:.1f}", s.reason] for s in stages]
+    return columns(head, rows, options.console.width)
 
 
 def _answers(options: Work, final: list[Outcome]) -> Iterator[str]:

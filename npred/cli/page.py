@@ -7,11 +7,12 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
-from npred.cli.options import Work
+from npred.cli.options import Planned, Work
 from npred.errors import ConfigError
 from npred.pipeline import Outcome
 
 NAME = "report.html"  # in a result
+SIGNATURE = "pipeline.txt"  # in a folder of figures or tables: the pipeline file that they are of
 PLACE = "<!-- made from -->"  # in the header of that page, which knows neither files nor flags
 OWNER = re.compile('<p class="about" data-pipeline="([^"]*)">')
 HEAD = 2**16  # bytes of a page that its header is in
@@ -28,7 +29,7 @@ def publish(options: Work, outcomes: list[Outcome], output: Path | None) -> Path
     if not folders:
         return None
     folder, source = folders[-1], source_of(options)
-    path = output or place(options, ".html", _owner)
+    path = output or place(options, options.pipeline.stem, lambda name: options.store / f"{name}.html", _owner)
     aside = path.with_name(path.name + ".part")
     try:
         text = (folder / NAME).read_text(encoding="utf-8").replace(PLACE, _made_from(source, options.set or []), 1)
@@ -41,7 +42,7 @@ def publish(options: Work, outcomes: list[Outcome], output: Path | None) -> Path
     return path
 
 
-def source_of(options: Work) -> str:
+def source_of(options: Planned) -> str:
     """The pipeline file, from the folder that the store is in: a folder that is moved or copied whole stays itself."""
     return Path(os.path.relpath(options.pipeline.absolute(), options.store.absolute().parent)).as_posix()
 
@@ -52,20 +53,32 @@ def _made_from(source: str, overrides: list[str]) -> str:
     return f'<p class="about" data-pipeline="{name}">From <code>{name}</code>{" with" if flags else ""}{flags}</p>'
 
 
-def place(options: Work, ending: str, owner: Callable[[Path], str | None]) -> Path:
-    """NAME and the ending, as NAME.html, in the store; where `owner` says that this is another pipeline's,
-    NAME-FOLDER.html after the file's own folder, else with a digest. A line says which is whose.
+def place(options: Planned, name: str, of: Callable[[str], Path], owner: Callable[[Path], str | None]) -> Path:
+    """`of(name)`, as NAME.html; where `owner` says that this is another pipeline's, that of NAME-FOLDER after the
+    file's own folder, else with a digest. A line says which is whose.
     """
-    source = source_of(options)
-    stem, folder = options.pipeline.stem, re.sub(r"[^\w.-]", "_", options.pipeline.absolute().parent.name)
-    names = [stem, f"{stem}-{folder}", f"{stem}-{hashlib.sha256(os.fsencode(source)).hexdigest()[:8]}"]
-    owners = {path: owner(path) for path in (options.store / f"{name}{ending}" for name in names)}
+    source, folder = source_of(options), re.sub(r"[^\w.-]", "_", options.pipeline.absolute().parent.name)
+    names = [name, f"{name}-{folder}", f"{name}-{hashlib.sha256(os.fsencode(source)).hexdigest()[:8]}"]
+    owners = {path: owner(path) for path in map(of, names)}
     own = [path for path, owner in owners.items() if owner == source]
     free = [path for path, owner in owners.items() if owner is None]
     first, path = next(iter(owners)), [*own, *free, *owners][0]
     if path != first and owners[first]:
         options.console.note(f"{first} is of {owners[first]}; that of {source} is {path}")
     return path
+
+
+def sign(options: Planned, folder: Path) -> None:
+    """Say in a folder of results of which pipeline file they are."""
+    (folder / SIGNATURE).write_text(source_of(options) + "\n", encoding="utf-8", errors="surrogateescape")
+
+
+def signed(folder: Path) -> str | None:
+    """The pipeline that a folder names as its own; None for a folder that names none."""
+    try:
+        return (folder / SIGNATURE).read_text(encoding="utf-8", errors="surrogateescape").strip() or None
+    except OSError:
+        return None
 
 
 def _owner(path: Path) -> str | None:

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 from npred.cli import execute
 from npred.cli.options import Work, writable_folder
-from npred.cli.page import place, source_of
+from npred.cli.page import place, sign, signed
 from npred.errors import ConfigError
 from npred.store import durable
 
@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from npred.stages.report.report_data import Story
 
 FORMATS = ("pdf", "svg", "png")
-OWNER = "pipeline.txt"  # in a folder of figures: the pipeline file that they are of
 
 
 def report(options: Work, output: Path | None, medium: str | None) -> None:
@@ -32,25 +31,18 @@ def _figures(options: Work, output: Path | None, medium: str) -> None:
 
     if medium not in MEDIA:
         raise ConfigError(f"--figures: expected {', '.join(MEDIA)}, got {medium!r}; name one of them")
-    target = writable_folder(output or place(options, f"-{medium}", _owner), "figures")
+    default = place(options, options.pipeline.stem, lambda name: options.store / f"{name}-{medium}", signed)
+    target = writable_folder(output or default, "figures")
     folders = {done.node.name: done.artifact.folder for done in execute.bring(options, ["evaluate", "bench"])}
     plant = plants.resolve(options.config.plant, options.config.parameters)
     story = Story.read(options.config, plant, folders)
     with durable.room(target):
         _write(story, target, MEDIA[medium])
         if output is None:
-            (target / OWNER).write_text(source_of(options) + "\n", encoding="utf-8", errors="surrogateescape")
+            sign(options, target)
     files = [f"{plate}.{form}" for plate in story.plates() for form in FORMATS]
     files += [f"{table}.{form}" for table in story.tables() for form in ("csv", "tex")]
     options.show({"folder": str(target), "files": files}, lambda: "\n".join(str(target / file) for file in files))
-
-
-def _owner(folder: Path) -> str | None:
-    """The pipeline that a folder of figures names as its own; None for a folder that names none."""
-    try:
-        return (folder / OWNER).read_text(encoding="utf-8", errors="surrogateescape").strip() or None
-    except OSError:
-        return None
 
 
 def _write(story: "Story", target: Path, style: "Style") -> None:

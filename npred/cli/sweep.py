@@ -2,92 +2,87 @@
 
 import csv
 import io
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from npred.cli import execute
+from npred.cli import execute, page
 from npred.cli.options import Running, writable_folder
 from npred.errors import ConfigError, NpredError
 from npred.parallel import devices, executors
-from npred.pipeline import Planner, nodes
+from npred.pipeline import STAGES, CellRun, Outcome, Planner, Runner, Step, nodes
 from npred.store import durable
-from npred.sweep import Cell, Progress, Sweep, cells, sweep_table
+from npred.sweep import Cell, cells, sweep_table
 from npred.terminal.console import columns
 from npred.terminal.progress_bars import counted
 
 PRECISION = 4  # digits of the table that people read
 
 
-@dataclass(frozen=True)
-class Wanted:
-    """The last stage, the folder of the table and figure (None: by the pipeline's name), CSV on stdout."""
-
-    to: str
-    output: Path | None
-    csv: bool
+Done = list[tuple[Cell, CellRun]]
 
 
-def sweep(options: Running, wanted: Wanted) -> None:
-    """Run the grid. Raises NpredError, once all the others are done, where a cell failed."""
-    if wanted.to not in sweep_table.stages():
-        raise ConfigError(
-            f"--to: expected one of {', '.join(sweep_table.stages())}, got {wanted.to!r}; name one of them"
-        )
-    if wanted.output:
-        writable_folder(wanted.output, "table")
+def sweep(options: Running, to: str, output: Path | None, csv: bool) -> None:
+    """Run the grid up to the stage `to`; table and figure go to the folder `output`, by default one of the pipeline's
+    name, and with `csv` the table to stdout. Raises NpredError, once all the others are done, where a cell failed.
+    """
+    if to not in STAGES:
+        raise ConfigError(f"--to: expected one of {', '.join(STAGES)}, got {to!r}; name one of them")
+    if output:
+        writable_folder(output, "table")
     device = devices.resolve(options.device)
     devices.require(device)
-    grid, targets = cells(options.pipeline, options.set or []), sweep_table.targets(wanted.to)
+    grid = cells(options.pipeline, options.set or [])
+    targets = ["evaluate", "bench"] if to == "bench" else [to]  # a latency is worth little without its error
+    planners = [Planner(cell.config, options.results, device) for cell in grid]
     if options.dry_run:
-        _planned(options, grid, targets, device)
+        _plan(options, grid, [planner.plan(nodes(planner.config, targets)) for planner in planners])
         return
     jobs = options.jobs or devices.cores()
     options.results.remember(options.pipeline)
     execute.keep_log(options)
     with executors.opened(options.executor, jobs) as executor:
-        found = Sweep(options.results, device, options.console, jobs, executor).run(grid, targets)
-    _report(options, wanted, found)
+        runs = Runner(options.console, jobs, executor).sweep(planners, targets)
+    _report(options, list(zip(grid, runs, strict=True)), output, csv)
 
 
-def _planned(options: Running, grid: list[Cell], targets: list[str], device: str) -> None:
-    rows = []
-    for cell in grid:
-        steps = Planner(cell.config, options.results, device).plan(nodes(cell.config, targets))
-        rows.append([cell.name, *(f"{step.node.title}: {step.action}" for step in steps)])
-    document = {"cells": [{"cell": name, "stages": stages} for name, *stages in rows]}
-    options.show(document, lambda: "\n".join("  ".join(row) for row in rows))
+def _plan(options: Running, grid: list[Cell], plans: list[list[Step]]) -> None:
+    lines = [[f"{step.node.title}: {step.action}" for step in plan] for plan in plans]
+    document = {"cells": [{"cell": cell.name, "stages": line} for cell, line in zip(grid, lines, strict=True)]}
+    options.show(document, lambda: "\n".join("  ".join([c["cell"], *c["stages"]]) for c in document["cells"]))
 
 
-def _report(options: Running, wanted: Wanted, found: list[Progress]) -> None:
-    fine, lost = [p for p in found if not p.error], [p for p in found if p.error]
+def _report(options: Running, done: Done, output: Path | None, csv: bool) -> None:
+    fine, lost = [(c, run) for c, run in done if not run.failure], [(c, run) for c, run in done if run.failure]
     rows = _rows(fine)
-    files = _write(wanted.output or Path(f"sweep-{found[0].cell.config.name}"), rows) if rows else []
-    if wanted.csv:
+    files = _write(options, done[0][0].config.name, output, rows) if rows else []
+    if csv:
         options.console.out(_csv(rows).rstrip("\n"))
     else:
-        options.show(_document(found, rows, files), lambda: _told(len(fine), rows, files, options.console.width))
+        options.show(_document(done, rows, files), lambda: _table(len(fine), rows, files, options.console.width))
     if lost:
-        first = f"{lost[0].cell.name}: {lost[0].error}"
-        others = f"; and {len(lost) - 1} more, as --json says" if len(lost) > 1 else ""
-        raise NpredError(f"sweep: {len(lost)} of {len(found)} cells failed: {first}{others}")
+        (cell, run), *more = lost
+        others = f"; and {len(more)} more, as --json says" if more else ""
+        raise NpredError(f"sweep: {len(lost)} of {len(done)} cells failed: {cell.name}: {run.failure}{others}")
 
 
-def _rows(found: list[Progress]) -> list[dict[str, Any]]:
+def _rows(done: Done) -> list[dict[str, Any]]:
     from npred.sweep import pareto
 
-    rows = [row for progress in found for row in sweep_table.rows(progress)]
+    rows = [row for cell, run in done for row in sweep_table.rows(cell, run)]
     marked = zip(rows, pareto.front(rows), strict=True)
     return [{"row": number, **row, "front": best} for number, (row, best) in enumerate(marked, 1)]
 
 
-def _write(folder: Path, rows: list[dict[str, Any]]) -> list[Path]:
+def _write(options: Running, name: str, output: Path | None, rows: list[dict[str, Any]]) -> list[Path]:
     """table.csv, and front.svg and front.png where there are two quantities to draw."""
     from npred.sweep import pareto
 
+    folder = output or page.place(options, name, lambda name: Path(f"sweep-{name}"), page.signed)
     with durable.room(folder):
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "table.csv").write_text(_csv(rows), encoding="utf-8")
+        if output is None:
+            page.sign(options, folder)
         return [folder / "table.csv", *pareto.draw(folder, rows)]
 
 
@@ -99,27 +94,24 @@ def _csv(rows: list[dict[str, Any]]) -> str:
     return text.getvalue()
 
 
-def _document(found: list[Progress], rows: list[dict[str, Any]], files: list[Path]) -> dict[str, Any]:
+def _document(done: Done, rows: list[dict[str, Any]], files: list[Path]) -> dict[str, Any]:
     listed = [
-        {"set": p.cell.values, "state": "failed" if p.error else "done", "error": p.error or None, "stages": _stages(p)}
-        for p in found
-    ]
-    done = sum(not p.error for p in found)
-    return {"total": len(found), "done": done, "cells": listed, "rows": rows, "files": [str(file) for file in files]}
-
-
-def _stages(progress: Progress) -> list[dict[str, Any]]:
-    return [
         {
-            "stage": node.stage, "model": node.model, "action": made.action, "seconds": round(made.seconds, 3),
-            "key": made.artifact.manifest.key if made.artifact else None,
+            "set": cell.values, "state": "failed" if run.failure else "done", "error": run.failure or None,
+            "stages": [_stage(outcome) for node in run.nodes if (outcome := run.outcomes.get(node.name))],
         }
-        for node in progress.nodes
-        if (made := progress.made.get(node.name))
+        for cell, run in done
     ]  # fmt: skip
+    count = sum(not run.failure for _, run in done)
+    return {"total": len(done), "done": count, "cells": listed, "rows": rows, "files": [str(file) for file in files]}
 
 
-def _told(done: int, rows: list[dict[str, Any]], files: list[Path], width: int | None) -> str:
+def _stage(outcome: Outcome) -> dict[str, Any]:
+    shared = {"stage": outcome.node.stage, "model": outcome.node.model, "action": outcome.action}
+    return shared | {"seconds": round(outcome.seconds, 3), "key": outcome.key}
+
+
+def _table(done: int, rows: list[dict[str, Any]], files: list[Path], width: int | None) -> str:
     if not rows:
         return f"done: {counted(done, 'cells')}; rows come from train on" if done else "no cell is done"
     shown = [name for name in rows[0] if any(row[name] is not None for row in rows)]

@@ -13,7 +13,8 @@ import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
 from concurrent.futures.process import ProcessPoolExecutor
-from contextlib import contextmanager
+from concurrent.futures.thread import ThreadPoolExecutor
+from contextlib import AbstractContextManager, contextmanager
 from functools import partial
 from itertools import islice
 from multiprocessing import get_context
@@ -34,14 +35,18 @@ class Workers(Executor):
     count: int
 
 
-@contextmanager
-def opened(spec: str, jobs: int) -> Iterator[Workers]:
+def opened(spec: str, jobs: int) -> AbstractContextManager[Workers]:
     """The executor meant by `local` (jobs processes; one job: this process) or `dask:ADDRESS`; closed at the end.
 
     Processes start when work comes; those of an interrupted run end at once. Raises ConfigError for another spec,
     MissingError without the extra, NpredError where no scheduler answers.
     """
-    executor = _executor(spec, jobs)
+    return closed(_executor(spec, jobs))
+
+
+@contextmanager
+def closed(executor: Workers) -> Iterator[Workers]:
+    """The executor, closed after the block: once its work is done, or without waiting for it where the block fails."""
     try:
         yield executor
     except BaseException:
@@ -86,6 +91,14 @@ class Here(Workers):
         except Exception as error:
             future.set_exception(error)
         return future
+
+
+class Threads(ThreadPoolExecutor, Workers):
+    """Threads of this process."""
+
+    def __init__(self, count: int) -> None:
+        super().__init__(count)
+        self.count = count
 
 
 class Processes(Workers):

@@ -1,13 +1,15 @@
-"""The runner: key, hit or run, store; and the reason of every run."""
+"""The scheduler: key, hit or run, store; and the reason of every run."""
 
 from npred.pipeline.models import Stored, load_data, load_model
 from npred.pipeline.plan import Planner, Step
 from npred.pipeline.retention import Kept, closure
-from npred.pipeline.runner import Outcome, Runner
+from npred.pipeline.runner import CellRun, Runner
 from npred.pipeline.stage_registry import STAGES, Node, Stage, networks, nodes
+from npred.pipeline.task import Outcome
 
 __all__ = [
     "STAGES",
+    "CellRun",
     "Kept",
     "Node",
     "Outcome",

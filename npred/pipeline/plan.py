@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 from npred.config import Pipeline
 from npred.pipeline import stage_registry
@@ -10,17 +11,21 @@ from npred.pipeline.reasons import NEVER, alike, reason, sentence, settings
 from npred.pipeline.stage_registry import STAGES, Node
 from npred.store import Artifact, Question, Source, SourceText, Store
 
+if TYPE_CHECKING:
+    from npred.plants import Plant
+
 UP_TO_DATE = "up to date"
 
 
 @dataclass(frozen=True)
 class Step:
-    """A node, its question where the inputs are known, and its artifact where the store has it."""
+    """A node, its question where its inputs are there, and its artifact where the store has it."""
 
     node: Node
     question: Question | None
     artifact: Artifact | None
     reason: str
+    seconds: float = 0.0  # nothing has run
 
     @property
     def key(self) -> str | None:
@@ -62,15 +67,16 @@ class Planner:
         steps: dict[str, Step] = {}
         for node in nodes:
             blocked = [name for name in node.inputs if not steps[name].artifact]
-            made = {name: found for name in node.inputs if (found := steps[name].artifact)}
+            inputs = {name: artifact for name in node.inputs if (artifact := steps[name].artifact)}
             steps[node.name] = (
-                self._waiting(node, [steps[name] for name in blocked]) if blocked else self.step(node, made)
+                self._waiting(node, [steps[name] for name in blocked])
+                if blocked
+                else self.step(node, self.question(node, inputs))
             )
         return list(steps.values())
 
-    def step(self, node: Node, inputs: dict[str, Artifact]) -> Step:
+    def step(self, node: Node, question: Question) -> Step:
         """The step of a node whose inputs are all there."""
-        question = self.question(node, inputs)
         if node.stage in self.forced:
             return Step(node, question, None, "--force")
         artifact = self.store.get(node.stage, question.key)
@@ -102,6 +108,13 @@ class Planner:
         lists = (settings(a.manifest.question.config, asked, a.manifest.sources, sources) for a in reversed(older))
         own = min(lists, key=len, default=[])
         return Step(node, None, None, f"{'stale' if older else NEVER}: {sentence([*own, *causes])}")
+
+    @cached_property
+    def plant(self) -> "Plant":
+        """The plant of the pipeline, one object for all its stages: they share what it has compiled."""
+        from npred import plants
+
+        return plants.resolve(self.config.plant, self.config.parameters)
 
     @cached_property
     def _artifacts(self) -> list[Artifact]:

@@ -1,169 +1,213 @@
-"""Lock a key, look again, run the stage aside, rename its result into place."""
+"""The scheduler: pipelines as one graph in which equal keys are one node, and each is a hit or made once."""
 
-import json
-import math
+import heapq
 import time
-from collections.abc import Iterable, Mapping
-from concurrent.futures import FIRST_EXCEPTION, Future, ThreadPoolExecutor, wait
+from collections import defaultdict
+from collections.abc import Callable, Collection, Iterable, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass, field
-from functools import cached_property
-from itertools import groupby
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
-from npred.defaults import RESULT
-from npred.parallel.executors import Here, Workers
+from npred.errors import NpredError
+from npred.parallel import executors
+from npred.parallel.executors import Here, Threads, Workers
+from npred.pipeline import stage_registry
 from npred.pipeline.plan import Planner, Step
-from npred.pipeline.stage_registry import STAGES, Node
-from npred.store import Artifact, claims, durable, short
+from npred.pipeline.stage_registry import Node
+from npred.pipeline.task import Outcome, Task, elsewhere, packages
+from npred.store import Artifact, Question, claims
 from npred.store.claims import Claim
 from npred.terminal.console import Console
-
-if TYPE_CHECKING:
-    from npred.plants import Plant
-    from npred.stages import Job
+from npred.terminal.progress_bars import Bar
 
 BEAT = 0.5  # s: a signal that arrives on the way into a wait without an end would be heard at its end
+WHOLE = {"generate": 0, "bench": 2}  # they use the whole machine: before all else, and after it
+REASON = "of a sweep"
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """What became of a node: `hit` or `run`, why, and how long it took."""
+@dataclass(eq=False)
+class CellRun:
+    """A pipeline of the graph: its nodes, each after its inputs, and their outcomes so far by name."""
 
-    node: Node
-    artifact: Artifact
-    action: str
-    reason: str
-    seconds: float
+    number: int
+    planner: Planner
+    nodes: list[Node]
+    outcomes: dict[str, Outcome] = field(default_factory=dict)
+    asked: set[str] = field(default_factory=set)
+
+    @property
+    def failure(self) -> str:
+        """Why the pipeline has no answer, in one line, or nothing."""
+        return next((outcome.failure for outcome in self.outcomes.values() if outcome.error), "")
+
+    @property
+    def done(self) -> bool:
+        """Whether nothing more will come of it."""
+        return len(self.outcomes) == len(self.nodes) or bool(self.failure)
+
+    def ready(self) -> list[tuple[Node, dict[str, Artifact]]]:
+        """The nodes not asked for yet whose inputs are all there."""
+        results = {name: outcome.result for name, outcome in self.outcomes.items() if outcome.result}
+        return [
+            (node, {name: results[name] for name in node.inputs})
+            for node in self.nodes
+            if node.name not in self.asked and results.keys() >= set(node.inputs)
+        ]
 
 
 @dataclass(frozen=True)
 class Runner:
-    """Brings the nodes of a plan into the store."""
+    """Brings the nodes of pipelines into the store; a stage in this process has `jobs` threads and the executor."""
 
-    planner: Planner
     console: Console
     jobs: int
     executor: Workers = field(default_factory=Here)
 
-    def run(self, nodes: Iterable[Node]) -> list[Outcome]:
-        """One outcome a node, in order; every result is verified. The networks of a pipeline train side by side.
+    def run(self, planner: Planner, nodes: Iterable[Node]) -> list[Outcome]:
+        """One outcome per node, in order; every result is verified. The networks of a pipeline train side by side.
 
         Raises ConfigError for a pipeline that does not fit its plant, before anything runs, StoreError for corrupt
         files, and what the stages raise; what was finished before stays in the store.
         """
-        nodes = list(nodes)
-        self.planner.check(nodes)
-        outcomes: dict[str, Outcome] = {}
-        with claims.claimed(self.planner.store.root) as claim:
-            for _, wave in groupby(nodes, key=lambda node: node.stage):
-                outcomes |= {done.node.name: done for done in self._wave(list(wave), outcomes, claim)}
-        return list(outcomes.values())
+        run = CellRun(0, planner, list(nodes))
+        planner.check(run.nodes)
+        # In threads: the numerical libraries release the GIL, and progress, Ctrl-C and locks are this process's.
+        count = min(self.jobs, sum(node.model is not None for node in run.nodes))
+        with executors.closed(Threads(count) if count > 1 else Here()) as threads:
+            self._bring([run], threads, lambda task: threads.submit(self.make, task))
+        return [run.outcomes[node.name] for node in run.nodes]
 
-    def _wave(self, nodes: list[Node], outcomes: Mapping[str, Outcome], claim: Claim) -> list[Outcome]:
-        """The nodes of one stage, at most `jobs` at a time, in threads.
+    def sweep(self, planners: Sequence[Planner], targets: Collection[str]) -> list[CellRun]:
+        """What became of each cell; one that fails does not stop the others.
 
-        The numerical libraries let go of the GIL, and progress, Ctrl-C and the store's locks are this process's.
+        Raises ConfigError for a cell that does not fit its plant, before anything runs.
         """
-        if min(len(nodes), self.jobs) == 1:
-            return [self._node(node, outcomes, claim) for node in nodes]
-        with ThreadPoolExecutor(min(len(nodes), self.jobs)) as pool:
+        cells = [(planner, stage_registry.nodes(planner.config, targets)) for planner in planners]
+        runs = [CellRun(number, *cell) for number, cell in enumerate(cells)]
+        for run in runs:
+            run.planner.check(run.nodes)
+        with self.console.bar("sweep", len(runs), "cells") as bar:
+            self._bring(runs, self.executor, self._submit, bar)
+        return runs
+
+    def make(self, task: Task) -> Outcome:
+        """What becomes of a task in this process."""
+        return task.outcome(self.console, self.jobs, self.executor)
+
+    def _submit(self, task: Task) -> Future[Outcome]:
+        return self.executor.submit(elsewhere, task.located(), packages())
+
+    def _bring(
+        self, runs: list[CellRun], workers: Workers, submit: Callable[[Task], Future[Outcome]], bar: Bar | None = None
+    ) -> None:
+        with claims.claimed(runs[0].planner.store.root) as claim:
             try:
-                futures = [pool.submit(self._node, node, outcomes, claim) for node in nodes]
-                while wait(futures, BEAT, FIRST_EXCEPTION).not_done and not _failed(futures):
-                    pass
-                return [future.result() for future in _failed(futures) or futures]
+                _Graph(self, workers, submit, claim, bar).run(runs)
             except BaseException:
                 self.console.stop()
-                pool.shutdown(wait=False, cancel_futures=True)
                 raise
 
-    def _node(self, node: Node, outcomes: Mapping[str, Outcome], claim: Claim) -> Outcome:
-        start = time.perf_counter()
-        self.console.doing(node.title, "looking it up")
-        inputs = {name: outcomes[name].artifact for name in node.inputs}
-        step = self.planner.step(node, inputs)
-        assert step.key is not None
-        claim(step.key)
-        artifact, action, why = self._hit(step) if step.artifact else self.make(step, inputs)
-        seconds = time.perf_counter() - start
-        self.console.finish(node.title, action, seconds)
-        return Outcome(node, artifact, action, why, seconds)
 
-    def _hit(self, step: Step) -> tuple[Artifact, str, str]:
-        assert step.artifact is not None
-        self.console.doing(step.node.title, "checking digests")
-        return step.artifact.verify(), "hit", step.reason
+@dataclass
+class _Graph:
+    """The nodes by key: done, under way, or waiting for their turn.
 
-    def make(self, step: Step, inputs: dict[str, Artifact]) -> tuple[Artifact, str, str]:
-        """The artifact of a step that the store does not have, `run` or, where another process was faster, `hit`, why.
+    Without the bar of a sweep the nodes are seen one by one in the console, and the first failure is raised.
+    """
 
-        Raises what the stage raises, StoreError where the store cannot be written.
-        """
-        assert step.key is not None
-        title, key = step.node.title, step.key
-        waited: list[str] = []
+    runner: Runner
+    workers: Workers
+    submit: Callable[[Task], Future[Outcome]]
+    claim: Claim
+    bar: Bar | None
+    outcomes: dict[str, Outcome] = field(default_factory=dict)
+    takers: dict[str, list[CellRun]] = field(default_factory=lambda: defaultdict(list))
+    queue: list[tuple[int, int, int, Task]] = field(default_factory=list)  # a heap
+    under_way: dict[Future[Outcome], Task] = field(default_factory=dict)
 
-        def waiting(holder: str) -> None:
-            waited.append(holder)
-            self.console.doing(title, "waiting")
-            self.console.note(f"{title}: {short(key)} is being made by {holder}; waiting for it")
+    def __post_init__(self) -> None:
+        self.screen = Console(quiet=True) if self.bar else self.runner.console
 
-        with self.planner.store.lock(step.node.stage, key, waiting):
-            # Even --force takes what another process made while this one waited; a corrupt result it replaces unread.
-            forced = step.node.stage in self.planner.forced and not waited
-            if not forced and (made := self.planner.store.get(step.node.stage, key)):
-                return made.verify(), "hit", f"made meanwhile by {waited[0] if waited else 'another process'}"
-            self.console.note(f"{title}: running ({step.reason})")
-            self.console.doing(title, "importing and compiling")
-            return self._execute(step, inputs), "run", step.reason
+    def run(self, runs: list[CellRun]) -> None:
+        """All nodes into the store, or as many as can be made."""
+        for run in runs:
+            self._ask(run)
+        while self.queue or self.under_way:
+            self._start()
+            if self.under_way:
+                wait(self.under_way, BEAT, FIRST_COMPLETED)
+            for future in [future for future in self.under_way if future.done()]:
+                task = self.under_way.pop(future)
+                self._settle(task, _outcome(future, task))
 
-    def _execute(self, step: Step, inputs: dict[str, Artifact]) -> Artifact:
-        assert step.question is not None
-        store, stage, key = self.planner.store, step.node.stage, step.question.key
-        scratch = store.scratch(stage, key)
-        with durable.room(store.root), store.draft(stage, key) as folder:
-            scratch.mkdir(parents=True, exist_ok=True)
-            result = STAGES[stage].run(self._job(step.node, folder, inputs, scratch))
-            (folder / RESULT).write_text(json.dumps(plain(result), indent=1, allow_nan=False) + "\n", encoding="utf-8")
-            sources = self.planner.sources(step.node)
-            artifact = store.commit(folder, step.question, self.planner.config.name, self.planner.device, sources)
-        store.discard(scratch)
-        return artifact
+    def _start(self) -> None:
+        """As much as the workers do side by side; what has this process for itself when nothing else is under way."""
+        while self.queue and len(self.under_way) < self.workers.count:
+            task = self.queue[0][-1]
+            here = task.step.node.stage in WHOLE if self.bar else task.step.node.model is None
+            if here and self.under_way:
+                return
+            heapq.heappop(self.queue)
+            if here:
+                self._settle(task, self.runner.make(task))
+            else:
+                self.under_way[self.submit(task)] = task
 
-    def _job(self, node: Node, folder: Path, inputs: dict[str, Artifact], scratch: Path) -> "Job":
-        from npred.stages import Job
+    def _ask(self, run: CellRun) -> None:
+        """Take what is there already of a pipeline's next nodes, and queue the rest, each key once."""
+        while ready := run.ready():
+            for node, inputs in ready:
+                run.asked.add(node.name)
+                if not (self.queue or self.under_way):  # what waits for its turn has not begun
+                    self.screen.doing(node.title, "looking it up")
+                question = run.planner.question(node, inputs)
+                self.claim(question.key)
+                if not self.takers[question.key] and question.key not in self.outcomes:
+                    self._look_up(run, node, question, inputs)
+                if question.key in self.outcomes:
+                    self._take(run, self.outcomes[question.key])
+                else:
+                    self.takers[question.key].append(run)
 
-        return Job(
-            config=self.planner.config,
-            plant=self._plant,
-            folder=folder,
-            inputs={name: artifact.folder for name, artifact in inputs.items()},
-            scratch=scratch,
-            device=self.planner.device,
-            jobs=self.jobs,
-            progress=self.console,
-            model=node.model,
-            executor=self.executor,
-        )
+    def _look_up(self, run: CellRun, node: Node, question: Question, inputs: dict[str, Artifact]) -> None:
+        """The outcome of a key that the store has, else its task in the queue; a corrupt result is a failure."""
+        start, planner = time.perf_counter(), run.planner
+        try:
+            if self.bar:  # what differs from the closest result is not asked for every cell
+                step = Step(node, question, planner.store.get(node.stage, question.key), REASON)
+            else:
+                step = planner.step(node, question)
+            if step.artifact is None:
+                turn = WHOLE.get(node.stage, 1), run.number, run.nodes.index(node)
+                heapq.heappush(self.queue, (*turn, Task(planner, step, inputs)))
+                return
+            self.screen.doing(node.title, "checking digests")
+            step.artifact.verify()
+            seconds = time.perf_counter() - start
+            self.outcomes[question.key] = Outcome(node, "hit", step.reason, seconds, step.artifact)
+            self.screen.finish(node.title, "hit", seconds)
+        except NpredError as error:
+            self.outcomes[question.key] = Outcome(node, "failed", "", time.perf_counter() - start, error=error)
 
-    @cached_property
-    def _plant(self) -> "Plant":
-        from npred import plants
+    def _settle(self, task: Task, outcome: Outcome) -> None:
+        self.outcomes[task.key] = outcome
+        if self.bar and outcome.error:
+            self.runner.console.detail(outcome.failure)
+        for run in self.takers.pop(task.key):
+            self._take(run, outcome)
+            self._ask(run)
 
-        return plants.resolve(self.planner.config.plant, self.planner.config.parameters)
+    def _take(self, run: CellRun, outcome: Outcome) -> None:
+        before = run.done
+        run.outcomes[outcome.node.name] = outcome
+        if self.bar and run.done and not before:
+            self.bar.advance()
+        elif outcome.error and not self.bar:
+            raise outcome.error
 
 
-def _failed(futures: list[Future[Outcome]]) -> list[Future[Outcome]]:
-    return [future for future in futures if future.done() and future.exception()]
-
-
-def plain(value: Any) -> Any:
-    """A result as JSON can hold it: NumPy numbers as numbers, a number that is not finite as null."""
-    if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
-    if hasattr(value, "tolist"):
-        value = value.tolist()
-    if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+def _outcome(future: Future[Outcome], task: Task) -> Outcome:
+    """A task's outcome, also where its process did not live to give one."""
+    try:
+        return future.result()
+    except Exception as error:
+        return Outcome(task.step.node, "failed", task.step.reason, 0.0, error=error)

@@ -3,30 +3,30 @@
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from npred.pipeline.stage_registry import STAGES
-from npred.sweep.scheduler import Progress
+from npred.pipeline import CellRun
+from npred.sweep.sweep_grid import Cell
 
 REFERENCES = ("numerical", "no_adaptation")
 
 
-def rows(progress: Progress) -> Iterator[dict[str, Any]]:
+def rows(cell: Cell, run: CellRun) -> Iterator[dict[str, Any]]:
     """The cell's values, the network, its errors, radius and latency, and the artifact that says so.
 
     Errors and radius are of the evaluate stage, or of the network's own training where that is all that ran; the
     latency, in µs, is the fastest runtime's for one call at the bench stage's first dx.
     """
-    artifacts = {name: made.artifact for name, made in progress.made.items() if made.artifact}
+    artifacts = {name: outcome.artifact for name, outcome in run.outcomes.items()}
     answers = {name: artifact.result() for name, artifact in artifacts.items()}
-    for model, found in _models(progress, answers).items():
-        figures = _figures(found) | {"latency_us": _latency(answers.get("bench", {}), model, progress)}
+    for model, found in _models(run, answers).items():
+        figures = _figures(found) | {"latency_us": _latency(answers.get("bench", {}), model, cell)}
         source = list(artifacts)[-1] if "evaluate" in answers else model
-        yield {**progress.cell.values, "model": model, **figures, "artifact": artifacts[source].name}
+        yield {**cell.values, "model": model, **figures, "artifact": artifacts[source].name}
 
 
-def _models(progress: Progress, answers: Mapping[str, Any]) -> dict[str, Any]:
+def _models(run: CellRun, answers: Mapping[str, Any]) -> dict[str, Any]:
     if "evaluate" in answers:
         return {name: found for name, found in answers["evaluate"]["models"].items() if name not in REFERENCES}
-    return {node.name: answers[node.name] for node in progress.nodes if node.model}
+    return {node.name: answers[node.name] for node in run.nodes if node.model}
 
 
 def _figures(found: Mapping[str, Any]) -> dict[str, float | None]:
@@ -39,21 +39,11 @@ def _figures(found: Mapping[str, Any]) -> dict[str, float | None]:
     }
 
 
-def _latency(bench: Mapping[str, Any], model: str, progress: Progress) -> float | None:
-    dx = progress.cell.config.bench.dx[0]
+def _latency(bench: Mapping[str, Any], model: str, cell: Cell) -> float | None:
+    dx = cell.config.bench.dx[0]
     times = [
         row["median_us"]
         for row in bench.get("rows", ())
         if (row["predictor"], row["batch"]) == (model, 1) and abs(row["dx"] - dx) < dx / 10 and not row.get("matches")
     ]
     return min(times, default=None)
-
-
-def targets(to: str) -> list[str]:
-    """The stages of a sweep up to `to`: a latency is worth little without its error, so bench takes evaluate along."""
-    return ["evaluate", "bench"] if to == "bench" else [to]
-
-
-def stages() -> list[str]:
-    """The stages that a sweep can end with."""
-    return list(STAGES)

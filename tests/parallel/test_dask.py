@@ -16,9 +16,10 @@ from npred.data import shards
 from npred.errors import ConfigError
 from npred.parallel import executors
 from npred.parallel.executors import Here
+from npred.pipeline import Planner, Runner
 from npred.stages.generate import generate
 from npred.store import Store
-from npred.sweep import Sweep, cells
+from npred.sweep import cells
 from npred.terminal.console import Console
 
 distributed = pytest.importorskip("distributed")
@@ -130,7 +131,8 @@ def test_a_sweep_on_the_cluster_makes_the_bytes_of_one_here(tmp_path, executor, 
     grid, digests = cells(Path("p.toml"), ["seed=0:2"]), []
     for name, where in (("here", Here()), ("there", executor)):
         store = Store(tmp_path / name)
-        done = Sweep(store, "cpu", Console(quiet=True), 1, where).run(grid, ["train"])
-        assert [progress.error for progress in done] == ["", ""]
+        planners = [Planner(cell.config, store, "cpu") for cell in grid]
+        runs = Runner(Console(quiet=True), 1, where).sweep(planners, ["train"])
+        assert [run.failure for run in runs] == ["", ""]
         digests.append({a.manifest.key: a.manifest.digest for a in store.artifacts()})
     assert digests[0] == digests[1] and len(digests[0]) == 4

@@ -12,8 +12,8 @@ import pytest
 from npred import config
 from npred.errors import ConfigError, StoreError
 from npred.pipeline import STAGES, Outcome, Planner, Runner, load_model, nodes
-from npred.pipeline.runner import plain
 from npred.pipeline.stage_registry import question
+from npred.pipeline.task import plain
 from npred.store import Store
 from npred.terminal.console import Console
 
@@ -32,7 +32,7 @@ def run(fakes: Path, pipeline: Path) -> Run:
 
     def call(*overrides: str, targets: tuple[str, ...] = tuple(STAGES), only: str | None = None, **options: Any):
         plan = planner(pipeline, *overrides, **options)
-        return Runner(plan, Console(quiet=True), jobs=1).run(nodes(plan.config, targets, only))
+        return Runner(Console(quiet=True), jobs=1).run(plan, nodes(plan.config, targets, only))
 
     return call
 

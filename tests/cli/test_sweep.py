@@ -4,26 +4,16 @@ import csv
 import json
 import signal
 from collections import Counter
-from collections.abc import Callable
-from concurrent.futures import BrokenExecutor, Future
 from pathlib import Path
 from typing import Any
 
 import fake_stages
 import pytest
-from conftest import TANK, Call, document, one_line
-from jobs import SMALL
+from conftest import Call, document, one_line
 from stopped_runs import stopped_in
 
 from npred.errors import DivergedError
-from npred.parallel import executors
-from npred.parallel.executors import Here
-from npred.pipeline import STAGES, Planner, Runner, nodes
 from npred.store import Store
-from npred.sweep import Progress, Sweep, cells
-from npred.sweep.sweep_table import rows
-from npred.sweep.task import Task, alone
-from npred.terminal.console import Console
 
 GRID = ("--set", "train.fno.width=4,8", "--set", "seed=0:2")
 
@@ -169,91 +159,14 @@ def test_a_sweep_that_was_killed_goes_on(npred: Any, pipeline: Path):
     assert Store(pipeline.parent / "artifacts").leftovers() == []
 
 
-def test_processes_make_the_same_bytes(tmp_path: Path):
-    """Real stages: two processes, each a cell at a time, and one pipeline after the other."""
-    path = tmp_path / "p.toml"
-    lines = [
-        f"[{name}]\n" + "\n".join(f"{k} = {json.dumps(v)}" for k, v in SMALL[name].items()) for name in ("generate",)
-    ]
-    network = "[train]\nmodels = ['fno']\n[train.fno]\nepochs = 1\nbatch = 64\nwidth = 4\nmodes = 3\nlayers = 1\n"
-    path.write_text("plant = 'scalar'\n" + "\n".join(lines) + "\n" + network)
-    grid, console = cells(path, ["train.fno.epochs=1,2"]), Console(quiet=True)
-    with executors.opened("local", 2) as executor:
-        found = Sweep(Store(tmp_path / "a"), "cpu", console, 2, executor).run(grid, ["train"])
-    assert [progress.error for progress in found] == [""] * 2
-    for cell in grid:
-        Runner(Planner(cell.config, Store(tmp_path / "b"), "cpu"), console, 1).run(nodes(cell.config, ["train"]))
-    digests = [{a.manifest.key: a.manifest.digest for a in Store(tmp_path / name).artifacts()} for name in "ab"]
-    assert digests[0] == digests[1]
-    assert len(digests[0]) == 3
-
-
-@pytest.mark.parametrize("change", ["plant", "packages"])
-def test_a_process_with_another_plant_or_package_makes_nothing(tmp_path: Path, monkeypatch, change: str):
-    """What a worker reads at the plant's path may have changed, and what is installed there may be another version."""
-    tank = tmp_path / "tank.py"
-    tank.write_text(TANK)
-    path = tmp_path / "p.toml"
-    path.write_text("plant = 'tank.py:Tank'\n[generate]\nrollouts = 2\nsamples = 4\n")
-    (cell,) = cells(path, [])
-    store, (node,) = Store(tmp_path / "s"), nodes(cell.config, ["generate"])
-    asked = Planner(cell.config, store, "cpu").question(node, {})
-    task = Task.of(cell.config, store, "cpu", node, asked, {})
-    monkeypatch.chdir("/")
-    if change == "plant":
-        tank.write_text(TANK.replace("u.q - x.h", "u.q - 2 * x.h"))
-    else:
-        task = task._replace(packages=task.packages | {"numpy": "0.1"})
-    made = alone(task)
-    assert made.artifact is None and store.artifacts() == []
-    assert made.error == (
-        "generate: expected the same plant, delay law and packages on every worker, got others; install them there"
-    )
-
-
-class Killed(Here):
-    """An executor whose processes do not live."""
-
-    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        future: Future[Any] = Future()
-        future.set_exception(BrokenExecutor("a process was killed"))
-        return future
-
-
-def test_a_process_that_dies_fails_its_cells_only(fakes: Path, pipeline: Path, tmp_path: Path):
-    grid = cells(pipeline, ["seed=0:2"])
-    found = Sweep(Store(tmp_path / "s"), "cpu", Console(quiet=True), 1, Killed()).run(grid, ["train"])
-    assert [progress.error for progress in found] == ["BrokenExecutor: a process was killed"] * 2
-    assert runs(fakes) == {"generate:": 2}
-
-
-def test_a_row_has_errors_radius_and_the_fastest_runtime(
-    pipeline: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    found = {"mse": 0.1, "eps_sup": 0.2, "eps_kappa": 0.3, "radius": {"median": 1.0, "worst": None, "converged": 0.5}}
-    times = [
-        ("fno", 0.01, 1, 9.0),
-        ("fno", 0.01, 1, 5.0),
-        ("fno", 0.01, 64, 1.0),
-        ("fno", 0.005, 1, 2.0),
-        ("rk4", 0.01, 1, 3.0),
-    ]
-    bench = [{"predictor": p, "dx": dx, "batch": b, "median_us": us, "matches": None} for p, dx, b, us in times]
-    answers = {
-        "evaluate": lambda job: {"models": {"numerical": found, "no_adaptation": found, "fno": found, "fno@7": found}},
-        "bench": lambda job: {"rows": bench},
-    }
-    table = dict(STAGES)
-    fake_stages.install(table)
-    for name, stage in table.items():
-        monkeypatch.setitem(STAGES, name, stage)
-    for name, answer in answers.items():
-        monkeypatch.setitem(fake_stages.ANSWERS, name, answer)
-    grid = cells(pipeline, ["train.models=['fno']", "seed=3,4"])
-    (progress, _) = Sweep(Store(tmp_path / "s"), "cpu", Console(quiet=True), 1).run(grid, ["evaluate", "bench"])
-    assert isinstance(progress, Progress)
-    (fno, snapshot) = rows(progress)
-    numbers = {"mse": 0.1, "eps_sup": 0.2, "eps_kappa": 0.3, "radius": 1.0, "radius_worst": None, "converged": 0.5}
-    assert fno == {"seed": "3", "model": "fno", **numbers, "latency_us": 5.0, "artifact": fno["artifact"]}
-    assert fno["artifact"].startswith("bench/")
-    assert (snapshot["model"], snapshot["latency_us"]) == ("fno@7", None)
+def test_the_folders_of_two_pipelines_of_one_name_are_two(sweep: Call, call: Call):
+    Path("other").mkdir()
+    Path("other/tiny.toml").write_text(Path("tiny.toml").read_text())
+    sweep("--to", "train")
+    first = Path("sweep-tiny/table.csv").read_text()
+    second = call("sweep", "other/tiny.toml", "--jobs", "1", "--to", "train", "--set", "seed=0:2")
+    assert second.exit_code == 0, second.output
+    assert "sweep-tiny is of tiny.toml; that of other/tiny.toml is sweep-tiny-other" in second.stderr
+    assert Path("sweep-tiny/table.csv").read_text() == first
+    assert len(Path("sweep-tiny-other/table.csv").read_text().splitlines()) == 5
+    assert sweep("--to", "train").stdout.splitlines()[-1] == "sweep-tiny/table.csv"

@@ -1,0 +1,161 @@
+"""One node of a graph as work: lock its key, look again, run the stage aside, rename its result into place."""
+
+import json
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any, Self
+
+from npred.defaults import RESULT
+from npred.errors import ConfigError, NpredError
+from npred.parallel import devices
+from npred.parallel.executors import Here, Workers
+from npred.pipeline.plan import Planner, Step
+from npred.pipeline.stage_registry import STAGES, Node
+from npred.store import Artifact, Store, durable, short
+from npred.terminal.console import Console
+
+PACKAGES = ("npred", "torch", "numpy", "numba")
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a node: `hit`, `run` or `failed`, why, how long it took, and its result unless it failed."""
+
+    node: Node
+    action: str
+    reason: str
+    seconds: float
+    result: Artifact | None = None
+    error: Exception | None = None
+
+    @property
+    def artifact(self) -> Artifact:
+        """The result. Raises what the stage raised where there is none."""
+        if self.result is None:
+            raise self.error or NpredError(f"{self.node.title}: expected a result, got none; run it again")
+        return self.result
+
+    @property
+    def key(self) -> str | None:
+        """The key of the result, None where there is none."""
+        return self.result.manifest.key if self.result else None
+
+    @property
+    def failure(self) -> str:
+        """Why there is no result, in one line; empty where there is one."""
+        if self.error is None:
+            return ""
+        unforeseen = "" if isinstance(self.error, NpredError) else f"{self.node.title}: {type(self.error).__name__}: "
+        return unforeseen + " ".join(str(self.error).split())
+
+
+@dataclass(frozen=True)
+class Task:
+    """A step that the store had no result of, and the results that it takes."""
+
+    planner: Planner
+    step: Step
+    inputs: dict[str, Artifact]
+
+    @property
+    def key(self) -> str:
+        """The key of its result."""
+        assert self.step.key is not None
+        return self.step.key
+
+    def located(self) -> Self:
+        """The same for a process elsewhere: a relative path is another file there, and what is cached stays here."""
+        here = self.planner
+        there = Planner(here.config.located(), Store(here.store.root.absolute()), here.device, here.forced)
+        inputs = {name: replace(artifact, folder=artifact.folder.absolute()) for name, artifact in self.inputs.items()}
+        return replace(self, planner=there, inputs=inputs)
+
+    def outcome(self, console: Console, jobs: int, executor: Workers) -> Outcome:
+        """The result, or the error that there was instead: nothing is raised but an interruption."""
+        node, start = self.step.node, time.perf_counter()
+        try:
+            artifact, action, why = self._make(console, jobs, executor)
+        except Exception as error:
+            seconds = time.perf_counter() - start
+            console.finish(node.title, "stopped", seconds)
+            return Outcome(node, "failed", self.step.reason, seconds, error=error)
+        seconds = time.perf_counter() - start
+        console.finish(node.title, action, seconds)
+        return Outcome(node, action, why, seconds, artifact)
+
+    def _make(self, console: Console, jobs: int, executor: Workers) -> tuple[Artifact, str, str]:
+        """The artifact, `run` or, where another process was faster, `hit`, and why."""
+        (node, reason), store = (self.step.node, self.step.reason), self.planner.store
+        holders: list[str] = []
+
+        def waiting(holder: str) -> None:
+            holders.append(holder)
+            console.doing(node.title, "waiting")
+            console.note(f"{node.title}: {short(self.key)} is being made by {holder}; waiting for it")
+
+        with store.lock(node.stage, self.key, waiting):
+            # Even --force takes what another process made while this one waited; a corrupt result it replaces unread.
+            forced = node.stage in self.planner.forced and not holders
+            if not forced and (artifact := store.get(node.stage, self.key)):
+                return artifact.verify(), "hit", f"made meanwhile by {holders[0] if holders else 'another process'}"
+            console.note(f"{node.title}: running ({reason})")
+            console.doing(node.title, "importing and compiling")
+            return self._run(console, jobs, executor), "run", reason
+
+    def _run(self, console: Console, jobs: int, executor: Workers) -> Artifact:
+        """The stage's own run in a draft of the store. Raises what it raises."""
+        from npred.stages import Job
+
+        planner, node, question = self.planner, self.step.node, self.step.question
+        assert question is not None
+        scratch = planner.store.scratch(node.stage, self.key)
+        with durable.room(planner.store.root), planner.store.draft(node.stage, self.key) as folder:
+            scratch.mkdir(parents=True, exist_ok=True)
+            folders = {name: artifact.folder for name, artifact in self.inputs.items()}
+            job = Job(
+                config=planner.config, plant=planner.plant, folder=folder, inputs=folders, scratch=scratch,
+                device=planner.device, jobs=jobs, progress=console, model=node.model, executor=executor,
+            )  # fmt: skip
+            result = STAGES[node.stage].run(job)
+            (folder / RESULT).write_text(json.dumps(plain(result), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+            sources = planner.sources(node)
+            artifact = planner.store.commit(folder, question, planner.config.name, planner.device, sources)
+        planner.store.discard(scratch)
+        return artifact
+
+
+@cache
+def packages() -> dict[str, str | None]:
+    """The versions that a result's bytes may depend on."""
+    return devices.packages(*PACKAGES)
+
+
+def elsewhere(task: Task, expected_packages: Mapping[str, str | None]) -> Outcome:
+    """The outcome of a located task in a process that may be another machine's, on one core; its error as a text,
+    for not every error can be sent.
+
+    It fails where that process has another plant, delay law or package.
+    """
+    node = task.step.node
+    try:
+        if task.planner.question(node, task.inputs).key != task.key or packages() != expected_packages:
+            what = "expected the same plant, delay law and packages on every worker, got others"
+            raise ConfigError(f"{node.title}: {what}; install them there")
+        outcome = task.outcome(Console(quiet=True), 1, Here())
+    except NpredError as error:
+        outcome = Outcome(node, "failed", task.step.reason, 0.0, error=error)
+    return replace(outcome, error=NpredError(outcome.failure)) if outcome.error else outcome
+
+
+def plain(value: Any) -> Any:
+    """A result as JSON can hold it: NumPy numbers as numbers, a number that is not finite as null."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
