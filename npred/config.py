@@ -46,9 +46,9 @@ Method = Annotated[str, AfterValidator(partial(_part, METHODS, ())), METHODS]
 Law = Annotated[str, AfterValidator(partial(_part, DELAY_LAWS, (FROZEN,))), DELAY_LAWS]
 
 
-def ordered(key: str, span: Range) -> None:
+def ordered(key: str, span: tuple[float, float]) -> None:
     """Raise ValueError unless span is (low, high) with low <= high."""
-    if span[0] > span[1]:
+    if not span[0] <= span[1]:
         raise ValueError(f"{key}: expected [low, high] with low <= high, got {list(span)}; swap them")
 
 
@@ -104,6 +104,8 @@ class Loop(Table):
     @model_validator(mode="after")
     def _check(self) -> Self:
         ordered("bounds", self.bounds)
+        for k, pair in enumerate(self.input_bounds or []):
+            ordered(f"input_bounds[{k}]", pair)
         if self.dt > self.t_end:
             raise ValueError(f"dt: expected at most t_end = {self.t_end:g}, got {self.dt:g}; shorten the step")
         if self.t_end > LONGEST_RUN * self.dt:
@@ -132,7 +134,7 @@ class Generate(Loop):
     rollouts: Count = 50  #: loops that they are taken from
     D: Range | Positive = 1.0  #: true delay in seconds, or a range to draw it from
     D_hat0: Some[Range] = [(0.3, 0.7), (1.0, 2.0), (1.0, 2.0)]  #: ranges of D_hat(0), an equal share of rollouts each
-    box: dict[str, tuple[float, float]] = {}  #: range of each initial state, in the place of the plant's
+    box: dict[str, tuple[Number, Number]] = {}  #: range of each initial state, in the place of the plant's
     test_share: Annotated[float, Field(gt=0, lt=1)] = 0.1  #: of the rollouts, held out
     explore: Annotated[float, Field(ge=0, lt=1)] = 0.0  #: share of rollouts with delays of their own
     redraw: Annotated[float, Field(ge=0, lt=1)] = 0.0  #: share of rows with a D_hat drawn anew
@@ -157,6 +159,8 @@ class Generate(Loop):
 
     @model_validator(mode="after")
     def _check_delays(self) -> Self:
+        for name, span in self.box.items():
+            ordered(f"box.{name}", span)
         for k, span in enumerate(self.D_hat0):
             ordered(f"D_hat0[{k}]", span)
             within(f"D_hat0[{k}]", span, self.bounds)

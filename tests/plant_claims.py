@@ -13,10 +13,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from npred import config, grid, predictors
+from npred import config, diagnosis, grid, predictors
 from npred.delays.constant import ConstantDelay
 from npred.delays.family import PREDICT
-from npred.diagnosis import pipeline_fit
 from npred.loop.closed_loop import Trajectories, simulate
 from npred.plants import Plant
 from npred.predictors import RK4
@@ -70,7 +69,7 @@ class Claims:
         name = self.pipeline or self.plant.name
         found = config.load(Path(__file__).parent.parent / f"pipeline/{name}.toml")
         assert (found.plant, found.name) == (self.plant.name, name)
-        pipeline_fit.check(self.plant, found, ("generate", "train", "evaluate", "bench"))
+        diagnosis.require(self.plant, found, ("generate", "train", "evaluate", "bench"))
 
     def test_derivatives_equal_differences(self):
         derivatives_equal_differences(self.plant)

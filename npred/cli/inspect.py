@@ -15,8 +15,7 @@ from npred.store.manifest import NAME
 from npred.terminal.console import columns
 
 if TYPE_CHECKING:
-    from npred.config import Pipeline
-    from npred.diagnosis import Answer
+    pass
 
 
 def status(options: Planned, check: bool) -> None:
@@ -120,7 +119,7 @@ def check(options: Common, plant: str, delay: float | None, nodes: int | None) -
 
     pipeline = config.load(Path(plant)) if plant.endswith(".toml") else None
     asked = plants.resolve(pipeline.plant, pipeline.parameters) if pipeline else plants.resolve(plant)
-    answers = diagnosis.check(asked, delay, nodes, pipeline=pipeline) + ([_fits(pipeline)] if pipeline else [])
+    answers = diagnosis.check(asked, delay, nodes, pipeline=pipeline)
     fine = diagnosis.settled(answers)
     rows = [[answer.check, answer.verdict, answer.text] for answer in answers]
     document = {"plant": plant, "fine": fine, "answers": [answer.json() for answer in answers]}
@@ -128,18 +127,6 @@ def check(options: Common, plant: str, delay: float | None, nodes: int | None) -
     if not fine:
         failed = ", ".join(answer.check for answer in answers if answer.verdict == "no")
         raise UnmetError(f"plants check {plant}: expected no answer of no, got {failed}; the table says what to change")
-
-
-def _fits(config: "Pipeline") -> "Answer":
-    """Whether every stage of the pipeline can run with its plant."""
-    from npred.diagnosis import Answer
-    from npred.pipeline.stage_registry import check
-
-    try:
-        check(config, STAGES)
-    except ConfigError as error:
-        return Answer("pipeline", "no", str(error))
-    return Answer("pipeline", "yes", f"{config.name} fits its plant")
 
 
 def _verify(steps: list[Step]) -> None:

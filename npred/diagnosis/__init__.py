@@ -1,30 +1,97 @@
-"""What is right and what is wrong with a plant, in words: asked before an hour of rollouts and training tells."""
+"""What is right and what is wrong with a plant, in words: asked before an hour of rollouts and training shows it."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Collection, Sequence
+
+import numpy as np
 
 from npred.config import Pipeline
-from npred.diagnosis import box, equilibrium
-from npred.diagnosis.answer import Answer, Case, asked, settled
+from npred.diagnosis import box, convergence, equilibrium, lyapunov, pipeline_fit
+from npred.diagnosis.case import ANY, Answer, Case, Question, Verdict
+from npred.errors import ConfigError
 from npred.plants.base import Plant
 
-__all__ = ["Answer", "Case", "check", "settled"]
+__all__ = ["Answer", "Case", "check", "require", "settled"]
 
-NODES, ASSUMED = 101, 1.0  # and seconds, where nothing says how long the delay is
+NODES, ASSUMED, SAMPLES = 101, 1.0, 256  # 1 s where nothing says how long the delay is
+
+
+def _of_pipelines(answer: Callable[[Case], Verdict], before: str = ANY) -> Question:
+    return Question(answer.__name__, answer, lambda case: case.pipeline is not None, before, shown=False)
+
+
+# In the order of their answers. Before a run those are asked that take no time; the first no refuses it.
+QUESTIONS = (
+    Question("trace", box.traced),
+    Question("smooth law", box.smooth, lambda case: case.plant.traced),
+    _of_pipelines(pipeline_fit.served),
+    _of_pipelines(pipeline_fit.states),
+    Question("box", box.declared, before=ANY),
+    _of_pipelines(pipeline_fit.pairs),
+    _of_pipelines(pipeline_fit.clock),
+    _of_pipelines(pipeline_fit.declares_V),
+    Question("finite", box.finite, lambda case: case.verdict("box") != "no", ANY),
+    Question("delay", lambda case: ("yes", f"{case.delay:g} s, {case.source}")),
+    Question("equilibrium", equilibrium.equilibrium, lambda case: case.plant.rests),
+    Question("stability", equilibrium.stability, equilibrium.exists, ANY),
+    Question("reference", equilibrium.reference, lambda case: not case.plant.rests, "evaluate"),
+    Question("V", lyapunov.falls, lyapunov.applies),
+    Question("input bounds", convergence.limited, lambda case: case.sound and bool(np.isfinite(case.limits).any())),
+    Question("convergence", convergence.converges, lambda case: case.sound and case.leads == "yes"),
+    Question("jacobians", box.jacobians, lambda case: case.sound and case.plant.traced),
+    Question("stiffness", box.stiff, lambda case: case.sound and case.verdict("jacobians") != "no"),
+    Question("completeness", box.complete, lambda case: case.sound and case.verdict("stiffness") in ("yes", None)),
+    _of_pipelines(pipeline_fit.start),
+    _of_pipelines(pipeline_fit.anchors, "train"),
+    _of_pipelines(pipeline_fit.radius, "evaluate"),
+    _of_pipelines(pipeline_fit.parts),
+)
 
 
 def check(
-    plant: Plant, delay: float | None = None, nodes: int | None = None, samples: int = 256,
+    plant: Plant, delay: float | None = None, nodes: int | None = None, samples: int = SAMPLES,
     pipeline: Pipeline | None = None,
 ) -> list[Answer]:  # fmt: skip
     """Every question about a plant with its answer, for delays up to `delay` seconds on `nodes` nodes.
 
     By default the delay is the longest that the pipeline names, else the longest of the plant's, else 1 s; a pipeline
-    gives nodes, box, input bounds and u0 too. A question that needs what another one found missing is not asked.
+    gives nodes, box, input bounds and u0 too, and one more answer: whether each of its stages can run with the plant.
+    A question that needs what another one found missing is not asked.
     Raises ConfigError for a delay that is not positive, or for fewer than two nodes.
     """
     longest, source = _longest(plant, pipeline) if delay is None else (delay, "as asked")
     count = nodes if nodes is not None else pipeline.generate.nx if pipeline else NODES
-    return list(_answers(Case(plant, longest, count, samples, pipeline), f"{longest:g} s, {source}"))
+    if not 0 < longest < np.inf:
+        raise ConfigError(f"delay: expected a positive number of seconds, got {longest:g}; give --delay")
+    if count < 2:
+        raise ConfigError(f"nodes: expected at least 2, both ends of [0, 1], got {count}; 101 are usual")
+    case = Case(plant, longest, count, samples, pipeline, source=source)
+    for question in QUESTIONS:
+        if question.shown and case.verdict("trace") != "no":
+            case.ask(question)
+    answers = list(case.answers.values())
+    if pipeline is None:
+        return answers
+    refusal = _refusal(case)
+    fit = Answer("pipeline", "no", refusal) if refusal else Answer("pipeline", "yes", f"{pipeline.name} fits its plant")
+    return [*answers, fit]
+
+
+def settled(answers: Sequence[Answer]) -> bool:
+    """Whether no answer is no."""
+    return all(answer.verdict != "no" for answer in answers)
+
+
+def require(plant: Plant, pipeline: Pipeline, stages: Collection[str]) -> None:
+    """Raise ConfigError, in one line, where those stages ask for what the plant does not have."""
+    case = Case(plant, pipeline.longest_delay, pipeline.generate.nx, SAMPLES, pipeline, stages)
+    if refusal := _refusal(case):
+        raise ConfigError(refusal)
+
+
+def _refusal(case: Case) -> str | None:
+    """The first no to what is asked before the case's stages run."""
+    asked = (case.ask(question) for question in QUESTIONS if question.before in (ANY, *case.stages))
+    return next((answer.text for answer in asked if answer and answer.verdict == "no"), None)
 
 
 def _longest(plant: Plant, pipeline: Pipeline | None) -> tuple[float, str]:
@@ -34,29 +101,3 @@ def _longest(plant: Plant, pipeline: Pipeline | None) -> tuple[float, str]:
     if plant.delays:
         return max(plant.delays), "the longest of the plant's delays"
     return ASSUMED, "assumed: --delay gives another, or a pipeline in the place of the plant"
-
-
-def _answers(case: Case, delay: str) -> Iterator[Answer]:
-    yield (traced := asked("trace", _traced, case))
-    if traced.verdict == "no":
-        return
-    if case.plant.traced:
-        yield asked("smooth law", equilibrium.smooth, case)
-    yield (declared := box.declared(case))
-    sound = declared.verdict != "no"
-    if sound:
-        yield (finite := asked("finite", box.finite, case))
-        sound = finite.verdict != "no"
-    yield Answer("delay", "yes", delay)
-    yield from equilibrium.answers(case, sound)
-    if sound:
-        yield from box.answers(case)
-
-
-def _traced(case: Case) -> Answer:
-    plant = case.plant
-    _ = plant.identity, plant.rests  # they say so where a function fails
-    found = f"{', '.join(plant.states)} driven by {', '.join(plant.inputs)}"
-    if not plant.traced:
-        return Answer("trace", "warn", f"{found}, by functions that are called: slower, and derivatives by differences")
-    return Answer("trace", "yes", f"f, kappa and V: {found}")

@@ -1,13 +1,14 @@
-"""Questions about the sampling box: are the functions defined there, and can the plant be predicted from there?"""
+"""Questions about f, kappa and V: traced, smooth, finite on the sampling box, and can it be predicted from there?"""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import numpy as np
 
-from npred.diagnosis import defects
-from npred.diagnosis.answer import Answer, Case, asked
+from npred.diagnosis.case import Case, Verdict
 from npred.plants import inputs
 from npred.predictors import RK4
+from npred.symbolic import programs
+from npred.symbolic.trace import Trace
 
 STABLE = 2.0  # h rho(f_X) from which on Euler, Heun and Picard diverge
 FINE = 1001  # nodes on which a stiff plant is still integrated
@@ -15,35 +16,58 @@ STEP = 1e-5  # of a finite difference, in widths of the box
 AGREE = 1e-4  # of the largest entry: how far differences may be from derivatives
 
 
-def answers(case: Case) -> Iterator[Answer]:
-    """What can be asked once f, kappa and V are finite on the box."""
-    first = [asked("jacobians", jacobians, case)] if case.plant.traced else []
-    if all(answer.verdict != "no" for answer in first):
-        first.append(asked("stiffness", stiff, case))
-    yield from first
-    stiff_plant = first[-1].check == "stiffness" and first[-1].verdict != "yes"
-    if not stiff_plant:  # of which RK4 says nothing
-        yield asked("completeness", complete, case)
+def traced(case: Case) -> Verdict:
+    """Whether the functions run on symbols, and return what they should."""
+    plant = case.plant
+    _ = plant.identity, plant.rests  # they say so where a function fails
+    names = f"{', '.join(plant.states)} driven by {', '.join(plant.inputs)}"
+    if not plant.traced:
+        return "warn", f"{names}, by functions that are called: slower, and derivatives by differences"
+    return "yes", f"f, kappa and V: {names}"
 
 
-def declared(case: Case) -> Answer:
+def smooth(case: Case) -> Verdict:
+    """Whether kappa has kinks: the update law takes its derivative."""
+    trace = Trace(case.plant)
+    x = trace.vector("x", case.plant.n)
+    kinks = programs.kinks(trace.kappa(x, trace.input("t")), x)
+    if not kinks:
+        return "yes", "kappa has derivatives everywhere it is defined"
+    harm = "a law of signs chatters, and its derivative is 0" if "sign" in kinks else "its derivative may jump there"
+    decides = f"{case.plant.place('kappa')} decides by {', '.join(kinks)}"
+    return "warn", f"{decides}: {harm}; smooth it, with M.tanh say, if loops chatter"
+
+
+def declared(case: Case) -> Verdict:
     """Whether every state has a range to start experiments from."""
     missing = [name for name in case.plant.states if name not in case.box]
+    if missing and case.pipeline:
+        first = missing[0]
+        return "no", f"generate.box: expected a range for {first!r}, found none; add {first} = [low, high]"
     if missing:
         what = f"plant {case.plant.name}: box has no range for {', '.join(missing)}"
-        return Answer("box", "no", f'{what}; add box = {{"{missing[0]}": (low, high)}} for experiments to start in')
-    return Answer("box", "yes", ", ".join(f"{name} in [{a:g}, {b:g}]" for name, (a, b) in case.box.items()))
+        return "no", f'{what}; add box = {{"{missing[0]}": (low, high)}} for experiments to start in'
+    return "yes", ", ".join(f"{name} in [{a:g}, {b:g}]" for name, (a, b) in case.box.items())
 
 
-def finite(case: Case) -> Answer:
+def finite(case: Case) -> Verdict:
     """Whether f, kappa and V are finite on the box, and V is not negative."""
-    fault = defects.infinite(case.plant, case.X, case.u)
-    if fault:
-        return Answer("finite", "no", fault)
-    return Answer("finite", "yes", f"f, kappa and V are, at {len(case.X)} states of the box")
+    plant, X = case.plant, case.X
+    with np.errstate(all="ignore"):
+        values = {"kappa": plant.kappa(X), "f": plant.f(X, case.u), "V": np.reshape(plant.V(X), (-1, 1))}
+    for name, value in values.items():
+        lost = ~np.isfinite(np.broadcast_to(value, (len(X), value.shape[-1]))).all(axis=-1)
+        if lost.any():
+            where = f"at {case.state(X[np.argmax(lost)])}, and on {lost.mean():.0%} of the box"
+            return "no", f"{plant.place(name)} is not finite {where}; shrink box, or guard it with M.where"
+    lowest = int(np.argmin(values["V"]))
+    if values["V"][lowest] < 0:
+        came = f"{values['V'][lowest, 0]:.3g} at {case.state(X[lowest])}"
+        return "no", f"{plant.place('V')} expected at least 0 on the box, got {came}; 1 + V divides: add squares"
+    return "yes", f"f, kappa and V are, at {len(X)} states of the box"
 
 
-def jacobians(case: Case) -> Answer:
+def jacobians(case: Case) -> Verdict:
     """Whether the derived f_X and kappa' equal central differences on the box."""
     plant = case.plant
     derived = {"f": plant.jacobians(case.X, case.u)[0], "kappa": plant.kappa_jacobian(case.X)}
@@ -52,9 +76,9 @@ def jacobians(case: Case) -> Answer:
         excess = _excess(functions[name], J, case)
         worst = int(np.argmax(np.where(np.isnan(excess), np.inf, excess)))
         if not excess[worst] <= 0:
-            found = f"differ from finite differences at {case.state(case.X[worst])}"
-            return Answer("jacobians", "no", f"{case.place(name)}: derivatives {found}; look for a jump there")
-    return Answer("jacobians", "yes", f"f_X and kappa' equal finite differences at {len(case.X)} states")
+            where = f"differ from finite differences at {case.state(case.X[worst])}"
+            return "no", f"{plant.place(name)}: derivatives {where}; look for a jump there"
+    return "yes", f"f_X and kappa' equal finite differences at {len(case.X)} states"
 
 
 def _excess(function: Callable[[np.ndarray], np.ndarray], J: np.ndarray, case: Case) -> np.ndarray:
@@ -72,19 +96,19 @@ def _excess(function: Callable[[np.ndarray], np.ndarray], J: np.ndarray, case: C
     return worst
 
 
-def stiff(case: Case) -> Answer:
+def stiff(case: Case) -> Verdict:
     """Whether h rho(f_X) < 2 on the box, h = delay / (nodes - 1) [explicit methods' limit on the real axis]."""
     rates = np.abs(np.linalg.eigvals(case.plant.jacobians(case.X, case.u)[0])).max(axis=-1)
     worst = int(np.argmax(rates))
     product, where = case.h * rates[worst], case.state(case.X[worst])
-    found = f"h rho(f_X) = {product:.3g} with {case.nodes} nodes and a delay of {case.delay:g} s, at {where}"
+    came = f"h rho(f_X) = {product:.3g} with {case.nodes} nodes and a delay of {case.delay:g} s, at {where}"
     if product < STABLE:
-        return Answer("stiffness", "yes", found)
+        return "yes", came
     cure = f"take {int(case.delay * rates[worst] / STABLE) + 2} nodes or a shorter delay"
-    return Answer("stiffness", "no", f"plant {case.plant.name}: {found}, expected below {STABLE:g}; {cure}")
+    return "no", f"plant {case.plant.name}: {came}, expected below {STABLE:g}; {cure}"
 
 
-def complete(case: Case) -> Answer:
+def complete(case: Case) -> Verdict:
     """Whether the open loop stays finite over the delay from the whole box, the input held at u0 or a value of kappa.
 
     The predictor equation is that rollout [DAPF, eq. 10]: where it escapes, no delay of that length can be predicted.
@@ -98,11 +122,9 @@ def complete(case: Case) -> Answer:
     lost, loop = ended[:, -1], f"the open loop (u0: {inputs.told(case.plant, case.u0, case.limits)}, or kappa)"
     if not lost.any():
         largest = ", ".join(f"|{s}| <= {a:.3g}" for s, a in zip(case.plant.states, np.abs(P).max((0, 1)), strict=True))
-        return Answer("completeness", "yes", f"{loop} stays finite for {case.delay:g} s: {largest}")
+        return "yes", f"{loop} stays finite for {case.delay:g} s: {largest}"
     first = int(np.argmax(lost))
     t = case.delay * int(np.argmax(ended[first])) / (nodes - 1)
-    found = f"leaves the finite numbers after {t:.3g} s from {case.state(case.X[first])}"
-    return Answer(
-        "completeness", "no", f"{case.place('f')}: {loop} {found} ({lost.mean():.0%} of the box); "
-        "shrink box or the delay, or guard what is undefined there with M.where",
-    )  # fmt: skip
+    start = f"{case.state(case.X[first])} ({lost.mean():.0%} of the box)"
+    cure = "shrink box or the delay, or guard what is undefined there with M.where"
+    return "no", f"{case.plant.place('f')}: {loop} leaves the finite numbers after {t:.3g} s from {start}; {cure}"

@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from npred.diagnosis import defects
-from npred.diagnosis.answer import Answer, Case
+from npred.diagnosis.case import Case, Verdict
+from npred.diagnosis.equilibrium import closed_loop
 from npred.plants.base import Plant
 from npred.predictors import RK4
 
@@ -18,7 +18,7 @@ HOME = 0.01  # of the box: this close to its target a loop has converged
 FALLING = 0.9  # a loop on its way is this much closer in the last quarter than in the second
 
 
-def limited(case: Case) -> Answer:
+def limited(case: Case) -> Verdict:
     """Which share of kappa on the box lies outside the input bounds."""
     with np.errstate(all="ignore"):
         U = case.plant.kappa(case.X)
@@ -27,13 +27,13 @@ def limited(case: Case) -> Answer:
         f"{name} in [{a:g}, {b:g}]" for name, (a, b) in zip(case.plant.inputs, case.limits.tolist(), strict=True)
     )
     if not outside.any():
-        return Answer("input bounds", "yes", f"kappa is within {pairs} at {len(U)} states of the box")
+        return "yes", f"kappa is within {pairs} at {len(U)} states of the box"
     worst = int(np.argmax(outside))
-    text = f"kappa is outside {pairs} at {outside.mean():.0%} of {len(U)} states of the box, as at "
-    return Answer("input bounds", "warn", f"{text}{case.state(case.X[worst])}, and is clipped there")
+    share = f"{outside.mean():.0%} of {len(U)} states of the box"
+    return "warn", f"kappa is outside {pairs} at {share}, as at {case.state(case.X[worst])}, and is clipped there"
 
 
-def converges(case: Case) -> Answer:
+def converges(case: Case) -> Verdict:
     """Whether loops of the clipped kappa without delay come from the box to the equilibrium or the reference."""
     closed, (h, seconds, horizon) = _closed(case), _times(case)
     X0, nodes = case.X[:LOOPS], max(int(seconds / h), 4) + 1
@@ -41,19 +41,18 @@ def converges(case: Case) -> Answer:
     _, middle, _, end = (part.max(axis=1) for part in np.array_split(_distances(case, X, seconds), 4, axis=1))
     home = end <= HOME
     if home.all():
-        return Answer("convergence", "yes", f"{len(X0)} loops from the box, without delay, converge in {seconds:.3g} s")
+        return "yes", f"{len(X0)} loops from the box, without delay, converge in {seconds:.3g} s"
     lost = ~home & ~(end < FALLING * middle)
     if seconds < horizon:
         text = f"{home.mean():.0%} of {len(X0)} loops without delay converged in {seconds:.3g} s, as long as was looked"
-        return Answer("convergence", "warn", f"{text}: its slowest rate is {horizon / seconds:.2g} times slower")
+        return "warn", f"{text}: its slowest rate is {horizon / seconds:.2g} times slower"
     if not lost.any():
         text = f"{home.mean():.0%} of {len(X0)} loops without delay have converged after {seconds:.3g} s"
-        return Answer("convergence", "warn", f"{text}, the others are on their way")
-    failing = (
-        f"{lost.mean():.0%} of {len(X0)} loops without delay do not converge, as from {case.state(X0[np.argmax(lost)])}"
-    )
+        return "warn", f"{text}, the others are on their way"
+    start = case.state(X0[np.argmax(lost)])
+    failing = f"{lost.mean():.0%} of {len(X0)} loops without delay do not converge, as from {start}"
     cure = "shrink box" + (", or widen input_bounds" if np.isfinite(case.limits).any() else ", or change kappa there")
-    return Answer("convergence", "no", f"{case.place('kappa')}: {failing}; {cure}")
+    return "no", f"{case.plant.place('kappa')}: {failing}; {cure}"
 
 
 def _times(case: Case) -> tuple[float, float, float]:
@@ -63,7 +62,7 @@ def _times(case: Case) -> tuple[float, float, float]:
     rates = np.abs(np.linalg.eigvals(np.concatenate([f_X, f_X + f_U @ plant.kappa_jacobian(X)]))).max()
     horizon = HORIZON
     if plant.rests:
-        own = np.linalg.eigvals(defects.closed_loop(plant))
+        own = np.linalg.eigvals(closed_loop(plant))
         rates, horizon = max(rates, np.abs(own).max()), SPAN / -own.real.max()
     h = STEP / rates if rates > 0 else horizon / MOST
     return h, min(horizon, MOST * h), horizon

@@ -105,16 +105,9 @@ def sources(node: Node, config: Pipeline) -> dict[str, SourceText]:
 
 def check(config: Pipeline, stages: Collection[str]) -> None:
     """Raise ConfigError where the stages ask for what the pipeline's plant does not have."""
-    from npred import plants, predictors
-    from npred.diagnosis import pipeline_fit
-    from npred.loop import delay_laws
+    from npred import diagnosis, plants
 
-    plant = plants.resolve(config.plant, config.parameters)
-    pipeline_fit.check(plant, config, stages)
-    for name in {"generate", "evaluate"} & set(stages):
-        loop: Loop = getattr(config, name)
-        delay_laws.check(loop, plant)
-        predictors.numerical(loop.predictor, plant, loop.nx)
+    diagnosis.require(plants.resolve(config.plant, config.parameters), config, stages)
 
 
 def _nodes(stage: str, networks: tuple[str, ...]) -> list[Node]:

@@ -10,7 +10,7 @@ from typer.testing import CliRunner, Result
 
 from npred import config, plants
 from npred.cli import app
-from npred.diagnosis import check, pipeline_fit
+from npred.diagnosis import check, require
 
 SMALL = (
     *("generate.samples=200", "generate.rollouts=4", "generate.t_end=4", "train.deeponet.epochs=1"),
@@ -34,7 +34,7 @@ def test_what_is_written_is_sound():
     pipeline = config.load(Path("two_tanks.toml"))
     assert pipeline.plant == done["plant"]
     plant = plants.resolve(pipeline.plant)
-    pipeline_fit.check(plant, pipeline, ("generate", "train", "evaluate", "bench"))
+    require(plant, pipeline, ("generate", "train", "evaluate", "bench"))
     assert {answer.verdict for answer in check(plant)} == {"yes"}
     assert not any("CLASS" in Path(name).read_text() or "NAME" in Path(name).read_text() for name in done["files"])
 
@@ -64,7 +64,7 @@ def test_a_copy_of_a_plant_is_the_plant(source: str):
     spec = json.loads(call("init", "my_copy", "--from", source, "--json").stdout)["plant"]
     pipeline, copy, plant = config.load(Path("my_copy.toml")), plants.resolve(spec), plants.resolve(source)
     assert (pipeline.name, pipeline.plant) == ("my_copy", "my_copy.py:MyCopy")
-    pipeline_fit.check(copy, pipeline, ("generate", "train", "evaluate", "bench"))
+    require(copy, pipeline, ("generate", "train", "evaluate", "bench"))
     x, u = np.array([plant.box.get(name, (0.1, 0.3))[1] for name in plant.states]), np.full(plant.m, 0.7)
     assert np.array_equal(copy.f(x, u, 0.2), plant.f(x, u, 0.2))
     assert np.array_equal(copy.kappa(x, 0.2), plant.kappa(x, 0.2))
@@ -74,7 +74,7 @@ def test_a_copy_of_a_plant_is_the_plant(source: str):
 def test_a_plant_without_a_pipeline_gets_one_that_fits():
     call("init", "arm", "--from", "planar_arm3")
     pipeline, plant = config.load(Path("arm.toml")), plants.resolve("arm.py:Arm")
-    pipeline_fit.check(plant, pipeline, ("generate", "train", "evaluate", "bench"))
+    require(plant, pipeline, ("generate", "train", "evaluate", "bench"))
     assert pipeline.train.deeponet.anchor == pipeline.train.fno.anchor == "initial"
     call("init", "mine")
     assert call("init", "copy", "--from", "mine.py:Mine").exit_code == 0

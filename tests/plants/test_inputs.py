@@ -8,9 +8,8 @@ from jobs import job
 from reactor import Reactor
 from scipy.integrate import solve_ivp
 
-from npred import config, plants
+from npred import config, diagnosis, plants
 from npred.data.dataset import Dataset
-from npred.diagnosis import pipeline_fit
 from npred.errors import ConfigError, DivergedError
 from npred.loop.closed_loop import simulate
 from npred.pipeline.stage_registry import nodes, question
@@ -90,8 +89,8 @@ def test_an_equilibrium_is_needed_where_one_is_asked_for():
 def test_a_pipeline_that_asks_for_what_is_refused_does_not_start(stage):
     more = {"X0": [0.5, 350.0]} if stage == "evaluate" else {}
     with pytest.raises(ConfigError, match=rf"{stage}.u0: expected within input_bounds .*got Tc = 0"):
-        pipeline_fit.check(REACTOR, pipeline(stage, u0=0.0, **more), [stage])
-    pipeline_fit.check(REACTOR, pipeline(stage, u0=[280], **more), [stage])
+        diagnosis.require(REACTOR, pipeline(stage, u0=0.0, **more), [stage])
+    diagnosis.require(REACTOR, pipeline(stage, u0=[280], **more), [stage])
 
 
 def test_a_reactor_runs_from_its_own_file_and_zero_kelvin_does_not(tmp_path):

@@ -6,7 +6,7 @@ import torch
 from operator_samples import SMALL
 
 from npred import grid, plants
-from npred.diagnosis import pipeline_fit
+from npred.diagnosis import Case, pipeline_fit
 from npred.errors import ConfigError
 from npred.loop.closed_loop import simulate
 from npred.operators import Scaling, build
@@ -130,10 +130,10 @@ def test_without_a_period_no_network_can_serve_it():
     u = np.ones((21, 1)) * grid.nodes(21)[:, None]
     assert RK4(driven(), 21)([1.0], u, 0.5, 0.3).shape == (21, 1)
     with pytest.raises(ConfigError, match="Driven: expected a period, for its prediction depends on time"):
-        pipeline_fit._clock(driven())
-    with pytest.raises(ConfigError, match="Driven: f and kappa expected to repeat after 3 s; fix period"):
-        pipeline_fit._clock(driven(period=3.0))
-    pipeline_fit._clock(driven(period=np.pi))
+        pipeline_fit.clock(Case(driven(), 0.5, 21, 8))
+    verdict, text = pipeline_fit.clock(Case(driven(period=3.0), 0.5, 21, 8))
+    assert verdict == "no" and text == "plant Driven: f and kappa expected to repeat after 3 s; correct period"
+    assert pipeline_fit.clock(Case(driven(period=np.pi), 0.5, 21, 8))[0] == "yes"
 
 
 @pytest.mark.parametrize("period", [0.0, -1.0, "often"])

@@ -6,7 +6,7 @@ import pytest
 from six_joint import SIX, TEXT
 
 from npred import plants, predictors
-from npred.diagnosis import pipeline_fit
+from npred.diagnosis import equilibrium
 from npred.errors import ConfigError, MissingError
 from npred.loop import metrics
 from npred.loop.closed_loop import simulate
@@ -55,7 +55,7 @@ def test_a_pose_of_another_length_is_told():
 
 
 def test_the_reference_is_a_trajectory_of_the_law():
-    assert pipeline_fit.slip(PLANT, 20.0)[0] < 1e-9
+    assert equilibrium.slip(PLANT, 20.0)[0] < 1e-9
 
 
 def test_derivatives_equal_differences():

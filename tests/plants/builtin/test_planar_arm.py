@@ -5,7 +5,7 @@ import plant_claims
 import pytest
 
 from npred import plants
-from npred.diagnosis import pipeline_fit
+from npred.diagnosis import equilibrium
 from npred.loop import metrics
 from npred.loop.closed_loop import simulate
 from npred.plants.base import Plant
@@ -69,7 +69,7 @@ def test_friction_damps_the_errors_as_forces_on_an_arm_without_it():
 
 @pytest.mark.parametrize("links", [2, 7])
 def test_the_reference_is_a_trajectory_of_the_law(links):
-    assert pipeline_fit.slip(plants.resolve(f"planar_arm{links}"), 20.0)[0] < 1e-9
+    assert equilibrium.slip(plants.resolve(f"planar_arm{links}"), 20.0)[0] < 1e-9
     np.testing.assert_allclose(plants.resolve("planar_arm2").target(0.0)[0], 0.3 + 0.1 * np.sin(1.0))
 
 

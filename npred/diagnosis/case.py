@@ -1,0 +1,149 @@
+"""What is asked of a plant, and an answer in words."""
+
+from collections.abc import Callable, Collection
+from dataclasses import asdict, dataclass, field
+from functools import cached_property
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from npred import randomness
+from npred.config import FROZEN, Loop, Pipeline
+from npred.delays import family_of
+from npred.errors import ConfigError
+from npred.plants import inputs
+from npred.plants.base import Plant
+from npred.symbolic import source_lines
+
+Verdict = tuple[Literal["yes", "warn", "no"], str]
+STAGES = ("generate", "train", "evaluate", "bench")
+LOOPS = ("generate", "evaluate")  # those that simulate
+ANY = "any stage"
+
+
+@dataclass(frozen=True)
+class Answer:
+    """A question's name, whether the plant meets it, and a sentence: what was found, and the cure."""
+
+    check: str
+    verdict: Literal["yes", "warn", "no"]
+    text: str
+
+    def json(self) -> dict[str, str]:
+        """As `--json` prints it."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A plant, the largest delay in seconds and the nodes that it is to be predicted with, and how many samples.
+
+    A pipeline changes the box, the input bounds and the input before t = 0, and says whether an update law runs in its
+    `stages`. The answers so far are kept by the names of their questions.
+    """
+
+    plant: Plant
+    delay: float
+    nodes: int
+    samples: int
+    pipeline: Pipeline | None = None
+    stages: Collection[str] = STAGES
+    source: str = ""  # of the delay
+    answers: dict[str, Answer] = field(default_factory=dict)
+
+    def ask(self, question: "Question") -> Answer | None:
+        """The answer, None where the question does not apply. A plant that fails on the way has one: no, and how."""
+        if question.name not in self.answers and question.applies(self):
+            try:
+                verdict = question.answer(self)
+            except ConfigError as error:
+                verdict = "no", str(error)
+            self.answers[question.name] = Answer(question.name, *verdict)
+        return self.answers.get(question.name)
+
+    def verdict(self, name: str) -> str | None:
+        """The answer to that question so far: yes, warn, no, or None where it was not asked."""
+        return self.answers[name].verdict if name in self.answers else None
+
+    @property
+    def leads(self) -> str | None:
+        """Whether the law without delay leads somewhere: the verdict, so far, on stability or on a reference."""
+        return self.verdict("stability" if self.plant.rests else "reference")
+
+    @property
+    def sound(self) -> bool:
+        """Whether f, kappa and V were asked on the box, and are finite there."""
+        return self.verdict("finite") == "yes"
+
+    @property
+    def h(self) -> float:
+        """The predictor's step in seconds."""
+        return self.delay / (self.nodes - 1)
+
+    @cached_property
+    def box(self) -> dict[str, tuple[float, float]]:
+        """The range of each initial state, the pipeline's before the plant's."""
+        return self.plant.box | (self.pipeline.generate.box if self.pipeline else {})
+
+    @cached_property
+    def ends(self) -> np.ndarray:
+        """The box as an array, (n, 2)."""
+        return np.array([self.box[name] for name in self.plant.states], dtype=float)
+
+    @cached_property
+    def limits(self) -> np.ndarray:
+        """The input bounds (m, 2), the pipeline's before the plant's."""
+        return inputs.bounds(self.plant, self.pipeline.generate.input_bounds if self.pipeline else None)
+
+    @property
+    def u0(self) -> Any:
+        """What the pipeline says of the input before t = 0."""
+        return self.pipeline.generate.u0 if self.pipeline else None
+
+    @property
+    def settings(self) -> Pipeline:
+        """The pipeline, for questions about one."""
+        assert self.pipeline is not None
+        return self.pipeline
+
+    @property
+    def loops(self) -> dict[str, Loop]:
+        """The loops of the pipeline's stages that are to run."""
+        return {stage: getattr(self.pipeline, stage) for stage in LOOPS if self.pipeline and stage in self.stages}
+
+    @property
+    def takes_V(self) -> bool:
+        """Whether an update law runs: not with a frozen estimate, nor where inputs have delays of their own."""
+        if self.pipeline is None:
+            return family_of(self.plant).refusal("adaptation") is None
+        return any(loop.adaptation != FROZEN for loop in self.loops.values())
+
+    @cached_property
+    def X(self) -> np.ndarray:
+        """States drawn from the box, (samples, n)."""
+        ends, shape = self.ends, (self.samples, self.plant.n)
+        return randomness.generator(0, "plant check").uniform(ends[:, 0], ends[:, 1], shape)
+
+    @cached_property
+    def u(self) -> np.ndarray:
+        """kappa of those states within the input bounds, (samples, m)."""
+        with np.errstate(all="ignore"):  # where it is not finite, the question `finite` tells
+            U = self.plant.kappa(self.X)
+        return np.clip(U, *self.limits.T)
+
+    def state(self, X: np.ndarray) -> str:
+        """A state in words."""
+        return source_lines.values(self.plant.states, X)
+
+
+class Question(NamedTuple):
+    """A question: its name, its answer, and where it applies.
+
+    It is asked before a run of the stage `before`, or of ANY; it is `shown` among the answers about a plant.
+    """
+
+    name: str
+    answer: Callable[[Case], Verdict]
+    applies: Callable[[Case], bool] = lambda case: True
+    before: str | None = None
+    shown: bool = True

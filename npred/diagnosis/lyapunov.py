@@ -1,0 +1,115 @@
+"""Whether V falls along the loop of kappa without delay; where not, x'Sx of the Lyapunov equation is offered."""
+
+import numpy as np
+
+from npred.diagnosis.case import Case, Verdict
+from npred.diagnosis.equilibrium import closed_loop
+from npred.plants.base import Plant
+from npred.symbolic import programs
+from npred.symbolic.trace import Trace, python
+
+NEAR = 0.01  # of the box, around rest: loops come there from all sides, whichever side the box is on
+SAME = 1e-3  # of its largest value: this close to x'Sx a V is taken for it
+
+
+def undeclared(plant: Plant) -> str:
+    """What an update law lacks; the cure is the caller's."""
+    return f"plant {plant.name}: found no V(x, t, p, M), which the update law takes"
+
+
+def applies(case: Case) -> bool:
+    """Whether V is missing, or is not needed, or can be looked at: the law stabilises, and the box is sound."""
+    if not case.plant.rests:
+        return case.takes_V and not case.plant.declares_V
+    unneeded = not case.plant.declares_V and not case.takes_V
+    stable = case.sound and case.leads == "yes"
+    return case.verdict("equilibrium") != "no" and (unneeded or stable)
+
+
+def falls(case: Case) -> Verdict:
+    """Whether V' = V_X f(X, kappa(X)) < 0 from the box to rest."""
+    if not case.plant.declares_V and not case.takes_V:
+        return "yes", "none is declared and none is needed: no update law runs"
+    if not case.plant.rests:
+        return "no", f"{undeclared(case.plant)}; declare the squared distance to what it follows"
+    X = _towards_rest(case)
+    S = lyapunov(closed_loop(case.plant))
+    if not case.plant.declares_V:
+        return "no", f"{undeclared(case.plant)}; declare one: {_offer(case, S, X)}"
+    rates = _along(case, X)
+    rising = ~(rates < 0)
+    if not rising.any():
+        return "yes", f"V' < 0 along the loop of kappa, at {len(X)} states of the box, towards rest and around it"
+    worst = int(np.argmax(np.where(np.isnan(rates), np.inf, rates)))
+    where = f"V' = {rates[worst]:.3g} at {case.state(X[worst])}, and {rising.mean():.0%} of {len(X)} states are like it"
+    rises = f"{case.plant.place('V')} does not fall along the loop: {where}"
+    if rising.mean() > (_offered(case, S, X) >= 0).mean():
+        return "warn", f"{rises}; {_offer(case, S, X)}"
+    if _proportional(case, S, X):
+        share = f"{1 - rising.mean():.0%} of {len(X)} states"
+        return "yes", f"V solves the Lyapunov equation, and falls at {share}: the box is wider than where it does"
+    return "warn", f"{rises}; no x'Sx does better: shrink box"
+
+
+def _towards_rest(case: Case) -> np.ndarray:
+    """The states of the box, as many between them and the equilibrium, and as many close around it, (3 samples, n)."""
+    rest, X = case.plant.equilibrium, case.X
+    share = np.linspace(0.02, 1.0, len(X))[:, None]
+    around = NEAR * np.ptp(X, axis=0) * np.random.default_rng(0).uniform(-1, 1, X.shape)
+    return np.concatenate([X, rest + share * (X - rest), rest + around])
+
+
+def _along(case: Case, X: np.ndarray) -> np.ndarray:
+    """V' at the states X (B, n), the input not clipped, (B,)."""
+    if not case.plant.traced:
+        return _rise(case.plant, X)
+    trace, plant = Trace(case.plant), case.plant
+    x, t = trace.vector("x", plant.n), 0.0
+    V = trace.V(x, t)
+    slope = programs.derivative([V], x, trace.f(x, trace.kappa(x, t), t))
+    names = [*(f"x{k}" for k in range(plant.n)), *(f"p{k}" for k in range(len(plant.p)))]
+    rate = python(slope, names, np)
+    with np.errstate(all="ignore"):
+        return np.array([rate(*row, *plant.p)[0] for row in X], dtype=float)
+
+
+def _rise(plant: Plant, X: np.ndarray) -> np.ndarray:
+    """V' by central differences along the loop's velocity."""
+    velocity = plant.f(X, plant.kappa(X))
+    h = 1e-6 / (1.0 + np.linalg.norm(velocity, axis=-1))
+    return (plant.V(X + h[:, None] * velocity) - plant.V(X - h[:, None] * velocity)) / (2 * h)
+
+
+def lyapunov(A: np.ndarray) -> np.ndarray:
+    """The S of A'S + SA = -I, (n, n), symmetric; positive definite where A is stable."""
+    eye = np.eye(len(A))
+    return np.linalg.solve(np.kron(A.T, eye) + np.kron(eye, A.T), -eye.ravel()).reshape(A.shape)
+
+
+def _offered(case: Case, S: np.ndarray, X: np.ndarray) -> np.ndarray:
+    """Half the derivative of e'Se along the loop of kappa, e = X - X*, at the states X (B, n), (B,)."""
+    return np.einsum("bi,ij,bj->b", X - case.plant.equilibrium, S, case.plant.f(X, case.plant.kappa(X)))
+
+
+def _proportional(case: Case, S: np.ndarray, X: np.ndarray) -> bool:
+    """Whether the declared V is e'Se times a number."""
+    e = X - case.plant.equilibrium
+    V, own = case.plant.V(X), np.einsum("bi,ij,bj->b", e, S, e)
+    return bool(np.abs(V * own.sum() - own * np.sum(V)).max() <= SAME * np.abs(own).max() * np.sum(V))
+
+
+def _offer(case: Case, S: np.ndarray, X: np.ndarray) -> str:
+    """e'Se as text for the plant's file, with how often it falls at the states X."""
+    scale = np.sqrt(np.outer(np.diag(S), np.diag(S)))
+    pairs = [(i, j) for i in range(len(S)) for j in range(i, len(S)) if abs(S[i, j]) > 1e-9 * scale[i, j]]
+    falls = f"falls at {(_offered(case, S, X) < 0).mean():.0%} of {len(X)} states"
+    return f"V = {' + '.join(_term(case, S, i, j) for i, j in pairs)} solves the Lyapunov equation, and {falls}"
+
+
+def _term(case: Case, S: np.ndarray, i: int, j: int) -> str:
+    a, b = (_error(case.plant.states[k], case.plant.equilibrium[k]) for k in (i, j))
+    return f"{S[i, j]:.8g} * {a} ** 2" if i == j else f"{2 * S[i, j]:.8g} * {a} * {b}"
+
+
+def _error(state: str, rest: float) -> str:
+    return f"(x.{state} - {rest:.12g})" if rest else f"x.{state}"
