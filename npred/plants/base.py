@@ -34,23 +34,15 @@ class Plant:
 
     def __init__(self, name: str, declaration: Any, overrides: Mapping[str, float] = {}, source: Source | None = None):
         declared.called(name)
-        declared.check(name, declaration)
+        parts = declared.read(name, declaration, overrides)
         self.name, self.declaration = name, declared.completed(declaration)
         self.source = source or registry.declaring(declaration)
-        self.declares_V = hasattr(declaration, "V")
-        self.states = declared.names(name, "states", declaration.states)
-        self.inputs = declared.names(name, "inputs", declaration.inputs)
-        self.parameters = declared.parameters(name, getattr(declaration, "parameters", {}), overrides)
-        self.box = declared.box(name, getattr(declaration, "box", {}), self.states)
-        self.guess = declared.guess(name, getattr(declaration, "guess", np.zeros(self.n)), self.n)
-        self.input_bounds = declared.input_bounds(name, getattr(declaration, "input_bounds", None), self.m)
-        self.delays = declared.delays(name, getattr(declaration, "delays", None), self.m)
-        self.period = declared.period(name, getattr(declaration, "period", None))
-        quantities = (*self.states, *self.inputs)
-        self.labels = declared.texts(name, "labels", getattr(declaration, "labels", {}), quantities)
-        self.units = declared.texts(name, "units", getattr(declaration, "units", {}), quantities)
-        self.time_unit = declared.text(f"plant {name}: time_unit", getattr(declaration, "time_unit", "s"))
-        self.figure = declared.text(f"plant {name}: figure", getattr(declaration, "figure", ""))
+        self.declares_V = parts.V is not None
+        self.states, self.inputs, self.parameters, self.box = parts.states, parts.inputs, parts.parameters, parts.box
+        self.guess = np.zeros(self.n) if parts.guess is None else np.array(parts.guess)
+        self.input_bounds = None if parts.input_bounds is None else list(parts.input_bounds)
+        self.delays, self.period = parts.delays, parts.period
+        self.labels, self.units, self.time_unit, self.figure = parts.labels, parts.units, parts.time_unit, parts.figure
 
     def __repr__(self) -> str:
         parts = [f"states {_few(self.states)}", f"inputs {_few(self.inputs)}"]
@@ -265,7 +257,7 @@ class Plant:
     @cached_property
     def tracks(self) -> bool:
         """Whether the plant declares a reference. Raises ConfigError where f and kappa know no time to follow it."""
-        declared = hasattr(self.declaration, "reference")
+        declared = getattr(self.declaration, "reference", None) is not None
         if declared and self.rests:
             raise ConfigError(
                 f"{self.place('reference')} expected a kappa that depends on t, got one that rests; let kappa follow "

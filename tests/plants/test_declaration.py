@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from npred.errors import ConfigError
-from npred.plants import declaration
 from npred.plants.base import Plant
+from npred.plants.declaration import Declaration
 from npred.symbolic import array_math
 
 
@@ -38,38 +38,42 @@ def plant(**parts):
 @pytest.mark.parametrize(
     ("parts", "message"),
     [
-        ({"states": "h"}, r"states expected names as \(\"h\",\), got 'h'; write a tuple"),
-        ({"states": None}, "states expected names"),
-        ({"states": ()}, "states expected different names, at least one"),
-        ({"states": ("h", "h")}, "states expected different names"),
-        ({"states": ("class",)}, "states expected names that Python accepts, got 'class'"),
-        ({"states": ("_h",)}, "states expected names that Python accepts"),
-        ({"inputs": (1,)}, "inputs expected names that Python accepts, got 1"),
-        ({"inputs": ()}, "inputs expected different names, at least one"),
-        ({"parameters": ["c"]}, "parameters expected a table"),
-        ({"parameters": {"c": "half"}}, "parameter c: expected a finite number, got 'half'"),
-        ({"parameters": {"c": math.nan}}, "parameter c: expected a finite number, got nan"),
-        ({"box": {"level": (0, 1)}}, "box has an unknown state 'level'; expected one of h"),
+        ({"states": "h"}, r"states: expected different names, as \(\"h\",\), got 'h'; write"),
+        ({"states": None}, "states: expected different names"),
+        ({"states": ()}, "states: expected different names"),
+        ({"states": {"h"}}, "states: expected different names"),
+        ({"states": ("h", "h")}, "states: expected different names"),
+        ({"states": ("class",)}, r"states\[0\]: expected a name that Python accepts, got 'class'"),
+        ({"states": ("_h",)}, "expected a name that Python accepts"),
+        ({"inputs": (1,)}, r"inputs\[0\]: expected a name that Python accepts, got 1"),
+        ({"inputs": ()}, "inputs: expected different names"),
+        ({"parameters": ["c"]}, "parameters: expected a table"),
+        ({"parameters": {"in": 1.0}}, r"parameters\['in'\]: expected a name that Python accepts, got 'in'"),
+        ({"parameters": {"c": "half"}}, r"parameters\['c'\]: expected a finite number, got 'half'"),
+        ({"parameters": {"c": math.nan}}, r"parameters\['c'\]: expected a finite number, got nan"),
+        ({"box": {"level": (0, 1)}}, "box: unknown name 'level'; expected one of h"),
         ({"box": {"h": 3}}, r"box\['h'\]: expected a range \(low, high\)"),
         ({"box": {"h": (2.0, 1.0)}}, "with low <= high"),
-        ({"box": {"h": (0.0, math.inf)}}, "expected finite ends"),
-        ({"box": [(0, 1)]}, "box expected ranges as"),
-        ({"guess": (1.0, 2.0)}, r"guess expected 1 finite numbers, one per state, got \(1.0, 2.0\)"),
-        ({"guess": ("a",)}, "guess expected 1 finite numbers"),
-        ({"input_bounds": [(0, 1), (0, 1)]}, "input_bounds expected 1 pairs"),
+        ({"box": {"h": (0.0, math.inf)}}, r"box\['h'\]\[1\]: expected a finite number, got inf"),
+        ({"box": [(0, 1)]}, "box: expected ranges as"),
+        ({"guess": (1.0, 2.0)}, r"guess: expected one for each of h, got \(1.0, 2.0\)"),
+        ({"guess": 1.0}, "guess: expected one number per state, got 1.0"),
+        ({"guess": ("a",)}, r"guess\[0\]: expected a finite number, got 'a'"),
+        ({"input_bounds": [(0, 1), (0, 1)]}, "input_bounds: expected one for each of q"),
         ({"input_bounds": [(1, 0)]}, r"input_bounds\[0\]: expected a range"),
-        ({"input_bounds": "none"}, "input_bounds expected 1 pairs"),
-        ({"units": "m"}, "units expected texts as"),
-        ({"units": {"level": "m"}}, "units has an unknown name 'level'; expected one of h, q"),
+        ({"input_bounds": np.array([[0, math.nan]])}, r"input_bounds\[0\]: expected a range"),
+        ({"input_bounds": "none"}, r"input_bounds: expected a pair \(low, high\) per input, got 'none'"),
+        ({"units": "m"}, "units: expected texts as"),
+        ({"units": {"level": "m"}}, "units: unknown name 'level'; expected one of h, q"),
         ({"labels": {"h": 3}}, r"labels\['h'\]: expected up to 40 letters on one line, .* got 3; shorten it"),
         ({"labels": {"h": "h\nq"}}, "on one line"),
         ({"labels": {"h": "$h"}}, r"without \$ and backslash"),
         ({"time_unit": "a" * 41}, "time_unit: expected up to 40 letters"),
-        ({"delays": 0.5}, "delays expected 1 seconds, one per input, got 0.5"),
-        ({"delays": (0.5, 0.6)}, "delays expected 1 seconds, one per input"),
-        ({"delays": (0.0,)}, "delays expected seconds above 0"),
-        ({"delays": ("late",)}, r"delays\[0\]: expected a finite number, got 'late'"),
-        ({"f": 3}, "expected f to be a function, got 3"),
+        ({"delays": 0.5}, "delays: expected the seconds of each input, got 0.5"),
+        ({"delays": (0.5, 0.6)}, "delays: expected one for each of q"),
+        ({"delays": (0.0,)}, r"delays\[0\]: expected seconds above 0"),
+        ({"delays": ("late",)}, r"delays\[0\]: expected seconds above 0, got 'late'"),
+        ({"f": 3}, "f: expected a function, got 3"),
     ],
 )
 def test_a_wrong_part_is_told_in_one_line(parts, message):
@@ -108,7 +112,7 @@ def test_labels_and_units_are_no_part_of_what_a_result_depends_on():
 def test_every_part_that_is_read_stands_on_the_page_of_the_declaration():
     root = Path(__file__).parents[2]
     code = "".join(path.read_text() for path in (root / "npred" / "plants").glob("*.py"))
-    parts = set(re.findall(r'(?:get|has)attr\((?:self\.)?declaration, "(\w+)"', code)) | set(declaration.REQUIRED)
+    parts = set(re.findall(r'(?:get|has)attr\((?:self\.)?declaration, "(\w+)"', code)) | {*Declaration.model_fields}
     page = (root / "docs" / "plant_declaration.md").read_text()
     assert {"f", "delays", "period", "df", "files", "traced"} <= parts
     assert [part for part in sorted(parts) if not re.search(rf"`{part}[`(]", page)] == []

@@ -214,7 +214,7 @@ def test_the_reference_is_part_of_the_identity():
     [
         (lambda t, p, M: [0.0, t], None, r"reference \(test_plants.py:\d+\) expected to return 1 value, got 2; return"),
         (lambda x, t, p, M: [t], None, r"reference failed \(test_plants.py:\d+\): TypeE"),
-        (0.5, None, "expected reference to be a function, got 0.5"),
+        (0.5, None, "reference: expected a function, got 0.5"),
         (None, lambda x, t, p, M: [-x.X], r"reference \(follower.py:\d+\) expected a kappa that depends on t"),
     ],
 )
