@@ -19,7 +19,7 @@ from npred.data.dataset import MEANING, Dataset
 from npred.errors import NpredError, StoreError
 from npred.pipeline import STAGES, Planner, nodes
 from npred.store import Artifact, Question, Store, archive
-from npred.store.keys import sha256
+from npred.store.manifest import sha256
 
 PAYLOAD = b"payload" * 99
 TOKENS = (

@@ -50,3 +50,8 @@ def similar(name: str, names: Iterable[str]) -> str:
 
     close = get_close_matches(name, list(names), n=2)
     return f"; did you mean {' or '.join(close)}?" if close else ""
+
+
+def first_line(error: BaseException) -> str:
+    """The first line of an error's message; its type where it has none."""
+    return (str(error).splitlines() or [type(error).__name__])[0]

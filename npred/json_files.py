@@ -14,11 +14,11 @@ def read(path: Path, limit: int = LIMIT) -> bytes:
     """The bytes of a regular file. Raises OSError where it cannot be read, ValueError for a link, device or pipe, or
     for more than `limit` bytes.
     """
-    found = path.lstat()
-    if not stat.S_ISREG(found.st_mode):
+    status = path.lstat()
+    if not stat.S_ISREG(status.st_mode):
         raise ValueError("a link, a folder or a device")
-    if found.st_size > limit:
-        raise ValueError(f"{found.st_size} bytes, more than {limit}")
+    if status.st_size > limit:
+        raise ValueError(f"{status.st_size} bytes, more than {limit}")
     with path.open("rb") as file:
         return file.read(limit)
 

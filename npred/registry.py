@@ -103,7 +103,7 @@ class Registry:
             return entry.load()
         except (Exception, SystemExit) as error:
             package = entry.dist.name if entry.dist else "a package"
-            reason = source_lines.told(error)
+            reason = source_lines.one_line(error)
             raise ConfigError(
                 f"{self.kind} {name}: {package} failed on import of {entry.value}: {reason}; fix it"
             ) from None
@@ -215,7 +215,9 @@ def load(what: str, spec: str) -> Loaded:
         raise ConfigError(f"{what} {path}{line}: expected Python, got a syntax error: {error.msg}; fix it") from None
     except (Exception, SystemExit) as error:
         line = source_lines.last_line(error, str(path))
-        raise ConfigError(f"{what} {path}{line}: failed on import: {source_lines.told(error)}; fix the file") from None
+        raise ConfigError(
+            f"{what} {path}{line}: failed on import: {source_lines.one_line(error)}; fix the file"
+        ) from None
     if not isinstance(space.get(name), type):
         own = [key for key, value in space.items() if isinstance(value, type) and value.__module__ == path.stem]
         raise ConfigError(

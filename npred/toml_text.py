@@ -12,10 +12,12 @@ def dumps(table: Mapping[str, Any]) -> str:
 
 
 def _lines(table: Mapping[str, Any], path: tuple[str, ...]) -> list[str]:
-    known = {key: value for key, value in table.items() if value is not None}
-    leaves = [f"{_key(key)} = {_value(value)}" for key, value in known.items() if not isinstance(value, Mapping)]
-    head = ["", f"[{'.'.join(map(_key, path))}]"] if path and (leaves or not known) else []
-    below = [line for key, value in known.items() if isinstance(value, Mapping) for line in _lines(value, (*path, key))]
+    filled = {key: value for key, value in table.items() if value is not None}
+    leaves = [f"{_key(key)} = {_value(value)}" for key, value in filled.items() if not isinstance(value, Mapping)]
+    head = ["", f"[{'.'.join(map(_key, path))}]"] if path and (leaves or not filled) else []
+    below = [
+        line for key, value in filled.items() if isinstance(value, Mapping) for line in _lines(value, (*path, key))
+    ]
     return [*head, *leaves, *below]
 
 

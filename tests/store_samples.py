@@ -5,7 +5,8 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from npred.store import Artifact, Question, Source, Store, keys
+from npred.store import Artifact, Question, Source, Store
+from npred.store.manifest import sha256
 
 
 def question(**changes: Any) -> Question:
@@ -29,7 +30,7 @@ def made_at(folder: Path, moment: datetime | None) -> Path:
     fields = json.loads((folder / "manifest.json").read_text())
     del fields["checksum"], fields["provenance"]["made"]
     fields["provenance"] |= {} if moment is None else {"made": moment.isoformat()}
-    fields["checksum"] = keys.sha256(fields)
+    fields["checksum"] = sha256(fields)
     (folder / "manifest.json").write_text(json.dumps(fields))
     return folder
 

@@ -80,11 +80,11 @@ class Dataset:
         value is one that samples have.
         """
         rows, nodes = self.u.shape[:2] if self.u.ndim == 3 else (0, 0)
-        wanted = {"X": (rows, plant.n), "u": (rows, nodes, plant.m), "P": (rows, nodes, plant.n), "D_hat": (rows,)}
-        for name, shape in wanted.items():
-            found = getattr(self, name).shape
-            if found != shape or nodes < 2:
-                raise ConfigError(f"{name}: expected shape {shape} for plant {plant.name}, got {found}; fix the data")
+        shapes = {"X": (rows, plant.n), "u": (rows, nodes, plant.m), "P": (rows, nodes, plant.n), "D_hat": (rows,)}
+        for name, shape in shapes.items():
+            got = getattr(self, name).shape
+            if got != shape or nodes < 2:
+                raise ConfigError(f"{name}: expected shape {shape} for plant {plant.name}, got {got}; check the file")
         self._plausible()
         if not 0 < np.count_nonzero(self.test) < rows:
             raise ConfigError(
@@ -93,7 +93,7 @@ class Dataset:
 
 
 def attributes(plant: Plant, predictor: str) -> dict[str, Any]:
-    """What a file of samples says of itself: whose they are, and what made P."""
+    """The attributes of a file of samples: the plant they are of, and the predictor that gave P."""
     return {
         "plant": plant.name,
         "states": list(plant.states),

@@ -11,7 +11,7 @@ import numpy as np
 
 from npred import json_files, randomness
 from npred.data.dataset import Dataset
-from npred.errors import ConfigError
+from npred.errors import ConfigError, first_line
 from npred.plants import Plant
 
 CONSTANT = 1e-5  # of a quantity's largest value: what float32 leaves of an equality
@@ -56,7 +56,7 @@ def split(count: int, rollouts: int | None) -> tuple[np.ndarray, np.ndarray]:
 
 
 def checks(plant: Plant, data: Dataset) -> dict[str, Any]:
-    """What holds of the samples [DAPF, eq. 10], each one number per state.
+    """How well the samples solve the predictor equation [DAPF, eq. 10], one number per state each.
 
     start: sup |P(0) - X|. residual: sup over samples and nodes of |P(x) - X - D_hat ∫₀ˣ f(P, u) dy|, the integral by
     the trapezoidal rule. relative: the root of its mean square over that of P - X. horizon: the share a of D_hat that
@@ -77,8 +77,8 @@ def _checks(plant: Plant, data: Dataset) -> dict[str, Any]:
         "residual": np.abs(residual).max(axis=(0, 1)),
         "relative": np.sqrt(np.mean(residual**2, axis=(0, 1))) / scale,
     }
-    found = {name: dict(zip(plant.states, values.tolist(), strict=True)) for name, values in by_state.items()}
-    return {**found, "horizon": float(horizon)}
+    named = {name: dict(zip(plant.states, values.tolist(), strict=True)) for name, values in by_state.items()}
+    return {**named, "horizon": float(horizon)}
 
 
 def nearest(data: Dataset, test: np.ndarray) -> float:
@@ -107,15 +107,13 @@ def read(path: Path) -> np.ndarray:
     """The matrix of an .npy file as float64. Raises ConfigError for anything else; pickles are not opened."""
     try:
         with np.errstate(over="ignore"):
-            array = np.lib.format.open_memmap(
-                json_files.regular(path), mode="r"
-            )  # mapped: the size promised is checked
+            array = np.lib.format.open_memmap(json_files.regular(path), mode="r")  # mapped: its size is checked
     except Exception as error:  # the header is read as Python's literals, and what is none fails in many ways
-        told = " ".join(str(error).split()) or type(error).__name__
-        raise ConfigError(f"{path}: expected an .npy file of numbers, got: {told}; check the path") from None
+        got = first_line(error)
+        raise ConfigError(f"{path}: expected an .npy file of numbers, got: {got}; check the path") from None
     if array.ndim < 2 or not array.size or array.dtype.kind not in "fiu":
-        found = f"{array.dtype} {array.shape}"
-        raise ConfigError(f"{path}: expected a matrix, one row per sample, got {found}; save it with np.save")
+        got = f"{array.dtype} {array.shape}"
+        raise ConfigError(f"{path}: expected a matrix, one row per sample, got {got}; save it with np.save")
     return np.array(array, dtype=float).reshape(len(array), -1)
 
 

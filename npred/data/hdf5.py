@@ -12,7 +12,7 @@ from typing import Any
 
 import h5py
 
-from npred.errors import StoreError
+from npred.errors import StoreError, first_line
 
 FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}  # built in, no plug-in
 SWELL = 1040  # times its stored size: what deflate can at most unpack to
@@ -28,13 +28,13 @@ def opened(path: Path, arrays: Mapping[str, int]) -> Iterator[Mapping[str, Any]]
     """
     try:
         with _file(path) as file:
-            found = {name: _dataset(file, name) for name in arrays}
+            datasets = {name: _dataset(file, name) for name in arrays}
             for name, axes in arrays.items():
-                _check(found[name], name, axes, path)
-            yield found
+                _check(datasets[name], name, axes, path)
+            yield datasets
     except _BROKEN as error:
-        told = " ".join(str(error).split()) or type(error).__name__
-        raise StoreError(f"{path}: expected the arrays {', '.join(arrays)}, got: {told}; generate it again") from None
+        expected = f"{path}: expected the arrays {', '.join(arrays)}"
+        raise StoreError(f"{expected}, got: {first_line(error)}; generate it again") from None
 
 
 def _file(path: Path) -> h5py.File:
@@ -48,10 +48,10 @@ def _dataset(file: h5py.File, name: str) -> h5py.Dataset:
     for last in range(1, len(steps) + 1):  # a link anywhere on the way leads elsewhere as well
         if not isinstance(file.get("/".join(steps[:last]), getlink=True), h5py.HardLink):
             raise ValueError(f"{name} is missing, or a link to elsewhere")
-    found = file[name]
-    if not isinstance(found, h5py.Dataset) or found.dtype.kind not in "fiu":
+    dataset = file[name]
+    if not isinstance(dataset, h5py.Dataset) or dataset.dtype.kind not in "fiu":
         raise ValueError(f"{name} is no array of numbers")
-    return found
+    return dataset
 
 
 def _check(array: h5py.Dataset, name: str, axes: int, path: Path) -> None:

@@ -36,8 +36,8 @@ def join(folder: Path, rows: Sequence[int], attributes: dict[str, Any]) -> None:
     with h5py.File(folder / "data.h5", "w", track_order=False) as file:
         file.attrs.update(attributes)
         for key, meaning in MEANING.items():
-            made = file.create_virtual_dataset(key, _layout(key, rows, *kinds[key]), _missing(kinds[key][1]))
-            made.attrs["meaning"] = meaning
+            joined = file.create_virtual_dataset(key, _layout(key, rows, *kinds[key]), _missing(kinds[key][1]))
+            joined.attrs["meaning"] = meaning
 
 
 def files(path: Path) -> list[Path]:
@@ -48,7 +48,7 @@ def files(path: Path) -> list[Path]:
 
 
 def attributes(path: Path) -> dict[str, Any]:
-    """What a data.h5 says of itself."""
+    """The attributes of a data.h5."""
     with h5py.File(path, "r") as file:
         return dict(file.attrs)
 
@@ -67,12 +67,12 @@ def column(path: Path, key: str) -> Iterator[np.ndarray]:
 
 def survey(path: Path) -> Dataset:
     """The rows of a single file; of shards every k-th row, with the smallest k that leaves SURVEY bytes of them."""
-    found = files(path)
-    if len(found) == 1:
-        return Dataset.read(found[0])
+    shards = files(path)
+    if len(shards) == 1:
+        return Dataset.read(shards[0])
     step = math.ceil(_bytes(path) / SURVEY)
     taken, first = [], 0
-    for part in map(Dataset.read, found):
+    for part in map(Dataset.read, shards):
         taken.append({key: getattr(part, key)[-first % step :: step].copy() for key in MEANING})
         first += len(part)
     return Dataset(**{key: np.concatenate([rows[key] for rows in taken]) for key in MEANING})

@@ -70,7 +70,7 @@ def _rates(law: DelayLaw, plant: Plant, seen: list[np.ndarray], t: float) -> np.
         raise
     except Exception as error:
         raise ConfigError(
-            f"{_place(law)} failed{source_lines.where(error, law.rate)}: {source_lines.told(error)}; fix it"
+            f"{_place(law)} failed{source_lines.where(error, law.rate)}: {source_lines.one_line(error)}; fix it"
         ) from None
     if given is None or not array_checks.fits(rates.shape, D_hat.shape):
         found = None if given is None else rates.shape

@@ -1,4 +1,4 @@
-"""Where the work runs: the device asked for, and the machine in words. torch is imported to check CUDA only."""
+"""The device that the work runs on, and the machine in words. torch is imported to check CUDA only."""
 
 import os
 import platform
@@ -39,11 +39,10 @@ def require(device: str) -> None:
         return
     import torch
 
-    found = torch.cuda.device_count() if torch.cuda.is_available() else 0
-    wanted = int(device.partition(":")[2] or 0)
-    if wanted >= found:
+    count = torch.cuda.device_count() if torch.cuda.is_available() else 0
+    if int(device.partition(":")[2] or 0) >= count:
         raise MissingError(
-            f"--device: expected a device of this machine, got {device!r} with {found} CUDA devices; use --device cpu"
+            f"--device: expected a device of this machine, got {device!r} with {count} CUDA devices; use --device cpu"
         )
 
 
@@ -53,7 +52,7 @@ def cores() -> int:
 
 
 def hardware(device: str) -> dict[str, object]:
-    """What a timing depends on: processor, cores and, on CUDA, the GPUs by name."""
+    """All that a timing depends on: processor, cores and, on CUDA, the GPUs by name."""
     described: dict[str, object] = {"cpu": _cpu(), "cores": cores(), "device": device.partition(":")[0]}
     return described if device == "cpu" else described | {"gpus": _gpus()}
 

@@ -21,7 +21,7 @@ from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from typing import Any, TypeVar
 
-from npred.errors import ConfigError, MissingError, NpredError
+from npred.errors import ConfigError, MissingError, NpredError, first_line
 
 LOCAL = "local"
 ANSWER = 10  # seconds that a scheduler may take to answer
@@ -140,9 +140,7 @@ class Processes(Workers):
             self._replace(pool)
             try:
                 self._start(call, outcome, retries - 1)
-            except (
-                RuntimeError
-            ) as lost:  # the fresh pool is closed or broken already: somebody may wait for the outcome
+            except RuntimeError as lost:  # the fresh pool is closed or broken already: somebody may wait
                 _settle(outcome, lost, None)
         else:
             _settle(outcome, NpredError("expected processes that live, got one killed twice; use fewer --jobs"), None)
@@ -208,7 +206,7 @@ class Cluster(Workers):
 
 
 def _pass_on(done: Future[Any], outcome: Future[Any]) -> None:
-    """What became of a task of the cluster; its own failures in a line each."""
+    """The outcome of a task of the cluster; its own failures in one line each."""
     error = CancelledError() if done.cancelled() else done.exception()
     if isinstance(error, CancelledError):
         error = NpredError("--executor: expected a scheduler that stays up, lost it; start it and run the same again")
@@ -238,7 +236,5 @@ def _cluster(address: str) -> Cluster:
     try:
         return Cluster(Client(address, timeout=ANSWER, set_as_default=False))
     except (OSError, ValueError) as error:
-        reason = (str(error).splitlines() or [type(error).__name__])[0]
-        raise NpredError(
-            f"--executor: expected a Dask scheduler at {address}, got: {reason}; start one there with dask scheduler"
-        ) from None
+        expected = f"--executor: expected a Dask scheduler at {address}"
+        raise NpredError(f"{expected}, got: {first_line(error)}; start one there with dask scheduler") from None

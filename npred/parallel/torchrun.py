@@ -1,4 +1,4 @@
-"""The processes that torchrun starts to train one network: rank 0 is npred as ever, the others only help it train."""
+"""The processes that torchrun starts to train one network: rank 0 runs npred, the others only compute gradients."""
 
 import os
 import sys
@@ -18,7 +18,7 @@ _TURN, _BUSY = Lock(), Event()  # one training after the other, whatever the thr
 
 
 def count() -> int:
-    """How many processes there are: torchrun's WORLD_SIZE, 1 without torchrun."""
+    """The number of processes: torchrun's WORLD_SIZE, 1 without torchrun."""
     return int(os.environ["WORLD_SIZE"]) if LAUNCHED in os.environ else 1
 
 

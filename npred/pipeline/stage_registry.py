@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Any
 from npred import registry
 from npred.config import Loop, Pipeline, Table, Train
 from npred.errors import ConfigError
-from npred.json_files import escaped, regular
+from npred.json_files import escaped, regular, sha256
 from npred.parallel import devices
-from npred.store.keys import sha256_file
 from npred.store.manifest import LONGEST, SourceText
 
 if TYPE_CHECKING:
@@ -157,7 +156,7 @@ def _loop(config: Pipeline, stage: str) -> dict[str, Any]:
 def _digest(path: Path) -> str:
     """What a file of data holds, not where it lies."""
     try:
-        return sha256_file(regular(path))
+        return sha256(regular(path))
     except OSError as error:
         raise ConfigError(f"generate.data: expected a file at {path}, got: {error.strerror}; check the path") from None
 

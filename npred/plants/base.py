@@ -13,7 +13,8 @@ from npred.plants import declaration as declared
 from npred.plants import newton
 from npred.registry import Source
 from npred.symbolic import array_math, programs, source_lines
-from npred.symbolic.trace import Trace, call, python
+from npred.symbolic.declared import call
+from npred.symbolic.trace import Trace, python
 
 
 class Plant:

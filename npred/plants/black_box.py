@@ -12,8 +12,7 @@ from npred import json_files
 from npred.errors import ConfigError
 from npred.plants.base import Plant
 from npred.registry import Source
-from npred.symbolic import hints
-from npred.symbolic.trace import failure, parameters
+from npred.symbolic.declared import RETURNS, failure, parameters
 
 STEP = 6e-6  # of a central difference: the cube root of the machine epsilon balances rounding and the third derivative
 UNDEFINED = (ArithmeticError, ValueError)  # how Python's own numbers say what arrays say by NaN: overflow, a domain
@@ -104,7 +103,7 @@ class BlackBox(Plant):
             values = self._one_by_one(name, arguments, wanted, error)
         if values.shape != wanted:
             found = f"expected to return shape {wanted}, a row per loop, got {values.shape}"
-            raise ConfigError(f"{self.place(name)} {found}; return {hints.RETURNS.get(name, 'a value each')}")
+            raise ConfigError(f"{self.place(name)} {found}; return {RETURNS.get(name, 'one value per component')}")
         return values.reshape(shape if size is None else (*shape, size))
 
     @np.errstate(all="ignore")  # where it is not finite is for the caller to say, in words
@@ -115,7 +114,7 @@ class BlackBox(Plant):
         except (ConfigError, *UNDEFINED):
             raise
         except Exception as error:
-            raise self._failed(name, error) from None
+            raise failure(self, name, error) from None
 
     def _one_by_one(self, name: str, arguments: list[Any], shape: tuple[int, ...], error: Exception) -> np.ndarray:
         """The values row by row, NaN in those in which the function is undefined: one loop must not end the others.
@@ -127,7 +126,7 @@ class BlackBox(Plant):
         if not any(defined):
             harmless = [self._at_guess(k, a) for k, a in enumerate(arguments)]
             if not self._row(name, harmless, slice(0, 1), np.empty((1, *shape[1:]))):
-                raise self._failed(name, error) from None
+                raise failure(self, name, error) from None
         return values
 
     def _row(self, name: str, arguments: list[Any], row: slice, values: np.ndarray) -> bool:
@@ -143,9 +142,6 @@ class BlackBox(Plant):
         if not _batched(argument):
             return argument
         return self.guess[None] if k == 0 and argument.ndim == 2 else np.zeros_like(argument[:1])
-
-    def _failed(self, name: str, error: Exception) -> ConfigError:
-        return ConfigError(f"{failure(self, name, error)}; {hints.cure(self, name, error)}")
 
     @property
     def clocked(self) -> bool:

@@ -33,7 +33,7 @@ class OneStep(Compiled):
         try:
             y = np.asarray(cls.step(f, x, u, u, u, 0.0, 0.1), dtype=float)
         except Exception as error:
-            where, reason = source_lines.where(error, cls.step), source_lines.told(error)
+            where, reason = source_lines.where(error, cls.step), source_lines.one_line(error)
             raise ConfigError(f"{place} failed{where}: {reason}; fix it") from None
         if y.shape != x.shape or not times:
             came = f"{y.shape} after {len(times)} evaluations of f"

@@ -43,7 +43,7 @@ def chain(path: str | Path, pose: Sequence[float] | None = None) -> type:
 
     def kappa(x: Any, t: Any, p: Any, M: Any) -> list[Any]:
         q, rates = list(x[:n]), list(x[n:])
-        speeds, accelerations = wanted(x, t, p, M, middle)
+        speeds, accelerations = called_for(x, t, p, M, middle)
         torques = rigid_body.torques(bodies, q, rates, accelerations, p.gravity, M)
         return [a + c * speed for a, c, speed in zip(torques, rubs, speeds, strict=True)]
 
@@ -55,11 +55,13 @@ def chain(path: str | Path, pose: Sequence[float] | None = None) -> type:
         return goal + speed
 
     functions = {"f": f, "kappa": kappa, "V": V, "reference": reference}
-    return declaration(path, bodies, middle, {name: staticmethod(function) for name, function in functions.items()})
+    return declaration(path, bodies, middle, functions)
 
 
-def declaration(path: str | Path, bodies: list[Body], middle: list[float], more: dict[str, Any]) -> type:
-    """The class that says what a chain of these bodies is, with the functions in `more`."""
+def declaration(
+    path: str | Path, bodies: list[Body], middle: list[float], functions: dict[str, Any], **more: Any
+) -> type:
+    """The class that declares a chain of these bodies with its functions, and more attributes."""
     names = [_name(body.joint) for body in bodies]
     rates, efforts = [f"{name}_rate" for name in names], [body.effort for body in bodies]
     inputs = tuple(f"{name}_{'force' if body.slides else 'torque'}" for name, body in zip(names, bodies, strict=True))
@@ -75,6 +77,7 @@ def declaration(path: str | Path, bodies: list[Body], middle: list[float], more:
         "parameters": dict(GAINS),
         "box": ranges | dict.fromkeys(rates, (-0.2, 0.2)),
         "input_bounds": [(-e, e) for e in efforts] if all(map(math.isfinite, efforts)) else None,
+        **{name: staticmethod(function) for name, function in functions.items()},
         **more,
     })  # fmt: skip
 
@@ -86,11 +89,13 @@ def _name(joint: str) -> str:
 
 
 def middles(bodies: list[Body], pose: Sequence[float] | None) -> list[float]:
-    """Where the joints' waves are around. Raises ConfigError for another number of them."""
-    found = [0.0] * len(bodies) if pose is None else [float(at) for at in pose]
-    if len(found) != len(bodies):
-        raise ConfigError(f"chain: pose expected {len(bodies)} numbers, one per joint that moves, got {pose!r}; fix it")
-    return found
+    """The positions that the joints' waves are about. Raises ConfigError for another number of them."""
+    centres = [0.0] * len(bodies) if pose is None else [float(at) for at in pose]
+    if len(centres) != len(bodies):
+        raise ConfigError(
+            f"chain: pose expected {len(bodies)} numbers, one per joint that moves, got {pose!r}; give as many"
+        )
+    return centres
 
 
 def motion(t: Any, p: Any, M: Any, middle: list[float]) -> tuple[list[Any], list[Any], list[Any]]:
@@ -101,7 +106,7 @@ def motion(t: Any, p: Any, M: Any, middle: list[float]) -> tuple[list[Any], list
     return [at + wave for at, wave in zip(middle, waves, strict=True)], speed, [-(p.frequency**2) * w for w in waves]
 
 
-def wanted(x: Any, t: Any, p: Any, M: Any, middle: list[float]) -> tuple[list[Any], list[Any]]:
+def called_for(x: Any, t: Any, p: Any, M: Any, middle: list[float]) -> tuple[list[Any], list[Any]]:
     """The rates that the errors call for, and the accelerations that make the errors linear."""
     n, (goal, speed, push) = len(middle), motion(t, p, M, middle)
     errors = [x[i] - goal[i] for i in range(n)]

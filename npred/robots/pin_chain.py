@@ -8,7 +8,7 @@ import numpy as np
 
 from npred.errors import MissingError
 from npred.robots import urdf
-from npred.robots.chain import declaration, middles, motion, wanted
+from npred.robots.chain import called_for, declaration, middles, motion
 from npred.symbolic import array_math
 
 
@@ -25,7 +25,7 @@ def pin_chain(path: str | Path, pose: Sequence[float] | None = None) -> type:
         return np.hstack([X[:, n:], library.accelerations(X[:, :n], X[:, n:], u, p.gravity)])
 
     def kappa(X: np.ndarray, t: Any, p: Any) -> np.ndarray:
-        sought = wanted(X.T, t, p, array_math.NUMPY, middle)
+        sought = called_for(X.T, t, p, array_math.NUMPY, middle)
         speeds, accelerations = (np.stack([a + np.zeros(len(X)) for a in rows], axis=1) for rows in sought)
         torques = library.torques(X[:, :n], X[:, n:], accelerations, p.gravity)
         return torques + library.model.damping * speeds
@@ -38,8 +38,7 @@ def pin_chain(path: str | Path, pose: Sequence[float] | None = None) -> type:
         return np.stack(goal + speed, axis=1)
 
     functions = {"f": f, "kappa": kappa, "V": V, "reference": reference}
-    more = {name: staticmethod(function) for name, function in functions.items()}
-    return declaration(path, bodies, middle, more | {"traced": False, "files": (path,)})
+    return declaration(path, bodies, middle, functions, traced=False, files=(path,))
 
 
 class _Library:
@@ -61,10 +60,10 @@ class _Library:
         rows = zip(q, rates, forces, strict=True)
         return np.array([self.pin.aba(self.model, self.data, self._at(a), b, c) for a, b, c in rows])
 
-    def torques(self, q: np.ndarray, rates: np.ndarray, wanted: np.ndarray, gravity: float) -> np.ndarray:
+    def torques(self, q: np.ndarray, rates: np.ndarray, accelerations: np.ndarray, gravity: float) -> np.ndarray:
         """The torques (B, n) of that motion without friction, by the recursive Newton-Euler algorithm."""
         self._pull(gravity)
-        rows = zip(q, rates, wanted, strict=True)
+        rows = zip(q, rates, accelerations, strict=True)
         return np.array([self.pin.rnea(self.model, self.data, self._at(a), b, c) for a, b, c in rows])
 
     def _pull(self, gravity: float) -> None:

@@ -36,7 +36,7 @@ class Body:
 
 
 def torques(bodies: list[Body], q: Vector, rates: Vector, accelerations: Vector, gravity: Any, M: Any) -> Vector:
-    """What the joints must give for those accelerations, damping left out: M(q) q'' + C(q, q') q' + G(q)."""
+    """The joints' torques and forces for those accelerations, damping left out: M(q) q'' + C(q, q') q' + G(q)."""
     placed = [_placed(body, angle, M) for body, angle in zip(bodies, q, strict=True)]
     spin, spun, pushed = [0.0] * 3, [0.0] * 3, [0.0, 0.0, gravity]
     forces: list[tuple[Vector, Vector]] = []
@@ -62,13 +62,13 @@ def _force(body: Body, spin: Vector, spun: Vector, pushed: Vector) -> tuple[Vect
 
 def _carried(bodies: list[Body], placed: list[Any], forces: list[tuple[Vector, Vector]]) -> Vector:
     """The joints' shares, from the tip to the base: each body carries those beyond it."""
-    found: Vector = []
+    shares: Vector = []
     force, moment = [0.0] * 3, [0.0] * 3
     for body, (turn, place), (own, turned) in reversed(list(zip(bodies, placed, forces, strict=True))):
         force, moment = add(own, force), add(turned, moment)
-        found.append(dot(body.axis.tolist(), force if body.slides else moment))
+        shares.append(dot(body.axis.tolist(), force if body.slides else moment))
         force, moment = moved(turn, place, force, moment)
-    return found[::-1]
+    return shares[::-1]
 
 
 def mass_matrix(bodies: list[Body], q: Vector, M: Any) -> Matrix:

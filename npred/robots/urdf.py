@@ -33,7 +33,7 @@ def read(path: str | Path) -> list[Body]:
 
 
 class _Wrong(ValueError):
-    """What is wrong with the file, without its name."""
+    """A mistake in the file, without the file's name."""
 
 
 def _parsed(path: Path) -> ElementTree.Element:
@@ -80,7 +80,7 @@ class _Tree:
 
     def bodies(self) -> list[Body]:
         """From the base to the tip."""
-        found: list[Body] = []
+        chain: list[Body] = []
         self.reached: set[str] = set()
         _, leaving = self._rigid(self.base)
         while leaving:
@@ -89,13 +89,13 @@ class _Tree:
                 raise _Wrong(f"expected a serial chain, but it branches at the joints {names}")
             joint, turn, place = leaving[0]
             inertial, leaving = self._rigid(_text(_part(joint, "child"), "link"))
-            found.append(_body(joint, turn, place, inertial))
-        if not found:
+            chain.append(_body(joint, turn, place, inertial))
+        if not chain:
             raise _Wrong("expected a joint that moves, found none")
         astray = ", ".join(sorted(set(self.links) - self.reached))
         if astray:
             raise _Wrong(f"expected every link to hang on {self.base}, found a ring of {astray}")
-        return found
+        return chain
 
     def _rigid(self, base: str) -> tuple[list[Any], list[Any]]:
         """Inertias of the link and all that is fixed to it, and the moving joints that leave it, in its frame."""
@@ -162,10 +162,10 @@ def _origin(element: ElementTree.Element) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _part(element: ElementTree.Element, tag: str) -> ElementTree.Element:
-    found = element.find(tag)
-    if found is None:
+    part = element.find(tag)
+    if part is None:
         raise _Wrong(f"{element.tag} {element.get('name', '')}: expected a <{tag}>, found none".replace(" :", ":"))
-    return found
+    return part
 
 
 def _text(element: ElementTree.Element, name: str) -> str:

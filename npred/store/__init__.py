@@ -2,7 +2,6 @@
 
 from npred.store import claims, gc_roots
 from npred.store.artifacts import MARKER, Artifact, Store
-from npred.store.keys import short
-from npred.store.manifest import Manifest, Question, Source, SourceText
+from npred.store.manifest import Manifest, Question, Source, SourceText, short
 
 __all__ = ["MARKER", "Artifact", "Manifest", "Question", "Source", "SourceText", "Store", "claims", "gc_roots", "short"]

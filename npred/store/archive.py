@@ -155,19 +155,19 @@ def _padding(size: int) -> bytes:
     return b"\0" * (-size % _BLOCK)
 
 
-def _expect(tar: IO[bytes], wanted: bytes, path: Path, what: str) -> None:
-    if tar.read(len(wanted)) != wanted:
+def _expect(tar: IO[bytes], expected: bytes, path: Path, what: str) -> None:
+    if tar.read(len(expected)) != expected:
         raise _refused(path, what)
 
 
 def _copy(tar: IO[bytes], target: Path, digest: str, size: int, path: Path) -> None:
-    found, left = hashlib.sha256(), size
+    hashed, left = hashlib.sha256(), size
     with target.open("xb") as file:
         while chunk := tar.read(min(left, _CHUNK)):
             file.write(chunk)
-            found.update(chunk)
+            hashed.update(chunk)
             left -= len(chunk)
-    if left or found.hexdigest() != digest:
+    if left or hashed.hexdigest() != digest:
         raise _refused(path, target.name)
 
 

@@ -15,8 +15,7 @@ from npred import json_files
 from npred.defaults import RESULT
 from npred.errors import ConfigError, StoreError
 from npred.store import durable, gc_roots, locks
-from npred.store.keys import short
-from npred.store.manifest import NAME, Manifest, Question, SourceText, cure
+from npred.store.manifest import NAME, Manifest, Question, SourceText, cure, short
 
 MARKER = ".npred-store"  # an empty file: without it nothing in a folder is npred's to delete
 _LEFT = (".tmp", ".scratch")
@@ -104,7 +103,7 @@ class Store:
             (self.root / MARKER).touch()
 
     def folder(self, stage: str, key: str) -> Path:
-        """Where the result of a key is or will be."""
+        """The folder of the result of a key, whether it is there or not."""
         return self.root / stage / key
 
     def scratch(self, stage: str, key: str) -> Path:
@@ -199,13 +198,13 @@ class Store:
         if named:
             return named[-1]
         stage, _, prefix = reference.rpartition("/")
-        found = [
+        matching = [
             a for a in everything if a.manifest.key.startswith(prefix) and stage in ("", a.manifest.question.stage)
         ]
-        if len(found) != 1 or not prefix:
-            names = ", ".join(a.name for a in found[:4]) or "none"
+        if len(matching) != 1 or not prefix:
+            names = ", ".join(a.name for a in matching[:4]) or "none"
             raise ConfigError(f"{reference}: expected one artifact of {self.root}, got {names}; see npred ls")
-        return found[0]
+        return matching[0]
 
     def delete(self, path: Path, due: Callable[[Path], bool] = lambda path: True) -> bool:
         """Remove a result, a draft or a checkpoint; False, and nothing done, while its key is being worked on.

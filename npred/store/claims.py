@@ -1,4 +1,4 @@
-"""What runs at work take from a store: gc leaves it alone, though no lock is held on what is only read."""
+"""The results that runs at work read: gc leaves them alone, though no lock is held on what is only read."""
 
 import re
 from collections.abc import Callable, Iterator
@@ -63,7 +63,7 @@ def _opened(root: Path) -> Iterator[BinaryIO]:
 
 def in_use(root: Path) -> set[str]:
     """The keys that runs at work have claimed; the claims of processes that have ended are removed."""
-    found: set[str] = set()
+    keys: set[str] = set()
     for path in root.glob(".locks/run-*.lock"):
         if not _CLAIM.fullmatch(path.name):
             continue
@@ -73,10 +73,10 @@ def in_use(root: Path) -> set[str]:
                 for left in (_keys(path), path.with_suffix(".holder"), path):
                     left.unlink(missing_ok=True)
         except Timeout:
-            found |= _read(_keys(path))
+            keys |= _read(_keys(path))
         except OSError:  # a store that cannot be written, or one that has just gone
             continue
-    return found
+    return keys
 
 
 def _remove(path: Path) -> None:

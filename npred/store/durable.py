@@ -1,4 +1,4 @@
-"""What reaches the disk, and what a disk that is full says."""
+"""Files made to outlive a loss of power, and a full disk in one line."""
 
 import errno
 import os
@@ -37,7 +37,7 @@ def make(folder: Path) -> None:
 
 @contextmanager
 def room(root: Path) -> Iterator[None]:
-    """Tell in one line, with exit code 1, that the disk below `root` is full, whichever library met it."""
+    """Raise NpredError, one line, where the disk below `root` is full, whichever library met it."""
     try:
         yield
     except Exception as error:
@@ -53,6 +53,6 @@ def is_full(error: BaseException | None) -> bool:
     """
     if error is None:
         return False
-    told = isinstance(error, OSError) and error.errno in _FULL
+    numbered = isinstance(error, OSError) and error.errno in _FULL
     before = error.__cause__ or (None if error.__suppress_context__ else error.__context__)
-    return told or any(word in str(error) for word in _WORDS) or is_full(before)
+    return numbered or any(word in str(error) for word in _WORDS) or is_full(before)

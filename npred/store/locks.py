@@ -1,4 +1,4 @@
-"""One lock a key, held by one process at a time; who holds it can be read beside it."""
+"""One lock per key, held by one process at a time, which leaves its name beside it."""
 
 import json
 import os
@@ -35,7 +35,7 @@ def held(path: Path, waiting: Callable[[str], None] | None = None) -> Iterator[N
 
 
 def holder(path: Path) -> str:
-    """Who holds the lock, in words."""
+    """The process that holds the lock, in words."""
     try:
         who = json_files.table(_note(path), limit=1024)
         return f"process {who['pid']} on {who['host']}"

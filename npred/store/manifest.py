@@ -1,5 +1,10 @@
-"""What a manifest.json holds: the question, the digests of the answer, and where it was made."""
+"""A result's manifest.json: the question, whose digest is its key, the digests of the answer, and where it was made.
 
+The same question has the same key on every machine.
+"""
+
+import hashlib
+import json
 import os
 import platform
 import stat
@@ -13,12 +18,27 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 from npred import json_files
 from npred.errors import StoreError
 from npred.parallel.devices import arithmetic, packages
-from npred.store.keys import key, sha256, sha256_file
 
 NAME = "manifest.json"
 MADE = "made"  # in the provenance: when
 LONGEST = 2**18  # letters of a file of code that is kept
+SHORT = 12  # digits of a key, enough for people
 PARTIAL = ".nfs"  # how NFS calls a file that was removed while somebody had it open
+
+
+def canonical(value: Any) -> str:
+    """JSON with sorted keys and no spaces: one text per value. Raises ValueError for NaN and infinities."""
+    return json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
+
+
+def sha256(value: Any) -> str:
+    """The sha256 of a value's canonical JSON, in hexadecimal."""
+    return hashlib.sha256(canonical(value).encode()).hexdigest()
+
+
+def short(key: str) -> str:
+    """The first digits of a key."""
+    return key[:SHORT]
 
 
 def inside(name: str) -> str:
@@ -72,7 +92,7 @@ class SourceText(Record):
 
 
 class Question(Record):
-    """What determines a result; `key` is its sha256."""
+    """All that determines a result; `key` is its sha256."""
 
     stage: Word
     version: int
@@ -82,9 +102,10 @@ class Question(Record):
 
     @property
     def key(self) -> str:
-        """The sha256 that names the artifact; see npred.store.keys.key."""
+        """The sha256 that names the artifact, of the inputs no more than their digests."""
         digests = {name: source.digest for name, source in self.inputs.items()}
-        return key(self.stage, self.version, self.model, self.config, digests)
+        question = {"stage": self.stage, "version": self.version, "model": self.model, "config": self.config}
+        return sha256(question | {"inputs": digests})
 
 
 class Manifest(Record):
@@ -151,13 +172,13 @@ class Manifest(Record):
         """Whether checksum, digest and key all follow from the other fields."""
         fields = self._covered()
         try:
-            found = (sha256(fields), sha256(fields["files"]), self.question.key)
+            digests = (sha256(fields), sha256(fields["files"]), self.question.key)
         except (ValueError, RecursionError):  # a number or a nesting that no configuration of npred has
             return False
-        return (self.checksum, self.digest, self.key) == found
+        return (self.checksum, self.digest, self.key) == digests
 
     def _covered(self) -> dict[str, Any]:
-        """What the checksum covers; manifests of an older npred have no sources."""
+        """The fields that the checksum covers; manifests of an older npred have no sources."""
         return self.model_dump(exclude={"checksum"} if self.sources else {"checksum", "sources"})
 
     @property
@@ -184,25 +205,25 @@ class Manifest(Record):
 
     def verify(self, folder: Path) -> None:
         """Raise StoreError, naming the file, unless the folder holds the payload as it was written and nothing else."""
-        found = dict(_files(folder))
+        sizes = dict(_files(folder))
         for name, payload in self.files.items():
-            if name not in found:
+            if name not in sizes:
                 raise StoreError(
                     f"{folder / name}: expected a file of {payload.size} bytes, found none; {cure(folder)}"
                 )
-            got = f"{found[name]} bytes" if found[name] != payload.size else sha256_file(folder / name)
+            got = f"{sizes[name]} bytes" if sizes[name] != payload.size else json_files.sha256(folder / name)
             if got != payload.sha256:
-                wanted = f"sha256 {payload.sha256[:12]} in {payload.size} bytes"
+                recorded = f"sha256 {payload.sha256[:12]} in {payload.size} bytes"
                 raise StoreError(
-                    f"{folder / name}: expected {wanted}, got {got[:32]}: the file is corrupt; {cure(folder)}"
+                    f"{folder / name}: expected {recorded}, got {got[:32]}: the file is corrupt; {cure(folder)}"
                 )
-        more = sorted(found.keys() - self.files.keys())
+        more = sorted(sizes.keys() - self.files.keys())
         if more:
             raise StoreError(f"{folder / more[0]}: expected no such file in a result, found it; move it elsewhere")
 
 
 def cure(folder: Path) -> str:
-    """What to do about a corrupt artifact."""
+    """The advice on a corrupt artifact."""
     return f"remove {folder} and run again"
 
 
@@ -214,7 +235,7 @@ def provenance(device: str) -> dict[str, str | None]:
 
 
 def _payloads(folder: Path) -> dict[str, dict[str, Any]]:
-    return {name: {"sha256": sha256_file(folder / name), "size": size} for name, size in sorted(_files(folder))}
+    return {name: {"sha256": json_files.sha256(folder / name), "size": size} for name, size in sorted(_files(folder))}
 
 
 def _files(folder: Path) -> Iterator[tuple[str, int]]:
@@ -222,6 +243,6 @@ def _files(folder: Path) -> Iterator[tuple[str, int]]:
     for here, _, names in os.walk(folder):
         for name in names:
             path = Path(here, name)
-            found = path.lstat()
-            if stat.S_ISREG(found.st_mode) and path != folder / NAME and not name.startswith(PARTIAL):
-                yield path.relative_to(folder).as_posix(), found.st_size
+            status = path.lstat()
+            if stat.S_ISREG(status.st_mode) and path != folder / NAME and not name.startswith(PARTIAL):
+                yield path.relative_to(folder).as_posix(), status.st_size

@@ -1,10 +1,14 @@
 """Costly plants: f, kappa and their derivatives compiled once as functions of their own, which the kernels call.
 
 Written out, RK4 holds f four times and the update law its derivative twice; a compiler's time grows faster than that.
-The functions themselves go past most of the compiler: their programs are lowered operation by operation (lowering.py).
+The functions themselves go past most of the compiler: each operation of their programs is lowered by Numba itself, its
+types known beforehand. Four fifths of the time that thousands of lines take to compile go into rewriting them and
+inferring types, and here there is nothing to infer: all numbers are floats. What comes out is the same code.
 """
 
+from collections.abc import Callable
 from functools import cache
+from typing import Any
 
 import numpy as np
 
@@ -14,18 +18,18 @@ from npred.symbolic.trace import Trace
 
 LONG = 150  # lines from which on a function is called; below, all fits into registers and SIMD lanes
 
-VERSION = 1  # compiled programs are kept under their text: a change of what lowering.py makes of it counts here
+VERSION = 1  # compiled programs are kept under their text: a change of how they are lowered counts here
 TEXTS = {name: f"o.{name}({', '.join(f'{{{k}}}' for k in range(op.arity))})" for name, op in tape.OPS.items()}
 PROGRAM = """\
-from npred.symbolic.lowering import function  # {version}
+from npred.symbolic.called_functions import lowered_function  # {version}
 
 
-def program(o, {given}):
+def program(o, {arguments}):
     {lines}
-    return ({found},)
+    return ({results},)
 
 
-lowered = function(program, {size})
+lowered = lowered_function(program, {size})
 """
 
 
@@ -49,10 +53,10 @@ def imports(trace: Trace) -> str:
 def _module(plant: Declared, name: str) -> str:
     """The name of the module that holds the compiled function, which is loaded."""
     arguments, lines, size = _lines(plant, name)
-    given, found = ", ".join(arguments), ", ".join(_names("y", size))
-    program = {"given": given, "found": found, "lines": "\n    ".join(lines), "size": size}
+    named, results = ", ".join(arguments), ", ".join(_names("y", size))
+    program = {"arguments": named, "results": results, "lines": "\n    ".join(lines), "size": size}
     preamble = PROGRAM.format(version=VERSION, **program)
-    text = f"def plant_{name}({given}):\n    return lowered(({given},))\n"
+    text = f"def plant_{name}({named}):\n    return lowered(({named},))\n"
     signature = f"UniTuple(float64, {size})({', '.join(['float64'] * len(arguments))})"
     return kernels.build(f"plant_{name}", signature, text, preamble).__module__
 
@@ -72,3 +76,59 @@ def _lines(plant: Declared, name: str) -> tuple[list[str], list[str], int]:
 
 def _names(prefix: str, count: int) -> list[str]:
     return [f"{prefix}{k}" for k in range(count)]
+
+
+def lowered_function(program: Callable[..., tuple[Any, ...]], size: int) -> Any:
+    """The function of a tuple of floats that compiled code calls for `program(o, *floats)`, with `size` results."""
+    from numba import types  # here and below: Numba loads slowly, and `npred plants` needs none of it
+    from numba.core import cgutils
+    from numba.extending import intrinsic
+
+    @intrinsic
+    def lowered(_: Any, floats: Any) -> Any:
+        def write(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+            o = Operations(context, builder)
+            results = program(o, *cgutils.unpack_tuple(builder, args[0]))
+            return context.make_tuple(builder, signature.return_type, [o.value(y) for y in results])
+
+        return types.UniTuple(types.float64, size)(floats), write
+
+    return lowered
+
+
+class Operations:
+    """The operations `o` of a program, on values of the code that is being written."""
+
+    def __init__(self, context: Any, builder: Any) -> None:
+        from numba import float64
+
+        self._context, self._builder, self._float = context, builder, float64
+
+    def __getattr__(self, op: str) -> Callable[..., Any]:
+        from numba import boolean
+
+        function = np.sign if op == "sign" else tape.OPS[op].value
+        types = (boolean if op in ("lt", "le") else self._float)(*[self._float] * tape.OPS[op].arity)
+        code = self._context.get_function(function, types)
+
+        def call(*args: Any) -> Any:
+            return code(self._builder, [self.value(a) for a in args])
+
+        setattr(self, op, call)  # looked up once per program
+        return call
+
+    def where(self, condition: Any, a: Any, b: Any) -> Any:
+        """a where the condition holds, else b."""
+        return self._builder.select(condition, self.value(a), self.value(b))
+
+    def maximum(self, a: Any, b: Any) -> Any:
+        """The larger, as the interpreter's `max`: the first unless the second is above it."""
+        return self.where(self.lt(a, b), b, a)
+
+    def minimum(self, a: Any, b: Any) -> Any:
+        """The smaller, likewise."""
+        return self.where(self.lt(b, a), b, a)
+
+    def value(self, a: Any) -> Any:
+        """A number becomes a constant of the code."""
+        return self._context.get_constant(self._float, a) if isinstance(a, float) else a

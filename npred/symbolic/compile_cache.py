@@ -19,6 +19,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from npred import json_files
 from npred.errors import ConfigError, NpredError
 
 VARIABLE, HOME = "NPRED_CACHE", "XDG_CACHE_HOME"
@@ -49,7 +50,7 @@ def named(name: str, folder: Path, text: str) -> str:
 
 @contextmanager
 def kept(name: str) -> Iterator[None]:
-    """What Numba compiles in the block comes from the cache, or enters it, under a name that says all it depends on.
+    """Take what Numba compiles in the block from the cache, or put it there, under a name that says all it depends on.
 
     Raises NpredError where the disk of the cache is full.
     """
@@ -183,7 +184,7 @@ def _sound(place: Path) -> bool:
     """Whether every file that was sealed is as it was. Numba opens no other: its index, one of them, names them."""
     try:
         sealed = json.loads((place / SEAL).read_bytes())
-        return all(_digest(place / name) == digest for name, digest in sealed.items())
+        return all(json_files.sha256(place / name) == digest for name, digest in sealed.items())
     except (OSError, ValueError, AttributeError):
         return False
 
@@ -212,9 +213,4 @@ def _place(aside: Path, place: Path) -> None:
 def _digests(folder: Path) -> dict[str, str]:
     """The sha256 of each file of a folder, by its path."""
     files = (Path(here, name) for here, _, names in os.walk(folder) for name in names)
-    return {str(path.relative_to(folder)): _digest(path) for path in files}
-
-
-def _digest(path: str | Path) -> str:
-    with open(path, "rb") as file:
-        return hashlib.sha256(file.read()).hexdigest()
+    return {str(path.relative_to(folder)): json_files.sha256(path) for path in files}

@@ -1,11 +1,37 @@
-"""What the formula compiler needs to know of a plant, which stands on a higher floor."""
+"""The declared functions of a plant, which stands on a higher floor: their calls, and their failures with advice."""
 
+import re
+from collections import namedtuple
 from collections.abc import Sequence
+from functools import cache
 from typing import Any, ClassVar, Protocol
+
+import numpy as np
+
+from npred.errors import ConfigError
+from npred.symbolic import source_lines
+from npred.symbolic.tape import FUNCTIONS
+
+SIGNATURES = {"f": "f(x, u, t, p, M)", "reference": "reference(t, p, M)"}
+SIGNATURES |= {name: f"{name}(x, t, p, M)" for name in ("kappa", "V")}
+ON_ROWS = {"f": "f(X, u, t, p)", "reference": "reference(t, p)", "df": "df(X, u, t, p, v)"}
+ON_ROWS |= {"kappa": "kappa(X, t, p)", "V": "V(X, t, p)", "dkappa": "dkappa(X, t, p, v)"}
+HINTS = {
+    "for &": "write M.where(a, M.where(b, yes, no), no) for a and b",
+    "for |": "write M.where(a, yes, M.where(b, yes, no)) for a or b",
+    "tuple indices must be": "states, inputs and parameters have names: write x.name, u.name, p.name",
+    "'Symbol' object has no attribute": "look at the order of the arguments: write def {signature}",
+}
+RETURNS = {
+    "f": "one derivative per state",
+    "kappa": "one value per input",
+    "reference": "one value per state",
+    "V": "one number, not a list",
+}
 
 
 class Declared(Protocol):
-    """Names, sizes, parameters and functions; npred.plants.Plant has them."""
+    """What the formula compiler needs of a plant: names, sizes, parameters, functions; npred.plants.Plant has them."""
 
     traced: ClassVar[bool]
 
@@ -31,3 +57,76 @@ class Declared(Protocol):
     def place(self, name: str) -> str:
         """A declared function in words, with file and line."""
         ...
+
+
+def call(
+    plant: Declared, name: str, x: list[Any] | None, u: list[Any] | None, t: Any, p: Sequence[Any], M: Any
+) -> list[Any]:
+    """The declared function on named components; a failure inside it becomes one line with the line of the file.
+
+    Only f takes u, and `reference` takes the time alone.
+    """
+    state = () if x is None else (_record("State", plant.states)(*x),)
+    named = _record("Parameters", tuple(plant.parameters))(*p)
+    inputs = () if u is None else (_record("Inputs", plant.inputs)(*u),)
+    function = getattr(plant.declaration, name)
+    try:
+        values = function(*state, *inputs, t, named, M)
+    except ConfigError:
+        raise
+    except Exception as error:
+        raise failure(plant, name, error) from None
+    if name == "V":
+        return [values]
+    # A formula that returns a bare number returns, on arrays, an array without an axis of components.
+    several = isinstance(values, list | tuple) or np.ndim(values) > np.ndim(t if x is None else x[0])
+    return list(values) if several else [values]
+
+
+def parameters(plant: Declared) -> Any:
+    """The parameters' values by name."""
+    return _record("Parameters", tuple(plant.parameters))(*np.array([*plant.parameters.values()], dtype=float))
+
+
+def failure(plant: Declared, name: str, error: Exception) -> ConfigError:
+    """A failure inside a declared function, in one line: where in the author's file, and what may have been meant."""
+    function = getattr(plant.declaration, name)
+    place = source_lines.where(error, function) or f" ({source_lines.line(function)})"
+    message = f"plant {plant.name}: {name} failed{place}: {source_lines.one_line(error)}"
+    return ConfigError(f"{message}; {_cure(plant, name, error)}")
+
+
+@cache
+def _record(kind: str, names: tuple[str, ...]) -> Any:
+    return namedtuple(kind, names)
+
+
+def _cure(plant: Declared, function: str, error: Exception) -> str:
+    """The advice on a failure of a declared function."""
+    signature = (SIGNATURES if plant.traced else ON_ROWS)[function]
+    if not source_lines.where(error, getattr(plant.declaration, function)):  # it was not even entered
+        return f"write def {signature}"
+    names = getattr(getattr(error, "obj", None), "_fields", None)
+    if isinstance(error, AttributeError) and names is not None:
+        return f"expected one of {', '.join(names) or 'none: none is declared'}"
+    if isinstance(error, NameError):
+        return _meant(str(error.name), plant, function, signature)
+    for words, hint in HINTS.items():
+        if words in str(error):
+            return hint.format(signature=signature)
+    ufunc = re.search(r"no callable (\w+) method", str(error))
+    return f"write M.{ufunc[1]}" if ufunc else f"fix {function}"
+
+
+def _meant(name: str, plant: Declared, function: str, signature: str) -> str:
+    """The advice on a name that the function does not know."""
+    homes = {"p": plant.parameters} | ({"x": plant.states, "M": (*FUNCTIONS, "where", "pi")} if plant.traced else {})
+    if function == "f" and plant.traced:
+        homes["u"] = plant.inputs
+    for home, names in homes.items():
+        if name in names:
+            return f"write {home}.{name}"
+    arguments = signature.partition("(")[2].rstrip(")")
+    if name in ("u", *plant.inputs) and function != "f":
+        return f"only f knows the inputs, and kappa gives them: write {function} in {arguments}"
+    return f"expected one of {arguments}, or what the file defines"

@@ -41,7 +41,7 @@ def minus(a: Any, terms: Iterable[Any]) -> Any:
 
 def total(terms: Iterable[Any]) -> Any:
     """The sum without the leading zero of sum(): 0.0 for none."""
-    found: Any = 0.0
+    result: Any = 0.0
     for k, term in enumerate(terms):
-        found = term if k == 0 else found + term
-    return found
+        result = term if k == 0 else result + term
+    return result

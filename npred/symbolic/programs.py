@@ -1,6 +1,6 @@
-"""What is made of a tape: the forward derivative of some outputs, their straight-line program, what they depend on.
+"""Programs from a tape: the forward derivative of some outputs, their straight-line program, their dependencies.
 
-What no output needs is left out.
+Nodes that no output needs are left out.
 """
 
 import math
@@ -61,13 +61,13 @@ def lines(
     so that the text does not depend on what else is on the tape.
     """
     symbols = [y for y in outputs if isinstance(y, Symbol)]
-    found, names = [], {}
+    assignments, names = [], {}
     for index in _needed(outputs):
         op, args = symbols[0].tape.nodes[index]
         right = _right_side(op, args, names, bindings, texts)
         names[index] = f"v{len(names)}"
-        found.append(f"{names[index]} = {right}")
-    return found + [f"{target} = {_text(y, names)}" for target, y in zip(targets, outputs, strict=True)]
+        assignments.append(f"{names[index]} = {right}")
+    return assignments + [f"{target} = {_text(y, names)}" for target, y in zip(targets, outputs, strict=True)]
 
 
 def _right_side(
@@ -97,11 +97,11 @@ def depends(outputs: Vector, symbols: Vector) -> bool:
 
 def kinks(outputs: Vector, inputs: Vector) -> list[str]:
     """The operations without a derivative somewhere by which the outputs depend on those inputs, each named once."""
-    found = set()
+    operations = set()
     nodes = next((y.tape.nodes for y in outputs if isinstance(y, Symbol)), [])
     for index in _needed(outputs):
         op, args = nodes[index]
         decided = args[:1] if op == "where" else args
         if op in ("abs", "sign", "where", "maximum", "minimum") and depends(decided, inputs):
-            found.add(op)
-    return sorted(found)
+            operations.add(op)
+    return sorted(operations)

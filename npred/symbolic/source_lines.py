@@ -1,4 +1,4 @@
-"""Whose fault it is: file and line of what a user wrote, and a failure of it in one line."""
+"""File and line of code that a user wrote, and a failure of it in one line."""
 
 import inspect
 import traceback
@@ -28,7 +28,7 @@ def last_line(error: BaseException, file: str) -> str:
     return f":{theirs[-1]}" if theirs else ""
 
 
-def told(error: BaseException) -> str:
+def one_line(error: BaseException) -> str:
     """The failure in one line."""
     return " ".join(f"{type(error).__name__}: {error}".split())
 

@@ -1,6 +1,6 @@
 """A small tape: an ordinary Python function, run on symbols, leaves its operations as nodes.
 
-Equal operations share one node, and constants fold. programs.py makes of a tape what is wanted. See docs/design.md for
+Equal operations share one node, and constants fold. programs.py turns a tape into programs. See docs/design.md for
 why this and not a computer-algebra system.
 """
 
@@ -81,7 +81,7 @@ class Tape:
         self._solved: dict[int, Solution] = {}
 
     def solve(self, A: Sequence[Vector], b: Vector) -> list[Any]:
-        """y of A y = b, A symmetric positive definite; see linear.solve. Its derivative takes the same factors."""
+        """y of A y = b, A symmetric positive definite; see ldl.solve. Its derivative takes the same factors."""
         before = len(self.nodes)
         L, inverse = ldl.factors([list(row) for row in A])
         y = ldl.back(L, inverse, list(b))
@@ -144,8 +144,8 @@ class Solution:
         dA = [[tangent_of(self.A[max(i, j)][min(i, j)], tangents) for j in size] for i in size]
         turned = [ldl.total(a * y for a, y in zip(row, self.y, strict=True)) for row in dA]
         right = [tangent_of(b, tangents) - a for b, a in zip(self.b, turned, strict=True)]
-        found = ldl.back(self.L, self.inverse, right)
-        return {y.index: dy for y, dy in zip(self.y, found, strict=True) if isinstance(y, Symbol)}
+        dy = ldl.back(self.L, self.inverse, right)
+        return {y.index: change for y, change in zip(self.y, dy, strict=True) if isinstance(y, Symbol)}
 
 
 def tangent_of(a: Any, tangents: dict[int, Any]) -> Any:
@@ -202,6 +202,11 @@ def _same(a: Any, b: Any) -> bool:
     return not isinstance(a, Symbol) and not isinstance(b, Symbol) and a == b
 
 
+def _both(op: str) -> tuple[Callable[["Symbol", Any], Any], Callable[["Symbol", Any], Any]]:
+    """The methods of a symbol that stands before the operator, and of one that stands after it."""
+    return lambda a, b: _binary(op, a, b), lambda a, b: _binary(op, b, a)
+
+
 class Symbol:
     """A value that is not known yet. Arithmetic records; a decision on it (`if`, `max`, `float`) is refused."""
 
@@ -211,29 +216,12 @@ class Symbol:
     def __init__(self, tape: Tape, index: int) -> None:
         self.tape, self.index = tape, index
 
-    def __add__(self, other: Any) -> Any:
-        return _binary("add", self, other)
-
-    def __radd__(self, other: Any) -> Any:
-        return _binary("add", other, self)
-
-    def __sub__(self, other: Any) -> Any:
-        return _binary("sub", self, other)
-
-    def __rsub__(self, other: Any) -> Any:
-        return _binary("sub", other, self)
-
-    def __mul__(self, other: Any) -> Any:
-        return _binary("mul", self, other)
-
-    def __rmul__(self, other: Any) -> Any:
-        return _binary("mul", other, self)
-
-    def __truediv__(self, other: Any) -> Any:
-        return _binary("div", self, other)
-
-    def __rtruediv__(self, other: Any) -> Any:
-        return _binary("div", other, self)
+    __add__, __radd__ = _both("add")
+    __sub__, __rsub__ = _both("sub")
+    __mul__, __rmul__ = _both("mul")
+    __truediv__, __rtruediv__ = _both("div")
+    __lt__, __gt__ = _both("lt")
+    __le__, __ge__ = _both("le")
 
     def __neg__(self) -> Any:
         return self.tape.apply("neg", self)
@@ -250,18 +238,6 @@ class Symbol:
     def __rpow__(self, base: Any) -> Any:
         return _binary("pow", base, self)
 
-    def __lt__(self, other: Any) -> Any:
-        return self.tape.apply("lt", self, other)
-
-    def __le__(self, other: Any) -> Any:
-        return self.tape.apply("le", self, other)
-
-    def __gt__(self, other: Any) -> Any:
-        return self.tape.apply("lt", other, self)
-
-    def __ge__(self, other: Any) -> Any:
-        return self.tape.apply("le", other, self)
-
     def __eq__(self, other: object) -> Any:
         raise TypeError("== on a state, input or parameter has no derivative; compare with <= and use M.where")
 
@@ -271,7 +247,9 @@ class Symbol:
         )
 
     def __float__(self) -> float:
-        raise TypeError("a number was wanted of a state, input or parameter (math.sin, float); use M.sin and its like")
+        raise TypeError(
+            "math.sin or float of a state, input or parameter, which has no number yet; use M.sin and its like"
+        )
 
     __int__ = __index__ = __float__  # type: ignore[assignment]
 

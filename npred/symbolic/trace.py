@@ -1,18 +1,16 @@
 """A plant's functions on one tape, and programs of them printed as plain Python."""
 
 import math
-from collections import namedtuple
 from collections.abc import Callable, Collection, Sequence
-from functools import cache
 from numbers import Real
 from typing import Any
 
 import numpy as np
 
 from npred.errors import ConfigError
-from npred.symbolic import hints, programs, source_lines
+from npred.symbolic import programs
 from npred.symbolic import tape as tapes
-from npred.symbolic.declared import Declared
+from npred.symbolic.declared import RETURNS, Declared
 
 
 class Trace:
@@ -74,61 +72,20 @@ class Trace:
         state, inputs = (None if part is None else list(part) for part in (x, u))
         values = self.plant.call(name, state, inputs, t, self.parameters, tapes.M)
         if len(values) != size:
-            wanted = f"{size} value{'s' * (size > 1)}"
-            listed = ", ".join(self.plant.inputs if name == "kappa" else self.plant.states)
-            cure = f"return {hints.RETURNS[name]}: {listed}"
-            raise ConfigError(f"{self.plant.place(name)} expected to return {wanted}, got {len(values)}; {cure}")
+            count = f"{size} value{'s' * (size > 1)}"
+            names = ", ".join(self.plant.inputs if name == "kappa" else self.plant.states)
+            cure = f"return {RETURNS[name]}: {names}"
+            raise ConfigError(f"{self.plant.place(name)} expected to return {count}, got {len(values)}; {cure}")
         for value in values:
             if not isinstance(value, tapes.Symbol | Real):
                 raise ConfigError(
                     f"{self.plant.place(name)} expected to return numbers and formulas, got {type(value).__name__}; "
-                    f"return {hints.RETURNS[name]}"
+                    f"return {RETURNS[name]}"
                 )
         return np.array(values, dtype=object)
 
 
-def call(
-    plant: Declared, name: str, x: list[Any] | None, u: list[Any] | None, t: Any, p: Sequence[Any], M: Any
-) -> list[Any]:
-    """The declared function on named components; a failure inside it becomes one line with the line of the file.
-
-    Only f takes u, and `reference` takes the time alone.
-    """
-    state = () if x is None else (_record("State", plant.states)(*x),)
-    named = _record("Parameters", tuple(plant.parameters))(*p)
-    inputs = () if u is None else (_record("Inputs", plant.inputs)(*u),)
-    function = getattr(plant.declaration, name)
-    try:
-        values = function(*state, *inputs, t, named, M)
-    except ConfigError:
-        raise
-    except Exception as error:
-        raise ConfigError(f"{failure(plant, name, error)}; {hints.cure(plant, name, error)}") from None
-    if name == "V":
-        return [values]
-    # A formula that returns a bare number returns, on arrays, an array without an axis of components.
-    several = isinstance(values, list | tuple) or np.ndim(values) > np.ndim(t if x is None else x[0])
-    return list(values) if several else [values]
-
-
-def parameters(plant: Declared) -> Any:
-    """The parameters' values by name."""
-    return _record("Parameters", tuple(plant.parameters))(*np.array([*plant.parameters.values()], dtype=float))
-
-
-def failure(plant: Declared, name: str, error: Exception) -> str:
-    """What went wrong inside a declared function, in one line with the line of the author's file."""
-    function = getattr(plant.declaration, name)
-    place = source_lines.where(error, function) or f" ({source_lines.line(function)})"
-    return f"plant {plant.name}: {name} failed{place}: {source_lines.told(error)}"
-
-
 ON_ARRAYS = {name: f"np.{name}({{0}}, {{1}})" for name in ("maximum", "minimum")} | {"where": "np.where({0}, {1}, {2})"}
-
-
-@cache
-def _record(kind: str, names: tuple[str, ...]) -> Any:
-    return namedtuple(kind, names)
 
 
 def python(outputs: tapes.Vector, names: Sequence[str], library: Any = math) -> Callable[..., list[float]]:

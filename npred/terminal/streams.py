@@ -15,8 +15,6 @@ from typing import Any
 from npred.errors import NpredError
 from npred.json_files import escaped
 
-SHOW_CURSOR = "\x1b[?25h"
-
 
 def printable(text: str) -> str:
     """The text with all that a terminal obeys or hides spelt out, but for its line ends."""
@@ -48,7 +46,7 @@ def width(stream: Any) -> int | None:
 
 
 def columns_of(text: str) -> int:
-    """How many columns a line takes: D̂ is one, though it is two characters."""
+    """The columns that a line takes: D̂ is one, though it is two characters."""
     return sum(not unicodedata.combining(c) for c in text)
 
 
@@ -89,8 +87,8 @@ def answer(text: str) -> None:
 
 
 def unwritable(reason: str | None) -> NpredError:
-    """What to say of a stdout that takes nothing."""
-    todo = "what was made is in the store, send stdout elsewhere"
+    """The failure of a stdout that takes nothing."""
+    todo = "the results are in the store, send stdout elsewhere"
     return NpredError(f"stdout: expected a stream that takes the answer, got {reason}; {todo}")
 
 

@@ -10,7 +10,7 @@ from npred.errors import MissingError
 
 
 class Events:
-    """Writes a folder a training: loss, held-out errors and learning rate by epoch.
+    """Writes one folder per training: loss, held-out errors and learning rate by epoch.
 
     Event files hold times and host names, so they are no part of a result. Raises MissingError without TensorBoard.
     """
@@ -19,9 +19,8 @@ class Events:
         try:
             from torch.utils.tensorboard import SummaryWriter
         except ImportError:
-            raise MissingError(
-                "--tensorboard: expected the package tensorboard, found none; pip install 'npred[tensorboard]'"
-            ) from None
+            todo = "pip install 'npred[tensorboard]'"
+            raise MissingError(f"--tensorboard: expected the package tensorboard, found none; {todo}") from None
         self.folder, self.writer, self.open, self.lock = folder, SummaryWriter, {}, threading.Lock()
 
     def write(self, title: str, values: Mapping[str, float]) -> None:

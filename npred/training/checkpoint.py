@@ -1,4 +1,4 @@
-"""Where an interrupted training goes on: one safetensors file, replaced in one step; nothing is ever unpickled.
+"""The checkpoint of a training: one safetensors file, replaced in one step; nothing is ever unpickled.
 
 It holds a digest of all that is in it and of the snapshots beside it: a bit that flips must not become a result.
 """
@@ -15,7 +15,7 @@ from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from npred import json_files
-from npred.errors import StoreError
+from npred.errors import StoreError, first_line
 
 NAME = "checkpoint.safetensors"
 Metrics = list[dict[str, Any]]
@@ -44,8 +44,9 @@ def restore(folder: Path, network: nn.Module, optimiser: torch.optim.Optimizer) 
     try:
         return _restored(folder / NAME, network, optimiser)
     except (OSError, SafetensorError, ValueError, KeyError, TypeError, RuntimeError) as error:
-        reason = (str(error).splitlines() or [type(error).__name__])[0]
-        raise StoreError(f"{folder / NAME}: expected a checkpoint, got: {reason}; delete it to start over") from None
+        raise StoreError(
+            f"{folder / NAME}: expected a checkpoint, got: {first_line(error)}; delete it to start over"
+        ) from None
 
 
 def _restored(path: Path, network: nn.Module, optimiser: torch.optim.Optimizer) -> Metrics:

@@ -1,4 +1,4 @@
-"""What training makes small: errors of P, weighed by what a component costs in the control law."""
+"""The training loss: errors of P, weighed by what a component costs in the control law."""
 
 from collections.abc import Callable
 
@@ -44,8 +44,8 @@ def sensitivity(plant: Plant, P: Tensor) -> Tensor:
 def criterion(rows: str, weights: Tensor) -> Callable[[Tensor, Tensor], Tensor]:
     """(P_hat, P) -> the mean over the rows of e^2 (`square`) or of e (`norm`).
 
-    e^2 is the mean over nodes and components of (w_i (P_hat_i - P_i))^2. Squares look at the few rows that are far off,
-    of loops gone wild, and leave the rest where the loops end; norms heed every row alike, which the closed loop wants.
+    e^2 is the mean over nodes and components of (w_i (P_hat_i - P_i))^2. Squares are dominated by the few rows that are
+    far off, of loops that leave the data; norms weigh every row alike, also where the loops end, which serves the loop.
     """
     power = 1.0 if rows == "square" else 0.5
     return lambda P_hat, P: (((P_hat - P) * weights).square().mean((1, 2)) + TINY).pow(power).mean()

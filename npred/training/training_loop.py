@@ -50,7 +50,7 @@ class Rows:
 
     @property
     def stride(self) -> int:
-        """How many intervals of u one of P spans."""
+        """The number of intervals of u in one of P."""
         return (self.u.shape[1] - 1) // (self.P.shape[1] - 1)
 
     def __len__(self) -> int:
@@ -77,7 +77,7 @@ class Rows:
 
 
 class Source(Protocol):
-    """Where the rows of an epoch come from."""
+    """The source of an epoch's rows."""
 
     def __len__(self) -> int: ...
 
@@ -100,7 +100,7 @@ class Task:
 
 
 def fit(task: Task, scratch: Path, progress: Any) -> Metrics:
-    """Train, one dictionary of metrics an epoch; continues from the checkpoint in `scratch`, if there is one.
+    """Train, one dictionary of metrics per epoch; continues from the checkpoint in `scratch`, if there is one.
 
     The order of the rows depends on the seed and the epoch alone, the rate on the step.
     Weights after the epochs of config.snapshots stay in `scratch`. Raises DivergedError for a loss that is not finite.

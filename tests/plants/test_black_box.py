@@ -182,7 +182,7 @@ def test_a_reference_is_followed(write):
         (
             "return CART.f(X, u)",
             "return CART.f(X, u)[:, :3]",
-            r"Box: f \(box.py:15\) expected to return shape \(4, 4\), .*, got \(4, 3\); return a derivative each",
+            r"Box: f \(box.py:15\) expected to return shape \(4, 4\), .*, got \(4, 3\); return one deriv.* per state",
         ),
         (
             "return CART.kappa(X)",

@@ -11,9 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from store_samples import put, question, tree
 
+from npred import json_files
 from npred.errors import NpredError, StoreError
 from npred.store import Artifact, Manifest, Store, archive
-from npred.store.keys import sha256, sha256_file
+from npred.store.manifest import sha256
 
 
 @pytest.fixture
@@ -179,7 +180,7 @@ def test_another_answer_to_the_same_question_is_not_replaced(tar: Path, tmp_path
     kept = put(theirs, data=b"another")
     with pytest.raises(NpredError, match=r"another answer to this question \(mkl_mode differ\)"):
         archive.load(theirs, tar, nothing)
-    assert sha256_file(kept.folder / "data.bin") == kept.manifest.files["data.bin"].sha256
+    assert json_files.sha256(kept.folder / "data.bin") == kept.manifest.files["data.bin"].sha256
 
 
 def test_a_corrupt_result_is_not_exported(artifact: Artifact, tmp_path: Path):

@@ -18,7 +18,8 @@ from conftest import process_environment
 from store_samples import made_at, put, question, tree
 
 from npred.errors import ConfigError, StoreError
-from npred.store import MARKER, Artifact, Manifest, Source, SourceText, Store, keys
+from npred.store import MARKER, Artifact, Manifest, Source, SourceText, Store
+from npred.store.manifest import Question, canonical
 
 HELD = "0" * 64
 HOLD = """
@@ -54,12 +55,12 @@ def test_a_forced_rerun_keeps_the_old_result_until_the_new_one_is_there(store: S
 
 
 def test_golden_key():
-    text = (
-        '{"config":{"D":1.0,"box":[1,2.5],"name":"ε"},"inputs":{"generate":"ab"},"model":null,"stage":"s","version":3}'
-    )
-    found = keys.key("s", 3, None, {"name": "ε", "D": 1.0, "box": [1, 2.5]}, {"generate": "ab"})
-    assert found == hashlib.sha256(text.encode()).hexdigest()
-    assert found == "3d60adbb5568cfd3fbdeaf997109275acddc78983052069be180f6688a380496"
+    config = '{"D":1.0,"box":[1,2.5],"name":"ε"}'
+    text = f'{{"config":{config},"inputs":{{"generate":"{"ab" * 32}"}},"model":null,"stage":"s","version":3}}'
+    source = Source(key="0" * 64, digest="ab" * 32)
+    asked = Question(stage="s", version=3, model=None, config=json.loads(config), inputs={"generate": source})
+    assert asked.key == hashlib.sha256(text.encode()).hexdigest()
+    assert asked.key == "5cb4159737b32ca16b5875ee0f0e2e6f0b31db8e11c0381a57aaf4fd9001c933"
 
 
 def test_a_key_does_not_depend_on_the_order_of_tables_nor_on_where_inputs_were_made():
@@ -86,7 +87,7 @@ def test_every_part_of_the_question_enters_the_key(change: dict[str, Any]):
 
 def test_a_key_refuses_what_json_cannot_hold():
     with pytest.raises(ValueError, match="JSON"):
-        keys.canonical({"lr": float("nan")})
+        canonical({"lr": float("nan")})
 
 
 def test_what_was_put_is_what_is_got(store: Store):

@@ -53,7 +53,7 @@ def test_without_stdout_all_is_done_and_one_line_says_so(shell, pipeline: Path, 
     done = shell(f"run tiny.toml -q {more}", redirection)
     assert (done.returncode, stages_of(pipeline)) == (1, 6)
     (line,) = done.stderr.splitlines()
-    assert line.startswith(f"error: stdout: expected a stream that takes the answer, got {reason}; what was made is")
+    assert line.startswith(f"error: stdout: expected a stream that takes the answer, got {reason}; the results are")
 
 
 @needs_full

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from jobs import job, tables
 
-from npred import config, plants
+from npred import config, json_files, plants
 from npred.data import shards
 from npred.data.dataset import MEANING, Dataset
 from npred.errors import ConfigError, DivergedError
@@ -14,7 +14,6 @@ from npred.loop.closed_loop import LANES
 from npred.parallel.executors import Processes
 from npred.predictors import RK4
 from npred.stages.generate import generate, rollouts, sharded
-from npred.store.keys import sha256_file
 
 
 def rows(tmp_path, name="data", **changes):
@@ -97,7 +96,7 @@ def test_an_interrupted_run_keeps_its_shards(tmp_path, little, monkeypatch):
     (folder / ".data-00002.h5-killed").write_bytes(b"half")
     generate.run(broken)
     assert made == [0, 128, 192] and payload(broken.folder) == payload(whole.folder)
-    kept = {sharded.TOKEN, *(f"{shards.name(k)}.{sha256_file(whole.folder / shards.name(k))}" for k in range(4))}
+    kept = {sharded.TOKEN, *(f"{shards.name(k)}.{json_files.sha256(whole.folder / shards.name(k))}" for k in range(4))}
     assert {path.name for path in folder.iterdir()} == kept
 
 
