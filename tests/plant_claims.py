@@ -14,14 +14,13 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from npred import config, diagnosis, grid, predictors
+from npred.delays import family
 from npred.delays.constant import ConstantDelay
-from npred.delays.family import PREDICT
 from npred.loop.closed_loop import Trajectories, simulate
 from npred.plants import Plant
 from npred.predictors import RK4
 from npred.predictors.onestep import OneStep
 from npred.registry import METHODS
-from npred.symbolic import kernels
 
 DT = 0.005
 GOLDEN = 5.0  # s of the golden loop: each of its control steps is solved anew
@@ -43,7 +42,7 @@ class Held(OneStep):
     def compile(self) -> Any:
         text, imports = ConstantDelay(self.plant).source(self.step)
         assert "u[j, " in text
-        return kernels.build("sweep", PREDICT, text.replace("u[j, ", "u[j | 1, "), imports)
+        return family.build("sweep", family.PREDICT, text.replace("u[j, ", "u[j | 1, "), imports)
 
 
 class Claims:

@@ -15,10 +15,9 @@ from conftest import HERE, process_environment
 from safetensors.torch import save_file
 from store_samples import put, question
 
-from npred import config, operators, plants
+from npred import config, operators, plants, registry
 from npred.config import FNO, DeepONet
 from npred.errors import ConfigError, StoreError
-from npred.loop import delay_laws
 from npred.pipeline import load_model, nodes, stage_registry
 from npred.store import Store, archive
 
@@ -155,13 +154,12 @@ def test_a_pipe_in_the_place_of_a_file_is_not_waited_for(tmp_path: Path, line: s
 @pytest.mark.parametrize("name", ["*/ int owned; /*", "a b", "", "class", "a\nb"])
 def test_a_class_is_an_identifier_everywhere(tmp_path: Path, name: str):
     (tmp_path / "x.py").write_text(f"from npred.plants.builtin.scalar import Scalar\nglobals()[{name!r}] = Scalar\n")
-    for call in (lambda: plants.resolve(f"{tmp_path}/x.py:{name}"), lambda: delay_laws.identity(_loop(tmp_path, name))):
+    for call in (
+        lambda: plants.resolve(f"{tmp_path}/x.py:{name}"),
+        lambda: registry.DELAY_LAWS.identity(f"{tmp_path}/x.py:{name}"),
+    ):
         with pytest.raises(ConfigError, match="expected the name of a class after the colon"):
             call()
-
-
-def _loop(folder: Path, name: str) -> config.Generate:
-    return config.Generate(adaptation=f"{folder}/x.py:{name}")
 
 
 @pytest.mark.parametrize("name", ["*/ int owned; /*", "a\nb", "", "-x", "a\\", "<b>", "x" * 101])

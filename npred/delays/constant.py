@@ -14,7 +14,6 @@ from npred.symbolic.trace import Trace
 # With few lanes the states stay in registers along x; with many, the lanes are the SIMD loop. A long step fits no
 # registers, and compiling it twice takes twice as long.
 SWEEP = """\
-def sweep(X, u, D_hat, t, p, P):
     nx, n, lanes = P.shape
     {parameters}
     {few}
@@ -53,7 +52,6 @@ linear = 0.5 if nx < 4 else 0.0
 b, c, d = min(a + 1, nx - 1), min(a + 2, nx - 1), min(a + 3, nx - 1)"""
 
 PICARD = """\
-def picard(X, u, D_hat, t, p, P):
     nx, n, lanes = P.shape
     {parameters}
     before, total = np.empty(n), np.empty(n)
@@ -77,7 +75,6 @@ def picard(X, u, D_hat, t, p, P):
 """
 
 UPDATE = """\
-def update(P, X, u, D_hat, t, p, b, phi, N):
     nx, n, lanes = P.shape
     {parameters}
     r, s = np.empty((n, lanes)), np.empty((n, lanes))
@@ -102,7 +99,6 @@ def update(P, X, u, D_hat, t, p, b, phi, N):
 """
 
 CONTROL = """\
-def control(P, u, D_hat, t, p, U):
     lanes = P.shape[2]
     {parameters}
     j = P.shape[0] - 1
@@ -112,7 +108,6 @@ def control(P, u, D_hat, t, p, U):
 """
 
 ADVANCE = """\
-def advance(X, U0, U1, share, dt, t, p):
     {parameters}
     for l in range(X.shape[1]):
         h, start = share[0, l] * dt, t
@@ -132,7 +127,7 @@ class ConstantDelay(Family):
         return plant.traced and plant.one_delay
 
     def sweep(self, step: Step) -> Kernel:
-        return kernels.build("sweep", family.PREDICT, *self.source(step))
+        return family.build("sweep", family.PREDICT, *self.source(step))
 
     def source(self, step: Step) -> tuple[str, str]:
         """The text of the sweep, and the lines that stand before it."""
@@ -168,7 +163,7 @@ class ConstantDelay(Family):
         node.append(f"f = ({', '.join(f'f{k}' for k in range(n))},)")
         source = PICARD.replace("SWEEPS", str(sweeps)).replace("TOLERANCE", repr(tolerance))
         source = kernels.fill(source, parameters=kernels.parameters(len(self.plant.p)), node=node)
-        return kernels.build("picard", family.PREDICT, source, called_functions.imports(trace))
+        return family.build("picard", family.PREDICT, source, called_functions.imports(trace))
 
     def control(self, step: Step) -> Kernel:
         plant = self.plant
@@ -176,7 +171,7 @@ class ConstantDelay(Family):
         U = trace.kappa(trace.vector("x", plant.n), trace.input("t"))
         end = programs.lines(U, _bindings(plant), [f"U[{k}, l]" for k in range(plant.m)])
         source = kernels.fill(CONTROL, parameters=kernels.parameters(len(plant.p)), end=end)
-        return kernels.build("control", family.CONTROL, source, called_functions.imports(trace))
+        return family.build("control", family.CONTROL, source, called_functions.imports(trace))
 
     def update(self) -> Kernel:
         plant = self.plant
@@ -191,13 +186,13 @@ class ConstantDelay(Family):
             node=_node(trace, x, u, t, h, *transition(df, x, u, t, h, r, s)),
             end=programs.lines([trace.V(trace.vector("X", plant.n), trace.input("t0"))], _bindings(plant), ["v"]),
         )
-        return kernels.build("update", family.UPDATE, source, called_functions.imports(trace))
+        return family.build("update", family.UPDATE, source, called_functions.imports(trace))
 
     def advance(self, step: Step) -> Kernel:
         trace = called_functions.trace(self.plant)
         parts = {name: advance_lines(trace, step, f"{U}[{{0}}, l]") for name, U in (("first", "U0"), ("second", "U1"))}
         source = kernels.fill(ADVANCE, parameters=kernels.parameters(len(self.plant.p)), **parts)
-        return kernels.build("advance", family.ADVANCE, source, called_functions.imports(trace))
+        return family.build("advance", family.ADVANCE, source, called_functions.imports(trace))
 
 
 def advance_lines(trace: Trace, step: Step, U: str) -> list[str]:

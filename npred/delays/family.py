@@ -8,23 +8,50 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 
+import numpy as np
+
 from npred.errors import ConfigError
 from npred.plants.base import Plant
+from npred.symbolic import kernels
 
 Kernel = Callable[..., None]
 Step = Callable[..., Any]  # the formula of a one-step method: npred.predictors.onestep
 
-# X (n, B), u (nx, m, B), D_hat (B,), t, p -> P (nx, n, B)
-PREDICT = "void(float64[:,::1], float64[:,:,::1], float64[::1], float64, float64[::1], float64[:,:,::1])"
-# P (nx, n, B), u (nx, m, B), D_hat (B,), t, p -> U (m, B)
-CONTROL = "void(float64[:,:,::1], float64[:,:,::1], float64[::1], float64, float64[::1], float64[:,::1])"
-# P (nx, n, B), X (n, B), u at the nodes (nx, m, B), D_hat (B,), t, p, b -> phi (B,), N (B,)
-UPDATE = (
-    "void(float64[:,:,::1], float64[:,::1], float64[:,:,::1], float64[::1], float64, float64[::1], float64, "
-    "float64[::1], float64[::1])"
-)
-# X (n, B), the delayed input U0 for the first `share` of a step, then U1 (m, B), dt, t, p -> X
-ADVANCE = "void(float64[:,::1], float64[:,::1], float64[:,::1], float64[:,::1], float64, float64, float64[::1])"
+# The arguments of the kernels, in order: those that are written stand last.
+PREDICT = "X, u, D_hat, t, p, P"
+CONTROL = "P, u, D_hat, t, p, U"
+UPDATE = "P, X, u, D_hat, t, p, b, phi, N"  # u at the nodes
+ADVANCE = "X, U0, U1, share, dt, t, p"  # in place: the delayed input U0 for the first `share` of a step, then U1
+LANE, ROWS, NODES = "float64[::1]", "float64[:,::1]", "float64[:,:,::1]"  # (B,), (n, B) or (m, B), (nx, n or m, B)
+TYPES = {
+    **dict.fromkeys(("t", "dt", "b"), "float64"),
+    **dict.fromkeys(("D_hat", "p", "phi", "N"), LANE),
+    **dict.fromkeys(("X", "U", "U0", "U1", "share"), ROWS),
+    **dict.fromkeys(("u", "P"), NODES),
+}
+
+
+def signature(arguments: str) -> str:
+    """Numba's signature of a kernel with these arguments, as PREDICT."""
+    return f"void({', '.join(TYPES[name] for name in arguments.split(', '))})"
+
+
+def build(name: str, arguments: str, body: str, preamble: str = "", **flags: Any) -> Kernel:
+    """The compiled kernel of the lines below its `def`; see npred.symbolic.kernels.build."""
+    return kernels.build(name, signature(arguments), f"def {name}({arguments}):\n{body}", preamble, **flags)
+
+
+def idle(arguments: str) -> Kernel:
+    """A kernel that leaves all as it is, in the place of a part that a loop does without."""
+    return build("idle", arguments, "    pass\n")
+
+
+def rows(*lanes: np.ndarray) -> list[np.ndarray]:
+    """The loop's memory as functions on batches see it, the axis of its lanes first: views that cannot be written."""
+    views = [np.moveaxis(array, -1, 0) for array in lanes]
+    for view in views:
+        view.flags.writeable = False
+    return views
 
 
 # What knows (X, u, D_hat) alone, and what to use where P depends on the time too.

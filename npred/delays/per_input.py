@@ -44,7 +44,6 @@ def read(u, c, l, position):
 """
 
 SWEEP = """\
-def sweep(X, u, D_hat, t, p, P):
     nx, n, lanes = P.shape
     last = nx - 1
     {parameters}
@@ -62,7 +61,6 @@ def sweep(X, u, D_hat, t, p, P):
 """
 
 CONTROL = """\
-def control(P, u, D_hat, t, p, U):
     nx, n, lanes = P.shape
     last = nx - 1
     {parameters}
@@ -84,7 +82,6 @@ def control(P, u, D_hat, t, p, U):
 
 # Each input switches at a moment of its own.
 ADVANCE = """\
-def advance(X, U0, U1, share, dt, t, p):
     {parameters}
     for l in range(X.shape[1]):
         begin = 0.0
@@ -121,16 +118,16 @@ class DelayPerInput(Family):
         return f"expected one delay, plant {self.plant.name} has delays {seconds} s"
 
     def sweep(self, step: Step) -> Kernel:
-        return kernels.build("sweep", family.PREDICT, sweep_source(self.plant, step), PREAMBLE)
+        return family.build("sweep", family.PREDICT, sweep_source(self.plant, step), PREAMBLE)
 
     def control(self, step: Step) -> Kernel:
-        return kernels.build("control", family.CONTROL, control_source(self.plant, step), PREAMBLE)
+        return family.build("control", family.CONTROL, control_source(self.plant, step), PREAMBLE)
 
     def advance(self, step: Step) -> Kernel:
         trace = called_functions.trace(self.plant)
         piece = advance_lines(trace, step, "(U0[{0}, l] if begin < share[{0}, l] else U1[{0}, l])")
         source = kernels.fill(ADVANCE, parameters=kernels.parameters(len(self.plant.p)), piece=piece)
-        return kernels.build("advance", family.ADVANCE, source, called_functions.imports(trace))
+        return family.build("advance", family.ADVANCE, source, called_functions.imports(trace))
 
 
 def sweep_source(plant: Plant, step: Step) -> str:

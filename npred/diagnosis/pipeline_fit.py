@@ -11,7 +11,7 @@ from npred.delays import family_of
 from npred.diagnosis.case import Case, Verdict
 from npred.diagnosis.equilibrium import SLIP
 from npred.diagnosis.lyapunov import undeclared
-from npred.loop import delay_laws
+from npred.loop import delay_law
 from npred.plants import inputs
 
 FITS: Verdict = "yes", ""
@@ -111,6 +111,6 @@ def radius(case: Case) -> Verdict:
 def parts(case: Case) -> Verdict:
     """Whether laws of the delay estimate and methods load, and accept the plant."""
     for loop in case.loops.values():
-        delay_laws.check(loop, case.plant)
+        delay_law.check(loop, case.plant)
         predictors.numerical(loop.predictor, case.plant, loop.nx)
     return FITS

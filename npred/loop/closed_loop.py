@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from npred import array_checks
+from npred.delays import family
 from npred.errors import ConfigError
 from npred.loop import actuator, engine, loop_checks, trajectory_views
-from npred.loop.adaptation import Part, part
-from npred.loop.delay_law import DelayLaw
+from npred.loop.delay_law import DelayLaw, Part, part
 from npred.plants import inputs
 from npred.plants.base import Plant
 from npred.predictors import Compiled, OneStep, Predictor
@@ -174,7 +174,7 @@ class _Loop:
     def law(self) -> Part:
         """What gives U and D_hat's rate; the open loop's is U = 0."""
         if self.predictor is None:
-            return part(self.plant, None)._replace(control=engine.no_control)
+            return part(self.plant, None)._replace(control=family.idle(family.CONTROL))
         return part(self.plant, self.adaptation)
 
     @property
@@ -204,7 +204,7 @@ class _Loop:
     def _parts(self) -> tuple[Any, Any, Any, Any, Any, Any]:
         """The six sentences of a control step, on lanes."""
         advance = engine.advance_kernel(self.plant, self.integrator)
-        predict = engine.no_predictor if self.predictor is None else self.predictor.lanes()
+        predict = family.idle(family.PREDICT) if self.predictor is None else self.predictor.lanes()
         return actuator.transport, predict, self.law.control, self.law.update, actuator.actuate, advance
 
     def _settings(self, samples: np.ndarray) -> engine.Settings:
@@ -212,7 +212,7 @@ class _Loop:
             dt=self.dt,
             every=self.every,
             b=self.law.b,
-            gain=self.law.gain * self.dt,
+            gamma_dt=self.law.gamma * self.dt,
             bounds=self.law.bounds,
             input_bounds=self.input_bounds,
             u_star=self.plant.u_equilibrium if self.plant.rests else np.zeros(self.plant.m),
@@ -228,7 +228,7 @@ class _Loop:
         state = engine.State(
             X=np.array(X0.T, order="C"), D=D, D_hat=np.array(D_hat), held=held, total=total,
             u=np.empty((nx, m, lanes)), u_nodes=np.empty((nx, m, lanes)), P=np.full((nx, n, lanes), np.nan),
-            U=np.empty((m, lanes)), phi=np.zeros(lanes), phi_before=np.full(lanes, np.nan), N=np.full(lanes, np.nan),
+            U=np.zeros((m, lanes)), phi=np.zeros(lanes), phi_before=np.full(lanes, np.nan), N=np.full(lanes, np.nan),
             U0=np.empty((m, lanes)), U1=np.empty((m, lanes)), share=np.empty((m, lanes)),
             drawn=np.zeros(lanes, dtype=np.int64),
         )  # fmt: skip

@@ -10,8 +10,7 @@ import numpy as np
 from npred import array_checks
 from npred.errors import ConfigError, DivergedError
 from npred.loop import engine, loop_checks
-from npred.loop.adaptation import part
-from npred.loop.delay_law import DelayLaw
+from npred.loop.delay_law import DelayLaw, part
 from npred.plants import inputs
 from npred.plants.base import Plant
 from npred.predictors import Predictor
@@ -42,7 +41,7 @@ class Controller:
         self.plant, self.predictor, self.adaptation, self.dt = plant, predictor, adaptation, seconds
         law, self._limits = part(plant, adaptation), inputs.bounds(plant, input_bounds)
         self._predict, self._control, self._update = predictor.lanes(), law.control, law.update
-        self._gain, self._b, self._bounds = law.gain * self.dt, law.b, law.bounds
+        self._gamma_dt, self._b, self._bounds = law.gamma * self.dt, law.b, law.bounds
         self._take_memory()
         self._place(self._start(D_hat), None, 0, 0.0)
         self._warm_up()
@@ -177,7 +176,7 @@ class Controller:
         self._control(self._P, self._u, self._D_hat, t, p, self._U)
         engine.clip(self._U, self._limits)
         self._update(self._P, self._X, self._u_nodes, self._D_hat, t, p, self._b, self._phi, self._N)
-        engine.adapt(self._D_hat, self._phi, self._phi_before, self._gain, self._bounds)
+        engine.adapt(self._D_hat, self._phi, self._phi_before, self._gamma_dt, self._bounds)
 
     def _warm_up(self) -> None:
         """Compile and load all that a step runs, so that the first step takes no longer than the others."""

@@ -1,30 +1,41 @@
-"""What every law for the delay estimate is: a rate D_hat', kept within bounds."""
+"""Laws for the delay estimate: what one is, a rate D_hat' kept within bounds; by name; and as the time loop runs it."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from functools import cache
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from npred import array_checks
+from npred import array_checks, config
+from npred.delays import family, family_of
+from npred.delays.family import Kernel
 from npred.errors import ConfigError
 from npred.plants.base import Plant
+from npred.predictors import RK4
+from npred.registry import DELAY_LAWS
 from npred.symbolic import source_lines
 
 
 @dataclass(frozen=True)
 class DelayLaw(ABC):
-    """D_hat' = Proj_[bounds]{D_hat, rate}: a law of one's own is a subclass with `rate`, in NumPy.
+    """D_hat' = Proj_[bounds]{D_hat, rate}: a law of your own is a subclass with `rate`, in NumPy.
 
     gamma > 0 is the adaptation gain, b > 0 weighs w, bounds are in seconds: a pipeline's, of which `rate` uses what it
-    needs. simulate, controller and the stages of a pipeline take it; it runs in Python, batch by batch.
+    needs. simulate, controller and the stages of a pipeline take it; it runs in Python, batch by batch, unless it has a
+    `kernel`. A subclass that changes a method of such a law, `check` aside, runs in Python again.
     Raises ConfigError for a gain, b or bounds that make no sense.
     """
 
     gamma: float = 1.0
     b: float = 1.0
     bounds: tuple[float, float] = (0.1, 4.0)
+
+    def __init_subclass__(cls, **settings: Any) -> None:
+        super().__init_subclass__(**settings)
+        methods = {name for name, value in vars(cls).items() if callable(value) and not name.startswith("__")}
+        if "kernel" not in methods and methods - {"check"}:
+            cls.kernel = DelayLaw.kernel  # that of a base class no longer is the law
 
     def __post_init__(self) -> None:
         gains = array_checks.floats("adaptation: gamma, b", (self.gamma, self.b))
@@ -47,34 +58,91 @@ class DelayLaw(ABC):
         to the bounds after each step.
         """
 
+    def kernel(self, plant: Plant) -> Kernel | None:
+        """The law compiled for a plant, npred.delays.family.UPDATE: D_hat' = gamma phi; None where `rate` has to run.
 
-def interpreted(law: DelayLaw, plant: Plant) -> Callable[..., None]:
+        It writes phi (B,), and N (B,) where the law has one: W takes it (npred.loop.lyapunov).
+        """
+        return None
+
+
+def resolve(loop: config.Loop) -> DelayLaw | None:
+    """The law of a stage's loops, made with their gamma, b and bounds; None for frozen.
+
+    Raises ConfigError, in one line, for a name, file or class that is missing, broken or no law.
+    """
+    if loop.adaptation == config.FROZEN:
+        return None
+    law = DELAY_LAWS.load("adaptation", loop.adaptation)
+    if not (isinstance(law, type) and issubclass(law, DelayLaw)):
+        raise ConfigError(f"adaptation {loop.adaptation}: expected a subclass of npred.DelayLaw; derive it from that")
+    try:
+        return law(gamma=loop.gamma, b=loop.b, bounds=loop.bounds)
+    except TypeError as error:
+        raise ConfigError(
+            f"adaptation {loop.adaptation}: expected a law with rate that takes gamma, b and bounds, got: {error}"
+        ) from None
+
+
+def check(loop: config.Loop, plant: Plant) -> None:
+    """Raise ConfigError where the law does not load, or refuses the plant."""
+    law = resolve(loop)
+    if law is not None:
+        law.check(plant)
+
+
+class Part(NamedTuple):
+    """The laws as the time loop runs them: U, then phi and N on lanes, and D_hat += gamma phi dt within the bounds."""
+
+    control: Kernel
+    update: Kernel
+    gamma: float
+    b: float
+    bounds: np.ndarray
+    compiled: bool
+
+
+def part(plant: Plant, law: DelayLaw | None) -> Part:
+    """The laws' part of a control step; None freezes D_hat."""
+    control = control_law(plant)
+    if law is None:
+        return Part(control, family.idle(family.UPDATE), 0.0, 1.0, np.array((0.0, np.inf)), True)
+    kernel, bounds = law.kernel(plant), np.array(law.bounds, dtype=float)
+    if kernel is None:
+        return Part(control, _interpreted(law, plant), 1.0, law.b, bounds, False)
+    return Part(control, kernel, law.gamma, law.b, bounds, True)
+
+
+@cache
+def control_law(plant: Plant) -> Kernel:
+    """U_j = kappa_j(P(r_j)) with r_j = 1 for one delay [DAPF, eq. 9]; between nodes P(r_j) is a step of RK4."""
+    return family_of(plant).control(RK4.step)
+
+
+def _interpreted(law: DelayLaw, plant: Plant) -> Kernel:
     """The law on the loop's memory: phi = rate, N unknown."""
 
     def step(P: Any, X: Any, u: Any, D_hat: Any, t: float, p: Any, b: float, phi: Any, N: Any) -> None:
-        seen = [X.T, u.transpose(2, 0, 1), P.transpose(2, 0, 1), D_hat.view()]
-        for view in seen:
-            view.flags.writeable = False  # it is the loop's own memory
-        phi[:] = _rates(law, plant, seen, t)
+        phi[:] = _rates(law, plant, family.rows(X, u, P, D_hat), t)
 
     return step
 
 
-def _rates(law: DelayLaw, plant: Plant, seen: list[np.ndarray], t: float) -> np.ndarray:
+def _rates(law: DelayLaw, plant: Plant, lanes: list[np.ndarray], t: float) -> np.ndarray:
     """D_hat' (B,) or one for all. Raises ConfigError, with the line of the law's file, where the law fails."""
-    X, u, P, D_hat = seen
+    X, u, P, D_hat = lanes
     try:
-        given = law.rate(plant, X, u, P, D_hat, t)
-        rates = np.asarray(given, dtype=float)
+        returned = law.rate(plant, X, u, P, D_hat, t)
+        rates = np.asarray(returned, dtype=float)
     except ConfigError:
         raise
     except Exception as error:
         raise ConfigError(
             f"{_place(law)} failed{source_lines.where(error, law.rate)}: {source_lines.one_line(error)}; fix it"
         ) from None
-    if given is None or not array_checks.fits(rates.shape, D_hat.shape):
-        found = None if given is None else rates.shape
-        raise ConfigError(f"{_place(law)} expected to return {D_hat.shape}, one per loop, got {found}; fix it")
+    if returned is None or not array_checks.fits(rates.shape, D_hat.shape):
+        came = None if returned is None else rates.shape
+        raise ConfigError(f"{_place(law)} expected to return {D_hat.shape}, one per loop, got {came}; fix it")
     return rates
 
 

@@ -20,12 +20,12 @@ from npred.symbolic.compile_cache import jit
 
 
 class Settings(NamedTuple):
-    """What stays fixed in a run; gain = gamma dt, or 0 with D_hat frozen."""
+    """What stays fixed in a run; gamma_dt = gamma dt, or 0 with D_hat frozen."""
 
     dt: float
     every: int
     b: float
-    gain: float
+    gamma_dt: float
     bounds: np.ndarray  # (2,)
     input_bounds: np.ndarray  # (m, 2)
     u_star: np.ndarray  # (m,)
@@ -91,7 +91,7 @@ def steps(
         clip(z.U, s.input_bounds)
         update(z.P, z.X, z.u_nodes, z.D_hat, t, s.p, s.b, z.phi, z.N)
         keep(k, s, z, out)
-        adapt(z.D_hat, z.phi, z.phi_before, s.gain, s.bounds)
+        adapt(z.D_hat, z.phi, z.phi_before, s.gamma_dt, s.bounds)
         actuate(origin + k, s.dt, z.D, z.U, z.held, z.total, z.U0, z.U1, z.share)
         advance(z.X, z.U0, z.U1, z.share, s.dt, t, s.p)
 
@@ -108,16 +108,16 @@ def clip(U: np.ndarray, bounds: np.ndarray) -> None:
 
 
 @jit(types.void(A1, A1, A1, types.float64, A1), nogil=True)
-def adapt(D_hat: np.ndarray, phi: np.ndarray, phi_before: np.ndarray, gain: float, bounds: np.ndarray) -> None:
-    """D_hat += gain Proj{D_hat, phi}: clipping to the bounds is the projection [DAPF, eq. 11] in discrete time.
+def adapt(D_hat: np.ndarray, phi: np.ndarray, phi_before: np.ndarray, gamma_dt: float, bounds: np.ndarray) -> None:
+    """D_hat += gamma dt Proj{D_hat, phi}: clipping to the bounds is the projection [DAPF, eq. 11] in discrete time.
 
     phi is taken at the middle of the step, from this value and the one before: the method of Adams and Bashforth of
     order 2 (Hairer, Nørsett, Wanner, III.1.5). A first step, which has none before, is Euler's.
     """
-    if gain > 0:
+    if gamma_dt > 0:
         for l in range(D_hat.shape[0]):
             rate = phi[l] if np.isnan(phi_before[l]) else 1.5 * phi[l] - 0.5 * phi_before[l]
-            D_hat[l] = min(max(D_hat[l] + gain * rate, bounds[0]), bounds[1])
+            D_hat[l] = min(max(D_hat[l] + gamma_dt * rate, bounds[0]), bounds[1])
             phi_before[l] = phi[l]
 
 
@@ -157,21 +157,11 @@ def _pointer(signature: str) -> types.FunctionType:
     return types.FunctionType(types.void(*arguments))
 
 
-PARTS = (actuator.TRANSPORT, family.PREDICT, family.CONTROL, family.UPDATE, actuator.ACTUATE, family.ADVANCE)
+LAWS = map(family.signature, (family.PREDICT, family.CONTROL, family.UPDATE))
+PARTS = (actuator.TRANSPORT, *LAWS, actuator.ACTUATE, family.signature(family.ADVANCE))
 compiled_steps = jit(
     types.void(types.int64, types.int64, types.int64, *map(_pointer, PARTS), SETTINGS, STATE, RECORD), nogil=True
 )(steps)
-
-
-@jit(family.PREDICT, nogil=True)
-def no_predictor(X, u, D_hat, t, p, P):  # type: ignore[no-untyped-def]
-    """The open loop predicts nothing."""
-
-
-@jit(family.CONTROL, nogil=True)
-def no_control(P, u, D_hat, t, p, U):  # type: ignore[no-untyped-def]
-    """The open loop: U = 0."""
-    U[:] = 0.0
 
 
 @cache

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from npred import registry
-from npred.config import Loop, Pipeline, Table, Train
+from npred.config import PAPER, Loop, Pipeline, Table, Train
 from npred.errors import ConfigError
 from npred.json_files import escaped, regular, sha256
 from npred.parallel import devices
@@ -141,15 +141,14 @@ def _loop(config: Pipeline, stage: str) -> dict[str, Any]:
     plant's inputs may be zero.
     """
     from npred import plants
-    from npred.loop import delay_laws
     from npred.plants import inputs
 
     loop: Loop = getattr(config, stage)
-    section, law = _dump(loop), delay_laws.identity(loop)
+    section, law = _dump(loop), registry.DELAY_LAWS.identity(loop.adaptation)
     u0 = inputs.configured(plants.resolve(config.plant, config.parameters), loop, stage)
     section["predictor"] = registry.METHODS.identity(loop.predictor)
     del section["adaptation"], section["u0"]
-    section |= {} if law is None else {"adaptation": law}
+    section |= {} if law == PAPER else {"adaptation": law}
     return section | ({"u0": u0 if isinstance(u0, str) else u0.tolist()} if isinstance(u0, str) or u0.any() else {})
 
 

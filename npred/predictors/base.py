@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from npred import array_checks
+from npred.delays.family import rows
 from npred.errors import ConfigError
 from npred.plants.base import Plant
 
@@ -57,9 +58,7 @@ class Predictor(ABC):
         """The same map on the loop's memory, lanes innermost: npred.delays.family.PREDICT, P written in place."""
 
         def predict(X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: float, p: np.ndarray, P: np.ndarray) -> None:
-            X, u, D_hat = X.T, u.transpose(2, 0, 1), D_hat.view()
-            for view in (X, u, D_hat):
-                view.flags.writeable = False  # it is the loop's own memory
+            X, u, D_hat = rows(X, u, D_hat)
             P[:] = self._predicted(X, u, D_hat, t).transpose(1, 2, 0)
 
         return predict

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from npred.delays.family import PREDICT
+from npred.delays import family
 from npred.operators import Operator
 from npred.plants.base import Plant
 from npred.predictors.base import Compiled
@@ -17,7 +17,6 @@ from npred.symbolic import kernels
 COARSE = 100  # intervals that an FNO is evaluated on, at least
 
 SOURCE = """\
-def fused(X, u, D_hat, t, p, P):
     _wide()
     lanes = X.shape[1]
     flat_u, flat_P = u.reshape(-1), P.reshape(-1)
@@ -144,7 +143,7 @@ def build(p: Program) -> Callable[..., None]:
     slots = {"memory": memory + numba_text.arrays(p.constants), "body": _body(p)}
     slots |= {"flat": _outputs(p, f"flat_P[j * {p.n} + {{c}}]"), "lane": _outputs(p, "P[j, {c}, l]")}
     source = kernels.fill(SOURCE, **slots).format(**_sizes(p))
-    return kernels.build("fused", PREDICT, source, preamble, numba_text.FASTMATH)
+    return family.build("fused", family.PREDICT, source, preamble, fastmath=numba_text.FASTMATH)
 
 
 def _outputs(p: Program, target: str) -> list[str]:

@@ -1,12 +1,21 @@
-"""Laws of one's own for the delay estimate: the loop, the controller, and mistakes told with the line of the law."""
+"""Laws for the delay estimate: in Python and compiled; of npred, of a package, of a file; in keys."""
+
+from pathlib import Path
 
 import numpy as np
 import pytest
 from input_histories import at_nodes
+from jobs import job, tables
 
 import npred
+from npred import config, plants
+from npred.data.dataset import Dataset
 from npred.errors import ConfigError
+from npred.loop import delay_law
+from npred.loop.adaptation import DelayAdaptation
+from npred.pipeline import stage_registry
 from npred.predictors import RK4
+from npred.stages.generate import generate
 
 PLANT = npred.plant("scalar")
 LOOP = {"D": 1.0, "D_hat": [1.6, 0.7], "X0": [[1.0], [0.5]], "t_end": 3.0, "dt": 0.01}
@@ -135,3 +144,134 @@ def test_a_law_may_refuse_a_plant():
 def test_settings_that_make_no_sense_are_told(wrong):
     with pytest.raises(ConfigError, match="adaptation: expected"):
         Towards(**wrong)
+
+
+LAW = """
+import npred
+
+class Towards(npred.DelayLaw):
+    def rate(self, plant, X, u, P, D_hat, t):
+        return self.gamma * (1.0 - D_hat)
+"""
+
+
+@pytest.fixture
+def law(tmp_path: Path) -> str:
+    """A law's file; its name for a pipeline."""
+    (tmp_path / "my_law.py").write_text(LAW)
+    return f"{tmp_path / 'my_law.py'}:Towards"
+
+
+def loop(**changes) -> config.Loop:
+    return config.Loop(**{"gamma": 2.0, "b": 0.5, "bounds": (0.2, 3.0)} | changes)
+
+
+def question(stage: str, adaptation: str | None) -> dict:
+    changed = {} if adaptation is None else {stage: {"adaptation": adaptation}}
+    return stage_registry.question(
+        stage_registry.Node(stage, None, ()), config.parse(tables(**changed), "tests"), "cpu"
+    )
+
+
+def test_laws_by_name_and_from_a_file(law):
+    assert delay_law.resolve(loop()) == DelayAdaptation(2.0, 0.5, (0.2, 3.0))
+    assert delay_law.resolve(loop(adaptation="frozen")) is None
+    own = delay_law.resolve(loop(adaptation=law))
+    assert own is not None
+    assert (type(own).__name__, own.gamma, own.b, own.bounds) == ("Towards", 2.0, 0.5, (0.2, 3.0))
+
+
+@pytest.mark.parametrize("stage", ["generate", "evaluate"])
+def test_only_another_law_than_the_papers_enters_the_key_and_by_its_file(stage, law):
+    plain, frozen, own = (question(stage, name) for name in (None, "frozen", law))
+    assert question(stage, "bresch-pietri-krstic") == plain
+    assert "adaptation" not in plain[stage]
+    assert frozen[stage] == plain[stage] | {"adaptation": "frozen"}
+    path = Path(law.partition(":")[0])
+    moved = path.rename(path.parent / "moved.py")
+    assert question(stage, f"{moved}:Towards") == own
+    moved.write_text(LAW + "# another\n")
+    assert question(stage, f"{moved}:Towards") != own
+
+
+def test_data_are_made_with_the_law(tmp_path, law):
+    """D_hat' = gamma (1 - D_hat) from 2 s: after t seconds D_hat = 1 + exp(-gamma t), but for Euler's steps."""
+    changes = {"D_hat0": [[2.0, 2.0]], "gamma": 0.5, "samples": 60, "rollouts": 3}
+    for name in ("frozen", law):
+        run = job(tmp_path, name[-7:], plant="scalar", generate=changes | {"adaptation": name})
+        generate.run(run)
+        data = Dataset.read(run.folder / "data.h5")
+        expected = 2.0 if name == "frozen" else 1.0 + np.exp(-0.5 * data.t)
+        np.testing.assert_allclose(data.D_hat, expected, atol=3e-3)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (LAW.replace("(npred.DelayLaw)", ""), "expected a subclass of npred.DelayLaw"),
+        (LAW.replace("def rate", "def phi"), "expected a law with rate .* abstract method '?rate'?"),
+        (LAW.replace("class Towards", "class Away"), "expected a class Towards, found Away"),
+        (LAW.replace("return", "retrun x"), "my_law.py:6: expected Python, got a syntax error"),
+        (LAW + "1 / 0\n", "my_law.py:7: failed on import: ZeroDivisionError"),
+        (LAW + "    def check(self, plant):\n        raise npred.errors.ConfigError('not this one')\n", "not this one"),
+    ],
+)
+def test_a_file_that_is_no_law_is_told(law, text, message):
+    Path(law.partition(":")[0]).write_text(text)
+    with pytest.raises(ConfigError, match=message) as caught:
+        delay_law.check(loop(adaptation=law), plants.resolve("scalar"))
+    assert "\n" not in str(caught.value)
+
+
+COMPILED = (
+    LAW
+    + """
+    def kernel(self, plant):
+        return family.build("towards", family.UPDATE, BODY)
+"""
+)
+COMPILED = COMPILED.replace(
+    "import npred",
+    "import npred\nfrom npred.delays import family\n\nBODY = "
+    + repr("    for l in range(D_hat.shape[0]):\n        phi[l] = 1.0 - D_hat[l]\n"),
+)
+
+
+def test_a_law_with_a_kernel_is_compiled_and_is_one_file(law):
+    path = Path(law.partition(":")[0])
+    settings = loop(adaptation=law, gamma=2.0)
+    interpreted = delay_law.resolve(settings)
+    path.write_text(COMPILED)
+    compiled = delay_law.resolve(settings)
+    assert [delay_law.part(PLANT, each).compiled for each in (interpreted, compiled)] == [False, True]
+    np.testing.assert_allclose(loops(compiled).D_hat, loops(interpreted).D_hat, rtol=1e-13)
+
+
+def test_a_subclass_that_changes_a_compiled_law_runs_in_python():
+    class Choosy(DelayAdaptation):
+        def check(self, plant):
+            pass
+
+    flags = {law: delay_law.part(PLANT, law()).compiled for law in (DelayAdaptation, Choosy, Leaky, Same)}
+    assert flags == {DelayAdaptation: True, Choosy: True, Leaky: False, Same: False}
+
+
+def test_a_law_of_a_package_has_a_name(package, tmp_path):
+    package("towards = shed_of_tanks:Towards", LAW, "npred.delay_laws")
+    assert type(delay_law.resolve(loop(adaptation="towards"))).__name__ == "Towards"
+    asked = question("generate", "towards")["generate"]["adaptation"]
+    assert asked == {"name": "towards", "target": "shed_of_tanks:Towards", "package": "shed-of-tanks", "version": "1.0"}
+    run = job(tmp_path, "data", plant="scalar", generate={"adaptation": "towards", "samples": 20, "rollouts": 2})
+    generate.run(run)
+    assert np.isfinite(Dataset.read(run.folder / "data.h5").D_hat).all()
+
+
+def test_an_unknown_law_is_refused_where_the_pipeline_is_read():
+    words = "evaluate.adaptation: expected bresch-pietri-krstic, frozen, or a class of a file .*did you mean frozen"
+    with pytest.raises(ConfigError, match=words):
+        question("evaluate", "frozn")
+
+
+def test_a_missing_file_is_told():
+    with pytest.raises(ConfigError, match=r"adaptation none.py:Law: expected a Python file, found none at none.py"):
+        delay_law.resolve(loop(adaptation="none.py:Law"))

@@ -9,7 +9,7 @@ from npred import figures, predictors
 from npred.config import FROZEN, Evaluate
 from npred.data import shards
 from npred.data.dataset import Dataset
-from npred.loop import delay_laws, metrics
+from npred.loop import delay_law, metrics
 from npred.loop.closed_loop import Trajectories, simulate
 from npred.plants import Plant
 from npred.predictors import Compiled, Predictor
@@ -143,7 +143,7 @@ def _loops(job: Job, contender: Contender, begin: Starts, some: slice, progress:
     taken = None if contender.network else accuracy.sample_steps(job.config.seed, config, begin.of(contender))[some]
     return simulate(
         job.plant, contender.predictor, D=begin.D[some], D_hat=begin.D_hat0[some], X0=begin.X0[some], dt=config.dt,
-        t_end=config.case_t_end, adaptation=delay_laws.resolve(config) if contender.adapts else None,
+        t_end=config.case_t_end, adaptation=delay_law.resolve(config) if contender.adapts else None,
         input_bounds=config.input_bounds, u0=config.u0, every=EVERY, samples=taken, progress=progress,
     )  # fmt: skip
 

@@ -7,11 +7,12 @@ import numpy as np
 from npred import array_checks, plants
 from npred.config import Generate, Pipeline
 from npred.errors import ConfigError, DivergedError
-from npred.loop import delay_laws
+from npred.loop import delay_law
 from npred.loop.closed_loop import LANES, simulate
 from npred.parallel import devices
 from npred.plants import Plant, inputs
 from npred.predictors import Predictor, numerical
+from npred.registry import DELAY_LAWS, METHODS
 from npred.stages.generate import sampling
 
 Rows = dict[str, np.ndarray]
@@ -21,7 +22,12 @@ PACKAGES = ("npred", "numpy", "numba")  # what the bytes of a row may depend on
 def surroundings(pipeline: Pipeline, plant: Plant) -> dict[str, Any]:
     """What has to be the same in every process that makes rows of one data set."""
     versions = devices.packages(*PACKAGES)
-    return {"plant": plant.identity, "delay law": delay_laws.identity(pipeline.generate), **versions}
+    return {
+        "plant": plant.identity,
+        "delay law": DELAY_LAWS.identity(pipeline.generate.adaptation),
+        "predictor": METHODS.identity(pipeline.generate.predictor),
+        **versions,
+    }
 
 
 def elsewhere(pipeline: Pipeline, expected: dict[str, Any], batch: range) -> Rows:
@@ -54,7 +60,7 @@ def _chunk(pipeline: Pipeline, plant: Plant, chunk: range, finite: bool) -> Rows
     config = pipeline.generate
     X0, D, D_hat0, steps = sampling.starts(pipeline.seed, config, plant, chunk)
     predictor = numerical(config.predictor, plant, config.nx)
-    law = delay_laws.resolve(config)
+    law = delay_law.resolve(config)
     loops = simulate(
         plant, predictor, D=D, D_hat=D_hat0, X0=X0, t_end=config.t_end, dt=config.dt, adaptation=law,
         input_bounds=config.input_bounds, u0=config.u0, every=sampling.steps(config), samples=steps,
