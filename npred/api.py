@@ -52,7 +52,7 @@ def load(
     devices.require(device)
     stored = load_model(str(model), Path(store) if store else None)
     precision = torch.float64 if runtime == "torch" else torch.float32
-    operator = operators.load(stored.folder, stored.plant, stored.snapshot, precision)
+    operator = operators.load(stored.folder, stored.plant, stored.snapshot, precision, stored.config)
     return runtimes.predictor(runtime, stored.plant, operator, nx, stored.model, device)
 
 

@@ -4,7 +4,7 @@ import os
 import re
 import stat
 import tomllib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar
@@ -15,7 +15,7 @@ from pydantic_core import PydanticCustomError
 
 from npred import defaults, registry
 from npred.errors import ConfigError, similar, size
-from npred.registry import DELAY_LAWS, METHODS, Registry
+from npred.registry import DELAY_LAWS, INTERPRETED, METHODS, NETWORKS, Registry
 
 NAME = re.compile(r"[^\W_][\w.-]{0,99}")  # of a pipeline
 LONGEST = 2**20  # bytes of a pipeline file
@@ -32,7 +32,8 @@ Some = Annotated[list[Item], Field(min_length=1)]
 Number = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 StartInput = Number | list[Number] | Literal["equilibrium", "law"]
 PAPER, FROZEN = "bresch-pietri-krstic", "frozen"  # delay laws
-Networks = Annotated[Some[Literal["deeponet", "fno"]], AfterValidator(lambda names: sorted(set(names)))]
+TAKEN = ("generate", "train", "evaluate", "bench", "report", "numerical", "no_adaptation", *INTERPRETED.builtin)
+Networks = Annotated[Some[str], AfterValidator(lambda names: sorted(set(names)))]
 Anchor = Literal["none", "initial", "equilibrium"]
 
 
@@ -44,6 +45,7 @@ def _part(parts: Registry, others: tuple[str, ...], name: str) -> str:
 
 Method = Annotated[str, AfterValidator(partial(_part, METHODS, ())), METHODS]
 Law = Annotated[str, AfterValidator(partial(_part, DELAY_LAWS, (FROZEN,))), DELAY_LAWS]
+Architecture = Annotated[str, AfterValidator(partial(_part, NETWORKS, ())), NETWORKS]
 
 
 def ordered(key: str, span: tuple[float, float]) -> None:
@@ -66,7 +68,7 @@ class Table(BaseModel):
 
     def moved(self, place: Callable[[str], str]) -> Self:
         """The same with another path in each value that names a class of a file, or data."""
-        return self.model_copy(update={key: _moved(getattr(self, key), place, key) for key in type(self).model_fields})
+        return self.model_copy(update={key: _moved(value, place, key) for key, value in self})
 
 
 def _moved(value: Any, place: Callable[[str], str], key: Any = None) -> Any:
@@ -177,7 +179,7 @@ class Generate(Loop):
 
 
 class Training(Table):
-    """What both networks share; `snapshots` keeps the model as it stood after those epochs.
+    """What all networks share; `snapshots` keeps the model as it stood after those epochs.
 
     `loss` weighs the components of an error, `rows` says what of a row's error is averaged; `nodes`: how many of the
     data's nodes the error is taken on (u is seen on all).
@@ -205,6 +207,16 @@ class Training(Table):
             )
         return self
 
+    @property
+    def architecture(self) -> str:
+        """The network that is trained, as the registry names it: for a table of its own the table's name."""
+        return type(self).__name__.lower()
+
+    @property
+    def arguments(self) -> dict[str, Any]:
+        """The keyword arguments of the network's class: for a table of its own its own keys."""
+        return {key: getattr(self, key) for key in type(self).model_fields if key not in Training.model_fields}
+
 
 class DeepONet(Training):
     """Branch network of `depth` hidden layers, trunk of two; `basis` trunk functions; `moments` of u."""
@@ -226,12 +238,74 @@ class FNO(Training):
     layers: Count = 4  #: spectral layers
 
 
-class Train(Table):
-    """One table a network; `models` says which of them are trained, each once; their order means nothing."""
+class Network(Training):
+    """Any network under a name of your choice: one that is registered, or a class of a file, and its sizes."""
 
-    models: Networks = ["deeponet", "fno"]  #: networks to train
+    network: Architecture  #: deeponet, fno, averaging, gru, one of a package, or `file.py:Class`; the table's name
+    sizes: dict[str, Any] = {}  #: keyword arguments of the network's class
+
+    @property
+    def architecture(self) -> str:
+        return self.network
+
+    @property
+    def arguments(self) -> dict[str, Any]:
+        return self.sizes
+
+
+class Train(Table):
+    """One table per network; `models` says which of them are trained, each once; their order means nothing.
+
+    A table of another name says by `network` what it is; a registered network needs no table.
+    """
+
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, Network] = Field(init=False)
+
+    models: Networks = ["deeponet", "fno"]  #: networks to train: deeponet, fno, averaging, gru, or names of tables
     deeponet: DeepONet = DeepONet()
     fno: FNO = FNO()
+
+    @property
+    def named(self) -> dict[str, Network]:
+        """The tables of names that the user has chosen."""
+        return self.__pydantic_extra__
+
+    @property
+    def names(self) -> list[str]:
+        """The networks that can be trained: those with a table, and the registered ones."""
+        return list(dict.fromkeys(["deeponet", "fno", *self.named, *NETWORKS.names()]))
+
+    def table(self, name: str) -> Training:
+        """The table of a network; a registered one may have none."""
+        if name in type(self).model_fields:
+            return getattr(self, name)
+        return self.named[name] if name in self.named else Network(network=name)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _named(cls, data: Any) -> Any:
+        """Each table of a chosen name with its `network`, the name itself where it gives none."""
+        if not isinstance(data, dict):
+            return data
+        chosen = {key: table for key, table in data.items() if key not in cls.model_fields}
+        for key, table in chosen.items():
+            if not isinstance(table, dict | Network):
+                raise ValueError(f"{key}: {_unknown(f'train.{key}', sorted(cls.model_fields))}")
+            if not key.isidentifier() or len(key) > 100 or key in (*TAKEN, *METHODS.names()):
+                raise ValueError(
+                    f"{key}: expected the name of a network, of letters, digits and _, and none that results use, "
+                    f"got {key!r}; choose another"
+                )
+        return data | {k: {"network": k} | table for k, table in chosen.items() if isinstance(table, dict)}
+
+    @model_validator(mode="after")
+    def _check_models(self) -> Self:
+        for name in set(self.models) - {*self.named, *NETWORKS.builtin}:
+            if name not in self.names:
+                cure, names = similar(name, self.names) or "; choose one or add a table", ", ".join(self.names)
+                raise ValueError(f"models: expected {names} or a table [train.NAME], got {name!r}{cure}")
+        return self
 
 
 class Evaluate(Loop):
@@ -297,7 +371,7 @@ class Pipeline(Table):
     def _check_nodes(self) -> Self:
         intervals = self.generate.nx - 1
         for name in self.train.models:
-            nodes = getattr(self.train, name).nodes
+            nodes = self.train.table(name).nodes
             if nodes and not self.generate.data and intervals % (nodes - 1):
                 counts = ", ".join(str(k + 1) for k in range(1, intervals + 1) if intervals % k == 0)
                 raise ValueError(
@@ -418,8 +492,8 @@ def _sentence(error: ValidationError) -> str:
     fields = [part for part in named if isinstance(part, int) or part.isidentifier()]
     where = ".".join(str(part) for part in fields)
     if first["type"] == "extra_forbidden":
-        names, where = _siblings(first["loc"]), ".".join(map(str, first["loc"]))
-        return f"{where}: unknown key; expected one of {', '.join(names)}{_meant(where, names)}"
+        where = ".".join(map(str, first["loc"]))
+        return f"{where}: {_unknown(where, _siblings(first['loc']))}"
     if first["type"] == "part":
         return f"{where}: {first['msg']}"
     if first["type"] == "value_error":
@@ -435,10 +509,14 @@ def _sentence(error: ValidationError) -> str:
     return f"{where}: expected {' or '.join(dict.fromkeys(wanted))}, got {first['input']!r}; correct it"
 
 
+def _unknown(key: str, siblings: list[str]) -> str:
+    return f"unknown key; expected one of {', '.join(siblings)}{_meant(key, siblings)}"
+
+
 def _siblings(loc: tuple[int | str, ...]) -> list[str]:
     model: Any = Pipeline
     for part in loc[:-1]:
-        model = model.model_fields[part].annotation
+        model = model.model_fields[part].annotation if part in model.model_fields else Network
     return sorted(model.model_fields)
 
 
@@ -448,11 +526,17 @@ def _meant(key: str, siblings: list[str]) -> str:
     near = similar(leaf, siblings)
     known = [other for other, _ in leaves()]
     elsewhere = [other for other in known if other.rpartition(".")[2] == leaf]
+    if elsewhere and "sizes" in siblings:
+        return f"; did you mean sizes = {{ {leaf} = … }}?"
     return near or (f"; did you mean {' or '.join(elsewhere)}?" if elsewhere else similar(key, known))
 
 
-def leaves(model: type[Table] = Pipeline, path: str = "") -> Iterator[tuple[str, FieldInfo]]:
-    """Every key of a pipeline file, dotted, with its declaration."""
+def leaves(
+    model: type[Table] = Pipeline, path: str = "", networks: Iterable[str] = ()
+) -> Iterator[tuple[str, FieldInfo]]:
+    """Every key of a pipeline file, dotted, with its declaration; `networks` are names of tables below train."""
+    for name in networks:
+        yield from leaves(Network, f"train.{name}.")
     for name, field in model.model_fields.items():
         if isinstance(field.annotation, type) and issubclass(field.annotation, Table):
             yield from leaves(field.annotation, f"{path}{name}.")

@@ -4,10 +4,11 @@ The tables below name what is built in: a new network, method, law or runtime is
 imported before it is asked for. A user's file is code: it is run when somebody names it.
 """
 
+import ast
 import hashlib
 import importlib
 import inspect
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from keyword import iskeyword
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -23,11 +24,13 @@ class Entry(NamedTuple):
     """A built-in part: where it is, as module:Class, what people call it, and its line in figures.
 
     `look` is the role of the colour (of a runtime: its network's), the dash and the marker.
+    `lowering` is the module that makes a program of a network, where there is one.
     """
 
     target: str
     label: str
     look: tuple[str, tuple[float, ...], str] = ("green", (1, 1), "D")
+    lowering: str = ""
 
 
 class Source(NamedTuple):
@@ -94,6 +97,44 @@ class Registry:
             return getattr(importlib.import_module(module), attribute)
         return self.installed(name)
 
+    def check_keywords(self, what: str, name: str, keywords: Collection[str]) -> None:
+        """Raise ConfigError unless a part takes these keyword-only arguments, by the text of its file: none is run.
+
+        What its class inherits is not seen, and not checked.
+        """
+        path, attribute = self._file(name)
+        if not named(name) and not path.is_file():
+            return
+        source = read(self.kind, path)
+        if attribute not in source.text:
+            raise ConfigError(f"{what}: expected a class {attribute} in {path}, found none; check the name")
+        arguments = _arguments(_compiled(self.kind, path, source.text, ast.PyCF_ONLY_AST), attribute)
+        if arguments is None or arguments.kwarg:
+            return
+        takes = {argument.arg: True for argument in arguments.args[4:]}  # after self, n, m and clock
+        pairs = zip(arguments.kwonlyargs, arguments.kw_defaults, strict=True)
+        takes |= {argument.arg: default is not None for argument, default in pairs}
+        faults = [f"got {key}{similar(key, takes) or '; drop it'}" for key in keywords if key not in takes]
+        faults += [f"no {key}; give it a value" for key, free in takes.items() if not free and key not in keywords]
+        if faults:
+            expected = f"keyword arguments of {attribute} ({', '.join(takes) or 'none'})"
+            raise ConfigError(f"{what}: expected {expected}, {faults[0]}")
+
+    def entry(self, part: type) -> Entry | None:
+        """The entry of a built-in class."""
+        target = f"{part.__module__}:{part.__qualname__}"
+        return next((entry for entry in self.builtin.values() if entry.target == target), None)
+
+    def _file(self, name: str) -> tuple[Path, str]:
+        """Where the text of a known part is, of a package where it usually is, and the name of its class."""
+        if named(name):
+            return split(name)
+        package = None if name in self.builtin else self._installed()[name]
+        module, _, attribute = (package.value if package else self.builtin[name].target).partition(":")
+        relative = Path(*module.split(".")).with_suffix(".py")
+        locate = package.dist.locate_file if package and package.dist else Path(__file__).parents[1].joinpath
+        return Path(locate(relative)), attribute
+
     def installed(self, name: str) -> Any:
         """What an installed package registers, or None. Raises ConfigError, naming the package, where it fails."""
         entry = self._installed().get(name)
@@ -118,8 +159,10 @@ NETWORKS = Registry(
     "network",
     "npred.networks",
     {
-        "deeponet": Entry("npred.operators.deeponet:DeepONetwork", "DeepONet"),
-        "fno": Entry("npred.operators.fno:FNOnetwork", "FNO"),
+        "deeponet": Entry("npred.operators.deeponet:DeepONetwork", "DeepONet", lowering="npred.runtimes.deeponet"),
+        "fno": Entry("npred.operators.fno:FNOnetwork", "FNO", lowering="npred.runtimes.fno"),
+        "averaging": Entry("npred.operators.averaging:AveragingNetwork", "averaging operator"),
+        "gru": Entry("npred.operators.gru:GRUNetwork", "GRU"),
     },
 )
 METHODS = Registry(
@@ -194,6 +237,23 @@ def declaring(declaration: Any) -> Source | None:
         return None
 
 
+def _compiled(what: str, path: Path, content: str | bytes, flags: int = 0) -> Any:
+    try:
+        return compile(content, str(path), "exec", flags)
+    except (SyntaxError, ValueError) as error:
+        line, reason = getattr(error, "lineno", None), getattr(error, "msg", error)
+        raise ConfigError(
+            f"{what} {path}{f':{line}' if line else ''}: expected Python, got a syntax error: {reason}; fix it"
+        ) from None
+
+
+def _arguments(tree: ast.Module, name: str) -> ast.arguments | None:
+    """The arguments of a class's own __init__."""
+    classes = [node for node in tree.body if isinstance(node, ast.ClassDef) and node.name == name]
+    methods = [node for one in classes for node in one.body if isinstance(node, ast.FunctionDef)]
+    return next((node.args for node in methods if node.name == "__init__"), None)
+
+
 def _source(path: Path, content: bytes) -> Source:
     return Source(path.name, content.decode(errors="replace"), hashlib.sha256(content).hexdigest())
 
@@ -208,11 +268,9 @@ def load(what: str, spec: str) -> Loaded:
         )
     content = path.read_bytes()
     space: dict[str, Any] = {"__name__": path.stem, "__file__": str(path)}
+    code = _compiled(what, path, content)
     try:
-        exec(compile(content, str(path), "exec"), space)
-    except SyntaxError as error:
-        line = f":{error.lineno}" if error.lineno else ""
-        raise ConfigError(f"{what} {path}{line}: expected Python, got a syntax error: {error.msg}; fix it") from None
+        exec(code, space)
     except (Exception, SystemExit) as error:
         line = source_lines.last_line(error, str(path))
         raise ConfigError(

@@ -51,7 +51,10 @@ def train(
     *,
     model: Annotated[
         str | None,
-        typer.Option(help="deeponet or fno; those of the pipeline by default.", autocompletion=completion.models),
+        typer.Option(
+            help="A network, as deeponet; those of the pipeline by default.",
+            autocompletion=completion.models,
+        ),
     ] = None,
 ) -> None:
     """The networks, each as an artifact of its own."""

@@ -3,11 +3,14 @@
 from collections.abc import Callable, Iterator
 from functools import wraps
 from pathlib import Path
-from typing import Any, Literal, get_args, get_origin
+from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
 
 import typer
 
 from npred import defaults
+
+if TYPE_CHECKING:
+    from npred.config import Pipeline
 
 Offer = tuple[str, str]  # a word, and what the shell says beside it
 Complete = Callable[[typer.Context, str], list[Offer]]
@@ -47,7 +50,8 @@ def settings(ctx: typer.Context, incomplete: str) -> Iterator[Offer]:
     from npred import config
 
     key, sign, _ = incomplete.partition("=")
-    known = {name: field for name, field in config.leaves() if (name == key if sign else name.startswith(key))}
+    keys = config.leaves(networks=_pipeline(ctx).train.named)
+    known = {name: field for name, field in keys if (name == key if sign else name.startswith(key))}
     if len(known) > 1:
         yield from ((name, "") for name in known)
     for name, field in known.items() if len(known) == 1 else ():
@@ -57,17 +61,15 @@ def settings(ctx: typer.Context, incomplete: str) -> Iterator[Offer]:
 @_offered
 def stages(ctx: typer.Context, incomplete: str) -> Iterator[Offer]:
     """The stages and the networks."""
-    from npred.pipeline import STAGES, networks
+    from npred.pipeline import STAGES
 
-    yield from ((name, "") for name in (*STAGES, *networks()))
+    yield from ((name, "") for name in (*STAGES, *_pipeline(ctx).train.models))
 
 
 @_offered
 def models(ctx: typer.Context, incomplete: str) -> Iterator[Offer]:
     """The networks."""
-    from npred.pipeline import networks
-
-    yield from ((name, "") for name in networks())
+    yield from ((name, "") for name in _pipeline(ctx).train.names)
 
 
 @_offered
@@ -90,8 +92,6 @@ def plants(ctx: typer.Context, incomplete: str) -> Iterator[Offer]:
 
 def _values(ctx: typer.Context, key: str, field: Any) -> list[str]:
     """The words that a key takes, else its value in the pipeline."""
-    from npred import config
-    from npred.errors import NpredError
     from npred.pipeline.reasons import flat
     from npred.registry import Registry
 
@@ -99,12 +99,19 @@ def _values(ctx: typer.Context, key: str, field: Any) -> list[str]:
         return list(get_args(field.annotation))
     for parts in (item for item in field.metadata if isinstance(item, Registry)):
         return parts.names()
+    return [value.strip('"') for name, value in flat(_pipeline(ctx).model_dump()).items() if name == key]
+
+
+def _pipeline(ctx: typer.Context) -> "Pipeline":
+    """The pipeline that is typed, else the default one, else one with all defaults."""
+    from npred import config
+    from npred.errors import NpredError
+
     rest = ctx.args[-1] if ctx.args else None  # before an option without its value, arguments have no names yet
     try:
-        pipeline = config.load(defaults.pipeline(ctx.params.get("pipeline_name") or rest))
+        return config.load(defaults.pipeline(ctx.params.get("pipeline_name") or rest))
     except NpredError:
-        pipeline = config.Pipeline(plant="")
-    return [value.strip('"') for name, value in flat(pipeline.model_dump()).items() if name == key]
+        return config.Pipeline(plant="")
 
 
 def _first_line(path: Path) -> str:

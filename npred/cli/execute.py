@@ -9,7 +9,7 @@ from npred.cli.options import Running, Work
 from npred.cli.page import publish
 from npred.errors import ConfigError
 from npred.parallel import devices, executors
-from npred.pipeline import STAGES, Outcome, Planner, Runner, Step, networks, nodes
+from npred.pipeline import STAGES, Outcome, Planner, Runner, Step, nodes
 from npred.store import short
 from npred.terminal.console import columns
 
@@ -24,8 +24,8 @@ def stage(options: Work, name: str, model: str | None = None, output: Path | Non
 
     Raises ConfigError for a network that there is none of.
     """
-    if model is not None and model not in networks():
-        raise ConfigError(f"--model: expected {' or '.join(networks())}, got {model!r}; name one of them")
+    if model is not None and model not in (names := options.config.train.names):
+        raise ConfigError(f"--model: expected {', '.join(names)}, got {model!r}; name one of them")
     _work(options, [name], (name,), model, output)
 
 

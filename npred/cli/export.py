@@ -40,7 +40,7 @@ def export(options: Common, wanted: Wanted) -> None:
         )
     stored = load_model(wanted.key, options.store)
     path = writable(wanted.output or Path(f"{stored.model}-{wanted.nx}.{wanted.form}"))
-    operator = operators.load(stored.folder, stored.plant, stored.snapshot)
+    operator = operators.load(stored.folder, stored.plant, stored.snapshot, config=stored.config)
     samples = _samples(options, stored, COMPARED[wanted.form], wanted.nx)
     document = {"file": str(path), "format": wanted.form, "model": stored.model, "nx": wanted.nx}
     if wanted.form == "c":

@@ -13,6 +13,7 @@ from npred.diagnosis.equilibrium import SLIP
 from npred.diagnosis.lyapunov import undeclared
 from npred.loop import delay_law
 from npred.plants import inputs
+from npred.registry import NETWORKS
 
 FITS: Verdict = "yes", ""
 
@@ -82,7 +83,7 @@ def start(case: Case) -> Verdict:
 def anchors(case: Case) -> Verdict:
     """Whether there is an equilibrium for the networks that take it for their anchor."""
     train = case.settings.train
-    at_rest = [name for name in train.models if getattr(train, name).anchor == "equilibrium"]
+    at_rest = [name for name in train.models if train.table(name).anchor == "equilibrium"]
     if not at_rest or case.plant.rest:
         return FITS
     keys = ", ".join(f"train.{name}.anchor" for name in at_rest)
@@ -109,7 +110,10 @@ def radius(case: Case) -> Verdict:
 
 
 def parts(case: Case) -> Verdict:
-    """Whether laws of the delay estimate and methods load, and accept the plant."""
+    """Whether laws of the delay estimate and methods load, and accept the plant; whether networks take their sizes."""
+    for name in case.settings.train.models if "train" in case.stages else ():
+        table = case.settings.train.table(name)
+        NETWORKS.check_keywords(f"train.{name}.sizes", table.architecture, table.arguments)
     for loop in case.loops.values():
         delay_law.check(loop, case.plant)
         predictors.numerical(loop.predictor, case.plant, loop.nx)

@@ -5,7 +5,6 @@ from itertools import pairwise
 import torch
 from torch import Tensor, nn
 
-from npred import config
 from npred.operators.features import legendre, moments, running_mean
 
 DEGREE = 12  # Legendre polynomials that the trunk sees: x alone gives a basis of almost straight lines at the start
@@ -18,12 +17,14 @@ class DeepONetwork(nn.Module):
     The branch sees u as its Legendre moments; t depends on x alone, so that its values are folded at inference.
     """
 
-    def __init__(self, sizes: config.DeepONet, n: int, m: int, clock: int = 0) -> None:
+    def __init__(
+        self, n: int, m: int, clock: int = 0, *,
+        width: int = 96, depth: int = 4, basis: int = 48, trunk: int = 64, moments: int = 16,
+    ) -> None:  # fmt: skip
         super().__init__()
-        self.n, self.basis, self.moments = n, sizes.basis, sizes.moments
-        features = n + clock + sizes.moments * m + 1
-        self.branch = mlp([features, *[sizes.width] * sizes.depth, n * (sizes.basis + m)], bias=False)
-        self.trunk = mlp([DEGREE, sizes.trunk, sizes.trunk, sizes.basis])
+        self.n, self.basis, self.moments = n, basis, moments
+        self.branch = mlp([n + clock + moments * m + 1, *[width] * depth, n * (basis + m)], bias=False)
+        self.trunk = mlp([DEGREE, trunk, trunk, basis])
 
     def forward(self, X: Tensor, u: Tensor, D_hat: Tensor, stride: int = 1) -> Tensor:
         """N (B, nx, n), on every stride-th node, of scaled X (B, n + clock), u (B, nx, m) and D_hat (B,)."""

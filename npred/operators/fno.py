@@ -7,7 +7,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from npred import config, grid
+from npred import grid
 from npred.operators.deeponet import mlp
 from npred.operators.features import running_mean
 
@@ -22,12 +22,12 @@ class FNOnetwork(nn.Module):
     weights know nothing of the grid: any nx, with both ends of [0, 1] in.
     """
 
-    def __init__(self, sizes: config.FNO, n: int, m: int, clock: int = 0) -> None:
+    def __init__(self, n: int, m: int, clock: int = 0, *, width: int = 32, modes: int = 8, layers: int = 4) -> None:
         super().__init__()
-        self.lift = nn.Linear(n + clock + 1 + m + 1, sizes.width)
-        self.spectral = nn.ModuleList(Spectral(sizes.width, sizes.modes) for _ in range(sizes.layers))
-        self.local = nn.ModuleList(nn.Linear(sizes.width, sizes.width) for _ in range(sizes.layers))
-        self.project = mlp([sizes.width, 2 * sizes.width, n], bias=False)
+        self.lift = nn.Linear(n + clock + 1 + m + 1, width)
+        self.spectral = nn.ModuleList(Spectral(width, modes) for _ in range(layers))
+        self.local = nn.ModuleList(nn.Linear(width, width) for _ in range(layers))
+        self.project = mlp([width, 2 * width, n], bias=False)
 
     def forward(self, X: Tensor, u: Tensor, D_hat: Tensor, stride: int = 1) -> Tensor:
         """N (B, nx, n), on every stride-th node, of scaled X (B, n + clock), u (B, nx, m) and D_hat (B,)."""

@@ -9,14 +9,14 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 
 from npred import json_files
-from npred.config import FNO, DeepONet, Training
-from npred.errors import StoreError
+from npred.config import Network, Train, Training
+from npred.errors import ConfigError, StoreError
 from npred.operators.base import Operator
 from npred.operators.build import build
 from npred.operators.scaling import Scaling
 from npred.plants.base import Plant
+from npred.registry import NETWORKS, named
 
-TABLES: dict[str, type[Training]] = {"deeponet": DeepONet, "fno": FNO}
 MANIFEST = "model.json"
 
 
@@ -27,15 +27,15 @@ def weights(snapshot: int | None = None) -> str:
 
 def save(folder: Path, operator: Operator, config: Training, plant: Plant) -> None:
     """Write model.safetensors and model.json: the network's name, its table, the plant's identity."""
-    name = next(name for name, table in TABLES.items() if type(config) is table)
-    manifest = {"model": name, "config": config.model_dump(mode="json"), "plant": plant.identity}
+    config = config.moved(lambda path: Path(path).name)
+    manifest = {"model": config.architecture, "config": config.model_dump(mode="json"), "plant": plant.identity}
     (folder / MANIFEST).write_text(json.dumps(manifest, indent=1, sort_keys=True) + "\n", encoding="utf-8")
     save_weights(folder / weights(), operator)
 
 
 def save_weights(path: Path, operator: Operator) -> None:
-    """Write every parameter and buffer, the scaling and the point of rest among them."""
-    save_file({name: tensor.contiguous() for name, tensor in operator.state_dict().items()}, path)
+    """Write every parameter and buffer, the scaling and the point of rest among them; shared weights each time."""
+    save_file({name: tensor.contiguous().clone() for name, tensor in operator.state_dict().items()}, path)
 
 
 def describe(folder: Path) -> dict[str, Any]:
@@ -47,14 +47,20 @@ def describe(folder: Path) -> dict[str, Any]:
         raise StoreError(f"{path}: expected a saved model, got: {error}; train it again") from None
 
 
-def load(folder: Path, plant: Plant, snapshot: int | None = None, dtype: torch.dtype = torch.float32) -> Operator:
+def load(
+    folder: Path, plant: Plant, snapshot: int | None = None, dtype: torch.dtype = torch.float32,
+    config: Training | None = None,
+) -> Operator:  # fmt: skip
     """The saved operator, on the CPU and ready for use, as it ended or as it stood after `snapshot` epochs.
+
+    `config`: the pipeline's table of the network, without which the saved one is taken. A network of a file is code:
+    only a pipeline may name it, and the saved table alone is refused.
 
     In float64 the weights are the same and the point of rest is the plant's own: the anchor, and with it the end of a
     closed loop, is exact to float64's rounding. In float32 loops end about 2e-6 away.
     Raises StoreError for a file that is missing or broken, ConfigError for a plant that the anchor does not fit.
     """
-    config, path = _table(folder), folder / weights(snapshot)
+    config, path = config or _table(folder), folder / weights(snapshot)
     try:
         tensors = load_file(path)
         _check(tensors, config, plant)
@@ -70,20 +76,23 @@ def load(folder: Path, plant: Plant, snapshot: int | None = None, dtype: torch.d
 def _table(folder: Path) -> Training:
     manifest = describe(folder)
     try:
-        return TABLES[manifest["model"]].model_validate(manifest["config"])
-    except (KeyError, TypeError, ValueError) as error:
-        reason = " ".join(str(error).split())
-        raise StoreError(
-            f"{folder / MANIFEST}: expected a network of {', '.join(TABLES)}, got: {reason}; train it again"
-        ) from None
+        model, values = manifest["model"], manifest["config"]
+        kind: Any = Network if "network" in values else Train.model_fields[model].annotation
+        table = kind.model_validate(values)
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        reason, names = " ".join(str(error).split()), ", ".join(NETWORKS.names())
+        raise StoreError(f"{folder / MANIFEST}: expected a network of {names}, got: {reason}; train it again") from None
+    if named(table.architecture):
+        raise ConfigError(f"{folder}: expected a registered network, got {table.architecture}; use PIPELINE:MODEL")
+    return table
 
 
 def _check(tensors: dict[str, torch.Tensor], config: Training, plant: Plant) -> None:
     """Raise ValueError unless the tensors are those of the network that the table describes; nothing is allocated."""
-    layers = max(getattr(config, "layers", 0), getattr(config, "depth", 0))
-    if layers > len(tensors):
+    layers = max(config.arguments.get(key, 0) for key in ("layers", "depth"))
+    if layers > len(tensors) and config.architecture in NETWORKS.builtin:
         raise ValueError(f"{len(tensors)} tensors for {layers} layers")
-    with torch.device("meta"):
+    with torch.device("cpu" if named(config.architecture) else "meta"):
         wanted = build(config, plant, Scaling(plant.n, plant.m)).state_dict()
     for name in sorted(wanted.keys() | tensors.keys()):
         shapes = [

@@ -4,7 +4,7 @@ from npred.pipeline.models import Stored, load_data, load_model
 from npred.pipeline.plan import Planner, Step
 from npred.pipeline.retention import Kept, closure
 from npred.pipeline.runner import CellRun, Runner
-from npred.pipeline.stage_registry import STAGES, Node, Stage, networks, nodes
+from npred.pipeline.stage_registry import STAGES, Node, Stage, nodes
 from npred.pipeline.task import Outcome
 
 __all__ = [
@@ -21,6 +21,5 @@ __all__ = [
     "closure",
     "load_data",
     "load_model",
-    "networks",
     "nodes",
 ]

@@ -4,21 +4,25 @@ from pathlib import Path
 from typing import NamedTuple
 
 from npred import config, defaults, plants
+from npred.config import Training
 from npred.errors import ConfigError
 from npred.parallel import devices
 from npred.pipeline.plan import Planner
-from npred.pipeline.stage_registry import Node, networks, nodes
+from npred.pipeline.stage_registry import Node, nodes
 from npred.plants import Plant
 from npred.store import Artifact, Store
 
 
 class Stored(NamedTuple):
-    """A trained model: folder, network, the epoch of a snapshot (None: the final weights), and the plant."""
+    """A trained model: folder, network, the epoch of a snapshot (None: the final weights), the plant, and the table of
+    the pipeline that names it.
+    """
 
     folder: Path
     model: str
     snapshot: int | None
     plant: Plant
+    config: Training | None
 
 
 def load_model(spec: str, root: Path | None = None) -> Stored:
@@ -29,11 +33,20 @@ def load_model(spec: str, root: Path | None = None) -> Stored:
     store = Store(root or defaults.store())
     name, epoch = _split(spec)
     path, colon, model = name.rpartition(":")
-    if colon or name in networks():
-        artifact, plant = _of_pipeline(defaults.pipeline(path), model, store)
-    else:
-        artifact, plant = store.find(name), None
-    return _stored(artifact.verify(), epoch, spec, plant)
+    if colon or _of_default(name):
+        pipeline = defaults.pipeline(path)
+        return _stored(*_of_pipeline(pipeline, config.load(pipeline), model, store), epoch, spec)
+    return _stored(store.find(name), None, None, epoch, spec)
+
+
+def _of_default(name: str) -> bool:
+    """Whether a name is that of a network: a built-in one, or one of the default pipeline."""
+    if name in config.Train().names:
+        return True
+    try:
+        return name.isidentifier() and name in config.load(defaults.pipeline("")).train.named
+    except ConfigError:
+        return False
 
 
 def load_data(spec: str, root: Path | None = None) -> Artifact:
@@ -62,10 +75,10 @@ def _split(spec: str) -> tuple[str, int | None]:
     return name, int(epoch)
 
 
-def _of_pipeline(path: Path, model: str, store: Store) -> tuple[Artifact, Plant]:
-    pipeline = config.load(path)
-    if model not in networks():
-        raise ConfigError(f"{path}:{model}: expected {' or '.join(networks())} after the colon; name one of them")
+def _of_pipeline(path: Path, pipeline: config.Pipeline, model: str, store: Store) -> tuple[Artifact, Plant, Training]:
+    names = pipeline.train.names
+    if model not in names:
+        raise ConfigError(f"{path}:{model}: expected {', '.join(names)} after the colon; name one of them")
     planner = Planner(pipeline, store, devices.resolve("cpu"))
     step = planner.plan(nodes(pipeline, ["train"], only=model))[-1]
     if step.artifact is None:
@@ -73,16 +86,18 @@ def _of_pipeline(path: Path, model: str, store: Store) -> tuple[Artifact, Plant]
         raise ConfigError(
             f"{path}:{model}: expected a trained model in {store.root}, got none ({step.reason}); run {todo}"
         )
-    return step.artifact, plants.resolve(pipeline.plant, pipeline.parameters)
+    return step.artifact, plants.resolve(pipeline.plant, pipeline.parameters), pipeline.train.table(model)
 
 
-def _stored(artifact: Artifact, epoch: int | None, spec: str, plant: Plant | None) -> Stored:
-    model = artifact.manifest.question.model
+def _stored(
+    artifact: Artifact, plant: Plant | None, table: Training | None, epoch: int | None, spec: str
+) -> Stored:  # fmt: skip
+    model = artifact.verify().manifest.question.model
     if model is None:
         raise ConfigError(f"{spec}: expected a trained model, got {artifact.name}; see npred ls")
     if epoch is not None and f"snapshot-{epoch}.safetensors" not in artifact.manifest.files:
         raise ConfigError(f"{spec}: expected a snapshot of epoch {epoch}, got none; add it to train.{model}.snapshots")
-    return Stored(artifact.folder, model, epoch, plant or _named(artifact, spec))
+    return Stored(artifact.folder, model, epoch, plant or _named(artifact, spec), table)
 
 
 def _named(artifact: Artifact, spec: str) -> Plant:

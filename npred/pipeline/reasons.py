@@ -13,7 +13,7 @@ NEVER = "no artifact yet"
 UNSET = "unset"
 SHOWN = 4
 CODE = re.compile(
-    r"plant\.program\.(?:source|files\.(?P<file>.+)|(?P<function>\w+))|(?P<part>\w+\.(?:adaptation|predictor))\.source"
+    r"plant\.program\.(?:source|files\.(?P<file>.+)|(?P<function>\w+))|(?P<part>\w+\.(?:adaptation|predictor|\w+\.network))\.source"
 )
 Sources = Mapping[str, SourceText]
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from npred import registry
-from npred.config import PAPER, Loop, Pipeline, Table, Train
+from npred.config import PAPER, Loop, Network, Pipeline, Table
 from npred.errors import ConfigError
 from npred.json_files import escaped, regular, sha256
 from npred.parallel import devices
@@ -59,11 +59,6 @@ class Node:
         return f"{self.stage} {self.model}" if self.model else self.stage
 
 
-def networks() -> tuple[str, ...]:
-    """The networks that can be trained: the tables below `train`."""
-    return tuple(name for name in Train.model_fields if name != "models")
-
-
 def models(config: Pipeline) -> tuple[str, ...]:
     """The networks of a pipeline."""
     return tuple(config.train.models)
@@ -86,7 +81,7 @@ def question(node: Node, config: Pipeline, device: str) -> dict[str, Any]:
 
 
 def sources(node: Node, config: Pipeline) -> dict[str, SourceText]:
-    """The files of code behind a node's question: the plant's, those of methods and of delay laws; long ones not."""
+    """The files of code behind a node's question: the plant's, those of parts that it names; long ones not."""
     from npred import plants
 
     files_by_role = {"plant": plants.resolve(config.plant, config.parameters).source}
@@ -95,6 +90,9 @@ def sources(node: Node, config: Pipeline) -> dict[str, SourceText]:
         spec = getattr(getattr(config, stage, None), key, "")
         if registry.named(spec):
             files_by_role[f"{stage}.{key}"] = registry.read(key, registry.split(spec)[0])
+    network = config.train.table(node.model).architecture if node.model else ""
+    if registry.named(network):
+        files_by_role[f"train.{node.model}.network"] = registry.read("network", registry.split(network)[0])
     return {
         role: SourceText(file=escaped(source.file), text=source.text)
         for role, source in files_by_role.items()
@@ -162,7 +160,9 @@ def _digest(path: Path) -> str:
 
 def _train(config: Pipeline, model: str | None, device: str) -> dict[str, Any]:
     assert model is not None
-    return {"train": {model: _dump(getattr(config.train, model))}}
+    table = config.train.table(model)
+    own = {"network": registry.NETWORKS.identity(table.architecture)} if isinstance(table, Network) else {}
+    return {"train": {model: _dump(table) | own}}
 
 
 def _evaluate(config: Pipeline, model: str | None, device: str) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from npred.delays import family_of
 from npred.operators import Operator
 from npred.plants.base import Plant
 from npred.runtimes import c_text
-from npred.runtimes.lower import fold
+from npred.runtimes.lower import fold, require
 from npred.runtimes.program import Program
 from npred.symbolic import kernels
 
@@ -176,9 +176,11 @@ def export(operator: Operator, plant: Plant, path: Path, nx: int, probe: tuple[n
 def source(operator: Operator, plant: Plant, nx: int, probe: tuple[np.ndarray, ...]) -> str:
     """The text of the C file.
 
-    Raises ConfigError where inputs have delays of their own, for its law reads P(1) alone, and for an untraced plant.
+    Raises ConfigError where inputs have delays of their own, for its law reads P(1) alone, for an untraced plant, and
+    for a network that cannot be lowered.
     """
     family_of(plant).needs("export c")
+    require(operator, "export c", "use npred export onnx")
     p = fold(operator, plant, nx)
     sizes = {
         "N_STATES": p.n,

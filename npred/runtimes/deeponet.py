@@ -12,6 +12,7 @@ from npred.operators.features import legendre, moment_matrix
 from npred.runtimes.program import Loop, Matrix, Mirror, Product, Program, Silu, SiluPair, layers
 
 CPU = torch.device("cpu")
+PAIRED, STRIDED = True, False  # the sample runs beside the point of rest; every node is evaluated
 
 
 def append(p: Program, operator: Operator) -> None:

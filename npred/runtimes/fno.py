@@ -12,6 +12,7 @@ from npred.operators.fno import FNOnetwork, Spectral, transforms
 from npred.runtimes.program import Loop, Matrix, Product, Program, Series, Silu, Step, Transpose, layers
 
 CPU = torch.device("cpu")
+PAIRED, STRIDED = False, True  # the point of rest is a series; on a fine grid every stride-th node is evaluated
 SPREAD = 6.0  # standard deviations of D_hat that the series covers; beyond, N at rest is evaluated like the sample
 TERMS = 64
 SMALL = 1e-2  # of the rounding of the largest coefficient: what follows is left out

@@ -10,7 +10,7 @@ from npred.operators import Operator
 from npred.plants.base import Plant
 from npred.predictors.base import Compiled
 from npred.runtimes import numba_text
-from npred.runtimes.lower import fold
+from npred.runtimes.lower import fold, require
 from npred.runtimes.program import Program
 from npred.symbolic import kernels
 
@@ -98,7 +98,7 @@ class Fused(Compiled):
     compiled engine. Another nx in a call compiles another function. `precision` of the network is np.float32 or
     np.float64. Equal to the operator up to its rounding, but for an FNO on a fine grid: it is evaluated on every
     `stride`-th node, cubics between, by default so that COARSE intervals or more are left. At those nodes, x = 1 among
-    them, it is exact too.
+    them, it is exact too. Raises ConfigError for a network that cannot be lowered.
     """
 
     def __init__(
@@ -106,6 +106,7 @@ class Fused(Compiled):
         precision: Any = np.float32,
     ) -> None:  # fmt: skip
         super().__init__(plant, nx)
+        require(operator, "fused", "use the runtime torch or onnx", "" if name == "neural" else name)
         self.name, self.stride, self.precision = name, stride, precision  # type: ignore[misc]
         self.operator, self.kernels = operator.to("cpu").eval(), {}
 

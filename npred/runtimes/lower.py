@@ -1,7 +1,7 @@
 """A trained operator and a grid to a program: scalings and anchor here, the network in a file of its own."""
 
 import copy
-from collections.abc import Callable
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -11,13 +11,23 @@ from npred import grid
 from npred.delays import family_of
 from npred.errors import ConfigError
 from npred.operators import Operator
-from npred.operators.deeponet import DeepONetwork
-from npred.operators.fno import FNOnetwork
 from npred.plants.base import Plant
-from npred.runtimes import deeponet, fno
+from npred.registry import NETWORKS
 from npred.runtimes.program import Program
 
-NETWORKS: dict[type, Callable[[Program, Operator], None]] = {DeepONetwork: deeponet.append, FNOnetwork: fno.append}
+
+def lowering(operator: Operator) -> str:
+    """The module that lowers the operator's network, empty where there is none."""
+    entry = NETWORKS.entry(type(operator.network))
+    return entry.lowering if entry else ""
+
+
+def require(operator: Operator, what: str, cure: str, name: str = "") -> None:
+    """Raise ConfigError, after `what` wants it, unless the operator's network can be lowered; `name`: its own."""
+    if not lowering(operator):
+        names = ", ".join(name for name, entry in NETWORKS.builtin.items() if entry.lowering)
+        name = name or type(operator.network).__name__
+        raise ConfigError(f"{what}: expected a network that can be lowered ({names}), got {name}; {cure}")
 
 
 @torch.no_grad()
@@ -29,15 +39,12 @@ def fold(operator: Operator, plant: Plant, nx: int, stride: int = 1, precision: 
     Raises ConfigError for a network without a program, or one that sees the clock.
     """
     family_of(plant).needs("fused")
-    if type(operator.network) not in NETWORKS:
-        known = " or ".join(network.__name__ for network in NETWORKS)
-        raise ConfigError(f"fold: expected a {known}, got {type(operator.network).__name__}; use the runtime torch")
-    operator = _exact(operator, plant)
-    paired = operator.anchor == "equilibrium" and isinstance(operator.network, DeepONetwork)
-    rows, stride = 2 if paired else 1, stride if isinstance(operator.network, FNOnetwork) else 1
-    p = Program(plant.n, plant.m, nx, rows, stride, precision)
+    require(operator, "fold", "use the runtime torch or onnx")
+    network, operator = import_module(lowering(operator)), _exact(operator, plant)
+    rows = 2 if network.PAIRED and operator.anchor == "equilibrium" else 1
+    p = Program(plant.n, plant.m, nx, rows, stride if network.STRIDED else 1, precision)
     _inputs(p, operator)
-    NETWORKS[type(operator.network)](p, operator)
+    network.append(p, operator)
     scaling = operator.scaling
     if operator.anchor == "none":
         p.scale("base", scaling.P_mean.numpy())

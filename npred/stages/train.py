@@ -12,7 +12,7 @@ import torch
 from npred import plants, randomness
 from npred.config import Pipeline, Training
 from npred.data import shards
-from npred.operators import Operator, Scaling, build, io, save
+from npred.operators import Operator, Scaling, checked, io, save
 from npred.parallel import torchrun
 from npred.stages import Job, Progress
 from npred.terminal.progress_bars import counted
@@ -77,7 +77,7 @@ def summary(result: dict[str, Any], width: int | None = None) -> str:
 
 
 def _fit(job: Job) -> tuple[Task, list[dict[str, Any]]]:
-    config = job.config.train.deeponet if job.model == "deeponet" else job.config.train.fno
+    config = job.config.train.table(str(job.model))
     job.progress.doing(f"train {job.model}", "reading the data")
     task = _task(replace(job, device=torchrun.device(job.device)), config, job.inputs["generate"] / "data.h5")
     return task, training_loop.fit(task, job.scratch, job.progress)
@@ -101,7 +101,7 @@ def _untrained(job: Job, config: Training, scaling: Scaling, seed: int) -> Opera
     """The same weights for the same seed, whatever was drawn before; torch's own generator is left as it was."""
     with SEEDING, torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
-        return build(config, job.plant, scaling)
+        return checked(config, job.plant, scaling)
 
 
 def _write(job: Job, config: Training, operator: Operator, metrics: list[dict[str, Any]]) -> None:

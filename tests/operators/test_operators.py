@@ -178,8 +178,8 @@ def test_equilibrium_anchor_needs_an_equilibrium():
     build(DeepONet(anchor="initial"), Tracking(), scaling)  # type: ignore[arg-type]
 
 
-def test_bare_training_table_is_refused():
-    with pytest.raises(ConfigError, match="expected a table deeponet or fno, got Training"):
+def test_a_table_that_names_no_network_is_refused():
+    with pytest.raises(ConfigError, match=r"network: expected deeponet, fno, .* got 'training'"):
         build(Training(), PLANT, Scaling(2, 1))
 
 

@@ -319,7 +319,7 @@ def test_models_are_found_by_pipeline_folder_and_key(trained: dict[str, Path], p
     [
         ("{p}:deeponet@8", "snapshot of epoch 8"),
         ("{p}:deeponet@best", "epoch after @"),
-        ("{p}:cnn", "expected deeponet or fno"),
+        ("{p}:cnn", "expected deeponet, fno, "),
         ("{generate}", "expected a trained model"),
         ("0123456789", "expected one artifact"),
         ("nowhere.toml:fno", "nowhere.toml"),

@@ -166,5 +166,7 @@ def test_nan_stays_visible():
 def test_a_network_without_a_program_is_told():
     model = operator(SMALL[0])
     model.network = torch.nn.Identity()
-    with pytest.raises(ConfigError, match="expected a DeepONetwork or FNOnetwork, got Identity"):
+    with pytest.raises(
+        ConfigError, match=r"fused: expected a network that can be lowered \(deeponet, fno\), got Identity"
+    ):
         Fused(PLANT, model, 11).lanes()

@@ -17,6 +17,7 @@ from npred.parallel import devices
 from npred.plants import Plant
 from npred.predictors import RK4, OneStep, Predictor, method
 from npred.registry import INTERPRETED, called
+from npred.runtimes.lower import lowering
 from npred.stages import Job
 from npred.stages.evaluate.initial_conditions import box
 
@@ -96,14 +97,16 @@ def entries(job: Job, reference: Reference) -> list[Entry]:
     Raises MissingError where none is left.
     """
     config = job.config.bench
-    networks = {name: operators.load(job.inputs[name], job.plant) for name in job.config.train.models}
+    tables = {name: job.config.train.table(name) for name in job.config.train.models}
+    networks = {name: operators.load(job.inputs[name], job.plant, config=table) for name, table in tables.items()}
     available, methods = _available(job, config), _methods(job.config)
+    ways = {name: _ways(job, name, operator, available) for name, operator in networks.items()}
     found: list[Entry] = []
     for batch in config.batches:
         for nx in map(grid.count, config.dx if batch == 1 else config.dx[:1]):
             found += _numerical(job.plant, methods, nx, batch)
             for name, operator in networks.items():
-                found += _neural(job, operator, name, nx, batch, available)
+                found += _neural(job, operator, name, nx, batch, ways[name])
     nx = grid.count(config.dx[0])
     for name in networks:
         eps = reference.error(next(e for e in found if (e.predictor, e.nx) == (name, nx)))
@@ -152,6 +155,14 @@ def _available(job: Job, config: Bench) -> list[str]:
     return [name for name in config.runtimes if name != "onnx" or not missing]
 
 
+def _ways(job: Job, name: str, operator: Operator, available: list[str]) -> list[str]:
+    """The runtimes that a network is timed in."""
+    if lowering(operator) or "fused" not in available:
+        return available
+    job.progress.note(f"bench: no rows of the runtime fused for {name}, for it has no fused form")
+    return [runtime for runtime in available if runtime != "fused"] or ["torch"]
+
+
 def _numerical(plant: Plant, methods: dict[str, type[OneStep]], nx: int, batch: int) -> Iterator[Entry]:
     for name in INTERPRETED.builtin if batch == 1 else ():
         if family_of(plant).refusal(name) is None:
@@ -164,7 +175,7 @@ def _neural(job: Job, operator: Operator, name: str, nx: int, batch: int, availa
     for runtime in available:
         yield Entry(name, runtime, nx, batch, runtimes.predictor(runtime, job.plant, operator, nx, name))
     if job.device != "cpu":
-        moved = operators.load(job.inputs[name], job.plant)
+        moved = operators.load(job.inputs[name], job.plant, config=job.config.train.table(name))
         run = runtimes.predictor("torch", job.plant, moved, nx, name, job.device)
         for copies in (True, False):
             yield Entry(name, "torch", nx, batch, run, device=job.device, copies=copies)

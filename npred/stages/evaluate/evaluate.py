@@ -77,7 +77,7 @@ def _contenders(job: Job) -> list[Contender]:
     if config.adaptation != FROZEN:
         contenders.append(Contender("no_adaptation", numerical, adapts=False))
     for model in job.config.train.models:
-        for snapshot in [*getattr(job.config.train, model).snapshots, None]:
+        for snapshot in [*job.config.train.table(model).snapshots, None]:
             name = model if snapshot is None else f"{model}@{snapshot}"
             contenders.append(Contender(name, _neural(job, model, snapshot, name), network=True))
     return contenders
@@ -124,16 +124,19 @@ def _shares(contender: Contender, begin: Starts) -> list[slice]:
 def _neural(job: Job, model: str, snapshot: int | None, name: str) -> Predictor:
     """The fused network, as it is deployed but in double precision: in float32 an FNO's loops end 3e-6 away.
 
-    A network that sees the clock is evaluated by torch.
+    A network that sees the clock, or that cannot be lowered, is evaluated by torch.
     """
     import torch
 
     from npred import operators
     from npred.predictors.neural import Neural
     from npred.runtimes.fused import Fused
+    from npred.runtimes.lower import lowering
 
-    operator = operators.load(job.inputs[model], job.plant, snapshot, torch.float64)
-    if job.device == "cpu" and not job.plant.clocked:
+    operator = operators.load(job.inputs[model], job.plant, snapshot, torch.float64, job.config.train.table(model))
+    if not lowering(operator) and snapshot is None:
+        job.progress.note(f"evaluate: {model} is evaluated by torch, for it has no fused form")
+    if job.device == "cpu" and not job.plant.clocked and lowering(operator):
         return Fused(job.plant, operator, job.config.evaluate.nx, name, precision=np.float64)
     return Neural(job.plant, operator, job.config.evaluate.nx, job.device, name)
 
