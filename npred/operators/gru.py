@@ -30,7 +30,7 @@ class GRUNetwork(nn.Module):
         """N (B, nx, n), on every stride-th node, of scaled X (B, n + clock), u (B, nx, m) and D_hat (B,)."""
         means, between = matrices(u.shape[1], self.steps, u.dtype, u.device)
         constants = torch.cat([X, D_hat[:, None]], dim=1)
-        x = torch.linspace(-1, 1, self.steps + 1, dtype=u.dtype, device=u.device)[:, None].expand(len(X), -1, 1)
+        x = torch.linspace(-1, 1, self.steps + 1, dtype=u.dtype, device=u.device)[:, None].expand(X.shape[0], -1, 1)
         begin = torch.tanh(self.start(constants)).unflatten(1, (self.layers, -1)).transpose(0, 1).contiguous()
         repeated = constants[:, None].expand(-1, self.steps, -1)
         h, _ = self.recurrent(torch.cat([repeated, means @ u, x[:, :-1]], dim=2), begin)
