@@ -34,7 +34,7 @@ def checked(config: Training, plant: Plant, scaling: Scaling) -> Operator:
     except Exception as error:
         if isinstance(error, ConfigError):
             raise
-        reason = source_lines.told(error)
+        reason = source_lines.one_line(error)
         raise ConfigError(f"network {name}: failed on two samples on {NODES} nodes: {reason}; fix it") from None
     expected = [(2, len(range(0, NODES, stride)), plant.n) for stride in (1, 2)]
     if shapes != expected:
