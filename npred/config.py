@@ -1,4 +1,4 @@
-"""The pipeline file as frozen models: one table a stage, every key checked, `--set` overrides included."""
+"""The pipeline file as frozen models: one table per stage, every key checked, `--set` overrides included."""
 
 import os
 import re
@@ -87,7 +87,7 @@ class Loop(Table):
     """The closed loop [DAPF, eqs. 6-14] that a stage runs: times and delays in seconds, nx nodes on [0, 1].
 
     `adaptation` is the law of D_hat: the paper's by default; frozen, where D_hat stays where it starts (started at D,
-    the delay is known); or a law of one's own, `file.py:Class`, made with gamma, b and bounds.
+    the delay is known); or a user's law, `file.py:Class`, made with gamma, b and bounds.
     """
 
     dt: Positive = 0.005  #: control step, in seconds
@@ -186,7 +186,7 @@ class Training(Table):
     """
 
     epochs: Count = 100  #: passes over the data
-    batch: Count = 1024  #: rows a step
+    batch: Count = 1024  #: rows per step
     lr: Positive = 1e-2  #: learning rate, at its peak
     weight_decay: Annotated[float, Field(ge=0)] = 0.0  #: of the weights, towards 0
     optimiser: Literal["soap", "adam"] = "soap"  #: SOAP or Adam
@@ -231,7 +231,7 @@ class DeepONet(Training):
 class FNO(Training):
     """Spectral layers over x [Li et al. 2021], each a truncated real DFT of the lowest `modes`."""
 
-    batch: Count = 256  #: rows a step
+    batch: Count = 256  #: rows per step
     lr: Positive = 5e-3  #: learning rate
     width: Count = 32  #: channels
     modes: Count = 8  #: kept of each spectral layer
@@ -351,7 +351,7 @@ class Bench(Table):
     calls: Count = 20_000  #: timed calls of a predictor: of 1000, one alone is beyond 99.9 %
     seconds: Positive = 3.0  #: after which they end
     threads: Count = 1  #: of each library
-    batches: Some[Count] = [1, 1024]  #: rows a call
+    batches: Some[Count] = [1, 1024]  #: rows per call
     runtimes: Some[Literal["torch", "fused", "onnx"]] = ["torch", "fused", "onnx"]  #: ways to evaluate a network
 
 

@@ -55,6 +55,7 @@ def split(count: int, rollouts: int | None) -> tuple[np.ndarray, np.ndarray]:
     return rollout, np.isin(rollout, held_out).astype(np.uint8)
 
 
+@np.errstate(all="ignore")
 def checks(plant: Plant, data: Dataset) -> dict[str, Any]:
     """How well the samples solve the predictor equation [DAPF, eq. 10], one number per state each.
 
@@ -62,11 +63,6 @@ def checks(plant: Plant, data: Dataset) -> dict[str, Any]:
     the trapezoidal rule. relative: the root of its mean square over that of P - X. horizon: the share a of D_hat that
     fits P - X = a D_hat ∫ f best; 1 - dx where the last node is x = 1 - dx. NaN where f leaves the finite numbers.
     """
-    with np.errstate(all="ignore"):
-        return _checks(plant, data)
-
-
-def _checks(plant: Plant, data: Dataset) -> dict[str, Any]:
     integral = _integral(plant, data)
     moved = data.P - data.X[:, None]
     residual = moved - integral

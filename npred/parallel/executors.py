@@ -60,8 +60,8 @@ def completed(
 ) -> Iterator[tuple[Item, Result]]:
     """(item, function(item)) in the order in which they end.
 
-    Two items a worker are under way, no more: the results of the others need not fit in memory. Raises what `function`
-    raises, after it has cancelled the rest.
+    Two items per worker are under way, no more: the results of the others need not fit in memory. Raises what
+    `function` raises, after it has cancelled the rest.
     """
     left, under_way = iter(items), dict[Future[Result], Item]()
     try:
@@ -169,7 +169,7 @@ def _settle(outcome: Future[Any], error: BaseException | None, result: Any) -> N
 
 
 def _end_with_leash(end: Connection) -> None:
-    """A worker whose parent was killed would wait for tasks for ever: the pipe tells of it, and of an early end."""
+    """End a worker whose parent was killed or ends early, which closes the pipe: it would wait for tasks for ever."""
 
     def watch() -> None:
         try:

@@ -15,7 +15,7 @@ from npred import json_files
 from npred.defaults import RESULT
 from npred.errors import ConfigError, StoreError
 from npred.store import durable, gc_roots, locks
-from npred.store.manifest import NAME, Manifest, Question, SourceText, cure, short
+from npred.store.manifest import NAME, Manifest, Question, Sources, cure, short
 
 MARKER = ".npred-store"  # an empty file: without it nothing in a folder is npred's to delete
 _LEFT = (".tmp", ".scratch")
@@ -131,12 +131,7 @@ class Store:
             shutil.rmtree(folder, ignore_errors=True)
 
     def commit(
-        self,
-        draft: Path,
-        question: Question,
-        pipeline: str,
-        device: str = "cpu",
-        sources: Mapping[str, SourceText] = {},
+        self, draft: Path, question: Question, pipeline: str, device: str = "cpu", sources: Sources = {}
     ) -> Artifact:
         """Make a draft durable and rename it into place; a result already there steps aside (a forced rerun)."""
         manifest = Manifest.describe(question, pipeline, draft, device, sources)

@@ -91,6 +91,9 @@ class SourceText(Record):
     text: Annotated[str, Field(max_length=LONGEST)]
 
 
+Sources = Mapping[str, SourceText]  # by the role that the code has in the pipeline
+
+
 class Question(Record):
     """All that determines a result; `key` is its sha256."""
 
@@ -127,12 +130,7 @@ class Manifest(Record):
 
     @classmethod
     def describe(
-        cls,
-        question: Question,
-        pipeline: str,
-        folder: Path,
-        device: str = "cpu",
-        sources: Mapping[str, SourceText] = {},
+        cls, question: Question, pipeline: str, folder: Path, device: str = "cpu", sources: Sources = {}
     ) -> Self:
         """The manifest of the files in a folder, subfolders included, made now, on this machine and this device."""
         files = _payloads(folder)

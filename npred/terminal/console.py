@@ -153,15 +153,13 @@ class Console:
         if not shown:
             return
         text = streams.wrapped(streams.printable(text), streams.width(streams.MESSAGES))
-        if self.view:
-            self.view.console.print(text, style=style, markup=False, emoji=False, highlight=False, soft_wrap=True)
-        elif style and streams.MESSAGES.isatty():
-            from rich.console import Console as Rich
-
-            rich = Rich(file=streams.MESSAGES)
-            rich.print(text, style=style, markup=False, emoji=False, highlight=False, soft_wrap=True)
-        else:
+        if not self.view and not (style and streams.MESSAGES.isatty()):
             streams.say(text)
+            return
+        from rich.console import Console as Rich
+
+        screen = self.view.console if self.view else Rich(file=streams.MESSAGES)
+        screen.print(text, style=style, markup=False, emoji=False, highlight=False, soft_wrap=True)
 
 
 def columns(
@@ -169,7 +167,7 @@ def columns(
 ) -> str:
     """An aligned table that is never cut; the columns of `numbers` are aligned at their right.
 
-    One row a line, so that grep and awk can read it, or, with a `width`, the widest columns folded until it fits.
+    One row per line, so that grep and awk can read it, or, with a `width`, the widest columns folded until it fits.
     """
     table = [[escaped(cell) for cell in row] for row in (header, *rows)]
     widths = [max(map(streams.columns_of, cells)) for cells in zip(*table, strict=True)]

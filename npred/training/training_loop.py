@@ -141,9 +141,7 @@ def _optimiser(operator: Operator, config: Training) -> torch.optim.Optimizer:
 
 
 def _epoch(task: Task, network: Operator, optimiser: torch.optim.Optimizer, epoch: int, bar: Any) -> float:
-    """One pass over the rows in an order of its own, each batch shared by the processes if there are several; the mean
-    loss.
-    """
+    """The mean loss of one pass over the rows in a random order, each batch shared by the processes, if several."""
     config, count = task.config, len(task.train)
     shuffle = torch.Generator().manual_seed(randomness.integer(task.seed, "order", epoch))
     total = torch.zeros((), device=task.test.X.device)
