@@ -10,6 +10,7 @@ from typing import Any
 
 import fake_stages
 import pytest
+import tank
 from hypothesis import HealthCheck, settings
 from typer.testing import CliRunner, Result
 
@@ -68,6 +69,18 @@ def pipeline(tmp_path: Path) -> Path:
     path = tmp_path / "tiny.toml"
     path.write_text(TINY)
     return path
+
+
+@pytest.fixture
+def tank_file(tmp_path: Path) -> Callable[..., str]:
+    """A plant of a user's file, with a piece of the tank's text replaced; the name by which it is resolved."""
+
+    def write(old: str = "", new: str = "", text: str = tank.TANK) -> str:
+        assert old in text
+        (tmp_path / "my_plant.py").write_text(text.replace(old, new) if old else text)
+        return f"{tmp_path / 'my_plant.py'}:Tank"
+
+    return write
 
 
 @pytest.fixture

@@ -1,7 +1,6 @@
 """Plants: declaration, equilibrium, derivatives, arrays and tensors, a user's own file, and what goes wrong."""
 
 import pickle
-import textwrap
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +9,7 @@ import torch
 from follower import Follower, follower
 from hypothesis import given
 from hypothesis import strategies as st
+from tank import TANK
 
 from npred import plants
 from npred.errors import ConfigError
@@ -17,25 +17,6 @@ from npred.plants import BlackBox, Plant
 
 X_STAR = (0.093894784596175314799, 5.2514404348957272692)  # independent solver, 18 digits
 U_STAR = -2.62808664394595e-5
-
-TANK = """
-class Tank:
-    '''Level h, outflow c sqrt(h), inflow U.'''
-    states = ("h",)
-    inputs = ("U",)
-    parameters = {"c": 0.5, "level": 1.0}
-    box = {"h": (0.5, 2.0)}
-    guess = (0.8,)
-
-    def f(x, u, t, p, M):
-        return [u.U - p.c * M.sqrt(x.h)]
-
-    def kappa(x, t, p, M):
-        return [p.c * M.sqrt(x.h) + p.level - x.h]
-
-    def V(x, t, p, M):
-        return (x.h - p.level) ** 2
-"""
 
 CALLED = """
 class Tank:
@@ -50,18 +31,6 @@ class Tank:
     def V(X, t, p):
         return X[:, 0] ** 2
 """
-
-
-@pytest.fixture
-def write(tmp_path):
-    """A plant file with a piece of the tank replaced; its resolvable name."""
-
-    def make(old="", new="", text=TANK):
-        path = tmp_path / "my_plant.py"
-        path.write_text(textwrap.dedent(text.replace(old, new) if old else text))
-        return f"{path}:Tank"
-
-    return make
 
 
 def test_equilibrium_to_machine_precision():
@@ -109,18 +78,18 @@ def test_arrays_and_tensors_agree_and_differentiate():
     np.testing.assert_allclose(gradient[1, 2].numpy(), plant.kappa_jacobian(X[1, 2])[0], rtol=1e-12)
 
 
-def test_mathematics_of_parameters_and_time_on_tensors(write):
+def test_mathematics_of_parameters_and_time_on_tensors(tank_file):
     law = "M.where(p.level > 0.5, M.exp(-p.c), 2.0) * M.maximum(p.c, x.h) * M.cos(t) * M.minimum(p.c, p.level)"
-    tank = plants.resolve(write("p.c * M.sqrt(x.h) + p.level - x.h", law))
+    tank = plants.resolve(tank_file("p.c * M.sqrt(x.h) + p.level - x.h", law))
     X = np.array([[0.3], [1.7]])
     values = tank.kappa(torch.tensor(X, dtype=torch.float32), 0.4)
     assert values.dtype == torch.float32
     np.testing.assert_allclose(values.numpy(), tank.kappa(X, 0.4), rtol=1e-6)
 
 
-def test_a_branch_that_is_not_taken_may_be_undefined(write):
+def test_a_branch_that_is_not_taken_may_be_undefined(tank_file):
     safe = "M.where(x.h > 0, M.sqrt(x.h), 0.0 * x.h)"
-    tank = plants.resolve(write("return [u.U - p.c * M.sqrt(x.h)]", f"return [u.U - p.c * {safe} - x.h]"))
+    tank = plants.resolve(tank_file("return [u.U - p.c * M.sqrt(x.h)]", f"return [u.U - p.c * {safe} - x.h]"))
     f_X, f_U = tank.jacobians(np.array([-1.0]), np.array([0.0]))
     assert (f_X.item(), f_U.item()) == (-1.0, 1.0)
 
@@ -143,16 +112,16 @@ def test_plants_with_a_name_are_listed():
     assert names["scalar"]["inputs"] == ["U"]
 
 
-def test_own_file(write):
-    tank = plants.resolve(write())
+def test_own_file(tank_file):
+    tank = plants.resolve(tank_file())
     np.testing.assert_allclose(tank.equilibrium, [1.0], atol=1e-14)
     np.testing.assert_allclose(tank.f(np.array([[4.0]]), np.array([[1.0]])), [[0.0]])
 
 
-def test_identity_follows_the_formulas_and_not_the_text(write):
-    before = plants.resolve(write())
-    remark = plants.resolve(write("class Tank", "# a remark\nimport os  # unused\nclass Tank"))
-    unused = plants.resolve(write("return [u.U", "x.h * x.h  # of no use\n        return [u.U"))
+def test_identity_follows_the_formulas_and_not_the_text(tank_file):
+    before = plants.resolve(tank_file())
+    remark = plants.resolve(tank_file("class Tank", "# a remark\nimport os  # unused\nclass Tank"))
+    unused = plants.resolve(tank_file("return [u.U", "x.h * x.h  # of no use\n        return [u.U"))
     assert before.identity == remark.identity == unused.identity
     assert len({plant.source.text for plant in (before, remark, unused)}) == 3
 
@@ -165,8 +134,8 @@ def test_identity_follows_the_formulas_and_not_the_text(write):
         ("(x.h - p.level) ** 2", "2 * (x.h - p.level) ** 2", {"V"}),
     ],
 )
-def test_identity_tells_which_formula_changed(write, old, new, parts):
-    before, after = plants.resolve(write()).identity, plants.resolve(write(old, new)).identity
+def test_identity_tells_which_formula_changed(tank_file, old, new, parts):
+    before, after = plants.resolve(tank_file()).identity, plants.resolve(tank_file(old, new)).identity
     assert {name for name, digest in before["program"].items() if after["program"][name] != digest} == parts
     assert {key for key in before if before[key] != after[key]} == {"program"}
 
@@ -180,14 +149,14 @@ def test_names_of_inputs_are_part_of_the_identity():
     assert Plant("Any", before).identity != Plant("Any", after).identity
 
 
-def test_a_plant_knows_the_text_that_declares_it(write):
-    source = plants.resolve(write()).source
+def test_a_plant_knows_the_text_that_declares_it(tank_file):
+    source = plants.resolve(tank_file()).source
     assert (source.file, source.text) == ("my_plant.py", TANK)
     assert "class Scalar" in plants.resolve("scalar").source.text
 
 
-def test_time_dependence_means_no_equilibrium(write):
-    tank = plants.resolve(write("+ p.level - x.h", "+ p.level + M.sin(t) - x.h"))
+def test_time_dependence_means_no_equilibrium(tank_file):
+    tank = plants.resolve(tank_file("+ p.level - x.h", "+ p.level + M.sin(t) - x.h"))
     assert not tank.rests
     with pytest.raises(ConfigError, match="f or kappa depends on time; it only tracks"):
         _ = tank.equilibrium
@@ -262,9 +231,9 @@ def test_derivatives_at_many_points_and_times_are_those_at_each():
         ("+ p.level - x.h", "+ 1 + x.h**2", r"\(my_plant.py:13\) leads to no equilibrium near guess = \[0.8\]: h' = 1"),
     ],
 )  # fmt: skip
-def test_mistakes_are_told_in_one_line(write, old, new, message):
+def test_mistakes_are_told_in_one_line(tank_file, old, new, message):
     with pytest.raises(ConfigError, match=message) as caught:
-        plant = plants.resolve(write(old, new))
+        plant = plants.resolve(tank_file(old, new))
         assert plant.identity and plant.equilibrium.shape
     assert "\n" not in str(caught.value)
 
@@ -334,8 +303,8 @@ def test_a_plant_of_a_class_pickles_with_it():
 
 
 @pytest.mark.parametrize("traced", [True, False])
-def test_a_plant_of_a_file_pickles_by_its_path(write, traced, monkeypatch):
-    spec = write() if traced else write(text=CALLED)
+def test_a_plant_of_a_file_pickles_by_its_path(tank_file, traced, monkeypatch):
+    spec = tank_file() if traced else tank_file(text=CALLED)
     path = Path(spec.removesuffix(":Tank"))
     monkeypatch.chdir(path.parent)
     plant = plants.resolve(f"{path.name}:Tank", {"c": 0.7})
@@ -345,8 +314,8 @@ def test_a_plant_of_a_file_pickles_by_its_path(write, traced, monkeypatch):
     assert type(copy) is type(plant) and copy.identity == plant.identity and copy.parameters["c"] == 0.7
 
 
-def test_a_pickled_plant_whose_file_changed_or_went_is_refused(write):
-    spec = write()
+def test_a_pickled_plant_whose_file_changed_or_went_is_refused(tank_file):
+    spec = tank_file()
     text = pickle.dumps(plants.resolve(spec, {"c": 0.8}))
     Path(spec.removesuffix(":Tank")).write_text(TANK + "# edited")
     with pytest.raises(ConfigError, match=r"my_plant.py:Tank: expected the file that was pickled, got another text"):
