@@ -15,7 +15,7 @@ __all__ = ["Answer", "Case", "check", "require", "settled"]
 NODES, ASSUMED, SAMPLES = 101, 1.0, 256  # 1 s where nothing says how long the delay is
 
 
-def _of_pipelines(answer: Callable[[Case], Verdict], before: str = ANY) -> Question:
+def _of_pipelines(answer: Callable[[Case], Verdict | None], before: str = ANY) -> Question:
     return Question(answer.__name__, answer, lambda case: case.pipeline is not None, before, shown=False)
 
 

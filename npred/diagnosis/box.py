@@ -119,7 +119,7 @@ def complete(case: Case) -> Verdict:
     nodes = max(case.nodes, FINE)
     P = RK4(case.plant, nodes)(case.X, np.repeat(held[:, None], nodes, axis=1), case.delay)
     ended = ~np.all(np.isfinite(P), axis=2)  # (samples, nodes)
-    lost, loop = ended[:, -1], f"the open loop (u0: {inputs.told(case.plant, case.u0, case.limits)}, or kappa)"
+    lost, loop = ended[:, -1], f"the open loop (u0: {inputs.sentence(case.plant, case.u0, case.limits)}, or kappa)"
     if not lost.any():
         largest = ", ".join(f"|{s}| <= {a:.3g}" for s, a in zip(case.plant.states, np.abs(P).max((0, 1)), strict=True))
         return "yes", f"{loop} stays finite for {case.delay:g} s: {largest}"

@@ -55,7 +55,7 @@ class Case:
         """The answer, None where the question does not apply. A plant that fails on the way has one: no, and how."""
         if question.name not in self.answers and question.applies(self):
             try:
-                verdict = question.answer(self)
+                verdict = question.answer(self) or ("yes", "")
             except ConfigError as error:
                 verdict = "no", str(error)
             self.answers[question.name] = Answer(question.name, *verdict)
@@ -143,7 +143,7 @@ class Question(NamedTuple):
     """
 
     name: str
-    answer: Callable[[Case], Verdict]
+    answer: Callable[[Case], Verdict | None]  # None is yes
     applies: Callable[[Case], bool] = lambda case: True
     before: str | None = None
     shown: bool = True

@@ -1,4 +1,4 @@
-"""Questions about a pipeline: can its stages run with its plant? Asked before the first one does."""
+"""Questions about a pipeline: can its stages run with its plant? Each raises ConfigError where they cannot."""
 
 import json
 from typing import Any
@@ -8,17 +8,16 @@ import numpy as np
 from npred import predictors
 from npred.config import FROZEN, PAPER
 from npred.delays import family_of
-from npred.diagnosis.case import Case, Verdict
+from npred.diagnosis.case import Case
 from npred.diagnosis.equilibrium import SLIP
 from npred.diagnosis.lyapunov import undeclared
+from npred.errors import ConfigError
 from npred.loop import delay_law
 from npred.plants import inputs
 from npred.registry import NETWORKS
 
-FITS: Verdict = "yes", ""
 
-
-def served(case: Case) -> Verdict:
+def served(case: Case) -> None:
     """Whether methods, laws and runtimes serve the plant's family: all that do not in one refusal, and what to set."""
     refusal, pipeline = family_of(case.plant).refusal, case.settings
     asked: dict[str, tuple[str, Any]] = {}  # what a key names, and what to set in its place
@@ -29,87 +28,76 @@ def served(case: Case) -> Verdict:
         others = [name for name in pipeline.bench.runtimes if name not in refused]
         asked["bench.runtimes"] = refused[0], others or ["torch"]
     reasons = {key: reason for key, (name, _) in asked.items() if (reason := refusal(name))}
-    if not reasons:
-        return FITS
-    changes = ", ".join(f"{key} = {json.dumps(asked[key][1])}" for key in reasons)
-    return "no", f"{', '.join(reasons)}: {next(iter(reasons.values()))[0]}; set {changes}"
+    if reasons:
+        changes = ", ".join(f"{key} = {json.dumps(asked[key][1])}" for key in reasons)
+        raise ConfigError(f"{', '.join(reasons)}: {next(iter(reasons.values()))[0]}; set {changes}")
 
 
-def states(case: Case) -> Verdict:
+def states(case: Case) -> None:
     """Whether the pipeline's box is of the plant's states."""
     for name in case.settings.generate.box:
         if name not in case.plant.states:
-            return "no", f"generate.box: unknown state {name!r}; expected one of {', '.join(case.plant.states)}"
-    return FITS
+            raise ConfigError(f"generate.box: unknown state {name!r}; expected one of {', '.join(case.plant.states)}")
 
 
-def pairs(case: Case) -> Verdict:
+def pairs(case: Case) -> None:
     """Whether there is one pair per input."""
     for stage in ("generate", "evaluate"):
         limits, m = getattr(case.settings, stage).input_bounds, case.plant.m
         if limits is not None and len(limits) != m:
             what = f"expected {m} pairs [low, high], one per input, got {len(limits)}"
-            return "no", f"{stage}.input_bounds: {what}; give {m}"
-    return FITS
+            raise ConfigError(f"{stage}.input_bounds: {what}; give {m}")
 
 
-def clock(case: Case) -> Verdict:
+def clock(case: Case) -> None:
     """A network sees the time as a phase, so f and kappa have to repeat: tried near the origin, at n times."""
     plant = case.plant
     if plant.phase(0.0) is None or plant.period is None:
-        return FITS
+        return
     X, t = np.eye(plant.n), np.linspace(0.0, plant.period, plant.n)
     u, again = plant.kappa(X, t), plant.kappa(X, t + plant.period)
     gaps = again - u, plant.f(X, u, t + plant.period) - plant.f(X, u, t)
     if max(np.abs(gap).max() for gap in gaps) > SLIP:
-        return "no", f"plant {plant.name}: f and kappa expected to repeat after {plant.period:g} s; correct period"
-    return FITS
+        what = f"f and kappa expected to repeat after {plant.period:g} s"
+        raise ConfigError(f"plant {plant.name}: {what}; correct period")
 
 
-def declares_V(case: Case) -> Verdict:
+def declares_V(case: Case) -> None:
     """Whether the law of the delay estimate has the V that it takes."""
     if case.takes_V and not case.plant.declares_V:
-        return "no", f"{undeclared(case.plant)}; npred plants check offers one"
-    return FITS
+        raise ConfigError(f"{undeclared(case.plant)}; npred plants check offers one")
 
 
-def start(case: Case) -> Verdict:
+def start(case: Case) -> None:
     """Whether the loops of each stage have an input before t = 0 that the plant accepts."""
     for stage, loop in case.loops.items():
         inputs.configured(case.plant, loop, stage)
-    return FITS
 
 
-def anchors(case: Case) -> Verdict:
+def anchors(case: Case) -> None:
     """Whether there is an equilibrium for the networks that take it for their anchor."""
     train = case.settings.train
     at_rest = [name for name in train.models if train.table(name).anchor == "equilibrium"]
-    if not at_rest or case.plant.rest:
-        return FITS
-    keys = ", ".join(f"train.{name}.anchor" for name in at_rest)
-    what = f"expected a plant with an equilibrium, {case.plant.name} has none"
-    return "no", f'{keys}: {what}; write anchor = "initial"'
+    if at_rest and not case.plant.rest:
+        keys = ", ".join(f"train.{name}.anchor" for name in at_rest)
+        what = f"expected a plant with an equilibrium, {case.plant.name} has none"
+        raise ConfigError(f'{keys}: {what}; write anchor = "initial"')
 
 
-def radius(case: Case) -> Verdict:
+def radius(case: Case) -> None:
     """Whether the evaluated loops lead anywhere, from a start of the right size."""
     plant, X0 = case.plant, case.settings.evaluate.X0
     if not (plant.rests or plant.tracks):
-        what = (
-            f"expected a plant with an equilibrium or a reference, {plant.name} has neither; its loops have no radius"
-        )
-        return "no", f"evaluate: {what}: declare reference(t, p, M), what kappa follows"
+        what = f"expected a plant with an equilibrium or a reference, {plant.name} has neither"
+        raise ConfigError(f"evaluate: {what}; its loops have no radius: declare reference(t, p, M), what kappa follows")
     if len(X0) != plant.n:
-        return (
-            "no",
-            f"evaluate.X0: expected one number per state ({', '.join(plant.states)}), got {X0 or 'none'}; give as many",
-        )
+        what = f"expected one number per state ({', '.join(plant.states)}), got {X0 or 'none'}"
+        raise ConfigError(f"evaluate.X0: {what}; give as many")
     if not np.isfinite(X0).all():
-        return "no", f"evaluate.X0: expected finite values, got {X0}; correct it"
-    return FITS
+        raise ConfigError(f"evaluate.X0: expected finite values, got {X0}; correct it")
 
 
-def parts(case: Case) -> Verdict:
+def parts(case: Case) -> None:
     """Whether laws of the delay estimate and methods load, and accept the plant; whether networks take their sizes."""
     for name in case.settings.train.models if "train" in case.stages else ():
         table = case.settings.train.table(name)
@@ -117,4 +105,3 @@ def parts(case: Case) -> Verdict:
     for loop in case.loops.values():
         delay_law.check(loop, case.plant)
         predictors.numerical(loop.predictor, case.plant, loop.nx)
-    return FITS

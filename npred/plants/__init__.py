@@ -29,9 +29,8 @@ def resolve(name: str, parameters: Mapping[str, float] = {}) -> Plant:
         raise ConfigError(f"plant {name}: expected the class too, got the file alone; write {name}:Tank, say")
     declaration = _builtin().get(name) or registry.PLANTS.installed(name)
     if declaration is None:
-        known = names()
-        near = similar(name, known)
-        raise ConfigError(f"plant {name!r}: expected one of {', '.join(known)}, or a file as my_plant.py:Tank{near}")
+        near = similar(name, names())
+        raise ConfigError(f"plant {name!r}: expected one of {', '.join(names())}, or a file as my_plant.py:Tank{near}")
     return _named(name, make(name, declaration, parameters))
 
 
@@ -77,7 +76,7 @@ def named() -> list[dict[str, Any]]:
 
     One that cannot be made, of a package that fails on import say, has its name and `error`, a sentence.
     """
-    return [_told(name) for name in names()]
+    return [_summary(name) for name in names()]
 
 
 def names() -> list[str]:
@@ -85,7 +84,7 @@ def names() -> list[str]:
     return [*_builtin(), *(name for name in registry.PLANTS.names() if name not in _builtin())]
 
 
-def _told(name: str) -> dict[str, Any]:
+def _summary(name: str) -> dict[str, Any]:
     try:
         p = resolve(name)
     except ConfigError as error:
@@ -100,10 +99,10 @@ def is_builtin(name: Any) -> bool:
 
 def _builtin() -> dict[str, type]:
     """What the modules of `builtin` declare: thermal_tank.py ThermalTank, or PLANTS, a table of names to classes."""
-    found: dict[str, type] = {}
+    declarations: dict[str, type] = {}
     for module in pkgutil.iter_modules(builtin.__path__):
         content = importlib.import_module(f"{builtin.__name__}.{module.name}")
         camel = "".join(word.capitalize() for word in module.name.split("_"))
         family = getattr(content, "PLANTS", {module.name: getattr(content, camel, None)})
-        found |= {name: declaration for name, declaration in family.items() if hasattr(declaration, "states")}
-    return found
+        declarations |= {name: declaration for name, declaration in family.items() if hasattr(declaration, "states")}
+    return declarations

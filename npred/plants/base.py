@@ -134,8 +134,8 @@ class Plant:
             raise ConfigError(
                 f"plant {self.name}: expected an equilibrium, but f or kappa depends on time; it only tracks"
             )
-        X, residual, found = newton.solve(self._at_rest, self.guess)
-        if not found:
+        X, residual, converged = newton.solve(self._at_rest, self.guess)
+        if not converged:
             left = source_lines.values([f"{name}'" for name in self.states], residual)
             raise ConfigError(
                 f"{self.place('kappa')} leads to no equilibrium near guess = {self.guess.tolist()}: {left} is left; "
@@ -258,13 +258,13 @@ class Plant:
     @cached_property
     def tracks(self) -> bool:
         """Whether the plant declares a reference. Raises ConfigError where f and kappa know no time to follow it."""
-        declared = getattr(self.declaration, "reference", None) is not None
-        if declared and self.rests:
+        has_reference = getattr(self.declaration, "reference", None) is not None
+        if has_reference and self.rests:
             raise ConfigError(
                 f"{self.place('reference')} expected a kappa that depends on t, got one that rests; let kappa follow "
                 "it, or drop reference"
             )
-        return declared
+        return has_reference
 
     def _timed(self, name: str) -> bool:
         trace = Trace(self)
@@ -294,10 +294,10 @@ class Plant:
     @property
     def notation(self) -> dict[str, Any]:
         """What figures write beside the names: part of the keys of the stages that draw states, and of no other."""
-        declared = {"labels": self.labels, "units": self.units}
+        tables = {"labels": self.labels, "units": self.units}
         optional = {} if self.time_unit == "s" else {"time_unit": self.time_unit}
         optional |= {"figure": self.figure} if self.figure else {}
-        return {part: texts for part, texts in declared.items() if texts} | optional
+        return {part: texts for part, texts in tables.items() if texts} | optional
 
     def _program(self) -> dict[str, Any]:
         """The hash of each function, as the program that its trace prints."""

@@ -43,8 +43,7 @@ class BlackBox(Plant):
             raise ConfigError(f"traced = False: {what}; trace the plant, or drop delays")
 
     def call(self, name: str, x: Any, u: Any, t: Any, p: Any, M: Any) -> list[Any]:
-        found = {"f": lambda: self.f(np.array(x), np.array(u), t), "kappa": lambda: self.kappa(np.array(x), t)}
-        return [*found[name]()]
+        return [*(self.f(np.array(x), np.array(u), t) if name == "f" else self.kappa(np.array(x), t))]
 
     def f(self, X: Any, u: Any, t: Any = 0.0) -> Any:
         self._fits(X, u)
@@ -87,23 +86,23 @@ class BlackBox(Plant):
 
     def _rows(self, name: str, size: int | None, t: Any, *arrays: Any, last: Any = None) -> np.ndarray:
         """The declared function on arrays (..., k), seen by it as rows: (..., size), or (...) where size is None."""
-        given = [np.asarray(a, dtype=float) for a in arrays]
+        inputs = [np.asarray(a, dtype=float) for a in arrays]
         t = np.asarray(t, dtype=float)
         more = [] if last is None else [np.asarray(last, dtype=float)]
-        shape = np.broadcast_shapes(t.shape, *(a.shape[:-1] for a in given + more))
-        rows = [np.broadcast_to(a, (*shape, a.shape[-1])).reshape(-1, a.shape[-1]) for a in given + more]
+        shape = np.broadcast_shapes(t.shape, *(a.shape[:-1] for a in inputs + more))
+        rows = [np.broadcast_to(a, (*shape, a.shape[-1])).reshape(-1, a.shape[-1]) for a in inputs + more]
         if t.ndim or not arrays:
             t = np.broadcast_to(t, shape).reshape(-1)
-        arguments = [*rows[: len(given)], t, parameters(self), *rows[len(given) :]]
+        arguments = [*rows[: len(inputs)], t, parameters(self), *rows[len(inputs) :]]
         count = len(rows[0]) if rows else t.size
-        wanted = (count,) if size is None else (count, size)
+        expected = (count,) if size is None else (count, size)
         try:
             values = self._declared(name, arguments)
         except UNDEFINED as error:
-            values = self._one_by_one(name, arguments, wanted, error)
-        if values.shape != wanted:
-            found = f"expected to return shape {wanted}, a row per loop, got {values.shape}"
-            raise ConfigError(f"{self.place(name)} {found}; return {RETURNS.get(name, 'one value per component')}")
+            values = self._one_by_one(name, arguments, expected, error)
+        if values.shape != expected:
+            what = f"expected to return shape {expected}, one row per loop, got {values.shape}"
+            raise ConfigError(f"{self.place(name)} {what}; return {RETURNS.get(name, 'one value per component')}")
         return values.reshape(shape if size is None else (*shape, size))
 
     @np.errstate(all="ignore")  # where it is not finite is for the caller to say, in words
@@ -161,8 +160,8 @@ class BlackBox(Plant):
         random = np.random.default_rng(0)
         X = self.guess + random.uniform(-0.5, 0.5, (4, self.n))
         u = random.uniform(-0.5, 0.5, (4, self.m))
-        found = [self.f(X, u, t) if name == "f" else self.kappa(X, t) for t in TIMES]
-        return not all(np.array_equal(found[0], other, equal_nan=True) for other in found[1:])
+        values = [self.f(X, u, t) if name == "f" else self.kappa(X, t) for t in TIMES]
+        return not all(np.array_equal(values[0], later, equal_nan=True) for later in values[1:])
 
     def _program(self) -> dict[str, Any]:
         """What stands in for a program: the hash of the plant's own file, and of those that it reads, by name."""

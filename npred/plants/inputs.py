@@ -69,7 +69,7 @@ def before(plant: Plant, u0: Any, limits: np.ndarray, X0: np.ndarray) -> np.ndar
     return np.array(np.broadcast_to(value, (len(X0), plant.m)))
 
 
-def told(plant: Plant, u0: Any, limits: np.ndarray) -> str:
+def sentence(plant: Plant, u0: Any, limits: np.ndarray) -> str:
     """u0 in words: q = 0, or q = 0.5 of the equilibrium, or kappa(X0, 0)."""
     value = start(plant, u0, limits)
     if isinstance(value, str):

@@ -89,7 +89,7 @@ def _finite(plant: Plant, config: Generate, chunk: range, X0: np.ndarray, escape
     lost = np.flatnonzero(escaped >= 0)
     if len(lost):
         first = lost[np.argmin(escaped[lost])]
-        u0 = inputs.told(plant, config.u0, inputs.bounds(plant, config.input_bounds))
+        u0 = inputs.sentence(plant, config.u0, inputs.bounds(plant, config.input_bounds))
         share = f"{len(lost)} of {len(chunk)} rollouts"
         raise DivergedError(
             f"generate: expected finite states, got NaN in rollout {chunk[first]} at "
