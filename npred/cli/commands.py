@@ -292,7 +292,7 @@ def export(
     """A trained model, P and U = kappa(P(1)), or the data, for another program."""
     from npred.cli import export as exports
 
-    exports.export(options, exports.Wanted(form, key, output, nx, atol))
+    exports.export(options, form, key, output, nx, atol)
 
 
 @command(LOOK)
@@ -319,7 +319,7 @@ def import_(
     """Data of others as a file that a pipeline can train on, checked against the predictor equation."""
     from npred.cli import data_exchange
 
-    data_exchange.bring(options, form, data_exchange.Given(inputs, outputs, plant, rollouts, output))
+    data_exchange.bring(options, form, inputs, outputs, plant, rollouts, output)
 
 
 @command(CARE)
@@ -362,7 +362,7 @@ def gc(
     from npred.cli import gc
 
     paths = [defaults.pipeline(path) for path in pipelines or []]
-    gc.gc(options, gc.Wanted(paths, set, older, keep, device), yes)
+    gc.gc(options, paths, set, older, keep, device, yes)
 
 
 @command(CARE)

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -23,32 +23,24 @@ CELL = 0.5  # of a cell of the grid: by how much the delay that fits best may be
 SHUFFLED = 0.1  # of interop.together
 
 
-class Given(NamedTuple):
-    """What is to be imported, and where to."""
-
-    inputs: Path
-    outputs: Path
-    plant: str
-    rollouts: int | None
-    output: Path
-
-
-def bring(options: Common, form: str, given: Given) -> None:
-    """Write the HDF5 file of the authors' layout, and say what holds of it. Raises ConfigError where it cannot."""
+def bring(
+    options: Common, form: str, inputs: Path, outputs: Path, plant_name: str, rollouts: int | None, output: Path
+) -> None:
+    """Write the rows of two files as one HDF5 file, and say what holds of them. Raises ConfigError where it cannot."""
     if form != "npy":
         raise ConfigError(f"import: expected npy, got {form!r}; name the format of the two files")
-    if given.output.resolve() in (given.inputs.resolve(), given.outputs.resolve()):
-        raise ConfigError(f"import: expected another file than the two, got --output {given.output}; name one")
-    plant = plants.resolve(given.plant)
+    if output.resolve() in (inputs.resolve(), outputs.resolve()):
+        raise ConfigError(f"import: expected another file than the two, got --output {output}; name one")
+    plant = plants.resolve(plant_name)
     family_of(plant).needs("import")
-    data = exchange.part(plant, exchange.read(given.inputs), exchange.read(given.outputs), given.rollouts)
-    found = {"checks": exchange.checks(plant, data), "splits": _splits(data, given.rollouts)}
-    for line in _doubts(found, data.u.shape[1]):
+    data = exchange.part(plant, exchange.read(inputs), exchange.read(outputs), rollouts)
+    answers = {"checks": exchange.checks(plant, data), "splits": _splits(data, rollouts)}
+    for line in _doubts(answers, data.u.shape[1]):
         options.console.warn(line)
-    with durable.room(given.output):
-        data.write(writable(given.output), attributes(plant, "imported"))
-    document = {"file": str(given.output), "plant": plant.name, "samples": len(data), "nx": data.u.shape[1], **found}
-    options.show(plain(document), lambda: _told(document))
+    with durable.room(output):
+        data.write(writable(output), attributes(plant, "imported"))
+    document = {"file": str(output), "plant": plant.name, "samples": len(data), "nx": data.u.shape[1], **answers}
+    options.show(plain(document), lambda: _summary(document))
 
 
 def export(options: Common, form: str, spec: str, output: Path | None) -> None:
@@ -93,15 +85,15 @@ WRITERS: dict[str, Callable[[Path, Dataset, Path], list[Path]]] = {"npy": _npy, 
 def _splits(data: Dataset, rollouts: int | None) -> dict[str, Any]:
     """Both splits: the rows held out, and how near the nearest training row is."""
     _, test = exchange.split(len(data), None)
-    found: dict[str, Any] = {"rows": {"held_out": int(test.sum()), "nearest": exchange.nearest(data, test)}}
+    splits: dict[str, Any] = {"rows": {"held_out": int(test.sum()), "nearest": exchange.nearest(data, test)}}
     if rollouts:
-        found["rollouts"] = {"held_out": int(data.test.sum()), "nearest": exchange.nearest(data, data.test)}
-        found["together"] = exchange.together(data)
-    return found
+        splits["rollouts"] = {"held_out": int(data.test.sum()), "nearest": exchange.nearest(data, data.test)}
+        splits["together"] = exchange.together(data)
+    return splits
 
 
-def _doubts(found: dict[str, Any], nx: int) -> list[str]:
-    checks = found["checks"]
+def _doubts(answers: dict[str, Any], nx: int) -> list[str]:
+    checks = answers["checks"]
     lines = [
         f"{state}: P = X + D_hat ∫ f(P, u) leaves {100 * relative:.3g} % of what P moves: is it another plant?"
         for state, relative in checks["relative"].items()
@@ -116,12 +108,12 @@ def _doubts(found: dict[str, Any], nx: int) -> list[str]:
         lines.append(
             f"P fits {checks['horizon']:.4f} D_hat better: do the nodes end at x = 1? Expected linspace(0, 1, nx)"
         )
-    if found["splits"].get("together", 1.0) < SHUFFLED:
+    if answers["splits"].get("together", 1.0) < SHUFFLED:
         lines.append("the rows look shuffled: no nearer to their rollout than by chance; leave out --rollouts")
     return lines
 
 
-def _told(document: dict[str, Any]) -> str:
+def _summary(document: dict[str, Any]) -> str:
     checks, splits = document["checks"], document["splits"]
     lines = [
         f"{document['file']}: {document['samples']} samples on {document['nx']} nodes for plant {document['plant']}",

@@ -1,7 +1,6 @@
 """What `npred export` does with a trained model: a file for another program, checked on held-out samples."""
 
 from pathlib import Path
-from typing import NamedTuple
 
 from npred import operators
 from npred.cli import data_exchange
@@ -16,38 +15,28 @@ FORMATS = ("onnx", "c")
 COMPARED = {"onnx": 200, "c": 4}  # held-out samples; those of a C file are its test vector
 
 
-class Wanted(NamedTuple):
-    """What was asked for."""
-
-    form: str
-    key: str
-    output: Path | None
-    nx: int
-    atol: float
-
-
-def export(options: Common, wanted: Wanted) -> None:
+def export(options: Common, form: str, key: str, output: Path | None, nx: int, atol: float) -> None:
     """Write the file. Raises ConfigError for a format that there is none of, NpredError for a graph that differs."""
-    if wanted.form in data_exchange.WRITERS:
-        data_exchange.export(options, wanted.form, wanted.key, wanted.output)
+    if form in data_exchange.WRITERS:
+        data_exchange.export(options, form, key, output)
         return
-    if wanted.form not in FORMATS:
-        known = ", ".join([*FORMATS, *data_exchange.WRITERS])
-        raise ConfigError(f"export: expected one of {known}, got {wanted.form!r}; name one of them")
-    if wanted.nx < 2:
+    if form not in FORMATS:
+        formats = ", ".join([*FORMATS, *data_exchange.WRITERS])
+        raise ConfigError(f"export: expected one of {formats}, got {form!r}; name one of them")
+    if nx < 2:
         raise ConfigError(
-            f"--nx: expected at least 2 nodes, both ends of [0, 1], got {wanted.nx}; dx = 0.01 is nx = 101"
+            f"--nx: expected at least 2 nodes, both ends of [0, 1], got {nx}; dx = 0.01 is nx = 101"
         )
-    stored = load_model(wanted.key, options.store)
-    path = writable(wanted.output or Path(f"{stored.model}-{wanted.nx}.{wanted.form}"))
+    stored = load_model(key, options.store)
+    path = writable(output or Path(f"{stored.model}-{nx}.{form}"))
     operator = operators.load(stored.folder, stored.plant, stored.snapshot, config=stored.config)
-    samples = _samples(options, stored, COMPARED[wanted.form], wanted.nx)
-    document = {"file": str(path), "format": wanted.form, "model": stored.model, "nx": wanted.nx}
-    if wanted.form == "c":
-        c.export(operator, stored.plant, path, wanted.nx, samples)
+    samples = _samples(options, stored, COMPARED[form], nx)
+    document = {"file": str(path), "format": form, "model": stored.model, "nx": nx}
+    if form == "c":
+        c.export(operator, stored.plant, path, nx, samples)
     else:
-        document["error"] = onnx.export(operator, stored.plant, path, wanted.nx, samples, wanted.atol)
-    options.show(document, lambda: _told(document))
+        document["error"] = onnx.export(operator, stored.plant, path, nx, samples, atol)
+    options.show(document, lambda: _summary(document))
 
 
 def _samples(options: Common, stored: Stored, count: int, nx: int) -> Probe:
@@ -61,6 +50,6 @@ def _samples(options: Common, stored: Stored, count: int, nx: int) -> Probe:
     return probe(shards.survey(data.verify().folder / "data.h5").subset(test=True), count, nx)
 
 
-def _told(document: dict[str, object]) -> str:
+def _summary(document: dict[str, object]) -> str:
     line = f"{document['file']}: P and U of {document['model']} on {document['nx']} nodes"
     return f"{line}, within {document['error']:.2g} of the model" if "error" in document else line

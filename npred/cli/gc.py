@@ -5,7 +5,6 @@ import re
 import stat
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -24,17 +23,6 @@ DAY = 86400.0
 KEY = re.compile("[0-9a-f]{64}")
 
 
-@dataclass(frozen=True)
-class Wanted:
-    """What stays: of these pipelines and their grids, younger than so many days, up to so many bytes in all."""
-
-    pipelines: list[Path] | None
-    set: list[str] | None
-    older: float
-    keep: str | None
-    device: str
-
-
 class Waste(NamedTuple):
     """Something to delete, and why; of a sound result also the checksum of its manifest."""
 
@@ -51,12 +39,21 @@ class Waste(NamedTuple):
             return self.checksum is None
 
 
-def gc(options: Common, wanted: Wanted, yes: bool) -> None:
-    """The plan of what to delete, and with `yes` the deed. Raises ConfigError where no pipeline says what stays."""
-    plan = _plan(options, wanted)
+def gc(
+    options: Common, pipelines: list[Path], sets: list[str] | None, older: float, keep: str | None, device: str,
+    yes: bool,
+) -> None:  # fmt: skip
+    """The plan of what to delete, and with `yes` the deletion: of what is older than so many days, the oldest first
+    until the store has the size `keep`, but nothing that the pipelines and their grids need.
+
+    Raises ConfigError where no pipeline says what stays.
+    """
+    limit, since = size(keep), time.time() - older * DAY
+    _check_marker(options.results)
+    plan = _plan(options.results, _kept(options, pipelines, sets, device), limit, since)
     deleted = [str(path) for path in _delete(options.results, plan)] if yes else []
     rows = [{"path": str(waste.path), "bytes": waste.bytes, "reason": waste.reason} for waste in plan]
-    options.show({"plan": rows, "deleted": deleted}, lambda: _told(plan, deleted, yes, options.console.width))
+    options.show({"plan": rows, "deleted": deleted}, lambda: _table(plan, deleted, yes, options.console.width))
 
 
 def _delete(store: Store, plan: list[Waste]) -> list[Path]:
@@ -77,11 +74,7 @@ def _deleted(store: Store, waste: Waste) -> bool:
     return store.delete(waste.path, lambda path: path.name not in claims.in_use(store.root) and waste.as_seen(path))
 
 
-def _plan(options: Common, wanted: Wanted) -> list[Waste]:
-    store = options.results
-    limit, since = size(wanted.keep), time.time() - wanted.older * DAY
-    _check_marker(store)
-    kept = _kept(options, wanted)
+def _plan(store: Store, kept: Kept, limit: int, since: float) -> list[Waste]:
     sound, broken = store.survey()
     stays = closure([a for a in sound if kept.holds(a) or a.made > since], sound)
     unneeded = [a for a in sound if a.manifest.key not in stays and store.owns(a.folder)]
@@ -98,9 +91,9 @@ def _check_marker(store: Store) -> None:
         )
 
 
-def _kept(options: Common, wanted: Wanted) -> Kept:
+def _kept(options: Common, pipelines: list[Path], sets: list[str] | None, device: str) -> Kept:
     store = options.results
-    paths = wanted.pipelines or sorted(defaults.PIPELINE.parent.glob("*.toml"))
+    paths = pipelines or sorted(defaults.PIPELINE.parent.glob("*.toml"))
     named = {path.resolve() for path in paths}
     remembered = [root for root in gc_roots.registered(store.root) if root.file not in named]
     if not paths and not remembered:
@@ -108,29 +101,29 @@ def _kept(options: Common, wanted: Wanted) -> Kept:
             f"gc: expected pipelines whose results stay, found none in {defaults.PIPELINE.parent}/ and none that this "
             "store was run with; name them"
         )
-    kept, device = Kept(), devices.resolve(wanted.device)
+    kept, device = Kept(), devices.resolve(device)
     for path in paths:
-        for cell in [*cells(path, []), *(cells(path, wanted.set) if wanted.set else [])]:
+        for cell in [*cells(path, []), *(cells(path, sets) if sets else [])]:
             kept.add(Planner(cell.config, store, device), nodes(cell.config, STAGES))
     for root in remembered:
-        _keep_known(options, kept, root, device)
+        _keep_remembered(options, kept, root, device)
     return kept
 
 
-def _keep_known(options: Common, kept: Kept, known: GcRoot, device: str) -> None:
+def _keep_remembered(options: Common, kept: Kept, root: GcRoot, device: str) -> None:
     """Keep what a pipeline file asks for that a run of this store took.
 
     What it last asked for stays where the file is broken now, and where another user ran it: to know what it asks for
     its plant is run, which is code.
     """
     try:
-        if known.own:
-            pipeline = config.load(known.file)
+        if root.own:
+            pipeline = config.load(root.file)
             kept.add(Planner(pipeline, options.results, device), nodes(pipeline, STAGES))
             return
     except NpredError as error:
         options.console.warn(f"{error}; what it last asked for stays")
-    kept.keep(known.keys)
+    kept.keep(root.keys)
 
 
 def _beyond(unneeded: list[Artifact], sound: list[Artifact], limit: int) -> Iterator[Waste]:
@@ -148,8 +141,8 @@ def _broken(store: Store, broken: list[Path], kept: Kept, since: float) -> Itera
         yield Waste(folder, _bytes(folder), "no sound manifest")
     for path in store.leftovers():
         resumed = path.parent.name == ".scratch" and kept.holds_checkpoint(path.name)
-        found = _stat(path)
-        if not resumed and found and found.st_mtime <= since:
+        status = _stat(path)
+        if not resumed and status and status.st_mtime <= since:
             yield Waste(path, _bytes(path), "left by a run that ended early")
 
 
@@ -157,13 +150,13 @@ def size(text: str | None) -> int:
     """The bytes meant by `500M` or `2.5G`, powers of ten; -1 for None. Raises ConfigError for other words."""
     if text is None:
         return -1
-    found = re.fullmatch(r"(\d{1,9}\.?\d{0,9})([kMGT]?)B?", text)
-    if found is None:
+    match = re.fullmatch(r"(\d{1,9}\.?\d{0,9})([kMGT]?)B?", text)
+    if match is None:
         raise ConfigError(f"--keep: expected a size as 500M or 2.5G, got {text!r}; correct it")
-    return round(float(found[1]) * UNITS[found[2]])
+    return round(float(match[1]) * UNITS[match[2]])
 
 
-def _told(plan: list[Waste], deleted: list[str], yes: bool, width: int | None) -> str:
+def _table(plan: list[Waste], deleted: list[str], yes: bool, width: int | None) -> str:
     if not plan:
         return "nothing to delete"
     rows = [[_short(waste.path), f"{waste.bytes / 1e6:.1f} MB", waste.reason] for waste in plan]
@@ -175,12 +168,12 @@ def _told(plan: list[Waste], deleted: list[str], yes: bool, width: int | None) -
 
 def _short(path: Path) -> str:
     """`stage/key`, or `.scratch/stage-key`, with the key cut short."""
-    return f"{path.parent.name}/{KEY.sub(lambda found: short(found[0]), path.name)}"
+    return f"{path.parent.name}/{KEY.sub(lambda key: short(key[0]), path.name)}"
 
 
 def _bytes(folder: Path) -> int:
     files = (_stat(Path(here, name)) for here, _, names in os.walk(folder) for name in names)
-    return sum(found.st_size for found in files if found and stat.S_ISREG(found.st_mode))
+    return sum(status.st_size for status in files if status and stat.S_ISREG(status.st_mode))
 
 
 def _stat(path: Path) -> os.stat_result | None:
