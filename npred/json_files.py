@@ -1,8 +1,11 @@
-"""Small files from anywhere: read only if regular and no longer than they should be, parsed without surprises."""
+"""Small files from anywhere: read only if regular and no longer than they should be, parsed without surprises; digests
+of files, and what makes them outlive a loss of power.
+"""
 
 import errno
 import hashlib
 import json
+import os
 import stat
 from pathlib import Path
 from typing import Any
@@ -27,6 +30,15 @@ def sha256(path: Path) -> str:
     """The sha256 of a file's bytes, in hexadecimal."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def sync(path: Path) -> None:
+    """Make a file's bytes, or a folder's names, outlive a loss of power. Raises OSError."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
 
 
 def regular(path: Path) -> Path:

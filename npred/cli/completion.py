@@ -51,10 +51,10 @@ def settings(ctx: typer.Context, incomplete: str) -> Iterator[Offer]:
 
     key, sign, _ = incomplete.partition("=")
     keys = config.leaves(networks=_pipeline(ctx).train.named)
-    known = {name: field for name, field in keys if (name == key if sign else name.startswith(key))}
-    if len(known) > 1:
-        yield from ((name, "") for name in known)
-    for name, field in known.items() if len(known) == 1 else ():
+    fields = {name: field for name, field in keys if (name == key if sign else name.startswith(key))}
+    if len(fields) > 1:
+        yield from ((name, "") for name in fields)
+    for name, field in fields.items() if len(fields) == 1 else ():
         yield from ((f"{name}={value}", "") for value in ["", *_values(ctx, name, field)])
 
 

@@ -1,4 +1,4 @@
-"""What `npred import` does, and `npred export` of data: samples from and for other programs."""
+"""`npred import`, and `npred export` of data: samples from and for other programs."""
 
 from collections.abc import Callable
 from pathlib import Path

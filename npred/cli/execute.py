@@ -1,4 +1,4 @@
-"""What the commands do that run stages."""
+"""The commands that run stages."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -31,17 +31,17 @@ def stage(options: Work, name: str, model: str | None = None, output: Path | Non
 
 def bring(options: Work, targets: list[str], model: str | None = None) -> list[Outcome]:
     """The targets and all that they need, from the store or run."""
-    wanted, jobs, console = nodes(options.config, targets, model), options.jobs or devices.cores(), options.console
+    needed, jobs, console = nodes(options.config, targets, model), options.jobs or devices.cores(), options.console
     with (
         _recorded(options) as record,
-        console.watch(options.config.name, [node.title for node in wanted]),
+        console.watch(options.config.name, [node.title for node in needed]),
         executors.opened(options.executor, jobs) as executor,
     ):
         planner = _planner(options, targets)  # on the screen already: to look for a GPU imports torch
         console.head(f"{options.config.name} on {planner.device}")
         options.results.remember(options.pipeline)  # also where the run is interrupted
         keep_log(options)
-        outcomes = Runner(console, jobs, executor).run(planner, wanted)
+        outcomes = Runner(console, jobs, executor).run(planner, needed)
         record(outcomes)
     if not options.set:  # what an override asks for, the file does not
         keys = {done.node.name: done.artifact.manifest.key for done in outcomes}

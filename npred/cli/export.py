@@ -1,4 +1,4 @@
-"""What `npred export` does with a trained model: a file for another program, checked on held-out samples."""
+"""`npred export` of a trained model: a file for another program, checked on held-out samples."""
 
 from pathlib import Path
 
@@ -24,9 +24,7 @@ def export(options: Common, form: str, key: str, output: Path | None, nx: int, a
         formats = ", ".join([*FORMATS, *data_exchange.WRITERS])
         raise ConfigError(f"export: expected one of {formats}, got {form!r}; name one of them")
     if nx < 2:
-        raise ConfigError(
-            f"--nx: expected at least 2 nodes, both ends of [0, 1], got {nx}; dx = 0.01 is nx = 101"
-        )
+        raise ConfigError(f"--nx: expected at least 2 nodes, both ends of [0, 1], got {nx}; dx = 0.01 is nx = 101")
     stored = load_model(key, options.store)
     path = writable(output or Path(f"{stored.model}-{nx}.{form}"))
     operator = operators.load(stored.folder, stored.plant, stored.snapshot, config=stored.config)

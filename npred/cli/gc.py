@@ -1,4 +1,4 @@
-"""What `npred gc` does: what no pipeline needs, by age and size, planned first and deleted when told to."""
+"""`npred gc`: results that no pipeline needs, by age and size, planned first and deleted with --yes."""
 
 import os
 import re

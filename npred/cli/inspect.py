@@ -1,4 +1,4 @@
-"""What the commands do that look at a pipeline or at the store, and change nothing."""
+"""The commands that look at a pipeline or at the store, and change nothing."""
 
 import time
 from datetime import UTC, datetime
@@ -57,8 +57,8 @@ def ls(options: Common, shown: list[str]) -> None:
     artifacts, broken = options.results.survey()
     for folder in broken:
         options.console.warn(f"{folder}: expected a sound manifest, got none; remove that folder")
-    known = {artifact.manifest.key: artifact for artifact in artifacts}
-    settings = [{key: _setting(artifact, key, known) for key in shown} for artifact in artifacts]
+    by_key = {artifact.manifest.key: artifact for artifact in artifacts}
+    settings = [{key: _setting(artifact, key, by_key) for key in shown} for artifact in artifacts]
     digest = ["digest"] if options.console.width is None else []  # a screen has no room for it
     header = ["artifact", "model", "pipeline", "made", "size", *digest, *shown]
     rows = [
@@ -103,13 +103,13 @@ def plants(options: Common) -> None:
     """The plants that are built in, and those of installed packages."""
     from npred.plants import named
 
-    known = named()
-    for broken in (p for p in known if "error" in p):
+    listed = named()
+    for broken in (p for p in listed if "error" in p):
         options.console.warn(broken["error"])
-    sound = [p for p in known if "error" not in p]
+    sound = [p for p in listed if "error" not in p]
     rows = [[p["name"], ", ".join(p["states"]), ", ".join(p["inputs"]), _assignments(p)] for p in sound]
     options.show(
-        {"plants": known}, lambda: columns(["plant", "states", "inputs", "parameters"], rows, options.console.width)
+        {"plants": listed}, lambda: columns(["plant", "states", "inputs", "parameters"], rows, options.console.width)
     )
 
 
@@ -162,12 +162,12 @@ def _row(artifact: Artifact) -> list[str]:
     return [artifact.name, manifest.question.model or "-", manifest.pipeline, time_made, size, short(manifest.digest)]
 
 
-def _setting(artifact: Artifact, key: str, known: dict[str, Artifact]) -> str | None:
+def _setting(artifact: Artifact, key: str, by_key: dict[str, Artifact]) -> str | None:
     """A setting of the artifact or of what it was made from, as JSON."""
     asked = artifact.manifest.question
     own = flat(asked.config).get(key)
-    sources = (known[source.key] for source in asked.inputs.values() if source.key in known)
-    return own or next((found for source in sources if (found := _setting(source, key, known))), None)
+    sources = (by_key[source.key] for source in asked.inputs.values() if source.key in by_key)
+    return own or next(filter(None, (_setting(source, key, by_key) for source in sources)), None)
 
 
 def _facts(artifact: Artifact) -> str:

@@ -1,4 +1,4 @@
-"""What `npred init` writes: a plant file and its pipeline, from comments or from a plant that there is."""
+"""`npred init`: a plant file and its pipeline, from comments or from a plant that there is."""
 
 import inspect
 import re

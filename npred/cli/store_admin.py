@@ -1,4 +1,4 @@
-"""What the commands do that look after the store and the machine."""
+"""The commands that look after the store and the machine."""
 
 import os
 import platform

@@ -1,4 +1,4 @@
-"""What `npred sweep` does: every cell of a grid from the store or made, one table, and the front as a figure."""
+"""`npred sweep`: every cell of a grid from the store or made, one table, and the front as a figure."""
 
 import csv
 import io

@@ -32,12 +32,12 @@ def reason(question: Question, pipeline: str, artifacts: Iterable[Artifact], sou
 
 def differences(before: Question, after: Question, old_sources: Sources = {}, new_sources: Sources = {}) -> list[str]:
     """Each difference of two questions of one stage as `key: before -> after`; that of code in its lines."""
-    found = [f"stage version: {before.version} -> {after.version}"] if before.version != after.version else []
-    found += settings(before.config, after.config, old_sources, new_sources)
+    lines = [f"stage version: {before.version} -> {after.version}"] if before.version != after.version else []
+    lines += settings(before.config, after.config, old_sources, new_sources)
     for name in sorted(before.inputs.keys() | after.inputs.keys()):
         old, new = (short(q.inputs[name].digest) if name in q.inputs else UNSET for q in (before, after))
-        found += [f"input {name} changed: {old} -> {new}"] if old != new else []
-    return found
+        lines += [f"input {name} changed: {old} -> {new}"] if old != new else []
+    return lines
 
 
 def settings(
@@ -88,10 +88,10 @@ def flat(table: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
     return leaves
 
 
-def sentence(found: list[str]) -> str:
+def sentence(lines: list[str]) -> str:
     """A few differences on one line."""
-    more = len(found) - SHOWN
-    return "; ".join(found[:SHOWN]) + (f"; and {more} more" if more > 0 else "")
+    more = len(lines) - SHOWN
+    return "; ".join(lines[:SHOWN]) + (f"; and {more} more" if more > 0 else "")
 
 
 def alike(artifact: Artifact, stage: str, model: str | None, pipeline: str) -> bool:

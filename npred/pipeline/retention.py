@@ -25,11 +25,11 @@ class Kept:
 
     def add(self, planner: Planner, nodes: Iterable[Node]) -> None:
         """Keep what these nodes of a pipeline need, each after its inputs."""
-        found: dict[str, Artifact | None] = {}
+        artifacts: dict[str, Artifact | None] = {}
         for node in nodes:
-            inputs = {name: artifact for name in node.inputs if (artifact := found[name])}
-            known = len(inputs) == len(node.inputs)
-            found[node.name] = self._keep(planner, node, inputs) if known else self._keep_alike(planner, node)
+            inputs = {name: artifact for name in node.inputs if (artifact := artifacts[name])}
+            complete = len(inputs) == len(node.inputs)
+            artifacts[node.name] = self._keep(planner, node, inputs) if complete else self._keep_alike(planner, node)
 
     def holds(self, artifact: Artifact) -> bool:
         """Whether an artifact is needed, or may be."""
@@ -66,11 +66,11 @@ def _elsewhere(asked: Question) -> str | None:
 
 def closure(kept: Iterable[Artifact], everything: Iterable[Artifact]) -> set[str]:
     """The keys of the kept artifacts and of all that they were made from."""
-    known = {artifact.manifest.key: artifact for artifact in everything}
+    by_key = {artifact.manifest.key: artifact for artifact in everything}
     keys, todo = set(), [artifact.manifest.key for artifact in kept]
     while todo:
         key = todo.pop()
         if key not in keys:
             keys.add(key)
-            todo += [source.key for source in known[key].manifest.question.inputs.values() if source.key in known]
+            todo += [source.key for source in by_key[key].manifest.question.inputs.values() if source.key in by_key]
     return keys

@@ -66,10 +66,10 @@ def models(config: Pipeline) -> tuple[str, ...]:
 
 def nodes(config: Pipeline, targets: Iterable[str], only: str | None = None) -> list[Node]:
     """The targets with all that they need, each after its inputs; `only` keeps one network of the train stage."""
-    wanted = set(targets)
+    needed = set(targets)
     for name in reversed(STAGES):
-        wanted.update(STAGES[name].upstream if name in wanted else ())
-    return [node for name in STAGES if name in wanted for node in _nodes(name, (only,) if only else models(config))]
+        needed.update(STAGES[name].upstream if name in needed else ())
+    return [node for name in STAGES if name in needed for node in _nodes(name, (only,) if only else models(config))]
 
 
 def question(node: Node, config: Pipeline, device: str) -> dict[str, Any]:

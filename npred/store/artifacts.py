@@ -145,7 +145,7 @@ class Store:
         durable.make(target.parent)
         before = self._aside(target)  # what takes time, its removal, comes when the new one is there
         draft.rename(target)
-        durable.sync(target.parent)
+        json_files.sync(target.parent)
         shutil.rmtree(before, ignore_errors=True)
         self._mark()
         return Artifact(target, manifest)

@@ -1,12 +1,12 @@
 """Files made to outlive a loss of power, and a full disk in one line."""
 
 import errno
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from npred.errors import NpredError
+from npred.json_files import sync
 
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 _WORDS = ("No space left on device", "Disk quota exceeded", "File too large")  # of libraries that drop the number
@@ -16,15 +16,6 @@ def sync_tree(folder: Path) -> None:
     """Every file and folder below and the folder itself, made to outlive a loss of power."""
     for path in [*folder.rglob("*"), folder]:
         sync(path)
-
-
-def sync(path: Path) -> None:
-    """A file's bytes, or a folder's names."""
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
 
 
 def make(folder: Path) -> None:

@@ -43,12 +43,12 @@ def cells(path: Path, sets: Sequence[str]) -> list[Cell]:
     if prod(len(axis) for axis in axes.values()) > MOST:
         raise ConfigError(f"--set: expected a grid of at most {MOST} cells, got more; shorten an axis")
     several = [key for key, axis in axes.items() if len(axis) > 1]
-    made = []
+    grid = []
     for chosen in product(*axes.values()):
         named = dict(zip(axes, chosen, strict=True))
         pipeline = config.load(path, [key + value for key, value in named.items()])
-        made.append(Cell({key.removesuffix("="): named[key] for key in several}, pipeline))
-    return made
+        grid.append(Cell({key.removesuffix("="): named[key] for key in several}, pipeline))
+    return grid
 
 
 def values(text: str) -> list[str]:
@@ -58,10 +58,10 @@ def values(text: str) -> list[str]:
     a range without numbers and for an empty place in a list.
     """
     pieces = [text] if _toml(text) else list(_pieces(text))
-    found = [value for piece in pieces for value in _expanded(piece.strip() if len(pieces) > 1 else piece)]
-    if len(pieces) > 1 and "" in found:
+    expanded = [value for piece in pieces for value in _expanded(piece.strip() if len(pieces) > 1 else piece)]
+    if len(pieces) > 1 and "" in expanded:
         raise ConfigError(f"--set: expected values between the commas, got {text!r}; drop the empty one")
-    return list(dict.fromkeys(found))
+    return list(dict.fromkeys(expanded))
 
 
 def _pieces(text: str) -> Iterator[str]:
@@ -76,10 +76,10 @@ def _pieces(text: str) -> Iterator[str]:
 
 
 def _expanded(piece: str) -> list[str]:
-    found = _RANGE.fullmatch(piece)
-    if found is None:
+    match = _RANGE.fullmatch(piece)
+    if match is None:
         return [piece]
-    numbers = range(int(found[1]), int(found[2]), int(found[3] or 1))
+    numbers = range(int(match[1]), int(match[2]), int(match[3] or 1))
     if not 0 < len(numbers) <= MOST:
         raise ConfigError(f"--set: expected a range as 0:10, its end not in it, got {piece!r}; correct it")
     return [str(number) for number in numbers]

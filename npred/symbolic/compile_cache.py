@@ -111,15 +111,6 @@ def folder() -> Path:
         return _temporary()
 
 
-def sync(path: Path) -> None:
-    """A file's bytes, or a folder's names, made to outlive a loss of power."""
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
-
-
 def _absolute(variable: str) -> Path | None:
     """The folder that an environment variable names; an empty one is unset."""
     text = os.environ.get(variable, "")
@@ -194,7 +185,7 @@ def _place(aside: Path, place: Path) -> None:
     digests = _digests(aside)
     (aside / SEAL).write_text(json.dumps(digests), encoding="utf-8")
     for path in [*(aside / name for name in digests), aside / SEAL, aside]:
-        sync(path)
+        json_files.sync(path)
     if place.exists() and not _sound(place):
         broken = Path(tempfile.mkdtemp(dir=place.parent, prefix=".old-"))
         place.rename(broken / place.name)
@@ -207,7 +198,7 @@ def _place(aside: Path, place: Path) -> None:
         except OSError as error:
             if error.errno != errno.ENOTEMPTY:
                 raise
-        sync(place.parent)
+        json_files.sync(place.parent)
 
 
 def _digests(folder: Path) -> dict[str, str]:
