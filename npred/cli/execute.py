@@ -1,7 +1,7 @@
 """The commands that run stages."""
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any
 
@@ -32,17 +32,21 @@ def stage(options: Work, name: str, model: str | None = None, output: Path | Non
 def bring(options: Work, targets: list[str], model: str | None = None) -> list[Outcome]:
     """The targets and all that they need, from the store or run."""
     needed, jobs, console = nodes(options.config, targets, model), options.jobs or devices.cores(), options.console
-    with (
-        _recorded(options) as record,
-        console.watch(options.config.name, [node.title for node in needed]),
-        executors.opened(options.executor, jobs) as executor,
-    ):
+    with ExitStack() as stack:
+        if options.tensorboard:
+            from npred.terminal.tensorboard import Events
+
+            console.events = stack.enter_context(closing(Events(options.tensorboard)))
+        stack.enter_context(console.watch(options.config.name, [node.title for node in needed]))
+        executor = stack.enter_context(executors.opened(options.executor, jobs))
         planner = _planner(options, targets)  # on the screen already: to look for a GPU imports torch
         console.head(f"{options.config.name} on {planner.device}")
         options.results.remember(options.pipeline)  # also where the run is interrupted
         keep_log(options)
         outcomes = Runner(console, jobs, executor).run(planner, needed)
-        record(outcomes)
+        for done in outcomes:
+            if console.events and done.node.stage == "train" and done.action == "hit":
+                console.events.replay(done.node.title, done.artifact.folder / "metrics.jsonl")
     if not options.set:  # what an override asks for, the file does not
         keys = {done.node.name: done.artifact.manifest.key for done in outcomes}
         options.results.remember(options.pipeline, keys)
@@ -52,27 +56,6 @@ def bring(options: Work, targets: list[str], model: str | None = None) -> list[O
 def keep_log(options: Running) -> None:
     """A log of this run in the store's folder."""
     options.console.keep_log(options.store, options.pipeline.stem)
-
-
-@contextmanager
-def _recorded(options: Work) -> Iterator[Callable[[list[Outcome]], None]]:
-    """TensorBoard's event files while the block runs; what it yields adds the trainings that the store had."""
-    if options.tensorboard is None:
-        yield lambda outcomes: None
-        return
-    from npred.terminal.tensorboard import Events
-
-    options.console.events = events = Events(options.tensorboard)
-
-    def record(outcomes: list[Outcome]) -> None:
-        for done in outcomes:
-            if done.node.stage == "train" and done.action == "hit":
-                events.replay(done.node.title, done.artifact.folder / "metrics.jsonl")
-
-    try:
-        yield record
-    finally:
-        events.close()
 
 
 def _work(

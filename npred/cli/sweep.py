@@ -9,15 +9,13 @@ from npred.cli import execute, page
 from npred.cli.options import Running, writable_folder
 from npred.errors import ConfigError, NpredError
 from npred.parallel import devices, executors
-from npred.pipeline import STAGES, CellRun, Outcome, Planner, Runner, Step, nodes
+from npred.pipeline import STAGES, CellRun, Outcome, Planner, Runner, nodes
 from npred.store import durable
 from npred.sweep import Cell, cells, sweep_table
 from npred.terminal.console import columns
 from npred.terminal.progress_bars import counted
 
 PRECISION = 4  # digits of the table that people read
-
-
 Done = list[tuple[Cell, CellRun]]
 
 
@@ -33,22 +31,24 @@ def sweep(options: Running, to: str, output: Path | None, csv: bool) -> None:
     devices.require(device)
     grid = cells(options.pipeline, options.set or [])
     targets = ["evaluate", "bench"] if to == "bench" else [to]  # a latency is worth little without its error
-    planners = [Planner(cell.config, options.results, device) for cell in grid]
     if options.dry_run:
-        _plan(options, grid, [planner.plan(nodes(planner.config, targets)) for planner in planners])
+        _show_plan(options, grid, targets, device)
         return
     jobs = options.jobs or devices.cores()
     options.results.remember(options.pipeline)
     execute.keep_log(options)
     with executors.opened(options.executor, jobs) as executor:
+        planners = [Planner(cell.config, options.results, device) for cell in grid]
         runs = Runner(options.console, jobs, executor).sweep(planners, targets)
     _report(options, list(zip(grid, runs, strict=True)), output, csv)
 
 
-def _plan(options: Running, grid: list[Cell], plans: list[list[Step]]) -> None:
-    lines = [[f"{step.node.title}: {step.action}" for step in plan] for plan in plans]
-    document = {"cells": [{"cell": cell.name, "stages": line} for cell, line in zip(grid, lines, strict=True)]}
-    options.show(document, lambda: "\n".join("  ".join([c["cell"], *c["stages"]]) for c in document["cells"]))
+def _show_plan(options: Running, grid: list[Cell], targets: list[str], device: str) -> None:
+    lines = []
+    for cell in grid:
+        steps = Planner(cell.config, options.results, device).plan(nodes(cell.config, targets))
+        lines.append({"cell": cell.name, "stages": [f"{step.node.title}: {step.action}" for step in steps]})
+    options.show({"cells": lines}, lambda: "\n".join("  ".join([line["cell"], *line["stages"]]) for line in lines))
 
 
 def _report(options: Running, done: Done, output: Path | None, csv: bool) -> None:

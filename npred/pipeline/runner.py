@@ -86,15 +86,12 @@ class Runner:
         for run in runs:
             run.planner.check(run.nodes)
         with self.console.bar("sweep", len(runs), "cells") as bar:
-            self._bring(runs, self.executor, self._submit, bar)
+            self._bring(runs, self.executor, lambda task: self.executor.submit(elsewhere, task, packages()), bar)
         return runs
 
     def make(self, task: Task) -> Outcome:
         """What becomes of a task in this process."""
         return task.outcome(self.console, self.jobs, self.executor)
-
-    def _submit(self, task: Task) -> Future[Outcome]:
-        return self.executor.submit(elsewhere, task.located(), packages())
 
     def _bring(
         self, runs: list[CellRun], workers: Workers, submit: Callable[[Task], Future[Outcome]], bar: Bar | None = None
@@ -177,8 +174,8 @@ class _Graph:
             else:
                 step = planner.step(node, question)
             if step.artifact is None:
-                turn = WHOLE.get(node.stage, 1), run.number, run.nodes.index(node)
-                heapq.heappush(self.queue, (*turn, Task(planner, step, inputs)))
+                task, turn = Task(planner, step, inputs), (WHOLE.get(node.stage, 1), run.number, run.nodes.index(node))
+                heapq.heappush(self.queue, (*turn, task.located() if self.bar else task))
                 return
             self.screen.doing(node.title, "checking digests")
             step.artifact.verify()
