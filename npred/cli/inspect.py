@@ -121,8 +121,8 @@ def check(options: Common, plant: str, delay: float | None, nodes: int | None) -
     asked = plants.resolve(pipeline.plant, pipeline.parameters) if pipeline else plants.resolve(plant)
     answers = diagnosis.check(asked, delay, nodes, pipeline=pipeline)
     fine = diagnosis.settled(answers)
-    rows = [[answer.check, answer.verdict, answer.text] for answer in answers]
-    document = {"plant": plant, "fine": fine, "answers": [answer.json() for answer in answers]}
+    rows = [[*answer] for answer in answers]
+    document = {"plant": plant, "fine": fine, "answers": [answer._asdict() for answer in answers]}
     options.show(document, lambda: columns(["question", "answer", "found"], rows, options.console.width))
     if not fine:
         failed = ", ".join(answer.check for answer in answers if answer.verdict == "no")

@@ -1,7 +1,7 @@
 """What is asked of a plant, and an answer in words."""
 
 from collections.abc import Callable, Collection
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Literal, NamedTuple
 
@@ -21,17 +21,12 @@ LOOPS = ("generate", "evaluate")  # those that simulate
 ANY = "any stage"
 
 
-@dataclass(frozen=True)
-class Answer:
+class Answer(NamedTuple):
     """A question's name, whether the plant meets it, and a sentence: what was found, and the cure."""
 
     check: str
     verdict: Literal["yes", "warn", "no"]
     text: str
-
-    def json(self) -> dict[str, str]:
-        """As `--json` prints it."""
-        return asdict(self)
 
 
 @dataclass(frozen=True)
