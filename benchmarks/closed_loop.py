@@ -36,7 +36,9 @@ def main() -> None:
     parser.add_argument("--store", default=None)
     asked = parser.parse_args()
     torch.set_num_threads(1)
-    networks = {name: npred.load(asked.model, store=asked.store, nx=NX, runtime=name) for name in runtimes.RUNTIMES}
+    networks = {
+        name: npred.load(asked.model, store=asked.store, nx=NX, runtime=name) for name in runtimes.RUNTIMES.builtin
+    }
     plant = networks["torch"].plant
     for name, predictor in {"rk4": npred.predictor("rk4", plant, NX), **networks}.items():
         print(row(name, predictor, plant), flush=True)

@@ -1,7 +1,7 @@
 """Plants, predictors and trained models by name: what a script or notebook starts from."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from npred import plants
 from npred.errors import ConfigError
@@ -9,11 +9,6 @@ from npred.loop.controller import Controller
 from npred.loop.delay_law import DelayLaw
 from npred.plants import Plant
 from npred.predictors import Predictor, numerical
-
-if TYPE_CHECKING:  # these bring torch
-    from npred.predictors.neural import Neural
-    from npred.runtimes.fused import Fused
-    from npred.runtimes.onnx import Onnx
 
 
 def plant(name: str, **parameters: float) -> Plant:
@@ -34,13 +29,14 @@ def predictor(method: str, plant: Plant, nx: int = 101) -> Predictor:
 
 def load(
     model: str, *, store: str | Path | None = None, nx: int = 101, device: str = "cpu", runtime: str = "torch"
-) -> "Neural | Fused | Onnx":
+) -> Predictor:
     """A trained model as a predictor: `pipeline/paper.toml:deeponet`, `…:deeponet@107`, or an artifact's path or key.
 
     `runtime`: torch on the device, in float64; fused, compiled for the CPU, many times faster in one loop; onnx, ONNX
-    Runtime. Files are verified against their digests. The plant is the pipeline's, or, for an artifact, the built-in
-    one of that name: a plant's file is code and is run only when a pipeline names it. Raises ConfigError, StoreError,
-    and MissingError for a device or an extra that this machine lacks.
+    Runtime; that of a package; or a class of a file, `my_runtime.py:Mine`. Files are verified against their digests.
+    The plant is the pipeline's, or, for an artifact, the built-in one of that name: a plant's file is code and is run
+    only when a pipeline names it. Raises ConfigError, StoreError, and MissingError for a device or an extra that this
+    machine lacks.
     """
     import torch
 

@@ -15,7 +15,7 @@ from pydantic_core import PydanticCustomError
 
 from npred import defaults, registry
 from npred.errors import ConfigError, similar, size
-from npred.registry import DELAY_LAWS, INTERPRETED, METHODS, NETWORKS, Registry
+from npred.registry import DELAY_LAWS, INTERPRETED, METHODS, NETWORKS, RUNTIMES, Registry
 
 NAME = re.compile(r"[^\W_][\w.-]{0,99}")  # of a pipeline
 LONGEST = 2**20  # bytes of a pipeline file
@@ -46,6 +46,7 @@ def _part(parts: Registry, others: tuple[str, ...], name: str) -> str:
 Method = Annotated[str, AfterValidator(partial(_part, METHODS, ())), METHODS]
 Law = Annotated[str, AfterValidator(partial(_part, DELAY_LAWS, (FROZEN,))), DELAY_LAWS]
 Architecture = Annotated[str, AfterValidator(partial(_part, NETWORKS, ())), NETWORKS]
+Runtime = Annotated[str, AfterValidator(partial(_part, RUNTIMES, ())), RUNTIMES]
 
 
 def ordered(key: str, span: tuple[float, float]) -> None:
@@ -352,7 +353,7 @@ class Bench(Table):
     seconds: Positive = 3.0  #: after which they end
     threads: Count = 1  #: of each library
     batches: Some[Count] = [1, 1024]  #: rows per call
-    runtimes: Some[Literal["torch", "fused", "onnx"]] = ["torch", "fused", "onnx"]  #: ways to evaluate a network
+    runtimes: Some[Runtime] = ["torch", "fused", "onnx"]  #: ways to evaluate a network; also `file.py:Class`
 
 
 class Pipeline(Table):

@@ -97,6 +97,15 @@ class Registry:
             return getattr(importlib.import_module(module), attribute)
         return self.installed(name)
 
+    def subclass(self, what: str, name: str, base: type) -> Any:
+        """The part of that name, a class derived from `base`. Raises ConfigError, in one line, for any other."""
+        kind = self.load(what, name)
+        if not (isinstance(kind, type) and issubclass(kind, base)):
+            raise ConfigError(f"{what} {name}: expected a subclass of npred.{base.__name__}; derive it from that")
+        if missing := sorted(getattr(kind, "__abstractmethods__", ())):
+            raise ConfigError(f"{what} {name}: expected a class with {', '.join(missing)}, got none; define it")
+        return kind
+
     def check_keywords(self, what: str, name: str, keywords: Collection[str]) -> None:
         """Raise ConfigError unless a part takes these keyword-only arguments, by the text of its file: none is run.
 

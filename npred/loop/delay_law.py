@@ -73,15 +73,12 @@ def resolve(loop: config.Loop) -> DelayLaw | None:
     """
     if loop.adaptation == config.FROZEN:
         return None
-    law = DELAY_LAWS.load("adaptation", loop.adaptation)
-    if not (isinstance(law, type) and issubclass(law, DelayLaw)):
-        raise ConfigError(f"adaptation {loop.adaptation}: expected a subclass of npred.DelayLaw; derive it from that")
+    law = DELAY_LAWS.subclass("adaptation", loop.adaptation, DelayLaw)
     try:
         return law(gamma=loop.gamma, b=loop.b, bounds=loop.bounds)
     except TypeError as error:
-        raise ConfigError(
-            f"adaptation {loop.adaptation}: expected a law with rate that takes gamma, b and bounds, got: {error}"
-        ) from None
+        what = f"adaptation {loop.adaptation}: expected a law that takes gamma, b and bounds"
+        raise ConfigError(f"{what}, got: {error}; take them") from None
 
 
 def check(loop: config.Loop, plant: Plant) -> None:

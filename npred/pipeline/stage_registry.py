@@ -86,13 +86,13 @@ def sources(node: Node, config: Pipeline) -> dict[str, SourceText]:
 
     files_by_role = {"plant": plants.resolve(config.plant, config.parameters).source}
     loops = ("generate", "evaluate") if node.stage == "bench" else (node.stage,)
-    for stage, key in product(loops, ("predictor",) if node.stage == "bench" else ("predictor", "adaptation")):
-        spec = getattr(getattr(config, stage, None), key, "")
+    keys = ("predictor",) if node.stage == "bench" else ("predictor", "adaptation")
+    specs = {f"{stage}.{key}": getattr(getattr(config, stage, None), key, "") for stage, key in product(loops, keys)}
+    specs |= {f"bench.{registry.called(name)}": name for name in config.bench.runtimes if node.stage == "bench"}
+    specs |= {f"train.{node.model}.network": config.train.table(node.model).architecture} if node.model else {}
+    for role, spec in specs.items():
         if registry.named(spec):
-            files_by_role[f"{stage}.{key}"] = registry.read(key, registry.split(spec)[0])
-    network = config.train.table(node.model).architecture if node.model else ""
-    if registry.named(network):
-        files_by_role[f"train.{node.model}.network"] = registry.read("network", registry.split(network)[0])
+            files_by_role[role] = registry.read(role, registry.split(spec)[0])
     return {
         role: SourceText(file=escaped(source.file), text=source.text)
         for role, source in files_by_role.items()
@@ -180,7 +180,8 @@ def _held_out(config: Pipeline) -> dict[str, Any]:
 
 
 def _bench(config: Pipeline, model: str | None, device: str) -> dict[str, Any]:
-    table = {"bench": _dump(config.bench), "train": {"models": list(models(config))}}
+    runtimes = [registry.RUNTIMES.identity(name) for name in config.bench.runtimes]
+    table = {"bench": _dump(config.bench) | {"runtimes": runtimes}, "train": {"models": list(models(config))}}
     more = [registry.METHODS.identity(name) for name in config.methods if name not in registry.METHODS.builtin]
     table |= {"methods": more} if more else {}
     return table | {"hardware": devices.hardware(device)} | _box(config)

@@ -18,11 +18,7 @@ def method(spec: str, what: str = "predictor") -> type[Predictor]:
 
     Raises ConfigError, in one line, for one that is missing, broken or no predictor.
     """
-    kind = METHODS.load(what, spec)
-    if not (isinstance(kind, type) and issubclass(kind, Predictor)):
-        raise ConfigError(f"{what} {spec}: expected a subclass of npred.Predictor; derive it from that")
-    if missing := sorted(kind.__abstractmethods__):
-        raise ConfigError(f"{what} {spec}: expected a class with {', '.join(missing)}, got none; define it")
+    kind = METHODS.subclass(what, spec, Predictor)
     if spec not in METHODS.builtin and issubclass(kind, OneStep):
         kind.evaluations()
     return kind

@@ -103,7 +103,7 @@ class Fused(Compiled):
 
     def __init__(
         self, plant: Plant, operator: Operator, nx: int = 101, name: str = "neural", stride: int | None = None,
-        precision: Any = np.float32,
+        precision: Any = np.float32, device: str = "cpu",
     ) -> None:  # fmt: skip
         super().__init__(plant, nx)
         require(operator, "fused", "use the runtime torch or onnx", "" if name == "neural" else name)

@@ -89,7 +89,7 @@ class Onnx(Predictor):
     The graph holds for a grid; another nx in a call makes another one. Raises MissingError without the onnx extra.
     """
 
-    def __init__(self, plant: Plant, operator: Operator, nx: int = 101, name: str = "neural"):
+    def __init__(self, plant: Plant, operator: Operator, nx: int = 101, name: str = "neural", device: str = "cpu"):
         super().__init__(plant, nx)
         self.name = name  # type: ignore[misc]
         self.operator, self.graphs, self.sessions = operator.to("cpu").float().eval(), {}, {}

@@ -16,7 +16,8 @@ from npred.errors import ConfigError, DivergedError
 from npred.loop.controller import Controller
 from npred.plants import BlackBox, Plant
 from npred.predictors import RK4
-from npred.runtimes import RUNTIMES, predictor
+from npred.registry import RUNTIMES
+from npred.runtimes import predictor
 
 LAW = npred.DelayAdaptation(1000.0, 1.0, (0.1, 4.0))
 X0 = [0.03, 30.0]
@@ -46,7 +47,7 @@ def loop(run, adaptation=LAW, bounds=None):
                           input_bounds=bounds, samples=np.arange(200))  # fmt: skip
 
 
-@pytest.mark.parametrize("runtime", ["numerical", *RUNTIMES])
+@pytest.mark.parametrize("runtime", ["numerical", *RUNTIMES.builtin])
 def test_steps_equal_those_of_the_simulated_loop(runtime):
     run = RK4(PLANT, 21) if runtime == "numerical" else predictor(runtime, PLANT, operator(SMALL[0]), 21)
     wanted = loop(run)
@@ -256,7 +257,7 @@ def test_a_time_that_is_set_is_the_laws():
     np.testing.assert_array_equal(restored.step(X, u), reached)
 
 
-@pytest.mark.parametrize("runtime", ["numerical", *RUNTIMES])
+@pytest.mark.parametrize("runtime", ["numerical", *RUNTIMES.builtin])
 def test_a_pickled_controller_goes_on_where_it_stood(runtime):
     run, u = RK4(PLANT, 21), 0.01 * np.ones((21, 1))
     run = run if runtime == "numerical" else predictor(runtime, PLANT, operator(SMALL[0]), 21)

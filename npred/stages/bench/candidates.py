@@ -173,7 +173,7 @@ def _numerical(plant: Plant, methods: dict[str, type[OneStep]], nx: int, batch: 
 
 def _neural(job: Job, operator: Operator, name: str, nx: int, batch: int, available: list[str]) -> Iterator[Entry]:
     for runtime in available:
-        yield Entry(name, runtime, nx, batch, runtimes.predictor(runtime, job.plant, operator, nx, name))
+        yield Entry(name, called(runtime), nx, batch, runtimes.predictor(runtime, job.plant, operator, nx, name))
     if job.device != "cpu":
         moved = operators.load(job.inputs[name], job.plant, config=job.config.train.table(name))
         run = runtimes.predictor("torch", job.plant, moved, nx, name, job.device)
