@@ -71,7 +71,7 @@ class LiveView(Progress):
 
     def stop(self) -> None:
         """The end: the last state stays on the screen. What still runs was stopped, or failed."""
-        for title, task in self.stages.items():
+        for title, task in list(self.stages.items()):  # a thread may still add one
             if task.fields["state"] == "running":
                 self.finish(title, "stopped", task.elapsed or 0.0)
         super().stop()
