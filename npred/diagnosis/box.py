@@ -39,8 +39,11 @@ def smooth(case: Case) -> Verdict:
 
 
 def declared(case: Case) -> Verdict:
-    """Whether every state has a range to start experiments from."""
-    missing = [name for name in case.plant.states if name not in case.box]
+    """Whether every state has a range to start experiments from, and nothing else."""
+    states = case.plant.states
+    if unknown := [name for name in case.box if name not in states]:
+        return "no", f"generate.box: unknown state {unknown[0]!r}; expected one of {', '.join(states)}"
+    missing = [name for name in states if name not in case.box]
     if missing and case.pipeline:
         first = missing[0]
         return "no", f"generate.box: expected a range for {first!r}, found none; add {first} = [low, high]"

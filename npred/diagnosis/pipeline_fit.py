@@ -33,22 +33,6 @@ def served(case: Case) -> None:
         raise ConfigError(f"{', '.join(reasons)}: {next(iter(reasons.values()))[0]}; set {changes}")
 
 
-def states(case: Case) -> None:
-    """Whether the pipeline's box is of the plant's states."""
-    for name in case.settings.generate.box:
-        if name not in case.plant.states:
-            raise ConfigError(f"generate.box: unknown state {name!r}; expected one of {', '.join(case.plant.states)}")
-
-
-def pairs(case: Case) -> None:
-    """Whether there is one pair per input."""
-    for stage in ("generate", "evaluate"):
-        limits, m = getattr(case.settings, stage).input_bounds, case.plant.m
-        if limits is not None and len(limits) != m:
-            what = f"expected {m} pairs [low, high], one per input, got {len(limits)}"
-            raise ConfigError(f"{stage}.input_bounds: {what}; give {m}")
-
-
 def clock(case: Case) -> None:
     """A network sees the time as a phase, so f and kappa have to repeat: tried near the origin, at n times."""
     plant = case.plant
@@ -69,7 +53,7 @@ def declares_V(case: Case) -> None:
 
 
 def start(case: Case) -> None:
-    """Whether the loops of each stage have an input before t = 0 that the plant accepts."""
+    """Whether the loops of each stage have a range per input, and an input before t = 0 that the plant accepts."""
     for stage, loop in case.loops.items():
         inputs.configured(case.plant, loop, stage)
 
