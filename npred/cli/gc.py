@@ -159,15 +159,15 @@ def size(text: str | None) -> int:
 def _table(plan: list[Waste], deleted: list[str], yes: bool, width: int | None) -> str:
     if not plan:
         return "nothing to delete"
-    rows = [[_short(waste.path), f"{waste.bytes / 1e6:.1f} MB", waste.reason] for waste in plan]
+    rows = [[shortened(waste.path), f"{waste.bytes / 1e6:.1f} MB", waste.reason] for waste in plan]
     busy = f", {len(plan) - len(deleted)} in use and kept" if len(deleted) < len(plan) else ""
     total = f"{sum(waste.bytes for waste in plan) / 1e6:.1f} MB"
     last = f"deleted {len(deleted)}{busy}" if yes else f"{len(plan)} to delete, {total}; do it with --yes"
     return columns(["artifact", "size", "reason"], rows, width, numbers=["size"]) + f"\n{last}"
 
 
-def _short(path: Path) -> str:
-    """`stage/key`, or `.scratch/stage-key`, with the key cut short."""
+def shortened(path: Path) -> str:
+    """`stage/key`, or `.scratch/stage-key`, with the key cut short; its manifest may be broken."""
     return f"{path.parent.name}/{KEY.sub(lambda key: short(key[0]), path.name)}"
 
 

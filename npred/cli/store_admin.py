@@ -6,32 +6,23 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from npred.cli.gc import shortened
 from npred.cli.options import Common, writable
 from npred.errors import StoreError
 from npred.parallel import devices
 from npred.pipeline import payload
-from npred.store import Artifact, archive, short
+from npred.store import Artifact, archive
 from npred.store.manifest import NAME
 from npred.terminal.console import columns
 
 SHOWN = 4  # names of results on a line
-PACKAGES = (
-    "npred",
-    "numpy",
-    "torch",
-    "numba",
-    "h5py",
-    "pydantic",
-    "safetensors",
-    "typer",
-    "onnxruntime",
-    "distributed",
-)
+PACKAGES = ("npred", "numpy", "torch", "numba", "h5py", "pydantic", "safetensors", "typer", "onnxruntime",
+            "distributed")  # fmt: skip
 
 
 def doctor(options: Common) -> None:
     """Versions, devices, threads and the store."""
-    facts = _machine() | _packages() | {"store": _store(options)}
+    facts = _machine() | {"packages": devices.packages(*PACKAGES), "store": _store(options)}
     options.show(facts, lambda: "\n".join(f"{name}: {_words(value)}" for name, value in facts.items()))
 
 
@@ -49,7 +40,7 @@ def verify(options: Common) -> None:
         for a in sound
     ]
     rows += [{"folder": str(folder), "state": "corrupt", "made_with": {}} for folder in broken]
-    table = [[_short(row["folder"]), row["state"], faults.get(row["folder"], "")] for row in rows]
+    table = [[shortened(Path(row["folder"])), row["state"], faults.get(row["folder"], "")] for row in rows]
     document = {"artifacts": [row | {"fault": faults.get(row["folder"])} for row in rows]}
     options.show(document, lambda: columns(["artifact", "state", "fault"], table, options.console.width))
     if not options.json and (different := list(_circumstances(sound))):
@@ -78,11 +69,6 @@ def import_artifact(options: Common, path: Path) -> None:
         done += "; npred report draws its figures here, from its arrays"
     document = {"folder": str(artifact.folder), "key": artifact.manifest.key, "new": new}
     options.show(document, lambda: f"{artifact.name}: {done}\n{artifact.folder}")
-
-
-def _short(folder: str) -> str:
-    """`stage/key` with the key cut short, of a folder whose manifest may be broken."""
-    return f"{Path(folder).parent.name}/{short(Path(folder).name)}"
 
 
 def _fault(artifact: Artifact) -> dict[str, str]:
@@ -115,17 +101,8 @@ def _machine() -> dict[str, Any]:
 
     gpus = [torch.cuda.get_device_name(index) for index in range(torch.cuda.device_count())]
     here = {"python": platform.python_version(), "platform": platform.platform()}
-    hardware = devices.hardware("cpu")
-    return here | {
-        "cpu": hardware["cpu"],
-        "cores": hardware["cores"],
-        "torch_threads": torch.get_num_threads(),
-        "gpus": gpus,
-    }
-
-
-def _packages() -> dict[str, Any]:
-    return {"packages": devices.packages(*PACKAGES)}
+    hardware = {key: value for key, value in devices.hardware("cpu").items() if key in ("cpu", "cores")}
+    return here | hardware | {"torch_threads": torch.get_num_threads(), "gpus": gpus}
 
 
 def _store(options: Common) -> dict[str, Any]:

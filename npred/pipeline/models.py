@@ -6,9 +6,8 @@ from typing import NamedTuple
 from npred import config, defaults, plants
 from npred.config import Training
 from npred.errors import ConfigError
-from npred.parallel import devices
 from npred.pipeline.plan import Planner
-from npred.pipeline.stage_registry import Node, nodes
+from npred.pipeline.stage_registry import nodes
 from npred.plants import Plant
 from npred.store import Artifact, Store
 
@@ -60,10 +59,16 @@ def load_data(spec: str, root: Path | None = None) -> Artifact:
         if artifact.manifest.question.stage != "generate":
             raise ConfigError(f"{spec}: expected data, got {artifact.name}; see npred ls for generate/…")
         return artifact
-    (step,) = Planner(config.load(defaults.pipeline(spec)), store, "cpu").plan([Node("generate", None, ())])
+    pipeline = config.load(defaults.pipeline(spec))
+    return _last(pipeline, store, "generate", None, f"{spec}: expected data", f"npred generate {spec}").verify()
+
+
+def _last(pipeline: config.Pipeline, store: Store, stage: str, model: str | None, expected: str, todo: str) -> Artifact:
+    """The result of a pipeline's stage. Raises ConfigError where the store has none."""
+    step = Planner(pipeline, store, "cpu").plan(nodes(pipeline, [stage], only=model))[-1]
     if step.artifact is None:
-        raise ConfigError(f"{spec}: expected data in {store.root}, got none ({step.reason}); run npred generate {spec}")
-    return step.artifact.verify()
+        raise ConfigError(f"{expected} in {store.root}, got none ({step.reason}); run {todo}")
+    return step.artifact
 
 
 def _split(spec: str) -> tuple[str, int | None]:
@@ -79,14 +84,9 @@ def _of_pipeline(path: Path, pipeline: config.Pipeline, model: str, store: Store
     names = pipeline.train.names
     if model not in names:
         raise ConfigError(f"{path}:{model}: expected {', '.join(names)} after the colon; name one of them")
-    planner = Planner(pipeline, store, devices.resolve("cpu"))
-    step = planner.plan(nodes(pipeline, ["train"], only=model))[-1]
-    if step.artifact is None:
-        todo = f"npred train {path} --model {model}"
-        raise ConfigError(
-            f"{path}:{model}: expected a trained model in {store.root}, got none ({step.reason}); run {todo}"
-        )
-    return step.artifact, plants.resolve(pipeline.plant, pipeline.parameters), pipeline.train.table(model)
+    expected, todo = f"{path}:{model}: expected a trained model", f"npred train {path} --model {model}"
+    artifact = _last(pipeline, store, "train", model, expected, todo)
+    return artifact, plants.resolve(pipeline.plant, pipeline.parameters), pipeline.train.table(model)
 
 
 def _stored(
