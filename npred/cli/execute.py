@@ -59,7 +59,7 @@ def keep_log(options: Running) -> None:
 
 
 def _work(
-    options: Work, targets: list[str], answers: tuple[str, ...], model: str | None = None, output: Path | None = None,
+    options: Work, targets: list[str], answering: tuple[str, ...], model: str | None = None, output: Path | None = None,
     closing: bool = False,
 ) -> None:  # fmt: skip
     if options.dry_run:
@@ -67,16 +67,14 @@ def _work(
         options.show(_document(steps, None), lambda: _table(options, steps))
         return
     outcomes = bring(options, targets, model)
-    final = [outcome for outcome in outcomes if outcome.node.stage in answers]
+    final = [outcome for outcome in outcomes if outcome.node.stage in answering]
     page = publish(options, outcomes, output)
     if options.json:
         options.console.json(_document(outcomes, _result(final)) | ({"report": str(page)} if page else {}))
-    elif options.wide:
-        options.console.out("\n".join([_table(options, outcomes), *_answers(options, final), *_page(page)]))
-    elif closing:
-        options.console.out("\n".join([_closing(options, outcomes), *_page(page)]))
-    else:
-        options.console.out("\n".join([*_answers(options, final), *_page(page)]))
+        return
+    table = [_table(options, outcomes)] if options.wide else []
+    answers = [_closing(options, outcomes)] if closing and not options.wide else _answers(options, final)
+    options.console.out("\n".join([*table, *answers, *([f"report: {page}"] if page else [])]))
 
 
 def _planner(options: Work, targets: list[str]) -> Planner:
@@ -115,10 +113,6 @@ def _answers(options: Work, final: list[Outcome]) -> Iterator[str]:
         stage, artifact = STAGES[outcome.node.stage], outcome.artifact
         yield stage.summary(artifact.result(), options.console.width, options.wide)
         yield f"\n{outcome.node.title}: {artifact.folder if options.wide else artifact.name}"
-
-
-def _page(page: Path | None) -> list[str]:
-    return [f"report: {page}"] if page else []
 
 
 def _closing(options: Work, outcomes: list[Outcome]) -> str:
