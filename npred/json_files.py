@@ -5,6 +5,7 @@ of files, and what makes them outlive a loss of power.
 import errno
 import hashlib
 import json
+import math
 import os
 import stat
 from pathlib import Path
@@ -65,6 +66,17 @@ def escaped(value: Any) -> Any:
     if not isinstance(value, str):
         return value
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in value)
+
+
+def plain(value: Any) -> Any:
+    """A value as JSON can hold it: NumPy numbers as numbers, a number that is not finite as null."""
+    if isinstance(value, dict):
+        return {str(key): plain(item) for key, item in value.items()}
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def table(path: Path, limit: int = LIMIT) -> dict[str, Any]:

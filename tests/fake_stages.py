@@ -12,24 +12,39 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from result_samples import BENCHED, HARDWARE, SCORES, TRAINED, evaluated
+
+from npred.json_files import plain
 from npred.pipeline.stage_registry import STAGES, Stage
+
+
+@dataclass(frozen=True)
+class Answer:
+    """A result of any form."""
+
+    document: dict[str, Any]
+
+    def json_object(self) -> dict[str, Any]:
+        return plain(self.document)
 
 
 @dataclass(frozen=True)
 class Fake(Stage):
     name: str = ""
 
-    def run(self, job: Any) -> dict[str, Any]:
-        return run(self.name, job)
+    def run(self, job: Any) -> Any:
+        return Answer(run(self.name, job))
 
-    def summary(self, result: dict[str, Any], width: int | None = None, wide: bool = False) -> str:
-        return f"{'details' if wide else 'summary'} of {result}"
+    def summary(self, document: dict[str, Any], width: int | None = None, wide: bool = False) -> str:
+        return f"{'details' if wide else 'summary'} of {document}"
 
 
 def install(table: MutableMapping[str, Stage] = STAGES, **versions: int) -> None:
     """Put a fake in the place of each stage of the table."""
     for name, stage in table.items():
-        table[name] = Fake(versions.get(name, stage.version), stage.upstream, stage.slice, stage.module, name)
+        table[name] = Fake(
+            versions.get(name, stage.version), stage.upstream, stage.slice, stage.module, stage.result, name
+        )
 
 
 def run(name: str, job: Any) -> dict[str, Any]:
@@ -44,12 +59,13 @@ def run(name: str, job: Any) -> dict[str, Any]:
     return ANSWERS[name](job)
 
 
-MODEL = {"mse": 1.0, "eps_sup": 0.5, "radius": {"worst": 0.25, "converged": 0.75, "cases": 4}}
+RADIUS = {"median": 0.1, "worst": 0.25, "converged": 0.75, "cases": 4, "predicted": 0.5}
+MODEL = SCORES | {"mse": 1.0, "eps_sup": 0.5, "radius": RADIUS}
 ANSWERS: dict[str, Callable[[Any], dict[str, Any]]] = {
     "generate": lambda job: {"rollouts": job.config.generate.rollouts},
-    "train": lambda job: {"mse": float("nan"), "epochs": getattr(job.config.train, job.model).epochs},
-    "evaluate": lambda job: {"models": {name: dict(MODEL) for name in sorted(job.inputs)}},
-    "bench": lambda job: {"rows": [], "hardware": {"device": job.device, "jobs": job.jobs}},
+    "train": lambda job: TRAINED | {"mse": float("nan"), "epochs": getattr(job.config.train, job.model).epochs},
+    "evaluate": lambda job: evaluated(dict.fromkeys(sorted(job.inputs), MODEL)),
+    "bench": lambda job: BENCHED | {"hardware": HARDWARE | {"device": job.device, "threads": job.jobs}},
     "report": lambda job: {
         "summary": ["Errors.", "Loops.", "Times."],
         "bytes": (job.folder / "report.html").write_text("<!doctype html>"),

@@ -15,7 +15,7 @@ ROOT = Path(__file__).parent.parent / "npred"
 FLOORS = [
     {"errors", "grid", "json_files", "randomness", "toml_text"},
     {"array_checks", "config", "defaults", "parallel", "registry", "symbolic", "terminal"},
-    {"plants", "robots", "store"},
+    {"plants", "results", "robots", "store"},
     {"data", "operators"},
     {"delays", "training"},
     {"predictors"},

@@ -3,6 +3,7 @@
 import os
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from npred import json_files
@@ -52,3 +53,8 @@ def test_what_is_read_whole_is_a_file(tmp_path: Path):
     for path in (tmp_path / "pipe", tmp_path, Path("/dev/zero")):
         with pytest.raises(OSError, match="a pipe, a device or a folder"):
             json_files.regular(path)
+
+
+def test_values_become_plain_json():
+    value = {"a": np.float64(1.5), "b": np.array([1.0, np.inf]), 3: (float("nan"), True, "x", None, np.int32(4))}
+    assert json_files.plain(value) == {"a": 1.5, "b": [1.0, None], "3": [None, True, "x", None, 4]}

@@ -13,8 +13,8 @@ from npred.data import exchange, shards
 from npred.data.dataset import MEANING, Dataset, attributes
 from npred.delays import family_of
 from npred.errors import ConfigError, MissingError
+from npred.json_files import plain
 from npred.pipeline import load_data
-from npred.pipeline.task import plain
 from npred.store import durable
 
 RELATIVE = 0.05  # residual over what P moves: Euler's method leaves a third of it at dx = 0.01

@@ -10,6 +10,7 @@ from npred.cli.page import publish
 from npred.errors import ConfigError
 from npred.parallel import devices, executors
 from npred.pipeline import STAGES, Outcome, Planner, Runner, Step, nodes
+from npred.results import Benched, Evaluated, Reported
 from npred.store import short
 from npred.terminal.console import columns
 
@@ -120,7 +121,7 @@ def _closing(options: Work, outcomes: list[Outcome]) -> str:
     from npred.stages.bench import timing_tables
     from npred.stages.evaluate import summary_tables
 
-    results = {outcome.node.name: outcome.artifact.result() for outcome in outcomes}
-    times = timing_tables.fastest(results["bench"], options.config.train.models, options.config.evaluate.predictor)
-    table = summary_tables.table(results["evaluate"], options.console.width, times)
-    return "\n\n".join([*results["report"]["summary"], table]) + "\n"
+    folders = {outcome.node.stage: outcome.artifact.folder for outcome in outcomes}
+    times = timing_tables.fastest(Benched.read(folders["bench"]), options.config.evaluate.predictor)
+    table = summary_tables.table(Evaluated.read(folders["evaluate"]), options.console.width, times)
+    return "\n\n".join([*Reported.read(folders["report"]).summary, table]) + "\n"

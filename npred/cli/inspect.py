@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from npred.cli.options import Common, Planned
-from npred.errors import ConfigError, UnmetError
+from npred.errors import ConfigError, StoreError, UnmetError
 from npred.json_files import escaped
 from npred.pipeline import STAGES, Step, nodes
 from npred.pipeline.reasons import changes, differences, flat
@@ -188,7 +188,7 @@ def _summary(stage: str, result: dict[str, Any], width: int | None = None) -> st
     result = escaped(result)
     try:
         return STAGES[stage].summary(result, width)
-    except (LookupError, TypeError, ValueError, AttributeError):
+    except (LookupError, StoreError):
         return "\n".join(changes({}, result)).replace(": unset ->", " =")
 
 

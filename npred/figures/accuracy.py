@@ -9,7 +9,9 @@ from npred.figures.evaluation_data import Errors, Evidence
 from npred.figures.figure import Key, Panel, Plate
 from npred.figures.loops import ends, keys
 from npred.figures.notation import common_unit, quantity, symbol, with_unit
-from npred.figures.style import EARLY, ROLES, Look, lettered, log, look, power, short, words
+from npred.figures.style import ROLES, Look, lettered, log, look, power, short
+from npred.results import Contender
+from npred.results.evaluate import Scores
 
 BINS = 24
 CELLS = (18, 14)  # of the map over the first two states
@@ -18,9 +20,13 @@ LEVELS = 9  # colours of that map
 
 def certificate(evidence: Evidence) -> Plate:
     """Error against radius with the line of theory, the distance to the target, and W(t) [DAPF, Theorem 3]."""
-    radii = {name: row for name, row in evidence.models.items() if row["eps_kappa"] and row["radius"]["median"]}
+    radii = {
+        name: scores
+        for name, scores in evidence.models.items()
+        if 0 < scores.eps_kappa < np.inf and 0 < scores.radius.median < np.inf
+    }
     gain, line, key = evidence.gain, "", ()
-    if gain is not None:  # None where an error that stays takes the linearised loop out of all bounds
+    if np.isfinite(gain):  # else an error that stays takes the linearised loop out of all bounds
         line = f"; an error that stayed constant would move the end along the dotted line, {gain:.4g} ε"
         key = (Key(f"constant error: {gain:.4g} ε", Look("muted", (1, 2))),)
     caption = (
@@ -36,8 +42,8 @@ def errors(evidence: Evidence) -> Plate:
     """Error over x, over D_hat, and its distribution."""
     found = evidence.errors
     held, unit = len(evidence.D_hat), common_unit(evidence.plant, evidence.plant.states, "state units")
-    sup = "; ".join(f"{words(name)} {error.sup.max():.2e}" for name, error in found.items())
-    half = "; ".join(f"{words(name)} {np.median(error.sup):.2e}" for name, error in found.items())
+    sup = "; ".join(f"{name.label} {error.sup.max():.2e}" for name, error in found.items())
+    half = "; ".join(f"{name.label} {np.median(error.sup):.2e}" for name, error in found.items())
     caption = (
         f"|P̂ − P| on {held} {evidence.samples}, in {unit}. Lines: the largest error, shaded: from the "
         "median to it. x = 0 is now, x = 1 the state one delay ahead, which the control acts on."
@@ -64,7 +70,7 @@ def box(evidence: Evidence) -> Plate:
     levels = _levels(evidence.errors)
     panels = [
         Panel(
-            f"{words(name)}: {quantity(plant, names[1])}",
+            f"{name.label}: {quantity(plant, names[1])}",
             _told_box(evidence, error),
             partial(_cells, evidence, error, levels),
         )
@@ -73,31 +79,32 @@ def box(evidence: Evidence) -> Plate:
     return Plate("box", "Over the states", caption, tuple(panels))
 
 
-def _radii(rows: dict[str, Any], gain: float | None, label: str, axis: Any) -> None:
+def _radii(rows: dict[Contender, Scores], gain: float, label: str, axis: Any) -> None:
     for name, row in rows.items():
-        eps, median, worst = row["eps_kappa"], row["radius"]["median"], row["radius"]["worst"]
-        colour, marker = look(name).colour, "s" if look(name).role in EARLY else "o"
-        axis.plot([eps, eps], [median, worst or np.nan], "-", color=colour, linewidth=1.0)
+        eps, median, worst = row.eps_kappa, row.radius.median, row.radius.worst
+        colour, marker = look(name).colour, "o" if name.epoch is None else "s"
+        worst = worst if 0 < worst < np.inf else np.nan
+        axis.plot([eps, eps], [median, worst], "-", color=colour, linewidth=1.0)
         axis.plot([eps], [median], marker, color=colour)
-        axis.plot([eps], [worst or np.nan], marker, markerfacecolor=ROLES["paper"][0], markeredgecolor=colour)
-    if rows and gain is not None:
-        eps = [row["eps_kappa"] for row in rows.values()]
+        axis.plot([eps], [worst], marker, markerfacecolor=ROLES["paper"][0], markeredgecolor=colour)
+    if rows and np.isfinite(gain):
+        eps = [row.eps_kappa for row in rows.values()]
         span = np.array([min(eps) / 3, max(eps) * 3])
         axis.plot(span, gain * span, color=ROLES["muted"][0], linestyle=(0, (1, 2)), linewidth=1.2)
     axis.set_xlabel(label)
     log(axis, "x", "y")
 
 
-def _told_radii(rows: dict[str, Any]) -> str:
-    found = [
-        f"{words(name)}: ε_{{κ}} {row['eps_kappa']:.2e}, radius from {short(row['radius']['median'])} (median) to "
-        f"{short(row['radius']['worst'])} (worst)"
+def _told_radii(rows: dict[Contender, Scores]) -> str:
+    radii = [
+        f"{name.label}: ε_{{κ}} {row.eps_kappa:.2e}, radius from {short(row.radius.median)} (median) to "
+        f"{short(row.radius.worst)} (worst)"
         for name, row in rows.items()
     ]
-    return "; ".join(found) + "." if found else "No network's loops stay finite."
+    return "; ".join(radii) + "." if radii else "No network's loops stay finite."
 
 
-def _band(axis: Any, name: str, x: np.ndarray, middle: np.ndarray, sup: np.ndarray) -> None:
+def _band(axis: Any, name: Contender, x: np.ndarray, middle: np.ndarray, sup: np.ndarray) -> None:
     axis.plot(x, _positive(sup), **look(name).line)
     axis.fill_between(x, _positive(middle), _positive(sup), color=look(name).colour, alpha=0.14, linewidth=0)
 
@@ -107,14 +114,14 @@ def _positive(values: np.ndarray) -> np.ndarray:
     return np.where(values > 0, values, np.nan)
 
 
-def _over_x(found: dict[str, Errors], axis: Any) -> None:
+def _over_x(found: dict[Contender, Errors], axis: Any) -> None:
     for name, error in found.items():
         _band(axis, name, np.linspace(0, 1, len(error.over_x)), error.over_x[:, 0], error.over_x[:, -1])
     axis.set(xlabel="x", xlim=(0, 1))
     log(axis, "y")
 
 
-def _over(values: np.ndarray, found: dict[str, Errors], label: str, axis: Any) -> None:
+def _over(values: np.ndarray, found: dict[Contender, Errors], label: str, axis: Any) -> None:
     edges = np.linspace(values.min(), values.max(), BINS + 1)
     which = np.clip(np.digitize(values, edges) - 1, 0, BINS - 1)
     centres = (edges[1:] + edges[:-1]) / 2
@@ -126,7 +133,7 @@ def _over(values: np.ndarray, found: dict[str, Errors], label: str, axis: Any) -
     log(axis, "y")
 
 
-def _distribution(found: dict[str, Errors], axis: Any) -> None:
+def _distribution(found: dict[Contender, Errors], axis: Any) -> None:
     share = np.linspace(0, 1, 201)
     for name, error in found.items():
         axis.plot(_positive(np.quantile(error.sup, share)), share, **look(name).line)
@@ -134,7 +141,7 @@ def _distribution(found: dict[str, Errors], axis: Any) -> None:
     log(axis, "x")
 
 
-def _levels(found: dict[str, Errors]) -> np.ndarray:
+def _levels(found: dict[Contender, Errors]) -> np.ndarray:
     """Edges of the colours, equal on the logarithmic scale, the same for all networks."""
     known = np.concatenate([error.sup for error in found.values()])
     known = known[known > 0]

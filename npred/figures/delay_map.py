@@ -8,18 +8,20 @@ import numpy as np
 from npred.figures.evaluation_data import Evidence
 from npred.figures.figure import Key, Panel, Plate
 from npred.figures.notation import timed
-from npred.figures.style import ROLES, Look, look, words
+from npred.figures.style import ROLES, Look, look
+from npred.results import NUMERICAL, Contender
+from npred.results.evaluate import DelayMap
 
 
 def delays(evidence: Evidence) -> Plate | None:
     """A panel a predictor; None where the pipeline asks for no map."""
-    maps = {name: row["map"] for name, row in evidence.models.items() if row["map"] and "@" not in name}
+    maps = {name: scores.map for name, scores in evidence.models.items() if scores.map and name.epoch is None}
     if not maps:
         return None
-    wanted = np.array(maps["numerical"]["converged"], dtype=bool)
+    exact = np.array(maps[NUMERICAL].converged)
     axes = [timed(evidence.plant, delay) for delay in ("D̂(0)", "D")]
     panels = [
-        Panel(_title(name, cells, wanted), _told(name, cells, wanted), partial(_cells, name, cells, wanted, axes))
+        Panel(_title(name, cells, exact), _told(name, cells, exact), partial(_cells, name, cells, exact, axes))
         for name, cells in maps.items()
     ]
     caption = (
@@ -31,26 +33,26 @@ def delays(evidence: Evidence) -> Plate | None:
     return Plate("delays", "Delays and first estimates", caption, tuple(panels), marks)
 
 
-def _title(name: str, cells: dict[str, Any], wanted: np.ndarray) -> str:
-    converged = np.array(cells["converged"], dtype=bool)
-    total = converged.size if name == "numerical" else wanted.sum()
-    return f"{words(name)}: {(converged & wanted).sum()} of {total}"
+def _title(name: Contender, cells: DelayMap, exact: np.ndarray) -> str:
+    converged = np.array(cells.converged)
+    total = converged.size if name == NUMERICAL else exact.sum()
+    return f"{name.label}: {(converged & exact).sum()} of {total}"
 
 
-def _told(name: str, cells: dict[str, Any], wanted: np.ndarray) -> str:
-    converged = np.array(cells["converged"], dtype=bool)
-    lost = int((wanted & ~converged).sum())
-    beside = "" if name == "numerical" else f"; {lost} lost that the numerical predictor keeps"
-    return f"{words(name)} converges in {int(converged.sum())} of {converged.size} cells of D by D̂(0){beside}."
+def _told(name: Contender, cells: DelayMap, exact: np.ndarray) -> str:
+    converged = np.array(cells.converged)
+    lost = int((exact & ~converged).sum())
+    beside = "" if name == NUMERICAL else f"; {lost} lost that the numerical predictor keeps"
+    return f"{name.label} converges in {int(converged.sum())} of {converged.size} cells of D by D̂(0){beside}."
 
 
-def _cells(name: str, cells: dict[str, Any], wanted: np.ndarray, labels: list[str], axis: Any) -> None:
-    x, y = np.meshgrid(cells["D_hat0"], cells["D"])
-    converged = np.array(cells["converged"], dtype=bool)
+def _cells(name: Contender, cells: DelayMap, exact: np.ndarray, labels: list[str], axis: Any) -> None:
+    x, y = np.meshgrid(cells.D_hat0, cells.D)
+    converged = np.array(cells.converged)
     size = min(90.0, 2600 / max(converged.shape) ** 1.6)
     axis.scatter(x[converged], y[converged], size, look(name).colour, marker="s", linewidths=0)
     axis.scatter(x[~converged], y[~converged], size / 2, ROLES["muted"][0], marker="x", linewidths=1.0)
-    missed = wanted & ~converged
+    missed = exact & ~converged
     ring = {"facecolors": "none", "edgecolors": ROLES["frozen"][0], "linewidths": 1.4}
     axis.scatter(x[missed], y[missed], 2.2 * size, marker="o", **ring)
     axis.set(xlabel=labels[0], ylabel=labels[1])

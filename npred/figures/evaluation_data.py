@@ -3,14 +3,14 @@
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from npred.config import Evaluate
 from npred.data import hdf5
-from npred.figures.style import NETWORKS
 from npred.plants import Plant
+from npred.results import Contender, Evaluated
+from npred.results.evaluate import Scores
 
 LOOP = {"t": 1, "X": 2, "U": 2, "D_hat": 1, "N": 1}  # axes of each array
 ERRORS = {"sup": 1, "over_x": 2}
@@ -23,7 +23,7 @@ OF = {  # what rows of each kind are of
 
 
 @dataclass(frozen=True)
-class Loop:
+class LoopSeries:
     """The loop of Fig. 1 with one predictor: t (nt,), X (nt, n), U (nt, m), D_hat (nt,), N (nt,) of the proof."""
 
     t: np.ndarray
@@ -47,7 +47,7 @@ class Histogram:
 
     edges: np.ndarray
     data: np.ndarray
-    loops: dict[str, np.ndarray]
+    loops: dict[Contender, np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -60,14 +60,14 @@ class Evidence:
 
     plant: Plant
     config: Evaluate
-    models: dict[str, Any]
-    gain: float | None
-    loops: dict[str, Loop]
+    models: dict[Contender, Scores]
+    gain: float
+    loops: dict[Contender, LoopSeries]
     X: np.ndarray
     D_hat: np.ndarray
-    errors: dict[str, Errors]
+    errors: dict[Contender, Errors]
     coverage: dict[str, Histogram]
-    kinds: dict[str, dict[str, np.ndarray]]
+    kinds: dict[str, dict[Contender, np.ndarray]]
 
     @property
     def samples(self) -> str:
@@ -75,30 +75,30 @@ class Evidence:
         return f"held-out samples of {OF[next(iter(self.kinds))]}"
 
     @classmethod
-    def read(cls, folder: Path, plant: Plant, config: Evaluate, result: dict[str, Any]) -> "Evidence":
+    def read(cls, folder: Path, plant: Plant, config: Evaluate, result: Evaluated) -> "Evidence":
         """What lies in the folder of an evaluate artifact with that result."""
-        order = list(result["models"])
-        networks = [name for name in order if name.partition("@")[0] in NETWORKS]
-        densities = {f"loops/{name}": name for name in order if "@" not in name}
+        order = list(result.models)
+        networks = [contender for contender in order if contender.is_network]
+        densities = {f"loops/{contender.name}": contender for contender in order if contender.epoch is None}
         (rows,) = _arrays(folder / "errors.h5", [""], {"X": 2, "D_hat": 1})
-        errors = _arrays(folder / "errors.h5", [f"networks/{name}/" for name in networks], ERRORS)
-        loops = _arrays(folder / "figure1.h5", [f"{name}/" for name in order], LOOP)
+        errors = _arrays(folder / "errors.h5", [f"networks/{c.name}/" for c in networks], ERRORS)
+        loops = _arrays(folder / "figure1.h5", [f"{c.name}/" for c in order], LOOP)
         quantities = [*plant.states, *plant.inputs, "D_hat"]
         kinds = dict.fromkeys(("edges", "data", *densities), 1)
         histograms = _arrays(folder / "coverage.h5", [f"{name}/" for name in quantities], kinds)
         coverage = [Histogram(h["edges"], h["data"], {densities[k]: h[k] for k in densities}) for h in histograms]
         return cls(
-            plant, config, result["models"], result["gain"],
-            {name: Loop(**found) for name, found in zip(order, loops, strict=True)}, **rows,
-            errors={name: Errors(**found) for name, found in zip(networks, errors, strict=True)},
-            coverage=dict(zip(quantities, coverage, strict=True)), kinds=_by_kind(folder, result["kinds"], networks),
+            plant, config, result.models, result.gain,
+            {c: LoopSeries(**series) for c, series in zip(order, loops, strict=True)}, **rows,
+            errors={c: Errors(**arrays) for c, arrays in zip(networks, errors, strict=True)},
+            coverage=dict(zip(quantities, coverage, strict=True)), kinds=_by_kind(folder, result.kinds, networks),
         )  # fmt: skip
 
 
-def _by_kind(folder: Path, kinds: Iterable[str], networks: list[str]) -> dict[str, dict[str, np.ndarray]]:
+def _by_kind(folder: Path, kinds: Iterable[str], networks: list[Contender]) -> dict[str, dict[Contender, np.ndarray]]:
     """The sup over x of each network's error by kind of row; those of the first kind are the file's own."""
     places = {kind: f"kinds/{kind}/" if number else "" for number, kind in enumerate(kinds)}
-    groups = {kind: [f"{place}networks/{name}/" for name in networks] for kind, place in places.items()}
+    groups = {kind: [f"{place}networks/{c.name}/" for c in networks] for kind, place in places.items()}
     by_kind = {kind: _arrays(folder / "errors.h5", group, {"sup": 1}) for kind, group in groups.items()}
     return {
         kind: {name: a["sup"] for name, a in zip(networks, arrays, strict=True)} for kind, arrays in by_kind.items()

@@ -8,7 +8,8 @@ import numpy as np
 from npred.figures.evaluation_data import OF, Evidence
 from npred.figures.figure import Panel, Plate
 from npred.figures.loops import keys
-from npred.figures.style import log, look, short, words
+from npred.figures.style import log, look, short
+from npred.results import Contender
 
 
 def kinds(evidence: Evidence) -> Plate | None:
@@ -31,12 +32,12 @@ def _span(evidence: Evidence) -> tuple[float, float]:
     return (errors.min() / 2, errors.max() * 2) if len(errors) else (0.1, 1.0)
 
 
-def _told(networks: dict[str, np.ndarray]) -> str:
-    said = [f"{words(name)} {short(np.median(sup))} and {short(sup.max())}" for name, sup in networks.items()]
+def _told(networks: dict[Contender, np.ndarray]) -> str:
+    said = [f"{name.label} {short(np.median(sup))} and {short(sup.max())}" for name, sup in networks.items()]
     return f"Median and largest error: {'; '.join(said)}."
 
 
-def _shares(networks: dict[str, np.ndarray], span: tuple[float, float], axis: Any) -> None:
+def _shares(networks: dict[Contender, np.ndarray], span: tuple[float, float], axis: Any) -> None:
     share = np.linspace(0, 1, 201)
     for name, sup in networks.items():
         errors = np.quantile(sup, share)

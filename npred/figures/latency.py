@@ -2,22 +2,23 @@
 
 from collections.abc import Iterable
 from functools import partial
+from math import inf, isfinite
 from typing import Any
 
 from npred.figures.figure import Key, Panel, Plate
-from npred.figures.style import NETWORKS, Look, log, words
-from npred.registry import INTERPRETED, METHODS, RUNTIMES, Registry
+from npred.figures.style import Look, colours, log
+from npred.registry import INTERPRETED, METHODS, NETWORKS, RUNTIMES, Registry
+from npred.results.bench import Timing
 
-Row = dict[str, Any]
 FAR = 1000  #: times the networks' error: no prediction any more, an unstable step say
 TAIL = {"median_us": "o", "p95_us": "|", "p999_us": "|"}
 
 
-def speed(rows: list[Row]) -> Plate:
+def speed(rows: list[Timing]) -> Plate:
     """Latency against error and against dx, a line through the grids of each; median to 99.9 % at the finest dx."""
-    single = [row for row in rows if row["batch"] == 1 and row["eps_sup"] is not None]
+    single = [row for row in rows if row.batch == 1 and isfinite(row.eps_sup)]
     front = _series(_near(single))
-    grids = _series(row for row in single if row["matches"] is None)
+    grids = _series(row for row in single if row.matches is None)
     every = _series(single)
     caption = (
         "Time of one call at batch 1. Versus ε: the median and the error that it buys, a line through the grids; lower "
@@ -34,61 +35,62 @@ def speed(rows: list[Row]) -> Plate:
     )
 
 
-def _near(rows: list[Row]) -> list[Row]:
+def _near(rows: list[Timing]) -> list[Timing]:
     """Without the errors that would leave the others no room."""
-    known = [row["eps_sup"] for row in rows if row["predictor"] in NETWORKS]
-    return [row for row in rows if not known or row["eps_sup"] <= FAR * max(known)]
+    worst = max((row.eps_sup for row in rows if row.is_network), default=inf)
+    return [row for row in rows if row.eps_sup <= FAR * worst]
 
 
-def label(row: Row) -> str:
+def label(row: Timing) -> str:
     """Predictor and runtime for people."""
     if (parts := _numerical(row)) is not None:
-        return parts.label(row["predictor"])
-    place = "" if row["copies"] is None else f" on {row['device']}, {'with' if row['copies'] else 'without'} copies"
-    return f"{words(row['predictor'])}, {row['runtime']}{place}"
+        return parts.label(row.predictor)
+    place = "" if row.copies is None else f" on {row.device}, {'with' if row.copies else 'without'} copies"
+    return f"{NETWORKS.label(row.predictor)}, {row.runtime}{place}"
 
 
-def _look(row: Row) -> Look:
+def _look(row: Timing) -> Look:
     """Numerical predictors have looks of their own; networks their colour, and the dash and marker of the runtime."""
     if (parts := _numerical(row)) is not None:
-        role, dash, marker = parts.look(row["predictor"])
+        role, dash, marker = parts.look(row.predictor)
         return Look(role, dash, 1.2, marker)
-    _, dash, marker = RUNTIMES.look(row["runtime"])
-    role = NETWORKS[row["predictor"]][1 if row["copies"] is not None else 0]
-    return Look(role, dash, 1.2, marker)
+    _, dash, marker = RUNTIMES.look(row.runtime)
+    return Look(colours(row.predictor)[row.copies is not None], dash, 1.2, marker)
 
 
-def _numerical(row: Row) -> Registry | None:
+def _numerical(row: Timing) -> Registry | None:
     """Where the row's predictor is named; None for a network."""
-    return {"python": INTERPRETED, "compiled": METHODS}.get(row["runtime"])
+    return {"python": INTERPRETED, "compiled": METHODS}.get(row.runtime)
 
 
-def _series(rows: Iterable[Row]) -> dict[str, list[Row]]:
+def _series(rows: Iterable[Timing]) -> dict[str, list[Timing]]:
     """The rows of each predictor and runtime, from the finest grid to the coarsest."""
-    found: dict[str, list[Row]] = {}
-    for row in sorted(rows, key=lambda row: row["dx"]):
-        found.setdefault(label(row), []).append(row)
-    return dict(sorted(found.items(), key=lambda item: _rank(item[1][0])))
+    series: dict[str, list[Timing]] = {}
+    for row in sorted(rows, key=lambda row: row.dx):
+        series.setdefault(label(row), []).append(row)
+    return dict(sorted(series.items(), key=lambda item: _rank(item[1][0])))
 
 
-def _rank(row: Row) -> tuple[int, str]:
-    order = [*INTERPRETED.builtin, *METHODS.builtin, *NETWORKS]
-    return order.index(row["predictor"]) if row["predictor"] in order else len(order), label(row)
+def _rank(row: Timing) -> tuple[int, str]:
+    order = [*INTERPRETED.builtin, *METHODS.builtin, *NETWORKS.builtin]
+    return order.index(row.predictor) if row.predictor in order else len(order), label(row)
 
 
-def _lines(series: dict[str, list[Row]], key: str, title: str, axis: Any) -> None:
+def _lines(series: dict[str, list[Timing]], key: str, title: str, axis: Any) -> None:
     for rows in series.values():
-        axis.plot([row[key] for row in rows], [row["median_us"] for row in rows], **_look(rows[0]).line)
+        axis.plot([getattr(row, key) for row in rows], [row.median_us for row in rows], **_look(rows[0]).line)
     axis.set_xlabel(title)
     log(axis, "x", "y")
 
 
-def _tails(series: dict[str, list[Row]], axis: Any) -> None:
+def _tails(series: dict[str, list[Timing]], axis: Any) -> None:
     for place, rows in enumerate(series.values()):
         finest, style = rows[0], _look(rows[0])
-        axis.plot([finest["median_us"], finest["p999_us"]], [place, place], color=style.colour, linewidth=1.2)
+        axis.plot([finest.median_us, finest.p999_us], [place, place], color=style.colour, linewidth=1.2)
         for key, marker in TAIL.items():
-            axis.plot([finest[key]], [place], marker if key != "median_us" else style.marker, color=style.colour)
+            axis.plot(
+                [getattr(finest, key)], [place], marker if key != "median_us" else style.marker, color=style.colour
+            )
     named = list(series) if _room(axis) > len(series) else [""] * len(series)  # else the legend has to do
     axis.set(yticks=range(len(series)), yticklabels=named, xlabel="µs per call")
     axis.invert_yaxis()
@@ -102,17 +104,17 @@ def _room(axis: Any) -> float:
     return axis.bbox.height * 72 / axis.figure.dpi / line
 
 
-def _told_front(series: dict[str, list[Row]]) -> str:
-    quickest = {name: min(rows, key=lambda row: row["median_us"]) for name, rows in series.items()}
-    return "; ".join(f"{n}: {r['median_us']:.3g} µs at error {r['eps_sup']:.1e}" for n, r in quickest.items()) + "."
+def _told_front(series: dict[str, list[Timing]]) -> str:
+    quickest = {name: min(rows, key=lambda row: row.median_us) for name, rows in series.items()}
+    return "; ".join(f"{n}: {r.median_us:.3g} µs at error {r.eps_sup:.1e}" for n, r in quickest.items()) + "."
 
 
-def _told_grids(series: dict[str, list[Row]]) -> str:
-    found = [f"{name}: {rows[-1]['median_us']:.3g} µs at dx = {rows[-1]['dx']:.3g}, {rows[0]['median_us']:.3g} µs at "
-             f"{rows[0]['dx']:.3g}" for name, rows in series.items()]  # fmt: skip
+def _told_grids(series: dict[str, list[Timing]]) -> str:
+    found = [f"{name}: {rows[-1].median_us:.3g} µs at dx = {rows[-1].dx:.3g}, {rows[0].median_us:.3g} µs at "
+             f"{rows[0].dx:.3g}" for name, rows in series.items()]  # fmt: skip
     return "; ".join(found) + "."
 
 
-def _told_tail(series: dict[str, list[Row]]) -> str:
-    found = [f"{name}: {rows[0]['median_us']:.3g} to {rows[0]['p999_us']:.3g} µs" for name, rows in series.items()]
+def _told_tail(series: dict[str, list[Timing]]) -> str:
+    found = [f"{name}: {rows[0].median_us:.3g} to {rows[0].p999_us:.3g} µs" for name, rows in series.items()]
     return "; ".join(found) + "."

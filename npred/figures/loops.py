@@ -1,17 +1,18 @@
 """The loop of [DAPF, Fig. 1]: states, input and delay estimate with each predictor, and how it ends."""
 
+from collections.abc import Iterable
 from functools import partial
 from typing import Any, cast
 
 import numpy as np
 
-from npred.figures.evaluation_data import Evidence, Loop
+from npred.figures.evaluation_data import Evidence, LoopSeries
 from npred.figures.figure import Key, Panel, Plate
 from npred.figures.notation import common_unit, quantity, symbol, timed, with_unit
-from npred.figures.style import ROLES, log, look, words
+from npred.figures.style import ROLES, log, look
 from npred.loop import lyapunov, metrics
+from npred.results import NUMERICAL, Contender
 
-FOCUS = "numerical"  # always in the picture; a loop that is lost may leave it, so that the others can be told apart
 GOAL = {"color": ROLES["muted"][0], "linewidth": 0.8, "linestyle": (0, (1, 2)), "zorder": 0}
 END = 0.1  # the share of the horizon that is looked at closely
 
@@ -19,7 +20,7 @@ END = 0.1  # the share of the horizon that is looked at closely
 def figure1(evidence: Evidence) -> Plate:
     """x, U and D_hat over time [DAPF, Fig. 1], and the states at the end."""
     plant, columns = evidence.plant, {name: _columns(loop) for name, loop in evidence.loops.items()}
-    t, time = evidence.loops[FOCUS].t, timed(plant, "t")
+    t, time = evidence.loops[NUMERICAL].t, timed(plant, "t")
     goals, kept = _goals(evidence, t), _converging(evidence)
     panels = []
     for k, name in enumerate((*plant.states, *plant.inputs, "D_hat")):
@@ -44,12 +45,15 @@ def _caption(evidence: Evidence) -> str:
     )
 
 
-def _converging(evidence: Evidence) -> list[str]:
-    """Whose loops a panel has to show whole: the numerical predictor's, and all that end settled."""
+def _converging(evidence: Evidence) -> list[Contender]:
+    """Whose loops a panel has to show whole: the numerical predictor's, and all that end settled.
+
+    A loop that is lost may leave the picture, so that the others can be distinguished.
+    """
     kept = []
     for name, loop in evidence.loops.items():
         target, run = evidence.plant.target(loop.t), cast(Any, loop)  # t and X of Trajectories, all that a radius takes
-        if name == FOCUS or metrics.converged(metrics.radius(run, target), target):
+        if name == NUMERICAL or metrics.converged(metrics.radius(run, target), target):
             kept.append(name)
     return kept
 
@@ -59,9 +63,9 @@ def ends(evidence: Evidence) -> tuple[Panel, ...]:
     plant, config = evidence.plant, evidence.config
     distance = {name: np.linalg.norm(loop.X - plant.target(loop.t), axis=1) for name, loop in evidence.loops.items()}
     W = {name: _W(evidence, loop) for name, loop in evidence.loops.items() if np.isfinite(loop.N).any()}
-    t = evidence.loops[FOCUS].t
-    last = "; ".join(f"{words(name)} {values[-1]:.1e}" for name, values in distance.items())
-    falls = "; ".join(f"{words(name)} from {values[0]:.3g} to {values[-1]:.3g}" for name, values in W.items())
+    t = evidence.loops[NUMERICAL].t
+    last = "; ".join(f"{name.label} {values[-1]:.1e}" for name, values in distance.items())
+    falls = "; ".join(f"{name.label} from {values[0]:.3g} to {values[-1]:.3g}" for name, values in W.items())
     caption = f"D log N + (b / γ) (D − D̂)², with b = {config.b:g}, γ = {config.gamma:g}: {falls}."
     return (
         Panel(with_unit("distance |X − X*|", common_unit(plant, plant.states)),
@@ -71,12 +75,12 @@ def ends(evidence: Evidence) -> tuple[Panel, ...]:
     )  # fmt: skip
 
 
-def keys(names: Any) -> tuple[Key, ...]:
+def keys(names: Iterable[Contender]) -> tuple[Key, ...]:
     """Legend entries of these contenders."""
-    return tuple(Key(words(name), look(name)) for name in names)
+    return tuple(Key(name.label, look(name)) for name in names)
 
 
-def _columns(loop: Loop) -> np.ndarray:
+def _columns(loop: LoopSeries) -> np.ndarray:
     return np.concatenate([loop.X, loop.U, loop.D_hat[:, None]], axis=1)
 
 
@@ -91,7 +95,7 @@ def _goals(evidence: Evidence, t: np.ndarray) -> np.ndarray:
 
 
 def _over_time(
-    t: np.ndarray, columns: dict[str, np.ndarray], k: int, goals: np.ndarray, span: Any, time: str, axis: Any
+    t: np.ndarray, columns: dict[Contender, np.ndarray], k: int, goals: np.ndarray, span: Any, time: str, axis: Any
 ) -> None:
     for name, found in columns.items():
         axis.plot(t, found[:, k], **look(name).line)
@@ -99,10 +103,10 @@ def _over_time(
     axis.set(xlabel=time, xlim=(t[0], t[-1]), ylim=span)
 
 
-def _end(t: np.ndarray, columns: dict[str, np.ndarray], k: int, goal: np.ndarray, time: str, axis: Any) -> None:
+def _end(t: np.ndarray, columns: dict[Contender, np.ndarray], k: int, goal: np.ndarray, time: str, axis: Any) -> None:
     """The last tenth, at least a part in a thousand of the value high: closer, lines are one line."""
     late = t >= min((1 - END) * t[-1], t[-2:][0])  # a line has two ends
-    shown = {name: found[late, k] for name, found in columns.items() if name != "no_adaptation"}
+    shown = {name: found[late, k] for name, found in columns.items() if name.adapts}
     for name, found in shown.items():
         axis.plot(t[late], found, **look(name).line)
     axis.plot(t[late], goal[late], **GOAL)
@@ -112,7 +116,7 @@ def _end(t: np.ndarray, columns: dict[str, np.ndarray], k: int, goal: np.ndarray
     axis.ticklabel_format(axis="y", useOffset=False)
 
 
-def _curves(t: np.ndarray, curves: dict[str, np.ndarray], time: str, axis: Any) -> None:
+def _curves(t: np.ndarray, curves: dict[Contender, np.ndarray], time: str, axis: Any) -> None:
     for name, values in curves.items():
         positive = np.where(np.isfinite(values) & (values > 0), values, np.nan)
         axis.plot(t, positive, **look(name).line)
@@ -120,7 +124,7 @@ def _curves(t: np.ndarray, curves: dict[str, np.ndarray], time: str, axis: Any) 
     log(axis, "y")
 
 
-def _W(evidence: Evidence, loop: Loop) -> np.ndarray:
+def _W(evidence: Evidence, loop: LoopSeries) -> np.ndarray:
     config = evidence.config
     return lyapunov.W(loop.N, config.D, loop.D_hat, config.gamma, config.b)
 
@@ -134,13 +138,13 @@ def _around(series: list[np.ndarray]) -> tuple[float, float]:
     return low - room, high + room
 
 
-def _told(name: str, k: int, columns: dict[str, np.ndarray], t: np.ndarray) -> str:
-    found = "; ".join(f"{words(c)} {values[0, k]:.4g} to {values[-1, k]:.4g}" for c, values in columns.items())
+def _told(name: str, k: int, columns: dict[Contender, np.ndarray], t: np.ndarray) -> str:
+    found = "; ".join(f"{c.label} {values[0, k]:.4g} to {values[-1, k]:.4g}" for c, values in columns.items())
     return f"{name} from t = 0 to {t[-1]:g}: {found}."
 
 
-def _told_end(name: str, k: int, columns: dict[str, np.ndarray]) -> str:
-    found = "; ".join(f"{words(c)} {values[-1, k]:.6g}" for c, values in columns.items())
+def _told_end(name: str, k: int, columns: dict[Contender, np.ndarray]) -> str:
+    found = "; ".join(f"{c.label} {values[-1, k]:.6g}" for c, values in columns.items())
     return f"{name} over the last tenth of the horizon, ending at: {found}."
 
 

@@ -5,13 +5,14 @@ from functools import partial
 from typing import Any
 
 from npred.figures.figure import Key, Panel, Plate
-from npred.figures.style import log, look, words
+from npred.figures.style import log, look
+from npred.results import Contender
 
 Epochs = list[dict[str, float]]
 SHOWN = {"loss": "training loss", "mse": "held-out mean square", "eps_sup": "held-out sup error ε"}
 
 
-def learning(histories: dict[str, Epochs]) -> Plate:
+def learning(histories: dict[Contender, Epochs]) -> Plate:
     """The metrics of each network's epochs, as its training left them."""
     panels = [Panel(title, _told(title, key, histories), partial(_curves, key, histories))
               for key, title in SHOWN.items()]  # fmt: skip
@@ -19,11 +20,11 @@ def learning(histories: dict[str, Epochs]) -> Plate:
         "One point per epoch. The loss is each network's own; the errors are in state units, on the rollouts that the "
         "data hold out."
     )
-    solid = tuple(Key(words(name), replace(look(name), dash=())) for name in histories)  # dashes hide what is rough
+    solid = tuple(Key(name.label, replace(look(name), dash=())) for name in histories)  # dashes hide what is rough
     return Plate("learning", "Training", caption, tuple(panels), solid)
 
 
-def _curves(key: str, histories: dict[str, Epochs], axis: Any) -> None:
+def _curves(key: str, histories: dict[Contender, Epochs], axis: Any) -> None:
     for name, epochs in histories.items():
         solid = replace(look(name), dash=(), marker="" if len(epochs) > 1 else "o")  # one point makes no line
         axis.plot([row["epoch"] for row in epochs], [row[key] for row in epochs], **solid.line)
@@ -31,7 +32,7 @@ def _curves(key: str, histories: dict[str, Epochs], axis: Any) -> None:
     log(axis, "y")
 
 
-def _told(title: str, key: str, histories: dict[str, Epochs]) -> str:
-    found = "; ".join(f"{words(name)} {rows[0][key]:.2e} to {rows[-1][key]:.2e} in {len(rows)} epochs"
+def _told(title: str, key: str, histories: dict[Contender, Epochs]) -> str:
+    found = "; ".join(f"{name.label} {rows[0][key]:.2e} to {rows[-1][key]:.2e} in {len(rows)} epochs"
                       for name, rows in histories.items())  # fmt: skip
     return f"{title}: {found}."

@@ -5,10 +5,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from threading import Lock
 from typing import Any
+from zlib import crc32
 
 import numpy as np
 
 from npred.figures.typography import SUPERSCRIPTS, mathematics
+from npred.registry import NETWORKS
+from npred.results import NO_ADAPTATION, NUMERICAL, Contender
 
 # Near Okabe and Ito's colours, darker on a light page, which comes first, lighter on a dark one. What is close for some
 # colour-blind readers, a network and the same stopped early, differs in its dashes or markers too.
@@ -23,10 +26,16 @@ ROLES = {
     "sky": ("#3d8fc4", "#a5d3f3"),
     "orange": ("#c74a00", "#ff9a52"),
     "amber": ("#b67509", "#f6cf8f"),
+    "violet": ("#6a4bbd", "#b7a3f2"),
+    "lilac": ("#9a80d6", "#dccffb"),
+    "brown": ("#75501f", "#c79c5e"),
+    "sand": ("#a07a48", "#e6cfa8"),
     "green": ("#008f68", "#3fd0a4"),
 }
-NETWORKS = {"deeponet": ("blue", "sky"), "fno": ("orange", "amber")}  # trained, and stopped early
-EARLY = {early for _, early in NETWORKS.values()}
+# A network's colours, trained and stopped early: in the registry's order. Green and ink are the numerical methods'.
+PAIRS = (("blue", "sky"), ("orange", "amber"), ("violet", "lilac"), ("brown", "sand"))
+TRAINED, EARLY = (6, 2.2), (4, 1.6)  # dashes
+OTHERS = ((6, 1.6, 1, 1.6), (9, 2.2))  # those of networks that are not built in, which share the last colours
 
 
 @dataclass(frozen=True)
@@ -50,22 +59,28 @@ class Look:
         return {"color": self.colour, "linestyle": style, "linewidth": self.width, "marker": self.marker or None}
 
 
-def look(name: str) -> Look:
+def look(contender: Contender) -> Look:
     """The look of a contender: the same in every figure."""
-    if name == "numerical":
+    if contender == NUMERICAL:
         return Look("ink", width=1.9)
-    if name == "no_adaptation":
+    if contender == NO_ADAPTATION:
         return Look("frozen", (1.2, 1.4), 1.0)
-    model, _, snapshot = name.partition("@")
-    trained, early = NETWORKS.get(model, ("green", "green"))
-    return Look(early, (4, 1.6)) if snapshot else Look(trained, (6, 2.2))
+    trained, early = colours(contender.model)
+    if contender.epoch is not None:
+        return Look(early, EARLY)
+    return Look(trained, TRAINED if contender.model in NETWORKS.builtin else OTHERS[_number(contender.model) % 2])
 
 
-def words(name: str) -> str:
-    """A contender's name for people."""
-    model, _, snapshot = name.partition("@")
-    named = {"deeponet": "DeepONet", "fno": "FNO", "no_adaptation": "no adaptation"}.get(model, model)
-    return f"{named}, epoch {snapshot}" if snapshot else named
+def colours(network: str) -> tuple[str, str]:
+    """The roles of a network, trained and stopped early; by its name alone where it is not built in."""
+    builtin = list(NETWORKS.builtin)
+    if network in builtin:
+        return PAIRS[builtin.index(network) % len(PAIRS)]
+    return PAIRS[2:][_number(network) // 2 % len(PAIRS[2:])]
+
+
+def _number(name: str) -> int:
+    return crc32(name.encode())
 
 
 @dataclass(frozen=True)
@@ -176,9 +191,9 @@ def power(value: float) -> str:
     return ten if mantissa == "1" else f"{mantissa}·{ten}"
 
 
-def short(value: float | None, digits: int = 2) -> str:
-    """A number as people write it, with so many digits: 0.018, 9.2·10⁻⁸, 12,300, and ∞ for None."""
-    if value is None:
+def short(value: float, digits: int = 2) -> str:
+    """A number as people write it, with so many digits: 0.018, 9.2·10⁻⁸, 12,300, and ∞ where it is not finite."""
+    if not np.isfinite(value):
         return "∞"
     if value == 0 or 0.01 <= abs(value) < 10**digits - 0.5:
         return f"{value:.{digits}g}"

@@ -6,6 +6,7 @@ import re
 import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import isfinite
 from typing import Any
 
 from npred.figures.style import short
@@ -31,10 +32,10 @@ SYMBOLS = {
 
 @dataclass(frozen=True)
 class Column:
-    """A heading, the key of its values, and how a number is written: a format, or so many `digits`."""
+    """A heading, a value per row, and how a number is written: a format, or so many `digits`."""
 
     head: str
-    key: str
+    values: Sequence[Any]
     form: str = ""
     digits: int = 0
 
@@ -44,42 +45,45 @@ class Column:
         return bool(self.form or self.digits)
 
     def text(self, value: Any) -> str:
-        """A value for people; a number that is not finite, None, as ∞, and what there is none of, "", as –."""
-        if value == "":
-            return "–"
+        """A value for people; a number that is not finite as ∞, and what there is none of, None, as –."""
         if value is None:
+            return "–"
+        if isinstance(value, float) and not isfinite(value):
             return "∞"
         return short(value, self.digits) if self.digits else format(value, self.form)
 
 
 @dataclass(frozen=True)
-class Grid:
+class Table:
     """A table: `name` is its file's."""
 
     name: str
     title: str
     columns: Sequence[Column]
-    rows: Sequence[dict[str, Any]]
+
+    @property
+    def rows(self) -> list[tuple[Any, ...]]:
+        """A value per column."""
+        return list(zip(*(column.values for column in self.columns), strict=True))
 
     def csv(self) -> str:
         """Headings and values, numbers with all their digits."""
         buffer = io.StringIO()
         writer = csv.writer(buffer, lineterminator="\n")
         writer.writerow([plain(column.head) for column in self.columns])
-        for row in self.rows:
-            writer.writerow([_written(row[column.key]) for column in self.columns])
+        writer.writerows([_written(value) for value in row] for row in self.rows)
         return buffer.getvalue()
 
     def latex(self) -> str:
         """A booktabs table: words to the left, numbers to the right."""
-        lines = [" & ".join(_cell(column, row[column.key]) for column in self.columns) + r" \\" for row in self.rows]
+        lines = [" & ".join(map(_cell, self.columns, row)) + r" \\" for row in self.rows]
         text = LATEX.replace("@alignment", "".join("r" if column.numeric else "l" for column in self.columns))
         text = text.replace("@heads", " & ".join(_plain(column.head) for column in self.columns))
         return text.replace("@lines", "\n".join(lines))
 
 
 def _written(value: Any) -> Any:
-    return "inf" if value is None else plain(value) if isinstance(value, str) else value
+    return "" if value is None else plain(value) if isinstance(value, str) else value
 
 
 def _cell(column: Column, value: Any) -> str:

@@ -138,8 +138,3 @@ def _responses(plant: Plant, t_end: float) -> list[np.ndarray]:
         right = found[-1] + h / 2 * (A[k] @ found[-1] + B[k] + B[k + 1])
         found.append(np.linalg.solve(eye - h / 2 * A[k + 1], right))
     return found
-
-
-def number(value: Any) -> float | None:
-    """A float for JSON, which has no infinity: None where a loop diverged or never settled."""
-    return float(value) if np.isfinite(value) else None

@@ -9,6 +9,7 @@ from npred.errors import ConfigError
 from npred.pipeline.plan import Planner
 from npred.pipeline.stage_registry import nodes
 from npred.plants import Plant
+from npred.results import Contender
 from npred.store import Artifact, Store
 
 
@@ -30,12 +31,12 @@ def load_model(spec: str, root: Path | None = None) -> Stored:
     Each may end in `@EPOCH`, for a snapshot. Raises ConfigError where there is none, StoreError for corrupt files.
     """
     store = Store(root or defaults.store())
-    name, epoch = _split(spec)
-    path, colon, model = name.rpartition(":")
-    if colon or _of_default(name):
+    asked = _split(spec)
+    path, colon, model = asked.model.rpartition(":")
+    if colon or _of_default(model):
         pipeline = defaults.pipeline(path)
-        return _stored(*_of_pipeline(pipeline, config.load(pipeline), model, store), epoch, spec)
-    return _stored(store.find(name), None, None, epoch, spec)
+        return _stored(*_of_pipeline(pipeline, config.load(pipeline), model, store), asked.epoch, spec)
+    return _stored(store.find(model), None, None, asked.epoch, spec)
 
 
 def _of_default(name: str) -> bool:
@@ -71,13 +72,11 @@ def _last(pipeline: config.Pipeline, store: Store, stage: str, model: str | None
     return step.artifact
 
 
-def _split(spec: str) -> tuple[str, int | None]:
-    name, at, epoch = spec.rpartition("@")
-    if not at:
-        return spec, None
-    if not epoch.isdigit():
-        raise ConfigError(f"{spec}: expected an epoch after @, got {epoch!r}; for example deeponet@107")
-    return name, int(epoch)
+def _split(spec: str) -> Contender:
+    try:
+        return Contender.parse(spec)
+    except ValueError as error:
+        raise ConfigError(f"{spec}: {error}") from None
 
 
 def _of_pipeline(path: Path, pipeline: config.Pipeline, model: str, store: Store) -> tuple[Artifact, Plant, Training]:

@@ -13,6 +13,7 @@ from npred.config import PAPER, Loop, Network, Pipeline, Table
 from npred.errors import ConfigError
 from npred.json_files import escaped, regular, sha256
 from npred.parallel import devices
+from npred.results import Benched, Evaluated, Generated, Reported, Result, Trained
 from npred.store.manifest import LONGEST, SourceText
 
 if TYPE_CHECKING:
@@ -29,14 +30,18 @@ class Stage:
     upstream: tuple[str, ...]
     slice: Slice
     module: str
+    result: type[Result]
 
-    def run(self, job: "Job") -> dict[str, Any]:
+    def run(self, job: "Job") -> Result:
         """The stage's own run(job); its module is imported here, for it may bring torch."""
         return importlib.import_module(self.module).run(job)
 
-    def summary(self, result: dict[str, Any], width: int | None = None, wide: bool = False) -> str:
-        """A result in a few lines for people, its tables folded to `width` columns; `wide`: all that is in it."""
-        module = importlib.import_module(self.module)
+    def summary(self, document: dict[str, Any], width: int | None = None, wide: bool = False) -> str:
+        """A result's JSON in a few lines for people, its tables folded to `width` columns; `wide`: all that is in it.
+
+        Raises StoreError where it is no result of this stage.
+        """
+        module, result = importlib.import_module(self.module), self.result.of(document, "result")
         return (getattr(module, "details", module.summary) if wide else module.summary)(result, width)
 
 
@@ -215,9 +220,9 @@ def _notation(config: Pipeline) -> dict[str, Any]:
 
 
 STAGES: dict[str, Stage] = {
-    "generate": Stage(2, (), _generate, "npred.stages.generate.generate"),
-    "train": Stage(1, ("generate",), _train, "npred.stages.train"),
-    "evaluate": Stage(5, ("generate", "train"), _evaluate, "npred.stages.evaluate.evaluate"),
-    "bench": Stage(7, ("generate", "train"), _bench, "npred.stages.bench.bench"),
-    "report": Stage(5, ("generate", "train", "evaluate", "bench"), _report, "npred.stages.report.report"),
+    "generate": Stage(2, (), _generate, "npred.stages.generate.generate", Generated),
+    "train": Stage(1, ("generate",), _train, "npred.stages.train", Trained),
+    "evaluate": Stage(5, ("generate", "train"), _evaluate, "npred.stages.evaluate.evaluate", Evaluated),
+    "bench": Stage(7, ("generate", "train"), _bench, "npred.stages.bench.bench", Benched),
+    "report": Stage(5, ("generate", "train", "evaluate", "bench"), _report, "npred.stages.report.report", Reported),
 }

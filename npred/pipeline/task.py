@@ -1,12 +1,11 @@
 """One node of a graph as work: lock its key, look again, run the stage aside, rename its result into place."""
 
 import json
-import math
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any, Self
+from typing import Self
 
 from npred.defaults import RESULT
 from npred.errors import ConfigError, NpredError
@@ -120,7 +119,8 @@ class Task:
                 device=planner.device, jobs=jobs, progress=console, model=node.model, executor=executor,
             )  # fmt: skip
             result = STAGES[node.stage].run(job)
-            (folder / RESULT).write_text(json.dumps(plain(result), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+            text = json.dumps(result.json_object(), indent=1, allow_nan=False)
+            (folder / RESULT).write_text(text + "\n", encoding="utf-8")
             sources = planner.sources(node)
             artifact = planner.store.commit(folder, question, planner.config.name, planner.device, sources)
         planner.store.discard(scratch)
@@ -148,14 +148,3 @@ def elsewhere(task: Task, expected_packages: Mapping[str, str | None]) -> Outcom
     except NpredError as error:
         outcome = Outcome(node, "failed", task.step.reason, 0.0, error=error)
     return replace(outcome, error=NpredError(outcome.failure)) if outcome.error else outcome
-
-
-def plain(value: Any) -> Any:
-    """A result as JSON can hold it: NumPy numbers as numbers, a number that is not finite as null."""
-    if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
-    if hasattr(value, "tolist"):
-        value = value.tolist()
-    if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

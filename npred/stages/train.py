@@ -14,6 +14,7 @@ from npred.config import Pipeline, Training
 from npred.data import shards
 from npred.operators import Operator, Scaling, checked, io, save
 from npred.parallel import torchrun
+from npred.results import Trained
 from npred.stages import Job, Progress
 from npred.terminal.progress_bars import counted
 from npred.training import loss, training_loop
@@ -23,7 +24,7 @@ from npred.training.training_loop import Rows, Task
 SEEDING = Lock()  # torch has one generator for all threads, and another network may be starting beside this one
 
 
-def run(job: Job) -> dict[str, Any]:
+def run(job: Job) -> Trained:
     """Train job.model on the rows of job.inputs["generate"] that are not held out; the held-out ones give the errors.
 
     Started by torchrun, its processes share each batch; this one alone writes.
@@ -36,8 +37,8 @@ def run(job: Job) -> dict[str, Any]:
         task, metrics = _fit(job)
     _write(job, task.config, task.operator.to("cpu"), metrics)
     parameters = sum(p.numel() for p in task.operator.parameters())
-    last = {key: metrics[-1][key] for key in ("loss", "mse", "eps_sup")}
-    return {"model": job.model, "parameters": parameters, "samples": len(task.train), "epochs": len(metrics)} | last
+    size = {"model": job.model, "parameters": parameters, "samples": len(task.train), "epochs": len(metrics)}
+    return Trained(**size, **{key: metrics[-1][key] for key in ("loss", "mse", "eps_sup")})
 
 
 class _Order(NamedTuple):
@@ -69,11 +70,10 @@ def help_out(progress: Progress) -> None:
         _fit(order.job(progress))
 
 
-def summary(result: dict[str, Any], width: int | None = None) -> str:
+def summary(result: Trained, width: int | None = None) -> str:
     """The trained network in a line."""
-    epochs, samples = counted(result["epochs"], "epochs"), counted(result["samples"], "samples")
-    size = f"{result['parameters']} parameters, {epochs} of {samples}"
-    return f"{result['model']}: {size}; held-out rollouts: MSE {result['mse']:.3g}, sup error {result['eps_sup']:.3g}"
+    size = f"{result.parameters} parameters, {counted(result.epochs, 'epochs')} of {counted(result.samples, 'samples')}"
+    return f"{result.model}: {size}; held-out rollouts: MSE {result.mse:.3g}, sup error {result.eps_sup:.3g}"
 
 
 def _fit(job: Job) -> tuple[Task, list[dict[str, Any]]]:

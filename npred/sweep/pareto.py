@@ -11,6 +11,7 @@ from npred import figures
 from npred.figures.figure import Panel, Plate
 from npred.figures.loops import keys
 from npred.figures.style import ROLES, log, look
+from npred.results import Contender
 
 AXES = {
     "eps_sup": "sup error ε",
@@ -59,7 +60,12 @@ def draw(folder: Path, rows: Sequence[Mapping[str, Any]]) -> list[Path]:
         Panel(f"{AXES[y]} versus {AXES[x]}", _told(rows, x, y), partial(_panel, rows, x, y)) for x, y in pairs
     )
     caption = "One point per row of the table; the line is the front, and its numbers are the table's rows."
-    figures.write(Plate("front", "The front", caption, panels, keys({str(row["model"]): None for row in rows})), folder)
+    figures.write(
+        Plate(
+            "front", "The front", caption, panels, keys(dict.fromkeys(Contender.parse(row["model"]) for row in rows))
+        ),
+        folder,
+    )
     return [folder / "front.svg", folder / "front.png"]
 
 
@@ -74,7 +80,7 @@ def _panel(rows: Sequence[Mapping[str, Any]], x: str, y: str, axis: Any) -> None
     best = ~dominated(points)
     for model in dict.fromkeys(rows[k]["model"] for k in shown):
         own = np.array([rows[k]["model"] == model for k in shown])
-        axis.plot(*points[own].T, "o", color=look(str(model)).colour)
+        axis.plot(*points[own].T, "o", color=look(Contender.parse(model)).colour)
     order = np.flatnonzero(best)[np.argsort(points[best, 0])]
     axis.plot(*points[order].T, color=ROLES["muted"][0], zorder=0, drawstyle="steps-post")
     for k in order[:NAMED]:

@@ -1,12 +1,14 @@
 """What a sweep found, one row a trained network of a cell."""
 
-from collections.abc import Iterator, Mapping
+import math
+from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 from npred.pipeline import CellRun
+from npred.results import Benched, Contender, Evaluated, Trained
+from npred.results.evaluate import Scores
 from npred.sweep.sweep_grid import Cell
-
-REFERENCES = ("numerical", "no_adaptation")
 
 
 def rows(cell: Cell, run: CellRun) -> Iterator[dict[str, Any]]:
@@ -16,34 +18,33 @@ def rows(cell: Cell, run: CellRun) -> Iterator[dict[str, Any]]:
     latency, in µs, is the fastest runtime's for one call at the bench stage's first dx.
     """
     artifacts = {name: outcome.artifact for name, outcome in run.outcomes.items()}
-    answers = {name: artifact.result() for name, artifact in artifacts.items()}
-    for model, found in _models(run, answers).items():
-        figures = _figures(found) | {"latency_us": _latency(answers.get("bench", {}), model, cell)}
-        source = list(artifacts)[-1] if "evaluate" in answers else model
-        yield {**cell.values, "model": model, **figures, "artifact": artifacts[source].name}
+    folders = {name: artifact.folder for name, artifact in artifacts.items()}
+    benched = Benched.read(folders["bench"]) if "bench" in folders else None
+    for contender, measured in _measured(run, folders).items():
+        figures = _figures(measured) | {"latency_us": _latency(benched, contender, cell.config.bench.dx[0])}
+        source = list(artifacts)[-1] if "evaluate" in artifacts else contender.model
+        yield {**cell.values, "model": contender.name, **figures, "artifact": artifacts[source].name}
 
 
-def _models(run: CellRun, answers: Mapping[str, Any]) -> dict[str, Any]:
-    if "evaluate" in answers:
-        return {name: found for name, found in answers["evaluate"]["models"].items() if name not in REFERENCES}
-    return {node.name: answers[node.name] for node in run.nodes if node.model}
+def _measured(run: CellRun, folders: dict[str, Path]) -> dict[Contender, Scores] | dict[Contender, Trained]:
+    if "evaluate" in folders:
+        models = Evaluated.read(folders["evaluate"]).models
+        return {contender: scores for contender, scores in models.items() if contender.is_network}
+    return {Contender(node.model): Trained.read(folders[node.name]) for node in run.nodes if node.model}
 
 
-def _figures(found: Mapping[str, Any]) -> dict[str, float | None]:
-    radius = found.get("radius") or {}
-    errors = {name: found.get(name) for name in ("mse", "eps_sup", "eps_kappa")}
-    return errors | {
-        "radius": radius.get("median"),
-        "radius_worst": radius.get("worst"),
-        "converged": radius.get("converged"),
-    }
+def _figures(measured: Scores | Trained) -> dict[str, float | None]:
+    """By column; None for what is not known, and for what is not finite."""
+    numbers = {"mse": measured.mse, "eps_sup": measured.eps_sup}
+    if isinstance(measured, Scores):
+        radius = measured.radius
+        numbers |= {"eps_kappa": measured.eps_kappa, "radius": radius.median, "radius_worst": radius.worst}
+        numbers |= {"converged": radius.converged}
+    keys = ("mse", "eps_sup", "eps_kappa", "radius", "radius_worst", "converged")
+    return {key: number if math.isfinite(number := numbers.get(key, math.nan)) else None for key in keys}
 
 
-def _latency(bench: Mapping[str, Any], model: str, cell: Cell) -> float | None:
-    dx = cell.config.bench.dx[0]
-    times = [
-        row["median_us"]
-        for row in bench.get("rows", ())
-        if (row["predictor"], row["batch"]) == (model, 1) and abs(row["dx"] - dx) < dx / 10 and not row.get("matches")
-    ]
+def _latency(benched: Benched | None, contender: Contender, dx: float) -> float | None:
+    rows = benched.table if benched and contender.epoch is None else []
+    times = [row.median_us for row in rows if row.predictor == contender.model and abs(row.dx - dx) < dx / 10]
     return min(times, default=None)

@@ -11,11 +11,13 @@ from typing import Any
 import fake_stages
 import pytest
 from conftest import HERE, TANK, Call, document, one_line, process_environment
+from result_samples import TRAINED
 from stopped_runs import Process, stopped_in
 from typer.testing import Result
 
 import npred
 from npred.cli import inspect
+from npred.results import Evaluated
 from npred.store import Question, Store
 
 
@@ -31,7 +33,7 @@ def test_run_answers_in_one_document(call: Call):
     assert {row["action"] for row in rows} == {"run"}
     assert all(re.fullmatch("[0-9a-f]{64}", row["key"]) and row["seconds"] >= 0 for row in rows)
     assert found["result"]["rows"] == []
-    assert found["result"]["hardware"] == {"device": "cpu", "jobs": 3}
+    assert (found["result"]["hardware"]["device"], found["result"]["hardware"]["threads"]) == ("cpu", 3)
     assert set(found["result"]["models"]) == {"generate", "deeponet", "fno"}
     assert set(actions(call("run", "tiny.toml", "--json")).values()) == {"hit"}
 
@@ -39,9 +41,9 @@ def test_run_answers_in_one_document(call: Call):
 def test_a_stage_answers_with_its_own_result(call: Call):
     assert document(call("generate", "tiny.toml", "--json"))["result"] == {"rollouts": 50}
     trained = document(call("train", "tiny.toml", "--json", "--model", "fno"))
-    assert trained["result"] == {"fno": {"mse": None, "epochs": 100}}
+    assert trained["result"] == {"fno": TRAINED | {"mse": None, "epochs": 100}}
     assert [row["stage"] for row in trained["stages"]] == ["generate", "train"]
-    assert list(document(call("evaluate", "tiny.toml", "--json"))["result"]) == ["models"]
+    assert set(document(call("evaluate", "tiny.toml", "--json"))["result"]) == set(Evaluated.model_fields)
 
 
 def test_people_get_the_summary_and_its_name(call: Call):
@@ -177,7 +179,7 @@ def test_show_ls_and_diff(call: Call):
     old, new = listed[2]["key"], listed[6]["key"]
     assert len(call("ls").stdout.splitlines()) == 8
     shown = document(call("show", f"train/{old[:8]}", "--json"))
-    assert shown["result"] == {"mse": None, "epochs": 100}
+    assert shown["result"] == TRAINED | {"mse": None, "epochs": 100}
     assert shown["manifest"]["question"]["config"]["train"]["fno"]["epochs"] == 100
     assert document(call("show", "--json"))["manifest"]["key"] == new
     text = call("show", "fno").stdout
@@ -204,7 +206,12 @@ def test_nothing_in_a_result_moves_the_cursor(call: Call):
 
 
 def test_a_summary_moves_no_cursor():
-    assert inspect._summary("report", {"summary": ["\x1b[2J"]}) == r"\x1b[2J"
+    assert inspect._summary("report", {"summary": ["\x1b[2J"], "bytes": 1}) == r"\x1b[2J"
+
+
+def test_a_result_of_another_form_is_shown_by_its_keys():
+    text = inspect._summary("report", {"summary": ["Fine."], "bytes": 1, "pages": {"count": 2}})
+    assert text.splitlines() == ['summary = ["Fine."]', "bytes = 1", "pages.count = 2"]
 
 
 def test_gc_plans_first_and_keeps_what_a_pipeline_needs(call: Call):

@@ -9,6 +9,7 @@ from pathlib import Path
 import fake_stages
 import pytest
 from conftest import Call, document, one_line
+from result_samples import TRAINED
 from store_samples import made_at
 
 from npred.store import Store
@@ -64,7 +65,10 @@ def test_a_result_goes_from_store_to_store_in_a_tar(call: Call):
     assert document(call("import-artifact", line["file"], "--store", "other", "--json"))["new"]
     assert not document(call("import-artifact", line["file"], "--store", "other", "--json"))["new"]
     assert "already in the store" in call("import-artifact", line["file"], "--store", "other").stdout
-    assert document(call("show", key[:12], "--store", "other", "--json"))["result"] == {"mse": None, "epochs": 100}
+    assert document(call("show", key[:12], "--store", "other", "--json"))["result"] == TRAINED | {
+        "mse": None,
+        "epochs": 100,
+    }
     Path(line["file"]).write_bytes(b"no tar")
     assert "export-artifact wrote it" in one_line(call("import-artifact", line["file"]), 4)
     assert "make nowhere" in one_line(call("export-artifact", "fno", "-o", "nowhere/a.tar"), 2)

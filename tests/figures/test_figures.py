@@ -8,22 +8,26 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from result_samples import MAP, RADIUS, scores, timing
 
 from npred import config, figures, plants
 from npred.figures import accuracy, svg
-from npred.figures.evaluation_data import Errors, Evidence, Histogram, Loop
+from npred.figures.evaluation_data import Errors, Evidence, Histogram, LoopSeries
 from npred.figures.figure import Key, Panel, Plate, write
-from npred.figures.style import MEDIA, ROLES, SCREEN, Look, log, look, medium, words
+from npred.figures.style import MEDIA, ROLES, SCREEN, Look, colours, log, look, medium
+from npred.results import NO_ADAPTATION, NUMERICAL, Contender
+from npred.results.evaluate import Scores
 
 SVG = "{http://www.w3.org/2000/svg}"
-NAMES = ("numerical", "no_adaptation", "deeponet@2", "deeponet", "fno")
+NAMES = tuple(map(Contender.parse, ("numerical", "no_adaptation", "deeponet@2", "deeponet", "fno")))
+DEEPONET, FNO = Contender("deeponet"), Contender("fno")
 
 
-def row(number: int, lost: bool = False) -> dict:
+def row(number: int, lost: bool = False) -> Scores:
     eps = 0.0 if number < 2 else 10.0**-number
-    cells = {"D": [0.5, 1.0], "D_hat0": [0.3, 0.6, 0.9], "converged": [[True] * 3, [not lost] * 3], "share": 0.5}
-    radius = {"median": None if lost else 1e-9, "worst": None if lost else 1e-5}
-    return {"eps_kappa": eps, "eps_sup": eps, "radius": radius, "map": cells}
+    cells = MAP | {"converged": [[True] * 3, [not lost] * 3]}
+    radius = RADIUS | {"median": None if lost else 1e-9, "worst": None if lost else 1e-5}
+    return scores(eps_kappa=eps, eps_sup=eps, radius=radius, map=cells)
 
 
 def found(plant: str = "activator_repressor", lost: bool = False) -> Evidence:
@@ -32,17 +36,17 @@ def found(plant: str = "activator_repressor", lost: bool = False) -> Evidence:
     t, rng = np.linspace(0, 10, 101), np.random.default_rng(1)
     decay = np.exp(-t)[:, None]
     target = made.target(t) + decay
-    loops = {n: Loop(t, target.copy(), made.u_target(t) + decay, 1 + decay[:, 0], 1 + decay[:, 0]) for n in NAMES}
+    loops = {n: LoopSeries(t, target.copy(), made.u_target(t) + decay, 1 + decay[:, 0], 1 + decay[:, 0]) for n in NAMES}
     if lost:
-        for name in ("no_adaptation", "deeponet"):
+        for name in (NO_ADAPTATION, DEEPONET):
             loops[name].X[50:], loops[name].N[50:] = np.nan, np.inf
     X, D_hat = rng.uniform(0, 1, (60, made.n)), rng.uniform(0.3, 2, 60)
     errors = {name: Errors(rng.lognormal(size=60), np.sort(rng.lognormal(size=(11, 3)))) for name in NAMES[2:]}
     by_kind = {kind: {name: rng.lognormal(size=9) for name in errors} for kind in ("nominal", "exploring", "redrawn")}
     edges = np.linspace(0, 1, 11)
-    density = {name: rng.uniform(size=10) for name in ("numerical", "fno")}
+    density = {name: rng.uniform(size=10) for name in (NUMERICAL, FNO)}
     covered = {name: Histogram(edges, np.ones(10), density) for name in (*made.states, *made.inputs, "D_hat")}
-    models = {name: row(k, lost and name == "deeponet") for k, name in enumerate(NAMES)}
+    models = {name: row(k, lost and name == DEEPONET) for k, name in enumerate(NAMES)}
     evaluate = config.parse({"plant": plant, "evaluate": {"X0": [0.5] * made.n}}, "test").evaluate
     return Evidence(made, evaluate, models, 110.0, loops, X, D_hat, errors, covered, by_kind)
 
@@ -58,8 +62,19 @@ def test_a_contender_looks_the_same_everywhere_and_like_no_other():
     for plate in (kind(found()) for kind in KINDS):
         for key in plate.keys:
             for name in NAMES:
-                if key.label == words(name):
+                if key.label == name.label:
                     assert key.look == look(name)
+
+
+def test_a_network_of_any_name_has_colours_that_no_numerical_predictor_has():
+    others = [Contender(name) for name in ("mine", "my_net", "green", "ink", "published", "frozen")]
+    numerical = {"ink", "muted", "green", "frozen", look(NUMERICAL).role, look(NO_ADAPTATION).role}
+    for network in others:
+        assert not {*colours(network.model), look(network).role} & numerical
+        assert look(network) == look(Contender(network.model)) != look(Contender(network.model, 7))
+        assert (look(network).role, look(network).dash) not in [(look(name).role, look(name).dash) for name in NAMES]
+    plate = figures.speed([timing("mine", "torch"), timing("rk4"), timing("mine", "torch", copies=True, device="cuda")])
+    assert [key.label for key in plate.keys] == ["RK4", "mine, torch", "mine, torch on cuda, with copies"]
 
 
 def test_colours_are_as_many_as_roles_on_light_and_on_dark():
@@ -91,9 +106,9 @@ def limits(panel: Panel) -> tuple[float, float]:
 
 def test_a_panel_of_the_loop_covers_every_loop_that_converges_and_the_true_delay():
     evidence = found()
-    far, lost = replace(evidence.loops["fno"]), replace(evidence.loops["deeponet"])
+    far, lost = replace(evidence.loops[FNO]), replace(evidence.loops[DEEPONET])
     far.X[3, 0], far.D_hat[5], lost.X[3:, 0] = 7.0, 2.9, 50.0
-    loops = evidence.loops | {"fno": far, "deeponet": lost}
+    loops = evidence.loops | {FNO: far, DEEPONET: lost}
     states = evidence.plant.states
     config = evidence.config.model_copy(update={"D": 0.2})
     panels = figures.figure1(replace(evidence, loops=loops, config=config)).panels
@@ -127,7 +142,7 @@ def test_the_functional_of_the_proof_is_left_out_where_nothing_adapts():
 
 
 def test_the_line_of_theory_is_left_out_where_nothing_bounds_the_radius():
-    bounded, unbounded = figures.certificate(found()), figures.certificate(replace(found(), gain=None))
+    bounded, unbounded = figures.certificate(found()), figures.certificate(replace(found(), gain=np.inf))
     assert "110 ε" in bounded.caption and "ε" not in unbounded.caption
     assert len(unbounded.keys) == len(bounded.keys) - 1
     ElementTree.fromstring(svg.inline(unbounded.panels[0], "p"))
@@ -140,7 +155,12 @@ def test_the_map_is_left_out_where_the_pipeline_asks_for_none_and_counts_what_is
     assert "3 of 6 cells" in alts["DeepONet"] and "3 lost that the numerical" in alts["DeepONet"]
     titles = [panel.title for panel in figures.delays(evidence).panels]
     assert titles == ["numerical: 6 of 6", "no adaptation: 6 of 6", "DeepONet: 3 of 6", "FNO: 6 of 6"]
-    assert figures.delays(replace(evidence, models={n: r | {"map": None} for n, r in evidence.models.items()})) is None
+    assert (
+        figures.delays(
+            replace(evidence, models={n: s.model_copy(update={"map": None}) for n, s in evidence.models.items()})
+        )
+        is None
+    )
 
 
 def test_each_kind_of_held_out_row_has_a_panel_where_there_are_several():
@@ -151,7 +171,7 @@ def test_each_kind_of_held_out_row_has_a_panel_where_there_are_several():
         "exploring rollouts",
         "rows with a redrawn D̂",
     ]
-    assert "largest" in plate.panels[1].alt and f"{evidence.kinds['exploring']['fno'].max():.2g}" in plate.panels[1].alt
+    assert "largest" in plate.panels[1].alt and f"{evidence.kinds['exploring'][FNO].max():.2g}" in plate.panels[1].alt
     assert "held-out samples of nominal rollouts" in figures.errors(evidence).caption
     exact = {kind: dict.fromkeys(sup, np.zeros(9)) for kind, sup in evidence.kinds.items()}
     ElementTree.fromstring(svg.inline(figures.kinds(replace(evidence, kinds=exact)).panels[0], "p"))
@@ -260,7 +280,7 @@ def test_drawing_leaves_the_settings_of_matplotlib_alone(tmp_path):
 
 def test_a_training_of_one_epoch_is_seen_as_a_point():
     row = {"epoch": 1, "loss": 0.1, "mse": 0.01, "eps_sup": 0.2}
-    plate = figures.learning({"fno": [row], "deeponet": [row, row | {"epoch": 2}]})
+    plate = figures.learning({FNO: [row], DEEPONET: [row, row | {"epoch": 2}]})
     for panel in plate.panels:
         axis = Figure().subplots()
         panel.draw(axis)
@@ -268,19 +288,15 @@ def test_a_training_of_one_epoch_is_seen_as_a_point():
 
 
 def test_learning_tells_where_each_network_began_and_ended():
-    histories = {"fno": [{"epoch": k, "loss": 1.0 / k, "mse": 0.1 / k, "eps_sup": 2.0 / k} for k in (1, 2, 4)]}
+    histories = {FNO: [{"epoch": k, "loss": 1.0 / k, "mse": 0.1 / k, "eps_sup": 2.0 / k} for k in (1, 2, 4)]}
     plate = figures.learning(histories)
     assert [panel.title for panel in plate.panels] == ["training loss", "held-out mean square", "held-out sup error ε"]
     assert plate.panels[2].alt == "held-out sup error ε: FNO 2.00e+00 to 5.00e-01 in 3 epochs."
 
 
 def test_speed_draws_finite_rows_of_batch_one():
-    plain = {"runtime": "compiled", "batch": 1, "matches": None, "copies": None, "device": "cpu"}
-    timed = {"median_us": 2.0, "p95_us": 3.0, "p999_us": 4.0, "max_us": 5.0}
-    rows = [
-        plain | timed | {"predictor": name, "dx": dx, "eps_sup": dx} for name in ("rk4", "euler") for dx in (0.1, 0.01)
-    ]
-    rows += [plain | timed | {"predictor": "fno", "runtime": "fused", "dx": 0.1, "eps_sup": None}]
+    rows = [timing(name, dx=dx, eps_sup=dx) for name in ("rk4", "euler") for dx in (0.1, 0.01)]
+    rows += [timing("fno", "fused", eps_sup=None)]
     plate = figures.speed(rows)
     assert [key.label for key in plate.keys] == ["Euler", "RK4"]
     for panel in plate.panels:
@@ -288,11 +304,12 @@ def test_speed_draws_finite_rows_of_batch_one():
 
 
 def test_speed_leaves_out_of_the_front_what_predicts_nothing():
-    row = {"runtime": "compiled", "batch": 1, "matches": None, "copies": None, "device": "cpu",
-           "median_us": 2.0, "p95_us": 3.0, "p999_us": 4.0, "max_us": 5.0}  # fmt: skip
-    rows = [row | {"predictor": "deeponet", "runtime": "fused", "dx": 0.1, "eps_sup": 0.01}]
-    rows += [row | {"predictor": "euler", "dx": dx, "eps_sup": eps} for dx, eps in ((0.1, 1e80), (0.01, 2.0))]
-    rows += [row | {"predictor": "euler", "dx": 0.001, "eps_sup": 0.008, "matches": "deeponet", "median_us": 20.0}]
+    rows = [
+        timing("deeponet", "fused", eps_sup=0.01),
+        timing("euler", eps_sup=1e80),
+        timing("euler", dx=0.01, eps_sup=2),
+    ]
+    rows += [timing("euler", dx=0.001, us=20.0, eps_sup=0.008, matches="deeponet")]
     front, grids, _ = figures.speed(rows).panels
     assert front.alt == "Euler: 2 µs at error 2.0e+00; DeepONet, fused: 2 µs at error 1.0e-02."
     assert "Euler: 2 µs at dx = 0.1, 2 µs at 0.01" in grids.alt

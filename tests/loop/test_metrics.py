@@ -117,11 +117,6 @@ def test_errors_of_kappa_are_taken_at_the_time_of_the_prediction():
     assert metrics.errors(plant, P + 0.5, P + 0.25, np.array([1.0, 3.0]))["eps_kappa"] == pytest.approx(0.75)
 
 
-def test_numbers_for_json():
-    assert metrics.number(np.float64(2.5)) == 2.5
-    assert metrics.number(np.inf) is None and metrics.number(np.nan) is None
-
-
 def test_the_error_in_the_loop_compares_what_was_predicted_with_what_came():
     """P(1, t) = X(t + D) but for one step after 2 D, and one before, which does not count."""
     t = np.arange(9.0)

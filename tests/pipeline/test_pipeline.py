@@ -6,14 +6,12 @@ from pathlib import Path
 from typing import Any
 
 import fake_stages
-import numpy as np
 import pytest
 
 from npred import config
 from npred.errors import ConfigError, StoreError
 from npred.pipeline import STAGES, Outcome, Planner, Runner, load_model, nodes
 from npred.pipeline.stage_registry import question
-from npred.pipeline.task import plain
 from npred.store import Store
 from npred.terminal.console import Console
 
@@ -282,11 +280,6 @@ def test_the_job_gets_its_inputs_by_name(run: Run, monkeypatch: pytest.MonkeyPat
     assert seen["train"].inputs == {"generate": outcomes["generate"]}
     assert seen["evaluate"].inputs == {name: outcomes[name] for name in ("generate", "deeponet", "fno")}
     assert (seen["train"].model, seen["bench"].model, seen["train"].plant.name) == ("deeponet", None, "scalar")
-
-
-def test_results_become_plain_json():
-    value = {"a": np.float64(1.5), "b": np.array([1.0, np.inf]), 3: (float("nan"), True, "x", None, np.int32(4))}
-    assert plain(value) == {"a": 1.5, "b": [1.0, None], "3": [None, True, "x", None, 4]}
 
 
 @pytest.fixture

@@ -137,11 +137,11 @@ def test_the_chain_runs(write, tmp_path):
                              "case_D_hat0": [0.2]},
     }  # fmt: skip
     data = job(tmp_path, "generate", **tables)
-    assert generate.run(data)["samples"] == 60
+    assert generate.run(data).json_object()["samples"] == 60
     training = job(tmp_path, "deeponet", inputs={"generate": data.folder}, model="deeponet", **tables)
     train.run(training)
     inputs = {"generate": data.folder, "deeponet": training.folder}
-    result = evaluate.run(job(tmp_path, "evaluate", inputs=inputs, **tables))
+    result = evaluate.run(job(tmp_path, "evaluate", inputs=inputs, **tables)).json_object()
     assert result["gain"] > 0 and result["models"]["deeponet"]["eps_sup"] > 0
 
 

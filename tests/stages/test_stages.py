@@ -21,12 +21,15 @@ from npred.loop import metrics
 from npred.loop.closed_loop import Samples, Trajectories
 from npred.predictors import RK4
 from npred.predictors.neural import Neural
+from npred.results import Benched, Contender, Evaluated
+from npred.results.bench import Stops
 from npred.stages import train
 from npred.stages.bench import bench, timing_tables
 from npred.stages.evaluate import accuracy, convergence_map, coverage, evaluate, initial_conditions
 from npred.stages.generate import generate
 
 PLANT = plants.resolve("activator_repressor")
+FNO = Contender("fno")
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +49,7 @@ def made(tmp_path_factory):
 @pytest.fixture(scope="module")
 def evaluated(made, tmp_path_factory):
     task = job(tmp_path_factory.mktemp("evaluate"), "evaluate", inputs=made)
-    return task, evaluate.run(task)
+    return task, evaluate.run(task).json_object()
 
 
 def test_every_contender_is_there(evaluated):
@@ -60,7 +63,7 @@ def test_every_contender_is_there(evaluated):
 def test_a_frozen_estimate_has_one_row_without_adaptation(made, tmp_path):
     """The numerical predictor's: the other would repeat it."""
     task = job(tmp_path, "frozen", inputs=made, evaluate={"adaptation": "frozen"})
-    result = evaluate.run(task)
+    result = evaluate.run(task).json_object()
     assert list(result["models"]) == ["numerical", "deeponet@1", "deeponet", "fno"]
     assert result["models"]["numerical"]["figure1"]["D_hat_end"] == 2.0
     assert "no_adaptation" not in h5py.File(task.folder / "figure1.h5")
@@ -85,7 +88,7 @@ def test_errors_of_a_network_are_those_of_its_predictions(evaluated, made):
 def test_errors_are_reported_by_kind_of_row(made, tmp_path):
     """Networks that were trained on nominal rollouts alone, asked for what explorers would have shown them."""
     task = job(tmp_path, "evaluate", inputs=made, generate={"explore": 0.5, "redraw": 0.25})
-    result = evaluate.run(task)
+    result = evaluate.run(task).json_object()
     counts = {"nominal": 30, "exploring": 30, "redrawn": 60}
     assert {kind: found["rows"] for kind, found in result["kinds"].items()} == counts
     assert result["held_out_kind"] == "nominal" and result["held_out"] == 30
@@ -99,8 +102,9 @@ def test_errors_are_reported_by_kind_of_row(made, tmp_path):
             sup = file[f"kinds/{kind}/networks/fno/sup"][:]
             assert sup.shape == file[f"kinds/{kind}/D_hat"].shape == (counts[kind],)
             assert sup.max() == pytest.approx(result["models"]["fno"]["kinds"][kind]["eps_sup"])
-    assert "30 held-out samples (nominal)" in evaluate.summary(result)
-    assert all(heading in evaluate.details(result) for heading in ("exploring: ε sup", "redrawn: ε sup", "in the loop"))
+    typed = Evaluated.of(result, "a test")
+    assert "30 held-out samples (nominal)" in evaluate.summary(typed)
+    assert all(heading in evaluate.details(typed) for heading in ("exploring: ε sup", "redrawn: ε sup", "in the loop"))
 
 
 def test_prediction_errors_in_the_loop_are_reported(evaluated):
@@ -116,13 +120,13 @@ def test_the_chain_runs_on_shards(evaluated, tmp_path, monkeypatch):
     for limit in ("WHOLE", "SHARD"):
         monkeypatch.setattr(shards, limit, 1)
     data = job(tmp_path, "generate", generate={"rollouts": 130, "samples": 520, "t_end": 4.0})
-    assert generate.run(data)["shards"] == 3 == len(list(data.folder.glob("data-*.h5")))
+    assert generate.run(data).json_object()["shards"] == 3 == len(list(data.folder.glob("data-*.h5")))
     inputs, trained = {"generate": data.folder}, {}
     for model in ("deeponet", "fno"):
         training = job(tmp_path, model, inputs={"generate": data.folder}, model=model)
-        trained[model] = train.run(training)
+        trained[model] = train.run(training).json_object()
         inputs[model] = training.folder
-    result = evaluate.run(job(tmp_path, "evaluate", inputs=inputs))
+    result = evaluate.run(job(tmp_path, "evaluate", inputs=inputs)).json_object()
     assert result["held_out"] == 52 and result["models"]["numerical"] == evaluated[1]["models"]["numerical"]
     for model, found in trained.items():
         assert found["samples"] == 468 and result["models"][model]["mse"] == pytest.approx(found["mse"], rel=1e-3)
@@ -194,7 +198,7 @@ def test_a_plant_that_tracks_is_evaluated_against_its_reference(tmp_path):
         training = job(tmp_path, model, inputs=inputs, model=model, **pipeline)
         train.run(training)
         inputs[model] = training.folder
-    found = evaluate.run(job(tmp_path, "evaluate", inputs=inputs, **pipeline))
+    found = evaluate.run(job(tmp_path, "evaluate", inputs=inputs, **pipeline)).json_object()
     assert found["equilibrium"] is None and found["gain"] == pytest.approx(0.5, rel=1e-4)
     exact = found["models"]["numerical"]["figure1"]
     assert exact["radius"] < 0.05 < abs(exact["X_end"][0]) and found["models"]["fno"]["eps_kappa"] > 0
@@ -204,7 +208,7 @@ def test_a_plant_that_tracks_is_evaluated_against_its_reference(tmp_path):
 def test_evaluation_gives_the_same_bytes_again(evaluated, made, tmp_path):
     first, result = evaluated
     again = job(tmp_path, "again", inputs=made)
-    assert evaluate.run(again) == result
+    assert evaluate.run(again).json_object() == result
     for name in sorted(path.name for path in first.folder.iterdir()):
         assert (again.folder / name).read_bytes() == (first.folder / name).read_bytes()
 
@@ -234,12 +238,12 @@ def test_map_and_coverage_of_known_loops():
     lost[2] += 10.0
     table = config.parse(tables(evaluate={"map_D": [0.5, 1.0], "map_D_hat0": [0.6, 0.7]}), "tests").evaluate
     found = convergence_map.delay_map(PLANT, table, still(t, far), still(t, lost))
-    assert found["converged"] == [[True, True], [True, False]]
-    assert found["share"] == pytest.approx(2 / 3) and found["band"] == [0.5, 0.5]
+    assert found.converged == [[True, True], [True, False]]
+    assert found.share == pytest.approx(2 / 3) and found.band == (0.5, 0.5)
     data = dataset(X=np.array([[0.0, 0.0], [1.0, 10.0]]), u=np.array([-1.0, 1.0]), D_hat=np.array([0.0, 2.0]))
-    covered = coverage.measure(PLANT, data, {"far": still(t, far)})
-    assert covered["x1"] == {"data": [0.0, 1.0], "outside": {"far": 0.25}}
-    assert covered["x2"]["outside"]["far"] == 0.25 and covered["U"]["outside"]["far"] == 0.0
+    covered = coverage.measure(PLANT, data, {FNO: still(t, far)})
+    assert covered["x1"].json_object() == {"data": [0.0, 1.0], "outside": {"fno": 0.25}}
+    assert covered["x2"].outside[FNO] == 0.25 and covered["U"].outside[FNO] == 0.0
 
 
 @pytest.mark.parametrize(("low", "outside"), [(0.13, 0.0), (0.6, 1.0)])
@@ -247,11 +251,11 @@ def test_an_estimate_at_its_bound_is_covered_by_data_that_come_near_it(low, outs
     """Drawn from [0.1, 1.2], data hardly meet the bound 0.1; data above 0.6 are another matter."""
     t, X = np.linspace(0, 1, 11), np.zeros((4, 11, 2))
     data = dataset(X=np.ones((2, 2)), u=np.zeros(2), D_hat=np.array([low, 1.2]))
-    loops = {"low": dataclasses.replace(still(t, X), D_hat=np.full((4, 11), 0.1))}
+    loops = {FNO: dataclasses.replace(still(t, X), D_hat=np.full((4, 11), 0.1))}
     covered = coverage.measure(PLANT, data, loops, (0.1, 2.0))
-    assert covered["D_hat"] == {"data": [low, 1.2], "outside": {"low": outside}}
-    below = {"low": dataclasses.replace(still(t, X), D_hat=np.full((4, 11), 0.05))}
-    assert coverage.measure(PLANT, data, below, (0.1, 2.0))["D_hat"]["outside"]["low"] == 1.0
+    assert covered["D_hat"].json_object() == {"data": [low, 1.2], "outside": {"fno": outside}}
+    below = {FNO: dataclasses.replace(still(t, X), D_hat=np.full((4, 11), 0.05))}
+    assert coverage.measure(PLANT, data, below, (0.1, 2.0))["D_hat"].outside[FNO] == 1.0
 
 
 def test_loops_that_leave_the_data_are_warned_of(evaluated):
@@ -276,7 +280,7 @@ def dataset(X, u, D_hat):
 @pytest.fixture(scope="module")
 def benched(made, tmp_path_factory):
     task = job(tmp_path_factory.mktemp("bench"), "bench", inputs=made)
-    return task, bench.run(task)
+    return task, bench.run(task).json_object()
 
 
 def test_bench_rows(benched):
@@ -336,18 +340,18 @@ def test_bench_says_from_where_on_a_network_pays(benched):
 
 def test_bench_says_what_of_the_tails_is_the_machines(benched):
     found = benched[1]["stops"]
-    assert found["per_s"] >= 0 and found["sentence"] == timing_tables.stopped(found)
-    told = timing_tables.stopped({"per_s": 400.0, "median_us": 38.2})
+    assert found["per_s"] >= 0 and found["sentence"] == timing_tables.stopped(Stops.of(found, "a test"))
+    told = timing_tables.stopped(Stops(per_s=400.0, median_us=38.2))
     assert "400 times a second, for 38 µs in the median: from 2.5 µs a call on" in told
-    assert "did not stop" in timing_tables.stopped({"per_s": 0.0, "median_us": 0.0})
-    assert timing_tables.sentences(benched[1])[-1] == found["sentence"]
+    assert "did not stop" in timing_tables.stopped(Stops(per_s=0.0, median_us=0.0))
+    assert timing_tables.sentences(Benched.of(benched[1], "a test"))[-1] == found["sentence"]
 
 
 @pytest.mark.slow
 def test_bench_with_onnx(made, tmp_path):
     pytest.importorskip("onnxruntime")
     task = job(tmp_path, "bench", inputs=made, bench={"runtimes": ["onnx"], "dx": [0.1], "batches": [1]})
-    result = bench.run(task)
+    result = bench.run(task).json_object()
     assert {r["runtime"] for r in result["rows"]} == {"python", "compiled", "onnx"}
     assert {found["runtime"] for found in result["crossover"]} == {"onnx"}
 
@@ -371,7 +375,7 @@ def test_bench_of_the_runtime_onnx_alone_asks_for_its_package(made, tmp_path, mo
 
 @pytest.mark.parametrize("stage", [evaluate, bench])
 def test_summaries_print(stage, evaluated, benched):
-    result = evaluated[1] if stage is evaluate else benched[1]
+    result = Evaluated.of(evaluated[1], "a test") if stage is evaluate else Benched.of(benched[1], "a test")
     for text in (stage.summary(result), stage.details(result)):
         assert "deeponet" in text.lower() and ("numerical" if stage is evaluate else "A network pays from") in text
 
@@ -384,4 +388,4 @@ def test_figure_numbers_of_a_loop_that_never_settles(evaluated):
 def test_the_summary_of_a_loop_that_left_the_finite_numbers_prints(evaluated):
     lost = copy.deepcopy(evaluated[1])
     lost["models"]["deeponet"]["figure1"] |= {"X_end": [None, None], "D_hat_end": None, "radius": None}
-    assert [line.endswith("∞") for line in evaluate.details(lost).splitlines()].count(True) == 1
+    assert [line.endswith("∞") for line in evaluate.details(Evaluated.of(lost, "a test")).splitlines()].count(True) == 1

@@ -14,6 +14,7 @@ from npred import config
 from npred.data import shards
 from npred.data.dataset import MEANING, Dataset
 from npred.operators import describe, load
+from npred.results import Trained
 from npred.stages import Job
 from npred.stages.train import run, summary
 
@@ -57,10 +58,10 @@ def test_payload_and_result(model, tmp_path):
     assert set(payload(stage)) == {"model.safetensors", "model.json", "metrics.jsonl", "snapshot-2.safetensors"}
     metrics = [json.loads(line) for line in (stage.folder / "metrics.jsonl").read_text().splitlines()]
     assert [row["epoch"] for row in metrics] == [1, 2, 3]
-    assert result["samples"] == 30 and result["epochs"] == 3 and result["mse"] == metrics[-1]["mse"]
-    assert describe(stage.folder)["model"] == model == result["model"]
-    assert json.loads(json.dumps(result)) == result
-    assert model in summary(result) and f"{result['mse']:.3g}" in summary(result)
+    assert result.samples == 30 and result.epochs == 3 and result.mse == metrics[-1]["mse"]
+    assert describe(stage.folder)["model"] == model == result.model
+    assert Trained.of(json.loads(json.dumps(result.json_object())), "a test") == result
+    assert model in summary(result) and f"{result.mse:.3g}" in summary(result)
 
 
 def sharded(source: Path, folder: Path) -> Path:
@@ -83,8 +84,8 @@ def test_shards_train_as_well_as_one_file(tmp_path):
     for path in (streamed.folder, streamed.scratch):
         path.mkdir()
     results = [run(whole), run(streamed)]
-    assert results[0]["samples"] == results[1]["samples"] == 30
-    assert results[1]["mse"] == pytest.approx(results[0]["mse"], rel=1e-4)
+    assert results[0].samples == results[1].samples == 30
+    assert results[1].mse == pytest.approx(results[0].mse, rel=1e-4)
 
 
 @MODELS
@@ -95,7 +96,7 @@ def test_saved_model_has_the_reported_error(model, tmp_path):
     rows = Dataset.read(tmp_path / "data" / "data.h5").subset(test=True)
     inputs = (torch.as_tensor(a, dtype=torch.float32) for a in (rows.X, rows.u, rows.D_hat))
     gap = load(stage.folder, PLANT)(*inputs).double().numpy() - rows.P
-    np.testing.assert_allclose((gap**2).mean(), result["mse"], rtol=1e-4)
+    np.testing.assert_allclose((gap**2).mean(), result.mse, rtol=1e-4)
 
 
 @MODELS
@@ -133,7 +134,7 @@ def test_held_out_rows_do_not_touch_the_weights(tmp_path):
         (tmp_path / name).mkdir()
         write_data(tmp_path / name / "data", factor)
         stage = job(tmp_path / name / "run", "deeponet")
-        results.append((run(stage)["mse"], payload(stage)["model.safetensors"]))
+        results.append((run(stage).mse, payload(stage)["model.safetensors"]))
     assert results[0][1] == results[1][1] and results[0][0] < results[1][0]
 
 
@@ -151,4 +152,4 @@ def test_anchor_none_trains_as_published(tmp_path):
     write_data(tmp_path / "data")
     published = {"anchor": "none", "loss": "raw", "schedule": "step", "weight_decay": 1e-4, "batch": 20}
     result = run(job(tmp_path / "run", "deeponet", **published))
-    assert np.isfinite(result["mse"])
+    assert np.isfinite(result.mse)

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import fake_stages
 import pytest
+from result_samples import BENCHED, SCORES, evaluated, timing
 
 from npred.pipeline import STAGES, Planner, Runner
 from npred.store import Store
@@ -15,7 +16,8 @@ from npred.terminal.console import Console
 def test_a_row_has_errors_radius_and_the_fastest_runtime(
     pipeline: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    found = {"mse": 0.1, "eps_sup": 0.2, "eps_kappa": 0.3, "radius": {"median": 1.0, "worst": None, "converged": 0.5}}
+    radius = {"median": 1.0, "worst": None, "converged": 0.5, "cases": 4, "predicted": 0.1}
+    measured = SCORES | {"mse": 0.1, "eps_sup": 0.2, "eps_kappa": 0.3, "radius": radius}
     times = [
         ("fno", 0.01, 1, 9.0),
         ("fno", 0.01, 1, 5.0),
@@ -23,10 +25,11 @@ def test_a_row_has_errors_radius_and_the_fastest_runtime(
         ("fno", 0.005, 1, 2.0),
         ("rk4", 0.01, 1, 3.0),
     ]
-    bench = [{"predictor": p, "dx": dx, "batch": b, "median_us": us, "matches": None} for p, dx, b, us in times]
+    bench = [timing(p, "fused", dx, us, batch=b).json_object() for p, dx, b, us in times]
+    contenders = ("numerical", "no_adaptation", "fno", "fno@7")
     answers = {
-        "evaluate": lambda job: {"models": {"numerical": found, "no_adaptation": found, "fno": found, "fno@7": found}},
-        "bench": lambda job: {"rows": bench},
+        "evaluate": lambda job: evaluated(dict.fromkeys(contenders, measured)),
+        "bench": lambda job: BENCHED | {"rows": bench},
     }
     table = dict(STAGES)
     fake_stages.install(table)

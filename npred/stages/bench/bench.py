@@ -2,7 +2,6 @@
 
 import platform
 from itertools import groupby
-from typing import Any
 
 import h5py
 import numpy as np
@@ -10,8 +9,9 @@ import numpy as np
 from npred import figures
 from npred.config import Bench
 from npred.data import shards
-from npred.loop import metrics
 from npred.parallel import devices
+from npred.results import Benched
+from npred.results.bench import Hardware, Stops, Timing
 from npred.stages import Job
 from npred.stages.bench import break_even, candidates, timing, timing_tables
 from npred.stages.bench.candidates import Entry, Reference
@@ -21,7 +21,7 @@ PACKAGES = ("npred", "torch", "numpy", "numba", "onnxruntime")
 summary, details = timing_tables.summary, timing_tables.details
 
 
-def run(job: Job) -> dict[str, Any]:
+def run(job: Job) -> Benched:
     """Time every predictor at every dx, as a loop calls it, and take its error on held-out samples.
 
     Protocol of [DAPF, Table I]: state at the box's corner, u(x) = x, D_hat ~ U(0.5, 1.7). Writes times.h5 (each call's
@@ -40,16 +40,13 @@ def run(job: Job) -> dict[str, Any]:
     times = _times(job, config, entries)
     rows = _speedups([_row(entry, times[entry.label], errors[entry.label]) for entry in entries])
     job.progress.doing("bench", "timing f")
-    found = break_even.measure(job, zip(entries, rows, strict=True), reference)
-    result = {"rows": rows, "calls": config.calls}
-    result |= {"crossover": [one | {"sentence": break_even.sentence(one)} for one in found]}
-    stops = timing.stops()
-    result |= {"stops": stops | {"sentence": timing_tables.stopped(stops)}}
-    result |= {"hardware": _hardware(job, config)}
+    crossover = break_even.measure(job, zip(entries, rows, strict=True), reference)
+    stops, hardware = Stops.model_validate(timing.stops()), _hardware(job, config)
+    stops = stops.model_copy(update={"sentence": timing_tables.stopped(stops)})
     job.progress.doing("bench", "drawing")
     (job.folder / "bench.tex").write_text(tables.by_dx(rows).latex(), encoding="utf-8")
     figures.write(figures.speed(rows), job.folder)
-    return result
+    return Benched(rows=rows, calls=config.calls, crossover=crossover, stops=stops, hardware=hardware)
 
 
 def _times(job: Job, config: Bench, entries: list[Entry]) -> dict[str, np.ndarray]:
@@ -67,23 +64,26 @@ def _times(job: Job, config: Bench, entries: list[Entry]) -> dict[str, np.ndarra
     return times
 
 
-def _row(entry: Entry, nanoseconds: np.ndarray, eps: float) -> dict[str, Any]:
-    question = {"predictor": entry.predictor, "runtime": entry.runtime, "dx": 1 / (entry.nx - 1), "batch": entry.batch}
-    where = {"matches": entry.matches, "device": entry.device, "copies": entry.copies, "calls": len(nanoseconds)}
-    return {**question, **where, **timing.quantiles(nanoseconds), "eps_sup": metrics.number(eps)}
+def _row(entry: Entry, nanoseconds: np.ndarray, eps: float) -> Timing:
+    return Timing(
+        predictor=entry.predictor, runtime=entry.runtime, dx=1 / (entry.nx - 1), batch=entry.batch,
+        matches=entry.matches, device=entry.device, copies=entry.copies, calls=len(nanoseconds),
+        **timing.quantiles(nanoseconds), eps_sup=eps,
+    )  # fmt: skip
 
 
-def _speedups(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def _speedups(rows: list[Timing]) -> list[Timing]:
     """Each row with its speed-up by medians over the published predictor and over compiled Euler at the same dx."""
+    medians = {(r.predictor, r.dx, r.batch): r.median_us for r in reversed(rows) if r.matches is None}
 
-    def base(row: dict[str, Any], predictor: str) -> float | None:
-        alike = [r for r in rows if r["predictor"] == predictor and r["matches"] is None]
-        same = [r for r in alike if (r["dx"], r["batch"]) == (row["dx"], row["batch"])]
-        return same[0]["median_us"] / row["median_us"] if same else None
+    def ratio(row: Timing, predictor: str) -> float | None:
+        base = medians.get((predictor, row.dx, row.batch))
+        return None if base is None else base / row.median_us
 
-    return [r | {"speedup_published": base(r, "published"), "speedup_compiled": base(r, "euler")} for r in rows]
+    ratios = {"speedup_published": "published", "speedup_compiled": "euler"}
+    return [row.model_copy(update={key: ratio(row, base) for key, base in ratios.items()}) for row in rows]
 
 
-def _hardware(job: Job, config: Bench) -> dict[str, Any]:
+def _hardware(job: Job, config: Bench) -> Hardware:
     versions = {"python": platform.python_version()} | devices.packages(*PACKAGES)
-    return devices.hardware(job.device) | {"threads": config.threads, "versions": versions}
+    return Hardware.model_validate(devices.hardware(job.device) | {"threads": config.threads, "versions": versions})

@@ -1,37 +1,41 @@
 """When a network pays: against the quickest numerical predictor of the same accuracy, on the same samples."""
 
 from collections.abc import Callable, Iterable
-from typing import Any
+from math import isfinite
 
 import numpy as np
 
 from npred import grid
-from npred.figures.style import short, words
+from npred.figures.style import short
 from npred.predictors import RK4, OneStep, Predictor
-from npred.registry import METHODS
+from npred.registry import METHODS, NETWORKS
+from npred.results.bench import Crossover, Rival, Timing
 from npred.stages import Job
 from npred.stages.bench import timing
 from npred.stages.bench.candidates import Entry, Reference
 from npred.terminal.progress_bars import counted
 
 STEPS = (10, 210)  # of the two runs whose difference is the cost of f
-Row = dict[str, Any]
 
 
-def measure(job: Job, timed: Iterable[tuple[Entry, Row]], reference: Reference) -> list[Row]:
+def measure(job: Job, timed: Iterable[tuple[Entry, Timing]], reference: Reference) -> list[Crossover]:
     """One row per trained network: its quickest runtime at batch 1 and the first dx, and every method as accurate."""
-    single = [(entry, row) for entry, row in timed if entry.batch == 1 and entry.device == "cpu" and row["eps_sup"]]
+    single = [
+        (entry, row)
+        for entry, row in timed
+        if entry.batch == 1 and entry.device == "cpu" and row.eps_sup and isfinite(row.eps_sup)
+    ]
     first = grid.count(job.config.bench.dx[0])
     crossovers = []
     for name in sorted(set(job.config.train.models)):
         own = [(e, row) for e, row in single if (e.predictor, e.nx, e.matches) == (name, first, None)]
         rivals = [entry for entry, _ in single if entry.matches == name]
         if own and rivals:
-            crossovers.append(_crossover(job, *min(own, key=lambda pair: pair[1]["median_us"]), rivals, reference))
+            crossovers.append(_crossover(job, *min(own, key=lambda pair: pair[1].median_us), rivals, reference))
     return crossovers
 
 
-def _crossover(job: Job, network: Entry, row: Row, rivals: list[Entry], reference: Reference) -> Row:
+def _crossover(job: Job, network: Entry, row: Timing, rivals: list[Entry], reference: Reference) -> Crossover:
     """Both timed in turn. pays_from_ns: the cost of f at which the rival's steps take as long as the network, 0 where
     they do without f.
     """
@@ -46,13 +50,14 @@ def _crossover(job: Job, network: Entry, row: Row, rivals: list[Entry], referenc
     evaluations = best.run.evaluations() * (best.nx - 1)
     network_us, best_us = median[network.label], median[best.label]
     overhead = max(best_us - f_ns * evaluations / 1000, 0.0)
-    return {
-        "plant": job.plant.name, "predictor": network.predictor, "runtime": network.runtime, "eps_sup": row["eps_sup"],
-        "eps_relative": row["eps_sup"] / float(np.abs(reference.P).max()), "network_us": network_us,
-        "numerical": [{"predictor": e.predictor, "steps": e.nx - 1, "median_us": median[e.label]} for e in rivals],
-        "best": best.predictor, "best_steps": best.nx - 1, "best_us": best_us, "network_speedup": best_us / network_us,
-        "f_ns": f_ns, "pays_from_ns": 1000 * max(network_us - overhead, 0.0) / evaluations,
-    }  # fmt: skip
+    crossover = Crossover(
+        plant=job.plant.name, predictor=network.predictor, runtime=network.runtime, eps_sup=row.eps_sup,
+        eps_relative=row.eps_sup / float(np.abs(reference.P).max()), network_us=network_us,
+        numerical=[Rival(predictor=e.predictor, steps=e.nx - 1, median_us=median[e.label]) for e in rivals],
+        best=best.predictor, best_steps=best.nx - 1, best_us=best_us, network_speedup=best_us / network_us,
+        f_ns=f_ns, pays_from_ns=1000 * max(network_us - overhead, 0.0) / evaluations,
+    )  # fmt: skip
+    return crossover.model_copy(update={"sentence": sentence(crossover)})
 
 
 def _call(reference: Reference, run: Predictor) -> Callable[[int], None]:
@@ -71,24 +76,24 @@ def _call(reference: Reference, run: Predictor) -> Callable[[int], None]:
     return call
 
 
-def sentence(crossover: Row) -> str:
+def sentence(crossover: Crossover) -> str:
     """What it means, for people."""
-    numerical, ratio = _method(crossover["best"], crossover["best_steps"]), crossover["network_speedup"]
-    network = f"the {words(crossover['predictor'])} ({crossover['runtime']})"
+    numerical, ratio = _method(crossover.best, crossover.best_steps), crossover.network_speedup
+    network = f"the {NETWORKS.label(crossover.predictor)} ({crossover.runtime})"
     first, second = (numerical, network) if ratio < 1 else (network, numerical)
-    times = f"the network takes {crossover['network_us']:.1f} µs, {numerical} {crossover['best_us']:.1f} µs"
-    from_ns, here = crossover["pays_from_ns"], f"(here {crossover['f_ns']:.0f} ns)"
+    times = f"the network takes {crossover.network_us:.1f} µs, {numerical} {crossover.best_us:.1f} µs"
+    from_ns, here = crossover.pays_from_ns, f"(here {crossover.f_ns:.0f} ns)"
     pays = f"from {from_ns:.0f} ns per evaluation of f on {here}" if from_ns else f"however cheap f is {here}"
     return (
-        f"For {crossover['plant']} at ε = {short(crossover['eps_sup'])} the fastest predictor is {first}, "
+        f"For {crossover.plant} at ε = {short(crossover.eps_sup)} the fastest predictor is {first}, "
         f"{max(ratio, 1 / ratio):.1f} times as fast as {second}: {times}{_others(crossover)}. A network pays {pays}."
     )
 
 
-def _others(crossover: Row) -> str:
+def _others(crossover: Crossover) -> str:
     """The methods of that accuracy that are slower than the best."""
-    rows = [row for row in crossover["numerical"] if row["predictor"] != crossover["best"]]
-    return "".join(f", {_method(row['predictor'], row['steps'])} {row['median_us']:.1f} µs" for row in rows)
+    rows = [row for row in crossover.numerical if row.predictor != crossover.best]
+    return "".join(f", {_method(row.predictor, row.steps)} {row.median_us:.1f} µs" for row in rows)
 
 
 def _method(name: str, steps: int) -> str:

@@ -1,91 +1,89 @@
 """A benchmark for people: its rows as a table, when a network pays, and what of the tails is the machine's own."""
 
-from collections.abc import Iterable
-from typing import Any
+from math import isfinite
 
 from npred.registry import called
+from npred.results import NUMERICAL, Benched, Contender
+from npred.results.bench import Stops, Timing
 from npred.terminal.console import columns
 
-Row = dict[str, Any]
 TIMES = {"median": "median_us", "p95": "p95_us", "p99.9": "p999_us", "max": "max_us"}
 NAMES = {"published": "O(nx²) sums", "euler_python": "euler"}  # a name says nothing of a plant of one's own
 RATIOS = {"× O(nx²) sums": "speedup_published", "× euler": "speedup_compiled"}
 
 
-def summary(result: Row, width: int | None = None) -> str:
+def summary(result: Benched, width: int | None = None) -> str:
     """Each predictor's median and error, and the sentences on them; without the rows that only a figure needs."""
-    rows = [_first(row) | {"µs": _short(row["median_us"]), "ε sup": _error(row)} for row in _listed(result)]
+    rows = [_first(row) | {"µs": _short(row.median_us), "ε sup": _error(row)} for row in _listed(result)]
     return _text(result, rows, width)
 
 
-def details(result: Row, width: int | None = None) -> str:
+def details(result: Benched, width: int | None = None) -> str:
     """Every row with the tails of its times and its speed-ups, in a table wider than most screens."""
-    return _text(result, [_all(row) for row in result["rows"]], width)
+    return _text(result, [_all(row) for row in result.rows], width)
 
 
-def sentences(result: Row) -> list[str]:
+def sentences(result: Benched) -> list[str]:
     """When a network pays, one per network; then the machine."""
-    return [*(found["sentence"] for found in result["crossover"]), result["stops"]["sentence"]]
+    return [*(crossover.sentence for crossover in result.crossover), result.stops.sentence]
 
 
-def fastest(result: Row, networks: Iterable[str], numerical: str) -> dict[str, float]:
+def fastest(result: Benched, numerical: str) -> dict[Contender, float]:
     """The median µs of a call at the finest dx and batch 1: each network's in its fastest runtime, and the compiled
     numerical predictor's.
     """
-    numerical = called(numerical)
-    single = [row for row in result["rows"] if row["batch"] == 1 and row["matches"] is None]
-    finest = min((row["dx"] for row in single), default=0.0)
-    times: dict[str, float] = {}
-    for row in single:
-        name = row["predictor"]
-        if row["dx"] == finest and (name in networks or (name == numerical and row["runtime"] == "compiled")):
-            times[name] = min(times.get(name, row["median_us"]), row["median_us"])
-    return {"numerical" if name == numerical else name: time for name, time in times.items()}
+    finest = min((row.dx for row in result.table), default=0.0)
+    times: dict[Contender, float] = {}
+    for row in result.table:
+        if row.dx == finest and (row.is_network or (row.predictor, row.runtime) == (called(numerical), "compiled")):
+            contender = Contender(row.predictor) if row.is_network else NUMERICAL
+            times[contender] = min(times.get(contender, row.median_us), row.median_us)
+    return times
 
 
-def stopped(stops: dict[str, float]) -> str:
+def stopped(stops: Stops) -> str:
     """What of the tails is the machine's own; see timing.stops."""
-    if not stops["per_s"]:
+    if not stops.per_s:
         return "The machine did not stop a thread that only reads the clock: the tails are the predictors' own."
-    often = f"{stops['per_s']:.0f} times a second, for {stops['median_us']:.0f} µs in the median"
-    long = f"{1000 / stops['per_s']:.1f} µs"
+    often = f"{stops.per_s:.0f} times a second, for {stops.median_us:.0f} µs in the median"
+    long = f"{1000 / stops.per_s:.1f} µs"
     return f"The machine stops a thread that only reads the clock {often}: from {long} a call on, p99.9 includes that."
 
 
-def _text(result: Row, rows: list[dict[str, str]], width: int | None) -> str:
-    title = f"microseconds a call, up to {result['calls']} calls, {result['hardware']['cpu']}"
+def _text(result: Benched, rows: list[dict[str, str]], width: int | None) -> str:
+    title = f"microseconds a call, up to {result.calls} calls, {result.hardware.cpu}"
     heads = list(rows[0]) if rows else ["predictor"]
     table = columns(heads, [list(row.values()) for row in rows], width, numbers=heads[2:])
     return "\n".join([title, "", table, "", *sentences(result)])
 
 
-def _listed(result: Row) -> list[Row]:
-    return [row for row in result["rows"] if row["matches"] != "front"]
+def _listed(result: Benched) -> list[Timing]:
+    return [row for row in result.rows if row.matches != "front"]
 
 
-def _first(row: Row) -> dict[str, str]:
-    return {"predictor": _name(row), "runtime": _runtime(row), "dx": f"{row['dx']:.3g}", "batch": str(row["batch"])}
+def _first(row: Timing) -> dict[str, str]:
+    return {"predictor": _name(row), "runtime": _runtime(row), "dx": f"{row.dx:.3g}", "batch": str(row.batch)}
 
 
-def _all(row: Row) -> dict[str, str]:
-    times = {head: _short(row[key]) for head, key in TIMES.items()}
-    ratios = {head: "" if row[key] is None else f"{row[key]:.3g}" for head, key in RATIOS.items()}
+def _all(row: Timing) -> dict[str, str]:
+    times = {head: _short(getattr(row, key)) for head, key in TIMES.items()}
+    ratios = {head: "" if getattr(row, key) is None else f"{getattr(row, key):.3g}" for head, key in RATIOS.items()}
     return _first(row) | times | {"ε sup": _error(row)} | ratios
 
 
-def _name(row: Row) -> str:
-    name = NAMES.get(row["predictor"]) or str(row["predictor"])
-    return f"{name} (ε of {row['matches']})" if row["matches"] not in (None, "front") else name
+def _name(row: Timing) -> str:
+    name = NAMES.get(row.predictor) or str(row.predictor)
+    return f"{name} (ε of {row.matches})" if row.matches not in (None, "front") else name
 
 
-def _runtime(row: Row) -> str:
-    if row["copies"] is None:
-        return row["runtime"]
-    return f"{row['runtime']} {row['device']} {'with' if row['copies'] else 'without'} copies"
+def _runtime(row: Timing) -> str:
+    if row.copies is None:
+        return row.runtime
+    return f"{row.runtime} {row.device} {'with' if row.copies else 'without'} copies"
 
 
-def _error(row: Row) -> str:
-    return "∞" if row["eps_sup"] is None else f"{row['eps_sup']:.1e}"
+def _error(row: Timing) -> str:
+    return f"{row.eps_sup:.1e}" if isfinite(row.eps_sup) else "∞"
 
 
 def _short(microseconds: float) -> str:

@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
@@ -15,12 +14,14 @@ from npred.loop import metrics
 from npred.loop.closed_loop import Trajectories
 from npred.plants import Plant
 from npred.predictors import Predictor
+from npred.results import Contender
+from npred.results.evaluate import Errors, KindErrors
 
 ROWS = 1024  # rows a call
 FRESH = 40  # samples of each fresh loop, at random times …
 START = 40.0  # … of its first seconds: the start-up is in them, and not too much of the rest
 QUANTILES = (0.5, 0.95, 1.0)
-EXACT = {"mse": 0.0, "eps_sup": 0.0, "eps_kappa": 0.0, "rel_l2": 0.0}  # the numerical predictor is the reference
+EXACT = Errors(mse=0.0, eps_sup=0.0, eps_kappa=0.0, rel_l2=0.0)  # the numerical predictor is the reference
 
 
 @dataclass(frozen=True)
@@ -71,23 +72,21 @@ def predict(predictor: Predictor, rows: Rows) -> np.ndarray:
     return np.concatenate([predictor(rows.X[i], rows.u[i], rows.D_hat[i], rows.t[i]) for i in blocks])
 
 
-def measure(plant: Plant, P_hat: np.ndarray, rows: Rows) -> dict[str, Any]:
+def measure(plant: Plant, P_hat: np.ndarray, rows: Rows) -> Errors:
     """All errors of npred.loop.metrics on those rows."""
     errors = metrics.errors(plant, P_hat, rows.P, rows.t, rows.D_hat)
-    return errors | metrics.relative(plant, rows.X, rows.u, P_hat, rows.P)
+    return Errors(**errors, **metrics.relative(plant, rows.X, rows.u, P_hat, rows.P))
 
 
-def by_kind(plant: Plant, P_hat: Mapping[str, np.ndarray], kinds: Mapping[str, Rows]) -> dict[str, Any]:
+def by_kind(plant: Plant, P_hat: Mapping[str, np.ndarray], kinds: Mapping[str, Rows]) -> dict[str, KindErrors]:
     """The errors of one network on the rows of each kind, of which the first is the headline's.
 
     `above`: the share of the kind's rows whose largest error over x is above eps_sup of the first kind.
     """
     errors = {name: measure(plant, P_hat[name], rows) for name, rows in kinds.items()}
-    first = next(iter(errors.values()))["eps_sup"]
-    above = {
-        name: {"above": float(np.mean(gap(P_hat[name], rows).max(axis=1) > first))} for name, rows in kinds.items()
-    }
-    return {name: errors[name] | above[name] for name in kinds}
+    first = next(iter(errors.values())).eps_sup
+    above = {name: np.mean(gap(P_hat[name], rows).max(axis=1) > first) for name, rows in kinds.items()}
+    return {name: KindErrors(**errors[name].set_values, above=above[name]) for name in kinds}
 
 
 def gap(P_hat: np.ndarray, rows: Rows) -> np.ndarray:
@@ -95,7 +94,7 @@ def gap(P_hat: np.ndarray, rows: Rows) -> np.ndarray:
     return np.linalg.norm(P_hat - rows.P, axis=-1)
 
 
-def write(path: Path, kinds: Mapping[str, Rows], P_hat: Mapping[str, Mapping[str, np.ndarray]]) -> None:
+def write(path: Path, kinds: Mapping[str, Rows], P_hat: Mapping[Contender, Mapping[str, np.ndarray]]) -> None:
     """Where each network errs, as HDF5, with P_hat by network and kind.
 
     X and D_hat of the rows of the first kind, and by network |P_hat - P|: `sup` over x (N,), and `over_x` (nx, 3), the
@@ -106,7 +105,7 @@ def write(path: Path, kinds: Mapping[str, Rows], P_hat: Mapping[str, Mapping[str
         for number, (kind, rows) in enumerate(kinds.items()):
             group = f"kinds/{kind}/" if number else ""
             file[f"{group}X"], file[f"{group}D_hat"] = rows.X, rows.D_hat
-            for name, predicted in P_hat.items():
+            for contender, predicted in P_hat.items():
                 errors = gap(predicted[kind], rows)
-                file[f"{group}networks/{name}/sup"] = errors.max(axis=1)
-                file[f"{group}networks/{name}/over_x"] = np.quantile(errors, QUANTILES, axis=0).T
+                file[f"{group}networks/{contender.name}/sup"] = errors.max(axis=1)
+                file[f"{group}networks/{contender.name}/over_x"] = np.quantile(errors, QUANTILES, axis=0).T

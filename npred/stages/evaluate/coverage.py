@@ -1,5 +1,6 @@
 """Whether the data cover what the loops visit: a network is only known where it was trained."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,8 @@ import numpy as np
 from npred.data.dataset import Dataset
 from npred.loop.closed_loop import Trajectories
 from npred.plants import Plant
+from npred.results import Contender
+from npred.results.evaluate import Coverage
 
 MARGIN = 1e-3  # of a quantity's range: beyond it a loop is outside
 NEAR = 0.05  # of the bounds' width: data that come this close to a bound of D_hat reach it
@@ -24,8 +27,8 @@ def quantities(plant: Plant, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray) ->
 
 
 def measure(
-    plant: Plant, data: Dataset, loops: dict[str, Trajectories], bounds: tuple[float, float] = (0.0, np.inf)
-) -> dict[str, Any]:
+    plant: Plant, data: Dataset, loops: Mapping[Contender, Trajectories], bounds: tuple[float, float] = (0.0, np.inf)
+) -> dict[str, Coverage]:
     """For each quantity its range in the training data, and the share of each contender's loop steps outside it.
 
     An estimate at its bound is inside where the data come near that bound: they cannot lie beyond, and what is drawn
@@ -34,13 +37,13 @@ def measure(
     known = quantities(plant, data.X, data.u, data.D_hat)
     ranges = {name: (float(values.min()), float(values.max())) for name, values in known.items()}
     reached = ranges | {"D_hat": _up_to(bounds, *ranges["D_hat"])}
-    outside: dict[str, dict[str, float]] = {name: {} for name in ranges}
+    outside: dict[str, dict[Contender, float]] = {name: {} for name in ranges}
     for contender, run in loops.items():
         for name, values in quantities(plant, run.X, run.U, run.D_hat).items():
             low, high = reached[name]
             slack = MARGIN * (high - low)
             outside[name][contender] = float(np.mean((values < low - slack) | (values > high + slack)))
-    return {name: {"data": list(ranges[name]), "outside": outside[name]} for name in ranges}
+    return {name: Coverage(data=ranges[name], outside=outside[name]) for name in ranges}
 
 
 def _up_to(bounds: tuple[float, float], low: float, high: float) -> tuple[float, float]:
@@ -51,7 +54,7 @@ def _up_to(bounds: tuple[float, float], low: float, high: float) -> tuple[float,
     return low, high
 
 
-def write(path: Path, plant: Plant, data: Dataset, loops: dict[str, Trajectories]) -> None:
+def write(path: Path, plant: Plant, data: Dataset, loops: Mapping[Contender, Trajectories]) -> None:
     """Densities over the data's range as HDF5: by quantity `edges` (BINS + 1,), `data` and `loops/NAME` (BINS,)."""
     with h5py.File(path, "w") as opened:
         file: Any = opened
@@ -64,4 +67,4 @@ def write(path: Path, plant: Plant, data: Dataset, loops: dict[str, Trajectories
             for name, values in quantities(plant, run.X, run.U, run.D_hat).items():
                 edges = file[f"{name}/edges"][:]
                 inside = np.histogram(values, edges)[0] / max(len(values), 1)
-                file[f"{name}/loops/{contender}"] = inside / np.diff(edges)
+                file[f"{name}/loops/{contender.name}"] = inside / np.diff(edges)

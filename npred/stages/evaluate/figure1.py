@@ -1,8 +1,8 @@
 """Fig. 1 of [DAPF]: states, input and delay estimate of one loop with each predictor."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
@@ -11,6 +11,8 @@ from npred.config import Evaluate
 from npred.loop import metrics
 from npred.loop.closed_loop import Trajectories
 from npred.plants import Plant
+from npred.results import Contender
+from npred.results.evaluate import LoopEnd
 
 SERIES = ("t", "X", "U", "D_hat", "N")
 
@@ -22,19 +24,16 @@ def first(config: Evaluate, loops: Trajectories) -> Trajectories:
     return replace(loops, t=loops.t[rows], escaped=loops.escaped[0], **series)
 
 
-def numbers(plant: Plant, loop: Trajectories) -> dict[str, Any]:
+def numbers(plant: Plant, loop: Trajectories) -> LoopEnd:
     """Where the loop of Fig. 1 ends: state, delay estimate, radius, and when it settled."""
-    return {
-        "X_end": [metrics.number(x) for x in loop.X[-1]],
-        "D_hat_end": metrics.number(loop.D_hat[-1]),
-        "radius": metrics.number(metrics.radius(loop, plant.target(loop.t))),
-        "settle_time": metrics.number(metrics.settle_time(loop, plant.target(loop.t))),
-    }
+    target = plant.target(loop.t)
+    radius, settle_time = float(metrics.radius(loop, target)), float(metrics.settle_time(loop, target))
+    return LoopEnd(X_end=loop.X[-1].tolist(), D_hat_end=loop.D_hat[-1], radius=radius, settle_time=settle_time)
 
 
-def write(path: Path, loops: dict[str, Trajectories]) -> None:
+def write(path: Path, loops: Mapping[Contender, Trajectories]) -> None:
     """The loops as HDF5: by contender t, X, U, D_hat, and N of the stability proof."""
     with h5py.File(path, "w") as file:
-        for name, loop in loops.items():
+        for contender, loop in loops.items():
             for series in SERIES:
-                file[f"{name}/{series}"] = getattr(loop, series)
+                file[f"{contender.name}/{series}"] = getattr(loop, series)

@@ -5,15 +5,17 @@ numerical predictor, or the u that the loop gives to it, is wrong by. This error
 plant.
 """
 
-from typing import Any
+from collections.abc import Callable
 
 import numpy as np
 
 from npred.config import Evaluate
 from npred.loop import metrics
 from npred.loop.closed_loop import simulate
+from npred.predictors import Predictor
+from npred.results.evaluate import InLoop
 from npred.stages import Job
-from npred.stages.evaluate.initial_conditions import Contender, Starts
+from npred.stages.evaluate.initial_conditions import Starts
 
 LONGEST = 40.0  # seconds of a loop: transients are over by then
 SHORTEST = 4  # delays: two of them pass before the error is taken, and the last one has nothing to compare with
@@ -39,18 +41,18 @@ def steps(config: Evaluate, begin: Starts) -> int:
     return len(states(config, begin)) * (round(length(config) / config.dt) + 1)
 
 
-def error(job: Job, contender: Contender, begin: Starts, progress: Any) -> float:
+def error(job: Job, predictor: Predictor, begin: Starts, progress: Callable[[int], None]) -> float:
     """The largest metrics.in_loop of loops in which D_hat = D throughout; infinite where one is lost."""
     config, D = job.config.evaluate, delay(job.config.evaluate)
     loops = simulate(
-        job.plant, contender.predictor, D=D, D_hat=D, X0=states(config, begin), t_end=length(config), dt=config.dt,
+        job.plant, predictor, D=D, D_hat=D, X0=states(config, begin), t_end=length(config), dt=config.dt,
         adaptation=None, input_bounds=config.input_bounds, u0=config.u0, progress=progress,
     )  # fmt: skip
     return float(metrics.in_loop(loops, D).max())
 
 
-def about(config: Evaluate, begin: Starts) -> dict[str, Any]:
+def about(config: Evaluate, begin: Starts) -> InLoop:
     """What the error is of: D = D_hat in seconds, the times that it is the largest over, and how many loops."""
     D = delay(config)
-    times = {"D": D, "from": 2 * D, "to": length(config) - D}
-    return {name: round(t, 9) for name, t in times.items()} | {"loops": len(states(config, begin))}  # 0.6, not 0.6…01
+    D, start, to = (round(t, 9) for t in (D, 2 * D, length(config) - D))  # 0.6, not 0.6…01
+    return InLoop(D=D, start=start, to=to, loops=len(states(config, begin)))

@@ -1,4 +1,4 @@
-"""Who runs in an evaluation, and from where."""
+"""Where the loops of an evaluation start."""
 
 from dataclasses import dataclass
 
@@ -7,17 +7,7 @@ import numpy as np
 from npred import randomness
 from npred.config import Pipeline
 from npred.plants import Plant
-from npred.predictors import Predictor
-
-
-@dataclass(frozen=True)
-class Contender:
-    """A predictor in the comparison; without adaptation its D_hat stays at D_hat(0)."""
-
-    name: str
-    predictor: Predictor
-    network: bool = False
-    adapts: bool = True
+from npred.results import Contender
 
 
 @dataclass(frozen=True)

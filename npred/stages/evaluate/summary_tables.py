@@ -1,69 +1,64 @@
 """An evaluation for people: who errs by how much and whose loops converge, and all that was measured of them."""
 
 from collections.abc import Mapping
-from typing import Any
+from math import isfinite
 
-from npred.figures.style import short, words
+from npred.figures.style import short
+from npred.results import Contender, Evaluated
+from npred.results.evaluate import Scores
 from npred.terminal.console import columns
 
-Row = dict[str, Any]
 ERRORS = {"MSE": "mse", "ε sup": "eps_sup", "ε κ": "eps_kappa"}
 RADII = {"radius": "median", "worst": "worst", "from ε κ": "predicted"}
 
 
-def summary(result: Row, width: int | None = None) -> str:
+def summary(result: Evaluated, width: int | None = None) -> str:
     """What the errors are of, and the table of each predictor."""
     return f"{_title(result)}\n\n{table(result, width)}"
 
 
-def table(result: Row, width: int | None = None, microseconds: Mapping[str, float] | None = None) -> str:
+def table(result: Evaluated, width: int | None = None, microseconds: Mapping[Contender, float] | None = None) -> str:
     """Each predictor's largest error, worst radius and number of loops that converge; and the time of a call, if given.
 
     Errors are against the numerical predictor: where it predicts, there is none.
     """
     head = ["predictor", "ε sup", "worst radius", "converged"]
-    rows = [[words(name), *_row(row)] for name, row in result["models"].items()]
+    rows = [[contender.label, *_cells(scores)] for contender, scores in result.models.items()]
     if microseconds is not None:
         head.append("µs a call")
-        for name, row in zip(result["models"], rows, strict=True):
-            row.append(f"{microseconds[name]:.1f}" if name in microseconds else "–")
+        for contender, row in zip(result.models, rows, strict=True):
+            row.append(f"{microseconds[contender]:.1f}" if contender in microseconds else "–")
     return columns(head, rows, width, numbers=head[1:])
 
 
-def details(result: Row, width: int | None = None) -> str:
+def details(result: Evaluated, width: int | None = None) -> str:
     """All numbers of each predictor, in a table wider than most screens."""
-    rows = [_all(name, row, _kinds(result)[1:]) for name, row in result["models"].items()]
+    rows = [_all(contender, scores, list(result.kinds)[1:]) for contender, scores in result.models.items()]
     return f"{_title(result)}\n\n{columns(list(rows[0]), [list(row.values()) for row in rows], width)}"
 
 
-def _title(result: Row) -> str:
-    rows = f"{result['held_out']} held-out samples ({_kinds(result)[0]}), {result['fresh']} fresh ones"
-    return f"{result['plant']}: {rows}, and closed loops"
+def _title(result: Evaluated) -> str:
+    rows = f"{result.held_out} held-out samples ({result.held_out_kind}), {result.fresh} fresh ones"
+    return f"{result.plant}: {rows}, and closed loops"
 
 
-def _kinds(result: Row) -> list[str]:
-    """The kinds of held-out rows; the first are those that the headline's errors are of."""
-    return list(result["kinds"])
+def _cells(scores: Scores) -> list[str]:
+    converged = f"{scores.radius.count} of {scores.radius.cases}"
+    return ["–" if scores.eps_sup == 0 else short(scores.eps_sup), short(scores.radius.worst), converged]
 
 
-def _row(row: Row) -> list[str]:
-    radius = row["radius"]
-    converged = f"{round(radius['converged'] * radius['cases'])} of {radius['cases']}"
-    return ["–" if row["eps_sup"] == 0 else short(row["eps_sup"]), short(radius["worst"]), converged]
+def _all(contender: Contender, scores: Scores, kinds: list[str]) -> dict[str, str]:
+    radius, end = scores.radius, scores.figure1
+    cells = {"predictor": contender.label} | {head: _text(getattr(scores, key)) for head, key in ERRORS.items()}
+    cells |= {f"{kind}: ε sup": _text(scores.kinds[kind].eps_sup) for kind in kinds}
+    cells |= {f"fresh: {head}": _text(getattr(scores.fresh, key)) for head, key in ERRORS.items() if head != "ε κ"}
+    cells |= {"in the loop": _text(scores.in_loop)}
+    cells |= {head: _text(getattr(radius, key)) for head, key in RADII.items()}
+    cells |= {"converged": f"{radius.converged:.0%}"}
+    cells |= {"settles": "" if scores.settle_ratio is None else f"{scores.settle_ratio:.2f} ×"}
+    cells |= {"map": f"{scores.map.share:.0%}" if scores.map else "", "Fig. 1": _text(end.radius)}
+    return cells | {"D̂": _text(end.D_hat_end, ".3f")}
 
 
-def _all(name: str, row: Row, kinds: list[str]) -> dict[str, str]:
-    radius, figure = row["radius"], row["figure1"]
-    cells = {"predictor": words(name)} | {head: _text(row[key]) for head, key in ERRORS.items()}
-    cells |= {f"{kind}: ε sup": _text(row["kinds"][kind]["eps_sup"]) for kind in kinds}
-    cells |= {f"fresh: {head}": _text(row["fresh"][key]) for head, key in ERRORS.items() if head != "ε κ"}
-    cells |= {"in the loop": _text(row["in_loop"])}
-    cells |= {head: _text(radius[key]) for head, key in RADII.items()}
-    cells |= {"converged": f"{radius['converged']:.0%}"}
-    cells |= {"settles": "" if row["settle_ratio"] is None else f"{row['settle_ratio']:.2f} ×"}
-    cells |= {"map": f"{row['map']['share']:.0%}" if row["map"] else "", "Fig. 1": _text(figure["radius"])}
-    return cells | {"D̂": "∞" if figure["D_hat_end"] is None else f"{figure['D_hat_end']:.3f}"}
-
-
-def _text(value: float | None) -> str:
-    return "∞" if value is None else f"{value:.1e}"
+def _text(value: float, form: str = ".1e") -> str:
+    return format(value, form) if isfinite(value) else "∞"

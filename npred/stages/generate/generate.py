@@ -4,7 +4,6 @@ import math
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -13,6 +12,7 @@ from npred.data.dataset import Dataset, attributes
 from npred.loop.closed_loop import LANES
 from npred.parallel import executors
 from npred.registry import called
+from npred.results import Generated
 from npred.stages import Job
 from npred.stages.generate import rollouts, sampling, sharded
 from npred.stages.generate.rollouts import Rows
@@ -21,7 +21,7 @@ from npred.terminal.progress_bars import counted
 BATCH = 8 * LANES  # rollouts of a task at most: a cluster's scheduler has little to do with each
 
 
-def run(job: Job) -> dict[str, Any]:
+def run(job: Job) -> Generated:
     """Write data.h5, and its shards where one file would be too large: `samples` rows from `rollouts` closed loops.
 
     Whole rollouts are held out. A rollout's start, delays and times come from its own child seed, and rollouts are
@@ -32,30 +32,30 @@ def run(job: Job) -> dict[str, Any]:
     if config.data:
         return _given(job, Path(config.data))
     held_out = sampling.held_out(job.config.seed, config)
-    made = {"samples": config.samples, "rollouts": config.rollouts, "held_out": held_out.tolist(), "nx": config.nx}
+    size = {"samples": config.samples, "rollouts": config.rollouts, "held_out": held_out.tolist(), "nx": config.nx}
     if sharded.needed(job.plant, config):
-        return made | {"shards": sharded.write(job)}
+        return Generated(**size, shards=sharded.write(job))
     parts = dict(_parts(job))
     rows = rollouts.joined([parts[start] for start in sorted(parts)])
     data = Dataset(**rows, test=np.isin(rows["rollout"], held_out).astype(np.uint8))
     data.write(job.folder / "data.h5", attributes(job.plant, called(config.predictor)))
-    return made
+    return Generated(**size)
 
 
-def summary(result: dict[str, Any], width: int | None = None) -> str:
+def summary(result: Generated, width: int | None = None) -> str:
     """The data in a line."""
-    samples, rollouts = counted(result["samples"], "samples"), counted(result["rollouts"], "rollouts")
-    held_out = counted(len(result["held_out"]), "rollouts")
-    return f"{samples} of {rollouts} on {result['nx']} nodes, {held_out} held out"
+    samples, rollouts = counted(result.samples, "samples"), counted(result.rollouts, "rollouts")
+    return f"{samples} of {rollouts} on {result.nx} nodes, {counted(len(result.held_out), 'rollouts')} held out"
 
 
-def _given(job: Job, path: Path) -> dict[str, Any]:
+def _given(job: Job, path: Path) -> Generated:
     """The samples of a file in the place of simulated ones."""
     data = Dataset.read(path)
     data.fit(job.plant)
     data.write(job.folder / "data.h5", attributes(job.plant, "imported"))
     held_out = np.unique(data.rollout[data.test == 1]).tolist()
-    return {"samples": len(data), "rollouts": len(np.unique(data.rollout)), "held_out": held_out, "nx": data.u.shape[1]}
+    rollouts = len(np.unique(data.rollout))
+    return Generated(samples=len(data), rollouts=rollouts, held_out=held_out, nx=data.u.shape[1])
 
 
 def _parts(job: Job) -> Iterator[tuple[int, Rows]]:

@@ -10,6 +10,7 @@ from npred.figures import svg, typography
 from npred.figures.figure import Plate
 from npred.figures.notation import symbol
 from npred.figures.style import ROLES
+from npred.results import Reported
 from npred.stages import Job, Progress
 from npred.stages.bench import timing_tables
 from npred.stages.report import headline
@@ -29,21 +30,21 @@ CHAPTERS = (
 FOLDED = "speed"  # a table that is long
 
 
-def run(job: Job) -> dict[str, Any]:
+def run(job: Job) -> Reported:
     """Write report.html from what the other stages left; the same bytes for the same results.
 
     Inline SVG, style and script; nothing is loaded. Its three sentences are in the result.
     """
     story = Story.read(job.config, job.plant, job.inputs)
-    said = headline.summary(story.evaluated, story.benched, sorted(story.trained), job.config.evaluate.adaptation)
+    said = headline.summary(story.evaluated, story.benched)
     page = _page(story, said, job)
     (job.folder / NAME).write_text(page, encoding="utf-8")
-    return {"summary": said, "bytes": len(page.encode())}
+    return Reported(summary=said, bytes=len(page.encode()))
 
 
-def summary(result: dict[str, Any], width: int | None = None) -> str:
+def summary(result: Reported, width: int | None = None) -> str:
     """The report in its sentences."""
-    return "\n".join(result["summary"])
+    return "\n".join(result.summary)
 
 
 def _page(story: Story, said: list[str], job: Job) -> str:
@@ -100,13 +101,13 @@ def _about(job: Job) -> str:
 
 def _facts(story: Story, job: Job) -> dict[str, dict[str, Any]]:
     """Where the numbers come from, in three lists: the question, the results' keys, the machine that was timed."""
-    hardware = {key: value for key, value in story.benched["hardware"].items() if key != "versions"}
+    hardware = story.benched.hardware
     plant = {"plant": job.plant.name} | {name: f"{value:g}" for name, value in job.plant.parameters.items()}
-    data = {"samples": story.generated["samples"], "rollouts": story.generated["rollouts"]}
+    data = {"samples": story.generated.samples, "rollouts": story.generated.rollouts}
     return {
         "Question": {"pipeline": job.config.name, "seed": job.config.seed} | plant | data,
         "Results": story.keys,
-        "Machine": hardware | story.benched["hardware"]["versions"],
+        "Machine": hardware.model_dump(exclude={"versions"}, exclude_unset=True) | hardware.versions,
     }
 
 

@@ -2,14 +2,13 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from npred import figures, json_files
 from npred.config import Pipeline
-from npred.defaults import RESULT
 from npred.figures import Evidence, Plate
-from npred.figures.table import Grid
+from npred.figures.table import Table
 from npred.plants import Plant
+from npred.results import Benched, Contender, Evaluated, Generated, Trained
 from npred.stages.report import tables
 
 
@@ -19,47 +18,46 @@ class Story:
 
     config: Pipeline
     plant: Plant
-    evaluated: dict[str, Any]
-    benched: dict[str, Any]
-    trained: dict[str, dict[str, Any]]
+    evaluated: Evaluated
+    benched: Benched
+    trained: dict[str, Trained]
     histories: dict[str, list[dict[str, float]]]
-    generated: dict[str, Any]
+    generated: Generated
     evidence: Evidence
     keys: dict[str, str]
 
     @classmethod
     def read(cls, config: Pipeline, plant: Plant, inputs: dict[str, Path]) -> "Story":
         """The story of the results in these folders: generate, each network, evaluate, bench."""
-        results = {name: json_files.table(folder / RESULT) for name, folder in inputs.items()}
-        networks = config.train.models
-        histories = {name: _lines(inputs[name] / "metrics.jsonl") for name in networks}
-        evidence = Evidence.read(inputs["evaluate"], plant, config.evaluate, results["evaluate"])
-        trained = {name: results[name] for name in networks}
+        evaluated, benched = Evaluated.read(inputs["evaluate"]), Benched.read(inputs["bench"])
+        trained = {name: Trained.read(inputs[name]) for name in config.train.models}
+        histories = {name: _lines(inputs[name] / "metrics.jsonl") for name in trained}
+        evidence = Evidence.read(inputs["evaluate"], plant, config.evaluate, evaluated)
         keys = {name: folder.name for name, folder in inputs.items()}
-        answers = results["evaluate"], results["bench"], trained, histories, results["generate"]
-        return cls(config, plant, *answers, evidence, keys)
+        generated = Generated.read(inputs["generate"])
+        return cls(config, plant, evaluated, benched, trained, histories, generated, evidence, keys)
 
     def plates(self) -> dict[str, Plate]:
         """Every figure by name, in order."""
         kinds = figures.figure1, figures.certificate, figures.errors, figures.kinds, figures.box, figures.delays
         plates = [kind(self.evidence) for kind in kinds]
         plates += [
-            figures.learning(self.histories),
-            figures.speed(self.benched["rows"]),
+            figures.learning({Contender(name): epochs for name, epochs in self.histories.items()}),
+            figures.speed(self.benched.rows),
             figures.coverage(self.evidence),
         ]
         return {plate.name: plate for plate in plates if plate}
 
-    def tables(self) -> dict[str, Grid]:
+    def tables(self) -> dict[str, Table]:
         """Every table by name, in order."""
         made = [
-            tables.accuracy(self.evaluated["models"], self.evaluated["held_out_kind"]),
+            tables.accuracy(self.evaluated),
             tables.kinds(self.evaluated),
-            tables.loops(self.evaluated["models"]),
+            tables.loops(self.evaluated),
             tables.training(self.trained),
-            tables.speed(self.benched["rows"]),
-            tables.by_dx(self.benched["rows"]),
-            tables.outside(self.plant, self.evaluated["coverage"]),
+            tables.speed(self.benched.rows),
+            tables.by_dx(self.benched.rows),
+            tables.outside(self.plant, self.evaluated.coverage),
         ]
         return {table.name: table for table in made}
 

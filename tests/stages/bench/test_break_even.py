@@ -4,9 +4,11 @@ from types import SimpleNamespace
 
 import pytest
 from jobs import job
+from result_samples import CROSSOVER, timing
 
 from npred import plants
 from npred.predictors import RK4, Euler
+from npred.results.bench import Crossover
 from npred.stages.bench import break_even, candidates
 from npred.stages.bench.candidates import Entry
 
@@ -28,24 +30,24 @@ def test_break_even_is_where_both_take_as_long(tmp_path, monkeypatch):
     monkeypatch.setattr(break_even.timing, "sample", sample)
     monkeypatch.setattr(break_even.timing, "quantiles", lambda us: {"median_us": us})
     timed = [
-        (entry("deeponet", "torch", 11, "slow"), {"eps_sup": 0.02, "median_us": 11.0}),
-        (entry("deeponet", "fused", 11, "network"), {"eps_sup": 0.02, "median_us": 9.0}),
-        (entry("rk4", "compiled", 11, matches="deeponet"), {"eps_sup": 0.01, "median_us": 5.0}),
-        (entry("euler", "compiled", 101, Euler(PLANT, 101), "deeponet"), {"eps_sup": 0.01, "median_us": 11.0}),
-        (entry("rk4", "compiled", 5, matches="front"), {"eps_sup": 0.2, "median_us": 2.6}),
+        (entry("deeponet", "torch", 11, "slow"), timing("any", us=11.0, eps_sup=0.02)),
+        (entry("deeponet", "fused", 11, "network"), timing("any", us=9.0, eps_sup=0.02)),
+        (entry("rk4", "compiled", 11, matches="deeponet"), timing("any", us=5.0, eps_sup=0.01)),
+        (entry("euler", "compiled", 101, Euler(PLANT, 101), "deeponet"), timing("any", us=11.0, eps_sup=0.01)),
+        (entry("rk4", "compiled", 5, matches="front"), timing("any", us=2.6, eps_sup=0.2)),
     ]
     reference = SimpleNamespace(P=[[-4.0, 2.0]])
     (found,) = break_even.measure(job(tmp_path, "bench", bench={"dx": [0.1]}), timed, reference)
-    assert (found["predictor"], found["runtime"], found["best"], found["best_steps"]) == (
+    assert (found.predictor, found.runtime, found.best, found.best_steps) == (
         "deeponet",
         "fused",
         "rk4",
         10,
     )
-    assert [row["predictor"] for row in found["numerical"]] == ["rk4", "euler"]
-    assert found["eps_relative"] == pytest.approx(0.005) and found["network_speedup"] == pytest.approx(5 / 9)
-    assert found["f_ns"] == pytest.approx(100) and found["best_us"] == pytest.approx(5.0)
-    assert found["pays_from_ns"] == pytest.approx(200)
+    assert [row.predictor for row in found.numerical] == ["rk4", "euler"]
+    assert found.eps_relative == pytest.approx(0.005) and found.network_speedup == pytest.approx(5 / 9)
+    assert found.f_ns == pytest.approx(100) and found.best_us == pytest.approx(5.0)
+    assert found.pays_from_ns == pytest.approx(200)
 
 
 @pytest.mark.parametrize(
@@ -62,17 +64,12 @@ def test_break_even_is_where_both_take_as_long(tmp_path, monkeypatch):
     ],
 )
 def test_sentence(speedup, words):
-    numerical = [
-        {"predictor": name, "steps": k, "median_us": us} for name, k, us in (("rk4", 10, 5.0), ("euler", 99, 9.0))
-    ]
-    found = {"plant": "arm", "eps_sup": 0.02, "best": "rk4", "best_steps": 10, "best_us": 5.0, "network_us": 10.0,
-             "f_ns": 80.0, "numerical": numerical, "network_speedup": speedup, "pays_from_ns": 200.0,
-             "predictor": "fno", "runtime": "fused"}  # fmt: skip
+    found = Crossover.of(CROSSOVER | {"network_speedup": speedup}, "a test")
     text = break_even.sentence(found)
     assert "the network takes 10.0 µs, RK4 on 10 steps 5.0 µs, Euler on 99 steps 9.0 µs. A network" in text
     assert words in text and text.endswith("A network pays from 200 ns per evaluation of f on (here 80 ns).")
-    assert "on 1 step:" in break_even.sentence(found | {"best_steps": 1, "network_speedup": 4.0})
-    assert break_even.sentence(found | {"pays_from_ns": 0.0}).endswith(
+    assert "on 1 step:" in break_even.sentence(found.model_copy(update={"best_steps": 1, "network_speedup": 4.0}))
+    assert break_even.sentence(found.model_copy(update={"pays_from_ns": 0.0})).endswith(
         "A network pays however cheap f is (here 80 ns)."
     )
 

@@ -1,33 +1,21 @@
 """A benchmark for people: 80 columns by default, all of it on request; and the time of each predictor's call."""
 
-from typing import Any
+from result_samples import BENCHED, CROSSOVER, timing
 
+from npred.results import NUMERICAL, Benched, Contender
 from npred.stages.bench import timing_tables
 
-
-def row(predictor: str, runtime: str, dx: float, us: float, **more: Any) -> dict[str, Any]:
-    plain = {"batch": 1, "matches": None, "device": "cpu", "copies": None, "eps_sup": 0.0184}
-    times = {"median_us": us, "p95_us": us, "p999_us": us, "max_us": us}
-    return {"predictor": predictor, "runtime": runtime, "dx": dx, **plain, **times, "speedup_published": None,
-            "speedup_compiled": 1.5} | more  # fmt: skip
-
-
-RESULT = {
-    "calls": 20_000,
-    "hardware": {"cpu": "A processor with a long name, 2.70 GHz"},
-    "crossover": [{"sentence": "A network pays."}],
-    "stops": {"sentence": "The machine stops."},
-    "rows": [
-        row("published", "python", 0.001, 14321.0),
-        row("rk4", "compiled", 0.01, 1.0),
-        row("rk4", "compiled", 0.001, 9.5),
-        row("deeponet", "torch", 0.001, 864.0),
-        row("deeponet", "fused", 0.001, 6.9),
-        row("deeponet", "torch", 0.001, 90.0, device="cuda:0", copies=False, batch=1024),
-        row("euler", "compiled", 0.125, 0.7, matches="deeponet"),
-        row("euler", "compiled", 0.25, 0.5, matches="front", eps_sup=None),
-    ],
-}
+ROWS = [
+    timing("published", "python", 0.001, 14321.0),
+    timing("rk4", "compiled", 0.01, 1.0),
+    timing("rk4", "compiled", 0.001, 9.5),
+    timing("deeponet", "torch", 0.001, 864.0),
+    timing("deeponet", "fused", 0.001, 6.9),
+    timing("deeponet", "torch", 0.001, 90.0, device="cuda:0", copies=False, batch=1024),
+    timing("euler", "compiled", 0.125, 0.7, matches="deeponet"),
+    timing("euler", "compiled", 0.25, 0.5, matches="front", eps_sup=None),
+]
+RESULT = Benched.of(BENCHED | {"rows": ROWS, "crossover": [CROSSOVER | {"sentence": "A network pays."}]}, "a test")
 
 
 def test_the_summary_fits_80_columns_and_leaves_out_what_only_a_figure_needs():
@@ -42,9 +30,9 @@ def test_the_details_have_every_row_with_its_tails_and_ratios():
     text = timing_tables.details(RESULT)
     assert "p99.9" in text and "× O(nx²) sums" in text and "published" not in text
     assert "torch cuda:0 without copies" in text
-    assert len(text.splitlines()) == 3 + len(RESULT["rows"]) + 3
+    assert len(text.splitlines()) == 3 + len(ROWS) + 3
 
 
 def test_a_call_is_the_fastest_runtimes_at_the_finest_grid():
-    assert timing_tables.fastest(RESULT, ["deeponet", "fno"], "rk4") == {"numerical": 9.5, "deeponet": 6.9}
-    assert timing_tables.fastest({"rows": []}, ["deeponet"], "rk4") == {}
+    assert timing_tables.fastest(RESULT, "rk4") == {NUMERICAL: 9.5, Contender("deeponet"): 6.9}
+    assert timing_tables.fastest(Benched.of(BENCHED, "a test"), "rk4") == {}

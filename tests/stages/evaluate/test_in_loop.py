@@ -8,7 +8,7 @@ from npred import plants
 from npred.loop.closed_loop import simulate
 from npred.predictors import RK4, Euler, Predictor
 from npred.stages.evaluate import in_loop
-from npred.stages.evaluate.initial_conditions import Contender, starts
+from npred.stages.evaluate.initial_conditions import starts
 
 PLANT = plants.resolve("activator_repressor")
 
@@ -19,7 +19,7 @@ def task(tmp_path):
 
 
 def error(task, predictor):
-    return in_loop.error(task, Contender("any", predictor), starts(task.config, task.plant), None)
+    return in_loop.error(task, predictor, starts(task.config, task.plant), lambda count: None)
 
 
 def test_it_is_the_largest_over_loops_that_know_the_delay(task):
@@ -31,7 +31,7 @@ def test_it_is_the_largest_over_loops_that_know_the_delay(task):
         loop = simulate(PLANT, RK4(PLANT, 21), D=1.0, D_hat=1.0, X0=X0, t_end=6.0, dt=0.01)
         largest = max(largest, np.linalg.norm(loop.P[200:501] - loop.X[300:601], axis=-1).max())
     assert error(task, RK4(PLANT, 21)) == pytest.approx(largest, rel=1e-9) and largest > 0
-    assert in_loop.about(task.config.evaluate, begin) == {"D": 1.0, "from": 2.0, "to": 5.0, "loops": 3}
+    assert in_loop.about(task.config.evaluate, begin).json_object() == {"D": 1.0, "from": 2.0, "to": 5.0, "loops": 3}
     assert in_loop.steps(task.config.evaluate, begin) == 3 * 601
 
 
@@ -46,9 +46,9 @@ def test_delays_are_rounded_to_control_steps(tmp_path):
         config = job(tmp_path, f"{D}", evaluate={"D": D, "bounds": (0.001, 4.0)}).config.evaluate
         assert in_loop.delay(config) == pytest.approx(delay) and in_loop.length(config) == pytest.approx(length)
         about = in_loop.about(config, begin)
-        assert about["from"] < about["to"]
+        assert about.start < about.to
     rounded = in_loop.about(job(tmp_path, "some", evaluate={"D": 0.6, "dt": 0.025}).config.evaluate, begin)
-    assert rounded | {"loops": 0} == {"D": 0.6, "from": 1.2, "to": 5.4, "loops": 0}
+    assert (rounded.D, rounded.start, rounded.to) == (0.6, 1.2, 5.4)
 
 
 class Lost(Predictor):

@@ -23,7 +23,7 @@ def rows(tmp_path, name="data", **changes):
 
 def test_rows_are_what_they_say(tmp_path):
     result, data = rows(tmp_path)
-    assert result["samples"] == len(data) == 300 and data.u.shape == (300, 21, 1) and data.P.shape == (300, 21, 2)
+    assert result.samples == len(data) == 300 and data.u.shape == (300, 21, 1) and data.P.shape == (300, 21, 2)
     np.testing.assert_array_equal(data.P[:, 0], data.X)
     exact = RK4(plants.resolve("activator_repressor"))(data.X, data.u, data.D_hat)
     np.testing.assert_allclose(data.P, exact, rtol=1e-9)
@@ -35,7 +35,7 @@ def test_rows_are_what_they_say(tmp_path):
 def test_no_rollout_is_in_both_parts(tmp_path):
     result, data = rows(tmp_path)
     held_out = set(data.rollout[data.test == 1])
-    assert held_out == set(result["held_out"]) and len(held_out) == 1
+    assert held_out == set(result.held_out) and len(held_out) == 1
     assert not held_out & set(data.rollout[data.test == 0])
 
 
@@ -69,7 +69,7 @@ def test_shards_hold_the_rows_of_the_one_file(tmp_path, monkeypatch):
     monkeypatch.setattr(shards, "WHOLE", 1)
     monkeypatch.setattr(shards, "SHARD", 1)
     again, joined = rows(tmp_path, "joined", generate=SHARDED)
-    assert again == result | {"shards": 4}
+    assert again == result.model_copy(update={"shards": 4})
     assert [len(part) for part in shards.parts(tmp_path / "joined" / "data.h5")] == [192, 192, 192, 24]
     for name in MEANING:
         assert getattr(joined, name).tobytes() == getattr(whole, name).tobytes()
@@ -206,7 +206,7 @@ def test_explorers_have_delays_of_their_own_and_are_not_held_out(tmp_path):
     result, data = rows(tmp_path, generate=ranges | {"explore": 0.5, "test_share": 0.4})
     explorers = data.rollout >= 5
     assert ((data.D[explorers] >= 0.3) & (data.D[explorers] <= 0.4)).all() and (data.D[~explorers] == 1).all()
-    assert len(result["held_out"]) == 2 and max(result["held_out"]) < 5
+    assert len(result.held_out) == 2 and max(result.held_out) < 5
 
 
 def test_two_rollouts_at_least_do_not_explore():

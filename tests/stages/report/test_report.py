@@ -13,20 +13,23 @@ import h5py
 import pytest
 from conftest import Call, document, one_line
 from jobs import job
+from result_samples import BENCHED, ERRORS, RADIUS, evaluation, timing
 
 from npred import config, json_files, plants
 from npred.cli.page import OWNER, PLACE
-from npred.config import FROZEN, PAPER
 from npred.errors import StoreError
 from npred.figures import Evidence
 from npred.figures.style import MEDIA
 from npred.plants.builtin.activator_repressor import ActivatorRepressor
+from npred.results import Benched, Contender
 from npred.stages.report import headline, report
 from npred.stages.report.report_data import Story
 
 LIMIT = 1_500_000  # bytes
 LOADED = ("src", "srcset", "data", "poster", "action", "formaction", "background")
 VOID = {"meta", "link", "input", "br", "img", "hr"}
+
+FNO = Contender("fno")
 
 
 def unset(text: str) -> str:
@@ -100,7 +103,7 @@ def test_what_an_evaluation_announces_is_checked_before_room_is_made(reported, s
             del opened[name]
             opened.create_dataset(name, shape=(10**13,), dtype="f8")
         with pytest.raises(StoreError, match=f"{name} of shape .* is larger than what is stored of it"):
-            Evidence.read(folder, story.plant, story.config.evaluate, done.result())
+            Evidence.read(folder, story.plant, story.config.evaluate, story.evaluated)
 
 
 def test_a_result_too_long_for_a_table_is_not_read(reported, story: Story, tmp_path: Path):
@@ -109,7 +112,7 @@ def test_a_result_too_long_for_a_table_is_not_read(reported, story: Story, tmp_p
     folders["bench"] = tmp_path
     with (tmp_path / "result.json").open("wb") as file:
         file.truncate(json_files.LIMIT + 1)
-    with pytest.raises(ValueError, match=f"more than {json_files.LIMIT}"):
+    with pytest.raises(StoreError, match=f"more than {json_files.LIMIT}"):
         Story.read(config.load(path), story.plant, folders)
 
 
@@ -152,12 +155,14 @@ def test_the_tables_say_what_the_results_say(page, story):
     for name, table in story.tables().items():
         shown = page.tables[f"table-{name}"]
         assert shown[0] == [unset(column.head) for column in table.columns]
-        assert shown[1:] == [[unset(column.text(row[column.key])) for column in table.columns] for row in table.rows]
-    errors = {row["predictor"]: row for row in story.tables()["accuracy"].rows}
-    assert errors["FNO"]["eps_sup"] == story.evaluated["models"]["fno"]["eps_sup"]
-    assert {row["kind"] for row in story.tables()["kinds"].rows} == {"nominal rollouts", "rows with a redrawn D̂"}
-    assert all(row["in_loop"] > 0 for row in story.tables()["loops"].rows)
-    assert {row["median_us"] for row in story.tables()["speed"].rows} <= {r["median_us"] for r in story.benched["rows"]}
+        assert shown[1:] == [
+            [unset(c.text(value)) for c, value in zip(table.columns, row, strict=True)] for row in table.rows
+        ]
+    predictors, _, eps_sup, *_ = story.tables()["accuracy"].columns
+    assert eps_sup.values[predictors.values.index("FNO")] == story.evaluated.models[FNO].eps_sup
+    assert set(story.tables()["kinds"].columns[1].values) == {"nominal rollouts", "rows with a redrawn D̂"}
+    assert all(in_loop > 0 for in_loop in story.tables()["loops"].columns[-1].values)
+    assert set(story.tables()["speed"].columns[3].values) <= {row.median_us for row in story.benched.rows}
 
 
 def test_three_sentences_bear_the_numbers(reported, text):
@@ -169,25 +174,17 @@ def test_three_sentences_bear_the_numbers(reported, text):
 
 
 LOST = {
-    "kinds": {"exploring": {"eps_sup": 3.5}},
-    "eps_sup": None,
-    "mse": 0.25,
-    "radius": {"cases": 20, "converged": 0.0, "median": None},
-}
-KINDS = {"nominal": {"rows": 10}, "exploring": {"rows": 2000}}
-EVALUATED = {
-    "held_out": 10,
-    "held_out_kind": "nominal",
-    "kinds": KINDS,
-    "models": dict.fromkeys(("numerical", "no_adaptation", "fno"), LOST),
-}
+    "kinds": {"exploring": ERRORS | {"eps_sup": 3.5, "above": 1.0}}, "eps_sup": None, "mse": 0.25,
+    "radius": RADIUS | {"cases": 20, "converged": 0.0, "median": None},
+}  # fmt: skip
+NONE_TIMED = Benched.of(BENCHED, "a test")
 
 
 def test_the_sentences_know_loops_that_are_lost_and_a_benchmark_without_networks():
-    said = headline.summary(EVALUATED, {"rows": [], "crossover": []}, ["fno"], PAPER)
+    said = headline.summary(evaluation("numerical", "no_adaptation", "fno", **LOST), NONE_TIMED)
     assert said[0] == (
-        "On 10 held-out samples of nominal rollouts the largest error of a prediction is ∞ for the FNO (mean square "
-        "0.25); on 2,000 of exploring rollouts it is 3.5."
+        "On 12,345 held-out samples of nominal rollouts the largest error of a prediction is ∞ for the FNO (mean "
+        "square 0.25); on 100 of exploring rollouts it is 3.5."
     )
     assert said[1] == (
         "Of 20 closed loops with a delay that the controller does not know, 0 with the FNO (median radius ∞), "
@@ -197,9 +194,8 @@ def test_the_sentences_know_loops_that_are_lost_and_a_benchmark_without_networks
 
 
 def test_the_sentences_know_delays_that_are_held_and_plants_without_a_published_predictor():
-    timed = {"predictor": "fno", "runtime": "torch", "batch": 1, "matches": None, "copies": None, "dx": 0.1,
-             "median_us": 200.0, "speedup_published": None}  # fmt: skip
-    said = headline.summary(EVALUATED, {"rows": [timed], "crossover": []}, ["fno"], FROZEN)
+    timed = NONE_TIMED.model_copy(update={"rows": [timing("fno", "torch", us=200.0)]})
+    said = headline.summary(evaluation("numerical", "fno", **LOST), timed)
     assert said[1] == (
         "Of 20 closed loops with the delay estimate held, 0 with the FNO (median radius ∞) and 0 with the numerical "
         "predictor converge."
@@ -317,6 +313,6 @@ def test_figures_and_tables_for_a_paper(call: Call, here: Path, tmp_path: Path, 
     assert {path.name for path in Path(found["folder"]).iterdir()} == set(found["files"]) == wanted
     with (tmp_path / "figures/accuracy.csv").open() as file:
         rows = list(csv.DictReader(file))
-    assert float(rows[-1]["ε sup"]) == story.evaluated["models"]["fno"]["eps_sup"]
+    assert float(rows[-1]["ε sup"]) == story.evaluated.models[FNO].eps_sup
     refused = one_line(call("report", "tiny.toml", "--figures", "poster"), 2)
     assert all(medium in refused for medium in MEDIA)

@@ -1,0 +1,22 @@
+"""What each stage found, as frozen models of its result.json: one file per stage, and who is compared."""
+
+from npred.results.base import Number, Result
+from npred.results.bench import Benched
+from npred.results.contender import NO_ADAPTATION, NUMERICAL, Contender
+from npred.results.evaluate import Evaluated
+from npred.results.generate import Generated
+from npred.results.report import Reported
+from npred.results.train import Trained
+
+__all__ = [
+    "NO_ADAPTATION",
+    "NUMERICAL",
+    "Benched",
+    "Contender",
+    "Evaluated",
+    "Generated",
+    "Number",
+    "Reported",
+    "Result",
+    "Trained",
+]

@@ -1,0 +1,63 @@
+"""What all results share: the keys that a stage writes and no others, and null for a number that is not finite."""
+
+import math
+from pathlib import Path
+from typing import Annotated, Any, Self
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, PlainSerializer, ValidationError
+
+from npred import json_files
+from npred.defaults import RESULT
+from npred.errors import StoreError
+
+
+def _number(value: Any) -> Any:
+    try:
+        return value if value is not None and math.isfinite(value) else math.inf
+    except (TypeError, OverflowError):  # for pydantic to refuse
+        return value
+
+
+def _null(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+# JSON has no infinity. So null is one here; where null means that there is none, a field is `float | None` instead.
+Number = Annotated[float, BeforeValidator(_number), PlainSerializer(_null)]
+
+
+class Result(BaseModel):
+    """A table of a stage's result. A key that the stage leaves out stays out of the JSON; an unknown one is refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    def json_object(self) -> dict[str, Any]:
+        """The JSON object, as result.json holds it."""
+        return self.model_dump(mode="json", by_alias=True, exclude_unset=True)
+
+    @property
+    def set_values(self) -> dict[str, Any]:
+        """The values by key without those that are absent: what another result takes over."""
+        return {key: getattr(self, key) for key in self.model_fields_set}
+
+    @classmethod
+    def read(cls, folder: Path) -> Self:
+        """The result in an artifact's folder. Raises StoreError where its file is none, or does not fit."""
+        path = folder / RESULT
+        try:
+            return cls.of(json_files.table(path), path)
+        except (OSError, ValueError) as error:
+            raise StoreError(f"{path}: expected a result as JSON, got: {error}; remove {folder}, run again") from None
+
+    @classmethod
+    def of(cls, document: dict[str, Any], source: object) -> Self:
+        """The result of that JSON object, which came from `source`. Raises StoreError where it does not fit."""
+        try:
+            return cls.model_validate(document)
+        except ValidationError as error:
+            first = error.errors()[0]
+            key = json_files.escaped(".".join(str(part) for part in first["loc"]))
+            raise StoreError(
+                f"{source}: expected a result as this npred writes it, got at {key}: {first['msg']}; make it anew with "
+                "npred run, or show it with the npred that wrote it"
+            ) from None

@@ -1,0 +1,93 @@
+"""The result of the stage bench."""
+
+from npred.results.base import Number, Result
+
+
+class Timing(Result):
+    """A timed predictor; times in microseconds per call."""
+
+    #: `published` (the O(nx²) interpreted one), `euler_python`, `euler`, `heun`, `rk4`, or a network
+    predictor: str
+    runtime: str  #: `python`, `compiled`, `torch`, `onnx` or `fused`
+    dx: float  #: the spacing of the nodes
+    batch: int  #: rows per call
+    #: `null` in the rows of Table I. Else an extra grid: the network whose accuracy this numerical predictor has there,
+    #: or `front`, a coarse end of the accuracy–time front
+    matches: str | None
+    device: str  #: `cpu`, or a GPU
+    copies: bool | None  #: whether samples are copied from and to the host within the time; `null` on the CPU
+    calls: int  #: how many calls were timed
+    median_us: float  #: the median
+    p95_us: float  #: the 95 % quantile
+    p999_us: float  #: the 99.9 % quantile
+    max_us: float  #: the largest
+    eps_sup: Number  #: the error on held-out samples of the data; `null` where the predictor diverges
+    #: the median of `published` at the same dx and batch over this one's; `null` where that was not timed
+    speedup_published: float | None = None
+    speedup_compiled: float | None = None  #: the same of compiled `euler`
+
+    @property
+    def is_network(self) -> bool:
+        """Whether a network was timed, and no numerical predictor."""
+        return self.runtime not in ("python", "compiled")
+
+
+class Rival(Result):
+    """A numerical method on as many steps as it needs for the network's accuracy."""
+
+    predictor: str  #: its name
+    steps: int  #: how many
+    median_us: float  #: microseconds per call
+
+
+class Crossover(Result):
+    """When a network pays."""
+
+    plant: str  #: its name
+    predictor: str  #: the network
+    runtime: str  #: its fastest
+    eps_sup: Number  #: its error
+    eps_relative: Number  #: that over the largest P
+    network_us: float  #: microseconds per call
+    numerical: list[Rival]  #: each method of that accuracy
+    best: str  #: the fastest of them
+    best_steps: int  #: its steps
+    best_us: float  #: its microseconds per call
+    network_speedup: float  #: `best_us` over `network_us`
+    f_ns: float  #: what an evaluation of f costs, in nanoseconds
+    pays_from_ns: float  #: from which cost of f on the network pays; 0 for always
+    sentence: str = ""  #: all that in words
+
+
+class Stops(Result):
+    """What of the tails is the machine's own."""
+
+    per_s: float  #: how often per second it stops a thread that only reads the clock
+    median_us: float  #: for how long, in microseconds
+    sentence: str = ""  #: both in words
+
+
+class Hardware(Result):
+    """The machine that was timed."""
+
+    cpu: str  #: the processor
+    cores: int  #: that this process may use
+    device: str  #: `cpu` or `cuda`
+    gpus: list[str] = []  #: by name, on CUDA
+    threads: int  #: of torch
+    versions: dict[str, str | None]  #: of Python and of the packages
+
+
+class Benched(Result):
+    """Predictors timed beside their errors."""
+
+    rows: list[Timing]  #: one per timed predictor
+    calls: int  #: how many calls were asked for
+    crossover: list[Crossover]  #: one per network: when it pays
+    stops: Stops  #: what of the tails is the machine's
+    hardware: Hardware  #: the machine and the packages
+
+    @property
+    def table(self) -> list[Timing]:
+        """The rows of Table I of [DAPF]: one call, on the grids that were asked for."""
+        return [row for row in self.rows if row.batch == 1 and row.matches is None]

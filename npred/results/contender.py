@@ -1,0 +1,52 @@
+"""Who is compared: the numerical predictor, with and without adaptation, each network, and each of its snapshots."""
+
+from dataclasses import dataclass
+from operator import attrgetter
+from typing import Annotated
+
+from pydantic import BeforeValidator, PlainSerializer
+
+from npred.registry import NETWORKS
+
+
+@dataclass(frozen=True)
+class Contender:
+    """A predictor of a comparison; `epoch` is that of a snapshot, None for the final weights and for numerics."""
+
+    model: str
+    epoch: int | None = None
+
+    @classmethod
+    def parse(cls, name: "str | Contender") -> "Contender":
+        """The contender of a name. Raises ValueError where what follows the @ is no epoch."""
+        if isinstance(name, Contender):
+            return name
+        model, at, epoch = name.rpartition("@")
+        if at and not (epoch.isascii() and epoch.isdigit()):
+            raise ValueError(f"expected an epoch after @, got {epoch!r}; for example deeponet@107")
+        return cls(model, int(epoch)) if at else cls(name)
+
+    @property
+    def name(self) -> str:
+        """What it is called in results: deeponet@107, numerical, no_adaptation."""
+        return self.model if self.epoch is None else f"{self.model}@{self.epoch}"
+
+    @property
+    def label(self) -> str:
+        """What people call it: DeepONet, epoch 107."""
+        label = NETWORKS.label(self.model) if self.is_network else self.model.replace("_", " ")
+        return label if self.epoch is None else f"{label}, epoch {self.epoch}"
+
+    @property
+    def is_network(self) -> bool:
+        """Whether a network predicts."""
+        return self not in (NUMERICAL, NO_ADAPTATION)
+
+    @property
+    def adapts(self) -> bool:
+        """Whether D_hat follows its law; without adaptation it stays at D_hat(0)."""
+        return self != NO_ADAPTATION
+
+
+NUMERICAL, NO_ADAPTATION = Contender("numerical"), Contender("no_adaptation")
+Name = Annotated[Contender, BeforeValidator(Contender.parse), PlainSerializer(attrgetter("name"), return_type=str)]

@@ -1,0 +1,125 @@
+"""The result of the stage evaluate."""
+
+from pydantic import AliasChoices, Field
+
+from npred.results.base import Number, Result
+from npred.results.contender import Name
+
+
+class Relative(Result):
+    """The largest error over x divided by the distance from rest, over the samples."""
+
+    sup: Number  #: the largest
+    median: Number  #: the median
+
+
+class Errors(Result):
+    """Errors against the numerical predictor; all are 0 for `numerical` and `no_adaptation`."""
+
+    mse: Number  #: mean square of P̂ − P
+    eps_sup: Number  #: largest \|P̂ − P\|
+    eps_kappa: Number  #: largest \|κ(P̂(1)) − κ(P(1))\|, what the control sees
+    rel_l2: Number  #: mean of ‖P̂ − P‖ / ‖P‖
+    mse_by_state: dict[str, Number] = {}  #: `mse` by the states' names; networks only
+    sup_by_state: dict[str, Number] = {}  #: the largest error by the states' names; networks only
+    #: `sup` and `median` of the error over the distance from rest; networks only, and of a plant that rests
+    eps_relative: Relative | None = None
+
+
+class KindErrors(Errors):
+    """Errors on the held-out rows of one kind."""
+
+    above: Number  #: share of the rows with an error above the `eps_sup` of the kind `held_out_kind`
+
+
+class Radius(Result):
+    """How far from rest, or from the reference, loops end: the largest distance over the last tenth."""
+
+    median: Number  #: over the cases
+    worst: Number  #: over the cases
+    converged: float  #: share of the cases
+    cases: int  #: how many
+    predicted: Number  #: `gain` times `eps_kappa`
+
+    @property
+    def count(self) -> int:
+        """How many of the cases converge."""
+        return round(self.converged * self.cases)
+
+
+class DelayMap(Result):
+    """Which loops converge, by true delay and first estimate."""
+
+    D: list[float]  #: true delays, in seconds
+    D_hat0: list[float]  #: first estimates, in seconds
+    converged: list[list[bool]]  #: one row per D
+    share: float  #: of the loops that converge with the numerical predictor
+    band: tuple[float, float] | None  #: of D, within which none of those is lost; `null` where there is none
+
+
+class LoopEnd(Result):
+    """How the loop of Fig. 1 ends."""
+
+    X_end: list[Number]  #: the state
+    D_hat_end: Number  #: the delay estimate
+    radius: Number  #: the largest distance over the last tenth
+    settle_time: Number  #: in seconds
+
+
+class Scores(Errors):
+    """One contender. Its errors are on the held-out rows of the kind `held_out_kind`."""
+
+    kinds: dict[str, KindErrors]  #: by kind all these on its held-out rows, and `above`
+    fresh: Errors  #: all these on the fresh samples
+    #: the largest \|P(1, t) − X(t + D)\| where D̂ = D, see [accuracy](../accuracy.md#the-error-in-the-loop); `null`
+    #: where a loop is lost
+    in_loop: Number
+    radius: Radius  #: over the cases
+    settle_time: Number  #: the median over the cases, in seconds
+    settle_ratio: float | None  #: the median of it over the numerical predictor's
+    decay_rate: float | None  #: the median rate at which loops decay near rest, in 1/s; `null` where none does
+    map: DelayMap | None  #: over true delays and first estimates; `null` without a map
+    figure1: LoopEnd  #: the loop of Fig. 1
+
+
+class KindSize(Result):
+    """Held-out rows of one kind."""
+
+    rows: int  #: how many
+
+
+class InLoop(Result):
+    """Which loops the errors in the loop are of."""
+
+    D: float  #: the delay, which the estimate equals, in seconds
+    #: errors are taken from this time on, in seconds
+    start: float = Field(validation_alias=AliasChoices("from", "start"), serialization_alias="from")
+    to: float  #: and up to this time
+    loops: int  #: how many
+
+
+class Coverage(Result):
+    """One state, input, or `D_hat`."""
+
+    data: tuple[float, float]  #: its range in the data
+    outside: dict[Name, Number]  #: by network, the share of its loop steps beyond that range
+
+
+class Evaluated(Result):
+    """Errors on held-out samples, and what closed loops make of them.
+
+    NAME is `numerical`, `no_adaptation` (where the estimate adapts), a network as `deeponet`, or a snapshot as
+    `deeponet@20`.
+    """
+
+    plant: str  #: its name
+    equilibrium: list[float] | None  #: where it rests, one number per state; `null` for one that follows a trajectory
+    gain: Number  #: how far a constant error of 1 in the control law moves the loop
+    held_out: int  #: how many samples of held-out rollouts the errors are taken on
+    held_out_kind: str  #: which kind of row the errors of `models` are of: `nominal`, or `imported`
+    #: by kind of held-out row: `nominal`, `exploring` and `redrawn` where the data have them, or `imported`
+    kinds: dict[str, KindSize]
+    fresh: int  #: how many samples of rollouts made for this evaluation
+    in_loop: InLoop  #: what the errors in the loop are of
+    models: dict[Name, Scores]  #: by NAME what was measured
+    coverage: dict[str, Coverage]  #: by state, input and `D_hat`
