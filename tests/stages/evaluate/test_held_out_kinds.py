@@ -117,7 +117,7 @@ def test_errors_by_kind_are_those_of_the_kinds_own_rows(made):
     found = accuracy.by_kind(PLANT, P_hat, held_out)
     for kind, rows in held_out.items():
         sup = np.linalg.norm(P_hat[kind] - rows.P, axis=-1).max(axis=1)
-        assert found[kind]["eps_sup"] == sup.max()
-        assert found[kind]["mse"] == np.mean((P_hat[kind] - rows.P) ** 2)
-        assert found[kind]["above"] == np.mean(sup > found["nominal"]["eps_sup"])
-    assert found["nominal"]["above"] == 0.0 < found["redrawn"]["above"]
+        assert found[kind].eps_sup == sup.max()
+        assert found[kind].mse == np.mean((P_hat[kind] - rows.P) ** 2)
+        assert found[kind].above == np.mean(sup > found["nominal"].eps_sup)
+    assert found["nominal"].above == 0.0 < found["redrawn"].above
