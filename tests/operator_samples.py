@@ -6,11 +6,16 @@ import numpy as np
 import torch
 
 from npred import plants
-from npred.config import FNO, DeepONet, Training
+from npred.config import FNO, DeepONet, Network, Training
 from npred.operators import Operator, Scaling, build
 
 PLANT = plants.resolve("activator_repressor")
-SMALL = [DeepONet(width=16, depth=2, basis=6, trunk=8, moments=5), FNO(width=6, modes=4, layers=2)]
+SMALL = [DeepONet(width=16, depth=2, basis=6, trunk=8, moments=5), FNO(width=6, modes=4, layers=2)]  # with a fused form
+EVERY = [
+    *SMALL,
+    Network(network="averaging", sizes={"width": 8, "layers": 2}),
+    Network(network="gru", sizes={"width": 6, "steps": 8}),
+]
 
 
 @dataclass(frozen=True)

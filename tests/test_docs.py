@@ -216,7 +216,7 @@ def test_the_reference_has_every_flag_and_every_key(extension: Callable[[str], A
     flags = re.findall(r"--[a-z-]+", CliRunner().invoke(app, ["export", "--help"], env={"COLUMNS": "200"}).output)
     assert set(flags) - {"--help"} <= set(re.findall(r"--[a-z-]+", told)) and "## npred plants check" in told
     keys = "\n".join(reference.configuration())
-    for model in (config.Generate, config.DeepONet, config.FNO, config.Evaluate, config.Bench):
+    for model in (config.Generate, config.DeepONet, config.FNO, config.Network, config.Evaluate, config.Bench):
         assert all(f"| `{name}` | " in keys for name in model.model_fields)
 
 

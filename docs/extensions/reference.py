@@ -138,6 +138,8 @@ def _table(path: str, model: type[config.Table]) -> Iterator[str]:
             yield f"| `{name}` | {_cell(_type(field))} | {_value(field)} | {_cell(meaning)} |"
     for name, field in tables.items():
         yield from _table(f"{path}.{name}".strip("."), field.annotation)  # type: ignore[arg-type]
+    if model is config.Train:
+        yield from _table("train.NAME", config.Network)
 
 
 def _is_table(field: FieldInfo) -> bool:
@@ -165,7 +167,7 @@ def _name(kind: Any) -> str:
         return ""
     origin, inner = get_origin(kind), get_args(kind)
     if origin is None:
-        return {float: "number", int: "integer", str: "text", bool: "true or false"}.get(kind, str(kind))
+        return {float: "number", int: "integer", str: "text", bool: "true or false", Any: "values"}.get(kind, str(kind))
     if hasattr(kind, "__metadata__"):
         return _limited(_name(inner[0]), kind.__metadata__)
     if origin in (list, tuple, dict):

@@ -32,13 +32,13 @@ class AveragingNetwork(nn.Module):
         x = torch.linspace(-1, 1, nx, dtype=u.dtype, device=u.device)[:, None].expand(batch, nx, 1)
         weights = trapezoid(nx, u.dtype, u.device)
         constants = torch.cat([X, D_hat[:, None]], dim=1)[:, None].expand(batch, nx, -1)
-        v = self.lift(torch.cat([constants, u, x], dim=2))  # (B, nx, width)
+        h, linear = self.lift[:-1](torch.cat([constants, u, x], dim=2)), self.lift[-1]  # v = linear(h), as is its average
         for depth, layer in enumerate(self.hidden, start=1):
-            average = (weights @ v)[:, None]
+            average = linear(weights @ h)[:, None]
             if depth == len(self.hidden):
-                v, x = v[:, ::stride], x[:, ::stride]
-            v = functional.silu(layer(v) + average)
-        return self.project(torch.cat([v, x], dim=2))
+                h, x = h[:, ::stride], x[:, ::stride]
+            h, linear = functional.silu(layer(linear(h)) + average), nn.Identity()
+        return self.project(torch.cat([h, x], dim=2))
 
 
 @lru_cache(maxsize=32)

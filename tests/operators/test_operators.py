@@ -4,7 +4,7 @@ import json
 
 import pytest
 import torch
-from operator_samples import PLANT, SMALL, operator, samples, tensors
+from operator_samples import EVERY, PLANT, SMALL, operator, samples, several_inputs, tensors
 
 from npred.config import DeepONet, Training
 from npred.errors import ConfigError, StoreError
@@ -12,7 +12,7 @@ from npred.operators import Scaling, build, describe, load, save
 from npred.operators.base import chebyshev
 from npred.operators.io import save_weights
 
-NETWORKS = pytest.mark.parametrize("config", SMALL, ids=["deeponet", "fno"])
+NETWORKS = pytest.mark.parametrize("config", EVERY, ids=lambda config: config.architecture)
 ANCHORS = pytest.mark.parametrize("anchor", ["none", "initial", "equilibrium"])
 
 
@@ -75,15 +75,17 @@ def test_without_a_delay_the_prediction_is_the_state(config, anchor):
     assert torch.equal(P_hat, X[:, None].expand_as(P_hat))
 
 
+@pytest.mark.parametrize("config", [SMALL[0], EVERY[3]], ids=lambda config: config.architecture)
 @torch.no_grad()
-def test_coarse_output_of_a_deeponet_is_the_fine_one_at_its_nodes():
-    model, inputs = operator(SMALL[0]), tensors(samples(5, nx=25))
+def test_coarse_output_is_the_fine_one_at_its_nodes(config):
+    model, inputs = operator(config), tensors(samples(5, nx=25))
     torch.testing.assert_close(model(*inputs, stride=4), model(*inputs)[:, ::4], rtol=1e-5, atol=1e-6)
 
 
+@pytest.mark.parametrize("config", EVERY[1:3], ids=lambda config: config.architecture)
 @torch.no_grad()
-def test_coarse_output_of_an_fno_is_near_the_fine_one_at_its_nodes():
-    model, inputs = operator(SMALL[1]), tensors(samples(5, nx=101))
+def test_coarse_output_of_a_quadrature_is_near_the_fine_one_at_its_nodes(config):
+    model, inputs = operator(config), tensors(samples(5, nx=101))
     torch.testing.assert_close(model(*inputs, stride=4), model(*inputs)[:, ::4], rtol=1e-3, atol=1e-4)
 
 
@@ -99,6 +101,30 @@ def test_two_grids_agree_to_second_order(config, anchor):
         gaps.append(float((model(X, u[:, ::4], D_hat) - model(X, u, D_hat)[:, ::4]).abs().max()))
     assert gaps[1] < 1e-3
     assert gaps[0] > 2.5 * gaps[1] > 6 * gaps[2]
+
+
+@NETWORKS
+@torch.no_grad()
+def test_rows_do_not_see_each_other(config):
+    model, inputs = operator(config), tensors(samples(9))
+    order = torch.randperm(9, generator=torch.Generator().manual_seed(0))
+    shuffled = model(*(values[order] for values in inputs), rest_nodes=9)
+    torch.testing.assert_close(shuffled, model(*inputs, rest_nodes=9)[order], rtol=1e-5, atol=1e-5)
+
+
+@NETWORKS
+@torch.no_grad()
+def test_several_inputs_and_a_grid_of_two_nodes(config):
+    plant, data = several_inputs()
+    model = build(config.model_copy(update={"anchor": "initial"}), plant, Scaling.of(data))
+    X, u, D_hat = tensors(data)
+    P = model(X, u, D_hat)
+    assert P.shape == (4, 11, 3) and torch.equal(P[:, 0], X)
+    assert model(X, u[:, [0, -1]], D_hat).shape == (4, 2, 3)
+    for j in (0, 1):
+        other = u.clone()
+        other[..., j] += 1.0
+        assert (model(X, other, D_hat) - P)[:, -1].abs().min() > 0
 
 
 @NETWORKS

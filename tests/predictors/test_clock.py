@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from operator_samples import SMALL
+from operator_samples import EVERY
 
 from npred import grid, plants
 from npred.diagnosis import Case, pipeline_fit
@@ -17,7 +17,7 @@ from npred.runtimes import predictor
 from npred.training.training_loop import Rows
 
 UNICYCLE = plants.resolve("unicycle")
-NETWORKS = pytest.mark.parametrize("config", SMALL, ids=lambda config: type(config).__name__)
+NETWORKS = pytest.mark.parametrize("config", EVERY, ids=lambda config: config.architecture)
 
 
 def driven(**parts):
@@ -123,7 +123,7 @@ def test_runtimes_without_a_clock_say_so(runtime, message):
     if runtime == "onnx":
         pytest.importorskip("onnx"), pytest.importorskip("onnxscript")
     with pytest.raises(ConfigError, match=message):
-        predictor(runtime, UNICYCLE, network(SMALL[0]).operator, 21).lanes()
+        predictor(runtime, UNICYCLE, network(EVERY[0]).operator, 21).lanes()
 
 
 def test_without_a_period_no_network_can_serve_it():

@@ -5,7 +5,7 @@ import sys
 import numpy as np
 import pytest
 import torch
-from operator_samples import PLANT, SMALL, operator, samples
+from operator_samples import EVERY, PLANT, SMALL, operator, samples
 
 import npred
 from npred import plants
@@ -17,7 +17,7 @@ from npred.runtimes import onnx as runtime
 onnx = pytest.importorskip("onnx")
 
 
-@pytest.fixture(scope="module", params=SMALL, ids=lambda config: type(config).__name__)
+@pytest.fixture(scope="module", params=EVERY, ids=lambda config: config.architecture)
 def exported(request, tmp_path_factory):
     """A model and its file, for 21 nodes."""
     model, path = operator(request.param).eval(), tmp_path_factory.mktemp("onnx") / "model.onnx"
@@ -63,6 +63,7 @@ def test_a_law_that_depends_on_time_takes_it(tmp_path):
     np.testing.assert_allclose(U, loop.U[:20], rtol=1e-4, atol=1e-4)
 
 
+@pytest.mark.parametrize("exported", SMALL, indirect=True, ids=lambda config: config.architecture)
 def test_trunk_and_transforms_are_constants(exported):
     """Activations are left for what depends on the sample: two rows of a branch, or of an FNO, and no trunk."""
     model, path, _ = exported
