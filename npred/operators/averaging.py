@@ -32,9 +32,9 @@ class AveragingNetwork(nn.Module):
         x = torch.linspace(-1, 1, nx, dtype=u.dtype, device=u.device)[:, None].expand(batch, nx, 1)
         weights = trapezoid(nx, u.dtype, u.device)
         constants = torch.cat([X, D_hat[:, None]], dim=1)[:, None].expand(batch, nx, -1)
-        h, linear = self.lift[:-1](torch.cat([constants, u, x], dim=2)), self.lift[-1]  # v = linear(h), as is its average
+        h, linear = self.lift[:-1](torch.cat([constants, u, x], dim=2)), self.lift[-1]
         for depth, layer in enumerate(self.hidden, start=1):
-            average = linear(weights @ h)[:, None]
+            average = linear(weights @ h)[:, None]  # of v = linear(h)
             if depth == len(self.hidden):
                 h, x = h[:, ::stride], x[:, ::stride]
             h, linear = functional.silu(layer(linear(h)) + average), nn.Identity()

@@ -58,7 +58,7 @@ def test_a_network_of_a_package_is_made_by_its_name(package):
     train = config.Train.model_validate({"models": ["flat"]})
     assert "shed_of_tanks" not in sys.modules
     assert type(checked(train.table("flat"), PLANT, Scaling(2, 1)).network).__name__ == "Flat"
-    with pytest.raises(ConfigError, match=r"sizes: expected keyword arguments of Flat \(level\), got levle; did you mean"):
+    with pytest.raises(ConfigError, match=r"sizes: expected keyword arguments of Flat \(level\), got levle"):
         registry.NETWORKS.check_keywords("sizes", "flat", ["levle"])
 
 
