@@ -93,8 +93,7 @@ class Registry:
         if named(name):
             return load(what, name).declaration
         if name in self.builtin:
-            module, _, attribute = self.builtin[name].target.partition(":")
-            return getattr(importlib.import_module(module), attribute)
+            return attribute(self.builtin[name].target)
         return self.installed(name)
 
     def subclass(self, what: str, name: str, base: type) -> Any:
@@ -211,9 +210,57 @@ RUNTIMES = Registry(
 PLANTS = Registry("plant", "npred.plants")  # the built-in ones are the files of npred/plants/builtin
 
 
+class StageEntry(NamedTuple):
+    """A stage: raise `version` when its results change for the same configuration.
+
+    Its module has run(job), which gives an object of the class at `result`, and summary(result, width). Its key holds
+    the table of its name in the pipeline file, unless npred.pipeline.stage_registry says otherwise. `data` is a pattern
+    of its files that may come in from elsewhere; with `draws` it has figures too, which do not.
+    """
+
+    version: int
+    upstream: tuple[str, ...]
+    module: str
+    result: str
+    help: str
+    data: str = ""
+    draws: bool = False
+
+
+STAGES = {
+    "generate": StageEntry(
+        2, (), "npred.stages.generate.generate", "npred.results:Generated",
+        "Rollouts with the numerical predictor: the training data.", r"data(-\d{5,})?\.h5",
+    ),
+    "train": StageEntry(
+        1, ("generate",), "npred.stages.train", "npred.results:Trained",
+        "The networks, each as an artifact of its own.",
+        r"model\.safetensors|model\.json|metrics\.jsonl|snapshot-\d+\.safetensors",
+    ),
+    "evaluate": StageEntry(
+        5, ("generate", "train"), "npred.stages.evaluate.evaluate", "npred.results:Evaluated",
+        "Held-out errors and closed loops: eps and the convergence radius.", r"(errors|figure1|coverage)\.h5", True,
+    ),
+    "bench": StageEntry(
+        7, ("generate", "train"), "npred.stages.bench.bench", "npred.results:Benched",
+        "The time of a predictor call, each with its error beside it.", r"times\.h5", True,
+    ),
+    "report": StageEntry(
+        5, ("generate", "train", "evaluate", "bench"), "npred.stages.report.report", "npred.results:Reported",
+        "All results as one HTML file; or as PDF, SVG and PNG, CSV and LaTeX.",
+    ),
+}  # fmt: skip
+
+
 def named(spec: str) -> bool:
     """Whether the text names a class of a file."""
     return SUFFIX in spec
+
+
+def attribute(target: str) -> Any:
+    """What module:Name names, imported now."""
+    module, _, name = target.partition(":")
+    return getattr(importlib.import_module(module), name)
 
 
 def called(spec: str) -> str:

@@ -14,8 +14,9 @@ import tank
 from hypothesis import HealthCheck, settings
 from typer.testing import CliRunner, Result
 
+from npred import registry
 from npred.cli import app
-from npred.pipeline import STAGES, payload
+from npred.pipeline import STAGES
 
 Call = Callable[..., Result]
 OWN_SETTINGS = ("NPRED_STORE", "NPRED_PIPELINE", "NPRED_EXECUTOR")  # of who runs the tests
@@ -107,8 +108,8 @@ def fakes(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     fake_stages.install(table)
     for name, stage in table.items():
         monkeypatch.setitem(STAGES, name, stage)
-    for name, files in payload.DATA.items():
-        monkeypatch.setitem(payload.DATA, name, rf"{files}|data\.bin")
+    for name, entry in registry.STAGES.items():
+        monkeypatch.setitem(registry.STAGES, name, entry._replace(data=rf"{entry.data}|data\.bin"))
     log = tmp_path / "log"
     log.touch()
     monkeypatch.setenv("FAKE_LOG", str(log))

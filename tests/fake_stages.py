@@ -43,7 +43,7 @@ def install(table: MutableMapping[str, Stage] = STAGES, **versions: int) -> None
     """Put a fake in the place of each stage of the table."""
     for name, stage in table.items():
         table[name] = Fake(
-            versions.get(name, stage.version), stage.upstream, stage.slice, stage.module, stage.result, name
+            versions.get(name, stage.version), stage.upstream, stage.slice, stage.module, stage.target, name
         )
 
 

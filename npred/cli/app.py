@@ -23,12 +23,17 @@ app = typer.Typer(
 )
 
 
-def command(panel: str, to: typer.Typer = app) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Register f(options, *, own parameters) as a command that also takes the flags of its options class."""
+def command(
+    panel: str, to: typer.Typer = app, name: str = "", help: str | None = None
+) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Register f(options, *, own parameters) as a command that also takes the flags of its options class.
+
+    Its name and help are the function's own unless they are given.
+    """
 
     def register(function: Callable[..., None]) -> Callable[..., None]:
-        name = function.__name__.strip("_").replace("_", "-")
-        to.command(name=name, cls=Command, rich_help_panel=panel, help=function.__doc__)(_with_flags(function))
+        words = name or function.__name__.strip("_").replace("_", "-")
+        to.command(words, cls=Command, rich_help_panel=panel, help=help or function.__doc__)(_with_flags(function))
         return function
 
     return register

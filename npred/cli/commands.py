@@ -1,5 +1,6 @@
 """Every command with its own flags; what it does is imported when it is called, so that `npred --help` is quick."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
@@ -11,6 +12,7 @@ from npred.cli import completion
 from npred.cli.app import app, command, group
 from npred.cli.options import Common, Planned, Running, Work
 from npred.cli.usage import Command
+from npred.registry import STAGES
 
 RUN, LOOK, CARE = "Run", "Look", "Look after"
 
@@ -37,15 +39,6 @@ def run(options: Work) -> None:
     execute.everything(options)
 
 
-@command(RUN)
-def generate(options: Work) -> None:
-    """Rollouts with the numerical predictor: the training data."""
-    from npred.cli import execute
-
-    execute.stage(options, "generate")
-
-
-@command(RUN)
 def train(
     options: Work,
     *,
@@ -57,26 +50,23 @@ def train(
         ),
     ] = None,
 ) -> None:
-    """The networks, each as an artifact of its own."""
     from npred.cli import execute
 
     execute.stage(options, "train", model)
 
 
-@command(RUN)
-def evaluate(options: Work) -> None:
-    """Held-out errors and closed loops: eps and the convergence radius."""
-    from npred.cli import execute
+def _stage(name: str) -> Callable[[Work], None]:
+    def run(options: Work) -> None:
+        from npred.cli import execute
 
-    execute.stage(options, "evaluate")
+        execute.stage(options, name)
+
+    return run
 
 
-@command(RUN)
-def bench(options: Work) -> None:
-    """The time of a predictor call, each with its error beside it."""
-    from npred.cli import execute
-
-    execute.stage(options, "bench")
+for _name, _entry in STAGES.items():
+    if _name != "report":  # it comes after the sweep
+        command(RUN, name=_name, help=_entry.help)(train if _name == "train" else _stage(_name))
 
 
 @command(RUN)
@@ -88,7 +78,7 @@ def sweep(
         typer.Option(
             metavar="STAGE",
             help="The last stage of each cell; bench for latencies.",
-            autocompletion=completion.words("generate", "train", "evaluate", "bench"),
+            autocompletion=completion.words(*STAGES),
         ),
     ] = "evaluate",
     output: Annotated[
@@ -102,7 +92,7 @@ def sweep(
     sweeps.sweep(options, to, output, csv)
 
 
-@command(RUN)
+@command(RUN, help=STAGES["report"].help)
 def report(
     options: Work,
     *,
@@ -118,7 +108,6 @@ def report(
         ),
     ] = None,
 ) -> None:
-    """All results as one HTML file; or as PDF, SVG and PNG, CSV and LaTeX."""
     from npred.cli import report as reports
 
     reports.report(options, output, figures)

@@ -11,6 +11,7 @@ from npred.cli.options import Common, writable
 from npred.errors import StoreError
 from npred.parallel import devices
 from npred.pipeline import payload
+from npred.registry import STAGES
 from npred.store import Artifact, archive
 from npred.store.manifest import NAME
 from npred.terminal.console import columns
@@ -65,7 +66,7 @@ def import_artifact(options: Common, path: Path) -> None:
         options.results, path, payload.drawn, lambda holder: options.console.note(f"waiting for {holder}")
     )
     done = "brought in, every digest as it should be" if new else "already in the store, the same bytes"
-    if new and artifact.manifest.question.stage in payload.DRAWING:
+    if new and STAGES[artifact.manifest.question.stage].draws:
         done += "; npred report draws its figures here, from its arrays"
     document = {"folder": str(artifact.folder), "key": artifact.manifest.key, "new": new}
     options.show(document, lambda: f"{artifact.name}: {done}\n{artifact.folder}")

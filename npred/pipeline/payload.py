@@ -9,16 +9,10 @@ import re
 
 from npred.defaults import RESULT
 from npred.errors import StoreError
+from npred.registry import STAGES
 from npred.store import Manifest
 
-DATA = {
-    "generate": r"data(-\d{5,})?\.h5",
-    "train": r"model\.safetensors|model\.json|metrics\.jsonl|snapshot-\d+\.safetensors",
-    "evaluate": r"(errors|figure1|coverage)\.h5",
-    "bench": r"times\.h5",
-}
 DRAWN = re.compile(r"[a-z][a-z0-9_]*\.(svg|png|pdf|tex)")
-DRAWING = {"evaluate", "bench"}
 
 
 def drawn(manifest: Manifest) -> frozenset[str]:
@@ -29,10 +23,12 @@ def drawn(manifest: Manifest) -> frozenset[str]:
     stage = manifest.question.stage
     if stage == "report":
         raise StoreError("expected a result, got a page; npred report makes it anew from its results")
-    if stage not in DATA:
-        raise StoreError(f"expected a result of {', '.join(DATA)}, got one of {stage}; this npred has no such stage")
-    others = [name for name in manifest.files if name != RESULT and not re.fullmatch(DATA[stage], name)]
+    if stage not in STAGES:
+        names = ", ".join(name for name, entry in STAGES.items() if entry.data)
+        raise StoreError(f"expected a result of {names}, got one of {stage}; this npred has no such stage")
+    entry = STAGES[stage]
+    others = [name for name in manifest.files if name != RESULT and not re.fullmatch(entry.data, name)]
     for name in others:
-        if stage not in DRAWING or not DRAWN.fullmatch(name):
+        if not entry.draws or not DRAWN.fullmatch(name):
             raise StoreError(f"expected the files of a result of {stage}, got {name} among them; export it anew")
     return frozenset(others)

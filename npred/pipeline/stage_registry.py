@@ -1,9 +1,10 @@
-"""The stages as a table: version, inputs, and the slice of the configuration that each one's key holds."""
+"""The stages as the graph of a pipeline, and the slice of the configuration that each one's key holds."""
 
 import importlib
 import math
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,7 +14,7 @@ from npred.config import PAPER, Loop, Network, Pipeline, Table
 from npred.errors import ConfigError
 from npred.json_files import escaped, regular, sha256
 from npred.parallel import devices
-from npred.results import Benched, Evaluated, Generated, Reported, Result, Trained
+from npred.results import Result
 from npred.store.manifest import LONGEST, SourceText
 
 if TYPE_CHECKING:
@@ -24,13 +25,18 @@ Slice = Callable[[Pipeline, str | None, str], dict[str, Any]]
 
 @dataclass(frozen=True)
 class Stage:
-    """A row of the table; raise `version` when the stage's results change for the same configuration."""
+    """A stage of npred.registry.STAGES with the slice of the configuration that its key holds."""
 
     version: int
     upstream: tuple[str, ...]
     slice: Slice
     module: str
-    result: type[Result]
+    target: str
+
+    @property
+    def result(self) -> type[Result]:
+        """The model of its result."""
+        return registry.attribute(self.target)
 
     def run(self, job: "Job") -> Result:
         """The stage's own run(job); its module is imported here, for it may bring torch."""
@@ -131,6 +137,13 @@ def _words(value: Any) -> Any:
     return str(value) if isinstance(value, float) and not math.isfinite(value) else value
 
 
+def _own(stage: str, config: Pipeline, model: str | None, device: str) -> dict[str, Any]:
+    """The stage's table, and the networks where it takes them."""
+    table = _loop(config, stage) if isinstance(getattr(config, stage), Loop) else _dump(getattr(config, stage))
+    networks = {"train": {"models": list(models(config))}} if "train" in registry.STAGES[stage].upstream else {}
+    return {stage: table} | networks
+
+
 def _generate(config: Pipeline, model: str | None, device: str) -> dict[str, Any]:
     section = _loop(config, "generate")
     source = section.pop("data")
@@ -171,8 +184,7 @@ def _train(config: Pipeline, model: str | None, device: str) -> dict[str, Any]:
 
 
 def _evaluate(config: Pipeline, model: str | None, device: str) -> dict[str, Any]:
-    table = {"evaluate": _loop(config, "evaluate"), "train": {"models": list(models(config))}}
-    return table | _box(config) | _notation(config) | _held_out(config)
+    return _own("evaluate", config, model, device) | _box(config) | _notation(config) | _held_out(config)
 
 
 def _held_out(config: Pipeline) -> dict[str, Any]:
@@ -186,7 +198,8 @@ def _held_out(config: Pipeline) -> dict[str, Any]:
 
 def _bench(config: Pipeline, model: str | None, device: str) -> dict[str, Any]:
     runtimes = [registry.RUNTIMES.identity(name) for name in config.bench.runtimes]
-    table = {"bench": _dump(config.bench) | {"runtimes": runtimes}, "train": {"models": list(models(config))}}
+    table = _own("bench", config, model, device)
+    table["bench"]["runtimes"] = runtimes
     more = [registry.METHODS.identity(name) for name in config.methods if name not in registry.METHODS.builtin]
     table |= {"methods": more} if more else {}
     return table | {"hardware": devices.hardware(device)} | _box(config)
@@ -219,10 +232,10 @@ def _notation(config: Pipeline) -> dict[str, Any]:
     return {"notation": declared} if declared else {}
 
 
-STAGES: dict[str, Stage] = {
-    "generate": Stage(2, (), _generate, "npred.stages.generate.generate", Generated),
-    "train": Stage(1, ("generate",), _train, "npred.stages.train", Trained),
-    "evaluate": Stage(5, ("generate", "train"), _evaluate, "npred.stages.evaluate.evaluate", Evaluated),
-    "bench": Stage(7, ("generate", "train"), _bench, "npred.stages.bench.bench", Benched),
-    "report": Stage(5, ("generate", "train", "evaluate", "bench"), _report, "npred.stages.report.report", Reported),
+SLICES: dict[str, Slice] = {
+    "generate": _generate, "train": _train, "evaluate": _evaluate, "bench": _bench, "report": _report
+}  # fmt: skip
+STAGES = {
+    name: Stage(entry.version, entry.upstream, SLICES.get(name, partial(_own, name)), entry.module, entry.result)
+    for name, entry in registry.STAGES.items()
 }

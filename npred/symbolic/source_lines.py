@@ -4,9 +4,10 @@ import inspect
 import traceback
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
+if TYPE_CHECKING:  # `npred --help` has no use for it
+    import numpy as np
 
 
 def line(function: Callable[..., Any]) -> str:
@@ -33,7 +34,7 @@ def one_line(error: BaseException) -> str:
     return " ".join(f"{type(error).__name__}: {error}".split())
 
 
-def values(names: Sequence[str], numbers: np.ndarray) -> str:
+def values(names: Sequence[str], numbers: "np.ndarray") -> str:
     """A state in words: h = 1.2, v = 0."""
     return ", ".join(f"{name} = {value + 0.0:.4g}" for name, value in zip(names, numbers, strict=True))
 

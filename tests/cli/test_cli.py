@@ -17,6 +17,7 @@ from typer.testing import Result
 
 import npred
 from npred.cli import inspect
+from npred.registry import STAGES
 from npred.results import Evaluated
 from npred.store import Question, Store
 
@@ -461,3 +462,10 @@ def test_no_answer_of_a_stage_moves_the_cursor(call: Call, monkeypatch: pytest.M
     for done in (run, evaluated, failed):
         assert [line for line in (done.stdout + done.stderr).split("\n") if not line.isprintable()] == []
     assert r"\x1b[2J\x9b1m\u202e[red]" in run.stdout
+
+
+@pytest.mark.parametrize("name", STAGES)
+def test_every_stage_is_a_command_with_its_line_of_the_table(call: Call, name: str):
+    result = call(name, "--help")
+    words = " ".join(result.stdout.replace("│", " ").split())
+    assert result.exit_code == 0 and STAGES[name].help in words and "--dry-run" in words

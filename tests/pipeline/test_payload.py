@@ -9,6 +9,7 @@ from store_samples import question
 
 from npred.errors import StoreError
 from npred.pipeline import payload
+from npred.registry import STAGES
 from npred.store import Manifest, Store, archive
 
 
@@ -81,4 +82,4 @@ def test_every_file_that_a_stage_writes_is_known(reported, tmp_path: Path):
     for name, outcome in reported[1].items():
         if name != "report":
             drawn = payload.drawn(outcome.artifact.manifest)
-            assert bool(drawn) == (name in payload.DRAWING)
+            assert bool(drawn) == (name in STAGES and STAGES[name].draws)
