@@ -24,7 +24,7 @@ from npred import config
 from npred.cli import app
 
 ROOT = HERE.parent
-GENERATED = {"commands.md", "configuration.md", "named_plants.md"}
+GENERATED = {"commands.md", "configuration.md", "named_plants.md", "results.md"}
 PAGES = [
     *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "benchmarks/README.md")),
     *sorted(page for page in (ROOT / "docs").rglob("*.md") if page.name not in GENERATED),
@@ -123,10 +123,11 @@ def test_a_page_runs_from_top_to_bottom(page: Path, store: Path, tmp_path: Path,
 
 
 @pytest.mark.slow
-def test_every_key_of_a_run_is_told(store: Path, monkeypatch: pytest.MonkeyPatch):
+def test_every_key_of_a_run_is_told(store: Path, monkeypatch: pytest.MonkeyPatch, extension: Callable[[str], Any]):
     monkeypatch.setenv("NPRED_STORE", str(store))
     done = CliRunner().invoke(app, ["run", str(ROOT / "pipeline" / "smoke.toml"), "-q", "--json"])
-    told, found = (ROOT / "docs" / "reference" / "results.md").read_text(), set(keys_of(json.loads(done.stdout)))
+    told = (ROOT / "docs/reference/documents.md").read_text() + "\n".join(extension("reference").results())
+    found = set(keys_of(json.loads(done.stdout)))
     assert {"stages", "eps_relative", "matches", "pays_from_ns"} <= found
     assert [key for key in sorted(found) if f"`{key}`" not in told] == []
 
@@ -218,6 +219,16 @@ def test_the_reference_has_every_flag_and_every_key(extension: Callable[[str], A
     keys = "\n".join(reference.configuration())
     for model in (config.Generate, config.DeepONet, config.FNO, config.Network, config.Evaluate, config.Bench):
         assert all(f"| `{name}` | " in keys for name in model.model_fields)
+
+
+def test_the_reference_has_every_key_of_every_result(extension: Callable[[str], Any]):
+    page = "\n".join(extension("reference").results())
+    headings = re.findall(r"^###? (.+)$", page, re.MULTILINE)
+    assert {"generate", "train", "evaluate", "evaluate: `models.*.radius`", "bench: `rows.*`", "report"} <= set(
+        headings
+    )
+    assert "| `from` | errors are taken" in page and "largest \\|P̂ − P\\|" in page
+    assert re.findall(r"^\| `\w+` \|  \|$", page, re.MULTILINE) == []
 
 
 def test_primes_are_no_powers_and_a_tag_is_a_number(extension: Callable[[str], Any]):

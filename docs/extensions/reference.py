@@ -1,4 +1,4 @@
-"""Pages made from the code: the commands with their flags, the keys of a pipeline file, the plants that have a name."""
+"""Pages made from the code: the commands with their flags, the keys of a pipeline file and of results, named plants."""
 
 import inspect
 import json
@@ -16,6 +16,8 @@ from sphinx.util import logging
 
 from npred import cli, config, plants
 from npred.cli.options import Common, Planned, Work
+from npred.pipeline import STAGES
+from npred.results import Result
 
 logger = logging.getLogger(__name__)
 
@@ -34,7 +36,7 @@ SHARED = [
 
 def write(app: Sphinx) -> None:
     """Write the pages below reference/, where they have changed."""
-    for make in (commands, configuration, named_plants):
+    for make in (commands, configuration, named_plants, results):
         text, path = "\n".join(make()), Path(app.srcdir) / "reference" / f"{make.__name__}.md"
         if not path.exists() or path.read_text(encoding="utf-8") != text:
             path.write_text(text, encoding="utf-8")
@@ -110,6 +112,39 @@ def configuration() -> Iterator[str]:
     yield from _table("", config.Pipeline)
 
 
+def results() -> Iterator[str]:
+    """The page of the results: a section per stage and per table in its result, a row per key."""
+    yield from ("# Results", "", "What each stage finds, as `result.json` holds it and as `--json` prints it: see")
+    yield "[documents for programs](documents.md). Keys may be added, and none is dropped or renamed. A number that is"
+    yield "not finite is `null`. In a heading `*` stands for any name, or for each entry of a list."
+    described: set[type[Result]] = set()
+    for name, stage in STAGES.items():
+        yield from _result(name, stage.result, described)
+
+
+def _result(path: str, model: type[Result], described: set[type[Result]]) -> Iterator[str]:
+    if model in described:
+        return
+    described.add(model)
+    stage, _, below = path.partition(".")
+    yield from ("", f"### {stage}: `{below}`" if below else f"## {stage}", "", _words(model), "")
+    yield from ("| key | what |", "|---|---|")
+    tables: list[tuple[str, type[Result]]] = []
+    for name, field in model.model_fields.items():
+        key = field.serialization_alias or name
+        yield f"| `{key}` | {_cell(_meaning(model, name))} |"
+        kinds = [kind for kind in _parts(field.annotation) if isinstance(kind, type) and issubclass(kind, Result)]
+        each = ".*" if get_origin(field.annotation) in (dict, list) else ""
+        tables += [(f"{path}.{key}{each}", kind) for kind in kinds]
+    for place, kind in tables:
+        yield from _result(place, kind, described)
+
+
+def _parts(kind: Any) -> list[Any]:
+    """A type and all types in it."""
+    return [kind, *(part for inner in get_args(kind) for part in _parts(inner))]
+
+
 def named_plants() -> Iterator[str]:
     """The page of the built-in plants: the first sentence of each one's docstring."""
     yield from ("# Built-in plants", "", "What `npred plants` lists: one file of `npred/plants/` each.", "")
@@ -125,21 +160,26 @@ def _few(names: list[str]) -> str:
 
 
 def _table(path: str, model: type[config.Table]) -> Iterator[str]:
-    told = ModuleAnalyzer.for_module(config.__name__).find_attr_docs()
     tables = {name: field for name, field in model.model_fields.items() if _is_table(field)}
     yield from ("", f"## `[{path}]`" if path else "## Top level", "", _words(model), "")
     yield from ("| key | type | default | meaning |", "|---|---|---|---|")
     for name, field in model.model_fields.items():
         if name not in tables:
-            owner = next(base for base in model.__mro__ if name in vars(base).get("__annotations__", {}))
-            meaning = " ".join(told.get((owner.__name__, name), [])).strip()
-            if not meaning:
-                logger.warning("npred/config.py: %s.%s has no meaning; write it behind #: in its line", model, name)
-            yield f"| `{name}` | {_cell(_type(field))} | {_value(field)} | {_cell(meaning)} |"
+            yield f"| `{name}` | {_cell(_type(field))} | {_value(field)} | {_cell(_meaning(model, name))} |"
     for name, field in tables.items():
         yield from _table(f"{path}.{name}".strip("."), field.annotation)  # type: ignore[arg-type]
     if model is config.Train:
         yield from _table("train.NAME", config.Network)
+
+
+def _meaning(model: type, name: str) -> str:
+    """What stands behind #: at a field, in the class that declares it."""
+    owner = next(base for base in model.__mro__ if name in vars(base).get("__annotations__", {}))
+    told = ModuleAnalyzer.for_module(owner.__module__).find_attr_docs()
+    meaning = " ".join(told.get((owner.__name__, name), [])).strip()
+    if not meaning:
+        logger.warning("%s: %s.%s has no meaning; write it behind #: in its line", owner.__module__, model, name)
+    return meaning
 
 
 def _is_table(field: FieldInfo) -> bool:

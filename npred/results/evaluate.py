@@ -17,8 +17,8 @@ class Errors(Result):
     """Errors against the numerical predictor; all are 0 for `numerical` and `no_adaptation`."""
 
     mse: Number  #: mean square of P̂ − P
-    eps_sup: Number  #: largest \|P̂ − P\|
-    eps_kappa: Number  #: largest \|κ(P̂(1)) − κ(P(1))\|, what the control sees
+    eps_sup: Number  #: largest |P̂ − P|
+    eps_kappa: Number  #: largest |κ(P̂(1)) − κ(P(1))|, what the control sees
     rel_l2: Number  #: mean of ‖P̂ − P‖ / ‖P‖
     mse_by_state: dict[str, Number] = {}  #: `mse` by the states' names; networks only
     sup_by_state: dict[str, Number] = {}  #: the largest error by the states' names; networks only
@@ -71,7 +71,7 @@ class Scores(Errors):
 
     kinds: dict[str, KindErrors]  #: by kind all these on its held-out rows, and `above`
     fresh: Errors  #: all these on the fresh samples
-    #: the largest \|P(1, t) − X(t + D)\| where D̂ = D, see [accuracy](../accuracy.md#the-error-in-the-loop); `null`
+    #: the largest |P(1, t) − X(t + D)| where D̂ = D, see [accuracy](../accuracy.md#the-error-in-the-loop); `null`
     #: where a loop is lost
     in_loop: Number
     radius: Radius  #: over the cases

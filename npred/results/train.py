@@ -12,4 +12,4 @@ class Trained(Result):
     epochs: int  #: how often it saw them
     loss: Number  #: the last epoch's
     mse: Number  #: mean square error
-    eps_sup: Number  #: largest \|P̂ − P\|
+    eps_sup: Number  #: largest |P̂ − P|
