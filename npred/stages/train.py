@@ -19,7 +19,7 @@ from npred.stages import Job, Progress
 from npred.terminal.progress_bars import counted
 from npred.training import loss, training_loop
 from npred.training.streaming import Stream
-from npred.training.training_loop import Rows, Task
+from npred.training.training_loop import Fit, Rows
 
 SEEDING = Lock()  # torch has one generator for all threads, and another network may be starting beside this one
 
@@ -76,14 +76,14 @@ def summary(result: Trained, width: int | None = None) -> str:
     return f"{result.model}: {size}; held-out rollouts: MSE {result.mse:.3g}, sup error {result.eps_sup:.3g}"
 
 
-def _fit(job: Job) -> tuple[Task, list[dict[str, Any]]]:
+def _fit(job: Job) -> tuple[Fit, list[dict[str, Any]]]:
     config = job.config.train.table(str(job.model))
     job.progress.doing(f"train {job.model}", "reading the data")
     task = _task(replace(job, device=torchrun.device(job.device)), config, job.inputs["generate"] / "data.h5")
     return task, training_loop.fit(task, job.scratch, job.progress)
 
 
-def _task(job: Job, config: Training, path: Path) -> Task:
+def _task(job: Job, config: Training, path: Path) -> Fit:
     """Rows of one file are held in memory; shards are streamed, and a survey of them gives the errors."""
     data, streamed = shards.survey(path), len(shards.files(path)) > 1
     fitted, held_out = data.subset(test=False), data.subset(test=True)
@@ -94,7 +94,7 @@ def _task(job: Job, config: Training, path: Path) -> Task:
     scaling = Scaling.of_parts(stream.parts) if streamed else Scaling.of(fitted)
     operator = _untrained(job, config, scaling, seed).to(job.device)
     criterion = loss.criterion(config.rows, loss.weights(config, job.plant, known.P))
-    return Task(f"train {job.model}", operator, config, stream if streamed else known, test, criterion, seed)
+    return Fit(f"train {job.model}", operator, config, stream if streamed else known, test, criterion, seed)
 
 
 def _untrained(job: Job, config: Training, scaling: Scaling, seed: int) -> Operator:

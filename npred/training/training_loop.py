@@ -87,7 +87,7 @@ class Source(Protocol):
 
 
 @dataclass(frozen=True)
-class Task:
+class Fit:
     """What is trained (in place), on what, against what, and how; `title` names it in progress and errors."""
 
     title: str
@@ -99,7 +99,7 @@ class Task:
     seed: int
 
 
-def fit(task: Task, scratch: Path, progress: Any) -> Metrics:
+def fit(task: Fit, scratch: Path, progress: Any) -> Metrics:
     """Train, one dictionary of metrics per epoch; continues from the checkpoint in `scratch`, if there is one.
 
     The order of the rows depends on the seed and the epoch alone, the rate on the step.
@@ -125,7 +125,7 @@ def fit(task: Task, scratch: Path, progress: Any) -> Metrics:
     return metrics
 
 
-def _keep(task: Task, scratch: Path, optimiser: torch.optim.Optimizer, metrics: Metrics) -> None:
+def _keep(task: Fit, scratch: Path, optimiser: torch.optim.Optimizer, metrics: Metrics) -> None:
     """The snapshot and the checkpoint after an epoch, if they are due."""
     if len(metrics) in task.config.snapshots:
         io.save_weights(scratch / io.weights(len(metrics)), task.operator)
@@ -140,7 +140,7 @@ def _optimiser(operator: Operator, config: Training) -> torch.optim.Optimizer:
     return torch.optim.Adam(operator.parameters(), lr=config.lr, weight_decay=config.weight_decay, fused=True)
 
 
-def _epoch(task: Task, network: Operator, optimiser: torch.optim.Optimizer, epoch: int, bar: Any) -> float:
+def _epoch(task: Fit, network: Operator, optimiser: torch.optim.Optimizer, epoch: int, bar: Any) -> float:
     """The mean loss of one pass over the rows in a random order, each batch shared by the processes, if several."""
     config, count = task.config, len(task.train)
     shuffle = torch.Generator().manual_seed(randomness.integer(task.seed, "order", epoch))

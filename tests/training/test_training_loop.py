@@ -13,16 +13,16 @@ from npred.config import DeepONet, Training
 from npred.errors import ConfigError, DivergedError, StoreError
 from npred.training import checkpoint, training_loop
 from npred.training.loss import criterion, weights
-from npred.training.training_loop import Rows, Task, errors, rate
+from npred.training.training_loop import Fit, Rows, errors, rate
 
 NETWORKS = pytest.mark.parametrize("config", SMALL, ids=["deeponet", "fno"])
 
 
-def task(config: Training, seed: int = 0, **changes: object) -> Task:
+def task(config: Training, seed: int = 0, **changes: object) -> Fit:
     config = config.model_copy(update={"epochs": 6, "batch": 16, "checkpoint_every": 2, **changes})
     train, test = Rows.of(samples(40)), Rows.of(samples(10, seed=1))
     loss = criterion(config.rows, weights(config, PLANT, train.P))
-    return Task("train tiny", operator(config, seed), config, train, test, loss, seed=11)
+    return Fit("train tiny", operator(config, seed), config, train, test, loss, seed=11)
 
 
 def folder(path: Path) -> Path:
@@ -30,7 +30,7 @@ def folder(path: Path) -> Path:
     return path
 
 
-def state(trained: Task) -> dict[str, torch.Tensor]:
+def state(trained: Fit) -> dict[str, torch.Tensor]:
     return {name: tensor.clone() for name, tensor in trained.operator.state_dict().items()}
 
 
