@@ -210,13 +210,14 @@ class Training(Table):
 
     @property
     def architecture(self) -> str:
-        """The network that is trained, as the registry names it: for a table of its own the table's name."""
-        return type(self).__name__.lower()
+        """The network that is trained, as the registry names it: where a table does not say, the table's own name."""
+        return getattr(self, "network", type(self).__name__.lower())
 
     @property
     def arguments(self) -> dict[str, Any]:
-        """The keyword arguments of the network's class: for a table of its own its own keys."""
-        return {key: getattr(self, key) for key in type(self).model_fields if key not in Training.model_fields}
+        """The keyword arguments of the network's class: where a table has no `sizes`, its own keys."""
+        own = {key: value for key, value in self if key not in Training.model_fields}
+        return own.get("sizes", own)
 
 
 class DeepONet(Training):
@@ -244,14 +245,6 @@ class Network(Training):
 
     network: Architecture  #: deeponet, fno, averaging, gru, one of a package, or `file.py:Class`; the table's name
     sizes: dict[str, Any] = {}  #: keyword arguments of the network's class
-
-    @property
-    def architecture(self) -> str:
-        return self.network
-
-    @property
-    def arguments(self) -> dict[str, Any]:
-        return self.sizes
 
 
 class Train(Table):

@@ -108,11 +108,11 @@ class Registry:
     def check_keywords(self, what: str, name: str, keywords: Collection[str]) -> None:
         """Raise ConfigError unless a part takes these keyword-only arguments, by the text of its file: none is run.
 
-        What its class inherits is not seen, and not checked.
+        What its class inherits is not seen, and not checked; nor is a part of a package.
         """
-        path, attribute = self._file(name)
-        if not named(name) and not path.is_file():
+        if not named(name) and name not in self.builtin:
             return
+        path, attribute = split(name) if named(name) else _place(self.builtin[name].target)
         source = read(self.kind, path)
         if attribute not in source.text:
             raise ConfigError(f"{what}: expected a class {attribute} in {path}, found none; check the name")
@@ -127,21 +127,6 @@ class Registry:
         if faults:
             expected = f"keyword arguments of {attribute} ({', '.join(takes) or 'none'})"
             raise ConfigError(f"{what}: expected {expected}, {faults[0]}")
-
-    def entry(self, part: type) -> Entry | None:
-        """The entry of a built-in class."""
-        target = f"{part.__module__}:{part.__qualname__}"
-        return next((entry for entry in self.builtin.values() if entry.target == target), None)
-
-    def _file(self, name: str) -> tuple[Path, str]:
-        """Where the text of a known part is, of a package where it usually is, and the name of its class."""
-        if named(name):
-            return split(name)
-        package = None if name in self.builtin else self._installed()[name]
-        module, _, attribute = (package.value if package else self.builtin[name].target).partition(":")
-        relative = Path(*module.split(".")).with_suffix(".py")
-        locate = package.dist.locate_file if package and package.dist else Path(__file__).parents[1].joinpath
-        return Path(locate(relative)), attribute
 
     def installed(self, name: str) -> Any:
         """What an installed package registers, or None. Raises ConfigError, naming the package, where it fails."""
@@ -303,10 +288,16 @@ def _compiled(what: str, path: Path, content: str | bytes, flags: int = 0) -> An
         ) from None
 
 
+def _place(target: str) -> tuple[Path, str]:
+    """The file and the class of one of npred's own parts."""
+    module, _, attribute = target.partition(":")
+    return Path(__file__).parents[1].joinpath(*module.split(".")).with_suffix(".py"), attribute
+
+
 def _arguments(tree: ast.Module, name: str) -> ast.arguments | None:
     """The arguments of a class's own __init__."""
-    classes = [node for node in tree.body if isinstance(node, ast.ClassDef) and node.name == name]
-    methods = [node for one in classes for node in one.body if isinstance(node, ast.FunctionDef)]
+    bodies = [node.body for node in tree.body if isinstance(node, ast.ClassDef) and node.name == name]
+    methods = [node for body in bodies for node in body if isinstance(node, ast.FunctionDef)]
     return next((node.args for node in methods if node.name == "__init__"), None)
 
 

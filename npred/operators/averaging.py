@@ -20,7 +20,7 @@ class AveragingNetwork(nn.Module):
     kernel that knows the direction. The integral is the trapezoidal rule's, so the weights know nothing of the grid.
     """
 
-    def __init__(self, n: int, m: int, clock: int = 0, *, width: int = 96, layers: int = 1) -> None:
+    def __init__(self, n: int, m: int, clock: int = 0, *, width: int = 64, layers: int = 1) -> None:
         super().__init__()
         self.lift = mlp([n + clock + 1 + m + 1, width, width])
         self.hidden = nn.ModuleList(nn.Linear(width, width) for _ in range(layers))

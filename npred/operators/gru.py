@@ -18,7 +18,7 @@ class GRUNetwork(nn.Module):
     the steps h is linear in x; the running mean u^ carries the kinks of P where u jumps within a cell.
     """
 
-    def __init__(self, n: int, m: int, clock: int = 0, *, width: int = 32, steps: int = 25, layers: int = 1) -> None:
+    def __init__(self, n: int, m: int, clock: int = 0, *, width: int = 48, steps: int = 25, layers: int = 1) -> None:
         super().__init__()
         self.steps, self.layers = steps, layers
         constants = n + clock + 1

@@ -18,8 +18,9 @@ from npred.runtimes.program import Program
 
 def lowering(operator: Operator) -> str:
     """The module that lowers the operator's network, empty where there is none."""
-    entry = NETWORKS.entry(type(operator.network))
-    return entry.lowering if entry else ""
+    kind = type(operator.network)  # itself: a class derived from it may compute something else
+    target = f"{kind.__module__}:{kind.__qualname__}"
+    return next((entry.lowering for entry in NETWORKS.builtin.values() if entry.target == target), "")
 
 
 def require(operator: Operator, what: str, cure: str, name: str = "") -> None:

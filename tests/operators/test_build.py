@@ -58,8 +58,10 @@ def test_a_network_of_a_package_is_made_by_its_name(package):
     train = config.Train.model_validate({"models": ["flat"]})
     assert "shed_of_tanks" not in sys.modules
     assert type(checked(train.table("flat"), PLANT, Scaling(2, 1)).network).__name__ == "Flat"
-    with pytest.raises(ConfigError, match=r"sizes: expected keyword arguments of Flat \(level\), got levle"):
-        registry.NETWORKS.check_keywords("sizes", "flat", ["levle"])
+    registry.NETWORKS.check_keywords("sizes", "flat", ["levle"])  # its text is not looked for
+    misspelt = Network(network="flat", sizes={"levle": 1})
+    with pytest.raises(ConfigError, match=r"network flat: .* unexpected keyword argument 'levle'"):
+        checked(misspelt, PLANT, Scaling(2, 1))
 
 
 @pytest.mark.parametrize(
