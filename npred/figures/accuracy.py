@@ -21,8 +21,8 @@ LEVELS = 9  # colours of that map
 def certificate(evidence: Evidence) -> Plate:
     """Error against radius with the line of theory, the distance to the target, and W(t) [DAPF, Theorem 3]."""
     radii = {
-        name: scores
-        for name, scores in evidence.models.items()
+        contender: scores
+        for contender, scores in evidence.models.items()
         if 0 < scores.eps_kappa < np.inf and 0 < scores.radius.median < np.inf
     }
     gain, line, key = evidence.gain, "", ()
@@ -34,28 +34,28 @@ def certificate(evidence: Evidence) -> Plate:
         f"error that control sees{line}. Distance and W: the loop of the first figure on its way."
     )
     eps = with_unit("ε_{κ} on held-out samples", common_unit(evidence.plant, evidence.plant.inputs))
-    panels = (Panel("radius versus ε_{κ}", _told_radii(radii), partial(_radii, radii, gain, eps)), *ends(evidence))
+    panels = (Panel("radius versus ε_{κ}", _alt_radii(radii), partial(_radii, radii, gain, eps)), *ends(evidence))
     return Plate("certificate", "Error and radius", caption, panels, (*keys(evidence.loops), *key))
 
 
 def errors(evidence: Evidence) -> Plate:
     """Error over x, over D_hat, and its distribution."""
-    found = evidence.errors
+    by_network = evidence.errors
     held, unit = len(evidence.D_hat), common_unit(evidence.plant, evidence.plant.states, "state units")
-    sup = "; ".join(f"{name.label} {error.sup.max():.2e}" for name, error in found.items())
-    half = "; ".join(f"{name.label} {np.median(error.sup):.2e}" for name, error in found.items())
+    sup = "; ".join(f"{contender.label} {error.sup.max():.2e}" for contender, error in by_network.items())
+    half = "; ".join(f"{contender.label} {np.median(error.sup):.2e}" for contender, error in by_network.items())
     caption = (
         f"|P̂ − P| on {held} {evidence.samples}, in {unit}. Lines: the largest error, shaded: from the "
         "median to it. x = 0 is now, x = 1 the state one delay ahead, which the control acts on."
     )
     panels = (
-        Panel("error versus x", f"Largest error over all x: {sup}.", partial(_over_x, found)),
+        Panel("error versus x", f"Largest error over all x: {sup}.", partial(_over_x, by_network)),
         Panel("error versus D̂", f"Largest error by delay estimate; over all: {sup}.",
-              partial(_over, evidence.D_hat, found, quantity(evidence.plant, "D_hat"))),
+              partial(_over, evidence.D_hat, by_network, quantity(evidence.plant, "D_hat"))),
         Panel("share of samples below ε", f"Distribution of the largest error over x; median: {half}.",
-              partial(_distribution, found)),
+              partial(_distribution, by_network)),
     )  # fmt: skip
-    return Plate("errors", "Where networks err", caption, panels, keys(found))
+    return Plate("errors", "Where networks err", caption, panels, keys(by_network))
 
 
 def box(evidence: Evidence) -> Plate:
@@ -70,19 +70,19 @@ def box(evidence: Evidence) -> Plate:
     levels = _levels(evidence.errors)
     panels = [
         Panel(
-            f"{name.label}: {quantity(plant, names[1])}",
-            _told_box(evidence, error),
+            f"{contender.label}: {quantity(plant, names[1])}",
+            _alt_box(evidence, error),
             partial(_cells, evidence, error, levels),
         )
-        for name, error in evidence.errors.items()
+        for contender, error in evidence.errors.items()
     ]
     return Plate("box", "Over the states", caption, tuple(panels))
 
 
 def _radii(rows: dict[Contender, Scores], gain: float, label: str, axis: Any) -> None:
-    for name, row in rows.items():
+    for contender, row in rows.items():
         eps, median, worst = row.eps_kappa, row.radius.median, row.radius.worst
-        colour, marker = look(name).colour, "o" if name.epoch is None else "s"
+        colour, marker = look(contender).colour, "o" if contender.epoch is None else "s"
         worst = worst if 0 < worst < np.inf else np.nan
         axis.plot([eps, eps], [median, worst], "-", color=colour, linewidth=1.0)
         axis.plot([eps], [median], marker, color=colour)
@@ -95,18 +95,18 @@ def _radii(rows: dict[Contender, Scores], gain: float, label: str, axis: Any) ->
     log(axis, "x", "y")
 
 
-def _told_radii(rows: dict[Contender, Scores]) -> str:
+def _alt_radii(rows: dict[Contender, Scores]) -> str:
     radii = [
-        f"{name.label}: ε_{{κ}} {row.eps_kappa:.2e}, radius from {short(row.radius.median)} (median) to "
+        f"{contender.label}: ε_{{κ}} {row.eps_kappa:.2e}, radius from {short(row.radius.median)} (median) to "
         f"{short(row.radius.worst)} (worst)"
-        for name, row in rows.items()
+        for contender, row in rows.items()
     ]
     return "; ".join(radii) + "." if radii else "No network's loops stay finite."
 
 
-def _band(axis: Any, name: Contender, x: np.ndarray, middle: np.ndarray, sup: np.ndarray) -> None:
-    axis.plot(x, _positive(sup), **look(name).line)
-    axis.fill_between(x, _positive(middle), _positive(sup), color=look(name).colour, alpha=0.14, linewidth=0)
+def _band(axis: Any, contender: Contender, x: np.ndarray, middle: np.ndarray, sup: np.ndarray) -> None:
+    axis.plot(x, _positive(sup), **look(contender).line)
+    axis.fill_between(x, _positive(middle), _positive(sup), color=look(contender).colour, alpha=0.14, linewidth=0)
 
 
 def _positive(values: np.ndarray) -> np.ndarray:
@@ -114,38 +114,38 @@ def _positive(values: np.ndarray) -> np.ndarray:
     return np.where(values > 0, values, np.nan)
 
 
-def _over_x(found: dict[Contender, Errors], axis: Any) -> None:
-    for name, error in found.items():
-        _band(axis, name, np.linspace(0, 1, len(error.over_x)), error.over_x[:, 0], error.over_x[:, -1])
+def _over_x(by_network: dict[Contender, Errors], axis: Any) -> None:
+    for contender, error in by_network.items():
+        _band(axis, contender, np.linspace(0, 1, len(error.over_x)), error.over_x[:, 0], error.over_x[:, -1])
     axis.set(xlabel="x", xlim=(0, 1))
     log(axis, "y")
 
 
-def _over(values: np.ndarray, found: dict[Contender, Errors], label: str, axis: Any) -> None:
+def _over(values: np.ndarray, by_network: dict[Contender, Errors], label: str, axis: Any) -> None:
     edges = np.linspace(values.min(), values.max(), BINS + 1)
     which = np.clip(np.digitize(values, edges) - 1, 0, BINS - 1)
     centres = (edges[1:] + edges[:-1]) / 2
-    for name, error in found.items():
+    for contender, error in by_network.items():
         parts = [error.sup[which == k] for k in range(BINS)]
         middle, sup = (np.array([f(part) if len(part) else np.nan for part in parts]) for f in (np.median, np.max))
-        _band(axis, name, centres, middle, sup)
+        _band(axis, contender, centres, middle, sup)
     axis.set_xlabel(label)
     log(axis, "y")
 
 
-def _distribution(found: dict[Contender, Errors], axis: Any) -> None:
+def _distribution(by_network: dict[Contender, Errors], axis: Any) -> None:
     share = np.linspace(0, 1, 201)
-    for name, error in found.items():
-        axis.plot(_positive(np.quantile(error.sup, share)), share, **look(name).line)
+    for contender, error in by_network.items():
+        axis.plot(_positive(np.quantile(error.sup, share)), share, **look(contender).line)
     axis.set(xlabel="ε", ylim=(0, 1.02))
     log(axis, "x")
 
 
-def _levels(found: dict[Contender, Errors]) -> np.ndarray:
+def _levels(by_network: dict[Contender, Errors]) -> np.ndarray:
     """Edges of the colours, equal on the logarithmic scale, the same for all networks."""
-    known = np.concatenate([error.sup for error in found.values()])
-    known = known[known > 0]
-    low, high = (known.min(), known.max()) if len(known) else (0.1, 1.0)
+    sups = np.concatenate([error.sup for error in by_network.values()])
+    sups = sups[sups > 0]
+    low, high = (sups.min(), sups.max()) if len(sups) else (0.1, 1.0)
     return np.geomspace(max(low, high * 1e-4), high * 1.0001, LEVELS + 1)
 
 
@@ -175,7 +175,7 @@ def worst(X: np.ndarray, sup: np.ndarray) -> tuple[list[np.ndarray], np.ndarray]
     return edges, np.where(np.isfinite(largest), largest, np.nan)
 
 
-def _told_box(evidence: Evidence, error: Errors) -> str:
+def _alt_box(evidence: Evidence, error: Errors) -> str:
     where = evidence.X[np.argmax(error.sup)]
     pairs = zip(evidence.plant.states, where, strict=True)
     at = ", ".join(f"{symbol(evidence.plant, name)} = {value:.3g}" for name, value in pairs)

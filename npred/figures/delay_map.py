@@ -15,14 +15,14 @@ from npred.results.evaluate import DelayMap
 
 def delays(evidence: Evidence) -> Plate | None:
     """A panel a predictor; None where the pipeline asks for no map."""
-    maps = {name: scores.map for name, scores in evidence.models.items() if scores.map and name.epoch is None}
+    maps = {c: scores.map for c, scores in evidence.models.items() if scores.map and c.epoch is None}
     if not maps:
         return None
     exact = np.array(maps[NUMERICAL].converged)
     axes = [timed(evidence.plant, delay) for delay in ("D̂(0)", "D")]
     panels = [
-        Panel(_title(name, cells, exact), _told(name, cells, exact), partial(_cells, name, cells, exact, axes))
-        for name, cells in maps.items()
+        Panel(_title(c, cells, exact), _alt(c, cells, exact), partial(_cells, c, cells, exact, axes))
+        for c, cells in maps.items()
     ]
     caption = (
         "Loops from the same state, for each true delay D and first estimate D̂(0). Square: the loop converges; cross: "
@@ -33,24 +33,24 @@ def delays(evidence: Evidence) -> Plate | None:
     return Plate("delays", "Delays and first estimates", caption, tuple(panels), marks)
 
 
-def _title(name: Contender, cells: DelayMap, exact: np.ndarray) -> str:
+def _title(contender: Contender, cells: DelayMap, exact: np.ndarray) -> str:
     converged = np.array(cells.converged)
-    total = converged.size if name == NUMERICAL else exact.sum()
-    return f"{name.label}: {(converged & exact).sum()} of {total}"
+    total = converged.size if contender == NUMERICAL else exact.sum()
+    return f"{contender.label}: {(converged & exact).sum()} of {total}"
 
 
-def _told(name: Contender, cells: DelayMap, exact: np.ndarray) -> str:
+def _alt(contender: Contender, cells: DelayMap, exact: np.ndarray) -> str:
     converged = np.array(cells.converged)
     lost = int((exact & ~converged).sum())
-    beside = "" if name == NUMERICAL else f"; {lost} lost that the numerical predictor keeps"
-    return f"{name.label} converges in {int(converged.sum())} of {converged.size} cells of D by D̂(0){beside}."
+    beside = "" if contender == NUMERICAL else f"; {lost} lost that the numerical predictor keeps"
+    return f"{contender.label} converges in {int(converged.sum())} of {converged.size} cells of D by D̂(0){beside}."
 
 
-def _cells(name: Contender, cells: DelayMap, exact: np.ndarray, labels: list[str], axis: Any) -> None:
+def _cells(contender: Contender, cells: DelayMap, exact: np.ndarray, labels: list[str], axis: Any) -> None:
     x, y = np.meshgrid(cells.D_hat0, cells.D)
     converged = np.array(cells.converged)
     size = min(90.0, 2600 / max(converged.shape) ** 1.6)
-    axis.scatter(x[converged], y[converged], size, look(name).colour, marker="s", linewidths=0)
+    axis.scatter(x[converged], y[converged], size, look(contender).colour, marker="s", linewidths=0)
     axis.scatter(x[~converged], y[~converged], size / 2, ROLES["muted"][0], marker="x", linewidths=1.0)
     missed = exact & ~converged
     ring = {"facecolors": "none", "edgecolors": ROLES["frozen"][0], "linewidths": 1.4}

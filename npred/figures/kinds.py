@@ -21,7 +21,7 @@ def kinds(evidence: Evidence) -> Plate | None:
         "experiment's delays, exploring ones wider ranges of delays and estimates, a redrawn D̂ is not the loop's."
     )
     span = _span(evidence)
-    panels = [Panel(OF[kind], _told(sup), partial(_shares, sup, span)) for kind, sup in evidence.kinds.items()]
+    panels = [Panel(OF[kind], _alt(sup), partial(_shares, sup, span)) for kind, sup in evidence.kinds.items()]
     return Plate("kinds", "By kind of row", caption, tuple(panels), keys(evidence.errors))
 
 
@@ -32,15 +32,15 @@ def _span(evidence: Evidence) -> tuple[float, float]:
     return (errors.min() / 2, errors.max() * 2) if len(errors) else (0.1, 1.0)
 
 
-def _told(networks: dict[Contender, np.ndarray]) -> str:
-    said = [f"{name.label} {short(np.median(sup))} and {short(sup.max())}" for name, sup in networks.items()]
+def _alt(networks: dict[Contender, np.ndarray]) -> str:
+    said = [f"{contender.label} {short(np.median(sup))} and {short(sup.max())}" for contender, sup in networks.items()]
     return f"Median and largest error: {'; '.join(said)}."
 
 
 def _shares(networks: dict[Contender, np.ndarray], span: tuple[float, float], axis: Any) -> None:
     share = np.linspace(0, 1, 201)
-    for name, sup in networks.items():
+    for contender, sup in networks.items():
         errors = np.quantile(sup, share)
-        axis.plot(np.where(errors > 0, errors, np.nan), share, **look(name).line)
+        axis.plot(np.where(errors > 0, errors, np.nan), share, **look(contender).line)
     axis.set(xlabel="ε", xlim=span, ylim=(0, 1.02))
     log(axis, "x")

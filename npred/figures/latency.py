@@ -26,9 +26,9 @@ def speed(rows: list[Timing]) -> Plate:
         "its deadline in the tail."
     )
     panels = (
-        Panel("µs per call versus ε", _told_front(front), partial(_lines, front, "eps_sup", "sup error ε")),
-        Panel("µs per call versus dx", _told_grids(grids), partial(_lines, grids, "dx", "dx")),
-        Panel("µs, median to 99.9 %", _told_tail(grids), partial(_tails, grids)),
+        Panel("µs per call versus ε", _alt_front(front), partial(_lines, front, "eps_sup", "sup error ε")),
+        Panel("µs per call versus dx", _alt_grids(grids), partial(_lines, grids, "dx", "dx")),
+        Panel("µs, median to 99.9 %", _alt_tail(grids), partial(_tails, grids)),
     )  # fmt: skip
     return Plate(
         "speed", "Latency and accuracy", caption, panels, tuple(Key(name, _look(r[0])) for name, r in every.items())
@@ -104,17 +104,17 @@ def _room(axis: Any) -> float:
     return axis.bbox.height * 72 / axis.figure.dpi / line
 
 
-def _told_front(series: dict[str, list[Timing]]) -> str:
+def _alt_front(series: dict[str, list[Timing]]) -> str:
     quickest = {name: min(rows, key=lambda row: row.median_us) for name, rows in series.items()}
     return "; ".join(f"{n}: {r.median_us:.3g} µs at error {r.eps_sup:.1e}" for n, r in quickest.items()) + "."
 
 
-def _told_grids(series: dict[str, list[Timing]]) -> str:
-    found = [f"{name}: {rows[-1].median_us:.3g} µs at dx = {rows[-1].dx:.3g}, {rows[0].median_us:.3g} µs at "
+def _alt_grids(series: dict[str, list[Timing]]) -> str:
+    texts = [f"{name}: {rows[-1].median_us:.3g} µs at dx = {rows[-1].dx:.3g}, {rows[0].median_us:.3g} µs at "
              f"{rows[0].dx:.3g}" for name, rows in series.items()]  # fmt: skip
-    return "; ".join(found) + "."
+    return "; ".join(texts) + "."
 
 
-def _told_tail(series: dict[str, list[Timing]]) -> str:
-    found = [f"{name}: {rows[0].median_us:.3g} to {rows[0].p999_us:.3g} µs" for name, rows in series.items()]
-    return "; ".join(found) + "."
+def _alt_tail(series: dict[str, list[Timing]]) -> str:
+    texts = [f"{name}: {rows[0].median_us:.3g} to {rows[0].p999_us:.3g} µs" for name, rows in series.items()]
+    return "; ".join(texts) + "."

@@ -19,17 +19,17 @@ END = 0.1  # the share of the horizon that is looked at closely
 
 def figure1(evidence: Evidence) -> Plate:
     """x, U and D_hat over time [DAPF, Fig. 1], and the states at the end."""
-    plant, columns = evidence.plant, {name: _columns(loop) for name, loop in evidence.loops.items()}
+    plant, columns = evidence.plant, {contender: _columns(loop) for contender, loop in evidence.loops.items()}
     t, time = evidence.loops[NUMERICAL].t, timed(plant, "t")
     goals, kept = _goals(evidence, t), _converging(evidence)
     panels = []
     for k, name in enumerate((*plant.states, *plant.inputs, "D_hat")):
         title = ("delay estimate " if name == "D_hat" else "") + quantity(plant, name)
         span = _around([goals[:, k], *(columns[c][:, k] for c in kept)])
-        panels.append(Panel(title, _told(title, k, columns, t), partial(_over_time, t, columns, k, goals, span, time)))
+        panels.append(Panel(title, _alt(title, k, columns, t), partial(_over_time, t, columns, k, goals, span, time)))
     for k, name in enumerate(plant.states):
         title = f"{quantity(plant, name)}, the last tenth"
-        caption = _told_end(symbol(plant, name), k, columns)
+        caption = _alt_end(symbol(plant, name), k, columns)
         panels.append(Panel(title, caption, partial(_end, t, columns, k, goals[:, k], time)))
     return Plate("figure1", "The closed loop", _caption(evidence), tuple(panels), keys(evidence.loops))
 
@@ -51,21 +51,21 @@ def _converging(evidence: Evidence) -> list[Contender]:
     A loop that is lost may leave the picture, so that the others can be distinguished.
     """
     kept = []
-    for name, loop in evidence.loops.items():
+    for contender, loop in evidence.loops.items():
         target, run = evidence.plant.target(loop.t), cast(Any, loop)  # t and X of Trajectories, all that a radius takes
-        if name == NUMERICAL or metrics.converged(metrics.radius(run, target), target):
-            kept.append(name)
+        if contender == NUMERICAL or metrics.converged(metrics.radius(run, target), target):
+            kept.append(contender)
     return kept
 
 
 def ends(evidence: Evidence) -> tuple[Panel, ...]:
     """The distance to rest, and W(t) of the stability proof where the update law runs, along the loops of figure1."""
     plant, config = evidence.plant, evidence.config
-    distance = {name: np.linalg.norm(loop.X - plant.target(loop.t), axis=1) for name, loop in evidence.loops.items()}
-    W = {name: _W(evidence, loop) for name, loop in evidence.loops.items() if np.isfinite(loop.N).any()}
+    distance = {c: np.linalg.norm(loop.X - plant.target(loop.t), axis=1) for c, loop in evidence.loops.items()}
+    W = {c: _W(evidence, loop) for c, loop in evidence.loops.items() if np.isfinite(loop.N).any()}
     t = evidence.loops[NUMERICAL].t
-    last = "; ".join(f"{name.label} {values[-1]:.1e}" for name, values in distance.items())
-    falls = "; ".join(f"{name.label} from {values[0]:.3g} to {values[-1]:.3g}" for name, values in W.items())
+    last = "; ".join(f"{c.label} {values[-1]:.1e}" for c, values in distance.items())
+    falls = "; ".join(f"{c.label} from {values[0]:.3g} to {values[-1]:.3g}" for c, values in W.items())
     caption = f"D log N + (b / γ) (D − D̂)², with b = {config.b:g}, γ = {config.gamma:g}: {falls}."
     return (
         Panel(with_unit("distance |X − X*|", common_unit(plant, plant.states)),
@@ -75,9 +75,9 @@ def ends(evidence: Evidence) -> tuple[Panel, ...]:
     )  # fmt: skip
 
 
-def keys(names: Iterable[Contender]) -> tuple[Key, ...]:
+def keys(contenders: Iterable[Contender]) -> tuple[Key, ...]:
     """Legend entries of these contenders."""
-    return tuple(Key(name.label, look(name)) for name in names)
+    return tuple(Key(contender.label, look(contender)) for contender in contenders)
 
 
 def _columns(loop: LoopSeries) -> np.ndarray:
@@ -97,8 +97,8 @@ def _goals(evidence: Evidence, t: np.ndarray) -> np.ndarray:
 def _over_time(
     t: np.ndarray, columns: dict[Contender, np.ndarray], k: int, goals: np.ndarray, span: Any, time: str, axis: Any
 ) -> None:
-    for name, found in columns.items():
-        axis.plot(t, found[:, k], **look(name).line)
+    for contender, series in columns.items():
+        axis.plot(t, series[:, k], **look(contender).line)
     axis.plot(t, goals[:, k], **GOAL)
     axis.set(xlabel=time, xlim=(t[0], t[-1]), ylim=span)
 
@@ -106,20 +106,20 @@ def _over_time(
 def _end(t: np.ndarray, columns: dict[Contender, np.ndarray], k: int, goal: np.ndarray, time: str, axis: Any) -> None:
     """The last tenth, at least a part in a thousand of the value high: closer, lines are one line."""
     late = t >= min((1 - END) * t[-1], t[-2:][0])  # a line has two ends
-    shown = {name: found[late, k] for name, found in columns.items() if name.adapts}
-    for name, found in shown.items():
-        axis.plot(t[late], found, **look(name).line)
+    shown = {contender: series[late, k] for contender, series in columns.items() if contender.adapts}
+    for contender, values in shown.items():
+        axis.plot(t[late], values, **look(contender).line)
     axis.plot(t[late], goal[late], **GOAL)
-    gaps = [gap for found in shown.values() if np.isfinite(gap := float(np.abs(found - goal[late]).max()))]
+    gaps = [gap for values in shown.values() if np.isfinite(gap := float(np.abs(values - goal[late]).max()))]
     reach = max([1.5 * gap for gap in gaps] + [1e-3 * float(np.abs(goal).max()), 1e-9])
     axis.set(xlabel=time, xlim=(t[late][0], t[-1]), ylim=(goal[late].min() - reach, goal[late].max() + reach))
     axis.ticklabel_format(axis="y", useOffset=False)
 
 
 def _curves(t: np.ndarray, curves: dict[Contender, np.ndarray], time: str, axis: Any) -> None:
-    for name, values in curves.items():
+    for contender, values in curves.items():
         positive = np.where(np.isfinite(values) & (values > 0), values, np.nan)
-        axis.plot(t, positive, **look(name).line)
+        axis.plot(t, positive, **look(contender).line)
     axis.set(xlabel=time, xlim=(t[0], t[-1]))
     log(axis, "y")
 
@@ -132,20 +132,20 @@ def _W(evidence: Evidence, loop: LoopSeries) -> np.ndarray:
 def _around(series: list[np.ndarray]) -> tuple[float, float]:
     """The range of all series with room on both sides."""
     values = np.concatenate(series)
-    known = values[np.isfinite(values)]
-    low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 1.0)
+    finite = values[np.isfinite(values)]
+    low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 1.0)
     room = 0.15 * (high - low) or 1.0
     return low - room, high + room
 
 
-def _told(name: str, k: int, columns: dict[Contender, np.ndarray], t: np.ndarray) -> str:
-    found = "; ".join(f"{c.label} {values[0, k]:.4g} to {values[-1, k]:.4g}" for c, values in columns.items())
-    return f"{name} from t = 0 to {t[-1]:g}: {found}."
+def _alt(name: str, k: int, columns: dict[Contender, np.ndarray], t: np.ndarray) -> str:
+    ends = "; ".join(f"{c.label} {values[0, k]:.4g} to {values[-1, k]:.4g}" for c, values in columns.items())
+    return f"{name} from t = 0 to {t[-1]:g}: {ends}."
 
 
-def _told_end(name: str, k: int, columns: dict[Contender, np.ndarray]) -> str:
-    found = "; ".join(f"{c.label} {values[-1, k]:.6g}" for c, values in columns.items())
-    return f"{name} over the last tenth of the horizon, ending at: {found}."
+def _alt_end(name: str, k: int, columns: dict[Contender, np.ndarray]) -> str:
+    ends = "; ".join(f"{c.label} {values[-1, k]:.6g}" for c, values in columns.items())
+    return f"{name} over the last tenth of the horizon, ending at: {ends}."
 
 
 def _vector(values: Any) -> str:

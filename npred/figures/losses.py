@@ -14,25 +14,25 @@ SHOWN = {"loss": "training loss", "mse": "held-out mean square", "eps_sup": "hel
 
 def learning(histories: dict[Contender, Epochs]) -> Plate:
     """The metrics of each network's epochs, as its training left them."""
-    panels = [Panel(title, _told(title, key, histories), partial(_curves, key, histories))
+    panels = [Panel(title, _alt(title, key, histories), partial(_curves, key, histories))
               for key, title in SHOWN.items()]  # fmt: skip
     caption = (
         "One point per epoch. The loss is each network's own; the errors are in state units, on the rollouts that the "
         "data hold out."
     )
-    solid = tuple(Key(name.label, replace(look(name), dash=())) for name in histories)  # dashes hide what is rough
+    solid = tuple(Key(network.label, replace(look(network), dash=())) for network in histories)  # dashes hide roughness
     return Plate("learning", "Training", caption, tuple(panels), solid)
 
 
 def _curves(key: str, histories: dict[Contender, Epochs], axis: Any) -> None:
-    for name, epochs in histories.items():
-        solid = replace(look(name), dash=(), marker="" if len(epochs) > 1 else "o")  # one point makes no line
+    for network, epochs in histories.items():
+        solid = replace(look(network), dash=(), marker="" if len(epochs) > 1 else "o")  # one point makes no line
         axis.plot([row["epoch"] for row in epochs], [row[key] for row in epochs], **solid.line)
     axis.set_xlabel("epoch")
     log(axis, "y")
 
 
-def _told(title: str, key: str, histories: dict[Contender, Epochs]) -> str:
-    found = "; ".join(f"{name.label} {rows[0][key]:.2e} to {rows[-1][key]:.2e} in {len(rows)} epochs"
-                      for name, rows in histories.items())  # fmt: skip
-    return f"{title}: {found}."
+def _alt(title: str, key: str, histories: dict[Contender, Epochs]) -> str:
+    ends = "; ".join(f"{network.label} {rows[0][key]:.2e} to {rows[-1][key]:.2e} in {len(rows)} epochs"
+                     for network, rows in histories.items())  # fmt: skip
+    return f"{title}: {ends}."

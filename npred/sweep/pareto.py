@@ -25,10 +25,10 @@ SMALLEST = 1e-16  # where a radius of 0 is drawn on a logarithmic axis
 
 def dominated(points: np.ndarray) -> np.ndarray:
     """Whether another point is nowhere larger and somewhere smaller, (N,) of points (N, k)."""
-    found = np.zeros(len(points), dtype=bool)
+    beaten = np.zeros(len(points), dtype=bool)
     for index, point in enumerate(points):
-        found[index] = ((points <= point).all(axis=1) & (points < point).any(axis=1)).any()
-    return found
+        beaten[index] = ((points <= point).all(axis=1) & (points < point).any(axis=1)).any()
+    return beaten
 
 
 def front(rows: Sequence[Mapping[str, Any]]) -> list[bool]:
@@ -36,14 +36,14 @@ def front(rows: Sequence[Mapping[str, Any]]) -> list[bool]:
 
     A loop that is lost or an error that is not finite (None) is beaten by any number, and never on the front.
     """
-    axes = known(rows)
+    axes = measured_axes(rows)
     points = np.array([[np.inf if row[axis] is None else row[axis] for axis in axes] for row in rows], dtype=float)
     if not axes:
         return [False] * len(rows)
     return (~dominated(points) & np.isfinite(points).all(axis=1)).tolist()
 
 
-def known(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+def measured_axes(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     """The axes of which some row has a number."""
     return [axis for axis in AXES if any(row[axis] is not None for row in rows)]
 
@@ -53,11 +53,11 @@ def draw(folder: Path, rows: Sequence[Mapping[str, Any]]) -> list[Path]:
 
     The numbers in it are the `row` of the table.
     """
-    pairs = [pair for pair in PAIRS if set(pair) <= set(known(rows))]
+    pairs = [pair for pair in PAIRS if set(pair) <= set(measured_axes(rows))]
     if not pairs:
         return []
     panels = tuple(
-        Panel(f"{AXES[y]} versus {AXES[x]}", _told(rows, x, y), partial(_panel, rows, x, y)) for x, y in pairs
+        Panel(f"{AXES[y]} versus {AXES[x]}", _alt(rows, x, y), partial(_panel, rows, x, y)) for x, y in pairs
     )
     caption = "One point per row of the table; the line is the front, and its numbers are the table's rows."
     figures.write(
@@ -69,7 +69,7 @@ def draw(folder: Path, rows: Sequence[Mapping[str, Any]]) -> list[Path]:
     return [folder / "front.svg", folder / "front.png"]
 
 
-def _told(rows: Sequence[Mapping[str, Any]], x: str, y: str) -> str:
+def _alt(rows: Sequence[Mapping[str, Any]], x: str, y: str) -> str:
     shown = [row for row in rows if row[x] is not None and row[y] is not None]
     return f"{len(shown)} networks by {AXES[x]} and {AXES[y]}."
 

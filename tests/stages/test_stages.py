@@ -146,7 +146,7 @@ def test_a_fresh_row_whose_input_is_lost_before_its_state_is_left_out():
     u = np.zeros((2, 3, 5, 1))
     u[1, 2, -1] = np.nan
     loops: Any = types.SimpleNamespace(samples=Samples(np.ones((2, 3, 1)), u, np.full((2, 3), 0.4)))
-    rows = accuracy.Rows.fresh(loops, np.zeros((2, 3)), RK4(plants.resolve("scalar"), 5))
+    rows = accuracy.Labelled.fresh(loops, np.zeros((2, 3)), RK4(plants.resolve("scalar"), 5))
     assert len(rows.X) == 5 and np.isfinite(rows.P).all()
 
 

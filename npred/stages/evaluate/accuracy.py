@@ -25,7 +25,7 @@ EXACT = Errors(mse=0.0, eps_sup=0.0, eps_kappa=0.0, rel_l2=0.0)  # the numerical
 
 
 @dataclass(frozen=True)
-class Rows:
+class Labelled:
     """Inputs and the reference's answer at times t: X (N, n), u (N, nx, m), D_hat (N,), P (N, nx, n), t (N,)."""
 
     X: np.ndarray
@@ -35,13 +35,13 @@ class Rows:
     t: np.ndarray
 
     @classmethod
-    def held_out(cls, data: Dataset) -> "Rows":
+    def held_out(cls, data: Dataset) -> "Labelled":
         """The data's rows of rollouts that no network has seen."""
         test = data.subset(test=True)
         return cls(test.X, test.u, test.D_hat, test.P, test.t)
 
     @classmethod
-    def fresh(cls, loops: Trajectories, t: np.ndarray, numerical: Predictor) -> "Rows":
+    def fresh(cls, loops: Trajectories, t: np.ndarray, numerical: Predictor) -> "Labelled":
         """The samples taken at times t (B, S) from the numerical predictor's own loops of this evaluation."""
         taken = (loops.samples.X, loops.samples.u, loops.samples.D_hat, t)
         X, u, D_hat, t = (a.reshape(-1, *a.shape[2:]) for a in taken)
@@ -50,13 +50,13 @@ class Rows:
         return cls(X, u, D_hat, numerical(X, u, D_hat, t[known]), t[known])
 
     @classmethod
-    def joined(cls, parts: Sequence["Rows"]) -> "Rows":
+    def joined(cls, parts: Sequence["Labelled"]) -> "Labelled":
         """Rows one after the other."""
         return cls(**{f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls)})
 
-    def take(self, kept: np.ndarray) -> "Rows":
+    def take(self, kept: np.ndarray) -> "Labelled":
         """The rows of these numbers."""
-        return Rows(**{f.name: getattr(self, f.name)[kept] for f in fields(self)})
+        return Labelled(**{f.name: getattr(self, f.name)[kept] for f in fields(self)})
 
 
 def sample_steps(seed: int, config: Evaluate, loops: int) -> np.ndarray:
@@ -66,19 +66,19 @@ def sample_steps(seed: int, config: Evaluate, loops: int) -> np.ndarray:
     return np.sort(rng.integers(0, count, (loops, FRESH)), axis=1)
 
 
-def predict(predictor: Predictor, rows: Rows) -> np.ndarray:
+def predict(predictor: Predictor, rows: Labelled) -> np.ndarray:
     """P_hat (N, nx, n) on those rows, a block at a time."""
     blocks = [slice(i, i + ROWS) for i in range(0, len(rows.X), ROWS)]
     return np.concatenate([predictor(rows.X[i], rows.u[i], rows.D_hat[i], rows.t[i]) for i in blocks])
 
 
-def measure(plant: Plant, P_hat: np.ndarray, rows: Rows) -> Errors:
+def measure(plant: Plant, P_hat: np.ndarray, rows: Labelled) -> Errors:
     """All errors of npred.loop.metrics on those rows."""
     errors = metrics.errors(plant, P_hat, rows.P, rows.t, rows.D_hat)
     return Errors(**errors, **metrics.relative(plant, rows.X, rows.u, P_hat, rows.P))
 
 
-def by_kind(plant: Plant, P_hat: Mapping[str, np.ndarray], kinds: Mapping[str, Rows]) -> dict[str, KindErrors]:
+def by_kind(plant: Plant, P_hat: Mapping[str, np.ndarray], kinds: Mapping[str, Labelled]) -> dict[str, KindErrors]:
     """The errors of one network on the rows of each kind, of which the first is the headline's.
 
     `above`: the share of the kind's rows whose largest error over x is above eps_sup of the first kind.
@@ -89,12 +89,12 @@ def by_kind(plant: Plant, P_hat: Mapping[str, np.ndarray], kinds: Mapping[str, R
     return {name: KindErrors(**errors[name].set_values, above=above[name]) for name in kinds}
 
 
-def gap(P_hat: np.ndarray, rows: Rows) -> np.ndarray:
+def gap(P_hat: np.ndarray, rows: Labelled) -> np.ndarray:
     """|P_hat - P| at each node, (N, nx)."""
     return np.linalg.norm(P_hat - rows.P, axis=-1)
 
 
-def write(path: Path, kinds: Mapping[str, Rows], P_hat: Mapping[Contender, Mapping[str, np.ndarray]]) -> None:
+def write(path: Path, kinds: Mapping[str, Labelled], P_hat: Mapping[Contender, Mapping[str, np.ndarray]]) -> None:
     """Where each network errs, as HDF5, with P_hat by network and kind.
 
     X and D_hat of the rows of the first kind, and by network |P_hat - P|: `sup` over x (N,), and `over_x` (nx, 3), the

@@ -21,9 +21,9 @@ BINS = 60
 
 def quantities(plant: Plant, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray) -> dict[str, np.ndarray]:
     """The values of each state, each input and the delay estimate, flat, without those of diverged loops."""
-    found = {name: X[..., k] for k, name in enumerate(plant.states)}
-    found |= {name: u[..., k] for k, name in enumerate(plant.inputs)} | {"D_hat": D_hat}
-    return {name: values[np.isfinite(values)] for name, values in found.items()}
+    by_name = {name: X[..., k] for k, name in enumerate(plant.states)}
+    by_name |= {name: u[..., k] for k, name in enumerate(plant.inputs)} | {"D_hat": D_hat}
+    return {name: values[np.isfinite(values)] for name, values in by_name.items()}
 
 
 def measure(
@@ -34,8 +34,8 @@ def measure(
     An estimate at its bound is inside where the data come near that bound: they cannot lie beyond, and what is drawn
     up to a bound does not meet it.
     """
-    known = quantities(plant, data.X, data.u, data.D_hat)
-    ranges = {name: (float(values.min()), float(values.max())) for name, values in known.items()}
+    covered = quantities(plant, data.X, data.u, data.D_hat)
+    ranges = {name: (float(values.min()), float(values.max())) for name, values in covered.items()}
     reached = ranges | {"D_hat": _up_to(bounds, *ranges["D_hat"])}
     outside: dict[str, dict[Contender, float]] = {name: {} for name in ranges}
     for contender, run in loops.items():

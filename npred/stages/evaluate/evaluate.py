@@ -26,7 +26,7 @@ from npred.stages.evaluate import (
     in_loop,
     summary_tables,
 )
-from npred.stages.evaluate.accuracy import EXACT, Rows
+from npred.stages.evaluate.accuracy import EXACT, Labelled
 from npred.stages.evaluate.initial_conditions import Starts, starts
 
 EVERY = 10  # control steps between two kept states
@@ -49,7 +49,7 @@ def run(job: Job) -> Evaluated:
     job.progress.doing("evaluate", "measuring errors")
     taken = accuracy.sample_steps(job.config.seed, config, len(begin.D))[begin.cases] * config.dt
     cases = loops[NUMERICAL].part(begin.cases)
-    held_out, fresh = held_out_kinds.held_out(job, data), Rows.fresh(cases, taken, predictors[NUMERICAL])
+    held_out, fresh = held_out_kinds.held_out(job, data), Labelled.fresh(cases, taken, predictors[NUMERICAL])
     networks = {contender: predictor for contender, predictor in predictors.items() if contender.is_network}
     P_hat = {
         contender: {kind: accuracy.predict(predictor, rows) for kind, rows in held_out.items()}
@@ -201,8 +201,8 @@ def _errors(
     plant: Plant,
     predictor: Predictor,
     P_hat: Mapping[str, np.ndarray] | None,
-    held_out: Mapping[str, Rows],
-    fresh: Rows,
+    held_out: Mapping[str, Labelled],
+    fresh: Labelled,
 ) -> dict[str, Any]:
     """By key of Scores: errors on held-out rows of the first kind, on those of each, and on this evaluation's loops.
 

@@ -13,30 +13,30 @@ from npred.data.dataset import Dataset
 from npred.plants import Plant
 from npred.predictors import numerical
 from npred.stages import Job
-from npred.stages.evaluate.accuracy import Rows
+from npred.stages.evaluate.accuracy import Labelled
 from npred.stages.generate import rollouts, sampling
 
 NOMINAL, EXPLORING, REDRAWN, IMPORTED = "nominal", "exploring", "redrawn", "imported"
 
 
-def held_out(job: Job, data: Dataset) -> dict[str, Rows]:
+def held_out(job: Job, data: Dataset) -> dict[str, Labelled]:
     """Rows of each kind that the networks were trained on; the first are the data's own, and the headline's.
 
     nominal: rollouts with the delays of `D` and `D_hat0`, and the D_hat of the loop. exploring: rollouts with the
     delays of `explore_D` and `explore_D_hat0`. redrawn: the rows of both with a D_hat drawn from `explore_D_hat0`. Of
     imported data, `imported`, nobody knows what they are. Rows that are not finite are left out, with a note.
     """
-    config, own = job.config.generate, Rows.held_out(data)
+    config, own = job.config.generate, Labelled.held_out(data)
     if config.data:
         return {IMPORTED: own}
     kinds, explored = {NOMINAL: own}, sampling.explorers(config, _most(job.plant, config))
     if explored:
         columns = rollouts.rows(job.config, job.plant, explored, finite=False)
         kinds[EXPLORING] = _finite(
-            job, EXPLORING, Rows(**{name: columns[name] for name in ("X", "u", "D_hat", "P", "t")})
+            job, EXPLORING, Labelled(**{name: columns[name] for name in ("X", "u", "D_hat", "P", "t")})
         )
     if config.redraw:
-        kinds[REDRAWN] = _finite(job, REDRAWN, _redrawn(job, Rows.joined(list(kinds.values()))))
+        kinds[REDRAWN] = _finite(job, REDRAWN, _redrawn(job, Labelled.joined(list(kinds.values()))))
     return {name: rows for name, rows in kinds.items() if len(rows.X)}
 
 
@@ -45,15 +45,15 @@ def _most(plant: Plant, config: Generate) -> int:
     return max(shards.SURVEY // (sampling.samples(config, 0) * shards.width(plant.n, plant.m, config.nx)), 1)
 
 
-def _redrawn(job: Job, rows: Rows) -> Rows:
+def _redrawn(job: Job, rows: Labelled) -> Labelled:
     config = job.config.generate
     rng = randomness.generator(job.config.seed, "held out", "redraw")
     D_hat = rng.uniform(*config.explore_D_hat0, len(rows.X))
     P = numerical(config.predictor, job.plant, config.nx)(rows.X, rows.u, D_hat, rows.t)
-    return Rows(rows.X, rows.u, D_hat, P, rows.t)
+    return Labelled(rows.X, rows.u, D_hat, P, rows.t)
 
 
-def _finite(job: Job, kind: str, rows: Rows) -> Rows:
+def _finite(job: Job, kind: str, rows: Labelled) -> Labelled:
     known = np.flatnonzero(np.all(np.isfinite(rows.P), axis=(1, 2)))  # P(0) = X
     if lost := len(rows.X) - len(known):
         job.progress.note(f"evaluate: {lost} of {len(rows.X)} {kind} held-out rows have no finite P; left out")

@@ -15,7 +15,7 @@ from npred.registry import called
 from npred.results import Generated
 from npred.stages import Job
 from npred.stages.generate import rollouts, sampling, sharded
-from npred.stages.generate.rollouts import Rows
+from npred.stages.generate.rollouts import Columns
 from npred.terminal.progress_bars import counted
 
 BATCH = 8 * LANES  # rollouts of a task at most: a cluster's scheduler has little to do with each
@@ -58,7 +58,7 @@ def _given(job: Job, path: Path) -> Generated:
     return Generated(samples=len(data), rollouts=rollouts, held_out=held_out, nx=data.u.shape[1])
 
 
-def _parts(job: Job) -> Iterator[tuple[int, Rows]]:
+def _parts(job: Job) -> Iterator[tuple[int, Columns]]:
     """The rows of each batch, after its first rollout; a single batch is not worth a process."""
     batches, executor = _batches(job.config.generate, job.executor.count), job.executor
     make = partial(rollouts.elsewhere, job.config.located(), rollouts.surroundings(job.config, job.plant))

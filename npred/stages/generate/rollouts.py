@@ -15,7 +15,7 @@ from npred.predictors import Predictor, numerical
 from npred.registry import DELAY_LAWS, METHODS
 from npred.stages.generate import sampling
 
-Rows = dict[str, np.ndarray]
+Columns = dict[str, np.ndarray]
 PACKAGES = ("npred", "numpy", "numba")  # what the bytes of a row may depend on
 
 
@@ -30,7 +30,7 @@ def surroundings(pipeline: Pipeline, plant: Plant) -> dict[str, Any]:
     }
 
 
-def elsewhere(pipeline: Pipeline, expected: dict[str, Any], batch: range) -> Rows:
+def elsewhere(pipeline: Pipeline, expected: dict[str, Any], batch: range) -> Columns:
     """The rows of a batch in a process of its own. Raises ConfigError where plant or packages are not as expected."""
     plant = plants.resolve(pipeline.plant, pipeline.parameters)
     found = surroundings(pipeline, plant)
@@ -40,7 +40,7 @@ def elsewhere(pipeline: Pipeline, expected: dict[str, Any], batch: range) -> Row
     return rows(pipeline, plant, batch)
 
 
-def rows(pipeline: Pipeline, plant: Plant, batch: range, finite: bool = True) -> Rows:
+def rows(pipeline: Pipeline, plant: Plant, batch: range, finite: bool = True) -> Columns:
     """The rows of the rollouts `batch`, which starts at a multiple of LANES.
 
     They are computed LANES at a time whatever the batch, so the bytes do not depend on how rollouts are batched.
@@ -50,12 +50,12 @@ def rows(pipeline: Pipeline, plant: Plant, batch: range, finite: bool = True) ->
     return joined([_chunk(pipeline, plant, chunk, finite) for chunk in chunks])
 
 
-def joined(parts: list[Rows]) -> Rows:
+def joined(parts: list[Columns]) -> Columns:
     """Rows one after the other."""
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
-def _chunk(pipeline: Pipeline, plant: Plant, chunk: range, finite: bool) -> Rows:
+def _chunk(pipeline: Pipeline, plant: Plant, chunk: range, finite: bool) -> Columns:
     """Closed loops from random starts, sampled at random steps, P by the predictor."""
     config = pipeline.generate
     X0, D, D_hat0, steps = sampling.starts(pipeline.seed, config, plant, chunk)
@@ -77,7 +77,7 @@ def _chunk(pipeline: Pipeline, plant: Plant, chunk: range, finite: bool) -> Rows
     return {name: array[kept] for name, array in rows.items()}
 
 
-def _predicted(predictor: Predictor, rows: Rows) -> np.ndarray:
+def _predicted(predictor: Predictor, rows: Columns) -> np.ndarray:
     """P (B, S, nx, n) of the rows, NaN for those that are not finite, which a predictor refuses."""
     known = array_checks.finite_rows(rows["X"], rows["u"], rows["D_hat"])
     P = np.full((*rows["u"].shape[:-1], predictor.plant.n), np.nan)

@@ -75,26 +75,32 @@ def _page(story: Story, said: list[str], job: Job) -> str:
 def _chapters(story: Story, progress: Progress) -> Iterator[dict[str, Any]]:
     plates, tables = story.plates(), story.tables()
     with progress.bar("report", sum(len(plate.panels) for plate in plates.values()), "panels") as bar:
-        for name, title, shown, told in CHAPTERS:
+        for name, title, shown, below in CHAPTERS:
             drawn = [(plates[p], _pictures(plates[p], bar)) for p in shown if p in plates]
             if drawn:
                 notes = timing_tables.sentences(story.benched) if name == "speed" else []
-                yield {"id": name, "title": title, "plates": drawn, "notes": notes, "tables": [tables[t] for t in told]}
+                yield {
+                    "id": name,
+                    "title": title,
+                    "plates": drawn,
+                    "notes": notes,
+                    "tables": [tables[t] for t in below],
+                }
 
 
 def _pictures(plate: Plate, bar: Bar) -> list[str]:
     """Each panel of a plate as inline SVG."""
-    made = []
+    pictures = []
     for number, panel in enumerate(plate.panels):
-        made.append(svg.inline(panel, f"{plate.name}-{number}"))
+        pictures.append(svg.inline(panel, f"{plate.name}-{number}"))
         bar.advance()
-    return made
+    return pictures
 
 
 def _about(job: Job) -> str:
     plant, config = job.plant, job.config.evaluate
-    known = "its estimate held" if config.adaptation == FROZEN else "unknown to the controller"
-    delay = f"delay D = {config.D:g} {plant.time_unit}".rstrip() + f", {known}"
+    estimate = "its estimate held" if config.adaptation == FROZEN else "unknown to the controller"
+    delay = f"delay D = {config.D:g} {plant.time_unit}".rstrip() + f", {estimate}"
     states, inputs = (", ".join(symbol(plant, name) for name in names) for names in (plant.states, plant.inputs))
     return f"{plant.name}: states {states}; inputs {inputs}; {delay}"
 

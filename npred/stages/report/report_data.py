@@ -50,7 +50,7 @@ class Story:
 
     def tables(self) -> dict[str, Table]:
         """Every table by name, in order."""
-        made = [
+        every = [
             tables.accuracy(self.evaluated),
             tables.kinds(self.evaluated),
             tables.loops(self.evaluated),
@@ -59,7 +59,7 @@ class Story:
             tables.by_dx(self.benched.rows),
             tables.outside(self.plant, self.evaluated.coverage),
         ]
-        return {table.name: table for table in made}
+        return {table.name: table for table in every}
 
 
 def _lines(path: Path) -> list[dict[str, float]]:
