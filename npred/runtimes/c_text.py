@@ -1,12 +1,13 @@
 """A program printed as C99: plain loops over static arrays, which a compiler for a microcontroller reads too."""
 
 from collections.abc import Iterable
+from functools import partial
 
 import numpy as np
 
 from npred.json_files import escaped
 from npred.plants.base import Plant
-from npred.runtimes.program import Loop, Matrix, Product, Silu, SiluPair, Step, Transpose
+from npred.runtimes.program import Loop, Product, Silu, SiluPair, Step, Transpose, loops
 from npred.symbolic import programs
 from npred.symbolic.trace import Trace
 
@@ -14,6 +15,8 @@ MATHEMATICS = {
     "pow": "pow({0}, {1})", "abs": "fabs({0})", "sign": "(double)(({0} > 0) - ({0} < 0))",
     "where": "{0} ? {1} : {2}", "maximum": "{1} > {0} ? {1} : {0}", "minimum": "{1} < {0} ? {1} : {0}",
 } | {name: f"{name}({{0}})" for name in ("sqrt", "exp", "log", "sin", "cos", "tan", "tanh")}  # fmt: skip
+
+_loops = partial(loops, head="for (int {0} = 0; {0} < {1}; {0}++) {{", tail=["}"])
 
 
 def comment(text: str) -> str:
@@ -38,8 +41,8 @@ def _step(step: Step) -> list[str]:
     if isinstance(step, Product):
         return _product(step)
     if isinstance(step, Loop):
-        views = [f"    const float *{m.view} = {m.name} + o * {m.layer};" for m in step.stacks]
-        return [f"for (int o = 0; o < {step.count}; o++) {{", *views, *_indent(steps(step.steps)), "}"]
+        views = [f"const float *{m.view} = {m.name} + o * {m.layer};" for m in step.stacks]
+        return _loops({"o": step.count}, [*views, *steps(step.steps)])
     if isinstance(step, Silu | SiluPair):
         name = "silu" if isinstance(step, Silu) else "silu_pair"
         return [f"{name}({step.a}, {step.count}, {step.out});"]
@@ -54,25 +57,10 @@ def _step(step: Step) -> list[str]:
 def _product(step: Product) -> list[str]:
     M, K, N = step.shape
     out, inner = step.out.at("i", "j"), f"{step.out.at('i', 'j')} += factor * {step.b.at('k', 'j')};"
-    start = [] if step.adds else _loops({"j": N}, [f"{out} = {_at(step.bias)};"])
+    start = [] if step.adds else _loops({"j": N}, [f"{out} = {step.bias.at('i', 'j') if step.bias else '0'};"])
     terms = _loops({"k": K}, [f"const float factor = {step.a.at('i', 'k')};", *_loops({"j": N}, [inner])])
     lines = _loops({"i": M}, [*start, *terms])
     return lines if step.repeats == 1 else _loops({"e": step.repeats}, lines)
-
-
-def _at(bias: Matrix | None) -> str:
-    return bias.at("i", "j") if bias else "0"
-
-
-def _loops(counts: dict[str, int], body: list[str]) -> list[str]:
-    """The body in nested loops."""
-    for index, count in reversed(counts.items()):
-        body = [f"for (int {index} = 0; {index} < {count}; {index}++) {{", *_indent(body), "}"]
-    return body
-
-
-def _indent(lines: list[str]) -> list[str]:
-    return [f"    {line}" for line in lines]
 
 
 def control_law(plant: Plant) -> list[str]:

@@ -8,11 +8,12 @@ processor has vectors of 512 bits LLVM is told to take them, which it would not:
 import base64
 import math
 from collections.abc import Iterable
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from npred.runtimes.program import Loop, Product, Silu, SiluPair, Step, Transpose
+from npred.runtimes.program import Loop, Product, Silu, SiluPair, Step, Transpose, indented, loops
 
 ROWS, TERMS = 4, 8  # of a block of a product
 NARROW = 48  # columns
@@ -116,19 +117,7 @@ for j in range({count}):
     {out}[j] = d * s + rest * (s_rest * (ONE - s) * _change(d) if abs(d) < HALF else s - s_rest)
 """
 
-TRANSPOSE = """\
-for j in range({shape[1]}):
-    for i in range({shape[0]}):
-        {out} = {a}
-"""
-
-MIRROR = """\
-for i in range({rows}):
-    for j in range({half}):
-        {mirrored} = {even} - {odd}
-    for j in range({half}):
-        {out} = {even} + {odd}
-"""
+_loops = partial(loops, head="for {} in range({}):")
 
 
 def preamble(constants: dict[str, np.ndarray], precision: Any) -> str:
@@ -179,16 +168,16 @@ def _step(step: Step) -> list[str]:
         return _product(step)
     if isinstance(step, Loop):
         views = [f"{m.view} = {m.name}[o * {m.layer} : (o + 1) * {m.layer}]" for m in step.stacks]
-        return [f"for o in range({step.count}):", *_indent([*views, *steps(step.steps)])]
+        return _loops({"o": step.count}, [*views, *steps(step.steps)])
     if isinstance(step, Silu | SiluPair):
-        text = (SILU if isinstance(step, Silu) else SILU_PAIR).format(out=step.out, a=step.a, count=step.count)
-    elif isinstance(step, Transpose):
-        text = TRANSPOSE.format(out=step.out.at("j", "i"), a=step.a.at("i", "j"), shape=step.shape)
-    else:
-        parts = {name: getattr(step, name).at("i", "j") for name in ("out", "even", "odd")}
-        parts["mirrored"] = step.out.at("i", f"{step.nx - 1} - j")
-        text = MIRROR.format(**parts, rows=step.rows, half=(step.nx + 1) // 2)
-    return text.splitlines()
+        text = SILU if isinstance(step, Silu) else SILU_PAIR
+        return text.format(out=step.out, a=step.a, count=step.count).splitlines()
+    if isinstance(step, Transpose):
+        line = f"{step.out.at('j', 'i')} = {step.a.at('i', 'j')}"
+        return _loops({"j": step.shape[1], "i": step.shape[0]}, [line])
+    even, odd, half = step.even.at("i", "j"), step.odd.at("i", "j"), (step.nx + 1) // 2
+    mirrored = _loops({"j": half}, [f"{step.out.at('i', f'{step.nx - 1} - j')} = {even} - {odd}"])
+    return _loops({"i": step.rows}, [*mirrored, *_loops({"j": half}, [f"{step.out.at('i', 'j')} = {even} + {odd}"])])
 
 
 def _product(step: Product) -> list[str]:
@@ -196,11 +185,11 @@ def _product(step: Product) -> list[str]:
     M = step.shape[0]
     whole, lines = M - M % ROWS, []
     if whole > ROWS:
-        lines += [f"for i in range(0, {whole}, {ROWS}):", *_indent(_rows(step, "i", ROWS))]
+        lines += [f"for i in range(0, {whole}, {ROWS}):", *indented(_rows(step, "i", ROWS))]
     elif whole:
         lines += _rows(step, "0", ROWS)
     lines += _rows(step, str(whole), M - whole) if whole < M else []
-    return lines if step.repeats == 1 else [f"for e in range({step.repeats}):", *_indent(lines)]
+    return lines if step.repeats == 1 else _loops({"e": step.repeats}, lines)
 
 
 def _rows(step: Product, i: str, rows: int) -> list[str]:
@@ -209,14 +198,14 @@ def _rows(step: Product, i: str, rows: int) -> list[str]:
     if K <= TERMS:
         return _terms(step, i, rows, "0", K, sets=not step.adds)
     whole, lines = K - K % TERMS, [] if step.adds else _start(step, i, rows)
-    lines += [f"for k in range(0, {whole}, {TERMS}):", *_indent(_terms(step, i, rows, "k", TERMS, sets=False))]
+    lines += [f"for k in range(0, {whole}, {TERMS}):", *indented(_terms(step, i, rows, "k", TERMS, sets=False))]
     return lines + (_terms(step, i, rows, str(whole), K - whole, sets=False) if whole < K else [])
 
 
 def _start(step: Product, i: str, rows: int) -> list[str]:
     rows_of = [(_plus(i, r), step.bias) for r in range(rows)]
     outs = [f"{step.out.at(row, 'j')} = {bias.at(row, 'j') if bias else 'ZERO'}" for row, bias in rows_of]
-    return [f"for j in range({step.shape[2]}):", *_indent(outs)]
+    return _loops({"j": step.shape[2]}, outs)
 
 
 def _terms(step: Product, i: str, rows: int, k: str, terms: int, sets: bool) -> list[str]:
@@ -228,7 +217,7 @@ def _terms(step: Product, i: str, rows: int, k: str, terms: int, sets: bool) -> 
         target = step.out.at(_plus(i, r), "j")
         start = target if not sets else step.bias.at(_plus(i, r), "j") if step.bias else None
         inner.append(f"{target} = {_sum(start, [f'a{r}_{q} * b{q}' for q in range(terms)], step.shape[2])}")
-    return [*a, f"for j in range({step.shape[2]}):", *_indent(inner)]
+    return [*a, *_loops({"j": step.shape[2]}, inner)]
 
 
 def _plus(index: str, offset: int) -> str:
@@ -247,7 +236,3 @@ def _tree(terms: list[str]) -> str:
     """A sum by halves."""
     half = len(terms) // 2
     return terms[0] if len(terms) == 1 else f"({_tree(terms[:half])} + {_tree(terms[half:])})"
-
-
-def _indent(lines: list[str]) -> list[str]:
-    return [f"    {line}" for line in lines]

@@ -3,7 +3,7 @@
 All that does not depend on the sample is folded into constants here: the grid's transforms, the trunk, the weights.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
@@ -115,6 +115,18 @@ class Loop:
 
 
 Step = Product | Silu | SiluPair | Transpose | Mirror | Loop
+
+
+def loops(counts: dict[str, int], body: list[str], head: str, tail: Sequence[str] = ()) -> list[str]:
+    """The lines of a body in nested loops, the first index outermost; head and tail are those of one loop."""
+    for index, count in reversed(counts.items()):
+        body = [head.format(index, count), *indented(body), *tail]
+    return body
+
+
+def indented(lines: Iterable[str]) -> list[str]:
+    """The lines of a block."""
+    return [f"    {line}" for line in lines]
 
 
 @dataclass(frozen=True)
