@@ -3,6 +3,7 @@
 import inspect
 import traceback
 from collections.abc import Callable
+from importlib import import_module
 from typing import Any
 
 import typer
@@ -24,46 +25,54 @@ app = typer.Typer(
 
 
 def command(
-    panel: str, to: typer.Typer = app, name: str = "", help: str | None = None
+    panel: str, does: str, to: typer.Typer = app, name: str = "", help: str | None = None, **more: str
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Register f(options, *, own parameters) as a command that also takes the flags of its options class.
 
-    Its name and help are the function's own unless they are given.
+    f says no more than the parameters: `does`, as "inspect.why", is the function of npred.cli that gets their values,
+    and `more`. Its name and help are f's own unless they are given.
     """
 
     def register(function: Callable[..., None]) -> Callable[..., None]:
         words = name or function.__name__.strip("_").replace("_", "-")
-        to.command(words, cls=Command, rich_help_panel=panel, help=help or function.__doc__)(_with_flags(function))
+        call = _with_flags(function, does, **more)
+        to.command(words, cls=Command, rich_help_panel=panel, help=help or function.__doc__)(call)
         return function
 
     return register
 
 
-def group(panel: str) -> Callable[[Callable[..., None]], typer.Typer]:
-    """Make f(options, *, own parameters) a command with commands of its own: it runs where none of them is named."""
+def group(panel: str, does: str) -> Callable[[Callable[..., None]], typer.Typer]:
+    """Make f(options) a command with commands of its own: it runs where none of them is named."""
 
     def register(function: Callable[..., None]) -> typer.Typer:
         subcommands = typer.Typer(cls=Group, no_args_is_help=False)
-        subcommands.callback(invoke_without_command=True, help=function.__doc__)(_with_flags(function))
+        subcommands.callback(invoke_without_command=True, help=function.__doc__)(_with_flags(function, does))
         app.add_typer(subcommands, name=function.__name__, rich_help_panel=panel)
         return subcommands
 
     return register
 
 
-def _with_flags(function: Callable[..., None]) -> Callable[..., None]:
+def _with_flags(function: Callable[..., None], does: str, **more: str) -> Callable[..., None]:
     """The function as typer reads it: its own parameters, then the flags; a failure becomes an exit code."""
     first, *own = inspect.signature(function).parameters.values()
     options: type[Common] = first.annotation
     shared = parameters(options)
+    module, _, action = does.partition(".")
 
-    def call(**values: Any) -> None:
+    def call(context: typer.Context, **values: Any) -> None:
+        if context.invoked_subcommand:  # of a group
+            return
         common = options(**{parameter.name: values.pop(parameter.name) for parameter in shared})
-        code = guarded(lambda: function(common, **values), common.console)
+        code = guarded(
+            lambda: getattr(import_module(f"npred.cli.{module}"), action)(common, **values, **more), common.console
+        )
         if code:
             raise typer.Exit(code)
 
-    signature = inspect.Signature([*own, *shared])
+    context = inspect.Parameter("context", inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context)
+    signature = inspect.Signature([context, *own, *shared])
     vars(call).update(__signature__=signature, __doc__=function.__doc__)
     call.__annotations__ = {name: parameter.annotation for name, parameter in signature.parameters.items()}
     return call

@@ -1,13 +1,13 @@
-"""Every command with its own flags; what it does is imported when it is called, so that `npred --help` is quick."""
+"""Every command with its own flags. The function of `npred.cli` that does it, by the name beside the panel, takes them
+under the same names; it is imported when it is called, so that `npred --help` is quick.
+"""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 import npred
-from npred import defaults
 from npred.cli import completion
 from npred.cli.app import app, command, group
 from npred.cli.options import Common, Planned, Running, Work
@@ -31,15 +31,12 @@ def _root(
 ) -> None: ...
 
 
-@command(RUN)
+@command(RUN, "execute.everything")
 def run(options: Work) -> None:
     """All stages, in order, each from the store when its key is there."""
-    from npred.cli import execute
-
-    execute.everything(options)
 
 
-def train(
+def _train(
     options: Work,
     *,
     model: Annotated[
@@ -49,27 +46,19 @@ def train(
             autocompletion=completion.models,
         ),
     ] = None,
-) -> None:
-    from npred.cli import execute
-
-    execute.stage(options, "train", model)
+) -> None: ...
 
 
-def _stage(name: str) -> Callable[[Work], None]:
-    def run(options: Work) -> None:
-        from npred.cli import execute
-
-        execute.stage(options, name)
-
-    return run
+def _stage(options: Work) -> None: ...
 
 
 for _name, _entry in STAGES.items():
     if _name != "report":  # it comes after the sweep
-        command(RUN, name=_name, help=_entry.help)(train if _name == "train" else _stage(_name))
+        _flags = _train if _name == "train" else _stage
+        command(RUN, "execute.stage", name=_name, help=_entry.help, stage_name=_name)(_flags)
 
 
-@command(RUN)
+@command(RUN, "sweep.sweep")
 def sweep(
     options: Running,
     *,
@@ -87,12 +76,9 @@ def sweep(
     csv: Annotated[bool, typer.Option("--csv", help="Print the table as CSV.")] = False,
 ) -> None:
     """A grid of pipelines: --set train.deeponet.width=32,64,128 --set seed=0:10; what cells share is made once."""
-    from npred.cli import sweep as sweeps
-
-    sweeps.sweep(options, to, output, csv)
 
 
-@command(RUN, help=STAGES["report"].help)
+@command(RUN, "report.report", help=STAGES["report"].help)
 def report(
     options: Work,
     *,
@@ -107,37 +93,28 @@ def report(
             autocompletion=completion.words("ieee1", "ieee2", "slides"),
         ),
     ] = None,
-) -> None:
-    from npred.cli import report as reports
-
-    reports.report(options, output, figures)
+) -> None: ...
 
 
-@command(LOOK)
+@command(LOOK, "inspect.status")
 def status(
     options: Planned,
     *,
     check: Annotated[bool, typer.Option("--check", help="Read every file; exit 3 unless all is fresh.")] = False,
 ) -> None:
     """What is fresh, stale or missing."""
-    from npred.cli import inspect
-
-    inspect.status(options, check)
 
 
-@command(LOOK)
+@command(LOOK, "inspect.why")
 def why(
     options: Planned,
     *,
     stage: Annotated[str, typer.Argument(help="A stage, or a network.", autocompletion=completion.stages)],
 ) -> None:
     """Why a stage would run again: what changed, before -> after."""
-    from npred.cli import inspect
-
-    inspect.why(options, stage)
 
 
-@command(LOOK)
+@command(LOOK, "inspect.show")
 def show(
     options: Common,
     *,
@@ -151,12 +128,9 @@ def show(
     ] = None,
 ) -> None:
     """What is inside a result: question, files, answer."""
-    from npred.cli import inspect
-
-    inspect.show(options, reference)
 
 
-@command(LOOK)
+@command(LOOK, "inspect.ls")
 def ls(
     options: Common,
     *,
@@ -165,12 +139,9 @@ def ls(
     ] = None,
 ) -> None:
     """Every result in the store, the most recent last."""
-    from npred.cli import inspect
-
-    inspect.ls(options, shown or [])
 
 
-@command(LOOK)
+@command(LOOK, "inspect.diff")
 def diff(
     options: Common,
     *,
@@ -178,9 +149,6 @@ def diff(
     b: Annotated[str, typer.Argument(metavar="B", help="Another.", autocompletion=completion.artifacts)],
 ) -> None:
     """How two results differ: in their questions, and in their answers."""
-    from npred.cli import inspect
-
-    inspect.diff(options, a, b)
 
 
 @app.command("help", cls=Command, rich_help_panel=LOOK)
@@ -195,16 +163,12 @@ def help_(
     root.command.main([*(words or []), "--help"], prog_name=root.info_name, standalone_mode=False)
 
 
-@group(LOOK)
-def plants(options: Common, *, context: typer.Context) -> None:
+@group(LOOK, "inspect.plants")
+def plants(options: Common) -> None:
     """The plants that are built in or installed; `npred plants check` asks what is wrong with one."""
-    from npred.cli import inspect
-
-    if context.invoked_subcommand is None:
-        inspect.plants(options)
 
 
-@command(LOOK, to=plants)
+@command(LOOK, "inspect.check", to=plants)
 def check(
     options: Common,
     *,
@@ -225,12 +189,9 @@ def check(
     ] = None,
 ) -> None:
     """What is right and wrong with a plant, in words; exit 3 where an answer is no."""
-    from npred.cli import inspect
-
-    inspect.check(options, plant, delay, nodes)
 
 
-@command(RUN)
+@command(RUN, "scaffold.init")
 def init(
     options: Common,
     *,
@@ -246,12 +207,9 @@ def init(
     ] = None,
 ) -> None:
     """A plant of your own to start from: NAME.py and NAME.toml in this folder."""
-    from npred.cli import scaffold
-
-    scaffold.init(options, name, source)
 
 
-@command(LOOK)
+@command(LOOK, "export.export")
 def export(
     options: Common,
     *,
@@ -279,12 +237,9 @@ def export(
     atol: Annotated[float, typer.Option(help="How far an ONNX graph's P and U may be from the model's.")] = 1e-4,
 ) -> None:
     """A trained model, P and U = kappa(P(1)), or the data, for another program."""
-    from npred.cli import export as exports
-
-    exports.export(options, form, key, output, nx, atol)
 
 
-@command(LOOK)
+@command(LOOK, "data_exchange.bring")
 def import_(
     options: Common,
     *,
@@ -293,10 +248,12 @@ def import_(
     outputs: Annotated[
         Path, typer.Argument(metavar="OUTPUTS", help="Rows of P, one number per state, node after node.")
     ],
-    plant: Annotated[
+    plant_name: Annotated[
         str,
         typer.Option(
-            help="The plant whose samples they are: a name or my_plant.py:Tank.", autocompletion=completion.plants
+            "--plant",
+            help="The plant whose samples they are: a name or my_plant.py:Tank.",
+            autocompletion=completion.plants,
         ),
     ] = "activator_repressor",
     rollouts: Annotated[
@@ -306,20 +263,14 @@ def import_(
     output: Annotated[Path, typer.Option("-o", "--output", help="The HDF5 file to write.")] = Path("data.h5"),
 ) -> None:
     """Data of others as a file that a pipeline can train on, checked against the predictor equation."""
-    from npred.cli import data_exchange
-
-    data_exchange.bring(options, form, inputs, outputs, plant, rollouts, output)
 
 
-@command(CARE)
+@command(CARE, "store_admin.verify")
 def verify(options: Common) -> None:
     """Every file of every result against its digest; exit 4 where one differs."""
-    from npred.cli import store_admin
-
-    store_admin.verify(options)
 
 
-@command(CARE)
+@command(CARE, "gc.gc")
 def gc(
     options: Common,
     *,
@@ -348,13 +299,9 @@ def gc(
     ] = "auto",
 ) -> None:
     """What no pipeline needs: the plan first, deleted with --yes."""
-    from npred.cli import gc
-
-    paths = [defaults.pipeline(path) for path in pipelines or []]
-    gc.gc(options, paths, set, older, keep, device, yes)
 
 
-@command(CARE)
+@command(CARE, "store_admin.export_artifact")
 def export_artifact(
     options: Common,
     *,
@@ -366,24 +313,15 @@ def export_artifact(
     ] = None,
 ) -> None:
     """A result as one tar with its digests, to take elsewhere."""
-    from npred.cli import store_admin
-
-    store_admin.export_artifact(options, reference, output)
 
 
-@command(CARE)
+@command(CARE, "store_admin.import_artifact")
 def import_artifact(
     options: Common, *, path: Annotated[Path, typer.Argument(metavar="FILE.tar", help="What export-artifact wrote.")]
 ) -> None:
     """A result from elsewhere into the store, checked; nothing in it is run."""
-    from npred.cli import store_admin
-
-    store_admin.import_artifact(options, path)
 
 
-@command(CARE)
+@command(CARE, "store_admin.doctor")
 def doctor(options: Common) -> None:
     """Versions, devices, threads and the store."""
-    from npred.cli import store_admin
-
-    store_admin.doctor(options)

@@ -20,14 +20,14 @@ def everything(options: Work) -> None:
     _work(options, list(STAGES), ("evaluate", "bench"), closing=True)
 
 
-def stage(options: Work, name: str, model: str | None = None, output: Path | None = None) -> None:
+def stage(options: Work, stage_name: str, model: str | None = None, output: Path | None = None) -> None:
     """One stage with what it needs upstream; `model` keeps one network of the train stage, `output` is a page's file.
 
     Raises ConfigError for a network that there is none of.
     """
     if model is not None and model not in (names := options.config.train.names):
         raise ConfigError(f"--model: expected {', '.join(names)}, got {model!r}; name one of them")
-    _work(options, [name], (name,), model, output)
+    _work(options, [stage_name], (stage_name,), model, output)
 
 
 def bring(options: Work, targets: list[str], model: str | None = None) -> list[Outcome]:

@@ -40,7 +40,7 @@ class Waste(NamedTuple):
 
 
 def gc(
-    options: Common, pipelines: list[Path], sets: list[str] | None, older: float, keep: str | None, device: str,
+    options: Common, pipelines: list[Path] | None, set: list[str] | None, older: float, keep: str | None, device: str,
     yes: bool,
 ) -> None:  # fmt: skip
     """The plan of what to delete, and with `yes` the deletion: of what is older than so many days, the oldest first
@@ -50,7 +50,7 @@ def gc(
     """
     limit, since = size(keep), time.time() - older * DAY
     _check_marker(options.results)
-    plan = _plan(options.results, _kept(options, pipelines, sets, device), limit, since)
+    plan = _plan(options.results, _kept(options, pipelines or [], set, device), limit, since)
     deleted = [str(path) for path in _delete(options.results, plan)] if yes else []
     rows = [{"path": str(waste.path), "bytes": waste.bytes, "reason": waste.reason} for waste in plan]
     options.show({"plan": rows, "deleted": deleted}, lambda: _table(plan, deleted, yes, options.console.width))
@@ -93,7 +93,7 @@ def _check_marker(store: Store) -> None:
 
 def _kept(options: Common, pipelines: list[Path], sets: list[str] | None, device: str) -> Kept:
     store = options.results
-    paths = pipelines or sorted(defaults.PIPELINE.parent.glob("*.toml"))
+    paths = [defaults.pipeline(path) for path in pipelines] or sorted(defaults.PIPELINE.parent.glob("*.toml"))
     named = {path.resolve() for path in paths}
     remembered = [root for root in gc_roots.registered(store.root) if root.file not in named]
     if not paths and not remembered:

@@ -3,7 +3,7 @@
 import time
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from npred.cli.options import Common, Planned
 from npred.errors import ConfigError, StoreError, UnmetError
@@ -13,9 +13,6 @@ from npred.pipeline.reasons import changes, differences, flat
 from npred.store import Artifact, short
 from npred.store.manifest import NAME
 from npred.terminal.console import columns
-
-if TYPE_CHECKING:
-    pass
 
 
 def status(options: Planned, check: bool) -> None:
@@ -52,9 +49,9 @@ def show(options: Common, reference: str | None) -> None:
         options.console.out(_summary(artifact.manifest.question.stage, result, options.console.width))
 
 
-def ls(options: Common, shown: list[str]) -> None:
+def ls(options: Common, shown: list[str] | None) -> None:
     """Every result with a sound manifest and, of the keys to show, its settings; a warning for each of the others."""
-    artifacts, broken = options.results.survey()
+    (artifacts, broken), shown = options.results.survey(), shown or []
     for folder in broken:
         options.console.warn(f"{folder}: expected a sound manifest, got none; remove that folder")
     by_key = {artifact.manifest.key: artifact for artifact in artifacts}

@@ -16,12 +16,12 @@ if TYPE_CHECKING:
 FORMATS = ("pdf", "svg", "png")
 
 
-def report(options: Work, output: Path | None, medium: str | None) -> None:
+def report(options: Work, output: Path | None, figures: str | None) -> None:
     """The page, or with a medium its figures and tables, as files. Raises ConfigError for no such medium."""
-    if medium is None or options.dry_run:
+    if figures is None or options.dry_run:
         execute.stage(options, "report", output=output)
     else:
-        _figures(options, output, medium)
+        _figures(options, output, figures)
 
 
 def _figures(options: Work, output: Path | None, medium: str) -> None:
