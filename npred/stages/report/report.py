@@ -14,19 +14,10 @@ from npred.results import Reported
 from npred.stages import Job, Progress
 from npred.stages.bench import timing_tables
 from npred.stages.report import headline
-from npred.stages.report.report_data import Story
+from npred.stages.report.report_data import CHAPTERS, Story
 from npred.terminal.progress_bars import Bar
 
 NAME = "report.html"
-CHAPTERS = (
-    ("loop", "The closed loop", ("figure1",), ("loops",)),
-    ("radius", "Error and radius", ("certificate",), ()),
-    ("errors", "Where networks err", ("errors", "kinds", "box"), ("accuracy", "kinds")),
-    ("delays", "Delays and first estimates", ("delays",), ()),
-    ("training", "Training", ("learning",), ("training",)),
-    ("speed", "Speed", ("speed",), ("bench", "speed")),
-    ("coverage", "Coverage of the data", ("coverage",), ("coverage",)),
-)  # identifier, heading, figures, tables
 FOLDED = "speed"  # a table that is long
 
 

@@ -11,6 +11,16 @@ from npred.plants import Plant
 from npred.results import Benched, Contender, Evaluated, Generated, Trained
 from npred.stages.report import tables
 
+CHAPTERS = (
+    ("loop", "The closed loop", ("figure1",), ("loops",)),
+    ("radius", "Error and radius", ("certificate",), ()),
+    ("errors", "Where networks err", ("errors", "kinds", "box"), ("accuracy", "kinds")),
+    ("delays", "Delays and first estimates", ("delays",), ()),
+    ("training", "Training", ("learning",), ("training",)),
+    ("speed", "Speed", ("speed",), ("bench", "speed")),
+    ("coverage", "Coverage of the data", ("coverage",), ("coverage",)),
+)  # identifier, heading, figures, tables
+
 
 @dataclass(frozen=True)
 class Story:
