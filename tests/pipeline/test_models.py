@@ -75,12 +75,19 @@ def test_a_network_of_a_file_is_trained_found_and_kept_by_what_the_file_holds(fi
 
 
 @pytest.mark.slow
-def test_every_network_is_trained_evaluated_and_exported_but_not_to_c(file: Path, tmp_path: Path):
+def test_every_network_is_evaluated_timed_drawn_and_exported_but_not_to_c(file: Path, tmp_path: Path):
     pytest.importorskip("onnxruntime")
-    done = call("evaluate", file)
+    done = call("run", file, "--json", "--set", 'bench.runtimes=["torch","fused","onnx"]')
     assert done.exit_code == 0, done.output
     noted = [line for line in done.stderr.splitlines() if "no fused form" in line]
-    assert [line.split()[1] for line in noted] == ["averaging", "gru", "mine"]
+    assert [stage for line in noted for stage in ("evaluate", "bench") if line.startswith(f"{stage}: ")] == (
+        ["evaluate"] * 3 + ["bench"] * 3
+    )
+    rows = json.loads(done.stdout)["result"]["rows"]
+    timed = {name: {row["runtime"] for row in rows if row["predictor"] == name} for name in ("mine", "gru", "small")}
+    assert timed["small"] == {"torch", "fused", "onnx"} and timed["mine"] == timed["gru"] == {"torch", "onnx"}
+    (page,) = (tmp_path / "store").glob("report/*/report.html")
+    assert "net.py:Plain" in page.read_text() and "averaging operator" in page.read_text()
     for name in ("mine", "small", "averaging", "gru"):
         assert call("export", "onnx", f"{file}:{name}", "-o", tmp_path / f"{name}.onnx", "--nx", 21).exit_code == 0
     assert call("export", "c", f"{file}:small", "-o", tmp_path / "small.c", "--nx", 21).exit_code == 0
