@@ -8,6 +8,7 @@ from typing import Any
 from npred.figures.figure import Key, Panel, Plate
 from npred.figures.style import Look, colours, log
 from npred.registry import INTERPRETED, METHODS, NETWORKS, RUNTIMES, Registry
+from npred.results import Contender, ranked
 from npred.results.bench import Timing
 
 FAR = 1000  #: times the networks' error: no prediction any more, an unstable step say
@@ -19,20 +20,19 @@ def speed(rows: list[Timing]) -> Plate:
     single = [row for row in rows if row.batch == 1 and isfinite(row.eps_sup)]
     front = _series(_near(single))
     grids = _series(row for row in single if row.matches is None)
-    every = _series(single)
+    networks = {c.model: c for c in ranked(Contender(row.predictor) for row in rows if row.is_network)}
+    looks = {name: _look(series[0], networks) for name, series in _series(single).items()}
     caption = (
         "Time of one call at batch 1. Versus ε: the median and the error that it buys, a line through the grids; lower "
         "and further left is better. From the median to the 99.9 % quantile: at the finest dx; a control loop misses "
         "its deadline in the tail."
     )
     panels = (
-        Panel("µs per call versus ε", _alt_front(front), partial(_lines, front, "eps_sup", "sup error ε")),
-        Panel("µs per call versus dx", _alt_grids(grids), partial(_lines, grids, "dx", "dx")),
-        Panel("µs, median to 99.9 %", _alt_tail(grids), partial(_tails, grids)),
+        Panel("µs per call versus ε", _alt_front(front), partial(_lines, front, looks, "eps_sup", "sup error ε")),
+        Panel("µs per call versus dx", _alt_grids(grids), partial(_lines, grids, looks, "dx", "dx")),
+        Panel("µs, median to 99.9 %", _alt_tail(grids), partial(_tails, grids, looks)),
     )  # fmt: skip
-    return Plate(
-        "speed", "Latency and accuracy", caption, panels, tuple(Key(name, _look(r[0])) for name, r in every.items())
-    )
+    return Plate("speed", "Latency and accuracy", caption, panels, tuple(Key(*item) for item in looks.items()))
 
 
 def _near(rows: list[Timing]) -> list[Timing]:
@@ -49,13 +49,13 @@ def label(row: Timing) -> str:
     return f"{NETWORKS.label(row.predictor)}, {row.runtime}{place}"
 
 
-def _look(row: Timing) -> Look:
+def _look(row: Timing, networks: dict[str, Contender]) -> Look:
     """Numerical predictors have looks of their own; networks their colour, and the dash and marker of the runtime."""
     if (parts := _numerical(row)) is not None:
         role, dash, marker = parts.look(row.predictor)
         return Look(role, dash, 1.2, marker)
     _, dash, marker = RUNTIMES.look(row.runtime)
-    return Look(colours(row.predictor)[row.copies is not None], dash, 1.2, marker)
+    return Look(colours(networks[row.predictor])[row.copies is not None], dash, 1.2, marker)
 
 
 def _numerical(row: Timing) -> Registry | None:
@@ -76,16 +76,16 @@ def _rank(row: Timing) -> tuple[int, str]:
     return order.index(row.predictor) if row.predictor in order else len(order), label(row)
 
 
-def _lines(series: dict[str, list[Timing]], key: str, title: str, axis: Any) -> None:
-    for rows in series.values():
-        axis.plot([getattr(row, key) for row in rows], [row.median_us for row in rows], **_look(rows[0]).line)
+def _lines(series: dict[str, list[Timing]], looks: dict[str, Look], key: str, title: str, axis: Any) -> None:
+    for name, rows in series.items():
+        axis.plot([getattr(row, key) for row in rows], [row.median_us for row in rows], **looks[name].line)
     axis.set_xlabel(title)
     log(axis, "x", "y")
 
 
-def _tails(series: dict[str, list[Timing]], axis: Any) -> None:
-    for place, rows in enumerate(series.values()):
-        finest, style = rows[0], _look(rows[0])
+def _tails(series: dict[str, list[Timing]], looks: dict[str, Look], axis: Any) -> None:
+    for place, (name, (finest, *_)) in enumerate(series.items()):
+        style = looks[name]
         axis.plot([finest.median_us, finest.p999_us], [place, place], color=style.colour, linewidth=1.2)
         for key, marker in TAIL.items():
             axis.plot(

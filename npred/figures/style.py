@@ -5,7 +5,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from threading import Lock
 from typing import Any
-from zlib import crc32
 
 import numpy as np
 
@@ -30,12 +29,17 @@ ROLES = {
     "lilac": ("#9a80d6", "#dccffb"),
     "brown": ("#75501f", "#c79c5e"),
     "sand": ("#a07a48", "#e6cfa8"),
+    "crimson": ("#ab0f33", "#ff8095"),
+    "rose": ("#d4657c", "#ffc2cc"),
+    "olive": ("#666b00", "#c9ce45"),
+    "lime": ("#8a8f1f", "#e4e89b"),
     "green": ("#008f68", "#3fd0a4"),
 }
-# A network's colours, trained and stopped early: in the registry's order. Green and ink are the numerical methods'.
-PAIRS = (("blue", "sky"), ("orange", "amber"), ("violet", "lilac"), ("brown", "sand"))
-TRAINED, EARLY = (6, 2.2), (4, 1.6)  # dashes
-OTHERS = ((6, 1.6, 1, 1.6), (9, 2.2))  # those of networks that are not built in, which share the last colours
+# A network's colours, trained and stopped early: in the registry's order, then of networks that are not built in, by
+# rank. Green and ink are the numerical methods'.
+BUILTIN = (("blue", "sky"), ("orange", "amber"), ("violet", "lilac"), ("brown", "sand"))
+OTHERS = (("crimson", "rose"), ("olive", "lime"))
+TRAINED, MORE, EARLY = (6, 2.2), (6, 1.6, 1, 1.6), (4, 1.6)  # dashes; MORE is of those for whom no colour is left
 
 
 @dataclass(frozen=True)
@@ -65,22 +69,18 @@ def look(contender: Contender) -> Look:
         return Look("ink", width=1.9)
     if contender == NO_ADAPTATION:
         return Look("frozen", (1.2, 1.4), 1.0)
-    trained, early = colours(contender.model)
+    trained, early = colours(contender)
     if contender.epoch is not None:
         return Look(early, EARLY)
-    return Look(trained, TRAINED if contender.model in NETWORKS.builtin else OTHERS[_number(contender.model) % 2])
+    return Look(trained, TRAINED if contender.rank < len(OTHERS) else MORE)
 
 
-def colours(network: str) -> tuple[str, str]:
-    """The roles of a network, trained and stopped early; by its name alone where it is not built in."""
+def colours(network: Contender) -> tuple[str, str]:
+    """The roles of a network, trained and stopped early."""
     builtin = list(NETWORKS.builtin)
-    if network in builtin:
-        return PAIRS[builtin.index(network) % len(PAIRS)]
-    return PAIRS[2:][_number(network) // 2 % len(PAIRS[2:])]
-
-
-def _number(name: str) -> int:
-    return crc32(name.encode())
+    if network.model in builtin:
+        return BUILTIN[builtin.index(network.model) % len(BUILTIN)]
+    return OTHERS[network.rank % len(OTHERS)]
 
 
 @dataclass(frozen=True)

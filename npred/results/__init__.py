@@ -2,7 +2,7 @@
 
 from npred.results.base import Number, Result
 from npred.results.bench import Benched
-from npred.results.contender import NO_ADAPTATION, NUMERICAL, Contender
+from npred.results.contender import NO_ADAPTATION, NUMERICAL, Contender, ranked
 from npred.results.evaluate import Evaluated
 from npred.results.generate import Generated
 from npred.results.report import Reported
@@ -19,4 +19,5 @@ __all__ = [
     "Reported",
     "Result",
     "Trained",
+    "ranked",
 ]

@@ -1,6 +1,7 @@
 """Who is compared: the numerical predictor, with and without adaptation, each network, and each of its snapshots."""
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
 from operator import attrgetter
 from typing import Annotated
 
@@ -11,10 +12,14 @@ from npred.registry import NETWORKS
 
 @dataclass(frozen=True)
 class Contender:
-    """A predictor of a comparison; `epoch` is that of a snapshot, None for the final weights and for numerics."""
+    """A predictor of a comparison; `epoch` is that of a snapshot, None for the final weights and for numerics.
+
+    `rank` counts the networks of a result that are not built in, by name: what tells them apart in figures.
+    """
 
     model: str
     epoch: int | None = None
+    rank: int = field(default=0, compare=False)
 
     @classmethod
     def parse(cls, name: "str | Contender") -> "Contender":
@@ -46,6 +51,13 @@ class Contender:
     def adapts(self) -> bool:
         """Whether D_hat follows its law; without adaptation it stays at D_hat(0)."""
         return self != NO_ADAPTATION
+
+
+def ranked(contenders: Iterable[Contender]) -> list[Contender]:
+    """The same contenders with the ranks that they have beside each other."""
+    contenders = list(contenders)
+    others = sorted({c.model for c in contenders if c.is_network} - NETWORKS.builtin.keys())
+    return [replace(c, rank=others.index(c.model)) if c.model in others else c for c in contenders]
 
 
 NUMERICAL, NO_ADAPTATION = Contender("numerical"), Contender("no_adaptation")

@@ -1,9 +1,9 @@
 """The result of the stage evaluate."""
 
-from pydantic import AliasChoices, Field
+from pydantic import AliasChoices, Field, field_validator
 
 from npred.results.base import Number, Result
-from npred.results.contender import Name
+from npred.results.contender import Contender, Name, ranked
 
 
 class Relative(Result):
@@ -123,3 +123,8 @@ class Evaluated(Result):
     in_loop: InLoop  #: what the errors in the loop are of
     models: dict[Name, Scores]  #: by NAME what was measured
     coverage: dict[str, Coverage]  #: by state, input and `D_hat`
+
+    @field_validator("models")
+    @classmethod
+    def _rank(cls, models: dict[Contender, Scores]) -> dict[Contender, Scores]:
+        return dict(zip(ranked(models), models.values(), strict=True))

@@ -11,7 +11,7 @@ from npred import figures
 from npred.figures.figure import Panel, Plate
 from npred.figures.loops import keys
 from npred.figures.style import ROLES, log, look
-from npred.results import Contender
+from npred.results import Contender, ranked
 
 AXES = {
     "eps_sup": "sup error ε",
@@ -61,12 +61,15 @@ def draw(folder: Path, rows: Sequence[Mapping[str, Any]]) -> list[Path]:
     )
     caption = "One point per row of the table; the line is the front, and its numbers are the table's rows."
     figures.write(
-        Plate(
-            "front", "The front", caption, panels, keys(dict.fromkeys(Contender.parse(row["model"]) for row in rows))
-        ),
+        Plate("front", "The front", caption, panels, keys(_contenders(rows).values())),
         folder,
     )
     return [folder / "front.svg", folder / "front.png"]
+
+
+def _contenders(rows: Sequence[Mapping[str, Any]]) -> dict[str, Contender]:
+    contenders = ranked(Contender.parse(model) for model in dict.fromkeys(row["model"] for row in rows))
+    return {contender.name: contender for contender in contenders}
 
 
 def _alt(rows: Sequence[Mapping[str, Any]], x: str, y: str) -> str:
@@ -78,9 +81,10 @@ def _panel(rows: Sequence[Mapping[str, Any]], x: str, y: str, axis: Any) -> None
     shown = [k for k, row in enumerate(rows) if row[x] is not None and row[y] is not None]
     points = np.maximum([[rows[k][x], rows[k][y]] for k in shown], SMALLEST).reshape(-1, 2)
     best = ~dominated(points)
+    contenders = _contenders(rows)
     for model in dict.fromkeys(rows[k]["model"] for k in shown):
         own = np.array([rows[k]["model"] == model for k in shown])
-        axis.plot(*points[own].T, "o", color=look(Contender.parse(model)).colour)
+        axis.plot(*points[own].T, "o", color=look(contenders[model]).colour)
     order = np.flatnonzero(best)[np.argsort(points[best, 0])]
     axis.plot(*points[order].T, color=ROLES["muted"][0], zorder=0, drawstyle="steps-post")
     for k in order[:NAMED]:

@@ -15,7 +15,7 @@ from npred.figures import accuracy, svg
 from npred.figures.evaluation_data import Errors, Evidence, Histogram, LoopSeries
 from npred.figures.figure import Key, Panel, Plate, write
 from npred.figures.style import MEDIA, ROLES, SCREEN, Look, colours, log, look, medium
-from npred.results import NO_ADAPTATION, NUMERICAL, Contender
+from npred.results import NO_ADAPTATION, NUMERICAL, Contender, ranked
 from npred.results.evaluate import Scores
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -66,15 +66,23 @@ def test_a_contender_looks_the_same_everywhere_and_like_no_other():
                     assert key.look == look(name)
 
 
-def test_a_network_of_any_name_has_colours_that_no_numerical_predictor_has():
-    others = [Contender(name) for name in ("mine", "my_net", "green", "ink", "published", "frozen")]
+def test_networks_of_any_name_look_like_no_other_and_no_numerical_predictor():
     numerical = {"ink", "muted", "green", "frozen", look(NUMERICAL).role, look(NO_ADAPTATION).role}
-    for network in others:
-        assert not {*colours(network.model), look(network).role} & numerical
-        assert look(network) == look(Contender(network.model)) != look(Contender(network.model, 7))
-        assert (look(network).role, look(network).dash) not in [(look(name).role, look(name).dash) for name in NAMES]
-    plate = figures.speed([timing("mine", "torch"), timing("rk4"), timing("mine", "torch", copies=True, device="cuda")])
-    assert [key.label for key in plate.keys] == ["RK4", "mine, torch", "mine, torch on cuda, with copies"]
+    names = ("mine", "my_net", "green", "published", "averaging", "gru", "deeponet", "fno")
+    contenders = ranked(Contender(name, epoch) for name in names for epoch in (None, 7))
+    assert len({(look(contender).role, look(contender).dash) for contender in contenders[:4]}) == 4
+    assert (
+        len({(look(contender).role, look(contender).dash) for contender in contenders if contender.epoch is None}) == 8
+    )
+    assert not {role for contender in contenders for role in colours(contender)} & numerical
+    assert [ranked([contender])[0].rank for contender in contenders] == [0] * len(contenders)
+
+
+def test_the_runtimes_of_two_networks_of_ones_own_can_be_told_apart():
+    rows = [timing(name, "torch", copies=copies) for name in ("mine", "yours") for copies in (None, True)]
+    keys = {key.label: key.look for key in figures.speed([*rows, timing("rk4")]).keys}
+    assert list(keys)[:2] == ["RK4", "mine, torch"] and len(keys) == len(set(keys.values())) == 5
+    assert keys["mine, torch"].role == look(ranked(map(Contender, ("mine", "yours")))[0]).role
 
 
 def test_colours_are_as_many_as_roles_on_light_and_on_dark():

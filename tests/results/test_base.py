@@ -73,3 +73,11 @@ def test_what_is_no_json_object_is_refused(tmp_path: Path, text: str | None):
 def test_a_missing_key_is_named():
     with pytest.raises(StoreError, match=r"a test: expected .* got at rel_l2: Field required"):
         Errors.of({"mse": 0, "eps_sup": 0, "eps_kappa": 0}, "a test")
+
+
+def test_the_networks_of_an_evaluation_that_are_not_built_in_are_counted_by_name():
+    names = ("numerical", "yours", "fno", "mine@3", "mine")
+    typed = Evaluated.of(evaluated(dict.fromkeys(names, SCORES)), "a test")
+    assert [(c.name, c.rank) for c in typed.models] == [
+        ("numerical", 0), ("yours", 1), ("fno", 0), ("mine@3", 0), ("mine", 0),
+    ]  # fmt: skip

@@ -23,12 +23,16 @@ def _errors(evaluated: Evaluated, networks: list[Contender]) -> str:
     own, *others = evaluated.kinds
     samples = f"{evaluated.held_out:,} held-out samples of {OF[own]}"
     others = [_of_kind(kind, evaluated.kinds[kind].rows, [row for _, row in rows]) for kind in others]
-    return "; ".join([f"On {samples} the largest error of a prediction is {' and '.join(errors)}", *others]) + "."
+    return "; ".join([f"On {samples} the largest error of a prediction is {_and(errors)}", *others]) + "."
 
 
 def _of_kind(kind: str, count: int, rows: Iterable[Scores]) -> str:
-    errors = " and ".join(short(row.kinds[kind].eps_sup) for row in rows)
-    return f"on {count:,} of {OF[kind]} it is {errors}"
+    return f"on {count:,} of {OF[kind]} it is {_and([short(row.kinds[kind].eps_sup) for row in rows])}"
+
+
+def _and(texts: list[str]) -> str:
+    """a, b and c."""
+    return " and ".join([", ".join(texts[:-1]), texts[-1]] if texts[1:] else texts)
 
 
 def _loops(evaluated: Evaluated, networks: list[Contender]) -> str:
@@ -37,9 +41,8 @@ def _loops(evaluated: Evaluated, networks: list[Contender]) -> str:
     counts.append(f"{radii[NUMERICAL].count} with the numerical predictor")
     if adapts := NO_ADAPTATION in radii:
         counts.append(f"{radii[NO_ADAPTATION].count} without adaptation")
-    *first, last = counts
     delay = "with a delay that the controller does not know" if adapts else "with the delay estimate held"
-    return f"Of {radii[NUMERICAL].cases} closed loops {delay}, {', '.join(first)} and {last} converge."
+    return f"Of {radii[NUMERICAL].cases} closed loops {delay}, {_and(counts)} converge."
 
 
 def _speed(benched: Benched) -> str:

@@ -8,7 +8,7 @@ from npred.config import Pipeline
 from npred.figures import Evidence, Plate
 from npred.figures.table import Table
 from npred.plants import Plant
-from npred.results import Benched, Contender, Evaluated, Generated, Trained
+from npred.results import Benched, Contender, Evaluated, Generated, Trained, ranked
 from npred.stages.report import tables
 
 CHAPTERS = (
@@ -52,7 +52,7 @@ class Story:
         kinds = figures.figure1, figures.certificate, figures.errors, figures.kinds, figures.box, figures.delays
         plates = [kind(self.evidence) for kind in kinds]
         plates += [
-            figures.learning({Contender(name): epochs for name, epochs in self.histories.items()}),
+            figures.learning(dict(zip(ranked(map(Contender, self.histories)), self.histories.values(), strict=True))),
             figures.speed(self.benched.rows),
             figures.coverage(self.evidence),
         ]
