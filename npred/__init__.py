@@ -1,7 +1,7 @@
 """npred: certified predictor feedback for delayed nonlinear plants, with numerical and neural predictors.
 
 `plant` and `predictor` make the parts by name, `simulate` closes the loop, `load` takes a trained network from the
-store, `controller` is the law alone for a real plant. DelayAdaptation is the paper's law for the delay estimate;
+store, `controller` is the controller for a real plant. DelayAdaptation is the paper's law for the delay estimate;
 DelayLaw and Predictor are what a law and a predictor that you write derive from. npred.errors has the failures.
 """
 

@@ -1,4 +1,4 @@
-"""Plants, predictors and trained models by name: what a script or notebook starts from."""
+"""The public functions of Python and notebooks: plants, predictors, trained models and the controller, by name."""
 
 from pathlib import Path
 from typing import Any

@@ -1,4 +1,4 @@
-"""Arrays as a caller gave them, refused in one line where they are not real numbers or do not fit together."""
+"""Checks of a caller's arrays: refused in one line where they are not real numbers or do not fit together."""
 
 import reprlib
 from numbers import Real
@@ -33,17 +33,17 @@ def number(name: str, value: Any) -> float:
 
 def finite(name: str, array: np.ndarray) -> None:
     """Raise ConfigError for an array with NaN or infinity."""
-    _all(np.isfinite(array), array, f"{name}: expected finite numbers", "correct it")
+    _all(np.isfinite(array), array, f"{name}: expected finite numbers", "replace it")
 
 
 def finite_rows(X: np.ndarray, u: np.ndarray, D_hat: np.ndarray) -> np.ndarray:
-    """Which samples X (..., n), u (..., nx, m), D_hat (...) are finite, (...): those that a predictor takes."""
+    """A mask (...) of the finite samples X (..., n), u (..., nx, m), D_hat (...): those that a predictor takes."""
     return np.isfinite(X).all(axis=-1) & np.isfinite(u).all(axis=(-2, -1)) & np.isfinite(D_hat)
 
 
 def delays(name: str, array: np.ndarray) -> None:
     """Raise ConfigError unless all are finite numbers of at least 0 s."""
-    _all(np.isfinite(array) & (array >= 0), array, f"{name}: expected a delay of at least 0 s", "correct it")
+    _all(np.isfinite(array) & (array >= 0), array, f"{name}: expected a delay of at least 0 s", "give 0 s or more")
 
 
 def within(name: str, array: np.ndarray, bounds: tuple[float, float]) -> None:
@@ -54,11 +54,11 @@ def within(name: str, array: np.ndarray, bounds: tuple[float, float]) -> None:
 
 
 def _all(right: np.ndarray, array: np.ndarray, expected: str, cure: str) -> None:
-    """Raise ConfigError with the first value that is not right, and its place in the array."""
+    """Raise ConfigError with the first value that is not right, and its index in the array."""
     if not right.all():
-        place = tuple(int(k) for k in np.argwhere(~right)[0])
-        at = f" at {list(place)}" if place else ""
-        raise ConfigError(f"{expected}, got {array[place]:g}{at}; {cure}")
+        index = tuple(int(k) for k in np.argwhere(~right)[0])
+        at = f" at {list(index)}" if index else ""
+        raise ConfigError(f"{expected}, got {array[index]:g}{at}; {cure}")
 
 
 def _masked(value: Any) -> bool:
@@ -72,7 +72,7 @@ def _is_real(item: Any) -> bool:
 
 
 def _described(value: Any) -> str:
-    """What came, on one line."""
+    """The argument in words, on one line."""
     if _masked(value):
         return "a masked array"
     if isinstance(value, np.ndarray):

@@ -67,35 +67,35 @@ class Table(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    def moved(self, place: Callable[[str], str]) -> Self:
-        """The same with another path in each value that names a class of a file, or data."""
-        return self.model_copy(update={key: _moved(value, place, key) for key, value in self})
+    def moved(self, locate: Callable[[str], str]) -> Self:
+        """The same with `locate(path)` in each value that names a class of a file, or data."""
+        return self.model_copy(update={key: _moved(value, locate, key) for key, value in self})
 
 
-def _moved(value: Any, place: Callable[[str], str], key: Any = None) -> Any:
-    """A value of a pipeline, plain or parsed, with another path in each text that names a class of a file, or data."""
+def _moved(value: Any, locate: Callable[[str], str], key: Any = None) -> Any:
+    """A pipeline's value, plain or parsed, with `locate(path)` in each text that names a class of a file, or data."""
     if isinstance(value, Table):
-        return value.moved(place)
+        return value.moved(locate)
     if isinstance(value, dict):
-        return {name: _moved(item, place, name) for name, item in value.items()}
+        return {name: _moved(item, locate, name) for name, item in value.items()}
     if isinstance(value, list):
-        return [_moved(item, place) for item in value]
+        return [_moved(item, locate) for item in value]
     is_path = isinstance(value, str) and (registry.named(value) or (key == "data" and value))
-    return place(value) if is_path else value
+    return locate(value) if is_path else value
 
 
 class Loop(Table):
-    """The closed loop [DAPF, eqs. 6-14] that a stage runs: times and delays in seconds, nx nodes on [0, 1].
+    """The settings of a stage's closed loops [DAPF, eqs. 6-14]: times and delays in seconds, nx nodes on [0, 1].
 
-    `adaptation` is the law of D_hat: the paper's by default; frozen, where D_hat stays where it starts (started at D,
-    the delay is known); or a user's law, `file.py:Class`, made with gamma, b and bounds.
+    `adaptation` is the delay law: the paper's by default; frozen, where D_hat stays where it starts (started at D, the
+    delay is known); or a user's, `file.py:Class`, made with gamma, b and bounds.
     """
 
     dt: Positive = 0.005  #: control step, in seconds
     nx: Nodes = 101  #: nodes of the predictor and of u, both ends of [0, 1]; dx = 0.01 is 101
     t_end: Positive = 40.0  #: length of a loop, in seconds
     predictor: Method = "rk4"  #: euler, heun, rk4, picard, one of an installed package, or `file.py:Class`
-    adaptation: Law = PAPER  #: the law of D_hat: the paper's, frozen, one of a package, or `file.py:Class`
+    adaptation: Law = PAPER  #: the delay law: the paper's, frozen, one of a package, or `file.py:Class`
     gamma: Positive = 1000.0  #: adaptation gain [DAPF, eq. 11]
     b: Positive = 1.0  #: weight of w in phi [DAPF, eq. 12]
     bounds: Range = (0.1, 4.0)  #: where D_hat stays, in seconds
@@ -128,7 +128,7 @@ class Generate(Loop):
 
     The share `explore` of the rollouts, the last ones, takes its delays from explore_D and explore_D_hat0: they widen
     what a network is trained on, and all of them are trained on. So does the share `redraw` of all rows to train on:
-    their D_hat is drawn from explore_D_hat0 in place of the loop's own, and P is the numerical predictor's for it. The
+    their D_hat is drawn from explore_D_hat0 instead of the loop's, and P is the numerical predictor's for it. The
     evaluation makes more rollouts and rows of both kinds, which no network has seen, and reports their errors apart.
     `data` is an HDF5 file with these samples, as `npred import` and `npred export hdf5` write it: nothing is simulated.
     """
@@ -137,17 +137,17 @@ class Generate(Loop):
     rollouts: Count = 50  #: loops that they are taken from
     D: Range | Positive = 1.0  #: true delay in seconds, or a range to draw it from
     D_hat0: Some[Range] = [(0.3, 0.7), (1.0, 2.0), (1.0, 2.0)]  #: ranges of D_hat(0), an equal share of rollouts each
-    box: dict[str, tuple[Number, Number]] = {}  #: range of each initial state, in the place of the plant's
+    box: dict[str, tuple[Number, Number]] = {}  #: range of each initial state, instead of the plant's
     test_share: Annotated[float, Field(gt=0, lt=1)] = 0.1  #: of the rollouts, held out
-    explore: Annotated[float, Field(ge=0, lt=1)] = 0.0  #: share of rollouts with delays of their own
+    explore: Annotated[float, Field(ge=0, lt=1)] = 0.0  #: share of rollouts with delays from explore_D, explore_D_hat0
     redraw: Annotated[float, Field(ge=0, lt=1)] = 0.0  #: share of rows with a D_hat drawn anew
     explore_D: Range = (0.25, 2.0)  #: D of exploring rollouts
     explore_D_hat0: Range = (0.25, 3.5)  #: D_hat(0) of those, and D_hat of redrawn rows
-    data: str = ""  #: an HDF5 file of samples in the place of rollouts
+    data: str = ""  #: an HDF5 file of samples instead of rollouts
 
     @property
     def explorers(self) -> int:
-        """How many rollouts explore: at least two are left for training and test."""
+        """The number of rollouts that explore: at least two are left for training and test."""
         return min(round(self.explore * self.rollouts), self.rollouts - 2)
 
     @model_validator(mode="after")
@@ -174,13 +174,13 @@ class Generate(Loop):
             raise ValueError("rollouts: expected at least 2, got 1; one is held out for the test")
         if not self.rollouts <= self.samples <= self.rollouts * round(self.t_end / self.dt):
             raise ValueError(
-                f"samples: expected 1 to t_end / dt a rollout, got {self.samples} of {self.rollouts}; change either"
+                f"samples: expected 1 to t_end / dt per rollout, got {self.samples} of {self.rollouts}; change either"
             )
         return self
 
 
 class Training(Table):
-    """What all networks share; `snapshots` keeps the model as it stood after those epochs.
+    """The settings that all networks share; `snapshots` keeps the model as it stood after those epochs.
 
     `loss` weighs the components of an error, `rows` says what of a row's error is averaged; `nodes`: how many of the
     data's nodes the error is taken on (u is seen on all).
@@ -336,7 +336,7 @@ class Evaluate(Loop):
 
 
 class Bench(Table):
-    """Table I of [DAPF]: calls at each dx, each predictor with its own error beside its time.
+    """Table I of [DAPF]: calls at each dx, each predictor with its error beside its time.
 
     Batches above 1 are timed at the first dx. `calls` of a predictor end after `seconds`.
     """
@@ -386,11 +386,11 @@ class Pipeline(Table):
     @property
     def longest_delay(self) -> float:
         """The longest delay or first estimate of one that the loops have, in seconds."""
-        made, seen = self.generate, self.evaluate
-        spans = [made.D if isinstance(made.D, tuple) else (made.D,), *made.D_hat0]
-        spans += [made.explore_D] if made.explore else []
-        spans += [made.explore_D_hat0] if made.explore or made.redraw else []
-        spans += [(seen.D, seen.D_hat0), seen.case_D_hat0, seen.map_D, seen.map_D_hat0]
+        generate, evaluate = self.generate, self.evaluate
+        spans = [generate.D if isinstance(generate.D, tuple) else (generate.D,), *generate.D_hat0]
+        spans += [generate.explore_D] if generate.explore else []
+        spans += [generate.explore_D_hat0] if generate.explore or generate.redraw else []
+        spans += [(evaluate.D, evaluate.D_hat0), evaluate.case_D_hat0, evaluate.map_D, evaluate.map_D_hat0]
         return max(seconds for span in spans for seconds in span)
 
     @property
@@ -411,7 +411,7 @@ class Pipeline(Table):
         return list(dict.fromkeys([*METHODS.names(), self.generate.predictor, self.evaluate.predictor]))
 
     def beside(self) -> Self:
-        """The same as a file beside its `files` says it: without folders, and so the same wherever they lie."""
+        """The same with each of its `files` in the current folder: so the same wherever they lie."""
         return self.moved(lambda path: Path(path).name)
 
     def located(self) -> Self:
@@ -422,8 +422,8 @@ class Pipeline(Table):
 def load(path: Path, overrides: list[str] | None = None) -> Pipeline:
     """The pipeline of a TOML file with `key.path=value` overrides applied.
 
-    Files that it names (a plant's, a law's, data) are relative to its own folder; those of overrides, and of a pipeline
-    that comes through a pipe, to the current one.
+    Files that it names (a plant's, a delay law's, data) are relative to its folder; those of overrides, and of a
+    pipeline that comes through a pipe, to the current one.
     Raises ConfigError, in one line, for a file that is missing or no TOML, an unknown key, a wrong type or value.
     """
     try:
@@ -432,7 +432,7 @@ def load(path: Path, overrides: list[str] | None = None) -> Pipeline:
     except FileNotFoundError:
         raise ConfigError(defaults.missing(path)) from None
     except (OSError, ValueError, RecursionError) as error:
-        raise ConfigError(f"{path}: expected a TOML file, got: {error}; correct that") from None
+        raise ConfigError(f"{path}: expected a TOML file, got: {error}; write TOML, as seed = 0") from None
     for override in overrides or []:
         _apply(data, override)
     return parse(data, str(path))
@@ -497,10 +497,10 @@ def _sentence(error: ValidationError) -> str:
         return f"{where}: expected a value, found none; add it{example}"
     if first["type"] == "too_short":
         return f"{where}: expected at least one value, got {first['input']!r}; give one"
-    wanted = [
+    expected = [
         e["msg"].removeprefix("Input should be ") for e in error.errors() if e["loc"][: len(fields)] == tuple(fields)
     ]
-    return f"{where}: expected {' or '.join(dict.fromkeys(wanted))}, got {first['input']!r}; correct it"
+    return f"{where}: expected {' or '.join(dict.fromkeys(expected))}, got {first['input']!r}; give such a value"
 
 
 def _unknown(key: str, siblings: list[str]) -> str:
@@ -515,14 +515,14 @@ def _siblings(loc: tuple[int | str, ...]) -> list[str]:
 
 
 def _meant(key: str, siblings: list[str]) -> str:
-    """What an unknown key may have meant: one of the same table that is spelt alike, else one of another table."""
+    """A suggestion for an unknown key: one of the same table that is spelt alike, else one of another table."""
     leaf = key.rpartition(".")[2]
     near = similar(leaf, siblings)
-    known = [other for other, _ in leaves()]
-    elsewhere = [other for other in known if other.rpartition(".")[2] == leaf]
+    keys = [other for other, _ in leaves()]
+    elsewhere = [other for other in keys if other.rpartition(".")[2] == leaf]
     if elsewhere and "sizes" in siblings:
         return f"; did you mean sizes = {{ {leaf} = … }}?"
-    return near or (f"; did you mean {' or '.join(elsewhere)}?" if elsewhere else similar(key, known))
+    return near or (f"; did you mean {' or '.join(elsewhere)}?" if elsewhere else similar(key, keys))
 
 
 def leaves(

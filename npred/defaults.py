@@ -1,4 +1,4 @@
-"""Where pipelines and results are unless a command says so: one place for the command line and the Python API."""
+"""The default pipeline file and store, for the command line and the Python API."""
 
 import os
 from pathlib import Path
@@ -38,7 +38,7 @@ def pipeline(name: str | Path | None = None) -> Path:
 
 
 def missing(path: Path) -> str:
-    """What to say of a pipeline that is no file."""
+    """The message for a pipeline that is no file."""
     names = list(shipped())
     near = similar(str(path), [*names, *(str(file) for file in path.parent.glob("*.toml"))])
     return f"{path}: expected a pipeline file, or one of {', '.join(names)}; found no such file{near}"
@@ -50,7 +50,7 @@ def _only() -> Path:
     here = sorted(path for path in Path().glob("*.toml") if path.name not in NO_PIPELINE)
     if len(here) == 1:
         return here[0]
-    seen = ", ".join(map(str, here)) or "no TOML file"
+    files = ", ".join(map(str, here)) or "no TOML file"
     raise ConfigError(
-        f"expected the name of a pipeline, or one TOML file here, got {seen}; name a pipeline, as in npred run smoke"
+        f"expected the name of a pipeline, or one TOML file here, got {files}; name a pipeline, as in npred run smoke"
     )

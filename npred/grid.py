@@ -29,7 +29,7 @@ def refine(values: np.ndarray, nx: int) -> np.ndarray:
 
 
 def read(values: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Nodal values (..., nodes, m) at places x (k,) of [0, 1], (..., k, m), as `refine` reads them; exact at nodes."""
+    """Nodal values (..., nodes, m) at points x (k,) of [0, 1], (..., k, m), as `refine` reads them; exact at nodes."""
     old = values.shape[-2]
     width = 4 if old > 3 else 2
     s = x * (old - 1)

@@ -21,7 +21,7 @@ SUFFIX = ".py:"
 
 
 class Entry(NamedTuple):
-    """A built-in part: where it is, as module:Class, what people call it, and its line in figures.
+    """A built-in part: its module:Class, its label for people, and its line in figures.
 
     `look` is the role of the colour (of a runtime: its network's), the dash and the marker.
     `lowering` is the module that makes a program of a network, where there is one.
@@ -60,7 +60,7 @@ class Registry:
         return [*self.builtin, *sorted(self._installed().keys() - self.builtin.keys())]
 
     def label(self, name: str) -> str:
-        """What people call a part: its own name where it is not built in."""
+        """The label of a part: its name where it is not built in."""
         return self.builtin[name].label if name in self.builtin else name
 
     def look(self, name: str) -> tuple[str, tuple[float, ...], str]:
@@ -68,7 +68,7 @@ class Registry:
         return self.builtin[name].look if name in self.builtin else Entry("", "").look
 
     def fault(self, name: str, *others: str) -> str | None:
-        """What is wrong with a name, in words; None for a part, for a class of a file, and for one of `others`."""
+        """The fault of a name, in words; None for a part, for a class of a file, and for one of `others`."""
         if name in (*self.builtin, *others) or named(name) or name in self._installed():
             return None
         names = [*self.names(), *others]
@@ -76,7 +76,7 @@ class Registry:
         return f"expected {', '.join(names)}, or a class of a file as my_file.py:Name, got {name!r}{near}"
 
     def identity(self, name: str) -> Any:
-        """What a key holds of a part: a built-in name, what its file holds, or the package with version and target."""
+        """The part in a key: a built-in name, the digest of its file, or the package with version and target."""
         if named(name):
             path, attribute = split(name)
             return {"name": attribute, "source": read(self.kind, path).sha256}
@@ -112,7 +112,7 @@ class Registry:
         """
         if not named(name) and name not in self.builtin:
             return
-        path, attribute = split(name) if named(name) else _place(self.builtin[name].target)
+        path, attribute = split(name) if named(name) else _target_file(self.builtin[name].target)
         source = read(self.kind, path)
         if attribute not in source.text:
             raise ConfigError(f"{what}: expected a class {attribute} in {path}, found none; check the name")
@@ -129,7 +129,7 @@ class Registry:
             raise ConfigError(f"{what}: expected {expected}, {faults[0]}")
 
     def installed(self, name: str) -> Any:
-        """What an installed package registers, or None. Raises ConfigError, naming the package, where it fails."""
+        """The part that an installed package registers, or None. Raises ConfigError, with its name, if it fails."""
         entry = self._installed().get(name)
         if entry is None:
             return None
@@ -139,7 +139,7 @@ class Registry:
             package = entry.dist.name if entry.dist else "a package"
             reason = source_lines.one_line(error)
             raise ConfigError(
-                f"{self.kind} {name}: {package} failed on import of {entry.value}: {reason}; fix it"
+                f"{self.kind} {name}: {package} failed on import of {entry.value}: {reason}; install another version"
             ) from None
 
     def _installed(self) -> dict[str, Any]:
@@ -219,7 +219,7 @@ STAGES = {
     ),
     "train": StageEntry(
         1, ("generate",), "npred.stages.train", "npred.results:Trained",
-        "The networks, each as an artifact of its own.",
+        "The networks, one artifact per network.",
         r"model\.safetensors|model\.json|metrics\.jsonl|snapshot-\d+\.safetensors",
     ),
     "evaluate": StageEntry(
@@ -238,18 +238,18 @@ STAGES = {
 
 
 def named(spec: str) -> bool:
-    """Whether the text names a class of a file."""
+    """True if the text names a class of a file."""
     return SUFFIX in spec
 
 
 def attribute(target: str) -> Any:
-    """What module:Name names, imported now."""
+    """The object at module:Name, imported now."""
     module, _, name = target.partition(":")
     return getattr(importlib.import_module(module), name)
 
 
 def called(spec: str) -> str:
-    """What results call a part: a registered name, or the class of a file."""
+    """The name of a part in results: a registered name, or the class of a file."""
     return split(spec)[1] if named(spec) else spec
 
 
@@ -284,18 +284,18 @@ def _compiled(what: str, path: Path, content: str | bytes, flags: int = 0) -> An
     except (SyntaxError, ValueError) as error:
         line, reason = getattr(error, "lineno", None), getattr(error, "msg", error)
         raise ConfigError(
-            f"{what} {path}{f':{line}' if line else ''}: expected Python, got a syntax error: {reason}; fix it"
+            f"{what} {path}{f':{line}' if line else ''}: expected Python, got a syntax error: {reason}; edit that line"
         ) from None
 
 
-def _place(target: str) -> tuple[Path, str]:
-    """The file and the class of one of npred's own parts."""
+def _target_file(target: str) -> tuple[Path, str]:
+    """The file and the class of a built-in part."""
     module, _, attribute = target.partition(":")
     return Path(__file__).parents[1].joinpath(*module.split(".")).with_suffix(".py"), attribute
 
 
 def _arguments(tree: ast.Module, name: str) -> ast.arguments | None:
-    """The arguments of a class's own __init__."""
+    """The arguments of the __init__ that a class defines."""
     bodies = [node.body for node in tree.body if isinstance(node, ast.ClassDef) and node.name == name]
     methods = [node for body in bodies for node in body if isinstance(node, ast.FunctionDef)]
     return next((node.args for node in methods if node.name == "__init__"), None)
@@ -311,7 +311,7 @@ def load(what: str, spec: str) -> Loaded:
     if not path.is_file():  # a pipe or a device would be read without an end
         raise ConfigError(
             f"{what} {spec}: expected a Python file, found none at {path}; check the path, which a pipeline gives from "
-            "its own folder and the command line from yours"
+            "its folder and the command line from yours"
         )
     content = path.read_bytes()
     space: dict[str, Any] = {"__name__": path.stem, "__file__": str(path)}
@@ -321,11 +321,11 @@ def load(what: str, spec: str) -> Loaded:
     except (Exception, SystemExit) as error:
         line = source_lines.last_line(error, str(path))
         raise ConfigError(
-            f"{what} {path}{line}: failed on import: {source_lines.one_line(error)}; fix the file"
+            f"{what} {path}{line}: failed on import: {source_lines.one_line(error)}; python {path} shows more"
         ) from None
     if not isinstance(space.get(name), type):
-        own = [key for key, value in space.items() if isinstance(value, type) and value.__module__ == path.stem]
+        classes = [key for key, value in space.items() if isinstance(value, type) and value.__module__ == path.stem]
         raise ConfigError(
-            f"{what} {path}: expected a class {name}, found {', '.join(own) or 'none'}; check the name after the colon"
+            f"{what} {path}: expected a class {name}, found {', '.join(classes) or 'none'}; name one that it has"
         )
     return Loaded(name, space[name], _source(path, content))

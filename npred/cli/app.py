@@ -56,7 +56,7 @@ def group(panel: str, does: str) -> Callable[[Callable[..., None]], typer.Typer]
 
 def _with_flags(function: Callable[..., None], does: str, **more: str) -> Callable[..., None]:
     """The function as typer reads it: its own parameters, then the flags; a failure becomes an exit code."""
-    first, *own = inspect.signature(function).parameters.values()
+    first, *arguments = inspect.signature(function).parameters.values()
     options: type[Common] = first.annotation
     shared = parameters(options)
     module, _, action = does.partition(".")
@@ -72,7 +72,7 @@ def _with_flags(function: Callable[..., None], does: str, **more: str) -> Callab
             raise typer.Exit(code)
 
     context = inspect.Parameter("context", inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context)
-    signature = inspect.Signature([context, *own, *shared])
+    signature = inspect.Signature([context, *arguments, *shared])
     vars(call).update(__signature__=signature, __doc__=function.__doc__)
     call.__annotations__ = {name: parameter.annotation for name, parameter in signature.parameters.items()}
     return call

@@ -162,9 +162,9 @@ def _row(artifact: Artifact) -> list[str]:
 def _setting(artifact: Artifact, key: str, by_key: dict[str, Artifact]) -> str | None:
     """A setting of the artifact or of what it was made from, as JSON."""
     asked = artifact.manifest.question
-    own = flat(asked.config).get(key)
+    value = flat(asked.config).get(key)
     sources = (by_key[source.key] for source in asked.inputs.values() if source.key in by_key)
-    return own or next(filter(None, (_setting(source, key, by_key) for source in sources)), None)
+    return value or next(filter(None, (_setting(source, key, by_key) for source in sources)), None)
 
 
 def _facts(artifact: Artifact) -> str:

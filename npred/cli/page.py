@@ -29,7 +29,7 @@ def publish(options: Work, outcomes: list[Outcome], output: Path | None) -> Path
     if not folders:
         return None
     folder, source = folders[-1], source_of(options)
-    path = output or place(options, options.pipeline.stem, lambda name: options.store / f"{name}.html", _owner)
+    path = output or page_path(options, options.pipeline.stem, lambda name: options.store / f"{name}.html", _owner)
     aside = path.with_name(path.name + ".part")
     try:
         text = (folder / NAME).read_text(encoding="utf-8").replace(PLACE, _made_from(source, options.set or []), 1)
@@ -53,16 +53,16 @@ def _made_from(source: str, overrides: list[str]) -> str:
     return f'<p class="about" data-pipeline="{name}">From <code>{name}</code>{" with" if flags else ""}{flags}</p>'
 
 
-def place(options: Planned, name: str, of: Callable[[str], Path], owner: Callable[[Path], str | None]) -> Path:
+def page_path(options: Planned, name: str, of: Callable[[str], Path], owner: Callable[[Path], str | None]) -> Path:
     """`of(name)`, as NAME.html; where `owner` says that this is another pipeline's, that of NAME-FOLDER after the
     file's own folder, else with a digest. A line says which is whose.
     """
     source, folder = source_of(options), re.sub(r"[^\w.-]", "_", options.pipeline.absolute().parent.name)
     names = [name, f"{name}-{folder}", f"{name}-{hashlib.sha256(os.fsencode(source)).hexdigest()[:8]}"]
     owners = {path: owner(path) for path in map(of, names)}
-    own = [path for path, owner in owners.items() if owner == source]
+    same = [path for path, owner in owners.items() if owner == source]
     free = [path for path, owner in owners.items() if owner is None]
-    first, path = next(iter(owners)), [*own, *free, *owners][0]
+    first, path = next(iter(owners)), [*same, *free, *owners][0]
     if path != first and owners[first]:
         options.console.note(f"{first} is of {owners[first]}; that of {source} is {path}")
     return path

@@ -68,12 +68,12 @@ def _renamed(source: str, plant: "Plant", class_name: str) -> str:
     """The text of the file of a plant's class, which is called `class_name` there; of a family, one of its own."""
     from npred import registry
 
-    own = registry.named(source)
-    path = registry.split(source)[0] if own else Path(_module_file(plant.declaration))
+    in_file = registry.named(source)
+    path = registry.split(source)[0] if in_file else Path(_module_file(plant.declaration))
     text, old = path.read_text(encoding="utf-8"), plant.declaration.__name__
     if re.search(rf"^class {old}\b", text, re.MULTILINE):
         return re.sub(rf"\b{old}\b", class_name, text)
-    declaration = registry.split(source)[1] if own else f'PLANTS["{source}"]'
+    declaration = registry.split(source)[1] if in_file else f'PLANTS["{source}"]'
     return f"{text.rstrip()}\n{class_name} = {declaration}\n"
 
 

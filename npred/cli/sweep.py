@@ -29,23 +29,23 @@ def sweep(options: Running, to: str, output: Path | None, csv: bool) -> None:
         writable_folder(output, "table")
     device = devices.resolve(options.device)
     devices.require(device)
-    grid = cells(options.pipeline, options.set or [])
+    sweep_cells = cells(options.pipeline, options.set or [])
     targets = ["evaluate", "bench"] if to == "bench" else [to]  # a latency is worth little without its error
     if options.dry_run:
-        _show_plan(options, grid, targets, device)
+        _show_plan(options, sweep_cells, targets, device)
         return
     jobs = options.jobs or devices.cores()
     options.results.remember(options.pipeline)
     execute.keep_log(options)
     with executors.opened(options.executor, jobs) as executor:
-        planners = [Planner(cell.config, options.results, device) for cell in grid]
+        planners = [Planner(cell.config, options.results, device) for cell in sweep_cells]
         runs = Runner(options.console, jobs, executor).sweep(planners, targets)
-    _report(options, list(zip(grid, runs, strict=True)), output, csv)
+    _report(options, list(zip(sweep_cells, runs, strict=True)), output, csv)
 
 
-def _show_plan(options: Running, grid: list[Cell], targets: list[str], device: str) -> None:
+def _show_plan(options: Running, sweep_cells: list[Cell], targets: list[str], device: str) -> None:
     lines = []
-    for cell in grid:
+    for cell in sweep_cells:
         steps = Planner(cell.config, options.results, device).plan(nodes(cell.config, targets))
         lines.append({"cell": cell.name, "stages": [f"{step.node.title}: {step.action}" for step in steps]})
     options.show({"cells": lines}, lambda: "\n".join("  ".join([line["cell"], *line["stages"]]) for line in lines))
@@ -77,7 +77,7 @@ def _write(options: Running, name: str, output: Path | None, rows: list[dict[str
     """table.csv, and front.svg and front.png where there are two quantities to draw."""
     from npred.sweep import pareto
 
-    folder = output or page.place(options, name, lambda name: Path(f"sweep-{name}"), page.signed)
+    folder = output or page.page_path(options, name, lambda name: Path(f"sweep-{name}"), page.signed)
     with durable.room(folder):
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "table.csv").write_text(_csv(rows), encoding="utf-8")

@@ -73,7 +73,7 @@ class Dataset:
             if rows.any():
                 row = int(np.argmax(rows))
                 value = getattr(self, expected.partition(":")[0])[row][bad[row]].flat[0]
-                raise ConfigError(f"{expected}, got {value:g} in row {row}; leave that row out or correct it")
+                raise ConfigError(f"{expected}, got {value:g} in row {row}; leave that row out")
 
     def fit(self, plant: Plant) -> None:
         """Raise ConfigError unless the arrays are of the plant's sizes, both parts of the split have rows, and every

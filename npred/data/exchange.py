@@ -42,14 +42,14 @@ def part(plant: Plant, inputs: np.ndarray, outputs: np.ndarray, rollouts: int | 
 
 
 def split(count: int, rollouts: int | None) -> tuple[np.ndarray, np.ndarray]:
-    """The rollout of each of `count` rows, int32, and whether it is held out, uint8; without rollouts a row is one.
+    """The rollout of each of `count` rows, int32, and 1 if it is held out, uint8; without rollouts a row is one.
 
     Raises ConfigError where the rows are not a multiple of the rollouts, or too few to hold any out.
     """
     groups = count if rollouts is None else rollouts
     if not 2 <= groups <= count or count % groups:
         what = "two rows or more" if rollouts is None else "at least 2 rollouts with as many rows of each"
-        raise ConfigError(f"import: expected {what}, got {count} rows and {groups} rollouts; fix --rollouts")
+        raise ConfigError(f"import: expected {what}, got {count} rows of {groups}; give --rollouts a divisor")
     held_out = randomness.generator(0, "import").permutation(groups)[: max(round(TEST_SHARE * groups), 1)]
     rollout = np.repeat(np.arange(groups, dtype=np.int32), count // groups)
     return rollout, np.isin(rollout, held_out).astype(np.uint8)
@@ -57,7 +57,7 @@ def split(count: int, rollouts: int | None) -> tuple[np.ndarray, np.ndarray]:
 
 @np.errstate(all="ignore")
 def checks(plant: Plant, data: Dataset) -> dict[str, Any]:
-    """How well the samples solve the predictor equation [DAPF, eq. 10], one number per state each.
+    """The residuals of the samples in the predictor equation [DAPF, eq. 10], one number per state each.
 
     start: sup |P(0) - X|. residual: sup over samples and nodes of |P(x) - X - D_hat ∫₀ˣ f(P, u) dy|, the integral by
     the trapezoidal rule. relative: the root of its mean square over that of P - X. horizon: the share a of D_hat that
@@ -88,7 +88,7 @@ def nearest(data: Dataset, test: np.ndarray) -> float:
 
 
 def together(data: Dataset) -> float:
-    """How much more often than by chance a row's nearest other row is of its rollout: 1 always, about 0 if shuffled."""
+    """The excess over chance of rows whose nearest other row is of their rollout: 1 always, about 0 if shuffled."""
     points = _points(data)
     chance = 1 / len(np.unique(data.rollout))
     hits = []

@@ -1,4 +1,4 @@
-"""HDF5 files that may come from anywhere: every array is checked before a byte of it is read or room made for it.
+"""HDF5 files from anywhere: every array is checked before a byte of it is read or memory is taken for it.
 
 The format can point to other files, load plug-ins, and announce arrays of any size. Here an array is plain numbers in
 the file itself, no larger than what is stored, or a virtual one joined from shards that lie beside it.
@@ -74,14 +74,14 @@ def _stored(array: h5py.Dataset, name: str, path: Path) -> int:
 
 def _joined(array: h5py.Dataset, name: str, path: Path) -> int:
     """The bytes of the shards behind a virtual array, each of them checked."""
-    room, seen = 0, set()
+    room, checked = 0, set()
     for source in array.virtual_sources():
         if not SHARD.fullmatch(source.file_name) or source.file_name == path.name:
             raise ValueError(f"{name} is joined from {source.file_name!r}, no file beside it")
         if source.dset_name.strip("/") != name:  # what HDF5 makes of other names (%b, links on the way) is not checked
             raise ValueError(f"{name} is joined from {source.dset_name!r} of {source.file_name}")
-        if source.file_name not in seen:
-            seen.add(source.file_name)
+        if source.file_name not in checked:
+            checked.add(source.file_name)
             room += _shard(path.with_name(source.file_name), name, array.ndim)
     return room
 

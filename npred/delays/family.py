@@ -1,4 +1,4 @@
-"""What a delay model is to the predictors and the loop: five kernels for the prediction problem of one plant.
+"""The interface of a delay model to the predictors and the loop: five kernels for the prediction problem of one plant.
 
 The problem is dP/dx = D_hat f(P, u(x), t + x D_hat), P(0) = X on x in [0, 1] [DAPF, eq. 10], and U = kappa(P) at its
 end. Arrays have their lanes innermost, so that B loops share each instruction.
@@ -42,7 +42,7 @@ def build(name: str, arguments: str, body: str, preamble: str = "", **flags: Any
 
 
 def idle(arguments: str) -> Kernel:
-    """A kernel that leaves all as it is, in the place of a part that a loop does without."""
+    """A kernel that does nothing, for a part that a loop does without."""
     return build("idle", arguments, "    pass\n")
 
 
@@ -75,11 +75,11 @@ class Family(ABC):
         self.plant = plant
 
     def expected(self) -> str:
-        """What those in `lacks` need, and what the plant has."""
+        """The need of all that `lacks` names, and what the plant has."""
         return ""
 
     def refusal(self, part: str) -> tuple[str, str] | None:
-        """Why that method, law, runtime or format does not serve the plant, and what to do; None where it does."""
+        """The reason that a method, delay law, runtime or format does not serve the plant, and the cure; else None."""
         if part in WITHOUT_TIME and self.plant.clocked:
             return f"expected a prediction free of time, that of plant {self.plant.name} is not", WITHOUT_TIME[part]
         return (self.expected(), self.lacks[part]) if part in self.lacks else None
@@ -92,7 +92,7 @@ class Family(ABC):
     @staticmethod
     @abstractmethod
     def serves(plant: Plant) -> bool:
-        """Whether the family is that of the plant."""
+        """True if the family is that of the plant."""
 
     @abstractmethod
     def sweep(self, step: Step) -> Kernel:

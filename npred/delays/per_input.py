@@ -1,6 +1,6 @@
-"""Prediction where inputs have delays of their own: an input is its history up to its delay, past it the law's value.
+"""Prediction with one delay per input: an input is its history up to its delay, past it the value of kappa.
 
-With r_j = D_j / D the share of input j in the longest delay and u_j(x) = U_j(t + D_j (x - 1)) its own history,
+With r_j = D_j / D the share of input j in the longest delay and u_j(x) = U_j(t + D_j (x - 1)) its history,
     dP/dx = D_hat f(P, v),   v_j(x) = u_j(x / r_j) for x <= r_j,   kappa_j(P(x), t + x D_hat) for x > r_j
 [Bekiaris-Liberis, Krstic, Predictor-Feedback Stabilization of Multi-Input Nonlinear Systems, IEEE TAC 62 (2017) 516].
 A step that some r_j lies inside is taken in pieces, so that a method keeps its order where v jumps.
@@ -80,7 +80,7 @@ CONTROL = """\
         {law}
 """
 
-# Each input switches at a moment of its own.
+# Each input switches at another moment.
 ADVANCE = """\
     {parameters}
     for l in range(X.shape[1]):
@@ -187,7 +187,7 @@ def _piece(plant: Plant, step: Step, state: list[str]) -> list[str]:
 
 
 def _closed(trace: Trace) -> Callable[..., Any]:
-    """f with the law in place of the inputs whose history has ended."""
+    """f with kappa for the inputs whose history has ended."""
     past = {c: trace.input(f"past{c}") for c in _early(trace.plant)}
 
     def f(x: Any, u: Any, t: Any) -> Any:

@@ -1,4 +1,4 @@
-"""What is right and what is wrong with a plant, in words: asked before an hour of rollouts and training shows it."""
+"""The check of a plant and its pipeline, one answer per question, before an hour of rollouts and training."""
 
 from collections.abc import Callable, Collection, Sequence
 
@@ -75,7 +75,7 @@ def check(
 
 
 def settled(answers: Sequence[Answer]) -> bool:
-    """Whether no answer is no."""
+    """True if no answer is no."""
     return all(answer.verdict != "no" for answer in answers)
 
 

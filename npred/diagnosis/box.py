@@ -34,7 +34,7 @@ def smooth(case: Case) -> Verdict:
     if not kinks:
         return "yes", "kappa has derivatives everywhere it is defined"
     harm = "a law of signs chatters, and its derivative is 0" if "sign" in kinks else "its derivative may jump there"
-    decides = f"{case.plant.place('kappa')} decides by {', '.join(kinks)}"
+    decides = f"{case.plant.location('kappa')} decides by {', '.join(kinks)}"
     return "warn", f"{decides}: {harm}; smooth it, with M.tanh say, if loops chatter"
 
 
@@ -62,11 +62,11 @@ def finite(case: Case) -> Verdict:
         lost = ~np.isfinite(np.broadcast_to(value, (len(X), value.shape[-1]))).all(axis=-1)
         if lost.any():
             where = f"at {case.state(X[np.argmax(lost)])}, and on {lost.mean():.0%} of the box"
-            return "no", f"{plant.place(name)} is not finite {where}; shrink box, or guard it with M.where"
+            return "no", f"{plant.location(name)} is not finite {where}; shrink box, or guard it with M.where"
     lowest = int(np.argmin(values["V"]))
     if values["V"][lowest] < 0:
         came = f"{values['V'][lowest, 0]:.3g} at {case.state(X[lowest])}"
-        return "no", f"{plant.place('V')} expected at least 0 on the box, got {came}; 1 + V divides: add squares"
+        return "no", f"{plant.location('V')} expected at least 0 on the box, got {came}; 1 + V divides: add squares"
     return "yes", f"f, kappa and V are, at {len(X)} states of the box"
 
 
@@ -80,12 +80,12 @@ def jacobians(case: Case) -> Verdict:
         worst = int(np.argmax(np.where(np.isnan(excess), np.inf, excess)))
         if not excess[worst] <= 0:
             where = f"differ from finite differences at {case.state(case.X[worst])}"
-            return "no", f"{plant.place(name)}: derivatives {where}; look for a jump there"
+            return "no", f"{plant.location(name)}: derivatives {where}; look for a jump there"
     return "yes", f"f_X and kappa' equal finite differences at {len(case.X)} states"
 
 
 def _excess(function: Callable[[np.ndarray], np.ndarray], J: np.ndarray, case: Case) -> np.ndarray:
-    """How far the Jacobians J (N, k, n) are outside the tolerance, (N,); across a kink both slopes count."""
+    """The excess of the Jacobians J (N, k, n) over the tolerance, (N,); across a kink both slopes count."""
     worst = np.full(len(J), -np.inf)
     for k, name in enumerate(case.plant.states):
         low, high = case.box[name]
@@ -130,4 +130,4 @@ def complete(case: Case) -> Verdict:
     t = case.delay * int(np.argmax(ended[first])) / (nodes - 1)
     start = f"{case.state(case.X[first])} ({lost.mean():.0%} of the box)"
     cure = "shrink box or the delay, or guard what is undefined there with M.where"
-    return "no", f"{case.plant.place('f')}: {loop} leaves the finite numbers after {t:.3g} s from {start}; {cure}"
+    return "no", f"{case.plant.location('f')}: {loop} leaves the finite numbers after {t:.3g} s from {start}; {cure}"

@@ -1,4 +1,4 @@
-"""What is asked of a plant, and an answer in words."""
+"""A case of the check of a plant, its questions, and their answers in words."""
 
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
@@ -47,7 +47,7 @@ class Case:
     answers: dict[str, Answer] = field(default_factory=dict)
 
     def ask(self, question: "Question") -> Answer | None:
-        """The answer, None where the question does not apply. A plant that fails on the way has one: no, and how."""
+        """The answer, None where the question does not apply. A plant that fails meanwhile has one: no, and how."""
         if question.name not in self.answers and question.applies(self):
             try:
                 verdict = question.answer(self) or ("yes", "")
@@ -62,12 +62,12 @@ class Case:
 
     @property
     def leads(self) -> str | None:
-        """Whether the law without delay leads somewhere: the verdict, so far, on stability or on a reference."""
+        """True if kappa without delay leads somewhere: the verdict, so far, on stability or on a reference."""
         return self.verdict("stability" if self.plant.rests else "reference")
 
     @property
     def sound(self) -> bool:
-        """Whether f, kappa and V were asked on the box, and are finite there."""
+        """True if f, kappa and V were evaluated on the box, and are finite there."""
         return self.verdict("finite") == "yes"
 
     @property
@@ -92,7 +92,7 @@ class Case:
 
     @property
     def u0(self) -> Any:
-        """What the pipeline says of the input before t = 0."""
+        """The input before t = 0 in the pipeline."""
         return self.pipeline.generate.u0 if self.pipeline else None
 
     @property
@@ -108,7 +108,7 @@ class Case:
 
     @property
     def takes_V(self) -> bool:
-        """Whether an update law runs: not with a frozen estimate, nor where inputs have delays of their own."""
+        """True if an update law runs: not with a frozen estimate, nor where inputs have several delays."""
         if self.pipeline is None:
             return family_of(self.plant).refusal("adaptation") is None
         return any(loop.adaptation != FROZEN for loop in self.loops.values())
@@ -122,7 +122,7 @@ class Case:
     @cached_property
     def u(self) -> np.ndarray:
         """kappa of those states within the input bounds, (samples, m)."""
-        with np.errstate(all="ignore"):  # where it is not finite, the question `finite` tells
+        with np.errstate(all="ignore"):  # where it is not finite, the question `finite` reports it
             U = self.plant.kappa(self.X)
         return np.clip(U, *self.limits.T)
 

@@ -15,11 +15,11 @@ MOST = 20_000  # steps
 SPAN = 30.0  # time constants of the slowest rate at the equilibrium
 HORIZON = 100.0  # s, of a plant that follows a reference
 HOME = 0.01  # of the box: this close to its target a loop has converged
-FALLING = 0.9  # a loop on its way is this much closer in the last quarter than in the second
+FALLING = 0.9  # a loop that still converges is this much closer in the last quarter than in the second
 
 
 def limited(case: Case) -> Verdict:
-    """Which share of kappa on the box lies outside the input bounds."""
+    """The share of kappa on the box that lies outside the input bounds."""
     with np.errstate(all="ignore"):
         U = case.plant.kappa(case.X)
     outside = (np.clip(U, *case.limits.T) != U).any(axis=-1)
@@ -48,11 +48,11 @@ def converges(case: Case) -> Verdict:
         return "warn", f"{text}: its slowest rate is {horizon / seconds:.2g} times slower"
     if not lost.any():
         text = f"{home.mean():.0%} of {len(X0)} loops without delay have converged after {seconds:.3g} s"
-        return "warn", f"{text}, the others are on their way"
+        return "warn", f"{text}, the others still converge"
     start = case.state(X0[np.argmax(lost)])
     failing = f"{lost.mean():.0%} of {len(X0)} loops without delay do not converge, as from {start}"
     cure = "shrink box" + (", or widen input_bounds" if np.isfinite(case.limits).any() else ", or change kappa there")
-    return "no", f"{case.plant.place('kappa')}: {failing}; {cure}"
+    return "no", f"{case.plant.location('kappa')}: {failing}; {cure}"
 
 
 def _times(case: Case) -> tuple[float, float, float]:
@@ -62,14 +62,14 @@ def _times(case: Case) -> tuple[float, float, float]:
     rates = np.abs(np.linalg.eigvals(np.concatenate([f_X, f_X + f_U @ plant.kappa_jacobian(X)]))).max()
     horizon = HORIZON
     if plant.rests:
-        own = np.linalg.eigvals(closed_loop(plant))
-        rates, horizon = max(rates, np.abs(own).max()), SPAN / -own.real.max()
+        eigenvalues = np.linalg.eigvals(closed_loop(plant))
+        rates, horizon = max(rates, np.abs(eigenvalues).max()), SPAN / -eigenvalues.real.max()
     h = STEP / rates if rates > 0 else horizon / MOST
     return h, min(horizon, MOST * h), horizon
 
 
 def _distances(case: Case, X: np.ndarray, seconds: float) -> np.ndarray:
-    """How far loops X (B, nt, n) are from what they are to reach, in widths of the box, (B, nt)."""
+    """Distances of loops X (B, nt, n) from their target, in widths of the box, (B, nt)."""
     target = case.plant.target(np.linspace(0.0, seconds, X.shape[1]))
     width = np.ptp(case.ends, axis=1)
     width = np.where(width > 0, width, np.maximum(np.abs(case.ends[:, 0]), 1.0))

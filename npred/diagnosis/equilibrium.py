@@ -1,4 +1,4 @@
-"""Questions about what the law leads to: is there an equilibrium, is it stable, is a reference a trajectory?"""
+"""Questions about the target of kappa: is there an equilibrium, is it stable, is a reference a trajectory?"""
 
 import numpy as np
 
@@ -40,14 +40,14 @@ def stability(case: Case) -> Verdict:
     if not np.isfinite(A).all():
         return (
             "no",
-            f"{plant.place('kappa')}: no derivative at the equilibrium; guard the term that has none",
+            f"{plant.location('kappa')}: no derivative at the equilibrium; guard the term that has none",
         )
     rates = sorted(np.linalg.eigvals(A), key=lambda rate: -rate.real)  # the slowest first
     values = ", ".join(f"{rate.real:.3g}" + (f" {rate.imag:+.3g}i" if rate.imag else "") for rate in rates)
     if rates[0].real < 0:
         return "yes", f"eigenvalues of the loop without delay: {values}"
     at = f"eigenvalues {values} at {case.state(plant.equilibrium)}, expected all negative"
-    return "no", f"{plant.place('kappa')} does not stabilise without delay: {at}; check its signs and gains"
+    return "no", f"{plant.location('kappa')} does not stabilise without delay: {at}; check its signs and gains"
 
 
 def closed_loop(plant: Plant) -> np.ndarray:
@@ -68,7 +68,7 @@ def reference(case: Case) -> Verdict:
         return "yes", f"a trajectory of f with kappa for {seconds:g} s, to {excess:.1g}"
     came = f"got one that differs from it by {excess:.2g} at t = {t:.3g} s"
     cure = "let its derivative be f(reference, kappa(reference, t), t)"
-    return "no", f"{plant.place('reference')} expected a trajectory of f with kappa, {came}; {cure}"
+    return "no", f"{plant.location('reference')} expected a trajectory of f with kappa, {came}; {cure}"
 
 
 def slip(plant: Plant, t_end: float) -> tuple[float, float]:

@@ -1,4 +1,4 @@
-"""Whether V falls along the loop of kappa without delay; where not, x'Sx of the Lyapunov equation is offered."""
+"""The check that V falls along the loop of kappa without delay; if not, x'Sx of the Lyapunov equation is offered."""
 
 import numpy as np
 
@@ -13,12 +13,12 @@ SAME = 1e-3  # of its largest value: this close to x'Sx a V is taken for it
 
 
 def undeclared(plant: Plant) -> str:
-    """What an update law lacks; the cure is the caller's."""
+    """The message that an update law lacks V; the caller adds the cure."""
     return f"plant {plant.name}: found no V(x, t, p, M), which the update law takes"
 
 
 def applies(case: Case) -> bool:
-    """Whether V is missing, or is not needed, or can be looked at: the law stabilises, and the box is sound."""
+    """True if V is missing, is not needed, or can be looked at: kappa stabilises, and the box is sound."""
     if not case.plant.rests:
         return case.takes_V and not case.plant.declares_V
     unneeded = not case.plant.declares_V and not case.takes_V
@@ -42,7 +42,7 @@ def falls(case: Case) -> Verdict:
         return "yes", f"V' < 0 along the loop of kappa, at {len(X)} states of the box, towards rest and around it"
     worst = int(np.argmax(np.where(np.isnan(rates), np.inf, rates)))
     where = f"V' = {rates[worst]:.3g} at {case.state(X[worst])}, and {rising.mean():.0%} of {len(X)} states are like it"
-    rises = f"{case.plant.place('V')} does not fall along the loop: {where}"
+    rises = f"{case.plant.location('V')} does not fall along the loop: {where}"
     if rising.mean() > (_offered(case, S, X) >= 0).mean():
         return "warn", f"{rises}; {_offer(case, S, X)}"
     if _proportional(case, S, X):
@@ -92,10 +92,10 @@ def _offered(case: Case, S: np.ndarray, X: np.ndarray) -> np.ndarray:
 
 
 def _proportional(case: Case, S: np.ndarray, X: np.ndarray) -> bool:
-    """Whether the declared V is e'Se times a number."""
+    """True if the declared V is e'Se times a number."""
     e = X - case.plant.equilibrium
-    V, own = case.plant.V(X), np.einsum("bi,ij,bj->b", e, S, e)
-    return bool(np.abs(V * own.sum() - own * np.sum(V)).max() <= SAME * np.abs(own).max() * np.sum(V))
+    V, quadratic = case.plant.V(X), np.einsum("bi,ij,bj->b", e, S, e)
+    return bool(np.abs(V * quadratic.sum() - quadratic * np.sum(V)).max() <= SAME * np.abs(quadratic).max() * np.sum(V))
 
 
 def _offer(case: Case, S: np.ndarray, X: np.ndarray) -> str:

@@ -39,15 +39,15 @@ def clock(case: Case) -> None:
     if plant.phase(0.0) is None or plant.period is None:
         return
     X, t = np.eye(plant.n), np.linspace(0.0, plant.period, plant.n)
-    u, again = plant.kappa(X, t), plant.kappa(X, t + plant.period)
-    gaps = again - u, plant.f(X, u, t + plant.period) - plant.f(X, u, t)
+    u, u_next = plant.kappa(X, t), plant.kappa(X, t + plant.period)
+    gaps = u_next - u, plant.f(X, u, t + plant.period) - plant.f(X, u, t)
     if max(np.abs(gap).max() for gap in gaps) > SLIP:
         what = f"f and kappa expected to repeat after {plant.period:g} s"
-        raise ConfigError(f"plant {plant.name}: {what}; correct period")
+        raise ConfigError(f"plant {plant.name}: {what}; set period to the time after which they do")
 
 
 def declares_V(case: Case) -> None:
-    """Whether the law of the delay estimate has the V that it takes."""
+    """Whether the delay law has the V that it takes."""
     if case.takes_V and not case.plant.declares_V:
         raise ConfigError(f"{undeclared(case.plant)}; npred plants check offers one")
 
@@ -78,11 +78,11 @@ def radius(case: Case) -> None:
         what = f"expected one number per state ({', '.join(plant.states)}), got {X0 or 'none'}"
         raise ConfigError(f"evaluate.X0: {what}; give as many")
     if not np.isfinite(X0).all():
-        raise ConfigError(f"evaluate.X0: expected finite values, got {X0}; correct it")
+        raise ConfigError(f"evaluate.X0: expected finite values, got {X0}; replace that")
 
 
 def parts(case: Case) -> None:
-    """Whether laws of the delay estimate and methods load, and accept the plant; whether networks take their sizes."""
+    """Whether delay laws and methods load, and accept the plant; whether networks take their sizes."""
     for name in case.settings.train.models if "train" in case.stages else ():
         table = case.settings.train.table(name)
         NETWORKS.check_keywords(f"train.{name}.sizes", table.architecture, table.arguments)

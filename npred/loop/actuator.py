@@ -2,7 +2,7 @@
 
 The controller holds U over each control step, so the history is piecewise constant and everything here is exact. Rows
 of the ring buffers are control steps: `held[k]` is U on [k dt, (k + 1) dt), `total[k]` the sum of U over the steps
-before k. Each input has a delay of its own, D (m, B).
+before k. D (m, B) has one delay per input.
 """
 
 import math
@@ -47,7 +47,7 @@ def transport(
     """
     nx, m, lanes = u.shape
     rows = held.shape[0]
-    wrap = k - k % rows  # row of step i is i - wrap, plus rows where that is negative: a modulo a node costs too much
+    wrap = k - k % rows  # row of step i is i - wrap, plus rows where that is negative: a modulo each costs too much
     span, before, sum_before = np.empty(lanes), np.empty(lanes), np.empty(lanes)
     for c in range(m):
         for l in range(lanes):

@@ -24,7 +24,7 @@ class DelayAdaptation(DelayLaw):
     gamma: float = 1000.0
 
     def check(self, plant: Plant) -> None:
-        """Raise ConfigError where inputs have delays of their own."""
+        """Raise ConfigError where inputs have several delays."""
         family_of(plant).needs("adaptation")
 
     def rate(
@@ -63,7 +63,7 @@ def _check(plant: Plant, X: np.ndarray, u: np.ndarray, P: np.ndarray) -> None:
     for name, a, last in (("u", u, (max(nx, 2), plant.m)), ("P", P, (nx, plant.n)), ("X", X, (plant.n,))):
         if a.shape[-len(last) :] != last:
             axes = ", ".join(["..."] + ["nx"] * (len(last) - 1) + [str(last[-1])])
-            raise ConfigError(f"{name}: expected shape ({axes}), nx >= 2 the same in u and P, got {a.shape}; fix it")
+            raise ConfigError(f"{name}: expected shape ({axes}), nx >= 2 the same in u and P, got {a.shape}; reshape")
 
 
 def _lanes_last(a: np.ndarray, leading: int) -> np.ndarray:

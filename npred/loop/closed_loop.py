@@ -17,10 +17,10 @@ from npred.plants import inputs
 from npred.plants.base import Plant
 from npred.predictors import Compiled, OneStep, Predictor
 
-LANES = 64  # loops a chunk: with more, their memory leaves the second-level cache
+LANES = 64  # loops per chunk: with more, their memory leaves the second-level cache
 NEURAL_LANES = 512  # a network's call has a fixed cost to share
 LOOPS = ("X", "U", "D_hat", "N", "energy", "escaped", "P")  # of Trajectories: arrays whose first axes are the batch
-BLOCK = 500  # control steps between two words of progress
+BLOCK = 500  # control steps between two reports of progress
 
 
 @dataclass(frozen=True)
@@ -75,10 +75,10 @@ class Trajectories:
         """
         return trajectory_views.dataframe(self)
 
-    def part(self, some: slice) -> "Trajectories":
-        """The loops `some` of a batch with one axis."""
-        cut = {name: getattr(self, name)[some] for name in LOOPS}
-        taken = {f.name: getattr(self.samples, f.name)[some] for f in fields(Samples)}
+    def part(self, rows: slice) -> "Trajectories":
+        """The loops `rows` of a batch with one axis."""
+        cut = {name: getattr(self, name)[rows] for name in LOOPS}
+        taken = {f.name: getattr(self.samples, f.name)[rows] for f in fields(Samples)}
         return replace(self, samples=Samples(**taken), **cut)
 
     @classmethod
@@ -111,11 +111,11 @@ def simulate(
 ) -> Trajectories:
     """Loops of X' = f(X, U(t - D)), U = kappa(P(1)), D_hat' = gamma Proj{D_hat, phi} [DAPF, eqs. 6-14].
 
-    D, D_hat (...) in seconds and X0 (..., n) broadcast to the batch. Where inputs have delays of their own D is the
+    D, D_hat (...) in seconds and X0 (..., n) broadcast to the batch. Where inputs have several delays D is the
     longest, input j comes after r_j D, and U_j = kappa_j(P(r_j), t + r_j D_hat). U is held over each step of dt and
     clipped to `input_bounds` (m, 2), by default the plant's. Before t = 0 the input is u0: numbers (m,), "equilibrium"
     or "law", kappa(X0, 0); by default 0 where the bounds allow it, else the equilibrium's. `predictor=None` is the open
-    loop U = 0, `adaptation=None` freezes D_hat; a law of one's own, a DelayLaw, runs in Python. Every `every`-th step
+    loop U = 0, `adaptation=None` freezes D_hat; a DelayLaw that you write runs in Python. Every `every`-th step
     is kept; `samples` (..., S) are sorted steps whose (X, u, D_hat) are kept too. `integrator` advances the plant.
     `progress=True` shows a bar of the loop steps done, in a terminal or a notebook; a function gets their number.
     A loop that leaves the finite numbers goes on as NaN and leaves the others alone.
@@ -130,21 +130,21 @@ def simulate(
     X0 = np.broadcast_to(X0, (*shape, plant.n)).reshape(-1, plant.n)
     D, D_hat = (np.broadcast_to(a, shape).reshape(-1) for a in (D, D_hat))
     loop_checks.room(plant, D, t_end, dt, every)
-    wanted = loop_checks.samples(samples, shape, round(t_end / dt))
+    sample_steps = loop_checks.samples(samples, shape, round(t_end / dt))
     limits, method = inputs.bounds(plant, input_bounds), loop_checks.integrator(integrator)
     held = inputs.before(plant, u0, limits, X0)
-    loop = _Loop(plant, predictor, adaptation, limits, dt, t_end, every, method)
+    loop = _Simulation(plant, predictor, adaptation, limits, dt, t_end, every, method)
     width = LANES if loop.compiled else NEURAL_LANES
     chunks = [slice(i, i + width) for i in range(0, len(D), width)]
     with _counted(progress, len(D) * (round(t_end / dt) + 1)) as count:
-        records = [loop.run(X0[c], D[c], D_hat[c], held[c], wanted[c], count) for c in chunks]
+        records = [loop.run(X0[c], D[c], D_hat[c], held[c], sample_steps[c], count) for c in chunks]
     joined = engine.Record(*(np.concatenate(parts, axis=-1) for parts in zip(*records, strict=True)))
     return _trajectories(joined, shape, dt * every, plant)
 
 
 @contextmanager
 def _counted(progress: Callable[[int], Any] | bool | None, total: int) -> Iterator[Callable[[int], Any] | None]:
-    """What is called with the number of loop steps done, of `total`: a bar where `progress` is True."""
+    """A function of the number of loop steps done, of `total`: a bar where `progress` is True."""
     if isinstance(progress, bool) or progress is None:
         if not progress:
             yield None
@@ -158,8 +158,8 @@ def _counted(progress: Callable[[int], Any] | bool | None, total: int) -> Iterat
 
 
 @dataclass(frozen=True)
-class _Loop:
-    """What all chunks of one simulation share."""
+class _Simulation:
+    """The parts that all chunks of one simulation share."""
 
     plant: Plant
     predictor: Predictor | None
@@ -172,14 +172,14 @@ class _Loop:
 
     @cached_property
     def law(self) -> Part:
-        """What gives U and D_hat's rate; the open loop's is U = 0."""
+        """The kernels of U and of D_hat's rate; the open loop has U = 0."""
         if self.predictor is None:
             return part(self.plant, None)._replace(control=family.idle(family.CONTROL))
         return part(self.plant, self.adaptation)
 
     @property
     def compiled(self) -> bool:
-        """Whether all parts are kernels; else the same loop runs in Python around those that are."""
+        """True if all parts are kernels; else the same loop runs in Python around those that are."""
         parts = self.plant.traced and self.law.compiled
         return parts and (self.predictor is None or isinstance(self.predictor, Compiled))
 

@@ -1,4 +1,4 @@
-"""The controller alone, for a real plant: one step a call, on memory taken at the start."""
+"""The controller alone, for a real plant: one step per call, on memory taken at the start."""
 
 import math
 import operator
@@ -24,8 +24,8 @@ class Controller:
     The actuator state u is measured, so D_hat, phi of the last step and the time are all that it remembers. `D_hat`
     (seconds) is the estimate that the next step uses, by default the middle of the adaptation's bounds;
     `adaptation=None` freezes it. U is clipped to `input_bounds` (m, 2), by default the plant's. Steps equal those of
-    npred.simulate. It works on memory of its own, so one controller belongs to one thread; a pickled one goes on where
-    it stood.
+    npred.simulate. Its memory is not shared, so one controller belongs to one thread; a pickled one goes on where it
+    stood.
     Raises ConfigError for parts that do not fit together.
     """
 
@@ -43,7 +43,7 @@ class Controller:
         self._predict, self._control, self._update = predictor.lanes(), law.control, law.update
         self._gamma_dt, self._b, self._bounds = law.gamma * self.dt, law.b, law.bounds
         self._take_memory()
-        self._place(self._start(D_hat), None, 0, 0.0)
+        self._set_state(self._start(D_hat), None, 0, 0.0)
         self._warm_up()
 
     @property
@@ -56,7 +56,7 @@ class Controller:
 
     @D_hat.setter
     def D_hat(self, seconds: float) -> None:
-        self._place(seconds, None, self._step, self._t0)
+        self._set_state(seconds, None, self._step, self._t0)
 
     @property
     def t(self) -> float:
@@ -68,7 +68,7 @@ class Controller:
 
     @t.setter
     def t(self, seconds: float) -> None:
-        self._place(self.D_hat, None, 0, seconds)
+        self._set_state(self.D_hat, None, 0, seconds)
 
     @property
     def P(self) -> np.ndarray:
@@ -80,7 +80,7 @@ class Controller:
 
         The predictor integrates u: where the measurement can tell them apart, `u` has the mean over each node's cell
         and `u_nodes` the values at the nodes, which the update law compares with kappa(P); by default they are u.
-        U is the controller's own memory, overwritten by the next step. Raises ConfigError for shapes that do not fit
+        U is the controller's memory, overwritten by the next step. Raises ConfigError for shapes that do not fit
         and for what are no real numbers, masked arrays among them, and DivergedError for a measurement that is not
         finite, or that the prediction leaves the finite numbers from; the controller, and that memory, then stand as
         before.
@@ -98,7 +98,7 @@ class Controller:
         return self._last_U
 
     def state(self) -> dict[str, Any]:
-        """What it remembers, ready for JSON: D_hat, phi of the last step, and the steps done since t0 (seconds)."""
+        """Its state, ready for JSON: D_hat, phi of the last step, and the steps done since t0 (seconds)."""
         phi = float(self._phi_before[0])
         return {"D_hat": self.D_hat, "phi": None if math.isnan(phi) else phi, "step": self._step, "t0": self._t0}
 
@@ -109,7 +109,7 @@ class Controller:
             phi, t0 = state.get("phi"), state.get("t0", 0.0)
         except (AttributeError, KeyError, TypeError, ValueError):
             raise ConfigError(f"state: expected D_hat and step, got {state!r}; save it with state()") from None
-        self._place(D_hat, phi, step, t0)
+        self._set_state(D_hat, phi, step, t0)
 
     def __repr__(self) -> str:
         adapts = "frozen" if self.adaptation is None else f"by {type(self.adaptation).__name__}"
@@ -142,8 +142,8 @@ class Controller:
         self._D_hat, self._N = np.empty(1), np.empty(1)
         self._phi, self._phi_before = np.zeros(1), np.full(1, np.nan)
 
-    def _place(self, D_hat: Any, phi: Any, step: int, t0: Any) -> None:
-        """Take what the next step starts from, phi None for none. Raises ConfigError, and stays as it is, if wrong."""
+    def _set_state(self, D_hat: Any, phi: Any, step: int, t0: Any) -> None:
+        """Set the state of the next step, phi None for none. Raises ConfigError, and stays as it is, if wrong."""
         seconds, start = array_checks.number("D_hat", D_hat), array_checks.number("t", t0)
         rate = math.nan if phi is None else array_checks.number("phi", phi)
         low, high = self._bounds

@@ -1,4 +1,4 @@
-"""Laws for the delay estimate: what one is, a rate D_hat' kept within bounds; by name; and as the time loop runs it."""
+"""Delay laws: the base class, a rate D_hat' kept within bounds; laws by name; and their kernels for the time loop."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ from npred.symbolic import source_lines
 
 @dataclass(frozen=True)
 class DelayLaw(ABC):
-    """D_hat' = Proj_[bounds]{D_hat, rate}: a law of your own is a subclass with `rate`, in NumPy.
+    """D_hat' = Proj_[bounds]{D_hat, rate}: a delay law that you write is a subclass with `rate`, in NumPy.
 
     gamma > 0 is the adaptation gain, b > 0 weighs w, bounds are in seconds: a pipeline's, of which `rate` uses what it
     needs. simulate, controller and the stages of a pipeline take it; it runs in Python, batch by batch, unless it has a
@@ -35,7 +35,7 @@ class DelayLaw(ABC):
         super().__init_subclass__(**settings)
         methods = {name for name, value in vars(cls).items() if callable(value) and not name.startswith("__")}
         if "kernel" not in methods and methods - {"check"}:
-            cls.kernel = DelayLaw.kernel  # that of a base class no longer is the law
+            cls.kernel = DelayLaw.kernel  # that of a base class no longer is its kernel
 
     def __post_init__(self) -> None:
         gains = array_checks.floats("adaptation: gamma, b", (self.gamma, self.b))
@@ -43,10 +43,10 @@ class DelayLaw(ABC):
             raise ConfigError(f"adaptation: expected gamma > 0 and b > 0, got gamma = {self.gamma}, b = {self.b}")
         bounds = array_checks.floats("adaptation: bounds", self.bounds)
         if bounds.shape != (2,) or not 0 <= bounds[0] <= bounds[1] < np.inf:
-            raise ConfigError(f"adaptation: expected bounds 0 <= low <= high, got {self.bounds}; swap or fix them")
+            raise ConfigError(f"adaptation: expected bounds 0 <= low <= high, got {self.bounds}; give (low, high)")
 
     def check(self, plant: Plant) -> None:  # noqa: B027  a law that serves every plant has nothing to refuse
-        """Raise ConfigError where the law is not for this plant; asked before anything runs."""
+        """Raise ConfigError where the delay law is not for this plant; asked before anything runs."""
 
     @abstractmethod
     def rate(
@@ -82,7 +82,7 @@ def resolve(loop: config.Loop) -> DelayLaw | None:
 
 
 def check(loop: config.Loop, plant: Plant) -> None:
-    """Raise ConfigError where the law does not load, or refuses the plant."""
+    """Raise ConfigError where the delay law does not load, or refuses the plant."""
     law = resolve(loop)
     if law is not None:
         law.check(plant)
@@ -134,14 +134,13 @@ def _rates(law: DelayLaw, plant: Plant, lanes: list[np.ndarray], t: float) -> np
     except ConfigError:
         raise
     except Exception as error:
-        raise ConfigError(
-            f"{_place(law)} failed{source_lines.where(error, law.rate)}: {source_lines.one_line(error)}; fix it"
-        ) from None
+        reason = f"failed{source_lines.where(error, law.rate)}: {source_lines.one_line(error)}"
+        raise ConfigError(f"{_location(law)} {reason}; let it return D_hat' (B,)") from None
     if returned is None or not array_checks.fits(rates.shape, D_hat.shape):
         came = None if returned is None else rates.shape
-        raise ConfigError(f"{_place(law)} expected to return {D_hat.shape}, one per loop, got {came}; fix it")
+        raise ConfigError(f"{_location(law)} expected to return {D_hat.shape}, one per loop, got {came}; return that")
     return rates
 
 
-def _place(law: DelayLaw) -> str:
+def _location(law: DelayLaw) -> str:
     return f"adaptation {type(law).__name__}: rate ({source_lines.line(law.rate)})"

@@ -1,7 +1,7 @@
 """The time loop on flat memory, lanes innermost: one compiled engine for every plant, predictor and number of loops.
 
-Its parts reach it as function pointers, so it is compiled once a machine, not once a plant, and an edit of a part never
-leaves a stale copy of it in Numba's cache. With a predictor in Python the same text runs uncompiled.
+Its parts reach it as function pointers, so it is compiled once per machine, not per plant, and an edit of a part
+never leaves a stale copy of it in Numba's cache. With a predictor in Python the same text runs uncompiled.
 """
 
 from functools import cache
@@ -20,7 +20,7 @@ from npred.symbolic.compile_cache import jit
 
 
 class Settings(NamedTuple):
-    """What stays fixed in a run; gamma_dt = gamma dt, or 0 with D_hat frozen."""
+    """The constants of a run; gamma_dt = gamma dt, or 0 with D_hat frozen."""
 
     dt: float
     every: int
@@ -34,7 +34,7 @@ class Settings(NamedTuple):
 
 
 class State(NamedTuple):
-    """What evolves: the plant, the actuator's history, the delay estimate, and scratch for one step."""
+    """The state of a run: the plant, the actuator's history, the delay estimate, and scratch for one step."""
 
     X: np.ndarray  # (n, B)
     D: np.ndarray  # (m, B), the delay of each input
@@ -55,7 +55,7 @@ class State(NamedTuple):
 
 
 class Record(NamedTuple):
-    """What is kept, time first, lanes last."""
+    """The record of a run, time first, lanes last."""
 
     X: np.ndarray  # (rows, n, B)
     P: np.ndarray  # (rows, n, B), the prediction at x = 1

@@ -1,4 +1,4 @@
-"""What a closed loop is asked for, checked before it runs: the compiled engine reads what the shapes promise."""
+"""Checks of the arguments of a closed loop before it runs: the compiled engine reads what the shapes promise."""
 
 import math
 import os
@@ -20,7 +20,7 @@ def samples(samples: Any, shape: tuple[int, ...], last: int) -> np.ndarray:
     steps = np.zeros(0, dtype=np.int64) if samples is None else np.asarray(samples)
     fits = steps.ndim > 0 and steps.dtype.kind in "iu" and array_checks.fits(steps.shape[:-1], shape)
     if not fits or (np.diff(steps) < 0).any() or (steps < 0).any() or (steps > last).any():
-        raise ConfigError(f"samples: expected sorted whole steps of 0 to {last}, (..., S), got {samples}; fix them")
+        raise ConfigError(f"samples: expected sorted whole steps of 0 to {last}, (..., S), got {samples}; sort them")
     count = steps.shape[-1]
     return np.broadcast_to(steps.astype(np.int64), (*shape, count)).reshape(math.prod(shape), count)
 
@@ -66,7 +66,7 @@ def parts(plant: Any, predictor: Any, adaptation: Any, every: Any = 1) -> None:
     if adaptation is not None:
         adaptation.check(plant)
     if not isinstance(every, int | np.integer) or every < 1:
-        raise ConfigError(f"every: expected a whole number of steps from 1 on, got {every!r}; fix it")
+        raise ConfigError(f"every: expected a whole number of steps from 1 on, got {every!r}; give 1, 2, …")
 
 
 def integrator(name: Any) -> type[OneStep]:

@@ -1,4 +1,4 @@
-"""How far a predictor is from the exact one, in the norms of the theory, and what a closed loop makes of it."""
+"""Errors of a predictor in the norms of the theory, and radius, settling and decay of the closed loop."""
 
 from functools import cache
 from typing import Any
@@ -16,7 +16,7 @@ CELLS = 4000  # of the horizon, along which the gain of a plant that tracks is i
 
 
 def size(X_star: np.ndarray) -> float:
-    """What a distance from X* is measured against: the largest |X*|, or one unit of state where X* is the origin."""
+    """The unit of a distance from X*: the largest |X*|, or one unit of state where X* is the origin."""
     norm = float(np.linalg.norm(X_star) if X_star.ndim == 1 else np.linalg.norm(X_star, axis=-1).max())
     return norm if norm > ORIGIN else 1.0
 
@@ -61,8 +61,8 @@ def in_loop(loops: Trajectories, D: float) -> np.ndarray:
     """sup |P(1, t) - X(t + D)| over 2 D <= t <= t_end - D, (...), of loops with D_hat = D, every step of them kept.
 
     D is a whole number of steps. Before 2 D the history of U has the jump from its past to the first control in it, and
-    every scheme is of first order. Where inputs have delays of their own, D is the longest of them: P goes on past the
-    others with the law's values. Infinite for a loop that left the finite numbers.
+    every scheme is of first order. Where inputs have several delays, D is the longest of them: P goes on past the
+    others with the values of kappa. Infinite for a loop that left the finite numbers.
     """
     k = round(D / (loops.t[1] - loops.t[0]))
     gap = np.linalg.norm(loops.P[..., 2 * k : -k, :] - loops.X[..., 3 * k :, :], axis=-1).max(axis=-1)
@@ -92,8 +92,8 @@ def _last_outside(t: np.ndarray, distance: np.ndarray, level: float) -> np.ndarr
 def relative(plant: Plant, X: np.ndarray, u: np.ndarray, P_hat: np.ndarray, P: np.ndarray) -> dict[str, Any]:
     """sup_x |P_hat - P| / (|X - X*| + sup_x |u - u*|), its supremum and median over the samples.
 
-    Finite and small, it makes the loop converge to the point: near rest the error vanishes with the distance. Nothing
-    is told of a plant that tracks: it has no such point.
+    Finite and small, it makes the loop converge to the point: near rest the error vanishes with the distance. A plant
+    that tracks has no such point, and no such number.
     """
     if not plant.rests:
         return {}
@@ -104,7 +104,7 @@ def relative(plant: Plant, X: np.ndarray, u: np.ndarray, P_hat: np.ndarray, P: n
 
 
 def converged(radii: np.ndarray, X_star: np.ndarray) -> np.ndarray:
-    """Whether a loop of that radius ends settled."""
+    """True if a loop of that radius ends settled."""
     return radii <= SETTLED * size(X_star)
 
 
@@ -133,8 +133,8 @@ def _linear(plant: Plant, t: Any) -> tuple[np.ndarray, np.ndarray]:
 def _responses(plant: Plant, t_end: float) -> list[np.ndarray]:
     """G (n, m) of `gain` on CELLS + 1 times, by the trapezoidal rule, which no rate makes unstable."""
     A, B = _linear(plant, np.linspace(0.0, t_end, CELLS + 1))
-    h, eye, found = t_end / CELLS, np.eye(plant.n), [np.zeros((plant.n, plant.m))]
+    h, eye, responses = t_end / CELLS, np.eye(plant.n), [np.zeros((plant.n, plant.m))]
     for k in range(CELLS):
-        right = found[-1] + h / 2 * (A[k] @ found[-1] + B[k] + B[k + 1])
-        found.append(np.linalg.solve(eye - h / 2 * A[k + 1], right))
-    return found
+        right = responses[-1] + h / 2 * (A[k] @ responses[-1] + B[k] + B[k + 1])
+        responses.append(np.linalg.solve(eye - h / 2 * A[k + 1], right))
+    return responses

@@ -1,4 +1,4 @@
-"""Closed loops for the eye and for other programs: a summary in text, a plot, a data frame."""
+"""Views of closed loops: a summary in text, a plot, a data frame."""
 
 import re
 from collections.abc import Iterator, Mapping
@@ -12,7 +12,7 @@ from npred.errors import ConfigError, MissingError
 
 
 class Loops(Protocol):
-    """What is shown: npred.loop.closed_loop.Trajectories."""
+    """The trajectories shown: npred.loop.closed_loop.Trajectories."""
 
     @property
     def t(self) -> np.ndarray: ...  # (nt,)
@@ -37,7 +37,7 @@ class Loops(Protocol):
 
 
 def summary(loops: Loops) -> str:
-    """How many loops and times, then a line per series: its range over all times, and where it ends."""
+    """The numbers of loops and times, then a line per series: its range over all times, and its end."""
     count, shape = loops.escaped.size, loops.escaped.shape
     batch = ("1 loop" if not shape else f"{count} loops") + (f" {shape}" if len(shape) > 1 else "")
     lines = [f"Trajectories: {batch}, {len(loops.t)} times from {loops.t[0]:g} to {loops.t[-1]:g} {loops.time_unit}"]

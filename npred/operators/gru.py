@@ -58,7 +58,7 @@ def matrices(nx: int, steps: int, dtype: torch.dtype, device: torch.device) -> t
 
 
 def _located(count: int, nodes: int) -> tuple[np.ndarray, np.ndarray]:
-    """The interval of a grid of `nodes` that each of `count` equally spaced places is in, and its share before it."""
-    places = np.arange(count) * (nodes - 1) / (count - 1)
-    first = np.minimum(places.astype(int), nodes - 2)
-    return first, (places - first)[:, None]
+    """The interval of a grid of `nodes` that each of `count` equally spaced points is in, and its share before it."""
+    points = np.arange(count) * (nodes - 1) / (count - 1)
+    first = np.minimum(points.astype(int), nodes - 2)
+    return first, (points - first)[:, None]

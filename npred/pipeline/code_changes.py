@@ -23,8 +23,8 @@ def change(function: str, owner: str, before: SourceText | None, after: SourceTe
     hunks = _hunks(before.text, after.text, function, owner)
     if hunks is None:
         return f"{function} changed in {escaped(after.file)}"
-    place = f"{function} changed in {escaped(after.file)}"
-    return escaped(f"{place}: {'; '.join(hunks)}") if hunks else f"{place}, by code that it imports"
+    message = f"{function} changed in {escaped(after.file)}"
+    return escaped(f"{message}: {'; '.join(hunks)}") if hunks else f"{message}, by code that it imports"
 
 
 def _hunks(before: str, after: str, function: str, owner: str) -> list[str] | None:

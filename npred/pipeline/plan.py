@@ -106,8 +106,8 @@ class Planner:
         older = [a for a in self._artifacts if alike(a, node.stage, node.model, self.config.name)]
         asked, sources = stage_registry.question(node, self.config, self.device), self.sources(node)
         lists = (settings(a.manifest.question.config, asked, a.manifest.sources, sources) for a in reversed(older))
-        own = min(lists, key=len, default=[])
-        return Step(node, None, None, f"{'stale' if older else NEVER}: {sentence([*own, *causes])}")
+        changes = min(lists, key=len, default=[])
+        return Step(node, None, None, f"{'stale' if older else NEVER}: {sentence([*changes, *causes])}")
 
     @cached_property
     def plant(self) -> "Plant":

@@ -179,8 +179,8 @@ def _digest(path: Path) -> str:
 def _train(config: Pipeline, model: str | None, device: str) -> dict[str, Any]:
     assert model is not None
     table = config.train.table(model)
-    own = {"network": registry.NETWORKS.identity(table.architecture)} if isinstance(table, Network) else {}
-    return {"train": {model: _dump(table) | own}}
+    identity = {"network": registry.NETWORKS.identity(table.architecture)} if isinstance(table, Network) else {}
+    return {"train": {model: _dump(table) | identity}}
 
 
 def _evaluate(config: Pipeline, model: str | None, device: str) -> dict[str, Any]:

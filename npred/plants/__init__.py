@@ -42,7 +42,7 @@ def _named(spec: str, plant: Plant) -> Plant:
 
 @lru_cache(maxsize=128)
 def restored(spec: str, parameters: tuple[tuple[str, float], ...], digest: str | None) -> Plant:
-    """The plant that was pickled by its name, once a process, for it keeps what is compiled.
+    """The plant that was pickled by its name, one per process, for it keeps what is compiled.
 
     Raises ConfigError where it is not there, or its file has changed since.
     """
@@ -54,7 +54,7 @@ def restored(spec: str, parameters: tuple[tuple[str, float], ...], digest: str |
 
 @lru_cache(maxsize=128)
 def remade(kind: type[Plant], name: str, declaration: Any, parameters: tuple[tuple[str, float], ...]) -> Plant:
-    """The plant that was pickled with its class, which Python could import; once a process."""
+    """The plant that was pickled with its class, which Python could import; one per process."""
     return kind(name, declaration, dict(parameters))
 
 
@@ -67,7 +67,7 @@ def make(
 
 
 def identity(name: str, parameters: Mapping[str, float] = {}) -> dict[str, Any]:
-    """What a stage's key must hold of the plant; see Plant.identity."""
+    """The part of a stage's key that identifies the plant; see Plant.identity."""
     return resolve(name, parameters).identity
 
 
@@ -93,12 +93,12 @@ def _summary(name: str) -> dict[str, Any]:
 
 
 def is_builtin(name: Any) -> bool:
-    """Whether a name is that of a plant of npred's own: to resolve it runs nobody else's code."""
+    """True if a name is that of a built-in plant: to resolve it runs nobody else's code."""
     return isinstance(name, str) and name in _builtin()
 
 
 def _builtin() -> dict[str, type]:
-    """What the modules of `builtin` declare: thermal_tank.py ThermalTank, or PLANTS, a table of names to classes."""
+    """The declarations of `builtin`: thermal_tank.py has ThermalTank, or PLANTS, a table of names to classes."""
     declarations: dict[str, type] = {}
     for module in pkgutil.iter_modules(builtin.__path__):
         content = importlib.import_module(f"{builtin.__name__}.{module.name}")

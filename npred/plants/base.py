@@ -18,7 +18,7 @@ from npred.symbolic.trace import Trace, python
 
 
 class Plant:
-    """X'(t) = f(X(t), U(t - D)) with the law kappa and the function V [DAPF, eqs. 1-4].
+    """X'(t) = f(X(t), U(t - D)) with the control law kappa and the function V [DAPF, eqs. 1-4].
 
     A declaration is a class with `states`, `inputs` (names) and the functions f(x, u, t, p, M), kappa(x, t, p, M) and
     V(x, t, p, M); optional are `parameters` (name to default), `box` (state to range, for experiments), `guess` (where
@@ -82,7 +82,7 @@ class Plant:
 
     @property
     def one_delay(self) -> bool:
-        """Whether all inputs arrive equally late."""
+        """True if all inputs arrive equally late."""
         return bool((self.ratios == 1).all())
 
     @cached_property
@@ -90,7 +90,7 @@ class Plant:
         """The parameters' values in the order of their declaration."""
         return np.array(list(self.parameters.values()), dtype=float)
 
-    def place(self, name: str) -> str:
+    def location(self, name: str) -> str:
         """A declared function in words, with file and line: plant Tank: f (my_plant.py:12)."""
         line = source_lines.line(getattr(self.declaration, name))
         return f"plant {self.name}: {name}" + (f" ({line})" if line else "")
@@ -138,7 +138,7 @@ class Plant:
         if not converged:
             left = source_lines.values([f"{name}'" for name in self.states], residual)
             raise ConfigError(
-                f"{self.place('kappa')} leads to no equilibrium near guess = {self.guess.tolist()}: {left} is left; "
+                f"{self.location('kappa')} leads to no equilibrium near guess = {self.guess.tolist()}: {left} is left; "
                 "let kappa hold a point where f vanishes, or give a `guess` closer to one"
             )
         return X
@@ -149,7 +149,7 @@ class Plant:
         return self.kappa(self.equilibrium)
 
     def target(self, t: Any) -> np.ndarray:
-        """What the law leads to: the equilibrium (n,) where the plant rests, else its reference at t (...), (..., n).
+        """The target of kappa: the equilibrium (n,) where the plant rests, else its reference at t (...), (..., n).
 
         Raises ConfigError for a plant that depends on time and declares no reference.
         """
@@ -179,7 +179,7 @@ class Plant:
         return self._columns("kappa", np.asarray(X), t, rows=self.m)
 
     def _columns(self, name: str, X: np.ndarray, *more: Any, rows: int) -> np.ndarray:
-        """The derivatives as matrices (..., rows, columns), a column a direction."""
+        """The derivatives as matrices (..., rows, columns), one column per direction."""
         with np.errstate(all="ignore"):
             values = self._interpreted[name](*np.moveaxis(X, -1, 0), *more, *self.p)
         values = array_math.stack(values, X[..., 0])
@@ -213,17 +213,17 @@ class Plant:
 
     @cached_property
     def rests(self) -> bool:
-        """Whether the plant has an equilibrium to rest at: neither f nor kappa depends on time."""
+        """True if the plant has an equilibrium to rest at: neither f nor kappa depends on time."""
         return self.autonomous and not self._timed("kappa")
 
     @cached_property
     def autonomous(self) -> bool:
-        """Whether f is free of time, so that the predictor is a function of (X, u, D_hat)."""
+        """True if f is free of time, so that the predictor is a function of (X, u, D_hat)."""
         return not self._timed("f")
 
     @cached_property
     def clocked(self) -> bool:
-        """Whether P depends on the time too: f does, or the law of an input that is predicted past its own delay."""
+        """True if P depends on the time: f does, or kappa_j of an input that is predicted past its delay."""
         trace = Trace(self)
         x, t = trace.vector("x", self.n), trace.input("t")
         return not self.autonomous or programs.depends(trace.kappa(x, t)[self.ratios < 1], [t])
@@ -257,12 +257,12 @@ class Plant:
 
     @cached_property
     def tracks(self) -> bool:
-        """Whether the plant declares a reference. Raises ConfigError where f and kappa know no time to follow it."""
+        """True if the plant declares a reference. Raises ConfigError where f and kappa know no time to follow it."""
         has_reference = getattr(self.declaration, "reference", None) is not None
         if has_reference and self.rests:
             raise ConfigError(
-                f"{self.place('reference')} expected a kappa that depends on t, got one that rests; let kappa follow "
-                "it, or drop reference"
+                f"{self.location('reference')} expected a kappa that depends on t, got one that rests; let it follow "
+                "that, or drop reference"
             )
         return has_reference
 
@@ -273,7 +273,7 @@ class Plant:
 
     @cached_property
     def identity(self) -> dict[str, Any]:
-        """What a result depends on: names, parameters, and the hash of each traced function.
+        """All that a result depends on: names, parameters, and the hash of each traced function.
 
         A remark in the file that declares the plant changes no formula, and so no key.
         """
@@ -293,7 +293,7 @@ class Plant:
 
     @property
     def notation(self) -> dict[str, Any]:
-        """What figures write beside the names: part of the keys of the stages that draw states, and of no other."""
+        """The labels and units of figures: part of the keys of the stages that draw states, and of no other."""
         tables = {"labels": self.labels, "units": self.units}
         optional = {} if self.time_unit == "s" else {"time_unit": self.time_unit}
         optional |= {"figure": self.figure} if self.figure else {}

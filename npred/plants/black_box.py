@@ -15,7 +15,7 @@ from npred.registry import Source
 from npred.symbolic.declared import RETURNS, failure, parameters
 
 STEP = 6e-6  # of a central difference: the cube root of the machine epsilon balances rounding and the third derivative
-UNDEFINED = (ArithmeticError, ValueError)  # how Python's own numbers say what arrays say by NaN: overflow, a domain
+UNDEFINED = (ArithmeticError, ValueError)  # where arrays give NaN Python's floats raise these: overflow, a domain
 TIMES = (0.0, 0.37, 1.93)  # at which functions are compared to see whether they depend on time
 
 
@@ -26,7 +26,7 @@ class BlackBox(Plant):
     (B,) for X (B, n), u (B, m), t a number or (B,), and p with the parameters' names; `reference(t, p)` takes t (B,)
     and gives (B, n). Optional are df(X, u, t, p, v) -> (B, n) and dkappa(X, t, p, v) -> (B, m), the derivatives by X
     along v (B, n), else taken by central differences, good to about 1e-9 of the function's size, as those by t are;
-    and `files`, paths whose content is part of the identity, as is that of the plant's own file. All else is as for
+    and `files`, paths whose content is part of the identity, as is that of the plant's file. All else is as for
     any Plant.
     Where a function overflows or leaves a domain by an exception, as math.pow does, that row is NaN.
     Raises ConfigError, in one line, for a function that fails or returns another shape, and for several delays.
@@ -37,7 +37,7 @@ class BlackBox(Plant):
     def __init__(self, name: str, declaration: Any, overrides: Mapping[str, float] = {}, source: Source | None = None):
         super().__init__(name, declaration, overrides, source)
         if self.source is None:
-            raise ConfigError(f"plant {name}: traced = False expected a class in a file of its own; write one")
+            raise ConfigError(f"plant {name}: traced = False expected a class in a file, as tank.py:Tank; write one")
         if not self.one_delay:
             what = f"expected one delay, plant {name} has delays {self.delays}"
             raise ConfigError(f"traced = False: {what}; trace the plant, or drop delays")
@@ -102,7 +102,7 @@ class BlackBox(Plant):
             values = self._one_by_one(name, arguments, expected, error)
         if values.shape != expected:
             what = f"expected to return shape {expected}, one row per loop, got {values.shape}"
-            raise ConfigError(f"{self.place(name)} {what}; return {RETURNS.get(name, 'one value per component')}")
+            raise ConfigError(f"{self.location(name)} {what}; return {RETURNS.get(name, 'one value per component')}")
         return values.reshape(shape if size is None else (*shape, size))
 
     @np.errstate(all="ignore")  # where it is not finite is for the caller to say, in words
@@ -156,7 +156,7 @@ class BlackBox(Plant):
         return self._timed("kappa")
 
     def _timed(self, name: str) -> bool:
-        """Whether f or kappa gives other values at other times, at a few states."""
+        """True if f or kappa gives other values at other times, at a few states."""
         random = np.random.default_rng(0)
         X = self.guess + random.uniform(-0.5, 0.5, (4, self.n))
         u = random.uniform(-0.5, 0.5, (4, self.m))
@@ -164,7 +164,7 @@ class BlackBox(Plant):
         return not all(np.array_equal(values[0], later, equal_nan=True) for later in values[1:])
 
     def _program(self) -> dict[str, Any]:
-        """What stands in for a program: the hash of the plant's own file, and of those that it reads, by name."""
+        """In place of a program the hash of the plant's file, and of those that it reads, by name."""
         assert self.source is not None
         contents: dict[str, Any] = {}
         for path in map(Path, getattr(self.declaration, "files", ())):
@@ -178,7 +178,7 @@ class BlackBox(Plant):
 
 
 def _batched(argument: Any) -> bool:
-    """Whether it is an array of rows, and neither a number nor the parameters."""
+    """True if it is an array of rows, and neither a number nor the parameters."""
     return isinstance(argument, np.ndarray) and argument.ndim > 0
 
 

@@ -1,4 +1,4 @@
-"""What a plant's author declares, as a frozen model: a part that is wrong is one line, before anything is traced."""
+"""The declaration of a plant as a frozen model: a part that is wrong is one line, before anything is traced."""
 
 import math
 import re

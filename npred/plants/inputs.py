@@ -40,7 +40,7 @@ def start(plant: Plant, u0: Any, limits: np.ndarray) -> np.ndarray | str:
         return u0
     array = array_checks.floats("u0", u0)
     if not array_checks.fits(array.shape, (plant.m,)) or not np.isfinite(array).all():
-        raise ConfigError(f"u0: expected a finite number per input ({', '.join(plant.inputs)}), got {u0}; correct it")
+        raise ConfigError(f"u0: expected a finite number per input ({', '.join(plant.inputs)}), got {u0}; give as many")
     return _accepted(plant, np.broadcast_to(array, (plant.m,)), limits, "")
 
 

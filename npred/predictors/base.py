@@ -1,4 +1,4 @@
-"""What every predictor is: a map from (X, u, D_hat) to P on the nodes of [0, 1]."""
+"""The base classes of predictors: maps from (X, u, D_hat) to P on the nodes of [0, 1]."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -47,7 +47,7 @@ class Predictor(ABC):
         return f"<{type(self).__name__} {self.name!r} of plant {self.plant.name}, nx = {self.nx}>"
 
     def __getstate__(self) -> dict[str, Any]:
-        """What pickle keeps: all but what was compiled or derived, which is made again on use."""
+        """The state that pickle keeps: all but what was compiled or derived, which is made again on use."""
         return {k: v for k, v in vars(self).items() if not isinstance(getattr(type(self), k, None), cached_property)}
 
     @abstractmethod
@@ -104,7 +104,7 @@ class Compiled(Predictor):
         if np.ndim(t) == 0:
             return self._at(t, X, u, D_hat)
         P = np.full((*u.shape[:2], self.plant.n), np.nan)  # that of a time that is NaN
-        for moment in np.unique(t):  # the kernel knows one time a call
+        for moment in np.unique(t):  # the kernel takes one time per call
             rows = t == moment
             P[rows] = self._at(moment, X[rows], u[rows], D_hat[rows])
         return P

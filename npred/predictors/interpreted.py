@@ -1,4 +1,4 @@
-"""Interpreted baselines: what a predictor costs that nobody compiled. For benchmarks, not for loops."""
+"""Interpreted baselines of the benchmarks: predictors in plain Python, for no loop."""
 
 import contextlib
 from abc import abstractmethod

@@ -1,4 +1,4 @@
-"""A trained operator as a predictor: the one place that knows networks and the loop's memory."""
+"""A trained operator as a predictor: the one module that knows networks and the loop's memory."""
 
 from typing import Any
 

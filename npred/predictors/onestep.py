@@ -22,22 +22,23 @@ class OneStep(Compiled):
 
     @classmethod
     def evaluations(cls) -> int:
-        """How often a step evaluates f. Raises ConfigError, with the line, for a formula that fails or is no step."""
+        """Evaluations of f per step. Raises ConfigError, with the line, for a formula that fails or is no step."""
         times = []
 
         def f(x: Any, u: Any, t: Any) -> Any:
             times.append(t)
             return -x
 
-        x, u, place = np.ones(2), np.zeros(1), f"predictor {cls.__name__}: step ({source_lines.line(cls.step)})"
+        x, u, step = np.ones(2), np.zeros(1), f"predictor {cls.__name__}: step ({source_lines.line(cls.step)})"
         try:
             y = np.asarray(cls.step(f, x, u, u, u, 0.0, 0.1), dtype=float)
         except Exception as error:
             where, reason = source_lines.where(error, cls.step), source_lines.one_line(error)
-            raise ConfigError(f"{place} failed{where}: {reason}; fix it") from None
+            raise ConfigError(f"{step} failed{where}: {reason}; use array arithmetic alone") from None
         if y.shape != x.shape or not times:
-            came = f"{y.shape} after {len(times)} evaluations of f"
-            raise ConfigError(f"{place} expected to evaluate f and to return the state, shape (n,), got {came}; fix it")
+            returned = f"{y.shape} after {len(times)} evaluations of f"
+            cure = "return x + h * f(x, u0, t), say"
+            raise ConfigError(f"{step} expected to evaluate f and to return the state, (n,), got {returned}; {cure}")
         return len(times)
 
     def compile(self) -> Callable[..., None]:

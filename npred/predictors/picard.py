@@ -15,8 +15,8 @@ class Picard(Compiled):
     """P ← X + D_hat ∫₀ˣ f(P, u) dy by the trapezoidal rule until no node changes by over `tolerance` (1 + max |P|).
 
     Order 2. The contraction needs about e D_hat C_f sweeps; on long horizons of unstable plants it may not come: then
-    the call raises DivergedError (in the loop: the lane becomes NaN). For one delay: ConfigError where inputs have
-    delays of their own. Karafyllis, Krstic, Predictor Feedback, ch. 4.
+    the call raises DivergedError (in the loop: the lane becomes NaN). For one delay: ConfigError where inputs
+    have several. Karafyllis, Krstic, Predictor Feedback, ch. 4.
     """
 
     name, order = "picard", 2

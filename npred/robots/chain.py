@@ -27,8 +27,8 @@ def chain(path: str | Path, pose: Sequence[float] | None = None) -> type:
 
     M(q) q'' + C(q, q') q' + G(q) + joint damping q' = U(t - D); states are the joints' positions and rates, by the
     joints' names (rad or m, and per second), inputs their torques or forces. The law is computed torque towards
-    q_i(t) = pose_i + amplitude sin(frequency t + i), by default about 0. It makes up for friction at the rate that the
-    error e calls for, r' - damping e / 2, in place of the measured one, which would turn errors of a prediction into
+    q_i(t) = pose_i + amplitude sin(frequency t + i), by default about 0. It compensates friction at the rate that the
+    error e calls for, r' - damping e / 2, not at the measured one, which would turn errors of a prediction into
     torques: without delay M (e'' + damping e' + stiffness e) = -(joint damping) (e' + damping e / 2). Inputs are
     bounded by the file's efforts where every joint has one. Raises ConfigError for a file that is no such chain.
     """

@@ -1,4 +1,4 @@
-"""The same chain by Pinocchio, a library that cannot be traced: what a black box is like. Extra: npred[pin]."""
+"""The same chain by Pinocchio, a library that cannot be traced: an example of a black box. Extra: npred[pin]."""
 
 from collections.abc import Sequence
 from pathlib import Path

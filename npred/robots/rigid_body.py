@@ -19,14 +19,14 @@ Matrix = list[list[Any]]
 class Body:
     """A moving link with the joint that carries it: angles in rad, lengths in m, masses in kg.
 
-    `turn` (3, 3) and `place` (3,) are the joint's frame in that of the body before it, `axis` (3,) the joint's unit
+    `turn` (3, 3) and `position` (3,) are the joint's frame in that of the body before it, `axis` (3,) the joint's unit
     axis; `mass`, `centre` (3,) and `inertia` (3, 3) about the centre are the link's, in the joint's frame.
     """
 
     joint: str
     slides: bool
     turn: np.ndarray
-    place: np.ndarray
+    position: np.ndarray
     axis: np.ndarray
     mass: float
     centre: np.ndarray
@@ -40,8 +40,8 @@ def torques(bodies: list[Body], q: Vector, rates: Vector, accelerations: Vector,
     placed = [_placed(body, angle, M) for body, angle in zip(bodies, q, strict=True)]
     spin, spun, pushed = [0.0] * 3, [0.0] * 3, [0.0, 0.0, gravity]
     forces: list[tuple[Vector, Vector]] = []
-    for body, (turn, place), rate, acceleration in zip(bodies, placed, rates, accelerations, strict=True):
-        pushed = back(turn, add(pushed, cross(spun, place), cross(spin, cross(spin, place))))
+    for body, (turn, position), rate, acceleration in zip(bodies, placed, rates, accelerations, strict=True):
+        pushed = back(turn, add(pushed, cross(spun, position), cross(spin, cross(spin, position))))
         spin, spun, axis = back(turn, spin), back(turn, spun), body.axis.tolist()
         along, sped = [rate * a for a in axis], [acceleration * a for a in axis]
         if body.slides:
@@ -54,7 +54,7 @@ def torques(bodies: list[Body], q: Vector, rates: Vector, accelerations: Vector,
 
 
 def _force(body: Body, spin: Vector, spun: Vector, pushed: Vector) -> tuple[Vector, Vector]:
-    """Force and moment about the body's origin that its own motion takes."""
+    """Force and moment about the body's origin that the motion of this body alone takes."""
     centre, inertia = body.centre.tolist(), body.inertia.tolist()
     force = [body.mass * a for a in add(pushed, cross(spun, centre), cross(spin, cross(spin, centre)))]
     return force, add(times(inertia, spun), cross(spin, times(inertia, spin)), cross(centre, force))
@@ -64,10 +64,10 @@ def _carried(bodies: list[Body], placed: list[Any], forces: list[tuple[Vector, V
     """The joints' shares, from the tip to the base: each body carries those beyond it."""
     shares: Vector = []
     force, moment = [0.0] * 3, [0.0] * 3
-    for body, (turn, place), (own, turned) in reversed(list(zip(bodies, placed, forces, strict=True))):
-        force, moment = add(own, force), add(turned, moment)
+    for body, (turn, position), (pull, turned) in reversed(list(zip(bodies, placed, forces, strict=True))):
+        force, moment = add(pull, force), add(turned, moment)
         shares.append(dot(body.axis.tolist(), force if body.slides else moment))
-        force, moment = moved(turn, place, force, moment)
+        force, moment = moved(turn, position, force, moment)
     return shares[::-1]
 
 
@@ -96,31 +96,31 @@ def _about_origin(body: Body) -> Matrix:
     return (body.inertia + body.mass * (c @ c * np.eye(3) - np.outer(c, c))).tolist()
 
 
-def _composite(turn: Matrix, place: Vector, mass: Any, first: Vector, second: Matrix) -> tuple[Vector, Matrix]:
-    """First moment and inertia about the origin of the body before: turned, then shifted by `place`."""
+def _composite(turn: Matrix, position: Vector, mass: Any, first: Vector, second: Matrix) -> tuple[Vector, Matrix]:
+    """First moment and inertia about the origin of the body before: turned, then shifted by `position`."""
     first = times(turn, first)
     columns = [times(turn, row) for row in second]  # second is symmetric: rows are columns
     turned = [times(turn, [columns[j][i] for j in range(3)]) for i in range(3)]
-    shifted = [first[i] + mass * place[i] for i in range(3)]
-    inner = dot(place, first) + dot(place, shifted)
+    shifted = [first[i] + mass * position[i] for i in range(3)]
+    inner = dot(position, first) + dot(position, shifted)
     for i in range(3):
         for j in range(i + 1):
-            less = place[i] * first[j] + shifted[i] * place[j]
+            less = position[i] * first[j] + shifted[i] * position[j]
             turned[i][j] = turned[j][i] = turned[i][j] + (inner if i == j else 0.0) - less
     return shifted, turned
 
 
 def _placed(body: Body, q: Any, M: Any) -> tuple[Matrix, Vector]:
-    """Turn and place of the body's frame in that of the body before, at joint position q."""
+    """Turn and position of the body's frame in that of the body before, at joint position q."""
     if body.slides:
         along = (body.turn @ body.axis).tolist()
-        return body.turn.tolist(), [p + q * a for p, a in zip(body.place.tolist(), along, strict=True)]
+        return body.turn.tolist(), [p + q * a for p, a in zip(body.position.tolist(), along, strict=True)]
     x, y, z = body.axis.tolist()
     K = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     constant, sine, cosine = (_clean(body.turn @ part) for part in (np.eye(3) + K @ K, K, -K @ K))
     s, c = M.sin(q), M.cos(q)
     turn = [[constant[i][j] + sine[i][j] * s + cosine[i][j] * c for j in range(3)] for i in range(3)]
-    return turn, body.place.tolist()
+    return turn, body.position.tolist()
 
 
 def _clean(matrix: np.ndarray) -> list[list[float]]:
@@ -128,10 +128,10 @@ def _clean(matrix: np.ndarray) -> list[list[float]]:
     return np.where(np.abs(matrix) < 1e-15, 0.0, matrix).tolist()
 
 
-def moved(turn: Matrix, place: Vector, force: Vector, moment: Vector) -> tuple[Vector, Vector]:
+def moved(turn: Matrix, position: Vector, force: Vector, moment: Vector) -> tuple[Vector, Vector]:
     """Force and moment as the body before sees them."""
     force = times(turn, force)
-    return force, add(times(turn, moment), cross(place, force))
+    return force, add(times(turn, moment), cross(position, force))
 
 
 def times(A: Matrix, v: Vector) -> Vector:

@@ -52,7 +52,7 @@ def _parsed(path: Path) -> ElementTree.Element:
     try:
         return ElementTree.fromstring(text)
     except ElementTree.ParseError as error:
-        raise ConfigError(f"{path}: expected XML, got: {error}; fix that line") from None
+        raise ConfigError(f"{path}: expected XML, got: {error}; edit that line") from None
 
 
 class _Tree:
@@ -87,9 +87,9 @@ class _Tree:
             if len(leaving) > 1:
                 names = ", ".join(_text(joint, "name") for joint, _, _ in leaving)
                 raise _Wrong(f"expected a serial chain, but it branches at the joints {names}")
-            joint, turn, place = leaving[0]
+            joint, turn, position = leaving[0]
             inertial, leaving = self._rigid(_text(_part(joint, "child"), "link"))
-            chain.append(_body(joint, turn, place, inertial))
+            chain.append(_body(joint, turn, position, inertial))
         if not chain:
             raise _Wrong("expected a joint that moves, found none")
         astray = ", ".join(sorted(set(self.links) - self.reached))
@@ -100,12 +100,12 @@ class _Tree:
     def _rigid(self, base: str) -> tuple[list[Any], list[Any]]:
         """Inertias of the link and all that is fixed to it, and the moving joints that leave it, in its frame."""
         inertials, leaving, fixed = [], [], [(base, np.eye(3), np.zeros(3))]
-        for link, turn, place in fixed:  # which grows meanwhile
+        for link, turn, position in fixed:  # which grows meanwhile
             self.reached.add(link)
-            inertials += _inertial(self.links[link], turn, place)
+            inertials += _inertial(self.links[link], turn, position)
             for joint in self.leaving[link]:
                 local, offset = _origin(joint)
-                there = turn @ local, place + turn @ offset
+                there = turn @ local, position + turn @ offset
                 if joint.get("type") == "fixed":
                     fixed.append((_text(_part(joint, "child"), "link"), *there))
                 else:
@@ -113,7 +113,7 @@ class _Tree:
         return inertials, leaving
 
 
-def _body(joint: ElementTree.Element, turn: np.ndarray, place: np.ndarray, inertials: list[Any]) -> Body:
+def _body(joint: ElementTree.Element, turn: np.ndarray, position: np.ndarray, inertials: list[Any]) -> Body:
     name, kind = _text(joint, "name"), joint.get("type", "")
     if kind not in MOVING:
         raise _Wrong(f"joint {name}: expected a type of {', '.join(MOVING)} or fixed, got {kind!r}")
@@ -130,14 +130,14 @@ def _body(joint: ElementTree.Element, turn: np.ndarray, place: np.ndarray, inert
         raise _Wrong(f"joint {name}: expected an axis, got one of length 0")
     damping, effort = joint.find("dynamics"), joint.find("limit")
     return Body(
-        joint=name, slides=MOVING[kind], turn=turn, place=place, axis=direction / np.linalg.norm(direction), mass=mass,
-        centre=centre, inertia=sum((i for _, _, i in inertials), start=np.zeros((3, 3))) + sum(steiner),
+        joint=name, slides=MOVING[kind], turn=turn, position=position, axis=direction / np.linalg.norm(direction),
+        mass=mass, centre=centre, inertia=sum((i for _, _, i in inertials), start=np.zeros((3, 3))) + sum(steiner),
         damping=0.0 if damping is None else _number(damping, "damping", 0.0),
         effort=math.inf if effort is None else _number(effort, "effort", math.inf) or math.inf,
     )  # fmt: skip
 
 
-def _inertial(link: ElementTree.Element, turn: np.ndarray, place: np.ndarray) -> list[Any]:
+def _inertial(link: ElementTree.Element, turn: np.ndarray, position: np.ndarray) -> list[Any]:
     """[(mass, centre, inertia about the centre)] of a link, in the frame it is seen from; [] for one without."""
     part = link.find("inertial")
     if part is None:
@@ -146,19 +146,19 @@ def _inertial(link: ElementTree.Element, turn: np.ndarray, place: np.ndarray) ->
     inertia = _part(part, "inertia")
     xx, xy, xz, yy, yz, zz = (_number(inertia, f"i{k}") for k in ("xx", "xy", "xz", "yy", "yz", "zz"))
     frame, about = turn @ local, np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    return [(_number(_part(part, "mass"), "value"), place + turn @ offset, frame @ about @ frame.T)]
+    return [(_number(_part(part, "mass"), "value"), position + turn @ offset, frame @ about @ frame.T)]
 
 
 def _origin(element: ElementTree.Element) -> tuple[np.ndarray, np.ndarray]:
-    """Turn (3, 3) and place (3,) of an <origin>: roll, pitch and yaw about fixed axes."""
+    """Turn (3, 3) and position (3,) of an <origin>: roll, pitch and yaw about fixed axes."""
     origin = element.find("origin")
     if origin is None:
         return np.eye(3), np.zeros(3)
-    (a, b, c), place = (_numbers(origin, name, 3) for name in ("rpy", "xyz"))
+    (a, b, c), position = (_numbers(origin, name, 3) for name in ("rpy", "xyz"))
     x = np.array([[1, 0, 0], [0, math.cos(a), -math.sin(a)], [0, math.sin(a), math.cos(a)]])
     y = np.array([[math.cos(b), 0, math.sin(b)], [0, 1, 0], [-math.sin(b), 0, math.cos(b)]])
     z = np.array([[math.cos(c), -math.sin(c), 0], [math.sin(c), math.cos(c), 0], [0, 0, 1]])
-    return z @ y @ x, place
+    return z @ y @ x, position
 
 
 def _part(element: ElementTree.Element, tag: str) -> ElementTree.Element:

@@ -83,8 +83,8 @@ def _panel(rows: Sequence[Mapping[str, Any]], x: str, y: str, axis: Any) -> None
     best = ~dominated(points)
     contenders = _contenders(rows)
     for model in dict.fromkeys(rows[k]["model"] for k in shown):
-        own = np.array([rows[k]["model"] == model for k in shown])
-        axis.plot(*points[own].T, "o", color=look(contenders[model]).colour)
+        of_model = np.array([rows[k]["model"] == model for k in shown])
+        axis.plot(*points[of_model].T, "o", color=look(contenders[model]).colour)
     order = np.flatnonzero(best)[np.argsort(points[best, 0])]
     axis.plot(*points[order].T, color=ROLES["muted"][0], zorder=0, drawstyle="steps-post")
     for k in order[:NAMED]:

@@ -1,4 +1,4 @@
-"""A grid of pipelines: `train.deeponet.width=32,64,128` and `seed=0:10` to one configuration a cell."""
+"""A grid of pipelines: `train.deeponet.width=32,64,128` and `seed=0:10` to one configuration per cell."""
 
 import re
 import tomllib
@@ -43,19 +43,19 @@ def cells(path: Path, sets: Sequence[str]) -> list[Cell]:
     if prod(len(axis) for axis in axes.values()) > MOST:
         raise ConfigError(f"--set: expected a grid of at most {MOST} cells, got more; shorten an axis")
     several = [key for key, axis in axes.items() if len(axis) > 1]
-    grid = []
+    combinations = []
     for chosen in product(*axes.values()):
         named = dict(zip(axes, chosen, strict=True))
         pipeline = config.load(path, [key + value for key, value in named.items()])
-        grid.append(Cell({key.removesuffix("="): named[key] for key in several}, pipeline))
-    return grid
+        combinations.append(Cell({key.removesuffix("="): named[key] for key in several}, pipeline))
+    return combinations
 
 
 def values(text: str) -> list[str]:
     """The values meant by a text: `32,64,128` is three, `0:10` the numbers 0 to 9, `0:10:5` 0 and 5.
 
     What TOML reads as one value, as the list `[0.01,0.005]` or the text `"a,b"`, is one value. Raises ConfigError for
-    a range without numbers and for an empty place in a list.
+    a range without numbers and for an empty item in a list.
     """
     pieces = [text] if _toml(text) else list(_pieces(text))
     expanded = [value for piece in pieces for value in _expanded(piece.strip() if len(pieces) > 1 else piece)]
@@ -81,7 +81,7 @@ def _expanded(piece: str) -> list[str]:
         return [piece]
     numbers = range(int(match[1]), int(match[2]), int(match[3] or 1))
     if not 0 < len(numbers) <= MOST:
-        raise ConfigError(f"--set: expected a range as 0:10, its end not in it, got {piece!r}; correct it")
+        raise ConfigError(f"--set: expected a range as 0:10, its end not in it, got {piece!r}; write 0:10 or 0:10:5")
     return [str(number) for number in numbers]
 
 

@@ -1,4 +1,4 @@
-"""Costly plants: f, kappa and their derivatives compiled once as functions of their own, which the kernels call.
+"""Costly plants: f, kappa and their derivatives compiled once as separate functions, which the kernels call.
 
 Written out, RK4 holds f four times and the update law its derivative twice; a compiler's time grows faster than that.
 The functions themselves go past most of the compiler: each operation of their programs is lowered by Numba itself, its

@@ -56,15 +56,15 @@ def kept(name: str) -> Iterator[None]:
     """
     from numba.core import config
 
-    place = root() / name
+    target = root() / name
     with _LOCK:
-        sound = _sound(place)
-        at = place if sound else _aside()
+        sound = _sound(target)
+        at = target if sound else _aside()
         before, config.CACHE_DIR = config.CACHE_DIR, str(at)  # type: ignore[attr-defined]
         try:
             yield
             if not sound:
-                _place(at, place)
+                _install(at, target)
         except OSError as error:
             raise full(error, root()) or error from None
         finally:
@@ -88,7 +88,7 @@ def root() -> Path:
 
 
 def folder() -> Path:
-    """Where compiled code is kept: $NPRED_CACHE, else the user's cache, else a temporary folder; none but the owner may
+    """The folder of compiled code: $NPRED_CACHE, else the user's cache, else a temporary folder; none but the owner may
     enter it.
 
     Raises ConfigError for a relative path, and for a folder that others can write to; NpredError for a full disk.
@@ -98,7 +98,7 @@ def folder() -> Path:
     if not chosen.is_absolute():  # there is no home
         return _temporary()
     try:
-        if not chosen.parent.exists():  # who could write to it could put another folder in the place of kernels
+        if not chosen.parent.exists():  # who could write to it could replace kernels by another folder
             chosen.parent.mkdir(parents=True, exist_ok=True)
             chosen.parent.chmod(0o700)
         chosen.mkdir(mode=0o700, exist_ok=True)
@@ -154,7 +154,7 @@ def _temporary() -> Path:
 
 @cache
 def _machine() -> tuple[str, ...]:
-    """What compiled code depends on beside its source: Numba and Python, and what LLVM knows of the processor."""
+    """All that compiled code depends on beside its source: Numba, Python, and what LLVM knows of the processor."""
     import numba
     from llvmlite import binding
     from numba.core import config
@@ -171,34 +171,34 @@ def _aside() -> Path:
         raise full(error, root()) or error from None
 
 
-def _sound(place: Path) -> bool:
-    """Whether every file that was sealed is as it was. Numba opens no other: its index, one of them, names them."""
+def _sound(target: Path) -> bool:
+    """True if every sealed file is unchanged. Numba opens no other: its index, one of them, names them."""
     try:
-        sealed = json.loads((place / SEAL).read_bytes())
-        return all(json_files.sha256(place / name) == digest for name, digest in sealed.items())
+        sealed = json.loads((target / SEAL).read_bytes())
+        return all(json_files.sha256(target / name) == digest for name, digest in sealed.items())
     except (OSError, ValueError, AttributeError):
         return False
 
 
-def _place(aside: Path, place: Path) -> None:
+def _install(aside: Path, target: Path) -> None:
     """Seal what was compiled, make it durable and rename it into place, where another process may have been faster."""
     digests = _digests(aside)
     (aside / SEAL).write_text(json.dumps(digests), encoding="utf-8")
     for path in [*(aside / name for name in digests), aside / SEAL, aside]:
         json_files.sync(path)
-    if place.exists() and not _sound(place):
-        broken = Path(tempfile.mkdtemp(dir=place.parent, prefix=".old-"))
-        place.rename(broken / place.name)
+    if target.exists() and not _sound(target):
+        broken = Path(tempfile.mkdtemp(dir=target.parent, prefix=".old-"))
+        target.rename(broken / target.name)
         shutil.rmtree(broken, ignore_errors=True)
-    if not place.exists():
+    if not target.exists():
         try:
-            aside.rename(place)
+            aside.rename(target)
         except FileExistsError:
             return
         except OSError as error:
             if error.errno != errno.ENOTEMPTY:
                 raise
-        json_files.sync(place.parent)
+        json_files.sync(target.parent)
 
 
 def _digests(folder: Path) -> dict[str, str]:

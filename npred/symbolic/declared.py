@@ -31,7 +31,7 @@ RETURNS = {
 
 
 class Declared(Protocol):
-    """What the formula compiler needs of a plant: names, sizes, parameters, functions; npred.plants.Plant has them."""
+    """A plant as the formula compiler needs it: names, sizes, parameters, functions; npred.plants.Plant has them."""
 
     traced: ClassVar[bool]
 
@@ -54,7 +54,7 @@ class Declared(Protocol):
         """A declared function on components of any kind."""
         ...
 
-    def place(self, name: str) -> str:
+    def location(self, name: str) -> str:
         """A declared function in words, with file and line."""
         ...
 
@@ -91,8 +91,8 @@ def parameters(plant: Declared) -> Any:
 def failure(plant: Declared, name: str, error: Exception) -> ConfigError:
     """A failure inside a declared function, in one line: where in the author's file, and what may have been meant."""
     function = getattr(plant.declaration, name)
-    place = source_lines.where(error, function) or f" ({source_lines.line(function)})"
-    message = f"plant {plant.name}: {name} failed{place}: {source_lines.one_line(error)}"
+    line = source_lines.where(error, function) or f" ({source_lines.line(function)})"
+    message = f"plant {plant.name}: {name} failed{line}: {source_lines.one_line(error)}"
     return ConfigError(f"{message}; {_cure(plant, name, error)}")
 
 

@@ -1,7 +1,7 @@
 """Generated text to a compiled kernel, kept on the disk under the hash of the text.
 
-Numba's own cache does not see an edit in another file and never hits for closures, so each kernel is a file of its
-own, named by its content: the name is the version. `_pointer` kernels reach the one engine as function pointers.
+Numba's cache does not see an edit in another file and never hits for closures, so each kernel is a separate file
+named by its content: the name is the version. `_pointer` kernels reach the one engine as function pointers.
 """
 
 import os

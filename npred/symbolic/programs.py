@@ -41,14 +41,14 @@ def _of_function(tape: Tape, op: str, args: tuple[Any, ...], seeds: list[Any]) -
 
 def _needed(outputs: Vector) -> list[int]:
     """Indices of the nodes that the outputs depend on, in order of evaluation."""
-    seen: set[int] = set()
+    visited: set[int] = set()
     stack = [y for y in outputs if isinstance(y, Symbol)]
     while stack:
         symbol = stack.pop()
-        if symbol.index not in seen:
-            seen.add(symbol.index)
+        if symbol.index not in visited:
+            visited.add(symbol.index)
             stack.extend(a for a in symbol.tape.nodes[symbol.index][1] if isinstance(a, Symbol))
-    return sorted(seen)
+    return sorted(visited)
 
 
 def lines(
@@ -91,7 +91,7 @@ def _text(a: Any, names: dict[int, str]) -> str:
 
 
 def depends(outputs: Vector, symbols: Vector) -> bool:
-    """Whether any output needs any of those inputs."""
+    """True if any output needs any of those inputs."""
     return not {s.index for s in symbols}.isdisjoint(_needed(outputs))
 
 

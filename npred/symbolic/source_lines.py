@@ -17,7 +17,7 @@ def line(function: Callable[..., Any]) -> str:
 
 
 def where(error: BaseException, function: Callable[..., Any]) -> str:
-    """ " at my_plant.py:12", the last line of the function's own file that the failure went through; else ""."""
+    """ " at my_plant.py:12", the last line of the function's file that the failure went through; else ""."""
     code = _code(function)
     number = last_line(error, code.co_filename) if code else ""
     return f" at {Path(code.co_filename).name}{number}" if number else ""

@@ -75,11 +75,11 @@ class Trace:
             count = f"{size} value{'s' * (size > 1)}"
             names = ", ".join(self.plant.inputs if name == "kappa" else self.plant.states)
             cure = f"return {RETURNS[name]}: {names}"
-            raise ConfigError(f"{self.plant.place(name)} expected to return {count}, got {len(values)}; {cure}")
+            raise ConfigError(f"{self.plant.location(name)} expected to return {count}, got {len(values)}; {cure}")
         for value in values:
             if not isinstance(value, tapes.Symbol | Real):
                 raise ConfigError(
-                    f"{self.plant.place(name)} expected to return numbers and formulas, got {type(value).__name__}; "
+                    f"{self.plant.location(name)} expected to return numbers and formulas, got {type(value).__name__}; "
                     f"return {RETURNS[name]}"
                 )
         return np.array(values, dtype=object)

@@ -49,14 +49,14 @@ class LiveView(Progress):
     @contextmanager
     def bar(self, title: str, total: int, unit: str, done: int = 0) -> Iterator[Callable[[int], None]]:
         """The progress of a stage, or of a part that gets a row of its own; what it yields takes the units done."""
-        own = title not in self.stages
+        is_part = title not in self.stages
         task = self._running(title)
         self.update(task.id, total=total, completed=done, unit=escaped(unit), before=done)
         self.advance(task.id, 0)  # rich counts a rate from the second advance on
         yield lambda n: self.advance(task.id, n) if n else None
         with self._lock:  # or it would change amid a drawing
             task.total = None
-        if own:
+        if is_part:
             self.finish(title, "run", task.elapsed or 0.0)
             self.update(task.id, doing=counted(int(task.completed), escaped(unit)))
 

@@ -25,9 +25,9 @@ def weights(config: Training, plant: Plant, P: Tensor) -> Tensor:
     spread = torch.where(spread > 0, spread, 1.0)
     if config.loss == "standardised":
         return 1 / spread
-    gains = sensitivity(plant, P)
-    gains = torch.maximum(gains, SHARE * (gains * spread).max() / spread)
-    return gains / (gains * spread).square().mean().sqrt()
+    slopes = sensitivity(plant, P)
+    slopes = torch.maximum(slopes, SHARE * (slopes * spread).max() / spread)
+    return slopes / (slopes * spread).square().mean().sqrt()
 
 
 def sensitivity(plant: Plant, P: Tensor) -> Tensor:

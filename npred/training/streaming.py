@@ -35,7 +35,7 @@ class Stream:
         return self._count
 
     def parts(self) -> Iterator[Dataset]:
-        """The rows in their own order and precision, one shard at a time."""
+        """The rows in the order and precision of the file, one shard at a time."""
         return (part.subset(test=False) for part in shards.parts(self.path))
 
     def batches(self, shuffle: torch.Generator, size: int) -> Iterator[Rows]:

@@ -88,7 +88,7 @@ class Source(Protocol):
 
 @dataclass(frozen=True)
 class Fit:
-    """What is trained (in place), on what, against what, and how; `title` names it in progress and errors."""
+    """The operator to train (in place), its rows, test and loss; `title` names it in progress and errors."""
 
     title: str
     operator: Operator
@@ -148,8 +148,8 @@ def _epoch(task: Fit, network: Operator, optimiser: torch.optim.Optimizer, epoch
     for step, rows in enumerate(task.train.batches(shuffle, config.batch)):
         for group in optimiser.param_groups:
             group["lr"] = rate(config, epoch - 1 + step * config.batch / count)
-        some, weight = torchrun.part(len(rows))
-        part = rows[some]
+        rows_here, weight = torchrun.part(len(rows))
+        part = rows[rows_here]
         loss = weight * task.loss(network(part.X, part.u, part.D_hat, part.phase, REST_NODES, part.stride), part.P)
         optimiser.zero_grad()
         loss.backward()

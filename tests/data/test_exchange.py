@@ -121,7 +121,7 @@ def with_value(array, index, value):
 
 @pytest.mark.parametrize("rollouts", [3, 401, 1])
 def test_rollouts_must_divide_the_rows(rollouts):
-    with pytest.raises(ConfigError, match="fix --rollouts"):
+    with pytest.raises(ConfigError, match="give --rollouts a divisor"):
         exchange.split(400, rollouts)
 
 

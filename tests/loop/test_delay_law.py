@@ -99,7 +99,9 @@ def test_what_it_sees_is_the_loops_own_and_may_not_be_written_to():
         def rate(self, plant, X, u, P, D_hat, t):
             X[:] = 0.0
 
-    with pytest.raises(ConfigError, match=r"Vandal: rate \(test_delay_law.py:\d+\) failed at .*read-only; fix"):
+    with pytest.raises(
+        ConfigError, match=r"Vandal: rate \(test_delay_law.py:\d+\) failed at .*read-only; let it return"
+    ):
         loops(Vandal())
 
 

@@ -291,11 +291,11 @@ def test_interpreted_baselines_call_it_too(plant, baseline):
     )
 
 
-def test_a_class_of_no_file_is_told():
+def test_a_class_of_no_file_is_reported():
     space = {}
     exec(FILE, space)
     space["Box"].__module__ = "nowhere"
-    with pytest.raises(ConfigError, match="expected a class in a file of its own"):
+    with pytest.raises(ConfigError, match=r"expected a class in a file, as tank\.py:Tank"):
         plants.make("Box", space["Box"])
 
 

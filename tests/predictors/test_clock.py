@@ -131,7 +131,7 @@ def test_without_a_period_no_network_can_serve_it():
     assert RK4(driven(), 21)([1.0], u, 0.5, 0.3).shape == (21, 1)
     with pytest.raises(ConfigError, match="Driven: expected a period, for its prediction depends on time"):
         pipeline_fit.clock(Case(driven(), 0.5, 21, 8))
-    with pytest.raises(ConfigError, match="Driven: f and kappa expected to repeat after 3 s; correct period"):
+    with pytest.raises(ConfigError, match="Driven: f and kappa expected to repeat after 3 s; set period"):
         pipeline_fit.clock(Case(driven(period=3.0), 0.5, 21, 8))
     pipeline_fit.clock(Case(driven(period=np.pi), 0.5, 21, 8))
 

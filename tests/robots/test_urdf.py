@@ -17,7 +17,7 @@ def test_six_joints_are_read():
     assert [body.damping for body in bodies] == [0.5, 0.4, 0.3, 2.0, 0.0, 0.1]
     assert [body.effort for body in bodies] == [90, 90, 60, 60, 30, 30]
     np.testing.assert_allclose(bodies[2].axis, np.array([0, 1, 0.2]) / np.sqrt(1.04))
-    np.testing.assert_allclose(bodies[1].place, [0.05, 0, 0.2])
+    np.testing.assert_allclose(bodies[1].position, [0.05, 0, 0.2])
     np.testing.assert_allclose(bodies[1].turn @ bodies[1].turn.T, np.eye(3), atol=1e-15)
 
 

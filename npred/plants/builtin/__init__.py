@@ -1,1 +1,1 @@
-"""The plants that npred brings: one file each, or one for a family."""
+"""The built-in plants: one file each, or one for a family."""

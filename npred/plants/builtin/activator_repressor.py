@@ -8,7 +8,7 @@ class ActivatorRepressor:
 
     Hill functions f1 = (K1 x1² + Ka)/(1 + x1² + x2²), f2 = (K2 x1² + Kb)/(1 + x1²) [DAPF, sec. V]. The control law
     replaces f1 by its value at the set point: x1 then decays to it at rate 1 and x2 follows at rate 1/2. The set point
-    is rounded as in [DAPF]; the equilibrium of the law is near it and is solved, not typed.
+    is rounded as in [DAPF]; the equilibrium of kappa is near it and is solved, not typed.
     """
 
     states = ("x1", "x2")
@@ -28,7 +28,7 @@ class ActivatorRepressor:
 
     @staticmethod
     def kappa(x: Any, t: Any, p: Any, M: Any) -> list[Any]:
-        """The law without delay [DAPF, sec. V]."""
+        """The control law without delay [DAPF, sec. V]."""
         return [_f1(p.x1_set, p.x2_set, p) - _f1(x.x1, x.x2, p)]
 
     @staticmethod

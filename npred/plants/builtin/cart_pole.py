@@ -39,7 +39,7 @@ class CartPole:
 
     @staticmethod
     def kappa(x: Any, t: Any, p: Any, M: Any) -> list[Any]:
-        """The law without delay, linear."""
+        """The control law without delay, linear."""
         return [p.k_p * x.p + p.k_v * x.v + p.k_theta * x.theta + p.k_omega * x.omega]
 
     @staticmethod

@@ -7,11 +7,11 @@ class Chemostat:
     """Z' = (rho μ(S) - m - u) Z, S' = u (S_in - S) - μ(S) Z: biomass Z, substrate S, dilution rate u = U(t - D) >= 0.
 
     Haldane growth μ(S) = a S / (1 + S + S²) with a = 7/2, yield rho = 1, mortality m = 1/10, feed S_in = 2 + 10/3 and
-    the law with delta = 10, alpha = 1/2 are those of the delay-adaptive example of Bhan, Krstic and Shi (arXiv
+    kappa with delta = 10, alpha = 1/2 are those of the delay-adaptive example of Bhan, Krstic and Shi (arXiv
     2509.26443): start (2, 2), D = 1.5, D_hat in [1, 2], gamma = 1. The law is of the kind of Karafyllis, Loko, Krstic
     and Chaillet (arXiv 2502.09310). The set point (Z, S) = (3, 2), u = 9/10 is an equilibrium exactly, since μ(2) = 1
     and 9/10 · 10/3 = 3; with u held there it is a saddle. Units are the publication's, time in seconds. A dilution rate
-    cannot be negative; the law never is.
+    cannot be negative; kappa never is.
     """
 
     states = ("Z", "S")
@@ -37,14 +37,14 @@ class Chemostat:
 
         Of class C¹: the slope of the second term begins at 0, and is kept from 0/0 where that term vanishes.
         """
-        growth, wanted = _growth(x.S, p), _growth(p.S_set, p)
-        gap = M.where(p.S_set > x.S, M.abs(growth / wanted - 1), 0.0)
+        growth, growth_set = _growth(x.S, p), _growth(p.S_set, p)
+        gap = M.where(p.S_set > x.S, M.abs(growth / growth_set - 1), 0.0)
         surplus = M.where(gap > 0, M.where(gap > 0, gap, 1.0) ** 1.5, 0.0)
-        return [p.u_set * growth * x.Z / (wanted * p.Z_set) + p.delta * p.m * surplus]
+        return [p.u_set * growth * x.Z / (growth_set * p.Z_set) + p.delta * p.m * surplus]
 
     @staticmethod
     def V(x: Any, t: Any, p: Any, M: Any) -> Any:
-        """|X - set point|²: V' < -0.46 V along the law's loop on the box (checked there, not proved beyond)."""
+        """|X - set point|²: V' < -0.46 V along the loop of kappa on the box (checked there, not proved beyond)."""
         return (x.Z - p.Z_set) ** 2 + (x.S - p.S_set) ** 2
 
 

@@ -14,7 +14,7 @@ def arm(links: int) -> type:
             = tau_i - tau_i+1 - friction omega_i,
     with c_ij the coupling of rods i and j, d_i the first moment that hangs on rod i. The law is computed torque about
         r_i(t) = i pose + amplitude sin(frequency t + i),
-    with friction made up for at the rate that the error calls for, r' - damping e / 2, in place of the measured one: to
+    with friction compensated at the rate that the error calls for, r' - damping e / 2, not at the measured one: to
     cancel what is stable turns an error of the prediction into a torque as large as friction is. So the errors e of the
     angles obey M (e'' + damping e' + stiffness e) = -friction (e' + damping e / 2).
     """
@@ -51,14 +51,14 @@ def arm(links: int) -> type:
 
 
 def _computed_torque(x: Any, t: Any, p: Any, M: Any, links: int) -> list[Any]:
-    """The joints' torques that move the arm as wanted."""
-    goal, speed, wanted = _motion(t, p, M, links)
+    """The joints' torques of computed torque control."""
+    goal, speed, pulls = _motion(t, p, M, links)
     errors = [x[i] - goal[i] for i in range(links)]
     for i in range(links):
-        wanted[i] = wanted[i] - p.stiffness * errors[i] - p.damping * (x[links + i] - speed[i])
+        pulls[i] = pulls[i] - p.stiffness * errors[i] - p.damping * (x[links + i] - speed[i])
     inertia, loads = _mechanics(x, p, M, links)
     drag = [p.friction * (speed[i] - 0.5 * p.damping * errors[i]) for i in range(links)]
-    forces = [loads[i] + drag[i] + total(a * b for a, b in zip(inertia[i], wanted, strict=True)) for i in range(links)]
+    forces = [loads[i] + drag[i] + total(a * b for a, b in zip(inertia[i], pulls, strict=True)) for i in range(links)]
     return [total(forces[i:]) for i in range(links)]
 
 

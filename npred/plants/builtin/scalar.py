@@ -4,7 +4,7 @@ from typing import Any
 
 
 class Scalar:
-    """The linear plant X' = a X + U(t - D) with the law U = -(a + c) X, so that X' = -c X without delay.
+    """The linear plant X' = a X + U(t - D) with U = -(a + c) X, so that X' = -c X without delay.
 
     P(x) = exp(a D_hat x) X + D_hat ∫₀ˣ exp(a D_hat (x - y)) u(y) dy and Phi(x, y) = exp(a D_hat (x - y)).
     """
@@ -22,10 +22,10 @@ class Scalar:
 
     @staticmethod
     def kappa(x: Any, t: Any, p: Any, M: Any) -> list[Any]:
-        """The law without delay."""
+        """The control law without delay."""
         return [-(p.a + p.c) * x.X]
 
     @staticmethod
     def V(x: Any, t: Any, p: Any, M: Any) -> Any:
-        """X², with V' = -2 c V along the law's loop."""
+        """X², with V' = -2 c V along the loop of kappa."""
         return x.X**2

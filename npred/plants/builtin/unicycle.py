@@ -31,7 +31,7 @@ class Unicycle:
 
     @staticmethod
     def kappa(x: Any, t: Any, p: Any, M: Any) -> list[Any]:
-        """The law without delay."""
+        """The control law without delay."""
         sin, cos = M.sin(x.theta), M.cos(x.theta)
         ahead, aside = x.x * cos + x.y * sin, x.x * sin - x.y * cos
         sway, swing = M.sin(3 * t), M.cos(3 * t)
