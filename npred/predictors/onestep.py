@@ -37,8 +37,8 @@ class OneStep(Compiled):
             raise ConfigError(f"{step} failed{where}: {reason}; use array arithmetic alone") from None
         if y.shape != x.shape or not times:
             returned = f"{y.shape} after {len(times)} evaluations of f"
-            cure = "return x + h * f(x, u0, t), say"
-            raise ConfigError(f"{step} expected to evaluate f and to return the state, (n,), got {returned}; {cure}")
+            expected = "expected to evaluate f and to return the state, shape (n,)"
+            raise ConfigError(f"{step} {expected}, got {returned}; return x + h * f(x, u0, t), say")
         return len(times)
 
     def compile(self) -> Callable[..., None]:
