@@ -5,6 +5,7 @@ import numpy as np
 from npred.diagnosis.case import Case, Verdict
 from npred.plants.base import Plant
 from npred.symbolic import array_math, programs, source_lines
+from npred.symbolic.tape import names
 from npred.symbolic.trace import Trace, python
 
 HORIZON = 100.0  # s, over which a reference is looked at where no pipeline says how long
@@ -88,5 +89,5 @@ def _slopes(plant: Plant, t: np.ndarray) -> list[np.ndarray]:
     clock = trace.input("t")
     by_t = programs.derivative(trace.reference(clock), [clock], [1.0])
     with np.errstate(all="ignore"):
-        values = python(by_t, ["t", *(f"p{k}" for k in range(len(plant.p)))], np)(t, *plant.p)
+        values = python(by_t, ["t", *names("p", len(plant.p))], np)(t, *plant.p)
     return [array_math.stack(values, t)]

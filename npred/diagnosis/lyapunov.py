@@ -6,6 +6,7 @@ from npred.diagnosis.case import Case, Verdict
 from npred.diagnosis.equilibrium import closed_loop
 from npred.plants.base import Plant
 from npred.symbolic import programs
+from npred.symbolic.tape import names
 from npred.symbolic.trace import Trace, python
 
 NEAR = 0.01  # of the box, around rest: loops come there from all sides, whichever side the box is on
@@ -67,8 +68,7 @@ def _along(case: Case, X: np.ndarray) -> np.ndarray:
     x, t = trace.vector("x", plant.n), 0.0
     V = trace.V(x, t)
     slope = programs.derivative([V], x, trace.f(x, trace.kappa(x, t), t))
-    names = [*(f"x{k}" for k in range(plant.n)), *(f"p{k}" for k in range(len(plant.p)))]
-    rate = python(slope, names, np)
+    rate = python(slope, [*names("x", plant.n), *names("p", len(plant.p))], np)
     with np.errstate(all="ignore"):
         return np.array([rate(*row, *plant.p)[0] for row in X], dtype=float)
 

@@ -12,6 +12,7 @@ from npred.delays import family_of
 from npred.plants.base import Plant
 from npred.predictors.base import Predictor
 from npred.symbolic import array_math
+from npred.symbolic.tape import names
 from npred.symbolic.trace import Trace, python
 
 
@@ -74,5 +75,4 @@ class EulerPython(Interpreted):
             ).tolist()
         trace = Trace(self.plant)
         values = trace.f(trace.vector("x", n), trace.vector("u", m), trace.input("t"))
-        parameters = [f"p{k}" for k in range(len(self.plant.p))]
-        return python(values, [*(f"x{k}" for k in range(n)), *(f"u{k}" for k in range(m)), "t", *parameters])
+        return python(values, [*names("x", n), *names("u", m), "t", *names("p", len(self.plant.p))])

@@ -14,6 +14,7 @@ import numpy as np
 
 from npred.symbolic import kernels, programs, tape
 from npred.symbolic.declared import Declared
+from npred.symbolic.tape import names
 from npred.symbolic.trace import Trace
 
 LONG = 150  # lines from which on a function is called; below, all fits into registers and SIMD lanes
@@ -53,7 +54,7 @@ def imports(trace: Trace) -> str:
 def _module(plant: Declared, name: str) -> str:
     """The name of the module that holds the compiled function, which is loaded."""
     arguments, lines, size = _lines(plant, name)
-    named, results = ", ".join(arguments), ", ".join(_names("y", size))
+    named, results = ", ".join(arguments), ", ".join(names("y", size))
     program = {"arguments": named, "results": results, "lines": "\n    ".join(lines), "size": size}
     preamble = PROGRAM.format(version=VERSION, **program)
     text = f"def plant_{name}({named}):\n    return lowered(({named},))\n"
@@ -68,14 +69,10 @@ def _lines(plant: Declared, name: str) -> tuple[list[str], list[str], int]:
     t, dt = trace.input("t"), trace.input("dt")
     inputs = {"f": (x, u, t), "df": (x, u, t, v, dt), "kappa": (x, t), "law": (x, t, v, dt)}[name]
     outputs = np.ravel(getattr(trace, name)(*inputs))
-    names = ["t", *_names("x", plant.n), *(_names("u", plant.m) if u is inputs[1] else [])]
-    names += _names("p", len(plant.parameters)) + (["dt", *_names("d", plant.n)] if inputs[-1] is dt else [])
-    targets = _names("y", len(outputs))
-    return names, programs.lines(outputs, {}, targets, TEXTS), len(outputs)
-
-
-def _names(prefix: str, count: int) -> list[str]:
-    return [f"{prefix}{k}" for k in range(count)]
+    arguments = ["t", *names("x", plant.n), *(names("u", plant.m) if u is inputs[1] else [])]
+    arguments += names("p", len(plant.parameters)) + (["dt", *names("d", plant.n)] if inputs[-1] is dt else [])
+    targets = names("y", len(outputs))
+    return arguments, programs.lines(outputs, {}, targets, TEXTS), len(outputs)
 
 
 def lowered_function(program: Callable[..., tuple[Any, ...]], size: int) -> Any:

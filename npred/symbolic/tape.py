@@ -31,17 +31,9 @@ class Op:
         return self.text.count("{")
 
 
-def _sign(a: float) -> float:
-    return float((a > 0) - (a < 0))
-
-
 def _pow_tangent(a: Any, b: Any, y: Any, da: Any, db: Any) -> Any:
     by_base = b * a ** (b - 1) * da if nonzero(da) else 0.0
     return by_base + (y * M.log(a) * db if nonzero(db) else 0.0)
-
-
-def _choose(c: bool, a: float, b: float) -> float:
-    return a if c else b
 
 
 def _flat(*_: Any) -> float:
@@ -63,13 +55,20 @@ OPS: dict[str, Op] = {
     "tan": Op(math.tan, "math.tan({0})", lambda a, y, da: (1 + y * y) * da),
     "tanh": Op(math.tanh, "math.tanh({0})", lambda a, y, da: (1 - y * y) * da),
     "abs": Op(abs, "abs({0})", lambda a, y, da: M.sign(a) * da),
-    "sign": Op(_sign, "np.sign({0})", _flat),
+    "sign": Op(lambda a: float((a > 0) - (a < 0)), "np.sign({0})", _flat),
     "lt": Op(operator.lt, "{0} < {1}", _flat),
     "le": Op(operator.le, "{0} <= {1}", _flat),
-    "where": Op(_choose, "{1} if {0} else {2}", lambda c, a, b, y, dc, da, db: M.where(c, da, db)),
+    "where": Op(
+        lambda c, a, b: a if c else b, "{1} if {0} else {2}", lambda c, a, b, y, dc, da, db: M.where(c, da, db)
+    ),
     "maximum": Op(max, "max({0}, {1})", lambda a, b, y, da, db: M.where(b < a, da, db)),
     "minimum": Op(min, "min({0}, {1})", lambda a, b, y, da, db: M.where(a < b, da, db)),
 }
+
+
+def names(prefix: str, count: int) -> list[str]:
+    """prefix0, prefix1, …"""
+    return [f"{prefix}{k}" for k in range(count)]
 
 
 class Tape:
@@ -99,7 +98,7 @@ class Tape:
 
     def inputs(self, prefix: str, count: int) -> list["Symbol"]:
         """The symbols prefix0, prefix1, …"""
-        return [self.input(f"{prefix}{k}") for k in range(count)]
+        return list(map(self.input, names(prefix, count)))
 
     def apply(self, op: str, *args: Any) -> "Symbol | float":
         """The node op(args), folded to a number where all arguments are numbers and simplified by 0 and 1."""

@@ -94,7 +94,7 @@ def python(outputs: tapes.Vector, names: Sequence[str], library: Any = math) -> 
     With `library` np it takes arrays too, and a branch that M.where does not take may be undefined there, as in the
     compiled kernels.
     """
-    targets = [f"y{k}" for k in range(len(outputs))]
+    targets = tapes.names("y", len(outputs))
     lines = programs.lines(outputs, {}, targets, ON_ARRAYS if library is np else {})
     text = f"def function({', '.join(names)}):\n    " + "\n    ".join(lines) + f"\n    return [{', '.join(targets)}]"
     space: dict[str, Any] = {"math": library, "np": np}
