@@ -41,14 +41,6 @@ class Source(NamedTuple):
     sha256: str
 
 
-class Loaded(NamedTuple):
-    """A class, its name, and its file."""
-
-    name: str
-    declaration: Any
-    source: Source
-
-
 class Registry:
     """The parts of one kind by name; `group` is that of the entry points of other packages."""
 
@@ -91,7 +83,7 @@ class Registry:
         if fault := self.fault(name):
             raise ConfigError(f"{what}: {fault}")
         if named(name):
-            return load(what, name).declaration
+            return load(what, name)[0]
         if name in self.builtin:
             return attribute(self.builtin[name].target)
         return self.installed(name)
@@ -305,8 +297,11 @@ def _source(path: Path, content: bytes) -> Source:
     return Source(path.name, content.decode(errors="replace"), hashlib.sha256(content).hexdigest())
 
 
-def load(what: str, spec: str) -> Loaded:
-    """Run the file and take the class. Raises ConfigError, in one line, where either is missing or the file fails."""
+def load(what: str, spec: str) -> tuple[Any, Source]:
+    """Run the file: the class, and the text of the file.
+
+    Raises ConfigError, in one line, where either is missing or the file fails.
+    """
     path, name = split(spec)
     if not path.is_file():  # a pipe or a device would be read without an end
         raise ConfigError(
@@ -328,4 +323,4 @@ def load(what: str, spec: str) -> Loaded:
         raise ConfigError(
             f"{what} {path}: expected a class {name}, found {', '.join(classes) or 'none'}; name one that it has"
         )
-    return Loaded(name, space[name], _source(path, content))
+    return space[name], _source(path, content)

@@ -2,7 +2,7 @@
 
 import importlib
 import math
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import product
@@ -70,24 +70,20 @@ class Node:
         return f"{self.stage} {self.model}" if self.model else self.stage
 
 
-def models(config: Pipeline) -> tuple[str, ...]:
-    """The networks of a pipeline."""
-    return tuple(config.train.models)
-
-
 def nodes(config: Pipeline, targets: Iterable[str], only: str | None = None) -> list[Node]:
     """The targets with all that they need, each after its inputs; `only` keeps one network of the train stage."""
     needed = set(targets)
     for name in reversed(STAGES):
         needed.update(STAGES[name].upstream if name in needed else ())
-    return [node for name in STAGES if name in needed for node in _nodes(name, (only,) if only else models(config))]
+    networks = [only] if only else config.train.models
+    return [node for name in STAGES if name in needed for node in _nodes(name, networks)]
 
 
 def question(node: Node, config: Pipeline, device: str) -> dict[str, Any]:
     """The slice of the configuration that the node's key holds, with the plant and the seed."""
     from npred import plants  # brings NumPy, which `npred --help` has no use for
 
-    shared = {"plant": plants.identity(config.plant, config.parameters), "seed": config.seed}
+    shared = {"plant": plants.resolve(config.plant, config.parameters).identity, "seed": config.seed}
     return shared | STAGES[node.stage].slice(config, node.model, device)
 
 
@@ -118,7 +114,7 @@ def check(config: Pipeline, stages: Collection[str]) -> None:
     diagnosis.require(plants.resolve(config.plant, config.parameters), config, stages)
 
 
-def _nodes(stage: str, networks: tuple[str, ...]) -> list[Node]:
+def _nodes(stage: str, networks: Sequence[str]) -> list[Node]:
     upstream = STAGES[stage].upstream
     inputs = tuple(name for above in upstream for name in (networks if above == "train" else (above,)))
     return [Node(stage, model, inputs) for model in (networks if stage == "train" else (None,))]
@@ -140,7 +136,7 @@ def _words(value: Any) -> Any:
 def _own(stage: str, config: Pipeline, model: str | None, device: str) -> dict[str, Any]:
     """The stage's table, and the networks where it takes them."""
     table = _loop(config, stage) if isinstance(getattr(config, stage), Loop) else _dump(getattr(config, stage))
-    networks = {"train": {"models": list(models(config))}} if "train" in registry.STAGES[stage].upstream else {}
+    networks = {"train": {"models": config.train.models}} if "train" in registry.STAGES[stage].upstream else {}
     return {stage: table} | networks
 
 

@@ -21,22 +21,18 @@ def resolve(name: str, parameters: Mapping[str, float] = {}) -> Plant:
     if not isinstance(name, str):
         raise ConfigError(f"plant: expected a name or my_plant.py:Tank, got {name!r}; write it as text")
     if registry.named(name):
-        loaded = registry.load("plant", name)
-        path, _ = registry.split(name)
-        spec = f"{path.absolute()}:{loaded.name}"
-        return _named(spec, make(loaded.name, loaded.declaration, parameters, loaded.source))
+        (path, kind), (declaration, source) = registry.split(name), registry.load("plant", name)
+        plant = make(kind, declaration, parameters, source)
+        plant.spec = f"{path.absolute()}:{kind}"
+        return plant
     if name.endswith(".py"):
         raise ConfigError(f"plant {name}: expected the class too, got the file alone; write {name}:Tank, say")
     declaration = _builtin().get(name) or registry.PLANTS.installed(name)
     if declaration is None:
         near = similar(name, names())
         raise ConfigError(f"plant {name!r}: expected one of {', '.join(names())}, or a file as my_plant.py:Tank{near}")
-    return _named(name, make(name, declaration, parameters))
-
-
-def _named(spec: str, plant: Plant) -> Plant:
-    """The plant, which knows by what name it is resolved again: in another process, say."""
-    plant.spec = spec
+    plant = make(name, declaration, parameters)
+    plant.spec = name
     return plant
 
 
@@ -64,11 +60,6 @@ def make(
     """The plant of a declaration: traced, unless it says `traced = False`."""
     kind = Plant if getattr(declaration, "traced", True) else BlackBox
     return kind(name, declaration, parameters, source)
-
-
-def identity(name: str, parameters: Mapping[str, float] = {}) -> dict[str, Any]:
-    """The part of a stage's key that identifies the plant; see Plant.identity."""
-    return resolve(name, parameters).identity
 
 
 def named() -> list[dict[str, Any]]:

@@ -14,6 +14,7 @@ from npred.plants import newton
 from npred.registry import Source
 from npred.symbolic import array_math, programs, source_lines
 from npred.symbolic.declared import call
+from npred.symbolic.tape import names
 from npred.symbolic.trace import Trace, python
 
 
@@ -31,7 +32,9 @@ class Plant:
     """
 
     traced: ClassVar[bool] = True
-    spec: str | None = None  # what npred.plants.resolve was given; None for a class that a script gave
+    spec: str | None = (
+        None  # what npred.plants.resolve takes for it, in another process say; None for a script's own class
+    )
 
     def __init__(self, name: str, declaration: Any, overrides: Mapping[str, float] = {}, source: Source | None = None):
         declared.called(name)
@@ -193,13 +196,9 @@ class Plant:
         f, kappa, both = trace.f(x, u, t), trace.kappa(x, t), np.concatenate([x, u])
         by_xu = [y for unit in np.eye(self.n + self.m) for y in programs.derivative(f, both, unit)]
         by_x = [y for unit in np.eye(self.n) for y in programs.derivative(kappa, x, unit)]
-        x_names, rest = self._names("x", self.n), ["t", *self._names("p", len(self.p))]
-        f_names = [*x_names, *self._names("u", self.m), *rest]
+        x_names, rest = names("x", self.n), ["t", *names("p", len(self.p))]
+        f_names = [*x_names, *names("u", self.m), *rest]
         return {"f": python(by_xu, f_names, np), "kappa": python(by_x, [*x_names, *rest], np)}
-
-    @staticmethod
-    def _names(prefix: str, count: int) -> list[str]:
-        return [f"{prefix}{k}" for k in range(count)]
 
     def _at_rest(self, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """f(X, kappa(X)) and its Jacobian; NaN where they are not defined, so that the search turns back."""
@@ -310,7 +309,7 @@ class Plant:
         x, u, t = trace.vector("x", self.n), trace.vector("u", self.m), trace.input("t")
         inputs = {"f": (x, u, t), "reference": (t,)}.get(name, (x, t))
         outputs = np.ravel(np.array(getattr(trace, name)(*inputs), dtype=object))
-        return programs.lines(outputs, {}, self._names("y", len(outputs)))
+        return programs.lines(outputs, {}, names("y", len(outputs)))
 
 
 def _few(words: Sequence[str]) -> str:

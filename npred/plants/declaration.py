@@ -130,7 +130,6 @@ def read(plant: str, declaration: Any, overrides: Mapping[str, Any]) -> Declarat
 
 
 def _sentence(error: ValidationError) -> str:
-    """The first of what is wrong, in one line."""
     first = error.errors()[0]
     part, *items = first["loc"] or ("",)
     if first["type"] == "missing":
