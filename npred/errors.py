@@ -1,6 +1,8 @@
 """Every failure a user can meet, each with its exit code; messages say what was expected, what came, what to do."""
 
 from collections.abc import Iterable
+from importlib import import_module
+from typing import Any
 
 
 class NpredError(Exception):
@@ -35,6 +37,15 @@ class MissingError(NpredError):
 
 class DivergedError(NpredError):
     """A rollout, a predictor or a training left the finite numbers."""
+
+
+def required(what: str, module: str, package: str, extra: str) -> Any:
+    """A module of an optional package, imported now. Raises MissingError, after `what` needs it, without it."""
+    try:
+        return import_module(module)
+    except ImportError:
+        todo = f"pip install 'npred[{extra}]'"
+        raise MissingError(f"{what}: expected the package {package}, found none; {todo}") from None
 
 
 def size(count: float) -> str:

@@ -12,7 +12,7 @@ from npred.cli.options import Common, writable
 from npred.data import exchange, shards
 from npred.data.dataset import MEANING, Dataset, attributes
 from npred.delays import family_of
-from npred.errors import ConfigError, MissingError
+from npred.errors import ConfigError, required
 from npred.json_files import plain
 from npred.pipeline import load_data
 from npred.store import durable
@@ -71,11 +71,8 @@ def _hdf5(source: Path, data: Dataset, path: Path) -> list[Path]:
 
 
 def _mat(source: Path, data: Dataset, path: Path) -> list[Path]:
-    try:
-        from scipy.io import savemat
-    except ImportError:
-        raise MissingError("export mat: expected scipy, found none; pip install 'npred[mat]'") from None
-    savemat(path, {name: getattr(data, name) for name in MEANING}, do_compression=True, oned_as="column")
+    matlab = required("export mat", "scipy.io", "scipy", "mat")
+    matlab.savemat(path, {name: getattr(data, name) for name in MEANING}, do_compression=True, oned_as="column")
     return [path]
 
 

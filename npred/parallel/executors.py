@@ -21,7 +21,7 @@ from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from typing import Any, TypeVar
 
-from npred.errors import ConfigError, MissingError, NpredError, first_line
+from npred.errors import ConfigError, NpredError, first_line, required
 
 LOCAL = "local"
 ANSWER = 10  # seconds that a scheduler may take to answer
@@ -226,15 +226,10 @@ def _executor(spec: str, jobs: int) -> Workers:
 
 
 def _cluster(address: str) -> Cluster:
-    try:
-        from distributed import Client
-    except ImportError:
-        raise MissingError(
-            "--executor: expected the package distributed, found none; pip install 'npred[dask]'"
-        ) from None
+    client = required("--executor", "distributed", "distributed", "dask").Client
     logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # what fails is said once, in a line
     try:
-        return Cluster(Client(address, timeout=ANSWER, set_as_default=False))
+        return Cluster(client(address, timeout=ANSWER, set_as_default=False))
     except (OSError, ValueError) as error:
         expected = f"--executor: expected a Dask scheduler at {address}"
         raise NpredError(f"{expected}, got: {first_line(error)}; start one there with dask scheduler") from None

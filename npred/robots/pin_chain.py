@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from npred.errors import MissingError
+from npred.errors import required
 from npred.robots import urdf
 from npred.robots.chain import called_for, declaration, middles, motion
 from npred.symbolic import array_math
@@ -45,12 +45,8 @@ class _Library:
     """Pinocchio's model of a file, row by row."""
 
     def __init__(self, path: Path) -> None:
-        try:
-            import pinocchio  # type: ignore[import-not-found]
-        except ImportError:
-            raise MissingError("pin_chain: expected pinocchio, found none; pip install 'npred[pin]'") from None
-        self.pin: Any = pinocchio
-        self.model = pinocchio.buildModelFromUrdf(str(path))
+        self.pin = required("pin_chain", "pinocchio", "pinocchio", "pin")
+        self.model = self.pin.buildModelFromUrdf(str(path))
         self.data = self.model.createData()
 
     def accelerations(self, q: np.ndarray, rates: np.ndarray, u: np.ndarray, gravity: float) -> np.ndarray:

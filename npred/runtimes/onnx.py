@@ -4,7 +4,6 @@ import logging
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from npred.delays import family_of
-from npred.errors import MissingError, NpredError
+from npred.errors import NpredError, required
 from npred.operators import Operator
 from npred.plants.base import Plant
 from npred.predictors.base import Predictor
@@ -49,7 +48,7 @@ def graph(operator: Operator, plant: Plant, nx: int) -> bytes:
     the plant is not traced.
     """
     for name in ("onnx", "onnxscript"):
-        require(name)
+        required("onnx", name, name, "onnx")
     family_of(plant).needs("onnx")
     model = Deployed(operator, plant).eval()
     batch = torch.export.Dim("batch")
@@ -116,19 +115,11 @@ class Onnx(Predictor):
 
 def session(model: bytes) -> Any:
     """An ONNX Runtime session on one thread of the CPU."""
-    runtime = require("onnxruntime")
+    runtime = required("onnx", "onnxruntime", "onnxruntime", "onnx")
     options = runtime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.log_severity_level = 3
     return runtime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
-
-
-def require(name: str) -> Any:
-    """A module of the onnx extra. Raises MissingError without it."""
-    try:
-        return import_module(name)
-    except ImportError:
-        raise MissingError(f"onnx: expected the package {name}, found none; pip install 'npred[onnx]'") from None
 
 
 @contextmanager

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from npred.errors import MissingError
+from npred.errors import required
 
 
 class Events:
@@ -16,12 +16,8 @@ class Events:
     """
 
     def __init__(self, folder: Path) -> None:
-        try:
-            from torch.utils.tensorboard import SummaryWriter
-        except ImportError:
-            todo = "pip install 'npred[tensorboard]'"
-            raise MissingError(f"--tensorboard: expected the package tensorboard, found none; {todo}") from None
-        self.folder, self.writer, self.open, self.lock = folder, SummaryWriter, {}, threading.Lock()
+        module = required("--tensorboard", "torch.utils.tensorboard", "tensorboard", "tensorboard")
+        self.folder, self.writer, self.open, self.lock = folder, module.SummaryWriter, {}, threading.Lock()
 
     def write(self, title: str, values: Mapping[str, float]) -> None:
         """The values of one epoch, `epoch` among them."""
