@@ -1,4 +1,4 @@
-"""A Progress that shows nothing and keeps what it was told."""
+"""A console that shows nothing and keeps what it was told."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager

@@ -1,38 +1,12 @@
 """The stages: pure functions of a job; none of them knows the store."""
 
-from collections.abc import Mapping
-from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
 
 from npred.config import Pipeline
 from npred.parallel.executors import Here, Workers
 from npred.plants import Plant
-from npred.terminal.progress_bars import Bar
-
-
-class Progress(Protocol):
-    """Where a stage tells how far it is."""
-
-    def bar(self, title: str, total: int, unit: str, done: int = 0) -> AbstractContextManager[Bar]:
-        """The progress of `total` units, named in the plural; `done` of them were there before."""
-        ...
-
-    def doing(self, title: str, what: str) -> None:
-        """A stage begins, or does something else now: compiling, drawing."""
-
-    def measured(self, title: str, values: Mapping[str, float]) -> None:
-        """What an epoch of a training reached."""
-
-    def note(self, text: str) -> None:
-        """A line for people."""
-
-    def warn(self, text: str) -> None:
-        """A warning."""
-
-    def stop(self) -> None:
-        """End the work of other threads at their next word of progress."""
+from npred.terminal.console import Console
 
 
 @dataclass(frozen=True)
@@ -52,6 +26,6 @@ class Job:
     scratch: Path
     device: str
     jobs: int
-    progress: Progress
+    progress: Console
     model: str | None = None
     executor: Workers = field(default_factory=Here)

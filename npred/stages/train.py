@@ -15,7 +15,8 @@ from npred.data import shards
 from npred.operators import Operator, Scaling, checked, io, save
 from npred.parallel import torchrun
 from npred.results import Trained
-from npred.stages import Job, Progress
+from npred.stages import Job
+from npred.terminal.console import Console
 from npred.terminal.progress_bars import counted
 from npred.training import loss, training_loop
 from npred.training.streaming import Stream
@@ -56,14 +57,14 @@ class _Order(NamedTuple):
         folders = job.inputs["generate"].absolute(), job.scratch.absolute()
         return cls(job.config.located(), *folders, job.device, job.model)
 
-    def job(self, progress: Progress) -> Job:
+    def job(self, progress: Console) -> Job:
         """The job as a helper sees it, who writes nothing."""
         plant = plants.resolve(self.config.plant, self.config.parameters)
         inputs = {"generate": self.data}
         return Job(self.config, plant, self.scratch, inputs, self.scratch, self.device, 1, progress, self.model)
 
 
-def help_out(progress: Progress) -> None:
+def help_out(progress: Console) -> None:
     """What the processes of torchrun but the first do: their part of each batch, training by training."""
     torch.set_num_threads(1)
     while order := torchrun.receive():

@@ -11,10 +11,11 @@ from npred.figures.figure import Plate
 from npred.figures.notation import symbol
 from npred.figures.style import ROLES
 from npred.results import Reported
-from npred.stages import Job, Progress
+from npred.stages import Job
 from npred.stages.bench import timing_tables
 from npred.stages.report import headline
 from npred.stages.report.report_data import CHAPTERS, Story
+from npred.terminal.console import Console
 from npred.terminal.progress_bars import Bar
 
 NAME = "report.html"
@@ -63,7 +64,7 @@ def _page(story: Story, said: list[str], job: Job) -> str:
     )
 
 
-def _chapters(story: Story, progress: Progress) -> Iterator[dict[str, Any]]:
+def _chapters(story: Story, progress: Console) -> Iterator[dict[str, Any]]:
     plates, tables = story.plates(), story.tables()
     with progress.bar("report", sum(len(plate.panels) for plate in plates.values()), "panels") as bar:
         for name, title, shown, below in CHAPTERS:
@@ -80,7 +81,6 @@ def _chapters(story: Story, progress: Progress) -> Iterator[dict[str, Any]]:
 
 
 def _pictures(plate: Plate, bar: Bar) -> list[str]:
-    """Each panel of a plate as inline SVG."""
     pictures = []
     for number, panel in enumerate(plate.panels):
         pictures.append(svg.inline(panel, f"{plate.name}-{number}"))
