@@ -95,6 +95,10 @@ class Compiled(Predictor):
     def compile(self) -> Callable[..., None]:
         """Trace the formula and compile its kernel."""
 
+    def on(self, nx: int) -> Callable[..., None]:
+        """The compiled map for nx nodes: one for all of them, unless a subclass says otherwise."""
+        return self.kernel
+
     def lanes(self) -> Callable[..., None]:
         return self.kernel
 
@@ -112,5 +116,5 @@ class Compiled(Predictor):
     def _at(self, t: float, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray) -> np.ndarray:
         P = np.empty((u.shape[1], self.plant.n, len(X)))
         X, u, D_hat = (np.array(a, order="C") for a in (X.T, u.transpose(1, 2, 0), D_hat))  # broadcasts are read-only
-        self.kernel(X, u, D_hat, float(t), self.plant.p, P)
+        self.on(len(u))(X, u, D_hat, float(t), self.plant.p, P)
         return P.transpose(2, 0, 1)

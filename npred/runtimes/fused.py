@@ -114,7 +114,6 @@ class Fused(Compiled):
         return self.on(self.nx)
 
     def on(self, nx: int) -> Callable[..., None]:
-        """The compiled function for nx nodes."""
         if nx not in self.kernels:
             stride = self.stride or coarsest(nx)
             self.kernels[nx] = build(fold(self.operator, self.plant, nx, stride, self.precision))
@@ -123,12 +122,6 @@ class Fused(Compiled):
     def __getstate__(self) -> dict[str, Any]:
         """The operator; its functions are compiled again, or read from the disk, on use."""
         return super().__getstate__() | {"kernels": {}}
-
-    def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Any) -> np.ndarray:
-        P = np.empty((u.shape[1], self.plant.n, len(X)))
-        X, u, D_hat = (np.array(a, order="C") for a in (X.T, u.transpose(1, 2, 0), D_hat))
-        self.on(u.shape[0])(X, u, D_hat, 0.0, self.plant.p, P)
-        return P.transpose(2, 0, 1)
 
 
 def coarsest(nx: int) -> int:
@@ -164,7 +157,6 @@ def _body(p: Program) -> list[str]:
 
 
 def _sizes(p: Program) -> dict[str, Any]:
-    """Numbers in the text."""
     sizes = {"n": p.n, "m": p.m, "nx": p.nx, "quads": p.nx - p.nx % 4, "size": p.n * p.nx}
     if p.series is None:
         return sizes
