@@ -115,18 +115,10 @@ class Shown(ProgressColumn):
         return self.show(task)
 
 
-def _mark(task: Task) -> Text:
-    return Text(*MARKS[task.fields["state"]])
-
-
-def _stage(task: Task) -> Text:
-    return Text(task.description, "dim" if task.fields["state"] == "waiting" else "")
-
-
 def _progress(task: Task) -> RenderableType:
     """The bar and its count, or what the stage does."""
     doing = task.fields["doing"]
-    if task.fields["state"] != "running" or not task.total:
+    if not _runs(task) or not task.total:
         return Text(doing, "dim", no_wrap=True, overflow="crop")
     line = Table.grid(Column(max_width=BAR), Column(no_wrap=True, overflow="crop"), padding=(0, GAP, 0, 0))
     text = _count(task, int(task.total)) if task.completed > task.fields["before"] or not doing else doing
@@ -140,29 +132,27 @@ def _count(task: Task, total: int) -> str:
     return f"{task.completed:.0f}/{counted(total, task.fields['unit'])}"
 
 
-def _elapsed(task: Task) -> Text:
-    return Text(_clock(task.elapsed if task.fields["state"] == "running" else task.fields["seconds"]))
-
-
-def _left(task: Task) -> Text:
-    """From the rate of this run: what an earlier one did took no time of it."""
-    return Text(_clock(task.time_remaining if task.fields["state"] == "running" and task.total else None))
-
-
-def _clock(seconds: float | None) -> str:
+def _clock(seconds: float | None) -> Text:
     if seconds is None:
-        return ""
+        return Text("")
     minutes, rest = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
+    return Text(f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}")
+
+
+def _runs(task: Task) -> bool:
+    return task.fields["state"] == "running"
 
 
 COLUMNS = (
-    Shown("", _mark, number=False),
-    Shown("stage", _stage, number=False),
+    Shown("", lambda task: Text(*MARKS[task.fields["state"]]), number=False),
+    Shown(
+        "stage", lambda task: Text(task.description, "dim" if task.fields["state"] == "waiting" else ""), number=False
+    ),
     Shown("", _progress, number=False, flexible=True),
-    Shown("elapsed", _elapsed),
-    Shown("left", _left),
+    Shown("elapsed", lambda task: _clock(task.elapsed if _runs(task) else task.fields["seconds"])),
+    # from the rate of this run: what an earlier one did took no time of it
+    Shown("left", lambda task: _clock(task.time_remaining if _runs(task) and task.total else None)),
     Shown("loss", lambda task: Text(task.fields["loss"])),
     Shown("ε sup", lambda task: Text(task.fields["eps_sup"])),
 )
