@@ -53,7 +53,7 @@ def errors(evidence: Evidence) -> Plate:
         Panel("error versus D̂", f"Largest error by delay estimate; over all: {sup}.",
               partial(_over, evidence.D_hat, by_network, quantity(evidence.plant, "D_hat"))),
         Panel("share of samples below ε", f"Distribution of the largest error over x; median: {half}.",
-              partial(_distribution, by_network)),
+              partial(distribution, {c: error.sup for c, error in by_network.items()})),
     )  # fmt: skip
     return Plate("errors", "Where networks err", caption, panels, keys(by_network))
 
@@ -133,11 +133,12 @@ def _over(values: np.ndarray, by_network: dict[Contender, Errors], label: str, a
     log(axis, "y")
 
 
-def _distribution(by_network: dict[Contender, Errors], axis: Any) -> None:
+def distribution(sup_by_network: dict[Contender, np.ndarray], axis: Any, **limits: Any) -> None:
+    """The share of samples (N,) whose error is below ε, a line per network."""
     share = np.linspace(0, 1, 201)
-    for contender, error in by_network.items():
-        axis.plot(_positive(np.quantile(error.sup, share)), share, **look(contender).line)
-    axis.set(xlabel="ε", ylim=(0, 1.02))
+    for contender, sup in sup_by_network.items():
+        axis.plot(_positive(np.quantile(sup, share)), share, **look(contender).line)
+    axis.set(xlabel="ε", ylim=(0, 1.02), **limits)
     log(axis, "x")
 
 

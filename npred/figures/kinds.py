@@ -1,14 +1,14 @@
 """The errors of networks on held-out rows of each kind."""
 
 from functools import partial
-from typing import Any
 
 import numpy as np
 
+from npred.figures.accuracy import distribution
 from npred.figures.evaluation_data import OF, Evidence
 from npred.figures.figure import Panel, Plate
 from npred.figures.loops import keys
-from npred.figures.style import log, look, short
+from npred.figures.style import short
 from npred.results import Contender
 
 
@@ -21,7 +21,7 @@ def kinds(evidence: Evidence) -> Plate | None:
         "experiment's delays, exploring ones wider ranges of delays and estimates, a redrawn D̂ is not the loop's."
     )
     span = _span(evidence)
-    panels = [Panel(OF[kind], _alt(sup), partial(_shares, sup, span)) for kind, sup in evidence.kinds.items()]
+    panels = [Panel(OF[kind], _alt(sup), partial(distribution, sup, xlim=span)) for kind, sup in evidence.kinds.items()]
     return Plate("kinds", "By kind of row", caption, tuple(panels), keys(evidence.errors))
 
 
@@ -35,12 +35,3 @@ def _span(evidence: Evidence) -> tuple[float, float]:
 def _alt(networks: dict[Contender, np.ndarray]) -> str:
     said = [f"{contender.label} {short(np.median(sup))} and {short(sup.max())}" for contender, sup in networks.items()]
     return f"Median and largest error: {'; '.join(said)}."
-
-
-def _shares(networks: dict[Contender, np.ndarray], span: tuple[float, float], axis: Any) -> None:
-    share = np.linspace(0, 1, 201)
-    for contender, sup in networks.items():
-        errors = np.quantile(sup, share)
-        axis.plot(np.where(errors > 0, errors, np.nan), share, **look(contender).line)
-    axis.set(xlabel="ε", xlim=span, ylim=(0, 1.02))
-    log(axis, "x")

@@ -38,9 +38,9 @@ def _caption(evidence: Evidence) -> str:
     plant, config = evidence.plant, evidence.config
     D, D_hat0 = (f"{value:g} {plant.time_unit}".strip() for value in (config.D, config.D_hat0))
     of = f" [{plant.figure}]" if plant.figure else ""
-    where = "rest" if plant.rests else "the reference"
+    where, start = "rest" if plant.rests else "the reference", ", ".join(f"{value:g}" for value in config.X0)
     return (
-        f"One closed loop{of} from X(0) = {_vector(config.X0)} with D = {D} and D̂(0) = {D_hat0}, run with each "
+        f"One closed loop{of} from X(0) = ({start}) with D = {D} and D̂(0) = {D_hat0}, run with each "
         f"predictor. Grey and dotted: {where}, and the true delay. A loop that does not converge may leave the picture."
     )
 
@@ -62,7 +62,8 @@ def ends(evidence: Evidence) -> tuple[Panel, ...]:
     """The distance to rest, and W(t) of the stability proof where the update law runs, along the loops of figure1."""
     plant, config = evidence.plant, evidence.config
     distance = {c: np.linalg.norm(loop.X - plant.target(loop.t), axis=1) for c, loop in evidence.loops.items()}
-    W = {c: _W(evidence, loop) for c, loop in evidence.loops.items() if np.isfinite(loop.N).any()}
+    proven = {c: loop for c, loop in evidence.loops.items() if np.isfinite(loop.N).any()}
+    W = {c: lyapunov.W(loop.N, config.D, loop.D_hat, config.gamma, config.b) for c, loop in proven.items()}
     t = evidence.loops[NUMERICAL].t
     last = "; ".join(f"{c.label} {values[-1]:.1e}" for c, values in distance.items())
     falls = "; ".join(f"{c.label} from {values[0]:.3g} to {values[-1]:.3g}" for c, values in W.items())
@@ -124,11 +125,6 @@ def _curves(t: np.ndarray, curves: dict[Contender, np.ndarray], time: str, axis:
     log(axis, "y")
 
 
-def _W(evidence: Evidence, loop: LoopSeries) -> np.ndarray:
-    config = evidence.config
-    return lyapunov.W(loop.N, config.D, loop.D_hat, config.gamma, config.b)
-
-
 def _around(series: list[np.ndarray]) -> tuple[float, float]:
     """The range of all series with room on both sides."""
     values = np.concatenate(series)
@@ -146,7 +142,3 @@ def _alt(name: str, k: int, columns: dict[Contender, np.ndarray], t: np.ndarray)
 def _alt_end(name: str, k: int, columns: dict[Contender, np.ndarray]) -> str:
     ends = "; ".join(f"{c.label} {values[-1, k]:.6g}" for c, values in columns.items())
     return f"{name} over the last tenth of the horizon, ending at: {ends}."
-
-
-def _vector(values: Any) -> str:
-    return "(" + ", ".join(f"{value:g}" for value in values) + ")"

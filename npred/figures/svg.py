@@ -67,14 +67,10 @@ def _attribute(key: str, value: str, prefix: str) -> str:
     value = SHARED.sub(rf"url(#{prefix}-\1)", value)
     if key == "style":
         value = re.sub(r"'DejaVu Sans'[^;]*", "inherit", value)
-        return re.sub(r"#[0-9a-f]{6}", lambda match: _colour(match.group()), value)
+        return re.sub("|".join(COLOURS), lambda match: f"var(--{COLOURS[match[0]]})", value)
     if key in ("d", "points", "transform", "x", "y"):
         return re.sub(r"-?\d+\.\d+", lambda match: f"{float(match.group()):.2f}".rstrip("0").rstrip("."), value)
     return value
-
-
-def _colour(value: str) -> str:
-    return f"var(--{COLOURS[value]})" if value in COLOURS else value
 
 
 def _describe(root: ElementTree.Element, panel: Panel, prefix: str) -> None:
