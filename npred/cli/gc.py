@@ -123,7 +123,7 @@ def _keep_remembered(options: Common, kept: Kept, root: GcRoot, device: str) -> 
             return
     except NpredError as error:
         options.console.warn(f"{error}; what it last asked for stays")
-    kept.keep(root.keys)
+    kept.keys.update(root.keys)
 
 
 def _beyond(unneeded: list[Artifact], sound: list[Artifact], limit: int) -> Iterator[Waste]:

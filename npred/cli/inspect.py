@@ -18,8 +18,9 @@ from npred.terminal.console import columns
 def status(options: Planned, check: bool) -> None:
     """The state of every node; `check` reads every file and raises UnmetError unless all is fresh."""
     steps = options.planner().plan(nodes(options.config, STAGES))
-    if check:
-        _verify(steps)
+    for step in steps if check else ():
+        if step.artifact:
+            step.artifact.verify()
     rows = [[s.node.title, short(s.key or "-"), s.state, s.reason.removeprefix(f"{s.state}: ")] for s in steps]
     document = {"stages": [_step(step) for step in steps]}
     options.show(document, lambda: columns(["stage", "key", "state", "reason"], rows, options.console.width))
@@ -74,20 +75,15 @@ def diff(options: Common, a: str, b: str) -> None:
     answered = changes(left.result(), right.result())
     kinds = [_kind(left), _kind(right)]
     folders = {"a": str(left.folder), "b": str(right.folder)}
-    made_with = changes(left.manifest.circumstances, right.manifest.circumstances)
-    files = [] if asked or kinds[0] != kinds[1] else _changed_files(left, right)
+    made_with = changes(before.circumstances, after.circumstances)
+    names = sorted(name for name in before.files | after.files if before.files.get(name) != after.files.get(name))
+    files = [] if asked or kinds[0] != kinds[1] else names  # of two answers to one question
     answer = {"stages": kinds, "question": asked, "result": answered, "files": files, "made_with": made_with}
     document = folders | answer
     across = [f"these are results of different stages: {kinds[0]} and {kinds[1]}"] if kinds[0] != kinds[1] else []
     lines = [*across, *asked, *(f"result.{line}" for line in answered), *(f"file {name} differs" for name in files)]
     lines = lines or [f"{left.name} and {right.name}: no difference"]
     options.show(document, lambda: "\n".join([*lines, *(f"made with {line}" for line in made_with)]))
-
-
-def _changed_files(a: Artifact, b: Artifact) -> list[str]:
-    """The files in which two answers to one question differ."""
-    left, right = a.manifest.files, b.manifest.files
-    return sorted(name for name in left | right if left.get(name) != right.get(name))
 
 
 def _kind(artifact: Artifact) -> str:
@@ -124,12 +120,6 @@ def check(options: Common, plant: str, delay: float | None, nodes: int | None) -
     if not fine:
         failed = ", ".join(answer.check for answer in answers if answer.verdict == "no")
         raise UnmetError(f"plants check {plant}: expected no answer of no, got {failed}; the table says what to change")
-
-
-def _verify(steps: list[Step]) -> None:
-    for step in steps:
-        if step.artifact:
-            step.artifact.verify()
 
 
 def _step(step: Step) -> dict[str, Any]:

@@ -32,18 +32,13 @@ def init(options: Common, name: str, source: str | None = None) -> None:
     there = [str(path) for path in paths if path.exists()]
     if there:
         raise ConfigError(f"init: expected no {' or '.join(there)} here, found it; choose another name or move it")
-    for path, text in zip(
-        paths, _copies(source, name, class_name) if source else _fresh(name, class_name), strict=True
-    ):
+    fresh = _text(PLANT, name, class_name), _text(PIPELINE, name, class_name)
+    for path, text in zip(paths, _copies(source, name, class_name) if source else fresh, strict=True):
         with path.open("x", encoding="utf-8") as file:
             file.write(text)
     spec = f"{name}.py:{class_name}"
     todo = f"wrote {name}.py and {name}.toml\nnext: npred plants check {spec}, then npred run {name}.toml"
     options.show({"plant": spec, "files": [str(path) for path in paths]}, lambda: todo)
-
-
-def _fresh(name: str, class_name: str) -> tuple[str, str]:
-    return _text(PLANT, name, class_name), _text(PIPELINE, name, class_name)
 
 
 def _text(template: str, name: str, class_name: str) -> str:

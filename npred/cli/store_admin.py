@@ -30,11 +30,7 @@ def doctor(options: Common) -> None:
 def verify(options: Common) -> None:
     """Read every file of every result. Raises StoreError where one is not as it was written."""
     sound, broken = options.results.survey()
-    faults = {str(folder): "no sound manifest" for folder in broken}
-    with options.console.bar("verify", len(sound), "results") as bar:
-        for artifact in sound:
-            faults |= _fault(artifact)
-            bar.advance()
+    faults = {str(folder): "no sound manifest" for folder in broken} | _faults(options, sound)
     rows: list[dict[str, Any]] = [
         {"folder": str(a.folder), "state": "corrupt" if str(a.folder) in faults else "sound"}
         | {"made_with": a.manifest.circumstances}
@@ -72,12 +68,17 @@ def import_artifact(options: Common, path: Path) -> None:
     options.show(document, lambda: f"{artifact.name}: {done}\n{artifact.folder}")
 
 
-def _fault(artifact: Artifact) -> dict[str, str]:
-    try:
-        artifact.verify()
-    except StoreError as error:
-        return {str(artifact.folder): str(error)}
-    return {}
+def _faults(options: Common, artifacts: list[Artifact]) -> dict[str, str]:
+    """By folder what is wrong with a result; every file is read."""
+    faults = {}
+    with options.console.bar("verify", len(artifacts), "results") as bar:
+        for artifact in artifacts:
+            try:
+                artifact.verify()
+            except StoreError as error:
+                faults[str(artifact.folder)] = str(error)
+            bar.advance()
+    return faults
 
 
 def _circumstances(artifacts: list[Artifact]) -> Iterator[str]:
@@ -110,11 +111,7 @@ def _store(options: Common) -> dict[str, Any]:
     """What is in the store. Every file is read: corrupt are results with changed bytes, incomplete those with fewer."""
     store = options.results
     artifacts, broken = store.survey()
-    faulty = set(broken)
-    with options.console.bar("verify", len(artifacts), "results") as bar:
-        for artifact in artifacts:
-            faulty |= {artifact.folder} if _fault(artifact) else set()
-            bar.advance()
+    faulty = {*broken, *map(Path, _faults(options, artifacts))}
     lacking = {a.folder for a in artifacts if not all((a.folder / name).exists() for name in a.manifest.files)}
     lacking |= {folder for folder in broken if not (folder / NAME).exists()}
     above = next(path for path in [store.root, *store.root.absolute().parents] if path.exists())

@@ -16,7 +16,6 @@ class Command(TyperCommand):
     """A command."""
 
     def get_params(self, ctx: Any) -> list[Any]:
-        """The parameters, as the help lists them."""
         return _untyped(super().get_params(ctx))
 
 
@@ -24,7 +23,6 @@ class Group(TyperGroup):
     """Commands under one name, or all of them."""
 
     def get_params(self, ctx: Any) -> list[Any]:
-        """The parameters, as the help lists them."""
         return _untyped(super().get_params(ctx))
 
     def main(self, *args: Any, standalone_mode: bool = True, **extra: Any) -> Any:
@@ -35,19 +33,14 @@ class Group(TyperGroup):
             code = super().main(*args, standalone_mode=False, **extra)
         except USAGE as error:
             sys.exit(_tell(error))
-        except typer.Abort:
-            sys.exit(_interrupted())
+        except typer.Abort:  # interrupted before the command began
+            interruption.say(Console().error)
+            sys.exit(interruption.code())
         except OSError as error:  # commands say theirs: this is of a help that stdout does not take
             streams.silence(sys.stdout)
             Console().error(str(streams.unwritable(error.strerror)))
             sys.exit(1)
         sys.exit(code if isinstance(code, int) else 0)
-
-
-def _interrupted() -> int:
-    """The exit code of a command that was interrupted before it began, once that is said."""
-    interruption.say(Console().error)
-    return interruption.code()
 
 
 def _untyped(parameters: list[Any]) -> list[Any]:

@@ -70,17 +70,13 @@ def survey(path: Path) -> Dataset:
     shards = files(path)
     if len(shards) == 1:
         return Dataset.read(shards[0])
-    step = math.ceil(_bytes(path) / SURVEY)
+    with hdf5.opened(path, AXES) as arrays:
+        step = math.ceil(sum(array.size * array.dtype.itemsize for array in arrays.values()) / SURVEY)
     taken, first = [], 0
     for part in map(Dataset.read, shards):
         taken.append({key: getattr(part, key)[-first % step :: step].copy() for key in MEANING})
         first += len(part)
     return Dataset(**{key: np.concatenate([rows[key] for rows in taken]) for key in MEANING})
-
-
-def _bytes(path: Path) -> int:
-    with hdf5.opened(path, AXES) as arrays:
-        return sum(array.size * array.dtype.itemsize for array in arrays.values())
 
 
 def _layout(key: str, rows: Sequence[int], shape: tuple[int, ...], kind: np.dtype[Any]) -> h5py.VirtualLayout:

@@ -10,7 +10,7 @@ from safetensors.torch import load_file, save_file
 
 from npred import json_files
 from npred.config import Network, Train, Training
-from npred.errors import ConfigError, StoreError
+from npred.errors import ConfigError, StoreError, first_line
 from npred.operators.base import Operator
 from npred.operators.build import build
 from npred.operators.scaling import Scaling
@@ -68,8 +68,9 @@ def load(
         operator.load_state_dict(tensors)
     except (OSError, SafetensorError, RuntimeError, ValueError, TypeError, OverflowError) as error:
         kept = ", ".join(sorted(p.name for p in folder.glob("*.safetensors"))) or "none"
-        reason = (str(error).splitlines() or [type(error).__name__])[0]
-        raise StoreError(f"{path}: expected weights of this model, got: {reason}; files there: {kept}") from None
+        raise StoreError(
+            f"{path}: expected weights of this model, got: {first_line(error)}; files there: {kept}"
+        ) from None
     return _as(operator, dtype, plant).eval().requires_grad_(False)
 
 

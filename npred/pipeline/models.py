@@ -31,7 +31,10 @@ def load_model(spec: str, root: Path | None = None) -> Stored:
     Each may end in `@EPOCH`, for a snapshot. Raises ConfigError where there is none, StoreError for corrupt files.
     """
     store = Store(root or defaults.store())
-    asked = _split(spec)
+    try:
+        asked = Contender.parse(spec)
+    except ValueError as error:
+        raise ConfigError(f"{spec}: {error}") from None
     path, colon, model = asked.model.rpartition(":")
     if colon or _of_default(model):
         pipeline = defaults.pipeline(path)
@@ -70,13 +73,6 @@ def _last(pipeline: config.Pipeline, store: Store, stage: str, model: str | None
     if step.artifact is None:
         raise ConfigError(f"{expected} in {store.root}, got none ({step.reason}); run {todo}")
     return step.artifact
-
-
-def _split(spec: str) -> Contender:
-    try:
-        return Contender.parse(spec)
-    except ValueError as error:
-        raise ConfigError(f"{spec}: {error}") from None
 
 
 def _of_pipeline(path: Path, pipeline: config.Pipeline, model: str, store: Store) -> tuple[Artifact, Plant, Training]:

@@ -19,10 +19,6 @@ class Kept:
     timed: set[str] = field(default_factory=set)  # keys of what was asked of a machine, leaving the machine out
     loose: list[tuple[Node, dict[str, Any]]] = field(default_factory=list)
 
-    def keep(self, keys: Iterable[str]) -> None:
-        """Keep these keys, whatever asks for them."""
-        self.keys.update(keys)
-
     def add(self, planner: Planner, nodes: Iterable[Node]) -> None:
         """Keep what these nodes of a pipeline need, each after its inputs."""
         artifacts: dict[str, Artifact | None] = {}

@@ -102,17 +102,13 @@ class Store:
             self.root.mkdir(parents=True, exist_ok=True)
             (self.root / MARKER).touch()
 
-    def folder(self, stage: str, key: str) -> Path:
-        """The folder of the result of a key, whether it is there or not."""
-        return self.root / stage / key
-
     def scratch(self, stage: str, key: str) -> Path:
         """The folder that an interrupted stage finds again: its checkpoints."""
         return self.root / ".scratch" / f"{stage}-{key}"
 
     def get(self, stage: str, key: str) -> Artifact | None:
         """The artifact of a key, or None. Raises StoreError where something else lies in its place."""
-        folder = self.folder(stage, key)
+        folder = self.root / stage / key
         return Artifact.read(folder) if folder.exists() else None
 
     def lock(self, stage: str, key: str, waiting: Callable[[str], None] | None = None) -> AbstractContextManager[None]:
@@ -140,8 +136,9 @@ class Store:
 
     def place(self, draft: Path, manifest: Manifest) -> Artifact:
         """`commit` for a draft that has its manifest.json, and is as that says."""
-        durable.sync_tree(draft)
-        target = self.folder(manifest.question.stage, manifest.key)
+        for path in [*draft.rglob("*"), draft]:
+            json_files.sync(path)
+        target = self.root / manifest.question.stage / manifest.key
         durable.make(target.parent)
         before = self._aside(target)  # what takes time, its removal, comes when the new one is there
         draft.rename(target)

@@ -12,12 +12,6 @@ _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 _WORDS = ("No space left on device", "Disk quota exceeded", "File too large")  # of libraries that drop the number
 
 
-def sync_tree(folder: Path) -> None:
-    """Every file and folder below and the folder itself, made to outlive a loss of power."""
-    for path in [*folder.rglob("*"), folder]:
-        sync(path)
-
-
 def make(folder: Path) -> None:
     """A folder and those above it; a new name is made durable in the folder that holds it."""
     if not folder.is_dir():

@@ -133,7 +133,8 @@ class Manifest(Record):
         cls, question: Question, pipeline: str, folder: Path, device: str = "cpu", sources: Sources = {}
     ) -> Self:
         """The manifest of the files in a folder, subfolders included, made now, on this machine and this device."""
-        files = _payloads(folder)
+        sizes = sorted(_files(folder))
+        files = {name: {"sha256": json_files.sha256(folder / name), "size": size} for name, size in sizes}
         fields = {
             "key": question.key,
             "question": question.model_dump(),
@@ -230,10 +231,6 @@ def provenance(device: str) -> dict[str, str | None]:
     versions = packages("npred", "numpy", "numba", "torch")
     here = {"python": platform.python_version(), "platform": platform.platform()}
     return here | versions | arithmetic(device)
-
-
-def _payloads(folder: Path) -> dict[str, dict[str, Any]]:
-    return {name: {"sha256": json_files.sha256(folder / name), "size": size} for name, size in sorted(_files(folder))}
 
 
 def _files(folder: Path) -> Iterator[tuple[str, int]]:

@@ -81,12 +81,6 @@ def full(error: OSError, folder: Path) -> NpredError | None:
     return NpredError(f"{folder}: expected room for compiled code, got a full disk; {todo}")
 
 
-@cache
-def root() -> Path:
-    """The folder of this process, once it is checked; see folder."""
-    return folder()
-
-
 def folder() -> Path:
     """The folder of compiled code: $NPRED_CACHE, else the user's cache, else a temporary folder; none but the owner may
     enter it.
@@ -109,6 +103,9 @@ def folder() -> Path:
         if error := full(error, chosen):
             raise error from None
         return _temporary()
+
+
+root = cache(folder)  # of this process, checked once
 
 
 def _absolute(variable: str) -> Path | None:

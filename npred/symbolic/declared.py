@@ -102,7 +102,6 @@ def _record(kind: str, names: tuple[str, ...]) -> Any:
 
 
 def _cure(plant: Declared, function: str, error: Exception) -> str:
-    """The advice on a failure of a declared function."""
     signature = (SIGNATURES if plant.traced else ON_ROWS)[function]
     if not source_lines.where(error, getattr(plant.declaration, function)):  # it was not even entered
         return f"write def {signature}"

@@ -5,7 +5,6 @@ It holds a digest of all that is in it and of the snapshots beside it: a bit tha
 
 import hashlib
 import json
-import os
 from pathlib import Path
 from typing import Any
 
@@ -27,10 +26,10 @@ def save(folder: Path, network: nn.Module, optimiser: torch.optim.Optimizer, met
     The file is complete or absent: it is written beside its name, synced and renamed.
     """
     partial, tensors = folder / f"{NAME}.partial", _tensors(network, optimiser)
-    texts = {"metrics": json.dumps(metrics), "snapshots": json.dumps(_snapshots(folder))}
+    snapshots = {path.name: json_files.sha256(path) for path in sorted(folder.glob("snapshot-*.safetensors"))}
+    texts = {"metrics": json.dumps(metrics), "snapshots": json.dumps(snapshots)}  # parts of the result as they are
     save_file(tensors, partial, metadata=texts | {"sha256": _digest(tensors, texts)})
-    with partial.open("rb") as file:
-        os.fsync(file.fileno())
+    json_files.sync(partial)
     partial.replace(folder / NAME)
 
 
@@ -55,7 +54,9 @@ def _restored(path: Path, network: nn.Module, optimiser: torch.optim.Optimizer) 
         texts = file.metadata()
     if texts.pop("sha256", "") != _digest(tensors, texts):
         raise ValueError("other bytes than were written")
-    _check_snapshots(path.parent, json_files.parse(texts["snapshots"]))
+    for name, digest in json_files.parse(texts["snapshots"]).items():
+        if not path.with_name(name).is_file() or json_files.sha256(path.with_name(name)) != digest:
+            raise ValueError(f"{name} missing or with other bytes than were written")
     network.load_state_dict({name: tensors.pop(name) for name in network.state_dict()})
     state: dict[int, dict[str, Tensor]] = {}
     for name, tensor in tensors.items():
@@ -63,17 +64,6 @@ def _restored(path: Path, network: nn.Module, optimiser: torch.optim.Optimizer) 
         state.setdefault(int(index), {})[key] = tensor
     optimiser.load_state_dict({"state": state, "param_groups": optimiser.state_dict()["param_groups"]})
     return json_files.parse(texts["metrics"])
-
-
-def _snapshots(folder: Path) -> dict[str, str]:
-    """The sha256 of each snapshot of weights in the folder; they become part of the result as they are."""
-    return {path.name: json_files.sha256(path) for path in sorted(folder.glob("snapshot-*.safetensors"))}
-
-
-def _check_snapshots(folder: Path, digests: dict[str, str]) -> None:
-    for name, digest in digests.items():
-        if not (folder / name).is_file() or json_files.sha256(folder / name) != digest:
-            raise ValueError(f"{name} missing or with other bytes than were written")
 
 
 def _digest(tensors: dict[str, Tensor], texts: dict[str, str]) -> str:

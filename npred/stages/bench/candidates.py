@@ -156,7 +156,6 @@ def _available(job: Job, config: Bench) -> list[str]:
 
 
 def _ways(job: Job, name: str, operator: Operator, available: list[str]) -> list[str]:
-    """The runtimes that a network is timed in."""
     if lowering(operator) or "fused" not in available:
         return available
     job.progress.note(f"bench: no rows of the runtime fused for {name}, for it has no fused form")

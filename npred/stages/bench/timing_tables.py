@@ -14,7 +14,11 @@ RATIOS = {"× O(nx²) sums": "speedup_published", "× euler": "speedup_compiled"
 
 def summary(result: Benched, width: int | None = None) -> str:
     """Each predictor's median and error, and the sentences on them; without the rows that only a figure needs."""
-    rows = [_first(row) | {"µs": _short(row.median_us), "ε sup": _error(row)} for row in _listed(result)]
+    rows = [
+        _first(row) | {"µs": _short(row.median_us), "ε sup": _error(row)}
+        for row in result.rows
+        if row.matches != "front"
+    ]
     return _text(result, rows, width)
 
 
@@ -55,10 +59,6 @@ def _text(result: Benched, rows: list[dict[str, str]], width: int | None) -> str
     heads = list(rows[0]) if rows else ["predictor"]
     table = columns(heads, [list(row.values()) for row in rows], width, numbers=heads[2:])
     return "\n".join([title, "", table, "", *sentences(result)])
-
-
-def _listed(result: Benched) -> list[Timing]:
-    return [row for row in result.rows if row.matches != "front"]
 
 
 def _first(row: Timing) -> dict[str, str]:

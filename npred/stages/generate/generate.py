@@ -74,6 +74,5 @@ def _parts(job: Job) -> Iterator[tuple[int, Columns]]:
 
 def _batches(config: Generate, workers: int) -> list[range]:
     """Hundreds of rollouts each where there are enough of them to go round."""
-    size = LANES * math.ceil(config.rollouts / (2 * workers * LANES))
-    size = min(size, BATCH)
+    size = min(LANES * math.ceil(config.rollouts / (2 * workers * LANES)), BATCH)
     return [range(i, min(i + size, config.rollouts)) for i in range(0, config.rollouts, size)]

@@ -124,8 +124,7 @@ def _durably(path: Path, save: Callable[[Path], Any]) -> None:
     partly = path.with_name(f".{path.name}-{uuid4().hex}")
     try:
         save(partly)
-        with partly.open("rb") as file:
-            os.fsync(file.fileno())
+        json_files.sync(partly)
         partly.replace(path.with_name(f"{path.name}.{json_files.sha256(partly)}"))
     finally:
         partly.unlink(missing_ok=True)  # a disk that is full gets the room back
