@@ -483,7 +483,7 @@ def _sentence(error: ValidationError) -> str:
         where = ".".join(map(str, first["loc"]))
         return f"{where}: {_unknown(where, _siblings(first['loc']))}"
     if first["type"] == "fault":
-        return f"{where}: {first['msg']}"
+        return f"{re.sub(r'[.]([0-9]+)', r'[\1]', where)}: {first['msg']}"
     if first["type"] == "value_error":
         return f"{where + '.' if where else ''}{first['ctx']['error']}"
     if first["type"] == "missing":
