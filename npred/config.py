@@ -483,7 +483,8 @@ def _sentence(error: ValidationError) -> str:
         where = ".".join(map(str, first["loc"]))
         return f"{where}: {_unknown(where, _siblings(first['loc']))}"
     if first["type"] == "fault":
-        return f"{re.sub(r'[.]([0-9]+)', r'[\1]', where)}: {first['msg']}"
+        place = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in fields)
+        return f"{place.removeprefix('.')}: {first['msg']}"
     if first["type"] == "value_error":
         return f"{where + '.' if where else ''}{first['ctx']['error']}"
     if first["type"] == "missing":
