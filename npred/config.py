@@ -204,14 +204,14 @@ class Training(Table):
 
     @property
     def architecture(self) -> str:
-        """The network that is trained, as the registry names it: where a table does not say, the table's own name."""
+        """The network that is trained, as the registry names it: where a table does not say, the name of the table."""
         return getattr(self, "network", type(self).__name__.lower())
 
     @property
     def arguments(self) -> dict[str, Any]:
-        """The keyword arguments of the network's class: where a table has no `sizes`, its own keys."""
-        own = {key: value for key, value in self if key not in Training.model_fields}
-        return own.get("sizes", own)
+        """The keyword arguments of the network's class: `sizes`, or else the keys beyond those of Training."""
+        keywords = {key: value for key, value in self if key not in Training.model_fields}
+        return keywords.get("sizes", keywords)
 
 
 class DeepONet(Training):
@@ -422,7 +422,7 @@ def load(path: Path, overrides: list[str] | None = None) -> Pipeline:
     """
     try:
         folder = path.parent if path.is_file() else Path()
-        data = _moved(tomllib.loads(_text(path)), lambda file: str(folder / file))
+        data = _moved(tomllib.loads(_file_text(path)), lambda file: str(folder / file))
     except FileNotFoundError:
         raise ConfigError(defaults.missing(path)) from None
     except (OSError, ValueError, RecursionError) as error:
@@ -432,7 +432,7 @@ def load(path: Path, overrides: list[str] | None = None) -> Pipeline:
     return parse(data, str(path))
 
 
-def _text(path: Path) -> str:
+def _file_text(path: Path) -> str:
     """The text of a file, or of a pipe that somebody writes to: an abandoned one would be waited for without an end."""
     descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
     with open(descriptor, "rb", buffering=0) as file:

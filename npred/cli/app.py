@@ -55,7 +55,7 @@ def group(panel: str, does: str) -> Callable[[Callable[..., None]], typer.Typer]
 
 
 def _with_flags(function: Callable[..., None], does: str, **more: str) -> Callable[..., None]:
-    """The function as typer reads it: its own parameters, then the flags; a failure becomes an exit code."""
+    """The function as typer reads it: its parameters, then the flags; a failure becomes an exit code."""
     first, *arguments = inspect.signature(function).parameters.values()
     options: type[Common] = first.annotation
     shared = parameters(options)
@@ -92,7 +92,7 @@ def guarded(call: Callable[[], None], console: Console) -> int:
 
 
 def _failed(error: BaseException, console: Console) -> int:
-    if interruption.heard() or isinstance(error, KeyboardInterrupt):  # libraries make errors of their own of a signal
+    if interruption.heard() or isinstance(error, KeyboardInterrupt):  # libraries turn a signal into other errors
         interruption.say(console.error)
         return interruption.code()
     if isinstance(error, NpredError):

@@ -1,4 +1,4 @@
-"""What the shell offers where Tab is pressed. It never fails and says nothing: a broken file offers nothing."""
+"""Completion in the shell, where Tab is pressed. It never fails and prints nothing: a broken file offers nothing."""
 
 from collections.abc import Callable, Iterator
 from functools import wraps

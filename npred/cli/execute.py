@@ -117,7 +117,7 @@ def _answers(options: Work, final: list[Outcome]) -> Iterator[str]:
 
 
 def _closing(options: Work, outcomes: list[Outcome]) -> str:
-    """How a whole run ends: the report's sentences, and a table of the predictors."""
+    """The summary of a whole run: the report's sentences, and a table of the predictors."""
     from npred.stages.bench import timing_tables
     from npred.stages.evaluate import summary_tables
 

@@ -32,7 +32,7 @@ class Waste(NamedTuple):
     checksum: str | None = None
 
     def as_seen(self, path: Path) -> bool:
-        """Whether the path is still what the plan was made for: a run may have put a new result there."""
+        """True if the path is still what the plan was made for: a run may have put a new result there."""
         try:
             return Artifact.read(path).manifest.checksum == self.checksum
         except StoreError:
@@ -57,7 +57,7 @@ def gc(
 
 
 def _delete(store: Store, plan: list[Waste]) -> list[Path]:
-    """What could be deleted. Where a disk has no room for a lock, the others make it: those are tried once more."""
+    """Delete what can be. Where a disk has no room for a lock, the others make it: those are tried once more."""
     deleted, blocked = [], []
     for waste in plan:
         try:
@@ -70,7 +70,7 @@ def _delete(store: Store, plan: list[Waste]) -> list[Path]:
 
 
 def _deleted(store: Store, waste: Waste) -> bool:
-    """Whether it could be deleted: what a run makes or has taken stays."""
+    """True if it could be deleted: what a run makes or has taken stays."""
     return store.delete(waste.path, lambda path: path.name not in claims.in_use(store.root) and waste.as_seen(path))
 
 
@@ -152,7 +152,7 @@ def size(text: str | None) -> int:
         return -1
     match = re.fullmatch(r"(\d{1,9}\.?\d{0,9})([kMGT]?)B?", text)
     if match is None:
-        raise ConfigError(f"--keep: expected a size as 500M or 2.5G, got {text!r}; correct it")
+        raise ConfigError(f"--keep: expected a size as 500M or 2.5G, got {text!r}; write digits, then k, M, G or T")
     return round(float(match[1]) * UNITS[match[2]])
 
 

@@ -33,7 +33,7 @@ class Common:
 
     @cached_property
     def console(self) -> Console:
-        """Where messages go."""
+        """The console that takes messages."""
         return Console(quiet=self.quiet, verbose=self.verbose)
 
     @cached_property

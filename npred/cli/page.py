@@ -1,4 +1,4 @@
-"""Where the page of a pipeline goes: a file that says what made it, and is not overwritten by another pipeline's."""
+"""The file of a pipeline's page: it says what made it, and is not overwritten by another pipeline's."""
 
 import hashlib
 import html
@@ -55,7 +55,7 @@ def _made_from(source: str, overrides: list[str]) -> str:
 
 def page_path(options: Planned, name: str, of: Callable[[str], Path], owner: Callable[[Path], str | None]) -> Path:
     """`of(name)`, as NAME.html; where `owner` says that this is another pipeline's, that of NAME-FOLDER after the
-    file's own folder, else with a digest. A line says which is whose.
+    file's folder, else with a digest. A line says which is whose.
     """
     source, folder = source_of(options), re.sub(r"[^\w.-]", "_", options.pipeline.absolute().parent.name)
     names = [name, f"{name}-{folder}", f"{name}-{hashlib.sha256(os.fsencode(source)).hexdigest()[:8]}"]
@@ -74,7 +74,7 @@ def sign(options: Planned, folder: Path) -> None:
 
 
 def signed(folder: Path) -> str | None:
-    """The pipeline that a folder names as its own; None for a folder that names none."""
+    """The pipeline that a folder names; None for a folder that names none."""
     try:
         return (folder / SIGNATURE).read_text(encoding="utf-8", errors="surrogateescape").strip() or None
     except OSError:
@@ -82,7 +82,7 @@ def signed(folder: Path) -> str | None:
 
 
 def _owner(path: Path) -> str | None:
-    """The pipeline that a page names as its own; None for no page, and for one that names none."""
+    """The pipeline that a page names; None for no page, and for one that names none."""
     try:
         if not path.is_file():
             return None

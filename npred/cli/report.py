@@ -1,4 +1,4 @@
-"""`npred report`: the page of a pipeline where people find it, or its figures and tables for a paper."""
+"""`npred report`: the page of a pipeline, or its figures and tables for a paper."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING

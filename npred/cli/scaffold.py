@@ -41,7 +41,7 @@ def init(options: Common, name: str, source: str | None = None) -> None:
     options.show({"plant": spec, "files": [str(path) for path in paths]}, lambda: todo)
 
 
-def _text(template: str, name: str, class_name: str) -> str:
+def _filled(template: str, name: str, class_name: str) -> str:
     text = (files("npred") / "templates" / template).read_text(encoding="utf-8")
     return text.replace("NAME", name).replace("CLASS", class_name)
 
@@ -53,14 +53,14 @@ def _copies(source: str, name: str, class_name: str) -> tuple[str, str]:
     plant = plants.resolve(source)
     toml = _shipped(source)
     if toml is None:
-        return _renamed(source, plant, class_name), _fitted(_text(PIPELINE, name, class_name), plant)
+        return _renamed(source, plant, class_name), _fitted(_filled(PIPELINE, name, class_name), plant)
     toml = re.sub(r"^name = .*$", f'name = "{name}"', toml, count=1, flags=re.MULTILINE)
     toml = re.sub(r"^plant = .*$", f'plant = "{name}.py:{class_name}"', toml, count=1, flags=re.MULTILINE)
     return _renamed(source, plant, class_name), toml
 
 
 def _renamed(source: str, plant: "Plant", class_name: str) -> str:
-    """The text of the file of a plant's class, which is called `class_name` there; of a family, one of its own."""
+    """The text of a plant's file with its class renamed to `class_name`; of a family, with a class for this member."""
     from npred import registry
 
     in_file = registry.named(source)
@@ -73,13 +73,13 @@ def _renamed(source: str, plant: "Plant", class_name: str) -> str:
 
 
 def _module_file(declaration: type) -> str:
-    """A declaration without V is completed by a class of npred's own below it."""
+    """The module of a declaration; one without V is completed by a class of npred below it."""
     modules = [sys.modules.get(kind.__module__) for kind in declaration.__mro__ if "states" in vars(kind)]
     return inspect.getfile(next(module for module in modules if module))
 
 
 def _shipped(source: str) -> str | None:
-    """The pipeline of a plant: of its own name, else pipeline/paper.toml or the first that has this plant."""
+    """The pipeline of a plant: of its name, else pipeline/paper.toml or the first that has this plant."""
     texts = {name: path.read_text(encoding="utf-8") for name, path in defaults.shipped().items()}
     names = sorted(texts, key=lambda name: (name != source, name != defaults.PIPELINE.stem))
     return next((texts[name] for name in names if tomllib.loads(texts[name])["plant"] == source), None)

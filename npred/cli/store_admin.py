@@ -61,7 +61,7 @@ def import_artifact(options: Common, path: Path) -> None:
     artifact, new = archive.load(
         options.results, path, payload.drawn, lambda holder: options.console.note(f"waiting for {holder}")
     )
-    done = "brought in, every digest as it should be" if new else "already in the store, the same bytes"
+    done = "imported, every digest verified" if new else "already in the store, the same bytes"
     if new and STAGES[artifact.manifest.question.stage].draws:
         done += "; npred report draws its figures here, from its arrays"
     document = {"folder": str(artifact.folder), "key": artifact.manifest.key, "new": new}
@@ -108,7 +108,7 @@ def _machine() -> dict[str, Any]:
 
 
 def _store(options: Common) -> dict[str, Any]:
-    """What is in the store. Every file is read: corrupt are results with changed bytes, incomplete those with fewer."""
+    """The store. Each file is read: corrupt are results with changed bytes, incomplete those with fewer."""
     store = options.results
     artifacts, broken = store.survey()
     faulty = {*broken, *map(Path, _faults(options, artifacts))}

@@ -1,4 +1,4 @@
-"""`npred sweep`: every cell of a grid from the store or made, one table, and the front as a figure."""
+"""`npred sweep`: every cell of a sweep grid from the store or made, one table, and the front as a figure."""
 
 import csv
 import io
@@ -115,11 +115,11 @@ def _table(done: int, rows: list[dict[str, Any]], files: list[Path], width: int 
     if not rows:
         return f"done: {counted(done, 'cells')}; rows come from train on" if done else "no cell is done"
     shown = [name for name in rows[0] if any(row[name] is not None for row in rows)]
-    table = columns(shown, [[_text(row[name]) for name in shown] for row in rows], width)
+    table = columns(shown, [[_cell(row[name]) for name in shown] for row in rows], width)
     return "\n".join([table, *map(str, files)])
 
 
-def _text(value: Any) -> str:
+def _cell(value: Any) -> str:
     if isinstance(value, bool):
         return "*" if value else ""
     return f"{value:.{PRECISION}g}" if isinstance(value, float) else "∞" if value is None else str(value)

@@ -1,4 +1,4 @@
-"""What typer does differently here: usage errors in one line, where it draws a box, and flags without a type."""
+"""Changes to typer: usage errors in one line, where it draws a box, and flags without a type."""
 
 import sys
 from typing import Any

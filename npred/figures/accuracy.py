@@ -1,4 +1,4 @@
-"""Where networks err on held-out samples, and what the error leaves of the closed loop."""
+"""Figures of accuracy: the errors of networks on held-out samples, and their effect on the closed loop."""
 
 from functools import partial
 from typing import Any
@@ -31,7 +31,7 @@ def certificate(evidence: Evidence) -> Plate:
         key = (Key(f"constant error: {gain:.4g} ε", Look("muted", (1, 2))),)
     caption = (
         "Radius: where loops end (filled: median over the cases, hollow: worst; squares: stopped early) against the "
-        f"error that control sees{line}. Distance and W: the loop of the first figure on its way."
+        f"error that control sees{line}. Distance and W: the loop of the first figure over time."
     )
     eps = with_unit("ε_{κ} on held-out samples", common_unit(evidence.plant, evidence.plant.inputs))
     panels = (Panel("radius versus ε_{κ}", _alt_radii(radii), partial(_radii, radii, gain, eps)), *ends(evidence))

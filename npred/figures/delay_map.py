@@ -14,7 +14,7 @@ from npred.results.evaluate import DelayMap
 
 
 def delays(evidence: Evidence) -> Plate | None:
-    """A panel a predictor; None where the pipeline asks for no map."""
+    """One panel per predictor; None where the pipeline asks for no map."""
     maps = {c: scores.map for c, scores in evidence.models.items() if scores.map and c.epoch is None}
     if not maps:
         return None

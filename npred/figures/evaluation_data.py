@@ -1,4 +1,4 @@
-"""What an evaluation left in its folder, as the figures read it."""
+"""The arrays of an evaluation in its folder, as the figures read them."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -71,12 +71,12 @@ class Evidence:
 
     @property
     def samples(self) -> str:
-        """What X, D_hat and `errors` are of, in words."""
+        """The samples of X, D_hat and `errors`, in words."""
         return f"held-out samples of {OF[next(iter(self.kinds))]}"
 
     @classmethod
     def read(cls, folder: Path, plant: Plant, config: Evaluate, result: Evaluated) -> "Evidence":
-        """What lies in the folder of an evaluate artifact with that result."""
+        """The files in the folder of an evaluate artifact with that result."""
         order = list(result.models)
         networks = [contender for contender in order if contender.is_network]
         densities = {f"loops/{contender.name}": contender for contender in order if contender.epoch is None}
@@ -96,9 +96,9 @@ class Evidence:
 
 
 def _by_kind(folder: Path, kinds: Iterable[str], networks: list[Contender]) -> dict[str, dict[Contender, np.ndarray]]:
-    """The sup over x of each network's error by kind of row; those of the first kind are the file's own."""
-    places = {kind: f"kinds/{kind}/" if number else "" for number, kind in enumerate(kinds)}
-    groups = {kind: [f"{place}networks/{c.name}/" for c in networks] for kind, place in places.items()}
+    """The sup over x of each network's error by kind of row; those of the first kind are the file's."""
+    prefixes = {kind: f"kinds/{kind}/" if number else "" for number, kind in enumerate(kinds)}
+    groups = {kind: [f"{prefix}networks/{c.name}/" for c in networks] for kind, prefix in prefixes.items()}
     by_kind = {kind: _arrays(folder / "errors.h5", group, {"sup": 1}) for kind, group in groups.items()}
     return {
         kind: {name: a["sup"] for name, a in zip(networks, arrays, strict=True)} for kind, arrays in by_kind.items()

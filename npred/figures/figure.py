@@ -16,7 +16,7 @@ LETTER, GAP = 0.47, 2.3  # widths of an M: a letter of a legend, and what surrou
 
 @dataclass(frozen=True)
 class Panel:
-    """One pair of axes: its title says what is drawn upwards, `alt` tells in words what can be seen."""
+    """One pair of axes: its title says what is drawn upwards, `alt` says in words what can be seen."""
 
     title: str
     alt: str

@@ -1,4 +1,4 @@
-"""Whether the data cover what the loops visit: histograms of both."""
+"""Histograms of the data and of the states that the loops visit: coverage."""
 
 from functools import partial
 from typing import Any
@@ -18,7 +18,7 @@ def coverage(evidence: Evidence) -> Plate:
               for name, each in histograms.items()]  # fmt: skip
     caption = (
         "Filled: the training data; lines: what the closed loops visit, both on a logarithmic scale. A network is only "
-        "known where it was trained."
+        "reliable where it was trained."
     )
     names = next(iter(histograms.values())).loops
     return Plate(

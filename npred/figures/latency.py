@@ -23,7 +23,7 @@ def speed(rows: list[Timing]) -> Plate:
     networks = {c.model: c for c in ranked(Contender(row.predictor) for row in rows if row.is_network)}
     looks = {name: _look(series[0], networks) for name, series in _series(single).items()}
     caption = (
-        "Time of one call at batch 1. Versus ε: the median and the error that it buys, a line through the grids; lower "
+        "Time of one call at batch 1. Versus ε: the median and the error, one line per method through its grids; lower "
         "and further left is better. From the median to the 99.9 % quantile: at the finest dx; a control loop misses "
         "its deadline in the tail."
     )
@@ -45,12 +45,12 @@ def label(row: Timing) -> str:
     """Predictor and runtime for people."""
     if (parts := _numerical(row)) is not None:
         return parts.label(row.predictor)
-    place = "" if row.copies is None else f" on {row.device}, {'with' if row.copies else 'without'} copies"
-    return f"{NETWORKS.label(row.predictor)}, {row.runtime}{place}"
+    device = "" if row.copies is None else f" on {row.device}, {'with' if row.copies else 'without'} copies"
+    return f"{NETWORKS.label(row.predictor)}, {row.runtime}{device}"
 
 
 def _look(row: Timing, networks: dict[str, Contender]) -> Look:
-    """Numerical predictors have looks of their own; networks their colour, and the dash and marker of the runtime."""
+    """A numerical predictor has one look; a network its colour, and the dash and marker of the runtime."""
     if (parts := _numerical(row)) is not None:
         role, dash, marker = parts.look(row.predictor)
         return Look(role, dash, 1.2, marker)
@@ -59,7 +59,7 @@ def _look(row: Timing, networks: dict[str, Contender]) -> Look:
 
 
 def _numerical(row: Timing) -> Registry | None:
-    """Where the row's predictor is named; None for a network."""
+    """The registry that names the row's predictor; None for a network."""
     return {"python": INTERPRETED, "compiled": METHODS}.get(row.runtime)
 
 
@@ -84,12 +84,12 @@ def _lines(series: dict[str, list[Timing]], looks: dict[str, Look], key: str, ti
 
 
 def _tails(series: dict[str, list[Timing]], looks: dict[str, Look], axis: Any) -> None:
-    for place, (name, (finest, *_)) in enumerate(series.items()):
+    for position, (name, (finest, *_)) in enumerate(series.items()):
         style = looks[name]
-        axis.plot([finest.median_us, finest.p999_us], [place, place], color=style.colour, linewidth=1.2)
+        axis.plot([finest.median_us, finest.p999_us], [position, position], color=style.colour, linewidth=1.2)
         for key, marker in TAIL.items():
             axis.plot(
-                [getattr(finest, key)], [place], marker if key != "median_us" else style.marker, color=style.colour
+                [getattr(finest, key)], [position], marker if key != "median_us" else style.marker, color=style.colour
             )
     named = list(series) if _room(axis) > len(series) else [""] * len(series)  # else the legend has to do
     axis.set(yticks=range(len(series)), yticklabels=named, xlabel="µs per call")
@@ -99,7 +99,7 @@ def _tails(series: dict[str, list[Timing]], looks: dict[str, Look], axis: Any) -
 
 
 def _room(axis: Any) -> float:
-    """How many labels the y axis has the height for."""
+    """The number of labels that the y axis has the height for."""
     line = 1.2 * axis.yaxis.get_ticklabels()[0].get_fontsize()
     return axis.bbox.height * 72 / axis.figure.dpi / line
 

@@ -46,7 +46,7 @@ def _caption(evidence: Evidence) -> str:
 
 
 def _converging(evidence: Evidence) -> list[Contender]:
-    """Whose loops a panel has to show whole: the numerical predictor's, and all that end settled.
+    """The contenders whose loops a panel has to show whole: the numerical predictor's, and all that end settled.
 
     A loop that is lost may leave the picture, so that the others can be distinguished.
     """
@@ -86,7 +86,7 @@ def _columns(loop: LoopSeries) -> np.ndarray:
 
 
 def _goals(evidence: Evidence, t: np.ndarray) -> np.ndarray:
-    """Where states and inputs are to go, the input leading by D, and the true delay, (nt, n + m + 1)."""
+    """The targets of states and inputs, the input leading by D, and the true delay, (nt, n + m + 1)."""
     plant, D = evidence.plant, np.full((len(t), 1), evidence.config.D)
     X, u = (
         np.broadcast_to(goal, (len(t), goal.shape[-1]))

@@ -1,4 +1,4 @@
-"""How networks learned: the loss, and the errors on held-out rollouts, epoch by epoch."""
+"""Learning curves of networks: the loss, and the errors on held-out rollouts, epoch by epoch."""
 
 from dataclasses import replace
 from functools import partial
@@ -17,7 +17,7 @@ def learning(histories: dict[Contender, Epochs]) -> Plate:
     panels = [Panel(title, _alt(title, key, histories), partial(_curves, key, histories))
               for key, title in SHOWN.items()]  # fmt: skip
     caption = (
-        "One point per epoch. The loss is each network's own; the errors are in state units, on the rollouts that the "
+        "One point per epoch. The loss differs by network; the errors are in state units, on the rollouts that the "
         "data hold out."
     )
     solid = tuple(Key(network.label, replace(look(network), dash=())) for network in histories)  # dashes hide roughness

@@ -1,4 +1,4 @@
-"""What figures call a plant's states and inputs: x₁ for x1, θ for theta, or the declared label; and the unit."""
+"""Notation of a plant's states and inputs in figures: x₁ for x1, θ for theta, or the declared label; and the unit."""
 
 import re
 from unicodedata import lookup

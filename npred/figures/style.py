@@ -1,4 +1,4 @@
-"""What all figures share: who has which colour and line, the sizes of papers and screens, and ticks that read well."""
+"""The style of all figures: colours and lines of contenders, the sizes of papers and screens, and readable ticks."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -44,7 +44,7 @@ TRAINED, MORE, EARLY = (6, 2.2), (6, 1.6, 1, 1.6), (4, 1.6)  # dashes; MORE is o
 
 @dataclass(frozen=True)
 class Look:
-    """How a series is drawn, in figures and in the legends of a page."""
+    """Colour, dash and marker of a series, in figures and in the legends of a page."""
 
     role: str
     dash: tuple[float, ...] = ()
@@ -171,9 +171,9 @@ def lettered(text: str) -> str:
 
 
 def _labels(ticks: np.ndarray, low: float, high: float) -> Callable[[float, int], str]:
-    """The label of a tick, with as many digits as tell those between the ends apart: 0.185 and 0.19."""
-    seen = [value for value in ticks if low <= value <= high]
-    digits = next((d for d in range(2, 8) if len({tick(value, d) for value in seen}) == len(seen)), 2)
+    """The label of a tick, with as many digits as distinguish those between the ends: 0.185 and 0.19."""
+    visible = [value for value in ticks if low <= value <= high]
+    digits = next((d for d in range(2, 8) if len({tick(value, d) for value in visible}) == len(visible)), 2)
     return lambda value, _: lettered(tick(value, digits))
 
 

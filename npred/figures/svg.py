@@ -1,4 +1,4 @@
-"""A panel as inline SVG for a page: colours as CSS variables, text as text, identifiers of its own, told in words."""
+"""A panel as inline SVG for a page: colours as CSS variables, text as text, unique identifiers, a description."""
 
 import io
 import re
@@ -15,12 +15,12 @@ SHARED = re.compile(r"url\(#([^)]+)\)")
 
 
 def inline(panel: Panel, prefix: str) -> str:
-    """The panel as an <svg> element; `prefix` makes its identifiers its own among those of the page."""
+    """The panel as an <svg> element; `prefix` makes its identifiers unique on the page."""
     buffer = io.StringIO()
     with medium(SCREEN):
         figure = canvas(SCREEN.width, SCREEN.height)
         draw(panel, axis := figure.subplots())
-        axis.set_title("")  # the page says it, in its own type
+        axis.set_title("")  # the page says it, in its type
         figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
     ElementTree.register_namespace("", SVG)
     root = ElementTree.fromstring(buffer.getvalue())
@@ -32,7 +32,7 @@ def inline(panel: Panel, prefix: str) -> str:
 
 def _lower(root: ElementTree.Element) -> None:
     """The subscripts of texts as spans below the line; what follows one comes back up."""
-    for element in [found for found in root.iter(f"{{{SVG}}}text") if SUBSCRIPT.search(found.text or "")]:
+    for element in [text for text in root.iter(f"{{{SVG}}}text") if SUBSCRIPT.search(text.text or "")]:
         first, *parts = SUBSCRIPT.split(element.text or "")
         element.text = first
         for below, after in zip(parts[::2], parts[1::2], strict=True):
@@ -78,7 +78,7 @@ def _describe(root: ElementTree.Element, panel: Panel, prefix: str) -> None:
     for name in ("width", "height"):
         root.attrib.pop(name, None)
     root.attrib |= {"role": "img", "aria-labelledby": f"{prefix}-title {prefix}-desc"}
-    for place, (name, text) in enumerate({"title": panel.title, "desc": panel.alt}.items()):
+    for index, (name, text) in enumerate({"title": panel.title, "desc": panel.alt}.items()):
         element = ElementTree.Element(f"{{{SVG}}}{name}", {"id": f"{prefix}-{name}"})
         element.text = plain(text)
-        root.insert(place, element)
+        root.insert(index, element)

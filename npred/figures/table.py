@@ -41,7 +41,7 @@ class Column:
 
     @property
     def numeric(self) -> bool:
-        """Whether its values are numbers."""
+        """True if its values are numbers."""
         return bool(self.form or self.digits)
 
     def text(self, value: Any) -> str:
@@ -88,8 +88,8 @@ def _written(value: Any) -> Any:
 
 def _cell(column: Column, value: Any) -> str:
     text = column.text(value)
-    if found := re.fullmatch("(.*)·10([⁻⁰-⁹¹²³]+)", text):
-        return rf"${found[1]} \cdot 10^{{{found[2].translate(PLAIN)}}}$"
+    if power := re.fullmatch("(.*)·10([⁻⁰-⁹¹²³]+)", text):
+        return rf"${power[1]} \cdot 10^{{{power[2].translate(PLAIN)}}}$"
     return {"–": "---"}.get(text, _plain(text))
 
 

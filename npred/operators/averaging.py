@@ -16,7 +16,7 @@ class AveragingNetwork(nn.Module):
     One hidden layer approximates every continuous operator, with enough channels [DAPF, Theorem 1; Lanthaler, Li and
     Stuart 2024]. P hangs on the
     integrals of u up to x, and this kernel averages over the whole of [0, 1] at every x, as the definition has it:
-    what is before x and what is behind it have to be told apart by the channels, which takes more of them than a
+    the channels have to separate what is before x from what is behind it, which takes more of them than a
     kernel that knows the direction. The integral is the trapezoidal rule's, so the weights know nothing of the grid.
     """
 

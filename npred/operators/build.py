@@ -35,12 +35,13 @@ def checked(config: Training, plant: Plant, scaling: Scaling) -> Operator:
         if isinstance(error, ConfigError):
             raise
         reason = source_lines.one_line(error)
-        raise ConfigError(f"network {name}: failed on two samples on {NODES} nodes: {reason}; fix it") from None
+        cure = "let forward take X, u, D_hat, stride"
+        raise ConfigError(f"network {name}: failed on two samples on {NODES} nodes: {reason}; {cure}") from None
     expected = [(2, len(range(0, NODES, stride)), plant.n) for stride in (1, 2)]
     if shapes != expected:
         raise ConfigError(
             f"network {name}: expected forward to return (B, nodes, n), {expected[0]} for {NODES} nodes and "
-            f"{expected[1]} with stride 2, got {shapes[0]} and {shapes[1]}; correct its shape"
+            f"{expected[1]} with stride 2, got {shapes[0]} and {shapes[1]}; return those"
         )
     return operator
 

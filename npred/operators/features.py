@@ -1,4 +1,4 @@
-"""What the networks see of the actuator state u(x): linear functionals of its interpolant, the same on every grid."""
+"""Features of the actuator state u(x) for networks: linear functionals of its interpolant, the same on every grid."""
 
 from functools import lru_cache
 

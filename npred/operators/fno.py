@@ -66,10 +66,10 @@ class Spectral(nn.Module):
 
 
 def _drawn(modes: int, width: int) -> Tensor:
-    """A normal matrix a mode; none where a network is built for its shapes alone, on torch's meta device."""
+    """One normal matrix per mode; none where a network is built for its shapes alone, on torch's meta device."""
     # To draw there would bring in torch's compiler, which takes a second.
-    made = torch.empty(modes, width, width)
-    return made if made.is_meta else made.normal_().div_(2 * width)
+    weights = torch.empty(modes, width, width)
+    return weights if weights.is_meta else weights.normal_().div_(2 * width)
 
 
 @lru_cache(maxsize=32)

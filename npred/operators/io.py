@@ -56,7 +56,7 @@ def load(
     `config`: the pipeline's table of the network, without which the saved one is taken. A network of a file is code:
     only a pipeline may name it, and the saved table alone is refused.
 
-    In float64 the weights are the same and the point of rest is the plant's own: the anchor, and with it the end of a
+    In float64 the weights are the same and the point of rest is the plant's: the anchor, and with it the end of a
     closed loop, is exact to float64's rounding. In float32 loops end about 2e-6 away.
     Raises StoreError for a file that is missing or broken, ConfigError for a plant that the anchor does not fit.
     """
@@ -94,10 +94,10 @@ def _check(tensors: dict[str, torch.Tensor], config: Training, plant: Plant) -> 
     if layers > len(tensors) and config.architecture in NETWORKS.builtin:
         raise ValueError(f"{len(tensors)} tensors for {layers} layers")
     with torch.device("cpu" if named(config.architecture) else "meta"):
-        wanted = build(config, plant, Scaling(plant.n, plant.m)).state_dict()
-    for name in sorted(wanted.keys() | tensors.keys()):
+        expected = build(config, plant, Scaling(plant.n, plant.m)).state_dict()
+    for name in sorted(expected.keys() | tensors.keys()):
         shapes = [
-            (tuple(t.shape), t.dtype) if (t := some.get(name)) is not None else None for some in (wanted, tensors)
+            (tuple(t.shape), t.dtype) if (t := state.get(name)) is not None else None for state in (expected, tensors)
         ]
         if shapes[0] != shapes[1]:
             raise ValueError(f"{name}: expected {shapes[0]}, got {shapes[1]}")

@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 
 class Samples(Protocol):
-    """What the constants are taken from."""
+    """The samples that the constants are taken from."""
 
     @property
     def X(self) -> np.ndarray: ...  # (N, n)
@@ -93,20 +93,20 @@ class Scaling(nn.Module):
         bend = Moments()
         for part in parts():
             bend.add(part.X)
-        n, found = len(bend.mean), {name: Moments() for name in ("X", "u", "D_hat", "P", "displacement")}
+        n, moments = len(bend.mean), {name: Moments() for name in ("X", "u", "D_hat", "P", "displacement")}
         X_bend = _positive(bend.std).float()
         for part in parts():
-            found["X"].add(np.arcsinh(part.X / X_bend.numpy()))
-            found["u"].add(part.u.reshape(-1, part.u.shape[-1]))
-            found["P"].add(part.P.reshape(-1, n))
-            found["D_hat"].add(part.D_hat[:, None])
-            found["displacement"].add(part.P[:, -1] - part.X)
-        scaling = cls(n, len(found["u"].mean))
+            moments["X"].add(np.arcsinh(part.X / X_bend.numpy()))
+            moments["u"].add(part.u.reshape(-1, part.u.shape[-1]))
+            moments["P"].add(part.P.reshape(-1, n))
+            moments["D_hat"].add(part.D_hat[:, None])
+            moments["displacement"].add(part.P[:, -1] - part.X)
+        scaling = cls(n, len(moments["u"].mean))
         scaling.X_bend.copy_(X_bend)
         for name in ("X", "u", "P"):
-            scaling._set(name, found[name].mean, found[name].std)
-        scaling._set("D_hat", found["D_hat"].mean[0], found["D_hat"].std[0])
-        scaling.speed.copy_(_positive((found["displacement"].square / found["D_hat"].square) ** 0.5))
+            scaling._set(name, moments[name].mean, moments[name].std)
+        scaling._set("D_hat", moments["D_hat"].mean[0], moments["D_hat"].std[0])
+        scaling.speed.copy_(_positive((moments["displacement"].square / moments["D_hat"].square) ** 0.5))
         return scaling
 
     def inputs(self, X: Tensor, u: Tensor, D_hat: Tensor) -> tuple[Tensor, Tensor, Tensor]:

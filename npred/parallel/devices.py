@@ -58,7 +58,7 @@ def hardware(device: str) -> dict[str, object]:
 
 
 def arithmetic(device: str) -> dict[str, str | None]:
-    """What the last digits of a result depend on beyond its question: processor, vector units, modes of libraries.
+    """All that the last digits of a result depend on beyond its question: processor, vector units, modes of libraries.
 
     `torch_kernels` is the set of kernels that torch chose, None where torch was not needed.
     """

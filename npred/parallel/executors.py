@@ -1,4 +1,4 @@
-"""Where parallel work goes: processes of this machine, or a cluster that Dask runs. It never changes a result.
+"""Executors of parallel work: processes of this machine, or a cluster that Dask runs. They never change a result.
 
     with executors.opened("dask:tcp://head:8786", jobs=2) as executor:  # or "local"
         for item, result in executors.completed(executor, function, items):
@@ -147,7 +147,7 @@ class Processes(Workers):
 
     def _replace(self, broken: Executor) -> ProcessPoolExecutor:
         """A fresh pool for a broken one: once, however many of its tasks ask."""
-        with self._changing:  # no pool's own lock is taken in here: its thread may hold that one and wait for this
+        with self._changing:  # no lock of a pool is taken in here: its thread may hold that one and wait for this
             if self._pool is broken:
                 self._leash.close()
                 self._pool, self._leash = self._fresh()

@@ -87,7 +87,7 @@ def shared(module: Module) -> Module:
 
 
 def part(rows: int) -> tuple[slice, float]:
-    """Which of the rows of a batch are this process's, and their weight: the mean over the processes of weight times
+    """The rows of a batch that are this process's, and their weight: the mean over the processes of weight times
     the mean over a part is the mean over the batch. A process without a row takes one, of no weight.
     """
     mine = len(range(number(), rows, count()))

@@ -1,4 +1,4 @@
-"""What changed in a file of code, in its author's lines: remarks, docstrings and blank lines are no change."""
+"""The changes of a file of code, in its author's lines: remarks, docstrings and blank lines are no change."""
 
 import ast
 import io

@@ -43,7 +43,7 @@ def load_model(spec: str, root: Path | None = None) -> Stored:
 
 
 def _of_default(name: str) -> bool:
-    """Whether a name is that of a network: a built-in one, or one of the default pipeline."""
+    """True if a name is that of a network: a built-in one, or one of the default pipeline."""
     if name in config.Train().names:
         return True
     try:

@@ -1,4 +1,4 @@
-"""What is in the store and what would run: the key of every node, as far as its inputs are known."""
+"""The plan of a pipeline: which results the store has and what would run, by the keys of the nodes."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -59,7 +59,7 @@ class Planner:
         stage_registry.check(self.config, {node.stage for node in nodes})
 
     def plan(self, nodes: Iterable[Node]) -> list[Step]:
-        """One step a node, in order, without running anything. Raises StoreError for a corrupt
+        """One step per node, in order, without running anything. Raises StoreError for a corrupt
         manifest, ConfigError for a pipeline that does not fit its plant.
         """
         nodes = list(nodes)
@@ -84,7 +84,7 @@ class Planner:
         return Step(node, question, artifact, why)
 
     def question(self, node: Node, inputs: Mapping[str, Artifact]) -> Question:
-        """What a node asks of the store, its inputs being there."""
+        """The question of a node to the store, its inputs being there."""
         sources = {
             name: Source(key=artifact.manifest.key, digest=artifact.manifest.digest)
             for name, artifact in inputs.items()

@@ -1,4 +1,4 @@
-"""Why a stage would run, in words: what differs from the closest result that the store has."""
+"""The reason that a stage would run, in words: what differs from the closest result that the store has."""
 
 import json
 import re
@@ -95,6 +95,6 @@ def sentence(lines: list[str]) -> str:
 
 
 def alike(artifact: Artifact, stage: str, model: str | None, pipeline: str) -> bool:
-    """Whether an artifact is of this stage and network, and was made for this pipeline."""
+    """True if an artifact is of this stage and network, and was made for this pipeline."""
     manifest = artifact.manifest
     return (manifest.question.stage, manifest.question.model, manifest.pipeline) == (stage, model, pipeline)

@@ -1,4 +1,4 @@
-"""What pipelines need of a store, also where parts of it are missing or corrupt."""
+"""Retention: the results that pipelines need of a store, also where parts of it are missing or corrupt."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -28,13 +28,13 @@ class Kept:
             artifacts[node.name] = self._keep(planner, node, inputs) if complete else self._keep_alike(planner, node)
 
     def holds(self, artifact: Artifact) -> bool:
-        """Whether an artifact is needed, or may be."""
+        """True if an artifact is needed, or may be."""
         asked = artifact.manifest.question
         alike = ((asked.stage, asked.model, asked.config) == (n.stage, n.model, config) for n, config in self.loose)
         return artifact.manifest.key in self.keys or _elsewhere(asked) in self.timed or any(alike)
 
     def holds_checkpoint(self, name: str) -> bool:
-        """Whether the checkpoint `stage-key` is one that a run would go on from, or may be."""
+        """True if the checkpoint `stage-key` is one that a run would go on from, or may be."""
         stage, _, key = name.rpartition("-")
         return key in self.keys or any(node.stage == stage for node, _ in self.loose)
 

@@ -19,7 +19,7 @@ from npred.store.claims import Claim
 from npred.terminal.console import Console
 from npred.terminal.progress_bars import Bar
 
-BEAT = 0.5  # s: a signal that arrives on the way into a wait without an end would be heard at its end
+BEAT = 0.5  # s: a signal that arrives as a wait without an end begins would be heard at its end
 WHOLE = {"generate": 0, "bench": 2}  # they use the whole machine: before all else, and after it
 REASON = "of a sweep"
 
@@ -36,12 +36,12 @@ class CellRun:
 
     @property
     def failure(self) -> str:
-        """Why the pipeline has no answer, in one line, or nothing."""
+        """The reason that the pipeline has no answer, in one line, or nothing."""
         return next((outcome.failure for outcome in self.outcomes.values() if outcome.error), "")
 
     @property
     def done(self) -> bool:
-        """Whether nothing more will come of it."""
+        """True if nothing more will come of it."""
         return len(self.outcomes) == len(self.nodes) or bool(self.failure)
 
     def ready(self) -> list[tuple[Node, dict[str, Artifact]]]:
@@ -77,7 +77,7 @@ class Runner:
         return [run.outcomes[node.name] for node in run.nodes]
 
     def sweep(self, planners: Sequence[Planner], targets: Collection[str]) -> list[CellRun]:
-        """What became of each cell; one that fails does not stop the others.
+        """The outcomes of each cell; one that fails does not stop the others.
 
         Raises ConfigError for a cell that does not fit its plant, before anything runs.
         """
@@ -90,7 +90,7 @@ class Runner:
         return runs
 
     def make(self, task: Task) -> Outcome:
-        """What becomes of a task in this process."""
+        """The outcome of a task in this process."""
         return task.outcome(self.console, self.jobs, self.executor)
 
     def _bring(

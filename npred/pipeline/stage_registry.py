@@ -39,7 +39,7 @@ class Stage:
         return registry.attribute(self.target)
 
     def run(self, job: "Job") -> Result:
-        """The stage's own run(job); its module is imported here, for it may bring torch."""
+        """The stage's run(job); its module is imported here, for it may bring torch."""
         return importlib.import_module(self.module).run(job)
 
     def summary(self, document: dict[str, Any], width: int | None = None, wide: bool = False) -> str:
@@ -53,7 +53,7 @@ class Stage:
 
 @dataclass(frozen=True)
 class Node:
-    """A stage, and the network where the stage has one artifact a network."""
+    """A stage, and the network where the stage has one artifact per network."""
 
     stage: str
     model: str | None
@@ -61,7 +61,7 @@ class Node:
 
     @property
     def name(self) -> str:
-        """What the result is called as an input of others: `generate`, `deeponet`, …"""
+        """The name of the result as an input of others: `generate`, `deeponet`, …"""
         return self.model or self.stage
 
     @property
@@ -149,7 +149,7 @@ def _generate(config: Pipeline, model: str | None, device: str) -> dict[str, Any
 def _loop(config: Pipeline, stage: str) -> dict[str, Any]:
     """A stage's table; methods and laws of files enter by what they hold, not by where they are.
 
-    A law of D_hat other than the paper's enters; so does an input before t = 0 other than zero, the default where the
+    A delay law other than the paper's enters; so does an input before t = 0 other than zero, the default where the
     plant's inputs may be zero.
     """
     from npred import plants
@@ -165,7 +165,7 @@ def _loop(config: Pipeline, stage: str) -> dict[str, Any]:
 
 
 def _digest(path: Path) -> str:
-    """What a file of data holds, not where it lies."""
+    """The digest of a file of data: of what it holds, not of its path."""
     try:
         return sha256(regular(path))
     except OSError as error:
@@ -184,7 +184,7 @@ def _evaluate(config: Pipeline, model: str | None, device: str) -> dict[str, Any
 
 
 def _held_out(config: Pipeline) -> dict[str, Any]:
-    """What the evaluation's own held-out rows are drawn by; the same data may be held out in other shares of these."""
+    """The settings that the evaluation draws its held-out rows by; the same data may be held out in other shares."""
     section = config.generate
     if section.data or not (section.explore or section.redraw):
         return {}
@@ -221,7 +221,7 @@ def _report(config: Pipeline, model: str | None, device: str) -> dict[str, Any]:
 
 
 def _notation(config: Pipeline) -> dict[str, Any]:
-    """What figures write on their axes: other labels draw them again, and train nothing."""
+    """The labels of figures: other labels draw them again, and train nothing."""
     from npred import plants
 
     declared = plants.resolve(config.plant, config.parameters).notation

@@ -21,7 +21,7 @@ PACKAGES = ("npred", "torch", "numpy", "numba")
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a node: `hit`, `run` or `failed`, why, how long it took, and its result unless it failed."""
+    """The outcome of a node: `hit`, `run` or `failed`, why, how long it took, and its result unless it failed."""
 
     node: Node
     action: str
@@ -44,7 +44,7 @@ class Outcome:
 
     @property
     def failure(self) -> str:
-        """Why there is no result, in one line; empty where there is one."""
+        """The reason that there is no result, in one line; empty where there is one."""
         if self.error is None:
             return ""
         unforeseen = "" if isinstance(self.error, NpredError) else f"{self.node.title}: {type(self.error).__name__}: "
@@ -105,7 +105,7 @@ class Task:
             return self._run(console, jobs, executor), "run", reason
 
     def _run(self, console: Console, jobs: int, executor: Workers) -> Artifact:
-        """The stage's own run in a draft of the store. Raises what it raises."""
+        """Run the stage in a draft of the store. Raises what it raises."""
         from npred.stages import Job
 
         planner, node, question = self.planner, self.step.node, self.step.question

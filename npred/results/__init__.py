@@ -1,4 +1,4 @@
-"""What each stage found, as frozen models of its result.json: one file per stage, and who is compared."""
+"""The results of the stages as frozen models of result.json: one file per stage, and the contenders compared."""
 
 from npred.results.base import Number, Result
 from npred.results.bench import Benched

@@ -1,4 +1,4 @@
-"""What all results share: the keys that a stage writes and no others, and null for a number that is not finite."""
+"""The base class of results: the keys that a stage writes and no others, and null for a number that is not finite."""
 
 import math
 from pathlib import Path

@@ -28,7 +28,7 @@ class Timing(Result):
 
     @property
     def is_network(self) -> bool:
-        """Whether a network was timed, and no numerical predictor."""
+        """True if a network was timed, and no numerical predictor."""
         return self.runtime not in ("python", "compiled")
 
 
@@ -41,7 +41,7 @@ class Rival(Result):
 
 
 class Crossover(Result):
-    """When a network pays."""
+    """The break-even of a network: from which cost of f on it pays."""
 
     plant: str  #: its name
     predictor: str  #: the network
@@ -60,7 +60,7 @@ class Crossover(Result):
 
 
 class Stops(Result):
-    """What of the tails is the machine's own."""
+    """The share of the machine in the tails of the times."""
 
     per_s: float  #: how often per second it stops a thread that only reads the clock
     median_us: float  #: for how long, in microseconds

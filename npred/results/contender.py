@@ -1,4 +1,4 @@
-"""Who is compared: the numerical predictor, with and without adaptation, each network, and each of its snapshots."""
+"""Contenders: the numerical predictor, with and without adaptation, each network, and each of its snapshots."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
@@ -33,23 +33,23 @@ class Contender:
 
     @property
     def name(self) -> str:
-        """What it is called in results: deeponet@107, numerical, no_adaptation."""
+        """Its name in results: deeponet@107, numerical, no_adaptation."""
         return self.model if self.epoch is None else f"{self.model}@{self.epoch}"
 
     @property
     def label(self) -> str:
-        """What people call it: DeepONet, epoch 107."""
+        """Its label for people: DeepONet, epoch 107."""
         label = NETWORKS.label(self.model) if self.is_network else self.model.replace("_", " ")
         return label if self.epoch is None else f"{label}, epoch {self.epoch}"
 
     @property
     def is_network(self) -> bool:
-        """Whether a network predicts."""
+        """True if a network predicts."""
         return self not in (NUMERICAL, NO_ADAPTATION)
 
     @property
     def adapts(self) -> bool:
-        """Whether D_hat follows its law; without adaptation it stays at D_hat(0)."""
+        """True if D_hat follows the delay law; without adaptation it stays at D_hat(0)."""
         return self != NO_ADAPTATION
 
 

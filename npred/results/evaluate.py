@@ -33,7 +33,7 @@ class KindErrors(Errors):
 
 
 class Radius(Result):
-    """How far from rest, or from the reference, loops end: the largest distance over the last tenth."""
+    """The largest distance of loops from rest, or from the reference, over the last tenth."""
 
     median: Number  #: over the cases
     worst: Number  #: over the cases
@@ -43,12 +43,12 @@ class Radius(Result):
 
     @property
     def count(self) -> int:
-        """How many of the cases converge."""
+        """The number of cases that converge."""
         return round(self.converged * self.cases)
 
 
 class DelayMap(Result):
-    """Which loops converge, by true delay and first estimate."""
+    """The loops that converge, by true delay and first estimate."""
 
     D: list[float]  #: true delays, in seconds
     D_hat0: list[float]  #: first estimates, in seconds
@@ -58,7 +58,7 @@ class DelayMap(Result):
 
 
 class LoopEnd(Result):
-    """How the loop of Fig. 1 ends."""
+    """The end of the loop of Fig. 1."""
 
     X_end: list[Number]  #: the state
     D_hat_end: Number  #: the delay estimate
@@ -89,7 +89,7 @@ class KindSize(Result):
 
 
 class InLoop(Result):
-    """Which loops the errors in the loop are of."""
+    """The loops that the errors in the loop are of."""
 
     D: float  #: the delay, which the estimate equals, in seconds
     #: errors are taken from this time on, in seconds

@@ -61,14 +61,14 @@ class _Tree:
     def __init__(self, root: ElementTree.Element) -> None:
         if root.tag != "robot":
             raise _Wrong(f"expected a <robot>, got <{root.tag}>")
-        self.links = {_text(link, "name"): link for link in root.findall("link")}
+        self.links = {_attribute(link, "name"): link for link in root.findall("link")}
         self.leaving: dict[str, list[ElementTree.Element]] = {name: [] for name in self.links}
         children = set()
         for joint in root.findall("joint"):
-            parent, child = (_text(_part(joint, end), "link") for end in ("parent", "child"))
+            parent, child = (_attribute(_part(joint, end), "link") for end in ("parent", "child"))
             for name in (parent, child):
                 if name not in self.links:
-                    raise _Wrong(f"joint {_text(joint, 'name')} names a link {name!r} that is not there")
+                    raise _Wrong(f"joint {_attribute(joint, 'name')} names a link {name!r} that is not there")
             if child in children:
                 raise _Wrong(f"link {child} hangs on two joints")
             children.add(child)
@@ -85,10 +85,10 @@ class _Tree:
         _, leaving = self._rigid(self.base)
         while leaving:
             if len(leaving) > 1:
-                names = ", ".join(_text(joint, "name") for joint, _, _ in leaving)
+                names = ", ".join(_attribute(joint, "name") for joint, _, _ in leaving)
                 raise _Wrong(f"expected a serial chain, but it branches at the joints {names}")
             joint, turn, position = leaving[0]
-            inertial, leaving = self._rigid(_text(_part(joint, "child"), "link"))
+            inertial, leaving = self._rigid(_attribute(_part(joint, "child"), "link"))
             chain.append(_body(joint, turn, position, inertial))
         if not chain:
             raise _Wrong("expected a joint that moves, found none")
@@ -107,14 +107,14 @@ class _Tree:
                 local, offset = _origin(joint)
                 there = turn @ local, position + turn @ offset
                 if joint.get("type") == "fixed":
-                    fixed.append((_text(_part(joint, "child"), "link"), *there))
+                    fixed.append((_attribute(_part(joint, "child"), "link"), *there))
                 else:
                     leaving.append((joint, *there))
         return inertials, leaving
 
 
 def _body(joint: ElementTree.Element, turn: np.ndarray, position: np.ndarray, inertials: list[Any]) -> Body:
-    name, kind = _text(joint, "name"), joint.get("type", "")
+    name, kind = _attribute(joint, "name"), joint.get("type", "")
     if kind not in MOVING:
         raise _Wrong(f"joint {name}: expected a type of {', '.join(MOVING)} or fixed, got {kind!r}")
     mass = sum(m for m, _, _ in inertials)
@@ -168,7 +168,7 @@ def _part(element: ElementTree.Element, tag: str) -> ElementTree.Element:
     return part
 
 
-def _text(element: ElementTree.Element, name: str) -> str:
+def _attribute(element: ElementTree.Element, name: str) -> str:
     value = element.get(name)
     if value is None:
         raise _Wrong(f"<{element.tag}>: expected an attribute {name}, found none")
@@ -185,7 +185,7 @@ def _numbers(element: ElementTree.Element, name: str, count: int) -> np.ndarray:
 def _number(element: ElementTree.Element, name: str, default: float | None = None) -> float:
     if default is not None and element.get(name) is None:
         return default
-    return _float(element, name, _text(element, name))
+    return _float(element, name, _attribute(element, name))
 
 
 def _float(element: ElementTree.Element, name: str, text: str) -> float:

@@ -9,7 +9,7 @@ from npred.registry import RUNTIMES
 def predictor(
     runtime: str, plant: Plant, operator: Operator, nx: int = 101, name: str = "neural", device: str = "cpu"
 ) -> Predictor:
-    """The operator as a predictor in a runtime, by its name or `my_runtime.py:Mine`; only torch heeds the device.
+    """The operator as a predictor in a runtime, by its name or `my_runtime.py:Mine`; only torch uses the device.
 
     Raises ConfigError for another name or a class that is no Predictor, MissingError for onnx without its extra.
     """

@@ -136,7 +136,7 @@ z[2 * N_STATES + 1] = z[N_STATES];
 z[N_STATES] = 0;
 network();"""
 
-# Inside the series' range one pass is enough; outside it the point of rest has a pass of its own, before the sample's.
+# Inside the series' range one pass is enough; outside it the point of rest has a separate pass, before the sample's.
 SERIES = """\
 const double s = (D_hat - series_range[0]) * series_range[1] - 1;
 inputs(X, u, D_hat);
@@ -176,7 +176,7 @@ def export(operator: Operator, plant: Plant, path: Path, nx: int, probe: tuple[n
 def source(operator: Operator, plant: Plant, nx: int, probe: tuple[np.ndarray, ...]) -> str:
     """The text of the C file.
 
-    Raises ConfigError where inputs have delays of their own, for its law reads P(1) alone, for an untraced plant, and
+    Raises ConfigError where inputs have several delays, for its kappa reads P(1) alone, for an untraced plant, and
     for a network that cannot be lowered.
     """
     family_of(plant).needs("export c")

@@ -7,7 +7,7 @@ import numpy as np
 
 from npred.json_files import escaped
 from npred.plants.base import Plant
-from npred.runtimes.program import Loop, Product, Silu, SiluPair, Step, Transpose, loops
+from npred.runtimes.program import Product, Repeat, Silu, SiluPair, Step, Transpose, loops
 from npred.symbolic import programs
 from npred.symbolic.trace import Trace
 
@@ -40,7 +40,7 @@ def steps(program: Iterable[Step]) -> list[str]:
 def _step(step: Step) -> list[str]:
     if isinstance(step, Product):
         return _product(step)
-    if isinstance(step, Loop):
+    if isinstance(step, Repeat):
         views = [f"const float *{m.view} = {m.name} + o * {m.layer};" for m in step.stacks]
         return _loops({"o": step.count}, [*views, *steps(step.steps)])
     if isinstance(step, Silu | SiluPair):
@@ -64,7 +64,7 @@ def _product(step: Product) -> list[str]:
 
 
 def control_law(plant: Plant) -> list[str]:
-    """The lines of U = kappa(X, t), from the plant's own formulas."""
+    """The lines of U = kappa(X, t), from the plant's formulas."""
     trace = Trace(plant)
     outputs = trace.kappa(trace.vector("x", plant.n), trace.input("t"))
     bindings = {f"x{k}": f"X[{k}]" for k in range(plant.n)} | {"t": "t"}

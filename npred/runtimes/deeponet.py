@@ -9,7 +9,7 @@ from torch import nn
 from npred.operators import Operator
 from npred.operators.deeponet import DEGREE, DeepONetwork
 from npred.operators.features import legendre, moment_matrix
-from npred.runtimes.program import Loop, Matrix, Mirror, Product, Program, Silu, SiluPair, layers
+from npred.runtimes.program import Matrix, Mirror, Product, Program, Repeat, Silu, SiluPair, layers
 
 CPU = torch.device("cpu")
 PAIRED, STRIDED = True, False  # the sample runs beside the point of rest; every node is evaluated
@@ -53,7 +53,7 @@ def _hidden(p: Program, network: DeepONetwork, hidden: list[nn.Linear]) -> Matri
         weight = p.stack("weight", [layer.weight.numpy().T for layer in hidden[1:]])
         biases = p.stack("biases", [_bias(layer.bias.numpy(), rows) for layer in hidden[1:]])
         step = Product(sums, h, weight, (rows, width, width), biases)
-        p.steps.append(Loop(len(hidden) - 1, (step, activation)))
+        p.steps.append(Repeat(len(hidden) - 1, (step, activation)))
     return h
 
 

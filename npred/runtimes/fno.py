@@ -9,7 +9,7 @@ from torch import nn
 from npred import grid
 from npred.operators import Operator
 from npred.operators.fno import FNOnetwork, Spectral, transforms
-from npred.runtimes.program import Loop, Matrix, Product, Program, Series, Silu, Step, Transpose, layers
+from npred.runtimes.program import Matrix, Product, Program, Repeat, Series, Silu, Step, Transpose, layers
 
 CPU = torch.device("cpu")
 PAIRED, STRIDED = False, True  # the point of rest is a series; on a fine grid every stride-th node is evaluated
@@ -24,7 +24,7 @@ def append(p: Program, operator: Operator) -> None:
     assert isinstance(network, FNOnetwork)
     width, nx = network.lift.out_features, p.nodes
     v = _lift(p, network)
-    p.steps.append(Loop(len(network.local), _layer(p, network, v)))
+    p.steps.append(Repeat(len(network.local), _layer(p, network, v)))
     turned = p.buffer("turned", width, nx)
     p.steps.append(Transpose(turned, v, (nx, width)))
     p.steps += _project(p, network, turned)

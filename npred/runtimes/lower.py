@@ -1,4 +1,4 @@
-"""A trained operator and a grid to a program: scalings and anchor here, the network in a file of its own."""
+"""A trained operator and a grid to a program: scalings and anchor here, each network in another file."""
 
 import copy
 from importlib import import_module
@@ -65,7 +65,7 @@ def _exact(operator: Operator, plant: Plant) -> Operator:
 
 
 def _inputs(p: Program, operator: Operator) -> None:
-    """How the inputs are scaled, and where z and v are zero: at rest, or at the mean of the data."""
+    """The scaling of the inputs; z and v are zero at rest, or at the mean of the data."""
     scaling, rests = operator.scaling, operator.anchor == "equilibrium"
     X_bend, X_mean, X_std = (scaling.get_buffer(f"X_{part}").numpy() for part in ("bend", "mean", "std"))
     u_mean, u_std = scaling.u_mean.numpy(), scaling.u_std.numpy()

@@ -24,7 +24,7 @@ INPUTS, OUTPUTS = ("X", "u", "D_hat"), ("P", "U")
 class Deployed(nn.Module):
     """X (B, n), u (B, nx, m), D_hat (B,) to P (B, nx, n) and U = kappa(P(1)) (B, m) [DAPF, eq. 9], without bounds.
 
-    A law that depends on time takes t (B,) too, the time now, for U = kappa(P(1), t + D_hat) as in the closed loop.
+    A kappa that depends on time takes t (B,) too, the time now, for U = kappa(P(1), t + D_hat) as in the closed loop.
     """
 
     def __init__(self, operator: Operator, plant: Plant):
@@ -44,7 +44,7 @@ def inputs(plant: Plant) -> tuple[str, ...]:
 def graph(operator: Operator, plant: Plant, nx: int) -> bytes:
     """The ONNX model of P and U on nx nodes, any batch: what the grid alone decides is folded into constants.
 
-    Raises MissingError without the onnx extra, ConfigError where inputs have delays of their own, P hangs on time, or
+    Raises MissingError without the onnx extra, ConfigError where inputs have several delays, P depends on time, or
     the plant is not traced.
     """
     for name in ("onnx", "onnxscript"):
@@ -71,11 +71,11 @@ def export(operator: Operator, plant: Plant, path: Path, nx: int, probe: tuple[n
     NpredError above `atol`, in units of the states and inputs, MissingError without the onnx extra.
     """
     model, names = graph(operator, plant, nx), inputs(plant)
-    given = [np.asarray(a, dtype=np.float32) for a in (*probe, np.linspace(1.0, 9.0, len(probe[0])))][: len(names)]
+    samples = [np.asarray(a, dtype=np.float32) for a in (*probe, np.linspace(1.0, 9.0, len(probe[0])))][: len(names)]
     with torch.no_grad():
-        wanted = Deployed(operator, plant)(*map(torch.as_tensor, given))
-    found = session(model).run(list(OUTPUTS), dict(zip(names, given, strict=True)))
-    error = max(float(np.abs(a - b.numpy()).max()) for a, b in zip(found, wanted, strict=True))
+        expected = Deployed(operator, plant)(*map(torch.as_tensor, samples))
+    outputs = session(model).run(list(OUTPUTS), dict(zip(names, samples, strict=True)))
+    error = max(float(np.abs(a - b.numpy()).max()) for a, b in zip(outputs, expected, strict=True))
     if not error <= atol:
         raise NpredError(f"export onnx: expected P and U within {atol:g} of the model, got {error:.3g}; raise --atol")
     path.write_bytes(model)
@@ -124,7 +124,7 @@ def session(model: bytes) -> Any:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """The exporter warns of its own deprecations and of packages that no operator here needs."""
+    """Silence the exporter's warnings: of its deprecations, and of packages that no operator here needs."""
     logger = logging.getLogger("torch.onnx")
     level = logger.level
     logger.setLevel(logging.ERROR)

@@ -22,8 +22,8 @@ def layers(module: nn.Module, kind: type[Layer]) -> list[Layer]:
 class Matrix:
     """A view of a named flat array: element (i, k) is name[offset + e turn + i row + k column].
 
-    e counts the repetitions of a product. With `layer`, name is a stack of constants of that size, one a layer of a
-    loop, and is read through a view of the layer's own.
+    e counts the repetitions of a product. With `layer`, name is a stack of constants of that size, one per layer, and
+    is read through a view of that layer.
     """
 
     name: str
@@ -101,7 +101,7 @@ class Mirror:
 
 
 @dataclass(frozen=True)
-class Loop:
+class Repeat:
     """The same steps for o = 0 … count - 1: the layers of a network, their constants stacked."""
 
     count: int
@@ -114,7 +114,7 @@ class Loop:
         return [m for step in products for m in (step.a, step.b, step.bias) if m and m.layer]
 
 
-Step = Product | Silu | SiluPair | Transpose | Mirror | Loop
+Step = Product | Silu | SiluPair | Transpose | Mirror | Repeat
 
 
 def loops(counts: dict[str, int], body: list[str], head: str, tail: Sequence[str] = ()) -> list[str]:
@@ -175,7 +175,7 @@ class Program:
 
     @property
     def nodes(self) -> int:
-        """How many nodes the network is evaluated on: every stride-th."""
+        """The number of nodes that the network is evaluated on: every stride-th."""
         return (self.nx - 1) // self.stride + 1
 
     def constant(self, name: str, values: np.ndarray) -> Matrix:
@@ -189,10 +189,10 @@ class Program:
         return Matrix(name, columns)
 
     def stack(self, name: str, values: Sequence[np.ndarray]) -> Matrix:
-        """Constants of equal shape, one a layer of a loop."""
-        one = self.constant(name, values[0])
+        """Constants of equal shape, one per layer."""
+        first = self.constant(name, values[0])
         self.constant(name, np.stack(values))
-        return replace(one, layer=values[0].size)
+        return replace(first, layer=values[0].size)
 
     def scale(self, name: str, values: np.ndarray) -> None:
         """A constant of the inputs' scaling, in double precision."""

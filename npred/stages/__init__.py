@@ -11,7 +11,7 @@ from npred.terminal.console import Console
 
 @dataclass(frozen=True)
 class Job:
-    """What a stage gets: write the payload to `folder`, read `inputs` (name to folder), return the result.
+    """The job of a stage: write the payload to `folder`, read `inputs` (name to folder), return the result.
 
     `scratch` outlives an interruption (checkpoints); `jobs`, `executor` and `progress` must not change the result.
     `device` changes its digits: a GPU rounds otherwise, a training makes more of that, and torch evaluates networks

@@ -53,7 +53,7 @@ class _Order(NamedTuple):
 
     @classmethod
     def of(cls, job: Job) -> Self:
-        """What the helpers have to know of a job."""
+        """The part of a job that the helpers need."""
         folders = job.inputs["generate"].absolute(), job.scratch.absolute()
         return cls(job.config.located(), *folders, job.device, job.model)
 
@@ -65,7 +65,7 @@ class _Order(NamedTuple):
 
 
 def help_out(progress: Console) -> None:
-    """What the processes of torchrun but the first do: their part of each batch, training by training."""
+    """The work of all processes of torchrun but the first: their part of each batch, training by training."""
     torch.set_num_threads(1)
     while order := torchrun.receive():
         _fit(order.job(progress))
@@ -88,18 +88,18 @@ def _task(job: Job, config: Training, path: Path) -> Fit:
     """Rows of one file are held in memory; shards are streamed, and a survey of them gives the errors."""
     data, streamed = shards.survey(path), len(shards.files(path)) > 1
     fitted, held_out = data.subset(test=False), data.subset(test=True)
-    known = Rows.of(fitted, job.device, config.nodes, job.plant.phase(fitted.t))
+    rows = Rows.of(fitted, job.device, config.nodes, job.plant.phase(fitted.t))
     test = Rows.of(held_out, job.device, phase=job.plant.phase(held_out.t))
     seed = randomness.integer(job.config.seed, "train", str(job.model))
     stream = Stream(path, job.device, config.nodes, job.plant.phase)
     scaling = Scaling.of_parts(stream.parts) if streamed else Scaling.of(fitted)
     operator = _untrained(job, config, scaling, seed).to(job.device)
-    criterion = loss.criterion(config.rows, loss.weights(config, job.plant, known.P))
-    return Fit(f"train {job.model}", operator, config, stream if streamed else known, test, criterion, seed)
+    criterion = loss.criterion(config.rows, loss.weights(config, job.plant, rows.P))
+    return Fit(f"train {job.model}", operator, config, stream if streamed else rows, test, criterion, seed)
 
 
 def _untrained(job: Job, config: Training, scaling: Scaling, seed: int) -> Operator:
-    """The same weights for the same seed, whatever was drawn before; torch's own generator is left as it was."""
+    """The same weights for the same seed, whatever was drawn before; torch's generator is left as it was."""
     with SEEDING, torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         return checked(config, job.plant, scaling)

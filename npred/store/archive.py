@@ -122,7 +122,7 @@ def _manifest(tar: IO[bytes], path: Path) -> tuple[Manifest, bytes]:
 
 
 def _clash(manifest: Manifest) -> bool:
-    """Whether a file's name is also a folder's."""
+    """True if a file's name is also a folder's."""
     folders = {parent.as_posix() for name in manifest.files for parent in Path(name).parents}
     return any(name in folders for name in [NAME, *manifest.files])
 

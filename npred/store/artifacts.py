@@ -61,7 +61,7 @@ class Artifact:
         return self
 
     def result(self) -> dict[str, Any]:
-        """What the stage returned. Raises StoreError where its file is missing or no JSON object."""
+        """The stage's answer. Raises StoreError where its file is missing or no JSON object."""
         path = self.folder / RESULT
         try:
             return json_files.table(path)
@@ -80,7 +80,7 @@ class Store:
 
     @property
     def marked(self) -> bool:
-        """Whether the folder says that it is a store."""
+        """True if the folder says that it is a store."""
         marker = self.root / MARKER
         return marker.is_file() and not marker.is_symlink()
 
@@ -119,7 +119,7 @@ class Store:
     def draft(self, stage: str, key: str) -> Iterator[Path]:
         """An empty folder to write a result in, for the holder of the key's lock; what is left of it is removed."""
         folder = self.root / ".tmp" / f"{stage}-{key}"
-        shutil.rmtree(folder, ignore_errors=True)  # a process that was killed left it
+        shutil.rmtree(folder, ignore_errors=True)  # left by a process that was killed
         folder.mkdir(parents=True)
         try:
             yield folder
@@ -172,7 +172,7 @@ class Store:
         return sorted(path for place in _LEFT for path in self.root.glob(f"{place}/*") if self.owns(path))
 
     def owns(self, path: Path) -> bool:
-        """Whether a folder is one that npred makes, by its place and name, and no link leads to it."""
+        """True if a folder is one that npred makes, by its path and name, and no link leads to it."""
         folder, place = path.parent, path.parent.name
         named = place in _LEFT or (not place.startswith(".") and _KEY.fullmatch(path.name))
         links = path.is_symlink() or folder.is_symlink()
@@ -225,7 +225,7 @@ class Store:
         shutil.rmtree(path, ignore_errors=True)
 
     def _aside(self, path: Path) -> Path:
-        """Rename a folder: a removal cut short must not leave half a result in the place of a whole one."""
+        """Rename a folder: a removal cut short must not leave half a result under the name of a whole one."""
         name = path.name if path.parent.name in _LEFT else f"{path.parent.name}-{path.name}"
         aside = self.root / ".tmp" / f"{name.removesuffix('.removed')}.removed"
         if path.exists() and path != aside:

@@ -72,7 +72,7 @@ def _keys(entry: Mapping[str, object]) -> dict[str, str]:
 
 
 def _exists(file: Path) -> bool:
-    """Whether there is such a regular file; one that may not be looked at counts as there."""
+    """True if there is such a regular file; one that may not be looked at counts as there."""
     try:
         return stat.S_ISREG(file.stat().st_mode)
     except (FileNotFoundError, NotADirectoryError, ValueError):

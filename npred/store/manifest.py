@@ -168,7 +168,7 @@ class Manifest(Record):
 
     @property
     def consistent(self) -> bool:
-        """Whether checksum, digest and key all follow from the other fields."""
+        """True if checksum, digest and key all follow from the other fields."""
         fields = self._covered()
         try:
             digests = (sha256(fields), sha256(fields["files"]), self.question.key)
@@ -190,7 +190,7 @@ class Manifest(Record):
 
     @property
     def circumstances(self) -> dict[str, str | None]:
-        """What the numbers may depend on beyond the question: versions, processor, modes of the libraries."""
+        """All that the numbers may depend on beyond the question: versions, processor, modes of the libraries."""
         return {name: value for name, value in self.provenance.items() if name != MADE}
 
     @property
@@ -227,7 +227,7 @@ def cure(folder: Path) -> str:
 
 
 def provenance(device: str) -> dict[str, str | None]:
-    """Where a result was made, and what its last digits depend on; no part of any key or digest."""
+    """The machine that made a result, and what its last digits depend on; no part of any key or digest."""
     versions = packages("npred", "numpy", "numba", "torch")
     here = {"python": platform.python_version(), "platform": platform.platform()}
     return here | versions | arithmetic(device)

@@ -24,7 +24,7 @@ SMALLEST = 1e-16  # where a radius of 0 is drawn on a logarithmic axis
 
 
 def dominated(points: np.ndarray) -> np.ndarray:
-    """Whether another point is nowhere larger and somewhere smaller, (N,) of points (N, k)."""
+    """A mask (N,) of the points (N, k) for which another is nowhere larger and somewhere smaller."""
     beaten = np.zeros(len(points), dtype=bool)
     for index, point in enumerate(points):
         beaten[index] = ((points <= point).all(axis=1) & (points < point).any(axis=1)).any()
@@ -32,7 +32,7 @@ def dominated(points: np.ndarray) -> np.ndarray:
 
 
 def front(rows: Sequence[Mapping[str, Any]]) -> list[bool]:
-    """Whether each row is on the front of those of error, latency and radius that are known.
+    """One boolean per row: it is on the front of those of error, latency and radius that are known.
 
     A loop that is lost or an error that is not finite (None) is beaten by any number, and never on the front.
     """

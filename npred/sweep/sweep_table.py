@@ -1,4 +1,4 @@
-"""What a sweep found, one row a trained network of a cell."""
+"""The table of a sweep's results, one row per trained network of a cell."""
 
 import math
 from collections.abc import Iterator
@@ -14,7 +14,7 @@ from npred.sweep.sweep_grid import Cell
 def rows(cell: Cell, run: CellRun) -> Iterator[dict[str, Any]]:
     """The cell's values, the network, its errors, radius and latency, and the artifact that says so.
 
-    Errors and radius are of the evaluate stage, or of the network's own training where that is all that ran; the
+    Errors and radius are of the evaluate stage, or of the network's training where that is all that ran; the
     latency, in µs, is the fastest runtime's for one call at the bench stage's first dx.
     """
     artifacts = {name: outcome.artifact for name, outcome in run.outcomes.items()}

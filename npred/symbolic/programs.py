@@ -67,7 +67,7 @@ def lines(
         right = _right_side(op, args, names, bindings, texts)
         names[index] = f"v{len(names)}"
         assignments.append(f"{names[index]} = {right}")
-    return assignments + [f"{target} = {_text(y, names)}" for target, y in zip(targets, outputs, strict=True)]
+    return assignments + [f"{target} = {_operand(y, names)}" for target, y in zip(targets, outputs, strict=True)]
 
 
 def _right_side(
@@ -76,13 +76,13 @@ def _right_side(
     if op == "input":
         return bindings.get(args[0], args[0])
     if op == "call":
-        return f"plant_{args[0]}({', '.join(_text(a, names) for a in args[2:])})"
+        return f"plant_{args[0]}({', '.join(_operand(a, names) for a in args[2:])})"
     if op == "item":
         return f"{names[args[0].index]}[{args[1]}]"
-    return texts.get(op, OPS[op].text).format(*(_text(a, names) for a in args))
+    return texts.get(op, OPS[op].text).format(*(_operand(a, names) for a in args))
 
 
-def _text(a: Any, names: dict[int, str]) -> str:
+def _operand(a: Any, names: dict[int, str]) -> str:
     if isinstance(a, Symbol):
         return names[a.index]
     if isinstance(a, bool):

@@ -1,1 +1,1 @@
-"""What people see in a terminal: streams, messages, progress, logs, and event files."""
+"""The terminal: streams, messages, progress, logs, and event files."""

@@ -1,4 +1,4 @@
-"""What people and programs see: data on stdout, messages on stderr, no bars where stderr is no terminal."""
+"""The console: data on stdout, messages on stderr, no bars where stderr is no terminal."""
 
 import json
 import sys
@@ -39,7 +39,7 @@ class Console:
     log: RunLog | None = None
 
     def stop(self) -> None:
-        """End the work of all threads at its next word of progress, as Ctrl-C ends that of the main one."""
+        """End the work of all threads at its next report of progress, as Ctrl-C ends that of the main one."""
         self.stopped = True
 
     @property
@@ -119,7 +119,7 @@ class Console:
         self._logged(f"{title}: {outcome} after {seconds:.1f} s")
 
     def measured(self, title: str, values: Mapping[str, float]) -> None:
-        """What an epoch of a training reached: for the live view, for TensorBoard and for the log."""
+        """Take the metrics of an epoch of a training: for the live view, for TensorBoard and for the log."""
         if self.view:
             self.view.measured(title, values)
         if self.events:

@@ -25,7 +25,7 @@ def listen() -> None:
 
 
 def heard() -> bool:
-    """Whether a signal has arrived: what failed since may have failed of it."""
+    """True if a signal has arrived: what failed since may have failed of it."""
     return bool(_heard)
 
 

@@ -48,7 +48,7 @@ class LiveView(Progress):
 
     @contextmanager
     def bar(self, title: str, total: int, unit: str, done: int = 0) -> Iterator[Callable[[int], None]]:
-        """The progress of a stage, or of a part that gets a row of its own; what it yields takes the units done."""
+        """The progress of a stage, or of a part, which gets a separate row; what it yields takes the units done."""
         is_part = title not in self.stages
         task = self._running(title)
         self.update(task.id, total=total, completed=done, unit=escaped(unit), before=done)
@@ -65,7 +65,7 @@ class LiveView(Progress):
         self.update(self._task(title).id, state=state, seconds=seconds, doing=WORDS.get(state, ""))
 
     def measured(self, title: str, values: Mapping[str, float]) -> None:
-        """What an epoch of a training reached."""
+        """Take the metrics of an epoch of a training."""
         errors = {name: f"{values[name]:.1e}" for name in ("loss", "eps_sup") if name in values}
         self._task(title).fields.update(errors)
 

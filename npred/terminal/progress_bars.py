@@ -31,9 +31,9 @@ class Bar:
             finished = n > 0 and self.done >= self.total
             if finished or (self.done > self.before and now - self.last >= EVERY):
                 self.last = now
-                self.line(self._text(now - self.start))
+                self.line(self._line(now - self.start))
 
-    def _text(self, elapsed: float) -> str:
+    def _line(self, elapsed: float) -> str:
         left = ""
         if self.done < self.total:
             left = f", {elapsed / (self.done - self.before) * (self.total - self.done):.0f} s left"

@@ -1,4 +1,4 @@
-"""The log of a run, a text file in the store's folder: all that it said, with times, and each epoch of a training."""
+"""The log of a run, a text file in the store's folder: its messages with times, and each epoch of a training."""
 
 import os
 import re

@@ -28,12 +28,12 @@ def encodable(text: str, stream: Any) -> str:
 
 
 def is_utf8(stream: Any) -> bool:
-    """Whether a stream takes any character; one without an encoding, in memory, does."""
+    """True if a stream takes any character; one without an encoding, in memory, does."""
     return (getattr(stream, "encoding", None) or "utf-8").lower().replace("-", "") == "utf8"
 
 
 def is_terminal(stream: Any) -> bool:
-    """Whether a stream is a screen; one that is closed is none."""
+    """True if a stream is a screen; one that is closed is none."""
     try:
         return stream is not None and stream.isatty()
     except (OSError, ValueError):
@@ -93,7 +93,7 @@ def unwritable(reason: str | None) -> NpredError:
 
 
 def silence(stream: Any) -> None:
-    """Send what a stream still holds to nowhere: Python would fail at its own end to write it."""
+    """Send what a stream still holds to nowhere: Python would fail to write it when it ends."""
     with suppress(OSError, ValueError):
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, stream.fileno())
@@ -114,7 +114,7 @@ class Messages:
 
     @property
     def encoding(self) -> str:
-        """stderr's own."""
+        """That of stderr."""
         return getattr(sys.stderr, "encoding", None) or "utf-8"
 
     def write(self, text: str) -> int:
@@ -126,7 +126,7 @@ class Messages:
         self._attempt(lambda: sys.stderr.flush(), None)
 
     def isatty(self) -> bool:
-        """Whether it is a screen."""
+        """True if it is a screen."""
         return is_terminal(sys.stderr)
 
     def fileno(self) -> int:

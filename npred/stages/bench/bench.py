@@ -26,7 +26,7 @@ def run(job: Job) -> Benched:
 
     Protocol of [DAPF, Table I]: state at the box's corner, u(x) = x, D_hat ~ U(0.5, 1.7). Writes times.h5 (each call's
     nanoseconds), bench.tex (booktabs), speed.svg and speed.png (latency against error). `crossover` says when a network
-    pays, one row per network; `stops` what of the tails is the machine's own.
+    pays, one row per network; `stops` is the share of the machine in the tails.
     """
     import torch
 

@@ -1,4 +1,4 @@
-"""When a network pays: against the quickest numerical predictor of the same accuracy, on the same samples."""
+"""Break-even of networks against the quickest numerical predictor of the same accuracy, on the same samples."""
 
 from collections.abc import Callable, Iterable
 from math import isfinite
@@ -28,10 +28,10 @@ def measure(job: Job, timed: Iterable[tuple[Entry, Timing]], reference: Referenc
     first = grid.count(job.config.bench.dx[0])
     crossovers = []
     for name in sorted(set(job.config.train.models)):
-        own = [(e, row) for e, row in single if (e.predictor, e.nx, e.matches) == (name, first, None)]
+        timings = [(e, row) for e, row in single if (e.predictor, e.nx, e.matches) == (name, first, None)]
         rivals = [entry for entry, _ in single if entry.matches == name]
-        if own and rivals:
-            crossovers.append(_crossover(job, *min(own, key=lambda pair: pair[1].median_us), rivals, reference))
+        if timings and rivals:
+            crossovers.append(_crossover(job, *min(timings, key=lambda pair: pair[1].median_us), rivals, reference))
     return crossovers
 
 
@@ -77,7 +77,7 @@ def _call(reference: Reference, run: Predictor) -> Callable[[int], None]:
 
 
 def sentence(crossover: Crossover) -> str:
-    """What it means, for people."""
+    """The crossover in a sentence for people."""
     numerical, ratio = _method(crossover.best, crossover.best_steps), crossover.network_speedup
     network = f"the {NETWORKS.label(crossover.predictor)} ({crossover.runtime})"
     first, second = (numerical, network) if ratio < 1 else (network, numerical)

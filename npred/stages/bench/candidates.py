@@ -1,4 +1,4 @@
-"""Who is timed: each predictor at each dx and batch, in each runtime and on each device, with its error."""
+"""The candidates that are timed: each predictor at each dx and batch, in each runtime and on each device."""
 
 from bisect import bisect_left
 from collections.abc import Callable, Iterator
@@ -45,7 +45,7 @@ class Entry:
 
     @property
     def label(self) -> str:
-        """What tells its raw times from the others'."""
+        """Its name among the raw times."""
         parts = (self.predictor, self.runtime, self.nx, self.batch, self.matches or "grid", self.device, self.copies)
         return "/".join(str(part) for part in parts)
 
@@ -101,20 +101,20 @@ def entries(job: Job, reference: Reference) -> list[Entry]:
     networks = {name: operators.load(job.inputs[name], job.plant, config=table) for name, table in tables.items()}
     available, methods = _available(job, config), _methods(job.config)
     ways = {name: _ways(job, name, operator, available) for name, operator in networks.items()}
-    found: list[Entry] = []
+    rows: list[Entry] = []
     for batch in config.batches:
         for nx in map(grid.count, config.dx if batch == 1 else config.dx[:1]):
-            found += _numerical(job.plant, methods, nx, batch)
+            rows += _numerical(job.plant, methods, nx, batch)
             for name, operator in networks.items():
-                found += _neural(job, operator, name, nx, batch, ways[name])
+                rows += _neural(job, operator, name, nx, batch, ways[name])
     nx = grid.count(config.dx[0])
     for name in networks:
-        eps = reference.error(next(e for e in found if (e.predictor, e.nx) == (name, nx)))
+        eps = reference.error(next(e for e in rows if (e.predictor, e.nx) == (name, nx)))
         for rival, kind in methods.items():
             if coarse := matching(reference, kind, eps):
-                found.append(Entry(rival, "compiled", coarse, 1, kind(job.plant, coarse), name))
+                rows.append(Entry(rival, "compiled", coarse, 1, kind(job.plant, coarse), name))
     coarse_grids = [(k + 1, rival) for k in FRONT for rival in methods]
-    return found + [
+    return rows + [
         Entry(rival, "compiled", nx, 1, methods[rival](job.plant, nx), "front") for nx, rival in coarse_grids
     ]
 
@@ -135,21 +135,21 @@ def matching(reference: Reference, method: type[OneStep], eps: float) -> int | N
     def suffices(intervals: int) -> bool:
         return reference.of(run, intervals + 1) <= eps
 
-    known: list[int] = []
+    sufficient: list[int] = []
     for intervals in reversed(LADDER):
         if not suffices(intervals):
-            if not known:
+            if not sufficient:
                 return None
-            return bisect_left(range(known[-1]), True, intervals + 1, key=suffices) + 1
-        known.append(intervals)
-    return known[-1] + 1
+            return bisect_left(range(sufficient[-1]), True, intervals + 1, key=suffices) + 1
+        sufficient.append(intervals)
+    return sufficient[-1] + 1
 
 
 def _available(job: Job, config: Bench) -> list[str]:
     missing = [name for name in ("onnx", "onnxscript", "onnxruntime") if devices.package(name) is None]
     if set(config.runtimes) == {"onnx"} and missing:
-        wanted = f"expected the package {missing[0]} for the one runtime onnx, found none"
-        raise MissingError(f"bench: {wanted}; pip install 'npred[onnx]', or name torch in [bench] runtimes")
+        expected = f"expected the package {missing[0]} for the one runtime onnx, found none"
+        raise MissingError(f"bench: {expected}; pip install 'npred[onnx]', or name torch in [bench] runtimes")
     if "onnx" in config.runtimes and missing:
         job.progress.note(f"bench: no rows of the runtime onnx without {', '.join(missing)}")
     return [name for name in config.runtimes if name != "onnx" or not missing]
@@ -198,7 +198,7 @@ def call(job: Job, entry: Entry, count: int) -> Callable[[int], None]:
 
 
 def _resident(entry: Entry, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray) -> Callable[[int], None]:
-    """The call on a GPU's own memory, up to the end of its work."""
+    """The call on data in a GPU's memory, up to the end of its work."""
     import torch
 
     operator: Any = getattr(entry.run, "operator")  # noqa: B009 - a network's predictor has one

@@ -39,7 +39,7 @@ def sample(
 
 
 def affordable(call: Call, count: int, seconds: float) -> int:
-    """How many calls, at most `count`, fit into `seconds`; the calls made to find out are the warm-up."""
+    """The number of calls, at most `count`, that fit into `seconds`; the calls made to find out are the warm-up."""
     quickest = _clock(call, range(WARM_UP)).min() / 1e9
     return int(min(count, max(LEAST, seconds / max(quickest, 1e-9))))
 
@@ -61,7 +61,7 @@ def undisturbed() -> Iterator[None]:
 
 
 def stops(seconds: float = 0.5) -> dict[str, float]:
-    """How often the system takes the core from a thread that only reads the clock, a second, and for how long.
+    """The stops per second of a thread that only reads the clock, when the system takes its core, and their length.
 
     That is in the tail of whatever is timed here: of calls that last c seconds it meets the share c times `per_s`.
     """

@@ -1,4 +1,4 @@
-"""A benchmark for people: its rows as a table, when a network pays, and what of the tails is the machine's own."""
+"""Tables and sentences of a benchmark: its rows, when a network pays, and the machine's share in the tails."""
 
 from math import isfinite
 
@@ -8,7 +8,7 @@ from npred.results.bench import Stops, Timing
 from npred.terminal.console import columns
 
 TIMES = {"median": "median_us", "p95": "p95_us", "p99.9": "p999_us", "max": "max_us"}
-NAMES = {"published": "O(nx²) sums", "euler_python": "euler"}  # a name says nothing of a plant of one's own
+NAMES = {"published": "O(nx²) sums", "euler_python": "euler"}  # shorter in a table
 RATIOS = {"× O(nx²) sums": "speedup_published", "× euler": "speedup_compiled"}
 
 
@@ -19,16 +19,16 @@ def summary(result: Benched, width: int | None = None) -> str:
         for row in result.rows
         if row.matches != "front"
     ]
-    return _text(result, rows, width)
+    return _with_sentences(result, rows, width)
 
 
 def details(result: Benched, width: int | None = None) -> str:
     """Every row with the tails of its times and its speed-ups, in a table wider than most screens."""
-    return _text(result, [_all(row) for row in result.rows], width)
+    return _with_sentences(result, [_all(row) for row in result.rows], width)
 
 
 def sentences(result: Benched) -> list[str]:
-    """When a network pays, one per network; then the machine."""
+    """One sentence per network, when it pays; then one on the machine."""
     return [*(crossover.sentence for crossover in result.crossover), result.stops.sentence]
 
 
@@ -46,15 +46,15 @@ def fastest(result: Benched, numerical: str) -> dict[Contender, float]:
 
 
 def stopped(stops: Stops) -> str:
-    """What of the tails is the machine's own; see timing.stops."""
+    """The machine's share in the tails, in a sentence; see timing.stops."""
     if not stops.per_s:
-        return "The machine did not stop a thread that only reads the clock: the tails are the predictors' own."
+        return "The machine did not stop a thread that only reads the clock: the tails are the predictors'."
     often = f"{stops.per_s:.0f} times a second, for {stops.median_us:.0f} µs in the median"
     long = f"{1000 / stops.per_s:.1f} µs"
     return f"The machine stops a thread that only reads the clock {often}: from {long} a call on, p99.9 includes that."
 
 
-def _text(result: Benched, rows: list[dict[str, str]], width: int | None) -> str:
+def _with_sentences(result: Benched, rows: list[dict[str, str]], width: int | None) -> str:
     title = f"microseconds a call, up to {result.calls} calls, {result.hardware.cpu}"
     heads = list(rows[0]) if rows else ["predictor"]
     table = columns(heads, [list(row.values()) for row in rows], width, numbers=heads[2:])

@@ -17,7 +17,7 @@ from npred.predictors import Predictor
 from npred.results import Contender
 from npred.results.evaluate import Errors, KindErrors
 
-ROWS = 1024  # rows a call
+ROWS = 1024  # rows per call
 FRESH = 40  # samples of each fresh loop, at random times …
 START = 40.0  # … of its first seconds: the start-up is in them, and not too much of the rest
 QUANTILES = (0.5, 0.95, 1.0)
@@ -45,9 +45,9 @@ class Labelled:
         """The samples taken at times t (B, S) from the numerical predictor's own loops of this evaluation."""
         taken = (loops.samples.X, loops.samples.u, loops.samples.D_hat, t)
         X, u, D_hat, t = (a.reshape(-1, *a.shape[2:]) for a in taken)
-        known = array_checks.finite_rows(X, u, D_hat)
-        X, u, D_hat = X[known], u[known], D_hat[known]
-        return cls(X, u, D_hat, numerical(X, u, D_hat, t[known]), t[known])
+        finite = array_checks.finite_rows(X, u, D_hat)
+        X, u, D_hat = X[finite], u[finite], D_hat[finite]
+        return cls(X, u, D_hat, numerical(X, u, D_hat, t[finite]), t[finite])
 
     @classmethod
     def joined(cls, parts: Sequence["Labelled"]) -> "Labelled":
@@ -95,7 +95,7 @@ def gap(P_hat: np.ndarray, rows: Labelled) -> np.ndarray:
 
 
 def write(path: Path, kinds: Mapping[str, Labelled], P_hat: Mapping[Contender, Mapping[str, np.ndarray]]) -> None:
-    """Where each network errs, as HDF5, with P_hat by network and kind.
+    """Write the errors of each network, as HDF5, with P_hat by network and kind.
 
     X and D_hat of the rows of the first kind, and by network |P_hat - P|: `sup` over x (N,), and `over_x` (nx, 3), the
     quantiles of QUANTILES over the rows at each node; the same below `kinds/KIND` for the rows of the others.

@@ -1,4 +1,4 @@
-"""Over which delays and first estimates a predictor's loops converge."""
+"""The convergence map of a predictor's loops over delays and first estimates."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from npred.results.evaluate import DelayMap
 
 
 def delay_map(plant: Plant, config: Evaluate, loops: Trajectories, reference: Trajectories) -> DelayMap:
-    """Which loops of the map D x D_hat(0) converge, and what share of those that do with the numerical predictor.
+    """The loops of the map D x D_hat(0) that converge, and their share of those that do with the numerical predictor.
 
     `band` is the range of D in which no loop is lost that converges with the numerical predictor.
     """

@@ -1,4 +1,4 @@
-"""Whether the data cover what the loops visit: a network is only known where it was trained."""
+"""Coverage of the loops' states by the data: a network is only reliable where it was trained."""
 
 from collections.abc import Mapping
 from pathlib import Path

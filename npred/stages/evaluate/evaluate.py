@@ -37,7 +37,7 @@ summary, details = summary_tables.summary, summary_tables.details
 def run(job: Job) -> Evaluated:
     """For the numerical predictor, without adaptation, and each network and snapshot: errors, cases, map, Fig. 1.
 
-    The errors mse, eps_sup, … are on the data's own held-out rows, of the kind `held_out_kind`; `kinds` has them for
+    The errors mse, eps_sup, … are on the data's held-out rows, of the kind `held_out_kind`; `kinds` has them for
     the rows of each kind, and `in_loop` the largest |P(1, t) - X(t + D)| where D_hat = D.
     Where none adapts, "without adaptation" would be the numerical predictor's loop again and is left out.
     Writes figure1, certificate and coverage (.svg, .png); figure1.h5 (its loops), errors.h5 (where networks err) and
@@ -111,8 +111,8 @@ def _all_loops(
     with job.progress.bar("evaluate", total, "steps") as bar, ThreadPoolExecutor(job.jobs) as pool:
         try:
             tasks = {
-                c: [pool.submit(_loops, job, c, predictor, begin, some, bar.advance)
-                    for some in _shares(predictor, begin.of(c))]
+                c: [pool.submit(_loops, job, c, predictor, begin, part, bar.advance)
+                    for part in _shares(predictor, begin.of(c))]
                 for c, predictor in predictors.items()
             }  # fmt: skip
             checks = {c: pool.submit(in_loop.error, job, predictors[c], begin, bar.advance) for c in adapting}
@@ -152,12 +152,12 @@ def _neural(job: Job, model: str, snapshot: int | None, name: str) -> Predictor:
 
 
 def _loops(
-    job: Job, contender: Contender, predictor: Predictor, begin: Starts, some: slice, progress: Callable[[int], None]
+    job: Job, contender: Contender, predictor: Predictor, begin: Starts, part: slice, progress: Callable[[int], None]
 ) -> Trajectories:
     config = job.config.evaluate
-    taken = None if contender.is_network else accuracy.sample_steps(job.config.seed, config, begin.of(contender))[some]
+    taken = None if contender.is_network else accuracy.sample_steps(job.config.seed, config, begin.of(contender))[part]
     return simulate(
-        job.plant, predictor, D=begin.D[some], D_hat=begin.D_hat0[some], X0=begin.X0[some], dt=config.dt,
+        job.plant, predictor, D=begin.D[part], D_hat=begin.D_hat0[part], X0=begin.X0[part], dt=config.dt,
         t_end=config.case_t_end, adaptation=delay_law.resolve(config) if contender.adapts else None,
         input_bounds=config.input_bounds, u0=config.u0, every=EVERY, samples=taken, progress=progress,
     )  # fmt: skip
@@ -167,12 +167,12 @@ def _behaviour(
     plant: Plant, config: Evaluate, begin: Starts, contender: Contender, eps_kappa: float,
     loops: Mapping[Contender, Trajectories],
 ) -> dict[str, Any]:  # fmt: skip
-    """What is reported of a contender's loops, by key of Scores."""
+    """The scores of a contender's loops, by key of Scores."""
     run, exact = loops[contender], loops[NUMERICAL]
     cases, reference = run.part(begin.cases), exact.part(begin.cases)
     target = plant.target(cases.t)
     radii = metrics.radius(cases, target)
-    settle, goal = (metrics.settle_time(some, target) for some in (cases, reference))
+    settle, goal = (metrics.settle_time(batch, target) for batch in (cases, reference))
     settled = np.isfinite(goal) & (goal > 0)
     mapped = contender.adapts and begin.map.stop > begin.map.start
     return {

@@ -25,7 +25,7 @@ def first(config: Evaluate, loops: Trajectories) -> Trajectories:
 
 
 def numbers(plant: Plant, loop: Trajectories) -> LoopEnd:
-    """Where the loop of Fig. 1 ends: state, delay estimate, radius, and when it settled."""
+    """The end of the loop of Fig. 1: state, delay estimate, radius, and when it settled."""
     target = plant.target(loop.t)
     radius, settle_time = float(metrics.radius(loop, target)), float(metrics.settle_time(loop, target))
     return LoopEnd(X_end=loop.X[-1].tolist(), D_hat_end=loop.D_hat[-1], radius=radius, settle_time=settle_time)

@@ -1,7 +1,7 @@
 """Held-out rows by kind: those of nominal rollouts, of exploring ones, and rows with a redrawn D_hat.
 
 The data hold out nominal rollouts alone. Those of the other kinds are made for the evaluation, in addition, from child
-seeds of their own: the rows that are trained on stay as they are.
+other seeds: the rows that are trained on stay as they are.
 """
 
 import numpy as np
@@ -20,16 +20,16 @@ NOMINAL, EXPLORING, REDRAWN, IMPORTED = "nominal", "exploring", "redrawn", "impo
 
 
 def held_out(job: Job, data: Dataset) -> dict[str, Labelled]:
-    """Rows of each kind that the networks were trained on; the first are the data's own, and the headline's.
+    """Rows of each kind that the networks were trained on; the first are the data's, and the headline's.
 
     nominal: rollouts with the delays of `D` and `D_hat0`, and the D_hat of the loop. exploring: rollouts with the
     delays of `explore_D` and `explore_D_hat0`. redrawn: the rows of both with a D_hat drawn from `explore_D_hat0`. Of
     imported data, `imported`, nobody knows what they are. Rows that are not finite are left out, with a note.
     """
-    config, own = job.config.generate, Labelled.held_out(data)
+    config, nominal = job.config.generate, Labelled.held_out(data)
     if config.data:
-        return {IMPORTED: own}
-    kinds, explored = {NOMINAL: own}, sampling.explorers(config, _most(job.plant, config))
+        return {IMPORTED: nominal}
+    kinds, explored = {NOMINAL: nominal}, sampling.explorers(config, _most(job.plant, config))
     if explored:
         columns = rollouts.rows(job.config, job.plant, explored, finite=False)
         kinds[EXPLORING] = _finite(
@@ -54,7 +54,7 @@ def _redrawn(job: Job, rows: Labelled) -> Labelled:
 
 
 def _finite(job: Job, kind: str, rows: Labelled) -> Labelled:
-    known = np.flatnonzero(np.all(np.isfinite(rows.P), axis=(1, 2)))  # P(0) = X
-    if lost := len(rows.X) - len(known):
+    finite = np.flatnonzero(np.all(np.isfinite(rows.P), axis=(1, 2)))  # P(0) = X
+    if lost := len(rows.X) - len(finite):
         job.progress.note(f"evaluate: {lost} of {len(rows.X)} {kind} held-out rows have no finite P; left out")
-    return rows.take(known)
+    return rows.take(finite)

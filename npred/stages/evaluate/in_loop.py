@@ -1,4 +1,4 @@
-"""How far the prediction in a closed loop is from the state that comes a delay later, where the delay is known.
+"""The error of the prediction in a closed loop: against the state one delay later, where the delay is known.
 
 Errors on data compare a network with a numerical predictor on the same (X, u, D_hat). They cannot show what the
 numerical predictor, or the u that the loop gives to it, is wrong by. This error can: nothing is its reference but the
@@ -27,12 +27,12 @@ def delay(config: Evaluate) -> float:
 
 
 def length(config: Evaluate) -> float:
-    """How long these loops run, in seconds."""
+    """The length of these loops, in seconds."""
     return max(min(LONGEST, config.case_t_end), SHORTEST * delay(config))
 
 
 def states(config: Evaluate, begin: Starts) -> np.ndarray:
-    """Where they start, (B, n): the state of Fig. 1, then the initial states of the cases."""
+    """Their initial states, (B, n): that of Fig. 1, then those of the cases."""
     return np.concatenate([begin.X0[:1], begin.X0[begin.cases][:: len(config.case_D_hat0)]])
 
 
@@ -52,7 +52,7 @@ def error(job: Job, predictor: Predictor, begin: Starts, progress: Callable[[int
 
 
 def about(config: Evaluate, begin: Starts) -> InLoop:
-    """What the error is of: D = D_hat in seconds, the times that it is the largest over, and how many loops."""
+    """The loops of the error: D = D_hat in seconds, the times that it is the largest over, and their number."""
     D = delay(config)
     D, start, to = (round(t, 9) for t in (D, 2 * D, length(config) - D))  # 0.6, not 0.6…01
     return InLoop(D=D, start=start, to=to, loops=len(states(config, begin)))

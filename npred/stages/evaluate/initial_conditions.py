@@ -1,4 +1,4 @@
-"""Where the loops of an evaluation start."""
+"""Initial conditions of the loops of an evaluation."""
 
 from dataclasses import dataclass
 
@@ -21,12 +21,12 @@ class Starts:
     map: slice
 
     def of(self, contender: Contender) -> int:
-        """How many loops a contender runs: the map only with adaptation."""
+        """The number of loops that a contender runs: the map only with adaptation."""
         return len(self.D) if contender.adapts else self.cases.stop
 
 
 def box(plant: Plant, pipeline: Pipeline) -> np.ndarray:
-    """The range of each initial state, (n, 2): the plant's own; the pipeline's for a plant that says none."""
+    """The range of each initial state, (n, 2): the plant's; the pipeline's for a plant without one."""
     ranges = pipeline.generate.box | plant.box
     return np.array([ranges[name] for name in plant.states], dtype=float)
 

@@ -1,4 +1,4 @@
-"""An evaluation for people: who errs by how much and whose loops converge, and all that was measured of them."""
+"""Tables of an evaluation for the terminal: errors, radii and loops that converge, in short and in full."""
 
 from collections.abc import Mapping
 from math import isfinite
@@ -13,7 +13,7 @@ RADII = {"radius": "median", "worst": "worst", "from ε κ": "predicted"}
 
 
 def summary(result: Evaluated, width: int | None = None) -> str:
-    """What the errors are of, and the table of each predictor."""
+    """The samples of the errors, and the table of each predictor."""
     return f"{_title(result)}\n\n{table(result, width)}"
 
 
@@ -49,16 +49,16 @@ def _cells(scores: Scores) -> list[str]:
 
 def _all(contender: Contender, scores: Scores, kinds: list[str]) -> dict[str, str]:
     radius, end = scores.radius, scores.figure1
-    cells = {"predictor": contender.label} | {head: _text(getattr(scores, key)) for head, key in ERRORS.items()}
-    cells |= {f"{kind}: ε sup": _text(scores.kinds[kind].eps_sup) for kind in kinds}
-    cells |= {f"fresh: {head}": _text(getattr(scores.fresh, key)) for head, key in ERRORS.items() if head != "ε κ"}
-    cells |= {"in the loop": _text(scores.in_loop)}
-    cells |= {head: _text(getattr(radius, key)) for head, key in RADII.items()}
+    cells = {"predictor": contender.label} | {head: _cell(getattr(scores, key)) for head, key in ERRORS.items()}
+    cells |= {f"{kind}: ε sup": _cell(scores.kinds[kind].eps_sup) for kind in kinds}
+    cells |= {f"fresh: {head}": _cell(getattr(scores.fresh, key)) for head, key in ERRORS.items() if head != "ε κ"}
+    cells |= {"in the loop": _cell(scores.in_loop)}
+    cells |= {head: _cell(getattr(radius, key)) for head, key in RADII.items()}
     cells |= {"converged": f"{radius.converged:.0%}"}
     cells |= {"settles": "" if scores.settle_ratio is None else f"{scores.settle_ratio:.2f} ×"}
-    cells |= {"map": f"{scores.map.share:.0%}" if scores.map else "", "Fig. 1": _text(end.radius)}
-    return cells | {"D̂": _text(end.D_hat_end, ".3f")}
+    cells |= {"map": f"{scores.map.share:.0%}" if scores.map else "", "Fig. 1": _cell(end.radius)}
+    return cells | {"D̂": _cell(end.D_hat_end, ".3f")}
 
 
-def _text(value: float, form: str = ".1e") -> str:
+def _cell(value: float, form: str = ".1e") -> str:
     return format(value, form) if isfinite(value) else "∞"

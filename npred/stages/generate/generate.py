@@ -30,7 +30,7 @@ def run(job: Job) -> Generated:
     """
     config = job.config.generate
     if config.data:
-        return _given(job, Path(config.data))
+        return _imported(job, Path(config.data))
     held_out = sampling.held_out(job.config.seed, config)
     size = {"samples": config.samples, "rollouts": config.rollouts, "held_out": held_out.tolist(), "nx": config.nx}
     if sharded.needed(job.plant, config):
@@ -48,8 +48,8 @@ def summary(result: Generated, width: int | None = None) -> str:
     return f"{samples} of {rollouts} on {result.nx} nodes, {counted(len(result.held_out), 'rollouts')} held out"
 
 
-def _given(job: Job, path: Path) -> Generated:
-    """The samples of a file in the place of simulated ones."""
+def _imported(job: Job, path: Path) -> Generated:
+    """The samples of a file instead of simulated ones."""
     data = Dataset.read(path)
     data.fit(job.plant)
     data.write(job.folder / "data.h5", attributes(job.plant, "imported"))

@@ -20,7 +20,7 @@ PACKAGES = ("npred", "numpy", "numba")  # what the bytes of a row may depend on
 
 
 def surroundings(pipeline: Pipeline, plant: Plant) -> dict[str, Any]:
-    """What has to be the same in every process that makes rows of one data set."""
+    """All that has to be the same in every process that makes rows of one data set."""
     versions = devices.packages(*PACKAGES)
     return {
         "plant": plant.identity,
@@ -31,10 +31,10 @@ def surroundings(pipeline: Pipeline, plant: Plant) -> dict[str, Any]:
 
 
 def elsewhere(pipeline: Pipeline, expected: dict[str, Any], batch: range) -> Columns:
-    """The rows of a batch in a process of its own. Raises ConfigError where plant or packages are not as expected."""
+    """The rows of a batch in another process. Raises ConfigError where plant or packages are not as expected."""
     plant = plants.resolve(pipeline.plant, pipeline.parameters)
-    found = surroundings(pipeline, plant)
-    other = ", ".join(name for name in expected if found[name] != expected[name])
+    actual = surroundings(pipeline, plant)
+    other = ", ".join(name for name in expected if actual[name] != expected[name])
     if other:
         raise ConfigError(f"generate: expected the same {other} on every worker, got another; install it there")
     return rows(pipeline, plant, batch)
@@ -51,7 +51,7 @@ def rows(pipeline: Pipeline, plant: Plant, batch: range, finite: bool = True) ->
 
 
 def joined(parts: list[Columns]) -> Columns:
-    """Rows one after the other."""
+    """Columns one after the other."""
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
@@ -79,9 +79,9 @@ def _chunk(pipeline: Pipeline, plant: Plant, chunk: range, finite: bool) -> Colu
 
 def _predicted(predictor: Predictor, rows: Columns) -> np.ndarray:
     """P (B, S, nx, n) of the rows, NaN for those that are not finite, which a predictor refuses."""
-    known = array_checks.finite_rows(rows["X"], rows["u"], rows["D_hat"])
+    finite = array_checks.finite_rows(rows["X"], rows["u"], rows["D_hat"])
     P = np.full((*rows["u"].shape[:-1], predictor.plant.n), np.nan)
-    P[known] = predictor(*(rows[name][known] for name in ("X", "u", "D_hat", "t")))
+    P[finite] = predictor(*(rows[name][finite] for name in ("X", "u", "D_hat", "t")))
     return P
 
 

@@ -1,4 +1,4 @@
-"""What is drawn at random for the data: starts, delays, sample times, who is held out; a seed of its own a rollout."""
+"""Random draws of the data: starts, delays, sample times, held-out rollouts; one seed per rollout."""
 
 from functools import lru_cache
 
@@ -10,7 +10,7 @@ from npred.plants import Plant
 
 
 def starts(seed: int, config: Generate, plant: Plant, chunk: range) -> tuple[np.ndarray, ...]:
-    """X0 (B, n), D and D_hat(0) (B,), sorted sample steps (B, S), each rollout's from its own child seed."""
+    """X0 (B, n), D and D_hat(0) (B,), sorted sample steps (B, S), each rollout's from its child seed."""
     box = _box(plant, config)
     drawn = []
     for r in chunk:

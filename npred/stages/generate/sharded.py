@@ -31,20 +31,20 @@ TOKEN = ".token"
 Batch = tuple[int, range]  # the number of a shard, and its rollouts
 
 
-class Place(NamedTuple):
-    """Where shards are collected; a worker that reads the token there sees the same folder, not one of that name."""
+class ShardFolder(NamedTuple):
+    """The folder of shards; a worker that reads the token there sees the same folder, not one of that name."""
 
     folder: Path
     token: str
 
     def shared(self) -> bool:
-        """Whether this process sees the folder."""
+        """True if this process sees the folder."""
         path = self.folder / TOKEN
         return path.is_file() and path.read_text() == self.token
 
 
 def needed(plant: Plant, config: Generate) -> bool:
-    """Whether the rows are too many for one file."""
+    """True if the rows are too many for one file."""
     return config.samples * shards.width(plant.n, plant.m, config.nx) > shards.WHOLE
 
 
@@ -54,20 +54,20 @@ def write(job: Job) -> int:
     Finished shards stay in the job's scratch until the result is in the store. A worker that does not see that folder
     sends the bytes of its shard back.
     """
-    config, place = job.config.generate, _place(job)
+    config, shards_at = job.config.generate, _shard_folder(job)
     batches = list(enumerate(_batches(job.plant, config)))
-    missing = [batch for batch in batches if not _kept(place.folder / shards.name(batch[0]))]
+    missing = [batch for batch in batches if not _kept(shards_at.folder / shards.name(batch[0]))]
     about = attributes(job.plant, called(config.predictor))
-    make = partial(_shard, job.config.located(), rollouts.surroundings(job.config, job.plant), place, about)
+    make = partial(_shard, job.config.located(), rollouts.surroundings(job.config, job.plant), shards_at, about)
     job.progress.doing("generate", "compiling")
     with job.progress.bar("generate", config.rollouts, "rollouts") as bar:
         bar.advance(config.rollouts - sum(len(batch) for _, batch in missing))
         for (number, batch), content in executors.completed(job.executor, make, missing):
             if content is not None:
-                _durably(place.folder / shards.name(number), partial(_copy, content))
+                _durably(shards_at.folder / shards.name(number), partial(_copy, content))
             bar.advance(len(batch))
     for number, _ in batches:
-        _place_in(place.folder / shards.name(number), job.folder)
+        _link(shards_at.folder / shards.name(number), job.folder)
     rows = [sum(sampling.samples(config, r) for r in batch) for _, batch in batches]
     shards.join(job.folder, rows, about)
     return len(batches)
@@ -80,28 +80,28 @@ def _batches(plant: Plant, config: Generate) -> list[range]:
     return [range(i, min(i + size, config.rollouts)) for i in range(0, config.rollouts, size)]
 
 
-def _place(job: Job) -> Place:
+def _shard_folder(job: Job) -> ShardFolder:
     """The folder in scratch; shards that other versions of the packages made before are none of this run's."""
     text = json.dumps(rollouts.surroundings(job.config, job.plant), sort_keys=True)
     folder = job.scratch.absolute() / f"shards-{hashlib.sha256(text.encode()).hexdigest()[:12]}"
     folder.mkdir(exist_ok=True)
     for half in folder.glob(".data-*"):  # a worker that was killed left it
         half.unlink()
-    place = Place(folder, uuid4().hex)
-    (folder / TOKEN).write_text(place.token)
-    return place
+    shards_at = ShardFolder(folder, uuid4().hex)
+    (folder / TOKEN).write_text(shards_at.token)
+    return shards_at
 
 
 def _shard(
-    pipeline: Pipeline, expected: dict[str, Any], place: Place, about: dict[str, Any], batch: Batch
+    pipeline: Pipeline, expected: dict[str, Any], shards_at: ShardFolder, about: dict[str, Any], batch: Batch
 ) -> bytes | None:
     """Write a shard; its bytes where this process does not see the folder."""
-    number, some = batch
-    rows = rollouts.elsewhere(pipeline, expected, some)
+    number, rollout_range = batch
+    rows = rollouts.elsewhere(pipeline, expected, rollout_range)
     test = np.isin(rows["rollout"], list(sampling.spared(pipeline.seed, pipeline.generate))).astype(np.uint8)
     save = partial(Dataset(**rows, test=test).write, attributes=about)
-    if place.shared():
-        _durably(place.folder / shards.name(number), save)
+    if shards_at.shared():
+        _durably(shards_at.folder / shards.name(number), save)
         return None
     with TemporaryDirectory() as folder:
         save(Path(folder) / "shard.h5")
@@ -109,7 +109,7 @@ def _shard(
 
 
 def _kept(path: Path) -> bool:
-    """Whether scratch has the shard as it was written; what is there under its name else is removed."""
+    """True if scratch has the shard as it was written; any other file under its name is removed."""
     for file in path.parent.glob(f"{path.name}*"):
         if file.name != f"{path.name}.{json_files.sha256(file)}":
             file.unlink()
@@ -134,7 +134,7 @@ def _copy(content: bytes, path: Path) -> None:
     path.write_bytes(content)
 
 
-def _place_in(path: Path, folder: Path) -> None:
+def _link(path: Path, folder: Path) -> None:
     """A second name for a shard: an end that comes before the result is in the store loses none."""
     kept = next(path.parent.glob(f"{path.name}.*"))
     try:

@@ -20,8 +20,8 @@ def summary(evaluated: Evaluated, benched: Benched) -> list[str]:
 def _errors(evaluated: Evaluated, networks: list[Contender]) -> str:
     rows = [(network.label, evaluated.models[network]) for network in networks]
     errors = [f"{short(row.eps_sup)} for the {name} (mean square {short(row.mse)})" for name, row in rows]
-    own, *others = evaluated.kinds
-    samples = f"{evaluated.held_out:,} held-out samples of {OF[own]}"
+    first, *others = evaluated.kinds
+    samples = f"{evaluated.held_out:,} held-out samples of {OF[first]}"
     others = [_of_kind(kind, evaluated.kinds[kind].rows, [row for _, row in rows]) for kind in others]
     return "; ".join([f"On {samples} the largest error of a prediction is {_and(errors)}", *others]) + "."
 
@@ -52,14 +52,14 @@ def _speed(benched: Benched) -> str:
     if not networks:
         return "No network was timed."
     row = min(networks, key=lambda row: row.median_us)
-    ratio = row.speedup_published  # None where inputs have delays of their own, which that predictor has no word for
+    ratio = row.speedup_published  # None where inputs have several delays, which that predictor does not take
     over = "" if ratio is None else f", {ratio:,.0f} times faster than interpreted O(nx²) sums"
     text = f"A call of the {label(row)}, takes {row.median_us:.1f} µs at dx = {finest:.3g}{over}"
     return f"{text}{_against_numerics(benched, row.predictor)}."
 
 
 def _against_numerics(benched: Benched, network: str) -> str:
-    crossover = next((one for one in benched.crossover if one.predictor == network), None)
+    crossover = next((row for row in benched.crossover if row.predictor == network), None)
     if crossover is None:
         return ""
     steps = counted(crossover.best_steps, "steps")

@@ -59,8 +59,8 @@ def _page(story: Story, said: list[str], job: Job) -> str:
         facts=_facts(story, job),
         files=job.config.files,
         settings=toml_text.dumps(job.config.beside().model_dump()),
-        style=_text("page.css"),
-        script=_text("page.js"),
+        style=_template("page.css"),
+        script=_template("page.js"),
     )
 
 
@@ -97,7 +97,7 @@ def _about(job: Job) -> str:
 
 
 def _facts(story: Story, job: Job) -> dict[str, dict[str, Any]]:
-    """Where the numbers come from, in three lists: the question, the results' keys, the machine that was timed."""
+    """The origin of the numbers, in three lists: the question, the results' keys, the machine that was timed."""
     hardware = story.benched.hardware
     plant = {"plant": job.plant.name} | {name: f"{value:g}" for name, value in job.plant.parameters.items()}
     data = {"samples": story.generated.samples, "rollouts": story.generated.rollouts}
@@ -108,5 +108,5 @@ def _facts(story: Story, job: Job) -> dict[str, dict[str, Any]]:
     }
 
 
-def _text(name: str) -> str:
+def _template(name: str) -> str:
     return (files("npred") / "templates" / "report" / name).read_text(encoding="utf-8")

@@ -24,7 +24,7 @@ CHAPTERS = (
 
 @dataclass(frozen=True)
 class Story:
-    """What the stages of one pipeline found; `keys` names their results."""
+    """The results of the stages of one pipeline; `keys` names them."""
 
     config: Pipeline
     plant: Plant

@@ -46,7 +46,7 @@ def kinds(evaluated: Evaluated) -> Table:
 
 
 def loops(evaluated: Evaluated) -> Table:
-    """What the closed loops of each contender do."""
+    """Convergence, radius and end of the closed loops of each contender."""
     exact, rows = evaluated.models[NUMERICAL], list(evaluated.models.values())
     columns = [
         Column("predictor", [contender.label for contender in evaluated.models]),
@@ -62,7 +62,7 @@ def loops(evaluated: Evaluated) -> Table:
 
 
 def _kept(scores: Scores, exact: Scores) -> int | None:
-    """How many loops of the map converge that do with the numerical predictor."""
+    """The number of loops of the map that converge of those that do with the numerical predictor."""
     if scores.map is None or exact.map is None:
         return None
     return int((np.array(scores.map.converged) & np.array(exact.map.converged)).sum())

@@ -121,17 +121,17 @@ def test_a_shard_that_cannot_be_written_leaves_nothing(tmp_path, little, monkeyp
 def test_a_worker_that_does_not_see_the_folder_sends_its_shard_back(tmp_path, little, monkeypatch):
     near, far = (job(tmp_path, name, generate=SHARDED) for name in ("near", "far"))
     generate.run(near)
-    monkeypatch.setattr(sharded.Place, "shared", lambda place: False)
+    monkeypatch.setattr(sharded.ShardFolder, "shared", lambda folder: False)
     generate.run(far)
     assert payload(far.folder) == payload(near.folder)
     assert not [path for path in far.scratch.rglob("*") if path.name.startswith(".data")]
 
 
 def test_a_folder_of_the_same_name_elsewhere_is_not_taken_for_the_same(tmp_path):
-    place = sharded.Place(tmp_path, "a")
-    assert not place.shared()
+    folder = sharded.ShardFolder(tmp_path, "a")
+    assert not folder.shared()
     (tmp_path / sharded.TOKEN).write_text("b")
-    assert not place.shared() and sharded.Place(tmp_path, "b").shared()
+    assert not folder.shared() and sharded.ShardFolder(tmp_path, "b").shared()
 
 
 def test_the_data_of_the_paper_are_one_file_and_ten_million_samples_are_not():
