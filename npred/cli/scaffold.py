@@ -32,7 +32,7 @@ def init(options: Common, name: str, source: str | None = None) -> None:
     there = [str(path) for path in paths if path.exists()]
     if there:
         raise ConfigError(f"init: expected no {' or '.join(there)} here, found it; choose another name or move it")
-    fresh = _text(PLANT, name, class_name), _text(PIPELINE, name, class_name)
+    fresh = _filled(PLANT, name, class_name), _filled(PIPELINE, name, class_name)
     for path, text in zip(paths, _copies(source, name, class_name) if source else fresh, strict=True):
         with path.open("x", encoding="utf-8") as file:
             file.write(text)
