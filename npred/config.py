@@ -66,7 +66,7 @@ def within(key: str, span: Range, bounds: Range) -> None:
         raise ValueError(f"{key}: expected within bounds = {list(bounds)}, got {values}; widen bounds or move {key}")
 
 
-class Table(BaseModel):
+class Section(BaseModel):
     """A table of the pipeline file: frozen, and an unknown key is an error."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -78,7 +78,7 @@ class Table(BaseModel):
 
 def _moved(value: Any, locate: Callable[[str], str], key: Any = None) -> Any:
     """A pipeline's value, plain or parsed, with `locate(path)` in each text that names a class of a file, or data."""
-    if isinstance(value, Table):
+    if isinstance(value, Section):
         return value.moved(locate)
     if isinstance(value, dict):
         return {name: _moved(item, locate, name) for name, item in value.items()}
@@ -88,7 +88,7 @@ def _moved(value: Any, locate: Callable[[str], str], key: Any = None) -> Any:
     return locate(value) if is_path else value
 
 
-class Loop(Table):
+class Loop(Section):
     """The settings of a stage's closed loops [DAPF, eqs. 6-14]: times and delays in seconds, nx nodes on [0, 1].
 
     `adaptation` is the delay law: the paper's by default; frozen, where D_hat stays where it starts (started at D, the
@@ -173,7 +173,7 @@ class Generate(Loop):
         return self
 
 
-class Training(Table):
+class Training(Section):
     """The settings that all networks share; `snapshots` keeps the model as it stood after those epochs.
 
     `loss` weighs the components of an error, `rows` says what of a row's error is averaged; `nodes`: how many of the
@@ -241,7 +241,7 @@ class Network(Training):
     sizes: dict[str, Any] = {}  #: keyword arguments of the network's class
 
 
-class Train(Table):
+class Train(Section):
     """One table per network; `models` says which of them are trained, each once; their order means nothing.
 
     A table of another name says by `network` what it is; a registered network needs no table.
@@ -329,7 +329,7 @@ class Evaluate(Loop):
         return self
 
 
-class Bench(Table):
+class Bench(Section):
     """Table I of [DAPF]: calls at each dx, each predictor with its error beside its time.
 
     Batches above 1 are timed at the first dx. `calls` of a predictor end after `seconds`.
@@ -343,7 +343,7 @@ class Bench(Table):
     runtimes: Some[Runtime] = ["torch", "fused", "onnx"]  #: ways to evaluate a network; also `file.py:Class`
 
 
-class Pipeline(Table):
+class Pipeline(Section):
     """A pipeline file, resolved: `plant` is a built-in name or `file.py:Class`, `parameters` override its defaults."""
 
     name: str = "pipeline"  #: what its results are called
@@ -521,13 +521,13 @@ def _meant(key: str, siblings: list[str]) -> str:
 
 
 def leaves(
-    model: type[Table] = Pipeline, path: str = "", networks: Iterable[str] = ()
+    model: type[Section] = Pipeline, path: str = "", networks: Iterable[str] = ()
 ) -> Iterator[tuple[str, FieldInfo]]:
     """Every key of a pipeline file, dotted, with its declaration; `networks` are names of tables below train."""
     for name in networks:
         yield from leaves(Network, f"train.{name}.")
     for name, field in model.model_fields.items():
-        if isinstance(field.annotation, type) and issubclass(field.annotation, Table):
+        if isinstance(field.annotation, type) and issubclass(field.annotation, Section):
             yield from leaves(field.annotation, f"{path}{name}.")
         else:
             yield path + name, field

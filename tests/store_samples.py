@@ -5,12 +5,12 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from npred.store import Artifact, Question, Source, Store
+from npred.store import Artifact, Question, ResultInput, Store
 from npred.store.manifest import sha256
 
 
 def question(**changes: Any) -> Question:
-    source = Source(key="1" * 64, digest="2" * 64)
+    source = ResultInput(key="1" * 64, digest="2" * 64)
     fields: dict[str, Any] = {"stage": "train", "version": 1, "model": "fno", "config": {"seed": 0, "lr": 1e-3}}
     return Question(**({**fields, "inputs": {"generate": source}} | changes))
 

@@ -36,7 +36,7 @@ def inline(translator: Any, node: nodes.math) -> None:
 
 
 def block(translator: Any, node: nodes.math_block) -> None:
-    r"""A formula on a line of its own, in a box that scrolls where the screen is narrow; \tag gives its number."""
+    r"""A formula on a separate line, in a box that scrolls where the screen is narrow; \tag gives its number."""
     text = node.astext()
     formula = mathml(TAG.sub("", text), "block")
     number = "".join(f'<span class="number">({tag})</span>' for tag in TAG.findall(text))

@@ -46,9 +46,9 @@ def commands() -> Iterator[str]:
     """The page of the command line: the flags in common once, then each command's own."""
     root: Any = typer.main.get_command(cli.app)
     yield from ("# Commands", "", root.help)
-    for told, _, names in SHARED:
+    for caption, _, names in SHARED:
         taker = next(c for c in root.commands.values() if set(names) <= {p.name for p in c.params})
-        yield from ("", told, "")
+        yield from ("", caption, "")
         yield from _parameters([p for p in taker.params if p.name in names])
     for name, command in root.commands.items():
         yield from _command(f"npred {name}", command)
@@ -100,8 +100,8 @@ def _default(parameter: Any) -> str:
         return parameter.show_default
     if parameter.default in (None, False, ()):
         return ""
-    told = f"`{parameter.default}`"
-    return f"{told}, or `{parameter.envvar}`" if parameter.envvar else told
+    default = f"`{parameter.default}`"
+    return f"{default}, or `{parameter.envvar}`" if parameter.envvar else default
 
 
 def configuration() -> Iterator[str]:
@@ -159,7 +159,7 @@ def _few(names: list[str]) -> str:
     return ", ".join(names) if len(names) < 5 else f"{names[0]} … {names[-1]}: {len(names)}"
 
 
-def _table(path: str, model: type[config.Table]) -> Iterator[str]:
+def _table(path: str, model: type[config.Section]) -> Iterator[str]:
     tables = {name: field for name, field in model.model_fields.items() if _is_table(field)}
     yield from ("", f"## `[{path}]`" if path else "## Top level", "", _words(model), "")
     yield from ("| key | type | default | meaning |", "|---|---|---|---|")
@@ -175,15 +175,15 @@ def _table(path: str, model: type[config.Table]) -> Iterator[str]:
 def _meaning(model: type, name: str) -> str:
     """What stands behind #: at a field, in the class that declares it."""
     owner = next(base for base in model.__mro__ if name in vars(base).get("__annotations__", {}))
-    told = ModuleAnalyzer.for_module(owner.__module__).find_attr_docs()
-    meaning = " ".join(told.get((owner.__name__, name), [])).strip()
+    comments = ModuleAnalyzer.for_module(owner.__module__).find_attr_docs()
+    meaning = " ".join(comments.get((owner.__name__, name), [])).strip()
     if not meaning:
         logger.warning("%s: %s.%s has no meaning; write it behind #: in its line", owner.__module__, model, name)
     return meaning
 
 
 def _is_table(field: FieldInfo) -> bool:
-    return isinstance(field.annotation, type) and issubclass(field.annotation, config.Table)
+    return isinstance(field.annotation, type) and issubclass(field.annotation, config.Section)
 
 
 def _words(model: type) -> str:

@@ -43,7 +43,7 @@ def command(
 
 
 def group(panel: str, does: str) -> Callable[[Callable[..., None]], typer.Typer]:
-    """Make f(options) a command with commands of its own: it runs where none of them is named."""
+    """Make f(options) a command with subcommands: it runs where none of them is named."""
 
     def register(function: Callable[..., None]) -> typer.Typer:
         subcommands = typer.Typer(cls=Group, no_args_is_help=False)

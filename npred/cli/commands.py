@@ -206,7 +206,7 @@ def init(
         ),
     ] = None,
 ) -> None:
-    """A plant of your own to start from: NAME.py and NAME.toml in this folder."""
+    """A new plant to start from: NAME.py and NAME.toml in this folder."""
 
 
 @command(LOOK, "export.export")

@@ -117,7 +117,7 @@ def _keep_remembered(options: Common, kept: Kept, root: GcRoot, device: str) -> 
     its plant is run, which is code.
     """
     try:
-        if root.own:
+        if root.by_this_user:
             pipeline = config.load(root.file)
             kept.add(Planner(pipeline, options.results, device), nodes(pipeline, STAGES))
             return

@@ -6,7 +6,7 @@ import numpy as np
 
 from npred.config import Pipeline
 from npred.diagnosis import box, convergence, equilibrium, lyapunov, pipeline_fit
-from npred.diagnosis.case import ANY, Answer, Case, Question, Verdict
+from npred.diagnosis.case import ANY, Answer, Case, Check, Verdict
 from npred.errors import ConfigError
 from npred.plants.base import Plant
 
@@ -15,30 +15,30 @@ __all__ = ["Answer", "Case", "check", "require", "settled"]
 NODES, ASSUMED, SAMPLES = 101, 1.0, 256  # 1 s where nothing says how long the delay is
 
 
-def _of_pipelines(answer: Callable[[Case], Verdict | None], before: str = ANY) -> Question:
-    return Question(answer.__name__, answer, lambda case: case.pipeline is not None, before, shown=False)
+def _of_pipelines(answer: Callable[[Case], Verdict | None], before: str = ANY) -> Check:
+    return Check(answer.__name__, answer, lambda case: case.pipeline is not None, before, shown=False)
 
 
 # In the order of their answers. Before a run those are asked that take no time; the first no refuses it.
 QUESTIONS = (
-    Question("trace", box.traced),
-    Question("smooth law", box.smooth, lambda case: case.plant.traced),
+    Check("trace", box.traced),
+    Check("smooth law", box.smooth, lambda case: case.plant.traced),
     _of_pipelines(pipeline_fit.served),
-    Question("box", box.declared, before=ANY),
+    Check("box", box.declared, before=ANY),
     _of_pipelines(pipeline_fit.start),
     _of_pipelines(pipeline_fit.clock),
     _of_pipelines(pipeline_fit.declares_V),
-    Question("finite", box.finite, lambda case: case.verdict("box") != "no", ANY),
-    Question("delay", lambda case: ("yes", f"{case.delay:g} s, {case.source}")),
-    Question("equilibrium", equilibrium.equilibrium, lambda case: case.plant.rests),
-    Question("stability", equilibrium.stability, equilibrium.exists, ANY),
-    Question("reference", equilibrium.reference, lambda case: not case.plant.rests, "evaluate"),
-    Question("V", lyapunov.falls, lyapunov.applies),
-    Question("input bounds", convergence.limited, lambda case: case.sound and bool(np.isfinite(case.limits).any())),
-    Question("convergence", convergence.converges, lambda case: case.sound and case.leads == "yes"),
-    Question("jacobians", box.jacobians, lambda case: case.sound and case.plant.traced),
-    Question("stiffness", box.stiff, lambda case: case.sound and case.verdict("jacobians") != "no"),
-    Question("completeness", box.complete, lambda case: case.sound and case.verdict("stiffness") in ("yes", None)),
+    Check("finite", box.finite, lambda case: case.verdict("box") != "no", ANY),
+    Check("delay", lambda case: ("yes", f"{case.delay:g} s, {case.source}")),
+    Check("equilibrium", equilibrium.equilibrium, lambda case: case.plant.rests),
+    Check("stability", equilibrium.stability, equilibrium.exists, ANY),
+    Check("reference", equilibrium.reference, lambda case: not case.plant.rests, "evaluate"),
+    Check("V", lyapunov.falls, lyapunov.applies),
+    Check("input bounds", convergence.limited, lambda case: case.sound and bool(np.isfinite(case.limits).any())),
+    Check("convergence", convergence.converges, lambda case: case.sound and case.leads == "yes"),
+    Check("jacobians", box.jacobians, lambda case: case.sound and case.plant.traced),
+    Check("stiffness", box.stiff, lambda case: case.sound and case.verdict("jacobians") != "no"),
+    Check("completeness", box.complete, lambda case: case.sound and case.verdict("stiffness") in ("yes", None)),
     _of_pipelines(pipeline_fit.anchors, "train"),
     _of_pipelines(pipeline_fit.radius, "evaluate"),
     _of_pipelines(pipeline_fit.parts),
@@ -98,4 +98,4 @@ def _longest(plant: Plant, pipeline: Pipeline | None) -> tuple[float, str]:
         return pipeline.longest_delay, "the longest delay or first estimate of the pipeline"
     if plant.delays:
         return max(plant.delays), "the longest of the plant's delays"
-    return ASSUMED, "assumed: --delay gives another, or a pipeline in the place of the plant"
+    return ASSUMED, "assumed: --delay gives another, or a pipeline instead of the plant"

@@ -46,7 +46,7 @@ class Case:
     source: str = ""  # of the delay
     answers: dict[str, Answer] = field(default_factory=dict)
 
-    def ask(self, question: "Question") -> Answer | None:
+    def ask(self, question: "Check") -> Answer | None:
         """The answer, None where the question does not apply. A plant that fails meanwhile has one: no, and how."""
         if question.name not in self.answers and question.applies(self):
             try:
@@ -131,7 +131,7 @@ class Case:
         return source_lines.values(self.plant.states, X)
 
 
-class Question(NamedTuple):
+class Check(NamedTuple):
     """A question: its name, its answer, and where it applies.
 
     It is asked before a run of the stage `before`, or of ANY; it is `shown` among the answers about a plant.

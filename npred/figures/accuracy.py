@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from npred.figures.evaluation_data import Errors, Evidence
+from npred.figures.evaluation_data import ErrorArrays, Evidence
 from npred.figures.figure import Key, Panel, Plate
 from npred.figures.loops import ends, keys
 from npred.figures.notation import common_unit, quantity, symbol, with_unit
@@ -114,14 +114,14 @@ def _positive(values: np.ndarray) -> np.ndarray:
     return np.where(values > 0, values, np.nan)
 
 
-def _over_x(by_network: dict[Contender, Errors], axis: Any) -> None:
+def _over_x(by_network: dict[Contender, ErrorArrays], axis: Any) -> None:
     for contender, error in by_network.items():
         _band(axis, contender, np.linspace(0, 1, len(error.over_x)), error.over_x[:, 0], error.over_x[:, -1])
     axis.set(xlabel="x", xlim=(0, 1))
     log(axis, "y")
 
 
-def _over(values: np.ndarray, by_network: dict[Contender, Errors], label: str, axis: Any) -> None:
+def _over(values: np.ndarray, by_network: dict[Contender, ErrorArrays], label: str, axis: Any) -> None:
     edges = np.linspace(values.min(), values.max(), BINS + 1)
     which = np.clip(np.digitize(values, edges) - 1, 0, BINS - 1)
     centres = (edges[1:] + edges[:-1]) / 2
@@ -142,7 +142,7 @@ def distribution(sup_by_network: dict[Contender, np.ndarray], axis: Any, **limit
     log(axis, "x")
 
 
-def _levels(by_network: dict[Contender, Errors]) -> np.ndarray:
+def _levels(by_network: dict[Contender, ErrorArrays]) -> np.ndarray:
     """Edges of the colours, equal on the logarithmic scale, the same for all networks."""
     sups = np.concatenate([error.sup for error in by_network.values()])
     sups = sups[sups > 0]
@@ -150,7 +150,7 @@ def _levels(by_network: dict[Contender, Errors]) -> np.ndarray:
     return np.geomspace(max(low, high * 1e-4), high * 1.0001, LEVELS + 1)
 
 
-def _cells(evidence: Evidence, error: Errors, levels: np.ndarray, axis: Any) -> None:
+def _cells(evidence: Evidence, error: ErrorArrays, levels: np.ndarray, axis: Any) -> None:
     import matplotlib
     from matplotlib.colors import BoundaryNorm
     from matplotlib.ticker import FuncFormatter
@@ -176,7 +176,7 @@ def worst(X: np.ndarray, sup: np.ndarray) -> tuple[list[np.ndarray], np.ndarray]
     return edges, np.where(np.isfinite(largest), largest, np.nan)
 
 
-def _alt_box(evidence: Evidence, error: Errors) -> str:
+def _alt_box(evidence: Evidence, error: ErrorArrays) -> str:
     where = evidence.X[np.argmax(error.sup)]
     pairs = zip(evidence.plant.states, where, strict=True)
     at = ", ".join(f"{symbol(evidence.plant, name)} = {value:.3g}" for name, value in pairs)

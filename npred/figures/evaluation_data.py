@@ -34,7 +34,7 @@ class LoopSeries:
 
 
 @dataclass(frozen=True)
-class Errors:
+class ErrorArrays:
     """|P_hat - P| of one network on held-out samples: sup over x (N,); over_x (nx, 3), median, 95 %, sup."""
 
     sup: np.ndarray
@@ -65,7 +65,7 @@ class Evidence:
     loops: dict[Contender, LoopSeries]
     X: np.ndarray
     D_hat: np.ndarray
-    errors: dict[Contender, Errors]
+    errors: dict[Contender, ErrorArrays]
     coverage: dict[str, Histogram]
     kinds: dict[str, dict[Contender, np.ndarray]]
 
@@ -90,7 +90,7 @@ class Evidence:
         return cls(
             plant, config, result.models, result.gain,
             {c: LoopSeries(**series) for c, series in zip(order, loops, strict=True)}, **rows,
-            errors={c: Errors(**arrays) for c, arrays in zip(networks, errors, strict=True)},
+            errors={c: ErrorArrays(**arrays) for c, arrays in zip(networks, errors, strict=True)},
             coverage=dict(zip(quantities, coverage, strict=True)), kinds=_by_kind(folder, result.kinds, networks),
         )  # fmt: skip
 

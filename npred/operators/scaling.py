@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 
 
-class Samples(Protocol):
+class SampleArrays(Protocol):
     """The samples that the constants are taken from."""
 
     @property
@@ -74,7 +74,7 @@ class Scaling(nn.Module):
         self.register_buffer("speed", torch.ones(n))
 
     @classmethod
-    def of(cls, data: Samples) -> "Scaling":
+    def of(cls, data: SampleArrays) -> "Scaling":
         """The constants of these samples; the spread of a constant component is taken as one."""
         n, m = data.X.shape[-1], data.u.shape[-1]
         scaling = cls(n, m)
@@ -88,7 +88,7 @@ class Scaling(nn.Module):
         return scaling
 
     @classmethod
-    def of_parts(cls, parts: Callable[[], Iterable[Samples]]) -> "Scaling":
+    def of_parts(cls, parts: Callable[[], Iterable[SampleArrays]]) -> "Scaling":
         """The same constants, to rounding, of samples that come in parts: `parts` is called twice."""
         bend = Moments()
         for part in parts():

@@ -28,7 +28,7 @@ def number() -> int:
 
 
 def device(asked: str) -> str:
-    """The device of this process: of the GPUs of a machine each process has its own."""
+    """The device of this process: each process takes another GPU of the machine."""
     return f"cuda:{os.environ.get('LOCAL_RANK', '0')}" if count() > 1 and asked.startswith("cuda") else asked
 
 

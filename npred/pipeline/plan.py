@@ -9,7 +9,7 @@ from npred.config import Pipeline
 from npred.pipeline import stage_registry
 from npred.pipeline.reasons import NEVER, alike, reason, sentence, settings
 from npred.pipeline.stage_registry import STAGES, Node
-from npred.store import Artifact, Question, Source, SourceText, Store
+from npred.store import Artifact, Question, ResultInput, SourceText, Store
 
 if TYPE_CHECKING:
     from npred.plants import Plant
@@ -86,7 +86,7 @@ class Planner:
     def question(self, node: Node, inputs: Mapping[str, Artifact]) -> Question:
         """The question of a node to the store, its inputs being there."""
         sources = {
-            name: Source(key=artifact.manifest.key, digest=artifact.manifest.digest)
+            name: ResultInput(key=artifact.manifest.key, digest=artifact.manifest.digest)
             for name, artifact in inputs.items()
         }
         return Question(

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from npred import registry
-from npred.config import PAPER, Loop, Network, Pipeline, Table
+from npred.config import PAPER, Loop, Network, Pipeline, Section
 from npred.errors import ConfigError
 from npred.json_files import escaped, regular, sha256
 from npred.parallel import devices
@@ -120,7 +120,7 @@ def _nodes(stage: str, networks: Sequence[str]) -> list[Node]:
     return [Node(stage, model, inputs) for model in (networks if stage == "train" else (None,))]
 
 
-def _dump(section: Table) -> dict[str, Any]:
+def _dump(section: Section) -> dict[str, Any]:
     return _words(section.model_dump(mode="json"))
 
 

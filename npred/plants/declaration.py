@@ -17,7 +17,7 @@ MARKUP = set("$\\")  # what matplotlib would read as mathematics
 
 
 def expected(words: str, cure: str, condition: Callable[[Any], bool] = lambda value: True) -> WrapValidator:
-    """One sentence for a value that is not of the type, or does not meet the condition; its items have their own."""
+    """One sentence for a value that is not of the type, or does not meet the condition; its items have others."""
 
     def check(value: Any, handler: Callable[[Any], Any]) -> Any:
         try:

@@ -32,7 +32,7 @@ SOURCE = """\
 """
 
 # The running mean is summed in double precision, four nodes at a time: that of equal values is exact, and so is the
-# anchor. One lane has loops of its own, for with a stride of one they are SIMD.
+# anchor. One lane has separate loops, for with a stride of one they are SIMD.
 SAMPLE = """\
 for c in range({n}):
     z[c] = REAL((np.arcsinh(X[c, l] * X_bend[c]) - X_zero[c]) * X_gain[c])
@@ -67,7 +67,7 @@ for c in range({n}):
 z[2 * {n} + 1], z[{n}] = z[{n}], ZERO
 """
 
-# Inside the series' range one pass is enough; outside it the point of rest has a pass of its own, before the sample's.
+# Inside the series' range one pass is enough; outside it the point of rest has a separate pass, before the sample's.
 SERIES = """\
 s = (np.float64(D_hat[l]) - {low!r}) * {scale!r} - 1.0
 inside = abs(s) <= 1.0

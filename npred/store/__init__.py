@@ -2,6 +2,17 @@
 
 from npred.store import claims, gc_roots
 from npred.store.artifacts import MARKER, Artifact, Store
-from npred.store.manifest import Manifest, Question, Source, SourceText, short
+from npred.store.manifest import Manifest, Question, ResultInput, SourceText, short
 
-__all__ = ["MARKER", "Artifact", "Manifest", "Question", "Source", "SourceText", "Store", "claims", "gc_roots", "short"]
+__all__ = [
+    "MARKER",
+    "Artifact",
+    "Manifest",
+    "Question",
+    "ResultInput",
+    "SourceText",
+    "Store",
+    "claims",
+    "gc_roots",
+    "short",
+]

@@ -24,7 +24,7 @@ class GcRoot(NamedTuple):
 
     file: Path
     keys: frozenset[str]
-    own: bool
+    by_this_user: bool
 
 
 def register(root: Path, pipeline: Path, keys: Mapping[str, str]) -> None:

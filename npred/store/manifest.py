@@ -64,27 +64,27 @@ Name = Annotated[str, AfterValidator(inside)]
 Line = Annotated[str, AfterValidator(printable)]
 
 
-class Record(BaseModel):
+class ManifestPart(BaseModel):
     """A part of a manifest: frozen, and an unknown field is an error."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class Payload(Record):
+class Payload(ManifestPart):
     """One file of a result."""
 
     sha256: Digest
     size: Annotated[int, Field(ge=0, le=2**60)]
 
 
-class Source(Record):
+class ResultInput(ManifestPart):
     """An input of a result: the digest enters its key, the artifact's key says where it came from."""
 
     key: Digest
     digest: Digest
 
 
-class SourceText(Record):
+class SourceText(ManifestPart):
     """A file of code that a result was made with, as it was then: for people, and for saying what changed since."""
 
     file: Line
@@ -94,14 +94,14 @@ class SourceText(Record):
 Sources = Mapping[str, SourceText]  # by the role that the code has in the pipeline
 
 
-class Question(Record):
+class Question(ManifestPart):
     """All that determines a result; `key` is its sha256."""
 
     stage: Word
     version: int
     model: Word | None
     config: dict[str, Any]
-    inputs: dict[Line, Source]
+    inputs: dict[Line, ResultInput]
 
     @property
     def key(self) -> str:
@@ -111,7 +111,7 @@ class Question(Record):
         return sha256(question | {"inputs": digests})
 
 
-class Manifest(Record):
+class Manifest(ManifestPart):
     """A question and the digests of its answer.
 
     `digest` covers the payload only and is what keys downstream use: an equal answer to another question stops reruns

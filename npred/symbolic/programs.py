@@ -55,7 +55,7 @@ def lines(
     outputs: Vector, bindings: Mapping[str, str], targets: Sequence[str], texts: Mapping[str, str] = {}
 ) -> list[str]:
     """The lines that compute the outputs, results written to `targets`: inputs are read from `bindings` (name to text),
-    those that are not in it from a variable of their own name.
+    those that are not in it from a variable of the same name.
 
     `texts` replaces the text of operations, for another language than Python. Variables are numbered in their order,
     so that the text does not depend on what else is on the tape.

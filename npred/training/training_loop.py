@@ -13,7 +13,7 @@ from npred import randomness
 from npred.config import Training
 from npred.errors import ConfigError, DivergedError
 from npred.operators import Operator, io
-from npred.operators.scaling import Samples
+from npred.operators.scaling import SampleArrays
 from npred.parallel import torchrun
 from npred.training import checkpoint
 from npred.training.checkpoint import Metrics
@@ -36,7 +36,7 @@ class Rows:
     phase: Tensor | None = None
 
     @classmethod
-    def of(cls, data: Samples, device: str = "cpu", nodes: int | None = None, phase: Any = None) -> "Rows":
+    def of(cls, data: SampleArrays, device: str = "cpu", nodes: int | None = None, phase: Any = None) -> "Rows":
         """The samples on a device; P on every s-th node where `nodes` of them are asked for, u on all.
 
         `phase` (N,) is for an operator that sees the clock. Raises ConfigError where `nodes` does not divide the grid.
@@ -76,7 +76,7 @@ class Rows:
         return (self[index] for index in order.split(size))
 
 
-class Source(Protocol):
+class RowSource(Protocol):
     """The source of an epoch's rows."""
 
     def __len__(self) -> int: ...
@@ -93,7 +93,7 @@ class Fit:
     title: str
     operator: Operator
     config: Training
-    train: Source
+    train: RowSource
     test: Rows
     loss: Loss
     seed: int

@@ -67,7 +67,7 @@ def test_wide_adds_the_table_of_stages_the_details_and_the_folder(call: Call):
 def test_a_run_ends_with_the_sentences_one_table_and_the_page(call: Call):
     end = call("run", "tiny.toml").stdout.splitlines()
     assert [line for line in end[:6] if line] == ["Errors.", "Loops.", "Times."]
-    assert end[6].split("  ") == ["predictor", "ε sup", "worst radius", "converged", "µs a call"]
+    assert end[6].split("  ") == ["predictor", "ε sup", "worst radius", "converged", "µs per call"]
     assert [line.split()[0] for line in end[7:10]] == ["DeepONet", "FNO", "generate"]
     assert end[7].split()[1:] == ["0.5", "0.25", "3", "of", "4", "–"]
     assert end[10:] == ["", "report: artifacts/tiny.html"]

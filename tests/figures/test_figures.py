@@ -12,7 +12,7 @@ from result_samples import MAP, RADIUS, scores, timing
 
 from npred import config, figures, plants
 from npred.figures import accuracy, svg
-from npred.figures.evaluation_data import Errors, Evidence, Histogram, LoopSeries
+from npred.figures.evaluation_data import ErrorArrays, Evidence, Histogram, LoopSeries
 from npred.figures.figure import Key, Panel, Plate, write
 from npred.figures.style import MEDIA, ROLES, SCREEN, Look, colours, log, look, medium
 from npred.results import NO_ADAPTATION, NUMERICAL, Contender, ranked
@@ -41,7 +41,7 @@ def found(plant: str = "activator_repressor", lost: bool = False) -> Evidence:
         for name in (NO_ADAPTATION, DEEPONET):
             loops[name].X[50:], loops[name].N[50:] = np.nan, np.inf
     X, D_hat = rng.uniform(0, 1, (60, made.n)), rng.uniform(0.3, 2, 60)
-    errors = {name: Errors(rng.lognormal(size=60), np.sort(rng.lognormal(size=(11, 3)))) for name in NAMES[2:]}
+    errors = {name: ErrorArrays(rng.lognormal(size=60), np.sort(rng.lognormal(size=(11, 3)))) for name in NAMES[2:]}
     by_kind = {kind: {name: rng.lognormal(size=9) for name in errors} for kind in ("nominal", "exploring", "redrawn")}
     edges = np.linspace(0, 1, 11)
     density = {name: rng.uniform(size=10) for name in (NUMERICAL, FNO)}

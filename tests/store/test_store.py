@@ -18,7 +18,7 @@ from conftest import process_environment
 from store_samples import made_at, put, question, tree
 
 from npred.errors import ConfigError, StoreError
-from npred.store import MARKER, Artifact, Manifest, Source, SourceText, Store
+from npred.store import MARKER, Artifact, Manifest, ResultInput, SourceText, Store
 from npred.store.manifest import Question, canonical
 
 HELD = "0" * 64
@@ -57,7 +57,7 @@ def test_a_forced_rerun_keeps_the_old_result_until_the_new_one_is_there(store: S
 def test_golden_key():
     config = '{"D":1.0,"box":[1,2.5],"name":"ε"}'
     text = f'{{"config":{config},"inputs":{{"generate":"{"ab" * 32}"}},"model":null,"stage":"s","version":3}}'
-    source = Source(key="0" * 64, digest="ab" * 32)
+    source = ResultInput(key="0" * 64, digest="ab" * 32)
     asked = Question(stage="s", version=3, model=None, config=json.loads(config), inputs={"generate": source})
     assert asked.key == hashlib.sha256(text.encode()).hexdigest()
     assert asked.key == "5cb4159737b32ca16b5875ee0f0e2e6f0b31db8e11c0381a57aaf4fd9001c933"
@@ -65,7 +65,7 @@ def test_golden_key():
 
 def test_a_key_does_not_depend_on_the_order_of_tables_nor_on_where_inputs_were_made():
     assert question(config={"lr": 1e-3, "seed": 0}).key == question().key
-    assert question(inputs={"generate": Source(key="9" * 64, digest="2" * 64)}).key == question().key
+    assert question(inputs={"generate": ResultInput(key="9" * 64, digest="2" * 64)}).key == question().key
 
 
 @pytest.mark.parametrize(
@@ -77,7 +77,7 @@ def test_a_key_does_not_depend_on_the_order_of_tables_nor_on_where_inputs_were_m
         {"config": {"seed": 1, "lr": 1e-3}},
         {"config": {"seed": 0}},
         {"inputs": {}},
-        {"inputs": {"generate": Source(key="1" * 64, digest="3" * 64)}},
+        {"inputs": {"generate": ResultInput(key="1" * 64, digest="3" * 64)}},
     ],
     ids=str,
 )

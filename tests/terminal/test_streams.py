@@ -74,7 +74,7 @@ def test_without_any_stream_all_is_done(shell: Shell, pipeline: Path):
 def test_a_stream_that_lacks_characters_gets_them_spelt_out(shell: Shell, pipeline: Path, encoding: str, more: str):
     done = shell(f"run tiny.toml {more}", "", PYTHONIOENCODING=encoding)
     assert (done.returncode, stages_of(pipeline)) == (0, 6), done.stderr
-    assert more or r"\u03b5 sup  worst radius  converged  µs a call" in done.stdout
+    assert more or r"\u03b5 sup  worst radius  converged  µs per call" in done.stdout
     assert "Error" not in done.stderr
 
 

@@ -14,7 +14,7 @@ from npred.results import Benched
 from npred.results.bench import Hardware, Stops, Timing
 from npred.stages import Job
 from npred.stages.bench import break_even, candidates, timing, timing_tables
-from npred.stages.bench.candidates import Entry, Reference
+from npred.stages.bench.candidates import Candidate, Reference
 from npred.stages.report import tables
 
 PACKAGES = ("npred", "torch", "numpy", "numba", "onnxruntime")
@@ -49,7 +49,7 @@ def run(job: Job) -> Benched:
     return Benched(rows=rows, calls=config.calls, crossover=crossover, stops=stops, hardware=hardware)
 
 
-def _times(job: Job, config: Bench, entries: list[Entry]) -> dict[str, np.ndarray]:
+def _times(job: Job, config: Bench, entries: list[Candidate]) -> dict[str, np.ndarray]:
     """Nanoseconds of each call of each entry, by label; one group after the other."""
     times: dict[str, np.ndarray] = {}
     ordered = sorted(entries, key=lambda entry: entry.group)
@@ -64,7 +64,7 @@ def _times(job: Job, config: Bench, entries: list[Entry]) -> dict[str, np.ndarra
     return times
 
 
-def _row(entry: Entry, nanoseconds: np.ndarray, eps: float) -> Timing:
+def _row(entry: Candidate, nanoseconds: np.ndarray, eps: float) -> Timing:
     return Timing(
         predictor=entry.predictor, runtime=entry.runtime, dx=1 / (entry.nx - 1), batch=entry.batch,
         matches=entry.matches, device=entry.device, copies=entry.copies, calls=len(nanoseconds),

@@ -12,13 +12,13 @@ from npred.registry import METHODS, NETWORKS
 from npred.results.bench import Crossover, Rival, Timing
 from npred.stages import Job
 from npred.stages.bench import timing
-from npred.stages.bench.candidates import Entry, Reference
+from npred.stages.bench.candidates import Candidate, Reference
 from npred.terminal.progress_bars import counted
 
 STEPS = (10, 210)  # of the two runs whose difference is the cost of f
 
 
-def measure(job: Job, timed: Iterable[tuple[Entry, Timing]], reference: Reference) -> list[Crossover]:
+def measure(job: Job, timed: Iterable[tuple[Candidate, Timing]], reference: Reference) -> list[Crossover]:
     """One row per trained network: its quickest runtime at batch 1 and the first dx, and every method as accurate."""
     single = [
         (entry, row)
@@ -35,7 +35,7 @@ def measure(job: Job, timed: Iterable[tuple[Entry, Timing]], reference: Referenc
     return crossovers
 
 
-def _crossover(job: Job, network: Entry, row: Timing, rivals: list[Entry], reference: Reference) -> Crossover:
+def _crossover(job: Job, network: Candidate, row: Timing, rivals: list[Candidate], reference: Reference) -> Crossover:
     """Both timed in turn. pays_from_ns: the cost of f at which the rival's steps take as long as the network, 0 where
     they do without f.
     """

@@ -28,7 +28,7 @@ FRONT = (4, 10, 20, 50)  # intervals of the compiled methods' coarse end
 
 
 @dataclass(frozen=True)
-class Entry:
+class Candidate:
     """A contender at one grid; `matches` names the network whose accuracy set its grid, or `front`.
 
     `copies` says of a GPU whether samples come from and go to the host's memory in the time that is taken.
@@ -76,7 +76,7 @@ class Reference:
         self.P = RK4(plant)(self.X, grid.refine(self.u, FINE), self.D_hat, self.t)
         self._known: dict[tuple[str, str, int], float] = {}
 
-    def error(self, entry: Entry) -> float:
+    def error(self, entry: Candidate) -> float:
         """sup |P_hat - P| over samples and the entry's nodes."""
         key = entry.predictor, entry.runtime, entry.nx
         if key not in self._known:
@@ -91,7 +91,7 @@ class Reference:
         return float(np.nan_to_num(errors, nan=np.inf, posinf=np.inf).max())
 
 
-def entries(job: Job, reference: Reference) -> list[Entry]:
+def entries(job: Job, reference: Reference) -> list[Candidate]:
     """Every contender. Runtimes whose packages are missing are left out, with a note.
 
     Raises MissingError where none is left.
@@ -101,7 +101,7 @@ def entries(job: Job, reference: Reference) -> list[Entry]:
     networks = {name: operators.load(job.inputs[name], job.plant, config=table) for name, table in tables.items()}
     available, methods = _available(job, config), _methods(job.config)
     ways = {name: _ways(job, name, operator, available) for name, operator in networks.items()}
-    rows: list[Entry] = []
+    rows: list[Candidate] = []
     for batch in config.batches:
         for nx in map(grid.count, config.dx if batch == 1 else config.dx[:1]):
             rows += _numerical(job.plant, methods, nx, batch)
@@ -112,10 +112,10 @@ def entries(job: Job, reference: Reference) -> list[Entry]:
         eps = reference.error(next(e for e in rows if (e.predictor, e.nx) == (name, nx)))
         for rival, kind in methods.items():
             if coarse := matching(reference, kind, eps):
-                rows.append(Entry(rival, "compiled", coarse, 1, kind(job.plant, coarse), name))
+                rows.append(Candidate(rival, "compiled", coarse, 1, kind(job.plant, coarse), name))
     coarse_grids = [(k + 1, rival) for k in FRONT for rival in methods]
     return rows + [
-        Entry(rival, "compiled", nx, 1, methods[rival](job.plant, nx), "front") for nx, rival in coarse_grids
+        Candidate(rival, "compiled", nx, 1, methods[rival](job.plant, nx), "front") for nx, rival in coarse_grids
     ]
 
 
@@ -162,25 +162,25 @@ def _ways(job: Job, name: str, operator: Operator, available: list[str]) -> list
     return [runtime for runtime in available if runtime != "fused"] or ["torch"]
 
 
-def _numerical(plant: Plant, methods: dict[str, type[OneStep]], nx: int, batch: int) -> Iterator[Entry]:
+def _numerical(plant: Plant, methods: dict[str, type[OneStep]], nx: int, batch: int) -> Iterator[Candidate]:
     for name in INTERPRETED.builtin if batch == 1 else ():
         if family_of(plant).refusal(name) is None:
-            yield Entry(name, "python", nx, batch, INTERPRETED.load("bench", name)(plant, nx))
+            yield Candidate(name, "python", nx, batch, INTERPRETED.load("bench", name)(plant, nx))
     for name, kind in methods.items():
-        yield Entry(name, "compiled", nx, batch, kind(plant, nx))
+        yield Candidate(name, "compiled", nx, batch, kind(plant, nx))
 
 
-def _neural(job: Job, operator: Operator, name: str, nx: int, batch: int, available: list[str]) -> Iterator[Entry]:
+def _neural(job: Job, operator: Operator, name: str, nx: int, batch: int, available: list[str]) -> Iterator[Candidate]:
     for runtime in available:
-        yield Entry(name, called(runtime), nx, batch, runtimes.predictor(runtime, job.plant, operator, nx, name))
+        yield Candidate(name, called(runtime), nx, batch, runtimes.predictor(runtime, job.plant, operator, nx, name))
     if job.device != "cpu":
         moved = operators.load(job.inputs[name], job.plant, config=job.config.train.table(name))
         run = runtimes.predictor("torch", job.plant, moved, nx, name, job.device)
         for copies in (True, False):
-            yield Entry(name, "torch", nx, batch, run, device=job.device, copies=copies)
+            yield Candidate(name, "torch", nx, batch, run, device=job.device, copies=copies)
 
 
-def call(job: Job, entry: Entry, count: int) -> Callable[[int], None]:
+def call(job: Job, entry: Candidate, count: int) -> Callable[[int], None]:
     """The k-th call as a loop makes it, on memory that is there: state at the box's corner, u(x) = x, D_hat random."""
     n, m, lanes = job.plant.n, job.plant.m, entry.batch
     X = np.tile(box(job.plant, job.config)[:, :1], (1, lanes))
@@ -197,7 +197,7 @@ def call(job: Job, entry: Entry, count: int) -> Callable[[int], None]:
     return one
 
 
-def _resident(entry: Entry, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray) -> Callable[[int], None]:
+def _resident(entry: Candidate, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray) -> Callable[[int], None]:
     """The call on data in a GPU's memory, up to the end of its work."""
     import torch
 

@@ -49,13 +49,15 @@ def stopped(stops: Stops) -> str:
     """The machine's share in the tails, in a sentence; see timing.stops."""
     if not stops.per_s:
         return "The machine did not stop a thread that only reads the clock: the tails are the predictors'."
-    often = f"{stops.per_s:.0f} times a second, for {stops.median_us:.0f} µs in the median"
+    often = f"{stops.per_s:.0f} times per second, for {stops.median_us:.0f} µs in the median"
     long = f"{1000 / stops.per_s:.1f} µs"
-    return f"The machine stops a thread that only reads the clock {often}: from {long} a call on, p99.9 includes that."
+    return (
+        f"The machine stops a thread that only reads the clock {often}: from {long} per call on, p99.9 includes that."
+    )
 
 
 def _with_sentences(result: Benched, rows: list[dict[str, str]], width: int | None) -> str:
-    title = f"microseconds a call, up to {result.calls} calls, {result.hardware.cpu}"
+    title = f"microseconds per call, up to {result.calls} calls, {result.hardware.cpu}"
     heads = list(rows[0]) if rows else ["predictor"]
     table = columns(heads, [list(row.values()) for row in rows], width, numbers=heads[2:])
     return "\n".join([title, "", table, "", *sentences(result)])

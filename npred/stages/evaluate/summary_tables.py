@@ -25,7 +25,7 @@ def table(result: Evaluated, width: int | None = None, microseconds: Mapping[Con
     head = ["predictor", "ε sup", "worst radius", "converged"]
     rows = [[contender.label, *_cells(scores)] for contender, scores in result.models.items()]
     if microseconds is not None:
-        head.append("µs a call")
+        head.append("µs per call")
         for contender, row in zip(result.models, rows, strict=True):
             row.append(f"{microseconds[contender]:.1f}" if contender in microseconds else "–")
     return columns(head, rows, width, numbers=head[1:])

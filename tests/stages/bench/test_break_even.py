@@ -10,13 +10,13 @@ from npred import plants
 from npred.predictors import RK4, Euler
 from npred.results.bench import Crossover
 from npred.stages.bench import break_even, candidates
-from npred.stages.bench.candidates import Entry
+from npred.stages.bench.candidates import Candidate
 
 PLANT = plants.resolve("scalar")
 
 
 def entry(name, runtime, nx, run=None, matches=None):
-    return Entry(name, runtime, nx, 1, run or RK4(PLANT, nx), matches)
+    return Candidate(name, runtime, nx, 1, run or RK4(PLANT, nx), matches)
 
 
 def test_break_even_is_where_both_take_as_long(tmp_path, monkeypatch):

@@ -19,7 +19,7 @@ def test_the_table_says_who_errs_how_much_and_whose_loops_converge():
 
 def test_times_are_in_it_where_they_are_given():
     rows = summary_tables.table(RESULT, None, {NUMERICAL: 1.25, Contender("fno"): 1234.5}).splitlines()
-    assert rows[0].endswith("µs a call")
+    assert rows[0].endswith("µs per call")
     assert [row.split()[-1] for row in rows[1:]] == ["1.2", "–", "–", "–", "1234.5"]
 
 
