@@ -73,7 +73,7 @@ def _constant(text, kind):
 @intrinsic
 def _wide(context):
     def code(context, builder, signature, arguments):
-        set.add(builder.function.attributes, '"prefer-vector-width"="512"')  # its add knows no such attribute
+        set.add(builder.function.attributes, '"prefer-vector-width"="512"')  # its own add knows no such attribute
         return context.get_dummy_value()
 
     return types.void(), code
