@@ -102,7 +102,7 @@ def status(
     *,
     check: Annotated[bool, typer.Option("--check", help="Read every file; exit 3 unless all is fresh.")] = False,
 ) -> None:
-    """What is fresh, stale or missing."""
+    """The state of each result: fresh, stale or missing."""
 
 
 @command(LOOK, "inspect.why")
@@ -111,7 +111,7 @@ def why(
     *,
     stage: Annotated[str, typer.Argument(help="A stage, or a network.", autocompletion=completion.stages)],
 ) -> None:
-    """Why a stage would run again: what changed, before -> after."""
+    """The reason that a stage would run again: what changed, before -> after."""
 
 
 @command(LOOK, "inspect.show")
@@ -127,7 +127,7 @@ def show(
         ),
     ] = None,
 ) -> None:
-    """What is inside a result: question, files, answer."""
+    """The content of a result: question, files, answer."""
 
 
 @command(LOOK, "inspect.ls")
@@ -148,7 +148,7 @@ def diff(
     a: Annotated[str, typer.Argument(metavar="A", help="A result, as for show.", autocompletion=completion.artifacts)],
     b: Annotated[str, typer.Argument(metavar="B", help="Another.", autocompletion=completion.artifacts)],
 ) -> None:
-    """How two results differ: in their questions, and in their answers."""
+    """The differences of two results: in their questions, and in their answers."""
 
 
 @app.command("help", cls=Command, rich_help_panel=LOOK)
@@ -158,7 +158,7 @@ def help_(
         list[str] | None, typer.Argument(metavar="[COMMAND]...", help="As `run` or `plants check`.")
     ] = None,
 ) -> None:
-    """What a command does, with its flags; all commands without a name."""
+    """The help of a command, with its flags; all commands without a name."""
     root = context.find_root()
     root.command.main([*(words or []), "--help"], prog_name=root.info_name, standalone_mode=False)
 
@@ -188,7 +188,7 @@ def check(
         int | None, typer.Option(help="Nodes of the prediction; dx = 0.01 is 101; the pipeline's, else 101.")
     ] = None,
 ) -> None:
-    """What is right and wrong with a plant, in words; exit 3 where an answer is no."""
+    """Check a plant, one answer per question; exit 3 where an answer is no."""
 
 
 @command(RUN, "scaffold.init")
@@ -298,7 +298,7 @@ def gc(
         str, typer.Option(help="auto, cpu, cuda or cuda:N, as in the runs to keep.", autocompletion=completion.devices)
     ] = "auto",
 ) -> None:
-    """What no pipeline needs: the plan first, deleted with --yes."""
+    """Delete what no pipeline needs: the plan first, deleted with --yes."""
 
 
 @command(CARE, "store_admin.export_artifact")

@@ -42,7 +42,7 @@ class Artifact:
 
     @cached_property
     def made(self) -> float:
-        """When it was made, in seconds since 1970: what the manifest says, so that a copy is as old as its original.
+        """The time when it was made, in s since 1970: what the manifest says, so that a copy is as old as its original.
 
         The time of the file counts where the manifest of an older npred has none, or one that is still to come.
         """

@@ -182,7 +182,7 @@ class Manifest(ManifestPart):
 
     @property
     def made(self) -> float | None:
-        """When it was made, in seconds since 1970; None in a manifest of an older npred."""
+        """The time when it was made, in seconds since 1970; None in a manifest of an older npred."""
         try:
             return datetime.fromisoformat(self.provenance.get(MADE) or "").timestamp()
         except (ValueError, OverflowError):
