@@ -64,6 +64,6 @@ def test_what_is_no_runtime_is_refused(mine, name, words):
     with pytest.raises(ConfigError, match=words):
         runtimes.predictor(name.format(folder=Path(mine).parent), PLANT, operator(SMALL[0]))
     with pytest.raises(
-        ConfigError, match=r"bench.runtimes.1: expected torch, fused, onnx, .* got 'fusd'; did you mean fused"
+        ConfigError, match=r"bench.runtimes\[1\]: expected torch, fused, onnx, .* got 'fusd'; did you mean fused"
     ):
         config.parse(tables(bench={"runtimes": ["torch", "fusd"]}), "tests")
