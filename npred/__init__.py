@@ -17,14 +17,23 @@ if TYPE_CHECKING:
     from npred.loop.adaptation import DelayAdaptation as DelayAdaptation
     from npred.loop.closed_loop import simulate as simulate
     from npred.loop.delay_law import DelayLaw as DelayLaw
+    from npred.loop.delay_observer import DelayObserver as DelayObserver
+    from npred.loop.l1_adaptation import L1Adaptation as L1Adaptation
+    from npred.loop.measurement import Measurement as Measurement
     from npred.predictors import Predictor as Predictor
 
 __version__ = "0.1.0"
-__all__ = ["DelayAdaptation", "DelayLaw", "Predictor", "controller", "load", "plant", "predictor", "simulate"]
+__all__ = [
+    "DelayAdaptation", "DelayLaw", "DelayObserver", "L1Adaptation", "Measurement", "Predictor", "controller", "load",
+    "plant", "predictor", "simulate",
+]  # fmt: skip
 
 _HOME = dict.fromkeys(__all__, "api") | {
     "DelayAdaptation": "loop.adaptation",
     "DelayLaw": "loop.delay_law",
+    "DelayObserver": "loop.delay_observer",
+    "L1Adaptation": "loop.l1_adaptation",
+    "Measurement": "loop.measurement",
     "Predictor": "predictors",
     "simulate": "loop.closed_loop",
 }

@@ -173,7 +173,11 @@ INTERPRETED = Registry(  # to compare with: no pipeline predicts by them
 DELAY_LAWS = Registry(
     "adaptation",
     "npred.delay_laws",
-    {"bresch-pietri-krstic": Entry("npred.loop.adaptation:DelayAdaptation", "Bresch-Pietri and Krstic")},
+    {
+        "bresch-pietri-krstic": Entry("npred.loop.adaptation:DelayAdaptation", "Bresch-Pietri and Krstic"),
+        "l1": Entry("npred.loop.l1_adaptation:L1Adaptation", "L1"),
+        "delay-observer": Entry("npred.loop.delay_observer:DelayObserver", "delay observer"),
+    },
 )
 RUNTIMES = Registry(
     "runtime",

@@ -2,11 +2,12 @@
 
 from npred.delays.arrays import ArrayFamily
 from npred.delays.constant import ConstantDelay
+from npred.delays.declared import DeclaredDelay
 from npred.delays.family import Family
 from npred.delays.per_input import DelayPerInput
 from npred.plants.base import Plant
 
-FAMILIES: tuple[type[Family], ...] = (ArrayFamily, ConstantDelay, DelayPerInput)
+FAMILIES: tuple[type[Family], ...] = (ArrayFamily, ConstantDelay, DeclaredDelay, DelayPerInput)
 
 
 def family_of(plant: Plant) -> Family:

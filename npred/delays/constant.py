@@ -124,7 +124,7 @@ class ConstantDelay(Family):
 
     @staticmethod
     def serves(plant: Plant) -> bool:
-        return plant.traced and plant.one_delay
+        return plant.traced and plant.one_delay and not plant.declares_delay
 
     def sweep(self, step: Step) -> Kernel:
         return family.build("sweep", family.PREDICT, *self.source(step))
@@ -134,11 +134,7 @@ class ConstantDelay(Family):
         n, m, trace = self.plant.n, self.plant.m, called_functions.trace(self.plant)
         x, (u0, um, u1) = trace.vector("x", n), (trace.vector(name, m) for name in ("a", "m", "b"))
         y = step(trace.f, x, u0, um, u1, trace.input("t"), trace.input("h"))
-        bindings = {"t": "(t + j * h)"}
-        for k in range(m):
-            middle = " + ".join(f"w{i} * u[{i}, {k}, l]" for i in "abcd")
-            middle = f"({middle} + linear * (u[j, {k}, l] + u[j + 1, {k}, l]))"
-            bindings |= {f"a{k}": f"u[j, {k}, l]", f"b{k}": f"u[j + 1, {k}, l]", f"m{k}": middle}
+        bindings = {"t": "(t + j * h)"} | input_lines(m)
         scalar = programs.lines(y, bindings, [f"y{k}" for k in range(n)])
         scalar += [f"x{k} = P[j + 1, {k}, l] = y{k}" for k in range(n)]
         target = [f"P[j + 1, {k}, l]" for k in range(n)]
@@ -193,6 +189,16 @@ class ConstantDelay(Family):
         parts = {name: advance_lines(trace, step, f"{U}[{{0}}, l]") for name, U in (("first", "U0"), ("second", "U1"))}
         source = kernels.fill(ADVANCE, parameters=kernels.parameters(len(self.plant.p)), **parts)
         return family.build("advance", family.ADVANCE, source, called_functions.imports(trace))
+
+
+def input_lines(m: int) -> dict[str, str]:
+    """The texts of the inputs at the begin a, the middle m and the end b of a cell; WEIGHTS stand before them."""
+    bindings = {}
+    for k in range(m):
+        middle = " + ".join(f"w{i} * u[{i}, {k}, l]" for i in "abcd")
+        middle = f"({middle} + linear * (u[j, {k}, l] + u[j + 1, {k}, l]))"
+        bindings |= {f"a{k}": f"u[j, {k}, l]", f"b{k}": f"u[j + 1, {k}, l]", f"m{k}": middle}
+    return bindings
 
 
 def advance_lines(trace: Trace, step: Step, U: str) -> list[str]:

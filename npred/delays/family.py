@@ -22,18 +22,30 @@ PREDICT = "X, u, D_hat, t, p, P"
 CONTROL = "P, u, D_hat, t, p, U"
 UPDATE = "P, X, u, D_hat, t, p, b, phi, N"  # u at the nodes
 ADVANCE = "X, U0, U1, share, dt, t, p"  # in place: the delayed input U0 for the first `share` of a step, then U1
+HORIZON = "X, t, p, ratios, D_hat, D"  # the delay of each input, and the longest as D_hat where the plant declares it
+SPEED = "X, U, t, p, speed"  # of phi(t) = t - D with U acting, 1 - D_X f - D_t
+OBSERVE = "k, dt, X, held, t, p, law, memory, D_hat"  # of laws that estimate D_hat themselves; D_hat is written
 LANE, ROWS, NODES = "float64[::1]", "float64[:,::1]", "float64[:,:,::1]"  # (B,), (n, B) or (m, B), (nx, n or m, B)
 TYPES = {
     **dict.fromkeys(("t", "dt", "b"), "float64"),
-    **dict.fromkeys(("D_hat", "p", "phi", "N"), LANE),
-    **dict.fromkeys(("X", "U", "U0", "U1", "share"), ROWS),
-    **dict.fromkeys(("u", "P"), NODES),
+    **dict.fromkeys(("D_hat", "p", "phi", "N", "ratios", "law"), LANE),
+    **dict.fromkeys(("X", "U", "U0", "U1", "share", "D", "speed", "memory"), ROWS),
+    **dict.fromkeys(("u", "P", "held"), NODES),
+    "k": "int64",
 }
 
 
 def signature(arguments: str) -> str:
     """Numba's signature of a kernel with these arguments, as PREDICT."""
     return f"void({', '.join(TYPES[name] for name in arguments.split(', '))})"
+
+
+def pointer(kernel: Any) -> Any:
+    """The type of a pointer to a kernel, from its signature, in which form the one engine takes it."""
+    from numba import types
+    from numba.core.sigutils import normalize_signature
+
+    return types.FunctionType(types.void(*normalize_signature(kernel)[0]))
 
 
 def build(name: str, arguments: str, body: str, preamble: str = "", **flags: Any) -> Kernel:
@@ -111,6 +123,14 @@ class Family(ABC):
         """UPDATE, the paper's law for D_hat: phi [DAPF, eq. 12] and N = 1 + V + b ∫ (1+x) w²."""
         self.needs("adaptation")
         raise NotImplementedError
+
+    def horizon(self) -> Kernel | None:
+        """HORIZON of a plant that declares its delay, else None."""
+        return None
+
+    def speed(self) -> Kernel | None:
+        """SPEED of a plant that declares its delay, else None."""
+        return None
 
     @abstractmethod
     def advance(self, step: Step) -> Kernel:

@@ -6,6 +6,7 @@ before k. D (m, B) has one delay per input.
 """
 
 import math
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -59,7 +60,7 @@ def transport(
             for l in range(lanes):
                 s = k - edge * span[l]
                 sum_s = _sum_to(s, held, total, c, l, wrap)
-                u[j, c, l] = (sum_s - sum_before[l]) / (s - before[l])
+                u[j, c, l] = (sum_s - sum_before[l]) / (s - before[l]) if s > before[l] else held[(k - 1) % rows, c, l]
                 before[l], sum_before[l] = s, sum_s
                 position = k - node * span[l]
                 i = min(int(position + ROUNDING), k - 1)
@@ -87,10 +88,37 @@ def actuate(
             U1[c, l] = held[(i + 1) % rows, c, l]
 
 
-def history(D: np.ndarray, dt: float, u0: np.ndarray) -> tuple[int, np.ndarray, np.ndarray]:
-    """The first step's number and the ring buffers for delays D (m, B), filled with the input u0 (m, B) of t < 0."""
-    rows = int(np.max(D) / dt) + 4
-    held = np.empty((rows, *D.shape))
+@njit  # compiled into the engine
+def retime(k: int, dt: float, D: Any, speed: Any, held: Any, U1: Any, share: Any) -> None:
+    """The same where the delay changes during the step: phi(t) = t - D passes the commands at that speed.
+
+    The first switch comes when phi has passed the rest of its control step; all that follows it is U1, the mean of the
+    commands over what is left. A speed that is not positive, at a jump of the delay say, holds U0.
+    """
+    rows = held.shape[0]
+    for c in range(D.shape[0]):
+        for l in range(D.shape[1]):
+            s = k - D[c, l] / dt
+            i = math.floor(s + ROUNDING)
+            rest = 1.0 - (s - i if s - i > ROUNDING else 0.0)
+            share[c, l] = 1.0
+            if speed[c, l] > rest:
+                share[c, l] = rest / speed[c, l]
+                left, total, i = speed[c, l] - rest, 0.0, i + 1
+                mean = held[min(i, k) % rows, c, l]
+                while left > 1.0 and i < k:
+                    total, left, i = total + held[i % rows, c, l], left - 1.0, i + 1
+                    mean = (total + left * held[i % rows, c, l]) / (speed[c, l] - rest)
+                U1[c, l] = mean
+
+
+def history(before: float, longest: float, dt: float, u0: np.ndarray) -> tuple[int, np.ndarray, np.ndarray]:
+    """The first step's number and the ring buffers, filled with u0 (m, B) of t < 0.
+
+    They reach back to `before` seconds before t = 0, and to `longest` seconds at any time.
+    """
+    origin, rows = int(before / dt) + 3, int(max(before, longest) / dt) + 4
+    held = np.empty((rows, *u0.shape))
     held[:] = u0
-    total = np.arange(rows, dtype=float)[:, None, None] * held - (rows - 1) * held
-    return rows - 1, held, total
+    steps = np.arange(rows, dtype=float)[:, None, None]
+    return origin, held, steps * held - origin * held

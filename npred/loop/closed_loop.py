@@ -1,103 +1,40 @@
 """Closed loops of plant, actuator, predictor and delay adaptation, simulated side by side [DAPF, eqs. 6-14]."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from npred import array_checks
-from npred.delays import family
+from npred.delays import family, family_of
 from npred.errors import ConfigError
-from npred.loop import actuator, engine, loop_checks, trajectory_views
+from npred.loop import engine, loop_checks
+from npred.loop import measurement as sensing
+from npred.loop.actuator import actuate, history, transport
 from npred.loop.delay_law import DelayLaw, Part, part
+from npred.loop.measurement import Measurement
+from npred.loop.trajectories import Samples, Trajectories, of_record
 from npred.plants import inputs
 from npred.plants.base import Plant
 from npred.predictors import Compiled, OneStep, Predictor
 
+__all__ = ["Samples", "Trajectories", "simulate"]
+
 LANES = 64  # loops per chunk: with more, their memory leaves the second-level cache
 NEURAL_LANES = 512  # a network's call has a fixed cost to share
-LOOPS = ("X", "U", "D_hat", "N", "energy", "escaped", "P")  # of Trajectories: arrays whose first axes are the batch
 BLOCK = 500  # control steps between two reports of progress
-
-
-@dataclass(frozen=True)
-class Samples:
-    """(X, u, D_hat) of each loop at chosen steps: X (..., S, n), u (..., S, nx, m), D_hat (..., S)."""
-
-    X: np.ndarray
-    u: np.ndarray
-    D_hat: np.ndarray
-
-
-@dataclass(frozen=True, repr=False)
-class Trajectories:
-    """Closed loops: t (nt,) in seconds, X and P (..., nt, n), U (..., nt, m), D_hat, N and energy (..., nt).
-
-    P is the prediction at x = 1, P(1, t), for X(t + D_hat); NaN in the open loop.
-    N = 1 + V + b ∫₀¹ (1+x) w² dx, NaN without adaptation; energy = ∫_{t-D}^t |U - U*|² ds; see npred.loop.lyapunov.
-    `escaped` (...) is the first step whose state is not finite, or -1; `states`, `inputs`, `time_unit`, `labels` and
-    `units` are the plant's. print(loop) gives the ranges and ends of all series.
-    """
-
-    t: np.ndarray
-    X: np.ndarray
-    U: np.ndarray
-    D_hat: np.ndarray
-    N: np.ndarray
-    energy: np.ndarray
-    escaped: np.ndarray
-    samples: Samples
-    P: np.ndarray
-    states: tuple[str, ...] = ()
-    inputs: tuple[str, ...] = ()
-    time_unit: str = "s"
-    labels: Mapping[str, str] | None = None
-    units: Mapping[str, str] | None = None
-
-    def __repr__(self) -> str:
-        return trajectory_views.summary(self)
-
-    def plot(self, D: Any = None) -> Any:
-        """States, inputs and D_hat over time, a panel each, all loops in each; `D` (...) adds the true delay, dashed.
-
-        Gives matplotlib's axes (n + m + 1,); their figure is `axes[0].figure`, shown by matplotlib.pyplot.show().
-        """
-        return trajectory_views.plot(self, D)
-
-    def to_dataframe(self) -> Any:
-        """A pandas DataFrame: a row per kept time, a column per state and input, and D_hat; the index is t in seconds.
-
-        A batch's index has the loop's number along each axis before t. A name that stands twice gets its letter in
-        front, as `X.h` and `U.h`. Raises MissingError where pandas is not installed.
-        """
-        return trajectory_views.dataframe(self)
-
-    def part(self, rows: slice) -> "Trajectories":
-        """The loops `rows` of a batch with one axis."""
-        cut = {name: getattr(self, name)[rows] for name in LOOPS}
-        taken = {f.name: getattr(self.samples, f.name)[rows] for f in fields(Samples)}
-        return replace(self, samples=Samples(**taken), **cut)
-
-    @classmethod
-    def joined(cls, parts: Sequence["Trajectories"]) -> "Trajectories":
-        """The loops of several batches of one axis and the same times, one batch after the other."""
-
-        def join(of: Sequence[Any], names: Sequence[str]) -> dict[str, np.ndarray]:
-            return {name: np.concatenate([getattr(part, name) for part in of]) for name in names}
-
-        samples = Samples(**join([part.samples for part in parts], [f.name for f in fields(Samples)]))
-        return replace(parts[0], samples=samples, **join(parts, LOOPS))
+MEASURED, HISTORY = "measured", "history"  # where the controller has the actuator state from
 
 
 def simulate(
     plant: Plant,
     predictor: Predictor | None,
     *,
-    D: Any,
-    D_hat: Any,
+    D: Any = None,
+    D_hat: Any = None,
     X0: Any,
     t_end: float,
     dt: float = 0.005,
@@ -106,6 +43,10 @@ def simulate(
     u0: Any = None,
     every: int = 1,
     samples: np.ndarray | None = None,
+    actuator: str = "measured",
+    measurement: Measurement | None = None,
+    truth: Plant | None = None,
+    disturbance: Callable[[float], Any] | None = None,
     integrator: str = "rk4",
     progress: Callable[[int], Any] | bool | None = None,
 ) -> Trajectories:
@@ -119,27 +60,66 @@ def simulate(
     is kept; `samples` (..., S) are sorted steps whose (X, u, D_hat) are kept too. `integrator` advances the plant.
     `progress=True` shows a bar of the loop steps done, in a terminal or a notebook; a function gets their number.
     A loop that leaves the finite numbers goes on as NaN and leaves the others alone.
+
+    D may be a function of t in seconds, a delay that drifts or jumps. A plant that declares `delay` takes neither D nor
+    D_hat; where commands would overtake each other its loop is marked (`infeasible`) and ends. `actuator="history"`: u
+    is not measured, and the controller reads its own commands at D_hat. `measurement` is what it sees of X. `truth` is
+    the simulated plant where that is not the controller's model, and `disturbance(t)` (m,) adds to its input.
     Raises ConfigError for delays, bounds, times, shapes or a predictor that do not fit.
     """
     loop_checks.parts(plant, predictor, adaptation, every)
-    X0, D, D_hat = (array_checks.floats(name, a) for name, a in (("X0", X0), ("D", D), ("D_hat", D_hat)))
+    loop_checks.reality(plant, adaptation, D, D_hat, actuator, measurement, truth, disturbance)
+    X0 = array_checks.floats("X0", X0)
+    if plant.declares_delay:
+        loop_checks.start(plant, X0)
+        D = D_hat = _declared(truth or plant, X0)
+    table = _tabulated(D, t_end, dt) if callable(D) else None
+    D, D_hat = (array_checks.floats(name, a) for name, a in (("D", D if table is None else table[0]), ("D_hat", D_hat)))
     loop_checks.numbers(plant, X0, D, D_hat, t_end, dt, adaptation)
     shape = array_checks.batch(X0=X0.shape[:-1], D=D.shape, D_hat=D_hat.shape)
     if 0 in shape:
         raise ConfigError(f"X0, D, D_hat: expected at least one loop, got a batch of shape {shape}; give one a start")
     X0 = np.broadcast_to(X0, (*shape, plant.n)).reshape(-1, plant.n)
     D, D_hat = (np.broadcast_to(a, shape).reshape(-1) for a in (D, D_hat))
+    delays = np.zeros((0, len(D)))
+    if table is not None:
+        padded = table.reshape(len(table), *(1,) * (len(shape) - table.ndim + 1), *table.shape[1:])
+        delays = np.broadcast_to(padded, (len(table), *shape)).reshape(-1, len(D))
     loop_checks.room(plant, D, t_end, dt, every)
     sample_steps = loop_checks.samples(samples, shape, round(t_end / dt))
     limits, method = inputs.bounds(plant, input_bounds), loop_checks.integrator(integrator)
     held = inputs.before(plant, u0, limits, X0)
-    loop = _Simulation(plant, predictor, adaptation, limits, dt, t_end, every, method)
+    loop = _Simulation(
+        plant, predictor, adaptation, limits, dt, t_end, every, method, actuator == HISTORY,
+        measurement or Measurement(), truth or plant, disturbance,
+    )  # fmt: skip
     width = LANES if loop.compiled else NEURAL_LANES
     chunks = [slice(i, i + width) for i in range(0, len(D), width)]
     with _counted(progress, len(D) * (round(t_end / dt) + 1)) as count:
-        records = [loop.run(X0[c], D[c], D_hat[c], held[c], sample_steps[c], count) for c in chunks]
+        records = [
+            loop.run(X0[c], D[c], D_hat[c], held[c], sample_steps[c], delays[:, c], c.start, count) for c in chunks
+        ]
     joined = engine.Record(*(np.concatenate(parts, axis=-1) for parts in zip(*records, strict=True)))
-    return _trajectories(joined, shape, dt * every, plant)
+    return of_record(joined, shape, dt * every, plant)
+
+
+def _declared(plant: Plant, X0: np.ndarray) -> np.ndarray:
+    """D(X0, 0), (...)."""
+    X = np.array(X0.reshape(-1, plant.n).T, order="C")
+    D_hat, D = np.empty(X.shape[1]), np.empty((plant.m, X.shape[1]))
+    horizon = family_of(plant).horizon()
+    assert horizon is not None
+    horizon(X, 0.0, plant.p, plant.ratios, D_hat, D)
+    return D_hat.reshape(X0.shape[:-1])
+
+
+def _tabulated(D: Callable[[float], Any], t_end: float, dt: float) -> np.ndarray:
+    """D(t) at the control steps and one further, (steps + 1, ...)."""
+    values = [array_checks.floats("D(t)", D(k * dt)) for k in range(round(t_end / dt) + 2)]
+    array_checks.batch(**{f"D({k * dt:g})": value.shape for k, value in enumerate(values)})
+    table = np.stack(np.broadcast_arrays(*values))
+    array_checks.delays("D(t)", table)
+    return table
 
 
 @contextmanager
@@ -169,30 +149,39 @@ class _Simulation:
     t_end: float
     every: int
     integrator: type[OneStep]
+    recalls: bool
+    measurement: Measurement
+    truth: Plant
+    disturbance: Callable[[float], Any] | None
 
     @cached_property
     def law(self) -> Part:
         """The kernels of U and of D_hat's rate; the open loop has U = 0."""
         if self.predictor is None:
-            return part(self.plant, None)._replace(control=family.idle(family.CONTROL))
-        return part(self.plant, self.adaptation)
+            return part(self.plant, None, self.dt)._replace(control=family.idle(family.CONTROL))
+        return part(self.plant, self.adaptation, self.dt)
 
     @property
     def compiled(self) -> bool:
         """True if all parts are kernels; else the same loop runs in Python around those that are."""
-        parts = self.plant.traced and self.law.compiled
+        parts = self.plant.traced and self.truth.traced and self.law.compiled and self.measurement.observer is None
         return parts and (self.predictor is None or isinstance(self.predictor, Compiled))
 
     def run(
-        self, X0: np.ndarray, D: np.ndarray, D_hat: np.ndarray, u0: np.ndarray, samples: np.ndarray, progress: Any
-    ) -> engine.Record:
-        """Simulate one chunk of loops: X0 (B, n), D and D_hat (B,), u0 (B, m), samples (B, S)."""
+        self, X0: np.ndarray, D: np.ndarray, D_hat: np.ndarray, u0: np.ndarray, samples: np.ndarray,
+        delays: np.ndarray, first: int, progress: Any,
+    ) -> engine.Record:  # fmt: skip
+        """One chunk of loops: X0 (B, n), D, D_hat (B,), u0 (B, m), samples (B, S), delays (steps + 1 or 0, B).
+
+        `first` is the number of the chunk's first loop in the batch.
+        """
         lanes, nx = len(D), 2 if self.predictor is None else self.predictor.nx
         count = round(self.t_end / self.dt) + 1
-        origin, state = self._state(X0, D, D_hat, u0, nx)
-        settings, out = self._settings(samples), self._record(count, samples.shape[1], nx, lanes)
+        origin, held, total = history(*self._reach(D, D_hat, delays), self.dt, u0.T)
+        state = self._state(X0, D, D_hat, held, total, nx)
+        settings, out = self._settings(samples, delays, first), self._record(count, samples.shape[1], nx, lanes)
         parts = self._parts()
-        steps = engine.compiled_steps if self.compiled else engine.steps
+        steps: Any = engine.compiled_steps if self.compiled else engine.steps
         for start in range(0, count, BLOCK):
             stop = min(start + BLOCK, count)
             with np.errstate(all="ignore"):  # a loop that leaves the finite numbers is NaN from there on
@@ -201,13 +190,31 @@ class _Simulation:
                 progress((stop - start) * lanes)
         return out
 
-    def _parts(self) -> tuple[Any, Any, Any, Any, Any, Any]:
-        """The six sentences of a control step, on lanes."""
-        advance = engine.advance_kernel(self.plant, self.integrator)
-        predict = family.idle(family.PREDICT) if self.predictor is None else self.predictor.lanes()
-        return actuator.transport, predict, self.law.control, self.law.update, actuator.actuate, advance
+    def _reach(self, D: np.ndarray, D_hat: np.ndarray, delays: np.ndarray) -> tuple[float, float]:
+        """How far back commands may be read, in seconds: before t = 0, and at any time."""
+        spans = [D.max(), delays.max(initial=0.0)]
+        if self.recalls or self.law.memory > 1:
+            spans += [D_hat.max(), self.law.bounds[1] if self.adaptation else 0.0]
+        before = float(max(spans)) + self.measurement.delay
+        return before, before + (self.t_end if self.plant.declares_delay else 0.0)  # phi(t) = t - D only rises
 
-    def _settings(self, samples: np.ndarray) -> engine.Settings:
+    def _parts(self) -> tuple[Any, ...]:
+        """The sentences of a control step, on lanes."""
+        idle, model, truth = family.idle, family_of(self.plant), family_of(self.truth)
+        believe = model.horizon() or (engine.own_history if self.recalls else idle(family.HORIZON))
+        horizon, pace = truth.horizon() or idle(family.HORIZON), truth.speed() or idle(family.SPEED)
+        estimate = sensing.observed(self.measurement.observer) if self.measurement.observer else sensing.estimate
+        predict = idle(family.PREDICT) if self.predictor is None else self.predictor.lanes()
+        advance, expect = (engine.advance_kernel(plant, self.integrator) for plant in (self.truth, self.plant))
+        law = self.law
+        return (
+            horizon, estimate, law.observe, believe, transport, predict, law.control, law.update, actuate, pace,
+            advance, expect,
+        )  # fmt: skip
+
+    def _settings(self, samples: np.ndarray, delays: np.ndarray, first: int) -> engine.Settings:
+        m, count = self.plant.m, round(self.t_end / self.dt) + 1
+        pushes = [self.disturbance((k + 0.5) * self.dt) for k in range(count)] if self.disturbance else []
         return engine.Settings(
             dt=self.dt,
             every=self.every,
@@ -215,42 +222,42 @@ class _Simulation:
             gamma_dt=self.law.gamma * self.dt,
             bounds=self.law.bounds,
             input_bounds=self.input_bounds,
-            u_star=self.plant.u_equilibrium if self.plant.rests else np.zeros(self.plant.m),
+            u_star=self.plant.u_equilibrium if self.plant.rests else np.zeros(m),
             p=self.plant.p,
             samples=np.array(samples.T, order="C"),
+            ratios=self.plant.ratios,
+            law=self.law.settings,
+            truth_p=self.truth.p,
+            delays=np.array(delays[:, None, :] * self.plant.ratios[:, None], order="C"),
+            disturbance=np.array([loop_checks.push(d, m) for d in pushes]).reshape(-1, m),
+            moves=self.truth.declares_delay,
+            senses=not self.measurement.perfect,
+            sensor=sensing.sensor(self.measurement, self.dt, first),
         )
 
     def _state(
-        self, X0: np.ndarray, D: np.ndarray, D_hat: np.ndarray, u0: np.ndarray, nx: int
-    ) -> tuple[int, engine.State]:
+        self, X0: np.ndarray, D: np.ndarray, D_hat: np.ndarray, held: np.ndarray, total: np.ndarray, nx: int
+    ) -> engine.State:
         n, m, lanes, D = self.plant.n, self.plant.m, len(D), self.plant.ratios[:, None] * D
-        origin, held, total = actuator.history(D, self.dt, u0.T)
-        state = engine.State(
-            X=np.array(X0.T, order="C"), D=D, D_hat=np.array(D_hat), held=held, total=total,
+        X, age = np.array(X0.T, order="C"), round(self.measurement.delay / self.dt)
+        reads_commands = self.recalls or self.plant.declares_delay
+        return engine.State(
+            X=X, X_hat=X if self.measurement.perfect else X.copy(), D=D, D_seen=D.copy() if reads_commands else D,
+            longest=np.zeros(lanes), speed=np.ones((m, lanes)), memory=np.full((self.law.memory, lanes), np.nan),
+            Y=np.empty((n, lanes)), past=np.empty((age + 1, n, lanes)), due=np.zeros(lanes),
+            sampled=np.zeros(lanes, dtype=np.int64), D_hat=np.array(D_hat), held=held, total=total,
             u=np.empty((nx, m, lanes)), u_nodes=np.empty((nx, m, lanes)), P=np.full((nx, n, lanes), np.nan),
             U=np.zeros((m, lanes)), phi=np.zeros(lanes), phi_before=np.full(lanes, np.nan), N=np.full(lanes, np.nan),
             U0=np.empty((m, lanes)), U1=np.empty((m, lanes)), share=np.empty((m, lanes)),
             drawn=np.zeros(lanes, dtype=np.int64),
         )  # fmt: skip
-        return origin, state
 
     def _record(self, count: int, samples: int, nx: int, lanes: int) -> engine.Record:
         n, m, rows = self.plant.n, self.plant.m, (count - 1) // self.every + 1
         series = {"X": (rows, n), "P": (rows, n), "U": (rows, m), "D_hat": (rows,), "N": (rows,), "energy": (rows,)}
         taken = {"sample_X": (samples, n), "sample_u": (samples, nx, m), "sample_D_hat": (samples,)}
         arrays = {name: np.full((*shape, lanes), np.nan) for name, shape in (series | taken).items()}
-        return engine.Record(**arrays, escaped=np.full(lanes, -1, dtype=np.int64))
-
-
-def _trajectories(r: engine.Record, shape: tuple[int, ...], step: float, plant: Plant) -> Trajectories:
-    def lead(a: np.ndarray) -> np.ndarray:
-        """Lanes last to the batch's shape first."""
-        return np.moveaxis(a, -1, 0).reshape((*shape, *a.shape[:-1]))
-
-    samples = Samples(lead(r.sample_X), lead(r.sample_u), lead(r.sample_D_hat))
-    series = {name: lead(getattr(r, name)) for name in LOOPS}
-    times = np.arange(len(r.X)) * step
-    return Trajectories(
-        t=times, samples=samples, states=plant.states, inputs=plant.inputs, time_unit=plant.time_unit,
-        labels=plant.labels, units=plant.units, **series,
-    )  # fmt: skip
+        never = np.full(lanes, -1, dtype=np.int64)
+        return engine.Record(
+            **arrays, escaped=never, infeasible=never.copy(), breach=np.full((n + m + 1, lanes), np.nan)
+        )

@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 
 from npred import array_checks
+from npred.delays import family_of
 from npred.errors import ConfigError, DivergedError
 from npred.loop import engine, loop_checks
+from npred.loop.actuator import actuate, history, transport
 from npred.loop.delay_law import DelayLaw, part
 from npred.plants import inputs
 from npred.plants.base import Plant
@@ -21,29 +23,36 @@ STEPS = 2**53  # beyond it a float64, as step * dt is one, no longer counts one 
 class Controller:
     """U = kappa(P(1)), P from the predictor, and D_hat' = gamma Proj{D_hat, phi} [DAPF, eqs. 9-14], each dt seconds.
 
-    The actuator state u is measured, so D_hat, phi of the last step and the time are all that it remembers. `D_hat`
-    (seconds) is the estimate that the next step uses, by default the middle of the adaptation's bounds;
-    `adaptation=None` freezes it. U is clipped to `input_bounds` (m, 2), by default the plant's. Steps equal those of
-    npred.simulate. Its memory is not shared, so one controller belongs to one thread; a pickled one goes on where it
-    stood.
+    With `actuator="measured"` each step is given u, so D_hat, phi of the last step and the time are all that it
+    remembers; with "history" it remembers its own commands, before the first step u0 (m,), 0 by default, and reads u
+    from them at D_hat. `D_hat` (seconds) is the estimate that the next step uses, by default the middle of the
+    adaptation's bounds; `adaptation=None` freezes it, and a plant that declares its delay has none. U is clipped to
+    `input_bounds` (m, 2), by default the plant's. Steps equal those of npred.simulate. Its memory is not shared,
+    so one controller belongs to one thread; a pickled one goes on where it stood.
     Raises ConfigError for parts that do not fit together.
     """
 
     def __init__(
         self, plant: Plant, predictor: Predictor, adaptation: DelayLaw | None, dt: float, *,
-        D_hat: float | None = None, input_bounds: Any = None,
+        D_hat: float | None = None, input_bounds: Any = None, actuator: str = "measured", u0: Any = None,
     ) -> None:  # fmt: skip
         loop_checks.parts(plant, predictor, adaptation)
+        loop_checks.actuator_state(actuator)
         if predictor is None:
             raise ConfigError("predictor: expected one, got None; make one with npred.predictor or npred.load")
         if not 0 < (seconds := array_checks.number("dt", dt)) < math.inf:
             raise ConfigError(f"dt: expected a control step above 0 s, got {dt!r}; give seconds")
         self.plant, self.predictor, self.adaptation, self.dt = plant, predictor, adaptation, seconds
-        law, self._limits = part(plant, adaptation), inputs.bounds(plant, input_bounds)
+        law, self._limits = part(plant, adaptation, seconds), inputs.bounds(plant, input_bounds)
+        self.actuator, self._u0 = actuator, inputs.before(plant, u0, self._limits, np.zeros((1, plant.n)))[0]
+        self._recalls, self._watches = actuator == "history", law.memory > 1
+        self._observe, self._settings, self._believe = law.observe, law.settings, family_of(plant).horizon()
         self._predict, self._control, self._update = predictor.lanes(), law.control, law.update
         self._gamma_dt, self._b, self._bounds = law.gamma * self.dt, law.b, law.bounds
-        self._take_memory()
-        self._set_state(self._start(D_hat), None, 0, 0.0)
+        D_hat = self._start(D_hat)
+        array_checks.within("D_hat", np.array(array_checks.number("D_hat", D_hat)), tuple(law.bounds))
+        self._take_memory(law.memory, max(D_hat, law.bounds[1] if adaptation else 0.0))
+        self._set_state(D_hat, None, 0, 0.0)
         self._warm_up()
 
     @property
@@ -75,23 +84,29 @@ class Controller:
         """The prediction of the last step on the predictor's nodes, (nx, n), a copy; NaN before the first step."""
         return self._last_P[:, :, 0].copy()
 
-    def step(self, X: Any, u: Any, u_nodes: Any = None) -> np.ndarray:
+    def step(self, X: Any, u: Any = None, u_nodes: Any = None) -> np.ndarray:
         """U (m,) for the state X (n,) and the actuator state u (nx, m) on the predictor's nodes, both measured now.
 
-        The predictor integrates u: where the measurement can tell them apart, `u` has the mean over each node's cell
-        and `u_nodes` the values at the nodes, which the update law compares with kappa(P); by default they are u.
-        U is the controller's memory, overwritten by the next step. Raises ConfigError for shapes that do not fit
+        With actuator="history" there is no u to give. The predictor integrates u: where the measurement can tell them
+        apart, `u` has the mean over each node's cell and `u_nodes` the values at the nodes, which the update law
+        compares with kappa(P); by default they are u.
+        U is the controller's own memory, overwritten by the next step. Raises ConfigError for shapes that do not fit
         and for what are no real numbers, masked arrays among them, and DivergedError for a measurement that is not
         finite, or that the prediction leaves the finite numbers from; the controller, and that memory, then stand as
         before.
         """
-        X, u = array_checks.floats("X", X), array_checks.floats("u", u)
+        if (u is None) != self._recalls:
+            raise ConfigError(f"step: expected {'X alone' if self._recalls else 'X and u'}, for the actuator is "
+                              f"{self.actuator!r}, got u = {u!r}; give what is measured")  # fmt: skip
+        X = array_checks.floats("X", X)
+        u = self._u[:, :, 0] if u is None else array_checks.floats("u", u)
         self._measure(X, u, u if u_nodes is None else array_checks.floats("u_nodes", u_nodes))
-        before = self._D_hat[0], self._phi_before[0]
+        before = self._D_hat[0], self._phi_before[0], self._memory.copy() if self._watches else self._memory
         self._advance()
         if not (np.isfinite(self._U).all() and math.isfinite(self._D_hat[0])):
-            self._D_hat[0], self._phi_before[0] = before
+            self._D_hat[0], self._phi_before[0], self._memory = before
             raise DivergedError("step: the prediction from X and u is not finite; hold the last U and measure again")
+        self._remember()
         self._step += 1
         self._P, self._last_P = self._last_P, self._P
         self._last_U[:] = self._U[:, 0]
@@ -100,7 +115,18 @@ class Controller:
     def state(self) -> dict[str, Any]:
         """Its state, ready for JSON: D_hat, phi of the last step, and the steps done since t0 (seconds)."""
         phi = float(self._phi_before[0])
-        return {"D_hat": self.D_hat, "phi": None if math.isnan(phi) else phi, "step": self._step, "t0": self._t0}
+        remembered: dict[str, Any] = {}
+        if self._recalls or self._watches:
+            held, sums = self._held[:, :, 0].tolist(), self._total[:, :, 0].tolist()
+            remembered = {"commands": {"k": self._k, "held": held, "sums": sums}}
+        if self._watches:
+            remembered["observer"] = [None if math.isnan(value) else value for value in self._memory[:, 0].tolist()]
+        return {
+            "D_hat": self.D_hat,
+            "phi": None if math.isnan(phi) else phi,
+            "step": self._step,
+            "t0": self._t0,
+        } | remembered
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Go on from a saved state; without phi as from a first step, without t0 from 0. Raises ConfigError if none."""
@@ -109,6 +135,7 @@ class Controller:
             phi, t0 = state.get("phi"), state.get("t0", 0.0)
         except (AttributeError, KeyError, TypeError, ValueError):
             raise ConfigError(f"state: expected D_hat and step, got {state!r}; save it with state()") from None
+        self._recall(state)
         self._set_state(D_hat, phi, step, t0)
 
     def __repr__(self) -> str:
@@ -118,29 +145,57 @@ class Controller:
 
     def __getstate__(self) -> dict[str, Any]:
         parts = (self.plant, self.predictor, self.adaptation, self.dt)
-        return {"parts": parts, "input_bounds": self._limits, "state": self.state(), "P": self._last_P}
+        named = {"input_bounds": self._limits, "actuator": self.actuator, "u0": self._u0}
+        return {"parts": parts, "named": named, "state": self.state(), "P": self._last_P}
 
     def __setstate__(self, saved: Mapping[str, Any]) -> None:
-        D_hat = saved["state"]["D_hat"]
-        Controller.__init__(self, *saved["parts"], D_hat=D_hat, input_bounds=saved["input_bounds"])
+        Controller.__init__(self, *saved["parts"], D_hat=saved["state"]["D_hat"], **saved["named"])
         self.restore(saved["state"])
         self._last_P[:] = saved["P"]
 
     def _start(self, D_hat: float | None) -> float:
         if D_hat is not None:
             return D_hat
+        if self.plant.declares_delay:
+            return 0.0
         if self.adaptation is None:
             raise ConfigError("D_hat: expected a delay in seconds, for nothing adapts it, got none; give D_hat")
         return sum(self.adaptation.bounds) / 2
 
-    def _take_memory(self) -> None:
-        """The buffers of all steps."""
+    def _take_memory(self, size: int, longest: float) -> None:
+        """The buffers of all steps: `size` numbers of an observer of the delay, commands back to `longest` seconds."""
         n, m, nx = self.plant.n, self.plant.m, self.predictor.nx
         self._X, self._U, self._last_U = np.zeros((n, 1)), np.zeros((m, 1)), np.zeros(m)
         self._u, self._u_nodes = np.zeros((nx, m, 1)), np.zeros((nx, m, 1))
         self._P, self._last_P = np.full((nx, n, 1), np.nan), np.full((nx, n, 1), np.nan)
         self._D_hat, self._N = np.empty(1), np.empty(1)
         self._phi, self._phi_before = np.zeros(1), np.full(1, np.nan)
+        self._memory, self._D_seen = np.full((size, 1), np.nan), np.zeros((m, 1))
+        self._spare = tuple(np.empty((m, 1)) for _ in range(3))
+        self._k, self._held, self._total = history(longest, longest, self.dt, self._u0[:, None])
+
+    def _remember(self) -> None:
+        """Hold U as the command of this step; its number and the sums stay small, for large ones would round."""
+        actuate(self._k, self.dt, self._D_seen, self._U, self._held, self._total, *self._spare)
+        self._k += 1
+        rows = len(self._held)
+        if self._k == 2 * rows:
+            self._k = rows
+            self._total -= self._total[0].copy()
+
+    def _recall(self, state: Mapping[str, Any]) -> None:
+        """Take the commands and the observer of a saved state, where it has them. Raises ConfigError for others."""
+        commands = state.get("commands", {"k": self._k, "held": self._held[:, :, 0], "sums": self._total[:, :, 0]})
+        memory = [math.nan if value is None else value for value in state.get("observer", self._memory[:, 0])]
+        try:
+            k, held, sums = operator.index(commands["k"]), np.array(commands["held"]), np.array(commands["sums"])
+            fits = held.shape == sums.shape and held.shape[1:] == (self.plant.m,) and len(memory) == len(self._memory)
+        except (KeyError, TypeError, ValueError):
+            fits = False
+        if not fits:
+            raise ConfigError("state: expected the commands of such a controller, got others; save it with state()")
+        self._k, self._held, self._total = k, held[:, :, None].astype(float), sums[:, :, None].astype(float)
+        self._memory[:, 0] = memory
 
     def _set_state(self, D_hat: Any, phi: Any, step: int, t0: Any) -> None:
         """Set the state of the next step, phi None for none. Raises ConfigError, and stays as it is, if wrong."""
@@ -148,6 +203,12 @@ class Controller:
         rate = math.nan if phi is None else array_checks.number("phi", phi)
         low, high = self._bounds
         array_checks.within("D_hat", np.array(seconds), (low, high))
+        reach = (len(self._held) - 4) * self.dt
+        if self._recalls and seconds > reach + self.dt:
+            raise ConfigError(
+                f"D_hat: expected at most {reach:g} s, back to which the commands are kept, got {seconds:g}; make "
+                "another controller with that D_hat"
+            )
         if not 0 <= step <= STEPS:
             came = "a negative one" if step < 0 else "a larger one"
             raise ConfigError(f"step: expected a whole number of 0 to 2^53, got {came}; save it with state()")
@@ -172,6 +233,14 @@ class Controller:
     def _advance(self) -> None:
         """One control step on the buffers, as in the engine's loop."""
         t, p = self.t, self.plant.p
+        if self._watches:
+            self._observe(self._k, self.dt, self._X, self._held, t, p, self._settings, self._memory, self._D_hat)
+        if self._believe:
+            self._believe(self._X, t, p, self.plant.ratios, self._D_hat, self._D_seen)
+        if self._recalls:
+            if not self._believe:
+                self._D_seen[:, 0] = self.plant.ratios * self._D_hat[0]
+            transport(self._k, self.dt, self._D_seen, self._held, self._total, self._u, self._u_nodes)
         self._predict(self._X, self._u, self._D_hat, t, p, self._P)
         self._control(self._P, self._u, self._D_hat, t, p, self._U)
         engine.clip(self._U, self._limits)

@@ -65,6 +65,14 @@ class DelayLaw(ABC):
         """
         return None
 
+    def observer(self, plant: Plant, dt: float) -> tuple[Kernel, np.ndarray, int] | None:
+        """A law that finds D_hat from X and its own commands: npred.delays.family.OBSERVE compiled for the plant.
+
+        With it come the numbers that it is set to, and how many it remembers per loop, NaN at first. It writes D_hat
+        before the prediction of the step. None for a law that gives a rate.
+        """
+        return None
+
 
 def resolve(loop: config.Loop) -> DelayLaw | None:
     """The law of a stage's loops, made with their gamma, b and bounds; None for frozen.
@@ -97,17 +105,24 @@ class Part(NamedTuple):
     b: float
     bounds: np.ndarray
     compiled: bool
+    observe: Kernel
+    settings: np.ndarray
+    memory: int
 
 
-def part(plant: Plant, law: DelayLaw | None) -> Part:
-    """The laws' part of a control step; None freezes D_hat."""
-    control = control_law(plant)
+def part(plant: Plant, law: DelayLaw | None, dt: float) -> Part:
+    """The laws' part of a control step of dt seconds; None freezes D_hat."""
+    idle = family.idle(family.UPDATE), 0.0, 1.0
+    watch = family.idle(family.OBSERVE), np.zeros(0), 1
     if law is None:
-        return Part(control, family.idle(family.UPDATE), 0.0, 1.0, np.array((0.0, np.inf)), True)
-    kernel, bounds = law.kernel(plant), np.array(law.bounds, dtype=float)
+        return Part(control_law(plant), *idle, np.array((0.0, np.inf)), True, *watch)
+    bounds = np.array(law.bounds, dtype=float)
+    if observer := law.observer(plant, dt):
+        return Part(control_law(plant), *idle, bounds, True, *observer)
+    kernel = law.kernel(plant)
     if kernel is None:
-        return Part(control, _interpreted(law, plant), 1.0, law.b, bounds, False)
-    return Part(control, kernel, law.gamma, law.b, bounds, True)
+        return Part(control_law(plant), _interpreted(law, plant), 1.0, law.b, bounds, False, *watch)
+    return Part(control_law(plant), kernel, law.gamma, law.b, bounds, True, *watch)
 
 
 @cache

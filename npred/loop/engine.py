@@ -9,11 +9,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numba import types
-from numba.core.sigutils import normalize_signature
 
 from npred.delays import family, family_of
 from npred.delays.family import Kernel
 from npred.loop import actuator
+from npred.loop.measurement import ESTIMATE, SENSOR, Sensor, sample
 from npred.plants.base import Plant
 from npred.predictors.onestep import OneStep
 from npred.symbolic.compile_cache import jit
@@ -31,13 +31,30 @@ class Settings(NamedTuple):
     u_star: np.ndarray  # (m,)
     p: np.ndarray
     samples: np.ndarray  # (S, B), sorted steps whose (X, u, D_hat) are kept
+    ratios: np.ndarray  # (m,), the delay of each input as a share of the longest
+    law: np.ndarray  # what an observer of the delay is set to
+    truth_p: np.ndarray  # the parameters of the simulated plant
+    delays: np.ndarray  # (steps + 1, m, B), of each input where the delay is a function of time, or empty
+    disturbance: np.ndarray  # (steps, m), added to what leaves the actuator, or empty
+    moves: bool  # whether the plant declares its delay
+    senses: bool  # whether the controller sees anything but X
+    sensor: Sensor
 
 
 class State(NamedTuple):
     """The state of a run: the plant, the actuator's history, the delay estimate, and scratch for one step."""
 
     X: np.ndarray  # (n, B)
+    X_hat: np.ndarray  # (n, B), what the controller sees or estimates of X: X itself by default
     D: np.ndarray  # (m, B), the delay of each input
+    D_seen: np.ndarray  # (m, B), that by which the controller reads the commands: D itself where u is measured
+    longest: np.ndarray  # (B,), the plant's longest delay
+    speed: np.ndarray  # (m, B), of phi(t) = t - D
+    memory: np.ndarray  # (., B), what an observer of the delay remembers
+    Y: np.ndarray  # (n, B), the samples that arrive now
+    past: np.ndarray  # (R, n, B), the last states
+    due: np.ndarray  # (B,), when the next sample is taken, in control steps
+    sampled: np.ndarray  # (B,), samples taken so far
     D_hat: np.ndarray  # (B,)
     held: np.ndarray  # (R, m, B)
     total: np.ndarray  # (R, m, B)
@@ -67,33 +84,93 @@ class Record(NamedTuple):
     sample_u: np.ndarray  # (S, nx, m, B)
     sample_D_hat: np.ndarray  # (S, B)
     escaped: np.ndarray  # (B,), the first step whose state is not finite, or -1
+    infeasible: np.ndarray  # (B,), the first step at which commands would overtake each other, or -1
+    breach: np.ndarray  # (n + m + 1, B), state, input and time there
 
 
 A1, A2, A3, A4 = (types.Array(types.float64, d, "C") for d in (1, 2, 3, 4))
 I1, I2 = (types.Array(types.int64, d, "C") for d in (1, 2))
 SETTINGS = types.NamedTuple(
-    [types.float64, types.int64, types.float64, types.float64, A1, A2, A1, A1, I2], Settings
+    [types.float64, types.int64, types.float64, types.float64, A1, A2, A1, A1, I2, A1, A1, A1, A3, A2, types.boolean,
+     types.boolean, SENSOR], Settings
 )  # fmt: skip
-STATE = types.NamedTuple([A2, A2, A1, A3, A3, A3, A3, A3, A2, A1, A1, A1, A2, A2, A2, I1], State)
-RECORD = types.NamedTuple([A3, A3, A3, A2, A2, A2, A3, A4, A2, I1], Record)
+STATE = types.NamedTuple(
+    [A2, A2, A2, A2, A1, A2, A2, A2, A3, A1, I1, A1, A3, A3, A3, A3, A3, A2, A1, A1, A1, A2, A2, A2, I1], State
+)
+RECORD = types.NamedTuple([A3, A3, A3, A2, A2, A2, A3, A4, A2, I1, I1, A2], Record)
 
 
 def steps(
-    origin: int, start: int, stop: int, transport: Any, predict: Any, control: Any, update: Any, actuate: Any,
-    advance: Any, s: Settings, z: State, out: Record,
+    origin: int, start: int, stop: int, horizon: Any, estimate: Any, observe: Any, believe: Any, transport: Any,
+    predict: Any, control: Any, update: Any, actuate: Any, pace: Any, advance: Any, model: Any, s: Settings, z: State,
+    out: Record,
 ) -> None:  # fmt: skip
-    """Control steps start … stop - 1 [DAPF, eqs. 6-14]; `origin` is the ring buffers' number of step 0."""
+    """Control steps start … stop - 1 [DAPF, eqs. 6-14]; `origin` is the ring buffers' number of step 0.
+
+    The plant advances by `advance`, what the controller believes of it by `model`.
+    """
     for k in range(start, stop):
         t = k * s.dt
-        transport(origin + k, s.dt, z.D, z.held, z.total, z.u, z.u_nodes)
-        predict(z.X, z.u, z.D_hat, t, s.p, z.P)
+        if s.delays.shape[0] > 0:
+            tabulated(k, s.dt, s.delays, z.D, z.speed)
+        horizon(z.X, t, s.truth_p, s.ratios, z.longest, z.D)
+        if s.senses:
+            sample(k, s.sensor, z.X, z.past, z.due, z.sampled, z.Y)
+            estimate(k, origin, s.dt, s.sensor.age, z.D_seen, z.held, z.Y, z.X_hat, model, s.p)
+        observe(origin + k, s.dt, z.X_hat, z.held, t, s.p, s.law, z.memory, z.D_hat)
+        believe(z.X_hat, t, s.p, s.ratios, z.D_hat, z.D_seen)
+        transport(origin + k, s.dt, z.D_seen, z.held, z.total, z.u, z.u_nodes)
+        predict(z.X_hat, z.u, z.D_hat, t, s.p, z.P)
         control(z.P, z.u, z.D_hat, t, s.p, z.U)
         clip(z.U, s.input_bounds)
-        update(z.P, z.X, z.u_nodes, z.D_hat, t, s.p, s.b, z.phi, z.N)
+        update(z.P, z.X_hat, z.u_nodes, z.D_hat, t, s.p, s.b, z.phi, z.N)
         keep(k, s, z, out)
         adapt(z.D_hat, z.phi, z.phi_before, s.gamma_dt, s.bounds)
         actuate(origin + k, s.dt, z.D, z.U, z.held, z.total, z.U0, z.U1, z.share)
-        advance(z.X, z.U0, z.U1, z.share, s.dt, t, s.p)
+        if s.moves:
+            pace(z.X, z.U0, t, s.truth_p, z.speed)
+            watch(k, t, z, out)
+        if s.moves or s.delays.shape[0] > 0:
+            actuator.retime(origin + k, s.dt, z.D, z.speed, z.held, z.U1, z.share)
+        if s.disturbance.shape[0] > 0:
+            disturb(s.disturbance[k], z.U0, z.U1)
+        advance(z.X, z.U0, z.U1, z.share, s.dt, t, s.truth_p)
+
+
+@jit(types.void(types.int64, types.float64, A3, A2, A2), nogil=True)
+def tabulated(k: int, dt: float, delays: np.ndarray, D: np.ndarray, speed: np.ndarray) -> None:
+    """D (m, B) at control step k, and the speed of phi(t) = t - D during it."""
+    D[:] = delays[k]
+    speed[:] = 1.0 - (delays[k + 1] - delays[k]) / dt
+
+
+@jit(types.void(A1, A2, A2), nogil=True)
+def disturb(d: np.ndarray, U0: np.ndarray, U1: np.ndarray) -> None:
+    """Add d (m,) to what leaves the actuator."""
+    for c in range(U0.shape[0]):
+        for l in range(U0.shape[1]):
+            U0[c, l] += d[c]
+            U1[c, l] += d[c]
+
+
+@jit(types.void(types.int64, types.float64, STATE, RECORD), nogil=True)
+def watch(k: int, t: float, z: State, out: Record) -> None:
+    """Mark the loops in which 1 - D_X f - D_t <= 0, in the plant or along the prediction; they are NaN from there on.
+
+    A prediction that ends there has its last finite node as state, and no input or time: they are those of its node.
+    """
+    n, m, nx = z.X.shape[0], z.U0.shape[0], z.P.shape[0]
+    for l in range(z.X.shape[1]):
+        lost = np.isnan(z.P[nx - 1, 0, l]) and not np.isnan(z.X_hat[0, l])
+        if out.infeasible[l] < 0 and np.isfinite(z.X[0, l]) and (lost or not z.speed[0, l] > 0.0):
+            out.infeasible[l] = k
+            out.breach[:n, l], out.breach[n : n + m, l], out.breach[n + m, l] = z.X[:, l], z.U0[:, l], t
+            if lost:
+                j = 0
+                while j < nx - 2 and not np.isnan(z.P[j + 1, 0, l]):
+                    j += 1
+                out.breach[:n, l], out.breach[n : n + m, l] = z.P[j, :, l], z.u[j, :, l]
+            z.X[:, l] = np.nan
 
 
 @jit(types.void(A2, A2), nogil=True)
@@ -149,18 +226,28 @@ def keep(k: int, s: Settings, z: State, out: Record) -> None:
         row = k // s.every
         out.X[row], out.P[row] = z.X, z.P[z.P.shape[0] - 1]
         out.U[row], out.D_hat[row], out.N[row] = z.U, z.D_hat, z.N
-        energy(z.u, s.u_star, z.D, out.energy[row])
+        energy(z.u, s.u_star, z.D_seen, out.energy[row])
 
 
-def _pointer(signature: str) -> types.FunctionType:
-    arguments, _ = normalize_signature(signature)
-    return types.FunctionType(types.void(*arguments))
+def _own(X_hat, t, p, ratios, D_hat, D_seen):  # type: ignore[no-untyped-def]
+    """The controller reads its own commands, by its estimate of the delay."""
+    for c in range(D_seen.shape[0]):
+        for l in range(D_seen.shape[1]):
+            D_seen[c, l] = ratios[c] * D_hat[l]
 
 
-LAWS = map(family.signature, (family.PREDICT, family.CONTROL, family.UPDATE))
-PARTS = (actuator.TRANSPORT, *LAWS, actuator.ACTUATE, family.signature(family.ADVANCE))
+own_history = jit(family.signature(family.HORIZON), nogil=True)(_own)
+HORIZON, OBSERVE, PREDICT, CONTROL, UPDATE, SPEED, ADVANCE = map(
+    family.signature,
+    (family.HORIZON, family.OBSERVE, family.PREDICT, family.CONTROL, family.UPDATE, family.SPEED, family.ADVANCE),
+)
+POINTERS = (
+    HORIZON, ESTIMATE, OBSERVE, HORIZON, actuator.TRANSPORT, PREDICT, CONTROL, UPDATE, actuator.ACTUATE, SPEED, ADVANCE,
+    ADVANCE,
+)  # fmt: skip
 compiled_steps = jit(
-    types.void(types.int64, types.int64, types.int64, *map(_pointer, PARTS), SETTINGS, STATE, RECORD), nogil=True
+    types.void(types.int64, types.int64, types.int64, *map(family.pointer, POINTERS), SETTINGS, STATE, RECORD),
+    nogil=True,
 )(steps)
 
 

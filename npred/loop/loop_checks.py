@@ -9,6 +9,7 @@ import numpy as np
 from npred import array_checks
 from npred.errors import ConfigError, size
 from npred.loop.delay_law import DelayLaw
+from npred.loop.measurement import Measurement
 from npred.plants.base import Plant
 from npred.predictors import Compiled, OneStep, Predictor, method
 
@@ -25,16 +26,59 @@ def samples(samples: Any, shape: tuple[int, ...], last: int) -> np.ndarray:
     return np.broadcast_to(steps.astype(np.int64), (*shape, count)).reshape(math.prod(shape), count)
 
 
-def numbers(
-    plant: Plant, X0: Any, D: np.ndarray, D_hat: np.ndarray, t_end: float, dt: float, law: DelayLaw | None
-) -> None:
-    """Raise ConfigError for a start, delays or times that make no loop."""
+def start(plant: Plant, X0: np.ndarray) -> None:
+    """Raise ConfigError for a start that makes no state of the plant."""
     if X0.ndim < 1 or X0.shape[-1] != plant.n:
         axes = ", ".join(plant.states) if plant.n < 5 else "its states"
         raise ConfigError(
             f"X0: expected shape (..., {plant.n}) for plant {plant.name}, got {X0.shape}; the last axis is {axes}"
         )
     array_checks.finite("X0", X0)
+
+
+def reality(
+    plant: Plant, law: DelayLaw | None, D: Any, D_hat: Any, actuator: Any, measurement: Any, truth: Any, push: Any
+) -> None:  # fmt: skip
+    """Raise ConfigError for a delay, an actuator, a measurement, a truth or a disturbance of the wrong kind."""
+    if plant.declares_delay:
+        for name, value in (("D", D), ("D_hat", D_hat), ("adaptation", law)):
+            if value is not None:
+                raise ConfigError(f"{name}: expected none, for plant {plant.name} declares its delay; leave {name} out")
+    for name, value in (("D", D), ("D_hat", D_hat)):
+        if value is None and not plant.declares_delay:
+            raise ConfigError(f"{name}: expected a delay in seconds, got none; give {name}")
+    actuator_state(actuator)
+    if measurement is not None and not isinstance(measurement, Measurement):
+        raise ConfigError(f"measurement: expected an npred.Measurement, got {measurement!r}; make one")
+    if push is not None and not callable(push):
+        raise ConfigError(f"disturbance: expected a function of t in seconds, got {push!r}; write lambda t: [0.1]")
+    if truth is not None and (not isinstance(truth, Plant) or (truth.n, truth.m) != (plant.n, plant.m)):
+        raise ConfigError(
+            f"truth: expected a plant with {plant.n} states and {plant.m} inputs, got {truth!r}; give one"
+        )
+    if truth is not None and truth.declares_delay != plant.declares_delay:
+        raise ConfigError("truth: expected a delay that both plants declare, or none, got that of one; declare both")
+
+
+def actuator_state(name: Any) -> None:
+    """Raise ConfigError for what is no way to know the actuator state."""
+    if name not in ("measured", "history"):
+        raise ConfigError(f'actuator: expected "measured" or "history", got {name!r}; choose one')
+
+
+def push(value: Any, m: int) -> np.ndarray:
+    """What a disturbance adds, (m,). Raises ConfigError for another shape or a number that is not finite."""
+    array = array_checks.floats("disturbance(t)", value)
+    if not array_checks.fits(array.shape, (m,)) or not np.isfinite(array).all():
+        raise ConfigError(f"disturbance(t): expected {m} finite numbers, one per input, got {value!r}; return a list")
+    return np.broadcast_to(array, (m,))
+
+
+def numbers(
+    plant: Plant, X0: Any, D: np.ndarray, D_hat: np.ndarray, t_end: float, dt: float, law: DelayLaw | None
+) -> None:
+    """Raise ConfigError for a start, delays or times that make no loop."""
+    start(plant, X0)
     if not 0 < array_checks.number("dt", dt) <= array_checks.number("t_end", t_end) < np.inf:
         raise ConfigError(f"dt, t_end: expected 0 < dt <= t_end in seconds, got dt = {dt}, t_end = {t_end}")
     for name, seconds in (("D", D), ("D_hat", D_hat)):

@@ -12,7 +12,7 @@ from npred.errors import ConfigError, MissingError
 
 
 class Loops(Protocol):
-    """The trajectories shown: npred.loop.closed_loop.Trajectories."""
+    """What is shown: npred.loop.trajectories.Trajectories."""
 
     @property
     def t(self) -> np.ndarray: ...  # (nt,)
@@ -24,6 +24,10 @@ class Loops(Protocol):
     def D_hat(self) -> np.ndarray: ...  # (..., nt)
     @property
     def escaped(self) -> np.ndarray: ...  # (...)
+    @property
+    def infeasible(self) -> np.ndarray: ...  # (...)
+    @property
+    def margin(self) -> np.ndarray: ...  # (...)
     @property
     def states(self) -> tuple[str, ...]: ...
     @property
@@ -50,7 +54,19 @@ def summary(loops: Loops) -> str:
     if lost.size:
         what = "it leaves" if not shape else f"{lost.size} of {count} leave"
         lines.append(f"  {what} the finite numbers, first at control step {lost.min()}")
-    return "\n".join(lines)
+    return "\n".join([*lines, *_infeasible(loops)])
+
+
+def _infeasible(loops: Loops) -> Iterator[str]:
+    """Where the first loop ends whose commands would overtake each other."""
+    steps = loops.infeasible.reshape(-1)
+    if (marked := np.flatnonzero(steps >= 0)).size:
+        loop = marked[np.argmin(steps[marked])]
+        X = loops.X.reshape(-1, *loops.X.shape[-2:])[loop]
+        X = X[max(np.flatnonzero(np.isfinite(X).all(axis=1)), default=0)]  # the last one kept before its end
+        at = ", ".join(f"{name} = {value:.4g}" for name, value in zip(loops.states, X, strict=True))
+        yield f"  commands would overtake each other, first at control step {steps[loop]}, {at}:"
+        yield f"  1 - D_X f - D_t = {loops.margin.reshape(-1)[loop]:.3g}, expected above 0"
 
 
 def plot(loops: Loops, D: Any = None) -> np.ndarray:

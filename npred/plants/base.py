@@ -41,7 +41,7 @@ class Plant:
         parts = declared.read(name, declaration, overrides)
         self.name, self.declaration = name, declared.completed(declaration)
         self.source = source or registry.declaring(declaration)
-        self.declares_V = parts.V is not None
+        self.declares_V, self.declares_delay = parts.V is not None, parts.delay is not None
         self.states, self.inputs, self.parameters, self.box = parts.states, parts.inputs, parts.parameters, parts.box
         self.guess = np.zeros(self.n) if parts.guess is None else np.array(parts.guess)
         self.input_bounds = None if parts.input_bounds is None else list(parts.input_bounds)
@@ -225,7 +225,8 @@ class Plant:
         """True if P depends on the time: f does, or kappa_j of an input that is predicted past its delay."""
         trace = Trace(self)
         x, t = trace.vector("x", self.n), trace.input("t")
-        return not self.autonomous or programs.depends(trace.kappa(x, t)[self.ratios < 1], [t])
+        delay = [trace.delay(x, t)] if self.declares_delay else []
+        return not self.autonomous or programs.depends([*trace.kappa(x, t)[self.ratios < 1], *delay], [t])
 
     def phase(self, t: Any) -> np.ndarray | None:
         """t / period modulo 1, (...): all that P can know of the time. None where it knows nothing of it.
@@ -300,7 +301,8 @@ class Plant:
 
     def _program(self) -> dict[str, Any]:
         """The hash of each function, as the program that its trace prints."""
-        functions = ["f", "kappa", "V", *(["reference"] if self.tracks else [])]
+        functions = ["f", "kappa", "V", *(["delay"] if self.declares_delay else [])]
+        functions += ["reference"] if self.tracks else []
         return {name: hashlib.sha256("\n".join(self._printed(name)).encode()).hexdigest() for name in functions}
 
     def _printed(self, name: str) -> list[str]:

@@ -76,6 +76,7 @@ class Declaration(BaseModel, frozen=True):
     f: Function
     kappa: Function
     V: Function | None = None
+    delay: Function | None = None
     reference: Function | None = None
     parameters: Parameters = {}
     box: Box = {}

@@ -13,7 +13,7 @@ from npred.symbolic import source_lines
 from npred.symbolic.tape import FUNCTIONS
 
 SIGNATURES = {"f": "f(x, u, t, p, M)", "reference": "reference(t, p, M)"}
-SIGNATURES |= {name: f"{name}(x, t, p, M)" for name in ("kappa", "V")}
+SIGNATURES |= {name: f"{name}(x, t, p, M)" for name in ("kappa", "V", "delay")}
 ON_ROWS = {"f": "f(X, u, t, p)", "reference": "reference(t, p)", "df": "df(X, u, t, p, v)"}
 ON_ROWS |= {"kappa": "kappa(X, t, p)", "V": "V(X, t, p)", "dkappa": "dkappa(X, t, p, v)"}
 HINTS = {
@@ -27,6 +27,7 @@ RETURNS = {
     "kappa": "one value per input",
     "reference": "one value per state",
     "V": "one number, not a list",
+    "delay": "one number of seconds, not a list",
 }
 
 
@@ -76,7 +77,7 @@ def call(
         raise
     except Exception as error:
         raise failure(plant, name, error) from None
-    if name == "V":
+    if name in ("V", "delay"):
         return [values]
     # A formula that returns a bare number returns, on arrays, an array without an axis of components.
     several = isinstance(values, list | tuple) or np.ndim(values) > np.ndim(t if x is None else x[0])

@@ -46,6 +46,10 @@ class Trace:
         """V(x, t), a scalar."""
         return self._call("V", 1, x, None, t)[0]
 
+    def delay(self, x: np.ndarray, t: Any) -> Any:
+        """delay(x, t) in seconds, a scalar."""
+        return self._call("delay", 1, x, None, t)[0]
+
     def reference(self, t: Any) -> np.ndarray:
         """reference(t), shape (n,)."""
         return self._call("reference", self.plant.n, None, None, t)

@@ -289,3 +289,60 @@ def test_the_example_converges():
     X, D_hat = example.main(t_end=40.0)
     np.testing.assert_allclose(X, PLANT.equilibrium, rtol=1e-3)
     assert D_hat == pytest.approx(1.19, abs=0.03)
+
+
+LAWS = (None, LAW, npred.DelayObserver(bounds=(0.1, 4.0)), npred.L1Adaptation(0.1, bounds=(0.1, 4.0)))
+
+
+@pytest.mark.parametrize("law", LAWS, ids=lambda law: type(law).__name__)
+def test_with_its_own_commands_it_needs_x_alone_and_goes_on_from_a_saved_state(law):
+    """The steps of npred.simulate, pickled once and restored from JSON once on the way."""
+    run = npred.predictor("rk4", PLANT, nx=21)
+    loop = npred.simulate(PLANT, run, D=1.2, D_hat=1.4, X0=X0, t_end=8.0, dt=0.01, adaptation=law, actuator="history")
+    alone = npred.controller(PLANT, run, law, 0.01, D_hat=1.4, actuator="history")
+    for k in range(800):
+        if k == 300:
+            alone = pickle.loads(pickle.dumps(alone))
+        if k == 500:
+            saved, alone = json.loads(json.dumps(alone.state())), npred.controller(
+                PLANT, run, law, 0.01, D_hat=1.0, actuator="history"
+            )  # fmt: skip
+            alone.restore(saved)
+        np.testing.assert_allclose(alone.step(loop.X[k]), loop.U[k], rtol=1e-9, atol=1e-12)
+    assert alone.D_hat == pytest.approx(loop.D_hat[-1], rel=1e-6)
+
+
+def test_a_resumed_controller_takes_the_same_steps_to_the_bit():
+    run, law = npred.predictor("rk4", PLANT, nx=21), LAWS[2]
+    straight = npred.controller(PLANT, run, law, 0.01, actuator="history")
+    states = np.random.default_rng(0).uniform([0.05, 4.0], [0.1, 6.0], (900, 2))
+    for X in states[:500]:
+        straight.step(X)
+    resumed = npred.controller(PLANT, run, law, 0.01, actuator="history")
+    resumed.restore(json.loads(json.dumps(straight.state())))
+    for X in states[500:]:
+        assert np.array_equal(straight.step(X), resumed.step(X)) and straight.D_hat == resumed.D_hat
+
+
+def test_a_step_that_fails_leaves_commands_and_observers_as_they_were():
+    run = npred.predictor("rk4", CUBE, nx=21)
+    alone = npred.controller(CUBE, run, npred.DelayObserver(bounds=(0.1, 1.0)), 0.01, actuator="history")
+    for _ in range(5):
+        alone.step([0.1])
+    before = json.dumps(alone.state())
+    for wrong in ([np.nan], [1e200]):
+        with pytest.raises(DivergedError):
+            alone.step(wrong)
+        assert json.dumps(alone.state()) == before
+
+
+def test_it_is_given_what_is_measured_and_nothing_else():
+    run = npred.predictor("rk4", PLANT, nx=21)
+    with pytest.raises(ConfigError, match="step: expected X alone, for the actuator is 'history'"):
+        npred.controller(PLANT, run, LAW, 0.01, actuator="history").step(X0, np.zeros((21, 1)))
+    with pytest.raises(ConfigError, match="step: expected X and u, for the actuator is 'measured'"):
+        npred.controller(PLANT, run, LAW, 0.01).step(X0)
+    with pytest.raises(ConfigError, match='actuator: expected "measured" or "history"'):
+        npred.controller(PLANT, run, LAW, 0.01, actuator="other")
+    with pytest.raises(ConfigError, match="expected the commands of such a controller, got others"):
+        npred.controller(PLANT, run, LAW, 0.01, actuator="history").restore({"D_hat": 1.0, "step": 0, "commands": {}})

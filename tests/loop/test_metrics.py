@@ -16,8 +16,8 @@ EMPTY = Samples(*[np.empty(0)] * 3)
 
 
 def loops(X, t):
-    zeros = np.zeros(X.shape[:-1])
-    return Trajectories(t, X, zeros[..., None], zeros, zeros, zeros, np.full(X.shape[:-2], -1), EMPTY, X)
+    zeros, never = np.zeros(X.shape[:-1]), np.full(X.shape[:-2], -1)
+    return Trajectories(t, X, zeros[..., None], zeros, zeros, zeros, never, EMPTY, X, never, 0.0 * never)
 
 
 def test_errors_by_hand():

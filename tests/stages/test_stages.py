@@ -269,7 +269,19 @@ def test_loops_that_leave_the_data_are_warned_of(evaluated):
 def still(t, X):
     zeros = np.zeros(X.shape[:-1])
     nothing = Samples(*[np.empty((len(X), 0))] * 3)
-    return Trajectories(t, X, zeros[..., None], zeros, zeros, zeros, np.full(len(X), -1), nothing, X)
+    return Trajectories(
+        t,
+        X,
+        zeros[..., None],
+        zeros,
+        zeros,
+        zeros,
+        np.full(len(X), -1),
+        nothing,
+        X,
+        np.full(len(X), -1),
+        np.zeros(len(X)),
+    )
 
 
 def dataset(X, u, D_hat):

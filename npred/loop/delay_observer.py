@@ -1,0 +1,195 @@
+"""npred's law for an actuator that nobody measures: observers of the state, one per candidate of the delay.
+
+Each candidate θ has an observer that is driven by the controller's own commands, late by θ,
+    x' = f(x, U(t - θ) + d) + L (X - x),   d' = L ω G⁺(X - x),   G = f_U,
+where d absorbs a disturbance at the input. The candidate whose predictions have the smallest errors is the delay. Of
+each state the squares of these errors are summed with the forgetting times `memory` and `window`, and divided by the
+smallest such sum of all candidates, so that no unit and no noise level has to be given. The estimate moves only while
+the candidates differ: where the commands tell them nothing, it stays. An error of the present candidate that rises, in
+`window`, far above the level of `memory` means that the delay has changed: the long sums start again from the short.
+
+Nothing is proven about this law; the nearest theory is that of multiple-model estimation with hysteresis switching
+[Morse, Mayne, Goodwin, IEEE TAC 37 (1992) 1343]. docs/delay_laws.md says what was measured.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from npred import array_checks
+from npred.delays import family
+from npred.delays.family import Kernel
+from npred.errors import ConfigError
+from npred.loop.delay_law import DelayLaw
+from npred.plants.base import Plant
+from npred.predictors.heun import Heun
+from npred.symbolic import kernels, programs
+from npred.symbolic.trace import Trace
+
+NUMBERS = 9  # of the settings that stand before the candidates
+ROUNDING = 1e-12  # of a state's largest value: errors below it say nothing
+DIFFER = 4.0  # the worst candidate's cost over the best one's from which on the estimate moves …
+RISES = 4.0  # … and from which on the delay has changed, over the level of before and over the best candidate
+
+# Rows of the memory: x (K, n), d (K, m), the long and the short sums (K, n) each, their floor and the scale (n) each,
+# and the number of calls.
+OBSERVE = """\
+    n, lanes = X.shape
+    rows, m = held.shape[0], held.shape[1]
+    {parameters}
+    count = int(law[0])
+    inject, push, forget, fade, patience = law[1], law[2], law[3], law[4], law[5]
+    low, high, share, h = law[6], law[7], law[8], dt
+    spacing = law[{thetas} + 1] - law[{thetas}]
+    x = memory[: count * n].reshape((count, n, lanes))
+    d = memory[count * n : count * (n + m)].reshape((count, m, lanes))
+    long = memory[count * (n + m) : count * (2 * n + m)].reshape((count, n, lanes))
+    short = memory[count * (2 * n + m) : count * (3 * n + m)].reshape((count, n, lanes))
+    floor = memory[count * (3 * n + m) : count * (3 * n + m) + n]
+    scale = memory[count * (3 * n + m) + n : count * (3 * n + m) + 2 * n]
+    calls = memory[count * (3 * n + m) + 2 * n]
+    if np.isnan(calls[0]):
+        memory[:] = 0.0
+        for i in range(count):
+            x[i] = X
+        scale[:] = np.abs(X)
+        floor[:] = 1.0
+        calls[:] = 1.0
+        return
+    calls += 1.0
+    t = t - h
+    for i in range(count):
+        for l in range(lanes):
+            {candidate}
+    cost = np.empty(count)
+    for l in range(lanes):
+        here, near = 0, np.inf
+        for i in range(count):
+            if abs(law[{thetas} + i] - D_hat[l]) < near:
+                here, near = i, abs(law[{thetas} + i] - D_hat[l])
+        for c in range(n):
+            scale[c, l] = max(scale[c, l], abs(X[c, l]))
+            smallest = np.inf
+            for i in range(count):
+                smallest = min(smallest, long[i, c, l])
+            floor[c, l] = smallest + ({rounding} * scale[c, l]) ** 2 + 1e-300
+        own, best = np.inf, np.inf
+        for i in range(count):
+            q = 0.0
+            for c in range(n):
+                q += share * short[i, c, l] / floor[c, l]
+            best = min(best, q)
+            if abs(i - here) <= 1:
+                own = min(own, q)
+        if calls[l] > patience and own > {rises} * n and own > {rises} * best:
+            for c in range(n):
+                smallest = np.inf
+                for i in range(count):
+                    long[i, c, l] = short[i, c, l]
+                    smallest = min(smallest, short[i, c, l])
+                floor[c, l] = smallest + ({rounding} * scale[c, l]) ** 2 + 1e-300
+        k_best, least, most = 0, np.inf, 0.0
+        for i in range(count):
+            cost[i] = 0.0
+            for c in range(n):
+                cost[i] += long[i, c, l] / floor[c, l]
+            if cost[i] < least:
+                k_best, least = i, cost[i]
+            most = max(most, cost[i])
+        if most > {differ} * least:
+            tied = 1.0001 * least
+            estimate, near = D_hat[l], np.inf
+            if 0 < k_best < count - 1 and cost[k_best - 1] > tied and cost[k_best + 1] > tied:
+                a, b, c_ = cost[k_best - 1], cost[k_best], cost[k_best + 1]
+                estimate = law[{thetas} + k_best] + 0.5 * (a - c_) / (a - 2.0 * b + c_) * spacing
+            else:
+                for i in range(count):
+                    gap = abs(law[{thetas} + i] - D_hat[l])
+                    if cost[i] <= tied and gap < near:
+                        near = gap
+                        estimate = D_hat[l] if gap <= 0.5 * spacing else law[{thetas} + i]
+            D_hat[l] = min(max(estimate, low), high)
+"""
+
+
+@dataclass(frozen=True)
+class DelayObserver(DelayLaw):
+    """D_hat from X and the controller's own commands, by a bank of observers, one per candidate of the delay.
+
+    `bounds` (seconds) are the candidates' range, `candidates` how many they are at most, `L` (1/s) the rate at which an
+    observer follows X, `omega` (1/s) that at which its disturbance follows, `memory` and `window` (s) the forgetting
+    times. gamma and b, which the laws of a pipeline have, mean nothing here.
+    Raises ConfigError for settings that make no sense.
+    """
+
+    candidates: int = 80
+    L: float = 3.0
+    omega: float = 8.0
+    memory: float = 20.0
+    window: float = 1.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        rates = array_checks.floats("adaptation: L, memory, window", (self.L, self.memory, self.window))
+        if not (rates > 0).all() or not 0 <= array_checks.number("adaptation: omega", self.omega) < math.inf:
+            raise ConfigError(f"adaptation: expected L, memory, window > 0 and omega >= 0, got {self}; give others")
+        if not isinstance(self.candidates, int | np.integer) or self.candidates < 3:
+            raise ConfigError(f"adaptation: expected at least 3 candidates, got {self.candidates!r}; raise it")
+
+    def rate(
+        self, plant: Plant, X: np.ndarray, u: np.ndarray, P: np.ndarray, D_hat: np.ndarray, t: float
+    ) -> np.ndarray:  # fmt: skip
+        """It has none: the estimate comes from the commands, which `rate` does not see. Raises ConfigError."""
+        raise ConfigError("adaptation DelayObserver: expected a loop that runs its observers, got a call of rate")
+
+    def check(self, plant: Plant) -> None:
+        """Raise ConfigError for a plant that is not traced."""
+        if not plant.traced:
+            raise ConfigError(
+                f"adaptation DelayObserver: expected a plant that is traced, {plant.name} says traced = False; "
+                "take DelayAdaptation"
+            )
+
+    def thetas(self, dt: float) -> np.ndarray:
+        """The candidates (K,), in seconds: whole control steps apart, from bound to bound."""
+        low, high = (round(bound / dt) for bound in self.bounds)
+        stride = max(1, math.ceil((high - low) / (self.candidates - 1)))
+        return np.arange(low, max(high, low + 2 * stride) + 1, stride) * dt
+
+    def observer(self, plant: Plant, dt: float) -> tuple[Kernel, np.ndarray, int]:
+        thetas = self.thetas(dt)
+        count, n, m = len(thetas), plant.n, plant.m
+        forget, fade = math.exp(-dt / self.memory), math.exp(-dt / self.window)
+        shifts = np.rint(thetas[:, None] * plant.ratios / dt).ravel()
+        settings = [count, 1 - math.exp(-self.L * dt), self.L * self.omega * dt, forget, fade, 2 * self.window / dt]
+        settings += [*self.bounds, (1 - fade) / (1 - forget), *shifts, *thetas]
+        return _kernel(plant), np.array(settings, dtype=float), count * (3 * n + m) + 2 * n + 1
+
+
+def _kernel(plant: Plant) -> Kernel:
+    """OBSERVE of a plant: its candidates step by Heun's method with the input held."""
+    n, m, trace = plant.n, plant.m, Trace(plant)
+    x, u, t, h = trace.vector("x", n), trace.vector("v", m), trace.input("t"), trace.input("h")
+    y = Heun.step(trace.f, x, u, u, u, t, h)
+    e = [trace.input(f"X{c}") - y[c] for c in range(n)]
+    weights = [1.0 / trace.input(f"w{c}") for c in range(n)]
+    along = trace.f(x, u, t)
+    G = [programs.derivative(along, list(u), list(unit)) for unit in np.eye(m)]
+    power = sum(g * w * g for column in G for g, w in zip(column, weights, strict=True)) + 1e-300
+    moves = [sum(g * w * r for g, w, r in zip(column, weights, e, strict=True)) / power for column in G]
+    names = {f"x{c}": f"x[i, {c}, l]" for c in range(n)} | {f"X{c}": f"X[{c}, l]" for c in range(n)}
+    names |= {f"w{c}": f"floor[{c}, l]" for c in range(n)}
+    for c in range(m):
+        late = f"(k - 1 - int(law[{NUMBERS} + i * {m} + {c}])) % rows"
+        names[f"v{c}"] = f"(held[{late}, {c}, l] + d[i, {c}, l])"
+    targets = [f"{name}{c}" for name, size in (("y", n), ("e", n), ("g", m)) for c in range(size)]
+    lines = programs.lines([*y, *e, *moves], names, targets)
+    for c in range(n):
+        lines += [f"long[i, {c}, l] = forget * long[i, {c}, l] + e{c} * e{c}"]
+        lines += [f"short[i, {c}, l] = fade * short[i, {c}, l] + e{c} * e{c}", f"x[i, {c}, l] = y{c} + inject * e{c}"]
+    lines += [f"d[i, {c}, l] += push * g{c}" for c in range(m)]
+    text = OBSERVE.replace("{thetas}", f"{NUMBERS} + count * {m}").replace("{rounding}", repr(ROUNDING))
+    text = text.replace("{rises}", repr(RISES)).replace("{differ}", repr(DIFFER))
+    source = kernels.fill(text, parameters=kernels.parameters(len(plant.p)), candidate=lines)
+    return family.build("observe", family.OBSERVE, source)

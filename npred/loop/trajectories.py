@@ -1,0 +1,112 @@
+"""What closed loops leave: their series, what was asked for of single steps, and what became of them."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+
+from npred.delays import family_of
+from npred.loop import engine, trajectory_views
+from npred.plants.base import Plant
+
+LOOPS = ("X", "U", "D_hat", "N", "energy", "escaped", "P", "infeasible", "margin")  # arrays led by the batch's axes
+
+
+@dataclass(frozen=True)
+class Samples:
+    """(X, u, D_hat) of each loop at chosen steps: X (..., S, n), u (..., S, nx, m), D_hat (..., S)."""
+
+    X: np.ndarray
+    u: np.ndarray
+    D_hat: np.ndarray
+
+
+@dataclass(frozen=True, repr=False)
+class Trajectories:
+    """Closed loops: t (nt,) in seconds, X and P (..., nt, n), U (..., nt, m), D_hat, N and energy (..., nt).
+
+    P is the prediction at x = 1, P(1, t), for X(t + D_hat); NaN in the open loop.
+    N = 1 + V + b ∫₀¹ (1+x) w² dx, NaN without adaptation; energy = ∫_{t-D}^t |U - U*|² ds; see npred.loop.lyapunov.
+    `escaped` (...) is the first step whose state is not finite, or -1; `infeasible` (...) the first step at which
+    commands would overtake each other, 1 - D_X f - D_t <= 0, or -1, and `margin` (...) that value; `states`, `inputs`,
+    `time_unit`, `labels` and `units` are the plant's. print(loop) gives the ranges and ends of all series.
+    """
+
+    t: np.ndarray
+    X: np.ndarray
+    U: np.ndarray
+    D_hat: np.ndarray
+    N: np.ndarray
+    energy: np.ndarray
+    escaped: np.ndarray
+    samples: Samples
+    P: np.ndarray
+    infeasible: np.ndarray
+    margin: np.ndarray
+    states: tuple[str, ...] = ()
+    inputs: tuple[str, ...] = ()
+    time_unit: str = "s"
+    labels: Mapping[str, str] | None = None
+    units: Mapping[str, str] | None = None
+
+    def __repr__(self) -> str:
+        return trajectory_views.summary(self)
+
+    def plot(self, D: Any = None) -> Any:
+        """States, inputs and D_hat over time, a panel each, all loops in each; `D` (...) adds the true delay, dashed.
+
+        Gives matplotlib's axes (n + m + 1,); their figure is `axes[0].figure`, shown by matplotlib.pyplot.show().
+        """
+        return trajectory_views.plot(self, D)
+
+    def to_dataframe(self) -> Any:
+        """A pandas DataFrame: a row per kept time, a column per state and input, and D_hat; the index is t in seconds.
+
+        A batch's index has the loop's number along each axis before t. A name that stands twice gets its letter in
+        front, as `X.h` and `U.h`. Raises MissingError where pandas is not installed.
+        """
+        return trajectory_views.dataframe(self)
+
+    def part(self, rows: slice) -> "Trajectories":
+        """The loops `rows` of a batch with one axis."""
+        cut = {name: getattr(self, name)[rows] for name in LOOPS}
+        taken = {f.name: getattr(self.samples, f.name)[rows] for f in fields(Samples)}
+        return replace(self, samples=Samples(**taken), **cut)
+
+    @classmethod
+    def joined(cls, parts: Sequence["Trajectories"]) -> "Trajectories":
+        """The loops of several batches of one axis and the same times, one batch after the other."""
+
+        def join(of: Sequence[Any], names: Sequence[str]) -> dict[str, np.ndarray]:
+            return {name: np.concatenate([getattr(part, name) for part in of]) for name in names}
+
+        samples = Samples(**join([part.samples for part in parts], [f.name for f in fields(Samples)]))
+        return replace(parts[0], samples=samples, **join(parts, LOOPS))
+
+
+def of_record(r: engine.Record, shape: tuple[int, ...], step: float, plant: Plant) -> Trajectories:
+    """The loops of a batch of that shape; `step` seconds lie between two kept states."""
+
+    def lead(a: np.ndarray) -> np.ndarray:
+        """Lanes last to the batch's shape first."""
+        return np.moveaxis(a, -1, 0).reshape((*shape, *a.shape[:-1]))
+
+    samples = Samples(lead(r.sample_X), lead(r.sample_u), lead(r.sample_D_hat))
+    series = {name: lead(getattr(r, name)) for name in LOOPS if name != "margin"}
+    times = np.arange(len(r.X)) * step
+    return Trajectories(
+        t=times, samples=samples, states=plant.states, inputs=plant.inputs, time_unit=plant.time_unit,
+        labels=plant.labels, units=plant.units, margin=lead(margins(plant, r)), **series,
+    )  # fmt: skip
+
+
+def margins(plant: Plant, r: engine.Record) -> np.ndarray:
+    """1 - D_X f - D_t where a loop was marked as infeasible, (B,); NaN in the others."""
+    speed, margin = family_of(plant).speed(), np.full((1, len(r.infeasible)), np.nan)
+    for l in np.flatnonzero(r.infeasible >= 0):
+        assert speed is not None  # no other loop is marked
+        X, U, value = r.breach[: plant.n, [l]].copy(), r.breach[plant.n : -1, [l]].copy(), np.empty((plant.m, 1))
+        speed(X, U, float(r.breach[-1, l]), plant.p, value)
+        margin[0, l] = value[0, 0]
+    return margin[0]

@@ -1,0 +1,120 @@
+"""The observers of the delay: it is found from any start, under noise, a wrong model, a disturbance, a jump."""
+
+import numpy as np
+import pytest
+
+import npred
+from npred.errors import ConfigError
+from npred.loop.measurement import Measurement
+
+PLANT = npred.plant("activator_repressor")
+RK4 = npred.predictor("rk4", PLANT, nx=51)
+LAW = npred.DelayObserver(bounds=(0.1, 4.0))
+DELAYS, STARTS = np.meshgrid([0.83, 1.0, 1.234, 1.37, 1.5], [0.3, 0.5, 1.0, 1.5, 2.0, 3.5], indexing="ij")
+
+
+def loops(D=DELAYS, D_hat=STARTS, **changes):
+    settings = {"X0": [0.03, 30.0], "t_end": 60.0, "dt": 0.01, "adaptation": LAW, "actuator": "history"} | changes
+    return npred.simulate(PLANT, RK4, D=D, D_hat=D_hat, **settings)
+
+
+def radius(run):
+    """The largest distance from the equilibrium over the last 5 s."""
+    return np.abs(run.X[..., -500:, :] - PLANT.equilibrium).max()
+
+
+def error(run, D=DELAYS):
+    """The largest error of the estimate from 10 s on."""
+    return np.abs(run.D_hat[..., 1000:] - np.asarray(D)[..., None]).max()
+
+
+def test_every_start_finds_the_delay_and_ends_at_the_point():
+    run = loops()
+    assert (run.escaped < 0).all()
+    assert radius(run) < 1e-9 and error(run) < 0.01
+
+
+def test_the_papers_law_fed_with_its_own_commands_loses_some_of_them():
+    """What the observers are for: the law needs the measured actuator state."""
+    run = loops(D_hat=STARTS, adaptation=npred.DelayAdaptation(1000.0, 1.0, (0.1, 4.0)))
+    assert np.mean(np.abs(run.X[..., -500:, :] - PLANT.equilibrium).max(axis=(-1, -2)) > 0.1) > 0.2
+
+
+WRONG = npred.plant("activator_repressor", **{name: 1.03 * PLANT.parameters[name] for name in ("K1", "K2", "Ka", "Kb")})
+
+
+@pytest.mark.parametrize(
+    ("reality", "largest"),
+    [
+        ({"measurement": Measurement(noise=0.03)}, 0.02),
+        ({"truth": WRONG}, 0.02),
+        ({"disturbance": lambda t: [0.002 * np.sin(0.7 * t)]}, 0.05),
+        ({"measurement": Measurement(period=0.1, jitter=0.3, noise=0.01)}, 0.05),
+    ],
+    ids=["noise", "model", "disturbance", "sampled"],
+)
+def test_the_estimate_holds_in_a_real_loop(reality, largest):
+    run = loops(**reality)
+    assert (run.escaped < 0).all() and np.abs(run.X[..., -500:, :] - PLANT.equilibrium).max() < 1.5
+    assert error(run) < largest
+
+
+def test_a_delay_that_drifts_or_jumps_loses_no_loop():
+    for D in (lambda t: 1 + 0.3 * np.sin(2 * np.pi * t / 60), lambda t: 1.0 if t < 30 else 1.5):
+        assert radius(loops(D=D, D_hat=STARTS[0])) < 1e-5
+
+
+def test_a_jump_is_found_where_the_commands_never_rest():
+    """An arm that follows a trajectory tells its delay all the time."""
+    arm = npred.plant("planar_arm2")
+    law = npred.DelayObserver(bounds=(0.1, 1.0))
+    run = npred.simulate(
+        arm, npred.predictor("rk4", arm, nx=51), D=lambda t: 0.3 if t < 15 else 0.5, D_hat=[0.6, 0.2],
+        X0=arm.target(0.0) + 0.1, t_end=30.0, dt=0.01, adaptation=law, actuator="history", u0=[0.0, 0.0],
+    )  # fmt: skip
+    before, after = run.D_hat[:, 1400], run.D_hat[:, 2200:]
+    assert np.abs(before - 0.3).max() < 0.01 and np.abs(after - 0.5).max() < 0.02
+
+
+@pytest.mark.parametrize(
+    ("name", "bounds", "D", "D_hat", "X0", "largest"),
+    [
+        ("chemostat", (0.8, 2.2), [1.0, 1.4, 1.6, 1.9], [1.2, 1.8], [2.0, 2.0], 0.01),
+        ("scalar", (0.1, 2.0), [0.3, 1.0, 1.3], [0.2, 1.5], [0.8], 0.01),
+        ("cart_pole", (0.04, 0.5), [0.1, 0.2, 0.3], [0.05, 0.4], [0.2, 0.1, 0.1, 0.1], 0.01),
+    ],
+)
+def test_other_plants_too(name, bounds, D, D_hat, X0, largest):
+    plant = npred.plant(name)
+    D, D_hat = np.meshgrid(D, D_hat)
+    run = npred.simulate(
+        plant, npred.predictor("rk4", plant, nx=51), D=D, D_hat=D_hat, X0=X0, t_end=60.0, dt=0.01,
+        adaptation=npred.DelayObserver(bounds=bounds), actuator="history",
+    )  # fmt: skip
+    assert np.abs(run.X[..., -500:, :] - plant.equilibrium).max() < 1e-6
+    assert np.abs(run.D_hat[..., -1] - D).max() < largest
+
+
+@pytest.mark.slow
+def test_the_map_keeps_every_cell():
+    """13 delays by 9 first estimates, the actuator not measured: more than the paper's law keeps with it measured."""
+    D, D_hat = np.meshgrid(np.linspace(0.25, 3.25, 13), np.linspace(0.25, 3.75, 9), indexing="ij")
+    run = loops(D=D, D_hat=D_hat, t_end=100.0)
+    assert (np.abs(run.X[..., -500:, :] - PLANT.equilibrium).max(axis=(-1, -2)) < 1e-6).all()
+
+
+def test_candidates_are_whole_control_steps_apart_and_reach_the_bounds():
+    for bounds, dt in (((0.1, 4.0), 0.005), ((0.1, 0.13), 0.01), ((0.5, 0.5), 0.01)):
+        thetas = npred.DelayObserver(bounds=bounds).thetas(dt)
+        assert 3 <= len(thetas) <= 82
+        np.testing.assert_allclose(thetas / dt, np.rint(thetas / dt))
+        assert thetas[0] == pytest.approx(bounds[0]) and thetas[-1] >= bounds[1] - 1e-9
+
+
+def test_settings_and_plants_that_do_not_fit_are_refused():
+    with pytest.raises(ConfigError, match="expected at least 3 candidates, got 2"):
+        npred.DelayObserver(candidates=2)
+    with pytest.raises(ConfigError, match="expected L, memory, window > 0"):
+        npred.DelayObserver(memory=0.0)
+    with pytest.raises(ConfigError, match="expected a loop that runs its observers"):
+        LAW.rate(PLANT, np.zeros((1, 2)), np.zeros((1, 5, 1)), np.zeros((1, 5, 2)), np.ones(1), 0.0)

@@ -1,0 +1,116 @@
+"""What the controller sees of the plant: exact where the model is, random as asked for, the same in any batch."""
+
+import numpy as np
+import pytest
+
+import npred
+from npred.errors import ConfigError
+from npred.loop.measurement import Measurement
+
+PLANT = npred.plant("activator_repressor")
+RK4 = npred.predictor("rk4", PLANT, nx=51)
+START = {"D": 1.0, "D_hat": 1.0, "X0": [0.03, 30.0], "t_end": 20.0, "dt": 0.01}
+
+
+def loop(measurement=None, **changes):
+    return npred.simulate(PLANT, RK4, measurement=measurement, **(START | changes))
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [{"period": 0.05}, {"period": 0.2, "jitter": 0.9}, {"delay": 0.3}, {"delay": 0.1, "period": 0.15, "drop": 0.5}],
+)
+def test_a_perfect_model_fills_every_gap_exactly(settings):
+    """Between samples the state is predicted with the commands that have arrived since: no error is left."""
+    assert np.abs(loop(Measurement(**settings)).X - loop().X).max() < 1e-12
+
+
+def test_the_defaults_are_perfect():
+    assert np.array_equal(loop(Measurement(seed=3)).X, loop().X)
+
+
+def seen(**settings):
+    """X_hat at each step of many loops, by an observer that only looks."""
+    samples = []
+
+    def look(X_hat, Y, U, t):
+        samples.append(Y.copy())
+        return np.where(np.isnan(Y), X_hat, Y)
+
+    changes = {"X0": np.tile(START["X0"], (40, 1)), "t_end": 5.0}
+    X = loop(Measurement(observer=look, **settings), **changes).X
+    return np.stack(samples, axis=1), X
+
+
+def test_noise_is_relative_normal_and_independent_in_time_and_state():
+    Y, X = seen(noise=0.02, seed=1)
+    errors = (Y / X - 1) / 0.02
+    assert abs(errors.mean()) < 0.02 and errors.std() == pytest.approx(1, abs=0.02)
+    assert np.mean(np.abs(errors) > 1.96) == pytest.approx(0.05, abs=0.005)
+    assert abs(np.corrcoef(errors[..., 0].ravel(), errors[..., 1].ravel())[0, 1]) < 0.02
+    assert abs(np.corrcoef(errors[:, 1:, 0].ravel(), errors[:, :-1, 0].ravel())[0, 1]) < 0.02
+
+
+def test_samples_come_at_their_period_late_and_some_never():
+    Y, X = seen(period=0.1, delay=0.05, drop=0.25, seed=2)
+    steps = np.arange(Y.shape[1])
+    arrived = ~np.isnan(Y[..., 0])
+    assert arrived[:, 0].all() and not arrived[:, (steps > 0) & (steps % 10 != 5)].any()
+    assert arrived[:, steps % 10 == 5].mean() == pytest.approx(0.75, abs=0.04)
+    loops, late = np.nonzero(arrived[:, 15:])
+    np.testing.assert_array_equal(Y[loops, late + 15], X[loops, late + 10])
+
+
+def test_jitter_spreads_the_gaps_evenly():
+    Y, _ = seen(period=0.1, jitter=0.5, seed=5)
+    gaps = np.concatenate([np.diff(np.flatnonzero(~np.isnan(row[:, 0]))) for row in Y])
+    assert gaps.min() == 5 and gaps.max() in (15, 16) and gaps.mean() == pytest.approx(10, abs=0.3)
+
+
+def test_the_numbers_depend_on_the_seed_and_the_loop_alone():
+    """The batch, its chunks and the order of the loops change nothing."""
+    noisy = Measurement(noise=0.01, period=0.05, jitter=0.3, drop=0.1, seed=7)
+    many = loop(noisy, X0=np.tile(START["X0"], (70, 1)), t_end=2.0)
+    few = loop(noisy, X0=np.tile(START["X0"], (3, 1)), t_end=2.0)
+    assert np.array_equal(many.X[:3], few.X)
+    assert not np.array_equal(few.X[0], few.X[1])
+    assert not np.array_equal(loop(Measurement(noise=0.01, seed=8), t_end=2.0).X, loop(noisy, t_end=2.0).X)
+
+
+def test_a_network_or_any_predictor_in_python_sees_the_same_samples():
+    class InPython(npred.Predictor):
+        def predict(self, X, u, D_hat, t):
+            return RK4.predict(X, u, D_hat, t)
+
+    noisy = Measurement(noise=0.01, period=0.05, delay=0.02, seed=3)
+    run = npred.simulate(PLANT, InPython(PLANT, 51), measurement=noisy, **(START | {"t_end": 2.0}))
+    np.testing.assert_allclose(run.X, loop(noisy, t_end=2.0).X, rtol=1e-12, atol=1e-14)
+
+
+def test_an_observer_gets_what_it_needs_and_replaces_the_model():
+    """A Luenberger observer of x2 from x1 alone, with the model's own f: it follows the state that is not measured."""
+    dt = START["dt"]
+
+    def observe(X_hat, Y, U, t):
+        if t == 0:
+            return np.array([[0.03, 20.0]])
+        forward = X_hat + dt * PLANT.f(X_hat, U, t)
+        return forward + dt * (Y[:, :1] - forward[:, :1]) * np.array([5.0, 0.0])
+
+    run = loop(Measurement(observer=observe), X0=[START["X0"]], t_end=60.0)
+    assert np.abs(run.X[0, -100:] - PLANT.equilibrium).max() < 1e-2
+
+
+def test_a_measurement_or_an_observer_that_is_wrong_is_refused():
+    for settings, words in (
+        ({"noise": -0.1}, "expected noise of at least 0, got -0.1"),
+        ({"period": 0.0}, "expected a period above 0 s, got 0.0; None is every step"),
+        ({"drop": 1.0}, "expected drop from 0 up to 1, not included, got 1"),
+        ({"seed": 0.5}, "expected a whole number as seed, got 0.5"),
+    ):
+        with pytest.raises(ConfigError, match=words):
+            Measurement(**settings)
+    with pytest.raises(ConfigError, match=r"observer: expected to return \(1, 2\), a row per loop, got \(2,\)"):
+        loop(Measurement(observer=lambda X_hat, Y, U, t: X_hat[0]), X0=[START["X0"]])
+    with pytest.raises(ConfigError, match=r"measurement: expected an npred.Measurement, got 0.01"):
+        loop(0.01)
