@@ -7,9 +7,9 @@ import tomllib
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, TypeVar
+from typing import Annotated, Any, Literal, Self, TypeVar, get_args
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_serializer, model_validator
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticCustomError
 
@@ -34,6 +34,9 @@ PAPER, FROZEN = "bresch-pietri-krstic", "frozen"  # delay laws
 TAKEN = ("generate", "train", "evaluate", "bench", "report", "numerical", "no_adaptation", *INTERPRETED.builtin)
 Networks = Annotated[Some[str], AfterValidator(lambda names: sorted(set(names)))]
 Anchor = Literal["none", "initial", "equilibrium"]
+Actuator = Literal["measured", "history"]
+Share = Annotated[float, Field(ge=0, lt=1, strict=True)]
+ADDED = ("actuator", "measurement", "disturbance", "truth", "scenarios")  # left out of a dump where they say nothing
 
 
 def _part(parts: Registry, others: tuple[str, ...], name: str) -> str:
@@ -69,11 +72,17 @@ def within(key: str, span: Range, bounds: Range) -> None:
 class Section(BaseModel):
     """A table of the pipeline file: frozen, and an unknown key is an error."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, ser_json_inf_nan="constants")
 
     def moved(self, locate: Callable[[str], str]) -> Self:
         """The same with `locate(path)` in each value that names a class of a file, or data."""
         return self.model_copy(update={key: _moved(value, locate, key) for key, value in self})
+
+    @model_serializer(mode="wrap")
+    def _dump(self, handler: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
+        """All keys, but for those of ADDED that have their default: a key of a result is older than they are."""
+        fields, document = type(self).model_fields, handler(self)
+        return {k: v for k, v in document.items() if k not in ADDED or getattr(self, k) != fields[k].default}
 
 
 def _moved(value: Any, locate: Callable[[str], str], key: Any = None) -> Any:
@@ -88,11 +97,46 @@ def _moved(value: Any, locate: Callable[[str], str], key: Any = None) -> Any:
     return locate(value) if is_path else value
 
 
+class Sensors(Section):
+    """What the controller sees of the plant: samples X (1 + noise ξ), ξ standard normal, and when they arrive.
+
+    Between samples it predicts the state from the last one, with its own commands.
+    """
+
+    noise: Delay = 0.0  #: standard deviation of a sample, relative to its value
+    period: Positive | None = None  #: between samples, in seconds; by default the control step
+    jitter: Share = 0.0  #: largest deviation of a period, relative to it
+    delay: Delay = 0.0  #: of a sample on its way, in seconds
+    drop: Share = 0.0  #: probability that a sample never arrives
+
+
+class Disturbance(Section):
+    """amplitude sin(omega t), added to what leaves the actuator, the same for each input."""
+
+    amplitude: Number = 0.0  #: in units of the input
+    omega: Positive = 1.0  #: in rad/s
+
+
+class Drift(Section):
+    """The true delay D + amplitude sin(2π t / period)."""
+
+    amplitude: Number  #: in seconds
+    period: Positive  #: in seconds
+
+
+class Jump(Section):
+    """The true delay D up to the time `at`, and another one from there on."""
+
+    to: Delay  #: the delay afterwards, in seconds
+    at: Delay  #: in seconds
+
+
 class Loop(Section):
     """The settings of a stage's closed loops [DAPF, eqs. 6-14]: times and delays in seconds, nx nodes on [0, 1].
 
     `adaptation` is the delay law: the paper's by default; frozen, where D_hat stays where it starts (started at D, the
-    delay is known); or a user's, `file.py:Class`, made with gamma, b and bounds.
+    delay is known); or a user's, `file.py:Class`, made with gamma, b and bounds. For a plant that declares its delay,
+    which the controller then knows, every key about delays, estimates and laws is left out.
     """
 
     dt: Positive = 0.005  #: control step, in seconds
@@ -107,6 +151,10 @@ class Loop(Section):
     #: the input before t = 0, which fills the delay: numbers, "equilibrium" or "law" (κ of the start); by default 0
     #: where input_bounds allow it, else "equilibrium"
     u0: StartInput | None = None
+    actuator: Actuator = "measured"  #: whether u is measured, or read from the history of commands at D_hat
+    truth: dict[str, Number] = {}  #: parameters of the simulated plant that are not those of the controller's model
+    measurement: Sensors = Sensors()
+    disturbance: Disturbance = Disturbance()
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -296,6 +344,51 @@ class Train(Section):
         return self
 
 
+class Scenario(Section):
+    """Loops under other conditions, from the initial states of the cases: each key that is given takes the place of
+    the one of [evaluate], for the numerical predictor and for each network.
+    """
+
+    name: Annotated[str, Field(min_length=1, max_length=40)]  #: what tables and figures call it
+    noise: Delay | None = None  #: as measurement.noise
+    period: Positive | None = None  #: as measurement.period
+    jitter: Share | None = None  #: as measurement.jitter
+    delay: Delay | None = None  #: as measurement.delay
+    drop: Share | None = None  #: as measurement.drop
+    parameters_scale: Positive | None = None  #: all parameters of the simulated plant times that
+    parameters: dict[str, Number] = {}  #: as truth
+    disturbance: Disturbance | None = None  #: as disturbance
+    actuator: Actuator | None = None  #: as actuator
+    adaptation: Law | None = None  #: as adaptation
+    D_hat0: Some[Positive] | None = None  #: as case_D_hat0
+    drift: Drift | None = None  #: of the true delay, which the controller takes for constant
+    jump: Jump | None = None  #: of the true delay
+    t_end: Positive | None = None  #: as case_t_end
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        for one, other in (("drift", "jump"), ("parameters", "parameters_scale")):
+            if getattr(self, one) and getattr(self, other):
+                raise ValueError(f"{one}, {other}: expected one of them, got both; drop one, or write two scenarios")
+        return self
+
+    @property
+    def about_delay(self) -> list[str]:
+        """The keys that are given and mean nothing where the plant declares its delay."""
+        return [key for key in ("adaptation", "D_hat0", "drift", "jump") if getattr(self, key) is not None]
+
+    def delays(self, D: float) -> Range:
+        """The smallest and the largest true delay where it is D in [evaluate], in seconds."""
+        reach = abs(self.drift.amplitude) if self.drift else 0.0
+        ends = (D, self.jump.to) if self.jump else (D - reach, D + reach)
+        return min(ends), max(ends)
+
+    @model_serializer(mode="wrap")
+    def _given(self, handler: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
+        """The keys that say something."""
+        return {key: value for key, value in handler(self).items() if value not in (None, {})}
+
+
 class Evaluate(Loop):
     """Held-out errors by kind of row; the error |P(1, t) - X(t + D)| in loops that know the delay; the loop of Fig. 1,
     initial states x D_hat(0), and Fig. 1's start over a map D x D_hat(0).
@@ -310,6 +403,38 @@ class Evaluate(Loop):
     case_t_end: Positive = 100.0  #: length of those loops, in seconds
     map_D: list[Positive] = []  #: true delays of the convergence map …
     map_D_hat0: list[Positive] = []  #: … times these D_hat(0), from the start of Fig. 1
+    scenarios: list[Scenario] = []  #: other conditions, each a table [[evaluate.scenarios]]
+
+    @model_validator(mode="after")
+    def _check_scenarios(self) -> Self:
+        names = [scenario.name for scenario in self.scenarios]
+        if twice := next((name for name in names if names.count(name) > 1), None):
+            raise ValueError(f"scenarios: expected different names, got {twice!r} twice; rename one")
+        for k, scenario in enumerate(self.scenarios):
+            span = scenario.delays(self.D)
+            if span[0] < 0:
+                raise ValueError(f"scenarios[{k}].drift: expected a delay of at least 0 s, got {span[0]:g}; shrink it")
+            try:
+                self.under(scenario).reached("delay", span)
+            except ValueError as error:
+                raise ValueError(f"scenarios[{k}]: {error}") from None
+            for value in scenario.D_hat0 or []:
+                within(f"scenarios[{k}].D_hat0", (value, value), self.bounds)
+        return self
+
+    def under(self, scenario: Scenario) -> Self:
+        """This table with the keys that a scenario gives in their places; drifts and jumps of D aside."""
+        update: dict[str, Any] = {
+            key: getattr(scenario, key)
+            for key in ("disturbance", "actuator", "adaptation")
+            if getattr(scenario, key) is not None
+        }
+        update |= {"case_D_hat0": scenario.D_hat0} if scenario.D_hat0 else {}
+        update |= {"case_t_end": scenario.t_end} if scenario.t_end else {}
+        sensors = {key: value for key in Sensors.model_fields if (value := getattr(scenario, key)) is not None}
+        update |= {"measurement": self.measurement.model_copy(update=sensors)} if sensors else {}
+        update |= {"truth": self.truth | scenario.parameters} if scenario.parameters else {}
+        return self.model_copy(update=update)
 
     @model_validator(mode="after")
     def _check_delays(self) -> Self:
@@ -505,8 +630,14 @@ def _unknown(key: str, siblings: list[str]) -> str:
 def _siblings(loc: tuple[int | str, ...]) -> list[str]:
     model: Any = Pipeline
     for part in loc[:-1]:
-        model = model.model_fields[part].annotation if part in model.model_fields else Network
+        if isinstance(part, str):
+            model = _table(model.model_fields[part].annotation) if part in model.model_fields else Network
     return sorted(model.model_fields)
+
+
+def _table(kind: Any) -> Any:
+    """The table that a key holds, or a list of."""
+    return next((part for part in (kind, *get_args(kind)) if isinstance(part, type) and issubclass(part, Table)), kind)
 
 
 def _meant(key: str, siblings: list[str]) -> str:

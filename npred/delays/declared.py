@@ -60,7 +60,7 @@ class DeclaredDelay(Family):
         "picard": "use rk4",
         "published": "use euler, heun or rk4",
         "euler_python": "use euler, heun or rk4",
-        "adaptation": 'the controller knows that delay: leave the law out, in a pipeline by adaptation = "frozen"',
+        "adaptation": "the controller knows that delay: leave the law out",
     }
 
     def expected(self) -> str:

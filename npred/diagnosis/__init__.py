@@ -1,6 +1,7 @@
 """The check of a plant and its pipeline, one answer per question, before an hour of rollouts and training."""
 
 from collections.abc import Callable, Collection, Sequence
+from contextlib import suppress
 
 import numpy as np
 
@@ -23,6 +24,7 @@ def _of_pipelines(answer: Callable[[Case], Verdict | None], before: str = ANY) -
 QUESTIONS = (
     Check("trace", box.traced),
     Check("smooth law", box.smooth, lambda case: case.plant.traced),
+    _of_pipelines(pipeline_fit.declared_delay),
     _of_pipelines(pipeline_fit.served),
     Check("box", box.declared, before=ANY),
     _of_pipelines(pipeline_fit.start),
@@ -30,6 +32,7 @@ QUESTIONS = (
     _of_pipelines(pipeline_fit.declares_V),
     Check("finite", box.finite, lambda case: case.verdict("box") != "no", ANY),
     Check("delay", lambda case: ("yes", f"{case.delay:g} s, {case.source}")),
+    Check("feasibility", box.feasible, lambda case: case.sound and case.plant.declares_delay),
     Check("equilibrium", equilibrium.equilibrium, lambda case: case.plant.rests),
     Check("stability", equilibrium.stability, equilibrium.exists, ANY),
     Check("reference", equilibrium.reference, lambda case: not case.plant.rests, "evaluate"),
@@ -81,7 +84,7 @@ def settled(answers: Sequence[Answer]) -> bool:
 
 def require(plant: Plant, pipeline: Pipeline, stages: Collection[str]) -> None:
     """Raise ConfigError, in one line, where those stages ask for what the plant does not have."""
-    case = Case(plant, pipeline.longest_delay, pipeline.generate.nx, SAMPLES, pipeline, stages)
+    case = Case(plant, _longest(plant, pipeline)[0], pipeline.generate.nx, SAMPLES, pipeline, stages)
     if refusal := _refusal(case):
         raise ConfigError(refusal)
 
@@ -94,8 +97,20 @@ def _refusal(case: Case) -> str | None:
 
 def _longest(plant: Plant, pipeline: Pipeline | None) -> tuple[float, str]:
     """The delay to predict over, and where it is from."""
+    if plant.declares_delay:
+        return _declared(Case(plant, ASSUMED, NODES, SAMPLES, pipeline))
     if pipeline:
         return pipeline.longest_delay, "the longest delay or first estimate of the pipeline"
     if plant.delays:
         return max(plant.delays), "the longest of the plant's delays"
     return ASSUMED, "assumed: --delay gives another, or a pipeline instead of the plant"
+
+
+def _declared(case: Case) -> tuple[float, str]:
+    """The longest delay that the plant declares on the box; where it cannot say, other answers say why."""
+    if all(name in case.box for name in case.plant.states):
+        with suppress(ConfigError):
+            longest = float(np.nanmax(case.delays[1]))
+            if 0 < longest < np.inf:
+                return longest, "the longest that the plant declares on the box"
+    return ASSUMED, "assumed: the plant declares none on the box"

@@ -4,8 +4,10 @@ from collections.abc import Callable
 
 import numpy as np
 
+from npred.delays import family_of
 from npred.diagnosis.case import Case, Verdict
 from npred.plants import inputs
+from npred.plants.base import Plant
 from npred.predictors import RK4
 from npred.symbolic import programs
 from npred.symbolic.trace import Trace
@@ -120,7 +122,7 @@ def complete(case: Case) -> Verdict:
     half = len(held) // 2
     held[:half] = inputs.before(case.plant, case.u0, case.limits, case.X[:half])
     nodes = max(case.nodes, FINE)
-    P = RK4(case.plant, nodes)(case.X, np.repeat(held[:, None], nodes, axis=1), case.delay)
+    P = RK4(_undelayed(case.plant), nodes)(case.X, np.repeat(held[:, None], nodes, axis=1), case.delay)
     ended = ~np.all(np.isfinite(P), axis=2)  # (samples, nodes)
     lost, loop = ended[:, -1], f"the open loop (u0: {inputs.sentence(case.plant, case.u0, case.limits)}, or kappa)"
     if not lost.any():
@@ -131,3 +133,34 @@ def complete(case: Case) -> Verdict:
     start = f"{case.state(case.X[first])} ({lost.mean():.0%} of the box)"
     cure = "shrink box or the delay, or guard what is undefined there with M.where"
     return "no", f"{case.plant.location('f')}: {loop} leaves the finite numbers after {t:.3g} s from {start}; {cure}"
+
+
+def _undelayed(plant: Plant) -> Plant:
+    """The plant without the delay that it declares: its open loop is asked for, whatever reaches it when."""
+    if not plant.declares_delay:
+        return plant
+    declaration = type(plant.declaration.__name__, (plant.declaration,), {"delay": None})
+    return Plant(plant.name, declaration, plant.parameters, plant.source)
+
+
+def feasible(case: Case) -> Verdict:
+    """Whether 1 - D_X f - D_t > 0 on the box under kappa and u0, D being the plant's: else commands overtake others."""
+    plant, speed = case.plant, family_of(case.plant).speed()
+    assert speed is not None
+    times, delays = case.delays
+    worst = int(np.argmin(np.where(np.isfinite(delays), delays, -np.inf).min(axis=0)))
+    if not (np.isfinite(delays[:, worst]) & (delays[:, worst] >= 0)).all():
+        came = f"got {delays[:, worst].min():.3g} at {case.state(case.X[worst])}"
+        return "no", f"{plant.location('delay')} expected a finite delay of at least 0 s on the box, {came}; shrink box"
+    X, margins = np.array(case.X.T, order="C"), np.full(len(case.X), np.inf)
+    for U in (case.u, inputs.before(plant, case.u0, case.limits, case.X)):
+        for t in times:
+            rows = np.empty((plant.m, len(case.X)))
+            speed(X, np.array(U.T, order="C"), float(t), plant.p, rows)
+            margins = np.minimum(margins, rows[0])
+    worst = int(np.argmin(margins))
+    came = f"1 - D_X f - D_t is at least {margins[worst]:.3g}, at {case.state(case.X[worst])}"
+    if margins[worst] > 0:
+        return "yes", f"{came}, at {len(margins)} states of the box"
+    share = f"{(margins <= 0).mean():.0%} of {len(margins)} states of the box"
+    return "warn", f"{came}, and not positive at {share}: loops that come there end; shrink box"

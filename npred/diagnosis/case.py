@@ -8,7 +8,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from npred import randomness
-from npred.config import FROZEN, Loop, Pipeline
+from npred.config import FROZEN, Loop, Pipeline, Scenario
 from npred.delays import family_of
 from npred.errors import ConfigError
 from npred.plants import inputs
@@ -19,6 +19,8 @@ Verdict = tuple[Literal["yes", "warn", "no"], str]
 STAGES = ("generate", "train", "evaluate", "bench")
 LOOPS = ("generate", "evaluate")  # those that simulate
 ANY = "any stage"
+SPAN, MOMENTS = 100.0, 16  # s, and how many times: where a declared delay that depends on time is looked at
+WITHOUT_V = (FROZEN, "l1", "delay-observer")  # laws that take no V
 
 
 class Answer(NamedTuple):
@@ -109,9 +111,22 @@ class Case:
     @property
     def takes_V(self) -> bool:
         """True if an update law runs: not with a frozen estimate, nor where inputs have several delays."""
-        if self.pipeline is None:
+        if self.pipeline is None or self.plant.declares_delay:
             return family_of(self.plant).refusal("adaptation") is None
-        return any(loop.adaptation != FROZEN for loop in self.loops.values())
+        laws = [loop.adaptation for loop in self.loops.values()] + [s.adaptation for s in self.scenarios]
+        return any(law is not None and law not in WITHOUT_V for law in laws)
+
+    @property
+    def scenarios(self) -> list[Scenario]:
+        """The scenarios that are to run."""
+        return self.pipeline.evaluate.scenarios if self.pipeline and "evaluate" in self.stages else []
+
+    @cached_property
+    def delays(self) -> tuple[np.ndarray, np.ndarray]:
+        """Times t (T,) over a period, and the delay that the plant declares at t and each sample, (T, samples)."""
+        t = np.linspace(0.0, self.plant.period or SPAN, MOMENTS) if self.plant.clocked else np.zeros(1)
+        with np.errstate(all="ignore"):
+            return t, np.array([self.plant.delay(self.X, moment) for moment in t])
 
     @cached_property
     def X(self) -> np.ndarray:

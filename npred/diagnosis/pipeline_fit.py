@@ -12,9 +12,14 @@ from npred.diagnosis.case import Case
 from npred.diagnosis.equilibrium import SLIP
 from npred.diagnosis.lyapunov import undeclared
 from npred.errors import ConfigError
-from npred.loop import delay_law
+from npred.loop import configured, delay_law
 from npred.plants import inputs
 from npred.registry import NETWORKS
+
+ABOUT_DELAY = (  # keys that a plant which declares its delay has no use for
+    "adaptation", "gamma", "b", "bounds", "D", "D_hat0", "case_D_hat0", "map_D", "map_D_hat0", "explore", "redraw",
+    "explore_D", "explore_D_hat0",
+)  # fmt: skip
 
 
 def served(case: Case) -> None:
@@ -22,7 +27,8 @@ def served(case: Case) -> None:
     refusal, pipeline = family_of(case.plant).refusal, case.settings
     asked: dict[str, tuple[str, Any]] = {}  # what a key names, and what to set in its place
     for stage, loop in case.loops.items():
-        asked |= {f"{stage}.adaptation": ("adaptation" if loop.adaptation == PAPER else "", FROZEN)}
+        if not case.plant.declares_delay:  # that of the pipeline means nothing there
+            asked |= {f"{stage}.adaptation": ("adaptation" if loop.adaptation == PAPER else "", FROZEN)}
         asked |= {f"{stage}.predictor": (loop.predictor, "rk4")}
     if "bench" in case.stages and (refused := [name for name in pipeline.bench.runtimes if refusal(name)]):
         others = [name for name in pipeline.bench.runtimes if name not in refused]
@@ -31,6 +37,23 @@ def served(case: Case) -> None:
     if reasons:
         changes = ", ".join(f"{key} = {json.dumps(asked[key][1])}" for key in reasons)
         raise ConfigError(f"{', '.join(reasons)}: {next(iter(reasons.values()))[0]}; set {changes}")
+
+
+def declared_delay(case: Case) -> None:
+    """Whether a pipeline leaves out all that is about delays, estimates and laws where the plant declares its delay."""
+    if not case.plant.declares_delay:
+        return
+    keys = []
+    for stage, loop in case.loops.items():
+        fields = {name: field for name, field in type(loop).model_fields.items() if name in ABOUT_DELAY}
+        changed = [name for name, field in fields.items() if getattr(loop, name) not in (field.default, FROZEN)]
+        keys += [f"{stage}.{name}" for name in changed]
+    for k, scenario in enumerate(case.scenarios):
+        keys += [f"evaluate.scenarios[{k}].{key}" for key in scenario.about_delay]
+    if keys:
+        them = "it" if len(keys) == 1 else "them"
+        what = f"expected none, for plant {case.plant.name} declares delay(x, t, p, M)"
+        raise ConfigError(f"{', '.join(keys)}: {what}; leave {them} out")
 
 
 def clock(case: Case) -> None:
@@ -86,6 +109,8 @@ def parts(case: Case) -> None:
     for name in case.settings.train.models if "train" in case.stages else ():
         table = case.settings.train.table(name)
         NETWORKS.check_keywords(f"train.{name}.sizes", table.architecture, table.arguments)
-    for loop in case.loops.values():
+    tables = [*case.loops.values(), *(case.settings.evaluate.under(scenario) for scenario in case.scenarios)]
+    for loop in tables:
         delay_law.check(loop, case.plant)
+        configured.truth(case.plant, loop)
         predictors.numerical(loop.predictor, case.plant, loop.nx)

@@ -9,6 +9,7 @@ from npred.figures.kinds import kinds
 from npred.figures.latency import speed
 from npred.figures.loops import figure1
 from npred.figures.losses import learning
+from npred.figures.scenarios import scenarios
 
 __all__ = [
     "Evidence",
@@ -21,6 +22,7 @@ __all__ = [
     "figure1",
     "kinds",
     "learning",
+    "scenarios",
     "speed",
     "write",
 ]

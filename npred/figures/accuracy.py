@@ -50,7 +50,7 @@ def errors(evidence: Evidence) -> Plate:
     )
     panels = (
         Panel("error versus x", f"Largest error over all x: {sup}.", partial(_over_x, by_network)),
-        Panel("error versus D̂", f"Largest error by delay estimate; over all: {sup}.",
+        Panel(f"error versus {symbol(evidence.plant, 'D_hat')}", f"Largest error by delay; over all: {sup}.",
               partial(_over, evidence.D_hat, by_network, quantity(evidence.plant, "D_hat"))),
         Panel("share of samples below ε", f"Distribution of the largest error over x; median: {half}.",
               partial(distribution, {c: error.sup for c, error in by_network.items()})),

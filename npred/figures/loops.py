@@ -11,9 +11,11 @@ from npred.figures.figure import Key, Panel, Plate
 from npred.figures.notation import common_unit, quantity, symbol, timed, with_unit
 from npred.figures.style import ROLES, log, look
 from npred.loop import lyapunov, metrics
+from npred.plants import Plant
 from npred.results import NUMERICAL, Contender
 
 GOAL = {"color": ROLES["muted"][0], "linewidth": 0.8, "linestyle": (0, (1, 2)), "zorder": 0}
+ROUNDS = 30  # of the fixed-point iteration for when a command acts
 END = 0.1  # the share of the horizon that is looked at closely
 
 
@@ -24,7 +26,7 @@ def figure1(evidence: Evidence) -> Plate:
     goals, kept = _goals(evidence, t), _converging(evidence)
     panels = []
     for k, name in enumerate((*plant.states, *plant.inputs, "D_hat")):
-        title = ("delay estimate " if name == "D_hat" else "") + quantity(plant, name)
+        title = (_estimate(plant) if name == "D_hat" else "") + quantity(plant, name)
         span = _around([goals[:, k], *(columns[c][:, k] for c in kept)])
         panels.append(Panel(title, _alt(title, k, columns, t), partial(_over_time, t, columns, k, goals, span, time)))
     for k, name in enumerate(plant.states):
@@ -34,14 +36,20 @@ def figure1(evidence: Evidence) -> Plate:
     return Plate("figure1", "The closed loop", _caption(evidence), tuple(panels), keys(evidence.loops))
 
 
+def _estimate(plant: Plant) -> str:
+    return "delay " if plant.declares_delay else "delay estimate "
+
+
 def _caption(evidence: Evidence) -> str:
     plant, config = evidence.plant, evidence.config
     D, D_hat0 = (f"{value:g} {plant.time_unit}".strip() for value in (config.D, config.D_hat0))
+    delay = "the delay that the plant declares" if plant.declares_delay else f"D = {D} and D̂(0) = {D_hat0}"
+    goal = "the delay there" if plant.declares_delay else "the true delay"
     of = f" [{plant.figure}]" if plant.figure else ""
     where, start = "rest" if plant.rests else "the reference", ", ".join(f"{value:g}" for value in config.X0)
     return (
-        f"One closed loop{of} from X(0) = ({start}) with D = {D} and D̂(0) = {D_hat0}, run with each "
-        f"predictor. Grey and dotted: {where}, and the true delay. A loop that does not converge may leave the picture."
+        f"One closed loop{of} from X(0) = ({start}) with {delay}, run with each "
+        f"predictor. Grey and dotted: {where}, and {goal}. A loop that does not converge may leave the picture."
     )
 
 
@@ -86,13 +94,15 @@ def _columns(loop: LoopSeries) -> np.ndarray:
 
 
 def _goals(evidence: Evidence, t: np.ndarray) -> np.ndarray:
-    """The targets of states and inputs, the input leading by D, and the true delay, (nt, n + m + 1)."""
-    plant, D = evidence.plant, np.full((len(t), 1), evidence.config.D)
-    X, u = (
-        np.broadcast_to(goal, (len(t), goal.shape[-1]))
-        for goal in (plant.target(t), plant.u_target(t + evidence.config.D))
-    )
-    return np.concatenate([X, u, D], axis=1)
+    """Where states and inputs are to go, the input leading by D, and the true delay, (nt, n + m + 1)."""
+    plant, D = evidence.plant, np.full(len(t), evidence.config.D)
+    acts = t + D
+    if plant.declares_delay:
+        D, acts = (t - t) + plant.delay(plant.target(t), t), t
+        for _ in range(ROUNDS):  # s = t + D(target(s), s)
+            acts = t + plant.delay(plant.target(acts), acts)
+    X, u = (np.broadcast_to(goal, (len(t), goal.shape[-1])) for goal in (plant.target(t), plant.u_target(acts)))
+    return np.concatenate([X, u, D[:, None]], axis=1)
 
 
 def _over_time(

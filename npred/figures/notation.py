@@ -9,12 +9,17 @@ from npred.plants import Plant
 SPELT = "alpha|beta|gamma|delta|epsilon|zeta|eta|theta|iota|kappa|mu|nu|xi|pi|rho|sigma|tau|phi|chi|psi|omega"
 LETTER = re.compile(f"(?i:{SPELT})")
 NAME = re.compile(rf"((?i:{SPELT})|[A-Za-z])(?:_?(\d+)|_(?!dot)([A-Za-z][A-Za-z0-9]*))?")  # x, x1, x_1, T_out, theta1
-D_HAT = "D̂"
+D_HAT, HORIZON = "D̂", "D(X, t)"
 
 
 def symbol(plant: Plant, name: str) -> str:
-    """A state, an input or D_hat without its unit: the label that the plant declares, else its name in letters."""
-    return D_HAT if name == "D_hat" else raised(plant.labels.get(name) or spelt(name))
+    """A state, an input or D_hat without its unit: the label that the plant declares, else its name in letters.
+
+    Where the plant declares its delay, D_hat is that delay now.
+    """
+    if name == "D_hat":
+        return HORIZON if plant.declares_delay else D_HAT
+    return raised(plant.labels.get(name) or spelt(name))
 
 
 def quantity(plant: Plant, name: str) -> str:

@@ -91,7 +91,7 @@ def resolve(loop: config.Loop) -> DelayLaw | None:
 
 def check(loop: config.Loop, plant: Plant) -> None:
     """Raise ConfigError where the delay law does not load, or refuses the plant."""
-    law = resolve(loop)
+    law = None if plant.declares_delay else resolve(loop)
     if law is not None:
         law.check(plant)
 

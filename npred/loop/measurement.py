@@ -31,7 +31,8 @@ class Measurement:
     A sample arrives `delay` seconds after it was taken, or, with probability `drop`, never; the first one, at t = 0, is
     there at once. Times are rounded to control steps. `observer(X_hat, Y, U, t)` replaces the prediction between
     samples: it takes the last estimate X_hat (B, n), the sample Y (B, n) that arrived now, NaN where there is none, and
-    the input U (B, m) that acted since the last call, and gives X_hat (B, n) at time t.
+    the input U (B, m) that acted since the last call, and gives X_hat (B, n) at time t. `first` is the number of the
+    batch's first loop, where the batch is a part of a larger one: each loop has the noise that it has there.
     Raises ConfigError for a value out of range.
     """
 
@@ -42,6 +43,7 @@ class Measurement:
     drop: float = 0.0
     seed: int = 0
     observer: Observer | None = None
+    first: int = 0
 
     def __post_init__(self) -> None:
         period = math.inf if self.period is None else array_checks.number("measurement: period", self.period)
@@ -88,7 +90,7 @@ def sensor(measurement: Measurement, dt: float, first: int) -> Sensor:
     age = round(measurement.delay / dt)
     return Sensor(
         float(measurement.noise), period, float(measurement.jitter), age, float(measurement.drop),
-        int(measurement.seed), first,
+        int(measurement.seed), first + measurement.first,
     )  # fmt: skip
 
 

@@ -69,6 +69,30 @@ def in_loop(loops: Trajectories, D: float) -> np.ndarray:
     return np.where(np.isfinite(gap), gap, np.inf)
 
 
+def in_loop_declared(loops: Trajectories) -> np.ndarray:
+    """sup |P(1, t) - X(s)|, (...), of a plant that declares its delay: s is when U(t) acts, s - D(X(s), s) = t.
+
+    D_hat is D(X(t), t); every step is kept, and X is linear between steps. It is taken from the time on at which the
+    first command acts for the second time, as `in_loop` from 2 D on, while s is in the record. Infinite for a loop that
+    left the finite numbers, or whose record is too short.
+    """
+    shape, t = loops.D_hat.shape[:-1], loops.t
+    series = (a.reshape(-1, len(t), *a.shape[len(shape) + 1 :]) for a in (loops.X, loops.P, loops.D_hat))
+    errors = [_gap_where_it_acts(t, X, P, D) for X, P, D in zip(*series, strict=True)]
+    return np.array(errors).reshape(shape)
+
+
+def _gap_where_it_acts(t: np.ndarray, X: np.ndarray, P: np.ndarray, D: np.ndarray) -> float:
+    """`in_loop_declared` of one loop: X, P (nt, n), D (nt,)."""
+    if not (np.isfinite(X).all() and np.isfinite(P).all()):
+        return np.inf
+    acts = np.interp(t, t - D, t, right=np.nan)  # phi(t) = t - D rises
+    start = np.interp(acts[0], t, acts)
+    rows = (t >= start) & np.isfinite(acts)
+    reached = np.stack([np.interp(acts[rows], t, x) for x in X.T], axis=-1)
+    return float(np.linalg.norm(P[rows] - reached, axis=-1).max(initial=0.0)) if rows.any() else np.inf
+
+
 def settle_time(loops: Trajectories, X_star: np.ndarray) -> np.ndarray:
     """The time in seconds after which |X - X*| stays within 1 % of size(X*), (...); infinite where it does not."""
     return _last_outside(loops.t, np.linalg.norm(loops.X - X_star, axis=-1), SETTLED * size(X_star))

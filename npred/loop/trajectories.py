@@ -10,7 +10,18 @@ from npred.delays import family_of
 from npred.loop import engine, trajectory_views
 from npred.plants.base import Plant
 
-LOOPS = ("X", "U", "D_hat", "N", "energy", "escaped", "P", "infeasible", "margin")  # arrays led by the batch's axes
+LOOPS = (
+    "X",
+    "U",
+    "D_hat",
+    "N",
+    "energy",
+    "escaped",
+    "P",
+    "infeasible",
+    "margin",
+    "breach",
+)  # arrays led by the batch's axes
 
 
 @dataclass(frozen=True)
@@ -29,8 +40,9 @@ class Trajectories:
     P is the prediction at x = 1, P(1, t), for X(t + D_hat); NaN in the open loop.
     N = 1 + V + b ∫₀¹ (1+x) w² dx, NaN without adaptation; energy = ∫_{t-D}^t |U - U*|² ds; see npred.loop.lyapunov.
     `escaped` (...) is the first step whose state is not finite, or -1; `infeasible` (...) the first step at which
-    commands would overtake each other, 1 - D_X f - D_t <= 0, or -1, and `margin` (...) that value; `states`, `inputs`,
-    `time_unit`, `labels` and `units` are the plant's. print(loop) gives the ranges and ends of all series.
+    commands would overtake each other, 1 - D_X f - D_t <= 0, or -1, `margin` (...) that value and `breach` (..., n) the
+    state there; `states`, `inputs`, `time_unit`, `labels` and `units` are the plant's. print(loop) gives the ranges and
+    ends of all series.
     """
 
     t: np.ndarray
@@ -44,6 +56,7 @@ class Trajectories:
     P: np.ndarray
     infeasible: np.ndarray
     margin: np.ndarray
+    breach: np.ndarray
     states: tuple[str, ...] = ()
     inputs: tuple[str, ...] = ()
     time_unit: str = "s"
@@ -93,11 +106,12 @@ def of_record(r: engine.Record, shape: tuple[int, ...], step: float, plant: Plan
         return np.moveaxis(a, -1, 0).reshape((*shape, *a.shape[:-1]))
 
     samples = Samples(lead(r.sample_X), lead(r.sample_u), lead(r.sample_D_hat))
-    series = {name: lead(getattr(r, name)) for name in LOOPS if name != "margin"}
+    series = {name: lead(getattr(r, name)) for name in LOOPS if name not in ("margin", "breach")}
     times = np.arange(len(r.X)) * step
     return Trajectories(
         t=times, samples=samples, states=plant.states, inputs=plant.inputs, time_unit=plant.time_unit,
-        labels=plant.labels, units=plant.units, margin=lead(margins(plant, r)), **series,
+        labels=plant.labels, units=plant.units, margin=lead(margins(plant, r)),
+        breach=lead(r.breach[: plant.n]), **series,
     )  # fmt: skip
 
 

@@ -29,6 +29,8 @@ class Loops(Protocol):
     @property
     def margin(self) -> np.ndarray: ...  # (...)
     @property
+    def breach(self) -> np.ndarray: ...  # (..., n)
+    @property
     def states(self) -> tuple[str, ...]: ...
     @property
     def inputs(self) -> tuple[str, ...]: ...
@@ -54,19 +56,21 @@ def summary(loops: Loops) -> str:
     if lost.size:
         what = "it leaves" if not shape else f"{lost.size} of {count} leave"
         lines.append(f"  {what} the finite numbers, first at control step {lost.min()}")
-    return "\n".join([*lines, *_infeasible(loops)])
+    if overtaking := infeasible(loops):
+        lines.append("  commands would overtake each other, {}\n  {}".format(*overtaking))
+    return "\n".join(lines)
 
 
-def _infeasible(loops: Loops) -> Iterator[str]:
-    """Where the first loop ends whose commands would overtake each other."""
+def infeasible(loops: Loops) -> tuple[str, str] | None:
+    """Where commands would overtake each other first, and 1 - D_X f - D_t there, in words; None where they never do."""
     steps = loops.infeasible.reshape(-1)
-    if (marked := np.flatnonzero(steps >= 0)).size:
-        loop = marked[np.argmin(steps[marked])]
-        X = loops.X.reshape(-1, *loops.X.shape[-2:])[loop]
-        X = X[max(np.flatnonzero(np.isfinite(X).all(axis=1)), default=0)]  # the last one kept before its end
-        at = ", ".join(f"{name} = {value:.4g}" for name, value in zip(loops.states, X, strict=True))
-        yield f"  commands would overtake each other, first at control step {steps[loop]}, {at}:"
-        yield f"  1 - D_X f - D_t = {loops.margin.reshape(-1)[loop]:.3g}, expected above 0"
+    if not (marked := np.flatnonzero(steps >= 0)).size:
+        return None
+    loop = marked[np.argmin(steps[marked])]
+    X = loops.breach.reshape(-1, len(loops.states))[loop]
+    at = ", ".join(f"{name} = {value:.4g}" for name, value in zip(loops.states, X, strict=True))
+    margin = f"1 - D_X f - D_t = {loops.margin.reshape(-1)[loop]:.3g}, expected above 0"
+    return f"first at control step {steps[loop]}, {at}:", margin
 
 
 def plot(loops: Loops, D: Any = None) -> np.ndarray:

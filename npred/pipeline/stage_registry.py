@@ -95,6 +95,8 @@ def sources(node: Node, config: Pipeline) -> dict[str, SourceText]:
     loops = ("generate", "evaluate") if node.stage == "bench" else (node.stage,)
     keys = ("predictor",) if node.stage == "bench" else ("predictor", "adaptation")
     specs = {f"{stage}.{key}": getattr(getattr(config, stage, None), key, "") for stage, key in product(loops, keys)}
+    if node.stage == "evaluate":
+        specs |= {f"evaluate.scenarios[{k}]": s.adaptation or "" for k, s in enumerate(config.evaluate.scenarios)}
     specs |= {f"bench.{registry.called(name)}": name for name in config.bench.runtimes if node.stage == "bench"}
     specs |= {f"train.{node.model}.network": config.train.table(node.model).architecture} if node.model else {}
     for role, spec in specs.items():
@@ -161,6 +163,8 @@ def _loop(config: Pipeline, stage: str) -> dict[str, Any]:
     section["predictor"] = registry.METHODS.identity(loop.predictor)
     del section["adaptation"], section["u0"]
     section |= {} if law == PAPER else {"adaptation": law}
+    for scenario in section.get("scenarios", []):
+        scenario |= {k: registry.DELAY_LAWS.identity(v) for k, v in scenario.items() if k == "adaptation"}
     return section | ({"u0": u0 if isinstance(u0, str) else u0.tolist()} if isinstance(u0, str) or u0.any() else {})
 
 

@@ -114,6 +114,10 @@ class Plant:
         """V(X, t): X (..., n) to (...)."""
         return self._on("V", X, None, t)[0]
 
+    def delay(self, X: Any, t: Any = 0.0) -> Any:
+        """delay(X, t) in seconds, X (..., n) to (...), of a plant that declares it."""
+        return array_math.stack(self._on("delay", X, None, t), X[..., 0])[..., 0]
+
     def _on(self, name: str, X: Any, u: Any, t: Any) -> list[Any]:
         self._fits(X, u)
         x = [X[..., k] for k in range(self.n)]

@@ -32,19 +32,24 @@ class KindErrors(Errors):
     above: Number  #: share of the rows with an error above the `eps_sup` of the kind `held_out_kind`
 
 
-class Radius(Result):
-    """The largest distance of loops from rest, or from the reference, over the last tenth."""
+class Radii(Result):
+    """How far from rest, or from the reference, loops end: the largest distance over the last tenth."""
 
     median: Number  #: over the cases
     worst: Number  #: over the cases
     converged: float  #: share of the cases
     cases: int  #: how many
-    predicted: Number  #: `gain` times `eps_kappa`
 
     @property
     def count(self) -> int:
         """The number of cases that converge."""
         return round(self.converged * self.cases)
+
+
+class Radius(Radii):
+    """The same beside what the error of the prediction explains."""
+
+    predicted: Number  #: `gain` times `eps_kappa`
 
 
 class DelayMap(Result):
@@ -91,9 +96,10 @@ class KindSize(Result):
 class InLoop(Result):
     """The loops that the errors in the loop are of."""
 
-    D: float  #: the delay, which the estimate equals, in seconds
-    #: errors are taken from this time on, in seconds
-    start: float = Field(validation_alias=AliasChoices("from", "start"), serialization_alias="from")
+    #: the delay, which the estimate equals, in seconds; `null` where the plant declares its delay
+    D: float | None
+    #: errors are taken from this time on, in seconds; `null` where it differs by loop
+    start: float | None = Field(validation_alias=AliasChoices("from", "start"), serialization_alias="from")
     to: float  #: and up to this time
     loops: int  #: how many
 
@@ -103,6 +109,27 @@ class Coverage(Result):
 
     data: tuple[float, float]  #: its range in the data
     outside: dict[Name, Number]  #: by network, the share of its loop steps beyond that range
+
+
+class Behaviour(Result):
+    """What one contender's loops do in a scenario, seen from where the law holds the simulated plant at rest."""
+
+    radius: Radii  #: over the cases
+    settle_time: Number  #: the median over the cases, in seconds
+    #: loops that leave the finite numbers, whose commands would overtake each other, or that end further away than a
+    #: tenth of the distance that radii are measured against
+    lost: int
+    #: the largest |D̂ − D| over the last tenth and the cases, in seconds; `null` where there is no estimate
+    D_error: float | None
+
+
+class Conditions(Result):
+    """One scenario of the pipeline."""
+
+    name: str  #: as the pipeline calls it
+    #: how far from the model's rest the law holds the simulated plant; 0 where it has the model's parameters
+    offset: Number
+    models: dict[Name, Behaviour]  #: the numerical predictor and each network
 
 
 class Evaluated(Result):
@@ -123,6 +150,7 @@ class Evaluated(Result):
     in_loop: InLoop  #: what the errors in the loop are of
     models: dict[Name, Scores]  #: by NAME what was measured
     coverage: dict[str, Coverage]  #: by state, input and `D_hat`
+    scenarios: list[Conditions] = []  #: of a pipeline that has any, the same loops under other conditions
 
     @field_validator("models")
     @classmethod

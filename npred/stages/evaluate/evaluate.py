@@ -6,12 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from npred import figures
+from npred import figures, randomness
 from npred.config import FROZEN, Evaluate
 from npred.data import shards
 from npred.data.dataset import Dataset
-from npred.loop import delay_law, metrics
-from npred.loop.closed_loop import Trajectories, simulate
+from npred.loop import configured, metrics
+from npred.loop.closed_loop import Trajectories
+from npred.loop.trajectory_views import infeasible
 from npred.plants import Plant
 from npred.predictors import Compiled, Predictor, numerical
 from npred.results import NO_ADAPTATION, NUMERICAL, Contender, Evaluated
@@ -24,6 +25,7 @@ from npred.stages.evaluate import (
     figure1,
     held_out_kinds,
     in_loop,
+    scenarios,
     summary_tables,
 )
 from npred.stages.evaluate.accuracy import EXACT, Labelled
@@ -39,13 +41,15 @@ def run(job: Job) -> Evaluated:
 
     The errors mse, eps_sup, … are on the data's held-out rows, of the kind `held_out_kind`; `kinds` has them for
     the rows of each kind, and `in_loop` the largest |P(1, t) - X(t + D)| where D_hat = D.
-    Where none adapts, "without adaptation" would be the numerical predictor's loop again and is left out.
+    Where none adapts, "without adaptation" would be the numerical predictor's loop again and is left out. With
+    `scenarios`, the cases under other conditions too.
     Writes figure1, certificate and coverage (.svg, .png); figure1.h5 (its loops), errors.h5 (where networks err) and
-    coverage.h5 (histograms). Warns where loops leave the data.
+    coverage.h5 (histograms). Warns where loops leave the data, or end since commands would overtake each other.
     """
     config, data = job.config.evaluate, shards.survey(job.inputs["generate"] / "data.h5")
     begin, predictors = starts(job.config, job.plant), _predictors(job)
     loops, in_loops = _all_loops(job, predictors, begin)
+    conditions = {"scenarios": scenarios.run(job, predictors)} if config.scenarios else {}
     job.progress.doing("evaluate", "measuring errors")
     taken = accuracy.sample_steps(job.config.seed, config, len(begin.D))[begin.cases] * config.dt
     cases = loops[NUMERICAL].part(begin.cases)
@@ -61,8 +65,10 @@ def run(job: Job) -> Evaluated:
         errors = _errors(job.plant, predictor, P_hat.get(contender), held_out, fresh)
         behaviour = _behaviour(job.plant, config, begin, contender, errors["eps_kappa"], loops)
         models[contender] = Scores(**errors, in_loop=in_loops[contender], **behaviour)
-    covered = coverage.measure(job.plant, data, {c: loops[c] for c in networks}, config.bounds)
+    bounds = (0.0, np.inf) if job.plant.declares_delay else config.bounds
+    covered = coverage.measure(job.plant, data, {c: loops[c] for c in networks}, bounds)
     _warn(job, covered)
+    _warn_of_overtaking(job, loops)
     _record(job, data, loops)
     result = Evaluated(
         plant=job.plant.name,
@@ -72,9 +78,10 @@ def run(job: Job) -> Evaluated:
         held_out_kind=next(iter(held_out)),
         kinds={name: KindSize(rows=len(rows.X)) for name, rows in held_out.items()},
         fresh=len(fresh.X),
-        in_loop=in_loop.about(config, begin),
+        in_loop=in_loop.about(job.plant, config, begin),
         models=models,
         coverage=covered,
+        **conditions,
     )
     _draw(job, result)
     return result
@@ -84,7 +91,7 @@ def _predictors(job: Job) -> dict[Contender, Predictor]:
     config = job.config.evaluate
     exact = numerical(config.predictor, job.plant, config.nx)
     predictors: dict[Contender, Predictor] = {NUMERICAL: exact}
-    if config.adaptation != FROZEN:
+    if config.adaptation != FROZEN and not job.plant.declares_delay:
         predictors[NO_ADAPTATION] = exact
     for model in job.config.train.models:
         for snapshot in [*job.config.train.table(model).snapshots, None]:
@@ -156,10 +163,10 @@ def _loops(
 ) -> Trajectories:
     config = job.config.evaluate
     taken = None if contender.is_network else accuracy.sample_steps(job.config.seed, config, begin.of(contender))[part]
-    return simulate(
-        job.plant, predictor, D=begin.D[part], D_hat=begin.D_hat0[part], X0=begin.X0[part], dt=config.dt,
-        t_end=config.case_t_end, adaptation=delay_law.resolve(config) if contender.adapts else None,
-        input_bounds=config.input_bounds, u0=config.u0, every=EVERY, samples=taken, progress=progress,
+    return configured.loops(
+        job.plant, predictor, config, D=begin.D[part], D_hat=begin.D_hat0[part], X0=begin.X0[part],
+        t_end=config.case_t_end, adapts=contender.adapts, seed=randomness.integer(job.config.seed, "evaluate", "noise"),
+        first=part.start, every=EVERY, samples=taken, progress=progress,
     )  # fmt: skip
 
 
@@ -220,8 +227,10 @@ def _errors(
 def _warn(job: Job, covered: Mapping[str, Coverage]) -> None:
     for quantity, cover in covered.items():
         cure = (
-            "widen generate's D_hat0 or narrow bounds" if quantity == "D_hat" else "widen generate's box, D or D_hat0"
-        )
+            "widen generate's box" if job.plant.declares_delay
+            else "widen generate's D_hat0 or narrow bounds" if quantity == "D_hat"
+            else "widen generate's box, D or D_hat0"
+        )  # fmt: skip
         for contender, share in cover.outside.items():
             if share > coverage.WARN:
                 low, high = cover.data
@@ -229,6 +238,15 @@ def _warn(job: Job, covered: Mapping[str, Coverage]) -> None:
                     f"{contender.name}: {share:.1%} of the loops' steps have {quantity} outside the data's "
                     f"[{low:.3g}, {high:.3g}]; {cure}"
                 )
+
+
+def _warn_of_overtaking(job: Job, loops: Mapping[Contender, Trajectories]) -> None:
+    """One warning of the loops that ended since the plant's delay shrank faster than time passes."""
+    counts = {c: int((run.infeasible >= 0).sum()) for c, run in loops.items()}
+    if first := next((contender for contender, count in counts.items() if count), None):
+        where = " ".join(infeasible(loops[first]) or ())
+        each = ", ".join(f"{count} of {c.label}" for c, count in counts.items() if count)
+        job.progress.warn(f"loops in which commands would overtake each other count as lost: {each}; {where}")
 
 
 def _record(job: Job, data: Dataset, loops: Mapping[Contender, Trajectories]) -> None:

@@ -9,9 +9,10 @@ from collections.abc import Callable
 
 import numpy as np
 
+from npred import randomness
 from npred.config import Evaluate
-from npred.loop import metrics
-from npred.loop.closed_loop import simulate
+from npred.loop import configured, metrics
+from npred.plants import Plant
 from npred.predictors import Predictor
 from npred.results.evaluate import InLoop
 from npred.stages import Job
@@ -31,28 +32,34 @@ def length(config: Evaluate) -> float:
     return max(min(LONGEST, config.case_t_end), SHORTEST * delay(config))
 
 
-def states(config: Evaluate, begin: Starts) -> np.ndarray:
-    """Their initial states, (B, n): that of Fig. 1, then those of the cases."""
-    return np.concatenate([begin.X0[:1], begin.X0[begin.cases][:: len(config.case_D_hat0)]])
+def states(begin: Starts) -> np.ndarray:
+    """Where they start, (B, n): the state of Fig. 1, then the initial states of the cases."""
+    return np.concatenate([begin.X0[:1], begin.X0[begin.cases][:: begin.repeats]])
 
 
 def steps(config: Evaluate, begin: Starts) -> int:
     """The control steps of one contender's loops."""
-    return len(states(config, begin)) * (round(length(config) / config.dt) + 1)
+    return len(states(begin)) * (round(length(config) / config.dt) + 1)
 
 
 def error(job: Job, predictor: Predictor, begin: Starts, progress: Callable[[int], None]) -> float:
     """The largest metrics.in_loop of loops in which D_hat = D throughout; infinite where one is lost."""
     config, D = job.config.evaluate, delay(job.config.evaluate)
-    loops = simulate(
-        job.plant, predictor, D=D, D_hat=D, X0=states(config, begin), t_end=length(config), dt=config.dt,
-        adaptation=None, input_bounds=config.input_bounds, u0=config.u0, progress=progress,
+    loops = configured.loops(
+        job.plant, predictor, config, D=D, D_hat=D, X0=states(begin), t_end=length(config), adapts=False,
+        seed=randomness.integer(job.config.seed, "evaluate", "in the loop"), progress=progress,
     )  # fmt: skip
-    return float(metrics.in_loop(loops, D).max())
+    errors = metrics.in_loop_declared(loops) if job.plant.declares_delay else metrics.in_loop(loops, D)
+    return float(errors.max())
 
 
-def about(config: Evaluate, begin: Starts) -> InLoop:
-    """The loops of the error: D = D_hat in seconds, the times that it is the largest over, and their number."""
+def about(plant: Plant, config: Evaluate, begin: Starts) -> InLoop:
+    """What the error is of: D = D_hat in seconds, the times that it is the largest over, and how many loops.
+
+    Of a plant that declares its delay there is no such D, and the times differ by loop.
+    """
+    if plant.declares_delay:
+        return InLoop(D=None, start=None, to=length(config), loops=len(states(begin)))
     D = delay(config)
     D, start, to = (round(t, 9) for t in (D, 2 * D, length(config) - D))  # 0.6, not 0.6…01
-    return InLoop(D=D, start=start, to=to, loops=len(states(config, begin)))
+    return InLoop(D=D, start=start, to=to, loops=len(states(begin)))

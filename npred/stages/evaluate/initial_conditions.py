@@ -19,6 +19,7 @@ class Starts:
     D_hat0: np.ndarray  # (B,)
     cases: slice
     map: slice
+    repeats: int  # cases of each initial state
 
     def of(self, contender: Contender) -> int:
         """The number of loops that a contender runs: the map only with adaptation."""
@@ -32,16 +33,21 @@ def box(plant: Plant, pipeline: Pipeline) -> np.ndarray:
 
 
 def starts(pipeline: Pipeline, plant: Plant) -> Starts:
-    """Fig. 1's start, random states of the plant's box x case_D_hat0 at delay D, Fig. 1's state over the map."""
+    """Fig. 1's start, random states of the plant's box x case_D_hat0 at delay D, Fig. 1's state over the map.
+
+    Of a plant that declares its delay the random states alone: D and D_hat(0) mean nothing there.
+    """
     config, ranges = pipeline.evaluate, box(plant, pipeline)
     rng = randomness.generator(pipeline.seed, "evaluate", "cases")
     states = rng.uniform(ranges[:, 0], ranges[:, 1], (config.case_states, plant.n))
     D, D_hat0 = np.meshgrid(config.map_D, config.map_D_hat0, indexing="ij")
-    cases, cells = config.case_states * len(config.case_D_hat0), D.size
+    estimates = config.case_D_hat0[: 1 if plant.declares_delay else None]
+    cases, cells = config.case_states * len(estimates), D.size
     return Starts(
-        np.concatenate([[config.X0], np.repeat(states, len(config.case_D_hat0), 0), np.tile(config.X0, (cells, 1))]),
+        np.concatenate([[config.X0], np.repeat(states, len(estimates), 0), np.tile(config.X0, (cells, 1))]),
         np.concatenate([np.full(1 + cases, config.D), D.ravel()]),
-        np.concatenate([[config.D_hat0], np.tile(config.case_D_hat0, config.case_states), D_hat0.ravel()]),
+        np.concatenate([[config.D_hat0], np.tile(estimates, config.case_states), D_hat0.ravel()]),
         slice(1, 1 + cases),
         slice(1 + cases, 1 + cases + cells),
+        len(estimates),
     )

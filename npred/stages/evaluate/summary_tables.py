@@ -1,6 +1,6 @@
 """Tables of an evaluation for the terminal: errors, radii and loops that converge, in short and in full."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from math import isfinite
 
 from npred.figures.style import short
@@ -34,7 +34,21 @@ def table(result: Evaluated, width: int | None = None, microseconds: Mapping[Con
 def details(result: Evaluated, width: int | None = None) -> str:
     """All numbers of each predictor, in a table wider than most screens."""
     rows = [_all(contender, scores, list(result.kinds)[1:]) for contender, scores in result.models.items()]
-    return f"{_title(result)}\n\n{columns(list(rows[0]), [list(row.values()) for row in rows], width)}"
+    table = columns(list(rows[0]), [list(row.values()) for row in rows], width)
+    return "\n\n".join([_title(result), table, *_scenarios(result, width)])
+
+
+def _scenarios(result: Evaluated, width: int | None) -> Iterator[str]:
+    """The cases under other conditions, where a pipeline has any."""
+    head = ["scenario", "predictor", "radius", "worst", "converged", "lost", "settles", "|D̂ − D|"]
+    rows = [
+        [scenario.name, c.label, _text(does.radius.median), _text(does.radius.worst), f"{does.radius.converged:.0%}",
+         str(does.lost), _text(does.settle_time, ".1f"), "" if does.D_error is None else _text(does.D_error, ".3f")]
+        for scenario in result.scenarios
+        for c, does in scenario.models.items()
+    ]  # fmt: skip
+    if rows:
+        yield columns(head, rows, width, numbers=head[2:])
 
 
 def _title(result: Evaluated) -> str:

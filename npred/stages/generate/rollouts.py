@@ -4,11 +4,12 @@ from typing import Any
 
 import numpy as np
 
-from npred import array_checks, plants
+from npred import array_checks, plants, randomness
 from npred.config import Generate, Pipeline
 from npred.errors import ConfigError, DivergedError
-from npred.loop import delay_law
-from npred.loop.closed_loop import LANES, simulate
+from npred.loop import configured
+from npred.loop.closed_loop import LANES, Trajectories
+from npred.loop.trajectory_views import infeasible
 from npred.parallel import devices
 from npred.plants import Plant, inputs
 from npred.predictors import Predictor, numerical
@@ -16,6 +17,7 @@ from npred.registry import DELAY_LAWS, METHODS
 from npred.stages.generate import sampling
 
 Columns = dict[str, np.ndarray]
+LAST = np.iinfo(np.int64).max  # a step that no loop comes to
 PACKAGES = ("npred", "numpy", "numba")  # what the bytes of a row may depend on
 
 
@@ -60,17 +62,17 @@ def _chunk(pipeline: Pipeline, plant: Plant, chunk: range, finite: bool) -> Colu
     config = pipeline.generate
     X0, D, D_hat0, steps = sampling.starts(pipeline.seed, config, plant, chunk)
     predictor = numerical(config.predictor, plant, config.nx)
-    law = delay_law.resolve(config)
-    loops = simulate(
-        plant, predictor, D=D, D_hat=D_hat0, X0=X0, t_end=config.t_end, dt=config.dt, adaptation=law,
-        input_bounds=config.input_bounds, u0=config.u0, every=sampling.steps(config), samples=steps,
+    noise = randomness.integer(pipeline.seed, "measurement")
+    loops = configured.loops(
+        plant, predictor, config, D=D, D_hat=D_hat0, X0=X0, t_end=config.t_end, seed=noise, first=chunk.start,
+        every=sampling.steps(config), samples=steps,
     )  # fmt: skip
     if finite:
-        _finite(plant, config, chunk, X0, loops.escaped)
+        _finite(plant, config, chunk, X0, loops)
     count = steps.shape[1]
     D_hat = sampling.redrawn(pipeline.seed, config, chunk, loops.samples.D_hat)
     rows = {"X": loops.samples.X, "u": loops.samples.u, "D_hat": D_hat}
-    rows |= {"D": np.repeat(D[:, None], count, 1), "t": steps * config.dt}
+    rows |= {"D": D_hat if plant.declares_delay else np.repeat(D[:, None], count, 1), "t": steps * config.dt}
     rows["P"] = _predicted(predictor, rows)
     rows["rollout"] = np.repeat(np.array(chunk, dtype=np.int32)[:, None], count, 1)
     kept = np.arange(count) < np.array([sampling.samples(config, r) for r in chunk])[:, None]
@@ -85,7 +87,14 @@ def _predicted(predictor: Predictor, rows: Columns) -> np.ndarray:
     return P
 
 
-def _finite(plant: Plant, config: Generate, chunk: range, X0: np.ndarray, escaped: np.ndarray) -> None:
+def _finite(plant: Plant, config: Generate, chunk: range, X0: np.ndarray, loops: Trajectories) -> None:
+    if overtaking := infeasible(loops):
+        rollout = chunk[int(np.argmin(np.where(loops.infeasible < 0, LAST, loops.infeasible)))]
+        raise DivergedError(
+            f"generate: commands would overtake each other in {(loops.infeasible >= 0).sum()} of {len(chunk)} "
+            f"rollouts, in rollout {rollout} {' '.join(overtaking)}; shrink the box, or the plant's delay"
+        )
+    escaped = loops.escaped
     lost = np.flatnonzero(escaped >= 0)
     if len(lost):
         first = lost[np.argmin(escaped[lost])]

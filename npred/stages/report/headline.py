@@ -5,16 +5,17 @@ from collections.abc import Iterable
 from npred.figures.evaluation_data import OF
 from npred.figures.latency import label
 from npred.figures.style import short
+from npred.plants import Plant
 from npred.registry import METHODS
 from npred.results import NO_ADAPTATION, NUMERICAL, Benched, Contender, Evaluated
 from npred.results.evaluate import Scores
 from npred.terminal.progress_bars import counted
 
 
-def summary(evaluated: Evaluated, benched: Benched) -> list[str]:
+def summary(plant: Plant, evaluated: Evaluated, benched: Benched) -> list[str]:
     """The three, each with its numbers."""
     networks = [contender for contender in evaluated.models if contender.is_network and contender.epoch is None]
-    return [_errors(evaluated, networks), _loops(evaluated, networks), _speed(benched)]
+    return [_errors(evaluated, networks), _loops(plant, evaluated, networks), _speed(benched)]
 
 
 def _errors(evaluated: Evaluated, networks: list[Contender]) -> str:
@@ -35,13 +36,14 @@ def _and(texts: list[str]) -> str:
     return " and ".join([", ".join(texts[:-1]), texts[-1]] if texts[1:] else texts)
 
 
-def _loops(evaluated: Evaluated, networks: list[Contender]) -> str:
+def _loops(plant: Plant, evaluated: Evaluated, networks: list[Contender]) -> str:
     radii = {contender: scores.radius for contender, scores in evaluated.models.items()}
     counts = [f"{radii[n].count} with the {n.label} (median radius {short(radii[n].median)})" for n in networks]
     counts.append(f"{radii[NUMERICAL].count} with the numerical predictor")
     if adapts := NO_ADAPTATION in radii:
         counts.append(f"{radii[NO_ADAPTATION].count} without adaptation")
     delay = "with a delay that the controller does not know" if adapts else "with the delay estimate held"
+    delay = "with a delay that the plant declares" if plant.declares_delay else delay
     return f"Of {radii[NUMERICAL].cases} closed loops {delay}, {_and(counts)} converge."
 
 

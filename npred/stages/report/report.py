@@ -5,11 +5,12 @@ from importlib.resources import files
 from typing import Any
 
 from npred import toml_text
-from npred.config import FROZEN
+from npred.config import FROZEN, Evaluate
 from npred.figures import svg, typography
 from npred.figures.figure import Plate
 from npred.figures.notation import symbol
 from npred.figures.style import ROLES
+from npred.plants import Plant
 from npred.results import Reported
 from npred.stages import Job
 from npred.stages.bench import timing_tables
@@ -28,7 +29,7 @@ def run(job: Job) -> Reported:
     Inline SVG, style and script; nothing is loaded. Its three sentences are in the result.
     """
     story = Story.read(job.config, job.plant, job.inputs)
-    said = headline.summary(story.evaluated, story.benched)
+    said = headline.summary(job.plant, story.evaluated, story.benched)
     page = _page(story, said, job)
     (job.folder / NAME).write_text(page, encoding="utf-8")
     return Reported(summary=said, bytes=len(page.encode()))
@@ -90,10 +91,26 @@ def _pictures(plate: Plate, bar: Bar) -> list[str]:
 
 def _about(job: Job) -> str:
     plant, config = job.plant, job.config.evaluate
-    estimate = "its estimate held" if config.adaptation == FROZEN else "unknown to the controller"
-    delay = f"delay D = {config.D:g} {plant.time_unit}".rstrip() + f", {estimate}"
     states, inputs = (", ".join(symbol(plant, name) for name in names) for names in (plant.states, plant.inputs))
-    return f"{plant.name}: states {states}; inputs {inputs}; {delay}"
+    return "; ".join([f"{plant.name}: states {states}", f"inputs {inputs}", _delay(plant, config), *_reality(config)])
+
+
+def _delay(plant: Plant, config: Evaluate) -> str:
+    if plant.declares_delay:
+        return "a delay that the plant declares"
+    estimate = "its estimate held" if config.adaptation == FROZEN else "unknown to the controller"
+    return f"delay D = {config.D:g} {plant.time_unit}".rstrip() + f", {estimate}"
+
+
+def _reality(config: Evaluate) -> Iterator[str]:
+    """What of the loop is not as in the paper."""
+    sensors = [f"{key} {value:g}" for key, value in dict(config.measurement).items() if value]
+    if config.actuator == "history":
+        yield "actuator state not measured"
+    if sensors:
+        yield f"measurements with {', '.join(sensors)}"
+    if config.truth or config.disturbance.amplitude:
+        yield "the simulated plant is not the controller's model"
 
 
 def _facts(story: Story, job: Job) -> dict[str, dict[str, Any]]:

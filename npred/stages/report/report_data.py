@@ -16,6 +16,7 @@ CHAPTERS = (
     ("radius", "Error and radius", ("certificate",), ()),
     ("errors", "Where networks err", ("errors", "kinds", "box"), ("accuracy", "kinds")),
     ("delays", "Delays and first estimates", ("delays",), ()),
+    ("scenarios", "Other conditions", ("scenarios",), ("scenarios",)),
     ("training", "Training", ("learning",), ("training",)),
     ("speed", "Speed", ("speed",), ("bench", "speed")),
     ("coverage", "Coverage of the data", ("coverage",), ("coverage",)),
@@ -50,7 +51,7 @@ class Story:
     def plates(self) -> dict[str, Plate]:
         """Every figure by name, in order."""
         kinds = figures.figure1, figures.certificate, figures.errors, figures.kinds, figures.box, figures.delays
-        plates = [kind(self.evidence) for kind in kinds]
+        plates = [*(kind(self.evidence) for kind in kinds), figures.scenarios(self.plant, self.evaluated.scenarios)]
         plates += [
             figures.learning(dict(zip(ranked(map(Contender, self.histories)), self.histories.values(), strict=True))),
             figures.speed(self.benched.rows),
@@ -64,12 +65,13 @@ class Story:
             tables.accuracy(self.evaluated),
             tables.kinds(self.evaluated),
             tables.loops(self.evaluated),
+            tables.scenarios(self.plant, self.evaluated),
             tables.training(self.trained),
             tables.speed(self.benched.rows),
             tables.by_dx(self.benched.rows),
             tables.outside(self.plant, self.evaluated.coverage),
         ]
-        return {table.name: table for table in every}
+        return {table.name: table for table in every if table}
 
 
 def _lines(path: Path) -> list[dict[str, float]]:

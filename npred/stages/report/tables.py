@@ -7,7 +7,7 @@ import numpy as np
 
 from npred.figures.evaluation_data import OF
 from npred.figures.latency import label
-from npred.figures.notation import quantity
+from npred.figures.notation import quantity, timed
 from npred.figures.table import Column, Table
 from npred.plants import Plant
 from npred.registry import NETWORKS
@@ -59,6 +59,24 @@ def loops(evaluated: Evaluated) -> Table:
         Column("sup |P(1, t) − X(t + D)|", [scores.in_loop for scores in rows], digits=2),
     ]
     return Table("loops", "Closed loops", columns)
+
+
+def scenarios(plant: Plant, evaluated: Evaluated) -> Table | None:
+    """What the loops of each scenario do; None of a pipeline without scenarios."""
+    rows = [(scenario, c.label, does) for scenario in evaluated.scenarios for c, does in scenario.models.items()]
+    if not rows:
+        return None
+    does = [row[2] for row in rows]
+    columns = [
+        Column("scenario", [scenario.name for scenario, _, _ in rows]),
+        Column("predictor", [label for _, label, _ in rows]),
+        Column("rest moved by", [scenario.offset for scenario, _, _ in rows], digits=2),
+        *_columns([each.radius for each in does], {"median": "radius, median", "worst": "worst"}),
+        Column(f"converged of {does[0].radius.cases}", [each.radius.count for each in does], "d"),
+        *_columns(does, {"lost": "lost"}, "d"),
+        *_columns(does, {"settle_time": timed(plant, "settles after"), "D_error": timed(plant, "|D̂ − D|")}),
+    ]
+    return Table("scenarios", "The cases under other conditions", columns)
 
 
 def _kept(scores: Scores, exact: Scores) -> int | None:

@@ -1,0 +1,130 @@
+"""The cases under other conditions: sensors, parameters, disturbances and delays that are not those of the model."""
+
+import math
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from npred import randomness
+from npred.config import Evaluate, Scenario
+from npred.loop import configured, metrics
+from npred.loop.closed_loop import Trajectories
+from npred.plants import Plant, newton
+from npred.predictors import Predictor
+from npred.results import Contender
+from npred.results.evaluate import Behaviour, Conditions, Radii
+from npred.stages import Job
+from npred.stages.evaluate.initial_conditions import starts
+
+EVERY = 10  # control steps between two kept states
+LOST = 0.1  # of the size of the target: a loop that ends further away is lost
+
+
+def run(job: Job, predictors: Mapping[Contender, Predictor]) -> list[Conditions]:
+    """Each scenario with the numerical predictor and the final weights of each network: the same starts and noise."""
+    config = job.config.evaluate
+    compared = {c: predictor for c, predictor in predictors.items() if c.adapts and c.epoch is None}
+    tables = [(scenario, conditions(job.plant, config, scenario)) for scenario in config.scenarios]
+    total = sum(_steps(job, table) for _, table in tables) * len(compared)
+    with job.progress.bar("scenarios", total, "steps") as bar, ThreadPoolExecutor(job.jobs) as pool:
+        try:
+            tasks = [
+                {c: pool.submit(_behaviour, job, scenario, table, p, bar.advance) for c, p in compared.items()}
+                for scenario, table in tables
+            ]
+            behaviours = [{c: task.result() for c, task in by_name.items()} for by_name in tasks]
+        except BaseException:
+            job.progress.stop()
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+    return [
+        Conditions(name=scenario.name, offset=_offset(job.plant, table), models=models)
+        for (scenario, table), models in zip(tables, behaviours, strict=True)
+    ]
+
+
+def conditions(plant: Plant, config: Evaluate, scenario: Scenario) -> Evaluate:
+    """The table [evaluate] under a scenario, `parameters_scale` included; drifts and jumps of D aside."""
+    table = config.under(scenario)
+    if scenario.parameters_scale is None:
+        return table
+    scaled = {name: scenario.parameters_scale * value for name, value in (plant.parameters | table.truth).items()}
+    return table.model_copy(update={"truth": scaled})
+
+
+def delay(config: Evaluate, scenario: Scenario) -> Callable[[float], float] | float:
+    """The true delay in seconds: D, or a function of t."""
+    D, drift, jump = config.D, scenario.drift, scenario.jump
+    if drift:
+        return lambda t: D + drift.amplitude * math.sin(2 * math.pi * t / drift.period)
+    if jump:
+        return lambda t: D if t < jump.at else jump.to
+    return D
+
+
+def _steps(job: Job, table: Evaluate) -> int:
+    """The control steps of one contender's loops."""
+    cases = starts(job.config.model_copy(update={"evaluate": table}), job.plant).cases
+    return (cases.stop - cases.start) * (round(table.case_t_end / table.dt) + 1)
+
+
+def _behaviour(
+    job: Job, scenario: Scenario, table: Evaluate, predictor: Predictor, progress: Callable[[int], None]
+) -> Behaviour:
+    plant, D = job.plant, delay(table, scenario)
+    begin = starts(job.config.model_copy(update={"evaluate": table}), plant)
+    loops = configured.loops(
+        plant, predictor, table, D=D, D_hat=begin.D_hat0[begin.cases], X0=begin.X0[begin.cases],
+        t_end=table.case_t_end, seed=randomness.integer(job.config.seed, "scenarios"), every=EVERY, progress=progress,
+    )  # fmt: skip
+    return behaviour(plant, loops, D, rest(plant, table))
+
+
+def rest(plant: Plant, table: Evaluate) -> np.ndarray | None:
+    """Where the model's law holds the simulated plant at rest, f_truth(X, kappa(X)) = 0, (n,).
+
+    None where the plant tracks, or nothing is found near the model's equilibrium: then loops are seen from the model's.
+    """
+    truth = configured.truth(plant, table)
+    if truth is None or not plant.rests:
+        return None
+
+    def law(X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        u = plant.kappa(X)
+        f_X, f_U = truth.jacobians(X, u)
+        return truth.f(X, u), f_X + f_U @ plant.kappa_jacobian(X)
+
+    with np.errstate(all="ignore"):
+        X, _, converged = newton.solve(law, plant.equilibrium)
+    return X if converged else None
+
+
+def _offset(plant: Plant, table: Evaluate) -> float:
+    X = rest(plant, table)
+    return 0.0 if X is None else float(np.linalg.norm(X - plant.equilibrium))
+
+
+def behaviour(
+    plant: Plant, loops: Trajectories, D: Callable[[float], float] | float, at_rest: np.ndarray | None = None
+) -> Behaviour:
+    """What those loops (B,) of true delay D do; `at_rest` (n,) takes the place of the plant's own target."""
+    target = plant.target(loops.t) if at_rest is None else at_rest
+    radii, times = metrics.radius(loops, target), metrics.settle_time(loops, target)
+    return Behaviour(
+        radius=Radii(
+            median=np.median(radii), worst=radii.max(), converged=metrics.converged(radii, target).mean(),
+            cases=len(radii),
+        ),
+        settle_time=np.median(times),
+        lost=int((~(radii <= LOST * metrics.size(target))).sum()),
+        D_error=None if plant.declares_delay else _error(loops, D),
+    )  # fmt: skip
+
+
+def _error(loops: Trajectories, D: Callable[[float], float] | float) -> float | None:
+    """The largest |D_hat - D| over the last tenth; None where no estimate is finite there."""
+    late = loops.t >= (1 - metrics.TAIL) * loops.t[-1]
+    delays = np.array([D(t) if callable(D) else D for t in loops.t[late]])
+    errors = np.abs(loops.D_hat[:, late] - delays)
+    return float(np.nanmax(errors)) if np.isfinite(errors).any() else None
