@@ -112,12 +112,12 @@ class Coverage(Result):
 
 
 class Behaviour(Result):
-    """What one contender's loops do in a scenario, seen from where the law holds the simulated plant at rest."""
+    """What one contender's loops do in a scenario."""
 
     radius: Radii  #: over the cases
     settle_time: Number  #: the median over the cases, in seconds
     #: loops that leave the finite numbers, whose commands would overtake each other, or that end further away than a
-    #: tenth of the distance that radii are measured against
+    #: fifth of the distance that radii are measured against
     lost: int
     #: the largest |D̂ − D| over the last tenth and the cases, in seconds; `null` where there is no estimate
     D_error: float | None
@@ -127,9 +127,12 @@ class Conditions(Result):
     """One scenario of the pipeline."""
 
     name: str  #: as the pipeline calls it
-    #: how far from the model's rest the law holds the simulated plant; 0 where it has the model's parameters
-    offset: Number
     models: dict[Name, Behaviour]  #: the numerical predictor and each network
+
+    @field_validator("models")
+    @classmethod
+    def _rank(cls, models: dict[Contender, Behaviour]) -> dict[Contender, Behaviour]:
+        return dict(zip(ranked(models), models.values(), strict=True))
 
 
 class Evaluated(Result):

@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 from follower import Follower, follower
 
+import npred
 from npred import plants
 from npred.loop import metrics
 from npred.loop.closed_loop import Samples, Trajectories
 from npred.plants import Plant
+from npred.predictors import RK4
 
 PLANT = plants.resolve("activator_repressor")
 EMPTY = Samples(*[np.empty(0)] * 3)
@@ -17,7 +19,7 @@ EMPTY = Samples(*[np.empty(0)] * 3)
 
 def loops(X, t):
     zeros, never = np.zeros(X.shape[:-1]), np.full(X.shape[:-2], -1)
-    return Trajectories(t, X, zeros[..., None], zeros, zeros, zeros, never, EMPTY, X, never, 0.0 * never)
+    return Trajectories(t, X, zeros[..., None], zeros, zeros, zeros, never, EMPTY, X, never, 0.0 * never, X[..., 0, :])
 
 
 def test_errors_by_hand():
@@ -127,3 +129,46 @@ def test_the_error_in_the_loop_compares_what_was_predicted_with_what_came():
     X[1, 8] = np.nan
     run = replace(loops(X, t), P=P)
     assert metrics.in_loop(run, 2.0).tolist() == [5.0, np.inf, 0.0]
+
+
+class Settles:
+    """x' = u - x, whose commands come 0.5 + 0.1 sin(x) s late."""
+
+    states, inputs = ("x",), ("u",)
+
+    def f(x, u, t, p, M):
+        return [u.u - x.x]
+
+    def kappa(x, t, p, M):
+        return [0.5 * x.x + 0.25]
+
+    def delay(x, t, p, M):
+        return 0.5 + 0.1 * M.sin(x.x)
+
+
+def test_the_error_in_the_loop_of_a_declared_constant_is_that_of_the_constant():
+    constant = Plant("constant", type("Constant", (Settles,), {"delay": staticmethod(lambda x, t, p, M: 0.5)}))
+    free = Plant("free", type("Free", (Settles,), {"delay": None}))
+    settings = {"X0": [[1.0], [-2.0]], "t_end": 4.0, "dt": 0.01}
+    declared = metrics.in_loop_declared(npred.simulate(constant, RK4(constant, 21), **settings))
+    known = metrics.in_loop(npred.simulate(free, RK4(free, 21), D=0.5, D_hat=0.5, **settings), 0.5)
+    np.testing.assert_allclose(declared, known, rtol=1e-6)
+    assert (known > 0).all()
+
+
+def test_the_error_in_the_loop_of_a_delay_that_varies_falls_with_the_step_and_sees_a_wrong_prediction():
+    plant, errors, steps = Plant("settles", Settles), [], [0.04, 0.02, 0.01]
+    for dt in steps:
+        loop = npred.simulate(plant, RK4(plant, 41), X0=[1.5], t_end=4.0, dt=dt)
+        errors.append(metrics.in_loop_declared(loop))
+    assert np.polyfit(np.log(steps), np.log(errors), 1)[0] > 0.8 and errors[-1] < 1e-3
+    assert metrics.in_loop_declared(replace(loop, P=loop.P + 0.1)) == pytest.approx(0.1, abs=1e-3)
+
+
+def test_a_loop_that_ends_or_is_too_short_has_an_infinite_error():
+    plant = Plant("settles", Settles)
+    loop = npred.simulate(plant, RK4(plant, 21), X0=[[1.5], [0.5]], t_end=3.0, dt=0.05)
+    X = loop.X.copy()
+    X[0, 40:] = np.nan
+    assert np.isinf(metrics.in_loop_declared(replace(loop, X=X))).tolist() == [True, False]
+    assert np.isinf(metrics.in_loop_declared(npred.simulate(plant, RK4(plant, 21), X0=[1.5], t_end=0.4)))

@@ -281,6 +281,7 @@ def still(t, X):
         X,
         np.full(len(X), -1),
         np.zeros(len(X)),
+        X[:, 0],
     )
 
 

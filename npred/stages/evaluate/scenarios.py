@@ -10,7 +10,7 @@ from npred import randomness
 from npred.config import Evaluate, Scenario
 from npred.loop import configured, metrics
 from npred.loop.closed_loop import Trajectories
-from npred.plants import Plant, newton
+from npred.plants import Plant
 from npred.predictors import Predictor
 from npred.results import Contender
 from npred.results.evaluate import Behaviour, Conditions, Radii
@@ -18,7 +18,7 @@ from npred.stages import Job
 from npred.stages.evaluate.initial_conditions import starts
 
 EVERY = 10  # control steps between two kept states
-LOST = 0.1  # of the size of the target: a loop that ends further away is lost
+LOST = 0.2  # of the size of the target: a loop that ends further away is lost
 
 
 def run(job: Job, predictors: Mapping[Contender, Predictor]) -> list[Conditions]:
@@ -39,8 +39,7 @@ def run(job: Job, predictors: Mapping[Contender, Predictor]) -> list[Conditions]
             pool.shutdown(wait=False, cancel_futures=True)
             raise
     return [
-        Conditions(name=scenario.name, offset=_offset(job.plant, table), models=models)
-        for (scenario, table), models in zip(tables, behaviours, strict=True)
+        Conditions(name=scenario.name, models=models) for (scenario, _), models in zip(tables, behaviours, strict=True)
     ]
 
 
@@ -78,38 +77,12 @@ def _behaviour(
         plant, predictor, table, D=D, D_hat=begin.D_hat0[begin.cases], X0=begin.X0[begin.cases],
         t_end=table.case_t_end, seed=randomness.integer(job.config.seed, "scenarios"), every=EVERY, progress=progress,
     )  # fmt: skip
-    return behaviour(plant, loops, D, rest(plant, table))
+    return behaviour(plant, loops, D)
 
 
-def rest(plant: Plant, table: Evaluate) -> np.ndarray | None:
-    """Where the model's law holds the simulated plant at rest, f_truth(X, kappa(X)) = 0, (n,).
-
-    None where the plant tracks, or nothing is found near the model's equilibrium: then loops are seen from the model's.
-    """
-    truth = configured.truth(plant, table)
-    if truth is None or not plant.rests:
-        return None
-
-    def law(X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        u = plant.kappa(X)
-        f_X, f_U = truth.jacobians(X, u)
-        return truth.f(X, u), f_X + f_U @ plant.kappa_jacobian(X)
-
-    with np.errstate(all="ignore"):
-        X, _, converged = newton.solve(law, plant.equilibrium)
-    return X if converged else None
-
-
-def _offset(plant: Plant, table: Evaluate) -> float:
-    X = rest(plant, table)
-    return 0.0 if X is None else float(np.linalg.norm(X - plant.equilibrium))
-
-
-def behaviour(
-    plant: Plant, loops: Trajectories, D: Callable[[float], float] | float, at_rest: np.ndarray | None = None
-) -> Behaviour:
-    """What those loops (B,) of true delay D do; `at_rest` (n,) takes the place of the plant's own target."""
-    target = plant.target(loops.t) if at_rest is None else at_rest
+def behaviour(plant: Plant, loops: Trajectories, D: Callable[[float], float] | float) -> Behaviour:
+    """What those loops (B,) of true delay D do."""
+    target = plant.target(loops.t)
     radii, times = metrics.radius(loops, target), metrics.settle_time(loops, target)
     return Behaviour(
         radius=Radii(

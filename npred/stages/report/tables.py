@@ -70,7 +70,6 @@ def scenarios(plant: Plant, evaluated: Evaluated) -> Table | None:
     columns = [
         Column("scenario", [scenario.name for scenario, _, _ in rows]),
         Column("predictor", [label for _, label, _ in rows]),
-        Column("rest moved by", [scenario.offset for scenario, _, _ in rows], digits=2),
         *_columns([each.radius for each in does], {"median": "radius, median", "worst": "worst"}),
         Column(f"converged of {does[0].radius.cases}", [each.radius.count for each in does], "d"),
         *_columns(does, {"lost": "lost"}, "d"),

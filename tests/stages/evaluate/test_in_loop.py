@@ -24,14 +24,19 @@ def error(task, predictor):
 
 def test_it_is_the_largest_over_loops_that_know_the_delay(task):
     begin = starts(task.config, PLANT)
-    states = in_loop.states(task.config.evaluate, begin)
+    states = in_loop.states(begin)
     assert states.tolist() == [[0.03, 30.0], begin.X0[1].tolist(), begin.X0[3].tolist()]
     largest = 0.0
     for X0 in states:
         loop = simulate(PLANT, RK4(PLANT, 21), D=1.0, D_hat=1.0, X0=X0, t_end=6.0, dt=0.01)
         largest = max(largest, np.linalg.norm(loop.P[200:501] - loop.X[300:601], axis=-1).max())
     assert error(task, RK4(PLANT, 21)) == pytest.approx(largest, rel=1e-9) and largest > 0
-    assert in_loop.about(task.config.evaluate, begin).json_object() == {"D": 1.0, "from": 2.0, "to": 5.0, "loops": 3}
+    assert in_loop.about(PLANT, task.config.evaluate, begin).json_object() == {
+        "D": 1.0,
+        "from": 2.0,
+        "to": 5.0,
+        "loops": 3,
+    }
     assert in_loop.steps(task.config.evaluate, begin) == 3 * 601
 
 
@@ -45,9 +50,9 @@ def test_delays_are_rounded_to_control_steps(tmp_path):
     for D, delay, length in ((0.994, 0.99, 6.0), (0.001, 0.01, 6.0), (3.0, 3.0, 12.0)):
         config = job(tmp_path, f"{D}", evaluate={"D": D, "bounds": (0.001, 4.0)}).config.evaluate
         assert in_loop.delay(config) == pytest.approx(delay) and in_loop.length(config) == pytest.approx(length)
-        about = in_loop.about(config, begin)
+        about = in_loop.about(PLANT, config, begin)
         assert about.start < about.to
-    rounded = in_loop.about(job(tmp_path, "some", evaluate={"D": 0.6, "dt": 0.025}).config.evaluate, begin)
+    rounded = in_loop.about(PLANT, job(tmp_path, "some", evaluate={"D": 0.6, "dt": 0.025}).config.evaluate, begin)
     assert (rounded.D, rounded.start, rounded.to) == (0.6, 1.2, 5.4)
 
 

@@ -181,7 +181,9 @@ NONE_TIMED = Benched.of(BENCHED, "a test")
 
 
 def test_the_sentences_know_loops_that_are_lost_and_a_benchmark_without_networks():
-    said = headline.summary(evaluation("numerical", "no_adaptation", "fno", **LOST), NONE_TIMED)
+    said = headline.summary(
+        plants.resolve("scalar"), evaluation("numerical", "no_adaptation", "fno", **LOST), NONE_TIMED
+    )
     assert said[0] == (
         "On 12,345 held-out samples of nominal rollouts the largest error of a prediction is ∞ for the FNO (mean "
         "square 0.25); on 100 of exploring rollouts it is 3.5."
@@ -195,7 +197,7 @@ def test_the_sentences_know_loops_that_are_lost_and_a_benchmark_without_networks
 
 def test_the_sentences_know_delays_that_are_held_and_plants_without_a_published_predictor():
     timed = NONE_TIMED.model_copy(update={"rows": [timing("fno", "torch", us=200.0)]})
-    said = headline.summary(evaluation("numerical", "fno", **LOST), timed)
+    said = headline.summary(plants.resolve("scalar"), evaluation("numerical", "fno", **LOST), timed)
     assert said[1] == (
         "Of 20 closed loops with the delay estimate held, 0 with the FNO (median radius ∞) and 0 with the numerical "
         "predictor converge."

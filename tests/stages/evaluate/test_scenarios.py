@@ -1,0 +1,116 @@
+"""Scenarios: the cases under other conditions, as a result, the same for every predictor."""
+
+import math
+
+import numpy as np
+import pytest
+from jobs import PLANT as NAME
+from jobs import job
+
+import npred
+from npred.config import Evaluate, Scenario
+from npred.loop import metrics
+from npred.plants import Plant
+from npred.predictors import RK4
+from npred.results import NO_ADAPTATION, NUMERICAL, Contender
+from npred.stages.evaluate import scenarios
+
+PLANT = npred.plant(NAME)
+TABLES = [
+    {"name": "as it is"},
+    {"name": "noise", "noise": 0.02, "period": 0.05},
+    {"name": "other plant", "parameters_scale": 1.03},
+    {"name": "drift", "drift": {"amplitude": 0.2, "period": 3.0}, "actuator": "history"},
+    {"name": "observed", "adaptation": "delay-observer", "actuator": "history", "D_hat0": [0.4], "t_end": 8.0},
+]
+
+
+def predictors():
+    """The same formula under the names of four contenders: what differs then is the loops, not the prediction."""
+    names = (NUMERICAL, NO_ADAPTATION, Contender("deeponet", 3), Contender("deeponet"))
+    return {name: RK4(PLANT, 21) for name in names}
+
+
+def run(root, name, jobs=1, tables=TABLES):
+    return scenarios.run(job(root, name, jobs=jobs, evaluate={"scenarios": tables}), predictors())
+
+
+def test_every_scenario_has_the_numerical_predictor_and_final_networks_alone(tmp_path):
+    found = run(tmp_path, "one")
+    assert [one.name for one in found] == [table["name"] for table in TABLES]
+    for one in found:
+        assert list(one.models) == [NUMERICAL, Contender("deeponet")]
+        assert one.models[NUMERICAL] == one.models[Contender("deeponet")]  # the same starts, noise and delays
+    cases = [one.models[NUMERICAL].radius.cases for one in found]
+    assert cases == [4, 4, 4, 4, 2]  # two states times two estimates, or one
+
+
+def test_threads_do_not_change_the_numbers(tmp_path):
+    assert run(tmp_path, "one", jobs=1) == run(tmp_path, "two", jobs=2)
+
+
+def test_a_scenario_is_what_simulate_does_under_it(tmp_path):
+    one = run(tmp_path, "drift", tables=[TABLES[3]])[0].models[NUMERICAL]
+    task = job(tmp_path, "same")
+    starts = scenarios.starts(task.config, PLANT)
+    loops = npred.simulate(
+        PLANT, RK4(PLANT, 21), D=lambda t: 1 + 0.2 * math.sin(2 * math.pi * t / 3), D_hat=starts.D_hat0[starts.cases],
+        X0=starts.X0[starts.cases], t_end=6.0, dt=0.01, adaptation=npred.DelayAdaptation(1000.0, 1.0, (0.1, 4.0)),
+        actuator="history",
+    )  # fmt: skip
+    radii = metrics.radius(loops, PLANT.equilibrium)
+    assert one.radius.worst == pytest.approx(radii.max(), rel=0.05)  # every tenth step is kept
+    late = loops.t >= 5.4
+    delay = 1 + 0.2 * np.sin(2 * np.pi * loops.t[late] / 3)
+    assert one.D_error == pytest.approx(np.abs(loops.D_hat[:, late] - delay).max(), rel=0.05)
+
+
+def test_the_delay_of_a_scenario():
+    config = Evaluate(D=1.0)
+    drift = scenarios.delay(config, Scenario.model_validate({"name": "a", "drift": {"amplitude": 0.3, "period": 60.0}}))
+    jump = scenarios.delay(config, Scenario.model_validate({"name": "a", "jump": {"to": 1.5, "at": 30.0}}))
+    assert callable(drift) and callable(jump)
+    assert [drift(t) for t in (0.0, 15.0, 45.0)] == pytest.approx([1.0, 1.3, 0.7])
+    assert [jump(t) for t in (0.0, 29.99, 30.0, 60.0)] == [1.0, 1.0, 1.5, 1.5]
+    assert scenarios.delay(config, Scenario(name="a")) == 1.0
+
+
+def test_scaled_parameters_are_those_of_the_truth():
+    config = Evaluate(truth={"Ka": 0.05})
+    scaled = scenarios.conditions(PLANT, config, Scenario(name="a", parameters_scale=1.1)).truth
+    assert scaled == {name: pytest.approx(1.1 * value) for name, value in (PLANT.parameters | {"Ka": 0.05}).items()}
+    given = scenarios.conditions(PLANT, config, Scenario(name="a", parameters={"Kb": 0.005})).truth
+    assert given == {"Ka": 0.05, "Kb": 0.005}
+
+
+class Held:
+    """x' = a x + u with u = 1 - 2 x: at rest at 1 / (2 - a) without a delay."""
+
+    states, inputs, parameters = ("x",), ("u",), {"a": 1.0}
+
+    def f(x, u, t, p, M):
+        return [p.a * x.x + u.u]
+
+    def kappa(x, t, p, M):
+        return [1 - 2 * x.x]
+
+    def V(x, t, p, M):
+        return (x.x - 1) ** 2
+
+
+@pytest.mark.parametrize(("a", "lost"), [(1.0, 0), (1.1, 0), (1.5, 2)])
+def test_loops_that_end_far_from_the_models_rest_are_lost(a, lost):
+    """At rest at 1 / (2 - a), a little further with a delay: by more than a fifth of |X*| = 1 for a = 1.5."""
+    plant, truth = Plant("held", Held), Plant("held", Held, {"a": a})
+    loops = npred.simulate(plant, RK4(plant, 21), D=0.01, D_hat=0.01, X0=[[0.5], [2.0]], t_end=40.0, truth=truth)
+    does = scenarios.behaviour(plant, loops, 0.01)
+    assert does.radius.median == pytest.approx(1 / (2 - a) - 1, rel=0.1, abs=1e-6)
+    assert does.lost == lost and does.D_error == 0 and does.radius.count == (2 if a == 1 else 0)
+
+
+def test_loops_that_diverge_are_lost():
+    plant = Plant("held", Held)
+    loops = npred.simulate(plant, RK4(plant, 21), D=3.0, D_hat=0.0, X0=[[0.5], [1.0]], t_end=60.0, u0=[-1.0])
+    does = scenarios.behaviour(plant, loops, 3.0)
+    assert does.lost == 1 and does.radius.converged == 0.5 and does.D_error == 3.0
+    assert does.json_object()["radius"]["cases"] == 2
