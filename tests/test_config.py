@@ -198,3 +198,64 @@ def test_a_run_without_an_end_is_refused_with_its_size(tmp_path: Path, empty: Pa
     said = "generate.t_end: expected at most 1000000000 steps, got 2e\\+14 steps of 0.005 s, whose record takes 9.6 PB"
     with pytest.raises(ConfigError, match=said):
         config.load(empty, ["generate.t_end=1e12"])
+
+
+SCENARIOS = """
+plant = "scalar"
+[evaluate]
+measurement = { noise = 0.01, period = 0.05 }
+[[evaluate.scenarios]]
+name = "noise"
+noise = 0.03
+[[evaluate.scenarios]]
+name = "drift"
+drift = { amplitude = 0.3, period = 60.0 }
+adaptation = "law.py:Law"
+D_hat0 = [0.5]
+t_end = 20.0
+"""
+
+
+def test_a_scenario_takes_the_place_of_the_keys_that_it_gives(tmp_path: Path):
+    path = tmp_path / "p.toml"
+    path.write_text(SCENARIOS)
+    evaluate = config.load(path).evaluate
+    noise, drift = (evaluate.under(scenario) for scenario in evaluate.scenarios)
+    assert noise.measurement == config.Sensors(noise=0.03, period=0.05)
+    assert noise == evaluate.model_copy(update={"measurement": noise.measurement})
+    assert (drift.adaptation, drift.case_D_hat0, drift.case_t_end) == (f"{tmp_path / 'law.py'}:Law", [0.5], 20.0)
+    assert drift.measurement == evaluate.measurement
+    assert config.load(path).files == ["law.py"]
+
+
+def test_keys_that_came_later_stand_in_a_dump_only_where_they_say_something(empty: Path):
+    assert not set(config.ADDED) & set(config.load(empty).evaluate.model_dump())
+    some = config.load(empty, ["evaluate.actuator=history", "evaluate.measurement.noise=0.01"]).evaluate.model_dump()
+    assert set(config.ADDED) & set(some) == {"actuator", "measurement"}
+    one = config.load(empty, ['evaluate.scenarios=[{name="a", noise=0.1}]']).evaluate.model_dump()
+    assert one["scenarios"] == [{"name": "a", "noise": 0.1}]
+
+
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        ("evaluate.scenarios=[{noise=0.1}]", ["scenarios.0.name: expected a value"]),
+        ('evaluate.scenarios=[{name="a", nois=0.1}]', ["scenarios.0.nois: unknown key", "did you mean noise?"]),
+        ('evaluate.scenarios=[{name="a"}, {name="a"}]', ["expected different names, got 'a' twice; rename one"]),
+        ('evaluate.scenarios=[{name="a", drift={amplitude=0.1}}]', ["scenarios.0.drift.period: expected a value"]),
+        ('evaluate.scenarios=[{name="a", drift={amplitude=1.5, period=9.0}}]', ["at least 0 s, got -0.5; shrink it"]),
+        ('evaluate.scenarios=[{name="a", jump={to=9.0, at=1.0}}]', ["scenarios[0]: delay: expected within bounds"]),
+        ('evaluate.scenarios=[{name="a", D_hat0=[9.0]}]', ["scenarios[0].D_hat0: expected within bounds"]),
+        ('evaluate.scenarios=[{name="a", drift={amplitude=0.1, period=9.0}, jump={to=1.1, at=1.0}}]',
+         ["drift, jump: expected one of them, got both"]),
+        ('evaluate.scenarios=[{name="a", adaptation="observer"}]', ["scenarios[0].adaptation: expected bresch"]),
+        ("generate.actuator=guessed", ["generate.actuator: expected 'measured' or 'history', got 'guessed'"]),
+        ("generate.measurement.drop=1.0", ["generate.measurement.drop: expected less than 1, got 1.0"]),
+        ("generate.measurement.nois=0.1", ["unknown key; expected one of delay, drop, jitter, noise, period"]),
+    ],
+)  # fmt: skip
+def test_a_scenario_or_a_sensor_that_makes_no_sense_is_one_line(empty: Path, override: str, words: list[str]):
+    with pytest.raises(ConfigError) as error:
+        config.load(empty, [override])
+    assert all(word in str(error.value) for word in words), str(error.value)
+    assert "\n" not in str(error.value)

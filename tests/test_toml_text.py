@@ -25,6 +25,12 @@ def test_what_is_written_reads_back(table):
     assert tomllib.loads(toml_text.dumps(table)) == table
 
 
+def test_tables_of_a_list_are_written_in_a_line():
+    table = {"a": [{"b": 1.5, "c d": {"e": "f"}, "g": None}, {}]}
+    assert toml_text.dumps(table) == 'a = [{ b = 1.5, "c d" = { e = "f" } }, {  }]\n'
+    assert tomllib.loads(toml_text.dumps(table)) == {"a": [{"b": 1.5, "c d": {"e": "f"}}, {}]}
+
+
 def test_what_has_no_value_is_left_out():
     assert toml_text.dumps({"a": None, "b": {"c": None, "d": (1, [2.5, float("inf")])}}) == "[b]\nd = [1, [2.5, inf]]\n"
 

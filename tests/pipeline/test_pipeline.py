@@ -213,7 +213,7 @@ def test_every_key_of_the_pipeline_file_enters_the_questions_that_it_should(pipe
     made = planner(pipeline).config
     asked = {node.name: question(node, made, "cpu") for node in nodes(made, STAGES)}
     for section, names in {"generate": ["generate"], "evaluate": ["evaluate"], "bench": ["bench"]}.items():
-        given = {"data", "adaptation", "u0"}  # they enter where given, by what they mean
+        given = {"data", "adaptation", "u0", *config.ADDED}  # they enter where given, by what they mean
         keys = set(type(getattr(made, section)).model_fields) - given
         assert [name for name in asked if keys == set(asked[name].get(section, ()))] == names
     for model in ("deeponet", "fno"):
