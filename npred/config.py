@@ -106,7 +106,7 @@ class Sensors(Section):
     noise: Delay = 0.0  #: standard deviation of a sample, relative to its value
     period: Positive | None = None  #: between samples, in seconds; by default the control step
     jitter: Share = 0.0  #: largest deviation of a period, relative to it
-    delay: Delay = 0.0  #: of a sample on its way, in seconds
+    delay: Delay = 0.0  #: from a sample to its arrival, in seconds
     drop: Share = 0.0  #: probability that a sample never arrives
 
 
@@ -637,7 +637,9 @@ def _siblings(loc: tuple[int | str, ...]) -> list[str]:
 
 def _table(kind: Any) -> Any:
     """The table that a key holds, or a list of."""
-    return next((part for part in (kind, *get_args(kind)) if isinstance(part, type) and issubclass(part, Table)), kind)
+    return next(
+        (part for part in (kind, *get_args(kind)) if isinstance(part, type) and issubclass(part, Section)), kind
+    )
 
 
 def _meant(key: str, siblings: list[str]) -> str:

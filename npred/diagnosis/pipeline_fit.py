@@ -5,14 +5,14 @@ from typing import Any
 
 import numpy as np
 
-from npred import predictors
+from npred import plants, predictors
 from npred.config import FROZEN, PAPER
 from npred.delays import family_of
 from npred.diagnosis.case import Case
 from npred.diagnosis.equilibrium import SLIP
 from npred.diagnosis.lyapunov import undeclared
 from npred.errors import ConfigError
-from npred.loop import configured, delay_law
+from npred.loop import delay_law
 from npred.plants import inputs
 from npred.registry import NETWORKS
 
@@ -112,5 +112,5 @@ def parts(case: Case) -> None:
     tables = [*case.loops.values(), *(case.settings.evaluate.under(scenario) for scenario in case.scenarios)]
     for loop in tables:
         delay_law.check(loop, case.plant)
-        configured.truth(case.plant, loop)
+        plants.varied(case.plant, tuple(loop.truth.items()))
         predictors.numerical(loop.predictor, case.plant, loop.nx)

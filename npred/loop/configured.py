@@ -2,9 +2,9 @@
 
 import math
 from collections.abc import Callable
-from functools import lru_cache
 from typing import Any
 
+from npred import plants
 from npred.config import Disturbance, Loop
 from npred.loop import delay_law
 from npred.loop.closed_loop import Trajectories, simulate
@@ -33,12 +33,7 @@ def loops(
 
 def truth(plant: Plant, table: Loop) -> Plant | None:
     """The plant with the parameters of `truth`; None where there are none. Raises ConfigError for an unknown one."""
-    return _other(plant, tuple(table.truth.items())) if table.truth else None
-
-
-@lru_cache(maxsize=16)  # each chunk of rollouts asks
-def _other(plant: Plant, parameters: tuple[tuple[str, float], ...]) -> Plant:
-    return type(plant)(plant.name, plant.declaration, plant.parameters | dict(parameters), plant.source)
+    return plants.varied(plant, tuple(table.truth.items())) if table.truth else None
 
 
 def _push(disturbance: Disturbance) -> Callable[[float], float] | None:

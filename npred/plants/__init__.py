@@ -36,6 +36,12 @@ def resolve(name: str, parameters: Mapping[str, float] = {}) -> Plant:
     return plant
 
 
+@lru_cache(maxsize=16)
+def varied(plant: Plant, parameters: tuple[tuple[str, float], ...]) -> Plant:
+    """The plant with some of its parameters changed. Raises ConfigError for one that it does not have."""
+    return type(plant)(plant.name, plant.declaration, plant.parameters | dict(parameters), plant.source)
+
+
 @lru_cache(maxsize=128)
 def restored(spec: str, parameters: tuple[tuple[str, float], ...], digest: str | None) -> Plant:
     """The plant that was pickled by its name, one per process, for it keeps what is compiled.

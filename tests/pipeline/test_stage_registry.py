@@ -4,7 +4,6 @@ from npred import config
 from npred.pipeline import STAGES, nodes
 from npred.pipeline.stage_registry import question, sources
 
-
 LAW = """
 from npred import DelayLaw
 

@@ -46,7 +46,9 @@ class Labelled:
         taken = (loops.samples.X, loops.samples.u, loops.samples.D_hat, t)
         X, u, D_hat, t = (a.reshape(-1, *a.shape[2:]) for a in taken)
         finite = array_checks.finite_rows(X, u, D_hat)
-        rows = cls(X[finite], u[finite], D_hat[finite], numerical(X[finite], u[finite], D_hat[finite], t[finite]), t[finite])
+        rows = cls(
+            X[finite], u[finite], D_hat[finite], numerical(X[finite], u[finite], D_hat[finite], t[finite]), t[finite]
+        )
         return rows.take(np.flatnonzero(np.all(np.isfinite(rows.P), axis=(1, 2))))
 
     @classmethod

@@ -42,8 +42,8 @@ def _scenarios(result: Evaluated, width: int | None) -> Iterator[str]:
     """The cases under other conditions, where a pipeline has any."""
     head = ["scenario", "predictor", "radius", "worst", "converged", "lost", "settles", "|D̂ − D|"]
     rows = [
-        [scenario.name, c.label, _text(does.radius.median), _text(does.radius.worst), f"{does.radius.converged:.0%}",
-         str(does.lost), _text(does.settle_time, ".1f"), "" if does.D_error is None else _text(does.D_error, ".3f")]
+        [scenario.name, c.label, _cell(does.radius.median), _cell(does.radius.worst), f"{does.radius.converged:.0%}",
+         str(does.lost), _cell(does.settle_time, ".1f"), "" if does.D_error is None else _cell(does.D_error, ".3f")]
         for scenario in result.scenarios
         for c, does in scenario.models.items()
     ]  # fmt: skip
