@@ -219,3 +219,63 @@ def test_a_plant_that_no_network_can_serve_is_told(tmp_path, old, new, message):
     path.write_text(MOVING.replace(old, new))
     with pytest.raises(ConfigError, match=message):
         check(stages=("generate",), plant=f"{path}:Moving")
+
+
+DECLARED = """
+class Declared:
+    states, inputs, box = ("x",), ("u",), {"x": (0.0, 1.0)}
+    def f(x, u, t, p, M): return [u.u]
+    def kappa(x, t, p, M): return [-x.x]
+    def delay(x, t, p, M): return 0.5 + 0.1 * x.x
+"""
+
+
+@pytest.mark.parametrize(
+    ("tables", "message"),
+    [
+        ({}, None),
+        ({"generate": {"adaptation": "frozen"}}, None),
+        ({"generate": {"D": 1.0, "D_hat0": [(0.3, 0.7), (1.0, 2.0), (1.0, 2.0)]}}, None),  # the defaults, of a dump
+        ({"generate": {"D": 0.7}}, "^generate.D: expected none, for plant .* declares delay.*; leave it out$"),
+        (
+            {"generate": {"redraw": 0.2}, "evaluate": {"map_D": [1.0], "map_D_hat0": [1.0]}},
+            "^generate.redraw, evaluate.map_D, evaluate.map_D_hat0: expected none, .*; leave them out$",
+        ),
+        ({"evaluate": {"scenarios": [{"name": "a", "jump": {"to": 1, "at": 3}}]}}, r"^evaluate.scenarios\[0\].jump:"),
+        ({"evaluate": {"scenarios": [{"name": "a", "noise": 0.1}]}}, None),
+        ({"generate": {"predictor": "picard"}}, "expected a delay that is a number, .*; set generate.predictor"),
+    ],
+)  # fmt: skip
+def test_a_pipeline_names_no_delay_where_the_plant_declares_it(tmp_path, tables, message):
+    path = tmp_path / "declared.py"
+    path.write_text(DECLARED)
+    tables = {"plant": f"{path}:Declared"} | tables
+    tables["evaluate"] = {"X0": [0.5]} | tables.get("evaluate", {})
+    if message is None:
+        check(("generate", "train", "evaluate", "bench"), **tables)
+    else:
+        with pytest.raises(ConfigError, match=message):
+            check(("generate", "train", "evaluate", "bench"), **tables)
+
+
+@pytest.mark.parametrize(
+    ("scenario", "message"),
+    [
+        ({"parameters": {"k1": 1.0}}, "unknown parameter 'k1'"),
+        ({"adaptation": "missing.py:Law"}, "missing.py"),
+    ],
+)
+def test_a_scenario_that_cannot_run_is_told_before_anything_runs(scenario, message):
+    evaluate = {"X0": [0.03, 30.0], "scenarios": [{"name": "a"} | scenario]}
+    check(stages=("generate",), evaluate=evaluate)
+    with pytest.raises(ConfigError, match=message):
+        check(evaluate=evaluate)
+
+
+def test_laws_that_take_no_V_need_none(tmp_path):
+    path = tmp_path / "bare.py"
+    path.write_text(MOVING.replace("M.sin(t) - x.x", "-x.x").replace("    def V(x, t, p, M): return x.x**2\n", ""))
+    for law in ("delay-observer", "l1"):
+        check(("generate",), plant=f"{path}:Moving", generate={"adaptation": law})
+    with pytest.raises(ConfigError, match="found no V"):
+        check(("generate",), plant=f"{path}:Moving")

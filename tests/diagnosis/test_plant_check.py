@@ -30,7 +30,7 @@ def answers(plant: Plant, **settings) -> dict:
 def test_built_in_plants_have_no_answer_of_no(name):
     found = check(plants.resolve(name), delay=0.5)
     assert settled(found)
-    assert [answer.check for answer in found if answer.check != "input bounds"] == QUESTIONS
+    assert [answer.check for answer in found if answer.check not in ("input bounds", "feasibility")] == QUESTIONS
 
 
 @pytest.mark.parametrize(
@@ -378,3 +378,57 @@ def test_a_pipeline_is_checked_with_its_own_settings(tmp_path):
     call = CliRunner().invoke(app, ["plants", "check", str(tmp_path / "line.toml"), "--json"])
     wrong = [row for row in json.loads(call.stdout)["answers"] if row["verdict"] == "no"]
     assert call.exit_code == 3 and [row["check"] for row in wrong] == ["pipeline"] and "evaluate.u0" in str(wrong)
+
+
+class Late:
+    """x' = u with u = -x, whose commands come 1 + slope x s late: 1 - D_X f = 1 + slope x under kappa."""
+
+    states, inputs, parameters, box = ("x",), ("u",), {"slope": 0.5}, {"x": (-1.0, 1.0)}
+
+    def f(x, u, t, p, M):
+        return [u.u]
+
+    def kappa(x, t, p, M):
+        return [-x.x]
+
+    def delay(x, t, p, M):
+        return 1 + p.slope * x.x
+
+
+@pytest.mark.parametrize(("slope", "verdict", "worst"), [(0.5, "yes", 0.5), (0.9, "yes", 0.1), (-0.5, "yes", 0.5)])
+def test_the_worst_speed_of_the_commands_on_the_box(slope, verdict, worst):
+    answer = answers(Plant("Late", Late, {"slope": slope}))["feasibility"]
+    assert answer.verdict == verdict
+    assert float(re.findall(r"at least ([\d.]+)", answer.text)[0]) == pytest.approx(worst, abs=0.02)
+
+
+def test_where_commands_would_overtake_each_other_there_is_a_warning():
+    class Fast(Late):
+        def kappa(x, t, p, M):
+            return [-3 * x.x]
+
+    answer = answers(Plant("Fast", Fast))["feasibility"]  # 1 + 1.5 x is negative for x < -2/3, a sixth of the box
+    assert answer.verdict == "warn" and "loops that come there end; shrink box" in answer.text
+    assert 0.1 < float(re.findall(r"positive at (\d+)%", answer.text)[0]) / 100 < 0.24
+
+
+def test_a_delay_that_depends_on_time_is_looked_at_over_a_period():
+    class Turning(Late):
+        period = 2 * np.pi
+
+        def delay(x, t, p, M):
+            return 1 + 0.8 * M.sin(t)
+
+    text = answers(Plant("Turning", Turning))["feasibility"].text
+    assert float(re.findall(r"at least ([\d.]+)", text)[0]) == pytest.approx(0.2, abs=1e-6)  # 1 - D_t at t = 0
+
+
+def test_a_negative_delay_is_an_answer_of_no():
+    answer = answers(Plant("Late", Late, {"slope": 2.0}))["feasibility"]
+    assert answer.verdict == "no" and "expected a finite delay of at least 0 s on the box, got -" in answer.text
+
+
+def test_the_delay_of_a_plant_that_declares_it_is_the_longest_on_its_box():
+    found = answers(Plant("Late", Late))
+    assert re.fullmatch(r"1\.4\d* s, the longest that the plant declares on the box", found["delay"].text)
+    assert found["completeness"].verdict == "yes" and found["V"].text.startswith("none is declared and none is needed")

@@ -16,7 +16,7 @@ from npred.figures.evaluation_data import ErrorArrays, Evidence, Histogram, Loop
 from npred.figures.figure import Key, Panel, Plate, write
 from npred.figures.style import MEDIA, ROLES, SCREEN, Look, colours, log, look, medium
 from npred.results import NO_ADAPTATION, NUMERICAL, Contender, ranked
-from npred.results.evaluate import Scores
+from npred.results.evaluate import Conditions, Scores
 
 SVG = "{http://www.w3.org/2000/svg}"
 NAMES = tuple(map(Contender.parse, ("numerical", "no_adaptation", "deeponet@2", "deeponet", "fno")))
@@ -321,3 +321,22 @@ def test_speed_leaves_out_of_the_front_what_predicts_nothing():
     front, grids, _ = figures.speed(rows).panels
     assert front.alt == "Euler: 2 µs at error 2.0e+00; DeepONet, fused: 2 µs at error 1.0e-02."
     assert "Euler: 2 µs at dx = 0.1, 2 µs at 0.01" in grids.alt
+
+
+def test_scenarios_have_a_mark_for_what_is_finite_and_positive():
+    does = {"radius": {"median": 0.1, "worst": 0.2, "converged": 0.5, "cases": 4}, "settle_time": 3.0, "lost": 1,
+            "D_error": 0.02}  # fmt: skip
+    wild = does | {"radius": does["radius"] | {"worst": None}, "settle_time": None, "lost": 3, "D_error": None}
+    rows = [("noise", does, does), ("jump", does, wild)]
+    conditions = [Conditions.of({"name": name, "models": {"numerical": a, "fno": b}}, "t") for name, a, b in rows]
+    plate = figures.scenarios(plants.resolve("scalar"), conditions)
+    assert plate is not None and "Lost loops: numerical 2, FNO 4." in plate.caption
+    assert plate.panels[0].alt == "noise: numerical 0.2, FNO 0.2; jump: numerical 0.2, FNO ∞."
+    axis = Figure().add_subplot()
+    for panel in plate.panels:
+        axis.clear()
+        panel.draw(axis)
+        exact, network = (line.get_xdata() for line in axis.lines)
+        assert np.isfinite(exact).tolist() == [True, True] and np.isfinite(network).tolist() == [True, False]
+        assert [label.get_text() for label in axis.get_yticklabels()] == ["noise", "jump"]
+    assert figures.scenarios(plants.resolve("scalar"), []) is None

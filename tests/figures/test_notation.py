@@ -8,7 +8,9 @@ import pytest
 from npred import plants
 from npred.figures.notation import common_unit, quantity, spelt, symbol, timed
 
-TANK: Any = SimpleNamespace(labels={"h": "level h_{1}"}, units={"h": "m", "q": "m^3/h", "T": "K^-1"}, time_unit="h")
+TANK: Any = SimpleNamespace(
+    labels={"h": "level h_{1}"}, units={"h": "m", "q": "m^3/h", "T": "K^-1"}, time_unit="h", declares_delay=False
+)
 
 
 @pytest.mark.parametrize(

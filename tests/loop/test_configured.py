@@ -13,7 +13,7 @@ from npred.predictors import RK4
 
 PLANT = npred.plant("activator_repressor")
 START = {"X0": [[0.03, 30.0], [0.1, 20.0]], "t_end": 3.0}
-OTHER = type(PLANT)(PLANT.name, PLANT.declaration, PLANT.parameters | {"Ka": 0.042})
+OTHER = npred.plant("activator_repressor", Ka=0.042)
 CASES = {
     "nothing": ({}, {}),
     "history": ({"actuator": "history"}, {"actuator": "history"}),
@@ -58,4 +58,4 @@ def test_without_adaptation_the_estimate_is_held():
 
 def test_a_parameter_that_the_plant_does_not_have_is_refused():
     with pytest.raises(ConfigError, match="unknown parameter 'k'; expected one of: "):
-        configured.truth(PLANT, Evaluate(truth={"k": 1.0}))
+        run(Evaluate(truth={"k": 1.0}))

@@ -1,5 +1,7 @@
 """The generate stage: rows that solve the predictor equation, split by rollout, whatever the number of jobs."""
 
+import re
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -224,3 +226,53 @@ def test_redrawn_delay_estimates_are_labelled_anew_and_spare_the_held_out_rows(t
     np.testing.assert_allclose(
         data.P, RK4(plants.resolve("activator_repressor"))(data.X, data.u, data.D_hat), rtol=1e-9
     )
+
+
+NOISY = {"measurement": {"noise": 0.02, "period": 0.1}, "actuator": "history"}
+
+
+def test_noise_is_the_rollouts_own_whatever_the_batches(tmp_path, monkeypatch):
+    nominal = rows(tmp_path, "nominal", generate=SHARDED)[1]
+    _, whole = rows(tmp_path, "whole", generate=SHARDED | NOISY)
+    monkeypatch.setattr(shards, "WHOLE", 1)
+    monkeypatch.setattr(shards, "SHARD", 1)
+    _, joined = rows(tmp_path, "joined", generate=SHARDED | NOISY)
+    assert all(getattr(joined, name).tobytes() == getattr(whole, name).tobytes() for name in MEANING)
+    assert not np.array_equal(whole.X, nominal.X)
+    exact = RK4(plants.resolve("activator_repressor"))(whole.X, whole.u, whole.D_hat)
+    np.testing.assert_allclose(whole.P, exact, rtol=1e-9)
+
+
+DECLARED = """
+class Declared:
+    states, inputs, box = ("x",), ("u",), {"x": (0.5, 1.0)}
+    parameters = {"slope": 0.1}
+    def f(x, u, t, p, M): return [0.3 * x.x + u.u]
+    def kappa(x, t, p, M): return [-2 * x.x]
+    def delay(x, t, p, M): return 0.5 + p.slope * x.x
+"""
+
+
+@pytest.fixture
+def declared(tmp_path):
+    path = tmp_path / "declared.py"
+    path.write_text(DECLARED)
+    return f"{path}:Declared"
+
+
+def test_the_declared_delay_takes_the_place_of_D_hat(tmp_path, declared):
+    _, data = rows(tmp_path, plant=declared)
+    np.testing.assert_allclose(data.D_hat, 0.5 + 0.1 * data.X[:, 0], rtol=1e-12)
+    np.testing.assert_array_equal(data.D, data.D_hat)
+    plant = plants.resolve(declared)
+    np.testing.assert_allclose(data.P, RK4(plant)(data.X, data.u, data.D_hat, data.t), rtol=1e-9)
+    assert np.ptp(data.X) > 0.5 and np.isfinite(data.P).all()
+
+
+def test_commands_that_overtake_each_other_name_rollout_step_state_and_value(tmp_path, declared):
+    with pytest.raises(DivergedError) as error:
+        generate.run(job(tmp_path, "data", plant=declared, generate={"u0": [12.0]}))
+    words = r"overtake each other in 10 of 10 rollouts, in rollout 0 first at control step 0, x = 0.[\d]+: 1 - D_X"
+    found = re.search(words + r" f - D_t = (-0.[\d]+), expected above 0; shrink the box", str(error.value))
+    assert found is not None, error.value
+    assert -0.231 < float(found[1]) < -0.2  # 1 - 0.1 (0.3 x + 12)

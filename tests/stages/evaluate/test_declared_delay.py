@@ -1,0 +1,110 @@
+"""A plant that declares its delay, through all stages on a tiny problem."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from jobs import SMALL, job
+
+from npred import figures, plants
+from npred.data.dataset import Dataset
+from npred.predictors import RK4
+from npred.results import NUMERICAL, Benched, Contender, Evaluated
+from npred.stages import train
+from npred.stages.bench import bench
+from npred.stages.evaluate import evaluate, initial_conditions, summary_tables
+from npred.stages.generate import generate
+from npred.stages.report import report
+
+TANK = "transport_tank"
+TABLES = {
+    "plant": TANK,
+    "generate": {"u0": "equilibrium", "bounds": (0.1, 4.0), "dt": 0.02, "t_end": 10.0},
+    "evaluate": {"X0": [2.8, 25.0], "u0": "equilibrium", "dt": 0.02, "t_end": 10.0, "case_t_end": 12.0,
+                 "case_D_hat0": [0.3, 0.5, 1.0, 1.5, 2.0],
+                 "scenarios": [{"name": "noise 1 %", "noise": 0.01}, {"name": "pipe", "parameters": {"L": 42.0}}]},
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def stages(tmp_path_factory):
+    """The jobs of all stages by name, run one after the other."""
+    root = tmp_path_factory.mktemp("declared")
+    jobs, inputs = {}, {}
+    for name, run in (
+        ("generate", generate.run), ("deeponet", train.run), ("fno", train.run), ("evaluate", evaluate.run),
+        ("bench", bench.run), ("report", report.run),
+    ):  # fmt: skip
+        model = name if name in SMALL["train"] else None
+        jobs[name] = job(root, name, inputs=dict(inputs), model=model, **TABLES)
+        result = run(jobs[name])
+        (jobs[name].folder / "result.json").write_text(json.dumps(result.json_object()))
+        inputs[name] = jobs[name].folder
+        if model:
+            (jobs[name].folder / "metrics.jsonl").touch()
+    return jobs
+
+
+def test_data_hold_the_declared_delay(stages):
+    data, plant = Dataset.read(stages["generate"].folder / "data.h5"), plants.resolve(TANK)
+    np.testing.assert_allclose(data.D_hat, plant.delay(data.X), rtol=1e-12)
+
+
+def test_cases_are_the_states_alone_and_nothing_runs_without_adaptation(stages):
+    result = Evaluated.read(stages["evaluate"].folder)
+    assert [c.name for c in result.models] == ["numerical", "deeponet@1", "deeponet", "fno"]
+    assert result.models[NUMERICAL].radius.cases == 2 and result.models[NUMERICAL].map is None
+    begin = initial_conditions.starts(stages["evaluate"].config, stages["evaluate"].plant)
+    assert begin.repeats == 1 and len(begin.X0) == 3
+
+
+def test_the_error_in_the_loop_has_no_delay_and_the_exact_predictor_hardly_any(stages):
+    result = Evaluated.read(stages["evaluate"].folder)
+    assert (result.in_loop.D, result.in_loop.start, result.in_loop.loops) == (None, None, 3)
+    exact, network = (result.models[c].in_loop for c in (NUMERICAL, Contender("deeponet")))
+    assert exact < 0.02 < network
+
+
+def test_scenarios_have_no_error_of_an_estimate(stages):
+    result = Evaluated.read(stages["evaluate"].folder)
+    assert [one.name for one in result.scenarios] == ["noise 1 %", "pipe"]
+    assert all(does.D_error is None for one in result.scenarios for does in one.models.values())
+    table = summary_tables.details(result).split("\n\n")[2]
+    assert table.splitlines()[0].split()[:2] == ["scenario", "predictor"] and len(table.splitlines()) == 7
+    assert len(summary_tables.details(result.model_copy(update={"scenarios": []})).split("\n\n")) == 2
+
+
+def test_figures_show_the_delay_where_others_show_the_estimate(stages):
+    task = stages["evaluate"]
+    result = Evaluated.read(task.folder)
+    evidence = figures.Evidence.read(task.folder, task.plant, task.config.evaluate, result)
+    plate = figures.figure1(evidence)
+    assert "delay D(X, t) (min)" in [panel.title for panel in plate.panels]
+    assert "with the delay that the plant declares" in plate.caption and "D̂(0)" not in plate.caption
+    conditions = figures.scenarios(task.plant, result.scenarios)
+    assert conditions is not None
+    assert [panel.title for panel in conditions.panels] == ["worst radius", "settles after (min)"]
+
+
+def test_the_page_says_so(stages):
+    page = (stages["report"].folder / report.NAME).read_text()
+    assert "a delay that the plant declares" in page and 'id="scenarios"' in page
+    assert "unknown to the controller" not in page
+    assert Benched.read(stages["bench"].folder).rows
+
+
+def test_loops_that_end_are_reported_once(stages, tmp_path):
+    inputs = {name: stages[name].folder for name in ("generate", "deeponet", "fno")}
+    task = job(tmp_path, "evaluate", inputs=inputs, **TABLES)
+    begin = initial_conditions.starts(task.config, task.plant)
+    loops = evaluate._loops(task, NUMERICAL, RK4(task.plant, 21), begin, slice(0, 3), lambda count: None)
+    evaluate._warn_of_overtaking(task, {NUMERICAL: loops})
+    assert task.progress.notes == []
+    ended = replace(
+        loops, infeasible=np.array([-1, 30, 20]), margin=np.array([np.nan, -0.3, -0.25]),
+        breach=np.array([[np.nan, np.nan], [1.0, 2.0], [3.0, 4.0]]),
+    )  # fmt: skip
+    evaluate._warn_of_overtaking(task, {NUMERICAL: loops, Contender("deeponet"): ended, Contender("fno"): ended})
+    (line,) = task.progress.notes
+    assert "count as lost: 2 of DeepONet, 2 of FNO; first at control step 20, h = 3, T = 4: 1 - D_X f - D_t =" in line
