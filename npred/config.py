@@ -153,8 +153,8 @@ class Loop(Section):
     u0: StartInput | None = None
     actuator: Actuator = "measured"  #: whether u is measured, or read from the history of commands at D_hat
     truth: dict[str, Number] = {}  #: parameters of the simulated plant that are not those of the controller's model
-    measurement: Sensors = Sensors()
-    disturbance: Disturbance = Disturbance()
+    measurement: Sensors = Sensors()  #: a table: what the controller sees of the state
+    disturbance: Disturbance = Disturbance()  #: a table: what is added to the input of the simulated plant
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -357,12 +357,12 @@ class Scenario(Section):
     drop: Share | None = None  #: as measurement.drop
     parameters_scale: Positive | None = None  #: all parameters of the simulated plant times that
     parameters: dict[str, Number] = {}  #: as truth
-    disturbance: Disturbance | None = None  #: as disturbance
+    disturbance: Disturbance | None = None  #: as disturbance, amplitude sin(omega t)
     actuator: Actuator | None = None  #: as actuator
     adaptation: Law | None = None  #: as adaptation
     D_hat0: Some[Positive] | None = None  #: as case_D_hat0
-    drift: Drift | None = None  #: of the true delay, which the controller takes for constant
-    jump: Jump | None = None  #: of the true delay
+    drift: Drift | None = None  #: the true delay is D + amplitude sin(2π t / period)
+    jump: Jump | None = None  #: the true delay is `to` from the time `at` on
     t_end: Positive | None = None  #: as case_t_end
 
     @model_validator(mode="after")

@@ -166,8 +166,12 @@ def _table(path: str, model: type[config.Section]) -> Iterator[str]:
     for name, field in model.model_fields.items():
         if name not in tables:
             yield f"| `{name}` | {_cell(_type(field))} | {_value(field)} | {_cell(_meaning(model, name))} |"
+        elif issubclass(model, config.Loop):
+            yield f"| `{name}` | table | | {_cell(_meaning(model, name))} |"
     for name, field in tables.items():
         yield from _table(f"{path}.{name}".strip("."), field.annotation)  # type: ignore[arg-type]
+    if model is config.Evaluate:
+        yield from _table("[evaluate.scenarios]", config.Scenario)
     if model is config.Train:
         yield from _table("train.NAME", config.Network)
 
@@ -206,6 +210,8 @@ def _name(kind: Any) -> str:
     if kind is type(None):
         return ""
     origin, inner = get_origin(kind), get_args(kind)
+    if isinstance(kind, type) and issubclass(kind, config.Section):
+        return "tables" if kind is config.Scenario else "table of " + ", ".join(f"`{k}`" for k in kind.model_fields)
     if origin is None:
         return {float: "number", int: "integer", str: "text", bool: "true or false", Any: "values"}.get(kind, str(kind))
     if hasattr(kind, "__metadata__"):
