@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from npred.delays import family
+from npred.delays import family, family_of
 from npred.delays.family import Kernel
 from npred.errors import ConfigError
 from npred.loop.delay_law import DelayLaw
@@ -52,7 +52,8 @@ class L1Adaptation(DelayLaw):
     epsilon: float = 0.05
 
     def check(self, plant: Plant) -> None:
-        """Raise ConfigError where the plant is not traced, or where the paper's law is not for it either."""
+        """Raise ConfigError where the plant is not traced, or has no one delay to estimate, as for the paper's law."""
+        family_of(plant).needs("adaptation")
         if not plant.traced:
             raise ConfigError(
                 f"adaptation L1Adaptation: expected a plant that is traced, {plant.name} says traced = False; "

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import npred
+from npred.errors import ConfigError
 
 PLANT = npred.plant("chemostat")
 
@@ -43,3 +44,8 @@ def test_it_brings_the_chemostat_to_rest_from_near_the_delay():
     run = chemostat([1.6, 1.4], 1.8)
     assert np.abs(run.X[:, -200:] - PLANT.equilibrium).max() < 1e-6
     assert abs(run.D_hat[0, -1] - 1.6) < 0.1  # 1.5959 in the published discretisation, corrected
+
+
+def test_plants_without_one_delay_to_estimate_are_refused():
+    with pytest.raises(ConfigError, match="expected one delay, plant unicycle has delays"):
+        npred.L1Adaptation().check(npred.plant("unicycle"))
