@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from npred.delays import family
-from npred.delays.constant import ADVANCE, WEIGHTS, advance_lines, input_lines
+from npred.delays.constant import WEIGHTS, ConstantDelay, input_lines
 from npred.delays.family import Family, Kernel, Step
 from npred.symbolic import kernels, programs
 from npred.symbolic.trace import Trace
@@ -106,10 +106,7 @@ class DeclaredDelay(Family):
         return family.build("control", family.CONTROL, source)
 
     def advance(self, step: Step) -> Kernel:
-        trace = Trace(self.plant)
-        parts = {name: advance_lines(trace, step, f"{U}[{{0}}, l]") for name, U in (("first", "U0"), ("second", "U1"))}
-        source = kernels.fill(ADVANCE, parameters=kernels.parameters(len(self.plant.p)), **parts)
-        return family.build("advance", family.ADVANCE, source)
+        return ConstantDelay(self.plant).advance(step)  # the engine says when the inputs switch
 
     def horizon(self) -> Kernel:
         trace = Trace(self.plant)

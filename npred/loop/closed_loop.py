@@ -26,7 +26,6 @@ __all__ = ["Samples", "Trajectories", "simulate"]
 LANES = 64  # loops per chunk: with more, their memory leaves the second-level cache
 NEURAL_LANES = 512  # a network's call has a fixed cost to share
 BLOCK = 500  # control steps between two reports of progress
-MEASURED, HISTORY = "measured", "history"  # where the controller has the actuator state from
 
 
 def simulate(
@@ -43,7 +42,7 @@ def simulate(
     u0: Any = None,
     every: int = 1,
     samples: np.ndarray | None = None,
-    actuator: str = "measured",
+    actuator: str = loop_checks.MEASURED,
     measurement: Measurement | None = None,
     truth: Plant | None = None,
     disturbance: Callable[[float], Any] | None = None,
@@ -90,7 +89,7 @@ def simulate(
     limits, method = inputs.bounds(plant, input_bounds), loop_checks.integrator(integrator)
     held = inputs.before(plant, u0, limits, X0)
     loop = _Simulation(
-        plant, predictor, adaptation, limits, dt, t_end, every, method, actuator == HISTORY,
+        plant, predictor, adaptation, limits, dt, t_end, every, method, actuator == loop_checks.HISTORY,
         measurement or Measurement(), truth or plant, disturbance,
     )  # fmt: skip
     width = LANES if loop.compiled else NEURAL_LANES
@@ -161,6 +160,14 @@ class _Simulation:
             return part(self.plant, None, self.dt)._replace(control=family.idle(family.CONTROL))
         return part(self.plant, self.adaptation, self.dt)
 
+    @cached_property
+    def pushes(self) -> np.ndarray:
+        """The disturbance in the middle of each control step, (steps, m), or (0, m); the same for all chunks."""
+        count = round(self.t_end / self.dt) + 1 if self.disturbance else 0
+        push = self.disturbance or (lambda t: 0.0)  # of no step, without one
+        values = [loop_checks.push(push((k + 0.5) * self.dt), self.plant.m) for k in range(count)]
+        return np.array(values).reshape(count, self.plant.m)
+
     @property
     def compiled(self) -> bool:
         """True if all parts are kernels; else the same loop runs in Python around those that are."""
@@ -213,8 +220,7 @@ class _Simulation:
         )  # fmt: skip
 
     def _settings(self, samples: np.ndarray, delays: np.ndarray, first: int) -> engine.Settings:
-        m, count = self.plant.m, round(self.t_end / self.dt) + 1
-        pushes = [self.disturbance((k + 0.5) * self.dt) for k in range(count)] if self.disturbance else []
+        m = self.plant.m
         return engine.Settings(
             dt=self.dt,
             every=self.every,
@@ -229,7 +235,7 @@ class _Simulation:
             law=self.law.settings,
             truth_p=self.truth.p,
             delays=np.array(delays[:, None, :] * self.plant.ratios[:, None], order="C"),
-            disturbance=np.array([loop_checks.push(d, m) for d in pushes]).reshape(-1, m),
+            disturbance=self.pushes,
             moves=self.truth.declares_delay,
             senses=not self.measurement.perfect,
             sensor=sensing.sensor(self.measurement, self.dt, first),

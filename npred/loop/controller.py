@@ -45,7 +45,7 @@ class Controller:
         self.plant, self.predictor, self.adaptation, self.dt = plant, predictor, adaptation, seconds
         law, self._limits = part(plant, adaptation, seconds), inputs.bounds(plant, input_bounds)
         self.actuator, self._u0 = actuator, inputs.before(plant, u0, self._limits, np.zeros((1, plant.n)))[0]
-        self._recalls, self._watches = actuator == "history", law.memory > 1
+        self._recalls, self._watches = actuator == loop_checks.HISTORY, law.memory > 1
         self._observe, self._settings, self._believe = law.observe, law.settings, family_of(plant).horizon()
         self._predict, self._control, self._update = predictor.lanes(), law.control, law.update
         self._gamma_dt, self._b, self._bounds = law.gamma * self.dt, law.b, law.bounds

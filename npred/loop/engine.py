@@ -229,14 +229,14 @@ def keep(k: int, s: Settings, z: State, out: Record) -> None:
         energy(z.u, s.u_star, z.D_seen, out.energy[row])
 
 
-def _own(X_hat, t, p, ratios, D_hat, D_seen):  # type: ignore[no-untyped-def]
+@jit(family.signature(family.HORIZON), nogil=True)
+def own_history(X_hat, t, p, ratios, D_hat, D_seen):  # type: ignore[no-untyped-def]
     """The controller reads its own commands, by its estimate of the delay."""
     for c in range(D_seen.shape[0]):
         for l in range(D_seen.shape[1]):
             D_seen[c, l] = ratios[c] * D_hat[l]
 
 
-own_history = jit(family.signature(family.HORIZON), nogil=True)(_own)
 HORIZON, OBSERVE, PREDICT, CONTROL, UPDATE, SPEED, ADVANCE = map(
     family.signature,
     (family.HORIZON, family.OBSERVE, family.PREDICT, family.CONTROL, family.UPDATE, family.SPEED, family.ADVANCE),

@@ -13,6 +13,7 @@ from npred.loop.measurement import Measurement
 from npred.plants.base import Plant
 from npred.predictors import Compiled, OneStep, Predictor, method
 
+MEASURED, HISTORY = "measured", "history"  # where the controller has the actuator state from
 PARTS = ("program", "parameters", "ratios")  # of the identity: what a compiled predictor has in it
 
 
@@ -62,7 +63,7 @@ def reality(
 
 def actuator_state(name: Any) -> None:
     """Raise ConfigError for what is no way to know the actuator state."""
-    if name not in ("measured", "history"):
+    if name not in (MEASURED, HISTORY):
         raise ConfigError(f'actuator: expected "measured" or "history", got {name!r}; choose one')
 
 

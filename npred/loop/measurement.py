@@ -148,18 +148,7 @@ def _reached(k: int, dt: float, D: np.ndarray, held: np.ndarray, l: int, U0: Any
 
 MODEL = family.pointer(family.signature(family.ADVANCE))
 # k, origin, dt, age, D (m, B), held (R, m, B), Y, X_hat (n, B), the model's step, p -> X_hat
-ESTIMATE = types.void(
-    types.int64,
-    types.int64,
-    types.float64,
-    types.int64,
-    A2,
-    A3,
-    A2,
-    A2,
-    family.pointer(family.signature(family.ADVANCE)),
-    A1,
-)
+ESTIMATE = types.void(types.int64, types.int64, types.float64, types.int64, A2, A3, A2, A2, MODEL, A1)
 
 
 @jit(ESTIMATE, nogil=True)
