@@ -70,6 +70,14 @@ def transport(
                 u_nodes[j, c, l] = start + max(position - i, 0.0) * (end - start)
 
 
+@njit  # compiled into those that call it
+def leaving(k: int, dt: float, D: float) -> tuple[int, float]:
+    """The step whose command leaves a delay D at the start of control step k, and for how much of the step it does."""
+    s = k - D / dt
+    i = math.floor(s + ROUNDING)
+    return i, 1.0 - (s - i) if s - i > ROUNDING else 1.0
+
+
 @jit(ACTUATE, nogil=True)
 def actuate(
     k: int, dt: float, D: np.ndarray, U: np.ndarray, held: np.ndarray, total: np.ndarray, U0: np.ndarray,
@@ -79,9 +87,7 @@ def actuate(
     rows = held.shape[0]
     for c in range(U.shape[0]):
         for l in range(U.shape[1]):
-            s = k - D[c, l] / dt
-            i = math.floor(s + ROUNDING)
-            share[c, l] = 1.0 - (s - i) if s - i > ROUNDING else 1.0
+            i, share[c, l] = leaving(k, dt, D[c, l])
             held[k % rows, c, l] = U[c, l]
             total[(k + 1) % rows, c, l] = total[k % rows, c, l] + U[c, l]
             U0[c, l] = held[i % rows, c, l]
@@ -98,9 +104,7 @@ def retime(k: int, dt: float, D: Any, speed: Any, held: Any, U1: Any, share: Any
     rows = held.shape[0]
     for c in range(D.shape[0]):
         for l in range(D.shape[1]):
-            s = k - D[c, l] / dt
-            i = math.floor(s + ROUNDING)
-            rest = 1.0 - (s - i if s - i > ROUNDING else 0.0)
+            i, rest = leaving(k, dt, D[c, l])
             share[c, l] = 1.0
             if speed[c, l] > rest:
                 share[c, l] = rest / speed[c, l]

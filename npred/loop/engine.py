@@ -13,6 +13,7 @@ from numba import types
 from npred.delays import family, family_of
 from npred.delays.family import Kernel
 from npred.loop import actuator
+from npred.loop.actuator import retime
 from npred.loop.measurement import ESTIMATE, SENSOR, Sensor, sample
 from npred.plants.base import Plant
 from npred.predictors.onestep import OneStep
@@ -131,7 +132,7 @@ def steps(
             pace(z.X, z.U0, t, s.truth_p, z.speed)
             watch(k, t, z, out)
         if s.moves or s.delays.shape[0] > 0:
-            actuator.retime(origin + k, s.dt, z.D, z.speed, z.held, z.U1, z.share)
+            retime(origin + k, s.dt, z.D, z.speed, z.held, z.U1, z.share)
         if s.disturbance.shape[0] > 0:
             disturb(s.disturbance[k], z.U0, z.U1)
         advance(z.X, z.U0, z.U1, z.share, s.dt, t, s.truth_p)

@@ -16,7 +16,7 @@ from numba import njit, types
 from npred import array_checks
 from npred.delays import family
 from npred.errors import ConfigError
-from npred.loop.actuator import ROUNDING
+from npred.loop.actuator import ROUNDING, leaving
 from npred.symbolic.compile_cache import jit
 
 Observer = Callable[[np.ndarray, np.ndarray, np.ndarray, float], Any]
@@ -139,9 +139,7 @@ def _reached(k: int, dt: float, D: np.ndarray, held: np.ndarray, l: int, U0: Any
     """The input that acts during control step k in loop l, as `actuator.actuate` gives it, read from the history."""
     rows = held.shape[0]
     for c in range(D.shape[0]):
-        s = k - D[c, l] / dt
-        i = math.floor(s + ROUNDING)
-        share[c, 0] = 1.0 - (s - i) if s - i > ROUNDING else 1.0
+        i, share[c, 0] = leaving(k, dt, D[c, l])
         U0[c, 0] = held[i % rows, c, l]
         U1[c, 0] = held[min(i + 1, k) % rows, c, l]
 

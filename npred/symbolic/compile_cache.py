@@ -29,13 +29,18 @@ _LOCK = threading.RLock()  # Numba has one setting for all threads, and networks
 
 
 def jit(signature: Any, **flags: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Compile a function of a module for a signature, or load what was compiled of this text of its file."""
+    """Compile a function of a module for a signature, or load what was compiled of this text.
+
+    The text is that of its file, and of the files of those functions of its module that are compiled into it.
+    """
 
     def compiled(function: Callable[..., Any]) -> Any:
         from numba import njit  # here: the folder of this module is looked through for plants, and Numba loads slowly
 
         path = Path(function.__code__.co_filename)
-        text = path.read_text(encoding="utf-8")
+        parts = [value.py_func for value in function.__globals__.values() if hasattr(value, "py_func")]
+        files = sorted({path, *(Path(part.__code__.co_filename) for part in parts)})
+        text = "".join(file.read_text(encoding="utf-8") for file in files)
         with kept(named(f"{path.stem}_{function.__name__}", path.parent, text)):
             return njit(signature, cache=True, **flags)(function)
 
