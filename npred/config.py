@@ -109,6 +109,16 @@ class Sensors(Section):
     delay: Delay = 0.0  #: from a sample to its arrival, in seconds
     drop: Share = 0.0  #: probability that a sample never arrives
 
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        self.spread()
+        return self
+
+    def spread(self) -> None:
+        """Raise ValueError for a jitter without the period that it spreads."""
+        if self.jitter and self.period is None:
+            raise ValueError("jitter: expected a period that it spreads, got none; give period")
+
 
 class Disturbance(Section):
     """amplitude sin(omega t), added to what leaves the actuator, the same for each input."""
@@ -158,13 +168,17 @@ class Loop(Section):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        if self.dt > self.t_end:
-            raise ValueError(f"dt: expected at most t_end = {self.t_end:g}, got {self.dt:g}; shorten the step")
-        if self.t_end > LONGEST_RUN * self.dt:
-            steps = self.t_end / self.dt
-            room = f"{steps:.3g} steps of {self.dt:g} s, whose record takes {size(8 * STEP * steps)} for each loop"
-            raise ValueError(f"t_end: expected at most {LONGEST_RUN} steps, got {room}; shorten t_end or lengthen dt")
+        self.lasts("t_end", self.t_end)
         return self
+
+    def lasts(self, key: str, seconds: float) -> None:
+        """Raise ValueError for loops shorter than a control step, or with more steps than a record can hold."""
+        if self.dt > seconds:
+            raise ValueError(f"dt: expected at most {key} = {seconds:g}, got {self.dt:g}; shorten the step")
+        if seconds > LONGEST_RUN * self.dt:
+            steps = seconds / self.dt
+            room = f"{steps:.3g} steps of {self.dt:g} s, whose record takes {size(8 * STEP * steps)} for each loop"
+            raise ValueError(f"{key}: expected at most {LONGEST_RUN} steps, got {room}; shorten {key} or lengthen dt")
 
     def reached(self, key: str, span: Range) -> None:
         """Raise ValueError for a true delay that the estimate cannot reach, where it adapts."""
@@ -414,8 +428,11 @@ class Evaluate(Loop):
             span = scenario.delays(self.D)
             if span[0] < 0:
                 raise ValueError(f"scenarios[{k}].drift: expected a delay of at least 0 s, got {span[0]:g}; shrink it")
+            table = self.under(scenario)
             try:
-                self.under(scenario).reached("delay", span)
+                table.reached("delay", span)
+                table.lasts("t_end", table.case_t_end)
+                table.measurement.spread()
             except ValueError as error:
                 raise ValueError(f"scenarios[{k}]: {error}") from None
             for value in scenario.D_hat0 or []:
@@ -451,6 +468,7 @@ class Evaluate(Loop):
             raise ValueError(
                 f"t_end: expected at most case_t_end = {self.case_t_end:g}, got {self.t_end:g}; raise that"
             )
+        self.lasts("case_t_end", self.case_t_end)
         return self
 
 

@@ -68,13 +68,15 @@ def simulate(
     """
     loop_checks.parts(plant, predictor, adaptation, every)
     loop_checks.reality(plant, adaptation, D, D_hat, actuator, measurement, truth, disturbance)
+    loop_checks.times(t_end, dt)
+    loop_checks.record(plant, 1, t_end, dt, every)
     X0 = array_checks.floats("X0", X0)
     if plant.declares_delay:
         loop_checks.start(plant, X0)
         D = D_hat = _declared(truth or plant, X0)
     table = _tabulated(D, t_end, dt) if callable(D) else None
     D, D_hat = (array_checks.floats(name, a) for name, a in (("D", D if table is None else table[0]), ("D_hat", D_hat)))
-    loop_checks.numbers(plant, X0, D, D_hat, t_end, dt, adaptation)
+    loop_checks.numbers(plant, X0, D, D_hat, adaptation)
     shape = array_checks.batch(X0=X0.shape[:-1], D=D.shape, D_hat=D_hat.shape)
     if 0 in shape:
         raise ConfigError(f"X0, D, D_hat: expected at least one loop, got a batch of shape {shape}; give one a start")
@@ -84,7 +86,7 @@ def simulate(
     if table is not None:
         padded = table.reshape(len(table), *(1,) * (len(shape) - table.ndim + 1), *table.shape[1:])
         delays = np.broadcast_to(padded, (len(table), *shape)).reshape(-1, len(D))
-    loop_checks.room(plant, D, t_end, dt, every)
+    loop_checks.record(plant, len(D), t_end, dt, every)
     sample_steps = loop_checks.samples(samples, shape, round(t_end / dt))
     limits, method = inputs.bounds(plant, input_bounds), loop_checks.integrator(integrator)
     held = inputs.before(plant, u0, limits, X0)
@@ -92,6 +94,7 @@ def simulate(
         plant, predictor, adaptation, limits, dt, t_end, every, method, actuator == loop_checks.HISTORY,
         measurement or Measurement(), truth or plant, disturbance,
     )  # fmt: skip
+    loop_checks.history(plant, loop.reach(D, D_hat, delays)[1], dt)
     width = LANES if loop.compiled else NEURAL_LANES
     chunks = [slice(i, i + width) for i in range(0, len(D), width)]
     with _counted(progress, len(D) * (round(t_end / dt) + 1)) as count:
@@ -184,7 +187,7 @@ class _Simulation:
         """
         lanes, nx = len(D), 2 if self.predictor is None else self.predictor.nx
         count = round(self.t_end / self.dt) + 1
-        origin, held, total = history(*self._reach(D, D_hat, delays), self.dt, u0.T)
+        origin, held, total = history(*self.reach(D, D_hat, delays), self.dt, u0.T)
         state = self._state(X0, D, D_hat, held, total, nx)
         settings, out = self._settings(samples, delays, first), self._record(count, samples.shape[1], nx, lanes)
         parts = self._parts()
@@ -197,7 +200,7 @@ class _Simulation:
                 progress((stop - start) * lanes)
         return out
 
-    def _reach(self, D: np.ndarray, D_hat: np.ndarray, delays: np.ndarray) -> tuple[float, float]:
+    def reach(self, D: np.ndarray, D_hat: np.ndarray, delays: np.ndarray) -> tuple[float, float]:
         """How far back commands may be read, in seconds: before t = 0, and at any time."""
         spans = [D.max(), delays.max(initial=0.0)]
         if self.recalls or self.law.memory > 1:

@@ -46,6 +46,7 @@ class Controller:
         law, self._limits = part(plant, adaptation, seconds), inputs.bounds(plant, input_bounds)
         self.actuator, self._u0 = actuator, inputs.before(plant, u0, self._limits, np.zeros((1, plant.n)))[0]
         self._recalls, self._watches = actuator == loop_checks.HISTORY, law.memory > 1
+        self._keeps = self._recalls or self._watches  # a step reads the commands of those before it
         self._observe, self._settings, self._believe = law.observe, law.settings, family_of(plant).horizon()
         self._predict, self._control, self._update = predictor.lanes(), law.control, law.update
         self._gamma_dt, self._b, self._bounds = law.gamma * self.dt, law.b, law.bounds
@@ -96,8 +97,10 @@ class Controller:
         before.
         """
         if (u is None) != self._recalls:
-            raise ConfigError(f"step: expected {'X alone' if self._recalls else 'X and u'}, for the actuator is "
-                              f"{self.actuator!r}, got u = {u!r}; give what is measured")  # fmt: skip
+            expected, came = ("X alone", "u too") if self._recalls else ("X and u", "X alone")
+            raise ConfigError(
+                f"step: expected {expected}, for the actuator is {self.actuator!r}, got {came}; give what is measured"
+            )
         X = array_checks.floats("X", X)
         u = self._u[:, :, 0] if u is None else array_checks.floats("u", u)
         self._measure(X, u, u if u_nodes is None else array_checks.floats("u_nodes", u_nodes))
@@ -106,7 +109,8 @@ class Controller:
         if not (np.isfinite(self._U).all() and math.isfinite(self._D_hat[0])):
             self._D_hat[0], self._phi_before[0], self._memory = before
             raise DivergedError("step: the prediction from X and u is not finite; hold the last U and measure again")
-        self._remember()
+        if self._keeps:
+            self._remember()
         self._step += 1
         self._P, self._last_P = self._last_P, self._P
         self._last_U[:] = self._U[:, 0]
@@ -116,7 +120,7 @@ class Controller:
         """Its state, ready for JSON: D_hat, phi of the last step, and the steps done since t0 (seconds)."""
         phi = float(self._phi_before[0])
         remembered: dict[str, Any] = {}
-        if self._recalls or self._watches:
+        if self._keeps:
             held, sums = self._held[:, :, 0].tolist(), self._total[:, :, 0].tolist()
             remembered = {"commands": {"k": self._k, "held": held, "sums": sums}}
         if self._watches:

@@ -75,29 +75,39 @@ def push(value: Any, m: int) -> np.ndarray:
     return np.broadcast_to(array, (m,))
 
 
-def numbers(
-    plant: Plant, X0: Any, D: np.ndarray, D_hat: np.ndarray, t_end: float, dt: float, law: DelayLaw | None
-) -> None:
-    """Raise ConfigError for a start, delays or times that make no loop."""
-    start(plant, X0)
+def times(t_end: Any, dt: Any) -> None:
+    """Raise ConfigError for what is no length of a loop, or no control step of it."""
     if not 0 < array_checks.number("dt", dt) <= array_checks.number("t_end", t_end) < np.inf:
         raise ConfigError(f"dt, t_end: expected 0 < dt <= t_end in seconds, got dt = {dt}, t_end = {t_end}")
+
+
+def numbers(plant: Plant, X0: Any, D: np.ndarray, D_hat: np.ndarray, law: DelayLaw | None) -> None:
+    """Raise ConfigError for a start or delays that make no loop."""
+    start(plant, X0)
     for name, seconds in (("D", D), ("D_hat", D_hat)):
         array_checks.delays(name, seconds)
     if law:
         array_checks.within("D_hat", D_hat, law.bounds)
 
 
-def room(plant: Plant, D: np.ndarray, t_end: float, dt: float, every: int) -> None:
-    """Raise ConfigError for loops, D (B,), whose record, or the actuator's history, this machine cannot hold."""
+def record(plant: Plant, loops: int, t_end: float, dt: float, every: int) -> None:
+    """Raise ConfigError for loops whose record this machine cannot hold."""
+    needed = 8 * loops * (2 * plant.n + plant.m + 3) * (float(t_end) / dt / every + 1)
+    _room("t_end", "a record", needed, "shorten t_end, lengthen dt or keep every 10th step with every")
+
+
+def history(plant: Plant, reach: float, dt: float) -> None:
+    """Raise ConfigError for commands of the last `reach` seconds that this machine cannot hold."""
+    cure = "shorten D, the bounds of the law or the delay of the measurement, or lengthen dt"
+    _room("D", "the history", 16 * plant.m * reach / dt, cure)
+
+
+def _room(name: str, what: str, needed: float, cure: str) -> None:
+    """Raise ConfigError for what needs more bytes than this machine has."""
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    record = 8 * len(D) * (2 * plant.n + plant.m + 3) * (float(t_end) / dt / every + 1)
-    history = 16 * plant.m * float(np.max(D)) / dt
-    cures = {"t_end": "shorten t_end, lengthen dt or keep every 10th step with every", "D": "shorten D or lengthen dt"}
-    for name, bytes_needed in (("t_end", record), ("D", history)):
-        if bytes_needed > memory:
-            what = f"{'the history' if name == 'D' else 'a record'} of {size(bytes_needed)}"
-            raise ConfigError(f"{name}: expected what fits into memory, {size(memory)}, got {what}; {cures[name]}")
+    if needed > memory:
+        came = f"{what} of {size(needed)}"
+        raise ConfigError(f"{name}: expected what fits into memory, {size(memory)}, got {came}; {cure}")
 
 
 def parts(plant: Any, predictor: Any, adaptation: Any, every: Any = 1) -> None:

@@ -54,8 +54,18 @@ class Measurement:
             if not 0 <= value < highest:
                 room = "of at least 0" if highest == math.inf else f"from 0 up to {highest:g}, not included"
                 raise ConfigError(f"measurement: expected {name} {room}, got {value:g}; give another")
-        if not isinstance(self.seed, int | np.integer):
-            raise ConfigError(f"measurement: expected a whole number as seed, got {self.seed!r}; give one")
+        if self.jitter and self.period is None:
+            raise ConfigError("measurement: expected a period that jitter spreads, got none; give period, in seconds")
+        for name in ("seed", "first"):
+            number = getattr(self, name)
+            if not isinstance(number, int | np.integer) or not -(2**63) <= number < 2**63:
+                raise ConfigError(
+                    f"measurement: expected a whole number of 64 bits as {name}, got {number!r}; give one"
+                )
+        if self.observer is not None and not callable(self.observer):
+            raise ConfigError(
+                f"measurement: expected a function of X_hat, Y, U and t as observer, got {self.observer!r}; write one"
+            )
 
     @property
     def perfect(self) -> bool:

@@ -338,9 +338,9 @@ def test_a_step_that_fails_leaves_commands_and_observers_as_they_were():
 
 def test_it_is_given_what_is_measured_and_nothing_else():
     run = npred.predictor("rk4", PLANT, nx=21)
-    with pytest.raises(ConfigError, match="step: expected X alone, for the actuator is 'history'"):
+    with pytest.raises(ConfigError, match="expected X alone, for the actuator is 'history', got u too; give"):
         npred.controller(PLANT, run, LAW, 0.01, actuator="history").step(X0, np.zeros((21, 1)))
-    with pytest.raises(ConfigError, match="step: expected X and u, for the actuator is 'measured'"):
+    with pytest.raises(ConfigError, match="expected X and u, for the actuator is 'measured', got X alone"):
         npred.controller(PLANT, run, LAW, 0.01).step(X0)
     with pytest.raises(ConfigError, match='actuator: expected "measured" or "history"'):
         npred.controller(PLANT, run, LAW, 0.01, actuator="other")

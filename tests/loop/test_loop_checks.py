@@ -6,6 +6,8 @@ import pytest
 from npred import plants
 from npred.errors import ConfigError
 from npred.loop.closed_loop import simulate
+from npred.loop.delay_observer import DelayObserver
+from npred.loop.measurement import Measurement
 from npred.predictors import RK4, Euler
 from npred.predictors.interpreted import EulerPython
 
@@ -29,6 +31,11 @@ def run(predictor="own", plant=SCALAR, **change):
         ({"t_end": 1e12}, r"t_end: expected what fits into memory, .* got a record of 4.8 PB; shorten t_end"),
         ({"t_end": 1e300, "dt": 1e-300}, "got a record of inf"),
         ({"D": 1e12}, r"D: expected what fits into memory, .* got the history of 1.6 PB"),
+        ({"D": lambda t: 0.3 if t < 0.01 else 1e12}, "got the history of 1.6 PB; shorten D, the bounds"),
+        ({"D": lambda t: 0.3, "t_end": 1e300, "dt": 1e-300}, "got a record of inf"),
+        ({"D": lambda t: 0.3, "t_end": None}, "t_end: expected a real number, got None"),
+        ({"measurement": Measurement(delay=1e12)}, "got the history of 1.6 PB"),
+        ({"adaptation": DelayObserver(bounds=(0.1, 1e12))}, "got the history of 1.6 PB"),
         ({"every": 0}, "every: expected a whole number of steps from 1 on, got 0"),
         ({"every": 1.5}, "every: expected a whole number"),
         ({"samples": np.array([5, 2])}, "samples: expected sorted whole steps of 0 to 20"),

@@ -106,7 +106,10 @@ def test_a_measurement_or_an_observer_that_is_wrong_is_refused():
         ({"noise": -0.1}, "expected noise of at least 0, got -0.1"),
         ({"period": 0.0}, "expected a period above 0 s, got 0.0; None is every step"),
         ({"drop": 1.0}, "expected drop from 0 up to 1, not included, got 1"),
-        ({"seed": 0.5}, "expected a whole number as seed, got 0.5"),
+        ({"seed": 0.5}, "expected a whole number of 64 bits as seed, got 0.5"),
+        ({"first": 2**63}, "expected a whole number of 64 bits as first"),
+        ({"jitter": 0.1}, "expected a period that jitter spreads, got none; give period"),
+        ({"observer": 3}, "expected a function of X_hat, Y, U and t as observer, got 3"),
     ):
         with pytest.raises(ConfigError, match=words):
             Measurement(**settings)
