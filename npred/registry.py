@@ -214,9 +214,9 @@ STAGES = {
         "Rollouts with the numerical predictor: the training data.", r"data(-\d{5,})?\.h5",
     ),
     "train": StageEntry(
-        1, ("generate",), "npred.stages.train", "npred.results:Trained",
+        2, ("generate",), "npred.stages.train", "npred.results:Trained",
         "The networks, one artifact per network.",
-        r"model\.safetensors|model\.json|metrics\.jsonl|snapshot-\d+\.safetensors",
+        r"(model|domain)\.safetensors|model\.json|metrics\.jsonl|snapshot-\d+\.safetensors",
     ),
     "evaluate": StageEntry(
         5, ("generate", "train"), "npred.stages.evaluate.evaluate", "npred.results:Evaluated",

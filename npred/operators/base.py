@@ -6,6 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from npred.config import Anchor
+from npred.operators.domain import Domain
 from npred.operators.scaling import Scaling
 
 
@@ -26,6 +27,7 @@ class Operator(nn.Module):
     def __init__(self, network: nn.Module, scaling: Scaling, anchor: Anchor, X_rest: Tensor, u_rest: Tensor) -> None:
         super().__init__()
         self.network, self.scaling, self.anchor = network, scaling, anchor
+        self.domain: Domain | None = None  # of the data, where it was saved with the network
         self.register_buffer("X_rest", X_rest)
         self.register_buffer("u_rest", u_rest)
 

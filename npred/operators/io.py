@@ -13,6 +13,7 @@ from npred.config import Network, Train, Training
 from npred.errors import ConfigError, StoreError, first_line
 from npred.operators.base import Operator
 from npred.operators.build import build
+from npred.operators.domain import Domain
 from npred.operators.scaling import Scaling
 from npred.plants.base import Plant
 from npred.registry import NETWORKS, named
@@ -26,11 +27,13 @@ def weights(snapshot: int | None = None) -> str:
 
 
 def save(folder: Path, operator: Operator, config: Training, plant: Plant) -> None:
-    """Write model.safetensors and model.json: the network's name, its table, the plant's identity."""
+    """Write model.safetensors, model.json: the network's name, its table, the plant's identity; and its domain."""
     config = config.moved(lambda path: Path(path).name)
     manifest = {"model": config.architecture, "config": config.model_dump(mode="json"), "plant": plant.identity}
     (folder / MANIFEST).write_text(json.dumps(manifest, indent=1, sort_keys=True) + "\n", encoding="utf-8")
     save_weights(folder / weights(), operator)
+    if operator.domain:
+        operator.domain.save(folder)
 
 
 def save_weights(path: Path, operator: Operator) -> None:
@@ -71,6 +74,7 @@ def load(
         raise StoreError(
             f"{path}: expected weights of this model, got: {first_line(error)}; files there: {kept}"
         ) from None
+    operator.domain = Domain.load(folder)
     return _as(operator, dtype, plant).eval().requires_grad_(False)
 
 

@@ -13,6 +13,7 @@ from npred import plants, randomness
 from npred.config import Pipeline, Training
 from npred.data import shards
 from npred.operators import Operator, Scaling, checked, io, save
+from npred.operators.domain import Domain
 from npred.parallel import torchrun
 from npred.results import Trained
 from npred.stages import Job
@@ -29,7 +30,8 @@ def run(job: Job) -> Trained:
     """Train job.model on the rows of job.inputs["generate"] that are not held out; the held-out ones give the errors.
 
     Started by torchrun, its processes share each batch; this one alone writes.
-    Writes model.safetensors, model.json, metrics.jsonl and a snapshot-E.safetensors for each E of `snapshots`.
+    Writes model.safetensors, model.json, domain.safetensors (where the data were), metrics.jsonl and a
+    snapshot-E.safetensors for each E of `snapshots`.
     The same bytes for the same configuration, data and number of threads (CPU). Raises ConfigError for an anchor or
     `nodes` that do not fit, DivergedError for a loss that is not finite.
     """
@@ -94,6 +96,8 @@ def _task(job: Job, config: Training, path: Path) -> Fit:
     stream = Stream(path, job.device, config.nodes, job.plant.phase)
     scaling = Scaling.of_parts(stream.parts) if streamed else Scaling.of(fitted)
     operator = _untrained(job, config, scaling, seed).to(job.device)
+    parts = stream.parts if streamed else lambda: [fitted]
+    operator.domain = Domain.of_parts(parts, scaling.X_bend.double().numpy(), job.plant.phase)
     criterion = loss.criterion(config.rows, loss.weights(config, job.plant, rows.P))
     return Fit(f"train {job.model}", operator, config, stream if streamed else rows, test, criterion, seed)
 
