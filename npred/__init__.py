@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from npred import errors as errors
     from npred import plants as plants
     from npred.api import controller as controller
+    from npred.api import guarded as guarded
     from npred.api import load as load
     from npred.api import plant as plant
     from npred.api import predictor as predictor
@@ -24,7 +25,8 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 __all__ = [
-    "DelayAdaptation", "DelayLaw", "DelayObserver", "L1Adaptation", "Measurement", "Predictor", "controller", "load",
+    "DelayAdaptation", "DelayLaw", "DelayObserver", "L1Adaptation", "Measurement", "Predictor", "controller", "guarded",
+    "load",
     "plant", "predictor", "simulate",
 ]  # fmt: skip
 

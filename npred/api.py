@@ -52,6 +52,18 @@ def load(
     return runtimes.predictor(runtime, stored.plant, operator, nx, stored.model, device)
 
 
+def guarded(
+    model: Predictor, tolerance: float = 0.01, by: str = "auto", *, exact: Predictor | None = None,
+    correct: bool = False,
+) -> Predictor:  # fmt: skip
+    """`model`, checked in every call: `exact`, RK4 by default, answers where |kappa(P̂(1)) - kappa(P(1))| may be above
+    `tolerance`, in units of U; see npred.predictors.guarded.
+    """
+    from npred.predictors.guarded import Guarded
+
+    return Guarded(model, tolerance, by, exact=exact, correct=correct)
+
+
 def controller(
     plant: Plant, predictor: Predictor, adaptation: DelayLaw | None, dt: float, *,
     D_hat: float | None = None, input_bounds: Any = None, actuator: str = "measured", u0: Any = None,

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from npred.delays import family
+from npred.delays import correction, family
 from npred.delays.family import Family, Kernel, Step, transition
 from npred.plants.base import Plant
 from npred.symbolic import called_functions, kernels, programs
@@ -183,6 +183,9 @@ class ConstantDelay(Family):
             end=programs.lines([trace.V(trace.vector("X", plant.n), trace.input("t0"))], _bindings(plant), ["v"]),
         )
         return family.build("update", family.UPDATE, source, called_functions.imports(trace))
+
+    def correction(self) -> Kernel:
+        return correction.kernel(self.plant)
 
     def advance(self, step: Step) -> Kernel:
         trace = called_functions.trace(self.plant)

@@ -60,6 +60,7 @@ class DeclaredDelay(Family):
         "picard": "use rk4",
         "published": "use euler, heun or rk4",
         "euler_python": "use euler, heun or rk4",
+        "defect": "take by = 'shadow'",
         "adaptation": "the controller knows that delay: leave the law out",
     }
 

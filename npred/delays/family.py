@@ -24,13 +24,15 @@ UPDATE = "P, X, u, D_hat, t, p, b, phi, N"  # u at the nodes
 ADVANCE = "X, U0, U1, share, dt, t, p"  # in place: the delayed input U0 for the first `share` of a step, then U1
 HORIZON = "X, t, p, ratios, D_hat, D"  # the delay of each input, and the longest as D_hat where the plant declares it
 SPEED = "X, U, t, p, speed"  # of phi(t) = t - D with U acting, 1 - D_X f - D_t
+CORRECT = "P_hat, X, u, D_hat, t, p, P"  # P_hat less its error, as far as its defect says
+GUARD = "X, u, D_hat, t, p, guard, P, error, fallback"  # P in place; guard: what npred.predictors.guarded is set to
 OBSERVE = "k, dt, X, held, t, p, law, memory, D_hat"  # of laws that estimate D_hat themselves; D_hat is written
 LANE, ROWS, NODES = "float64[::1]", "float64[:,::1]", "float64[:,:,::1]"  # (B,), (n, B) or (m, B), (nx, n or m, B)
 TYPES = {
     **dict.fromkeys(("t", "dt", "b"), "float64"),
-    **dict.fromkeys(("D_hat", "p", "phi", "N", "ratios", "law"), LANE),
+    **dict.fromkeys(("D_hat", "p", "phi", "N", "ratios", "law", "guard", "error", "fallback"), LANE),
     **dict.fromkeys(("X", "U", "U0", "U1", "share", "D", "speed", "memory"), ROWS),
-    **dict.fromkeys(("u", "P", "held"), NODES),
+    **dict.fromkeys(("u", "P", "P_hat", "held"), NODES),
     "k": "int64",
 }
 
@@ -122,6 +124,11 @@ class Family(ABC):
     def update(self) -> Kernel:
         """UPDATE, the paper's law for D_hat: phi [DAPF, eq. 12] and N = 1 + V + b ∫ (1+x) w²."""
         self.needs("adaptation")
+        raise NotImplementedError
+
+    def correction(self) -> Kernel:
+        """CORRECT, P_hat less its defect carried along by the linearised equation."""
+        self.needs("defect")
         raise NotImplementedError
 
     def horizon(self) -> Kernel | None:

@@ -19,7 +19,7 @@ from npred.loop.measurement import Measurement
 from npred.loop.trajectories import Samples, Trajectories, of_record
 from npred.plants import inputs
 from npred.plants.base import Plant
-from npred.predictors import Compiled, OneStep, Predictor
+from npred.predictors import OneStep, Predictor
 
 __all__ = ["Samples", "Trajectories", "simulate"]
 
@@ -175,7 +175,7 @@ class _Simulation:
     def compiled(self) -> bool:
         """True if all parts are kernels; else the same loop runs in Python around those that are."""
         parts = self.plant.traced and self.truth.traced and self.law.compiled and self.measurement.observer is None
-        return parts and (self.predictor is None or isinstance(self.predictor, Compiled))
+        return parts and (self.predictor is None or self.predictor.compiled)
 
     def run(
         self, X0: np.ndarray, D: np.ndarray, D_hat: np.ndarray, u0: np.ndarray, samples: np.ndarray,
@@ -215,15 +215,16 @@ class _Simulation:
         horizon, pace = truth.horizon() or idle(family.HORIZON), truth.speed() or idle(family.SPEED)
         estimate = sensing.observed(self.measurement.observer) if self.measurement.observer else sensing.estimate
         predict = idle(family.PREDICT) if self.predictor is None else self.predictor.lanes()
+        guard = getattr(self.predictor, "guard", None) or idle(family.GUARD)
         advance, expect = (engine.advance_kernel(plant, self.integrator) for plant in (self.truth, self.plant))
         law = self.law
         return (
-            horizon, estimate, law.observe, believe, transport, predict, law.control, law.update, actuate, pace,
+            horizon, estimate, law.observe, believe, transport, predict, guard, law.control, law.update, actuate, pace,
             advance, expect,
         )  # fmt: skip
 
     def _settings(self, samples: np.ndarray, delays: np.ndarray, first: int) -> engine.Settings:
-        m = self.plant.m
+        m, settings = self.plant.m, getattr(self.predictor, "settings", None)
         return engine.Settings(
             dt=self.dt,
             every=self.every,
@@ -236,6 +237,7 @@ class _Simulation:
             samples=np.array(samples.T, order="C"),
             ratios=self.plant.ratios,
             law=self.law.settings,
+            guard=np.zeros(0) if settings is None else settings,
             truth_p=self.truth.p,
             delays=np.array(delays[:, None, :] * self.plant.ratios[:, None], order="C"),
             disturbance=self.pushes,
@@ -258,7 +260,7 @@ class _Simulation:
             u=np.empty((nx, m, lanes)), u_nodes=np.empty((nx, m, lanes)), P=np.full((nx, n, lanes), np.nan),
             U=np.zeros((m, lanes)), phi=np.zeros(lanes), phi_before=np.full(lanes, np.nan), N=np.full(lanes, np.nan),
             U0=np.empty((m, lanes)), U1=np.empty((m, lanes)), share=np.empty((m, lanes)),
-            drawn=np.zeros(lanes, dtype=np.int64),
+            drawn=np.zeros(lanes, dtype=np.int64), error=np.zeros(lanes), fallback=np.zeros(lanes),
         )  # fmt: skip
 
     def _record(self, count: int, samples: int, nx: int, lanes: int) -> engine.Record:
@@ -268,5 +270,6 @@ class _Simulation:
         arrays = {name: np.full((*shape, lanes), np.nan) for name, shape in (series | taken).items()}
         never = np.full(lanes, -1, dtype=np.int64)
         return engine.Record(
-            **arrays, escaped=never, infeasible=never.copy(), breach=np.full((n + m + 1, lanes), np.nan)
-        )
+            **arrays, escaped=never, infeasible=never.copy(), breach=np.full((n + m + 1, lanes), np.nan),
+            fallback=np.zeros((rows, lanes), dtype=bool), fallbacks=np.zeros(lanes, dtype=np.int64),
+        )  # fmt: skip

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from npred import array_checks
-from npred.delays import family_of
+from npred.delays import family, family_of
 from npred.errors import ConfigError, DivergedError
 from npred.loop import engine, loop_checks
 from npred.loop.actuator import actuate, history, transport
@@ -49,6 +49,8 @@ class Controller:
         self._keeps = self._recalls or self._watches  # a step reads the commands of those before it
         self._observe, self._settings, self._believe = law.observe, law.settings, family_of(plant).horizon()
         self._predict, self._control, self._update = predictor.lanes(), law.control, law.update
+        self._guard, settings = predictor.guard or family.idle(family.GUARD), predictor.settings
+        self._guard_settings = np.zeros(0) if settings is None else settings
         self._gamma_dt, self._b, self._bounds = law.gamma * self.dt, law.b, law.bounds
         D_hat = self._start(D_hat)
         array_checks.within("D_hat", np.array(array_checks.number("D_hat", D_hat)), tuple(law.bounds))
@@ -84,6 +86,16 @@ class Controller:
     def P(self) -> np.ndarray:
         """The prediction of the last step on the predictor's nodes, (nx, n), a copy; NaN before the first step."""
         return self._last_P[:, :, 0].copy()
+
+    @property
+    def fallback(self) -> bool:
+        """Whether the numerical predictor answered in the last step, for a guarded predictor that doubted."""
+        return bool(self._fallback[0])
+
+    @property
+    def error(self) -> float:
+        """The guard's estimate of the error of U in the last step, in units of U; NaN without a guard."""
+        return float(self._error[0])
 
     def step(self, X: Any, u: Any = None, u_nodes: Any = None) -> np.ndarray:
         """U (m,) for the state X (n,) and the actuator state u (nx, m) on the predictor's nodes, both measured now.
@@ -174,6 +186,7 @@ class Controller:
         self._P, self._last_P = np.full((nx, n, 1), np.nan), np.full((nx, n, 1), np.nan)
         self._D_hat, self._N = np.empty(1), np.empty(1)
         self._phi, self._phi_before = np.zeros(1), np.full(1, np.nan)
+        self._error, self._fallback = np.full(1, np.nan), np.zeros(1)
         self._memory, self._D_seen = np.full((size, 1), np.nan), np.zeros((m, 1))
         self._spare = tuple(np.empty((m, 1)) for _ in range(3))
         self._k, self._held, self._total = history(longest, longest, self.dt, self._u0[:, None])
@@ -246,6 +259,7 @@ class Controller:
                 self._D_seen[:, 0] = self.plant.ratios * self._D_hat[0]
             transport(self._k, self.dt, self._D_seen, self._held, self._total, self._u, self._u_nodes)
         self._predict(self._X, self._u, self._D_hat, t, p, self._P)
+        self._guard(self._X, self._u, self._D_hat, t, p, self._guard_settings, self._P, self._error, self._fallback)
         self._control(self._P, self._u, self._D_hat, t, p, self._U)
         engine.clip(self._U, self._limits)
         self._update(self._P, self._X, self._u_nodes, self._D_hat, t, p, self._b, self._phi, self._N)

@@ -34,6 +34,7 @@ class Settings(NamedTuple):
     samples: np.ndarray  # (S, B), sorted steps whose (X, u, D_hat) are kept
     ratios: np.ndarray  # (m,), the delay of each input as a share of the longest
     law: np.ndarray  # what an observer of the delay is set to
+    guard: np.ndarray  # what the guard of the predictor is set to
     truth_p: np.ndarray  # the parameters of the simulated plant
     delays: np.ndarray  # (steps + 1, m, B), of each input where the delay is a function of time, or empty
     disturbance: np.ndarray  # (steps, m), added to what leaves the actuator, or empty
@@ -70,6 +71,8 @@ class State(NamedTuple):
     U1: np.ndarray  # (m, B), and for the rest
     share: np.ndarray  # (m, B)
     drawn: np.ndarray  # (B,), samples taken so far
+    error: np.ndarray  # (B,), the guard's estimate of the error of U
+    fallback: np.ndarray  # (B,), 1 where the guard answered, else 0
 
 
 class Record(NamedTuple):
@@ -87,24 +90,28 @@ class Record(NamedTuple):
     escaped: np.ndarray  # (B,), the first step whose state is not finite, or -1
     infeasible: np.ndarray  # (B,), the first step at which commands would overtake each other, or -1
     breach: np.ndarray  # (n + m + 1, B), state, input and time there
+    fallback: np.ndarray  # (rows, B), whether the guard answered since the row before
+    fallbacks: np.ndarray  # (B,), the steps in which it did
 
 
 A1, A2, A3, A4 = (types.Array(types.float64, d, "C") for d in (1, 2, 3, 4))
 I1, I2 = (types.Array(types.int64, d, "C") for d in (1, 2))
+B2 = types.Array(types.boolean, 2, "C")
 SETTINGS = types.NamedTuple(
-    [types.float64, types.int64, types.float64, types.float64, A1, A2, A1, A1, I2, A1, A1, A1, A3, A2, types.boolean,
-     types.boolean, SENSOR], Settings
+    [types.float64, types.int64, types.float64, types.float64, A1, A2, A1, A1, I2, A1, A1, A1, A1, A3, A2,
+     types.boolean, types.boolean, SENSOR], Settings
 )  # fmt: skip
 STATE = types.NamedTuple(
-    [A2, A2, A2, A2, A1, A2, A2, A2, A3, A1, I1, A1, A3, A3, A3, A3, A3, A2, A1, A1, A1, A2, A2, A2, I1], State
+    [A2, A2, A2, A2, A1, A2, A2, A2, A3, A1, I1, A1, A3, A3, A3, A3, A3, A2, A1, A1, A1, A2, A2, A2, I1, A1, A1],
+    State,
 )
-RECORD = types.NamedTuple([A3, A3, A3, A2, A2, A2, A3, A4, A2, I1, I1, A2], Record)
+RECORD = types.NamedTuple([A3, A3, A3, A2, A2, A2, A3, A4, A2, I1, I1, A2, B2, I1], Record)
 
 
 def steps(
     origin: int, start: int, stop: int, horizon: Any, estimate: Any, observe: Any, believe: Any, transport: Any,
-    predict: Any, control: Any, update: Any, actuate: Any, pace: Any, advance: Any, model: Any, s: Settings, z: State,
-    out: Record,
+    predict: Any, guard: Any, control: Any, update: Any, actuate: Any, pace: Any, advance: Any, model: Any,
+    s: Settings, z: State, out: Record,
 ) -> None:  # fmt: skip
     """Control steps start … stop - 1 [DAPF, eqs. 6-14]; `origin` is the ring buffers' number of step 0.
 
@@ -122,6 +129,7 @@ def steps(
         believe(z.X_hat, t, s.p, s.ratios, z.D_hat, z.D_seen)
         transport(origin + k, s.dt, z.D_seen, z.held, z.total, z.u, z.u_nodes)
         predict(z.X_hat, z.u, z.D_hat, t, s.p, z.P)
+        guard(z.X_hat, z.u, z.D_hat, t, s.p, s.guard, z.P, z.error, z.fallback)
         control(z.P, z.u, z.D_hat, t, s.p, z.U)
         clip(z.U, s.input_bounds)
         update(z.P, z.X_hat, z.u_nodes, z.D_hat, t, s.p, s.b, z.phi, z.N)
@@ -220,6 +228,11 @@ def keep(k: int, s: Settings, z: State, out: Record) -> None:
             out.sample_u[z.drawn[l], :, :, l] = z.u[:, :, l]
             out.sample_D_hat[z.drawn[l], l] = z.D_hat[l]
             z.drawn[l] += 1
+        if z.fallback[l] > 0.0 and np.isfinite(z.X[0, l]):
+            out.fallbacks[l] += 1
+            row = (k + s.every - 1) // s.every
+            if row < out.fallback.shape[0]:
+                out.fallback[row, l] = True
         for c in range(z.X.shape[0]):
             if out.escaped[l] < 0 and not np.isfinite(z.X[c, l]):
                 out.escaped[l] = k
@@ -238,13 +251,14 @@ def own_history(X_hat, t, p, ratios, D_hat, D_seen):  # type: ignore[no-untyped-
             D_seen[c, l] = ratios[c] * D_hat[l]
 
 
-HORIZON, OBSERVE, PREDICT, CONTROL, UPDATE, SPEED, ADVANCE = map(
+HORIZON, OBSERVE, PREDICT, GUARD, CONTROL, UPDATE, SPEED, ADVANCE = map(
     family.signature,
-    (family.HORIZON, family.OBSERVE, family.PREDICT, family.CONTROL, family.UPDATE, family.SPEED, family.ADVANCE),
-)
+    (family.HORIZON, family.OBSERVE, family.PREDICT, family.GUARD, family.CONTROL, family.UPDATE, family.SPEED,
+     family.ADVANCE),
+)  # fmt: skip
 POINTERS = (
-    HORIZON, ESTIMATE, OBSERVE, HORIZON, actuator.TRANSPORT, PREDICT, CONTROL, UPDATE, actuator.ACTUATE, SPEED, ADVANCE,
-    ADVANCE,
+    HORIZON, ESTIMATE, OBSERVE, HORIZON, actuator.TRANSPORT, PREDICT, GUARD, CONTROL, UPDATE, actuator.ACTUATE, SPEED,
+    ADVANCE, ADVANCE,
 )  # fmt: skip
 compiled_steps = jit(
     types.void(types.int64, types.int64, types.int64, *map(family.pointer, POINTERS), SETTINGS, STATE, RECORD),

@@ -11,7 +11,7 @@ from npred.errors import ConfigError, size
 from npred.loop.delay_law import DelayLaw
 from npred.loop.measurement import Measurement
 from npred.plants.base import Plant
-from npred.predictors import Compiled, OneStep, Predictor, method
+from npred.predictors import OneStep, Predictor, method
 
 MEASURED, HISTORY = "measured", "history"  # where the controller has the actuator state from
 PARTS = ("program", "parameters", "ratios")  # of the identity: what a compiled predictor has in it
@@ -136,7 +136,7 @@ def _same_plant(plant: Plant, predictor: Predictor) -> None:
     """A network may predict a plant that drifted; a kernel takes the loop's parameters and must be of its formulas."""
     other = predictor.plant
     alike = (other.n, other.m) == (plant.n, plant.m)
-    if alike and isinstance(predictor, Compiled):
+    if alike and (predictor.compiled or predictor.guard is not None):
         alike = all(other.identity.get(part) == plant.identity.get(part) for part in PARTS)
     if not alike:
         raise ConfigError(

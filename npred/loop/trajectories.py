@@ -21,6 +21,8 @@ LOOPS = (
     "infeasible",
     "margin",
     "breach",
+    "fallback",
+    "fallbacks",
 )  # arrays led by the batch's axes
 
 
@@ -41,8 +43,9 @@ class Trajectories:
     N = 1 + V + b ∫₀¹ (1+x) w² dx, NaN without adaptation; energy = ∫_{t-D}^t |U - U*|² ds; see npred.loop.lyapunov.
     `escaped` (...) is the first step whose state is not finite, or -1; `infeasible` (...) the first step at which
     commands would overtake each other, 1 - D_X f - D_t <= 0, or -1, `margin` (...) that value and `breach` (..., n) the
-    state there; `states`, `inputs`, `time_unit`, `labels` and `units` are the plant's. print(loop) gives the ranges and
-    ends of all series.
+    state there. With a guarded predictor `fallback` (..., nt) says where the numerical predictor answered, since the
+    time before, and `fallbacks` (...) in how many control steps. `states`, `inputs`, `time_unit`, `labels` and `units`
+    are the plant's. print(loop) gives the ranges and ends of all series.
     """
 
     t: np.ndarray
@@ -57,6 +60,8 @@ class Trajectories:
     infeasible: np.ndarray
     margin: np.ndarray
     breach: np.ndarray
+    fallback: np.ndarray
+    fallbacks: np.ndarray
     states: tuple[str, ...] = ()
     inputs: tuple[str, ...] = ()
     time_unit: str = "s"

@@ -23,6 +23,8 @@ class Predictor(ABC):
     """
 
     name: ClassVar[str] = "predictor"
+    guard: Any = None  # npred.delays.family.GUARD, called after `lanes`, where a predictor is checked
+    settings: Any = None  # of `guard`
 
     def __init__(self, plant: Plant, nx: int = 101):
         if not isinstance(nx, int | np.integer) or nx < 2:
@@ -42,6 +44,11 @@ class Predictor(ABC):
         u = np.broadcast_to(u, (*shape, *u.shape[-2:])).reshape(-1, *u.shape[-2:])
         P = self._predicted(X, u, *(np.broadcast_to(a, shape).reshape(-1) for a in (D_hat, t)))
         return P.reshape(*shape, *P.shape[1:])
+
+    @property
+    def compiled(self) -> bool:
+        """True if the map, and what checks it, are compiled kernels."""
+        return False
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__} {self.name!r} of plant {self.plant.name}, nx = {self.nx}>"
@@ -85,6 +92,10 @@ class Compiled(Predictor):
     """A predictor whose map is one compiled kernel."""
 
     order: ClassVar[int]
+
+    @property
+    def compiled(self) -> bool:
+        return True
 
     @cached_property
     def kernel(self) -> Callable[..., None]:

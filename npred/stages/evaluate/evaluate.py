@@ -14,7 +14,7 @@ from npred.loop import configured, metrics
 from npred.loop.closed_loop import Trajectories
 from npred.loop.trajectory_views import infeasible
 from npred.plants import Plant
-from npred.predictors import Compiled, Predictor, numerical
+from npred.predictors import Predictor, numerical
 from npred.results import NO_ADAPTATION, NUMERICAL, Contender, Evaluated
 from npred.results.evaluate import Coverage, KindErrors, KindSize, Radius, Scores
 from npred.stages import Job
@@ -134,7 +134,7 @@ def _all_loops(
 
 def _shares(predictor: Predictor, count: int) -> list[slice]:
     """A contender's loops, all at once where a call has a fixed cost to share."""
-    width = SHARE if isinstance(predictor, Compiled) else count
+    width = SHARE if predictor.compiled else count
     return [slice(i, min(i + width, count)) for i in range(0, count, width)]
 
 
