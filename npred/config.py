@@ -36,7 +36,14 @@ Networks = Annotated[Some[str], AfterValidator(lambda names: sorted(set(names)))
 Anchor = Literal["none", "initial", "equilibrium"]
 Actuator = Literal["measured", "history"]
 Share = Annotated[float, Field(ge=0, lt=1, strict=True)]
-ADDED = ("actuator", "measurement", "disturbance", "truth", "scenarios")  # left out of a dump where they say nothing
+ADDED = (
+    "actuator",
+    "measurement",
+    "disturbance",
+    "truth",
+    "scenarios",
+    "guard",
+)  # left out of a dump where they say nothing
 
 
 def _part(parts: Registry, others: tuple[str, ...], name: str) -> str:
@@ -403,6 +410,14 @@ class Scenario(Section):
         return {key: value for key, value in handler(self).items() if value not in (None, {})}
 
 
+class GuardTable(Section):
+    """The networks are checked in every call of a loop; where one may be wrong, `predictor` answers (npred.guarded)."""
+
+    tolerance: Positive = 0.01  #: the largest error of U that passes, in units of the input
+    by: Literal["auto", "shadow", "defect"] = "auto"  #: how the error is estimated
+    correct: bool = False  #: whether the error by the defect is subtracted first
+
+
 class Evaluate(Loop):
     """Held-out errors by kind of row; the error |P(1, t) - X(t + D)| in loops that know the delay; the loop of Fig. 1,
     initial states x D_hat(0), and Fig. 1's start over a map D x D_hat(0).
@@ -418,6 +433,7 @@ class Evaluate(Loop):
     map_D: list[Positive] = []  #: true delays of the convergence map …
     map_D_hat0: list[Positive] = []  #: … times these D_hat(0), from the start of Fig. 1
     scenarios: list[Scenario] = []  #: other conditions, each a table [[evaluate.scenarios]]
+    guard: GuardTable | None = None  #: a table: how networks are checked in their loops; by default they are not
 
     @model_validator(mode="after")
     def _check_scenarios(self) -> Self:

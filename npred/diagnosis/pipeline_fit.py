@@ -14,6 +14,7 @@ from npred.diagnosis.lyapunov import undeclared
 from npred.errors import ConfigError
 from npred.loop import delay_law
 from npred.plants import inputs
+from npred.predictors.guarded import Guarded
 from npred.registry import NETWORKS
 
 ABOUT_DELAY = (  # keys that a plant which declares its delay has no use for
@@ -114,3 +115,5 @@ def parts(case: Case) -> None:
         delay_law.check(loop, case.plant)
         plants.varied(case.plant, tuple(loop.truth.items()))
         predictors.numerical(loop.predictor, case.plant, loop.nx)
+    if "evaluate" in case.stages and (guard := case.settings.evaluate.guard):
+        Guarded(predictors.RK4(case.plant, case.settings.evaluate.nx), **dict(guard))

@@ -44,8 +44,8 @@ class Trajectories:
     `escaped` (...) is the first step whose state is not finite, or -1; `infeasible` (...) the first step at which
     commands would overtake each other, 1 - D_X f - D_t <= 0, or -1, `margin` (...) that value and `breach` (..., n) the
     state there. With a guarded predictor `fallback` (..., nt) says where the numerical predictor answered, since the
-    time before, and `fallbacks` (...) in how many control steps. `states`, `inputs`, `time_unit`, `labels` and `units`
-    are the plant's. print(loop) gives the ranges and ends of all series.
+    time before, and `fallbacks` (...) in how many of the `steps` control steps. `states`, `inputs`, `time_unit`,
+    `labels` and `units` are the plant's. print(loop) gives the ranges and ends of all series.
     """
 
     t: np.ndarray
@@ -62,11 +62,17 @@ class Trajectories:
     breach: np.ndarray
     fallback: np.ndarray
     fallbacks: np.ndarray
+    steps: int
     states: tuple[str, ...] = ()
     inputs: tuple[str, ...] = ()
     time_unit: str = "s"
     labels: Mapping[str, str] | None = None
     units: Mapping[str, str] | None = None
+
+    @property
+    def fallback_share(self) -> float:
+        """The share of the control steps of all loops in which a guarded predictor's numerical one answered."""
+        return float(self.fallbacks.mean() / self.steps)
 
     def __repr__(self) -> str:
         return trajectory_views.summary(self)
@@ -103,8 +109,8 @@ class Trajectories:
         return replace(parts[0], samples=samples, **join(parts, LOOPS))
 
 
-def of_record(r: engine.Record, shape: tuple[int, ...], step: float, plant: Plant) -> Trajectories:
-    """The loops of a batch of that shape; `step` seconds lie between two kept states."""
+def of_record(r: engine.Record, shape: tuple[int, ...], step: float, steps: int, plant: Plant) -> Trajectories:
+    """The loops of a batch of that shape, of so many control steps; `step` seconds lie between two kept states."""
 
     def lead(a: np.ndarray) -> np.ndarray:
         """Lanes last to the batch's shape first."""
@@ -116,7 +122,7 @@ def of_record(r: engine.Record, shape: tuple[int, ...], step: float, plant: Plan
     return Trajectories(
         t=times, samples=samples, states=plant.states, inputs=plant.inputs, time_unit=plant.time_unit,
         labels=plant.labels, units=plant.units, margin=lead(margins(plant, r)),
-        breach=lead(r.breach[: plant.n]), **series,
+        breach=lead(r.breach[: plant.n]), steps=steps, **series,
     )  # fmt: skip
 
 

@@ -54,7 +54,8 @@ class Domain:
     @classmethod
     def of_parts(cls, parts: Callable[[], Iterable[TimedRows]], bend: np.ndarray, phase: Phase) -> "Domain":
         """The domain of rows that come in parts: `parts` is called three times."""
-        count, total, square, kept = 0, 0.0, 0.0, []
+        count, total, square = 0, np.zeros(()), np.zeros(())
+        kept: list[list[np.ndarray]] = []
         for part in parts():
             count, total = count + len(part.X), total + _features(part, bend, phase).sum(axis=0)
             thinned = slice(None, None, max(1, len(part.X) // KEPT))
@@ -72,7 +73,7 @@ class Domain:
 
     def save(self, folder: Path) -> None:
         """Write domain.safetensors."""
-        arrays = {f.name: np.ascontiguousarray(getattr(self, f.name), dtype=float) for f in fields(self)}
+        arrays = {f.name: np.array(getattr(self, f.name), dtype=float, order="C") for f in fields(self)}
         save_file({name: torch.from_numpy(array) for name, array in arrays.items()}, folder / FILE)
 
     @classmethod

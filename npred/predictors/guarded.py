@@ -217,6 +217,11 @@ class Guarded(Predictor):
         return np.concatenate([[*head, float(domain.limit)], *parts])
 
 
+def bare(predictor: Predictor) -> Predictor:
+    """The model inside a guarded predictor; any other predictor itself."""
+    return getattr(predictor, "model", predictor)
+
+
 def estimate(plant: Plant) -> str:
     """The estimate that takes fewer operations per node."""
     return "shadow"

@@ -85,6 +85,8 @@ class Scores(Errors):
     decay_rate: float | None  #: the median rate at which loops decay near rest, in 1/s; `null` where none does
     map: DelayMap | None  #: over true delays and first estimates; `null` without a map
     figure1: LoopEnd  #: the loop of Fig. 1
+    #: share of its loops' steps in which the numerical predictor answered; `null` without a guard
+    fallback: float | None = None
 
 
 class KindSize(Result):
@@ -121,6 +123,8 @@ class Behaviour(Result):
     lost: int
     #: the largest |D̂ − D| over the last tenth and the cases, in seconds; `null` where there is no estimate
     D_error: float | None
+    #: share of the steps in which the numerical predictor answered; `null` without a guard
+    fallback: float | None = None
 
 
 class Conditions(Result):

@@ -15,6 +15,7 @@ from npred.loop.closed_loop import Trajectories
 from npred.loop.trajectory_views import infeasible
 from npred.plants import Plant
 from npred.predictors import Predictor, numerical
+from npred.predictors.guarded import Guarded, bare
 from npred.results import NO_ADAPTATION, NUMERICAL, Contender, Evaluated
 from npred.results.evaluate import Coverage, KindErrors, KindSize, Radius, Scores
 from npred.stages import Job
@@ -32,6 +33,7 @@ from npred.stages.evaluate.accuracy import EXACT, Labelled
 from npred.stages.evaluate.initial_conditions import Starts, starts
 
 EVERY = 10  # control steps between two kept states
+FALLBACKS = 0.05  # share of steps with the numerical predictor, above which a guarded network is warned of
 SHARE = 16  # loops of a compiled predictor in a task
 summary, details = summary_tables.summary, summary_tables.details
 
@@ -43,6 +45,7 @@ def run(job: Job) -> Evaluated:
     the rows of each kind, and `in_loop` the largest |P(1, t) - X(t + D)| where D_hat = D.
     Where none adapts, "without adaptation" would be the numerical predictor's loop again and is left out. With
     `scenarios`, the cases under other conditions too.
+    With `guard`, networks are guarded in loops, and `fallback` is how often; errors are those of the bare networks.
     Writes figure1, certificate and coverage (.svg, .png); figure1.h5 (its loops), errors.h5 (where networks err) and
     coverage.h5 (histograms). Warns where loops leave the data, or end since commands would overtake each other.
     """
@@ -54,7 +57,7 @@ def run(job: Job) -> Evaluated:
     taken = accuracy.sample_steps(job.config.seed, config, len(begin.D))[begin.cases] * config.dt
     cases = loops[NUMERICAL].part(begin.cases)
     held_out, fresh = held_out_kinds.held_out(job, data), Labelled.fresh(cases, taken, predictors[NUMERICAL])
-    networks = {contender: predictor for contender, predictor in predictors.items() if contender.is_network}
+    networks = {contender: bare(predictor) for contender, predictor in predictors.items() if contender.is_network}
     P_hat = {
         contender: {kind: accuracy.predict(predictor, rows) for kind, rows in held_out.items()}
         for contender, predictor in networks.items()
@@ -62,13 +65,14 @@ def run(job: Job) -> Evaluated:
     accuracy.write(job.folder / "errors.h5", held_out, P_hat)
     models = {}
     for contender, predictor in predictors.items():
-        errors = _errors(job.plant, predictor, P_hat.get(contender), held_out, fresh)
+        errors = _errors(job.plant, bare(predictor), P_hat.get(contender), held_out, fresh)
         behaviour = _behaviour(job.plant, config, begin, contender, errors["eps_kappa"], loops)
         models[contender] = Scores(**errors, in_loop=in_loops[contender], **behaviour)
     bounds = (0.0, np.inf) if job.plant.declares_delay else config.bounds
     covered = coverage.measure(job.plant, data, {c: loops[c] for c in networks}, bounds)
     _warn(job, covered)
     _warn_of_overtaking(job, loops)
+    _warn_of_fallbacks(job, models)
     _record(job, data, loops)
     result = Evaluated(
         plant=job.plant.name,
@@ -96,7 +100,10 @@ def _predictors(job: Job) -> dict[Contender, Predictor]:
     for model in job.config.train.models:
         for snapshot in [*job.config.train.table(model).snapshots, None]:
             contender = Contender(model, snapshot)
-            predictors[contender] = _neural(job, model, snapshot, contender.name)
+            network = _neural(job, model, snapshot, contender.name)
+            predictors[contender] = network
+            if guard := config.guard:
+                predictors[contender] = Guarded(network, exact=exact, **dict(guard))
     return predictors
 
 
@@ -195,6 +202,7 @@ def _behaviour(
         "decay_rate": _median(metrics.decay_rate(cases, target)),
         "map": convergence_map.delay_map(plant, config, run.part(begin.map), exact.part(begin.map)) if mapped else None,
         "figure1": figure1.numbers(plant, figure1.first(config, run)),
+        "fallback": run.fallback_share if config.guard and contender.is_network else None,
     }
 
 
@@ -247,6 +255,15 @@ def _warn_of_overtaking(job: Job, loops: Mapping[Contender, Trajectories]) -> No
         where = " ".join(infeasible(loops[first]) or ())
         each = ", ".join(f"{count} of {c.label}" for c, count in counts.items() if count)
         job.progress.warn(f"loops in which commands would overtake each other count as lost: {each}; {where}")
+
+
+def _warn_of_fallbacks(job: Job, models: Mapping[Contender, Scores]) -> None:
+    for contender, scores in models.items():
+        if (scores.fallback or 0.0) > FALLBACKS:
+            job.progress.warn(
+                f"{contender.name}: the numerical predictor answered in {scores.fallback:.1%} of the loops' steps; "
+                "train it longer, or on wider data, or raise evaluate.guard.tolerance"
+            )
 
 
 def _record(job: Job, data: Dataset, loops: Mapping[Contender, Trajectories]) -> None:

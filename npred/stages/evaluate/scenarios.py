@@ -77,10 +77,12 @@ def _behaviour(
         plant, predictor, table, D=D, D_hat=begin.D_hat0[begin.cases], X0=begin.X0[begin.cases],
         t_end=table.case_t_end, seed=randomness.integer(job.config.seed, "scenarios"), every=EVERY, progress=progress,
     )  # fmt: skip
-    return behaviour(plant, loops, D)
+    return behaviour(plant, loops, D, predictor.guard is not None)
 
 
-def behaviour(plant: Plant, loops: Trajectories, D: Callable[[float], float] | float) -> Behaviour:
+def behaviour(
+    plant: Plant, loops: Trajectories, D: Callable[[float], float] | float, guarded: bool = False
+) -> Behaviour:
     """What those loops (B,) of true delay D do."""
     target = plant.target(loops.t)
     radii, times = metrics.radius(loops, target), metrics.settle_time(loops, target)
@@ -92,6 +94,7 @@ def behaviour(plant: Plant, loops: Trajectories, D: Callable[[float], float] | f
         settle_time=np.median(times),
         lost=int((~(radii <= LOST * metrics.size(target))).sum()),
         D_error=None if plant.declares_delay else _error(loops, D),
+        fallback=loops.fallback_share if guarded else None,
     )  # fmt: skip
 
 

@@ -33,17 +33,21 @@ def table(result: Evaluated, width: int | None = None, microseconds: Mapping[Con
 
 def details(result: Evaluated, width: int | None = None) -> str:
     """All numbers of each predictor, in a table wider than most screens."""
-    rows = [_all(contender, scores, list(result.kinds)[1:]) for contender, scores in result.models.items()]
+    guarded = any(scores.fallback is not None for scores in result.models.values())
+    rows = [_all(contender, scores, list(result.kinds)[1:], guarded) for contender, scores in result.models.items()]
     table = columns(list(rows[0]), [list(row.values()) for row in rows], width)
     return "\n\n".join([_title(result), table, *_scenarios(result, width)])
 
 
 def _scenarios(result: Evaluated, width: int | None) -> Iterator[str]:
     """The cases under other conditions, where a pipeline has any."""
+    guarded = any(does.fallback is not None for each in result.scenarios for does in each.models.values())
     head = ["scenario", "predictor", "radius", "worst", "converged", "lost", "settles", "|D̂ − D|"]
+    head += ["fallback"] if guarded else []
     rows = [
         [scenario.name, c.label, _cell(does.radius.median), _cell(does.radius.worst), f"{does.radius.converged:.0%}",
-         str(does.lost), _cell(does.settle_time, ".1f"), "" if does.D_error is None else _cell(does.D_error, ".3f")]
+         str(does.lost), _cell(does.settle_time, ".1f"), "" if does.D_error is None else _cell(does.D_error, ".3f"),
+         _share(does.fallback)][: len(head)]
         for scenario in result.scenarios
         for c, does in scenario.models.items()
     ]  # fmt: skip
@@ -61,7 +65,7 @@ def _cells(scores: Scores) -> list[str]:
     return ["–" if scores.eps_sup == 0 else short(scores.eps_sup), short(scores.radius.worst), converged]
 
 
-def _all(contender: Contender, scores: Scores, kinds: list[str]) -> dict[str, str]:
+def _all(contender: Contender, scores: Scores, kinds: list[str], guarded: bool) -> dict[str, str]:
     radius, end = scores.radius, scores.figure1
     cells = {"predictor": contender.label} | {head: _cell(getattr(scores, key)) for head, key in ERRORS.items()}
     cells |= {f"{kind}: ε sup": _cell(scores.kinds[kind].eps_sup) for kind in kinds}
@@ -70,8 +74,13 @@ def _all(contender: Contender, scores: Scores, kinds: list[str]) -> dict[str, st
     cells |= {head: _cell(getattr(radius, key)) for head, key in RADII.items()}
     cells |= {"converged": f"{radius.converged:.0%}"}
     cells |= {"settles": "" if scores.settle_ratio is None else f"{scores.settle_ratio:.2f} ×"}
+    cells |= {"fallback": _share(scores.fallback)} if guarded else {}
     cells |= {"map": f"{scores.map.share:.0%}" if scores.map else "", "Fig. 1": _cell(end.radius)}
     return cells | {"D̂": _cell(end.D_hat_end, ".3f")}
+
+
+def _share(value: float | None) -> str:
+    return "" if value is None else f"{value:.2%}"
 
 
 def _cell(value: float, form: str = ".1e") -> str:

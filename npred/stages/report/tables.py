@@ -57,6 +57,7 @@ def loops(evaluated: Evaluated) -> Table:
         Column("radius, loop shown", [scores.figure1.radius for scores in rows], digits=2),
         Column("D̂ at its end", [scores.figure1.D_hat_end for scores in rows], ".3f"),
         Column("sup |P(1, t) − X(t + D)|", [scores.in_loop for scores in rows], digits=2),
+        *_fallback(rows),
     ]
     return Table("loops", "Closed loops", columns)
 
@@ -74,8 +75,15 @@ def scenarios(plant: Plant, evaluated: Evaluated) -> Table | None:
         Column(f"converged of {does[0].radius.cases}", [each.radius.count for each in does], "d"),
         *_columns(does, {"lost": "lost"}, "d"),
         *_columns(does, {"settle_time": timed(plant, "settles after"), "D_error": timed(plant, "|D̂ − D|")}),
+        *_fallback(does),
     ]
     return Table("scenarios", "The cases under other conditions", columns)
+
+
+def _fallback(rows: Sequence[Any]) -> list[Column]:
+    """The share of steps in which the numerical predictor answered, where networks are guarded."""
+    guarded = any(row.fallback is not None for row in rows)
+    return _columns(rows, {"fallback": "fallback"}, ".2%") if guarded else []
 
 
 def _kept(scores: Scores, exact: Scores) -> int | None:
