@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from npred.config import Anchor
-from npred.operators.domain import Domain
+from npred.data.domain import Domain
 from npred.operators.scaling import Scaling
 
 

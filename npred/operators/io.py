@@ -10,10 +10,10 @@ from safetensors.torch import load_file, save_file
 
 from npred import json_files
 from npred.config import Network, Train, Training
+from npred.data.domain import Domain
 from npred.errors import ConfigError, StoreError, first_line
 from npred.operators.base import Operator
 from npred.operators.build import build
-from npred.operators.domain import Domain
 from npred.operators.scaling import Scaling
 from npred.plants.base import Plant
 from npred.registry import NETWORKS, named

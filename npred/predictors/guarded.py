@@ -7,10 +7,10 @@ from typing import Any, ClassVar
 import numpy as np
 
 from npred import array_checks, grid
+from npred.data.domain import MOMENTS, Domain, legendre
 from npred.delays import family, family_of
 from npred.delays.family import Kernel
 from npred.errors import ConfigError
-from npred.operators.domain import MOMENTS, Domain, legendre
 from npred.plants.base import Plant
 from npred.predictors.base import Predictor
 from npred.predictors.heun import Heun

@@ -12,8 +12,8 @@ import torch
 from npred import plants, randomness
 from npred.config import Pipeline, Training
 from npred.data import shards
+from npred.data.domain import Domain
 from npred.operators import Operator, Scaling, checked, io, save
-from npred.operators.domain import Domain
 from npred.parallel import torchrun
 from npred.results import Trained
 from npred.stages import Job

@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
-import torch
-from safetensors.torch import load_file, save_file
+from safetensors.numpy import load_file, save_file
 
 from npred import grid
 
@@ -74,7 +73,7 @@ class Domain:
     def save(self, folder: Path) -> None:
         """Write domain.safetensors."""
         arrays = {f.name: np.array(getattr(self, f.name), dtype=float, order="C") for f in fields(self)}
-        save_file({name: torch.from_numpy(array) for name, array in arrays.items()}, folder / FILE)
+        save_file(arrays, folder / FILE)
 
     @classmethod
     def load(cls, folder: Path) -> "Domain | None":
@@ -82,7 +81,7 @@ class Domain:
         if not (folder / FILE).exists():
             return None
         tensors = load_file(folder / FILE)
-        return cls(**{f.name: tensors[f.name].numpy() for f in fields(cls)})
+        return cls(**{f.name: tensors[f.name] for f in fields(cls)})
 
 
 def legendre(nx: int) -> np.ndarray:
