@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from functools import cached_property
+from itertools import pairwise
 from typing import Any, ClassVar
 
 import numpy as np
@@ -18,20 +19,20 @@ from npred.predictors.rk4 import RK4
 from npred.symbolic import kernels
 
 ESTIMATES = ("auto", "shadow", "defect")
-SHARE = 0.25  # of the tolerance: how far off the estimate of an exact prediction may be …
+SHARE = 0.5  # of the tolerance: how far off the estimate of an exact prediction may be …
 QUANTILE = 0.99  # … on this share of the data's rows
 FEWEST = 4  # intervals of the coarser of two grids
 
-# With A = kappa of the reference on every stride-th node and B of that on every second of these, Richardson's
-# extrapolation is R = A + (A - B) / 3, and the estimate |kappa(P) - R| + |R - A|: where the reference itself is
-# inaccurate, it doubts. Cells of u are read by their means, as the predictors read those of the nodes.
+# With A = kappa of the reference, of order 2, on every stride-th node and B of that on fewer, Richardson's
+# extrapolation is R = A + (A - B) / (ratio² - 1), and the estimate |kappa(P) - R| + |R - A|: where the reference itself
+# is inaccurate, it doubts. Cells of u are read by their means, as the predictors read those of the nodes.
 GUARD = """\
     nx, n, lanes = P.shape
     m, last = u.shape[1], nx - 1
     {names}
     U, A, B = np.empty((m, lanes)), np.empty((m, lanes)), np.empty((m, lanes))
-    for halved in range(1, -1, -1):
-        stride = int(guard[1]) * (1 + halved)
+    for coarser in range(1, -1, -1):
+        stride = int(guard[1 + coarser])
         count = last // stride + 1
         v, Q, R = np.empty((count, m, lanes)), np.empty((count, n, lanes)), np.empty((count, n, lanes))
         for J in range(count):
@@ -46,8 +47,8 @@ GUARD = """\
                 for l in range(lanes):
                     R[J, c, l] = P[J * stride, c, l]
         {reference}
-        control(Q, v, D_hat, t, p, B if halved else A)
-    if guard[2] > 0.0:
+        control(Q, v, D_hat, t, p, B if coarser else A)
+    if guard[3] > 0.0:
         for j in range(nx):
             J = min(j // stride, count - 2)
             share = j / stride - J
@@ -58,12 +59,12 @@ GUARD = """\
     for l in range(lanes):
         error[l] = 0.0
         for c in range(m):
-            extrapolated = A[c, l] + (A[c, l] - B[c, l]) / 3.0
+            extrapolated = A[c, l] + (A[c, l] - B[c, l]) / ((guard[2] / guard[1]) ** 2 - 1.0)
             error[l] = max(error[l], abs(U[c, l] - extrapolated) + abs(extrapolated - A[c, l]))
         outside = False
-        if guard[3] < np.inf:
+        if guard[4] < np.inf:
             {distance}
-            outside = not total <= guard[3] ** 2
+            outside = not total <= guard[4] ** 2
         fallback[l] = 1.0 if outside or not error[l] <= guard[0] else 0.0
         if fallback[l] > 0.0:
             x1, u1, D1, P1 = np.empty((n, 1)), np.empty((nx, m, 1)), np.empty(1), np.empty((nx, n, 1))
@@ -116,10 +117,10 @@ class Guarded(Predictor):
             raise ConfigError(f"tolerance: expected a number above 0, in units of U, got {tolerance!r}; give another")
         if by not in ESTIMATES:
             raise ConfigError(f"by: expected {', '.join(ESTIMATES)}, got {by!r}; choose one")
-        if (self.nx - 1) % 2 or self.nx < 2 * FEWEST + 1:
+        if not _strides(self.nx):
             raise ConfigError(
-                f"guarded: expected a model on an odd number of nodes, {2 * FEWEST + 1} or more, got {self.nx}; load "
-                "it with another nx"
+                f"guarded: expected a model on nodes of which every second, third or so makes {FEWEST} intervals or "
+                f"more, got {self.nx} nodes; load it with nx = {self.nx // 10 * 10 + 11}"
             )
         self.model, self.tolerance, self.correct = model, float(tolerance), bool(correct)
         self.exact = exact or RK4(model.plant, model.nx)
@@ -151,21 +152,21 @@ class Guarded(Predictor):
     @cached_property
     def settings(self) -> np.ndarray:
         """What the kernel is set to: tolerance, stride, whether it corrects, and the domain."""
-        return self._set(self.stride)
+        return self._set(self.strides)
 
     @cached_property
-    def stride(self) -> int:
-        """The intervals between two nodes of the estimate: as many as the data's examples allow."""
-        strides = [s for s in range(1, (self.nx - 1) // (2 * FEWEST) + 1) if (self.nx - 1) % (2 * s) == 0]
+    def strides(self) -> tuple[int, int]:
+        """The intervals between two nodes of the estimate's grids: as many as the data's examples allow."""
+        finest, *coarser = _strides(self.nx)
         if self.domain is None:
-            return 1
+            return finest
         X, u, D_hat, t = self.domain.X, grid.refine(self.domain.u, self.nx), self.domain.D_hat, self.domain.t
         P = self.exact(X, u, D_hat, t)
-        for stride in reversed(strides[1:]):
-            error = self._run(self._set(stride, tolerance=np.inf), P, X, u, D_hat, t)[1]
+        for strides in reversed(coarser):
+            error = self._run(self._set(strides, tolerance=np.inf), P, X, u, D_hat, t)[1]
             if np.quantile(error, QUANTILE) <= SHARE * self.tolerance:
-                return stride
-        return 1
+                return strides
+        return finest
 
     def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Any) -> np.ndarray:
         return self._run(self._on(u), self.model(X, u, D_hat, t), X, u, D_hat, t)[0]
@@ -208,13 +209,19 @@ class Guarded(Predictor):
             P[rows], error[rows], fallback[rows] = np.moveaxis(lanes[3], -1, 0), *lanes[4:]
         return P, error, fallback > 0
 
-    def _set(self, stride: int, tolerance: float | None = None) -> np.ndarray:
-        head = [self.tolerance if tolerance is None else tolerance, stride, float(self.correct)]
+    def _set(self, strides: tuple[int, int], tolerance: float | None = None) -> np.ndarray:
+        head = [self.tolerance if tolerance is None else tolerance, *strides, float(self.correct)]
         domain = self.domain
         if domain is None or tolerance is not None:
             return np.array([*head, np.inf])
         parts = (domain.bend, domain.mean, domain.whiten.ravel(), legendre(self.nx).ravel())
-        return np.concatenate([[*head, float(domain.limit)], *parts])
+        return np.concatenate([[*head, domain.limit.item()], *parts])
+
+
+def _strides(nx: int) -> list[tuple[int, int]]:
+    """The pairs of grids that have some of nx nodes, each with the next coarser one, the finest first."""
+    divisors = [s for s in range(1, (nx - 1) // FEWEST + 1) if (nx - 1) % s == 0]
+    return list(pairwise(divisors))
 
 
 def bare(predictor: Predictor) -> Predictor:
@@ -228,18 +235,22 @@ def estimate(plant: Plant) -> str:
 
 
 def kernel(plant: Plant, by: str, exact: Predictor) -> Kernel:
-    """The compiled GUARD of a traced plant."""
+    """GUARD of a plant: compiled, or, where the plant is not traced, the same text in Python."""
     model = family_of(plant)
     used = {"control": model.control(Heun.step), "exact": exact.lanes()}
     used["reference"] = model.correction() if by == "defect" else model.sweep(Heun.step)
-    imports = [f"from {part.__module__} import {part.__name__} as {name}\n" for name, part in used.items()]
     call = "reference(R, X, v, D_hat, t, p, Q)" if by == "defect" else "reference(X, v, D_hat, t, p, Q)"
     size = plant.n + 1 + MOMENTS * plant.m + (2 if plant.clocked else 0)
-    ends = np.cumsum([4, plant.n, size, size * size]).tolist()
+    ends = np.cumsum([5, plant.n, size, size * size]).tolist()
     spans = zip(("bend", "mean", "whiten", "weights"), ends, [*ends[1:], ""], strict=True)
     names = [f"{name} = guard[{begin}:{end}]" for name, begin, end in spans] + [f"feature = np.empty({size})"]
     angle = f"2.0 * np.pi * t / {plant.period!r}"
     phase = [f"feature[{size - 2}], feature[{size - 1}] = np.cos({angle}), np.sin({angle})"] if plant.clocked else []
     distance = kernels.fill(DISTANCE.format(moments=MOMENTS, phase="{phase}"), phase=phase).splitlines()
     source = kernels.fill(GUARD, names=[*names, f"size = {size}"], reference=[call], distance=distance)
+    if not plant.traced:
+        space: dict[str, Any] = used | {"np": np}
+        exec(f"def guarded({family.GUARD}):\n{source}", space)
+        return space["guarded"]
+    imports = [f"from {part.__module__} import {part.__name__} as {name}\n" for name, part in used.items()]
     return family.build("guarded", family.GUARD, source, "".join(imports))
