@@ -14,6 +14,7 @@ FILE = "domain.safetensors"
 MOMENTS = 3  # of each input
 KEPT = 256  # rows that are kept as examples
 FLOOR = 1e-3  # of a feature's mean: the least spread that one is given, so that a constant one has an inside
+ROUNDING = 1e-9  # of the limit: the row that it is the distance of is inside
 Phase = Callable[[np.ndarray], np.ndarray | None]
 
 
@@ -65,10 +66,11 @@ class Domain:
             square = square + gap.T @ gap
         covariance = square / count + np.diag((FLOOR * (np.abs(mean) + FLOOR)) ** 2)
         whiten = np.linalg.inv(np.linalg.cholesky(covariance))
-        limit = max(np.linalg.norm((_features(part, bend, phase) - mean) @ whiten.T, axis=1).max() for part in parts())
+        gaps = (_features(part, bend, phase) - mean for part in parts())
+        limit = max(np.linalg.norm(gap @ whiten.T, axis=1).max(initial=0.0) for gap in gaps)
         rows = [np.concatenate(arrays) for arrays in zip(*kept, strict=True)]
         spread = np.linspace(0, len(rows[0]) - 1, min(KEPT, len(rows[0]))).astype(int)
-        return cls(bend, mean, whiten, np.array(limit), *(a[spread] for a in rows))
+        return cls(bend, mean, whiten, np.array(limit * (1 + ROUNDING)), *(a[spread] for a in rows))
 
     def save(self, folder: Path) -> None:
         """Write domain.safetensors."""
@@ -91,8 +93,8 @@ def legendre(nx: int) -> np.ndarray:
 
 def _features(rows: Any, bend: np.ndarray, phase: Phase) -> np.ndarray:
     """(N, k)."""
-    moments = np.einsum("kj,bjm->bmk", legendre(rows.u.shape[1]), rows.u).reshape(len(rows.X), -1)
-    columns = [np.arcsinh(rows.X / bend), rows.D_hat[:, None], moments]
+    moments = np.einsum("kj,bjm->bmk", legendre(rows.u.shape[1]), rows.u)
+    columns = [np.arcsinh(rows.X / bend), rows.D_hat[:, None], *np.moveaxis(moments, 1, 0)]
     angle = phase(rows.t)
     if angle is not None:
         columns.append(np.stack([np.cos(2 * np.pi * angle), np.sin(2 * np.pi * angle)], axis=1))

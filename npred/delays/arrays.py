@@ -17,7 +17,11 @@ class ArrayFamily(Family):
     """All inputs of a black box arrive D late."""
 
     plant: BlackBox
-    lacks: ClassVar = {"onnx": "use the runtime torch or fused", "export c": "use npred.controller"}
+    lacks: ClassVar = {
+        "defect": "take by = 'shadow'",
+        "onnx": "use the runtime torch or fused",
+        "export c": "use npred.controller",
+    }
 
     @staticmethod
     def serves(plant: Plant) -> bool:

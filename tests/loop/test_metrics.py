@@ -19,7 +19,8 @@ EMPTY = Samples(*[np.empty(0)] * 3)
 
 def loops(X, t):
     zeros, never = np.zeros(X.shape[:-1]), np.full(X.shape[:-2], -1)
-    return Trajectories(t, X, zeros[..., None], zeros, zeros, zeros, never, EMPTY, X, never, 0.0 * never, X[..., 0, :])
+    ends = never, 0.0 * never, X[..., 0, :], zeros > 0, 0 * never, len(t)
+    return Trajectories(t, X, zeros[..., None], zeros, zeros, zeros, never, EMPTY, X, *ends)
 
 
 def test_errors_by_hand():

@@ -282,6 +282,9 @@ def still(t, X):
         np.full(len(X), -1),
         np.zeros(len(X)),
         X[:, 0],
+        zeros > 0,
+        np.zeros(len(X)),
+        len(t),
     )
 
 

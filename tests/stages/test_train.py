@@ -55,7 +55,8 @@ def test_payload_and_result(model, tmp_path):
     write_data(tmp_path / "data")
     stage = job(tmp_path / "run", model)
     result = run(stage)
-    assert set(payload(stage)) == {"model.safetensors", "model.json", "metrics.jsonl", "snapshot-2.safetensors"}
+    weights = {"model.safetensors", "snapshot-2.safetensors"}
+    assert set(payload(stage)) == weights | {"model.json", "domain.safetensors", "metrics.jsonl"}
     metrics = [json.loads(line) for line in (stage.folder / "metrics.jsonl").read_text().splitlines()]
     assert [row["epoch"] for row in metrics] == [1, 2, 3]
     assert result.samples == 30 and result.epochs == 3 and result.mse == metrics[-1]["mse"]

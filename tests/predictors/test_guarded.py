@@ -1,0 +1,228 @@
+"""Guarded predictors: the estimate against SciPy, what passes and what does not, loops as numerics' own."""
+
+import numpy as np
+import pytest
+from follower import follower
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+
+import npred
+from npred import grid
+from npred.data.domain import Domain
+from npred.errors import ConfigError
+from npred.loop import metrics
+from npred.predictors import Predictor
+from npred.predictors.guarded import Guarded, bare
+
+PLANT = npred.plant("activator_repressor")
+NX = 51
+BOX = """
+from npred import plants
+
+CART = plants.resolve("cart_pole")
+
+
+class Box:
+    traced = False
+    states, inputs, box, parameters = CART.states, CART.inputs, CART.box, CART.parameters
+
+    def f(X, u, t, p):
+        return CART.f(X, u)
+
+    def kappa(X, t, p):
+        return CART.kappa(X)
+"""
+
+
+class Wrong(Predictor):
+    """RK4 with errors that grow along x to `error` times the states, of either sign in turn."""
+
+    def __init__(self, plant, nx=NX, error=0.0):
+        super().__init__(plant, nx)
+        self.error, self.exact = error, npred.predictor("rk4", plant, nx)
+
+    def predict(self, X, u, D_hat, t):
+        P, x = self.exact(X, u, D_hat, t), grid.nodes(u.shape[1])[:, None]
+        return P + self.error * x * (np.abs(P) + 1e-3) * (-1.0) ** np.arange(self.plant.n)
+
+
+def rows(count=40, seed=0):
+    """X, u, D_hat of smooth histories in the region that loops run through."""
+    rng = np.random.default_rng(seed)
+    x = grid.nodes(NX)
+    a, b = rng.uniform(-0.1, 0.1, (2, count, 1))
+    u = (a * np.cos(3 * x) + b * x)[..., None]
+    return rng.uniform([0.05, 3], [0.15, 9], (count, 2)), u, rng.uniform(0.3, 2.0, count)
+
+
+def referee(X, u, D_hat):
+    """kappa(P(1)) of one row by SciPy, u linear between nodes."""
+    p = PLANT.parameters
+    nodes = grid.nodes(NX)
+
+    def f(x, P):
+        return D_hat * np.asarray(PLANT.f(P, np.array([np.interp(x, nodes, u[:, 0])]), 0.0))
+
+    assert p
+    return PLANT.kappa(solve_ivp(f, (0, 1), X, rtol=1e-10, atol=1e-12, max_step=0.02).y[:, -1], 0.0)
+
+
+@pytest.mark.parametrize("by", ["shadow", "defect"])
+@pytest.mark.parametrize("size", [0.05, 0.3])
+def test_the_estimate_is_the_error_of_U_where_that_decides(by, size):
+    X, u, D_hat = rows()
+    model = Wrong(PLANT, error=size)
+    U = PLANT.kappa(model(X, u, D_hat)[:, -1], 0.0)
+    true = np.abs(U - np.stack([referee(*row) for row in zip(X, u, D_hat, strict=True)])).max(axis=1)
+    decides = true > 0.003
+    assert decides.sum() >= 10
+    ratio = (npred.guarded(model, by=by).error(X, u, D_hat) / true)[decides]
+    assert 0.8 < np.median(ratio) < 1.2
+    assert (ratio > 0.3).all() and (ratio < 10).all()
+
+
+@pytest.mark.parametrize("by", ["shadow", "defect"])
+def test_of_an_exact_prediction_the_estimate_falls_with_the_square_of_the_step(by):
+    X, u, D_hat = rows()
+    guarded = Guarded(npred.predictor("rk4", PLANT, 241), by=by)
+    u = grid.refine(u, 241)
+    P = guarded.exact(X, u, D_hat)
+    strides = [(5, 10), (10, 20), (20, 40)]
+    errors = [np.median(guarded._run(guarded._set(s, np.inf), P, X, u, D_hat, 0.0)[1]) for s in strides]
+    slope = np.polyfit(np.log([5, 10, 20]), np.log(errors), 1)[0]
+    assert slope == pytest.approx(2.0, abs=0.3)
+
+
+@given(size=st.floats(1e-5, 0.3), row=st.integers(0, 39))
+@settings(max_examples=60, deadline=None)
+def test_what_is_clearly_wrong_is_answered_by_numerics_and_what_is_clearly_right_is_not(size, row):
+    X, u, D_hat = (a[row] for a in rows())
+    model, tolerance = Wrong(PLANT, error=size), 0.01
+    guarded = Guarded(model, tolerance)
+    U, exact = (PLANT.kappa(p(X, u, D_hat)[-1], 0.0) for p in (model, guarded.exact))
+    true = np.abs(U - exact).max()
+    if true > 1.5 * tolerance:
+        assert guarded.fallback(X, u, D_hat)
+        np.testing.assert_array_equal(guarded(X, u, D_hat), guarded.exact(X, u, D_hat))
+    if true < 0.3 * tolerance:
+        assert not guarded.fallback(X, u, D_hat)
+        np.testing.assert_array_equal(guarded(X, u, D_hat), model(X, u, D_hat))
+
+
+def loop(predictor, **arguments):
+    settings = {"D": 1.0, "D_hat": np.array([0.5, 2.0]), "X0": [0.03, 30.0], "t_end": 8.0, "dt": 0.01}
+    return npred.simulate(PLANT, predictor, adaptation=npred.DelayAdaptation(), **(settings | arguments))
+
+
+def test_a_loop_that_always_falls_back_is_the_numerical_one_and_counts_every_step():
+    run, exact = (loop(p) for p in (npred.guarded(Wrong(PLANT, error=0.5), 1e-12), npred.predictor("rk4", PLANT, NX)))
+    np.testing.assert_array_equal(run.X, exact.X)
+    assert run.fallback.all() and (run.fallbacks == run.steps).all() and run.fallback_share == 1.0
+
+
+def test_a_loop_that_never_falls_back_is_the_bare_one():
+    heun = npred.predictor("heun", PLANT, NX)
+    guarded = npred.guarded(heun, 0.05)
+    run, alone = loop(guarded), loop(heun)
+    np.testing.assert_array_equal(run.X, alone.X)
+    assert not run.fallback.any() and run.fallback_share == 0.0 and guarded.compiled
+
+
+def test_kept_states_say_whether_the_guard_answered_since_the_one_before():
+    guarded = npred.guarded(Wrong(PLANT, error=0.05), 0.005)
+    every, thinned = loop(guarded), loop(guarded, every=7)
+    assert 0 < every.fallback_share < 1
+    expected = [every.fallback[:, max(k - 6, 0) : k + 1].any(axis=1) for k in range(0, every.X.shape[1], 7)]
+    np.testing.assert_array_equal(thinned.fallback, np.transpose(expected))
+    np.testing.assert_array_equal(thinned.fallbacks, every.fallbacks)
+
+
+def test_the_controller_steps_as_the_loop_and_says_when_the_guard_answered():
+    guarded = npred.guarded(Wrong(PLANT, error=0.05), 0.005)
+    run = loop(guarded, D_hat=0.5, samples=np.array([0, 1, 2, 3]), input_bounds=[[-10.0, 10.0]])
+    controller = npred.controller(PLANT, guarded, None, 0.01, D_hat=0.5, input_bounds=[[-10.0, 10.0]])
+    for k in range(3):
+        U = controller.step(run.samples.X[k], run.samples.u[k])
+        np.testing.assert_allclose(U, run.U[k], atol=1e-3)
+        assert controller.fallback == run.fallback[k]
+        assert (controller.error > 0.005) == controller.fallback
+
+
+def test_correction_takes_away_the_error_by_its_square():
+    X, u, D_hat = rows()
+    errors = []
+    for size in (0.2, 0.1):
+        model = Wrong(PLANT, error=size)
+        exact = model.exact(X, u, D_hat)[:, -1]
+        corrected = npred.guarded(model, 1e9, "defect", correct=True)(X, u, D_hat)[:, -1]
+        before = np.linalg.norm(model(X, u, D_hat)[:, -1] - exact, axis=1)
+        after = np.linalg.norm(corrected - exact, axis=1)
+        assert np.median(after / before) < 0.2
+        errors.append(np.median(after))
+    assert errors[0] > 3 * errors[1]  # of second order in the error, up to that of the grid
+
+
+def test_plants_of_every_family_are_guarded(tmp_path):
+    """Distinct delays with a clock, a declared delay, a reference, a black box: exact passes, wrong does not."""
+    path = tmp_path / "box.py"
+    path.write_text(BOX)
+    for plant in (npred.plant("unicycle"), npred.plant("transport_tank"), follower(), npred.plant(f"{path}:Box")):
+        rng = np.random.default_rng(1)
+        X = np.broadcast_to(np.asarray(plant.target(0.0)), (4, plant.n)) + 0.05 * rng.standard_normal((4, plant.n))
+        u = np.full((4, NX, plant.m), 0.1) + (plant.u_equilibrium if plant.rests else 0.0)
+        exact = npred.predictor("rk4", plant, NX)
+        assert not Guarded(exact, 0.01).fallback(X, u, 0.5).any(), plant.name
+        wrong = Wrong(plant, error=0.1)
+        fallback = Guarded(wrong, 1e-6).fallback(X, u, 0.5)
+        assert fallback.all(), plant.name
+        np.testing.assert_array_equal(Guarded(wrong, 1e-6)(X, u, 0.5), exact(X, u, 0.5))
+
+
+def test_outside_the_data_numerics_answer_although_the_estimate_is_small():
+    X, u, D_hat = rows(400)
+    X[:, 1], D_hat[:] = 30 + 20 * (D_hat - 1), D_hat  # a state and a delay that come together
+    parts = [type("Rows", (), {"X": X, "u": u, "D_hat": D_hat, "t": np.zeros(len(X))})()]
+    model = npred.predictor("heun", PLANT, NX)
+    model.operator = type("Operator", (), {"domain": Domain.of_parts(lambda: parts, X.std(axis=0), PLANT.phase)})()
+    guarded = Guarded(model, 0.05)
+    assert not guarded.fallback(X, u, D_hat).any()
+    apart = guarded.fallback(X[:1], u[:1], np.array([0.4 if D_hat[0] > 1 else 1.9]))  # both occur, never together
+    assert apart.all() and guarded.error(X[:1], u[:1], D_hat[:1]) < 0.05
+    assert guarded.fallback(X[:1] * 3, u[:1], D_hat[:1]).all()
+
+
+def test_a_domain_is_read_back_as_it_was_saved(tmp_path):
+    X, u, D_hat = rows(30)
+    parts = [type("Rows", (), {"X": X, "u": u, "D_hat": D_hat, "t": np.zeros(30)})()]
+    domain = Domain.of_parts(lambda: parts, np.ones(2), PLANT.phase)
+    domain.save(tmp_path)
+    loaded = Domain.load(tmp_path)
+    for name in vars(domain):
+        np.testing.assert_array_equal(getattr(loaded, name), getattr(domain, name))
+    assert Domain.load(tmp_path / "none") is None
+
+
+def test_errors_of_predictions_are_in_units_of_U():
+    X, u, D_hat = rows()
+    model = Wrong(PLANT, error=0.02)
+    guarded = npred.guarded(model)
+    U, exact = (metrics.law(PLANT, p(X, u, D_hat), 0.0, D_hat) for p in (model, model.exact))
+    np.testing.assert_allclose(guarded.error(X, u, D_hat), np.abs(U - exact).max(axis=1), rtol=0.2, atol=2e-5)
+    assert bare(guarded) is model and guarded.error(X[0], u[0], D_hat[0]).shape == ()
+
+
+def test_refusals_are_one_line_each():
+    heun, unicycle = npred.predictor("heun", PLANT, NX), npred.plant("unicycle")
+    for refused, call in {
+        "tolerance: expected a number above 0": lambda: npred.guarded(heun, 0.0),
+        "by: expected auto, shadow, defect": lambda: npred.guarded(heun, by="both"),
+        "guarded: expected a Predictor": lambda: npred.guarded("deeponet"),
+        "nodes": lambda: npred.guarded(npred.predictor("heun", PLANT, 6)),
+        "correct: expected by = 'defect'": lambda: npred.guarded(heun, by="shadow", correct=True),
+        "defect: ": lambda: npred.guarded(npred.predictor("heun", unicycle, NX), by="defect"),
+        "u: expected 51 nodes": lambda: npred.guarded(heun)([0.03, 30.0], np.zeros((21, 1)), 1.0),
+    }.items():
+        with pytest.raises(ConfigError, match=refused) as error:
+            call()
+        assert "\n" not in str(error.value)
