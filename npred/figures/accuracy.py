@@ -29,12 +29,14 @@ def certificate(evidence: Evidence) -> Plate:
     if np.isfinite(gain):  # else an error that stays takes the linearised loop out of all bounds
         line = f"; an error that stayed constant would move the end along the dotted line, {gain:.4g} ε"
         key = (Key(f"constant error: {gain:.4g} ε", Look("muted", (1, 2))),)
+    beside = ends(evidence)
+    others = "Distance and W" if len(beside) > 1 else "Distance"
     caption = (
         "Radius: where loops end (filled: median over the cases, hollow: worst; squares: stopped early) against the "
-        f"error that control sees{line}. Distance and W: the loop of the first figure over time."
+        f"error that control sees{line}. {others}: the loop of the first figure over time."
     )
     eps = with_unit("ε_{κ} on held-out samples", common_unit(evidence.plant, evidence.plant.inputs))
-    panels = (Panel("radius versus ε_{κ}", _alt_radii(radii), partial(_radii, radii, gain, eps)), *ends(evidence))
+    panels = (Panel("radius versus ε_{κ}", _alt_radii(radii), partial(_radii, radii, gain, eps)), *beside)
     return Plate("certificate", "Error and radius", caption, panels, (*keys(evidence.loops), *key))
 
 

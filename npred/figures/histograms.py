@@ -34,6 +34,7 @@ def _histogram(histogram: Histogram, axis: Any) -> None:
     edges = histogram.edges
     axis.stairs(histogram.data, edges, fill=True, color=ROLES["fill"][0])
     for contender, density in histogram.loops.items():
-        axis.stairs(density, edges, color=look(contender).colour, linewidth=1.0)
+        line = look(contender).line
+        axis.stairs(density, edges, color=line["color"], linestyle=line["linestyle"], linewidth=1.0)
     axis.set(yscale="log", xlim=(edges[0], edges[-1]))
     axis.tick_params(axis="y", which="both", left=False, labelleft=False)

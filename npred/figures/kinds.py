@@ -11,15 +11,19 @@ from npred.figures.loops import keys
 from npred.figures.style import short
 from npred.results import Contender
 
+ABOUT = {
+    "nominal": "nominal rollouts have the experiment's delays",
+    "exploring": "exploring ones wider ranges of delays and estimates",
+    "redrawn": "a redrawn D̂ is not the loop's",
+}
+
 
 def kinds(evidence: Evidence) -> Plate | None:
     """The distribution of the error on rows of each kind, all on one scale; None where there is one kind alone."""
     if len(evidence.kinds) < 2:
         return None
-    caption = (
-        "The share of held-out rows whose largest |P̂ − P| over x is below ε, by kind of row: nominal rollouts have the "
-        "experiment's delays, exploring ones wider ranges of delays and estimates, a redrawn D̂ is not the loop's."
-    )
+    about = ", ".join(ABOUT[kind] for kind in evidence.kinds if kind in ABOUT)
+    caption = f"The share of held-out rows whose largest |P̂ − P| over x is below ε, by kind of row: {about}."
     span = _span(evidence)
     panels = [Panel(OF[kind], _alt(sup), partial(distribution, sup, xlim=span)) for kind, sup in evidence.kinds.items()]
     return Plate("kinds", "By kind of row", caption, tuple(panels), keys(evidence.errors))

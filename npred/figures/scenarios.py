@@ -6,16 +6,16 @@ from typing import Any
 
 import numpy as np
 
-from npred.figures.figure import Panel, Plate
-from npred.figures.loops import keys
+from npred.figures.figure import Key, Panel, Plate
 from npred.figures.notation import common_unit, timed, with_unit
-from npred.figures.style import log, look, short
+from npred.figures.style import Look, log, look, short
 from npred.plants import Plant
 from npred.results import Contender
 from npred.results.evaluate import Behaviour, Conditions
 
 Values = dict[Contender, np.ndarray]  # one per scenario
 SPREAD = 0.5  # of a scenario's room, between its first and its last predictor
+REACH = 1e-4  # of the largest value: further left on a logarithmic side are arrows, or they would squeeze the rest
 
 
 def scenarios(plant: Plant, conditions: Sequence[Conditions]) -> Plate | None:
@@ -31,10 +31,11 @@ def scenarios(plant: Plant, conditions: Sequence[Conditions]) -> Plate | None:
     lost = {c: sum(one.models[c].lost for one in conditions) for c in conditions[0].models}
     caption = (
         f"The cases again under {len(conditions)} other conditions, each predictor from the same states with the same "
-        f"noise. What is infinite, of a loop that diverges or does not settle, has no mark. Lost loops: "
-        f"{', '.join(f'{c.label} {count}' for c, count in lost.items())}."
+        "noise. An arrow points to what is still smaller; what is infinite, of a loop that diverges or does not "
+        f"settle, has no mark. Lost loops: {', '.join(f'{c.label} {count}' for c, count in lost.items())}."
     )
-    return Plate("scenarios", "Other conditions", caption, tuple(panels), keys(conditions[0].models))
+    marks = tuple(Key(c.label, Look(look(c).role, (0.01, 9), marker="o")) for c in conditions[0].models)
+    return Plate("scenarios", "Other conditions", caption, tuple(panels), marks)
 
 
 def _panel(
@@ -57,13 +58,17 @@ def _alt(names: Sequence[str], values: Values) -> str:
 
 
 def _marks(names: Sequence[str], values: Values, logarithmic: bool, axis: Any) -> None:
-    """A mark per predictor on the line of each scenario, the first scenario on top."""
+    """A mark per predictor on the line of each scenario, the first scenario on top; an arrow where it lies far left."""
     offsets = np.linspace(-SPREAD / 2, SPREAD / 2, len(values)) if len(values) > 1 else [0.0]
-    for offset, (contender, series) in zip(offsets, values.items(), strict=True):
-        shown = np.where(np.isfinite(series) & ((series > 0) | (not logarithmic)), series, np.nan)
-        axis.plot(shown, np.arange(len(names)) + offset, "o", color=look(contender).colour)
+    finite = {c: np.where(np.isfinite(series), series, np.nan) for c, series in values.items()}
+    low = REACH * np.nanmax([0.0, *np.concatenate(list(finite.values()))]) if logarithmic else 0.0
+    for offset, (contender, series) in zip(offsets, finite.items(), strict=True):
+        rows, colour = np.arange(len(names)) + offset, look(contender).colour
+        drawn = (series >= low) & ((series > 0) | (not logarithmic))
+        axis.plot(np.where(drawn, series, np.nan), rows, "o", color=colour)
+        axis.plot(np.where(series < low, low, np.nan), rows, "<", color=colour)
     axis.set(yticks=range(len(names)), yticklabels=list(names), ylim=(len(names) - 0.5, -0.5))
-    if logarithmic:
+    if low > 0:
         log(axis, "x")
         axis.xaxis.get_major_locator().set_params(numticks=4)  # beside the names there is little room
     else:

@@ -39,7 +39,9 @@ ROLES = {
 # rank. Green and ink are the numerical methods'.
 BUILTIN = (("blue", "sky"), ("orange", "amber"), ("violet", "lilac"), ("brown", "sand"))
 OTHERS = (("crimson", "rose"), ("olive", "lime"))
-TRAINED, MORE, EARLY = (6, 2.2), (6, 1.6, 1, 1.6), (4, 1.6)  # dashes; MORE is of those for whom no colour is left
+# Dashes: of networks in turn, for one is drawn over another and over a solid line, each seen in the gaps of the next;
+# of those for whom no colour is left; of what stopped early.
+TRAINED, MORE, EARLY = ((6, 2.2), (3.2, 5)), (6, 1.6, 1, 1.6), (4, 1.6)
 
 
 @dataclass(frozen=True)
@@ -72,15 +74,20 @@ def look(contender: Contender) -> Look:
     trained, early = colours(contender)
     if contender.epoch is not None:
         return Look(early, EARLY)
-    return Look(trained, TRAINED if contender.rank < len(OTHERS) else MORE)
+    pairs, place = _place(contender)
+    return Look(trained, MORE if pairs is OTHERS and place >= len(OTHERS) else TRAINED[place % len(TRAINED)])
 
 
 def colours(network: Contender) -> tuple[str, str]:
     """The roles of a network, trained and stopped early."""
+    pairs, place = _place(network)
+    return pairs[place % len(pairs)]
+
+
+def _place(network: Contender) -> tuple[tuple[tuple[str, str], ...], int]:
+    """The colours that a network takes one of, and which."""
     builtin = list(NETWORKS.builtin)
-    if network.model in builtin:
-        return BUILTIN[builtin.index(network.model) % len(BUILTIN)]
-    return OTHERS[network.rank % len(OTHERS)]
+    return (BUILTIN, builtin.index(network.model)) if network.model in builtin else (OTHERS, network.rank)
 
 
 @dataclass(frozen=True)

@@ -50,7 +50,8 @@ class Column:
             return "–"
         if isinstance(value, float) and not isfinite(value):
             return "∞"
-        return short(value, self.digits) if self.digits else format(value, self.form)
+        text = short(value, self.digits) if self.digits else format(value, self.form)
+        return text.replace("-", "−") if self.numeric else text
 
 
 @dataclass(frozen=True)

@@ -336,7 +336,28 @@ def test_scenarios_have_a_mark_for_what_is_finite_and_positive():
     for panel in plate.panels:
         axis.clear()
         panel.draw(axis)
-        exact, network = (line.get_xdata() for line in axis.lines)
+        exact, _, network, _ = (line.get_xdata() for line in axis.lines)
         assert np.isfinite(exact).tolist() == [True, True] and np.isfinite(network).tolist() == [True, False]
         assert [label.get_text() for label in axis.get_yticklabels()] == ["noise", "jump"]
     assert figures.scenarios(plants.resolve("scalar"), []) is None
+
+
+def test_a_scenario_far_left_of_the_others_is_an_arrow_that_does_not_squeeze_them():
+    does = {"radius": {"median": 0.1, "worst": 0.2, "converged": 0.5, "cases": 4}, "settle_time": 3.0, "lost": 0,
+            "D_error": 0.0}  # fmt: skip
+    exact = does | {"radius": does["radius"] | {"worst": 1e-12}}
+    rows = [("noise 0", exact), ("noise", does)]
+    conditions = [Conditions.of({"name": name, "models": {"numerical": one}}, "t") for name, one in rows]
+    plate = figures.scenarios(plants.resolve("scalar"), conditions)
+    axes = [Figure().add_subplot() for _ in plate.panels]
+    for panel, axis in zip(plate.panels, axes, strict=True):
+        panel.draw(axis)
+    (mark, arrow), (zero, none) = ([line.get_xdata() for line in axis.lines] for axis in (axes[0], axes[2]))
+    assert arrow[0] == pytest.approx(2e-5) and np.isnan(mark[0]) and mark[1] == 0.2 and np.isnan(arrow[1])
+    assert np.isnan(zero).all() and np.isnan(none).all()
+
+
+def test_two_networks_on_one_line_are_both_seen():
+    """The dash of the second ends before that of the first, which ends before both start again."""
+    first, second = (look(Contender(name)).dash for name in ("deeponet", "fno"))
+    assert second[0] < first[0] < sum(first) == pytest.approx(sum(second))

@@ -5,6 +5,7 @@ from collections.abc import Iterable
 from npred.figures.evaluation_data import OF
 from npred.figures.latency import label
 from npred.figures.style import short
+from npred.loop import metrics
 from npred.plants import Plant
 from npred.registry import METHODS
 from npred.results import NO_ADAPTATION, NUMERICAL, Benched, Contender, Evaluated
@@ -44,7 +45,14 @@ def _loops(plant: Plant, evaluated: Evaluated, networks: list[Contender]) -> str
         counts.append(f"{radii[NO_ADAPTATION].count} without adaptation")
     delay = "with a delay that the controller does not know" if adapts else "with the delay estimate held"
     delay = "with a delay that the plant declares" if plant.declares_delay else delay
-    return f"Of {radii[NUMERICAL].cases} closed loops {delay}, {_and(counts)} converge."
+    return f"Of {radii[NUMERICAL].cases} closed loops {delay}, {_and(counts)} end {_near(plant)}."
+
+
+def _near(plant: Plant) -> str:
+    """Where a loop that converges ends."""
+    if plant.rests:
+        return f"within {short(metrics.SETTLED * metrics.size(plant.equilibrium))} of rest"
+    return f"within {100 * metrics.SETTLED:g} % of the reference"
 
 
 def _speed(benched: Benched) -> str:

@@ -92,7 +92,9 @@ def _pictures(plate: Plate, bar: Bar) -> list[str]:
 def _about(job: Job) -> str:
     plant, config = job.plant, job.config.evaluate
     states, inputs = (", ".join(symbol(plant, name) for name in names) for names in (plant.states, plant.inputs))
-    return "; ".join([f"{plant.name}: states {states}", f"inputs {inputs}", _delay(plant, config), *_reality(config)])
+    return "; ".join(
+        [f"{plant.name}: states {states}", f"inputs {inputs}", _delay(plant, config), *_reality(plant, config)]
+    )
 
 
 def _delay(plant: Plant, config: Evaluate) -> str:
@@ -102,15 +104,21 @@ def _delay(plant: Plant, config: Evaluate) -> str:
     return f"delay D = {config.D:g} {plant.time_unit}".rstrip() + f", {estimate}"
 
 
-def _reality(config: Evaluate) -> Iterator[str]:
+def _reality(plant: Plant, config: Evaluate) -> Iterator[str]:
     """What of the loop is not as in the paper."""
-    sensors = [f"{key} {value:g}" for key, value in dict(config.measurement).items() if value]
+    sensors = [f"{key} {_sensor(plant, key, value)}" for key, value in dict(config.measurement).items() if value]
     if config.actuator == "history":
         yield "actuator state not measured"
     if sensors:
         yield f"measurements with {', '.join(sensors)}"
     if config.truth or config.disturbance.amplitude:
         yield "the simulated plant is not the controller's model"
+
+
+def _sensor(plant: Plant, key: str, value: float) -> str:
+    """A setting of the sensors with its unit: noise, jitter and drop are shares."""
+    unit = plant.time_unit if key in ("period", "delay") else "%"
+    return f"{100 * value if unit == '%' else value:g}\N{NO-BREAK SPACE}{unit}".rstrip()
 
 
 def _facts(story: Story, job: Job) -> dict[str, dict[str, Any]]:

@@ -59,7 +59,7 @@ def loops(evaluated: Evaluated) -> Table:
         Column("sup |P(1, t) − X(t + D)|", [scores.in_loop for scores in rows], digits=2),
         *_fallback(rows),
     ]
-    return Table("loops", "Closed loops", columns)
+    return Table("loops", "Closed loops", [column for column in columns if any(v is not None for v in column.values)])
 
 
 def scenarios(plant: Plant, evaluated: Evaluated) -> Table | None:
