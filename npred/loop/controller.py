@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from npred import array_checks
-from npred.delays import family, family_of
+from npred.delays import family_of
 from npred.errors import ConfigError, DivergedError
 from npred.loop import engine, loop_checks
 from npred.loop.actuator import actuate, history, transport
@@ -49,8 +49,7 @@ class Controller:
         self._keeps = self._recalls or self._watches  # a step reads the commands of those before it
         self._observe, self._settings, self._believe = law.observe, law.settings, family_of(plant).horizon()
         self._predict, self._control, self._update = predictor.lanes(), law.control, law.update
-        self._guard, settings = predictor.guard or family.idle(family.GUARD), predictor.settings
-        self._guard_settings = np.zeros(0) if settings is None else settings
+        self._guard, self._guard_settings = predictor.guard, predictor.settings
         self._gamma_dt, self._b, self._bounds = law.gamma * self.dt, law.b, law.bounds
         D_hat = self._start(D_hat)
         array_checks.within("D_hat", np.array(array_checks.number("D_hat", D_hat)), tuple(law.bounds))
@@ -238,11 +237,12 @@ class Controller:
     def _measure(self, X: np.ndarray, u: np.ndarray, u_nodes: np.ndarray) -> None:
         """Take the measurements into the buffers."""
         expected = self._X.shape[:1], self._u.shape[:2]
-        for values in (u, u_nodes):
+        actuator_states = (u,) if u_nodes is u else (u, u_nodes)
+        for values in actuator_states:
             if (X.shape, values.shape) != expected:  # broadcasting would hide a sensor that is lost
                 came = f"{X.shape} and {values.shape}"
                 raise ConfigError(f"step: expected X {expected[0]} and u {expected[1]}, got {came}; measure those")
-        if not (np.isfinite(X).all() and np.isfinite(u).all() and np.isfinite(u_nodes).all()):
+        if not all(np.isfinite(values).all() for values in (X, *actuator_states)):
             raise DivergedError("step: expected finite X and u, got one that is not; hold the last U and measure again")
         self._X[:, 0], self._u[:, :, 0], self._u_nodes[:, :, 0] = X, u, u_nodes
 
@@ -259,7 +259,8 @@ class Controller:
                 self._D_seen[:, 0] = self.plant.ratios * self._D_hat[0]
             transport(self._k, self.dt, self._D_seen, self._held, self._total, self._u, self._u_nodes)
         self._predict(self._X, self._u, self._D_hat, t, p, self._P)
-        self._guard(self._X, self._u, self._D_hat, t, p, self._guard_settings, self._P, self._error, self._fallback)
+        if self._guard:
+            self._guard(self._X, self._u, self._D_hat, t, p, self._guard_settings, self._P, self._error, self._fallback)
         self._control(self._P, self._u, self._D_hat, t, p, self._U)
         engine.clip(self._U, self._limits)
         self._update(self._P, self._X, self._u_nodes, self._D_hat, t, p, self._b, self._phi, self._N)
