@@ -36,14 +36,8 @@ Networks = Annotated[Some[str], AfterValidator(lambda names: sorted(set(names)))
 Anchor = Literal["none", "initial", "equilibrium"]
 Actuator = Literal["measured", "history"]
 Share = Annotated[float, Field(ge=0, lt=1, strict=True)]
-ADDED = (
-    "actuator",
-    "measurement",
-    "disturbance",
-    "truth",
-    "scenarios",
-    "guard",
-)  # left out of a dump where they say nothing
+# left out of a dump where they say nothing
+ADDED = ("actuator", "measurement", "disturbance", "truth", "scenarios", "guard", "certify")
 
 
 def _part(parts: Registry, others: tuple[str, ...], name: str) -> str:
@@ -502,6 +496,19 @@ class Bench(Section):
     runtimes: Some[Runtime] = ["torch", "fused", "onnx"]  #: ways to evaluate a network; also `file.py:Class`
 
 
+class Certify(Section):
+    """What `npred certify` draws and searches: N rollouts such that with `confidence` at most a share `probability` of
+    all has a larger error than the largest of these; an adversary's calls; and loops that are counted as lost.
+    """
+
+    probability: Annotated[float, Field(gt=0, lt=1, strict=True)] = 1e-3  #: share of rollouts that may be worse
+    confidence: Annotated[float, Field(gt=0, lt=1, strict=True)] = 0.999  #: with which that holds
+    samples: Count = 50  #: of each rollout, at random times
+    restarts: Count = 500  #: searches for the largest error …
+    steps: Count = 200  #: … of so many calls each
+    loops: Count = 200  #: fresh starts, each with the numerical predictor, the bare network and the guarded one
+
+
 class Pipeline(Section):
     """A pipeline file, resolved: `plant` is a built-in name or `file.py:Class`, `parameters` override its defaults."""
 
@@ -513,6 +520,7 @@ class Pipeline(Section):
     train: Train = Train()
     evaluate: Evaluate = Evaluate()
     bench: Bench = Bench()
+    certify: Certify | None = None  #: a table: with it, `npred run` certifies too
 
     @model_validator(mode="after")
     def _check_nodes(self) -> Self:
@@ -535,6 +543,11 @@ class Pipeline(Section):
                 "files are named after it: choose another"
             )
         return self
+
+    @property
+    def certify_table(self) -> Certify:
+        """The table [certify], or its defaults where there is none."""
+        return self.certify or Certify()
 
     @property
     def longest_delay(self) -> float:

@@ -219,8 +219,13 @@ STAGES = {
         r"(model|domain)\.safetensors|model\.json|metrics\.jsonl|snapshot-\d+\.safetensors",
     ),
     "evaluate": StageEntry(
-        5, ("generate", "train"), "npred.stages.evaluate.evaluate", "npred.results:Evaluated",
+        6, ("generate", "train"), "npred.stages.evaluate.evaluate", "npred.results:Evaluated",
         "Held-out errors and closed loops: eps and the convergence radius.", r"(errors|figure1|coverage)\.h5", True,
+    ),
+    "certify": StageEntry(
+        1, ("generate", "train"), "npred.stages.certify.certify", "npred.results:Certified",
+        "A bound of a network's error with a confidence, an adversary's search, and loops that the guard keeps.",
+        r"(errors|worst)\.h5", True,
     ),
     "bench": StageEntry(
         7, ("generate", "train"), "npred.stages.bench.bench", "npred.results:Benched",

@@ -17,7 +17,8 @@ from npred.terminal.console import columns
 
 def everything(options: Work) -> None:
     """Every stage; the answer is that of evaluate and of bench together, and for people how it all ends."""
-    _work(options, list(STAGES), ("evaluate", "bench"), closing=True)
+    targets = [name for name in STAGES if name != "certify" or options.config.certify]
+    _work(options, targets, ("evaluate", "bench"), closing=True)
 
 
 def stage(options: Work, stage_name: str, model: str | None = None, output: Path | None = None) -> None:

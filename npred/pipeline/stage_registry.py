@@ -196,6 +196,14 @@ def _held_out(config: Pipeline) -> dict[str, Any]:
     return {"generate": {key: value for key, value in _dump(section).items() if key in keys}}
 
 
+def _certify(config: Pipeline, model: str | None, device: str) -> dict[str, Any]:
+    """The data's distribution comes with the input; the loops are those of [evaluate]."""
+    loops = {k: v for k, v in _loop(config, "evaluate").items() if k not in ("scenarios", "map_D", "map_D_hat0")}
+    return {"certify": _dump(config.certify_table), "evaluate": loops, "train": {"models": config.train.models}} | (
+        _box(config) | {"generate": _loop(config, "generate")}
+    )
+
+
 def _bench(config: Pipeline, model: str | None, device: str) -> dict[str, Any]:
     runtimes = [registry.RUNTIMES.identity(name) for name in config.bench.runtimes]
     table = _own("bench", config, model, device)
@@ -233,7 +241,8 @@ def _notation(config: Pipeline) -> dict[str, Any]:
 
 
 SLICES: dict[str, Slice] = {
-    "generate": _generate, "train": _train, "evaluate": _evaluate, "bench": _bench, "report": _report
+    "generate": _generate, "train": _train, "evaluate": _evaluate, "certify": _certify, "bench": _bench,
+    "report": _report,
 }  # fmt: skip
 STAGES = {
     name: Stage(entry.version, entry.upstream, SLICES.get(name, partial(_own, name)), entry.module, entry.result)

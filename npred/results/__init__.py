@@ -2,6 +2,7 @@
 
 from npred.results.base import Number, Result
 from npred.results.bench import Benched
+from npred.results.certify import Certified
 from npred.results.contender import NO_ADAPTATION, NUMERICAL, Contender, ranked
 from npred.results.evaluate import Evaluated
 from npred.results.generate import Generated
@@ -12,6 +13,7 @@ __all__ = [
     "NO_ADAPTATION",
     "NUMERICAL",
     "Benched",
+    "Certified",
     "Contender",
     "Evaluated",
     "Generated",

@@ -26,6 +26,7 @@ from npred.stages.evaluate import (
     figure1,
     held_out_kinds,
     in_loop,
+    networks,
     scenarios,
     summary_tables,
 )
@@ -57,10 +58,10 @@ def run(job: Job) -> Evaluated:
     taken = accuracy.sample_steps(job.config.seed, config, len(begin.D))[begin.cases] * config.dt
     cases = loops[NUMERICAL].part(begin.cases)
     held_out, fresh = held_out_kinds.held_out(job, data), Labelled.fresh(cases, taken, predictors[NUMERICAL])
-    networks = {contender: bare(predictor) for contender, predictor in predictors.items() if contender.is_network}
+    bare_networks = {contender: bare(predictor) for contender, predictor in predictors.items() if contender.is_network}
     P_hat = {
         contender: {kind: accuracy.predict(predictor, rows) for kind, rows in held_out.items()}
-        for contender, predictor in networks.items()
+        for contender, predictor in bare_networks.items()
     }
     accuracy.write(job.folder / "errors.h5", held_out, P_hat)
     models = {}
@@ -69,7 +70,7 @@ def run(job: Job) -> Evaluated:
         behaviour = _behaviour(job.plant, config, begin, contender, errors["eps_kappa"], loops)
         models[contender] = Scores(**errors, in_loop=in_loops[contender], **behaviour)
     bounds = (0.0, np.inf) if job.plant.declares_delay else config.bounds
-    covered = coverage.measure(job.plant, data, {c: loops[c] for c in networks}, bounds)
+    covered = coverage.measure(job.plant, data, {c: loops[c] for c in bare_networks}, bounds)
     _warn(job, covered)
     _warn_of_overtaking(job, loops)
     _warn_of_fallbacks(job, models)
@@ -100,7 +101,7 @@ def _predictors(job: Job) -> dict[Contender, Predictor]:
     for model in job.config.train.models:
         for snapshot in [*job.config.train.table(model).snapshots, None]:
             contender = Contender(model, snapshot)
-            network = _neural(job, model, snapshot, contender.name)
+            network = networks.load(job, model, snapshot, contender.name)
             predictors[contender] = network
             if guard := config.guard:
                 predictors[contender] = Guarded(network, exact=exact, **dict(guard))
@@ -143,26 +144,6 @@ def _shares(predictor: Predictor, count: int) -> list[slice]:
     """A contender's loops, all at once where a call has a fixed cost to share."""
     width = SHARE if predictor.compiled else count
     return [slice(i, min(i + width, count)) for i in range(0, count, width)]
-
-
-def _neural(job: Job, model: str, snapshot: int | None, name: str) -> Predictor:
-    """The fused network, as it is deployed but in double precision: in float32 an FNO's loops end 3e-6 away.
-
-    A network that sees the clock, or that cannot be lowered, is evaluated by torch.
-    """
-    import torch
-
-    from npred import operators
-    from npred.predictors.neural import Neural
-    from npred.runtimes.fused import Fused
-    from npred.runtimes.lower import lowering
-
-    operator = operators.load(job.inputs[model], job.plant, snapshot, torch.float64, job.config.train.table(model))
-    if not lowering(operator) and snapshot is None:
-        job.progress.note(f"evaluate: {model} is evaluated by torch, for it has no fused form")
-    if job.device == "cpu" and not job.plant.clocked and lowering(operator):
-        return Fused(job.plant, operator, job.config.evaluate.nx, name, precision=np.float64)
-    return Neural(job.plant, operator, job.config.evaluate.nx, job.device, name)
 
 
 def _loops(

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from npred.config import Generate
+from npred.config import Generate, Pipeline
 from npred.data.dataset import Dataset, attributes
 from npred.loop.closed_loop import LANES
 from npred.parallel import executors
@@ -35,7 +35,7 @@ def run(job: Job) -> Generated:
     size = {"samples": config.samples, "rollouts": config.rollouts, "held_out": held_out.tolist(), "nx": config.nx}
     if sharded.needed(job.plant, config):
         return Generated(**size, shards=sharded.write(job))
-    parts = dict(_parts(job))
+    parts = dict(batches(job, job.config))
     rows = rollouts.joined([parts[start] for start in sorted(parts)])
     data = Dataset(**rows, test=np.isin(rows["rollout"], held_out).astype(np.uint8))
     data.write(job.folder / "data.h5", attributes(job.plant, called(config.predictor)))
@@ -58,21 +58,20 @@ def _imported(job: Job, path: Path) -> Generated:
     return Generated(samples=len(data), rollouts=rollouts, held_out=held_out, nx=data.u.shape[1])
 
 
-def _parts(job: Job) -> Iterator[tuple[int, Columns]]:
-    """The rows of each batch, after its first rollout; a single batch is not worth a process."""
-    batches, executor = _batches(job.config.generate, job.executor.count), job.executor
-    make = partial(rollouts.elsewhere, job.config.located(), rollouts.surroundings(job.config, job.plant))
-    if len(batches) == 1 or isinstance(executor, executors.Here):
-        make, executor = partial(rollouts.rows, job.config, job.plant), executors.Here()
-    total = job.config.generate.rollouts
-    job.progress.doing("generate", "compiling")
-    with job.progress.bar("generate", total, "rollouts") as bar:
-        for batch, rows in executors.completed(executor, make, batches):
+def batches(job: Job, config: Pipeline, stage: str = "generate") -> Iterator[tuple[int, Columns]]:
+    """The rows of each batch of a pipeline's rollouts, after its first one; a single batch is not worth a process."""
+    ranges, executor = _ranges(config.generate, job.executor.count), job.executor
+    make = partial(rollouts.elsewhere, config.located(), rollouts.surroundings(config, job.plant))
+    if len(ranges) == 1 or isinstance(executor, executors.Here):
+        make, executor = partial(rollouts.rows, config, job.plant), executors.Here()
+    job.progress.doing(stage, "compiling")
+    with job.progress.bar(stage, config.generate.rollouts, "rollouts") as bar:
+        for batch, rows in executors.completed(executor, make, ranges):
             bar.advance(len(batch))
             yield batch.start, rows
 
 
-def _batches(config: Generate, workers: int) -> list[range]:
+def _ranges(config: Generate, workers: int) -> list[range]:
     """Hundreds of rollouts each where there are enough of them to go round."""
     size = min(LANES * math.ceil(config.rollouts / (2 * workers * LANES)), BATCH)
     return [range(i, min(i + size, config.rollouts)) for i in range(0, config.rollouts, size)]

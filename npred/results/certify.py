@@ -1,0 +1,47 @@
+"""The result of the stage certify."""
+
+from pydantic import field_validator
+
+from npred.results.base import Number, Result
+from npred.results.contender import Contender, Name, ranked
+
+
+class Certificate(Result):
+    """One network: what is bounded with a confidence, what was searched, and what its loops do."""
+
+    #: the largest |κ(P̂(1)) − κ(P(1))| of the rollouts; with `confidence`, at most a share `probability` of fresh
+    #: rollouts of the same distribution has a larger one
+    eps_kappa: Number
+    probability: float  #: as the pipeline has it
+    confidence: float  #: as the pipeline has it
+    rollouts: int  #: how many
+    median: Number  #: the median over the rollouts
+    adversarial: Number  #: the largest error of U that the search came to: a lower bound of the uniform one
+    calls: int  #: calls of the search
+    above: int  #: those whose error is above the tolerance
+    unnoticed: int  #: of these, those that the guard lets pass
+    tolerance: float  #: of the guard, in units of U
+    by: str  #: the guard's estimate, `shadow` or `defect`
+    fallback_rollouts: float  #: share of the rollouts' samples that the guard answers numerically
+    #: the estimate over the true error where that is within 0.3 to 3 tolerances, at 1 %, 50 % and 99 %; empty where
+    #: there is no such call
+    ratio: list[float]
+    lost: int  #: loops that are lost with the network and kept by the numerical predictor
+    lost_guarded: int  #: the same with the guarded network
+    peak: Number  #: the largest distance from rest of its loops over that of the numerical predictor's
+    peak_guarded: Number  #: the same with the guarded network
+    fallback: float  #: share of the guarded loops' steps in which the numerical predictor answered
+
+
+class Certified(Result):
+    """Certificates of the networks. They hold for the distribution that rollouts are drawn from; none is a proof."""
+
+    plant: str  #: its name
+    loops: int  #: fresh starts whose loops were run
+    lost_numerical: int  #: of these, those that the numerical predictor loses
+    models: dict[Name, Certificate]  #: by network
+
+    @field_validator("models")
+    @classmethod
+    def _rank(cls, models: dict[Contender, Certificate]) -> dict[Contender, Certificate]:
+        return dict(zip(ranked(models), models.values(), strict=True))

@@ -1,0 +1,145 @@
+"""The certify stage: what is known of a network's error, by fresh rollouts, by an adversary, and in loops."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import h5py
+import numpy as np
+
+from npred import randomness
+from npred.config import GuardTable
+from npred.data import shards
+from npred.loop import configured, metrics
+from npred.loop.closed_loop import Trajectories
+from npred.predictors import Predictor, numerical
+from npred.predictors.guarded import Guarded
+from npred.results import NUMERICAL, Certified, Contender
+from npred.results.certify import Certificate
+from npred.stages import Job
+from npred.stages.certify import adversary, rollouts
+from npred.stages.certify.adversary import Calls
+from npred.stages.evaluate import networks
+from npred.stages.evaluate.initial_conditions import box
+from npred.stages.evaluate.scenarios import LOST
+from npred.stages.generate import sampling
+from npred.terminal.console import columns
+
+KEPT = 1000  # of the worst inputs
+NEAR = 0.3, 3.0  # of the tolerance: where the estimate decides
+QUANTILES = 0.01, 0.5, 0.99
+
+
+def run(job: Job) -> Certified:
+    """For each network: errors of fresh rollouts, the worst inputs of a search, and loops, with and without a guard.
+
+    Writes errors.h5 (the largest error of U of each rollout, by network) and worst.h5 (X, u, D_hat and the error of the
+    KEPT worst calls, by network). The guard is that of [evaluate], or the default one.
+    """
+    config = job.config.evaluate
+    exact = numerical(config.predictor, job.plant, config.nx)
+    bare: dict[Contender, Predictor] = {
+        Contender(model): networks.load(job, model, None, model) for model in job.config.train.models
+    }
+    table = config.guard or GuardTable()
+    guarded = {contender: Guarded(network, exact=exact, **dict(table)) for contender, network in bare.items()}
+    by_rollout, fallbacks = rollouts.errors(job, guarded, exact)
+    calls = {contender: _search(job, network) for contender, network in bare.items()}
+    with h5py.File(job.folder / "errors.h5", "w") as file:
+        for contender, errors in by_rollout.items():
+            file[contender.name] = errors
+    _write_worst(job, calls)
+    loops = _loops(job, {NUMERICAL: exact})[NUMERICAL]
+    lost = _lost(job, loops)
+    models = {}
+    for contender, guard in guarded.items():
+        runs = _loops(job, {"bare": bare[contender], "guarded": guard})
+        models[contender] = Certificate(
+            **_rollouts(job, by_rollout[contender]),
+            fallback_rollouts=fallbacks[contender],
+            **_calls(guard, exact, *calls[contender]),
+            lost=int((_lost(job, runs["bare"]) & ~lost).sum()),
+            lost_guarded=int((_lost(job, runs["guarded"]) & ~lost).sum()),
+            peak=_peak(job, runs["bare"]) / _peak(job, loops),
+            peak_guarded=_peak(job, runs["guarded"]) / _peak(job, loops),
+            fallback=runs["guarded"].fallback_share,
+        )
+    return Certified(
+        plant=job.plant.name, loops=job.config.certify_table.loops, lost_numerical=int(lost.sum()), models=models
+    )
+
+
+def summary(result: Certified, width: int | None = None) -> str:
+    """A sentence about what holds, and a row per network."""
+    first = next(iter(result.models.values()))
+    head = ["network", "ε κ", "adversary", "above", "unnoticed", "lost", "guarded", "fallback"]
+    rows = [
+        [contender.label, f"{c.eps_kappa:.1e}", f"{c.adversarial:.1e}", f"{c.above} of {c.calls}", str(c.unnoticed),
+         str(c.lost), str(c.lost_guarded), f"{c.fallback:.2%}"]
+        for contender, c in result.models.items()
+    ]  # fmt: skip
+    about = (
+        f"{result.plant}: {first.rollouts} fresh rollouts: with a confidence of {first.confidence:.4%} at most "
+        f"{first.probability:.2%} of such have an error of U above ε κ\n"
+        f"{result.loops} loops, {result.lost_numerical} lost with the numerical predictor; tolerance "
+        f"{first.tolerance:g}"
+    )
+    return f"{about}\n\n{columns(head, rows, width, numbers=head[1:])}"
+
+
+def _search(job: Job, network: Predictor) -> tuple[Calls, np.ndarray]:
+    table, data = job.config.certify_table, shards.survey(job.inputs["generate"] / "data.h5")
+    inputs = adversary.Inputs.of(data, box(job.plant, job.config))
+    with job.progress.bar(f"adversary {network.name}", table.restarts * table.steps, "calls") as bar:
+        return adversary.search(job.plant, network, data, inputs, table, job.config.seed, bar.advance)
+
+
+def _write_worst(job: Job, calls: Mapping[Contender, tuple[Calls, np.ndarray]]) -> None:
+    with h5py.File(job.folder / "worst.h5", "w") as file:
+        for contender, (inputs, errors) in calls.items():
+            worst = np.argsort(np.nan_to_num(errors))[::-1][:KEPT]
+            for name, values in zip(("X", "u", "D_hat", "error"), (*inputs, errors), strict=True):
+                file[f"{contender.name}/{name}"] = values[worst]
+
+
+def _rollouts(job: Job, errors: np.ndarray) -> dict[str, Any]:
+    table = job.config.certify_table
+    level = {"probability": table.probability, "confidence": table.confidence, "rollouts": len(errors)}
+    return level | {"eps_kappa": errors.max(), "median": np.median(errors)}
+
+
+def _calls(guard: Guarded, exact: Predictor, inputs: Calls, errors: np.ndarray) -> dict[str, Any]:
+    """What the guard makes of an adversary's calls. The error is that against the predictor that falls back."""
+    true, estimates, passed = rollouts.judged(guard, exact, *inputs)
+    above = true > guard.tolerance
+    near = (true > NEAR[0] * guard.tolerance) & (true < NEAR[1] * guard.tolerance)
+    ratio = np.quantile(estimates[near] / true[near], QUANTILES).tolist() if near.any() else []
+    return {
+        "adversarial": np.nanmax(true), "calls": len(true), "above": int(above.sum()),
+        "unnoticed": int((above & passed).sum()), "tolerance": guard.tolerance, "by": guard.by, "ratio": ratio,
+    }  # fmt: skip
+
+
+def _loops(job: Job, predictors: Mapping[Any, Predictor]) -> dict[Any, Trajectories]:
+    """Loops from fresh starts, delays and estimates as those of [generate], with the settings of [evaluate]."""
+    config, number = job.config.evaluate, job.config.certify_table.loops
+    pipeline = rollouts.fresh(job.config, job.config.certify_table, number)
+    X0, D, D_hat, _ = sampling.starts(pipeline.seed, pipeline.generate, job.plant, range(number))
+    total = len(predictors) * number * (round(config.case_t_end / config.dt) + 1)
+    with job.progress.bar("loops", total, "steps") as bar:
+        return {
+            name: configured.loops(
+                job.plant, predictor, config, D=D, D_hat=D_hat, X0=X0, t_end=config.case_t_end,
+                seed=randomness.integer(pipeline.seed, "noise"), every=10, progress=bar.advance,
+            )
+            for name, predictor in predictors.items()
+        }  # fmt: skip
+
+
+def _lost(job: Job, loops: Trajectories) -> np.ndarray:
+    target = job.plant.target(loops.t)
+    return ~(metrics.radius(loops, target) <= LOST * metrics.size(target))
+
+
+def _peak(job: Job, loops: Trajectories) -> float:
+    gaps = np.linalg.norm(loops.X - job.plant.target(loops.t), axis=-1)
+    return float(gaps.max()) if np.isfinite(gaps).all() else np.inf

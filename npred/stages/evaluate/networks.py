@@ -1,0 +1,26 @@
+"""Networks as an evaluation runs them: compiled where that is possible."""
+
+import numpy as np
+
+from npred.predictors import Predictor
+from npred.stages import Job
+
+
+def load(job: Job, model: str, snapshot: int | None, name: str) -> Predictor:
+    """The fused network, as it is deployed but in double precision: in float32 an FNO's loops end 3e-6 away.
+
+    A network that sees the clock, or that cannot be lowered, is evaluated by torch.
+    """
+    import torch
+
+    from npred import operators
+    from npred.predictors.neural import Neural
+    from npred.runtimes.fused import Fused
+    from npred.runtimes.lower import lowering
+
+    operator = operators.load(job.inputs[model], job.plant, snapshot, torch.float64, job.config.train.table(model))
+    if not lowering(operator) and snapshot is None:
+        job.progress.note(f"evaluate: {model} is evaluated by torch, for it has no fused form")
+    if job.device == "cpu" and not job.plant.clocked and lowering(operator):
+        return Fused(job.plant, operator, job.config.evaluate.nx, name, precision=np.float64)
+    return Neural(job.plant, operator, job.config.evaluate.nx, job.device, name)
