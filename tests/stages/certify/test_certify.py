@@ -1,0 +1,135 @@
+"""The certify stage: the statistics by simulation, the adversary against numerics, the result of a tiny pipeline."""
+
+import h5py
+import numpy as np
+import pytest
+from jobs import PLANT as NAME
+from jobs import job
+
+import npred
+from npred.config import Certify
+from npred.data.dataset import Dataset
+from npred.loop import metrics
+from npred.predictors import RK4, Predictor
+from npred.predictors.guarded import Guarded
+from npred.stages import train
+from npred.stages.certify import adversary, certify, rollouts
+from npred.stages.generate import generate
+
+PLANT = npred.plant(NAME)
+TABLE = {"probability": 0.2, "confidence": 0.9, "samples": 6, "restarts": 8, "steps": 6, "loops": 5}
+
+
+@pytest.mark.parametrize(
+    ("probability", "confidence", "expected"), [(1e-3, 1 - 1e-6, 13809), (1e-3, 0.99, 4603), (0.5, 0.5, 1)]
+)
+def test_number_of_rollouts(probability, confidence, expected):
+    assert rollouts.count(probability, confidence) == expected
+
+
+@pytest.mark.parametrize(("probability", "confidence"), [(0.1, 0.9), (0.05, 0.95), (0.3, 0.8)])
+def test_the_largest_of_N_bounds_as_often_as_stated(probability, confidence):
+    """Errors with a heavy tail: a repeat holds where a share of at most `probability` is above its largest one."""
+    rng, number = np.random.default_rng(7), rollouts.count(probability, confidence)
+    largest = rng.pareto(1.5, (20_000, number)).max(axis=1)
+    above = (1 + largest) ** -1.5
+    held = (above <= probability).mean()
+    assert held >= confidence - 3 * np.sqrt(confidence * (1 - confidence) / 20_000)
+    assert held < confidence + (1 - confidence) / 2 + 0.02  # no more rollouts than are needed
+
+
+@pytest.fixture(scope="module")
+def certified(tmp_path_factory):
+    root = tmp_path_factory.mktemp("certify")
+    data = job(root, "generate")
+    generate.run(data)
+    inputs = {"generate": data.folder}
+    for model in ("deeponet", "fno"):
+        training = job(root, model, inputs={"generate": data.folder}, model=model)
+        train.run(training)
+        inputs[model] = training.folder
+    tasks = [job(root, name, inputs=inputs, jobs=jobs, certify=TABLE) for name, jobs in (("one", 1), ("two", 2))]
+    return tasks, [certify.run(task).json_object() for task in tasks], Dataset.read(data.folder / "data.h5")
+
+
+def test_a_certificate_of_each_network(certified):
+    _, (result, _), _ = certified
+    assert set(result["models"]) == {"deeponet", "fno"} and result["loops"] == 5
+    for row in result["models"].values():
+        assert row["rollouts"] == rollouts.count(0.2, 0.9) and row["calls"] == 48
+        assert 0 < row["median"] <= row["eps_kappa"]
+        assert 0 <= row["unnoticed"] <= row["above"] <= row["calls"]
+        assert 0 <= row["lost_guarded"] <= 5 and 0 <= row["fallback"] <= 1
+
+
+def test_the_same_twice(certified):
+    (one, two), (first, second), _ = certified
+    assert first == second
+    for name in ("errors.h5", "worst.h5"):
+        assert (one.folder / name).read_bytes() == (two.folder / name).read_bytes()
+
+
+def test_the_rollouts_are_none_that_were_trained_on(certified):
+    (task, _), (result, _), data = certified
+    pipeline = rollouts.fresh(task.config, Certify(**TABLE), 4)
+    rows = dict(generate.batches(task, pipeline))[0]
+    assert not np.isin(rows["X"][:, 0], data.X[:, 0]).any()
+    with h5py.File(task.folder / "errors.h5") as file:
+        assert max(file["fno"]) == result["models"]["fno"]["eps_kappa"]
+
+
+class Wrong(Predictor):
+    """RK4 with an error that grows with the distance of u from zero."""
+
+    def predict(self, X, u, D_hat, t):
+        P = RK4(PLANT, self.nx)(X, u, D_hat)
+        return P * (1 + 0.1 * np.abs(u).max(axis=(1, 2))[:, None, None] * np.array([1.0, -1.0]))
+
+
+def searched(data, steps, seed=0):
+    table = Certify(restarts=16, steps=steps)
+    inputs = adversary.Inputs.of(data, np.array([PLANT.box[name] for name in PLANT.states]))
+    (X, u, D_hat), error = adversary.search(PLANT, Wrong(PLANT, 21), data, inputs, table, seed, lambda n: None)
+    return inputs, X, u, D_hat, error
+
+
+def test_random_steps_find_larger_errors_than_the_starts_had_and_stay_inside(certified):
+    inputs, X, u, D_hat, error = searched(certified[2], 40)
+    by_step = error.reshape(40, 16)
+    assert by_step.max() > 1.5 * by_step[0].max()
+    for values, name in ((X, "X"), (u, "u"), (D_hat, "D_hat")):
+        low, high = getattr(inputs, name)
+        assert ((values >= low - 1e-12) & (values <= high + 1e-12)).all()
+    exact, wrong = RK4(PLANT, 21), Wrong(PLANT, 21)
+    U, U_exact = (metrics.law(PLANT, p(X, u, D_hat), 0.0, D_hat) for p in (wrong, exact))
+    np.testing.assert_allclose(error, np.abs(U - U_exact).max(axis=1))
+
+
+def test_the_gradient_climbs_through_a_network(certified):
+    (task, _), _, data = certified
+    from npred.stages.evaluate import networks
+
+    network = networks.load(task, "deeponet", None, "deeponet")
+    inputs = adversary.Inputs.of(data, np.array([PLANT.box[name] for name in PLANT.states]))
+    table = Certify(restarts=12, steps=40)
+    calls, error = adversary.search(PLANT, network, data, inputs, table, 0, lambda n: None)
+    by_step = error.reshape(40, 12)
+    assert np.median(by_step[-1]) > 2 * np.median(by_step[0])
+    true, _, _ = rollouts.judged(Guarded(network, exact=RK4(PLANT, 21)), RK4(PLANT, 21), *calls)
+    np.testing.assert_allclose(error, true, rtol=0.2, atol=2e-3)  # torch's P(1) is that of the kernels, u read linearly
+
+
+def test_judged_calls_pass_where_the_tolerance_is_wide_and_none_does_where_it_is_narrow(certified):
+    _, X, u, D_hat, _ = searched(certified[2], 3)
+    exact, wrong = RK4(PLANT, 21), Wrong(PLANT, 21)
+    assert rollouts.judged(Guarded(wrong, 1e9), exact, X, u, D_hat)[2].all()
+    assert not rollouts.judged(Guarded(wrong, 1e-12), exact, X, u, D_hat)[2].any()
+
+
+def test_the_summary_says_what_holds(certified):
+    _, (result, _), _ = certified
+    from npred.results import Certified
+
+    text = certify.summary(Certified.of(result, "a test"), 80)
+    assert "with a confidence of 90.0000% at most 20.00% of such have an error of U above" in " ".join(text.split())
+    assert "DeepONet" in text and "FNO" in text
