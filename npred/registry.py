@@ -232,7 +232,8 @@ STAGES = {
         "The time of a predictor call, each with its error beside it.", r"times\.h5", True,
     ),
     "report": StageEntry(
-        7, ("generate", "train", "evaluate", "bench"), "npred.stages.report.report", "npred.results:Reported",
+        7, ("generate", "train", "evaluate", "certify", "bench"), "npred.stages.report.report",
+        "npred.results:Reported",
         "All results as one HTML file; or as PDF, SVG and PNG, CSV and LaTeX.",
     ),
 }  # fmt: skip

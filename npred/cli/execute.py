@@ -17,7 +17,7 @@ from npred.terminal.console import columns
 
 def everything(options: Work) -> None:
     """Every stage; the answer is that of evaluate and of bench together, and for people how it all ends."""
-    targets = [name for name in STAGES if name != "certify" or options.config.certify]
+    targets = [name for name in STAGES if name == "report" or getattr(options.config, name) is not None]
     _work(options, targets, ("evaluate", "bench"), closing=True)
 
 

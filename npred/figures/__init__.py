@@ -1,6 +1,7 @@
 """Every figure of the product, once: for the page, for papers, and beside the results of the stages."""
 
 from npred.figures.accuracy import box, certificate, errors
+from npred.figures.certified import certified
 from npred.figures.delay_map import delays
 from npred.figures.evaluation_data import Evidence
 from npred.figures.figure import Plate, write
@@ -16,6 +17,7 @@ __all__ = [
     "Plate",
     "box",
     "certificate",
+    "certified",
     "coverage",
     "delays",
     "errors",

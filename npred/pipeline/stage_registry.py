@@ -71,12 +71,16 @@ class Node:
 
 
 def nodes(config: Pipeline, targets: Iterable[str], only: str | None = None) -> list[Node]:
-    """The targets with all that they need, each after its inputs; `only` keeps one network of the train stage."""
+    """The targets with all that they need, each after its inputs; `only` keeps one network of the train stage.
+
+    A stage without a table of its own, as certify may be, is needed by no other.
+    """
     needed = set(targets)
     for name in reversed(STAGES):
-        needed.update(STAGES[name].upstream if name in needed else ())
+        above = STAGES[name].upstream if name in needed else ()
+        needed.update(stage for stage in above if getattr(config, stage) is not None)
     networks = [only] if only else config.train.models
-    return [node for name in STAGES if name in needed for node in _nodes(name, networks)]
+    return [node for name in STAGES if name in needed for node in _nodes(config, name, networks)]
 
 
 def question(node: Node, config: Pipeline, device: str) -> dict[str, Any]:
@@ -116,8 +120,8 @@ def check(config: Pipeline, stages: Collection[str]) -> None:
     diagnosis.require(plants.resolve(config.plant, config.parameters), config, stages)
 
 
-def _nodes(stage: str, networks: Sequence[str]) -> list[Node]:
-    upstream = STAGES[stage].upstream
+def _nodes(config: Pipeline, stage: str, networks: Sequence[str]) -> list[Node]:
+    upstream = [above for above in STAGES[stage].upstream if getattr(config, above) is not None]
     inputs = tuple(name for above in upstream for name in (networks if above == "train" else (above,)))
     return [Node(stage, model, inputs) for model in (networks if stage == "train" else (None,))]
 

@@ -60,7 +60,8 @@ GUARD = """\
         error[l] = 0.0
         for c in range(m):
             extrapolated = A[c, l] + (A[c, l] - B[c, l]) / ((guard[2] / guard[1]) ** 2 - 1.0)
-            error[l] = max(error[l], abs(U[c, l] - extrapolated) + abs(extrapolated - A[c, l]))
+            gap = abs(U[c, l] - extrapolated) + abs(extrapolated - A[c, l])
+            error[l] = max(error[l], gap if gap < np.inf else np.inf)  # also of what is not a number
         outside = False
         if guard[4] < np.inf:
             {distance}

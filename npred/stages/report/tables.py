@@ -11,7 +11,7 @@ from npred.figures.notation import quantity, timed
 from npred.figures.table import Column, Table
 from npred.plants import Plant
 from npred.registry import NETWORKS
-from npred.results import NUMERICAL, Evaluated, Trained
+from npred.results import NUMERICAL, Certified, Evaluated, Trained
 from npred.results.bench import Timing
 from npred.results.evaluate import Coverage, Scores
 
@@ -91,6 +91,22 @@ def _kept(scores: Scores, exact: Scores) -> int | None:
     if scores.map is None or exact.map is None:
         return None
     return int((np.array(scores.map.converged) & np.array(exact.map.converged)).sum())
+
+
+def certified(result: Certified | None) -> Table | None:
+    """What is known of each network's error of U, and of its loops; None without a certificate."""
+    if result is None:
+        return None
+    rows = list(result.models.values())
+    heads = {"eps_kappa": "ε_{κ} of all rollouts", "median": "median", "adversarial": "adversary"}
+    counts = {"above": "calls above the tolerance", "unnoticed": "unnoticed", "lost": "lost", "lost_guarded": "guarded"}
+    columns = [
+        Column("network", [contender.label for contender in result.models]),
+        *_columns(rows, heads),
+        *_columns(rows, counts, ",d"),
+        *_columns(rows, {"fallback": "fallback"}, ".2%"),
+    ]
+    return Table("certified", f"Certificate, with {rows[0].rollouts:,} rollouts and {result.loops:,} loops", columns)
 
 
 def training(trained: Mapping[str, Trained]) -> Table:
