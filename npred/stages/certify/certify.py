@@ -1,10 +1,12 @@
 """The certify stage: what is known of a network's error, by fresh rollouts, by an adversary, and in loops."""
 
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import h5py
 import numpy as np
+import torch
 
 from npred import randomness
 from npred.config import GuardTable
@@ -13,14 +15,14 @@ from npred.loop import configured, metrics
 from npred.loop.closed_loop import Trajectories
 from npred.predictors import Predictor, numerical
 from npred.predictors.guarded import Guarded
-from npred.results import NUMERICAL, Certified, Contender
+from npred.results import Certified, Contender
 from npred.results.certify import Certificate
 from npred.stages import Job
 from npred.stages.certify import adversary, rollouts
 from npred.stages.certify.adversary import Calls
 from npred.stages.evaluate import networks
 from npred.stages.evaluate.initial_conditions import box
-from npred.stages.evaluate.scenarios import LOST
+from npred.stages.evaluate.scenarios import EVERY, LOST
 from npred.stages.generate import sampling
 from npred.terminal.console import columns
 
@@ -36,36 +38,34 @@ def run(job: Job) -> Certified:
     KEPT worst calls, by network). The guard is that of [evaluate], or the default one.
     """
     config = job.config.evaluate
-    exact = numerical(config.predictor, job.plant, config.nx)
-    bare: dict[Contender, Predictor] = {
-        Contender(model): networks.load(job, model, None, model) for model in job.config.train.models
+    torch.set_num_threads(1)  # the same bits on any machine; another network takes the other cores
+    exact, table = numerical(config.predictor, job.plant, config.nx), config.guard or GuardTable()
+    guards = {
+        Contender(model): Guarded(networks.load(job, model, None, model), exact=exact, **dict(table))
+        for model in job.config.train.models
     }
-    table = config.guard or GuardTable()
-    guarded = {contender: Guarded(network, exact=exact, **dict(table)) for contender, network in bare.items()}
-    by_rollout, fallbacks = rollouts.errors(job, guarded, exact)
-    calls = {contender: _search(job, network) for contender, network in bare.items()}
+    by_rollout, fallbacks = rollouts.errors(job, guards, exact)
     with h5py.File(job.folder / "errors.h5", "w") as file:
         for contender, errors in by_rollout.items():
             file[contender.name] = errors
+    loops = _loops(job, exact, f"loops of {exact.name}")
+    with ThreadPoolExecutor(job.jobs) as pool:
+        searches = {contender: pool.submit(_search, job, guard.model) for contender, guard in guards.items()}
+        runs = {contender: pool.submit(_both, job, guard) for contender, guard in guards.items()}
+        calls = {contender: search.result() for contender, search in searches.items()}
+        both = {contender: run.result() for contender, run in runs.items()}
     _write_worst(job, calls)
-    loops = _loops(job, {NUMERICAL: exact})[NUMERICAL]
-    lost = _lost(job, loops)
-    models = {}
-    for contender, guard in guarded.items():
-        runs = _loops(job, {"bare": bare[contender], "guarded": guard})
-        models[contender] = Certificate(
+    models = {
+        contender: Certificate(
             **_rollouts(job, by_rollout[contender]),
             fallback_rollouts=fallbacks[contender],
             **_calls(guard, exact, *calls[contender]),
-            lost=int((_lost(job, runs["bare"]) & ~lost).sum()),
-            lost_guarded=int((_lost(job, runs["guarded"]) & ~lost).sum()),
-            peak=_peak(job, runs["bare"]) / _peak(job, loops),
-            peak_guarded=_peak(job, runs["guarded"]) / _peak(job, loops),
-            fallback=runs["guarded"].fallback_share,
+            **_behaviour(job, loops, *both[contender]),
         )
-    return Certified(
-        plant=job.plant.name, loops=job.config.certify_table.loops, lost_numerical=int(lost.sum()), models=models
-    )
+        for contender, guard in guards.items()
+    }
+    lost = int(_lost(job, loops).sum())
+    return Certified(plant=job.plant.name, loops=job.config.certify_table.loops, lost_numerical=lost, models=models)
 
 
 def summary(result: Certified, width: int | None = None) -> str:
@@ -119,20 +119,33 @@ def _calls(guard: Guarded, exact: Predictor, inputs: Calls, errors: np.ndarray) 
     }  # fmt: skip
 
 
-def _loops(job: Job, predictors: Mapping[Any, Predictor]) -> dict[Any, Trajectories]:
+def _both(job: Job, guard: Guarded) -> tuple[Trajectories, Trajectories]:
+    """The loops of the bare network, and those of the guarded one."""
+    return _loops(job, guard.model, f"loops of {guard.model.name}"), _loops(job, guard, f"loops of {guard.name}")
+
+
+def _loops(job: Job, predictor: Predictor, title: str) -> Trajectories:
     """Loops from fresh starts, delays and estimates as those of [generate], with the settings of [evaluate]."""
     config, number = job.config.evaluate, job.config.certify_table.loops
     pipeline = rollouts.fresh(job.config, job.config.certify_table, number)
     X0, D, D_hat, _ = sampling.starts(pipeline.seed, pipeline.generate, job.plant, range(number))
-    total = len(predictors) * number * (round(config.case_t_end / config.dt) + 1)
-    with job.progress.bar("loops", total, "steps") as bar:
-        return {
-            name: configured.loops(
-                job.plant, predictor, config, D=D, D_hat=D_hat, X0=X0, t_end=config.case_t_end,
-                seed=randomness.integer(pipeline.seed, "noise"), every=10, progress=bar.advance,
-            )
-            for name, predictor in predictors.items()
-        }  # fmt: skip
+    with job.progress.bar(title, number * (round(config.case_t_end / config.dt) + 1), "steps") as bar:
+        return configured.loops(
+            job.plant, predictor, config, D=D, D_hat=D_hat, X0=X0, t_end=config.case_t_end,
+            seed=randomness.integer(pipeline.seed, "noise"), every=EVERY, progress=bar.advance,
+        )  # fmt: skip
+
+
+def _behaviour(job: Job, loops: Trajectories, bare: Trajectories, guarded: Trajectories) -> dict[str, Any]:
+    """What a network's loops do beside those of the numerical predictor."""
+    kept = ~_lost(job, loops)
+    return {
+        "lost": int((_lost(job, bare) & kept).sum()),
+        "lost_guarded": int((_lost(job, guarded) & kept).sum()),
+        "peak": _peak(job, bare) / _peak(job, loops),
+        "peak_guarded": _peak(job, guarded) / _peak(job, loops),
+        "fallback": guarded.fallback_share,
+    }
 
 
 def _lost(job: Job, loops: Trajectories) -> np.ndarray:
