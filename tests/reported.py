@@ -6,7 +6,7 @@ from jobs import tables
 from silent import Silent
 
 from npred import config, toml_text
-from npred.pipeline import STAGES, Outcome, Planner, Runner, nodes
+from npred.pipeline import Outcome, Planner, Runner, nodes, usual
 from npred.store import Store
 
 MAP = {"map_D": [0.5, 1.0], "map_D_hat0": [0.8, 1.2, 2.0], "case_t_end": 4.0, "t_end": 3.0}
@@ -21,5 +21,5 @@ def run(folder: Path) -> tuple[Path, dict[str, Outcome]]:
     made = config.load(path)
     planner = Planner(made, Store(folder / "store"), "cpu")
     console: object = Silent()
-    outcomes = Runner(console, jobs=1).run(planner, nodes(made, STAGES))  # type: ignore[arg-type]
+    outcomes = Runner(console, jobs=1).run(planner, nodes(made, usual(made)))  # type: ignore[arg-type]
     return path, {outcome.node.name: outcome for outcome in outcomes}

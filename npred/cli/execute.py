@@ -9,7 +9,7 @@ from npred.cli.options import Running, Work
 from npred.cli.page import publish
 from npred.errors import ConfigError
 from npred.parallel import devices, executors
-from npred.pipeline import STAGES, Outcome, Planner, Runner, Step, nodes
+from npred.pipeline import STAGES, Outcome, Planner, Runner, Step, nodes, usual
 from npred.results import Benched, Evaluated, Reported
 from npred.store import short
 from npred.terminal.console import columns
@@ -17,8 +17,7 @@ from npred.terminal.console import columns
 
 def everything(options: Work) -> None:
     """Every stage; the answer is that of evaluate and of bench together, and for people how it all ends."""
-    targets = [name for name in STAGES if name == "report" or getattr(options.config, name) is not None]
-    _work(options, targets, ("evaluate", "bench"), closing=True)
+    _work(options, usual(options.config), ("evaluate", "bench"), closing=True)
 
 
 def stage(options: Work, stage_name: str, model: str | None = None, output: Path | None = None) -> None:

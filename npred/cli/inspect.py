@@ -8,7 +8,7 @@ from typing import Any
 from npred.cli.options import Common, Planned
 from npred.errors import ConfigError, StoreError, UnmetError
 from npred.json_files import escaped
-from npred.pipeline import STAGES, Step, nodes
+from npred.pipeline import STAGES, Step, nodes, usual
 from npred.pipeline.reasons import changes, differences, flat
 from npred.store import Artifact, short
 from npred.store.manifest import NAME
@@ -17,7 +17,7 @@ from npred.terminal.console import columns
 
 def status(options: Planned, check: bool) -> None:
     """The state of every node; `check` reads every file and raises UnmetError unless all is fresh."""
-    steps = options.planner().plan(nodes(options.config, STAGES))
+    steps = options.planner().plan(nodes(options.config, usual(options.config)))
     for step in steps if check else ():
         if step.artifact:
             step.artifact.verify()
@@ -31,7 +31,7 @@ def status(options: Planned, check: bool) -> None:
 
 def why(options: Planned, stage: str) -> None:
     """The reason of a stage or of a network. Raises ConfigError for another name."""
-    steps = options.planner().plan(nodes(options.config, STAGES))
+    steps = options.planner().plan(nodes(options.config, usual(options.config)))
     asked = [step for step in steps if stage in (step.node.stage, step.node.model)]
     if not asked:
         names = ", ".join(dict.fromkeys(name for s in steps for name in (s.node.stage, s.node.name)))

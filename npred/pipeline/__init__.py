@@ -4,7 +4,7 @@ from npred.pipeline.models import Stored, load_data, load_model
 from npred.pipeline.plan import Planner, Step
 from npred.pipeline.retention import Kept, closure
 from npred.pipeline.runner import CellRun, Runner
-from npred.pipeline.stage_registry import STAGES, Node, Stage, nodes
+from npred.pipeline.stage_registry import STAGES, Node, Stage, nodes, usual
 from npred.pipeline.task import Outcome
 
 __all__ = [
@@ -22,4 +22,5 @@ __all__ = [
     "load_data",
     "load_model",
     "nodes",
+    "usual",
 ]

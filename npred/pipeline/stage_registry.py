@@ -73,7 +73,7 @@ class Node:
 def nodes(config: Pipeline, targets: Iterable[str], only: str | None = None) -> list[Node]:
     """The targets with all that they need, each after its inputs; `only` keeps one network of the train stage.
 
-    A stage without a table of its own, as certify may be, is needed by no other.
+    No other stage needs certify where the pipeline has no table of it.
     """
     needed = set(targets)
     for name in reversed(STAGES):
@@ -81,6 +81,11 @@ def nodes(config: Pipeline, targets: Iterable[str], only: str | None = None) -> 
         needed.update(stage for stage in above if getattr(config, stage) is not None)
     networks = [only] if only else config.train.models
     return [node for name in STAGES if name in needed for node in _nodes(config, name, networks)]
+
+
+def usual(config: Pipeline) -> list[str]:
+    """The stages that `npred run` brings: certify where the pipeline has its table."""
+    return [name for name in STAGES if name != "certify" or config.certify is not None]
 
 
 def question(node: Node, config: Pipeline, device: str) -> dict[str, Any]:

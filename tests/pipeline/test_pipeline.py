@@ -10,7 +10,7 @@ import pytest
 
 from npred import config
 from npred.errors import ConfigError, StoreError
-from npred.pipeline import STAGES, Outcome, Planner, Runner, load_model, nodes
+from npred.pipeline import STAGES, Outcome, Planner, Runner, load_model, nodes, usual
 from npred.pipeline.stage_registry import question
 from npred.store import Store
 from npred.terminal.console import Console
@@ -28,9 +28,9 @@ def planner(pipeline: Path, *overrides: str, device: str = "cpu", force: tuple[s
 def run(fakes: Path, pipeline: Path) -> Run:
     """Run the pipeline file with overrides; all stages, unless told."""
 
-    def call(*overrides: str, targets: tuple[str, ...] = tuple(STAGES), only: str | None = None, **options: Any):
+    def call(*overrides: str, targets: tuple[str, ...] = (), only: str | None = None, **options: Any):
         plan = planner(pipeline, *overrides, **options)
-        return Runner(Console(quiet=True), jobs=1).run(plan, nodes(plan.config, targets, only))
+        return Runner(Console(quiet=True), jobs=1).run(plan, nodes(plan.config, targets or usual(plan.config), only))
 
     return call
 
@@ -45,7 +45,7 @@ def reasons(outcomes: list[Outcome]) -> dict[str, str]:
 
 def plan(pipeline: Path, *overrides: str) -> dict[str, str]:
     planned = planner(pipeline, *overrides)
-    return {step.node.name: step.reason for step in planned.plan(nodes(planned.config, STAGES))}
+    return {step.node.name: step.reason for step in planned.plan(nodes(planned.config, usual(planned.config)))}
 
 
 def bytes_of(root: Path) -> dict[str, tuple[bytes, int]]:
@@ -206,13 +206,13 @@ def test_a_stage_that_fails_leaves_its_checkpoint_and_nothing_else(run: Run, fak
 
 def test_where_it_runs_enters_the_key_of_bench_only(pipeline: Path):
     made = planner(pipeline).config
-    same = {n.name: question(n, made, "cpu") == question(n, made, "cuda") for n in nodes(made, STAGES)}
+    same = {n.name: question(n, made, "cpu") == question(n, made, "cuda") for n in nodes(made, usual(made))}
     assert same == {"generate": True, "deeponet": True, "fno": True, "evaluate": True, "bench": False, "report": True}
 
 
 def test_every_key_of_the_pipeline_file_enters_the_questions_that_it_should(pipeline: Path):
     made = planner(pipeline).config
-    asked = {node.name: question(node, made, "cpu") for node in nodes(made, STAGES)}
+    asked = {node.name: question(node, made, "cpu") for node in nodes(made, usual(made))}
     for section, names in {"generate": ["generate"], "evaluate": ["evaluate"], "bench": ["bench"]}.items():
         given = {"data", "adaptation", "u0", *config.ADDED}  # they enter where given, by what they mean
         keys = set(type(getattr(made, section)).model_fields) - given
@@ -237,7 +237,7 @@ def test_ranges_of_the_pipeline_enter_where_data_were_given_and_the_plant_has_no
 
     def asked(name: str, *more: str) -> dict[str, Any]:
         made = planner(pipeline, f"plant={tmp_path}/mover.py:Mover", *more).config
-        return next(question(node, made, "cpu") for node in nodes(made, STAGES) if node.name == name)
+        return next(question(node, made, "cpu") for node in nodes(made, usual(made)) if node.name == name)
 
     given = f"generate.data={tmp_path}/d.h5"
     for name in ("evaluate", "bench"):
@@ -256,14 +256,14 @@ def test_where_files_lie_enters_no_key(pipeline: Path, monkeypatch: pytest.Monke
     monkeypatch.chdir(folder)
     here, there = config.load(Path(pipeline.name)), config.load(pipeline)
     assert here != there
-    for node in nodes(here, STAGES):
+    for node in nodes(here, usual(here)):
         assert question(node, here, "cpu") == question(node, there, "cpu")
 
 
 def test_the_order_of_the_networks_does_not_matter(pipeline: Path):
     for order in itertools.permutations(["deeponet", "fno", "fno"]):
         made = planner(pipeline, f"train.models={list(order)}").config
-        assert [node.name for node in nodes(made, STAGES)] == list(ALL)
+        assert [node.name for node in nodes(made, usual(made))] == list(ALL)
 
 
 def test_a_bound_at_infinity_can_enter_a_key(run: Run):
@@ -336,11 +336,8 @@ def test_corrupt_weights_are_not_loaded(trained: dict[str, Path], pipeline: Path
 
 
 def test_labels_and_units_enter_the_keys_of_what_draws_them_and_no_other():
-    named = {
-        node.title
-        for node in nodes(config.parse({"plant": "cart_pole"}, "test"), STAGES)
-        if "notation" in question(node, config.parse({"plant": "cart_pole"}, "test"), "cpu")
-    }
+    cart = config.parse({"plant": "cart_pole"}, "test")
+    named = {node.title for node in nodes(cart, usual(cart)) if "notation" in question(node, cart, "cpu")}
     assert named == {"evaluate", "report"}
     plain = config.parse({"plant": "scalar"}, "test")
-    assert not any("notation" in question(node, plain, "cpu") for node in nodes(plain, STAGES))
+    assert not any("notation" in question(node, plain, "cpu") for node in nodes(plain, usual(plain)))

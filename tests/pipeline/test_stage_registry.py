@@ -1,7 +1,7 @@
 """What enters the question of a stage: keys of a loop past the paper's, and laws of files by what they hold."""
 
 from npred import config
-from npred.pipeline import STAGES, nodes
+from npred.pipeline import nodes, usual
 from npred.pipeline.stage_registry import question, sources
 
 LAW = """
@@ -15,7 +15,7 @@ class Own(DelayLaw):
 
 def evaluate_question(**tables):
     made = config.parse({"plant": "scalar"} | tables, "tests")
-    node = next(node for node in nodes(made, STAGES) if node.name == "evaluate")
+    node = next(node for node in nodes(made, usual(made)) if node.name == "evaluate")
     return question(node, made, "cpu")["evaluate"], sources(node, made)
 
 

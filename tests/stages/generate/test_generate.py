@@ -144,7 +144,7 @@ def test_the_data_of_the_paper_are_one_file_and_ten_million_samples_are_not():
 
 @given(st.integers(2, 5000), st.integers(1, 64))
 def test_batches_part_the_rollouts_at_whole_chunks(count, workers):
-    batches = generate._batches(config.Generate(rollouts=count, samples=count), workers)
+    batches = generate._ranges(config.Generate(rollouts=count, samples=count), workers)
     assert [r for batch in batches for r in batch] == list(range(count))
     assert all(batch.start % LANES == 0 and len(batch) <= generate.BATCH for batch in batches)
 
