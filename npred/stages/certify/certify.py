@@ -8,7 +8,7 @@ import h5py
 import numpy as np
 import torch
 
-from npred import randomness
+from npred import figures, randomness
 from npred.config import GuardTable
 from npred.data import shards
 from npred.loop import configured, metrics
@@ -35,7 +35,7 @@ def run(job: Job) -> Certified:
     """For each network: errors of fresh rollouts, the worst inputs of a search, and loops, with and without a guard.
 
     Writes errors.h5 (the largest error of U of each rollout, by network) and worst.h5 (X, u, D_hat and the error of the
-    KEPT worst calls, by network). The guard is that of [evaluate], or the default one.
+    KEPT worst calls, by network), and certified (.svg, .png). The guard is that of [evaluate], or the default one.
     """
     config = job.config.evaluate
     torch.set_num_threads(1)  # the same bits on any machine; another network takes the other cores
@@ -65,7 +65,11 @@ def run(job: Job) -> Certified:
         for contender, guard in guards.items()
     }
     lost = int(_lost(job, loops).sum())
-    return Certified(plant=job.plant.name, loops=job.config.certify_table.loops, lost_numerical=lost, models=models)
+    number = job.config.certify_table.loops
+    result = Certified(plant=job.plant.name, loops=number, lost_numerical=lost, models=models)
+    if plate := figures.certified(job.plant, result, by_rollout):
+        figures.write(plate, job.folder)
+    return result
 
 
 def summary(result: Certified, width: int | None = None) -> str:
