@@ -146,7 +146,7 @@ def test_the_controller_steps_as_the_loop_and_says_when_the_guard_answered():
         U = controller.step(run.samples.X[k], run.samples.u[k])
         np.testing.assert_allclose(U, run.U[k], atol=1e-3)
         assert controller.fallback == run.fallback[k]
-        assert (controller.error > 0.005) == controller.fallback
+        assert (controller.error > 0.0025) == controller.fallback
 
 
 def test_correction_takes_away_the_error_by_its_square():
