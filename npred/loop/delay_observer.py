@@ -14,102 +14,39 @@ Nothing is proven about this law; the nearest theory is that of multiple-model e
 
 import math
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
-from npred import array_checks
+from npred import array_checks, json_files
 from npred.delays import family
 from npred.delays.family import Kernel
 from npred.errors import ConfigError
+from npred.loop import delay_candidates
 from npred.loop.delay_law import DelayLaw
 from npred.plants.base import Plant
 from npred.predictors.heun import Heun
 from npred.symbolic import kernels, programs
 from npred.symbolic.trace import Trace
 
-NUMBERS = 9  # of the settings that stand before the candidates
-ROUNDING = 1e-12  # of a state's largest value: errors below it say nothing
-DIFFER = 4.0  # the worst candidate's cost over the best one's from which on the estimate moves …
-RISES = 4.0  # … and from which on the delay has changed, over the level of before and over the best candidate
-
-# Rows of the memory: x (K, n), d (K, m), the long and the short sums (K, n) each, their floor and the scale (n) each,
-# and the number of calls.
+# The decision of all plants, which each plant's kernel calls: with its text changes the kernel's.
+DECISION = f"from npred.loop.delay_candidates import *  # {json_files.sha256(Path(delay_candidates.__file__))}\n"
 OBSERVE = """\
     n, lanes = X.shape
-    rows, m = held.shape[0], held.shape[1]
+    rows, m, count = held.shape[0], held.shape[1], int(law[COUNT])
     {parameters}
-    count = int(law[0])
-    inject, push, forget, fade, patience = law[1], law[2], law[3], law[4], law[5]
-    low, high, share, h = law[6], law[7], law[8], dt
-    spacing = law[{thetas} + 1] - law[{thetas}]
-    x = memory[: count * n].reshape((count, n, lanes))
-    d = memory[count * n : count * (n + m)].reshape((count, m, lanes))
-    long = memory[count * (n + m) : count * (2 * n + m)].reshape((count, n, lanes))
-    short = memory[count * (2 * n + m) : count * (3 * n + m)].reshape((count, n, lanes))
-    floor = memory[count * (3 * n + m) : count * (3 * n + m) + n]
-    scale = memory[count * (3 * n + m) + n : count * (3 * n + m) + 2 * n]
-    calls = memory[count * (3 * n + m) + 2 * n]
-    if np.isnan(calls[0]):
-        memory[:] = 0.0
-        for i in range(count):
-            x[i] = X
-        scale[:] = np.abs(X)
-        floor[:] = 1.0
-        calls[:] = 1.0
+    if np.isnan(memory[0, 0]):
+        begin(X, memory, count, n, m)
         return
+    x, d, long, short, floor, scale, calls = parts(memory, count, n, m)
+    newest = (k - 1) % rows  # of the commands; rows before the first are counted from the last, as NumPy does
+    inject, push, forget, fade, h = law[INJECT], law[PUSH], law[FORGET], law[FADE], dt
     calls += 1.0
     t = t - h
     for i in range(count):
         for l in range(lanes):
             {candidate}
-    cost = np.empty(count)
-    for l in range(lanes):
-        here, near = 0, np.inf
-        for i in range(count):
-            if abs(law[{thetas} + i] - D_hat[l]) < near:
-                here, near = i, abs(law[{thetas} + i] - D_hat[l])
-        for c in range(n):
-            scale[c, l] = max(scale[c, l], abs(X[c, l]))
-            smallest = np.inf
-            for i in range(count):
-                smallest = min(smallest, long[i, c, l])
-            floor[c, l] = smallest + ({rounding} * scale[c, l]) ** 2 + 1e-300
-        own, best = np.inf, np.inf
-        for i in range(count):
-            q = 0.0
-            for c in range(n):
-                q += share * short[i, c, l] / floor[c, l]
-            best = min(best, q)
-            if abs(i - here) <= 1:
-                own = min(own, q)
-        if calls[l] > patience and own > {rises} * n and own > {rises} * best:
-            for c in range(n):
-                smallest = np.inf
-                for i in range(count):
-                    long[i, c, l] = short[i, c, l]
-                    smallest = min(smallest, short[i, c, l])
-                floor[c, l] = smallest + ({rounding} * scale[c, l]) ** 2 + 1e-300
-        k_best, least, most = 0, np.inf, 0.0
-        for i in range(count):
-            cost[i] = 0.0
-            for c in range(n):
-                cost[i] += long[i, c, l] / floor[c, l]
-            if cost[i] < least:
-                k_best, least = i, cost[i]
-            most = max(most, cost[i])
-        if most > {differ} * least:
-            tied = 1.0001 * least
-            estimate, near = D_hat[l], np.inf
-            if 0 < k_best < count - 1 and cost[k_best - 1] > tied and cost[k_best + 1] > tied:
-                a, b, c_ = cost[k_best - 1], cost[k_best], cost[k_best + 1]
-                estimate = law[{thetas} + k_best] + 0.5 * (a - c_) / (a - 2.0 * b + c_) * spacing
-            else:
-                for i in range(count):
-                    gap = abs(law[{thetas} + i] - D_hat[l])
-                    if cost[i] <= tied and gap < near:
-                        near = gap
-                        estimate = D_hat[l] if gap <= 0.5 * spacing else law[{thetas} + i]
-            D_hat[l] = min(max(estimate, low), high)
+    decide(X, long, short, floor, scale, calls, law, law[NUMBERS + count * m :], D_hat)
 """
 
 
@@ -162,9 +99,9 @@ class DelayObserver(DelayLaw):
         count, n, m = len(thetas), plant.n, plant.m
         forget, fade = math.exp(-dt / self.memory), math.exp(-dt / self.window)
         shifts = np.rint(thetas[:, None] * plant.ratios / dt).ravel()
-        settings = [count, 1 - math.exp(-self.L * dt), self.L * self.omega * dt, forget, fade, 2 * self.window / dt]
-        settings += [*self.bounds, (1 - fade) / (1 - forget), *shifts, *thetas]
-        return _kernel(plant), np.array(settings, dtype=float), count * (3 * n + m) + 2 * n + 1
+        follow = 1 - math.exp(-self.L * dt), self.L * self.omega * dt
+        settings = [count, *follow, forget, fade, (1 - fade) / (1 - forget), 2 * self.window / dt, *self.bounds]
+        return _kernel(plant), np.array([*settings, *shifts, *thetas], dtype=float), delay_candidates.size(count, n, m)
 
 
 def _kernel(plant: Plant) -> Kernel:
@@ -181,7 +118,7 @@ def _kernel(plant: Plant) -> Kernel:
     names = {f"x{c}": f"x[i, {c}, l]" for c in range(n)} | {f"X{c}": f"X[{c}, l]" for c in range(n)}
     names |= {f"w{c}": f"floor[{c}, l]" for c in range(n)}
     for c in range(m):
-        late = f"(k - 1 - int(law[{NUMBERS} + i * {m} + {c}])) % rows"
+        late = f"newest - int(law[NUMBERS + i * {m} + {c}])"
         names[f"v{c}"] = f"(held[{late}, {c}, l] + d[i, {c}, l])"
     targets = [f"{name}{c}" for name, size in (("y", n), ("e", n), ("g", m)) for c in range(size)]
     lines = programs.lines([*y, *e, *moves], names, targets)
@@ -189,7 +126,5 @@ def _kernel(plant: Plant) -> Kernel:
         lines += [f"long[i, {c}, l] = forget * long[i, {c}, l] + e{c} * e{c}"]
         lines += [f"short[i, {c}, l] = fade * short[i, {c}, l] + e{c} * e{c}", f"x[i, {c}, l] = y{c} + inject * e{c}"]
     lines += [f"d[i, {c}, l] += push * g{c}" for c in range(m)]
-    text = OBSERVE.replace("{thetas}", f"{NUMBERS} + count * {m}").replace("{rounding}", repr(ROUNDING))
-    text = text.replace("{rises}", repr(RISES)).replace("{differ}", repr(DIFFER))
-    source = kernels.fill(text, parameters=kernels.parameters(len(plant.p)), candidate=lines)
-    return family.build("observe", family.OBSERVE, source)
+    source = kernels.fill(OBSERVE, parameters=kernels.parameters(len(plant.p)), candidate=lines)
+    return family.build("observe", family.OBSERVE, source, DECISION)
