@@ -213,7 +213,7 @@ class _Simulation:
         idle, model, truth = family.idle, family_of(self.plant), family_of(self.truth)
         believe = model.horizon() or (engine.own_history if self.recalls else idle(family.HORIZON))
         horizon, pace = truth.horizon() or idle(family.HORIZON), truth.speed() or idle(family.SPEED)
-        estimate = sensing.observed(self.measurement.observer) if self.measurement.observer else sensing.estimate
+        estimate = sensing.estimator(self.measurement, self.plant.traced)
         predict = idle(family.PREDICT) if self.predictor is None else self.predictor.lanes()
         guard = getattr(self.predictor, "guard", None) or idle(family.GUARD)
         advance, expect = (engine.advance_kernel(plant, self.integrator) for plant in (self.truth, self.plant))

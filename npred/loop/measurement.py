@@ -178,6 +178,13 @@ def estimate(
         X_hat[:, l] = x[:, 0]
 
 
+def estimator(measurement: Measurement, traced: bool) -> Callable[..., None]:
+    """`estimate`, in Python where the model is not traced; or that of the measurement's observer."""
+    if measurement.observer is not None:
+        return observed(measurement.observer)
+    return estimate if traced else estimate.py_func
+
+
 def observed(observer: Observer) -> Callable[..., None]:
     """`estimate` by a user's observer, in Python. Raises ConfigError where it returns another shape."""
 
