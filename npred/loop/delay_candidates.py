@@ -6,13 +6,14 @@ K candidates, n states, m inputs, B loops. Of each candidate the squared errors 
 
 import numpy as np
 from numba import njit, types
+from numba.extending import register_jitable
 
 from npred.symbolic.compile_cache import jit
 from npred.symbolic.kernels import FASTMATH
 
 ROUNDING = 1e-12  # of a state's largest value: errors below it say nothing
-DIFFER = 4.0  # the worst candidate's cost over the best one's from which on the estimate moves …
-RISES = 4.0  # … and from which on the delay has changed, over the level of before and over the best candidate
+DIFFER = 4.0  # the worst candidate's cost over the best one's from which on the estimate moves
+RISES = 4.0  # the errors over their level, and over those of the best candidate, from which on the delay has changed
 TIED = 1.0001  # costs this close to the smallest are as good
 
 # The settings, `law`; behind them the delays of the candidates in control steps (K, m), and in seconds (K,).
@@ -22,32 +23,32 @@ COUNT, INJECT, PUSH, FORGET, FADE, SHARE, PATIENCE, LOW, HIGH = range(NUMBERS)
 FLAGS = {"error_model": "numpy", "fastmath": set(FASTMATH)}
 inlined = njit(**FLAGS)
 LANE, ROWS, SUMS = (types.Array(types.float64, axes, "C") for axes in (1, 2, 3))
-# X (n, B), long, short (K, n, B), floor, scale (n, B), calls (B,), law, thetas (K,) -> D_hat (B,)
-DECIDE = types.void(ROWS, SUMS, SUMS, ROWS, ROWS, LANE, LANE, LANE, LANE)
+# X (n, B), long, short (K, n, B), floor, level, scale (n, B), calls (B,), law, thetas (K,) -> D_hat (B,)
+DECIDE = types.void(ROWS, SUMS, SUMS, ROWS, ROWS, ROWS, LANE, LANE, LANE, LANE)
 
 
 def size(count: int, n: int, m: int) -> int:
     """The numbers that are remembered per loop."""
-    return count * (3 * n + m) + 2 * n + 1
+    return count * (3 * n + m) + 3 * n + 1
 
 
-@inlined
+@register_jitable
 def parts(memory: np.ndarray, count: int, n: int, m: int) -> tuple[np.ndarray, ...]:
-    """Of the memory (., B): x (K, n, B), d (K, m, B), long and short (K, n, B), floor and scale (n, B), calls (B,)."""
+    """Of the memory (., B): x (K, n, B), d (K, m, B), long, short (K, n, B), floor, level, scale (n, B), calls (B,)."""
     lanes, i = memory.shape[1], count * n
     j = i + count * m
     x, d = memory[:i].reshape((count, n, lanes)), memory[i:j].reshape((count, m, lanes))
     long = memory[j : j + i].reshape((count, n, lanes))
     short = memory[j + i : j + 2 * i].reshape((count, n, lanes))
     rest = memory[j + 2 * i :]
-    return x, d, long, short, rest[:n], rest[n : 2 * n], rest[2 * n]
+    return x, d, long, short, rest[:n], rest[n : 2 * n], rest[2 * n : 3 * n], rest[3 * n]
 
 
-@inlined
+@register_jitable
 def begin(X: np.ndarray, memory: np.ndarray, count: int, n: int, m: int) -> None:
     """Start every observer at X (n, B), without errors."""
     memory[:] = 0.0
-    x, _, _, _, floor, scale, calls = parts(memory, count, n, m)
+    x, _, _, _, floor, _, scale, calls = parts(memory, count, n, m)
     for i in range(count):
         x[i] = X
     floor[:] = 1.0
@@ -56,23 +57,22 @@ def begin(X: np.ndarray, memory: np.ndarray, count: int, n: int, m: int) -> None
 
 
 @inlined
-def weigh(sums: np.ndarray, scale: np.ndarray, l: int, floor: np.ndarray) -> None:
-    """The smallest sum of all candidates, by state: over it errors of different units and noise are compared."""
-    for c in range(len(floor)):
-        smallest = np.inf
-        for i in range(len(sums)):
-            smallest = min(smallest, sums[i, c, l])
-        floor[c, l] = smallest + (ROUNDING * scale[c, l]) ** 2 + 1e-300
+def smallest(sums: np.ndarray, scale: np.ndarray, c: int, l: int) -> float:
+    """The smallest sum of all candidates for state c: over it errors of different units and noise are compared."""
+    least = np.inf
+    for i in range(len(sums)):
+        least = min(least, sums[i, c, l])
+    return least + (ROUNDING * scale[c, l]) ** 2 + 1e-300
 
 
 @inlined
-def compare(sums: np.ndarray, floor: np.ndarray, l: int, cost: np.ndarray) -> tuple[int, float]:
-    """The cost (K,) of the candidates in loop l, their sums over the floor; the best candidate and the largest cost."""
+def compare(sums: np.ndarray, unit: np.ndarray, l: int, cost: np.ndarray) -> tuple[int, float]:
+    """The cost (K,) of the candidates in loop l, their sums over a unit; the best candidate and the largest cost."""
     best, least, most = 0, np.inf, 0.0
     for i in range(len(cost)):
         cost[i] = 0.0
-        for c in range(len(floor)):
-            cost[i] += sums[i, c, l] / floor[c, l]
+        for c in range(len(unit)):
+            cost[i] += sums[i, c, l] / unit[c, l]
         most = max(most, cost[i])
         if cost[i] < least:
             best, least = i, cost[i]
@@ -80,13 +80,22 @@ def compare(sums: np.ndarray, floor: np.ndarray, l: int, cost: np.ndarray) -> tu
 
 
 @inlined
-def changed(short: np.ndarray, floor: np.ndarray, share: float, k: int, l: int, cost: np.ndarray) -> bool:
-    """True if candidate k and its neighbours have become far worse than they were, and than the best one."""
-    best, _ = compare(short, floor, l, cost)
+def changed(
+    long: np.ndarray, short: np.ndarray, level: np.ndarray, share: float, k: int, l: int, cost: np.ndarray
+) -> bool:  # fmt: skip
+    """True if candidate k and its neighbours have become far worse than the level, and than the best candidate.
+
+    The window has to tell the candidates apart about as well as the memory does: how a disturbance moves a loop at rest
+    another delay may explain better, and that does not count against a transient.
+    """
+    best, window = compare(short, level, l, cost)
     nearest = np.inf
     for i in range(max(k - 1, 0), min(k + 2, len(cost))):
         nearest = min(nearest, cost[i])
-    return share * nearest > RISES * len(floor) and nearest > RISES * cost[best]
+    if not (nearest > RISES * len(level) and nearest > RISES * cost[best]):
+        return False
+    _, memory = compare(long, level, l, cost)
+    return DIFFER * share * window > memory
 
 
 @inlined
@@ -105,19 +114,28 @@ def estimate(cost: np.ndarray, best: int, thetas: np.ndarray, D_hat: float) -> f
 
 @jit(DECIDE, nogil=True, **FLAGS)
 def decide(
-    X: np.ndarray, long: np.ndarray, short: np.ndarray, floor: np.ndarray, scale: np.ndarray, calls: np.ndarray,
-    law: np.ndarray, thetas: np.ndarray, D_hat: np.ndarray,
+    X: np.ndarray, long: np.ndarray, short: np.ndarray, floor: np.ndarray, level: np.ndarray, scale: np.ndarray,
+    calls: np.ndarray, law: np.ndarray, thetas: np.ndarray, D_hat: np.ndarray,
 ) -> None:  # fmt: skip
-    """Move the estimates D_hat (B,) to the best candidates, where the candidates differ."""
-    spacing, cost = thetas[1] - thetas[0], np.empty(len(thetas))
+    """Move the estimates D_hat (B,) to the best candidates, where the candidates differ.
+
+    `floor` is the smallest of the long sums. `level` is the mean over the memory of the smallest short one, in which a
+    value counts RISES times the level at most: after a jump, before any candidate is right again, errors are large.
+    """
+    spacing, cost, rate = thetas[1] - thetas[0], np.empty(len(thetas)), 1.0 - law[FORGET]
     for l in range(len(D_hat)):
         for c in range(len(X)):
             scale[c, l] = max(scale[c, l], abs(X[c, l]))
-        weigh(long, scale, l, floor)
+            floor[c, l] = smallest(long, scale, c, l)
+            error = smallest(short, scale, c, l)
+            if calls[l] <= law[PATIENCE]:
+                level[c, l] = error
+            level[c, l] += rate * (min(error, RISES * level[c, l]) - level[c, l])
         k = min(max(round((D_hat[l] - thetas[0]) / spacing), 0), len(thetas) - 1)
-        if calls[l] > law[PATIENCE] and changed(short, floor, law[SHARE], k, l, cost):
+        if calls[l] > law[PATIENCE] and changed(long, short, level, law[SHARE], k, l, cost):
             long[:, :, l] = short[:, :, l]
-            weigh(long, scale, l, floor)
+            for c in range(len(X)):
+                floor[c, l] = smallest(long, scale, c, l)
         best, most = compare(long, floor, l, cost)
         if most > DIFFER * cost[best]:
             D_hat[l] = min(max(estimate(cost, best, thetas, D_hat[l]), law[LOW]), law[HIGH])

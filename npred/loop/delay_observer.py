@@ -5,8 +5,9 @@ Each candidate θ has an observer that is driven by the controller's own command
 where d absorbs a disturbance at the input. The candidate whose predictions have the smallest errors is the delay. Of
 each state the squares of these errors are summed with the forgetting times `memory` and `window`, and divided by the
 smallest such sum of all candidates, so that no unit and no noise level has to be given. The estimate moves only while
-the candidates differ: where the commands tell them nothing, it stays. An error of the present candidate that rises, in
-`window`, far above the level of `memory` means that the delay has changed: the long sums start again from the short.
+the candidates differ: where the commands tell them nothing, it stays. The delay has changed where, in `window`, the
+errors of the present candidate rise far above their level, above those of another, and the candidates differ as much as
+in `memory`: the long sums start again from the short (npred.loop.delay_candidates).
 
 Nothing is proven about this law; the nearest theory is that of multiple-model estimation with hysteresis switching
 [Morse, Mayne, Goodwin, IEEE TAC 37 (1992) 1343]. docs/delay_laws.md says what was measured.
@@ -23,8 +24,10 @@ from npred.delays import family
 from npred.delays.family import Kernel
 from npred.errors import ConfigError
 from npred.loop import delay_candidates
+from npred.loop.delay_candidates import COUNT, FADE, FORGET, INJECT, NUMBERS, PUSH, begin, decide, parts
 from npred.loop.delay_law import DelayLaw
 from npred.plants.base import Plant
+from npred.plants.black_box import difference
 from npred.predictors.heun import Heun
 from npred.symbolic import kernels, programs
 from npred.symbolic.trace import Trace
@@ -38,7 +41,7 @@ OBSERVE = """\
     if np.isnan(memory[0, 0]):
         begin(X, memory, count, n, m)
         return
-    x, d, long, short, floor, scale, calls = parts(memory, count, n, m)
+    x, d, long, short, floor, level, scale, calls = parts(memory, count, n, m)
     newest = (k - 1) % rows  # of the commands; rows before the first are counted from the last, as NumPy does
     inject, push, forget, fade, h = law[INJECT], law[PUSH], law[FORGET], law[FADE], dt
     calls += 1.0
@@ -46,7 +49,7 @@ OBSERVE = """\
     for i in range(count):
         for l in range(lanes):
             {candidate}
-    decide(X, long, short, floor, scale, calls, law, law[NUMBERS + count * m :], D_hat)
+    decide(X, long, short, floor, level, scale, calls, law, law[NUMBERS + count * m :], D_hat)
 """
 
 
@@ -80,14 +83,6 @@ class DelayObserver(DelayLaw):
         """It has none: the estimate comes from the commands, which `rate` does not see. Raises ConfigError."""
         raise ConfigError("adaptation DelayObserver: expected a loop that runs its observers, got a call of rate")
 
-    def check(self, plant: Plant) -> None:
-        """Raise ConfigError for a plant that is not traced."""
-        if not plant.traced:
-            raise ConfigError(
-                f"adaptation DelayObserver: expected a plant that is traced, {plant.name} says traced = False; "
-                "take DelayAdaptation"
-            )
-
     def thetas(self, dt: float) -> np.ndarray:
         """The candidates (K,), in seconds: whole control steps apart, from bound to bound."""
         low, high = (round(bound / dt) for bound in self.bounds)
@@ -101,11 +96,12 @@ class DelayObserver(DelayLaw):
         shifts = np.rint(thetas[:, None] * plant.ratios / dt).ravel()
         follow = 1 - math.exp(-self.L * dt), self.L * self.omega * dt
         settings = [count, *follow, forget, fade, (1 - fade) / (1 - forget), 2 * self.window / dt, *self.bounds]
-        return _kernel(plant), np.array([*settings, *shifts, *thetas], dtype=float), delay_candidates.size(count, n, m)
+        kernel = _traced(plant) if plant.traced else _called(plant)
+        return kernel, np.array([*settings, *shifts, *thetas], dtype=float), delay_candidates.size(count, n, m)
 
 
-def _kernel(plant: Plant) -> Kernel:
-    """OBSERVE of a plant: its candidates step by Heun's method with the input held."""
+def _traced(plant: Plant) -> Kernel:
+    """OBSERVE of a plant, compiled: its candidates step by Heun's method with the input held."""
     n, m, trace = plant.n, plant.m, Trace(plant)
     x, u, t, h = trace.vector("x", n), trace.vector("v", m), trace.input("t"), trace.input("h")
     y = Heun.step(trace.f, x, u, u, u, t, h)
@@ -128,3 +124,33 @@ def _kernel(plant: Plant) -> Kernel:
     lines += [f"d[i, {c}, l] += push * g{c}" for c in range(m)]
     source = kernels.fill(OBSERVE, parameters=kernels.parameters(len(plant.p)), candidate=lines)
     return family.build("observe", family.OBSERVE, source, DECISION)
+
+
+def _called(plant: Plant) -> Kernel:
+    """OBSERVE of a plant that is not traced: the same formulas on arrays, G by differences."""
+    n, m, units = plant.n, plant.m, np.eye(plant.m)
+
+    @np.errstate(all="ignore")
+    def observe(
+        k: int, dt: float, X: np.ndarray, held: np.ndarray, t: float, p: np.ndarray, law: np.ndarray,
+        memory: np.ndarray, D_hat: np.ndarray,
+    ) -> None:  # fmt: skip
+        count = int(law[COUNT])
+        if np.isnan(memory[0, 0]):
+            return begin(X, memory, count, n, m)
+        x, d, long, short, floor, level, scale, calls = parts(memory, count, n, m)
+        calls += 1.0
+        shifts = law[NUMBERS : NUMBERS + count * m].astype(int).reshape(count, m)
+        states, inputs = np.moveaxis(x, 1, -1), np.moveaxis(held[(k - 1 - shifts) % len(held), np.arange(m)] + d, 1, -1)
+        y = Heun.step(plant.f, states, inputs, inputs, inputs, t - dt, dt)
+        e, w = X.T - y, 1.0 / floor.T
+        G = [difference(lambda v: plant.f(states, v, t - dt), inputs, np.broadcast_to(v, inputs.shape)) for v in units]
+        power = sum((w * g * g).sum(axis=-1) for g in G) + 1e-300
+        for c, g in enumerate(G):
+            d[:, c] += law[PUSH] * (w * g * e).sum(axis=-1) / power
+        for sums, factor in ((long, law[FORGET]), (short, law[FADE])):
+            sums[:] = factor * sums + np.moveaxis(e * e, -1, 1)
+        x[:] = np.moveaxis(y + law[INJECT] * e, -1, 1)
+        return decide(X, long, short, floor, level, scale, calls, law, law[NUMBERS + count * m :], D_hat)
+
+    return observe

@@ -62,19 +62,19 @@ class BlackBox(Plant):
         by_time = dt * _rate(lambda at: self.f(X, u, at), t) if dt and not self.autonomous else 0.0
         if hasattr(self.declaration, "df"):
             return self._rows("df", self.n, t, X, u, last=v) + by_time
-        return _difference(lambda moved: self.f(moved, u, t), X, v) + by_time
+        return difference(lambda moved: self.f(moved, u, t), X, v) + by_time
 
     def dkappa(self, X: np.ndarray, t: Any, v: np.ndarray, dt: float = 0.0) -> np.ndarray:
         """kappa_X v + kappa_t dt, (..., m), likewise."""
         by_time = dt * _rate(lambda at: self.kappa(X, at), t) if dt and self._law_timed else 0.0
         if hasattr(self.declaration, "dkappa"):
             return self._rows("dkappa", self.m, t, X, last=v) + by_time
-        return _difference(lambda moved: self.kappa(moved, t), X, v) + by_time
+        return difference(lambda moved: self.kappa(moved, t), X, v) + by_time
 
     def jacobians(self, X: np.ndarray, u: np.ndarray, t: Any = 0.0) -> tuple[np.ndarray, np.ndarray]:
         X, u = np.asarray(X, dtype=float), np.asarray(u, dtype=float)
         by_X = [self.df(X, u, t, np.broadcast_to(unit, X.shape)) for unit in np.eye(self.n)]
-        by_u = [_difference(lambda at: self.f(X, at, t), u, np.broadcast_to(unit, u.shape)) for unit in np.eye(self.m)]
+        by_u = [difference(lambda at: self.f(X, at, t), u, np.broadcast_to(unit, u.shape)) for unit in np.eye(self.m)]
         return np.stack(by_X, axis=-1), np.stack(by_u, axis=-1)
 
     def kappa_jacobian(self, X: np.ndarray, t: Any = 0.0) -> np.ndarray:
@@ -183,7 +183,7 @@ def _batched(argument: Any) -> bool:
 
 
 @np.errstate(all="ignore")
-def _difference(function: Any, X: np.ndarray, v: np.ndarray) -> np.ndarray:
+def difference(function: Any, X: np.ndarray, v: np.ndarray) -> np.ndarray:
     """Central difference of the function of X (..., n) along v (..., n)."""
     length = np.linalg.norm(v, axis=-1, keepdims=True)
     h = STEP * (1.0 + np.linalg.norm(X, axis=-1, keepdims=True)) / np.where(length > 0, length, 1.0)

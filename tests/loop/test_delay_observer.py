@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
+from follower import Follower, follower
 
 import npred
 from npred.errors import ConfigError
+from npred.loop.delay_candidates import FADE, FORGET, HIGH, LOW, NUMBERS, PATIENCE, SHARE, decide
 from npred.loop.measurement import Measurement
 
 PLANT = npred.plant("activator_repressor")
@@ -77,6 +79,24 @@ def test_a_jump_is_found_where_the_commands_never_rest():
 
 
 @pytest.mark.parametrize(
+    "reality",
+    [
+        {"measurement": Measurement(noise=0.01)},
+        {"measurement": Measurement(noise=0.01, period=0.05)},
+        {"disturbance": lambda t: [0.05 * np.sin(0.7 * t)]},
+    ],
+    ids=["noise", "sampled", "disturbance"],
+)
+def test_such_a_jump_is_found_in_seconds_in_a_real_loop_too(reality):
+    plant = follower()
+    run = npred.simulate(
+        plant, npred.predictor("rk4", plant, nx=21), D=lambda t: 0.5 if t < 30 else 0.8, D_hat=[0.2, 1.0], X0=[0.1],
+        t_end=36.0, dt=0.01, adaptation=npred.DelayObserver(bounds=(0.05, 2.0)), actuator="history", **reality,
+    )  # fmt: skip
+    assert np.abs(run.D_hat[:, 1000:3000] - 0.5).max() < 0.02 and np.abs(run.D_hat[:, 3500:] - 0.8).max() < 0.02
+
+
+@pytest.mark.parametrize(
     ("name", "bounds", "D", "D_hat", "X0", "largest"),
     [
         ("chemostat", (0.8, 2.2), [1.0, 1.4, 1.6, 1.9], [1.2, 1.8], [2.0, 2.0], 0.01),
@@ -101,6 +121,48 @@ def test_the_map_keeps_every_cell():
     D, D_hat = np.meshgrid(np.linspace(0.25, 3.25, 13), np.linspace(0.25, 3.75, 9), indexing="ij")
     run = loops(D=D, D_hat=D_hat, t_end=100.0)
     assert (np.abs(run.X[..., -500:, :] - PLANT.equilibrium).max(axis=(-1, -2)) < 1e-6).all()
+
+
+class CalledFollower:
+    """The follower behind functions that are called, not traced."""
+
+    traced = False
+    states, inputs, parameters, box = Follower.states, Follower.inputs, Follower.parameters, Follower.box
+
+    def f(X, u, t, p):
+        return p.a * X + u
+
+    def kappa(X, t, p):
+        r, slope = p.A * np.sin(p.w * t), p.A * p.w * np.cos(p.w * t)
+        return (slope - p.a * X[:, 0] - p.c * (X[:, 0] - r))[:, None]
+
+    def V(X, t, p):
+        return (X[:, 0] - p.A * np.sin(p.w * t)) ** 2
+
+
+@pytest.mark.parametrize("measurement", [None, Measurement(noise=0.01, period=0.05, delay=0.02)])
+def test_a_plant_that_is_called_has_the_estimate_of_its_traced_twin(measurement):
+    runs = [
+        npred.simulate(
+            plant, npred.predictor("heun", plant, nx=5), D=0.5, D_hat=[0.2, 0.9], X0=[0.1], t_end=3.0, dt=0.01,
+            adaptation=npred.DelayObserver(bounds=(0.05, 1.0), candidates=20), actuator="history",
+            measurement=measurement,
+        )
+        for plant in (follower(), npred.plants.make("called", CalledFollower))
+    ]  # fmt: skip
+    assert np.abs(runs[0].D_hat[:, -1] - 0.5).max() < 0.02
+    np.testing.assert_allclose(runs[1].D_hat, runs[0].D_hat, rtol=1e-8)
+    np.testing.assert_allclose(runs[1].X, runs[0].X, rtol=1e-8, atol=1e-11)
+
+
+def test_a_candidate_that_left_the_finite_numbers_does_not_count():
+    """An observer driven by other commands than the plant may diverge."""
+    thetas, law = np.array([0.1, 0.2, 0.3, 0.4]), np.zeros(NUMBERS)
+    law[[FORGET, FADE, SHARE, PATIENCE, LOW, HIGH]] = 0.99, 0.9, 10.0, 5.0, 0.1, 0.4
+    sums = np.array([np.nan, 8.0, 1.0, 3.0])[:, None, None]
+    D_hat, ones = np.array([0.1]), np.ones((1, 1))
+    decide(ones, sums.copy(), sums / 10, ones.copy(), ones.copy(), ones.copy(), np.array([9.0]), law, thetas, D_hat)
+    assert D_hat[0] == pytest.approx(0.3 + 0.05 * 5 / 9)
 
 
 def test_candidates_are_whole_control_steps_apart_and_reach_the_bounds():
