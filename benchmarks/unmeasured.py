@@ -1,41 +1,229 @@
-"""What the laws make of an actuator that nobody measures: the paper's plant, 30 loops a row (about a minute)."""
+"""Delay laws where nobody measures the actuator: how many loops they keep, and how well they know the delay.
+
+    python benchmarks/unmeasured.py [loops] [map] [plants] [reality] [cost]
+
+One thread; all tables, the default, take about a minute. A loop is kept that ends within 1 % of the size of its target
+(over the last tenth), and in a real loop, where noise and disturbances remain, within a fifth of it. A jump of D is
+found once all estimates stay within 0.05 s.
+"""
+
+import argparse
+import time
+from typing import Any
 
 import numpy as np
 
 import npred
+from npred.loop import metrics
+from npred.terminal.console import columns
 
 PLANT = npred.plant("activator_repressor")
-RK4 = npred.predictor("rk4", PLANT, nx=101)
-DELAYS, STARTS = np.meshgrid([0.83, 1.0, 1.234, 1.37, 1.5], [0.3, 0.5, 1.0, 1.5, 2.0, 3.5], indexing="ij")
-BOUNDS = (0.1, 4.0)
-OFF = {name: value for name, value in PLANT.parameters.items() if name.startswith("K")}
+DELAYS, STARTS = [0.83, 1.0, 1.234, 1.37, 1.5], [0.3, 0.5, 1.0, 1.5, 2.0, 3.5]  # s
+BOUNDS, JUMP = (0.1, 4.0), 30.0  # s
 LAWS = {
-    "(12), u measured": (npred.DelayAdaptation(1000.0, 1.0, BOUNDS), "measured"),
-    "(12), own commands": (npred.DelayAdaptation(1000.0, 1.0, BOUNDS), "history"),
-    "L1, own commands": (npred.L1Adaptation(1.0, 1.0, BOUNDS), "history"),
-    "observers, own commands": (npred.DelayObserver(bounds=BOUNDS), "history"),
+    "(12), u measured": (npred.DelayAdaptation, 1000.0, "measured"),
+    "(12), own commands": (npred.DelayAdaptation, 1000.0, "history"),
+    "L1, own commands": (npred.L1Adaptation, 1.0, "history"),
+    "observers, own commands": (npred.DelayObserver, 1.0, "history"),
 }
+# Of other plants: D, D_hat(0), bounds (s), gamma of (12), X0.
+PLANTS = {
+    "chemostat": ([1.0, 1.4, 1.6, 1.9], [1.2, 1.8], (0.8, 2.2), 1.0, [2.0, 2.0]),
+    "scalar": ([0.3, 0.7, 1.0, 1.3], [0.2, 0.5, 1.5], (0.1, 2.0), 1.0, [1.0]),
+    "cart_pole": ([0.1, 0.15, 0.2, 0.25, 0.3], [0.05, 0.12, 0.2, 0.3, 0.4], (0.04, 0.5), 1.0, [0.1, 0.0, 0.1, 0.0]),
+    "planar_arm2": ([0.2, 0.3, 0.4, 0.5], [0.15, 0.25, 0.35, 0.5, 0.6], (0.1, 0.6), 0.5, [0.6, 0.7, 0.0, 0.0]),
+}
+HILL = {name: value for name, value in PLANT.parameters.items() if name.startswith("K")}
+NOISE_1 = {"measurement": npred.Measurement(noise=0.01)}
+NOISE_3 = {"measurement": npred.Measurement(noise=0.03)}
+SAMPLED = {"measurement": npred.Measurement(noise=0.01, period=0.05)}
+
+
+class Follower:
+    """x' = x / 2 + u along 0.3 sin(1.5 t): a plant whose commands never rest."""
+
+    states, inputs, box = ("x",), ("u",), {"x": (-1.0, 1.0)}
+
+    def f(x: Any, u: Any, t: Any, p: Any, M: Any) -> Any:
+        return [0.5 * x.x + u.u]
+
+    def kappa(x: Any, t: Any, p: Any, M: Any) -> Any:
+        return [0.45 * M.cos(1.5 * t) - 2.5 * x.x + 0.6 * M.sin(1.5 * t)]
+
+    def V(x: Any, t: Any, p: Any, M: Any) -> Any:
+        return (x.x - 0.3 * M.sin(1.5 * t)) ** 2
+
+    def reference(t: Any, p: Any, M: Any) -> Any:
+        return [0.3 * M.sin(1.5 * t)]
+
+
+def drift(t: float) -> float:
+    """1 s, and 0.3 s more and less over 60 s."""
+    return 1.0 + 0.3 * np.sin(2 * np.pi * t / 60)
+
+
+def jump(t: float) -> float:
+    """1 s, 1.5 s from 30 s on."""
+    return 1.0 if t < JUMP else 1.5
+
+
+def small_jump(t: float) -> float:
+    """1 s, 1.2 s from 30 s on."""
+    return 1.0 if t < JUMP else 1.2
+
+
+def wave(size: float) -> dict[str, Any]:
+    """A disturbance of the input, size sin(.7 t)."""
+    return {"disturbance": lambda t: [size * np.sin(0.7 * t)]}
+
+
+def off(factor: float) -> dict[str, Any]:
+    """The plant with other constants of Hill's functions than its model."""
+    return {"truth": npred.plant("activator_repressor", **{name: factor * value for name, value in HILL.items()})}
+
+
 REALITIES = {
-    "": {},
-    ", 3 % noise": {"measurement": npred.Measurement(noise=0.03)},
-    ", 1 % noise, sampled each 50 ms ± 15 ms": {"measurement": npred.Measurement(noise=0.01, period=0.05, jitter=0.3)},
-    ", plant 3 % off": {"truth": npred.plant("activator_repressor", **{k: 1.03 * v for k, v in OFF.items()})},
-    ", disturbance .002 sin(.7 t)": {"disturbance": lambda t: [0.002 * np.sin(0.7 * t)]},
+    "nothing else": {},
+    "3 % noise": NOISE_3,
+    "1 % noise each 50 ms ± 15 ms": {"measurement": npred.Measurement(noise=0.01, period=0.05, jitter=0.3)},
+    "plant 3 % above its model": off(1.03),
+    "plant 3 % below": off(0.97),
+    "disturbance .002 sin(.7 t)": wave(0.002),
+    "that disturbance, 300 s": {**wave(0.002), "t_end": 300.0},
+    "that disturbance, 600 s": {**wave(0.002), "t_end": 600.0},
+    "D ± .3 s over 60 s": {"D": drift},
+    "D ± .3 s, 1 % noise each 50 ms": {"D": drift, **SAMPLED},
+    "D jumps to 1.5 s": {"D": jump},
+    "D jumps, 1 % noise each 50 ms": {"D": jump, **SAMPLED},
+}
+TRACKING = {
+    "D jumps to 1.5 s": {"D": jump},
+    "D jumps, 1 % noise": {"D": jump, **NOISE_1},
+    "D jumps, 1 % noise each 50 ms": {"D": jump, **SAMPLED},
+    "D jumps, 3 % noise": {"D": jump, **NOISE_3},
+    "D jumps, disturbance .02 sin(.7 t)": {"D": jump, **wave(0.02)},
+    "D jumps to 1.2 s, 1 % noise": {"D": small_jump, **NOISE_1},
+    "D jumps to 1.2 s, 3 % noise": {"D": small_jump, **NOISE_3},
+    "D ± .3 s over 60 s": {"D": drift, "t_end": 120.0},
+    "D ± .3 s, 1 % noise": {"D": drift, "t_end": 120.0, **NOISE_1},
 }
 
 
-def row(name: str, law: npred.DelayLaw, actuator: str, reality: dict) -> str:
-    """A line of the table: lost loops, those whose state leaves the numbers or ends farther than 2 from rest."""
-    loops = npred.simulate(
-        PLANT, RK4, D=DELAYS, D_hat=STARTS, X0=[0.03, 30.0], t_end=60.0, dt=0.005, adaptation=law, actuator=actuator,
-        **reality,
-    )  # fmt: skip
-    radii = np.abs(loops.X[..., -1000:, :] - PLANT.equilibrium).max(axis=(-1, -2))
-    errors = np.abs(loops.D_hat[..., 2000:] - DELAYS[..., None]).max()
-    return f"| {name} | {(~(radii < 2)).sum()} | {radii.max():.1e} | {errors:.4f} s |"
+def kept(plant: npred.plants.Plant, loops: Any, share: float) -> np.ndarray:
+    """The loops that end within that share of the size of the target."""
+    target = plant.target(loops.t)
+    return metrics.radius(loops, target) <= share * metrics.size(target)
 
+
+def simulated(plant: npred.plants.Plant, law: str, D: Any, D_hat: Any, X0: Any, nx: int = 51, **settings: Any) -> Any:
+    """Loops of a law, each D with each D_hat(0)."""
+    kind, gamma, actuator = LAWS[law]
+    gamma, bounds = settings.pop("gamma", gamma), settings.pop("bounds", BOUNDS)
+    if not callable(D):
+        D, D_hat = np.meshgrid(D, D_hat, indexing="ij")
+    settings = {"t_end": 60.0, "dt": 0.005} | settings
+    return npred.simulate(
+        plant, npred.predictor("rk4", plant, nx), D=D, D_hat=D_hat, X0=X0, adaptation=kind(gamma, 1.0, bounds),
+        actuator=actuator, **settings,
+    )  # fmt: skip
+
+
+def loops_table() -> str:
+    """The laws on the paper's plant, 30 loops."""
+    rows = []
+    for law in LAWS:
+        run = simulated(PLANT, law, DELAYS, STARTS, [0.03, 30.0], nx=101)
+        radius = metrics.radius(run, PLANT.target(run.t)).max()
+        error = np.abs(run.D_hat[..., 2000:] - np.array(DELAYS)[:, None, None]).max()
+        rows.append([law, f"{(~kept(PLANT, run, metrics.SETTLED)).sum()}", f"{radius:.1e}", f"{error:.4f}"])
+    return columns(["paper's plant, 30 loops", "lost", "worst radius", "|D_hat - D| after 10 s"], rows)
+
+
+def map_table() -> str:
+    """The laws on the paper's plant, 13 delays by 9 first estimates, 100 s: a row of the map for each delay."""
+    delays, starts = np.linspace(0.25, 3.25, 13), np.linspace(0.25, 3.75, 9)
+    cells = {}
+    for law in LAWS:
+        run = simulated(PLANT, law, delays, starts, [0.03, 30.0], t_end=100.0, dt=0.01)
+        cells[law] = kept(PLANT, run, metrics.SETTLED)
+    rows = [[f"{D:.2f}", *(f"{cells[law][i].sum()}" for law in LAWS)] for i, D in enumerate(delays)]
+    total = ["all 117", *(f"{cells[law].sum()}" for law in LAWS)]
+    return columns(["kept of 9 D_hat(0), D", *LAWS], [*rows, total])
+
+
+def plants_table() -> str:
+    """(12) with u measured and the observers without, on other plants."""
+    rows = []
+    for name, (D, D_hat, bounds, gamma, X0) in PLANTS.items():
+        plant, few = npred.plant(name), ["(12), u measured", "observers, own commands"]
+        runs = [simulated(plant, law, D, D_hat, X0, gamma=gamma, bounds=bounds) for law in few]
+        measured, observed = (kept(plant, run, metrics.SETTLED) for run in runs)
+        error = np.abs(runs[1].D_hat[..., -1] - np.array(D)[:, None])[observed].max()
+        counts = measured.size, (~measured).sum(), (~observed).sum(), (measured & ~observed).sum()
+        rows.append([name, *(f"{count}" for count in counts), f"{error:.4f}"])
+    header = [
+        "plant",
+        "loops",
+        "lost by (12), u measured",
+        "by observers",
+        "by observers alone",
+        "|D_hat - D| at the end",
+    ]
+    return columns(header, rows)
+
+
+def reality_table(title: str, plant: npred.plants.Plant, X0: Any, realities: dict[str, Any]) -> str:
+    """The observers in real loops, 30 of each constant delay and first estimate, or 6 of a delay that changes."""
+    rows = []
+    for label, reality in realities.items():
+        settings = {"D": DELAYS} | reality
+        delay, law = settings["D"], "observers, own commands"
+        run = simulated(plant, law, D_hat=STARTS, X0=X0, u0="equilibrium" if plant.rests else [0.0], **settings)
+        true = np.array([delay(t) for t in run.t]) if callable(delay) else np.array(DELAYS)[:, None, None]
+        errors = np.abs(run.D_hat - true).reshape(-1, len(run.t)).max(axis=0)
+        late, radius = run.t >= run.t[-1] - 10, metrics.radius(run, plant.target(run.t)).max()
+        ends = f"{(~kept(plant, run, 0.2)).sum()}", f"{radius:.1e}", f"{errors[-1]:.4f}", f"{errors[late].max():.4f}"
+        rows.append([label, *ends, _seconds(run.t, errors) if delay in (jump, small_jump) else ""])
+    names = ["lost", "worst radius", "|D_hat - D| at the end", "over the last 10 s", "found after, s"]
+    return columns([title, *names], rows)
+
+
+def _seconds(t: np.ndarray, errors: np.ndarray) -> str:
+    """The seconds from the jump until all estimates stay within 0.05 s of D."""
+    inside = t[np.flatnonzero(errors > 0.05)[-1] + 1 :]
+    return f"{inside[0] - JUMP:.1f}" if len(inside) else "not"
+
+
+def cost_table() -> str:
+    """A control step of the paper's plant with the observers and with D_hat frozen, side by side, one loop."""
+    frozen, observers = None, npred.DelayObserver(bounds=BOUNDS)
+    rk4, times = npred.predictor("rk4", PLANT, 101), np.empty((15, 2))
+    for row in times:
+        for i, law in enumerate((frozen, observers)):
+            start = time.process_time()
+            run = npred.simulate(
+                PLANT, rk4, D=1.0, D_hat=1.5, X0=[0.03, 30.0], t_end=20.0, adaptation=law, actuator="history"
+            )  # fmt: skip
+            row[i] = (time.process_time() - start) / len(run.t) * 1e6
+    without, with_observers = np.median(times, axis=0)
+    added = np.median(np.diff(times, axis=1))
+    header = ["one loop, nx = 101", "D_hat frozen", f"{len(observers.thetas(0.005))} observers", "the observers' share"]
+    return columns(header, [["µs a control step", *(f"{value:.1f}" for value in (without, with_observers, added))]])
+
+
+def reality_tables() -> str:
+    """Both plants in real loops."""
+    follower = npred.plants.Plant("follower", Follower)
+    return "\n\n".join([
+        reality_table("paper's plant", PLANT, [0.03, 30.0], REALITIES),
+        reality_table("a plant that tracks", follower, [0.1], TRACKING),
+    ])  # fmt: skip
+
+
+TABLES = {"loops": loops_table, "map": map_table, "plants": plants_table, "reality": reality_tables, "cost": cost_table}
 
 if __name__ == "__main__":
-    for label, (law, actuator) in LAWS.items():
-        for reality, settings in (REALITIES if "observers" in label else {"": {}}).items():
-            print(row(label + reality, law, actuator, settings), flush=True)
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("tables", nargs="*", choices=[*TABLES, []], default=[])
+    for name in parser.parse_args().tables or TABLES:
+        print(TABLES[name]() + "\n", flush=True)

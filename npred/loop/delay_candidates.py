@@ -14,46 +14,48 @@ from npred.symbolic.kernels import FASTMATH
 ROUNDING = 1e-12  # of a state's largest value: errors below it say nothing
 DIFFER = 4.0  # the worst candidate's cost over the best one's from which on the estimate moves
 RISES = 4.0  # the errors over their level, and over those of the best candidate, from which on the delay has changed
+PACE = 2.0  # times what the window tells over what the memory tells is the pace of the memory, 1 at most
 TIED = 1.0001  # costs this close to the smallest are as good
 
 # The settings, `law`; behind them the delays of the candidates in control steps (K, m), and in seconds (K,).
 NUMBERS = 9
-COUNT, INJECT, PUSH, FORGET, FADE, SHARE, PATIENCE, LOW, HIGH = range(NUMBERS)
+COUNT, INJECT, PUSH, LEAK, FADE, SHARE, PATIENCE, LOW, HIGH = range(NUMBERS)
 
 FLAGS = {"error_model": "numpy", "fastmath": set(FASTMATH)}
 inlined = njit(**FLAGS)
 LANE, ROWS, SUMS = (types.Array(types.float64, axes, "C") for axes in (1, 2, 3))
-# X (n, B), long, short (K, n, B), floor, level, scale (n, B), calls (B,), law, thetas (K,) -> D_hat (B,)
-DECIDE = types.void(ROWS, SUMS, SUMS, ROWS, ROWS, ROWS, LANE, LANE, LANE, LANE)
+# X (n, B), long, short (K, n, B), floor, level, scale (n, B), calls, pace (B,), law, thetas (K,) -> D_hat (B,)
+DECIDE = types.void(ROWS, SUMS, SUMS, ROWS, ROWS, ROWS, LANE, LANE, LANE, LANE, LANE)
 
 
 def size(count: int, n: int, m: int) -> int:
     """The numbers that are remembered per loop."""
-    return count * (3 * n + m) + 3 * n + 1
+    return count * (3 * n + m) + 3 * n + 2
 
 
 @register_jitable
 def parts(memory: np.ndarray, count: int, n: int, m: int) -> tuple[np.ndarray, ...]:
-    """Of the memory (., B): x (K, n, B), d (K, m, B), long, short (K, n, B), floor, level, scale (n, B), calls (B,)."""
+    """Of a memory: x (K, n, B), d (K, m, B), long, short (K, n, B), floor, level, scale (n, B), calls, pace (B,)."""
     lanes, i = memory.shape[1], count * n
     j = i + count * m
     x, d = memory[:i].reshape((count, n, lanes)), memory[i:j].reshape((count, m, lanes))
     long = memory[j : j + i].reshape((count, n, lanes))
     short = memory[j + i : j + 2 * i].reshape((count, n, lanes))
     rest = memory[j + 2 * i :]
-    return x, d, long, short, rest[:n], rest[n : 2 * n], rest[2 * n : 3 * n], rest[3 * n]
+    return x, d, long, short, rest[:n], rest[n : 2 * n], rest[2 * n : 3 * n], rest[3 * n], rest[3 * n + 1]
 
 
 @register_jitable
 def begin(X: np.ndarray, memory: np.ndarray, count: int, n: int, m: int) -> None:
     """Start every observer at X (n, B), without errors."""
     memory[:] = 0.0
-    x, _, _, _, floor, _, scale, calls = parts(memory, count, n, m)
+    x, _, _, _, floor, _, scale, calls, pace = parts(memory, count, n, m)
     for i in range(count):
         x[i] = X
     floor[:] = 1.0
     scale[:] = np.abs(X)
     calls[:] = 1.0
+    pace[:] = 1.0
 
 
 @inlined
@@ -80,22 +82,12 @@ def compare(sums: np.ndarray, unit: np.ndarray, l: int, cost: np.ndarray) -> tup
 
 
 @inlined
-def changed(
-    long: np.ndarray, short: np.ndarray, level: np.ndarray, share: float, k: int, l: int, cost: np.ndarray
-) -> bool:  # fmt: skip
-    """True if candidate k and its neighbours have become far worse than the level, and than the best candidate.
-
-    The window has to tell the candidates apart about as well as the memory does: how a disturbance moves a loop at rest
-    another delay may explain better, and that does not count against a transient.
-    """
-    best, window = compare(short, level, l, cost)
-    nearest = np.inf
+def nearest(cost: np.ndarray, k: int) -> float:
+    """The smallest cost of candidate k and its neighbours."""
+    least = np.inf
     for i in range(max(k - 1, 0), min(k + 2, len(cost))):
-        nearest = min(nearest, cost[i])
-    if not (nearest > RISES * len(level) and nearest > RISES * cost[best]):
-        return False
-    _, memory = compare(long, level, l, cost)
-    return DIFFER * share * window > memory
+        least = min(least, cost[i])
+    return least
 
 
 @inlined
@@ -105,37 +97,54 @@ def estimate(cost: np.ndarray, best: int, thetas: np.ndarray, D_hat: float) -> f
     if 0 < best < len(cost) - 1 and cost[best - 1] > tied and cost[best + 1] > tied:
         a, b, c = cost[best - 1], cost[best], cost[best + 1]
         return thetas[best] + 0.5 * (a - c) / (a - 2.0 * b + c) * spacing
-    nearest = np.inf
+    theta = np.inf
     for i in range(len(cost)):
-        if cost[i] <= tied and abs(thetas[i] - D_hat) < abs(nearest - D_hat):
-            nearest = thetas[i]
-    return D_hat if abs(nearest - D_hat) <= 0.5 * spacing else nearest
+        if cost[i] <= tied and abs(thetas[i] - D_hat) < abs(theta - D_hat):
+            theta = thetas[i]
+    return D_hat if abs(theta - D_hat) <= 0.5 * spacing else theta
+
+
+@inlined
+def weigh(
+    X: np.ndarray, long: np.ndarray, short: np.ndarray, floor: np.ndarray, level: np.ndarray, scale: np.ndarray,
+    first: bool, leak: float, l: int,
+) -> None:  # fmt: skip
+    """The units of the costs of loop l, by state: `floor`, the smallest of the long sums, and `level`.
+
+    That is the mean over the memory of the smallest short sum, in which a value counts RISES times the level at most:
+    after a jump of the delay the errors of all candidates are large, before those of the right one are small again.
+    """
+    for c in range(len(X)):
+        scale[c, l] = max(scale[c, l], abs(X[c, l]))
+        floor[c, l], error = smallest(long, scale, c, l), smallest(short, scale, c, l)
+        if first:
+            level[c, l] = error
+        level[c, l] += leak * (min(error, RISES * level[c, l]) - level[c, l])
 
 
 @jit(DECIDE, nogil=True, **FLAGS)
 def decide(
     X: np.ndarray, long: np.ndarray, short: np.ndarray, floor: np.ndarray, level: np.ndarray, scale: np.ndarray,
-    calls: np.ndarray, law: np.ndarray, thetas: np.ndarray, D_hat: np.ndarray,
+    calls: np.ndarray, pace: np.ndarray, law: np.ndarray, thetas: np.ndarray, D_hat: np.ndarray,
 ) -> None:  # fmt: skip
     """Move the estimates D_hat (B,) to the best candidates, where the candidates differ.
 
-    `floor` is the smallest of the long sums. `level` is the mean over the memory of the smallest short one, in which a
-    value counts RISES times the level at most: after a jump, before any candidate is right again, errors are large.
+    What the errors tell is the largest cost. Where the window tells far less than the memory, the pace of the memory is
+    slow; and where it tells about as much, errors far above the level and above the best candidate's start it anew.
     """
-    spacing, cost, rate = thetas[1] - thetas[0], np.empty(len(thetas)), 1.0 - law[FORGET]
+    spacing, cost = thetas[1] - thetas[0], np.empty(len(thetas))
     for l in range(len(D_hat)):
-        for c in range(len(X)):
-            scale[c, l] = max(scale[c, l], abs(X[c, l]))
-            floor[c, l] = smallest(long, scale, c, l)
-            error = smallest(short, scale, c, l)
-            if calls[l] <= law[PATIENCE]:
-                level[c, l] = error
-            level[c, l] += rate * (min(error, RISES * level[c, l]) - level[c, l])
+        first = calls[l] <= law[PATIENCE]
+        weigh(X, long, short, floor, level, scale, first, law[LEAK], l)
         k = min(max(round((D_hat[l] - thetas[0]) / spacing), 0), len(thetas) - 1)
-        if calls[l] > law[PATIENCE] and changed(long, short, level, law[SHARE], k, l, cost):
+        best, window = compare(short, level, l, cost)
+        risen = nearest(cost, k) > RISES * max(cost[best], float(len(X)))
+        _, memory = compare(long, level, l, cost)
+        ratio = law[SHARE] * window / memory
+        pace[l] = PACE * ratio if PACE * ratio < 1.0 else 1.0  # and where neither tells anything
+        if risen and DIFFER * ratio > 1.0 and not first:
             long[:, :, l] = short[:, :, l]
-            for c in range(len(X)):
-                floor[c, l] = smallest(long, scale, c, l)
+            weigh(X, long, short, floor, level, scale, first, 0.0, l)
         best, most = compare(long, floor, l, cost)
         if most > DIFFER * cost[best]:
             D_hat[l] = min(max(estimate(cost, best, thetas, D_hat[l]), law[LOW]), law[HIGH])

@@ -5,9 +5,12 @@ Each candidate θ has an observer that is driven by the controller's own command
 where d absorbs a disturbance at the input. The candidate whose predictions have the smallest errors is the delay. Of
 each state the squares of these errors are summed with the forgetting times `memory` and `window`, and divided by the
 smallest such sum of all candidates, so that no unit and no noise level has to be given. The estimate moves only while
-the candidates differ: where the commands tell them nothing, it stays. The delay has changed where, in `window`, the
-errors of the present candidate rise far above their level, above those of another, and the candidates differ as much as
-in `memory`: the long sums start again from the short (npred.loop.delay_candidates).
+the candidates differ: where the commands tell them nothing, it stays. Two rules say what an old error is worth, by what
+the errors in the window tell, w, and those in the memory, W, each the largest cost of a candidate:
+    J' = r (e² - J / memory),   r = min(1, 2 w / W),
+so that little movements, of a disturbance at rest say, replace what a transient told only slowly; and where w is of the
+size of W, errors in the window far above their level, and far above those of another candidate, mean that the delay has
+changed: the memory starts again from the window. All that is in npred.loop.delay_candidates.
 
 Nothing is proven about this law; the nearest theory is that of multiple-model estimation with hysteresis switching
 [Morse, Mayne, Goodwin, IEEE TAC 37 (1992) 1343]. docs/delay_laws.md says what was measured.
@@ -24,7 +27,7 @@ from npred.delays import family
 from npred.delays.family import Kernel
 from npred.errors import ConfigError
 from npred.loop import delay_candidates
-from npred.loop.delay_candidates import COUNT, FADE, FORGET, INJECT, NUMBERS, PUSH, begin, decide, parts
+from npred.loop.delay_candidates import COUNT, FADE, INJECT, LEAK, NUMBERS, PUSH, begin, decide, parts
 from npred.loop.delay_law import DelayLaw
 from npred.plants.base import Plant
 from npred.plants.black_box import difference
@@ -41,15 +44,15 @@ OBSERVE = """\
     if np.isnan(memory[0, 0]):
         begin(X, memory, count, n, m)
         return
-    x, d, long, short, floor, level, scale, calls = parts(memory, count, n, m)
+    x, d, long, short, floor, level, scale, calls, pace = parts(memory, count, n, m)
     newest = (k - 1) % rows  # of the commands; rows before the first are counted from the last, as NumPy does
-    inject, push, forget, fade, h = law[INJECT], law[PUSH], law[FORGET], law[FADE], dt
+    inject, push, leak, fade, h = law[INJECT], law[PUSH], law[LEAK], law[FADE], dt
     calls += 1.0
     t = t - h
     for i in range(count):
         for l in range(lanes):
             {candidate}
-    decide(X, long, short, floor, level, scale, calls, law, law[NUMBERS + count * m :], D_hat)
+    decide(X, long, short, floor, level, scale, calls, pace, law, law[NUMBERS + count * m :], D_hat)
 """
 
 
@@ -66,7 +69,7 @@ class DelayObserver(DelayLaw):
     candidates: int = 80
     L: float = 3.0
     omega: float = 8.0
-    memory: float = 20.0
+    memory: float = 5.0
     window: float = 1.0
 
     def __post_init__(self) -> None:
@@ -92,10 +95,10 @@ class DelayObserver(DelayLaw):
     def observer(self, plant: Plant, dt: float) -> tuple[Kernel, np.ndarray, int]:
         thetas = self.thetas(dt)
         count, n, m = len(thetas), plant.n, plant.m
-        forget, fade = math.exp(-dt / self.memory), math.exp(-dt / self.window)
+        leak, fade = 1 - math.exp(-dt / self.memory), math.exp(-dt / self.window)
         shifts = np.rint(thetas[:, None] * plant.ratios / dt).ravel()
         follow = 1 - math.exp(-self.L * dt), self.L * self.omega * dt
-        settings = [count, *follow, forget, fade, (1 - fade) / (1 - forget), 2 * self.window / dt, *self.bounds]
+        settings = [count, *follow, leak, fade, (1 - fade) / leak, 2 * self.window / dt, *self.bounds]
         kernel = _traced(plant) if plant.traced else _called(plant)
         return kernel, np.array([*settings, *shifts, *thetas], dtype=float), delay_candidates.size(count, n, m)
 
@@ -119,7 +122,7 @@ def _traced(plant: Plant) -> Kernel:
     targets = [f"{name}{c}" for name, size in (("y", n), ("e", n), ("g", m)) for c in range(size)]
     lines = programs.lines([*y, *e, *moves], names, targets)
     for c in range(n):
-        lines += [f"long[i, {c}, l] = forget * long[i, {c}, l] + e{c} * e{c}"]
+        lines += [f"long[i, {c}, l] += pace[l] * (e{c} * e{c} - leak * long[i, {c}, l])"]
         lines += [f"short[i, {c}, l] = fade * short[i, {c}, l] + e{c} * e{c}", f"x[i, {c}, l] = y{c} + inject * e{c}"]
     lines += [f"d[i, {c}, l] += push * g{c}" for c in range(m)]
     source = kernels.fill(OBSERVE, parameters=kernels.parameters(len(plant.p)), candidate=lines)
@@ -138,7 +141,7 @@ def _called(plant: Plant) -> Kernel:
         count = int(law[COUNT])
         if np.isnan(memory[0, 0]):
             return begin(X, memory, count, n, m)
-        x, d, long, short, floor, level, scale, calls = parts(memory, count, n, m)
+        x, d, long, short, floor, level, scale, calls, pace = parts(memory, count, n, m)
         calls += 1.0
         shifts = law[NUMBERS : NUMBERS + count * m].astype(int).reshape(count, m)
         states, inputs = np.moveaxis(x, 1, -1), np.moveaxis(held[(k - 1 - shifts) % len(held), np.arange(m)] + d, 1, -1)
@@ -148,9 +151,10 @@ def _called(plant: Plant) -> Kernel:
         power = sum((w * g * g).sum(axis=-1) for g in G) + 1e-300
         for c, g in enumerate(G):
             d[:, c] += law[PUSH] * (w * g * e).sum(axis=-1) / power
-        for sums, factor in ((long, law[FORGET]), (short, law[FADE])):
-            sums[:] = factor * sums + np.moveaxis(e * e, -1, 1)
+        squares = np.moveaxis(e * e, -1, 1)
+        long += pace * (squares - law[LEAK] * long)
+        short[:] = law[FADE] * short + squares
         x[:] = np.moveaxis(y + law[INJECT] * e, -1, 1)
-        return decide(X, long, short, floor, level, scale, calls, law, law[NUMBERS + count * m :], D_hat)
+        return decide(X, long, short, floor, level, scale, calls, pace, law, law[NUMBERS + count * m :], D_hat)
 
     return observe

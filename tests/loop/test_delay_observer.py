@@ -6,7 +6,7 @@ from follower import Follower, follower
 
 import npred
 from npred.errors import ConfigError
-from npred.loop.delay_candidates import FADE, FORGET, HIGH, LOW, NUMBERS, PATIENCE, SHARE, decide
+from npred.loop.delay_candidates import FADE, HIGH, LEAK, LOW, NUMBERS, PATIENCE, SHARE, decide
 from npred.loop.measurement import Measurement
 
 PLANT = npred.plant("activator_repressor")
@@ -93,7 +93,7 @@ def test_such_a_jump_is_found_in_seconds_in_a_real_loop_too(reality):
         plant, npred.predictor("rk4", plant, nx=21), D=lambda t: 0.5 if t < 30 else 0.8, D_hat=[0.2, 1.0], X0=[0.1],
         t_end=36.0, dt=0.01, adaptation=npred.DelayObserver(bounds=(0.05, 2.0)), actuator="history", **reality,
     )  # fmt: skip
-    assert np.abs(run.D_hat[:, 1000:3000] - 0.5).max() < 0.02 and np.abs(run.D_hat[:, 3500:] - 0.8).max() < 0.02
+    assert np.abs(run.D_hat[:, 1000:3000] - 0.5).max() < 0.02 and np.abs(run.D_hat[:, 3500:] - 0.8).max() < 0.05
 
 
 @pytest.mark.parametrize(
@@ -155,13 +155,33 @@ def test_a_plant_that_is_called_has_the_estimate_of_its_traced_twin(measurement)
     np.testing.assert_allclose(runs[1].X, runs[0].X, rtol=1e-8, atol=1e-11)
 
 
+def test_a_loop_at_rest_keeps_its_estimate():
+    """No error, no level, and nothing to divide by; from 2 s on a push moves the loop, and the delay is found."""
+    settings = {"D": 0.5, "D_hat": 0.9, "X0": [0.0], "t_end": 6.0, "dt": 0.01, "actuator": "history"}
+    plant, law = npred.plant("scalar"), npred.DelayObserver(bounds=(0.05, 1.0))
+    run = npred.simulate(
+        plant,
+        npred.predictor("rk4", plant, nx=11),
+        adaptation=law,
+        disturbance=lambda t: [float(2 < t < 2.5)],
+        **settings,
+    )
+    assert (run.D_hat[:200] == 0.9).all() and abs(run.D_hat[-1] - 0.5) < 0.05
+
+
+def test_a_disturbance_at_rest_replaces_no_transient():
+    """In five minutes: it drives the commands, and such of another delay explain the state better than the right."""
+    run = loops(D=1.234, D_hat=STARTS[0], disturbance=lambda t: [0.002 * np.sin(0.7 * t)], t_end=300.0, every=10)
+    assert np.abs(run.D_hat[:, 100:] - 1.234).max() < 0.05
+
+
 def test_a_candidate_that_left_the_finite_numbers_does_not_count():
     """An observer driven by other commands than the plant may diverge."""
     thetas, law = np.array([0.1, 0.2, 0.3, 0.4]), np.zeros(NUMBERS)
-    law[[FORGET, FADE, SHARE, PATIENCE, LOW, HIGH]] = 0.99, 0.9, 10.0, 5.0, 0.1, 0.4
+    law[[LEAK, FADE, SHARE, PATIENCE, LOW, HIGH]] = 0.01, 0.9, 10.0, 5.0, 0.1, 0.4
     sums = np.array([np.nan, 8.0, 1.0, 3.0])[:, None, None]
-    D_hat, ones = np.array([0.1]), np.ones((1, 1))
-    decide(ones, sums.copy(), sums / 10, ones.copy(), ones.copy(), ones.copy(), np.array([9.0]), law, thetas, D_hat)
+    D_hat, pace, units = np.array([0.1]), np.ones(1), np.ones((4, 1, 1))
+    decide(units[0], sums.copy(), sums / 10, *units[1:], np.array([9.0]), pace, law, thetas, D_hat)
     assert D_hat[0] == pytest.approx(0.3 + 0.05 * 5 / 9)
 
 
