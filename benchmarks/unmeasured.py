@@ -104,6 +104,8 @@ TRACKING = {
     "D jumps, disturbance .02 sin(.7 t)": {"D": jump, **wave(0.02)},
     "D jumps to 1.2 s, 1 % noise": {"D": small_jump, **NOISE_1},
     "D jumps to 1.2 s, 3 % noise": {"D": small_jump, **NOISE_3},
+    "D jumps, 1 % noise, from x = 1": {"D": jump, "X0": [1.0], **NOISE_1},
+    "D jumps, 1 % noise, from x = 3": {"D": jump, "X0": [3.0], **NOISE_1},
     "D ± .3 s over 60 s": {"D": drift, "t_end": 120.0},
     "D ± .3 s, 1 % noise": {"D": drift, "t_end": 120.0, **NOISE_1},
 }
@@ -176,9 +178,9 @@ def reality_table(title: str, plant: npred.plants.Plant, X0: Any, realities: dic
     """The observers in real loops, 30 of each constant delay and first estimate, or 6 of a delay that changes."""
     rows = []
     for label, reality in realities.items():
-        settings = {"D": DELAYS} | reality
+        settings = {"D": DELAYS, "X0": X0} | reality
         delay, law = settings["D"], "observers, own commands"
-        run = simulated(plant, law, D_hat=STARTS, X0=X0, u0="equilibrium" if plant.rests else [0.0], **settings)
+        run = simulated(plant, law, D_hat=STARTS, u0="equilibrium" if plant.rests else [0.0], **settings)
         true = np.array([delay(t) for t in run.t]) if callable(delay) else np.array(DELAYS)[:, None, None]
         errors = np.abs(run.D_hat - true).reshape(-1, len(run.t)).max(axis=0)
         late, radius = run.t >= run.t[-1] - 10, metrics.radius(run, plant.target(run.t)).max()

@@ -8,9 +8,9 @@ smallest such sum of all candidates, so that no unit and no noise level has to b
 the candidates differ: where the commands tell them nothing, it stays. Two rules say what an old error is worth, by what
 the errors in the window tell, w, and those in the memory, W, each the largest cost of a candidate:
     J' = r (e² - J / memory),   r = min(1, 2 w / W),
-so that little movements, of a disturbance at rest say, replace what a transient told only slowly; and where w is of the
-size of W, errors in the window far above their level, and far above those of another candidate, mean that the delay has
-changed: the memory starts again from the window. All that is in npred.loop.delay_candidates.
+so that little movements, of a disturbance at rest say, replace the errors of a transient only slowly; and where w is of
+the size of W, errors in the window far above their level, and far above those of another candidate, mean that the delay
+has changed: the memory starts again from the window. All that is in npred.loop.delay_candidates.
 
 Nothing is proven about this law; the nearest theory is that of multiple-model estimation with hysteresis switching
 [Morse, Mayne, Goodwin, IEEE TAC 37 (1992) 1343]. docs/delay_laws.md says what was measured.
