@@ -99,11 +99,11 @@ class Guarded(Predictor):
     """`model`, with its error in U estimated in every call; `exact` answers where that may be above `tolerance`.
 
     `tolerance` is in units of U, the largest |kappa(P̂(1)) - kappa(P(1))| over the inputs that passes; the model
-    answers where twice the estimate is within it. The estimate is by a `shadow`, Heun's method on few nodes, or by the `defect`
-    P̂' - D_hat f(P̂, u), carried to x = 1 by the linearised equation; `auto` is the shadow, which takes fewer operations
-    per node. How few nodes follows from examples of the data, which trained models carry; other models are compared on
-    all nodes. Outside the data, as Domain has it, `exact` answers whatever the estimate is. With `correct`, the
-    defect's error is subtracted from P̂ first.
+    answers where twice the estimate is within it. The estimate is by a `shadow`, Heun's method on few nodes, or by the
+    `defect` P̂' - D_hat f(P̂, u), carried to x = 1 by the linearised equation; `auto` is the shadow, which takes fewer
+    operations per node. How few nodes follows from examples of the data, which trained models carry; other models are
+    compared on all nodes. Outside the data, as Domain has it, `exact` answers whatever the estimate is. With
+    `correct`, the defect's error is subtracted from P̂ first.
     Raises ConfigError for a tolerance that is not above 0, and for an estimate that the plant's family lacks.
     """
 
