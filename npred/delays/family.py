@@ -94,7 +94,8 @@ class Family(ABC):
 
     def refusal(self, part: str) -> tuple[str, str] | None:
         """The reason that a method, delay law, runtime or format does not serve the plant, and the cure; else None."""
-        if part in WITHOUT_TIME and self.plant.clocked:
+        sees_time = self.plant.phased if part == "fused" else self.plant.clocked
+        if part in WITHOUT_TIME and sees_time:
             return f"expected a prediction free of time, that of plant {self.plant.name} is not", WITHOUT_TIME[part]
         return (self.expected(), self.lacks[part]) if part in self.lacks else None
 

@@ -8,7 +8,7 @@ import numpy as np
 from npred import plants, predictors
 from npred.config import FROZEN, PAPER
 from npred.delays import family_of
-from npred.diagnosis.case import Case
+from npred.diagnosis.case import SPAN, Case
 from npred.diagnosis.equilibrium import SLIP
 from npred.diagnosis.lyapunov import undeclared
 from npred.errors import ConfigError
@@ -21,6 +21,8 @@ ABOUT_DELAY = (  # keys that a plant which declares its delay has no use for
     "adaptation", "gamma", "b", "bounds", "D", "D_hat0", "case_D_hat0", "map_D", "map_D_hat0", "explore", "redraw",
     "explore_D", "explore_D_hat0",
 )  # fmt: skip
+
+TIMES = 1001  # at which a delay by which networks tell the time is looked at
 
 
 def served(case: Case) -> None:
@@ -58,8 +60,13 @@ def declared_delay(case: Case) -> None:
 
 
 def clock(case: Case) -> None:
-    """A network sees the time as a phase, so f and kappa have to repeat: tried near the origin, at n times."""
+    """A network sees the time as a phase, so f and kappa have to repeat: tried near the origin, at n times.
+
+    Or it tells the time by the delay, which then has to rise or to fall for as long as loops run.
+    """
     plant = case.plant
+    if plant.clocked and not plant.phased:
+        _tells_time(case)
     if plant.phase(0.0) is None or plant.period is None:
         return
     X, t = np.eye(plant.n), np.linspace(0.0, plant.period, plant.n)
@@ -68,6 +75,16 @@ def clock(case: Case) -> None:
     if max(np.abs(gap).max() for gap in gaps) > SLIP:
         what = f"f and kappa expected to repeat after {plant.period:g} s"
         raise ConfigError(f"plant {plant.name}: {what}; set period to the time after which they do")
+
+
+def _tells_time(case: Case) -> None:
+    """Raise ConfigError where the delay D(t) comes back to a value within the time of the pipeline's loops."""
+    seconds = max([getattr(loop, "case_t_end", loop.t_end) for loop in case.loops.values()], default=SPAN)
+    delays = case.plant.delay(np.zeros((TIMES, case.plant.n)), np.linspace(0.0, seconds, TIMES))
+    steps = np.diff(delays)
+    if not ((steps > 0).all() or (steps < 0).all()):
+        what = f"expected a delay that only rises or only falls for {seconds:g} s, for networks tell the time by it"
+        raise ConfigError(f"{case.plant.location('delay')}: {what}; declare period, in seconds, after which it repeats")
 
 
 def declares_V(case: Case) -> None:

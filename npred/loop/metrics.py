@@ -12,6 +12,7 @@ from npred.plants.base import Plant
 SETTLED = 0.01  # of size(X*): inside this distance a loop counts as settled, and as converged when it ends there
 ORIGIN = 1e-9  # an equilibrium closer to the origin than this is the origin, found by a solver
 TAIL = 0.1  # of the horizon: the radius is the supremum over this last share
+NEWTON, STEP = 8, 1e-6  # steps of Newton's method, and the half width in seconds of its differences
 CELLS = 4000  # of the horizon, along which the gain of a plant that tracks is integrated
 
 
@@ -41,9 +42,26 @@ def errors(plant: Plant, P_hat: np.ndarray, P: np.ndarray, t: Any = 0.0, D_hat: 
 
 
 def law(plant: Plant, P: np.ndarray, t: Any, D_hat: Any) -> np.ndarray:
-    """U_j = kappa_j(P(r_j), t + r_j D_hat), (N, m), of P (N, nx, n); r_j = 1 for one delay. Cubic between nodes."""
+    """U_j = kappa_j(P(r_j), t + r_j D_hat), (N, m), of P (N, nx, n); r_j = 1 for one delay. Cubic between nodes.
+
+    Where the plant declares its delay, U = kappa(P(1), s) with s of `arrival`.
+    """
+    if plant.declares_delay:
+        return plant.kappa(P[:, -1], arrival(plant, P[:, -1], t, D_hat))
     U = [plant.kappa(grid.read(P, np.array([r]))[:, 0], t + r * D_hat)[:, j] for j, r in enumerate(plant.ratios)]
     return np.stack(U, axis=-1)
+
+
+def arrival(plant: Plant, X: np.ndarray, t: Any, D: Any) -> np.ndarray:
+    """The time s = t + D(X, s) at which the commands of t (N,) act, (N,), at states X (N, n), by Newton's method.
+
+    It starts at t + D (N,), and the derivative of D by time is a difference: its error costs steps, not digits.
+    """
+    s = np.broadcast_to(t + D, len(X))
+    for _ in range(NEWTON):
+        slope = (plant.delay(X, s + STEP) - plant.delay(X, s - STEP)) / (2 * STEP)
+        s = s - (s - t - plant.delay(X, s)) / (1 - slope)
+    return s
 
 
 def radius(loops: Trajectories, X_star: np.ndarray) -> np.ndarray:

@@ -47,7 +47,7 @@ def checked(config: Training, plant: Plant, scaling: Scaling) -> Operator:
 
 
 def _clock(plant: Plant) -> int:
-    return 2 if plant.clocked else 0
+    return 2 if plant.phased else 0
 
 
 def _rest(config: Training, plant: Plant) -> tuple[torch.Tensor, torch.Tensor]:

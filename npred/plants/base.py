@@ -232,12 +232,24 @@ class Plant:
         delay = [trace.delay(x, t)] if self.declares_delay else []
         return not self.autonomous or programs.depends([*trace.kappa(x, t)[self.ratios < 1], *delay], [t])
 
+    @cached_property
+    def phased(self) -> bool:
+        """True if a network sees the phase of the time: P depends on it, by more than a delay D(t) that tells the time.
+
+        Such a delay of time alone is an argument of P already; a plant that declares a period has its phase seen too.
+        """
+        if not (self.clocked and self.declares_delay and self.autonomous and self.period is None):
+            return self.clocked
+        trace = Trace(self)
+        x, t = trace.vector("x", self.n), trace.input("t")
+        return programs.depends([trace.delay(x, t)], [*x])
+
     def phase(self, t: Any) -> np.ndarray | None:
-        """t / period modulo 1, (...): all that P can know of the time. None where it knows nothing of it.
+        """t / period modulo 1, (...): what a network sees of the time. None where it sees nothing of it.
 
         Raises ConfigError for a prediction that depends on time without a period.
         """
-        if not self.clocked:
+        if not self.phased:
             return None
         if self.period is None:
             raise ConfigError(

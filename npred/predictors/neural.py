@@ -26,6 +26,6 @@ class Neural(Predictor):
     @torch.inference_mode()
     def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Any) -> np.ndarray:
         dtype = self.operator.X_rest.dtype
-        phase = (self.plant.phase(np.broadcast_to(t, len(X))),) if self.plant.clocked else ()
+        phase = (self.plant.phase(np.broadcast_to(t, len(X))),) if self.plant.phased else ()
         tensors = (torch.as_tensor(np.array(a, dtype=float)).to(self.device, dtype) for a in (X, u, D_hat, *phase))
         return self.operator(*tensors).numpy(force=True).astype(float)

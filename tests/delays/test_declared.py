@@ -1,42 +1,16 @@
-"""A delay that the plant declares: predictions against SciPy and closed forms, loops against the delay-free one."""
+"""A delay that the plant declares: predictions against SciPy and closed forms, and what loops make of them."""
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from varying_delays import InSpace, InTime, with_delay
 
 import npred
 from npred import plants
+from npred.delays import family_of
 from npred.errors import ConfigError
 from npred.plants import Plant
 from npred.predictors import RK4, Euler, Heun
-
-
-class Unicycle:
-    """Pomet's law for the unicycle, its commands late by the squared distance from the origin."""
-
-    states, inputs, period = ("x", "y", "theta"), ("omega", "v"), 2 * np.pi / 3
-
-    def f(x, u, t, p, M):
-        return [u.v * M.cos(x.theta), u.v * M.sin(x.theta), u.omega]
-
-    def kappa(x, t, p, M):
-        along = x.x * M.cos(x.theta) + x.y * M.sin(x.theta)
-        across = x.x * M.sin(x.theta) - x.y * M.cos(x.theta)
-        omega = -5 * along**2 * M.cos(3 * t) - along * across * (1 + 25 * M.cos(3 * t) ** 2) - x.theta
-        return [omega, -along + 5 * across * (M.sin(3 * t) - M.cos(3 * t)) + across * omega]
-
-    def reference(t, p, M):
-        return [0.0 * t, 0.0 * t, 0.0 * t]
-
-    def delay(x, t, p, M):
-        return x.x**2 + x.y**2
-
-
-class InTime(Unicycle):
-    """The same with D(t) = (1 + t) / (1 + 2 t), which falls from 1 s to 0.5 s."""
-
-    def delay(x, t, p, M):
-        return (1 + t) / (1 + 2 * t)
 
 
 class Decay:
@@ -57,42 +31,80 @@ class Decay:
         return 0.6 + 0.3 * M.tanh(x.x)
 
 
-UNICYCLE, IN_TIME, DECAY = Plant("unicycle_d", Unicycle), Plant("in_time", InTime), Plant("decay", Decay)
+class Clock:
+    """s' = 1 with D(t) = (1 + t) / (1 + 2 t): its prediction is the time at which the command acts."""
+
+    states, inputs = ("s",), ("u",)
+
+    def f(x, u, t, p, M):
+        return [1 + 0 * u.u]
+
+    def kappa(x, t, p, M):
+        return [0.0 * x.s]
+
+    def V(x, t, p, M):
+        return x.s**2
+
+    def delay(x, t, p, M):
+        return (1 + t) / (1 + 2 * t)
+
+
+UNICYCLE, IN_TIME = with_delay(lambda x, t, p, M: x.x**2 + x.y**2), plants.resolve("unicycle_time_delay")
+DECAY, CLOCK = Plant("decay", Decay), Plant("clock", Clock)
+CELLS = {Euler: (10, 10_000), Heun: (10, 10_000), RK4: (20, 1000)}  # beyond that RK4's error is one of rounding
 
 
 def commands(x):
     return np.stack([np.sin(2 * x + 0.3), 0.3 * np.cos(3 * x)], axis=-1)
 
 
-def predicted(X, t, delay, gradient, by_time):
+def predicted(robot, X, t):
     """P(1) and s(1) by SciPy: dP/dx = H g f, ds/dx = H g."""
 
     def slope(x, z):
-        u, (P, s) = commands(x), (z[:3], z[3])
-        f = np.array([u[1] * np.cos(P[2]), u[1] * np.sin(P[2]), u[0]])
-        return H / (1 - gradient(P) @ f - by_time(s)) * np.array([*f, 1.0])
+        velocity = robot.f(z[:3], commands(x))
+        return H / (1 - robot.rate(z[:3], z[3], velocity)) * np.array([*velocity, 1.0])
 
-    H = delay(X, t)
-    return solve_ivp(slope, (0, 1), [*X, t], rtol=1e-12, atol=1e-14).y[:, -1]
-
-
-CASES = {
-    "state": (UNICYCLE, lambda X, t: X[0] ** 2 + X[1] ** 2, lambda P: np.array([2 * P[0], 2 * P[1], 0]), lambda s: 0.0),
-    "time": (IN_TIME, lambda X, t: (1 + t) / (1 + 2 * t), lambda P: np.zeros(3), lambda s: -1 / (1 + 2 * s) ** 2),
-}
+    H = robot.D(X, t)
+    return solve_ivp(slope, (0, 1), [*X, t], "DOP853", rtol=1e-13, atol=1e-15).y[:, -1]
 
 
-@pytest.mark.parametrize("case", CASES)
-@pytest.mark.parametrize(("method", "order"), [(Euler, 1), (Heun, 2), (RK4, 4)])
-def test_each_method_keeps_its_order(case, method, order):
-    plant, delay, gradient, by_time = CASES[case]
+def order(method, errors_of):
+    """The fitted order of a method, `errors_of` it and a number of cells."""
+    cells = np.geomspace(*CELLS[method], 7).round().astype(int)
+    errors = [errors_of(method, n) for n in cells]
+    return -np.polyfit(np.log(cells), np.log(errors), 1)[0]
+
+
+@pytest.mark.parametrize(("plant", "robot"), [(UNICYCLE, InSpace), (IN_TIME, InTime)], ids=["state", "time"])
+@pytest.mark.parametrize("method", CELLS)
+def test_each_method_keeps_its_order(plant, robot, method):
     X, t = np.array([0.5, 0.4, 0.3]), 0.7
-    *P, s = predicted(X, t, delay, gradient, by_time)
-    assert s == pytest.approx(t + delay(P, s), abs=1e-10)  # s(1) is when the command acts
-    nodes = np.array([21, 41, 81, 161]) if order == 4 else np.array([41, 81, 161, 321])
-    runs = [method(plant, nx)(X, commands(np.linspace(0, 1, nx)), delay(X, t), t)[-1] for nx in nodes]
-    errors = np.abs(np.array(runs) - P).max(axis=1)
-    assert -np.polyfit(np.log(nodes - 1), np.log(errors), 1)[0] == pytest.approx(order, abs=0.15)
+    *P, s = predicted(robot, X, t)
+    assert s == pytest.approx(t + robot.D(P, s), abs=1e-10)  # s(1) is when the command acts
+
+    def error(method, n):
+        return np.abs(method(plant, n + 1)(X, commands(np.linspace(0, 1, n + 1)), robot.D(X, t), t)[-1] - P).max()
+
+    assert order(method, error) == pytest.approx(method.order, abs=0.1)
+
+
+@pytest.mark.parametrize("method", CELLS)
+def test_the_horizon_of_a_delay_in_time_is_that_in_closed_form(method):
+    """sigma(t) - t: 0.707107 s at 0, where D is 1 s, and 0.522681 s at 10 s."""
+
+    def error(method, n, t=0.0):
+        return abs(method(CLOCK, n + 1)([t], np.zeros((n + 1, 1)), InTime.D(None, t), t)[-1, 0] - InTime.sigma(t))
+
+    assert order(method, error) == pytest.approx(method.order, abs=0.05)
+    for t, horizon in ((0.0, 0.7071067811865476), (10.0, 0.5226805085936306)):
+        assert InTime.sigma(t) - t == pytest.approx(horizon, rel=1e-14)
+        assert error(RK4, 1000, t) < 1e-13
+
+
+def test_the_command_is_the_laws_at_the_time_when_it_acts():
+    loop = npred.simulate(IN_TIME, RK4(IN_TIME, 21), X0=[0.5, 0.5, 0.5], t_end=3.0, dt=0.01)
+    np.testing.assert_allclose(loop.U, IN_TIME.kappa(loop.P, InTime.sigma(loop.t)), rtol=1e-12, atol=1e-14)
 
 
 def test_the_closed_form_of_the_scalar_diagnostic():
@@ -113,32 +125,11 @@ def test_a_constant_through_the_general_formula_is_a_constant_to_the_bit():
     assert np.array_equal(loops.X, constant.X) and np.array_equal(loops.P, constant.P)
 
 
-def delay_free(X0, t0, times):
-    """The loop of kappa without a delay from X0 at t0, by SciPy."""
-
-    def slope(t, X):
-        return UNICYCLE.f(X, UNICYCLE.kappa(X, t), t)
-
-    return solve_ivp(slope, (t0, times[-1]), X0, t_eval=times, rtol=1e-11, atol=1e-13).y.T
-
-
-@pytest.mark.parametrize(
-    ("plant", "X0", "arrives"), [(UNICYCLE, (0.5, 0.5, 0.5), 0.5), (IN_TIME, (0.3, 0.2, 0.1), 0.7071)]
-)
-def test_from_the_first_command_on_the_loop_is_the_delay_free_one(plant, X0, arrives):
-    """It rests until its first command arrives; from there on the error falls with dt."""
-    if plant is IN_TIME:  # sigma(0) = D(sigma(0)): 2 s² = 1
-        arrives = np.sqrt(0.5)
-    times, errors = np.arange(1.0, 8.01, 0.5), []
-    steps = [0.02, 0.01, 0.005, 0.0025]
-    for dt in steps:
-        loop = npred.simulate(plant, RK4(plant, 101), X0=X0, t_end=8.0, dt=dt)
-        X = loop.X[np.rint(times / dt).astype(int)]
-        errors.append(np.abs(X - delay_free(X0, arrives, times)).max())
-        resting = loop.t < arrives - dt
-        assert np.array_equal(loop.X[resting], np.broadcast_to(X0, (resting.sum(), 3)))
-    assert np.polyfit(np.log(steps), np.log(errors), 1)[0] == pytest.approx(1.0, abs=0.25)
-    assert errors[2] < 6e-3
+@pytest.mark.parametrize(("plant", "first"), [(UNICYCLE, 0.5), (IN_TIME, np.sqrt(0.5))])
+def test_it_rests_until_its_first_command_arrives(plant, first):
+    loop = npred.simulate(plant, RK4(plant, 21), X0=[0.5, 0.5, 0.5], t_end=1.0, dt=0.01)
+    moved = np.abs(loop.X - 0.5).max(axis=1) > 0
+    assert loop.t[np.argmax(moved)] == pytest.approx(first, abs=0.02) and moved[np.argmax(moved) :].all()
 
 
 def test_the_first_command_from_the_published_start():
@@ -159,13 +150,23 @@ def test_commands_that_would_overtake_each_other_mark_the_loop_and_end_it():
 
 @pytest.mark.parametrize("given", [{"D": 1.0}, {"D_hat": 1.0}, {"adaptation": npred.DelayObserver()}])
 def test_a_declared_delay_takes_no_other(given):
-    with pytest.raises(ConfigError, match=r"expected none, for plant unicycle_d declares its delay; leave \w+ out"):
+    with pytest.raises(ConfigError, match=r"expected none, for plant late declares its delay; leave \w+ out"):
         npred.simulate(UNICYCLE, RK4(UNICYCLE), X0=[0.5, 0.5, 0.5], t_end=1.0, **given)
 
 
 def test_what_the_family_lacks_is_refused_with_the_cure():
     with pytest.raises(ConfigError, match=r"picard: expected a delay that is a number, .*; use rk4"):
         npred.predictor("picard", DECAY)
+
+
+@pytest.mark.parametrize("part", ["onnx", "export c"])
+def test_files_whose_command_is_the_laws_at_t_plus_D_are_refused(part):
+    """Where the law is free of time, or D a number, they hold; a fused network gives P alone."""
+    for plant in (UNICYCLE, IN_TIME):
+        with pytest.raises(ConfigError, match=rf"{part}: expected a law free of time, .* is read at s\(1\)"):
+            family_of(plant).needs(part)
+        family_of(plant).needs("fused")
+    family_of(plants.resolve("transport_tank")).needs(part)
 
 
 def test_the_delay_is_part_of_the_identity():

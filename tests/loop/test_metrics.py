@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from follower import Follower, follower
+from varying_delays import with_delay
 
 import npred
 from npred import plants
@@ -118,6 +119,15 @@ def test_errors_of_kappa_are_taken_at_the_time_of_the_prediction():
     plant = Plant("Scaled", type("Scaled", (Follower,), {"kappa": staticmethod(lambda x, t, p, M: [t * x.X])}))
     P = np.zeros((2, 3, 1))
     assert metrics.errors(plant, P + 0.5, P + 0.25, np.array([1.0, 3.0]))["eps_kappa"] == pytest.approx(0.75)
+
+
+@pytest.mark.parametrize("delay", [lambda x, t, p, M: x.x**2 + x.y**2, lambda x, t, p, M: (1 + t) / (1 + 2 * t)])
+def test_errors_of_kappa_are_taken_at_the_time_when_the_command_acts(delay):
+    """As the loop commands; t + D(X, t) is another time."""
+    plant = with_delay(delay)
+    loop = npred.simulate(plant, RK4(plant, 21), X0=[0.5, 0.4, 0.3], t_end=2.0, dt=0.01)
+    np.testing.assert_allclose(metrics.law(plant, loop.P[:, None], loop.t, loop.D_hat), loop.U, rtol=1e-10, atol=1e-12)
+    assert np.abs(plant.kappa(loop.P, loop.t + loop.D_hat) - loop.U).max() > 0.1
 
 
 def test_the_error_in_the_loop_compares_what_was_predicted_with_what_came():

@@ -16,7 +16,7 @@ from npred.predictors.neural import Neural
 from npred.runtimes import predictor
 from npred.training.training_loop import Rows
 
-UNICYCLE = plants.resolve("unicycle")
+UNICYCLE, IN_TIME = plants.resolve("unicycle"), plants.resolve("unicycle_time_delay")
 NETWORKS = pytest.mark.parametrize("config", EVERY, ids=lambda config: config.architecture)
 
 
@@ -134,6 +134,29 @@ def test_without_a_period_no_network_can_serve_it():
     with pytest.raises(ConfigError, match="Driven: f and kappa expected to repeat after 3 s; set period"):
         pipeline_fit.clock(Case(driven(period=3.0), 0.5, 21, 8))
     pipeline_fit.clock(Case(driven(period=np.pi), 0.5, 21, 8))
+
+
+@NETWORKS
+def test_a_delay_of_time_alone_tells_a_network_the_time(config):
+    """The same without a phase, and equal to the prediction's own dependence: t is where D(t) = D_hat."""
+    assert IN_TIME.clocked and not IN_TIME.phased and IN_TIME.phase(1.0) is None
+    run = Neural(IN_TIME, build(config, IN_TIME, Scaling(3, 2)), 21)
+    X, u, D_hat = inputs()
+    np.testing.assert_array_equal(run(X, u, D_hat, 0.0), run(X, u, D_hat, 5.0))
+    with_period = Plant("late", type("Late", (IN_TIME.declaration,), {"period": 1.0}))
+    assert with_period.phased and with_period.phase(1.25) == 0.25
+    by_state = Plant("late", type("Late", (IN_TIME.declaration,), {"delay": lambda x, t, p, M: 1 / (1 + t) + x.x**2}))
+    assert by_state.phased  # and without a period no network can serve it
+
+
+def test_a_delay_that_comes_back_to_a_value_does_not_tell_the_time():
+    def late(x, t, p, M):
+        return 1 + 0.5 * M.sin(t)
+
+    pipeline_fit.clock(Case(IN_TIME, 1.0, 21, 8))
+    plant = Plant("late", type("Late", (IN_TIME.declaration,), {"delay": late}))
+    with pytest.raises(ConfigError, match=r"expected a delay that only rises or only falls for 100 s.*declare period"):
+        pipeline_fit.clock(Case(plant, 1.0, 21, 8))
 
 
 @pytest.mark.parametrize("period", [0.0, -1.0, "often"])

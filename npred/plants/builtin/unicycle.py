@@ -47,3 +47,24 @@ class Unicycle:
     def V(x: Any, t: Any, p: Any, M: Any) -> Any:
         """The squared distance from the origin."""
         return x.x**2 + x.y**2 + x.theta**2
+
+
+class UnicycleTimeDelay(Unicycle):
+    """The unicycle with both commands late by D(t) = (1 + a t) / (1 + b t): 1 s at first, then less, towards a / b.
+
+    The command of time t acts at sigma(t), the solution of s = t + D(s),
+        sigma(t) = (a + b t - 1 + sqrt((a + b t - 1)² + 4 b (1 + t))) / (2 b),
+    0.71 s after t = 0, and soon 0.5 s later. The example of Bekiaris-Liberis and Krstic (doi:10.1115/1.4005278).
+    The prediction depends on the time by D(t) alone, which tells it; so no period is declared.
+    """
+
+    parameters = {"a": 1.0, "b": 2.0}
+    delays = period = None
+
+    @staticmethod
+    def delay(x: Any, t: Any, p: Any, M: Any) -> Any:
+        """D(t), in seconds."""
+        return (1 + p.a * t) / (1 + p.b * t)
+
+
+PLANTS = {"unicycle": Unicycle, "unicycle_time_delay": UnicycleTimeDelay}

@@ -202,7 +202,7 @@ def _resident(entry: Candidate, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray)
     import torch
 
     operator: Any = getattr(entry.run, "operator")  # noqa: B009 - a network's predictor has one
-    phase = (np.zeros(len(X)),) if entry.run.plant.clocked else ()
+    phase = (np.zeros(len(X)),) if entry.run.plant.phased else ()
     tensors = [torch.as_tensor(np.array(a), dtype=torch.float32, device=entry.device) for a in (X, u, D_hat, *phase)]
 
     @torch.inference_mode()
