@@ -216,7 +216,7 @@ def _errors(
 def _warn(job: Job, covered: Mapping[str, Coverage]) -> None:
     for quantity, cover in covered.items():
         cure = (
-            "widen generate's box" if job.plant.declares_delay
+            "widen generate's box or lengthen its t_end" if job.plant.declares_delay
             else "widen generate's D_hat0 or narrow bounds" if quantity == "D_hat"
             else "widen generate's box, D or D_hat0"
         )  # fmt: skip

@@ -33,8 +33,7 @@ def table(result: Evaluated, width: int | None = None, microseconds: Mapping[Con
 
 def details(result: Evaluated, width: int | None = None) -> str:
     """All numbers of each predictor, in a table wider than most screens."""
-    guarded = any(scores.fallback is not None for scores in result.models.values())
-    rows = [_all(contender, scores, list(result.kinds)[1:], guarded) for contender, scores in result.models.items()]
+    rows = [_all(contender, scores, result) for contender, scores in result.models.items()]
     table = columns(list(rows[0]), [list(row.values()) for row in rows], width)
     return "\n\n".join([_title(result), table, *_scenarios(result, width)])
 
@@ -65,8 +64,8 @@ def _cells(scores: Scores) -> list[str]:
     return ["–" if scores.eps_sup == 0 else short(scores.eps_sup), short(scores.radius.worst), converged]
 
 
-def _all(contender: Contender, scores: Scores, kinds: list[str], guarded: bool) -> dict[str, str]:
-    radius, end = scores.radius, scores.figure1
+def _all(contender: Contender, scores: Scores, result: Evaluated) -> dict[str, str]:
+    radius, end, kinds = scores.radius, scores.figure1, list(result.kinds)[1:]
     cells = {"predictor": contender.label} | {head: _cell(getattr(scores, key)) for head, key in ERRORS.items()}
     cells |= {f"{kind}: ε sup": _cell(scores.kinds[kind].eps_sup) for kind in kinds}
     cells |= {f"fresh: {head}": _cell(getattr(scores.fresh, key)) for head, key in ERRORS.items() if head != "ε κ"}
@@ -74,9 +73,10 @@ def _all(contender: Contender, scores: Scores, kinds: list[str], guarded: bool) 
     cells |= {head: _cell(getattr(radius, key)) for head, key in RADII.items()}
     cells |= {"converged": f"{radius.converged:.0%}"}
     cells |= {"settles": "" if scores.settle_ratio is None else f"{scores.settle_ratio:.2f} ×"}
+    guarded = any(each.fallback is not None for each in result.models.values())
     cells |= {"fallback": _share(scores.fallback)} if guarded else {}
     cells |= {"map": f"{scores.map.share:.0%}" if scores.map else "", "Fig. 1": _cell(end.radius)}
-    return cells | {"D̂": _cell(end.D_hat_end, ".3f")}
+    return cells | {"D̂" if result.in_loop.D is not None else "D": _cell(end.D_hat_end, ".3f")}
 
 
 def _share(value: float | None) -> str:

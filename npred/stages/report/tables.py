@@ -48,15 +48,17 @@ def kinds(evaluated: Evaluated) -> Table:
 def loops(evaluated: Evaluated) -> Table:
     """Convergence, radius and end of the closed loops of each contender."""
     exact, rows = evaluated.models[NUMERICAL], list(evaluated.models.values())
+    mapped = [Column(f"map, of {_kept(exact, exact)}", [_kept(scores, exact) for scores in rows], "d")]
+    D, acts = ("D", "σ(t)") if evaluated.in_loop.D is None else ("D̂", "t + D")  # a declared delay is no estimate
     columns = [
         Column("predictor", [contender.label for contender in evaluated.models]),
         *_columns([scores.radius for scores in rows], {"median": "radius, median", "worst": "worst"}),
         Column(f"converged of {exact.radius.cases}", [scores.radius.count for scores in rows], "d"),
         Column("settles ×", [scores.settle_ratio for scores in rows], ".2f"),
-        Column(f"map, of {_kept(exact, exact) or 0}", [_kept(scores, exact) for scores in rows], "d"),
+        *(mapped if exact.map else []),
         Column("radius, loop shown", [scores.figure1.radius for scores in rows], digits=2),
-        Column("D̂ at its end", [scores.figure1.D_hat_end for scores in rows], ".3f"),
-        Column("sup |P(1, t) − X(t + D)|", [scores.in_loop for scores in rows], digits=2),
+        Column(f"{D} at its end", [scores.figure1.D_hat_end for scores in rows], ".3f"),
+        Column(f"sup |P(1, t) − X({acts})|", [scores.in_loop for scores in rows], digits=2),
         *_fallback(rows),
     ]
     return Table("loops", "Closed loops", [column for column in columns if any(v is not None for v in column.values)])
@@ -68,13 +70,14 @@ def scenarios(plant: Plant, evaluated: Evaluated) -> Table | None:
     if not rows:
         return None
     does = [row[2] for row in rows]
+    error = {} if plant.declares_delay else {"D_error": timed(plant, "|D̂ − D|")}
     columns = [
         Column("scenario", [scenario.name for scenario, _, _ in rows]),
         Column("predictor", [label for _, label, _ in rows]),
         *_columns([each.radius for each in does], {"median": "radius, median", "worst": "worst"}),
         Column(f"converged of {does[0].radius.cases}", [each.radius.count for each in does], "d"),
         *_columns(does, {"lost": "lost"}, "d"),
-        *_columns(does, {"settle_time": timed(plant, "settles after"), "D_error": timed(plant, "|D̂ − D|")}),
+        *_columns(does, {"settle_time": timed(plant, "settles after")} | error),
         *_fallback(does),
     ]
     return Table("scenarios", "The cases under other conditions", columns)
