@@ -204,7 +204,8 @@ class Guarded(Predictor):
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
         """P (B, nx, n), the estimate (B,) and whether `exact` answered (B,), of P_hat (B, nx, n)."""
         P, error, fallback = np.array(P_hat, dtype=float), np.empty(len(X)), np.empty(len(X))
-        times = np.broadcast_to(t, len(X)) if self.plant.clocked else np.zeros(len(X))
+        reads_time = self.plant.clocked or not self.plant.rests  # the prediction, or the law that the guard compares by
+        times = np.broadcast_to(t, len(X)) if reads_time else np.zeros(len(X))
         for moment in np.unique(times):  # a call of the kernel has one time
             rows = np.flatnonzero(times == moment)
             lanes = [np.array(np.moveaxis(a[rows], 0, -1), order="C") for a in (X, u, D_hat, P, error, fallback)]
@@ -238,12 +239,12 @@ def kernel(plant: Plant, by: str, exact: Predictor) -> Kernel:
     used = {"control": model.control(Heun.step), "exact": exact.lanes()}
     used["reference"] = model.correction() if by == "defect" else model.sweep(Heun.step)
     call = "reference(R, X, v, D_hat, t, p, Q)" if by == "defect" else "reference(X, v, D_hat, t, p, Q)"
-    size = plant.n + 1 + MOMENTS * plant.m + (2 if plant.clocked else 0)
+    size = plant.n + 1 + MOMENTS * plant.m + (2 if plant.phased else 0)
     ends = np.cumsum([5, plant.n, size, size * size]).tolist()
     spans = zip(("bend", "mean", "whiten", "weights"), ends, [*ends[1:], ""], strict=True)
     names = [f"{name} = guard[{begin}:{end}]" for name, begin, end in spans] + [f"feature = np.empty({size})"]
     angle = f"2.0 * np.pi * t / {plant.period!r}"
-    phase = [f"feature[{size - 2}], feature[{size - 1}] = np.cos({angle}), np.sin({angle})"] if plant.clocked else []
+    phase = [f"feature[{size - 2}], feature[{size - 1}] = np.cos({angle}), np.sin({angle})"] if plant.phased else []
     distance = kernels.fill(DISTANCE.format(moments=MOMENTS, phase="{phase}"), phase=phase).splitlines()
     source = kernels.fill(GUARD, names=[*names, f"size = {size}"], reference=[call], distance=distance)
     if not plant.traced:

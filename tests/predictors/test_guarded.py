@@ -6,6 +6,7 @@ from follower import follower
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
+from varying_delays import with_delay
 
 import npred
 from npred import grid
@@ -190,6 +191,36 @@ def test_outside_the_data_numerics_answer_although_the_estimate_is_small():
     apart = guarded.fallback(X[:1], u[:1], np.array([0.4 if D_hat[0] > 1 else 1.9]))  # both occur, never together
     assert apart.all() and guarded.error(X[:1], u[:1], D_hat[:1]) < 0.05
     assert guarded.fallback(X[:1] * 3, u[:1], D_hat[:1]).all()
+
+
+@pytest.mark.parametrize(
+    "plant", [with_delay(lambda x, t, p, M: 0.3 + x.x**2 + 0 * x.y), npred.plant("unicycle_time_delay")]
+)
+def test_the_law_is_read_at_the_time_of_each_row(plant):
+    """Whether the prediction depends on the time, or the law alone."""
+    t, D = np.array([0.0, 0.7, 2.0]), 0.39
+    X, u = np.full((3, plant.n), 0.3), np.full((3, NX, plant.m), 0.2)
+    guarded = npred.guarded(Wrong(plant, error=0.05))
+    U, exact = (metrics.law(plant, p(X, u, D, t), t, D) for p in (guarded.model, guarded.exact))
+    true = np.abs(U - exact).max(axis=1)
+    np.testing.assert_allclose(guarded.error(X, u, D, t), true, rtol=0.05)
+    assert np.ptp(true) > 0.2 * true.max()
+
+
+def test_a_delay_that_tells_the_time_is_a_feature_of_the_domain_and_its_phase_is_none():
+    plant, t = npred.plant("unicycle_time_delay"), np.linspace(0.0, 8.0, 200)
+    rng = np.random.default_rng(4)
+    X, u, D = (
+        rng.uniform(-1, 1, (200, 3)),
+        np.ones((200, NX, 2)) * rng.uniform(-1, 1, (200, 1, 2)),
+        (1 + t) / (1 + 2 * t),
+    )
+    parts = [type("Rows", (), {"X": X, "u": u, "D_hat": D, "t": t})()]
+    model = npred.predictor("heun", plant, NX)
+    model.operator = type("Operator", (), {"domain": Domain.of_parts(lambda: parts, np.ones(3), plant.phase)})()
+    guarded = Guarded(model, 1.0)
+    assert not guarded.fallback(X, u, D, t).any()
+    assert guarded.fallback(X, u, D + 0.6, t).all()
 
 
 def test_a_domain_is_read_back_as_it_was_saved(tmp_path):
