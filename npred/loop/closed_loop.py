@@ -102,7 +102,7 @@ def simulate(
             loop.run(X0[c], D[c], D_hat[c], held[c], sample_steps[c], delays[:, c], c.start, count) for c in chunks
         ]
     joined = engine.Record(*(np.concatenate(parts, axis=-1) for parts in zip(*records, strict=True)))
-    return of_record(joined, shape, dt * every, round(t_end / dt) + 1, plant)
+    return of_record(joined, shape, dt * every, round(t_end / dt) + 1, plant, truth or plant)
 
 
 def _declared(plant: Plant, X0: np.ndarray) -> np.ndarray:

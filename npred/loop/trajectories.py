@@ -109,7 +109,9 @@ class Trajectories:
         return replace(parts[0], samples=samples, **join(parts, LOOPS))
 
 
-def of_record(r: engine.Record, shape: tuple[int, ...], step: float, steps: int, plant: Plant) -> Trajectories:
+def of_record(
+    r: engine.Record, shape: tuple[int, ...], step: float, steps: int, plant: Plant, truth: Plant
+) -> Trajectories:
     """The loops of a batch of that shape, of so many control steps; `step` seconds lie between two kept states."""
 
     def lead(a: np.ndarray) -> np.ndarray:
@@ -121,13 +123,16 @@ def of_record(r: engine.Record, shape: tuple[int, ...], step: float, steps: int,
     times = np.arange(len(r.X)) * step
     return Trajectories(
         t=times, samples=samples, states=plant.states, inputs=plant.inputs, time_unit=plant.time_unit,
-        labels=plant.labels, units=plant.units, margin=lead(margins(plant, r)),
+        labels=plant.labels, units=plant.units, margin=lead(np.fmin(margins(plant, r), margins(truth, r))),
         breach=lead(r.breach[: plant.n]), steps=steps, **series,
     )  # fmt: skip
 
 
 def margins(plant: Plant, r: engine.Record) -> np.ndarray:
-    """1 - D_X f - D_t where a loop was marked as infeasible, (B,); NaN in the others."""
+    """1 - D_X f - D_t of that plant where a loop was marked as infeasible, (B,); NaN in the others.
+
+    A loop is marked by the prediction of its model or by the simulated plant: the lower of both is the reason.
+    """
     speed, margin = family_of(plant).speed(), np.full((1, len(r.infeasible)), np.nan)
     for l in np.flatnonzero(r.infeasible >= 0):
         assert speed is not None  # no other loop is marked

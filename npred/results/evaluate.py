@@ -121,6 +121,7 @@ class Behaviour(Result):
     #: loops that leave the finite numbers, whose commands would overtake each other, or that end further away than a
     #: fifth of the distance that radii are measured against
     lost: int
+    overtaking: int = 0  #: those of them whose commands would overtake each other
     #: the largest |D̂ − D| over the last tenth and the cases, in seconds; `null` where there is no estimate
     D_error: float | None
     #: share of the steps in which the numerical predictor answered; `null` without a guard

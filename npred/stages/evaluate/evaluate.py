@@ -12,7 +12,6 @@ from npred.data import shards
 from npred.data.dataset import Dataset
 from npred.loop import configured, metrics
 from npred.loop.closed_loop import Trajectories
-from npred.loop.trajectory_views import infeasible
 from npred.plants import Plant
 from npred.predictors import Predictor, numerical
 from npred.predictors.guarded import Guarded, bare
@@ -27,6 +26,7 @@ from npred.stages.evaluate import (
     held_out_kinds,
     in_loop,
     networks,
+    overtaking,
     scenarios,
     summary_tables,
 )
@@ -72,7 +72,7 @@ def run(job: Job) -> Evaluated:
     bounds = (0.0, np.inf) if job.plant.declares_delay else config.bounds
     covered = coverage.measure(job.plant, data, {c: loops[c] for c in bare_networks}, bounds)
     _warn(job, covered)
-    _warn_of_overtaking(job, loops)
+    overtaking.warn(job, {contender: overtaking.ended(run) for contender, run in loops.items()})
     _warn_of_fallbacks(job, models)
     _record(job, data, loops)
     result = Evaluated(
@@ -227,15 +227,6 @@ def _warn(job: Job, covered: Mapping[str, Coverage]) -> None:
                     f"{contender.name}: {share:.1%} of the loops' steps have {quantity} outside the data's "
                     f"[{low:.3g}, {high:.3g}]; {cure}"
                 )
-
-
-def _warn_of_overtaking(job: Job, loops: Mapping[Contender, Trajectories]) -> None:
-    """One warning of the loops that ended since the plant's delay shrank faster than time passes."""
-    counts = {c: int((run.infeasible >= 0).sum()) for c, run in loops.items()}
-    if first := next((contender for contender, count in counts.items() if count), None):
-        where = " ".join(infeasible(loops[first]) or ())
-        each = ", ".join(f"{count} of {c.label}" for c, count in counts.items() if count)
-        job.progress.warn(f"loops in which commands would overtake each other count as lost: {each}; {where}")
 
 
 def _warn_of_fallbacks(job: Job, models: Mapping[Contender, Scores]) -> None:

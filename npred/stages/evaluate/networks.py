@@ -21,6 +21,6 @@ def load(job: Job, model: str, snapshot: int | None, name: str) -> Predictor:
     operator = operators.load(job.inputs[model], job.plant, snapshot, torch.float64, job.config.train.table(model))
     if not lowering(operator) and snapshot is None:
         job.progress.note(f"evaluate: {model} is evaluated by torch, for it has no fused form")
-    if job.device == "cpu" and not job.plant.clocked and lowering(operator):
+    if job.device == "cpu" and not job.plant.phased and lowering(operator):
         return Fused(job.plant, operator, job.config.evaluate.nx, name, precision=np.float64)
     return Neural(job.plant, operator, job.config.evaluate.nx, job.device, name)

@@ -15,14 +15,19 @@ from npred.predictors import Predictor
 from npred.results import Contender
 from npred.results.evaluate import Behaviour, Conditions, Radii
 from npred.stages import Job
+from npred.stages.evaluate import overtaking
 from npred.stages.evaluate.initial_conditions import starts
+from npred.stages.evaluate.overtaking import Ended
 
 EVERY = 10  # control steps between two kept states
 LOST = 0.2  # of the size of the target: a loop that ends further away is lost
 
 
 def run(job: Job, predictors: Mapping[Contender, Predictor]) -> list[Conditions]:
-    """Each scenario with the numerical predictor and the final weights of each network: the same starts and noise."""
+    """Each scenario with the numerical predictor and the final weights of each network: the same starts and noise.
+
+    Warns of loops that ended since commands would overtake each other.
+    """
     config = job.config.evaluate
     compared = {c: predictor for c, predictor in predictors.items() if c.adapts and c.epoch is None}
     tables = [(scenario, conditions(job.plant, config, scenario)) for scenario in config.scenarios]
@@ -33,14 +38,16 @@ def run(job: Job, predictors: Mapping[Contender, Predictor]) -> list[Conditions]
                 {c: pool.submit(_behaviour, job, scenario, table, p, bar.advance) for c, p in compared.items()}
                 for scenario, table in tables
             ]
-            behaviours = [{c: task.result() for c, task in by_name.items()} for by_name in tasks]
+            results = [{c: task.result() for c, task in by_name.items()} for by_name in tasks]
         except BaseException:
             job.progress.stop()
             pool.shutdown(wait=False, cancel_futures=True)
             raise
-    return [
-        Conditions(name=scenario.name, models=models) for (scenario, _), models in zip(tables, behaviours, strict=True)
-    ]
+    for scenario, by_name in zip(config.scenarios, results, strict=True):
+        overtaking.warn(job, {c: ended for c, (_, ended) in by_name.items()}, scenario.name)
+    behaviours = [{c: does for c, (does, _) in by_name.items()} for by_name in results]
+    pairs = zip(config.scenarios, behaviours, strict=True)
+    return [Conditions(name=scenario.name, models=models) for scenario, models in pairs]
 
 
 def conditions(plant: Plant, config: Evaluate, scenario: Scenario) -> Evaluate:
@@ -70,14 +77,14 @@ def _steps(job: Job, table: Evaluate) -> int:
 
 def _behaviour(
     job: Job, scenario: Scenario, table: Evaluate, predictor: Predictor, progress: Callable[[int], None]
-) -> Behaviour:
+) -> tuple[Behaviour, Ended]:
     plant, D = job.plant, delay(table, scenario)
     begin = starts(job.config.model_copy(update={"evaluate": table}), plant)
     loops = configured.loops(
         plant, predictor, table, D=D, D_hat=begin.D_hat0[begin.cases], X0=begin.X0[begin.cases],
         t_end=table.case_t_end, seed=randomness.integer(job.config.seed, "scenarios"), every=EVERY, progress=progress,
     )  # fmt: skip
-    return behaviour(plant, loops, D, predictor.guard is not None)
+    return behaviour(plant, loops, D, predictor.guard is not None), overtaking.ended(loops)
 
 
 def behaviour(
@@ -93,6 +100,7 @@ def behaviour(
         ),
         settle_time=np.median(times),
         lost=int((~(radii <= LOST * metrics.size(target))).sum()),
+        overtaking=overtaking.ended(loops).count,
         D_error=None if plant.declares_delay else _error(loops, D),
         fallback=loops.fallback_share if guarded else None,
     )  # fmt: skip

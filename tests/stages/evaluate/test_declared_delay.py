@@ -13,7 +13,7 @@ from npred.predictors import RK4
 from npred.results import NUMERICAL, Benched, Contender, Evaluated
 from npred.stages import train
 from npred.stages.bench import bench
-from npred.stages.evaluate import evaluate, initial_conditions, summary_tables
+from npred.stages.evaluate import evaluate, initial_conditions, overtaking, scenarios, summary_tables
 from npred.stages.generate import generate
 from npred.stages.report import report
 
@@ -99,12 +99,48 @@ def test_loops_that_end_are_reported_once(stages, tmp_path):
     task = job(tmp_path, "evaluate", inputs=inputs, **TABLES)
     begin = initial_conditions.starts(task.config, task.plant)
     loops = evaluate._loops(task, NUMERICAL, RK4(task.plant, 21), begin, slice(0, 3), lambda count: None)
-    evaluate._warn_of_overtaking(task, {NUMERICAL: loops})
+    overtaking.warn(task, {NUMERICAL: overtaking.ended(loops)})
     assert task.progress.notes == []
     ended = replace(
         loops, infeasible=np.array([-1, 30, 20]), margin=np.array([np.nan, -0.3, -0.25]),
         breach=np.array([[np.nan, np.nan], [1.0, 2.0], [3.0, 4.0]]),
     )  # fmt: skip
-    evaluate._warn_of_overtaking(task, {NUMERICAL: loops, Contender("deeponet"): ended, Contender("fno"): ended})
+    by_contender = {NUMERICAL: loops, Contender("deeponet"): ended, Contender("fno"): ended}
+    overtaking.warn(task, {contender: overtaking.ended(run) for contender, run in by_contender.items()})
     (line,) = task.progress.notes
     assert "count as lost: 2 of DeepONet, 2 of FNO; first at control step 20, h = 3, T = 4: 1 - D_X f - D_t =" in line
+
+
+GROWING = """
+class Growing:
+    states, inputs, parameters, box = ("x",), ("u",), {"c": 1.0}, {"x": (0.3, 0.3)}
+
+    def f(x, u, t, p, M):
+        return [x.x + u.u]
+
+    def kappa(x, t, p, M):
+        return [-2 * x.x]
+
+    def V(x, t, p, M):
+        return x.x**2
+
+    def delay(x, t, p, M):
+        return p.c * x.x**2
+"""
+
+
+def test_loops_of_a_scenario_that_end_are_reported_with_its_name(tmp_path):
+    """x grows until the first command arrives: with c = 4 that never does, for the delay grows faster than time."""
+    (tmp_path / "growing.py").write_text(GROWING)
+    tables = [{"name": "as it is"}, {"name": "4 x", "parameters": {"c": 4.0}}]
+    task = job(tmp_path, "evaluate", plant=f"{tmp_path}/growing.py:Growing",
+               generate={"D": 1.0}, evaluate={"X0": [0.3], "case_t_end": 20.0, "scenarios": tables})  # fmt: skip
+    usual, slow = scenarios.run(task, {NUMERICAL: RK4(task.plant, 21)})
+    assert [one.models[NUMERICAL].overtaking for one in (usual, slow)] == [0, 2]
+    assert [one.models[NUMERICAL].lost for one in (usual, slow)] == [0, 2]
+    line = task.progress.notes[-1]
+    assert line.startswith(
+        'in the scenario "4 x" loops in which commands would overtake each other count as lost: 2 of '
+    )
+    assert float(line.partition("D_t = ")[2].partition(",")[0]) <= 0  # of the plant that is simulated
+    assert sum("overtake" in note for note in task.progress.notes) == 1
