@@ -27,7 +27,7 @@ def offered(call: Call):
 def test_commands_pipelines_and_plants(offered):
     assert offered("npred gene") == ["generate"]
     assert offered("npred run s") == ["scalar", "smoke", "state_delay"]
-    assert offered("npred run t") == ["tiny.toml"]
+    assert offered("npred run t") == ["time_delay", "tiny.toml"]
     Path("pyproject.toml").touch()
     assert offered("npred run py") == []
     Path("deep").mkdir()

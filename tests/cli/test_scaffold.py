@@ -59,7 +59,9 @@ def test_a_name_that_is_none_is_told(name):
     assert list(Path().iterdir()) == []
 
 
-@pytest.mark.parametrize("source", ["scalar", "cart_pole", "unicycle", "planar_arm2", "activator_repressor"])
+@pytest.mark.parametrize(
+    "source", ["scalar", "cart_pole", "unicycle", "unicycle_time_delay", "planar_arm2", "activator_repressor"]
+)
 def test_a_copy_of_a_plant_is_the_plant(source: str):
     spec = json.loads(call("init", "my_copy", "--from", source, "--json").stdout)["plant"]
     pipeline, copy, plant = config.load(Path("my_copy.toml")), plants.resolve(spec), plants.resolve(source)
