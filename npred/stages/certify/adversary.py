@@ -1,9 +1,10 @@
 """A search for the inputs at which a network errs most: a lower bound of the uniform epsilon of [DAPF, Theorem 2].
 
 Every X of the box of initial states, every u within the range of the data's inputs and every D_hat within that of the
-data's estimates counts as an input. Half of the searches start at rows of the data, half at random ones. Where the
-plant is traced with one constant delay they climb the gradient of |kappa(P̂(1)) - kappa(P(1))| through the network and
-RK4 (Adam, on coordinates that a logistic function keeps in the set); elsewhere they try random steps and keep the best.
+data's estimates counts as an input; of a plant that declares its delay, every X with its D(X, t). Half of the searches
+start at rows of the data, half at random ones. Where the plant is traced with one constant delay they climb the
+gradient of |kappa(P̂(1)) - kappa(P(1))| through the network and RK4 (Adam, on coordinates that a logistic function
+keeps in the set); elsewhere they try random steps and keep the best.
 """
 
 from collections.abc import Callable
@@ -52,7 +53,7 @@ class Inputs:
         return torch.logit(torch.as_tensor(np.clip(share, EDGE, 1 - EDGE)))
 
 
-Calls = tuple[np.ndarray, np.ndarray, np.ndarray]  # X (B, n), u (B, nx, m), D_hat (B,)
+Calls = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # X (B, n), u (B, nx, m), D_hat (B,), t (B,)
 
 
 def search(
@@ -65,9 +66,10 @@ def search(
     climbs = plant.traced and plant.one_delay and not plant.declares_delay and hasattr(predictor, "operator")
     calls = _climb(plant, predictor, inputs, a, table.steps, progress) if climbs else None
     if calls is None:
-        calls = _wander(plant, predictor, inputs, a, table.steps, rng, progress)
-    X, u, D_hat, error = (np.concatenate(column) for column in zip(*calls, strict=True))
-    return (X, u, D_hat), error
+        span = (plant.period or float(np.nanmax(data.t))) if plant.clocked else 0.0
+        calls = _wander(plant, predictor, inputs, a, table.steps, span, rng, progress)
+    X, u, D_hat, t, error = (np.concatenate(column) for column in zip(*calls, strict=True))
+    return (X, u, D_hat, t), error
 
 
 def _starts(rng: np.random.Generator, data: Dataset, inputs: Inputs, count: int, nx: int) -> list[Tensor]:
@@ -94,7 +96,8 @@ def _climb(
         X, u, D_hat = (inputs.inside(b, name) for b, name in zip(a, ("X", "u", "D_hat"), strict=True))
         U = plant.kappa(operator(X, u, D_hat)[:, -1])
         error = (U - plant.kappa(_rk4(plant, X, u, D_hat))).abs().amax(dim=-1)
-        calls.append(tuple(value.numpy(force=True) for value in (X, u, D_hat, error)))
+        t = torch.zeros_like(D_hat)
+        calls.append(tuple(value.numpy(force=True) for value in (X, u, D_hat, t, error)))
         ascent.zero_grad()
         torch.nan_to_num(error, 0.0).sum().backward()
         for b in a:
@@ -113,19 +116,23 @@ def _rk4(plant: Plant, X: Tensor, u: Tensor, D_hat: Tensor) -> Tensor:
 
 
 def _wander(
-    plant: Plant, predictor: Predictor, inputs: Inputs, a: list[Tensor], steps: int, rng: np.random.Generator,
-    progress: Callable[[int], Any],
+    plant: Plant, predictor: Predictor, inputs: Inputs, a: list[Tensor], steps: int, span: float,
+    rng: np.random.Generator, progress: Callable[[int], Any],
 ) -> list[tuple[np.ndarray, ...]]:  # fmt: skip
-    """The calls of random steps, of which each search keeps those that do not make the error smaller."""
+    """The calls of random steps, of which each search keeps those that do not make the error smaller.
+
+    Times are drawn from [0, span] seconds; a delay that the plant declares is that of X and the time.
+    """
     exact, best, calls = RK4(plant, predictor.nx), np.full(len(a[0]), -np.inf), []
     for k in range(steps):
         scale = RATE * 4.0 ** rng.standard_normal((len(best), 1)) * (k > 0)
         moved = [b + _spread(torch.as_tensor(scale * rng.standard_normal((len(best), b[0].numel()))), b) for b in a]
         X, u, D_hat = (inputs.inside(b, name).numpy() for b, name in zip(moved, ("X", "u", "D_hat"), strict=True))
-        t = rng.uniform(0, plant.period or 1.0) if plant.clocked else 0.0
+        t = rng.uniform(0, span) if span else 0.0
+        D_hat = plant.delay(X, t) if plant.declares_delay else D_hat
         U, U_exact = (metrics.law(plant, p(X, u, D_hat, t), t, D_hat) for p in (predictor, exact))
         error = np.abs(U - U_exact).max(axis=-1)
-        calls.append((X, u, D_hat, error))
+        calls.append((X, u, D_hat, np.full(len(X), t), error))
         better = np.nan_to_num(error) >= best
         best = np.where(better, np.nan_to_num(error), best)
         for b, new in zip(a, moved, strict=True):

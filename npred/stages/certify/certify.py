@@ -34,8 +34,8 @@ QUANTILES = 0.01, 0.5, 0.99
 def run(job: Job) -> Certified:
     """For each network: errors of fresh rollouts, the worst inputs of a search, and loops, with and without a guard.
 
-    Writes errors.h5 (the largest error of U of each rollout, by network) and worst.h5 (X, u, D_hat and the error of the
-    KEPT worst calls, by network), and certified (.svg, .png). The guard is that of [evaluate], or the default one.
+    Writes errors.h5 (the largest error of U of each rollout, by network), worst.h5 (X, u, D_hat, t and the error of the
+    KEPT worst calls, by network) and certified (.svg, .png). The guard is that of [evaluate], or the default one.
     """
     config = job.config.evaluate
     torch.set_num_threads(1)  # the same bits on any machine; another network takes the other cores
@@ -101,7 +101,7 @@ def _write_worst(job: Job, calls: Mapping[Contender, tuple[Calls, np.ndarray]]) 
     with h5py.File(job.folder / "worst.h5", "w") as file:
         for contender, (inputs, errors) in calls.items():
             worst = np.argsort(np.nan_to_num(errors))[::-1][:KEPT]
-            for name, values in zip(("X", "u", "D_hat", "error"), (*inputs, errors), strict=True):
+            for name, values in zip(("X", "u", "D_hat", "t", "error"), (*inputs, errors), strict=True):
                 file[f"{contender.name}/{name}"] = values[worst]
 
 

@@ -89,7 +89,7 @@ class Wrong(Predictor):
 def searched(data, steps, seed=0):
     table = Certify(restarts=16, steps=steps)
     inputs = adversary.Inputs.of(data, np.array([PLANT.box[name] for name in PLANT.states]))
-    (X, u, D_hat), error = adversary.search(PLANT, Wrong(PLANT, 21), data, inputs, table, seed, lambda n: None)
+    (X, u, D_hat, _), error = adversary.search(PLANT, Wrong(PLANT, 21), data, inputs, table, seed, lambda n: None)
     return inputs, X, u, D_hat, error
 
 
@@ -103,6 +103,21 @@ def test_random_steps_find_larger_errors_than_the_starts_had_and_stay_inside(cer
     exact, wrong = RK4(PLANT, 21), Wrong(PLANT, 21)
     U, U_exact = (metrics.law(PLANT, p(X, u, D_hat), 0.0, D_hat) for p in (wrong, exact))
     np.testing.assert_allclose(error, np.abs(U - U_exact).max(axis=1))
+
+
+@pytest.mark.parametrize("name", ["transport_tank", "unicycle_time_delay"])
+def test_calls_have_the_delay_that_the_plant_declares_at_their_states_and_times(name):
+    plant, rng, t = npred.plant(name), np.random.default_rng(2), np.linspace(0.0, 8.0, 30)
+    box = np.array([plant.box[state] for state in plant.states])
+    X = rng.uniform(*box.T, (30, plant.n))
+    u, D, exact = np.repeat(plant.kappa(X, t)[:, None], 21, axis=1), plant.delay(X, t), RK4(plant, 21)
+    data = Dataset(X, u, D, exact(X, u, D, t), D, t, np.arange(30), np.zeros(30, dtype=bool))
+    coarse, table = npred.predictor("euler", plant, 21), Certify(restarts=8, steps=6)
+    calls, error = adversary.search(plant, coarse, data, adversary.Inputs.of(data, box), table, 0, lambda count: None)
+    X, _, D, t = calls
+    np.testing.assert_allclose(D, [plant.delay(*row) for row in zip(X, t, strict=True)], rtol=1e-12)
+    assert np.ptp(t) > 2 if plant.clocked else (t == 0).all()
+    np.testing.assert_allclose(rollouts.judged(Guarded(coarse, exact=exact), exact, *calls)[0], error, rtol=1e-9)
 
 
 def test_the_gradient_climbs_through_a_network(certified):
