@@ -72,4 +72,4 @@ def _marks(names: Sequence[str], values: Values, logarithmic: bool, axis: Any) -
         log(axis, "x")
         axis.xaxis.get_major_locator().set_params(numticks=4)  # beside the names there is little room
     else:
-        axis.set_xlim(left=0)
+        axis.set_xlim(left=0, right=axis.get_xlim()[1] * 1.03)  # no mark is cut at the edge

@@ -35,6 +35,12 @@ def _sum_to(s: float, held: np.ndarray, total: np.ndarray, c: int, l: int, wrap:
     return total[row, c, l] + max(s - i, 0.0) * held[row, c, l]
 
 
+@njit
+def _stored(span: float, longest: float) -> float:
+    """A delay in control steps, within what the ring buffers hold; that of a loop which ended is NaN, and reads 0."""
+    return min(span, longest) if span > 0.0 else 0.0
+
+
 @jit(TRANSPORT, nogil=True, error_model="numpy")
 def transport(
     k: int, dt: float, D: np.ndarray, held: np.ndarray, total: np.ndarray, u: np.ndarray, u_nodes: np.ndarray
@@ -52,7 +58,7 @@ def transport(
     span, before, sum_before = np.empty(lanes), np.empty(lanes), np.empty(lanes)
     for c in range(m):
         for l in range(lanes):
-            span[l] = D[c, l] / dt
+            span[l] = _stored(D[c, l] / dt, min(k, rows - 1))
             before[l] = k - span[l]
             sum_before[l] = _sum_to(before[l], held, total, c, l, wrap)
         for j in range(nx):

@@ -73,7 +73,7 @@ def simulate(
     X0 = array_checks.floats("X0", X0)
     if plant.declares_delay:
         loop_checks.start(plant, X0)
-        D = D_hat = _declared(truth or plant, X0)
+        D, D_hat = (_declared(of, X0) for of in (truth or plant, plant))
     table = _tabulated(D, t_end, dt) if callable(D) else None
     D, D_hat = (array_checks.floats(name, a) for name, a in (("D", D if table is None else table[0]), ("D_hat", D_hat)))
     loop_checks.numbers(plant, X0, D, D_hat, adaptation)
@@ -203,7 +203,7 @@ class _Simulation:
     def reach(self, D: np.ndarray, D_hat: np.ndarray, delays: np.ndarray) -> tuple[float, float]:
         """How far back commands may be read, in seconds: before t = 0, and at any time."""
         spans = [D.max(), delays.max(initial=0.0)]
-        if self.recalls or self.law.memory > 1:
+        if self.recalls or self.law.memory > 1 or self.plant.declares_delay:
             spans += [D_hat.max(), self.law.bounds[1] if self.adaptation else 0.0]
         before = float(max(spans)) + self.measurement.delay
         return before, before + (self.t_end if self.plant.declares_delay else 0.0)  # phi(t) = t - D only rises

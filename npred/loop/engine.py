@@ -138,7 +138,7 @@ def steps(
         actuate(origin + k, s.dt, z.D, z.U, z.held, z.total, z.U0, z.U1, z.share)
         if s.moves:
             pace(z.X, z.U0, t, s.truth_p, z.speed)
-            watch(k, t, z, out)
+            watch(k, t, (origin + k) * s.dt, z, out)
         if s.moves or s.delays.shape[0] > 0:
             retime(origin + k, s.dt, z.D, z.speed, z.held, z.U1, z.share)
         if s.disturbance.shape[0] > 0:
@@ -162,16 +162,18 @@ def disturb(d: np.ndarray, U0: np.ndarray, U1: np.ndarray) -> None:
             U1[c, l] += d[c]
 
 
-@jit(types.void(types.int64, types.float64, STATE, RECORD), nogil=True)
-def watch(k: int, t: float, z: State, out: Record) -> None:
+@jit(types.void(types.int64, types.float64, types.float64, STATE, RECORD), nogil=True)
+def watch(k: int, t: float, longest: float, z: State, out: Record) -> None:
     """Mark the loops in which 1 - D_X f - D_t <= 0, in the plant or along the prediction; they are NaN from there on.
 
+    So are those whose delay is negative, or in one step came to be longer than the history of commands, `longest`.
     A prediction that ends there has its last finite node as state, and no input or time: they are those of its node.
     """
     n, m, nx = z.X.shape[0], z.U0.shape[0], z.P.shape[0]
     for l in range(z.X.shape[1]):
         lost = np.isnan(z.P[nx - 1, 0, l]) and not np.isnan(z.X_hat[0, l])
-        if out.infeasible[l] < 0 and np.isfinite(z.X[0, l]) and (lost or not z.speed[0, l] > 0.0):
+        runs = z.speed[0, l] > 0.0 and 0.0 <= z.D[0, l] <= longest
+        if out.infeasible[l] < 0 and np.isfinite(z.X[0, l]) and (lost or not runs):
             out.infeasible[l] = k
             out.breach[:n, l], out.breach[n : n + m, l], out.breach[n + m, l] = z.X[:, l], z.U0[:, l], t
             if lost:
@@ -179,7 +181,7 @@ def watch(k: int, t: float, z: State, out: Record) -> None:
                 while j < nx - 2 and not np.isnan(z.P[j + 1, 0, l]):
                     j += 1
                 out.breach[:n, l], out.breach[n : n + m, l] = z.P[j, :, l], z.u[j, :, l]
-            z.X[:, l] = np.nan
+            z.X[:, l], z.speed[:, l] = np.nan, 0.0
 
 
 @jit(types.void(A2, A2), nogil=True)

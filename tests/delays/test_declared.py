@@ -148,6 +148,41 @@ def test_commands_that_would_overtake_each_other_mark_the_loop_and_end_it():
     assert f"first at control step {k}, x = " in str(loops) and "expected above 0" in str(loops)
 
 
+class Jump:
+    """x' = -x whose delay jumps from 0.1 s to 50 s, beyond the history of commands: no rate says so beforehand."""
+
+    states, inputs = ("x",), ("u",)
+
+    def f(x, u, t, p, M):
+        return [-x.x + u.u]
+
+    def kappa(x, t, p, M):
+        return [0 * x.x]
+
+    def V(x, t, p, M):
+        return x.x**2
+
+    def delay(x, t, p, M):
+        return M.where(x.x < 1, 50.0, 0.1)
+
+
+def test_a_delay_that_jumps_beyond_the_history_ends_the_loop():
+    plant = Plant("jump", Jump)
+    loops = npred.simulate(plant, RK4(plant, 11), X0=[[np.exp(0.505)], [1e9]], t_end=5.0, dt=0.01)
+    assert loops.infeasible.tolist() == [51, -1]
+    assert np.isnan(loops.X[0, 52:]).all() and np.isfinite(loops.X[1]).all() and np.isfinite(loops.U[1]).all()
+
+
+def test_the_history_reaches_back_as_far_as_the_model_believes():
+    """Before t = 0 the input was 0.5, for the model's delay of 1.2 s, though the true one is 0.3 s."""
+    truth = Plant("decay", type("Short", (Decay,), {"delay": lambda x, t, p, M: 0.3 + 0.1 * M.tanh(x.x)}))
+    model = Plant("decay", type("Long", (Decay,), {"delay": lambda x, t, p, M: 1.2 + 0.1 * M.tanh(x.x)}))
+    rk4 = RK4(model, 21)
+    loop = npred.simulate(model, rk4, X0=[0.4], t_end=0.5, dt=0.01, truth=truth, u0=[0.5])
+    P = rk4([0.4], np.full((21, 1), 0.5), 1.2 + 0.1 * np.tanh(0.4))
+    np.testing.assert_allclose(loop.P[0], P[-1], rtol=1e-12)
+
+
 @pytest.mark.parametrize("given", [{"D": 1.0}, {"D_hat": 1.0}, {"adaptation": npred.DelayObserver()}])
 def test_a_declared_delay_takes_no_other(given):
     with pytest.raises(ConfigError, match=r"expected none, for plant late declares its delay; leave \w+ out"):

@@ -111,3 +111,15 @@ def test_inputs_with_delays_of_their_own_are_two_lines():
     actuator.transport(origin + 90, DT, D, rows, total, *reads)
     for read, alone in zip(reads, zip(*[line.read() for line in lines], strict=True), strict=True):
         np.testing.assert_allclose(read[:, :, 0].T, alone, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(("delay", "reads"), [(np.nan, 0.0), (-1.0, 0.0), (1e300, 1.75), (np.inf, 1.75)])
+def test_a_delay_that_the_buffers_do_not_hold_reads_the_end_of_them(delay, reads):
+    """That of a loop that ended is NaN: it may read anything of its history, but nothing beyond it."""
+    held = np.arange(8.0)[:, None, None] ** 2
+    total = np.concatenate([[0.0], np.cumsum(held[:-1, 0, 0])])[:, None, None]
+    both = [np.empty((5, 1, 1)) for _ in range(4)]
+    for D, (u, u_nodes) in ((delay, both[:2]), (reads, both[2:])):
+        actuator.transport(7, 0.25, np.array([[D]]), held, total, u, u_nodes)
+    np.testing.assert_array_equal(both[0], both[2])
+    np.testing.assert_array_equal(both[1], both[3])

@@ -77,7 +77,7 @@ def _chapters(story: Story, progress: Console) -> Iterator[dict[str, Any]]:
                     "title": title,
                     "plates": drawn,
                     "notes": notes,
-                    "tables": [tables[t] for t in below],
+                    "tables": [tables[t] for t in below if t in tables],
                 }
 
 

@@ -27,8 +27,10 @@ def accuracy(evaluated: Evaluated) -> Table:
     return Table("accuracy", f"Errors on held-out samples of {OF[evaluated.held_out_kind]}", [*columns, fresh])
 
 
-def kinds(evaluated: Evaluated) -> Table:
-    """Errors of each network on held-out rows of each kind."""
+def kinds(evaluated: Evaluated) -> Table | None:
+    """Errors of each network on held-out rows of each kind; None where there is one kind, which `accuracy` has."""
+    if len(evaluated.kinds) == 1:
+        return None
     cells = [
         (contender.label, kind, errors)
         for contender, scores in evaluated.models.items()

@@ -90,7 +90,9 @@ def test_figures_show_the_delay_where_others_show_the_estimate(stages):
 def test_the_page_says_so(stages):
     page = (stages["report"].folder / report.NAME).read_text()
     assert "a delay that the plant declares" in page and 'id="scenarios"' in page
-    assert "unknown to the controller" not in page
+    for absent in ("unknown to the controller", "map, of", "Errors by kind of row", "|D̂ − D|", "D̂ at its end"):
+        assert absent not in page
+    assert "D at its end" in page and "X(σ(t))" in page
     assert Benched.read(stages["bench"].folder).rows
 
 
