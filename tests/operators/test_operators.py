@@ -196,7 +196,7 @@ def test_broken_files_are_refused(tmp_path):
 
 def test_equilibrium_anchor_needs_an_equilibrium():
     class Tracking:
-        name, n, m, rest, clocked = "tracking", 2, 1, None, False
+        name, n, m, rest, phased = "tracking", 2, 1, None, False
 
     scaling = Scaling(2, 1)
     with pytest.raises(ConfigError, match="anchor: expected a plant with an equilibrium, tracking has none"):
