@@ -19,7 +19,7 @@ from npred.predictors.rk4 import RK4
 from npred.symbolic import kernels
 
 ESTIMATES = ("auto", "shadow", "defect")
-PASSES = 0.5  # of the tolerance: the largest estimate that passes, for an adversary finds errors 2.3 times as large
+PASSES = 0.5  # of the tolerance: the largest estimate that passes, for an adversary finds errors twice as large
 SHARE = 0.25  # of the tolerance: how far off the estimate of an exact prediction may be …
 QUANTILE = 0.99  # … on this share of the data's rows
 FEWEST = 4  # intervals of the coarser of two grids
