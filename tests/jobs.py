@@ -37,3 +37,18 @@ def job(root: Path, name: str, inputs: dict[str, Path] | None = None, jobs: int 
         path.mkdir(parents=True)
     plant = plants.resolve(pipeline.plant, pipeline.parameters)
     return Job(pipeline, plant, folder, inputs or {}, scratch, "cpu", jobs, Silent(), model, executor or Here())
+
+
+def trained(root: Path) -> dict[str, Path]:
+    """The folders of data and both networks, by name, as the inputs of the later stages."""
+    from npred.stages import train  # it brings torch
+    from npred.stages.generate import generate
+
+    data = job(root, "generate")
+    generate.run(data)
+    inputs = {"generate": data.folder}
+    for model in ("deeponet", "fno"):
+        training = job(root, model, inputs={"generate": data.folder}, model=model)
+        train.run(training)
+        inputs[model] = training.folder
+    return inputs

@@ -3,12 +3,15 @@
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 from safetensors.numpy import load_file, save_file
 
 from npred import grid
+
+if TYPE_CHECKING:  # it brings h5py, which a guard has no use for
+    from npred.data.dataset import Dataset
 
 FILE = "domain.safetensors"
 MOMENTS = 3  # of each input
@@ -16,19 +19,6 @@ KEPT = 256  # rows that are kept as examples
 FLOOR = 1e-3  # of a feature's mean: the least spread that one is given, so that a constant one has an inside
 ROUNDING = 1e-9  # of the limit: the row that it is the distance of is inside
 Phase = Callable[[np.ndarray], np.ndarray | None]
-
-
-class TimedRows(Protocol):
-    """Rows of training data, with their times."""
-
-    @property
-    def X(self) -> np.ndarray: ...  # (N, n)
-    @property
-    def u(self) -> np.ndarray: ...  # (N, nx, m)
-    @property
-    def D_hat(self) -> np.ndarray: ...  # (N,)
-    @property
-    def t(self) -> np.ndarray: ...  # (N,)
 
 
 @dataclass(frozen=True)
@@ -52,7 +42,7 @@ class Domain:
     t: np.ndarray
 
     @classmethod
-    def of_parts(cls, parts: Callable[[], Iterable[TimedRows]], bend: np.ndarray, phase: Phase) -> "Domain":
+    def of_parts(cls, parts: Callable[[], "Iterable[Dataset]"], bend: np.ndarray, phase: Phase) -> "Domain":
         """The domain of rows that come in parts: `parts` is called three times."""
         count, total, square = 0, np.zeros(()), np.zeros(())
         kept: list[list[np.ndarray]] = []
@@ -91,7 +81,7 @@ def legendre(nx: int) -> np.ndarray:
     return np.polynomial.legendre.legvander(2 * grid.nodes(nx) - 1, MOMENTS - 1).T * grid.trapezoid(nx)
 
 
-def _features(rows: Any, bend: np.ndarray, phase: Phase) -> np.ndarray:
+def _features(rows: "Dataset", bend: np.ndarray, phase: Phase) -> np.ndarray:
     """(N, k)."""
     moments = np.einsum("kj,bjm->bmk", legendre(rows.u.shape[1]), rows.u)
     columns = [np.arcsinh(rows.X / bend), rows.D_hat[:, None], *np.moveaxis(moments, 1, 0)]

@@ -32,6 +32,12 @@ class Predictor(ABC):
         self.plant, self.nx = plant, int(nx)
 
     def __call__(self, X: Any, u: Any, D_hat: Any, t: Any = 0.0) -> np.ndarray:
+        shape, rows = self._rows(X, u, D_hat, t)
+        P = self._predicted(*rows)
+        return P.reshape(*shape, *P.shape[1:])
+
+    def _rows(self, X: Any, u: Any, D_hat: Any, t: Any) -> tuple[tuple[int, ...], tuple[np.ndarray, ...]]:
+        """The shape of a batch, and X (B, n), u (B, nx, m), D_hat and t (B,) of it. Raises as a call does."""
         X, u, D_hat, t = (array_checks.floats(name, a) for name, a in (("X", X), ("u", u), ("D_hat", D_hat), ("t", t)))
         self._check(X, u)
         for name, array in (("X", X), ("u", u), *([("t", t)] if self.plant.clocked else [])):
@@ -42,8 +48,7 @@ class Predictor(ABC):
         shape = array_checks.batch(X=X.shape[:-1], u=u.shape[:-2], D_hat=D_hat.shape, t=t.shape)
         X = np.broadcast_to(X, (*shape, self.plant.n)).reshape(-1, self.plant.n)
         u = np.broadcast_to(u, (*shape, *u.shape[-2:])).reshape(-1, *u.shape[-2:])
-        P = self._predicted(X, u, *(np.broadcast_to(a, shape).reshape(-1) for a in (D_hat, t)))
-        return P.reshape(*shape, *P.shape[1:])
+        return shape, (X, u, *(np.broadcast_to(a, shape).reshape(-1) for a in (D_hat, t)))
 
     @property
     def compiled(self) -> bool:

@@ -176,21 +176,17 @@ class Guarded(Predictor):
 
     def error(self, X: Any, u: Any, D_hat: Any, t: Any = 0.0) -> np.ndarray:
         """The estimate of |kappa(P̂(1)) - kappa(P(1))|, (...), in units of U; of the corrected P̂ with `correct`."""
-        return self._checked(X, u, D_hat, t)[0]
+        return self.judge(self.model(X, u, D_hat, t), X, u, D_hat, t)[0]
 
     def fallback(self, X: Any, u: Any, D_hat: Any, t: Any = 0.0) -> np.ndarray:
         """Whether the numerical predictor answers, (...) bool."""
-        return self._checked(X, u, D_hat, t)[1]
+        return self.judge(self.model(X, u, D_hat, t), X, u, D_hat, t)[1]
 
-    def _checked(self, X: Any, u: Any, D_hat: Any, t: Any) -> tuple[np.ndarray, np.ndarray]:
-        """The estimate and whether `exact` answers, of a batch as __call__ takes it."""
-        X, u, D_hat, t = (array_checks.floats(name, a) for name, a in (("X", X), ("u", u), ("D_hat", D_hat), ("t", t)))
-        self._check(X, u)
-        shape = array_checks.batch(X=X.shape[:-1], u=u.shape[:-2], D_hat=D_hat.shape, t=t.shape)
-        X = np.broadcast_to(X, (*shape, self.plant.n)).reshape(-1, self.plant.n)
-        u = np.broadcast_to(u, (*shape, *u.shape[-2:])).reshape(-1, *u.shape[-2:])
-        D_hat, t = (np.broadcast_to(a, shape).reshape(-1) for a in (D_hat, t))
-        _, error, fallback = self._run(self._on(u), self.model(X, u, D_hat, t), X, u, D_hat, t)
+    def judge(self, P_hat: np.ndarray, X: Any, u: Any, D_hat: Any, t: Any = 0.0) -> tuple[np.ndarray, np.ndarray]:
+        """The estimate and whether the numerical predictor answers, (...), where the model has said P_hat."""
+        shape, rows = self._rows(X, u, D_hat, t)
+        P_hat = P_hat.reshape(-1, *P_hat.shape[-2:])
+        _, error, fallback = self._run(self._on(rows[1]), P_hat, *rows)
         return error.reshape(shape), fallback.reshape(shape)
 
     def _on(self, u: np.ndarray) -> np.ndarray:

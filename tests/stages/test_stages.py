@@ -11,7 +11,7 @@ import h5py
 import numpy as np
 import pytest
 import torch
-from jobs import job, tables
+from jobs import job, tables, trained
 
 from npred import config, operators, plants
 from npred.data import shards
@@ -35,15 +35,7 @@ FNO = Contender("fno")
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     """The data and both networks, as the inputs of the later stages."""
-    root = tmp_path_factory.mktemp("chain")
-    data = job(root, "generate")
-    generate.run(data)
-    inputs = {"generate": data.folder}
-    for model in ("deeponet", "fno"):
-        training = job(root, model, inputs={"generate": data.folder}, model=model)
-        train.run(training)
-        inputs[model] = training.folder
-    return inputs
+    return trained(tmp_path_factory.mktemp("chain"))
 
 
 @pytest.fixture(scope="module")

@@ -64,8 +64,9 @@ def search(
     rng = randomness.generator(seed, "certify", "adversary")
     a = _starts(rng, data, inputs, table.restarts, predictor.nx)
     climbs = plant.traced and plant.one_delay and not plant.declares_delay and hasattr(predictor, "operator")
-    calls = _climb(plant, predictor, inputs, a, table.steps, progress) if climbs else None
-    if calls is None:
+    if climbs:
+        calls = _climb(plant, predictor, inputs, a, table.steps, progress)
+    else:
         span = (plant.period or float(np.nanmax(data.t))) if plant.clocked else 0.0
         calls = _wander(plant, predictor, inputs, a, table.steps, span, rng, progress)
     X, u, D_hat, t, error = (np.concatenate(column) for column in zip(*calls, strict=True))
@@ -126,7 +127,7 @@ def _wander(
     exact, best, calls = RK4(plant, predictor.nx), np.full(len(a[0]), -np.inf), []
     for k in range(steps):
         scale = RATE * 4.0 ** rng.standard_normal((len(best), 1)) * (k > 0)
-        moved = [b + _spread(torch.as_tensor(scale * rng.standard_normal((len(best), b[0].numel()))), b) for b in a]
+        moved = [b + torch.as_tensor(scale * rng.standard_normal((len(b), b[0].numel()))).reshape_as(b) for b in a]
         X, u, D_hat = (inputs.inside(b, name).numpy() for b, name in zip(moved, ("X", "u", "D_hat"), strict=True))
         t = rng.uniform(0, span) if span else 0.0
         D_hat = plant.delay(X, t) if plant.declares_delay else D_hat
@@ -139,7 +140,3 @@ def _wander(
             b[better] = new[better]
         progress(len(error))
     return calls
-
-
-def _spread(step: Tensor, like: Tensor) -> Tensor:
-    return step.reshape(like.shape)

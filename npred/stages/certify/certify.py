@@ -11,6 +11,7 @@ import torch
 from npred import figures, randomness
 from npred.config import GuardTable
 from npred.data import shards
+from npred.data.dataset import Dataset
 from npred.loop import configured, metrics
 from npred.loop.closed_loop import Trajectories
 from npred.predictors import Predictor, numerical
@@ -48,9 +49,10 @@ def run(job: Job) -> Certified:
     with h5py.File(job.folder / "errors.h5", "w") as file:
         for contender, errors in by_rollout.items():
             file[contender.name] = errors
+    data = shards.survey(job.inputs["generate"] / "data.h5")
     loops = _loops(job, exact, f"loops of {exact.name}")
     with ThreadPoolExecutor(job.jobs) as pool:
-        searches = {contender: pool.submit(_search, job, guard.model) for contender, guard in guards.items()}
+        searches = {contender: pool.submit(_search, job, data, guard.model) for contender, guard in guards.items()}
         runs = {contender: pool.submit(_both, job, guard) for contender, guard in guards.items()}
         calls = {contender: search.result() for contender, search in searches.items()}
         both = {contender: run.result() for contender, run in runs.items()}
@@ -90,8 +92,8 @@ def summary(result: Certified, width: int | None = None) -> str:
     return f"{about}\n\n{columns(head, rows, width, numbers=head[1:])}"
 
 
-def _search(job: Job, network: Predictor) -> tuple[Calls, np.ndarray]:
-    table, data = job.config.certify_table, shards.survey(job.inputs["generate"] / "data.h5")
+def _search(job: Job, data: Dataset, network: Predictor) -> tuple[Calls, np.ndarray]:
+    table = job.config.certify_table
     inputs = adversary.Inputs.of(data, box(job.plant, job.config))
     with job.progress.bar(f"adversary {network.name}", table.restarts * table.steps, "calls") as bar:
         return adversary.search(job.plant, network, data, inputs, table, job.config.seed, bar.advance)

@@ -6,7 +6,7 @@ counts as one: its error is the largest over its samples. It holds for the distr
 """
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,6 @@ from npred.results import Contender
 from npred.stages import Job
 from npred.stages.evaluate.accuracy import ROWS
 from npred.stages.generate import generate
-from npred.stages.generate.rollouts import Columns
 
 
 def count(probability: float, confidence: float) -> int:
@@ -36,7 +35,7 @@ def errors(
     number = count(table.probability, table.confidence)
     largest = {contender: np.zeros(number) for contender in guarded}
     answered = dict.fromkeys(guarded, 0)
-    for rows in _parts(job, fresh(job.config, table, number)):
+    for _, rows in generate.batches(job, fresh(job.config, table, number), "certify"):
         X, u, D_hat, t = (rows[name] for name in ("X", "u", "D_hat", "t"))
         u = grid.refine(u, exact.nx)
         for contender, guard in guarded.items():
@@ -56,11 +55,13 @@ def judged(
     t, parts = np.broadcast_to(t, len(X)), []
     for i in range(0, len(X), ROWS):
         rows = X[i : i + ROWS], u[i : i + ROWS], D_hat[i : i + ROWS], t[i : i + ROWS]
-        U, U_exact = (metrics.law(guard.plant, p(*rows), rows[3], rows[2]) for p in (guard.model, exact))
+        P_hat = guard.model(*rows)
+        U, U_exact = (metrics.law(guard.plant, P, rows[3], rows[2]) for P in (P_hat, exact(*rows)))
         true = np.abs(U - U_exact).max(axis=-1)
-        parts.append((np.where(np.isnan(true), np.inf, true), guard.error(*rows), ~guard.fallback(*rows)))
-    true, estimate, passed = (np.concatenate(column) for column in zip(*parts, strict=True))
-    return true, estimate, passed
+        estimate, fallback = guard.judge(P_hat, *rows)
+        parts.append((np.where(np.isnan(true), np.inf, true), estimate, ~fallback))
+    errors, estimates, passed = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return errors, estimates, passed
 
 
 def fresh(pipeline: Pipeline, table: Certify, number: int) -> Pipeline:
@@ -68,8 +69,3 @@ def fresh(pipeline: Pipeline, table: Certify, number: int) -> Pipeline:
     update = {"rollouts": number, "samples": number * table.samples, "explore": 0.0, "redraw": 0.0, "data": ""}
     seed = randomness.integer(pipeline.seed, "certify")
     return pipeline.model_copy(update={"generate": pipeline.generate.model_copy(update=update), "seed": seed})
-
-
-def _parts(job: Job, pipeline: Pipeline) -> Iterator[Columns]:
-    """The rows of those rollouts, a batch at a time: all of them may be too many for the memory."""
-    return (rows for _, rows in generate.batches(job, pipeline, "certify"))

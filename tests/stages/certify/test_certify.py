@@ -4,7 +4,7 @@ import h5py
 import numpy as np
 import pytest
 from jobs import PLANT as NAME
-from jobs import job
+from jobs import job, trained
 
 import npred
 from npred.config import Certify
@@ -12,7 +12,6 @@ from npred.data.dataset import Dataset
 from npred.loop import metrics
 from npred.predictors import RK4, Predictor
 from npred.predictors.guarded import Guarded
-from npred.stages import train
 from npred.stages.certify import adversary, certify, rollouts
 from npred.stages.generate import generate
 
@@ -41,15 +40,9 @@ def test_the_largest_of_N_bounds_as_often_as_stated(probability, confidence):
 @pytest.fixture(scope="module")
 def certified(tmp_path_factory):
     root = tmp_path_factory.mktemp("certify")
-    data = job(root, "generate")
-    generate.run(data)
-    inputs = {"generate": data.folder}
-    for model in ("deeponet", "fno"):
-        training = job(root, model, inputs={"generate": data.folder}, model=model)
-        train.run(training)
-        inputs[model] = training.folder
+    inputs = trained(root)
     tasks = [job(root, name, inputs=inputs, jobs=jobs, certify=TABLE) for name, jobs in (("one", 1), ("two", 2))]
-    return tasks, [certify.run(task).json_object() for task in tasks], Dataset.read(data.folder / "data.h5")
+    return tasks, [certify.run(task).json_object() for task in tasks], Dataset.read(inputs["generate"] / "data.h5")
 
 
 def test_a_certificate_of_each_network(certified):
