@@ -153,7 +153,8 @@ class Loop(Section):
     dt: Positive = 0.005  #: control step, in seconds
     nx: Nodes = 101  #: nodes of the predictor and of u, both ends of [0, 1]; dx = 0.01 is 101
     t_end: Positive = 40.0  #: length of a loop, in seconds
-    predictor: Method = "rk4"  #: euler, heun, rk4, picard, one of an installed package, or `file.py:Class`
+    #: euler, heun, rk4, rosenbrock, semi_implicit, picard, one of an installed package, or `file.py:Class`
+    predictor: Method = "rk4"
     adaptation: Law = PAPER  #: the delay law: the paper's, frozen, one of a package, or `file.py:Class`
     gamma: Positive = 1000.0  #: adaptation gain [DAPF, eq. 11]
     b: Positive = 1.0  #: weight of w in phi [DAPF, eq. 12]

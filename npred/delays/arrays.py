@@ -18,6 +18,8 @@ class ArrayFamily(Family):
 
     plant: BlackBox
     lacks: ClassVar = {
+        "rosenbrock": "use heun or rk4, on more nodes",
+        "semi_implicit": "use heun or rk4, on more nodes",
         "defect": "take by = 'shadow'",
         "onnx": "use the runtime torch or fused",
         "export c": "use npred.controller",

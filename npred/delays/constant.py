@@ -51,6 +51,16 @@ elif j == nx - 2:
 linear = 0.5 if nx < 4 else 0.0
 b, c, d = min(a + 1, nx - 1), min(a + 2, nx - 1), min(a + 3, nx - 1)"""
 
+PAIRED = """\
+    nx, n, lanes = P.shape
+    {parameters}
+    for l in range(lanes):
+        h = D_hat[l] / (nx - 1)
+        {start}
+        for j in range(nx - 1):
+            {lane}
+"""
+
 PICARD = """\
     nx, n, lanes = P.shape
     {parameters}
@@ -133,7 +143,7 @@ class ConstantDelay(Family):
         """The text of the sweep, and the lines that stand before it."""
         n, m, trace = self.plant.n, self.plant.m, called_functions.trace(self.plant)
         x, (u0, um, u1) = trace.vector("x", n), (trace.vector(name, m) for name in ("a", "m", "b"))
-        y = step(trace.f, x, u0, um, u1, trace.input("t"), trace.input("h"))
+        y = called_functions.stepped(trace, step, x, (u0, um, u1), trace.input("t"), trace.input("h"))
         bindings = {"t": "(t + j * h)"} | input_lines(m)
         scalar = programs.lines(y, bindings, [f"y{k}" for k in range(n)])
         scalar += [f"x{k} = P[j + 1, {k}, l] = y{k}" for k in range(n)]
@@ -149,6 +159,21 @@ class ConstantDelay(Family):
             lane=programs.lines(y, bindings | {f"x{k}": f"P[j, {k}, l]" for k in range(n)}, target),
         )
         return source, called_functions.imports(trace)
+
+    def paired(self, step: Step) -> Kernel:
+        n, m, trace = self.plant.n, self.plant.m, called_functions.trace(self.plant)
+        x, (u0, u1) = trace.vector("x", 2 * n), (trace.vector(name, m) for name in ("a", "b"))
+        inputs = u0, 0.5 * (u0 + u1), u1
+        y = called_functions.stepped(trace, step, x, inputs, trace.input("t"), trace.input("h"))
+        targets = [*(f"y{k}" for k in range(2 * n)), *(f"P[j + 1, {k}, l]" for k in range(n))]
+        lane = programs.lines([*y, *(2.0 * y[n:] - y[:n])], {"t": "(t + j * h)"} | input_lines(m), targets)
+        source = kernels.fill(
+            PAIRED,
+            parameters=kernels.parameters(len(self.plant.p)),
+            start=[f"x{k} = x{n + k} = P[0, {k}, l] = X[{k}, l]" for k in range(n)],
+            lane=lane + [f"x{k} = y{k}" for k in range(2 * n)],
+        )
+        return family.build("paired", family.PREDICT, source, called_functions.imports(trace))
 
     def picard(self, tolerance: float, sweeps: int) -> Kernel:
         n, m = self.plant.n, self.plant.m
@@ -208,7 +233,7 @@ def advance_lines(trace: Trace, step: Step, U: str) -> list[str]:
     """The lines of a step of the plant; U is the text of an input, {0} its number."""
     plant = trace.plant
     x, u = trace.vector("x", plant.n), trace.vector("u", plant.m)
-    y = step(trace.f, x, u, u, u, trace.input("t"), trace.input("h"))
+    y = called_functions.stepped(trace, step, x, (u, u, u), trace.input("t"), trace.input("h"))
     names = {f"x{k}": f"X[{k}, l]" for k in range(plant.n)} | {f"u{k}": U.format(k) for k in range(plant.m)}
     return programs.lines(y, names | {"t": "start"}, [f"X[{k}, l]" for k in range(plant.n)])
 

@@ -97,7 +97,12 @@ class Family(ABC):
         sees_time = self.plant.phased if part == "fused" else self.plant.clocked
         if part in WITHOUT_TIME and sees_time:
             return f"expected a prediction free of time, that of plant {self.plant.name} is not", WITHOUT_TIME[part]
-        return (self.expected(), self.lacks[part]) if part in self.lacks else None
+        if part in self.lacks:
+            return self.expected(), self.lacks[part]
+        if part == "semi_implicit" and not self.plant.declares_mechanics:
+            reason = f"expected a plant that declares mechanics(x, u, t, p, M), plant {self.plant.name} declares none"
+            return reason, "use rosenbrock"
+        return None
 
     def needs(self, part: str) -> None:
         """Raise ConfigError where the part does not serve the plant."""
@@ -112,6 +117,11 @@ class Family(ABC):
     @abstractmethod
     def sweep(self, step: Step) -> Kernel:
         """PREDICT by a one-step method over the nodes."""
+
+    def paired(self, step: Step) -> Kernel:
+        """PREDICT by two chains of steps over the same nodes: twice the second chain less the first."""
+        self.needs("semi_implicit")
+        raise NotImplementedError
 
     def picard(self, tolerance: float, sweeps: int) -> Kernel:
         """PREDICT by successive approximations."""

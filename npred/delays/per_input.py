@@ -101,6 +101,7 @@ class DelayPerInput(Family):
 
     lacks: ClassVar = {
         "picard": "use rk4",
+        "semi_implicit": "use rosenbrock",
         "published": "use euler, heun or rk4",
         "euler_python": "use euler, heun or rk4",
         "adaptation": 'freeze the estimate, in a pipeline by adaptation = "frozen"',

@@ -88,7 +88,7 @@ def simulate(
         delays = np.broadcast_to(padded, (len(table), *shape)).reshape(-1, len(D))
     loop_checks.record(plant, len(D), t_end, dt, every)
     sample_steps = loop_checks.samples(samples, shape, round(t_end / dt))
-    limits, method = inputs.bounds(plant, input_bounds), loop_checks.integrator(integrator)
+    limits, method = inputs.bounds(plant, input_bounds), loop_checks.integrator(integrator, plant, truth or plant)
     held = inputs.before(plant, u0, limits, X0)
     loop = _Simulation(
         plant, predictor, adaptation, limits, dt, t_end, every, method, actuator == loop_checks.HISTORY,

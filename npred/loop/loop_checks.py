@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from npred import array_checks
+from npred.delays import family_of
 from npred.errors import ConfigError, size
 from npred.loop.delay_law import DelayLaw
 from npred.loop.measurement import Measurement
@@ -124,11 +125,13 @@ def parts(plant: Any, predictor: Any, adaptation: Any, every: Any = 1) -> None:
         raise ConfigError(f"every: expected a whole number of steps from 1 on, got {every!r}; give 1, 2, …")
 
 
-def integrator(name: Any) -> type[OneStep]:
-    """The one-step method of that name, or of a file. Raises ConfigError for any other."""
+def integrator(name: Any, *plants: Plant) -> type[OneStep]:
+    """The one-step method of that name, or of a file. Raises ConfigError for any other, or where a plant lacks it."""
     kind = method(name, "integrator") if isinstance(name, str) else None
     if kind is None or not issubclass(kind, OneStep):
         raise ConfigError(f"integrator: expected a one-step method, as euler, heun or rk4, got {name!r}; choose one")
+    for plant in plants:
+        family_of(plant).needs(kind.name)
     return kind
 
 

@@ -170,6 +170,8 @@ def _loop(config: Pipeline, stage: str) -> dict[str, Any]:
     section, law = _dump(loop), registry.DELAY_LAWS.identity(loop.adaptation)
     u0 = inputs.configured(plants.resolve(config.plant, config.parameters), loop, stage)
     section["predictor"] = registry.METHODS.identity(loop.predictor)
+    if loop.predictor == "semi_implicit":
+        section |= plants.resolve(config.plant, config.parameters).mechanics_program
     del section["adaptation"], section["u0"]
     section |= {} if law == PAPER else {"adaptation": law}
     for scenario in section.get("scenarios", []):

@@ -24,7 +24,8 @@ class Plant:
     A declaration is a class with `states`, `inputs` (names) and the functions f(x, u, t, p, M), kappa(x, t, p, M) and
     V(x, t, p, M); optional are `parameters` (name to default), `box` (state to range, for experiments), `guess` (where
     the equilibrium is searched from), `input_bounds` (a range per input), `delays` (seconds, one per input, where they
-    differ), what figures write: `labels` and `units` (by state or input), `time_unit` ("s" by default) and `figure`
+    differ), `mechanics` (M(q), force and damping of M q'' = force - damping q', for npred.predictors.semi_implicit),
+    what figures write: `labels` and `units` (by state or input), `time_unit` ("s" by default) and `figure`
     (that of an article which the evaluated loop is), and, where f or kappa depends on time, `reference(t, p, M)`, the
     trajectory that kappa follows, and `period`, the seconds after which they repeat. M provides the functions: sin,
     exp, where …
@@ -42,6 +43,7 @@ class Plant:
         self.name, self.declaration = name, declared.completed(declaration)
         self.source = source or registry.declaring(declaration)
         self.declares_V, self.declares_delay = parts.V is not None, parts.delay is not None
+        self.declares_mechanics = parts.mechanics is not None
         self.states, self.inputs, self.parameters, self.box = parts.states, parts.inputs, parts.parameters, parts.box
         self.guess = np.zeros(self.n) if parts.guess is None else np.array(parts.guess)
         self.input_bounds = None if parts.input_bounds is None else list(parts.input_bounds)
@@ -174,6 +176,35 @@ class Plant:
     def u_target(self, t: Any) -> np.ndarray:
         """The input at the target, kappa(target(t), t): (m,) or (..., m)."""
         return self.u_equilibrium if self.rests else self.kappa(self.target(t), t)
+
+    def check_mechanics(self) -> None:
+        """Raise ConfigError unless M(q) v' = force - damping v gives the accelerations of f near `guess`."""
+        draws = np.random.default_rng(0)
+        X, u = self.guess + draws.standard_normal((8, self.n)), draws.standard_normal((8, self.m))
+        p, columns = list(self.parameters.values()), [*X.T]
+        trace = Trace(self)
+        at = trace.mechanics(trace.vector("x", self.n), trace.vector("u", self.m), trace.input("t"))
+        inertia, force, damping = self.call("mechanics", columns, [*u.T], 0.0, p, array_math.NUMPY)
+        inertia = np.moveaxis(np.array([[a + np.zeros(8) for a in row] for row in inertia]), -1, 0)
+        pull = [a - c * X[:, k] + np.zeros(8) for a, c, k in zip(force, damping, at.rates, strict=True)]
+        expected = np.linalg.solve(inertia, np.array(pull).T[..., None])[..., 0]
+        difference = np.abs(self.f(X, u)[:, at.rates] - expected).max()
+        if not difference <= 1e-6 * (1.0 + np.abs(expected).max()):
+            raise ConfigError(
+                f"{self.location('mechanics')} expected the accelerations of f, got a difference of {difference:.3g}; "
+                "make force and damping those of f"
+            )
+
+    @cached_property
+    def mechanics_program(self) -> dict[str, str]:
+        """The hash of the mechanics, for the keys of what they are used for; empty where none are declared."""
+        if not self.declares_mechanics:
+            return {}
+        trace = Trace(self)
+        at = trace.mechanics(trace.vector("x", self.n), trace.vector("u", self.m), trace.input("t"))
+        outputs = [a for row in at.inertia for a in row] + at.force + at.damping
+        text = "\n".join(programs.lines(outputs, {}, names("y", len(outputs))))
+        return {"mechanics": hashlib.sha256(text.encode()).hexdigest()}
 
     def jacobians(self, X: np.ndarray, u: np.ndarray, t: Any = 0.0) -> tuple[np.ndarray, np.ndarray]:
         """f_X (..., n, n) and f_U (..., n, m) at points X (..., n), u (..., m), derived from the declared f."""

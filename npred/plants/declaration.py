@@ -77,6 +77,7 @@ class Declaration(BaseModel, frozen=True):
     kappa: Function
     V: Function | None = None
     delay: Function | None = None
+    mechanics: Function | None = None
     reference: Function | None = None
     parameters: Parameters = {}
     box: Box = {}

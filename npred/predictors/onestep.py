@@ -8,12 +8,20 @@ import numpy as np
 
 from npred.delays import family_of
 from npred.errors import ConfigError
+from npred.plants.base import Plant
 from npred.predictors.base import Compiled
 from npred.symbolic import source_lines
 
 
 class OneStep(Compiled):
-    """x_{j+1} = step(x_j): `step` is the method's formula on arrays, of the declared order for smooth u."""
+    """x_{j+1} = step(x_j): `step` is the method's formula on arrays, of the declared order for smooth u.
+
+    Raises ConfigError for a plant that the method does not serve.
+    """
+
+    def __init__(self, plant: Plant, nx: int = 101):
+        super().__init__(plant, nx)
+        family_of(plant).needs(self.name)
 
     @staticmethod
     @abstractmethod

@@ -41,6 +41,11 @@ def chain(path: str | Path, pose: Sequence[float] | None = None) -> type:
         forces = [a - b - c * rate for a, b, c, rate in zip(u, loads, rubs, rates, strict=True)]
         return [*rates, *M.solve(rigid_body.mass_matrix(bodies, q, M), forces)]
 
+    def mechanics(x: Any, u: Any, t: Any, p: Any, M: Any) -> tuple[list[list[Any]], list[Any], list[float]]:
+        q, rates = list(x[:n]), list(x[n:])
+        loads = rigid_body.torques(bodies, q, rates, [0.0] * n, p.gravity, M)
+        return rigid_body.mass_matrix(bodies, q, M), [a - b for a, b in zip(u, loads, strict=True)], rubs
+
     def kappa(x: Any, t: Any, p: Any, M: Any) -> list[Any]:
         q, rates = list(x[:n]), list(x[n:])
         speeds, accelerations = called_for(x, t, p, M, middle)
@@ -55,7 +60,7 @@ def chain(path: str | Path, pose: Sequence[float] | None = None) -> type:
         return goal + speed
 
     functions = {"f": f, "kappa": kappa, "V": V, "reference": reference}
-    return declaration(path, bodies, middle, functions)
+    return declaration(path, bodies, middle, functions | {"mechanics": mechanics})
 
 
 def declaration(

@@ -6,7 +6,8 @@ types known beforehand. Four fifths of the time that thousands of lines take to 
 inferring types, and here there is nothing to infer: all numbers are floats. What comes out is the same code.
 """
 
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Any
 
@@ -14,11 +15,15 @@ import numpy as np
 
 from npred.symbolic import kernels, programs, tape
 from npred.symbolic.declared import Declared
+from npred.symbolic.linearised import Flow
 from npred.symbolic.tape import names
 from npred.symbolic.trace import Trace
 
 LONG = 150  # lines from which on a function is called; below, all fits into registers and SIMD lanes
 
+LONG_STEP = 500  # lines of an implicit step, which holds its matrix and elimination
+
+Step = Callable[..., Any]  # npred.predictors.onestep
 VERSION = 1  # compiled programs are kept under their text: a change of how they are lowered counts here
 TEXTS = {name: f"o.{name}({', '.join(f'{{{k}}}' for k in range(op.arity))})" for name, op in tape.OPS.items()}
 PROGRAM = """\
@@ -47,13 +52,35 @@ def trace(plant: Declared) -> Trace:
 
 def imports(trace: Trace) -> str:
     """The lines that stand before a kernel of that trace: where the functions that it calls are."""
-    return "".join(f"from {_module(trace.plant, name)} import plant_{name}\n" for name in trace.tape.called())
+    modules = {name: _module(trace.plant, name, trace.steps.get(name)) for name in trace.tape.called()}
+    return "".join(f"from {module} import plant_{name}\n" for name, module in modules.items())
+
+
+def whole(step: Step, chains: int = 1) -> Step:
+    """Mark the formula of an implicit step: it reads derivatives or mechanics, for which f has to be written out.
+
+    `chains` is how many states side by side it advances.
+    """
+    step.whole = chains  # type: ignore[attr-defined]
+    return step
+
+
+def stepped(trace: Trace, step: Step, x: np.ndarray, inputs: Sequence[np.ndarray], t: Any, h: Any) -> np.ndarray:
+    """x(t + h) by the formula of a one-step method, the inputs being u0, um, u1; a long implicit one is called."""
+    if not hasattr(step, "whole"):
+        return step(trace.f, x, *inputs, t, h)
+    name = re.sub(r"\W", "_", step.__qualname__).lower() + ("_held" if inputs[0] is inputs[2] else "")
+    if "f" not in trace.called and len(_lines(trace.plant, name, step)[1]) <= LONG_STEP:
+        return step(Flow(trace), x, *inputs, t, h)
+    trace.steps[name] = step
+    u = inputs[0] if inputs[0] is inputs[2] else np.concatenate(inputs)
+    return np.array(trace.tape.call(name, [t, *x, *u, *trace.parameters, h], 0, len(x)), dtype=object)
 
 
 @cache
-def _module(plant: Declared, name: str) -> str:
+def _module(plant: Declared, name: str, step: Step | None) -> str:
     """The name of the module that holds the compiled function, which is loaded."""
-    arguments, lines, size = _lines(plant, name)
+    arguments, lines, size = _lines(plant, name, step)
     named, results = ", ".join(arguments), ", ".join(names("y", size))
     program = {"arguments": named, "results": results, "lines": "\n    ".join(lines), "size": size}
     preamble = PROGRAM.format(version=VERSION, **program)
@@ -62,9 +89,13 @@ def _module(plant: Declared, name: str) -> str:
     return kernels.build(f"plant_{name}", signature, text, preamble).__module__
 
 
-def _lines(plant: Declared, name: str) -> tuple[list[str], list[str], int]:
-    """Arguments, lines and number of results of f, its derivative df along (v, dt), kappa, or kappa with its: law."""
+def _lines(plant: Declared, name: str, step: Step | None = None) -> tuple[list[str], list[str], int]:
+    """Arguments, lines and number of results of f, its derivative df along (v, dt), kappa, kappa with its: law, or of a
+    step.
+    """
     trace = Trace(plant)
+    if step is not None:
+        return _step_lines(trace, step, name.endswith("_held"))
     x, u, v = trace.vector("x", plant.n), trace.vector("u", plant.m), trace.vector("d", plant.n)
     t, dt = trace.input("t"), trace.input("dt")
     inputs = {"f": (x, u, t), "df": (x, u, t, v, dt), "kappa": (x, t), "law": (x, t, v, dt)}[name]
@@ -73,6 +104,16 @@ def _lines(plant: Declared, name: str) -> tuple[list[str], list[str], int]:
     arguments += names("p", len(plant.parameters)) + (["dt", *names("d", plant.n)] if inputs[-1] is dt else [])
     targets = names("y", len(outputs))
     return arguments, programs.lines(outputs, {}, targets, TEXTS), len(outputs)
+
+
+def _step_lines(trace: Trace, step: Step, held: bool) -> tuple[list[str], list[str], int]:
+    n, m = trace.plant.n * getattr(step, "whole"), trace.plant.m  # noqa: B009 - only marked formulas come here
+    prefixes = "a" if held else "amb"
+    inputs = [trace.vector(prefix, m) for prefix in prefixes] * (3 if held else 1)
+    outputs = step(Flow(trace), trace.vector("x", n), *inputs, trace.input("t"), trace.input("h"))
+    arguments = ["t", *names("x", n), *(name for prefix in prefixes for name in names(prefix, m))]
+    arguments += [*names("p", len(trace.parameters)), "h"]
+    return arguments, programs.lines(outputs, {}, names("y", n), TEXTS), n
 
 
 def lowered_function(program: Callable[..., tuple[Any, ...]], size: int) -> Any:

@@ -12,7 +12,7 @@ from npred.errors import ConfigError
 from npred.symbolic import source_lines
 from npred.symbolic.tape import FUNCTIONS
 
-SIGNATURES = {"f": "f(x, u, t, p, M)", "reference": "reference(t, p, M)"}
+SIGNATURES = {"f": "f(x, u, t, p, M)", "mechanics": "mechanics(x, u, t, p, M)", "reference": "reference(t, p, M)"}
 SIGNATURES |= {name: f"{name}(x, t, p, M)" for name in ("kappa", "V", "delay")}
 ON_ROWS = {"f": "f(X, u, t, p)", "reference": "reference(t, p)", "df": "df(X, u, t, p, v)"}
 ON_ROWS |= {"kappa": "kappa(X, t, p)", "V": "V(X, t, p)", "dkappa": "dkappa(X, t, p, v)"}
@@ -28,6 +28,7 @@ RETURNS = {
     "reference": "one value per state",
     "V": "one number, not a list",
     "delay": "one number of seconds, not a list",
+    "mechanics": "M, force and damping",
 }
 
 
@@ -65,7 +66,7 @@ def call(
 ) -> list[Any]:
     """The declared function on named components; a failure inside it becomes one line with the line of the file.
 
-    Only f takes u, and `reference` takes the time alone.
+    Only f and mechanics take u, and `reference` takes the time alone.
     """
     state = () if x is None else (_record("State", plant.states)(*x),)
     named = _record("Parameters", tuple(plant.parameters))(*p)
@@ -121,12 +122,12 @@ def _cure(plant: Declared, function: str, error: Exception) -> str:
 def _meant(name: str, plant: Declared, function: str, signature: str) -> str:
     """The advice on a name that the function does not know."""
     homes = {"p": plant.parameters} | ({"x": plant.states, "M": (*FUNCTIONS, "where", "pi")} if plant.traced else {})
-    if function == "f" and plant.traced:
+    if function in ("f", "mechanics") and plant.traced:
         homes["u"] = plant.inputs
     for home, names in homes.items():
         if name in names:
             return f"write {home}.{name}"
     arguments = signature.partition("(")[2].rstrip(")")
-    if name in ("u", *plant.inputs) and function != "f":
+    if name in ("u", *plant.inputs) and function not in ("f", "mechanics"):
         return f"only f knows the inputs, and kappa gives them: write {function} in {arguments}"
     return f"expected one of {arguments}, or what the file defines"

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Collection, Sequence
 from numbers import Real
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -11,6 +11,20 @@ from npred.errors import ConfigError
 from npred.symbolic import programs
 from npred.symbolic import tape as tapes
 from npred.symbolic.declared import RETURNS, Declared
+
+
+class Mechanics(NamedTuple):
+    """M(q) v' = force - damping v, q' = v, of a plant that declares it.
+
+    `positions` and `rates` are the numbers of the states q_i and v_i; inertia (k, k) is symmetric positive definite,
+    force (k,) has all but the damping (k,), one coefficient of each rate.
+    """
+
+    positions: list[int]
+    rates: list[int]
+    inertia: list[list[Any]]
+    force: list[Any]
+    damping: list[Any]
 
 
 class Trace:
@@ -23,6 +37,7 @@ class Trace:
     def __init__(self, plant: Declared, called: Collection[str] = ()) -> None:
         self.plant: Any = plant
         self.called = called
+        self.steps: dict[str, Callable[..., Any]] = {}  # formulas that are called, by the names of the functions
         self.tape = tapes.Tape()
         self.parameters = self.tape.inputs("p", len(plant.parameters))
 
@@ -53,6 +68,28 @@ class Trace:
     def reference(self, t: Any) -> np.ndarray:
         """reference(t), shape (n,)."""
         return self._call("reference", self.plant.n, None, None, t)
+
+    def mechanics(self, x: np.ndarray, u: np.ndarray, t: Any) -> Mechanics:
+        """M(q), force and damping at x, u, t. Raises ConfigError where their shapes do not fit the plant's states."""
+        positions, rates = self._positions()
+        values = self.plant.call("mechanics", list(x), list(u), t, self.parameters, tapes.M)
+        shapes = [np.shape(np.array(value, dtype=object)) for value in values]
+        size = len(rates)
+        if not size or shapes != [(size, size), (size,), (size,)]:
+            raise ConfigError(
+                f"{self.plant.location('mechanics')} expected to return M ({size}, {size}), force ({size},) and "
+                f"damping ({size},), one row per state that is the rate of another, got {shapes}; return such lists"
+            )
+        inertia, force, damping = values
+        return Mechanics(positions, rates, [list(row) for row in inertia], list(force), list(damping))
+
+    def _positions(self) -> tuple[list[int], list[int]]:
+        """The states whose derivative is another state, and those other states, in the same order."""
+        x, u = self.vector("x", self.plant.n), self.vector("u", self.plant.m)
+        by_node = {state.index: k for k, state in enumerate(x)}
+        velocity = self.f(x, u, self.input("t"))
+        pairs = [(k, by_node[v.index]) for k, v in enumerate(velocity) if getattr(v, "index", None) in by_node]
+        return [k for k, _ in pairs], [j for _, j in pairs]
 
     def df(self, x: np.ndarray, u: np.ndarray, t: Any, v: np.ndarray, dt: Any = 0.0) -> np.ndarray:
         """f_X v + f_t dt, the change of f(x, u, t) as x moves along v and t by dt, both input symbols, shape (n,)."""

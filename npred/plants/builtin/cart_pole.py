@@ -38,6 +38,13 @@ class CartPole:
         return [x.v, acceleration, x.omega, (p.gravity * sin - acceleration * cos) / p.length]
 
     @staticmethod
+    def mechanics(x: Any, u: Any, t: Any, p: Any, M: Any) -> tuple[list[list[Any]], list[Any], list[float]]:
+        """Mass matrix of (p, theta), forces, and no friction."""
+        arm = p.mass * p.length
+        inertia = [[p.mass_cart + p.mass, arm * M.cos(x.theta)], [arm * M.cos(x.theta), arm * p.length]]
+        return inertia, [u.F + arm * x.omega**2 * M.sin(x.theta), arm * p.gravity * M.sin(x.theta)], [0.0, 0.0]
+
+    @staticmethod
     def kappa(x: Any, t: Any, p: Any, M: Any) -> list[Any]:
         """The control law without delay, linear."""
         return [p.k_p * x.p + p.k_v * x.v + p.k_theta * x.theta + p.k_omega * x.omega]

@@ -28,6 +28,11 @@ def arm(links: int) -> type:
         drag = [p.friction * rate for rate in x[links:]]
         return [*x[links:], *M.solve(inertia, [torques[i] - torques[i + 1] - loads[i] - drag[i] for i in range(links)])]
 
+    def mechanics(x: Any, u: Any, t: Any, p: Any, M: Any) -> tuple[list[list[Any]], list[Any], list[Any]]:
+        torques = [*u, 0.0]
+        inertia, loads = _mechanics(x, p, M, links)
+        return inertia, [torques[i] - torques[i + 1] - loads[i] for i in range(links)], [p.friction] * links
+
     def kappa(x: Any, t: Any, p: Any, M: Any) -> list[Any]:
         return _computed_torque(x, t, p, M, links)
 
@@ -46,7 +51,8 @@ def arm(links: int) -> type:
         "parameters": {"mass": 1.0, "length": 0.5, "gravity": 9.81, "friction": 0.1, "stiffness": 4.0, "damping": 4.0,
                        "pose": 0.3, "amplitude": 0.1, "frequency": 1.0},
         "box": {name: (0.3 * i, 0.3 * i + 0.6) for i, name in enumerate(angles)} | dict.fromkeys(rates, (-0.3, 0.3)),
-        "f": staticmethod(f), "kappa": staticmethod(kappa), "V": staticmethod(V), "reference": staticmethod(reference),
+        "f": staticmethod(f), "mechanics": staticmethod(mechanics),
+        "kappa": staticmethod(kappa), "V": staticmethod(V), "reference": staticmethod(reference),
     })  # fmt: skip
 
 

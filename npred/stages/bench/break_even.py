@@ -47,8 +47,9 @@ def _crossover(job: Job, network: Candidate, row: Timing, rivals: list[Candidate
     f_ns = 1000 * (many - few) / (RK4.evaluations() * (STEPS[1] - STEPS[0]))
     best = min(rivals, key=lambda entry: median[entry.label])
     assert isinstance(best.run, OneStep)
-    evaluations = best.run.evaluations() * (best.nx - 1)
     network_us, best_us = median[network.label], median[best.label]
+    whole = hasattr(best.run.step, "whole")  # all that an implicit step does grows with f: its derivatives, its matrix
+    evaluations = 1000 * best_us / f_ns if whole else best.run.evaluations() * (best.nx - 1)
     overhead = max(best_us - f_ns * evaluations / 1000, 0.0)
     crossover = Crossover(
         plant=job.plant.name, predictor=network.predictor, runtime=network.runtime, eps_sup=row.eps_sup,

@@ -99,7 +99,7 @@ def entries(job: Job, reference: Reference) -> list[Candidate]:
     config = job.config.bench
     tables = {name: job.config.train.table(name) for name in job.config.train.models}
     networks = {name: operators.load(job.inputs[name], job.plant, config=table) for name, table in tables.items()}
-    available, methods = _available(job, config), _methods(job.config)
+    available, methods = _available(job, config), _methods(job.config, job.plant)
     ways = {name: _ways(job, name, operator, available) for name, operator in networks.items()}
     rows: list[Candidate] = []
     for batch in config.batches:
@@ -119,10 +119,13 @@ def entries(job: Job, reference: Reference) -> list[Candidate]:
     ]
 
 
-def _methods(config: Pipeline) -> dict[str, type[OneStep]]:
-    """The one-step methods by what their rows are called: those that have a name, and those that the pipeline takes."""
+def _methods(config: Pipeline, plant: Plant) -> dict[str, type[OneStep]]:
+    """The one-step methods that serve the plant, by what their rows are called: those that have a name, and those that
+    the pipeline takes.
+    """
     kinds = {called(spec): method(spec) for spec in config.methods}
-    return {name: kind for name, kind in kinds.items() if issubclass(kind, OneStep)}
+    refusal = family_of(plant).refusal
+    return {name: kind for name, kind in kinds.items() if issubclass(kind, OneStep) and not refusal(kind.name)}
 
 
 def matching(reference: Reference, method: type[OneStep], eps: float) -> int | None:

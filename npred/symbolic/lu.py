@@ -1,0 +1,73 @@
+"""A y = b for any square A, on numbers or symbols, by elimination with row exchanges that straight-line code can take.
+
+The matrix I - h γ f_X of an implicit method may have any pivots. Rows are exchanged by M.where on the values, so that a
+kernel needs no branch; a pivot that is 1 by structure, as of a position whose rate is a state, is taken without a
+search, and entries that are 0 by structure cost nothing. Golub, Van Loan, Matrix Computations, sec. 3.4.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+from npred.symbolic import ldl
+from npred.symbolic.tape import M, Symbol, nonzero
+
+Vector = list[Any]
+Replay = Callable[[Vector], None]  # what an elimination did to the rows, on a right side
+
+
+def solver(A: list[Vector]) -> Callable[[Vector], Vector]:
+    """The function b -> y of A y = b, for several right sides with the same factors."""
+    rows, order = [list(row) for row in A], []
+    replays: list[Replay] = []
+    left = list(range(len(rows)))
+    while left:
+        pivot = next((i for i in left if _is_one(rows[i][i])), left[0])
+        searched = not _is_one(rows[pivot][pivot])
+        left.remove(pivot)
+        below = [i for i in left if nonzero(rows[i][pivot])]
+        for i in below if searched else ():
+            replays.append(_exchange(rows, pivot, i, [pivot, *left]))
+        rows[pivot][pivot] = 1.0 / rows[pivot][pivot]
+        for i in below:
+            replays.append(_eliminate(rows, pivot, i, left))
+        order.append(pivot)
+
+    def solve(b: Vector) -> Vector:
+        y = list(b)
+        for replay in replays:
+            replay(y)
+        for k in reversed(range(len(order))):
+            i = order[k]
+            y[i] = ldl.minus(y[i], (rows[i][j] * y[j] for j in order[k + 1 :])) * rows[i][i]
+        return y
+
+    return solve
+
+
+def _is_one(a: Any) -> bool:
+    return not isinstance(a, Symbol) and a == 1
+
+
+def _exchange(rows: list[Vector], k: int, i: int, columns: list[int]) -> Replay:
+    """Rows k and i exchanged where the pivot of i is larger."""
+    larger = abs(rows[k][k]) < abs(rows[i][k])
+    for j in columns:
+        a, b = rows[k][j], rows[i][j]
+        rows[k][j], rows[i][j] = M.where(larger, b, a), M.where(larger, a, b)
+
+    def replay(y: Vector) -> None:
+        y[k], y[i] = M.where(larger, y[i], y[k]), M.where(larger, y[k], y[i])
+
+    return replay
+
+
+def _eliminate(rows: list[Vector], k: int, i: int, columns: list[int]) -> Replay:
+    """Row i less the multiple of row k that its entry below the pivot asks for."""
+    factor = rows[i][k] * rows[k][k]
+    for j in columns:
+        rows[i][j] = rows[i][j] - factor * rows[k][j]
+
+    def replay(y: Vector) -> None:
+        y[i] = y[i] - factor * y[k]
+
+    return replay
