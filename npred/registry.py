@@ -225,7 +225,7 @@ STAGES = {
         "Held-out errors and closed loops: eps and the convergence radius.", r"(errors|figure1|coverage)\.h5", True,
     ),
     "certify": StageEntry(
-        1, ("generate", "train"), "npred.stages.certify.certify", "npred.results:Certified",
+        2, ("generate", "train"), "npred.stages.certify.certify", "npred.results:Certified",
         "A bound of a network's error with a confidence, an adversary's search, and loops that the guard keeps.",
         r"(errors|worst)\.h5", True,
     ),

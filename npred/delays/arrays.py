@@ -21,6 +21,7 @@ class ArrayFamily(Family):
         "rosenbrock": "use heun or rk4, on more nodes",
         "semi_implicit": "use heun or rk4, on more nodes",
         "defect": "take by = 'shadow'",
+        "bound": "take error, an estimate",
         "onnx": "use the runtime torch or fused",
         "export c": "use npred.controller",
     }

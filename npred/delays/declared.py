@@ -62,6 +62,7 @@ class DeclaredDelay(Family):
         "published": "use euler, heun or rk4",
         "euler_python": "use euler, heun or rk4",
         "defect": "take by = 'shadow'",
+        "bound": "take error, an estimate",
         "adaptation": "the controller knows that delay: leave the law out",
     }
 

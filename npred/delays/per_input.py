@@ -106,6 +106,7 @@ class DelayPerInput(Family):
         "euler_python": "use euler, heun or rk4",
         "adaptation": 'freeze the estimate, in a pipeline by adaptation = "frozen"',
         "defect": "take by = 'shadow'",
+        "bound": "take error, an estimate",
         "onnx": "use the runtime torch or fused",
         "export c": "use npred.controller",
         "import": "the files hold one D_hat per row",

@@ -13,7 +13,9 @@ from npred.delays import family, family_of
 from npred.delays.family import Kernel
 from npred.errors import ConfigError
 from npred.plants.base import Plant
+from npred.predictors import error_bound
 from npred.predictors.base import Predictor
+from npred.predictors.error_bound import ErrorBound
 from npred.predictors.heun import Heun
 from npred.predictors.rk4 import RK4
 from npred.symbolic import kernels
@@ -181,6 +183,23 @@ class Guarded(Predictor):
     def fallback(self, X: Any, u: Any, D_hat: Any, t: Any = 0.0) -> np.ndarray:
         """Whether the numerical predictor answers, (...) bool."""
         return self.judge(self.model(X, u, D_hat, t), X, u, D_hat, t)[1]
+
+    def bound(self, X: Any, u: Any, D_hat: Any, t: Any = 0.0) -> np.ndarray:
+        """A bound of what `error` estimates, (...), in NumPy: see npred.predictors.error_bound.
+
+        Infinite where none is found. Raises ConfigError for a plant that is not traced, or has not one constant delay.
+        """
+        shape, rows = self._rows(X, u, D_hat, t)
+        return self.error_bound(self.model(*rows), *rows).reshape(shape)
+
+    @cached_property
+    def error_bound(self) -> ErrorBound:
+        """The bound with the weights that suit examples of the data; without these, no state outweighs another."""
+        domain = self.domain
+        if domain is None:
+            return ErrorBound(self.plant, np.eye(self.plant.n))
+        rows = domain.X, grid.refine(domain.u, self.nx), domain.D_hat, domain.t
+        return ErrorBound(self.plant, error_bound.weight(self.plant, self.exact(*rows), *rows[1:]))
 
     def judge(self, P_hat: np.ndarray, X: Any, u: Any, D_hat: Any, t: Any = 0.0) -> tuple[np.ndarray, np.ndarray]:
         """The estimate and whether the numerical predictor answers, (...), where the model has said P_hat."""

@@ -26,6 +26,10 @@ class Certificate(Result):
     #: the estimate over the true error where that is within 0.3 to 3 tolerances, at 1 %, 50 % and 99 %; empty where
     #: there is no such call
     ratio: list[float]
+    #: `guarded.bound` over the true error at the worst samples of 1000 rollouts, at 1 %, 50 % and 99 %; empty where the
+    #: plant has none
+    bound: list[float]
+    bounded: float | None  #: share of these samples that have a bound; none where the plant has none
     lost: int  #: loops that are lost with the network and kept by the numerical predictor
     lost_guarded: int  #: the same with the guarded network
     peak: Number  #: the largest distance from rest of its loops over that of the numerical predictor's

@@ -21,6 +21,7 @@ from npred.data.dataset import Dataset
 from npred.loop import metrics
 from npred.plants import Plant
 from npred.predictors import RK4, Predictor
+from npred.stages.certify.rollouts import Calls
 
 RATE = 0.1  # of Adam, and the spread of random steps, in logistic coordinates
 EDGE = 1e-3  # how near to the edges of the set a start may be, as a share of its width
@@ -51,9 +52,6 @@ class Inputs:
         low, high = getattr(self, name)
         share = (values - low) / np.where(high > low, high - low, 1.0)
         return torch.logit(torch.as_tensor(np.clip(share, EDGE, 1 - EDGE)))
-
-
-Calls = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # X (B, n), u (B, nx, m), D_hat (B,), t (B,)
 
 
 def search(

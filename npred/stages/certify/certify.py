@@ -12,6 +12,7 @@ from npred import figures, randomness
 from npred.config import GuardTable
 from npred.data import shards
 from npred.data.dataset import Dataset
+from npred.delays import family_of
 from npred.loop import configured, metrics
 from npred.loop.closed_loop import Trajectories
 from npred.predictors import Predictor, numerical
@@ -20,7 +21,7 @@ from npred.results import Certified, Contender
 from npred.results.certify import Certificate
 from npred.stages import Job
 from npred.stages.certify import adversary, rollouts
-from npred.stages.certify.adversary import Calls
+from npred.stages.certify.rollouts import Calls, Rollouts
 from npred.stages.evaluate import networks
 from npred.stages.evaluate.initial_conditions import box
 from npred.stages.evaluate.scenarios import EVERY, LOST
@@ -30,6 +31,7 @@ from npred.terminal.console import columns
 KEPT = 1000  # of the worst inputs
 NEAR = 0.3, 3.0  # of the tolerance: where the estimate decides
 QUANTILES = 0.01, 0.5, 0.99
+BOUNDED = 1000  # of the rollouts: their worst samples are bounded too
 
 
 def run(job: Job) -> Certified:
@@ -45,10 +47,10 @@ def run(job: Job) -> Certified:
         Contender(model): Guarded(networks.load(job, model, None, model), exact=exact, **dict(table))
         for model in job.config.train.models
     }
-    by_rollout, fallbacks = rollouts.errors(job, guards, exact)
+    by_rollout = rollouts.judge(job, guards, exact)
     with h5py.File(job.folder / "errors.h5", "w") as file:
-        for contender, errors in by_rollout.items():
-            file[contender.name] = errors
+        for contender, fresh in by_rollout.items():
+            file[contender.name] = fresh.errors
     data = shards.survey(job.inputs["generate"] / "data.h5")
     loops = _loops(job, exact, f"loops of {exact.name}")
     with ThreadPoolExecutor(job.jobs) as pool:
@@ -60,7 +62,7 @@ def run(job: Job) -> Certified:
     models = {
         contender: Certificate(
             **_rollouts(job, by_rollout[contender]),
-            fallback_rollouts=fallbacks[contender],
+            **_bounds(guard, by_rollout[contender]),
             **_calls(guard, exact, *calls[contender]),
             **_behaviour(job, loops, *both[contender]),
         )
@@ -69,7 +71,7 @@ def run(job: Job) -> Certified:
     lost = int(_lost(job, loops).sum())
     number = job.config.certify_table.loops
     result = Certified(plant=job.plant.name, loops=number, lost_numerical=lost, models=models)
-    if plate := figures.certified(job.plant, result, by_rollout):
+    if plate := figures.certified(job.plant, result, {name: fresh.errors for name, fresh in by_rollout.items()}):
         figures.write(plate, job.folder)
     return result
 
@@ -107,10 +109,22 @@ def _write_worst(job: Job, calls: Mapping[Contender, tuple[Calls, np.ndarray]]) 
                 file[f"{contender.name}/{name}"] = values[worst]
 
 
-def _rollouts(job: Job, errors: np.ndarray) -> dict[str, Any]:
-    table = job.config.certify_table
+def _rollouts(job: Job, fresh: Rollouts) -> dict[str, Any]:
+    table, errors = job.config.certify_table, fresh.errors
     level = {"probability": table.probability, "confidence": table.confidence, "rollouts": len(errors)}
-    return level | {"eps_kappa": errors.max(), "median": np.median(errors)}
+    summary = {"eps_kappa": errors.max(), "median": np.median(errors), "fallback_rollouts": fresh.fallback}
+    return level | summary
+
+
+def _bounds(guard: Guarded, fresh: Rollouts) -> dict[str, Any]:
+    """The bound of U's error over the error, at the worst samples of the first rollouts; nothing without a bound."""
+    if family_of(guard.plant).refusal("bound"):
+        return {"bound": [], "bounded": None}
+    calls = [a[:BOUNDED] for a in fresh.worst]
+    bounds = guard.bound(*calls)
+    finite = np.isfinite(bounds)
+    ratio = bounds[finite] / np.maximum(fresh.errors[:BOUNDED][finite], np.finfo(float).tiny)
+    return {"bound": np.quantile(ratio, QUANTILES).tolist() if finite.any() else [], "bounded": float(finite.mean())}
 
 
 def _calls(guard: Guarded, exact: Predictor, inputs: Calls, errors: np.ndarray) -> dict[str, Any]:

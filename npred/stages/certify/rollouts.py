@@ -7,7 +7,7 @@ counts as one: its error is the largest over its samples. It holds for the distr
 
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -27,22 +27,45 @@ def count(probability: float, confidence: float) -> int:
     return math.ceil(math.log(1 - confidence) / math.log1p(-probability))
 
 
-def errors(
-    job: Job, guarded: Mapping[Contender, Guarded], exact: Predictor
-) -> tuple[dict[Contender, np.ndarray], dict[Contender, float]]:
-    """The largest |kappa(P̂(1)) - kappa(P(1))| of each rollout (N,), and the share of samples that a guard answers."""
+Calls = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # X (B, n), u (B, nx, m), D_hat (B,), t (B,)
+
+
+class Rollouts(NamedTuple):
+    """N fresh rollouts as one network sees them."""
+
+    errors: np.ndarray  # (N,), the largest |kappa(P̂(1)) - kappa(P(1))| of each
+    worst: Calls  # where that is
+    fallback: float  # share of the samples that a guard answers
+
+
+def judge(job: Job, guarded: Mapping[Contender, Guarded], exact: Predictor) -> dict[Contender, Rollouts]:
+    """Fresh rollouts, N of them, by network."""
     table = job.config.certify_table
     number = count(table.probability, table.confidence)
-    largest = {contender: np.zeros(number) for contender in guarded}
-    answered = dict.fromkeys(guarded, 0)
-    for _, rows in generate.batches(job, fresh(job.config, table, number), "certify"):
+    parts: dict[Contender, list[tuple[int, Rollouts]]] = {contender: [] for contender in guarded}
+    for start, rows in generate.batches(job, fresh(job.config, table, number), "certify"):
         X, u, D_hat, t = (rows[name] for name in ("X", "u", "D_hat", "t"))
-        u = grid.refine(u, exact.nx)
+        calls = X, grid.refine(u, exact.nx), D_hat, t
         for contender, guard in guarded.items():
-            true, _, passed = judged(guard, exact, X, u, D_hat, t)
-            np.maximum.at(largest[contender], rows["rollout"], true)
-            answered[contender] += int((~passed).sum())
-    return largest, {contender: count / (number * table.samples) for contender, count in answered.items()}
+            true, _, passed = judged(guard, exact, *calls)
+            worst = _largest(true, rows["rollout"])
+            part = Rollouts(true[worst], tuple(a[worst] for a in calls), 1 - passed.mean())  # type: ignore[arg-type]
+            parts[contender].append((start, part))
+    return {contender: _joined([part for _, part in sorted(batch)]) for contender, batch in parts.items()}
+
+
+def _largest(errors: np.ndarray, rollout: np.ndarray) -> np.ndarray:
+    """The row of the largest error of each rollout."""
+    order = np.lexsort((errors, rollout))
+    last = np.append(np.diff(rollout[order]) > 0, True)
+    return order[last]
+
+
+def _joined(parts: list[Rollouts]) -> Rollouts:
+    errors = np.concatenate([part.errors for part in parts])
+    worst = tuple(np.concatenate(column) for column in zip(*(part.worst for part in parts), strict=True))
+    fallback = np.average([part.fallback for part in parts], weights=[len(part.errors) for part in parts])
+    return Rollouts(errors, worst, float(fallback))  # type: ignore[arg-type]
 
 
 def judged(

@@ -111,6 +111,9 @@ def certified(result: Certified | None) -> Table | None:
         *_columns(rows, counts, ",d"),
         *_columns(rows, {"fallback": "fallback"}, ".2%"),
     ]
+    if any(row.bound for row in rows):
+        medians = [row.bound[1] if row.bound else None for row in rows]
+        columns += [Column("bound / error", medians, ".3f"), *_columns(rows, {"bounded": "bounded"}, ".1%")]
     return Table("certified", f"Certificate, with {rows[0].rollouts:,} rollouts and {result.loops:,} loops", columns)
 
 

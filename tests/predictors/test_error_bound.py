@@ -1,0 +1,129 @@
+"""The bound of the error of U: above the error by SciPy, near it, and closed forms where there are some."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.interpolate import CubicHermiteSpline
+from test_guarded import BOX, NX, PLANT, Wrong, rows
+
+import npred
+from npred import grid
+from npred.errors import ConfigError
+from npred.plants import Plant
+from npred.predictors import error_bound
+from npred.predictors.error_bound import Curve, ErrorBound
+
+NOW = np.zeros(40)
+
+
+class Line:
+    """x' = a x + u: its logarithmic norm is a, whatever the weight."""
+
+    states, inputs, parameters, box = ("x",), ("v",), {"a": 0.7}, {"x": (-1, 1)}
+
+    def f(x, u, t, p, M):
+        return [p.a * x.x + u.v]
+
+    def kappa(x, t, p, M):
+        return [-(1 + p.a) * x.x]
+
+    def V(x, t, p, M):
+        return x.x**2
+
+
+def exact_end(plant, X, u, D_hat):
+    """P(1) (n,) of one row by SciPy, u the cubic through the nodes."""
+
+    def f(x, P):
+        return D_hat * np.asarray(plant.f(P, grid.read(u, np.array([x]))[0], 0.0))
+
+    return solve_ivp(f, (0, 1), X, method="DOP853", rtol=1e-12, atol=1e-12).y[:, -1]
+
+
+@pytest.fixture(scope="module")
+def weighted():
+    X, u, D_hat = rows()
+    return error_bound.weight(PLANT, npred.predictor("rk4", PLANT, NX)(X, u, D_hat), u, D_hat, NOW)
+
+
+@pytest.mark.parametrize("size", [1e-3, 0.05])
+def test_the_bound_is_above_the_error_and_near_it(size, weighted):
+    X, u, D_hat = rows()
+    P_hat = Wrong(PLANT, error=size)(X, u, D_hat)
+    bound = ErrorBound(PLANT, weighted)(P_hat, X, u, D_hat, NOW)
+    U = np.stack([PLANT.kappa(exact_end(PLANT, *row), 0.0) for row in zip(X, u, D_hat, strict=True)])
+    true = np.abs(PLANT.kappa(P_hat[:, -1]) - U).max(axis=1)
+    assert (bound >= true * (1 - 1e-9)).all()
+    assert np.median(bound / true) < 1.1
+    assert np.isfinite(bound).all()
+
+
+def test_an_error_without_bound_is_infinite():
+    X, u, D_hat = rows()
+    bound = ErrorBound(PLANT, np.eye(2))(Wrong(PLANT, error=3.0)(X, u, D_hat), X, u, D_hat, NOW)
+    assert np.isinf(bound).any() and not np.isnan(bound).any()
+
+
+def test_the_weight_that_is_found_makes_errors_grow_less_than_any_given_one(weighted):
+    X, u, D_hat = rows()
+    P = npred.predictor("rk4", PLANT, NX)(X, u, D_hat)
+
+    def mean(W):
+        return np.log(ErrorBound(PLANT, W).growth(P, u, D_hat, NOW)).mean()
+
+    assert mean(weighted) < min(mean(np.diag([1, 10.0**-k])) for k in np.linspace(0, 4, 17))
+    assert mean(weighted) < mean(np.diag([1, 1 / 57])) < mean(np.eye(2)) / 10
+
+
+def test_small_errors_grow_by_no_more_than_the_factor(weighted):
+    X, u, D_hat = (a[:6] for a in rows())
+    growth = ErrorBound(PLANT, weighted).growth(npred.predictor("rk4", PLANT, NX)(X, u, D_hat), u, D_hat, NOW[:6])
+    for k in range(6):
+        columns = []
+        for unit in np.eye(2):
+            step = 1e-6 * np.linalg.solve(weighted, unit)
+            ends = [exact_end(PLANT, X[k] + sign * step, u[k], D_hat[k]) for sign in (1, -1)]
+            columns.append(weighted @ (ends[0] - ends[1]) / 2e-6)
+        assert np.linalg.norm(np.stack(columns, axis=-1), 2) <= growth[k] * (1 + 1e-3)
+
+
+def test_a_linear_plant_in_closed_form():
+    plant = Plant("line", Line)
+    D_hat, u, X = np.array([0.5, 2.0]), np.zeros((2, NX, 1)), np.array([[1.0], [-2.0]])
+    P = X[:, None] * np.exp(0.7 * D_hat[:, None, None] * grid.nodes(NX)[:, None])
+    bounds = ErrorBound(plant, np.eye(1))
+    np.testing.assert_allclose(bounds.growth(P, u, D_hat, np.zeros(2)), np.exp(0.7 * D_hat))
+    wrong = P + 0.01 * grid.nodes(NX)[:, None]
+    np.testing.assert_allclose(bounds(wrong, X, u, D_hat, np.zeros(2)), 1.7 * 0.01, rtol=0.01)
+
+
+def test_the_curve_is_inside_its_cells_and_its_residual_is_that_of_quadrature():
+    X, u, D_hat = (a[:3] for a in rows())
+    Q = npred.predictor("heun", PLANT, NX)(X, u, D_hat)
+    curve = Curve(PLANT, Q, X, u, D_hat, NOW[:3])
+    x = grid.nodes(NX)
+    fine = np.linspace(0, 1, 20 * (NX - 1) + 1)
+    for i in range(3):
+        slopes = D_hat[i] * PLANT.f(Q[i], u[i])
+        spline = CubicHermiteSpline(x, Q[i], slopes)
+        for j in range(NX - 1):
+            inside = spline(np.linspace(x[j], x[j + 1], 9))
+            assert (inside >= curve.lowest[i, j] - 1e-12).all() and (inside <= curve.highest[i, j] + 1e-12).all()
+        f = D_hat[i] * PLANT.f(spline(fine), grid.read(u[i], fine))
+        whole = (f[:-1] + f[1:]).sum(axis=0) / 2 * fine[1]
+        np.testing.assert_allclose(curve.residuals[i, -1], Q[i, -1] - X[i] - whole, atol=2e-3 * np.abs(whole).max())
+
+
+def test_a_guarded_predictor_bounds_its_models_error():
+    X, u, D_hat = rows()
+    guarded = npred.guarded(Wrong(PLANT, error=0.01), tolerance=1.0)
+    bound = guarded.bound(X, u, D_hat)
+    assert bound.shape == (40,)
+    assert np.isinf(guarded.bound(X[0], u[0], 2.0)) or guarded.bound(X[0], u[0], 2.0) > 0
+
+
+def test_plants_without_a_bound_are_refused(tmp_path):
+    (tmp_path / "box.py").write_text(BOX)
+    for plant in (npred.plant("unicycle"), npred.plant(f"{tmp_path}/box.py:Box")):
+        with pytest.raises(ConfigError, match=r"bound: expected .*; take error, an estimate"):
+            ErrorBound(plant, np.eye(plant.n))

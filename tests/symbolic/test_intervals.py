@@ -1,0 +1,86 @@
+"""Intervals enclose what the same program gives at points of them."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import npred
+from npred.symbolic import intervals, programs
+from npred.symbolic.intervals import Interval
+from npred.symbolic.tape import M, Tape
+from npred.symbolic.trace import Trace, python
+
+FORMULAS = {
+    "sum": lambda a, b: a + b - 2.0,
+    "product": lambda a, b: a * b,
+    "square": lambda a, b: a * a - b,
+    "quotient": lambda a, b: a / (3.0 + b * b) + 1.0 / a,
+    "power": lambda a, b: (a * a + 1.0) ** 0.3 + 2.0**b,
+    "circle": lambda a, b: M.sin(3.0 * a) + M.cos(5.0 * b) + M.tan(a),
+    "growth": lambda a, b: M.exp(a) * M.tanh(b) + M.log(1.5 + M.abs(a)) + M.sqrt(4.0 + a),
+    "branches": lambda a, b: M.where(a < b, a * a, M.maximum(a, 2.0 * b)) - M.minimum(b, 0.3) + M.sign(a - b),
+    "order": lambda a, b: M.where(a <= 0.1, b, a),
+}
+ENDS = st.tuples(st.floats(-3, 3), st.floats(0, 4))
+
+
+@pytest.mark.parametrize("name", FORMULAS)
+@settings(deadline=None, derandomize=True)
+@given(a=ENDS, b=ENDS, shares=st.lists(st.tuples(st.floats(0, 1), st.floats(0, 1)), min_size=1, max_size=8))
+def test_the_values_at_points_are_in_the_interval(name, a, b, shares):
+    tape = Tape()
+    outputs = [FORMULAS[name](*tape.inputs("x", 2))]
+    boxes = [Interval(np.array([low]), np.array([low + width])) for low, width in (a, b)]
+    with np.errstate(all="ignore"):
+        (enclosed,) = intervals.program(outputs, ["x0", "x1"])(*boxes)
+        assert enclosed.low <= enclosed.high
+        at_points = python(outputs, ["x0", "x1"], np)
+        for share in shares:
+            point = [box.low + s * (box.high - box.low) for box, s in zip(boxes, share, strict=True)]
+            (value,) = at_points(*point)
+            assert np.isnan(value) or enclosed.low <= value <= enclosed.high
+
+
+@pytest.mark.parametrize("name", FORMULAS)
+def test_a_point_is_enclosed_closely(name):
+    tape = Tape()
+    outputs = [FORMULAS[name](*tape.inputs("x", 2))]
+    (enclosed,) = intervals.program(outputs, ["x0", "x1"])(0.7, Interval(np.array([0.2]), np.array([0.2])))
+    value = python(outputs, ["x0", "x1"], np)(0.7, np.array([0.2]))[0]
+    assert enclosed.low <= value <= enclosed.high
+    assert enclosed.high - enclosed.low <= 1e-13 * (1 + abs(value))
+
+
+def test_what_is_known_of_intervals():
+    both = Interval(-1.0, 2.0)
+    assert (both * both).low == 0 and (both * both).high == pytest.approx(4)
+    assert (both * Interval(-1.0, 2.0)).low == pytest.approx(-2)  # they may differ
+    assert np.isinf((1.0 / both).high) and np.isinf((1.0 / both).low)
+    assert intervals.cos(Interval(3.0, 3.3)).low == pytest.approx(-1)
+    assert intervals.cos(Interval(-0.1, 7.0)).high == pytest.approx(1)
+    assert np.isinf(intervals.tan(Interval(1.0, 2.0)).high)
+    assert np.isinf(intervals.log(both).low)
+
+
+@pytest.mark.parametrize("name", ["activator_repressor", "cart_pole", "chemostat", "planar_arm2"])
+def test_a_plants_derivative_on_a_box_holds_those_of_its_points(name):
+    plant = npred.plant(name)
+    trace = Trace(plant)
+    x, u, t = trace.vector("x", plant.n), trace.vector("u", plant.m), trace.input("t")
+    outputs = [y for unit in np.eye(plant.n) for y in programs.derivative(trace.f(x, u, t), x, unit)]
+    inputs = [f"x{k}" for k in range(plant.n)] + [f"u{k}" for k in range(plant.m)]
+    inputs += ["t", *(f"p{k}" for k in range(len(plant.p)))]
+    rng = np.random.default_rng(0)
+    low, high = np.array(list(plant.box.values())).T
+    low = low + 0.4 * (high - low)
+    high = low + 0.05 * (high - low)
+    box = [Interval(np.array([a]), np.array([b])) for a, b in zip(low, high, strict=True)]
+    U = rng.uniform(0.1, 0.3, plant.m)
+    enclosed = [intervals.interval(a) for a in intervals.program(outputs, inputs)(*box, *U, 0.0, *plant.p)]
+    X = rng.uniform(low, high, (200, plant.n))
+    f_X = plant.jacobians(X, np.broadcast_to(U, (200, plant.m)))[0]
+    for k, entry in enumerate(enclosed):
+        values = f_X[:, k % plant.n, k // plant.n]
+        assert (entry.low <= values.min()) and (values.max() <= entry.high)
+        assert np.all(entry.high - entry.low < 1e3 * (1 + np.abs(values).max()))
