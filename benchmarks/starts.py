@@ -5,7 +5,8 @@
 MODEL is pipeline/paper.toml:deeponet by default, and has to be trained; `…:deeponet@20` is its early-stopped snapshot.
 Loops have the settings of the pipeline's [evaluate], delays and estimates those of [generate], starts its box, `--box`
 times as wide about its middle. `--damage` moves the weights uphill, along the gradient of the error of U on examples of
-the data, until its median is at least that. A loop is lost that ends further from its target than LOST times the target's size.
+the data, until its median is at least that. A loop is lost that ends further from its target than LOST times the
+target's size.
 """
 
 import argparse
