@@ -505,7 +505,7 @@ class Certify(Section):
     probability: Annotated[float, Field(gt=0, lt=1, strict=True)] = 1e-3  #: share of rollouts that may be worse
     confidence: Annotated[float, Field(gt=0, lt=1, strict=True)] = 0.999  #: with which that holds
     samples: Count = 50  #: of each rollout, at random times
-    restarts: Count = 250  #: searches for the largest error …
+    restarts: Count = 500  #: searches for the largest error, and for errors that the guard lets pass …
     steps: Count = 200  #: … of so many calls each
     loops: Count = 100  #: fresh starts, each with the numerical predictor, the bare network and the guarded one
 

@@ -221,7 +221,7 @@ STAGES = {
         r"(model|domain)\.safetensors|model\.json|metrics\.jsonl|snapshot-\d+\.safetensors",
     ),
     "evaluate": StageEntry(
-        7, ("generate", "train"), "npred.stages.evaluate.evaluate", "npred.results:Evaluated",
+        8, ("generate", "train"), "npred.stages.evaluate.evaluate", "npred.results:Evaluated",
         "Held-out errors and closed loops: eps and the convergence radius.", r"(errors|figure1|coverage)\.h5", True,
     ),
     "certify": StageEntry(

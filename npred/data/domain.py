@@ -18,6 +18,7 @@ MOMENTS = 3  # of each input
 KEPT = 256  # rows that are kept as examples
 FLOOR = 1e-3  # of a feature's mean: the least spread that one is given, so that a constant one has an inside
 ROUNDING = 1e-9  # of the limit: the row that it is the distance of is inside
+ROUGHER = 1.25  # than every example: they are few of the data's rows
 Phase = Callable[[np.ndarray], np.ndarray | None]
 
 
@@ -46,21 +47,34 @@ class Domain:
         """The domain of rows that come in parts: `parts` is called three times."""
         count, total, square = 0, np.zeros(()), np.zeros(())
         kept: list[list[np.ndarray]] = []
+
+        def features(part: "Dataset") -> np.ndarray:
+            return _features(part.X, part.u, part.D_hat, phase(part.t), bend)
+
         for part in parts():
-            count, total = count + len(part.X), total + _features(part, bend, phase).sum(axis=0)
+            count, total = count + len(part.X), total + features(part).sum(axis=0)
             thinned = slice(None, None, max(1, len(part.X) // KEPT))
             kept.append([getattr(part, name)[thinned] for name in ("X", "u", "D_hat", "t")])
         mean = total / count
         for part in parts():
-            gap = _features(part, bend, phase) - mean
+            gap = features(part) - mean
             square = square + gap.T @ gap
         covariance = square / count + np.diag((FLOOR * (np.abs(mean) + FLOOR)) ** 2)
         whiten = np.linalg.inv(np.linalg.cholesky(covariance))
-        gaps = (_features(part, bend, phase) - mean for part in parts())
+        gaps = (features(part) - mean for part in parts())
         limit = max(np.linalg.norm(gap @ whiten.T, axis=1).max(initial=0.0) for gap in gaps)
         rows = [np.concatenate(arrays) for arrays in zip(*kept, strict=True)]
         spread = np.linspace(0, len(rows[0]) - 1, min(KEPT, len(rows[0]))).astype(int)
         return cls(bend, mean, whiten, np.array(limit * (1 + ROUNDING)), *(a[spread] for a in rows))
+
+    def distance(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, angle: np.ndarray | None) -> np.ndarray:
+        """d of X (B, n), u (B, nx, m), D_hat (B,) and the phase in the plant's period (B,), where it has one; (B,)."""
+        return np.linalg.norm((_features(X, u, D_hat, angle, self.bend) - self.mean) @ self.whiten.T, axis=1)
+
+    def roughest(self, nx: int) -> np.ndarray:
+        """ROUGHER times the largest D_hat unread(u) of the examples on nx nodes, (m,): rougher inputs are outside."""
+        rounding = ROUNDING * (self.D_hat[:, None] * np.abs(self.u).max(axis=1)).max(axis=0)
+        return ROUGHER * (self.D_hat[:, None] * unread(grid.refine(self.u, nx))).max(axis=0) + rounding
 
     def save(self, folder: Path) -> None:
         """Write domain.safetensors."""
@@ -81,11 +95,24 @@ def legendre(nx: int) -> np.ndarray:
     return np.polynomial.legendre.legvander(2 * grid.nodes(nx) - 1, MOMENTS - 1).T * grid.trapezoid(nx)
 
 
-def _features(rows: "Dataset", bend: np.ndarray, phase: Phase) -> np.ndarray:
+def unread(u: np.ndarray) -> np.ndarray:
+    """How much the integral of u (B, nx, m) over x may change with how u is read between the nodes, (B, m).
+
+    Halfway between two nodes the cubic through four of them differs from the line by a sixteenth of their kink
+    u_0 - u_1 - u_2 + u_3, or, at an end, of 3 u_0 - 7 u_1 + 5 u_2 - u_3; Simpson's rule weighs it by 2/3. The moduli
+    are summed: a jump counts once, and what changes from node to node counts at each.
+    """
+    kinks = np.abs(u[:, :-3] - u[:, 1:-2] - u[:, 2:-1] + u[:, 3:]).sum(axis=1)
+    ends = sum(np.abs(np.tensordot([3, -7, 5, -1], part, (0, 1))) for part in (u[:, :4], u[:, :-5:-1]))
+    return (kinks + ends) / (24 * (u.shape[1] - 1))
+
+
+def _features(
+    X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, angle: np.ndarray | None, bend: np.ndarray
+) -> np.ndarray:  # fmt: skip
     """(N, k)."""
-    moments = np.einsum("kj,bjm->bmk", legendre(rows.u.shape[1]), rows.u)
-    columns = [np.arcsinh(rows.X / bend), rows.D_hat[:, None], *np.moveaxis(moments, 1, 0)]
-    angle = phase(rows.t)
+    moments = np.einsum("kj,bjm->bmk", legendre(u.shape[1]), u)
+    columns = [np.arcsinh(X / bend), D_hat[:, None], *np.moveaxis(moments, 1, 0)]
     if angle is not None:
         columns.append(np.stack([np.cos(2 * np.pi * angle), np.sin(2 * np.pi * angle)], axis=1))
     return np.concatenate(columns, axis=1)

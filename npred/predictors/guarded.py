@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from npred import array_checks, grid
-from npred.data.domain import MOMENTS, Domain, legendre
+from npred.data.domain import MOMENTS, Domain, legendre, unread
 from npred.delays import family, family_of
 from npred.delays.family import Kernel
 from npred.errors import ConfigError
@@ -68,7 +68,7 @@ GUARD = """\
         outside = False
         if guard[4] < np.inf:
             {distance}
-            outside = not total <= guard[4] ** 2
+            outside = rough or not total <= guard[4] ** 2
         fallback[l] = 1.0 if outside or not error[l] <= guard[0] else 0.0
         if fallback[l] > 0.0:
             x1, u1, D1, P1 = np.empty((n, 1)), np.empty((nx, m, 1)), np.empty(1), np.empty((nx, n, 1))
@@ -94,6 +94,16 @@ for i in range(size):
     for k in range(i + 1):
         row += whiten[i * size + k] * (feature[k] - mean[k])
     total += row * row
+rough = False
+for c in range(m):
+    unread = 0.0
+    for j in range(nx - 3):
+        kink = u[j, c, l] - u[j + 1, c, l] - u[j + 2, c, l] + u[j + 3, c, l]
+        first = 3.0 * u[j, c, l] - 7.0 * u[j + 1, c, l] + 5.0 * u[j + 2, c, l] - u[j + 3, c, l]
+        final = 3.0 * u[j + 3, c, l] - 7.0 * u[j + 2, c, l] + 5.0 * u[j + 1, c, l] - u[j, c, l]
+        ends = (abs(first) if j == 0 else 0.0) + (abs(final) if j == nx - 4 else 0.0)
+        unread += (abs(kink) + ends) / (24.0 * last)
+    rough = rough or not D_hat[l] * unread <= roughest[c]
 """
 
 
@@ -104,8 +114,8 @@ class Guarded(Predictor):
     answers where twice the estimate is within it. The estimate is by a `shadow`, Heun's method on few nodes, or by the
     `defect` P̂' - D_hat f(P̂, u), carried to x = 1 by the linearised equation; `auto` is the shadow, which takes fewer
     operations per node. How few nodes follows from examples of the data, which trained models carry; other models are
-    compared on all nodes. Outside the data, as Domain has it, `exact` answers whatever the estimate is. With
-    `correct`, the defect's error is subtracted from P̂ first.
+    compared on all nodes. Outside the data, as Domain has it, and where u is rougher than theirs, `exact` answers
+    whatever the estimate is. With `correct`, the defect's error is subtracted from P̂ first.
     Raises ConfigError for a tolerance that is not above 0, and for an estimate that the plant's family lacks.
     """
 
@@ -144,6 +154,11 @@ class Guarded(Predictor):
     def domain(self) -> Domain | None:
         """The domain of the data, where the model carries one."""
         return getattr(getattr(self.model, "operator", None), "domain", None)
+
+    @property
+    def threshold(self) -> float:
+        """The largest estimate with which the model answers, in units of U."""
+        return PASSES * self.tolerance
 
     def lanes(self) -> Callable[..., None]:
         """That of the model; the loop calls `guard` after it."""
@@ -201,6 +216,15 @@ class Guarded(Predictor):
         rows = domain.X, grid.refine(domain.u, self.nx), domain.D_hat, domain.t
         return ErrorBound(self.plant, error_bound.weight(self.plant, self.exact(*rows), *rows[1:]))
 
+    def beyond(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: np.ndarray) -> np.ndarray:
+        """How far inputs are from the data, as a share of how far the model is trusted, (B,); 0 where it has none."""
+        if self.domain is None:
+            return np.zeros(len(X))
+        away = self.domain.distance(X, u, D_hat, self.plant.phase(t)) / self.domain.limit
+        with np.errstate(divide="ignore", invalid="ignore"):
+            rough = np.nan_to_num(D_hat[:, None] * unread(u) / self.domain.roughest(self.nx))
+        return np.maximum(away, rough.max(axis=1))
+
     def judge(self, P_hat: np.ndarray, X: Any, u: Any, D_hat: Any, t: Any = 0.0) -> tuple[np.ndarray, np.ndarray]:
         """The estimate and whether the numerical predictor answers, (...), where the model has said P_hat."""
         shape, rows = self._rows(X, u, D_hat, t)
@@ -229,11 +253,11 @@ class Guarded(Predictor):
         return P, error, fallback > 0
 
     def _set(self, strides: tuple[int, int], tolerance: float | None = None) -> np.ndarray:
-        head = [PASSES * self.tolerance if tolerance is None else tolerance, *strides, float(self.correct)]
+        head = [self.threshold if tolerance is None else tolerance, *strides, float(self.correct)]
         domain = self.domain
         if domain is None or tolerance is not None:
             return np.array([*head, np.inf])
-        parts = (domain.bend, domain.mean, domain.whiten.ravel(), legendre(self.nx).ravel())
+        parts = (domain.bend, domain.mean, domain.whiten.ravel(), domain.roughest(self.nx), legendre(self.nx).ravel())
         return np.concatenate([[*head, domain.limit.item()], *parts])
 
 
@@ -255,8 +279,8 @@ def kernel(plant: Plant, by: str, exact: Predictor) -> Kernel:
     used["reference"] = model.correction() if by == "defect" else model.sweep(Heun.step)
     call = "reference(R, X, v, D_hat, t, p, Q)" if by == "defect" else "reference(X, v, D_hat, t, p, Q)"
     size = plant.n + 1 + MOMENTS * plant.m + (2 if plant.phased else 0)
-    ends = np.cumsum([5, plant.n, size, size * size]).tolist()
-    spans = zip(("bend", "mean", "whiten", "weights"), ends, [*ends[1:], ""], strict=True)
+    ends = np.cumsum([5, plant.n, size, size * size, plant.m]).tolist()
+    spans = zip(("bend", "mean", "whiten", "roughest", "weights"), ends, [*ends[1:], ""], strict=True)
     names = [f"{name} = guard[{begin}:{end}]" for name, begin, end in spans] + [f"feature = np.empty({size})"]
     angle = f"2.0 * np.pi * t / {plant.period!r}"
     phase = [f"feature[{size - 2}], feature[{size - 1}] = np.cos({angle}), np.sin({angle})"] if plant.phased else []

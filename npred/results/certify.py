@@ -20,6 +20,9 @@ class Certificate(Result):
     calls: int  #: calls of the search
     above: int  #: those whose error is above the tolerance
     unnoticed: int  #: of these, those that the guard lets pass
+    blind_calls: int  #: calls of the search for inputs that the guard lets pass, with as large an error as there is
+    blind: int  #: of these, those that it lets pass with an error above the tolerance
+    blind_error: Number  #: the largest error that it let pass there
     tolerance: float  #: of the guard, in units of U
     by: str  #: the guard's estimate, `shadow` or `defect`
     fallback_rollouts: float  #: share of the rollouts' samples that the guard answers numerically

@@ -10,7 +10,7 @@ from varying_delays import with_delay
 
 import npred
 from npred import grid
-from npred.data.domain import Domain
+from npred.data.domain import Domain, unread
 from npred.errors import ConfigError
 from npred.loop import metrics
 from npred.predictors import Predictor
@@ -191,6 +191,48 @@ def test_outside_the_data_numerics_answer_although_the_estimate_is_small():
     apart = guarded.fallback(X[:1], u[:1], np.array([0.4 if D_hat[0] > 1 else 1.9]))  # both occur, never together
     assert apart.all() and guarded.error(X[:1], u[:1], D_hat[:1]) < 0.05
     assert guarded.fallback(X[:1] * 3, u[:1], D_hat[:1]).all()
+
+
+def resolved(count=200):
+    """A guard of Heun's method, and smooth rows that its domain is of, all of them examples."""
+    X, u, D_hat = rows(count)
+    parts = [type("Rows", (), {"X": X, "u": u, "D_hat": D_hat, "t": np.zeros(count)})()]
+    model = npred.predictor("heun", PLANT, NX)
+    model.operator = type("Operator", (), {"domain": Domain.of_parts(lambda: parts, X.std(axis=0), PLANT.phase)})()
+    return Guarded(model, 0.05), X, u, D_hat
+
+
+def test_what_the_nodes_do_not_resolve_is_answered_by_numerics():
+    guarded, X, u, D_hat = resolved()
+    rough = u + 0.05 * (-1.0) ** np.arange(NX)[:, None]
+    assert not guarded.fallback(X, u, D_hat).any() and guarded.fallback(X, rough, D_hat).all()
+    faint = u + 1e-6 * (-1.0) ** np.arange(NX)[:, None]
+    assert guarded.fallback(X, faint, D_hat).mean() < 0.02  # the row that the limit is of may be just outside
+
+
+def test_the_kernel_refuses_what_is_beyond_the_data():
+    guarded, X, u, D_hat = resolved()
+    u = u + np.random.default_rng(2).uniform(0, 0.002, len(u))[:, None, None] * (-1.0) ** np.arange(NX)[:, None]
+    beyond = guarded.beyond(X, u, D_hat, np.zeros(len(X)))
+    doubted = guarded.error(X, u, D_hat) > guarded.threshold
+    np.testing.assert_array_equal(guarded.fallback(X, u, D_hat), doubted | (beyond > 1))
+    assert 0.1 < (beyond > 1).mean() < 0.9 > doubted.mean()
+    assert (npred.guarded(npred.predictor("heun", PLANT, NX)).beyond(X, u, D_hat, 0 * D_hat) == 0).all()
+
+
+@given(seed=st.integers(0, 10**6), nx=st.integers(4, 30))
+def test_the_bound_of_what_is_unread_holds_and_is_reached(seed, nx):
+    """Simpson's rule with the midpoints of the cubic, and the trapezoid rule, on the same nodes."""
+    u = np.random.default_rng(seed).normal(size=(3, nx, 2))
+    fine = grid.refine(u, 2 * nx - 1)
+    h = 1 / (nx - 1)
+    simpson = h / 6 * (fine[:, :-2:2] + 4 * fine[:, 1::2] + fine[:, 2::2]).sum(axis=1)
+    trapezoid = h / 2 * (u[:, :-1] + u[:, 1:]).sum(axis=1)
+    gap = np.abs(simpson - trapezoid)
+    assert (gap <= unread(u) * (1 + 1e-9)).all()
+    bent = np.linspace(0, 1, nx)[:, None] ** 2 + np.zeros((1, nx, 1))  # all kinks of one sign
+    simpson = h**2 / 6  # the error of the trapezoid rule
+    np.testing.assert_allclose(unread(bent), simpson, rtol=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,8 @@ from npred.predictors.guarded import Guarded
 from npred.results import Certified, Contender
 from npred.results.certify import Certificate
 from npred.stages import Job
-from npred.stages.certify import adversary, rollouts
+from npred.stages.certify import adversary, blind_spots, rollouts
+from npred.stages.certify.input_set import Inputs
 from npred.stages.certify.rollouts import Calls, Rollouts
 from npred.stages.evaluate import networks
 from npred.stages.evaluate.initial_conditions import box
@@ -55,8 +56,10 @@ def run(job: Job) -> Certified:
     loops = _loops(job, exact, f"loops of {exact.name}")
     with ThreadPoolExecutor(job.jobs) as pool:
         searches = {contender: pool.submit(_search, job, data, guard.model) for contender, guard in guards.items()}
+        blind = {contender: pool.submit(_blind, job, data, guard, exact) for contender, guard in guards.items()}
         runs = {contender: pool.submit(_both, job, guard) for contender, guard in guards.items()}
         calls = {contender: search.result() for contender, search in searches.items()}
+        passes = {contender: search.result() for contender, search in blind.items()}
         both = {contender: run.result() for contender, run in runs.items()}
     _write_worst(job, calls)
     models = {
@@ -64,6 +67,7 @@ def run(job: Job) -> Certified:
             **_rollouts(job, by_rollout[contender]),
             **_bounds(guard, by_rollout[contender]),
             **_calls(guard, exact, *calls[contender]),
+            **passes[contender],
             **_behaviour(job, loops, *both[contender]),
         )
         for contender, guard in guards.items()
@@ -79,10 +83,10 @@ def run(job: Job) -> Certified:
 def summary(result: Certified, width: int | None = None) -> str:
     """A sentence about what holds, and a row per network."""
     first = next(iter(result.models.values()))
-    head = ["network", "ε κ", "adversary", "above", "unnoticed", "lost", "guarded", "fallback"]
+    head = ["network", "ε κ", "adversary", "above", "unnoticed", "blind", "lost", "guarded", "fallback"]
     rows = [
         [contender.label, f"{c.eps_kappa:.1e}", f"{c.adversarial:.1e}", f"{c.above} of {c.calls}", str(c.unnoticed),
-         str(c.lost), str(c.lost_guarded), f"{c.fallback:.2%}"]
+         f"{c.blind} of {c.blind_calls}", str(c.lost), str(c.lost_guarded), f"{c.fallback:.2%}"]
         for contender, c in result.models.items()
     ]  # fmt: skip
     about = (
@@ -95,10 +99,21 @@ def summary(result: Certified, width: int | None = None) -> str:
 
 
 def _search(job: Job, data: Dataset, network: Predictor) -> tuple[Calls, np.ndarray]:
-    table = job.config.certify_table
-    inputs = adversary.Inputs.of(data, box(job.plant, job.config))
+    table, inputs = job.config.certify_table, Inputs.of(data, box(job.plant, job.config), job.plant)
     with job.progress.bar(f"adversary {network.name}", table.restarts * table.steps, "calls") as bar:
         return adversary.search(job.plant, network, data, inputs, table, job.config.seed, bar.advance)
+
+
+def _blind(job: Job, data: Dataset, guard: Guarded, exact: Predictor) -> dict[str, Any]:
+    """What a search for blind spots finds that the guard lets pass."""
+    table, inputs = job.config.certify_table, Inputs.of(data, box(job.plant, job.config), job.plant)
+    with job.progress.bar(f"blind spots of {guard.name}", table.restarts * table.steps, "calls") as bar:
+        calls, _ = blind_spots.search(guard, exact, data, inputs, table, job.config.seed, bar.advance)
+    true, _, passed = rollouts.judged(guard, exact, *calls)
+    return {
+        "blind_calls": len(true), "blind": int((passed & (true > guard.tolerance)).sum()),
+        "blind_error": true[passed].max(initial=0.0),
+    }  # fmt: skip
 
 
 def _write_worst(job: Job, calls: Mapping[Contender, tuple[Calls, np.ndarray]]) -> None:

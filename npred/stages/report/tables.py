@@ -104,7 +104,8 @@ def certified(result: Certified | None) -> Table | None:
         return None
     rows = list(result.models.values())
     heads = {"eps_kappa": "ε_{κ} of all rollouts", "median": "median", "adversarial": "adversary"}
-    counts = {"above": "calls above the tolerance", "unnoticed": "unnoticed", "lost": "lost", "lost_guarded": "guarded"}
+    counts = {"above": "calls above the tolerance", "unnoticed": "unnoticed", "blind": "blind spots", "lost": "lost"}
+    counts |= {"lost_guarded": "guarded"}
     columns = [
         Column("network", [contender.label for contender in result.models]),
         *_columns(rows, heads),

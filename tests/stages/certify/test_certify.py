@@ -13,6 +13,7 @@ from npred.loop import metrics
 from npred.predictors import RK4, Predictor
 from npred.predictors.guarded import Guarded
 from npred.stages.certify import adversary, certify, rollouts
+from npred.stages.certify.input_set import Inputs
 from npred.stages.generate import generate
 
 PLANT = npred.plant(NAME)
@@ -82,12 +83,12 @@ class Wrong(Predictor):
 
 def searched(data, steps, seed=0):
     table = Certify(restarts=16, steps=steps)
-    inputs = adversary.Inputs.of(data, np.array([PLANT.box[name] for name in PLANT.states]))
+    inputs = Inputs.of(data, np.array([PLANT.box[name] for name in PLANT.states]))
     (X, u, D_hat, _), error = adversary.search(PLANT, Wrong(PLANT, 21), data, inputs, table, seed, lambda n: None)
     return inputs, X, u, D_hat, error
 
 
-def test_random_steps_find_larger_errors_than_the_starts_had_and_stay_inside(certified):
+def test_evolution_finds_larger_errors_than_the_starts_had_and_stays_inside(certified):
     inputs, X, u, D_hat, error = searched(certified[2], 40)
     by_step = error.reshape(40, 16)
     assert by_step.max() > 1.5 * by_step[0].max()
@@ -107,7 +108,7 @@ def test_calls_have_the_delay_that_the_plant_declares_at_their_states_and_times(
     u, D, exact = np.repeat(plant.kappa(X, t)[:, None], 21, axis=1), plant.delay(X, t), RK4(plant, 21)
     data = Dataset(X, u, D, exact(X, u, D, t), D, t, np.arange(30), np.zeros(30, dtype=bool))
     coarse, table = npred.predictor("euler", plant, 21), Certify(restarts=8, steps=6)
-    calls, error = adversary.search(plant, coarse, data, adversary.Inputs.of(data, box), table, 0, lambda count: None)
+    calls, error = adversary.search(plant, coarse, data, Inputs.of(data, box, plant), table, 0, lambda count: None)
     X, _, D, t = calls
     np.testing.assert_allclose(D, [plant.delay(*row) for row in zip(X, t, strict=True)], rtol=1e-12)
     assert np.ptp(t) > 2 if plant.clocked else (t == 0).all()
@@ -119,7 +120,7 @@ def test_the_gradient_climbs_through_a_network(certified):
     from npred.stages.evaluate import networks
 
     network = networks.load(task, "deeponet", None, "deeponet")
-    inputs = adversary.Inputs.of(data, np.array([PLANT.box[name] for name in PLANT.states]))
+    inputs = Inputs.of(data, np.array([PLANT.box[name] for name in PLANT.states]))
     table = Certify(restarts=12, steps=40)
     calls, error = adversary.search(PLANT, network, data, inputs, table, 0, lambda n: None)
     by_step = error.reshape(40, 12)

@@ -1,0 +1,91 @@
+"""CMA-ES: normal distributions of inputs that move to where a score is larger [Hansen 2016, arXiv:1604.00772]."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from npred.plants import Plant
+from npred.stages.certify.input_set import Inputs
+from npred.stages.certify.rollouts import Calls
+
+SPREAD = 0.3  # standard deviation that a distribution starts with, in logistic coordinates
+POPULATION = 20  # points that a distribution is adapted by, about
+FEWEST = 4  # that it can be adapted by
+FULL = 200  # coordinates up to which a whole covariance is adapted; its diagonal beyond, for it costs their cube
+LOWEST = -1e9  # a score for what has none: CMA-ES compares scores, and nothing else
+Score = Callable[..., np.ndarray]  # (X, u, D_hat, t) -> (B,)
+Progress = Callable[[int], Any]
+
+
+def search(
+    plant: Plant, inputs: Inputs, a: list[Tensor], steps: int, score: Score, rng: np.random.Generator,
+    progress: Progress, smooth: bool = True,
+) -> tuple[Calls, np.ndarray]:  # fmt: skip
+    """The calls (B `steps` rows) from starts X, u, D_hat in logistic coordinates (B, ...), and the score of each.
+
+    A plant with a clock is asked at times of the set; a delay that it declares is that of X and the time. Evolved are
+    the values of u at the nodes or, `smooth`, cosines over x, the k-th with a spread of 1 / (k + 1)²: both reach all u.
+    """
+    nx, a = a[1].shape[1], [*a]
+    waves = torch.as_tensor(cosines(nx) if smooth else np.eye(nx))
+    a[1] = torch.einsum("bjm,kj->bkm", a[1], torch.linalg.inv(waves).T)
+    shapes, ends = [b.shape[1:] for b in a], np.cumsum([0, *(b[0].numel() for b in a)])
+    calls: list[tuple[np.ndarray, ...]] = []
+
+    def scored(points: np.ndarray) -> np.ndarray:
+        parts = [torch.as_tensor(points[:, i:j]) for i, j in zip(ends, ends[1:], strict=False)]
+        X, u, D_hat = (part.reshape(-1, *shape) for part, shape in zip(parts, shapes, strict=True))
+        u = torch.einsum("bkm,kj->bjm", u, waves)
+        X, u, D_hat = (inputs.inside(b, name).numpy() for b, name in ((X, "X"), (u, "u"), (D_hat, "D_hat")))
+        t = inputs.span * torch.sigmoid(torch.as_tensor(points[:, -1])).numpy() if inputs.span else np.zeros(len(X))
+        rows = X, u, plant.delay(X, t) if plant.declares_delay else D_hat, t
+        calls.append((*rows, score(*rows)))
+        return calls[-1][-1]
+
+    starts = [b.reshape(len(b), -1).numpy() for b in a]
+    starts += [rng.standard_normal((len(starts[0]), 1))] if inputs.span else []
+    evolve(scored, np.concatenate(starts, axis=1), steps, rng, progress)
+    X, u, D_hat, t, scores = (np.concatenate(column) for column in zip(*calls, strict=True))
+    return (X, u, D_hat, t), scores
+
+
+def cosines(nx: int) -> np.ndarray:
+    """cos(π k x_j) / (k + 1)² at the middles x_j of nx cells, (k, j)."""
+    k = np.arange(nx)[:, None]
+    return np.cos(np.pi * k * (np.arange(nx) + 0.5) / nx) / (k + 1) ** 2
+
+
+def evolve(
+    score: Callable[[np.ndarray], np.ndarray], starts: np.ndarray, steps: int, rng: np.random.Generator,
+    progress: Progress,
+) -> None:  # fmt: skip
+    """Call `score`, (B, k) points to (B,), `steps` times with a point for each of `starts` (B, k), or FEWEST of them.
+
+    Each population adapts one distribution, which starts again at the next of its starts where it has converged.
+    """
+    groups = np.array_split(starts, max(1, round(len(starts) / POPULATION)))
+    sizes, turns = [max(len(group), FEWEST) for group in groups], [0] * len(groups)
+    searches = [_started(group[0], size, rng) for group, size in zip(groups, sizes, strict=True)]
+    for _ in range(steps):
+        asked = [np.array(search.ask()) for search in searches]
+        scores = np.nan_to_num(score(np.concatenate(asked)), nan=LOWEST, neginf=LOWEST)
+        parts = np.split(scores, np.cumsum(sizes)[:-1])
+        for k, (points, values) in enumerate(zip(asked, parts, strict=True)):
+            searches[k].tell(list(points), (-values).tolist())
+            if searches[k].stop():
+                turns[k] += 1
+                searches[k] = _started(groups[k][turns[k] % len(groups[k])], sizes[k], rng)
+        progress(len(scores))
+
+
+def _started(start: np.ndarray, size: int, rng: np.random.Generator) -> Any:
+    import cma  # it takes a while, and only an adversary needs it
+
+    options = {
+        "popsize": size, "CMA_diagonal": len(start) > FULL, "randn": lambda *shape: rng.standard_normal(shape),
+        "seed": np.nan, "verbose": -9,
+    }  # fmt: skip
+    return cma.CMAEvolutionStrategy(start, SPREAD, options)
