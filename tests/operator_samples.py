@@ -80,6 +80,14 @@ def holding() -> tuple[plants.Plant, Arrays]:
     return plants.Plant("holding", Holding), Arrays(X, u, D_hat, random.normal(size=(4, 11, 1)))
 
 
+def phased() -> tuple[plants.Plant, Arrays, np.ndarray]:
+    """The unicycle, whose two delays let its prediction depend on the time, random rows for it, and their times."""
+    random = np.random.default_rng(0)
+    X, u, D_hat = random.normal(size=(5, 3)), random.normal(size=(5, 13, 2)), random.uniform(0.5, 0.7, 5)
+    rows = Arrays(X, u, D_hat, random.normal(size=(5, 13, 3)))
+    return plants.resolve("unicycle"), rows, random.uniform(0, 100, 5)
+
+
 def operator(config: Training, seed: int = 0, **changes: object) -> Operator:
     """An untrained operator of the activator-repressor plant."""
     torch.manual_seed(seed)

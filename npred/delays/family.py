@@ -70,7 +70,6 @@ def rows(*lanes: np.ndarray) -> list[np.ndarray]:
 
 # What knows (X, u, D_hat) alone, and what to use where P depends on the time too.
 WITHOUT_TIME = {
-    "fused": "use the runtime torch",
     "onnx": "use the runtime torch",
     "export c": "use npred.controller",
     "import": "the files hold no time",
@@ -94,8 +93,7 @@ class Family(ABC):
 
     def refusal(self, part: str) -> tuple[str, str] | None:
         """The reason that a method, delay law, runtime or format does not serve the plant, and the cure; else None."""
-        sees_time = self.plant.phased if part == "fused" else self.plant.clocked
-        if part in WITHOUT_TIME and sees_time:
+        if part in WITHOUT_TIME and self.plant.clocked:
             return f"expected a prediction free of time, that of plant {self.plant.name} is not", WITHOUT_TIME[part]
         if part in self.lacks:
             return self.expected(), self.lacks[part]

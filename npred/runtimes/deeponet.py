@@ -36,16 +36,16 @@ def _hidden(p: Program, network: DeepONetwork, hidden: list[nn.Linear]) -> Matri
     """The branch's hidden layers, of all rows side by side: in differences a bias cancels."""
     n, m, nx, rows, count, width = p.n, p.m, p.nx, p.rows, network.moments, hidden[0].out_features
     transform = moment_matrix(nx, count, torch.float64, CPU).numpy().T  # (nx, count)
-    first = hidden[0].weight.numpy().T  # rows: X, moments, D_hat
-    by_input = first[n:-1].reshape(count, m, width).swapaxes(0, 1).reshape(m * count, width)
+    first = hidden[0].weight.numpy().T  # rows: X and the phase, moments, D_hat
+    by_input = first[p.seen : -1].reshape(count, m, width).swapaxes(0, 1).reshape(m * count, width)
     zero = p.z_zero @ first[:n] + np.outer(p.v_zero, transform.sum(axis=0)).ravel() @ by_input + hidden[0].bias.numpy()
     features, sums, h = p.buffer("features", m, count), p.buffer("sums", rows, width), p.buffer("h", rows, width)
     by_node, by_moment = p.constant("by_node", transform), p.constant("by_moment", by_input)
-    by_z, bias = p.constant("by_z", np.concatenate([first[:n], first[-1:]])), p.constant("bias", _bias(zero, rows))
+    by_z, bias = p.constant("by_z", np.concatenate([first[: p.seen], first[-1:]])), p.constant("bias", _bias(zero, rows))
     activation = Silu("h", "sums", width) if rows == 1 else SiluPair("h", "sums", width)
     p.steps += [
         Product(features, Matrix("v", 1, m), by_node, (m, nx, count)),
-        Product(sums, Matrix("z", n + 1), by_z, (rows, n + 1, width), bias),
+        Product(sums, Matrix("z", p.columns), by_z, (rows, p.columns, width), bias),
         Product(sums, Matrix("features", m * count), by_moment, (1, m * count, width), adds=True),
         activation,
     ]

@@ -28,7 +28,10 @@ def append(p: Program, operator: Operator) -> None:
     turned = p.buffer("turned", width, nx)
     p.steps.append(Transpose(turned, v, (nx, width)))
     p.steps += _project(p, network, turned)
-    if operator.anchor == "equilibrium":
+    if operator.anchor == "equilibrium" and p.period:  # N at rest depends on two numbers, for which there is no series
+        p.twice = True
+        p.buffer("N_rest", 1, p.n * p.nx)
+    elif operator.anchor == "equilibrium":
         p.series = _at_rest(p, operator)
 
 
@@ -37,12 +40,12 @@ def _lift(p: Program, network: FNOnetwork) -> Matrix:
     n, m, nx, weight = p.n, p.m, p.nodes, network.lift.weight.numpy().T
     width = weight.shape[1]
     shift, waves = p.buffer("shift", 1, width), p.buffer("waves", nx, width)
-    zero = network.lift.bias.numpy() + p.z_zero @ weight[:n] + p.v_zero @ weight[n + 1 : -1]
-    bias, by_z = p.constant("lift", zero), p.constant("by_z", weight[: n + 1])
+    zero = network.lift.bias.numpy() + p.z_zero @ weight[:n] + p.v_zero @ weight[p.columns : -1]
+    bias, by_z = p.constant("lift", zero), p.constant("by_z", weight[: p.columns])
     nodes, by_x = p.constant("nodes", 2 * grid.nodes(nx)[:, None] - 1), p.constant("by_x", weight[-1:])
-    by_mean = p.constant("by_mean", weight[n + 1 : -1])
+    by_mean = p.constant("by_mean", weight[p.columns : -1])
     p.steps += [
-        Product(shift, Matrix("z", n + 1), by_z, (1, n + 1, width), bias),
+        Product(shift, Matrix("z", p.columns), by_z, (1, p.columns, width), bias),
         Product(waves, nodes, by_x, (nx, 1, width), replace(shift, row=0)),
         Product(waves, Matrix("r", p.stride, p.nx), by_mean, (nx, m, width), adds=True),
     ]

@@ -36,7 +36,8 @@ SOURCE = """\
 SAMPLE = """\
 for c in range({n}):
     z[c] = REAL((np.arcsinh(X[c, l] * X_bend[c]) - X_zero[c]) * X_gain[c])
-z[{n}] = REAL((D_hat[l] - D_hat_zero[0]) * D_hat_gain[0])
+{phase}
+z[{seen}] = REAL((D_hat[l] - D_hat_zero[0]) * D_hat_gain[0])
 for c in range({m}):
     if lanes == 1:
         for j in range({nx}):
@@ -63,15 +64,32 @@ for c in range({m}):
 
 PAIR = """\
 for c in range({n}):
-    z[{n} + 1 + c] = ZERO
-z[2 * {n} + 1], z[{n}] = z[{n}], ZERO
+    z[{columns} + c] = ZERO
+for c in range({n}, {columns}):
+    z[{columns} + c], z[c] = z[c], ZERO
+"""
+
+PHASE = """\
+angle = {turn!r} * (t / {period!r} % 1.0)
+z[{n}], z[{n} + 1] = REAL(np.cos(angle)), REAL(np.sin(angle))
 """
 
 # Inside the series' range one pass is enough; outside it the point of rest has a separate pass, before the sample's.
 SERIES = """\
 s = (np.float64(D_hat[l]) - {low!r}) * {scale!r} - 1.0
 inside = abs(s) <= 1.0
-for row in range(1 if inside else 0, 2):
+{passes}
+if inside:
+    one, two = 1.0, s
+    for k in range({terms}):
+        T[k] = REAL(one)
+        one, two = two, 2.0 * s * two - one
+    {series}
+{difference}
+"""
+
+PASSES = """\
+for row in range({first}, 2):
     {sample}
     if row == 0:
         z[:{n}] = ZERO
@@ -80,12 +98,9 @@ for row in range(1 if inside else 0, 2):
     if row == 0:
         for j in range({size}):
             N_rest[j] = N[j]
-if inside:
-    one, two = 1.0, s
-    for k in range({terms}):
-        T[k] = REAL(one)
-        one, two = two, 2.0 * s * two - one
-    {series}
+"""
+
+DIFFERENCE = """\
 for j in range({size}):
     N[j] -= N_rest[j]
 """
@@ -149,15 +164,18 @@ def _outputs(p: Program, target: str) -> list[str]:
 
 def _body(p: Program) -> list[str]:
     """The lines from the inputs to N."""
-    sample, steps = SAMPLE.splitlines(), numba_text.steps(p.steps)
-    if p.series is None:
-        return sample + (PAIR.splitlines() if p.rows == 2 else []) + steps
-    series = numba_text.steps([p.series.product])
-    return kernels.fill(SERIES, sample=sample, steps=steps, series=series).splitlines()
+    sample = kernels.fill(SAMPLE, phase=PHASE.splitlines() if p.period else []).splitlines()
+    steps, difference = numba_text.steps(p.steps), DIFFERENCE.splitlines()
+    passes = kernels.fill(PASSES, sample=sample, steps=steps).splitlines()
+    if p.series:
+        series = numba_text.steps([p.series.product])
+        return kernels.fill(SERIES, passes=passes, series=series, difference=difference).splitlines()
+    return passes + difference if p.twice else sample + (PAIR.splitlines() if p.rows == 2 else []) + steps
 
 
 def _sizes(p: Program) -> dict[str, Any]:
-    sizes = {"n": p.n, "m": p.m, "nx": p.nx, "quads": p.nx - p.nx % 4, "size": p.n * p.nx}
+    sizes: dict[str, Any] = {"n": p.n, "m": p.m, "nx": p.nx, "quads": p.nx - p.nx % 4, "size": p.n * p.nx}
+    sizes |= {"seen": p.seen, "columns": p.columns, "period": p.period, "turn": 2 * np.pi, "first": "0"}
     if p.series is None:
         return sizes
-    return sizes | {"low": p.series.low, "scale": 2 / (p.series.high - p.series.low), "terms": p.series.terms}
+    return sizes | {"first": "1 if inside else 0", "low": p.series.low, "scale": 2 / (p.series.high - p.series.low), "terms": p.series.terms}

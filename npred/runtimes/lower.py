@@ -37,13 +37,15 @@ def fold(operator: Operator, plant: Plant, nx: int, stride: int = 1, precision: 
 
     `precision` is that of the network: np.float32 or np.float64.
 
-    Raises ConfigError for a network without a program, or one that sees the clock.
+    Raises ConfigError for a network without a program, a plant whose family has none, or whose time has no period.
     """
+    plant.phase(0.0)
     family_of(plant).needs("fused")
     require(operator, "fold", "use the runtime torch or onnx")
     network, operator = import_module(lowering(operator)), _exact(operator, plant)
     rows = 2 if network.PAIRED and operator.anchor == "equilibrium" else 1
-    p = Program(plant.n, plant.m, nx, rows, stride if network.STRIDED else 1, precision)
+    period = plant.period if plant.phased else None
+    p = Program(plant.n, plant.m, nx, rows, stride if network.STRIDED else 1, period, precision=precision)
     _inputs(p, operator)
     network.append(p, operator)
     scaling = operator.scaling

@@ -143,11 +143,12 @@ class Series:
 class Program:
     """The steps from the inputs that a runtime scales first to N (n, nx), and P = base + gain (N - N_rest).
 
-    z (rows, n + 1): X, scaled and less its value at rest, and scaled D_hat. v (nx, m): u likewise; r (m, nx): the
-    running mean of v. At rest X and u give zeros, to the bit. With rows = 2 the first row of z is the difference of the
-    sample from the plant at rest, without D_hat, and the second the plant at rest, D_hat alone: the network carries
-    both, and N is N(sample) - N(rest) with a relative error of rounding. With a series N is N(sample), and
-    the series is N(rest).
+    z (rows, states + clock + 1): X, scaled and less its value at rest, cosine and sine of the phase in `period` where
+    the network sees it, and scaled D_hat. v (nx, m): u likewise; r (m, nx): the running mean of v. At rest X and u give
+    zeros, to the bit. With rows = 2 the first row of z is the difference of the sample from the plant at rest, without
+    phase and D_hat, and the second the plant at rest, these alone: the network carries both, and N is
+    N(sample) - N(rest) with a relative error of rounding. With a series N is N(sample), and the series is N(rest); with
+    `twice` both are evaluated one after the other.
     X_bend, X_zero, X_gain, u_zero, u_gain, D_hat_zero and D_hat_gain scale the inputs, in double precision.
     """
 
@@ -156,6 +157,8 @@ class Program:
     nx: int
     rows: int = 1
     stride: int = 1
+    period: float | None = None  # of the plant's time, in seconds, where the network sees it
+    twice: bool = False
     precision: Any = np.float32  # of the constants and buffers
     series: Series | None = None
     constants: dict[str, np.ndarray] = field(default_factory=dict)
@@ -166,7 +169,17 @@ class Program:
 
     def __post_init__(self) -> None:
         n, m, nx = self.n, self.m, self.nx
-        self.buffers |= {"z": self.rows * (n + 1), "v": nx * m, "r": m * nx, "N": n * nx}
+        self.buffers |= {"z": self.rows * self.columns, "v": nx * m, "r": m * nx, "N": n * nx}
+
+    @property
+    def seen(self) -> int:
+        """The columns of z before D_hat: X, and the phase where the network sees it."""
+        return self.n + (2 if self.period else 0)
+
+    @property
+    def columns(self) -> int:
+        """The columns of z."""
+        return self.seen + 1
 
     @property
     def rounding(self) -> float:

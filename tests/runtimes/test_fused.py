@@ -5,7 +5,7 @@ import copy
 import numpy as np
 import pytest
 import torch
-from operator_samples import PLANT, SMALL, holding, operator, samples, several_inputs
+from operator_samples import PLANT, SMALL, holding, operator, phased, samples, several_inputs
 
 import npred
 from npred.config import FNO, DeepONet
@@ -132,6 +132,21 @@ def test_a_plant_that_tracks_what_stands_still_has_a_point_of_rest(config):
     found, wanted = (run(data.X, data.u, data.D_hat) for run in (fused, torch_model))
     np.testing.assert_allclose(found, wanted, rtol=1e-5, atol=1e-5)
     np.testing.assert_allclose(fused([0.5], np.full((11, 1), 0.5), 1.3), np.full((11, 1), 0.5), rtol=1e-6)
+
+
+@pytest.mark.parametrize("anchor", ANCHORS)
+@pytest.mark.parametrize("config", SMALL, ids=lambda config: type(config).__name__)
+def test_a_network_that_sees_the_time(config, anchor):
+    plant, data, t = phased()
+    torch.manual_seed(0)
+    model = build(config.model_copy(update={"anchor": anchor}), plant, Scaling.of(data)).double()
+    fused, torch_model = Fused(plant, model, 13, precision=np.float64), Neural(plant, copy.deepcopy(model), 13)
+    P = torch_model(data.X, data.u, data.D_hat, t)
+    np.testing.assert_allclose(fused(data.X, data.u, data.D_hat, t), P, rtol=1e-11, atol=1e-12)
+    assert np.abs(torch_model(data.X, data.u, data.D_hat, t + 0.5) - P).max() > 1e-3  # it does see it
+    if anchor == "equilibrium":
+        rest = fused(np.zeros(3), np.zeros((13, 2)), 0.6, 1.7)
+        np.testing.assert_array_equal(rest, np.zeros((13, 3)))
 
 
 def test_lanes_give_what_single_calls_give():

@@ -9,7 +9,7 @@ from npred.stages import Job
 def load(job: Job, model: str, snapshot: int | None, name: str) -> Predictor:
     """The fused network, as it is deployed but in double precision: in float32 an FNO's loops end 3e-6 away.
 
-    A network that sees the clock, or that cannot be lowered, is evaluated by torch.
+    A network that cannot be lowered is evaluated by torch.
     """
     import torch
 
@@ -21,6 +21,6 @@ def load(job: Job, model: str, snapshot: int | None, name: str) -> Predictor:
     operator = operators.load(job.inputs[model], job.plant, snapshot, torch.float64, job.config.train.table(model))
     if not lowering(operator) and snapshot is None:
         job.progress.note(f"evaluate: {model} is evaluated by torch, for it has no fused form")
-    if job.device == "cpu" and not job.plant.phased and lowering(operator):
+    if job.device == "cpu" and lowering(operator):
         return Fused(job.plant, operator, job.config.evaluate.nx, name, precision=np.float64)
     return Neural(job.plant, operator, job.config.evaluate.nx, job.device, name)
