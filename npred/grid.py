@@ -30,14 +30,18 @@ def refine(values: np.ndarray, nx: int) -> np.ndarray:
 
 def read(values: np.ndarray, x: np.ndarray) -> np.ndarray:
     """Nodal values (..., nodes, m) at points x (k,) of [0, 1], (..., k, m), as `refine` reads them; exact at nodes."""
-    old = values.shape[-2]
-    width = 4 if old > 3 else 2
-    s = x * (old - 1)
-    first = np.clip(np.floor(s).astype(int) - (width // 2 - 1), 0, old - width)
-    t = s - first  # position among the neighbours 0 … width - 1
+    first, weights = stencil(values.shape[-2], x)
     result = np.zeros(())
-    for k in range(width):
-        others = [j for j in range(width) if j != k]
-        weight = np.prod([(t - j) / (k - j) for j in others], axis=0)
+    for k, weight in enumerate(weights):
         result = result + weight[:, None] * values[..., first + k, :]
     return result
+
+
+def stencil(nx: int, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The first of the nodes that points x (k,) are read from, (k,), and the weights of these and the next ones."""
+    width = 4 if nx > 3 else 2
+    s = x * (nx - 1)
+    first = np.clip(np.floor(s).astype(int) - (width // 2 - 1), 0, nx - width)
+    t = s - first  # position among the neighbours 0 … width - 1
+    others = [[j for j in range(width) if j != k] for k in range(width)]
+    return first, np.array([np.prod([(t - j) / (k - j) for j in others[k]], axis=0) for k in range(width)])

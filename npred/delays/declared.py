@@ -13,7 +13,7 @@ import numpy as np
 
 from npred.delays import family
 from npred.delays.constant import WEIGHTS, ConstantDelay, input_lines
-from npred.delays.family import WITHOUT_TIME, Family, Kernel, Step
+from npred.delays.family import Family, Kernel, Step
 from npred.symbolic import kernels, programs
 from npred.symbolic.trace import Trace
 
@@ -71,9 +71,9 @@ class DeclaredDelay(Family):
 
     def refusal(self, part: str) -> tuple[str, str] | None:
         """Those of `lacks`, and the files whose U is kappa(P(1), t + D_hat): no command acts at that time."""
-        if part in ("onnx", "export c") and not self.plant.rests:
-            reason = f"expected a law free of time, for that of plant {self.plant.name} is read at s(1)"
-            return reason, WITHOUT_TIME[part]
+        cures = {"onnx": "use the runtime torch or fused", "export c": "use npred.controller"}
+        if part in cures and not self.plant.rests:
+            return f"expected a law free of time, for that of plant {self.plant.name} is read at s(1)", cures[part]
         return super().refusal(part)
 
     @staticmethod

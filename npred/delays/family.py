@@ -68,14 +68,6 @@ def rows(*lanes: np.ndarray) -> list[np.ndarray]:
     return views
 
 
-# What knows (X, u, D_hat) alone, and what to use where P depends on the time too.
-WITHOUT_TIME = {
-    "onnx": "use the runtime torch",
-    "export c": "use npred.controller",
-    "import": "the files hold no time",
-}
-
-
 class Family(ABC):
     """The kernels of one plant. What a family lacks it refuses by ConfigError, with what to do instead.
 
@@ -93,8 +85,9 @@ class Family(ABC):
 
     def refusal(self, part: str) -> tuple[str, str] | None:
         """The reason that a method, delay law, runtime or format does not serve the plant, and the cure; else None."""
-        if part in WITHOUT_TIME and self.plant.clocked:
-            return f"expected a prediction free of time, that of plant {self.plant.name} is not", WITHOUT_TIME[part]
+        if part == "import" and self.plant.clocked:
+            reason = f"expected a prediction free of time, that of plant {self.plant.name} is not"
+            return reason, "the files hold no time"
         if part in self.lacks:
             return self.expected(), self.lacks[part]
         if part == "semi_implicit" and not self.plant.declares_mechanics:

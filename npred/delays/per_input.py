@@ -107,8 +107,6 @@ class DelayPerInput(Family):
         "adaptation": 'freeze the estimate, in a pipeline by adaptation = "frozen"',
         "defect": "take by = 'shadow'",
         "bound": "take error, an estimate",
-        "onnx": "use the runtime torch or fused",
-        "export c": "use npred.controller",
         "import": "the files hold one D_hat per row",
     }
 

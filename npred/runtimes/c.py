@@ -7,12 +7,14 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from npred import grid
 from npred.delays import family_of
+from npred.loop import metrics
 from npred.operators import Operator
 from npred.plants.base import Plant
 from npred.runtimes import c_text
 from npred.runtimes.lower import fold, require
-from npred.runtimes.program import Program
+from npred.runtimes.program import Program, indented
 from npred.symbolic import kernels
 
 SOURCE = """\
@@ -20,16 +22,14 @@ SOURCE = """\
  *
  * C99, no library but libm, no allocation. Its memory is static: one call at a time.
  * npred_predict: state X, actuator state u by nodes x = j / (NX - 1) and inputs, D_hat in seconds; writes P likewise.
- * npred_control: the control law at a state, that is P's last row, and at the time t when U arrives, now + D_hat, in
- * seconds; writes U, without bounds.
+ {reads}
  * With -DNPRED_TEST it is a program that compares itself with the model it was made from.
  */
 #include <math.h>
 
 {sizes}
 
-void npred_predict(const double X[N_STATES], const double u[SIZE_U], double D_hat, double P[SIZE_P]);
-void npred_control(const double X[N_STATES], double t, double U[M_INPUTS]);
+{prototypes}
 
 {constants}
 
@@ -43,7 +43,7 @@ static void inputs(const double *X, const double *u, double D_hat)
     for (int c = 0; c < N_STATES; c++) {
         z[c] = (float)((asinh(X[c] * X_bend[c]) - X_zero[c]) * X_gain[c]);
     }
-    z[N_STATES] = (float)((D_hat - D_hat_zero[0]) * D_hat_gain[0]);
+    z[SEEN] = (float)((D_hat - D_hat_zero[0]) * D_hat_gain[0]);
     for (int c = 0; c < M_INPUTS; c++) {
         double total = 0;
         for (int j = 0; j < NX; j++) {
@@ -63,7 +63,7 @@ static void network(void)
     {steps}
 }
 
-void npred_predict(const double X[N_STATES], const double u[SIZE_U], double D_hat, double P[SIZE_P])
+{predict_head}
 {
     {predict}
     for (int c = 0; c < N_STATES; c++) {
@@ -74,12 +74,7 @@ void npred_predict(const double X[N_STATES], const double u[SIZE_U], double D_ha
     }
 }
 
-void npred_control(const double X[N_STATES], double t, double U[M_INPUTS])
-{
-    (void)X;
-    (void)t;
-    {law}
-}
+{control}
 
 #ifdef NPRED_TEST
 #include <stdio.h>
@@ -91,8 +86,7 @@ int main(void)
     static double P[SIZE_P];
     double U[M_INPUTS], worst = 0;
     for (int s = 0; s < SAMPLES; s++) {
-        npred_predict(test_X + s * N_STATES, test_u + s * SIZE_U, test_D_hat[s], P);
-        npred_control(P + (NX - 1) * N_STATES, test_D_hat[s], U);
+        {calls}
         for (int k = 0; k < SIZE_P; k++) {
             worst = fmax(worst, fabs(P[k] - test_P[s * SIZE_P + k]) / test_size[k % N_STATES]);
         }
@@ -132,9 +126,42 @@ network();"""
 
 PAIR = """\
 inputs(X, u, D_hat);
-z[2 * N_STATES + 1] = z[N_STATES];
-z[N_STATES] = 0;
+for (int c = N_STATES; c <= SEEN; c++) {
+    z[SEEN + 1 + c] = z[c];
+    z[c] = 0;
+}
 network();"""
+
+PHASE = """\
+const double angle = 2 * PI * (t / PERIOD - floor(t / PERIOD));
+z[N_STATES] = (float)cos(angle);
+z[N_STATES + 1] = (float)sin(angle);"""
+
+# The law of one delay reads a state, that of several each input's own.
+CONTROL = """\
+void npred_control(const double X[N_STATES], double t, double U[M_INPUTS])
+{
+    (void)X;
+    (void)t;
+    {law}
+}"""
+
+READS = """\
+* npred_control: the control law at a state, that is P's last row, and at the time t when U arrives, now + D_hat, in
+* seconds; writes U, without bounds."""
+
+SEVERAL = """\
+void npred_control(const double P[SIZE_P], double D_hat, double t, double U[M_INPUTS])
+{
+    const double now = t;
+    (void)D_hat;
+    (void)now;
+    {laws}
+}"""
+
+SEVERAL_READS = """\
+* npred_control: U_j = kappa_j(P(r_j), t + r_j D_hat) for the shares r_j of the longest delay, P cubic between nodes, t
+* the time now in seconds; writes U, without bounds."""
 
 # Inside the series' range one pass is enough; outside it the point of rest has a separate pass, before the sample's.
 SERIES = """\
@@ -150,18 +177,24 @@ if (fabs(s) <= 1) {
     }
     {series}
 } else {
-    for (int c = 0; c < N_STATES; c++) {
-        z[c] = 0;
-    }
-    for (int k = 0; k < SIZE_U; k++) {
-        r[k] = 0;
-    }
-    network();
-    for (int k = 0; k < SIZE_P; k++) {
-        N_rest[k] = N[k];
-    }
-    inputs(X, u, D_hat);
+    {rest}
 }
+{difference}"""
+
+REST = """\
+for (int c = 0; c < N_STATES; c++) {
+    z[c] = 0;
+}
+for (int k = 0; k < SIZE_U; k++) {
+    r[k] = 0;
+}
+network();
+for (int k = 0; k < SIZE_P; k++) {
+    N_rest[k] = N[k];
+}
+inputs(X, u, D_hat);"""
+
+DIFFERENCE = """\
 network();
 for (int k = 0; k < SIZE_P; k++) {
     N[k] -= N_rest[k];
@@ -169,14 +202,17 @@ for (int k = 0; k < SIZE_P; k++) {
 
 
 def export(operator: Operator, plant: Plant, path: Path, nx: int, probe: tuple[np.ndarray, ...]) -> None:
-    """Write the C file for nx nodes; `probe`, X (B, n), u (B, nx, m), D_hat (B,), becomes its test vector."""
+    """Write the C file for nx nodes; `probe`, X (B, n), u (B, nx, m), D_hat (B,), becomes its test vector.
+
+    Where the plant depends on time, at times from 1 s to 9 s.
+    """
     path.write_text(source(operator, plant, nx, probe), encoding="utf-8")
 
 
 def source(operator: Operator, plant: Plant, nx: int, probe: tuple[np.ndarray, ...]) -> str:
     """The text of the C file.
 
-    Raises ConfigError where inputs have several delays, for its kappa reads P(1) alone, for an untraced plant, and
+    Raises ConfigError for an untraced plant, for a delay that the plant declares with a law that depends on time, and
     for a network that cannot be lowered.
     """
     family_of(plant).needs("export c")
@@ -188,6 +224,7 @@ def source(operator: Operator, plant: Plant, nx: int, probe: tuple[np.ndarray, .
         "NX": nx,
         "SIZE_U": nx * p.m,
         "SIZE_P": nx * p.n,
+        "SEEN": p.seen,
         "SAMPLES": len(probe[0]),
     }
     if p.series:
@@ -199,22 +236,65 @@ def source(operator: Operator, plant: Plant, nx: int, probe: tuple[np.ndarray, .
             f"/* The trained predictor of plant {c_text.comment(plant.name)} on {nx} nodes: P_hat(x), and "
             "U = kappa(P_hat(1))."
         ],
-        sizes=[f"enum {{ {', '.join(f'{name} = {value}' for name, value in sizes.items())} }};"],
+        sizes=[f"enum {{ {', '.join(f'{name} = {value}' for name, value in sizes.items())} }};", *_period(p)],
+        reads=(READS if plant.one_delay else SEVERAL_READS).splitlines(),
+        prototypes=[f"{head};" for head in (_head(p), _control(plant, nx)[0])],
+        predict_head=[_head(p)],
+        control=_control(plant, nx),
+        calls=_calls(p, plant),
         constants=[c_text.constant(name, values) for name, values in p.constants.items()],
         buffers=[f"static float {name}[{size}];" for name, size in p.buffers.items()],
         functions=(SILU_PAIR if p.rows == 2 else SILU).splitlines(),
         steps=c_text.steps(p.steps),
-        predict=_predict(p),
+        predict=[*(PHASE.splitlines() if p.period else []), *_predict(p)],
         output=[f"P[j * N_STATES + c] = {'base[c] +' if 'base' in p.constants else 'X[c] + D_hat *'} change;"],
-        law=c_text.control_law(plant),
         vector=_vector(operator, plant, probe),
     )
 
 
 def _predict(p: Program) -> Sequence[str]:
+    rest, difference = REST.splitlines(), DIFFERENCE.splitlines()
     if p.series:
-        return kernels.fill(SERIES, series=c_text.steps([p.series.product])).splitlines()
+        series = c_text.steps([p.series.product])
+        return kernels.fill(SERIES, series=series, rest=rest, difference=difference).splitlines()
+    if p.twice:
+        return ["inputs(X, u, D_hat);", *rest, *difference]
     return (PAIR if p.rows == 2 else PLAIN).splitlines()
+
+
+def _period(p: Program) -> list[str]:
+    """The constants of the phase."""
+    return [f"#define {name} {value!r}" for name, value in (("PI", np.pi), ("PERIOD", p.period))] if p.period else []
+
+
+def _head(p: Program) -> str:
+    """The head of npred_predict, which takes the time where the network sees it."""
+    time = ", double t" if p.period else ""
+    return f"void npred_predict(const double X[N_STATES], const double u[SIZE_U], double D_hat{time}, double P[SIZE_P])"
+
+
+def _control(plant: Plant, nx: int) -> list[str]:
+    """The lines of npred_control."""
+    if plant.one_delay:
+        return kernels.fill(CONTROL, law=c_text.control_law(plant)).splitlines()
+    laws = []
+    firsts, weights = grid.stencil(nx, plant.ratios)
+    for j, (first, ratio) in enumerate(zip(firsts.tolist(), plant.ratios.tolist(), strict=True)):
+        nodes = [f"{w!r} * P[{first + k} * N_STATES + {{c}}]" for k, w in enumerate(weights[:, j].tolist()) if w]
+        state = ", ".join(" + ".join(nodes).format(c=c) for c in range(plant.n))
+        arguments = [f"const double X[N_STATES] = {{{state}}};", f"const double t = now + {ratio!r} * D_hat;"]
+        laws += ["{", *indented([*arguments, "(void)X;", "(void)t;", *c_text.control_law(plant, j)]), "}"]
+    return kernels.fill(SEVERAL, laws=laws).splitlines()
+
+
+def _calls(p: Program, plant: Plant) -> list[str]:
+    """The calls of the self-test."""
+    time = ", test_t[s]" if p.period else ""
+    end = "P + (NX - 1) * N_STATES, test_t[s] + test_D_hat[s]" if plant.one_delay else "P, test_D_hat[s], test_t[s]"
+    return [
+        f"npred_predict(test_X + s * N_STATES, test_u + s * SIZE_U, test_D_hat[s]{time}, P);",
+        f"npred_control({end}, U);",
+    ]
 
 
 @torch.no_grad()
@@ -222,8 +302,10 @@ def _vector(operator: Operator, plant: Plant, probe: tuple[np.ndarray, ...]) -> 
     """The test vector: inputs, the model's P and U in double precision, and the size of each state and input."""
     X, u, D_hat = (np.asarray(a, dtype=float) for a in probe)
     model = copy.deepcopy(operator).double()
-    P = model(torch.as_tensor(X), torch.as_tensor(u), torch.as_tensor(D_hat)).numpy()
-    U = plant.kappa(P[:, -1], D_hat)
+    t = np.zeros(len(X)) if plant.rests and not plant.phased else np.linspace(1.0, 9.0, len(X))
+    phase = (torch.as_tensor(plant.phase(t)),) if plant.phased else ()
+    P = model(torch.as_tensor(X), torch.as_tensor(u), torch.as_tensor(D_hat), *phase).numpy()
+    U = plant.kappa(P[:, -1], t + D_hat) if plant.declares_delay else metrics.law(plant, P, t, D_hat)
     size = np.concatenate([np.abs(P).max(axis=(0, 1)), np.abs(U).max(axis=0)])
-    arrays = {"X": X, "u": u, "D_hat": D_hat, "P": P, "U": U, "size": np.where(size > 0, size, 1.0)}
+    arrays = {"X": X, "u": u, "D_hat": D_hat, "t": t, "P": P, "U": U, "size": np.where(size > 0, size, 1.0)}
     return [c_text.constant(f"test_{name}", values.reshape(-1)) for name, values in arrays.items()]

@@ -63,12 +63,13 @@ def _product(step: Product) -> list[str]:
     return lines if step.repeats == 1 else _loops({"e": step.repeats}, lines)
 
 
-def control_law(plant: Plant) -> list[str]:
-    """The lines of U = kappa(X, t), from the plant's formulas."""
+def control_law(plant: Plant, only: int | None = None) -> list[str]:
+    """The lines of U = kappa(X, t), from the plant's formulas; of all inputs, or `only` of one."""
     trace = Trace(plant)
     outputs = trace.kappa(trace.vector("x", plant.n), trace.input("t"))
     bindings = {f"x{k}": f"X[{k}]" for k in range(plant.n)} | {"t": "t"}
     bindings |= {f"p{k}": f"({value!r})" for k, value in enumerate(plant.p.tolist())}
-    lines = programs.lines(outputs, bindings, [f"U[{k}]" for k in range(plant.m)], MATHEMATICS)
+    chosen = range(plant.m) if only is None else [only]
+    lines = programs.lines([outputs[k] for k in chosen], bindings, [f"U[{k}]" for k in chosen], MATHEMATICS)
     words = [line.replace("np.inf", "INFINITY").replace("np.nan", "NAN") for line in lines]
     return [f"{'' if line.startswith('U[') else 'const double '}{line};" for line in words]

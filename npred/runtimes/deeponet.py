@@ -41,7 +41,10 @@ def _hidden(p: Program, network: DeepONetwork, hidden: list[nn.Linear]) -> Matri
     zero = p.z_zero @ first[:n] + np.outer(p.v_zero, transform.sum(axis=0)).ravel() @ by_input + hidden[0].bias.numpy()
     features, sums, h = p.buffer("features", m, count), p.buffer("sums", rows, width), p.buffer("h", rows, width)
     by_node, by_moment = p.constant("by_node", transform), p.constant("by_moment", by_input)
-    by_z, bias = p.constant("by_z", np.concatenate([first[: p.seen], first[-1:]])), p.constant("bias", _bias(zero, rows))
+    by_z, bias = (
+        p.constant("by_z", np.concatenate([first[: p.seen], first[-1:]])),
+        p.constant("bias", _bias(zero, rows)),
+    )
     activation = Silu("h", "sums", width) if rows == 1 else SiluPair("h", "sums", width)
     p.steps += [
         Product(features, Matrix("v", 1, m), by_node, (m, nx, count)),

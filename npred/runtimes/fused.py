@@ -178,4 +178,9 @@ def _sizes(p: Program) -> dict[str, Any]:
     sizes |= {"seen": p.seen, "columns": p.columns, "period": p.period, "turn": 2 * np.pi, "first": "0"}
     if p.series is None:
         return sizes
-    return sizes | {"first": "1 if inside else 0", "low": p.series.low, "scale": 2 / (p.series.high - p.series.low), "terms": p.series.terms}
+    return sizes | {
+        "first": "1 if inside else 0",
+        "low": p.series.low,
+        "scale": 2 / (p.series.high - p.series.low),
+        "terms": p.series.terms,
+    }

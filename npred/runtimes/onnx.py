@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from npred import grid
 from npred.delays import family_of
 from npred.errors import NpredError, required
 from npred.operators import Operator
@@ -22,9 +23,10 @@ INPUTS, OUTPUTS = ("X", "u", "D_hat"), ("P", "U")
 
 
 class Deployed(nn.Module):
-    """X (B, n), u (B, nx, m), D_hat (B,) to P (B, nx, n) and U = kappa(P(1)) (B, m) [DAPF, eq. 9], without bounds.
+    """X (B, n), u (B, nx, m), D_hat (B,) to P (B, nx, n) and U (B, m), U_j = kappa_j(P(r_j)), r_j = 1 for one delay.
 
-    A kappa that depends on time takes t (B,) too, the time now, for U = kappa(P(1), t + D_hat) as in the closed loop.
+    Without bounds [DAPF, eq. 9]. A plant that depends on time takes t (B,) too, the time now: its network sees the
+    phase of t, and U_j = kappa_j(P(r_j), t + r_j D_hat) as in the closed loop; P(r_j) is cubic between nodes.
     """
 
     def __init__(self, operator: Operator, plant: Plant):
@@ -32,24 +34,33 @@ class Deployed(nn.Module):
         self.operator, self.plant = operator, plant
 
     def forward(self, X: Tensor, u: Tensor, D_hat: Tensor, t: Tensor | None = None) -> tuple[Tensor, Tensor]:
-        P = self.operator(X, u, D_hat)
-        return P, self.plant.kappa(P[:, -1], 0.0 if t is None else t + D_hat)
+        plant = self.plant
+        P = self.operator(X, u, D_hat, t / plant.period % 1 if plant.phased else None)
+        if plant.one_delay:
+            return P, plant.kappa(P[:, -1], 0.0 if t is None else t + D_hat)
+        U = []
+        for j, r in enumerate(plant.ratios.tolist()):
+            first, weights = grid.stencil(P.shape[1], np.array([r]))
+            at_r = sum(float(weight[0]) * P[:, int(first[0]) + k] for k, weight in enumerate(weights))
+            U.append(plant.kappa(at_r, 0.0 if t is None else t + r * D_hat)[:, j])
+        return P, torch.stack(U, dim=-1)
 
 
 def inputs(plant: Plant) -> tuple[str, ...]:
     """The names of the graph's inputs."""
-    return INPUTS if plant.rests else (*INPUTS, "t")
+    return INPUTS if plant.rests and not plant.phased else (*INPUTS, "t")
 
 
 def graph(operator: Operator, plant: Plant, nx: int) -> bytes:
     """The ONNX model of P and U on nx nodes, any batch: what the grid alone decides is folded into constants.
 
-    Raises MissingError without the onnx extra, ConfigError where inputs have several delays, P depends on time, or
-    the plant is not traced.
+    Raises MissingError without the onnx extra, ConfigError where the plant is not traced, its time has no period, or a
+    delay that it declares lets the law's time be another than t + D_hat.
     """
     for name in ("onnx", "onnxscript"):
         required("onnx", name, name, "onnx")
     family_of(plant).needs("onnx")
+    plant.phase(0.0)
     model = Deployed(operator, plant).eval()
     batch = torch.export.Dim("batch")
     names = inputs(plant)

@@ -134,34 +134,21 @@ def test_a_fast_reference_that_is_none_is_found_out(kind):
     assert equilibrium.slip(plant, 5.0)[0] > 10 * equilibrium.SLIP
 
 
-@pytest.mark.parametrize(
-    ("plant", "runtimes", "message"),
-    [
-        (
-            "unicycle",
-            None,
-            'bench.runtimes: expected .* free of time, .* unicycle is not; set bench.runtimes = ."torch".$',
-        ),
-        (
-            "CLOCK",
-            None,
-            'bench.runtimes: expected .* free of time, .* Clock is not; set bench.runtimes = ."torch".$',
-        ),
-        ("CLOCK", ["torch", "onnx"], 'bench.runtimes: expected .* free of time, .*; set bench.runtimes = ."torch".$'),
-        ("LATE", None, 'bench.runtimes: expected one delay, .* 1, 2 s; set bench.runtimes = ."torch", "fused".'),
-        ("BOX", None, 'expected .* is traced, Box says traced = False; set bench.runtimes = ."torch", "fused".'),
-    ],
-)
-def test_runtimes_that_bench_cannot_run_are_told_before_anything_runs(tmp_path, plant, runtimes, message):
+@pytest.mark.parametrize("plant", ["unicycle", "CLOCK", "LATE", "BOX"])
+def test_runtimes_that_bench_cannot_run_are_told_before_anything_runs(tmp_path, plant):
+    """Clocks and several delays are served by all of them, a black box not by ONNX Runtime."""
     path = tmp_path / "given.py"
     path.write_text(LATE + BOX + CLOCK)
     named = plant if plant == "unicycle" else f"{path}:{plant.capitalize()}"
-    bench = {} if runtimes is None else {"runtimes": runtimes}
-    frozen = {"adaptation": "frozen"}
-    check(stages=("generate", "bench"), plant=named, generate=frozen, bench={"runtimes": ["torch"]})
-    check(stages=("generate",), plant=named, generate=frozen, bench=bench)
+    frozen, stages = {"adaptation": "frozen"}, ("generate", "bench")
+    check(stages=stages, plant=named, generate=frozen, bench={"runtimes": ["torch"]})
+    check(stages=("generate",), plant=named, generate=frozen, bench={})
+    if plant != "BOX":
+        check(stages=stages, plant=named, generate=frozen, bench={})
+        return
+    message = 'expected .* is traced, Box says traced = False; set bench.runtimes = ."torch", "fused".'
     with pytest.raises(ConfigError, match=message):
-        check(stages=("generate", "bench"), plant=named, generate=frozen, bench=bench)
+        check(stages=stages, plant=named, generate=frozen, bench={})
 
 
 def test_all_that_is_for_one_delay_is_told_at_once_with_one_cure(tmp_path):

@@ -112,18 +112,14 @@ def test_rows_keep_their_phase():
     assert part.phase is not None and part.phase.tolist() == [3 / 8, 1 / 8, 0.0]
 
 
-@pytest.mark.parametrize(
-    ("runtime", "message"),
-    [
-        ("fused", "fused: expected a prediction free of time, that of plant unicycle is not; use the runtime torch"),
-        ("onnx", "onnx: expected a prediction free of time, that of plant unicycle is not; use the runtime torch"),
-    ],
-)
-def test_runtimes_without_a_clock_say_so(runtime, message):
+@pytest.mark.parametrize("runtime", ["fused", "onnx"])
+def test_every_runtime_sees_the_time(runtime):
     if runtime == "onnx":
-        pytest.importorskip("onnx"), pytest.importorskip("onnxscript")
-    with pytest.raises(ConfigError, match=message):
-        predictor(runtime, UNICYCLE, network(EVERY[0]).operator, 21).lanes()
+        pytest.importorskip("onnx"), pytest.importorskip("onnxscript"), pytest.importorskip("onnxruntime")
+    X, u, D_hat = inputs(6)
+    model, t = network(EVERY[0]), np.linspace(0.0, 5.0, 6)
+    P = model(X, u, D_hat, t)
+    np.testing.assert_allclose(predictor(runtime, UNICYCLE, model.operator, 21)(X, u, D_hat, t), P, atol=1e-4)
 
 
 def test_without_a_period_no_network_can_serve_it():

@@ -8,8 +8,9 @@ import subprocess
 import numpy as np
 import pytest
 from conftest import HERE
-from operator_samples import PLANT, SMALL, holding, operator, samples, several_inputs
+from operator_samples import PLANT, SMALL, holding, operator, phased, samples, several_inputs
 
+from npred.loop import metrics
 from npred.operators import Scaling, build
 from npred.predictors.neural import Neural
 from npred.runtimes import c, c_text
@@ -65,6 +66,25 @@ def test_a_law_that_depends_on_time_is_tested_at_another_than_zero(tmp_path):
     text = (tmp_path / "model.c").read_text()
     (tmp_path / "model.c").write_text(text.replace("sin(", "0 * sin("))
     assert subprocess.run([compiled(tmp_path / "model.c", "-DNPRED_TEST")], timeout=60).returncode == 1
+
+
+@needs_gcc
+@pytest.mark.parametrize("anchor", ["initial", "equilibrium"])
+@pytest.mark.parametrize("config", SMALL, ids=lambda config: type(config).__name__)
+def test_several_delays_and_a_phase_of_the_time(tmp_path, config, anchor):
+    plant, data, t = phased()
+    model = build(config.model_copy(update={"anchor": anchor}), plant, Scaling.of(data))
+    c.export(model, plant, tmp_path / "model.c", 13, (data.X, data.u, data.D_hat))
+    assert subprocess.run([compiled(tmp_path / "model.c", "-DNPRED_TEST")], timeout=60).returncode == 0
+    library = ctypes.CDLL(str(compiled(tmp_path / "model.c", "-shared", "-fPIC")))
+    exact = Neural(plant, model.double(), 13)(data.X, data.u, data.D_hat, t)
+    for k in range(5):
+        P, U = np.empty((13, 3)), np.empty(2)
+        D_hat, now = ctypes.c_double(data.D_hat[k]), ctypes.c_double(t[k])
+        library.npred_predict(_address(data.X[k]), _address(data.u[k]), D_hat, now, _address(P))
+        library.npred_control(_address(P), D_hat, now, _address(U))
+        np.testing.assert_allclose(P, exact[k], rtol=2e-5, atol=2e-5)
+        np.testing.assert_allclose(U, metrics.law(plant, P[None], now.value, D_hat.value)[0], rtol=1e-12)
 
 
 @needs_gcc

@@ -5,11 +5,12 @@ import sys
 import numpy as np
 import pytest
 import torch
-from operator_samples import EVERY, PLANT, SMALL, operator, samples
+from operator_samples import EVERY, PLANT, SMALL, operator, phased, samples
 
 import npred
 from npred import plants
 from npred.errors import MissingError, NpredError
+from npred.loop import metrics
 from npred.operators import Scaling, build
 from npred.predictors.neural import Neural
 from npred.runtimes import onnx as runtime
@@ -61,6 +62,19 @@ def test_a_law_that_depends_on_time_takes_it(tmp_path):
     given = dict(zip(runtime.inputs(plant), (*probe, loop.t[:20]), strict=True))
     _, U = session.run(None, {name: a.astype(np.float32) for name, a in given.items()})
     np.testing.assert_allclose(U, loop.U[:20], rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.parametrize("config", SMALL, ids=lambda config: type(config).__name__)
+def test_several_delays_and_a_phase_of_the_time(tmp_path, config):
+    plant, data, t = phased()
+    model = build(config, plant, Scaling.of(data)).eval()
+    probe = data.X, data.u, data.D_hat
+    assert runtime.export(model, plant, tmp_path / "m.onnx", 13, probe, atol=1e-3) < 1e-3
+    session = runtime.session((tmp_path / "m.onnx").read_bytes())
+    feed = dict(zip(["X", "u", "D_hat", "t"], (a.astype(np.float32) for a in (*probe, t)), strict=True))
+    P, U = session.run(None, feed)
+    np.testing.assert_allclose(P, Neural(plant, model.double(), 13)(*probe, t), rtol=1e-3, atol=1e-3)
+    np.testing.assert_allclose(U, metrics.law(plant, P.astype(float), t, data.D_hat), rtol=1e-2, atol=1e-3)
 
 
 @pytest.mark.parametrize("exported", SMALL, indirect=True, ids=lambda config: config.architecture)
