@@ -1,7 +1,7 @@
 """npred: certified predictor feedback for delayed nonlinear plants, with numerical and neural predictors.
 
 `plant` and `predictor` make the parts by name, `simulate` closes the loop, `load` takes a trained network from the
-store, `controller` is the controller for a real plant. DelayAdaptation is the paper's law for the delay estimate;
+store, `controller` is the controller for a real plant, `as_iosystem` that for python-control. DelayAdaptation is the paper's law for the delay estimate;
 DelayLaw and Predictor are what a law and a predictor that you write derive from. npred.errors has the failures.
 """
 
@@ -19,15 +19,15 @@ if TYPE_CHECKING:
     from npred.loop.closed_loop import simulate as simulate
     from npred.loop.delay_law import DelayLaw as DelayLaw
     from npred.loop.delay_observer import DelayObserver as DelayObserver
+    from npred.loop.iosystem import as_iosystem as as_iosystem
     from npred.loop.l1_adaptation import L1Adaptation as L1Adaptation
     from npred.loop.measurement import Measurement as Measurement
     from npred.predictors import Predictor as Predictor
 
 __version__ = "0.1.0"
 __all__ = [
-    "DelayAdaptation", "DelayLaw", "DelayObserver", "L1Adaptation", "Measurement", "Predictor", "controller", "guarded",
-    "load",
-    "plant", "predictor", "simulate",
+    "DelayAdaptation", "DelayLaw", "DelayObserver", "L1Adaptation", "Measurement", "Predictor", "as_iosystem", "controller",
+    "guarded", "load", "plant", "predictor", "simulate",
 ]  # fmt: skip
 
 _HOME = dict.fromkeys(__all__, "api") | {
@@ -37,6 +37,7 @@ _HOME = dict.fromkeys(__all__, "api") | {
     "L1Adaptation": "loop.l1_adaptation",
     "Measurement": "loop.measurement",
     "Predictor": "predictors",
+    "as_iosystem": "loop.iosystem",
     "simulate": "loop.closed_loop",
 }
 _MODULES = {

@@ -31,11 +31,11 @@ class Deployed(nn.Module):
 
     def __init__(self, operator: Operator, plant: Plant):
         super().__init__()
-        self.operator, self.plant = operator, plant
+        self.operator, self.plant, self.period = operator, plant, plant.period if plant.phased else None
 
     def forward(self, X: Tensor, u: Tensor, D_hat: Tensor, t: Tensor | None = None) -> tuple[Tensor, Tensor]:
         plant = self.plant
-        P = self.operator(X, u, D_hat, t / plant.period % 1 if plant.phased else None)
+        P = self.operator(X, u, D_hat, None if self.period is None or t is None else t / self.period % 1)
         if plant.one_delay:
             return P, plant.kappa(P[:, -1], 0.0 if t is None else t + D_hat)
         U = []
