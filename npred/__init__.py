@@ -1,8 +1,9 @@
 """npred: certified predictor feedback for delayed nonlinear plants, with numerical and neural predictors.
 
 `plant` and `predictor` make the parts by name, `simulate` closes the loop, `load` takes a trained network from the
-store, `controller` is the controller for a real plant, `as_iosystem` that for python-control. DelayAdaptation is the paper's law for the delay estimate;
-DelayLaw and Predictor are what a law and a predictor that you write derive from. npred.errors has the failures.
+store, `controller` is the controller for a real plant, `as_iosystem` that for python-control. DelayAdaptation is the
+paper's law for the delay estimate; DelayLaw and Predictor are what a law and a predictor that you write derive from.
+npred.errors has the failures.
 """
 
 from typing import TYPE_CHECKING, Any
@@ -26,8 +27,8 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 __all__ = [
-    "DelayAdaptation", "DelayLaw", "DelayObserver", "L1Adaptation", "Measurement", "Predictor", "as_iosystem", "controller",
-    "guarded", "load", "plant", "predictor", "simulate",
+    "DelayAdaptation", "DelayLaw", "DelayObserver", "L1Adaptation", "Measurement", "Predictor", "as_iosystem",
+    "controller", "guarded", "load", "plant", "predictor", "simulate",
 ]  # fmt: skip
 
 _HOME = dict.fromkeys(__all__, "api") | {

@@ -4,8 +4,8 @@
     block = npred.as_iosystem(npred.controller(plant, predictor, law, dt=0.01, actuator="history"))
     loop = control.interconnect([block, my_plant], …)
 
-python-control calls its functions for the output and for the next state with any state, in any order; so the block has
-a controller of its own, set to the state before each step.
+python-control calls its functions for the output and for the next state with any state, in any order; so each block has
+a separate controller, set to the state before each step.
 """
 
 import copy

@@ -38,7 +38,8 @@ def test_the_loop_is_that_of_simulate(name):
     block = npred.as_iosystem(controller(law), name="controller")
     outputs = [*PLANT.states, "D_hat"]
     loop = control.interconnect(
-        [block, late_plant()], inplist=[], check_unused=False, outlist=[f"plant.{PLANT.states[0]}", "controller.D_hat"], outputs=outputs,
+        [block, late_plant()], inplist=[], check_unused=False, outputs=outputs,
+        outlist=[f"plant.{PLANT.states[0]}", "controller.D_hat"],
         connections=[[f"controller.{s}", f"plant.{s}"] for s in PLANT.states]
         + [[f"plant.{c}", f"controller.{c}"] for c in PLANT.inputs],
     )  # fmt: skip
@@ -74,7 +75,7 @@ def test_where_the_actuator_is_measured_its_nodes_are_inputs():
     assert block.input_labels == ["X", *(f"{PLANT.inputs[0]}[{j}]" for j in range(21))] and block.dt == DT
     u = np.linspace(-1, 1, 21)
     U = block.output(0.0, np.zeros(block.nstates), np.concatenate([[0.4], u]))[0]
-    assert U == own.step([0.4], u[:, None])[0]
+    assert own.step([0.4], u[:, None])[0] == U
     assert own.t == DT and npred.as_iosystem(own).output(0.0, np.zeros(block.nstates), np.ones(22))[1] == 0.5
 
 
