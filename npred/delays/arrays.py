@@ -24,6 +24,7 @@ class ArrayFamily(Family):
         "bound": "take error, an estimate",
         "onnx": "use the runtime torch or fused",
         "export c": "use npred.controller",
+        "export controller": "use npred.controller",
     }
 
     @staticmethod

@@ -10,8 +10,9 @@ import numpy as np
 from npred import array_checks
 from npred.delays import family_of
 from npred.errors import ConfigError, DivergedError
-from npred.loop import engine, loop_checks
-from npred.loop.actuator import actuate, history, transport
+from npred.loop import loop_checks
+from npred.loop.actuator import history
+from npred.loop.control_step import Memory, Parts, control_step, remember
 from npred.loop.delay_law import DelayLaw, part
 from npred.plants import inputs
 from npred.plants.base import Plant
@@ -44,13 +45,15 @@ class Controller:
             raise ConfigError(f"dt: expected a control step above 0 s, got {dt!r}; give seconds")
         self.plant, self.predictor, self.adaptation, self.dt = plant, predictor, adaptation, seconds
         law, self._limits = part(plant, adaptation, seconds), inputs.bounds(plant, input_bounds)
-        self.actuator, self._u0 = actuator, inputs.before(plant, u0, self._limits, np.zeros((1, plant.n)))[0]
+        self.actuator, self.u0 = actuator, inputs.before(plant, u0, self._limits, np.zeros((1, plant.n)))[0]
         self._recalls, self._watches = actuator == loop_checks.HISTORY, law.memory > 1
-        self._keeps = self._recalls or self._watches  # a step reads the commands of those before it
-        self._observe, self._settings, self._believe = law.observe, law.settings, family_of(plant).horizon()
-        self._predict, self._control, self._update = predictor.lanes(), law.control, law.update
-        self._guard, self._guard_settings = predictor.guard, predictor.settings
-        self._gamma_dt, self._b, self._bounds = law.gamma * self.dt, law.b, law.bounds
+        self.keeps_commands = self._recalls or self._watches  # a step reads the commands of those before it
+        self.parts = Parts(
+            law.observe if self._watches else None, family_of(plant).horizon(), predictor.lanes(), predictor.guard,
+            law.control, law.update, self._recalls, self.dt, plant.p, plant.ratios, law.settings,
+            np.zeros(0) if predictor.settings is None else predictor.settings, self._limits, law.b,
+            law.gamma * self.dt, law.bounds,
+        )  # fmt: skip
         D_hat = self._start(D_hat)
         array_checks.within("D_hat", np.array(array_checks.number("D_hat", D_hat)), tuple(law.bounds))
         self._take_memory(law.memory, max(D_hat, law.bounds[1] if adaptation else 0.0))
@@ -63,7 +66,7 @@ class Controller:
 
         D_hat goes on from there as from a first step, without phi of the last one.
         """
-        return float(self._D_hat[0])
+        return float(self.memory.D_hat[0])
 
     @D_hat.setter
     def D_hat(self, seconds: float) -> None:
@@ -89,12 +92,12 @@ class Controller:
     @property
     def fallback(self) -> bool:
         """Whether the numerical predictor answered in the last step, for a guarded predictor that doubted."""
-        return bool(self._fallback[0])
+        return bool(self.memory.fallback[0])
 
     @property
     def error(self) -> float:
         """The guard's estimate of the error of U in the last step, in units of U; NaN without a guard."""
-        return float(self._error[0])
+        return float(self.memory.error[0])
 
     def step(self, X: Any, u: Any = None, u_nodes: Any = None) -> np.ndarray:
         """U (m,) for the state X (n,) and the actuator state u (nx, m) on the predictor's nodes, both measured now.
@@ -113,29 +116,31 @@ class Controller:
                 f"step: expected {expected}, for the actuator is {self.actuator!r}, got {came}; give what is measured"
             )
         X = array_checks.floats("X", X)
-        u = self._u[:, :, 0] if u is None else array_checks.floats("u", u)
+        u = self.memory.u[:, :, 0] if u is None else array_checks.floats("u", u)
         self._measure(X, u, u if u_nodes is None else array_checks.floats("u_nodes", u_nodes))
-        before = self._D_hat[0], self._phi_before[0], self._memory.copy() if self._watches else self._memory
+        z = self.memory
+        before = z.D_hat[0], z.phi_before[0], z.observer.copy() if self._watches else z.observer
         self._advance()
-        if not (np.isfinite(self._U).all() and math.isfinite(self._D_hat[0])):
-            self._D_hat[0], self._phi_before[0], self._memory = before
+        if not (np.isfinite(z.U).all() and math.isfinite(z.D_hat[0])):
+            z.D_hat[0], z.phi_before[0], z.observer[:] = before
             raise DivergedError("step: the prediction from X and u is not finite; hold the last U and measure again")
-        if self._keeps:
-            self._remember()
+        if self.keeps_commands:
+            self._k = remember(self._k, self.dt, z)
         self._step += 1
         self._P, self._last_P = self._last_P, self._P
-        self._last_U[:] = self._U[:, 0]
+        self._last_U[:] = z.U[:, 0]
         return self._last_U
 
     def state(self) -> dict[str, Any]:
         """Its state, ready for JSON: D_hat, phi of the last step, and the steps done since t0 (seconds)."""
-        phi = float(self._phi_before[0])
+        z = self.memory
+        phi = float(z.phi_before[0])
         remembered: dict[str, Any] = {}
-        if self._keeps:
-            held, sums = self._held[:, :, 0].tolist(), self._total[:, :, 0].tolist()
+        if self.keeps_commands:
+            held, sums = z.held[:, :, 0].tolist(), z.total[:, :, 0].tolist()
             remembered = {"commands": {"k": self._k, "held": held, "sums": sums}}
         if self._watches:
-            remembered["observer"] = [None if math.isnan(value) else value for value in self._memory[:, 0].tolist()]
+            remembered["observer"] = [None if math.isnan(value) else value for value in z.observer[:, 0].tolist()]
         return {
             "D_hat": self.D_hat,
             "phi": None if math.isnan(phi) else phi,
@@ -153,6 +158,14 @@ class Controller:
         self._recall(state)
         self._set_state(D_hat, phi, step, t0)
 
+    def fresh(self) -> "Controller":
+        """Another one with these parts, which starts from this one's D_hat and t without a past."""
+        parts = (self.plant, self.predictor, self.adaptation, self.dt)
+        named = {"input_bounds": self._limits, "actuator": self.actuator, "u0": self.u0}
+        other = type(self)(*parts, D_hat=self.D_hat, **named)
+        other.t = self.t
+        return other
+
     def __repr__(self) -> str:
         adapts = "frozen" if self.adaptation is None else f"by {type(self.adaptation).__name__}"
         times = f"dt = {self.dt:g} s, t = {self.t:g} s, D_hat = {self.D_hat:g} s {adapts}"
@@ -160,7 +173,7 @@ class Controller:
 
     def __getstate__(self) -> dict[str, Any]:
         parts = (self.plant, self.predictor, self.adaptation, self.dt)
-        named = {"input_bounds": self._limits, "actuator": self.actuator, "u0": self._u0}
+        named = {"input_bounds": self._limits, "actuator": self.actuator, "u0": self.u0}
         return {"parts": parts, "named": named, "state": self.state(), "P": self._last_P}
 
     def __setstate__(self, saved: Mapping[str, Any]) -> None:
@@ -180,46 +193,40 @@ class Controller:
     def _take_memory(self, size: int, longest: float) -> None:
         """The buffers of all steps: `size` numbers of an observer of the delay, commands back to `longest` seconds."""
         n, m, nx = self.plant.n, self.plant.m, self.predictor.nx
-        self._X, self._U, self._last_U = np.zeros((n, 1)), np.zeros((m, 1)), np.zeros(m)
-        self._u, self._u_nodes = np.zeros((nx, m, 1)), np.zeros((nx, m, 1))
+        self._last_U = np.zeros(m)
         self._P, self._last_P = np.full((nx, n, 1), np.nan), np.full((nx, n, 1), np.nan)
-        self._D_hat, self._N = np.empty(1), np.empty(1)
-        self._phi, self._phi_before = np.zeros(1), np.full(1, np.nan)
-        self._error, self._fallback = np.full(1, np.nan), np.zeros(1)
-        self._memory, self._D_seen = np.full((size, 1), np.nan), np.zeros((m, 1))
-        self._spare = tuple(np.empty((m, 1)) for _ in range(3))
-        self._k, self._held, self._total = history(longest, longest, self.dt, self._u0[:, None])
-
-    def _remember(self) -> None:
-        """Hold U as the command of this step; its number and the sums stay small, for large ones would round."""
-        actuate(self._k, self.dt, self._D_seen, self._U, self._held, self._total, *self._spare)
-        self._k += 1
-        rows = len(self._held)
-        if self._k == 2 * rows:
-            self._k = rows
-            self._total -= self._total[0].copy()
+        self.reach = longest
+        self._k, held, total = history(longest, longest, self.dt, self.u0[:, None])
+        self.memory = Memory(
+            X=np.zeros((n, 1)), u=np.zeros((nx, m, 1)), u_nodes=np.zeros((nx, m, 1)), U=np.zeros((m, 1)),
+            D_hat=np.empty(1), phi=np.zeros(1), phi_before=np.full(1, np.nan), N=np.empty(1), D_seen=np.zeros((m, 1)),
+            held=held, total=total, observer=np.full((size, 1), np.nan), error=np.full(1, np.nan),
+            fallback=np.zeros(1), leaving=np.empty((3, m, 1)),
+        )  # fmt: skip
 
     def _recall(self, state: Mapping[str, Any]) -> None:
         """Take the commands and the observer of a saved state, where it has them. Raises ConfigError for others."""
-        commands = state.get("commands", {"k": self._k, "held": self._held[:, :, 0], "sums": self._total[:, :, 0]})
-        memory = [math.nan if value is None else value for value in state.get("observer", self._memory[:, 0])]
+        z = self.memory
+        commands = state.get("commands", {"k": self._k, "held": z.held[:, :, 0], "sums": z.total[:, :, 0]})
+        observer = [math.nan if value is None else value for value in state.get("observer", z.observer[:, 0])]
         try:
             k, held, sums = operator.index(commands["k"]), np.array(commands["held"]), np.array(commands["sums"])
-            fits = held.shape == sums.shape and held.shape[1:] == (self.plant.m,) and len(memory) == len(self._memory)
+            fits = held.shape == sums.shape and held.shape[1:] == (self.plant.m,) and len(observer) == len(z.observer)
         except (KeyError, TypeError, ValueError):
             fits = False
         if not fits:
             raise ConfigError("state: expected the commands of such a controller, got others; save it with state()")
-        self._k, self._held, self._total = k, held[:, :, None].astype(float), sums[:, :, None].astype(float)
-        self._memory[:, 0] = memory
+        z.observer[:, 0] = observer
+        held, sums = held[:, :, None].astype(float), sums[:, :, None].astype(float)  # maybe longer than those before
+        self._k, self.memory = k, z._replace(held=held, total=sums)
 
     def _set_state(self, D_hat: Any, phi: Any, step: int, t0: Any) -> None:
         """Set the state of the next step, phi None for none. Raises ConfigError, and stays as it is, if wrong."""
         seconds, start = array_checks.number("D_hat", D_hat), array_checks.number("t", t0)
         rate = math.nan if phi is None else array_checks.number("phi", phi)
-        low, high = self._bounds
+        low, high = self.parts.bounds
         array_checks.within("D_hat", np.array(seconds), (low, high))
-        reach = (len(self._held) - 4) * self.dt
+        reach = (len(self.memory.held) - 4) * self.dt
         if self._recalls and seconds > reach + self.dt:
             raise ConfigError(
                 f"D_hat: expected at most {reach:g} s, back to which the commands are kept, got {seconds:g}; make "
@@ -232,11 +239,13 @@ class Controller:
             raise ConfigError(f"t: expected a finite time in seconds, got {start:g} s and {step} steps; give seconds")
         if math.isinf(rate):
             raise ConfigError("phi: expected a finite number or none, got infinity; save it with state()")
-        self._D_hat[0], self._phi_before[0], self._step, self._t0 = seconds, rate, step, start
+        z = self.memory
+        z.D_hat[0], z.phi_before[0], self._step, self._t0 = seconds, rate, step, start
 
     def _measure(self, X: np.ndarray, u: np.ndarray, u_nodes: np.ndarray) -> None:
         """Take the measurements into the buffers."""
-        expected = self._X.shape[:1], self._u.shape[:2]
+        z = self.memory
+        expected = z.X.shape[:1], z.u.shape[:2]
         actuator_states = (u,) if u_nodes is u else (u, u_nodes)
         for values in actuator_states:
             if (X.shape, values.shape) != expected:  # broadcasting would hide a sensor that is lost
@@ -244,27 +253,12 @@ class Controller:
                 raise ConfigError(f"step: expected X {expected[0]} and u {expected[1]}, got {came}; measure those")
         if not all(np.isfinite(values).all() for values in (X, *actuator_states)):
             raise DivergedError("step: expected finite X and u, got one that is not; hold the last U and measure again")
-        self._X[:, 0], self._u[:, :, 0], self._u_nodes[:, :, 0] = X, u, u_nodes
+        z.X[:, 0], z.u[:, :, 0], z.u_nodes[:, :, 0] = X, u, u_nodes
 
     @np.errstate(all="ignore")  # what leaves the finite numbers in Python is refused, once, by step
     def _advance(self) -> None:
         """One control step on the buffers, as in the engine's loop."""
-        t, p = self.t, self.plant.p
-        if self._watches:
-            self._observe(self._k, self.dt, self._X, self._held, t, p, self._settings, self._memory, self._D_hat)
-        if self._believe:
-            self._believe(self._X, t, p, self.plant.ratios, self._D_hat, self._D_seen)
-        if self._recalls:
-            if not self._believe:
-                self._D_seen[:, 0] = self.plant.ratios * self._D_hat[0]
-            transport(self._k, self.dt, self._D_seen, self._held, self._total, self._u, self._u_nodes)
-        self._predict(self._X, self._u, self._D_hat, t, p, self._P)
-        if self._guard:
-            self._guard(self._X, self._u, self._D_hat, t, p, self._guard_settings, self._P, self._error, self._fallback)
-        self._control(self._P, self._u, self._D_hat, t, p, self._U)
-        engine.clip(self._U, self._limits)
-        self._update(self._P, self._X, self._u_nodes, self._D_hat, t, p, self._b, self._phi, self._N)
-        engine.adapt(self._D_hat, self._phi, self._phi_before, self._gamma_dt, self._bounds)
+        control_step(self.parts, self.memory, self._k, self.t, self._P)
 
     def _warm_up(self) -> None:
         """Compile and load all that a step runs, so that the first step takes no longer than the others."""

@@ -20,8 +20,8 @@ _loops = partial(loops, head="for (int {0} = 0; {0} < {1}; {0}++) {{", tail=["}"
 
 
 def comment(text: str) -> str:
-    """The text as a comment may hold it: it cannot end the comment."""
-    return escaped(text).replace("*/", "* /")
+    """The text as a comment may hold it: it cannot end the comment, nor begin one, and is no trigraph."""
+    return escaped(text).replace("*/", "* /").replace("/*", "/ *").replace("??", "? ?")
 
 
 def constant(name: str, values: np.ndarray) -> str:

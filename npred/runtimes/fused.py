@@ -158,7 +158,7 @@ def build(p: Program) -> Callable[..., None]:
 def _outputs(p: Program, target: str) -> list[str]:
     """The lines that write the states of a node."""
     start, factor = ("base[{c}]", "1.0") if "base" in p.constants else ("X[{c}, l]", "D_hat[l]")
-    line = f"{target} = {start} + {factor} * np.float64(gain[{{c}} * {p.nx} + j] * N[{{c}} * {p.nx} + j])"
+    line = f"{target} = {start} + {factor} * (gain[{{c}} * {p.nx} + j] * N[{{c}} * {p.nx} + j])"
     return [line.format(c=c) for c in range(p.n)]
 
 

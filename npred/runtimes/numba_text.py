@@ -48,6 +48,7 @@ def _stack(kind, of):
 
         return types.CPointer(kind)(count), code
 
+    take.memory = str(kind)
     return take
 
 
@@ -67,6 +68,7 @@ def _constant(text, kind):
 
         return types.CPointer(kind)(), code
 
+    take.memory = np.frombuffer(values, str(kind))
     return take
 
 
@@ -79,6 +81,7 @@ def _wide(context):
     return types.void(), code
 
 
+_wide.memory = ""  # that these three stand for memory, and of which kind, is for other compilers than Numba's
 REAL, INT, MANTISSA, EXPONENT = {real}, {integer}, {mantissa}, {exponent}
 ZERO, HALF, ONE, MINUS_LOG2_E = REAL(0), REAL(0.5), REAL(1), REAL(-1.4426950408889634)
 LOWEST, HIGHEST, BIAS = REAL(1 - EXPONENT), REAL(EXPONENT - 1), REAL(EXPONENT + 0.5)

@@ -4,6 +4,7 @@ Numba's cache does not see an edit in another file and never hits for closures, 
 named by its content: the name is the version. `_pointer` kernels reach the one engine as function pointers.
 """
 
+import ast
 import os
 import sys
 import tempfile
@@ -24,6 +25,7 @@ from numba import njit
 @njit({signature!r}, cache=True, nogil=True, error_model="numpy", fastmath={{{fastmath}}})
 """
 FASTMATH = ("contract", "nsz", "arcp")
+TEXT = "__text__"  # the variable of a kernel's module that holds its text, for other compilers than Numba's
 
 
 @cache
@@ -46,10 +48,25 @@ def _module(name: str, text: str) -> ModuleType:
     path = compile_cache.root() / f"{name}.py"
     module = ModuleType(name)
     sys.modules[name] = module  # before it runs: Numba looks the module up by its name
+    vars(module)[TEXT] = text
     with compile_cache.kept(name):
         _write(path, text)
         exec(compile(text, str(path), "exec"), vars(module))
     return module
+
+
+def definition(function: Callable[..., Any]) -> tuple[ast.FunctionDef, dict[str, Any]]:
+    """The syntax tree of a function that Numba compiles, generated or written, and the names that it sees."""
+    plain = getattr(function, "py_func", function)
+    space = plain.__globals__
+    text = space.get(TEXT) or Path(plain.__code__.co_filename).read_text(encoding="utf-8")
+    definitions = {node.name: node for node in _tree(text).body if isinstance(node, ast.FunctionDef)}
+    return definitions[plain.__name__], space
+
+
+@cache
+def _tree(text: str) -> ast.Module:
+    return ast.parse(text)
 
 
 def _write(path: Path, text: str) -> None:

@@ -1,0 +1,89 @@
+"""One control step of one controller, on its memory: the text that Python runs and that `npred export controller`
+translates.
+
+It is written in the kernels' dialect (npred.symbolic.c99), whose loops and calls mean the same in both languages.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from npred.loop import engine
+from npred.loop.actuator import actuate, transport
+
+
+class Parts(NamedTuple):
+    """What a controller is made of: kernels, None where it does without one, and their settings."""
+
+    observe: Any  # npred.delays.family.OBSERVE, of laws that find D_hat from the commands
+    believe: Any  # HORIZON, of plants that declare their delay
+    predict: Any  # PREDICT
+    guard: Any  # GUARD
+    control: Any  # CONTROL
+    update: Any  # UPDATE
+    recalls: bool  # whether u is the controller's own history, else it is measured
+    dt: float
+    p: np.ndarray
+    ratios: np.ndarray  # (m,)
+    law: np.ndarray  # what `observe` is set to
+    guard_settings: np.ndarray
+    input_bounds: np.ndarray  # (m, 2)
+    b: float
+    gamma_dt: float
+    bounds: np.ndarray  # (2,), of D_hat
+
+
+class Memory(NamedTuple):
+    """The memory of its steps, with one lane."""
+
+    X: np.ndarray  # (n, 1)
+    u: np.ndarray  # (nx, m, 1), means over the nodes' cells
+    u_nodes: np.ndarray  # (nx, m, 1), values at the nodes
+    U: np.ndarray  # (m, 1)
+    D_hat: np.ndarray  # (1,)
+    phi: np.ndarray  # (1,)
+    phi_before: np.ndarray  # (1,)
+    N: np.ndarray  # (1,)
+    D_seen: np.ndarray  # (m, 1), the delays by which it reads its commands
+    held: np.ndarray  # (R, m, 1)
+    total: np.ndarray  # (R, m, 1)
+    observer: np.ndarray  # (., 1)
+    error: np.ndarray  # (1,)
+    fallback: np.ndarray  # (1,)
+    leaving: np.ndarray  # (3, m, 1), what `actuate` writes for a plant, which is not simulated here
+
+
+def control_step(s: Parts, z: Memory, k: int, t: float, P: np.ndarray) -> None:
+    """U, P and the next D_hat from X, and from u or the commands before step k [DAPF, eqs. 9-14]."""
+    if s.observe is not None:
+        s.observe(k, s.dt, z.X, z.held, t, s.p, s.law, z.observer, z.D_hat)
+    if s.believe is not None:
+        s.believe(z.X, t, s.p, s.ratios, z.D_hat, z.D_seen)
+    if s.recalls:
+        if s.believe is None:
+            engine.own_history(z.X, t, s.p, s.ratios, z.D_hat, z.D_seen)
+        transport(k, s.dt, z.D_seen, z.held, z.total, z.u, z.u_nodes)
+    s.predict(z.X, z.u, z.D_hat, t, s.p, P)
+    if s.guard is not None:
+        s.guard(z.X, z.u, z.D_hat, t, s.p, s.guard_settings, P, z.error, z.fallback)
+    s.control(P, z.u, z.D_hat, t, s.p, z.U)
+    engine.clip(z.U, s.input_bounds)
+    s.update(P, z.X, z.u_nodes, z.D_hat, t, s.p, s.b, z.phi, z.N)
+    engine.adapt(z.D_hat, z.phi, z.phi_before, s.gamma_dt, s.bounds)
+
+
+def remember(k: int, dt: float, z: Memory) -> int:
+    """Hold U as the command of step k; the number of the next: it and the sums stay small, for large ones would round.
+    """
+    actuate(k, dt, z.D_seen, z.U, z.held, z.total, z.leaving[0], z.leaving[1], z.leaving[2])
+    rows = len(z.held)
+    if k + 1 < 2 * rows:
+        return k + 1
+    for c in range(z.U.shape[0]):
+        z.total[:, c, 0] -= z.total[0, c, 0]
+    return rows
+
+
+def first(reach: float, dt: float) -> int:
+    """The number of the first step, before which there are commands back to `reach` seconds."""
+    return int(reach / dt) + 3

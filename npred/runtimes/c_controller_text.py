@@ -1,0 +1,251 @@
+"""The parts of a controller's C files that are the same for all: @ stands for the name, %% for it in capitals."""
+
+HEADER = """\
+/*
+{about}
+ *
+ * C99, no library but libm, no allocation, no static variable that changes: one @_controller per plant, each on its own.
+ * Compile it without -ffast-math: NaN has to stay visible.
+ */
+#ifndef %%_CONTROLLER_H
+#define %%_CONTROLLER_H
+
+#include <stdint.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+#define %%_DIGEST "0000000000000000000000000000000000000000000000000000000000000000"
+
+enum {
+{sizes}
+    %%_OK = 0,
+    %%_MEASUREMENT_NOT_FINITE = 1, /* the state stands as before: hold the last U and measure again */
+    %%_PREDICTION_NOT_FINITE = 2,  /* likewise */
+    %%_STATE_REFUSED = 3           /* of another controller, or out of range; the state stands as before */
+};
+
+/* What a step remembers. */
+typedef struct {
+    uint32_t digest[4];
+    int32_t k;
+    int64_t steps;
+    double t0;
+{saved}
+} @_saved;
+
+{memories}
+
+/* P, the prediction of the last step, is by nodes, then states; error and fallback are those of a guard. */
+typedef struct {
+    @_saved saved;
+{scratch}
+} @_controller;
+
+{signatures}
+
+#ifdef __cplusplus
+}
+#endif
+#endif
+"""
+
+SHARED = """\
+void @_init(@_controller *self);
+void @_get_state(const @_controller *self, @_saved *state);
+int @_set_state(@_controller *self, const @_saved *state);
+int @_set_D_hat(@_controller *self, REAL seconds);  /* go on from an estimate, as from a first step */
+int @_set_time(@_controller *self, double seconds); /* go on from another time, likewise */
+const char *@_version(void);
+"""
+MEASURED_SIGNATURES = """\
+/* One control step: X (N_STATES), u (NX * M_INPUTS, by nodes, then inputs: the last row was sent just now), both
+ * measured now; writes U (M_INPUTS). @_step_nodes takes the means over the nodes' cells and the values at the nodes. */
+int @_step(@_controller *self, const REAL *X, const REAL *u, REAL *U);
+int @_step_nodes(@_controller *self, const REAL *X, const REAL *u, const REAL *u_nodes, REAL *U);
+"""
+RECALLED_SIGNATURES = """\
+/* One control step: X (N_STATES) measured now; writes U (M_INPUTS), which it remembers as sent. */
+int @_step(@_controller *self, const REAL *X, REAL *U);
+"""
+
+
+def signatures(recalls: bool) -> list[str]:
+    """The declarations of the functions."""
+    return (SHARED + (RECALLED_SIGNATURES if recalls else MEASURED_SIGNATURES)).splitlines()
+
+
+SOURCE = """\
+#include <math.h>
+#include <string.h>
+
+#include "@.h"
+
+#ifdef __FAST_MATH__
+#error "compile without -ffast-math"
+#endif
+
+static const uint32_t @_digest[4] = {DIGEST_WORDS};
+
+{declarations}
+
+{advance}
+{remember}
+{functions}
+
+{test}
+"""
+
+FUNCTIONS = """\
+void @_init(@_controller *self)
+{
+    memset(self, 0, sizeof *self);
+    memcpy(self->saved.digest, @_digest, sizeof @_digest);
+    self->saved.phi_before[0] = NAN;
+    {start}
+}
+
+const char *@_version(void)
+{
+    return %%_DIGEST;
+}
+
+void @_get_state(const @_controller *self, @_saved *state)
+{
+    memcpy(state, &self->saved, sizeof *state);
+}
+
+int @_set_state(@_controller *self, const @_saved *state)
+{
+    const double now = state->t0 + (double)state->steps * <DT>;
+    int fits = memcmp(state->digest, @_digest, sizeof @_digest) == 0 && isfinite(now) && state->steps >= 0;
+    fits = fits && state->D_hat[0] >= (REAL)<LOW> && state->D_hat[0] <= (REAL)<HIGH> && !isinf(state->phi_before[0]);
+    {check_commands}
+    if (!fits) {
+        return %%_STATE_REFUSED;
+    }
+    memcpy(&self->saved, state, sizeof *state);
+    return %%_OK;
+}
+
+int @_set_D_hat(@_controller *self, REAL seconds)
+{
+    if (!(seconds >= (REAL)<LOW> && seconds <= (REAL)<HIGH>)) {
+        return %%_STATE_REFUSED;
+    }
+    self->saved.D_hat[0] = seconds;
+    self->saved.phi_before[0] = NAN;
+    return %%_OK;
+}
+
+int @_set_time(@_controller *self, double seconds)
+{
+    if (!isfinite(seconds)) {
+        return %%_STATE_REFUSED;
+    }
+    self->saved.t0 = seconds;
+    self->saved.steps = 0;
+    self->saved.phi_before[0] = NAN;
+    return %%_OK;
+}
+
+static int @_run(@_controller *self, const REAL *X<MEASURED>, REAL *U)
+{
+    {time}
+    const REAL D_hat = self->saved.D_hat[0], phi_before = self->saved.phi_before[0];
+    int finite = 1;
+    {checks}
+    if (!finite) {
+        return %%_MEASUREMENT_NOT_FINITE;
+    }
+    {before}
+    @_advance(self, <PASSED>, t);
+    finite = isfinite(self->saved.D_hat[0]) != 0;
+    for (int i = 0; i < %%_M_INPUTS; i++) {
+        finite = finite && isfinite(self->U[i]);
+    }
+    if (!finite) {
+        self->saved.D_hat[0] = D_hat;
+        self->saved.phi_before[0] = phi_before;
+        {after}
+        return %%_PREDICTION_NOT_FINITE;
+    }
+    {keep}
+    self->saved.steps++;
+    memcpy(U, self->U, sizeof self->U);
+    return %%_OK;
+}
+"""
+MEASURING = """
+int @_step(@_controller *self, const REAL *X, const REAL *u, REAL *U)
+{
+    return @_run(self, X, u, u, U);
+}
+
+int @_step_nodes(@_controller *self, const REAL *X, const REAL *u, const REAL *u_nodes, REAL *U)
+{
+    return @_run(self, X, u, u_nodes, U);
+}
+"""
+RECALLING = """
+int @_step(@_controller *self, const REAL *X, REAL *U)
+{
+    return @_run(self, X, U);
+}
+"""
+
+
+def finite(name: str, count: str) -> list[str]:
+    """The lines that check the numbers of an array."""
+    return [f"for (int i = 0; i < {count}; i++) {{", f"    finite = finite && isfinite({name}[i]);", "}"]
+
+
+MEASURED = """\
+for (int i = 0; i < %%_NX * %%_M_INPUTS; i++) {
+    finite = finite && isfinite(u[i]) && isfinite(u_nodes[i]);
+}"""
+BEFORE = "memcpy(self->before, self->saved.observer, sizeof self->before);"
+AFTER = "memcpy(self->saved.observer, self->before, sizeof self->before);"
+COMMANDS = """\
+for (int row = 0; row < %%_ROWS; row++) {
+    for (int i = 0; i < %%_M_INPUTS; i++) {
+        self->saved.held[row * %%_M_INPUTS + i] = u0[i];
+        self->saved.total[row * %%_M_INPUTS + i] = (REAL)row * u0[i] - (REAL)<ORIGIN> * u0[i];
+    }
+}"""
+OBSERVER = """\
+for (int i = 0; i < %%_OBSERVER; i++) {
+    self->saved.observer[i] = NAN;
+}"""
+FINITE_COMMANDS = """\
+for (int i = 0; i < %%_ROWS * %%_M_INPUTS; i++) {
+    fits = fits && isfinite(state->held[i]) && isfinite(state->total[i]);
+}"""
+
+TEST = """\
+#ifdef %%_TEST
+#include <stdio.h>
+
+{vector}
+
+int main(void)
+{
+    static @_controller c;
+    double worst = 0;
+    @_init(&c);
+    for (int s = 0; s < <STEPS>; s++) {
+        REAL U[%%_M_INPUTS];
+        if (@_step(&c, test_X + s * %%_N_STATES, <U>U) != %%_OK) {
+            return 2;
+        }
+        for (int i = 0; i < %%_M_INPUTS; i++) {
+            worst = fmax(worst, fabs((double)U[i] - (double)test_U[s * %%_M_INPUTS + i]) / (double)test_size[i]);
+        }
+        worst = fmax(worst, fabs((double)c.saved.D_hat[0] - (double)test_D_hat[s]));
+    }
+    printf("largest difference: %.2e of each input's size, and of D_hat in seconds\\n", worst);
+    return !(worst <= <LIMIT>);
+}
+#endif
+"""
