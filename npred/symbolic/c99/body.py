@@ -20,7 +20,7 @@ from npred.symbolic.c99.values import (
     Number,
     Scalar,
     Several,
-    binary,
+    alike,
     promoted,
     text,
 )
@@ -60,6 +60,7 @@ class Body(Expressions):
     def _pass(self, statements: Sequence[ast.stmt]) -> None:
         self.lines: list[str] = []
         self.depth = 1
+        self.parts = 0
         self.env = dict(self.arguments)
         self.members: list[str] = []
         self.callees: dict[str, Any] = {}
@@ -135,7 +136,7 @@ class Body(Expressions):
         elif isinstance(target, ast.Tuple):
             items = self._items(value)
             if liveness.reads(node.value) & _assigned(target):
-                items = [self._temporary(item) if isinstance(item, Scalar) else item for item in items]
+                items = [self.temporary(item) if isinstance(item, Scalar) else item for item in items]
             for part, item in zip(target.elts, items, strict=True):
                 self._assign(part, item, node)
 
@@ -151,7 +152,7 @@ class Body(Expressions):
         if isinstance(value, Several) and value.items and all(isinstance(x, Const | Scalar) for x in value.items):
             value = self._tuple(name, value)
         if isinstance(value, Array) and isinstance(value.offset, Scalar):
-            value = replace(value, offset=self._temporary(value.offset))
+            value = replace(value, offset=self.temporary(value.offset))
         if not isinstance(value, Const | Scalar):
             if isinstance(value, Elementwise):
                 raise NotImplementedError(f"{self.where}: expected {name} to be written into an array")
@@ -210,17 +211,17 @@ class Body(Expressions):
             c = f"{_mangled(name)}_{number}"
         return c
 
-    def _temporary(self, value: Number) -> Number:
+    def temporary(self, value: Number) -> Number:
         if isinstance(value, Const):
             return value
-        c = self._name("part")
-        self.scopes[-1][c] = value.kind
+        self.parts += 1
+        c = f"part_{self.parts}"
         self.emit(f"const {'int' if value.kind == 'bool' else value.kind} {c} = {text(value)};")
         return replace(value, text=c, level=ATOM)
 
     def atom(self, number: Number) -> Number:
         plain = isinstance(number, Const) or re.fullmatch(r"\w+", number.text)
-        return number if plain else self._temporary(number)
+        return number if plain else self.temporary(number)
 
     def _store(self, target: ast.Subscript, value: Any, symbol: str = "") -> None:
         """Write elements, by loops where the target has axes."""
@@ -308,10 +309,10 @@ class Body(Expressions):
 
     def _give(self, value: Any) -> None:
         if isinstance(value, Several):
-            items = [self._temporary(item) if isinstance(item, Scalar) else item for item in value.items]
+            items = [self.temporary(item) if isinstance(item, Scalar) else item for item in value.items]
             for k, item in enumerate(items):
                 if isinstance(item, Const | Scalar):
-                    self.emit(f"*result{k} = {text(item)};")
+                    self.emit(f"{f'result[{k}]' if alike(value) else f'*result{k}'} = {text(item)};")
         self.emit(f"return {text(value)};" if isinstance(value, Const | Scalar) else "return;")
 
     def _For_(self, node: ast.For) -> None:
@@ -338,7 +339,7 @@ class Body(Expressions):
     def _counted(self, node: ast.For, start: Number, stop: Number, step: Number) -> None:
         assert isinstance(node.target, ast.Name) and isinstance(step, Const), self.where
         name = "turn" if node.target.id == "_" else node.target.id
-        stop = stop if isinstance(stop, Const) else self._temporary(stop)
+        stop = stop if isinstance(stop, Const) else self.temporary(stop)
         flag = self._flag() if node.orelse else ""
         lasting = node.target.id in self.outliving
         c = self._name(name + "_now" if lasting else name)
@@ -430,8 +431,8 @@ class Body(Expressions):
             return Array.whole(c, kind, (len(target.result),))
         names = []
         for kind in target.result:
-            c = self._name("part")
-            self.scopes[-1][c] = kind
+            self.parts += 1
+            c = f"part_{self.parts}"
             self.emit(f"{kind} {c};")
             names.append(Scalar(c, kind))
         self.emit(f"{target.name}({', '.join([*texts, *('&' + n.text for n in names)])});")
@@ -442,12 +443,14 @@ class Body(Expressions):
         inner = Body(self.unit, target.name, target.globals, {})
         inner.outliving, inner.idle = set(), set()
         inner.env = dict(zip(target.names, arguments, strict=True))
-        for attribute in ("lines", "depth", "members", "callees", "written", "scopes", "top", "breaks"):
+        for attribute in ("lines", "depth", "members", "callees", "written", "scopes", "top", "breaks", "parts"):
             setattr(inner, attribute, getattr(self, attribute))
         *head, last = target.statements
         inner.block(head)
         assert isinstance(last, ast.Return) and last.value is not None, target.name
-        return inner.value(last.value)
+        result = inner.value(last.value)
+        self.parts = inner.parts
+        return result
 
 
 def index_read(index: ast.Name) -> ast.Name:
@@ -462,5 +465,3 @@ def _assigned(target: ast.Tuple) -> set[str]:
 def _mangled(name: str) -> str:
     return f"{name}_" if name in KEYWORDS else name
 
-
-__all__ = ["Body", "binary"]

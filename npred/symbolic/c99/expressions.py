@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from npred.symbolic.c99 import library
+from npred.symbolic.c99.operations import Operations
 from npred.symbolic.c99.values import (
     AND,
     ATOM,
@@ -108,7 +109,7 @@ class Expressions:
         if symbol:
             return binary(symbol, a, b, self.real)
         if isinstance(node.op, ast.Pow):
-            return self._power(a, b)
+            return self.power(a, b)
         name = {ast.Mod: "modulo", ast.FloorDiv: "quotient"}.get(type(node.op), "")
         if not name or promoted(a.kind, b.kind) not in INTEGERS:
             return self.refuse(node, type(node.op).__name__)
@@ -121,7 +122,7 @@ class Expressions:
         low = 0 if high is not None else None
         return Scalar(f"{self.helper(name, 'int')}({text(a)}, {text(b)})", "int", low=low, high=high)
 
-    def _power(self, a: Number, b: Number) -> Number:
+    def power(self, a: Number, b: Number) -> Number:
         """Whole powers as Numba has them, by squaring; others by pow."""
         if isinstance(a, Const) and isinstance(b, Const):
             from npred.symbolic.c99.values import folded
@@ -144,6 +145,11 @@ class Expressions:
             return Const(not a.value, "bool") if isinstance(a, Const) else Scalar(f"!{text(a, UNARY)}", "bool", UNARY)
         if isinstance(node.op, ast.UAdd):
             return a
+        return self.negative(a)
+
+    @staticmethod
+    def negative(a: Number) -> Number:
+        """-a."""
         if isinstance(a, Const):
             return Const(-a.value, promoted(a.kind, "int"))
         ends = {"low": None if a.high is None else -a.high, "high": None if a.low is None else -a.low}
@@ -155,13 +161,14 @@ class Expressions:
             same = parts[0].value is parts[1].value if isinstance(parts[0], Foreign) else False
             return Const(same == isinstance(node.ops[0], ast.Is), "bool")
         tests = [
-            self._compared(COMPARISONS[type(op)], *pair)
+            self.compared(COMPARISONS[type(op)], *pair)
             for op, pair in zip(node.ops, zip(parts, parts[1:], strict=False), strict=True)
         ]
         return _joined("&&", tests)
 
     @staticmethod
-    def _compared(symbol: str, a: Number, b: Number) -> Number:
+    def compared(symbol: str, a: Number, b: Number) -> Number:
+        """a symbol b."""
         if isinstance(a, Const) and isinstance(b, Const):
             return Const(bool(FOLDED[symbol](a.value, b.value)), "bool")
         kind = promoted(a.kind, b.kind)
@@ -246,6 +253,9 @@ class Expressions:
         arguments = [self.value(part) for part in node.args]
         if isinstance(memory := getattr(function.value, "memory", None), str | np.ndarray):
             return self._intrinsic(memory, arguments)
+        if (program := getattr(function.value, "program", None)) is not None:
+            o = Operations(self)
+            return Several(tuple(o.number(result) for result in program(o, *arguments[0].items)))
         if getattr(function.value, "__name__", "") == "carray":
             return arguments[0]
         result = library.call(self, function.value, arguments)
@@ -271,6 +281,10 @@ class Expressions:
             kind = library.BITS[owner.kind]
             return Scalar(f"{self.helper('bits', kind)}({text(owner)})", kind)
         return None
+
+    def temporary(self, value: Number) -> Number:
+        """A variable that holds the number."""
+        raise NotImplementedError
 
     def atom(self, number: Number) -> Number:
         """The number, or a variable that holds it: for text that names it more than once."""

@@ -9,7 +9,7 @@ import numpy as np
 from npred.symbolic import kernels
 from npred.symbolic.c99.body import Body
 from npred.symbolic.c99.library import BITS, HELPERS
-from npred.symbolic.c99.values import INTEGERS, Array, Const, Foreign, Number, Scalar, Several, literal, promoted
+from npred.symbolic.c99.values import INTEGERS, Array, Const, Foreign, Number, Scalar, Several, alike, literal, promoted
 
 KIND_OF = {"float64": "double", "float32": "float"}
 
@@ -215,11 +215,7 @@ def _result(returns: list[Any]) -> tuple[Any, bool]:
     if not isinstance(values[0], Several):
         return promoted(*(v.kind for v in values)), False
     columns: list[tuple[Number, ...]] = list(zip(*(v.items for v in values), strict=True))
-    return [promoted(*(v.kind for v in column)) for column in columns], _alike(values[0])
-
-
-def _alike(value: Several) -> bool:
-    return len({item.kind for item in value.items}) == 1
+    return [promoted(*(v.kind for v in column)) for column in columns], alike(values[0])
 
 
 def _kind(target: Function) -> str:

@@ -116,6 +116,11 @@ class Foreign:
     value: Any
 
 
+def alike(value: Several) -> bool:
+    """Whether all are numbers of one kind: such a tuple is an array in C."""
+    return len({item.kind for item in value.items}) == 1
+
+
 def promoted(*kinds: str) -> str:
     """The kind that holds them all."""
     return max(kinds, key=KINDS.index)
