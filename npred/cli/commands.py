@@ -216,9 +216,9 @@ def export(
     form: Annotated[
         str,
         typer.Argument(
-            metavar="onnx|c|npy|hdf5|mat",
-            help="A model as ONNX graph or C99 file; data as the others.",
-            autocompletion=completion.words("onnx", "c", "npy", "hdf5", "mat"),
+            metavar="onnx|c|controller|npy|hdf5|mat",
+            help="A model as ONNX graph or C99 file, the whole controller as C99; data as the others.",
+            autocompletion=completion.words("onnx", "c", "controller", "npy", "hdf5", "mat"),
         ),
     ],
     key: Annotated[
@@ -231,12 +231,29 @@ def export(
     ],
     output: Annotated[
         Path | None,
-        typer.Option("-o", "--output", help="The file; by default MODEL-NX.onnx or .c, data.npy, .h5, .mat."),
+        typer.Option(
+            "-o", "--output", help="The file; by default MODEL-NX.onnx or .c, data.npy, .h5, .mat; a controller's folder."
+        ),
     ] = None,
-    nx: Annotated[int, typer.Option(help="Nodes of a model's actuator state, any number; a file is for one.")] = 101,
+    nx: Annotated[
+        int | None,
+        typer.Option(help="Nodes of the actuator state, any number; by default 101, a controller's as in evaluate."),
+    ] = None,
     atol: Annotated[float, typer.Option(help="How far an ONNX graph's P and U may be from the model's.")] = 1e-4,
+    precision: Annotated[str, typer.Option(metavar="double|float", help="A controller's numbers.")] = "double",
+    predictor: Annotated[
+        str, typer.Option(metavar="METHOD", help="A controller's numerical predictor, as rk4, instead of a network.")
+    ] = "",
+    name: Annotated[str, typer.Option(help="What a controller's files and C names begin with.")] = "npred",
+    actuator: Annotated[
+        str, typer.Option(metavar="measured|history", help="A controller's source of u; by default as in evaluate.")
+    ] = "",
+    guard: Annotated[
+        float | None, typer.Option(help="A controller's guard: the largest error of U that passes; as in evaluate.")
+    ] = None,
 ) -> None:
-    """A trained model, P and U = kappa(P(1)), or the data, for another program."""
+    """A trained model, P and U = kappa(P(1)), the whole controller of the evaluated loop, or the data, for another
+    program."""
 
 
 @command(LOOK, "data_exchange.bring")

@@ -1,9 +1,11 @@
 """`npred export` of a trained model: a file for another program, checked on held-out samples."""
 
 from pathlib import Path
+from typing import Any
 
 from npred import operators
-from npred.cli import data_exchange
+from npred.cli import data_exchange, export_controller
+from npred.cli.export_controller import Choices
 from npred.cli.options import Common, writable
 from npred.data import shards
 from npred.errors import ConfigError
@@ -12,19 +14,26 @@ from npred.runtimes import c, onnx
 from npred.runtimes.probe import Probe, probe
 
 FORMATS = ("onnx", "c")
+NX = 101  # nodes of a model's file
 COMPARED = {"onnx": 200, "c": 4}  # held-out samples; those of a C file are its test vector
 
 
-def export(options: Common, form: str, key: str, output: Path | None, nx: int, atol: float) -> None:
+def export(
+    options: Common, form: str, key: str, output: Path | None, nx: int | None, atol: float, **controller: Any
+) -> None:  # fmt: skip
     """Write the file. Raises ConfigError for a format that there is none of, NpredError for a graph that differs."""
+    if nx is not None and nx < 2:
+        raise ConfigError(f"--nx: expected at least 2 nodes, both ends of [0, 1], got {nx}; dx = 0.01 is nx = 101")
+    if form == "controller":
+        export_controller.export(options, key, output, Choices(nx=nx, **controller))
+        return
+    nx = nx or NX
     if form in data_exchange.WRITERS:
         data_exchange.export(options, form, key, output)
         return
     if form not in FORMATS:
-        formats = ", ".join([*FORMATS, *data_exchange.WRITERS])
+        formats = ", ".join([*FORMATS, "controller", *data_exchange.WRITERS])
         raise ConfigError(f"export: expected one of {formats}, got {form!r}; name one of them")
-    if nx < 2:
-        raise ConfigError(f"--nx: expected at least 2 nodes, both ends of [0, 1], got {nx}; dx = 0.01 is nx = 101")
     stored = load_model(key, options.store)
     path = writable(output or Path(f"{stored.model}-{nx}.{form}"))
     operator = operators.load(stored.folder, stored.plant, stored.snapshot, config=stored.config)

@@ -18,6 +18,7 @@ from npred.plants import inputs
 from npred.plants.base import Plant
 from npred.predictors import Predictor
 
+DELAYS = 5.0  # times the delay at a plant's target, where it declares one, are commands kept
 STEPS = 2**53  # beyond it a float64, as step * dt is one, no longer counts one by one
 
 
@@ -27,7 +28,8 @@ class Controller:
     With `actuator="measured"` each step is given u, so D_hat, phi of the last step and the time are all that it
     remembers; with "history" it remembers its own commands, before the first step u0 (m,), 0 by default, and reads u
     from them at D_hat. `D_hat` (seconds) is the estimate that the next step uses, by default the middle of the
-    adaptation's bounds; `adaptation=None` freezes it, and a plant that declares its delay has none. U is clipped to
+    adaptation's bounds; `adaptation=None` freezes it, and a plant that declares its delay has none. Commands are kept
+    for `longest` seconds, by default the largest D_hat, and five times the delay at its target for such a plant. U is clipped to
     `input_bounds` (m, 2), by default the plant's. Steps equal those of npred.simulate. Its memory is not shared,
     so one controller belongs to one thread; a pickled one goes on where it stood.
     Raises ConfigError for parts that do not fit together.
@@ -36,6 +38,7 @@ class Controller:
     def __init__(
         self, plant: Plant, predictor: Predictor, adaptation: DelayLaw | None, dt: float, *,
         D_hat: float | None = None, input_bounds: Any = None, actuator: str = "measured", u0: Any = None,
+        longest: float | None = None,
     ) -> None:  # fmt: skip
         loop_checks.parts(plant, predictor, adaptation)
         loop_checks.actuator_state(actuator)
@@ -56,7 +59,7 @@ class Controller:
         )  # fmt: skip
         D_hat = self._start(D_hat)
         array_checks.within("D_hat", np.array(array_checks.number("D_hat", D_hat)), tuple(law.bounds))
-        self._take_memory(law.memory, max(D_hat, law.bounds[1] if adaptation else 0.0))
+        self._take_memory(law.memory, self._kept(D_hat, longest))
         self._set_state(D_hat, None, 0, 0.0)
         self._warm_up()
 
@@ -121,9 +124,9 @@ class Controller:
         z = self.memory
         before = z.D_hat[0], z.phi_before[0], z.observer.copy() if self._watches else z.observer
         self._advance()
-        if not (np.isfinite(z.U).all() and math.isfinite(z.D_hat[0])):
+        if failure := self._failure():
             z.D_hat[0], z.phi_before[0], z.observer[:] = before
-            raise DivergedError("step: the prediction from X and u is not finite; hold the last U and measure again")
+            raise DivergedError(f"step: {failure}")
         if self.keeps_commands:
             self._k = remember(self._k, self.dt, z)
         self._step += 1
@@ -161,7 +164,8 @@ class Controller:
     def fresh(self) -> "Controller":
         """Another one with these parts, which starts from this one's D_hat and t without a past."""
         parts = (self.plant, self.predictor, self.adaptation, self.dt)
-        named = {"input_bounds": self._limits, "actuator": self.actuator, "u0": self.u0}
+        named = {"input_bounds": self._limits, "actuator": self.actuator, "u0": self.u0,
+                 "longest": self.reach}  # fmt: skip
         other = type(self)(*parts, D_hat=self.D_hat, **named)
         other.t = self.t
         return other
@@ -173,7 +177,8 @@ class Controller:
 
     def __getstate__(self) -> dict[str, Any]:
         parts = (self.plant, self.predictor, self.adaptation, self.dt)
-        named = {"input_bounds": self._limits, "actuator": self.actuator, "u0": self.u0}
+        named = {"input_bounds": self._limits, "actuator": self.actuator, "u0": self.u0,
+                 "longest": self.reach}  # fmt: skip
         return {"parts": parts, "named": named, "state": self.state(), "P": self._last_P}
 
     def __setstate__(self, saved: Mapping[str, Any]) -> None:
@@ -189,6 +194,16 @@ class Controller:
         if self.adaptation is None:
             raise ConfigError("D_hat: expected a delay in seconds, for nothing adapts it, got none; give D_hat")
         return sum(self.adaptation.bounds) / 2
+
+    def _kept(self, D_hat: float, longest: float | None) -> float:
+        """The seconds that commands are kept for."""
+        needed = max(D_hat, float(self.parts.bounds[1]) if self.adaptation else 0.0)
+        if longest is None:
+            reads = self._recalls and self.plant.declares_delay
+            return DELAYS * float(self.plant.delay(self.plant.target(0.0), 0.0)) if reads else needed
+        if not needed <= (seconds := array_checks.number("longest", longest)) < math.inf:
+            raise ConfigError(f"longest: expected at least the largest delay, {needed:g} s, got {longest!r}; raise it")
+        return seconds
 
     def _take_memory(self, size: int, longest: float) -> None:
         """The buffers of all steps: `size` numbers of an observer of the delay, commands back to `longest` seconds."""
@@ -254,6 +269,16 @@ class Controller:
         if not all(np.isfinite(values).all() for values in (X, *actuator_states)):
             raise DivergedError("step: expected finite X and u, got one that is not; hold the last U and measure again")
         z.X[:, 0], z.u[:, :, 0], z.u_nodes[:, :, 0] = X, u, u_nodes
+
+    def _failure(self) -> str:
+        """Why the step that was computed is none to send, in words; empty where it is."""
+        z = self.memory
+        if not (np.isfinite(z.U).all() and math.isfinite(z.D_hat[0])):
+            return "the prediction from X and u is not finite; hold the last U and measure again"
+        if self._recalls and z.D_seen.max() > self.reach + self.dt:
+            kept = f"expected a delay of at most {self.reach:g} s, back to which commands are kept"
+            return f"{kept}, got {z.D_seen.max():g}; raise longest"
+        return ""
 
     @np.errstate(all="ignore")  # what leaves the finite numbers in Python is refused, once, by step
     def _advance(self) -> None:

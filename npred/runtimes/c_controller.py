@@ -42,6 +42,11 @@ def sources(
     return _Writer(controller, name, precision).texts(model, test)
 
 
+def digest(header: str) -> str:
+    """The sha256 that a header holds, of both files."""
+    return re.findall(r'_DIGEST "([0-9a-f]{64})"', header)[0]
+
+
 def _check(controller: Controller) -> None:
     """Raise ConfigError for a part without a kernel that can be translated."""
     family_of(controller.plant).needs(WHAT)
@@ -179,6 +184,7 @@ class _Writer:
             "after": texts.AFTER.splitlines() if self._watches else [],
             "keep": ["self->saved.k = @_remember(self);"] if self.keeps else [],
             "time": [self._time()],
+            "reach": self._too_long(),
             "check_commands": self._command_checks(),
         }
         low, high = self.parts.bounds
@@ -212,6 +218,12 @@ class _Writer:
         lines += texts.OBSERVER.splitlines() if self._watches else []
         declared = [line for line in lines if line.startswith("static")]
         return [*declared, *(line for line in lines if not line.startswith("static"))]
+
+    def _too_long(self) -> list[str]:
+        """The check of a delay that the plant declares."""
+        if self.parts.believe is None or not self.parts.recalls:
+            return []
+        return texts.TOO_LONG.replace("<REACH>", repr(self.controller.reach + self.parts.dt)).splitlines()
 
     def _command_checks(self) -> list[str]:
         if not self.keeps:

@@ -23,7 +23,8 @@ enum {
     %%_OK = 0,
     %%_MEASUREMENT_NOT_FINITE = 1, /* the state stands as before: hold the last U and measure again */
     %%_PREDICTION_NOT_FINITE = 2,  /* likewise */
-    %%_STATE_REFUSED = 3           /* of another controller, or out of range; the state stands as before */
+    %%_STATE_REFUSED = 3,          /* of another controller, or out of range; the state stands as before */
+    %%_DELAY_TOO_LONG = 4          /* for the commands that are kept; the state stands as before */
 };
 
 /* What a step remembers. */
@@ -165,11 +166,13 @@ static int @_run(@_controller *self, const REAL *X<MEASURED>, REAL *U)
     for (int i = 0; i < %%_M_INPUTS; i++) {
         finite = finite && isfinite(self->U[i]);
     }
-    if (!finite) {
+    int code = finite ? %%_OK : %%_PREDICTION_NOT_FINITE;
+    {reach}
+    if (code != %%_OK) {
         self->saved.D_hat[0] = D_hat;
         self->saved.phi_before[0] = phi_before;
         {after}
-        return %%_PREDICTION_NOT_FINITE;
+        return code;
     }
     {keep}
     self->saved.steps++;
@@ -204,6 +207,10 @@ def finite(name: str, count: str) -> list[str]:
 MEASURED = """\
 for (int i = 0; i < %%_NX * %%_M_INPUTS; i++) {
     finite = finite && isfinite(u[i]) && isfinite(u_nodes[i]);
+}"""
+TOO_LONG = """\
+for (int i = 0; i < %%_M_INPUTS; i++) {
+    code = self->D_seen[i] > (REAL)<REACH> ? %%_DELAY_TOO_LONG : code;
 }"""
 BEFORE = "memcpy(self->before, self->saved.observer, sizeof self->before);"
 AFTER = "memcpy(self->saved.observer, self->before, sizeof self->before);"

@@ -346,3 +346,20 @@ def test_it_is_given_what_is_measured_and_nothing_else():
         npred.controller(PLANT, run, LAW, 0.01, actuator="other")
     with pytest.raises(ConfigError, match="expected the commands of such a controller, got others"):
         npred.controller(PLANT, run, LAW, 0.01, actuator="history").restore({"D_hat": 1.0, "step": 0, "commands": {}})
+
+
+def test_commands_reach_back_to_a_delay_that_the_plant_declares():
+    plant = npred.plant("unicycle_time_delay")
+    run, X = RK4(plant, 41), np.array([0.3, -0.2, 0.2])
+    wanted = npred.simulate(plant, run, X0=X, t_end=3.0, dt=0.01, actuator="history", samples=np.arange(300))
+    controller = npred.controller(plant, run, None, 0.01, actuator="history")
+    assert controller.reach == pytest.approx(5.0)
+    for k in range(300):
+        np.testing.assert_allclose(controller.step(wanted.samples.X[k]), wanted.U[k], rtol=1e-9, atol=1e-12)
+    short = npred.controller(plant, run, None, 0.01, actuator="history", longest=0.5)
+    before = short.state()
+    with pytest.raises(DivergedError, match="expected a delay of at most 0.5 s, back to which commands are kept, got 1"):
+        short.step(X)
+    assert short.state() == before
+    with pytest.raises(ConfigError, match="longest: expected at least the largest delay, 4 s, got 1.0"):
+        npred.controller(PLANT, RK4(PLANT, 21), LAW, 0.01, actuator="history", longest=1.0)

@@ -75,10 +75,15 @@ class Body(Expressions):
         self._drop_unused()
 
     def _drop_unused(self) -> None:
-        """Leave out buffers that the text does not name: those of branches that are not taken."""
-        words = set(re.findall(r"\w+", " ".join(self.lines)))
-        self.top = [line for line in self.top if re.split(r"\W+", line)[1] in words]
-        self.members = [line for line in self.members if re.split(r"\W+", line)[1] in words]
+        """Leave out buffers that nothing reads: those of branches that are not taken."""
+        names = [re.split(r"\W+", line)[1] for line in [*self.top, *self.members]]
+        stores = {name: re.compile(rf"\s*(memory->)?{name}\[[^;=]*\] [-+*/]?= [^;]*;") for name in names}
+        text = "\n".join(self.lines)
+        for name in names:
+            if all(stores[name].fullmatch(line) for line in re.findall(rf".*\b{name}\b.*", text)):
+                self.lines = [line for line in self.lines if not re.search(rf"\b{name}\b", line)]
+                self.top = [line for line in self.top if re.split(r"\W+", line)[1] != name]
+                self.members = [line for line in self.members if re.split(r"\W+", line)[1] != name]
 
     def _take(self, name: str, value: Any) -> None:
         """An argument: one that outlives a block is a variable like others."""

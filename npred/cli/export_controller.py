@@ -1,0 +1,119 @@
+"""`npred export controller`: the controller of a pipeline's evaluated loop as C99, with a test of its own."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from npred import config, defaults, operators, plants
+from npred.cli.options import Common, writable_folder
+from npred.config import FROZEN, Evaluate
+from npred.errors import ConfigError
+from npred.loop import closed_loop, delay_law
+from npred.loop.controller import Controller
+from npred.loop.loop_checks import HISTORY
+from npred.pipeline import load_model
+from npred.plants import Plant, inputs
+from npred.predictors import Predictor, numerical
+from npred.predictors.guarded import Guarded
+from npred.runtimes import c_controller
+
+MEASURED_STEPS, RECALLED_STEPS = 4, 40  # of the test inside the file; u of each measured step is part of it
+
+
+@dataclass(frozen=True)
+class Choices:
+    """The flags of the command: what of the pipeline's loop is another in the file."""
+
+    nx: int | None
+    precision: str
+    predictor: str
+    name: str
+    actuator: str
+    guard: float | None
+
+
+def export(options: Common, key: str, output: Path | None, choices: Choices) -> None:
+    """Write the header and the source. Raises ConfigError as npred.runtimes.c_controller.sources does."""
+    folder = writable_folder(output or Path(choices.name), "controller")
+    path, model = _named(key, choices.predictor)
+    pipeline = config.load(path)
+    table, plant = pipeline.evaluate, plants.resolve(pipeline.plant, pipeline.parameters)
+    predictor = _predictor(options, f"{path}:{model}" if model else "", plant, table, choices)
+    controller = _controller(plant, predictor, table, choices)
+    about = f"{pipeline.name}:{predictor.name}"
+    files = c_controller.sources(controller, choices.name, choices.precision, about, _steps(controller, table))
+    folder.mkdir(parents=True, exist_ok=True)
+    written = []
+    for text, suffix in zip(files, ("h", "c"), strict=True):
+        target = folder / f"{choices.name}.{suffix}"
+        target.write_text(text, encoding="utf-8")
+        written.append(str(target))
+    document = {
+        "files": written, "format": "controller", "plant": plant.name, "predictor": predictor.name,
+        "nx": predictor.nx, "precision": choices.precision, "actuator": controller.actuator,
+        "guarded": predictor.guard is not None, "digest": c_controller.digest(files[0]),
+    }  # fmt: skip
+    options.show(document, lambda: f"{', '.join(written)}: {controller!r} in {choices.precision} precision")
+
+
+def _named(key: str, predictor: str) -> tuple[Path, str]:
+    """The pipeline file and the network that a key means; no network where the predictor is a numerical one."""
+    path, colon, model = key.rpartition(":")
+    if predictor:
+        return defaults.pipeline(path if colon else key), ""
+    if not colon and (key.endswith(".toml") or "/" in key or key in defaults.shipped()):
+        raise ConfigError(f"{key}: expected PIPELINE:MODEL, got no model; add one, or give --predictor rk4")
+    return defaults.pipeline(path), model
+
+
+def _predictor(options: Common, spec: str, plant: Plant, table: Evaluate, choices: Choices) -> Predictor:
+    nx = choices.nx or table.nx
+    exact = numerical(table.predictor, plant, nx)
+    if not spec:
+        predictor: Predictor = numerical(choices.predictor, plant, nx)
+    else:
+        import torch
+
+        from npred.runtimes.fused import Fused
+
+        dtype = {"float": torch.float32, "double": torch.float64}.get(choices.precision, torch.float64)
+        stored = load_model(spec, options.store)
+        operator = operators.load(stored.folder, plant, stored.snapshot, dtype, stored.config)
+        kind: Any = np.float32 if choices.precision == "float" else np.float64
+        predictor = Fused(plant, operator, nx, stored.model, precision=kind)
+    guard = dict(table.guard) if table.guard and spec else {}
+    if choices.guard is not None:
+        guard["tolerance"] = choices.guard
+    return Guarded(predictor, exact=exact, **guard) if guard else predictor
+
+
+def _controller(plant: Plant, predictor: Predictor, table: Evaluate, choices: Choices) -> Controller:
+    limits = inputs.bounds(plant, table.input_bounds)
+    start = np.array([table.X0]) if table.X0 else np.zeros((1, plant.n))
+    declared = plant.declares_delay
+    return Controller(
+        plant, predictor, None if declared or table.adaptation == FROZEN else delay_law.resolve(table), table.dt,
+        D_hat=None if declared else table.D_hat0, input_bounds=table.input_bounds,
+        actuator=choices.actuator or table.actuator, u0=inputs.before(plant, table.u0, limits, start)[0],
+    )  # fmt: skip
+
+
+def _steps(controller: Controller, table: Evaluate) -> tuple[np.ndarray, np.ndarray | None]:
+    """X (S, n), and u (S, nx, m) where it is measured, of a simulated loop of this controller: what its file is tested
+    with.
+    """
+    plant, dt, recalls = controller.plant, controller.dt, controller.actuator == HISTORY
+    count = RECALLED_STEPS if recalls else MEASURED_STEPS
+    delay = {} if plant.declares_delay else {"D": table.D, "D_hat": controller.D_hat}
+    stride = 1 if recalls else max(int(table.D / dt), 1)
+    steps = np.arange(count) * stride
+    X0 = np.array(table.X0) if table.X0 else plant.target(0.0)
+    run = closed_loop.simulate(
+        plant, controller.predictor, X0=X0, t_end=(steps[-1] + 1) * dt, dt=dt, adaptation=controller.adaptation,
+        input_bounds=table.input_bounds, u0=table.u0, actuator=controller.actuator, samples=steps, **delay,
+    )  # fmt: skip
+    samples = run.samples
+    assert samples is not None
+    return np.array(samples.X), None if recalls else np.array(samples.u)

@@ -1,0 +1,98 @@
+"""Controllers exported to C, compiled with gcc and called by ctypes, and closed loops of either kind of controller."""
+
+import ctypes
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+
+from npred.loop import engine
+from npred.loop.actuator import actuate, history, transport
+from npred.predictors import RK4
+from npred.runtimes import c_controller
+
+needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc on this machine")
+FLAGS = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Wshadow", "-Werror"]
+SIZES = """
+#include "npred.c"
+unsigned long size_of_controller(void);
+unsigned long size_of_saved(void);
+unsigned long size_of_controller(void) { return sizeof(npred_controller); }
+unsigned long size_of_saved(void) { return sizeof(npred_saved); }
+"""
+TYPES = {"double": np.float64, "float": np.float32}
+
+
+def library(controller, folder, precision="double", test=None):
+    """The shared library of a controller."""
+    header, source = c_controller.sources(controller, precision=precision, test=test)
+    (folder / "npred.h").write_text(header)
+    (folder / "npred.c").write_text(source)
+    (folder / "sizes.c").write_text(SIZES)
+    flags = [*FLAGS, *(["-Wdouble-promotion"] if precision == "float" else [])]
+    command = ["gcc", *flags, "-shared", "-fPIC", "sizes.c", "-o", "npred.so", "-lm"]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300)
+    assert (done.returncode, done.stderr) == (0, "")
+    return ctypes.CDLL(str(folder / "npred.so"))
+
+
+class InC:
+    """One controller of a library, with the calls of npred.controller."""
+
+    def __init__(self, compiled, plant, precision="double"):
+        compiled.size_of_controller.restype = compiled.size_of_saved.restype = ctypes.c_ulong
+        self.library, self.type, self.m = compiled, TYPES[precision], plant.m
+        self.memory = ctypes.create_string_buffer(compiled.size_of_controller())
+        compiled.npred_init(self.memory)
+
+    def step(self, X, *measured):
+        """U; an assertion fails for a return code that is not 0."""
+        U = np.full(self.m, np.nan, self.type)
+        assert self.code(X, *measured, out=U) == 0
+        return U
+
+    def code(self, X, *measured, out=None):
+        arrays = [np.ascontiguousarray(a, dtype=self.type) for a in (X, *measured)]
+        U = np.full(self.m, np.nan, self.type) if out is None else out
+        function = self.library.npred_step_nodes if len(measured) == 2 else self.library.npred_step
+        return function(self.memory, *(a.ctypes.data_as(ctypes.c_void_p) for a in (*arrays, U)))
+
+    def state(self):
+        saved = ctypes.create_string_buffer(self.library.size_of_saved())
+        self.library.npred_get_state(self.memory, saved)
+        return saved
+
+    def restore(self, saved):
+        return self.library.npred_set_state(self.memory, saved)
+
+
+def closed_loop(controller, plant, D, dt, steps, X0, measured, nx=0, again=4000):
+    """X (steps, n) and U (steps, m) of a loop whose state is set back every `again` steps."""
+    advance, X, p = engine.advance_kernel(plant, RK4), np.array(X0, dtype=float)[:, None], plant.p
+    longest = np.array([D if np.isscalar(D) else 3.0])
+    k, held, total = history(longest[0], longest[0], dt, np.zeros((plant.m, 1)))
+    delays = (plant.ratios * longest)[:, None]
+    u, u_nodes = np.zeros((nx or 2, plant.m, 1)), np.zeros((nx or 2, plant.m, 1))
+    U0, U1, share = (np.zeros((plant.m, 1)) for _ in range(3))
+    states, commands = np.empty((steps, plant.n)), np.empty((steps, plant.m))
+    for step in range(steps):
+        if step % again == 0:
+            X[:, 0] = X0
+        states[step] = X[:, 0]
+        if not np.isscalar(D):
+            delays[:] = D(X[:, 0], step * dt)
+        if measured:
+            transport(k, dt, delays, held, total, u, u_nodes)
+            commands[step] = controller.step(X[:, 0], u[:, :, 0], u_nodes[:, :, 0])
+        else:
+            commands[step] = controller.step(X[:, 0])
+        actuate(k, dt, delays, commands[step][:, None].copy(), held, total, U0, U1, share)
+        k += 1
+        advance(X, U0, U1, share, dt, step * dt, p)
+    return states, commands
+
+
+def differ(a, b):
+    """The largest difference of each column, relative to the column's largest value."""
+    return (np.abs(a - b).max(axis=0) / np.abs(a).max(axis=0)).max()

@@ -1,0 +1,202 @@
+"""The controller in C: the same closed loops as npred.controller, its state, its refusals."""
+
+import re
+import subprocess
+
+import numpy as np
+import pytest
+from c_controllers import FLAGS, InC, closed_loop, differ, library, needs_gcc
+from operator_samples import SMALL, operator
+from varying_delays import with_delay
+
+import npred
+from npred.errors import ConfigError
+from npred.loop.controller import Controller
+from npred.runtimes import c_controller
+from npred.runtimes.fused import Fused
+
+pytestmark = needs_gcc
+PLANT, UNICYCLE = npred.plant("activator_repressor"), npred.plant("unicycle")
+IN_SPACE = with_delay(lambda x, t, p, M: 0.3 * (x.x**2 + x.y**2) + 0.3)
+PAPER = npred.DelayAdaptation(1000.0, bounds=(0.1, 4.0))
+X0, POSE = [0.03, 30.0], [0.3, -0.2, 0.2]
+
+
+def network(kind, precision=np.float64, nx=51):
+    return Fused(PLANT, operator(SMALL[kind]).double(), nx, precision=precision)
+
+
+def controllers():
+    """Each with the true delay and the start of its loop."""
+    heun, euler = npred.predictor("heun", PLANT, 51), npred.predictor("euler", PLANT, 51)
+    turns, slow = npred.predictor("rk4", UNICYCLE, 41), npred.predictor("heun", IN_SPACE, 41)
+    observer = npred.DelayObserver(bounds=(0.2, 2.0), candidates=20)
+    measured = {"deeponet": network(0), "fno": network(1), "heun": heun, "rk4": npred.predictor("rk4", PLANT, 51)}
+    measured |= {"deeponet, guard": npred.guarded(network(0), 0.01), "euler, defect": npred.guarded(euler, 0.01, "defect")}
+    measured |= {"picard": npred.predictor("picard", PLANT, 21)}
+    cases = {
+        name: (Controller(PLANT, predictor, PAPER, 0.01, D_hat=2.0), 1.0, X0) for name, predictor in measured.items()
+    }
+    cases["observer"] = (Controller(PLANT, heun, observer, 0.01, D_hat=1.5, actuator="history"), 1.0, X0)
+    cases["observer, measured"] = (Controller(PLANT, heun, observer, 0.01, D_hat=1.5), 1.0, X0)
+    cases["l1, history"] = (
+        Controller(PLANT, heun, npred.L1Adaptation(0.01, bounds=(0.1, 2.0)), 0.01, D_hat=1.2, actuator="history"), 1.0, X0,
+    )  # fmt: skip
+    cases["bounded"] = (Controller(PLANT, heun, PAPER, 0.01, D_hat=2.0, input_bounds=[(-0.001, 0.002)]), 1.0, X0)
+    cases["two delays"] = (Controller(UNICYCLE, turns, None, 0.01, D_hat=0.6, actuator="history"), 0.6, POSE)
+    cases["two delays, guard"] = (
+        Controller(UNICYCLE, npred.guarded(turns, 1e-3), None, 0.01, D_hat=0.6, actuator="history"), 0.6, POSE,
+    )  # fmt: skip
+    cases["declared"] = (Controller(IN_SPACE, slow, None, 0.01, actuator="history"), IN_SPACE.delay, POSE)
+    cases["declared, guard"] = (
+        Controller(IN_SPACE, npred.guarded(slow, 1e-3), None, 0.01, actuator="history"), IN_SPACE.delay, POSE,
+    )  # fmt: skip
+    return cases
+
+
+NAMES = [
+    "deeponet", "fno", "heun", "rk4", "deeponet, guard", "euler, defect", "picard", "observer", "observer, measured",
+    "l1, history", "bounded", "two delays", "two delays, guard", "declared", "declared, guard",
+]  # fmt: skip
+LONG = ["deeponet, guard", "fno", "rk4", "observer", "two delays, guard", "declared", "declared, guard"]
+
+
+@pytest.fixture(scope="module")
+def cases():
+    return controllers()
+
+
+def both(case, folder, steps, precision="double"):
+    """States and commands of the loop in Python, and of that in C."""
+    controller, D, start = case
+    compiled = library(controller, folder, precision)
+    measured, nx = controller.actuator == "measured", controller.predictor.nx
+    runs = [controller.fresh(), InC(compiled, controller.plant, precision)]
+    return [closed_loop(run, controller.plant, D, controller.dt, steps, start, measured, nx) for run in runs]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_closed_loop_is_that_of_the_controller(cases, tmp_path, name):
+    (X, U), (X_c, U_c) = both(cases[name], tmp_path, 600)
+    assert np.isfinite(U).all()
+    assert differ(X, X_c) < 1e-12 and differ(U, U_c) < 1e-12
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", LONG)
+def test_so_is_a_long_one(cases, tmp_path, name):
+    (X, U), (X_c, U_c) = both(cases[name], tmp_path, 100_000)
+    assert differ(X, X_c) < 1e-12 and differ(U, U_c) < 1e-12
+
+
+@pytest.mark.parametrize("name", ["rk4", "observer", "two delays, guard", "declared"])
+def test_in_float_it_is_so_to_float_s_rounding(cases, tmp_path, name):
+    (X, U), (X_c, U_c) = both(cases[name], tmp_path, 400, "float")
+    assert differ(X, X_c) < 1e-3 and differ(U, U_c) < 1e-2
+
+
+def test_goes_on_from_a_saved_state_to_the_bit(cases, tmp_path):
+    controller = cases["observer"][0]
+    compiled = library(controller, tmp_path)
+    one, other = InC(compiled, PLANT), InC(compiled, PLANT)
+    X = np.array(X0) * (1 + 0.1 * np.random.default_rng(0).standard_normal((900, 2)))
+    for x in X[:600]:  # past the end of the ring buffers
+        one.step(x)
+    saved = one.state()
+    assert other.restore(saved) == 0
+    for x in X[600:]:
+        np.testing.assert_array_equal(one.step(x), other.step(x))
+    assert bytes(one.state()) == bytes(other.state()) != bytes(saved)
+
+
+def test_two_side_by_side_are_independent(cases, tmp_path):
+    controller = cases["deeponet, guard"][0]
+    compiled = library(controller, tmp_path)
+    pair, alone = [InC(compiled, PLANT) for _ in range(2)], [InC(compiled, PLANT) for _ in range(2)]
+    u, X = np.zeros((51, 1)), [np.array(X0), np.array([0.05, 20.0])]
+    mixed = [[run.step(x, u) for run, x in zip(pair, X, strict=True)] for _ in range(50)]
+    apart = [[run.step(x, u) for _ in range(50)] for run, x in zip(alone, X, strict=True)]
+    np.testing.assert_array_equal(np.swapaxes(mixed, 0, 1), apart)
+
+
+@pytest.mark.parametrize(("name", "bad"), [("rk4", np.nan), ("rk4", np.inf), ("observer", np.nan)])
+def test_a_bad_measurement_is_refused_and_leaves_the_state(cases, tmp_path, name, bad):
+    controller = cases[name][0]
+    run = InC(library(controller, tmp_path), PLANT)
+    u = [] if name == "observer" else [np.zeros((51, 1))]
+    run.step(X0, *u)
+    before = bytes(run.state())
+    assert run.code([bad, 30.0], *u) == 1
+    assert not u or run.code(X0, np.full((51, 1), bad)) == 1
+    assert bytes(run.state()) == before
+
+
+def test_a_prediction_that_diverges_is_refused_and_leaves_the_state(tmp_path):
+    class Cube:
+        states, inputs = ("x",), ("u",)
+
+        def f(x, u, t, p, M):
+            return [x.x**3 + u.u]
+
+        def kappa(x, t, p, M):
+            return [-(x.x**3) - x.x]
+
+        def V(x, t, p, M):
+            return x.x**2
+
+    plant = npred.plants.Plant("cube", Cube)
+    controller = Controller(plant, npred.predictor("rk4", plant, 51), npred.DelayAdaptation(1.0, bounds=(0.1, 2.0)), 0.01)
+    run = InC(library(controller, tmp_path), plant)
+    run.step([0.1], np.zeros((51, 1)))
+    before = bytes(run.state())
+    assert run.code([3.0], np.zeros((51, 1))) == 2
+    assert bytes(run.state()) == before
+
+
+def test_a_state_of_another_controller_is_refused(cases, tmp_path):
+    folders = [tmp_path / name for name in "ab"]
+    runs = []
+    for folder, name in zip(folders, ("rk4", "heun"), strict=True):
+        folder.mkdir()
+        runs.append(InC(library(cases[name][0], folder), PLANT))
+    before = bytes(runs[1].state())
+    assert runs[1].restore(runs[0].state()) == 3
+    assert bytes(runs[1].state()) == before
+
+
+def test_its_own_test_passes_and_fails_for_another(cases, tmp_path):
+    controller = cases["rk4"][0]
+    X, u = np.array([X0, [0.05, 20.0]]), np.zeros((2, 51, 1))
+    library(controller, tmp_path, test=(X, u))
+    assert own_test(tmp_path) == 0
+    text = (tmp_path / "npred.c").read_text()
+    at = text.index("test_U[")
+    (tmp_path / "npred.c").write_text(text[:at] + text[at:].replace("{\n    ", "{\n    1 + ", 1))
+    assert own_test(tmp_path) == 1
+
+
+def own_test(folder):
+    flags = [*FLAGS, "-DNPRED_TEST"]
+    subprocess.run(["gcc", *flags, "npred.c", "-o", "own_test", "-lm"], cwd=folder, check=True, timeout=120)
+    return subprocess.run([folder / "own_test"], capture_output=True, timeout=60).returncode
+
+
+def test_allocates_nothing_and_says_what_it_is_of(cases):
+    header, source = c_controller.sources(cases["observer"][0], model="paper:heun")
+    assert "malloc" not in source and re.findall(r"#include <(.*)>", source) == ["math.h", "string.h"]
+    assert "Model: paper:heun." in header and len(c_controller.digest(header)) == 64
+    assert not re.findall(r"^static (?!const|inline)[^()]*(?:;|=)", source, re.MULTILINE)  # no variable that changes
+
+
+@pytest.mark.parametrize("name", ["", "Npred", "1a", "a b", "a;", "ä", "a" * 32])
+def test_a_name_that_is_no_identifier_is_refused(cases, name):
+    with pytest.raises(ConfigError, match="--name: expected a short C identifier"):
+        c_controller.sources(cases["rk4"][0], name)
+
+
+def test_what_runs_in_python_is_refused():
+    class Slow(npred.predictors.Euler):
+        compiled = False
+
+    with pytest.raises(ConfigError, match="expected a predictor that is compiled, got euler"):
+        c_controller.sources(Controller(PLANT, Slow(PLANT, 21), PAPER, 0.01, D_hat=1.0))
