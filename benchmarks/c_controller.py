@@ -80,7 +80,15 @@ def rows(model: str, nx: int) -> dict[str, list[str]]:
     kinds = {"network": [model], "network, guard": [model, "--guard", "0.01"]}
     kinds |= {"heun": [pipeline, "--predictor", "heun"], "rk4": [pipeline, "--predictor", "rk4"]}
     return {
-        f"{kind}, {precision}, {actuator}": [*arguments, "--nx", str(nx), "--precision", precision, "--actuator", actuator]
+        f"{kind}, {precision}, {actuator}": [
+            *arguments,
+            "--nx",
+            str(nx),
+            "--precision",
+            precision,
+            "--actuator",
+            actuator,
+        ]
         for kind, arguments in kinds.items()
         for precision in ("double", "float")
         for actuator in ("measured", "history")

@@ -232,7 +232,9 @@ def export(
     output: Annotated[
         Path | None,
         typer.Option(
-            "-o", "--output", help="The file; by default MODEL-NX.onnx or .c, data.npy, .h5, .mat; a controller's folder."
+            "-o",
+            "--output",
+            help="The file; by default MODEL-NX.onnx or .c, data.npy, .h5, .mat; a controller's folder.",
         ),
     ] = None,
     nx: Annotated[

@@ -1,4 +1,4 @@
-"""`npred export controller`: the controller of a pipeline's evaluated loop as C99, with a test of its own."""
+"""`npred export controller`: the controller of a pipeline's evaluated loop as C99, with a test inside."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -106,7 +106,7 @@ def _steps(controller: Controller, table: Evaluate) -> tuple[np.ndarray, np.ndar
     """
     plant, dt, recalls = controller.plant, controller.dt, controller.actuator == HISTORY
     count = RECALLED_STEPS if recalls else MEASURED_STEPS
-    delay = {} if plant.declares_delay else {"D": table.D, "D_hat": controller.D_hat}
+    delay: dict[str, Any] = {} if plant.declares_delay else {"D": table.D, "D_hat": controller.D_hat}
     stride = 1 if recalls else max(int(table.D / dt), 1)
     steps = np.arange(count) * stride
     X0 = np.array(table.X0) if table.X0 else plant.target(0.0)

@@ -73,8 +73,7 @@ def control_step(s: Parts, z: Memory, k: int, t: float, P: np.ndarray) -> None:
 
 
 def remember(k: int, dt: float, z: Memory) -> int:
-    """Hold U as the command of step k; the number of the next: it and the sums stay small, for large ones would round.
-    """
+    """Hold U as the command of step k; the next step's number. It and the sums stay small, for large ones round."""
     actuate(k, dt, z.D_seen, z.U, z.held, z.total, z.leaving[0], z.leaving[1], z.leaving[2])
     rows = len(z.held)
     if k + 1 < 2 * rows:
@@ -82,8 +81,3 @@ def remember(k: int, dt: float, z: Memory) -> int:
     for c in range(z.U.shape[0]):
         z.total[:, c, 0] -= z.total[0, c, 0]
     return rows
-
-
-def first(reach: float, dt: float) -> int:
-    """The number of the first step, before which there are commands back to `reach` seconds."""
-    return int(reach / dt) + 3

@@ -29,7 +29,7 @@ class Controller:
     remembers; with "history" it remembers its own commands, before the first step u0 (m,), 0 by default, and reads u
     from them at D_hat. `D_hat` (seconds) is the estimate that the next step uses, by default the middle of the
     adaptation's bounds; `adaptation=None` freezes it, and a plant that declares its delay has none. Commands are kept
-    for `longest` seconds, by default the largest D_hat, and five times the delay at its target for such a plant. U is clipped to
+    for `longest` seconds, by default the largest D_hat, or five times the declared delay at the target. U is clipped to
     `input_bounds` (m, 2), by default the plant's. Steps equal those of npred.simulate. Its memory is not shared,
     so one controller belongs to one thread; a pickled one goes on where it stood.
     Raises ConfigError for parts that do not fit together.
@@ -86,6 +86,11 @@ class Controller:
     @t.setter
     def t(self, seconds: float) -> None:
         self._set_state(self.D_hat, None, 0, seconds)
+
+    @property
+    def reach(self) -> float:
+        """How far back its commands are kept, in seconds."""
+        return (len(self.memory.held) - 4) * self.dt
 
     @property
     def P(self) -> np.ndarray:
@@ -165,7 +170,7 @@ class Controller:
         """Another one with these parts, which starts from this one's D_hat and t without a past."""
         parts = (self.plant, self.predictor, self.adaptation, self.dt)
         named = {"input_bounds": self._limits, "actuator": self.actuator, "u0": self.u0,
-                 "longest": self.reach}  # fmt: skip
+                 "longest": self._longest}  # fmt: skip
         other = type(self)(*parts, D_hat=self.D_hat, **named)
         other.t = self.t
         return other
@@ -178,7 +183,7 @@ class Controller:
     def __getstate__(self) -> dict[str, Any]:
         parts = (self.plant, self.predictor, self.adaptation, self.dt)
         named = {"input_bounds": self._limits, "actuator": self.actuator, "u0": self.u0,
-                 "longest": self.reach}  # fmt: skip
+                 "longest": self._longest}  # fmt: skip
         return {"parts": parts, "named": named, "state": self.state(), "P": self._last_P}
 
     def __setstate__(self, saved: Mapping[str, Any]) -> None:
@@ -210,7 +215,7 @@ class Controller:
         n, m, nx = self.plant.n, self.plant.m, self.predictor.nx
         self._last_U = np.zeros(m)
         self._P, self._last_P = np.full((nx, n, 1), np.nan), np.full((nx, n, 1), np.nan)
-        self.reach = longest
+        self._longest = longest
         self._k, held, total = history(longest, longest, self.dt, self.u0[:, None])
         self.memory = Memory(
             X=np.zeros((n, 1)), u=np.zeros((nx, m, 1)), u_nodes=np.zeros((nx, m, 1)), U=np.zeros((m, 1)),
@@ -241,10 +246,9 @@ class Controller:
         rate = math.nan if phi is None else array_checks.number("phi", phi)
         low, high = self.parts.bounds
         array_checks.within("D_hat", np.array(seconds), (low, high))
-        reach = (len(self.memory.held) - 4) * self.dt
-        if self._recalls and seconds > reach + self.dt:
+        if self._recalls and seconds > self.reach + self.dt:
             raise ConfigError(
-                f"D_hat: expected at most {reach:g} s, back to which the commands are kept, got {seconds:g}; make "
+                f"D_hat: expected at most {self.reach:g} s, back to which the commands are kept, got {seconds:g}; make "
                 "another controller with that D_hat"
             )
         if not 0 <= step <= STEPS:

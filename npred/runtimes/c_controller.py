@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from npred import __version__
+import npred
 from npred.delays import family_of
 from npred.errors import ConfigError
 from npred.loop import control_step
@@ -15,8 +15,8 @@ from npred.loop.controller import Controller
 from npred.runtimes import c_controller_text as texts
 from npred.runtimes.c_text import comment
 from npred.symbolic import kernels
-from npred.symbolic.c99 import Array, Const, Foreign, Record, Scalar, Unit
-from npred.symbolic.c99.body import Body
+from npred.symbolic.c99 import Array, Const, Fields, Foreign, Term, Unit
+from npred.symbolic.c99.body import Translation
 from npred.symbolic.c99.unit import constant
 
 NAME = re.compile(r"[a-z][a-z0-9_]{0,30}")
@@ -76,18 +76,18 @@ class _Writer:
             if body.members or body.callees:
                 self.unit.structs.append(self.unit.struct(f"{name}_{body.where}", body))
 
-    def _body(self, where: str, function: Any) -> Body:
+    def _body(self, where: str, function: Any) -> Translation:
         """A function of npred.loop.control_step, with the controller's parts and the arrays of its state in C."""
         definition, space = kernels.definition(function)
         arguments = {
-            "s": Record({name: self._part(name, value) for name, value in self.parts._asdict().items()}),
-            "z": Record({name: self._array(name, getattr(self.controller.memory, name)) for name in Memory._fields}),
-            "k": Scalar("self->saved.k", "int", low=0),
-            "t": Scalar("t", self.real),
+            "s": Fields({name: self._part(name, value) for name, value in self.parts._asdict().items()}),
+            "z": Fields({name: self._array(name, getattr(self.controller.memory, name)) for name in Memory._fields}),
+            "k": Term("self->saved.k", "int", low=0),
+            "t": Term("t", self.real),
             "dt": Const(self.parts.dt, self.real),
             "P": Array.whole("self->P", self.real, (self.controller.predictor.nx, self.plant.n, 1)),
         }
-        body = Body(self.unit, where, space, {a.arg: arguments[a.arg] for a in definition.args.args})
+        body = Translation(self.unit, where, space, {a.arg: arguments[a.arg] for a in definition.args.args})
         body.translate(definition.body)
         return body
 
@@ -137,8 +137,10 @@ class _Writer:
 
     def _sizes(self) -> dict[str, int]:
         z = self.controller.memory
+        optional = {"ROWS": len(z.held)} if self.keeps else {}
+        optional |= {"OBSERVER": len(z.observer)} if self._watches else {}
         sizes = {"N_STATES": self.plant.n, "M_INPUTS": self.plant.m, "NX": self.controller.predictor.nx}
-        return sizes | ({"ROWS": len(z.held)} if self.keeps else {}) | ({"OBSERVER": len(z.observer)} if self._watches else {})
+        return sizes | optional
 
     @property
     def _watches(self) -> bool:
@@ -160,7 +162,7 @@ class _Writer:
                 lines.append(f"    struct @_{body.where}_memory {body.where};")
         return lines
 
-    def _function(self, name: str, body: Body | None) -> list[str]:
+    def _function(self, name: str, body: Translation | None) -> list[str]:
         """The C function of one of the bodies."""
         if body is None:
             return []
@@ -171,7 +173,9 @@ class _Writer:
         head = f"static {kind} @_{name}(@_controller *self{', ' if arguments else ''}{arguments})"
         memory = f"    struct @_{name}_memory *memory = &self->{name};"
         named = "\n".join(body.lines)
-        unused = [f"    (void){c};" for c in re.findall(r"(\w+)(?:,|$)", arguments) if not re.search(rf"\b{c}\b", named)]
+        unused = [
+            f"    (void){c};" for c in re.findall(r"(\w+)(?:,|$)", arguments) if not re.search(rf"\b{c}\b", named)
+        ]
         top = [memory] if body.members or body.callees else []
         return [head, "{", *unused, *top, *(f"    {line}" for line in body.top), *body.lines, "}", ""]
 
@@ -188,9 +192,12 @@ class _Writer:
             "check_commands": self._command_checks(),
         }
         low, high = self.parts.bounds
-        reach = (len(self.controller.memory.held) - 3) * self.parts.dt
-        high = min(high, reach) if self.parts.recalls else high
-        names = {"LOW": low, "HIGH": high if np.isfinite(high) else float(np.finfo(PRECISIONS[self.real]).max), "DT": self.parts.dt}
+        high = min(high, self.controller.reach + self.parts.dt) if self.parts.recalls else high
+        names = {
+            "LOW": low,
+            "HIGH": high if np.isfinite(high) else float(np.finfo(PRECISIONS[self.real]).max),
+            "DT": self.parts.dt,
+        }
         text = kernels.fill(texts.FUNCTIONS, **slots)
         for name, value in names.items():
             text = text.replace(f"<{name}>", repr(float(value)))
@@ -212,7 +219,7 @@ class _Writer:
         lines = [f"self->saved.D_hat[0] = (REAL){controller.D_hat!r};", f"self->saved.t0 = {controller.t!r};"]
         if self.keeps:
             u0 = ", ".join(f"(REAL){value!r}" for value in controller.u0.tolist())
-            origin = control_step.first(controller.reach, self.parts.dt)
+            origin = len(controller.memory.held) - 1
             lines += [f"static const REAL u0[] = {{{u0}}};", f"self->saved.k = {origin};"]
             lines += texts.COMMANDS.replace("<ORIGIN>", str(origin)).splitlines()
         lines += texts.OBSERVER.splitlines() if self._watches else []
@@ -229,18 +236,21 @@ class _Writer:
         if not self.keeps:
             return []
         rows = len(self.controller.memory.held)
-        first = control_step.first(self.controller.reach, self.parts.dt)
-        lines = [f"fits = fits && state->k >= {min(first, rows)} && state->k < {2 * rows};"]
+        lines = [f"fits = fits && state->k >= {rows - 1} && state->k < {2 * rows};"]
         return lines + texts.FINITE_COMMANDS.splitlines()
 
     def _about(self, model: str) -> list[str]:
         plant, controller = self.plant, self.controller
         law = "frozen" if controller.adaptation is None else f"by {type(controller.adaptation).__name__}"
-        names = [(kind, ", ".join(_with_unit(plant, name) for name in names)) for kind, names in (("X", plant.states), ("U", plant.inputs))]
+        names = [
+            (kind, ", ".join(_with_unit(plant, name) for name in names))
+            for kind, names in (("X", plant.states), ("U", plant.inputs))
+        ]
         lines = [
-            f"The controller of plant {plant.name}, made by npred {__version__}.",
+            f"The controller of plant {plant.name}, made by npred {npred.__version__}.",
             *([f"Model: {model}."] if model else []),
-            f"Predictor {controller.predictor.name} on {controller.predictor.nx} nodes; D_hat {law}; a step each {self.parts.dt!r} s.",
+            f"Predictor {controller.predictor.name} on {controller.predictor.nx} nodes; D_hat {law}.",
+            f"A control step each {self.parts.dt!r} s, in {self.real} precision.",
             *(f"{kind}: {text}." for kind, text in names),
         ]
         return [f" * {comment(line)}" for line in lines]

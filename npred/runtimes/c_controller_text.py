@@ -4,7 +4,7 @@ HEADER = """\
 /*
 {about}
  *
- * C99, no library but libm, no allocation, no static variable that changes: one @_controller per plant, each on its own.
+ * C99, no library but libm, no allocation, no static variable that changes: each @_controller is on its own.
  * Compile it without -ffast-math: NaN has to stay visible.
  */
 #ifndef %%_CONTROLLER_H
@@ -74,7 +74,8 @@ int @_step(@_controller *self, const REAL *X, REAL *U);
 
 def signatures(recalls: bool) -> list[str]:
     """The declarations of the functions."""
-    return (SHARED + (RECALLED_SIGNATURES if recalls else MEASURED_SIGNATURES)).splitlines()
+    text = SHARED + (RECALLED_SIGNATURES if recalls else MEASURED_SIGNATURES)
+    return [str(line) for line in text.splitlines()]
 
 
 SOURCE = """\

@@ -131,7 +131,7 @@ def lowered_function(program: Callable[..., tuple[Any, ...]], size: int) -> Any:
 
         return types.UniTuple(types.float64, size)(floats), write
 
-    lowered.program = program  # for other compilers than Numba's
+    vars(lowered)["program"] = program  # for other compilers than Numba's
     return lowered
 
 

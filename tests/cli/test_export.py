@@ -1,6 +1,8 @@
 """`npred export`: a trained model of the store as a file, checked on its held-out samples."""
 
 import json
+import shutil
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -75,7 +77,7 @@ def test_a_graph_that_differs_is_refused(export):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["tflite"], "export: expected one of onnx, c, npy, hdf5, mat, got 'tflite'"),
+        (["tflite"], "export: expected one of onnx, c, controller, npy, hdf5, mat, got 'tflite'"),
         (["c", "--nx", "1"], "--nx: expected at least 2 nodes"),
         (["c", "-o", "nowhere/m.c"], "nowhere/m.c: expected a file that can be written"),
     ],
@@ -85,3 +87,40 @@ def test_mistakes_are_told_in_one_line(export, arguments, message):
     assert (done.exit_code, done.stdout) == (2, "")
     (line,) = done.stderr.splitlines()
     assert message in line
+
+
+def test_a_controller_to_a_folder(export):
+    done = export("controller", "-o", "firmware", "--json", "--guard", "0.1", "--name", "tank")
+    assert done.exit_code == 0, done.output
+    document = json.loads(done.stdout)
+    assert document["files"] == ["firmware/tank.h", "firmware/tank.c"] and document["guarded"]
+    assert document["digest"] in Path("firmware/tank.h").read_text()
+    assert "int tank_step(tank_controller *self, const double *X, const double *u, double *U);" in (
+        Path("firmware/tank.h").read_text()
+    )
+    if shutil.which("gcc"):
+        command = ["gcc", "-std=c99", "-DTANK_TEST", "firmware/tank.c", "-o", "own_test", "-lm"]
+        subprocess.run(command, check=True, timeout=60)
+        assert subprocess.run(["./own_test"], timeout=60).returncode == 0
+
+
+def test_a_controller_with_a_numerical_predictor(export, trained):
+    flags = ("--predictor", "heun", "--precision", "float", "--actuator", "history", "--nx", "21")
+    done = export("controller", *flags, model=str(trained / "p.toml"))
+    assert done.exit_code == 0, done.output
+    assert "float precision" in done.stdout and "int npred_step(npred_controller *self, const float *X, float *U);" in (
+        Path("npred/npred.h").read_text()
+    )
+
+
+@pytest.mark.parametrize(
+    ("flags", "message"),
+    [
+        (("--name", "a b"), "--name: expected a short C identifier in lower case, got 'a b'; take npred"),
+        (("--precision", "half"), "--precision: expected float or double, got 'half'; name one of them"),
+        (("--nx", "1"), "--nx: expected at least 2 nodes"),
+    ],
+)
+def test_a_controller_that_cannot_be(export, flags, message):
+    done = export("controller", *flags)
+    assert done.exit_code == 2 and message in done.output

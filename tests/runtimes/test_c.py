@@ -125,7 +125,7 @@ def test_the_example_of_the_documentation_is_the_model(tmp_path):
 
 
 def test_no_name_ends_a_comment():
-    assert c_text.comment("a */ int owned; /* \n??/") == "a * / int owned; /* \\n??/"
+    assert c_text.comment("a */ int owned; /* \n??/") == "a * / int owned; / * \\n? ?/"
 
 
 def _address(array):

@@ -32,7 +32,10 @@ def controllers():
     turns, slow = npred.predictor("rk4", UNICYCLE, 41), npred.predictor("heun", IN_SPACE, 41)
     observer = npred.DelayObserver(bounds=(0.2, 2.0), candidates=20)
     measured = {"deeponet": network(0), "fno": network(1), "heun": heun, "rk4": npred.predictor("rk4", PLANT, 51)}
-    measured |= {"deeponet, guard": npred.guarded(network(0), 0.01), "euler, defect": npred.guarded(euler, 0.01, "defect")}
+    measured |= {
+        "deeponet, guard": npred.guarded(network(0), 0.01),
+        "euler, defect": npred.guarded(euler, 0.01, "defect"),
+    }
     measured |= {"picard": npred.predictor("picard", PLANT, 21)}
     cases = {
         name: (Controller(PLANT, predictor, PAPER, 0.01, D_hat=2.0), 1.0, X0) for name, predictor in measured.items()
@@ -40,7 +43,8 @@ def controllers():
     cases["observer"] = (Controller(PLANT, heun, observer, 0.01, D_hat=1.5, actuator="history"), 1.0, X0)
     cases["observer, measured"] = (Controller(PLANT, heun, observer, 0.01, D_hat=1.5), 1.0, X0)
     cases["l1, history"] = (
-        Controller(PLANT, heun, npred.L1Adaptation(0.01, bounds=(0.1, 2.0)), 0.01, D_hat=1.2, actuator="history"), 1.0, X0,
+        Controller(PLANT, heun, npred.L1Adaptation(0.01, bounds=(0.1, 2.0)), 0.01, D_hat=1.2, actuator="history"),
+        1.0, X0,
     )  # fmt: skip
     cases["bounded"] = (Controller(PLANT, heun, PAPER, 0.01, D_hat=2.0, input_bounds=[(-0.001, 0.002)]), 1.0, X0)
     cases["two delays"] = (Controller(UNICYCLE, turns, None, 0.01, D_hat=0.6, actuator="history"), 0.6, POSE)
@@ -145,7 +149,9 @@ def test_a_prediction_that_diverges_is_refused_and_leaves_the_state(tmp_path):
             return x.x**2
 
     plant = npred.plants.Plant("cube", Cube)
-    controller = Controller(plant, npred.predictor("rk4", plant, 51), npred.DelayAdaptation(1.0, bounds=(0.1, 2.0)), 0.01)
+    controller = Controller(
+        plant, npred.predictor("rk4", plant, 51), npred.DelayAdaptation(1.0, bounds=(0.1, 2.0)), 0.01
+    )
     run = InC(library(controller, tmp_path), plant)
     run.step([0.1], np.zeros((51, 1)))
     before = bytes(run.state())

@@ -1,6 +1,6 @@
-"""Kernels in C99: the restricted Python that Numba compiles, translated from the same text for shapes that are known."""
+"""Kernels in C99: the restricted Python that Numba compiles, translated from the same text for fixed shapes."""
 
 from npred.symbolic.c99.unit import Unit
-from npred.symbolic.c99.values import Array, Const, Foreign, Record, Scalar, literal
+from npred.symbolic.c99.values import Array, Const, Fields, Foreign, Term, literal
 
-__all__ = ["Array", "Const", "Foreign", "Record", "Scalar", "Unit", "literal"]
+__all__ = ["Array", "Const", "Foreign", "Fields", "Term", "Unit", "literal"]

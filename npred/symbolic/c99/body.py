@@ -18,16 +18,16 @@ from npred.symbolic.c99.values import (
     Elementwise,
     Foreign,
     Number,
-    Scalar,
     Several,
+    Term,
     alike,
     promoted,
     text,
 )
 
-KEYWORDS = set(
-    "auto break case char const continue default do double else enum extern float for goto if inline int long register "
-    "restrict return short signed sizeof static struct switch typedef union unsigned void volatile while memory".split()
+KEYWORDS = re.compile(
+    "auto|break|case|char|const|continue|default|do|double|else|enum|extern|float|for|goto|if|inline|int|long|memory|"
+    "register|restrict|return|short|signed|sizeof|static|struct|switch|typedef|union|unsigned|void|volatile|while"
 )
 ON_STACK = 32  # numbers of a buffer that is a local array; a longer one is part of the controller's memory
 PASSES = 20
@@ -37,13 +37,13 @@ class Widened(Exception):
     """A variable was found to hold more than was thought: the function is translated again."""
 
 
-class Body(Expressions):
+class Translation(Expressions):
     """One function for arguments of known shapes: its lines, what it returns and the memory that it needs."""
 
     def __init__(self, unit: Any, where: str, globals_: dict[str, Any], arguments: dict[str, Any]) -> None:
         self.unit, self.where, self.globals, self.real = unit, where, globals_, unit.real
         self.arguments = arguments
-        self.facts: dict[str, Scalar] = {}  # of the variables that outlive a block: kind and bounds
+        self.facts: dict[str, Term] = {}  # of the variables that outlive a block: kind and bounds
 
     def translate(self, statements: Sequence[ast.stmt]) -> None:
         """Translate, again where a variable turns out to hold other kinds of numbers."""
@@ -87,10 +87,10 @@ class Body(Expressions):
 
     def _take(self, name: str, value: Any) -> None:
         """An argument: one that outlives a block is a variable like others."""
-        if isinstance(value, Scalar):
+        if isinstance(value, Term):
             self.scopes[0][value.text] = value.kind
-        if name in self.outliving and isinstance(value, Const | Scalar):
-            if isinstance(value, Scalar):
+        if name in self.outliving and isinstance(value, Const | Term):
+            if isinstance(value, Term):
                 self.facts.setdefault(name, replace(value, low=None, high=None))
             self.env.pop(name)
             self._set(name, value)
@@ -101,7 +101,7 @@ class Body(Expressions):
     def block(self, statements: Sequence[ast.stmt]) -> bool:
         """The statements; True if what follows them is not reached."""
         for statement in statements:
-            method = getattr(self, f"_{type(statement).__name__}_", None)
+            method: Any = getattr(self, f"_{type(statement).__name__}_", None)
             if method is None:
                 self.refuse(statement, type(statement).__name__)
             if method(statement):
@@ -120,7 +120,7 @@ class Body(Expressions):
 
     def _Expr_(self, node: ast.Expr) -> None:
         value = self.value(node.value)
-        if isinstance(value, Scalar):
+        if isinstance(value, Term):
             self.emit(f"(void){text(value, ATOM)};")
 
     def _Pass_(self, node: ast.Pass) -> None:
@@ -141,7 +141,7 @@ class Body(Expressions):
         elif isinstance(target, ast.Tuple):
             items = self._items(value)
             if liveness.reads(node.value) & _assigned(target):
-                items = [self.temporary(item) if isinstance(item, Scalar) else item for item in items]
+                items = [self.temporary(item) if isinstance(item, Term) else item for item in items]
             for part, item in zip(target.elts, items, strict=True):
                 self._assign(part, item, node)
 
@@ -154,11 +154,11 @@ class Body(Expressions):
         """Bind a name: constants, arrays and functions by value; numbers to a variable of C."""
         if name == "_":
             return
-        if isinstance(value, Several) and value.items and all(isinstance(x, Const | Scalar) for x in value.items):
+        if isinstance(value, Several) and value.items and all(isinstance(x, Const | Term) for x in value.items):
             value = self._tuple(name, value)
-        if isinstance(value, Array) and isinstance(value.offset, Scalar):
+        if isinstance(value, Array) and isinstance(value.offset, Term):
             value = replace(value, offset=self.temporary(value.offset))
-        if not isinstance(value, Const | Scalar):
+        if not isinstance(value, Const | Term):
             if isinstance(value, Elementwise):
                 raise NotImplementedError(f"{self.where}: expected {name} to be written into an array")
             self.env[name] = value
@@ -181,7 +181,7 @@ class Body(Expressions):
         low = value.low if value.kind in INTEGERS else None
         fact = self.facts.get(name)
         if fact is None:
-            fact = self.facts[name] = Scalar(self._name(name), value.kind, low=low)
+            fact = self.facts[name] = Term(self._name(name), value.kind, low=low)
         kind = promoted(fact.kind, value.kind)
         bound = None if fact.low is None or low is None else min(fact.low, low)
         if kind not in INTEGERS:
@@ -196,9 +196,9 @@ class Body(Expressions):
         self.emit(f"{fact.text} = {text(value, kind=kind)};")
         self.env[name] = fact
 
-    def _variable(self, name: str, value: Scalar) -> Scalar:
+    def _variable(self, name: str, value: Term) -> Term:
         """A variable that lives in this block, or one of that name around it which nothing reads any more."""
-        kind, c = "int" if value.kind == "bool" else value.kind, _mangled(name)
+        kind, c = "int" if value.kind == "bool" else value.kind, mangled(name)
         owner = next((scope for scope in reversed(self.scopes) if c in scope), None)
         if owner is not None and owner[c] == kind:
             self.emit(f"{c} = {text(value)};")
@@ -210,10 +210,10 @@ class Body(Expressions):
 
     def _name(self, name: str) -> str:
         """A name in C that no variable around has."""
-        c, number = _mangled(name), 1
+        c, number = mangled(name), 1
         while any(c in scope for scope in self.scopes) or c in self.unit.reserved:
             number += 1
-            c = f"{_mangled(name)}_{number}"
+            c = f"{mangled(name)}_{number}"
         return c
 
     def temporary(self, value: Number) -> Number:
@@ -238,7 +238,7 @@ class Body(Expressions):
 
     def _fill(self, view: Array, value: Any, symbol: str = "") -> None:
         self.written.add(view.parameter)
-        value = self.atom(value) if isinstance(value, Scalar) and view.shape else value
+        value = self.atom(value) if isinstance(value, Term) and view.shape else value
         index: list[Number] = []
         for extent in view.shape:
             if isinstance(extent, Const) and extent.value == 1:
@@ -248,7 +248,7 @@ class Body(Expressions):
             self.scopes.append({c: "int"})
             self.emit(f"for (int {c} = 0; {c} < {text(extent, SUM)}; {c}++) {{")
             self.depth += 1
-            index.append(Scalar(c, "int", low=0))
+            index.append(Term(c, "int", low=0))
         place = self.element(replace(view, data=None), index)
         source = self.element(value, index)
         self.emit(f"{place.text} {symbol}= {text(source, kind=place.kind)};")  # type: ignore[union-attr]
@@ -314,11 +314,11 @@ class Body(Expressions):
 
     def _give(self, value: Any) -> None:
         if isinstance(value, Several):
-            items = [self.temporary(item) if isinstance(item, Scalar) else item for item in value.items]
+            items = [self.temporary(item) if isinstance(item, Term) else item for item in value.items]
             for k, item in enumerate(items):
-                if isinstance(item, Const | Scalar):
+                if isinstance(item, Const | Term):
                     self.emit(f"{f'result[{k}]' if alike(value) else f'*result{k}'} = {text(item)};")
-        self.emit(f"return {text(value)};" if isinstance(value, Const | Scalar) else "return;")
+        self.emit(f"return {text(value)};" if isinstance(value, Const | Term) else "return;")
 
     def _For_(self, node: ast.For) -> None:
         assert isinstance(node.iter, ast.Call) and isinstance(node.iter.func, ast.Name), self.where
@@ -352,7 +352,7 @@ class Body(Expressions):
         rises = step.value > 0
         change = f"{c}++" if step.value == 1 else f"{c} {'+' if rises else '-'}= {abs(step.value)}"
         self.emit(f"for (int {c} = {text(start)}; {c} {'<' if rises else '>'} {text(stop, SUM)}; {change}) {{")
-        inside = Scalar(c, "int", low=start.low if rises else None, high=None)
+        inside = Term(c, "int", low=start.low if rises else None, high=None)
         if not rises and isinstance(stop, Const):
             inside = replace(inside, low=stop.value + 1)
         self.depth += 1
@@ -424,7 +424,7 @@ class Body(Expressions):
         if not isinstance(target.result, list):
             call = f"{target.name}({', '.join(texts)})"
             if target.result:
-                return Scalar(call, target.result)
+                return Term(call, target.result)
             self.emit(f"{call};")
             return None
         if target.array_result:
@@ -439,13 +439,13 @@ class Body(Expressions):
             self.parts += 1
             c = f"part_{self.parts}"
             self.emit(f"{kind} {c};")
-            names.append(Scalar(c, kind))
+            names.append(Term(c, kind))
         self.emit(f"{target.name}({', '.join([*texts, *('&' + n.text for n in names)])});")
         return Several(tuple(names))
 
     def _inlined(self, target: Any, arguments: list[Any]) -> Any:
         """A function that returns views: its lines stand here."""
-        inner = Body(self.unit, target.name, target.globals, {})
+        inner = Translation(self.unit, target.name, target.globals, {})
         inner.outliving, inner.idle = set(), set()
         inner.env = dict(zip(target.names, arguments, strict=True))
         for attribute in ("lines", "depth", "members", "callees", "written", "scopes", "top", "breaks", "parts"):
@@ -467,6 +467,6 @@ def _assigned(target: ast.Tuple) -> set[str]:
     return {part.id for part in ast.walk(target) if isinstance(part, ast.Name)}
 
 
-def _mangled(name: str) -> str:
-    return f"{name}_" if name in KEYWORDS else name
-
+def mangled(name: str) -> str:
+    """A name of Python as one of C."""
+    return f"{name}_" if KEYWORDS.fullmatch(name) else name

@@ -1,32 +1,34 @@
 """Expressions of a kernel in C: what is known at the export is computed, the rest becomes text."""
 
 import ast
+import builtins
 from dataclasses import replace
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
 from npred.symbolic.c99 import library
-from npred.symbolic.c99.operations import Operations
+from npred.symbolic.c99.operations import LinesOfC
 from npred.symbolic.c99.values import (
     AND,
     ATOM,
     COMPARE,
     INTEGERS,
     OR,
+    PRODUCT,
     TERNARY,
     UNARY,
     ZERO,
     Array,
     Const,
     Elementwise,
+    Fields,
     Foreign,
     Number,
-    Record,
-    Scalar,
     Several,
+    Term,
     binary,
-    converted,
+    folded,
     promoted,
     text,
 )
@@ -50,12 +52,13 @@ class Expressions:
 
     def value(self, node: ast.AST) -> Any:
         """The value of an expression. Raises NotImplementedError, with its line, for what the dialect does not have."""
-        method = getattr(self, f"_{type(node).__name__}", None)
+        method: Any = getattr(self, f"_{type(node).__name__}", None)
         if method is None:
             self.refuse(node, type(node).__name__)
         return method(node)
 
-    def refuse(self, node: ast.AST, what: str) -> Any:
+    def refuse(self, node: ast.AST, what: str) -> NoReturn:
+        """Raise NotImplementedError."""
         line = getattr(node, "lineno", 0)
         raise NotImplementedError(f"{self.where}, line {line}: expected a kernel's dialect, got {what}; add it to c99")
 
@@ -67,7 +70,7 @@ class Expressions:
     def _Name(self, node: ast.Name) -> Any:
         if node.id in self.env:
             return self.env[node.id]
-        builtin = vars(__import__("builtins")).get(node.id)
+        builtin = vars(builtins).get(node.id)
         if node.id not in self.globals and builtin is None:
             self.refuse(node, f"the name {node.id}, which is not set on every path")
         return self.known(self.globals.get(node.id, builtin), node.id)
@@ -80,13 +83,12 @@ class Expressions:
         if isinstance(thing, np.ndarray | np.generic):
             return self.unit.constant(thing, name)
         fields = getattr(thing, "_asdict", None)
-        return Record({k: self.known(v, k) for k, v in fields().items()}) if fields else Foreign(thing)
+        return Fields({k: self.known(v, k) for k, v in fields().items()}) if fields else Foreign(thing)
 
     def _Attribute(self, node: ast.Attribute) -> Any:
         owner = self.value(node.value)
-        if isinstance(owner, Record):
-            field = owner.fields[node.attr]
-            return field
+        if isinstance(owner, Fields):
+            return owner.fields[node.attr]
         if isinstance(owner, Array) and node.attr == "shape":
             return Several(owner.shape)
         if isinstance(owner, Foreign):
@@ -100,7 +102,9 @@ class Expressions:
         a, b = self.value(node.left), self.value(node.right)
         if isinstance(a, Array | Elementwise) or isinstance(b, Array | Elementwise):
             shape = next(x.shape for x in (a, b) if isinstance(x, Array | Elementwise))
-            return Elementwise(shape, lambda index: self.operation(node, self.element(a, index), self.element(b, index)))
+            return Elementwise(
+                shape, lambda index: self.operation(node, self.element(a, index), self.element(b, index))
+            )
         return self.operation(node, a, b)
 
     def operation(self, node: Any, a: Number, b: Number) -> Number:
@@ -115,18 +119,16 @@ class Expressions:
             return self.refuse(node, type(node.op).__name__)
         if isinstance(a, Const) and isinstance(b, Const):
             return Const(a.value % b.value if name == "modulo" else a.value // b.value, "int")
-        positive = isinstance(b, Const) and b.value > 0
-        if positive and a.low is not None and a.low >= 0:
-            return replace(_plain(name, a, b), low=0, high=b.value - 1 if name == "modulo" else None)
-        high = b.value - 1 if positive and name == "modulo" else None  # type: ignore[operator]
+        divisor = b.value if isinstance(b, Const) and b.value > 0 else None
+        high = divisor - 1 if divisor and name == "modulo" else None
+        if divisor and a.low is not None and a.low >= 0:
+            return replace(_plain(name, a, b), low=0, high=high)
         low = 0 if high is not None else None
-        return Scalar(f"{self.helper(name, 'int')}({text(a)}, {text(b)})", "int", low=low, high=high)
+        return Term(f"{self.helper(name, 'int')}({text(a)}, {text(b)})", "int", low=low, high=high)
 
     def power(self, a: Number, b: Number) -> Number:
         """Whole powers as Numba has them, by squaring; others by pow."""
         if isinstance(a, Const) and isinstance(b, Const):
-            from npred.symbolic.c99.values import folded
-
             return folded("**", a, b, self.real)
         if isinstance(b, Const) and b.kind in INTEGERS and 1 <= b.value <= 8:
             base, whole, result = self.atom(a), b.value, None
@@ -137,12 +139,12 @@ class Expressions:
                 base = self.atom(binary("*", base, base, self.real)) if whole else base
             return result  # type: ignore[return-value]
         kind = promoted(a.kind, b.kind, self.real if a.kind in INTEGERS else a.kind)
-        return Scalar(f"pow{'f' * (kind == 'float')}({text(a, kind=kind)}, {text(b, kind=kind)})", kind)
+        return Term(f"pow{'f' * (kind == 'float')}({text(a, kind=kind)}, {text(b, kind=kind)})", kind)
 
     def _UnaryOp(self, node: ast.UnaryOp) -> Any:
         a = self.value(node.operand)
         if isinstance(node.op, ast.Not):
-            return Const(not a.value, "bool") if isinstance(a, Const) else Scalar(f"!{text(a, UNARY)}", "bool", UNARY)
+            return Const(not a.value, "bool") if isinstance(a, Const) else Term(f"!{text(a, UNARY)}", "bool", UNARY)
         if isinstance(node.op, ast.UAdd):
             return a
         return self.negative(a)
@@ -153,7 +155,7 @@ class Expressions:
         if isinstance(a, Const):
             return Const(-a.value, promoted(a.kind, "int"))
         ends = {"low": None if a.high is None else -a.high, "high": None if a.low is None else -a.low}
-        return Scalar(f"-{text(a, ATOM)}", a.kind, UNARY, **ends)
+        return Term(f"-{text(a, ATOM)}", a.kind, UNARY, **ends)
 
     def _Compare(self, node: ast.Compare) -> Any:
         parts = [self.value(part) for part in (node.left, *node.comparators)]
@@ -173,7 +175,7 @@ class Expressions:
             return Const(bool(FOLDED[symbol](a.value, b.value)), "bool")
         kind = promoted(a.kind, b.kind)
         level = COMPARE + 1
-        return Scalar(f"{text(a, level, kind)} {symbol} {text(b, level, kind)}", "bool", COMPARE)
+        return Term(f"{text(a, level, kind)} {symbol} {text(b, level, kind)}", "bool", COMPARE)
 
     def _BoolOp(self, node: ast.BoolOp) -> Any:
         return _joined("&&" if isinstance(node.op, ast.And) else "||", [self.value(part) for part in node.values])
@@ -191,7 +193,7 @@ class Expressions:
         kind = promoted(a.kind, b.kind)
         low = None if a.low is None or b.low is None else min(a.low, b.low)
         written = f"{text(test, TERNARY + 1)} ? {text(a, TERNARY + 1, kind)} : {text(b, TERNARY, kind)}"
-        return Scalar(written, kind, TERNARY, low)
+        return Term(written, kind, TERNARY, low)
 
     def _Subscript(self, node: ast.Subscript) -> Any:
         owner = self.value(node.value)
@@ -228,7 +230,7 @@ class Expressions:
             return Const(index.value + extent.value if index.value < 0 else index.value, "int")
         if index.low is not None and index.low >= 0:
             return index
-        return Scalar(f"{self.helper('wrapped', 'int')}({text(index)}, {text(extent)})", "int", low=0)
+        return Term(f"{self.helper('wrapped', 'int')}({text(index)}, {text(extent)})", "int", low=0)
 
     def element(self, value: Any, index: list[Number]) -> Number:
         """The element of an array or a function of arrays at an index; a number stands for all of them."""
@@ -242,7 +244,7 @@ class Expressions:
         if value.data is not None and isinstance(at, Const):
             return Const(value.data[at.value].item(), value.kind)
         self.unit.use(value)
-        return Scalar(f"{value.name}[{text(at)}]", value.kind)
+        return Term(f"{value.name}[{text(at)}]", value.kind)
 
     def _Call(self, node: ast.Call) -> Any:
         if isinstance(node.func, ast.Attribute) and (result := self._method(node.func, node)) is not None:
@@ -254,7 +256,7 @@ class Expressions:
         if isinstance(memory := getattr(function.value, "memory", None), str | np.ndarray):
             return self._intrinsic(memory, arguments)
         if (program := getattr(function.value, "program", None)) is not None:
-            o = Operations(self)
+            o = LinesOfC(self)
             return Several(tuple(o.number(result) for result in program(o, *arguments[0].items)))
         if getattr(function.value, "__name__", "") == "carray":
             return arguments[0]
@@ -277,9 +279,9 @@ class Expressions:
         if isinstance(owner, Array) and function.attr == "reshape":
             sizes = arguments[0].items if isinstance(arguments[0], Several) else arguments
             return owner.reshaped(tuple(size.value for size in sizes))
-        if isinstance(owner, Scalar) and function.attr == "view":
+        if isinstance(owner, Term) and function.attr == "view":
             kind = library.BITS[owner.kind]
-            return Scalar(f"{self.helper('bits', kind)}({text(owner)})", kind)
+            return Term(f"{self.helper('bits', kind)}({text(owner)})", kind)
         return None
 
     def temporary(self, value: Number) -> Number:
@@ -303,12 +305,10 @@ class Expressions:
         raise NotImplementedError
 
 
-def _plain(name: str, a: Number, b: Number) -> Scalar:
+def _plain(name: str, a: Number, b: Number) -> Term:
     """% and // of what is not negative."""
     symbol = "%" if name == "modulo" else "/"
-    from npred.symbolic.c99.values import PRODUCT
-
-    return Scalar(f"{text(a, PRODUCT)} {symbol} {text(b, PRODUCT + 1)}", "int", PRODUCT)
+    return Term(f"{text(a, PRODUCT)} {symbol} {text(b, PRODUCT + 1)}", "int", PRODUCT)
 
 
 def _joined(symbol: str, tests: list[Number]) -> Number:
@@ -328,7 +328,4 @@ def _joined(symbol: str, tests: list[Number]) -> Number:
     level = AND if symbol == "&&" else OR
     inner = COMPARE if symbol == "||" else level + 1
     written = f" {symbol} ".join(text(test, inner) for test in open_tests)
-    return Scalar(written, "bool", level)
-
-
-__all__ = ["Expressions", "converted"]
+    return Term(written, "bool", level)

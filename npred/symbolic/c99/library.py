@@ -15,8 +15,8 @@ from npred.symbolic.c99.values import (
     Const,
     Elementwise,
     Number,
-    Scalar,
     Several,
+    Term,
     converted,
     promoted,
     text,
@@ -78,7 +78,7 @@ def _mathematics(body: Any, function: Any, a: Number) -> Number:
         result = Const(value, body.real if a.kind in INTEGERS else a.kind)
         return Const(int(value), "int") if function in WHOLE else result
     a = converted(a, body.real) if a.kind in INTEGERS else a
-    result = Scalar(f"{name}{'f' * (a.kind == 'float')}({text(a)})", a.kind)
+    result = Term(f"{name}{'f' * (a.kind == 'float')}({text(a)})", a.kind)
     return converted(result, "int") if function in WHOLE else result
 
 
@@ -99,7 +99,7 @@ def _pair(body: Any, name: str, a: Number, b: Number) -> Number:
         return Const(builtins.max(a.value, b.value) if name == "max" else builtins.min(a.value, b.value), kind)
     lows, highs = [x.low for x in (a, b)], [x.high for x in (a, b)]
     low, high = _ends(lows, max, name == "max"), _ends(highs, min, name == "min")
-    return Scalar(f"{body.helper(name, kind)}({text(a, kind=kind)}, {text(b, kind=kind)})", kind, low=low, high=high)
+    return Term(f"{body.helper(name, kind)}({text(a, kind=kind)}, {text(b, kind=kind)})", kind, low=low, high=high)
 
 
 def _ends(ends: list[int | None], tighter: Callable[..., int], either: bool) -> int | None:
@@ -116,7 +116,7 @@ def _absolute(body: Any, a: Any) -> Any:
         if isinstance(a, Const):
             return Const(abs(a.value), a.kind)
         name = "abs" if a.kind in INTEGERS else "fabsf" if a.kind == "float" else "fabs"
-        return Scalar(f"{name}({text(a)})", a.kind)
+        return Term(f"{name}({text(a)})", a.kind)
 
     return _elementwise(body, a, one)
 
@@ -124,14 +124,14 @@ def _absolute(body: Any, a: Any) -> Any:
 def _sign(body: Any, a: Number) -> Number:
     if isinstance(a, Const):
         return Const(float(np.sign(a.value)), a.kind)
-    return Scalar(f"{body.helper('sign', a.kind)}({text(a)})", a.kind)
+    return Term(f"{body.helper('sign', a.kind)}({text(a)})", a.kind)
 
 
 def _classified(name: str) -> Callable[..., Number]:
     def of(body: Any, a: Number) -> Number:
         if isinstance(a, Const):
             return Const(bool(getattr(np, f"is{name}")(a.value)), "bool")
-        return Scalar(f"is{name}({text(a)})", "bool")
+        return Term(f"is{name}({text(a)})", "bool")
 
     return of
 
@@ -144,7 +144,7 @@ def _rounded(body: Any, a: Number) -> Number:
     """Half to even, as Python's round, in the default mode of IEEE."""
     if isinstance(a, Const):
         return Const(round(a.value), "int")
-    return Scalar(f"(int)rint{'f' * (a.kind == 'float')}({text(a, TERNARY)})", "int", COMPARE)
+    return Term(f"(int)rint{'f' * (a.kind == 'float')}({text(a, TERNARY)})", "int", COMPARE)
 
 
 def _real(body: Any, a: Number) -> Number:

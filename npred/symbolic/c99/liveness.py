@@ -1,4 +1,4 @@
-"""Which variables of a function outlive the block that sets them: those are declared at its top, all others in place."""
+"""Which variables of a function outlive the block that sets them: those are declared at its top, others in place."""
 
 import ast
 from collections.abc import Iterable, Sequence

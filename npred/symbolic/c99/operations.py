@@ -1,4 +1,4 @@
-"""The operations of a long function of a plant, each a line of C: npred.symbolic.called_functions calls them by name."""
+"""The operations of a long function of a plant, each a line of C; npred.symbolic.called_functions names them."""
 
 import math
 from collections.abc import Callable
@@ -14,7 +14,7 @@ COMPARED = {"lt": "<", "le": "<="}
 EXTREMES = {"maximum": max, "minimum": min}
 
 
-class Operations:
+class LinesOfC:
     """The operations `o` of a program, on the numbers of a function that is being translated."""
 
     def __init__(self, body: Any) -> None:
@@ -30,7 +30,7 @@ class Operations:
     def _value(self, op: str, args: list[Any]) -> Number:
         body = self._body
         if op in ARITHMETIC:
-            return binary(ARITHMETIC[op], *args, body.real)
+            return binary(ARITHMETIC[op], args[0], args[1], body.real)
         if op in COMPARED:
             return body.compared(COMPARED[op], *args)
         if op == "neg":

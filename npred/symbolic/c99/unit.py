@@ -1,15 +1,16 @@
 """One C file in the making: its functions, each for arguments of known shapes, their memory, constants and helpers."""
 
 import ast
+import re
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from npred.symbolic import kernels
-from npred.symbolic.c99.body import Body
+from npred.symbolic.c99.body import Translation, mangled
 from npred.symbolic.c99.library import BITS, HELPERS
-from npred.symbolic.c99.values import INTEGERS, Array, Const, Foreign, Number, Scalar, Several, alike, literal, promoted
+from npred.symbolic.c99.values import INTEGERS, Array, Const, Foreign, Number, Several, Term, alike, literal, promoted
 
 KIND_OF = {"float64": "double", "float32": "float"}
 
@@ -23,7 +24,7 @@ class Function:
     names: list[str]
     statements: list[ast.stmt]
     globals: dict[str, Any]
-    parameters: dict[str, Scalar | Array] = field(default_factory=dict)
+    parameters: dict[str, Term | Array] = field(default_factory=dict)
     written: set[str] = field(default_factory=set)
     result: Any = None
     array_result: bool = False
@@ -99,7 +100,7 @@ class Unit:
         names = [a.arg for a in definition.args.args]
         short = self._unique(definition.name.strip("_"))
         target = Function(f"{self.prefix}_{short}", short, names, definition.body, space)
-        body = Body(self, target.name, space, {n: _inside(n, a) for n, a in zip(names, arguments, strict=True)})
+        body = Translation(self, target.name, space, {n: _inside(n, a) for n, a in zip(names, arguments, strict=True)})
         target.parameters = {n: v for n, v in body.arguments.items() if _is_passed(v)}
         body.translate(definition.body)
         self._finish(target, body)
@@ -113,7 +114,7 @@ class Unit:
         self.reserved.add(short)
         return short
 
-    def _finish(self, target: Function, body: Body) -> None:
+    def _finish(self, target: Function, body: Translation) -> None:
         """The function's text, and that of its memory."""
         target.written = body.written & set(target.parameters)
         target.memory = bool(body.members or body.callees)
@@ -147,7 +148,7 @@ class Unit:
                 arguments |= {f"result{k}": f"{kind} *restrict result{k}" for k, kind in enumerate(target.result)}
         return arguments
 
-    def struct(self, name: str, body: Body) -> str:
+    def struct(self, name: str, body: Translation) -> str:
         """The declaration of a function's memory: its own, and, one after the other, that of those it calls."""
         members = [f"    {member}" for member in body.members]
         if body.callees:
@@ -177,7 +178,7 @@ def _key(value: Any) -> Any:
     """What a function is translated anew for."""
     if isinstance(value, Const) and value.kind in INTEGERS:
         return value.kind, value.value
-    if isinstance(value, Const | Scalar):
+    if isinstance(value, Const | Term):
         return value.kind, value.low is not None and value.low >= 0
     if isinstance(value, Array) and value.data is not None:
         return id(value.data), value.extents, value.strides, value.offset
@@ -188,19 +189,17 @@ def _key(value: Any) -> Any:
 
 def _inside(name: str, value: Any) -> Any:
     """An argument as the function sees it."""
-    from npred.symbolic.c99.body import _mangled
-
-    c = _mangled(name)
+    c = mangled(name)
     if isinstance(value, Array) and value.data is None:
         return replace(value, name=c, offset=Const(0, "int"), parameter=name)
-    if isinstance(value, Scalar) or (isinstance(value, Const) and value.kind not in INTEGERS):
-        known = value.low is not None and value.low >= 0
-        return Scalar(c, value.kind, low=0 if known else None)
+    if isinstance(value, Term) or (isinstance(value, Const) and value.kind not in INTEGERS):
+        counts = value.low is not None and value.low >= 0
+        return Term(c, value.kind, low=0 if counts else None)
     return value
 
 
 def _is_passed(value: Any) -> bool:
-    return isinstance(value, Scalar) or (isinstance(value, Array) and value.data is None)
+    return isinstance(value, Term) or (isinstance(value, Array) and value.data is None)
 
 
 def _has_array(value: Any) -> bool:
@@ -223,6 +222,4 @@ def _kind(target: Function) -> str:
 
 
 def _mentions(text: str, name: str) -> bool:
-    import re
-
     return re.search(rf"\b{name}\b", text) is not None

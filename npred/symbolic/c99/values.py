@@ -30,8 +30,8 @@ class Const:
 
 
 @dataclass(frozen=True)
-class Scalar:
-    """The text of a number in C, how strongly it binds, and, of an integer, between which numbers it is known to lie."""
+class Term:
+    """The text of a number in C, how strongly it binds, and, of an integer, the numbers that it lies between."""
 
     text: str
     kind: str
@@ -40,7 +40,7 @@ class Scalar:
     high: int | None = None
 
 
-Number = Const | Scalar
+Number = Const | Term
 ZERO = Const(0, "int")
 
 
@@ -103,7 +103,7 @@ class Several:
 
 
 @dataclass(frozen=True)
-class Record:
+class Fields:
     """A named tuple of values."""
 
     fields: Mapping[str, Any]
@@ -180,7 +180,7 @@ def binary(symbol: str, a: Number, b: Number, real: str) -> Number:
     level = LEVELS[symbol]
     low, high = _between(symbol, a, b) if kind in INTEGERS else (None, None)
     written = f"{text(a, level, kind)} {symbol} {text(b, level + 1, kind)}"
-    return Scalar(written, kind, level, low, high)
+    return Term(written, kind, level, low, high)
 
 
 def _simpler(symbol: str, a: Number, b: Number) -> Number | None:
@@ -212,4 +212,4 @@ def converted(number: Number, kind: str) -> Number:
         return number
     if isinstance(number, Const):
         return Const(int(number.value) if kind in INTEGERS else float(number.value), kind)
-    return Scalar(f"({'int' if kind == 'bool' else kind}){text(number, UNARY)}", kind, UNARY)
+    return Term(f"({'int' if kind == 'bool' else kind}){text(number, UNARY)}", kind, UNARY)
