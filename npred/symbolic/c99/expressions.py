@@ -115,7 +115,10 @@ class Expressions:
         if isinstance(node.op, ast.Pow):
             return self.power(a, b)
         name = {ast.Mod: "modulo", ast.FloorDiv: "quotient"}.get(type(node.op), "")
-        if not name or promoted(a.kind, b.kind) not in INTEGERS:
+        kind = promoted(a.kind, b.kind)
+        if name == "modulo" and kind not in INTEGERS:
+            return Term(f"{self.helper('remainder', kind)}({text(a, kind=kind)}, {text(b, kind=kind)})", kind)
+        if not name or kind not in INTEGERS:
             return self.refuse(node, type(node.op).__name__)
         if isinstance(a, Const) and isinstance(b, Const):
             return Const(a.value % b.value if name == "modulo" else a.value // b.value, "int")

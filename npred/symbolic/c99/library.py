@@ -30,6 +30,8 @@ HELPERS = {
     "sign": "static inline {kind} {name}({kind} a)\n{{\n    return a > 0 ? 1 : a < 0 ? -1 : a;\n}}",
     "modulo": "static inline {kind} {name}({kind} a, {kind} b)\n{{\n    const {kind} rest = a % b;\n"
     "    return rest != 0 && (rest < 0) != (b < 0) ? rest + b : rest;\n}}",
+    "remainder": "static inline {kind} {name}({kind} a, {kind} b)\n{{\n    const {kind} rest = fmod{f}(a, b);\n"
+    "    return rest != 0 && (rest < 0) != (b < 0) ? rest + b : rest;\n}}",
     "quotient": "static inline {kind} {name}({kind} a, {kind} b)\n{{\n    const {kind} whole = a / b;\n"
     "    return a % b != 0 && (a < 0) != (b < 0) ? whole - 1 : whole;\n}}",
     "wrapped": "static inline {kind} {name}({kind} index, {kind} extent)\n{{\n"

@@ -40,9 +40,13 @@ def sets(nodes: Iterable[ast.AST]) -> set[str]:
 
 
 def written_out(statement: ast.For) -> int | None:
-    """The turns of a short loop over a range of literals, which is written out; None for any other loop."""
+    """The turns of a short loop over a range of literals, which is written out; None for any other loop.
+
+    Only a loop that takes memory needs it: how much may differ from turn to turn.
+    """
     call = statement.iter
-    if not isinstance(call, ast.Call) or jumps(statement):
+    takes = any(isinstance(part, ast.Attribute) and part.attr == "empty" for part in ast.walk(statement))
+    if not isinstance(call, ast.Call) or jumps(statement) or not takes:
         return None
     try:
         turns = len(range(*(ast.literal_eval(part) for part in call.args)))

@@ -84,7 +84,7 @@ class Unit:
         kind = "int" if kind == "bool" else kind
         c = f"{self.prefix}_{name}" + ("" if kind == "int" else f"_{kind}")
         integer = next((i for i, k in BITS.items() if k == kind), "")
-        self._helpers[c] = HELPERS[name].format(kind=kind, name=c, integer=integer)
+        self._helpers[c] = HELPERS[name].format(kind=kind, name=c, integer=integer, f="f" * (kind == "float"))
         return c
 
     def function(self, function: Any, arguments: list[Any]) -> Function:
