@@ -1,6 +1,7 @@
 """A trained operator as one self-contained C99 file, with its control law and a test vector."""
 
 import copy
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -9,13 +10,18 @@ import torch
 
 from npred import grid
 from npred.delays import family_of
+from npred.errors import NpredError
 from npred.loop import metrics
 from npred.operators import Operator
 from npred.plants.base import Plant
-from npred.runtimes import c_text
+from npred.runtimes import c_library, c_text
 from npred.runtimes.lower import fold, require
+from npred.runtimes.probe import Probe, eps
 from npred.runtimes.program import Program, indented
 from npred.symbolic import kernels
+
+TESTED = 4  # samples of the test vector
+LIMIT = 1e-4  # of a state's or an input's size: the difference from the model that single precision makes
 
 SOURCE = """\
 {title}
@@ -201,16 +207,37 @@ for (int k = 0; k < SIZE_P; k++) {
 }"""
 
 
-def export(operator: Operator, plant: Plant, path: Path, nx: int, probe: tuple[np.ndarray, ...]) -> None:
-    """Write the C file for nx nodes; `probe`, X (B, n), u (B, nx, m), D_hat (B,), becomes its test vector.
+def export(operator: Operator, plant: Plant, path: Path, nx: int, samples: Probe) -> tuple[float, float] | None:
+    """Write the C file for nx nodes, its first TESTED samples as its test vector.
 
-    Where the plant depends on time, at times from 1 s to 9 s.
+    Returns the largest difference of P and U from the operator's in double precision, and eps of npred.runtimes.probe:
+    the file is compiled and run before it is kept. None where there is no C compiler. Raises NpredError for a file that
+    differs by more than LIMIT of the states' and inputs' sizes, and as `source` does.
     """
-    path.write_text(source(operator, plant, nx, probe), encoding="utf-8")
+    text = source(operator, plant, nx, tuple(a[:TESTED] for a in samples))  # type: ignore[arg-type]
+    errors = None
+    if c_library.compiler():
+        with tempfile.TemporaryDirectory() as folder:
+            trial = Path(folder) / "trial.c"
+            trial.write_text(text, encoding="utf-8")
+            errors = _errors(operator, plant, samples, *c_library.outputs(trial, plant, nx, samples))
+    path.write_text(text, encoding="utf-8")
+    return errors
 
 
-def source(operator: Operator, plant: Plant, nx: int, probe: tuple[np.ndarray, ...]) -> str:
-    """The text of the C file.
+def _errors(
+    operator: Operator, plant: Plant, samples: Probe, P_hat: np.ndarray, U_hat: np.ndarray
+) -> tuple[float, float]:  # fmt: skip
+    P, U, size = _expected(operator, plant, samples)
+    gaps = np.concatenate([np.abs(P_hat - P).max(axis=(0, 1)), np.abs(U_hat - U).max(axis=0)])
+    if not (gaps <= LIMIT * size).all():
+        share = (gaps / size).max()
+        raise NpredError(f"export c: expected P and U within {LIMIT:g} of their sizes, got {share:.3g}; report it")
+    return float(gaps.max()), eps(plant, P_hat, samples)
+
+
+def source(operator: Operator, plant: Plant, nx: int, samples: Probe) -> str:
+    """The text of the C file; the samples become its test vector.
 
     Raises ConfigError for an untraced plant, for a delay that the plant declares with a law that depends on time, and
     for a network that cannot be lowered.
@@ -225,7 +252,7 @@ def source(operator: Operator, plant: Plant, nx: int, probe: tuple[np.ndarray, .
         "SIZE_U": nx * p.m,
         "SIZE_P": nx * p.n,
         "SEEN": p.seen,
-        "SAMPLES": len(probe[0]),
+        "SAMPLES": len(samples[0]),
     }
     if p.series:
         sizes["TERMS"] = p.series.terms
@@ -248,7 +275,7 @@ def source(operator: Operator, plant: Plant, nx: int, probe: tuple[np.ndarray, .
         steps=c_text.steps(p.steps),
         predict=[*(PHASE.splitlines() if p.period else []), *_predict(p)],
         output=[f"P[j * N_STATES + c] = {'base[c] +' if 'base' in p.constants else 'X[c] + D_hat *'} change;"],
-        vector=_vector(operator, plant, probe),
+        vector=_vector(operator, plant, samples),
     )
 
 
@@ -298,14 +325,19 @@ def _calls(p: Program, plant: Plant) -> list[str]:
 
 
 @torch.no_grad()
-def _vector(operator: Operator, plant: Plant, probe: tuple[np.ndarray, ...]) -> list[str]:
-    """The test vector: inputs, the model's P and U in double precision, and the size of each state and input."""
-    X, u, D_hat = (np.asarray(a, dtype=float) for a in probe)
+def _expected(operator: Operator, plant: Plant, samples: Probe) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The model's P and U in double precision, and the size of each state and input."""
+    X, u, D_hat, t = (np.asarray(a, dtype=float) for a in samples)
     model = copy.deepcopy(operator).double()
-    t = np.zeros(len(X)) if plant.rests and not plant.phased else np.linspace(1.0, 9.0, len(X))
     phase = (torch.as_tensor(plant.phase(t)),) if plant.phased else ()
     P = model(torch.as_tensor(X), torch.as_tensor(u), torch.as_tensor(D_hat), *phase).numpy()
     U = plant.kappa(P[:, -1], t + D_hat) if plant.declares_delay else metrics.law(plant, P, t, D_hat)
     size = np.concatenate([np.abs(P).max(axis=(0, 1)), np.abs(U).max(axis=0)])
-    arrays = {"X": X, "u": u, "D_hat": D_hat, "t": t, "P": P, "U": U, "size": np.where(size > 0, size, 1.0)}
+    return P, U, np.where(size > 0, size, 1.0)
+
+
+def _vector(operator: Operator, plant: Plant, samples: Probe) -> list[str]:
+    """The test vector: the samples, and what is expected of them."""
+    columns = zip(("X", "u", "D_hat", "t"), (np.asarray(a, dtype=float) for a in samples), strict=True)
+    arrays = dict(columns) | dict(zip(("P", "U", "size"), _expected(operator, plant, samples), strict=True))
     return [c_text.constant(f"test_{name}", values.reshape(-1)) for name, values in arrays.items()]

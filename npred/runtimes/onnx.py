@@ -17,6 +17,8 @@ from npred.errors import NpredError, required
 from npred.operators import Operator
 from npred.plants.base import Plant
 from npred.predictors.base import Predictor
+from npred.runtimes import probe
+from npred.runtimes.probe import Probe
 
 OPSET = 18  # MATLAB, TensorRT and ONNX Runtime read it
 INPUTS, OUTPUTS = ("X", "u", "D_hat"), ("P", "U")
@@ -75,22 +77,25 @@ def graph(operator: Operator, plant: Plant, nx: int) -> bytes:
     return program.model_proto.SerializeToString()
 
 
-def export(operator: Operator, plant: Plant, path: Path, nx: int, probe: tuple[np.ndarray, ...], atol: float) -> float:
-    """Write the graph for nx nodes to `path` unless it differs from the operator; the largest difference of P and U.
+def export(
+    operator: Operator, plant: Plant, path: Path, nx: int, samples: Probe, atol: float
+) -> tuple[float, float]:  # fmt: skip
+    """Write the graph for nx nodes to `path` unless it differs from the operator.
 
-    `probe`: X (B, n), u (B, nx, m), D_hat (B,) to compare on, where t matters at times from 1 s to 9 s. Raises
-    NpredError above `atol`, in units of the states and inputs, MissingError without the onnx extra.
+    Returns the largest difference of P and U from the operator's on these samples, and eps of npred.runtimes.probe.
+    Raises NpredError for a difference above `atol`, in units of the states and inputs, MissingError without the onnx
+    extra.
     """
     model, names = graph(operator, plant, nx), inputs(plant)
-    samples = [np.asarray(a, dtype=np.float32) for a in (*probe, np.linspace(1.0, 9.0, len(probe[0])))][: len(names)]
+    columns = [np.asarray(a, dtype=np.float32) for a in samples][: len(names)]
     with torch.no_grad():
-        expected = Deployed(operator, plant)(*map(torch.as_tensor, samples))
-    outputs = session(model).run(list(OUTPUTS), dict(zip(names, samples, strict=True)))
+        expected = Deployed(operator, plant)(*map(torch.as_tensor, columns))
+    outputs = session(model).run(list(OUTPUTS), dict(zip(names, columns, strict=True)))
     error = max(float(np.abs(a - b.numpy()).max()) for a, b in zip(outputs, expected, strict=True))
     if not error <= atol:
         raise NpredError(f"export onnx: expected P and U within {atol:g} of the model, got {error:.3g}; raise --atol")
     path.write_bytes(model)
-    return error
+    return error, probe.eps(plant, outputs[0].astype(float), samples)
 
 
 class Onnx(Predictor):

@@ -57,13 +57,14 @@ def test_writes_a_file(export, form):
     assert done.exit_code == 0, done.output
     document = json.loads(done.stdout)
     assert document["file"] == f"deeponet-21.{form}" and Path(document["file"]).stat().st_size > 1000
-    assert document.get("error", 0.0) < 1e-4
+    if form == "onnx" or shutil.which("gcc"):
+        assert document["error"] < 1e-4 < document["eps"]
 
 
 def test_a_snapshot_to_a_named_file(export, trained):
     assert export("c", "-o", "last.c").exit_code == 0
     done = export("c", "-o", "first.c", model=f"{trained / 'p.toml'}:deeponet@1")
-    assert done.stdout.strip() == "first.c: P and U of deeponet on 101 nodes"
+    assert done.stdout.startswith("first.c: P and U of deeponet on 101 nodes")
     assert Path("first.c").read_text() != Path("last.c").read_text()
 
 

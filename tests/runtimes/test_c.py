@@ -10,10 +10,12 @@ import pytest
 from conftest import HERE
 from operator_samples import PLANT, SMALL, holding, operator, phased, samples, several_inputs
 
+import npred
+from npred.errors import NpredError
 from npred.loop import metrics
 from npred.operators import Scaling, build
 from npred.predictors.neural import Neural
-from npred.runtimes import c, c_text
+from npred.runtimes import c, c_library, c_text
 
 FLAGS = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Werror"]
 needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc on this machine")
@@ -23,7 +25,7 @@ IDS = [f"{type(config).__name__}-{anchor}" for config, anchor in CASES]
 
 def probe(count=4, nx=21, seed=0):
     data = samples(count, nx, seed)
-    return data.X, data.u, data.D_hat
+    return data.X, data.u, data.D_hat, np.linspace(1.0, 9.0, count)
 
 
 @pytest.fixture(params=CASES, ids=IDS)
@@ -51,17 +53,44 @@ def test_its_own_test_passes(exported):
 
 
 @needs_gcc
+def test_a_file_is_run_before_it_is_kept(tmp_path, monkeypatch):
+    samples = probe(9)
+    model = operator(SMALL[0]).double()
+    error, eps = c.export(model, PLANT, tmp_path / "model.c", 21, samples)
+    P = Neural(PLANT, model, 21)(*samples)
+    exact = npred.predictor("rk4", PLANT, 21)(*samples)
+    assert 0 < error < 1e-4 and eps == pytest.approx(np.linalg.norm(P - exact, axis=-1).max(), rel=1e-4)
+    with monkeypatch.context() as patch:
+        patch.setattr(c, "SOURCE", c.SOURCE.replace("double total = 0;", "double total = 0.1;"))
+        with pytest.raises(NpredError, match=r"export c: expected P and U within 0.0001 of their sizes, got"):
+            c.export(model, PLANT, tmp_path / "wrong.c", 21, samples)
+        patch.setattr(c, "SOURCE", c.SOURCE.replace("#include <math.h>", "#include <none.h>"))
+        with pytest.raises(NpredError, match=r"export c: expected a file that compiles, got: .*none\.h"):
+            c.export(model, PLANT, tmp_path / "wrong.c", 21, samples)
+    assert not (tmp_path / "wrong.c").exists()
+    monkeypatch.setattr(c_library, "compiler", lambda: None)
+    assert c.export(model, PLANT, tmp_path / "unseen.c", 21, samples) is None
+    assert (tmp_path / "unseen.c").read_text() == (tmp_path / "model.c").read_text()
+
+
+@needs_gcc
 def test_several_inputs(tmp_path):
     plant, data = several_inputs()
     model = build(SMALL[0], plant, Scaling.of(data))
-    c.export(model, plant, tmp_path / "two.c", 11, (data.X, data.u, data.D_hat))
+    c.export(model, plant, tmp_path / "two.c", 11, (data.X, data.u, data.D_hat, np.linspace(1.0, 9.0, len(data.X))))
     assert subprocess.run([compiled(tmp_path / "two.c", "-DNPRED_TEST")], timeout=60).returncode == 0
 
 
 @needs_gcc
 def test_a_law_that_depends_on_time_is_tested_at_another_than_zero(tmp_path):
     plant, data = holding()
-    c.export(build(SMALL[0], plant, Scaling.of(data)), plant, tmp_path / "model.c", 11, (data.X, data.u, data.D_hat))
+    c.export(
+        build(SMALL[0], plant, Scaling.of(data)),
+        plant,
+        tmp_path / "model.c",
+        11,
+        (data.X, data.u, data.D_hat, np.linspace(1.0, 9.0, len(data.X))),
+    )
     assert subprocess.run([compiled(tmp_path / "model.c", "-DNPRED_TEST")], timeout=60).returncode == 0
     text = (tmp_path / "model.c").read_text()
     (tmp_path / "model.c").write_text(text.replace("sin(", "0 * sin("))
@@ -74,7 +103,7 @@ def test_a_law_that_depends_on_time_is_tested_at_another_than_zero(tmp_path):
 def test_several_delays_and_a_phase_of_the_time(tmp_path, config, anchor):
     plant, data, t = phased()
     model = build(config.model_copy(update={"anchor": anchor}), plant, Scaling.of(data))
-    c.export(model, plant, tmp_path / "model.c", 13, (data.X, data.u, data.D_hat))
+    c.export(model, plant, tmp_path / "model.c", 13, (data.X, data.u, data.D_hat, np.linspace(1.0, 9.0, len(data.X))))
     assert subprocess.run([compiled(tmp_path / "model.c", "-DNPRED_TEST")], timeout=60).returncode == 0
     library = ctypes.CDLL(str(compiled(tmp_path / "model.c", "-shared", "-fPIC")))
     exact = Neural(plant, model.double(), 13)(data.X, data.u, data.D_hat, t)
@@ -100,7 +129,7 @@ def test_its_own_test_fails_for_another_model(exported):
 def test_equals_the_model_on_other_samples(exported):
     model, path = exported
     library = ctypes.CDLL(str(compiled(path, "-shared", "-fPIC")))
-    X, u, D_hat = probe(6, seed=5)
+    X, u, D_hat, _ = probe(6, seed=5)
     D_hat[-1] = 30.0  # far from the data
     wanted = Neural(PLANT, model.double(), 21)(X, u, D_hat)
     size = np.abs(wanted).max(axis=(0, 1))

@@ -23,7 +23,7 @@ def exported(request, tmp_path_factory):
     """A model and its file, for 21 nodes."""
     model, path = operator(request.param).eval(), tmp_path_factory.mktemp("onnx") / "model.onnx"
     data = samples(30, 21)
-    error = runtime.export(model, PLANT, path, 21, (data.X, data.u, data.D_hat), atol=1e-3)
+    error, _ = runtime.export(model, PLANT, path, 21, (data.X, data.u, data.D_hat, np.zeros(30)), atol=1e-3)
     return model, path, error
 
 
@@ -56,7 +56,7 @@ def test_a_law_that_depends_on_time_takes_it(tmp_path):
     loop = npred.simulate(plant, runtime.Onnx(plant, model, nx), D=0.3, D_hat=0.4, X0=[0.3, 0.6, 0.0, 0.0], t_end=1.0,
                           dt=0.05, samples=np.arange(20))  # fmt: skip
     probe = loop.samples.X, loop.samples.u, loop.samples.D_hat
-    assert runtime.export(model, plant, tmp_path / "arm.onnx", nx, probe, atol=1e-3) < 1e-3
+    assert runtime.export(model, plant, tmp_path / "arm.onnx", nx, (*probe, loop.t[:20]), atol=1e-3)[0] < 1e-3
     session = runtime.session((tmp_path / "arm.onnx").read_bytes())
     assert [i.name for i in session.get_inputs()] == ["X", "u", "D_hat", "t"]
     given = dict(zip(runtime.inputs(plant), (*probe, loop.t[:20]), strict=True))
@@ -69,7 +69,7 @@ def test_several_delays_and_a_phase_of_the_time(tmp_path, config):
     plant, data, t = phased()
     model = build(config, plant, Scaling.of(data)).eval()
     probe = data.X, data.u, data.D_hat
-    assert runtime.export(model, plant, tmp_path / "m.onnx", 13, probe, atol=1e-3) < 1e-3
+    assert runtime.export(model, plant, tmp_path / "m.onnx", 13, (*probe, t), atol=1e-3)[0] < 1e-3
     session = runtime.session((tmp_path / "m.onnx").read_bytes())
     feed = dict(zip(["X", "u", "D_hat", "t"], (a.astype(np.float32) for a in (*probe, t)), strict=True))
     P, U = session.run(None, feed)
@@ -90,8 +90,9 @@ def test_trunk_and_transforms_are_constants(exported):
 
 def test_a_graph_that_differs_is_refused(tmp_path):
     data = samples(5, 21)
+    probe = data.X, data.u, data.D_hat, np.zeros(5)
     with pytest.raises(NpredError, match="expected P and U within 0 of the model") as refused:
-        runtime.export(operator(SMALL[0]), PLANT, tmp_path / "m.onnx", 21, (data.X, data.u, data.D_hat), atol=0.0)
+        runtime.export(operator(SMALL[0]), PLANT, tmp_path / "m.onnx", 21, probe, atol=0.0)
     assert refused.value.exit_code == 1 and not list(tmp_path.iterdir())
 
 
