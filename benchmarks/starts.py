@@ -90,9 +90,8 @@ if __name__ == "__main__":
     options = parser.parse_args()
     file, name = options.model.rsplit(":", 1)
     pipeline = config.load(Path(file))
-    plant = npred.plant(pipeline.plant)
     nx, t_end = pipeline.evaluate.nx, options.t_end or pipeline.evaluate.case_t_end
-    network = npred.load(options.model, nx=nx, store=options.store, runtime="torch" if plant.phased else "fused")
+    network = npred.load(options.model, nx=nx, store=options.store, runtime="fused")
     network = damaged(network, options.damage) if options.damage else network
     guarded = npred.guarded(network, options.tolerance)
     drawn = sampling.starts(SEED, pipeline.generate, network.plant, range(options.loops))
