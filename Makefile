@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check $(if $(CONSTRAINTS),--constraint $(CONSTRAINTS))
 
 .DEFAULT_GOAL := all
-.PHONY: all install dev test test-fast smoke lint types docs check constraints clean help force
+.PHONY: all install dev test test-fast smoke lint types docs cortex-m check constraints clean help force
 
 all: install ## set up, then run the paper's whole experiment (what is done already is not done again)
 	$(BIN)/npred run $(PIPELINE)
@@ -33,6 +33,9 @@ types: dev ## types
 
 docs: dev ## the documentation, in docs/_build/html; a warning is an error
 	$(BIN)/python -m sphinx -W --keep-going -n -q docs docs/_build/html
+
+cortex-m: install ## the controller of MODEL on a Cortex-M in QEMU: flash, RAM, stack, instructions, the host's results
+	$(BIN)/python benchmarks/cortex_m.py $(or $(MODEL),$(PIPELINE):deeponet)
 
 check: lint types test docs ## lint, types, tests and documentation
 

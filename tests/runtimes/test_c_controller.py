@@ -40,6 +40,9 @@ def controllers():
     cases = {
         name: (Controller(PLANT, predictor, PAPER, 0.01, D_hat=2.0), 1.0, X0) for name, predictor in measured.items()
     }
+    for name in ("deeponet", "fno", "deeponet, guard"):  # no data, no training: their loops converge where D is short
+        law = npred.DelayAdaptation(1000.0, bounds=(0.05, 0.2))
+        cases[name] = (Controller(PLANT, measured[name], law, 0.01, D_hat=0.2), 0.1, X0)
     cases["observer"] = (Controller(PLANT, heun, observer, 0.01, D_hat=1.5, actuator="history"), 1.0, X0)
     cases["observer, measured"] = (Controller(PLANT, heun, observer, 0.01, D_hat=1.5), 1.0, X0)
     cases["l1, history"] = (
