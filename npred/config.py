@@ -37,7 +37,7 @@ Anchor = Literal["none", "initial", "equilibrium"]
 Actuator = Literal["measured", "history"]
 Share = Annotated[float, Field(ge=0, lt=1, strict=True)]
 # left out of a dump where they say nothing
-ADDED = ("actuator", "measurement", "disturbance", "truth", "scenarios", "guard", "certify")
+ADDED = ("actuator", "measurement", "disturbance", "truth", "scenarios", "guard", "certify", "refine")
 
 
 def _part(parts: Registry, others: tuple[str, ...], name: str) -> str:
@@ -510,6 +510,23 @@ class Certify(Section):
     loops: Count = 100  #: fresh starts, each with the numerical predictor, the bare network and the guarded one
 
 
+class Refine(Section):
+    """Further training of the trained networks, on inputs at which they failed: those that an adversary comes to, and
+    those of hostile loops at which a guard let the numerical predictor answer, beside a share of the data.
+    """
+
+    adversary: Annotated[int, Field(ge=0, le=MOST, strict=True)] = 20_000  #: rows from an adversary's search
+    fallbacks: Annotated[int, Field(ge=0, le=MOST, strict=True)] = (
+        5_000  #: rows that the guard refused in loops, at most
+    )
+    old: Annotated[float, Field(gt=0, le=1, strict=True)] = 0.5  #: share of the data's rows that is trained on again
+    epochs: Count = 20  #: passes over all of these rows
+    lr: Positive = 1e-3  #: learning rate, at its peak
+    loops: Count = 32  #: hostile loops of each kind
+    #: whose rows the guard takes for the data's: those of the data alone, also those of the loops, or all
+    domain: Literal["data", "loops", "all"] = "data"
+
+
 class Pipeline(Section):
     """A pipeline file, resolved: `plant` is a built-in name or `file.py:Class`, `parameters` override its defaults."""
 
@@ -522,6 +539,7 @@ class Pipeline(Section):
     evaluate: Evaluate = Evaluate()
     bench: Bench = Bench()
     certify: Certify | None = None  #: a table: with it, `npred run` certifies too
+    refine: Refine | None = None  #: a table: with it, `npred run` trains the networks further, on their failures
 
     @model_validator(mode="after")
     def _check_nodes(self) -> Self:
@@ -549,6 +567,11 @@ class Pipeline(Section):
     def certify_table(self) -> Certify:
         """The table [certify], or its defaults where there is none."""
         return self.certify or Certify()
+
+    @property
+    def refine_table(self) -> Refine:
+        """The table [refine], or its defaults where there is none."""
+        return self.refine or Refine()
 
     @property
     def longest_delay(self) -> float:

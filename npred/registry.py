@@ -198,7 +198,9 @@ class StageEntry(NamedTuple):
 
     Its module has run(job), which gives an object of the class at `result`, and summary(result, width). Its key holds
     the table of its name in the pipeline file, unless npred.pipeline.stage_registry says otherwise. `data` is a pattern
-    of its files that may come in from elsewhere; with `draws` it has figures too, which do not.
+    of its files that may come in from elsewhere; with `draws` it has figures too, which do not. An `optional` stage is
+    part of a run where the pipeline has its table. A stage with an artifact per network has a `suffix`, by which other
+    stages call it after the network's name.
     """
 
     version: int
@@ -208,6 +210,8 @@ class StageEntry(NamedTuple):
     help: str
     data: str = ""
     draws: bool = False
+    optional: bool = False
+    suffix: str | None = None
 
 
 STAGES = {
@@ -218,7 +222,12 @@ STAGES = {
     "train": StageEntry(
         2, ("generate",), "npred.stages.train", "npred.results:Trained",
         "The networks, one artifact per network.",
-        r"(model|domain)\.safetensors|model\.json|metrics\.jsonl|snapshot-\d+\.safetensors",
+        r"(model|domain)\.safetensors|model\.json|metrics\.jsonl|snapshot-\d+\.safetensors", suffix="",
+    ),
+    "refine": StageEntry(
+        1, ("generate", "train"), "npred.stages.refine.refine", "npred.results:Refined",
+        "The networks, trained further on an adversary's inputs and on those that a guard refused.",
+        r"(model|domain)\.safetensors|model\.json|metrics\.jsonl", optional=True, suffix="@refined",
     ),
     "evaluate": StageEntry(
         8, ("generate", "train"), "npred.stages.evaluate.evaluate", "npred.results:Evaluated",
@@ -227,14 +236,14 @@ STAGES = {
     "certify": StageEntry(
         2, ("generate", "train"), "npred.stages.certify.certify", "npred.results:Certified",
         "A bound of a network's error with a confidence, an adversary's search, and loops that the guard keeps.",
-        r"(errors|worst)\.h5", True,
+        r"(errors|worst)\.h5", True, optional=True,
     ),
     "bench": StageEntry(
         7, ("generate", "train"), "npred.stages.bench.bench", "npred.results:Benched",
         "The time of a predictor call, each with its error beside it.", r"times\.h5", True,
     ),
     "report": StageEntry(
-        7, ("generate", "train", "evaluate", "certify", "bench"), "npred.stages.report.report",
+        7, ("generate", "train", "refine", "evaluate", "certify", "bench"), "npred.stages.report.report",
         "npred.results:Reported",
         "All results as one HTML file; or as PDF, SVG and PNG, CSV and LaTeX.",
     ),

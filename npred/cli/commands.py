@@ -36,7 +36,7 @@ def run(options: Work) -> None:
     """All stages, in order, each from the store when its key is there."""
 
 
-def _train(
+def _network(
     options: Work,
     *,
     model: Annotated[
@@ -54,7 +54,7 @@ def _stage(options: Work) -> None: ...
 
 for _name, _entry in STAGES.items():
     if _name != "report":  # it comes after the sweep
-        _flags = _train if _name == "train" else _stage
+        _flags = _stage if _entry.suffix is None else _network
         command(RUN, "execute.stage", name=_name, help=_entry.help, stage_name=_name)(_flags)
 
 

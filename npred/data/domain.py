@@ -1,7 +1,7 @@
 """Where the training data were: a score of (X, u, D_hat) that is cheap enough for every call of a network."""
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,7 +18,6 @@ MOMENTS = 3  # of each input
 KEPT = 256  # rows that are kept as examples
 FLOOR = 1e-3  # of a feature's mean: the least spread that one is given, so that a constant one has an inside
 ROUNDING = 1e-9  # of the limit: the row that it is the distance of is inside
-ROUGHER = 1.25  # than every example: they are few of the data's rows
 Phase = Callable[[np.ndarray], np.ndarray | None]
 
 
@@ -72,9 +71,14 @@ class Domain:
         return np.linalg.norm((_features(X, u, D_hat, angle, self.bend) - self.mean) @ self.whiten.T, axis=1)
 
     def roughest(self, nx: int) -> np.ndarray:
-        """ROUGHER times the largest D_hat unread(u) of the examples on nx nodes, (m,): rougher inputs are outside."""
+        """The largest D_hat unread(u) of the examples, read on nx nodes, (m,): rougher inputs are outside."""
         rounding = ROUNDING * (self.D_hat[:, None] * np.abs(self.u).max(axis=1)).max(axis=0)
-        return ROUGHER * (self.D_hat[:, None] * unread(grid.refine(self.u, nx))).max(axis=0) + rounding
+        return (self.D_hat[:, None] * unread(grid.refine(self.u, nx))).max(axis=0) + rounding
+
+    def widened(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, angle: np.ndarray | None) -> "Domain":
+        """The same with these rows inside by their distance, which is still that from the data's mean."""
+        farthest = self.distance(X, u, D_hat, angle).max(initial=0.0) * (1 + ROUNDING)
+        return replace(self, limit=np.maximum(self.limit, farthest))
 
     def save(self, folder: Path) -> None:
         """Write domain.safetensors."""

@@ -28,7 +28,8 @@ class Stored(NamedTuple):
 def load_model(spec: str, root: Path | None = None) -> Stored:
     """The trained model meant by `PIPELINE:MODEL`, `MODEL` (of the default pipeline), an artifact's folder or key.
 
-    Each may end in `@EPOCH`, for a snapshot. Raises ConfigError where there is none, StoreError for corrupt files.
+    Each may end in `@EPOCH`, for a snapshot; of a pipeline also in `@refined`. Raises ConfigError where there is none,
+    StoreError for corrupt files.
     """
     store = Store(root or defaults.store())
     try:
@@ -38,7 +39,7 @@ def load_model(spec: str, root: Path | None = None) -> Stored:
     path, colon, model = asked.model.rpartition(":")
     if colon or _of_default(model):
         pipeline = defaults.pipeline(path)
-        return _stored(*_of_pipeline(pipeline, config.load(pipeline), model, store), asked.epoch, spec)
+        return _stored(*_of_pipeline(pipeline, config.load(pipeline), asked, store), asked.epoch, spec)
     return _stored(store.find(model), None, None, asked.epoch, spec)
 
 
@@ -75,12 +76,14 @@ def _last(pipeline: config.Pipeline, store: Store, stage: str, model: str | None
     return step.artifact
 
 
-def _of_pipeline(path: Path, pipeline: config.Pipeline, model: str, store: Store) -> tuple[Artifact, Plant, Training]:
-    names = pipeline.train.names
+def _of_pipeline(
+    path: Path, pipeline: config.Pipeline, asked: Contender, store: Store
+) -> tuple[Artifact, Plant, Training]:  # fmt: skip
+    names, model, stage = pipeline.train.names, asked.model.rpartition(":")[2], "refine" if asked.refined else "train"
     if model not in names:
         raise ConfigError(f"{path}:{model}: expected {', '.join(names)} after the colon; name one of them")
-    expected, todo = f"{path}:{model}: expected a trained model", f"npred train {path} --model {model}"
-    artifact = _last(pipeline, store, "train", model, expected, todo)
+    expected, todo = f"{path}:{model}: expected a trained model", f"npred {stage} {path} --model {model}"
+    artifact = _last(pipeline, store, stage, model, expected, todo)
     return artifact, plants.resolve(pipeline.plant, pipeline.parameters), pipeline.train.table(model)
 
 

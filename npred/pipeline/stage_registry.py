@@ -61,8 +61,8 @@ class Node:
 
     @property
     def name(self) -> str:
-        """The name of the result as an input of others: `generate`, `deeponet`, …"""
-        return self.model or self.stage
+        """The name of the result as an input of others: `generate`, `deeponet`, `deeponet@refined`, …"""
+        return self.stage if self.model is None else f"{self.model}{registry.STAGES[self.stage].suffix}"
 
     @property
     def title(self) -> str:
@@ -71,9 +71,9 @@ class Node:
 
 
 def nodes(config: Pipeline, targets: Iterable[str], only: str | None = None) -> list[Node]:
-    """The targets with all that they need, each after its inputs; `only` keeps one network of the train stage.
+    """The targets with all that they need, each after its inputs; `only` keeps one network of stages with one for each.
 
-    No other stage needs certify where the pipeline has no table of it.
+    No other stage needs an optional one where the pipeline has no table of it.
     """
     needed = set(targets)
     for name in reversed(STAGES):
@@ -84,8 +84,8 @@ def nodes(config: Pipeline, targets: Iterable[str], only: str | None = None) -> 
 
 
 def usual(config: Pipeline) -> list[str]:
-    """The stages that `npred run` brings: certify where the pipeline has its table."""
-    return [name for name in STAGES if name != "certify" or config.certify is not None]
+    """The stages that `npred run` brings: an optional one where the pipeline has its table."""
+    return [name for name, entry in registry.STAGES.items() if not entry.optional or getattr(config, name) is not None]
 
 
 def question(node: Node, config: Pipeline, device: str) -> dict[str, Any]:
@@ -127,8 +127,18 @@ def check(config: Pipeline, stages: Collection[str]) -> None:
 
 def _nodes(config: Pipeline, stage: str, networks: Sequence[str]) -> list[Node]:
     upstream = [above for above in STAGES[stage].upstream if getattr(config, above) is not None]
-    inputs = tuple(name for above in upstream for name in (networks if above == "train" else (above,)))
-    return [Node(stage, model, inputs) for model in (networks if stage == "train" else (None,))]
+    models = networks if registry.STAGES[stage].suffix is not None else (None,)
+    return [Node(stage, model, _inputs(upstream, [model] if model else networks)) for model in models]
+
+
+def _inputs(upstream: Iterable[str], networks: Iterable[str]) -> tuple[str, ...]:
+    """The names of results of these stages, those of these networks where there is one for each."""
+    suffixes = {above: registry.STAGES[above].suffix for above in upstream}
+    return tuple(
+        name
+        for above, suffix in suffixes.items()
+        for name in ((above,) if suffix is None else (f"{model}{suffix}" for model in networks))
+    )
 
 
 def _dump(section: Section) -> dict[str, Any]:
@@ -215,6 +225,11 @@ def _certify(config: Pipeline, model: str | None, device: str) -> dict[str, Any]
     )
 
 
+def _refine(config: Pipeline, model: str | None, device: str) -> dict[str, Any]:
+    """What trains the network and what it is compared by, which is a certificate."""
+    return {"refine": _dump(config.refine_table)} | _certify(config, model, device) | _train(config, model, device)
+
+
 def _bench(config: Pipeline, model: str | None, device: str) -> dict[str, Any]:
     runtimes = [registry.RUNTIMES.identity(name) for name in config.bench.runtimes]
     table = _own("bench", config, model, device)
@@ -252,8 +267,8 @@ def _notation(config: Pipeline) -> dict[str, Any]:
 
 
 SLICES: dict[str, Slice] = {
-    "generate": _generate, "train": _train, "evaluate": _evaluate, "certify": _certify, "bench": _bench,
-    "report": _report,
+    "generate": _generate, "train": _train, "refine": _refine, "evaluate": _evaluate, "certify": _certify,
+    "bench": _bench, "report": _report,
 }  # fmt: skip
 STAGES = {
     name: Stage(entry.version, entry.upstream, SLICES.get(name, partial(_own, name)), entry.module, entry.result)

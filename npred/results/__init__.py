@@ -6,6 +6,7 @@ from npred.results.certify import Certified
 from npred.results.contender import NO_ADAPTATION, NUMERICAL, Contender, ranked
 from npred.results.evaluate import Evaluated
 from npred.results.generate import Generated
+from npred.results.refine import Refined
 from npred.results.report import Reported
 from npred.results.train import Trained
 
@@ -18,6 +19,7 @@ __all__ = [
     "Evaluated",
     "Generated",
     "Number",
+    "Refined",
     "Reported",
     "Result",
     "Trained",

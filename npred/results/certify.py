@@ -17,6 +17,7 @@ class Certificate(Result):
     rollouts: int  #: how many
     median: Number  #: the median over the rollouts
     adversarial: Number  #: the largest error of U that the search came to: a lower bound of the uniform one
+    adversarial_median: Number  #: the median over its calls
     calls: int  #: calls of the search
     above: int  #: those whose error is above the tolerance
     unnoticed: int  #: of these, those that the guard lets pass

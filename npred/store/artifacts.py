@@ -179,14 +179,15 @@ class Store:
         return bool(folder.parent == self.root and named and _whose(path) and not links and path.is_dir())
 
     def find(self, reference: str) -> Artifact:
-        """The artifact meant by `stage/prefix`, `prefix`, a stage or a model (its most recent), or a folder.
+        """The artifact meant by `stage/prefix`, `prefix`, a stage or a trained model (its most recent), or a folder.
 
         Raises ConfigError where none or several match.
         """
         if (Path(reference) / NAME).is_file():
             return Artifact.read(Path(reference).resolve())
         everything = self.artifacts()
-        named = [a for a in everything if reference in (a.manifest.question.stage, a.manifest.question.model)]
+        asked = [(a, a.manifest.question) for a in everything]
+        named = [a for a, q in asked if reference == q.stage or (reference == q.model and q.stage == "train")]
         if named:
             return named[-1]
         stage, _, prefix = reference.rpartition("/")

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
+from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
@@ -35,6 +35,15 @@ QUANTILES = 0.01, 0.5, 0.99
 BOUNDED = 1000  # of the rollouts: their worst samples are bounded too
 
 
+class Found(NamedTuple):
+    """What is known of some networks, and from what: their rollouts, their adversaries' calls and errors."""
+
+    models: dict[Contender, Certificate]
+    rollouts: dict[Contender, Rollouts]
+    calls: dict[Contender, tuple[Calls, np.ndarray]]
+    lost: int  # of the nominal loops, with the numerical predictor
+
+
 def run(job: Job) -> Certified:
     """For each network: errors of fresh rollouts, the worst inputs of a search, and loops, with and without a guard.
 
@@ -48,11 +57,24 @@ def run(job: Job) -> Certified:
         Contender(model): Guarded(networks.load(job, model, None, model), exact=exact, **dict(table))
         for model in job.config.train.models
     }
-    by_rollout = rollouts.judge(job, guards, exact)
-    with h5py.File(job.folder / "errors.h5", "w") as file:
-        for contender, fresh in by_rollout.items():
-            file[contender.name] = fresh.errors
     data = shards.survey(job.inputs["generate"] / "data.h5")
+    found = certificates(job, guards, exact, data)
+    by_rollout = {contender: fresh.errors for contender, fresh in found.rollouts.items()}
+    with h5py.File(job.folder / "errors.h5", "w") as file:
+        for contender, errors in by_rollout.items():
+            file[contender.name] = errors
+    _write_worst(job, found.calls)
+    result = Certified(
+        plant=job.plant.name, loops=job.config.certify_table.loops, lost_numerical=found.lost, models=found.models
+    )
+    if plate := figures.certified(job.plant, result, by_rollout):
+        figures.write(plate, job.folder)
+    return result
+
+
+def certificates(job: Job, guards: Mapping[Contender, Guarded], exact: Predictor, data: Dataset) -> Found:
+    """The certificates of guarded networks."""
+    by_rollout = rollouts.judge(job, guards, exact)
     loops = _loops(job, exact, f"loops of {exact.name}")
     with ThreadPoolExecutor(job.jobs) as pool:
         searches = {contender: pool.submit(_search, job, data, guard.model) for contender, guard in guards.items()}
@@ -61,7 +83,6 @@ def run(job: Job) -> Certified:
         calls = {contender: search.result() for contender, search in searches.items()}
         passes = {contender: search.result() for contender, search in blind.items()}
         both = {contender: run.result() for contender, run in runs.items()}
-    _write_worst(job, calls)
     models = {
         contender: Certificate(
             **_rollouts(job, by_rollout[contender]),
@@ -72,12 +93,7 @@ def run(job: Job) -> Certified:
         )
         for contender, guard in guards.items()
     }
-    lost = int(_lost(job, loops).sum())
-    number = job.config.certify_table.loops
-    result = Certified(plant=job.plant.name, loops=number, lost_numerical=lost, models=models)
-    if plate := figures.certified(job.plant, result, {name: fresh.errors for name, fresh in by_rollout.items()}):
-        figures.write(plate, job.folder)
-    return result
+    return Found(models, by_rollout, calls, int(lost(job, loops).sum()))
 
 
 def summary(result: Certified, width: int | None = None) -> str:
@@ -149,8 +165,9 @@ def _calls(guard: Guarded, exact: Predictor, inputs: Calls, errors: np.ndarray) 
     near = (true > NEAR[0] * guard.tolerance) & (true < NEAR[1] * guard.tolerance)
     ratio = np.quantile(estimates[near] / true[near], QUANTILES).tolist() if near.any() else []
     return {
-        "adversarial": np.nanmax(true), "calls": len(true), "above": int(above.sum()),
-        "unnoticed": int((above & passed).sum()), "tolerance": guard.tolerance, "by": guard.by, "ratio": ratio,
+        "adversarial": np.nanmax(true), "adversarial_median": np.median(true), "calls": len(true),
+        "above": int(above.sum()), "unnoticed": int((above & passed).sum()), "tolerance": guard.tolerance,
+        "by": guard.by, "ratio": ratio,
     }  # fmt: skip
 
 
@@ -173,17 +190,18 @@ def _loops(job: Job, predictor: Predictor, title: str) -> Trajectories:
 
 def _behaviour(job: Job, loops: Trajectories, bare: Trajectories, guarded: Trajectories) -> dict[str, Any]:
     """What a network's loops do beside those of the numerical predictor."""
-    kept = ~_lost(job, loops)
+    kept = ~lost(job, loops)
     return {
-        "lost": int((_lost(job, bare) & kept).sum()),
-        "lost_guarded": int((_lost(job, guarded) & kept).sum()),
+        "lost": int((lost(job, bare) & kept).sum()),
+        "lost_guarded": int((lost(job, guarded) & kept).sum()),
         "peak": _peak(job, bare) / _peak(job, loops),
         "peak_guarded": _peak(job, guarded) / _peak(job, loops),
         "fallback": guarded.fallback_share,
     }
 
 
-def _lost(job: Job, loops: Trajectories) -> np.ndarray:
+def lost(job: Job, loops: Trajectories) -> np.ndarray:
+    """Which of the loops (B,) end further from rest than LOST of its size."""
     target = job.plant.target(loops.t)
     return ~(metrics.radius(loops, target) <= LOST * metrics.size(target))
 

@@ -1,0 +1,1 @@
+"""The stage refine: further training on the inputs at which a network failed."""
