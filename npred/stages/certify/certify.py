@@ -58,14 +58,17 @@ def run(job: Job) -> Certified:
         for model in job.config.train.models
     }
     data = shards.survey(job.inputs["generate"] / "data.h5")
-    found = certificates(job, guards, exact, data)
-    by_rollout = {contender: fresh.errors for contender, fresh in found.rollouts.items()}
+    certified = certificates(job, guards, exact, data)
+    by_rollout = {contender: fresh.errors for contender, fresh in certified.rollouts.items()}
     with h5py.File(job.folder / "errors.h5", "w") as file:
         for contender, errors in by_rollout.items():
             file[contender.name] = errors
-    _write_worst(job, found.calls)
+    _write_worst(job, certified.calls)
     result = Certified(
-        plant=job.plant.name, loops=job.config.certify_table.loops, lost_numerical=found.lost, models=found.models
+        plant=job.plant.name,
+        loops=job.config.certify_table.loops,
+        lost_numerical=certified.lost,
+        models=certified.models,
     )
     if plate := figures.certified(job.plant, result, by_rollout):
         figures.write(plate, job.folder)

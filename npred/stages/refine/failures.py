@@ -35,8 +35,8 @@ class Failures:
         """Those of the calls whose P is finite."""
         X, u, D_hat, t = calls
         u = grid.refine(u, nx)
-        known = array_checks.finite_rows(X, u, D_hat)
-        X, u, D_hat, t = (a[known] for a in (X, u, D_hat, t))
+        finite_inputs = array_checks.finite_rows(X, u, D_hat)
+        X, u, D_hat, t = (a[finite_inputs] for a in (X, u, D_hat, t))
         P = numerical(job.config.generate.predictor, job.plant, nx)(X, u, D_hat, t)
         finite = np.isfinite(P).all(axis=(1, 2))
         return cls(*(a[finite] for a in (X, u, D_hat, t, P)))
@@ -63,10 +63,10 @@ def refused(job: Job, guard: Guarded, data: Dataset) -> Failures:
     every = np.arange(0, hostile.steps(config), EVERY)
     samples, parts = np.tile(every, (job.config.refine_table.loops, 1)), []
     for _, loops in hostile.loops(job, guard, data, "train", samples):
-        taken = (loops.samples.X, loops.samples.u, loops.samples.D_hat, samples * config.dt)
-        X, u, D_hat, t = (a.reshape(-1, *a.shape[2:]) for a in taken)
-        known = array_checks.finite_rows(X, u, D_hat)
-        rows = X[known], u[known], D_hat[known], t[known]
+        at_samples = (loops.samples.X, loops.samples.u, loops.samples.D_hat, samples * config.dt)
+        X, u, D_hat, t = (a.reshape(-1, *a.shape[2:]) for a in at_samples)
+        finite_inputs = array_checks.finite_rows(X, u, D_hat)
+        rows = X[finite_inputs], u[finite_inputs], D_hat[finite_inputs], t[finite_inputs]
         answered = guard.fallback(*rows)
         parts.append(tuple(a[answered] for a in rows))
     X, u, D_hat, t = (np.concatenate(column) for column in zip(*parts, strict=True))

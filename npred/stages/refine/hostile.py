@@ -26,15 +26,15 @@ def kinds(job: Job, data: Dataset) -> dict[str, dict[str, Any]]:
     """The kinds of loops by name, each as what differs from the table [evaluate], from D and from the estimate."""
     config = job.config.evaluate
     swing = Disturbance(amplitude=PUSH * float(np.ptp(data.u)), omega=2 * np.pi * SWINGS / config.case_t_end)
-    found: dict[str, dict[str, Any]] = {
+    changes: dict[str, dict[str, Any]] = {
         f"noise {NOISE:.0%}": {"table": {"measurement": Sensors(noise=NOISE)}},
         f"input + {swing.amplitude:.2g} sin": {"table": {"disturbance": swing}},
     }
     if job.plant.declares_delay or config.adaptation == FROZEN:
-        return found
+        return changes
     (low, high), (shortest, longest) = config.bounds, job.config.generate.explore_D
     at = JUMP * config.case_t_end
-    return found | {
+    return changes | {
         f"D̂(0) = {low:g}": {"D_hat": low},
         f"D̂(0) = {high:g}": {"D_hat": high},
         f"D from {longest:g} to {shortest:g}": {"D": lambda t: longest if t < at else shortest},

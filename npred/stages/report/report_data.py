@@ -54,8 +54,8 @@ class Story:
         evidence = Evidence.read(inputs["evaluate"], plant, config.evaluate, evaluated)
         keys = {name: folder.name for name, folder in inputs.items()}
         generated = Generated.read(inputs["generate"])
-        again = [Refined.read(folder) for name in trained if (folder := inputs.get(f"{name}@refined"))]
-        certificate: dict[str, Any] = {"refined": again}
+        refined = [Refined.read(folder) for name in trained if (folder := inputs.get(f"{name}@refined"))]
+        certificate: dict[str, Any] = {"refined": refined}
         if "certify" in inputs:
             certificate["certified"] = Certified.read(inputs["certify"])
             certificate["rollout_errors"] = _rollout_errors(inputs["certify"] / "errors.h5")

@@ -124,11 +124,11 @@ def refined(results: Sequence[Refined]) -> Table | None:
     if not rows:
         return None
     after = [row for _, row in rows]
-    found = {"eps_kappa": "ε_{κ} of fresh rollouts", "adversarial": "adversary", "adversarial_median": "its median"}
+    heads = {"eps_kappa": "ε_{κ} of fresh rollouts", "adversarial": "adversary", "adversarial_median": "its median"}
     columns = [
         Column("network", [label for label, _ in rows]),
         *_columns(after, {"mse": "mean square, held out", "eps_sup": "ε sup"}),
-        *_columns([row.certificate for row in after], found),
+        *_columns([row.certificate for row in after], heads),
         *_columns([row.certificate for row in after], {"blind": "blind spots"}, ",d"),
         *_columns(after, {"fallback": "fallback in hostile loops"}, ".2%"),
         *_columns(after, {"lost": f"lost of {results[0].loops:,}", "lost_guarded": "guarded"}, ",d"),
