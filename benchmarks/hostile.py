@@ -63,7 +63,8 @@ if __name__ == "__main__":
     network = npred.load(sys.argv[1] if len(sys.argv) > 1 else "pipeline/paper.toml:deeponet", nx=NX, runtime="fused")
     plant = network.plant
     rk4, guarded = npred.predictor("rk4", plant, NX), npred.guarded(network)
-    print(f"guarded by the {guarded.by} on every {guarded.strides[0]}th node, tolerance {guarded.tolerance:g}")
+    name, (steps, _) = guarded.reference
+    print(f"guarded by the {guarded.by}, {name} on {steps} steps, tolerance {guarded.tolerance:g}")
     print("| class | numerical: lost, peak | bare: extra, peak | guarded: extra, peak, fallback |")
     print("|---|---|---|---|")
     for name, arguments in classes(plant).items():

@@ -239,7 +239,7 @@ STAGES = {
         r"(errors|worst)\.h5", True, optional=True,
     ),
     "bench": StageEntry(
-        7, ("generate", "train"), "npred.stages.bench.bench", "npred.results:Benched",
+        8, ("generate", "train"), "npred.stages.bench.bench", "npred.results:Benched",
         "The time of a predictor call, each with its error beside it.", r"times\.h5", True,
     ),
     "report": StageEntry(

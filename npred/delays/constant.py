@@ -1,7 +1,7 @@
 """One constant delay, and a plant that is traced: straight-line kernels, compiled."""
 
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -132,23 +132,25 @@ ADVANCE = """\
 class ConstantDelay(Family):
     """All inputs arrive D late."""
 
+    reads_cells: ClassVar = True
+
     @staticmethod
     def serves(plant: Plant) -> bool:
         return plant.traced and plant.one_delay and not plant.declares_delay
 
-    def sweep(self, step: Step) -> Kernel:
-        return family.build("sweep", family.PREDICT, *self.source(step))
+    def sweep(self, step: Step, cells: bool = False) -> Kernel:
+        return family.build("sweep", family.PREDICT, *self.source(step, cells))
 
-    def source(self, step: Step) -> tuple[str, str]:
+    def source(self, step: Step, cells: bool = False) -> tuple[str, str]:
         """The text of the sweep, and the lines that stand before it."""
         n, m, trace = self.plant.n, self.plant.m, called_functions.trace(self.plant)
         x, (u0, um, u1) = trace.vector("x", n), (trace.vector(name, m) for name in ("a", "m", "b"))
         y = called_functions.stepped(trace, step, x, (u0, um, u1), trace.input("t"), trace.input("h"))
-        bindings = {"t": "(t + j * h)"} | input_lines(m)
+        bindings = {"t": "(t + j * h)"} | (cell_lines(m) if cells else input_lines(m))
         scalar = programs.lines(y, bindings, [f"y{k}" for k in range(n)])
         scalar += [f"x{k} = P[j + 1, {k}, l] = y{k}" for k in range(n)]
         target = [f"P[j + 1, {k}, l]" for k in range(n)]
-        weights = WEIGHTS.splitlines() if programs.depends(y, um) else []
+        weights = WEIGHTS.splitlines() if programs.depends(y, um) and not cells else []
         start = [f"x{k} = P[0, {k}, l] = X[{k}, l]" for k in range(n)]
         few = kernels.fill(FEW, start=start, weights=weights, scalar=scalar).splitlines()
         source = kernels.fill(
@@ -160,13 +162,14 @@ class ConstantDelay(Family):
         )
         return source, called_functions.imports(trace)
 
-    def paired(self, step: Step) -> Kernel:
+    def paired(self, step: Step, cells: bool = False) -> Kernel:
         n, m, trace = self.plant.n, self.plant.m, called_functions.trace(self.plant)
         x, (u0, u1) = trace.vector("x", 2 * n), (trace.vector(name, m) for name in ("a", "b"))
         inputs = u0, 0.5 * (u0 + u1), u1
+        names = {"t": "(t + j * h)"} | (cell_lines(m) if cells else input_lines(m))
         y = called_functions.stepped(trace, step, x, inputs, trace.input("t"), trace.input("h"))
         targets = [*(f"y{k}" for k in range(2 * n)), *(f"P[j + 1, {k}, l]" for k in range(n))]
-        lane = programs.lines([*y, *(2.0 * y[n:] - y[:n])], {"t": "(t + j * h)"} | input_lines(m), targets)
+        lane = programs.lines([*y, *(2.0 * y[n:] - y[:n])], names, targets)
         source = kernels.fill(
             PAIRED,
             parameters=kernels.parameters(len(self.plant.p)),
@@ -227,6 +230,13 @@ def input_lines(m: int) -> dict[str, str]:
         middle = f"({middle} + linear * (u[j, {k}, l] + u[j + 1, {k}, l]))"
         bindings |= {f"a{k}": f"u[j, {k}, l]", f"b{k}": f"u[j + 1, {k}, l]", f"m{k}": middle}
     return bindings
+
+
+def cell_lines(m: int) -> dict[str, str]:
+    """The same where the rows of u are the begin and the end of each cell, a straight line in between."""
+    ends = {"a": "u[2 * j, {}, l]", "b": "u[2 * j + 1, {}, l]"}
+    bindings = {f"{name}{k}": text.format(k) for name, text in ends.items() for k in range(m)}
+    return bindings | {f"m{k}": f"(0.5 * (u[2 * j, {k}, l] + u[2 * j + 1, {k}, l]))" for k in range(m)}
 
 
 def advance_lines(trace: Trace, step: Step, U: str) -> list[str]:

@@ -75,6 +75,7 @@ class Family(ABC):
     """
 
     lacks: ClassVar[Mapping[str, str]] = {}
+    reads_cells: ClassVar[bool] = False
 
     def __init__(self, plant: Plant) -> None:
         self.plant = plant
@@ -107,10 +108,12 @@ class Family(ABC):
 
     @abstractmethod
     def sweep(self, step: Step) -> Kernel:
-        """PREDICT by a one-step method over the nodes."""
+        """PREDICT by a one-step method over the nodes; with `cells`, where `reads_cells`, u (2 (nx - 1), m, B) has the
+        begin and the end of each cell, between which it is a straight line.
+        """
 
-    def paired(self, step: Step) -> Kernel:
-        """PREDICT by two chains of steps over the same nodes: twice the second chain less the first."""
+    def paired(self, step: Step, cells: bool = False) -> Kernel:
+        """PREDICT by two chains of steps over the same nodes, twice the second chain less the first; see `sweep`."""
         self.needs("semi_implicit")
         raise NotImplementedError
 

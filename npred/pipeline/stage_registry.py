@@ -180,7 +180,7 @@ def _loop(config: Pipeline, stage: str) -> dict[str, Any]:
     section, law = _dump(loop), registry.DELAY_LAWS.identity(loop.adaptation)
     u0 = inputs.configured(plants.resolve(config.plant, config.parameters), loop, stage)
     section["predictor"] = registry.METHODS.identity(loop.predictor)
-    if loop.predictor == "semi_implicit":
+    if loop.predictor == "semi_implicit" or stage == "evaluate":  # of which a guard may choose it
         section |= plants.resolve(config.plant, config.parameters).mechanics_program
     del section["adaptation"], section["u0"]
     section |= {} if law == PAPER else {"adaptation": law}
@@ -231,11 +231,14 @@ def _refine(config: Pipeline, model: str | None, device: str) -> dict[str, Any]:
 
 
 def _bench(config: Pipeline, model: str | None, device: str) -> dict[str, Any]:
+    from npred import plants
+
     runtimes = [registry.RUNTIMES.identity(name) for name in config.bench.runtimes]
     table = _own("bench", config, model, device)
     table["bench"]["runtimes"] = runtimes
     more = [registry.METHODS.identity(name) for name in config.methods if name not in registry.METHODS.builtin]
     table |= {"methods": more} if more else {}
+    table |= plants.resolve(config.plant, config.parameters).mechanics_program
     return table | {"hardware": devices.hardware(device)} | _box(config)
 
 

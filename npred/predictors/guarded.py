@@ -8,114 +8,35 @@ from typing import Any, ClassVar
 import numpy as np
 
 from npred import array_checks, grid
-from npred.data.domain import MOMENTS, Domain, legendre, unread
-from npred.delays import family, family_of
+from npred.data.domain import Domain, unread
+from npred.delays import family_of
 from npred.delays.family import Kernel
 from npred.errors import ConfigError
-from npred.plants.base import Plant
-from npred.predictors import error_bound
+from npred.predictors import error_bound, guard_grids, method
 from npred.predictors.base import Predictor
 from npred.predictors.error_bound import ErrorBound
-from npred.predictors.heun import Heun
+from npred.predictors.guard_kernel import kernel
 from npred.predictors.rk4 import RK4
-from npred.symbolic import kernels
 
 ESTIMATES = ("auto", "shadow", "defect")
 PASSES = 0.4  # of the tolerance: the largest estimate that passes, for an adversary finds errors 2.5 times as large
-SHARE = 0.25  # of the tolerance: how far off the estimate of an exact prediction may be …
-QUANTILE = 0.99  # … on this share of the data's rows
-FEWEST = 4  # intervals of the coarser of two grids
-
-# With A = kappa of the reference, of order 2, on every stride-th node and B of that on fewer, Richardson's
-# extrapolation is R = A + (A - B) / (ratio² - 1), and the estimate |kappa(P) - R| + |R - A|: where the reference itself
-# is inaccurate, it doubts. Cells of u are read by their means, as the predictors read those of the nodes.
-GUARD = """\
-    nx, n, lanes = P.shape
-    m, last = u.shape[1], nx - 1
-    {names}
-    U, A, B = np.empty((m, lanes)), np.empty((m, lanes)), np.empty((m, lanes))
-    for coarser in range(1, -1, -1):
-        stride = int(guard[1 + coarser])
-        count = last // stride + 1
-        v, Q, R = np.empty((count, m, lanes)), np.empty((count, n, lanes)), np.empty((count, n, lanes))
-        for J in range(count):
-            low, high = max((J - 0.5) * stride, 0.0), min((J + 0.5) * stride, float(last))
-            v[J] = 0.0
-            for j in range(int(low + 0.5), min(int(high + 0.5), last) + 1):
-                weight = (min(j + 0.5, high) - max(j - 0.5, low)) / (high - low)
-                for c in range(m):
-                    for l in range(lanes):
-                        v[J, c, l] += weight * u[j, c, l]
-            for c in range(n):
-                for l in range(lanes):
-                    R[J, c, l] = P[J * stride, c, l]
-        {reference}
-        control(Q, v, D_hat, t, p, B if coarser else A)
-    if guard[3] > 0.0:
-        for j in range(nx):
-            J = min(j // stride, count - 2)
-            share = j / stride - J
-            for c in range(n):
-                for l in range(lanes):
-                    P[j, c, l] += (1.0 - share) * (Q[J, c, l] - R[J, c, l]) + share * (Q[J + 1, c, l] - R[J + 1, c, l])
-    control(P, u, D_hat, t, p, U)
-    for l in range(lanes):
-        error[l] = 0.0
-        for c in range(m):
-            extrapolated = A[c, l] + (A[c, l] - B[c, l]) / ((guard[2] / guard[1]) ** 2 - 1.0)
-            gap = abs(U[c, l] - extrapolated) + abs(extrapolated - A[c, l])
-            error[l] = max(error[l], gap if gap < np.inf else np.inf)  # also of what is not a number
-        outside = False
-        if guard[4] < np.inf:
-            {distance}
-            outside = rough or not total <= guard[4] ** 2
-        fallback[l] = 1.0 if outside or not error[l] <= guard[0] else 0.0
-        if fallback[l] > 0.0:
-            x1, u1, D1, P1 = np.empty((n, 1)), np.empty((nx, m, 1)), np.empty(1), np.empty((nx, n, 1))
-            x1[:, 0], u1[:, :, 0], D1[0] = X[:, l], u[:, :, l], D_hat[l]
-            exact(x1, u1, D1, t, p, P1)
-            P[:, :, l] = P1[:, :, 0]
-"""
-
-DISTANCE = """\
-for c in range(n):
-    feature[c] = np.arcsinh(X[c, l] / bend[c])
-feature[n] = D_hat[l]
-for k in range({moments}):
-    for c in range(m):
-        moment = 0.0
-        for j in range(nx):
-            moment += weights[k * nx + j] * u[j, c, l]
-        feature[n + 1 + c * {moments} + k] = moment
-{phase}
-total = 0.0
-for i in range(size):
-    row = 0.0
-    for k in range(i + 1):
-        row += whiten[i * size + k] * (feature[k] - mean[k])
-    total += row * row
-rough = False
-for c in range(m):
-    unread = 0.0
-    for j in range(nx - 3):
-        kink = u[j, c, l] - u[j + 1, c, l] - u[j + 2, c, l] + u[j + 3, c, l]
-        first = 3.0 * u[j, c, l] - 7.0 * u[j + 1, c, l] + 5.0 * u[j + 2, c, l] - u[j + 3, c, l]
-        final = 3.0 * u[j + 3, c, l] - 7.0 * u[j + 2, c, l] + 5.0 * u[j + 1, c, l] - u[j, c, l]
-        ends = (abs(first) if j == 0 else 0.0) + (abs(final) if j == nx - 4 else 0.0)
-        unread += (abs(kink) + ends) / (24.0 * last)
-    rough = rough or not D_hat[l] * unread <= roughest[c]
-"""
+SHARE = 0.25  # of the tolerance: how far off the estimate of an exact prediction may be
+FEWEST = 4  # intervals of the coarser of two grids that read nodes
+METHODS = ("heun", "semi_implicit", "rosenbrock")  # of order 2, by which an estimate may be
+REFINEMENTS = 2  # of the grids, where they do not decide
 
 
 class Guarded(Predictor):
     """`model`, with its error in U estimated in every call; `exact` answers where that may be above `tolerance`.
 
     `tolerance` is in units of U, the largest |kappa(P̂(1)) - kappa(P(1))| over the inputs that passes; the model
-    answers where 2.5 times the estimate is within it. The estimate is by a `shadow`, Heun's method on few nodes, or by
-    the `defect` P̂' - D_hat f(P̂, u), carried to x = 1 by the linearised equation; `auto` is the shadow, which takes
-    fewer operations per node. How few nodes follows from examples of the data, which trained models carry; other models
-    are compared on all nodes. Outside the data, as Domain has it, and where u is rougher than theirs, `exact` answers
-    whatever the estimate is. With `correct`, the defect's error is subtracted from P̂ first.
+    answers where 2.5 times the estimate is within it. The estimate is by a `shadow`, a method of order 2 on few steps, or
+    by the `defect` P̂' - D_hat f(P̂, u), carried to x = 1 by the linearised equation; `auto` is the shadow, which takes
+    fewer operations per node. Which method (Heun's, or an implicit one where the plant is stiff), how few steps, and
+    what `exact` is by default follow from examples of the data, which trained models carry; other models are compared
+    on all nodes, by the method of `exact` where that is implicit, and `exact` is RK4. Outside the data, as Domain has
+    it, and where u is rougher than theirs, `exact` answers whatever the estimate is. With `correct`, the defect's error
+    is subtracted from P̂ first.
     Raises ConfigError for a tolerance that is not above 0, and for an estimate that the plant's family lacks.
     """
 
@@ -132,13 +53,13 @@ class Guarded(Predictor):
             raise ConfigError(f"tolerance: expected a number above 0, in units of U, got {tolerance!r}; give another")
         if by not in ESTIMATES:
             raise ConfigError(f"by: expected {', '.join(ESTIMATES)}, got {by!r}; choose one")
-        if not _strides(self.nx):
+        if not _grids(self.nx):
             raise ConfigError(
                 f"guarded: expected a model on nodes of which every second, third or so makes {FEWEST} intervals or "
                 f"more, got {self.nx} nodes; load it with nx = {self.nx // 10 * 10 + 11}"
             )
         self.model, self.tolerance, self.correct = model, float(tolerance), bool(correct)
-        self.exact = exact or RK4(model.plant, model.nx)
+        self._exact = exact
         self.by = {"auto": "defect" if correct else "shadow"}.get(by, by)
         if correct and self.by != "defect":
             raise ConfigError("correct: expected by = 'defect', whose error is subtracted, got 'shadow'; leave it out")
@@ -167,26 +88,64 @@ class Guarded(Predictor):
     @cached_property
     def guard(self) -> Kernel:
         """GUARD: the estimate, and `exact` where that is above the tolerance."""
-        return kernel(self.plant, self.by, self.exact)
+        return self._kernel(self.reference[0])
 
     @cached_property
     def settings(self) -> np.ndarray:
-        """What the kernel is set to: tolerance, stride, whether it corrects, and the domain."""
-        return self._set(self.strides)
+        """What the kernel is set to: tolerance, grids, whether it corrects, and the domain."""
+        return self._set(self.reference[1])
 
     @cached_property
-    def strides(self) -> tuple[int, int]:
-        """The intervals between two nodes of the estimate's grids: as many as the data's examples allow."""
-        finest, *coarser = _strides(self.nx)
+    def reference(self) -> tuple[str, tuple[int, int]]:
+        """The method that the estimate is by, and the steps of its two grids: the cheapest for the data's examples.
+
+        The cost is that of the method's operations and of `exact` where the guard doubts, counted in their programs, so
+        that the same guard answers the same calls on every machine. Of the examples that pass, the estimate of an exact
+        prediction is within SHARE of the tolerance for QUANTILE.
+        """
+        family = family_of(self.plant)
+        if self.by == "defect" or not family.reads_cells:
+            return "heun", self._divided()
+        if self.domain is None:
+            last = self.nx - 1
+            return (self.exact.name if self.exact.name in self._methods else "heun"), (last, max(last // 2, 1))
+        return guard_grids.chosen(self, self._methods, self.threshold, SHARE * self.tolerance)
+
+    def _divided(self) -> tuple[int, int]:
+        """The steps of two grids of the nodes, as few as the data's examples allow."""
+        finest, *coarser = _grids(self.nx)
         if self.domain is None:
             return finest
-        X, u, D_hat, t = self.domain.X, grid.refine(self.domain.u, self.nx), self.domain.D_hat, self.domain.t
-        P = self.exact(X, u, D_hat, t)
-        for strides in reversed(coarser):
-            error = self._run(self._set(strides, tolerance=np.inf), P, X, u, D_hat, t)[1]
-            if np.quantile(error, QUANTILE) <= SHARE * self.tolerance:
-                return strides
+        rows = self.examples
+        P = self.exact(*rows)
+        for counts in reversed(coarser):
+            error = self._run(self._set(counts, tolerance=np.inf), P, *rows, run=self._kernel("heun"))[1]
+            if np.quantile(error, 0.99) <= SHARE * self.tolerance:
+                return counts
         return finest
+
+    @cached_property
+    def examples(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """X, u, D_hat, t of some rows of the data, u on the nodes of the guard."""
+        domain = self.domain
+        assert domain is not None
+        return domain.X, grid.refine(domain.u, self.nx), domain.D_hat, domain.t
+
+    @cached_property
+    def exact(self) -> Predictor:
+        """What answers where the guard doubts: RK4 on all nodes, or, where the examples of the data are too stiff for
+        50 of its steps, the cheapest implicit method on as few cells as keep U within SHARE of the tolerance.
+        """
+        if self._exact is None and self.domain is not None and family_of(self.plant).reads_cells:
+            return guard_grids.exact(self, self._methods[1:], SHARE * self.tolerance)
+        return self._exact or RK4(self.plant, self.nx)
+
+    @property
+    def _methods(self) -> list[str]:
+        return [name for name in METHODS if family_of(self.plant).refusal(name) is None]
+
+    def _kernel(self, name: str) -> Kernel:
+        return kernel(self.plant, self.by, self.exact, method(name))  # type: ignore[arg-type]
 
     def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Any) -> np.ndarray:
         return self._run(self._on(u), self.model(X, u, D_hat, t), X, u, D_hat, t)[0]
@@ -213,7 +172,7 @@ class Guarded(Predictor):
         domain = self.domain
         if domain is None:
             return ErrorBound(self.plant, np.eye(self.plant.n))
-        rows = domain.X, grid.refine(domain.u, self.nx), domain.D_hat, domain.t
+        rows = self.examples
         return ErrorBound(self.plant, error_bound.weight(self.plant, self.exact(*rows), *rows[1:]))
 
     def beyond(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: np.ndarray) -> np.ndarray:
@@ -239,56 +198,38 @@ class Guarded(Predictor):
         return self.settings
 
     def _run(
-        self, settings: np.ndarray, P_hat: np.ndarray, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Any
+        self, settings: np.ndarray, P_hat: np.ndarray, X: Any, u: Any, D_hat: Any, t: Any,
+        *, run: Kernel | None = None,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
         """P (B, nx, n), the estimate (B,) and whether `exact` answered (B,), of P_hat (B, nx, n)."""
+        run = run or self.guard
         P, error, fallback = np.array(P_hat, dtype=float), np.empty(len(X)), np.empty(len(X))
         reads_time = self.plant.clocked or not self.plant.rests  # the prediction, or the law that the guard compares by
         times = np.broadcast_to(t, len(X)) if reads_time else np.zeros(len(X))
         for moment in np.unique(times):  # a call of the kernel has one time
             rows = np.flatnonzero(times == moment)
             lanes = [np.array(np.moveaxis(a[rows], 0, -1), order="C") for a in (X, u, D_hat, P, error, fallback)]
-            self.guard(*lanes[:3], float(moment), self.plant.p, settings, *lanes[3:])
+            run(*lanes[:3], float(moment), self.plant.p, settings, *lanes[3:])
             P[rows], error[rows], fallback[rows] = np.moveaxis(lanes[3], -1, 0), *lanes[4:]
         return P, error, fallback > 0
 
-    def _set(self, strides: tuple[int, int], tolerance: float | None = None) -> np.ndarray:
-        head = [self.threshold if tolerance is None else tolerance, *strides, float(self.correct)]
+    def _set(self, counts: tuple[int, int], tolerance: float | None = None) -> np.ndarray:
+        head = [self.threshold if tolerance is None else tolerance, *counts, float(self.correct)]
+        cells = self.by != "defect" and family_of(self.plant).reads_cells
+        levels = float(REFINEMENTS if cells and self.domain is not None else 0)
         domain = self.domain
         if domain is None or tolerance is not None:
-            return np.array([*head, np.inf])
-        parts = (domain.bend, domain.mean, domain.whiten.ravel(), domain.roughest(self.nx), legendre(self.nx).ravel())
-        return np.concatenate([[*head, domain.limit.item()], *parts])
+            return np.array([*head, np.inf, levels])
+        parts = (domain.bend, domain.mean, domain.whiten.ravel(), domain.roughest(self.nx))
+        return np.concatenate([[*head, domain.limit.item(), levels], *parts])
 
 
-def _strides(nx: int) -> list[tuple[int, int]]:
-    """The pairs of grids that have some of nx nodes, each with the next coarser one, the finest first."""
-    divisors = [s for s in range(1, (nx - 1) // FEWEST + 1) if (nx - 1) % s == 0]
-    return list(pairwise(divisors))
+def _grids(nx: int) -> list[tuple[int, int]]:
+    """The pairs of numbers of intervals of nx nodes, each with the next smaller one, the finest first."""
+    last = nx - 1
+    return list(pairwise(last // s for s in range(1, last // FEWEST + 1) if last % s == 0))
 
 
 def bare(predictor: Predictor) -> Predictor:
     """The model inside a guarded predictor; any other predictor itself."""
     return getattr(predictor, "model", predictor)
-
-
-def kernel(plant: Plant, by: str, exact: Predictor) -> Kernel:
-    """GUARD of a plant: compiled, or, where the plant is not traced, the same text in Python."""
-    model = family_of(plant)
-    used = {"control": model.control(Heun.step), "exact": exact.lanes()}
-    used["reference"] = model.correction() if by == "defect" else model.sweep(Heun.step)
-    call = "reference(R, X, v, D_hat, t, p, Q)" if by == "defect" else "reference(X, v, D_hat, t, p, Q)"
-    size = plant.n + 1 + MOMENTS * plant.m + (2 if plant.phased else 0)
-    ends = np.cumsum([5, plant.n, size, size * size, plant.m]).tolist()
-    spans = zip(("bend", "mean", "whiten", "roughest", "weights"), ends, [*ends[1:], ""], strict=True)
-    names = [f"{name} = guard[{begin}:{end}]" for name, begin, end in spans] + [f"feature = np.empty({size})"]
-    angle = f"2.0 * np.pi * t / {plant.period!r}"
-    phase = [f"feature[{size - 2}], feature[{size - 1}] = np.cos({angle}), np.sin({angle})"] if plant.phased else []
-    distance = kernels.fill(DISTANCE.format(moments=MOMENTS, phase="{phase}"), phase=phase).splitlines()
-    source = kernels.fill(GUARD, names=[*names, f"size = {size}"], reference=[call], distance=distance)
-    if not plant.traced:
-        space: dict[str, Any] = used | {"np": np}
-        exec(f"def guarded({family.GUARD}):\n{source}", space)
-        return space["guarded"]
-    imports = [f"from {part.__module__} import {part.__name__} as {name}\n" for name, part in used.items()]
-    return family.build("guarded", family.GUARD, source, "".join(imports))

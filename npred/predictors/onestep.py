@@ -10,7 +10,7 @@ from npred.delays import family_of
 from npred.errors import ConfigError
 from npred.plants.base import Plant
 from npred.predictors.base import Compiled
-from npred.symbolic import source_lines
+from npred.symbolic import called_functions, source_lines
 
 
 class OneStep(Compiled):
@@ -51,3 +51,12 @@ class OneStep(Compiled):
 
     def compile(self) -> Callable[..., None]:
         return family_of(self.plant).sweep(self.step)
+
+    def cells(self) -> Callable[..., None]:
+        """The compiled map for inputs that are a straight line on each cell: family.PREDICT with `cells`."""
+        return family_of(self.plant).sweep(self.step, cells=True)  # type: ignore[call-arg]
+
+    @classmethod
+    def operations(cls, plant: Plant) -> int:
+        """The operations of a step, counted in its program."""
+        return called_functions.operations(plant, cls.step)

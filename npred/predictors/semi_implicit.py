@@ -9,7 +9,7 @@ import numpy as np
 from npred.delays import family_of
 from npred.plants.base import Plant
 from npred.predictors.onestep import OneStep
-from npred.symbolic import ldl
+from npred.symbolic import called_functions, ldl
 from npred.symbolic.called_functions import whole
 
 
@@ -20,7 +20,7 @@ class SemiImplicit(OneStep):
 
     One chain of steps h and one of steps h / 2 run over the nodes, and P is twice the second less the first: order 2,
     by three factorisations per node of a symmetric matrix half as large as the state, stable at any h where damping is
-    what is stiff. The force reads the input of the end of its step. As an integrator each step is extrapolated by
+    what is stiff. The force reads the mean of u over its step. As an integrator each step is extrapolated by
     itself, which has the same order only where steps are short beside the plant's time constants.
     Hairer, Wanner, Solving Ordinary Differential Equations II, sec. IV.9. For plants that declare `mechanics`; raises
     ConfigError for others, and where those do not agree with f.
@@ -35,13 +35,21 @@ class SemiImplicit(OneStep):
     def compile(self) -> Callable[..., None]:
         return family_of(self.plant).paired(self.chains)
 
+    def cells(self) -> Callable[..., None]:
+        return family_of(self.plant).paired(self.chains, cells=True)
+
+    @classmethod
+    def operations(cls, plant: Plant) -> int:
+        return called_functions.operations(plant, cls.chains)
+
     @staticmethod
     @partial(whole, chains=2)
     def chains(f: Any, x: Any, u0: Any, um: Any, u1: Any, t: Any, h: Any) -> Any:
         """Both chains a node further: x and the result have one after the other."""
-        n = len(x) // 2
-        half = _advanced(f, x[n:], um, t, 0.5 * h)
-        return np.concatenate([_advanced(f, x[:n], u1, t, h), _advanced(f, half, u1, t + 0.5 * h, 0.5 * h)])
+        n, first, second = len(x) // 2, 0.5 * (u0 + um), 0.5 * (um + u1)
+        half = _advanced(f, x[n:], first, t, 0.5 * h)
+        once = _advanced(f, x[:n], 0.5 * (first + second), t, h)
+        return np.concatenate([once, _advanced(f, half, second, t + 0.5 * h, 0.5 * h)])
 
     @staticmethod
     @whole

@@ -77,6 +77,11 @@ def stepped(trace: Trace, step: Step, x: np.ndarray, inputs: Sequence[np.ndarray
     return np.array(trace.tape.call(name, [t, *x, *u, *trace.parameters, h], 0, len(x)), dtype=object)
 
 
+def operations(plant: Declared, step: Step) -> int:
+    """How many operations a step is, f written out."""
+    return len(_step_lines(Trace(plant), step, held=False)[1])
+
+
 @cache
 def _module(plant: Declared, name: str, step: Step | None) -> str:
     """The name of the module that holds the compiled function, which is loaded."""
@@ -107,7 +112,7 @@ def _lines(plant: Declared, name: str, step: Step | None = None) -> tuple[list[s
 
 
 def _step_lines(trace: Trace, step: Step, held: bool) -> tuple[list[str], list[str], int]:
-    n, m = trace.plant.n * getattr(step, "whole"), trace.plant.m  # noqa: B009 - only marked formulas come here
+    n, m = trace.plant.n * getattr(step, "whole", 1), trace.plant.m
     prefixes = "a" if held else "amb"
     inputs = [trace.vector(prefix, m) for prefix in prefixes] * (3 if held else 1)
     outputs = step(Flow(trace), trace.vector("x", n), *inputs, trace.input("t"), trace.input("h"))

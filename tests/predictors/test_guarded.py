@@ -6,6 +6,7 @@ from follower import follower
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
+from stiff_plants import Sprung
 from varying_delays import with_delay
 
 import npred
@@ -13,8 +14,12 @@ from npred import grid
 from npred.data.domain import Domain, unread
 from npred.errors import ConfigError
 from npred.loop import metrics
+from npred.plants import Plant
 from npred.predictors import Predictor
+from npred.predictors.coarse import Coarse
+from npred.predictors.guard_kernel import HEAD
 from npred.predictors.guarded import Guarded, bare
+from npred.predictors.semi_implicit import SemiImplicit
 
 PLANT = npred.plant("activator_repressor")
 NX = 51
@@ -89,8 +94,8 @@ def test_of_an_exact_prediction_the_estimate_falls_with_the_square_of_the_step(b
     guarded = Guarded(npred.predictor("rk4", PLANT, 241), by=by)
     u = grid.refine(u, 241)
     P = guarded.exact(X, u, D_hat)
-    strides = [(5, 10), (10, 20), (20, 40)]
-    errors = [np.median(guarded._run(guarded._set(s, np.inf), P, X, u, D_hat, 0.0)[1]) for s in strides]
+    grids = [(48, 24), (24, 12), (12, 6)]
+    errors = [np.median(guarded._run(guarded._set(pair, np.inf), P, X, u, D_hat, 0.0)[1]) for pair in grids]
     slope = np.polyfit(np.log([5, 10, 20]), np.log(errors), 1)[0]
     assert slope == pytest.approx(2.0, abs=0.3)
 
@@ -299,3 +304,80 @@ def test_refusals_are_one_line_each():
         with pytest.raises(ConfigError, match=refused) as error:
             call()
         assert "\n" not in str(error.value)
+
+
+class Smooth(Predictor):
+    """A stiff plant's prediction with an error of the rates and positions that the input drives."""
+
+    def __init__(self, plant, rows, nx=NX, error=0.0):
+        super().__init__(plant, nx)
+        self.error, self.fine = error, Coarse(plant, SemiImplicit, 200, nx)
+        domain = Domain.of_parts(lambda: [rows], rows.X.std(axis=0), plant.phase)
+        self.operator = type("Operator", (), {"domain": domain})()
+
+    def predict(self, X, u, D_hat, t):
+        P, x = self.fine(X, u, D_hat, t), grid.nodes(u.shape[1])[:, None]
+        return P + self.error * x * np.sin(37 * X[:, :1] + u.mean(axis=1))[:, None]
+
+
+@pytest.fixture(scope="module")
+def stiff():
+    """A stiff plant, and rows whose input jumps inside the delay."""
+    plant, rng, count = Plant("sprung", Sprung, {"drag": 300.0}), np.random.default_rng(5), 300
+    x, jumps = grid.nodes(NX), rng.uniform(0.2, 0.8, (count, 1))
+    u = 200.0 * np.where(x < jumps, rng.normal(size=(count, 1)), rng.normal(size=(count, 1)))[..., None]
+    X, D_hat = rng.normal(size=(count, 2)) * [0.01, 0.5], rng.uniform(0.8, 1.2, count)
+    return plant, type("Rows", (), {"X": X, "u": u, "D_hat": D_hat, "t": np.zeros(count)})()
+
+
+def test_on_a_stiff_plant_an_implicit_method_estimates_and_answers_on_few_steps(stiff):
+    plant, rows = stiff
+    guarded = Guarded(Smooth(plant, rows, error=0.002), 0.01)
+    name, (fine, coarse) = guarded.reference
+    assert name in ("semi_implicit", "rosenbrock") and coarse < fine <= 24
+    assert isinstance(guarded.exact, Coarse) and guarded.exact.count < 50
+    assert np.abs(npred.predictor("rk4", plant, NX)(rows.X, rows.u, rows.D_hat)[:, -1]).max() > 1e6
+    assert not guarded.fallback(rows.X, rows.u, rows.D_hat).any()
+
+
+@pytest.mark.parametrize("error", [0.004, 0.015, 0.05])
+def test_on_a_stiff_plant_the_estimate_is_the_error_and_what_is_wrong_is_answered(stiff, error):
+    plant, rows = stiff
+    model = Smooth(plant, rows, error=error)
+    guarded, inputs = Guarded(model, 0.01), (rows.X, rows.u, rows.D_hat)
+    true = np.abs(plant.kappa(model(*inputs)[:, -1]) - plant.kappa(model.fine(*inputs)[:, -1])).max(axis=1)
+    estimate, fallback = guarded.error(*inputs), guarded.fallback(*inputs)
+    decides = true > 0.003
+    assert decides.any() and 0.5 < np.median((estimate / true)[decides]) < 2
+    assert np.quantile((estimate / true)[decides], (0.01, 0.99)) == pytest.approx([1.6, 1.6], abs=1.4)
+    assert fallback[true > 0.01].all() and not fallback[true < 0.002].any()
+    answered = plant.kappa(guarded(*inputs)[:, -1])[fallback]
+    np.testing.assert_allclose(answered, plant.kappa(model.fine(*inputs)[:, -1])[fallback], atol=0.005)
+
+
+def test_grids_are_refined_where_few_steps_do_not_decide_and_not_where_they_do(stiff):
+    plant, rows = stiff
+    guarded = Guarded(Smooth(plant, rows, error=0.0002), 0.001)
+    coarse = guarded._set((2, 1))
+    once = coarse.copy()
+    once[HEAD - 1] = 0.0
+    P, inputs = guarded.model(rows.X, rows.u, rows.D_hat), (rows.X, rows.u, rows.D_hat, np.zeros(len(rows.X)))
+    (_, first, doubted), (_, last, refined) = (guarded._run(s, P, *inputs) for s in (once, coarse))
+    assert refined.sum() < doubted.sum()
+    np.testing.assert_array_equal(first[~doubted], last[~doubted])
+
+
+def test_the_guard_of_one_call_is_that_of_many(stiff):
+    plant, rows = stiff
+    guarded = Guarded(Smooth(plant, rows, error=0.006), 0.01)
+    together = guarded.error(rows.X[:20], rows.u[:20], rows.D_hat[:20])
+    alone = [guarded.error(*row) for row in zip(rows.X[:20], rows.u[:20], rows.D_hat[:20], strict=True)]
+    np.testing.assert_allclose(together, alone, rtol=1e-9)
+
+
+def test_without_examples_the_method_of_an_implicit_exact_predictor_estimates():
+    plant = Plant("sprung", Sprung)
+    model, exact = (npred.predictor("rosenbrock", plant, NX) for _ in range(2))
+    assert Guarded(model, 0.01, exact=exact).reference[0] == "rosenbrock"
+    assert not Guarded(model, 0.01, exact=exact).fallback([0.0, 0.5], np.zeros((NX, 1)), 1.0)
+    assert Guarded(model, 0.01).fallback([0.0, 0.5], np.zeros((NX, 1)), 1.0)  # Heun's diverges: it doubts

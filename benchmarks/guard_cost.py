@@ -1,0 +1,139 @@
+"""What a guard costs: one call of a trained network, bare and guarded, beside numerical methods of its accuracy.
+
+python benchmarks/guard_cost.py pipeline/geared_arm.toml:deeponet --tolerance 1 --nx 401 101 --loops 500
+python benchmarks/guard_cost.py pipeline/paper.toml:deeponet --tolerance 0.01 --nx 101 --loops 500
+
+Calls are of one lane on held-out samples after the first delay, as a compiled loop makes them; times are medians in
+microseconds, all contenders in turn. `doubted` is the share of held-out samples, before and after the first delay, that
+the numerical predictor answers. The loops start as the data's do: those that the numerical predictor keeps are counted
+as lost where they end beyond 5 % of the target's size.
+"""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+import npred
+from npred import config, grid, randomness
+from npred.data import shards
+from npred.delays import family
+from npred.loop import configured, metrics
+from npred.pipeline.models import load_model
+from npred.predictors import OneStep, Predictor, method
+from npred.predictors.guarded import Guarded
+from npred.registry import METHODS
+from npred.stages.bench import candidates, timing
+from npred.stages.evaluate.scenarios import LOST
+from npred.stages.generate import sampling
+
+PROBES = 64
+NEAR = 0.3, 3.0  # of the tolerance: where the estimate decides
+PAIR = """\
+    model(X, u, D_hat, t, p, P)
+    {guard}
+"""
+
+
+def one_call(predictor: Predictor):
+    """The compiled call of a loop: the model, and its guard where there is one."""
+    parts = {"model": predictor.lanes()} | ({"guarded": predictor.guard} if isinstance(predictor, Guarded) else {})
+    imports = "".join(f"from {part.__module__} import {part.__name__} as {name}\n" for name, part in parts.items())
+    call = "guarded(X, u, D_hat, t, p, guard, P, error, fallback)" if len(parts) > 1 else "pass"
+    return family.build("call", family.GUARD, PAIR.replace("{guard}", call), imports)
+
+
+def calls(runs: dict[str, Predictor], reference: candidates.Reference) -> dict[str, float]:
+    """Medians in microseconds."""
+
+    def caller(run: Predictor):
+        call, plant = one_call(run), run.plant
+        u = grid.refine(reference.u[:PROBES], run.nx)
+        rows = [
+            (reference.X[i][:, None].copy(), u[i][..., None].copy(), reference.D_hat[i : i + 1].copy())
+            for i in range(len(u))
+        ]
+        settings = run.settings if isinstance(run, Guarded) else np.zeros(1)
+        P, error, fallback = np.empty((run.nx, plant.n, 1)), np.empty(1), np.empty(1)
+        return lambda k: call(*rows[k % len(rows)], 0.0, plant.p, settings, P, error, fallback)
+
+    taken = timing.sample({name: caller(run) for name, run in runs.items()}, 5000, 2.0)
+    return {name: timing.quantiles(times)["median_us"] for name, times in taken.items()}
+
+
+def estimates(guard: Guarded, data) -> None:
+    """How often the guard doubts on held-out samples, and its estimate over the true error where that decides."""
+    X, u, D_hat, t = data.X, grid.refine(data.u, guard.nx), data.D_hat, data.t
+    exact = npred.predictor("rk4", guard.plant, data.u.shape[1])(X, data.u, D_hat, t)[:, -1:]
+    P_hat = guard.model(X, u, D_hat, t)
+    true = np.abs(metrics.law(guard.plant, P_hat[:, -1:], t, D_hat) - metrics.law(guard.plant, exact, t, D_hat))
+    true = true.max(axis=-1)
+    estimate, fallback = guard.judge(P_hat, X, u, D_hat, t)
+    near = (true > NEAR[0] * guard.tolerance) & (true < NEAR[1] * guard.tolerance)
+    ratio = np.quantile(estimate[near] / true[near], (0.01, 0.5, 0.99)) if near.any() else np.full(3, np.nan)
+    early = t <= data.D
+    shares = [f"{fallback[rows].mean():.1%}" if rows.any() else "-" for rows in (early, ~early)]
+    unnoticed = (~fallback & (true > guard.tolerance)).sum()
+    print(f"  doubted {shares[0]} before the first delay, {shares[1]} after; unnoticed {unnoticed}")
+    quantiles = f"1 % {ratio[0]:.2f}, median {ratio[1]:.2f}, 99 % {ratio[2]:.2f}"
+    print(f"  estimate over true error, {near.sum()} calls: {quantiles}")
+
+
+def loops(pipeline: config.Pipeline, contenders: dict[str, Predictor], number: int) -> None:
+    """Loops from fresh starts of the data's distribution, each contender's."""
+    plant = next(iter(contenders.values())).plant
+    table = pipeline.evaluate
+    seed = randomness.integer(pipeline.seed, "guard_cost")
+    generate = pipeline.generate.model_copy(
+        update={"rollouts": number, "samples": number, "explore": 0.0, "redraw": 0.0}
+    )
+    X0, D, D_hat, _ = sampling.starts(seed, generate, plant, range(number))
+    kept = np.ones(number, dtype=bool)
+    for name, predictor in contenders.items():
+        run = configured.loops(
+            plant, predictor, table, D=D, D_hat=D_hat, X0=X0, t_end=table.case_t_end, seed=seed, every=20
+        )
+        target = plant.target(run.t)
+        lost = ~(metrics.radius(run, target) <= LOST * metrics.size(target))
+        share = f", fallback share {run.fallback_share:.2%}" if isinstance(predictor, Guarded) else ""
+        print(f"  {name}: {(lost & kept).sum()} of {kept.sum()} lost{share}", flush=True)
+        kept &= ~lost if name == "numerical" else kept
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("model")
+    parser.add_argument("--store", default=None)
+    parser.add_argument("--tolerance", type=float, default=0.01)
+    parser.add_argument("--nx", type=int, nargs="+", default=[101])
+    parser.add_argument("--loops", type=int, default=0)
+    arguments = parser.parse_args()
+    stored = load_model(arguments.model, Path(arguments.store) if arguments.store else None)
+    pipeline = config.load(Path(arguments.model.rpartition(":")[0]))
+    data = shards.survey(next((Path(arguments.store or "artifacts") / "generate").glob("*/data.h5"))).subset(test=True)
+    reference = candidates.Reference(stored.plant, data)
+    rivals = [k for k in map(method, METHODS.names()) if issubclass(k, OneStep)]
+    rivals = [kind for kind in rivals if not npred.delays.family_of(stored.plant).refusal(kind.name)]
+    for nx in arguments.nx:
+        net = npred.load(arguments.model, store=arguments.store, runtime="fused", nx=nx)
+        guard = Guarded(net, arguments.tolerance)
+        eps = reference.of(net, nx)
+        runs: dict[str, Predictor] = {"bare": net, "guarded": guard, "fallback": guard.exact}
+        for kind in rivals:
+            if nodes := candidates.matching(reference, kind, eps):
+                runs[f"{kind.name} on {nodes - 1} steps"] = kind(stored.plant, nodes)
+        times = calls(runs, reference)
+        by, grids = guard.reference
+        print(f"{stored.plant.name}, nx = {nx}, sup error {eps:.2g}, tolerance {arguments.tolerance:g}: "
+              f"shadow by {by} on {grids[0]} and {grids[1]} steps, falls back to {guard.exact.name}")  # fmt: skip
+        for name, median in times.items():
+            print(f"  {name}: {median:.1f} µs, {median / times['bare']:.2f} x bare")
+        estimates(guard, data)
+        if arguments.loops:
+            numerical = method("semi_implicit" if stored.plant.declares_mechanics else "rk4")(stored.plant, 101)
+            loops(pipeline.model_copy(update={"evaluate": pipeline.evaluate.model_copy(update={"nx": nx})}),
+                  {"numerical": numerical, "bare": net, "guarded": guard}, arguments.loops)  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,119 @@
+"""Any method on few cells, for accuracies that do not need the nodes: what a guard falls back to on a stiff plant."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from npred.delays import family, family_of
+from npred.errors import ConfigError
+from npred.plants.base import Plant
+from npred.predictors.base import Compiled
+from npred.predictors.onestep import OneStep
+from npred.symbolic import kernels
+
+# Positions are counted in nodes; mass[j] and turn[j] are the integrals of u and of s u from 0 to where the cell of node
+# j begins, m * lanes numbers each, and bent is the sum of j² u over nodes.
+INTEGRALS = """\
+width = u.shape[1] * u.shape[2]
+rows = u.reshape((nx, width))
+mass, turn, bent = np.zeros((nx + 1, width)), np.zeros((nx + 1, width)), np.zeros(width)
+for j in range(nx):
+    begin, end = max(j - 0.5, 0.0), min(j + 0.5, float(last))
+    weight, lever, square = end - begin, 0.5 * (end - begin) * (end + begin), (end - begin) * j * j
+    for c in range(width):
+        mass[j + 1, c] = mass[j, c] + weight * rows[j, c]
+        turn[j + 1, c] = turn[j, c] + lever * rows[j, c]
+        bent[c] += square * rows[j, c]"""
+
+# v: the begin and the end of the straight line on each cell that is nearest to u in the mean square.
+CELLS = """\
+v, long = np.empty((2 * count, u.shape[1], u.shape[2])), last / count
+lines = v.reshape((2 * count, width))
+for J in range(count):
+    low, high = J * long, (J + 1) * long
+    i, j = min(int(low + 0.5), last), min(int(high + 0.5), last)
+    a, b, middle = low - max(i - 0.5, 0.0), high - max(j - 0.5, 0.0), 0.5 * (low + high)
+    lever_a, lever_b = a * (low - 0.5 * a), b * (high - 0.5 * b)
+    for c in range(width):
+        whole = mass[j, c] - mass[i, c] + b * rows[j, c] - a * rows[i, c]
+        lean = turn[j, c] - turn[i, c] + lever_b * rows[j, c] - lever_a * rows[i, c] - middle * whole
+        mean, half = whole / long, 6.0 * lean / (long * long)
+        lines[2 * J, c], lines[2 * J + 1, c] = mean - half, mean + half"""
+
+BODY = """\
+    nx, n, lanes = P.shape
+    last, count = nx - 1, {count}
+    {integrals}
+    {cells}
+    Q = np.empty((count + 1, n, lanes))
+    sweep(X, v, D_hat, t, p, Q)
+    for j in range(nx):
+        place = j * count / last
+        J = min(int(place), count - 1)
+        share = place - J
+        for c in range(n):
+            for l in range(lanes):
+                P[j, c, l] = Q[J, c, l] + share * (Q[J + 1, c, l] - Q[J, c, l])
+"""
+
+
+def straight(u: np.ndarray, count: int) -> np.ndarray:
+    """The same of inputs at nodes u (B, nx, m): begin and end of each of `count` cells, (B, 2 count, m)."""
+    last = u.shape[1] - 1
+    edges = np.clip(np.arange(last + 2) - 0.5, 0.0, last)
+    places = np.linspace(0.0, last, count + 1)
+    before = np.minimum((places + 0.5).astype(int), last)
+    begins, part = edges[before], u[:, before]
+    weights, levers = np.diff(edges), np.diff(edges**2) / 2
+    sums = [np.cumsum(w[:, None] * u, axis=1) for w in (weights, levers)]
+    mass, turn = (np.concatenate([0 * a[:, :1], a], axis=1)[:, before] for a in sums)
+    mass = mass + (places - begins)[:, None] * part
+    turn = turn + (places**2 - begins**2)[:, None] / 2 * part
+    long, middle = last / count, (places[1:] + places[:-1])[:, None] / 2
+    whole = np.diff(mass, axis=1)
+    half = 6.0 * (np.diff(turn, axis=1) - middle * whole) / long**2
+    return np.stack([whole / long - half, whole / long + half], axis=2).reshape(len(u), 2 * count, -1)
+
+
+def ends(predictor: OneStep, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, count: int, t: np.ndarray) -> np.ndarray:
+    """P(1) (B, n) by the method on so many cells, of X (B, n), u (B, nx, m), D_hat and t (B,)."""
+    plant, kernel, end = predictor.plant, predictor.cells(), np.full_like(X, np.nan)
+    times = t if plant.clocked else np.zeros(len(X))
+    for moment in np.unique(times):  # the kernel takes one time per call
+        rows = times == moment
+        P = np.empty((count + 1, plant.n, rows.sum()))
+        lanes = (np.array(np.moveaxis(a[rows], 0, -1), order="C") for a in (X, straight(u, count), D_hat))
+        kernel(*lanes, float(moment), plant.p, P)
+        end[rows] = P[-1].T
+    return end
+
+
+class Coarse(Compiled):
+    """A one-step method on `count` cells, whatever nx is: each cell reads the straight line nearest to u on it.
+
+    A jump of u inside a cell keeps its weight and its place, so that few steps do where the plant is smooth. Between
+    its ends P is interpolated linearly. For a traced plant with one constant delay: raises ConfigError for others.
+    """
+
+    order = 2
+
+    def __init__(self, plant: Plant, method: type[OneStep], count: int, nx: int = 101):
+        super().__init__(plant, nx)
+        self.method, self.count = method(plant), count
+        self.name = f"{method.name} on {count} cells"  # type: ignore[misc]
+        if not family_of(plant).reads_cells:
+            raise ConfigError(f"coarse: expected a traced plant with one constant delay, got {plant.name}; use rk4")
+
+    def compile(self) -> Callable[..., None]:
+        part = self.method.cells()
+        source = kernels.fill(
+            BODY.replace("{count}", str(self.count)), integrals=INTEGRALS.splitlines(), cells=CELLS.splitlines()
+        )
+        return family.build(
+            "coarse", family.PREDICT, source, f"from {part.__module__} import {part.__name__} as sweep\n"
+        )
+
+    @property
+    def operations(self) -> int:
+        """The operations of a call, counted in the program of a step."""
+        return self.count * self.method.operations(self.plant)
