@@ -14,31 +14,33 @@ from npred.symbolic import kernels
 # Positions are counted in nodes; mass[j] and turn[j] are the integrals of u and of s u from 0 to where the cell of node
 # j begins, m * lanes numbers each, and bent is the sum of j² u over nodes.
 INTEGRALS = """\
-width = u.shape[1] * u.shape[2]
-rows = u.reshape((nx, width))
-mass, turn, bent = np.zeros((nx + 1, width)), np.zeros((nx + 1, width)), np.zeros(width)
+m, lanes = u.shape[1], u.shape[2]
+mass, turn, bent = np.empty((nx + 1, m, lanes)), np.empty((nx + 1, m, lanes)), np.empty((m, lanes))
+mass[0], turn[0], bent[:] = 0.0, 0.0, 0.0
 for j in range(nx):
     begin, end = max(j - 0.5, 0.0), min(j + 0.5, float(last))
-    weight, lever, square = end - begin, 0.5 * (end - begin) * (end + begin), (end - begin) * j * j
-    for c in range(width):
-        mass[j + 1, c] = mass[j, c] + weight * rows[j, c]
-        turn[j + 1, c] = turn[j, c] + lever * rows[j, c]
-        bent[c] += square * rows[j, c]"""
+    weight, lever = end - begin, 0.5 * (end - begin) * (end + begin)
+    for c in range(m):
+        for l in range(lanes):
+            mass[j + 1, c, l] = mass[j, c, l] + weight * u[j, c, l]
+            turn[j + 1, c, l] = turn[j, c, l] + lever * u[j, c, l]
+            bent[c, l] += weight * j * j * u[j, c, l]"""
 
 # v: the begin and the end of the straight line on each cell that is nearest to u in the mean square.
 CELLS = """\
-v, long = np.empty((2 * count, u.shape[1], u.shape[2])), last / count
-lines = v.reshape((2 * count, width))
+v, long = np.empty((2 * count, m, lanes)), last / count
 for J in range(count):
     low, high = J * long, (J + 1) * long
     i, j = min(int(low + 0.5), last), min(int(high + 0.5), last)
     a, b, middle = low - max(i - 0.5, 0.0), high - max(j - 0.5, 0.0), 0.5 * (low + high)
     lever_a, lever_b = a * (low - 0.5 * a), b * (high - 0.5 * b)
-    for c in range(width):
-        whole = mass[j, c] - mass[i, c] + b * rows[j, c] - a * rows[i, c]
-        lean = turn[j, c] - turn[i, c] + lever_b * rows[j, c] - lever_a * rows[i, c] - middle * whole
-        mean, half = whole / long, 6.0 * lean / (long * long)
-        lines[2 * J, c], lines[2 * J + 1, c] = mean - half, mean + half"""
+    for c in range(m):
+        for l in range(lanes):
+            whole = mass[j, c, l] - mass[i, c, l] + b * u[j, c, l] - a * u[i, c, l]
+            lean = turn[j, c, l] - turn[i, c, l] + lever_b * u[j, c, l] - lever_a * u[i, c, l] - middle * whole
+            mean, half = whole / long, 6.0 * lean / (long * long)
+            v[2 * J, c, l] = mean - half
+            v[2 * J + 1, c, l] = mean + half"""
 
 BODY = """\
     nx, n, lanes = P.shape

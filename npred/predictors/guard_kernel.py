@@ -30,40 +30,38 @@ GUARD = """\
     {names}
     U, A, B = np.empty((m, lanes)), np.empty((m, lanes)), np.empty((m, lanes))
     {integrals}
-    count, ratio = int(guard[2]), guard[1] / guard[2]
+    ratio, doubts = guard[1] / guard[2], 1
     fallback[:] = DOUBT
-    for level in range(-1, int(guard[5]) + 1):
-        if level >= 0:
-            count = int(guard[1]) << level
-            B[:] = A
-        {read}
-        Q = np.empty((count + 1, n, lanes))
-        {reference}
-        control(Q, v, D_hat, t, p, A)
-        if level < 0:
-            continue
-        if level == 0:
-            {correct}
-            control(P, u, D_hat, t, p, U)
-        doubts = 0
-        for l in range(lanes):
-            if fallback[l] != DOUBT:
-                continue
-            error[l], certain = 0.0, 0.0
-            for c in range(m):
-                extrapolated = A[c, l] + (A[c, l] - B[c, l]) / (ratio * ratio - 1.0)
-                gap, noise = abs(U[c, l] - extrapolated), abs(extrapolated - A[c, l])
-                error[l] = max(error[l], gap + noise if gap + noise < np.inf else np.inf)  # also of what is no number
-                certain = max(certain, gap - noise if gap - noise < np.inf else 0.0)
-            if error[l] <= guard[0]:
-                fallback[l] = 0.0
-            elif certain > guard[0]:
-                fallback[l] = 1.0
-            else:
-                doubts += 1
-        if doubts == 0:
-            break
-    unread = np.zeros(width)
+    for level in range(-1, LEVELS):
+        count = int(guard[2]) if level < 0 else int(guard[1]) * (1 if level < 1 else 2 if level < 2 else 4)
+        if level <= int(guard[5]) and doubts > 0:
+            if level >= 0:
+                B[:] = A
+            {read}
+            Q = np.empty((count + 1, n, lanes))
+            {reference}
+            control(Q, v, D_hat, t, p, A)
+            if level == 0:
+                {correct}
+                control(P, u, D_hat, t, p, U)
+            if level >= 0:
+                doubts = 0
+                for l in range(lanes):
+                    if fallback[l] == DOUBT:
+                        error[l], certain = 0.0, 0.0
+                        for c in range(m):
+                            extrapolated = A[c, l] + (A[c, l] - B[c, l]) / (ratio * ratio - 1.0)
+                            gap, noise = abs(U[c, l] - extrapolated), abs(extrapolated - A[c, l])
+                            error[l] = max(error[l], gap + noise if gap + noise < np.inf else np.inf)  # also of NaN
+                            certain = max(certain, gap - noise if gap - noise < np.inf else 0.0)
+                        if error[l] <= guard[0]:
+                            fallback[l] = 0.0
+                        elif certain > guard[0]:
+                            fallback[l] = 1.0
+                        else:
+                            doubts += 1
+    unread = np.empty((m, lanes))
+    unread[:] = 0.0
     if guard[4] < np.inf:
         {unread}
     for l in range(lanes):
@@ -84,14 +82,16 @@ DOUBT = "2.0"
 MEANS = """\
 stride = last // count
 v, R = np.empty((count + 1, m, lanes)), np.empty((count + 1, n, lanes))
-lines = v.reshape((count + 1, width))
 for J in range(count + 1):
     low, high = max((J - 0.5) * stride, 0.0), min((J + 0.5) * stride, float(last))
     i, j = min(int(low + 0.5), last), min(int(high + 0.5), last)
     a, b = low - max(i - 0.5, 0.0), high - max(j - 0.5, 0.0)
-    for c in range(width):
-        lines[J, c] = (mass[j, c] - mass[i, c] + b * rows[j, c] - a * rows[i, c]) / (high - low)
-    R[J] = P[J * stride]"""
+    for c in range(m):
+        for l in range(lanes):
+            v[J, c, l] = (mass[j, c, l] - mass[i, c, l] + b * u[j, c, l] - a * u[i, c, l]) / (high - low)
+    for c in range(n):
+        for l in range(lanes):
+            R[J, c, l] = P[J * stride, c, l]"""
 
 CORRECT = """\
 if guard[3] > 0.0:
@@ -108,11 +108,11 @@ for c in range(n):
     feature[c] = np.arcsinh(X[c, l] / bend[c])
 feature[n] = D_hat[l]
 for c in range(m):
-    k = c * lanes + l
-    first, second = mass[nx, k] / last, (turn[nx, k] + 0.125 * (rows[last, k] - rows[0, k])) / last**2
+    first = mass[nx, c, l] / last
+    second = (turn[nx, c, l] + 0.125 * (u[last, c, l] - u[0, c, l])) / (last * last)
     feature[n + 1 + c * {moments}] = first
     feature[n + 2 + c * {moments}] = 2.0 * second - first
-    feature[n + 3 + c * {moments}] = 6.0 * (bent[k] / last**3 - second) + first
+    feature[n + 3 + c * {moments}] = 6.0 * (bent[c, l] / (last * last * last) - second) + first
 {phase}
 total = 0.0
 for i in range(size):
@@ -122,18 +122,20 @@ for i in range(size):
     total += row * row
 rough = False
 for c in range(m):
-    rough = rough or not D_hat[l] * unread[c * lanes + l] <= roughest[c]"""
+    rough = rough or not D_hat[l] * unread[c, l] <= 24.0 * last * roughest[c]"""
 
 
 # How much of u between nodes a line and a cubic read differently: npred.data.domain.unread.
 UNREAD = """\
+for c in range(m if nx > 3 else 0):
+    for l in range(lanes):
+        first = abs(3.0 * u[0, c, l] - 7.0 * u[1, c, l] + 5.0 * u[2, c, l] - u[3, c, l])
+        final = abs(3.0 * u[last, c, l] - 7.0 * u[last - 1, c, l] + 5.0 * u[last - 2, c, l] - u[last - 3, c, l])
+        unread[c, l] = first + final
 for j in range(nx - 3):
-    for c in range(width):
-        unread[c] += abs(rows[j, c] - rows[j + 1, c] - rows[j + 2, c] + rows[j + 3, c])
-for c in range(width if nx > 3 else 0):
-    unread[c] += abs(3.0 * rows[0, c] - 7.0 * rows[1, c] + 5.0 * rows[2, c] - rows[3, c])
-    unread[c] += abs(3.0 * rows[last, c] - 7.0 * rows[last - 1, c] + 5.0 * rows[last - 2, c] - rows[last - 3, c])
-    unread[c] /= 24.0 * last"""
+    for c in range(m):
+        for l in range(lanes):
+            unread[c, l] += abs(u[j, c, l] - u[j + 1, c, l] - u[j + 2, c, l] + u[j + 3, c, l])"""
 
 
 def kernel(plant: Plant, by: str, exact: Predictor, method: type[OneStep]) -> Kernel:
@@ -144,7 +146,7 @@ def kernel(plant: Plant, by: str, exact: Predictor, method: type[OneStep]) -> Ke
     used["reference"] = model.correction() if defect else method(plant).cells() if cells else method(plant).lanes()
     call = "reference(R, X, v, D_hat, t, p, Q)" if defect else "reference(X, v, D_hat, t, p, Q)"
     source = kernels.fill(
-        GUARD.replace("DOUBT", DOUBT),
+        GUARD.replace("DOUBT", DOUBT).replace("LEVELS", "3" if cells else "1"),
         names=_names(plant),
         integrals=INTEGRALS.splitlines(),
         read=(CELLS if cells else MEANS).splitlines(),

@@ -23,7 +23,7 @@ PASSES = 0.4  # of the tolerance: the largest estimate that passes, for an adver
 SHARE = 0.25  # of the tolerance: how far off the estimate of an exact prediction may be
 FEWEST = 4  # intervals of the coarser of two grids that read nodes
 METHODS = ("heun", "semi_implicit", "rosenbrock")  # of order 2, by which an estimate may be
-REFINEMENTS = 2  # of the grids, where they do not decide
+REFINEMENTS = 2  # of the grids, where they do not decide; the kernel has as many levels
 
 
 class Guarded(Predictor):
