@@ -30,8 +30,8 @@ class Guarded(Predictor):
     """`model`, with its error in U estimated in every call; `exact` answers where that may be above `tolerance`.
 
     `tolerance` is in units of U, the largest |kappa(P̂(1)) - kappa(P(1))| over the inputs that passes; the model
-    answers where 2.5 times the estimate is within it. The estimate is by a `shadow`, a method of order 2 on few steps, or
-    by the `defect` P̂' - D_hat f(P̂, u), carried to x = 1 by the linearised equation; `auto` is the shadow, which takes
+    answers where 2.5 times the estimate is within it. The estimate is by a `shadow`, a method of order 2 on few steps,
+    or by the `defect` P̂' - D_hat f(P̂, u), carried to x = 1 by the linearised equation; `auto` is the shadow, of
     fewer operations per node. Which method (Heun's, or an implicit one where the plant is stiff), how few steps, and
     what `exact` is by default follow from examples of the data, which trained models carry; other models are compared
     on all nodes, by the method of `exact` where that is implicit, and `exact` is RK4. Outside the data, as Domain has
