@@ -55,6 +55,11 @@ def build(name: str, arguments: str, body: str, preamble: str = "", **flags: Any
     return kernels.build(name, signature(arguments), f"def {name}({arguments}):\n{body}", preamble, **flags)
 
 
+def uncompiled(name: str, arguments: str, body: str, preamble: str = "") -> kernels.Uncompiled:
+    """The same, for other compilers than Numba's."""
+    return kernels.uncompiled(name, f"def {name}({arguments}):\n{body}", preamble)
+
+
 def idle(arguments: str) -> Kernel:
     """A kernel that does nothing, for a part that a loop does without."""
     return build("idle", arguments, "    pass\n")

@@ -2,23 +2,26 @@
 
 import copy
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 
 from npred import grid
-from npred.delays import family_of
+from npred.delays import family, family_of
 from npred.errors import NpredError
 from npred.loop import metrics
 from npred.operators import Operator
 from npred.plants.base import Plant
-from npred.runtimes import c_library, c_text
+from npred.runtimes import c_library, fused
 from npred.runtimes.lower import fold, require
 from npred.runtimes.probe import Probe, eps
-from npred.runtimes.program import Program, indented
-from npred.symbolic import kernels
+from npred.runtimes.program import Program
+from npred.symbolic import kernels, programs
+from npred.symbolic.c99 import Array, Function, Term, Unit, comment, constant
+from npred.symbolic.trace import Trace
 
 TESTED = 4  # samples of the test vector
 LIMIT = 1e-4  # of a state's or an input's size: the difference from the model that single precision makes
@@ -32,55 +35,28 @@ SOURCE = """\
  * With -DNPRED_TEST it is a program that compares itself with the model it was made from.
  */
 #include <math.h>
+#include <stdint.h>
+#include <string.h>
 
 {sizes}
 
 {prototypes}
 
-{constants}
+{memory}
 
-{buffers}
-static double prefix[NX];
-
-{functions}
-
-static void inputs(const double *X, const double *u, double D_hat)
-{
-    for (int c = 0; c < N_STATES; c++) {
-        z[c] = (float)((asinh(X[c] * X_bend[c]) - X_zero[c]) * X_gain[c]);
-    }
-    z[SEEN] = (float)((D_hat - D_hat_zero[0]) * D_hat_gain[0]);
-    for (int c = 0; c < M_INPUTS; c++) {
-        double total = 0;
-        for (int j = 0; j < NX; j++) {
-            v[j * M_INPUTS + c] = (float)((u[j * M_INPUTS + c] - u_zero[c]) * u_gain[c]);
-            total += (double)v[j * M_INPUTS + c];
-            prefix[j] = 2 * total - (double)v[c] - (double)v[j * M_INPUTS + c];
-        }
-        r[c * NX] = v[c];
-        for (int j = 1; j < NX; j++) {
-            r[c * NX + j] = (float)(prefix[j] / (2 * j));
-        }
-    }
-}
-
-static void network(void)
-{
-    {steps}
-}
+{declarations}
 
 {predict_head}
 {
-    {predict}
-    for (int c = 0; c < N_STATES; c++) {
-        for (int j = 0; j < NX; j++) {
-            const double change = (double)(gain[c * NX + j] * N[c * NX + j]);
-            {output}
-        }
-    }
+    {static}
+    const double delay = D_hat;
+    npred_fused(X, u, &delay, TIME, PMEMORY);
 }
 
-{control}
+{control_head}
+{
+    npred_law(ARGUMENTS);
+}
 
 #ifdef NPRED_TEST
 #include <stdio.h>
@@ -106,105 +82,22 @@ int main(void)
 #endif
 """
 
-SILU = """\
-static void silu(const float *a, int count, float *out)
-{
-    for (int j = 0; j < count; j++) {
-        out[j] = a[j] / (1.0f + expf(-a[j]));
-    }
-}"""
-
-# silu(b) - silu(a) and silu(a) of rows (b - a, a): nothing cancels where b - a is small
-SILU_PAIR = """\
-static void silu_pair(const float *a, int count, float *out)
-{
-    for (int j = 0; j < count; j++) {
-        const float d = a[j], rest = a[count + j];
-        const float s_rest = 1.0f / (1.0f + expf(-rest)), s = 1.0f / (1.0f + expf(-rest - d));
-        out[count + j] = rest * s_rest;
-        out[j] = d * s + rest * (fabsf(d) < 0.5f ? s_rest * (1.0f - s) * expm1f(d) : s - s_rest);
-    }
-}"""
-
-PLAIN = """\
-inputs(X, u, D_hat);
-network();"""
-
-PAIR = """\
-inputs(X, u, D_hat);
-for (int c = N_STATES; c <= SEEN; c++) {
-    z[SEEN + 1 + c] = z[c];
-    z[c] = 0;
-}
-network();"""
-
-PHASE = """\
-const double angle = 2 * PI * (t / PERIOD - floor(t / PERIOD));
-z[N_STATES] = (float)cos(angle);
-z[N_STATES + 1] = (float)sin(angle);"""
-
-# The law of one delay reads a state, that of several each input's own.
-CONTROL = """\
-void npred_control(const double X[N_STATES], double t, double U[M_INPUTS])
-{
-    (void)X;
-    (void)t;
-    {law}
-}"""
-
+CONTROL = "void npred_control(const double X[N_STATES], double t, double U[M_INPUTS])"
+SEVERAL = "void npred_control(const double P[SIZE_P], double D_hat, double t, double U[M_INPUTS])"
 READS = """\
 * npred_control: the control law at a state, that is P's last row, and at the time t when U arrives, now + D_hat, in
 * seconds; writes U, without bounds."""
-
-SEVERAL = """\
-void npred_control(const double P[SIZE_P], double D_hat, double t, double U[M_INPUTS])
-{
-    const double now = t;
-    (void)D_hat;
-    (void)now;
-    {laws}
-}"""
 
 SEVERAL_READS = """\
 * npred_control: U_j = kappa_j(P(r_j), t + r_j D_hat) for the shares r_j of the longest delay, P cubic between nodes, t
 * the time now in seconds; writes U, without bounds."""
 
-# Inside the series' range one pass is enough; outside it the point of rest has a separate pass, before the sample's.
-SERIES = """\
-const double s = (D_hat - series_range[0]) * series_range[1] - 1;
-inputs(X, u, D_hat);
-if (fabs(s) <= 1) {
-    double one = 1, two = s;
-    for (int k = 0; k < TERMS; k++) {
-        const double three = 2 * s * two - one;
-        T[k] = (float)one;
-        one = two;
-        two = three;
-    }
-    {series}
-} else {
-    {rest}
-}
-{difference}"""
-
-REST = """\
-for (int c = 0; c < N_STATES; c++) {
-    z[c] = 0;
-}
-for (int k = 0; k < SIZE_U; k++) {
-    r[k] = 0;
-}
-network();
-for (int k = 0; k < SIZE_P; k++) {
-    N_rest[k] = N[k];
-}
-inputs(X, u, D_hat);"""
-
-DIFFERENCE = """\
-network();
-for (int k = 0; k < SIZE_P; k++) {
-    N[k] -= N_rest[k];
-}"""
+# The law of one delay reads a state, that of several each input's own: P at r_j, cubic between nodes.
+LAW = """\
+def law({arguments}):
+    x = np.empty({n})
+    {lines}
+"""
 
 
 def export(operator: Operator, plant: Plant, path: Path, nx: int, samples: Probe) -> tuple[float, float] | None:
@@ -246,72 +139,82 @@ def source(operator: Operator, plant: Plant, nx: int, samples: Probe) -> str:
     require(operator, "export c", "use npred export onnx")
     p = fold(operator, plant, nx)
     sizes = {
-        "N_STATES": p.n,
-        "M_INPUTS": p.m,
-        "NX": nx,
-        "SIZE_U": nx * p.m,
-        "SIZE_P": nx * p.n,
-        "SEEN": p.seen,
-        "SAMPLES": len(samples[0]),
-    }
-    if p.series:
-        sizes["TERMS"] = p.series.terms
-        p.scale("series_range", np.array([p.series.low, 2 / (p.series.high - p.series.low)]))
+        "N_STATES": p.n, "M_INPUTS": p.m, "NX": nx, "SIZE_U": nx * p.m, "SIZE_P": nx * p.n, "SAMPLES": len(samples[0]),
+    }  # fmt: skip
+    unit = Unit("npred")
+    has_memory = _network(unit, p, plant).memory
+    unit.function(_law(plant, nx), _law_arguments(unit, plant, nx))
+    predict, control = _head(p), CONTROL if plant.one_delay else SEVERAL
+    slots = {"MEMORY": ", &memory" if has_memory else "", "TIME": "t" if p.period else "0", "ARGUMENTS": _passed(plant)}
+    text = SOURCE
+    for slot, words in slots.items():
+        text = text.replace(slot, words)
     return kernels.fill(
-        SOURCE,
+        text,
         title=[
-            f"/* The trained predictor of plant {c_text.comment(plant.name)} on {nx} nodes: P_hat(x), and "
-            "U = kappa(P_hat(1))."
+            f"/* The trained predictor of plant {comment(plant.name)} on {nx} nodes: P_hat(x), and U = kappa(P_hat(1))."
         ],
-        sizes=[f"enum {{ {', '.join(f'{name} = {value}' for name, value in sizes.items())} }};", *_period(p)],
+        sizes=[f"enum {{ {', '.join(f'{name} = {value}' for name, value in sizes.items())} }};"],
         reads=(READS if plant.one_delay else SEVERAL_READS).splitlines(),
-        prototypes=[f"{head};" for head in (_head(p), _control(plant, nx)[0])],
-        predict_head=[_head(p)],
-        control=_control(plant, nx),
+        prototypes=[f"{head};" for head in (predict, control)],
+        memory="\n\n".join(unit.structs).splitlines(),
+        declarations=unit.declarations().splitlines(),
+        predict_head=[predict],
+        static=["static struct npred_fused_memory memory;"] if has_memory else [],
+        control_head=[control],
         calls=_calls(p, plant),
-        constants=[c_text.constant(name, values) for name, values in p.constants.items()],
-        buffers=[f"static float {name}[{size}];" for name, size in p.buffers.items()],
-        functions=(SILU_PAIR if p.rows == 2 else SILU).splitlines(),
-        steps=c_text.steps(p.steps),
-        predict=[*(PHASE.splitlines() if p.period else []), *_predict(p)],
-        output=[f"P[j * N_STATES + c] = {'base[c] +' if 'base' in p.constants else 'X[c] + D_hat *'} change;"],
         vector=_vector(operator, plant, samples),
     )
 
 
-def _predict(p: Program) -> Sequence[str]:
-    rest, difference = REST.splitlines(), DIFFERENCE.splitlines()
-    if p.series:
-        series = c_text.steps([p.series.product])
-        return kernels.fill(SERIES, series=series, rest=rest, difference=difference).splitlines()
-    if p.twice:
-        return ["inputs(X, u, D_hat);", *rest, *difference]
-    return (PAIR if p.rows == 2 else PLAIN).splitlines()
+def _network(unit: Unit, p: Program, plant: Plant) -> Function:
+    """The network's function: that of the runtime `fused`, translated."""
+    arrays = {"X": (p.n, 1), "u": (p.nx, p.m, 1), "D_hat": (1,), "P": (p.nx, p.n, 1)}
+    arguments: dict[str, Any] = {name: Array.whole(name, "double", shape) for name, shape in arrays.items()}
+    arguments |= {"t": Term("t", "double"), "p": unit.constant(plant.p, "p")}
+    kernel = family.uncompiled("fused", family.PREDICT, *fused.source(p))
+    return unit.function(kernel, [arguments[name] for name in family.PREDICT.split(", ")])
 
 
-def _period(p: Program) -> list[str]:
-    """The constants of the phase."""
-    return [f"#define {name} {value!r}" for name, value in (("PI", np.pi), ("PERIOD", p.period))] if p.period else []
+def _law(plant: Plant, nx: int) -> kernels.Uncompiled:
+    """The law: U at a state X and a time t, or, for several delays, each component at its own."""
+    arguments, lines = _passed(plant), []
+    if plant.one_delay:
+        lines = _components(plant, range(plant.m), "X", "t")
+    firsts, weights = grid.stencil(nx, plant.ratios)
+    for j, ratio in enumerate([] if plant.one_delay else plant.ratios.tolist()):
+        nodes = [f"{w!r} * P[{firsts[j] + k}, {{c}}]" for k, w in enumerate(weights[:, j].tolist()) if w]
+        lines += [f"x[{c}] = {' + '.join(nodes).format(c=c)}" for c in range(plant.n)]
+        lines += _components(plant, [j], "x", f"(t + {ratio!r} * D_hat)")
+    text = kernels.fill(LAW, lines=lines).replace("{arguments}", arguments).replace("{n}", str(plant.n))
+    return kernels.uncompiled("law", text)
+
+
+def _components(plant: Plant, components: Iterable[int], state: str, time: str) -> list[str]:
+    """The lines of some inputs of kappa at a state and a time."""
+    trace = Trace(plant)
+    U = trace.kappa(trace.vector("x", plant.n), trace.input("t"))
+    names = {f"p{k}": f"({value!r})" for k, value in enumerate(plant.p.tolist())}
+    names |= {f"x{c}": f"{state}[{c}]" for c in range(plant.n)} | {"t": time}
+    chosen = list(components)
+    return programs.lines([U[k] for k in chosen], names, [f"U[{k}]" for k in chosen])
+
+
+def _law_arguments(unit: Unit, plant: Plant, nx: int) -> list[Any]:
+    t, U = Term("t", "double"), Array.whole("U", "double", (plant.m,))
+    if plant.one_delay:
+        return [Array.whole("X", "double", (plant.n,)), t, U]
+    return [Array.whole("P", "double", (nx, plant.n)), Term("D_hat", "double"), t, U]
+
+
+def _passed(plant: Plant) -> str:
+    return "X, t, U" if plant.one_delay else "P, D_hat, t, U"
 
 
 def _head(p: Program) -> str:
     """The head of npred_predict, which takes the time where the network sees it."""
     time = ", double t" if p.period else ""
     return f"void npred_predict(const double X[N_STATES], const double u[SIZE_U], double D_hat{time}, double P[SIZE_P])"
-
-
-def _control(plant: Plant, nx: int) -> list[str]:
-    """The lines of npred_control."""
-    if plant.one_delay:
-        return kernels.fill(CONTROL, law=c_text.control_law(plant)).splitlines()
-    laws = []
-    firsts, weights = grid.stencil(nx, plant.ratios)
-    for j, (first, ratio) in enumerate(zip(firsts.tolist(), plant.ratios.tolist(), strict=True)):
-        nodes = [f"{w!r} * P[{first + k} * N_STATES + {{c}}]" for k, w in enumerate(weights[:, j].tolist()) if w]
-        state = ", ".join(" + ".join(nodes).format(c=c) for c in range(plant.n))
-        arguments = [f"const double X[N_STATES] = {{{state}}};", f"const double t = now + {ratio!r} * D_hat;"]
-        laws += ["{", *indented([*arguments, "(void)X;", "(void)t;", *c_text.control_law(plant, j)]), "}"]
-    return kernels.fill(SEVERAL, laws=laws).splitlines()
 
 
 def _calls(p: Program, plant: Plant) -> list[str]:
@@ -340,4 +243,4 @@ def _vector(operator: Operator, plant: Plant, samples: Probe) -> list[str]:
     """The test vector: the samples, and what is expected of them."""
     columns = zip(("X", "u", "D_hat", "t"), (np.asarray(a, dtype=float) for a in samples), strict=True)
     arrays = dict(columns) | dict(zip(("P", "U", "size"), _expected(operator, plant, samples), strict=True))
-    return [c_text.constant(f"test_{name}", values.reshape(-1)) for name, values in arrays.items()]
+    return [constant(f"test_{name}", values.reshape(-1)) for name, values in arrays.items()]

@@ -13,11 +13,9 @@ from npred.loop import control_step
 from npred.loop.control_step import Memory
 from npred.loop.controller import Controller
 from npred.runtimes import c_controller_text as texts
-from npred.runtimes.c_text import comment
 from npred.symbolic import kernels
-from npred.symbolic.c99 import Array, Const, Fields, Foreign, Term, Unit
+from npred.symbolic.c99 import Array, Const, Fields, Foreign, Term, Unit, comment, constant
 from npred.symbolic.c99.body import Translation
-from npred.symbolic.c99.unit import constant
 
 NAME = re.compile(r"[a-z][a-z0-9_]{0,30}")
 PRECISIONS = {"float": np.float32, "double": np.float64}

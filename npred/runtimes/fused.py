@@ -147,12 +147,16 @@ def coarsest(nx: int) -> int:
 
 def build(p: Program) -> Callable[..., None]:
     """The compiled function of a program: PREDICT, for p.nx nodes and any number of lanes."""
+    return family.build("fused", family.PREDICT, *source(p), fastmath=numba_text.FASTMATH)
+
+
+def source(p: Program) -> tuple[str, str]:
+    """The lines of that function, and those that stand before it."""
     preamble = numba_text.preamble(p.constants, p.precision) + f"share = 0.5 / np.maximum(np.arange({p.nx}), 1)\n"
     memory = numba_text.buffers(p.buffers, p.precision) + numba_text.buffers({"prefix": p.nx}, np.float64)
     slots = {"memory": memory + numba_text.arrays(p.constants), "body": _body(p)}
     slots |= {"flat": _outputs(p, f"flat_P[j * {p.n} + {{c}}]"), "lane": _outputs(p, "P[j, {c}, l]")}
-    source = kernels.fill(SOURCE, **slots).format(**_sizes(p))
-    return family.build("fused", family.PREDICT, source, preamble, fastmath=numba_text.FASTMATH)
+    return kernels.fill(SOURCE, **slots).format(**_sizes(p)), preamble
 
 
 def _outputs(p: Program, target: str) -> list[str]:

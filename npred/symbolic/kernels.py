@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, NamedTuple
 
 from npred.symbolic import compile_cache
 
@@ -55,8 +55,28 @@ def _module(name: str, text: str) -> ModuleType:
     return module
 
 
-def definition(function: Callable[..., Any]) -> tuple[ast.FunctionDef, dict[str, Any]]:
+class Uncompiled(NamedTuple):
+    """A function that is not compiled: its syntax tree, and the names that it sees."""
+
+    tree: ast.FunctionDef
+    names: dict[str, Any]
+
+
+def uncompiled(name: str, source: str, preamble: str = "") -> Uncompiled:
+    """What `build` compiles, for other compilers than Numba's."""
+    head, _, _ = HEADER.partition("@njit(")
+    module = ModuleType(name)
+    exec(compile(head.format(preamble=preamble), name, "exec"), vars(module))
+    vars(module)[TEXT] = preamble
+    tree = ast.parse(source).body[0]
+    assert isinstance(tree, ast.FunctionDef)
+    return Uncompiled(tree, vars(module))
+
+
+def definition(function: Callable[..., Any] | Uncompiled) -> tuple[ast.FunctionDef, dict[str, Any]]:
     """The syntax tree of a function that Numba compiles, generated or written, and the names that it sees."""
+    if isinstance(function, Uncompiled):
+        return function
     plain = getattr(function, "py_func", function)
     space = plain.__globals__
     text = space.get(TEXT) or Path(plain.__code__.co_filename).read_text(encoding="utf-8")

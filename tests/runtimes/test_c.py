@@ -15,7 +15,8 @@ from npred.errors import NpredError
 from npred.loop import metrics
 from npred.operators import Scaling, build
 from npred.predictors.neural import Neural
-from npred.runtimes import c, c_library, c_text
+from npred.runtimes import c, c_library
+from npred.symbolic.c99 import comment
 
 FLAGS = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Werror"]
 needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc on this machine")
@@ -61,7 +62,7 @@ def test_a_file_is_run_before_it_is_kept(tmp_path, monkeypatch):
     exact = npred.predictor("rk4", PLANT, 21)(*samples)
     assert 0 < error < 1e-4 and eps == pytest.approx(np.linalg.norm(P - exact, axis=-1).max(), rel=1e-4)
     with monkeypatch.context() as patch:
-        patch.setattr(c, "SOURCE", c.SOURCE.replace("double total = 0;", "double total = 0.1;"))
+        patch.setattr(c, "SOURCE", c.SOURCE.replace("delay = D_hat;", "delay = D_hat + 0.1;"))
         with pytest.raises(NpredError, match=r"export c: expected P and U within 0.0001 of their sizes, got"):
             c.export(model, PLANT, tmp_path / "wrong.c", 21, samples)
         patch.setattr(c, "SOURCE", c.SOURCE.replace("#include <math.h>", "#include <none.h>"))
@@ -154,7 +155,7 @@ def test_the_example_of_the_documentation_is_the_model(tmp_path):
 
 
 def test_no_name_ends_a_comment():
-    assert c_text.comment("a */ int owned; /* \n??/") == "a * / int owned; / * \\n? ?/"
+    assert comment("a */ int owned; /* \n??/") == "a * / int owned; / * \\n? ?/"
 
 
 def _address(array):
@@ -167,6 +168,6 @@ def test_the_text_is_the_same_again_and_calls_libm_alone(exported):
     text = path.read_text()
     assert c.source(model, PLANT, 21, probe()) == text
     assert [line for line in text.splitlines() if line.startswith("#include")] == [
-        "#include <math.h>", "#include <stdio.h>",
+        "#include <math.h>", "#include <stdint.h>", "#include <string.h>", "#include <stdio.h>",
     ]  # fmt: skip
     assert "malloc" not in text

@@ -10,7 +10,7 @@ import numpy as np
 from npred.symbolic import kernels
 from npred.symbolic.c99.body import Translation, mangled
 from npred.symbolic.c99.library import BITS, HELPERS
-from npred.symbolic.c99.values import INTEGERS, Array, Const, Foreign, Number, Several, Term, alike, literal, promoted
+from npred.symbolic.c99.values import INTEGERS, Array, Const, Foreign, Number, Several, Term, alike, exact, promoted
 
 KIND_OF = {"float64": "double", "float32": "float"}
 
@@ -167,9 +167,9 @@ class Unit:
         return any("memcpy" in helper for helper in self._helpers.values())
 
 
-def constant(name: str, values: np.ndarray, kind: str) -> str:
-    """A static array."""
-    numbers = [literal(value, kind) for value in values.tolist()]
+def constant(name: str, values: np.ndarray, kind: str = "double") -> str:
+    """A static array, its numbers exact in hexadecimal."""
+    numbers = [exact(value, kind) for value in values.tolist()]
     rows = [", ".join(numbers[i : i + 6]) for i in range(0, len(numbers), 6)]
     return f"static const {kind} {name}[{len(numbers)}] = {{\n    " + ",\n    ".join(rows) + "\n};"
 

@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from npred.json_files import escaped
+
 INTEGERS = ("bool", "int", "int32_t", "int64_t")
 KINDS = (*INTEGERS, "float", "double")  # each includes those before it
 SMALLEST, LARGEST = float(np.finfo(np.float32).tiny), float(np.finfo(np.float32).max)
@@ -127,17 +129,30 @@ def promoted(*kinds: str) -> str:
 
 
 def literal(value: Any, kind: str) -> str:
-    """The number in C. What is too small for a float becomes its smallest: a guard against 0 stays one."""
+    """The number in C, in decimal."""
     if kind in INTEGERS:
         return str(int(value))
     if not math.isfinite(value):
         return {math.inf: "INFINITY", -math.inf: "-INFINITY"}.get(value, "NAN")
-    if kind == "float":
-        number = math.copysign(min(max(abs(value), SMALLEST), LARGEST), value) if value else value
-        text, suffix = str(np.float32(number)), "f"
-    else:
-        text, suffix = repr(float(value)), ""
-    return text + ("" if "." in text or "e" in text else ".0") + suffix
+    written, suffix = (str(np.float32(_single(value))), "f") if kind == "float" else (repr(float(value)), "")
+    return written + ("" if "." in written or "e" in written else ".0") + suffix
+
+
+def exact(value: Any, kind: str) -> str:
+    """The number in C, in hexadecimal."""
+    if not math.isfinite(value):
+        return literal(value, kind)
+    return f"{float(np.float32(_single(value))).hex()}f" if kind == "float" else float(value).hex()
+
+
+def _single(value: float) -> float:
+    """The number within float's range. What is too small becomes its smallest: a guard against 0 stays one."""
+    return math.copysign(min(max(abs(value), SMALLEST), LARGEST), value) if value else value
+
+
+def comment(text: str) -> str:
+    """The text as a comment may hold it: it cannot end the comment, nor begin one, and is no trigraph."""
+    return escaped(text).replace("*/", "* /").replace("/*", "/ *").replace("??", "? ?")
 
 
 def text(number: Number, level: int = TERNARY, kind: str = "") -> str:
