@@ -6,6 +6,7 @@ import subprocess
 import numpy as np
 import pytest
 from c_controllers import FLAGS, InC, closed_loop, differ, library, needs_gcc
+from conftest import HERE
 from operator_samples import SMALL, operator
 from varying_delays import with_delay
 
@@ -209,3 +210,21 @@ def test_what_runs_in_python_is_refused():
 
     with pytest.raises(ConfigError, match="expected a predictor that is compiled, got euler"):
         c_controller.sources(Controller(PLANT, Slow(PLANT, 21), PAPER, 0.01, D_hat=1.0))
+
+
+def test_the_example_of_the_documentation_compiles(tmp_path):
+    page = (HERE.parent / "docs" / "deployment.md").read_text()
+    (example,) = re.findall(r"^```C\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
+    heun = npred.predictor("heun", PLANT, 21)
+    files = c_controller.sources(Controller(PLANT, heun, PAPER, 0.005, D_hat=2.0))
+    for name, text in zip(("npred.h", "npred.c", "main.c"), (*files, example), strict=True):
+        (tmp_path / name).write_text(text)
+    start = "int main(void) { double X[2] = {0.03, 30}, u[21] = {0}, U[1] = {9};\n"
+    (tmp_path / "run.c").write_text(
+        '#include <stdio.h>\n#include "main.c"\n' + start + 'start(); every_5_ms(X, u, U); printf("%.17g", U[0]); }\n'
+    )
+    command = ["gcc", *FLAGS, "-Wno-missing-prototypes", "run.c", "npred.c", "-o", "run", "-lm"]
+    subprocess.run(command, cwd=tmp_path, check=True, timeout=120)
+    done = subprocess.run([tmp_path / "run"], capture_output=True, text=True, check=True, timeout=60)
+    U = Controller(PLANT, heun, PAPER, 0.005, D_hat=2.0).step(X0, np.zeros((21, 1)))
+    assert float(done.stdout) == pytest.approx(U[0], rel=1e-12)
