@@ -19,11 +19,11 @@ mass, turn, bent = np.empty((nx + 1, m, lanes)), np.empty((nx + 1, m, lanes)), n
 mass[0], turn[0], bent[:] = 0.0, 0.0, 0.0
 for j in range(nx):
     begin, end = max(j - 0.5, 0.0), min(j + 0.5, float(last))
-    weight, lever = end - begin, 0.5 * (end - begin) * (end + begin)
+    weight = end - begin
     for c in range(m):
         for l in range(lanes):
             mass[j + 1, c, l] = mass[j, c, l] + weight * u[j, c, l]
-            turn[j + 1, c, l] = turn[j, c, l] + lever * u[j, c, l]
+            turn[j + 1, c, l] = turn[j, c, l] + 0.5 * weight * (begin + end) * u[j, c, l]
             bent[c, l] += weight * j * j * u[j, c, l]"""
 
 # v: the begin and the end of the straight line on each cell that is nearest to u in the mean square.
