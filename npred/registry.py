@@ -18,6 +18,7 @@ from npred.errors import ConfigError, similar
 from npred.symbolic import source_lines
 
 SUFFIX = ".py:"
+_EXPERIMENTS = "npred.stages.reproduce.experiments"
 
 
 class Entry(NamedTuple):
@@ -188,6 +189,14 @@ RUNTIMES = Registry(
         "torch": Entry("npred.predictors.neural:Neural", "torch", ("", (1, 1.5), "*")),
         "fused": Entry("npred.runtimes.fused:Fused", "fused", ("", (), "s")),
         "onnx": Entry("npred.runtimes.onnx:Onnx", "ONNX Runtime", ("", (4, 1.6), "D")),
+    },
+)
+EXPERIMENTS = Registry(  # published ones, in the order of `npred reproduce`
+    "experiment",
+    "npred.experiments",
+    {
+        "unicycle_constant": Entry(f"{_EXPERIMENTS}.unicycle_constant:EXPERIMENT", "wheeled robot, constant delay"),
+        "unicycle_time_varying": Entry(f"{_EXPERIMENTS}.unicycle_time_varying:EXPERIMENT", "wheeled robot, delay D(t)"),
     },
 )
 PLANTS = Registry("plant", "npred.plants")  # the built-in ones are the files of npred/plants/builtin

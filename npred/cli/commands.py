@@ -12,7 +12,7 @@ from npred.cli import completion
 from npred.cli.app import app, command, group
 from npred.cli.options import Common, Planned, Running, Work
 from npred.cli.usage import Command
-from npred.registry import STAGES
+from npred.registry import EXPERIMENTS, STAGES
 
 RUN, LOOK, CARE = "Run", "Look", "Look after"
 
@@ -76,6 +76,23 @@ def sweep(
     csv: Annotated[bool, typer.Option("--csv", help="Print the table as CSV.")] = False,
 ) -> None:
     """A grid of pipelines: --set train.deeponet.width=32,64,128 --set seed=0:10; what cells share is made once."""
+
+
+@command(RUN, "reproduce.reproduce")
+def reproduce(
+    options: Common,
+    *,
+    names: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="NAME", help="Experiments; all by default.", autocompletion=completion.words(*EXPERIMENTS.builtin)
+        ),
+    ] = None,
+    listed: Annotated[bool, typer.Option("--list", help="Print the experiments, and run nothing.")] = False,
+    numerical: Annotated[bool, typer.Option("--numerical", help="The rows of numerical predictors only.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Measure again what the store has.")] = False,
+) -> None:
+    """Published experiments: each printed number beside the same loop run here, as published and as it is meant."""
 
 
 @command(RUN, "report.report", help=STAGES["report"].help)

@@ -9,6 +9,7 @@ import re
 
 from npred.defaults import RESULT
 from npred.errors import StoreError
+from npred.pipeline.reproduction import STAGE
 from npred.registry import STAGES
 from npred.store import Manifest
 
@@ -23,6 +24,8 @@ def drawn(manifest: Manifest) -> frozenset[str]:
     stage = manifest.question.stage
     if stage == "report":
         raise StoreError("expected a result, got a page; npred report makes it anew from its results")
+    if stage == STAGE:
+        raise StoreError("expected a result of a pipeline, got an experiment; npred reproduce measures it here")
     if stage not in STAGES:
         names = ", ".join(name for name, entry in STAGES.items() if entry.data)
         raise StoreError(f"expected a result of {names}, got one of {stage}; this npred has no such stage")

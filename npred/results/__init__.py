@@ -8,6 +8,7 @@ from npred.results.evaluate import Evaluated
 from npred.results.generate import Generated
 from npred.results.refine import Refined
 from npred.results.report import Reported
+from npred.results.reproduce import Reproduced, ReproducedRow
 from npred.results.train import Trained
 
 __all__ = [
@@ -21,6 +22,8 @@ __all__ = [
     "Number",
     "Refined",
     "Reported",
+    "Reproduced",
+    "ReproducedRow",
     "Result",
     "Trained",
     "ranked",

@@ -1,0 +1,1 @@
+"""PublishedNumber predictor-feedback experiments, run again: as published, and as their articles mean them."""

@@ -1,0 +1,110 @@
+"""`npred reproduce`: names, rows, the store, and the commands that look at its results."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from npred import registry
+from npred.cli import app
+from npred.registry import Entry
+from npred.stages.reproduce.experiment import Experiment, Measured, PublishedNumber, networks
+
+CALLS: list[str] = []
+
+
+def _measured() -> dict[str, Measured]:
+    CALLS.append("measured")
+    return {"error": Measured(0.1234567, 1e-9), "end": Measured(2.0, None)}
+
+
+TINY = Experiment(
+    "a tiny one", "nobody, nowhere", (PublishedNumber("error", "0.1235"), PublishedNumber("end", "")), _measured,
+    networks("error", fno="0.2"),
+)  # fmt: skip
+
+
+@pytest.fixture(autouse=True)
+def only_tiny(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(
+        registry.EXPERIMENTS, "builtin", {"tiny": Entry(f"{__name__}:TINY", "tiny"), "unused": Entry("no:where", "")}
+    )
+    CALLS.clear()
+    folder = Path("experiments")
+    folder.mkdir()
+    monkeypatch.setattr("npred.pipeline.reproduction.SHARED", tmp_path)
+    for module in (__name__.rpartition(".")[2], "no"):
+        (folder / f"{module}.py").write_text("first = 1\n")
+
+
+def _call(*arguments: str, code: int = 0) -> Any:
+    done = CliRunner().invoke(app, list(arguments))
+    assert done.exit_code == code, done.output
+    return done
+
+
+def test_the_document_has_these_keys_and_no_others():
+    answer = json.loads(_call("reproduce", "tiny", "--json").stdout)
+    assert answer == {
+        "experiments": [
+            {
+                "name": "tiny",
+                "rows": [
+                    {"predictor": "numerical", "metric": "error", "published": 0.1235, "as_published": 0.1234567,
+                     "as_meant": 1e-9},
+                    {"predictor": "numerical", "metric": "end", "published": None, "as_published": 2.0,
+                     "as_meant": None},
+                    {"predictor": "fno", "metric": "error", "published": 0.2, "as_published": None,
+                     "as_meant": None},
+                ],
+            }
+        ]
+    }  # fmt: skip
+
+
+def test_numbers_have_the_digits_that_are_printed():
+    lines = _call("reproduce", "tiny", "--numerical").stdout.splitlines()
+    assert [line.split() for line in lines[1:]] == [
+        ["tiny", "numerical", "error", "0.1235", "0.1235", "1.00e-09"],
+        ["tiny", "numerical", "end", "–", "2.000000", "–"],
+    ]
+
+
+def test_a_result_is_measured_once_per_text_of_its_code():
+    for _ in range(2):
+        _call("reproduce", "tiny")
+    assert CALLS == ["measured"]
+    assert _call("why", "tiny").stdout == "reproduce tiny: up to date\n"
+    (Path("experiments") / f"{__name__.rpartition('.')[2]}.py").write_text("second = 2\n")
+    assert "code." in _call("why", "reproduce").stdout
+    _call("reproduce", "tiny")
+    _call("reproduce", "tiny", "--force")
+    assert CALLS == ["measured"] * 3
+
+
+def test_show_ls_verify_and_gc_know_such_results():
+    _call("reproduce", "tiny")
+    Path("p.toml").write_text('name = "p"\nplant = "scalar"\n')
+    assert "0.1235" in _call("show", "reproduce").stdout
+    assert "tiny" in _call("ls").stdout
+    _call("verify")
+    assert _call("gc", "p.toml", "--yes").stdout == "nothing to delete\n"
+    (Path("experiments") / f"{__name__.rpartition('.')[2]}.py").write_text("second = 2\n")
+    assert "deleted 1" in _call("gc", "p.toml", "--yes").stdout
+
+
+def test_a_result_of_an_experiment_does_not_travel():
+    _call("reproduce", "tiny")
+    _call("export-artifact", "reproduce", "-o", "tiny.tar")
+    done = _call("import-artifact", "tiny.tar", "--store", "other", code=4)
+    assert "npred reproduce measures it here" in done.output
+
+
+def test_a_list_runs_nothing_and_another_name_is_one_line():
+    assert "nobody, nowhere" in _call("reproduce", "tiny", "--list").stdout
+    done = _call("reproduce", "tinny", code=2)
+    assert "tiny" in done.output and len(done.output.splitlines()) == 1
+    assert CALLS == []
