@@ -233,9 +233,9 @@ def export(
     form: Annotated[
         str,
         typer.Argument(
-            metavar="onnx|c|controller|npy|hdf5|mat",
-            help="A model as ONNX graph or C99 file, the whole controller as C99; data as the others.",
-            autocompletion=completion.words("onnx", "c", "controller", "npy", "hdf5", "mat"),
+            metavar="onnx|c|controller|fmu|npy|hdf5|mat",
+            help="A model as ONNX graph or C99 file, the whole controller as C99 or FMU; data as the others.",
+            autocompletion=completion.words("onnx", "c", "controller", "fmu", "npy", "hdf5", "mat"),
         ),
     ],
     key: Annotated[
@@ -251,7 +251,7 @@ def export(
         typer.Option(
             "-o",
             "--output",
-            help="The file; by default MODEL-NX.onnx or .c, data.npy, .h5, .mat; a controller's folder.",
+            help="The file; by default MODEL-NX.onnx or .c, data.npy, .h5, .mat; a controller's folder, NAME.fmu.",
         ),
     ] = None,
     nx: Annotated[
@@ -270,6 +270,7 @@ def export(
     guard: Annotated[
         float | None, typer.Option(help="A controller's guard: the largest error of U that passes; as in evaluate.")
     ] = None,
+    fmi: Annotated[int, typer.Option(metavar="3|2", help="The version of FMI.")] = 3,
 ) -> None:
     """A trained model, P and U = kappa(P(1)), the whole controller of the evaluated loop, or the data, for another
     program."""

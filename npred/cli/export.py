@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from npred import operators
-from npred.cli import data_exchange, export_controller
+from npred.cli import data_exchange, export_controller, export_fmu
 from npred.cli.export_controller import Choices
 from npred.cli.options import Common, writable
 from npred.data import shards
@@ -19,7 +19,7 @@ COMPARED = 200  # held-out samples
 
 
 def export(
-    options: Common, form: str, key: str, output: Path | None, nx: int | None, atol: float, **controller: Any
+    options: Common, form: str, key: str, output: Path | None, nx: int | None, atol: float, fmi: int, **controller: Any
 ) -> None:  # fmt: skip
     """Write the file. Raises ConfigError for a format that there is none of, NpredError for a graph that differs."""
     if nx is not None and nx < 2:
@@ -27,12 +27,15 @@ def export(
     if form == "controller":
         export_controller.export(options, key, output, Choices(nx=nx, **controller))
         return
+    if form == "fmu":
+        export_fmu.export(options, key, output, fmi, Choices(nx=nx, **controller))
+        return
     nx = nx or NX
     if form in data_exchange.WRITERS:
         data_exchange.export(options, form, key, output)
         return
     if form not in FORMATS:
-        formats = ", ".join([*FORMATS, "controller", *data_exchange.WRITERS])
+        formats = ", ".join([*FORMATS, "controller", "fmu", *data_exchange.WRITERS])
         raise ConfigError(f"export: expected one of {formats}, got {form!r}; name one of them")
     stored = load_model(key, options.store)
     path = writable(output or Path(f"{stored.model}-{nx}.{form}"))

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -34,28 +34,47 @@ class Choices:
     guard: float | None
 
 
-def export(options: Common, key: str, output: Path | None, choices: Choices) -> None:
-    """Write the header and the source. Raises ConfigError as npred.runtimes.c_controller.sources does."""
-    folder = writable_folder(output or Path(choices.name), "controller")
+class Built(NamedTuple):
+    """A pipeline's controller, its name in words, the table of its loop, and steps to test a file of it with."""
+
+    controller: Controller
+    about: str
+    table: Evaluate
+    test: tuple[np.ndarray, np.ndarray | None]
+
+    def document(self, choices: Choices, form: str) -> dict[str, Any]:
+        """What the JSON document says about the controller."""
+        controller = self.controller
+        return {
+            "format": form, "plant": controller.plant.name, "predictor": controller.predictor.name,
+            "nx": controller.predictor.nx, "precision": choices.precision, "actuator": controller.actuator,
+            "guarded": controller.predictor.guard is not None,
+        }  # fmt: skip
+
+
+def build(options: Common, key: str, choices: Choices) -> Built:
+    """The controller that a key and the flags mean. Raises ConfigError where there is none."""
     path, model = _named(key, choices.predictor)
     pipeline = config.load(path)
     table, plant = pipeline.evaluate, plants.resolve(pipeline.plant, pipeline.parameters)
     predictor = _predictor(options, f"{path}:{model}" if model else "", plant, table, choices)
     controller = _controller(plant, predictor, table, choices)
-    about = f"{pipeline.name}:{predictor.name}"
-    files = c_controller.sources(controller, choices.name, choices.precision, about, _steps(controller, table))
+    return Built(controller, f"{pipeline.name}:{predictor.name}", table, _steps(controller, table))
+
+
+def export(options: Common, key: str, output: Path | None, choices: Choices) -> None:
+    """Write the header and the source. Raises ConfigError as npred.runtimes.c_controller.sources does."""
+    folder = writable_folder(output or Path(choices.name), "controller")
+    built = build(options, key, choices)
+    files = c_controller.sources(built.controller, choices.name, choices.precision, built.about, built.test)
     folder.mkdir(parents=True, exist_ok=True)
     written = []
     for text, suffix in zip(files, ("h", "c"), strict=True):
         target = folder / f"{choices.name}.{suffix}"
         target.write_text(text, encoding="utf-8")
         written.append(str(target))
-    document = {
-        "files": written, "format": "controller", "plant": plant.name, "predictor": predictor.name,
-        "nx": predictor.nx, "precision": choices.precision, "actuator": controller.actuator,
-        "guarded": predictor.guard is not None, "digest": c_controller.digest(files[0]),
-    }  # fmt: skip
-    options.show(document, lambda: f"{', '.join(written)}: {controller!r} in {choices.precision} precision")
+    document = {"files": written} | built.document(choices, "controller") | {"digest": c_controller.digest(files[0])}
+    options.show(document, lambda: f"{', '.join(written)}: {built.controller!r} in {choices.precision} precision")
 
 
 def _named(key: str, predictor: str) -> tuple[Path, str]:

@@ -2,6 +2,7 @@
 
 import hashlib
 import re
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -22,22 +23,31 @@ PRECISIONS = {"float": np.float32, "double": np.float64}
 SAVED = {"D_hat", "phi_before", "held", "total", "observer"}  # what a step remembers
 DIGEST = "0" * 64
 WHAT = "export controller"
+SETTINGS = ("p", "gamma_dt", "guard_settings")  # of npred.loop.control_step.Parts
 
 
 def sources(
-    controller: Controller, name: str = "npred", precision: str = "double", model: str = "", test: Any = None
-) -> tuple[str, str]:
+    controller: Controller, name: str = "npred", precision: str = "double", model: str = "", test: Any = None,
+    settings: Sequence[str] = (),
+) -> tuple[str, str]:  # fmt: skip
     """The header and the source. `test` are X (S, n) and, for measured actuators, u (S, nx, m) of steps to test with.
 
-    All identifiers begin with `name`. Raises ConfigError for a name or precision that is none, and for a controller
-    with a part that runs in Python.
+    `settings`, of SETTINGS, are numbers of the controller that its C struct holds, so that they can be set; of a
+    guard's, the first, its threshold. All identifiers begin with `name`.
+    Raises ConfigError for a name or precision that is none, and for a controller with a part that runs in Python.
     """
     if not NAME.fullmatch(name):
         raise ConfigError(f"--name: expected a short C identifier in lower case, got {name!r}; take npred")
     if precision not in PRECISIONS:
         raise ConfigError(f"--precision: expected float or double, got {precision!r}; name one of them")
     _check(controller)
-    return _Writer(controller, name, precision).texts(model, test)
+    return _Writer(controller, name, precision, settings).texts(model, test)
+
+
+def D_hat_bounds(controller: Controller) -> tuple[float, float]:
+    """The smallest and the largest D_hat that the controller in C takes, in seconds; infinity for no limit."""
+    low, high = controller.parts.bounds.tolist()
+    return low, min(high, controller.reach + controller.dt) if controller.parts.recalls else high
 
 
 def digest(header: str) -> str:
@@ -61,12 +71,16 @@ def _check(controller: Controller) -> None:
 class _Writer:
     """The files of one controller."""
 
-    def __init__(self, controller: Controller, name: str, precision: str) -> None:
+    def __init__(self, controller: Controller, name: str, precision: str, settings: Sequence[str] = ()) -> None:
         self.controller, self.name, self.real = controller, name, precision
         self.plant, self.parts = controller.plant, controller.parts
         self.keeps = controller.keeps_commands
         self.unit = Unit(name, precision)
         self.unit.reserved.add("self")
+        numbers = {part: np.atleast_1d(getattr(self.parts, part)).astype(float) for part in settings}
+        self.settings = {part: values for part, values in numbers.items() if values.size}
+        for part, values in self.settings.items():
+            self.unit.use(self.unit.constant(values, part))
         self.used: dict[str, tuple[int, ...]] = {}  # the arrays of the state, in the order of Memory
         self.advance = self._body("advance", control_step.control_step)
         self.remember = self._body("remember", control_step.remember) if self.keeps else None
@@ -90,6 +104,10 @@ class _Writer:
         return body
 
     def _part(self, name: str, value: Any) -> Any:
+        if name in self.settings:
+            fixed = np.array([np.nan, *self.settings[name][1:]]) if name == "guard_settings" else None
+            held = Array.whole(f"self->settings.{name}", self.real, self.settings[name].shape, fixed=fixed)
+            return held if isinstance(value, np.ndarray) else Term(f"{held.name}[0]", self.real)
         if isinstance(value, np.ndarray):
             return self.unit.constant(value, name)
         kinds = {bool: "bool", float: self.real}
@@ -154,6 +172,8 @@ class _Writer:
     def _scratch(self, arrays: dict[str, int]) -> list[str]:
         lines = [f"    REAL {name}[{size}];" for name, size in arrays.items() if name not in SAVED]
         lines += [f"    REAL P[{self.controller.predictor.nx * self.plant.n}];"]
+        members = [f"REAL {part}[{len(values)}];" for part, values in self.settings.items()]
+        lines += [f"    struct {{ {' '.join(members)} }} settings; /* set by @_init */"] if members else []
         lines += [f"    REAL before[{arrays['observer']}];"] if self._watches else []
         for body in filter(None, (self.advance, self.remember)):
             if body.members or body.callees:
@@ -189,8 +209,7 @@ class _Writer:
             "reach": self._too_long(),
             "check_commands": self._command_checks(),
         }
-        low, high = self.parts.bounds
-        high = min(high, self.controller.reach + self.parts.dt) if self.parts.recalls else high
+        low, high = D_hat_bounds(self.controller)
         names = {
             "LOW": low,
             "HIGH": high if np.isfinite(high) else float(np.finfo(PRECISIONS[self.real]).max),
@@ -221,6 +240,9 @@ class _Writer:
             lines += [f"static const REAL u0[] = {{{u0}}};", f"self->saved.k = {origin};"]
             lines += texts.COMMANDS.replace("<ORIGIN>", str(origin)).splitlines()
         lines += texts.OBSERVER.splitlines() if self._watches else []
+        for part, values in self.settings.items():
+            place = f"self->settings.{part}"
+            lines.append(f"memcpy({place}, {self.unit.constant(values, part).name}, sizeof {place});")
         declared = [line for line in lines if line.startswith("static")]
         return [*declared, *(line for line in lines if not line.startswith("static"))]
 

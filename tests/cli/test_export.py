@@ -3,12 +3,14 @@
 import json
 import shutil
 import subprocess
+import zipfile
 from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
 
 from npred.cli import app
+from npred.runtimes import c_library
 
 TEXT = """
 plant = "activator_repressor"
@@ -78,7 +80,7 @@ def test_a_graph_that_differs_is_refused(export):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["tflite"], "export: expected one of onnx, c, controller, npy, hdf5, mat, got 'tflite'"),
+        (["tflite"], "export: expected one of onnx, c, controller, fmu, npy, hdf5, mat, got 'tflite'"),
         (["c", "--nx", "1"], "--nx: expected at least 2 nodes"),
         (["c", "-o", "nowhere/m.c"], "nowhere/m.c: expected a file that can be written"),
     ],
@@ -112,6 +114,42 @@ def test_a_controller_with_a_numerical_predictor(export, trained):
     assert "float precision" in done.stdout and "int npred_step(npred_controller *self, const float *X, float *U);" in (
         Path("npred/npred.h").read_text()
     )
+
+
+@pytest.mark.parametrize("version", [3, 2])
+def test_an_fmu_to_a_file(export, trained, version):
+    flags = ("--predictor", "heun", "--actuator", "history", "--nx", "21", "--fmi", str(version), "--name", "tank")
+    done = export("fmu", *flags, "--json", model=str(trained / "p.toml"))
+    assert done.exit_code == 0, done.output
+    document = json.loads(done.stdout)
+    assert (document["file"], document["fmi"], document["predictor"]) == ("tank.fmu", version, "heun")
+    assert {"x1", "x2", "U", "D_hat", "D_hat_start", "gamma"} < set(document["variables"])
+    with zipfile.ZipFile("tank.fmu") as opened:
+        assert document["token"] in opened.read("modelDescription.xml").decode()
+        assert (document["library"] is None) == (c_library.compiler() is None)
+        opened.extractall("fmu")
+    if shutil.which("gcc"):
+        command = ["gcc", "-std=c99", "-DTANK_TEST", "fmu/sources/tank.c", "-o", "own_test", "-lm"]
+        subprocess.run(command, check=True, timeout=60)
+        assert subprocess.run(["./own_test"], timeout=60).returncode == 0
+
+
+def test_an_fmu_of_a_network_says_what_it_holds(export, monkeypatch):
+    monkeypatch.setattr(c_library, "compiler", lambda: None)
+    done = export("fmu", "-o", "net.fmu", "--nx", "21")
+    assert done.exit_code == 0 and "as FMI 3.0, sources only, for there is no C compiler here" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("flags", "message"),
+    [
+        (("--fmi", "1"), "--fmi: expected 3 or 2, got 1; name one of them"),
+        (("-o", "nowhere/a.fmu"), "nowhere/a.fmu: expected a file that can be written"),
+    ],
+)
+def test_an_fmu_that_cannot_be(export, flags, message):
+    done = export("fmu", *flags)
+    assert done.exit_code == 2 and message in done.output
 
 
 @pytest.mark.parametrize(

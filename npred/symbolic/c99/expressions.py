@@ -244,8 +244,8 @@ class Expressions:
         at = value.offset
         for part, stride in zip(index[len(index) - len(value.shape) :], value.strides, strict=True):
             at = binary("+", at, binary("*", part, Const(stride, "int"), self.real), self.real)
-        if value.data is not None and isinstance(at, Const):
-            return Const(value.data[at.value].item(), value.kind)
+        if (number := value.number(at)) is not None:
+            return number
         self.unit.use(value)
         return Term(f"{value.name}[{text(at)}]", value.kind)
 

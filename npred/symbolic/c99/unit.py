@@ -10,7 +10,19 @@ import numpy as np
 from npred.symbolic import kernels
 from npred.symbolic.c99.body import Translation, mangled
 from npred.symbolic.c99.library import BITS, HELPERS
-from npred.symbolic.c99.values import INTEGERS, Array, Const, Foreign, Number, Several, Term, alike, exact, promoted
+from npred.symbolic.c99.values import (
+    INTEGERS,
+    ZERO,
+    Array,
+    Const,
+    Foreign,
+    Number,
+    Several,
+    Term,
+    alike,
+    exact,
+    promoted,
+)  # fmt: skip
 
 KIND_OF = {"float64": "double", "float32": "float"}
 
@@ -183,7 +195,7 @@ def _key(value: Any) -> Any:
     if isinstance(value, Array) and value.data is not None:
         return id(value.data), value.extents, value.strides, value.offset
     if isinstance(value, Array):
-        return value.kind, value.extents, value.strides
+        return value.kind, value.extents, value.strides, id(_passed_numbers(value))
     return id(value.value if isinstance(value, Foreign) else value)
 
 
@@ -191,11 +203,16 @@ def _inside(name: str, value: Any) -> Any:
     """An argument as the function sees it."""
     c = mangled(name)
     if isinstance(value, Array) and value.data is None:
-        return replace(value, name=c, offset=Const(0, "int"), parameter=name)
+        return replace(value, name=c, offset=ZERO, parameter=name, fixed=_passed_numbers(value))
     if isinstance(value, Term) or (isinstance(value, Const) and value.kind not in INTEGERS):
         counts = value.low is not None and value.low >= 0
         return Term(c, value.kind, low=0 if counts else None)
     return value
+
+
+def _passed_numbers(array: Array) -> np.ndarray | None:
+    """What a function knows of the numbers of a memory that it is passed: nothing where it is passed a part."""
+    return array.fixed if array.offset == ZERO else None
 
 
 def _is_passed(value: Any) -> bool:

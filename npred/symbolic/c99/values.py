@@ -51,7 +51,8 @@ class Array:
     """A view of memory: element (i, j, …) is name[offset + i strides[0] + j strides[1] + …].
 
     `data` are the numbers of the whole memory where they are known at the export; `parameter` is the name of the
-    function's argument that the memory came by.
+    function's argument that the memory came by. `fixed` are the numbers of a memory of which some are set at run time,
+    NaN those.
     """
 
     name: str
@@ -61,12 +62,24 @@ class Array:
     offset: Number = ZERO
     data: np.ndarray | None = None
     parameter: str = ""
+    fixed: np.ndarray | None = None
 
     @classmethod
-    def whole(cls, name: str, kind: str, shape: tuple[int, ...], data: np.ndarray | None = None) -> "Array":
+    def whole(
+        cls, name: str, kind: str, shape: tuple[int, ...], data: np.ndarray | None = None,
+        fixed: np.ndarray | None = None,
+    ) -> "Array":  # fmt: skip
         """All of a memory, C-contiguous."""
         strides = tuple(math.prod(shape[i + 1 :]) for i in range(len(shape)))
-        return cls(name, kind, tuple(Const(size, "int") for size in shape), strides, data=data)
+        return cls(name, kind, tuple(Const(size, "int") for size in shape), strides, data=data, fixed=fixed)
+
+    def number(self, at: Number) -> "Const | None":
+        """The number at a place of the memory, None where it is not known at the export."""
+        numbers = self.fixed if self.data is None else self.data
+        if numbers is None or not isinstance(at, Const):
+            return None
+        value = numbers[at.value].item()
+        return None if self.data is None and math.isnan(value) else Const(value, self.kind)
 
     @property
     def size(self) -> int:

@@ -1,0 +1,166 @@
+"""The variables of the FMU: its inputs, parameters and outputs, with their places in the C instance."""
+
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import accumulate
+
+import numpy as np
+
+from npred.errors import ConfigError
+from npred.loop.controller import Controller
+from npred.predictors.guarded import PASSES
+from npred.runtimes import c_controller
+from npred.symbolic.c99.values import literal
+
+LARGEST, SMALLEST = sys.float_info.max, sys.float_info.min
+ROLES = {"input": "INPUT", "tunable": "TUNABLE", "fixed": "FIXED", "output": "OUTPUT", "independent": "INDEPENDENT"}
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A variable of the model description. Those of one `block` lie one after the other in the instance.
+
+    `role` is a key of ROLES; `start` has the numbers of the whole array, row by row; a parameter lies within low, high.
+    """
+
+    name: str
+    role: str
+    block: str
+    start: tuple[float, ...]
+    about: str
+    unit: str = ""
+    shape: tuple[int, ...] = ()
+    low: float = -LARGEST
+    high: float = LARGEST
+    boolean: bool = False
+
+
+def trained(controller: Controller) -> bool:
+    """Whether the prediction is a network's: it was trained for the plant's parameters as they are."""
+    predictor = controller.predictor
+    return hasattr(getattr(predictor, "model", predictor), "operator")
+
+
+def settings(controller: Controller) -> list[str]:
+    """The numbers of the controller that are tunable parameters: names of npred.runtimes.c_controller.SETTINGS."""
+    held = {
+        "p": controller.plant.p.size > 0 and not trained(controller),
+        "gamma_dt": controller.parts.gamma_dt > 0,
+        "guard_settings": controller.predictor.guard is not None,
+    }
+    return [name for name in c_controller.SETTINGS if held[name]]
+
+
+def of(controller: Controller, X0: np.ndarray, arrays: bool) -> list[Variable]:
+    """All variables, a value reference being the place in this list; `arrays` where one variable may be an array.
+
+    Raises ConfigError where two have one name.
+    """
+    variables = [
+        *_inputs(controller, X0, arrays),
+        *_outputs(controller),
+        *_parameters(controller),
+    ]
+    names = [variable.name for variable in variables]
+    if doubled := sorted({name for name in names if names.count(name) > 1}):
+        raise ConfigError(
+            f"export fmu: expected different names of variables, got {doubled[0]!r} twice; rename that state or input"
+        )
+    return variables
+
+
+def _inputs(controller: Controller, X0: np.ndarray, arrays: bool) -> Iterator[Variable]:
+    plant, nx = controller.plant, controller.predictor.nx
+    yield Variable("time", "independent", "TIME", (0.0,), "time", plant.time_unit)
+    for name, value in zip(plant.states, X0.tolist(), strict=True):
+        yield Variable(name, "input", "X", (value,), "measured state", _unit(controller, name))
+    if controller.actuator == "history":
+        return
+    about = "commands under way, by nodes and inputs: row 1 acts now, the last was sent just now"
+    if arrays:
+        start = tuple(np.tile(controller.u0, nx).tolist())
+        yield Variable("actuator_state", "input", "ACTUATOR", start, about, shape=(nx, plant.m))
+        return
+    for j in range(nx):
+        for c, value in enumerate(controller.u0.tolist()):
+            unit = _unit(controller, plant.inputs[c])
+            yield Variable(f"actuator_state[{j + 1},{c + 1}]", "input", "ACTUATOR", (value,), about, unit)
+
+
+def _outputs(controller: Controller) -> Iterator[Variable]:
+    plant = controller.plant
+    for name, value in zip(plant.inputs, controller.u0.tolist(), strict=True):
+        yield Variable(name, "output", "U", (value,), "command", _unit(controller, name))
+    yield Variable("D_hat", "output", "D_HAT", (controller.D_hat,), "estimated delay", plant.time_unit)
+    for name in plant.states:
+        about = "predicted state, when the command acts"
+        yield Variable(f"predicted.{name}", "output", "P", (0.0,), about, _unit(controller, name))
+    if controller.predictor.guard is not None:
+        about = "whether the numerical predictor answered"
+        yield Variable("fallback", "output", "FALLBACK", (0.0,), about, boolean=True)
+        yield Variable("error", "output", "ERROR", (0.0,), "the guard's estimate of the error of the command")
+
+
+def _parameters(controller: Controller) -> Iterator[Variable]:
+    plant, tunable = controller.plant, settings(controller)
+    if not plant.declares_delay:
+        low, high = c_controller.D_hat_bounds(controller)
+        yield Variable(
+            "D_hat_start", "fixed", "D_HAT_START", (controller.D_hat,), "first estimate of the delay",
+            plant.time_unit, low=low, high=min(high, LARGEST),
+        )  # fmt: skip
+    if "gamma_dt" in tunable:
+        gamma = controller.adaptation.gamma  # type: ignore[union-attr]
+        yield Variable("gamma", "tunable", "GAMMA", (gamma,), "gain of the delay law", low=SMALLEST)
+    if "guard_settings" in tunable:
+        tolerance = controller.predictor.tolerance  # type: ignore[attr-defined]
+        about = "largest error of the command that passes the guard"
+        yield Variable("tolerance", "tunable", "TOLERANCE", (tolerance,), about, low=SMALLEST)
+    if "p" in tunable:
+        for name, value in plant.parameters.items():
+            yield Variable(f"parameter.{name}", "tunable", "PARAMETERS", (float(value),), "parameter of plant and law")
+
+
+def _unit(controller: Controller, name: str) -> str:
+    return (controller.plant.units or {}).get(name, "")
+
+
+def header(controller: Controller, variables: Sequence[Variable], name: str, real: str, token: str) -> str:
+    """The text of variables.h: what instance.h and the functions of FMI read of this controller."""
+    ends = list(accumulate(len(variable.start) for variable in variables))
+    firsts = [end - len(variable.start) for end, variable in zip(ends, variables, strict=True)]
+    blocks: dict[str, int] = {}
+    for first, variable in zip(firsts, variables, strict=True):
+        blocks.setdefault(variable.block, first)
+    lines = [
+        "/* The variables of this FMU and the names of its controller. */",
+        f'#include "{name}.h"',
+        "",
+        f'#define TOKEN "{token}"',
+        f"#define CORE(function) {name}_##function",
+        f"#define CODE(code) {name.upper()}_##code",
+        f"#define CONTROLLER {name}_controller",
+        f"#define SAVED {name}_saved",
+        f"#define REAL {real}",
+        f"#define STEP {controller.dt!r} /* s */",
+        *(f"#define {size} CODE({size})" for size in ("N_STATES", "M_INPUTS", "NX")),
+        f"#define PARAMETERS {controller.plant.p.size}",
+        f"#define GUARD_PASSES {PASSES!r}",
+        f"#define VARIABLES {len(variables)}",
+        f"#define VALUES {ends[-1]}",
+        *(f"#define AT_{block} {first}" for block, first in blocks.items()),
+        "",
+        "static const Variable variables[VARIABLES] = {",
+        *(_entry(first, variable) for first, variable in zip(firsts, variables, strict=True)),
+        "};",
+        "static const double start_values[VALUES] = {",
+        *(f"    {', '.join(literal(value, 'double') for value in variable.start)}," for variable in variables),
+        "};",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _entry(first: int, variable: Variable) -> str:
+    low, high = literal(variable.low, "double"), literal(variable.high, "double")
+    return f"    {{{first}, {len(variable.start)}, {ROLES[variable.role]}, {int(variable.boolean)}, {low}, {high}}},"

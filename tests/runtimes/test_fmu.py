@@ -1,0 +1,357 @@
+"""The controller as an FMU: FMPy's steps are npred.controller's, its states, its refusals, its file."""
+
+import subprocess
+import xml.etree.ElementTree as ET
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from c_controllers import closed_loop, differ
+from fmus import InFmu, Measured, exported, needs_cc
+from operator_samples import SMALL, operator
+
+import npred
+from npred.errors import ConfigError, NpredError
+from npred.loop.controller import Controller
+from npred.predictors.guarded import Guarded
+from npred.runtimes import c_library, fmu
+from npred.runtimes.fmu import archive
+from npred.runtimes.fused import Fused
+
+fmpy = pytest.importorskip("fmpy")
+pytestmark = needs_cc
+PLANT, UNICYCLE = npred.plant("activator_repressor"), npred.plant("unicycle")
+PAPER = npred.DelayAdaptation(1000.0, bounds=(0.1, 4.0))
+X0, POSE, DT = [0.03, 30.0], [0.3, -0.2, 0.2], 0.01
+VERSIONS = (3, 2)
+
+
+def heun(plant=PLANT, **options):
+    return Controller(plant, npred.predictor("heun", plant, 21), PAPER, DT, D_hat=2.0, **options)
+
+
+def network():
+    fused = Fused(PLANT, operator(SMALL[0]).double(), 21, precision=np.float64)
+    return Controller(PLANT, npred.guarded(fused, 0.01), PAPER, DT, D_hat=2.0)
+
+
+def doubting():
+    guarded = npred.guarded(npred.predictor("euler", PLANT, 21), 1e-4, "defect")
+    return Controller(PLANT, guarded, PAPER, DT, D_hat=2.0)
+
+
+def observing():
+    observer = npred.DelayObserver(bounds=(0.2, 2.0), candidates=20)
+    return Controller(PLANT, npred.predictor("heun", PLANT, 21), observer, DT, D_hat=1.5, actuator="history")
+
+
+def turning():
+    return Controller(UNICYCLE, npred.predictor("rk4", UNICYCLE, 21), None, DT, D_hat=0.6, actuator="history")
+
+
+CASES = {
+    "measured": (heun, 1.0, X0), "network, guard": (network, 1.0, X0), "observer": (observing, 1.0, X0),
+    "two delays": (turning, 0.6, POSE),
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def instance(tmp_path_factory):
+    """Instances of controllers' FMUs, each compiled once: (what makes it, version) -> another instance."""
+    files = {}
+
+    def new(make, version=3, start=0.0, h=DT, **parameters):
+        if (make, version) not in files:
+            folder = tmp_path_factory.mktemp(make.__name__)
+            files[make, version] = *exported(make(), folder, version), folder / "extracted"
+        path, written, folder = files[make, version]
+        run = InFmu(path, folder, written, h, start, **parameters)
+        run.path, run.written = path, written
+        return run
+
+    return new
+
+
+def both(instance, case, version, steps):
+    """States and commands of the loop in Python, and of that around the FMU."""
+    make, D, start = CASES[case]
+    controller = make()
+    plant, measured, nx = controller.plant, controller.actuator == "measured", controller.predictor.nx
+    runs = [Measured(controller), instance(make, version)]
+    return [closed_loop(run, plant, D, DT, steps, start, measured, nx) for run in runs]
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+@pytest.mark.parametrize("case", CASES)
+def test_a_closed_loop_is_that_of_the_controller(instance, case, version):
+    (X, U), (X_fmu, U_fmu) = both(instance, case, version, 1000)
+    assert differ(X, X_fmu) < 1e-12 and differ(U, U_fmu) < 1e-12
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", CASES)
+def test_so_is_a_long_one(instance, case):
+    (X, U), (X_fmu, U_fmu) = both(instance, case, 3, 100_000)
+    assert differ(X, X_fmu) < 1e-12 and differ(U, U_fmu) < 1e-12
+
+
+def states(count):
+    return np.array(X0) * (1 + 0.1 * np.random.default_rng(0).standard_normal((count, 2)))
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_goes_on_from_a_saved_state_to_the_bit(instance, version):
+    one, other = (instance(observing, version) for _ in range(2))
+    X = states(800)
+    for x in X[:500]:  # past the end of the ring buffers
+        one.step(x)
+    saved = one.state()
+    other.restore(saved)
+    for x in X[500:]:
+        np.testing.assert_array_equal(one.step(x), other.step(x))
+    assert one.state() == other.state() != saved
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_two_side_by_side_are_independent(instance, version):
+    pair, alone = ([instance(observing, version) for _ in range(2)] for _ in range(2))
+    X = states(200).reshape(2, 100, 2)
+    mixed = [[run.step(x) for run, x in zip(pair, rows, strict=True)] for rows in np.swapaxes(X, 0, 1)]
+    apart = [[run.step(x) for x in rows] for run, rows in zip(alone, X, strict=True)]
+    np.testing.assert_array_equal(np.swapaxes(mixed, 0, 1), apart)
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_an_input_that_is_not_finite_is_refused_and_leaves_the_controller(instance, version, bad):
+    run, twin = (instance(heun, version) for _ in range(2))
+    u = np.zeros((21, 1))
+    for each in (run, twin):
+        each.step(X0, u)
+    U = run.get("U")
+    with pytest.raises(Exception, match="status 2"):
+        run.step([bad, 30.0], u)
+    assert run.messages == [
+        "step at 0.01 s: expected finite inputs, got one that is not; U is held, the controller stands as before"
+    ]
+    assert (run.get("U"), run.get("time")) == (U, DT)
+    np.testing.assert_array_equal(run.step(X0, u), twin.step(X0, u))
+
+
+def test_where_one_of_several_steps_is_refused_none_is_done(tmp_path):
+    class Cube:
+        states, inputs = ("x",), ("u",)
+
+        def f(x, u, t, p, M):
+            return [x.x**3 + u.u]
+
+        def kappa(x, t, p, M):
+            return [-1e200 * M.where(x.x > 1.5, x.x, 0.0) - x.x]
+
+        def V(x, t, p, M):
+            return x.x**2
+
+    plant = npred.plants.Plant("cube", Cube)
+    controller = Controller(plant, npred.predictor("heun", plant, 21), None, DT, D_hat=0.1, actuator="history")
+    path, written = exported(controller, tmp_path)
+    run = InFmu(path, tmp_path / "extracted", written, 3 * DT)
+    run.step([0.1])
+    saved = run.state()
+    alone = InFmu(path, tmp_path / "extracted", written, DT)
+    alone.restore(saved)
+    alone.step([1.6])
+    with pytest.raises(Exception, match="status 2"):
+        run.step([1.6])  # the first of three steps sends a command that the second one's prediction diverges with
+    assert "the prediction from these inputs is not finite" in run.messages[0] and len(run.messages) == 1
+    run.offer([0.1])
+    assert run.state() == saved
+
+
+@pytest.mark.parametrize(("steps", "h"), [(1, 0.04), (4, 0.01), (8, 0.005), (40, 0.001)])
+def test_control_steps_are_at_multiples_of_dt_whatever_the_communication_step(instance, steps, h):
+    controller, run = observing(), instance(observing, h=h, start=0.3)
+    controller.t = 0.3
+    for x in states(20):
+        for _ in range(steps):
+            U = run.step(x)
+        expected = [controller.step(x).copy() for _ in range(4)]
+    np.testing.assert_allclose(U, expected[-1], rtol=1e-12)
+
+
+def test_the_outputs_are_those_of_the_last_control_step(instance):
+    controller, run, u = doubting(), instance(doubting), np.full((21, 1), 1e-3)
+    for x in states(5):
+        run.step(x, u)
+        controller.step(x, u)
+        assert run.get("D_hat") == pytest.approx(controller.D_hat, rel=1e-13)
+        predicted = [run.get(f"predicted.{name}") for name in PLANT.states]
+        np.testing.assert_allclose(predicted, controller.P[-1], rtol=1e-12)
+        assert run.get("error") == pytest.approx(controller.error, rel=1e-9)
+        assert run.flag("fallback") == controller.fallback
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_parameters_are_those_of_another_controller(instance, version):
+    name, value = next(iter(PLANT.parameters.items()))
+    other = npred.plant("activator_repressor", **{name: 1.1 * value})
+    law = npred.DelayAdaptation(300.0, bounds=(0.1, 4.0))
+    expected = Controller(other, Guarded(npred.predictor("euler", other, 21), 1e-5, "defect"), law, DT, D_hat=0.7)
+    parameters = {f"parameter.{name}": 1.1 * value, "gamma": 300.0, "tolerance": 1e-5, "D_hat_start": 0.7}
+    run = instance(doubting, version, **parameters)
+    for x in states(50):
+        np.testing.assert_allclose(run.step(x, np.zeros((21, 1))), expected.step(x, np.zeros((21, 1))), rtol=1e-12)
+    assert run.get("D_hat") == pytest.approx(expected.D_hat, rel=1e-12)
+
+
+def test_parameters_may_change_while_it_runs_but_not_to_nonsense(instance):
+    run, u = instance(heun), np.zeros((21, 1))
+    run.step(X0, u)
+    run.set("gamma", 10.0)
+    for name, value in (("gamma", 0.0), ("gamma", np.nan), (f"parameter.{next(iter(PLANT.parameters))}", np.inf)):
+        before = run.get(name)
+        with pytest.raises(Exception, match="status 2"):
+            run.set(name, value)
+        assert run.get(name) == before
+    with pytest.raises(Exception, match="status 3"):
+        run.set("D_hat_start", 1.0)
+    assert run.get("gamma") == 10.0 and len(run.messages) == 4
+
+
+def test_a_state_of_another_fmu_is_refused(instance):
+    run, other = instance(observing), instance(turning)
+    other.step(POSE)
+    run.step(X0)
+    before = run.state()
+    for wrong in (other.state(), before[:-1], bytes(len(before)), before[:16] + b"\xff" * (len(before) - 16)):
+        with pytest.raises(Exception, match="status 3"):
+            run.restore(wrong)
+    assert run.state() == before
+
+
+def test_a_call_out_of_turn_is_refused(instance):
+    run = instance(heun)
+    run.step(X0, np.zeros((21, 1)))
+    for t, h in ((5.0, DT), (DT, -1.0), (DT, np.nan)):
+        with pytest.raises(Exception, match="status 3"):
+            run.slave.doStep(t, h)
+    run.slave.terminate()
+    with pytest.raises(Exception, match="status 3"):
+        run.slave.doStep(DT, DT)
+    run.slave.reset()
+    run._initialize(0.0)
+    run.t = 0.0
+    twin = instance(heun)
+    np.testing.assert_array_equal(run.step(X0, np.zeros((21, 1))), twin.step(X0, np.zeros((21, 1))))
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+@pytest.mark.parametrize("case", CASES)
+def test_fmpy_finds_it_valid(instance, case, version):
+    from fmpy.validation import validate_fmu
+
+    assert validate_fmu(str(instance(CASES[case][0], version).path)) == []
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_fmpy_simulates_it_from_its_first_values(tmp_path, version):
+    path, _ = exported(heun(), tmp_path, version, X0=X0, t_end=0.5)
+    result = fmpy.simulate_fmu(str(path), output=["U", "D_hat"])
+    expected, u = heun(), np.zeros((21, 1))
+    U = [expected.step(X0, u)[0] for _ in range(50)]
+    assert result["U"][0] == 0.0  # u0: the command before the first control step
+    np.testing.assert_allclose(result["U"][1:51], U, rtol=1e-12)
+    assert result["D_hat"][0] == 2.0 and result["D_hat"][50] == pytest.approx(expected.D_hat, rel=1e-12)
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_the_same_controller_is_the_same_file(tmp_path, version):
+    texts = []
+    for folder in (tmp_path / "a", tmp_path / "b"):
+        folder.mkdir()
+        texts.append(exported(heun(), folder, version)[0].read_bytes())
+    assert texts[0] == texts[1]
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_the_sources_build_strictly_and_against_the_standard_s_prototypes(instance, tmp_path, version):
+    run = instance(network, version)
+    with zipfile.ZipFile(run.path) as opened:
+        opened.extractall(tmp_path)
+    folder, headers = tmp_path / "sources", Path(fmpy.__file__).parent / "c-code"
+    flags = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Wshadow", "-Werror"]
+    standard = [f"-I{headers}", f"-DFMI{version}_FUNCTION_PREFIX=", "-include", f"fmi{version}Functions.h"]
+    for more in (["-Wpedantic"], standard):
+        subprocess.run(["cc", *flags, *more, "-c", f"fmi{version}.c"], cwd=folder, check=True, timeout=120)
+    exports = subprocess.run(["nm", "-D", tmp_path / run.written.library], capture_output=True, text=True, check=True)
+    defined = [line.split()[-1] for line in exports.stdout.splitlines() if " T " in line]
+    assert defined and all(name.startswith(f"fmi{version}") for name in defined)
+
+
+def test_its_build_description_names_its_sources(instance):
+    with zipfile.ZipFile(instance(heun).path) as opened:
+        root = ET.fromstring(opened.read("sources/buildDescription.xml"))
+        names = {element.get("name") for element in root.iter("SourceFile")}
+        assert names == {"npred.c", "fmi3.c"} <= {name.removeprefix("sources/") for name in opened.namelist()}
+
+
+def test_without_a_compiler_it_holds_its_sources(tmp_path, monkeypatch):
+    monkeypatch.setattr(c_library, "compiler", lambda: None)
+    path, written = exported(heun(), tmp_path)
+    assert written.library is None
+    assert not [name for name in zipfile.ZipFile(path).namelist() if name.startswith("binaries")]
+
+
+def test_sources_that_do_not_compile_are_an_error_in_one_line(tmp_path, monkeypatch):
+    monkeypatch.setattr(archive, "FLAGS", (*archive.FLAGS, "-include", "missing.h"))
+    with pytest.raises(NpredError, match=r"^export fmu: expected sources that compile, got: .*missing.h.*; report it$"):
+        exported(heun(), tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+class Odd:
+    """A plant whose names and units have all that XML and C have to escape."""
+
+    states, inputs = ("größe", "int"), ("void",)
+    parameters = {"static": 1.0}
+    units = {"größe": "m³ & <s> \"'", "void": "*/ #define ??/"}
+
+    def f(x, u, t, p, M):
+        return [x[1], u.void - p.static * x[0]]
+
+    def kappa(x, t, p, M):
+        return [-x[1]]
+
+    def V(x, t, p, M):
+        return x[0] ** 2 + x[1] ** 2
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_names_of_any_letters_are_valid_xml_and_c(tmp_path, version):
+    from fmpy.validation import validate_fmu
+
+    plant = npred.plants.Plant("a - b", Odd)
+    path, written = exported(heun(plant, actuator="history"), tmp_path, version)
+    assert validate_fmu(str(path)) == [] and written.library
+    described = fmpy.read_model_description(str(path))
+    names = {variable.name: variable.unit for variable in described.modelVariables}
+    assert names["größe"] == Odd.units["größe"] and names["void"] == Odd.units["void"]
+
+
+def test_two_variables_of_one_name_are_refused():
+    class Twice(Odd):
+        states, inputs, units = ("D_hat", "y"), ("void",), {}
+
+    controller = heun(npred.plants.Plant("twice", Twice))
+    with pytest.raises(ConfigError, match="expected different names of variables, got 'D_hat' twice"):
+        fmu.write(controller, Path("never.fmu"))
+
+
+def test_another_version_is_refused():
+    with pytest.raises(ConfigError, match="--fmi: expected 3 or 2, got 1; name one of them"):
+        fmu.write(heun(), Path("never.fmu"), version=1)
+
+
+def test_what_a_network_was_trained_for_is_no_parameter(instance):
+    names = [variable.name for variable in instance(network).written.variables]
+    assert "tolerance" in names and not [name for name in names if name.startswith("parameter.")]
