@@ -1,12 +1,14 @@
 """`npred export`: a trained model of the store as a file, checked on its held-out samples."""
 
 import json
+import re
 import shutil
 import subprocess
 import zipfile
 from pathlib import Path
 
 import pytest
+from conftest import HERE
 from typer.testing import CliRunner
 
 from npred.cli import app
@@ -101,10 +103,23 @@ def test_a_controller_to_a_folder(export):
     assert "int tank_step(tank_controller *self, const double *X, const double *u, double *U);" in (
         Path("firmware/tank.h").read_text()
     )
-    if shutil.which("gcc"):
-        command = ["gcc", "-std=c99", "-DTANK_TEST", "firmware/tank.c", "-o", "own_test", "-lm"]
-        subprocess.run(command, check=True, timeout=60)
-        assert subprocess.run(["./own_test"], timeout=60).returncode == 0
+    assert run("firmware/tank.c", "-DTANK_TEST").returncode == 0
+
+
+def run(*arguments):
+    """What a compiled program prints."""
+    if not shutil.which("gcc"):
+        pytest.skip("no gcc on this machine")
+    subprocess.run(["gcc", "-std=c99", "-O2", *arguments, "-o", "program", "-lm"], check=True, timeout=60)
+    return subprocess.run(["./program"], capture_output=True, text=True, timeout=60)
+
+
+def test_the_controller_of_the_documentation_takes_a_step(export):
+    assert export("controller", "-o", "firmware").exit_code == 0
+    page = (HERE.parent / "docs" / "deployment.md").read_text()
+    Path("main.c").write_text(re.findall(r"^```c\n(.*?)^```", page, re.MULTILINE | re.DOTALL)[1])
+    done = run("-Ifirmware", "main.c", "firmware/npred.c")
+    assert done.returncode == 0 and abs(float(done.stdout)) < 1.0
 
 
 def test_a_controller_with_a_numerical_predictor(export, trained):

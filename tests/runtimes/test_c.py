@@ -147,7 +147,7 @@ def test_the_example_of_the_documentation_is_the_model(tmp_path):
     model = operator(SMALL[0])
     c.export(model, PLANT, tmp_path / "deeponet.c", 21, probe())
     page = (HERE.parent / "docs" / "deployment.md").read_text()
-    (example,) = re.findall(r"^```c\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
+    example = re.findall(r"^```c\n(.*?)^```", page, re.MULTILINE | re.DOTALL)[0]
     (tmp_path / "main.c").write_text(example)
     done = subprocess.run([compiled(tmp_path / "main.c")], capture_output=True, text=True, timeout=60)
     P = Neural(PLANT, model.double(), 21)([0.03, 30.0], np.zeros((21, 1)), 1.0)

@@ -75,15 +75,11 @@ class Translation(Expressions):
         self._drop_unused()
 
     def _drop_unused(self) -> None:
-        """Leave out buffers that nothing reads: those of branches that are not taken."""
-        names = [re.split(r"\W+", line)[1] for line in [*self.top, *self.members]]
-        stores = {name: re.compile(rf"\s*(memory->)?{name}\[[^;=]*\] [-+*/]?= [^;]*;") for name in names}
-        text = "\n".join(self.lines)
-        for name in names:
-            if all(stores[name].fullmatch(line) for line in re.findall(rf".*\b{name}\b.*", text)):
-                self.lines = [line for line in self.lines if not re.search(rf"\b{name}\b", line)]
-                self.top = [line for line in self.top if re.split(r"\W+", line)[1] != name]
-                self.members = [line for line in self.members if re.split(r"\W+", line)[1] != name]
+        """Leave out variables and buffers that nothing reads: those of branches that are not taken."""
+        while idle := _only_written(self.lines, {_declared(line) for line in [*self.top, *self.members]}):
+            self.lines = [line for line in self.lines if _written(line) not in idle]
+            self.top = [line for line in self.top if _declared(line) not in idle]
+            self.members = [line for line in self.members if _declared(line) not in idle]
 
     def _take(self, name: str, value: Any) -> None:
         """An argument: one that outlives a block is a variable like others."""
@@ -181,7 +177,7 @@ class Translation(Expressions):
         low = value.low if value.kind in INTEGERS else None
         fact = self.facts.get(name)
         if fact is None:
-            fact = self.facts[name] = Term(self._name(name), value.kind, low=low)
+            fact = self.facts[name] = Term(mangled(name), value.kind, low=low)
         kind = promoted(fact.kind, value.kind)
         bound = None if fact.low is None or low is None else min(fact.low, low)
         if kind not in INTEGERS:
@@ -211,7 +207,8 @@ class Translation(Expressions):
     def _name(self, name: str) -> str:
         """A name in C that no variable around has."""
         c, number = mangled(name), 1
-        while any(c in scope for scope in self.scopes) or c in self.unit.reserved:
+        lasting = {mangled(other) for other in self.outliving}
+        while any(c in scope for scope in self.scopes) or c in self.unit.reserved or c in lasting:
             number += 1
             c = f"{mangled(name)}_{number}"
         return c
@@ -470,3 +467,27 @@ def _assigned(target: ast.Tuple) -> set[str]:
 def mangled(name: str) -> str:
     """A name of Python as one of C."""
     return f"{name}_" if KEYWORDS.fullmatch(name) else name
+
+
+WRITES = re.compile(r"\s*(?P<kind>(?:const )?(?:int|float|double|int32_t|int64_t) )?(?:memory->)?(?P<name>\w+)"
+                    r"(?:\[[^;=]*\])? [-+*/]?= [^;]*;")  # fmt: skip
+
+
+def _written(line: str) -> str:
+    """The variable that a line sets and does not read; empty for other lines."""
+    match = WRITES.fullmatch(line)
+    name = match["name"] if match else ""
+    return name if name and len(re.findall(rf"\b{name}\b", line)) == 1 else ""
+
+
+def _declared(line: str) -> str:
+    return re.split(r"\W+", line)[1]
+
+
+def _only_written(lines: list[str], names: set[str]) -> set[str]:
+    """Of these variables, and of those that are declared in the lines, the ones that no line reads."""
+    names = names | {_written(line) for line in lines if (match := WRITES.fullmatch(line)) and match["kind"]}
+    read: set[str] = set()
+    for line in lines:
+        read |= set(re.findall(r"\w+", line)) - {_written(line)}
+    return names - read - {""}
