@@ -18,7 +18,6 @@ from npred.symbolic.c99.values import (
     PRODUCT,
     TERNARY,
     UNARY,
-    ZERO,
     Array,
     Const,
     Elementwise,
@@ -32,6 +31,7 @@ from npred.symbolic.c99.values import (
     promoted,
     text,
 )
+from npred.symbolic.c99.views import Views
 
 SYMBOLS = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.LShift: "<<"}
 COMPARISONS = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
@@ -41,13 +41,11 @@ FOLDED = {
 }  # fmt: skip
 
 
-class Expressions:
-    """The expressions of one function. Its statements are in npred.symbolic.c99.body."""
+class Expressions(Views):
+    """The expressions of one function. Its statements are those of npred.symbolic.c99.body."""
 
-    unit: Any
     globals: dict[str, Any]
     env: dict[str, Any]
-    real: str
     where: str  # the function's name
 
     def value(self, node: ast.AST) -> Any:
@@ -198,57 +196,6 @@ class Expressions:
         written = f"{text(test, TERNARY + 1)} ? {text(a, TERNARY + 1, kind)} : {text(b, TERNARY, kind)}"
         return Term(written, kind, TERNARY, low)
 
-    def _Subscript(self, node: ast.Subscript) -> Any:
-        owner = self.value(node.value)
-        if isinstance(owner, Several):
-            index = self.value(node.slice)
-            return owner.items[index.value] if isinstance(index, Const) else self.refuse(node, "a tuple by a variable")
-        view = self.view(owner, node)
-        return self.element(view, []) if not view.shape else view
-
-    def view(self, array: Array, node: ast.Subscript) -> Array:
-        """The part of an array that a subscript names; without axes where it names an element."""
-        parts = node.slice.elts if isinstance(node.slice, ast.Tuple) else [node.slice]
-        shape: list[Number] = []
-        strides: list[int] = []
-        offset = array.offset
-        for axis, (extent, stride) in enumerate(zip(array.shape, array.strides, strict=True)):
-            part = parts[axis] if axis < len(parts) else ast.Slice()
-            if isinstance(part, ast.Slice):
-                begin = self._edge(part.lower, extent, ZERO)
-                end = self._edge(part.upper, extent, extent)
-                shape.append(binary("-", end, begin, self.real))
-                strides.append(stride)
-            else:
-                begin = self.wrapped(self.value(part), extent)
-            offset = binary("+", offset, binary("*", begin, Const(stride, "int"), self.real), self.real)
-        return replace(array, shape=tuple(shape), strides=tuple(strides), offset=offset)
-
-    def _edge(self, node: ast.expr | None, extent: Number, otherwise: Number) -> Number:
-        return otherwise if node is None else self.wrapped(self.value(node), extent)
-
-    def wrapped(self, index: Number, extent: Number) -> Number:
-        """An index that may count from the end."""
-        if isinstance(index, Const) and isinstance(extent, Const):
-            return Const(index.value + extent.value if index.value < 0 else index.value, "int")
-        if index.low is not None and index.low >= 0:
-            return index
-        return Term(f"{self.helper('wrapped', 'int')}({text(index)}, {text(extent)})", "int", low=0)
-
-    def element(self, value: Any, index: list[Number]) -> Number:
-        """The element of an array or a function of arrays at an index; a number stands for all of them."""
-        if isinstance(value, Elementwise):
-            return value.element(index)
-        if not isinstance(value, Array):
-            return value
-        at = value.offset
-        for part, stride in zip(index[len(index) - len(value.shape) :], value.strides, strict=True):
-            at = binary("+", at, binary("*", part, Const(stride, "int"), self.real), self.real)
-        if (number := value.number(at)) is not None:
-            return number
-        self.unit.use(value)
-        return Term(f"{value.name}[{text(at)}]", value.kind)
-
     def _Call(self, node: ast.Call) -> Any:
         if isinstance(node.func, ast.Attribute) and (result := self._method(node.func, node)) is not None:
             return result
@@ -294,10 +241,6 @@ class Expressions:
     def atom(self, number: Number) -> Number:
         """The number, or a variable that holds it: for text that names it more than once."""
         raise NotImplementedError
-
-    def helper(self, name: str, kind: str) -> str:
-        """The name of a helper for numbers of a kind, which the file then has."""
-        return self.unit.helper(name, kind)
 
     def buffer(self, sizes: list[int], kind: str) -> Array:
         """Memory of the function."""

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from npred.symbolic import kernels
-from npred.symbolic.c99.body import Translation, mangled
+from npred.symbolic.c99.body import Translation
 from npred.symbolic.c99.library import BITS, HELPERS
 from npred.symbolic.c99.values import (
     INTEGERS,
@@ -23,6 +23,7 @@ from npred.symbolic.c99.values import (
     exact,
     promoted,
 )  # fmt: skip
+from npred.symbolic.c99.variables import mangled
 
 KIND_OF = {"float64": "double", "float32": "float"}
 
