@@ -1,14 +1,12 @@
 """`npred export`: a trained model of the store as a file, checked on its held-out samples."""
 
 import json
-import re
 import shutil
 import subprocess
 import zipfile
 from pathlib import Path
 
 import pytest
-from conftest import HERE
 from typer.testing import CliRunner
 
 from npred.cli import app
@@ -112,14 +110,6 @@ def run(*arguments):
         pytest.skip("no gcc on this machine")
     subprocess.run(["gcc", "-std=c99", "-O2", *arguments, "-o", "program", "-lm"], check=True, timeout=60)
     return subprocess.run(["./program"], capture_output=True, text=True, timeout=60)
-
-
-def test_the_controller_of_the_documentation_takes_a_step(export):
-    assert export("controller", "-o", "firmware").exit_code == 0
-    page = (HERE.parent / "docs" / "deployment.md").read_text()
-    Path("main.c").write_text(re.findall(r"^```c\n(.*?)^```", page, re.MULTILINE | re.DOTALL)[1])
-    done = run("-Ifirmware", "main.c", "firmware/npred.c")
-    assert done.returncode == 0 and abs(float(done.stdout)) < 1.0
 
 
 def test_a_controller_with_a_numerical_predictor(export, trained):
