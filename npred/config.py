@@ -507,7 +507,7 @@ class Certify(Section):
     samples: Count = 50  #: of each rollout, at random times
     restarts: Count = 500  #: searches for the largest error, and for errors that the guard lets pass …
     steps: Count = 200  #: … of so many calls each
-    loops: Count = 100  #: fresh starts, each with the numerical predictor, the bare network and the guarded one
+    loops: Count = 40  #: fresh starts, each with the numerical predictor, the bare network and the guarded one
 
 
 class Refine(Section):
