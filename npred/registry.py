@@ -195,8 +195,15 @@ EXPERIMENTS = Registry(  # published ones, in the order of `npred reproduce`
     "experiment",
     "npred.experiments",
     {
+        "manipulator": Entry(f"{_EXPERIMENTS}.manipulator:EXPERIMENT", "arm with five joints"),
         "unicycle_constant": Entry(f"{_EXPERIMENTS}.unicycle_constant:EXPERIMENT", "wheeled robot, constant delay"),
         "unicycle_time_varying": Entry(f"{_EXPERIMENTS}.unicycle_time_varying:EXPERIMENT", "wheeled robot, delay D(t)"),
+        "unicycle_two_inputs": Entry(f"{_EXPERIMENTS}.unicycle_two_inputs:EXPERIMENT", "wheeled robot, two inputs"),
+        "chemostat_unknown_delay": Entry(f"{_EXPERIMENTS}.chemostat_unknown_delay:EXPERIMENT", "bioreactor"),
+        "activator_unknown_delay": Entry(f"{_EXPERIMENTS}.activator_unknown_delay:EXPERIMENT", "activator"),
+        "feedforward_closed_form": Entry(f"{_EXPERIMENTS}.feedforward_closed_form:EXPERIMENT", "closed form"),
+        "state_delay_unicycle": Entry(f"{_EXPERIMENTS}.state_delay_unicycle:EXPERIMENT", "robot, delay x² + y²"),
+        "state_delay_two_inputs": Entry(f"{_EXPERIMENTS}.state_delay_two_inputs:EXPERIMENT", "two delays D(X)"),
     },
 )
 PLANTS = Registry("plant", "npred.plants")  # the built-in ones are the files of npred/plants/builtin

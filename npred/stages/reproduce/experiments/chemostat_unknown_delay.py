@@ -1,0 +1,113 @@
+"""A bioreactor, delay unknown, the actuator's state not measured: the controller knows its own commands alone.
+
+Bhan, Krstic, Shi, Stabilization of nonlinear systems with unknown delays via delay-adaptive neural operator approximate
+predictors, arXiv:2509.26443, law (82).
+"""
+
+from typing import Any
+
+import numpy as np
+
+import npred
+from npred.stages.reproduce import quirks
+from npred.stages.reproduce.experiment import Experiment, Measured, Measurements, PublishedNumber
+
+D_HAT, X0, DT, DX, NODES, STEPS = 1.8, (2.0, 2.0), 0.005, 0.01, 100, 5000
+GAMMA, BOUNDS, DELAYS = 1.0, (0.8, 2.0), (1.6, 1.4)
+FEED, DEATH, SURPLUS, SET, U_SET = 2 + 10 / 3, 0.1, 10.0, (3.0, 2.0), 0.9
+
+
+def f(X: quirks.State, u: Any) -> quirks.State:
+    """Biomass and substrate."""
+    Z, S = X
+    growth = 3.5 * S / (1 + S + S * S)
+    return (growth - DEATH - u[0]) * Z, u[0] * (FEED - S) - growth * Z
+
+
+def kappa(Z: Any, S: Any) -> Any:
+    """The law without delay; μ(S*) = 1."""
+    growth = 3.5 * S / (1 + S + S**2)
+    return U_SET * growth * Z / SET[0] + np.where(SET[1] >= S, SURPLUS * DEATH * np.abs(growth - 1) ** 1.5, 0.0)
+
+
+def right_slopes(Z: Any, S: Any) -> tuple[Any, Any]:
+    """∂kappa/∂Z and ∂kappa/∂S."""
+    growth, slope = 3.5 * S / (1 + S + S**2), -3.5 * (S**2 - 1) / (1 + S + S**2) ** 2
+    surplus = SURPLUS * DEATH * 1.5 * np.sqrt(np.abs(growth - 1)) * np.sign(growth - 1) * slope
+    return U_SET * growth / SET[0], U_SET * slope * Z / SET[0] + np.where(SET[1] >= S, surplus, 0.0)
+
+
+def published_slopes(Z: Any, S: Any) -> tuple[Any, Any]:
+    """The same as coded: 0.5 for 3.5 in μ', the surplus on the wrong side of S*, and its sign -1 throughout."""
+    growth, slope = 3.5 * S / (1 + S + S**2), -0.5 * (S**2 - 1) / (1 + S + S**2) ** 2
+    surplus = -SURPLUS * DEATH * 1.5 * np.sqrt(np.abs(growth - 1)) * slope
+    return U_SET * growth / SET[0], U_SET * slope * Z / SET[0] + np.where(SET[1] <= S, surplus, 0.0)
+
+
+def published_loop(
+    D: float, slopes: Any = published_slopes, steps: int = STEPS, D_hat: float = D_HAT
+) -> tuple[np.ndarray, np.ndarray]:
+    """X (steps, 2) and D_hat (steps,) of the loop as coded.
+
+    The controller's commands move on a second line at 1 / D_hat: while D_hat changes they are not U(t + D_hat
+    (x - 1)), for the factor 1 + (x - 1) dD_hat/dt of the line's equation is missing.
+    """
+    X, estimates = np.empty((steps, 2)), np.empty(steps)
+    state, estimate = X0, D_hat
+    line = recalled = np.full((NODES, 1), float(kappa(*X0)))
+    X[0], estimates[0] = state, estimate
+    for i in range(1, steps):
+        P = np.array(quirks.half_cell_short(f, state, recalled.tolist(), estimate, DX))
+        phi = _update(slopes, recalled[:, 0], P)
+        estimate = min(max(estimate + DT * GAMMA * phi, BOUNDS[0]), BOUNDS[1])
+        U = max(float(kappa(*P[-1])), 0.0)
+        line = quirks.upwind(line, DT / (D * DX), U)
+        recalled = quirks.upwind(recalled, DT / (estimate * DX), U)
+        rates = f(state, (float(line[0, 0]),))
+        state = (state[0] + DT * rates[0], state[1] + DT * rates[1])
+        X[i], estimates[i] = state, estimate
+    return X, estimates
+
+
+def _update(slopes: Any, u: np.ndarray, P: np.ndarray) -> float:
+    """φ of law (82), sgn(0) = 0."""
+    Z, S = P.T
+    by_Z, by_S = slopes(Z, S)
+    first, second = f(tuple(P[0].tolist()), (float(u[0]),))
+    q, w = by_Z * first + by_S * second, u - kappa(Z, S)
+    q_x, w_x = (np.gradient(values, DX, edge_order=1) for values in (q, w))
+    weight = 1 + DX * np.arange(NODES)
+    integral = np.trapezoid(weight * (q * np.sign(w) + q_x * np.sign(w_x)), dx=DX)
+    return float(2 * np.sign(w_x[-1]) * q[-1] + integral)
+
+
+def meant(D: float) -> tuple[float, ...]:
+    """The end of npred's loop by the same law, with right derivatives and the commands as they were sent."""
+    plant = npred.plant("chemostat")
+    loop = npred.simulate(
+        plant, npred.predictor("rk4", plant, nx=NODES + 1), D=D, D_hat=D_HAT, X0=X0, t_end=STEPS * DT, dt=DT,
+        adaptation=npred.L1Adaptation(gamma=GAMMA, b=1.0, bounds=BOUNDS, epsilon=0.0), actuator="history", u0="law",
+    )  # fmt: skip
+    return (*loop.X[-1].tolist(), float(loop.D_hat[-1]))
+
+
+def measure() -> Measurements:
+    """The end of the loop, t = 25 s, for both delays."""
+    rows: dict[str, Measured] = {}
+    for D in DELAYS:
+        X, D_hat = published_loop(D)
+        ends = (*X[-1].tolist(), float(D_hat[-1]))
+        rows |= {name: Measured(*pair) for name, *pair in zip(_names(D), ends, meant(D), strict=True)}
+    return rows
+
+
+def _names(D: float) -> list[str]:
+    return [f"{quantity}(25), D = {D:g}" for quantity in ("Z", "S", "D_hat")]
+
+
+EXPERIMENT = Experiment(
+    "chemostat, delay unknown, actuator not measured",
+    "Bhan, Krstic, Shi, arXiv:2509.26443",
+    tuple(PublishedNumber(name, "") for D in DELAYS for name in _names(D)),
+    measure,
+)

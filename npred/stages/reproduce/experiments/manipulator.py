@@ -1,0 +1,146 @@
+"""Five joints of a Baxter arm that follow a wave, every torque 0.5 s late.
+
+Bhan, Krstic, Shi, Neural Operators for Predictor Feedback Control of Nonlinear Delay Systems, arXiv:2411.18964.
+"""
+
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+
+from npred.stages.reproduce import baxter, quirks
+from npred.stages.reproduce.experiment import Experiment, Measured, Measurements, PublishedNumber, networks
+
+RUNS, SAMPLES, DT, LATE = 25, 100, 0.1, 5
+MIDDLE = (baxter.LOW + baxter.HIGH) / 2
+SPIN = np.concatenate([baxter.LOW, -baxter.FASTEST]), np.concatenate([baxter.HIGH, baxter.FASTEST])
+
+Dynamics = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
+
+
+def draws() -> np.ndarray:
+    """X0 (25, 10) of the published runs."""
+    (noise,) = quirks.uniform(np.random.RandomState(1), RUNS, (-0.2, 0.2, 5))
+    return np.concatenate([MIDDLE + noise.T, np.zeros((RUNS, 5))], axis=1)
+
+
+def reference(t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The wave, its rate and its acceleration, the same for all joints."""
+    return MIDDLE + 0.1 * np.sin(t), np.full(5, 0.1 * np.cos(t)), np.full(5, -0.1 * np.sin(t))
+
+
+def spun(h: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """h · x for every joint, (..., 5): h is the vector of Coriolis torques, which the code takes for their matrix."""
+    return np.repeat((h * x).sum(axis=-1, keepdims=True), 5, axis=-1)
+
+
+class PublishedArm:
+    """q'' = M⁻¹ (τ - (h · q') 1 - G) and the law that makes it linear, torques within their limits."""
+
+    def __init__(self, dynamics: Dynamics) -> None:
+        self.dynamics = dynamics
+
+    def rate(self, X: np.ndarray, torque: np.ndarray) -> np.ndarray:
+        """X'."""
+        q, rates = X[..., :5], X[..., 5:]
+        M, h, G = self.dynamics(q, rates)
+        return np.concatenate([rates, _solved(M, torque - self.drag(h, rates) - G)], axis=-1)
+
+    def drag(self, h: np.ndarray, rates: np.ndarray) -> np.ndarray:
+        """The torque that the plant has for that of Coriolis."""
+        return spun(h, rates)
+
+    def law(self, X: np.ndarray, target: tuple[np.ndarray, np.ndarray, np.ndarray]) -> np.ndarray:
+        """The torques for a state and the reference of its time, clipped."""
+        q, rates = X[..., :5], X[..., 5:]
+        M, h, G = self.dynamics(q, rates)
+        e1 = target[0] - q
+        e2 = target[1] - rates + e1
+        more = spun(h, target[1]) + G + spun(h, e1) - spun(h, e2)
+        pull = target[2] - e1 + _solved(M, more) + 2 * e2
+        return np.clip((M @ pull[..., None])[..., 0], -baxter.STRONGEST, baxter.STRONGEST)
+
+
+class RightArm(PublishedArm):
+    """M q'' + h + G = τ with τ = M (q_d'' - e1 + 2 e2) + h + G, so that e'' = -2 e' - e … without delay."""
+
+    def drag(self, h: np.ndarray, rates: np.ndarray) -> np.ndarray:
+        return h
+
+    def law(self, X: np.ndarray, target: tuple[np.ndarray, np.ndarray, np.ndarray]) -> np.ndarray:
+        q, rates = X[..., :5], X[..., 5:]
+        M, h, G = self.dynamics(q, rates)
+        e1 = target[0] - q
+        pull = target[2] - e1 + 2 * (target[1] - rates + e1)
+        return np.clip((M @ pull[..., None])[..., 0] + h + G, -baxter.STRONGEST, baxter.STRONGEST)
+
+
+def _solved(M: np.ndarray, forces: np.ndarray) -> np.ndarray:
+    return np.linalg.solve(M, forces[..., None])[..., 0]
+
+
+def loop(arm: PublishedArm) -> tuple[np.ndarray, np.ndarray]:
+    """X and P, (100, 25, 10): Euler's method for plant and predictor, a gravity hold first, P in float32.
+
+    No prediction is made in the first 0.5 s, when the law takes X itself.
+    """
+
+    def advanced(X: np.ndarray, torque: np.ndarray) -> np.ndarray:
+        return quirks.clipped(X + DT * arm.rate(X, torque), *SPIN)
+
+    start = draws()
+    rest = np.zeros(5)
+    torques = quirks.static_hold(arm.law(start, (start[:, :5], rest, rest)), LATE)
+    X, P = np.empty((SAMPLES, *start.shape)), np.zeros((SAMPLES, *start.shape))
+    X[0] = start
+    for i in range(1, SAMPLES):
+        ahead = X[i - 1]
+        for torque in torques[i - 1 :] if i > LATE else []:
+            ahead = advanced(ahead, torque)
+        P[i] = ahead
+        torques.append(arm.law(ahead, reference(DT * (i + LATE - 1))))
+        X[i] = advanced(X[i - 1], torques[i - 1])
+    return X, quirks.logged(P)
+
+
+def tracking(X: np.ndarray) -> float:
+    """The mean over the runs of the sum over the samples of |X - reference|."""
+    goal = np.stack([np.concatenate(reference(DT * i)[:2]) for i in range(SAMPLES)])[:, None]
+    return float(np.linalg.norm(X - goal, axis=-1).sum(axis=0).mean())
+
+
+def prediction(X: np.ndarray, P: np.ndarray) -> float:
+    """The mean of |P(t) - X(t + D)| where a prediction is made."""
+    ahead = LATE - 1
+    return float(np.linalg.norm(P[LATE + 1 : SAMPLES - ahead] - X[LATE + 1 + ahead :], axis=-1).mean())
+
+
+def published() -> PublishedArm:
+    """The arm as coded."""
+    return PublishedArm(partial(baxter.dynamics, J=baxter.pseudo_inertia(about_centre=False)))
+
+
+def right(about_centre: bool = True) -> PublishedArm:
+    """The arm with its Coriolis vector and, by default, its inertia about the mass centres."""
+    return RightArm(partial(baxter.dynamics, J=baxter.pseudo_inertia(about_centre)))
+
+
+def measure() -> Measurements:
+    """Both metrics; as meant in the same loop, whose Euler method is part of the set-up."""
+    coded, meant = loop(published()), loop(right())
+    return {
+        "tracking": Measured(tracking(coded[0]), tracking(meant[0])),
+        "prediction": Measured(prediction(*coded), prediction(*meant)),
+    }
+
+
+EXPERIMENT = Experiment(
+    "arm with five joints, constant delay",
+    "Bhan, Krstic, Shi, arXiv:2411.18964",
+    (PublishedNumber("tracking", "8.814358"), PublishedNumber("prediction", "0.000000")),
+    measure,
+    (
+        *networks("tracking", fno="10.375936", deeponet="21.153382", fno_gru="13.684227", deeponet_gru="18.449608"),
+        *networks("prediction", fno="0.009430", deeponet="0.174347", fno_gru="0.012214", deeponet_gru="0.043243"),
+    ),
+)
