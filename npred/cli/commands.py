@@ -270,7 +270,10 @@ def export(
     guard: Annotated[
         float | None, typer.Option(help="A controller's guard: the largest error of U that passes; as in evaluate.")
     ] = None,
-    fmi: Annotated[int, typer.Option(metavar="3|2", help="The version of FMI.")] = 3,
+    fmi: Annotated[int, typer.Option(metavar="3|2", help="An FMU's version of FMI.")] = 3,
+    mex: Annotated[
+        bool, typer.Option("--mex", help="A controller's gateway to MATLAB and Octave too, NAME_mex.c.")
+    ] = False,
 ) -> None:
     """A trained model, P and U = kappa(P(1)), the whole controller of the evaluated loop, or the data, for another
     program."""

@@ -19,13 +19,14 @@ COMPARED = 200  # held-out samples
 
 
 def export(
-    options: Common, form: str, key: str, output: Path | None, nx: int | None, atol: float, fmi: int, **controller: Any
+    options: Common, form: str, key: str, output: Path | None, nx: int | None, atol: float, fmi: int, mex: bool,
+    **controller: Any
 ) -> None:  # fmt: skip
     """Write the file. Raises ConfigError for a format that there is none of, NpredError for a graph that differs."""
     if nx is not None and nx < 2:
         raise ConfigError(f"--nx: expected at least 2 nodes, both ends of [0, 1], got {nx}; dx = 0.01 is nx = 101")
     if form == "controller":
-        export_controller.export(options, key, output, Choices(nx=nx, **controller))
+        export_controller.export(options, key, output, Choices(nx=nx, **controller), mex)
         return
     if form == "fmu":
         export_fmu.export(options, key, output, fmi, Choices(nx=nx, **controller))

@@ -17,7 +17,7 @@ from npred.pipeline import load_model
 from npred.plants import Plant, inputs
 from npred.predictors import Predictor, numerical
 from npred.predictors.guarded import Guarded
-from npred.runtimes import c_controller
+from npred.runtimes import c_controller, mex
 
 MEASURED_STEPS, RECALLED_STEPS = 4, 40  # of the test inside the file; u of each measured step is part of it
 
@@ -62,18 +62,22 @@ def build(options: Common, key: str, choices: Choices) -> Built:
     return Built(controller, f"{pipeline.name}:{predictor.name}", table, _steps(controller, table))
 
 
-def export(options: Common, key: str, output: Path | None, choices: Choices) -> None:
-    """Write the header and the source. Raises ConfigError as npred.runtimes.c_controller.sources does."""
+def export(options: Common, key: str, output: Path | None, choices: Choices, gateway: bool = False) -> None:
+    """Write the header and the source, and the `gateway` of a MEX file.
+
+    Raises ConfigError as npred.runtimes.c_controller.sources does.
+    """
     folder = writable_folder(output or Path(choices.name), "controller")
     built = build(options, key, choices)
-    files = c_controller.sources(built.controller, choices.name, choices.precision, built.about, built.test)
+    header, source = c_controller.sources(built.controller, choices.name, choices.precision, built.about, built.test)
+    files = {f"{choices.name}.h": header, f"{choices.name}.c": source}
+    if gateway:
+        files[f"{choices.name}_mex.c"] = mex.source(built.controller, choices.name, choices.precision)
     folder.mkdir(parents=True, exist_ok=True)
-    written = []
-    for text, suffix in zip(files, ("h", "c"), strict=True):
-        target = folder / f"{choices.name}.{suffix}"
-        target.write_text(text, encoding="utf-8")
-        written.append(str(target))
-    document = {"files": written} | built.document(choices, "controller") | {"digest": c_controller.digest(files[0])}
+    for name, text in files.items():
+        (folder / name).write_text(text, encoding="utf-8")
+    written = [str(folder / name) for name in files]
+    document = {"files": written} | built.document(choices, "controller") | {"digest": c_controller.digest(header)}
     options.show(document, lambda: f"{', '.join(written)}: {built.controller!r} in {choices.precision} precision")
 
 

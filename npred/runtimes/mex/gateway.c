@@ -1,0 +1,202 @@
+/*
+ * The controller as a function of MATLAB and GNU Octave; mex NAME_mex.c NAME.c compiles it.
+ *
+ *   c = NAME_mex('new')                                   a controller; any number of them
+ *   [U, D_hat, P, fallback, error] = NAME_mex('step', c, X[, u])   a control step: U (m, 1), P (nx, n); u (nx, m)
+ *   s = NAME_mex('state', c), NAME_mex('restore', c, s)    what a step remembers, as bytes
+ *   NAME_mex('set_D_hat', c, seconds), NAME_mex('set_time', c, seconds)
+ *   NAME_mex('delete', c)
+ */
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "mex.h"
+
+static CONTROLLER **controllers; /* those that were made, NULL where deleted; a handle is the place, from 1 */
+static size_t made;
+
+static void delete_all(void)
+{
+    for (size_t i = 0; i < made; i++) {
+        free(controllers[i]);
+    }
+    free(controllers);
+    controllers = NULL;
+    made = 0;
+}
+
+static void complain(const char *what, const char *message)
+{
+    char id[64] = "npred:";
+    strncat(id, what, sizeof id - strlen(id) - 1);
+    mexErrMsgIdAndTxt(id, "%s", message);
+}
+
+static double *numbers(const mxArray *value, size_t count, const char *message)
+{
+    if (!mxIsDouble(value) || mxIsComplex(value) || mxIsSparse(value) || mxGetNumberOfElements(value) != count) {
+        complain("argument", message);
+    }
+    return mxGetPr(value);
+}
+
+static size_t place(const mxArray *handle)
+{
+    const double number = *numbers(handle, 1, "expected a controller of 'new', got another value");
+    if (!(number >= 1 && number <= (double)made) || controllers[(size_t)number - 1] == NULL) {
+        complain("handle", "expected a controller of 'new' that is not deleted, got another number");
+    }
+    return (size_t)number - 1;
+}
+
+static mxArray *new_controller(void)
+{
+    CONTROLLER **longer = realloc(controllers, (made + 1) * sizeof *longer);
+    if (longer == NULL) {
+        complain("memory", "expected memory for a controller, got none");
+    }
+    controllers = longer;
+    controllers[made] = malloc(sizeof **controllers);
+    if (controllers[made] == NULL) {
+        complain("memory", "expected memory for a controller, got none");
+    }
+    CORE(init)(controllers[made]);
+    made++;
+    mexAtExit(delete_all);
+    return mxCreateDoubleScalar((double)made);
+}
+
+static void refuse(int code)
+{
+    const char *messages[] = {"", "expected finite X and u, got one that is not; hold the last U and measure again",
+                              "the prediction from X and u is not finite; hold the last U and measure again",
+                              "expected a state of this controller, or a number within its bounds, got another",
+                              "the delay is above what the commands are kept for"};
+    if (code != 0) {
+        complain("refused", messages[code]);
+    }
+}
+
+/* An array of results, columns of `columns` from rows that lie one after the other. */
+static mxArray *matrix(const REAL *rows, size_t count, size_t columns)
+{
+    mxArray *value = mxCreateDoubleMatrix(count, columns, mxREAL);
+    for (size_t i = 0; i < count; i++) {
+        for (size_t j = 0; j < columns; j++) {
+            mxGetPr(value)[i + j * count] = (double)rows[i * columns + j];
+        }
+    }
+    return value;
+}
+
+static void step(CONTROLLER *controller, int results, mxArray *result[], const mxArray *argument[])
+{
+    REAL X[N_STATES], U[M_INPUTS];
+    const double *measured = numbers(argument[0], N_STATES, "expected X with one number per state");
+    for (int i = 0; i < N_STATES; i++) {
+        X[i] = (REAL)measured[i];
+    }
+#if MEASURED
+    static REAL u[NX * M_INPUTS]; /* of this call alone */
+    const double *columns = numbers(argument[1], (size_t)NX * M_INPUTS, "expected u (nx, m), nodes by inputs");
+    for (int j = 0; j < NX; j++) {
+        for (int c = 0; c < M_INPUTS; c++) {
+            u[j * M_INPUTS + c] = (REAL)columns[j + c * NX];
+        }
+    }
+    refuse(CORE(step)(controller, X, u, U));
+#else
+    refuse(CORE(step)(controller, X, U));
+#endif
+    result[0] = matrix(U, M_INPUTS, 1);
+    if (results > 1) {
+        result[1] = mxCreateDoubleScalar((double)controller->saved.D_hat[0]);
+    }
+    if (results > 2) {
+        result[2] = matrix(controller->P, NX, N_STATES);
+    }
+    if (results > 3) {
+        result[3] = mxCreateLogicalScalar(GUARDED(fallback, 0) > 0);
+    }
+    if (results > 4) {
+        result[4] = mxCreateDoubleScalar(GUARDED(error, NAN));
+    }
+}
+
+static mxArray *state(const CONTROLLER *controller)
+{
+    mxArray *bytes = mxCreateNumericMatrix(sizeof(SAVED), 1, mxUINT8_CLASS, mxREAL);
+    SAVED saved;
+    CORE(get_state)(controller, &saved);
+    memcpy(mxGetData(bytes), &saved, sizeof saved);
+    return bytes;
+}
+
+static void restore(CONTROLLER *controller, const mxArray *bytes)
+{
+    SAVED saved;
+    if (!mxIsUint8(bytes) || mxGetNumberOfElements(bytes) != sizeof saved) {
+        complain("argument", "expected the bytes of 'state', got another value");
+    }
+    memcpy(&saved, mxGetData(bytes), sizeof saved);
+    refuse(CORE(set_state)(controller, &saved));
+}
+
+/* The words with the arguments that follow the controller, and the results that they have at most. */
+static const struct {
+    const char *word;
+    int arguments, results;
+} calls[] = {{"new", -1, 1},     {"step", 1 + MEASURED, 5}, {"state", 0, 1}, {"restore", 1, 0},
+             {"set_D_hat", 1, 0}, {"set_time", 1, 0},        {"delete", 0, 0}};
+enum { NEW, STEP, STATE, RESTORE, SET_D_HAT, SET_TIME, DELETE, CALLS };
+
+static int find(int results, int arguments, const mxArray *argument[])
+{
+    char word[16] = "";
+    if (arguments > 0 && mxIsChar(argument[0])) {
+        mxGetString(argument[0], word, sizeof word);
+    }
+    for (int call = 0; call < CALLS; call++) {
+        const int most = calls[call].results > 1 ? calls[call].results : 1;
+        if (strcmp(word, calls[call].word) == 0 && arguments == calls[call].arguments + 2 && results <= most) {
+            return call;
+        }
+    }
+    complain("call", "expected new, step, state, restore, set_D_hat, set_time or delete and their arguments");
+    return CALLS;
+}
+
+void mexFunction(int results, mxArray *result[], int arguments, const mxArray *argument[])
+{
+    const int call = find(results, arguments, argument);
+    if (call == NEW) {
+        result[0] = new_controller();
+        return;
+    }
+    const size_t at = place(argument[1]);
+    CONTROLLER *controller = controllers[at];
+    switch (call) {
+    case STEP:
+        step(controller, results, result, argument + 2);
+        break;
+    case STATE:
+        result[0] = state(controller);
+        break;
+    case RESTORE:
+        restore(controller, argument[2]);
+        break;
+    case SET_D_HAT:
+        refuse(CORE(set_D_hat)(controller, (REAL)*numbers(argument[2], 1, "expected seconds")));
+        break;
+    case SET_TIME:
+        refuse(CORE(set_time)(controller, *numbers(argument[2], 1, "expected seconds")));
+        break;
+    case DELETE:
+        free(controller);
+        controllers[at] = NULL;
+        break;
+    default:
+        break;
+    }
+}
