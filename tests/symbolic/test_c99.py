@@ -175,6 +175,19 @@ def test_what_c_lacks_is_refused_with_its_line(line, what):
         Unit("c").function(kernels.uncompiled("kernel", text), arguments)
 
 
+@pytest.mark.parametrize(("second", "fits"), [("out[2:4]", True), ("out[1:3]", False), ("out[k:]", False)])
+def test_arguments_that_share_memory_are_refused(second, fits):
+    preamble = "@njit\ndef copy(to, source):\n    to[0] = source[1]\n    to[1] = source[0]\n\n\n"
+    text = f"def kernel(k, out):\n    copy(out[:2], {second})\n"
+    arguments = [Term("k", "int", low=0), Array.whole("out", "double", (4,))]
+    unit, kernel = Unit("c"), kernels.uncompiled("kernel", text, preamble)
+    if fits:
+        assert unit.function(kernel, arguments).written == {"out"}
+    else:
+        with pytest.raises((NotImplementedError, KeyError), match=r"share memory|not known at the export"):
+            unit.function(kernel, arguments)
+
+
 @pytest.mark.parametrize(
     ("value", "kind", "text"),
     [

@@ -29,6 +29,8 @@ class Calls(Variables):
         if target.gives_arrays:
             return self._inlined(target, arguments)
         texts = []
+        if _share(target.passed(arguments), target.written):
+            self.refuse(node, "arguments that share memory, which `restrict` forbids,")
         for value, name in target.passed(arguments):
             if isinstance(value, Array):
                 self.unit.use(value)
@@ -96,3 +98,26 @@ class Calls(Variables):
                 if isinstance(item, Const | Term):
                     self.emit(f"{f'result[{k}]' if alike(value) else f'*result{k}'} = {text(item)};")
         self.emit(f"return {text(value)};" if isinstance(value, Const | Term) else "return;")
+
+
+def _share(passed: list[tuple[Any, str]], written: set[str]) -> bool:
+    """Whether an array that the function writes to may overlap another argument."""
+    arrays = [(value, name) for value, name in passed if isinstance(value, Array)]
+    return any(
+        one.name == other.name and not _apart(one, other)
+        for k, (one, first) in enumerate(arrays)
+        for other, second in arrays[k + 1 :]
+        if {first, second} & written
+    )
+
+
+def _apart(one: Array, other: Array) -> bool:
+    """Whether two parts of a memory are known to have no element in common."""
+    spans = []
+    for array in (one, other):
+        if not isinstance(array.offset, Const):
+            return False
+        last = sum((extent - 1) * stride for extent, stride in zip(array.extents, array.strides, strict=True))
+        spans.append((array.offset.value, array.offset.value + last))
+    (_, end), (begin, _) = sorted(spans)
+    return end < begin
