@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+import npred
+from npred import plants
 from npred.stages.reproduce.experiments import state_delay_two_inputs, state_delay_unicycle
 
 
@@ -28,6 +30,13 @@ def test_the_oracle_does_not_depend_on_its_step(start: float, end: tuple[float, 
     fine, coarse = (state_delay_unicycle.oracle((start,) * 3, step=step) for step in (0.001, 0.002))
     assert np.abs(fine - coarse).max() < 1e-7
     assert fine == pytest.approx(end, abs=1e-6)
+
+
+def test_from_ones_the_loop_is_marked_and_ends():
+    plant = plants.make("unicycle_state_delay", state_delay_unicycle.UnicycleStateDelay)
+    loop = npred.simulate(plant, npred.predictor("rk4", plant), X0=[1.0, 1.0, 1.0], t_end=4.0, dt=0.002)
+    assert loop.infeasible.any()
+    assert np.isnan(loop.X[-1]).all()
 
 
 def test_the_loop_comes_to_the_oracle_at_first_order():

@@ -1,0 +1,104 @@
+"""The delays of a linear plant with an observer, D1(t) and D2(t), and the inverse of t - D(t) that its predictor needs.
+
+arXiv:2603.29117 (Neural approximated predictor horizons).
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from npred.stages.reproduce.experiment import Experiment, Measured, Measurements, PublishedNumber
+
+T, DT = 12.0, 0.001
+NAMES = ("a", "b", "α", "ω", "φ")
+DIGITS = (("0.40", "0.31", "-0.10", "4.95", "0.95"), ("0.28", "0.15", "-0.06", "1.28", "0.82"))
+RESIDUALS = (("|φ(ρ(t)) - t|, Euler", "3e-4"), ("|φ(ρ(t)) - t|, RK4", "1e-11"))
+
+Delay = tuple[float, ...]  # a, b, α, ω, φ
+
+
+def late(delay: Delay, t: np.ndarray) -> np.ndarray:
+    """φ(t) = t - D(t), D = a + b / (1 + t) + α sin(ω t + φ)."""
+    a, b, alpha, omega, shift = delay
+    return t - (a + b / (1 + t) + alpha * np.sin(omega * t + shift))
+
+
+def rate(delay: Delay, t: Any) -> Any:
+    """φ'(t)."""
+    _, b, alpha, omega, shift = delay
+    return 1 + b / (1 + t) ** 2 - alpha * omega * np.cos(omega * t + shift)
+
+
+def draws() -> tuple[Delay, Delay]:
+    """D1 and D2 of the figure: the first pair of draws with φ' > 0 throughout and positive delays."""
+    generator = np.random.default_rng(1)
+    ranges = ((0.1, 0.5), (0.1, 0.5), (-0.3, 0.3), (0.0, 2 * np.pi), (0.0, np.pi))
+    t = np.linspace(0.0, T, 4001)
+    while True:
+        pair = [tuple(float(generator.uniform(low, high)) for low, high in ranges) for _ in range(2)]
+        if all((rate(d, t) > 0).all() and (late(d, t) < t).all() for d in pair):
+            return pair[0], pair[1]
+
+
+def inverse(delay: Delay, t: np.ndarray) -> np.ndarray:
+    """ρ(t) = φ⁻¹(t) at many times at once by Newton's method: to rounding."""
+    rho = t + (t - late(delay, np.maximum(t, 0.0)))
+    for _ in range(30):
+        rho = rho - (late(delay, rho) - t) / rate(delay, rho)
+    return rho
+
+
+def integrated(delay: Delay, t: np.ndarray, method: Callable[..., float]) -> np.ndarray:
+    """ρ by ρ' = 1 / φ'(ρ), as published, from the exact ρ(t_0)."""
+    rho = np.empty_like(t)
+    rho[0] = inverse(delay, t[:1])[0]
+    step = float(t[1] - t[0])
+    for k in range(len(t) - 1):
+        rho[k + 1] = method(delay, rho[k], step)
+    return rho
+
+
+def euler(delay: Delay, rho: float, step: float) -> float:
+    """One step of Euler's method."""
+    return rho + step / float(rate(delay, rho))
+
+
+def rk4(delay: Delay, rho: float, step: float) -> float:
+    """One step of the classical Runge-Kutta method."""
+    slopes = [0.0]
+    for share in (0.0, 0.5, 0.5, 1.0):
+        slopes.append(1.0 / float(rate(delay, rho + share * step * slopes[-1])))
+    return rho + step / 6 * (slopes[1] + 2 * slopes[2] + 2 * slopes[3] + slopes[4])
+
+
+def residual(delay: Delay, method: Callable[..., float] | None = None) -> float:
+    """The largest |φ(ρ(t)) - t| on [0, 12] at steps of 1 ms; None: Newton's method, for all times at once."""
+    t = np.arange(round(T / DT) + 1) * DT
+    rho = inverse(delay, t) if method is None else integrated(delay, t, method)
+    return float(np.abs(late(delay, rho) - t).max())
+
+
+def measure() -> Measurements:
+    """The drawn delays, and how well each method inverts φ1."""
+    pair = draws()
+    drawn = {f"D{k}: {name}": value for k, d in enumerate(pair, 1) for name, value in zip(NAMES, d, strict=True)}
+    rows = {name: Measured(value, value) for name, value in drawn.items()}
+    exact = residual(pair[0])
+    methods = zip(RESIDUALS, (euler, rk4), strict=True)
+    return rows | {name: Measured(residual(pair[0], method), exact) for (name, _), method in methods}
+
+
+EXPERIMENT = Experiment(
+    "prediction horizons of delays that vary in time",
+    "arXiv:2603.29117",
+    (
+        *(
+            PublishedNumber(f"D{k}: {name}", digits)
+            for k, row in enumerate(DIGITS, 1)
+            for name, digits in zip(NAMES, row, strict=True)
+        ),
+        *(PublishedNumber(name, digits) for name, digits in RESIDUALS),
+    ),
+    measure,
+)
