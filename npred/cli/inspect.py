@@ -50,7 +50,8 @@ def _why_reproduced(options: Common, name: str) -> None:
     asked = [reproduction.question(each) for each in names]
     reasons = [reproduction.why(options.results, question) for question in asked]
     rows = [
-        {"stage": reproduction.STAGE, "model": question.model, "key": question.key, "reason": reason}
+        {"stage": reproduction.STAGE, "model": question.model, "key": question.key}
+        | {"state": reproduction.state(reason), "reason": reason}
         for question, reason in zip(asked, reasons, strict=True)
     ]
     options.show({"stages": rows}, lambda: "\n".join(f"{row['stage']} {row['model']}: {row['reason']}" for row in rows))

@@ -15,7 +15,7 @@ from npred.defaults import RESULT
 from npred.errors import ConfigError, similar
 from npred.json_files import sha256
 from npred.pipeline.plan import UP_TO_DATE
-from npred.pipeline.reasons import reason
+from npred.pipeline.reasons import NEVER, reason
 from npred.results import Reproduced
 from npred.store import Artifact, Question, Store, durable
 from npred.terminal.console import Console
@@ -83,6 +83,13 @@ def why(store: Store, asked: Question) -> str:
     if store.get(STAGE, asked.key):
         return UP_TO_DATE
     return reason(asked, STAGE, store.artifacts())
+
+
+def state(reason: str) -> str:
+    """`fresh`, `missing` or `stale`, by the reason."""
+    if reason == UP_TO_DATE:
+        return "fresh"
+    return "missing" if reason.startswith(NEVER) else "stale"
 
 
 def summary(document: dict[str, Any], width: int | None = None) -> str:

@@ -17,7 +17,7 @@ CALLS: list[str] = []
 
 def _measured() -> dict[str, Measured]:
     CALLS.append("measured")
-    return {"error": Measured(0.1234567, 1e-9), "end": Measured(2.0, None)}
+    return {"error": Measured(0.1234567, 1e-9), "end": Measured(2.0, float("nan"))}
 
 
 TINY = Experiment(
@@ -80,6 +80,8 @@ def test_a_result_is_measured_once_per_text_of_its_code():
     assert _call("why", "tiny").stdout == "reproduce tiny: up to date\n"
     (Path("experiments") / f"{__name__.rpartition('.')[2]}.py").write_text("second = 2\n")
     assert "code." in _call("why", "reproduce").stdout
+    states = [row["state"] for row in json.loads(_call("why", "reproduce", "--json").stdout)["stages"]]
+    assert states == ["stale", "missing"]
     _call("reproduce", "tiny")
     _call("reproduce", "tiny", "--force")
     assert CALLS == ["measured"] * 3

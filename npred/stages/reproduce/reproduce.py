@@ -1,5 +1,6 @@
 """The rows of one published experiment, and their table."""
 
+import math
 from collections.abc import Sequence
 from functools import partial
 
@@ -29,8 +30,13 @@ def run(name: str) -> Reproduced:
 def _row(published: PublishedNumber, measured: Measured) -> ReproducedRow:
     return ReproducedRow(
         predictor=published.predictor, metric=published.metric, published=published.value,
-        as_published=measured.as_published, as_meant=measured.as_meant,
+        as_published=_finite(measured.as_published), as_meant=_finite(measured.as_meant),
     )  # fmt: skip
+
+
+def _finite(value: float | None) -> float | None:
+    """None for a loop that has left the finite numbers."""
+    return value if value is not None and math.isfinite(value) else None
 
 
 def without_networks(result: Reproduced) -> Reproduced:
