@@ -1,5 +1,6 @@
 """The controller as an FMU: FMPy's steps are npred.controller's, its states, its refusals, its file."""
 
+import shutil
 import subprocess
 import xml.etree.ElementTree as ET
 import zipfile
@@ -309,11 +310,27 @@ def test_its_build_description_names_its_sources(instance):
         assert names == {"npred.c", "fmi3.c"} <= {name.removeprefix("sources/") for name in opened.namelist()}
 
 
-def test_without_a_compiler_it_holds_its_sources(tmp_path, monkeypatch):
+@pytest.mark.parametrize("version", VERSIONS)
+def test_without_a_compiler_it_holds_its_sources_which_an_importer_builds(tmp_path, monkeypatch, version):
+    from fmpy.build import build_platform_binary
+
     monkeypatch.setattr(c_library, "compiler", lambda: None)
-    path, written = exported(heun(), tmp_path)
+    path, written = exported(heun(actuator="history"), tmp_path, version)
     assert written.library is None
     assert not [name for name in zipfile.ZipFile(path).namelist() if name.startswith("binaries")]
+    if shutil.which("cmake"):
+        fmpy.extract(str(path), str(tmp_path / "extracted"))
+        build_platform_binary(tmp_path / "extracted")
+        run, controller = InFmu(path, tmp_path / "extracted", written, DT), heun(actuator="history")
+        for x in states(20):
+            np.testing.assert_allclose(run.step(x), controller.step(x), rtol=1e-12)
+
+
+def test_in_float_it_is_so_to_float_s_rounding(tmp_path):
+    path, written = exported(observing(), tmp_path, precision="float")
+    run, controller = InFmu(path, tmp_path / "extracted", written, DT), observing()
+    for x in states(50):
+        np.testing.assert_allclose(run.step(x), controller.step(x), rtol=1e-4)
 
 
 def test_sources_that_do_not_compile_are_an_error_in_one_line(tmp_path, monkeypatch):
