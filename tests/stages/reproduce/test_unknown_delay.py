@@ -28,6 +28,12 @@ def test_the_activators_first_seconds():
     assert (X[0].tolist(), D_hat.max()) == ([0.03, 30.0], pytest.approx(2.0073, abs=5e-5))
 
 
+@pytest.mark.slow
+def test_the_exact_loop_of_signs_has_no_limit_as_the_step_gets_small():
+    assert chemostat_unknown_delay.meant(1.6)[2] == pytest.approx(0.8, abs=1e-6)
+    assert chemostat_unknown_delay.meant(1.6, dt=0.001)[2] > 1.0
+
+
 def _derivatives(kappa: Any, X: tuple[float, float]) -> tuple[float, float]:
     (x, y), h = X, STEP
     return (

@@ -81,11 +81,14 @@ def _update(slopes: Any, u: np.ndarray, P: np.ndarray) -> float:
     return float(2 * np.sign(w_x[-1]) * q[-1] + integral)
 
 
-def meant(D: float) -> tuple[float, ...]:
-    """The end of npred's loop by the same law, with right derivatives and the commands as they were sent."""
+def meant(D: float, dt: float = DT) -> tuple[float, ...]:
+    """The end of npred's loop by the same law, with right derivatives and the commands as they were sent.
+
+    It depends on dt: signs at nodes and steps have no limit, and another dt ends elsewhere.
+    """
     plant = npred.plant("chemostat")
     loop = npred.simulate(
-        plant, npred.predictor("rk4", plant, nx=NODES + 1), D=D, D_hat=D_HAT, X0=X0, t_end=STEPS * DT, dt=DT,
+        plant, npred.predictor("rk4", plant, nx=NODES + 1), D=D, D_hat=D_HAT, X0=X0, t_end=STEPS * DT, dt=dt,
         adaptation=npred.L1Adaptation(gamma=GAMMA, b=1.0, bounds=BOUNDS, epsilon=0.0), actuator="history", u0="law",
     )  # fmt: skip
     return (*loop.X[-1].tolist(), float(loop.D_hat[-1]))
