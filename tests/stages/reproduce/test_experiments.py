@@ -29,7 +29,7 @@ def test_the_page_shows_what_the_command_prints(name: str):
     shown = [line.split() for line in PAGE.splitlines()]
     for cells in reproduce.rows(result):
         words = [*" ".join(cells).split()]
-        near = [line for line in shown if line[: len(words) - 3] == words[:-3]]
+        near = [line for line in shown if line[:-3] == words[:-3]]
         assert len(near) == 1
         assert near[0][-3] == words[-3]
         if "e-" not in words[-2]:  # a rounding error is another on another machine
