@@ -1,12 +1,12 @@
 """Starts that the numerical predictor keeps and a network loses, bare and guarded.
 
-    python benchmarks/starts.py [MODEL] [--loops 10000] [--box 5] [--t-end 100] [--tolerance 0.01] [--damage 0.1]
+    python benchmarks/starts.py [MODEL] [--loops 9] [--box 5] [--t-end 60] [--tolerance 0.01] [--damage 0.1] [--lost 1]
 
 MODEL is pipeline/paper.toml:deeponet by default, and has to be trained; `…:deeponet@20` is its early-stopped snapshot.
 Loops have the settings of the pipeline's [evaluate], delays and estimates those of [generate], starts its box, `--box`
 times as wide about its middle. `--damage` moves the weights uphill, along the gradient of the error of U on examples of
-the data, until its median is at least that. A loop is lost that ends further from its target than LOST times the
-target's size.
+the data, until its median is at least that. A loop is lost that ends further from its target than `--lost` times the
+target's size. Take a longer --t-end, or a larger --lost, where loops of the numerical predictor are still on their way.
 """
 
 import argparse
@@ -61,7 +61,9 @@ def wide(plant: npred.plants.Plant, X0: np.ndarray, factor: float) -> np.ndarray
     return np.where(low > 0, np.abs(moved), moved)
 
 
-def outcome(pipeline: config.Pipeline, predictor: Predictor, drawn: tuple[np.ndarray, ...], t_end: float) -> Any:
+def outcome(
+    pipeline: config.Pipeline, predictor: Predictor, drawn: tuple[np.ndarray, ...], t_end: float, far: float
+) -> Any:
     """Which loops are lost (B,), and the steps in which the numerical predictor answered, as a share."""
     X0, D, D_hat, *_ = drawn
     lost, shares = [], []
@@ -72,7 +74,7 @@ def outcome(pipeline: config.Pipeline, predictor: Predictor, drawn: tuple[np.nda
             seed=SEED, first=i, every=20,
         )  # fmt: skip
         target = predictor.plant.target(loops.t)
-        lost.append(~(metrics.radius(loops, target) <= LOST * metrics.size(target)))
+        lost.append(~(metrics.radius(loops, target) <= far * metrics.size(target)))
         shares.append(loops.fallback_share)
         print(f"\r{predictor.name}: {i + len(lost[-1])} of {len(X0)} loops", end="", file=sys.stderr, flush=True)
     print(file=sys.stderr)
@@ -84,7 +86,7 @@ if __name__ == "__main__":
     parser.add_argument("model", nargs="?", default="pipeline/paper.toml:deeponet")
     for name, kind, default in (("loops", int, 10_000), ("box", float, 1.0), ("t-end", float, None)):
         parser.add_argument(f"--{name}", type=kind, default=default)
-    for name, default in (("tolerance", 0.01), ("damage", None)):
+    for name, default in (("tolerance", 0.01), ("damage", None), ("lost", LOST)):
         parser.add_argument(f"--{name}", type=float, default=default)
     parser.add_argument("--store", default="artifacts")
     options = parser.parse_args()
@@ -96,9 +98,11 @@ if __name__ == "__main__":
     guarded = npred.guarded(network, options.tolerance)
     drawn = sampling.starts(SEED, pipeline.generate, network.plant, range(options.loops))
     drawn = (wide(network.plant, drawn[0], options.box), *drawn[1:])
-    numerical, _ = outcome(pipeline, npred.predictor(pipeline.evaluate.predictor, network.plant, nx), drawn, t_end)
+    numerical, _ = outcome(
+        pipeline, npred.predictor(pipeline.evaluate.predictor, network.plant, nx), drawn, t_end, options.lost
+    )
     print(f"{options.loops} loops of {t_end:g} s, box {options.box:g} times as wide, tolerance {options.tolerance:g}")
     print(f"numerical: {numerical.sum()} lost")
     for predictor in (network, guarded):
-        lost, share = outcome(pipeline, predictor, drawn, t_end)
+        lost, share = outcome(pipeline, predictor, drawn, t_end, options.lost)
         print(f"{predictor.name}: {(lost & ~numerical).sum()} more lost, fallback {share:.2%}", flush=True)
