@@ -2,7 +2,9 @@
 
 import subprocess
 import tempfile
+import zipfile
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -15,7 +17,7 @@ from npred.errors import NpredError
 from npred.loop.controller import Controller
 from npred.plants import Plant
 from npred.predictors import Heun
-from npred.runtimes import c, c_controller
+from npred.runtimes import c, c_controller, c_library, fmu
 
 FLAGS = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wshadow", "-Werror", "-fsyntax-only"]
 HOSTILE = [
@@ -70,6 +72,41 @@ def test_a_controller_of_any_names_is_c_or_refused(plant, state, entry, unit, pr
 @given(TEXTS, NAMES, NAMES, TEXTS, PREFIXES, TEXTS)
 def test_so_are_a_thousand(plant, state, entry, unit, prefix, model):
     check_controller(plant, state, entry, unit, prefix, model)
+
+
+def check_fmu(plant, state, entry, unit, model):
+    """The description is XML with the names as they are, and the sources are C."""
+    with tempfile.TemporaryDirectory() as name, pytest.MonkeyPatch.context() as patch:
+        patch.setattr(c_library, "compiler", lambda: None)  # the sources alone
+        try:
+            named = Plant(plant, declaration(state, entry, unit))
+            controller = Controller(named, Heun(named, 5), None, 0.1, D_hat=0.3, actuator="history")
+            fmu.write(controller, Path(name) / "named.fmu", model=model)
+        except NpredError as error:
+            assert len(str(error).splitlines()) == 1 and str(error).isprintable()
+            return
+        with zipfile.ZipFile(Path(name) / "named.fmu") as archive:
+            archive.extractall(name)
+        root = ElementTree.parse(Path(name) / "modelDescription.xml").getroot()
+        assert {state, entry} <= {element.get("name") for element in root.iter("Float64")}
+        command = ["gcc", *FLAGS, str(Path(name) / "sources" / "fmi3.c")]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@needs_gcc
+@settings(max_examples=25, deadline=None)
+@given(TEXTS, NAMES, NAMES, TEXTS, TEXTS)
+def test_an_fmu_of_any_names_is_xml_and_c_or_refused(plant, state, entry, unit, model):
+    check_fmu(plant, state, entry, unit, model)
+
+
+@needs_gcc
+@pytest.mark.slow
+@settings(max_examples=1000, deadline=None)
+@given(TEXTS, NAMES, NAMES, TEXTS, TEXTS)
+def test_so_are_a_thousand_fmus(plant, state, entry, unit, model):
+    check_fmu(plant, state, entry, unit, model)
 
 
 @needs_gcc
