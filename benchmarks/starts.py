@@ -6,7 +6,7 @@ MODEL is pipeline/paper.toml:deeponet by default, and has to be trained; `…:de
 Loops have the settings of the pipeline's [evaluate], delays and estimates those of [generate], starts its box, `--box`
 times as wide about its middle. `--damage` moves the weights uphill, along the gradient of the error of U on examples of
 the data, until its median is at least that. A loop is lost that ends further from its target than `--lost` times the
-target's size. Take a longer --t-end, or a larger --lost, where loops of the numerical predictor are still on their way.
+target's size. `--again 100` runs those that are lost at --t-end once more, for 100 s: some are still on their way.
 """
 
 import argparse
@@ -61,6 +61,18 @@ def wide(plant: npred.plants.Plant, X0: np.ndarray, factor: float) -> np.ndarray
     return np.where(low > 0, np.abs(moved), moved)
 
 
+def settled(
+    pipeline: config.Pipeline, predictor: Predictor, drawn: tuple[np.ndarray, ...], options: argparse.Namespace
+) -> Any:  # fmt: skip
+    """As `outcome`, where loops that are lost are run again for a longer time."""
+    t_end = options.t_end or pipeline.evaluate.case_t_end
+    lost, share = outcome(pipeline, predictor, drawn, t_end, options.lost)
+    late = np.flatnonzero(lost)
+    if options.again and len(late):
+        lost[late] = outcome(pipeline, predictor, tuple(a[late] for a in drawn), options.again, options.lost)[0]
+    return lost, share
+
+
 def outcome(
     pipeline: config.Pipeline, predictor: Predictor, drawn: tuple[np.ndarray, ...], t_end: float, far: float
 ) -> Any:
@@ -86,23 +98,22 @@ if __name__ == "__main__":
     parser.add_argument("model", nargs="?", default="pipeline/paper.toml:deeponet")
     for name, kind, default in (("loops", int, 10_000), ("box", float, 1.0), ("t-end", float, None)):
         parser.add_argument(f"--{name}", type=kind, default=default)
-    for name, default in (("tolerance", 0.01), ("damage", None), ("lost", LOST)):
+    for name, default in (("tolerance", 0.01), ("damage", None), ("lost", LOST), ("again", None)):
         parser.add_argument(f"--{name}", type=float, default=default)
     parser.add_argument("--store", default="artifacts")
     options = parser.parse_args()
     file, name = options.model.rsplit(":", 1)
     pipeline = config.load(Path(file))
-    nx, t_end = pipeline.evaluate.nx, options.t_end or pipeline.evaluate.case_t_end
+    nx, t_end = pipeline.evaluate.nx, options.again or options.t_end or pipeline.evaluate.case_t_end
     network = npred.load(options.model, nx=nx, store=options.store, runtime="fused")
     network = damaged(network, options.damage) if options.damage else network
     guarded = npred.guarded(network, options.tolerance)
     drawn = sampling.starts(SEED, pipeline.generate, network.plant, range(options.loops))
     drawn = (wide(network.plant, drawn[0], options.box), *drawn[1:])
-    numerical, _ = outcome(
-        pipeline, npred.predictor(pipeline.evaluate.predictor, network.plant, nx), drawn, t_end, options.lost
-    )
+    rk4 = npred.predictor(pipeline.evaluate.predictor, network.plant, nx)
+    numerical, _ = settled(pipeline, rk4, drawn, options)
     print(f"{options.loops} loops of {t_end:g} s, box {options.box:g} times as wide, tolerance {options.tolerance:g}")
     print(f"numerical: {numerical.sum()} lost")
     for predictor in (network, guarded):
-        lost, share = outcome(pipeline, predictor, drawn, t_end, options.lost)
+        lost, share = settled(pipeline, predictor, drawn, options)
         print(f"{predictor.name}: {(lost & ~numerical).sum()} more lost, fallback {share:.2%}", flush=True)
