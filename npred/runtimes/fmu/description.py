@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import npred
+from npred.json_files import escaped
 from npred.runtimes.fmu.variables import LARGEST, Variable
 
 ABOUT = {"logStatusDiscard": "a step or a value that was refused", "logStatusError": "a call that was wrong"}
@@ -140,5 +141,8 @@ def _experiment(root: ET.Element, model: Model) -> None:
 
 
 def _text(root: ET.Element) -> str:
+    """The XML; characters that XML has no place for are spelt out."""
+    for element in root.iter():
+        element.attrib = escaped(element.attrib)
     ET.indent(root)
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
