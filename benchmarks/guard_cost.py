@@ -28,6 +28,7 @@ from npred.stages.evaluate.scenarios import LOST
 from npred.stages.generate import sampling
 
 PROBES = 64
+UNSEEN = 1e9  # a tolerance with which nothing falls back: what is left of a guard is its correction
 NEAR = 0.3, 3.0  # of the tolerance: where the estimate decides
 PAIR = """\
     model(X, u, D_hat, t, p, P)
@@ -79,6 +80,16 @@ def estimates(guard: Guarded, data) -> None:
     print(f"  estimate over true error, {near.sum()} calls: {quantiles}")
 
 
+def corrections(runs: dict[str, Predictor], data) -> None:
+    """Errors of U on held-out samples, after what RK4 says on the nodes of the data."""
+    X, t = data.X, data.t
+    for name, run in runs.items():
+        u = grid.refine(data.u, run.nx)
+        exact = metrics.law(run.plant, npred.predictor("rk4", run.plant, run.nx)(X, u, data.D_hat, t), t, data.D_hat)
+        gaps = np.abs(metrics.law(run.plant, run(X, u, data.D_hat, t), t, data.D_hat) - exact).max(axis=-1)
+        print(f"  {name}: error of U, median {np.median(gaps):.1e}, largest {gaps.max():.1e}")
+
+
 def loops(pipeline: config.Pipeline, contenders: dict[str, Predictor], number: int) -> None:
     """Loops from fresh starts of the data's distribution, each contender's."""
     plant = next(iter(contenders.values())).plant
@@ -122,12 +133,18 @@ def main() -> None:
         for kind in rivals:
             if nodes := candidates.matching(reference, kind, eps):
                 runs[f"{kind.name} on {nodes - 1} steps"] = kind(stored.plant, nodes)
+        compared: dict[str, Predictor] = {}
+        if not npred.delays.family_of(stored.plant).refusal("defect"):
+            heun = npred.predictor("heun", stored.plant, nx)
+            runs |= {"corrected": Guarded(net, UNSEEN, correct=True), "heun on the same nodes": heun}
+            compared = {name: runs[name] for name in ("bare", "corrected", "heun on the same nodes")}
         times = calls(runs, reference)
         by, grids = guard.reference
         print(f"{stored.plant.name}, nx = {nx}, sup error {eps:.2g}, tolerance {arguments.tolerance:g}: "
               f"shadow by {by} on {grids[0]} and {grids[1]} steps, falls back to {guard.exact.name}")  # fmt: skip
         for name, median in times.items():
             print(f"  {name}: {median:.1f} µs, {median / times['bare']:.2f} x bare")
+        corrections(compared, data)
         estimates(guard, data)
         if arguments.loops:
             numerical = method("semi_implicit" if stored.plant.declares_mechanics else "rk4")(stored.plant, 101)
