@@ -295,7 +295,7 @@ def test_bench_rows(benched):
     """Batch 1 at each dx, larger batches at the first."""
     _, result = benched
     grid_rows = [r for r in result["rows"] if r["matches"] is None]
-    numerical = [("euler", "compiled"), ("heun", "compiled"), ("rk4", "compiled")]
+    numerical = [(name, "compiled") for name in ("euler", "heun", "rk4", "rosenbrock")]
     neural = [(name, runtime) for name in ("deeponet", "fno") for runtime in ("torch", "fused")]
     single = [("published", "python"), ("euler_python", "python"), *numerical, *neural]
     wanted = [(*kind, dx, 1) for dx in (0.1, 0.05) for kind in single]
