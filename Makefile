@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check $(if $(CONSTRAINTS),--constraint $(CONSTRAINTS))
 
 .DEFAULT_GOAL := all
-.PHONY: all install dev test test-fast smoke lint types docs cortex-m check constraints clean help force
+.PHONY: all install dev test test-fast campaign smoke lint types docs cortex-m check constraints clean help force
 
 all: install ## set up, then run the paper's whole experiment (what is done already is not done again)
 	$(BIN)/npred run $(PIPELINE)
@@ -19,7 +19,10 @@ test: dev ## all tests, the files side by side on all cores
 	$(BIN)/python -m pytest -n auto --dist loadfile
 
 test-fast: dev ## the tests that take no more than a few seconds each
-	$(BIN)/python -m pytest -n auto --dist loadfile -m "not slow"
+	$(BIN)/python -m pytest -n auto --dist loadfile -m "not slow and not campaign"
+
+campaign: dev ## the longest tests: 10^5 steps in C and in an FMU, a thousand hostile names
+	$(BIN)/python -m pytest -n auto -m campaign
 
 smoke: install ## the whole chain on a tiny problem
 	$(BIN)/npred run pipeline/smoke.toml

@@ -90,7 +90,7 @@ def test_a_closed_loop_is_that_of_the_controller(cases, tmp_path, name):
     assert differ(X, X_c) < 1e-12 and differ(U, U_c) < 1e-12
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 @pytest.mark.parametrize("name", LONG)
 def test_so_is_a_long_one(cases, tmp_path, name):
     (X, U), (X_c, U_c) = both(cases[name], tmp_path, 100_000)

@@ -67,7 +67,7 @@ def test_a_controller_of_any_names_is_c_or_refused(plant, state, entry, unit, pr
 
 
 @needs_gcc
-@pytest.mark.slow
+@pytest.mark.campaign
 @settings(max_examples=1000, deadline=None)
 @given(TEXTS, NAMES, NAMES, TEXTS, PREFIXES, TEXTS)
 def test_so_are_a_thousand(plant, state, entry, unit, prefix, model):
@@ -102,7 +102,7 @@ def test_an_fmu_of_any_names_is_xml_and_c_or_refused(plant, state, entry, unit, 
 
 
 @needs_gcc
-@pytest.mark.slow
+@pytest.mark.campaign
 @settings(max_examples=1000, deadline=None)
 @given(TEXTS, NAMES, NAMES, TEXTS, TEXTS)
 def test_so_are_a_thousand_fmus(plant, state, entry, unit, model):

@@ -93,7 +93,7 @@ def test_a_closed_loop_is_that_of_the_controller(instance, case, version):
     assert differ(X, X_fmu) < 1e-12 and differ(U, U_fmu) < 1e-12
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 @pytest.mark.parametrize("case", ["measured", "observer", "two delays", "guard"])
 def test_so_is_a_long_one(instance, case):
     """Of loops that converge: an untrained network's amplifies rounding."""
