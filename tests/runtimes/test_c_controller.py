@@ -215,7 +215,7 @@ def test_what_runs_in_python_is_refused():
 def test_the_example_of_the_documentation_compiles(tmp_path):
     page = (HERE.parent / "docs" / "deployment.md").read_text()
     examples = re.findall(r"^```C\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
-    (example,) = (text for text in examples if "npred_init" in text)
+    (example,) = (text for text in examples if "every_5_ms" in text)
     heun = npred.predictor("heun", PLANT, 21)
     files = c_controller.sources(Controller(PLANT, heun, PAPER, 0.005, D_hat=2.0))
     for name, text in zip(("npred.h", "npred.c", "main.c"), (*files, example), strict=True):
