@@ -5,9 +5,16 @@ from typing import Any
 
 import numpy as np
 
+from npred.plants.builtin.unicycle import Unicycle
 from npred.stages.reproduce.quirks import State
 
 Law = Callable[[State, Any], tuple[Any, Any]]
+
+
+class UnicycleOneDelay(Unicycle):
+    """The robot with both inputs equally late, and the law as it is meant."""
+
+    delays = period = None
 
 
 def f(X: State, u: Any) -> State:

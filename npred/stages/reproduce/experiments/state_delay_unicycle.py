@@ -11,12 +11,11 @@ import npred
 from npred import plants
 from npred.stages.reproduce import pomet
 from npred.stages.reproduce.experiment import Experiment, Measured, Measurements, PublishedNumber
-from npred.stages.reproduce.experiments.unicycle_constant import UnicycleOneDelay
 
 T, DT = 10.0, 0.001
 
 
-class UnicycleStateDelay(UnicycleOneDelay):
+class UnicycleStateDelay(pomet.UnicycleOneDelay):
     """The robot with its delay."""
 
     @staticmethod

@@ -3,8 +3,6 @@
 Bhan, Krstic, Shi, Neural Operators for Predictor Feedback Control of Nonlinear Delay Systems, arXiv:2411.18964.
 """
 
-from typing import Any
-
 import numpy as np
 
 import npred
@@ -41,33 +39,10 @@ def shifted_error(X: np.ndarray, P: np.ndarray) -> float:
     return float(np.linalg.norm(P[: STEPS - AHEAD] - X[AHEAD:], axis=1).mean())
 
 
-class UnicycleOneDelay:
-    """x' = v cos θ, y' = v sin θ, θ' = ω, both inputs equally late, with the law as it is meant."""
-
-    states = ("x", "y", "theta")
-    inputs = ("v", "omega")
-
-    @staticmethod
-    def f(x: Any, u: Any, t: Any, p: Any, M: Any) -> list[Any]:
-        return [u.v * M.cos(x.theta), u.v * M.sin(x.theta), u.omega]
-
-    @staticmethod
-    def kappa(x: Any, t: Any, p: Any, M: Any) -> list[Any]:
-        sin, cos = M.sin(x.theta), M.cos(x.theta)
-        ahead, aside = x.x * cos + x.y * sin, x.x * sin - x.y * cos
-        sway, swing = M.sin(3 * t), M.cos(3 * t)
-        omega = -5 * ahead**2 * swing - ahead * aside * (1 + 25 * swing**2) - x.theta
-        return [-ahead + 5 * aside * (sway - swing) + aside * omega, omega]
-
-    @staticmethod
-    def reference(t: Any, p: Any, M: Any) -> list[Any]:
-        return [0.0, 0.0, 0.0]
-
-
 def meant() -> float:
     """The mean of |P(1, t) - X(t + D)| with the right law, exact transport and each run's own delay, by npred."""
     X0, D = draws()
-    plant = plants.make("unicycle_one_delay", UnicycleOneDelay)
+    plant = plants.make("unicycle_one_delay", pomet.UnicycleOneDelay)
     loop = npred.simulate(
         plant, npred.predictor("rk4", plant, nx=NODES + 1), D=D, D_hat=D, X0=X0.T, t_end=STEPS * DT, dt=DT
     )
