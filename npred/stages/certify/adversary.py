@@ -2,9 +2,9 @@
 
 Every X of the box of initial states, every u within the range of the data's inputs and every D_hat within that of the
 data's estimates counts as an input; of a plant that declares its delay, every X with its D(X, t). Half of the searches
-start at rows of the data, half at random ones. Where the plant is traced with one constant delay they climb the
-gradient of |kappa(P̂(1)) - kappa(P(1))| through the network and RK4 (Adam, on coordinates that a logistic function
-keeps in the set); elsewhere CMA-ES evolves them.
+start at rows of the data, half at random ones. Where the plant is traced with one constant delay and without a clock
+they climb the gradient of |kappa(P̂(1)) - kappa(P(1))| through the network and RK4 (Adam, on coordinates that a logistic
+function keeps in the set); elsewhere CMA-ES evolves them.
 """
 
 from collections.abc import Callable
@@ -34,7 +34,8 @@ def search(
     """The inputs of every call of every search, and |kappa(P̂(1)) - kappa(P(1))| there, (B,)."""
     rng, count = randomness.generator(seed, "certify", "adversary"), table.restarts // 2
     a = inputs.starts(rng, data, table.restarts - count, count, predictor.nx)
-    if plant.traced and plant.one_delay and not plant.declares_delay and hasattr(predictor, "operator"):
+    constant = plant.traced and plant.one_delay and not plant.declares_delay and not plant.clocked
+    if constant and hasattr(predictor, "operator"):
         calls = _climb(plant, predictor, inputs, a, table.steps, progress)
         X, u, D_hat, t, errors = (np.concatenate(column) for column in zip(*calls, strict=True))
         return (X, u, D_hat, t), errors

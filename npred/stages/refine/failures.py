@@ -48,10 +48,8 @@ class Failures:
 def adversarial(job: Job, guard: Guarded, data: Dataset) -> Failures:
     """The calls of an adversary's searches, with other seeds than those of a certificate."""
     count, seed = job.config.refine_table.adversary, randomness.integer(job.config.seed, "refine", "adversary")
-    table, inputs = (
-        Certify(restarts=-(-max(count, 1) // STEPS), steps=STEPS),
-        Inputs.of(data, box(job.plant, job.config)),
-    )
+    table = Certify(restarts=-(-max(count, 1) // STEPS), steps=STEPS)
+    inputs = Inputs.of(data, box(job.plant, job.config), job.plant)
     with job.progress.bar(f"adversary {guard.model.name}", table.restarts * STEPS, "calls") as bar:
         calls, _ = adversary.search(job.plant, guard.model, data, inputs, table, seed, bar.advance)
     return Failures.of(job, _some(calls, count, seed), data.u.shape[1])

@@ -5,13 +5,16 @@ import numpy as np
 import pytest
 from jobs import PLANT as NAME
 from jobs import job, trained
+from operator_samples import SMALL
 
 import npred
+from npred import operators, plants
 from npred.config import Certify
 from npred.data.dataset import Dataset
 from npred.loop import metrics
 from npred.predictors import RK4, Predictor
 from npred.predictors.guarded import Guarded
+from npred.predictors.neural import Neural
 from npred.stages.certify import adversary, certify, rollouts
 from npred.stages.certify.input_set import Inputs
 from npred.stages.generate import generate
@@ -127,6 +130,35 @@ def test_the_gradient_climbs_through_a_network(certified):
     assert np.median(by_step[-1]) > 2 * np.median(by_step[0])
     true, _, _ = rollouts.judged(Guarded(network, exact=RK4(PLANT, 21)), RK4(PLANT, 21), *calls)
     np.testing.assert_allclose(error, true, rtol=0.2, atol=2e-3)  # torch's P(1) is that of the kernels, u read linearly
+
+
+class Driven:
+    """x' = U + sin 2t: a prediction over one delay that depends on the time."""
+
+    states, inputs, box, period = ("x",), ("U",), {"x": (0.0, 1.0)}, np.pi
+
+    def f(x, u, t, p, M):
+        return [u.U + M.sin(2 * t)]
+
+    def kappa(x, t, p, M):
+        return [-x.x]
+
+    def V(x, t, p, M):
+        return x.x**2
+
+
+def test_a_network_that_sees_the_phase_is_asked_at_the_times_of_the_calls():
+    plant, rng, t = plants.Plant("Driven", Driven), np.random.default_rng(3), np.linspace(0.0, 3.0, 30)
+    X, u, D = rng.uniform(size=(30, 1)), rng.normal(size=(30, 21, 1)), rng.uniform(0.4, 0.8, 30)
+    data = Dataset(X, u, D, RK4(plant, 21)(X, u, D, t), D, t, np.arange(30), np.zeros(30, dtype=bool))
+    network = Neural(
+        plant, operators.build(SMALL[0].model_copy(update={"anchor": "initial"}), plant, operators.Scaling(1, 1)), 21
+    )
+    inputs, table = Inputs.of(data, np.array([[0.0, 1.0]]), plant), Certify(restarts=8, steps=6)
+    calls, error = adversary.search(plant, network, data, inputs, table, 0, lambda count: None)
+    assert np.ptp(calls[3]) > 0.5
+    exact = RK4(plant, 21)
+    np.testing.assert_allclose(rollouts.judged(Guarded(network, exact=exact), exact, *calls)[0], error, rtol=1e-9)
 
 
 def test_judged_calls_pass_where_the_tolerance_is_wide_and_none_does_where_it_is_narrow(certified):

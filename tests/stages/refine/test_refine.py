@@ -52,6 +52,15 @@ def test_the_rows_of_both_kinds_and_a_share_of_the_data(inputs, refined):
     assert 0 < result.adversary <= 120 and 0 <= result.fallbacks <= 60
 
 
+def test_the_adversary_of_a_plant_with_a_clock_draws_times(tmp_path):
+    plant, rng, t = npred.plant("unicycle"), np.random.default_rng(4), np.linspace(0.0, 5.0, 20)
+    X, u, D = rng.normal(size=(20, 3)), rng.normal(size=(20, 21, 2)), np.full(20, 0.6)
+    data = Dataset(X, u, D, RK4(plant, 21)(X, u, D, t), D, t, np.arange(20), np.zeros(20, dtype=bool))
+    task = job(tmp_path, "clocked", plant="unicycle", refine=TABLE)
+    found = failures.adversarial(task, npred.guarded(npred.predictor("euler", plant, 21)), data)
+    assert len(found.t) == 120 and np.ptp(found.t) > 1
+
+
 def test_before_and_after_are_compared_on_the_same_inputs(refined):
     _, (result, _) = refined
     before, after = result.models.values()
