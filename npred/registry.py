@@ -161,6 +161,7 @@ METHODS = Registry(
         "rosenbrock": Entry("npred.predictors.rosenbrock:Rosenbrock", "Rosenbrock", ("ink", (4, 1.6), "s")),
         "semi_implicit": Entry("npred.predictors.semi_implicit:SemiImplicit", "semi-implicit", ("green", (), "D")),
         "picard": Entry("npred.predictors.picard:Picard", "Picard", ("muted", (4, 1.6), "v")),
+        "rollout": Entry("npred.predictors.rollout:Rollout", "rollout", ("ink", (1, 1.5), "P")),
     },
 )
 INTERPRETED = Registry(  # to compare with: no pipeline predicts by them
@@ -256,7 +257,7 @@ STAGES = {
         r"(errors|worst)\.h5", True, optional=True,
     ),
     "bench": StageEntry(
-        8, ("generate", "train"), "npred.stages.bench.bench", "npred.results:Benched",
+        9, ("generate", "train"), "npred.stages.bench.bench", "npred.results:Benched",
         "The time of a predictor call, each with its error beside it.", r"times\.h5", True,
     ),
     "report": StageEntry(

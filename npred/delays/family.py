@@ -99,6 +99,9 @@ class Family(ABC):
         if part == "semi_implicit" and not self.plant.declares_mechanics:
             reason = f"expected a plant that declares mechanics(x, u, t, p, M), plant {self.plant.name} declares none"
             return reason, "use rosenbrock"
+        if part == "rollout" and (self.plant.traced or not self.plant.declares_rollout):
+            reason = f"expected traced = False and rollout(X, u, D_hat, t, p), plant {self.plant.name} declares no such"
+            return reason, "use rk4"
         return None
 
     def needs(self, part: str) -> None:

@@ -43,7 +43,7 @@ class Plant:
         self.name, self.declaration = name, declared.completed(declaration)
         self.source = source or registry.declaring(declaration)
         self.declares_V, self.declares_delay = parts.V is not None, parts.delay is not None
-        self.declares_mechanics = parts.mechanics is not None
+        self.declares_mechanics, self.declares_rollout = parts.mechanics is not None, parts.rollout is not None
         self.states, self.inputs, self.parameters, self.box = parts.states, parts.inputs, parts.parameters, parts.box
         self.guess = np.zeros(self.n) if parts.guess is None else np.array(parts.guess)
         self.input_bounds = None if parts.input_bounds is None else list(parts.input_bounds)
@@ -119,6 +119,10 @@ class Plant:
     def delay(self, X: Any, t: Any = 0.0) -> Any:
         """delay(X, t) in seconds, X (..., n) to (...), of a plant that declares it."""
         return array_math.stack(self._on("delay", X, None, t), X[..., 0])[..., 0]
+
+    def rollout(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Any) -> np.ndarray:
+        """P (B, nx, n) by the simulator of a black box that declares rollout. Raises ConfigError for any other."""
+        raise ConfigError(f"plant {self.name}: rollout expected traced = False and rollout(X, u, D_hat, t, p); use rk4")
 
     def _on(self, name: str, X: Any, u: Any, t: Any) -> list[Any]:
         self._fits(X, u)

@@ -26,6 +26,7 @@ class BlackBox(Plant):
     (B,) for X (B, n), u (B, m), t a number or (B,), and p with the parameters' names; `reference(t, p)` takes t (B,)
     and gives (B, n). Optional are df(X, u, t, p, v) -> (B, n) and dkappa(X, t, p, v) -> (B, m), the derivatives by X
     along v (B, n), else taken by central differences, good to about 1e-9 of the function's size, as those by t are;
+    rollout(X, u, D_hat, t, p) -> (B, nx, n), a simulator's own steps from X over u (B, nx, m) and D_hat (B,) seconds;
     and `files`, paths whose content is part of the identity, as is that of the plant's file. All else is as for
     any Plant.
     Where a function overflows or leaves a domain by an exception, as math.pow does, that row is NaN.
@@ -70,6 +71,9 @@ class BlackBox(Plant):
         if hasattr(self.declaration, "dkappa"):
             return self._rows("dkappa", self.m, t, X, last=v) + by_time
         return difference(lambda moved: self.kappa(moved, t), X, v) + by_time
+
+    def rollout(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Any) -> np.ndarray:
+        return self._declared("rollout", [X, u, D_hat, t, parameters(self)])
 
     def jacobians(self, X: np.ndarray, u: np.ndarray, t: Any = 0.0) -> tuple[np.ndarray, np.ndarray]:
         X, u = np.asarray(X, dtype=float), np.asarray(u, dtype=float)

@@ -78,6 +78,7 @@ class Declaration(BaseModel, frozen=True):
     V: Function | None = None
     delay: Function | None = None
     mechanics: Function | None = None
+    rollout: Function | None = None
     reference: Function | None = None
     parameters: Parameters = {}
     box: Box = {}

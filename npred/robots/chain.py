@@ -11,15 +11,25 @@ import re
 from collections.abc import Sequence
 from keyword import iskeyword
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from npred.errors import ConfigError
 from npred.robots import rigid_body, urdf
-from npred.robots.rigid_body import Body
 from npred.symbolic.ldl import total
 
 GAINS = {"stiffness": 40.0, "damping": 14.0, "amplitude": 0.2, "frequency": 0.6, "gravity": 9.81}
 TURNS, SLIDES = ("rad", "rad/s", "N m"), ("m", "m/s", "N")  # units of a joint's position, rate and input
+
+
+class Joint(Protocol):
+    """What a declaration reads of a body: its joint's name, whether it slides, and the largest torque or force."""
+
+    @property
+    def joint(self) -> str: ...
+    @property
+    def slides(self) -> bool: ...
+    @property
+    def effort(self) -> float: ...
 
 
 def chain(path: str | Path, pose: Sequence[float] | None = None) -> type:
@@ -64,7 +74,7 @@ def chain(path: str | Path, pose: Sequence[float] | None = None) -> type:
 
 
 def declaration(
-    path: str | Path, bodies: list[Body], middle: list[float], functions: dict[str, Any], **more: Any
+    path: str | Path, bodies: Sequence[Joint], middle: list[float], functions: dict[str, Any], **more: Any
 ) -> type:
     """The class that declares a chain of these bodies with its functions, and more attributes."""
     names = [_name(body.joint) for body in bodies]
@@ -93,7 +103,7 @@ def _name(joint: str) -> str:
     return name if name.isidentifier() and not iskeyword(name) and name[0] != "_" else f"joint_{name.lstrip('_')}"
 
 
-def middles(bodies: list[Body], pose: Sequence[float] | None) -> list[float]:
+def middles(bodies: Sequence[Joint], pose: Sequence[float] | None) -> list[float]:
     """The positions that the joints' waves are about. Raises ConfigError for another number of them."""
     centres = [0.0] * len(bodies) if pose is None else [float(at) for at in pose]
     if len(centres) != len(bodies):

@@ -16,6 +16,7 @@ SIGNATURES = {"f": "f(x, u, t, p, M)", "mechanics": "mechanics(x, u, t, p, M)", 
 SIGNATURES |= {name: f"{name}(x, t, p, M)" for name in ("kappa", "V", "delay")}
 ON_ROWS = {"f": "f(X, u, t, p)", "reference": "reference(t, p)", "df": "df(X, u, t, p, v)"}
 ON_ROWS |= {"kappa": "kappa(X, t, p)", "V": "V(X, t, p)", "dkappa": "dkappa(X, t, p, v)"}
+ON_ROWS |= {"rollout": "rollout(X, u, D_hat, t, p)"}
 HINTS = {
     "for &": "write M.where(a, M.where(b, yes, no), no) for a and b",
     "for |": "write M.where(a, yes, M.where(b, yes, no)) for a or b",

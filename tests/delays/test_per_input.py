@@ -18,7 +18,7 @@ from npred.predictors.interpreted import EulerPython
 from npred.registry import METHODS
 
 D_HAT = 0.7
-ONESTEP = [name for name in METHODS.builtin if name not in ("picard", "semi_implicit")]
+ONESTEP = [name for name in METHODS.builtin if name not in ("picard", "semi_implicit", "rollout")]
 
 
 def plant(delays=None, inputs=2):
