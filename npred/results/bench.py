@@ -1,5 +1,7 @@
 """The result of the stage bench."""
 
+from math import inf
+
 from npred.results.base import Number, Result
 
 
@@ -21,7 +23,9 @@ class Timing(Result):
     p95_us: float  #: the 95 % quantile
     p999_us: float  #: the 99.9 % quantile
     max_us: float  #: the largest
-    eps_sup: Number  #: the error on held-out samples of the data; `null` where the predictor diverges
+    #: the largest error over held-out samples of the data and nodes; `null` where the predictor diverges
+    eps_sup: Number
+    eps_median: Number = inf  #: the median over samples of the largest over nodes, likewise
     #: the median of `published` at the same dx and batch over this one's; `null` where that was not timed
     speedup_published: float | None = None
     speedup_compiled: float | None = None  #: the same of compiled `euler`
@@ -38,6 +42,8 @@ class Rival(Result):
     predictor: str  #: its name
     steps: int  #: how many
     median_us: float  #: microseconds per call
+    eps_sup: Number = inf  #: its error on those steps, the largest
+    eps_median: Number = inf  #: its median error
 
 
 class Crossover(Result):
@@ -46,10 +52,12 @@ class Crossover(Result):
     plant: str  #: its name
     predictor: str  #: the network
     runtime: str  #: its fastest
-    eps_sup: Number  #: its error
+    eps_sup: Number  #: its error, the largest over samples and nodes, by which methods are matched
     eps_relative: Number  #: that over the largest P
+    eps_median: Number = inf  #: its median error, over samples, of the largest over nodes
     network_us: float  #: microseconds per call
     numerical: list[Rival]  #: each method of that accuracy
+    by_median: list[Rival] = []  #: each on as many steps as it needs for the network's median error
     best: str  #: the fastest of them
     best_steps: int  #: its steps
     best_us: float  #: its microseconds per call

@@ -1,7 +1,9 @@
 """Break-even of networks against the quickest numerical predictor of the same accuracy, on the same samples."""
 
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from math import isfinite
+from typing import Any
 
 import numpy as np
 
@@ -12,7 +14,7 @@ from npred.registry import METHODS, NETWORKS
 from npred.results.bench import Crossover, Rival, Timing
 from npred.stages import Job
 from npred.stages.bench import timing
-from npred.stages.bench.candidates import Candidate, Reference
+from npred.stages.bench.candidates import Candidate, Reference, matching
 from npred.terminal.progress_bars import counted
 
 STEPS = (10, 210)  # of the two runs whose difference is the cost of f
@@ -36,29 +38,56 @@ def measure(job: Job, timed: Iterable[tuple[Candidate, Timing]], reference: Refe
 
 
 def _crossover(job: Job, network: Candidate, row: Timing, rivals: list[Candidate], reference: Reference) -> Crossover:
-    """Both timed in turn. pays_from_ns: the cost of f at which the rival's steps take as long as the network, 0 where
+    """All timed in turn. pays_from_ns: the cost of f at which the rival's steps take as long as the network, 0 where
     they do without f.
     """
-    runs = {entry.label: entry.run for entry in (network, *rivals)} | {str(k): RK4(job.plant, k + 1) for k in STEPS}
+    typical = [_by_median(entry, reference, row.eps_median) for entry in rivals]
+    contenders = (network, *rivals, *(entry for entry in typical if entry))
+    runs = {entry.label: entry.run for entry in contenders} | {str(k): RK4(job.plant, k + 1) for k in STEPS}
     calls = {label: _call(reference, run) for label, run in runs.items()}
     times = timing.sample(calls, job.config.bench.calls, job.config.bench.seconds)
     median = {label: timing.quantiles(taken)["median_us"] for label, taken in times.items()}
     few, many = (median[str(k)] for k in STEPS)
     f_ns = 1000 * (many - few) / (RK4.evaluations() * (STEPS[1] - STEPS[0]))
     best = min(rivals, key=lambda entry: median[entry.label])
-    assert isinstance(best.run, OneStep)
     network_us, best_us = median[network.label], median[best.label]
-    whole = hasattr(best.run.step, "whole")  # all that an implicit step does grows with f: its derivatives, its matrix
-    evaluations = 1000 * best_us / f_ns if whole else best.run.evaluations() * (best.nx - 1)
+    evaluations = _evaluations(best) or 1000 * best_us / f_ns
     overhead = max(best_us - f_ns * evaluations / 1000, 0.0)
     crossover = Crossover(
         plant=job.plant.name, predictor=network.predictor, runtime=network.runtime, eps_sup=row.eps_sup,
-        eps_relative=row.eps_sup / float(np.abs(reference.P).max()), network_us=network_us,
-        numerical=[Rival(predictor=e.predictor, steps=e.nx - 1, median_us=median[e.label]) for e in rivals],
+        eps_relative=row.eps_sup / float(np.abs(reference.P).max()), eps_median=row.eps_median,
+        network_us=network_us, numerical=[_rival(e, median, reference) for e in rivals],
+        by_median=[_rival(e, median, reference) for e in typical if e],
         best=best.predictor, best_steps=best.nx - 1, best_us=best_us, network_speedup=best_us / network_us,
         f_ns=f_ns, pays_from_ns=1000 * max(network_us - overhead, 0.0) / evaluations,
     )  # fmt: skip
     return crossover.model_copy(update={"sentence": sentence(crossover)})
+
+
+def _by_median(rival: Candidate, reference: Reference, eps: float) -> Candidate | None:
+    """The same method on as many steps as it needs for that median error."""
+    kind: Any = type(rival.run)
+    nodes = matching(reference, kind, eps, by="median")
+    run = kind(rival.run.plant, nodes) if nodes else None
+    return run and replace(rival, nx=nodes, run=run, matches=f"{rival.matches}, median")
+
+
+def _rival(entry: Candidate, median_us: dict[str, float], reference: Reference) -> Rival:
+    errors = reference.of_method(entry.run, entry.nx)
+    return Rival(
+        predictor=entry.predictor, steps=entry.nx - 1, median_us=median_us[entry.label], eps_sup=errors.sup,
+        eps_median=errors.median,
+    )  # fmt: skip
+
+
+def _evaluations(rival: Candidate) -> int | None:
+    """The evaluations of f in a call; None where all of it grows with f: an implicit step's derivatives and matrix, and
+    what a simulator does.
+    """
+    run = rival.run
+    if not isinstance(run, OneStep) or hasattr(run.step, "whole"):
+        return None
+    return run.evaluations() * (rival.nx - 1)
 
 
 def _call(reference: Reference, run: Predictor) -> Callable[[int], None]:
@@ -87,7 +116,20 @@ def sentence(crossover: Crossover) -> str:
     pays = f"from {from_ns:.0f} ns per evaluation of f on {here}" if from_ns else f"however cheap f is {here}"
     return (
         f"For {crossover.plant} at ε = {short(crossover.eps_sup)} the fastest predictor is {first}, "
-        f"{max(ratio, 1 / ratio):.1f} times as fast as {second}: {times}{_others(crossover)}. A network pays {pays}."
+        f"{max(ratio, 1 / ratio):.1f} times as fast as {second}: {times}{_others(crossover)}.{_typical(crossover)} "
+        f"A network pays {pays}."
+    )
+
+
+def _typical(crossover: Crossover) -> str:
+    """The network beside the fastest method of its median error, which ranks them otherwise than the largest may."""
+    if not crossover.by_median:
+        return ""
+    rival = min(crossover.by_median, key=lambda row: row.median_us)
+    method = _method(rival.predictor, rival.steps)
+    return (
+        f" By the median error over samples, {short(crossover.eps_median)}, {method} has the network's "
+        f"in {rival.median_us:.1f} µs, {rival.median_us / crossover.network_us:.1f} times its time."
     )
 
 

@@ -3,7 +3,7 @@
 from bisect import bisect_left
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from npred.operators import Operator
 from npred.parallel import devices
 from npred.plants import Plant
 from npred.predictors import RK4, OneStep, Predictor, method
+from npred.predictors.rollout import Rollout
 from npred.registry import INTERPRETED, called
 from npred.runtimes.lower import lowering
 from npred.stages import Job
@@ -23,6 +24,7 @@ from npred.stages.evaluate.initial_conditions import box
 
 FINE = 2001  # nodes of the reference
 PROBES = 200  # held-out samples that a row's error is taken over
+Method = type[OneStep] | type[Rollout]
 LADDER = sorted({round(1.2**k) for k in range(42)} | {FINE - 1})  # numbers of intervals to try
 FRONT = (4, 10, 20, 50)  # intervals of the compiled methods' coarse end
 
@@ -55,6 +57,13 @@ class Candidate:
         return self.batch, 0 if self.matches else self.nx
 
 
+class Errors(NamedTuple):
+    """|P_hat - P|, the largest over nodes: the largest and the median over samples."""
+
+    sup: float
+    median: float
+
+
 class Reference:
     """Held-out samples with their P on a fine grid, to take any predictor's error on.
 
@@ -74,21 +83,32 @@ class Reference:
         self.plant, self.X, self.u = plant, test.X[rows], test.u[rows]
         self.D_hat, self.t = test.D_hat[rows], test.t[rows]
         self.P = RK4(plant)(self.X, grid.refine(self.u, FINE), self.D_hat, self.t)
-        self._known: dict[tuple[str, str, int], float] = {}
+        self._known: dict[tuple[str, str, int], Errors] = {}
 
-    def error(self, entry: Candidate) -> float:
-        """sup |P_hat - P| over samples and the entry's nodes."""
-        key = entry.predictor, entry.runtime, entry.nx
+    def error(self, entry: Candidate) -> Errors:
+        """The errors of an entry on its nodes."""
+        return self._remembered((entry.predictor, entry.runtime, entry.nx), entry.run)
+
+    def of_method(self, run: Predictor, nx: int) -> Errors:
+        """The errors of a numerical method on nx nodes."""
+        return self._remembered((run.name, "compiled", nx), run)
+
+    def _remembered(self, key: tuple[str, str, int], run: Predictor) -> Errors:
         if key not in self._known:
-            self._known[key] = self.of(entry.run, entry.nx)
+            self._known[key] = self.errors(run, key[-1])
         return self._known[key]
 
     def of(self, predictor: Predictor, nx: int) -> float:
         """sup |P_hat - P| of a predictor on nx nodes."""
+        return self.errors(predictor, nx).sup
+
+    def errors(self, predictor: Predictor, nx: int) -> Errors:
+        """The errors of a predictor on nx nodes."""
         with np.errstate(over="ignore", invalid="ignore"):  # few steps may diverge: an infinite error
             P_hat = predictor(self.X, grid.refine(self.u, nx), self.D_hat, self.t)
-            errors = np.linalg.norm(P_hat - grid.refine(self.P, nx), axis=-1)
-        return float(np.nan_to_num(errors, nan=np.inf, posinf=np.inf).max())
+            gaps = np.linalg.norm(P_hat - grid.refine(self.P, nx), axis=-1)
+        largest = np.nan_to_num(gaps, nan=np.inf, posinf=np.inf).max(axis=1)
+        return Errors(float(largest.max()), float(np.median(largest)))
 
 
 def entries(job: Job, reference: Reference) -> list[Candidate]:
@@ -109,7 +129,7 @@ def entries(job: Job, reference: Reference) -> list[Candidate]:
                 rows += _neural(job, operator, name, nx, batch, ways[name])
     nx = grid.count(config.dx[0])
     for name in networks:
-        eps = reference.error(next(e for e in rows if (e.predictor, e.nx) == (name, nx)))
+        eps = reference.error(next(e for e in rows if (e.predictor, e.nx) == (name, nx))).sup
         for rival, kind in methods.items():
             if coarse := matching(reference, kind, eps):
                 rows.append(Candidate(rival, "compiled", coarse, 1, kind(job.plant, coarse), name))
@@ -119,24 +139,24 @@ def entries(job: Job, reference: Reference) -> list[Candidate]:
     ]
 
 
-def _methods(config: Pipeline, plant: Plant) -> dict[str, type[OneStep]]:
-    """The one-step methods that serve the plant, by what their rows are called: those that have a name, and those that
-    the pipeline takes.
+def _methods(config: Pipeline, plant: Plant) -> dict[str, Method]:
+    """The methods of a step per interval that serve the plant, by what their rows are called: those that have a name,
+    and those that the pipeline takes.
     """
     kinds = {called(spec): method(spec) for spec in config.methods}
     refusal = family_of(plant).refusal
-    return {name: kind for name, kind in kinds.items() if issubclass(kind, OneStep) and not refusal(kind.name)}
+    return {n: kind for n, kind in kinds.items() if issubclass(kind, OneStep | Rollout) and not refusal(kind.name)}
 
 
-def matching(reference: Reference, method: type[OneStep], eps: float) -> int | None:
-    """The fewest nodes from which on the method is at least as accurate as eps; a single grid may fit u by luck.
+def matching(reference: Reference, method: Method, eps: float, by: Literal["sup", "median"] = "sup") -> int | None:
+    """The fewest nodes from which on the method's error `by` is at most eps; a single grid may fit u by luck.
 
     None where even the reference's nodes are not enough.
     """
     run = method(reference.plant)
 
     def suffices(intervals: int) -> bool:
-        return reference.of(run, intervals + 1) <= eps
+        return getattr(reference.of_method(run, intervals + 1), by) <= eps
 
     sufficient: list[int] = []
     for intervals in reversed(LADDER):
@@ -165,7 +185,7 @@ def _ways(job: Job, name: str, operator: Operator, available: list[str]) -> list
     return [runtime for runtime in available if runtime != "fused"] or ["torch"]
 
 
-def _numerical(plant: Plant, methods: dict[str, type[OneStep]], nx: int, batch: int) -> Iterator[Candidate]:
+def _numerical(plant: Plant, methods: dict[str, Method], nx: int, batch: int) -> Iterator[Candidate]:
     for name in INTERPRETED.builtin if batch == 1 else ():
         if family_of(plant).refusal(name) is None:
             yield Candidate(name, "python", nx, batch, INTERPRETED.load("bench", name)(plant, nx))

@@ -14,11 +14,7 @@ RATIOS = {"× O(nx²) sums": "speedup_published", "× euler": "speedup_compiled"
 
 def summary(result: Benched, width: int | None = None) -> str:
     """Each predictor's median and error, and the sentences on them; without the rows that only a figure needs."""
-    rows = [
-        _first(row) | {"µs": _short(row.median_us), "ε sup": _error(row)}
-        for row in result.rows
-        if row.matches != "front"
-    ]
+    rows = [_first(row) | {"µs": _short(row.median_us)} | _errors(row) for row in result.rows if row.matches != "front"]
     return _with_sentences(result, rows, width)
 
 
@@ -70,7 +66,7 @@ def _first(row: Timing) -> dict[str, str]:
 def _all(row: Timing) -> dict[str, str]:
     times = {head: _short(getattr(row, key)) for head, key in TIMES.items()}
     ratios = {head: "" if getattr(row, key) is None else f"{getattr(row, key):.3g}" for head, key in RATIOS.items()}
-    return _first(row) | times | {"ε sup": _error(row)} | ratios
+    return _first(row) | times | _errors(row) | ratios
 
 
 def _name(row: Timing) -> str:
@@ -84,8 +80,9 @@ def _runtime(row: Timing) -> str:
     return f"{row.runtime} {row.device} {'with' if row.copies else 'without'} copies"
 
 
-def _error(row: Timing) -> str:
-    return f"{row.eps_sup:.1e}" if isfinite(row.eps_sup) else "∞"
+def _errors(row: Timing) -> dict[str, str]:
+    errors = {"ε sup": row.eps_sup, "ε median": row.eps_median}
+    return {head: f"{error:.1e}" if isfinite(error) else "∞" for head, error in errors.items()}
 
 
 def _short(microseconds: float) -> str:

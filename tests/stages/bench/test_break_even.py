@@ -10,7 +10,7 @@ from npred import plants
 from npred.predictors import RK4, Euler
 from npred.results.bench import Crossover
 from npred.stages.bench import break_even, candidates
-from npred.stages.bench.candidates import Candidate
+from npred.stages.bench.candidates import Candidate, Errors
 
 PLANT = plants.resolve("scalar")
 
@@ -36,7 +36,8 @@ def test_break_even_is_where_both_take_as_long(tmp_path, monkeypatch):
         (entry("euler", "compiled", 101, Euler(PLANT, 101), "deeponet"), timing("any", us=11.0, eps_sup=0.01)),
         (entry("rk4", "compiled", 5, matches="front"), timing("any", us=2.6, eps_sup=0.2)),
     ]
-    reference = SimpleNamespace(P=[[-4.0, 2.0]])
+    errors = Errors(0.01, 0.005)
+    reference = SimpleNamespace(P=[[-4.0, 2.0]], plant=PLANT, of_method=lambda run, nx: errors)
     (found,) = break_even.measure(job(tmp_path, "bench", bench={"dx": [0.1]}), timed, reference)
     assert (found.predictor, found.runtime, found.best, found.best_steps) == (
         "deeponet",
@@ -66,7 +67,8 @@ def test_break_even_is_where_both_take_as_long(tmp_path, monkeypatch):
 def test_sentence(speedup, words):
     found = Crossover.of(CROSSOVER | {"network_speedup": speedup}, "a test")
     text = break_even.sentence(found)
-    assert "the network takes 10.0 µs, RK4 on 10 steps 5.0 µs, Euler on 99 steps 9.0 µs. A network" in text
+    assert "the network takes 10.0 µs, RK4 on 10 steps 5.0 µs, Euler on 99 steps 9.0 µs. By the median" in text
+    assert "median error over samples, 3.0·10⁻³, RK4 on 7 steps has the network's in 4.0 µs, 0.4 times" in text
     assert words in text and text.endswith("A network pays from 200 ns per evaluation of f on (here 80 ns).")
     assert "on 1 step:" in break_even.sentence(found.model_copy(update={"best_steps": 1, "network_speedup": 4.0}))
     assert break_even.sentence(found.model_copy(update={"pays_from_ns": 0.0})).endswith(
@@ -78,9 +80,10 @@ def test_equal_accuracy_is_not_taken_from_one_lucky_grid():
     class Lucky:
         plant = PLANT
 
-        def of(self, predictor, nx):
-            return 0.0 if nx == 5 else 1 / (nx - 1)
+        def of_method(self, predictor, nx):
+            return Errors(0.0 if nx == 5 else 1 / (nx - 1), 0.1 / (nx - 1))
 
     assert candidates.matching(Lucky(), RK4, 0.01) - 1 == 100  # not 4
     assert candidates.matching(Lucky(), RK4, 2.0) - 1 == 1
     assert candidates.matching(Lucky(), RK4, 1e-9) is None
+    assert candidates.matching(Lucky(), RK4, 0.01, by="median") - 1 == 10

@@ -21,7 +21,7 @@ RESULT = Benched.of(BENCHED | {"rows": ROWS, "crossover": [CROSSOVER | {"sentenc
 def test_the_summary_fits_80_columns_and_leaves_out_what_only_a_figure_needs():
     lines = timing_tables.summary(RESULT, 80).splitlines()
     assert max(map(len, lines)) <= 80 and "…" not in "".join(lines)
-    assert lines[2].split() == ["predictor", "runtime", "dx", "batch", "µs", "ε", "sup"]
+    assert lines[2].split() == ["predictor", "runtime", "dx", "batch", "µs", "ε", "sup", "ε", "median"]
     assert len([line for line in lines if line.startswith("euler")]) == 1
     assert lines[-2:] == ["A network pays.", "The machine stops."]
 
