@@ -4,6 +4,7 @@ import ctypes
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -20,15 +21,20 @@ def compiler() -> str | None:
     return shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
 
 
+def build(sources: Iterable[Path], target: Path, what: str, *flags: str) -> None:
+    """Compile C sources into a shared library. Raises NpredError, in one line, where they do not compile."""
+    command = [compiler() or "cc", *FLAGS, *flags, *map(str, sources), "-o", str(target), "-lm"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=600)
+    if done.returncode:
+        complaint = (done.stderr.splitlines() or ["no word"])[0]
+        raise NpredError(f"export {what}: expected sources that compile, got: {complaint}; report it")
+
+
 def outputs(path: Path, plant: Plant, nx: int, probe: Probe) -> tuple[np.ndarray, np.ndarray]:
     """P (B, nx, n) and U (B, m) of the C file for some samples. Raises NpredError where it does not compile."""
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / "library.so"
-        command = [compiler() or "cc", *FLAGS, str(path), "-o", str(target), "-lm"]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=600)
-        if done.returncode:
-            complaint = (done.stderr.splitlines() or ["no word"])[0]
-            raise NpredError(f"export c: expected a file that compiles, got: {complaint}; report it")
+        build([path], target, "c")
         library = ctypes.CDLL(str(target))
         rows = [_row(library, plant, nx, *row) for row in zip(*probe, strict=True)]
     P, U = (np.array(column) for column in zip(*rows, strict=True))

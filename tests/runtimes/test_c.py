@@ -66,7 +66,7 @@ def test_a_file_is_run_before_it_is_kept(tmp_path, monkeypatch):
         with pytest.raises(NpredError, match=r"export c: expected P and U within 0.0001 of their sizes, got"):
             c.export(model, PLANT, tmp_path / "wrong.c", 21, samples)
         patch.setattr(c, "SOURCE", c.SOURCE.replace("#include <math.h>", "#include <none.h>"))
-        with pytest.raises(NpredError, match=r"export c: expected a file that compiles, got: .*none\.h"):
+        with pytest.raises(NpredError, match=r"export c: expected sources that compile, got: .*none\.h"):
             c.export(model, PLANT, tmp_path / "wrong.c", 21, samples)
     assert not (tmp_path / "wrong.c").exists()
     monkeypatch.setattr(c_library, "compiler", lambda: None)

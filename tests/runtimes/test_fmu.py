@@ -20,7 +20,6 @@ from npred.errors import ConfigError, NpredError
 from npred.loop.controller import Controller
 from npred.predictors.guarded import Guarded
 from npred.runtimes import c_library, fmu
-from npred.runtimes.fmu import archive
 from npred.runtimes.fused import Fused
 
 fmpy = pytest.importorskip("fmpy")
@@ -334,7 +333,7 @@ def test_in_float_it_is_so_to_float_s_rounding(tmp_path):
 
 
 def test_sources_that_do_not_compile_are_an_error_in_one_line(tmp_path, monkeypatch):
-    monkeypatch.setattr(archive, "FLAGS", (*archive.FLAGS, "-include", "missing.h"))
+    monkeypatch.setattr(c_library, "FLAGS", (*c_library.FLAGS, "-include", "missing.h"))
     with pytest.raises(NpredError, match=r"^export fmu: expected sources that compile, got: .*missing.h.*; report it$"):
         exported(heun(), tmp_path)
     assert list(tmp_path.iterdir()) == []

@@ -2,17 +2,15 @@
 
 import os
 import platform
-import subprocess
 import sys
 import tempfile
 import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from npred.errors import NpredError
 from npred.runtimes import c_library
 
-FLAGS = (*c_library.FLAGS, "-fvisibility=hidden")
+HIDDEN = "-fvisibility=hidden"  # but what FMI names
 SUFFIXES = {"linux": ".so", "darwin": ".dylib", "windows": ".dll"}
 MACHINES = {"amd64": "x86_64", "arm64": "aarch64"}
 FOLDERS_OF_2 = {("linux", "x86_64"): "linux64", ("darwin", "x86_64"): "darwin64", ("windows", "x86_64"): "win64"}
@@ -31,11 +29,7 @@ def compiled(texts: Mapping[str, str], sources: Sequence[str]) -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         for name, text in texts.items():
             (Path(folder) / name).write_text(text, encoding="utf-8")
-        command = [c_library.compiler() or "cc", *FLAGS, *sources, "-o", "library", "-lm"]
-        done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
-        if done.returncode:
-            complaint = (done.stderr.splitlines() or ["no word"])[0]
-            raise NpredError(f"export fmu: expected sources that compile, got: {complaint}; report it")
+        c_library.build([Path(folder) / name for name in sources], Path(folder) / "library", "fmu", HIDDEN)
         return (Path(folder) / "library").read_bytes()
 
 
