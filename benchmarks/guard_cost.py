@@ -1,12 +1,11 @@
 """What a guard costs: one call of a trained network, bare and guarded, beside numerical methods of its accuracy.
 
-python benchmarks/guard_cost.py pipeline/geared_arm.toml:deeponet --tolerance 1 --nx 401 101 --loops 500
-python benchmarks/guard_cost.py pipeline/paper.toml:deeponet --tolerance 0.01 --nx 101 --loops 500
+python benchmarks/guard_cost.py pipeline/geared_arm.toml:deeponet --tolerance 1 --nx 401 101
+python benchmarks/guard_cost.py pipeline/paper.toml:deeponet --tolerance 0.01 --nx 101
 
 Calls are of one lane on held-out samples after the first delay, as a compiled loop makes them; times are medians in
 microseconds, all contenders in turn. `doubted` is the share of held-out samples, before and after the first delay, that
-the numerical predictor answers. The loops start as the data's do: those that the numerical predictor keeps are counted
-as lost where they end beyond 5 % of the target's size.
+the numerical predictor answers. benchmarks/starts.py counts the loops that are lost.
 """
 
 import argparse
@@ -15,17 +14,15 @@ from pathlib import Path
 import numpy as np
 
 import npred
-from npred import config, grid, randomness
+from npred import grid
 from npred.data import shards
 from npred.delays import family
-from npred.loop import configured, metrics
+from npred.loop import metrics
 from npred.pipeline.models import load_model
 from npred.predictors import OneStep, Predictor, method
 from npred.predictors.guarded import Guarded
 from npred.registry import METHODS
 from npred.stages.bench import candidates, timing
-from npred.stages.evaluate.scenarios import LOST
-from npred.stages.generate import sampling
 
 PROBES = 64
 UNSEEN = 1e9  # a tolerance with which nothing falls back: what is left of a guard is its correction
@@ -92,37 +89,14 @@ def corrections(runs: dict[str, Predictor], data) -> None:
         print(f"  {name}: error of U, median {np.median(gaps):.1e}, largest {gaps.max():.1e}")
 
 
-def loops(pipeline: config.Pipeline, contenders: dict[str, Predictor], number: int) -> None:
-    """Loops from fresh starts of the data's distribution, each contender's."""
-    plant = next(iter(contenders.values())).plant
-    table = pipeline.evaluate
-    seed = randomness.integer(pipeline.seed, "guard_cost")
-    generate = pipeline.generate.model_copy(
-        update={"rollouts": number, "samples": number, "explore": 0.0, "redraw": 0.0}
-    )
-    X0, D, D_hat, _ = sampling.starts(seed, generate, plant, range(number))
-    kept = np.ones(number, dtype=bool)
-    for name, predictor in contenders.items():
-        run = configured.loops(
-            plant, predictor, table, D=D, D_hat=D_hat, X0=X0, t_end=table.case_t_end, seed=seed, every=20
-        )
-        target = plant.target(run.t)
-        lost = ~(metrics.radius(run, target) <= LOST * metrics.size(target))
-        share = f", fallback share {run.fallback_share:.2%}" if isinstance(predictor, Guarded) else ""
-        print(f"  {name}: {(lost & kept).sum()} of {kept.sum()} lost{share}", flush=True)
-        kept &= ~lost if name == "numerical" else kept
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("model")
     parser.add_argument("--store", default=None)
     parser.add_argument("--tolerance", type=float, default=0.01)
     parser.add_argument("--nx", type=int, nargs="+", default=[101])
-    parser.add_argument("--loops", type=int, default=0)
     arguments = parser.parse_args()
     stored = load_model(arguments.model, Path(arguments.store) if arguments.store else None)
-    pipeline = config.load(Path(arguments.model.rpartition(":")[0]))
     data = shards.survey(next((Path(arguments.store or "artifacts") / "generate").glob("*/data.h5"))).subset(test=True)
     reference = candidates.Reference(stored.plant, data)
     rivals = [k for k in map(method, METHODS.names()) if issubclass(k, OneStep)]
@@ -148,10 +122,6 @@ def main() -> None:
             print(f"  {name}: {median:.1f} µs, {median / times['bare']:.2f} x bare")
         corrections(compared, data)
         estimates(guard, data)
-        if arguments.loops:
-            numerical = method("semi_implicit" if stored.plant.declares_mechanics else "rk4")(stored.plant, 101)
-            loops(pipeline.model_copy(update={"evaluate": pipeline.evaluate.model_copy(update={"nx": nx})}),
-                  {"numerical": numerical, "bare": net, "guarded": guard}, arguments.loops)  # fmt: skip
 
 
 if __name__ == "__main__":
