@@ -5,7 +5,7 @@ end. Arrays have their lanes innermost, so that B loops share each instruction.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -71,6 +71,20 @@ def rows(*lanes: np.ndarray) -> list[np.ndarray]:
     for view in views:
         view.flags.writeable = False
     return views
+
+
+def by_time(
+    kernel: Kernel, inputs: Sequence[np.ndarray], t: np.ndarray, parameters: Sequence[np.ndarray],
+    written: Sequence[np.ndarray],
+) -> None:  # fmt: skip
+    """Call a kernel on batches (B, ...), once for each of the times t (B,), for a call has one; `written` in place."""
+    for moment in np.unique(t):
+        rows = np.flatnonzero(t == moment)
+        lanes = [np.array(np.moveaxis(a[rows], 0, -1), order="C") for a in (*inputs, *written)]
+        results = lanes[len(inputs) :]
+        kernel(*lanes[: len(inputs)], float(moment), *parameters, *results)
+        for array, lane in zip(written, results, strict=True):
+            array[rows] = np.moveaxis(lane, -1, 0)
 
 
 class Family(ABC):

@@ -12,19 +12,21 @@ from npred.predictors.onestep import OneStep
 from npred.symbolic import kernels
 
 # Positions are counted in nodes; mass[j] and turn[j] are the integrals of u and of s u from 0 to where the cell of node
-# j begins, m * lanes numbers each, and bent is the sum of j² u over nodes.
+# j begins, for each input and lane. A lane is summed in scalars: sums in memory would wait for it at each node.
 INTEGRALS = """\
 m, lanes = u.shape[1], u.shape[2]
-mass, turn, bent = np.empty((nx + 1, m, lanes)), np.empty((nx + 1, m, lanes)), np.empty((m, lanes))
-mass[0], turn[0], bent[:] = 0.0, 0.0, 0.0
-for j in range(nx):
-    begin, end = max(j - 0.5, 0.0), min(j + 0.5, float(last))
-    weight = end - begin
-    for c in range(m):
-        for l in range(lanes):
-            mass[j + 1, c, l] = mass[j, c, l] + weight * u[j, c, l]
-            turn[j + 1, c, l] = turn[j, c, l] + 0.5 * weight * (begin + end) * u[j, c, l]
-            bent[c, l] += weight * j * j * u[j, c, l]"""
+mass, turn = np.empty((nx + 1, m, lanes)), np.empty((nx + 1, m, lanes))
+for c in range(m):
+    for l in range(lanes):
+        whole, lever = 0.5 * u[0, c, l], 0.125 * u[0, c, l]
+        mass[0, c, l], turn[0, c, l] = 0.0, 0.0
+        mass[1, c, l], turn[1, c, l] = whole, lever
+        for j in range(1, last):
+            whole += u[j, c, l]
+            lever += j * u[j, c, l]
+            mass[j + 1, c, l], turn[j + 1, c, l] = whole, lever
+        mass[nx, c, l] = whole + 0.5 * u[last, c, l]
+        turn[nx, c, l] = lever + (0.5 * last - 0.125) * u[last, c, l]"""
 
 # v: the begin and the end of the straight line on each cell that is nearest to u in the mean square.
 CELLS = """\
@@ -79,15 +81,10 @@ def straight(u: np.ndarray, count: int) -> np.ndarray:
 
 def ends(predictor: OneStep, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, count: int, t: np.ndarray) -> np.ndarray:
     """P(1) (B, n) by the method on so many cells, of X (B, n), u (B, nx, m), D_hat and t (B,)."""
-    plant, kernel, end = predictor.plant, predictor.cells(), np.full_like(X, np.nan)
+    plant, P = predictor.plant, np.full((len(X), count + 1, predictor.plant.n), np.nan)
     times = t if plant.clocked else np.zeros(len(X))
-    for moment in np.unique(times):  # the kernel takes one time per call
-        rows = times == moment
-        P = np.empty((count + 1, plant.n, rows.sum()))
-        lanes = (np.array(np.moveaxis(a[rows], 0, -1), order="C") for a in (X, straight(u, count), D_hat))
-        kernel(*lanes, float(moment), plant.p, P)
-        end[rows] = P[-1].T
-    return end
+    family.by_time(predictor.cells(), (X, straight(u, count), D_hat), times, (plant.p,), (P,))
+    return P[:, -1]
 
 
 class Coarse(Compiled):

@@ -21,6 +21,7 @@ import numpy as np
 
 from npred import grid
 from npred.delays import family_of
+from npred.delays.family import by_time
 from npred.plants.base import Plant
 from npred.symbolic import intervals, programs
 from npred.symbolic.intervals import Interval
@@ -72,14 +73,8 @@ class ErrorBound:
     def _corrected(
         self, P_hat: np.ndarray, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: np.ndarray
     ) -> np.ndarray:  # fmt: skip
-        kernel, Q = family_of(self.plant).correction(), np.empty_like(P_hat)
-        times = np.zeros(len(X)) if self.plant.autonomous else t
-        for moment in np.unique(times):
-            rows = times == moment
-            lanes = [np.array(np.moveaxis(a[rows], 0, -1), order="C") for a in (P_hat, X, u, D_hat)]
-            lanes.append(np.empty_like(lanes[0]))
-            kernel(*lanes[:4], float(moment), self.plant.p, lanes[4])
-            Q[rows] = np.moveaxis(lanes[4], -1, 0)
+        Q, times = np.empty_like(P_hat), np.zeros(len(X)) if self.plant.autonomous else t
+        by_time(family_of(self.plant).correction(), (P_hat, X, u, D_hat), times, (self.plant.p,), (Q,))
         return Q
 
     def _distance(self, curve: "Curve") -> np.ndarray:

@@ -60,10 +60,7 @@ GUARD = """\
                             fallback[l] = 1.0
                         else:
                             doubts += 1
-    unread = np.empty((m, lanes))
-    unread[:] = 0.0
-    if guard[4] < np.inf:
-        {unread}
+    {sums}
     for l in range(lanes):
         outside = False
         if guard[4] < np.inf:
@@ -102,7 +99,22 @@ if guard[3] > 0.0:
             for l in range(lanes):
                 P[j, c, l] += (1.0 - share) * (Q[J, c, l] - R[J, c, l]) + share * (Q[J + 1, c, l] - R[J + 1, c, l])"""
 
-# The Legendre moments of u by its sums of 1, j and j², with the trapezoidal rule's weights.
+# The Legendre moments of u by its sums of 1, j and j², with the trapezoidal rule's weights, and how much of u between
+# nodes a line and a cubic read differently: npred.data.domain.unread.
+SUMS = """\
+bent, unread = np.empty((m, lanes)), np.empty((m, lanes))
+for c in range(m):
+    for l in range(lanes):
+        square, kinks = 0.5 * last * last * u[last, c, l], 0.0
+        for j in range(1, last):
+            square += j * j * u[j, c, l]
+        if nx > 3:
+            for j in range(nx - 3):
+                kinks += abs(u[j, c, l] - u[j + 1, c, l] - u[j + 2, c, l] + u[j + 3, c, l])
+            kinks += abs(3.0 * u[0, c, l] - 7.0 * u[1, c, l] + 5.0 * u[2, c, l] - u[3, c, l])
+            kinks += abs(3.0 * u[last, c, l] - 7.0 * u[last - 1, c, l] + 5.0 * u[last - 2, c, l] - u[last - 3, c, l])
+        bent[c, l], unread[c, l] = square, kinks"""
+
 DISTANCE = """\
 for c in range(n):
     feature[c] = np.arcsinh(X[c, l] / bend[c])
@@ -125,19 +137,6 @@ for c in range(m):
     rough = rough or not D_hat[l] * unread[c, l] <= 24.0 * last * roughest[c]"""
 
 
-# How much of u between nodes a line and a cubic read differently: npred.data.domain.unread.
-UNREAD = """\
-for c in range(m if nx > 3 else 0):
-    for l in range(lanes):
-        first = abs(3.0 * u[0, c, l] - 7.0 * u[1, c, l] + 5.0 * u[2, c, l] - u[3, c, l])
-        final = abs(3.0 * u[last, c, l] - 7.0 * u[last - 1, c, l] + 5.0 * u[last - 2, c, l] - u[last - 3, c, l])
-        unread[c, l] = first + final
-for j in range(nx - 3):
-    for c in range(m):
-        for l in range(lanes):
-            unread[c, l] += abs(u[j, c, l] - u[j + 1, c, l] - u[j + 2, c, l] + u[j + 3, c, l])"""
-
-
 def kernel(plant: Plant, by: str, exact: Predictor, method: type[OneStep]) -> Kernel:
     """GUARD of a plant: compiled, or, where the plant is not traced, the same text in Python."""
     model, defect = family_of(plant), by == "defect"
@@ -152,7 +151,7 @@ def kernel(plant: Plant, by: str, exact: Predictor, method: type[OneStep]) -> Ke
         read=(CELLS if cells else MEANS).splitlines(),
         reference=[call],
         correct=CORRECT.splitlines() if defect else ["pass"],
-        unread=UNREAD.splitlines(),
+        sums=SUMS.splitlines(),
         distance=_distance(plant),
     )
     if not plant.traced:

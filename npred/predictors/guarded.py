@@ -10,7 +10,7 @@ import numpy as np
 from npred import array_checks, grid
 from npred.data.domain import Domain, unread
 from npred.delays import family_of
-from npred.delays.family import Kernel
+from npred.delays.family import Kernel, by_time
 from npred.errors import ConfigError
 from npred.predictors import error_bound, guard_grids, method
 from npred.predictors.base import Predictor
@@ -202,15 +202,10 @@ class Guarded(Predictor):
         *, run: Kernel | None = None,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
         """P (B, nx, n), the estimate (B,) and whether `exact` answered (B,), of P_hat (B, nx, n)."""
-        run = run or self.guard
         P, error, fallback = np.array(P_hat, dtype=float), np.empty(len(X)), np.empty(len(X))
         reads_time = self.plant.clocked or not self.plant.rests  # the prediction, or the law that the guard compares by
         times = np.broadcast_to(t, len(X)) if reads_time else np.zeros(len(X))
-        for moment in np.unique(times):  # a call of the kernel has one time
-            rows = np.flatnonzero(times == moment)
-            lanes = [np.array(np.moveaxis(a[rows], 0, -1), order="C") for a in (X, u, D_hat, P, error, fallback)]
-            run(*lanes[:3], float(moment), self.plant.p, settings, *lanes[3:])
-            P[rows], error[rows], fallback[rows] = np.moveaxis(lanes[3], -1, 0), *lanes[4:]
+        by_time(run or self.guard, (X, u, D_hat), times, (self.plant.p, settings), (P, error, fallback))
         return P, error, fallback > 0
 
     def _set(self, counts: tuple[int, int], tolerance: float | None = None) -> np.ndarray:
