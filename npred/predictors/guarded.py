@@ -21,6 +21,7 @@ from npred.predictors.rk4 import RK4
 ESTIMATES = ("auto", "shadow", "defect")
 PASSES = 0.4  # of the tolerance: the largest estimate that passes, for an adversary finds errors 2.5 times as large
 SHARE = 0.25  # of the tolerance: how far off the estimate of an exact prediction may be
+MISLED = 0.1  # of the tolerance: how far off the shadow itself may be, where it seems to be right
 FEWEST = 4  # intervals of the coarser of two grids that read nodes
 METHODS = ("heun", "semi_implicit", "rosenbrock")  # of order 2, by which an estimate may be
 REFINEMENTS = 2  # of the grids, where they do not decide; the kernel has as many levels
@@ -100,8 +101,8 @@ class Guarded(Predictor):
         """The method that the estimate is by, and the steps of its two grids: the cheapest for the data's examples.
 
         The cost is that of the method's operations and of `exact` where the guard doubts, counted in their programs, so
-        that the same guard answers the same calls on every machine. Of the examples that pass, the estimate of an exact
-        prediction is within SHARE of the tolerance for QUANTILE.
+        that the same guard answers the same calls on every machine. Where an example of the data passes, or nearly
+        does, the extrapolated shadow is within MISLED of the tolerance of `exact`.
         """
         family = family_of(self.plant)
         if self.by == "defect" or not family.reads_cells:
@@ -109,7 +110,7 @@ class Guarded(Predictor):
         if self.domain is None:
             last = self.nx - 1
             return (self.exact.name if self.exact.name in self._methods else "heun"), (last, max(last // 2, 1))
-        return guard_grids.chosen(self, self._methods, self.threshold, SHARE * self.tolerance)
+        return guard_grids.chosen(self, self._methods, self.threshold, MISLED * self.tolerance)
 
     def _divided(self) -> tuple[int, int]:
         """The steps of two grids of the nodes, as few as the data's examples allow."""
@@ -120,7 +121,7 @@ class Guarded(Predictor):
         P = self.exact(*rows)
         for counts in reversed(coarser):
             error = self._run(self._set(counts, tolerance=np.inf), P, *rows, run=self._kernel("heun"))[1]
-            if np.quantile(error, 0.99) <= SHARE * self.tolerance:
+            if error.max() <= SHARE * self.tolerance:
                 return counts
         return finest
 

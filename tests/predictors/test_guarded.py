@@ -19,6 +19,7 @@ from npred.predictors import Predictor
 from npred.predictors.coarse import Coarse
 from npred.predictors.guard_kernel import HEAD
 from npred.predictors.guarded import Guarded, bare
+from npred.predictors.heun import Heun
 from npred.predictors.semi_implicit import SemiImplicit
 
 PLANT = npred.plant("activator_repressor")
@@ -213,6 +214,25 @@ def test_what_the_nodes_do_not_resolve_is_answered_by_numerics():
     assert not guarded.fallback(X, u, D_hat).any() and guarded.fallback(X, rough, D_hat).all()
     faint = u + 1e-6 * (-1.0) ** np.arange(NX)[:, None]
     assert guarded.fallback(X, faint, D_hat).mean() < 0.02  # the row that the limit is of may be just outside
+
+
+def test_no_input_of_the_data_that_nearly_passes_misleads_the_shadow():
+    X, u, D_hat = rows(200)
+    jumps = np.random.default_rng(6).uniform(0.2, 0.9, (200, 1, 1))
+    u = np.where(grid.nodes(NX)[:, None] < jumps, u, u - 0.1)
+    parts = [type("Rows", (), {"X": X, "u": u, "D_hat": D_hat, "t": np.zeros(200)})()]
+    model, tolerance = npred.predictor("rk4", PLANT, NX), 0.01
+    model.operator = type("Operator", (), {"domain": Domain.of_parts(lambda: parts, X.std(axis=0), PLANT.phase)})()
+    name, (fine, coarse) = Guarded(model, tolerance).reference
+    U = PLANT.kappa(model(X, u, D_hat)[:, -1])
+
+    def misled(count):
+        A, B = (PLANT.kappa(Coarse(PLANT, Heun, k, NX)(X, u, D_hat)[:, -1]) for k in (2 * count, count))
+        R = A + (A - B) / 3
+        return ((np.abs(R - A) <= 0.8 * tolerance) & (np.abs(R - U) > 0.1 * tolerance)).any()
+
+    assert name == "heun" and fine == 2 * coarse
+    assert not misled(coarse) and misled(2)
 
 
 def test_the_kernel_refuses_what_is_beyond_the_data():
