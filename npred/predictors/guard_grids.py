@@ -12,7 +12,7 @@ from npred.predictors.onestep import OneStep
 from npred.predictors.rk4 import RK4
 
 LADDER = (2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 32, 40, 50, 64, 80, 100, 128, 160, 200)  # of the coarser grid
-NEARLY = 2.0  # times what passes: how much noise of a shadow is near it
+WORTH = 0.4  # of the operations of `exact`: what a shadow may take
 EXPLICIT = 50  # steps of RK4 that a plant that is not stiff can do with
 
 
@@ -28,26 +28,30 @@ def exact(guarded: Any, names: Iterable[str], tolerance: float) -> Predictor:
 
 
 def chosen(guarded: Any, names: Iterable[str], passing: float, tolerance: float) -> tuple[str, tuple[int, int]]:
-    """The method and the grids (2 N, N) of the least cost; see Guarded.reference.
+    """The method and the grids (2 N, N); see Guarded.reference.
 
-    The cost of a call is that of 3 N steps, and, for the share of the examples that does not pass, that of `exact`.
-    Wherever the noise |R - A| of the guard's formula is not far above what passes, R has to be that of `exact`: where
-    the data's own inputs mislead a shadow, an adversary finds many that do.
+    Where the shadow moves by no more than `passing` as its cells are halved, its R has to be that of `exact`: where the
+    data's own inputs mislead it, an adversary finds many that do. The cost of a call is that of 3 N steps, and, for the
+    share of the examples that does not pass, that of `exact`. A shadow that takes as long as `exact` is of no use: of
+    those that take a share WORTH of that, if none will do, the guard has the one that is misled least.
     """
     X, u, D_hat, t = guarded.examples
     U, U_exact = (_law(guarded, predict(X, u, D_hat, t)[:, -1]) for predict in (guarded.model, guarded.exact))
-    best, grids = np.inf, ("heun", (guarded.nx - 1, (guarded.nx - 1) // 2))
+    whole, finest = _fallback_cost(guarded), ("heun", (guarded.nx - 1, (guarded.nx - 1) // 2))
+    right, least = (np.inf, finest), (np.inf, finest)
     for cost, name, count in _by_cost(guarded.plant, names):
-        if cost >= best:
+        if cost >= right[0] or (cost > WORTH * whole and np.isfinite(least[0])):
             break
         B, A = (_law(guarded, _ends(guarded, _method(name, guarded.plant), k)) for k in (count, 2 * count))
         R = A + (A - B) / 3.0
-        gap, error, noise = (np.abs(a - R).max(axis=-1) for a in (U, U_exact, A))
-        trusted, passes = noise <= NEARLY * passing, gap + noise <= passing
-        if passes.any() and error[trusted].max() <= tolerance:
-            expected = cost + (1 - passes.mean()) * _fallback_cost(guarded)
-            best, grids = min((best, grids), (expected, (name, (2 * count, count))))
-    return grids
+        gap, error, noise = (np.abs(a).max(axis=-1) for a in (U - R, U_exact - R, A - B))
+        passes = gap + noise <= passing
+        if passes.any():
+            misled, grids = error[noise <= passing].max(), (name, (2 * count, count))
+            if misled <= tolerance:
+                right = min(right, (cost + (1 - passes.mean()) * whole, grids))
+            least = min(least, (misled, grids))
+    return right[1] if np.isfinite(right[0]) else least[1]
 
 
 def _by_cost(plant: Any, names: Iterable[str]) -> list[tuple[int, str, int]]:

@@ -1,8 +1,8 @@
 """The kernel of a guarded predictor: the estimate of its error in U, whether its input is where the data were.
 
 With A = kappa of the reference, of order 2, on a grid and B of that on a coarser one, Richardson's extrapolation is
-R = A + (A - B) / (ratio² - 1), and the estimate |kappa(P) - R| + |R - A|: where the reference itself is inaccurate, it
-doubts. Where that is above the tolerance, and |kappa(P) - R| - |R - A| is not, the reference may be to blame: then it
+R = A + (A - B) / (ratio² - 1), and the estimate |kappa(P) - R| + |A - B|: where the reference itself is inaccurate, it
+doubts. Where that is above the tolerance, and |kappa(P) - R| - |A - B| is not, the reference may be to blame: then it
 is taken on twice as many steps, a few times.
 
 A grid reads u, whose nodes stand for the cells around them, either by the straight line on each of its cells that
@@ -51,7 +51,7 @@ GUARD = """\
                         error[l], certain = 0.0, 0.0
                         for c in range(m):
                             extrapolated = A[c, l] + (A[c, l] - B[c, l]) / (ratio * ratio - 1.0)
-                            gap, noise = abs(U[c, l] - extrapolated), abs(extrapolated - A[c, l])
+                            gap, noise = abs(U[c, l] - extrapolated), abs(A[c, l] - B[c, l])
                             error[l] = max(error[l], gap + noise if gap + noise < np.inf else np.inf)  # also of NaN
                             certain = max(certain, gap - noise if gap - noise < np.inf else 0.0)
                         if error[l] <= guard[0]:

@@ -100,9 +100,9 @@ class Guarded(Predictor):
     def reference(self) -> tuple[str, tuple[int, int]]:
         """The method that the estimate is by, and the steps of its two grids: the cheapest for the data's examples.
 
-        The cost is that of the method's operations and of `exact` where the guard doubts, counted in their programs, so
-        that the same guard answers the same calls on every machine. Where an example of the data passes, or nearly
-        does, the extrapolated shadow is within MISLED of the tolerance of `exact`.
+        Where an example of the data makes the coarse shadow and the fine one agree, to what passes, both agree with
+        `exact`, to MISLED of the tolerance. Cost is counted in operations of the programs, with those of `exact` where
+        the guard doubts, so that the same guard answers the same calls on every machine.
         """
         family = family_of(self.plant)
         if self.by == "defect" or not family.reads_cells:

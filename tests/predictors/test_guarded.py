@@ -179,7 +179,7 @@ def test_plants_of_every_family_are_guarded(tmp_path):
         X = np.broadcast_to(np.asarray(plant.target(0.0)), (4, plant.n)) + 0.05 * rng.standard_normal((4, plant.n))
         u = np.full((4, NX, plant.m), 0.1) + (plant.u_equilibrium if plant.rests else 0.0)
         exact = npred.predictor("rk4", plant, NX)
-        assert not Guarded(exact, 0.01).fallback(X, u, 0.5).any(), plant.name
+        assert not Guarded(exact, 0.03).fallback(X, u, 0.5).any(), plant.name
         wrong = Wrong(plant, error=0.1)
         fallback = Guarded(wrong, 1e-6).fallback(X, u, 0.5)
         assert fallback.all(), plant.name
@@ -216,7 +216,7 @@ def test_what_the_nodes_do_not_resolve_is_answered_by_numerics():
     assert guarded.fallback(X, faint, D_hat).mean() < 0.02  # the row that the limit is of may be just outside
 
 
-def test_no_input_of_the_data_that_nearly_passes_misleads_the_shadow():
+def test_no_input_of_the_data_that_both_grids_agree_on_misleads_the_shadow():
     X, u, D_hat = rows(200)
     jumps = np.random.default_rng(6).uniform(0.2, 0.9, (200, 1, 1))
     u = np.where(grid.nodes(NX)[:, None] < jumps, u, u - 0.1)
@@ -229,7 +229,7 @@ def test_no_input_of_the_data_that_nearly_passes_misleads_the_shadow():
     def misled(count):
         A, B = (PLANT.kappa(Coarse(PLANT, Heun, k, NX)(X, u, D_hat)[:, -1]) for k in (2 * count, count))
         R = A + (A - B) / 3
-        return ((np.abs(R - A) <= 0.8 * tolerance) & (np.abs(R - U) > 0.1 * tolerance)).any()
+        return ((np.abs(A - B) <= 0.4 * tolerance) & (np.abs(R - U) > 0.1 * tolerance)).any()
 
     assert name == "heun" and fine == 2 * coarse
     assert not misled(coarse) and misled(2)
@@ -306,7 +306,7 @@ def test_errors_of_predictions_are_in_units_of_U():
     model = Wrong(PLANT, error=0.02)
     guarded = npred.guarded(model)
     U, exact = (metrics.law(PLANT, p(X, u, D_hat), 0.0, D_hat) for p in (model, model.exact))
-    np.testing.assert_allclose(guarded.error(X, u, D_hat), np.abs(U - exact).max(axis=1), rtol=0.2, atol=2e-5)
+    np.testing.assert_allclose(guarded.error(X, u, D_hat), np.abs(U - exact).max(axis=1), rtol=0.25, atol=5e-5)
     assert bare(guarded) is model and guarded.error(X[0], u[0], D_hat[0]).shape == ()
 
 

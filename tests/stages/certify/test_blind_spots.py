@@ -88,7 +88,7 @@ def test_outside_of_a_small_domain_the_search_goes_in(data):
 def test_what_the_nodes_do_not_resolve_is_a_blind_spot_without_a_domain(data):
     """The shadow reads u by lines, RK4 by cubics: between them the guard sees nothing. A domain has no such inputs."""
     for guard, fewest, most in (
-        (Guarded(Wrong(PLANT, NX), TOLERANCE), 50, 10**4), (with_domain(Guarded, data, TOLERANCE), 0, 0),
+        (Guarded(Wrong(PLANT, NX), TOLERANCE), 1, 10**4), (with_domain(Guarded, data, TOLERANCE), 0, 0),
     ):  # fmt: skip
         _, _, true, _, passed = searched(guard, data)
         assert fewest <= (passed & (true > TOLERANCE)).sum() <= most
