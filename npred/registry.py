@@ -243,16 +243,16 @@ STAGES = {
         r"(model|domain)\.safetensors|model\.json|metrics\.jsonl|snapshot-\d+\.safetensors", suffix="",
     ),
     "refine": StageEntry(
-        1, ("generate", "train"), "npred.stages.refine.refine", "npred.results:Refined",
+        2, ("generate", "train"), "npred.stages.refine.refine", "npred.results:Refined",
         "The networks, trained further on an adversary's inputs and on those that a guard refused.",
         r"(model|domain)\.safetensors|model\.json|metrics\.jsonl", optional=True, suffix="@refined",
     ),
     "evaluate": StageEntry(
-        8, ("generate", "train"), "npred.stages.evaluate.evaluate", "npred.results:Evaluated",
+        9, ("generate", "train"), "npred.stages.evaluate.evaluate", "npred.results:Evaluated",
         "Held-out errors and closed loops: eps and the convergence radius.", r"(errors|figure1|coverage)\.h5", True,
     ),
     "certify": StageEntry(
-        2, ("generate", "train"), "npred.stages.certify.certify", "npred.results:Certified",
+        3, ("generate", "train"), "npred.stages.certify.certify", "npred.results:Certified",
         "A bound of a network's error with a confidence, an adversary's search, and loops that the guard keeps.",
         r"(errors|worst)\.h5", True, optional=True,
     ),

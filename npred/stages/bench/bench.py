@@ -14,7 +14,7 @@ from npred.results import Benched
 from npred.results.bench import Hardware, Stops, Timing
 from npred.stages import Job
 from npred.stages.bench import break_even, candidates, timing, timing_tables
-from npred.stages.bench.candidates import Candidate, Errors, Reference
+from npred.stages.bench.candidates import Candidate, ErrorSizes, Reference
 from npred.stages.report import tables
 
 PACKAGES = ("npred", "torch", "numpy", "numba", "onnxruntime")
@@ -64,7 +64,7 @@ def _times(job: Job, config: Bench, entries: list[Candidate]) -> dict[str, np.nd
     return times
 
 
-def _row(entry: Candidate, nanoseconds: np.ndarray, eps: Errors) -> Timing:
+def _row(entry: Candidate, nanoseconds: np.ndarray, eps: ErrorSizes) -> Timing:
     return Timing(
         predictor=entry.predictor, runtime=entry.runtime, dx=1 / (entry.nx - 1), batch=entry.batch,
         matches=entry.matches, device=entry.device, copies=entry.copies, calls=len(nanoseconds),

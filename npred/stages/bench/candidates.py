@@ -57,7 +57,7 @@ class Candidate:
         return self.batch, 0 if self.matches else self.nx
 
 
-class Errors(NamedTuple):
+class ErrorSizes(NamedTuple):
     """|P_hat - P|, the largest over nodes: the largest and the median over samples."""
 
     sup: float
@@ -83,17 +83,17 @@ class Reference:
         self.plant, self.X, self.u = plant, test.X[rows], test.u[rows]
         self.D_hat, self.t = test.D_hat[rows], test.t[rows]
         self.P = RK4(plant)(self.X, grid.refine(self.u, FINE), self.D_hat, self.t)
-        self._known: dict[tuple[str, str, int], Errors] = {}
+        self._known: dict[tuple[str, str, int], ErrorSizes] = {}
 
-    def error(self, entry: Candidate) -> Errors:
+    def error(self, entry: Candidate) -> ErrorSizes:
         """The errors of an entry on its nodes."""
         return self._remembered((entry.predictor, entry.runtime, entry.nx), entry.run)
 
-    def of_method(self, run: Predictor, nx: int) -> Errors:
+    def of_method(self, run: Predictor, nx: int) -> ErrorSizes:
         """The errors of a numerical method on nx nodes."""
         return self._remembered((run.name, "compiled", nx), run)
 
-    def _remembered(self, key: tuple[str, str, int], run: Predictor) -> Errors:
+    def _remembered(self, key: tuple[str, str, int], run: Predictor) -> ErrorSizes:
         if key not in self._known:
             self._known[key] = self.errors(run, key[-1])
         return self._known[key]
@@ -102,13 +102,13 @@ class Reference:
         """sup |P_hat - P| of a predictor on nx nodes."""
         return self.errors(predictor, nx).sup
 
-    def errors(self, predictor: Predictor, nx: int) -> Errors:
+    def errors(self, predictor: Predictor, nx: int) -> ErrorSizes:
         """The errors of a predictor on nx nodes."""
         with np.errstate(over="ignore", invalid="ignore"):  # few steps may diverge: an infinite error
             P_hat = predictor(self.X, grid.refine(self.u, nx), self.D_hat, self.t)
             gaps = np.linalg.norm(P_hat - grid.refine(self.P, nx), axis=-1)
         largest = np.nan_to_num(gaps, nan=np.inf, posinf=np.inf).max(axis=1)
-        return Errors(float(largest.max()), float(np.median(largest)))
+        return ErrorSizes(float(largest.max()), float(np.median(largest)))
 
 
 def entries(job: Job, reference: Reference) -> list[Candidate]:

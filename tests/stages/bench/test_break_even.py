@@ -10,7 +10,7 @@ from npred import plants
 from npred.predictors import RK4, Euler
 from npred.results.bench import Crossover
 from npred.stages.bench import break_even, candidates
-from npred.stages.bench.candidates import Candidate, Errors
+from npred.stages.bench.candidates import Candidate, ErrorSizes
 
 PLANT = plants.resolve("scalar")
 
@@ -36,7 +36,7 @@ def test_break_even_is_where_both_take_as_long(tmp_path, monkeypatch):
         (entry("euler", "compiled", 101, Euler(PLANT, 101), "deeponet"), timing("any", us=11.0, eps_sup=0.01)),
         (entry("rk4", "compiled", 5, matches="front"), timing("any", us=2.6, eps_sup=0.2)),
     ]
-    errors = Errors(0.01, 0.005)
+    errors = ErrorSizes(0.01, 0.005)
     reference = SimpleNamespace(P=[[-4.0, 2.0]], plant=PLANT, of_method=lambda run, nx: errors)
     (found,) = break_even.measure(job(tmp_path, "bench", bench={"dx": [0.1]}), timed, reference)
     assert (found.predictor, found.runtime, found.best, found.best_steps) == (
@@ -81,7 +81,7 @@ def test_equal_accuracy_is_not_taken_from_one_lucky_grid():
         plant = PLANT
 
         def of_method(self, predictor, nx):
-            return Errors(0.0 if nx == 5 else 1 / (nx - 1), 0.1 / (nx - 1))
+            return ErrorSizes(0.0 if nx == 5 else 1 / (nx - 1), 0.1 / (nx - 1))
 
     assert candidates.matching(Lucky(), RK4, 0.01) - 1 == 100  # not 4
     assert candidates.matching(Lucky(), RK4, 2.0) - 1 == 1
