@@ -301,7 +301,7 @@ class FNO(Training):
 class Network(Training):
     """Any network under a name of your choice: one that is registered, or a class of a file, and its sizes."""
 
-    network: Architecture  #: deeponet, fno, averaging, gru, one of a package, or `file.py:Class`; the table's name
+    network: Architecture  #: a registered one, one of a package, or `file.py:Class`; the table's name
     sizes: dict[str, Any] = {}  #: keyword arguments of the network's class
 
 
@@ -314,7 +314,7 @@ class Train(Section):
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, Network] = Field(init=False)
 
-    models: Networks = ["deeponet", "fno"]  #: networks to train: deeponet, fno, averaging, gru, or names of tables
+    models: Networks = ["deeponet", "fno"]  #: networks to train: registered ones, or names of tables
     deeponet: DeepONet = DeepONet()
     fno: FNO = FNO()
 

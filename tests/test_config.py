@@ -110,7 +110,10 @@ def test_a_pipeline_is_frozen(empty: Path):
         ("evaluate.case_D_hat0=[1, 9]", ["evaluate", "case_D_hat0[1]", "9", "[0.1, 4.0]"]),
         ("generate.rollouts=1", ["generate", "rollouts", "at least 2", "1"]),
         ("generate.D=[2, 1]", ["generate", "D:", "low <= high", "[2.0, 1.0]"]),
-        ("train.models=['cnn']", ["train.models", "deeponet, fno, averaging, gru or a table", "'cnn'"]),
+        (
+            "train.models=['cnn']",
+            ["train.models", "deeponet, fno, averaging, gru, fno_gru, deeponet_gru or a table", "'cnn'"],
+        ),
         ("train.fno.snapshots=[9999]", ["train.fno", "snapshots", "9999"]),
         ("generate=3", ["generate", "3"]),
         ("name='../away'", ["name: expected", "letters, digits", "'../away'"]),

@@ -20,8 +20,9 @@ import typer.main
 from conftest import HERE, process_environment
 from typer.testing import CliRunner
 
-from npred import config
+from npred import config, registry
 from npred.cli import app
+from npred.stages.reproduce import reproduce
 
 ROOT = HERE.parent
 GENERATED = {"commands.md", "configuration.md", "named_plants.md", "results.md"}
@@ -196,6 +197,7 @@ def extension(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], Any]:
 
 
 ARTICLE = ("Luke Bhan", "Miroslav Krstic", "Yuanyuan Shi", "2025", "https://arxiv.org/abs/2508.20367")
+PREPRINTS = ("CITATION.cff", "docs/reproduce.md")
 
 
 @pytest.mark.parametrize("name", ["README.md", "docs/index.md", "docs/fidelity.md"])
@@ -209,6 +211,13 @@ def test_the_citation_file_names_the_article_as_the_readme_does():
     text = (ROOT / "CITATION.cff").read_text()
     assert "arXiv:2508.20367" in text and "year: 2025" in text and ARTICLE[-1] in text
     assert all(name.split()[1] in text for name in ARTICLE[:3])
+
+
+def test_the_citation_file_names_every_preprint_that_is_reproduced():
+    cited, page = (set(re.findall(r"arXiv:(\d{4}\.\d{5})", (ROOT / name).read_text())) for name in PREPRINTS)
+    sources = " ".join(reproduce.load(name).source for name in registry.EXPERIMENTS.names())
+    reproduced = set(re.findall(r"arXiv:(\d{4}\.\d{5})", sources))
+    assert reproduced <= cited and reproduced <= page
 
 
 def test_the_reference_has_every_flag_and_every_key(extension: Callable[[str], Any]):

@@ -47,7 +47,7 @@ def why(options: Planned, stage: str) -> None:
 def _why_reproduced(options: Common, name: str) -> None:
     """The reason of one published experiment, or of all; no pipeline is read."""
     names = registry.EXPERIMENTS.names() if name == reproduction.STAGE else [name]
-    asked = [reproduction.question(each) for each in names]
+    asked = [question for each in names for question in reproduction.questions(each)]
     reasons = [reproduction.why(options.results, question) for question in asked]
     rows = [
         {"stage": reproduction.STAGE, "model": question.model, "key": question.key}

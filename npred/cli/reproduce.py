@@ -3,7 +3,7 @@
 from npred import registry
 from npred.cli.options import Common
 from npred.pipeline import reproduction
-from npred.results import Reproduced
+from npred.pipeline.reproduction import Reproduction
 from npred.terminal.console import columns
 
 
@@ -20,9 +20,8 @@ def reproduce(options: Common, names: list[str] | None, listed: bool, numerical:
         return
     from npred.stages.reproduce import reproduce as stage
 
-    artifacts = reproduction.bring(options.results, chosen, options.console, force)
-    results = [Reproduced.read(artifact.folder) for artifact in artifacts]
-    results = [stage.without_networks(result) for result in results] if numerical else results
+    store = Reproduction(options.results, options.console, force)
+    results = [store.result(name, trained=not numerical) for name in chosen]
     document = {"experiments": [result.json_object() for result in results]}
     options.show(document, lambda: stage.table(results, options.console.width))
 

@@ -86,7 +86,7 @@ def colours(network: Contender) -> tuple[str, str]:
 
 def _place(network: Contender) -> tuple[tuple[tuple[str, str], ...], int]:
     """The colours that a network takes one of, and which."""
-    builtin = list(NETWORKS.builtin)
+    builtin = [*NETWORKS.builtin][: len(BUILTIN)]
     return (BUILTIN, builtin.index(network.model)) if network.model in builtin else (OTHERS, network.rank)
 
 

@@ -6,7 +6,7 @@ What comes from npred's engine enters by `VERSION`: raise it when that changes a
 
 import json
 import time
-from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,24 +21,42 @@ from npred.store import Artifact, Question, Store, durable
 from npred.terminal.console import Console
 
 STAGE = "reproduce"
-VERSION = 1
+VERSION = 2
+NUMERICAL, NETWORKS = "numerical", ("fno", "deeponet", "fno_gru", "deeponet_gru")  # the parts of an experiment
 SHARED = Path(__file__).parents[1] / "stages" / STAGE
 
 
-def question(name: str) -> Question:
-    """The question of an experiment to the store. Raises ConfigError for a name that there is none of."""
+def question(name: str, part: str = NUMERICAL) -> Question:
+    """The question of a part of an experiment to the store: its numerical rows, or a network that is trained for it.
+
+    Raises ConfigError for a name that there is no experiment of.
+    """
     names = registry.EXPERIMENTS.names()
     if name not in names:
         raise ConfigError(
             f"reproduce: expected {', '.join(names)}, got {name!r}{similar(name, names) or '; choose one'}"
         )
     config = {"experiment": registry.EXPERIMENTS.identity(name), "code": {p.stem: sha256(p) for p in _code(name)}}
-    return Question(stage=STAGE, version=VERSION, model=name, config=config, inputs={})
+    if part == NUMERICAL:
+        return Question(stage=STAGE, version=VERSION, model=name, config=config, inputs={})
+    model = f"{name}_{part}"
+    return Question(stage=STAGE, version=VERSION, model=model, config=config | {"network": part}, inputs={})
+
+
+def questions(name: str) -> list[Question]:
+    """The questions of all parts of an experiment."""
+    from npred.stages.reproduce import reproduce
+
+    rows = question(name)  # which refuses a name that there is none of
+    return [rows, *(question(name, network) for network in reproduce.load(name).trained)]
 
 
 def _code(name: str) -> list[Path]:
-    """The files behind an experiment, its own last; another package's is in the key by its version."""
-    shared = sorted(SHARED.glob("*.py"))
+    """The files behind an experiment, its own last; another package's is in the key by its version.
+
+    What only puts the rows side by side is left out.
+    """
+    shared = sorted(path for path in SHARED.glob("*.py") if path.stem != STAGE)
     if name not in registry.EXPERIMENTS.builtin:
         return shared
     module = registry.EXPERIMENTS.builtin[name].target.partition(":")[0].rpartition(".")[2]
@@ -46,36 +64,56 @@ def _code(name: str) -> list[Path]:
 
 
 def keys() -> set[str]:
-    """The keys of all experiments as the code is now: what gc keeps."""
-    return {question(name).key for name in registry.EXPERIMENTS.builtin}
+    """The keys of all experiments and their networks as the code is now: what gc keeps."""
+    return {question(name, part).key for name in registry.EXPERIMENTS.builtin for part in (NUMERICAL, *NETWORKS)}
 
 
-def bring(store: Store, names: Sequence[str], console: Console, force: bool = False) -> list[Artifact]:
-    """The results of these experiments, from the store or measured now."""
-    return [_bring(store, question(name), console, force) for name in names]
+@dataclass(frozen=True)
+class Reproduction:
+    """Published experiments in a store: from there, or measured now; `force` measures again."""
 
+    store: Store
+    console: Console
+    force: bool = False
 
-def _bring(store: Store, asked: Question, console: Console, force: bool) -> Artifact:
-    key, title = asked.key, f"{STAGE} {asked.model}"
-    with store.lock(STAGE, key):
-        if not force and (artifact := store.get(STAGE, key)):
-            console.detail(f"{title}: from the store")
-            return artifact.verify()
-        console.note(f"{title}: running ({'--force' if force else why(store, asked)})")
-        return _measured(store, asked, console)
+    def result(self, name: str, trained: bool = True) -> Reproduced:
+        """An experiment's rows, without its networks where they are not to be `trained`: those of each come by
+        themselves, so that an interrupted run goes on where it was.
+        """
+        from npred.stages.reproduce import reproduce
 
+        parts = [NUMERICAL, *(reproduce.load(name).trained if trained else ())]
+        return reproduce.joined([Reproduced.read(self._bring(name, part).folder) for part in parts], trained)
 
-def _measured(store: Store, asked: Question, console: Console) -> Artifact:
-    from npred.stages.reproduce import reproduce
+    def _bring(self, name: str, part: str) -> Artifact:
+        asked = question(name, part)
+        title = f"{STAGE} {asked.model}"
+        with self.store.lock(STAGE, asked.key):
+            if not self.force and (artifact := self.store.get(STAGE, asked.key)):
+                self.console.detail(f"{title}: from the store")
+                return artifact.verify()
+            self.console.note(f"{title}: running ({'--force' if self.force else why(self.store, asked)})")
+            start = time.perf_counter()
+            artifact = self._measured(name, part, asked)
+        self.console.detail(f"{title}: {time.perf_counter() - start:.1f} s")
+        return artifact
 
-    start = time.perf_counter()
-    store.adopt()
-    with durable.room(store.root), store.draft(STAGE, asked.key) as folder:
-        text = json.dumps(reproduce.run(asked.model or "").json_object(), indent=1, allow_nan=False)
-        (folder / RESULT).write_text(text + "\n", encoding="utf-8")
-        artifact = store.commit(folder, asked, STAGE)
-    console.detail(f"{STAGE} {asked.model}: {time.perf_counter() - start:.1f} s")
-    return artifact
+    def _measured(self, name: str, part: str, asked: Question) -> Artifact:
+        """What a part of an experiment is now; a network's checkpoints outlive an interruption."""
+        from npred.stages.reproduce import reproduce
+
+        self.store.adopt()
+        scratch = self.store.scratch(STAGE, asked.key)
+        with durable.room(self.store.root), self.store.draft(STAGE, asked.key) as folder:
+            if part == NUMERICAL:
+                result = reproduce.numerical(name)
+            else:
+                result = reproduce.network(name, part, folder, scratch, self.console)
+            text = json.dumps(result.json_object(), indent=1, allow_nan=False)
+            (folder / RESULT).write_text(text + "\n", encoding="utf-8")
+            artifact = self.store.commit(folder, asked, STAGE)
+        self.store.discard(scratch)
+        return artifact
 
 
 def why(store: Store, asked: Question) -> str:

@@ -13,8 +13,23 @@ class ReproducedRow(Result):
     as_meant: float | None  #: with the right plant, law, transport and metric; null: not measured
 
 
+class TrainedForLoop(Result):
+    """A network that was trained for one of an experiment's two loops."""
+
+    network: str  #: fno, deeponet, fno_gru or deeponet_gru
+    loop: str  #: `as published` or `as meant`
+    parameters: int  #: its weights
+    samples: int  #: rows that it learned from
+    epochs: int  #: passes over them
+    loss: float  #: the last, of training
+    mse: float  #: mean square error of P on rollouts that were held out
+    eps_sup: float  #: largest error of P there
+    seconds: float  #: of training, the samples' included
+
+
 class Reproduced(Result):
     """A published experiment: its rows."""
 
     name: str  #: the experiment
     rows: list[ReproducedRow]  #: one per predictor and metric
+    trained: list[TrainedForLoop] = []  #: the networks behind the rows

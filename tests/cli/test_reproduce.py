@@ -1,10 +1,12 @@
 """`npred reproduce`: names, rows, the store, and the commands that look at its results."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
+from reproduced import small_loop
 from typer.testing import CliRunner
 
 from npred import registry
@@ -26,17 +28,26 @@ TINY = Experiment(
 )  # fmt: skip
 
 
+LOOP = small_loop()
+LEARNT = replace(
+    TINY, loops={"as published": LOOP, "as meant": LOOP},
+    sizes={"fno": {"epochs": 2, "width": 4, "modes": 3, "layers": 1, "nodes": 5}},
+)  # fmt: skip
+
+
 @pytest.fixture(autouse=True)
 def only_tiny(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(
-        registry.EXPERIMENTS, "builtin", {"tiny": Entry(f"{__name__}:TINY", "tiny"), "unused": Entry("no:where", "")}
+        registry.EXPERIMENTS,
+        "builtin",
+        {"tiny": Entry(f"{__name__}:TINY", "tiny"), "unused": Entry(f"{__name__}:TINY", "")},
     )
     CALLS.clear()
     folder = Path("experiments")
     folder.mkdir()
     monkeypatch.setattr("npred.pipeline.reproduction.SHARED", tmp_path)
-    for module in (__name__.rpartition(".")[2], "no"):
+    for module in (__name__.rpartition(".")[2],):
         (folder / f"{module}.py").write_text("first = 1\n")
 
 
@@ -60,6 +71,7 @@ def test_the_document_has_these_keys_and_no_others():
                     {"predictor": "fno", "metric": "error", "published": 0.2, "as_published": None,
                      "as_meant": None},
                 ],
+                "trained": [],
             }
         ]
     }  # fmt: skip
@@ -110,3 +122,20 @@ def test_a_list_runs_nothing_and_another_name_is_one_line():
     done = _call("reproduce", "tinny", code=2)
     assert "tiny" in done.output and len(done.output.splitlines()) == 1
     assert CALLS == []
+
+
+def test_a_network_is_trained_once_and_an_interrupted_run_goes_on(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(registry.EXPERIMENTS, "builtin", {"tiny": Entry(f"{__name__}:LEARNT", "tiny")})
+    answer = json.loads(_call("reproduce", "tiny", "--json").stdout)["experiments"][0]
+    assert [row["predictor"] for row in answer["rows"]] == ["numerical", "numerical", "fno"]
+    assert answer["rows"][-1]["as_published"] == pytest.approx(1.0, abs=0.5)
+    assert answer["rows"][-1]["as_meant"] == answer["rows"][-1]["as_published"]
+    assert [(each["network"], each["loop"], each["epochs"]) for each in answer["trained"]] == [
+        ("fno", "as published", 2),
+        ("fno", "as meant", 2),
+    ]
+    assert _call("reproduce", "tiny", "-v").stderr.count("from the store") == 2
+    assert "tiny_fno: up to date" in _call("why", "tiny").stdout
+    assert _call("reproduce", "tiny", "--numerical").stdout.count("fno") == 0
+    Path("p.toml").write_text('name = "p"\nplant = "scalar"\n')
+    assert _call("gc", "p.toml", "--yes").stdout == "nothing to delete\n"

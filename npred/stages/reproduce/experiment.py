@@ -1,10 +1,14 @@
-"""What an experiment is: what was published, and a function that measures it again."""
+"""What an experiment is: what was published, and functions that measure it again."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+if TYPE_CHECKING:
+    from npred.stages.reproduce.network_loop import NetworkLoop
 
 NUMERICAL = "numerical"
+AS_PUBLISHED, AS_MEANT = "as published", "as meant"
 
 
 class PublishedNumber(NamedTuple):
@@ -34,7 +38,9 @@ Measurements = Mapping[str, Measured]
 class Experiment:
     """A published experiment; `measure` has the numerical predictor's numbers by metric, in seconds of work.
 
-    `networks` has what was published for networks; nobody has trained those here, so nothing stands beside them.
+    `networks` has what was published for networks. `loops`: the loop as published and as it is meant, each of which
+    asks any predictor, so that networks can be trained for both and put there. `sizes` are keys of the networks'
+    tables that differ from those of npred.stages.reproduce.learning.
     """
 
     title: str
@@ -42,6 +48,13 @@ class Experiment:
     numerical: tuple[PublishedNumber, ...]
     measure: Callable[[], Measurements]
     networks: tuple[PublishedNumber, ...] = ()
+    loops: "Mapping[str, NetworkLoop]" = field(default_factory=dict)
+    sizes: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+
+    @property
+    def trained(self) -> list[str]:
+        """The networks that are trained here: those of which a number is published, where there is a loop for them."""
+        return list(dict.fromkeys(row.predictor for row in self.networks)) if self.loops else []
 
 
 def networks(metric: str, **digits: str) -> tuple[PublishedNumber, ...]:

@@ -5,7 +5,10 @@ from typing import Any
 
 import numpy as np
 
+from npred import plants
+from npred.plants import Plant
 from npred.plants.builtin.unicycle import Unicycle
+from npred.stages.reproduce import quirks
 from npred.stages.reproduce.quirks import State
 
 Law = Callable[[State, Any], tuple[Any, Any]]
@@ -43,3 +46,14 @@ def _turn(X: State, t: Any) -> tuple[Any, Any, Any]:
     p, q = x * np.cos(theta) + y * np.sin(theta), x * np.sin(theta) - y * np.cos(theta)
     swing = np.cos(3 * t)
     return p, q, -5 * p**2 * swing - p * q * (1 + 25 * swing**2) - theta
+
+
+def half_cell_short(X: np.ndarray, u: np.ndarray, D: np.ndarray, t: Any) -> np.ndarray:
+    """The published predictor with the call of npred's: P (B, nx, 3) of X (B, 3), u (B, nx, 2) and D (B,)."""
+    nodes = quirks.half_cell_short(f, tuple(X.T), u.transpose(1, 2, 0), D, 1 / u.shape[1])
+    return np.array(nodes).transpose(2, 0, 1)
+
+
+def plant() -> Plant:
+    """The robot with one delay."""
+    return plants.make("unicycle_one_delay", UnicycleOneDelay)

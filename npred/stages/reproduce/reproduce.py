@@ -3,13 +3,16 @@
 import math
 from collections.abc import Sequence
 from functools import partial
+from pathlib import Path
+from typing import Any
 
 from npred import registry
 from npred.results import Reproduced, ReproducedRow
-from npred.stages.reproduce.experiment import Experiment, Measured, PublishedNumber
+from npred.stages.reproduce.experiment import AS_MEANT, AS_PUBLISHED, Experiment, Measured, PublishedNumber
 from npred.terminal.console import columns
 
 NOTHING = Measured(None, None)
+LOOPS = AS_PUBLISHED, AS_MEANT
 HEADER = ["experiment", "predictor", "metric", "published", "as published", "as meant"]
 UNPRINTED = 6  # decimals of a number that the source does not print
 
@@ -19,12 +22,33 @@ def load(name: str) -> Experiment:
     return registry.EXPERIMENTS.load("reproduce", name)
 
 
-def run(name: str) -> Reproduced:
-    """An experiment's numerical rows, measured now; its networks' published rows beside them."""
+def numerical(name: str) -> Reproduced:
+    """An experiment's numerical rows, measured now."""
     experiment = load(name)
     measured = experiment.measure()
-    numerical = [_row(row, measured[row.metric]) for row in experiment.numerical]
-    return Reproduced(name=name, rows=[*numerical, *(_row(row, NOTHING) for row in experiment.networks)])
+    return Reproduced(name=name, rows=[_row(row, measured[row.metric]) for row in experiment.numerical])
+
+
+def network(name: str, network: str, folder: Path, scratch: Path, progress: Any) -> Reproduced:
+    """The rows of a network that is trained now, for both loops; its files go to `folder`."""
+    from npred.stages.reproduce.learning import LoopTraining
+
+    experiment = load(name)
+    measured, trained = LoopTraining(name, network, folder, scratch, progress).run(
+        experiment.loops, experiment.sizes.get(network, {})
+    )
+    published = [row for row in experiment.networks if row.predictor == network]
+    values = {row.metric: [measured.get(loop, {}).get(row.metric) for loop in LOOPS] for row in published}
+    return Reproduced(name=name, rows=[_row(row, Measured(*values[row.metric])) for row in published], trained=trained)
+
+
+def joined(parts: Sequence[Reproduced], networks: bool) -> Reproduced:
+    """An experiment's parts as one; what was published of `networks` stands there too where none was trained."""
+    experiment = load(parts[0].name)
+    rows_of = {(row.predictor, row.metric): row for part in parts for row in part.rows}
+    published = [*experiment.numerical, *(experiment.networks if networks else ())]
+    rows = [rows_of.get((row.predictor, row.metric)) or _row(row, NOTHING) for row in published]
+    return Reproduced(name=parts[0].name, rows=rows, trained=[each for part in parts for each in part.trained])
 
 
 def _row(published: PublishedNumber, measured: Measured) -> ReproducedRow:
@@ -37,13 +61,6 @@ def _row(published: PublishedNumber, measured: Measured) -> ReproducedRow:
 def _finite(value: float | None) -> float | None:
     """None for a loop that has left the finite numbers."""
     return value if value is not None and math.isfinite(value) else None
-
-
-def without_networks(result: Reproduced) -> Reproduced:
-    """The numerical rows alone."""
-    networks = {(row.predictor, row.metric) for row in load(result.name).networks}
-    rows = [row for row in result.rows if (row.predictor, row.metric) not in networks]
-    return Reproduced(name=result.name, rows=rows)
 
 
 def summary(result: Reproduced, width: int | None = None) -> str:

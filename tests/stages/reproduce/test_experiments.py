@@ -25,7 +25,7 @@ def test_an_experiment_names_its_source_and_each_row_once(name: str):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_the_page_shows_what_the_command_prints(name: str):
-    result = reproduce.without_networks(reproduce.run(name))
+    result = reproduce.joined([reproduce.numerical(name)], networks=False)
     shown = [line.split() for line in PAGE.splitlines()]
     for cells in reproduce.rows(result):
         words = [*" ".join(cells).split()]

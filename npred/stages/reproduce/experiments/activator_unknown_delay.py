@@ -4,15 +4,29 @@ Bhan, Krstic, Shi, Delay-adaptive Control of Nonlinear Systems with Approximate 
 arXiv:2508.20367.
 """
 
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 import npred
+from npred import plants
+from npred.loop.closed_loop import Trajectories
+from npred.plants import Plant
 from npred.stages.reproduce import quirks
-from npred.stages.reproduce.experiment import Experiment, Measured, Measurements, PublishedNumber, networks
+from npred.stages.reproduce.experiment import (
+    AS_MEANT,
+    AS_PUBLISHED,
+    Experiment,
+    Measured,
+    Measurements,
+    PublishedNumber,
+    networks,
+)
+from npred.stages.reproduce.network_loop import Called, NetworkLoop, Predict
 
 D, D_HAT, X0, DT, DX, NODES, STEPS = 1.0, 2.0, (0.03, 30.0), 0.005, 0.01, 100, 20000
+OTHERS, COARSE = 300, 0.02  # runs to learn from, and their step
 GAMMA, B, BOUNDS, SET = 1000.0, 1.0, (0.1, 4.0), (0.0939, 5.2525)
 ENDS = ("x1(100)", "x2(100)", "D_hat(100)")
 
@@ -60,14 +74,24 @@ def published_slopes(x: Any, y: Any) -> tuple[Any, Any, Any, Any]:
 
 
 def published_loop(
-    f: Any = rates_on_both, slopes: Any = published_slopes, gamma: float = GAMMA, steps: int = STEPS
+    f: Any = rates_on_both,
+    slopes: Any = published_slopes,
+    gamma: float = GAMMA,
+    steps: int = STEPS,
+    predict: Predict | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """X (steps, 2) and D_hat (steps,) of the loop as coded; other f and slopes show what each error does."""
+    """X (steps, 2) and D_hat (steps,) of the loop as coded; other f and slopes show what each error does.
+
+    Another predictor may replace the published rule.
+    """
     X, D_hat = np.empty((steps, 2)), np.empty(steps)
     state, estimate, line = X0, D_HAT, np.zeros((NODES, 1))
     X[0], D_hat[0] = state, estimate
     for i in range(1, steps):
-        P = quirks.half_cell_short(f, state, line.tolist(), estimate, DX)
+        if predict is None:
+            P = quirks.half_cell_short(f, state, line.tolist(), estimate, DX)
+        else:
+            P = predict(np.array([state]), line[None], np.array([estimate]), 0.0)[0].tolist()
         phi = _update(f, slopes, state, line[:, 0], np.array(P), estimate)
         estimate = min(max(estimate + DT * gamma * phi, BOUNDS[0]), BOUNDS[1])
         line = quirks.upwind(line, DT / (D * DX), max(kappa(*P[-1]), 0.0))
@@ -95,14 +119,23 @@ def _update(f: Any, slopes: Any, X: quirks.State, u: np.ndarray, P: np.ndarray, 
     return float(-np.trapezoid(weight * q1 * w, dx=DX) / norm)
 
 
-def meant() -> tuple[float, ...]:
+def plant() -> Plant:
+    """npred's activator and repressor."""
+    return plants.resolve("activator_repressor")
+
+
+def meant(predictor: npred.Predictor | None = None) -> tuple[float, ...]:
     """The end of npred's loop: right plant and derivatives, exact transport, U at least 0 as in the article."""
-    plant = npred.plant("activator_repressor")
-    loop = npred.simulate(
-        plant, npred.predictor("rk4", plant, nx=NODES + 1), D=D, D_hat=D_HAT, X0=X0, t_end=(STEPS - 1) * DT, dt=DT,
+    loop = meant_loop(predictor or npred.predictor("rk4", plant(), nx=NODES + 1), D_HAT, X0, (STEPS - 1) * DT)
+    return (*loop.X[-1].tolist(), float(loop.D_hat[-1]))
+
+
+def meant_loop(predictor: npred.Predictor, D_hat: Any, start: Any, t_end: float, dt: float = DT) -> Trajectories:
+    """That loop, or loops side by side."""
+    return npred.simulate(
+        predictor.plant, predictor, D=D, D_hat=D_hat, X0=start, t_end=t_end, dt=dt,
         adaptation=npred.DelayAdaptation(gamma=GAMMA, b=B, bounds=BOUNDS), input_bounds=(0.0, np.inf),
     )  # fmt: skip
-    return (*loop.X[-1].tolist(), float(loop.D_hat[-1]))
 
 
 def measure() -> Measurements:
@@ -112,10 +145,53 @@ def measure() -> Measurements:
     return {name: Measured(*pair) for name, *pair in zip(ENDS, ends, meant(), strict=True)}
 
 
+def in_rows(X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Any) -> np.ndarray:
+    """The published rule in rows, P (B, 100, 2)."""
+    nodes = quirks.half_cell_short(rates_on_both, tuple(X.T), u.transpose(1, 2, 0), D_hat, DX)
+    return np.array(nodes).transpose(2, 0, 1)
+
+
+def explore(nx: int, predict: Predict, rng: np.random.Generator) -> None:
+    """npred's loops from the box that the source trains in, for 60 s, with other first estimates."""
+    start = np.array(X0) + rng.uniform(-1, 1, (OTHERS, 2)) * (0.02, 5.0)
+    meant_loop(Called(plant(), nx, predict), rng.uniform(0.3, 2.2, OTHERS), start, 3000 * COARSE, COARSE)
+
+
+def by_network(predict: Predict) -> dict[str, float]:
+    """The end of the published loop."""
+    X, D_hat = published_loop(predict=predict)
+    return dict(zip(ENDS, (*X[-1].tolist(), float(D_hat[-1])), strict=True))
+
+
+def by_network_meant(predict: Predict) -> dict[str, float]:
+    """The end of the loop as it is meant."""
+    return dict(zip(ENDS, meant(Called(plant(), NODES + 1, predict)), strict=True))
+
+
+LOOPS = {
+    AS_PUBLISHED: NetworkLoop(
+        plant, lambda: in_rows, partial(explore, NODES), by_network, calls=3000, nodes=34, anchor="equilibrium"
+    ),
+    AS_MEANT: NetworkLoop(
+        plant,
+        lambda: npred.predictor("rk4", plant(), nx=NODES + 1).predict,
+        partial(explore, NODES + 1),
+        by_network_meant,
+        calls=3000,
+        nodes=26,
+        anchor="equilibrium",
+    ),
+}
 EXPERIMENT = Experiment(
     "activator and repressor, delay unknown",
     "Bhan, Krstic, Shi, arXiv:2508.20367",
     tuple(PublishedNumber(name, "") for name in ENDS),
     measure,
-    (*networks(ENDS[0], deeponet="0.09496809"), *networks(ENDS[1], deeponet="5.39436828")),
+    (
+        *networks(ENDS[0], deeponet="0.09496809", fno=""),
+        *networks(ENDS[1], deeponet="5.39436828", fno=""),
+        *networks(ENDS[2], deeponet="", fno=""),
+    ),
+    LOOPS,
+    {network: {"loss": "kappa"} for network in ("deeponet", "fno")},
 )

@@ -4,15 +4,29 @@ Bhan, Krstic, Shi, Stabilization of nonlinear systems with unknown delays via de
 predictors, arXiv:2509.26443, law (82).
 """
 
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 import npred
+from npred import plants
+from npred.loop.closed_loop import Trajectories
+from npred.plants import Plant
 from npred.stages.reproduce import quirks
-from npred.stages.reproduce.experiment import Experiment, Measured, Measurements, PublishedNumber
+from npred.stages.reproduce.experiment import (
+    AS_MEANT,
+    AS_PUBLISHED,
+    Experiment,
+    Measured,
+    Measurements,
+    PublishedNumber,
+    networks,
+)
+from npred.stages.reproduce.network_loop import Called, NetworkLoop, Predict
 
 D_HAT, X0, DT, DX, NODES, STEPS = 1.8, (2.0, 2.0), 0.005, 0.01, 100, 5000
+OTHERS = 200  # runs to learn from
 GAMMA, BOUNDS, DELAYS = 1.0, (0.8, 2.0), (1.6, 1.4)
 FEED, DEATH, SURPLUS, SET, U_SET = 2 + 10 / 3, 0.1, 10.0, (3.0, 2.0), 0.9
 
@@ -45,19 +59,23 @@ def published_slopes(Z: Any, S: Any) -> tuple[Any, Any]:
 
 
 def published_loop(
-    D: float, slopes: Any = published_slopes, steps: int = STEPS, D_hat: float = D_HAT
+    D: float, slopes: Any = published_slopes, steps: int = STEPS, D_hat: float = D_HAT, predict: Predict | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """X (steps, 2) and D_hat (steps,) of the loop as coded.
 
     The controller's commands move on a second line at 1 / D_hat: while D_hat changes they are not U(t + D_hat
-    (x - 1)), for the factor 1 + (x - 1) dD_hat/dt of the line's equation is missing.
+    (x - 1)), for the factor 1 + (x - 1) dD_hat/dt of the line's equation is missing. Another predictor may replace the
+    published rule.
     """
     X, estimates = np.empty((steps, 2)), np.empty(steps)
     state, estimate = X0, D_hat
     line = recalled = np.full((NODES, 1), float(kappa(*X0)))
     X[0], estimates[0] = state, estimate
     for i in range(1, steps):
-        P = np.array(quirks.half_cell_short(f, state, recalled.tolist(), estimate, DX))
+        if predict is None:
+            P = np.array(quirks.half_cell_short(f, state, recalled.tolist(), estimate, DX))
+        else:
+            P = predict(np.array([state]), recalled[None], np.array([estimate]), 0.0)[0]
         phi = _update(slopes, recalled[:, 0], P)
         estimate = min(max(estimate + DT * GAMMA * phi, BOUNDS[0]), BOUNDS[1])
         U = max(float(kappa(*P[-1])), 0.0)
@@ -81,16 +99,22 @@ def _update(slopes: Any, u: np.ndarray, P: np.ndarray) -> float:
     return float(2 * np.sign(w_x[-1]) * q[-1] + integral)
 
 
-def meant(D: float, dt: float = DT) -> tuple[float, ...]:
-    """The end of npred's loop by the same law, with right derivatives and the commands as they were sent.
+def plant() -> Plant:
+    """npred's bioreactor."""
+    return plants.resolve("chemostat")
 
-    It depends on dt: signs at nodes and steps have no limit, and another dt ends elsewhere.
-    """
-    plant = npred.plant("chemostat")
-    loop = npred.simulate(
-        plant, npred.predictor("rk4", plant, nx=NODES + 1), D=D, D_hat=D_HAT, X0=X0, t_end=STEPS * DT, dt=dt,
+
+def meant_loop(predictor: npred.Predictor, D: Any, D_hat: Any = D_HAT, start: Any = X0, dt: float = DT) -> Trajectories:
+    """npred's loop by the same law, with right derivatives and the commands as they were sent."""
+    return npred.simulate(
+        predictor.plant, predictor, D=D, D_hat=D_hat, X0=start, t_end=STEPS * DT, dt=dt,
         adaptation=npred.L1Adaptation(gamma=GAMMA, b=1.0, bounds=BOUNDS, epsilon=0.0), actuator="history", u0="law",
     )  # fmt: skip
+
+
+def meant(D: float, dt: float = DT, predictor: npred.Predictor | None = None) -> tuple[float, ...]:
+    """The end of that loop. It depends on dt: signs at nodes and steps have no limit, and another dt ends elsewhere."""
+    loop = meant_loop(predictor or npred.predictor("rk4", plant(), nx=NODES + 1), D, dt=dt)
     return (*loop.X[-1].tolist(), float(loop.D_hat[-1]))
 
 
@@ -108,9 +132,52 @@ def _names(D: float) -> list[str]:
     return [f"{quantity}(25), D = {D:g}" for quantity in ("Z", "S", "D_hat")]
 
 
+def in_rows(X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Any) -> np.ndarray:
+    """The published rule in rows, P (B, 100, 2)."""
+    return np.array(quirks.half_cell_short(f, tuple(X.T), u.transpose(1, 2, 0), D_hat, DX)).transpose(2, 0, 1)
+
+
+def explore(nx: int, predict: Predict, rng: np.random.Generator) -> None:
+    """npred's loops from other starts, with other delays and first estimates."""
+    start = np.array(X0) + rng.uniform(-0.3, 0.3, (OTHERS, 2))
+    delays, estimates = rng.uniform(1.2, 1.8, OTHERS), rng.uniform(*BOUNDS, OTHERS)
+    meant_loop(Called(plant(), nx, predict), delays, estimates, start)
+
+
+def by_network(predict: Predict) -> dict[str, float]:
+    """The ends of the published loops."""
+    ends = {D: published_loop(D, predict=predict) for D in DELAYS}
+    return _ends({D: (*X[-1].tolist(), float(D_hat[-1])) for D, (X, D_hat) in ends.items()})
+
+
+def by_network_meant(predict: Predict) -> dict[str, float]:
+    """The ends of the loops as they are meant."""
+    return _ends({D: meant(D, predictor=Called(plant(), NODES + 1, predict)) for D in DELAYS})
+
+
+def _ends(ends: dict[float, tuple[float, ...]]) -> dict[str, float]:
+    return {name: value for D, values in ends.items() for name, value in zip(_names(D), values, strict=True)}
+
+
+LOOPS = {
+    AS_PUBLISHED: NetworkLoop(
+        plant, lambda: in_rows, partial(explore, NODES), by_network, calls=STEPS, nodes=34, anchor="equilibrium"
+    ),
+    AS_MEANT: NetworkLoop(
+        plant,
+        lambda: npred.predictor("rk4", plant(), nx=NODES + 1).predict,
+        partial(explore, NODES + 1),
+        by_network_meant,
+        calls=STEPS,
+        nodes=26,
+        anchor="equilibrium",
+    ),
+}
 EXPERIMENT = Experiment(
     "chemostat, delay unknown, actuator not measured",
     "Bhan, Krstic, Shi, arXiv:2509.26443",
     tuple(PublishedNumber(name, "") for D in DELAYS for name in _names(D)),
     measure,
+    tuple(row for D in DELAYS for name in _names(D) for row in networks(name, fno="", deeponet="")),
+    LOOPS,
 )

@@ -6,13 +6,24 @@ Bhan, Krstic, Shi, Neural Operators for Predictor Feedback Control of Nonlinear 
 import numpy as np
 
 import npred
-from npred import plants
+from npred.loop.closed_loop import Trajectories
 from npred.stages.reproduce import pomet, quirks
-from npred.stages.reproduce.experiment import Experiment, Measured, Measurements, PublishedNumber, networks
+from npred.stages.reproduce.experiment import (
+    AS_MEANT,
+    AS_PUBLISHED,
+    Experiment,
+    Measured,
+    Measurements,
+    PublishedNumber,
+    networks,
+)
+from npred.stages.reproduce.network_loop import Called, NetworkLoop, Predict
 from npred.stages.reproduce.pomet import Law
 
 RUNS, STEPS, NODES, DT = 25, 1000, 100, 0.01
+OTHERS = 300  # runs to learn from
 AHEAD = 98  # samples by which the published metric shifts, whatever the delay
+Runs = tuple[np.ndarray, np.ndarray]  # X0 (3, B) and D (B,)
 
 
 def draws() -> tuple[np.ndarray, np.ndarray]:
@@ -21,15 +32,20 @@ def draws() -> tuple[np.ndarray, np.ndarray]:
     return 1.0 + noise, D
 
 
-def published_loop(law: Law = pomet.published_law) -> tuple[np.ndarray, np.ndarray]:
-    """X and P(1), (1000, 3, 25), of the loop as published: a line by upwind, the rule that ends short of the delay."""
-    X0, D = draws()
-    X, P, line = np.empty((STEPS, *X0.shape)), np.zeros((STEPS, *X0.shape)), np.zeros((NODES, 2, RUNS))
+def published_loop(
+    law: Law = pomet.published_law, predict: Predict = pomet.half_cell_short, runs: Runs | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """X and P(1), (1000, 3, 25), of the loop as published: a line by upwind, the rule that ends short of the delay.
+
+    Another predictor may replace that rule, and other runs the published ones.
+    """
+    X0, D = runs or draws()
+    X, P, line = np.empty((STEPS, *X0.shape)), np.zeros((STEPS, *X0.shape)), np.zeros((NODES, 2, len(D)))
     X[0] = X0
     for i in range(1, STEPS):
-        end = quirks.half_cell_short(pomet.f, tuple(X[i - 1]), line, D, DT)[-1]
-        P[i - 1] = end
-        line = quirks.upwind(line, 1 / D, np.stack(law(end, DT * (i - 1) + D)))
+        t = DT * (i - 1)
+        P[i - 1] = end = predict(X[i - 1].T, line.transpose(2, 0, 1), D, t)[:, -1].T
+        line = quirks.upwind(line, 1 / D, np.stack(law(tuple(end), t + D)))
         X[i] = X[i - 1] + DT * np.stack(pomet.f(tuple(X[i - 1]), line[0]))
     return X, P
 
@@ -39,14 +55,21 @@ def shifted_error(X: np.ndarray, P: np.ndarray) -> float:
     return float(np.linalg.norm(P[: STEPS - AHEAD] - X[AHEAD:], axis=1).mean())
 
 
-def meant() -> float:
-    """The mean of |P(1, t) - X(t + D)| with the right law, exact transport and each run's own delay, by npred."""
-    X0, D = draws()
-    plant = plants.make("unicycle_one_delay", pomet.UnicycleOneDelay)
-    loop = npred.simulate(
-        plant, npred.predictor("rk4", plant, nx=NODES + 1), D=D, D_hat=D, X0=X0.T, t_end=STEPS * DT, dt=DT
-    )
-    errors = [_error(loop.t, loop.X[run], loop.P[run], D[run]) for run in range(RUNS)]
+def rk4() -> Predict:
+    """npred's numerical predictor, which networks of the loop as it is meant learn."""
+    return npred.predictor("rk4", pomet.plant(), nx=NODES + 1).predict
+
+
+def meant_loop(predictor: npred.Predictor, runs: Runs) -> Trajectories:
+    """npred's loops, with the right law and exact transport."""
+    X0, D = runs
+    return npred.simulate(predictor.plant, predictor, D=D, D_hat=D, X0=X0.T, t_end=STEPS * DT, dt=DT)
+
+
+def meant(predictor: npred.Predictor | None = None) -> float:
+    """The mean of |P(1, t) - X(t + D)| with each run's own delay."""
+    loop = meant_loop(predictor or npred.predictor("rk4", pomet.plant(), nx=NODES + 1), draws())
+    errors = [_error(loop.t, loop.X[run], loop.P[run], D) for run, D in enumerate(draws()[1])]
     return float(np.mean(errors))
 
 
@@ -62,10 +85,33 @@ def measure() -> Measurements:
     return {"prediction": Measured(shifted_error(*published_loop()), meant())}
 
 
+def others(rng: np.random.Generator) -> Runs:
+    """Runs to learn from: starts in the box that the source trains in, twice as wide as that of its runs."""
+    return 1.0 + rng.uniform(-0.2, 0.2, (3, OTHERS)), rng.uniform(0.99, 1.11, OTHERS)
+
+
+PUBLISHED = NetworkLoop(
+    pomet.plant,
+    lambda: pomet.half_cell_short,
+    lambda predict, rng: published_loop(predict=predict, runs=others(rng)),
+    lambda predict: {"prediction": shifted_error(*published_loop(predict=predict))},
+    calls=STEPS - 1,
+    nodes=34,
+    reads_end=True,
+)
+MEANT = NetworkLoop(
+    pomet.plant,
+    rk4,
+    lambda predict, rng: meant_loop(Called(pomet.plant(), NODES + 1, predict), others(rng)),
+    lambda predict: {"prediction": meant(Called(pomet.plant(), NODES + 1, predict))},
+    calls=STEPS,
+    nodes=26,
+)
 EXPERIMENT = Experiment(
     "unicycle, constant delay",
     "Bhan, Krstic, Shi, arXiv:2411.18964",
     (PublishedNumber("prediction", "0.028543"),),
     measure,
     networks("prediction", fno="0.061734", deeponet="0.058748", fno_gru="0.268882", deeponet_gru="0.156749"),
+    {AS_PUBLISHED: PUBLISHED, AS_MEANT: MEANT},
 )

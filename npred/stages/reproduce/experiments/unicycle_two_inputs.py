@@ -12,10 +12,21 @@ import numpy as np
 
 import npred
 from npred import plants
+from npred.plants import Plant
 from npred.stages.reproduce import pomet, quirks
-from npred.stages.reproduce.experiment import Experiment, Measured, Measurements, PublishedNumber, networks
+from npred.stages.reproduce.experiment import (
+    AS_MEANT,
+    AS_PUBLISHED,
+    Experiment,
+    Measured,
+    Measurements,
+    PublishedNumber,
+    networks,
+)
+from npred.stages.reproduce.network_loop import Called, NetworkLoop, Predict
 
 D1, D2, DT, STEPS, NODES, DX = 0.25, 0.6, 0.001, 10000, 101, 0.01
+OTHERS, EXPLORED = 60, 6000  # runs to learn from, and their steps
 DRAWS = 25  # as many as the article says; the notebook draws five, without a seed
 
 
@@ -25,15 +36,25 @@ def starts() -> np.ndarray:
     return np.concatenate([np.ones((1, 3)), 1.0 + draws]).T
 
 
-def published_loop(X0: np.ndarray, steers: bool = False, steps: int = STEPS) -> tuple[np.ndarray, np.ndarray]:
+def published_loop(
+    X0: np.ndarray, steers: bool = False, steps: int = STEPS, predict: Predict | None = None
+) -> tuple[np.ndarray, np.ndarray]:
     """X and P2, (steps + 1, 3, B): beyond 0.25 s the predictor takes ω = 0, for its line ends there.
 
-    Right is ω = κ_1(P2), the steering that will be sent by then; `steers=True` takes that.
+    Right is ω = κ_1(P2), the steering that will be sent by then; `steers=True` takes that. Another predictor may make
+    both predictions, one after the other.
     """
     X, batch = X0.copy(), X0.shape[1]
     turns, speeds, far = (np.zeros((NODES, batch)) for _ in range(3))
     record, predictions = np.empty((2, steps + 1, *X0.shape))
-    ahead = _predicted(X, turns, speeds, far, 0.0, steers)
+
+    def prediction(t: float) -> tuple[quirks.State, quirks.State]:
+        if predict is None:
+            return _predicted(X, turns, speeds, far, t, steers)
+        near = _asked(predict, X, speeds, turns, D1, t)
+        return tuple(near), tuple(_asked(predict, near, far, np.zeros_like(far), D2 - D1, t))
+
+    ahead = prediction(0.0)
     for k in range(steps + 1):
         t, record[k], predictions[k] = k * DT, X, ahead[1]
         turn, speed = pomet.right_law(ahead[0], t + D1)[1], pomet.right_law(ahead[1], t + D2)[0]
@@ -41,8 +62,18 @@ def published_loop(X0: np.ndarray, steers: bool = False, steps: int = STEPS) -> 
         far = quirks.upwind(far, DT / ((D2 - D1) * DX), speed)
         speeds = quirks.upwind(speeds, DT / (D1 * DX), far[0])
         turns = quirks.upwind(turns, DT / (D1 * DX), turn)
-        ahead = _predicted(X, turns, speeds, far, t + DT, steers)
+        ahead = prediction(t + DT)
     return record, predictions
+
+
+def _asked(predict: Predict, X: np.ndarray, speeds: np.ndarray, turns: np.ndarray, D: float, t: float) -> np.ndarray:
+    """P(1), (3, B), of a predictor that is asked in rows."""
+    return predict(X.T, np.stack([speeds, turns]).transpose(2, 1, 0), np.full(X.shape[1], D), t)[:, -1].T
+
+
+def in_rows(X: np.ndarray, u: np.ndarray, D: np.ndarray, t: Any) -> np.ndarray:
+    """The published rule in rows, P (B, 101, 3), the same D for all of them."""
+    return np.array(quirks.half_cell_short(pomet.f, tuple(X.T), u.transpose(1, 2, 0), D, DX)).transpose(2, 0, 1)
 
 
 def _predicted(
@@ -79,12 +110,21 @@ def norm(X: np.ndarray, step: float) -> np.ndarray:
     return np.sqrt(np.trapezoid((X**2).sum(axis=1), dx=step, axis=0))
 
 
-def meant(X0: np.ndarray) -> np.ndarray:
+def plant() -> Plant:
+    """The robot with both delays, as it is meant."""
+    return plants.resolve("unicycle")
+
+
+def rk4() -> npred.Predictor:
+    """npred's numerical predictor, which networks of the loop as it is meant learn."""
+    return npred.predictor("rk4", plant(), nx=NODES)
+
+
+def meant(X0: np.ndarray, predictor: npred.Predictor | None = None, dt: float = DT) -> np.ndarray:
     """The L2 norms of the runs as npred simulates them, exact transport and both predictors right."""
-    plant = plants.resolve("unicycle")
-    predictor = npred.predictor("rk4", plant, nx=NODES)
-    loop = npred.simulate(plant, predictor, D=D2, D_hat=D2, X0=X0.T, t_end=STEPS * DT, dt=DT)
-    return norm(np.moveaxis(loop.X, 0, -1), DT)
+    predictor = predictor or rk4()
+    loop = npred.simulate(predictor.plant, predictor, D=D2, D_hat=D2, X0=X0.T, t_end=STEPS * DT, dt=dt)
+    return norm(np.moveaxis(loop.X, 0, -1), dt)
 
 
 class SlowUnicycle:
@@ -153,6 +193,44 @@ def measure() -> Measurements:
     } | {f"U{k}(0+), TAC 2017": Measured(*pair) for k, pair in enumerate(commands, 1)}
 
 
+def others(rng: np.random.Generator) -> np.ndarray:
+    """Starts to learn from, (3, 60), from a box 1.5 times as wide as that of the runs."""
+    return 1.0 + rng.uniform(-0.3, 0.3, (3, OTHERS))
+
+
+def by_network(predict: Predict) -> dict[str, float]:
+    """The norms as published, of the published loop."""
+    norms = norm(published_loop(starts(), predict=predict)[0], DX)
+    return {"L2": float(norms[1:].mean()), "L2 from (1, 1, 1)": float(norms[0])}
+
+
+def by_network_meant(predict: Predict) -> dict[str, float]:
+    """The norms as they are meant."""
+    norms = meant(starts(), Called(plant(), NODES, predict))
+    return {"L2": float(norms[1:].mean()), "L2 from (1, 1, 1)": float(norms[0])}
+
+
+LOOPS = {
+    AS_PUBLISHED: NetworkLoop(
+        pomet.plant,
+        lambda: in_rows,
+        lambda predict, rng: published_loop(others(rng), steps=EXPLORED, predict=predict),
+        by_network,
+        calls=2 * EXPLORED,
+        kept=300,
+        nodes=26,
+        reads_end=True,
+    ),
+    AS_MEANT: NetworkLoop(
+        plant,
+        lambda: rk4().predict,
+        lambda predict, rng: meant(others(rng), Called(plant(), NODES, predict), dt=10 * DT),
+        by_network_meant,
+        calls=STEPS // 10,
+        kept=300,
+        nodes=26,
+    ),
+}
 EXPERIMENT = Experiment(
     "wheeled robot, two inputs with distinct delays",
     "Bajraktari, Bhan, Krstic, Shi, arXiv:2509.17131; Bekiaris-Liberis, Krstic, IEEE TAC 62 (2017) 516-531",
@@ -163,5 +241,6 @@ EXPERIMENT = Experiment(
         PublishedNumber("U2(0+), TAC 2017", "-0.645494470"),
     ),
     measure,
-    networks("L2", fno="5.1436", deeponet="4.8737"),
+    (*networks("L2", fno="5.1436", deeponet="4.8737"), *networks("L2 from (1, 1, 1)", fno="", deeponet="")),
+    LOOPS,
 )

@@ -1,0 +1,105 @@
+"""A loop that asks any predictor, so that a network may replace it, and the calls that the network learns from."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from npred import randomness
+from npred.config import Anchor
+from npred.plants import Plant
+from npred.predictors import Predictor
+
+SPREAD = 0.02  # of the bias while calls are recorded
+SEED = 2025  # of other rollouts than the published ones, which are drawn from other generators
+
+Predict = Callable[[np.ndarray, np.ndarray, np.ndarray, Any], np.ndarray]
+"""P (B, nx, n) of X (B, n), u (B, nx, m), D_hat (B,) and t, as npred's Predictor.predict."""
+
+
+class RecordedCalls(NamedTuple):
+    """N calls of a predictor: X (N, n), u (N, nx, m), D_hat (N,), P (N, nx, n), t (N,)."""
+
+    X: np.ndarray
+    u: np.ndarray
+    D_hat: np.ndarray
+    P: np.ndarray
+    t: np.ndarray
+
+
+@dataclass(frozen=True)
+class NetworkLoop:
+    """A closed loop that asks any predictor: the published one, or the one that its article means.
+
+    `measure` gives the published metrics of the published runs. `explore(predict, rng)` runs other rollouts, side by
+    side, from wider starts. `numerical` makes the predictor that a network learns. Of the `calls` of a rollout `kept`
+    are learned from, P on `nodes` nodes. `reads_end`: of P the loop reads P(1) alone. `noise`: see Recorder.
+    """
+
+    plant: Callable[[], Plant]
+    numerical: Callable[[], Predict]
+    explore: Callable[[Predict, np.random.Generator], object]
+    measure: Callable[[Predict], dict[str, float]]
+    calls: int
+    kept: int = 50
+    nodes: int | None = None
+    reads_end: bool = False
+    noise: float = 0.0
+    anchor: Anchor = "initial"
+
+
+class Recorder:
+    """The numerical predictor: it keeps some of its `calls`, in each rollout `kept` others, and answers with an error.
+
+    A network's errors lead its loop away from the exact one. Errors of two kinds bring such states and such inputs into
+    the data: a bias, drawn once per rollout and state, of SPREAD times what P moves by, and white noise, in each
+    rollout of another standard deviation between a hundredth of `noise` and all of it. What is kept is exact.
+    """
+
+    def __init__(self, loop: NetworkLoop, rng: np.random.Generator) -> None:
+        self.loop, self.rng, self.predict = loop, rng, loop.numerical()
+        self.count, self.kept = 0, []
+        self.chosen = self.tilt = self.level = np.zeros(())
+
+    def __call__(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Any) -> np.ndarray:
+        P = self.predict(X, u, D_hat, t)
+        if not self.count:
+            self._draw(*X.shape)
+        rows = np.flatnonzero((self.chosen == self.count).any(axis=1))
+        times = np.broadcast_to(np.asarray(t, dtype=float), len(X))
+        self.kept.append([rows, *(np.array(array[rows], dtype=np.float32) for array in (X, u, D_hat, P, times))])
+        self.count += 1
+        return P + self.tilt * np.abs(P - X[:, None]) + self.level * self.rng.standard_normal(self.tilt.shape)
+
+    def _draw(self, rollouts: int, n: int) -> None:
+        """The calls to keep (B, kept), and the errors of each rollout."""
+        calls = np.arange(self.loop.calls)
+        self.chosen = np.stack([self.rng.choice(calls, self.loop.kept, replace=False) for _ in range(rollouts)])
+        self.tilt = SPREAD * self.rng.standard_normal((rollouts, 1, n))
+        self.level = self.loop.noise * 10 ** self.rng.uniform(-2, 0, (rollouts, 1, 1))
+
+    def samples(self) -> RecordedCalls:
+        """The calls, those of one rollout together."""
+        rollout, *arrays = (np.concatenate(parts) for parts in zip(*self.kept, strict=True))
+        order = np.argsort(rollout, kind="stable")
+        return RecordedCalls(*(array[order] for array in arrays))
+
+
+def recorded(loop: NetworkLoop) -> RecordedCalls:
+    """What a network learns from: `kept` calls of each rollout."""
+    rng = randomness.generator(SEED, "reproduce")
+    recorder = Recorder(loop, rng)
+    loop.explore(recorder, rng)
+    return recorder.samples()
+
+
+class Called(Predictor):
+    """Any function as npred's predictor."""
+
+    def __init__(self, plant: Plant, nx: int, function: Predict) -> None:
+        super().__init__(plant, nx)
+        self.function = function
+
+    def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Any) -> np.ndarray:
+        return self.function(X, u, D_hat, t)

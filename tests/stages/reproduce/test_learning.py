@@ -1,0 +1,81 @@
+"""What a network learns of an experiment: exact calls, a training that goes on, and its answers in the loop."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import reproduced
+import torch
+
+from npred.operators import load
+from npred.stages.reproduce import learning, network_loop, reproduce
+from npred.terminal.console import Console
+
+TABLE = {"epochs": 3, "width": 4, "modes": 3, "layers": 1, "nodes": 5}
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, dict[str, float]], list]:
+    folder = tmp_path_factory.mktemp("network")
+    training = learning.LoopTraining("small", "fno", folder, folder / "scratch", Console(quiet=True))
+    return folder, *training.run({"as meant": reproduced.small_loop()}, TABLE)
+
+
+def test_the_recorded_calls_are_exact_and_those_of_a_rollout_lie_together():
+    loop = reproduced.small_loop()
+    samples = network_loop.recorded(loop)
+    assert [len(array) for array in samples] == [400] * 5
+    assert np.all(np.diff(samples.t.reshape(40, 10)) > 0)
+    P = loop.numerical()(samples.X.astype(float), samples.u.astype(float), samples.D_hat.astype(float), 0.0)
+    assert np.abs(P - samples.P).max() < 1e-5
+
+
+def test_the_answers_while_recording_are_not_exact():
+    loop = replace(reproduced.small_loop(), numerical=lambda: lambda X, u, D, t: np.ones((4, 3, 2)), calls=1, kept=1)
+    recorder = network_loop.Recorder(loop, np.random.default_rng(0))
+    P = recorder(np.zeros((4, 2)), np.zeros((4, 3, 1)), np.ones(4), 0.0)
+    assert np.abs(P - 1).min() > 0
+    assert np.all(recorder.samples().P == 1)
+
+
+def test_the_network_is_saved_and_answers_as_it_did(trained):
+    folder, metrics, (row,) = trained
+    loop = reproduced.small_loop()
+    operator = load(folder / "as_meant", loop.plant(), dtype=torch.float64)
+    assert loop.measure(learning.answers(loop, operator)) == pytest.approx(metrics["as meant"], abs=1e-9)
+    assert (row.epochs, row.samples, row.parameters) == (3, 360, sum(p.numel() for p in operator.parameters()))
+
+
+def test_an_end_that_is_read_alone_is_the_same_end(trained):
+    loop = reproduced.small_loop()
+    operator = load(trained[0] / "as_meant", loop.plant(), dtype=torch.float64)
+    X, u, D = np.array([[0.3]]), np.full((1, 21, 1), 0.1), np.array([0.5])
+    whole = learning.answers(loop, operator)(X, u, D, 0.0)
+    fewer = learning.answers(replace(loop, nodes=5, reads_end=True), operator)(X, u, D, 0.0)
+    assert (whole.shape, fewer.shape) == ((1, 21, 1), (1, 5, 1))
+    assert fewer[:, 0] == pytest.approx(X)
+
+
+@pytest.mark.parametrize(
+    ("name", "loop"),
+    [
+        ("unicycle_constant", "as meant"),
+        pytest.param("manipulator", "as published", marks=pytest.mark.slow),
+        pytest.param("unicycle_constant", "as published", marks=pytest.mark.slow),
+        pytest.param("unicycle_time_varying", "as meant", marks=pytest.mark.slow),
+        pytest.param("manipulator", "as meant", marks=pytest.mark.slow),
+        pytest.param("unicycle_time_varying", "as published", marks=pytest.mark.slow),
+        pytest.param("unicycle_two_inputs", "as published", marks=pytest.mark.slow),
+        pytest.param("unicycle_two_inputs", "as meant", marks=pytest.mark.slow),
+        pytest.param("chemostat_unknown_delay", "as published", marks=pytest.mark.slow),
+        pytest.param("activator_unknown_delay", "as published", marks=pytest.mark.slow),
+    ],
+)
+def test_the_loop_for_networks_gives_the_numerical_rows_with_the_numerical_predictor(name: str, loop: str):
+    """So what a network's row differs by is the network's."""
+    experiment = reproduce.load(name)
+    rows = {metric: getattr(values, loop.replace(" ", "_")) for metric, values in experiment.measure().items()}
+    measured = experiment.loops[loop].measure(experiment.loops[loop].numerical())
+    for metric, value in measured.items():
+        assert value == pytest.approx(rows[metric], rel=1e-6, abs=1e-9)
