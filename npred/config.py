@@ -29,7 +29,7 @@ Nodes = Annotated[int, Field(ge=2, le=MOST, strict=True)]
 Item = TypeVar("Item")
 Some = Annotated[list[Item], Field(min_length=1)]
 Number = Annotated[float, Field(allow_inf_nan=False, strict=True)]
-StartInput = Number | list[Number] | Literal["equilibrium", "law"]
+StartInput = Number | list[Number] | list[list[Number]] | Literal["equilibrium", "law"]
 PAPER, FROZEN = "bresch-pietri-krstic", "frozen"  # delay laws
 TAKEN = ("generate", "train", "evaluate", "bench", "report", "numerical", "no_adaptation", *INTERPRETED.builtin)
 Networks = Annotated[Some[str], AfterValidator(lambda names: sorted(set(names)))]
@@ -160,8 +160,9 @@ class Loop(Section):
     b: Positive = 1.0  #: weight of w in phi [DAPF, eq. 12]
     bounds: Range = (0.1, 4.0)  #: where D_hat stays, in seconds
     input_bounds: list[Bounds] | None = None  #: of U, a pair per input; by default the plant's
-    #: the input before t = 0, which fills the delay: numbers, "equilibrium" or "law" (κ of the start); by default 0
-    #: where input_bounds allow it, else "equilibrium"
+    #: the input before t = 0, which fills the delay: numbers, "equilibrium", "law" (κ of the start), or a history over
+    #: [-D, 0], a list of rows of equal duration, the oldest first; by default 0 where input_bounds allow it, else
+    #: "equilibrium"
     u0: StartInput | None = None
     actuator: Actuator = "measured"  #: whether u is measured, or read from the history of commands at D_hat
     truth: dict[str, Number] = {}  #: parameters of the simulated plant that are not those of the controller's model

@@ -115,11 +115,12 @@ def _predictor(options: Common, spec: str, plant: Plant, table: Evaluate, choice
 def _controller(plant: Plant, predictor: Predictor, table: Evaluate, choices: Choices) -> Controller:
     limits = inputs.bounds(plant, table.input_bounds)
     start = np.array([table.X0]) if table.X0 else np.zeros((1, plant.n))
+    u0 = inputs.before(plant, table.u0, limits, start)[0] if table.u0 == inputs.LAW else table.u0
     declared = plant.declares_delay
     return Controller(
         plant, predictor, None if declared or table.adaptation == FROZEN else delay_law.resolve(table), table.dt,
         D_hat=None if declared else table.D_hat0, input_bounds=table.input_bounds,
-        actuator=choices.actuator or table.actuator, u0=inputs.before(plant, table.u0, limits, start)[0],
+        actuator=choices.actuator or table.actuator, u0=u0,
     )  # fmt: skip
 
 

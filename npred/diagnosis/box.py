@@ -120,7 +120,7 @@ def complete(case: Case) -> Verdict:
     """
     held = np.roll(case.u, 1, axis=0)
     half = len(held) // 2
-    held[:half] = inputs.before(case.plant, case.u0, case.limits, case.X[:half])
+    held[:half] = inputs.rows_of(case.plant, case.u0, case.limits, case.X[:half])
     nodes = max(case.nodes, FINE)
     P = RK4(_undelayed(case.plant), nodes)(case.X, np.repeat(held[:, None], nodes, axis=1), case.delay)
     ended = ~np.all(np.isfinite(P), axis=2)  # (samples, nodes)
@@ -153,7 +153,7 @@ def feasible(case: Case) -> Verdict:
         came = f"got {delays[:, worst].min():.3g} at {case.state(case.X[worst])}"
         return "no", f"{plant.location('delay')} expected a finite delay of at least 0 s on the box, {came}; shrink box"
     X, margins = np.array(case.X.T, order="C"), np.full(len(case.X), np.inf)
-    for U in (case.u, inputs.before(plant, case.u0, case.limits, case.X)):
+    for U in (case.u, inputs.rows_of(plant, case.u0, case.limits, case.X)):
         for t in times:
             rows = np.empty((plant.m, len(case.X)))
             speed(X, np.array(U.T, order="C"), float(t), plant.p, rows)

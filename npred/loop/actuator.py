@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+from npred.plants.inputs import Past
 from npred.symbolic.compile_cache import jit
 
 ROUNDING = 1e-9  # of a control step: positions this close to a step's start are on it
@@ -122,13 +123,16 @@ def retime(k: int, dt: float, D: Any, speed: Any, held: Any, U1: Any, share: Any
                 U1[c, l] = mean
 
 
-def history(before: float, longest: float, dt: float, u0: np.ndarray) -> tuple[int, np.ndarray, np.ndarray]:
-    """The first step's number and the ring buffers, filled with u0 (m, B) of t < 0.
+def history(before: float, longest: float, dt: float, past: Past) -> tuple[int, np.ndarray, np.ndarray]:
+    """The first step's number and the ring buffers, filled with the inputs of t < 0.
 
     They reach back to `before` seconds before t = 0, and to `longest` seconds at any time.
     """
     origin, rows = int(before / dt) + 3, int(max(before, longest) / dt) + 4
-    held = np.empty((rows, *u0.shape))
-    held[:] = u0
-    steps = np.arange(rows, dtype=float)[:, None, None]
-    return origin, held, steps * held - origin * held
+    commands = past.steps(origin, dt)
+    held = np.ascontiguousarray(np.concatenate([commands, np.repeat(commands[-1:], rows - origin, axis=0)]))
+    if past.course is None:  # exact sums
+        steps = np.arange(rows, dtype=float)[:, None, None]
+        return origin, held, steps * held - origin * held
+    total = np.concatenate([np.zeros_like(held[:1]), np.cumsum(held[:-1], axis=0)])
+    return origin, held, total - total[origin]

@@ -54,11 +54,12 @@ def simulate(
     D, D_hat (...) in seconds and X0 (..., n) broadcast to the batch. Where inputs have several delays D is the
     longest, input j comes after r_j D, and U_j = kappa_j(P(r_j), t + r_j D_hat). U is held over each step of dt and
     clipped to `input_bounds` (m, 2), by default the plant's. Before t = 0 the input is u0: numbers (m,), "equilibrium"
-    or "law", kappa(X0, 0); by default 0 where the bounds allow it, else the equilibrium's. `predictor=None` is the open
-    loop U = 0, `adaptation=None` freezes D_hat; a DelayLaw that you write runs in Python. Every `every`-th step
-    is kept; `samples` (..., S) are sorted steps whose (X, u, D_hat) are kept too. `integrator` advances the plant.
-    `progress=True` shows a bar of the loop steps done, in a terminal or a notebook; a function gets their number.
-    A loop that leaves the finite numbers goes on as NaN and leaves the others alone.
+    or "law", kappa(X0, 0); by default 0 where the bounds allow it, else the equilibrium's. It may be a history too: a
+    table (k, m) over [-D, 0], each row held for D / k, the oldest first, or a function of t < 0, read in the middle of
+    control steps. `predictor=None` is the open loop U = 0, `adaptation=None` freezes D_hat; a DelayLaw that you write
+    runs in Python. Every `every`-th step is kept; `samples` (..., S) are sorted steps whose (X, u, D_hat) are kept too.
+    `integrator` advances the plant. `progress=True` shows a bar of the loop steps done, in a terminal or a notebook; a
+    function gets their number. A loop that leaves the finite numbers goes on as NaN and leaves the others alone.
 
     D may be a function of t in seconds, a delay that drifts or jumps. A plant that declares `delay` takes neither D nor
     D_hat; where commands would overtake each other its loop is marked (`infeasible`) and ends. `actuator="history"`: u
@@ -89,7 +90,7 @@ def simulate(
     loop_checks.record(plant, len(D), t_end, dt, every)
     sample_steps = loop_checks.samples(samples, shape, round(t_end / dt))
     limits, method = inputs.bounds(plant, input_bounds), loop_checks.integrator(integrator, plant, truth or plant)
-    held = inputs.before(plant, u0, limits, X0)
+    past = inputs.past(plant, u0, limits, X0, D)
     loop = _Simulation(
         plant, predictor, adaptation, limits, dt, t_end, every, method, actuator == loop_checks.HISTORY,
         measurement or Measurement(), truth or plant, disturbance,
@@ -99,7 +100,7 @@ def simulate(
     chunks = [slice(i, i + width) for i in range(0, len(D), width)]
     with _counted(progress, len(D) * (round(t_end / dt) + 1)) as count:
         records = [
-            loop.run(X0[c], D[c], D_hat[c], held[c], sample_steps[c], delays[:, c], c.start, count) for c in chunks
+            loop.run(X0[c], D[c], D_hat[c], past.of(c), sample_steps[c], delays[:, c], c.start, count) for c in chunks
         ]
     joined = engine.Record(*(np.concatenate(parts, axis=-1) for parts in zip(*records, strict=True)))
     return of_record(joined, shape, dt * every, round(t_end / dt) + 1, plant, truth or plant)
@@ -178,16 +179,17 @@ class _Simulation:
         return parts and (self.predictor is None or self.predictor.compiled)
 
     def run(
-        self, X0: np.ndarray, D: np.ndarray, D_hat: np.ndarray, u0: np.ndarray, samples: np.ndarray,
+        self, X0: np.ndarray, D: np.ndarray, D_hat: np.ndarray, past: inputs.Past, samples: np.ndarray,
         delays: np.ndarray, first: int, progress: Any,
     ) -> engine.Record:  # fmt: skip
-        """One chunk of loops: X0 (B, n), D, D_hat (B,), u0 (B, m), samples (B, S), delays (steps + 1 or 0, B).
+        """One chunk of loops: X0 (B, n), D, D_hat (B,), the inputs of t < 0, samples (B, S), delays (steps + 1 or 0,
+        B).
 
         `first` is the number of the chunk's first loop in the batch.
         """
         lanes, nx = len(D), 2 if self.predictor is None else self.predictor.nx
         count = round(self.t_end / self.dt) + 1
-        origin, held, total = history(*self.reach(D, D_hat, delays), self.dt, u0.T)
+        origin, held, total = history(*self.reach(D, D_hat, delays), self.dt, past)
         state = self._state(X0, D, D_hat, held, total, nx)
         settings, out = self._settings(samples, delays, first), self._record(count, samples.shape[1], nx, lanes)
         parts = self._parts()

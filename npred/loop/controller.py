@@ -26,8 +26,9 @@ class Controller:
     """U = kappa(P(1)), P from the predictor, and D_hat' = gamma Proj{D_hat, phi} [DAPF, eqs. 9-14], each dt seconds.
 
     With `actuator="measured"` each step is given u, so D_hat, phi of the last step and the time are all that it
-    remembers; with "history" it remembers its own commands, before the first step u0 (m,), 0 by default, and reads u
-    from them at D_hat. `D_hat` (seconds) is the estimate that the next step uses, by default the middle of the
+    remembers; with "history" it remembers its own commands and reads u from them at D_hat. Those before the first step
+    are u0, as npred.simulate has it: numbers (m,), a history over [-D_hat, 0], or a word; "law" is kappa of the first
+    X. `D_hat` (seconds) is the estimate that the next step uses, by default the middle of the
     adaptation's bounds; `adaptation=None` freezes it, and a plant that declares its delay has none. Commands are kept
     for `longest` seconds, by default the largest D_hat, or five times the declared delay at the target. U is clipped to
     `input_bounds` (m, 2), by default the plant's. Steps equal those of npred.simulate. Its memory is not shared,
@@ -48,7 +49,7 @@ class Controller:
             raise ConfigError(f"dt: expected a control step above 0 s, got {dt!r}; give seconds")
         self.plant, self.predictor, self.adaptation, self.dt = plant, predictor, adaptation, seconds
         law, self._limits = part(plant, adaptation, seconds), inputs.bounds(plant, input_bounds)
-        self.actuator, self.u0 = actuator, inputs.before(plant, u0, self._limits, np.zeros((1, plant.n)))[0]
+        self.actuator, self._u0 = actuator, inputs.start(plant, u0, self._limits)
         self._recalls, self._watches = actuator == loop_checks.HISTORY, law.memory > 1
         self.keeps_commands = self._recalls or self._watches  # a step reads the commands of those before it
         self.parts = Parts(
@@ -59,9 +60,11 @@ class Controller:
         )  # fmt: skip
         D_hat = self._start(D_hat)
         array_checks.within("D_hat", np.array(array_checks.number("D_hat", D_hat)), tuple(law.bounds))
+        self._first_D_hat, self._awaits_X = D_hat, False
         self._take_memory(law.memory, self._kept(D_hat, longest))
         self._set_state(D_hat, None, 0, 0.0)
         self._warm_up()
+        self._awaits_X = isinstance(self._u0, str) and self._u0 == inputs.LAW  # for the commands before the first step
 
     @property
     def D_hat(self) -> float:
@@ -86,6 +89,14 @@ class Controller:
     @t.setter
     def t(self, seconds: float) -> None:
         self._set_state(self.D_hat, None, 0, seconds)
+
+    @property
+    def u0(self) -> np.ndarray:
+        """The command before the first step, (m,). Raises ConfigError where it is a history, or kappa of the first
+        X."""
+        if isinstance(self._u0, str) and self._u0 == inputs.LAW:
+            raise ConfigError("u0: expected a constant command, got that of the first X; give numbers")
+        return inputs.before(self.plant, self._u0, self._limits, np.zeros((1, self.plant.n)))[0]
 
     @property
     def reach(self) -> float:
@@ -126,6 +137,8 @@ class Controller:
         X = array_checks.floats("X", X)
         u = self.memory.u[:, :, 0] if u is None else array_checks.floats("u", u)
         self._measure(X, u, u if u_nodes is None else array_checks.floats("u_nodes", u_nodes))
+        if self._awaits_X:
+            self._fill(X)
         z = self.memory
         before = z.D_hat[0], z.phi_before[0], z.observer.copy() if self._watches else z.observer
         self._advance()
@@ -134,6 +147,7 @@ class Controller:
             raise DivergedError(f"step: {failure}")
         if self.keeps_commands:
             self._k = remember(self._k, self.dt, z)
+        self._awaits_X = False
         self._step += 1
         self._P, self._last_P = self._last_P, self._P
         self._last_U[:] = z.U[:, 0]
@@ -165,11 +179,12 @@ class Controller:
             raise ConfigError(f"state: expected D_hat and step, got {state!r}; save it with state()") from None
         self._recall(state)
         self._set_state(D_hat, phi, step, t0)
+        self._awaits_X = self._awaits_X and step == 0
 
     def fresh(self) -> "Controller":
         """Another one with these parts, which starts from this one's D_hat and t without a past."""
         parts = (self.plant, self.predictor, self.adaptation, self.dt)
-        named = {"input_bounds": self._limits, "actuator": self.actuator, "u0": self.u0,
+        named = {"input_bounds": self._limits, "actuator": self.actuator, "u0": self._u0,
                  "longest": self._longest}  # fmt: skip
         other = type(self)(*parts, D_hat=self.D_hat, **named)
         other.t = self.t
@@ -182,7 +197,7 @@ class Controller:
 
     def __getstate__(self) -> dict[str, Any]:
         parts = (self.plant, self.predictor, self.adaptation, self.dt)
-        named = {"input_bounds": self._limits, "actuator": self.actuator, "u0": self.u0,
+        named = {"input_bounds": self._limits, "actuator": self.actuator, "u0": self._u0,
                  "longest": self._longest}  # fmt: skip
         return {"parts": parts, "named": named, "state": self.state(), "P": self._last_P}
 
@@ -216,13 +231,24 @@ class Controller:
         self._last_U = np.zeros(m)
         self._P, self._last_P = np.full((nx, n, 1), np.nan), np.full((nx, n, 1), np.nan)
         self._longest = longest
-        self._k, held, total = history(longest, longest, self.dt, self.u0[:, None])
+        self._k, held, total = history(longest, longest, self.dt, self._past(np.zeros(n)))
         self.memory = Memory(
             X=np.zeros((n, 1)), u=np.zeros((nx, m, 1)), u_nodes=np.zeros((nx, m, 1)), U=np.zeros((m, 1)),
             D_hat=np.empty(1), phi=np.zeros(1), phi_before=np.full(1, np.nan), N=np.empty(1), D_seen=np.zeros((m, 1)),
             held=held, total=total, observer=np.full((size, 1), np.nan), error=np.full(1, np.nan),
             fallback=np.zeros(1), leaving=np.empty((3, m, 1)),
         )  # fmt: skip
+
+    def _past(self, X: np.ndarray) -> inputs.Past:
+        """The commands before the first step, for the state (n,) that the law would have held."""
+        span = np.array([self._first_D_hat])
+        return inputs.past(self.plant, self._u0, self._limits, X[None], span)
+
+    def _fill(self, X: np.ndarray) -> None:
+        """Hold kappa(X) before the first step, where that is u0."""
+        self._k, self.memory.held[:], self.memory.total[:] = history(
+            self._longest, self._longest, self.dt, self._past(X)
+        )
 
     def _recall(self, state: Mapping[str, Any]) -> None:
         """Take the commands and the observer of a saved state, where it has them. Raises ConfigError for others."""

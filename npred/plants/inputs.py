@@ -1,5 +1,7 @@
 """The inputs of a plant: the range of each, and what they are before t = 0."""
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -26,12 +28,69 @@ def bounds(plant: Plant, bounds: Any) -> np.ndarray:
     return array
 
 
-def start(plant: Plant, u0: Any, limits: np.ndarray) -> np.ndarray | str:
-    """u0, the input before t = 0, with its default filled in: numbers (m,), "equilibrium" or "law".
+@dataclass(frozen=True)
+class Past:
+    """The input of each loop before t = 0: constant, `held` (B, m), or a course over the last `span` (B,) seconds.
+
+    A course is a table (k, m), its rows held for span / k each, the oldest first and before all of them too, or a
+    function of t < 0 in seconds.
+    """
+
+    held: np.ndarray
+    span: np.ndarray
+    course: np.ndarray | Callable[[float], Any] | None = None
+    limits: np.ndarray | None = None
+
+    def of(self, loops: slice) -> "Past":
+        """Those of some of the loops."""
+        return Past(self.held[loops], self.span[loops], self.course, self.limits)
+
+    def steps(self, count: int, dt: float) -> np.ndarray:
+        """The mean input of the last `count` control steps before t = 0, the oldest first: (count, m, B)."""
+        constant = np.broadcast_to(self.held.T, (count, *self.held.T.shape))
+        if self.course is None:
+            return constant
+        if callable(self.course):
+            return np.stack([self._at((k + 0.5) * dt) for k in range(-count, 0)])[:, :, None] + 0.0 * constant
+        edges = np.arange(-count, 1)[:, None] * dt  # of the control steps
+        position = len(self.course) * (1.0 + edges / np.maximum(self.span, np.finfo(float).tiny))  # in rows, (., B)
+        total = self._sum(position)
+        means = (total[1:] - total[:-1]) / np.diff(position, axis=0)[..., None]
+        return np.moveaxis(means, -1, 1)
+
+    def _sum(self, position: np.ndarray) -> np.ndarray:
+        """The rows' sum up to a position (., B), whole and parts: (., B, m); below 0 the first row goes on."""
+        assert isinstance(self.course, np.ndarray)
+        row = np.clip(np.floor(position).astype(int), 0, len(self.course) - 1)
+        sums = np.concatenate([np.zeros((1, self.course.shape[1])), np.cumsum(self.course, axis=0)])
+        return sums[row] + (position - row)[..., None] * self.course[row]
+
+    def _at(self, t: float) -> np.ndarray:
+        """The function's input at t. Raises ConfigError for another shape, or a value outside the limits."""
+        assert callable(self.course) and self.limits is not None
+        value = array_checks.floats(f"u0({t:g})", self.course(t))
+        m = len(self.limits)
+        if not array_checks.fits(value.shape, (m,)) or not np.isfinite(value).all():
+            raise ConfigError(
+                f"u0({t:g}): expected {m} finite numbers, one per input, got {value.tolist()}; return them"
+            )
+        value = np.broadcast_to(value, (m,))
+        if not _inside(value, self.limits):
+            raise ConfigError(
+                f"u0({t:g}): expected within input_bounds {self.limits.tolist()}, got {value.tolist()}; stay"
+            )
+        return value
+
+
+def start(plant: Plant, u0: Any, limits: np.ndarray) -> Any:
+    """u0, the input before t = 0, with its default filled in: numbers (m,), a table (k, m), a function, "equilibrium"
+    or "law".
 
     By default the input is 0 where the limits (m, 2) allow 0 for every input, else that of the equilibrium.
     Raises ConfigError for other words, a wrong count, values that are not finite or that lie outside the limits.
     """
+    if callable(u0):
+        return u0
     if u0 is None:
         u0 = np.zeros(plant.m) if _inside(np.zeros(plant.m), limits) else EQUILIBRIUM
     if isinstance(u0, str):
@@ -39,12 +98,15 @@ def start(plant: Plant, u0: Any, limits: np.ndarray) -> np.ndarray | str:
             raise ConfigError(f'u0: expected numbers, "{EQUILIBRIUM}" or "{LAW}", got {u0!r}; choose one')
         return u0
     array = array_checks.floats("u0", u0)
-    if not array_checks.fits(array.shape, (plant.m,)) or not np.isfinite(array).all():
+    is_table = array.ndim == 2 and array.shape[0] > 0 and array.shape[1] == plant.m
+    if not (is_table or array_checks.fits(array.shape, (plant.m,))) or not np.isfinite(array).all():
         raise ConfigError(f"u0: expected a finite number per input ({', '.join(plant.inputs)}), got {u0}; give as many")
+    if is_table:
+        return np.stack([_accepted(plant, row, limits, "") for row in array])
     return _accepted(plant, np.broadcast_to(array, (plant.m,)), limits, "")
 
 
-def configured(plant: Plant, loop: Loop, stage: str) -> np.ndarray | str:
+def configured(plant: Plant, loop: Loop, stage: str) -> Any:
     """The `start` of a stage's loops. Raises ConfigError, naming the stage's table, also where nothing rests."""
     try:
         limits = bounds(plant, loop.input_bounds)
@@ -56,14 +118,35 @@ def configured(plant: Plant, loop: Loop, stage: str) -> np.ndarray | str:
     return commands
 
 
-def before(plant: Plant, u0: Any, limits: np.ndarray, X0: np.ndarray) -> np.ndarray:
-    """The input of each loop before t = 0, (B, m), for starts X0 (B, n) and limits (m, 2); it fills the delay.
+def past(plant: Plant, u0: Any, limits: np.ndarray, X0: np.ndarray, span: np.ndarray) -> Past:
+    """The inputs of loops before t = 0, for starts X0 (B, n) and the delays `span` (B,) over which a table u0 extends.
 
-    It is constant: the numbers of u0; kappa(X*), or kappa of the reference at t = 0, for "equilibrium"; for "law"
-    kappa(X0, 0) within the limits, as if the controller had been on with the plant held at X0.
     Raises ConfigError as `start` does, and where there is no equilibrium.
     """
     value = start(plant, u0, limits)
+    if callable(value) or (isinstance(value, np.ndarray) and value.ndim == 2):
+        return Past(np.zeros((len(X0), plant.m)), span, value, limits)
+    return Past(before(plant, u0, limits, X0), span)
+
+
+def rows_of(plant: Plant, u0: Any, limits: np.ndarray, X0: np.ndarray) -> np.ndarray:
+    """The `before` of each start; of a history, its rows in turn: for questions about constant inputs, (B, m)."""
+    value = start(plant, u0, limits)
+    if isinstance(value, np.ndarray) and value.ndim == 2:
+        return value[np.arange(len(X0)) % len(value)]
+    return before(plant, u0, limits, X0)
+
+
+def before(plant: Plant, u0: Any, limits: np.ndarray, X0: np.ndarray) -> np.ndarray:
+    """The constant input of each loop before t = 0, (B, m), for starts X0 (B, n) and limits (m, 2).
+
+    The numbers of u0; kappa(X*), or kappa of the reference at t = 0, for "equilibrium"; for "law" kappa(X0, 0) within
+    the limits, as if the controller had been on with the plant held at X0.
+    Raises ConfigError as `start` does, for a history, and where there is no equilibrium.
+    """
+    value = start(plant, u0, limits)
+    if callable(value) or (isinstance(value, np.ndarray) and value.ndim == 2):
+        raise ConfigError("u0: expected a constant input, got a history; give numbers, or a word")
     if isinstance(value, str):
         value = _at_rest(plant, limits) if value == EQUILIBRIUM else _of_law(plant, limits, X0)
     return np.array(np.broadcast_to(value, (len(X0), plant.m)))
@@ -72,6 +155,8 @@ def before(plant: Plant, u0: Any, limits: np.ndarray, X0: np.ndarray) -> np.ndar
 def sentence(plant: Plant, u0: Any, limits: np.ndarray) -> str:
     """u0 in words: q = 0, or q = 0.5 of the equilibrium, or kappa(X0, 0)."""
     value = start(plant, u0, limits)
+    if isinstance(value, np.ndarray) and value.ndim == 2:
+        return f"a history of {len(value)} rows"
     if isinstance(value, str):
         return (
             "kappa(X0, 0)"

@@ -363,3 +363,25 @@ def test_commands_reach_back_to_a_delay_that_the_plant_declares():
     assert short.state() == before
     with pytest.raises(ConfigError, match=r"longest: expected at least the largest delay, 4 s, got 1\.0"):
         npred.controller(PLANT, RK4(PLANT, 21), LAW, 0.01, actuator="history", longest=1.0)
+
+
+@pytest.mark.parametrize("u0", ["law", [[0.3], [-0.2], [0.1]], lambda t: [np.sin(t)]], ids=["law", "table", "function"])
+def test_commands_before_the_first_step_are_those_of_the_simulated_loop(u0):
+    plant = npred.plant("scalar")
+    predictor = RK4(plant, 21)
+    run = npred.simulate(plant, predictor, D=0.5, D_hat=0.5, X0=[0.8], t_end=1.5, dt=0.05, u0=u0, actuator="history")
+    controller = Controller(plant, predictor, None, 0.05, D_hat=0.5, actuator="history", u0=u0)
+    for k in range(30):
+        np.testing.assert_allclose(controller.step(run.X[k]), run.U[k], rtol=0, atol=1e-14)
+        if u0 == "law":
+            controller = pickle.loads(pickle.dumps(controller))
+
+
+def test_a_first_step_that_fails_leaves_the_law_to_the_next():
+    plant = npred.plant("scalar")
+    one, other = (Controller(plant, RK4(plant, 5), None, 0.05, D_hat=0.5, actuator="history", u0="law") for _ in "ab")
+    with pytest.raises(DivergedError):
+        one.step([np.inf])
+    assert one.step([0.4]) == other.step([0.4])
+    with pytest.raises(ConfigError, match="u0: expected a constant command, got that of the first X"):
+        _ = one.u0

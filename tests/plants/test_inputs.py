@@ -119,3 +119,65 @@ def test_zero_by_default_leaves_the_keys_alone_and_another_input_does_not():
     assert asked(0.0)[:-1] == asked([0])[:-1] == plain[:-1], "the report shows the file's text"
     assert asked(2.0)[0]["generate"]["u0"] == [2.0] and asked("law")[0]["generate"]["u0"] == "law"
     assert asked(None, NAME)[0]["generate"]["u0"] == "equilibrium", "where 0 is outside the bounds"
+
+
+ROWS = 60  # over the delay of the histories below
+
+
+def wave(t):
+    return 0.7 * np.sin(3 * t)
+
+
+def table(D):
+    """The mean of the wave over equal parts of [-D, 0]."""
+    edges = np.linspace(-D, 0, ROWS + 1)
+    return (-0.7 / 3 * np.diff(np.cos(3 * edges)) * ROWS / D)[:, None]
+
+
+@pytest.mark.parametrize("D", [0.6, 0.9])
+def test_a_history_drives_the_plant_until_the_first_command_arrives(D):
+    """Against SciPy; 0.9 s is no whole number of a table's rows per control step."""
+    exact = solve_ivp(lambda t, X: 0.5 * X + wave(t - D), (0, D), [0.4], rtol=1e-10, atol=1e-12).y[0, -1]
+    for u0 in (table(D), lambda t: [wave(t)]):
+        loop = simulate(SCALAR, RK4(SCALAR, 201), D=D, D_hat=D, X0=[0.4], t_end=1.0, dt=0.01, u0=u0)
+        assert loop.X[round(D / 0.01), 0] == pytest.approx(exact, abs=5e-5)
+        assert loop.P[0, 0] == pytest.approx(exact, abs=5e-5)
+
+
+def test_a_table_extends_over_each_loops_own_delay():
+    D = np.array([0.3, 0.6])
+    loops = simulate(SCALAR, None, D=D, D_hat=D, X0=[[0.0]] * 2, t_end=0.6, dt=0.01, u0=[[1.0], [-1.0]])
+    for delay, X in zip(D, loops.X[:, :, 0], strict=True):
+        turn = X[round(delay / 2 / 0.01)]
+        assert turn == pytest.approx(2 * np.expm1(0.5 * delay / 2), rel=1e-9)
+        assert X[round(delay / 0.01)] == pytest.approx((turn - 2) * np.exp(0.5 * delay / 2) + 2, rel=1e-9)
+        assert X.argmax() == round(delay / 2 / 0.01)
+
+
+def test_a_history_before_its_first_row_goes_on():
+    past = inputs.past(SCALAR, [[1.0], [3.0]], inputs.bounds(SCALAR, None), np.zeros((1, 1)), np.array([0.4]))
+    np.testing.assert_allclose(past.steps(8, 0.1)[:, 0, 0], [1, 1, 1, 1, 1, 1, 3, 3])
+    np.testing.assert_allclose(past.steps(2, 0.3)[:, 0, 0], [1.0, (1.0 + 2 * 3.0) / 3], rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("u0", "words"),
+    [
+        ([[300.0], [351.0]], "got Tc = 351"),
+        ([[300.0, 300.0]], "a finite number per input"),
+        (lambda t: [300.0, 300.0], r"u0\(-\d.*\): expected 1 finite numbers, one per input"),
+        (lambda t: 351.0, r"u0\(-\d.*\): expected within input_bounds"),
+    ],
+)
+def test_a_history_that_the_plant_does_not_accept_is_refused(u0, words):
+    with pytest.raises(ConfigError, match=words):
+        simulate(REACTOR, None, D=1.0, D_hat=1.0, X0=[0.5, 350.0], t_end=1.0, u0=u0)
+
+
+def test_a_pipeline_names_a_history_by_its_rows():
+    rows = [[300.0], [310.0], [320.0]]
+    asked = pipeline(**LOOPS, u0=rows)
+    assert inputs.configured(REACTOR, asked.generate, "generate").tolist() == rows
+    assert inputs.sentence(REACTOR, rows, inputs.bounds(REACTOR, None)) == "a history of 3 rows"
+    answers = {answer.check: answer.verdict for answer in diagnosis.check(REACTOR, pipeline=asked)}
+    assert answers["completeness"] == "yes"
