@@ -11,6 +11,7 @@ from npred import grid
 from npred.delays.family import Family, Kernel, Step, transition
 from npred.plants.base import Plant
 from npred.plants.black_box import BlackBox
+from npred.symbolic import array_math
 
 
 class ArrayFamily(Family):
@@ -44,7 +45,7 @@ class ArrayFamily(Family):
             middle = grid.refine(np.moveaxis(u, -1, 0), 2 * nx - 1)[:, 1::2].transpose(1, 2, 0)
             P[0] = X
             for j in range(nx - 1):
-                P[j + 1] = step(f, P[j], u[j], middle[j], u[j + 1], t + j * h, h)
+                P[j + 1] = plant.stopped(step(f, P[j], u[j], middle[j], u[j + 1], t + j * h, h), array_math.NUMPY)
 
         return predict
 
@@ -106,10 +107,10 @@ class ArrayFamily(Family):
         @np.errstate(all="ignore")
         def held(X: np.ndarray, U0: Any, U1: Any, share: np.ndarray, dt: float, t: float, p: Any) -> None:
             part = share[0]
-            X[:] = step(f, X, U0, U0, U0, t, part * dt)
+            X[:] = plant.stopped(step(f, X, U0, U0, U0, t, part * dt), array_math.NUMPY)
             if (part < 1.0).any():
                 rest = step(f, X, U1, U1, U1, t + part * dt, (1.0 - part) * dt)
-                X[:] = np.where(part < 1.0, rest, X)
+                X[:] = np.where(part < 1.0, plant.stopped(rest, array_math.NUMPY), X)
 
         return held
 

@@ -14,7 +14,7 @@ import numpy as np
 from npred.delays import family
 from npred.delays.constant import WEIGHTS, ConstantDelay, input_lines
 from npred.delays.family import Family, Kernel, Step
-from npred.symbolic import kernels, programs
+from npred.symbolic import kernels, programs, tape
 from npred.symbolic.trace import Trace
 
 SWEEP = """\
@@ -90,6 +90,7 @@ class DeclaredDelay(Family):
             return np.array([*velocity, 1.0], dtype=object) / self._margin(trace, y[:-1], y[-1], velocity)
 
         y = step(flow, state, u0, um, u1, 0.0, trace.input("h"))
+        y = [*self.plant.stopped(y[:-1], tape.M), y[-1]]
         margin = self._margin(trace, state[:-1], state[-1], trace.f(state[:-1], u0, state[-1]))
         names = {f"x{k}": f"P[j, {k}, l]" for k in range(n)} | {f"x{n}": "s"} | input_lines(m)
         targets = [*(f"P[j + 1, {k}, l]" for k in range(n)), "after", "margin"]

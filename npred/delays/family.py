@@ -27,6 +27,16 @@ SPEED = "X, U, t, p, speed"  # of phi(t) = t - D with U acting, 1 - D_X f - D_t
 CORRECT = "P_hat, X, u, D_hat, t, p, P"  # P_hat less its error, as far as its defect says
 GUARD = "X, u, D_hat, t, p, guard, P, error, fallback"  # P in place; guard: what npred.predictors.guarded is set to
 OBSERVE = "k, dt, X, held, t, p, law, memory, D_hat"  # of laws that estimate D_hat themselves; D_hat is written
+BOUNDED = {  # what does not serve a plant whose states stop at bounds, and what to use instead
+    "picard": "use rk4",
+    "semi_implicit": "use rosenbrock",
+    "published": "use euler, heun or rk4",
+    "euler_python": "use euler, heun or rk4",
+    "adaptation": 'freeze the estimate, in a pipeline by adaptation = "frozen"',
+    "observer": "freeze the estimate",
+    "defect": "take by = 'shadow'",
+    "bound": "take error, an estimate",
+}
 LANE, ROWS, NODES = "float64[::1]", "float64[:,::1]", "float64[:,:,::1]"  # (B,), (n, B) or (m, B), (nx, n or m, B)
 TYPES = {
     **dict.fromkeys(("t", "dt", "b"), "float64"),
@@ -110,6 +120,8 @@ class Family(ABC):
             return reason, "the files hold no time"
         if part in self.lacks:
             return self.expected(), self.lacks[part]
+        if bounded := self._unbounded(part):
+            return bounded
         if part == "semi_implicit" and not self.plant.declares_mechanics:
             reason = f"expected a plant that declares mechanics(x, u, t, p, M), plant {self.plant.name} declares none"
             return reason, "use rosenbrock"
@@ -122,6 +134,11 @@ class Family(ABC):
         """Raise ConfigError where the part does not serve the plant."""
         if refusal := self.refusal(part):
             raise ConfigError(f"{part}: {'; '.join(refusal)}")
+
+    def _unbounded(self, part: str) -> tuple[str, str] | None:
+        """The refusal of what reads f where a state may have stopped at one of its bounds, else None."""
+        cure = BOUNDED.get(part) if self.plant.state_bounds else None
+        return cure and (f"expected a plant without state_bounds, plant {self.plant.name} has some", cure)
 
     @staticmethod
     @abstractmethod

@@ -179,6 +179,7 @@ def _piece(plant: Plant, step: Step, state: list[str]) -> list[str]:
     trace = Trace(plant)
     inputs = [trace.vector(name, plant.m) for name in "amb"]  # at the piece's begin, middle and end
     y = step(_closed(trace), trace.vector("x", plant.n), *inputs, trace.input("t"), trace.input("h"))
+    y = plant.stopped(y, tape.M)
     names = {f"x{k}": text for k, text in enumerate(state)}
     names |= {"h": "(D_hat[l] * (end - begin) / last)", "t": "(t + D_hat[l] * begin / last)"}
     for c, r in enumerate(plant.ratios.tolist()):

@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 
 from npred import array_checks, json_files
-from npred.delays import family
+from npred.delays import family, family_of
 from npred.delays.family import Kernel
 from npred.errors import ConfigError
 from npred.loop import delay_candidates
@@ -79,6 +79,9 @@ class DelayObserver(DelayLaw):
             raise ConfigError(f"adaptation: expected L, memory, window > 0 and omega >= 0, got {self}; give others")
         if not isinstance(self.candidates, int | np.integer) or self.candidates < 3:
             raise ConfigError(f"adaptation: expected at least 3 candidates, got {self.candidates!r}; raise it")
+
+    def check(self, plant: Plant) -> None:
+        family_of(plant).needs("observer")
 
     def rate(
         self, plant: Plant, X: np.ndarray, u: np.ndarray, P: np.ndarray, D_hat: np.ndarray, t: float

@@ -36,6 +36,13 @@ def start(plant: Plant, X0: np.ndarray) -> None:
             f"X0: expected shape (..., {plant.n}) for plant {plant.name}, got {X0.shape}; the last axis is {axes}"
         )
     array_checks.finite("X0", X0)
+    for k, name in enumerate(plant.states):
+        low, high = plant.state_bounds.get(name, (-np.inf, np.inf))
+        if (X0[..., k] < low).any() or (X0[..., k] > high).any():
+            raise ConfigError(
+                f"X0: expected {name} within its state_bounds [{low:g}, {high:g}], got "
+                f"{X0[..., k].min():g} to {X0[..., k].max():g}; start inside"
+            )
 
 
 def reality(

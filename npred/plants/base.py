@@ -23,7 +23,8 @@ class Plant:
 
     A declaration is a class with `states`, `inputs` (names) and the functions f(x, u, t, p, M), kappa(x, t, p, M) and
     V(x, t, p, M); optional are `parameters` (name to default), `box` (state to range, for experiments), `guess` (where
-    the equilibrium is searched from), `input_bounds` (a range per input), `delays` (seconds, one per input, where they
+    the equilibrium is searched from), `input_bounds` (a range per input), `state_bounds` (state to the range in which
+    it stops, as if a wall were there), `delays` (seconds, one per input, where they
     differ), `mechanics` (M(q), force and damping of M q'' = force - damping q', for npred.predictors.semi_implicit),
     what figures write: `labels` and `units` (by state or input), `time_unit` ("s" by default) and `figure`
     (that of an article which the evaluated loop is), and, where f or kappa depends on time, `reference(t, p, M)`, the
@@ -47,6 +48,7 @@ class Plant:
         self.states, self.inputs, self.parameters, self.box = parts.states, parts.inputs, parts.parameters, parts.box
         self.guess = np.zeros(self.n) if parts.guess is None else np.array(parts.guess)
         self.input_bounds = None if parts.input_bounds is None else list(parts.input_bounds)
+        self.state_bounds = parts.state_bounds
         self.delays, self.period = parts.delays, parts.period
         self.labels, self.units, self.time_unit, self.figure = parts.labels, parts.units, parts.time_unit, parts.figure
 
@@ -123,6 +125,17 @@ class Plant:
     def rollout(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Any) -> np.ndarray:
         """P (B, nx, n) by the simulator of a black box that declares rollout. Raises ConfigError for any other."""
         raise ConfigError(f"plant {self.name}: rollout expected traced = False and rollout(X, u, D_hat, t, p); use rk4")
+
+    def stopped(self, x: Sequence[Any], M: Any) -> list[Any]:
+        """The components of a state after a step, each within `state_bounds`; what is not finite stays visible."""
+        ends = [self.state_bounds.get(name, (-np.inf, np.inf)) for name in self.states]
+        components = list(x)
+        for k, (low, high) in enumerate(ends):
+            if low > -np.inf:
+                components[k] = M.where(components[k] < low, low, components[k])
+            if high < np.inf:
+                components[k] = M.where(components[k] > high, high, components[k])
+        return components
 
     def _on(self, name: str, X: Any, u: Any, t: Any) -> list[Any]:
         self._fits(X, u)
@@ -330,6 +343,8 @@ class Plant:
         """
         optional = {} if self.delays is None else {"ratios": self.ratios.tolist()}
         optional |= {} if self.period is None else {"period": self.period}
+        if self.state_bounds:
+            optional["state_bounds"] = {name: [*map(_word, pair)] for name, pair in self.state_bounds.items()}
         return {
             "name": self.name,
             "states": list(self.states),

@@ -60,6 +60,7 @@ Values = Annotated[tuple[Finite, ...], LIST, expected("one number per state", "w
 Delays = Annotated[tuple[Seconds, ...], LIST, expected("the seconds of each input", "write a tuple")]
 Range = Annotated[tuple[Number, Number], LIST, IN_ORDER]
 Bounds = Annotated[tuple[Range, ...], LIST, expected("a pair (low, high) per input", "write a list")]
+Ranges = Annotated[dict[str, Range], expected('ranges as {"h": (0.0, 1.0)}', "write a dict")]
 FiniteRange = Annotated[tuple[Finite, Finite], LIST, IN_ORDER]
 Box = Annotated[dict[str, FiniteRange], expected('ranges as {"h": (0.0, 1.0)}', "write a dict")]
 Parameters = Annotated[dict[Name, Finite], expected('a table {"a": 1.0}', "write a dict")]
@@ -84,6 +85,7 @@ class Declaration(BaseModel, frozen=True):
     box: Box = {}
     guess: Values | None = None
     input_bounds: Bounds | None = None
+    state_bounds: Ranges = {}
     delays: Delays | None = None
     period: Seconds | None = None
     labels: Texts = {}
@@ -101,7 +103,12 @@ class Declaration(BaseModel, frozen=True):
                     f"{part}: expected one for each of {', '.join(names)}, got {values}; give {len(names)}"
                 )
         quantities = (*self.states, *self.inputs)
-        for part, names in {"box": self.states, "labels": quantities, "units": quantities}.items():
+        for part, names in {
+            "box": self.states,
+            "state_bounds": self.states,
+            "labels": quantities,
+            "units": quantities,
+        }.items():
             for name in getattr(self, part):
                 if name not in names:
                     raise ValueError(f"{part}: unknown name {name!r}; expected one of {', '.join(names)}")

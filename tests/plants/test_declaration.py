@@ -61,6 +61,7 @@ def plant(**parts):
         ({"guess": ("a",)}, r"guess\[0\]: expected a finite number, got 'a'"),
         ({"input_bounds": [(0, 1), (0, 1)]}, "input_bounds: expected one for each of q"),
         ({"input_bounds": [(1, 0)]}, r"input_bounds\[0\]: expected a range"),
+        ({"state_bounds": {"q": (0, 1)}}, "state_bounds: unknown name 'q'; expected one of"),
         ({"input_bounds": np.array([[0, math.nan]])}, r"input_bounds\[0\]: expected a range"),
         ({"input_bounds": "none"}, r"input_bounds: expected a pair \(low, high\) per input, got 'none'"),
         ({"units": "m"}, "units: expected texts as"),

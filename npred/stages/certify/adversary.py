@@ -23,6 +23,7 @@ from npred.predictors import RK4, Predictor
 from npred.stages.certify import evolution
 from npred.stages.certify.input_set import Inputs
 from npred.stages.certify.rollouts import Calls
+from npred.symbolic import array_math
 
 RATE = 0.1  # of Adam, in logistic coordinates
 
@@ -75,4 +76,5 @@ def _rk4(plant: Plant, X: Tensor, u: Tensor, D_hat: Tensor) -> Tensor:
     h = (D_hat / (u.shape[1] - 1))[:, None]
     for j in range(u.shape[1] - 1):
         X = RK4.step(plant.f, X, u[:, j], (u[:, j] + u[:, j + 1]) / 2, u[:, j + 1], 0.0, h)
+        X = torch.stack(plant.stopped(X.unbind(-1), array_math.of(X)), dim=-1)
     return X
