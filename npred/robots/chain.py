@@ -11,7 +11,7 @@ import re
 from collections.abc import Sequence
 from keyword import iskeyword
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from npred.errors import ConfigError
 from npred.robots import rigid_body, urdf
@@ -32,18 +32,36 @@ class Joint(Protocol):
     def effort(self) -> float: ...
 
 
+class Wave(NamedTuple):
+    """What the joints follow: middle_i + amplitude sin(frequency t + phase_i)."""
+
+    middle: list[float]
+    phase: list[float]
+
+
 def chain(path: str | Path, pose: Sequence[float] | None = None) -> type:
-    """The declaration of the serial chain of a URDF file, traced.
+    """The declaration of the serial chain of a URDF file, traced: see `serial`.
+
+    Raises ConfigError for a file that is no such chain.
+    """
+    return serial(urdf.read(path), Path(path).name, pose)
+
+
+def serial(
+    bodies: list[Body], title: str, pose: Sequence[float] | None = None, phases: Sequence[float] | None = None,
+    **more: Any,
+) -> type:  # fmt: skip
+    """The declaration of a chain of bodies, traced; `title` says in its docstring which, `more` are further attributes.
 
     M(q) q'' + C(q, q') q' + G(q) + joint damping q' = U(t - D); states are the joints' positions and rates, by the
     joints' names (rad or m, and per second), inputs their torques or forces. The law is computed torque towards
-    q_i(t) = pose_i + amplitude sin(frequency t + i), by default about 0. It compensates friction at the rate that the
-    error e calls for, r' - damping e / 2, not at the measured one, which would turn errors of a prediction into
-    torques: without delay M (e'' + damping e' + stiffness e) = -(joint damping) (e' + damping e / 2). Inputs are
-    bounded by the file's efforts where every joint has one. Raises ConfigError for a file that is no such chain.
+    q_i(t) = pose_i + amplitude sin(frequency t + phase_i), by default about 0 with the phases 0, 1, 2, … It compensates
+    friction at the rate that the error e calls for, r' - damping e / 2, not at the measured one, which would turn
+    errors of a prediction into torques: without delay M (e'' + damping e' + stiffness e) = -(joint damping) (e' +
+    damping e / 2). Inputs are bounded by the bodies' efforts where every joint has one. Raises ConfigError for a pose
+    or phases of another number than the joints'.
     """
-    bodies = urdf.read(path)
-    n, rubs, middle = len(bodies), [body.damping for body in bodies], middles(bodies, pose)
+    n, rubs, wave = len(bodies), [body.damping for body in bodies], wave_of(bodies, pose, phases)
 
     def f(x: Any, u: Any, t: Any, p: Any, M: Any) -> list[Any]:
         q, rates = list(x[:n]), list(x[n:])
@@ -58,7 +76,7 @@ def chain(path: str | Path, pose: Sequence[float] | None = None) -> type:
 
     def kappa(x: Any, t: Any, p: Any, M: Any) -> list[Any]:
         q, rates = list(x[:n]), list(x[n:])
-        speeds, accelerations = called_for(x, t, p, M, middle)
+        speeds, accelerations = called_for(x, t, p, M, wave)
         torques = rigid_body.torques(bodies, q, rates, accelerations, p.gravity, M)
         return [a + c * speed for a, c, speed in zip(torques, rubs, speeds, strict=True)]
 
@@ -66,16 +84,14 @@ def chain(path: str | Path, pose: Sequence[float] | None = None) -> type:
         return total((a - b) * (a - b) for a, b in zip(x, reference(t, p, M), strict=True))
 
     def reference(t: Any, p: Any, M: Any) -> list[Any]:
-        goal, speed, _ = motion(t, p, M, middle)
+        goal, speed, _ = motion(t, p, M, wave)
         return goal + speed
 
     functions = {"f": f, "kappa": kappa, "V": V, "reference": reference}
-    return declaration(path, bodies, middle, functions | {"mechanics": mechanics})
+    return declaration(title, bodies, wave, functions | {"mechanics": mechanics}, **more)
 
 
-def declaration(
-    path: str | Path, bodies: Sequence[Joint], middle: list[float], functions: dict[str, Any], **more: Any
-) -> type:
+def declaration(title: str, bodies: Sequence[Joint], wave: Wave, functions: dict[str, Any], **more: Any) -> type:
     """The class that declares a chain of these bodies with its functions, and more attributes."""
     names = [_name(body.joint) for body in bodies]
     rates, efforts = [f"{name}_rate" for name in names], [body.effort for body in bodies]
@@ -83,9 +99,9 @@ def declaration(
     units: dict[str, str] = {}
     for body, *joint in zip(bodies, names, rates, inputs, strict=True):
         units |= zip(joint, SLIDES if body.slides else TURNS, strict=True)
-    ranges = {name: (at - 0.3, at + 0.3) for name, at in zip(names, middle, strict=True)}
+    ranges = {name: (at - 0.3, at + 0.3) for name, at in zip(names, wave.middle, strict=True)}
     return type("Chain", (), {
-        "__doc__": f"The chain of {Path(path).name} under computed torque; see npred.robots.chain.",
+        "__doc__": f"The chain of {title} under computed torque; see npred.robots.chain.",
         "states": (*names, *rates),
         "inputs": inputs,
         "units": units,
@@ -103,27 +119,29 @@ def _name(joint: str) -> str:
     return name if name.isidentifier() and not iskeyword(name) and name[0] != "_" else f"joint_{name.lstrip('_')}"
 
 
-def middles(bodies: Sequence[Joint], pose: Sequence[float] | None) -> list[float]:
-    """The positions that the joints' waves are about. Raises ConfigError for another number of them."""
-    centres = [0.0] * len(bodies) if pose is None else [float(at) for at in pose]
-    if len(centres) != len(bodies):
-        raise ConfigError(
-            f"chain: pose expected {len(bodies)} numbers, one per joint that moves, got {pose!r}; give as many"
-        )
-    return centres
+def wave_of(bodies: Sequence[Joint], pose: Sequence[float] | None, phases: Sequence[float] | None = None) -> Wave:
+    """The wave about these positions. Raises ConfigError for another number of them, or of phases."""
+    middle = [0.0] * len(bodies) if pose is None else [float(at) for at in pose]
+    phase = [float(i) for i in range(len(bodies))] if phases is None else [float(at) for at in phases]
+    for name, asked, numbers in (("pose", pose, middle), ("phases", phases, phase)):
+        if len(numbers) != len(bodies):
+            raise ConfigError(
+                f"chain: {name} expected {len(bodies)} numbers, one per joint that moves, got {asked!r}; give as many"
+            )
+    return Wave(middle, phase)
 
 
-def motion(t: Any, p: Any, M: Any, middle: list[float]) -> tuple[list[Any], list[Any], list[Any]]:
+def motion(t: Any, p: Any, M: Any, wave: Wave) -> tuple[list[Any], list[Any], list[Any]]:
     """The desired positions, rates and accelerations."""
-    turns = [p.frequency * t + float(i) for i in range(len(middle))]
+    turns = [p.frequency * t + at for at in wave.phase]
     waves = [p.amplitude * M.sin(turn) for turn in turns]
     speed = [p.amplitude * p.frequency * M.cos(turn) for turn in turns]
-    return [at + wave for at, wave in zip(middle, waves, strict=True)], speed, [-(p.frequency**2) * w for w in waves]
+    return [at + w for at, w in zip(wave.middle, waves, strict=True)], speed, [-(p.frequency**2) * w for w in waves]
 
 
-def called_for(x: Any, t: Any, p: Any, M: Any, middle: list[float]) -> tuple[list[Any], list[Any]]:
+def called_for(x: Any, t: Any, p: Any, M: Any, wave: Wave) -> tuple[list[Any], list[Any]]:
     """The rates that the errors call for, and the accelerations that make the errors linear."""
-    n, (goal, speed, push) = len(middle), motion(t, p, M, middle)
+    n, (goal, speed, push) = len(wave.middle), motion(t, p, M, wave)
     errors = [x[i] - goal[i] for i in range(n)]
     rates = [speed[i] - 0.5 * p.damping * errors[i] for i in range(n)]
     return rates, [push[i] - p.stiffness * errors[i] - p.damping * (x[n + i] - speed[i]) for i in range(n)]

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from npred.errors import ConfigError, first_line, required
-from npred.robots.chain import called_for, declaration, middles, motion
+from npred.robots.chain import called_for, declaration, motion, wave_of
 from npred.symbolic import array_math
 
 INTEGRATORS = ("Euler", "RK4", "implicit", "implicitfast")  # MuJoCo's names
@@ -33,13 +33,13 @@ def mujoco_chain(path: str | Path, pose: Sequence[float] | None = None, integrat
     about or slide along one axis.
     """
     engine = _Engine(Path(path), integrator)
-    n, middle = len(engine.joints), middles(engine.joints, pose)
+    n, wave = len(engine.joints), wave_of(engine.joints, pose)
 
     def f(X: np.ndarray, u: np.ndarray, t: Any, p: Any) -> np.ndarray:
         return np.hstack([X[:, n:], engine.accelerations(X[:, :n], X[:, n:], u, p.gravity)])
 
     def kappa(X: np.ndarray, t: Any, p: Any) -> np.ndarray:
-        sought = called_for(X.T, t, p, array_math.NUMPY, middle)
+        sought = called_for(X.T, t, p, array_math.NUMPY, wave)
         speeds, accelerations = (np.stack([a + np.zeros(len(X)) for a in rows], axis=1) for rows in sought)
         torques = engine.torques(X[:, :n], X[:, n:], accelerations, p.gravity)
         return torques + engine.model.dof_damping * (speeds - X[:, n:])
@@ -48,14 +48,14 @@ def mujoco_chain(path: str | Path, pose: Sequence[float] | None = None, integrat
         return ((X - reference(np.broadcast_to(t, len(X)), p)) ** 2).sum(axis=1)
 
     def reference(t: np.ndarray, p: Any) -> np.ndarray:
-        goal, speed, _ = motion(t, p, array_math.NUMPY, middle)
+        goal, speed, _ = motion(t, p, array_math.NUMPY, wave)
         return np.stack(goal + speed, axis=1)
 
     def rollout(X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Any, p: Any) -> np.ndarray:
         return engine.rollout(X, u, D_hat, p.gravity)
 
     functions = {"f": f, "kappa": kappa, "V": V, "reference": reference, "rollout": rollout}
-    return declaration(path, engine.joints, middle, functions, traced=False, files=(path,))
+    return declaration(path.name, engine.joints, wave, functions, traced=False, files=(path,))
 
 
 class MujocoJoint(NamedTuple):

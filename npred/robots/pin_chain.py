@@ -8,7 +8,7 @@ import numpy as np
 
 from npred.errors import required
 from npred.robots import urdf
-from npred.robots.chain import called_for, declaration, middles, motion
+from npred.robots.chain import called_for, declaration, motion, wave_of
 from npred.symbolic import array_math
 
 
@@ -18,14 +18,14 @@ def pin_chain(path: str | Path, pose: Sequence[float] | None = None) -> type:
     Raises MissingError without the extra, ConfigError for a file that is no such chain.
     """
     bodies = urdf.read(path)
-    middle, library = middles(bodies, pose), _Library(Path(path))
+    wave, library = wave_of(bodies, pose), _Library(Path(path))
     n = len(bodies)
 
     def f(X: np.ndarray, u: np.ndarray, t: Any, p: Any) -> np.ndarray:
         return np.hstack([X[:, n:], library.accelerations(X[:, :n], X[:, n:], u, p.gravity)])
 
     def kappa(X: np.ndarray, t: Any, p: Any) -> np.ndarray:
-        sought = called_for(X.T, t, p, array_math.NUMPY, middle)
+        sought = called_for(X.T, t, p, array_math.NUMPY, wave)
         speeds, accelerations = (np.stack([a + np.zeros(len(X)) for a in rows], axis=1) for rows in sought)
         torques = library.torques(X[:, :n], X[:, n:], accelerations, p.gravity)
         return torques + library.model.damping * speeds
@@ -34,11 +34,11 @@ def pin_chain(path: str | Path, pose: Sequence[float] | None = None) -> type:
         return ((X - reference(np.broadcast_to(t, len(X)), p)) ** 2).sum(axis=1)
 
     def reference(t: np.ndarray, p: Any) -> np.ndarray:
-        goal, speed, _ = motion(t, p, array_math.NUMPY, middle)
+        goal, speed, _ = motion(t, p, array_math.NUMPY, wave)
         return np.stack(goal + speed, axis=1)
 
     functions = {"f": f, "kappa": kappa, "V": V, "reference": reference}
-    return declaration(path, bodies, middle, functions, traced=False, files=(path,))
+    return declaration(Path(path).name, bodies, wave, functions, traced=False, files=(path,))
 
 
 class _Library:

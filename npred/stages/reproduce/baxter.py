@@ -1,40 +1,21 @@
-"""The first five links of the Baxter arm by its Denavit-Hartenberg table, as matrices on batches: (..., 5) angles.
+"""The first five links of the Baxter arm as matrices on batches: (..., 5) angles.
 
-Table: Smith, Yang, Li, Ma, Bruce, Dynamic modelling and control of a Baxter robot (IEEE 7558740, 2016). The method is
-the textbook's sum over links of traces of 4 × 4 matrices.
+The method is the textbook's sum over links of traces of 4 × 4 matrices; it shares the table with npred.robots, and
+nothing else.
 """
 
 import numpy as np
 
-from npred.robots.rigid_body import Body
+from npred.robots import baxter
 
 LINKS, GRAVITY = 5, 9.81
-LOW = np.array([-1.7016, -2.147, -3.0541, -0.05, -3.059])
-HIGH = np.array([1.7016, 1.047, 3.0541, 2.618, 3.059])
-FASTEST, STRONGEST = np.array([2.0] * 4 + [4.0]), np.array([50.0] * 4 + [15.0])
-SHIFT = np.array([0.2703, 0.0, 0.3644, 0.0, 0.3743])  # d
-LENGTH = np.array([0.069, 0.0, 0.069, 0.0, 0.01])  # a
-TWIST = np.array([-0.5, 0.5, -0.5, 0.5, -0.5]) * np.pi  # α
-MASS = np.array([5.70044, 3.22698, 4.31272, 2.07206, 2.24665])
-CENTRE = np.array([
-    [-0.05117, 0.07908, 0.00086], [0.00269, -0.00529, 0.06845], [-0.07176, 0.08149, 0.00132],
-    [0.00159, -0.01117, 0.02618], [-0.01168, 0.13111, 0.0046],
-])  # fmt: skip
-MOMENTS = np.array([  # Ixx, Iyy, Izz, Ixy, Iyz, Ixz
-    [0.0470910226, 0.035959884, 0.0376697645, -0.0061487003, -0.0007808689, 0.0001278755],
-    [0.027885975, 0.020787492, 0.0117520941, -0.0001882199, 0.0020767576, -0.00030096397],
-    [0.0266173355, 0.012480083, 0.0284435520, -0.0039218988, -0.001083893, 0.0002927063],
-    [0.0131822787, 0.009268520, 0.0071158268, -0.0001966341, 0.000745949, 0.0003603617],
-    [0.0166774282, 0.003746311, 0.0167545726, -0.0001865762, 0.0006473235, 0.0001840370],
-])  # fmt: skip
+TABLE = baxter.LINKS[:LINKS]
+LOW, HIGH = np.array(baxter.ANGLES[:LINKS]).T
+FASTEST = np.array(baxter.FASTEST[:LINKS])
+STRONGEST, MASS = (np.array([getattr(link, name) for link in TABLE]) for name in ("effort", "mass"))
+CENTRE = np.array([link.centre for link in TABLE])
 TURN = np.zeros((4, 4))  # d/dθ of a turn about z
 TURN[0, 1], TURN[1, 0] = -1.0, 1.0
-
-
-def tensors() -> np.ndarray:
-    """The table's (5, 3, 3), its products as they stand there: the published code takes them for ∫ x y dm."""
-    xx, yy, zz, xy, yz, xz = MOMENTS.T
-    return np.moveaxis(np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]), -1, 0)
 
 
 def pseudo_inertia(about_centre: bool) -> np.ndarray:
@@ -43,7 +24,7 @@ def pseudo_inertia(about_centre: bool) -> np.ndarray:
     `about_centre`: the table's tensors are about the mass centres, as those of the arm's URDF file; the published code
     takes them as about the links' frames.
     """
-    J, tensor = np.zeros((LINKS, 4, 4)), tensors()
+    J, tensor = np.zeros((LINKS, 4, 4)), np.array([link.second for link in TABLE])
     trace = 0.5 * np.trace(tensor, axis1=1, axis2=2)
     J[:, :3, :3] = tensor
     for k in range(3):
@@ -91,10 +72,10 @@ def _frames(q: np.ndarray) -> list[np.ndarray]:
 
 def _link(i: int) -> np.ndarray:
     """What follows the turn of joint i: along z and x, then the twist about x."""
-    link = np.eye(4)
-    sin, cos = np.sin(TWIST[i]), np.cos(TWIST[i])
+    link, (d, a, alpha) = np.eye(4), TABLE[i][1:4]
+    sin, cos = np.sin(alpha), np.cos(alpha)
     link[1:3, 1:3] = [[cos, -sin], [sin, cos]]
-    link[0, 3], link[2, 3] = LENGTH[i], SHIFT[i]
+    link[0, 3], link[2, 3] = a, d
     return link
 
 
@@ -107,19 +88,3 @@ def _between(frames: list[np.ndarray], first: int, last: int) -> np.ndarray:
     result[..., :3, 3] = (back @ (B[..., :3, 3] - A[..., :3, 3])[..., None])[..., 0]
     result[..., 3, 3] = 1.0
     return result
-
-
-def bodies() -> list[Body]:
-    """The same links for npred.robots, their tensors about the mass centres; each frame is that behind the turn."""
-    chain = []
-    for i, tensor in enumerate(tensors()):
-        before, link = _link(i - 1) if i else np.eye(4), _link(i)
-        twist = link[:3, :3]
-        # the table's products are the pseudo-inertia's: those of the tensor have the other sign
-        sound = twist @ (2 * np.diag(np.diag(tensor)) - tensor) @ twist.T
-        chain.append(Body(
-            joint=f"joint{i + 1}", slides=False, turn=before[:3, :3], position=before[:3, 3],
-            axis=np.array([0.0, 0.0, 1.0]), mass=float(MASS[i]), centre=twist @ CENTRE[i] + link[:3, 3], inertia=sound,
-            damping=0.0, effort=float(STRONGEST[i]),
-        ))  # fmt: skip
-    return chain

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from npred.robots import rigid_body
+from npred.robots import denavit_hartenberg, rigid_body
 from npred.stages.reproduce import baxter
 from npred.stages.reproduce.experiments import manipulator
 
@@ -12,7 +12,7 @@ Q, RATES = np.array([0.3, -0.5, 0.2, 1.0, 0.4]), np.array([0.5, -0.2, 0.3, 0.1, 
 
 def test_the_matrices_are_those_of_the_recursive_algorithms():
     M, h, G = baxter.dynamics(Q, RATES, baxter.pseudo_inertia(about_centre=True))
-    bodies, math = baxter.bodies(), np
+    bodies, math = denavit_hartenberg.bodies(baxter.TABLE), np
     assert np.array(rigid_body.mass_matrix(bodies, list(Q), math), float) == pytest.approx(M, abs=1e-13)
     loads = rigid_body.torques(bodies, list(Q), list(RATES), [0.0] * 5, baxter.GRAVITY, math)
     assert np.array(loads, float) == pytest.approx(h + G, abs=1e-12)
