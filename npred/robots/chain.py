@@ -15,6 +15,7 @@ from typing import Any, NamedTuple, Protocol
 
 from npred.errors import ConfigError
 from npred.robots import rigid_body, urdf
+from npred.robots.rigid_body import Body
 from npred.symbolic.ldl import total
 
 GAINS = {"stiffness": 40.0, "damping": 14.0, "amplitude": 0.2, "frequency": 0.6, "gravity": 9.81}

@@ -55,7 +55,7 @@ def mujoco_chain(path: str | Path, pose: Sequence[float] | None = None, integrat
         return engine.rollout(X, u, D_hat, p.gravity)
 
     functions = {"f": f, "kappa": kappa, "V": V, "reference": reference, "rollout": rollout}
-    return declaration(path.name, engine.joints, wave, functions, traced=False, files=(path,))
+    return declaration(Path(path).name, engine.joints, wave, functions, traced=False, files=(path,))
 
 
 class MujocoJoint(NamedTuple):

@@ -67,4 +67,25 @@ class UnicycleTimeDelay(Unicycle):
         return (1 + p.a * t) / (1 + p.b * t)
 
 
-PLANTS = {"unicycle": Unicycle, "unicycle_time_delay": UnicycleTimeDelay}
+class SlowUnicycle(Unicycle):
+    """The unicycle with D_1 = 0.5 s and D_2 = 1 s, and a law with unit gains that swings with cos t:
+        ω = -p² cos t - p q (1 + cos² t) - θ,   v = -p + q (sin t - cos t) + q ω.
+
+    The example of Bekiaris-Liberis and Krstic, IEEE TAC 62 (2017) 516-531, from (0.5, 0.5, 0.5) with no command before.
+    """
+
+    delays = (0.5, 1.0)
+    period = 2 * math.pi
+    box = {"x": (-0.5, 0.5), "y": (-0.5, 0.5), "theta": (-0.5, 0.5)}
+
+    @staticmethod
+    def kappa(x: Any, t: Any, p: Any, M: Any) -> list[Any]:
+        """The control law without delay."""
+        sin, cos = M.sin(x.theta), M.cos(x.theta)
+        ahead, aside = x.x * cos + x.y * sin, x.x * sin - x.y * cos
+        sway, swing = M.sin(t), M.cos(t)
+        omega = -(ahead**2) * swing - ahead * aside * (1 + swing**2) - x.theta
+        return [omega, -ahead + aside * (sway - swing) + aside * omega]
+
+
+PLANTS = {"unicycle": Unicycle, "unicycle_time_delay": UnicycleTimeDelay, "slow_unicycle": SlowUnicycle}

@@ -9,26 +9,10 @@ from typing import Any
 import numpy as np
 
 import npred
-from npred import plants
 from npred.stages.reproduce.experiment import Experiment, Measured, Measurements, PublishedNumber
 
 D, Z0, T = 1.0, (0.5, 0.3), 8.0
 STEPS = 500  # of the published loop's integration per D
-
-
-class StrictFeedforward:
-    """The plant with its law -P1 - 2 P2 - P2³ / 3."""
-
-    states = ("z1", "z2")
-    inputs = ("u",)
-
-    @staticmethod
-    def f(x: Any, u: Any, t: Any, p: Any, M: Any) -> list[Any]:
-        return [x.z2 - x.z2**2 * u.u, u.u]
-
-    @staticmethod
-    def kappa(x: Any, t: Any, p: Any, M: Any) -> list[Any]:
-        return [-x.z1 - 2 * x.z2 - x.z2**3 / 3]
 
 
 def closed_form(t: np.ndarray) -> np.ndarray:
@@ -103,7 +87,7 @@ def _weights(at: float) -> np.ndarray:
 
 def meant(dt: float = 0.001) -> float:
     """The largest |Z - closed form| of npred's loop, whose U is held over each step of dt: of first order in dt."""
-    plant = plants.make("strict_feedforward", StrictFeedforward)
+    plant = npred.plant("strict_feedforward2")
     loop = npred.simulate(plant, npred.predictor("rk4", plant), D=D, D_hat=D, X0=Z0, t_end=T, dt=dt)
     return float(np.abs(loop.X - closed_form(loop.t)).max())
 
