@@ -138,7 +138,7 @@ class Family(ABC):
     def _unbounded(self, part: str) -> tuple[str, str] | None:
         """The refusal of what reads f where a state may have stopped at one of its bounds, else None."""
         cure = BOUNDED.get(part) if self.plant.state_bounds else None
-        return cure and (f"expected a plant without state_bounds, plant {self.plant.name} has some", cure)
+        return (f"expected a plant without state_bounds, plant {self.plant.name} has some", cure) if cure else None
 
     @staticmethod
     @abstractmethod

@@ -76,5 +76,6 @@ def _rk4(plant: Plant, X: Tensor, u: Tensor, D_hat: Tensor) -> Tensor:
     h = (D_hat / (u.shape[1] - 1))[:, None]
     for j in range(u.shape[1] - 1):
         X = RK4.step(plant.f, X, u[:, j], (u[:, j] + u[:, j + 1]) / 2, u[:, j + 1], 0.0, h)
-        X = torch.stack(plant.stopped(X.unbind(-1), array_math.of(X)), dim=-1)
+        if plant.state_bounds:
+            X = torch.stack(plant.stopped(X.unbind(-1), array_math.of(X)), dim=-1)
     return X

@@ -4,49 +4,15 @@ arXiv:2603.29117 (Neural approximated predictor horizons).
 """
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
 from npred.stages.reproduce.experiment import Experiment, Measured, Measurements, PublishedNumber
+from npred.stages.reproduce.horizons import DT, Delay, T, draws, inverse, late, rate
 
-T, DT = 12.0, 0.001
 NAMES = ("a", "b", "α", "ω", "φ")
 DIGITS = (("0.40", "0.31", "-0.10", "4.95", "0.95"), ("0.28", "0.15", "-0.06", "1.28", "0.82"))
 RESIDUALS = (("|φ(ρ(t)) - t|, Euler", "3e-4"), ("|φ(ρ(t)) - t|, RK4", "1e-11"))
-
-Delay = tuple[float, ...]  # a, b, α, ω, φ
-
-
-def late(delay: Delay, t: np.ndarray) -> np.ndarray:
-    """φ(t) = t - D(t), D = a + b / (1 + t) + α sin(ω t + φ)."""
-    a, b, alpha, omega, shift = delay
-    return t - (a + b / (1 + t) + alpha * np.sin(omega * t + shift))
-
-
-def rate(delay: Delay, t: Any) -> Any:
-    """φ'(t)."""
-    _, b, alpha, omega, shift = delay
-    return 1 + b / (1 + t) ** 2 - alpha * omega * np.cos(omega * t + shift)
-
-
-def draws() -> tuple[Delay, Delay]:
-    """D1 and D2 of the figure: the first pair of draws with φ' > 0 throughout and positive delays."""
-    generator = np.random.default_rng(1)
-    ranges = ((0.1, 0.5), (0.1, 0.5), (-0.3, 0.3), (0.0, 2 * np.pi), (0.0, np.pi))
-    t = np.linspace(0.0, T, 4001)
-    while True:
-        pair = [tuple(float(generator.uniform(low, high)) for low, high in ranges) for _ in range(2)]
-        if all((rate(d, t) > 0).all() and (late(d, t) < t).all() for d in pair):
-            return pair[0], pair[1]
-
-
-def inverse(delay: Delay, t: np.ndarray) -> np.ndarray:
-    """ρ(t) = φ⁻¹(t) at many times at once by Newton's method: to rounding."""
-    rho = t + (t - late(delay, np.maximum(t, 0.0)))
-    for _ in range(30):
-        rho = rho - (late(delay, rho) - t) / rate(delay, rho)
-    return rho
 
 
 def integrated(delay: Delay, t: np.ndarray, method: Callable[..., float]) -> np.ndarray:

@@ -1,0 +1,40 @@
+"""Delays D(t) = a + b / (1 + t) + α sin(ω t + φ), and the inverse of t - D(t): when a command of time t acts."""
+
+from typing import Any
+
+import numpy as np
+
+T, DT = 12.0, 0.001  # s: of the loops, and of their steps
+
+Delay = tuple[float, ...]  # a, b, α, ω, φ
+
+
+def late(delay: Delay, t: np.ndarray) -> np.ndarray:
+    """φ(t) = t - D(t), D = a + b / (1 + t) + α sin(ω t + φ)."""
+    a, b, alpha, omega, shift = delay
+    return t - (a + b / (1 + t) + alpha * np.sin(omega * t + shift))
+
+
+def rate(delay: Delay, t: Any) -> Any:
+    """φ'(t)."""
+    _, b, alpha, omega, shift = delay
+    return 1 + b / (1 + t) ** 2 - alpha * omega * np.cos(omega * t + shift)
+
+
+def draws() -> tuple[Delay, Delay]:
+    """D1 and D2 of the figure: the first pair of draws with φ' > 0 throughout and positive delays."""
+    generator = np.random.default_rng(1)
+    ranges = ((0.1, 0.5), (0.1, 0.5), (-0.3, 0.3), (0.0, 2 * np.pi), (0.0, np.pi))
+    t = np.linspace(0.0, T, 4001)
+    while True:
+        pair = [tuple(float(generator.uniform(low, high)) for low, high in ranges) for _ in range(2)]
+        if all((rate(d, t) > 0).all() and (late(d, t) < t).all() for d in pair):
+            return pair[0], pair[1]
+
+
+def inverse(delay: Delay, t: np.ndarray) -> np.ndarray:
+    """ρ(t) = φ⁻¹(t) at many times at once by Newton's method: to rounding."""
+    rho = t + (t - late(delay, np.maximum(t, 0.0)))
+    for _ in range(30):
+        rho = rho - (late(delay, rho) - t) / rate(delay, rho)
+    return rho
