@@ -9,6 +9,7 @@ import pytest
 
 from npred.loop import engine
 from npred.loop.actuator import actuate, history, transport
+from npred.plants.inputs import Past
 from npred.predictors import RK4
 from npred.runtimes import c_controller
 
@@ -71,7 +72,7 @@ def closed_loop(controller, plant, D, dt, steps, X0, measured, nx=0, again=4000)
     """X (steps, n) and U (steps, m) of a loop whose state is set back every `again` steps."""
     advance, X, p = engine.advance_kernel(plant, RK4), np.array(X0, dtype=float)[:, None], plant.p
     longest = np.array([D if np.isscalar(D) else 3.0])
-    k, held, total = history(longest[0], longest[0], dt, np.zeros((plant.m, 1)))
+    k, held, total = history(longest[0], longest[0], dt, Past(np.zeros((1, plant.m))))
     delays = (plant.ratios * longest)[:, None]
     u, u_nodes = np.zeros((nx or 2, plant.m, 1)), np.zeros((nx or 2, plant.m, 1))
     U0, U1, share = (np.zeros((plant.m, 1)) for _ in range(3))

@@ -146,7 +146,7 @@ class ConstantDelay(Family):
         n, m, trace = self.plant.n, self.plant.m, called_functions.trace(self.plant)
         x, (u0, um, u1) = trace.vector("x", n), (trace.vector(name, m) for name in ("a", "m", "b"))
         y = called_functions.stepped(trace, step, x, (u0, um, u1), trace.input("t"), trace.input("h"))
-        y = self.plant.stopped(y, tape.M)
+        y = self.plant.stopped([*y], tape.M)
         bindings = {"t": "(t + j * h)"} | (cell_lines(m) if cells else input_lines(m))
         scalar = programs.lines(y, bindings, [f"y{k}" for k in range(n)])
         scalar += [f"x{k} = P[j + 1, {k}, l] = y{k}" for k in range(n)]
@@ -244,7 +244,8 @@ def advance_lines(trace: Trace, step: Step, U: str) -> list[str]:
     """The lines of a step of the plant; U is the text of an input, {0} its number."""
     plant = trace.plant
     x, u = trace.vector("x", plant.n), trace.vector("u", plant.m)
-    y = plant.stopped(called_functions.stepped(trace, step, x, (u, u, u), trace.input("t"), trace.input("h")), tape.M)
+    y = called_functions.stepped(trace, step, x, (u, u, u), trace.input("t"), trace.input("h"))
+    y = plant.stopped([*y], tape.M)
     names = {f"x{k}": f"X[{k}, l]" for k in range(plant.n)} | {f"u{k}": U.format(k) for k in range(plant.m)}
     return programs.lines(y, names | {"t": "start"}, [f"X[{k}, l]" for k in range(plant.n)])
 

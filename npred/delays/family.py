@@ -30,6 +30,7 @@ OBSERVE = "k, dt, X, held, t, p, law, memory, D_hat"  # of laws that estimate D_
 BOUNDED = {  # what does not serve a plant whose states stop at bounds, and what to use instead
     "picard": "use rk4",
     "semi_implicit": "use rosenbrock",
+    "rollout": "use rk4",
     "published": "use euler, heun or rk4",
     "euler_python": "use euler, heun or rk4",
     "adaptation": 'freeze the estimate, in a pipeline by adaptation = "frozen"',

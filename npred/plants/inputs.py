@@ -1,7 +1,7 @@
 """The inputs of a plant: the range of each, and what they are before t = 0."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -37,7 +37,7 @@ class Past:
     """
 
     held: np.ndarray
-    span: np.ndarray
+    span: np.ndarray = field(default_factory=lambda: np.zeros(1))
     course: np.ndarray | Callable[[float], Any] | None = None
     limits: np.ndarray | None = None
 

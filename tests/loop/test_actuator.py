@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from npred import grid
 from npred.loop import actuator
+from npred.plants.inputs import Past
 
 DT = 0.01
 
@@ -16,7 +17,7 @@ class Line:
 
     def __init__(self, D, u0=0.0, nx=11):
         self.D, self.k = np.array([[D]]), 0
-        self.origin, self.held, self.total = actuator.history(self.D.max(), self.D.max(), DT, np.array([[u0]]))
+        self.origin, self.held, self.total = actuator.history(self.D.max(), self.D.max(), DT, Past(np.array([[u0]])))
         self.u, self.u_nodes = np.empty((nx, 1, 1)), np.empty((nx, 1, 1))
         self.out = [np.empty((1, 1)) for _ in range(3)]
 
@@ -102,7 +103,7 @@ def test_before_the_start_the_input_is_u0():
 def test_inputs_with_delays_of_their_own_are_two_lines():
     D, random = np.array([[0.213], [0.5]]), np.random.default_rng(11)
     lines = [Line(d, nx=7) for d in D[:, 0]]
-    origin, rows, total = actuator.history(D.max(), D.max(), DT, np.zeros((2, 1)))
+    origin, rows, total = actuator.history(D.max(), D.max(), DT, Past(np.zeros((1, 2))))
     reads, out = [np.empty((7, 2, 1)) for _ in range(2)], [np.empty((2, 1)) for _ in range(3)]
     for k, U in enumerate(random.normal(size=(90, 2, 1))):
         actuator.actuate(origin + k, DT, D, U, rows, total, *out)

@@ -9,7 +9,7 @@ T, DT = 12.0, 0.001  # s: of the loops, and of their steps
 Delay = tuple[float, ...]  # a, b, α, ω, φ
 
 
-def late(delay: Delay, t: np.ndarray) -> np.ndarray:
+def late(delay: Delay, t: Any) -> Any:
     """φ(t) = t - D(t), D = a + b / (1 + t) + α sin(ω t + φ)."""
     a, b, alpha, omega, shift = delay
     return t - (a + b / (1 + t) + alpha * np.sin(omega * t + shift))

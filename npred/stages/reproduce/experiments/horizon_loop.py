@@ -18,7 +18,7 @@ NODES = 40  # of both integrals
 STEPS = round(T / DT)
 
 
-class Loop(NamedTuple):
+class Signals(NamedTuple):
     """Z (N, 2), U (N,) and the horizon ρ(t) - t (N,) at steps of 1 ms."""
 
     Z: np.ndarray
@@ -38,24 +38,24 @@ def driven(s: np.ndarray) -> np.ndarray:
     return np.stack([fast - slow, 2 * fast + slow], axis=-1)
 
 
-def published_loop(dt: float = DT, nodes: int = NODES) -> Loop:
+def published_loop(dt: float = DT, nodes: int = NODES) -> Signals:
     """The loop as coded: both integrals by the trapezoidal rule on 40 nodes, the last command held within a step."""
     first, second = draws()
     steps = round(T / dt)
     t = np.arange(steps + 1) * dt
-    grid = np.arange(np.floor(late(first, 0.0) / dt), steps + 2) * dt
+    grid = np.arange(int(np.floor(late(first, 0.0) / dt)), steps + 2) * dt
     table = inverse(first, grid)
     horizon = np.interp(t, grid, table) - t
     Z, U, xi = np.empty((steps + 1, 2)), np.zeros(steps + 1), GUESS
     Z[0] = BEFORE
     for k in range(steps + 1):
-        now, seen = t[k], max(k, 1)
+        now, issued = t[k], max(k, 1)
         begin, source = late(second, now), late(first, now)
         tau = np.linspace(begin, now, nodes)
-        arrived = np.interp(late(first, tau), t[:seen], U[:seen], left=0.0)
+        arrived = np.interp(late(first, tau), t[:issued], U[:issued], left=0.0)
         Z_hat = flow(now - begin) @ xi + _trapezoid(driven(now - tau) * arrived[:, None], now - begin)
         theta = np.linspace(source, now, nodes)
-        sent, arrival = np.interp(theta, t[:seen], U[:seen], left=0.0), np.interp(theta, grid, table)
+        sent, arrival = np.interp(theta, t[:issued], U[:issued], left=0.0), np.interp(theta, grid, table)
         weights = (sent / rate(first, arrival))[:, None]
         P = flow(horizon[k]) @ Z_hat + _trapezoid(driven(now + horizon[k] - arrival) * weights, now - source)
         U[k] = K @ P if source >= 0 else 0.0
@@ -66,12 +66,12 @@ def published_loop(dt: float = DT, nodes: int = NODES) -> Loop:
         def plant(s: float, Z: np.ndarray, k: int = k) -> np.ndarray:
             return A @ Z + B * np.interp(late(first, s), t[: k + 1], U[: k + 1], left=0.0)
 
-        def observer(s: float, xi: np.ndarray, k: int = k, Y: float = Y) -> np.ndarray:
+        def observer(s: float, xi: np.ndarray, k: int = k, Y: Any = Y) -> np.ndarray:
             command = np.interp(late(first, late(second, s)), t[: k + 1], U[: k + 1], left=0.0)
             return rate(second, s) * (A @ xi + B * command + L * (Y - C @ xi))
 
         Z[k + 1], xi = _rk4(plant, now, Z[k], dt), _rk4(observer, now, xi, dt)
-    return Loop(Z, U, horizon)
+    return Signals(Z, U, horizon)
 
 
 def _trapezoid(values: np.ndarray, length: float) -> np.ndarray:
@@ -119,7 +119,7 @@ def first_arrival() -> float:
     return float(inverse(first, inverse(first, np.zeros(1)))[0])
 
 
-def meant(end: float = T, steps: int = STEPS) -> Loop:
+def meant(end: float = T, steps: int = STEPS) -> Signals:
     """The loop with exact integrals and commands sent continuously from the first on, φ1(t) = 0; Z at the times ρ(t).
 
     P(t) is Z(ρ(t)) but for the observer's error, so in the time s = ρ(t) at which commands act there is no delay left:
@@ -138,7 +138,7 @@ def meant(end: float = T, steps: int = STEPS) -> Loop:
         b = closed @ (x + step / 2 * a) - B * middle
         c = closed @ (x + step / 2 * b) - B * middle
         Z[k + 1] = x + step / 6 * (a + 2 * b + 2 * c + closed @ (x + step * c) - B * after)
-    return Loop(Z, Z @ K - pushed[::2], (s - t)[::2])
+    return Signals(Z, Z @ K - pushed[::2], (s - t)[::2])
 
 
 def exact() -> dict[str, float]:
@@ -148,10 +148,10 @@ def exact() -> dict[str, float]:
     drift = flow(np.linspace(0.0, first_arrival(), STEPS)) @ BEFORE
     t = np.linspace(0.0, T, STEPS + 1)
     U = np.concatenate([[0.0], commands.U])
-    return rows(Loop(np.concatenate([drift, states.Z]), U, inverse(first, t) - t))
+    return rows(Signals(np.concatenate([drift, states.Z]), U, inverse(first, t) - t))
 
 
-def rows(loop: Loop) -> dict[str, float]:
+def rows(loop: Signals) -> dict[str, float]:
     """The ranges that the article's figure shows, and where the state ends."""
     series = {"Z1": loop.Z[:, 0], "Z2": loop.Z[:, 1], "U": loop.U, "ρ(t) - t": loop.horizon}
     ends = {f"{which} {name}": float(of(values)) for name, values in series.items() for which, of in ENDS.items()}
