@@ -170,7 +170,7 @@ def measure() -> Measurements:
 
 EXPERIMENT = Experiment(
     "linear plant with delays that vary in time, and an observer",
-    "arXiv:2603.29117",
+    "Bhan, Krstic, Shi, arXiv:2603.29117",
     tuple(PublishedNumber(row, "") for row in ROWS),
     measure,
 )
