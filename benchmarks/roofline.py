@@ -1,0 +1,152 @@
+"""What bounds a call of a fused network: bytes, multiply-adds, or the chain of operations that wait for each other.
+
+python benchmarks/roofline.py pipeline/paper.toml:deeponet pipeline/paper.toml:fno --nx 101 1001
+
+For each network, of its program as the fused runtime prints it: the bytes of its constants that a call reads, its
+multiply-adds, and the length of its chain. Each is divided by what one core of this machine does of it, measured here
+by plain loops: bytes per second of a sum over as many bytes, multiply-adds per second of a product whose weights stay
+in the nearest cache, and the seconds of one multiply-add that waits for the one before. A call takes about the longest
+of the three times at least, if all overlap, and their sum if nothing does; what it takes beyond that sum goes to
+inputs, running means and the call itself. The chain of a product of K terms is one block of eight terms after
+the other, each a sum by halves: three additions and a multiply-add. An activation counts with its scaling, polynomial
+and division.
+"""
+
+import argparse
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+from numba import njit
+
+import npred
+from npred.parallel import devices
+from npred.runtimes.fused import coarsest
+from npred.runtimes.lower import fold
+from npred.runtimes.numba_text import TERMS
+from npred.runtimes.program import Product, Program, Repeat, Silu, SiluPair, Step
+from npred.stages.bench import timing
+
+BLOCK = 4  # operations that wait for each other, of a block of terms
+SILU, PAIR = 16, 24  # likewise, of an activation: scaling, a polynomial of five terms, a division
+RUNS = 200
+LATENCY, PER_CYCLE = 4, 16  # cycles of a multiply-add; how many begin per cycle, in two vectors of 256 bits
+
+
+@njit(fastmath=True)
+def read(a: np.ndarray, times: int) -> np.float32:
+    """The sum of a, again and again: bytes per second."""
+    total = np.float32(0.0)
+    for k in range(times):
+        part = np.float32(0.0)
+        for j in range(len(a)):
+            part += a[j]
+        total += part * np.float32(k)
+    return total
+
+
+@njit(fastmath=True)
+def multiply(out: np.ndarray, a: np.ndarray, b: np.ndarray, times: int) -> None:
+    """out (N,) += a (8,) b (8, N), again and again: multiply-adds per second."""
+    for _ in range(times):
+        a0, a1, a2, a3, a4, a5, a6, a7 = a[0], a[1], a[2], a[3], a[4], a[5], a[6], a[7]
+        for j in range(len(out)):
+            first = a0 * b[0, j] + a1 * b[1, j] + a2 * b[2, j] + a3 * b[3, j]
+            out[j] += first + (a4 * b[4, j] + a5 * b[5, j] + a6 * b[6, j] + a7 * b[7, j])
+
+
+@njit(fastmath={"contract"})
+def chain(x: np.float32, factor: np.float32, times: int) -> np.float32:
+    """One multiply-add after the other."""
+    for _ in range(times):
+        x = x * factor + factor
+    return x
+
+
+def machine(size: int) -> dict[str, float]:
+    """Of one core: bytes (of `size`) and multiply-adds per µs, and the µs of a multiply-add that waits."""
+    numbers, one = np.ones(size // 4, np.float32), np.float32(0.5)
+    out, terms, weights = np.zeros(128, np.float32), np.ones(TERMS, np.float32), np.full((TERMS, 128), 1e-6, np.float32)
+    passes = max(1, 400_000 // len(numbers))
+    calls = {
+        "bytes": lambda k: read(numbers, passes),
+        "products": lambda k: multiply(out, terms, weights, 1000),
+        "chain": lambda k: chain(one, one, 20_000),
+    }
+    taken = timing.sample(calls, RUNS, 1.0)
+    fastest = {name: samples.min() / 1000 for name, samples in taken.items()}
+    return {
+        "bytes": passes * numbers.nbytes / fastest["bytes"],
+        "products": 1000 * weights.size / fastest["products"],
+        "chain": fastest["chain"] / 20_000,
+    }
+
+
+def products(steps: Iterable[Step]) -> int:
+    """The multiply-adds of some steps."""
+    return sum(
+        step.count * products(step.steps) if isinstance(step, Repeat)
+        else int(np.prod(step.shape)) * step.repeats if isinstance(step, Product) else 0
+        for step in steps
+    )  # fmt: skip
+
+
+def waits(steps: Iterable[Step]) -> int:
+    """The operations of some steps that wait for each other."""
+    total = 0
+    for step in steps:
+        if isinstance(step, Repeat):
+            total += step.count * waits(step.steps)
+        elif isinstance(step, Product):
+            total += BLOCK * -(-step.shape[1] // TERMS)
+        elif isinstance(step, Silu | SiluPair):
+            total += SILU if isinstance(step, Silu) else PAIR
+    return total
+
+
+def report(spec: str, store: str | None, nx: int) -> None:
+    net = npred.load(spec, store=store, runtime="fused", nx=nx)
+    p: Program = fold(net.operator, net.plant, nx, net.stride or coarsest(nx), net.precision)
+    steps = [*p.steps, *([p.series.product] if p.series else [])]
+    size = sum(array.nbytes for array in p.constants.values())
+    does = machine(max(size, 4096))
+    bounds = {
+        "bytes": size / does["bytes"],
+        "multiply-adds": products(steps) / does["products"],
+        "chain": waits(steps) * does["chain"],
+    }
+    median, longest = measured(net, nx), max(bounds, key=lambda name: bounds[name])
+    whole = sum(bounds.values())
+    print(f"{spec}, nx = {nx}: {size / 1000:.0f} kB, {products(steps) / 1000:.0f} thousand multiply-adds, "
+          f"{waits(steps)} operations in a chain")  # fmt: skip
+    peak = PER_CYCLE * LATENCY / (1000 * does["chain"])
+    print(f"  this core: {does['bytes'] / 1000:.0f} GB/s, {does['products'] / 1000:.0f} G multiply-adds/s (its units: "
+          f"{peak:.0f}), {1000 * does['chain']:.2f} ns for one that waits")  # fmt: skip
+    print("  " + ", ".join(f"{name} {us:.2f} µs" for name, us in bounds.items()) + f"; sum {whole:.2f}; measured "
+          f"{median:.2f} µs: {median / bounds[longest]:.1f} times {longest}, {median / whole:.1f} times the sum",
+          flush=True)  # fmt: skip
+
+
+def measured(net: npred.Predictor, nx: int) -> float:
+    """The median microseconds of a call."""
+    predict, plant = net.lanes(), net.plant
+    X = np.array([[low] for low, _ in plant.box.values()])
+    u, P = np.zeros((nx, plant.m, 1)), np.empty((nx, plant.n, 1))
+    taken = timing.sample({"call": lambda k: predict(X, u, np.ones(1), 0.0, plant.p, P)}, 20_000, 3.0)
+    return timing.quantiles(taken["call"])["median_us"]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("models", nargs="+")
+    parser.add_argument("--store", default=None)
+    parser.add_argument("--nx", type=int, nargs="+", default=[101])
+    arguments = parser.parse_args()
+    print(devices.hardware("cpu")["cpu"])
+    for spec in arguments.models:
+        for nx in arguments.nx:
+            report(spec, arguments.store and str(Path(arguments.store)), nx)
+
+
+if __name__ == "__main__":
+    main()
