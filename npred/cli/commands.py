@@ -91,6 +91,10 @@ def reproduce(
     listed: Annotated[bool, typer.Option("--list", help="Print the experiments, and run nothing.")] = False,
     numerical: Annotated[bool, typer.Option("--numerical", help="The rows of numerical predictors only.")] = False,
     force: Annotated[bool, typer.Option("--force", help="Measure again what the store has.")] = False,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", metavar="FILE", help="The page: HTML, or Markdown for a name that ends in .md."),
+    ] = None,
 ) -> None:
     """Published experiments: each printed number beside the same loop run here, as published and as it is meant."""
 

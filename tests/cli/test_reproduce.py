@@ -139,3 +139,15 @@ def test_a_network_is_trained_once_and_an_interrupted_run_goes_on(monkeypatch: p
     assert _call("reproduce", "tiny", "--numerical").stdout.count("fno") == 0
     Path("p.toml").write_text('name = "p"\nplant = "scalar"\n')
     assert _call("gc", "p.toml", "--yes").stdout == "nothing to delete\n"
+
+
+def test_the_page_is_html_or_markdown_and_of_all_experiments_in_the_store():
+    assert _call("reproduce", "tiny", "-o", "tiny.md").stderr.endswith("page: tiny.md\n")
+    assert "| numerical | error | 0.1235 | 0.1235 | 1.00e−09 |" in Path("tiny.md").read_text()
+    _call("reproduce", "tiny", "-o", "tiny.html")
+    assert Path("tiny.html").read_text().startswith("<!doctype html>")
+    assert "no/folder" in _call("reproduce", "tiny", "-o", "no/folder/tiny.html", code=2).output
+    _call("reproduce", "tiny")
+    assert not Path("artifacts/reproduce.html").exists()
+    _call("reproduce")
+    assert "tiny" in Path("artifacts/reproduce.html").read_text()

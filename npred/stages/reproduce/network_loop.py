@@ -11,7 +11,6 @@ from npred.config import Anchor
 from npred.plants import Plant
 from npred.predictors import Predictor
 
-SPREAD = 0.02  # of the bias while calls are recorded
 SEED = 2025  # of other rollouts than the published ones, which are drawn from other generators
 
 Predict = Callable[[np.ndarray, np.ndarray, np.ndarray, Any], np.ndarray]
@@ -34,7 +33,7 @@ class NetworkLoop:
 
     `measure` gives the published metrics of the published runs. `explore(predict, rng)` runs other rollouts, side by
     side, from wider starts. `numerical` makes the predictor that a network learns. Of the `calls` of a rollout `kept`
-    are learned from, P on `nodes` nodes. `reads_end`: of P the loop reads P(1) alone. `noise`: see Recorder.
+    are learned from, P on `nodes` nodes. `reads_end`: of P the loop reads P(1) alone. `spread`, `noise`: see Recorder.
     """
 
     plant: Callable[[], Plant]
@@ -45,6 +44,7 @@ class NetworkLoop:
     kept: int = 50
     nodes: int | None = None
     reads_end: bool = False
+    spread: float = 0.02
     noise: float = 0.0
     anchor: Anchor = "initial"
 
@@ -53,7 +53,7 @@ class Recorder:
     """The numerical predictor: it keeps some of its `calls`, in each rollout `kept` others, and answers with an error.
 
     A network's errors lead its loop away from the exact one. Errors of two kinds bring such states and such inputs into
-    the data: a bias, drawn once per rollout and state, of SPREAD times what P moves by, and white noise, in each
+    the data: a bias, drawn once per rollout and state, of `spread` times what P moves by, and white noise, in each
     rollout of another standard deviation between a hundredth of `noise` and all of it. What is kept is exact.
     """
 
@@ -76,7 +76,7 @@ class Recorder:
         """The calls to keep (B, kept), and the errors of each rollout."""
         calls = np.arange(self.loop.calls)
         self.chosen = np.stack([self.rng.choice(calls, self.loop.kept, replace=False) for _ in range(rollouts)])
-        self.tilt = SPREAD * self.rng.standard_normal((rollouts, 1, n))
+        self.tilt = self.loop.spread * self.rng.standard_normal((rollouts, 1, n))
         self.level = self.loop.noise * 10 ** self.rng.uniform(-2, 0, (rollouts, 1, 1))
 
     def samples(self) -> RecordedCalls:

@@ -207,7 +207,7 @@ def learnt(arm: PublishedArm) -> NetworkLoop:
         calls=SAMPLES - 1 - LATE,
         kept=80,
         reads_end=True,
-        noise=0.004,
+        noise=0.02,
     )
 
 
