@@ -206,6 +206,7 @@ EXPERIMENTS = Registry(  # published ones, in the order of `npred reproduce`
         "activator_unknown_delay": Entry(f"{_EXPERIMENTS}.activator_unknown_delay:EXPERIMENT", "activator"),
         "prediction_horizons": Entry(f"{_EXPERIMENTS}.prediction_horizons:EXPERIMENT", "horizons of D(t)"),
         "horizon_loop": Entry(f"{_EXPERIMENTS}.horizon_loop:EXPERIMENT", "loop with D1(t), D2(t)"),
+        "sampled_arm": Entry(f"{_EXPERIMENTS}.sampled_arm:EXPERIMENT", "arm with six joints, sampled"),
         "feedforward_closed_form": Entry(f"{_EXPERIMENTS}.feedforward_closed_form:EXPERIMENT", "closed form"),
         "state_delay_unicycle": Entry(f"{_EXPERIMENTS}.state_delay_unicycle:EXPERIMENT", "robot, delay x² + y²"),
         "state_delay_two_inputs": Entry(f"{_EXPERIMENTS}.state_delay_two_inputs:EXPERIMENT", "two delays D(X)"),

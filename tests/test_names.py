@@ -12,7 +12,10 @@ from npred import plants
 PACKAGE = Path(plants.__file__).parent.parent
 NAMES = [row["name"] for row in plants.named() if plants.is_builtin(row["name"])]
 PUBLISHED = PACKAGE / "stages" / "reproduce"  # experiments are about plants
-EXCEPTIONS = {"activator_repressor": {"cli/commands.py"}}  # the plant of the data that [DAPF]'s authors published
+EXCEPTIONS = {
+    "activator_repressor": {"cli/commands.py"},  # the plant of the data that [DAPF]'s authors published
+    "xarm6": {"plants/builtin/xarm6.py"},  # its functions are those of every chain
+}
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -1,6 +1,7 @@
 """Chains by their Denavit-Hartenberg table: frames, tensors, and Pinocchio on the same bodies."""
 
 import numpy as np
+import pin_models
 import pytest
 
 from npred.errors import ConfigError
@@ -25,22 +26,13 @@ def test_pinocchio_agrees_on_both_arms():
     """Mass matrix, loads and accelerations of the first five bodies and of all seven."""
     pin = pytest.importorskip("pinocchio", reason="needs the extra npred[pin]")
     for joints in (5, 7):
-        model, data = pinocchios(pin, BODIES[:joints])
+        model, data = pin_models.model(pin, BODIES[:joints])
         q, rates, pull = Q[:joints], RATES[:joints], PULL[:joints]
         H = np.array(rigid_body.mass_matrix(BODIES[:joints], list(q), np), float)
         upper = np.triu(pin.crba(model, data, q))
         np.testing.assert_allclose(np.triu(H), upper, atol=1e-13)
         torques = rigid_body.torques(BODIES[:joints], list(q), list(rates), list(pull), 9.81, np)
         np.testing.assert_allclose(np.array(torques, float), pin.rnea(model, data, q, rates, pull), atol=1e-12)
-
-
-def pinocchios(pin, bodies):
-    """The library's model of the bodies, joint by joint."""
-    model, parent = pin.Model(), 0
-    for body in bodies:
-        parent = model.addJoint(parent, pin.JointModelRZ(), pin.SE3(body.turn, body.position), body.joint)
-        model.appendBodyToJoint(parent, pin.Inertia(body.mass, body.centre, body.inertia), pin.SE3.Identity())
-    return model, model.createData()
 
 
 def test_the_products_of_baxters_long_links_lie_along_them():
