@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from npred import plants
-from npred.robots import rigid_body
+from npred.robots import denavit_hartenberg, rigid_body
 from npred.stages.reproduce import baxter, quirks
 from npred.stages.reproduce.experiment import (
     AS_MEANT,
@@ -175,7 +175,7 @@ class Arm:
 
     @staticmethod
     def f(x: Any, u: Any, t: Any, p: Any, M: Any) -> list[Any]:
-        q, rates, bodies = list(x[:5]), list(x[5:]), baxter.bodies()
+        q, rates, bodies = list(x[:5]), list(x[5:]), denavit_hartenberg.bodies(baxter.TABLE)
         loads = rigid_body.torques(bodies, q, rates, [0.0] * 5, baxter.GRAVITY, M)
         forces = [torque - load for torque, load in zip(u, loads, strict=True)]
         return [*rates, *M.solve(rigid_body.mass_matrix(bodies, q, M), forces)]
@@ -184,7 +184,7 @@ class Arm:
     def kappa(x: Any, t: Any, p: Any, M: Any) -> list[Any]:
         q, rates, goal = list(x[:5]), list(x[5:]), Arm.reference(t, p, M)
         pull = [-0.1 * M.sin(t) + a - b + 2 * (c - d) for a, b, c, d in zip(goal, q, goal[5:], rates, strict=False)]
-        return rigid_body.torques(baxter.bodies(), q, rates, pull, baxter.GRAVITY, M)
+        return rigid_body.torques(denavit_hartenberg.bodies(baxter.TABLE), q, rates, pull, baxter.GRAVITY, M)
 
     @staticmethod
     def reference(t: Any, p: Any, M: Any) -> list[Any]:

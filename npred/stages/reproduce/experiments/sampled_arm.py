@@ -1,5 +1,6 @@
 """Six joints of an arm that follow a wave, every torque 0.2 s late, the state sampled at random times and with noise.
 
+Bhan, Quawas, Krstic, Shi, Sampling-Horizon Neural Operator Predictors for Nonlinear Control under Delayed Inputs,
 arXiv:2603.29119. Between samples the controller's prediction Z follows the loop without delay, Z' = f(Z, κ(Z, t + D)).
 """
 
@@ -135,7 +136,7 @@ def measure() -> Measurements:
 
 EXPERIMENT = Experiment(
     "arm with six joints, sampled and noisy",
-    "arXiv:2603.29119",
+    "Bhan, Quawas, Krstic, Shi, arXiv:2603.29119",
     tuple(PublishedNumber(row, "") for row in ROWS),
     measure,
 )
