@@ -61,10 +61,8 @@ def test_an_end_that_is_read_alone_is_the_same_end(trained):
     ("name", "loop"),
     [
         ("unicycle_constant", "as meant"),
-        pytest.param("manipulator", "as published", marks=pytest.mark.slow),
         pytest.param("unicycle_constant", "as published", marks=pytest.mark.slow),
         pytest.param("unicycle_time_varying", "as meant", marks=pytest.mark.slow),
-        pytest.param("manipulator", "as meant", marks=pytest.mark.slow),
         pytest.param("unicycle_time_varying", "as published", marks=pytest.mark.slow),
         pytest.param("unicycle_two_inputs", "as published", marks=pytest.mark.slow),
         pytest.param("unicycle_two_inputs", "as meant", marks=pytest.mark.slow),

@@ -9,22 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from npred import plants
-from npred.robots import denavit_hartenberg, rigid_body
 from npred.stages.reproduce import baxter, quirks
-from npred.stages.reproduce.experiment import (
-    AS_MEANT,
-    AS_PUBLISHED,
-    Experiment,
-    Measured,
-    Measurements,
-    PublishedNumber,
-    networks,
-)
-from npred.stages.reproduce.network_loop import NetworkLoop, Predict
+from npred.stages.reproduce.experiment import Experiment, Measured, Measurements, PublishedNumber, networks
+from npred.stages.reproduce.network_loop import Predict
 
 RUNS, SAMPLES, DT, LATE = 25, 100, 0.1, 5
-OTHERS = 600  # runs to learn from
 MIDDLE = (baxter.LOW + baxter.HIGH) / 2
 SPIN = np.concatenate([baxter.LOW, -baxter.FASTEST]), np.concatenate([baxter.HIGH, baxter.FASTEST])
 
@@ -109,15 +98,12 @@ def advanced(arm: PublishedArm, X: np.ndarray, torque: np.ndarray) -> np.ndarray
     return quirks.clipped(X + DT * arm.rate(X, torque), *SPIN)
 
 
-def loop(
-    arm: PublishedArm, predict: Predict | None = None, start: np.ndarray | None = None
-) -> tuple[np.ndarray, np.ndarray]:
+def loop(arm: PublishedArm, predict: Predict | None = None) -> tuple[np.ndarray, np.ndarray]:
     """X and P, (100, 25, 10): Euler's method for plant and predictor, a gravity hold first, P in float32.
 
-    No prediction is made in the first 0.5 s, when the law takes X itself.
-    Another predictor may replace Euler's method, and other starts the published ones.
+    No prediction is made in the first 0.5 s, when the law takes X itself. Another predictor may replace Euler's method.
     """
-    start = draws() if start is None else start
+    start = draws()
     predict, D, rest = predict or euler(arm), np.full(len(start), DT * LATE), np.zeros(5)
     torques = quirks.static_hold(arm.law(start, (start[:, :5], rest, rest)), LATE)
     X, P = np.empty((SAMPLES, *start.shape)), np.zeros((SAMPLES, *start.shape))
@@ -165,58 +151,6 @@ def measure() -> Measurements:
     return {name: Measured(value, meant[name]) for name, value in coded.items()}
 
 
-class Arm:
-    """The arm as npred has it, of which a network needs the sizes."""
-
-    joints = tuple(f"joint{i + 1}" for i in range(baxter.LINKS))
-    states = (*joints, *(f"{joint}_rate" for joint in joints))
-    inputs = tuple(f"{joint}_torque" for joint in joints)
-    period = 2 * np.pi
-
-    @staticmethod
-    def f(x: Any, u: Any, t: Any, p: Any, M: Any) -> list[Any]:
-        q, rates, bodies = list(x[:5]), list(x[5:]), denavit_hartenberg.bodies(baxter.TABLE)
-        loads = rigid_body.torques(bodies, q, rates, [0.0] * 5, baxter.GRAVITY, M)
-        forces = [torque - load for torque, load in zip(u, loads, strict=True)]
-        return [*rates, *M.solve(rigid_body.mass_matrix(bodies, q, M), forces)]
-
-    @staticmethod
-    def kappa(x: Any, t: Any, p: Any, M: Any) -> list[Any]:
-        q, rates, goal = list(x[:5]), list(x[5:]), Arm.reference(t, p, M)
-        pull = [-0.1 * M.sin(t) + a - b + 2 * (c - d) for a, b, c, d in zip(goal, q, goal[5:], rates, strict=False)]
-        return rigid_body.torques(denavit_hartenberg.bodies(baxter.TABLE), q, rates, pull, baxter.GRAVITY, M)
-
-    @staticmethod
-    def reference(t: Any, p: Any, M: Any) -> list[Any]:
-        return [*(middle + 0.1 * M.sin(t) for middle in MIDDLE.tolist()), *[0.1 * M.cos(t)] * 5]
-
-
-def others(rng: np.random.Generator) -> np.ndarray:
-    """Starts to learn from, from a box 1.5 times as wide as that of the published runs."""
-    noise = rng.uniform(-0.3, 0.3, (OTHERS, 5))
-    return np.concatenate([MIDDLE + noise, np.zeros((OTHERS, 5))], axis=1)
-
-
-def learnt(arm: PublishedArm) -> NetworkLoop:
-    """The loop of an arm, for networks."""
-    return NetworkLoop(
-        lambda: plants.make("baxter", Arm),
-        lambda: euler(arm),
-        lambda predict, rng: loop(arm, predict, others(rng)),
-        lambda predict: metrics(*loop(arm, predict)),
-        calls=SAMPLES - 1 - LATE,
-        kept=80,
-        reads_end=True,
-        noise=0.02,
-    )
-
-
-SIZES = {  # for six nodes, and ten states
-    "fno": {"epochs": 30, "modes": 4, "width": 32},
-    "deeponet": {"epochs": 60, "moments": 6, "width": 128, "basis": 24},
-    "fno_gru": {"epochs": 25, "sizes": {"modes": 4, "steps": 5}},
-    "deeponet_gru": {"epochs": 40, "sizes": {"moments": 6, "width": 128, "basis": 24, "steps": 5}},
-}
 EXPERIMENT = Experiment(
     "arm with five joints, constant delay",
     "Bhan, Krstic, Shi, arXiv:2411.18964",
@@ -226,6 +160,4 @@ EXPERIMENT = Experiment(
         *networks("tracking", fno="10.375936", deeponet="21.153382", fno_gru="13.684227", deeponet_gru="18.449608"),
         *networks("prediction", fno="0.009430", deeponet="0.174347", fno_gru="0.012214", deeponet_gru="0.043243"),
     ),
-    {AS_PUBLISHED: learnt(published()), AS_MEANT: learnt(right())},
-    SIZES,
 )
