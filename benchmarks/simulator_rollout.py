@@ -1,0 +1,113 @@
+"""A network beside the plant's own simulator rolled forward, at equal tracking error in the closed loop.
+
+python benchmarks/simulator_rollout.py pipeline/mujoco_arm.toml:deeponet
+
+Loops of the arm from fresh starts of its box, with the exact prediction (RK4 on the nodes of the data), the network,
+and MuJoCo's own rollout by two of its integrators, on the file's time step and on the fewest steps that track as well
+as the network. The tracking error is the root mean square of |q - r| (rad, over the joints) in the second half of each
+loop; the table has the median over the loops. The time of a rollout is that of its steps in one call of mj_step,
+without Python in between: less than mujoco.rollout takes, which is in brackets. Extra: npred[mujoco].
+"""
+
+import argparse
+from bisect import bisect_left
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+import npred
+from npred import config, plants, randomness
+from npred.loop import metrics
+from npred.plants import Plant
+from npred.predictors import Predictor
+from npred.predictors.rollout import Rollout
+from npred.robots.mjcf import LEFT_OUT
+from npred.stages.bench import timing
+
+STARTS = 6
+MOST = {"Arm": 500, "ArmByRK4": 50}  # steps that are tried: of the file's integrator, of the engine's RK4
+INTEGRATORS = {"Arm": "IMPLICITFAST", "ArmByRK4": "RK4"}
+FILE = Path("pipeline/mujoco_arm.xml")
+Tracking = tuple[int, float]  # the loops that are kept, and the median tracking error
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("model")
+    parser.add_argument("--store", default=None)
+    arguments = parser.parse_args()
+    pipeline = config.load(Path(arguments.model.rpartition(":")[0]))
+    file = pipeline.plant.rpartition(":")[0]
+    arms = {name: plants.resolve(f"{file}:{name}", pipeline.parameters) for name in MOST}
+    arm, table = arms["Arm"], pipeline.evaluate
+    box = np.array([arm.box[name] for name in arm.states])
+    X0 = randomness.generator(0, "simulator_rollout").uniform(box[:, 0], box[:, 1], (STARTS, arm.n))
+    network = npred.load(arguments.model, store=arguments.store, runtime="fused", nx=table.nx)
+    exact, allowed = (tracking(arm, run, X0, table) for run in (npred.predictor("rk4", arm, table.nx), network))
+    network_us = call_us(network, X0[0], arm.u_target(0.0), table.D)
+    print(f"D = {table.D:g} s, {STARTS} loops of {table.case_t_end:g} s: those kept, tracking error, µs per prediction")
+    print(row("RK4, exact", exact))
+    print(row("network, fused", allowed), f"{network_us:.1f}", flush=True)
+    if allowed[0] < STARTS:
+        raise SystemExit("The network loses loops: there is no equal tracking error to compare at.")
+    for name, most in MOST.items():
+        step_us = engine_us(INTEGRATORS[name], table.D)
+        tracked: dict[int, Tracking] = {}
+
+        def enough(steps: int) -> bool:
+            tracked[steps] = tracking(arm, Rollout(arms[name], steps + 1), X0, table)  # noqa: B023 - called in this turn
+            return tracked[steps][0] == STARTS and tracked[steps][1] <= allowed[1]  # noqa: B023
+
+        fewest = bisect_left(range(most), True, lo=2, key=enough)
+        if name == "Arm":
+            enough(files_steps(table.D))
+        for steps in sorted(tracked):
+            in_c, by_call = steps * step_us, call_us(Rollout(arms[name], steps + 1), X0[0], arm.u_target(0.0), table.D)
+            times = f"{in_c:.0f}, {in_c / network_us:.0f} x the network's ({by_call:.0f} by mujoco.rollout)"
+            times += ": as good" if steps == fewest else ""
+            print(row(f"{INTEGRATORS[name].lower()}, {steps} steps", tracked[steps]), times, flush=True)
+
+
+def tracking(arm: Plant, predictor: Predictor, X0: np.ndarray, table: config.Evaluate) -> Tracking:
+    """Loops from X0 (STARTS, n). A loop is kept where it ends near the reference, a lost one has an infinite error."""
+    loops = npred.simulate(
+        arm, predictor, D=table.D, D_hat=table.D, X0=X0, t_end=table.case_t_end, dt=table.dt, u0=table.u0
+    )
+    target, later, joints = arm.target(loops.t), loops.t > loops.t[-1] / 2, arm.n // 2
+    kept = metrics.radius(loops, target) <= metrics.SETTLED * metrics.size(target)
+    gaps = np.linalg.norm((loops.X - target)[:, later, :joints], axis=-1)
+    return int(kept.sum()), float(np.median(np.nan_to_num(np.sqrt((gaps**2).mean(axis=1)), nan=np.inf)))
+
+
+def files_steps(D: float) -> int:
+    """The steps of the file's own time step in D seconds."""
+    return round(D / mujoco.MjModel.from_xml_path(str(FILE)).opt.timestep)
+
+
+def engine_us(integrator: str, D: float, steps: int = 100) -> float:
+    """Microseconds of a step of the engine, of many in one call of C."""
+    model = mujoco.MjModel.from_xml_path(str(FILE))
+    for part in LEFT_OUT:
+        model.opt.disableflags |= getattr(mujoco.mjtDisableBit, f"mjDSBL_{part}").value
+    model.opt.integrator, model.opt.timestep = getattr(mujoco.mjtIntegrator, f"mjINT_{integrator}"), 0.002
+    data = mujoco.MjData(model)
+    taken = timing.sample({"steps": lambda k: mujoco.mj_step(model, data, steps)}, 1000, 0.3)
+    return timing.quantiles(taken["steps"])["median_us"] / steps
+
+
+def call_us(predictor: Predictor, X: np.ndarray, u: np.ndarray, D: float) -> float:
+    """The median microseconds of a call, as a loop makes it."""
+    predict, plant = predictor.lanes(), predictor.plant
+    inputs = X[:, None].copy(), np.tile(u[None, :, None], (predictor.nx, 1, 1)), np.array([D])
+    P = np.empty((predictor.nx, plant.n, 1))
+    taken = timing.sample({"call": lambda k: predict(*inputs, 0.0, plant.p, P)}, 2000, 0.3)
+    return timing.quantiles(taken["call"])["median_us"]
+
+
+def row(title: str, tracked: Tracking) -> str:
+    return f"{title:24} {tracked[0]:2} of {STARTS}  {tracked[1]:.2e} "
+
+
+if __name__ == "__main__":
+    main()
