@@ -21,7 +21,7 @@ test: dev ## all tests, the files side by side on all cores
 test-fast: dev ## the tests that take no more than a few seconds each
 	$(BIN)/python -m pytest -n auto --dist loadfile -m "not slow and not campaign"
 
-campaign: dev ## the longest tests: 10^5 steps in C and in an FMU, a thousand hostile names
+campaign: dev ## the longest tests: 10^5 steps in C and an FMU, hostile names, published networks, real stages killed
 	$(BIN)/python -m pytest -n auto -m campaign
 
 smoke: install ## the whole chain on a tiny problem

@@ -45,7 +45,8 @@ def test_parameters_by_keyword():
 
 
 def test_unknown_predictor_is_told():
-    with pytest.raises(ConfigError, match=r"euler, heun, rk4, .*picard, or a class .*, got 'rk5'; did you mean rk4"):
+    expected = r"euler, heun, rk4, .*picard, rollout, or a class .*, got 'rk5'; did you mean rk4"
+    with pytest.raises(ConfigError, match=expected):
         npred.predictor("rk5", npred.plant("scalar"))
 
 

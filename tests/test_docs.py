@@ -35,6 +35,7 @@ INLINE = re.compile(r"`(npred [a-z][^`]*)`")
 FILE = re.compile(r"# (\w+\.(?:py|toml))\n")
 SMOKE = tomllib.loads((ROOT / "pipeline" / "smoke.toml").read_text())
 BY_NAME = {"models", "coverage", "outside", "mse_by_state", "sup_by_state", "versions"}
+LONG = {"docs/reproduce.md"}  # minutes: its commands train every published network
 TRAINED = ("npred.load(", "onnxruntime")
 
 
@@ -82,6 +83,12 @@ def pages_with(*languages: str) -> list[Any]:
     return [pytest.param(page, id=str(page.relative_to(ROOT))) for page in chosen]
 
 
+def marked(params: list[Any]) -> list[Any]:
+    """The pages as slow tests, and those in LONG as a campaign's."""
+    marks = ((p, pytest.mark.campaign if p.id in LONG else pytest.mark.slow) for p in params)
+    return [pytest.param(*p.values, id=p.id, marks=mark) for p, mark in marks]
+
+
 @pytest.mark.parametrize("page", pages_with("toml"))
 def test_a_pipeline_of_a_page_is_whole(page: Path, tmp_path: Path):
     for block in blocks(page):
@@ -106,8 +113,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("store")
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("page", pages_with("python", "sh"))
+@pytest.mark.parametrize("page", marked(pages_with("python", "sh")))
 def test_a_page_runs_from_top_to_bottom(page: Path, store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     pytest.importorskip("onnxruntime")
     monkeypatch.chdir(tmp_path)

@@ -26,7 +26,7 @@ def offered(call: Call):
 
 def test_commands_pipelines_and_plants(offered):
     assert offered("npred gene") == ["generate"]
-    assert offered("npred run s") == ["scalar", "smoke", "state_delay"]
+    assert offered("npred run s") == ["scalar", "slow_unicycle", "smoke", "state_delay", "strict_feedforward3"]
     assert offered("npred run t") == ["time_delay", "tiny.toml"]
     Path("pyproject.toml").touch()
     assert offered("npred run py") == []
@@ -53,7 +53,7 @@ def test_a_pipeline_that_is_broken_offers_its_keys_all_the_same(offered):
 def test_stages_networks_and_words(offered):
     stages = ["generate", "train", "refine", "evaluate", "certify", "bench", "report"]
     assert offered("npred why ") == [*stages, "deeponet", "fno"]
-    assert offered("npred train --model f") == ["fno"]
+    assert offered("npred train --model f") == ["fno", "fno_gru"]
     assert offered("npred report --figures ieee") == ["ieee1", "ieee2"]
     assert offered("npred sweep --to b") == ["bench"]
 

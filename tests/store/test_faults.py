@@ -87,7 +87,7 @@ def test_eight_processes_make_each_result_once(pipeline: Path):
     assert Store(pipeline.parent / "artifacts").leftovers() == []
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_real_stages_that_are_killed_continue_to_the_same_digests():
     command = [sys.executable, str(HERE.parent / "benchmarks" / "faults.py"), "--runs", "4", "--quick"]
     done = subprocess.run(command, env=process_environment(), capture_output=True, text=True)

@@ -44,9 +44,9 @@ def test_its_pipeline_fits():
 
 @pytest.mark.slow
 def test_it_tracks_from_its_box_with_the_predictor_and_only_with_it():
-    """With it up to half a step of the held input on a moving reference."""
+    """With it up to what torques that are held over a step, and read by lines between nodes, are off."""
     X0 = plant_claims.box(FIVE, 8)
-    for D_hat, low, high in ((D, 0.0, 1e-2), (0.0, 1.0, np.inf)):
+    for D_hat, low, high in ((D, 0.0, 2e-2), (0.0, 1.0, np.inf)):
         loops = simulate(FIVE, RK4(FIVE, 26), D=D, D_hat=D_hat, X0=X0, t_end=20.0, dt=0.01, every=20, u0="law")
         radii = metrics.radius(loops, FIVE.target(loops.t))
         assert (radii >= low).all() and (radii <= high).all()

@@ -64,10 +64,10 @@ def test_an_end_that_is_read_alone_is_the_same_end(trained):
         pytest.param("unicycle_constant", "as published", marks=pytest.mark.slow),
         pytest.param("unicycle_time_varying", "as meant", marks=pytest.mark.slow),
         pytest.param("unicycle_time_varying", "as published", marks=pytest.mark.slow),
-        pytest.param("unicycle_two_inputs", "as published", marks=pytest.mark.slow),
-        pytest.param("unicycle_two_inputs", "as meant", marks=pytest.mark.slow),
-        pytest.param("chemostat_unknown_delay", "as published", marks=pytest.mark.slow),
-        pytest.param("activator_unknown_delay", "as published", marks=pytest.mark.slow),
+        pytest.param("unicycle_two_inputs", "as published", marks=pytest.mark.campaign),
+        pytest.param("unicycle_two_inputs", "as meant", marks=pytest.mark.campaign),
+        pytest.param("chemostat_unknown_delay", "as published", marks=pytest.mark.campaign),
+        pytest.param("activator_unknown_delay", "as published", marks=pytest.mark.campaign),
     ],
 )
 def test_the_loop_for_networks_gives_the_numerical_rows_with_the_numerical_predictor(name: str, loop: str):
