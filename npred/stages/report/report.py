@@ -1,20 +1,18 @@
 """The report stage: all results of a pipeline as one HTML file that needs nothing else."""
 
 from collections.abc import Iterator
-from importlib.resources import files
 from typing import Any
 
 from npred import toml_text
 from npred.config import FROZEN, Evaluate
-from npred.figures import svg, typography
+from npred.figures import svg
 from npred.figures.figure import Plate
 from npred.figures.notation import symbol
-from npred.figures.style import ROLES
 from npred.plants import Plant
 from npred.results import Reported
 from npred.stages import Job
 from npred.stages.bench import timing_tables
-from npred.stages.report import headline
+from npred.stages.report import headline, html_page
 from npred.stages.report.report_data import CHAPTERS, Story
 from npred.terminal.console import Console
 from npred.terminal.progress_bars import Bar
@@ -41,27 +39,16 @@ def summary(result: Reported, width: int | None = None) -> str:
 
 
 def _page(story: Story, said: list[str], job: Job) -> str:
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-    from markupsafe import Markup
-
-    loader = PackageLoader("npred", "templates/report")
-    environment = Environment(
-        loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    environment.filters["typeset"] = lambda text: Markup(typography.markup(text))  # which escapes
-    environment.filters["plain"] = typography.plain
-    return environment.get_template("page.html").render(
+    return html_page.filled(
+        "page.html",
         name=job.config.name,
         about=_about(job),
         said=said,
         chapters=list(_chapters(story, job.progress)),
         folded=FOLDED,
-        roles=ROLES,
         facts=_facts(story, job),
         files=job.config.files,
         settings=toml_text.dumps(job.config.beside().model_dump()),
-        style=_template("page.css"),
-        script=_template("page.js"),
     )
 
 
@@ -131,7 +118,3 @@ def _facts(story: Story, job: Job) -> dict[str, dict[str, Any]]:
         "Results": story.keys,
         "Machine": hardware.model_dump(exclude={"versions"}, exclude_unset=True) | hardware.versions,
     }
-
-
-def _template(name: str) -> str:
-    return (files("npred") / "templates" / "report" / name).read_text(encoding="utf-8")

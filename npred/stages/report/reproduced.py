@@ -1,12 +1,11 @@
 """Published experiments as one page, and as Markdown: what was published beside what was measured."""
 
 from collections.abc import Iterator, Sequence
-from importlib.resources import files
 from statistics import median
 from typing import Any, NamedTuple
 
 from npred.figures.figure import Key, Panel, Plate
-from npred.figures.style import ROLES, Look, log, short
+from npred.figures.style import Look, log, short
 from npred.figures.table import Column, Table
 from npred.registry import NETWORKS
 from npred.results import Reproduced, ReproducedRow
@@ -50,20 +49,13 @@ class Excess(NamedTuple):
 
 def page(results: Sequence[Reproduced]) -> str:
     """The page as HTML that needs nothing else; the same results give the same bytes."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-    from markupsafe import Markup
+    from npred.figures import svg
+    from npred.stages.report import html_page
 
-    from npred.figures import svg, typography
-
-    loader = PackageLoader("npred", "templates/report")
-    environment = Environment(
-        loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    environment.filters["typeset"] = lambda text: Markup(typography.markup(text))  # which escapes
-    environment.filters["plain"] = typography.plain
     plates = [plate for plate in [_excesses_drawn(excesses(results))] if plate]
     names = [result.name for result in results]
-    return environment.get_template("reproduced.html").render(
+    return html_page.filled(
+        "reproduced.html",
         name=TITLE,
         about=ABOUT,
         said=summary(results),
@@ -71,9 +63,6 @@ def page(results: Sequence[Reproduced]) -> str:
         chapters=[_chapter(result) for result in results],
         facts={"Experiments": {name: reproduce.load(name).source for name in names}},
         names="".join(f" {name}" for name in names),
-        roles=ROLES,
-        style=_template("page.css"),
-        script=_template("page.js"),
     )
 
 
@@ -231,7 +220,3 @@ def _digits(value: float | None, text: str) -> Digits | None:
 
 def _label(predictor: str) -> str:
     return predictor if predictor == NUMERICAL else NETWORKS.label(predictor)
-
-
-def _template(name: str) -> str:
-    return (files("npred") / "templates" / "report" / name).read_text(encoding="utf-8")

@@ -1,0 +1,27 @@
+"""A page that needs nothing else: a template of the report filled in, its style and its script in it."""
+
+from importlib.resources import files
+from typing import Any
+
+from npred.figures import typography
+from npred.figures.style import ROLES
+
+
+def filled(template: str, **values: Any) -> str:
+    """The page of a template for these values; the same values give the same bytes."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+    from markupsafe import Markup
+
+    loader = PackageLoader("npred", "templates/report")
+    environment = Environment(
+        loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    environment.filters["typeset"] = lambda text: Markup(typography.markup(text))  # which escapes
+    environment.filters["plain"] = typography.plain
+    return environment.get_template(template).render(
+        roles=ROLES, style=_text("page.css"), script=_text("page.js"), **values
+    )
+
+
+def _text(name: str) -> str:
+    return (files("npred") / "templates" / "report" / name).read_text(encoding="utf-8")
