@@ -146,7 +146,7 @@ class ConstantDelay(Family):
         n, m, trace = self.plant.n, self.plant.m, called_functions.trace(self.plant)
         x, (u0, um, u1) = trace.vector("x", n), (trace.vector(name, m) for name in ("a", "m", "b"))
         y = called_functions.stepped(trace, step, x, (u0, um, u1), trace.input("t"), trace.input("h"))
-        y = self.plant.stopped([*y], tape.M)
+        y = self.plant.stopped(y, tape.M)
         bindings = {"t": "(t + j * h)"} | (cell_lines(m) if cells else input_lines(m))
         scalar = programs.lines(y, bindings, [f"y{k}" for k in range(n)])
         scalar += [f"x{k} = P[j + 1, {k}, l] = y{k}" for k in range(n)]

@@ -50,6 +50,7 @@ class Controller:
         self.plant, self.predictor, self.adaptation, self.dt = plant, predictor, adaptation, seconds
         law, self._limits = part(plant, adaptation, seconds), inputs.bounds(plant, input_bounds)
         self.actuator, self._u0 = actuator, inputs.start(plant, u0, self._limits)
+        self._by_law = isinstance(self._u0, str) and self._u0 == inputs.LAW
         self._recalls, self._watches = actuator == loop_checks.HISTORY, law.memory > 1
         self.keeps_commands = self._recalls or self._watches  # a step reads the commands of those before it
         self.parts = Parts(
@@ -64,7 +65,7 @@ class Controller:
         self._take_memory(law.memory, self._kept(D_hat, longest))
         self._set_state(D_hat, None, 0, 0.0)
         self._warm_up()
-        self._awaits_X = isinstance(self._u0, str) and self._u0 == inputs.LAW  # for the commands before the first step
+        self._awaits_X = self._by_law  # for the commands before the first step
 
     @property
     def D_hat(self) -> float:
@@ -94,7 +95,7 @@ class Controller:
     def u0(self) -> np.ndarray:
         """The command before the first step, (m,). Raises ConfigError where it is a history, or kappa of the first
         X."""
-        if isinstance(self._u0, str) and self._u0 == inputs.LAW:
+        if self._by_law:
             raise ConfigError("u0: expected a constant command, got that of the first X; give numbers")
         return inputs.before(self.plant, self._u0, self._limits, np.zeros((1, self.plant.n)))[0]
 

@@ -126,8 +126,10 @@ class Plant:
         """P (B, nx, n) by the simulator of a black box that declares rollout. Raises ConfigError for any other."""
         raise ConfigError(f"plant {self.name}: rollout expected traced = False and rollout(X, u, D_hat, t, p); use rk4")
 
-    def stopped(self, x: Sequence[Any], M: Any) -> list[Any]:
+    def stopped(self, x: Any, M: Any) -> Any:
         """The components of a state after a step, each within `state_bounds`; what is not finite stays visible."""
+        if not self.state_bounds:
+            return x
         ends = [self.state_bounds.get(name, (-np.inf, np.inf)) for name in self.states]
         components = list(x)
         for k, (low, high) in enumerate(ends):

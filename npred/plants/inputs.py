@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 
@@ -124,7 +124,7 @@ def past(plant: Plant, u0: Any, limits: np.ndarray, X0: np.ndarray, span: np.nda
     Raises ConfigError as `start` does, and where there is no equilibrium.
     """
     value = start(plant, u0, limits)
-    if callable(value) or (isinstance(value, np.ndarray) and value.ndim == 2):
+    if callable(value) or _is_table(value):
         return Past(np.zeros((len(X0), plant.m)), span, value, limits)
     return Past(before(plant, u0, limits, X0), span)
 
@@ -132,7 +132,7 @@ def past(plant: Plant, u0: Any, limits: np.ndarray, X0: np.ndarray, span: np.nda
 def rows_of(plant: Plant, u0: Any, limits: np.ndarray, X0: np.ndarray) -> np.ndarray:
     """The `before` of each start; of a history, its rows in turn: for questions about constant inputs, (B, m)."""
     value = start(plant, u0, limits)
-    if isinstance(value, np.ndarray) and value.ndim == 2:
+    if _is_table(value):
         return value[np.arange(len(X0)) % len(value)]
     return before(plant, u0, limits, X0)
 
@@ -145,7 +145,7 @@ def before(plant: Plant, u0: Any, limits: np.ndarray, X0: np.ndarray) -> np.ndar
     Raises ConfigError as `start` does, for a history, and where there is no equilibrium.
     """
     value = start(plant, u0, limits)
-    if callable(value) or (isinstance(value, np.ndarray) and value.ndim == 2):
+    if callable(value) or _is_table(value):
         raise ConfigError("u0: expected a constant input, got a history; give numbers, or a word")
     if isinstance(value, str):
         value = _at_rest(plant, limits) if value == EQUILIBRIUM else _of_law(plant, limits, X0)
@@ -155,15 +155,16 @@ def before(plant: Plant, u0: Any, limits: np.ndarray, X0: np.ndarray) -> np.ndar
 def sentence(plant: Plant, u0: Any, limits: np.ndarray) -> str:
     """u0 in words: q = 0, or q = 0.5 of the equilibrium, or kappa(X0, 0)."""
     value = start(plant, u0, limits)
-    if isinstance(value, np.ndarray) and value.ndim == 2:
+    if _is_table(value):
         return f"a history of {len(value)} rows"
     if isinstance(value, str):
-        return (
-            "kappa(X0, 0)"
-            if value == LAW
-            else f"{source_lines.values(plant.inputs, _at_rest(plant, limits))} of the equilibrium"
-        )
+        at_rest = None if value == LAW else source_lines.values(plant.inputs, _at_rest(plant, limits))
+        return f"{at_rest} of the equilibrium" if at_rest else "kappa(X0, 0)"
     return source_lines.values(plant.inputs, value)
+
+
+def _is_table(value: Any) -> TypeGuard[np.ndarray]:
+    return isinstance(value, np.ndarray) and value.ndim == 2
 
 
 def _of_law(plant: Plant, limits: np.ndarray, X0: np.ndarray) -> np.ndarray:

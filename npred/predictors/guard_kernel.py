@@ -60,7 +60,9 @@ GUARD = """\
                             fallback[l] = 1.0
                         else:
                             doubts += 1
-    {sums}
+    bent, unread = np.empty((m, lanes)), np.empty((m, lanes))
+    if guard[4] < np.inf:
+        {sums}
     for l in range(lanes):
         outside = False
         if guard[4] < np.inf:
@@ -102,7 +104,6 @@ if guard[3] > 0.0:
 # The Legendre moments of u by its sums of 1, j and j², with the trapezoidal rule's weights, and how much of u between
 # nodes a line and a cubic read differently: npred.data.domain.unread.
 SUMS = """\
-bent, unread = np.empty((m, lanes)), np.empty((m, lanes))
 for c in range(m):
     for l in range(lanes):
         square, kinks = 0.5 * last * last * u[last, c, l], 0.0
