@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+from driven import driven
 from operator_samples import EVERY
 
 from npred import grid, plants
@@ -18,24 +19,6 @@ from npred.training.training_loop import Rows
 
 UNICYCLE, IN_TIME = plants.resolve("unicycle"), plants.resolve("unicycle_time_delay")
 NETWORKS = pytest.mark.parametrize("config", EVERY, ids=lambda config: config.architecture)
-
-
-def driven(**parts):
-    """x' = U + sin 2t, whose prediction depends on time even with one delay."""
-
-    class Driven:
-        states, inputs, box = ("x",), ("U",), {"x": (0.0, 1.0)}
-
-        def f(x, u, t, p, M):
-            return [u.U + M.sin(2 * t)]
-
-        def kappa(x, t, p, M):
-            return [-x.x]
-
-        def V(x, t, p, M):
-            return x.x**2
-
-    return Plant("Driven", type("Changed", (Driven,), parts))
 
 
 def network(config):

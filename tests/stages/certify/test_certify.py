@@ -3,12 +3,13 @@
 import h5py
 import numpy as np
 import pytest
+from driven import driven
 from jobs import PLANT as NAME
 from jobs import job, trained
 from operator_samples import SMALL
 
 import npred
-from npred import operators, plants
+from npred import operators
 from npred.config import Certify
 from npred.data.dataset import Dataset
 from npred.loop import metrics
@@ -132,23 +133,8 @@ def test_the_gradient_climbs_through_a_network(certified):
     np.testing.assert_allclose(error, true, rtol=0.2, atol=2e-3)  # torch's P(1) is that of the kernels, u read linearly
 
 
-class Driven:
-    """x' = U + sin 2t: a prediction over one delay that depends on the time."""
-
-    states, inputs, box, period = ("x",), ("U",), {"x": (0.0, 1.0)}, np.pi
-
-    def f(x, u, t, p, M):
-        return [u.U + M.sin(2 * t)]
-
-    def kappa(x, t, p, M):
-        return [-x.x]
-
-    def V(x, t, p, M):
-        return x.x**2
-
-
 def test_a_network_that_sees_the_phase_is_asked_at_the_times_of_the_calls():
-    plant, rng, t = plants.Plant("Driven", Driven), np.random.default_rng(3), np.linspace(0.0, 3.0, 30)
+    plant, rng, t = driven(period=np.pi), np.random.default_rng(3), np.linspace(0.0, 3.0, 30)
     X, u, D = rng.uniform(size=(30, 1)), rng.normal(size=(30, 21, 1)), rng.uniform(0.4, 0.8, 30)
     data = Dataset(X, u, D, RK4(plant, 21)(X, u, D, t), D, t, np.arange(30), np.zeros(30, dtype=bool))
     network = Neural(
