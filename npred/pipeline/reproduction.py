@@ -17,12 +17,12 @@ from npred.json_files import sha256
 from npred.pipeline.plan import UP_TO_DATE
 from npred.pipeline.reasons import NEVER, reason
 from npred.results import Reproduced
+from npred.stages.reproduce.experiment import NETWORKS, NUMERICAL
 from npred.store import Artifact, Question, Store, durable
 from npred.terminal.console import Console
 
 STAGE = "reproduce"
 VERSION = 2
-NUMERICAL, NETWORKS = "numerical", ("fno", "deeponet", "fno_gru", "deeponet_gru")  # the parts of an experiment
 SHARED = Path(__file__).parents[1] / "stages" / STAGE
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 if TYPE_CHECKING:
     from npred.stages.reproduce.network_loop import NetworkLoop
 
-NUMERICAL = "numerical"
+NUMERICAL, NETWORKS = "numerical", ("fno", "deeponet", "fno_gru", "deeponet_gru")  # what predicts
 AS_PUBLISHED, AS_MEANT = "as published", "as meant"
 
 

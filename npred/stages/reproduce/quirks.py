@@ -29,6 +29,16 @@ def half_cell_short(
     return nodes
 
 
+def in_rows(f: Callable[[State, Any], State], dx: float) -> Callable[..., np.ndarray]:
+    """That rule with the call of npred's predictors: P (B, nx, n) of X (B, n), u (B, nx, m) and D_hat (B,)."""
+
+    def predict(X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Any) -> np.ndarray:
+        nodes = half_cell_short(f, tuple(X.T), u.transpose(1, 2, 0), D_hat, dx)
+        return np.array(nodes).transpose(2, 0, 1)
+
+    return predict
+
+
 def upwind(line: np.ndarray, courant: Any, inflow: Any) -> np.ndarray:
     """The actuator's line u_t = u_x / D after a step of dt, by u_j + courant (u_j+1 - u_j), courant = dt / (D dx).
 

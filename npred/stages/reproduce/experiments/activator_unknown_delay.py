@@ -145,12 +145,6 @@ def measure() -> Measurements:
     return {name: Measured(*pair) for name, *pair in zip(ENDS, ends, meant(), strict=True)}
 
 
-def in_rows(X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Any) -> np.ndarray:
-    """The published rule in rows, P (B, 100, 2)."""
-    nodes = quirks.half_cell_short(rates_on_both, tuple(X.T), u.transpose(1, 2, 0), D_hat, DX)
-    return np.array(nodes).transpose(2, 0, 1)
-
-
 def explore(nx: int, predict: Predict, rng: np.random.Generator) -> None:
     """npred's loops from the box that the source trains in, for 60 s, with other first estimates."""
     start = np.array(X0) + rng.uniform(-1, 1, (OTHERS, 2)) * (0.02, 5.0)
@@ -170,7 +164,13 @@ def by_network_meant(predict: Predict) -> dict[str, float]:
 
 LOOPS = {
     AS_PUBLISHED: NetworkLoop(
-        plant, lambda: in_rows, partial(explore, NODES), by_network, calls=3000, nodes=34, anchor="equilibrium"
+        plant,
+        lambda: quirks.in_rows(rates_on_both, DX),
+        partial(explore, NODES),
+        by_network,
+        calls=3000,
+        nodes=34,
+        anchor="equilibrium",
     ),
     AS_MEANT: NetworkLoop(
         plant,

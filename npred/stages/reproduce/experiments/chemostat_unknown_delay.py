@@ -132,11 +132,6 @@ def _names(D: float) -> list[str]:
     return [f"{quantity}(25), D = {D:g}" for quantity in ("Z", "S", "D_hat")]
 
 
-def in_rows(X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Any) -> np.ndarray:
-    """The published rule in rows, P (B, 100, 2)."""
-    return np.array(quirks.half_cell_short(f, tuple(X.T), u.transpose(1, 2, 0), D_hat, DX)).transpose(2, 0, 1)
-
-
 def explore(nx: int, predict: Predict, rng: np.random.Generator) -> None:
     """npred's loops from other starts, with other delays and first estimates."""
     start = np.array(X0) + rng.uniform(-0.3, 0.3, (OTHERS, 2))
@@ -161,7 +156,13 @@ def _ends(ends: dict[float, tuple[float, ...]]) -> dict[str, float]:
 
 LOOPS = {
     AS_PUBLISHED: NetworkLoop(
-        plant, lambda: in_rows, partial(explore, NODES), by_network, calls=STEPS, nodes=34, anchor="equilibrium"
+        plant,
+        lambda: quirks.in_rows(f, DX),
+        partial(explore, NODES),
+        by_network,
+        calls=STEPS,
+        nodes=34,
+        anchor="equilibrium",
     ),
     AS_MEANT: NetworkLoop(
         plant,

@@ -72,11 +72,6 @@ def _asked(predict: Predict, X: np.ndarray, speeds: np.ndarray, turns: np.ndarra
     return predict(X.T, np.stack([speeds, turns]).transpose(2, 1, 0), np.full(X.shape[1], D), t)[:, -1].T
 
 
-def in_rows(X: np.ndarray, u: np.ndarray, D: np.ndarray, t: Any) -> np.ndarray:
-    """The published rule in rows, P (B, 101, 3), the same D for all of them."""
-    return np.array(quirks.half_cell_short(pomet.f, tuple(X.T), u.transpose(1, 2, 0), D, DX)).transpose(2, 0, 1)
-
-
 def _predicted(
     X: np.ndarray, turns: np.ndarray, speeds: np.ndarray, far: np.ndarray, t: float, steers: bool
 ) -> tuple[quirks.State, quirks.State]:
@@ -212,7 +207,7 @@ def by_network_meant(predict: Predict) -> dict[str, float]:
 LOOPS = {
     AS_PUBLISHED: NetworkLoop(
         pomet.plant,
-        lambda: in_rows,
+        lambda: pomet.half_cell_short,
         lambda predict, rng: published_loop(others(rng), steps=EXPLORED, predict=predict),
         by_network,
         calls=2 * EXPLORED,
