@@ -2,7 +2,8 @@
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from copy import deepcopy
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +19,14 @@ from npred.parallel.executors import Threads
 from npred.plants import Plant
 from npred.results.reproduce import TrainedForLoop
 from npred.stages.reproduce.network_loop import SEED, NetworkLoop, Predict, RecordedCalls, recorded
+from npred.stages.reproduce.regression import Quadratic
 from npred.stages.train import SEEDING
 from npred.training import loss, training_loop
 from npred.training.training_loop import Fit, Rows
 
 HELD_OUT = 0.1  # of the rollouts
+ROUND = 4  # a round before the last has this part of the epochs
+ROUNDS_APART = 100  # the rounds of a regression and those of a network have other runs
 DEFAULTS: dict[str, dict[str, Any]] = {
     "deeponet": {"epochs": 30, "batch": 512},
     "fno": {"epochs": 12, "width": 24, "layers": 3},
@@ -31,16 +35,17 @@ DEFAULTS: dict[str, dict[str, Any]] = {
 }
 
 
-def answers(loop: NetworkLoop, operator: Operator) -> Predict:
+def answers(loop: NetworkLoop, operator: Operator, regression: Quadratic | None = None) -> Predict:
     """A trained network as a loop's predictor, in float64; P on fewer nodes than u has where the loop reads P(1)."""
-    plant, operator = loop.plant(), operator.double().eval()
+    plant, operator = loop.plant(), deepcopy(operator).double().eval()
 
     @torch.inference_mode()
     def predict(X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Any) -> np.ndarray:
         stride = (u.shape[1] - 1) // (loop.nodes - 1) if loop.nodes and loop.reads_end else 1
         rows = [torch.tensor(np.asarray(a), dtype=torch.float64) for a in (X, u, D_hat)]
         angle = torch.tensor(plant.phase(np.broadcast_to(t, len(X)))) if plant.phased else None
-        return operator(*rows, angle, stride=stride).numpy()
+        P = operator(*rows, angle, stride=stride).numpy()
+        return P + regression(X, u) if regression else P
 
     return predict
 
@@ -67,34 +72,50 @@ class LoopTraining:
             under_way = {name: threads.submit(self._network, name, loop, sizes) for name, loop in loops.items()}
             done = {name: future.result() for name, future in under_way.items()}
         metrics = {}
-        for name, (operator, _) in done.items():
+        for name, (predict, _) in done.items():
             self.progress.detail(f"{self.title(name)}: in the loop")
-            metrics[name] = loops[name].measure(answers(loops[name], operator))
+            metrics[name] = loops[name].measure(predict)
         return metrics, [trained for _, trained in done.values()]
 
     def title(self, loop: str) -> str:
         """What progress calls the training for a loop."""
         return f"{self.experiment} {self.network}, {loop}"
 
-    def _network(self, name: str, loop: NetworkLoop, sizes: Mapping[str, Any]) -> tuple[Operator, TrainedForLoop]:
-        """A trained network, in two files of the result too."""
+    def _network(self, name: str, loop: NetworkLoop, sizes: Mapping[str, Any]) -> tuple[Predict, TrainedForLoop]:
+        """A trained network as the loop's predictor, in two files of the result too."""
         start, plant, folder = time.perf_counter(), loop.plant(), self.folder / name.replace(" ", "_")
-        scratch = self.scratch / folder.name
-        for place in (folder, scratch):
-            place.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(parents=True, exist_ok=True)
         table = table_of(self.network, {"anchor": loop.anchor, "nodes": loop.nodes, **sizes})
-        fit = self._fit(name, loop, plant, table)
-        *_, last = training_loop.fit(fit, scratch, self.progress)
+        samples = recorded(loop)
+        regression = Quadratic.of(samples) if loop.quadratic else None
+        for turn in range(loop.rounds if regression else 0):  # its own rounds are cheap
+            samples = samples.joined(recorded(loop, regression.predict, turn + 1))
+            regression = Quadratic.of(samples)
+        fit = self._fit(name, loop, plant, table, regression.rest(samples) if regression else samples)
+        for turn in range(loop.rounds):
+            self._trained(fit, folder, turn, max(1, table.epochs // ROUND))
+            more = recorded(loop, answers(loop, fit.operator, regression), ROUNDS_APART + turn)
+            rows = Rows.of(regression.rest(more) if regression else more, nodes=table.nodes, phase=plant.phase(more.t))
+            fit = replace(fit, train=Rows.joined([fit.train, rows]))
+        last = self._trained(fit, folder, loop.rounds, table.epochs)
         save(folder, fit.operator, table, plant)
-        return fit.operator, TrainedForLoop(
+        if regression:
+            regression.save(folder)
+        return answers(loop, fit.operator, regression), TrainedForLoop(
             network=self.network, loop=name, samples=len(fit.train), epochs=last["epoch"], loss=last["loss"],
             parameters=sum(p.numel() for p in fit.operator.parameters()), mse=last["mse"], eps_sup=last["eps_sup"],
             seconds=time.perf_counter() - start,
         )  # fmt: skip
 
-    def _fit(self, name: str, loop: NetworkLoop, plant: Plant, table: Table) -> Fit:
+    def _trained(self, fit: Fit, folder: Path, turn: int, epochs: int) -> dict[str, float]:
+        """The last epoch's metrics of a round, which has its own checkpoints."""
+        scratch = self.scratch / folder.name / str(turn)
+        scratch.mkdir(parents=True, exist_ok=True)
+        config = fit.config.model_copy(update={"epochs": epochs})
+        return training_loop.fit(replace(fit, config=config), scratch, self.progress)[-1]
+
+    def _fit(self, name: str, loop: NetworkLoop, plant: Plant, table: Table, samples: RecordedCalls) -> Fit:
         """What is to be trained: a tenth of the rollouts is held out."""
-        samples = recorded(loop)
         held_out = round(HELD_OUT * len(samples.X) / loop.kept) * loop.kept
         parts = slice(held_out, None), slice(0, held_out)
         fitted, test = (RecordedCalls(*(array[part] for array in samples)) for part in parts)

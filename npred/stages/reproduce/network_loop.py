@@ -26,6 +26,10 @@ class RecordedCalls(NamedTuple):
     P: np.ndarray
     t: np.ndarray
 
+    def joined(self, others: "RecordedCalls") -> "RecordedCalls":
+        """These calls, then others."""
+        return RecordedCalls(*(np.concatenate(pair) for pair in zip(self, others, strict=True)))
+
 
 @dataclass(frozen=True)
 class NetworkLoop:
@@ -34,6 +38,8 @@ class NetworkLoop:
     `measure` gives the published metrics of the published runs. `explore(predict, rng)` runs other rollouts, side by
     side, from wider starts. `numerical` makes the predictor that a network learns. Of the `calls` of a rollout `kept`
     are learned from, P on `nodes` nodes. `reads_end`: of P the loop reads P(1) alone. `spread`, `noise`: see Recorder.
+    `rounds`: so many times, calls of runs that a network disturbs are added to what it has learned from, and its
+    training goes on. `quadratic`: the network learns what a quadratic regression leaves of P.
     """
 
     plant: Callable[[], Plant]
@@ -47,6 +53,8 @@ class NetworkLoop:
     spread: float = 0.02
     noise: float = 0.0
     anchor: Anchor = "initial"
+    rounds: int = 0
+    quadratic: bool = False
 
 
 class Recorder:
@@ -55,12 +63,16 @@ class Recorder:
     A network's errors lead its loop away from the exact one. Errors of two kinds bring such states and such inputs into
     the data: a bias, drawn once per rollout and state, of `spread` times what P moves by, and white noise, in each
     rollout of another standard deviation between a hundredth of `noise` and all of it. What is kept is exact.
+
+    Once there is a network, `learned`, the error is a share of its own, in each rollout another one between a tenth and
+    all of it, and twice `noise` at most: so the data have what its loop meets, but near the exact loop, also while the
+    network would lose it [Ross, Gordon, Bagnell 2011, DAgger].
     """
 
-    def __init__(self, loop: NetworkLoop, rng: np.random.Generator) -> None:
-        self.loop, self.rng, self.predict = loop, rng, loop.numerical()
+    def __init__(self, loop: NetworkLoop, rng: np.random.Generator, learned: Predict | None = None) -> None:
+        self.loop, self.rng, self.predict, self.learned = loop, rng, loop.numerical(), learned
         self.count, self.kept = 0, []
-        self.chosen = self.tilt = self.level = np.zeros(())
+        self.chosen = self.tilt = self.level = self.share = np.zeros(())
 
     def __call__(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Any) -> np.ndarray:
         P = self.predict(X, u, D_hat, t)
@@ -70,7 +82,16 @@ class Recorder:
         times = np.broadcast_to(np.asarray(t, dtype=float), len(X))
         self.kept.append([rows, *(np.array(array[rows], dtype=np.float32) for array in (X, u, D_hat, P, times))])
         self.count += 1
+        if self.learned:
+            return self._disturbed(P, self.learned(X, u, D_hat, t))
         return P + self.tilt * np.abs(P - X[:, None]) + self.level * self.rng.standard_normal(self.tilt.shape)
+
+    def _disturbed(self, P: np.ndarray, P_hat: np.ndarray) -> np.ndarray:
+        """P with a share of a network's error; P(1) alone where the network gives P on other nodes."""
+        if P_hat.shape != P.shape:
+            P, P_hat = P[:, -1:], P_hat[:, -1:]
+        largest = 2 * self.loop.noise or np.inf
+        return P + np.clip(np.nan_to_num(self.share * (P_hat - P)), -largest, largest)
 
     def _draw(self, rollouts: int, n: int) -> None:
         """The calls to keep (B, kept), and the errors of each rollout."""
@@ -78,6 +99,7 @@ class Recorder:
         self.chosen = np.stack([self.rng.choice(calls, self.loop.kept, replace=False) for _ in range(rollouts)])
         self.tilt = self.loop.spread * self.rng.standard_normal((rollouts, 1, n))
         self.level = self.loop.noise * 10 ** self.rng.uniform(-2, 0, (rollouts, 1, 1))
+        self.share = 10 ** self.rng.uniform(-1, 0, (rollouts, 1, 1))
 
     def samples(self) -> RecordedCalls:
         """The calls, those of one rollout together."""
@@ -86,10 +108,10 @@ class Recorder:
         return RecordedCalls(*(array[order] for array in arrays))
 
 
-def recorded(loop: NetworkLoop) -> RecordedCalls:
-    """What a network learns from: `kept` calls of each rollout."""
-    rng = randomness.generator(SEED, "reproduce")
-    recorder = Recorder(loop, rng)
+def recorded(loop: NetworkLoop, learned: Predict | None = None, turn: int = 0) -> RecordedCalls:
+    """What a network learns from: `kept` calls of each rollout; those of another `turn` are other rollouts."""
+    rng = randomness.generator(SEED, "reproduce", *([turn] if turn else []))
+    recorder = Recorder(loop, rng, learned)
     loop.explore(recorder, rng)
     return recorder.samples()
 

@@ -10,6 +10,7 @@ import torch
 
 from npred.operators import load
 from npred.stages.reproduce import learning, network_loop, reproduce
+from npred.stages.reproduce.regression import Quadratic
 from npred.terminal.console import Console
 
 TABLE = {"epochs": 3, "width": 4, "modes": 3, "layers": 1, "nodes": 5}
@@ -37,6 +38,36 @@ def test_the_answers_while_recording_are_not_exact():
     P = recorder(np.zeros((4, 2)), np.zeros((4, 3, 1)), np.ones(4), 0.0)
     assert np.abs(P - 1).min() > 0
     assert np.all(recorder.samples().P == 1)
+
+
+def test_a_network_disturbs_runs_by_a_share_of_its_error_and_twice_noise_at_most():
+    exact = replace(reproduced.small_loop(), numerical=lambda: lambda X, u, D, t: np.ones((4, 3, 2)), calls=1, kept=1)
+    for noise, largest in ((0.0, 1.0), (0.05, 0.1)):
+        loop, wrong = replace(exact, noise=noise), lambda X, u, D, t: np.full((4, 3, 2), 2.0)
+        recorder = network_loop.Recorder(loop, np.random.default_rng(0), wrong)
+        error = recorder(np.zeros((4, 2)), np.zeros((4, 3, 1)), np.ones(4), 0.0) - 1
+        assert np.all((error > 0.0999) & (error < largest + 1e-9))
+        assert np.all(recorder.samples().P == 1)
+
+
+def test_a_regression_is_exact_for_products_of_two():
+    rng = np.random.default_rng(0)
+    X, u = rng.standard_normal((200, 2)), rng.standard_normal((200, 3, 1))
+    P = X[:, None] + np.stack([0 * X, X * u[:, 0], X**2 + u[:, 1] - 1], axis=1)
+    samples = network_loop.RecordedCalls(X, u, np.ones(200), P, np.zeros(200))
+    fitted = Quadratic.of(samples)
+    assert fitted.predict(X, u, samples.D_hat, 0.0) == pytest.approx(P, abs=1e-6)
+    assert pytest.approx(np.repeat(X[:, None], 3, axis=1), abs=1e-6) == fitted.rest(samples).P
+
+
+def test_rounds_add_calls_to_what_a_network_learns_from(tmp_path: Path):
+    loop = replace(reproduced.small_loop(), rounds=2, quadratic=True)
+    training = learning.LoopTraining("small", "fno", tmp_path, tmp_path / "scratch", Console(quiet=True))
+    metrics, (row,) = training.run({"as meant": loop}, TABLE)
+    assert row.samples == 0.9 * 3 * 400 + 2 * 400  # two rounds of the regression, then two of the network
+    exact = loop.measure(loop.numerical())
+    assert metrics["as meant"] == pytest.approx(exact, rel=1e-2)
+    assert (tmp_path / "as_meant" / "quadratic.npz").exists()
 
 
 def test_the_network_is_saved_and_answers_as_it_did(trained):

@@ -19,6 +19,14 @@ def test_the_matrices_are_those_of_the_recursive_algorithms():
 
 
 @pytest.mark.parametrize("about_centre", [True, False])
+def test_both_kinds_of_matrices_agree(about_centre: bool):
+    states = np.random.default_rng(0).standard_normal((2, 7, 5))
+    expected = baxter.dynamics(*states, baxter.pseudo_inertia(about_centre))
+    for ours, theirs in zip(manipulator.recursive(about_centre)(*states), expected, strict=True):
+        assert ours == pytest.approx(theirs, abs=1e-12)
+
+
+@pytest.mark.parametrize("about_centre", [True, False])
 def test_coriolis_torques_do_half_the_work_of_the_changing_mass(about_centre: bool):
     """q' · h = q' M' q' / 2 at any rate, and the published q' · (h · q') 1 is no such thing."""
     J, step = baxter.pseudo_inertia(about_centre), 1e-6

@@ -9,15 +9,28 @@ from typing import Any
 
 import numpy as np
 
+from npred import plants
+from npred.robots import denavit_hartenberg, rigid_body
 from npred.stages.reproduce import baxter, quirks
-from npred.stages.reproduce.experiment import Experiment, Measured, Measurements, PublishedNumber, networks
-from npred.stages.reproduce.network_loop import Predict
+from npred.stages.reproduce.experiment import (
+    AS_MEANT,
+    AS_PUBLISHED,
+    Experiment,
+    Measured,
+    Measurements,
+    PublishedNumber,
+    networks,
+)
+from npred.stages.reproduce.network_loop import NetworkLoop, Predict
 
 RUNS, SAMPLES, DT, LATE = 25, 100, 0.1, 5
 MIDDLE = (baxter.LOW + baxter.HIGH) / 2
 SPIN = np.concatenate([baxter.LOW, -baxter.FASTEST]), np.concatenate([baxter.HIGH, baxter.FASTEST])
 
 Dynamics = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
+
+
+OTHERS = 150  # runs to learn from, in each round
 
 
 def draws() -> np.ndarray:
@@ -98,12 +111,15 @@ def advanced(arm: PublishedArm, X: np.ndarray, torque: np.ndarray) -> np.ndarray
     return quirks.clipped(X + DT * arm.rate(X, torque), *SPIN)
 
 
-def loop(arm: PublishedArm, predict: Predict | None = None) -> tuple[np.ndarray, np.ndarray]:
+def loop(
+    arm: PublishedArm, predict: Predict | None = None, start: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
     """X and P, (100, 25, 10): Euler's method for plant and predictor, a gravity hold first, P in float32.
 
-    No prediction is made in the first 0.5 s, when the law takes X itself. Another predictor may replace Euler's method.
+    No prediction is made in the first 0.5 s, when the law takes X itself. Another predictor may replace Euler's method,
+    and other starts the published ones.
     """
-    start = draws()
+    start = draws() if start is None else start
     predict, D, rest = predict or euler(arm), np.full(len(start), DT * LATE), np.zeros(5)
     torques = quirks.static_hold(arm.law(start, (start[:, :5], rest, rest)), LATE)
     X, P = np.empty((SAMPLES, *start.shape)), np.zeros((SAMPLES, *start.shape))
@@ -140,6 +156,39 @@ def right(about_centre: bool = True) -> PublishedArm:
     return RightArm(partial(baxter.dynamics, J=baxter.pseudo_inertia(about_centre)))
 
 
+def recursive(about_centre: bool) -> Dynamics:
+    """The matrices by npred's recursive algorithms: the same to rounding, and faster on many states."""
+    bodies = denavit_hartenberg.bodies([link if about_centre else _about_frame(link) for link in baxter.TABLE])
+
+    def dynamics(q: np.ndarray, rates: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        angles, speeds, rest = [*np.moveaxis(q, -1, 0)], [*np.moveaxis(rates, -1, 0)], [0.0] * baxter.LINKS
+        M = [_stacked(row, angles) for row in rigid_body.mass_matrix(bodies, angles, np)]
+        h = rigid_body.torques(bodies, angles, speeds, rest, 0.0, np)
+        G = rigid_body.torques(bodies, angles, rest, rest, baxter.GRAVITY, np)
+        return np.stack(M, axis=-2), _stacked(h, angles), _stacked(G, angles)
+
+    return dynamics
+
+
+def _stacked(parts: list[Any], angles: list[np.ndarray]) -> np.ndarray:
+    return np.stack([part + np.zeros_like(angles[0]) for part in parts], axis=-1)
+
+
+def _about_frame(link: denavit_hartenberg.Link) -> denavit_hartenberg.Link:
+    """The link whose moments about its frame are those that the table has about its centre of mass."""
+    x, y, z = link.centre
+    moments = zip(link.moments, (y * y + z * z, x * x + z * z, x * x + y * y), strict=True)
+    products = zip(link.products, (x * y, y * z, x * z), strict=True)
+    less, more = ([number - link.mass * of for number, of in pairs] for pairs in (moments, products))
+    return link._replace(moments=tuple(less), products=tuple(more))
+
+
+def others(rng: np.random.Generator) -> np.ndarray:
+    """Starts to learn from, a little wider than the published ones."""
+    noise = rng.uniform(-0.22, 0.22, (OTHERS, baxter.LINKS))
+    return np.concatenate([MIDDLE + noise, np.zeros_like(noise)], axis=1)
+
+
 def metrics(X: np.ndarray, P: np.ndarray) -> dict[str, float]:
     """Both published metrics of a loop."""
     return {"tracking": tracking(X), "prediction": prediction(X, P)}
@@ -151,6 +200,28 @@ def measure() -> Measurements:
     return {name: Measured(value, meant[name]) for name, value in coded.items()}
 
 
+def _network_loop(arm: PublishedArm) -> NetworkLoop:
+    """The loop of an arm, for networks."""
+    return NetworkLoop(
+        partial(plants.resolve, "baxter_arm5"),
+        lambda: euler(arm),
+        lambda predict, rng: loop(arm, predict, others(rng)),
+        lambda predict: metrics(*loop(arm, predict)),
+        calls=SAMPLES - LATE - 1,
+        kept=SAMPLES - LATE - 1,
+        spread=0.003,
+        noise=0.01,
+        rounds=3,
+        quadratic=True,
+    )
+
+
+LOOPS = {
+    AS_PUBLISHED: _network_loop(PublishedArm(recursive(about_centre=False))),
+    AS_MEANT: _network_loop(RightArm(recursive(about_centre=True))),
+}
+LEARNING = {"loss": "kappa", "batch": 512, "epochs": 16}
+BRANCH = {"basis": LATE + 1, "moments": LATE + 1}  # as many as the nodes that there are
 EXPERIMENT = Experiment(
     "arm with five joints, constant delay",
     "Bhan, Krstic, Shi, arXiv:2411.18964",
@@ -160,4 +231,11 @@ EXPERIMENT = Experiment(
         *networks("tracking", fno="10.375936", deeponet="21.153382", fno_gru="13.684227", deeponet_gru="18.449608"),
         *networks("prediction", fno="0.009430", deeponet="0.174347", fno_gru="0.012214", deeponet_gru="0.043243"),
     ),
+    LOOPS,
+    {
+        "deeponet": {**LEARNING, **BRANCH},
+        "fno": {**LEARNING, "modes": 4},
+        "deeponet_gru": {**LEARNING, "sizes": {**BRANCH, "steps": LATE}},
+        "fno_gru": {**LEARNING, "sizes": {"width": 24, "modes": 4, "steps": LATE}},
+    },
 )
