@@ -88,7 +88,7 @@ class LoopTraining:
         table = table_of(self.network, {"anchor": loop.anchor, "nodes": loop.nodes, **sizes})
         samples = recorded(loop)
         regression = Quadratic.of(samples) if loop.quadratic else None
-        for turn in range(loop.rounds if regression else 0):  # its own rounds are cheap
+        for turn in range(loop.rounds if regression else 0):  # they take seconds
             samples = samples.joined(recorded(loop, regression.predict, turn + 1))
             regression = Quadratic.of(samples)
         fit = self._fit(name, loop, plant, table, regression.rest(samples) if regression else samples)
@@ -108,7 +108,7 @@ class LoopTraining:
         )  # fmt: skip
 
     def _trained(self, fit: Fit, folder: Path, turn: int, epochs: int) -> dict[str, float]:
-        """The last epoch's metrics of a round, which has its own checkpoints."""
+        """The last epoch's metrics of a round; no other shares its checkpoints."""
         scratch = self.scratch / folder.name / str(turn)
         scratch.mkdir(parents=True, exist_ok=True)
         config = fit.config.model_copy(update={"epochs": epochs})

@@ -64,9 +64,9 @@ class Recorder:
     the data: a bias, drawn once per rollout and state, of `spread` times what P moves by, and white noise, in each
     rollout of another standard deviation between a hundredth of `noise` and all of it. What is kept is exact.
 
-    Once there is a network, `learned`, the error is a share of its own, in each rollout another one between a tenth and
-    all of it, and twice `noise` at most: so the data have what its loop meets, but near the exact loop, also while the
-    network would lose it [Ross, Gordon, Bagnell 2011, DAgger].
+    Once there is a network, `learned`, the error is a share of the network's, in each rollout another one between a
+    tenth and all of it, and twice `noise` at most: so the data have what its loop meets, but near the exact loop, also
+    while the network would lose it [Ross, Gordon, Bagnell 2011, DAgger].
     """
 
     def __init__(self, loop: NetworkLoop, rng: np.random.Generator, learned: Predict | None = None) -> None:

@@ -24,13 +24,11 @@ from npred.stages.reproduce.experiment import (
 from npred.stages.reproduce.network_loop import NetworkLoop, Predict
 
 RUNS, SAMPLES, DT, LATE = 25, 100, 0.1, 5
+OTHERS = 150  # runs to learn from, in each round
 MIDDLE = (baxter.LOW + baxter.HIGH) / 2
 SPIN = np.concatenate([baxter.LOW, -baxter.FASTEST]), np.concatenate([baxter.HIGH, baxter.FASTEST])
 
 Dynamics = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
-
-
-OTHERS = 150  # runs to learn from, in each round
 
 
 def draws() -> np.ndarray:
