@@ -15,7 +15,8 @@ from npred.symbolic import kernels
 # j begins, for each input and lane. A lane is summed in scalars: sums in memory would wait for it at each node.
 INTEGRALS = """\
 m, lanes = u.shape[1], u.shape[2]
-mass, turn = np.empty((nx + 1, m, lanes)), np.empty((nx + 1, m, lanes))
+sums = np.empty((2, nx + 1, m, lanes))
+mass, turn = sums[0], sums[1]
 for c in range(m):
     for l in range(lanes):
         whole, lever = 0.5 * u[0, c, l], 0.125 * u[0, c, l]

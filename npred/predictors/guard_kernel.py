@@ -28,7 +28,8 @@ GUARD = """\
     nx, n, lanes = P.shape
     m, last = u.shape[1], nx - 1
     {names}
-    U, A, B = np.empty((m, lanes)), np.empty((m, lanes)), np.empty((m, lanes))
+    few = np.empty((5, m, lanes))
+    U, A, B, bent, unread = few[0], few[1], few[2], few[3], few[4]
     {integrals}
     ratio, doubts = guard[1] / guard[2], 1
     fallback[:] = DOUBT
@@ -60,7 +61,6 @@ GUARD = """\
                             fallback[l] = 1.0
                         else:
                             doubts += 1
-    bent, unread = np.empty((m, lanes)), np.empty((m, lanes))
     if guard[4] < np.inf:
         {sums}
     for l in range(lanes):
@@ -107,11 +107,11 @@ SUMS = """\
 for c in range(m):
     for l in range(lanes):
         square, kinks = 0.5 * last * last * u[last, c, l], 0.0
-        for j in range(1, last):
+        for j in range(1, last - 1):
             square += j * j * u[j, c, l]
+            kinks += abs(u[j - 1, c, l] - u[j, c, l] - u[j + 1, c, l] + u[j + 2, c, l])
+        square += (last - 1) * (last - 1) * u[last - 1, c, l]
         if nx > 3:
-            for j in range(nx - 3):
-                kinks += abs(u[j, c, l] - u[j + 1, c, l] - u[j + 2, c, l] + u[j + 3, c, l])
             kinks += abs(3.0 * u[0, c, l] - 7.0 * u[1, c, l] + 5.0 * u[2, c, l] - u[3, c, l])
             kinks += abs(3.0 * u[last, c, l] - 7.0 * u[last - 1, c, l] + 5.0 * u[last - 2, c, l] - u[last - 3, c, l])
         bent[c, l], unread[c, l] = square, kinks"""
