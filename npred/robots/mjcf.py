@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from npred.errors import ConfigError, first_line, required
-from npred.robots.chain import called_for, declaration, motion, wave_of
-from npred.symbolic import array_math
+from npred.robots import called_chain
+from npred.robots.chain import declaration, wave_of
 
 INTEGRATORS = ("Euler", "RK4", "implicit", "implicitfast")  # MuJoCo's names
 LEFT_OUT = ("CONSTRAINT", "ACTUATION", "SENSOR", "AUTORESET")  # flags of what is no smooth function of state and input
@@ -33,28 +33,12 @@ def mujoco_chain(path: str | Path, pose: Sequence[float] | None = None, integrat
     about or slide along one axis.
     """
     engine = _Engine(Path(path), integrator)
-    n, wave = len(engine.joints), wave_of(engine.joints, pose)
-
-    def f(X: np.ndarray, u: np.ndarray, t: Any, p: Any) -> np.ndarray:
-        return np.hstack([X[:, n:], engine.accelerations(X[:, :n], X[:, n:], u, p.gravity)])
-
-    def kappa(X: np.ndarray, t: Any, p: Any) -> np.ndarray:
-        sought = called_for(X.T, t, p, array_math.NUMPY, wave)
-        speeds, accelerations = (np.stack([a + np.zeros(len(X)) for a in rows], axis=1) for rows in sought)
-        torques = engine.torques(X[:, :n], X[:, n:], accelerations, p.gravity)
-        return torques + engine.model.dof_damping * (speeds - X[:, n:])
-
-    def V(X: np.ndarray, t: Any, p: Any) -> np.ndarray:
-        return ((X - reference(np.broadcast_to(t, len(X)), p)) ** 2).sum(axis=1)
-
-    def reference(t: np.ndarray, p: Any) -> np.ndarray:
-        goal, speed, _ = motion(t, p, array_math.NUMPY, wave)
-        return np.stack(goal + speed, axis=1)
+    wave = wave_of(engine.joints, pose)
 
     def rollout(X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Any, p: Any) -> np.ndarray:
         return engine.rollout(X, u, D_hat, p.gravity)
 
-    functions = {"f": f, "kappa": kappa, "V": V, "reference": reference, "rollout": rollout}
+    functions = called_chain.functions(engine, wave) | {"rollout": rollout}
     return declaration(Path(path).name, engine.joints, wave, functions, traced=False, files=(path,))
 
 
@@ -117,15 +101,17 @@ class _Engine:
             row[:] = data.qacc
         return accelerations
 
-    def torques(self, q: np.ndarray, rates: np.ndarray, accelerations: np.ndarray, gravity: float) -> np.ndarray:
-        """The torques (B, n) of that motion, damping and springs overcome, by mj_inverse."""
+    def torques(
+        self, q: np.ndarray, rates: np.ndarray, accelerations: np.ndarray, speeds: np.ndarray, gravity: float
+    ) -> np.ndarray:
+        """The torques (B, n) of that motion by mj_inverse, springs overcome, and damping as at `speeds`."""
         model, data, inverse = self._pulled(gravity), self.data, self.mujoco.mj_inverse
         torques = np.empty(q.shape)
         for at, rate, acceleration, row in zip(q, rates, accelerations, torques, strict=True):
             data.qpos, data.qvel, data.qacc = at, rate, acceleration
             inverse(model, data)
             row[:] = data.qfrc_inverse
-        return torques
+        return torques + model.dof_damping * (speeds - rates)
 
     def rollout(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, gravity: float) -> np.ndarray:
         """P (B, nx, 2 n) of X (B, 2 n) by one call of mujoco.rollout for all rows of one D_hat (B,).

@@ -2,14 +2,12 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from npred.errors import required
-from npred.robots import urdf
-from npred.robots.chain import called_for, declaration, motion, wave_of
-from npred.symbolic import array_math
+from npred.robots import called_chain, urdf
+from npred.robots.chain import declaration, wave_of
 
 
 def pin_chain(path: str | Path, pose: Sequence[float] | None = None) -> type:
@@ -18,26 +16,8 @@ def pin_chain(path: str | Path, pose: Sequence[float] | None = None) -> type:
     Raises MissingError without the extra, ConfigError for a file that is no such chain.
     """
     bodies = urdf.read(path)
-    wave, library = wave_of(bodies, pose), _Library(Path(path))
-    n = len(bodies)
-
-    def f(X: np.ndarray, u: np.ndarray, t: Any, p: Any) -> np.ndarray:
-        return np.hstack([X[:, n:], library.accelerations(X[:, :n], X[:, n:], u, p.gravity)])
-
-    def kappa(X: np.ndarray, t: Any, p: Any) -> np.ndarray:
-        sought = called_for(X.T, t, p, array_math.NUMPY, wave)
-        speeds, accelerations = (np.stack([a + np.zeros(len(X)) for a in rows], axis=1) for rows in sought)
-        torques = library.torques(X[:, :n], X[:, n:], accelerations, p.gravity)
-        return torques + library.model.damping * speeds
-
-    def V(X: np.ndarray, t: Any, p: Any) -> np.ndarray:
-        return ((X - reference(np.broadcast_to(t, len(X)), p)) ** 2).sum(axis=1)
-
-    def reference(t: np.ndarray, p: Any) -> np.ndarray:
-        goal, speed, _ = motion(t, p, array_math.NUMPY, wave)
-        return np.stack(goal + speed, axis=1)
-
-    functions = {"f": f, "kappa": kappa, "V": V, "reference": reference}
+    wave = wave_of(bodies, pose)
+    functions = called_chain.functions(_Library(Path(path)), wave)
     return declaration(Path(path).name, bodies, wave, functions, traced=False, files=(path,))
 
 
@@ -56,11 +36,14 @@ class _Library:
         rows = zip(q, rates, forces, strict=True)
         return np.array([self.pin.aba(self.model, self.data, self._at(a), b, c) for a, b, c in rows])
 
-    def torques(self, q: np.ndarray, rates: np.ndarray, accelerations: np.ndarray, gravity: float) -> np.ndarray:
-        """The torques (B, n) of that motion without friction, by the recursive Newton-Euler algorithm."""
+    def torques(
+        self, q: np.ndarray, rates: np.ndarray, accelerations: np.ndarray, speeds: np.ndarray, gravity: float
+    ) -> np.ndarray:
+        """The torques (B, n) of that motion by the recursive Newton-Euler algorithm, friction as at `speeds`."""
         self._pull(gravity)
         rows = zip(q, rates, accelerations, strict=True)
-        return np.array([self.pin.rnea(self.model, self.data, self._at(a), b, c) for a, b, c in rows])
+        torques = np.array([self.pin.rnea(self.model, self.data, self._at(a), b, c) for a, b, c in rows])
+        return torques + self.model.damping * speeds
 
     def _pull(self, gravity: float) -> None:
         self.model.gravity.linear = np.array([0.0, 0.0, -gravity])
