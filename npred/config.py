@@ -37,7 +37,7 @@ Anchor = Literal["none", "initial", "equilibrium"]
 Actuator = Literal["measured", "history"]
 Share = Annotated[float, Field(ge=0, lt=1, strict=True)]
 # left out of a dump where they say nothing
-ADDED = ("actuator", "measurement", "disturbance", "truth", "scenarios", "guard", "certify", "refine")
+ADDED = ("actuator", "measurement", "disturbance", "truth", "scenarios", "guard", "certify", "refine", "spread")
 
 
 def _part(parts: Registry, others: tuple[str, ...], name: str) -> str:
@@ -194,8 +194,10 @@ class Generate(Loop):
 
     The share `explore` of the rollouts, the last ones, takes its delays from explore_D and explore_D_hat0: they widen
     what a network is trained on, and all of them are trained on. So does the share `redraw` of all rows to train on:
-    their D_hat is drawn from explore_D_hat0 instead of the loop's, and P is the numerical predictor's for it. The
-    evaluation makes more rollouts and rows of both kinds, which no network has seen, and reports their errors apart.
+    their D_hat is drawn from explore_D_hat0 instead of the loop's, and P is the numerical predictor's for it. With
+    `spread` their X and u are moved off the loop too, near it and farther away: where the delay is known the loops of
+    the exact prediction run along one curve, and a network's own loops beside it. The evaluation makes more rollouts
+    and rows of both kinds, which no network has seen, and reports their errors apart.
     `data` is an HDF5 file with these samples, as `npred import` and `npred export hdf5` write it: nothing is simulated.
     """
 
@@ -207,6 +209,7 @@ class Generate(Loop):
     test_share: Annotated[float, Field(gt=0, lt=1)] = 0.1  #: of the rollouts, held out
     explore: Annotated[float, Field(ge=0, lt=1)] = 0.0  #: share of rollouts with delays from explore_D, explore_D_hat0
     redraw: Annotated[float, Field(ge=0, lt=1)] = 0.0  #: share of rows with a D_hat drawn anew
+    spread: Delay = 0.0  #: how far redrawn rows are off the loop at most, in standard deviations of X and of u on it
     explore_D: Range = (0.25, 2.0)  #: D of exploring rollouts
     explore_D_hat0: Range = (0.25, 3.5)  #: D_hat(0) of those, and D_hat of redrawn rows
     data: str = ""  #: an HDF5 file of samples instead of rollouts

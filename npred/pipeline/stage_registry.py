@@ -213,7 +213,7 @@ def _held_out(config: Pipeline) -> dict[str, Any]:
     section = config.generate
     if section.data or not (section.explore or section.redraw):
         return {}
-    keys = ("test_share", "explore", "redraw", "explore_D", "explore_D_hat0")
+    keys = ("test_share", "explore", "redraw", "spread", "explore_D", "explore_D_hat0")
     return {"generate": {key: value for key, value in _dump(section).items() if key in keys}}
 
 

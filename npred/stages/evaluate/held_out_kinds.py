@@ -23,8 +23,9 @@ def held_out(job: Job, data: Dataset) -> dict[str, Labelled]:
     """Rows of each kind that the networks were trained on; the first are the data's, and the headline's.
 
     nominal: rollouts with the delays of `D` and `D_hat0`, and the D_hat of the loop. exploring: rollouts with the
-    delays of `explore_D` and `explore_D_hat0`. redrawn: the rows of both with a D_hat drawn from `explore_D_hat0`. Of
-    imported data, `imported`, nobody knows what they are. Rows that are not finite are left out, with a note.
+    delays of `explore_D` and `explore_D_hat0`. redrawn: the rows of both with a D_hat drawn from `explore_D_hat0`, and
+    moved by `spread`. Of imported data, `imported`, nobody knows what they are. Rows that are not finite are left out,
+    with a note.
     """
     config, nominal = job.config.generate, Labelled.held_out(data)
     if config.data:
@@ -49,8 +50,9 @@ def _redrawn(job: Job, rows: Labelled) -> Labelled:
     config = job.config.generate
     rng = randomness.generator(job.config.seed, "held out", "redraw")
     D_hat = rng.uniform(*config.explore_D_hat0, len(rows.X))
-    P = numerical(config.predictor, job.plant, config.nx)(rows.X, rows.u, D_hat, rows.t)
-    return Labelled(rows.X, rows.u, D_hat, P, rows.t)
+    aside, push = sampling.spread(rng, config, rows.X, rows.u) if config.spread else (0.0, 0.0)
+    X, u = rows.X + aside, rows.u + push
+    return Labelled(X, u, D_hat, numerical(config.predictor, job.plant, config.nx)(X, u, D_hat, rows.t), rows.t)
 
 
 def _finite(job: Job, kind: str, rows: Labelled) -> Labelled:

@@ -70,8 +70,9 @@ def _chunk(pipeline: Pipeline, plant: Plant, chunk: range, finite: bool) -> Colu
     if finite:
         _finite(plant, config, chunk, X0, loops)
     count = steps.shape[1]
-    D_hat = sampling.redrawn(pipeline.seed, config, chunk, loops.samples.D_hat)
-    rows = {"X": loops.samples.X, "u": loops.samples.u, "D_hat": D_hat}
+    taken = loops.samples
+    X, u, D_hat = sampling.redrawn(pipeline.seed, config, chunk, taken.X, taken.u, taken.D_hat)
+    rows = {"X": X, "u": u, "D_hat": D_hat}
     rows |= {"D": D_hat if plant.declares_delay else np.repeat(D[:, None], count, 1), "t": steps * config.dt}
     rows["P"] = _predicted(predictor, rows)
     rows["rollout"] = np.repeat(np.array(chunk, dtype=np.int32)[:, None], count, 1)

@@ -4,9 +4,12 @@ from functools import lru_cache
 
 import numpy as np
 
-from npred import randomness
+from npred import grid, randomness
 from npred.config import Generate, Range
 from npred.plants import Plant
+
+NEAREST = 0.01  # of `spread`: the smallest displacement of a row
+SMOOTH = 6  # Legendre polynomials in a displacement of u
 
 
 def starts(seed: int, config: Generate, plant: Plant, chunk: range) -> tuple[np.ndarray, ...]:
@@ -22,15 +25,35 @@ def starts(seed: int, config: Generate, plant: Plant, chunk: range) -> tuple[np.
     return tuple(np.array(column) for column in zip(*drawn, strict=True))
 
 
-def redrawn(seed: int, config: Generate, chunk: range, D_hat: np.ndarray) -> np.ndarray:
-    """D_hat (B, S) with the share `redraw` of it drawn anew, in the rollouts that are trained on."""
-    D_hat, kept = D_hat.copy(), spared(seed, config)
-    for row, r in zip(D_hat, chunk, strict=True):
+def redrawn(
+    seed: int, config: Generate, chunk: range, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """X (B, S, n), u (B, S, nx, m), D_hat (B, S), the share `redraw` anew in the rollouts that are trained on."""
+    X, u, D_hat, kept = X.copy(), u.copy(), D_hat.copy(), spared(seed, config)
+    for k, r in enumerate(chunk):
         if config.redraw and r < config.rollouts and r not in kept:
             rng = randomness.generator(seed, "redraw", r)
-            chosen = rng.random(len(row)) < config.redraw
-            row[chosen] = rng.uniform(*config.explore_D_hat0, chosen.sum())
-    return D_hat
+            chosen = rng.random(len(D_hat[k])) < config.redraw
+            D_hat[k, chosen] = rng.uniform(*config.explore_D_hat0, chosen.sum())
+            if config.spread:
+                (aside, push), rows = spread(rng, config, X[k], u[k]), chosen[:, None]
+                X[k] += rows * aside
+                u[k] += rows[..., None] * push
+    return X, u, D_hat
+
+
+def spread(rng: np.random.Generator, config: Generate, X: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Displacements of X (S, n) and of u (S, nx, m), in units of the standard deviations of their columns.
+
+    Each row has one size, from `spread` down to a hundredth of it, all orders of magnitude alike: the network is to be
+    accurate near the loop, and not lost off it. That of u is a smooth function of x: its Legendre moments are normal,
+    the k-th of standard deviation 1 / (1 + k).
+    """
+    size = config.spread * NEAREST ** rng.random((len(X), 1))
+    shapes = np.polynomial.legendre.legvander(2 * grid.nodes(u.shape[1]) - 1, SMOOTH - 1)  # (nx, SMOOTH)
+    moments = rng.standard_normal((len(u), SMOOTH, u.shape[2])) / (1 + np.arange(SMOOTH))[:, None]
+    aside = size * X.std(axis=0) * rng.standard_normal(X.shape)
+    return aside, size[..., None] * u.std(axis=(0, 1)) * (shapes @ moments)
 
 
 def held_out(seed: int, config: Generate) -> np.ndarray:

@@ -39,6 +39,16 @@ def test_every_kind_that_is_trained_on_is_held_out(made):
     np.testing.assert_array_equal(redrawn.X, np.concatenate([test.X, held_out["exploring"].X]))
 
 
+def test_redrawn_rows_are_held_out_off_the_loop_as_they_are_trained_on(made):
+    task, data, held_out = made
+    apart = task.config.model_copy(update={"generate": task.config.generate.model_copy(update={"spread": 0.1})})
+    moved = held_out_kinds.held_out(replace(task, config=apart), data)
+    np.testing.assert_array_equal(moved["nominal"].X, held_out["nominal"].X)
+    rows = moved["redrawn"]
+    assert (rows.X != held_out["redrawn"].X).all() and (rows.u != held_out["redrawn"].u).any(axis=(1, 2)).all()
+    np.testing.assert_allclose(rows.P, RK4(PLANT)(rows.X, rows.u, rows.D_hat), rtol=1e-9)
+
+
 def test_no_row_that_is_trained_on_is_held_out(made):
     _, data, held_out = made
     trained = {row.tobytes() for row in data.subset(test=False).u}

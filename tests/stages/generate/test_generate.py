@@ -228,6 +228,23 @@ def test_redrawn_delay_estimates_are_labelled_anew_and_spare_the_held_out_rows(t
     )
 
 
+def test_redrawn_rows_are_off_the_loop_by_up_to_spread_and_by_far_less(tmp_path):
+    one = {"D_hat0": [(1.0, 2.0)], "D": 1.0, "redraw": 0.5}
+    _, plain = rows(tmp_path, "plain", generate=one)
+    _, data = rows(tmp_path, "spread", generate=one | {"spread": 0.1})
+    np.testing.assert_array_equal(data.D_hat, plain.D_hat)
+    moved = (data.X != plain.X).any(axis=1)
+    assert 0.35 < moved[data.test == 0].mean() < 0.65 and not moved[data.test == 1].any()
+    np.testing.assert_array_equal(data.u[~moved], plain.u[~moved])
+    of_u = np.abs(data.u - plain.u)[moved].max(axis=(1, 2)) / plain.u.std()
+    assert of_u.min() < 0.01 and 0.05 < of_u.max() < 1.0
+    pushes = (data.u - plain.u)[moved, :, 0]
+    assert np.abs(np.diff(pushes, 7)).max() < 1e-2 * np.abs(pushes).max(), "smooth, a polynomial of degree 5"
+    np.testing.assert_allclose(
+        data.P, RK4(plants.resolve("activator_repressor"))(data.X, data.u, data.D_hat), rtol=1e-9
+    )
+
+
 NOISY = {"measurement": {"noise": 0.02, "period": 0.1}, "actuator": "history"}
 
 
