@@ -1,6 +1,7 @@
 """An arm from its MJCF file by MuJoCo, a physics engine that cannot be traced: a black box. Extra: npred[mujoco].
 
 from pathlib import Path
+from threading import Lock
 from npred.robots import mujoco_chain
 
 Arm = mujoco_chain(Path(__file__).with_name("my_arm.xml"))
@@ -9,6 +10,7 @@ Arm = mujoco_chain(Path(__file__).with_name("my_arm.xml"))
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from threading import Lock
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -36,7 +38,8 @@ def mujoco_chain(path: str | Path, pose: Sequence[float] | None = None, integrat
     wave = wave_of(engine.joints, pose)
 
     def rollout(X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Any, p: Any) -> np.ndarray:
-        return engine.rollout(X, u, D_hat, p.gravity)
+        with engine.alone:
+            return engine.rollout(X, u, D_hat, p.gravity)
 
     functions = called_chain.functions(engine, wave) | {"rollout": rollout}
     return declaration(Path(path).name, engine.joints, wave, functions, traced=False, files=(path,))
@@ -65,7 +68,7 @@ class _Engine:
                 raise ConfigError(f"mujoco_chain: integrator expected one of {names}, got {integrator!r}; choose one")
             self.model.opt.integrator = getattr(self.mujoco.mjtIntegrator, f"mjINT_{integrator.upper()}")
         self.joints = self._joints(path)
-        self.data = self.mujoco.MjData(self.model)
+        self.data, self.alone = self.mujoco.MjData(self.model), Lock()
         state = self.mujoco.mjtState
         self.held = state.mjSTATE_QFRC_APPLIED.value
         self.size = self.mujoco.mj_stateSize(self.model, state.mjSTATE_FULLPHYSICS.value)

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from threading import Lock
 
 import numpy as np
 
@@ -27,7 +28,7 @@ class _Library:
     def __init__(self, path: Path) -> None:
         self.pin = required("pin_chain", "pinocchio", "pinocchio", "pin")
         self.model = self.pin.buildModelFromUrdf(str(path))
-        self.data = self.model.createData()
+        self.data, self.alone = self.model.createData(), Lock()
 
     def accelerations(self, q: np.ndarray, rates: np.ndarray, u: np.ndarray, gravity: float) -> np.ndarray:
         """q'' (B, n) by the articulated-body algorithm."""

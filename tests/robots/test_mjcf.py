@@ -1,5 +1,7 @@
 """An arm by MuJoCo: Pinocchio and SciPy agree on it, and what the engine cannot do is said in one line."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 from conftest import HERE
@@ -184,3 +186,15 @@ def test_without_the_engine_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "mujoco", None)
     with pytest.raises(MissingError, match=r"pip install 'npred\[mujoco\]'"):
         mujoco_chain(FILE)
+
+
+def test_threads_do_not_meet_in_the_engines_memory(arm):
+    rng = np.random.default_rng(5)
+    jobs = [(rng.normal(size=(200, arm.n)), rng.normal(size=(200, arm.m))) for _ in range(4)]
+    serial = [(arm.f(X, u, 0.0), arm.kappa(X, 0.0)) for X, u in jobs]
+    with ThreadPoolExecutor(4) as threads:
+        for _ in range(5):
+            found = list(threads.map(lambda job: (arm.f(*job, 0.0), arm.kappa(job[0], 0.0)), jobs))
+            for here, there in zip(found, serial, strict=True):
+                np.testing.assert_array_equal(here[0], there[0])
+                np.testing.assert_array_equal(here[1], there[1])
