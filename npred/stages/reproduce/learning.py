@@ -88,14 +88,16 @@ class LoopTraining:
         table = table_of(self.network, {"anchor": loop.anchor, "nodes": loop.nodes, **sizes})
         samples = recorded(loop)
         regression = Quadratic.of(samples) if loop.quadratic else None
-        for turn in range(loop.rounds if regression else 0):  # they take seconds
-            samples = samples.joined(recorded(loop, regression.predict, turn + 1))
-            regression = Quadratic.of(samples)
+        if regression:
+            for turn in range(loop.rounds):  # they take seconds
+                samples = samples.joined(recorded(loop, regression.predict, turn + 1))
+                regression = Quadratic.of(samples)
         fit = self._fit(name, loop, plant, table, regression.rest(samples) if regression else samples)
         for turn in range(loop.rounds):
             self._trained(fit, folder, turn, max(1, table.epochs // ROUND))
             more = recorded(loop, answers(loop, fit.operator, regression), ROUNDS_APART + turn)
             rows = Rows.of(regression.rest(more) if regression else more, nodes=table.nodes, phase=plant.phase(more.t))
+            assert isinstance(fit.train, Rows)  # as _fit made it
             fit = replace(fit, train=Rows.joined([fit.train, rows]))
         last = self._trained(fit, folder, loop.rounds, table.epochs)
         save(folder, fit.operator, table, plant)
@@ -107,7 +109,7 @@ class LoopTraining:
             seconds=time.perf_counter() - start,
         )  # fmt: skip
 
-    def _trained(self, fit: Fit, folder: Path, turn: int, epochs: int) -> dict[str, float]:
+    def _trained(self, fit: Fit, folder: Path, turn: int, epochs: int) -> dict[str, Any]:
         """The last epoch's metrics of a round; no other shares its checkpoints."""
         scratch = self.scratch / folder.name / str(turn)
         scratch.mkdir(parents=True, exist_ok=True)
