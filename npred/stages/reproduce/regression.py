@@ -28,12 +28,13 @@ class Quadratic:
         """The least squares fit to these calls."""
         inputs = _inputs(samples.X, samples.u)
         mean, spread = inputs.mean(axis=0), inputs.std(axis=0)
-        A = _products((inputs - mean) / np.where(spread > 0, spread, 1.0))
+        spread[spread == 0.0] = 1.0
+        A = _products((inputs - mean) / spread)
         moved = (samples.P - samples.X[:, None]).astype(float).reshape(len(A), -1)
         size = np.sqrt((A**2).sum(axis=0))
         gram = A.T @ A / (size[:, None] * size) + RIDGE * np.eye(len(size))
         weights = np.linalg.solve(gram, A.T @ moved / size[:, None]) / size[:, None]
-        return cls(mean, np.where(spread > 0, spread, 1.0), weights)
+        return cls(mean, spread, weights)
 
     def __call__(self, X: np.ndarray, u: np.ndarray) -> np.ndarray:
         """P - X (B, nx, n) of X (B, n) and u (B, nx, m)."""
