@@ -14,12 +14,17 @@ def small_loop() -> NetworkLoop:
     """X' of the scalar plant with D = 0.5; its metric is the size of the prediction at the end of 2 s, from 0.4."""
     return NetworkLoop(
         lambda: plants.resolve("scalar"),
-        lambda: npred.predictor("rk4", plants.resolve("scalar"), nx=NX).predict,
+        lambda: numerical().predict,
         lambda predict, rng: _simulated(predict, rng.uniform(-0.5, 0.5, (40, 1))),
         lambda predict: {"error": 1.0 + float(np.abs(_simulated(predict, np.array([[0.4]])).X[:, -1]).max())},
         calls=STEPS,
         kept=10,
     )
+
+
+def numerical() -> npred.Predictor:
+    """What its networks learn."""
+    return npred.predictor("rk4", plants.resolve("scalar"), nx=NX)
 
 
 def _simulated(predict: Predict, X0: np.ndarray) -> Trajectories:

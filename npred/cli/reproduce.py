@@ -32,7 +32,7 @@ def reproduce(
     store = Reproduction(options.results, options.console, force)
     results = [store.result(name, trained=not numerical) for name in chosen]
     document = {"experiments": [result.json_object() for result in results]}
-    options.show(document, lambda: stage.table(results, options.console.width))
+    options.show(document, lambda: stage.summary(results, options.console.width))
     _publish(options, results, output, whole=chosen == registry.EXPERIMENTS.names() and not numerical)
 
 

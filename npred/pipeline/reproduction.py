@@ -17,7 +17,7 @@ from npred.json_files import sha256
 from npred.pipeline.plan import UP_TO_DATE
 from npred.pipeline.reasons import NEVER, reason
 from npred.results import Reproduced
-from npred.stages.reproduce.experiment import NETWORKS, NUMERICAL
+from npred.stages.reproduce.experiment import NETWORKS, NUMERICAL, TIMES
 from npred.store import Artifact, Question, Store, durable
 from npred.terminal.console import Console
 
@@ -27,7 +27,8 @@ SHARED = Path(__file__).parents[1] / "stages" / STAGE
 
 
 def question(name: str, part: str = NUMERICAL) -> Question:
-    """The question of a part of an experiment to the store: its numerical rows, or a network that is trained for it.
+    """The question of a part of an experiment to the store: its numerical rows, a network that is trained for it, or
+    the times of single predictions.
 
     Raises ConfigError for a name that there is no experiment of.
     """
@@ -40,7 +41,7 @@ def question(name: str, part: str = NUMERICAL) -> Question:
     if part == NUMERICAL:
         return Question(stage=STAGE, version=VERSION, model=name, config=config, inputs={})
     model = f"{name}_{part}"
-    return Question(stage=STAGE, version=VERSION, model=model, config=config | {"network": part}, inputs={})
+    return Question(stage=STAGE, version=VERSION, model=model, config=config | {"part": part}, inputs={})
 
 
 def questions(name: str) -> list[Question]:
@@ -48,7 +49,7 @@ def questions(name: str) -> list[Question]:
     from npred.stages.reproduce import reproduce
 
     rows = question(name)  # which refuses a name that there is none of
-    return [rows, *(question(name, network) for network in reproduce.load(name).trained)]
+    return [rows, *(question(name, part) for part in reproduce.load(name).parts[1:])]
 
 
 def _code(name: str) -> list[Path]:
@@ -64,8 +65,9 @@ def _code(name: str) -> list[Path]:
 
 
 def keys() -> set[str]:
-    """The keys of all experiments and their networks as the code is now: what gc keeps."""
-    return {question(name, part).key for name in registry.EXPERIMENTS.builtin for part in (NUMERICAL, *NETWORKS)}
+    """The keys of all experiments' parts as the code is now: what gc keeps."""
+    parts = NUMERICAL, TIMES, *NETWORKS
+    return {question(name, part).key for name in registry.EXPERIMENTS.builtin for part in parts}
 
 
 @dataclass(frozen=True)
@@ -77,12 +79,13 @@ class Reproduction:
     force: bool = False
 
     def result(self, name: str, trained: bool = True) -> Reproduced:
-        """An experiment's rows, without its networks where they are not to be `trained`: those of each come by
-        themselves, so that an interrupted run goes on where it was.
+        """An experiment's rows; without its networks, and the times of predictions, where none are to be `trained`.
+
+        Each part is a result by itself, so that an interrupted run goes on where it was.
         """
         from npred.stages.reproduce import reproduce
 
-        parts = [NUMERICAL, *(reproduce.load(name).trained if trained else ())]
+        parts = reproduce.load(name).parts if trained else [NUMERICAL]
         return reproduce.joined([Reproduced.read(self._bring(name, part).folder) for part in parts], trained)
 
     def _bring(self, name: str, part: str) -> Artifact:
@@ -107,6 +110,8 @@ class Reproduction:
         with durable.room(self.store.root), self.store.draft(STAGE, asked.key) as folder:
             if part == NUMERICAL:
                 result = reproduce.numerical(name)
+            elif part == TIMES:
+                result = reproduce.times(name)
             else:
                 result = reproduce.network(name, part, folder, scratch, self.console)
             text = json.dumps(result.json_object(), indent=1, allow_nan=False)
@@ -134,4 +139,4 @@ def summary(document: dict[str, Any], width: int | None = None) -> str:
     """A result's JSON as a table. Raises StoreError where it is none."""
     from npred.stages.reproduce import reproduce
 
-    return reproduce.table([Reproduced.of(document, "result")], width)
+    return reproduce.summary([Reproduced.of(document, "result")], width)

@@ -25,6 +25,17 @@ class TrainedForLoop(Result):
     mse: float  #: mean square error of P on rollouts that were held out
     eps_sup: float  #: largest error of P there
     seconds: float  #: of training, the samples' included
+    ms: float  #: milliseconds of one prediction, compiled: the median of single calls
+
+
+class PredictionTime(Result):
+    """The time of one prediction, as printed and as measured here."""
+
+    predictor: str  #: `numerical`, or the network's name
+    setting: str  #: what is computed: the method and its steps
+    published_ms: float | None = None  #: as printed; null where the source prints none
+    ms: float | None = None  #: milliseconds here, compiled: the median of single calls; null: not measured
+    error: float | None = None  #: sup |P_hat - P| of these calls at the end of the delay
 
 
 class Reproduced(Result):
@@ -33,3 +44,4 @@ class Reproduced(Result):
     name: str  #: the experiment
     rows: list[ReproducedRow]  #: one per predictor and metric
     trained: list[TrainedForLoop] = []  #: the networks behind the rows
+    times: list[PredictionTime] = []  #: of single predictions

@@ -72,6 +72,7 @@ def test_the_document_has_these_keys_and_no_others():
                      "as_meant": None},
                 ],
                 "trained": [],
+                "times": [],
             }
         ]
     }  # fmt: skip

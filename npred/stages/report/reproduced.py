@@ -173,7 +173,7 @@ def _heading(name: str) -> str:
 
 
 def tables(result: Reproduced) -> list[Table]:
-    """The rows of an experiment, and the networks that were trained for them."""
+    """The rows of an experiment, the times of predictions, and the networks that were trained."""
     rows = [(row, cells) for row, cells in zip(result.rows, reproduce.rows(result), strict=True)]
     numbers = [
         Column(head, [_digits(getattr(row, key), cells[place]) for row, cells in rows], "s")
@@ -188,7 +188,20 @@ def tables(result: Reproduced) -> list[Table]:
         Column("metric", [row.metric for row, _ in rows]),
         *numbers,
     ]
-    return [Table(f"{result.name}-rows", "Published and measured", columns), *_trained(result)]
+    return [Table(f"{result.name}-rows", "Published and measured", columns), *_times(result), *_trained(result)]
+
+
+def _times(result: Reproduced) -> Iterator[Table]:
+    times = result.times
+    if not times:
+        return
+    yield Table(f"{result.name}-times", "Time of one prediction", [
+        Column("predictor", [_label(each.predictor) for each in times]),
+        Column("of one prediction", [each.setting for each in times]),
+        Column("published, ms", [each.published_ms for each in times], ".3g"),
+        Column("here, ms", [each.ms for each in times], ".3g"),
+        Column("sup error", [each.error for each in times], digits=2),
+    ])  # fmt: skip
 
 
 def _trained(result: Reproduced) -> Iterator[Table]:

@@ -5,9 +5,11 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
+    from npred.results.reproduce import PredictionTime
     from npred.stages.reproduce.network_loop import NetworkLoop
 
 NUMERICAL, NETWORKS = "numerical", ("fno", "deeponet", "fno_gru", "deeponet_gru")  # what predicts
+TIMES = "times"  # the part of an experiment that times predictions
 AS_PUBLISHED, AS_MEANT = "as published", "as meant"
 
 
@@ -22,6 +24,14 @@ class PublishedNumber(NamedTuple):
     def value(self) -> float | None:
         """The number, None where none is printed."""
         return float(self.digits) if self.digits else None
+
+
+class PublishedTime(NamedTuple):
+    """The milliseconds of one prediction as printed, and of what: `100 steps`, say."""
+
+    predictor: str
+    setting: str
+    ms: float
 
 
 class Measured(NamedTuple):
@@ -40,7 +50,8 @@ class Experiment:
 
     `networks` has what was published for networks. `loops`: the loop as published and as it is meant, each of which
     asks any predictor, so that networks can be trained for both and put there. `sizes` are keys of the networks'
-    tables that differ from those of npred.stages.reproduce.learning.
+    tables that differ from those of npred.stages.reproduce.learning. `times` has published times of one prediction, and
+    the first of each network is the one beside npred's; `clock` takes those of numerical predictors.
     """
 
     title: str
@@ -50,13 +61,25 @@ class Experiment:
     networks: tuple[PublishedNumber, ...] = ()
     loops: "Mapping[str, NetworkLoop]" = field(default_factory=dict)
     sizes: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    times: tuple[PublishedTime, ...] = ()
+    clock: "Callable[[], list[PredictionTime]] | None" = None
 
     @property
     def trained(self) -> list[str]:
         """The networks that are trained here: those of which a number is published, where there is a loop for them."""
         return list(dict.fromkeys(row.predictor for row in self.networks)) if self.loops else []
 
+    @property
+    def parts(self) -> list[str]:
+        """What is measured apart from each other, each a result in the store."""
+        return [NUMERICAL, *([TIMES] if self.clock else []), *self.trained]
+
 
 def networks(metric: str, **digits: str) -> tuple[PublishedNumber, ...]:
     """The published numbers of networks by name, for one metric."""
     return tuple(PublishedNumber(metric, printed, name) for name, printed in digits.items())
+
+
+def published_times(setting: str, **ms: float) -> tuple[PublishedTime, ...]:
+    """The published times of predictors by name, for one setting."""
+    return tuple(PublishedTime(name, setting, each) for name, each in ms.items())

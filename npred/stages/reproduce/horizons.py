@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 T, DT = 12.0, 0.001  # s: of the loops, and of their steps
+ITERATIONS, ROUNDING = 30, 1e-12  # of Newton's method: at most, and the step (s) after which its next is below rounding
 
 Delay = tuple[float, ...]  # a, b, α, ω, φ
 
@@ -35,6 +36,9 @@ def draws() -> tuple[Delay, Delay]:
 def inverse(delay: Delay, t: np.ndarray) -> np.ndarray:
     """ρ(t) = φ⁻¹(t) at many times at once by Newton's method: to rounding."""
     rho = t + (t - late(delay, np.maximum(t, 0.0)))
-    for _ in range(30):
-        rho = rho - (late(delay, rho) - t) / rate(delay, rho)
+    for _ in range(ITERATIONS):
+        step = (late(delay, rho) - t) / rate(delay, rho)
+        rho = rho - step
+        if np.abs(step).max(initial=0.0) < ROUNDING:
+            break
     return rho

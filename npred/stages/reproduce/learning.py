@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from npred import randomness
+from npred import randomness, runtimes
 from npred.config import FNO, DeepONet, Network
 from npred.config import Training as Table
 from npred.operators import Operator, Scaling, checked, save
@@ -18,6 +18,8 @@ from npred.parallel import executors
 from npred.parallel.executors import Threads
 from npred.plants import Plant
 from npred.results.reproduce import TrainedForLoop
+from npred.runtimes.lower import lowering
+from npred.stages.reproduce import latency
 from npred.stages.reproduce.network_loop import SEED, NetworkLoop, Predict, RecordedCalls, recorded
 from npred.stages.reproduce.regression import Quadratic
 from npred.stages.train import SEEDING
@@ -71,18 +73,19 @@ class LoopTraining:
         with executors.closed(Threads(len(loops))) as threads:
             under_way = {name: threads.submit(self._network, name, loop, sizes) for name, loop in loops.items()}
             done = {name: future.result() for name, future in under_way.items()}
-        metrics = {}
-        for name, (predict, _) in done.items():
+        metrics, rows = {}, []
+        for name, fitted in done.items():
             self.progress.detail(f"{self.title(name)}: in the loop")
-            metrics[name] = loops[name].measure(predict)
-        return metrics, [trained for _, trained in done.values()]
+            metrics[name] = loops[name].measure(answers(loops[name], fitted.operator, fitted.regression))
+            rows.append(TrainedForLoop(network=self.network, loop=name, ms=fitted.milliseconds(), **fitted.numbers))
+        return metrics, rows
 
     def title(self, loop: str) -> str:
         """What progress calls the training for a loop."""
         return f"{self.experiment} {self.network}, {loop}"
 
-    def _network(self, name: str, loop: NetworkLoop, sizes: Mapping[str, Any]) -> tuple[Predict, TrainedForLoop]:
-        """A trained network as the loop's predictor, in two files of the result too."""
+    def _network(self, name: str, loop: NetworkLoop, sizes: Mapping[str, Any]) -> "TrainedNetwork":
+        """A network trained for a loop, in two files of the result too."""
         start, plant, folder = time.perf_counter(), loop.plant(), self.folder / name.replace(" ", "_")
         folder.mkdir(parents=True, exist_ok=True)
         table = table_of(self.network, {"anchor": loop.anchor, "nodes": loop.nodes, **sizes})
@@ -92,22 +95,30 @@ class LoopTraining:
             for turn in range(loop.rounds):  # they take seconds
                 samples = samples.joined(recorded(loop, regression.predict, turn + 1))
                 regression = Quadratic.of(samples)
-        fit = self._fit(name, loop, plant, table, regression.rest(samples) if regression else samples)
+
+        def rows(calls: RecordedCalls, nodes: int | None = None) -> Rows:
+            return Rows.of(calls, nodes=nodes, phase=plant.phase(calls.t))
+
+        rest = regression.rest if regression else _itself
+        test, train = rest(samples).parted(round(HELD_OUT * len(samples.X) / loop.kept) * loop.kept)
+        learned = rows(train, table.nodes)
+        operator = self._operator(table, plant, train)
+        criterion = loss.criterion(table.rows, loss.weights(table, plant, learned.P))
+        seed = randomness.integer(SEED, "order", self.network)
+        fit = Fit(self.title(name), operator, table, learned, rows(test), criterion, seed)
         for turn in range(loop.rounds):
             self._trained(fit, folder, turn, max(1, table.epochs // ROUND))
-            more = recorded(loop, answers(loop, fit.operator, regression), ROUNDS_APART + turn)
-            rows = Rows.of(regression.rest(more) if regression else more, nodes=table.nodes, phase=plant.phase(more.t))
-            assert isinstance(fit.train, Rows)  # as _fit made it
-            fit = replace(fit, train=Rows.joined([fit.train, rows]))
+            more = recorded(loop, answers(loop, operator, regression), ROUNDS_APART + turn)
+            learned = Rows.joined([learned, rows(rest(more), table.nodes)])
+            fit = replace(fit, train=learned)
         last = self._trained(fit, folder, loop.rounds, table.epochs)
-        save(folder, fit.operator, table, plant)
+        save(folder, operator, table, plant)
         if regression:
             regression.save(folder)
-        return answers(loop, fit.operator, regression), TrainedForLoop(
-            network=self.network, loop=name, samples=len(fit.train), epochs=last["epoch"], loss=last["loss"],
-            parameters=sum(p.numel() for p in fit.operator.parameters()), mse=last["mse"], eps_sup=last["eps_sup"],
-            seconds=time.perf_counter() - start,
-        )  # fmt: skip
+        numbers = {"samples": len(learned), "epochs": last["epoch"], "loss": last["loss"], "mse": last["mse"],
+                   "eps_sup": last["eps_sup"], "parameters": sum(p.numel() for p in operator.parameters()),
+                   "seconds": time.perf_counter() - start}  # fmt: skip
+        return TrainedNetwork(plant, operator, regression, test, numbers)
 
     def _trained(self, fit: Fit, folder: Path, turn: int, epochs: int) -> dict[str, Any]:
         """The last epoch's metrics of a round; no other shares its checkpoints."""
@@ -116,19 +127,33 @@ class LoopTraining:
         config = fit.config.model_copy(update={"epochs": epochs})
         return training_loop.fit(replace(fit, config=config), scratch, self.progress)[-1]
 
-    def _fit(self, name: str, loop: NetworkLoop, plant: Plant, table: Table, samples: RecordedCalls) -> Fit:
-        """What is to be trained: a tenth of the rollouts is held out."""
-        held_out = round(HELD_OUT * len(samples.X) / loop.kept) * loop.kept
-        parts = slice(held_out, None), slice(0, held_out)
-        fitted, test = (RecordedCalls(*(array[part] for array in samples)) for part in parts)
+    def _operator(self, table: Table, plant: Plant, train: RecordedCalls) -> Operator:
+        """A network to train, with the scales of what it learns."""
         with SEEDING, torch.random.fork_rng(devices=[]):
             torch.manual_seed(randomness.integer(SEED, "train", self.network))
-            operator = checked(table, plant, Scaling.of(fitted))
-        rows = Rows.of(fitted, nodes=table.nodes, phase=plant.phase(fitted.t))
-        criterion = loss.criterion(table.rows, loss.weights(table, plant, rows.P))
-        unseen = Rows.of(test, phase=plant.phase(test.t))
-        seed = randomness.integer(SEED, "order", self.network)
-        return Fit(self.title(name), operator, table, rows, unseen, criterion, seed)
+            return checked(table, plant, Scaling.of(train))
+
+
+@dataclass(frozen=True)
+class TrainedNetwork:
+    """A network and the regression whose rest it has learned; calls that it has not seen, and how its training went."""
+
+    plant: Plant
+    operator: Operator
+    regression: Quadratic | None
+    unseen: RecordedCalls
+    numbers: Mapping[str, Any]
+
+    def milliseconds(self) -> float:
+        """The median time of one prediction, fused into one function where the network's kind can be."""
+        nx = self.unseen.u.shape[1]
+        runtime = "fused" if lowering(self.operator) else "torch"
+        run = runtimes.predictor(runtime, self.plant, deepcopy(self.operator), nx)
+        return latency.milliseconds(run, latency.PredictorInputs.of(self.unseen), self.regression)
+
+
+def _itself(calls: RecordedCalls) -> RecordedCalls:
+    return calls
 
 
 def table_of(network: str, keys: Mapping[str, Any]) -> Table:

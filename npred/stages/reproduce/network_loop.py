@@ -30,6 +30,10 @@ class RecordedCalls(NamedTuple):
         """These calls, then others."""
         return RecordedCalls(*(np.concatenate(pair) for pair in zip(self, others, strict=True)))
 
+    def parted(self, first: int) -> tuple["RecordedCalls", "RecordedCalls"]:
+        """The `first` calls, and those after them."""
+        return RecordedCalls(*(a[:first] for a in self)), RecordedCalls(*(a[first:] for a in self))
+
 
 @dataclass(frozen=True)
 class NetworkLoop:

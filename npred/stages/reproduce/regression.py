@@ -1,6 +1,7 @@
 """A regression in P's place, of which a network learns the rest: products of two inputs, by least squares."""
 
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any, Self
 
@@ -60,5 +61,10 @@ def _inputs(X: np.ndarray, u: np.ndarray) -> np.ndarray:
 
 def _products(z: np.ndarray) -> np.ndarray:
     """1, z and the products of two of them, (B, .)."""
-    first, second = np.triu_indices(z.shape[1])
+    first, second = _pairs(z.shape[1])
     return np.concatenate([np.ones((len(z), 1)), z, z[:, first] * z[:, second]], axis=1)
+
+
+@cache
+def _pairs(count: int) -> tuple[np.ndarray, np.ndarray]:
+    return np.triu_indices(count)

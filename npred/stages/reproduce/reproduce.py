@@ -8,12 +8,21 @@ from typing import Any
 
 from npred import registry
 from npred.results import Reproduced, ReproducedRow
-from npred.stages.reproduce.experiment import AS_MEANT, AS_PUBLISHED, Experiment, Measured, PublishedNumber
+from npred.results.reproduce import PredictionTime, TrainedForLoop
+from npred.stages.reproduce.experiment import (
+    AS_MEANT,
+    AS_PUBLISHED,
+    Experiment,
+    Measured,
+    PublishedNumber,
+)
 from npred.terminal.console import columns
 
 NOTHING = Measured(None, None)
 LOOPS = AS_PUBLISHED, AS_MEANT
 HEADER = ["experiment", "predictor", "metric", "published", "as published", "as meant"]
+TIMES_HEADER = ["experiment", "predictor", "of one prediction", "published, ms", "here, ms", "sup error"]
+ON_ITS_GRID = "on its loop's grid"  # the setting of a network of which no time is published
 UNPRINTED = 6  # decimals of a number that the source does not print
 
 
@@ -27,6 +36,12 @@ def numerical(name: str) -> Reproduced:
     experiment = load(name)
     measured = experiment.measure()
     return Reproduced(name=name, rows=[_row(row, measured[row.metric]) for row in experiment.numerical])
+
+
+def times(name: str) -> Reproduced:
+    """The times of an experiment's numerical predictors, taken now."""
+    clock = load(name).clock
+    return Reproduced(name=name, rows=[], times=clock() if clock else [])
 
 
 def network(name: str, network: str, folder: Path, scratch: Path, progress: Any) -> Reproduced:
@@ -48,7 +63,31 @@ def joined(parts: Sequence[Reproduced], networks: bool) -> Reproduced:
     rows_of = {(row.predictor, row.metric): row for part in parts for row in part.rows}
     published = [*experiment.numerical, *(experiment.networks if networks else ())]
     rows = [rows_of.get((row.predictor, row.metric)) or _row(row, NOTHING) for row in published]
-    return Reproduced(name=parts[0].name, rows=rows, trained=[each for part in parts for each in part.trained])
+    trained = [each for part in parts for each in part.trained]
+    clocked = [each for part in parts for each in part.times]
+    return Reproduced(
+        name=parts[0].name, rows=rows, trained=trained, times=_times(experiment, clocked, trained) if networks else []
+    )
+
+
+def _times(
+    experiment: Experiment, clocked: Sequence[PredictionTime], trained: Sequence[TrainedForLoop]
+) -> list[PredictionTime]:
+    """The published times beside those that were taken here, and then those of which none is published."""
+    here = {(each.predictor, each.setting): each for each in clocked}
+    settings = {each.predictor: each.setting for each in reversed(experiment.times)}  # the first of each
+    for network in {each.network: each for each in trained if each.loop == AS_MEANT}.values():
+        setting = settings.get(network.network, ON_ITS_GRID)
+        here[network.network, setting] = PredictionTime(
+            predictor=network.network, setting=setting, ms=network.ms, error=network.eps_sup
+        )
+    printed = {(each.predictor, each.setting): each.ms for each in experiment.times}
+    return [
+        here[key].model_copy(update={"published_ms": printed.get(key)})
+        if key in here
+        else PredictionTime(predictor=key[0], setting=key[1], published_ms=printed[key])
+        for key in dict.fromkeys([*printed, *here])
+    ]
 
 
 def _row(published: PublishedNumber, measured: Measured) -> ReproducedRow:
@@ -58,19 +97,33 @@ def _row(published: PublishedNumber, measured: Measured) -> ReproducedRow:
     )  # fmt: skip
 
 
+def _three_digits(value: float | None) -> str:
+    return "–" if value is None else f"{value:.3g}"
+
+
 def _finite(value: float | None) -> float | None:
     """None for a loop that has left the finite numbers."""
     return value if value is not None and math.isfinite(value) else None
 
 
-def summary(result: Reproduced, width: int | None = None) -> str:
-    """One experiment as a table."""
-    return table([result], width)
+def summary(results: Sequence[Reproduced], width: int | None = None) -> str:
+    """Everything for people: the rows, then the times of single predictions, if any were taken."""
+    return "\n\n".join(filter(None, (table(results, width), times_table(results, width))))
 
 
 def table(results: Sequence[Reproduced], width: int | None = None) -> str:
-    """All rows for people, each number with the digits that its source prints."""
+    """All rows, each number with the digits that its source prints."""
     return columns(HEADER, [cells for result in results for cells in rows(result)], width, numbers=HEADER[3:])
+
+
+def times_table(results: Sequence[Reproduced], width: int | None = None) -> str:
+    """The times of single predictions for people; empty where there are none."""
+    cells = [
+        [result.name, each.predictor, each.setting, *map(_three_digits, (each.published_ms, each.ms, each.error))]
+        for result in results
+        for each in result.times
+    ]
+    return columns(TIMES_HEADER, cells, width, numbers=TIMES_HEADER[3:]) if cells else ""
 
 
 def rows(result: Reproduced) -> list[list[str]]:

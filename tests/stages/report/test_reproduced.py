@@ -3,7 +3,7 @@
 import pytest
 
 from npred.results import Reproduced, ReproducedRow
-from npred.results.reproduce import TrainedForLoop
+from npred.results.reproduce import PredictionTime, TrainedForLoop
 from npred.stages.report import reproduced
 
 
@@ -15,7 +15,7 @@ def row(predictor: str, published: float | None, measured: float | None, meant: 
 
 TRAINED = TrainedForLoop(
     network="fno", loop="as published", parameters=1234, samples=100, epochs=3, loss=0.1, mse=1e-6, eps_sup=0.02,
-    seconds=41.4,
+    seconds=41.4, ms=0.0042,
 )  # fmt: skip
 ROWS = [
     row("numerical", 0.028543, 0.0285430028),
@@ -24,7 +24,8 @@ ROWS = [
     row("fno_gru", 0.268882, None, None),
     row("deeponet_gru", 0.156749, 0.4),
 ]
-RESULT = Reproduced(name="unicycle_constant", rows=ROWS, trained=[TRAINED])
+TIME = PredictionTime(predictor="fno", setting="Euler, 100 steps", published_ms=1.0627, ms=0.0042, error=0.02)
+RESULT = Reproduced(name="unicycle_constant", rows=ROWS, trained=[TRAINED], times=[TIME])
 
 
 def test_distances_are_shares_of_the_numerical_row_of_the_same_loop():
@@ -54,6 +55,7 @@ def test_the_page_and_the_markdown_have_every_row_with_the_printed_digits():
     assert "| FNO | prediction | 0.061734 | 0.028643 | 0.500000 |" in markdown
     assert "| FNO + GRU | prediction | 0.268882 | – | – |" in markdown
     assert "| FNO | as published | 1,234 | 100 | 3 |" in markdown
+    assert "| FNO | Euler, 100 steps | 1.06 | 0.0042 | 0.02 |" in markdown
     for text in ("0.061734", "0.028543", "DeepONet + GRU", "Unicycle, constant delay", "arXiv:2411.18964"):
         assert text in html and text in markdown
     assert "https:" not in html and "default-src 'none'" in html

@@ -13,7 +13,7 @@ import npred
 from npred import plants
 from npred.loop.closed_loop import Trajectories
 from npred.plants import Plant
-from npred.stages.reproduce import quirks
+from npred.stages.reproduce import latency, quirks
 from npred.stages.reproduce.experiment import (
     AS_MEANT,
     AS_PUBLISHED,
@@ -22,6 +22,7 @@ from npred.stages.reproduce.experiment import (
     Measurements,
     PublishedNumber,
     networks,
+    published_times,
 )
 from npred.stages.reproduce.network_loop import Called, NetworkLoop, Predict
 
@@ -194,4 +195,6 @@ EXPERIMENT = Experiment(
     ),
     LOOPS,
     {network: {"loss": "kappa"} for network in ("deeponet", "fno")},
+    times=published_times("Euler, 100 steps", numerical=1.601, fno=1.331, deeponet=0.496),
+    clock=partial(latency.of_loop, LOOPS[AS_MEANT], latency.METHODS),
 )

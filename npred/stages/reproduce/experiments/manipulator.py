@@ -11,7 +11,7 @@ import numpy as np
 
 from npred import plants
 from npred.robots import denavit_hartenberg, rigid_body
-from npred.stages.reproduce import baxter, quirks
+from npred.stages.reproduce import baxter, latency, quirks
 from npred.stages.reproduce.experiment import (
     AS_MEANT,
     AS_PUBLISHED,
@@ -20,11 +20,12 @@ from npred.stages.reproduce.experiment import (
     Measurements,
     PublishedNumber,
     networks,
+    published_times,
 )
 from npred.stages.reproduce.network_loop import NetworkLoop, Predict
 
 RUNS, SAMPLES, DT, LATE = 25, 100, 0.1, 5
-OTHERS = 150  # runs to learn from, in each round
+OTHERS = 300  # runs to learn from, in each round
 MIDDLE = (baxter.LOW + baxter.HIGH) / 2
 SPIN = np.concatenate([baxter.LOW, -baxter.FASTEST]), np.concatenate([baxter.HIGH, baxter.FASTEST])
 
@@ -209,7 +210,7 @@ def _network_loop(arm: PublishedArm) -> NetworkLoop:
         kept=SAMPLES - LATE - 1,
         spread=0.003,
         noise=0.01,
-        rounds=3,
+        rounds=4,
         quadratic=True,
     )
 
@@ -218,7 +219,7 @@ LOOPS = {
     AS_PUBLISHED: _network_loop(PublishedArm(recursive(about_centre=False))),
     AS_MEANT: _network_loop(RightArm(recursive(about_centre=True))),
 }
-LEARNING = {"loss": "kappa", "batch": 512, "epochs": 16}
+LEARNING = {"loss": "kappa", "batch": 512, "epochs": 12}
 BRANCH = {"basis": LATE + 1, "moments": LATE + 1}  # as many as the nodes that there are
 EXPERIMENT = Experiment(
     "arm with five joints, constant delay",
@@ -236,4 +237,19 @@ EXPERIMENT = Experiment(
         "deeponet_gru": {**LEARNING, "sizes": {**BRANCH, "steps": LATE}},
         "fno_gru": {**LEARNING, "sizes": {"width": 24, "modes": 4, "steps": LATE}},
     },
+    times=(
+        *published_times("Euler, 5 steps", numerical=10.11, fno=1.67, deeponet=0.38, fno_gru=1.82, deeponet_gru=0.55),
+        *published_times(
+            "Euler, 100 steps", numerical=205.31, fno=1.96, deeponet=0.49, fno_gru=2.05, deeponet_gru=0.77
+        ),
+    ),
+    clock=partial(
+        latency.of_loop,
+        LOOPS[AS_MEANT],
+        {
+            "Euler, 5 steps": ("euler", LATE + 1),
+            "Euler, 100 steps": ("euler", 101),
+            "RK4, 5 steps": ("rk4", LATE + 1),
+        },
+    ),
 )

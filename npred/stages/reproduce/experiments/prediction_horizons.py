@@ -7,7 +7,16 @@ from collections.abc import Callable
 
 import numpy as np
 
-from npred.stages.reproduce.experiment import Experiment, Measured, Measurements, PublishedNumber
+from npred.results.reproduce import PredictionTime
+from npred.stages.reproduce import latency
+from npred.stages.reproduce.experiment import (
+    NUMERICAL,
+    Experiment,
+    Measured,
+    Measurements,
+    PublishedNumber,
+    PublishedTime,
+)
 from npred.stages.reproduce.horizons import DT, Delay, T, draws, inverse, late, rate
 
 NAMES = ("a", "b", "α", "ω", "φ")
@@ -55,6 +64,20 @@ def measure() -> Measurements:
     return rows | {name: Measured(residual(pair[0], method), exact) for (name, _), method in methods}
 
 
+def clock() -> list[PredictionTime]:
+    """The time of ρ at all times of a run: by the published methods, and by Newton's."""
+    delay, t = draws()[0], np.arange(round(T / DT)) * DT
+    ways = {"Euler": lambda: integrated(delay, t, euler), "RK4": lambda: integrated(delay, t, rk4),
+            "Newton": lambda: inverse(delay, t)}  # fmt: skip
+    return [
+        PredictionTime(
+            predictor=NUMERICAL, setting=f"ρ at 12 000 times, {name}", ms=latency.median_of(way),
+            error=float(np.abs(way() - inverse(delay, t)).max()),
+        )
+        for name, way in ways.items()
+    ]  # fmt: skip
+
+
 EXPERIMENT = Experiment(
     "prediction horizons of delays that vary in time",
     "arXiv:2603.29117",
@@ -67,4 +90,10 @@ EXPERIMENT = Experiment(
         *(PublishedNumber(name, digits) for name, digits in RESIDUALS),
     ),
     measure,
+    times=(
+        PublishedTime(NUMERICAL, "ρ at 12 000 times, Euler", 11.98),
+        PublishedTime(NUMERICAL, "ρ at 12 000 times, RK4", 42.50),
+        PublishedTime("fno", "ρ at 12 000 times", 2.01),
+    ),
+    clock=clock,
 )

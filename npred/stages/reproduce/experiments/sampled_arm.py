@@ -14,8 +14,17 @@ from npred import plants
 from npred.delays import family_of
 from npred.plants.builtin.xarm6 import XArm6
 from npred.predictors import RK4
+from npred.results.reproduce import PredictionTime
 from npred.robots import rigid_body, xarm6
-from npred.stages.reproduce.experiment import Experiment, Measured, Measurements, PublishedNumber
+from npred.stages.reproduce import latency
+from npred.stages.reproduce.experiment import (
+    NUMERICAL,
+    Experiment,
+    Measured,
+    Measurements,
+    PublishedNumber,
+    PublishedTime,
+)
 
 D, DT, STEPS, LATE, JOINTS = 0.2, 0.001, 20000, 200, 6
 NOISE, GAPS, STRONGEST, SECOND = 0.005, (20, 101), 60.0, 1000  # of 1 ms
@@ -69,12 +78,15 @@ def kernels() -> Kernels:
 
 
 class Logged(NamedTuple):
-    """X (N + 1, 12), Z (N, 12) at the begin of each step and at its end, and the steps that sampled."""
+    """X (N + 1, 12), Z (N, 12) at the begin of each step and at its end, the steps that sampled, and the torques, each
+    (6, 1), from those before t = 0 on.
+    """
 
     X: np.ndarray
     Z: np.ndarray
     Z_end: np.ndarray
     sampled: list[int]
+    torques: list[np.ndarray]
 
 
 def loop(steps: int = STEPS) -> Logged:
@@ -102,7 +114,7 @@ def loop(steps: int = STEPS) -> Logged:
         arm.flow(ahead, k * DT + D)
         Z_end[k] = ahead[:, 0]
     X[steps] = state[:, 0]
-    return Logged(X, Z, Z_end, sampled)
+    return Logged(X, Z, Z_end, sampled, torques)
 
 
 def _held(X: np.ndarray) -> list[np.ndarray]:
@@ -128,10 +140,25 @@ def measure() -> Measurements:
     """As logged, each state after a step beside the reference before it, and each prediction after its step; and with
     all of one time. The loop itself is the same.
     """
-    X, Z, Z_end, _ = loop()
+    X, Z, Z_end, *_ = loop()
     logged = rows(X[1:], Z_end[: -LATE - 1], X[LATE + 1 : -1, :JOINTS])
     right = rows(X[:-1], Z[:-LATE], X[LATE:-1, :JOINTS])
     return {row: Measured(logged[row], right[row]) for row in ROWS}
+
+
+def calls() -> latency.PredictorInputs:
+    """Predictions from exact states of the loop's first seconds, with the torques that are under way."""
+    logged = loop(STEPS // 10)
+    starts = range(LATE, len(logged.torques) - LATE, 20)
+    u = np.array([logged.torques[k : k + LATE + 1] for k in starts])[..., 0]
+    t = DT * np.array(starts)
+    return latency.PredictorInputs(logged.X[[*starts]], u, np.full(len(t), D), t)
+
+
+def clock() -> list[PredictionTime]:
+    """The time of RK4 with one step for each millisecond."""
+    methods = {"RK4, 200 steps": ("rk4", LATE + 1)}
+    return latency.numerical(plants.make("sampled_arm", SampledArm), calls(), methods)
 
 
 EXPERIMENT = Experiment(
@@ -139,4 +166,6 @@ EXPERIMENT = Experiment(
     "Bhan, Quawas, Krstic, Shi, arXiv:2603.29119",
     tuple(PublishedNumber(row, "") for row in ROWS),
     measure,
+    times=(PublishedTime(NUMERICAL, "RK4, 200 steps", 25.0), PublishedTime("fno", "RK4, 200 steps", 1.0)),
+    clock=clock,
 )

@@ -3,11 +3,13 @@
 Bhan, Krstic, Shi, Neural Operators for Predictor Feedback Control of Nonlinear Delay Systems, arXiv:2411.18964.
 """
 
+from functools import partial
+
 import numpy as np
 
 import npred
 from npred.loop.closed_loop import Trajectories
-from npred.stages.reproduce import pomet, quirks
+from npred.stages.reproduce import latency, pomet, quirks
 from npred.stages.reproduce.experiment import (
     AS_MEANT,
     AS_PUBLISHED,
@@ -16,6 +18,7 @@ from npred.stages.reproduce.experiment import (
     Measurements,
     PublishedNumber,
     networks,
+    published_times,
 )
 from npred.stages.reproduce.network_loop import Called, NetworkLoop, Predict
 from npred.stages.reproduce.pomet import Law
@@ -114,4 +117,8 @@ EXPERIMENT = Experiment(
     measure,
     networks("prediction", fno="0.061734", deeponet="0.058748", fno_gru="0.268882", deeponet_gru="0.156749"),
     {AS_PUBLISHED: PUBLISHED, AS_MEANT: MEANT},
+    times=published_times(
+        "Euler, 100 steps", numerical=2.0886, fno=1.0627, deeponet=0.3541, fno_gru=1.2395, deeponet_gru=0.5308
+    ),
+    clock=partial(latency.of_loop, MEANT, latency.METHODS),
 )

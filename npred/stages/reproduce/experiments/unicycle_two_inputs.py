@@ -5,6 +5,7 @@ arXiv:2509.17131; law and predictors of Bekiaris-Liberis and Krstic, IEEE TAC 62
 delays 0.5 and 1 s gives the first commands.
 """
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ import npred
 from npred import plants
 from npred.loop.closed_loop import Trajectories
 from npred.plants import Plant
-from npred.stages.reproduce import pomet, quirks
+from npred.stages.reproduce import latency, pomet, quirks
 from npred.stages.reproduce.experiment import (
     AS_MEANT,
     AS_PUBLISHED,
@@ -22,6 +23,7 @@ from npred.stages.reproduce.experiment import (
     Measurements,
     PublishedNumber,
     networks,
+    published_times,
 )
 from npred.stages.reproduce.network_loop import Called, NetworkLoop, Predict
 
@@ -238,4 +240,6 @@ EXPERIMENT = Experiment(
     measure,
     (*networks("L2", fno="5.1436", deeponet="4.8737"), *networks("L2 from (1, 1, 1)", fno="", deeponet="")),
     LOOPS,
+    times=published_times("Euler, 100 steps", numerical=8.762, fno=30.850, deeponet=7.245),
+    clock=partial(latency.of_loop, LOOPS[AS_MEANT], latency.METHODS),
 )
