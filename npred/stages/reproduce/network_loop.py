@@ -69,8 +69,8 @@ class Recorder:
     rollout of another standard deviation between a hundredth of `noise` and all of it. What is kept is exact.
 
     Once there is a network, `learned`, the error is a share of the network's, in each rollout another one between a
-    tenth and all of it, and twice `noise` at most: so the data have what its loop meets, but near the exact loop, also
-    while the network would lose it [Ross, Gordon, Bagnell 2011, DAgger].
+    tenth and all of it, and at most twice the standard deviations of both kinds: so the data have what its loop meets,
+    but near the exact loop, also while the network would lose it [Ross, Gordon, Bagnell 2011, DAgger].
     """
 
     def __init__(self, loop: NetworkLoop, rng: np.random.Generator, learned: Predict | None = None) -> None:
@@ -87,14 +87,14 @@ class Recorder:
         self.kept.append([rows, *(np.array(array[rows], dtype=np.float32) for array in (X, u, D_hat, P, times))])
         self.count += 1
         if self.learned:
-            return self._disturbed(P, self.learned(X, u, D_hat, t))
+            return self._disturbed(P, self.learned(X, u, D_hat, t), X)
         return P + self.tilt * np.abs(P - X[:, None]) + self.level * self.rng.standard_normal(self.tilt.shape)
 
-    def _disturbed(self, P: np.ndarray, P_hat: np.ndarray) -> np.ndarray:
+    def _disturbed(self, P: np.ndarray, P_hat: np.ndarray, X: np.ndarray) -> np.ndarray:
         """P with a share of a network's error; P(1) alone where the network gives P on other nodes."""
         if P_hat.shape != P.shape:
             P, P_hat = P[:, -1:], P_hat[:, -1:]
-        largest = 2 * self.loop.noise or np.inf
+        largest = 2 * (self.loop.noise + self.loop.spread * np.abs(P - X[:, None]))
         return P + np.clip(np.nan_to_num(self.share * (P_hat - P)), -largest, largest)
 
     def _draw(self, rollouts: int, n: int) -> None:
