@@ -233,9 +233,9 @@ EXPERIMENT = Experiment(
     LOOPS,
     {
         "deeponet": {**LEARNING, **BRANCH},
-        "fno": {**LEARNING, "modes": 4},
+        "fno": {**LEARNING, "width": 48, "modes": 4},
         "deeponet_gru": {**LEARNING, "sizes": {**BRANCH, "steps": LATE}},
-        "fno_gru": {**LEARNING, "sizes": {"width": 24, "modes": 4, "steps": LATE}},
+        "fno_gru": {**LEARNING, "sizes": {"width": 48, "modes": 4, "steps": LATE}},
     },
     times=(
         *published_times("Euler, 5 steps", numerical=10.11, fno=1.67, deeponet=0.38, fno_gru=1.82, deeponet_gru=0.55),
