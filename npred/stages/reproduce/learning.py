@@ -4,6 +4,7 @@ import time
 from collections.abc import Mapping
 from copy import deepcopy
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +53,18 @@ def answers(loop: NetworkLoop, operator: Operator, regression: Quadratic | None 
     return predict
 
 
+@lru_cache(maxsize=2)  # both loops of an experiment: all its networks begin with the same
+def first_data(loop: NetworkLoop) -> tuple[RecordedCalls, Quadratic | None]:
+    """What a network learns from before its own rounds, and the regression whose rest it learns, with its rounds."""
+    samples = recorded(loop)
+    regression = Quadratic.of(samples) if loop.quadratic else None
+    if regression:
+        for turn in range(loop.rounds):
+            samples = samples.joined(recorded(loop, regression.predict, turn + 1))
+            regression = Quadratic.of(samples)
+    return samples, regression
+
+
 @dataclass(frozen=True)
 class LoopTraining:
     """A network to train for both loops of an experiment: where its files and its checkpoints go."""
@@ -89,12 +102,7 @@ class LoopTraining:
         start, plant, folder = time.perf_counter(), loop.plant(), self.folder / name.replace(" ", "_")
         folder.mkdir(parents=True, exist_ok=True)
         table = table_of(self.network, {"anchor": loop.anchor, "nodes": loop.nodes, **sizes})
-        samples = recorded(loop)
-        regression = Quadratic.of(samples) if loop.quadratic else None
-        if regression:
-            for turn in range(loop.rounds):  # they take seconds
-                samples = samples.joined(recorded(loop, regression.predict, turn + 1))
-                regression = Quadratic.of(samples)
+        samples, regression = first_data(loop)
 
         def rows(calls: RecordedCalls, nodes: int | None = None) -> Rows:
             return Rows.of(calls, nodes=nodes, phase=plant.phase(calls.t))

@@ -70,6 +70,14 @@ def test_rounds_add_calls_to_what_a_network_learns_from(tmp_path: Path):
     assert (tmp_path / "as_meant" / "quadratic.npz").exists()
 
 
+def test_all_networks_of_a_loop_begin_with_the_same_data():
+    loop = replace(reproduced.small_loop(), rounds=1, quadratic=True)
+    samples, regression = learning.first_data(loop)
+    assert learning.first_data(loop)[0] is samples
+    assert regression and len(samples.X) == 2 * 400
+    assert len(learning.first_data(replace(loop, rounds=0))[0].X) == 400
+
+
 def test_the_network_is_saved_and_answers_as_it_did(trained):
     folder, metrics, (row,) = trained
     loop = reproduced.small_loop()
