@@ -86,11 +86,8 @@ def markdown(results: Sequence[Reproduced]) -> str:
 def summary(results: Sequence[Reproduced]) -> list[str]:
     """What came out, in at most three sentences, each counted from the rows."""
     printed = [(row, cells) for result in results for row, cells in _printed(result) if row.predictor == NUMERICAL]
-    same = sum(cells[3] == cells[4] for _, cells in printed)
-    sentences = [
-        f"Of {len(printed)} printed numbers of numerical predictors, {same} come out to every digit in the published "
-        "loop."
-    ]
+    same = sum(cells[3] in cells[4:] for _, cells in printed)
+    sentences = [f"Of {len(printed)} printed numbers of numerical predictors, {same} come out here to every digit."]
     pairs = [(e.published, e.measured) for e in excesses(results) if e.published and e.measured is not None]
     if pairs:
         nearer = sum(here < there for there, here in pairs)
