@@ -104,7 +104,8 @@ def summary(results: Sequence[Reproduced]) -> list[str]:
 
 
 def excesses(results: Sequence[Reproduced]) -> list[Excess]:
-    """Each published network's row in the published loop against the numerical row: |network - numerical| / numerical.
+    """Each network's row in the published loop against the numerical row: |network - numerical| / numerical, of printed
+    numbers against the printed one.
 
     Where the numerical row is zero to the printed digits, an error of prediction say, the network's error itself.
     """
@@ -119,8 +120,9 @@ def _excesses(result: Reproduced) -> Iterator[Excess]:
             continue
         exact, rounding = base.as_published, abs(base.as_published) < 1e-6
         scale = 1.0 if rounding else abs(exact)
+        printed = exact if base.published is None else base.published
         measured = None if row.as_published is None else abs(row.as_published - exact) / scale
-        yield Excess(result.name, row.metric, row.predictor, abs(row.published - exact) / scale, measured)
+        yield Excess(result.name, row.metric, row.predictor, abs(row.published - printed) / scale, measured)
 
 
 def _excesses_drawn(rows: Sequence[Excess]) -> Plate | None:
