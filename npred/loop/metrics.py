@@ -71,7 +71,7 @@ def radius(loops: Trajectories, X_star: np.ndarray) -> np.ndarray:
     """
     rows = loops.t >= (1 - TAIL) * loops.t[-1]
     goal = X_star if X_star.ndim == 1 else X_star[rows]
-    distance = np.linalg.norm(loops.X[..., rows, :] - goal, axis=-1).max(axis=-1)
+    distance = _length(loops.X[..., rows, :] - goal).max(axis=-1)
     return np.where(np.isfinite(distance), distance, np.inf)
 
 
@@ -83,7 +83,7 @@ def in_loop(loops: Trajectories, D: float) -> np.ndarray:
     others with the values of kappa. Infinite for a loop that left the finite numbers.
     """
     k = round(D / (loops.t[1] - loops.t[0]))
-    gap = np.linalg.norm(loops.P[..., 2 * k : -k, :] - loops.X[..., 3 * k :, :], axis=-1).max(axis=-1)
+    gap = _length(loops.P[..., 2 * k : -k, :] - loops.X[..., 3 * k :, :]).max(axis=-1)
     return np.where(np.isfinite(gap), gap, np.inf)
 
 
@@ -108,20 +108,26 @@ def _gap_where_it_acts(t: np.ndarray, X: np.ndarray, P: np.ndarray, D: np.ndarra
     start = np.interp(acts[0], t, acts)
     rows = (t >= start) & np.isfinite(acts)
     reached = np.stack([np.interp(acts[rows], t, x) for x in X.T], axis=-1)
-    return float(np.linalg.norm(P[rows] - reached, axis=-1).max(initial=0.0)) if rows.any() else np.inf
+    return float(_length(P[rows] - reached).max(initial=0.0)) if rows.any() else np.inf
 
 
 def settle_time(loops: Trajectories, X_star: np.ndarray) -> np.ndarray:
     """The time in seconds after which |X - X*| stays within 1 % of size(X*), (...); infinite where it does not."""
-    return _last_outside(loops.t, np.linalg.norm(loops.X - X_star, axis=-1), SETTLED * size(X_star))
+    return _last_outside(loops.t, _length(loops.X - X_star), SETTLED * size(X_star))
 
 
 def decay_rate(loops: Trajectories, X_star: np.ndarray) -> np.ndarray:
     """The mean rate in 1/s at which |X - X*| falls from 1e-2 to 1e-4 of size(X*), (...); NaN where it does not."""
-    distance = np.linalg.norm(loops.X - X_star, axis=-1) / size(X_star)
+    distance = _length(loops.X - X_star) / size(X_star)
     ends = [_last_outside(loops.t, distance, level) for level in (1e-2, 1e-4)]
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.where(np.isfinite(ends[1]), np.log(100) / (ends[1] - ends[0]), np.nan)
+
+
+@np.errstate(over="ignore")
+def _length(gap: np.ndarray) -> np.ndarray:
+    """|gap| over the last axis; infinite, without a warning, in a loop that is about to leave the finite numbers."""
+    return np.linalg.norm(gap, axis=-1)
 
 
 def _last_outside(t: np.ndarray, distance: np.ndarray, level: float) -> np.ndarray:

@@ -37,6 +37,15 @@ def test_errors_by_hand():
     assert found["sup_by_state"] == {"x1": 3.0, "x2": 4.0}
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_loop_whose_square_is_beyond_the_numbers_is_infinitely_far_without_a_warning():
+    t = np.linspace(0.0, 1.0, 11)
+    exploding = loops(np.logspace(0, 200, 11)[None, :, None] * np.ones(2), t)
+    for far in (metrics.radius, metrics.settle_time):
+        assert np.isinf(far(exploding, np.zeros(2))).all()
+    assert np.isnan(metrics.decay_rate(exploding, np.zeros(2))).all()
+
+
 def test_radius_looks_at_the_last_tenth_only():
     t = np.linspace(0, 10, 101)
     X = np.tile(PLANT.equilibrium, (2, 101, 1))
