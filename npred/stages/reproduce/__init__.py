@@ -1,1 +1,1 @@
-"""PublishedNumber predictor-feedback experiments, run again: as published, and as their articles mean them."""
+"""Published predictor-feedback experiments, run again: as published, and as their articles mean them."""

@@ -74,20 +74,21 @@ def _times(
     experiment: Experiment, clocked: Sequence[PredictionTime], trained: Sequence[TrainedForLoop]
 ) -> list[PredictionTime]:
     """The published times beside those that were taken here, and then those of which none is published."""
-    here = {(each.predictor, each.setting): each for each in clocked}
     settings = {each.predictor: each.setting for each in reversed(experiment.times)}  # the first of each
-    for network in {each.network: each for each in trained if each.loop == AS_MEANT}.values():
-        setting = settings.get(network.network, ON_ITS_GRID)
-        here[network.network, setting] = PredictionTime(
-            predictor=network.network, setting=setting, ms=network.ms, error=network.eps_sup
+    networks = [
+        PredictionTime(
+            predictor=each.network, setting=settings.get(each.network, ON_ITS_GRID), ms=each.ms, error=each.eps_sup
         )
-    printed = {(each.predictor, each.setting): each.ms for each in experiment.times}
-    return [
-        here[key].model_copy(update={"published_ms": printed.get(key)})
-        if key in here
-        else PredictionTime(predictor=key[0], setting=key[1], published_ms=printed[key])
-        for key in dict.fromkeys([*printed, *here])
+        for each in trained
+        if each.loop == AS_MEANT
     ]
+    here = {(each.predictor, each.setting): each for each in [*clocked, *networks]}
+    printed = {(each.predictor, each.setting): each.ms for each in experiment.times}
+    rows = []
+    for key in dict.fromkeys([*printed, *here]):
+        row = here.get(key) or PredictionTime(predictor=key[0], setting=key[1], ms=None, error=None)
+        rows.append(row.model_copy(update={"published_ms": printed.get(key)}))
+    return rows
 
 
 def _row(published: PublishedNumber, measured: Measured) -> ReproducedRow:
