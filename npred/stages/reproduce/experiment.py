@@ -2,10 +2,11 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
-    from npred.results.reproduce import PredictionTime
+    from npred.results.reproduce import PredictionTime, TrainedForLoop
     from npred.stages.reproduce.network_loop import NetworkLoop
 
 NUMERICAL, NETWORKS = "numerical", ("fno", "deeponet", "fno_gru", "deeponet_gru")  # what predicts
@@ -42,6 +43,8 @@ class Measured(NamedTuple):
 
 
 Measurements = Mapping[str, Measured]
+Learn = Callable[[Path, Path, Any], tuple[Mapping[str, float], "TrainedForLoop"]]
+"""Trains a network: its files' folder, that of its checkpoint and progress to its metrics and how it went."""
 
 
 @dataclass(frozen=True)
@@ -50,8 +53,9 @@ class Experiment:
 
     `networks` has what was published for networks. `loops`: the loop as published and as it is meant, each of which
     asks any predictor, so that networks can be trained for both and put there. `sizes` are keys of the networks'
-    tables that differ from those of npred.stages.reproduce.learning. `times` has published times of one prediction, and
-    the first of each network is the one beside npred's; `clock` takes those of numerical predictors.
+    tables that differ from those of npred.stages.reproduce.learning. `learn` trains the networks of an experiment that
+    asks for something else than predictions; its metrics are the same in both loops. `times` has published times of one
+    prediction, and the first of each network is the one beside npred's; `clock` takes those of numerical predictors.
     """
 
     title: str
@@ -61,13 +65,14 @@ class Experiment:
     networks: tuple[PublishedNumber, ...] = ()
     loops: "Mapping[str, NetworkLoop]" = field(default_factory=dict)
     sizes: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    learn: Learn | None = None
     times: tuple[PublishedTime, ...] = ()
     clock: "Callable[[], list[PredictionTime]] | None" = None
 
     @property
     def trained(self) -> list[str]:
-        """The networks that are trained here: those of which a number is published, where there is a loop for them."""
-        return list(dict.fromkeys(row.predictor for row in self.networks)) if self.loops else []
+        """The networks that are trained here: those with rows, where there is a loop or another training for them."""
+        return list(dict.fromkeys(row.predictor for row in self.networks)) if self.loops or self.learn else []
 
     @property
     def parts(self) -> list[str]:

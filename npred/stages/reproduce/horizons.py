@@ -7,6 +7,7 @@ import numpy as np
 T, DT = 12.0, 0.001  # s: of the loops, and of their steps
 ITERATIONS, ROUNDING = 30, 1e-12  # of Newton's method: at most, and the step (s) after which its next is below rounding
 
+RANGES = (0.1, 0.5), (0.1, 0.5), (-0.3, 0.3), (0.0, 2 * np.pi), (0.0, np.pi)  # of a, b, α, ω, φ
 Delay = tuple[float, ...]  # a, b, α, ω, φ
 
 
@@ -22,15 +23,24 @@ def rate(delay: Delay, t: Any) -> Any:
     return 1 + b / (1 + t) ** 2 - alpha * omega * np.cos(omega * t + shift)
 
 
-def draws() -> tuple[Delay, Delay]:
-    """D1 and D2 of the figure: the first pair of draws with φ' > 0 throughout and positive delays."""
-    generator = np.random.default_rng(1)
-    ranges = ((0.1, 0.5), (0.1, 0.5), (-0.3, 0.3), (0.0, 2 * np.pi), (0.0, np.pi))
+def drawn(generator: np.random.Generator) -> Delay:
+    """A delay of the published ranges; commands may overtake each other."""
+    return tuple(float(generator.uniform(low, high)) for low, high in RANGES)
+
+
+def feasible(delay: Delay) -> bool:
+    """Whether φ' > 0 throughout, and the delay is positive."""
     t = np.linspace(0.0, T, 4001)
+    return bool((rate(delay, t) > 0).all() and (late(delay, t) < t).all())
+
+
+def draws() -> tuple[Delay, Delay]:
+    """D1 and D2 of the figure: the first pair of feasible draws."""
+    generator = np.random.default_rng(1)
     while True:
-        pair = [tuple(float(generator.uniform(low, high)) for low, high in ranges) for _ in range(2)]
-        if all((rate(d, t) > 0).all() and (late(d, t) < t).all() for d in pair):
-            return pair[0], pair[1]
+        pair = drawn(generator), drawn(generator)
+        if all(map(feasible, pair)):
+            return pair
 
 
 def inverse(delay: Delay, t: np.ndarray) -> np.ndarray:
@@ -42,3 +52,9 @@ def inverse(delay: Delay, t: np.ndarray) -> np.ndarray:
         if np.abs(step).max(initial=0.0) < ROUNDING:
             break
     return rho
+
+
+def tabulated(delay: Delay, t: np.ndarray) -> np.ndarray:
+    """ρ(t) from a table of φ at steps of 0.1 ms, also where φ' is nearly 0 and Newton's method goes astray."""
+    table = np.arange(0.0, T + 3.0, DT / 10)
+    return np.interp(t, late(delay, table), table)

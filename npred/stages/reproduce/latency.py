@@ -18,7 +18,12 @@ from npred.stages.reproduce.regression import Quadratic
 CALLS, PROBES, SECONDS = 2000, 200, 1.0  # at most; PROBES of them differ
 FINE = 1001  # nodes of the predictor that errors are taken from
 Methods = Mapping[str, tuple[str, int]]  # by what their rows say: a numerical predictor and its nodes
-METHODS: Methods = {"Euler, 100 steps": ("euler", 101), "Heun, 100 steps": ("heun", 101)}
+METHODS: Methods = {
+    "Euler, 100 steps": ("euler", 101),
+    "Heun, 100 steps": ("heun", 101),
+    "Heun, 50 steps": ("heun", 51),
+    "Heun, 20 steps": ("heun", 21),
+}
 
 
 class PredictorInputs(NamedTuple):

@@ -46,12 +46,16 @@ def times(name: str) -> Reproduced:
 
 def network(name: str, network: str, folder: Path, scratch: Path, progress: Any) -> Reproduced:
     """The rows of a network that is trained now, for both loops; its files go to `folder`."""
-    from npred.stages.reproduce.learning import LoopTraining
-
     experiment = load(name)
-    measured, trained = LoopTraining(name, network, folder, scratch, progress).run(
-        experiment.loops, experiment.sizes.get(network, {})
-    )
+    if experiment.learn:
+        values, row = experiment.learn(folder, scratch, progress)
+        measured, trained = dict.fromkeys(LOOPS, values), [row]
+    else:
+        from npred.stages.reproduce.learning import LoopTraining
+
+        measured, trained = LoopTraining(name, network, folder, scratch, progress).run(
+            experiment.loops, experiment.sizes.get(network, {})
+        )
     published = [row for row in experiment.networks if row.predictor == network]
     values = {row.metric: [measured.get(loop, {}).get(row.metric) for loop in LOOPS] for row in published}
     return Reproduced(name=name, rows=[_row(row, Measured(*values[row.metric])) for row in published], trained=trained)

@@ -5,10 +5,12 @@ arXiv:2603.29117 (Neural approximated predictor horizons).
 
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from npred.results.reproduce import PredictionTime
+from npred.results.reproduce import PredictionTime, TrainedForLoop
 from npred.stages.reproduce import latency
 from npred.stages.reproduce.experiment import (
     NUMERICAL,
@@ -22,7 +24,8 @@ from npred.stages.reproduce.horizons import DT, Delay, T, draws, inverse, late, 
 
 NAMES = ("a", "b", "α", "ω", "φ")
 DIGITS = (("0.40", "0.31", "-0.10", "4.95", "0.95"), ("0.28", "0.15", "-0.06", "1.28", "0.82"))
-RESIDUALS = (("|φ(ρ(t)) - t|, Euler", "3e-4"), ("|φ(ρ(t)) - t|, RK4", "1e-11"))
+RESIDUAL = "|φ(ρ(t)) - t|"
+RESIDUALS = ((f"{RESIDUAL}, Euler", "3e-4"), (f"{RESIDUAL}, RK4", "1e-11"))
 
 
 def integrated(delay: Delay, t: np.ndarray, method: Callable[..., float]) -> np.ndarray:
@@ -50,9 +53,18 @@ def rk4(delay: Delay, rho: float, step: float) -> float:
 
 def residual(delay: Delay, method: Callable[..., float] | None = None) -> float:
     """The largest |φ(ρ(t)) - t| on [0, 12] at steps of 1 ms; None: Newton's method, for all times at once."""
-    t = np.arange(round(T / DT) + 1) * DT
-    rho = inverse(delay, t) if method is None else integrated(delay, t, method)
-    return float(np.abs(late(delay, rho) - t).max())
+    t = times()
+    return missed(delay, inverse(delay, t) if method is None else integrated(delay, t, method))
+
+
+def times() -> np.ndarray:
+    """[0, 12] at steps of 1 ms."""
+    return np.arange(round(T / DT) + 1) * DT
+
+
+def missed(delay: Delay, rho: np.ndarray) -> float:
+    """The largest |φ(ρ(t)) - t| at those times."""
+    return float(np.abs(late(delay, rho) - times()).max())
 
 
 def measure() -> Measurements:
@@ -67,13 +79,22 @@ def measure() -> Measurements:
 
 def clock() -> list[PredictionTime]:
     """The time of ρ at all times of a run, by the published methods and by Newton's, and its residual."""
-    delay, t = draws()[0], np.arange(round(T / DT)) * DT
-    times = []
+    delay, t = draws()[0], times()[:-1]
+    rows = []
     for name, method in (("Euler", euler), ("RK4", rk4), ("Newton", None)):
         ms = latency.median_of(partial(integrated, delay, t, method) if method else partial(inverse, delay, t))
         setting = f"ρ at 12 000 times, {name}"
-        times.append(PredictionTime(predictor=NUMERICAL, setting=setting, ms=ms, error=residual(delay, method)))
-    return times
+        rows.append(PredictionTime(predictor=NUMERICAL, setting=setting, ms=ms, error=residual(delay, method)))
+    return rows
+
+
+def learn(folder: Path, scratch: Path, progress: Any) -> tuple[dict[str, float], TrainedForLoop]:
+    """The residual of a network, which is trained now, for the figure's D1."""
+    from npred.stages.reproduce import horizon_network
+
+    operator, row = horizon_network.trained(folder, scratch, progress)
+    delay = draws()[0]
+    return {RESIDUAL: missed(delay, horizon_network.inverse(operator, delay, times()))}, row
 
 
 EXPERIMENT = Experiment(
@@ -88,6 +109,8 @@ EXPERIMENT = Experiment(
         *(PublishedNumber(name, digits) for name, digits in RESIDUALS),
     ),
     measure,
+    (PublishedNumber(RESIDUAL, "5e-2", "fno"),),
+    learn=learn,
     times=(
         PublishedTime(NUMERICAL, "ρ at 12 000 times, Euler", 11.98),
         PublishedTime(NUMERICAL, "ρ at 12 000 times, RK4", 42.50),
