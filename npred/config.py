@@ -248,7 +248,8 @@ class Training(Section):
     data's nodes the error is taken on (u is seen on all).
     """
 
-    epochs: Count = 100  #: passes over the data
+    epochs: Count = 100  #: passes over the data; the most of them, with `eps`
+    eps: Positive | None = None  #: ends once the largest error of P, held out, is as small
     batch: Count = 1024  #: rows per step
     lr: Positive = 1e-2  #: learning rate, at its peak
     weight_decay: Annotated[float, Field(ge=0)] = 0.0  #: of the weights, towards 0
@@ -268,6 +269,8 @@ class Training(Section):
             raise ValueError(
                 f"snapshots: expected epochs of 1 to {self.epochs}, got {late[0]}; raise epochs or drop it"
             )
+        if self.snapshots and self.eps:
+            raise ValueError("snapshots: expected none beside eps, with which a training may end before; drop one")
         return self
 
     @property

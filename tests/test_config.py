@@ -115,6 +115,7 @@ def test_a_pipeline_is_frozen(empty: Path):
             ["train.models", "deeponet, fno, averaging, gru, fno_gru, deeponet_gru or a table", "'cnn'"],
         ),
         ("train.fno.snapshots=[9999]", ["train.fno", "snapshots", "9999"]),
+        ("train.fno={eps=0.1, snapshots=[2]}", ["train.fno", "snapshots: expected none beside eps"]),
         ("generate=3", ["generate", "3"]),
         ("name='../away'", ["name: expected", "letters, digits", "'../away'"]),
         ("name=.hidden", ["name: expected", "a letter or digit first"]),

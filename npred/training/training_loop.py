@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -20,6 +21,7 @@ from npred.training.checkpoint import Metrics
 from npred.training.soap import SOAP
 
 WARM_UP = 0.05  # share of the steps in which the one-cycle rate climbs
+CYCLES = 4  # of that rate in a training that may end before its last epoch, each twice as long as the one before
 REST_NODES = 16  # points in D_hat through which a batch interpolates the anchor's term at rest
 CHUNK = 1024  # rows of a call without gradients
 Loss = Callable[[Tensor, Tensor], Tensor]  # (P_hat, P) -> ()
@@ -102,7 +104,8 @@ class Fit:
 def fit(task: Fit, scratch: Path, progress: Any) -> Metrics:
     """Train, one dictionary of metrics per epoch; continues from the checkpoint in `scratch`, if there is one.
 
-    The order of the rows depends on the seed and the epoch alone, the rate on the step.
+    The order of the rows depends on the seed and the epoch alone, the rate on the step. With config.eps it ends with
+    the first cycle of the rate that leaves the held-out error as small, and says so where none does.
     Weights after the epochs of config.snapshots stay in `scratch`. Raises DivergedError for a loss that is not finite.
     """
     operator, config = task.operator, task.config
@@ -115,14 +118,29 @@ def fit(task: Fit, scratch: Path, progress: Any) -> Metrics:
         for row in metrics:
             progress.measured(task.title, row)
         for epoch in range(len(metrics) + 1, config.epochs + 1):
+            if _reached(config, metrics):
+                break
             loss = _epoch(task, network, optimiser, epoch, bar)
             lr = optimiser.param_groups[0]["lr"]
             metrics.append({"epoch": epoch, "lr": lr, "loss": loss, **errors(operator, task.test)})
+            if config.eps:  # all processes end in the same epoch
+                eps = torch.tensor(metrics[-1]["eps_sup"], dtype=torch.float64, device=task.test.X.device)
+                metrics[-1]["eps_sup"] = torchrun.mean(eps)
             if torchrun.number() == 0:
                 _keep(task, scratch, optimiser, metrics)
             progress.measured(task.title, metrics[-1])
             bar.advance(1, f"loss {loss:.2e}, ε sup {metrics[-1]['eps_sup']:.2e}")
+    if config.eps and not _reached(config, metrics):
+        got = f"{metrics[-1]['eps_sup']:.2g} after {config.epochs} epochs"
+        progress.note(f"{task.title}: expected ε sup {config.eps:g}, got {got}; raise epochs, the sizes or eps")
     return metrics
+
+
+def _reached(config: Training, metrics: Metrics) -> bool:
+    """Whether the stated error is reached at the end of a cycle: within one the rate is high, and the error is not the
+    network's best.
+    """
+    return bool(config.eps) and len(metrics) in cycle_ends(config) and metrics[-1]["eps_sup"] <= config.eps
 
 
 def _keep(task: Fit, scratch: Path, optimiser: torch.optim.Optimizer, metrics: Metrics) -> None:
@@ -167,14 +185,23 @@ def _epoch(task: Fit, network: Operator, optimiser: torch.optim.Optimizer, epoch
 def rate(config: Training, epochs: float) -> float:
     """The learning rate after so many epochs, a fraction allowed.
 
-    one-cycle [Smith and Topin 2018]: up in a straight line, down along a cosine. step: halved every 50 epochs [DAPF].
+    one-cycle [Smith and Topin 2018]: up in a straight line, down along a cosine; with config.eps several times, each
+    twice as long [warm restarts, Loshchilov and Hutter 2017]. step: halved every 50 epochs [DAPF].
     """
     if config.schedule == "step":
         return config.lr * 0.5 ** (int(epochs) // 50)
-    done = epochs / config.epochs
+    ends = [0, *cycle_ends(config)]
+    start, end = next(pair for pair in pairwise(ends) if epochs < pair[1] or pair[1] == ends[-1])
+    done = (epochs - start) / (end - start)
     if done < WARM_UP:
         return config.lr * (0.04 + 0.96 * done / WARM_UP)
     return config.lr * (1e-4 + 0.5 * (1 + math.cos(math.pi * (done - WARM_UP) / (1 - WARM_UP))))
+
+
+def cycle_ends(config: Training) -> list[int]:
+    """The epochs after which the one-cycle rate has come down: the last one, or with config.eps also some before."""
+    count = CYCLES if config.eps else 1
+    return sorted({math.ceil(config.epochs * (2**k - 1) / (2**count - 1)) for k in range(1, count + 1)})
 
 
 @torch.no_grad()

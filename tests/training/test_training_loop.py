@@ -1,6 +1,7 @@
 """The training loop: it learns, repeats itself to the bit, and goes on where it was stopped."""
 
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -79,6 +80,31 @@ def test_snapshot_is_the_model_of_that_epoch(tmp_path):
     early = task(SMALL[0], seed=9)
     early.operator.load_state_dict(torch_file(tmp_path / "long" / "snapshot-3.safetensors"))
     assert same(state(early), state(short)) and not same(state(early), state(long))
+
+
+def test_a_training_to_a_stated_error_ends_with_the_first_cycle_that_reaches_it(tmp_path):
+    progress = Silent()
+    whole = training_loop.fit(task(SMALL[0], epochs=30, eps=1e-9), folder(tmp_path / "whole"), progress)
+    assert len(whole) == 30 and "train tiny: expected ε sup 1e-09, got" in progress.notes[-1]
+    ends = [2, 6, 14, 30]
+    left = [whole[end - 1]["eps_sup"] for end in ends]
+    best = min(left[:3])
+    expected = whole[: ends[left.index(best)]]
+    for progress in (Silent(), Silent()):  # the second time from the checkpoint: what has ended goes on no further
+        stated = task(SMALL[0], epochs=30, eps=best, checkpoint_every=1)
+        (tmp_path / "stated").mkdir(exist_ok=True)
+        assert training_loop.fit(stated, tmp_path / "stated", progress) == expected
+        assert not any("expected" in note for note in progress.notes)
+
+
+def test_the_rate_comes_down_where_a_training_may_end():
+    config = task(SMALL[0], epochs=30, eps=1.0).config
+    assert training_loop.cycle_ends(config) == [2, 6, 14, 30]
+    for start, end in pairwise([0, 2, 6, 14, 30]):
+        rates = [rate(config, epochs) / config.lr for epochs in np.linspace(start, end - 1e-9, 101)]
+        assert rates[0] < 0.05 and rates[-1] < 1e-3 and max(rates) > 0.99
+        assert np.argmax(rates) == 5
+    assert training_loop.cycle_ends(task(SMALL[0], epochs=1, eps=1.0).config) == [1]
 
 
 def torch_file(path: Path) -> dict[str, torch.Tensor]:
