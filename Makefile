@@ -16,10 +16,10 @@ install: $(VENV)/.installed ## set up .venv with npred in it
 dev: $(VENV)/.installed-dev ## the same with what the tests need
 
 test: dev ## all tests, the files side by side on all cores
-	$(BIN)/python -m pytest -n auto --dist loadfile
+	$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
 test-fast: dev ## the tests that take no more than a few seconds each
-	$(BIN)/python -m pytest -n auto --dist loadfile -m "not slow and not campaign"
+	$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder -m "not slow and not campaign"
 
 campaign: dev ## the longest tests: 10^5 steps in C and an FMU, hostile names, published networks, real stages killed
 	$(BIN)/python -m pytest -n auto -m campaign

@@ -1,7 +1,7 @@
 """A Fourier neural operator for the inverse of t - D(t): from D at nodes of [0, 13] to ρ(t) - t at those of [0, 12]."""
 
 import time
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -54,6 +54,7 @@ class HorizonFNO(nn.Module):
         return (u + self.project(v))[:, :INSIDE]
 
 
+@cache
 def samples(count: int = COUNT) -> RecordedCalls:
     """Feasible delays as u, and their horizons ρ(t) - t as P."""
     generator = randomness.generator(SEED, "horizons")
