@@ -44,7 +44,7 @@ class Measured(NamedTuple):
 
 Measurements = Mapping[str, Measured]
 Learn = Callable[[Path, Path, Any], tuple[Mapping[str, float], "TrainedForLoop"]]
-"""Trains a network: its files' folder, that of its checkpoint and progress to its metrics and how it went."""
+"""Trains a network. Of its files' folder, its checkpoint's folder and progress: its metrics, and how it was trained."""
 
 
 @dataclass(frozen=True)

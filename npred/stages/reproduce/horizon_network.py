@@ -19,8 +19,8 @@ from npred.operators.io import save_weights
 from npred.results.reproduce import TrainedForLoop
 from npred.stages.reproduce import horizons, latency
 from npred.stages.reproduce.experiment import AS_MEANT
-from npred.stages.reproduce.horizons import DT, Delay, T
-from npred.stages.reproduce.learning import table_of
+from npred.stages.reproduce.horizons import Delay, T
+from npred.stages.reproduce.learning import numbers, table_of
 from npred.stages.reproduce.network_loop import SEED, RecordedCalls
 from npred.stages.train import SEEDING
 from npred.training import training_loop
@@ -82,21 +82,16 @@ def trained(folder: Path, scratch: Path, progress: Any, epochs: int = EPOCHS) ->
     An interrupted training continues from its checkpoint in `scratch`.
     """
     torch.set_num_threads(1)  # the same bits on any machine
-    start, table = time.perf_counter(), table_of("fno", {"epochs": epochs, "batch": BATCH})
+    start, table = time.perf_counter(), table_of("fno", {"epochs": epochs, "batch": BATCH, "checkpoint_every": 1})
     unseen, learned = samples().parted(HELD_OUT)
     with SEEDING, torch.random.fork_rng(devices=[]):
         torch.manual_seed(randomness.integer(SEED, "train", "horizons"))
         network = HorizonFNO(WIDTH, MODES, LAYERS)
     operator = Operator(network, Scaling.of(learned), "none", torch.zeros(1), torch.zeros(1))
-    seed = randomness.integer(SEED, "order", "horizons")
-    fit = Fit("horizons fno", operator, table, Rows.of(learned), Rows.of(unseen), functional.mse_loss, seed)
+    seed, rows = randomness.integer(SEED, "order", "horizons"), Rows.of(learned)
+    fit = Fit("horizons fno", operator, table, rows, Rows.of(unseen), functional.mse_loss, seed)
     scratch.mkdir(parents=True, exist_ok=True)
     last = training_loop.fit(fit, scratch, progress)[-1]
     save_weights(folder / "horizons.safetensors", operator)
-    ms = latency.median_of(partial(inverse, operator, horizons.draws()[0], np.arange(round(T / DT)) * DT))
-    row = TrainedForLoop(
-        network="fno", loop=AS_MEANT, parameters=sum(p.numel() for p in network.parameters()), samples=len(learned.X),
-        epochs=last["epoch"], loss=last["loss"], mse=last["mse"], eps_sup=last["eps_sup"],
-        seconds=time.perf_counter() - start, ms=ms,
-    )  # fmt: skip
-    return operator, row
+    ms = latency.median_of(partial(inverse, operator, horizons.draws()[0], horizons.times()[:-1]))
+    return operator, TrainedForLoop(network="fno", loop=AS_MEANT, ms=ms, **numbers(operator, rows, last, start))

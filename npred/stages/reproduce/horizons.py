@@ -23,6 +23,11 @@ def rate(delay: Delay, t: Any) -> Any:
     return 1 + b / (1 + t) ** 2 - alpha * omega * np.cos(omega * t + shift)
 
 
+def times() -> np.ndarray:
+    """[0, 12] at steps of 1 ms."""
+    return np.arange(round(T / DT) + 1) * DT
+
+
 def drawn(generator: np.random.Generator) -> Delay:
     """A delay of the published ranges; commands may overtake each other."""
     return tuple(float(generator.uniform(low, high)) for low, high in RANGES)

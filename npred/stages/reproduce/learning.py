@@ -123,10 +123,7 @@ class LoopTraining:
         save(folder, operator, table, plant)
         if regression:
             regression.save(folder)
-        numbers = {"samples": len(learned), "epochs": last["epoch"], "loss": last["loss"], "mse": last["mse"],
-                   "eps_sup": last["eps_sup"], "parameters": sum(p.numel() for p in operator.parameters()),
-                   "seconds": time.perf_counter() - start}  # fmt: skip
-        return TrainedNetwork(plant, operator, regression, test, numbers)
+        return TrainedNetwork(plant, operator, regression, test, numbers(operator, learned, last, start))
 
     def _trained(self, fit: Fit, folder: Path, turn: int, epochs: int) -> dict[str, Any]:
         """The last epoch's metrics of a round; no other shares its checkpoints."""
@@ -162,6 +159,13 @@ class TrainedNetwork:
 
 def _itself(calls: RecordedCalls) -> RecordedCalls:
     return calls
+
+
+def numbers(operator: Operator, learned: Rows, last: Mapping[str, Any], start: float) -> dict[str, Any]:
+    """How a training went that began at `start`: its rows, the metrics of its last epoch, its weights and seconds."""
+    metrics = {"epochs": last["epoch"], **{key: last[key] for key in ("loss", "mse", "eps_sup")}}
+    parameters = sum(p.numel() for p in operator.parameters())
+    return metrics | {"samples": len(learned), "parameters": parameters, "seconds": time.perf_counter() - start}
 
 
 def table_of(network: str, keys: Mapping[str, Any]) -> Table:

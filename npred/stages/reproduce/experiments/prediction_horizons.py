@@ -20,7 +20,7 @@ from npred.stages.reproduce.experiment import (
     PublishedNumber,
     PublishedTime,
 )
-from npred.stages.reproduce.horizons import DT, Delay, T, draws, inverse, late, rate
+from npred.stages.reproduce.horizons import Delay, draws, inverse, late, rate, times
 
 NAMES = ("a", "b", "α", "ω", "φ")
 DIGITS = (("0.40", "0.31", "-0.10", "4.95", "0.95"), ("0.28", "0.15", "-0.06", "1.28", "0.82"))
@@ -57,13 +57,8 @@ def residual(delay: Delay, method: Callable[..., float] | None = None) -> float:
     return missed(delay, inverse(delay, t) if method is None else integrated(delay, t, method))
 
 
-def times() -> np.ndarray:
-    """[0, 12] at steps of 1 ms."""
-    return np.arange(round(T / DT) + 1) * DT
-
-
 def missed(delay: Delay, rho: np.ndarray) -> float:
-    """The largest |φ(ρ(t)) - t| at those times."""
+    """The largest |φ(ρ(t)) - t|, with ρ at the times of a run."""
     return float(np.abs(late(delay, rho) - times()).max())
 
 
