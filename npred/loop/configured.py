@@ -31,6 +31,12 @@ def loops(
     )  # fmt: skip
 
 
+def compiled(plant: Plant, predictor: Predictor, table: Loop) -> bool:
+    """True if these loops, where they adapt, are kernels throughout, which let go of the interpreter."""
+    law = None if plant.declares_delay else delay_law.resolve(table)
+    return plant.traced and predictor.compiled and delay_law.part(plant, law, table.dt).compiled
+
+
 def truth(plant: Plant, table: Loop) -> Plant | None:
     """The plant with the parameters of `truth`; None where there are none. Raises ConfigError for an unknown one."""
     return plants.varied(plant, tuple(table.truth.items())) if table.truth else None

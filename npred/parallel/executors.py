@@ -30,9 +30,10 @@ Result = TypeVar("Result")
 
 
 class Workers(Executor):
-    """An executor that knows how many tasks it works on side by side."""
+    """An executor that knows how many tasks it works on side by side, and whether on this machine."""
 
     count: int
+    remote = False
 
 
 def opened(spec: str, jobs: int) -> AbstractContextManager[Workers]:
@@ -182,6 +183,8 @@ def _end_with_leash(end: Connection) -> None:
 
 class Cluster(Workers):
     """The workers of a Dask scheduler. Dask does the work of a worker that died again, elsewhere."""
+
+    remote = True
 
     def __init__(self, client: Any) -> None:
         self._client, self._inner = client, client.get_executor(pure=False)

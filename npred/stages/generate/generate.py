@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator
+from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 
@@ -59,16 +60,32 @@ def _imported(job: Job, path: Path) -> Generated:
 
 
 def batches(job: Job, config: Pipeline, stage: str = "generate") -> Iterator[tuple[int, Columns]]:
-    """The rows of each batch of a pipeline's rollouts, after its first one; a single batch is not worth a process."""
-    ranges, executor = _ranges(config.generate, job.executor.count), job.executor
-    make = partial(rollouts.elsewhere, config.located(), rollouts.surroundings(config, job.plant))
-    if len(ranges) == 1 or isinstance(executor, executors.Here):
-        make, executor = partial(rollouts.rows, config, job.plant), executors.Here()
+    """The rows of each batch of a pipeline's rollouts, after its first one."""
+    ranges = _ranges(config.generate, job.executor.count)
     job.progress.doing(stage, "compiling")
-    with job.progress.bar(stage, config.generate.rollouts, "rollouts") as bar:
+    near = _near(job, config, len(ranges))
+    with (
+        job.progress.bar(stage, config.generate.rollouts, "rollouts") as bar,
+        executors.closed(near) if near else nullcontext(job.executor) as executor,
+    ):
+        if near:
+            make = partial(rollouts.rows, config, job.plant, progress=lambda _: bar.advance(0))  # ends a thread early
+        else:
+            make = partial(rollouts.elsewhere, config.located(), rollouts.surroundings(config, job.plant))
         for batch, rows in executors.completed(executor, make, ranges):
             bar.advance(len(batch))
             yield batch.start, rows
+
+
+def _near(job: Job, config: Pipeline, batches: int) -> executors.Workers | None:
+    """This process: for a single batch, and its threads for loops that let go of the interpreter, whose rows need not
+    be sent. None where other processes, or machines, serve better.
+    """
+    workers = job.executor
+    if batches == 1 or (workers.count == 1 and not workers.remote):
+        return executors.Here()
+    threads = not workers.remote and rollouts.compiled(config, job.plant)
+    return executors.Threads(workers.count) if threads else None
 
 
 def _ranges(config: Generate, workers: int) -> list[range]:

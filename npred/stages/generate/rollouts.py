@@ -1,5 +1,6 @@
 """Batches of rollouts as rows of data, in this process or in another one, on this machine or on another one."""
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from npred.registry import DELAY_LAWS, METHODS
 from npred.stages.generate import sampling
 
 Columns = dict[str, np.ndarray]
+Progress = Callable[[int], None] | None
 LAST = np.iinfo(np.int64).max  # a step that no loop comes to
 PACKAGES = ("npred", "numpy", "numba")  # what the bytes of a row may depend on
 
@@ -42,14 +44,21 @@ def elsewhere(pipeline: Pipeline, expected: dict[str, Any], batch: range) -> Col
     return rows(pipeline, plant, batch)
 
 
-def rows(pipeline: Pipeline, plant: Plant, batch: range, finite: bool = True) -> Columns:
+def compiled(pipeline: Pipeline, plant: Plant) -> bool:
+    """True if the loops of rollouts are kernels throughout."""
+    config = pipeline.generate
+    return configured.compiled(plant, numerical(config.predictor, plant, config.nx), config)
+
+
+def rows(pipeline: Pipeline, plant: Plant, batch: range, finite: bool = True, progress: Progress = None) -> Columns:
     """The rows of the rollouts `batch`, which starts at a multiple of LANES.
 
     They are computed LANES at a time whatever the batch, so the bytes do not depend on how rollouts are batched.
-    Raises DivergedError, naming the rollout, where a state is not finite; without `finite` it stays in the rows.
+    `progress` gets the number of loop steps done, now and then. Raises DivergedError, naming the rollout, where a state
+    is not finite; without `finite` it stays in the rows.
     """
     chunks = [range(i, min(i + LANES, batch.stop)) for i in range(batch.start, batch.stop, LANES)]
-    return joined([_chunk(pipeline, plant, chunk, finite) for chunk in chunks])
+    return joined([_chunk(pipeline, plant, chunk, finite, progress) for chunk in chunks])
 
 
 def joined(parts: list[Columns]) -> Columns:
@@ -57,7 +66,7 @@ def joined(parts: list[Columns]) -> Columns:
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
-def _chunk(pipeline: Pipeline, plant: Plant, chunk: range, finite: bool) -> Columns:
+def _chunk(pipeline: Pipeline, plant: Plant, chunk: range, finite: bool, progress: Progress) -> Columns:
     """Closed loops from random starts, sampled at random steps, P by the predictor."""
     config = pipeline.generate
     X0, D, D_hat0, steps = sampling.starts(pipeline.seed, config, plant, chunk)
@@ -65,7 +74,7 @@ def _chunk(pipeline: Pipeline, plant: Plant, chunk: range, finite: bool) -> Colu
     noise = randomness.integer(pipeline.seed, "measurement")
     loops = configured.loops(
         plant, predictor, config, D=D, D_hat=D_hat0, X0=X0, t_end=config.t_end, seed=noise, first=chunk.start,
-        every=sampling.steps(config), samples=steps,
+        every=sampling.steps(config), samples=steps, progress=progress,
     )  # fmt: skip
     if finite:
         _finite(plant, config, chunk, X0, loops)

@@ -42,14 +42,47 @@ def test_no_rollout_is_in_both_parts(tmp_path):
 
 
 @pytest.mark.slow
-def test_processes_do_not_change_the_bytes(tmp_path):
+def test_neither_threads_nor_processes_change_the_bytes(tmp_path, monkeypatch):
     changes = {"rollouts": 130, "samples": 1000}
     two = Processes(2)
-    for name, executor in (("one", None), ("two", two)):
-        generate.run(job(tmp_path, name, executor=executor, generate=changes))
+    generate.run(job(tmp_path, "one", generate=changes))
+    monkeypatch.setattr(rollouts, "elsewhere", None)
+    generate.run(job(tmp_path, "threads", executor=two, generate=changes))
+    monkeypatch.undo()
+    monkeypatch.setattr(rollouts, "compiled", lambda pipeline, plant: False)
+    monkeypatch.setattr(rollouts, "rows", None)  # here; the processes have it
+    generate.run(job(tmp_path, "processes", executor=two, generate=changes))
     two.shutdown()
-    one, two = ((tmp_path / name / "data.h5").read_bytes() for name in ("one", "two"))
-    assert one == two
+    one, *others = ((tmp_path / name / "data.h5").read_bytes() for name in ("one", "threads", "processes"))
+    assert others == [one, one]
+
+
+LAW = """\
+from npred import DelayLaw
+class Still(DelayLaw):
+    def rate(self, plant, X, u, P, D_hat, t): return 0 * D_hat
+"""
+
+
+@pytest.mark.parametrize(
+    ("table", "expected"),
+    [({}, True), ({"adaptation": "frozen"}, True), ({"predictor": "rk4"}, True), ({"adaptation": "FILE:Still"}, False)],
+)
+def test_loops_are_compiled_unless_a_part_is_python(tmp_path, table, expected):
+    (tmp_path / "law.py").write_text(LAW)
+    table = {key: value.replace("FILE", str(tmp_path / "law.py")) for key, value in table.items()}
+    made = job(tmp_path, "data", generate=table)
+    assert rollouts.compiled(made.config, made.plant) is expected
+
+
+def test_a_thread_ends_at_the_next_report_of_progress(tmp_path):
+    made = job(tmp_path, "data")
+
+    def stop(steps):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        rollouts.rows(made.config, made.plant, range(3), progress=stop)
 
 
 SHARDED = {"rollouts": 200, "samples": 600, "t_end": 2.0}  # of 64 rollouts a shard: four
