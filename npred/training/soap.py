@@ -1,6 +1,7 @@
 """SOAP: Adam in the eigenbasis of Shampoo's preconditioner [Vyas et al. 2024, arXiv:2409.11321]."""
 
 from collections.abc import Callable, Iterable
+from inspect import unwrap
 from typing import Any
 
 import torch
@@ -18,6 +19,11 @@ class SOAP(torch.optim.Optimizer):
     A weight of more than two dimensions is a batch of matrices; a vector is left to Adam. On these small networks it
     ends at a mean square error several times below Adam's in the same time. Weight decay is decoupled.
     """
+
+    # torch wraps these to keep its compiler out, which imports the compiler: seconds, and none is used here.
+    add_param_group, zero_grad = unwrap(torch.optim.Optimizer.add_param_group), unwrap(torch.optim.Optimizer.zero_grad)
+    state_dict = unwrap(torch.optim.Optimizer.state_dict)
+    load_state_dict = unwrap(torch.optim.Optimizer.load_state_dict)
 
     def __init__(self, parameters: Iterable[Tensor], lr: float, weight_decay: float = 0.0) -> None:
         super().__init__(parameters, {"lr": lr, "weight_decay": weight_decay})

@@ -1,6 +1,10 @@
 """SOAP: Adam where there is nothing to turn, faster where there is, batches of matrices alike."""
 
+import subprocess
+import sys
+
 import torch
+from conftest import process_environment
 
 from npred.training.soap import BETA, EPS, EVERY, SOAP
 
@@ -63,3 +67,21 @@ def test_weight_decay_is_decoupled():
     W.grad = torch.zeros(2, 2)
     SOAP([W], lr=0.1, weight_decay=0.5).step()
     torch.testing.assert_close(W.detach(), torch.full((2, 2), 0.95))
+
+
+def test_it_does_not_import_the_compiler_of_torch():
+    program = """\
+import sys, torch
+from npred.training.soap import SOAP
+W = torch.ones(2, 2, requires_grad=True)
+optimiser = SOAP([W], lr=0.1)
+for _ in range(2):
+    optimiser.zero_grad()
+    W.square().sum().backward()
+    optimiser.step()
+other = SOAP([W], lr=0.1)
+other.load_state_dict(optimiser.state_dict())
+print(float(W.grad[0, 0]), float(other.state[W]["step"]), "torch._dynamo" in sys.modules)
+"""
+    done = subprocess.run([sys.executable, "-c", program], env=process_environment(), capture_output=True, text=True)
+    assert (done.stdout.split()[1:], done.stderr) == (["2.0", "False"], "")
