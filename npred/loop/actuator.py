@@ -28,7 +28,15 @@ ACTUATE = (
 )
 
 
-@njit  # compiled into those that call it
+@njit  # compiled into those that call it; a slice that is set to another costs them seconds, for the error it may raise
+def copy(source: np.ndarray, target: np.ndarray) -> None:
+    """Copy numbers on lanes, (·, B)."""
+    for c in range(source.shape[0]):
+        for l in range(source.shape[1]):
+            target[c, l] = source[c, l]
+
+
+@njit
 def _sum_to(s: float, held: np.ndarray, total: np.ndarray, c: int, l: int, wrap: int) -> float:
     """The integral of U over time up to position s, in control steps."""
     i = int(s + ROUNDING)

@@ -50,10 +50,12 @@ def begin(X: np.ndarray, memory: np.ndarray, count: int, n: int, m: int) -> None
     """Start every observer at X (n, B), without errors."""
     memory[:] = 0.0
     x, _, _, _, floor, _, scale, calls, pace = parts(memory, count, n, m)
-    for i in range(count):
-        x[i] = X
+    for c in range(n):
+        for l in range(X.shape[1]):
+            scale[c, l] = abs(X[c, l])
+            for i in range(count):
+                x[i, c, l] = X[c, l]
     floor[:] = 1.0
-    scale[:] = np.abs(X)
     calls[:] = 1.0
     pace[:] = 1.0
 
@@ -143,7 +145,9 @@ def decide(
         ratio = law[SHARE] * window / memory
         pace[l] = PACE * ratio if PACE * ratio < 1.0 else 1.0  # and where neither tells anything
         if risen and DIFFER * ratio > 1.0 and not first:
-            long[:, :, l] = short[:, :, l]
+            for j in range(short.shape[0]):
+                for c in range(short.shape[1]):
+                    long[j, c, l] = short[j, c, l]
             weigh(X, long, short, floor, level, scale, first, 0.0, l)
         best, most = compare(long, floor, l, cost)
         if most > DIFFER * cost[best]:

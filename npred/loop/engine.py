@@ -13,7 +13,7 @@ from numba import types
 from npred.delays import family, family_of
 from npred.delays.family import Kernel
 from npred.loop import actuator
-from npred.loop.actuator import retime
+from npred.loop.actuator import copy, retime
 from npred.loop.measurement import ESTIMATE, SENSOR, Sensor, sample
 from npred.plants.base import Plant
 from npred.predictors.onestep import OneStep
@@ -149,8 +149,10 @@ def steps(
 @jit(types.void(types.int64, types.float64, A3, A2, A2), nogil=True)
 def tabulated(k: int, dt: float, delays: np.ndarray, D: np.ndarray, speed: np.ndarray) -> None:
     """D (m, B) at control step k, and the speed of phi(t) = t - D during it."""
-    D[:] = delays[k]
-    speed[:] = 1.0 - (delays[k + 1] - delays[k]) / dt
+    for c in range(D.shape[0]):
+        for l in range(D.shape[1]):
+            D[c, l] = delays[k, c, l]
+            speed[c, l] = 1.0 - (delays[k + 1, c, l] - delays[k, c, l]) / dt
 
 
 @jit(types.void(A1, A2, A2), nogil=True)
@@ -175,13 +177,19 @@ def watch(k: int, t: float, longest: float, z: State, out: Record) -> None:
         runs = z.speed[0, l] > 0.0 and 0.0 <= z.D[0, l] <= longest
         if out.infeasible[l] < 0 and np.isfinite(z.X[0, l]) and (lost or not runs):
             out.infeasible[l] = k
-            out.breach[:n, l], out.breach[n : n + m, l], out.breach[n + m, l] = z.X[:, l], z.U0[:, l], t
+            X, U = z.X, z.U0
             if lost:
                 j = 0
                 while j < nx - 2 and not np.isnan(z.P[j + 1, 0, l]):
                     j += 1
-                out.breach[:n, l], out.breach[n : n + m, l] = z.P[j, :, l], z.u[j, :, l]
-            z.X[:, l], z.speed[:, l] = np.nan, 0.0
+                X, U = z.P[j], z.u[j]
+            for c in range(n):
+                out.breach[c, l] = X[c, l]
+                z.X[c, l] = np.nan
+            for c in range(m):
+                out.breach[n + c, l] = U[c, l]
+                z.speed[c, l] = 0.0
+            out.breach[n + m, l] = t
 
 
 @jit(types.void(A2, A2), nogil=True)
@@ -226,8 +234,11 @@ def keep(k: int, s: Settings, z: State, out: Record) -> None:
     """Write step k to the record: every `every`-th state, the samples asked for, the first step not finite."""
     for l in range(z.X.shape[1]):
         while z.drawn[l] < s.samples.shape[0] and s.samples[z.drawn[l], l] == k:
-            out.sample_X[z.drawn[l], :, l] = z.X[:, l]
-            out.sample_u[z.drawn[l], :, :, l] = z.u[:, :, l]
+            for c in range(z.X.shape[0]):
+                out.sample_X[z.drawn[l], c, l] = z.X[c, l]
+            for j in range(z.u.shape[0]):
+                for c in range(z.u.shape[1]):
+                    out.sample_u[z.drawn[l], j, c, l] = z.u[j, c, l]
             out.sample_D_hat[z.drawn[l], l] = z.D_hat[l]
             z.drawn[l] += 1
         if z.fallback[l] > 0.0 and np.isfinite(z.X[0, l]):
@@ -240,8 +251,11 @@ def keep(k: int, s: Settings, z: State, out: Record) -> None:
                 out.escaped[l] = k
     if k % s.every == 0:
         row = k // s.every
-        out.X[row], out.P[row] = z.X, z.P[z.P.shape[0] - 1]
-        out.U[row], out.D_hat[row], out.N[row] = z.U, z.D_hat, z.N
+        copy(z.X, out.X[row])
+        copy(z.P[z.P.shape[0] - 1], out.P[row])
+        copy(z.U, out.U[row])
+        for l in range(z.X.shape[1]):
+            out.D_hat[row, l], out.N[row, l] = z.D_hat[l], z.N[l]
         energy(z.u, s.u_star, z.D_seen, out.energy[row])
 
 

@@ -16,7 +16,7 @@ from numba import njit, types
 from npred import array_checks
 from npred.delays import family
 from npred.errors import ConfigError
-from npred.loop.actuator import ROUNDING, leaving
+from npred.loop.actuator import ROUNDING, copy, leaving
 from npred.symbolic.compile_cache import jit
 
 Observer = Callable[[np.ndarray, np.ndarray, np.ndarray, float], Any]
@@ -129,9 +129,10 @@ def sample(
 ) -> None:
     """The samples that arrive at control step k, Y; NaN in the loops where none does. `past` keeps the last states."""
     rows, taken = past.shape[0], k - sensor.age
-    past[k % rows] = X
-    Y[:] = np.nan
+    copy(X, past[k % rows])
     for l in range(X.shape[1]):
+        for c in range(X.shape[0]):
+            Y[c, l] = np.nan
         loop, j = sensor.first + l, number[l]
         if k == 0 or (taken >= 0 and taken >= due[l] - ROUNDING):
             if k == 0 or _uniform(sensor.seed, loop, j, 0, DROP) >= sensor.drop:
@@ -175,7 +176,8 @@ def estimate(
         for i in range(start, k):
             _reached(origin + i, dt, D, held, l, U0, U1, share)
             advance(x, U0, U1, share, dt, i * dt, p)
-        X_hat[:, l] = x[:, 0]
+        for c in range(n):
+            X_hat[c, l] = x[c, 0]
 
 
 def estimator(measurement: Measurement, traced: bool) -> Callable[..., None]:

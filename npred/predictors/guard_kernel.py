@@ -37,7 +37,7 @@ GUARD = """\
         count = int(guard[2]) if level < 0 else int(guard[1]) * (1 if level < 1 else 2 if level < 2 else 4)
         if level <= int(guard[5]) and doubts > 0:
             if level >= 0:
-                B[:] = A
+                A, B = B, A
             {read}
             Q = np.empty((count + 1, n, lanes))
             {reference}
@@ -71,9 +71,16 @@ GUARD = """\
         fallback[l] = 1.0 if outside or fallback[l] > 0.0 else 0.0
         if fallback[l] > 0.0:
             x1, u1, D1, P1 = np.empty((n, 1)), np.empty((nx, m, 1)), np.empty(1), np.empty((nx, n, 1))
-            x1[:, 0], u1[:, :, 0], D1[0] = X[:, l], u[:, :, l], D_hat[l]
+            for c in range(n):
+                x1[c, 0] = X[c, l]
+            for j in range(nx):
+                for c in range(m):
+                    u1[j, c, 0] = u[j, c, l]
+            D1[0] = D_hat[l]
             exact(x1, u1, D1, t, p, P1)
-            P[:, :, l] = P1[:, :, 0]
+            for j in range(nx):
+                for c in range(n):
+                    P[j, c, l] = P1[j, c, 0]
 """
 HEAD = 6  # numbers of the settings before the domain's: tolerance, fine, coarse, correct, limit, refinements
 DOUBT = "2.0"
