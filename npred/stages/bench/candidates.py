@@ -3,6 +3,7 @@
 from bisect import bisect_left
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -121,12 +122,18 @@ def entries(job: Job, reference: Reference) -> list[Candidate]:
     networks = {name: operators.load(job.inputs[name], job.plant, config=table) for name, table in tables.items()}
     available, methods = _available(job, config), _methods(job.config, job.plant)
     ways = {name: _ways(job, name, operator, available) for name, operator in networks.items()}
+
+    @cache  # an ONNX graph takes seconds, and serves any batch
+    def run(name: str, runtime: str, nx: int) -> Predictor:
+        return runtimes.predictor(runtime, job.plant, networks[name], nx, name)
+
     rows: list[Candidate] = []
     for batch in config.batches:
         for nx in map(grid.count, config.dx if batch == 1 else config.dx[:1]):
             rows += _numerical(job.plant, methods, nx, batch)
-            for name, operator in networks.items():
-                rows += _neural(job, operator, name, nx, batch, ways[name])
+            for name in networks:
+                rows += [Candidate(name, called(way), nx, batch, run(name, way, nx)) for way in ways[name]]
+                rows += _on_device(job, name, nx, batch)
     nx = grid.count(config.dx[0])
     for name in networks:
         eps = reference.error(next(e for e in rows if (e.predictor, e.nx) == (name, nx))).sup
@@ -193,9 +200,7 @@ def _numerical(plant: Plant, methods: dict[str, Method], nx: int, batch: int) ->
         yield Candidate(name, "compiled", nx, batch, kind(plant, nx))
 
 
-def _neural(job: Job, operator: Operator, name: str, nx: int, batch: int, available: list[str]) -> Iterator[Candidate]:
-    for runtime in available:
-        yield Candidate(name, called(runtime), nx, batch, runtimes.predictor(runtime, job.plant, operator, nx, name))
+def _on_device(job: Job, name: str, nx: int, batch: int) -> Iterator[Candidate]:
     if job.device != "cpu":
         moved = operators.load(job.inputs[name], job.plant, config=job.config.train.table(name))
         run = runtimes.predictor("torch", job.plant, moved, nx, name, job.device)
