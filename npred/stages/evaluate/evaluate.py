@@ -35,7 +35,7 @@ from npred.stages.evaluate.initial_conditions import Starts, starts
 
 EVERY = 10  # control steps between two kept states
 FALLBACKS = 0.05  # share of steps with the numerical predictor, above which a guarded network is warned of
-SHARE = 16  # loops of a compiled predictor in a task
+SHARE = 6  # loops of a compiled predictor in a task
 summary, details = summary_tables.summary, summary_tables.details
 
 
