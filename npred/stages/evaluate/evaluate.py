@@ -58,15 +58,15 @@ def run(job: Job) -> Evaluated:
     taken = accuracy.sample_steps(job.config.seed, config, len(begin.D))[begin.cases] * config.dt
     cases = loops[NUMERICAL].part(begin.cases)
     held_out, fresh = held_out_kinds.held_out(job, data), Labelled.fresh(cases, taken, predictors[NUMERICAL])
-    bare_networks = {contender: bare(predictor) for contender, predictor in predictors.items() if contender.is_network}
+    bare_networks = {c: networks.on_any_grid(job, bare(predictors[c])) for c in predictors if c.is_network}
     P_hat = {
         contender: {kind: accuracy.predict(predictor, rows) for kind, rows in held_out.items()}
         for contender, predictor in bare_networks.items()
     }
     accuracy.write(job.folder / "errors.h5", held_out, P_hat)
     models = {}
-    for contender, predictor in predictors.items():
-        errors = _errors(job.plant, bare(predictor), P_hat.get(contender), held_out, fresh)
+    for contender in predictors:
+        errors = _errors(job.plant, bare_networks.get(contender), P_hat.get(contender, {}), held_out, fresh)
         behaviour = _behaviour(job.plant, config, begin, contender, errors["eps_kappa"], loops)
         models[contender] = Scores(**errors, in_loop=in_loops[contender], **behaviour)
     bounds = (0.0, np.inf) if job.plant.declares_delay else config.bounds
@@ -195,22 +195,22 @@ def _median(values: np.ndarray) -> float | None:
 
 def _errors(
     plant: Plant,
-    predictor: Predictor,
-    P_hat: Mapping[str, np.ndarray] | None,
+    network: Predictor | None,
+    P_hat: Mapping[str, np.ndarray],
     held_out: Mapping[str, Labelled],
     fresh: Labelled,
 ) -> dict[str, Any]:
     """By key of Scores: errors on held-out rows of the first kind, on those of each, and on this evaluation's loops.
 
-    The numerical predictor's, which has no P_hat, are 0: it is the reference.
+    The numerical predictor's, which is no network, are 0: it is the reference.
     """
-    if P_hat is None:
+    if network is None:
         exact = {kind: KindErrors(**EXACT.set_values, above=0.0) for kind in held_out}
         return EXACT.set_values | {"kinds": exact, "fresh": EXACT}
     kinds = accuracy.by_kind(plant, P_hat, held_out)
     first = next(iter(kinds.values())).set_values
     del first["above"]
-    return first | {"kinds": kinds, "fresh": accuracy.measure(plant, accuracy.predict(predictor, fresh), fresh)}
+    return first | {"kinds": kinds, "fresh": accuracy.measure(plant, accuracy.predict(network, fresh), fresh)}
 
 
 def _warn(job: Job, covered: Mapping[str, Coverage]) -> None:

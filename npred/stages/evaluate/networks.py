@@ -24,3 +24,11 @@ def load(job: Job, model: str, snapshot: int | None, name: str) -> Predictor:
     if job.device == "cpu" and lowering(operator):
         return Fused(job.plant, operator, job.config.evaluate.nx, name, precision=np.float64)
     return Neural(job.plant, operator, job.config.evaluate.nx, job.device, name)
+
+
+def on_any_grid(job: Job, network: Predictor) -> Predictor:
+    """The same network by torch, equal up to rounding: on the data's grid it need not be compiled once more."""
+    from npred.predictors.neural import Neural
+
+    operator = getattr(network, "operator")  # noqa: B009 - every predictor of this module has one
+    return Neural(job.plant, operator, network.nx, job.device, network.name)
