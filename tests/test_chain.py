@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -57,6 +58,16 @@ def chain(tmp_path):
     return tmp_path
 
 
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """The store of one run that nothing stopped."""
+    folder = tmp_path_factory.mktemp("whole")
+    (folder / "tiny.toml").write_text(TINY)
+    done = run(folder, "whole")
+    assert done.returncode == 0, done.stderr
+    return folder / "whole"
+
+
 def command(store: str, *more: str) -> list[str]:
     return [sys.executable, "-m", "npred", "run", "tiny.toml", "--store", store, "--jobs", "1", *more]
 
@@ -81,10 +92,10 @@ def killed_in(folder: Path, store: str, stage: str) -> None:
     assert process.wait() == -signal.SIGKILL
 
 
-def digests(folder: Path, store: str) -> dict[str, dict[str, str]]:
+def digests(store: Path) -> dict[str, dict[str, str]]:
     """The digests of the payload files of every result, by stage and network."""
     found = {}
-    for path in (folder / store).glob("*/*/manifest.json"):
+    for path in store.glob("*/*/manifest.json"):
         manifest = json.loads(path.read_text())
         question = manifest["question"]
         name = f"{question['stage']} {question['model'] or ''}".strip()
@@ -93,7 +104,7 @@ def digests(folder: Path, store: str) -> dict[str, dict[str, str]]:
     return found
 
 
-def test_killed_in_every_stage_it_ends_with_the_same_bytes(chain):
+def test_killed_in_every_stage_it_ends_with_the_same_bytes(chain, whole):
     for stage in STAGES:
         killed_in(chain, "hurt", stage)
     after = run(chain, "hurt", "--json")
@@ -107,11 +118,10 @@ def test_killed_in_every_stage_it_ends_with_the_same_bytes(chain):
         "bench": "hit",
         "report": "run",
     }
-    assert run(chain, "whole").returncode == 0
-    hurt, whole = digests(chain, "hurt"), digests(chain, "whole")
-    assert set(hurt) == set(whole) == set(STAGES)
+    hurt, unhurt = digests(chain / "hurt"), digests(whole)
+    assert set(hurt) == set(unhurt) == set(STAGES)
     for stage in STAGES[:-2]:  # bench holds times, and the report shows them
-        assert hurt[stage] == whole[stage], stage
+        assert hurt[stage] == unhurt[stage], stage
 
 
 def test_two_runs_at_once_make_each_result_once_and_a_third_none(chain):
@@ -125,8 +135,8 @@ def test_two_runs_at_once_make_each_result_once_and_a_third_none(chain):
     assert {s["action"] for s in again} == {"hit"}
 
 
-def test_a_flipped_byte_is_found_on_read(chain):
-    assert run(chain, "store").returncode == 0
+def test_a_flipped_byte_is_found_on_read(chain, whole):
+    shutil.copytree(whole, chain / "store")
     (data,) = (chain / "store" / "generate").glob("*/data.h5")
     content = bytearray(data.read_bytes())
     content[len(content) // 2] ^= 1
@@ -139,8 +149,8 @@ def test_a_flipped_byte_is_found_on_read(chain):
     assert data.read_bytes() == bytes(content), "nothing is overwritten"
 
 
-def test_changed_epochs_rerun_only_what_depends_on_them_and_why_says_so(chain):
-    assert run(chain, "store").returncode == 0
+def test_changed_epochs_rerun_only_what_depends_on_them_and_why_says_so(chain, whole):
+    shutil.copytree(whole, chain / "store")
     change = ("--set", "train.deeponet.epochs=7")
     why = subprocess.run([sys.executable, "-m", "npred", "why", "train", "tiny.toml", "--store", "store", *change],
                          cwd=chain, env=process_environment(), capture_output=True, text=True, timeout=60)  # fmt: skip

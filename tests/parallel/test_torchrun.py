@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -11,7 +12,9 @@ import pytest
 from conftest import process_environment
 from hypothesis import given
 from hypothesis import strategies as st
+from typer.testing import CliRunner
 
+from npred.cli import app
 from npred.parallel import torchrun
 
 TINY = """
@@ -99,13 +102,22 @@ def curves(store: Path) -> dict[str, np.ndarray]:
     return found
 
 
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    """A store with the data."""
+    folder = tmp_path_factory.mktemp("data")
+    (folder / "tiny.toml").write_text(TINY)
+    done = CliRunner().invoke(app, ["generate", str(folder / "tiny.toml"), "--store", str(folder / "store"), "-q"])
+    assert done.exit_code == 0, done.output
+    return folder / "store"
+
+
 @pytest.fixture
-def made(tmp_path):
+def made(tmp_path, data):
     """Data in two equal stores."""
     (tmp_path / "tiny.toml").write_text(TINY)
-    command = [*ALONE, "generate", "tiny.toml", "--store", "one", "-q"]
-    subprocess.run(command, cwd=tmp_path, env=process_environment(), check=True, capture_output=True)
-    subprocess.run(["cp", "-r", "one", "two"], cwd=tmp_path, check=True)
+    for name in ("one", "two"):
+        shutil.copytree(data, tmp_path / name)
     return tmp_path
 
 
