@@ -52,6 +52,8 @@ def write(plate: Plate, folder: Path, style: Style = MEDIA["ieee2"], formats: Se
     """The plate as name.svg, name.pdf, name.png: the same bytes for the same data."""
     with medium(style):
         figure = _figure(plate, style)
+        figure.draw_without_rendering()  # lays it out, which takes longest: once for all formats
+        figure.set_layout_engine(None)
         for form in formats:
             figure.savefig(
                 folder / f"{plate.name}.{form}", metadata=FORMATS[form], dpi=DPI, facecolor="white", format=form
