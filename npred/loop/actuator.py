@@ -28,9 +28,9 @@ ACTUATE = (
 )
 
 
-@njit  # compiled into those that call it; a slice that is set to another costs them seconds, for the error it may raise
+@njit  # compiled into those that call it, as the next two
 def copy(source: np.ndarray, target: np.ndarray) -> None:
-    """Copy numbers on lanes, (·, B)."""
+    """Copy source (·, B) to target. For `target[:] = source` Numba would compile the text of an error, for seconds."""
     for c in range(source.shape[0]):
         for l in range(source.shape[1]):
             target[c, l] = source[c, l]

@@ -140,6 +140,11 @@ def _counted(progress: Callable[[int], Any] | bool | None, total: int) -> Iterat
         yield progress
 
 
+def compiled(plant: Plant, predictor: Predictor | None, law: Part) -> bool:
+    """True if the controller's parts are kernels, which let go of the interpreter."""
+    return plant.traced and law.compiled and (predictor is None or predictor.compiled)
+
+
 @dataclass(frozen=True)
 class _Simulation:
     """The parts that all chunks of one simulation share."""
@@ -175,8 +180,8 @@ class _Simulation:
     @property
     def compiled(self) -> bool:
         """True if all parts are kernels; else the same loop runs in Python around those that are."""
-        parts = self.plant.traced and self.truth.traced and self.law.compiled and self.measurement.observer is None
-        return parts and (self.predictor is None or self.predictor.compiled)
+        controller = compiled(self.plant, self.predictor, self.law)
+        return controller and self.truth.traced and self.measurement.observer is None
 
     def run(
         self, X0: np.ndarray, D: np.ndarray, D_hat: np.ndarray, past: inputs.Past, samples: np.ndarray,

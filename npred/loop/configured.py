@@ -6,7 +6,7 @@ from typing import Any
 
 from npred import plants
 from npred.config import Disturbance, Loop
-from npred.loop import delay_law
+from npred.loop import closed_loop, delay_law
 from npred.loop.closed_loop import Trajectories, simulate
 from npred.loop.measurement import Measurement
 from npred.plants.base import Plant
@@ -32,9 +32,9 @@ def loops(
 
 
 def compiled(plant: Plant, predictor: Predictor, table: Loop) -> bool:
-    """True if these loops, where they adapt, are kernels throughout, which let go of the interpreter."""
+    """True if `loops` of this table, where they adapt, are kernels throughout: no table names an observer in Python."""
     law = None if plant.declares_delay else delay_law.resolve(table)
-    return plant.traced and predictor.compiled and delay_law.part(plant, law, table.dt).compiled
+    return closed_loop.compiled(plant, predictor, delay_law.part(plant, law, table.dt))
 
 
 def truth(plant: Plant, table: Loop) -> Plant | None:

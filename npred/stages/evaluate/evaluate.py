@@ -1,7 +1,7 @@
 """The evaluate stage: errors on held-out rows of each kind, what closed loops make of them, the certificate of both."""
 
 from collections.abc import Callable, Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -118,16 +118,18 @@ def _all_loops(
     """
     config = job.config.evaluate
     job.progress.doing("evaluate", "compiling")
+    for predictor in predictors.values():
+        predictor.lanes()  # compiled here, once, not by threads side by side
     adapting = [c for c in predictors if c.adapts]  # with D_hat = D adaptation makes no difference
     total = sum(begin.of(contender) for contender in predictors) * (round(config.case_t_end / config.dt) + 1)
     total += len(adapting) * in_loop.steps(config, begin)
     with job.progress.bar("evaluate", total, "steps") as bar, ThreadPoolExecutor(job.jobs) as pool:
         try:
-            tasks: dict[Contender, list[Future[Trajectories]]] = {}
-            for c, predictor in predictors.items():
-                predictor.lanes()  # compiled here, once, while the threads are at work on those before
-                parts = _shares(predictor, begin.of(c))
-                tasks[c] = [pool.submit(_loops, job, c, predictor, begin, part, bar.advance) for part in parts]
+            tasks = {
+                c: [pool.submit(_loops, job, c, predictor, begin, part, bar.advance)
+                    for part in _shares(predictor, begin.of(c))]
+                for c, predictor in predictors.items()
+            }  # fmt: skip
             checks = {c: pool.submit(in_loop.error, job, predictors[c], begin, bar.advance) for c in adapting}
             loops = {c: Trajectories.joined([done.result() for done in parts]) for c, parts in tasks.items()}
             errors = {c: done.result() for c, done in checks.items()}

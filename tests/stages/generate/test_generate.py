@@ -85,6 +85,24 @@ def test_a_thread_ends_at_the_next_report_of_progress(tmp_path):
         rollouts.rows(made.config, made.plant, range(3), progress=stop)
 
 
+def test_all_threads_are_told_to_end(tmp_path, monkeypatch):
+    two, told = Processes(2), []
+    made = job(tmp_path, "data", executor=two, generate={"rollouts": 130, "samples": 1000})
+
+    def stopped(pipeline, plant, batch, progress):
+        made.progress.stop()
+        with pytest.raises(KeyboardInterrupt):
+            progress(1)
+        told.append(batch)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(rollouts, "rows", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        generate.run(made)
+    two.shutdown()
+    assert told
+
+
 SHARDED = {"rollouts": 200, "samples": 600, "t_end": 2.0}  # of 64 rollouts a shard: four
 
 
