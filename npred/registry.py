@@ -9,6 +9,7 @@ import hashlib
 import importlib
 import inspect
 from collections.abc import Collection, Mapping
+from functools import lru_cache
 from keyword import iskeyword
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -35,7 +36,7 @@ class Entry(NamedTuple):
 
 
 class Source(NamedTuple):
-    """A file of code: its name without folders, its text, and the sha256 of its bytes."""
+    """A file of code: its name without folders, its text, and the sha256 of what it does: see `meaning`."""
 
     file: str
     text: str
@@ -337,7 +338,29 @@ def _arguments(tree: ast.Module, name: str) -> ast.arguments | None:
 
 
 def _source(path: Path, content: bytes) -> Source:
-    return Source(path.name, content.decode(errors="replace"), hashlib.sha256(content).hexdigest())
+    return Source(path.name, content.decode(errors="replace"), hashlib.sha256(meaning(content)).hexdigest())
+
+
+@lru_cache(maxsize=64)
+def meaning(content: bytes) -> bytes:
+    """The syntax tree of Python's text, the same for every version of Python; of no Python the content itself.
+
+    Comments, docstrings and layout are not in it: results are keyed by it, so that they make none again.
+    """
+    try:
+        return ascii(_branch(ast.parse(content))).encode()
+    except (SyntaxError, ValueError, RecursionError, MemoryError):
+        return content
+
+
+def _branch(node: Any) -> Any:
+    """A node as its name and fields; newer versions have more fields, which are empty where they mean nothing."""
+    if isinstance(node, list):  # of statements those that are but a constant, as docstrings, do nothing
+        return [_branch(n) for n in node if not (isinstance(n, ast.Expr) and isinstance(n.value, ast.Constant))]
+    if not isinstance(node, ast.AST):
+        return node
+    fields = {name: _branch(value) for name, value in ast.iter_fields(node) if value not in (None, [])}
+    return type(node).__name__, fields
 
 
 def load(what: str, spec: str) -> tuple[Any, Source]:

@@ -73,3 +73,29 @@ def test_a_part_of_a_package_or_of_a_file_stands_beside_those_built_in(package, 
     assert tanks.load("tank", f"{tmp_path}/shed_of_tanks.py:Tank").states == ("h",)
     with pytest.raises(ConfigError, match=r"tank: expected square, round_tank, or a class .* mean square"):
         tanks.load("tank", "sqare")
+
+
+CODE = b"class Law:\n    gain = 2.0\n\n    def rate(self):\n        return self.gain\n"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "same"),
+    [
+        (b"gain = 2.0", b"gain = (2.00)  # of the law", True),
+        (b"    gain", b'    """A law."""\n\n    gain', True),
+        (b"class", b"# coding: latin-1\n# \xe9\nclass", True),
+        (b"2.0", b"2", False),
+        (b"2.0", b"'# 2.0'", False),
+        (b"self.gain", b"-self.gain", False),
+        (b"return", b"pass", False),
+    ],
+)
+def test_code_is_known_by_what_it_does(old, new, same):
+    """Comments, docstrings and layout are no part of it."""
+    assert old in CODE
+    assert (registry.meaning(CODE) == registry.meaning(CODE.replace(old, new))) is same
+
+
+@pytest.mark.parametrize("content", [b"no python", b"\0", b"(" * 10**4, b"\xff"])
+def test_what_is_no_python_is_known_by_its_bytes(content):
+    assert registry.meaning(content) == content

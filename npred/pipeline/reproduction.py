@@ -1,6 +1,6 @@
 """Published experiments in the store: outside any pipeline, a result per experiment, keyed by the code that makes it.
 
-The key holds the experiment's name, the version and the text of its file and of the files that it shares with others.
+The key holds the experiment's name, the version and the code of its file and of the files that it shares with others.
 What comes from npred's engine enters by `VERSION`: raise it when that changes a row.
 """
 
@@ -13,7 +13,6 @@ from typing import Any
 from npred import registry
 from npred.defaults import RESULT
 from npred.errors import ConfigError, similar
-from npred.json_files import sha256
 from npred.pipeline.plan import UP_TO_DATE
 from npred.pipeline.reasons import NEVER, reason
 from npred.results import Reproduced
@@ -32,12 +31,12 @@ def question(name: str, part: str = NUMERICAL) -> Question:
 
     Raises ConfigError for a name that there is no experiment of.
     """
-    names = registry.EXPERIMENTS.names()
-    if name not in names:
+    if name not in registry.EXPERIMENTS.builtin and name not in (names := registry.EXPERIMENTS.names()):
         raise ConfigError(
             f"reproduce: expected {', '.join(names)}, got {name!r}{similar(name, names) or '; choose one'}"
         )
-    config = {"experiment": registry.EXPERIMENTS.identity(name), "code": {p.stem: sha256(p) for p in _code(name)}}
+    code = {path.stem: registry.read(STAGE, path).sha256 for path in _code(name)}
+    config = {"experiment": registry.EXPERIMENTS.identity(name), "code": code}
     if part == NUMERICAL:
         return Question(stage=STAGE, version=VERSION, model=name, config=config, inputs={})
     model = f"{name}_{part}"
@@ -65,9 +64,9 @@ def _code(name: str) -> list[Path]:
 
 
 def keys() -> set[str]:
-    """The keys of all experiments' parts as the code is now: what gc keeps."""
-    parts = NUMERICAL, TIMES, *NETWORKS
-    return {question(name, part).key for name in registry.EXPERIMENTS.builtin for part in parts}
+    """The keys of all experiments' parts as the code is now, installed ones too: what gc keeps; none is imported."""
+    parts = dict.fromkeys([NUMERICAL, TIMES, *NETWORKS, *registry.NETWORKS.names()])
+    return {question(name, part).key for name in registry.EXPERIMENTS.names() for part in parts}
 
 
 @dataclass(frozen=True)

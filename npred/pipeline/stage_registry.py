@@ -236,8 +236,7 @@ def _bench(config: Pipeline, model: str | None, device: str) -> dict[str, Any]:
     runtimes = [registry.RUNTIMES.identity(name) for name in config.bench.runtimes]
     table = _own("bench", config, model, device)
     table["bench"]["runtimes"] = runtimes
-    more = [registry.METHODS.identity(name) for name in config.methods if name not in registry.METHODS.builtin]
-    table |= {"methods": more} if more else {}
+    table["methods"] = [*registry.INTERPRETED.builtin, *map(registry.METHODS.identity, config.methods)]
     table |= plants.resolve(config.plant, config.parameters).mechanics_program
     return table | {"hardware": devices.hardware(device)} | _box(config)
 

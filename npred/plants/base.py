@@ -69,7 +69,7 @@ class Plant:
 
     @property
     def digest(self) -> str | None:
-        """The sha256 of the file that declares the plant; None where there is none."""
+        """The sha256 of the code of the file that declares the plant; None where there is none."""
         return None if self.source is None else self.source.sha256
 
     @property

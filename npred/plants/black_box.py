@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from npred import json_files
+from npred import json_files, registry
 from npred.errors import ConfigError
 from npred.plants.base import Plant
 from npred.registry import Source
@@ -173,7 +173,9 @@ class BlackBox(Plant):
         contents: dict[str, Any] = {}
         for path in map(Path, getattr(self.declaration, "files", ())):
             try:
-                contents.setdefault(path.name, hashlib.sha256()).update(json_files.regular(path).read_bytes())
+                content = json_files.regular(path).read_bytes()
+                read = registry.meaning(content) if path.suffix == ".py" else content
+                contents.setdefault(path.name, hashlib.sha256()).update(read)
             except OSError as error:
                 what = f"expected a file to read at {path}, got: {error.strerror}"
                 raise ConfigError(f"plant {self.name}: files {what}; fix the path") from None

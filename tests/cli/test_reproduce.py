@@ -86,12 +86,15 @@ def test_numbers_have_the_digits_that_are_printed():
     ]
 
 
-def test_a_result_is_measured_once_per_text_of_its_code():
+def test_a_result_is_measured_once_per_code():
     for _ in range(2):
         _call("reproduce", "tiny")
+    own = Path("experiments") / f"{__name__.rpartition('.')[2]}.py"
+    own.write_text('"""A docstring."""\nfirst = (1)  # a comment\n')
+    assert _call("why", "tiny").stdout == "reproduce tiny: up to date\n"
     assert CALLS == ["measured"]
     assert _call("why", "tiny").stdout == "reproduce tiny: up to date\n"
-    (Path("experiments") / f"{__name__.rpartition('.')[2]}.py").write_text("second = 2\n")
+    own.write_text("second = 2\n")
     assert "code." in _call("why", "reproduce").stdout
     states = [row["state"] for row in json.loads(_call("why", "reproduce", "--json").stdout)["stages"]]
     assert states == ["stale", "missing"]
@@ -109,6 +112,13 @@ def test_show_ls_verify_and_gc_know_such_results():
     assert _call("gc", "p.toml", "--yes").stdout == "nothing to delete\n"
     (Path("experiments") / f"{__name__.rpartition('.')[2]}.py").write_text("second = 2\n")
     assert "deleted 1" in _call("gc", "p.toml", "--yes").stdout
+
+
+def test_gc_keeps_the_results_of_an_installed_experiment(package):
+    package("shed = test_reproduce:TINY", group="npred.experiments")
+    _call("reproduce", "shed")
+    Path("p.toml").write_text('name = "p"\nplant = "scalar"\n')
+    assert _call("gc", "p.toml", "--yes").stdout == "nothing to delete\n"
 
 
 def test_a_result_of_an_experiment_does_not_travel():

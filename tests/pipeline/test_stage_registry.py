@@ -9,7 +9,7 @@ from npred import DelayLaw
 
 class Own(DelayLaw):
     def rate(self, plant, X, u, P, D_hat, t):
-        return 0 * D_hat  # {remark}
+        return {factor} * D_hat  # {comment}
 """
 
 
@@ -31,10 +31,10 @@ def test_keys_of_a_real_loop_enter_the_question_where_they_are_not_the_default()
 
 def test_the_law_of_a_scenario_enters_by_what_its_file_holds(tmp_path):
     answers = []
-    for folder, remark in (("a", "one"), ("b", "one"), ("c", "another")):
+    for folder, factor, comment in (("a", 0, "one"), ("b", 0, "another"), ("c", 1, "one")):
         path = tmp_path / folder / "own.py"
         path.parent.mkdir()
-        path.write_text(LAW.replace("{remark}", remark))
+        path.write_text(LAW.format(factor=factor, comment=comment))
         scenario = {"name": "own law", "adaptation": f"{path}:Own"}
         asked, files = evaluate_question(evaluate={"scenarios": [scenario]})
         answers.append(asked["scenarios"])

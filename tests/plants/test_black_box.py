@@ -151,10 +151,19 @@ def test_identity_follows_the_file_the_parameters_and_the_files_it_reads(write, 
     before = plants.resolve(write(more=more)).identity
     data.write_text("2")
     changed = plants.resolve(write(more=more)).identity
-    commented = plants.resolve(write(more=more + "# a remark\n")).identity
-    assert before["program"]["source"] == changed["program"]["source"] != commented["program"]["source"]
-    assert before["program"]["files"] != changed["program"]["files"] == commented["program"]["files"]
+    commented = plants.resolve(write(more=more + "# a comment\n")).identity
+    other = plants.resolve(write(more=more + "    more = 1\n")).identity
+    assert commented == changed
+    assert before["program"]["source"] == changed["program"]["source"] != other["program"]["source"]
+    assert before["program"]["files"] != changed["program"]["files"] == other["program"]["files"]
     assert set(before["program"]["files"]) == {"data.txt"}
+    for name, same in (("data.txt", False), ("data.py", True)):
+        read, files = tmp_path / name, []
+        for text in ("1", "1  # a comment"):
+            read.write_text(text)
+            more = f"\n    files = ({str(read)!r},)\n"
+            files.append(plants.resolve(write(more=more)).identity["program"]["files"])
+        assert (files[0] == files[1]) is same
     with pytest.raises(ConfigError, match="files expected a file to read at"):
         _ = plants.resolve(write(more="\n    files = ('nowhere.urdf',)\n")).identity
 

@@ -16,6 +16,7 @@ from npred.errors import ConfigError
 from npred.loop.closed_loop import simulate
 from npred.pipeline import stage_registry
 from npred.predictors import OneStep
+from npred.registry import INTERPRETED, METHODS
 from npred.stages.bench import candidates
 from npred.stages.generate import generate
 
@@ -93,16 +94,25 @@ def test_a_method_of_a_file_enters_keys_by_what_it_holds(ralston):
         plain, mine = question(stage), question(stage, **changes)
         assert plain[stage]["predictor"] == "rk4" and mine[stage]["predictor"]["name"] == "Ralston"
         assert mine[stage] | {"predictor": "rk4"} == plain[stage]
-    assert "methods" not in question("bench")
-    assert question("bench", **changes)["methods"] == [mine["evaluate"]["predictor"]]
+    assert question("bench", **changes)["methods"] == [*question("bench")["methods"], mine["evaluate"]["predictor"]]
     path = Path(ralston.partition(":")[0])
     moved = path.rename(path.with_name("moved.py"))
     elsewhere = {name: {"predictor": f"{moved}:Ralston"} for name in ("generate", "evaluate")}
     assert question("evaluate", **elsewhere) == mine
     moved.write_text(RALSTON + "# another\n")
+    assert question("evaluate", **elsewhere) == mine
+    moved.write_text(RALSTON.replace("h / 4", "h / 5") + "# another\n")
     assert question("evaluate", **elsewhere) != mine
     sources = stage_registry.sources(stage_registry.Node("bench", None, ()), config.parse(tables(**elsewhere), "tests"))
     assert sources["generate.predictor"].text.endswith("# another\n")
+
+
+def test_the_times_of_a_bench_are_of_the_methods_that_there_are(monkeypatch):
+    """A method that is built in later is timed too: a result without it is not the answer."""
+    before = question("bench")
+    assert before["methods"] == [*INTERPRETED.builtin, *METHODS.builtin]
+    monkeypatch.setitem(METHODS.builtin, "euler_again", METHODS.builtin["euler"])
+    assert question("bench")["methods"] == [*before["methods"], "euler_again"]
 
 
 def test_a_method_of_a_package_has_a_name(package):
