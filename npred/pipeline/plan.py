@@ -3,11 +3,12 @@
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from operator import itemgetter
 from typing import TYPE_CHECKING
 
 from npred.config import Pipeline
 from npred.pipeline import stage_registry
-from npred.pipeline.reasons import NEVER, alike, reason, sentence, settings
+from npred.pipeline.reasons import NEVER, alike, pairs, reason, sentence, settings
 from npred.pipeline.stage_registry import STAGES, Node
 from npred.store import Artifact, Question, ResultInput, SourceText, Store
 
@@ -105,8 +106,9 @@ class Planner:
         causes = [f"upstream {step.node.name} will run ({step.reason})" for step in blocked if step.question]
         older = [a for a in self._artifacts if alike(a, node.stage, node.model, self.config.name)]
         asked, sources = stage_registry.question(node, self.config, self.device), self.sources(node)
-        lists = (settings(a.manifest.question.config, asked, a.manifest.sources, sources) for a in reversed(older))
-        changes = min(lists, key=len, default=[])
+        distances = ((len(pairs(a.manifest.question.config, asked)), a.manifest) for a in reversed(older))
+        closest = min(distances, key=itemgetter(0), default=None)
+        changes = settings(closest[1].question.config, asked, closest[1].sources, sources) if closest else []
         return Step(node, None, None, f"{'stale' if older else NEVER}: {sentence([*changes, *causes])}")
 
     @cached_property

@@ -10,7 +10,7 @@ from npred.pipeline import code_changes
 from npred.store import Artifact, Question, SourceText, short
 
 NEVER = "no artifact yet"
-UNSET = "unset"
+UNSET, MISSING = "unset", object()
 SHOWN = 4
 CODE = re.compile(
     r"plant\.program\.(?:source|files\.(?P<file>.+)|(?P<function>\w+))|(?P<part>\w+\.(?:adaptation|predictor|\w+\.network))\.source"
@@ -26,8 +26,14 @@ def reason(question: Question, pipeline: str, artifacts: Iterable[Artifact], sou
     same = [a for a in artifacts if alike(a, question.stage, question.model, pipeline)]
     if not same:
         return NEVER
-    lists = [differences(a.manifest.question, question, a.manifest.sources, sources) for a in reversed(same)]
-    return sentence(min(lists, key=len))
+    closest = min(reversed(same), key=lambda a: _distance(a.manifest.question, question)).manifest
+    return sentence(differences(closest.question, question, closest.sources, sources))
+
+
+def _distance(before: Question, after: Question) -> int:
+    """The number of `differences`; thousands of results may be alike, and the words are those of one."""
+    old, new = (dict(q.config) | {"": {n: i.digest for n, i in q.inputs.items()}} for q in (before, after))
+    return (before.version != after.version) + len(pairs(old, new))
 
 
 def differences(before: Question, after: Question, old_sources: Sources = {}, new_sources: Sources = {}) -> list[str]:
@@ -47,7 +53,7 @@ def settings(
     name = after["plant"].get("name", "") if isinstance(after.get("plant"), Mapping) else ""
     return [
         _code(key, old, new, name, old_sources, new_sources) or f"{key}: {old} -> {new}"
-        for key, old, new in _pairs(before, after)
+        for key, old, new in _shown(before, after)
     ]
 
 
@@ -67,25 +73,33 @@ def _code(key: str, old: str, new: str, plant: str, before: Sources, after: Sour
 
 def changes(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[str]:
     """Each leaf in which two nested tables differ, as `dotted.key: before -> after`."""
-    return [f"{key}: {left} -> {right}" for key, left, right in _pairs(before, after)]
+    return [f"{key}: {left} -> {right}" for key, left, right in _shown(before, after)]
 
 
-def _pairs(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[tuple[str, str, str]]:
-    old, new = flat(before), flat(after)
-    keys = [*old, *(key for key in new if key not in old)]
-    pairs = [(key, old.get(key, UNSET), new.get(key, UNSET)) for key in keys]
-    return [(key, left, right) for key, left, right in pairs if left != right]
+def _shown(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[tuple[str, str, str]]:
+    return [(escaped(key), _word(old), _word(new)) for key, old, new in pairs(before, after)]
 
 
-def flat(table: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
+def _word(value: Any) -> str:
+    return UNSET if value is MISSING else escaped(json.dumps(value, ensure_ascii=False))
+
+
+def pairs(before: Any, after: Any, key: str = "") -> list[tuple[str, Any, Any]]:
+    """Each leaf of nested tables in which they differ: its dotted key, and both values, MISSING where there is none."""
+    if repr(before) == repr(after):  # 1 and 1.0 are equal, and not the same in a key
+        return []
+    tables = [value for value in (before, after) if isinstance(value, Mapping)]
+    leaves = [value if not isinstance(value, Mapping) else MISSING for value in (before, after)]
+    found = [] if leaves == [MISSING, MISSING] else [(key, *leaves)]
+    for name in dict.fromkeys(name for table in tables for name in table):
+        old, new = (v.get(name, MISSING) if isinstance(v, Mapping) else MISSING for v in (before, after))
+        found += pairs(old, new, f"{key}.{name}" if key else name)
+    return found
+
+
+def flat(table: Mapping[str, Any]) -> dict[str, str]:
     """The leaves of nested tables under dotted keys, as JSON; a list is a leaf. Nothing in them moves a cursor."""
-    leaves: dict[str, str] = {}
-    for key, value in table.items():
-        if isinstance(value, Mapping):
-            leaves |= flat(value, f"{prefix}{key}.")
-        else:
-            leaves[escaped(f"{prefix}{key}")] = escaped(json.dumps(value, ensure_ascii=False))
-    return leaves
+    return {key: value for key, _, value in _shown({}, table)}
 
 
 def sentence(lines: list[str]) -> str:

@@ -155,7 +155,9 @@ class Store:
         if self.root.exists() and not self.root.is_dir():
             raise StoreError(f"{self.root}: expected a store, a folder, got a file; choose another --store")
         sound, broken = [], []
-        for folder in sorted(p for p in self.root.glob("[!.]*/*") if _KEY.fullmatch(p.name) and p.is_dir()):
+        for folder in sorted(self.root.glob("[!.]*/*"), key=str):
+            if not _KEY.fullmatch(folder.name) or not folder.is_dir():
+                continue
             try:
                 artifact = Artifact.read(folder)
                 sound.append((artifact.made, artifact))

@@ -10,6 +10,7 @@ import platform
 import stat
 from collections.abc import Collection, Iterator, Mapping
 from datetime import UTC, datetime
+from functools import lru_cache
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, Self
 
@@ -27,8 +28,11 @@ PARTIAL = ".nfs"  # how NFS calls a file that was removed while somebody had it 
 
 
 def canonical(value: Any) -> str:
-    """JSON with sorted keys and no spaces: one text per value. Raises ValueError for NaN and infinities."""
-    return json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
+    """JSON with sorted keys and no spaces: one text per value, a part of a manifest as the table of its fields.
+
+    Raises ValueError for NaN and infinities.
+    """
+    return json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False, default=vars)
 
 
 def sha256(value: Any) -> str:
@@ -41,6 +45,7 @@ def short(key: str) -> str:
     return key[:SHORT]
 
 
+@lru_cache(maxsize=1024)
 def inside(name: str) -> str:
     """The name, if it is a plain relative path to a file that may lie beside a manifest; else ValueError."""
     path = PurePosixPath(name)
@@ -51,6 +56,7 @@ def inside(name: str) -> str:
     return name
 
 
+@lru_cache(maxsize=1024)
 def printable(text: str) -> str:
     """The text, if a terminal shows it as it is, on one line; else ValueError."""
     if not text.isprintable():
@@ -178,7 +184,7 @@ class Manifest(ManifestPart):
 
     def _covered(self) -> dict[str, Any]:
         """The fields that the checksum covers; manifests of an older npred have no sources."""
-        return self.model_dump(exclude={"checksum"} if self.sources else {"checksum", "sources"})
+        return {k: v for k, v in self if k != "checksum" and (k != "sources" or v)}
 
     @property
     def made(self) -> float | None:

@@ -47,7 +47,7 @@ def width(stream: Any) -> int | None:
 
 def columns_of(text: str) -> int:
     """The columns that a line takes: D̂ is one, though it is two characters."""
-    return sum(not unicodedata.combining(c) for c in text)
+    return len(text) if text.isascii() else sum(not unicodedata.combining(c) for c in text)
 
 
 def wrapped(text: str, limit: int | None) -> str:

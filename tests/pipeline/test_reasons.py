@@ -6,7 +6,9 @@ from pathlib import Path
 import pytest
 from conftest import TANK, Call, document
 
-from npred.store import Store
+from npred.pipeline import code_changes, reasons
+from npred.store import Artifact, Question, Store
+from npred.store.manifest import Manifest
 
 LAW = """
 import npred
@@ -71,3 +73,36 @@ def test_each_result_has_the_code_that_it_was_made_with(edit, call, pipeline):
     assert sources["report"]["plant"].text == TANK
     assert sources["evaluate"]["evaluate.adaptation"].text == LAW and "evaluate.adaptation" not in sources["generate"]
     assert "plant: tank.py, its text in manifest.json" in call("show", "generate", "--store", "store").stdout
+
+
+def test_the_words_are_of_the_closest_result_and_are_made_for_no_other(monkeypatch):
+    """Each costs time, and a store has thousands of results."""
+    said = []
+    monkeypatch.setattr(code_changes, "change", lambda *of: said.append(of) or "changed")
+    made = [
+        Artifact(Path(), Manifest.model_construct(question=asked(source, seed), pipeline="p", sources={}))
+        for source in ("a", "b") for seed in range(50)
+    ]  # fmt: skip
+    assert reasons.reason(asked("c", 7), "p", made) == "changed"
+    assert [before.count("a") for before in said] == [0] and len(said) == 1
+
+
+def asked(source, seed):
+    program = {"program": {"source": source}, "name": "p"}
+    return Question(stage="generate", version=1, model=None, config={"plant": program, "seed": seed}, inputs={})
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "changed"),
+    [
+        ({"a": {"b": 1, "c": 2}}, {"a": {"b": 1, "c": 3}}, ["a.c: 2 -> 3"]),
+        ({"a": 1}, {"a": 1.0}, ["a: 1 -> 1.0"]),
+        ({"a": True}, {"a": 1}, ["a: true -> 1"]),
+        ({"a": {"b": 1}}, {"a": 2}, ["a: unset -> 2", "a.b: 1 -> unset"]),
+        ({"a": {}}, {}, []),
+        ({"a": [1, 2]}, {"a": [2, 1], "b\n": "\x1b"}, ["a: [1, 2] -> [2, 1]", r'b\n: unset -> "\u001b"']),
+        ({"b": 1, "a": 2}, {"a": 2, "b": 1}, []),
+    ],
+)
+def test_changes_are_those_of_leaves(before, after, changed):
+    assert reasons.changes(before, after) == changed
