@@ -20,7 +20,8 @@ def certified(plant: Plant, result: Certified | None, errors: Mapping[Contender,
         return None
     first = next(iter(result.models.values()))
     caption = (
-        f"Of {first.rollouts:,} fresh rollouts the share in which the largest error of U is above ε. With a confidence "
+        f"Of {first.rollouts:,} fresh rollouts the share in which the largest error of U, over inputs and over "
+        f"{first.samples or 'some'} random samples of a rollout, is above ε. With a confidence "
         f"of {first.confidence:.4g}, at most a share {first.probability:.4g} of all such rollouts is above the end of "
         f"a line; crosses: the largest error that an adversary found. Dotted: the tolerance of the guard. It holds for "
         f"the distribution that rollouts are drawn from."

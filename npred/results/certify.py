@@ -9,12 +9,15 @@ from npred.results.contender import Contender, Name, ranked
 class Certificate(Result):
     """One network: what is bounded with a confidence, what was searched, and what its loops do."""
 
-    #: the largest |κ(P̂(1)) − κ(P(1))| of the rollouts; with `confidence`, at most a share `probability` of fresh
-    #: rollouts of the same distribution has a larger one
+    #: the largest |κ(P̂(1)) − κ(P(1))| of the rollouts, at `samples` random times of each; with `confidence`, at most a
+    #: share `probability` of fresh rollouts of the same distribution, sampled likewise, has a larger one. As all errors
+    #: of U here it is that of the largest component, which the guard's tolerance is for; evaluate's takes the norm,
+    #: which is up to √m as large for m inputs
     eps_kappa: Number
     probability: float  #: as the pipeline has it
     confidence: float  #: as the pipeline has it
     rollouts: int  #: how many
+    samples: int | None = None  #: of each rollout, at random times; none in a result of an older npred
     median: Number  #: the median over the rollouts
     adversarial: Number  #: the largest error of U that the search came to: a lower bound of the uniform one
     adversarial_median: Number  #: the median over its calls

@@ -109,8 +109,9 @@ def summary(result: Certified, width: int | None = None) -> str:
         for contender, c in result.models.items()
     ]  # fmt: skip
     about = (
-        f"{result.plant}: {first.rollouts} fresh rollouts: with a confidence of {first.confidence:.4%} at most "
-        f"{first.probability:.2%} of such have an error of U above ε κ\n"
+        f"{result.plant}: {first.rollouts} fresh rollouts, {first.samples or 'some'} random samples of each: with a "
+        f"confidence of {first.confidence:.4%} at most {first.probability:.2%} of rollouts so sampled have an error of "
+        f"U, in its largest component, above ε κ\n"
         f"{result.loops} loops, {result.lost_numerical} lost with the numerical predictor; tolerance "
         f"{first.tolerance:g}"
     )
@@ -146,6 +147,7 @@ def _write_worst(job: Job, calls: Mapping[Contender, tuple[Calls, np.ndarray]]) 
 def _rollouts(job: Job, fresh: Rollouts) -> dict[str, Any]:
     table, errors = job.config.certify_table, fresh.errors
     level = {"probability": table.probability, "confidence": table.confidence, "rollouts": len(errors)}
+    level["samples"] = table.samples
     summary = {"eps_kappa": errors.max(), "median": np.median(errors), "fallback_rollouts": fresh.fallback}
     return level | summary
 

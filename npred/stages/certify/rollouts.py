@@ -2,7 +2,9 @@
 
 The largest error of N independent rollouts is exceeded by a fresh one with a probability of at most beta, with
 confidence 1 - alpha, where N >= ln(1/alpha) / ln(1/(1 - beta)). Rows of one rollout are dependent, so that a rollout
-counts as one: its error is the largest over its samples. It holds for the distribution that rollouts are drawn from.
+counts as one: its error is the largest over its samples. These are certify.samples random times of it, 50 by default,
+and not all of its steps, among which a larger error may be. It holds for the distribution that rollouts, and their
+samples, are drawn from. The error of U is that of its largest component, for so the guard's tolerance has it.
 """
 
 import math
@@ -33,7 +35,7 @@ Calls = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # X (B, n), u (B,
 class Rollouts(NamedTuple):
     """N fresh rollouts as one network sees them."""
 
-    errors: np.ndarray  # (N,), the largest |kappa(P̂(1)) - kappa(P(1))| of each
+    errors: np.ndarray  # (N,), the largest |kappa(P̂(1)) - kappa(P(1))| of each's samples, over components too
     worst: Calls  # where that is
     fallback: float  # share of the samples that a guard answers
 

@@ -115,7 +115,8 @@ def certified(result: Certified | None) -> Table | None:
     if any(row.bound for row in rows):
         medians = [row.bound[1] if row.bound else None for row in rows]
         columns += [Column("bound / error", medians, ".3f"), *_columns(rows, {"bounded": "bounded"}, ".1%")]
-    return Table("certified", f"Certificate, with {rows[0].rollouts:,} rollouts and {result.loops:,} loops", columns)
+    sampled = f"{rows[0].rollouts:,} rollouts of {rows[0].samples or 'some'} samples each"
+    return Table("certified", f"Certificate, with {sampled} and {result.loops:,} loops", columns)
 
 
 def refined(results: Sequence[Refined]) -> Table | None:

@@ -159,5 +159,10 @@ def test_the_summary_says_what_holds(certified):
     from npred.results import Certified
 
     text = certify.summary(Certified.of(result, "a test"), 80)
-    assert "with a confidence of 90.0000% at most 20.00% of such have an error of U above" in " ".join(text.split())
+    count, samples = rollouts.count(0.2, 0.9), Certify(**TABLE).samples
+    assert {row["samples"] for row in result["models"].values()} == {samples}
+    assert (
+        f"{count} fresh rollouts, {samples} random samples of each: with a confidence of 90.0000% at most 20.00% of "
+        "rollouts so sampled have an error of U, in its largest component, above ε κ"
+    ) in " ".join(text.split())
     assert "DeepONet" in text and "FNO" in text
