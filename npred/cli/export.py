@@ -48,7 +48,7 @@ def export(
     else:
         errors = onnx.export(operator, stored.plant, path, nx, samples, atol)
     if errors:
-        document |= {"error": errors[0], "eps": errors[1]}
+        document |= {"error": errors[0], "eps": errors[1], "samples": len(samples[0])}
     options.show(document, lambda: _summary(document))
 
 
@@ -67,4 +67,5 @@ def _summary(document: dict[str, object]) -> str:
     line = f"{document['file']}: P and U of {document['model']} on {document['nx']} nodes"
     if "error" not in document:
         return f"{line}; not compared, for there is no C compiler here"
-    return f"{line}, within {document['error']:.2g} of the model; its ε sup is {document['eps']:.2g}"
+    on = f"on {document['samples']} held-out samples"  # not all of evaluate's, nor on its nodes: not its ε sup
+    return f"{line}; {on} within {document['error']:.2g} of the model, whose error there is {document['eps']:.2g}"

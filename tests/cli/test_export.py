@@ -61,6 +61,8 @@ def test_writes_a_file(export, form):
     assert document["file"] == f"deeponet-21.{form}" and Path(document["file"]).stat().st_size > 1000
     if form == "onnx" or shutil.which("gcc"):
         assert document["error"] < 1e-4 < document["eps"]
+        said = export(form, "--nx", "21").stdout
+        assert f"on {document['samples']} held-out samples within" in said and "ε" not in said  # evaluate's is of all
 
 
 def test_a_snapshot_to_a_named_file(export, trained):
