@@ -26,6 +26,7 @@ QUESTIONS = (
     Check("smooth law", box.smooth, lambda case: case.plant.traced),
     _of_pipelines(pipeline_fit.declared_delay),
     _of_pipelines(pipeline_fit.served),
+    _of_pipelines(pipeline_fit.room),
     Check("box", box.declared, before=ANY),
     _of_pipelines(pipeline_fit.start),
     _of_pipelines(pipeline_fit.clock),

@@ -12,7 +12,8 @@ from npred.diagnosis.case import SPAN, Case
 from npred.diagnosis.equilibrium import SLIP
 from npred.diagnosis.lyapunov import undeclared
 from npred.errors import ConfigError
-from npred.loop import delay_law
+from npred.loop import delay_law, loop_checks
+from npred.loop.closed_loop import LANES
 from npred.plants import inputs
 from npred.predictors.guarded import Guarded
 from npred.registry import NETWORKS
@@ -57,6 +58,28 @@ def declared_delay(case: Case) -> None:
         them = "it" if len(keys) == 1 else "them"
         what = f"expected none, for plant {case.plant.name} declares delay(x, t, p, M)"
         raise ConfigError(f"{', '.join(keys)}: {what}; leave {them} out")
+
+
+def room(case: Case) -> None:
+    """Whether what the stages keep at once fits into this machine's memory: the least that they take, not all."""
+    pipeline, row = case.settings, 8 * (case.plant.n + case.plant.m)  # bytes of a node, of P and u
+    generate, evaluate, bench, certify = pipeline.generate, pipeline.evaluate, pipeline.bench, pipeline.certify_table
+    lanes = {"generate": generate.rollouts, "evaluate": evaluate.case_states * len(evaluate.case_D_hat0)}
+    asked = [(stage, f"{stage}.nx", row * loop.nx * min(lanes[stage], LANES)) for stage, loop in case.loops.items()]
+    calls = certify.restarts * certify.steps
+    asked += [
+        ("generate", "generate.rollouts", 8 * generate.rollouts),
+        ("evaluate", "evaluate.case_states", row * lanes["evaluate"]),
+        ("bench", "bench.dx, bench.batches", row * max(bench.batches) / bench.dx[0]),
+        ("bench", "bench.dx", row / min(bench.dx)),
+        ("bench", "bench.calls", 8 * bench.calls),
+        *((s, "certify.restarts, certify.steps", row * evaluate.nx * calls) for s in ("certify", "refine")),
+    ]
+    tables = {f"train.{name}.width": pipeline.train.table(name).arguments for name in pipeline.train.models}
+    asked += [("train", key, 4 * table["width"] ** 2) for key, table in tables.items() if "width" in table]
+    for stage, key, needed in asked:
+        if stage in case.stages:
+            loop_checks.room(key, "arrays", needed, "take fewer")
 
 
 def clock(case: Case) -> None:

@@ -8,7 +8,7 @@ from functools import cache
 from typing import Self
 
 from npred.defaults import RESULT
-from npred.errors import ConfigError, NpredError
+from npred.errors import ConfigError, NpredError, first_line
 from npred.parallel import devices
 from npred.parallel.executors import Here, Workers
 from npred.pipeline.plan import Planner, Step
@@ -118,7 +118,14 @@ class Task:
                 config=planner.config, plant=planner.plant, folder=folder, inputs=folders, scratch=scratch,
                 device=planner.device, jobs=jobs, progress=console, model=node.model, executor=executor,
             )  # fmt: skip
-            result = STAGES[node.stage].run(job)
+            try:
+                result = STAGES[node.stage].run(job)
+            except (MemoryError, RuntimeError) as error:  # torch has a RuntimeError
+                if not isinstance(error, MemoryError) and "t allocate memory" not in str(error):
+                    raise
+                todo = f"take fewer nodes, rows or weights in [{node.stage}]"
+                message = " ".join(first_line(error).split())
+                raise ConfigError(f"{node.title}: expected what fits into memory, got: {message}; {todo}") from error
             text = json.dumps(result.json_object(), indent=1, allow_nan=False)
             (folder / RESULT).write_text(text + "\n", encoding="utf-8")
             sources = planner.sources(node)

@@ -1,5 +1,6 @@
 """A pipeline that does not fit its plant is told before anything runs."""
 
+import re
 import tomllib
 
 import numpy as np
@@ -9,6 +10,7 @@ from follower import Follower
 from npred import config, diagnosis, plants
 from npred.diagnosis import equilibrium
 from npred.errors import ConfigError
+from npred.loop import loop_checks
 from npred.plants import Plant
 from npred.plants.black_box import BlackBox
 
@@ -73,6 +75,31 @@ def test_the_default_pipeline_fits_but_for_the_start_that_it_has_to_give():
 def test_what_does_not_fit_is_told(tables, message):
     with pytest.raises(ConfigError, match=message):
         check(**tables)
+
+
+@pytest.mark.parametrize(
+    ("stage", "tables", "key"),
+    [
+        ("generate", {"generate": {"nx": 10**8}}, "generate.nx"),
+        ("generate", {"generate": {"rollouts": 10**12, "samples": 10**12}}, "generate.rollouts"),
+        ("evaluate", {"evaluate": {"nx": 10**8}}, "evaluate.nx"),
+        ("evaluate", {"evaluate": {"case_states": 10**12}}, "evaluate.case_states"),
+        ("bench", {"bench": {"dx": [1e-8]}}, "bench.dx, bench.batches"),
+        ("bench", {"bench": {"dx": [0.1, 1e-12]}}, "bench.dx"),
+        ("bench", {"bench": {"batches": [10**10]}}, "bench.dx, bench.batches"),
+        ("bench", {"bench": {"calls": 10**12}}, "bench.calls"),
+        ("certify", {"certify": {"restarts": 10**9}}, "certify.restarts, certify.steps"),
+        ("refine", {"certify": {"steps": 10**9}}, "certify.restarts, certify.steps"),
+        ("train", {"train": {"deeponet": {"width": 10**9}}}, "train.deeponet.width"),
+    ],
+)
+def test_what_no_memory_holds_is_told_before_anything_runs(monkeypatch, stage, tables, key):
+    monkeypatch.setattr(loop_checks, "memory", lambda: 2**36)
+    tables = {"evaluate": {}} | tables
+    tables["evaluate"] = {"X0": [0.03, 30.0]} | tables["evaluate"]
+    with pytest.raises(ConfigError, match=rf"^{re.escape(key)}: expected what fits into memory, 68.7 GB, got arrays"):
+        check([stage], **tables)
+    check([{"generate": "bench"}.get(stage, "generate")], **tables)
 
 
 def test_a_plant_without_rest_or_reference_has_no_radius(tmp_path):

@@ -12,7 +12,7 @@ import pytest
 from jobs import SMALL
 
 from npred import config
-from npred.errors import DivergedError
+from npred.errors import ConfigError, DivergedError
 from npred.parallel import executors
 from npred.parallel.executors import Here
 from npred.pipeline import Planner, Runner, nodes
@@ -107,3 +107,23 @@ def test_a_process_that_dies_fails_its_cells_only(fakes: Path, pipeline: Path, t
     runs = Runner(Console(quiet=True), 1, Killed()).sweep(planners, ["train"])
     assert [run.failure for run in runs] == ["train deeponet: BrokenExecutor: a process was killed"] * 2
     assert [line.partition(":")[0] for line in fakes.read_text().splitlines()] == ["generate"] * 2
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (
+            MemoryError("Unable to allocate 745. GiB for an array"),
+            "745. GiB for an array; take fewer nodes",
+        ),
+        (RuntimeError("DefaultCPUAllocator: can't allocate memory: you tried to"), "got: DefaultCPUAllocator: can't"),
+        (RuntimeError("another"), "^another$"),
+    ],
+)
+def test_a_lack_of_memory_is_one_line(fakes: Path, pipeline: Path, monkeypatch: pytest.MonkeyPatch, error, words):
+    def generate(job: Any) -> dict[str, Any]:
+        raise error
+
+    monkeypatch.setitem(fake_stages.ANSWERS, "generate", generate)
+    with pytest.raises(type(error) if words.startswith("^") else ConfigError, match=words):
+        one(pipeline, jobs=1)
