@@ -30,8 +30,8 @@ def stage(options: Work, stage_name: str, model: str | None = None, output: Path
     _work(options, [stage_name], (stage_name,), model, output)
 
 
-def bring(options: Work, targets: list[str], model: str | None = None) -> list[Outcome]:
-    """The targets and all that they need, from the store or run."""
+def bring(options: Work, targets: list[str], model: str | None = None, borrows: bool = False) -> list[Outcome]:
+    """The targets and all that they need, from the store or run; `borrows` as for Planner."""
     needed, jobs, console = nodes(options.config, targets, model), options.jobs or devices.cores(), options.console
     with ExitStack() as stack:
         if options.tensorboard:
@@ -40,7 +40,7 @@ def bring(options: Work, targets: list[str], model: str | None = None) -> list[O
             console.events = stack.enter_context(closing(Events(options.tensorboard)))
         stack.enter_context(console.watch(options.config.name, [node.title for node in needed]))
         executor = stack.enter_context(executors.opened(options.executor, jobs))
-        planner = _planner(options, targets)  # on the screen already: to look for a GPU imports torch
+        planner = _planner(options, targets, borrows)  # on the screen already: to look for a GPU imports torch
         console.head(f"{options.config.name} on {planner.device}")
         options.results.remember(options.pipeline)  # also where the run is interrupted
         keep_log(options)
@@ -78,8 +78,9 @@ def _work(
     options.console.out("\n".join([*table, *answers, *([f"report: {page}"] if page else [])]))
 
 
-def _planner(options: Work, targets: list[str]) -> Planner:
-    planner = options.planner(frozenset(targets) if options.force else frozenset())
+def _planner(options: Work, targets: list[str], borrows: bool = False) -> Planner:
+    """What is asked for is timed here; what only draws times, a report, takes those that there are."""
+    planner = options.planner(frozenset(targets) if options.force else frozenset(), borrows or "bench" not in targets)
     devices.require(planner.device)
     return planner
 

@@ -85,12 +85,12 @@ class Planned(Common):
 
         return config.load(self.pipeline, self.set)
 
-    def planner(self, forced: frozenset[str] = frozenset()) -> "Planner":
-        """The pipeline against the store."""
+    def planner(self, forced: frozenset[str] = frozenset(), borrows: bool = False) -> "Planner":
+        """The pipeline against the store; `borrows` as for Planner."""
         from npred.parallel import devices
         from npred.pipeline import Planner
 
-        return Planner(self.config, self.results, devices.resolve(self.device), forced)
+        return Planner(self.config, self.results, devices.resolve(self.device), forced, borrows)
 
 
 @dataclass(frozen=True)

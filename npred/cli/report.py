@@ -33,7 +33,8 @@ def _figures(options: Work, output: Path | None, medium: str) -> None:
         raise ConfigError(f"--figures: expected {', '.join(MEDIA)}, got {medium!r}; name one of them")
     default = page_path(options, options.pipeline.stem, lambda name: options.store / f"{name}-{medium}", signed)
     target = writable_folder(output or default, "figures")
-    folders = {done.node.name: done.artifact.folder for done in execute.bring(options, ["evaluate", "bench"])}
+    outcomes = execute.bring(options, ["evaluate", "bench"], borrows=True)
+    folders = {done.node.name: done.artifact.folder for done in outcomes}
     plant = plants.resolve(options.config.plant, options.config.parameters)
     story = Story.read(options.config, plant, folders)
     with durable.room(target):

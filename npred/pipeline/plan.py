@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from npred.config import Pipeline
 from npred.pipeline import stage_registry
-from npred.pipeline.reasons import NEVER, alike, pairs, reason, sentence, settings
+from npred.pipeline.reasons import NEVER, alike, differences, pairs, reason, sentence, settings
 from npred.pipeline.stage_registry import STAGES, Node
 from npred.store import Artifact, Question, ResultInput, SourceText, Store
 
@@ -48,12 +48,16 @@ class Step:
 
 @dataclass(frozen=True)
 class Planner:
-    """Resolves the nodes of one pipeline against one store; `forced` stages count as not there."""
+    """Resolves the nodes of one pipeline against one store; `forced` stages count as not there.
+
+    With `borrows`, times that another machine took are taken where this one has none: to draw them.
+    """
 
     config: Pipeline
     store: Store
     device: str
     forced: frozenset[str] = frozenset()
+    borrows: bool = False
 
     def check(self, nodes: Iterable[Node]) -> None:
         """Raise ConfigError where these nodes ask for what the plant does not have."""
@@ -81,6 +85,9 @@ class Planner:
         if node.stage in self.forced:
             return Step(node, question, None, "--force")
         artifact = self.store.get(node.stage, question.key)
+        if artifact is None and self.borrows and (borrowed := self._borrowed(question)):
+            why = sentence(differences(borrowed.manifest.question, question))
+            return Step(node, question, borrowed, f"of another machine: {why}; npred {node.stage} runs it here")
         why = UP_TO_DATE if artifact else reason(question, self.config.name, self._artifacts, self.sources(node))
         return Step(node, question, artifact, why)
 
@@ -111,6 +118,12 @@ class Planner:
         changes = settings(closest[1].question.config, asked, closest[1].sources, sources) if closest else []
         return Step(node, None, None, f"{'stale' if older else NEVER}: {sentence([*changes, *causes])}")
 
+    def _borrowed(self, question: Question) -> Artifact | None:
+        """The latest result of the same question to another machine; None where no machine is part of it."""
+        asked = anywhere(question)
+        same = (a for a in reversed(self._artifacts) if asked and anywhere(a.manifest.question) == asked)
+        return next(same, None)
+
     @cached_property
     def plant(self) -> "Plant":
         """The plant of the pipeline, one object for all its stages: they share what it has compiled."""
@@ -121,3 +134,11 @@ class Planner:
     @cached_property
     def _artifacts(self) -> list[Artifact]:
         return self.store.artifacts()
+
+
+def anywhere(asked: Question) -> str | None:
+    """The key of a question without the machine, where that is part of it: what another machine timed has the same."""
+    if "hardware" not in asked.config:
+        return None
+    config = {key: value for key, value in asked.config.items() if key != "hardware"}
+    return asked.model_copy(update={"config": config}).key

@@ -6,9 +6,9 @@ from typing import Any
 
 from npred.errors import StoreError
 from npred.pipeline import stage_registry
-from npred.pipeline.plan import Planner
+from npred.pipeline.plan import Planner, anywhere
 from npred.pipeline.stage_registry import Node
-from npred.store import Artifact, Question
+from npred.store import Artifact
 
 
 @dataclass
@@ -31,7 +31,7 @@ class Kept:
         """True if an artifact is needed, or may be."""
         asked = artifact.manifest.question
         alike = ((asked.stage, asked.model, asked.config) == (n.stage, n.model, config) for n, config in self.loose)
-        return artifact.manifest.key in self.keys or _elsewhere(asked) in self.timed or any(alike)
+        return artifact.manifest.key in self.keys or anywhere(asked) in self.timed or any(alike)
 
     def holds_checkpoint(self, name: str) -> bool:
         """True if the checkpoint `stage-key` is one that a run would go on from, or may be."""
@@ -41,8 +41,8 @@ class Kept:
     def _keep(self, planner: Planner, node: Node, inputs: dict[str, Artifact]) -> Artifact | None:
         question = planner.question(node, inputs)
         self.keys.add(question.key)
-        if anywhere := _elsewhere(question):
-            self.timed.add(anywhere)
+        if key := anywhere(question):
+            self.timed.add(key)
         try:
             return planner.store.get(node.stage, question.key)
         except StoreError:  # that one is corrupt; what was made from it need not be
@@ -50,14 +50,6 @@ class Kept:
 
     def _keep_alike(self, planner: Planner, node: Node) -> None:
         self.loose.append((node, stage_registry.question(node, planner.config, planner.device)))
-
-
-def _elsewhere(asked: Question) -> str | None:
-    """The key without the machine, where that is part of the question: what another one timed is needed there."""
-    if "hardware" not in asked.config:
-        return None
-    config = {key: value for key, value in asked.config.items() if key != "hardware"}
-    return asked.model_copy(update={"config": config}).key
 
 
 def closure(kept: Iterable[Artifact], everything: Iterable[Artifact]) -> set[str]:

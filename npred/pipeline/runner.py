@@ -11,7 +11,7 @@ from npred.errors import NpredError
 from npred.parallel import executors
 from npred.parallel.executors import Here, Threads, Workers
 from npred.pipeline import stage_registry
-from npred.pipeline.plan import Planner, Step
+from npred.pipeline.plan import UP_TO_DATE, Planner, Step
 from npred.pipeline.stage_registry import Node
 from npred.pipeline.task import Outcome, Task, elsewhere, packages
 from npred.store import Artifact, Question, claims
@@ -177,6 +177,9 @@ class _Graph:
                 task, turn = Task(planner, step, inputs), (WHOLE.get(node.stage, 1), run.number, run.nodes.index(node))
                 heapq.heappush(self.queue, (*turn, task.located() if self.bar else task))
                 return
+            if step.reason != UP_TO_DATE and not self.bar:
+                self.claim(step.artifact.manifest.key)
+                self.screen.note(f"{node.title} is {step.reason}")
             self.screen.doing(node.title, "checking digests")
             step.artifact.verify()
             seconds = time.perf_counter() - start

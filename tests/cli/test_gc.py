@@ -46,6 +46,20 @@ def test_what_another_machine_timed_is_needed(call: Call, monkeypatch: pytest.Mo
     assert [path.parent.name for path in planned(call)] == ["bench"]
 
 
+def test_a_report_draws_the_times_of_another_machine_and_says_so(call: Call, monkeypatch: pytest.MonkeyPatch):
+    call(*NEVER_MIND)
+    cores = devices.cores()
+    monkeypatch.setattr(devices, "hardware", lambda device: {"cpu": "another", "cores": 64, "device": device})
+    done = call("report", "tiny.toml", "--json", "--jobs", "1")
+    assert {row["action"] for row in document(done)["stages"]} == {"hit"}
+    assert "bench is of another machine: hardware.cpu: " in done.stderr
+    assert f"hardware.cores: {cores} -> 64; npred bench runs it here" in done.stderr
+    planned_here = document(call("bench", "tiny.toml", "--json", "--dry-run"))["stages"]
+    assert [row["action"] for row in planned_here if row["stage"] == "bench"] == ["run"]
+    other = document(call("report", "tiny.toml", "--json", "--dry-run", "--set", "bench.calls=7"))["stages"]
+    assert [row["action"] for row in other if row["stage"] == "bench"] == ["run"]
+
+
 def test_by_age(call: Call, stale: list[Path]):
     assert planned(call) == set(stale)
     assert planned(call, "--older", "5") == set(stale[:2])
