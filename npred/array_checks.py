@@ -1,12 +1,13 @@
 """Checks of a caller's arrays: refused in one line where they are not real numbers or do not fit together."""
 
+import os
 import reprlib
 from numbers import Real
 from typing import Any
 
 import numpy as np
 
-from npred.errors import ConfigError
+from npred.errors import ConfigError, size
 
 
 def floats(name: str, value: Any, kind: str = "an array of real numbers") -> np.ndarray:
@@ -97,3 +98,15 @@ def fits(shape: tuple[int, ...], target: tuple[int, ...]) -> bool:
         return np.broadcast_shapes(shape, target) == target
     except ValueError:
         return False
+
+
+def memory() -> int:
+    """The bytes that this machine has."""
+    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+
+
+def room(name: str, what: str, needed: float, cure: str) -> None:
+    """Raise ConfigError for what needs more bytes than this machine has."""
+    if needed > memory():
+        came = f"{what} of {size(needed)}"
+        raise ConfigError(f"{name}: expected what fits into memory, {size(memory())}, got {came}; {cure}")

@@ -5,15 +5,14 @@ from typing import Any
 
 import numpy as np
 
-from npred import plants, predictors
+from npred import array_checks, plants, predictors
 from npred.config import FROZEN, PAPER
 from npred.delays import family_of
 from npred.diagnosis.case import SPAN, Case
 from npred.diagnosis.equilibrium import SLIP
 from npred.diagnosis.lyapunov import undeclared
 from npred.errors import ConfigError
-from npred.loop import delay_law, loop_checks
-from npred.loop.closed_loop import LANES
+from npred.loop import delay_law
 from npred.plants import inputs
 from npred.predictors.guarded import Guarded
 from npred.registry import NETWORKS
@@ -23,6 +22,7 @@ ABOUT_DELAY = (  # keys that a plant which declares its delay has no use for
     "explore_D", "explore_D_hat0",
 )  # fmt: skip
 
+SIDE_BY_SIDE = 64  # loops: LANES of npred.loop.closed_loop, which brings Numba
 TIMES = 1001  # at which a delay by which networks tell the time is looked at
 
 
@@ -65,7 +65,9 @@ def room(case: Case) -> None:
     pipeline, row = case.settings, 8 * (case.plant.n + case.plant.m)  # bytes of a node, of P and u
     generate, evaluate, bench, certify = pipeline.generate, pipeline.evaluate, pipeline.bench, pipeline.certify_table
     lanes = {"generate": generate.rollouts, "evaluate": evaluate.case_states * len(evaluate.case_D_hat0)}
-    asked = [(stage, f"{stage}.nx", row * loop.nx * min(lanes[stage], LANES)) for stage, loop in case.loops.items()]
+    asked = [
+        (stage, f"{stage}.nx", row * loop.nx * min(lanes[stage], SIDE_BY_SIDE)) for stage, loop in case.loops.items()
+    ]
     calls = certify.restarts * certify.steps
     asked += [
         ("generate", "generate.rollouts", 8 * generate.rollouts),
@@ -79,7 +81,7 @@ def room(case: Case) -> None:
     asked += [("train", key, 4 * table["width"] ** 2) for key, table in tables.items() if "width" in table]
     for stage, key, needed in asked:
         if stage in case.stages:
-            loop_checks.room(key, "arrays", needed, "take fewer")
+            array_checks.room(key, "arrays", needed, "take fewer")
 
 
 def clock(case: Case) -> None:

@@ -1,14 +1,13 @@
 """Checks of the arguments of a closed loop before it runs: the compiled engine reads what the shapes promise."""
 
 import math
-import os
 from typing import Any
 
 import numpy as np
 
 from npred import array_checks
 from npred.delays import family_of
-from npred.errors import ConfigError, size
+from npred.errors import ConfigError
 from npred.loop.delay_law import DelayLaw
 from npred.loop.measurement import Measurement
 from npred.plants.base import Plant
@@ -101,25 +100,13 @@ def numbers(plant: Plant, X0: Any, D: np.ndarray, D_hat: np.ndarray, law: DelayL
 def record(plant: Plant, loops: int, t_end: float, dt: float, every: int) -> None:
     """Raise ConfigError for loops whose record this machine cannot hold."""
     needed = 8 * loops * (2 * plant.n + plant.m + 3) * (float(t_end) / dt / every + 1)
-    room("t_end", "a record", needed, "shorten t_end, lengthen dt or keep every 10th step with every")
+    array_checks.room("t_end", "a record", needed, "shorten t_end, lengthen dt or keep every 10th step with every")
 
 
 def history(plant: Plant, reach: float, dt: float) -> None:
     """Raise ConfigError for commands of the last `reach` seconds that this machine cannot hold."""
     cure = "shorten D, the bounds of the law or the delay of the measurement, or lengthen dt"
-    room("D", "the history", 16 * plant.m * reach / dt, cure)
-
-
-def memory() -> int:
-    """The bytes that this machine has."""
-    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-
-
-def room(name: str, what: str, needed: float, cure: str) -> None:
-    """Raise ConfigError for what needs more bytes than this machine has."""
-    if needed > memory():
-        came = f"{what} of {size(needed)}"
-        raise ConfigError(f"{name}: expected what fits into memory, {size(memory())}, got {came}; {cure}")
+    array_checks.room("D", "the history", 16 * plant.m * reach / dt, cure)
 
 
 def parts(plant: Any, predictor: Any, adaptation: Any, every: Any = 1) -> None:

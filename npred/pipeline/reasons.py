@@ -90,11 +90,11 @@ def pairs(before: Any, after: Any, key: str = "") -> list[tuple[str, Any, Any]]:
         return []
     tables = [value for value in (before, after) if isinstance(value, Mapping)]
     leaves = [value if not isinstance(value, Mapping) else MISSING for value in (before, after)]
-    found = [] if leaves == [MISSING, MISSING] else [(key, *leaves)]
+    changed = [] if leaves == [MISSING, MISSING] else [(key, *leaves)]
     for name in dict.fromkeys(name for table in tables for name in table):
         old, new = (v.get(name, MISSING) if isinstance(v, Mapping) else MISSING for v in (before, after))
-        found += pairs(old, new, f"{key}.{name}" if key else name)
-    return found
+        changed += pairs(old, new, f"{key}.{name}" if key else name)
+    return changed
 
 
 def flat(table: Mapping[str, Any]) -> dict[str, str]:

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from follower import Follower
 
-from npred import config, diagnosis, plants
-from npred.diagnosis import equilibrium
+from npred import array_checks, config, diagnosis, plants
+from npred.diagnosis import equilibrium, pipeline_fit
 from npred.errors import ConfigError
-from npred.loop import loop_checks
+from npred.loop.closed_loop import LANES
 from npred.plants import Plant
 from npred.plants.black_box import BlackBox
 
@@ -94,7 +94,8 @@ def test_what_does_not_fit_is_told(tables, message):
     ],
 )
 def test_what_no_memory_holds_is_told_before_anything_runs(monkeypatch, stage, tables, key):
-    monkeypatch.setattr(loop_checks, "memory", lambda: 2**36)
+    monkeypatch.setattr(array_checks, "memory", lambda: 2**36)
+    assert LANES == pipeline_fit.SIDE_BY_SIDE
     tables = {"evaluate": {}} | tables
     tables["evaluate"] = {"X0": [0.03, 30.0]} | tables["evaluate"]
     with pytest.raises(ConfigError, match=rf"^{re.escape(key)}: expected what fits into memory, 68.7 GB, got arrays"):
