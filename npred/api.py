@@ -28,11 +28,13 @@ def predictor(method: str, plant: Plant, nx: int = 101) -> Predictor:
 
 
 def load(
-    model: str, *, store: str | Path | None = None, nx: int = 101, device: str = "cpu", runtime: str = "torch"
+    model: str, *, store: str | Path | None = None, nx: int = 101, device: str = "cpu", runtime: str | None = None
 ) -> Predictor:
     """A trained model as a predictor: `pipeline/paper.toml:deeponet`, `…:deeponet@107`, or an artifact's path or key.
 
-    `runtime`: torch on the device, in float64; fused, compiled for the CPU, many times faster in one loop; onnx, ONNX
+    By default loops and controllers call one compiled function of the network, made at its first use there and kept
+    on the disk, and calls with batches torch: both in float64. On a GPU, and for a network of yours, torch does all.
+    `runtime` names one for both: torch; fused, the compiled function in float32, which takes half the time; onnx, ONNX
     Runtime; that of a package; or a class of a file, `my_runtime.py:Mine`. Files are verified against their digests.
     The plant is the pipeline's, or, for an artifact, the built-in one of that name: a plant's file is code and is run
     only when a pipeline names it. Raises ConfigError, StoreError, and MissingError for a device or an extra that this
@@ -47,7 +49,7 @@ def load(
     device = devices.resolve(device)
     devices.require(device)
     stored = load_model(str(model), Path(store) if store else None)
-    precision = torch.float64 if runtime == "torch" else torch.float32
+    precision = torch.float64 if runtime in (None, "torch") else torch.float32
     operator = operators.load(stored.folder, stored.plant, stored.snapshot, precision, stored.config)
     return runtimes.predictor(runtime, stored.plant, operator, nx, stored.model, device)
 

@@ -85,6 +85,9 @@ def test_a_trained_model_by_pipeline_artifact_and_snapshot(tmp_path, monkeypatch
     np.testing.assert_array_equal(model(X, u, 1.0), npred.load(str(artifact), store=store)(X, u, 1.0))
     assert not np.array_equal(model(X, u, 1.0), early(X, u, 1.0))
     assert model.plant.name == "activator_repressor" and model.operator is not None
+    by_torch = npred.load(f"{path}:deeponet", store=store, runtime="torch")
+    np.testing.assert_array_equal(model(X, u, 1.0), by_torch(X, u, 1.0))
+    assert model.compiled and not by_torch.compiled  # in a loop
     with pytest.raises(ConfigError, match="expected a trained model"):
         npred.load(f"{path}:fno", store=store)
 

@@ -17,6 +17,7 @@ from npred.loop.actuator import actuate, history, transport
 from npred.loop.delay_law import DelayLaw, Part, part
 from npred.loop.measurement import Measurement
 from npred.loop.trajectories import Samples, Trajectories, of_record
+from npred.parallel import devices
 from npred.plants import inputs
 from npred.plants.base import Plant
 from npred.predictors import OneStep, Predictor
@@ -201,7 +202,7 @@ class _Simulation:
         steps: Any = engine.compiled_steps if self.compiled else engine.steps
         for start in range(0, count, BLOCK):
             stop = min(start + BLOCK, count)
-            with np.errstate(all="ignore"):  # a loop that leaves the finite numbers is NaN from there on
+            with np.errstate(all="ignore"), devices.one_thread():  # a lost loop is NaN, and no cause for a warning
                 steps(origin, start, stop, *parts, settings, state, out)
             if progress:
                 progress((stop - start) * lanes)

@@ -1,11 +1,13 @@
 """A trained operator as a predictor: the one module that knows networks and the loop's memory."""
 
+from contextlib import nullcontext
 from typing import Any
 
 import numpy as np
 import torch
 
 from npred.operators import Operator
+from npred.parallel import devices
 from npred.plants.base import Plant
 from npred.predictors.base import Predictor
 
@@ -14,8 +16,8 @@ class Neural(Predictor):
     """P_hat = operator(X, u, D_hat) on a device, with the call of every predictor [DAPF, Theorem 2].
 
     Where P depends on the time too, the operator sees its share of the plant's period.
-    It computes in the operator's precision. The operator is free of resolution: any nx in a call; `nx` is what a loop
-    uses.
+    It computes in the operator's precision; one row, and all rows of a simulated loop, on one thread. The operator is
+    free of resolution: any nx in a call; `nx` is what a loop uses.
     """
 
     def __init__(self, plant: Plant, operator: Operator, nx: int = 101, device: str = "cpu", name: str = "neural"):
@@ -28,4 +30,5 @@ class Neural(Predictor):
         dtype = self.operator.X_rest.dtype
         phase = (self.plant.phase(np.broadcast_to(t, len(X))),) if self.plant.phased else ()
         tensors = (torch.as_tensor(np.array(a, dtype=float)).to(self.device, dtype) for a in (X, u, D_hat, *phase))
-        return self.operator(*tensors).numpy(force=True).astype(float)
+        with devices.one_thread() if len(X) == 1 else nullcontext():
+            return self.operator(*tensors).numpy(force=True).astype(float)

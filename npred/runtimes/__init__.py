@@ -1,17 +1,24 @@
 """Ways to evaluate a trained operator: torch, one fused compiled function, ONNX Runtime, and C source."""
 
+from npred.delays import family_of
 from npred.operators import Operator
 from npred.plants.base import Plant
 from npred.predictors.base import Predictor
 from npred.registry import RUNTIMES
+from npred.runtimes.lower import lowering
 
 
 def predictor(
-    runtime: str, plant: Plant, operator: Operator, nx: int = 101, name: str = "neural", device: str = "cpu"
+    runtime: str | None, plant: Plant, operator: Operator, nx: int = 101, name: str = "neural", device: str = "cpu"
 ) -> Predictor:
     """The operator as a predictor in a runtime, by its name or `my_runtime.py:Mine`; only torch uses the device.
 
+    None: the fastest that fits, npred.runtimes.loaded, or torch on a GPU and for a network without a fused form.
     Raises ConfigError for another name or a class that is no Predictor, MissingError for onnx without its extra.
     """
-    kind = RUNTIMES.subclass("runtime", runtime, Predictor)
+    if runtime is None and device == "cpu" and lowering(operator) and not family_of(plant).refusal("fused"):
+        from npred.runtimes.loaded import Loaded  # it brings Numba
+
+        return Loaded(plant, operator, nx, name=name)
+    kind = RUNTIMES.subclass("runtime", runtime or "torch", Predictor)
     return kind(plant, operator, nx, name=name, device=device)
