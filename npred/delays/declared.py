@@ -80,7 +80,8 @@ class DeclaredDelay(Family):
     def serves(plant: Any) -> bool:
         return plant.traced and plant.declares_delay
 
-    def sweep(self, step: Step) -> Kernel:
+    def sweep(self, step: Step, timed: bool = False) -> Kernel:
+        """With `timed` the time s of each node is one state more, the last one of X and P."""
         n, m, trace = self.plant.n, self.plant.m, Trace(self.plant)
         state, (u0, um, u1) = trace.vector("x", n + 1), (trace.vector(name, m) for name in ("a", "m", "b"))
 
@@ -94,7 +95,8 @@ class DeclaredDelay(Family):
         margin = self._margin(trace, state[:-1], state[-1], trace.f(state[:-1], u0, state[-1]))
         names = {f"x{k}": f"P[j, {k}, l]" for k in range(n)} | {f"x{n}": "s"} | input_lines(m)
         targets = [*(f"P[j + 1, {k}, l]" for k in range(n)), "after", "margin"]
-        node = [*programs.lines([*y, margin], names, targets), "s = after"]
+        clock = [f"P[j + 1, {n}, l] = s"] if timed else []
+        node = [*programs.lines([*y, margin], names, targets), "s = after", *clock]
         weights = WEIGHTS.splitlines() if programs.depends(y, um) else []
         source = kernels.fill(SWEEP, parameters=kernels.parameters(len(self.plant.p)), weights=weights, node=node)
         return family.build("sweep", family.PREDICT, source)

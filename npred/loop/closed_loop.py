@@ -104,7 +104,7 @@ def simulate(
             loop.run(X0[c], D[c], D_hat[c], past.of(c), sample_steps[c], delays[:, c], c.start, count) for c in chunks
         ]
     joined = engine.Record(*(np.concatenate(parts, axis=-1) for parts in zip(*records, strict=True)))
-    return of_record(joined, shape, dt * every, round(t_end / dt) + 1, plant, truth or plant)
+    return of_record(joined, shape, dt * every, round(t_end / dt) + 1, plant, truth or plant, predictor)
 
 
 def _declared(plant: Plant, X0: np.ndarray) -> np.ndarray:
@@ -197,7 +197,7 @@ class _Simulation:
         count = round(self.t_end / self.dt) + 1
         origin, held, total = history(*self.reach(D, D_hat, delays), self.dt, past)
         state = self._state(X0, D, D_hat, held, total, nx)
-        settings, out = self._settings(samples, delays, first), self._record(count, samples.shape[1], nx, lanes)
+        settings, out = self._settings(samples, delays, first), self._record(count, samples.shape[1] + 1, nx, lanes)
         parts = self._parts()
         steps: Any = engine.compiled_steps if self.compiled else engine.steps
         for start in range(0, count, BLOCK):

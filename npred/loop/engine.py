@@ -84,12 +84,12 @@ class Record(NamedTuple):
     D_hat: np.ndarray  # (rows, B)
     N: np.ndarray  # (rows, B)
     energy: np.ndarray  # (rows, B), the integral of |U - U*|² over the delay
-    sample_X: np.ndarray  # (S, n, B)
-    sample_u: np.ndarray  # (S, nx, m, B)
-    sample_D_hat: np.ndarray  # (S, B)
+    sample_X: np.ndarray  # (S + 1, n, B), the last one where a prediction ended
+    sample_u: np.ndarray  # (S + 1, nx, m, B)
+    sample_D_hat: np.ndarray  # (S + 1, B)
     escaped: np.ndarray  # (B,), the first step whose state is not finite, or -1
     infeasible: np.ndarray  # (B,), the first step at which commands would overtake each other, or -1
-    breach: np.ndarray  # (n + m + 1, B), state, input and time there
+    breach: np.ndarray  # (n + m + 1, B), state and input there, and the time of that step
     fallback: np.ndarray  # (rows, B), whether the guard answered since the row before
     fallbacks: np.ndarray  # (B,), the steps in which it did
 
@@ -169,7 +169,8 @@ def watch(k: int, t: float, longest: float, z: State, out: Record) -> None:
     """Mark the loops in which 1 - D_X f - D_t <= 0, in the plant or along the prediction; they are NaN from there on.
 
     So are those whose delay is negative, or in one step came to be longer than the history of commands, `longest`.
-    A prediction that ends there has its last finite node as state, and no input or time: they are those of its node.
+    A prediction that ends there has its last finite node as state, with the input there; what it was made from is the
+    last of the samples, and says when that node comes.
     """
     n, m, nx = z.X.shape[0], z.U0.shape[0], z.P.shape[0]
     for l in range(z.X.shape[1]):
@@ -183,6 +184,8 @@ def watch(k: int, t: float, longest: float, z: State, out: Record) -> None:
                 while j < nx - 2 and not np.isnan(z.P[j + 1, 0, l]):
                     j += 1
                 X, U = z.P[j], z.u[j]
+                out.sample_X[-1, :, l], out.sample_u[-1, :, :, l] = z.X_hat[:, l], z.u[:, :, l]
+                out.sample_D_hat[-1, l] = z.D_hat[l]
             for c in range(n):
                 out.breach[c, l] = X[c, l]
                 z.X[c, l] = np.nan

@@ -9,6 +9,7 @@ import numpy as np
 from npred.delays import family_of
 from npred.loop import engine, trajectory_views
 from npred.plants.base import Plant
+from npred.predictors import RK4, Predictor
 
 LOOPS = (
     "X",
@@ -110,33 +111,48 @@ class Trajectories:
 
 
 def of_record(
-    r: engine.Record, shape: tuple[int, ...], step: float, steps: int, plant: Plant, truth: Plant
-) -> Trajectories:
+    r: engine.Record, shape: tuple[int, ...], step: float, steps: int, plant: Plant, truth: Plant,
+    predictor: Predictor | None,
+) -> Trajectories:  # fmt: skip
     """The loops of a batch of that shape, of so many control steps; `step` seconds lie between two kept states."""
 
     def lead(a: np.ndarray) -> np.ndarray:
         """Lanes last to the batch's shape first."""
         return np.moveaxis(a, -1, 0).reshape((*shape, *a.shape[:-1]))
 
-    samples = Samples(lead(r.sample_X), lead(r.sample_u), lead(r.sample_D_hat))
+    samples = Samples(lead(r.sample_X[:-1]), lead(r.sample_u[:-1]), lead(r.sample_D_hat[:-1]))
     series = {name: lead(getattr(r, name)) for name in LOOPS if name not in ("margin", "breach")}
     times = np.arange(len(r.X)) * step
     return Trajectories(
         t=times, samples=samples, states=plant.states, inputs=plant.inputs, time_unit=plant.time_unit,
-        labels=plant.labels, units=plant.units, margin=lead(np.fmin(margins(plant, r), margins(truth, r))),
+        labels=plant.labels, units=plant.units, margin=lead(margins(r, plant, truth, predictor)),
         breach=lead(r.breach[: plant.n]), steps=steps, **series,
     )  # fmt: skip
 
 
-def margins(plant: Plant, r: engine.Record) -> np.ndarray:
-    """1 - D_X f - D_t of that plant where a loop was marked as infeasible, (B,); NaN in the others.
+def margins(r: engine.Record, plant: Plant, truth: Plant, predictor: Predictor | None) -> np.ndarray:
+    """1 - D_X f - D_t where and when a loop was marked as infeasible, (B,); NaN in the others.
 
-    A loop is marked by the prediction of its model or by the simulated plant: the lower of both is the reason.
+    A loop is marked by the prediction of its model, at the time when the node comes, or by the simulated plant.
     """
-    speed, margin = family_of(plant).speed(), np.full((1, len(r.infeasible)), np.nan)
+    margin = np.full((1, len(r.infeasible)), np.nan)
     for l in np.flatnonzero(r.infeasible >= 0):
+        X, U, t = r.breach[: plant.n, [l]].copy(), r.breach[plant.n : -1, [l]].copy(), float(r.breach[-1, l])
+        of = truth
+        if np.isfinite(r.sample_D_hat[-1, l]):
+            of, t = plant, _arrival(r, l, t, plant, predictor)
+        speed, value = family_of(of).speed(), np.empty((plant.m, 1))
         assert speed is not None  # no other loop is marked
-        X, U, value = r.breach[: plant.n, [l]].copy(), r.breach[plant.n : -1, [l]].copy(), np.empty((plant.m, 1))
-        speed(X, U, float(r.breach[-1, l]), plant.p, value)
+        speed(X, U, t, of.p, value)
         margin[0, l] = value[0, 0]
     return margin[0]
+
+
+def _arrival(r: engine.Record, l: int, t: float, plant: Plant, predictor: Predictor | None) -> float:
+    """The time of the last finite node of the prediction that ended in loop l at time t, by the predictor's method."""
+    step = getattr(getattr(predictor, "exact", predictor), "step", RK4.step)
+    X = np.append(r.sample_X[-1, :, l], t)[:, None]
+    u, D_hat = np.array(r.sample_u[-1][..., [l]], order="C"), r.sample_D_hat[-1, [l]]
+    P = np.empty((len(u), plant.n + 1, 1))
+    family_of(plant).sweep(step, timed=True)(X, u, D_hat, t, plant.p, P)  # type: ignore[call-arg]
+    return float(P[np.isfinite(P[:, -1, 0]), -1, 0][-1])

@@ -209,3 +209,48 @@ def test_the_delay_is_part_of_the_identity():
     assert set(program) - set(plants.resolve("scalar").identity["program"]) == {"delay", "reference"}
     assert isinstance(program, dict) and program["delay"] != IN_TIME.identity["program"]["delay"]
     assert IN_TIME.clocked and not UNICYCLE.clocked
+
+
+class Pulsing:
+    """x' = u - x, and a delay of time whose rate goes past 1: 1 - D_t = 1 + 1.125 sin 1.5 t."""
+
+    states, inputs = ("x",), ("u",)
+
+    def f(x, u, t, p, M):
+        return [u.u - x.x]
+
+    def kappa(x, t, p, M):
+        return [-x.x]
+
+    def V(x, t, p, M):
+        return x.x**2
+
+    def delay(x, t, p, M):
+        return 0.8 + 0.75 * M.cos(1.5 * t)
+
+
+@pytest.mark.parametrize("guarded", [False, True])
+def test_the_margin_of_a_prediction_is_that_of_the_time_when_its_node_comes(guarded):
+    """A delay of time alone: ds/dx = H / (1 - D_t(s)) needs no plant, and is stepped here by hand."""
+    plant, dt, nx = Plant("pulsing", Pulsing), 0.01, 41
+    run = npred.predictor("rk4", plant, nx)
+    loop = npred.simulate(plant, npred.guarded(run) if guarded else run, X0=[1.0], t_end=4.0, dt=dt)
+
+    def margins(t):
+        """1 - D_t at the nodes of the prediction from t, up to the first that is not above 0."""
+        h, s, found = (0.8 + 0.75 * np.cos(1.5 * t)) / (nx - 1), t, []
+        for _ in range(nx - 1):
+            found.append(1 + 1.125 * np.sin(1.5 * s))
+            if found[-1] <= 0:
+                break
+            k1 = 1 / (1 + 1.125 * np.sin(1.5 * s))
+            k2 = 1 / (1 + 1.125 * np.sin(1.5 * (s + h / 2 * k1)))
+            k3 = 1 / (1 + 1.125 * np.sin(1.5 * (s + h / 2 * k2)))
+            k4 = 1 / (1 + 1.125 * np.sin(1.5 * (s + h * k3)))
+            s += h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        return found
+
+    k = int(loop.infeasible)
+    assert k == next(k for k in range(400) if margins(k * dt)[-1] <= 0)
+    assert loop.margin == pytest.approx(margins(k * dt)[-1], rel=1e-9)
+    assert 1 + 1.125 * np.sin(1.5 * k * dt) > 0.5  # the margin at the time of the prediction, which broke nothing
