@@ -253,7 +253,7 @@ STAGES = {
         r"(model|domain)\.safetensors|model\.json|metrics\.jsonl", optional=True, suffix="@refined",
     ),
     "evaluate": StageEntry(
-        9, ("generate", "train"), "npred.stages.evaluate.evaluate", "npred.results:Evaluated",
+        10, ("generate", "train"), "npred.stages.evaluate.evaluate", "npred.results:Evaluated",
         "Held-out errors and closed loops: eps and the convergence radius.", r"(errors|figure1|coverage)\.h5", True,
     ),
     "certify": StageEntry(

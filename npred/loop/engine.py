@@ -83,7 +83,7 @@ class Record(NamedTuple):
     U: np.ndarray  # (rows, m, B)
     D_hat: np.ndarray  # (rows, B)
     N: np.ndarray  # (rows, B)
-    energy: np.ndarray  # (rows, B), the integral of |U - U*|² over the delay
+    energy: np.ndarray  # (rows, B), the integral of |U - U*|² over the true delay
     sample_X: np.ndarray  # (S + 1, n, B), the last one where a prediction ended
     sample_u: np.ndarray  # (S + 1, nx, m, B)
     sample_D_hat: np.ndarray  # (S + 1, B)
@@ -133,7 +133,7 @@ def steps(
         control(z.P, z.u, z.D_hat, t, s.p, z.U)
         clip(z.U, s.input_bounds)
         update(z.P, z.X_hat, z.u_nodes, z.D_hat, t, s.p, s.b, z.phi, z.N)
-        keep(k, s, z, out)
+        keep(k, origin, s, z, out)
         adapt(z.D_hat, z.phi, z.phi_before, s.gamma_dt, s.bounds)
         actuate(origin + k, s.dt, z.D, z.U, z.held, z.total, z.U0, z.U1, z.share)
         if s.moves:
@@ -220,20 +220,34 @@ def adapt(D_hat: np.ndarray, phi: np.ndarray, phi_before: np.ndarray, gamma_dt: 
             phi_before[l] = phi[l]
 
 
-@jit(types.void(A3, A1, A2, A1), nogil=True)
-def energy(u: np.ndarray, u_star: np.ndarray, D: np.ndarray, out: np.ndarray) -> None:
-    """Sum over inputs of ∫_{t-D_c}^t (U_c - U_c*)² ds = D_c ∫₀¹ (u_c - u_c*)² dx by the trapezoidal rule."""
+@jit(types.void(types.int64, types.float64, A3, A1, A2, A2, A3, A1), nogil=True)
+def energy(
+    k: int, dt: float, u: np.ndarray, u_star: np.ndarray, D_seen: np.ndarray, D: np.ndarray, held: np.ndarray,
+    out: np.ndarray,
+) -> None:  # fmt: skip
+    """Sum over inputs of ∫_{t-D_c}^t (U_c - U_c*)² ds = D_c ∫₀¹ (u_c - u_c*)² dx by the trapezoidal rule.
+
+    Where the controller reads u by another delay than the true one, it is the sum over the commands that are held.
+    """
     nx, m, lanes = u.shape
+    rows = held.shape[0]
     for l in range(lanes):
         out[l] = 0.0
         for j in range(nx):
             for c in range(m):
-                weight = D[c, l] / (nx - 1) * (0.5 if j == 0 or j == nx - 1 else 1.0)
-                out[l] += weight * (u[j, c, l] - u_star[c]) ** 2
+                if not (D[c, l] >= 0.0 and D[c, l] != D_seen[c, l]):
+                    weight = D_seen[c, l] / (nx - 1) * (0.5 if j == 0 or j == nx - 1 else 1.0)
+                    out[l] += weight * (u[j, c, l] - u_star[c]) ** 2
+        for c in range(m):
+            if D[c, l] >= 0.0 and D[c, l] != D_seen[c, l]:
+                left, i = min(D[c, l] / dt, float(rows - 1)), k - 1
+                while left > 0.0:
+                    out[l] += min(left, 1.0) * dt * (held[i % rows, c, l] - u_star[c]) ** 2
+                    left, i = left - 1.0, i - 1
 
 
-@jit(types.void(types.int64, SETTINGS, STATE, RECORD), nogil=True)
-def keep(k: int, s: Settings, z: State, out: Record) -> None:
+@jit(types.void(types.int64, types.int64, SETTINGS, STATE, RECORD), nogil=True)
+def keep(k: int, origin: int, s: Settings, z: State, out: Record) -> None:
     """Write step k to the record: every `every`-th state, the samples asked for, the first step not finite."""
     for l in range(z.X.shape[1]):
         while z.drawn[l] < s.samples.shape[0] and s.samples[z.drawn[l], l] == k:
@@ -259,7 +273,7 @@ def keep(k: int, s: Settings, z: State, out: Record) -> None:
         copy(z.U, out.U[row])
         for l in range(z.X.shape[1]):
             out.D_hat[row, l], out.N[row, l] = z.D_hat[l], z.N[l]
-        energy(z.u, s.u_star, z.D_seen, out.energy[row])
+        energy(origin + k, s.dt, z.u, s.u_star, z.D_seen, z.D, z.held, out.energy[row])
 
 
 @jit(family.signature(family.HORIZON), nogil=True)

@@ -41,12 +41,14 @@ class Trajectories:
     """Closed loops: t (nt,) in seconds, X and P (..., nt, n), U (..., nt, m), D_hat, N and energy (..., nt).
 
     P is the prediction at x = 1, P(1, t), for X(t + D_hat); NaN in the open loop.
-    N = 1 + V + b ∫₀¹ (1+x) w² dx, NaN without adaptation; energy = ∫_{t-D}^t |U - U*|² ds; see npred.loop.lyapunov.
+    N = 1 + V + b ∫₀¹ (1+x) w² dx of the u that the controller reads, NaN without adaptation; energy = ∫_{t-D}^t
+    |U - U*|² ds with the true D; see npred.loop.lyapunov.
     `escaped` (...) is the first step whose state is not finite, or -1; `infeasible` (...) the first step at which
     commands would overtake each other, 1 - D_X f - D_t <= 0, or -1, `margin` (...) that value and `breach` (..., n) the
-    state there. With a guarded predictor `fallback` (..., nt) says where the numerical predictor answered, since the
-    time before, and `fallbacks` (...) in how many of the `steps` control steps. `states`, `inputs`, `time_unit`,
-    `labels` and `units` are the plant's. print(loop) gives the ranges and ends of all series.
+    state there, in the plant or at a node of a prediction, which crosses 0 early: where the exact loop has up to .2.
+    With a guarded predictor `fallback` (..., nt) says where the numerical predictor answered, since the time before,
+    and `fallbacks` (...) in how many of the `steps` control steps. `states`, `inputs`, `time_unit`, `labels` and
+    `units` are the plant's. print(loop) gives the ranges and ends of all series.
     """
 
     t: np.ndarray

@@ -200,6 +200,15 @@ def test_energy_is_the_integral_of_the_past_input(figure1):
     assert figure1.energy[k] == pytest.approx(0.005 * np.sum(past**2), rel=1e-3)
 
 
+@pytest.mark.parametrize("D", [1.0, 0.737])
+def test_energy_is_over_the_true_delay_where_the_controller_reads_its_commands_by_another(D):
+    loop = simulate(PLANT, RK4(PLANT, 21), D=D, D_hat=1.6, X0=[0.03, 30.0], t_end=4.0, dt=0.01, actuator="history")
+    edges, k = np.arange(401) * 0.01, 300
+    inside = np.clip(np.minimum(edges[1:], 3.0) - np.maximum(edges[:-1], 3.0 - D), 0.0, None)  # seconds of each command
+    wanted = np.sum(inside * (loop.U[:400, 0] - PLANT.u_equilibrium) ** 2)
+    assert loop.energy[k] == pytest.approx(wanted, rel=1e-9)
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
