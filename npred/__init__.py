@@ -1,4 +1,4 @@
-"""npred: certified predictor feedback for delayed nonlinear plants, with numerical and neural predictors.
+"""npred: predictor feedback for delayed nonlinear plants, with numerical predictors and measured neural ones.
 
 `plant` and `predictor` make the parts by name, `simulate` closes the loop, `load` takes a trained network from the
 store, `controller` is the controller for a real plant, `as_iosystem` that for python-control. DelayAdaptation is the
