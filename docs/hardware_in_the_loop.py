@@ -35,7 +35,7 @@ class Rig:
 def main(t_end: float = 60.0) -> tuple[np.ndarray, float]:
     """Run the loop; the last state and delay estimate."""
     plant = npred.plant("activator_repressor")
-    predictor = npred.predictor("rk4", plant, nx=NX)  # or npred.load("pipeline/paper.toml:deeponet", runtime="fused")
+    predictor = npred.predictor("rk4", plant, nx=NX)  # or npred.load("pipeline/paper.toml:deeponet", nx=NX)
     adaptation = npred.DelayAdaptation(gamma=1000.0, b=1.0, bounds=(0.1, 4.0))
     controller, rig = npred.controller(plant, predictor, adaptation, DT, D_hat=2.0), Rig(plant)
     for _ in range(round(t_end / DT)):
