@@ -1,0 +1,175 @@
+"""What control steps, nodes and cell means cost: figures of docs/fidelity.md, docs/predictors.md, docs/real_loop.md, …
+
+    python benchmarks/discretisation.py [mesh] [tracking] [order] [margin] [published]
+
+mesh: D_hat at the end of Fig. 1's loop against the mesh limit of an independent solver, for smaller and smaller dt.
+tracking: where D_hat of a loop that follows sin t ends.
+order: the error of P(1) against SciPy's DOP853, for u that a loop holds and for a smooth u, and its fitted order.
+margin: the lowest 1 - D_X f of the exact loop, by SciPy, that npred takes for infeasible.
+published: what two digits of docs/reproduce.md are of.
+"""
+
+import sys
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+import npred
+from npred.plants import Plant
+
+TIGHT = {"method": "DOP853", "rtol": 1e-11, "atol": 1e-13}
+
+
+def mesh() -> None:
+    """Unclipped and with U >= 0, as in tests/loop/test_closed_loop.py, where the limits come from."""
+    plant, law = npred.plant("activator_repressor"), npred.DelayAdaptation(1000.0, 1.0, (0.1, 4.0))
+    print("Fig. 1: D = 1, D_hat(0) = 2, X0 = (0.03, 30), 100 s; D_hat(100) above its limit")
+    for clip, limit in ((None, 1.19226), ([(0.0, np.inf)], 0.4975)):
+        for dt in (0.01, 0.005, 0.0025, 0.00125):
+            gaps = []
+            for nx in (101, round(1 / dt) + 1):
+                run = npred.simulate(
+                    plant, npred.predictor("rk4", plant, nx), D=1.0, D_hat=2.0, X0=[0.03, 30.0], t_end=100.0, dt=dt,
+                    adaptation=law, input_bounds=clip, every=round(1 / dt),
+                )  # fmt: skip
+                gaps.append(f"{run.D_hat[-1] / limit - 1:.3%} on {nx} nodes")
+            print(f"  {'U >= 0' if clip else 'unclipped':9s}  dt = {dt:<8g}  {'; '.join(gaps)}", flush=True)
+
+
+class Follower:
+    """x' = -x/2 + U, led along sin t."""
+
+    states, inputs = ("x",), ("U",)
+
+    def f(x, u, t, p, M):
+        return [u.U - x.x / 2]
+
+    def kappa(x, t, p, M):
+        return [x.x / 2 + M.cos(t) - (x.x - M.sin(t))]
+
+    def V(x, t, p, M):
+        return (x.x - M.sin(t)) ** 2
+
+    def reference(t, p, M):
+        return [M.sin(t)]
+
+
+def tracking() -> None:
+    """D = 1, gamma = 0.2, 101 nodes."""
+    plant, law = Plant("follower", Follower), npred.DelayAdaptation(gamma=0.2, bounds=(0.1, 3.0))
+    for X0 in (0.0, 0.5):
+        for dt in (0.01, 0.005):
+            run = npred.simulate(
+                plant, npred.predictor("rk4", plant, 101), D=1.0, D_hat=[0.8, 1.2], X0=[X0], t_end=400.0, dt=dt,
+                adaptation=law, every=round(100 / dt),
+            )  # fmt: skip
+            ends = "; ".join(f"D_hat({t:g}) = {a:.4f}, {b:.4f}" for t, (a, b) in zip(run.t, run.D_hat.T, strict=True))
+            print(f"X0 = {X0:g}, dt = {dt:g}: {ends}", flush=True)
+
+
+def _acted(plant, u, middle):
+    return lambda s, x: plant.f(x, np.array([u(s, middle)]))
+
+
+def order() -> None:
+    """The paper's plant, D = D_hat = 1: a loop from (0.06, 12) after 2 s, dt = 2.5 ms; and u = .05 cos 3x."""
+    plant = npred.plant("activator_repressor")
+    nodes, dt, k = (6, 11, 21, 41), 2.5e-3, 800
+
+    def end(X, u, edges):
+        """X a delay later, u (s) on each piece between the edges."""
+        for low, high in zip(edges, edges[1:], strict=False):
+            X = solve_ivp(_acted(plant, u, (low + high) / 2), (low, high), X, **TIGHT).y[:, -1]
+        return X
+
+    smooth = end(np.array([0.06, 12.0]), lambda s, _: 0.05 * np.cos(3 * s), [0.0, 1.0])
+    for name in ("heun", "rk4"):
+        errors = []
+        for nx in nodes:
+            method = npred.predictor(name, plant, nx)
+            run = npred.simulate(plant, method, D=1.0, D_hat=1.0, X0=[0.06, 12.0], t_end=2.0, dt=dt)
+            held = run.U[k - 400 : k, 0]
+            pieces = lambda s, middle, held=held: held[int(middle / dt)]  # noqa: E731
+            exact = end(run.X[k], pieces, np.arange(401) * dt)
+            u = 0.05 * np.cos(3 * np.linspace(0, 1, nx))[:, None]
+            errors.append([np.linalg.norm(run.P[k] - exact), np.linalg.norm(method([0.06, 12.0], u, 1.0)[-1] - smooth)])
+        for what, found in zip(("in a loop", "u smooth"), np.array(errors).T, strict=True):
+            slope = -np.polyfit(np.log(np.array(nodes) - 1), np.log(found), 1)[0]
+            print(f"{name:6s} {what:9s}  " + "  ".join(f"{e:.1e}" for e in found) + f"  order {slope:.2f}", flush=True)
+
+
+def _squares(x, t, p, M):
+    return x.x**2 + x.y**2
+
+
+def margin() -> None:
+    """The unicycle with D = x² + y² from (a, a, a): the largest a that npred keeps, and the exact loop's margin."""
+    late = type("Late", (npred.plant("unicycle").declaration,), {"delays": None, "delay": _squares})
+    plant = Plant("late", late)
+    for dt in (0.02, 0.01, 0.005, 0.0025):
+        for nx in (51, 101, 401):
+            low, high = 0.5, 1.0
+            while high - low > 1e-4:
+                a = (low + high) / 2
+                run = npred.simulate(plant, npred.predictor("rk4", plant, nx), X0=[a, a, a], t_end=6.0, dt=dt)
+                low, high = (a, high) if run.infeasible == -1 else (low, a)
+            print(f"dt = {dt:<7g} nx = {nx:<4d} a = {low:.4f}  lowest margin, exact: {lowest(low):.4f}", flush=True)
+
+
+def published() -> None:
+    """`npred reproduce`: what an exact predictor scores in unicycle_constant, and unicycle_time_varying by dt."""
+    from npred.stages.reproduce import pomet
+    from npred.stages.reproduce.experiments import unicycle_constant as constant
+    from npred.stages.reproduce.experiments import unicycle_time_varying as varying
+
+    plant, score = pomet.plant(), []
+    loop = constant.meant_loop(npred.predictor("rk4", plant, constant.NODES + 1), constant.draws())
+    for X, U, D in zip(loop.X, loop.U, constant.draws()[1], strict=True):
+        i = (loop.t + D) / constant.DT
+        inside = i <= len(X) - 1
+        k, share = np.divmod(i[inside], 1)
+        k, before = k.astype(int), np.maximum(np.flatnonzero(inside) - 1, 0)  # of t = 0 the command before it was 0
+        acting = U[before] * (np.flatnonzero(inside) > 0)[:, None]
+        h = (share * constant.DT)[:, None]
+        f = [plant.f(X[k], acting)]
+        for c in (0.5, 0.5, 1.0):
+            f.append(plant.f(X[k] + c * h * f[-1], acting))
+        exact = X[k] + h / 6 * (f[0] + 2 * f[1] + 2 * f[2] + f[3])
+        line = X[k] + share[:, None] * (X[np.minimum(k + 1, len(X) - 1)] - X[k])
+        score.append(np.linalg.norm(exact - line, axis=-1).mean())
+    print(f"unicycle_constant: RK4 {constant.meant():.7f}, an exact predictor {np.mean(score):.7f}", flush=True)
+    X0, slopes = varying.draws()
+    for dt in (0.01, 0.005, 0.001, 0.0005):  # the mean is over samples of 0.01 s with each
+        norms = []
+        for start, b in zip(np.moveaxis(X0, 1, 0), slopes.tolist(), strict=True):
+            rk4 = varying.rk4(b)
+            run = npred.simulate(rk4.plant, rk4, X0=start.T, t_end=9.99, dt=dt, every=round(0.01 / dt))
+            norms.append(np.linalg.norm(run.X, axis=-1).mean())
+        print(f"unicycle_time_varying: dt = {dt:g}: {np.mean(norms):.6f}", flush=True)
+
+
+def lowest(a: float) -> float:
+    """The lowest 1 - D_X f along the exact loop from (a, a, a): P' = f / margin, s' = 1 / margin, s(0) = D(P(0))."""
+
+    def kappa(X, t):
+        p, q = X[0] * np.cos(X[2]) + X[1] * np.sin(X[2]), X[0] * np.sin(X[2]) - X[1] * np.cos(X[2])
+        omega = -5 * p**2 * np.cos(3 * t) - p * q * (1 + 25 * np.cos(3 * t) ** 2) - X[2]
+        return omega, -p + 5 * q * (np.sin(3 * t) - np.cos(3 * t)) + q * omega
+
+    def rate(z):
+        omega, v = kappa(z[:3], z[3])
+        f = np.array([v * np.cos(z[2]), v * np.sin(z[2]), omega])
+        return f, 1 - 2 * z[0] * f[0] - 2 * z[1] * f[1]
+
+    def slope(_, z):
+        f, margin = rate(z)
+        return np.array([*f, 1.0]) / margin
+
+    run = solve_ivp(slope, (0, 6), [a, a, a, 2 * a * a], dense_output=True, **TIGHT)
+    return min(rate(z)[1] for z in run.sol(np.linspace(0, 6, 20001)).T)
+
+
+if __name__ == "__main__":
+    parts = {f.__name__: f for f in (mesh, tracking, order, margin, published)}
+    for name in sys.argv[1:] or parts:
+        parts[name]()
