@@ -138,7 +138,7 @@ def margins(r: engine.Record, plant: Plant, truth: Plant, predictor: Predictor |
     A loop is marked by the prediction of its model, at the time when the node comes, or by the simulated plant.
     """
     margin = np.full((1, len(r.infeasible)), np.nan)
-    for l in np.flatnonzero(r.infeasible >= 0):
+    for l in np.flatnonzero(r.infeasible >= 0).tolist():
         X, U, t = r.breach[: plant.n, [l]].copy(), r.breach[plant.n : -1, [l]].copy(), float(r.breach[-1, l])
         of = truth
         if np.isfinite(r.sample_D_hat[-1, l]):

@@ -10,6 +10,7 @@ from golden import CASES, case
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from operator_samples import SMALL, operator
+from scipy.integrate import solve_ivp
 
 from npred import grid, plants, predictors
 from npred.delays import family_of
@@ -57,6 +58,19 @@ def test_fitted_order(method, name):
     errors = [np.abs(golden.quarters(predict(method, name, n + 1)) - golden.P).max(axis=0) for n in intervals]
     slopes = -np.polyfit(np.log(intervals), np.log(errors), 1)[0]
     np.testing.assert_allclose(slopes, predictors.method(method).order, atol=0.2)
+
+
+def test_rk4_is_of_order_2_with_the_cell_means_that_a_loop_gives():
+    """u = .05 cos 3x, whose mean over a cell has a formula, against SciPy."""
+    X0, intervals, errors = [0.06, 12.0], np.array([40, 80, 160]), []
+    exact = solve_ivp(
+        lambda s, x: PLANT.f(x, np.array([0.05 * np.cos(3 * s)])), (0, 1), X0, method="DOP853", rtol=1e-12, atol=1e-14
+    ).y[:, -1]
+    for n in intervals:
+        edges = np.clip((np.arange(n + 2) - 0.5) / n, 0, 1)
+        means = 0.05 * np.diff(np.sin(3 * edges)) / (3 * np.diff(edges))
+        errors.append(np.linalg.norm(predictors.numerical("rk4", PLANT, n + 1)(X0, means[:, None], 1.0)[-1] - exact))
+    assert -np.polyfit(np.log(intervals), np.log(errors), 1)[0] == pytest.approx(2, abs=0.1)
 
 
 @pytest.mark.parametrize("method", SERVED)
