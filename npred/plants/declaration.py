@@ -64,7 +64,7 @@ Ranges = Annotated[dict[str, Range], expected('ranges as {"h": (0.0, 1.0)}', "wr
 FiniteRange = Annotated[tuple[Finite, Finite], LIST, IN_ORDER]
 Box = Annotated[dict[str, FiniteRange], expected('ranges as {"h": (0.0, 1.0)}', "write a dict")]
 Parameters = Annotated[dict[Name, Finite], expected('a table {"a": 1.0}', "write a dict")]
-Text = Annotated[str, STRICT, AfterValidator(str.strip), expected(LINE, "shorten it", _is_text)]
+Text = Annotated[str, STRICT, AfterValidator(lambda text: text.strip()), expected(LINE, "shorten it", _is_text)]
 Texts = Annotated[dict[str, Text], expected('texts as {"h": "m"}', "write a dict")]
 Function = Annotated[Callable[..., Any], expected("a function", "write one with def")]
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
-from operator import attrgetter
 from typing import Annotated
 
 from pydantic import BeforeValidator, PlainSerializer
@@ -69,4 +68,4 @@ def ranked(contenders: Iterable[Contender]) -> list[Contender]:
 
 
 NUMERICAL, NO_ADAPTATION = Contender("numerical"), Contender("no_adaptation")
-Name = Annotated[Contender, BeforeValidator(Contender.parse), PlainSerializer(attrgetter("name"), return_type=str)]
+Name = Annotated[Contender, BeforeValidator(Contender.parse), PlainSerializer(lambda c: c.name, return_type=str)]
