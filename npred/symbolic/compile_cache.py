@@ -25,7 +25,7 @@ from npred.errors import ConfigError, NpredError
 VARIABLE, HOME = "NPRED_CACHE", "XDG_CACHE_HOME"
 SEAL = "digests.json"
 FULL = {errno.ENOSPC, errno.EDQUOT}
-_LOCK = threading.RLock()  # Numba has one setting for all threads, and networks are compiled side by side
+LOCK = threading.RLock()  # Numba has one setting for all threads, and networks are compiled side by side
 
 
 def jit(signature: Any, **flags: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -62,7 +62,7 @@ def kept(name: str) -> Iterator[None]:
     from numba.core import config
 
     target = root() / name
-    with _LOCK:
+    with LOCK:
         sound = _sound(target)
         at = target if sound else _aside()
         before, config.CACHE_DIR = config.CACHE_DIR, str(at)  # type: ignore[attr-defined]

@@ -42,17 +42,25 @@ def build(
     return getattr(_module(compile_cache.named(name, compile_cache.root(), text), text), name)
 
 
-@cache
 def _module(name: str, text: str) -> ModuleType:
-    """The module of that text. It is run as it stands here: its file is for Numba, which wants one to stand by."""
-    path = compile_cache.root() / f"{name}.py"
-    module = ModuleType(name)
-    sys.modules[name] = module  # before it runs: Numba looks the module up by its name
-    vars(module)[TEXT] = text
-    with compile_cache.kept(name):
-        _write(path, text)
-        exec(compile(text, str(path), "exec"), vars(module))
-    return module
+    """The module of that text. It is run as it stands here: its file is for Numba, which wants one to stand by.
+
+    Under the lock of all that is compiled: another thread's kernel may import this one, and must not find it half run.
+    """
+    with compile_cache.LOCK:
+        if name in sys.modules:
+            return sys.modules[name]
+        path = compile_cache.root() / f"{name}.py"
+        module = sys.modules[name] = ModuleType(name)  # before it runs: Numba looks the module up by its name
+        vars(module)[TEXT] = text
+        try:
+            with compile_cache.kept(name):
+                _write(path, text)
+                exec(compile(text, str(path), "exec"), vars(module))
+        except BaseException:
+            del sys.modules[name]
+            raise
+        return module
 
 
 class Uncompiled(NamedTuple):

@@ -2,10 +2,13 @@
 
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from threading import Event
 
 import pytest
 
-from npred.symbolic import kernels
+from npred.symbolic import compile_cache, kernels
 
 TEXT = "def twice(a):\n    return 2.0 * a\n"
 PROGRAM = """
@@ -33,6 +36,52 @@ def test_second_process_finds_the_compiled_kernel(fresh):
     stamp = source.stat().st_mtime_ns
     assert run() == (42.0, 1, str(fresh))
     assert source.stat().st_mtime_ns == stamp
+
+
+@pytest.mark.parametrize("found", ["inner", "missing"])
+def test_threads_that_want_the_same_kernels_find_them_whole(fresh, monkeypatch, found):
+    """Eight threads build a kernel that imports another. Those that come second, if they begin the inner one again, are
+    held up between its name and its content until the first one has imported it.
+    """
+    fresh.mkdir(parents=True)
+    monkeypatch.setattr(compile_cache, "root", lambda: fresh)
+    inner_is_there, outer_is_there, begun = Event(), Event(), []
+    make, kept = kernels.ModuleType, compile_cache.kept
+
+    def made(name):
+        begun.append(name)
+        if "_inner_" in name and len(begun) > 1:
+            inner_is_there.wait(20)
+        return make(name)
+
+    @contextmanager
+    def slowly_kept(name):
+        if "_inner_" in name and inner_is_there.is_set():
+            outer_is_there.wait(20)
+        with kept(name):
+            yield
+
+    def built(number):
+        inner = kernels.build("inner", "float64(float64)", "def inner(a):\n    return 2.0 * a\n")
+        inner_is_there.set()
+        preamble = f"from {inner.__module__} import {found}\n"
+        try:
+            outer = kernels.build(
+                "outer", "float64(float64)", f"def outer(a):\n    return {found}(a) + 1.0\n", preamble
+            )
+        finally:
+            outer_is_there.set()
+        return outer(3.0)
+
+    monkeypatch.setattr(kernels, "ModuleType", made)
+    monkeypatch.setattr(compile_cache, "kept", slowly_kept)
+    with ThreadPoolExecutor(8) as pool:
+        results = [pool.submit(built, number) for number in range(8)]
+    if found == "missing":  # what failed is not taken for a kernel
+        assert {str(done.exception()).partition(" from")[0] for done in results} == {"cannot import name 'missing'"}
+    else:
+        assert [done.result() for done in results] == [7.0] * 8
+        assert len(begun) == 2
 
 
 def test_another_text_is_another_kernel():
