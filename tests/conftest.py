@@ -20,6 +20,7 @@ from npred.cli import app
 from npred.pipeline import STAGES
 
 Call = Callable[..., Result]
+os.environ["CUDA_VISIBLE_DEVICES"] = ""  # the tests' results and keys are the CPU's, also where there is a GPU
 OWN_SETTINGS = ("NPRED_STORE", "NPRED_PIPELINE", "NPRED_EXECUTOR")  # of who runs the tests
 HERE = Path(__file__).parent
 # How long a draw takes says what else the machine does, not what the code does.

@@ -95,10 +95,11 @@ def _task(job: Job, config: Training, path: Path) -> Fit:
     seed = randomness.integer(job.config.seed, "train", str(job.model))
     stream = Stream(path, job.device, config.nodes, job.plant.phase)
     scaling = Scaling.of_parts(stream.parts) if streamed else Scaling.of(fitted)
-    operator = _untrained(job, config, scaling, seed).to(job.device)
+    operator = _untrained(job, config, scaling, seed)
     parts = stream.parts if streamed else lambda: [fitted]
     operator.domain = Domain.of_parts(parts, scaling.X_bend.double().numpy(), job.plant.phase)
     criterion = loss.criterion(config.rows, loss.weights(config, job.plant, rows.P))
+    operator = operator.to(job.device)  # and the scaling with it, which the domain was made of
     return Fit(f"train {job.model}", operator, config, stream if streamed else rows, test, criterion, seed)
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from fake_gpu import FakeGpu
 from operator_samples import PLANT, samples
 from silent import Silent
 
@@ -63,6 +64,16 @@ def test_payload_and_result(model, tmp_path):
     assert describe(stage.folder)["model"] == model == result.model
     assert Trained.of(json.loads(json.dumps(result.json_object())), "a test") == result
     assert model in summary(result) and f"{result.mse:.3g}" in summary(result)
+
+
+def test_a_network_that_a_gpu_trains_is_written_with_its_domain(tmp_path):
+    """On the CPU's arithmetic the same bytes, but every array that leaves the device has to be fetched."""
+    write_data(tmp_path / "data")
+    here, there = (job(tmp_path / device, "deeponet") for device in ("cpu", "cuda"))
+    run(here)
+    with FakeGpu():
+        run(replace(there, device="cuda"))
+    assert payload(there) == payload(here)
 
 
 def sharded(source: Path, folder: Path) -> Path:

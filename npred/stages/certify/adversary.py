@@ -55,10 +55,10 @@ def _climb(
     """The calls of gradient ascent."""
     a, calls = [b.requires_grad_() for b in a], []
     ascent = torch.optim.Adam(a, lr=RATE, maximize=True)
-    operator = predictor.operator.double()
+    operator, device = predictor.operator.double(), predictor.operator.X_rest.device
     for _ in range(steps):
         X, u, D_hat = (inputs.inside(b, name) for b, name in zip(a, ("X", "u", "D_hat"), strict=True))
-        U = plant.kappa(operator(X, u, D_hat)[:, -1])
+        U = plant.kappa(operator(X.to(device), u.to(device), D_hat.to(device))[:, -1].cpu())
         error = (U - plant.kappa(_rk4(plant, X, u, D_hat))).abs().amax(dim=-1)
         t = torch.zeros_like(D_hat)
         calls.append(tuple(value.numpy(force=True) for value in (X, u, D_hat, t, error)))
