@@ -1,20 +1,17 @@
 """`npred`, and `python -m npred`: signals are heard before the imports, which take a while."""
 
-import sys
-
 from npred.terminal import interruption
 
 
 def main() -> None:
     """Run the command of sys.argv and exit with its code."""
     interruption.listen()
-    try:
-        from npred.cli import main as command_line
+    from npred.cli import main as command_line
 
+    try:
         command_line()
-    except KeyboardInterrupt:
-        interruption.say(lambda line: print(f"error: {line}", file=sys.stderr))
-        sys.exit(interruption.code())
+    finally:
+        interruption.leave()
 
 
 if __name__ == "__main__":

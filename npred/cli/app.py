@@ -82,6 +82,7 @@ def guarded(call: Callable[[], None], console: Console) -> int:
     """The exit code of a call: 0, the failure's own, that of a signal, 1 for the unforeseen. Ends the console's log."""
     try:
         call()
+        interruption.check()
         return 0
     except BrokenPipeError:  # the reader of stdout has left, as `head` does
         return 1

@@ -6,7 +6,7 @@ from typing import Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from npred.terminal import interruption, streams
+from npred.terminal import streams
 from npred.terminal.console import Console
 
 USAGE: type[BaseException] = typer.BadParameter.__mro__[1]  # what every usage error is; typer keeps the name to itself
@@ -33,9 +33,6 @@ class Group(TyperGroup):
             code = super().main(*args, standalone_mode=False, **extra)
         except USAGE as error:
             sys.exit(_tell(error))
-        except typer.Abort:  # interrupted before the command began
-            interruption.say(Console().error)
-            sys.exit(interruption.code())
         except OSError as error:  # commands say theirs: this is of a help that stdout does not take
             streams.silence(sys.stdout)
             Console().error(str(streams.unwritable(error.strerror)))

@@ -9,8 +9,9 @@
 
 import logging
 import os
+import signal
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
 from concurrent.futures.process import ProcessPoolExecutor
 from concurrent.futures.thread import ThreadPoolExecutor
@@ -22,9 +23,11 @@ from multiprocessing.connection import Connection
 from typing import Any, TypeVar
 
 from npred.errors import ConfigError, NpredError, first_line, required
+from npred.terminal import interruption
 
 LOCAL = "local"
 ANSWER = 10  # seconds that a scheduler may take to answer
+BEAT = 0.2  # s between two looks for a signal
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
@@ -72,11 +75,19 @@ def completed(
                 under_way[executor.submit(function, item)] = item
             if not under_way:
                 return
-            for done in wait(under_way, return_when=FIRST_COMPLETED).done:
+            for done in ended(under_way):
                 yield under_way.pop(done), done.result()
     finally:
         for future in under_way:
             future.cancel()
+
+
+def ended(under_way: Collection[Future[Result]]) -> list[Future[Result]]:
+    """Those of the futures that have ended, one at least. Raises KeyboardInterrupt once a signal has arrived."""
+    while not any(future.done() for future in under_way):
+        interruption.check()
+        wait(under_way, BEAT, FIRST_COMPLETED)
+    return [future for future in under_way if future.done()]
 
 
 class Here(Workers):
@@ -124,11 +135,12 @@ class Processes(Workers):
 
     def _start(self, call: Callable[[], Any], outcome: Future[Any], retries: int) -> None:
         pool = self._pool
-        try:
-            inner = pool.submit(call)
-        except BrokenExecutor:
-            pool = self._replace(pool)
-            inner = pool.submit(call)
+        with _deaf():
+            try:
+                inner = pool.submit(call)
+            except BrokenExecutor:
+                pool = self._replace(pool)
+                inner = pool.submit(call)
         inner.add_done_callback(lambda done: self._finish(done, call, outcome, pool, retries))
 
     def _finish(
@@ -158,7 +170,18 @@ class Processes(Workers):
         """Processes start afresh: a fork would copy the threads' locks of whatever the caller has loaded."""
         context = get_context("spawn")
         end, leash = context.Pipe(duplex=False)
-        return ProcessPoolExecutor(self.count, context, _end_with_leash, (end,)), leash
+        with _deaf():  # multiprocessing starts a process that watches its semaphores
+            return ProcessPoolExecutor(self.count, context, _end_with_leash, (end,)), leash
+
+
+@contextmanager
+def _deaf() -> Iterator[None]:
+    """Processes that start in the block do not hear what a terminal sends to all: they end with this one, silently."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _settle(outcome: Future[Any], error: BaseException | None, result: Any) -> None:

@@ -18,6 +18,7 @@ from npred.pipeline.reasons import NEVER, reason
 from npred.results import Reproduced
 from npred.stages.reproduce.experiment import NETWORKS, NUMERICAL, TIMES
 from npred.store import Artifact, Question, Store, durable
+from npred.terminal import interruption
 from npred.terminal.console import Console
 
 STAGE = "reproduce"
@@ -90,7 +91,7 @@ class Reproduction:
     def _bring(self, name: str, part: str) -> Artifact:
         asked = question(name, part)
         title = f"{STAGE} {asked.model}"
-        with self.store.lock(STAGE, asked.key):
+        with interruption.orderly(), self.store.lock(STAGE, asked.key):
             if not self.force and (artifact := self.store.get(STAGE, asked.key)):
                 self.console.detail(f"{title}: from the store")
                 return artifact.verify()

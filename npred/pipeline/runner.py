@@ -4,7 +4,7 @@ import heapq
 import time
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, wait
+from concurrent.futures import Future
 from dataclasses import dataclass, field
 
 from npred.errors import NpredError
@@ -16,10 +16,10 @@ from npred.pipeline.stage_registry import Node
 from npred.pipeline.task import Outcome, Task, elsewhere, packages
 from npred.store import Artifact, Question, claims
 from npred.store.claims import Claim
+from npred.terminal import interruption
 from npred.terminal.console import Console
 from npred.terminal.progress_bars import Bar
 
-BEAT = 0.5  # s: a signal that arrives as a wait without an end begins would be heard at its end
 WHOLE = {"generate": 0, "bench": 2}  # they use the whole machine: before all else, and after it
 REASON = "of a sweep"
 
@@ -96,7 +96,7 @@ class Runner:
     def _bring(
         self, runs: list[CellRun], workers: Workers, submit: Callable[[Task], Future[Outcome]], bar: Bar | None = None
     ) -> None:
-        with claims.claimed(runs[0].planner.store.root) as claim:
+        with interruption.orderly(), claims.claimed(runs[0].planner.store.root) as claim:
             try:
                 _Graph(self, workers, submit, claim, bar).run(runs)
             except BaseException:
@@ -130,9 +130,7 @@ class _Graph:
             self._ask(run)
         while self.queue or self.under_way:
             self._start()
-            if self.under_way:
-                wait(self.under_way, BEAT, FIRST_COMPLETED)
-            for future in [future for future in self.under_way if future.done()]:
+            for future in executors.ended(self.under_way) if self.under_way else ():
                 task = self.under_way.pop(future)
                 self._settle(task, _outcome(future, task))
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from npred.json_files import escaped
-from npred.terminal import streams
+from npred.terminal import interruption, streams
 from npred.terminal.progress_bars import Bar
 from npred.terminal.run_log import RunLog
 
@@ -139,6 +139,7 @@ class Console:
             yield Bar(title, total, unit, done, self.clock, partial(self._moved, shown), line)
 
     def _moved(self, shown: Callable[[int], None] | None, n: int) -> None:
+        interruption.check()
         if self.stopped:
             raise KeyboardInterrupt
         if shown:

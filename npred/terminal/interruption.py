@@ -1,32 +1,72 @@
-"""Ctrl-C, SIGTERM and SIGHUP: one way out, one line, and the exit code 128 + the signal, however often they come."""
+"""Ctrl-C, SIGTERM and SIGHUP: one way out, one line, and the exit code 128 + the signal, however often they come.
 
+No exception is raised where the signal finds the program: it could leave a library's lock taken for ever, or an import
+half done. A thread hears of the signal and ends the process at once, which the store bears as it bears kill -9. Where
+there is something to put away, in `orderly`, the work is asked to end first, and raises KeyboardInterrupt at its next
+report of progress.
+"""
+
+import _thread
+import atexit
+import fcntl
 import os
+import select
 import signal
 import sys
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from types import FrameType
 
 SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 LINE = "interrupted; finished stages and checkpoints are kept: the same command goes on from there"
 SHOW_CURSOR = b"\x1b[?25h"  # the live view hides it
-_heard: list[int] = []  # the first signal
+GRACE = 3.0  # s that work which is asked to end may take
+_bells: list[int] = []  # the pipe that the interpreter writes the number of each signal to, at once
+_heard: list[int] = []
 _said: list[str] = []
+_saying = _thread.allocate_lock()
+_orderly: list[None] = []
 
 
 def listen() -> None:
-    """Let the first signal raise KeyboardInterrupt, and a second one end the process at once.
+    """From now on a signal ends the process; a second one does so without a grace.
 
     A signal that is ignored, as nohup and a shell's background have it, stays so.
     """
-    for number in SIGNALS:
-        if signal.getsignal(number) is not signal.SIG_IGN:
-            signal.signal(number, _hear)
+    if _bells:
+        return
+    pipe = os.pipe()
+    _bells.extend(fcntl.fcntl(end, fcntl.F_DUPFD_CLOEXEC, 3) for end in pipe)  # a closed stream stays closed
+    for end in pipe:
+        os.close(end)
+    os.set_blocking(_bells[1], False)
+    signal.set_wakeup_fd(_bells[1], warn_on_full_buffer=False)
+    _thread.start_new_thread(_watch, ())
+    heard = [number for number in SIGNALS if signal.getsignal(number) is not signal.SIG_IGN]
+    for number in heard:
+        signal.signal(number, _note)
+    atexit.register(_ignore, heard)  # the first to be registered is the last to be called
 
 
 def heard() -> bool:
     """True if a signal has arrived: what failed since may have failed of it."""
     return bool(_heard)
+
+
+def check() -> None:
+    """Raise KeyboardInterrupt if a signal has arrived: for work that can end here."""
+    if _heard:
+        raise KeyboardInterrupt
+
+
+@contextmanager
+def orderly() -> Iterator[None]:
+    """In the block a signal gives the work GRACE seconds to end by itself, at its next `check`."""
+    _orderly.append(None)
+    try:
+        yield
+    finally:
+        _orderly.pop()
 
 
 def code() -> int:
@@ -36,27 +76,49 @@ def code() -> int:
 
 def say(error: Callable[[str], None]) -> None:
     """Say once, with this function, that the command was interrupted."""
-    handlers = {number: signal.signal(number, signal.SIG_IGN) for number in SIGNALS}  # or a second one cuts the line
-    if not (_heard and _said):
-        error(LINE)
-        _said.append(LINE)
-    for number, handler in handlers.items():
-        if handler is not None:  # None: not installed from Python
-            signal.signal(number, handler)
+    with _saying:  # _leave waits for it, or it would cut the line
+        if not (_heard and _said):
+            error(LINE)
+            _said.append(LINE)
 
 
-def _hear(number: int, frame: FrameType | None) -> None:
-    if _heard:
-        _leave()
+def _note(number: int, frame: FrameType | None) -> None:
+    """In the main thread, so that an error which it meets later is known to come later."""
     _heard.append(number)
-    raise KeyboardInterrupt
+
+
+def _watch() -> None:
+    """A thread, for the main one may be in compiled code for long, where Python calls no handler."""
+    while (number := os.read(_bells[0], 1)[0]) not in SIGNALS:
+        pass  # of others' handlers
+    _heard.append(number)
+    if _orderly:
+        select.select(_bells[:1], [], [], GRACE)  # or until a second one comes
+    _leave()
+
+
+def leave() -> None:
+    """The end of a command that was interrupted: the interpreter is not taken down, for that waits for threads."""
+    if _heard:
+        with suppress(OSError, ValueError, AttributeError):  # closed
+            sys.stdout.flush()
+        _leave()
 
 
 def _leave() -> None:
-    """End without waiting for threads: the store bears it, as it bears kill -9."""
+    """End without waiting for threads."""
+    said = not _saying.acquire(timeout=GRACE) or _said  # who says it for so long is stuck in the middle of it
     with suppress(OSError):
         if sys.stderr and sys.stderr.isatty():
             os.write(2, SHOW_CURSOR)
-        if not _said:
+        if not said:
             os.write(2, f"error: {LINE}\n".encode())
+    if util := sys.modules.get("multiprocessing.util"):
+        util._run_finalizers(0)  # or the process that watches semaphores says that they are left
     os._exit(code())
+
+
+def _ignore(numbers: list[int]) -> None:
+    """The command has ended: while the interpreter is taken down, a signal would do what it does by default."""
+    for number in numbers:
+        signal.signal(number, signal.SIG_IGN)

@@ -23,18 +23,51 @@ sys.argv = ["npred", *{arguments!r}]
 from npred.__main__ import main
 main()
 """
-# Two signals: the second comes while the first is still on its way out.
+# Two signals: the second comes while the work that the first asked to end still goes on.
 TWICE = """
 import os, signal, time
 from npred.terminal import interruption
+interruption.GRACE = 60
 interruption.listen()
-try:
+with interruption.orderly():
     os.kill(os.getpid(), {first})
-    time.sleep(60)
-except KeyboardInterrupt:
+    while not interruption.heard():
+        pass
     {said}
     os.kill(os.getpid(), {second})
     time.sleep(60)
+"""
+# The signal comes when concurrent.futures holds the locks of the futures that it waits for.
+LOCKED = """
+import os, signal
+from concurrent.futures import _base
+from npred.cli.app import guarded
+from npred.parallel import executors
+from npred.terminal import interruption
+from npred.terminal.console import Console
+enter = _base._AcquireFutures.__enter__
+def entered(self):
+    enter(self)
+    os.kill(os.getpid(), {number})
+_base._AcquireFutures.__enter__ = entered
+interruption.listen()
+def work():
+    with interruption.orderly(), executors.closed(executors.Threads(2)) as threads:
+        for _ in executors.completed(threads, abs, range(100)):
+            pass
+raise SystemExit(guarded(work, Console()))
+"""
+# Work that does not look for a signal: Python calls no handler in it, and no exception would end it.
+DEAF = """
+import hashlib, os, signal
+from contextlib import nullcontext
+from threading import Timer
+from npred.terminal import interruption
+interruption.GRACE = 0.1
+interruption.listen()
+with {where}:
+    Timer(0.1, os.kill, (os.getpid(), {number})).start()
+    hashlib.pbkdf2_hmac("sha256", b"", b"", 2**31 - 1)
 """
 
 
@@ -49,6 +82,24 @@ def test_a_signal_during_imports_says_so(tmp_path: Path, number: int, code: int,
     done = run(DURING.format(module=module, number=int(number), arguments=["plants", "check", "scalar"]), tmp_path)
     assert (done.returncode, done.stdout) == (code, "")
     assert done.stderr == f"error: {interruption.LINE}\n"
+
+
+def test_a_signal_while_typer_writes_the_help_says_so(tmp_path: Path):
+    """typer makes code 130 and no word of a KeyboardInterrupt."""
+    done = run(DURING.format(module="typer.rich_utils", number=int(signal.SIGTERM), arguments=["--help"]), tmp_path)
+    assert (done.returncode, done.stderr) == (143, f"error: {interruption.LINE}\n")
+
+
+@pytest.mark.parametrize(("number", "code"), SIGNALS)
+def test_a_signal_while_futures_are_locked_ends_the_program(tmp_path: Path, number: int, code: int):
+    done = run(LOCKED.format(number=int(number)), tmp_path)
+    assert (done.returncode, done.stderr) == (code, f"error: {interruption.LINE}\n")
+
+
+@pytest.mark.parametrize("where", ["nullcontext()", "interruption.orderly()"])
+def test_work_that_does_not_look_for_a_signal_is_ended(tmp_path: Path, where: str):
+    done = run(DEAF.format(where=where, number=int(signal.SIGHUP)), tmp_path)
+    assert (done.returncode, done.stderr) == (129, f"error: {interruption.LINE}\n")
 
 
 @pytest.mark.parametrize(("first", "code"), SIGNALS)
