@@ -37,23 +37,25 @@ with interruption.orderly():
     os.kill(os.getpid(), {second})
     time.sleep(60)
 """
-# The signal comes when concurrent.futures holds the locks of the futures that it waits for.
+# The signal comes when concurrent.futures holds the locks of the futures that it waits for, and their work ends.
 LOCKED = """
 import os, signal
 from concurrent.futures import _base
+from threading import Event
 from npred.cli.app import guarded
 from npred.parallel import executors
 from npred.terminal import interruption
 from npred.terminal.console import Console
-enter = _base._AcquireFutures.__enter__
+enter, gate = _base._AcquireFutures.__enter__, Event()
 def entered(self):
     enter(self)
+    gate.set()
     os.kill(os.getpid(), {number})
 _base._AcquireFutures.__enter__ = entered
 interruption.listen()
 def work():
     with interruption.orderly(), executors.closed(executors.Threads(2)) as threads:
-        for _ in executors.completed(threads, abs, range(100)):
+        for _ in executors.completed(threads, gate.wait, [60] * 4):
             pass
 raise SystemExit(guarded(work, Console()))
 """
