@@ -4,6 +4,7 @@ import h5py
 import numpy as np
 import pytest
 from driven import driven
+from fake_gpu import FakeGpu
 from jobs import PLANT as NAME
 from jobs import job, trained
 from operator_samples import SMALL
@@ -131,6 +132,21 @@ def test_the_gradient_climbs_through_a_network(certified):
     assert np.median(by_step[-1]) > 2 * np.median(by_step[0])
     true, _, _ = rollouts.judged(Guarded(network, exact=RK4(PLANT, 21)), RK4(PLANT, 21), *calls)
     np.testing.assert_allclose(error, true, rtol=0.2, atol=2e-3)  # torch's P(1) is that of the kernels, u read linearly
+
+
+def test_the_gradient_climbs_through_a_network_on_a_gpu():
+    rng = np.random.default_rng(3)
+    data = Dataset(
+        rng.uniform(size=(8, 2)), rng.normal(size=(8, 21, 1)), *(np.full(s, 0.5) for s in (8, (8, 21, 2), 8, 8)),
+        np.arange(8), np.zeros(8, dtype=bool),
+    )  # fmt: skip
+    inputs, table = Inputs.of(data, np.array([PLANT.box[name] for name in PLANT.states])), Certify(restarts=4, steps=2)
+    operator = operators.build(SMALL[0], PLANT, operators.Scaling(2, 1)).requires_grad_(False)
+    here = adversary.search(PLANT, Neural(PLANT, operator, 21), data, inputs, table, 0, lambda n: None)[1]
+    with FakeGpu():
+        network = Neural(PLANT, operator, 21, "cuda")
+        there = adversary.search(PLANT, network, data, inputs, table, 0, lambda n: None)[1]
+    np.testing.assert_array_equal(there, here)
 
 
 def test_a_network_that_sees_the_phase_is_asked_at_the_times_of_the_calls():
