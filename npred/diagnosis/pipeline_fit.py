@@ -70,6 +70,7 @@ def room(case: Case) -> None:
     ]
     calls = certify.restarts * certify.steps
     asked += [
+        ("generate", "generate.nx", row * generate.nx * generate.samples * min(1, SIDE_BY_SIDE / generate.rollouts)),
         ("generate", "generate.rollouts", 8 * generate.rollouts),
         ("evaluate", "evaluate.case_states", row * lanes["evaluate"]),
         ("bench", "bench.dx, bench.batches", row * max(bench.batches) / bench.dx[0]),
