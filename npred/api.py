@@ -69,14 +69,15 @@ def guarded(
 def controller(
     plant: Plant, predictor: Predictor, adaptation: DelayLaw | None, dt: float, *,
     D_hat: float | None = None, input_bounds: Any = None, actuator: str = "measured", u0: Any = None,
-    longest: float | None = None,
+    longest: float | None = None, gate: float | None = 1.0,
 ) -> Controller:  # fmt: skip
     """The controller alone, for a real plant: `U = controller.step(X, u)` each dt seconds (npred.loop.controller).
 
     With `actuator="history"`, where u is not measured, `controller.step(X)`; it remembers its own commands, those of
-    the last `longest` seconds.
+    the last `longest` seconds, and does not believe a sample that its model is further from than `gate` (of half the
+    plant's box, or of X); None believes all.
     """
     return Controller(
         plant, predictor, adaptation, dt, D_hat=D_hat, input_bounds=input_bounds, actuator=actuator, u0=u0,
-        longest=longest,
+        longest=longest, gate=gate,
     )  # fmt: skip

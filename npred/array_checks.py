@@ -43,15 +43,20 @@ def finite_rows(X: np.ndarray, u: np.ndarray, D_hat: np.ndarray) -> np.ndarray:
 
 
 def delays(name: str, array: np.ndarray) -> None:
-    """Raise ConfigError unless all are finite numbers of at least 0 s."""
-    _all(np.isfinite(array) & (array >= 0), array, f"{name}: expected a delay of at least 0 s", "give 0 s or more")
+    """Raise ConfigError unless all are finite numbers of at least 0."""
+    _all(np.isfinite(array) & (array >= 0), array, f"{name}: expected a delay of at least 0", "give 0 or more")
 
 
-def within(name: str, array: np.ndarray, bounds: tuple[float, float]) -> None:
-    """Raise ConfigError for a delay estimate outside the bounds, both ends in."""
+def within(name: str, array: np.ndarray, bounds: tuple[float, float], unit: str = "s") -> None:
+    """Raise ConfigError for a delay estimate outside the bounds, both ends in, with the unit of its times."""
     low, high = bounds
     inside = (low <= array) & (array <= high) & np.isfinite(array)
-    _all(inside, array, f"{name}: expected within the bounds [{low:g}, {high:g}] s", f"widen them or move {name}")
+    _all(
+        inside,
+        array,
+        f"{name}: expected within the bounds [{low:g}, {high:g}] {unit}".rstrip(),
+        f"widen them or move {name}",
+    )
 
 
 def _all(right: np.ndarray, array: np.ndarray, expected: str, cure: str) -> None:

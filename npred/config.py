@@ -180,7 +180,7 @@ class Loop(Section):
             raise ValueError(f"dt: expected at most {key} = {seconds:g}, got {self.dt:g}; shorten the step")
         if seconds > LONGEST_RUN * self.dt:
             steps = seconds / self.dt
-            room = f"{steps:.3g} steps of {self.dt:g} s, whose record takes {size(8 * STEP * steps)} for each loop"
+            room = f"{steps:.3g} steps of {self.dt:g}, whose record takes {size(8 * STEP * steps)} for each loop"
             raise ValueError(f"{key}: expected at most {LONGEST_RUN} steps, got {room}; shorten {key} or lengthen dt")
 
     def reached(self, key: str, span: Range) -> None:

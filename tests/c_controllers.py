@@ -14,7 +14,7 @@ from npred.predictors import RK4
 from npred.runtimes import c_controller
 
 needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc on this machine")
-FLAGS = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Wshadow", "-Werror"]
+FLAGS = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Wshadow", "-Wconversion", "-Werror"]
 SIZES = """
 #include "npred.c"
 unsigned long size_of_controller(void);

@@ -46,9 +46,7 @@ def test_the_first_wrong_value_is_named_with_its_place():
     with pytest.raises(ConfigError, match=r"X: expected finite numbers, got nan at \[7, 2\]; replace it$"):
         array_checks.finite("X", X)
     for seconds in (-1.0, np.nan, np.inf):
-        with pytest.raises(
-            ConfigError, match=f"D: expected a delay of at least 0 s, got {seconds:g}; give 0 s or more"
-        ):
+        with pytest.raises(ConfigError, match=f"D: expected a delay of at least 0, got {seconds:g}; give 0 or more"):
             array_checks.delays("D", np.array(seconds))
 
 

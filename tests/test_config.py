@@ -199,7 +199,7 @@ def test_a_device_without_an_end_is_not_read_to_it():
 
 
 def test_a_run_without_an_end_is_refused_with_its_size(tmp_path: Path, empty: Path):
-    said = "generate.t_end: expected at most 1000000000 steps, got 2e\\+14 steps of 0.005 s, whose record takes 9.6 PB"
+    said = "generate.t_end: expected at most 1000000000 steps, got 2e\\+14 steps of 0.005, whose record takes 9.6 PB"
     with pytest.raises(ConfigError, match=said):
         config.load(empty, ["generate.t_end=1e12"])
 

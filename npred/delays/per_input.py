@@ -115,8 +115,8 @@ class DelayPerInput(Family):
         return plant.traced and not plant.one_delay
 
     def expected(self) -> str:
-        seconds = ", ".join(f"{delay:g}" for delay in self.plant.delays or ())
-        return f"expected one delay, plant {self.plant.name} has delays {seconds} s"
+        delays = ", ".join(map(self.plant.time_text, self.plant.delays or ()))
+        return f"expected one delay, plant {self.plant.name} has delays {delays}"
 
     def sweep(self, step: Step) -> Kernel:
         return family.build("sweep", family.PREDICT, sweep_source(self.plant, step), PREAMBLE)

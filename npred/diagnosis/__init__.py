@@ -32,13 +32,13 @@ QUESTIONS = (
     _of_pipelines(pipeline_fit.clock),
     _of_pipelines(pipeline_fit.declares_V),
     Check("finite", box.finite, lambda case: case.verdict("box") != "no", ANY),
-    Check("delay", lambda case: ("yes", f"{case.delay:g} s, {case.source}")),
+    Check("delay", lambda case: ("yes", f"{case.plant.time_text(case.delay)}, {case.source}")),
     Check("feasibility", box.feasible, lambda case: case.sound and case.plant.declares_delay),
     Check("equilibrium", equilibrium.equilibrium, lambda case: case.plant.rests),
     Check("stability", equilibrium.stability, equilibrium.exists, ANY),
     Check("reference", equilibrium.reference, lambda case: not case.plant.rests, "evaluate"),
     Check("V", lyapunov.falls, lyapunov.applies),
-    Check("input bounds", convergence.limited, lambda case: case.sound and bool(np.isfinite(case.limits).any())),
+    Check("input bounds", convergence.limited, lambda case: case.sound),
     Check("convergence", convergence.converges, lambda case: case.sound and case.leads == "yes"),
     Check("jacobians", box.jacobians, lambda case: case.sound and case.plant.traced),
     Check("stiffness", box.stiff, lambda case: case.sound and case.verdict("jacobians") != "no"),
@@ -63,7 +63,7 @@ def check(
     longest, source = _longest(plant, pipeline) if delay is None else (delay, "as asked")
     count = nodes if nodes is not None else pipeline.generate.nx if pipeline else NODES
     if not 0 < longest < np.inf:
-        raise ConfigError(f"delay: expected a positive number of seconds, got {longest:g}; give --delay")
+        raise ConfigError(f"delay: expected a time above 0, got {plant.time_text(longest)}; give --delay")
     if count < 2:
         raise ConfigError(f"nodes: expected at least 2, both ends of [0, 1], got {count}; 101 are usual")
     case = Case(plant, longest, count, samples, pipeline, source=source)

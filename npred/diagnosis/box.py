@@ -106,7 +106,8 @@ def stiff(case: Case) -> Verdict:
     rates = np.abs(np.linalg.eigvals(case.plant.jacobians(case.X, case.u)[0])).max(axis=-1)
     worst = int(np.argmax(rates))
     product, where = case.h * rates[worst], case.state(case.X[worst])
-    came = f"h rho(f_X) = {product:.3g} with {case.nodes} nodes and a delay of {case.delay:g} s, at {where}"
+    delay = case.plant.time_text(case.delay)
+    came = f"h rho(f_X) = {product:.3g} with {case.nodes} nodes and a delay of {delay}, at {where}"
     if product < STABLE:
         return "yes", came
     cure = f"take {int(case.delay * rates[worst] / STABLE) + 2} nodes or a shorter delay"
@@ -127,12 +128,13 @@ def complete(case: Case) -> Verdict:
     lost, loop = ended[:, -1], f"the open loop (u0: {inputs.sentence(case.plant, case.u0, case.limits)}, or kappa)"
     if not lost.any():
         largest = ", ".join(f"|{s}| <= {a:.3g}" for s, a in zip(case.plant.states, np.abs(P).max((0, 1)), strict=True))
-        return "yes", f"{loop} stays finite for {case.delay:g} s: {largest}"
+        return "yes", f"{loop} stays finite for {case.plant.time_text(case.delay)}: {largest}"
     first = int(np.argmax(lost))
     t = case.delay * int(np.argmax(ended[first])) / (nodes - 1)
+    after = case.plant.time_text(t, ".3g")
     start = f"{case.state(case.X[first])} ({lost.mean():.0%} of the box)"
     cure = "shrink box or the delay, or guard what is undefined there with M.where"
-    return "no", f"{case.plant.location('f')}: {loop} leaves the finite numbers after {t:.3g} s from {start}; {cure}"
+    return "no", f"{case.plant.location('f')}: {loop} leaves the finite numbers after {after} from {start}; {cure}"
 
 
 def _undelayed(plant: Plant) -> Plant:
@@ -151,7 +153,7 @@ def feasible(case: Case) -> Verdict:
     worst = int(np.argmin(np.where(np.isfinite(delays), delays, -np.inf).min(axis=0)))
     if not (np.isfinite(delays[:, worst]) & (delays[:, worst] >= 0)).all():
         came = f"got {delays[:, worst].min():.3g} at {case.state(case.X[worst])}"
-        return "no", f"{plant.location('delay')} expected a finite delay of at least 0 s on the box, {came}; shrink box"
+        return "no", f"{plant.location('delay')} expected a finite delay of at least 0 on the box, {came}; shrink box"
     X, margins = np.array(case.X.T, order="C"), np.full(len(case.X), np.inf)
     for U in (case.u, inputs.rows_of(plant, case.u0, case.limits, case.X)):
         for t in times:

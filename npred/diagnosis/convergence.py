@@ -6,8 +6,10 @@ import numpy as np
 
 from npred.diagnosis.case import Case, Verdict
 from npred.diagnosis.equilibrium import closed_loop
+from npred.plants import inputs
 from npred.plants.base import Plant
 from npred.predictors import RK4
+from npred.symbolic import source_lines
 
 LOOPS = 64  # starts, of the states of the box
 STEP = 0.5  # of a step of RK4, times the fastest rate on the box
@@ -19,13 +21,15 @@ FALLING = 0.9  # a loop that still converges is this much closer in the last qua
 
 
 def limited(case: Case) -> Verdict:
-    """The share of kappa on the box that lies outside the input bounds."""
+    """The share of kappa on the box that lies outside the input bounds; without any, those of a controller."""
+    if not np.isfinite(case.limits).any():
+        widest = inputs.widest(case.plant, case.limits)
+        kept = source_lines.ranges(case.plant.inputs, widest)
+        return "yes", f"none declared; a controller keeps {kept}, {inputs.SPARE:g} times the largest kappa of the box"
     with np.errstate(all="ignore"):
         U = case.plant.kappa(case.X)
     outside = (np.clip(U, *case.limits.T) != U).any(axis=-1)
-    pairs = ", ".join(
-        f"{name} in [{a:g}, {b:g}]" for name, (a, b) in zip(case.plant.inputs, case.limits.tolist(), strict=True)
-    )
+    pairs = source_lines.ranges(case.plant.inputs, case.limits)
     if not outside.any():
         return "yes", f"kappa is within {pairs} at {len(U)} states of the box"
     worst = int(np.argmax(outside))
@@ -39,15 +43,15 @@ def converges(case: Case) -> Verdict:
     X0, nodes = case.X[:LOOPS], max(int(seconds / h), 4) + 1
     X = RK4(closed, nodes)(X0, np.zeros((nodes, closed.m)), seconds)
     _, middle, _, end = (part.max(axis=1) for part in np.array_split(_distances(case, X, seconds), 4, axis=1))
-    home = end <= HOME
+    home, shown = end <= HOME, case.plant.time_text(seconds, ".3g")
     if home.all():
-        return "yes", f"{len(X0)} loops from the box, without delay, converge in {seconds:.3g} s"
+        return "yes", f"{len(X0)} loops from the box, without delay, converge in {shown}"
     lost = ~home & ~(end < FALLING * middle)
     if seconds < horizon:
-        text = f"{home.mean():.0%} of {len(X0)} loops without delay converged in {seconds:.3g} s, as long as was looked"
+        text = f"{home.mean():.0%} of {len(X0)} loops without delay converged in {shown}, as long as was looked"
         return "warn", f"{text}: its slowest rate is {horizon / seconds:.2g} times slower"
     if not lost.any():
-        text = f"{home.mean():.0%} of {len(X0)} loops without delay have converged after {seconds:.3g} s"
+        text = f"{home.mean():.0%} of {len(X0)} loops without delay have converged after {shown}"
         return "warn", f"{text}, the others still converge"
     start = case.state(X0[np.argmax(lost)])
     failing = f"{lost.mean():.0%} of {len(X0)} loops without delay do not converge, as from {start}"

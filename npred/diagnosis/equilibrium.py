@@ -66,8 +66,8 @@ def reference(case: Case) -> Verdict:
     seconds = case.pipeline.evaluate.case_t_end if case.pipeline else HORIZON
     excess, t = slip(plant, seconds)
     if excess <= SLIP:
-        return "yes", f"a trajectory of f with kappa for {seconds:g} s, to {excess:.1g}"
-    came = f"got one that differs from it by {excess:.2g} at t = {t:.3g} s"
+        return "yes", f"a trajectory of f with kappa for {plant.time_text(seconds)}, to {excess:.1g}"
+    came = f"got one that differs from it by {excess:.2g} at t = {plant.time_text(t, '.3g')}"
     cure = "let its derivative be f(reference, kappa(reference, t), t)"
     return "no", f"{plant.location('reference')} expected a trajectory of f with kappa, {came}; {cure}"
 

@@ -99,7 +99,7 @@ def clock(case: Case) -> None:
     u, u_next = plant.kappa(X, t), plant.kappa(X, t + plant.period)
     gaps = u_next - u, plant.f(X, u, t + plant.period) - plant.f(X, u, t)
     if max(np.abs(gap).max() for gap in gaps) > SLIP:
-        what = f"f and kappa expected to repeat after {plant.period:g} s"
+        what = f"f and kappa expected to repeat after {plant.time_text(plant.period)}"
         raise ConfigError(f"plant {plant.name}: {what}; set period to the time after which they do")
 
 
@@ -109,8 +109,9 @@ def _tells_time(case: Case) -> None:
     delays = case.plant.delay(np.zeros((TIMES, case.plant.n)), np.linspace(0.0, seconds, TIMES))
     steps = np.diff(delays)
     if not ((steps > 0).all() or (steps < 0).all()):
-        what = f"expected a delay that only rises or only falls for {seconds:g} s, for networks tell the time by it"
-        raise ConfigError(f"{case.plant.location('delay')}: {what}; declare period, in seconds, after which it repeats")
+        span = case.plant.time_text(seconds)
+        what = f"expected a delay that only rises or only falls for {span}, for networks tell the time by it"
+        raise ConfigError(f"{case.plant.location('delay')}: {what}; declare period, after which it repeats")
 
 
 def declares_V(case: Case) -> None:

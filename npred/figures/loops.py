@@ -42,7 +42,7 @@ def _estimate(plant: Plant) -> str:
 
 def _caption(evidence: Evidence) -> str:
     plant, config = evidence.plant, evidence.config
-    D, D_hat0 = (f"{value:g} {plant.time_unit}".strip() for value in (config.D, config.D_hat0))
+    D, D_hat0 = map(plant.time_text, (config.D, config.D_hat0))
     delay = "the delay that the plant declares" if plant.declares_delay else f"D = {D} and D̂(0) = {D_hat0}"
     goal = "the delay there" if plant.declares_delay else "the true delay"
     of = f" [{plant.figure}]" if plant.figure else ""
@@ -78,7 +78,7 @@ def ends(evidence: Evidence) -> tuple[Panel, ...]:
     caption = f"D log N + (b / γ) (D − D̂)², with b = {config.b:g}, γ = {config.gamma:g}: {falls}."
     return (
         Panel(with_unit("distance |X − X*|", common_unit(plant, plant.states)),
-              f"Over {t[-1]:g} {plant.time_unit} on a logarithmic scale; at the end: {last}.",
+              f"Over {plant.time_text(t[-1])} on a logarithmic scale; at the end: {last}.",
               partial(_curves, t, distance, timed(plant, "t"))),
         *([Panel("W(t) of the proof", caption, partial(_curves, t, W, timed(plant, "t")))] if W else []),
     )  # fmt: skip

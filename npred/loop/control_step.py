@@ -7,9 +7,11 @@ It is written in the kernels' dialect (npred.symbolic.c99), whose loops and call
 from typing import Any, NamedTuple
 
 import numpy as np
+from numba import types
 
 from npred.loop import engine
-from npred.loop.actuator import actuate, transport
+from npred.loop.actuator import actuate, copy, transport
+from npred.symbolic.compile_cache import jit
 
 
 class Parts(NamedTuple):
@@ -21,6 +23,7 @@ class Parts(NamedTuple):
     guard: Any  # GUARD
     control: Any  # CONTROL
     update: Any  # UPDATE
+    model: Any  # ADVANCE, by which samples are predicted that a gate refuses; None without a gate
     recalls: bool  # whether u is the controller's own history, else it is measured
     dt: float
     p: np.ndarray
@@ -31,12 +34,16 @@ class Parts(NamedTuple):
     b: float
     gamma_dt: float
     bounds: np.ndarray  # (2,), of D_hat
+    reach: np.ndarray  # (n,), how far a sample may be from X_hat near 0
+    gate: float  # and how far beyond, times |X_hat|
 
 
 class Memory(NamedTuple):
     """The memory of its steps, with one lane."""
 
     X: np.ndarray  # (n, 1)
+    X_hat: np.ndarray  # (n, 1), X by the model, from the step before and the commands; NaN before the first
+    missed: np.ndarray  # (1,), the last samples in a row that the gate refused
     u: np.ndarray  # (nx, m, 1), means over the nodes' cells
     u_nodes: np.ndarray  # (nx, m, 1), values at the nodes
     U: np.ndarray  # (m, 1)
@@ -53,9 +60,31 @@ class Memory(NamedTuple):
     leaving: np.ndarray  # (3, m, 1), what `actuate` writes for a plant, which is not simulated here
 
 
+LANE, ROWS = (types.Array(types.float64, d, "C") for d in (1, 2))
+
+
+@jit(types.void(ROWS, ROWS, LANE, LANE, types.float64, types.float64, LANE), nogil=True)
+def screen(
+    X: np.ndarray, X_hat: np.ndarray, D_hat: np.ndarray, reach: np.ndarray, gate: float, dt: float, missed: np.ndarray
+) -> None:  # fmt: skip
+    """Put X_hat for a sample X further from it than the gate; after D_hat seconds of such samples X has jumped."""
+    far = False
+    for c in range(X.shape[0]):
+        if abs(X[c, 0] - X_hat[c, 0]) > max(reach[c], gate * abs(X_hat[c, 0])):
+            far = True
+    if far and missed[0] * dt < D_hat[0]:
+        missed[0] += 1.0
+        copy(X_hat, X)
+    else:
+        missed[0] = 0.0
+        copy(X, X_hat)
+
+
 def control_step(s: Parts, z: Memory, k: int, t: float, P: np.ndarray) -> None:
     """U, P and the next D_hat from X, and from u or the commands before step k [DAPF, eqs. 9-14]."""
-    if s.observe is not None:
+    if s.model is not None:
+        screen(z.X, z.X_hat, z.D_hat, s.reach, s.gate, s.dt, z.missed)
+    if s.observe is not None and (s.model is None or z.missed[0] == 0.0):  # an observer learns from samples only
         s.observe(k, s.dt, z.X, z.held, t, s.p, s.law, z.observer, z.D_hat)
     if s.believe is not None:
         s.believe(z.X, t, s.p, s.ratios, z.D_hat, z.D_seen)
@@ -72,12 +101,27 @@ def control_step(s: Parts, z: Memory, k: int, t: float, P: np.ndarray) -> None:
     engine.adapt(z.D_hat, z.phi, z.phi_before, s.gamma_dt, s.bounds)
 
 
-def remember(k: int, dt: float, z: Memory) -> int:
+def remember(s: Parts, z: Memory, k: int, t: float) -> int:
     """Hold U as the command of step k; the next step's number. It and the sums stay small, for large ones round."""
-    actuate(k, dt, z.D_seen, z.U, z.held, z.total, z.leaving[0], z.leaving[1], z.leaving[2])
+    actuate(k, s.dt, z.D_seen, z.U, z.held, z.total, z.leaving[0], z.leaving[1], z.leaving[2])
+    if s.model is not None:
+        s.model(z.X_hat, z.leaving[0], z.leaving[1], z.leaving[2], s.dt, t, s.p)
     rows = len(z.held)
     if k + 1 < 2 * rows:
         return k + 1
     for c in range(z.U.shape[0]):
         z.total[:, c, 0] -= z.total[0, c, 0]
     return rows
+
+
+def hold(s: Parts, z: Memory, k: int, t: float) -> None:
+    """The U of a step that was refused, for `remember`: the last one, which the actuator holds."""
+    rows = len(z.held)
+    if s.believe is not None and s.model is not None:
+        s.believe(z.X_hat, t, s.p, s.ratios, z.D_hat, z.D_seen)
+    for c in range(z.U.shape[0]):
+        z.U[c, 0] = z.held[(k - 1) % rows, c, 0]
+        if s.believe is None:
+            z.D_seen[c, 0] = s.ratios[c] * z.D_hat[0]
+        if not 0.0 <= z.D_seen[c, 0] <= (rows - 3) * s.dt:  # that of a state that is not known
+            z.D_seen[c, 0] = 0.0

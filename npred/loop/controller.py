@@ -10,13 +10,14 @@ import numpy as np
 from npred import array_checks
 from npred.delays import family_of
 from npred.errors import ConfigError, DivergedError
-from npred.loop import loop_checks
+from npred.loop import engine, loop_checks
 from npred.loop.actuator import history
-from npred.loop.control_step import Memory, Parts, control_step, remember
+from npred.loop.control_step import Memory, Parts, control_step, hold, remember
 from npred.loop.delay_law import DelayLaw, part
 from npred.plants import inputs
 from npred.plants.base import Plant
-from npred.predictors import Predictor
+from npred.predictors import RK4, Predictor
+from npred.symbolic import source_lines
 
 DELAYS = 5.0  # times the delay at a plant's target, where it declares one, are commands kept
 STEPS = 2**53  # beyond it a float64, as step * dt is one, no longer counts one by one
@@ -31,36 +32,47 @@ class Controller:
     X. `D_hat` (seconds) is the estimate that the next step uses, by default the middle of the
     adaptation's bounds; `adaptation=None` freezes it, and a plant that declares its delay has none. Commands are kept
     for `longest` seconds, by default the largest D_hat, or five times the declared delay at the target. U is clipped to
-    `input_bounds` (m, 2), by default the plant's. Steps equal those of npred.simulate. Its memory is not shared,
-    so one controller belongs to one thread; a pickled one goes on where it stood.
+    `input_bounds` (m, 2), by default the plant's; where those leave it free, to npred.plants.inputs.widest. Steps equal
+    those of npred.simulate. Its memory is not shared, so one controller belongs to one thread; a pickled one goes on
+    where it stood.
+
+    With "history" the model says what X must be by now, X_hat, from the last sample and the commands. A sample that is
+    further from it than `gate` times half the box, or |X_hat| where that is more, in any state, is not believed: X_hat
+    takes its place, `missed` counts it, and an observer of the delay does not see it. Such samples in a row for D_hat
+    seconds are: X has jumped. `gate=None` believes all; so does a state without a box.
     Raises ConfigError for parts that do not fit together.
     """
 
     def __init__(
         self, plant: Plant, predictor: Predictor, adaptation: DelayLaw | None, dt: float, *,
         D_hat: float | None = None, input_bounds: Any = None, actuator: str = "measured", u0: Any = None,
-        longest: float | None = None,
+        longest: float | None = None, gate: float | None = 1.0,
     ) -> None:  # fmt: skip
         loop_checks.parts(plant, predictor, adaptation)
         loop_checks.actuator_state(actuator)
         if predictor is None:
             raise ConfigError("predictor: expected one, got None; make one with npred.predictor or npred.load")
         if not 0 < (seconds := array_checks.number("dt", dt)) < math.inf:
-            raise ConfigError(f"dt: expected a control step above 0 s, got {dt!r}; give seconds")
+            raise ConfigError(f"dt: expected a control step above 0, got {dt!r}; give a time in {plant.time_unit}")
         self.plant, self.predictor, self.adaptation, self.dt = plant, predictor, adaptation, seconds
         law, self._limits = part(plant, adaptation, seconds), inputs.bounds(plant, input_bounds)
         self.actuator, self._u0 = actuator, inputs.start(plant, u0, self._limits)
         self._by_law = isinstance(self._u0, str) and self._u0 == inputs.LAW
         self._recalls, self._watches = actuator == loop_checks.HISTORY, law.memory > 1
         self.keeps_commands = self._recalls or self._watches  # a step reads the commands of those before it
+        self.gate = None if gate is None else array_checks.number("gate", gate)
+        if self.gate is not None and not 0 < self.gate < math.inf:
+            raise ConfigError(f"gate: expected a number above 0, or None for no gate, got {gate!r}; 1 is the default")
+        self._gated = self._recalls and self.gate is not None
         self.parts = Parts(
             law.observe if self._watches else None, family_of(plant).horizon(), predictor.lanes(), predictor.guard,
-            law.control, law.update, self._recalls, self.dt, plant.p, plant.ratios, law.settings,
-            np.zeros(0) if predictor.settings is None else predictor.settings, self._limits, law.b,
-            law.gamma * self.dt, law.bounds,
+            law.control, law.update, engine.advance_kernel(plant, RK4) if self._gated else None, self._recalls, self.dt,
+            plant.p, plant.ratios, law.settings,
+            np.zeros(0) if predictor.settings is None else predictor.settings, inputs.widest(plant, self._limits),
+            law.b, law.gamma * self.dt, law.bounds, (self.gate or 1.0) * _half_widths(plant), self.gate or 1.0,
         )  # fmt: skip
         D_hat = self._start(D_hat)
-        array_checks.within("D_hat", np.array(array_checks.number("D_hat", D_hat)), tuple(law.bounds))
+        array_checks.within("D_hat", np.array(array_checks.number("D_hat", D_hat)), tuple(law.bounds), plant.time_unit)
         self._first_D_hat, self._awaits_X = D_hat, False
         self._take_memory(law.memory, self._kept(D_hat, longest))
         self._set_state(D_hat, None, 0, 0.0)
@@ -90,6 +102,7 @@ class Controller:
     @t.setter
     def t(self, seconds: float) -> None:
         self._set_state(self.D_hat, None, 0, seconds)
+        self._expect(None, 0)
 
     @property
     def u0(self) -> np.ndarray:
@@ -103,6 +116,11 @@ class Controller:
     def reach(self) -> float:
         """How far back its commands are kept, in seconds."""
         return (len(self.memory.held) - 4) * self.dt
+
+    @property
+    def missed(self) -> int:
+        """How many of the last samples, in a row, were not believed; X_hat took their place."""
+        return int(self.memory.missed[0])
 
     @property
     def P(self) -> np.ndarray:
@@ -119,25 +137,30 @@ class Controller:
         """The guard's estimate of the error of U in the last step, in units of U; NaN without a guard."""
         return float(self.memory.error[0])
 
-    def step(self, X: Any, u: Any = None, u_nodes: Any = None) -> np.ndarray:
+    def step(self, X: Any, u: Any = None, u_nodes: Any = None, *, applied: Any = None) -> np.ndarray:
         """U (m,) for the state X (n,) and the actuator state u (nx, m) on the predictor's nodes, both measured now.
 
         With actuator="history" there is no u to give. The predictor integrates u: where the measurement can tell them
         apart, `u` has the mean over each node's cell and `u_nodes` the values at the nodes, which the update law
         compares with kappa(P); by default they are u.
+        `applied` (m,) is what the actuator got at the call before, where that was not U.
         U is the controller's own memory, overwritten by the next step. Raises ConfigError for shapes that do not fit
         and for what are no real numbers, masked arrays among them, and DivergedError for a measurement that is not
-        finite, or that the prediction leaves the finite numbers from; the controller, and that memory, then stand as
-        before.
+        finite, or that the prediction leaves the finite numbers from. Then the last U is to be held: with it the time
+        and the history of commands go on, and all else, U's memory too, stands as before.
         """
         if (u is None) != self._recalls:
             expected, came = ("X alone", "u too") if self._recalls else ("X and u", "X alone")
             raise ConfigError(
                 f"step: expected {expected}, for the actuator is {self.actuator!r}, got {came}; give what is measured"
             )
-        X = array_checks.floats("X", X)
+        X, applied = array_checks.floats("X", X), None if applied is None else self._as_applied(applied)
         u = self.memory.u[:, :, 0] if u is None else array_checks.floats("u", u)
-        self._measure(X, u, u if u_nodes is None else array_checks.floats("u_nodes", u_nodes))
+        finite = self._measure(X, u, u if u_nodes is None else array_checks.floats("u_nodes", u_nodes))
+        if applied is not None:
+            self._correct(applied)
+        if not finite:
+            raise DivergedError(f"step: expected finite X and u, got one that is not; {self._held()}")
         if self._awaits_X:
             self._fill(X)
         z = self.memory
@@ -145,9 +168,9 @@ class Controller:
         self._advance()
         if failure := self._failure():
             z.D_hat[0], z.phi_before[0], z.observer[:] = before
-            raise DivergedError(f"step: {failure}")
+            raise DivergedError(f"step: {failure}; {self._held()}")
         if self.keeps_commands:
-            self._k = remember(self._k, self.dt, z)
+            self._remember()
         self._awaits_X = False
         self._step += 1
         self._P, self._last_P = self._last_P, self._P
@@ -162,6 +185,9 @@ class Controller:
         if self.keeps_commands:
             held, sums = z.held[:, :, 0].tolist(), z.total[:, :, 0].tolist()
             remembered = {"commands": {"k": self._k, "held": held, "sums": sums}}
+        if self._gated:
+            known = bool(np.isfinite(z.X_hat).all())
+            remembered |= {"X_hat": z.X_hat[:, 0].tolist() if known else None, "missed": self.missed}
         if self._watches:
             remembered["observer"] = [None if math.isnan(value) else value for value in z.observer[:, 0].tolist()]
         return {
@@ -186,20 +212,21 @@ class Controller:
         """Another one with these parts, which starts from this one's D_hat and t without a past."""
         parts = (self.plant, self.predictor, self.adaptation, self.dt)
         named = {"input_bounds": self._limits, "actuator": self.actuator, "u0": self._u0,
-                 "longest": self._longest}  # fmt: skip
+                 "longest": self._longest, "gate": self.gate}  # fmt: skip
         other = type(self)(*parts, D_hat=self.D_hat, **named)
         other.t = self.t
         return other
 
     def __repr__(self) -> str:
         adapts = "frozen" if self.adaptation is None else f"by {type(self.adaptation).__name__}"
-        times = f"dt = {self.dt:g} s, t = {self.t:g} s, D_hat = {self.D_hat:g} s {adapts}"
+        dt, t, D_hat = map(self.plant.time_text, (self.dt, self.t, self.D_hat))
+        times = f"dt = {dt}, t = {t}, D_hat = {D_hat} {adapts}"
         return f"<Controller of plant {self.plant.name} with {self.predictor!r}, {times}>"
 
     def __getstate__(self) -> dict[str, Any]:
         parts = (self.plant, self.predictor, self.adaptation, self.dt)
         named = {"input_bounds": self._limits, "actuator": self.actuator, "u0": self._u0,
-                 "longest": self._longest}  # fmt: skip
+                 "longest": self._longest, "gate": self.gate}  # fmt: skip
         return {"parts": parts, "named": named, "state": self.state(), "P": self._last_P}
 
     def __setstate__(self, saved: Mapping[str, Any]) -> None:
@@ -213,7 +240,9 @@ class Controller:
         if self.plant.declares_delay:
             return 0.0
         if self.adaptation is None:
-            raise ConfigError("D_hat: expected a delay in seconds, for nothing adapts it, got none; give D_hat")
+            raise ConfigError(
+                f"D_hat: expected a delay in {self.plant.time_unit}, for nothing adapts it, got none; give D_hat"
+            )
         return sum(self.adaptation.bounds) / 2
 
     def _kept(self, D_hat: float, longest: float | None) -> float:
@@ -223,7 +252,8 @@ class Controller:
             reads = self._recalls and self.plant.declares_delay
             return DELAYS * float(self.plant.delay(self.plant.target(0.0), 0.0)) if reads else needed
         if not needed <= (seconds := array_checks.number("longest", longest)) < math.inf:
-            raise ConfigError(f"longest: expected at least the largest delay, {needed:g} s, got {longest!r}; raise it")
+            least = self.plant.time_text(needed)
+            raise ConfigError(f"longest: expected at least the largest delay, {least}, got {longest!r}; raise it")
         return seconds
 
     def _take_memory(self, size: int, longest: float) -> None:
@@ -234,7 +264,8 @@ class Controller:
         self._longest = longest
         self._k, held, total = history(longest, longest, self.dt, self._past(np.zeros(n)))
         self.memory = Memory(
-            X=np.zeros((n, 1)), u=np.zeros((nx, m, 1)), u_nodes=np.zeros((nx, m, 1)), U=np.zeros((m, 1)),
+            X=np.zeros((n, 1)), X_hat=np.full((n, 1), np.nan), missed=np.zeros(1), u=np.zeros((nx, m, 1)),
+            u_nodes=np.zeros((nx, m, 1)), U=np.zeros((m, 1)),
             D_hat=np.empty(1), phi=np.zeros(1), phi_before=np.full(1, np.nan), N=np.empty(1), D_seen=np.zeros((m, 1)),
             held=held, total=total, observer=np.full((size, 1), np.nan), error=np.full(1, np.nan),
             fallback=np.zeros(1), leaving=np.empty((3, m, 1)),
@@ -243,7 +274,8 @@ class Controller:
     def _past(self, X: np.ndarray) -> inputs.Past:
         """The commands before the first step, for the state (n,) that the law would have held."""
         span = np.array([self._first_D_hat])
-        return inputs.past(self.plant, self._u0, self._limits, X[None], span)
+        limits = self.parts.input_bounds if self._by_law else self._limits
+        return inputs.past(self.plant, self._u0, limits, X[None], span)
 
     def _fill(self, X: np.ndarray) -> None:
         """Hold kappa(X) before the first step, where that is u0."""
@@ -255,15 +287,18 @@ class Controller:
         """Take the commands and the observer of a saved state, where it has them. Raises ConfigError for others."""
         z = self.memory
         commands = state.get("commands", {"k": self._k, "held": z.held[:, :, 0], "sums": z.total[:, :, 0]})
+        X_hat, missed = state.get("X_hat"), state.get("missed", 0)
         observer = [math.nan if value is None else value for value in state.get("observer", z.observer[:, 0])]
         try:
             k, held, sums = operator.index(commands["k"]), np.array(commands["held"]), np.array(commands["sums"])
             fits = held.shape == sums.shape and held.shape[1:] == (self.plant.m,) and len(observer) == len(z.observer)
+            fits = fits and (X_hat is None or np.shape(X_hat) == (self.plant.n,)) and operator.index(missed) >= 0
         except (KeyError, TypeError, ValueError):
             fits = False
         if not fits:
             raise ConfigError("state: expected the commands of such a controller, got others; save it with state()")
         z.observer[:, 0] = observer
+        self._expect(X_hat, missed)
         held, sums = held[:, :, None].astype(float), sums[:, :, None].astype(float)  # maybe longer than those before
         self._k, self.memory = k, z._replace(held=held, total=sums)
 
@@ -272,24 +307,25 @@ class Controller:
         seconds, start = array_checks.number("D_hat", D_hat), array_checks.number("t", t0)
         rate = math.nan if phi is None else array_checks.number("phi", phi)
         low, high = self.parts.bounds
-        array_checks.within("D_hat", np.array(seconds), (low, high))
+        array_checks.within("D_hat", np.array(seconds), (low, high), self.plant.time_unit)
         if self._recalls and seconds > self.reach + self.dt:
             raise ConfigError(
-                f"D_hat: expected at most {self.reach:g} s, back to which the commands are kept, got {seconds:g}; make "
+                f"D_hat: expected at most {self.plant.time_text(self.reach)}, back to which the commands are kept, got "
+                f"{seconds:g}; make "
                 "another controller with that D_hat"
             )
         if not 0 <= step <= STEPS:
             came = "a negative one" if step < 0 else "a larger one"
             raise ConfigError(f"step: expected a whole number of 0 to 2^53, got {came}; save it with state()")
         if not math.isfinite(start + step * self.dt):
-            raise ConfigError(f"t: expected a finite time in seconds, got {start:g} s and {step} steps; give seconds")
+            raise ConfigError(f"t: expected a finite time, got {start:g} and {step} steps; give a finite one")
         if math.isinf(rate):
             raise ConfigError("phi: expected a finite number or none, got infinity; save it with state()")
         z = self.memory
         z.D_hat[0], z.phi_before[0], self._step, self._t0 = seconds, rate, step, start
 
-    def _measure(self, X: np.ndarray, u: np.ndarray, u_nodes: np.ndarray) -> None:
-        """Take the measurements into the buffers."""
+    def _measure(self, X: np.ndarray, u: np.ndarray, u_nodes: np.ndarray) -> bool:
+        """Take the measurements into the buffers; whether they are finite."""
         z = self.memory
         expected = z.X.shape[:1], z.u.shape[:2]
         actuator_states = (u,) if u_nodes is u else (u, u_nodes)
@@ -297,17 +333,58 @@ class Controller:
             if (X.shape, values.shape) != expected:  # broadcasting would hide a sensor that is lost
                 came = f"{X.shape} and {values.shape}"
                 raise ConfigError(f"step: expected X {expected[0]} and u {expected[1]}, got {came}; measure those")
-        if not all(np.isfinite(values).all() for values in (X, *actuator_states)):
-            raise DivergedError("step: expected finite X and u, got one that is not; hold the last U and measure again")
         z.X[:, 0], z.u[:, :, 0], z.u_nodes[:, :, 0] = X, u, u_nodes
+        return all(np.isfinite(values).all() for values in (X, *actuator_states))
+
+    def _as_applied(self, applied: Any) -> np.ndarray:
+        """The command that the actuator got, (m,). Raises ConfigError for another shape, or where none is kept."""
+        U = array_checks.floats("applied", applied)
+        if not self.keeps_commands:
+            raise ConfigError(
+                "applied: expected a controller that keeps its commands, got one that is given u; leave it"
+            )
+        if U.shape != (self.plant.m,) or not np.isfinite(U).all():
+            raise ConfigError(
+                f"applied: expected {self.plant.m} finite numbers, one per input, got {applied!r}; give U"
+            )
+        return U
+
+    def _correct(self, U: np.ndarray) -> None:
+        """Put U (m,) for the last command."""
+        held, total = self.memory.held[:, :, 0], self.memory.total[:, :, 0]
+        last, rows = self._k - 1, len(held)
+        held[last % rows], total[self._k % rows] = U, total[last % rows] + U
+
+    @np.errstate(all="ignore")
+    def _held(self) -> str:
+        """Go on from a step that was refused, and what to do, in words."""
+        advice = "hold the last U and measure again"
+        if self._awaits_X:  # nothing was sent, and the commands before the first X are not known
+            return advice
+        z = self.memory
+        if self.keeps_commands:
+            hold(self.parts, z, self._k, self.t)
+            self._remember()
+            advice += f": {source_lines.values(self.plant.inputs, z.U[:, 0])} is booked as sent"
+        self._step += 1
+        return advice
+
+    @np.errstate(all="ignore")
+    def _remember(self) -> None:
+        """Keep U as sent."""
+        self._k = remember(self.parts, self.memory, self._k, self.t)
+
+    def _expect(self, X_hat: Any, missed: int) -> None:
+        """Set what the model says of the next sample, (n,) or None, and how many it took the place of."""
+        self.memory.X_hat[:, 0], self.memory.missed[0] = np.nan if X_hat is None else X_hat, missed
 
     def _failure(self) -> str:
         """Why the step that was computed is none to send, in words; empty where it is."""
         z = self.memory
         if not (np.isfinite(z.U).all() and math.isfinite(z.D_hat[0])):
-            return "the prediction from X and u is not finite; hold the last U and measure again"
+            return "the prediction from X and u is not finite"
         if self._recalls and z.D_seen.max() > self.reach + self.dt:
-            kept = f"expected a delay of at most {self.reach:g} s, back to which commands are kept"
+            kept = f"expected a delay of at most {self.plant.time_text(self.reach)}, back to which commands are kept"
             return f"{kept}, got {z.D_seen.max():g}; raise longest"
         return ""
 
@@ -321,3 +398,9 @@ class Controller:
         state = self.state()
         self._advance()
         self.restore(state)
+
+
+def _half_widths(plant: Plant) -> np.ndarray:
+    """Half the width of each state's box, (n,); infinity where it has none, or one of a point."""
+    low, high = np.array([plant.box.get(name, (0.0, 0.0)) for name in plant.states]).T
+    return np.where(high > low, (high - low) / 2, np.inf)

@@ -54,12 +54,12 @@ def reality(
                 raise ConfigError(f"{name}: expected none, for plant {plant.name} declares its delay; leave {name} out")
     for name, value in (("D", D), ("D_hat", D_hat)):
         if value is None and not plant.declares_delay:
-            raise ConfigError(f"{name}: expected a delay in seconds, got none; give {name}")
+            raise ConfigError(f"{name}: expected a delay in {plant.time_unit}, got none; give {name}")
     actuator_state(actuator)
     if measurement is not None and not isinstance(measurement, Measurement):
         raise ConfigError(f"measurement: expected an npred.Measurement, got {measurement!r}; make one")
     if push is not None and not callable(push):
-        raise ConfigError(f"disturbance: expected a function of t in seconds, got {push!r}; write lambda t: [0.1]")
+        raise ConfigError(f"disturbance: expected a function of t, got {push!r}; write lambda t: [0.1]")
     if truth is not None and (not isinstance(truth, Plant) or (truth.n, truth.m) != (plant.n, plant.m)):
         raise ConfigError(
             f"truth: expected a plant with {plant.n} states and {plant.m} inputs, got {truth!r}; give one"
@@ -85,7 +85,7 @@ def push(value: Any, m: int) -> np.ndarray:
 def times(t_end: Any, dt: Any) -> None:
     """Raise ConfigError for what is no length of a loop, or no control step of it."""
     if not 0 < array_checks.number("dt", dt) <= array_checks.number("t_end", t_end) < np.inf:
-        raise ConfigError(f"dt, t_end: expected 0 < dt <= t_end in seconds, got dt = {dt}, t_end = {t_end}")
+        raise ConfigError(f"dt, t_end: expected 0 < dt <= t_end, got dt = {dt}, t_end = {t_end}")
 
 
 def numbers(plant: Plant, X0: Any, D: np.ndarray, D_hat: np.ndarray, law: DelayLaw | None) -> None:
@@ -94,7 +94,7 @@ def numbers(plant: Plant, X0: Any, D: np.ndarray, D_hat: np.ndarray, law: DelayL
     for name, seconds in (("D", D), ("D_hat", D_hat)):
         array_checks.delays(name, seconds)
     if law:
-        array_checks.within("D_hat", D_hat, law.bounds)
+        array_checks.within("D_hat", D_hat, law.bounds, plant.time_unit)
 
 
 def record(plant: Plant, loops: int, t_end: float, dt: float, every: int) -> None:

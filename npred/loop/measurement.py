@@ -48,14 +48,14 @@ class Measurement:
     def __post_init__(self) -> None:
         period = math.inf if self.period is None else array_checks.number("measurement: period", self.period)
         if not period > 0:
-            raise ConfigError(f"measurement: expected a period above 0 s, got {self.period!r}; None is every step")
+            raise ConfigError(f"measurement: expected a period above 0, got {self.period!r}; None is every step")
         for name, highest in (("noise", math.inf), ("delay", math.inf), ("jitter", 1.0), ("drop", 1.0)):
             value = array_checks.number(f"measurement: {name}", getattr(self, name))
             if not 0 <= value < highest:
                 room = "of at least 0" if highest == math.inf else f"from 0 up to {highest:g}, not included"
                 raise ConfigError(f"measurement: expected {name} {room}, got {value:g}; give another")
         if self.jitter and self.period is None:
-            raise ConfigError("measurement: expected a period that jitter spreads, got none; give period, in seconds")
+            raise ConfigError("measurement: expected a period that jitter spreads, got none; give period")
         for name in ("seed", "first"):
             number = getattr(self, name)
             if not isinstance(number, int | np.integer) or not -(2**63) <= number < 2**63:

@@ -97,6 +97,10 @@ class Plant:
         """The parameters' values in the order of their declaration."""
         return np.array(list(self.parameters.values()), dtype=float)
 
+    def time_text(self, time: float, form: str = "g") -> str:
+        """A time of the plant's clock with its unit: 0.01 h."""
+        return f"{time:{form}} {self.time_unit}".rstrip()
+
     def location(self, name: str) -> str:
         """A declared function in words, with file and line: plant Tank: f (my_plant.py:12)."""
         line = source_lines.line(getattr(self.declaration, name))
@@ -304,7 +308,7 @@ class Plant:
         if self.period is None:
             raise ConfigError(
                 f"plant {self.name}: expected a period, for its prediction depends on time and a network sees X, u, "
-                "D_hat and a phase; declare period, in seconds, or simulate it"
+                "D_hat and a phase; declare period, the time after which they repeat, or simulate it"
             )
         return np.asarray(t, dtype=float) / self.period % 1
 

@@ -6,7 +6,7 @@ from typing import Any, TypeGuard
 
 import numpy as np
 
-from npred import array_checks
+from npred import array_checks, randomness
 from npred.config import Loop
 from npred.errors import ConfigError
 from npred.plants.base import Plant
@@ -14,6 +14,8 @@ from npred.symbolic import source_lines
 
 EQUILIBRIUM, LAW = "equilibrium", "law"  # the inputs before t = 0 that have a name
 ROUNDING = 1e-9  # of an input: this close to a bound it is on it
+SPARE = 10.0  # times the largest |kappa| on the box, which the prediction leaves on its way
+DRAWN, SPAN, MOMENTS = 1024, 100.0, 16  # states of the box, seconds of a law that depends on time, and times in them
 
 
 def bounds(plant: Plant, bounds: Any) -> np.ndarray:
@@ -26,6 +28,24 @@ def bounds(plant: Plant, bounds: Any) -> np.ndarray:
     if array.shape != (plant.m, 2) or not (array[:, 0] <= array[:, 1]).all():
         raise ConfigError(f"input_bounds: expected {plant.m} pairs (low, high), got {pairs}; give one pair per input")
     return array
+
+
+def widest(plant: Plant, limits: np.ndarray) -> np.ndarray:
+    """The limits (m, 2); where they leave a controller's input free, SPARE times the largest |kappa| on the box.
+
+    One wrong sample can make kappa larger than any actuator, or any model of the plant, is made for. Infinite still for
+    a plant without a box.
+    """
+    if np.isfinite(limits).all() or set(plant.box) != set(plant.states):
+        return limits
+    ends = np.array([plant.box[name] for name in plant.states], dtype=float)
+    X = randomness.generator(0, "largest kappa").uniform(ends[:, 0], ends[:, 1], (DRAWN, plant.n))
+    moments = [0.0] if plant.rests else np.linspace(0.0, plant.period or SPAN, MOMENTS)
+    with np.errstate(all="ignore"):
+        U = np.abs([plant.kappa(X, t) for t in moments])
+    largest = np.where(np.isfinite(U), U, 0.0).max(axis=(0, 1))
+    high = np.array([float(f"{SPARE * u:.2g}") if u > 0 else np.inf for u in largest])
+    return np.where(np.isfinite(limits), limits, np.stack([-high, high], axis=1))
 
 
 @dataclass(frozen=True)

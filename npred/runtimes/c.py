@@ -30,7 +30,7 @@ SOURCE = """\
 {title}
  *
  * C99, no library but libm, no allocation. Its memory is static: one call at a time.
- * npred_predict: state X, actuator state u by nodes x = j / (NX - 1) and inputs, D_hat in seconds; writes P likewise.
+ * npred_predict: state X, actuator state u by nodes x = j / (NX - 1) and inputs, D_hat; writes P likewise.
  {reads}
  * With -DNPRED_TEST it is a program that compares itself with the model it was made from.
  */
@@ -85,12 +85,12 @@ int main(void)
 CONTROL = "void npred_control(const double X[N_STATES], double t, double U[M_INPUTS])"
 SEVERAL = "void npred_control(const double P[SIZE_P], double D_hat, double t, double U[M_INPUTS])"
 READS = """\
-* npred_control: the control law at a state, that is P's last row, and at the time t when U arrives, now + D_hat, in
-* seconds; writes U, without bounds."""
+* npred_control: the control law at a state, that is P's last row, and at the time t when U arrives, now + D_hat;
+* writes U, without bounds."""
 
 SEVERAL_READS = """\
 * npred_control: U_j = kappa_j(P(r_j), t + r_j D_hat) for the shares r_j of the longest delay, P cubic between nodes, t
-* the time now in seconds; writes U, without bounds."""
+* the time now; writes U, without bounds."""
 
 # The law of one delay reads a state, that of several each input's own: P at r_j, cubic between nodes.
 LAW = """\

@@ -14,13 +14,13 @@ from npred.loop import control_step
 from npred.loop.control_step import Memory
 from npred.loop.controller import Controller
 from npred.runtimes import c_controller_text as texts
-from npred.symbolic import kernels
+from npred.symbolic import kernels, source_lines
 from npred.symbolic.c99 import Array, Const, Fields, Foreign, Term, Unit, comment, constant
 from npred.symbolic.c99.body import Translation
 
 NAME = re.compile(r"[a-z][a-z0-9_]{0,30}")
 PRECISIONS = {"float": np.float32, "double": np.float64}
-SAVED = {"D_hat", "phi_before", "held", "total", "observer"}  # what a step remembers
+SAVED = {"D_hat", "phi_before", "held", "total", "observer", "X_hat", "missed"}  # what a step remembers
 DIGEST = "0" * 64
 WHAT = "export controller"
 SETTINGS = ("p", "gamma_dt", "guard_settings")  # of npred.loop.control_step.Parts
@@ -82,9 +82,10 @@ class _Writer:
         for part, values in self.settings.items():
             self.unit.use(self.unit.constant(values, part))
         self.used: dict[str, tuple[int, ...]] = {}  # the arrays of the state, in the order of Memory
-        self.advance = self._body("advance", control_step.control_step)
-        self.remember = self._body("remember", control_step.remember) if self.keeps else None
-        for body in filter(None, (self.advance, self.remember)):
+        self.advance = self._body("calculate", control_step.control_step)
+        booking = (control_step.remember, control_step.hold) if self.keeps else ()
+        self.bodies = [self.advance, *(self._body(function.__name__, function) for function in booking)]
+        for body in self.bodies:
             if body.members or body.callees:
                 self.unit.structs.append(self.unit.struct(f"{name}_{body.where}", body))
 
@@ -114,7 +115,7 @@ class _Writer:
         return Const(value, kinds[type(value)]) if type(value) in kinds else Foreign(value)
 
     def _array(self, name: str, value: np.ndarray) -> Array:
-        measured = ("X", "u", "u_nodes") if not self.parts.recalls else ("X",)
+        measured = ("X", "u", "u_nodes") if not self.parts.recalls else ("X",) if not self._gated else ()
         owner = "" if name in measured else "self->saved." if name in SAVED else "self->"
         return Array.whole(owner + name, self.real, value.shape)
 
@@ -145,10 +146,9 @@ class _Writer:
             "saved": [f"    REAL {name}[{size}];" for name, size in arrays.items() if name in SAVED],
             "scratch": self._scratch(arrays),
             "declarations": declarations.splitlines(),
-            "advance": self._function("advance", self.advance),
-            "remember": self._function("remember", self.remember),
+            "bodies": [line for body in self.bodies for line in self._function(body)],
             "functions": self._functions(),
-            "signatures": texts.signatures(self.parts.recalls),
+            "signatures": texts.signatures(self.parts.recalls, self.keeps),
         }
 
     def _sizes(self) -> dict[str, int]:
@@ -162,9 +162,13 @@ class _Writer:
     def _watches(self) -> bool:
         return self.parts.observe is not None
 
+    @property
+    def _gated(self) -> bool:
+        return self.parts.model is not None
+
     def _arrays(self, declarations: str) -> dict[str, int]:
         """The arrays of the state by their sizes: those that a step uses."""
-        text = "\n".join([declarations, *self.advance.lines, *(self.remember.lines if self.remember else [])])
+        text = "\n".join([declarations, *(line for body in self.bodies for line in body.lines)])
         sizes = {name: getattr(self.controller.memory, name).size for name in Memory._fields}
         named = set(re.findall(r"self->(?:saved\.)?(\w+)", text)) | {"D_hat", "phi_before", "U"}
         return {name: size for name, size in sizes.items() if name in named}
@@ -175,20 +179,17 @@ class _Writer:
         members = [f"REAL {part}[{len(values)}];" for part, values in self.settings.items()]
         lines += [f"    struct {{ {' '.join(members)} }} settings; /* set by @_init */"] if members else []
         lines += [f"    REAL before[{arrays['observer']}];"] if self._watches else []
-        for body in filter(None, (self.advance, self.remember)):
+        for body in self.bodies:
             if body.members or body.callees:
                 lines.append(f"    struct @_{body.where}_memory {body.where};")
         return lines
 
-    def _function(self, name: str, body: Translation | None) -> list[str]:
+    def _function(self, body: Translation) -> list[str]:
         """The C function of one of the bodies."""
-        if body is None:
-            return []
-        arguments = {"advance": "const REAL *X, const REAL *u, const REAL *u_nodes, REAL t", "remember": ""}[name]
-        if self.parts.recalls:
-            arguments = arguments.replace(", const REAL *u, const REAL *u_nodes", "")
-        kind = "int" if name == "remember" else "void"
-        head = f"static {kind} @_{name}(@_controller *self{', ' if arguments else ''}{arguments})"
+        name, advances = body.where, body is self.advance
+        measured = "" if self._gated else "const REAL *X, " if self.parts.recalls else texts.ARRAYS
+        arguments = f"{measured if advances else ''}REAL t"
+        head = f"static {'int' if name == 'remember' else 'void'} @_{name}(@_controller *self, {arguments})"
         memory = f"    struct @_{name}_memory *memory = &self->{name};"
         named = "\n".join(body.lines)
         unused = [
@@ -204,8 +205,11 @@ class _Writer:
             "checks": texts.finite("X", "%%_N_STATES") + ([] if self.parts.recalls else texts.MEASURED.splitlines()),
             "before": texts.BEFORE.splitlines() if self._watches else [],
             "after": texts.AFTER.splitlines() if self._watches else [],
-            "keep": ["self->saved.k = @_remember(self);"] if self.keeps else [],
+            "keep": ["self->saved.k = @_remember(self, t);"] if self.keeps else [],
+            "hold": ["@_hold(self, t);"] if self.keeps else [],
+            "take": ["memcpy(self->X, X, sizeof self->X);"] if self._gated else [],
             "time": [self._time()],
+            "unknown": [*texts.UNKNOWN.splitlines(), "self->saved.missed[0] = 0;"] if self._gated else [],
             "reach": self._too_long(),
             "check_commands": self._command_checks(),
         }
@@ -218,10 +222,11 @@ class _Writer:
         text = kernels.fill(texts.FUNCTIONS, **slots)
         for name, value in names.items():
             text = text.replace(f"<{name}>", repr(float(value)))
-        arguments = ("", "X") if self.parts.recalls else (", const REAL *u, const REAL *u_nodes", "X, u, u_nodes")
-        text = text.replace("<MEASURED>", arguments[0]).replace("<PASSED>", arguments[1])
+        arguments = ("", "X, ") if self.parts.recalls else (", const REAL *u, const REAL *u_nodes", "X, u, u_nodes, ")
+        passed = "" if self._gated else arguments[1]
+        text = text.replace("<MEASURED>", arguments[0]).replace("<PASSED>", passed)
         entry = texts.RECALLING if self.parts.recalls else texts.MEASURING
-        return (text + entry).splitlines()
+        return (text + (texts.APPLIED if self.keeps else "") + entry).splitlines()
 
     def _time(self) -> str:
         """The time that the kernels see: of a law that repeats, within its period where a float would lose it."""
@@ -240,6 +245,7 @@ class _Writer:
             lines += [f"static const REAL u0[] = {{{u0}}};", f"self->saved.k = {origin};"]
             lines += texts.COMMANDS.replace("<ORIGIN>", str(origin)).splitlines()
         lines += texts.OBSERVER.splitlines() if self._watches else []
+        lines += texts.UNKNOWN.splitlines() if self._gated else []
         for part, values in self.settings.items():
             place = f"self->settings.{part}"
             lines.append(f"memcpy({place}, {self.unit.constant(values, part).name}, sizeof {place});")
@@ -270,7 +276,8 @@ class _Writer:
             f"The controller of plant {plant.name}, made by npred {npred.__version__}.",
             *([f"Model: {model}."] if model else []),
             f"Predictor {controller.predictor.name} on {controller.predictor.nx} nodes; D_hat {law}.",
-            f"A control step each {self.parts.dt!r} s, in {self.real} precision.",
+            f"A control step each {self.plant.time_text(self.parts.dt, '')}; D_hat and t are in this unit too.",
+            f"In {self.real} precision; {source_lines.ranges(self.plant.inputs, self.parts.input_bounds)}.",
             *(f"{kind}: {text}." for kind, text in names),
         ]
         return [f" * {comment(line)}" for line in lines]

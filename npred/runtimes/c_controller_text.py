@@ -21,15 +21,16 @@ extern "C" {
 enum {
 {sizes}
     %%_OK = 0,
-    %%_MEASUREMENT_NOT_FINITE = 1, /* the state stands as before: hold the last U and measure again */
+    %%_MEASUREMENT_NOT_FINITE = 1, /* hold the last U, which the state has as sent, and measure again */
     %%_PREDICTION_NOT_FINITE = 2,  /* likewise */
     %%_STATE_REFUSED = 3,          /* of another controller, or out of range; the state stands as before */
-    %%_DELAY_TOO_LONG = 4          /* for the commands that are kept; the state stands as before */
+    %%_DELAY_TOO_LONG = 4          /* for the commands that are kept; likewise hold the last U */
 };
 
 /* What a step remembers. */
 typedef struct {
     uint32_t digest[4];
+    uint32_t checksum; /* of all bytes after it, set by @_get_state */
     int32_t k;
     int64_t steps;
     double t0;
@@ -56,8 +57,8 @@ SHARED = """\
 void @_init(@_controller *self);
 void @_get_state(const @_controller *self, @_saved *state);
 int @_set_state(@_controller *self, const @_saved *state);
-int @_set_D_hat(@_controller *self, REAL seconds);  /* go on from an estimate, as from a first step */
-int @_set_time(@_controller *self, double seconds); /* go on from another time, likewise */
+int @_set_D_hat(@_controller *self, REAL D_hat); /* go on from an estimate, as from a first step */
+int @_set_time(@_controller *self, double t);    /* go on from another time, likewise */
 const char *@_version(void);
 """
 MEASURED_SIGNATURES = """\
@@ -67,19 +68,27 @@ int @_step(@_controller *self, const REAL *X, const REAL *u, REAL *U);
 int @_step_nodes(@_controller *self, const REAL *X, const REAL *u, const REAL *u_nodes, REAL *U);
 """
 RECALLED_SIGNATURES = """\
-/* One control step: X (N_STATES) measured now; writes U (M_INPUTS), which it remembers as sent. */
+/* One control step: X (N_STATES) measured now; writes U (M_INPUTS), which it remembers as sent. With a gate,
+ * self->saved.missed counts the last samples in a row that were not believed: the model's state took their place. */
 int @_step(@_controller *self, const REAL *X, REAL *U);
 """
 
 
-def signatures(recalls: bool) -> list[str]:
+APPLIED_SIGNATURE = """\
+/* What the actuator got since the last step, where that was not its U, or not the one that was held. */
+int @_applied(@_controller *self, const REAL *U);
+"""
+
+
+def signatures(recalls: bool, keeps: bool) -> list[str]:
     """The declarations of the functions."""
-    text = SHARED + (RECALLED_SIGNATURES if recalls else MEASURED_SIGNATURES)
+    text = SHARED + (APPLIED_SIGNATURE if keeps else "") + (RECALLED_SIGNATURES if recalls else MEASURED_SIGNATURES)
     return [str(line) for line in text.splitlines()]
 
 
 SOURCE = """\
 #include <math.h>
+#include <stddef.h>
 #include <string.h>
 
 #include "@.h"
@@ -92,8 +101,7 @@ static const uint32_t @_digest[4] = {DIGEST_WORDS};
 
 {declarations}
 
-{advance}
-{remember}
+{bodies}
 {functions}
 
 {test}
@@ -113,15 +121,28 @@ const char *@_version(void)
     return %%_DIGEST;
 }
 
+/* FNV-1a: no single byte can change without it. */
+static uint32_t @_checksum(const @_saved *state)
+{
+    const unsigned char *bytes = (const unsigned char *)state;
+    uint32_t sum = 2166136261u;
+    for (size_t i = offsetof(@_saved, checksum) + sizeof sum; i < sizeof *state; i++) {
+        sum = (sum ^ bytes[i]) * 16777619u;
+    }
+    return sum;
+}
+
 void @_get_state(const @_controller *self, @_saved *state)
 {
     memcpy(state, &self->saved, sizeof *state);
+    state->checksum = @_checksum(state);
 }
 
 int @_set_state(@_controller *self, const @_saved *state)
 {
     const double now = state->t0 + (double)state->steps * <DT>;
-    int fits = memcmp(state->digest, @_digest, sizeof @_digest) == 0 && isfinite(now) && state->steps >= 0;
+    int fits = memcmp(state->digest, @_digest, sizeof @_digest) == 0 && state->checksum == @_checksum(state);
+    fits = fits && isfinite(now) && state->steps >= 0;
     fits = fits && state->D_hat[0] >= (REAL)<LOW> && state->D_hat[0] <= (REAL)<HIGH> && !isinf(state->phi_before[0]);
     {check_commands}
     if (!fits) {
@@ -131,24 +152,25 @@ int @_set_state(@_controller *self, const @_saved *state)
     return %%_OK;
 }
 
-int @_set_D_hat(@_controller *self, REAL seconds)
+int @_set_D_hat(@_controller *self, REAL D_hat)
 {
-    if (!(seconds >= (REAL)<LOW> && seconds <= (REAL)<HIGH>)) {
+    if (!(D_hat >= (REAL)<LOW> && D_hat <= (REAL)<HIGH>)) {
         return %%_STATE_REFUSED;
     }
-    self->saved.D_hat[0] = seconds;
+    self->saved.D_hat[0] = D_hat;
     self->saved.phi_before[0] = NAN;
     return %%_OK;
 }
 
-int @_set_time(@_controller *self, double seconds)
+int @_set_time(@_controller *self, double t)
 {
-    if (!isfinite(seconds)) {
+    if (!isfinite(t)) {
         return %%_STATE_REFUSED;
     }
-    self->saved.t0 = seconds;
+    self->saved.t0 = t;
     self->saved.steps = 0;
     self->saved.phi_before[0] = NAN;
+    {unknown}
     return %%_OK;
 }
 
@@ -158,26 +180,46 @@ static int @_run(@_controller *self, const REAL *X<MEASURED>, REAL *U)
     const REAL D_hat = self->saved.D_hat[0], phi_before = self->saved.phi_before[0];
     int finite = 1;
     {checks}
-    if (!finite) {
-        return %%_MEASUREMENT_NOT_FINITE;
-    }
+    int code = finite ? %%_OK : %%_MEASUREMENT_NOT_FINITE;
     {before}
-    @_advance(self, <PASSED>, t);
-    finite = isfinite(self->saved.D_hat[0]) != 0;
-    for (int i = 0; i < %%_M_INPUTS; i++) {
-        finite = finite && isfinite(self->U[i]);
+    if (code == %%_OK) {
+        {take}
+        @_calculate(self, <PASSED>t);
+        finite = isfinite(self->saved.D_hat[0]) != 0;
+        for (int i = 0; i < %%_M_INPUTS; i++) {
+            finite = finite && isfinite(self->U[i]);
+        }
+        code = finite ? %%_OK : %%_PREDICTION_NOT_FINITE;
+        {reach}
     }
-    int code = finite ? %%_OK : %%_PREDICTION_NOT_FINITE;
-    {reach}
     if (code != %%_OK) {
         self->saved.D_hat[0] = D_hat;
         self->saved.phi_before[0] = phi_before;
         {after}
-        return code;
+        {hold}
+    } else {
+        memcpy(U, self->U, sizeof self->U);
     }
     {keep}
     self->saved.steps++;
-    memcpy(U, self->U, sizeof self->U);
+    return code;
+}
+"""
+APPLIED = """
+int @_applied(@_controller *self, const REAL *U)
+{
+    const int last = (self->saved.k - 1) % %%_ROWS, next = self->saved.k % %%_ROWS;
+    int finite = 1;
+    for (int i = 0; i < %%_M_INPUTS; i++) {
+        finite = finite && isfinite(U[i]);
+    }
+    if (!finite) {
+        return %%_STATE_REFUSED;
+    }
+    for (int i = 0; i < %%_M_INPUTS; i++) {
+        self->saved.held[last * %%_M_INPUTS + i] = U[i];
+        self->saved.total[next * %%_M_INPUTS + i] = self->saved.total[last * %%_M_INPUTS + i] + U[i];
+    }
     return %%_OK;
 }
 """
@@ -205,6 +247,7 @@ def finite(name: str, count: str) -> list[str]:
     return [f"for (int i = 0; i < {count}; i++) {{", f"    finite = finite && isfinite({name}[i]);", "}"]
 
 
+ARRAYS = "const REAL *X, const REAL *u, const REAL *u_nodes, "
 MEASURED = """\
 for (int i = 0; i < %%_NX * %%_M_INPUTS; i++) {
     finite = finite && isfinite(u[i]) && isfinite(u_nodes[i]);
@@ -225,6 +268,10 @@ for (int row = 0; row < %%_ROWS; row++) {
 OBSERVER = """\
 for (int i = 0; i < %%_OBSERVER; i++) {
     self->saved.observer[i] = NAN;
+}"""
+UNKNOWN = """\
+for (int i = 0; i < %%_N_STATES; i++) {
+    self->saved.X_hat[i] = NAN;
 }"""
 FINITE_COMMANDS = """\
 for (int i = 0; i < %%_ROWS * %%_M_INPUTS; i++) {
@@ -252,7 +299,7 @@ int main(void)
         }
         worst = fmax(worst, fabs((double)c.saved.D_hat[0] - (double)test_D_hat[s]));
     }
-    printf("largest difference: %.2e of each input's size, and of D_hat in seconds\\n", worst);
+    printf("largest difference: %.2e of each input's size, and of D_hat\\n", worst);
     return !(worst <= <LIMIT>);
 }
 #endif

@@ -90,8 +90,8 @@ LOWEST, HIGHEST, BIAS = REAL(1 - EXPONENT), REAL(EXPONENT - 1), REAL(EXPONENT + 
 @njit(inline="always")
 def _power(x):
     y = x * MINUS_LOG2_E
-    y = LOWEST if y < LOWEST else y
-    y = HIGHEST if y > HIGHEST else y
+    y = y if y > LOWEST else LOWEST  # NaN too: as an integer it is undefined in C
+    y = y if y < HIGHEST else HIGHEST
     k = INT(y + BIAS)
     f = y - REAL(INT(k - EXPONENT))
     return ONE + INT(k << MANTISSA).view(REAL) * {power}

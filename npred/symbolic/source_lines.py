@@ -39,6 +39,11 @@ def values(names: Sequence[str], numbers: "np.ndarray") -> str:
     return ", ".join(f"{name} = {value + 0.0:.4g}" for name, value in zip(names, numbers, strict=True))
 
 
+def ranges(names: Sequence[str], pairs: "np.ndarray") -> str:
+    """Ranges (n, 2) in words: u in [-1, 1], v in [0, 2]."""
+    return ", ".join(f"{name} in [{a:g}, {b:g}]" for name, (a, b) in zip(names, pairs.tolist(), strict=True))
+
+
 def _code(function: Callable[..., Any]) -> Any:
     """The function's code, a method's and a decorated function's too; None where it is not Python."""
     return getattr(inspect.unwrap(getattr(function, "__func__", function)), "__code__", None)

@@ -425,7 +425,7 @@ def test_a_delay_that_depends_on_time_is_looked_at_over_a_period():
 
 def test_a_negative_delay_is_an_answer_of_no():
     answer = answers(Plant("Late", Late, {"slope": 2.0}))["feasibility"]
-    assert answer.verdict == "no" and "expected a finite delay of at least 0 s on the box, got -" in answer.text
+    assert answer.verdict == "no" and "expected a finite delay of at least 0 on the box, got -" in answer.text
 
 
 def test_the_delay_of_a_plant_that_declares_it_is_the_longest_on_its_box():

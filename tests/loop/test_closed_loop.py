@@ -213,7 +213,7 @@ def test_energy_is_over_the_true_delay_where_the_controller_reads_its_commands_b
     ("change", "message"),
     [
         ({"D_hat": 5.0}, r"D_hat: expected within the bounds"),
-        ({"D": -1.0}, r"D: expected a delay of at least 0 s"),
+        ({"D": -1.0}, r"D: expected a delay of at least 0"),
         ({"dt": 0.0}, r"expected 0 < dt <= t_end"),
         ({"X0": [0.1]}, r"X0: expected shape \(..., 2\) for plant activator_repressor, got \(1,\)"),
         ({"X0": [np.nan, 1.0]}, r"X0: expected finite"),

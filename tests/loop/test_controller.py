@@ -107,8 +107,9 @@ def test_a_bad_measurement_leaves_it_as_it_was():
     controller.step(X0, u)
     before, P = controller.state(), controller.P
     for X in ([np.nan, 1.0], [np.inf, -np.inf]):
-        with pytest.raises(DivergedError, match="expected finite X and u"):
+        with pytest.raises(DivergedError, match="expected finite X and u, got one that is not; hold the last U"):
             controller.step(X, u)
+    before["step"] += 2  # the clock goes on
     with pytest.raises(ConfigError, match=r"step: expected X \(2,\) and u \(21, 1\), got \(3,\) and \(21, 1\)"):
         controller.step([1.0, 2.0, 3.0], u)
     assert controller.state() == before
@@ -124,7 +125,7 @@ def test_a_prediction_that_diverges_leaves_it_as_it_was():
     for X in ([3.0], [1e308]):
         with pytest.raises(DivergedError, match="the prediction from X and u is not finite; hold the last U"):
             controller.step(X, u)
-    assert controller.state() == before and kept == U
+    assert controller.state() == before | {"step": 3} and kept == U
     np.testing.assert_array_equal(controller.P, P)
     assert np.isfinite(controller.step([0.3], u)).all() and np.isfinite(controller.D_hat)
 
@@ -154,7 +155,7 @@ def test_a_measurement_of_another_shape_is_told(X, u, message):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"dt": 0.0}, "dt: expected a control step above 0 s"),
+        ({"dt": 0.0}, "dt: expected a control step above 0"),
         ({"D_hat": 9.0}, r"D_hat: expected within the bounds \[0.1, 4\] s, got 9"),
         ({"adaptation": None}, "give D_hat"),
         ({"adaptation": 3.0}, "adaptation: expected a DelayLaw"),
@@ -238,7 +239,7 @@ def test_estimate_and_time_can_be_set():
     assert controller.state() == {"D_hat": 1.5, "phi": None, "step": 1, "t0": 0.0}  # no step back across the jump
     controller.t = 7.3
     assert controller.t == 7.3 and controller.state()["step"] == 0
-    with pytest.raises(ConfigError, match="t: expected a finite time in seconds, got inf"):
+    with pytest.raises(ConfigError, match="t: expected a finite time, got inf"):
         controller.t = np.inf
     assert controller.t == 7.3
 
@@ -324,16 +325,41 @@ def test_a_resumed_controller_takes_the_same_steps_to_the_bit():
         assert np.array_equal(straight.step(X), resumed.step(X)) and straight.D_hat == resumed.D_hat
 
 
-def test_a_step_that_fails_leaves_commands_and_observers_as_they_were():
+def test_a_step_that_fails_books_the_command_that_is_held_and_leaves_the_observers():
     run = npred.predictor("rk4", CUBE, nx=21)
     alone = npred.controller(CUBE, run, npred.DelayObserver(bounds=(0.1, 1.0)), 0.01, actuator="history")
     for _ in range(5):
-        alone.step([0.1])
-    before = json.dumps(alone.state())
-    for wrong in ([np.nan], [1e200]):
-        with pytest.raises(DivergedError):
+        U = alone.step([0.1])
+    for step, wrong in ((6, [np.nan]), (7, [1e200])):
+        before, k = alone.state(), alone.state()["commands"]["k"]
+        with pytest.raises(
+            DivergedError, match=rf"hold the last U and measure again: u = {U[0]:.4g} is booked as sent"
+        ):
             alone.step(wrong)
-        assert json.dumps(alone.state()) == before
+        after = alone.state()
+        assert after["step"] == step and after["commands"]["k"] == k + 1
+        assert after["commands"]["held"][k % len(before["commands"]["held"])] == U
+        assert all(after[part] == before[part] for part in ("D_hat", "phi", "observer", "t0"))
+
+
+def test_what_the_actuator_got_instead_is_booked():
+    told, sent = (Controller(CUBE, RK4(CUBE, 21), None, 0.01, D_hat=0.2, actuator="history") for _ in "ab")
+    for X in (0.1, 0.2, 0.3):
+        told.step([X])
+        U = sent.step([X]).copy()
+    with pytest.raises(DivergedError):
+        told.step([np.nan])
+    with pytest.raises(DivergedError):
+        sent.step([np.nan])
+    np.testing.assert_array_equal(told.step([0.3], applied=U), sent.step([0.3]))
+    assert told.step([0.3], applied=[5.0]) != sent.step([0.3])
+    commands = told.state()["commands"]
+    assert commands["held"][(commands["k"] - 2) % len(commands["held"])] == [5.0]
+    for wrong in ([1.0, 2.0], [np.nan]):
+        with pytest.raises(ConfigError, match="applied: expected 1 finite numbers, one per input"):
+            told.step([0.3], applied=wrong)
+    with pytest.raises(ConfigError, match="applied: expected a controller that keeps its commands"):
+        npred.controller(PLANT, RK4(PLANT, 21), LAW, 0.01).step(X0, np.zeros((21, 1)), applied=[0.0])
 
 
 def test_it_is_given_what_is_measured_and_nothing_else():
@@ -357,10 +383,9 @@ def test_commands_reach_back_to_a_delay_that_the_plant_declares():
     for k in range(300):
         np.testing.assert_allclose(controller.step(wanted.samples.X[k]), wanted.U[k], rtol=1e-9, atol=1e-12)
     short = npred.controller(plant, run, None, 0.01, actuator="history", longest=0.5)
-    before = short.state()
-    with pytest.raises(DivergedError, match=r"at most 0\.5 s, back to which commands are kept, got 1"):
+    with pytest.raises(DivergedError, match=r"at most 0\.5 s, back to which commands are kept, got 1; raise longest"):
         short.step(X)
-    assert short.state() == before
+    assert short.t == 0.01
     with pytest.raises(ConfigError, match=r"longest: expected at least the largest delay, 4 s, got 1\.0"):
         npred.controller(PLANT, RK4(PLANT, 21), LAW, 0.01, actuator="history", longest=1.0)
 
@@ -385,3 +410,91 @@ def test_a_first_step_that_fails_leaves_the_law_to_the_next():
     assert one.step([0.4]) == other.step([0.4])
     with pytest.raises(ConfigError, match="u0: expected a constant command, got that of the first X"):
         _ = one.u0
+
+
+UNICYCLE = npred.plant("unicycle")
+
+
+def around(controller, samples, faults=None):
+    """Commands (steps, m) for samples (steps, n), of which `faults`, {step: sample}, are wrong."""
+    return np.array([controller.step((faults or {}).get(k, X)).copy() for k, X in enumerate(samples)])
+
+
+def pose_loop(steps):
+    start = [0.5, 0.5, 0.5]
+    run = npred.simulate(UNICYCLE, RK4(UNICYCLE, 21), D=0.6, D_hat=0.6, X0=start, t_end=steps * 0.01, dt=0.01)
+    return run.X[:steps], run.U[:steps]
+
+
+def turning(**options):
+    return Controller(UNICYCLE, RK4(UNICYCLE, 21), None, 0.01, D_hat=0.6, actuator="history", **options)
+
+
+@pytest.mark.parametrize("size", [2.0, 5.0, 12.0, -12.0])
+def test_a_sample_that_the_plant_cannot_have_made_is_predicted_over(size):
+    X, U = pose_loop(60)
+    controller = turning()
+    sent = around(controller, X, {20: X[20] + size})
+    np.testing.assert_allclose(sent, U, atol=1e-6)
+    assert controller.missed == 0
+    trusting = turning(gate=None)
+    assert np.abs(around(trusting, X[:21], {20: X[20] + size})[20] - U[20]).max() > 1
+
+
+def test_a_state_that_jumps_is_believed_after_a_delay():
+    X, _ = pose_loop(20)
+    controller = turning()
+    around(controller, X)
+    missed = []
+    for _ in range(100):
+        controller.step([3.0, 0.0, 0.0])
+        missed.append(controller.missed)
+    assert max(missed) == 60 and missed[-1] == 0  # D_hat / dt
+    assert missed[:60] == list(range(1, 61))
+
+
+def test_without_a_gate_wrong_samples_do_not_lock_it():
+    """One sample 2 to 12 off, then good ones: once its command was huge, and each later step was refused."""
+    X, _ = pose_loop(140)
+    low, high = turning(gate=None).parts.input_bounds.T
+    for size in (2.0, 5.0, 9.0, 12.0, -9.0):
+        controller, refused = turning(gate=None), []
+        for k in range(140):
+            try:
+                sent = controller.step(X[k] + size * (k == 20))
+                assert (low <= sent).all() and (sent <= high).all()
+            except DivergedError:
+                refused.append(k)
+        assert not refused or refused[-1] <= 20 + 62  # the wrong command has left its history
+
+
+def test_a_gated_controller_goes_on_where_it_stood():
+    X, _ = pose_loop(40)
+    straight, saved = turning(), turning()
+    wrong = {19: X[19] + 9, 20: X[20] + 9}
+    around(straight, X[:20], wrong)
+    around(saved, X[:20], wrong)
+    assert straight.missed == 1
+    resumed = turning()
+    resumed.restore(json.loads(json.dumps(saved.state())))
+    copy = pickle.loads(pickle.dumps(saved))
+    for k in range(20, 40):
+        U = straight.step(wrong.get(k, X[k]))
+        np.testing.assert_array_equal(resumed.step(wrong.get(k, X[k])), U)
+        np.testing.assert_array_equal(copy.step(wrong.get(k, X[k])), U)
+    straight.t = 3.0
+    assert straight.state()["X_hat"] is None  # as from a first step
+
+
+@pytest.mark.parametrize("gate", [0.0, -1.0, np.inf, np.nan])
+def test_a_gate_that_is_none_is_told(gate):
+    with pytest.raises(ConfigError, match="gate: expected a number above 0, or None for no gate"):
+        turning(gate=gate)
+
+
+def test_without_a_box_every_sample_is_believed():
+    controller = Controller(CUBE, RK4(CUBE, 21), None, 0.01, D_hat=0.2, actuator="history")
+    controller.step([0.1])
+    with pytest.raises(DivergedError):
+        controller.step([1e200])
+    assert controller.missed == 0 and np.isinf(controller.parts.input_bounds).all()

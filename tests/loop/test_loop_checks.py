@@ -55,7 +55,7 @@ def run(predictor="own", plant=SCALAR, **change):
         ({"X0": [1.0 + 0j]}, r"X0: expected an array of real numbers, got \[\(1\+0j\)\]"),
         ({"X0": np.ma.array([1.0], mask=[1])}, "X0: expected an array of real numbers, got a masked array"),
         ({"X0": np.array([[1.0], [np.inf]])}, r"X0: expected finite numbers, got inf at \[1, 0\]"),
-        ({"D": [0.1, np.nan]}, r"D: expected a delay of at least 0 s, got nan at \[1\]"),
+        ({"D": [0.1, np.nan]}, r"D: expected a delay of at least 0, got nan at \[1\]"),
     ],
 )  # fmt: skip
 def test_a_wrong_argument_is_told(change, message):

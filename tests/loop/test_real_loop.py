@@ -80,12 +80,12 @@ def test_own_commands_at_the_true_delay_are_the_measured_actuator_state():
     ("settings", "words"),
     [
         ({"D": 1.0, "actuator": "guessed"}, 'actuator: expected "measured" or "history", got \'guessed\''),
-        ({"D": 1.0, "disturbance": 0.1}, "disturbance: expected a function of t in seconds, got 0.1"),
+        ({"D": 1.0, "disturbance": 0.1}, "disturbance: expected a function of t, got 0.1"),
         ({"D": 1.0, "disturbance": lambda t: [0.1, 0.2]}, r"disturbance\(t\): expected 1 finite numbers"),
         ({"D": 1.0, "truth": npred.plant("scalar")}, "truth: expected a plant with 2 states and 1 inputs"),
         ({"D": lambda t: "late"}, r"D\(t\): expected an array of real numbers"),
         ({"D": lambda t: 0.5 - t}, r"D\(t\): expected"),
-        ({}, "D: expected a delay in seconds, got none; give D"),
+        ({}, "D: expected a delay in s, got none; give D"),
     ],
 )
 def test_what_makes_no_loop_is_refused_in_one_line(settings, words):

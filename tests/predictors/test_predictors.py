@@ -181,9 +181,9 @@ def test_picard_that_does_not_contract_says_so():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"D_hat": -1.0}, "D_hat: expected a delay of at least 0 s, got -1"),
-        ({"D_hat": [0.5, np.nan]}, r"D_hat: expected a delay of at least 0 s, got nan at \[1\]"),
-        ({"D_hat": np.inf}, "D_hat: expected a delay of at least 0 s, got inf"),
+        ({"D_hat": -1.0}, "D_hat: expected a delay of at least 0, got -1"),
+        ({"D_hat": [0.5, np.nan]}, r"D_hat: expected a delay of at least 0, got nan at \[1\]"),
+        ({"D_hat": np.inf}, "D_hat: expected a delay of at least 0, got inf"),
         ({"X": [np.nan, 5.0]}, r"X: expected finite numbers, got nan at \[0\]"),
         ({"X": [0.1 + 1j, 5.0]}, "X: expected an array of real numbers"),
         ({"X": np.ma.array([0.1, 5.0], mask=[0, 1])}, "X: expected an array of real numbers, got a masked array"),

@@ -1,5 +1,6 @@
 """The controller in C: the same closed loops as npred.controller, its state, its refusals."""
 
+import ctypes
 import re
 import subprocess
 
@@ -11,7 +12,7 @@ from operator_samples import SMALL, operator
 from varying_delays import with_delay
 
 import npred
-from npred.errors import ConfigError
+from npred.errors import ConfigError, DivergedError
 from npred.loop.controller import Controller
 from npred.runtimes import c_controller
 from npred.runtimes.fused import Fused
@@ -128,18 +129,49 @@ def test_two_side_by_side_are_independent(cases, tmp_path):
 
 
 @pytest.mark.parametrize(("name", "bad"), [("rk4", np.nan), ("rk4", np.inf), ("observer", np.nan)])
-def test_a_bad_measurement_is_refused_and_leaves_the_state(cases, tmp_path, name, bad):
-    controller = cases[name][0]
-    run = InC(library(controller, tmp_path), PLANT)
-    u = [] if name == "observer" else [np.zeros((51, 1))]
-    run.step(X0, *u)
-    before = bytes(run.state())
-    assert run.code([bad, 30.0], *u) == 1
-    assert not u or run.code(X0, np.full((51, 1), bad)) == 1
-    assert bytes(run.state()) == before
+def test_a_bad_measurement_is_refused_as_in_python(cases, tmp_path, name, bad):
+    controller, measured = cases[name][0].fresh(), name == "rk4"
+    run, u = InC(library(controller, tmp_path), PLANT), [np.zeros((51, 1))] if measured else []
+    for X, given in ((X0, u), ([bad, 30.0], u), (X0, [np.full((51, 1), bad)] if measured else u), (X0, u)):
+        alike(run, controller, X, given)
 
 
-def test_a_prediction_that_diverges_is_refused_and_leaves_the_state(tmp_path):
+def alike(run, controller, X, u=()):
+    """A step in C and in Python: the same U, or both refused; the code of the first."""
+    U = np.full(controller.plant.m, np.nan)
+    code = run.code(X, *u, out=U)
+    try:
+        np.testing.assert_allclose(U, controller.step(X, *u), rtol=1e-12)
+        assert code == 0
+    except DivergedError:
+        assert code > 0 and np.isnan(U).all()
+    return code
+
+
+@pytest.mark.parametrize("gate", [None, 1.0])
+@pytest.mark.parametrize("name", ["two delays", "declared", "observer"])
+def test_wrong_samples_are_refused_and_predicted_over_as_in_python(cases, tmp_path, name, gate):
+    """Some far off, some not finite, and with them what the actuator got instead."""
+    case = cases[name][0]
+    plant, named = case.plant, {"D_hat": case.D_hat, "actuator": "history", "gate": gate}
+    controller = Controller(plant, case.predictor, case.adaptation, 0.01, **named)
+    run, draws = InC(library(controller, tmp_path), plant), np.random.default_rng(0)
+    low, high = np.array([plant.box[name] for name in plant.states]).T
+    codes, missed = [], 0
+    for k in range(250):
+        X = draws.uniform(low, high)
+        X = X + (high - low) * draws.uniform(-6, 6) if k % 10 == 3 else X * 1e200 if k % 25 == 7 else X
+        codes.append(alike(run, controller, X * np.nan if k % 37 == 1 else X))
+        missed += controller.missed
+        if k % 41 == 5:
+            U = np.full(plant.m, 0.01 * k)
+            assert run.library.npred_applied(run.memory, U.ctypes.data_as(ctypes.c_void_p)) == 0
+            controller._correct(U)
+    assert missed > 0 if gate else 2 in codes
+    assert codes.count(1) == 7
+
+
+def test_a_prediction_that_diverges_is_refused_as_in_python(tmp_path):
     class Cube:
         states, inputs = ("x",), ("u",)
 
@@ -157,10 +189,8 @@ def test_a_prediction_that_diverges_is_refused_and_leaves_the_state(tmp_path):
         plant, npred.predictor("rk4", plant, 51), npred.DelayAdaptation(1.0, bounds=(0.1, 2.0)), 0.01
     )
     run = InC(library(controller, tmp_path), plant)
-    run.step([0.1], np.zeros((51, 1)))
-    before = bytes(run.state())
-    assert run.code([3.0], np.zeros((51, 1))) == 2
-    assert bytes(run.state()) == before
+    u = [np.zeros((51, 1))]
+    assert [alike(run, controller, [X], u) for X in (0.1, 3.0, 0.1)] == [0, 2, 0]
 
 
 def test_a_state_of_another_controller_is_refused(cases, tmp_path):
@@ -172,6 +202,19 @@ def test_a_state_of_another_controller_is_refused(cases, tmp_path):
     before = bytes(runs[1].state())
     assert runs[1].restore(runs[0].state()) == 3
     assert bytes(runs[1].state()) == before
+
+
+@pytest.mark.parametrize("precision", ["double", "float"])
+def test_a_state_with_one_bit_turned_is_refused(cases, tmp_path, precision):
+    run = InC(library(cases["observer"][0], tmp_path, precision), PLANT, precision)
+    for _ in range(5):
+        run.step(X0)
+    saved = bytes(run.state())
+    for bit in np.random.default_rng(0).integers(0, 8 * len(saved), 20_000):
+        turned = bytearray(saved)
+        turned[bit // 8] ^= 1 << bit % 8
+        assert run.restore(bytes(turned)) == 3
+    assert bytes(run.state()) == saved and run.restore(saved) == 0
 
 
 def test_its_own_test_passes_and_fails_for_another(cases, tmp_path):

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 
 import npred
 from npred.cli import app
-from npred.errors import ConfigError, NpredError
+from npred.errors import ConfigError, DivergedError, NpredError
 from npred.loop.controller import Controller
 from npred.predictors.guarded import Guarded
 from npred.runtimes import c_library, fmu
@@ -127,48 +127,55 @@ def test_two_side_by_side_are_independent(instance, version):
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-@pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_an_input_that_is_not_finite_is_refused_and_leaves_the_controller(instance, version, bad):
-    run, twin = (instance(heun, version) for _ in range(2))
-    u = np.zeros((21, 1))
-    for each in (run, twin):
-        each.step(X0, u)
-    U = run.get("U")
-    with pytest.raises(Exception, match="status 2"):
-        run.step([bad, 30.0], u)
-    assert run.messages == [
-        "step at 0.01 s: expected finite inputs, got one that is not; U is held, the controller stands as before"
-    ]
-    assert (run.get("U"), run.get("time")) == (U, DT)
-    np.testing.assert_array_equal(run.step(X0, u), twin.step(X0, u))
+@pytest.mark.parametrize("make", [heun, observing])
+def test_a_control_step_that_is_refused_holds_u_and_goes_on_as_in_python(instance, version, make):
+    run, controller, u = instance(make, version), make(), [np.zeros((21, 1))] if make is heun else []
+    for k in range(6):
+        X = np.array([np.nan if k in (2, 3) else X0[0], X0[1]])
+        before = run.get("U")
+        after = run.step(X, *u)
+        if k in (2, 3):
+            with pytest.raises(DivergedError):
+                controller.step(X, *u)
+            assert after == before
+        else:
+            np.testing.assert_allclose(after, controller.step(X, *u), rtol=1e-12)
+    refused = "expected finite inputs, got one that is not; U is held"
+    assert run.messages == [f"step at 0.02 s: {refused}", f"step at 0.03 s: {refused}"]
+    assert run.get("time") == pytest.approx(controller.t) == 0.06
 
 
-def test_where_one_of_several_steps_is_refused_none_is_done(tmp_path):
-    class Cube:
-        states, inputs = ("x",), ("u",)
+def test_a_wrong_sample_is_predicted_over_as_in_python(instance):
+    run, controller = instance(turning), turning()
+    for k in range(40):
+        X = np.array(POSE) + 9.0 * (k in (20, 21))
+        np.testing.assert_allclose(run.step(X), controller.step(X), rtol=1e-12)
+        assert controller.missed == (k - 19 if k in (20, 21) else 0)
 
-        def f(x, u, t, p, M):
-            return [x.x**3 + u.u]
 
-        def kappa(x, t, p, M):
-            return [-1e200 * M.where(x.x > 1.5, x.x, 0.0) - x.x]
+def test_of_several_steps_in_one_those_that_are_refused_hold_u(instance):
+    run, controller = instance(observing, h=3 * DT), observing()
+    run.step(X0)
+    U = [controller.step(X0).copy() for _ in range(3)][-1]
+    np.testing.assert_allclose(run.step([np.nan, 30.0]), U, rtol=1e-12)
+    for _ in range(3):
+        with pytest.raises(DivergedError):
+            controller.step([np.nan, 30.0])
+    assert len(run.messages) == 3
+    run.step(X0)
+    np.testing.assert_allclose(run.get("U"), [controller.step(X0)[0] for _ in range(3)][-1], rtol=1e-12)
 
-        def V(x, t, p, M):
-            return x.x**2
 
-    plant = npred.plants.Plant("cube", Cube)
-    controller = Controller(plant, npred.predictor("heun", plant, 21), None, DT, D_hat=0.1, actuator="history")
-    path, written = exported(controller, tmp_path)
-    run = InFmu(path, tmp_path / "extracted", written, 3 * DT)
-    run.step([0.1])
+def test_a_state_with_one_bit_turned_is_refused(instance):
+    run = instance(turning)
+    for _ in range(5):
+        run.step(POSE)
     saved = run.state()
-    alone = InFmu(path, tmp_path / "extracted", written, DT)
-    alone.restore(saved)
-    alone.step([1.6])
-    with pytest.raises(Exception, match="status 2"):
-        run.step([1.6])  # the first of three steps sends a command that the second one's prediction diverges with
-    assert "the prediction from these inputs is not finite" in run.messages[0] and len(run.messages) == 1
-    run.offer([0.1])
+    for bit in np.random.default_rng(0).integers(0, 8 * len(saved), 500):
+        turned = bytearray(saved)
+        turned[bit // 8] ^= 1 << bit % 8
+        with pytest.raises(Exception, match="status 3"):
+            run.restore(bytes(turned))
     assert run.state() == saved
 
 

@@ -8,7 +8,11 @@ import npred
 from npred.json_files import escaped
 from npred.runtimes.fmu.variables import LARGEST, Variable
 
-ABOUT = {"logStatusDiscard": "a step or a value that was refused", "logStatusError": "a call that was wrong"}
+ABOUT = {
+    "logStatusWarning": "a control step that was refused",
+    "logStatusDiscard": "a value that was refused",
+    "logStatusError": "a call that was wrong",
+}
 
 
 class Model(NamedTuple):

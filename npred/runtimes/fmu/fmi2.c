@@ -54,7 +54,7 @@ static void log_2(Instance *self, int status, const char *message)
 {
     if (self->callback != NULL) {
         ((fmi2CallbackLogger)self->callback)(self->environment, self->name, (fmi2Status)status,
-                                             status == DISCARD ? "logStatusDiscard" : "logStatusError", message);
+                                             category(status), message);
     }
 }
 

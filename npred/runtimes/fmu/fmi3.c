@@ -60,7 +60,7 @@ static void log_3(Instance *self, int status, const char *message)
 {
     if (self->callback != NULL) {
         ((fmi3LogMessageCallback)self->callback)(self->environment, (fmi3Status)status,
-                                                 status == DISCARD ? "logStatusDiscard" : "logStatusError", message);
+                                                 category(status), message);
     }
 }
 

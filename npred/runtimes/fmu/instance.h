@@ -10,6 +10,7 @@
 
 #include <math.h>
 #include <stdarg.h>
+#include <stddef.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -36,7 +37,7 @@ typedef struct {
 
 #define SLACK 1e-3
 
-enum { OK = 0, DISCARD = 2, ERROR = 3 }; /* the same numbers in both versions */
+enum { OK = 0, WARNING = 1, DISCARD = 2, ERROR = 3 }; /* the same numbers in both versions */
 enum { INSTANTIATED = 1, INITIALIZATION = 2, STEPPING = 4, TERMINATED = 8, ALWAYS = 15 };
 
 /* All that an importer may save and set again. */
@@ -46,12 +47,13 @@ typedef struct {
     double start;
     int64_t steps; /* control steps since start */
     int32_t mode;
+    uint32_t checksum; /* of all bytes before it, where the state is saved */
 } State;
 
 typedef struct Instance Instance;
 struct Instance {
     CONTROLLER controller;
-    State now, before;
+    State now;
     REAL X[N_STATES];
 #ifdef AT_ACTUATOR
     REAL u[NX * M_INPUTS];
@@ -61,6 +63,11 @@ struct Instance {
     void (*callback)(void);
     char *name;
 };
+
+static const char *category(int status)
+{
+    return status == WARNING ? "logStatusWarning" : status == DISCARD ? "logStatusDiscard" : "logStatusError";
+}
 
 /* Report in one line; gives the status. */
 static int report(Instance *self, int status, const char *format, ...)
@@ -201,7 +208,7 @@ static int set_values(Instance *self, const uint32_t *references, size_t many, c
 static int enter_initialization(Instance *self, double start)
 {
     if (!isfinite(start)) {
-        return report(self, ERROR, "start: expected a finite time in seconds, got %g", start);
+        return report(self, ERROR, "start: expected a finite time, got %g", start);
     }
     self->now.start = self->now.values[AT_TIME] = start;
     self->now.mode = INITIALIZATION;
@@ -271,15 +278,15 @@ static int control_step(Instance *self)
 #endif
     if (code == CODE(OK)) {
         read_outputs(self, U);
-        self->now.steps++;
     }
+    self->now.steps++;
     return code;
 }
 
-/* Whether the control step after `ahead` more is due before `end`. */
-static int due(const Instance *self, int64_t ahead, double end)
+/* The time of the next control step. */
+static double due_time(const Instance *self)
 {
-    return self->now.start + (double)(self->now.steps + ahead) * STEP < end;
+    return self->now.start + (double)self->now.steps * STEP;
 }
 
 static const char *reason(int code)
@@ -289,33 +296,36 @@ static const char *reason(int code)
                                                  : "the delay is above what the commands are kept for";
 }
 
-/* The control steps that are due within [t, t + h). Where one is refused, the instance stands as before all of them. */
+/* The control steps that are due within [t, t + h). One that is refused holds U, as an actuator does meanwhile. */
 static int advance(Instance *self, double t, double h)
 {
     if (!isfinite(t + h) || !(h >= 0)) {
-        return report(self, ERROR, "step: expected finite times and a step of 0 s or more, got %g and %g", t, h);
+        return report(self, ERROR, "step: expected finite times and a step of 0 or more, got %g and %g", t, h);
     }
     if (!(fabs(t - self->now.values[AT_TIME]) <= SLACK * STEP)) {
-        return report(self, ERROR, "step: expected to go on from %.17g s, got %.17g", self->now.values[AT_TIME], t);
+        return report(self, ERROR, "step: expected to go on from %.17g, got %.17g", self->now.values[AT_TIME], t);
     }
     const double end = t + h - SLACK * STEP;
-    const int several = due(self, 1, end);
-    if (several) {
-        CORE(get_state)(&self->controller, &self->now.saved);
-        self->before = self->now;
-    }
-    while (due(self, 0, end)) {
+    int status = OK;
+    for (double due = due_time(self); due < end; due = due_time(self)) {
         const int code = control_step(self);
         if (code != CODE(OK)) {
-            if (several) {
-                self->now = self->before;
-                CORE(set_state)(&self->controller, &self->now.saved);
-            }
-            return report(self, DISCARD, "step at %g s: %s; U is held, the controller stands as before", t, reason(code));
+            status = report(self, WARNING, "step at %g " TIME_UNIT ": %s; U is held", due, reason(code));
         }
     }
     self->now.values[AT_TIME] = t + h;
-    return OK;
+    return status;
+}
+
+/* FNV-1a: no single byte can change without it. */
+static uint32_t checksum(const State *state)
+{
+    const unsigned char *bytes = (const unsigned char *)state;
+    uint32_t sum = 2166136261u;
+    for (size_t i = 0; i < offsetof(State, checksum); i++) {
+        sum = (sum ^ bytes[i]) * 16777619u;
+    }
+    return sum;
 }
 
 /* A copy of the state, in *copy or, where that is NULL, in new memory. */
@@ -328,6 +338,7 @@ static int get_state(Instance *self, void **copy)
         return report(self, ERROR, "state: expected %zu bytes of memory, got none", sizeof(State));
     }
     CORE(get_state)(&self->controller, &self->now.saved);
+    self->now.checksum = checksum(&self->now);
     memcpy(*copy, &self->now, sizeof(State));
     return OK;
 }
@@ -336,7 +347,7 @@ static int get_state(Instance *self, void **copy)
 static int sound(const State *state)
 {
     const int mode = state->mode, one_mode = mode == 1 || mode == 2 || mode == 4 || mode == 8;
-    int fits = one_mode && state->steps >= 0 && isfinite(state->start) && isfinite(state->values[AT_TIME]);
+    int fits = state->checksum == checksum(state) && one_mode && state->steps >= 0 && isfinite(state->start) && isfinite(state->values[AT_TIME]);
     fits = fits && fabs(state->start + (double)state->steps * STEP - state->values[AT_TIME]) <= 2 * STEP;
     for (int i = 0; i < VARIABLES; i++) {
         const Variable *v = &variables[i];

@@ -1,5 +1,6 @@
 """The variables of the FMU: its inputs, parameters and outputs, with their places in the C instance."""
 
+import json
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -143,7 +144,8 @@ def header(controller: Controller, variables: Sequence[Variable], name: str, rea
         f"#define CONTROLLER {name}_controller",
         f"#define SAVED {name}_saved",
         f"#define REAL {real}",
-        f"#define STEP {controller.dt!r} /* s */",
+        f"#define STEP {controller.dt!r}",
+        f"#define TIME_UNIT {json.dumps(controller.plant.time_unit.replace('%', ''))} /* of STEP and all times */",
         *(f"#define {size} CODE({size})" for size in ("N_STATES", "M_INPUTS", "NX")),
         f"#define PARAMETERS {controller.plant.p.size}",
         f"#define GUARD_PASSES {PASSES!r}",

@@ -4,7 +4,7 @@
  *   c = NAME_mex('new')                                   a controller; any number of them
  *   [U, D_hat, P, fallback, error] = NAME_mex('step', c, X[, u])   a control step: U (m, 1), P (nx, n); u (nx, m)
  *   s = NAME_mex('state', c), NAME_mex('restore', c, s)    what a step remembers, as bytes
- *   NAME_mex('set_D_hat', c, seconds), NAME_mex('set_time', c, seconds)
+ *   NAME_mex('set_D_hat', c, D_hat), NAME_mex('set_time', c, t)
  *   NAME_mex('delete', c)
  */
 #include <math.h>
@@ -187,10 +187,10 @@ void mexFunction(int results, mxArray *result[], int arguments, const mxArray *a
         restore(controller, argument[2]);
         break;
     case SET_D_HAT:
-        refuse(CORE(set_D_hat)(controller, (REAL)*numbers(argument[2], 1, "expected seconds")));
+        refuse(CORE(set_D_hat)(controller, (REAL)*numbers(argument[2], 1, "expected a number")));
         break;
     case SET_TIME:
-        refuse(CORE(set_time)(controller, *numbers(argument[2], 1, "expected seconds")));
+        refuse(CORE(set_time)(controller, *numbers(argument[2], 1, "expected a number")));
         break;
     case DELETE:
         free(controller);

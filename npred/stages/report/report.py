@@ -88,7 +88,7 @@ def _delay(plant: Plant, config: Evaluate) -> str:
     if plant.declares_delay:
         return "a delay that the plant declares"
     estimate = "its estimate held" if config.adaptation == FROZEN else "unknown to the controller"
-    return f"delay D = {config.D:g} {plant.time_unit}".rstrip() + f", {estimate}"
+    return f"delay D = {plant.time_text(config.D)}, {estimate}"
 
 
 def _reality(plant: Plant, config: Evaluate) -> Iterator[str]:
