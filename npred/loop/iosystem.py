@@ -24,7 +24,7 @@ def as_iosystem(controller: Controller, name: str = "npred") -> Any:
     Inputs are the plant's states, and with actuator="measured" u at the nodes, `U[0]`, `U[1]`, … for an input U;
     outputs the plant's inputs, D_hat, and P(1) as `x_predicted` for a state x. The states are those of
     `controller.state()`: D_hat, phi, the commands within the longest delay, the observers of the delay. A state of
-    zeros, python-control's default, is the one that the controller has now.
+    zeros, python-control's default, is the one that the controller has now. The block has no gate: it believes each X.
     Raises ConfigError for what is no controller, MissingError without the extra `control`; a step DivergedError for a
     measurement that is not finite.
     """

@@ -141,7 +141,7 @@ def alike(run, controller, X, u=()):
     U = np.full(controller.plant.m, np.nan)
     code = run.code(X, *u, out=U)
     try:
-        np.testing.assert_allclose(U, controller.step(X, *u), rtol=1e-12)
+        np.testing.assert_allclose(U, controller.step(X, *u), rtol=1e-9, atol=1e-12)
         assert code == 0
     except DivergedError:
         assert code > 0 and np.isnan(U).all()
@@ -215,6 +215,48 @@ def test_a_state_with_one_bit_turned_is_refused(cases, tmp_path, precision):
         turned[bit // 8] ^= 1 << bit % 8
         assert run.restore(bytes(turned)) == 3
     assert bytes(run.state()) == saved and run.restore(saved) == 0
+
+
+WILD = """
+#include "npred.c"
+#include <stdio.h>
+int main(void)
+{
+    static npred_controller c;
+    const double sizes[] = {1, NAN, 1e300, -1e300, INFINITY, 1e20, -1e3, 1};
+    npred_init(&c);
+    for (int i = 0; i < 8; i++) {
+        double X[NPRED_N_STATES], U[NPRED_M_INPUTS];
+        for (int k = 0; k < NPRED_N_STATES; k++) {
+            X[k] = 0.1 * sizes[i];
+        }
+        MEASURED
+        printf("%d", npred_step(&c, X, PASSED U));
+    }
+    return 0;
+}
+"""
+MEASURED_WILD = """double u[NPRED_NX * NPRED_M_INPUTS];
+        for (int k = 0; k < NPRED_NX * NPRED_M_INPUTS; k++) {
+            u[k] = sizes[i];
+        }"""
+
+
+@pytest.mark.parametrize("name", ["deeponet", "fno", "deeponet, guard", "observer", "declared, guard", "two delays"])
+def test_wild_samples_are_no_undefined_behaviour(cases, tmp_path, name):
+    """An index from NaN, say: the sanitizer ends the program at the first."""
+    controller = cases[name][0]
+    library(controller, tmp_path)
+    measured = (MEASURED_WILD, "u,") if controller.actuator == "measured" else ("", "")
+    (tmp_path / "wild.c").write_text(WILD.replace("MEASURED", measured[0]).replace("PASSED", measured[1]))
+    flags = ["-fsanitize=undefined,float-cast-overflow", "-fno-sanitize-recover=all"]
+    command = ["gcc", *FLAGS, *flags, "wild.c", "-o", "wild", "-lm"]
+    built = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300)
+    if built.returncode and "ubsan" in built.stderr:
+        pytest.skip("this compiler has no sanitizer")
+    done = subprocess.run([tmp_path / "wild"], capture_output=True, text=True, timeout=60)
+    assert (built.stderr, done.stderr, done.returncode) == ("", "", 0)
+    assert done.stdout[0] == "0" and set(done.stdout) <= set("0124") and "1" in done.stdout
 
 
 def test_its_own_test_passes_and_fails_for_another(cases, tmp_path):
