@@ -45,7 +45,7 @@ Step = Callable[[np.ndarray], np.ndarray | None]  # X -> U, None where the step 
 
 def made(name: str, gate: float | None) -> Controller:
     """The controller of a plant, which reads its own commands and whose estimate of the delay is right."""
-    dt, D = PLANTS.get(name, OTHERS.get(name, ()))[:2]
+    dt, D = (PLANTS | OTHERS)[name][:2]
     plant = npred.plant(name)
     D_hat = None if plant.declares_delay else D
     return npred.controller(

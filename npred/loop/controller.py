@@ -186,8 +186,8 @@ class Controller:
             held, sums = z.held[:, :, 0].tolist(), z.total[:, :, 0].tolist()
             remembered = {"commands": {"k": self._k, "held": held, "sums": sums}}
         if self._gated:
-            known = bool(np.isfinite(z.X_hat).all())
-            remembered |= {"X_hat": z.X_hat[:, 0].tolist() if known else None, "missed": self.missed}
+            X_hat = z.X_hat[:, 0].tolist() if np.isfinite(z.X_hat).all() else None
+            remembered |= {"X_hat": X_hat, "missed": self.missed}
         if self._watches:
             remembered["observer"] = [None if math.isnan(value) else value for value in z.observer[:, 0].tolist()]
         return {

@@ -14,7 +14,7 @@ from npred.symbolic import source_lines
 
 EQUILIBRIUM, LAW = "equilibrium", "law"  # the inputs before t = 0 that have a name
 ROUNDING = 1e-9  # of an input: this close to a bound it is on it
-SPARE = 10.0  # times the largest |kappa| on the box, which the prediction leaves on its way
+SPARE = 10.0  # times the largest |kappa| on the box, which loops leave in their transients
 DRAWN, SPAN, MOMENTS = 1024, 100.0, 16  # states of the box, seconds of a law that depends on time, and times in them
 
 
