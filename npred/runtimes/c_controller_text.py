@@ -254,7 +254,7 @@ for (int i = 0; i < %%_NX * %%_M_INPUTS; i++) {
 }"""
 TOO_LONG = """\
 for (int i = 0; i < %%_M_INPUTS; i++) {
-    code = self->D_seen[i] > (REAL)<REACH> ? %%_DELAY_TOO_LONG : code;
+    code = code == %%_OK && self->D_seen[i] > (REAL)<REACH> ? %%_DELAY_TOO_LONG : code;
 }"""
 BEFORE = "memcpy(self->before, self->saved.observer, sizeof self->before);"
 AFTER = "memcpy(self->saved.observer, self->before, sizeof self->before);"
