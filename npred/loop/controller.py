@@ -292,7 +292,8 @@ class Controller:
         try:
             k, held, sums = operator.index(commands["k"]), np.array(commands["held"]), np.array(commands["sums"])
             fits = held.shape == sums.shape and held.shape[1:] == (self.plant.m,) and len(observer) == len(z.observer)
-            fits = fits and (X_hat is None or np.shape(X_hat) == (self.plant.n,)) and operator.index(missed) >= 0
+            X_hat = None if X_hat is None else np.array(X_hat, dtype=float)
+            fits = fits and (X_hat is None or X_hat.shape == (self.plant.n,)) and operator.index(missed) >= 0
         except (KeyError, TypeError, ValueError):
             fits = False
         if not fits:
@@ -311,8 +312,7 @@ class Controller:
         if self._recalls and seconds > self.reach + self.dt:
             raise ConfigError(
                 f"D_hat: expected at most {self.plant.time_text(self.reach)}, back to which the commands are kept, got "
-                f"{seconds:g}; make "
-                "another controller with that D_hat"
+                f"{seconds:g}; make another controller with that D_hat"
             )
         if not 0 <= step <= STEPS:
             came = "a negative one" if step < 0 else "a larger one"
@@ -341,7 +341,7 @@ class Controller:
         U = array_checks.floats("applied", applied)
         if not self.keeps_commands:
             raise ConfigError(
-                "applied: expected a controller that keeps its commands, got one that is given u; leave it"
+                "applied: expected a controller that keeps its commands, got one that is given u; omit it"
             )
         if U.shape != (self.plant.m,) or not np.isfinite(U).all():
             raise ConfigError(

@@ -482,6 +482,9 @@ def test_a_gated_controller_goes_on_where_it_stood():
         U = straight.step(wrong.get(k, X[k]))
         np.testing.assert_array_equal(resumed.step(wrong.get(k, X[k])), U)
         np.testing.assert_array_equal(copy.step(wrong.get(k, X[k])), U)
+    for wrong in ({"X_hat": [0.0]}, {"X_hat": ["a"] * 3}, {"missed": -1}, {"missed": 0.5}):
+        with pytest.raises(ConfigError, match="expected the commands of such a controller"):
+            resumed.restore(saved.state() | wrong)
     straight.t = 3.0
     assert straight.state()["X_hat"] is None  # as from a first step
 
