@@ -96,6 +96,7 @@ def in_fmu(controller: Controller, folder: Path) -> Iterator[Step]:
 
     path, dt = folder / "controller.fmu", controller.dt
     listed = fmu.write(controller, path).variables
+    described: Any
     described, unzipped = fmpy.read_model_description(str(path)), fmpy.extract(str(path))
     X_places = [k for k, variable in enumerate(listed) if variable.block == "X"]
     U_places = [k for k, variable in enumerate(listed) if variable.block == "U"]

@@ -267,7 +267,7 @@ WILD = """
 int main(void)
 {
     static npred_controller c;
-    const double sizes[] = {1, NAN, 1e300, -1e300, INFINITY, 1e20, -1e3, 1};
+    const double sizes[] = {1, NAN, 1e300, -1e300, INFINITY, 1.7e308, -1e3, 1};
     npred_init(&c);
     for (int i = 0; i < 8; i++) {
         double X[NPRED_N_STATES], U[NPRED_M_INPUTS];
@@ -282,7 +282,7 @@ int main(void)
 """
 MEASURED_WILD = """double u[NPRED_NX * NPRED_M_INPUTS];
         for (int k = 0; k < NPRED_NX * NPRED_M_INPUTS; k++) {
-            u[k] = sizes[i];
+            u[k] = k % 3 == 1 ? -sizes[i] : sizes[i];
         }"""
 
 

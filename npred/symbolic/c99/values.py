@@ -176,7 +176,7 @@ def text(number: Number, level: int = TERNARY, kind: str = "") -> str:
             written = literal(float(number.value), kind)
         return f"({written})" if written.startswith("-") and level > SUM else written
     if kind == "float" and number.kind in INTEGERS:  # which may round; a double holds every int
-        number = converted(number, kind)
+        return text(converted(number, kind), level)
     return f"({number.text})" if number.level < level else number.text
 
 
