@@ -252,6 +252,7 @@ class _Simulation:
             moves=self.truth.declares_delay,
             senses=not self.measurement.perfect,
             sensor=sensing.sensor(self.measurement, self.dt, first),
+            late=round(self.measurement.delay / self.dt) if self.measurement.observer is None else 0,
         )
 
     def _state(
@@ -263,7 +264,7 @@ class _Simulation:
         return engine.State(
             X=X, X_hat=X if self.measurement.perfect else X.copy(), D=D, D_seen=D.copy() if reads_commands else D,
             longest=np.zeros(lanes), speed=np.ones((m, lanes)), memory=np.full((self.law.memory, lanes), np.nan),
-            Y=np.empty((n, lanes)), past=np.empty((age + 1, n, lanes)), due=np.zeros(lanes),
+            Y=X if self.measurement.perfect else np.empty((n, lanes)), past=np.empty((age + 1, n, lanes)), due=np.zeros(lanes),
             sampled=np.zeros(lanes, dtype=np.int64), D_hat=np.array(D_hat), held=held, total=total,
             u=np.empty((nx, m, lanes)), u_nodes=np.empty((nx, m, lanes)), P=np.full((nx, n, lanes), np.nan),
             U=np.zeros((m, lanes)), phi=np.zeros(lanes), phi_before=np.full(lanes, np.nan), N=np.full(lanes, np.nan),

@@ -4,6 +4,8 @@ K candidates, n states, m inputs, B loops. Of each candidate the squared errors 
 `long` and `short` (K, n, B). The same for every kind of plant; compiled once per machine.
 """
 
+import math
+
 import numpy as np
 from numba import njit, types
 from numba.extending import register_jitable
@@ -18,38 +20,39 @@ PACE = 2.0  # times what the window tells over what the memory tells is the pace
 TIED = 1.0001  # costs this close to the smallest are as good
 
 # The settings, `law`; behind them the delays of the candidates in control steps (K, m), and in seconds (K,).
-NUMBERS = 9
-COUNT, INJECT, PUSH, LEAK, FADE, SHARE, PATIENCE, LOW, HIGH = range(NUMBERS)
+NUMBERS = 8
+COUNT, INJECT, PUSH, LEAK, FADE, PATIENCE, LOW, HIGH = range(NUMBERS)
 
 FLAGS = {"error_model": "numpy", "fastmath": set(FASTMATH)}
 inlined = njit(**FLAGS)
 LANE, ROWS, SUMS = (types.Array(types.float64, axes, "C") for axes in (1, 2, 3))
-# X (n, B), long, short (K, n, B), floor, level, scale (n, B), calls, pace (B,), law, thetas (K,) -> D_hat (B,)
-DECIDE = types.void(ROWS, SUMS, SUMS, ROWS, ROWS, ROWS, LANE, LANE, LANE, LANE, LANE)
+# X (n, B), long, short (K, n, B), floor, level, scale (n, B), calls, pace (B,), gains (4, B), law, thetas (K,)
+# -> D_hat (B,)
+DECIDE = types.void(ROWS, SUMS, SUMS, ROWS, ROWS, ROWS, LANE, LANE, ROWS, LANE, LANE, LANE)
 
 
 def size(count: int, n: int, m: int) -> int:
     """The numbers that are remembered per loop."""
-    return count * (3 * n + m) + 3 * n + 2
+    return count * (3 * n + m) + 3 * n + 3
 
 
 @register_jitable
 def parts(memory: np.ndarray, count: int, n: int, m: int) -> tuple[np.ndarray, ...]:
-    """Of a memory: x (K, n, B), d (K, m, B), long, short (K, n, B), floor, level, scale (n, B), calls, pace (B,)."""
+    """Of a memory: x (K, n, B), d (K, m, B), long, short (K, n, B), floor, level, scale (n, B), calls, pace, gap (B,)."""
     lanes, i = memory.shape[1], count * n
     j = i + count * m
     x, d = memory[:i].reshape((count, n, lanes)), memory[i:j].reshape((count, m, lanes))
     long = memory[j : j + i].reshape((count, n, lanes))
     short = memory[j + i : j + 2 * i].reshape((count, n, lanes))
     rest = memory[j + 2 * i :]
-    return x, d, long, short, rest[:n], rest[n : 2 * n], rest[2 * n : 3 * n], rest[3 * n], rest[3 * n + 1]
+    return x, d, long, short, rest[:n], rest[n : 2 * n], rest[2 * n : 3 * n], rest[3 * n], rest[3 * n + 1], rest[3 * n + 2]
 
 
 @register_jitable
 def begin(X: np.ndarray, memory: np.ndarray, count: int, n: int, m: int) -> None:
     """Start every observer at X (n, B), without errors."""
     memory[:] = 0.0
-    x, _, _, _, floor, _, scale, calls, pace = parts(memory, count, n, m)
+    x, _, _, _, floor, _, scale, calls, pace, _ = parts(memory, count, n, m)
     for c in range(n):
         for l in range(X.shape[1]):
             scale[c, l] = abs(X[c, l])
@@ -58,6 +61,33 @@ def begin(X: np.ndarray, memory: np.ndarray, count: int, n: int, m: int) -> None
     floor[:] = 1.0
     calls[:] = 1.0
     pace[:] = 1.0
+
+
+@register_jitable
+def gains(X: np.ndarray, dt: float, law: np.ndarray, calls: np.ndarray, gap: np.ndarray, gain: np.ndarray) -> None:
+    """Count a control step, and write the gains (4, B) of the samples X (n, B): inject, push, leak, fade.
+
+    Over the T seconds since the sample before, the errors of x and d get the poles e^{sT}, s² + L s + L ω = 0:
+        inject = 1 - e^{-LT},   push = (1 + e^{-LT} - 2 e^{-LT/2} cos(T √(L ω - L²/4))) / T,
+    of which L ω T is the limit for small T. A loop without a sample, NaN, forgets and corrects nothing.
+    """
+    calls += 1.0
+    gap += 1.0
+    for l in range(X.shape[1]):
+        for j in range(4):
+            gain[j, l] = law[INJECT + j]
+        if np.isnan(X[0, l]):
+            gain[0, l], gain[1, l], gain[2, l], gain[3, l] = 0.0, 0.0, 0.0, 1.0
+            continue
+        if gap[l] > 1.0:
+            stay, T = math.exp(gap[l] * math.log(1.0 - law[INJECT])), gap[l] * dt
+            square = law[PUSH] / dt - (math.log(1.0 - law[INJECT]) / dt) ** 2 / 4.0
+            root = math.sqrt(abs(square)) * T
+            swing = math.cos(root) if square > 0.0 else 0.5 * (math.exp(root) + math.exp(-root))
+            gain[0, l], gain[1, l] = 1.0 - stay, (1.0 + stay - 2.0 * math.sqrt(stay) * swing) / T
+            gain[2, l] = 1.0 - math.exp(gap[l] * math.log(1.0 - law[LEAK]))
+            gain[3, l] = math.exp(gap[l] * math.log(law[FADE]))
+        gap[l] = 0.0
 
 
 @inlined
@@ -127,22 +157,24 @@ def weigh(
 @jit(DECIDE, nogil=True, **FLAGS)
 def decide(
     X: np.ndarray, long: np.ndarray, short: np.ndarray, floor: np.ndarray, level: np.ndarray, scale: np.ndarray,
-    calls: np.ndarray, pace: np.ndarray, law: np.ndarray, thetas: np.ndarray, D_hat: np.ndarray,
+    calls: np.ndarray, pace: np.ndarray, gain: np.ndarray, law: np.ndarray, thetas: np.ndarray, D_hat: np.ndarray,
 ) -> None:  # fmt: skip
-    """Move the estimates D_hat (B,) to the best candidates, where the candidates differ.
+    """Move the estimates D_hat (B,) to the best candidates, where the candidates differ, of the loops with a sample.
 
     What the errors tell is the largest cost. Where the window tells far less than the memory, the pace of the memory is
     slow; and where it tells about as much, errors far above the level and above the best candidate's start it anew.
     """
     spacing, cost = thetas[1] - thetas[0], np.empty(len(thetas))
     for l in range(len(D_hat)):
-        first = calls[l] <= law[PATIENCE]
-        weigh(X, long, short, floor, level, scale, first, law[LEAK], l)
+        if np.isnan(X[0, l]):
+            continue
+        first, leak, fade = calls[l] <= law[PATIENCE], gain[2, l], gain[3, l]
+        weigh(X, long, short, floor, level, scale, first, leak, l)
         k = min(max(round((D_hat[l] - thetas[0]) / spacing), 0), len(thetas) - 1)
         best, window = compare(short, level, l, cost)
         risen = nearest(cost, k) > RISES * max(cost[best], float(len(X)))
         _, memory = compare(long, level, l, cost)
-        ratio = law[SHARE] * window / memory
+        ratio = (1.0 - fade) / leak * window / memory
         pace[l] = PACE * ratio if PACE * ratio < 1.0 else 1.0  # and where neither tells anything
         if risen and DIFFER * ratio > 1.0 and not first:
             for j in range(short.shape[0]):

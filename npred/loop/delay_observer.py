@@ -27,12 +27,13 @@ from npred.delays import family, family_of
 from npred.delays.family import Kernel
 from npred.errors import ConfigError
 from npred.loop import delay_candidates
-from npred.loop.delay_candidates import COUNT, FADE, INJECT, LEAK, NUMBERS, PUSH, begin, decide, parts
+from npred.loop.delay_candidates import COUNT, NUMBERS, begin, decide, gains, parts
 from npred.loop.delay_law import DelayLaw
 from npred.plants.base import Plant
 from npred.plants.black_box import difference
 from npred.predictors.heun import Heun
 from npred.symbolic import kernels, programs
+from npred.symbolic.tape import M
 from npred.symbolic.trace import Trace
 
 # The decision of all plants, which each plant's kernel calls: with its text changes the kernel's.
@@ -41,18 +42,19 @@ OBSERVE = """\
     n, lanes = X.shape
     rows, m, count = held.shape[0], held.shape[1], int(law[COUNT])
     {parameters}
-    if np.isnan(memory[0, 0]):
+    if np.isnan(memory[memory.shape[0] - 1, 0]):
         begin(X, memory, count, n, m)
         return
-    x, d, long, short, floor, level, scale, calls, pace = parts(memory, count, n, m)
+    x, d, long, short, floor, level, scale, calls, pace, gap = parts(memory, count, n, m)
     newest = (k - 1) % rows  # of the commands; rows before the first are counted from the last, as NumPy does
-    inject, push, leak, fade, h = law[INJECT], law[PUSH], law[LEAK], law[FADE], dt
-    calls += 1.0
+    gain = np.empty((4, lanes))
+    gains(X, dt, law, calls, gap, gain)
+    h = dt
     t = t - h
     for i in range(count):
         for l in range(lanes):
             {candidate}
-    decide(X, long, short, floor, level, scale, calls, pace, law, law[NUMBERS + count * m :], D_hat)
+    decide(X, long, short, floor, level, scale, calls, pace, gain, law, law[NUMBERS + count * m :], D_hat)
 """
 
 
@@ -101,7 +103,7 @@ class DelayObserver(DelayLaw):
         leak, fade = 1 - math.exp(-dt / self.memory), math.exp(-dt / self.window)
         shifts = np.rint(thetas[:, None] * plant.ratios / dt).ravel()
         follow = 1 - math.exp(-self.L * dt), self.L * self.omega * dt
-        settings = [count, *follow, leak, fade, (1 - fade) / leak, 2 * self.window / dt, *self.bounds]
+        settings = [count, *follow, leak, fade, 2 * self.window / dt, *self.bounds]
         kernel = _traced(plant) if plant.traced else _called(plant)
         return kernel, np.array([*settings, *shifts, *thetas], dtype=float), delay_candidates.size(count, n, m)
 
@@ -111,13 +113,14 @@ def _traced(plant: Plant) -> Kernel:
     n, m, trace = plant.n, plant.m, Trace(plant)
     x, u, t, h = trace.vector("x", n), trace.vector("v", m), trace.input("t"), trace.input("h")
     y = Heun.step(trace.f, x, u, u, u, t, h)
-    e = [trace.input(f"X{c}") - y[c] for c in range(n)]
+    e = [M.where(trace.input("s") > 0, trace.input(f"X{c}") - y[c], 0.0) for c in range(n)]  # no sample, no error
     weights = [1.0 / trace.input(f"w{c}") for c in range(n)]
     along = trace.f(x, u, t)
     G = [programs.derivative(along, list(u), list(unit)) for unit in np.eye(m)]
     power = sum(g * w * g for column in G for g, w in zip(column, weights, strict=True)) + 1e-300
     moves = [sum(g * w * r for g, w, r in zip(column, weights, e, strict=True)) / power for column in G]
     names = {f"x{c}": f"x[i, {c}, l]" for c in range(n)} | {f"X{c}": f"X[{c}, l]" for c in range(n)}
+    names["s"] = "gain[0, l]"
     names |= {f"w{c}": f"floor[{c}, l]" for c in range(n)}
     for c in range(m):
         late = f"newest - int(law[NUMBERS + i * {m} + {c}])"
@@ -125,9 +128,10 @@ def _traced(plant: Plant) -> Kernel:
     targets = [f"{name}{c}" for name, size in (("y", n), ("e", n), ("g", m)) for c in range(size)]
     lines = programs.lines([*y, *e, *moves], names, targets)
     for c in range(n):
-        lines += [f"long[i, {c}, l] += pace[l] * (e{c} * e{c} - leak * long[i, {c}, l])"]
-        lines += [f"short[i, {c}, l] = fade * short[i, {c}, l] + e{c} * e{c}", f"x[i, {c}, l] = y{c} + inject * e{c}"]
-    lines += [f"d[i, {c}, l] += push * g{c}" for c in range(m)]
+        lines += [f"long[i, {c}, l] += pace[l] * (e{c} * e{c} - gain[2, l] * long[i, {c}, l])"]
+        lines += [f"short[i, {c}, l] = gain[3, l] * short[i, {c}, l] + e{c} * e{c}"]
+        lines += [f"x[i, {c}, l] = y{c} + gain[0, l] * e{c}"]
+    lines += [f"d[i, {c}, l] += gain[1, l] * g{c}" for c in range(m)]
     source = kernels.fill(OBSERVE, parameters=kernels.parameters(len(plant.p)), candidate=lines)
     return family.build("observe", family.OBSERVE, source, DECISION)
 
@@ -142,22 +146,22 @@ def _called(plant: Plant) -> Kernel:
         memory: np.ndarray, D_hat: np.ndarray,
     ) -> None:  # fmt: skip
         count = int(law[COUNT])
-        if np.isnan(memory[0, 0]):
+        if np.isnan(memory[-1, 0]):
             return begin(X, memory, count, n, m)
-        x, d, long, short, floor, level, scale, calls, pace = parts(memory, count, n, m)
-        calls += 1.0
+        x, d, long, short, floor, level, scale, calls, pace, gap = parts(memory, count, n, m)
+        gains(X, dt, law, calls, gap, gain := np.empty((4, X.shape[1])))
         shifts = law[NUMBERS : NUMBERS + count * m].astype(int).reshape(count, m)
         states, inputs = np.moveaxis(x, 1, -1), np.moveaxis(held[(k - 1 - shifts) % len(held), np.arange(m)] + d, 1, -1)
         y = Heun.step(plant.f, states, inputs, inputs, inputs, t - dt, dt)
-        e, w = X.T - y, 1.0 / floor.T
+        e, w = np.where(np.isnan(X.T), 0.0, X.T - y), 1.0 / floor.T
         G = [difference(lambda v: plant.f(states, v, t - dt), inputs, np.broadcast_to(v, inputs.shape)) for v in units]
         power = sum((w * g * g).sum(axis=-1) for g in G) + 1e-300
         for c, g in enumerate(G):
-            d[:, c] += law[PUSH] * (w * g * e).sum(axis=-1) / power
+            d[:, c] += gain[1] * (w * g * e).sum(axis=-1) / power
         squares = np.moveaxis(e * e, -1, 1)
         long += pace * (squares - law[LEAK] * long)
         short[:] = law[FADE] * short + squares
         x[:] = np.moveaxis(y + law[INJECT] * e, -1, 1)
-        return decide(X, long, short, floor, level, scale, calls, pace, law, law[NUMBERS + count * m :], D_hat)
+        return decide(X, long, short, floor, level, scale, calls, pace, gain, law, law[NUMBERS + count * m :], D_hat)
 
     return observe

@@ -41,6 +41,7 @@ class Settings(NamedTuple):
     moves: bool  # whether the plant declares its delay
     senses: bool  # whether the controller sees anything but X
     sensor: Sensor
+    late: int  # control steps that the samples in Y are old
 
 
 class State(NamedTuple):
@@ -53,7 +54,7 @@ class State(NamedTuple):
     longest: np.ndarray  # (B,), the plant's longest delay
     speed: np.ndarray  # (m, B), of phi(t) = t - D
     memory: np.ndarray  # (., B), what an observer of the delay remembers
-    Y: np.ndarray  # (n, B), the samples that arrive now
+    Y: np.ndarray  # (n, B), the samples that arrive now, NaN where none does: X itself by default
     past: np.ndarray  # (R, n, B), the last states
     due: np.ndarray  # (B,), when the next sample is taken, in control steps
     sampled: np.ndarray  # (B,), samples taken so far
@@ -99,7 +100,7 @@ I1, I2 = (types.Array(types.int64, d, "C") for d in (1, 2))
 B2 = types.Array(types.boolean, 2, "C")
 SETTINGS = types.NamedTuple(
     [types.float64, types.int64, types.float64, types.float64, A1, A2, A1, A1, I2, A1, A1, A1, A1, A3, A2,
-     types.boolean, types.boolean, SENSOR], Settings
+     types.boolean, types.boolean, SENSOR, types.int64], Settings
 )  # fmt: skip
 STATE = types.NamedTuple(
     [A2, A2, A2, A2, A1, A2, A2, A2, A3, A1, I1, A1, A3, A3, A3, A3, A3, A2, A1, A1, A1, A2, A2, A2, I1, A1, A1],
@@ -125,7 +126,9 @@ def steps(
         if s.senses:
             sample(k, s.sensor, z.X, z.past, z.due, z.sampled, z.Y)
             estimate(k, origin, s.dt, s.sensor.age, z.D_seen, z.held, z.Y, z.X_hat, model, s.p)
-        observe(origin + k, s.dt, z.X_hat, z.held, t, s.p, s.law, z.memory, z.D_hat)
+        taken = max(k - s.late, 0)
+        if k == 0 or taken > 0:  # the first sample is there at once
+            observe(origin + taken, s.dt, z.Y, z.held, taken * s.dt, s.p, s.law, z.memory, z.D_hat)
         believe(z.X_hat, t, s.p, s.ratios, z.D_hat, z.D_seen)
         transport(origin + k, s.dt, z.D_seen, z.held, z.total, z.u, z.u_nodes)
         predict(z.X_hat, z.u, z.D_hat, t, s.p, z.P)

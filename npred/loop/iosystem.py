@@ -85,7 +85,7 @@ class Block:
             commands = state["commands"]
             parts += [[commands["k"]], np.ravel(commands["held"]), np.ravel(commands["sums"])]
         if self._observer:
-            runs = state["observer"][0] is not None
+            runs = state["observer"][-1] is not None
             parts += [[runs], [0.0 if value is None else value for value in state["observer"]]]
         return np.concatenate([np.asarray(part, dtype=float) for part in parts])
 

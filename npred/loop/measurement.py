@@ -206,5 +206,6 @@ def observed(observer: Observer) -> Callable[..., None]:
                 f"observer: expected to return {X_hat.T.shape}, a row per loop, got {values.shape}; return that"
             )
         X_hat[:] = values.T
+        Y[:] = X_hat  # an observer of the delay takes the state for a sample, since a sample may lack states
 
     return step
