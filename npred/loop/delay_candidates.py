@@ -17,6 +17,7 @@ ROUNDING = 1e-12  # of a state's largest value: errors below it say nothing
 DIFFER = 4.0  # the worst candidate's cost over the best one's from which on the estimate moves
 RISES = 4.0  # the errors over their level, and over those of the best candidate, from which on the delay has changed
 PACE = 2.0  # times what the window tells over what the memory tells is the pace of the memory, 1 at most
+FEW = 20.0  # samples within the window: with fewer, it and the memory are longer
 TIED = 1.0001  # costs this close to the smallest are as good
 
 # The settings, `law`; behind them the delays of the candidates in control steps (K, m), and in seconds (K,).
@@ -71,7 +72,6 @@ def gains(X: np.ndarray, dt: float, law: np.ndarray, calls: np.ndarray, gap: np.
         inject = 1 - e^{-LT},   push = (1 + e^{-LT} - 2 e^{-LT/2} cos(T √(L ω - L²/4))) / T,
     of which L ω T is the limit for small T. A loop without a sample, NaN, forgets and corrects nothing.
     """
-    calls += 1.0
     gap += 1.0
     for l in range(X.shape[1]):
         for j in range(4):
@@ -85,8 +85,11 @@ def gains(X: np.ndarray, dt: float, law: np.ndarray, calls: np.ndarray, gap: np.
             root = math.sqrt(abs(square)) * T
             swing = math.cos(root) if square > 0.0 else 0.5 * (math.exp(root) + math.exp(-root))
             gain[0, l], gain[1, l] = 1.0 - stay, (1.0 + stay - 2.0 * math.sqrt(stay) * swing) / T
-            gain[2, l] = 1.0 - math.exp(gap[l] * math.log(1.0 - law[LEAK]))
-            gain[3, l] = math.exp(gap[l] * math.log(law[FADE]))
+        told = min(gap[l], max(law[PATIENCE] / (2.0 * FEW), 1.0))
+        if told > 1.0:
+            gain[2, l] = 1.0 - math.exp(told * math.log(1.0 - law[LEAK]))
+            gain[3, l] = math.exp(told * math.log(law[FADE]))
+        calls[l] += told
         gap[l] = 0.0
 
 
