@@ -1,6 +1,6 @@
 """Delay laws where nobody measures the actuator: how many loops they keep, and how well they know the delay.
 
-    python benchmarks/unmeasured.py [loops] [map] [plants] [reality] [sampled] [cost]
+    python benchmarks/unmeasured.py [loops] [map] [plants] [reality] [sampled] [held_out] [moving] [steps] [cost]
 
 One thread; all tables, the default, take some minutes. A loop is kept that ends within 1 % of the size of its target
 (over the last tenth), and in a real loop, where noise and disturbances remain, within a fifth of it. A jump of D is
@@ -8,7 +8,9 @@ found once all estimates stay within 0.05 s.
 """
 
 import argparse
+import itertools
 import time
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -41,6 +43,7 @@ SCAN = {
     "chemostat": ((1.0, 1.9), (1.0, 2.0), (0.8, 2.2), 1.0),
     "cart_pole": ((0.1, 0.3), (0.05, 0.4), (0.04, 0.5), 1.0),
 }
+STEPS = [0.02, 0.01, 0.005, 0.0025]  # s
 HILL = {name: value for name, value in PLANT.parameters.items() if name.startswith("K")}
 NOISE_1 = {"measurement": npred.Measurement(noise=0.01)}
 NOISE_3 = {"measurement": npred.Measurement(noise=0.03)}
@@ -206,14 +209,14 @@ def _seconds(t: np.ndarray, errors: np.ndarray) -> str:
 
 def sampled_table(first: int = 0) -> str:
     """The observers under samples, of the loops that (12) keeps with u measured under the same; seeds from `first`."""
-    rows = []
-    for index, (name, (D, D_hat, bounds, gamma)) in enumerate(SCAN.items()):
+    rows, seeds = [], itertools.count(first)
+    for name, (D, D_hat, bounds, gamma) in SCAN.items():
         plant, few = npred.plant(name), ["(12), u measured", "observers, own commands"]
         low, high = np.array(list(plant.box.values())).T
         for noise in NOISES:
             cells = []
             for period in PERIODS:
-                seed = first + len(PERIODS) * len(NOISES) * index + len(PERIODS) * NOISES.index(noise) + PERIODS.index(period)
+                seed = next(seeds)
                 rng = np.random.default_rng(seed)
                 start = {
                     "D": rng.uniform(*D, SCANNED), "D_hat": rng.uniform(*D_hat, SCANNED),
@@ -225,6 +228,38 @@ def sampled_table(first: int = 0) -> str:
                 cells.append(f"{(measured & observed).sum()} of {measured.sum()}")
             rows.append([name, f"{noise:.1%}", *cells])
     return columns(["kept of those that (12) keeps", "noise", *(f"{period:g} s" for period in PERIODS)], rows)
+
+
+def moving_table() -> str:
+    """(12) with u measured and the observers without, where the delay moves fast: the distance from rest."""
+    chemostat, rows = npred.plant("chemostat"), []
+    cases = [
+        ("chemostat, D = 1.9 (1 + .2 sin(2 pi t / 10))", chemostat, lambda t: 1.9 * (1 + 0.2 * np.sin(0.2 * np.pi * t)),
+         [1.2, 1.5, 1.9], {"X0": [2.0, 2.0], "gamma": 1.0, "bounds": (0.8, 2.6), "t_end": 120.0}),
+        ("paper's plant, D = 2 - .03 t", PLANT, lambda t: 2 - 0.03 * t, [1.0, 1.5, 2.0], {"X0": [0.03, 30.0]}),
+    ]  # fmt: skip
+    for label, plant, D, starts, settings in cases:
+        for law in ("(12), u measured", "observers, own commands"):
+            run = simulated(plant, law, D=D, D_hat=starts, dt=0.01, **settings)
+            distance = np.linalg.norm(run.X - plant.equilibrium, axis=-1)
+            parts = (distance[:, run.t >= 10], distance[:, run.t >= run.t[-1] - 10])
+            rows.append([label, law, *(" ".join(f"{value:.1e}" for value in part.max(axis=1)) for part in parts)])
+    return columns(["three D_hat(0)", "law", "farthest from 10 s on", "over the last 10 s"], rows)
+
+
+def steps_table() -> str:
+    """D_hat after 25 s of the law L1 at smaller and smaller control steps, D = 1 s."""
+    rows = []
+    for epsilon in (0.0, 0.05, 0.5):
+        for D_hat in (1.2, 1.5):
+            ends = [
+                npred.simulate(
+                    PLANT, npred.predictor("rk4", PLANT, 51), D=1.0, D_hat=D_hat, X0=[0.03, 30.0], t_end=25.0, dt=dt,
+                    adaptation=npred.L1Adaptation(1.0, 1.0, BOUNDS, epsilon), actuator="history",
+                ).D_hat[-1] for dt in STEPS
+            ]  # fmt: skip
+            rows.append([f"{epsilon:g}", f"{D_hat:g}", *(f"{end:.3f}" for end in ends)])
+    return columns(["epsilon", "D_hat(0)", *(f"dt = {dt:g}" for dt in STEPS)], rows)
 
 
 def cost_table() -> str:
@@ -253,7 +288,17 @@ def reality_tables() -> str:
     ])  # fmt: skip
 
 
-TABLES = {"loops": loops_table, "map": map_table, "plants": plants_table, "reality": reality_tables, "sampled": sampled_table, "cost": cost_table}
+TABLES = {
+    "loops": loops_table,
+    "map": map_table,
+    "plants": plants_table,
+    "reality": reality_tables,
+    "sampled": sampled_table,
+    "held_out": partial(sampled_table, 10000),
+    "moving": moving_table,
+    "steps": steps_table,
+    "cost": cost_table,
+}
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])

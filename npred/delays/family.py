@@ -26,7 +26,8 @@ HORIZON = "X, t, p, ratios, D_hat, D"  # the delay of each input, and the longes
 SPEED = "X, U, t, p, speed"  # of phi(t) = t - D with U acting, 1 - D_X f - D_t
 CORRECT = "P_hat, X, u, D_hat, t, p, P"  # P_hat less its error, as far as its defect says
 GUARD = "X, u, D_hat, t, p, guard, P, error, fallback"  # P in place; guard: what npred.predictors.guarded is set to
-OBSERVE = "k, dt, X, held, t, p, law, memory, D_hat"  # of laws that estimate D_hat themselves; D_hat is written
+# Of laws that estimate D_hat themselves, and write it: X are the samples of step k and time t, NaN where there is none.
+OBSERVE = "k, dt, X, held, t, p, law, memory, D_hat"
 BOUNDED = {  # what does not serve a plant whose states stop at bounds, and what to use instead
     "picard": "use rk4",
     "semi_implicit": "use rosenbrock",

@@ -70,7 +70,7 @@ def simulate(
     """
     loop_checks.parts(plant, predictor, adaptation, every)
     loop_checks.reality(plant, adaptation, D, D_hat, actuator, measurement, truth, disturbance)
-    loop_checks.times(t_end, dt)
+    loop_checks.times(t_end, dt, measurement)
     loop_checks.record(plant, 1, t_end, dt, every)
     X0 = array_checks.floats("X0", X0)
     if plant.declares_delay:
@@ -104,7 +104,8 @@ def simulate(
             loop.run(X0[c], D[c], D_hat[c], past.of(c), sample_steps[c], delays[:, c], c.start, count) for c in chunks
         ]
     joined = engine.Record(*(np.concatenate(parts, axis=-1) for parts in zip(*records, strict=True)))
-    return of_record(joined, shape, dt * every, round(t_end / dt) + 1, plant, truth or plant, predictor)
+    ends = adaptation.ends(dt) if adaptation and predictor else None
+    return of_record(joined, shape, dt * every, round(t_end / dt) + 1, plant, truth or plant, predictor, ends)
 
 
 def _declared(plant: Plant, X0: np.ndarray) -> np.ndarray:
@@ -264,8 +265,8 @@ class _Simulation:
         return engine.State(
             X=X, X_hat=X if self.measurement.perfect else X.copy(), D=D, D_seen=D.copy() if reads_commands else D,
             longest=np.zeros(lanes), speed=np.ones((m, lanes)), memory=np.full((self.law.memory, lanes), np.nan),
-            Y=X if self.measurement.perfect else np.empty((n, lanes)), past=np.empty((age + 1, n, lanes)), due=np.zeros(lanes),
-            sampled=np.zeros(lanes, dtype=np.int64), D_hat=np.array(D_hat), held=held, total=total,
+            Y=X if self.measurement.perfect else np.empty((n, lanes)), past=np.empty((age + 1, n, lanes)),
+            due=np.zeros(lanes), sampled=np.zeros(lanes, dtype=np.int64), D_hat=np.array(D_hat), held=held, total=total,
             u=np.empty((nx, m, lanes)), u_nodes=np.empty((nx, m, lanes)), P=np.full((nx, n, lanes), np.nan),
             U=np.zeros((m, lanes)), phi=np.zeros(lanes), phi_before=np.full(lanes, np.nan), N=np.full(lanes, np.nan),
             U0=np.empty((m, lanes)), U1=np.empty((m, lanes)), share=np.empty((m, lanes)),

@@ -17,7 +17,7 @@ ROUNDING = 1e-12  # of a state's largest value: errors below it say nothing
 DIFFER = 4.0  # the worst candidate's cost over the best one's from which on the estimate moves
 RISES = 4.0  # the errors over their level, and over those of the best candidate, from which on the delay has changed
 PACE = 2.0  # times what the window tells over what the memory tells is the pace of the memory, 1 at most
-FEW = 20.0  # samples within the window: with fewer, it and the memory are longer
+FEW = 20.0  # samples that the window has at least: where they come more rarely, it and the memory are longer
 TIED = 1.0001  # costs this close to the smallest are as good
 
 # The settings, `law`; behind them the delays of the candidates in control steps (K, m), and in seconds (K,).
@@ -39,14 +39,18 @@ def size(count: int, n: int, m: int) -> int:
 
 @register_jitable
 def parts(memory: np.ndarray, count: int, n: int, m: int) -> tuple[np.ndarray, ...]:
-    """Of a memory: x (K, n, B), d (K, m, B), long, short (K, n, B), floor, level, scale (n, B), calls, pace, gap (B,)."""
+    """Of a memory: x (K, n, B), d (K, m, B), long, short (K, n, B), floor, level, scale (n, B), calls, pace, gap (B,)
+
+    of which `gap` is the control steps since the last sample, and `calls` those that samples told of.
+    """
     lanes, i = memory.shape[1], count * n
     j = i + count * m
     x, d = memory[:i].reshape((count, n, lanes)), memory[i:j].reshape((count, m, lanes))
     long = memory[j : j + i].reshape((count, n, lanes))
     short = memory[j + i : j + 2 * i].reshape((count, n, lanes))
     rest = memory[j + 2 * i :]
-    return x, d, long, short, rest[:n], rest[n : 2 * n], rest[2 * n : 3 * n], rest[3 * n], rest[3 * n + 1], rest[3 * n + 2]
+    floor, level, scale = rest[:n], rest[n : 2 * n], rest[2 * n : 3 * n]
+    return x, d, long, short, floor, level, scale, rest[3 * n], rest[3 * n + 1], rest[3 * n + 2]
 
 
 @register_jitable
@@ -70,7 +74,8 @@ def gains(X: np.ndarray, dt: float, law: np.ndarray, calls: np.ndarray, gap: np.
 
     Over the T seconds since the sample before, the errors of x and d get the poles e^{sT}, s² + L s + L ω = 0:
         inject = 1 - e^{-LT},   push = (1 + e^{-LT} - 2 e^{-LT/2} cos(T √(L ω - L²/4))) / T,
-    of which L ω T is the limit for small T. A loop without a sample, NaN, forgets and corrects nothing.
+    of which L ω is the limit of push / T for small T. What is forgotten is that of T seconds, but at most of a share
+    1 / FEW of the window. A loop without a sample, NaN, forgets and corrects nothing.
     """
     gap += 1.0
     for l in range(X.shape[1]):

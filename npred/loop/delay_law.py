@@ -69,9 +69,14 @@ class DelayLaw(ABC):
         """A law that finds D_hat from X and its own commands: npred.delays.family.OBSERVE compiled for the plant.
 
         With it come the numbers that it is set to, and how many it remembers per loop, NaN at first. It writes D_hat
-        before the prediction of the step. None for a law that gives a rate.
+        before the prediction of the step. None for a law that gives a rate. Where samples of X arrive, it gets them
+        at the step k at which they were taken, NaN in the loops without one.
         """
         return None
+
+    def ends(self, dt: float) -> tuple[float, float]:
+        """The estimates, in seconds, from which on outwards D_hat is at its bound."""
+        return self.bounds
 
 
 def resolve(loop: config.Loop) -> DelayLaw | None:

@@ -12,6 +12,11 @@ so that little movements, of a disturbance at rest say, replace the errors of a 
 the size of W, errors in the window far above their level, and far above those of another candidate, mean that the delay
 has changed: the memory starts again from the window. All that is in npred.loop.delay_candidates.
 
+Errors, and all that follows from them, come from samples of the state only: a state that is predicted between two
+samples, with commands that are read at D_hat, would confirm that D_hat. Between samples the observers go on by the
+commands, and the gains are those of the time since the last one. A sample that arrives late is that of the step
+at which it was taken, and the observers run that much behind.
+
 Nothing is proven about this law; the nearest theory is that of multiple-model estimation with hysteresis switching
 [Morse, Mayne, Goodwin, IEEE TAC 37 (1992) 1343]. docs/delay_laws.md says what was measured.
 """
@@ -97,6 +102,12 @@ class DelayObserver(DelayLaw):
         stride = max(1, math.ceil((high - low) / (self.candidates - 1)))
         return np.arange(low, max(high, low + 2 * stride) + 1, stride) * dt
 
+    def ends(self, dt: float) -> tuple[float, float]:
+        """Half a candidate inside the bounds: it goes no nearer from inside."""
+        thetas = self.thetas(dt)
+        half = (thetas[1] - thetas[0]) / 2
+        return self.bounds[0] + half, self.bounds[1] - half
+
     def observer(self, plant: Plant, dt: float) -> tuple[Kernel, np.ndarray, int]:
         thetas = self.thetas(dt)
         count, n, m = len(thetas), plant.n, plant.m
@@ -159,9 +170,9 @@ def _called(plant: Plant) -> Kernel:
         for c, g in enumerate(G):
             d[:, c] += gain[1] * (w * g * e).sum(axis=-1) / power
         squares = np.moveaxis(e * e, -1, 1)
-        long += pace * (squares - law[LEAK] * long)
-        short[:] = law[FADE] * short + squares
-        x[:] = np.moveaxis(y + law[INJECT] * e, -1, 1)
+        long += pace * (squares - gain[2] * long)
+        short[:] = gain[3] * short + squares
+        x[:] = np.moveaxis(y + gain[0][:, None] * e, -1, 1)
         return decide(X, long, short, floor, level, scale, calls, pace, gain, law, law[NUMBERS + count * m :], D_hat)
 
     return observe

@@ -8,6 +8,7 @@ import numpy as np
 from npred import array_checks
 from npred.delays import family_of
 from npred.errors import ConfigError
+from npred.loop.actuator import ROUNDING
 from npred.loop.delay_law import DelayLaw
 from npred.loop.measurement import Measurement
 from npred.plants.base import Plant
@@ -82,10 +83,14 @@ def push(value: Any, m: int) -> np.ndarray:
     return np.broadcast_to(array, (m,))
 
 
-def times(t_end: Any, dt: Any) -> None:
-    """Raise ConfigError for what is no length of a loop, or no control step of it."""
+def times(t_end: Any, dt: Any, measurement: Measurement | None = None) -> None:
+    """Raise ConfigError for what is no length of a loop or no control step of it, or for samples between two steps."""
     if not 0 < array_checks.number("dt", dt) <= array_checks.number("t_end", t_end) < np.inf:
         raise ConfigError(f"dt, t_end: expected 0 < dt <= t_end, got dt = {dt}, t_end = {t_end}")
+    period = None if measurement is None else measurement.period
+    if period is not None and period < dt * (1 - ROUNDING):
+        cure = "raise it, or leave it out for a sample each step"
+        raise ConfigError(f"measurement: expected a period of at least dt = {dt:g}, got {period:g}; {cure}")
 
 
 def numbers(plant: Plant, X0: Any, D: np.ndarray, D_hat: np.ndarray, law: DelayLaw | None) -> None:

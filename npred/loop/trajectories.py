@@ -48,7 +48,8 @@ class Trajectories:
     state there, in the plant or at a node of a prediction, which crosses 0 early: where the exact loop has up to .2.
     With a guarded predictor `fallback` (..., nt) says where the numerical predictor answered, since the time before,
     and `fallbacks` (...) in how many of the `steps` control steps. `states`, `inputs`, `time_unit`, `labels` and
-    `units` are the plant's. print(loop) gives the ranges and ends of all series.
+    `units` are the plant's. At or beyond `ends` D_hat is at a bound of its law; None if frozen.
+    print(loop) gives the ranges and ends of all series.
     """
 
     t: np.ndarray
@@ -71,6 +72,7 @@ class Trajectories:
     time_unit: str = "s"
     labels: Mapping[str, str] | None = None
     units: Mapping[str, str] | None = None
+    ends: tuple[float, float] | None = None
 
     @property
     def fallback_share(self) -> float:
@@ -114,7 +116,7 @@ class Trajectories:
 
 def of_record(
     r: engine.Record, shape: tuple[int, ...], step: float, steps: int, plant: Plant, truth: Plant,
-    predictor: Predictor | None,
+    predictor: Predictor | None, ends: tuple[float, float] | None,
 ) -> Trajectories:  # fmt: skip
     """The loops of a batch of that shape, of so many control steps; `step` seconds lie between two kept states."""
 
@@ -128,7 +130,7 @@ def of_record(
     return Trajectories(
         t=times, samples=samples, states=plant.states, inputs=plant.inputs, time_unit=plant.time_unit,
         labels=plant.labels, units=plant.units, margin=lead(margins(r, plant, truth, predictor)),
-        breach=lead(r.breach[: plant.n]), steps=steps, **series,
+        breach=lead(r.breach[: plant.n]), steps=steps, ends=ends, **series,
     )  # fmt: skip
 
 

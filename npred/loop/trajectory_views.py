@@ -27,6 +27,8 @@ class Loops(Protocol):
     @property
     def infeasible(self) -> np.ndarray: ...  # (...)
     @property
+    def ends(self) -> tuple[float, float] | None: ...
+    @property
     def margin(self) -> np.ndarray: ...  # (...)
     @property
     def breach(self) -> np.ndarray: ...  # (..., n)
@@ -58,7 +60,18 @@ def summary(loops: Loops) -> str:
         lines.append(f"  {what} the finite numbers, first at control step {lost.min()}")
     if overtaking := infeasible(loops):
         lines.append("  commands would overtake each other, {}\n  {}".format(*overtaking))
+    if words := at_bound(loops):
+        lines.append(f"  {words}")
     return "\n".join(lines)
+
+
+def at_bound(loops: Loops) -> str:
+    """The number of loops whose D_hat ended at a bound of its law, in words; empty where none did."""
+    low, high = loops.ends or (-np.inf, np.inf)
+    last = loops.D_hat[..., -1]
+    count = int(((last <= low) | (last >= high)).sum()) if low < high else 0
+    which = f"in {count} of {last.size} loops " if last.ndim else ""
+    return f"D_hat ended at its bound {which}and the delay may lie outside; widen bounds" if count else ""
 
 
 def infeasible(loops: Loops) -> tuple[str, str] | None:

@@ -113,6 +113,8 @@ def test_a_measurement_or_an_observer_that_is_wrong_is_refused():
     ):
         with pytest.raises(ConfigError, match=words):
             Measurement(**settings)
+    with pytest.raises(ConfigError, match=r"measurement: expected a period of at least dt = 0.01, got 0.005; raise it"):
+        loop(Measurement(period=0.005))
     with pytest.raises(ConfigError, match=r"observer: expected to return \(1, 2\), a row per loop, got \(2,\)"):
         loop(Measurement(observer=lambda X_hat, Y, U, t: X_hat[0]), X0=[START["X0"]])
     with pytest.raises(ConfigError, match=r"measurement: expected an npred.Measurement, got 0.01"):

@@ -3,6 +3,7 @@
 import pickle
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -52,6 +53,20 @@ def test_prints_ranges_and_ends(one):
         "  D_hat  1, ends at 1 s",
     ]
     assert repr(one) == str(one)
+
+
+def test_says_that_an_estimate_ended_at_its_bound():
+    plant = npred.plant("scalar")
+    for law in (npred.DelayObserver(bounds=(0.1, 0.8)), npred.DelayAdaptation(5.0, 1.0, (0.1, 0.8))):
+        settings = {"D_hat": 0.5, "X0": [1.0], "t_end": 6.0, "dt": 0.01, "adaptation": law}
+        run = npred.simulate(plant, npred.predictor("heun", plant, nx=11), D=[1.2, 0.5], **settings)
+        words = "  D_hat ended at its bound in 1 of 2 loops and the delay may lie outside; widen bounds"
+        assert str(run).splitlines()[-1] == words
+        assert "ended at its bound and the delay may lie outside" in str(replace(run, **one_of(run)))
+
+
+def one_of(run):
+    return {"D_hat": run.D_hat[0], "X": run.X[0], "U": run.U[0], "escaped": run.escaped[0]}
 
 
 def test_prints_a_batch_as_ranges(batch):

@@ -12,6 +12,7 @@ from npred.data import shards
 from npred.data.dataset import Dataset
 from npred.loop import configured, metrics
 from npred.loop.closed_loop import Trajectories
+from npred.loop.trajectory_views import at_bound
 from npred.plants import Plant
 from npred.predictors import Predictor, numerical
 from npred.predictors.guarded import Guarded, bare
@@ -73,6 +74,9 @@ def run(job: Job) -> Evaluated:
     covered = coverage.measure(job.plant, data, {c: loops[c] for c in bare_networks}, bounds)
     _warn(job, covered)
     overtaking.warn(job, {contender: overtaking.ended(run) for contender, run in loops.items()})
+    for contender, run in loops.items():
+        if words := at_bound(run.part(begin.cases)):
+            job.progress.warn(f"{contender.label}, cases: {words}")
     _warn_of_fallbacks(job, models)
     _record(job, data, loops)
     result = Evaluated(
