@@ -41,7 +41,7 @@ def size(count: int, n: int, m: int) -> int:
 def parts(memory: np.ndarray, count: int, n: int, m: int) -> tuple[np.ndarray, ...]:
     """Of a memory: x (K, n, B), d (K, m, B), long, short (K, n, B), floor, level, scale (n, B), calls, pace, gap (B,)
 
-    of which `gap` is the control steps since the last sample, and `calls` those that samples told of.
+    of which `gap` is the control steps since the last sample, and `calls` those up to the last sample.
     """
     lanes, i = memory.shape[1], count * n
     j = i + count * m
@@ -90,11 +90,11 @@ def gains(X: np.ndarray, dt: float, law: np.ndarray, calls: np.ndarray, gap: np.
             root = math.sqrt(abs(square)) * T
             swing = math.cos(root) if square > 0.0 else 0.5 * (math.exp(root) + math.exp(-root))
             gain[0, l], gain[1, l] = 1.0 - stay, (1.0 + stay - 2.0 * math.sqrt(stay) * swing) / T
-        told = min(gap[l], max(law[PATIENCE] / (2.0 * FEW), 1.0))
-        if told > 1.0:
-            gain[2, l] = 1.0 - math.exp(told * math.log(1.0 - law[LEAK]))
-            gain[3, l] = math.exp(told * math.log(law[FADE]))
-        calls[l] += told
+        counted = min(gap[l], max(law[PATIENCE] / (2.0 * FEW), 1.0))
+        if counted > 1.0:
+            gain[2, l] = 1.0 - math.exp(counted * math.log(1.0 - law[LEAK]))
+            gain[3, l] = math.exp(counted * math.log(law[FADE]))
+        calls[l] += counted
         gap[l] = 0.0
 
 
