@@ -1,0 +1,393 @@
+"""What an adversary finds that a guard lets pass, and how large the errors of U are there.
+
+    python benchmarks/guard_adversary.py [MODEL] [--nx 51] [--states box|data|domain] [--by shadow|defect] [--correct]
+    python benchmarks/guard_adversary.py --table --seconds 180
+
+MODEL is pipeline/paper.toml:deeponet by default, and has to be trained. One row of a Markdown table is printed; with
+`--table` those of docs/guard.md. Inputs are u and D_hat in the ranges of the data, and X in the plant's box, as `npred
+certify` searches, or in the range of the data; with `--states domain` all three as far as the guard's domain reaches.
+
+Neither the guard, nor npred's integrators, nor its plants say here what the true U is. Hill climbing from rows of the
+data, and CMA-ES from the best that it came to, maximise the error of U among the calls that pass. That error is the
+smallest over three readings of u between its nodes: linear, cubic, constant around each node. How u is read is no part
+of it. f and kappa of the plants are written here once more. RK4 on 4 steps a cell leads the search, and on 16 steps a
+cell it counts the calls above the tolerance. SciPy's DOP853 integrates the worst of these, and some at random, once
+more: at rtol 1e-12, cell by cell. An error that is not finite does not count.
+"""
+
+import argparse
+import time
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import cma
+import numpy as np
+from scipy.integrate import solve_ivp
+
+import npred
+from npred import grid
+from npred.data import shards
+from npred.data.dataset import Dataset
+from npred.pipeline.models import load_data
+from npred.predictors.guarded import Guarded
+
+READINGS = ("linear", "cubic", "constant")
+COARSE, FINE = 4, 16  # steps of RK4 a cell: to search by, and to count by; even, so that a reading's jumps are between
+PENALTY = 3.0  # of a call that does not pass, by the logarithm of how far it is from passing
+CHAINS, MOVES = 1000, 200  # of a round of hill climbing
+POPULATIONS, SIZE, GENERATIONS = 40, 25, 150  # of a round of CMA-ES
+SPREAD = 0.03  # standard deviation that CMA-ES starts with, as a share of the ranges
+WORST, SAMPLE = 10, 40  # calls above the tolerance that are integrated by DOP853: the worst, and random ones
+STATES = ("box", "data", "domain")
+PAPER = "pipeline/paper.toml"
+TABLE: list[dict[str, Any]] = [
+    {"model": f"{PAPER}:deeponet", "nx": 101, "states": "box"},
+    {"model": f"{PAPER}:deeponet", "nx": 51, "states": "box"},
+    {"model": f"{PAPER}:fno", "nx": 51, "states": "box"},
+    {"model": f"{PAPER}:fno", "nx": 101, "states": "data"},
+    {"model": f"{PAPER}:deeponet", "nx": 51, "states": "domain"},
+    {"model": "pipeline/chemostat.toml:deeponet", "nx": 51, "states": "box"},
+    {"model": f"{PAPER}:deeponet", "nx": 51, "states": "box", "by": "defect"},
+    {"model": f"{PAPER}:deeponet", "nx": 51, "states": "box", "by": "defect", "correct": True},
+]
+HEAD = [
+    "network, nodes",
+    "where X",
+    "guard",
+    "calls",
+    "passed",
+    "of these above {tolerance:g}",
+    "worst",
+    "DOP853 agrees",
+]
+
+
+class System(NamedTuple):
+    """A plant of one constant delay in plain NumPy: f(x, u) and kappa(x) of sequences of components."""
+
+    f: Callable[[Any, Any], list[Any]]
+    kappa: Callable[[Any], list[Any]]
+
+
+def hill(x: Any) -> Any:
+    """f1 of the activator/repressor."""
+    return (300.0 * x[0] ** 2 + 0.04) / (1.0 + x[0] ** 2 + x[1] ** 2)
+
+
+def haldane(S: Any) -> Any:
+    """The growth rate of the chemostat: 1 at the set point."""
+    return 3.5 * S / (1.0 + S + S**2)
+
+
+SYSTEMS = {
+    "activator_repressor": System(
+        lambda x, u: [u[0] - x[0] + hill(x), (300.0 * x[0] ** 2 + 0.004) / (1.0 + x[0] ** 2) - 0.5 * x[1]],
+        lambda x: [hill((0.0939, 5.2525)) - hill(x)],
+    ),
+    "chemostat": System(
+        lambda x, u: [(haldane(x[1]) - 0.1 - u[0]) * x[0], u[0] * (16 / 3 - x[1]) - haldane(x[1]) * x[0]],
+        lambda x: [0.3 * haldane(x[1]) * x[0] + np.where(x[1] < 2, np.abs(haldane(x[1]) - 1), 0.0) ** 1.5],
+    ),
+}
+
+
+class Calls(NamedTuple):
+    """X (B, n), u (B, nx, m), D_hat (B,)."""
+
+    X: np.ndarray
+    u: np.ndarray
+    D_hat: np.ndarray
+
+
+class Judged(NamedTuple):
+    """Of each call whether it passed, the guard's estimate, the error of U, and the score of the search, (B,) each."""
+
+    passed: np.ndarray
+    estimate: np.ndarray
+    error: np.ndarray
+    score: np.ndarray
+
+
+def weights(reading: str, nx: int, cell: int, r: np.ndarray, middle: float) -> np.ndarray:
+    """The weights of nx nodal values in u at the shares r (k,) of a cell, (k, nx).
+
+    `middle` is that of a step from r[0] to r[-1]: it says on which side of a jump u is meant.
+    """
+    first, width = {
+        "linear": (cell, 2), "cubic": (min(max(cell - 1, 0), max(nx - 4, 0)), min(nx, 4)), "constant": (cell, 2),
+    }[reading]  # fmt: skip
+    at = np.full(len(r), float(middle > 0.5)) if reading == "constant" else r
+    s, result = cell + at - first, np.zeros((len(r), nx))
+    for k in range(width):  # Lagrange's polynomials of the nodes first, first + 1, …
+        result[:, first + k] = np.prod([(s - j) / (k - j) for j in range(width) if j != k], axis=0)
+    return result
+
+
+@cache
+def stages(nx: int, steps: int) -> np.ndarray:
+    """The weights of u at the begin, the middle and the end of each step by each reading, (steps, 3 readings, nx)."""
+    result = []
+    for step in range((nx - 1) * steps):
+        cell, r = step // steps, (step % steps + np.array([0.0, 0.5, 1.0])) / steps
+        result.append(np.stack([weights(reading, nx, cell, r, r[1]) for reading in READINGS], axis=1).reshape(-1, nx))
+    return np.array(result)
+
+
+def by_rk4(system: System, calls: Calls, steps: int) -> np.ndarray:
+    """kappa(P(1)) by each reading of u, (readings, m, B): Kutta's method on `steps` steps a cell, an even number."""
+    X, u, D_hat = calls
+    nx = u.shape[1]
+    x = np.repeat(X.T[:, None], len(READINGS), axis=1)
+    values, h = u.transpose(1, 2, 0).reshape(nx, -1), D_hat / ((nx - 1) * steps)
+    for W in stages(nx, steps):
+        u0, um, u1 = (W @ values).reshape(3, len(READINGS), -1, len(X)).swapaxes(1, 2)
+        k1 = np.array(system.f(x, u0))
+        k2 = np.array(system.f(x + h / 2 * k1, um))
+        k3 = np.array(system.f(x + h / 2 * k2, um))
+        k4 = np.array(system.f(x + h * k3, u1))
+        x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    return np.array(system.kappa(x)).swapaxes(0, 1)
+
+
+def by_dop853(system: System, X: np.ndarray, u: np.ndarray, D_hat: float) -> np.ndarray:
+    """kappa(P(1)) of one call by each reading of u, (readings, m): piece by piece, for u is smooth on each only."""
+    nx, shares = len(u), np.linspace(0.0, 1.0, 4)
+    powers = np.linalg.inv(np.vander(shares))
+
+    def end(reading: str) -> np.ndarray:
+        pieces, x = 2 if reading == "constant" else 1, X
+        h = D_hat / ((nx - 1) * pieces)
+        for k in range((nx - 1) * pieces):
+            cell, r = k // pieces, (k % pieces + shares) / pieces
+            cubics = [c.tolist() for c in (powers @ weights(reading, nx, cell, r, r.mean()) @ u).T]
+
+            def f(s: float, x: np.ndarray, cubics: list[list[float]] = cubics, h: float = h) -> list[float]:
+                v = [((a * s + b) * s + c) * s + d for a, b, c, d in cubics]
+                return [h * slope for slope in system.f(x.tolist(), v)]
+
+            x = solve_ivp(f, (0.0, 1.0), x, method="DOP853", rtol=1e-12, atol=1e-14).y[:, -1]
+        return np.array(system.kappa(x))
+
+    return np.stack([end(reading) for reading in READINGS])
+
+
+def gap(U: np.ndarray, exact: np.ndarray) -> np.ndarray:
+    """The error of U (m, ...), its largest component, by that of the exact ones (readings, m, ...) that is nearest."""
+    return np.abs(U - exact).max(axis=1).min(axis=0)
+
+
+@np.errstate(all="ignore")
+def judge(guard: Guarded, system: System, calls: Calls) -> Judged:
+    """What the guard makes of calls, and the error of U by COARSE steps; 0 where that is not finite."""
+    P = guard.model(*calls)
+    estimate, fallback = guard.judge(P, *calls)
+    if guard.correct:  # a pass is answered by P less its defect's error; a refusal, by numerics, is not the network's
+        P = np.where(fallback[:, None, None], P, guard(*calls))
+    error = np.nan_to_num(gap(command(system, P), by_rk4(system, calls, COARSE)), nan=0.0, posinf=0.0)
+    ratios = estimate / guard.threshold, guard.beyond(*calls, np.zeros(len(estimate)))
+    doubt = sum(np.log(np.maximum(ratio, 1.0)) for ratio in ratios)
+    return Judged(~fallback, estimate, error, np.nan_to_num(np.log(error) - PENALTY * doubt, nan=-1e9, neginf=-1e9))
+
+
+def command(system: System, P: np.ndarray) -> np.ndarray:
+    """kappa at the ends of predictions, (m, B)."""
+    return np.array(system.kappa(P[:, -1].T))
+
+
+class Ranges:
+    """The inputs that may be searched as coordinates z in [0, 1]^k: X, then u at the nodes, then D_hat."""
+
+    def __init__(self, guard: Guarded, data: Dataset, states: str) -> None:
+        self.n, self.nx, self.m = guard.plant.n, guard.nx, guard.plant.m
+        X, u, D_hat = (edges(a) for a in (data.X, data.u.reshape(-1, self.m), data.D_hat[:, None]))
+        if states == "box":
+            X = np.array([guard.plant.box[name] for name in guard.plant.states]).T
+        elif states == "domain":
+            X, u, D_hat = reach(guard, u)
+        spans = zip(X, np.tile(u, self.nx), D_hat, strict=True)
+        self.low, self.high = (np.concatenate(parts) for parts in spans)
+
+    def calls(self, z: np.ndarray) -> Calls:
+        """The inputs of coordinates (B, k)."""
+        v = self.low + (self.high - self.low) * z
+        return Calls(v[:, : self.n], v[:, self.n : -1].reshape(-1, self.nx, self.m), v[:, -1])
+
+    def starts(self, rng: np.random.Generator, data: Dataset, count: int) -> np.ndarray:
+        """Rows of the data, at the nearest coordinates; half of them with X anywhere in its range."""
+        rows = rng.integers(0, len(data), count)
+        u = grid.refine(data.u[rows], self.nx).reshape(count, -1)
+        v = np.concatenate([data.X[rows], u, data.D_hat[rows, None]], axis=1)
+        z = np.clip((v - self.low) / np.where(self.high > self.low, self.high - self.low, 1.0), 0.0, 1.0)
+        z[::2, : self.n] = rng.uniform(size=z[::2, : self.n].shape)
+        return z
+
+
+def edges(a: np.ndarray) -> np.ndarray:
+    """The smallest and the largest of each column, (2, k)."""
+    return np.stack([a.min(axis=0), a.max(axis=0)])
+
+
+def reach(guard: Guarded, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The box around the ellipsoid that the guard takes for the data's: X (2, n), u (2, m) and D_hat (2, 1)."""
+    domain, (n, m) = guard.domain, (guard.plant.n, guard.plant.m)
+    assert domain is not None
+    spread = domain.limit * np.sqrt(np.diag(np.linalg.inv(domain.whiten.T @ domain.whiten)))
+    features = domain.mean + np.array([[-1.0], [1.0]]) * spread
+    means = features[:, n + 1 : n + 1 + 3 * m : 3]  # the first Legendre moment of each input, its mean over x
+    u = np.stack([np.minimum(u[0], means[0]), np.maximum(u[1], means[1])])
+    return domain.bend * np.sinh(features[:, :n]), u, np.maximum(features[:, n : n + 1], 0.0)
+
+
+class Search:
+    """Calls by calls, what passed, what of that is above the tolerance, and which of these are kept."""
+
+    def __init__(self, guard: Guarded, system: System, data: Dataset, states: str, seed: int) -> None:
+        self.guard, self.system, self.data, self.ranges = guard, system, data, Ranges(guard, data, states)
+        self.rng = np.random.default_rng(seed)
+        self.made = self.passed = self.above = 0
+        k = len(self.ranges.low)
+        self.worst, self.sample = (np.zeros((0, k + 3)) for _ in range(2))  # rows z, estimate, error, a random number
+        self.largest = 0.0  # error that passed, whether or not above the tolerance
+
+    @np.errstate(all="ignore")
+    def score(self, z: np.ndarray) -> np.ndarray:
+        """Judge and count the calls of coordinates (B, k); their scores, (B,)."""
+        calls = self.ranges.calls(z)
+        passed, estimate, error, score = judge(self.guard, self.system, calls)
+        rows = np.flatnonzero(passed & (error > self.guard.tolerance))
+        if len(rows):
+            few = Calls(*(a[rows] for a in calls))
+            P = self.guard(*few)
+            error[rows] = np.nan_to_num(gap(command(self.system, P), by_rk4(self.system, few, FINE)), posinf=0.0)
+            rows = rows[error[rows] > self.guard.tolerance]
+        self.made, self.passed, self.above = self.made + len(z), self.passed + passed.sum(), self.above + len(rows)
+        self.largest = max(self.largest, error[passed].max(initial=0.0))
+        kept = np.column_stack([z[rows], estimate[rows], error[rows], self.rng.uniform(size=len(rows))])
+        self.worst, self.sample = most(self.worst, kept, -2, WORST), most(self.sample, kept, -1, SAMPLE)
+        return score
+
+    def run(self, seconds: float, calls: float) -> None:
+        """Rounds of both searches, until there were so many seconds or calls."""
+        end, best = time.monotonic() + seconds, np.zeros((0, len(self.ranges.low)))
+
+        def over() -> bool:
+            return time.monotonic() > end or self.made >= calls
+
+        while not over():
+            z = self.ranges.starts(self.rng, self.data, CHAINS)
+            z[: len(best)] = best
+            best = self.evolve(self.climb(z, over)[: POPULATIONS // 2], z, over)
+
+    def climb(self, z: np.ndarray, over: Callable[[], bool]) -> np.ndarray:
+        """Random moves of each chain that are kept where the score is larger; the chains, the best first."""
+        score = self.score(z)
+        for _ in range(MOVES):
+            if over():
+                break
+            moved = np.clip(self.moved(z), 0.0, 1.0)
+            scores = self.score(moved)
+            better = scores > score
+            z, score = np.where(better[:, None], moved, z), np.maximum(scores, score)
+        return z[np.argsort(-score)]
+
+    def moved(self, z: np.ndarray) -> np.ndarray:
+        """Each chain with X, D_hat and u moved, together or one of them; u by a bump, by a jump, or along x."""
+        rng, (n, nx, m), count = self.rng, (self.ranges.n, self.ranges.nx, self.ranges.m), len(z)
+        size = 10 ** rng.uniform(-3.5, -0.3, (count, 1))
+        parts, x = rng.uniform(size=(3, count, 1)) < 0.5, np.linspace(0.0, 1.0, nx)
+        center, width = rng.uniform(size=(count, 1)), (1 / nx) ** rng.uniform(size=(count, 1))
+        shape = np.where(rng.uniform(size=(count, 1)) < 0.5, np.exp(-(((x - center) / width) ** 2)), x > center)
+        u = z[:, n:-1].reshape(count, nx, m)
+        shifted = np.take_along_axis(
+            u, np.clip(np.arange(nx) + rng.integers(-2, 3, (count, 1)), 0, nx - 1)[..., None], 1
+        )
+        u = np.where(rng.uniform(size=(count, 1, 1)) < 0.1, shifted, u)
+        u = u + (parts[0] * size * shape)[..., None] * rng.standard_normal((count, 1, m))
+        X = z[:, :n] + parts[1] * size * rng.standard_normal((count, n))
+        return np.column_stack([X, u.reshape(count, -1), z[:, -1:] + parts[2] * size * rng.standard_normal((count, 1))])
+
+    def evolve(self, best: np.ndarray, others: np.ndarray, over: Callable[[], bool]) -> np.ndarray:
+        """Populations of CMA-ES around the best chains and some others, side by side; where the best of them are."""
+        around = [*best, *others[-(POPULATIONS - len(best)) :]]
+        options = {"popsize": SIZE, "bounds": [0.0, 1.0], "verbose": -9, "seed": np.nan}
+        options["randn"] = lambda *shape: self.rng.standard_normal(shape)
+        populations = [cma.CMAEvolutionStrategy(np.clip(z, 0.01, 0.99), SPREAD, options) for z in around]
+        for _ in range(GENERATIONS):
+            if over():
+                break
+            asked = [np.array(population.ask()) for population in populations]
+            scores = self.score(np.concatenate(asked)).reshape(len(populations), -1)
+            for population, points, values in zip(populations, asked, -scores, strict=True):
+                population.tell(list(points), values.tolist())
+        reached = [p for p in populations if p.best.x is not None]
+        reached.sort(key=lambda p: p.best.f)
+        return np.array([p.best.x for p in reached[: POPULATIONS // 2]]).reshape(-1, len(best[0]))
+
+    def confirmed(self) -> tuple[np.ndarray, np.ndarray]:
+        """The errors of the worst calls and of a random share of all above, by FINE steps and by DOP853, (B,) each."""
+        rows = np.concatenate([self.worst, self.sample])
+        calls = self.ranges.calls(rows[:, :-3])
+        P = self.guard(*calls) if len(rows) else np.zeros((0, 1, self.ranges.n))
+        errors = [
+            float(gap(U, by_dop853(self.system, X, u, D_hat)))
+            for U, X, u, D_hat in zip(command(self.system, P).T, *calls, strict=True)
+        ]
+        return rows[:, -2], np.array(errors)
+
+
+def most(rows: np.ndarray, others: np.ndarray, column: int, count: int) -> np.ndarray:
+    """The rows of both with the largest numbers in a column, the largest first."""
+    both = np.concatenate([rows, others])
+    return both[np.argsort(-both[:, column])[:count]]
+
+
+def row(options: argparse.Namespace) -> list[str]:
+    """Search one setting: what the table says of it."""
+    network = npred.load(options.model, nx=options.nx, store=options.store, runtime="fused")
+    guard = Guarded(network, options.tolerance, options.by, correct=options.correct)
+    data = shards.survey(load_data(options.model.rpartition(":")[0], options.store).folder / "data.h5")
+    search = Search(guard, SYSTEMS[guard.plant.name], data, options.states, options.seed)
+    judge(guard, search.system, search.ranges.calls(search.ranges.starts(search.rng, data, 2)))  # compiles
+    search.run(options.seconds, options.calls)
+    errors, exact = search.confirmed()
+    if options.output and len(exact):
+        z = np.concatenate([search.worst, search.sample])
+        np.savez(options.output, **search.ranges.calls(z[:, :-3])._asdict(), estimate=z[:, -3], error=exact)
+    kind = f'`by="{guard.by}"`' + (", `correct=True`" if guard.correct else "")
+    worst = f"{search.largest:.3g}"
+    if len(exact):
+        at = search.ranges.calls(search.worst[:1, :-3])
+        X = ", ".join(f"{value:.3g}" for value in at.X[0])
+        worst += f" (X = ({X}), D̂ = {at.D_hat[0]:.3g}: estimate {search.worst[0, -3]:.2g})"
+    agrees = f"{(exact > guard.tolerance).sum()} of {len(exact)}"
+    agrees += f", to {np.max(np.abs(errors / exact - 1)):.0e}" if len(exact) else ""
+    counts = [f"{count:,}".replace(",", " ") for count in (search.made, search.passed, search.above)]
+    return [f"{network.name}, {options.nx}", options.states, kind, *counts, worst, agrees]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("model", nargs="?", default=f"{PAPER}:deeponet")
+    parser.add_argument("--table", action="store_true", help="the settings of docs/guard.md, one after the other")
+    parser.add_argument("--nx", type=int, default=51)
+    parser.add_argument("--states", choices=STATES, default="box", help="where X comes from")
+    parser.add_argument("--by", default="auto")
+    parser.add_argument("--correct", action="store_true")
+    parser.add_argument("--tolerance", type=float, default=0.01)
+    parser.add_argument("--seconds", type=float, default=60.0, help="of a search; its DOP853 comes after it")
+    parser.add_argument("--calls", type=float, default=np.inf, help="after which it ends too: the same on any machine")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--store", type=Path, default=None)
+    parser.add_argument("--output", type=Path, help="a .npz for the calls that DOP853 looked at")
+    options = parser.parse_args()
+    head = [title.format(tolerance=options.tolerance) for title in HEAD]
+    print(f"| {' | '.join(head)} |\n|{'---|' * len(head)}", flush=True)
+    for setting in TABLE if options.table else [{}]:
+        cells = row(argparse.Namespace(**vars(options) | setting))
+        print(f"| {' | '.join(cells)} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
