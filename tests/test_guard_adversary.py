@@ -73,6 +73,11 @@ def test_its_readings_are_lines_cubics_and_constants_around_the_nodes():
             np.testing.assert_array_equal(constant, np.full((5, 1), u[cell + (half > 0), 0]))
 
 
+def test_an_error_is_the_largest_component_s_by_the_reading_that_is_kindest():
+    U, exact = np.array([[1.0], [2.0]]), np.array([[[1.5], [2.1]], [[1.2], [2.3]], [[1.0], [3.0]]])
+    np.testing.assert_allclose(adversary.gap(U, exact), [0.3])
+
+
 @pytest.mark.parametrize("name", sorted(adversary.SYSTEMS))
 def test_its_search_s_reference_is_of_order_4_and_its_limit_is_dop853_s(name):
     """Also where u jumps at a node, for each reading."""
@@ -84,6 +89,13 @@ def test_its_search_s_reference_is_of_order_4_and_its_limit_is_dop853_s(name):
     assert (errors[-1] < 1e-6).all()
     for reading in range(len(adversary.READINGS)):
         assert -np.polyfit(np.log(steps), np.log(errors[:, reading]), 1)[0] == pytest.approx(4.0, abs=0.4)
+
+
+def test_dop853_s_tolerance_is_kept_on_long_cells():
+    """x' = u - x with u = 1 has x = 1 + (X - 1) exp(-D_hat) at the end."""
+    system = adversary.System(lambda x, u: [u[0] - x[0]], lambda x: [x[0]])
+    exact = 1 + 2 * np.exp(-8.0)
+    np.testing.assert_allclose(adversary.by_dop853(system, np.array([3.0]), np.ones((2, 1)), 8.0), exact, rtol=1e-11)
 
 
 def test_npred_s_own_rk4_comes_to_the_cubic_reading():
@@ -145,4 +157,4 @@ def test_the_script_prints_a_row(data, monkeypatch, capsys, tmp_path):
     adversary.main()
     head, rule, row = capsys.readouterr().out.splitlines()
     assert head.count("|") == rule.count("|") == row.count("|")
-    assert row.startswith(f'| {model.name}, {NX} | box | `by="shadow"` | ')
+    assert row.startswith(f'| `paper.toml:deeponet`, {NX} | box | `by="shadow"` | ')
