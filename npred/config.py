@@ -417,7 +417,7 @@ class GuardTable(Section):
 
     tolerance: Positive = 0.01  #: the largest error of U that passes, in units of the input
     by: Literal["auto", "shadow", "defect"] = "auto"  #: how the error is estimated
-    correct: bool = False  #: whether the error by the defect is subtracted first
+    correct: bool = False  #: whether the error by the defect is subtracted first; not advised
 
 
 class Evaluate(Loop):

@@ -19,7 +19,7 @@ from npred.predictors.guard_kernel import kernel
 from npred.predictors.rk4 import RK4
 
 ESTIMATES = ("auto", "shadow", "defect")
-PASSES = 0.4  # of the tolerance: the largest estimate that passes, for an adversary finds errors 2.5 times as large
+PASSES = 0.4  # of the tolerance: the largest estimate that passes, for errors may be larger; a margin, not a bound
 SHARE = 0.25  # of the tolerance: how far off the estimate of an exact prediction may be
 MISLED = 0.1  # of the tolerance: how far off the shadow itself may be, where it seems to be right
 FEWEST = 4  # intervals of the coarser of two grids that read nodes
@@ -30,14 +30,15 @@ REFINEMENTS = 2  # of the grids, where they do not decide; the kernel has as man
 class Guarded(Predictor):
     """`model`, with its error in U estimated in every call; `exact` answers where that may be above `tolerance`.
 
-    `tolerance` is in units of U, the largest |kappa(P̂(1)) - kappa(P(1))| over the inputs that passes; the model
-    answers where 2.5 times the estimate is within it. The estimate is by a `shadow`, a method of order 2 on few steps,
-    or by the `defect` P̂' - D_hat f(P̂, u), carried to x = 1 by the linearised equation; `auto` is the shadow, of
-    fewer operations per node. Which method (Heun's, or an implicit one where the plant is stiff), how few steps, and
-    what `exact` is by default follow from examples of the data, which trained models carry; other models are compared
-    on all nodes, by the method of `exact` where that is implicit, and `exact` is RK4. Outside the data, as Domain has
-    it, and where u is rougher than theirs, `exact` answers whatever the estimate is. With `correct`, the defect's error
-    is subtracted from P̂ first.
+    `tolerance` is in units of U, the largest |kappa(P̂(1)) - kappa(P(1))| over the inputs that is to pass; the model
+    answers where 2.5 times the estimate is within it. A pass is an estimate, not a bound (docs/guard.md). The estimate
+    is by a `shadow`, a method of order 2 on few steps, or by the `defect` P̂' - D_hat f(P̂, u), carried to x = 1 by the
+    linearised equation; `auto` is the shadow, of fewer operations per node. Which method (Heun's, or an implicit one
+    where the plant is stiff), how few steps, and what `exact` is by default follow from examples of the data, which
+    trained models carry; other models are compared on all nodes, by the method of `exact` where that is implicit, and
+    `exact` is RK4. Outside the data, as Domain has it, and where u is rougher than theirs, `exact` answers whatever the
+    estimate is. With `correct`, the defect's error is subtracted from P̂ first; that is not advised, for of what is left
+    the first term of the estimate says nothing.
     Raises ConfigError for a tolerance that is not above 0, and for an estimate that the plant's family lacks.
     """
 
