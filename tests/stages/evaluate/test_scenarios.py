@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from jobs import PLANT as NAME
 from jobs import job
+from known_loops import NEVER, known_loops
 
 import npred
 from npred.config import Evaluate, Scenario
@@ -114,3 +115,10 @@ def test_loops_that_diverge_are_lost():
     does = scenarios.behaviour(plant, loops, 3.0)
     assert does.lost == 1 and does.radius.converged == 0.5 and does.D_error == 3.0
     assert does.json_object()["radius"]["cases"] == 2
+
+
+def test_what_loops_do_is_medians_over_the_cases():
+    loops = known_loops([20, 30, 80, 7, NEVER], [0.001, 0.004, 0.006, 0.003, 1.0])
+    does = scenarios.behaviour(npred.plant("scalar"), loops, 0.25)
+    assert (does.radius.median, does.radius.worst, does.radius.count) == (0.004, 1.0, 4)
+    assert (does.settle_time, does.lost, does.D_error) == (30.0, 1, 0.25)  # D_hat is 0 throughout

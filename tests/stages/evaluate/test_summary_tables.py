@@ -1,7 +1,7 @@
 """An evaluation for people: 80 columns by default, all of it on request."""
 
 import pytest
-from result_samples import ERRORS, SCORES, evaluated
+from result_samples import ERRORS, SCORES, evaluated, evaluation
 
 from npred.results import NUMERICAL, Contender, Evaluated
 from npred.stages.evaluate import summary_tables
@@ -49,3 +49,11 @@ def test_all_that_was_measured_is_in_the_details():
     ):
         assert words in head
     assert len(rows) == 5 and rows[-1].endswith("∞") and "1.02 ×" in rows[-1] and "96%" in rows[-1]
+
+
+def test_each_radius_is_below_its_head():
+    radius = {"median": 0.1, "worst": 0.2, "converged": 0.5, "cases": 4, "predicted": 0.3}
+    head, _, row = summary_tables.details(evaluation("numerical", "fno", radius=radius)).splitlines()[-3:]
+    columns = ("radius", "worst", "from ε κ")
+    cells = [row[head.index(name) :].split()[0] for name in columns]
+    assert dict(zip(columns, cells, strict=True)) == {"radius": "1.0e-01", "worst": "2.0e-01", "from ε κ": "3.0e-01"}
