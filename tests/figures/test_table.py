@@ -3,6 +3,7 @@
 import csv
 import io
 import math
+from typing import Any
 
 import pytest
 import result_samples
@@ -11,7 +12,10 @@ from result_samples import timing
 from npred import plants
 from npred.figures.style import power, short
 from npred.figures.table import Column, Table
-from npred.results import Evaluated
+from npred.results import Certified, Evaluated, Refined, Trained
+from npred.results.base import Result
+from npred.results.certify import Certificate
+from npred.results.refine import Refinement
 from npred.stages.report import tables
 
 ERRORS = Table(
@@ -107,3 +111,97 @@ def test_the_table_of_scenarios_has_a_line_a_scenario_and_predictor():
         ["noise 3 %", "FNO", "0.1", "∞", "2", "1", "3", "–"],
     ]
     assert tables.scenarios(plant, result_samples.evaluation("numerical")) is None
+
+
+def last_row(table: Table | None) -> dict[str, object]:
+    """The cells of the last row by the heads of their columns."""
+    assert table is not None
+    return {column.head: column.values[-1] for column in table.columns}
+
+
+def numbered(kind: type[Result], first: int = 1, **given: object) -> dict[str, Any]:
+    """A result of which each number is another one."""
+    numbers = {name: first + k for k, name in enumerate(kind.model_fields)}
+    return numbers | given
+
+
+def test_each_number_of_an_evaluation_is_below_the_head_that_names_it():
+    errors = {"mse": 1.0, "eps_sup": 2.0, "eps_kappa": 3.0, "rel_l2": 4.0}
+    fresh, explored = ({name: base + value for name, value in errors.items()} for base in (10.0, 20.0))
+    kept = {"converged": [[True, True, False], [True, False, False]]}
+    own = {"converged": [[True, False, True], [True, False, False]]}
+    scores = result_samples.SCORES | errors | {
+        "kinds": {"nominal": errors | {"above": 0.0}, "exploring": explored | {"above": 0.7}}, "fresh": fresh,
+        "radius": {"median": 31.0, "worst": 32.0, "converged": 0.75, "cases": 8, "predicted": 33.0},
+        "settle_ratio": 34.0, "in_loop": 35.0, "fallback": 0.36, "map": result_samples.MAP | own,
+        "figure1": {"X_end": [0.0], "D_hat_end": 37.0, "radius": 38.0, "settle_time": 39.0},
+    }  # fmt: skip
+    numerical = result_samples.SCORES | {"map": result_samples.MAP | kept}
+    sample = result_samples.evaluated({"numerical": numerical, "fno": scores})
+    sample["coverage"] = {"x1": {"data": [41.0, 42.0], "outside": {"fno": 0.43}}}
+    evaluated = Evaluated.of(sample, "a test")
+    named = {"mean square": 1.0, "ε sup": 2.0, "ε_{κ}": 3.0, "relative L²": 4.0}
+    assert last_row(tables.accuracy(evaluated)) == {"predictor": "FNO", **named, "ε sup, fresh rollouts": 12.0}
+    assert last_row(tables.kinds(evaluated)) == {
+        "predictor": "FNO", "held out": "exploring rollouts", "samples": 100,
+        **{head: 20.0 + value for head, value in named.items()}, "above ε sup of nominal rollouts": 0.7,
+    }  # fmt: skip
+    assert last_row(tables.loops(evaluated)) == {
+        "predictor": "FNO", "radius, median": 31.0, "worst": 32.0, "converged of 50": 6, "settles ×": 34.0,
+        "map, of 3": 2, "radius, loop shown": 38.0, "D̂ at its end": 37.0, "sup |P(1, t) − X(t + D)|": 35.0,
+        "fallback": 0.36,
+    }  # fmt: skip
+    outside = last_row(tables.outside(plants.resolve("activator_repressor"), evaluated.coverage))
+    assert list(outside.values())[1:] == [41.0, 42.0, 0.43]
+    assert list(outside)[1:] == ["data from", "to", "outside, FNO"]
+
+
+def test_each_number_of_a_scenario_is_below_the_head_that_names_it():
+    radius = {"median": 1.0, "worst": 2.0, "converged": 0.75, "cases": 4}
+    does = {"radius": radius, "settle_time": 4.0, "lost": 5, "D_error": 6.0, "fallback": 0.7}
+    one = {"scenarios": [{"name": "noise", "models": {"fno": does}}]}
+    sample = result_samples.evaluated({"numerical": result_samples.SCORES}) | one
+    assert last_row(tables.scenarios(plants.resolve("scalar"), Evaluated.of(sample, "a test"))) == {
+        "scenario": "noise", "predictor": "FNO", "radius, median": 1.0, "worst": 2.0, "converged of 4": 3, "lost": 5,
+        "settles after (s)": 4.0, "|D̂ − D| (s)": 6.0, "fallback": 0.7,
+    }  # fmt: skip
+
+
+CERTIFICATE = numbered(Certificate, by="shadow", bound=[51.0, 52.0, 53.0], ratio=[])
+CERTIFIED = {"ε_{κ} of all rollouts": "eps_kappa", "median": "median", "adversary": "adversarial",
+             "calls above the tolerance": "above", "unnoticed": "unnoticed", "blind spots": "blind", "lost": "lost",
+             "guarded": "lost_guarded", "fallback": "fallback", "bounded": "bounded"}  # fmt: skip
+
+
+def test_each_number_of_a_certificate_is_below_the_head_that_names_it():
+    sample = {"plant": "arm", "loops": 9, "lost_numerical": 8, "models": {"fno": CERTIFICATE}}
+    table = tables.certified(Certified.of(sample, "a test"))
+    expected = {head: CERTIFICATE[key] for head, key in CERTIFIED.items()}
+    assert last_row(table) == {"network": "FNO", "bound / error": 52.0} | expected
+    assert table is not None and table.title == f"Certificate, with {CERTIFICATE['rollouts']} rollouts and 9 loops"
+
+
+def test_each_number_of_a_refinement_and_of_a_training_is_below_the_head_that_names_it():
+    after = numbered(Refinement, 101, certificate=CERTIFICATE, hostile={})
+    refined = numbered(Refined, 201, model="fno", models={"fno@refined": after})
+    heads = {"mean square, held out": "mse", "ε sup": "eps_sup", "fallback in hostile loops": "fallback",
+             f"lost of {refined['loops']}": "lost", "guarded": "lost_guarded"}  # fmt: skip
+    certified = {"ε_{κ} of fresh rollouts": "eps_kappa", "adversary": "adversarial", "blind spots": "blind",
+                 "its median": "adversarial_median"}  # fmt: skip
+    row = last_row(tables.refined([Refined.of(refined, "a test")]))
+    del row["network"]
+    assert row == {h: after[k] for h, k in heads.items()} | {h: CERTIFICATE[k] for h, k in certified.items()}
+    trained = numbered(Trained, model="fno")
+    assert last_row(tables.training({"fno": Trained.of(trained, "a test")})) == {
+        "network": "FNO", **{name: trained[name] for name in ("parameters", "samples", "epochs")},
+        "last loss": trained["loss"],
+    }  # fmt: skip
+
+
+def test_each_time_is_below_the_head_that_names_it():
+    times = {"median_us": 1.0, "p95_us": 2.0, "p999_us": 3.0, "max_us": 4.0, "eps_sup": 5.0, "eps_median": 6.0}
+    row = timing("fno", "fused", dx=0.05, batch=7, speedup_published=8.0, speedup_compiled=9.0, **times)
+    assert last_row(tables.speed([timing("rk4", matches="front"), row])) == {
+        "predictor": "FNO, fused", "dx": 0.05, "batch": 7, "median µs": 1.0, "95 %": 2.0, "99.9 %": 3.0, "max": 4.0,
+        "ε sup": 5.0, "ε median": 6.0, "× O(nx²) sums": 8.0, "× Euler": 9.0,
+    }  # fmt: skip

@@ -318,3 +318,19 @@ def test_figures_and_tables_for_a_paper(call: Call, here: Path, tmp_path: Path, 
     assert float(rows[-1]["ε sup"]) == story.evaluated.models[FNO].eps_sup
     refused = one_line(call("report", "tiny.toml", "--figures", "poster"), 2)
     assert all(medium in refused for medium in MEDIA)
+
+
+def test_the_sentence_on_time_is_of_the_fastest_network_on_the_finest_grid():
+    rows = [
+        timing("fno", "fused", 0.1, 1.0),
+        timing("fno", "torch", 0.01, 200.0),
+        timing("deeponet", "fused", 0.01, 12.0, speedup_published=1234.4, speedup_compiled=5.0),
+        timing("fno", "fused", 0.01, 90.0),
+        timing("rk4", "compiled", 0.01, 2.0),
+    ]
+    said = headline.summary(
+        plants.resolve("scalar"), evaluation("numerical", "fno"), NONE_TIMED.model_copy(update={"rows": rows})
+    )
+    assert said[2] == (
+        "A call of the DeepONet, fused, takes 12.0 µs at dx = 0.01, 1,234 times faster than interpreted O(nx²) sums."
+    )
