@@ -1,5 +1,8 @@
 """The certify stage: the statistics by simulation, the adversary against numerics, the result of a tiny pipeline."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import h5py
 import numpy as np
 import pytest
@@ -7,6 +10,7 @@ from driven import driven
 from fake_gpu import FakeGpu
 from jobs import PLANT as NAME
 from jobs import job, trained
+from known_loops import NEVER, known_loops
 from operator_samples import SMALL
 
 import npred
@@ -17,6 +21,7 @@ from npred.loop import metrics
 from npred.predictors import RK4, Predictor
 from npred.predictors.guarded import Guarded
 from npred.predictors.neural import Neural
+from npred.results import Contender
 from npred.stages.certify import adversary, certify, rollouts
 from npred.stages.certify.input_set import Inputs
 from npred.stages.generate import generate
@@ -182,3 +187,70 @@ def test_the_summary_says_what_holds(certified):
         "rollouts so sampled have an error of U, in its largest component, above ε κ"
     ) in " ".join(text.split())
     assert "DeepONet" in text and "FNO" in text
+
+
+CALLS = (np.zeros((6, 1)), np.zeros((6, 3, 1)), np.zeros(6), np.zeros(6))
+TRUE = np.array([0.1, 0.4, 0.8, 1.5, 2.0, 5.0])  # errors of known calls, for a tolerance of 1
+ESTIMATES = TRUE * [9.0, 1.0, 2.0, 1.5, 3.0, 9.0]
+PASSED = np.array([True, True, False, True, False, False])
+GUARD = SimpleNamespace(tolerance=1.0, by="shadow", plant=PLANT, name="guarded", bound=lambda *calls: BOUNDS)
+BOUNDS = np.array([2.0, np.inf, 6.0])
+
+
+def test_what_a_guard_lets_pass_is_counted_by_call(tmp_path, monkeypatch):
+    monkeypatch.setattr(rollouts, "judged", lambda *calls: (TRUE, ESTIMATES, PASSED))
+    found = certify._calls(GUARD, None, CALLS, TRUE)
+    assert (found["calls"], found["above"], found["unnoticed"]) == (6, 3, 1)
+    assert (found["adversarial"], found["adversarial_median"]) == (5.0, pytest.approx(1.15))
+    assert found["ratio"][1] == pytest.approx(1.75)  # of 1, 1.5, 2 and 3, those of errors from 0.3 to 3
+    monkeypatch.setattr(certify.blind_spots, "search", lambda *arguments: (CALLS, None))
+    monkeypatch.setattr(certify.Inputs, "of", lambda *arguments: None)
+    blind = certify._blind(job(tmp_path, "certify"), None, GUARD, None)
+    assert blind == {"blind_calls": 6, "blind": 1, "blind_error": 1.5}
+
+
+def test_rollouts_and_bounds_of_known_errors(tmp_path):
+    fresh = rollouts.Rollouts(np.array([1.0, 9.0, 2.0]), CALLS, 0.25)
+    found = certify._rollouts(job(tmp_path, "certify"), fresh)
+    assert (found["eps_kappa"], found["median"], found["rollouts"], found["fallback_rollouts"]) == (9.0, 2.0, 3, 0.25)
+    bounds = certify._bounds(GUARD, fresh)
+    assert bounds["bounded"] == pytest.approx(2 / 3) and bounds["bound"][1] == pytest.approx(2.5)  # of 2 / 1 and 6 / 2
+
+
+def test_the_worst_call_of_each_rollout_and_the_samples_of_all_count():
+    errors, rollout = np.array([3.0, 1.0, 2.0, 7.0, 5.0]), np.array([4, 4, 2, 2, 9])
+    np.testing.assert_array_equal(rollouts._largest(errors, rollout), [3, 0, 4])
+    parts = [rollouts.Rollouts(np.ones(count), CALLS, share) for count, share in ((3, 0.1), (1, 0.5))]
+    assert rollouts._joined(parts).fallback == pytest.approx(0.2)
+
+
+def test_an_error_is_the_largest_over_the_inputs_and_infinite_where_there_is_no_prediction():
+    """U = -(q, r) at P(1), of a plant with two inputs: errors (3, -4) and none."""
+    plant = SimpleNamespace(declares_delay=False, ratios=np.ones(2), kappa=lambda P, t: -P)
+    P = np.zeros((2, 5, 2))
+    P[:, -1] = [[3.0, -4.0], [np.nan, 1.0]]
+    guard = SimpleNamespace(
+        plant=plant, model=lambda *rows: P, judge=lambda *rows: (np.ones(2), np.array([True, False]))
+    )
+    true, estimates, passed = rollouts.judged(guard, lambda *rows: 0 * np.nan_to_num(P), *(np.zeros(2),) * 3)
+    assert true.tolist() == [4.0, np.inf] and estimates.tolist() == [1.0, 1.0] and passed.tolist() == [False, True]
+
+
+def test_loops_are_lost_beside_those_that_numerics_keep():
+    """Of four loops numerics lose the third; the network the first and the third, the guarded one all but the first."""
+    task = SimpleNamespace(plant=npred.plant("scalar"))
+    exact = known_loops([10, 10, NEVER, 10], [0.0] * 4)
+    bare, guarded = known_loops([NEVER, 10, NEVER, 10], [0.0] * 4), known_loops([10, NEVER, NEVER, NEVER], [0.0] * 4)
+    bare = replace(bare, X=3 * bare.X)
+    guarded = replace(guarded, X=2 * guarded.X, fallbacks=np.array([0, 0, 0, guarded.steps]))
+    assert certify._behaviour(task, exact, bare, guarded) == {
+        "lost": 1, "lost_guarded": 2, "peak": 3.0, "peak_guarded": 2.0, "fallback": 0.25
+    }  # fmt: skip
+
+
+def test_the_worst_calls_are_kept_the_worst_first(tmp_path):
+    X = np.arange(6.0)[:, None]
+    task = SimpleNamespace(folder=tmp_path)
+    certify._write_worst(task, {Contender("fno"): ((X, *CALLS[1:]), np.array([1, 5, 2, np.nan, 4, 3.0]))})
+    with h5py.File(tmp_path / "worst.h5") as file:
+        assert file["fno/X"][:5, 0].tolist() == [1, 4, 5, 2, 0] and file["fno/error"][0] == 5.0
