@@ -192,3 +192,39 @@ def test_a_loop_that_ends_or_is_too_short_has_an_infinite_error():
     X[0, 40:] = np.nan
     assert np.isinf(metrics.in_loop_declared(replace(loop, X=X))).tolist() == [True, False]
     assert np.isinf(metrics.in_loop_declared(npred.simulate(plant, RK4(plant, 21), X0=[1.5], t_end=0.4)))
+
+
+def test_the_decay_rate_is_that_of_an_exponential():
+    """|X - X*| = 10^-(t + 1/2) falls by ln 10 a second; a loop that stays at a thousandth never comes to 1e-4."""
+    t = np.arange(9.0)
+    distance = np.stack([10 ** -(t + 0.5), np.maximum(10 ** -(t + 0.5), 1e-3)])
+    for X_star in (np.zeros(1), np.full(1, 3.0)):
+        unit = metrics.size(X_star)
+        found = metrics.decay_rate(loops(X_star + unit * distance[..., None], t), X_star)
+        assert found[0] == pytest.approx(np.log(10)) and np.isnan(found[1])
+
+
+def test_the_relative_error_is_over_the_distance_of_state_and_history():
+    """|P_hat - P| / (|X - X*| + sup |u - u*|) = 1, 2 and 6 over 4 + 4, the largest of them inside the horizon."""
+    x, u = PLANT.equilibrium, PLANT.u_equilibrium
+    history = u + np.array([0.5, -4.0, 1.0])[:, None] + np.zeros((3, 1, 1))
+    P = np.zeros((3, 3, 2))
+    P[:, 1, 0], P[:, 2, 1] = [1.0, -2.0, 6.0], 0.5
+    found = metrics.relative(PLANT, np.tile(x + np.array([2.4, 3.2]), (3, 1)), history, P, np.zeros((3, 3, 2)))
+    assert found["eps_relative"] == {"sup": pytest.approx(6 / 8), "median": pytest.approx(2 / 8)}
+
+
+def test_gain_along_a_reference_counts_an_input_that_acts_otherwise_in_time():
+    """X' = (2 + sin t) U with (X - r)' = -(X - r) + (2 + sin t) e: G = 2 + (sin t - cos t) / 2 beside what decays."""
+
+    def f(x, u, t, p, M):
+        return [(2 + M.sin(t)) * u.U]
+
+    def kappa(x, t, p, M):
+        return [(M.cos(t) - x.X + M.sin(t)) / (2 + M.sin(t))]
+
+    parts = {"f": f, "kappa": kappa, "V": lambda x, t, p, M: 0.0, "reference": lambda t, p, M: [M.sin(t)]}
+    fields = {name: staticmethod(part) for name, part in parts.items()} | {"parameters": {}}
+    plant, t = Plant("Valve", type("Valve", (Follower,), fields)), np.linspace(18.0, 20.0, 401)
+    exact = (2 + (np.sin(t) - np.cos(t)) / 2).max()
+    assert metrics.gain(plant, 20.0) == pytest.approx(exact, rel=1e-5)
