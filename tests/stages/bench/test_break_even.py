@@ -87,3 +87,16 @@ def test_equal_accuracy_is_not_taken_from_one_lucky_grid():
     assert candidates.matching(Lucky(), RK4, 2.0) - 1 == 1
     assert candidates.matching(Lucky(), RK4, 1e-9) is None
     assert candidates.matching(Lucky(), RK4, 0.01, by="median") - 1 == 10
+
+
+def test_a_rival_by_the_median_has_the_steps_that_its_median_error_needs():
+    class Halved:
+        plant = PLANT
+
+        def of_method(self, predictor, nx):
+            return ErrorSizes(1 / (nx - 1), 0.1 / (nx - 1))
+
+    rival = entry("rk4", "compiled", 101, RK4(PLANT, 101), "fno")
+    typical = break_even._by_median(rival, Halved(), 0.01)
+    assert typical is not None and typical.nx - 1 == 10 == typical.run.nx - 1
+    assert typical.matches == "fno, median" and break_even._by_median(rival, Halved(), 1e-9) is None

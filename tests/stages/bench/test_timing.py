@@ -57,3 +57,10 @@ def test_stops_are_gaps_between_two_looks_at_the_clock(monkeypatch):
 def test_quantiles_in_microseconds():
     found = timing.quantiles(np.arange(1001) * 1000)
     assert found == {"median_us": 500.0, "p95_us": 950.0, "p999_us": 999.0, "max_us": 1000.0}
+
+
+def test_a_first_call_that_compiles_does_not_make_the_others_fewer(monkeypatch):
+    """Calls of 1 s, then of 1 ms: a tenth of a second has room for a hundred of them."""
+    now, lasts = [0], itertools.chain([10**9], itertools.repeat(10**6))
+    monkeypatch.setattr(timing.time, "perf_counter_ns", lambda: now[0])
+    assert timing.affordable(lambda k: now.__setitem__(0, now[0] + next(lasts)), 1000, 0.1) == 100

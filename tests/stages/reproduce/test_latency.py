@@ -65,3 +65,10 @@ def test_published_times_stand_beside_those_taken_here(monkeypatch: pytest.Monke
 
 
 REAL = reproduce.load("unicycle_constant")
+
+
+def test_a_time_is_the_median_of_the_calls_in_milliseconds(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(
+        latency.timing, "sample", lambda calls, *limits: dict.fromkeys(calls, np.array([1, 2, 9]) * 1e6)
+    )
+    assert latency.median_of(lambda: None) == pytest.approx(2.0)
