@@ -1,5 +1,8 @@
 """Intervals enclose what the same program gives at points of them."""
 
+from fractions import Fraction
+
+import mpmath
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -84,3 +87,33 @@ def test_a_plants_derivative_on_a_box_holds_those_of_its_points(name):
         values = f_X[:, k % plant.n, k // plant.n]
         assert (entry.low <= values.min()) and (values.max() <= entry.high)
         assert np.all(entry.high - entry.low < 1e3 * (1 + np.abs(values).max()))
+
+
+OPERATIONS = {
+    "+": lambda a, b: a + b,
+    "-": lambda a, b: a - b,
+    "*": lambda a, b: a * b,
+    "/": lambda a, b: a / b,
+    "square": lambda a, b: a * a,
+}
+NUMBERS = st.floats(1e-3, 1e3) | st.floats(-1e3, -1e-3)
+
+
+@pytest.mark.parametrize("name", OPERATIONS)
+@settings(derandomize=True)
+@given(a=NUMBERS, b=NUMBERS)
+def test_an_operation_encloses_the_exact_number_that_no_float_is(name, a, b):
+    """By rational arithmetic: what NumPy gives at a point is rounded, and would be in an interval of itself alone."""
+    exact = OPERATIONS[name](Fraction(a), Fraction(b))
+    found = OPERATIONS[name](Interval(a, a), Interval(b, b))
+    assert Fraction(float(found.low)) <= exact <= Fraction(float(found.high))
+    assert found.high - found.low <= 8 * np.spacing(abs(float(exact)))
+
+
+@pytest.mark.parametrize("name", ["exp", "log", "sqrt", "tanh", "sin", "cos", "tan"])
+@settings(derandomize=True)
+@given(a=st.floats(1e-3, 1e2))
+def test_a_function_encloses_its_value_in_fifty_digits(name, a):
+    with mpmath.workdps(50):
+        found, exact = getattr(intervals, name)(Interval(a, a)), getattr(mpmath, name)(mpmath.mpf(a))
+        assert mpmath.mpf(float(found.low)) <= exact <= mpmath.mpf(float(found.high))
