@@ -15,7 +15,7 @@ from npred.errors import ConfigError, DivergedError
 from npred.loop.closed_loop import LANES
 from npred.parallel.executors import Processes
 from npred.predictors import RK4
-from npred.stages.generate import generate, rollouts, sharded
+from npred.stages.generate import generate, rollouts, sampling, sharded
 
 
 def rows(tmp_path, name="data", **changes):
@@ -344,3 +344,27 @@ def test_commands_that_overtake_each_other_name_rollout_step_state_and_value(tmp
     found = re.search(words + r" f - D_t = (-0.[\d]+), expected above 0; shrink the box", str(error.value))
     assert found is not None, error.value
     assert -0.231 < float(found[1]) < -0.2  # 1 - 0.1 (0.3 x + 12)
+
+
+def test_each_range_of_estimates_has_an_equal_share_of_the_rollouts(tmp_path):
+    task = job(tmp_path, "any", generate={"D_hat0": [(0.5, 0.6), (1.5, 1.6)]})
+    _, _, D_hat0, _ = sampling.starts(0, task.config.generate, task.plant, range(10))
+    assert ((D_hat0[:5] >= 0.5) & (D_hat0[:5] <= 0.6)).all() and ((D_hat0[5:] >= 1.5) & (D_hat0[5:] <= 1.6)).all()
+
+
+def test_displacements_are_of_all_orders_of_magnitude_and_smooth():
+    """Their size s has ln s uniform on [ln .005, ln .5]: E ln s = ln .05, E s² = .25 (1 - 1e-4) / ln 1e4.
+
+    Those of u are Legendre series on [0, 1] whose k-th coefficient has the standard deviation s / (1 + k).
+    """
+    rng, of = np.random.default_rng(3), config.Generate(spread=0.5)
+    X, u = rng.normal(size=(20_000, 2)) * [1.0, 50.0], rng.normal(size=(20_000, 11, 1)) * 4.0
+    aside, push = (a / b.std(axis=0) for a, b in zip(sampling.spread(rng, of, X, u), (X, u.ravel()), strict=True))
+    square = 0.25 * (1 - 1e-4) / np.log(1e4)
+    np.testing.assert_allclose((aside**2).mean(axis=0), square, rtol=0.1)
+    log_normal = -(np.log(2) + np.euler_gamma) / 2  # E ln |z| of a standard normal z
+    np.testing.assert_allclose(np.log(np.abs(aside)).mean(axis=0), np.log(0.05) + log_normal, atol=0.05)
+    x = 2 * np.linspace(0, 1, 11) - 1
+    coefficients = np.polynomial.legendre.legfit(x, push[..., 0].T, 8)  # (9, N)
+    np.testing.assert_allclose((coefficients[:6] ** 2).mean(axis=1), square / np.arange(1, 7) ** 2, rtol=0.15)
+    assert np.abs(coefficients[6:]).max() < 1e-12
