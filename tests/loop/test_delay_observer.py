@@ -19,6 +19,7 @@ from npred.loop.delay_candidates import (
     PATIENCE,
     PUSH,
     decide,
+    estimate,
     gains,
 )  # fmt: skip
 from npred.loop.measurement import Measurement
@@ -306,3 +307,12 @@ def test_settings_and_plants_that_do_not_fit_are_refused():
         npred.DelayObserver(memory=0.0)
     with pytest.raises(ConfigError, match="expected a loop that runs its observers"):
         LAW.rate(PLANT, np.zeros((1, 2)), np.zeros((1, 5, 1)), np.zeros((1, 5, 2)), np.ones(1), 0.0)
+
+
+def test_of_candidates_that_are_as_good_the_estimate_is_the_nearest():
+    """It stays within half a spacing of one of them; a single best one has the minimum of a parabola."""
+    thetas, tied = np.linspace(0.1, 0.6, 6), np.array([5.0, 1.0, 1.00005, 1.0, 1.0, 5.0])
+    expected = {0.9: 0.5, 0.05: 0.2, 0.42: 0.42, 0.549: 0.549, 0.56: 0.5}
+    assert {D_hat: estimate(tied, 1, thetas, D_hat) for D_hat in expected} == pytest.approx(expected)
+    single = np.array([9.0, 5.0, 1.0, 2.0, 6.0, 9.0])  # the parabola through (-1, 5), (0, 1), (1, 2)
+    assert estimate(single, 2, thetas, 0.1) == pytest.approx(0.3 + 0.1 * 3 / 10)
