@@ -127,3 +127,66 @@ def test_plants_without_a_bound_are_refused(tmp_path):
     for plant in (npred.plant("unicycle"), npred.plant(f"{tmp_path}/box.py:Box")):
         with pytest.raises(ConfigError, match=r"bound: expected .*; take error, an estimate"):
             ErrorBound(plant, np.eye(plant.n))
+
+
+class Square:
+    """x' = r x + x², whose flow from X is r X e / (r + X - X e) with e = exp(r t)."""
+
+    states, inputs, parameters, guess = ("x",), ("v",), {"r": 1e-9, "bend": 1.0}, (0.0,)
+
+    def f(x, u, t, p, M):
+        return [p.r * x.x + p.bend * x.x**2 + 0 * u.v]
+
+    def kappa(x, t, p, M):
+        return [x.x]
+
+
+class Steep(Line):
+    """The line, with a law that is steeper where x is larger."""
+
+    def kappa(x, t, p, M):
+        return [x.x**2]
+
+
+def of_another_start(plant, X, wrong, monkeypatch):
+    """The bound of a prediction from `wrong`, told to be from X, where nothing is corrected first."""
+    monkeypatch.setattr(error_bound, "SWEEPS", 0)
+    u, one = np.zeros((1, NX, 1)), np.ones(1)
+    P_hat = npred.predictor("rk4", plant, NX)(np.array([[wrong]]), u, one)
+    return ErrorBound(plant, np.eye(1))(P_hat, np.array([[X]]), u, one, 0 * one)[0]
+
+
+@pytest.mark.parametrize("a", [0.7, -0.7])
+def test_an_error_at_the_start_grows_as_the_linear_plant_lets_it(a, monkeypatch):
+    """The residual is 0.1 throughout, and the error of U at x = 1 is (1 + a) 0.1 exp(a) where a > 0."""
+    bound = of_another_start(Plant("line", Line, {"a": a}), 0.5, 0.4, monkeypatch)
+    exact = (1 + a) * 0.1 * np.exp(a)
+    assert exact * (1 - 1e-7) <= bound <= (exact * 1.001 if a > 0 else (1 + a) * 0.2)
+
+
+@pytest.mark.parametrize(("X", "wrong"), [(0.3, 0.2), (0.8, 0.78), (0.9, 0.89)])
+def test_a_bound_holds_where_the_plant_is_steeper_at_P_than_at_what_was_predicted(X, wrong, monkeypatch):
+    """x' = x², x(1) = X / (1 - X), from a start that is too low: the slope there is too small for the error."""
+    bound = of_another_start(Plant("square", Square), X, wrong, monkeypatch)
+    exact, slope = X / (1 - X) - wrong / (1 - wrong), (X - wrong) / (1 - wrong) ** 2
+    assert slope < exact < bound < 2.5 * exact
+
+
+def test_a_bound_holds_where_the_law_is_steeper_at_P_than_at_what_was_predicted(monkeypatch):
+    """kappa = x², x(1) = X exp(0.7) from 0.5, predicted from 0.3: 2 Q |Q - P| is less than |Q² - P²|."""
+    Q, P = np.exp(0.7) * np.array([0.3, 0.5])
+    bound = of_another_start(Plant("steep", Steep), 0.5, 0.3, monkeypatch)
+    assert 2 * Q * (P - Q) < P**2 - Q**2 < bound < 1.3 * (P**2 - Q**2)
+
+
+def test_a_curve_that_turns_within_a_cell_is_inside_it():
+    plant, rng, x = Plant("line", Line), np.random.default_rng(8), np.linspace(0, 1, 6)
+    Q, u, D_hat = rng.normal(size=(20, 6, 1)), 20 * rng.normal(size=(20, 6, 1)), rng.uniform(0.5, 1.5, 20)
+    curve, turns = Curve(plant, Q, Q[:, 0], u, D_hat, np.zeros(20)), 0
+    for i in range(20):
+        spline = CubicHermiteSpline(x, Q[i], D_hat[i] * plant.f(Q[i], u[i]))
+        for j in range(5):
+            inside = spline(np.linspace(x[j], x[j + 1], 101))
+            assert curve.lowest[i, j] - 1e-12 <= inside.min() and inside.max() <= curve.highest[i, j] + 1e-12
+            turns += inside.max() > Q[i, j : j + 2].max() + 0.1
+    assert turns > 20

@@ -401,3 +401,33 @@ def test_without_examples_the_method_of_an_implicit_exact_predictor_estimates():
     assert Guarded(model, 0.01, exact=exact).reference[0] == "rosenbrock"
     assert not Guarded(model, 0.01, exact=exact).fallback([0.0, 0.5], np.zeros((NX, 1)), 1.0)
     assert Guarded(model, 0.01).fallback([0.0, 0.5], np.zeros((NX, 1)), 1.0)  # Heun's diverges: it doubts
+
+
+class Crossed:
+    """Two states and two inputs, of which the second one's law is the steeper."""
+
+    states, inputs, guess = ("a", "b"), ("v", "w"), (0.0, 0.0)
+
+    def f(x, u, t, p, M):
+        return [x.b - x.a**3 + u.v, u.w - x.a * x.b]
+
+    def kappa(x, t, p, M):
+        return [3 * x.a + x.b, -x.a - 2 * x.b]
+
+
+@pytest.mark.parametrize(("grids", "share"), [((6, 3), 3.0), ((6, 2), 8.0)])
+def test_the_estimate_is_the_gap_to_the_extrapolated_law_and_what_the_grids_differ_by(grids, share):
+    """|U - R| + |A - B| with R = A + (A - B) / (ratio² - 1), the largest over the inputs; A, B by Heun's method."""
+    plant, rng = Plant("crossed", Crossed), np.random.default_rng(11)
+    X, D_hat = 0.4 * rng.normal(size=(60, 2)), rng.uniform(0.5, 1.0, 60)
+    u = 0.4 * rng.normal(size=(60, 1, 2)) * np.cos(np.outer(3 * rng.uniform(size=60), grid.nodes(NX)))[..., None]
+    P = Wrong(plant, error=0.03)(X, u, D_hat)
+    U, A, B = (plant.kappa(Q[:, -1]) for Q in (P, *(Coarse(plant, Heun, k, NX)(X, u, D_hat) for k in grids)))
+    gap, noise = np.abs(U - A - (A - B) / share), np.abs(A - B)
+    expected = (gap + noise).max(axis=1)
+    guarded = Guarded(Wrong(plant), 2.5 * np.median(expected))  # what passes is 0.4 of the tolerance
+    _, estimate, fallback = guarded._run(guarded._set(grids), P, X, u, D_hat, 0.0)
+    np.testing.assert_allclose(estimate, expected, rtol=1e-9)
+    np.testing.assert_array_equal(fallback, expected > np.median(expected))
+    assert 0.1 < np.median(noise.max(axis=1) / expected) < 0.8  # both parts count
+    assert 0.2 < np.mean((gap + noise).argmax(axis=1)) < 0.8  # and both inputs
