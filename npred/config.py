@@ -1,5 +1,6 @@
 """The pipeline file as frozen models: one table per stage, every key checked, `--set` overrides included."""
 
+import math
 import os
 import re
 import stat
@@ -7,7 +8,7 @@ import tomllib
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, TypeVar, get_args
+from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar, get_args
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_serializer, model_validator
 from pydantic.fields import FieldInfo
@@ -31,6 +32,7 @@ Some = Annotated[list[Item], Field(min_length=1)]
 Number = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 StartInput = Number | list[Number] | list[list[Number]] | Literal["equilibrium", "law"]
 PAPER, FROZEN = "bresch-pietri-krstic", "frozen"  # delay laws
+STEPS_PER_DELAY = 10  # control steps in a delay, at least, where dt is not given
 TAKEN = ("generate", "train", "evaluate", "bench", "report", "numerical", "no_adaptation", *INTERPRETED.builtin)
 Networks = Annotated[Some[str], AfterValidator(lambda names: sorted(set(names)))]
 Anchor = Literal["none", "initial", "equilibrium"]
@@ -51,6 +53,19 @@ def _ordered(span: tuple[float, float]) -> tuple[float, float]:
         fault = f"expected [low, high] with low <= high, got {list(span)}; swap them"
         raise PydanticCustomError("fault", "{fault}", {"fault": fault})
     return span
+
+
+def _times(D: float, value: Any, low: float, high: float) -> Any:
+    """A number, or each one of a list, times D, clipped to [low, high]."""
+    several = isinstance(value, list | tuple)
+    return [_times(D, item, low, high) for item in value] if several else min(max(D * value, low), high)
+
+
+def _ends(value: Any) -> list[float]:
+    """The numbers of a value as it is written: a number, a list of numbers or of pairs; not those of anything else."""
+    if isinstance(value, list | tuple):
+        return [end for item in value for end in _ends(item)]
+    return [float(value)] if isinstance(value, int | float) and not isinstance(value, bool) else []
 
 
 ORDERED = AfterValidator(_ordered)
@@ -148,7 +163,15 @@ class Loop(Section):
     `adaptation` is the delay law: the paper's by default; frozen, where D_hat stays where it starts (started at D, the
     delay is known); or a user's, `file.py:Class`, made with gamma, b and bounds. For a plant that declares its delay,
     which the controller then knows, every key about delays, estimates and laws is left out.
+
+    Keys that are left out follow D: the defaults below are those of D = 1. Estimates, their bounds and other delays are
+    multiplied by D, or by the middle of its range, and kept within bounds that are given; bounds that are left out hold
+    all delays and estimates that are given. A dt is at most D / 10, and loops are longer where D is above 1.
     """
+
+    follows: ClassVar[tuple[str, ...]] = ()  # keys that are multiples of D
+    mapped: ClassVar[tuple[str, ...]] = ()  # further delays and estimates that the bounds hold
+    lasting: ClassVar[tuple[str, ...]] = ("t_end",)
 
     dt: Positive = 0.005  #: control step, in seconds
     nx: Nodes = 101  #: nodes of the predictor and of u, both ends of [0, 1]; dx = 0.01 is 101
@@ -156,9 +179,9 @@ class Loop(Section):
     #: euler, heun, rk4, rosenbrock, semi_implicit, picard, one of an installed package, or `file.py:Class`
     predictor: Method = "rk4"
     adaptation: Law = PAPER  #: the delay law: the paper's, frozen, one of a package, or `file.py:Class`
-    gamma: Positive = 1000.0  #: adaptation gain [DAPF, eq. 11]
+    gamma: Positive | None = None  #: adaptation gain [DAPF, eq. 11]; by default one that suits the plant and D
     b: Positive = 1.0  #: weight of w in phi [DAPF, eq. 12]
-    bounds: Range = (0.1, 4.0)  #: where D_hat stays, in seconds
+    bounds: Range = (0.1, 4.0)  #: where D_hat stays, in seconds; by default 0.1 D to 4 D
     input_bounds: list[Bounds] | None = None  #: of U, a pair per input; by default the plant's
     #: the input before t = 0, which fills the delay: numbers, "equilibrium", "law" (κ of the start), or a history over
     #: [-D, 0], a list of rows of equal duration, the oldest first; by default 0 where input_bounds allow it, else
@@ -169,10 +192,34 @@ class Loop(Section):
     measurement: Sensors = Sensors()  #: a table: what the controller sees of the state
     disturbance: Disturbance = Disturbance()  #: a table: what is added to the input of the simulated plant
 
+    @model_validator(mode="before")
+    @classmethod
+    def _follow(cls, data: Any) -> Any:
+        """The table with the defaults that follow D."""
+        ends = _ends(data.get("D", 1.0)) if isinstance(data, dict) else []
+        if not ends or not 0 < min(ends) <= max(ends) < math.inf:
+            return data  # its own check refuses that D
+        D, fields, given = (min(ends) + max(ends)) / 2, cls.model_fields, _ends(data.get("bounds", []))
+        low, high = given if len(given) == 2 else (0.0, math.inf)
+        filled = {key: _times(D, fields[key].default, low, high) for key in cls.follows}
+        filled |= {key: max(1.0, D) * fields[key].default for key in cls.lasting}
+        filled |= {"dt": min(fields["dt"].default, min(ends) / STEPS_PER_DELAY)}
+        data = filled | data
+        if "bounds" not in data and data.get("adaptation") != FROZEN:
+            given = [end for key in ("D", *cls.follows, *cls.mapped) for end in _ends(data.get(key, []))]
+            low, high = (D * bound for bound in fields["bounds"].default)
+            data["bounds"] = (min(low, *given), max(high, *given))
+        return data
+
     @model_validator(mode="after")
     def _check(self) -> Self:
         self.lasts("t_end", self.t_end)
         return self
+
+    @property
+    def longest(self) -> float:
+        """The longest true delay, in seconds, jumps and drifts of scenarios aside."""
+        return max(_ends(getattr(self, "D", 1.0)))
 
     def lasts(self, key: str, seconds: float) -> None:
         """Raise ValueError for loops shorter than a control step, or with more steps than a record can hold."""
@@ -184,7 +231,7 @@ class Loop(Section):
             raise ValueError(f"{key}: expected at most {LONGEST_RUN} steps, got {room}; shorten {key} or lengthen dt")
 
     def reached(self, key: str, span: Range) -> None:
-        """Raise ValueError for a true delay that the estimate cannot reach, where it adapts."""
+        """Raise ValueError for a delay or an estimate of it outside the bounds, where the estimate adapts."""
         if self.adaptation != FROZEN:
             within(key, span, self.bounds)
 
@@ -201,17 +248,20 @@ class Generate(Loop):
     `data` is an HDF5 file with these samples, as `npred import` and `npred export hdf5` write it: nothing is simulated.
     """
 
+    follows: ClassVar = ("D_hat0", "explore_D", "explore_D_hat0")
+
     samples: Count = 5000  #: rows of data
     rollouts: Count = 50  #: loops that they are taken from
     D: Range | Positive = 1.0  #: true delay in seconds, or a range to draw it from
-    D_hat0: Some[Range] = [(0.3, 0.7), (1.0, 2.0), (1.0, 2.0)]  #: ranges of D_hat(0), an equal share of rollouts each
+    #: ranges of D_hat(0), an equal share of rollouts each; times D
+    D_hat0: Some[Range] = [(0.3, 0.7), (1.0, 2.0), (1.0, 2.0)]
     box: dict[str, Span] = {}  #: range of each initial state, instead of the plant's
     test_share: Annotated[float, Field(gt=0, lt=1)] = 0.1  #: of the rollouts, held out
     explore: Annotated[float, Field(ge=0, lt=1)] = 0.0  #: share of rollouts with delays from explore_D, explore_D_hat0
     redraw: Annotated[float, Field(ge=0, lt=1)] = 0.0  #: share of rows with a D_hat drawn anew
     spread: Delay = 0.0  #: how far redrawn rows are off the loop at most, in standard deviations of X and of u on it
-    explore_D: Range = (0.25, 2.0)  #: D of exploring rollouts
-    explore_D_hat0: Range = (0.25, 3.5)  #: D_hat(0) of those, and D_hat of redrawn rows
+    explore_D: Range = (0.25, 2.0)  #: D of exploring rollouts; times D
+    explore_D_hat0: Range = (0.25, 3.5)  #: D_hat(0) of those, and D_hat of redrawn rows; times D
     data: str = ""  #: an HDF5 file of samples instead of rollouts
 
     @property
@@ -224,13 +274,13 @@ class Generate(Loop):
         if self.explore:
             self.reached("explore_D", self.explore_D)
         if self.explore or self.redraw:
-            within("explore_D_hat0", self.explore_D_hat0, self.bounds)
+            self.reached("explore_D_hat0", self.explore_D_hat0)
         return self
 
     @model_validator(mode="after")
     def _check_delays(self) -> Self:
         for k, span in enumerate(self.D_hat0):
-            within(f"D_hat0[{k}]", span, self.bounds)
+            self.reached(f"D_hat0[{k}]", span)
         self.reached("D", self.D if isinstance(self.D, tuple) else (self.D, self.D))
         if self.rollouts < 2:
             raise ValueError("rollouts: expected at least 2, got 1; one is held out for the test")
@@ -425,12 +475,16 @@ class Evaluate(Loop):
     initial states x D_hat(0), and Fig. 1's start over a map D x D_hat(0).
     """
 
+    follows: ClassVar = ("D_hat0", "case_D_hat0")
+    mapped: ClassVar = ("map_D", "map_D_hat0")
+    lasting: ClassVar = ("t_end", "case_t_end")
+
     t_end: Positive = 100.0  #: length of the loop of Fig. 1, in seconds
     D: Positive = 1.0  #: true delay, in seconds
     X0: list[float] = []  #: start of Fig. 1, one number per state; has to be given
-    D_hat0: Positive = 2.0  #: D_hat(0) of Fig. 1
+    D_hat0: Positive = 2.0  #: D_hat(0) of Fig. 1; times D
     case_states: Count = 10  #: random initial states of the box …
-    case_D_hat0: Some[Positive] = [0.3, 0.5, 1.0, 1.5, 2.0]  #: … times these D_hat(0)
+    case_D_hat0: Some[Positive] = [0.3, 0.5, 1.0, 1.5, 2.0]  #: … times these D_hat(0); times D
     case_t_end: Positive = 100.0  #: length of those loops, in seconds
     map_D: list[Positive] = []  #: true delays of the convergence map …
     map_D_hat0: list[Positive] = []  #: … times these D_hat(0), from the start of Fig. 1
@@ -454,7 +508,7 @@ class Evaluate(Loop):
             except ValueError as error:
                 raise ValueError(f"scenarios[{k}]: {error}") from None
             for value in scenario.D_hat0 or []:
-                within(f"scenarios[{k}].D_hat0", (value, value), self.bounds)
+                table.reached(f"scenarios[{k}].D_hat0", (value, value))
         return self
 
     def under(self, scenario: Scenario) -> Self:
@@ -473,13 +527,13 @@ class Evaluate(Loop):
 
     @model_validator(mode="after")
     def _check_delays(self) -> Self:
-        within("D_hat0", (self.D_hat0, self.D_hat0), self.bounds)
+        self.reached("D_hat0", (self.D_hat0, self.D_hat0))
         self.reached("D", (self.D, self.D))
         for k, delay in enumerate(self.map_D):
             self.reached(f"map_D[{k}]", (delay, delay))
         for key, values in {"case_D_hat0": self.case_D_hat0, "map_D_hat0": self.map_D_hat0}.items():
             for k, value in enumerate(values):
-                within(f"{key}[{k}]", (value, value), self.bounds)
+                self.reached(f"{key}[{k}]", (value, value))
         if bool(self.map_D) != bool(self.map_D_hat0):
             raise ValueError("map_D, map_D_hat0: expected both or neither, got one; a map needs both axes")
         if self.t_end > self.case_t_end:

@@ -1,6 +1,7 @@
 """The pipeline file: what is accepted, and one clear line for what is not."""
 
 import os
+import tomllib
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -101,13 +102,16 @@ def test_a_pipeline_is_frozen(empty: Path):
         ("generate.bounds=[2, 1]", ["generate", "bounds", "low <= high", "[2.0, 1.0]"]),
         ("generate.u0=warm", ["generate.u0", "number", "'equilibrium' or 'law'", "'warm'"]),
         ("generate.u0=nan", ["generate.u0", "finite", "nan"]),
-        ("generate.bounds=[0.1, 1.5]", ["generate", "D_hat0[1]", "[1.0, 2.0]", "[0.1, 1.5]"]),
-        ("evaluate.D=9", ["evaluate.D: expected within bounds = [0.1, 4.0], got 9;"]),
+        ("generate={bounds=[0.1, 1.5], D_hat0=[[1.0, 2.0]]}", ["generate", "D_hat0[0]", "[1.0, 2.0]", "[0.1, 1.5]"]),
+        ("evaluate={bounds=[0.1, 4.0], D=9}", ["evaluate.D: expected within bounds = [0.1, 4.0], got 9;"]),
         ("evaluate.bounds=[1.5, 4]", ["evaluate.D: expected within bounds = [1.5, 4.0], got 1;"]),
-        ("generate.D=[0.05, 1]", ["generate.D: expected within bounds = [0.1, 4.0], got [0.05, 1.0]"]),
+        (
+            "generate={bounds=[0.1, 4.0], D=[0.05, 1]}",
+            ["generate.D: expected within bounds = [0.1, 4.0], got [0.05, 1.0]"],
+        ),
         ("train.fno.nodes=40", ["train.fno.nodes", "generate.nx - 1 = 100, got 40", "2, 3, 5, 6, 11, 21, 26, 51, 101"]),
-        ("evaluate.D_hat0=9", ["evaluate", "D_hat0", "9", "[0.1, 4.0]"]),
-        ("evaluate.case_D_hat0=[1, 9]", ["evaluate", "case_D_hat0[1]", "9", "[0.1, 4.0]"]),
+        ("evaluate={bounds=[0.1, 4.0], D_hat0=9}", ["evaluate", "D_hat0", "9", "[0.1, 4.0]"]),
+        ("evaluate={bounds=[0.1, 4.0], case_D_hat0=[1, 9]}", ["evaluate", "case_D_hat0[1]", "9", "[0.1, 4.0]"]),
         ("generate.rollouts=1", ["generate", "rollouts", "at least 2", "1"]),
         ("generate.D=[2, 1]", ["generate", "D:", "low <= high", "[2.0, 1.0]"]),
         (
@@ -268,3 +272,50 @@ def test_a_scenario_or_a_sensor_that_makes_no_sense_is_one_line(empty: Path, ove
         config.load(empty, [override])
     assert all(word in str(error.value) for word in words), str(error.value)
     assert "\n" not in str(error.value)
+
+
+DEFAULTS = {"D_hat0", "case_D_hat0", "explore_D", "explore_D_hat0", "bounds", "dt", "t_end", "case_t_end"}
+
+
+def test_what_is_left_out_follows_the_delay():
+    at = config.parse({"plant": "scalar", "evaluate": {"D": 0.12}, "generate": {"D": [0.1, 0.3]}}, "tests")
+    table, data = at.evaluate, at.generate
+    assert (table.D_hat0, table.bounds) == (0.24, pytest.approx((0.012, 0.48)))
+    assert table.case_D_hat0 == pytest.approx([0.036, 0.06, 0.12, 0.18, 0.24])
+    assert (data.D_hat0[0], data.bounds) == (pytest.approx((0.06, 0.14)), pytest.approx((0.02, 0.8)))
+    assert (data.explore_D, data.explore_D_hat0) == (pytest.approx((0.05, 0.4)), pytest.approx((0.05, 0.7)))
+    assert (table.dt, table.t_end, table.case_t_end) == (0.005, 100.0, 100.0)
+
+
+def test_steps_are_shorter_for_short_delays_and_loops_longer_for_long_ones():
+    short = config.parse({"plant": "scalar", "evaluate": {"D": 0.02}}, "tests").evaluate
+    long = config.parse({"plant": "scalar", "evaluate": {"D": 5.0}, "generate": {"D": 5.0}}, "tests")
+    assert (short.dt, short.t_end) == (0.002, 100.0)
+    assert (long.evaluate.t_end, long.evaluate.case_t_end, long.generate.t_end) == (500.0, 500.0, 200.0)
+
+
+@pytest.mark.parametrize("D", [0.004, 0.12, 9.0])
+def test_no_delay_is_refused_for_a_key_that_nobody_wrote(D):
+    """evaluate.case_D_hat0[1] was refused, where only D was given."""
+    config.parse({"plant": "scalar", "evaluate": {"D": D}, "generate": {"D": D, "explore": 0.5}}, "tests")
+
+
+def test_bounds_hold_what_is_given_and_estimates_stay_within_given_bounds():
+    tables = {
+        "generate": {"D_hat0": [[0.01, 9.0]]},
+        "evaluate": {"bounds": [0.5, 1.6], "map_D": [1.5], "map_D_hat0": [1]},
+    }
+    at = config.parse({"plant": "scalar"} | tables, "tests")
+    assert at.generate.bounds == (0.01, 9.0)
+    assert (at.evaluate.D_hat0, at.evaluate.case_D_hat0) == (1.6, [0.5, 0.5, 1.0, 1.5, 1.6])
+
+
+@pytest.mark.parametrize("path", PIPELINES, ids=lambda path: path.stem)
+def test_the_pipelines_of_npred_depend_on_no_default_that_follows_the_delay(path: Path):
+    """Their results were made when the defaults were those of D = 1 s."""
+    pipeline, written = config.load(path), tomllib.loads(path.read_text(encoding="utf-8"))
+    for stage in ("generate", "evaluate"):
+        table = getattr(pipeline, stage)
+        plain = {key: field.default for key, field in type(table).model_fields.items() if key in DEFAULTS}
+        expected = type(table)(**(plain | written.get(stage, {})))
+        assert table.model_dump() == expected.model_dump()

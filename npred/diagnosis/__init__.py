@@ -6,13 +6,14 @@ from contextlib import suppress
 import numpy as np
 
 from npred.config import Pipeline
-from npred.diagnosis import box, convergence, equilibrium, lyapunov, pipeline_fit
+from npred.diagnosis import adaptive_loop, box, convergence, equilibrium, lyapunov, pipeline_fit
 from npred.diagnosis.case import ANY, Answer, Case, Check, Verdict
 from npred.errors import ConfigError
 from npred.plants.base import Plant
 
-__all__ = ["Answer", "Case", "check", "require", "settled"]
+__all__ = ["Answer", "Case", "check", "doubts", "require", "settled"]
 
+SIMULATED = ("box", "finite", "equilibrium", "stability", "reference", "adaptation")  # each after those that it needs
 NODES, ASSUMED, SAMPLES = 101, 1.0, 256  # 1 s where nothing says how long the delay is
 
 
@@ -29,6 +30,7 @@ QUESTIONS = (
     _of_pipelines(pipeline_fit.room),
     Check("box", box.declared, before=ANY),
     _of_pipelines(pipeline_fit.start),
+    _of_pipelines(pipeline_fit.resolved),
     _of_pipelines(pipeline_fit.clock),
     _of_pipelines(pipeline_fit.declares_V),
     Check("finite", box.finite, lambda case: case.verdict("box") != "no", ANY),
@@ -40,6 +42,7 @@ QUESTIONS = (
     Check("V", lyapunov.falls, lyapunov.applies),
     Check("input bounds", convergence.limited, lambda case: case.sound),
     Check("convergence", convergence.converges, lambda case: case.sound and case.leads == "yes"),
+    Check("adaptation", adaptive_loop.converges, adaptive_loop.applies),
     Check("jacobians", box.jacobians, lambda case: case.sound and case.plant.traced),
     Check("stiffness", box.stiff, lambda case: case.sound and case.verdict("jacobians") != "no"),
     Check("completeness", box.complete, lambda case: case.sound and case.verdict("stiffness") in ("yes", None)),
@@ -88,6 +91,13 @@ def require(plant: Plant, pipeline: Pipeline, stages: Collection[str]) -> None:
     case = Case(plant, _longest(plant, pipeline)[0], pipeline.generate.nx, SAMPLES, pipeline, stages)
     if refusal := _refusal(case):
         raise ConfigError(refusal)
+
+
+def doubts(plant: Plant, pipeline: Pipeline) -> list[str]:
+    """The questions that take a simulation, asked before a run: what the adaptive loop makes doubtful, in words."""
+    case = Case(plant, _longest(plant, pipeline)[0], pipeline.generate.nx, SAMPLES, pipeline)
+    answers = [case.ask(question) for question in QUESTIONS if question.name in SIMULATED]
+    return [answer.text for answer in answers if answer and answer.verdict == "warn" and answer.check == "adaptation"]
 
 
 def _refusal(case: Case) -> str | None:

@@ -39,10 +39,10 @@ def limited(case: Case) -> Verdict:
 
 def converges(case: Case) -> Verdict:
     """Whether loops of the clipped kappa without delay come from the box to the equilibrium or the reference."""
-    closed, (h, seconds, horizon) = _closed(case), _times(case)
+    closed, (h, seconds, horizon) = _closed(case), times(case)
     X0, nodes = case.X[:LOOPS], max(int(seconds / h), 4) + 1
     X = RK4(closed, nodes)(X0, np.zeros((nodes, closed.m)), seconds)
-    _, middle, _, end = (part.max(axis=1) for part in np.array_split(_distances(case, X, seconds), 4, axis=1))
+    _, middle, _, end = (part.max(axis=1) for part in np.array_split(distances(case, X, seconds), 4, axis=1))
     home, shown = end <= HOME, case.plant.time_text(seconds, ".3g")
     if home.all():
         return "yes", f"{len(X0)} loops from the box, without delay, converge in {shown}"
@@ -59,7 +59,7 @@ def converges(case: Case) -> Verdict:
     return "no", f"{case.plant.location('kappa')}: {failing}; {cure}"
 
 
-def _times(case: Case) -> tuple[float, float, float]:
+def times(case: Case) -> tuple[float, float, float]:
     """The step, the seconds to look at, and the seconds that are needed: SPAN time constants, or HORIZON."""
     plant, X = case.plant, case.X
     f_X, f_U = plant.jacobians(X, case.u)
@@ -72,7 +72,7 @@ def _times(case: Case) -> tuple[float, float, float]:
     return h, min(horizon, MOST * h), horizon
 
 
-def _distances(case: Case, X: np.ndarray, seconds: float) -> np.ndarray:
+def distances(case: Case, X: np.ndarray, seconds: float) -> np.ndarray:
     """Distances of loops X (B, nt, n) from their target, in widths of the box, (B, nt)."""
     target = case.plant.target(np.linspace(0.0, seconds, X.shape[1]))
     width = np.ptp(case.ends, axis=1)

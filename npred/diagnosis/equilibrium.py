@@ -3,6 +3,7 @@
 import numpy as np
 
 from npred.diagnosis.case import Case, Verdict
+from npred.loop import metrics
 from npred.plants.base import Plant
 from npred.symbolic import array_math, programs, source_lines
 from npred.symbolic.tape import names
@@ -53,8 +54,7 @@ def stability(case: Case) -> Verdict:
 
 def closed_loop(plant: Plant) -> np.ndarray:
     """f_X + f_U kappa' at the equilibrium, (n, n)."""
-    f_X, f_U = plant.jacobians(plant.equilibrium, plant.u_equilibrium)
-    return f_X + f_U @ plant.kappa_jacobian(plant.equilibrium)
+    return metrics.linear(plant, 0.0)[0]
 
 
 def reference(case: Case) -> Verdict:

@@ -4,18 +4,15 @@ import numpy as np
 
 from npred.diagnosis.case import Case, Verdict
 from npred.diagnosis.equilibrium import closed_loop
+from npred.loop.adaptation import undeclared
 from npred.plants.base import Plant
 from npred.symbolic import programs
 from npred.symbolic.tape import names
 from npred.symbolic.trace import Trace, python
 
 NEAR = 0.01  # of the box, around rest: loops come there from all sides, whichever side the box is on
+DECLARE = 'npred plants check offers one; or set adaptation = "delay-observer", "l1" or "frozen", which take none'
 SAME = 1e-3  # of its largest value: this close to x'Sx a V is taken for it
-
-
-def undeclared(plant: Plant) -> str:
-    """The message that an update law lacks V; the caller adds the cure."""
-    return f"plant {plant.name}: found no V(x, t, p, M), which the update law takes"
 
 
 def applies(case: Case) -> bool:
@@ -31,12 +28,14 @@ def falls(case: Case) -> Verdict:
     """Whether V' = V_X f(X, kappa(X)) < 0 from the box to rest."""
     if not case.plant.declares_V and not case.takes_V:
         return "yes", "none is declared and none is needed: no update law runs"
+    lacks = "warn" if case.pipeline is None else "no"  # where nothing says which law will run
+    missing = f"{undeclared(case.plant)}; delay-observer, l1 and frozen take none; declare"
     if not case.plant.rests:
-        return "no", f"{undeclared(case.plant)}; declare the squared distance to what it follows"
+        return lacks, f"{missing} the squared distance to what it follows"
     X = _towards_rest(case)
     S = lyapunov(closed_loop(case.plant))
     if not case.plant.declares_V:
-        return "no", f"{undeclared(case.plant)}; declare one: {_offer(case, S, X)}"
+        return lacks, f"{missing} one: {_offer(case, S, X)}"
     rates = _along(case, X)
     rising = ~(rates < 0)
     if not rising.any():

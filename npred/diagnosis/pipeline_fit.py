@@ -10,9 +10,10 @@ from npred.config import FROZEN, PAPER
 from npred.delays import family_of
 from npred.diagnosis.case import SPAN, Case
 from npred.diagnosis.equilibrium import SLIP
-from npred.diagnosis.lyapunov import undeclared
+from npred.diagnosis.lyapunov import DECLARE
 from npred.errors import ConfigError
-from npred.loop import delay_law
+from npred.loop import delay_law, loop_checks
+from npred.loop.adaptation import undeclared
 from npred.plants import inputs
 from npred.predictors.guarded import Guarded
 from npred.registry import NETWORKS
@@ -49,8 +50,12 @@ def declared_delay(case: Case) -> None:
         return
     keys = []
     for stage, loop in case.loops.items():
-        fields = {name: field for name, field in type(loop).model_fields.items() if name in ABOUT_DELAY}
-        changed = [name for name, field in fields.items() if getattr(loop, name) not in (field.default, FROZEN)]
+        plain = type(loop)(D=loop.D, adaptation=loop.adaptation)  # type: ignore[call-arg]  nobody wrote what follows D
+        names = [name for name in ABOUT_DELAY if name in type(loop).model_fields]
+        expected = {name: (getattr(plain, name), FROZEN) for name in names} | {
+            "D": (type(loop).model_fields["D"].default,)
+        }
+        changed = [name for name in names if getattr(loop, name) not in expected[name]]
         keys += [f"{stage}.{name}" for name in changed]
     for k, scenario in enumerate(case.scenarios):
         keys += [f"evaluate.scenarios[{k}].{key}" for key in scenario.about_delay]
@@ -117,13 +122,20 @@ def _tells_time(case: Case) -> None:
 def declares_V(case: Case) -> None:
     """Whether the delay law has the V that it takes."""
     if case.takes_V and not case.plant.declares_V:
-        raise ConfigError(f"{undeclared(case.plant)}; npred plants check offers one")
+        raise ConfigError(f"{undeclared(case.plant)}; {DECLARE}")
 
 
 def start(case: Case) -> None:
     """Whether the loops of each stage have a range per input, and an input before t = 0 that the plant accepts."""
     for stage, loop in case.loops.items():
         inputs.configured(case.plant, loop, stage)
+
+
+def resolved(case: Case) -> None:
+    """Whether the control steps of loops that adapt are no longer than their delays."""
+    for stage, loop in case.loops.items():
+        if loop.adaptation != FROZEN and not case.plant.declares_delay:
+            loop_checks.resolved(f"{stage}.dt", loop.dt, np.array(loop.D))  # type: ignore[attr-defined]
 
 
 def anchors(case: Case) -> None:

@@ -10,7 +10,7 @@ from npred.figures.evaluation_data import Evidence, LoopSeries
 from npred.figures.figure import Key, Panel, Plate
 from npred.figures.notation import common_unit, quantity, symbol, timed, with_unit
 from npred.figures.style import ROLES, log, look
-from npred.loop import lyapunov, metrics
+from npred.loop import delay_law, lyapunov, metrics
 from npred.plants import Plant
 from npred.results import NUMERICAL, Contender
 
@@ -71,11 +71,13 @@ def ends(evidence: Evidence) -> tuple[Panel, ...]:
     plant, config = evidence.plant, evidence.config
     distance = {c: np.linalg.norm(loop.X - plant.target(loop.t), axis=1) for c, loop in evidence.loops.items()}
     proven = {c: loop for c, loop in evidence.loops.items() if np.isfinite(loop.N).any()}
-    W = {c: lyapunov.W(loop.N, config.D, loop.D_hat, config.gamma, config.b) for c, loop in proven.items()}
+    law = delay_law.resolve(config, plant)
+    gamma = law.gamma if law else 1.0  # then no W is shown
+    W = {c: lyapunov.W(loop.N, config.D, loop.D_hat, gamma, config.b) for c, loop in proven.items()}
     t = evidence.loops[NUMERICAL].t
     last = "; ".join(f"{c.label} {values[-1]:.1e}" for c, values in distance.items())
     falls = "; ".join(f"{c.label} from {values[0]:.3g} to {values[-1]:.3g}" for c, values in W.items())
-    caption = f"D log N + (b / γ) (D − D̂)², with b = {config.b:g}, γ = {config.gamma:g}: {falls}."
+    caption = f"D log N + (b / γ) (D − D̂)², with b = {config.b:g}, γ = {gamma:g}: {falls}."
     return (
         Panel(with_unit("distance |X − X*|", common_unit(plant, plant.states)),
               f"Over {plant.time_text(t[-1])} on a logarithmic scale; at the end: {last}.",

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -10,7 +10,8 @@ from npred import array_checks
 from npred.delays import family_of
 from npred.delays.family import Kernel
 from npred.errors import ConfigError
-from npred.loop.delay_law import DelayLaw
+from npred.loop.delay_law import DelayLaw, delay
+from npred.loop.suited_gain import suited_gamma
 from npred.plants.base import Plant
 
 
@@ -18,14 +19,23 @@ from npred.plants.base import Plant
 class DelayAdaptation(DelayLaw):
     """D_hat' = gamma Proj_[bounds]{D_hat, phi} [DAPF, eq. 11]: gamma the adaptation gain, b > 0, bounds in seconds.
 
-    Raises ConfigError for a gain, b or bounds that make no sense.
+    A gamma that is left out is None until a loop says how long delays are, and then `suited_gamma`: 1000 for the
+    paper's plant with D = 1 s. Raises ConfigError for a gain, b or bounds that make no sense.
     """
 
-    gamma: float = 1000.0
+    gamma: float = None  # type: ignore[assignment]
+
+    def suited(self, plant: Plant, D: Any, D_hat: Any) -> Self:
+        """The law with the bounds and the gamma that were left out. Raises ConfigError as `suited_gamma` does."""
+        law = super().suited(plant, D, D_hat)
+        return law if law.gamma is not None else law._with("gamma", suited_gamma(plant, delay(D, D_hat), law.b))
 
     def check(self, plant: Plant) -> None:
-        """Raise ConfigError where inputs have several delays."""
+        """Raise ConfigError where inputs have several delays, and where there is no V to divide by."""
         family_of(plant).needs("adaptation")
+        if not plant.declares_V:
+            cure = "declare one, as npred plants check offers, or take DelayObserver or L1Adaptation, which need none"
+            raise ConfigError(f"{undeclared(plant)}; {cure}")
 
     def rate(
         self, plant: Plant, X: np.ndarray, u: np.ndarray, P: np.ndarray, D_hat: np.ndarray, t: float
@@ -68,6 +78,11 @@ def _check(plant: Plant, X: np.ndarray, u: np.ndarray, P: np.ndarray) -> None:
 
 def _lanes_last(a: np.ndarray, leading: int) -> np.ndarray:
     return np.array(np.moveaxis(a.reshape(-1, *a.shape[leading:]), 0, -1), order="C")
+
+
+def undeclared(plant: Plant) -> str:
+    """The message that the law lacks V; the caller adds the cure."""
+    return f"plant {plant.name}: found no V(x, t, p, M), which the update law takes"
 
 
 @cache

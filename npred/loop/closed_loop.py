@@ -78,7 +78,12 @@ def simulate(
         D, D_hat = (_declared(of, X0) for of in (truth or plant, plant))
     table = _tabulated(D, t_end, dt) if callable(D) else None
     D, D_hat = (array_checks.floats(name, a) for name, a in (("D", D if table is None else table[0]), ("D_hat", D_hat)))
-    loop_checks.numbers(plant, X0, D, D_hat, adaptation)
+    loop_checks.numbers(plant, X0, D, D_hat)
+    loop_checks.one_per_loop(plant, D, X0)
+    if adaptation is not None:
+        loop_checks.resolved("dt", dt, D)
+        adaptation = adaptation.suited(plant, D if table is None else table, D_hat)
+        array_checks.within("D_hat", D_hat, adaptation.bounds, plant.time_unit)
     shape = array_checks.batch(X0=X0.shape[:-1], D=D.shape, D_hat=D_hat.shape)
     if 0 in shape:
         raise ConfigError(f"X0, D, D_hat: expected at least one loop, got a batch of shape {shape}; give one a start")

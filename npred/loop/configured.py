@@ -25,7 +25,7 @@ def loops(
     delays = {} if plant.declares_delay else {"D": D, "D_hat": D_hat}
     return simulate(
         plant, predictor, dt=table.dt, input_bounds=table.input_bounds, u0=table.u0, actuator=table.actuator,
-        adaptation=delay_law.resolve(table) if adapts and not plant.declares_delay else None, truth=truth(plant, table),
+        adaptation=delay_law.resolve(table, plant) if adapts else None, truth=truth(plant, table),
         measurement=Measurement(**dict(table.measurement), seed=seed, first=first),
         disturbance=_push(table.disturbance), **delays, **arguments,
     )  # fmt: skip
@@ -33,8 +33,8 @@ def loops(
 
 def compiled(plant: Plant, predictor: Predictor, table: Loop) -> bool:
     """True if `loops` of this table, where they adapt, are kernels throughout: no table names an observer in Python."""
-    law = None if plant.declares_delay else delay_law.resolve(table)
-    return closed_loop.compiled(plant, predictor, delay_law.part(plant, law, table.dt))
+    law = delay_law.part(plant, delay_law.resolve(table, plant), table.dt)
+    return closed_loop.compiled(plant, predictor, law)
 
 
 def truth(plant: Plant, table: Loop) -> Plant | None:

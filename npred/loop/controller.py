@@ -54,6 +54,7 @@ class Controller:
             raise ConfigError("predictor: expected one, got None; make one with npred.predictor or npred.load")
         if not 0 < (seconds := array_checks.number("dt", dt)) < math.inf:
             raise ConfigError(f"dt: expected a control step above 0, got {dt!r}; give a time in {plant.time_unit}")
+        adaptation = adaptation and self._suited(plant, adaptation, D_hat)
         self.plant, self.predictor, self.adaptation, self.dt = plant, predictor, adaptation, seconds
         law, self._limits = part(plant, adaptation, seconds), inputs.bounds(plant, input_bounds)
         self.actuator, self._u0 = actuator, inputs.start(plant, u0, self._limits)
@@ -233,6 +234,17 @@ class Controller:
         Controller.__init__(self, *saved["parts"], D_hat=saved["state"]["D_hat"], **saved["named"])
         self.restore(saved["state"])
         self._last_P[:] = saved["P"]
+
+    @staticmethod
+    def _suited(plant: Plant, law: DelayLaw, D_hat: float | None) -> DelayLaw:
+        """The law with what it leaves out, for a delay of D_hat, else of the middle of its bounds."""
+        if D_hat is None and law.bounds is None:
+            raise ConfigError(
+                "D_hat: expected a first estimate in seconds, for the law has no bounds, got none; give D_hat"
+            )
+        D = np.array(array_checks.number("D_hat", sum(law.bounds) / 2 if D_hat is None else D_hat))
+        array_checks.delays("D_hat", D)
+        return law.suited(plant, D, D)
 
     def _start(self, D_hat: float | None) -> float:
         if D_hat is not None:

@@ -1,9 +1,10 @@
 """Delay laws: the base class, a rate D_hat' kept within bounds; laws by name; and their kernels for the time loop."""
 
+import copy
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -22,14 +23,15 @@ class DelayLaw(ABC):
     """D_hat' = Proj_[bounds]{D_hat, rate}: a delay law that you write is a subclass with `rate`, in NumPy.
 
     gamma > 0 is the adaptation gain, b > 0 weighs w, bounds are in seconds: a pipeline's, of which `rate` uses what it
-    needs. simulate, controller and the stages of a pipeline take it; it runs in Python, batch by batch, unless it has a
-    `kernel`. A subclass that changes a method of such a law, `check` aside, runs in Python again.
+    needs. Bounds that are left out are None until a loop says how long delays are: see `suited`. simulate, controller
+    and the stages of a pipeline take it; it runs in Python, batch by batch, unless it has a `kernel`. A subclass that
+    changes a method of such a law, `check` aside, runs in Python again.
     Raises ConfigError for a gain, b or bounds that make no sense.
     """
 
     gamma: float = 1.0
     b: float = 1.0
-    bounds: tuple[float, float] = (0.1, 4.0)
+    bounds: tuple[float, float] = None  # type: ignore[assignment]
 
     def __init_subclass__(cls, **settings: Any) -> None:
         super().__init_subclass__(**settings)
@@ -38,15 +40,30 @@ class DelayLaw(ABC):
             cls.kernel = DelayLaw.kernel  # that of a base class no longer is its kernel
 
     def __post_init__(self) -> None:
-        gains = array_checks.floats("adaptation: gamma, b", (self.gamma, self.b))
+        gains = array_checks.floats("adaptation: gamma, b", (1.0 if self.gamma is None else self.gamma, self.b))
         if not (gains > 0).all() or not np.isfinite(gains).all():
             raise ConfigError(f"adaptation: expected gamma > 0 and b > 0, got gamma = {self.gamma}, b = {self.b}")
-        bounds = array_checks.floats("adaptation: bounds", self.bounds)
+        bounds = array_checks.floats("adaptation: bounds", (0.0, 0.0) if self.bounds is None else self.bounds)
         if bounds.shape != (2,) or not 0 <= bounds[0] <= bounds[1] < np.inf:
             raise ConfigError(f"adaptation: expected bounds 0 <= low <= high, got {self.bounds}; give (low, high)")
 
     def check(self, plant: Plant) -> None:  # noqa: B027  a law that serves every plant has nothing to refuse
         """Raise ConfigError where the delay law is not for this plant; asked before anything runs."""
+
+    def suited(self, plant: Plant, D: Any, D_hat: Any) -> Self:
+        """The law with what was left out, for delays D (...) and first estimates D_hat (...), in seconds.
+
+        The bounds are those of the paper for D = 1, 0.1 D to 4 D of the longest delay, widened to D and D_hat.
+        """
+        ends = np.concatenate([np.ravel(D), np.ravel(D_hat)])
+        longest = delay(D, D_hat)
+        bounds = (float(min(0.1 * longest, *ends)), float(max(4.0 * longest, *ends)))
+        return self if self.bounds is not None else self._with("bounds", bounds)
+
+    def _with(self, name: str, value: Any) -> Self:
+        law = copy.copy(self)
+        object.__setattr__(law, name, value)
+        return law
 
     @abstractmethod
     def rate(
@@ -79,26 +96,38 @@ class DelayLaw(ABC):
         return self.bounds
 
 
-def resolve(loop: config.Loop) -> DelayLaw | None:
-    """The law of a stage's loops, made with their gamma, b and bounds; None for frozen.
+def delay(D: Any, D_hat: Any = 0.0) -> float:
+    """The delay that a law is made for: the longest, else the longest estimate, else 1 s."""
+    return float(np.max(D, initial=0.0)) or float(np.max(D_hat, initial=0.0)) or 1.0
+
+
+def resolve(loop: config.Loop, plant: Plant) -> DelayLaw | None:
+    """The law of a stage's loops, made with their gamma, b and bounds, gamma suited to the plant where it is left out;
+    None for frozen, and for a plant that declares its delay.
 
     Raises ConfigError, in one line, for a name, file or class that is missing, broken or no law.
     """
+    if plant.declares_delay:
+        return None
     if loop.adaptation == config.FROZEN:
         return None
     law = DELAY_LAWS.subclass("adaptation", loop.adaptation, DelayLaw)
     try:
-        return law(gamma=loop.gamma, b=loop.b, bounds=loop.bounds)
+        made = (
+            law(b=loop.b, bounds=loop.bounds)
+            if loop.gamma is None
+            else law(gamma=loop.gamma, b=loop.b, bounds=loop.bounds)
+        )
     except TypeError as error:
         what = f"adaptation {loop.adaptation}: expected a law that takes gamma, b and bounds"
         raise ConfigError(f"{what}, got: {error}; take them") from None
+    made.check(plant)
+    return made.suited(plant, loop.longest, loop.longest)
 
 
 def check(loop: config.Loop, plant: Plant) -> None:
     """Raise ConfigError where the delay law does not load, or refuses the plant."""
-    law = None if plant.declares_delay else resolve(loop)
-    if law is not None:
-        law.check(plant)
+    resolve(loop, plant)
 
 
 class Part(NamedTuple):

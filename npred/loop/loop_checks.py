@@ -93,13 +93,27 @@ def times(t_end: Any, dt: Any, measurement: Measurement | None = None) -> None:
         raise ConfigError(f"measurement: expected a period of at least dt = {dt:g}, got {period:g}; {cure}")
 
 
-def numbers(plant: Plant, X0: Any, D: np.ndarray, D_hat: np.ndarray, law: DelayLaw | None) -> None:
+def numbers(plant: Plant, X0: Any, D: np.ndarray, D_hat: np.ndarray) -> None:
     """Raise ConfigError for a start or delays that make no loop."""
     start(plant, X0)
     for name, seconds in (("D", D), ("D_hat", D_hat)):
         array_checks.delays(name, seconds)
-    if law:
-        array_checks.within("D_hat", D_hat, law.bounds, plant.time_unit)
+
+
+def resolved(name: str, dt: float, D: np.ndarray) -> None:
+    """Raise ConfigError for a control step longer than a delay that is estimated: u is one command then."""
+    if (longer := D[(D > 0) & (dt > D)]).size:
+        what = f"expected at most the delay, {longer.min():g}, which no law finds from commands that are longer"
+        raise ConfigError(f"{name}: {what}, got {dt:g}; shorten the step, or freeze the estimate")
+
+
+def one_per_loop(plant: Plant, D: np.ndarray, X0: np.ndarray) -> None:
+    """Raise ConfigError where a list of delays may be meant as that of the inputs, which differ."""
+    if not plant.one_delay and D.shape == (plant.m,) and X0.ndim == 1:
+        shares = ", ".join(f"{name} after {r:.4g} D" for name, r in zip(plant.inputs, plant.ratios, strict=True))
+        several = f"a delay for each of {plant.m} loops, or of {plant.m} inputs"
+        cure = f"give the longest delay, or, for {plant.m} loops, X0 with a row for each"
+        raise ConfigError(f"D: expected one delay, for plant {plant.name} declares {shares}, got {several}; {cure}")
 
 
 def record(plant: Plant, loops: int, t_end: float, dt: float, every: int) -> None:

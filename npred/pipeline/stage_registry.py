@@ -20,6 +20,7 @@ from npred.store.manifest import LONGEST, SourceText
 if TYPE_CHECKING:
     from npred.stages import Job
 
+UNUSED = 1000.0  # gamma in the key of loops without an adaptation
 Slice = Callable[[Pipeline, str | None, str], dict[str, Any]]
 
 
@@ -180,6 +181,7 @@ def _loop(config: Pipeline, stage: str) -> dict[str, Any]:
     section, law = _dump(loop), registry.DELAY_LAWS.identity(loop.adaptation)
     u0 = inputs.configured(plants.resolve(config.plant, config.parameters), loop, stage)
     section["predictor"] = registry.METHODS.identity(loop.predictor)
+    section["gamma"] = _gamma(config, loop)
     if loop.predictor == "semi_implicit" or stage == "evaluate":  # of which a guard may choose it
         section |= plants.resolve(config.plant, config.parameters).mechanics_program
     del section["adaptation"], section["u0"]
@@ -187,6 +189,17 @@ def _loop(config: Pipeline, stage: str) -> dict[str, Any]:
     for scenario in section.get("scenarios", []):
         scenario |= {k: registry.DELAY_LAWS.identity(v) for k, v in scenario.items() if k == "adaptation"}
     return section | ({"u0": u0 if isinstance(u0, str) else u0.tolist()} if isinstance(u0, str) or u0.any() else {})
+
+
+def _gamma(config: Pipeline, loop: Loop) -> float:
+    """The gain of the loops; where no law runs that takes one, what older keys have in its place."""
+    if loop.gamma is not None:
+        return loop.gamma
+    from npred import plants
+    from npred.loop import delay_law
+
+    law = delay_law.resolve(loop, plants.resolve(config.plant, config.parameters))
+    return UNUSED if law is None else law.gamma
 
 
 def _digest(path: Path) -> str:
@@ -257,6 +270,7 @@ def _report(config: Pipeline, model: str | None, device: str) -> dict[str, Any]:
     for stage in ("generate", "evaluate"):
         if pipeline[stage]["u0"] is None:
             del pipeline[stage]["u0"]
+        pipeline[stage]["gamma"] = _gamma(config, getattr(config, stage))
     return {"pipeline": pipeline} | _notation(config)
 
 

@@ -1,5 +1,6 @@
 """The declaration of a plant as a frozen model: a part that is wrong is one line, before anything is traced."""
 
+import inspect
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -102,6 +103,11 @@ class Declaration(BaseModel, frozen=True):
                 raise ValueError(
                     f"{part}: expected one for each of {', '.join(names)}, got {values}; give {len(names)}"
                 )
+        if self.delay and {"u", "U"} & set(inspect.signature(self.delay).parameters):
+            came = f"got delay{inspect.signature(self.delay)}"
+            raise ValueError(
+                f"delay: a delay that depends on the input is not supported, {came}; write delay(x, t, p, M)"
+            )
         quantities = (*self.states, *self.inputs)
         for part, names in {
             "box": self.states,

@@ -176,9 +176,9 @@ def question(stage: str, adaptation: str | None) -> dict:
 
 
 def test_laws_by_name_and_from_a_file(law):
-    assert delay_law.resolve(loop()) == DelayAdaptation(2.0, 0.5, (0.2, 3.0))
-    assert delay_law.resolve(loop(adaptation="frozen")) is None
-    own = delay_law.resolve(loop(adaptation=law))
+    assert delay_law.resolve(loop(), PLANT) == DelayAdaptation(2.0, 0.5, (0.2, 3.0))
+    assert delay_law.resolve(loop(adaptation="frozen"), PLANT) is None
+    own = delay_law.resolve(loop(adaptation=law), PLANT)
     assert own is not None
     assert (type(own).__name__, own.gamma, own.b, own.bounds) == ("Towards", 2.0, 0.5, (0.2, 3.0))
 
@@ -242,9 +242,9 @@ COMPILED = COMPILED.replace(
 def test_a_law_with_a_kernel_is_compiled_and_is_one_file(law):
     path = Path(law.partition(":")[0])
     settings = loop(adaptation=law, gamma=2.0)
-    interpreted = delay_law.resolve(settings)
+    interpreted = delay_law.resolve(settings, PLANT)
     path.write_text(COMPILED)
-    compiled = delay_law.resolve(settings)
+    compiled = delay_law.resolve(settings, PLANT)
     assert [delay_law.part(PLANT, each, 0.01).compiled for each in (interpreted, compiled)] == [False, True]
     np.testing.assert_allclose(loops(compiled).D_hat, loops(interpreted).D_hat, rtol=1e-13)
 
@@ -254,13 +254,16 @@ def test_a_subclass_that_changes_a_compiled_law_runs_in_python():
         def check(self, plant):
             pass
 
-    flags = {law: delay_law.part(PLANT, law(), 0.01).compiled for law in (DelayAdaptation, Choosy, Leaky, Same)}
+    flags = {
+        law: delay_law.part(PLANT, law(1.0, 1.0, (0.1, 4.0)), 0.01).compiled
+        for law in (DelayAdaptation, Choosy, Leaky, Same)
+    }
     assert flags == {DelayAdaptation: True, Choosy: True, Leaky: False, Same: False}
 
 
 def test_a_law_of_a_package_has_a_name(package, tmp_path):
     package("towards = shed_of_tanks:Towards", LAW, "npred.delay_laws")
-    assert type(delay_law.resolve(loop(adaptation="towards"))).__name__ == "Towards"
+    assert type(delay_law.resolve(loop(adaptation="towards"), PLANT)).__name__ == "Towards"
     asked = question("generate", "towards")["generate"]["adaptation"]
     assert asked == {"name": "towards", "target": "shed_of_tanks:Towards", "package": "shed-of-tanks", "version": "1.0"}
     run = job(tmp_path, "data", plant="scalar", generate={"adaptation": "towards", "samples": 20, "rollouts": 2})
@@ -276,4 +279,4 @@ def test_an_unknown_law_is_refused_where_the_pipeline_is_read():
 
 def test_a_missing_file_is_told():
     with pytest.raises(ConfigError, match=r"adaptation none.py:Law: expected a Python file, found none at none.py"):
-        delay_law.resolve(loop(adaptation="none.py:Law"))
+        delay_law.resolve(loop(adaptation="none.py:Law"), PLANT)

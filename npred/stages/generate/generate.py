@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from npred import diagnosis
 from npred.config import Generate, Pipeline
 from npred.data.dataset import Dataset, attributes
 from npred.loop.closed_loop import LANES
@@ -30,6 +31,8 @@ def run(job: Job) -> Generated:
     instead, checked against the plant. Raises DivergedError, naming the rollout, where a state is not finite.
     """
     config = job.config.generate
+    for doubt in diagnosis.doubts(job.plant, job.config):
+        job.progress.warn(doubt)
     if config.data:
         return _imported(job, Path(config.data))
     held_out = sampling.held_out(job.config.seed, config)

@@ -1,0 +1,116 @@
+"""The question about loops whose delay is unknown: does the paper's law keep them, and if not, what would?"""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from npred.config import FROZEN, PAPER, Loop
+from npred.delays import family_of
+from npred.diagnosis.case import Case, Verdict
+from npred.diagnosis.convergence import FALLING, HOME, distances, times
+from npred.loop import configured
+from npred.loop.adaptation import DelayAdaptation
+from npred.loop.closed_loop import simulate
+from npred.loop.delay_law import resolve
+from npred.predictors import RK4
+
+STARTS, NODES = 3, 31  # of the box; of the predictor, at most
+ESTIMATES = (0.5, 1.5, 2.0)  # times D, where no pipeline gives first estimates
+DELAYS = 40.0  # how long loops run at least
+STEPS, FEWEST, MOST = 50, 20, 4000  # control steps in a delay, where they would be too many at least so many; in a loop
+LARGEST = 6  # states up to which a plant is asked without a pipeline: the kernels of larger ones compile for a minute
+WEAKER = (0.1, 0.01)  # gains that are tried where loops are lost, times that of the law
+
+
+class Loops(NamedTuple):
+    """Loops of the law from the starts X0 (S, n) and the estimates D_hat (E,), in seconds."""
+
+    law: DelayAdaptation
+    D: float
+    D_hat: np.ndarray
+    X0: np.ndarray
+    dt: float
+    seconds: float
+    table: Loop | None
+
+
+def applies(case: Case) -> bool:
+    """True where the paper's law runs, and loops of kappa converge without delay."""
+    runs = family_of(case.plant).refusal("adaptation") is None and case.plant.declares_V
+    table = case.pipeline.evaluate if case.pipeline else None
+    asked = case.plant.n <= LARGEST if table is None else table.adaptation == PAPER
+    return runs and case.sound and case.leads == "yes" and asked
+
+
+def converges(case: Case) -> Verdict:
+    """Whether loops of the paper's law come to their target, from the box and from first estimates on both sides of D.
+
+    Where some do not, a weaker gain is looked for that keeps all.
+    """
+    loops = _loops(case)
+    kept = _kept(case, loops)
+    estimates = ", ".join(f"{seconds:g}" for seconds in loops.D_hat)
+    given = case.pipeline is not None and case.pipeline.evaluate.gamma is not None
+    gain = f"gamma = {loops.law.gamma:g}" + ("" if given else ", which was derived from the plant and D,")
+    came = f"{kept.size} loops with D = {loops.D:g} s, {gain} and D_hat(0) = {estimates} s"
+    if kept.all():
+        return "yes", f"{came} converge in {loops.seconds:.3g} s"
+    start, estimate = (int(k) for k in np.argwhere(~kept)[0])
+    where = f"as from D_hat(0) = {loops.D_hat[estimate]:g} s at {case.state(loops.X0[start])}"
+    return "warn", f"{(~kept).mean():.0%} of {came} are lost, {where}; {_cure(case, loops, kept)}"
+
+
+def _loops(case: Case) -> Loops:
+    """Those of the pipeline's table [evaluate], else those of the law with nothing but the delay given."""
+    X0, seconds = case.X[:STARTS], times(case)[1]
+    if case.pipeline is None:
+        D_hat, dt = case.delay * np.array(ESTIMATES), case.delay / STEPS
+        law = DelayAdaptation().suited(case.plant, case.delay, D_hat)
+        return _timed(Loops(law, case.delay, D_hat, X0, dt, max(seconds, DELAYS * case.delay), None))
+    table, law = case.pipeline.evaluate, resolve(case.pipeline.evaluate, case.plant)
+    assert isinstance(law, DelayAdaptation)
+    D_hat = np.array(sorted({table.D_hat0, *table.case_D_hat0}))
+    X0 = np.concatenate([[table.X0], X0[1:]]) if len(table.X0) == case.plant.n else X0
+    return _timed(Loops(law, table.D, D_hat, X0, table.dt, max(seconds, DELAYS * table.D), table))
+
+
+def _timed(loops: Loops) -> Loops:
+    """The same with a longer step, and then in a shorter time, where there would be more steps than MOST."""
+    dt = max(loops.dt, min(loops.seconds / MOST, loops.D / FEWEST))
+    return loops._replace(dt=dt, seconds=min(loops.seconds, MOST * dt))
+
+
+def _kept(case: Case, loops: Loops) -> np.ndarray:
+    """True (S, E) for loops that have converged, or still do."""
+    nodes = min(loops.table.nx, NODES) if loops.table else NODES
+    arguments: dict[str, Any] = {
+        "D": loops.D, "D_hat": loops.D_hat, "X0": loops.X0[:, None], "t_end": loops.seconds,
+        "every": max(round(loops.D / loops.dt / 10), 1),
+    }  # fmt: skip
+    if loops.table is None:
+        run = simulate(case.plant, RK4(case.plant, nodes), dt=loops.dt, adaptation=loops.law, **arguments)
+    else:
+        table = loops.table.model_copy(update={"gamma": loops.law.gamma, "dt": loops.dt})
+        run = configured.loops(case.plant, RK4(case.plant, nodes), table, seed=0, **arguments)
+    X = run.X.reshape(-1, *run.X.shape[-2:])
+    gaps = distances(case, X, float(run.t[-1]))
+    _, middle, _, end = (part.max(axis=1) for part in np.array_split(gaps, 4, axis=1))
+    return ((end <= HOME) | (end < FALLING * middle)).reshape(run.X.shape[:-2])
+
+
+def _cure(case: Case, loops: Loops, kept: np.ndarray) -> str:
+    """The keys to give: a weaker gain, or first estimates that are kept, else another law."""
+    for law in _weaker(loops.law):
+        if _kept(case, loops._replace(law=law)).all():
+            return f"give gamma = {law.gamma:g}"
+    if (good := kept.all(axis=0)).any():
+        low, high = loops.D_hat[good].min(), loops.D_hat[good].max()
+        return f'start the estimate within {low:g} to {high:g} s, or set adaptation = "delay-observer"'
+    return f'set adaptation = "delay-observer", or "{FROZEN}" and D_hat0 = D where the delay is known'
+
+
+def _weaker(law: DelayAdaptation) -> Iterator[DelayAdaptation]:
+    for share in WEAKER:
+        yield replace(law, gamma=float(f"{share * law.gamma:g}"))
