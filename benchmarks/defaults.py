@@ -2,7 +2,7 @@
 
 The gain, the bounds and the first estimates are derived from the plant and D, and the loops are those of the check
 before a run: 3 starts of the box times the first estimates 0.3 D to 2 D. `python benchmarks/defaults.py [PLANT=D …]`
-prints a row for each: the gain, and what is found, or what to give. The larger arms take minutes, most of it to compile.
+prints a row for each: the gain, and what is found, or what to give. The larger arms take minutes to compile.
 """
 
 import re
@@ -34,6 +34,8 @@ def row(name: str, D: float) -> tuple[float | None, str]:
     tables = {"generate": {"D": D}, "evaluate": {"D": D}}
     pipeline = config.parse({"plant": tank() if name == "tank" else name} | tables, "benchmark")
     plant = plants.resolve(pipeline.plant, {})
+    if plant.declares_delay:
+        return None, "declares its delay: nothing is estimated"
     try:
         diagnosis.require(plant, pipeline, ("generate",))
         law = delay_law.resolve(pipeline.evaluate, plant)

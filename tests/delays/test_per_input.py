@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from npred import grid, predictors
+from npred import grid, plants, predictors
 from npred.delays.constant import ConstantDelay
 from npred.errors import ConfigError
 from npred.loop.adaptation import DelayAdaptation
@@ -201,6 +201,16 @@ def test_few_nodes(nx):
 def test_schemes_for_one_delay_say_so(kind, name):
     with pytest.raises(ConfigError, match=f"{name}: expected one delay, plant chain has delays 0.25, 0.6 s; use"):
         kind(plant((0.25, 0.6)))
+
+
+def test_a_delay_per_input_is_not_taken_for_two_loops():
+    """With one start, D = [.4, .9] ran two loops, one of each delay."""
+    two, settings = plants.resolve("unicycle"), {"D_hat": 0.9, "t_end": 0.1, "dt": 0.05}
+    words = r"D: expected one delay, for plant unicycle declares omega after 0.4167 D, v after 1 D, got .* 2 loops, or"
+    with pytest.raises(ConfigError, match=words):
+        simulate(two, RK4(two, 11), D=[0.4, 0.9], X0=[1.0, 1.0, 1.0], **settings)
+    assert simulate(two, RK4(two, 11), D=[0.4, 0.9], X0=np.ones((2, 3)), **settings).X.shape == (2, 3, 3)
+    assert simulate(two, RK4(two, 11), D=[0.4, 0.6, 0.9], X0=np.ones(3), **settings).X.shape == (3, 3, 3)
 
 
 def test_the_update_law_is_refused_with_distinct_delays():

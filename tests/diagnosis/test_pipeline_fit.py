@@ -103,6 +103,19 @@ def test_what_no_memory_holds_is_told_before_anything_runs(monkeypatch, stage, t
     check([{"generate": "bench"}.get(stage, "generate")], **tables)
 
 
+def test_a_step_longer_than_a_delay_that_is_estimated_is_told():
+    slow = {"D": 0.12, "dt": 0.5}
+    with pytest.raises(ConfigError, match=r"generate.dt: expected at most the delay, 0.12, .* got 0.5; shorten"):
+        check(stages=("generate",), generate=slow)
+    check(stages=("generate",), generate=slow | {"adaptation": "frozen"})
+
+
+def test_keys_that_nobody_wrote_are_not_told_to_leave_out():
+    tables = {"generate": {"D": 0.3}}
+    with pytest.raises(ConfigError, match=r"^generate.D: expected none, for plant transport_tank declares"):
+        check(stages=("generate",), plant="transport_tank", **tables)
+
+
 def test_a_plant_without_rest_or_reference_has_no_radius(tmp_path):
     path = tmp_path / "moving.py"
     path.write_text(MOVING)

@@ -61,7 +61,8 @@ def test_a_plant_without_a_V_is_offered_one(tank_file):
     """x' = -x about 1: V = (h - 1)² / 2 solves the Lyapunov equation; declared, it satisfies."""
     name = tank_file("    def V(x, t, p, M):\n        return (x.h - p.level) ** 2\n", "")
     found = answers(plants.resolve(name))["V"]
-    assert found.verdict == "no" and "plant Tank: found no V(x, t, p, M)" in found.text
+    assert found.verdict == "warn" and "plant Tank: found no V(x, t, p, M), which the update law takes" in found.text
+    assert "; delay-observer, l1 and frozen take none; declare one: V = " in found.text
     offered = re.search(r"V = (.+) solves the Lyapunov equation, and falls at 100% of \d+ states", found.text)
     assert offered is not None
     written = re.sub(r"\bh\b", "x.h", offered[1]) if "x.h" not in offered[1] else offered[1]
@@ -71,7 +72,7 @@ def test_a_plant_without_a_V_is_offered_one(tank_file):
 
 def test_a_plant_that_tracks_without_a_V_is_told():
     found = answers(Plant("bare", type("Bare", (Follower,), {"V": None})))
-    assert found["reference"].verdict == "yes" and found["V"].verdict == "no"
+    assert found["reference"].verdict == "yes" and found["V"].verdict == "warn"
 
 
 def test_what_cannot_be_asked_is_not_asked(tank_file):
@@ -435,3 +436,16 @@ def test_the_delay_of_a_plant_that_declares_it_is_the_longest_on_its_box():
     found = answers(Plant("Late", Late))
     assert re.fullmatch(r"1\.4\d* s, the longest that the plant declares on the box", found["delay"].text)
     assert found["completeness"].verdict == "yes" and found["V"].text.startswith("none is declared and none is needed")
+
+
+def test_the_adaptive_loop_is_simulated_with_the_gain_that_suits_the_delay():
+    found = answers(plants.resolve("scalar"))["adaptation"]
+    assert found.verdict == "yes"
+    assert "12 loops" not in found.text and re.match(r"9 loops with D = 1 s, gamma = 1, which was derived", found.text)
+    assert found.text.endswith("and D_hat(0) = 0.5, 1.5, 2 s converge in 40 s")
+
+
+def test_the_adaptive_loop_is_not_asked_for_where_its_law_does_not_run(tank_file):
+    no_V = tank_file("    def V(x, t, p, M):\n        return (x.h - p.level) ** 2\n", "")
+    assert "adaptation" not in answers(plants.resolve(no_V))
+    assert "adaptation" not in answers(plants.resolve("unicycle"))

@@ -7,6 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
+import npred
 from npred import grid, plants, predictors
 from npred.delays.family import transition
 from npred.errors import ConfigError
@@ -247,3 +248,13 @@ def test_a_tracking_loop_finds_its_delay(start):
     )
     assert abs(loop.D_hat[-1] - 1.0) <= 0.05
     assert abs(loop.X[-1] - plant.target(200.0)) < 1e-2
+
+
+def test_a_plant_without_V_is_refused_and_told_of_the_laws_that_take_none():
+    """It was simulated with V = 0."""
+    bare = Plant("bare", type("Bare", (npred.plant("scalar").declaration,), {"V": None}))
+    words = r"plant bare: found no V\(x, t, p, M\), which the update law takes; .* DelayObserver or L1Adaptation"
+    settings = {"D": 1.0, "D_hat": 1.2, "X0": [1.0], "t_end": 0.1, "dt": 0.05}
+    with pytest.raises(ConfigError, match=words):
+        npred.simulate(bare, npred.predictor("heun", bare, 11), adaptation=DelayAdaptation(gamma=1.0), **settings)
+    npred.simulate(bare, npred.predictor("heun", bare, 11), adaptation=npred.L1Adaptation(), **settings)

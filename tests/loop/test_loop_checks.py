@@ -5,6 +5,7 @@ import pytest
 
 from npred import plants
 from npred.errors import ConfigError
+from npred.loop.adaptation import DelayAdaptation
 from npred.loop.closed_loop import simulate
 from npred.loop.delay_observer import DelayObserver
 from npred.loop.measurement import Measurement
@@ -76,3 +77,15 @@ def test_samples_may_be_a_list_and_one_inputs_bounds_a_pair():
     loop = run(samples=[0, 7], input_bounds=(-0.5, 0.0))
     np.testing.assert_array_equal(loop.samples.X, loop.X[[0, 7]])
     assert loop.U.min() == -0.5 and loop.U.max() <= 0.0
+
+
+def test_a_step_longer_than_the_delay_is_for_a_delay_that_is_known():
+    """X(t + D), where commands arrive, shrinks in each step as without delay; an estimate sees a single command."""
+    a, c, slow = 0.5, 1.0, {"D": 0.12, "D_hat": 0.12, "dt": 0.3, "t_end": 3.0}
+    X = run(**slow).X[:, 0]
+    np.testing.assert_allclose(X[2:] / X[1:-1], np.exp(a * 0.3) - (a + c) / a * np.expm1(a * 0.3), rtol=2e-3)
+    for law in (DelayObserver(), DelayAdaptation(gamma=1.0)):
+        with pytest.raises(
+            ConfigError, match=r"dt: expected at most the delay, 0.12 s, .* got 0.3; shorten the step, or"
+        ):
+            run(adaptation=law, **slow)

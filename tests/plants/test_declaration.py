@@ -56,6 +56,10 @@ def plant(**parts):
         ({"box": {"h": (2.0, 1.0)}}, "with low <= high"),
         ({"box": {"h": (0.0, math.inf)}}, r"box\['h'\]\[1\]: expected a finite number, got inf"),
         ({"box": [(0, 1)]}, "box: expected ranges as"),
+        (
+            {"delay": staticmethod(lambda x, u, t, p, M: 1.0)},
+            r"delay: a delay that depends on the input is not supported, got delay\(x, u, t, p, M\); write delay",
+        ),
         ({"guess": (1.0, 2.0)}, r"guess: expected one for each of h, got \(1.0, 2.0\)"),
         ({"guess": 1.0}, "guess: expected one number per state, got 1.0"),
         ({"guess": ("a",)}, r"guess\[0\]: expected a finite number, got 'a'"),
