@@ -21,6 +21,7 @@ ESTIMATES = (0.5, 1.5, 2.0)  # times D, where no pipeline gives first estimates
 DELAYS = 40.0  # how long loops run at least
 STEPS, FEWEST, MOST = 50, 20, 4000  # control steps in a delay, where they would be too many at least so many; in a loop
 LARGEST = 6  # states up to which a plant is asked without a pipeline: the kernels of larger ones compile for a minute
+NEAR = 0.05  # of the box: a loop that follows a reference is kept so close, for held commands are late by dt / 2
 WEAKER = (0.1, 0.01)  # gains that are tried where loops are lost, times that of the law
 
 
@@ -97,7 +98,7 @@ def _kept(case: Case, loops: Loops) -> np.ndarray:
     X = run.X.reshape(-1, *run.X.shape[-2:])
     gaps = distances(case, X, float(run.t[-1]))
     _, middle, _, end = (part.max(axis=1) for part in np.array_split(gaps, 4, axis=1))
-    return ((end <= HOME) | (end < FALLING * middle)).reshape(run.X.shape[:-2])
+    return ((end <= (HOME if case.plant.rests else NEAR)) | (end < FALLING * middle)).reshape(run.X.shape[:-2])
 
 
 def _cure(case: Case, loops: Loops, kept: np.ndarray) -> str:

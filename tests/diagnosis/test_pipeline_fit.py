@@ -104,7 +104,7 @@ def test_what_no_memory_holds_is_told_before_anything_runs(monkeypatch, stage, t
 
 
 def test_a_step_longer_than_a_delay_that_is_estimated_is_told():
-    slow = {"D": 0.12, "dt": 0.5}
+    slow = {"D": 0.12, "dt": 0.5, "samples": 50}
     with pytest.raises(ConfigError, match=r"generate.dt: expected at most the delay, 0.12, .* got 0.5; shorten"):
         check(stages=("generate",), generate=slow)
     check(stages=("generate",), generate=slow | {"adaptation": "frozen"})
