@@ -10,9 +10,7 @@ from npred.config import FROZEN, PAPER, Loop
 from npred.delays import family_of
 from npred.diagnosis.case import Case, Verdict
 from npred.diagnosis.convergence import FALLING, HOME, distances, times
-from npred.loop import configured
 from npred.loop.adaptation import DelayAdaptation
-from npred.loop.closed_loop import simulate
 from npred.loop.delay_law import resolve
 from npred.predictors import RK4
 
@@ -85,13 +83,15 @@ def _timed(loops: Loops) -> Loops:
 
 def _kept(case: Case, loops: Loops) -> np.ndarray:
     """True (S, E) for loops that have converged, or still do."""
+    from npred.loop import closed_loop, configured  # they bring Numba
+
     nodes = min(loops.table.nx, NODES) if loops.table else NODES
     arguments: dict[str, Any] = {
         "D": loops.D, "D_hat": loops.D_hat, "X0": loops.X0[:, None], "t_end": loops.seconds,
         "every": max(round(loops.D / loops.dt / 10), 1),
     }  # fmt: skip
     if loops.table is None:
-        run = simulate(case.plant, RK4(case.plant, nodes), dt=loops.dt, adaptation=loops.law, **arguments)
+        run = closed_loop.simulate(case.plant, RK4(case.plant, nodes), dt=loops.dt, adaptation=loops.law, **arguments)
     else:
         table = loops.table.model_copy(update={"gamma": loops.law.gamma, "dt": loops.dt})
         run = configured.loops(case.plant, RK4(case.plant, nodes), table, seed=0, **arguments)

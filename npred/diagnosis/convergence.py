@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from npred.diagnosis.case import Case, Verdict
-from npred.diagnosis.equilibrium import closed_loop
+from npred.loop.suited_gain import closed_loop
 from npred.plants import inputs
 from npred.plants.base import Plant
 from npred.predictors import RK4

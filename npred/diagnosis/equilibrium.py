@@ -3,7 +3,7 @@
 import numpy as np
 
 from npred.diagnosis.case import Case, Verdict
-from npred.loop import metrics
+from npred.loop.suited_gain import closed_loop
 from npred.plants.base import Plant
 from npred.symbolic import array_math, programs, source_lines
 from npred.symbolic.tape import names
@@ -50,11 +50,6 @@ def stability(case: Case) -> Verdict:
         return "yes", f"eigenvalues of the loop without delay: {values}"
     at = f"eigenvalues {values} at {case.state(plant.equilibrium)}, expected all negative"
     return "no", f"{plant.location('kappa')} does not stabilise without delay: {at}; check its signs and gains"
-
-
-def closed_loop(plant: Plant) -> np.ndarray:
-    """f_X + f_U kappa' at the equilibrium, (n, n)."""
-    return metrics.linear(plant, 0.0)[0]
 
 
 def reference(case: Case) -> Verdict:

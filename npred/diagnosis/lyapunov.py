@@ -3,8 +3,8 @@
 import numpy as np
 
 from npred.diagnosis.case import Case, Verdict
-from npred.diagnosis.equilibrium import closed_loop
 from npred.loop.adaptation import undeclared
+from npred.loop.suited_gain import closed_loop
 from npred.plants.base import Plant
 from npred.symbolic import programs
 from npred.symbolic.tape import names

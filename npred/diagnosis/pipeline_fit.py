@@ -12,7 +12,7 @@ from npred.diagnosis.case import SPAN, Case
 from npred.diagnosis.equilibrium import SLIP
 from npred.diagnosis.lyapunov import DECLARE
 from npred.errors import ConfigError
-from npred.loop import delay_law, loop_checks
+from npred.loop import delay_law
 from npred.loop.adaptation import undeclared
 from npred.plants import inputs
 from npred.predictors.guarded import Guarded
@@ -135,7 +135,7 @@ def resolved(case: Case) -> None:
     """Whether the control steps of loops that adapt are no longer than their delays."""
     for stage, loop in case.loops.items():
         if loop.adaptation != FROZEN and not case.plant.declares_delay:
-            loop_checks.resolved(f"{stage}.dt", loop.dt, np.array(loop.D))  # type: ignore[attr-defined]
+            delay_law.resolved(f"{stage}.dt", loop.dt, np.array(loop.D))  # type: ignore[attr-defined]
 
 
 def anchors(case: Case) -> None:

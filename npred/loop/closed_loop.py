@@ -11,7 +11,7 @@ import numpy as np
 from npred import array_checks
 from npred.delays import family, family_of
 from npred.errors import ConfigError
-from npred.loop import engine, loop_checks
+from npred.loop import delay_law, engine, loop_checks
 from npred.loop import measurement as sensing
 from npred.loop.actuator import actuate, history, transport
 from npred.loop.delay_law import DelayLaw, Part, part
@@ -81,7 +81,7 @@ def simulate(
     loop_checks.numbers(plant, X0, D, D_hat)
     loop_checks.one_per_loop(plant, D, X0)
     if adaptation is not None:
-        loop_checks.resolved("dt", dt, D)
+        delay_law.resolved("dt", dt, D)
         adaptation = adaptation.suited(plant, D if table is None else table, D_hat)
         array_checks.within("D_hat", D_hat, adaptation.bounds, plant.time_unit)
     shape = array_checks.batch(X0=X0.shape[:-1], D=D.shape, D_hat=D_hat.shape)

@@ -96,6 +96,13 @@ class DelayLaw(ABC):
         return self.bounds
 
 
+def resolved(name: str, dt: float, D: np.ndarray) -> None:
+    """Raise ConfigError for a control step longer than a delay that is estimated: u is one command then."""
+    if (longer := D[(D > 0) & (dt > D)]).size:
+        what = f"expected at most the delay, {longer.min():g} s, which no law finds from commands that are longer"
+        raise ConfigError(f"{name}: {what}, got {dt:g}; shorten the step, or freeze the estimate")
+
+
 def delay(D: Any, D_hat: Any = 0.0) -> float:
     """The delay that a law is made for: the longest, else the longest estimate, else 1 s."""
     return float(np.max(D, initial=0.0)) or float(np.max(D_hat, initial=0.0)) or 1.0

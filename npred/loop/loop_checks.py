@@ -100,13 +100,6 @@ def numbers(plant: Plant, X0: Any, D: np.ndarray, D_hat: np.ndarray) -> None:
         array_checks.delays(name, seconds)
 
 
-def resolved(name: str, dt: float, D: np.ndarray) -> None:
-    """Raise ConfigError for a control step longer than a delay that is estimated: u is one command then."""
-    if (longer := D[(D > 0) & (dt > D)]).size:
-        what = f"expected at most the delay, {longer.min():g}, which no law finds from commands that are longer"
-        raise ConfigError(f"{name}: {what}, got {dt:g}; shorten the step, or freeze the estimate")
-
-
 def one_per_loop(plant: Plant, D: np.ndarray, X0: np.ndarray) -> None:
     """Raise ConfigError where a list of delays may be meant as that of the inputs, which differ."""
     if not plant.one_delay and D.shape == (plant.m,) and X0.ndim == 1:

@@ -6,7 +6,6 @@ from functools import cache
 import numpy as np
 
 from npred.errors import ConfigError
-from npred.loop import metrics
 from npred.plants import inputs
 from npred.plants.base import Plant
 
@@ -44,7 +43,7 @@ def _excitation(plant: Plant, D: float, b: float, cells: int) -> np.ndarray:
     """∫ R dt of `suited_gamma`, (STARTS,), by Heun's method."""
     limits, ends = inputs.bounds(plant, None), np.array([plant.box[name] for name in plant.states])
     X = np.random.default_rng(0).uniform(ends[:, 0], ends[:, 1], (STARTS, plant.n))
-    slowest = -np.linalg.eigvals(metrics.linear(plant, 0.0)[0]).real.max() if plant.rests else 0.0
+    slowest = -np.linalg.eigvals(closed_loop(plant)).real.max() if plant.rests else 0.0
     h = max(SPAN * D, SETTLING / slowest if slowest > 0 else 0.0) / cells
     past = np.broadcast_to(plant.u_target(0.0) if plant.rests or plant.tracks else np.zeros(plant.m), (STARTS, plant.m))
     first = round(D / h)  # step that a command of the loop arrives in
@@ -62,3 +61,9 @@ def _excitation(plant: Plant, D: float, b: float, cells: int) -> np.ndarray:
             power = 1.5 * (((U - before) / h) ** 2).sum(axis=-1)
             total += h * power / (1 + plant.V(X, (k + 1) * h) + b * D**2 * power)
     return total
+
+
+def closed_loop(plant: Plant) -> np.ndarray:
+    """f_X + f_U kappa' at the equilibrium, (n, n)."""
+    f_X, f_U = plant.jacobians(plant.equilibrium, plant.u_equilibrium)
+    return f_X + f_U @ plant.kappa_jacobian(plant.equilibrium)

@@ -89,8 +89,8 @@ def pairs(before: Any, after: Any, key: str = "") -> list[tuple[str, Any, Any]]:
     if repr(before) == repr(after):  # 1 and 1.0 are equal, and not the same in a key
         return []
     tables = [value for value in (before, after) if isinstance(value, Mapping)]
-    leaves = [value if not isinstance(value, Mapping) else MISSING for value in (before, after)]
-    changed = [] if leaves == [MISSING, MISSING] else [(key, *leaves)]
+    old, new = (MISSING if isinstance(value, Mapping) else value for value in (before, after))
+    changed = [] if old is MISSING and new is MISSING else [(key, old, new)]
     for name in dict.fromkeys(name for table in tables for name in table):
         old, new = (v.get(name, MISSING) if isinstance(v, Mapping) else MISSING for v in (before, after))
         changed += pairs(old, new, f"{key}.{name}" if key else name)

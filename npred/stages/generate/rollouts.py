@@ -112,6 +112,6 @@ def _finite(plant: Plant, config: Generate, chunk: range, X0: np.ndarray, loops:
         share = f"{len(lost)} of {len(chunk)} rollouts"
         raise DivergedError(
             f"generate: expected finite states, got NaN in rollout {chunk[first]} at "
-            f"t = {plant.time_text(escaped[first] * config.dt)}, from X0 = {X0[first].tolist()} ({share}); "
+            f"t = {plant.time_text(float(escaped[first]) * config.dt)}, from X0 = {X0[first].tolist()} ({share}); "
             f"shrink the box, D or dt, or set u0, the input before t = 0 (here {u0})"
         )
