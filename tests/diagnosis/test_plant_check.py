@@ -193,7 +193,7 @@ def test_the_command_says_it_to_people_and_programs(tank_file):
     assert good.exit_code == 0
     document = json.loads(good.stdout)
     assert document["fine"] is True
-    assert [answer["check"] for answer in document["answers"]] == QUESTIONS
+    assert [answer["check"] for answer in document["answers"] if answer["check"] != "adaptation"] == QUESTIONS
     assert "stability" in call(tank_file()).stdout
     bad = call(tank_file("+ p.level - x.h", "+ x.h - p.level"), "--json")
     assert bad.exit_code == 3
