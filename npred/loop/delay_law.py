@@ -99,7 +99,7 @@ class DelayLaw(ABC):
 def resolved(name: str, dt: float, D: np.ndarray) -> None:
     """Raise ConfigError for a control step longer than a delay that is estimated: u is one command then."""
     if (longer := D[(D > 0) & (dt > D)]).size:
-        what = f"expected at most the delay, {longer.min():g} s, which no law finds from commands that are longer"
+        what = f"expected at most the delay, {longer.min():g}, which no law finds from commands that are longer"
         raise ConfigError(f"{name}: {what}, got {dt:g}; shorten the step, or freeze the estimate")
 
 
