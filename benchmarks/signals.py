@@ -1,6 +1,6 @@
 """Signals at random times over the life of real commands: each ends with the right code and one line, and in time.
 
-    python benchmarks/signals.py [--count 5000] [--seed 0] [--together 4] [--cold 0.2] [--busy 0]
+    python benchmarks/signals.py [--count 5000] [--seconds 3600] [--seed 0] [--together 4] [--cold 0.2] [--busy 0]
 
 Each command is sent SIGINT, SIGTERM or SIGHUP, half of them to its processes too, as a terminal does, at a time drawn
 uniformly over its life, from when npred listens: before, its first imports take a few milliseconds, in which a signal
@@ -184,6 +184,7 @@ def fault(done: Ended, number: int) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=5000)
+    parser.add_argument("--seconds", type=float, default=3600.0, help="no signal is sent after so many")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--together", type=int, default=4, help="commands side by side")
     parser.add_argument("--cold", type=float, default=0.2)
@@ -212,8 +213,10 @@ def main() -> None:
 
 def campaign(program: Program, share: range, names: list[str], asked: argparse.Namespace) -> Counter:
     """The counts of a share of the signals, one after the other."""
-    lives, table = {}, Counter()
+    lives, table, begun = {}, Counter(), time.monotonic()
     for turn in share:
+        if time.monotonic() - begun > asked.seconds:
+            break
         draw = random.Random(f"{asked.seed} {turn}")
         name, number, group = names[turn // asked.together % len(names)], draw.choice(SIGNALS), draw.random() < 0.5
         cold = draw.random() < asked.cold
