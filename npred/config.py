@@ -221,6 +221,11 @@ class Loop(Section):
         """The longest true delay, in seconds, jumps and drifts of scenarios aside."""
         return max(_ends(getattr(self, "D", 1.0)))
 
+    @property
+    def simulated(self) -> bool:
+        """True if loops are run: data may come from a file."""
+        return not getattr(self, "data", "")
+
     def lasts(self, key: str, seconds: float) -> None:
         """Raise ValueError for loops shorter than a control step, or with more steps than a record can hold."""
         if self.dt > seconds:

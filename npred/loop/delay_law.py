@@ -110,21 +110,16 @@ def delay(D: Any, D_hat: Any = 0.0) -> float:
 
 def resolve(loop: config.Loop, plant: Plant) -> DelayLaw | None:
     """The law of a stage's loops, made with their gamma, b and bounds, gamma suited to the plant where it is left out;
-    None for frozen, and for a plant that declares its delay.
+    None for frozen, for a plant that declares its delay, and for data that are not simulated.
 
     Raises ConfigError, in one line, for a name, file or class that is missing, broken or no law.
     """
-    if plant.declares_delay:
-        return None
-    if loop.adaptation == config.FROZEN:
+    if plant.declares_delay or loop.adaptation == config.FROZEN or not loop.simulated:
         return None
     law = DELAY_LAWS.subclass("adaptation", loop.adaptation, DelayLaw)
     try:
-        made = (
-            law(b=loop.b, bounds=loop.bounds)
-            if loop.gamma is None
-            else law(gamma=loop.gamma, b=loop.b, bounds=loop.bounds)
-        )
+        gain = {} if loop.gamma is None else {"gamma": loop.gamma}
+        made = law(**gain, b=loop.b, bounds=loop.bounds)
     except TypeError as error:
         what = f"adaptation {loop.adaptation}: expected a law that takes gamma, b and bounds"
         raise ConfigError(f"{what}, got: {error}; take them") from None
