@@ -50,14 +50,15 @@ def converges(case: Case) -> Verdict:
     """
     loops = _loops(case)
     kept = _kept(case, loops)
-    estimates = ", ".join(f"{seconds:g}" for seconds in loops.D_hat)
+    shown = case.plant.time_text
+    estimates = ", ".join(f"{D_hat:g}" for D_hat in loops.D_hat)
     given = case.pipeline is not None and case.pipeline.evaluate.gamma is not None
     gain = f"gamma = {loops.law.gamma:g}" + ("" if given else ", which was derived from the plant and D,")
-    came = f"{kept.size} loops with D = {loops.D:g} s, {gain} and D_hat(0) = {estimates} s"
+    came = f"{kept.size} loops with D = {shown(loops.D)}, {gain} and D_hat(0) = {estimates}"
     if kept.all():
-        return "yes", f"{came} converge in {loops.seconds:.3g} s"
+        return "yes", f"{came} converge in {shown(loops.seconds, '.3g')}"
     start, estimate = (int(k) for k in np.argwhere(~kept)[0])
-    where = f"as from D_hat(0) = {loops.D_hat[estimate]:g} s at {case.state(loops.X0[start])}"
+    where = f"as from D_hat(0) = {shown(loops.D_hat[estimate])} at {case.state(loops.X0[start])}"
     return "warn", f"{(~kept).mean():.0%} of {came} are lost, {where}; {_cure(case, loops, kept)}"
 
 
@@ -108,7 +109,9 @@ def _cure(case: Case, loops: Loops, kept: np.ndarray) -> str:
             return f"give gamma = {law.gamma:g}"
     if (good := kept.all(axis=0)).any():
         low, high = loops.D_hat[good].min(), loops.D_hat[good].max()
-        return f'start the estimate within {low:g} to {high:g} s, or set adaptation = "delay-observer"'
+        return (
+            f'start the estimate within {low:g} to {case.plant.time_text(high)}, or set adaptation = "delay-observer"'
+        )
     return f'set adaptation = "delay-observer", or "{FROZEN}" and D_hat0 = D where the delay is known'
 
 

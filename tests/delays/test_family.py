@@ -43,7 +43,7 @@ def test_one_family_serves_a_plant(name: str):
 def test_what_a_family_lacks_is_refused_with_the_cure():
     family = family_of(EACH["DelayPerInput"])
     for kernel, cure in ((lambda: family.picard(1e-9, 9), "use rk4"), (family.update, "freeze the estimate")):
-        with pytest.raises(ConfigError, match=rf"expected one delay, plant unicycle has delays 0.25, 0.6 s; {cure}"):
+        with pytest.raises(ConfigError, match=rf"expected one delay, plant unicycle has delays 0.25 s, 0.6 s; {cure}"):
             kernel()
 
 

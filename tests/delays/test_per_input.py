@@ -199,7 +199,7 @@ def test_few_nodes(nx):
 
 @pytest.mark.parametrize(("kind", "name"), [(Picard, "picard"), (EulerPython, "euler_python")])
 def test_schemes_for_one_delay_say_so(kind, name):
-    with pytest.raises(ConfigError, match=f"{name}: expected one delay, plant chain has delays 0.25, 0.6 s; use"):
+    with pytest.raises(ConfigError, match=f"{name}: expected one delay, plant chain has delays 0.25 s, 0.6 s; use"):
         kind(plant((0.25, 0.6)))
 
 
@@ -215,7 +215,7 @@ def test_a_delay_per_input_is_not_taken_for_two_loops():
 
 def test_the_update_law_is_refused_with_distinct_delays():
     declared, law = plant((0.25, 0.6)), DelayAdaptation(gamma=1.0)
-    told = "adaptation: expected one delay, plant chain has delays 0.25, 0.6 s; "
+    told = "adaptation: expected one delay, plant chain has delays 0.25 s, 0.6 s; "
     with pytest.raises(ConfigError, match=told + "freeze the estimate"):
         simulate(declared, RK4(declared), D=0.6, D_hat=0.6, X0=[0.1, 0, 0], t_end=1.0, adaptation=law)
     with pytest.raises(ConfigError, match=told):

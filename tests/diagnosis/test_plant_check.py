@@ -443,7 +443,7 @@ def test_the_adaptive_loop_is_simulated_with_the_gain_that_suits_the_delay():
     found = answers(plants.resolve("scalar"))["adaptation"]
     assert found.verdict == "yes"
     assert "12 loops" not in found.text and re.match(r"9 loops with D = 1 s, gamma = 1, which was derived", found.text)
-    assert found.text.endswith("and D_hat(0) = 0.5, 1.5, 2 s converge in 40 s")
+    assert found.text.endswith("and D_hat(0) = 0.5, 1.5, 2 converge in 40 s")
 
 
 def test_the_adaptive_loop_is_not_asked_for_where_its_law_does_not_run(tank_file):

@@ -178,7 +178,10 @@ def test_each_number_of_a_certificate_is_below_the_head_that_names_it():
     table = tables.certified(Certified.of(sample, "a test"))
     expected = {head: CERTIFICATE[key] for head, key in CERTIFIED.items()}
     assert last_row(table) == {"network": "FNO", "bound / error": 52.0} | expected
-    assert table is not None and table.title == f"Certificate, with {CERTIFICATE['rollouts']} rollouts and 9 loops"
+    assert (
+        table is not None
+        and table.title == f"Certificate, with {CERTIFICATE['rollouts']} rollouts of 5 samples each and 9 loops"
+    )
 
 
 def test_each_number_of_a_refinement_and_of_a_training_is_below_the_head_that_names_it():

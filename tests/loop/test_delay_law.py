@@ -192,7 +192,9 @@ def test_only_another_law_than_the_papers_enters_the_key_and_by_its_file(stage, 
     path = Path(law.partition(":")[0])
     moved = path.rename(path.parent / "moved.py")
     assert question(stage, f"{moved}:Towards") == own
-    moved.write_text(LAW + "# another\n")
+    moved.write_text(LAW + "# a comment\n")
+    assert question(stage, f"{moved}:Towards") == own
+    moved.write_text(LAW + "another = 1\n")
     assert question(stage, f"{moved}:Towards") != own
 
 

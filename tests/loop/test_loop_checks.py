@@ -86,6 +86,6 @@ def test_a_step_longer_than_the_delay_is_for_a_delay_that_is_known():
     np.testing.assert_allclose(X[2:] / X[1:-1], np.exp(a * 0.3) - (a + c) / a * np.expm1(a * 0.3), rtol=2e-3)
     for law in (DelayObserver(), DelayAdaptation(gamma=1.0)):
         with pytest.raises(
-            ConfigError, match=r"dt: expected at most the delay, 0.12 s, .* got 0.3; shorten the step, or"
+            ConfigError, match=r"dt: expected at most the delay, 0.12, .* got 0.3; shorten the step, or"
         ):
             run(adaptation=law, **slow)

@@ -104,7 +104,7 @@ def test_an_observer_gets_what_it_needs_and_replaces_the_model():
 def test_a_measurement_or_an_observer_that_is_wrong_is_refused():
     for settings, words in (
         ({"noise": -0.1}, "expected noise of at least 0, got -0.1"),
-        ({"period": 0.0}, "expected a period above 0 s, got 0.0; None is every step"),
+        ({"period": 0.0}, "expected a period above 0, got 0.0; None is every step"),
         ({"drop": 1.0}, "expected drop from 0 up to 1, not included, got 1"),
         ({"seed": 0.5}, "expected a whole number of 64 bits as seed, got 0.5"),
         ({"first": 2**63}, "expected a whole number of 64 bits as first"),

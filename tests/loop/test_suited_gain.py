@@ -101,7 +101,7 @@ def doubts(name: str, D: float, **evaluate) -> list[str]:
 def test_lost_loops_are_told_before_a_run_with_a_gain_to_give():
     assert doubts("scalar", 1.0) == []
     (told,) = doubts("scalar", 1.0, gamma=1000.0)
-    assert "loops with D = 1 s, gamma = 1000 and D_hat(0) = 0.3, 0.5, 1, 1.5, 2 s are lost, as from" in told
+    assert "loops with D = 1 s, gamma = 1000 and D_hat(0) = 0.3, 0.5, 1, 1.5, 2 are lost, as from" in told
     (told,) = doubts("scalar", 1.0, gamma=20.0)
     assert told.endswith(("; give gamma = 2", "; give gamma = 0.2"))
 

@@ -236,7 +236,8 @@ def test_ranges_of_the_pipeline_enter_where_data_were_given_and_the_plant_has_no
     (tmp_path / "d.h5").write_bytes(b"samples")
 
     def asked(name: str, *more: str) -> dict[str, Any]:
-        made = planner(pipeline, f"plant={tmp_path}/mover.py:Mover", *more).config
+        gains = ("generate.gamma=1", "evaluate.gamma=1")  # none is derived for a plant without a box
+        made = planner(pipeline, f"plant={tmp_path}/mover.py:Mover", *gains, *more).config
         return next(question(node, made, "cpu") for node in nodes(made, usual(made)) if node.name == name)
 
     given = f"generate.data={tmp_path}/d.h5"
@@ -252,7 +253,8 @@ def test_where_files_lie_enters_no_key(pipeline: Path, monkeypatch: pytest.Monke
     folder = pipeline.parent
     (folder / "mover.py").write_text(MOVER)
     (folder / "d.h5").write_bytes(b"samples")
-    pipeline.write_text('plant = "mover.py:Mover"\n[generate]\ndata = "d.h5"\nbox = { x = [0, 1] }\n')
+    tables = '[generate]\ndata = "d.h5"\nbox = { x = [0, 1] }\n[evaluate]\ngamma = 1.0\n'
+    pipeline.write_text(f'plant = "mover.py:Mover"\n{tables}')
     monkeypatch.chdir(folder)
     here, there = config.load(Path(pipeline.name)), config.load(pipeline)
     assert here != there
@@ -336,7 +338,7 @@ def test_corrupt_weights_are_not_loaded(trained: dict[str, Path], pipeline: Path
 
 
 def test_labels_and_units_enter_the_keys_of_what_draws_them_and_no_other():
-    cart = config.parse({"plant": "cart_pole"}, "test")
+    cart = config.parse({"plant": "cart_pole", "generate": {"D": 0.2}, "evaluate": {"D": 0.2}}, "test")
     named = {node.title for node in nodes(cart, usual(cart)) if "notation" in question(node, cart, "cpu")}
     assert named == {"evaluate", "report"}
     plain = config.parse({"plant": "scalar"}, "test")

@@ -317,7 +317,7 @@ def test_a_plant_of_a_file_pickles_by_its_path(tank_file, traced, monkeypatch):
 def test_a_pickled_plant_whose_file_changed_or_went_is_refused(tank_file):
     spec = tank_file()
     text = pickle.dumps(plants.resolve(spec, {"c": 0.8}))
-    Path(spec.removesuffix(":Tank")).write_text(TANK + "# edited")
+    Path(spec.removesuffix(":Tank")).write_text(TANK + "\nedited = 1")
     with pytest.raises(ConfigError, match=r"my_plant.py:Tank: expected the file that was pickled, got another text"):
         pickle.loads(text)
     Path(spec.removesuffix(":Tank")).unlink()
