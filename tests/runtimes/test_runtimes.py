@@ -46,7 +46,7 @@ def test_a_runtime_of_a_file_enters_the_key_by_what_it_holds(mine):
 
     before = asked("torch", mine)
     assert before[0] == "torch" and before[1]["name"] == "Mine" and str(Path(mine).parent) not in str(before)
-    Path(mine.partition(":")[0]).write_text(MINE + "# another\n")
+    Path(mine.partition(":")[0]).write_text(MINE + "another = 1\n")
     assert asked("torch", mine) != before
     pipeline = config.parse(tables(bench={"runtimes": [mine]}), "tests")
     sources = stage_registry.sources(stage_registry.Node("bench", None, ()), pipeline)
