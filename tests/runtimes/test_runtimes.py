@@ -50,7 +50,7 @@ def test_a_runtime_of_a_file_enters_the_key_by_what_it_holds(mine):
     assert asked("torch", mine) != before
     pipeline = config.parse(tables(bench={"runtimes": [mine]}), "tests")
     sources = stage_registry.sources(stage_registry.Node("bench", None, ()), pipeline)
-    assert sources["bench.Mine"].text == MINE + "# another\n"
+    assert sources["bench.Mine"].text == MINE + "another = 1\n"
 
 
 @pytest.mark.parametrize(
