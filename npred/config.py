@@ -199,16 +199,16 @@ class Loop(Section):
         ends = _ends(data.get("D", 1.0)) if isinstance(data, dict) else []
         if not ends or not 0 < min(ends) <= max(ends) < math.inf:
             return data  # its own check refuses that D
-        D, fields, given = (min(ends) + max(ends)) / 2, cls.model_fields, _ends(data.get("bounds", []))
-        low, high = given if len(given) == 2 else (0.0, math.inf)
+        D, fields, bounds = (min(ends) + max(ends)) / 2, cls.model_fields, _ends(data.get("bounds", []))
+        low, high = bounds if len(bounds) == 2 else (0.0, math.inf)
         filled = {key: _times(D, fields[key].default, low, high) for key in cls.follows}
         filled |= {key: max(1.0, D) * fields[key].default for key in cls.lasting}
         filled |= {"dt": min(fields["dt"].default, min(ends) / STEPS_PER_DELAY)}
         data = filled | data
         if "bounds" not in data and data.get("adaptation") != FROZEN:
-            given = [end for key in ("D", *cls.follows, *cls.mapped) for end in _ends(data.get(key, []))]
+            delays = [end for key in ("D", *cls.follows, *cls.mapped) for end in _ends(data.get(key, []))]
             low, high = (D * bound for bound in fields["bounds"].default)
-            data["bounds"] = (min(low, *given), max(high, *given))
+            data["bounds"] = (min(low, *delays), max(high, *delays))
         return data
 
     @model_validator(mode="after")

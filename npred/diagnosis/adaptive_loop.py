@@ -23,7 +23,7 @@ NEAR = 0.05  # of the box: a loop that follows a reference is kept so close, for
 WEAKER = (0.1, 0.01)  # gains that are tried where loops are lost, times that of the law
 
 
-class Loops(NamedTuple):
+class Trial(NamedTuple):
     """Loops of the law from the starts X0 (S, n) and the estimates D_hat (E,), in seconds."""
 
     law: DelayAdaptation
@@ -52,8 +52,8 @@ def converges(case: Case) -> Verdict:
     kept = _kept(case, loops)
     shown = case.plant.time_text
     estimates = ", ".join(f"{D_hat:g}" for D_hat in loops.D_hat)
-    given = case.pipeline is not None and case.pipeline.evaluate.gamma is not None
-    gain = f"gamma = {loops.law.gamma:g}" + ("" if given else ", which was derived from the plant and D,")
+    stated = case.pipeline is not None and case.pipeline.evaluate.gamma is not None
+    gain = f"gamma = {loops.law.gamma:g}" + ("" if stated else ", which was derived from the plant and D,")
     came = f"{kept.size} loops with D = {shown(loops.D)}, {gain} and D_hat(0) = {estimates}"
     if kept.all():
         return "yes", f"{came} converge in {shown(loops.seconds, '.3g')}"
@@ -62,27 +62,27 @@ def converges(case: Case) -> Verdict:
     return "warn", f"{(~kept).mean():.0%} of {came} are lost, {where}; {_cure(case, loops, kept)}"
 
 
-def _loops(case: Case) -> Loops:
+def _loops(case: Case) -> Trial:
     """Those of the pipeline's table [evaluate], else those of the law with nothing but the delay given."""
     X0, seconds = case.X[:STARTS], times(case)[1]
     if case.pipeline is None:
         D_hat, dt = case.delay * np.array(ESTIMATES), case.delay / STEPS
         law = DelayAdaptation().suited(case.plant, case.delay, D_hat)
-        return _timed(Loops(law, case.delay, D_hat, X0, dt, max(seconds, DELAYS * case.delay), None))
+        return _timed(Trial(law, case.delay, D_hat, X0, dt, max(seconds, DELAYS * case.delay), None))
     table, law = case.pipeline.evaluate, resolve(case.pipeline.evaluate, case.plant)
     assert isinstance(law, DelayAdaptation)
     D_hat = np.array(sorted({table.D_hat0, *table.case_D_hat0}))
     X0 = np.concatenate([[table.X0], X0[1:]]) if len(table.X0) == case.plant.n else X0
-    return _timed(Loops(law, table.D, D_hat, X0, table.dt, max(seconds, DELAYS * table.D), table))
+    return _timed(Trial(law, table.D, D_hat, X0, table.dt, max(seconds, DELAYS * table.D), table))
 
 
-def _timed(loops: Loops) -> Loops:
+def _timed(loops: Trial) -> Trial:
     """The same with a longer step, and then in a shorter time, where there would be more steps than MOST."""
     dt = max(loops.dt, min(loops.seconds / MOST, loops.D / FEWEST))
     return loops._replace(dt=dt, seconds=min(loops.seconds, MOST * dt))
 
 
-def _kept(case: Case, loops: Loops) -> np.ndarray:
+def _kept(case: Case, loops: Trial) -> np.ndarray:
     """True (S, E) for loops that have converged, or still do."""
     from npred.loop import closed_loop, configured  # they bring Numba
 
@@ -102,7 +102,7 @@ def _kept(case: Case, loops: Loops) -> np.ndarray:
     return ((end <= (HOME if case.plant.rests else NEAR)) | (end < FALLING * middle)).reshape(run.X.shape[:-2])
 
 
-def _cure(case: Case, loops: Loops, kept: np.ndarray) -> str:
+def _cure(case: Case, loops: Trial, kept: np.ndarray) -> str:
     """The keys to give: a weaker gain, or first estimates that are kept, else another law."""
     for law in _weaker(loops.law):
         if _kept(case, loops._replace(law=law)).all():

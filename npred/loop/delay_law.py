@@ -116,15 +116,15 @@ def resolve(loop: config.Loop, plant: Plant) -> DelayLaw | None:
     """
     if plant.declares_delay or loop.adaptation == config.FROZEN or not loop.simulated:
         return None
-    law = DELAY_LAWS.subclass("adaptation", loop.adaptation, DelayLaw)
+    kind = DELAY_LAWS.subclass("adaptation", loop.adaptation, DelayLaw)
     try:
         gain = {} if loop.gamma is None else {"gamma": loop.gamma}
-        made = law(**gain, b=loop.b, bounds=loop.bounds)
+        law = kind(**gain, b=loop.b, bounds=loop.bounds)
     except TypeError as error:
         what = f"adaptation {loop.adaptation}: expected a law that takes gamma, b and bounds"
         raise ConfigError(f"{what}, got: {error}; take them") from None
-    made.check(plant)
-    return made.suited(plant, loop.longest, loop.longest)
+    law.check(plant)
+    return law.suited(plant, loop.longest, loop.longest)
 
 
 def check(loop: config.Loop, plant: Plant) -> None:

@@ -43,6 +43,7 @@ def readable(function: Callable[..., Any]) -> bool:
     """
     while isinstance(function, partial):
         function = function.func
+    function = inspect.unwrap(function)  # what a cache holds says its signature in every release
     if not (inspect.isfunction(function) or inspect.ismethod(function)):
         return False
     kinds = [parameter.kind for parameter in inspect.signature(function).parameters.values()]
