@@ -18,13 +18,13 @@ def read(path: Path, limit: int = LIMIT) -> bytes:
     """The bytes of a regular file. Raises OSError where it cannot be read, ValueError for a link, device or pipe, or
     for more than `limit` bytes.
     """
-    status = path.lstat()
+    status = os.lstat(path)
     if not stat.S_ISREG(status.st_mode):
         raise ValueError("a link, a folder or a device")
     if status.st_size > limit:
         raise ValueError(f"{status.st_size} bytes, more than {limit}")
-    with path.open("rb") as file:
-        return file.read(limit)
+    with open(path, "rb") as file:
+        return file.read(min(limit, status.st_size + 1))  # a buffer of `limit` would take longer than the reading
 
 
 def sha256(path: Path) -> str:

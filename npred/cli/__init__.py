@@ -1,5 +1,7 @@
 """The command line, `npred`."""
 
+import gc
+
 from npred.cli import commands
 from npred.cli.app import app, guarded
 from npred.parallel import torchrun
@@ -7,6 +9,8 @@ from npred.terminal import interruption, streams
 from npred.terminal.console import Console
 
 __all__ = ["app", "commands", "main"]
+
+MANY = 100_000  # objects between two searches for cycles: by default they take a third of the time of `npred status`
 
 
 def main() -> None:
@@ -16,6 +20,7 @@ def main() -> None:
     """
     interruption.listen()
     streams.open_closed()
+    gc.set_threshold(MANY)
     if torchrun.count() > 1:
         torchrun.join()
         torchrun.leave(_lead() if torchrun.number() == 0 else _help_out())

@@ -3,12 +3,11 @@
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from operator import itemgetter
 from typing import TYPE_CHECKING
 
 from npred.config import Pipeline
 from npred.pipeline import stage_registry
-from npred.pipeline.reasons import NEVER, alike, differences, pairs, reason, sentence, settings
+from npred.pipeline.reasons import NEVER, alike, differences, distance, leaves, reason, sentence, settings
 from npred.pipeline.stage_registry import STAGES, Node
 from npred.store import Artifact, Question, ResultInput, SourceText, Store
 
@@ -113,9 +112,10 @@ class Planner:
         causes = [f"upstream {step.node.name} will run ({step.reason})" for step in blocked if step.question]
         older = [a for a in self._artifacts if alike(a, node.stage, node.model, self.config.name)]
         asked, sources = stage_registry.question(node, self.config, self.device), self.sources(node)
-        distances = ((len(pairs(a.manifest.question.config, asked)), a.manifest) for a in reversed(older))
-        closest = min(distances, key=itemgetter(0), default=None)
-        changes = settings(closest[1].question.config, asked, closest[1].sources, sources) if closest else []
+        flat = leaves(asked)
+        closest = min(reversed(older), key=lambda a: distance(a.manifest.question.config, flat), default=None)
+        before = closest.manifest if closest else None
+        changes = settings(before.question.config, asked, before.sources, sources) if before else []
         return Step(node, None, None, f"{'stale' if older else NEVER}: {sentence([*changes, *causes])}")
 
     def _borrowed(self, question: Question) -> Artifact | None:

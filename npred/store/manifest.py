@@ -161,26 +161,29 @@ class Manifest(ManifestPart):
 
     @classmethod
     def read(cls, path: Path) -> Self:
-        """The manifest in a file. Raises StoreError, naming the file, unless every digest in it holds."""
+        """The manifest in a file. Raises StoreError, naming the file, unless it is as it was written, at its place."""
         try:
             manifest = cls.model_validate_json(json_files.read(path))
         except FileNotFoundError:
             raise StoreError(f"{path}: expected a manifest, found none; {cure(path.parent)}") from None
         except (OSError, ValueError):
             raise StoreError(f"{path}: expected a manifest, got something else; {cure(path.parent)}") from None
-        if not manifest.consistent or manifest.key != path.parent.name:
+        if not manifest.intact or manifest.key != path.parent.name:
             raise StoreError(f"{path}: expected the manifest as it was written, got changed bytes; {cure(path.parent)}")
         return manifest
 
     @property
-    def consistent(self) -> bool:
-        """True if checksum, digest and key all follow from the other fields."""
-        fields = self._covered()
+    def intact(self) -> bool:
+        """True if it is as it was written: the checksum follows from the other fields."""
         try:
-            digests = (sha256(fields), sha256(fields["files"]), self.question.key)
+            return self.checksum == sha256(self._covered())
         except (ValueError, RecursionError):  # a number or a nesting that no configuration of npred has
             return False
-        return (self.checksum, self.digest, self.key) == digests
+
+    @property
+    def consistent(self) -> bool:
+        """True if checksum, digest and key all follow from the other fields; where other hands wrote, they may not."""
+        return self.intact and (self.digest, self.key) == (sha256(self.files), self.question.key)
 
     def _covered(self) -> dict[str, Any]:
         """The fields that the checksum covers; manifests of an older npred have no sources."""
