@@ -12,8 +12,9 @@ from conftest import HERE, process_environment
 
 
 def hear_interrupts() -> None:
-    """A shell starts what it puts into the background deaf to SIGINT, and children inherit that."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    """A shell starts what it puts into the background deaf to SIGINT, nohup to SIGHUP, and children inherit that."""
+    for number in (signal.SIGINT, signal.SIGHUP):
+        signal.signal(number, signal.SIG_DFL)
 
 
 class Process:
