@@ -8,7 +8,7 @@ import numpy as np
 
 from npred.config import FROZEN, PAPER, Loop
 from npred.delays import family_of
-from npred.diagnosis.case import Case, Verdict
+from npred.diagnosis.case import OBSERVER, Case, Verdict
 from npred.diagnosis.convergence import FALLING, HOME, distances, times
 from npred.loop.adaptation import DelayAdaptation
 from npred.loop.delay_law import resolve
@@ -17,7 +17,7 @@ from npred.predictors import RK4
 STARTS, NODES = 3, 31  # of the box; of the predictor, at most
 ESTIMATES = (0.5, 1.5, 2.0)  # times D, where no pipeline gives first estimates
 DELAYS = 40.0  # how long loops run at least
-STEPS, FEWEST, MOST = 50, 20, 4000  # control steps in a delay, where they would be too many at least so many; in a loop
+STEPS, MOST = 50, 4000  # control steps in a delay, where they are not given or would be too many; in a loop, at most
 LARGEST = 6  # states up to which a plant is asked without a pipeline: the kernels of larger ones compile for a minute
 NEAR = 0.05  # of the box: a loop that follows a reference is kept so close, for held commands are late by dt / 2
 WEAKER = (0.1, 0.01)  # gains that are tried where loops are lost, times that of the law
@@ -78,13 +78,14 @@ def _loops(case: Case) -> Trial:
 
 def _timed(loops: Trial) -> Trial:
     """The same with a longer step, and then in a shorter time, where there would be more steps than MOST."""
-    dt = max(loops.dt, min(loops.seconds / MOST, loops.D / FEWEST))
+    dt = max(loops.dt, min(loops.seconds / MOST, loops.D / STEPS))
     return loops._replace(dt=dt, seconds=min(loops.seconds, MOST * dt))
 
 
-def _kept(case: Case, loops: Trial) -> np.ndarray:
-    """True (S, E) for loops that have converged, or still do."""
+def _kept(case: Case, loops: Trial, adaptation: str = PAPER) -> np.ndarray:
+    """True (S, E) for loops that have converged, or still do, with another law where one is named."""
     from npred.loop import closed_loop, configured  # they bring Numba
+    from npred.loop.delay_observer import DelayObserver
 
     nodes = min(loops.table.nx, NODES) if loops.table else NODES
     arguments: dict[str, Any] = {
@@ -92,9 +93,11 @@ def _kept(case: Case, loops: Trial) -> np.ndarray:
         "every": max(round(loops.D / loops.dt / 10), 1),
     }  # fmt: skip
     if loops.table is None:
-        run = closed_loop.simulate(case.plant, RK4(case.plant, nodes), dt=loops.dt, adaptation=loops.law, **arguments)
+        law = {PAPER: loops.law, OBSERVER: DelayObserver(bounds=loops.law.bounds), FROZEN: None}[adaptation]
+        run = closed_loop.simulate(case.plant, RK4(case.plant, nodes), dt=loops.dt, adaptation=law, **arguments)
     else:
-        table = loops.table.model_copy(update={"gamma": loops.law.gamma, "dt": loops.dt})
+        settings = {"gamma": loops.law.gamma, "dt": loops.dt, "adaptation": adaptation}
+        table = loops.table.model_copy(update=settings)
         run = configured.loops(case.plant, RK4(case.plant, nodes), table, seed=0, **arguments)
     X = run.X.reshape(-1, *run.X.shape[-2:])
     gaps = distances(case, X, float(run.t[-1]))
@@ -103,16 +106,19 @@ def _kept(case: Case, loops: Trial) -> np.ndarray:
 
 
 def _cure(case: Case, loops: Trial, kept: np.ndarray) -> str:
-    """The keys to give: a weaker gain, or first estimates that are kept, else another law."""
+    """The keys to give, of those with which all loops are kept: a weaker gain, first estimates, or another law."""
     for law in _weaker(loops.law):
         if _kept(case, loops._replace(law=law)).all():
             return f"give gamma = {law.gamma:g}"
+    cures = []
     if (good := kept.all(axis=0)).any():
         low, high = loops.D_hat[good].min(), loops.D_hat[good].max()
-        return (
-            f'start the estimate within {low:g} to {case.plant.time_text(high)}, or set adaptation = "delay-observer"'
-        )
-    return f'set adaptation = "delay-observer", or "{FROZEN}" and D_hat0 = D where the delay is known'
+        cures.append(f"start the estimate within {low:g} to {case.plant.time_text(high)}")
+    if _kept(case, loops, OBSERVER).all():
+        cures.append(f'set adaptation = "{OBSERVER}"')
+    if not good.any() and _kept(case, loops._replace(D_hat=np.array([loops.D])), FROZEN).all():
+        cures.append(f'set adaptation = "{FROZEN}" and D_hat0 = D where the delay is known')
+    return ", or ".join(cures) or f'neither "{OBSERVER}" nor the known delay keeps all; shorten D, or shrink box'
 
 
 def _weaker(law: DelayAdaptation) -> Iterator[DelayAdaptation]:

@@ -20,7 +20,8 @@ STAGES = ("generate", "train", "evaluate", "bench")
 LOOPS = ("generate", "evaluate")  # those that simulate
 ANY = "any stage"
 SPAN, MOMENTS = 100.0, 16  # s, and how many times: where a declared delay that depends on time is looked at
-WITHOUT_V = (FROZEN, "l1", "delay-observer")  # laws that take no V
+OBSERVER = "delay-observer"
+WITHOUT_V = (FROZEN, "l1", OBSERVER)  # laws that take no V
 
 
 class Answer(NamedTuple):

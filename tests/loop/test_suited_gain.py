@@ -106,6 +106,39 @@ def test_lost_loops_are_told_before_a_run_with_a_gain_to_give():
     assert told.endswith(("; give gamma = 2", "; give gamma = 0.2"))
 
 
+BOUNDED = """class Bounded:
+    states, inputs, box, input_bounds = ("x",), ("U",), {"x": (-1, 1)}, ((-2, 2),)
+    def f(x, u, t, p, M): return [x.x + u.U]
+    def kappa(x, t, p, M): return [-2 * x.x]
+    def V(x, t, p, M): return x.x**2
+"""
+FAST_AND_SLOW = """class FastAndSlow:
+    states, inputs, box = ("x", "y"), ("U",), {"x": (-1, 1), "y": (-1, 1)}
+    def f(x, u, t, p, M): return [u.U, -0.1 * x.y]
+    def kappa(x, t, p, M): return [-60 * x.x]
+    def V(x, t, p, M): return x.x**2 + x.y**2
+"""
+
+
+def test_only_what_keeps_the_loops_is_advised(tmp_path):
+    """Of x' = x + U with |U| <= 2: after 1 s nothing can bring back what starts near 1, after 0.5 s all laws can."""
+    path = tmp_path / "bounded.py"
+    path.write_text(BOUNDED)
+    (told,) = doubts(f"{path}:Bounded", 1.0)
+    assert told.endswith('; neither "delay-observer" nor the known delay keeps all; shorten D, or shrink box')
+    (told,) = doubts(f"{path}:Bounded", 0.5, gamma=500.0)
+    known = '"frozen" and D_hat0 = D where the delay is known'
+    assert told.endswith(f'; set adaptation = "delay-observer", or set adaptation = {known}')
+
+
+def test_the_loops_of_the_check_have_a_short_control_step(tmp_path):
+    """A law of 60 /s is lost with commands that are held for D / 20, and kept with those of D / 50, or of the
+    pipeline."""
+    path = tmp_path / "fast_and_slow.py"
+    path.write_text(FAST_AND_SLOW)
+    assert doubts(f"{path}:FastAndSlow", 0.5, D_hat0=0.5, case_D_hat0=[0.5], gamma=1e-9) == []
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "D"),
