@@ -67,14 +67,15 @@ LANE, ROWS = (types.Array(types.float64, d, "C") for d in (1, 2))
 def screen(
     X: np.ndarray, X_hat: np.ndarray, D_hat: np.ndarray, reach: np.ndarray, gate: float, dt: float, missed: np.ndarray
 ) -> None:  # fmt: skip
-    """Put X_hat for a sample X further from it than the gate; after D_hat seconds of such samples X has jumped."""
+    """Make X NaN, no sample, where it is further from X_hat than the gate; after D_hat seconds of such X has jumped."""
     far = False
     for c in range(X.shape[0]):
         if abs(X[c, 0] - X_hat[c, 0]) > max(reach[c], gate * abs(X_hat[c, 0])):
             far = True
     if far and missed[0] * dt < D_hat[0]:
         missed[0] += 1.0
-        copy(X_hat, X)
+        for c in range(X.shape[0]):
+            X[c, 0] = np.nan
     else:
         missed[0] = 0.0
         copy(X, X_hat)
@@ -84,8 +85,10 @@ def control_step(s: Parts, z: Memory, k: int, t: float, P: np.ndarray) -> None:
     """U, P and the next D_hat from X, and from u or the commands before step k [DAPF, eqs. 9-14]."""
     if s.model is not None:
         screen(z.X, z.X_hat, z.D_hat, s.reach, s.gate, s.dt, z.missed)
-    if s.observe is not None and (s.model is None or z.missed[0] == 0.0):  # an observer learns from samples only
+    if s.observe is not None:  # which learns from samples only, and else goes on by the commands
         s.observe(k, s.dt, z.X, z.held, t, s.p, s.law, z.observer, z.D_hat)
+    if s.model is not None:
+        copy(z.X_hat, z.X)
     if s.believe is not None:
         s.believe(z.X, t, s.p, s.ratios, z.D_hat, z.D_seen)
     if s.recalls:

@@ -38,7 +38,7 @@ class Controller:
 
     With "history" the model says what X must be by now, X_hat, from the last sample and the commands. A sample that is
     further from it than `gate` times half the box, or |X_hat| where that is more, in any state, is not believed: X_hat
-    takes its place, `missed` counts it, and an observer of the delay does not see it. Such samples in a row for D_hat
+    takes its place, `missed` counts it, and an observer of the delay goes on without it. Such samples in a row for D_hat
     seconds are: X has jumped. `gate=None` believes all; so does a state without a box.
     Raises ConfigError for parts that do not fit together.
     """
@@ -311,7 +311,7 @@ class Controller:
         if not fits:
             raise ConfigError("state: expected the commands of such a controller, got others; save it with state()")
         z.observer[:, 0] = observer
-        self._expect(X_hat, missed)
+        self._expect(None if self._watches and math.isnan(observer[-1]) else X_hat, missed)  # they start at a sample
         held, sums = held[:, :, None].astype(float), sums[:, :, None].astype(float)  # maybe longer than those before
         self._k, self.memory = k, z._replace(held=held, total=sums)
 

@@ -441,6 +441,37 @@ def test_a_sample_that_the_plant_cannot_have_made_is_predicted_over(size):
     assert np.abs(around(trusting, X[:21], {20: X[20] + size})[20] - U[20]).max() > 1
 
 
+def estimates(wrong):
+    """D_hat of the observers in a loop of x' = x / 2 + u, D = 1 s, whose sample k is 6 off where `wrong` says so."""
+    plant, law = npred.plant("scalar"), npred.DelayObserver(bounds=(0.1, 4.0))
+    controller = npred.controller(plant, RK4(plant, 21), law, 0.01, D_hat=0.4, actuator="history")
+    x, late, found = 0.5, [0.0] * 100, []
+    for far in wrong:
+        late.append(controller.step([x + 6.0 * far])[0])
+        x, found = (x + 2 * late[-101]) * np.exp(0.005) - 2 * late[-101], [*found, controller.D_hat]
+    return np.array(found)
+
+
+@pytest.mark.parametrize("row", [1, 10])
+def test_observers_of_the_delay_go_on_where_samples_are_not_believed(row):
+    """One in ten, in rows of 1 or 10. While the observers stood still there, the estimate was 0.01 s off."""
+    starts = np.random.default_rng(0).random(1000) < 0.1 / row
+    starts[:5] = False
+    wrong = np.convolve(starts, np.ones(row))[:1000] > 0
+    np.testing.assert_allclose(estimates(wrong)[500:], estimates(np.zeros(1000))[500:], atol=0.003)
+
+
+def test_observers_that_have_seen_no_sample_start_at_the_first():
+    plant, law = npred.plant("scalar"), npred.DelayObserver(bounds=(0.1, 4.0))
+    known, found = (
+        npred.controller(plant, RK4(plant, 21), one, 0.01, D_hat=0.4, actuator="history") for one in (None, law)
+    )
+    known.step([0.5])
+    found.restore(known.state())
+    found.step([9.0])
+    assert found.missed == 0 and np.isfinite(found.memory.observer).all()
+
+
 def test_a_state_that_jumps_is_believed_after_a_delay():
     X, _ = pose_loop(20)
     controller = turning()
