@@ -38,8 +38,8 @@ class Controller:
 
     With "history" the model says what X must be by now, X_hat, from the last sample and the commands. A sample that is
     further from it than `gate` times half the box, or |X_hat| where that is more, in any state, is not believed: X_hat
-    takes its place, `missed` counts it, and an observer of the delay goes on without it. Such samples in a row for D_hat
-    seconds are: X has jumped. `gate=None` believes all; so does a state without a box.
+    takes its place, `missed` counts it, and an observer of the delay goes on without it. Such samples in a row for
+    D_hat seconds are: X has jumped. `gate=None` believes all; so does a state without a box.
     Raises ConfigError for parts that do not fit together.
     """
 
