@@ -5,6 +5,9 @@ BIN := $(VENV)/bin
 # CONSTRAINTS=constraints.txt installs the exact versions that were tested
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check $(if $(CONSTRAINTS),--constraint $(CONSTRAINTS))
 
+# where the machine has no C compiler, that of a package from PyPI
+ZIG := $(if $(shell command -v cc || command -v gcc || command -v clang),,ziglang)
+
 .DEFAULT_GOAL := all
 .PHONY: all install dev test test-fast campaign smoke lint types docs cortex-m check constraints clean help force
 
@@ -58,9 +61,9 @@ $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
 
 $(VENV)/.installed: pyproject.toml $(if $(CONSTRAINTS),force) | $(BIN)/python
-	$(PIP) -e .
+	$(PIP) -e . $(ZIG)
 	touch $@
 
 $(VENV)/.installed-dev: pyproject.toml $(if $(CONSTRAINTS),force) | $(BIN)/python
-	$(PIP) -e ".[dev]"
+	$(PIP) -e ".[dev]" $(ZIG)
 	touch $@ $(VENV)/.installed

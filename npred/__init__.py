@@ -50,7 +50,7 @@ _MODULES = {
 
 
 def __getattr__(name: str) -> Any:
-    """The public names, imported on first use: numba and torch take seconds that `npred --help` has no use for."""
+    """The public names, imported on first use: torch takes seconds that `npred --help` has no use for."""
     if name not in (*_HOME, *_MODULES):
         raise AttributeError(f"module 'npred' has no attribute {name!r}")
     import importlib

@@ -27,7 +27,7 @@ FLOORS = [
 ]
 FLOOR = {name: floor for floor, names in enumerate(FLOORS) for name in names}
 MODULES = sorted(path for path in ROOT.rglob("*.py") if path != ROOT / "__init__.py")
-HEAVY = ("torch", "numba", "h5py", "sympy", "matplotlib", "scipy", "onnxruntime", "distributed")
+HEAVY = ("torch", "h5py", "sympy", "matplotlib", "scipy", "onnxruntime", "distributed")
 
 
 def room(path: Path) -> str:

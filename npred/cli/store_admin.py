@@ -9,6 +9,7 @@ from typing import Any
 from npred.cli.gc import shortened
 from npred.cli.options import Common, writable
 from npred.errors import StoreError
+from npred.kernels import compiler
 from npred.parallel import devices
 from npred.pipeline import payload
 from npred.registry import STAGES
@@ -17,13 +18,17 @@ from npred.store.manifest import NAME
 from npred.terminal.console import columns
 
 SHOWN = 4  # names of results on a line
-PACKAGES = ("npred", "numpy", "torch", "numba", "h5py", "pydantic", "safetensors", "typer", "onnxruntime",
+PACKAGES = ("npred", "numpy", "torch", "h5py", "pydantic", "safetensors", "typer", "onnxruntime",
             "distributed")  # fmt: skip
 
 
 def doctor(options: Common) -> None:
     """Versions, devices, threads and the store."""
-    facts = _machine() | {"packages": devices.packages(*PACKAGES), "store": _store(options)}
+    facts = _machine() | {
+        "compiler": compiler.version(),
+        "packages": devices.packages(*PACKAGES),
+        "store": _store(options),
+    }
     options.show(facts, lambda: "\n".join(f"{name}: {_words(value)}" for name, value in facts.items()))
 
 

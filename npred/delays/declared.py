@@ -12,45 +12,15 @@ from typing import Any, ClassVar
 import numpy as np
 
 from npred.delays import family
-from npred.delays.constant import WEIGHTS, ConstantDelay, input_lines
-from npred.delays.family import Family, Kernel, Step
-from npred.symbolic import kernels, programs, tape
+from npred.delays.constant import ConstantDelay
+from npred.delays.family import Family, Step
+from npred.kernels.formula import vector
+from npred.kernels.functions import Formulas
+from npred.kernels.kernel import Kernel, made, skeleton
+from npred.symbolic import programs, tape
 from npred.symbolic.trace import Trace
 
-SWEEP = """\
-    nx, n, lanes = P.shape
-    {parameters}
-    for l in range(lanes):
-        h, s = D_hat[l] / (nx - 1), t
-        for c in range(n):
-            P[0, c, l] = X[c, l]
-        for j in range(nx - 1):
-            {weights}
-            {node}
-            if not margin > 0.0:
-                P[j + 1:, :, l] = np.nan
-                break
-"""
-
-# s(1) solves s = t + D(P(1), s), by Newton's method from s = t + H; a delay that is free of time needs one step.
-CONTROL = """\
-    lanes, j = P.shape[2], P.shape[0] - 1
-    {parameters}
-    for l in range(lanes):
-        s = t + D_hat[l]
-        for _ in range(STEPS):
-            {time}
-        {law}
-"""
-STEPS = 20
-
-ROWS = """\
-    {parameters}
-    for l in range(X.shape[1]):
-        {lines}
-        for c in range({target}.shape[0]):
-            {target}[c, l] = value
-"""
+STEPS = 20  # of Newton's method for s(1); a delay that is free of time needs one
 
 
 class DeclaredDelay(Family):
@@ -82,60 +52,55 @@ class DeclaredDelay(Family):
 
     def sweep(self, step: Step, timed: bool = False) -> Kernel:
         """With `timed` the time s of each node is one state more, the last one of X and P."""
-        n, m, trace = self.plant.n, self.plant.m, Trace(self.plant)
-        state, (u0, um, u1) = trace.vector("x", n + 1), (trace.vector(name, m) for name in ("a", "m", "b"))
+        n, m, of = self.plant.n, self.plant.m, Formulas(self.plant, ())
+        trace = of.trace
+        state, (u0, um, u1) = trace.vector("x", n + 1), (trace.vector(name, m) for name in "amb")
 
         def flow(y: Any, u: Any, _: Any) -> Any:
             """d(P, s)/dx / H: the method steps through the time too, as one state more."""
             velocity = trace.f(y[:-1], u, y[-1])
-            return np.array([*velocity, 1.0], dtype=object) / self._margin(trace, y[:-1], y[-1], velocity)
+            return np.array([*velocity, 1.0], dtype=object) / _margin(trace, y[:-1], y[-1], velocity)
 
         y = step(flow, state, u0, um, u1, 0.0, trace.input("h"))
         y = [*self.plant.stopped(y[:-1], tape.M), y[-1]]
-        margin = self._margin(trace, state[:-1], state[-1], trace.f(state[:-1], u0, state[-1]))
-        names = {f"x{k}": f"P[j, {k}, l]" for k in range(n)} | {f"x{n}": "s"} | input_lines(m)
-        targets = [*(f"P[j + 1, {k}, l]" for k in range(n)), "after", "margin"]
-        clock = [f"P[j + 1, {n}, l] = s"] if timed else []
-        node = [*programs.lines([*y, margin], names, targets), "s = after", *clock]
-        weights = WEIGHTS.splitlines() if programs.depends(y, um) else []
-        source = kernels.fill(SWEEP, parameters=kernels.parameters(len(self.plant.p)), weights=weights, node=node)
-        return family.build("sweep", family.PREDICT, source)
-
-    @staticmethod
-    def _margin(trace: Trace, x: Any, t: Any, velocity: Any) -> Any:
-        """1 - D_X f - D_t."""
-        return 1.0 - programs.derivative([trace.delay(x, t)], [t, *x], [1.0, *velocity])[0]
+        margin = _margin(trace, state[:-1], state[-1], trace.f(state[:-1], u0, state[-1]))
+        arguments = [vector("x", n + 1, "one"), vector("a", m), vector("m", m, "wide"), vector("b", m), "h"]
+        text = of.function([*y, margin], arguments, {"y": n + 2}, "one")
+        sizes = {"N": n, "M": m, "TIMED": int(timed), "MIDDLE": int(programs.depends(y, um))}
+        return made(
+            "sweep", family.PREDICT, skeleton("declared.h"), {"STEP": text}, sizes, before=[skeleton("middle.h")]
+        )
 
     def control(self, step: Step) -> Kernel:
-        trace = Trace(self.plant)
-        x, s, t = trace.vector("x", self.plant.n), trace.input("s"), trace.input("t")
-        delay = trace.delay(x, s)
+        n, m, of = self.plant.n, self.plant.m, Formulas(self.plant, ())
+        x, s, t = of.trace.vector("x", n), of.trace.input("s"), of.trace.input("t")
+        delay = of.trace.delay(x, s)
         by_time = programs.derivative([delay], [s], [1.0])[0]
-        names = {f"x{k}": f"P[j, {k}, l]" for k in range(self.plant.n)}
-        time = programs.lines([s - (s - t - delay) / (1.0 - by_time)], names, ["s"])
-        law = programs.lines(trace.kappa(x, s), names, [f"U[{c}, l]" for c in range(self.plant.m)])
-        text = CONTROL.replace("STEPS", str(STEPS if programs.depends([delay], [s]) else 1))
-        source = kernels.fill(text, parameters=kernels.parameters(len(self.plant.p)), time=time, law=law)
-        return family.build("control", family.CONTROL, source)
+        after = [s - (s - t - delay) / (1.0 - by_time)]
+        functions = {
+            "TIME": of.function(after, [vector("x", n), "s", "t"], {"after": 1}, "one"),
+            "LAW": of.function(of.trace.kappa(x, s), [vector("x", n), "s"], {"U": m}),
+        }
+        sizes = {"N": n, "M": m, "STEPS": STEPS if programs.depends([delay], [s]) else 1}
+        return made("control", family.CONTROL, skeleton("declared_control.h"), functions, sizes)
 
     def advance(self, step: Step) -> Kernel:
         return ConstantDelay(self.plant).advance(step)  # the engine says when the inputs switch
 
     def horizon(self) -> Kernel:
-        trace = Trace(self.plant)
-        x, t = trace.vector("x", self.plant.n), trace.input("t")
-        return self._rows("horizon", family.HORIZON, "D", trace.delay(x, t), ["D_hat[l] = value"])
+        n, of = self.plant.n, Formulas(self.plant, ())
+        delay = of.trace.delay(of.trace.vector("x", n), of.trace.input("t"))
+        text = of.function([delay], [vector("x", n), "t"], {"value": 1}, "one")
+        return made("horizon", family.HORIZON, skeleton("horizon.h"), {"VALUE": text}, {"M": self.plant.m})
 
     def speed(self) -> Kernel:
-        trace = Trace(self.plant)
-        x, u, t = trace.vector("x", self.plant.n), trace.vector("u", self.plant.m), trace.input("t")
-        return self._rows("speed", family.SPEED, "speed", self._margin(trace, x, t, trace.f(x, u, t)), [])
+        n, m, of = self.plant.n, self.plant.m, Formulas(self.plant, ())
+        x, u, t = of.trace.vector("x", n), of.trace.vector("u", m), of.trace.input("t")
+        margin = _margin(of.trace, x, t, of.trace.f(x, u, t))
+        text = of.function([margin], [vector("x", n), vector("u", m), "t"], {"value": 1}, "one")
+        return made("speed", family.SPEED, skeleton("speed.h"), {"VALUE": text}, {"M": m})
 
-    def _rows(self, name: str, arguments: str, target: str, value: Any, more: list[str]) -> Kernel:
-        """The kernel that writes a value to each row of the target."""
-        names = {f"x{k}": f"X[{k}, l]" for k in range(self.plant.n)}
-        names |= {f"u{c}": f"U[{c}, l]" for c in range(self.plant.m)}
-        lines = [*programs.lines([value], names, ["value"]), *more]
-        text = ROWS.replace("{target}", target)
-        source = kernels.fill(text, parameters=kernels.parameters(len(self.plant.p)), lines=lines)
-        return family.build(name, arguments, source)
+
+def _margin(trace: Trace, x: Any, t: Any, velocity: Any) -> Any:
+    """1 - D_X f - D_t."""
+    return 1.0 - programs.derivative([trace.delay(x, t)], [t, *x], [1.0, *velocity])[0]

@@ -11,23 +11,24 @@ from typing import Any, ClassVar
 import numpy as np
 
 from npred.errors import ConfigError
+from npred.kernels import kernel
 from npred.plants.base import Plant
-from npred.symbolic import kernels
 
-Kernel = Callable[..., None]
+Kernel = Callable[..., None]  # npred.kernels.kernel.Kernel, or for a black box the same in Python
 Step = Callable[..., Any]  # the formula of a one-step method: npred.predictors.onestep
 
-# The arguments of the kernels, in order: those that are written stand last.
-PREDICT = "X, u, D_hat, t, p, P"
-CONTROL = "P, u, D_hat, t, p, U"
-UPDATE = "P, X, u, D_hat, t, p, b, phi, N"  # u at the nodes
-ADVANCE = "X, U0, U1, share, dt, t, p"  # in place: the delayed input U0 for the first `share` of a step, then U1
-HORIZON = "X, t, p, ratios, D_hat, D"  # the delay of each input, and the longest as D_hat where the plant declares it
-SPEED = "X, U, t, p, speed"  # of phi(t) = t - D with U acting, 1 - D_X f - D_t
-CORRECT = "P_hat, X, u, D_hat, t, p, P"  # P_hat less its error, as far as its defect says
-GUARD = "X, u, D_hat, t, p, guard, P, error, fallback"  # P in place; guard: what npred.predictors.guarded is set to
+# The arguments of the kernels, in order; & marks those that are written.
+PREDICT = "X, u, D_hat, t, p, &P"
+CONTROL = "P, u, D_hat, t, p, &U"
+UPDATE = "P, X, u, D_hat, t, p, b, &phi, &N"  # u at the nodes
+ADVANCE = "&X, U0, U1, share, dt, t, p"  # in place: the delayed input U0 for the first `share` of a step, then U1
+HORIZON = "X, t, p, ratios, &D_hat, &D"  # the delay of each input, and the longest as D_hat where the plant declares it
+SPEED = "X, U, t, p, &speed"  # of phi(t) = t - D with U acting, 1 - D_X f - D_t
+CORRECT = "P_hat, X, u, D_hat, t, p, &P"  # P_hat less its error, as far as its defect says
+GUARD = "X, u, D_hat, t, p, guard, &P, &error, &fallback"  # P in place; guard: what npred.predictors.guarded is set to
 # Of laws that estimate D_hat themselves, and write it: X are the samples of step k and time t, NaN where there is none.
-OBSERVE = "k, dt, X, held, t, p, law, memory, D_hat"
+OBSERVE = "k, dt, X, held, t, p, law, &memory, &D_hat"
+ESTIMATE = "k, origin, dt, D_seen, held, &Y, &X_hat"  # of observers of the state in Python: X_hat in place, and Y
 BOUNDED = {  # what does not serve a plant whose states stop at bounds, and what to use instead
     "picard": "use rk4",
     "semi_implicit": "use rosenbrock",
@@ -39,42 +40,12 @@ BOUNDED = {  # what does not serve a plant whose states stop at bounds, and what
     "defect": "take by = 'shadow'",
     "bound": "take error, an estimate",
 }
-LANE, ROWS, NODES = "float64[::1]", "float64[:,::1]", "float64[:,:,::1]"  # (B,), (n, B) or (m, B), (nx, n or m, B)
-TYPES = {
-    **dict.fromkeys(("t", "dt", "b"), "float64"),
-    **dict.fromkeys(("D_hat", "p", "phi", "N", "ratios", "law", "guard", "error", "fallback"), LANE),
-    **dict.fromkeys(("X", "U", "U0", "U1", "share", "D", "speed", "memory"), ROWS),
-    **dict.fromkeys(("u", "P", "P_hat", "held"), NODES),
-    "k": "int64",
-}
 
 
-def signature(arguments: str) -> str:
-    """Numba's signature of a kernel with these arguments, as PREDICT."""
-    return f"void({', '.join(TYPES[name] for name in arguments.split(', '))})"
-
-
-def pointer(kernel: Any) -> Any:
-    """The type of a pointer to a kernel, from its signature, in which form the one engine takes it."""
-    from numba import types
-    from numba.core.sigutils import normalize_signature
-
-    return types.FunctionType(types.void(*normalize_signature(kernel)[0]))
-
-
-def build(name: str, arguments: str, body: str, preamble: str = "", **flags: Any) -> Kernel:
-    """The compiled kernel of the lines below its `def`; see npred.symbolic.kernels.build."""
-    return kernels.build(name, signature(arguments), f"def {name}({arguments}):\n{body}", preamble, **flags)
-
-
-def uncompiled(name: str, arguments: str, body: str, preamble: str = "") -> kernels.Uncompiled:
-    """The same, for other compilers than Numba's."""
-    return kernels.uncompiled(name, f"def {name}({arguments}):\n{body}", preamble)
-
-
-def idle(arguments: str) -> Kernel:
-    """A kernel that does nothing, for a part that a loop does without."""
-    return build("idle", arguments, "    pass\n")
+def build(name: str, arguments: str, body: str) -> kernel.Kernel:
+    """The kernel of a body in C99, for laws of yours: arrays have their lanes innermost, d.lanes of them."""
+    head = kernel.prototype("KERNEL", arguments)
+    return kernel.made(name, arguments, f"static inline {head}\n{{\n    (void)d, (void)work;\n{body}}}\n", {})
 
 
 def rows(*lanes: np.ndarray) -> list[np.ndarray]:
@@ -86,7 +57,7 @@ def rows(*lanes: np.ndarray) -> list[np.ndarray]:
 
 
 def by_time(
-    kernel: Kernel, inputs: Sequence[np.ndarray], t: np.ndarray, parameters: Sequence[np.ndarray],
+    run: Kernel, inputs: Sequence[np.ndarray], t: np.ndarray, parameters: Sequence[np.ndarray],
     written: Sequence[np.ndarray],
 ) -> None:  # fmt: skip
     """Call a kernel on batches (B, ...), once for each of the times t (B,), for a call has one; `written` in place."""
@@ -94,7 +65,7 @@ def by_time(
         rows = np.flatnonzero(t == moment)
         lanes = [np.array(np.moveaxis(a[rows], 0, -1), order="C") for a in (*inputs, *written)]
         results = lanes[len(inputs) :]
-        kernel(*lanes[: len(inputs)], float(moment), *parameters, *results)
+        run(*lanes[: len(inputs)], float(moment), *parameters, *results)
         for array, lane in zip(written, results, strict=True):
             array[rows] = np.moveaxis(lane, -1, 0)
 

@@ -9,13 +9,15 @@ from typing import Any
 import numpy as np
 
 from npred import array_checks
-from npred.delays import family, family_of
+from npred.delays import family_of
 from npred.errors import ConfigError
-from npred.loop import delay_law, engine, loop_checks
+from npred.loop import delay_law, engine, loop_checks, signals
 from npred.loop import measurement as sensing
-from npred.loop.actuator import actuate, history, transport
+from npred.loop.actuator import history
 from npred.loop.delay_law import DelayLaw, Part, part
+from npred.loop.engine import Engine
 from npred.loop.measurement import Measurement
+from npred.loop.signals import Record, Settings, State
 from npred.loop.trajectories import Samples, Trajectories, of_record
 from npred.parallel import devices
 from npred.plants import inputs
@@ -108,7 +110,7 @@ def simulate(
         records = [
             loop.run(X0[c], D[c], D_hat[c], past.of(c), sample_steps[c], delays[:, c], c.start, count) for c in chunks
         ]
-    joined = engine.Record(*(np.concatenate(parts, axis=-1) for parts in zip(*records, strict=True)))
+    joined = Record(*(np.concatenate(parts, axis=-1) for parts in zip(*records, strict=True)))
     ends = adaptation.ends(dt) if adaptation and predictor else None
     return of_record(joined, shape, dt * every, round(t_end / dt) + 1, plant, truth or plant, predictor, ends)
 
@@ -173,7 +175,7 @@ class _Simulation:
     def law(self) -> Part:
         """The kernels of U and of D_hat's rate; the open loop has U = 0."""
         if self.predictor is None:
-            return part(self.plant, None, self.dt)._replace(control=family.idle(family.CONTROL))
+            return part(self.plant, None, self.dt)._replace(control=None)
         return part(self.plant, self.adaptation, self.dt)
 
     @cached_property
@@ -193,7 +195,7 @@ class _Simulation:
     def run(
         self, X0: np.ndarray, D: np.ndarray, D_hat: np.ndarray, past: inputs.Past, samples: np.ndarray,
         delays: np.ndarray, first: int, progress: Any,
-    ) -> engine.Record:  # fmt: skip
+    ) -> Record:  # fmt: skip
         """One chunk of loops: X0 (B, n), D, D_hat (B,), the inputs of t < 0, samples (B, S), delays (steps + 1 or 0,
         B).
 
@@ -203,13 +205,14 @@ class _Simulation:
         count = round(self.t_end / self.dt) + 1
         origin, held, total = history(*self.reach(D, D_hat, delays), self.dt, past)
         state = self._state(X0, D, D_hat, held, total, nx)
-        settings, out = self._settings(samples, delays, first), self._record(count, samples.shape[1] + 1, nx, lanes)
-        parts = self._parts()
-        steps: Any = engine.compiled_steps if self.compiled else engine.steps
+        rows = (count - 1) // self.every + 1
+        settings = self._settings(samples, delays, first, rows)
+        out = self._record(rows, samples.shape[1] + 1, nx, lanes)
+        steps = Engine(self._parts(), settings, state, out)
         for start in range(0, count, BLOCK):
             stop = min(start + BLOCK, count)
             with np.errstate(all="ignore"), devices.one_thread():  # a lost loop is NaN, and no cause for a warning
-                steps(origin, start, stop, *parts, settings, state, out)
+                steps.run(origin, start, stop)
             if progress:
                 progress((stop - start) * lanes)
         return out
@@ -222,69 +225,67 @@ class _Simulation:
         before = float(max(spans)) + self.measurement.delay
         return before, before + (self.t_end if self.plant.declares_delay else 0.0)  # phi(t) = t - D only rises
 
-    def _parts(self) -> tuple[Any, ...]:
+    def _parts(self) -> dict[str, Any]:
         """The sentences of a control step, on lanes."""
-        idle, model, truth = family.idle, family_of(self.plant), family_of(self.truth)
-        believe = model.horizon() or (engine.own_history if self.recalls else idle(family.HORIZON))
-        horizon, pace = truth.horizon() or idle(family.HORIZON), truth.speed() or idle(family.SPEED)
-        estimate = sensing.estimator(self.measurement, self.plant.traced)
-        predict = idle(family.PREDICT) if self.predictor is None else self.predictor.lanes()
-        guard = getattr(self.predictor, "guard", None) or idle(family.GUARD)
-        advance, expect = (engine.advance_kernel(plant, self.integrator) for plant in (self.truth, self.plant))
-        law = self.law
-        return (
-            horizon, estimate, law.observe, believe, transport, predict, guard, law.control, law.update, actuate, pace,
-            advance, expect,
-        )  # fmt: skip
+        model, truth, law = family_of(self.plant), family_of(self.truth), self.law
+        observer = self.measurement.observer
+        return {
+            "horizon": truth.horizon(),
+            "observer": observer and sensing.observed(observer),
+            "observe": law.observe,
+            "believe": model.horizon(),
+            "predict": self.predictor and self.predictor.lanes(),
+            "guard": getattr(self.predictor, "guard", None),
+            "control": law.control,
+            "update": law.update,
+            "pace": truth.speed(),
+            "advance": engine.advance_kernel(self.truth, self.integrator),
+            "model": None if self.measurement.perfect else engine.advance_kernel(self.plant, self.integrator),
+        }
 
-    def _settings(self, samples: np.ndarray, delays: np.ndarray, first: int) -> engine.Settings:
+    def _settings(self, samples: np.ndarray, delays: np.ndarray, first: int, rows: int) -> Settings:
         m, settings = self.plant.m, getattr(self.predictor, "settings", None)
-        return engine.Settings(
+        return signals.settings(
             dt=self.dt,
-            every=self.every,
             b=self.law.b,
             gamma_dt=self.law.gamma * self.dt,
+            every=self.every,
+            row_count=rows,
+            sample_count=samples.shape[1],
+            late=round(self.measurement.delay / self.dt) if self.measurement.observer is None else 0,
+            recalls=self.recalls,
+            keeps=True,
+            moves=self.truth.declares_delay,
+            senses=not self.measurement.perfect,
+            tabulates=len(delays) > 0,
+            disturbed=len(self.pushes) > 0,
             bounds=self.law.bounds,
-            input_bounds=self.input_bounds,
-            u_star=self.plant.u_equilibrium if self.plant.rests else np.zeros(m),
+            input_bounds=np.ascontiguousarray(self.input_bounds, dtype=float),
+            u_star=np.ascontiguousarray(self.plant.u_equilibrium if self.plant.rests else np.zeros(m), dtype=float),
             p=self.plant.p,
-            samples=np.array(samples.T, order="C"),
+            truth_p=self.truth.p,
             ratios=self.plant.ratios,
             law=self.law.settings,
             guard=np.zeros(0) if settings is None else settings,
-            truth_p=self.truth.p,
             delays=np.array(delays[:, None, :] * self.plant.ratios[:, None], order="C"),
             disturbance=self.pushes,
-            moves=self.truth.declares_delay,
-            senses=not self.measurement.perfect,
+            samples=np.array(samples.T, order="C", dtype=np.int64),
             sensor=sensing.sensor(self.measurement, self.dt, first),
-            late=round(self.measurement.delay / self.dt) if self.measurement.observer is None else 0,
         )
 
     def _state(
         self, X0: np.ndarray, D: np.ndarray, D_hat: np.ndarray, held: np.ndarray, total: np.ndarray, nx: int
-    ) -> engine.State:
+    ) -> State:
         n, m, lanes, D = self.plant.n, self.plant.m, len(D), self.plant.ratios[:, None] * D
         X, age = np.array(X0.T, order="C"), round(self.measurement.delay / self.dt)
         reads_commands = self.recalls or self.plant.declares_delay
-        return engine.State(
-            X=X, X_hat=X if self.measurement.perfect else X.copy(), D=D, D_seen=D.copy() if reads_commands else D,
-            longest=np.zeros(lanes), speed=np.ones((m, lanes)), memory=np.full((self.law.memory, lanes), np.nan),
-            Y=X if self.measurement.perfect else np.empty((n, lanes)), past=np.empty((age + 1, n, lanes)),
-            due=np.zeros(lanes), sampled=np.zeros(lanes, dtype=np.int64), D_hat=np.array(D_hat), held=held, total=total,
-            u=np.empty((nx, m, lanes)), u_nodes=np.empty((nx, m, lanes)), P=np.full((nx, n, lanes), np.nan),
-            U=np.zeros((m, lanes)), phi=np.zeros(lanes), phi_before=np.full(lanes, np.nan), N=np.full(lanes, np.nan),
-            U0=np.empty((m, lanes)), U1=np.empty((m, lanes)), share=np.empty((m, lanes)),
-            drawn=np.zeros(lanes, dtype=np.int64), error=np.zeros(lanes), fallback=np.zeros(lanes),
-        )  # fmt: skip
+        given = {"X": X, "D": D, "D_hat": np.array(D_hat), "held": held, "total": total}
+        given |= {"D_seen": D.copy() if reads_commands else D}
+        given |= {"X_hat": X, "Y": X} if self.measurement.perfect else {"X_hat": X.copy()}
+        sizes = {"n": n, "m": m, "nx": nx, "observer": self.law.memory, "past": age + 1}
+        return State(**signals.memory(signals.STATE, sizes, lanes, given))
 
-    def _record(self, count: int, samples: int, nx: int, lanes: int) -> engine.Record:
-        n, m, rows = self.plant.n, self.plant.m, (count - 1) // self.every + 1
-        series = {"X": (rows, n), "P": (rows, n), "U": (rows, m), "D_hat": (rows,), "N": (rows,), "energy": (rows,)}
-        taken = {"sample_X": (samples, n), "sample_u": (samples, nx, m), "sample_D_hat": (samples,)}
-        arrays = {name: np.full((*shape, lanes), np.nan) for name, shape in (series | taken).items()}
-        never = np.full(lanes, -1, dtype=np.int64)
-        return engine.Record(
-            **arrays, escaped=never, infeasible=never.copy(), breach=np.full((n + m + 1, lanes), np.nan),
-            fallback=np.zeros((rows, lanes), dtype=bool), fallbacks=np.zeros(lanes, dtype=np.int64),
-        )  # fmt: skip
+    def _record(self, rows: int, samples: int, nx: int, lanes: int) -> Record:
+        n, m = self.plant.n, self.plant.m
+        sizes = {"n": n, "m": m, "nx": nx, "row": rows, "sample": samples, "breach": n + m + 1}
+        return Record(**signals.memory(signals.RECORD, sizes, lanes, {}))

@@ -10,10 +10,10 @@ import numpy as np
 from npred import array_checks
 from npred.delays import family_of
 from npred.errors import ConfigError, DivergedError
-from npred.loop import engine, loop_checks
+from npred.loop import engine, loop_checks, signals
 from npred.loop.actuator import history
-from npred.loop.control_step import Memory, Parts, control_step, hold, remember
 from npred.loop.delay_law import DelayLaw, part
+from npred.loop.engine import Engine
 from npred.plants import inputs
 from npred.plants.base import Plant
 from npred.predictors import RK4, Predictor
@@ -65,12 +65,17 @@ class Controller:
         if self.gate is not None and not 0 < self.gate < math.inf:
             raise ConfigError(f"gate: expected a number above 0, or None for no gate, got {gate!r}; 1 is the default")
         self._gated = self._recalls and self.gate is not None
-        self.parts = Parts(
-            law.observe if self._watches else None, family_of(plant).horizon(), predictor.lanes(), predictor.guard,
-            law.control, law.update, engine.advance_kernel(plant, RK4) if self._gated else None, self._recalls, self.dt,
-            plant.p, plant.ratios, law.settings,
-            np.zeros(0) if predictor.settings is None else predictor.settings, inputs.widest(plant, self._limits),
-            law.b, law.gamma * self.dt, law.bounds, (self.gate or 1.0) * _half_widths(plant), self.gate or 1.0,
+        self.parts = {
+            "observe": law.observe, "believe": family_of(plant).horizon(), "predict": predictor.lanes(),
+            "guard": predictor.guard, "control": law.control, "update": law.update,
+            "model": engine.advance_kernel(plant, RK4) if self._gated else None,
+        }  # fmt: skip
+        self.settings = signals.settings(
+            dt=self.dt, b=law.b, gamma_dt=law.gamma * self.dt, gate=self.gate or 1.0, recalls=self._recalls,
+            keeps=self._recalls, gated=self._gated, bounds=law.bounds, p=plant.p, truth_p=plant.p, ratios=plant.ratios,
+            input_bounds=np.ascontiguousarray(inputs.widest(plant, self._limits), dtype=float), law=law.settings,
+            guard=np.zeros(0) if predictor.settings is None else predictor.settings,
+            reach=(self.gate or 1.0) * _half_widths(plant),
         )  # fmt: skip
         D_hat = self._start(D_hat)
         array_checks.within("D_hat", np.array(array_checks.number("D_hat", D_hat)), tuple(law.bounds), plant.time_unit)
@@ -126,7 +131,7 @@ class Controller:
     @property
     def P(self) -> np.ndarray:
         """The prediction of the last step on the predictor's nodes, (nx, n), a copy; NaN before the first step."""
-        return self._last_P[:, :, 0].copy()
+        return self._last_P.copy()
 
     @property
     def fallback(self) -> bool:
@@ -174,7 +179,7 @@ class Controller:
             self._remember()
         self._awaits_X = False
         self._step += 1
-        self._P, self._last_P = self._last_P, self._P
+        self._last_P[:] = z.P[:, :, 0]
         self._last_U[:] = z.U[:, 0]
         return self._last_U
 
@@ -187,7 +192,7 @@ class Controller:
             held, sums = z.held[:, :, 0].tolist(), z.total[:, :, 0].tolist()
             remembered = {"commands": {"k": self._k, "held": held, "sums": sums}}
         if self._gated:
-            X_hat = z.X_hat[:, 0].tolist() if np.isfinite(z.X_hat).all() else None
+            X_hat = z.expected[:, 0].tolist() if np.isfinite(z.expected).all() else None
             remembered |= {"X_hat": X_hat, "missed": self.missed}
         if self._watches:
             remembered["observer"] = [None if math.isnan(value) else value for value in z.observer[:, 0].tolist()]
@@ -259,7 +264,7 @@ class Controller:
 
     def _kept(self, D_hat: float, longest: float | None) -> float:
         """The seconds that commands are kept for."""
-        needed = max(D_hat, float(self.parts.bounds[1]) if self.adaptation else 0.0)
+        needed = max(D_hat, float(self.settings.bounds[1]) if self.adaptation else 0.0)
         if longest is None:
             reads = self._recalls and self.plant.declares_delay
             return DELAYS * float(self.plant.delay(self.plant.target(0.0), 0.0)) if reads else needed
@@ -272,21 +277,24 @@ class Controller:
         """The buffers of all steps: `size` numbers of an observer of the delay, commands back to `longest` seconds."""
         n, m, nx = self.plant.n, self.plant.m, self.predictor.nx
         self._last_U = np.zeros(m)
-        self._P, self._last_P = np.full((nx, n, 1), np.nan), np.full((nx, n, 1), np.nan)
+        self._last_P = np.full((nx, n), np.nan)
         self._longest = longest
         self._k, held, total = history(longest, longest, self.dt, self._past(np.zeros(n)))
-        self.memory = Memory(
-            X=np.zeros((n, 1)), X_hat=np.full((n, 1), np.nan), missed=np.zeros(1), u=np.zeros((nx, m, 1)),
-            u_nodes=np.zeros((nx, m, 1)), U=np.zeros((m, 1)),
-            D_hat=np.empty(1), phi=np.zeros(1), phi_before=np.full(1, np.nan), N=np.empty(1), D_seen=np.zeros((m, 1)),
-            held=held, total=total, observer=np.full((size, 1), np.nan), error=np.full(1, np.nan),
-            fallback=np.zeros(1), leaving=np.empty((3, m, 1)),
-        )  # fmt: skip
+        Y = np.zeros((n, 1))
+        given = {"Y": Y, "X_hat": np.zeros((n, 1)) if self._gated else Y, "held": held, "total": total}
+        given |= {"u": np.zeros((nx, m, 1)), "u_nodes": np.zeros((nx, m, 1)), "D_seen": np.zeros((m, 1))}
+        given |= {"error": np.full(1, np.nan)}
+        sizes = {"n": n, "m": m, "nx": nx, "observer": size, "past": 0}
+        self._set_memory(signals.State(**signals.memory(signals.STATE, sizes, 1, given)))
+
+    def _set_memory(self, memory: signals.State) -> None:
+        self.memory = memory
+        self._engine = Engine(self.parts, self.settings, memory)
 
     def _past(self, X: np.ndarray) -> inputs.Past:
         """The commands before the first step, for the state (n,) that the law would have held."""
         span = np.array([self._first_D_hat])
-        limits = self.parts.input_bounds if self._by_law else self._limits
+        limits = self.settings.input_bounds if self._by_law else self._limits
         return inputs.past(self.plant, self._u0, limits, X[None], span)
 
     def _fill(self, X: np.ndarray) -> None:
@@ -313,13 +321,14 @@ class Controller:
         z.observer[:, 0] = observer
         self._expect(None if self._watches and math.isnan(observer[-1]) else X_hat, missed)  # they start at a sample
         held, sums = held[:, :, None].astype(float), sums[:, :, None].astype(float)  # maybe longer than those before
-        self._k, self.memory = k, z._replace(held=held, total=sums)
+        self._k = k
+        self._set_memory(z._replace(held=np.ascontiguousarray(held), total=np.ascontiguousarray(sums)))
 
     def _set_state(self, D_hat: Any, phi: Any, step: int, t0: Any) -> None:
         """Set the state of the next step, phi None for none. Raises ConfigError, and stays as it is, if wrong."""
         seconds, start = array_checks.number("D_hat", D_hat), array_checks.number("t", t0)
         rate = math.nan if phi is None else array_checks.number("phi", phi)
-        low, high = self.parts.bounds
+        low, high = self.settings.bounds
         array_checks.within("D_hat", np.array(seconds), (low, high), self.plant.time_unit)
         if self._recalls and seconds > self.reach + self.dt:
             raise ConfigError(
@@ -339,13 +348,13 @@ class Controller:
     def _measure(self, X: np.ndarray, u: np.ndarray, u_nodes: np.ndarray) -> bool:
         """Take the measurements into the buffers; whether they are finite."""
         z = self.memory
-        expected = z.X.shape[:1], z.u.shape[:2]
+        expected = z.Y.shape[:1], z.u.shape[:2]
         actuator_states = (u,) if u_nodes is u else (u, u_nodes)
         for values in actuator_states:
             if (X.shape, values.shape) != expected:  # broadcasting would hide a sensor that is lost
                 came = f"{X.shape} and {values.shape}"
                 raise ConfigError(f"step: expected X {expected[0]} and u {expected[1]}, got {came}; measure those")
-        z.X[:, 0], z.u[:, :, 0], z.u_nodes[:, :, 0] = X, u, u_nodes
+        z.Y[:, 0], z.u[:, :, 0], z.u_nodes[:, :, 0] = X, u, u_nodes
         return all(np.isfinite(values).all() for values in (X, *actuator_states))
 
     def _as_applied(self, applied: Any) -> np.ndarray:
@@ -375,7 +384,7 @@ class Controller:
             return advice
         z = self.memory
         if self.keeps_commands:
-            hold(self.parts, z, self._k, self.t)
+            self._engine.hold(self._k, self.t)
             self._remember()
             advice += f": {source_lines.values(self.plant.inputs, z.U[:, 0])} is booked as sent"
         self._step += 1
@@ -384,11 +393,11 @@ class Controller:
     @np.errstate(all="ignore")
     def _remember(self) -> None:
         """Keep U as sent."""
-        self._k = remember(self.parts, self.memory, self._k, self.t)
+        self._k = self._engine.remember(self._k, self.t)
 
     def _expect(self, X_hat: Any, missed: int) -> None:
         """Set what the model says of the next sample, (n,) or None, and how many it took the place of."""
-        self.memory.X_hat[:, 0], self.memory.missed[0] = np.nan if X_hat is None else X_hat, missed
+        self.memory.expected[:, 0], self.memory.missed[0] = np.nan if X_hat is None else X_hat, missed
 
     def _failure(self) -> str:
         """Why the step that was computed is none to send, in words; empty where it is."""
@@ -403,7 +412,7 @@ class Controller:
     @np.errstate(all="ignore")  # what leaves the finite numbers in Python is refused, once, by step
     def _advance(self) -> None:
         """One control step on the buffers, as in the engine's loop."""
-        control_step(self.parts, self.memory, self._k, self.t, self._P)
+        self._engine.control_step(self._k, self.t)
 
     def _warm_up(self) -> None:
         """Compile and load all that a step runs, so that the first step takes no longer than the others."""

@@ -133,23 +133,25 @@ def check(loop: config.Loop, plant: Plant) -> None:
 
 
 class Part(NamedTuple):
-    """The laws as the time loop runs them: U, then phi and N on lanes, and D_hat += gamma phi dt within the bounds."""
+    """The laws as the time loop runs them: U, then phi and N on lanes, and D_hat += gamma phi dt within the bounds.
 
-    control: Kernel
-    update: Kernel
+    What a law does without is None.
+    """
+
+    control: Kernel | None
+    update: Kernel | None
     gamma: float
     b: float
     bounds: np.ndarray
     compiled: bool
-    observe: Kernel
+    observe: Kernel | None
     settings: np.ndarray
     memory: int
 
 
 def part(plant: Plant, law: DelayLaw | None, dt: float) -> Part:
     """The laws' part of a control step of dt seconds; None freezes D_hat."""
-    idle = family.idle(family.UPDATE), 0.0, 1.0
-    watch = family.idle(family.OBSERVE), np.zeros(0), 1
+    idle, watch = (None, 0.0, 1.0), (None, np.zeros(0), 1)
     if law is None:
         return Part(control_law(plant), *idle, np.array((0.0, np.inf)), True, *watch)
     bounds = np.array(law.bounds, dtype=float)

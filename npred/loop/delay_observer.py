@@ -10,7 +10,7 @@ the errors in the window tell, w, and those in the memory, W, each the largest c
     J' = r (e² - J / memory),   r = min(1, 2 w / W),
 so that little movements, of a disturbance at rest say, replace the errors of a transient only slowly; and where w is of
 the size of W, errors in the window far above their level, and far above those of another candidate, mean that the delay
-has changed: the memory starts again from the window. All that is in npred.loop.delay_candidates.
+has changed: the memory starts again from the window. All that is in npred/kernels/c/candidates.h.
 
 Errors, and all that follows from them, come from samples of the state only: a state that is predicted between two
 samples, with commands that are read at D_hat, would confirm that D_hat. Between samples the observers go on by the
@@ -22,45 +22,25 @@ Nothing is proven about this law; the nearest theory is that of multiple-model e
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
-from npred import array_checks, json_files
+from npred import array_checks
 from npred.delays import family, family_of
-from npred.delays.family import Kernel
 from npred.errors import ConfigError
-from npred.loop import delay_candidates
-from npred.loop.delay_candidates import COUNT, NUMBERS, begin, decide, gains, parts
+from npred.kernels.formula import vector
+from npred.kernels.functions import Formulas
+from npred.kernels.kernel import Kernel, made, skeleton
 from npred.loop.delay_law import DelayLaw
 from npred.plants.base import Plant
 from npred.plants.black_box import difference
 from npred.predictors.heun import Heun
-from npred.symbolic import kernels, programs
+from npred.symbolic import programs
 from npred.symbolic.tape import M
-from npred.symbolic.trace import Trace
 
-# The decision of all plants, which each plant's kernel calls: with its text changes the kernel's.
-DECISION = f"from npred.loop.delay_candidates import *  # {json_files.sha256(Path(delay_candidates.__file__))}\n"
-OBSERVE = """\
-    n, lanes = X.shape
-    rows, m, count = held.shape[0], held.shape[1], int(law[COUNT])
-    {parameters}
-    if np.isnan(memory[memory.shape[0] - 1, 0]):
-        begin(X, memory, count, n, m)
-        return
-    x, d, long, short, floor, level, scale, calls, pace, gap = parts(memory, count, n, m)
-    newest = (k - 1) % rows  # of the commands; rows before the first are counted from the last, as NumPy does
-    gain = np.empty((4, lanes))
-    gains(X, dt, law, calls, gap, gain)
-    h = dt
-    t = t - h
-    for i in range(count):
-        for l in range(lanes):
-            {candidate}
-    decide(X, long, short, floor, level, scale, calls, pace, gain, law, law[NUMBERS + count * m :], D_hat)
-"""
+NUMBERS = 8  # of the settings, as npred/kernels/c/candidates.h has them; behind them shifts and thetas
 
 
 @dataclass(frozen=True)
@@ -108,59 +88,53 @@ class DelayObserver(DelayLaw):
         half = (thetas[1] - thetas[0]) / 2
         return self.bounds[0] + half, self.bounds[1] - half
 
-    def observer(self, plant: Plant, dt: float) -> tuple[Kernel, np.ndarray, int]:
+    def observer(self, plant: Plant, dt: float) -> tuple[Callable[..., None], np.ndarray, int]:
         thetas = self.thetas(dt)
         count, n, m = len(thetas), plant.n, plant.m
         leak, fade = 1 - math.exp(-dt / self.memory), math.exp(-dt / self.window)
         shifts = np.rint(thetas[:, None] * plant.ratios / dt).ravel()
         follow = 1 - math.exp(-self.L * dt), self.L * self.omega * dt
         settings = [count, *follow, leak, fade, 2 * self.window / dt, *self.bounds]
-        kernel = _traced(plant) if plant.traced else _called(plant)
-        return kernel, np.array([*settings, *shifts, *thetas], dtype=float), delay_candidates.size(count, n, m)
+        kernel = (_traced if plant.traced else _called)(plant, count)
+        size = count * (3 * n + m) + 3 * n + 3  # of the struct Bank
+        return kernel, np.array([*settings, *shifts, *thetas], dtype=float), size
 
 
-def _traced(plant: Plant) -> Kernel:
-    """OBSERVE of a plant, compiled: its candidates step by Heun's method with the input held."""
-    n, m, trace = plant.n, plant.m, Trace(plant)
+def _traced(plant: Plant, count: int) -> Kernel:
+    """OBSERVE of a plant, compiled, for at most `count` candidates: they step by Heun's method with the input held."""
+    n, m, of = plant.n, plant.m, Formulas(plant, ())
+    trace = of.trace
     x, u, t, h = trace.vector("x", n), trace.vector("v", m), trace.input("t"), trace.input("h")
+    X, weights = trace.vector("X", n), [1.0 / unit for unit in trace.vector("w", n)]
     y = Heun.step(trace.f, x, u, u, u, t, h)
-    e = [M.where(trace.input("s") > 0, trace.input(f"X{c}") - y[c], 0.0) for c in range(n)]  # no sample, no error
-    weights = [1.0 / trace.input(f"w{c}") for c in range(n)]
+    e = [M.where(trace.input("inject") > 0, X[c] - y[c], 0.0) for c in range(n)]  # no sample, no error
     along = trace.f(x, u, t)
     G = [programs.derivative(along, list(u), list(unit)) for unit in np.eye(m)]
     power = sum(g * w * g for column in G for g, w in zip(column, weights, strict=True)) + 1e-300
     moves = [sum(g * w * r for g, w, r in zip(column, weights, e, strict=True)) / power for column in G]
-    names = {f"x{c}": f"x[i, {c}, l]" for c in range(n)} | {f"X{c}": f"X[{c}, l]" for c in range(n)}
-    names["s"] = "gain[0, l]"
-    names |= {f"w{c}": f"floor[{c}, l]" for c in range(n)}
-    for c in range(m):
-        late = f"newest - int(law[NUMBERS + i * {m} + {c}])"
-        names[f"v{c}"] = f"(held[{late}, {c}, l] + d[i, {c}, l])"
-    targets = [f"{name}{c}" for name, size in (("y", n), ("e", n), ("g", m)) for c in range(size)]
-    lines = programs.lines([*y, *e, *moves], names, targets)
-    for c in range(n):
-        lines += [f"long[i, {c}, l] += pace[l] * (e{c} * e{c} - gain[2, l] * long[i, {c}, l])"]
-        lines += [f"short[i, {c}, l] = gain[3, l] * short[i, {c}, l] + e{c} * e{c}"]
-        lines += [f"x[i, {c}, l] = y{c} + gain[0, l] * e{c}"]
-    lines += [f"d[i, {c}, l] += gain[1, l] * g{c}" for c in range(m)]
-    source = kernels.fill(OBSERVE, parameters=kernels.parameters(len(plant.p)), candidate=lines)
-    return family.build("observe", family.OBSERVE, source, DECISION)
+    arguments = [vector("x", n), vector("v", m, "wide"), vector("X", n), vector("w", n), "inject", "t", "h"]
+    functions = {"STEP": of.function([*y, *e, *moves], arguments, {"out": 2 * n + m}, "wide")}
+    return made(
+        "observe", family.OBSERVE, skeleton("observe.h"), functions, {"N": n, "M": m},
+        before=[skeleton("candidates.h")], work=lambda nx, lanes, _: 4 * lanes + count,
+    )  # fmt: skip
 
 
-def _called(plant: Plant) -> Kernel:
+def _called(plant: Plant, count: int) -> Callable[..., None]:
     """OBSERVE of a plant that is not traced: the same formulas on arrays, G by differences."""
     n, m, units = plant.n, plant.m, np.eye(plant.m)
+    before, after = bank(n, m, count)
 
     @np.errstate(all="ignore")
     def observe(
         k: int, dt: float, X: np.ndarray, held: np.ndarray, t: float, p: np.ndarray, law: np.ndarray,
         memory: np.ndarray, D_hat: np.ndarray,
     ) -> None:  # fmt: skip
-        count = int(law[COUNT])
-        if np.isnan(memory[-1, 0]):
-            return begin(X, memory, count, n, m)
-        x, d, long, short, floor, level, scale, calls, pace, gap = parts(memory, count, n, m)
-        gains(X, dt, law, calls, gap, gain := np.empty((4, X.shape[1])))
+        first = np.isnan(memory[-1, 0])
+        before(dt, X, law, memory, gain := np.empty((4, X.shape[1])))
+        if first:
+            return
+        x, d, long, short, floor, pace = _parts(memory, count, n, m)
         shifts = law[NUMBERS : NUMBERS + count * m].astype(int).reshape(count, m)
         states, inputs = np.moveaxis(x, 1, -1), np.moveaxis(held[(k - 1 - shifts) % len(held), np.arange(m)] + d, 1, -1)
         y = Heun.step(plant.f, states, inputs, inputs, inputs, t - dt, dt)
@@ -173,6 +147,25 @@ def _called(plant: Plant) -> Kernel:
         long += pace * (squares - gain[2] * long)
         short[:] = gain[3] * short + squares
         x[:] = np.moveaxis(y + gain[0][:, None] * e, -1, 1)
-        return decide(X, long, short, floor, level, scale, calls, pace, gain, law, law[NUMBERS + count * m :], D_hat)
+        after(X, law, memory, gain, D_hat)
 
     return observe
+
+
+def bank(n: int, m: int, count: int) -> tuple[Kernel, Kernel]:
+    """What is the same for all plants: the gains of the samples, before the observers step, and the choice after it."""
+    sizes, before = {"N": n, "M": m}, [skeleton("candidates.h")]
+    kinds = {"gains": ("dt, X, law, &memory, &gain", 1), "choose": ("X, law, &memory, gain, &D_hat", 0)}
+    gains, choose = (
+        made(name, arguments, skeleton("bank.h"), {}, sizes | {"BEFORE": first}, {}, before, work=lambda *_: count)
+        for name, (arguments, first) in kinds.items()
+    )
+    return gains, choose
+
+
+def _parts(memory: np.ndarray, count: int, n: int, m: int) -> list[np.ndarray]:
+    """Views of a memory, as the struct Bank has it: x, push, lasting, recent (K, ., B), floor (n, B), pace (B,)."""
+    lanes, sizes = memory.shape[1], [count * n, count * m, count * n, count * n, n]
+    ends = np.cumsum([0, *sizes]).tolist()
+    sums = [memory[a:b].reshape(count, -1, lanes) for a, b in zip(ends[:4], ends[1:5], strict=True)]
+    return [*sums, memory[ends[4] : ends[5]], memory[-2]]

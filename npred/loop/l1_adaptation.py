@@ -1,39 +1,16 @@
 """The published law for an actuator state that is not measured [Bhan, Krstic, Shi, arXiv:2509.26443, eq. 82]."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from npred.delays import family, family_of
-from npred.delays.family import Kernel
 from npred.errors import ConfigError
+from npred.kernels.formula import vector
+from npred.kernels.functions import Formulas
+from npred.kernels.kernel import Kernel, made, skeleton
 from npred.loop.delay_law import DelayLaw
 from npred.plants.base import Plant
-from npred.symbolic import kernels, programs
-from npred.symbolic.trace import Trace
-
-# w = u - kappa(P) and q3 = kappa_P f(P(0), u(0)) at the nodes; derivatives by central differences, one-sided at ends.
-UPDATE = """\
-    nx, n, lanes = P.shape
-    m = u.shape[1]
-    {parameters}
-    w, q = np.empty((nx, m)), np.empty((nx, m))
-    dx = 1.0 / (nx - 1)
-    for l in range(lanes):
-        for j in range(nx):
-            h = D_hat[l] / (nx - 1)
-            {node}
-        total = 0.0
-        for c in range(m):
-            for j in range(nx):
-                a, z = max(j - 1, 0), min(j + 1, nx - 1)
-                w_x, q_x = (w[z, c] - w[a, c]) / ((z - a) * dx), (q[z, c] - q[a, c]) / ((z - a) * dx)
-                weight = (1.0 + j * dx) * dx * (0.5 if j == 0 or j == nx - 1 else 1.0)
-                total += weight * (q[j, c] * w[j, c] / (abs(w[j, c]) + EPSILON) + q_x * w_x / (abs(w_x) + EPSILON))
-            total += 2.0 * w_x / (abs(w_x) + EPSILON) * q[nx - 1, c]
-        phi[l], N[l] = total, np.nan
-"""
 
 
 @dataclass(frozen=True)
@@ -75,14 +52,13 @@ class L1Adaptation(DelayLaw):
 
 
 def _kernel(plant: Plant, epsilon: float) -> Kernel:
-    n, m, trace = plant.n, plant.m, Trace(plant)
+    n, m, of = plant.n, plant.m, Formulas(plant, ())
+    trace = of.trace
     start, u_start, t = trace.vector("y", n), trace.vector("v", m), trace.input("t")
     x, u, now = trace.vector("x", n), trace.vector("u", m), trace.input("s")
     q = trace.dkappa(x, now, trace.f(start, u_start, t))
     w = u - trace.kappa(x, now)
-    names: dict[str, Any] = {f"x{k}": f"P[j, {k}, l]" for k in range(n)} | {f"y{k}": f"P[0, {k}, l]" for k in range(n)}
-    names |= {f"u{c}": f"u[j, {c}, l]" for c in range(m)} | {f"v{c}": f"u[0, {c}, l]" for c in range(m)}
-    node = programs.lines([*w, *q], names | {"s": "(t + j * h)"}, [f"{v}[j, {c}]" for v in "wq" for c in range(m)])
-    text = UPDATE.replace("EPSILON", repr(epsilon or 1e-300))
-    source = kernels.fill(text, parameters=kernels.parameters(len(plant.p)), node=node)
-    return family.build("l1", family.UPDATE, source)
+    arguments = [vector("x", n), vector("u", m), vector("y", n), vector("v", m), "s", "t"]
+    functions = {"NODE": of.function([*w, *q], arguments, {"wq": 2 * m}, "one")}
+    sizes = {"N": n, "M": m, "EPSILON": repr(epsilon or 1e-300)}
+    return made("l1", family.UPDATE, skeleton("l1.h"), functions, sizes, work=lambda nx, lanes, _: 2 * m * nx)

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from npred.delays import family_of
-from npred.loop import engine, trajectory_views
+from npred.loop import trajectory_views
+from npred.loop.signals import Record
 from npred.plants.base import Plant
 from npred.predictors import RK4, Predictor
 
@@ -115,7 +116,7 @@ class Trajectories:
 
 
 def of_record(
-    r: engine.Record, shape: tuple[int, ...], step: float, steps: int, plant: Plant, truth: Plant,
+    r: Record, shape: tuple[int, ...], step: float, steps: int, plant: Plant, truth: Plant,
     predictor: Predictor | None, ends: tuple[float, float] | None,
 ) -> Trajectories:  # fmt: skip
     """The loops of a batch of that shape, of so many control steps; `step` seconds lie between two kept states."""
@@ -134,7 +135,7 @@ def of_record(
     )  # fmt: skip
 
 
-def margins(r: engine.Record, plant: Plant, truth: Plant, predictor: Predictor | None) -> np.ndarray:
+def margins(r: Record, plant: Plant, truth: Plant, predictor: Predictor | None) -> np.ndarray:
     """1 - D_X f - D_t where and when a loop was marked as infeasible, (B,); NaN in the others.
 
     A loop is marked by the prediction of its model, at the time when the node comes, or by the simulated plant.
@@ -152,7 +153,7 @@ def margins(r: engine.Record, plant: Plant, truth: Plant, predictor: Predictor |
     return margin[0]
 
 
-def _arrival(r: engine.Record, l: int, t: float, plant: Plant, predictor: Predictor | None) -> float:
+def _arrival(r: Record, l: int, t: float, plant: Plant, predictor: Predictor | None) -> float:
     """The time of the last finite node of the prediction that ended in loop l at time t, by the predictor's method."""
     step = getattr(getattr(predictor, "exact", predictor), "step", RK4.step)
     X = np.append(r.sample_X[-1, :, l], t)[:, None]

@@ -9,6 +9,7 @@ from typing import Self
 
 from npred.defaults import RESULT
 from npred.errors import ConfigError, NpredError, first_line
+from npred.kernels import compiler
 from npred.parallel import devices
 from npred.parallel.executors import Here, Workers
 from npred.pipeline.plan import Planner, Step
@@ -16,7 +17,7 @@ from npred.pipeline.stage_registry import STAGES, Node
 from npred.store import Artifact, Store, durable, short
 from npred.terminal.console import Console
 
-PACKAGES = ("npred", "torch", "numpy", "numba")
+PACKAGES = ("npred", "torch", "numpy")
 
 
 @dataclass(frozen=True)
@@ -137,7 +138,7 @@ class Task:
 @cache
 def packages() -> dict[str, str | None]:
     """The versions that a result's bytes may depend on."""
-    return devices.packages(*PACKAGES)
+    return devices.packages(*PACKAGES) | {"compiler": compiler.version()}
 
 
 def elsewhere(task: Task, expected_packages: Mapping[str, str | None]) -> Outcome:

@@ -2,7 +2,6 @@
 
 import copy
 import tempfile
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -10,17 +9,20 @@ import numpy as np
 import torch
 
 from npred import grid
-from npred.delays import family, family_of
+from npred.delays import family_of
 from npred.errors import NpredError
+from npred.kernels.c_text import comment, constant, fill
+from npred.kernels.formula import vector
+from npred.kernels.functions import Formulas
+from npred.kernels.kernel import Kernel, skeleton
 from npred.loop import metrics
 from npred.operators import Operator
 from npred.plants.base import Plant
-from npred.runtimes import c_library, fused
+from npred.runtimes import c_library
 from npred.runtimes.lower import fold, require
+from npred.runtimes.network import kernel
 from npred.runtimes.probe import Probe, eps
 from npred.runtimes.program import Program
-from npred.symbolic import kernels, programs
-from npred.symbolic.c99 import Array, Function, Term, Unit, comment, constant
 from npred.symbolic.trace import Trace
 
 TESTED = 4  # samples of the test vector
@@ -42,20 +44,18 @@ SOURCE = """\
 
 {prototypes}
 
-{memory}
-
-{declarations}
+{kernels}
 
 {predict_head}
 {
-    {static}
-    const double delay = D_hat;
-    npred_fused(X, u, &delay, TIME, PMEMORY);
+    static NETWORK_memory memory;
+    const Shape shape = {NX, 1, 0, N_STATES, M_INPUTS};
+    NETWORK(shape, X, u, &D_hat, TIME, parameters, P, (double *)&memory);
 }
 
 {control_head}
 {
-    npred_law(ARGUMENTS);
+    npred_law(ARGUMENTS, parameters, U);
 }
 
 #ifdef NPRED_TEST
@@ -91,13 +91,6 @@ READS = """\
 SEVERAL_READS = """\
 * npred_control: U_j = kappa_j(P(r_j), t + r_j D_hat) for the shares r_j of the longest delay, P cubic between nodes, t
 * the time now; writes U, without bounds."""
-
-# The law of one delay reads a state, that of several each input's own: P at r_j, cubic between nodes.
-LAW = """\
-def law({arguments}):
-    x = np.empty({n})
-    {lines}
-"""
 
 
 def export(operator: Operator, plant: Plant, path: Path, nx: int, samples: Probe) -> tuple[float, float] | None:
@@ -141,15 +134,13 @@ def source(operator: Operator, plant: Plant, nx: int, samples: Probe) -> str:
     sizes = {
         "N_STATES": p.n, "M_INPUTS": p.m, "NX": nx, "SIZE_U": nx * p.m, "SIZE_P": nx * p.n, "SAMPLES": len(samples[0]),
     }  # fmt: skip
-    unit = Unit("npred")
-    has_memory = _network(unit, p, plant).memory
-    unit.function(_law(plant, nx), _law_arguments(unit, plant, nx))
+    network = kernel(p)
     predict, control = _head(p), CONTROL if plant.one_delay else SEVERAL
-    slots = {"MEMORY": ", &memory" if has_memory else "", "TIME": "t" if p.period else "0", "ARGUMENTS": _passed(plant)}
+    slots = {"NETWORK": network.name, "TIME": "t" if p.period else "0", "ARGUMENTS": _passed(plant)}
     text = SOURCE
     for slot, words in slots.items():
         text = text.replace(slot, words)
-    return kernels.fill(
+    return fill(
         text,
         title=[
             f"/* The trained predictor of plant {comment(plant.name)} on {nx} nodes: P_hat(x), and U = kappa(P_hat(1))."
@@ -157,58 +148,42 @@ def source(operator: Operator, plant: Plant, nx: int, samples: Probe) -> str:
         sizes=[f"enum {{ {', '.join(f'{name} = {value}' for name, value in sizes.items())} }};"],
         reads=(READS if plant.one_delay else SEVERAL_READS).splitlines(),
         prototypes=[f"{head};" for head in (predict, control)],
-        memory="\n\n".join(unit.structs).splitlines(),
-        declarations=unit.declarations().splitlines(),
+        kernels=_kernels(network, plant, nx).splitlines(),
         predict_head=[predict],
-        static=["static struct npred_fused_memory memory;"] if has_memory else [],
         control_head=[control],
         calls=_calls(p, plant),
         vector=_vector(operator, plant, samples),
     )
 
 
-def _network(unit: Unit, p: Program, plant: Plant) -> Function:
-    """The network's function: that of the runtime `fused`, translated."""
-    arrays = {"X": (p.n, 1), "u": (p.nx, p.m, 1), "D_hat": (1,), "P": (p.nx, p.n, 1)}
-    arguments: dict[str, Any] = {name: Array.whole(name, "double", shape) for name, shape in arrays.items()}
-    arguments |= {"t": Term("t", "double"), "p": unit.constant(plant.p, "p")}
-    kernel = family.uncompiled("fused", family.PREDICT, *fused.source(p))
-    return unit.function(kernel, [arguments[name] for name in family.PREDICT.split(", ")])
+def _kernels(network: Kernel, plant: Plant, nx: int) -> str:
+    """The network as loops run it here, with one lane, the law, and the plant's parameters."""
+    of = Formulas(plant)
+    law = of.function(*_law(of.trace, nx), {"U": plant.m}, "1").replace("{name}", "npred_law")
+    p = constant("parameters", plant.p if plant.p.size else np.zeros(1))
+    texts = [skeleton("base.h"), *network.texts, *of.called(), law, p]
+    return "\n".join(["#define WIDE 1", "#define LANES", *dict.fromkeys(texts)])
 
 
-def _law(plant: Plant, nx: int) -> kernels.Uncompiled:
-    """The law: U at a state X and a time t, or, for several delays, each component at its own."""
-    arguments, lines = _passed(plant), []
+def _law(trace: Trace, nx: int) -> tuple[list[Any], list[Any]]:
+    """U and the arguments that it is of: a state and a time, or, for several delays, P on the nodes, D_hat and t.
+
+    Each component of several is kappa at its own state, P at r_j, cubic between nodes.
+    """
+    plant, t = trace.plant, trace.input("t")
     if plant.one_delay:
-        lines = _components(plant, range(plant.m), "X", "t")
+        return [*trace.kappa(trace.vector("x", plant.n), t)], [vector("X", plant.n, "1", "x"), "t"]
+    P, D_hat = trace.vector("P", nx * plant.n).reshape(nx, plant.n), trace.input("D_hat")
     firsts, weights = grid.stencil(nx, plant.ratios)
-    for j, ratio in enumerate([] if plant.one_delay else plant.ratios.tolist()):
-        nodes = [f"{w!r} * P[{firsts[j] + k}, {{c}}]" for k, w in enumerate(weights[:, j].tolist()) if w]
-        lines += [f"x[{c}] = {' + '.join(nodes).format(c=c)}" for c in range(plant.n)]
-        lines += _components(plant, [j], "x", f"(t + {ratio!r} * D_hat)")
-    text = kernels.fill(LAW, lines=lines).replace("{arguments}", arguments).replace("{n}", str(plant.n))
-    return kernels.uncompiled("law", text)
-
-
-def _components(plant: Plant, components: Iterable[int], state: str, time: str) -> list[str]:
-    """The lines of some inputs of kappa at a state and a time."""
-    trace = Trace(plant)
-    U = trace.kappa(trace.vector("x", plant.n), trace.input("t"))
-    names = {f"p{k}": f"({value!r})" for k, value in enumerate(plant.p.tolist())}
-    names |= {f"x{c}": f"{state}[{c}]" for c in range(plant.n)} | {"t": time}
-    chosen = list(components)
-    return programs.lines([U[k] for k in chosen], names, [f"U[{k}]" for k in chosen])
-
-
-def _law_arguments(unit: Unit, plant: Plant, nx: int) -> list[Any]:
-    t, U = Term("t", "double"), Array.whole("U", "double", (plant.m,))
-    if plant.one_delay:
-        return [Array.whole("X", "double", (plant.n,)), t, U]
-    return [Array.whole("P", "double", (nx, plant.n)), Term("D_hat", "double"), t, U]
+    U = []
+    for j, ratio in enumerate(plant.ratios.tolist()):
+        x = weights[:, j] @ P[firsts[j] : firsts[j] + len(weights)]
+        U.append(trace.kappa(x, t + ratio * D_hat)[j])
+    return U, [vector("P", nx * plant.n, "1"), "D_hat", "t"]
 
 
 def _passed(plant: Plant) -> str:
-    return "X, t, U" if plant.one_delay else "P, D_hat, t, U"
+    return "X, t" if plant.one_delay else "P, D_hat, t"
 
 
 def _head(p: Program) -> str:

@@ -10,20 +10,22 @@ import numpy as np
 import npred
 from npred.delays import family_of
 from npred.errors import ConfigError
-from npred.loop import control_step
-from npred.loop.control_step import Memory
+from npred.kernels.c_text import comment, constant, fill, literal, single
+from npred.kernels.kernel import Kernel, skeleton
+from npred.loop import signals
 from npred.loop.controller import Controller
+from npred.predictors.guarded import bare
 from npred.runtimes import c_controller_text as texts
-from npred.symbolic import kernels, source_lines
-from npred.symbolic.c99 import Array, Const, Fields, Foreign, Term, Unit, comment, constant
-from npred.symbolic.c99.body import Translation
+from npred.runtimes.fused import Fused
+from npred.symbolic import source_lines
 
 NAME = re.compile(r"[a-z][a-z0-9_]{0,30}")
 PRECISIONS = {"float": np.float32, "double": np.float64}
-SAVED = {"D_hat", "phi_before", "held", "total", "observer", "X_hat", "missed"}  # what a step remembers
+SAVED = {"D_hat", "phi_before", "held", "total", "observer", "expected", "missed"}  # what a step remembers
 DIGEST = "0" * 64
 WHAT = "export controller"
-SETTINGS = ("p", "gamma_dt", "guard_settings")  # of npred.loop.control_step.Parts
+SETTINGS = {"p": "p", "gamma_dt": "gamma_dt", "guard_settings": "guard"}  # by their names in C
+FLAGS = ("recalls", "keeps", "gated")
 
 
 def sources(
@@ -46,8 +48,8 @@ def sources(
 
 def D_hat_bounds(controller: Controller) -> tuple[float, float]:
     """The smallest and the largest D_hat that the controller in C takes, in seconds; infinity for no limit."""
-    low, high = controller.parts.bounds.tolist()
-    return low, min(high, controller.reach + controller.dt) if controller.parts.recalls else high
+    low, high = controller.settings.bounds.tolist()
+    return low, min(high, controller.reach + controller.dt) if controller.settings.recalls else high
 
 
 def digest(header: str) -> str:
@@ -63,69 +65,29 @@ def _check(controller: Controller) -> None:
             f"{WHAT}: expected a predictor that is compiled, got {controller.predictor.name}; take a numerical one, or "
             'load the network with runtime = "fused"'
         )
-    if not hasattr(controller.parts.update, "py_func"):
+    if controller.parts["update"] and not isinstance(controller.parts["update"], Kernel):
         law = type(controller.adaptation).__name__
         raise ConfigError(f"{WHAT}: expected a delay law that is compiled, {law} runs in Python; take another")
 
 
 class _Writer:
-    """The files of one controller."""
+    """The files of one controller: the kernels that run here, with one lane and the shapes written in."""
 
     def __init__(self, controller: Controller, name: str, precision: str, settings: Sequence[str] = ()) -> None:
         self.controller, self.name, self.real = controller, name, precision
-        self.plant, self.parts = controller.plant, controller.parts
-        self.keeps = controller.keeps_commands
-        self.unit = Unit(name, precision)
-        self.unit.reserved.add("self")
-        numbers = {part: np.atleast_1d(getattr(self.parts, part)).astype(float) for part in settings}
-        self.settings = {part: values for part, values in numbers.items() if values.size}
-        for part, values in self.settings.items():
-            self.unit.use(self.unit.constant(values, part))
-        self.used: dict[str, tuple[int, ...]] = {}  # the arrays of the state, in the order of Memory
-        self.advance = self._body("calculate", control_step.control_step)
-        booking = (control_step.remember, control_step.hold) if self.keeps else ()
-        self.bodies = [self.advance, *(self._body(function.__name__, function) for function in booking)]
-        for body in self.bodies:
-            if body.members or body.callees:
-                self.unit.structs.append(self.unit.struct(f"{name}_{body.where}", body))
-
-    def _body(self, where: str, function: Any) -> Translation:
-        """A function of npred.loop.control_step, with the controller's parts and the arrays of its state in C."""
-        definition, space = kernels.definition(function)
-        arguments = {
-            "s": Fields({name: self._part(name, value) for name, value in self.parts._asdict().items()}),
-            "z": Fields({name: self._array(name, getattr(self.controller.memory, name)) for name in Memory._fields}),
-            "k": Term("self->saved.k", "int", low=0),
-            "t": Term("t", self.real),
-            "dt": Const(self.parts.dt, self.real),
-            "P": Array.whole("self->P", self.real, (self.controller.predictor.nx, self.plant.n, 1)),
-        }
-        body = Translation(self.unit, where, space, {a.arg: arguments[a.arg] for a in definition.args.args})
-        body.translate(definition.body)
-        return body
-
-    def _part(self, name: str, value: Any) -> Any:
-        if name in self.settings:
-            fixed = np.array([np.nan, *self.settings[name][1:]]) if name == "guard_settings" else None
-            held = Array.whole(f"self->settings.{name}", self.real, self.settings[name].shape, fixed=fixed)
-            return held if isinstance(value, np.ndarray) else Term(f"{held.name}[0]", self.real)
-        if isinstance(value, np.ndarray):
-            return self.unit.constant(value, name)
-        kinds = {bool: "bool", float: self.real}
-        return Const(value, kinds[type(value)]) if type(value) in kinds else Foreign(value)
-
-    def _array(self, name: str, value: np.ndarray) -> Array:
-        measured = ("X", "u", "u_nodes") if not self.parts.recalls else ("X",) if not self._gated else ()
-        owner = "" if name in measured else "self->saved." if name in SAVED else "self->"
-        return Array.whole(owner + name, self.real, value.shape)
+        self.plant, self.parts = controller.plant, controller.parts | {"predict": _predict(controller, precision)}
+        self.keeps, self.recalls = controller.keeps_commands, bool(controller.settings.recalls)
+        self.watches, self.gated = self.parts["observe"] is not None, bool(controller.settings.gated)
+        numbers = {name: np.atleast_1d(getattr(controller.settings, part)) for name, part in SETTINGS.items()}
+        self.settings = {name: numbers[name].astype(float) for name in settings if numbers[name].size}
 
     def texts(self, model: str, test: Any) -> tuple[str, str]:
         """The header and the source, the digest of both inside."""
         slots = self._slots(model)
         slots["test"] = self._test(test) if test is not None else []
-        plain = {name: slots.pop(name) for name in ("about", "declarations", "memories")}
+        plain = {name: slots.pop(name) for name in ("about", "kernels")}
         named = {name: [self._named(line) for line in lines] for name, lines in slots.items()}
-        files = [kernels.fill(self._named(text), **named, **plain) for text in (texts.HEADER, texts.SOURCE)]
+        files = [fill(self._named(text), **named, **plain) for text in (texts.HEADER, texts.SOURCE)]
         digest = hashlib.sha256("".join(files).encode()).hexdigest()
         words = ", ".join(f"0x{digest[i : i + 8]}u" for i in range(0, 32, 8))
         header, source = (text.replace(DIGEST, digest).replace("DIGEST_WORDS", words) for text in files)
@@ -137,79 +99,101 @@ class _Writer:
 
     def _slots(self, model: str) -> dict[str, list[str]]:
         """The lines of the templates' slots."""
-        declarations = self.unit.declarations()
-        arrays = self._arrays(declarations)
+        arrays = self._arrays()
         return {
             "about": self._about(model),
             "sizes": [f"    %%_{name} = {value}," for name, value in self._sizes().items()],
-            "memories": "\n\n".join(self.unit.structs).splitlines(),
             "saved": [f"    REAL {name}[{size}];" for name, size in arrays.items() if name in SAVED],
             "scratch": self._scratch(arrays),
-            "declarations": declarations.splitlines(),
-            "bodies": [line for body in self.bodies for line in self._function(body)],
+            "kernels": self._kernels().splitlines(),
+            "bodies": self._bodies(arrays),
             "functions": self._functions(),
-            "signatures": texts.signatures(self.parts.recalls, self.keeps),
+            "signatures": texts.signatures(self.recalls, self.keeps),
         }
 
     def _sizes(self) -> dict[str, int]:
         z = self.controller.memory
         optional = {"ROWS": len(z.held)} if self.keeps else {}
-        optional |= {"OBSERVER": len(z.observer)} if self._watches else {}
+        optional |= {"OBSERVER": len(z.observer)} if self.watches else {}
         sizes = {"N_STATES": self.plant.n, "M_INPUTS": self.plant.m, "NX": self.controller.predictor.nx}
         return sizes | optional
 
-    @property
-    def _watches(self) -> bool:
-        return self.parts.observe is not None
-
-    @property
-    def _gated(self) -> bool:
-        return self.parts.model is not None
-
-    def _arrays(self, declarations: str) -> dict[str, int]:
+    def _arrays(self) -> dict[str, int]:
         """The arrays of the state by their sizes: those that a step uses."""
-        text = "\n".join([declarations, *(line for body in self.bodies for line in body.lines)])
-        sizes = {name: getattr(self.controller.memory, name).size for name in Memory._fields}
-        named = set(re.findall(r"self->(?:saved\.)?(\w+)", text)) | {"D_hat", "phi_before", "U"}
-        return {name: size for name, size in sizes.items() if name in named}
+        used = {"D_hat", "phi_before", "Y", "U", "P"}
+        used |= {"held", "total", "U0", "U1", "share", "D_seen"} if self.keeps else set()
+        used |= {"u", "u_nodes"} if self.recalls else set()
+        used |= {"X_hat", "expected", "missed"} if self.gated else set()
+        used |= {"observer"} if self.watches else set()
+        used |= {"phi", "N"} if self.parts["update"] else set()
+        used |= {"error", "fallback"} if self.parts["guard"] else set()
+        used |= {"D_seen"} if self.parts["believe"] else set()
+        return {name: a.size for name, a in self.controller.memory._asdict().items() if name in used}
 
     def _scratch(self, arrays: dict[str, int]) -> list[str]:
         lines = [f"    REAL {name}[{size}];" for name, size in arrays.items() if name not in SAVED]
-        lines += [f"    REAL P[{self.controller.predictor.nx * self.plant.n}];"]
         members = [f"REAL {part}[{len(values)}];" for part, values in self.settings.items()]
         lines += [f"    struct {{ {' '.join(members)} }} settings; /* set by @_init */"] if members else []
-        lines += [f"    REAL before[{arrays['observer']}];"] if self._watches else []
-        for body in self.bodies:
-            if body.members or body.callees:
-                lines.append(f"    struct @_{body.where}_memory {body.where};")
-        return lines
+        lines += [f"    REAL before[{arrays['observer']}];"] if self.watches else []
+        return [*lines, f"    REAL work[{self._work()}];"]
 
-    def _function(self, body: Translation) -> list[str]:
-        """The C function of one of the bodies."""
-        name, advances = body.where, body is self.advance
-        measured = "" if self._gated else "const REAL *X, " if self.parts.recalls else texts.ARRAYS
-        arguments = f"{measured if advances else ''}REAL t"
-        head = f"static {'int' if name == 'remember' else 'void'} @_{name}(@_controller *self, {arguments})"
-        memory = f"    struct @_{name}_memory *memory = &self->{name};"
-        named = "\n".join(body.lines)
-        unused = [
-            f"    (void){c};" for c in re.findall(r"(\w+)(?:,|$)", arguments) if not re.search(rf"\b{c}\b", named)
-        ]
-        top = [memory] if body.members or body.callees else []
-        return [head, "{", *unused, *top, *(f"    {line}" for line in body.top), *body.lines, "}", ""]
+    def _work(self) -> int:
+        nx, guard = self.controller.predictor.nx, self.controller.settings.guard
+        return max(1, *(part.work(nx, 1, guard) for part in self.parts.values() if part))
+
+    def _kernels(self) -> str:
+        """The kernels and the step, as the loop runs them here, and what they are set to."""
+        types, structs = signals.declared()
+        kernels = [text for part in self.parts.values() if part for text in part.texts]
+        loop = [types, structs, skeleton("actuator.h"), skeleton("step.h"), skeleton("controller.h")]
+        text = "\n".join(dict.fromkeys(["#define WIDE 1", "#define LANES", skeleton("base.h"), *kernels, *loop]))
+        given = self._numbers().items()
+        numbers = [constant(f"the_{name}", values, self.real) for name, values in given if values.size]
+        return "\n".join([single(text) if self.real == "float" else text, *numbers])
+
+    def _numbers(self) -> dict[str, np.ndarray]:
+        """The arrays of the settings."""
+        numbers = {s.name: getattr(self.controller.settings, s.name) for s in signals.SETTINGS if s.axes is not None}
+        return {name: np.ravel(a).astype(float) for name, a in numbers.items() if name not in ("delays", "samples")}
+
+    def _bodies(self, arrays: dict[str, int]) -> list[str]:
+        """The functions that bind the state, the settings and the kernels together, and call the step."""
+        names = {name: f"self->{'saved.' if name in SAVED else ''}{name}" for name in arrays}
+        if not self.gated:
+            names["X_hat"] = names["Y"]
+        if not self.recalls:
+            names |= {"u": "(REAL *)u", "u_nodes": "(REAL *)u_nodes"}
+        settings, given = self.controller.settings, {part: f"self->settings.{name}" for name, part in SETTINGS.items()
+                                                     if name in self.settings}  # fmt: skip
+        held = {name: given.get(name, f"(REAL *)the_{name}") for name, values in self._numbers().items() if values.size}
+        held |= {name: str(int(getattr(settings, name))) for name in FLAGS}
+        held |= {name: literal(getattr(settings, name), self.real) for name in ("dt", "b", "gate")}
+        held["gamma_dt"] = f"{given['gamma_dt']}[0]" if "gamma_dt" in given else literal(settings.gamma_dt, self.real)
+        parts = {name: part.name for name, part in self.parts.items() if part}
+        rows = "%%_ROWS" if self.keeps else "0"
+        slots = {
+            "state": [f".{name} = {text}," for name, text in names.items()],
+            "settings": [f".{name} = {text}," for name, text in held.items()],
+            "parts": [f".{name} = {text}," for name, text in parts.items()],
+        }
+        text = texts.BODIES + (texts.BOOKING if self.keeps else "")
+        measured = "" if self.recalls else ", const REAL *u, const REAL *u_nodes"
+        text = text.replace("<MEASURED>", measured).replace("<ROWS>", rows)
+        text = text.replace("<NONE>", ", NULL, NULL" if measured else "")
+        text = text.replace("<PASSED>", ", u, u_nodes" if measured else "")
+        return fill(text, **slots).splitlines()
 
     def _functions(self) -> list[str]:
         """Initialisation, the step, and what reads and sets the state."""
         slots = {
             "start": self._start(),
-            "checks": texts.finite("X", "%%_N_STATES") + ([] if self.parts.recalls else texts.MEASURED.splitlines()),
-            "before": texts.BEFORE.splitlines() if self._watches else [],
-            "after": texts.AFTER.splitlines() if self._watches else [],
+            "checks": texts.finite("X", "%%_N_STATES") + ([] if self.recalls else texts.MEASURED.splitlines()),
+            "before": texts.BEFORE.splitlines() if self.watches else [],
+            "after": texts.AFTER.splitlines() if self.watches else [],
             "keep": ["self->saved.k = @_remember(self, t);"] if self.keeps else [],
             "hold": ["@_hold(self, t);"] if self.keeps else [],
-            "take": ["memcpy(self->X, X, sizeof self->X);"] if self._gated else [],
             "time": [self._time()],
-            "unknown": [*texts.UNKNOWN.splitlines(), "self->saved.missed[0] = 0;"] if self._gated else [],
+            "unknown": [*texts.UNKNOWN.splitlines(), "self->saved.missed[0] = 0;"] if self.gated else [],
             "reach": self._too_long(),
             "check_commands": self._command_checks(),
         }
@@ -217,20 +201,19 @@ class _Writer:
         names = {
             "LOW": low,
             "HIGH": high if np.isfinite(high) else float(np.finfo(PRECISIONS[self.real]).max),
-            "DT": self.parts.dt,
+            "DT": self.controller.dt,
         }
-        text = kernels.fill(texts.FUNCTIONS, **slots)
+        text = fill(texts.FUNCTIONS, **slots)
         for name, value in names.items():
             text = text.replace(f"<{name}>", repr(float(value)))
-        arguments = ("", "X, ") if self.parts.recalls else (", const REAL *u, const REAL *u_nodes", "X, u, u_nodes, ")
-        passed = "" if self._gated else arguments[1]
-        text = text.replace("<MEASURED>", arguments[0]).replace("<PASSED>", passed)
-        entry = texts.RECALLING if self.parts.recalls else texts.MEASURING
+        measured = "" if self.recalls else ", const REAL *u, const REAL *u_nodes"
+        text = text.replace("<MEASURED>", measured).replace("<PASSED>", "" if self.recalls else ", u, u_nodes")
+        entry = texts.RECALLING if self.recalls else texts.MEASURING
         return (text + (texts.APPLIED if self.keeps else "") + entry).splitlines()
 
     def _time(self) -> str:
         """The time that the kernels see: of a law that repeats, within its period where a float would lose it."""
-        clock = "self->saved.t0 + (double)self->saved.steps * <DT>".replace("<DT>", repr(self.parts.dt))
+        clock = "self->saved.t0 + (double)self->saved.steps * <DT>".replace("<DT>", repr(self.controller.dt))
         if self.real == "float" and self.plant.period:
             clock = f"fmod({clock}, {self.plant.period!r})"
         return f"const REAL t = (REAL)({clock});"
@@ -244,19 +227,19 @@ class _Writer:
             origin = len(controller.memory.held) - 1
             lines += [f"static const REAL u0[] = {{{u0}}};", f"self->saved.k = {origin};"]
             lines += texts.COMMANDS.replace("<ORIGIN>", str(origin)).splitlines()
-        lines += texts.OBSERVER.splitlines() if self._watches else []
-        lines += texts.UNKNOWN.splitlines() if self._gated else []
+        lines += texts.OBSERVER.splitlines() if self.watches else []
+        lines += texts.UNKNOWN.splitlines() if self.gated else []
         for part, values in self.settings.items():
-            place = f"self->settings.{part}"
-            lines.append(f"memcpy({place}, {self.unit.constant(values, part).name}, sizeof {place});")
-        declared = [line for line in lines if line.startswith("static")]
-        return [*declared, *(line for line in lines if not line.startswith("static"))]
+            place, kept = f"self->settings.{part}", f"the_{SETTINGS[part]}"
+            one = f"{place}[0] = {literal(values[0], self.real)};"
+            lines.append(one if part == "gamma_dt" else f"memcpy({place}, {kept}, sizeof {place});")
+        return sorted(lines, key=lambda line: not line.startswith("static"))
 
     def _too_long(self) -> list[str]:
         """The check of a delay that the plant declares."""
-        if self.parts.believe is None or not self.parts.recalls:
+        if self.parts["believe"] is None or not self.recalls:
             return []
-        return texts.TOO_LONG.replace("<REACH>", repr(self.controller.reach + self.parts.dt)).splitlines()
+        return texts.TOO_LONG.replace("<REACH>", repr(self.controller.reach + self.controller.dt)).splitlines()
 
     def _command_checks(self) -> list[str]:
         if not self.keeps:
@@ -276,8 +259,8 @@ class _Writer:
             f"The controller of plant {plant.name}, made by npred {npred.__version__}.",
             *([f"Model: {model}."] if model else []),
             f"Predictor {controller.predictor.name} on {controller.predictor.nx} nodes; D_hat {law}.",
-            f"A control step each {self.plant.time_text(self.parts.dt, '')}; D_hat and t are in this unit too.",
-            f"In {self.real} precision; {source_lines.ranges(self.plant.inputs, self.parts.input_bounds)}.",
+            f"A control step each {self.plant.time_text(self.controller.dt, '')}; D_hat and t are in this unit too.",
+            f"In {self.real} precision; {source_lines.ranges(plant.inputs, controller.settings.input_bounds)}.",
             *(f"{kind}: {text}." for kind, text in names),
         ]
         return [f" * {comment(line)}" for line in lines]
@@ -294,7 +277,15 @@ class _Writer:
         passed = "" if u is None else "test_u + s * %%_NX * %%_M_INPUTS, "
         text = texts.TEST.replace("<U>", passed).replace("<STEPS>", str(len(X)))
         text = text.replace("<LIMIT>", {"float": "1e-3", "double": "1e-9"}[self.real])
-        return kernels.fill(text, vector="\n".join(lines).splitlines()).splitlines()
+        return fill(text, vector="\n".join(lines).splitlines()).splitlines()
+
+
+def _predict(controller: Controller, precision: str) -> Kernel:
+    """The kernel of the prediction; that of a network in the precision of the file."""
+    model: Any = bare(controller.predictor)
+    if precision == "float" and hasattr(model, "operator"):
+        return Fused(model.plant, model.operator, model.nx, model.name, getattr(model, "stride", None)).on(model.nx)
+    return controller.parts["predict"]
 
 
 def _with_unit(plant: Any, name: str) -> str:

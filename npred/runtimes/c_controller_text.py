@@ -37,8 +37,6 @@ typedef struct {
 {saved}
 } @_saved;
 
-{memories}
-
 /* P, the prediction of the last step, is by nodes, then states; error and fallback are those of a guard. */
 typedef struct {
     @_saved saved;
@@ -99,12 +97,60 @@ SOURCE = """\
 
 static const uint32_t @_digest[4] = {DIGEST_WORDS};
 
-{declarations}
+{kernels}
 
 {bodies}
 {functions}
 
 {test}
+"""
+
+BODIES = """\
+static const Shape @_shape = {%%_NX, 1, <ROWS>, %%_N_STATES, %%_M_INPUTS};
+static const Parts @_parts = {
+    {parts}
+};
+
+/* Where the numbers of the state are, and what the step is set to. */
+static inline State @_state(@_controller *self<MEASURED>)
+{
+    const State state = {
+        {state}
+    };
+    return state;
+}
+
+static inline Settings @_settings(@_controller *self)
+{
+    const Settings settings = {
+        {settings}
+    };
+    (void)self;
+    return settings;
+}
+
+static void @_calculate(@_controller *self<MEASURED>, REAL t)
+{
+    State state = @_state(self<PASSED>);
+    const Settings settings = @_settings(self);
+    control_step(@_shape, self->saved.k, t, &@_parts, &settings, &state, self->work);
+}
+"""
+
+BOOKING = """
+static int32_t @_remember(@_controller *self, REAL t)
+{
+    State state = @_state(self<NONE>);
+    const Settings settings = @_settings(self);
+    return (int32_t)remember(@_shape, self->saved.k, t, &@_parts, &settings, &state, self->work);
+}
+
+static void @_hold(@_controller *self, REAL t)
+{
+    State state = @_state(self<NONE>);
+    const Settings settings = @_settings(self);
+    hold(@_shape, self->saved.k, t, &@_parts, &settings, &state, self->work);
+}
 """
 
 FUNCTIONS = """\
@@ -183,8 +229,8 @@ static int @_run(@_controller *self, const REAL *X<MEASURED>, REAL *U)
     int code = finite ? %%_OK : %%_MEASUREMENT_NOT_FINITE;
     {before}
     if (code == %%_OK) {
-        {take}
-        @_calculate(self, <PASSED>t);
+        memcpy(self->Y, X, sizeof self->Y);
+        @_calculate(self<PASSED>, t);
         finite = isfinite(self->saved.D_hat[0]) != 0;
         for (int i = 0; i < %%_M_INPUTS; i++) {
             finite = finite && isfinite(self->U[i]);
@@ -271,7 +317,7 @@ for (int i = 0; i < %%_OBSERVER; i++) {
 }"""
 UNKNOWN = """\
 for (int i = 0; i < %%_N_STATES; i++) {
-    self->saved.X_hat[i] = NAN;
+    self->saved.expected[i] = NAN;
 }"""
 FINITE_COMMANDS = """\
 for (int i = 0; i < %%_ROWS * %%_M_INPUTS; i++) {

@@ -18,6 +18,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from npred import json_files
 from npred.errors import StoreError
+from npred.kernels import compiler
 from npred.parallel.devices import arithmetic, packages
 
 NAME = "manifest.json"
@@ -237,7 +238,7 @@ def cure(folder: Path) -> str:
 
 def provenance(device: str) -> dict[str, str | None]:
     """The machine that made a result, and what its last digits depend on; no part of any key or digest."""
-    versions = packages("npred", "numpy", "numba", "torch")
+    versions = packages("npred", "numpy", "torch") | {"compiler": compiler.version()}
     here = {"python": platform.python_version(), "platform": platform.platform()}
     return here | versions | arithmetic(device)
 

@@ -137,7 +137,7 @@ def test_almost_equal_delays_predict_and_control_as_one_delay(method):
 
 def test_one_delay_keeps_its_program_and_its_identity():
     alone, equal = plant(), plant((0.6, 0.6))
-    assert ConstantDelay(alone).source(Euler.step) == ConstantDelay(equal).source(Euler.step)
+    assert ConstantDelay(alone).sweep(Euler.step).unit == ConstantDelay(equal).sweep(Euler.step).unit
     assert "ratios" not in alone.identity
     assert equal.identity == alone.identity | {"ratios": [1.0, 1.0]}
 

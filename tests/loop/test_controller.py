@@ -487,7 +487,7 @@ def test_a_state_that_jumps_is_believed_after_a_delay():
 def test_without_a_gate_wrong_samples_do_not_lock_it():
     """One sample 2 to 12 off, then good ones: once its command was huge, and each later step was refused."""
     X, _ = pose_loop(140)
-    low, high = turning(gate=None).parts.input_bounds.T
+    low, high = turning(gate=None).settings.input_bounds.T
     for size in (2.0, 5.0, 9.0, 12.0, -9.0):
         controller, refused = turning(gate=None), []
         for k in range(140):
@@ -531,4 +531,4 @@ def test_without_a_box_every_sample_is_believed():
     controller.step([0.1])
     with pytest.raises(DivergedError):
         controller.step([1e200])
-    assert controller.missed == 0 and np.isinf(controller.parts.input_bounds).all()
+    assert controller.missed == 0 and np.isinf(controller.settings.input_bounds).all()

@@ -237,7 +237,7 @@ COMPILED = (
 COMPILED = COMPILED.replace(
     "import npred",
     "import npred\nfrom npred.delays import family\n\nBODY = "
-    + repr("    for l in range(D_hat.shape[0]):\n        phi[l] = 1.0 - D_hat[l]\n"),
+    + repr("    for (int l = 0; l < d.lanes; l++) {\n        phi[l] = 1.0 - D_hat[l];\n    }\n"),
 )
 
 

@@ -8,23 +8,11 @@ from follower import Follower, follower
 
 import npred
 from npred.errors import ConfigError
-from npred.loop.delay_candidates import (
-    FADE,
-    FEW,
-    HIGH,
-    INJECT,
-    LEAK,
-    LOW,
-    NUMBERS,
-    PATIENCE,
-    PUSH,
-    decide,
-    estimate,
-    gains,
-)  # fmt: skip
+from npred.loop.delay_observer import NUMBERS, bank
 from npred.loop.measurement import Measurement
 
 PLANT = npred.plant("activator_repressor")
+FEW = 20.0  # samples that the window has at least
 RK4 = npred.predictor("rk4", PLANT, nx=51)
 LAW = npred.DelayObserver(bounds=(0.1, 4.0))
 DELAYS, STARTS = np.meshgrid([0.83, 1.0, 1.234, 1.37, 1.5], [0.3, 0.5, 1.0, 1.5, 2.0, 3.5], indexing="ij")
@@ -250,15 +238,16 @@ def test_a_loop_that_is_lost_stops_no_other_estimate():
 def test_the_gains_over_a_gap_place_the_poles_of_the_observer_s_errors(omega):
     """Of x and d, for a gap of T seconds, where those of s² + L s + L omega = 0 are in continuous time."""
     law = npred.DelayObserver(L=3.0, omega=omega, bounds=(0.1, 2.0))
-    settings, steps, dt, gain = law.observer(SCALAR, 0.01)[1], 30, 0.01, np.empty((4, 2))
-    X, calls, gap = np.array([[1.0, np.nan]]), np.ones(2), np.full(2, steps - 1.0)
-    gains(X, dt, settings, calls, gap, gain)
+    (_, settings, size), steps, dt, gain = law.observer(SCALAR, 0.01), 30, 0.01, np.empty((4, 2))
+    memory = np.ones((size, 2))
+    memory[-1] = steps - 1.0  # the gap
+    bank(1, 1, int(settings[0]))[0](dt, np.array([[1.0, np.nan]]), settings, memory, gain)
     T, (inject, push) = steps * dt, gain[:2, 0]
     error_of_both = [[1 - inject, (1 - inject) * T], [-push, 1 - push * T]]
     roots = np.roots([1.0, 3.0, 3.0 * omega]).astype(complex)
     np.testing.assert_allclose(np.poly(error_of_both), np.poly(np.exp(roots * T)).real, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(gain[2:, 0], [1 - np.exp(-1 / FEW / 5), np.exp(-1 / FEW)], rtol=1e-9)
-    assert gain[:, 1].tolist() == [0.0, 0.0, 0.0, 1.0] and gap.tolist() == [0.0, steps]
+    assert gain[:, 1].tolist() == [0.0, 0.0, 0.0, 1.0] and memory[-1].tolist() == [0.0, steps]
 
 
 def test_a_loop_at_rest_keeps_its_estimate():
@@ -281,15 +270,20 @@ def test_a_disturbance_at_rest_replaces_no_transient():
     assert np.abs(run.D_hat[:, 100:] - 1.234).max() < 0.05
 
 
+def chosen(sums, D_hat):
+    """The estimate after a sample, of candidates 0.1, 0.2, … s with these sums of squared errors."""
+    count, settings = len(sums), [len(sums), 0.0, 0.0, 0.01, 0.9, 5.0, 0.1, 0.9]
+    assert len(settings) == NUMBERS
+    law = np.array([*settings, *np.zeros(count), *np.linspace(0.1, 0.1 * count, count)])
+    memory = np.concatenate([np.zeros(2 * count), sums, np.array(sums) / 10, np.ones(3), [9.0, 1.0, 0.0]])[:, None]
+    estimate, gain = np.array([D_hat]), np.array([[0.0], [0.0], [0.01], [0.9]])
+    bank(1, 1, count)[1](np.ones((1, 1)), law, memory, gain, estimate)
+    return estimate[0]
+
+
 def test_a_candidate_that_left_the_finite_numbers_does_not_count():
     """An observer driven by other commands than the plant may diverge."""
-    thetas, law = np.array([0.1, 0.2, 0.3, 0.4]), np.zeros(NUMBERS)
-    law[[LEAK, FADE, PATIENCE, LOW, HIGH]] = 0.01, 0.9, 5.0, 0.1, 0.4
-    sums = np.array([np.nan, 8.0, 1.0, 3.0])[:, None, None]
-    D_hat, pace, units = np.array([0.1]), np.ones(1), np.ones((4, 1, 1))
-    gain = law[[INJECT, PUSH, LEAK, FADE], None].copy()
-    decide(units[0], sums.copy(), sums / 10, *units[1:], np.array([9.0]), pace, gain, law, thetas, D_hat)
-    assert D_hat[0] == pytest.approx(0.3 + 0.05 * 5 / 9)
+    assert chosen([np.nan, 8.0, 1.0, 3.0], 0.1) == pytest.approx(0.3 + 0.05 * 5 / 9)
 
 
 def test_candidates_are_whole_control_steps_apart_and_reach_the_bounds():
@@ -311,8 +305,7 @@ def test_settings_and_plants_that_do_not_fit_are_refused():
 
 def test_of_candidates_that_are_as_good_the_estimate_is_the_nearest():
     """It stays within half a spacing of one of them; a single best one has the minimum of a parabola."""
-    thetas, tied = np.linspace(0.1, 0.6, 6), np.array([5.0, 1.0, 1.00005, 1.0, 1.0, 5.0])
+    tied, single = [5.0, 1.0, 1.00005, 1.0, 1.0, 5.0], [9.0, 5.0, 1.0, 2.0, 6.0, 9.0]
     expected = {0.9: 0.5, 0.05: 0.2, 0.42: 0.42, 0.549: 0.549, 0.56: 0.5}
-    assert {D_hat: estimate(tied, 1, thetas, D_hat) for D_hat in expected} == pytest.approx(expected)
-    single = np.array([9.0, 5.0, 1.0, 2.0, 6.0, 9.0])  # the parabola through (-1, 5), (0, 1), (1, 2)
-    assert estimate(single, 2, thetas, 0.1) == pytest.approx(0.3 + 0.1 * 3 / 10)
+    assert {D_hat: chosen(tied, D_hat) for D_hat in expected} == pytest.approx(expected)
+    assert chosen(single, 0.1) == pytest.approx(0.3 + 0.1 * 3 / 10)  # the parabola through (-1, 5), (0, 1), (1, 2)

@@ -12,11 +12,11 @@ from operator_samples import PLANT, SMALL, holding, operator, phased, samples, s
 
 import npred
 from npred.errors import NpredError
+from npred.kernels.c_text import comment
 from npred.loop import metrics
 from npred.operators import Scaling, build
 from npred.predictors.neural import Neural
 from npred.runtimes import c, c_library
-from npred.symbolic.c99 import comment
 
 FLAGS = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Werror"]
 needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc on this machine")

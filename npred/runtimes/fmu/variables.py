@@ -9,10 +9,10 @@ from itertools import accumulate
 import numpy as np
 
 from npred.errors import ConfigError
+from npred.kernels.c_text import literal
 from npred.loop.controller import Controller
 from npred.predictors.guarded import PASSES
 from npred.runtimes import c_controller
-from npred.symbolic.c99.values import literal
 
 LARGEST, SMALLEST = sys.float_info.max, sys.float_info.min
 ROLES = {"input": "INPUT", "tunable": "TUNABLE", "fixed": "FIXED", "output": "OUTPUT", "independent": "INDEPENDENT"}
@@ -47,7 +47,7 @@ def settings(controller: Controller) -> list[str]:
     """The numbers of the controller that are tunable parameters: names of npred.runtimes.c_controller.SETTINGS."""
     held = {
         "p": controller.plant.p.size > 0 and not trained(controller),
-        "gamma_dt": controller.parts.gamma_dt > 0,
+        "gamma_dt": controller.settings.gamma_dt > 0,
         "guard_settings": controller.predictor.guard is not None,
     }
     return [name for name in c_controller.SETTINGS if held[name]]

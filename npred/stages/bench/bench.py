@@ -9,6 +9,7 @@ import numpy as np
 from npred import figures
 from npred.config import Bench
 from npred.data import shards
+from npred.kernels import compiler
 from npred.parallel import devices
 from npred.results import Benched
 from npred.results.bench import Hardware, Stops, Timing
@@ -17,7 +18,7 @@ from npred.stages.bench import break_even, candidates, timing, timing_tables
 from npred.stages.bench.candidates import Candidate, ErrorSizes, Reference
 from npred.stages.report import tables
 
-PACKAGES = ("npred", "torch", "numpy", "numba", "onnxruntime")
+PACKAGES = ("npred", "torch", "numpy", "onnxruntime")
 summary, details = timing_tables.summary, timing_tables.details
 
 
@@ -85,5 +86,5 @@ def _speedups(rows: list[Timing]) -> list[Timing]:
 
 
 def _hardware(job: Job, config: Bench) -> Hardware:
-    versions = {"python": platform.python_version()} | devices.packages(*PACKAGES)
+    versions = {"python": platform.python_version(), "compiler": compiler.version()} | devices.packages(*PACKAGES)
     return Hardware.model_validate(devices.hardware(job.device) | {"threads": config.threads, "versions": versions})

@@ -8,6 +8,7 @@ import numpy as np
 from npred import array_checks, plants, randomness
 from npred.config import Generate, Pipeline
 from npred.errors import ConfigError, DivergedError
+from npred.kernels import compiler
 from npred.loop import configured
 from npred.loop.closed_loop import LANES, Trajectories
 from npred.loop.trajectory_views import infeasible
@@ -20,12 +21,12 @@ from npred.stages.generate import sampling
 Columns = dict[str, np.ndarray]
 Progress = Callable[[int], None] | None
 LAST = np.iinfo(np.int64).max  # a step that no loop comes to
-PACKAGES = ("npred", "numpy", "numba")  # what the bytes of a row may depend on
+PACKAGES = ("npred", "numpy")  # what the bytes of a row may depend on
 
 
 def surroundings(pipeline: Pipeline, plant: Plant) -> dict[str, Any]:
     """All that has to be the same in every process that makes rows of one data set."""
-    versions = devices.packages(*PACKAGES)
+    versions = devices.packages(*PACKAGES) | {"compiler": compiler.version()}
     return {
         "plant": plant.identity,
         "delay law": DELAY_LAWS.identity(pipeline.generate.adaptation),

@@ -1,0 +1,110 @@
+/* The actuator state u(x, t) = U(t + D (x - 1)). U is held over each control step, so the history is piecewise constant
+ * and everything here is exact. Row k of the ring buffers, modulo `rows`: held has U on [k dt, (k + 1) dt), total the
+ * sum of U over the steps before k. */
+#define ROUNDING 1e-9 /* of a control step: positions this close to a step's start are on it */
+
+/* The integral of U over time up to position s, in control steps. */
+static inline double sum_to(double s, int c, int l, Shape d, int64_t wrap, const double *held, const double *total)
+{
+    const int64_t i = (int64_t)(s + ROUNDING);
+    const int64_t row = i >= wrap ? i - wrap : i - wrap + d.rows;
+    const ptrdiff_t at = ((ptrdiff_t)row * d.m + c) * d.lanes + l;
+    return total[at] + larger(s - (double)i, 0.0) * held[at];
+}
+
+/* u for the delays D (m, lanes). The predictor integrates u: `u` has the mean over each node's cell, and the trapezoidal
+ * rule on cell means is the integral of the held input on any grid. The update law compares u with kappa(P): `u_nodes`
+ * has values at the nodes, linear between the starts of control steps, where U = kappa(P(1)) was commanded; the held
+ * value lags behind by half a step on average. At x = 1 it is the newest U, from the left. */
+static inline void transport(Shape d, int64_t k, double dt, const double *D, const double *held, const double *total, double *u,
+                      double *u_nodes)
+{
+    const int last = d.nx - 1;
+    const int64_t wrap = k - k % d.rows;
+    for (int c = 0; c < d.m; c++) {
+        for (int from = 0; from < d.lanes; from += WIDE) {
+            const int width = least(WIDE, d.lanes - from);
+            double span[WIDE], before[WIDE], sum_before[WIDE];
+            for (int l = 0; l < width; l++) {
+                const double longest = (double)(k < d.rows - 1 ? k : d.rows - 1), steps = D[c * d.lanes + from + l] / dt;
+                span[l] = steps > 0.0 ? smaller(steps, longest) : 0.0; /* NaN, of a loop that ended, reads 0 */
+                before[l] = (double)k - span[l];
+                sum_before[l] = sum_to(before[l], c, from + l, d, wrap, held, total);
+            }
+            for (int j = 0; j < d.nx; j++) {
+                const double node = 1.0 - (double)j / (double)last, edge = larger(1.0 - ((double)j + 0.5) / (double)last, 0.0);
+                const ptrdiff_t row = ((ptrdiff_t)j * d.m + c) * d.lanes + from;
+                for (int l = 0; l < width; l++) {
+                    const double s = (double)k - edge * span[l], position = (double)k - node * span[l];
+                    const double sum_s = sum_to(s, c, from + l, d, wrap, held, total);
+                    int64_t i = (int64_t)(position + ROUNDING), after;
+                    double start;
+                    i = i < k - 1 ? i : k - 1;
+                    after = i < k - 1 ? i + 1 : k - 1;
+                    u[row + l] = s > before[l]
+                                     ? (sum_s - sum_before[l]) / (s - before[l])
+                                     : held[((ptrdiff_t)modulo(k - 1, d.rows) * d.m + c) * d.lanes + from + l];
+                    before[l] = s;
+                    sum_before[l] = sum_s;
+                    start = held[((ptrdiff_t)(i < wrap ? i - wrap + d.rows : i - wrap) * d.m + c) * d.lanes + from + l];
+                    after = after < wrap ? after - wrap + d.rows : after - wrap;
+                    u_nodes[row + l] =
+                        start + larger(position - (double)i, 0.0) *
+                                    (held[((ptrdiff_t)after * d.m + c) * d.lanes + from + l] - start);
+                }
+            }
+        }
+    }
+}
+
+/* The step whose command leaves a delay D at the start of control step k, and for how much of the step it does. */
+static inline int64_t leaving(int64_t k, double dt, double D, double *share)
+{
+    const double s = isfinite(D) ? (double)k - D / dt : (double)k; /* that of a loop that ended is NaN */
+    const double i = floor(s + ROUNDING);
+    *share = s - i > ROUNDING ? 1.0 - (s - i) : 1.0;
+    return (int64_t)i;
+}
+
+/* Hold U over control step k, and say what leaves the delay meanwhile: U0 for the first `share` of it, then U1. */
+static inline void actuate(Shape d, int64_t k, double dt, const double *D, const double *U, double *held, double *total,
+                    double *U0, double *U1, double *share)
+{
+    const ptrdiff_t row = (ptrdiff_t)d.m * d.lanes;
+    const ptrdiff_t now = modulo(k, d.rows) * row, next = modulo(k + 1, d.rows) * row;
+    for (ptrdiff_t a = 0; a < row; a++) {
+        const int64_t i = leaving(k, dt, D[a], share + a);
+        held[now + a] = U[a];
+        total[next + a] = total[now + a] + U[a];
+        U0[a] = held[modulo(i, d.rows) * row + a];
+        U1[a] = held[modulo(i + 1, d.rows) * row + a];
+    }
+}
+
+/* The same where the delay changes during the step: phi(t) = t - D passes the commands at that speed. The first switch
+ * comes when phi has passed the rest of its control step; all that follows it is U1, the mean of the commands over what
+ * is left. A speed that is not positive, at a jump of the delay say, holds U0. */
+static inline void retime(Shape d, int64_t k, double dt, const double *D, const double *speed, const double *held, double *U1,
+                   double *share)
+{
+    const ptrdiff_t row = (ptrdiff_t)d.m * d.lanes;
+    for (ptrdiff_t a = 0; a < row; a++) {
+        double rest, left, total = 0.0, mean;
+        int64_t i = leaving(k, dt, D[a], &rest);
+        share[a] = 1.0;
+        if (!(speed[a] > rest)) {
+            continue;
+        }
+        share[a] = rest / speed[a];
+        left = speed[a] - rest;
+        i++;
+        mean = held[modulo(i < k ? i : k, d.rows) * row + a];
+        while (left > 1.0 && i < k) {
+            total += held[modulo(i, d.rows) * row + a];
+            left -= 1.0;
+            i++;
+            mean = (total + left * held[modulo(i, d.rows) * row + a]) / (speed[a] - rest);
+        }
+        U1[a] = mean;
+    }
+}

@@ -1,0 +1,192 @@
+/* Which candidate of the delay is the best, by the errors of its observers: K candidates, n states, m inputs. Of each
+ * candidate the squared errors are summed with two forgetting times, `lasting` and `recent`. */
+enum { K_AT, INJECT, PUSH, LEAK, FADE, PATIENCE, LOW, HIGH, NUMBERS }; /* of the settings; then shifts (K, m), thetas */
+#define SMALLEST 1e-12 /* of a state's largest value: errors below it say nothing */
+#define DIFFER 4.0     /* the worst candidate's cost over the best one's from which on the estimate moves */
+#define RISES 4.0      /* the errors over their level, and over those of the best, from which on the delay has changed */
+#define PACE 2.0       /* times what the window tells over what the memory tells is the pace of the memory, 1 at most */
+#define FEW 20.0       /* samples that the window has at least: where they come more rarely, it and the memory are longer */
+#define TIED 1.0001    /* costs this close to the smallest are as good */
+
+/* What is remembered, lanes innermost. `gap` is the control steps since the last sample, `calls` those up to it. */
+typedef struct {
+    int K;
+    double *x, *push, *lasting, *recent; /* (K, n), (K, m), (K, n), (K, n) */
+    double *floor, *level, *scale;       /* (n) */
+    double *calls, *pace, *gap;
+} Bank;
+
+static inline Bank bank(Shape d, const double *law, double *memory)
+{
+    const int K = (int)law[K_AT];
+    const ptrdiff_t states = (ptrdiff_t)d.n * d.lanes, inputs = (ptrdiff_t)d.m * d.lanes;
+    Bank b = {.K = K, .x = memory};
+    b.push = b.x + K * states;
+    b.lasting = b.push + K * inputs;
+    b.recent = b.lasting + K * states;
+    b.floor = b.recent + K * states;
+    b.level = b.floor + states;
+    b.scale = b.level + states;
+    b.calls = b.scale + states;
+    b.pace = b.calls + d.lanes;
+    b.gap = b.pace + d.lanes;
+    return b;
+}
+
+/* Start every observer at X, without errors. */
+static inline void begin_bank(Shape d, const Bank *b, const double *X)
+{
+    const ptrdiff_t states = (ptrdiff_t)d.n * d.lanes;
+    for (double *number = b->x; number < b->gap + d.lanes; number++) {
+        *number = 0.0;
+    }
+    for (ptrdiff_t a = 0; a < states; a++) {
+        b->floor[a] = 1.0;
+        b->scale[a] = fabs(X[a]);
+        for (int i = 0; i < b->K; i++) {
+            b->x[i * states + a] = X[a];
+        }
+    }
+    for (int l = 0; l < d.lanes; l++) {
+        b->calls[l] = b->pace[l] = 1.0;
+    }
+}
+
+/* Count a control step, and write the gains of lane l's sample: inject, push, leak, fade.
+ *
+ * Over the T seconds since the sample before, the errors of x and d get the poles e^{sT}, s² + L s + L ω = 0:
+ *     inject = 1 - e^{-LT},   push = (1 + e^{-LT} - 2 e^{-LT/2} cos(T √(L ω - L²/4))) / T,
+ * of which L ω is the limit of push / T for small T. What is forgotten is that of T seconds, but at most of a share
+ * 1 / FEW of the window. A loop without a sample, NaN, forgets and corrects nothing. */
+static inline void gains(Shape d, const Bank *b, int l, double X, double dt, const double *law, double *gain)
+{
+    const int lanes = d.lanes;
+    double counted;
+    b->gap[l] += 1.0;
+    if (isnan(X)) {
+        gain[l] = gain[lanes + l] = gain[2 * lanes + l] = 0.0;
+        gain[3 * lanes + l] = 1.0;
+        return;
+    }
+    for (int j = 0; j < 4; j++) {
+        gain[j * lanes + l] = law[INJECT + j];
+    }
+    if (b->gap[l] > 1.0) {
+        const double stay = exp(b->gap[l] * log(1.0 - law[INJECT])), T = b->gap[l] * dt;
+        const double rate = log(1.0 - law[INJECT]) / dt, square = law[PUSH] / dt - rate * rate / 4.0;
+        const double root = sqrt(fabs(square)) * T;
+        const double swing = square > 0.0 ? cos(root) : 0.5 * (exp(root) + exp(-root));
+        gain[l] = 1.0 - stay;
+        gain[lanes + l] = (1.0 + stay - 2.0 * sqrt(stay) * swing) / T;
+    }
+    counted = smaller(b->gap[l], larger(law[PATIENCE] / (2.0 * FEW), 1.0));
+    if (counted > 1.0) {
+        gain[2 * lanes + l] = 1.0 - exp(counted * log(1.0 - law[LEAK]));
+        gain[3 * lanes + l] = exp(counted * log(law[FADE]));
+    }
+    b->calls[l] += counted;
+    b->gap[l] = 0.0;
+}
+
+/* The smallest sum of all candidates for a state: over it errors of different units and noise are compared. */
+static inline double smallest(int K, ptrdiff_t states, const double *sums, double scale)
+{
+    double lowest = INFINITY;
+    for (int i = 0; i < K; i++) {
+        lowest = smaller(lowest, sums[i * states]);
+    }
+    return lowest + SMALLEST * scale * (SMALLEST * scale) + 1e-300;
+}
+
+/* The cost (K) of the candidates in a lane, their sums over a unit; the best candidate, and the largest cost. */
+static inline int compare(Shape d, int K, const double *sums, const double *unit, double *cost, double *largest)
+{
+    int best = 0;
+    double lowest = INFINITY;
+    *largest = 0.0;
+    for (int i = 0; i < K; i++) {
+        cost[i] = 0.0;
+        for (int c = 0; c < d.n; c++) {
+            cost[i] += sums[((ptrdiff_t)i * d.n + c) * d.lanes] / unit[c * d.lanes];
+        }
+        *largest = larger(*largest, cost[i]);
+        if (cost[i] < lowest) {
+            best = i;
+            lowest = cost[i];
+        }
+    }
+    return best;
+}
+
+/* The minimum of the parabola through the best three candidates; of several as good, the one next to D_hat. */
+static inline double parabola(int K, const double *cost, int best, const double *thetas, double D_hat)
+{
+    const double tied = TIED * cost[best], spacing = thetas[1] - thetas[0];
+    double theta = INFINITY;
+    if (0 < best && best < K - 1 && cost[best - 1] > tied && cost[best + 1] > tied) {
+        const double a = cost[best - 1], b = cost[best], c = cost[best + 1];
+        return thetas[best] + 0.5 * (a - c) / (a - 2.0 * b + c) * spacing;
+    }
+    for (int i = 0; i < K; i++) {
+        if (cost[i] <= tied && fabs(thetas[i] - D_hat) < fabs(theta - D_hat)) {
+            theta = thetas[i];
+        }
+    }
+    return fabs(theta - D_hat) <= 0.5 * spacing ? D_hat : theta;
+}
+
+/* The units of the costs of lane l, by state: `floor`, the smallest of the lasting sums, and `level`. That is the mean
+ * over the memory of the smallest recent sum, in which a value counts RISES times the level at most: after a jump of the
+ * delay the errors of all candidates are large, before those of the right one are small again. */
+static inline void weigh(Shape d, const Bank *b, int l, const double *X, int first, double leak)
+{
+    const ptrdiff_t states = (ptrdiff_t)d.n * d.lanes;
+    for (int c = 0; c < d.n; c++) {
+        const ptrdiff_t a = (ptrdiff_t)c * d.lanes + l;
+        double error;
+        b->scale[a] = larger(b->scale[a], fabs(X[a]));
+        b->floor[a] = smallest(b->K, states, b->lasting + a, b->scale[a]);
+        error = smallest(b->K, states, b->recent + a, b->scale[a]);
+        if (first) {
+            b->level[a] = error;
+        }
+        b->level[a] += leak * (smaller(error, RISES * b->level[a]) - b->level[a]);
+    }
+}
+
+/* Move the estimate of lane l to the best candidate, where the candidates differ.
+ *
+ * What the errors tell is the largest cost. Where the window tells far less than the memory, the pace of the memory is
+ * slow; and where it tells about as much, errors far above the level and above the best candidate's start it anew. */
+static inline void choose(Shape d, const Bank *b, int l, const double *X, const double *gain, const double *law, double *cost,
+                   double *D_hat)
+{
+    const double *thetas = law + NUMBERS + b->K * d.m, spacing = thetas[1] - thetas[0];
+    const double leak = gain[2 * d.lanes + l], fade = gain[3 * d.lanes + l];
+    const int first = b->calls[l] <= law[PATIENCE], K = b->K;
+    double window, memory, largest, near = INFINITY, ratio;
+    int best, k, risen;
+    if (isnan(X[l])) {
+        return;
+    }
+    weigh(d, b, l, X, first, leak);
+    k = least(most((int)rint((D_hat[l] - thetas[0]) / spacing), 0), K - 1);
+    best = compare(d, K, b->recent + l, b->level + l, cost, &window);
+    for (int i = most(k - 1, 0); i < least(k + 2, K); i++) {
+        near = smaller(near, cost[i]);
+    }
+    risen = near > RISES * larger(cost[best], (double)d.n);
+    compare(d, K, b->lasting + l, b->level + l, cost, &memory);
+    ratio = (1.0 - fade) / leak * window / memory;
+    b->pace[l] = PACE * ratio < 1.0 ? PACE * ratio : 1.0; /* and where neither tells anything */
+    if (risen && DIFFER * ratio > 1.0 && !first) {
+        for (int a = 0; a < K * d.n; a++) {
+            b->lasting[(ptrdiff_t)a * d.lanes + l] = b->recent[(ptrdiff_t)a * d.lanes + l];
+        }
+        weigh(d, b, l, X, first, 0.0);
+    }
+    best = compare(d, K, b->lasting + l, b->floor + l, cost, &largest);
+    if (largest > DIFFER * cost[best]) {
+        D_hat[l] = smaller(larger(parabola(K, cost, best, thetas, D_hat[l]), law[LOW]), law[HIGH]);
+    }
+}

@@ -1,0 +1,65 @@
+/* Inputs on few cells, read from the nodes. Positions are counted in nodes, and a node stands for the cell around it.
+ * mass and turn (nx + 1, m, lanes): the integrals of u and of s u from 0 to where the cell of node j begins. */
+static inline void integrals(Shape d, int m, const double *u, double *mass, double *turn)
+{
+    const int last = d.nx - 1, lanes = d.lanes;
+    const ptrdiff_t row = (ptrdiff_t)m * lanes;
+    for (ptrdiff_t a = 0; a < row; a++) {
+        double whole = 0.5 * u[a], lever = 0.125 * u[a];
+        mass[a] = turn[a] = 0.0;
+        mass[row + a] = whole;
+        turn[row + a] = lever;
+        for (int j = 1; j < last; j++) {
+            whole += u[j * row + a];
+            lever += (double)j * u[j * row + a];
+            mass[(j + 1) * row + a] = whole;
+            turn[(j + 1) * row + a] = lever;
+        }
+        mass[d.nx * row + a] = whole + 0.5 * u[last * row + a];
+        turn[d.nx * row + a] = lever + (0.5 * (double)last - 0.125) * u[last * row + a];
+    }
+}
+
+/* v (2 count, m, lanes): begin and end of the straight line on each cell that is nearest to u in the mean square. */
+static inline void lines_on_cells(Shape d, int m, int count, const double *u, const double *mass, const double *turn, double *v)
+{
+    const int last = d.nx - 1;
+    const ptrdiff_t row = (ptrdiff_t)m * d.lanes;
+    const double wide = (double)last / (double)count;
+    for (int cell = 0; cell < count; cell++) {
+        const double low = (double)cell * wide, high = (double)(cell + 1) * wide, middle = 0.5 * (low + high);
+        const int i = least((int)(low + 0.5), last), j = least((int)(high + 0.5), last);
+        const double a = low - larger((double)i - 0.5, 0.0), b = high - larger((double)j - 0.5, 0.0);
+        const double lever_a = a * (low - 0.5 * a), lever_b = b * (high - 0.5 * b);
+        double *begin = v + 2 * cell * row, *end = begin + row;
+        for (ptrdiff_t k = 0; k < row; k++) {
+            const double u_i = u[i * row + k], u_j = u[j * row + k];
+            const double whole = mass[j * row + k] - mass[i * row + k] + b * u_j - a * u_i;
+            const double lean = turn[j * row + k] - turn[i * row + k] + lever_b * u_j - lever_a * u_i - middle * whole;
+            const double mean = whole / wide, half = 6.0 * lean / (wide * wide);
+            begin[k] = mean - half;
+            end[k] = mean + half;
+        }
+    }
+}
+
+/* v (count + 1, m, lanes): the mean of u around each node of a grid of `count` intervals, and R, P there. */
+static inline void means_on_nodes(Shape d, int n, int m, int count, const double *u, const double *mass, const double *P,
+                           double *v, double *R)
+{
+    const int last = d.nx - 1, stride = last / count;
+    const ptrdiff_t row = (ptrdiff_t)m * d.lanes, states = (ptrdiff_t)n * d.lanes;
+    for (int node = 0; node <= count; node++) {
+        const double low = larger(((double)node - 0.5) * (double)stride, 0.0),
+                     high = smaller(((double)node + 0.5) * (double)stride, (double)last);
+        const int i = least((int)(low + 0.5), last), j = least((int)(high + 0.5), last);
+        const double a = low - larger((double)i - 0.5, 0.0), b = high - larger((double)j - 0.5, 0.0);
+        for (ptrdiff_t k = 0; k < row; k++) {
+            const double whole = mass[j * row + k] - mass[i * row + k] + b * u[j * row + k] - a * u[i * row + k];
+            v[node * row + k] = whole / (high - low);
+        }
+        for (ptrdiff_t k = 0; k < states; k++) {
+            R[node * states + k] = P[node * stride * states + k];
+        }
+    }
+}

@@ -1,0 +1,67 @@
+/* A controller on a real plant: a control step on its memory, with one lane. */
+
+/* The sample Y is what the controller believes, X_hat, unless it is further from what the model expects than the gate:
+ * then that is, and Y is NaN, no sample. After D_hat seconds of such samples the state has jumped. */
+static inline void screen(Shape d, const Settings *s, State *z)
+{
+    int far = 0;
+    for (int c = 0; c < d.n; c++) {
+        const double reach = larger(s->reach[c], s->gate * fabs(z->expected[c]));
+        far = far || fabs(z->Y[c] - z->expected[c]) > reach;
+    }
+    far = far && z->missed[0] * s->dt < z->D_hat[0];
+    z->missed[0] = far ? z->missed[0] + 1.0 : 0.0;
+    for (int c = 0; c < d.n; c++) {
+        z->expected[c] = z->X_hat[c] = far ? z->expected[c] : z->Y[c];
+        z->Y[c] = far ? NAN : z->Y[c];
+    }
+}
+
+/* U, P and the next D_hat from the sample Y, and from u or the commands before step k. */
+static inline void control_step(Shape d, int64_t k, double t, const Parts *q, const Settings *s, State *z, double *work)
+{
+    if (s->gated) {
+        screen(d, s, z);
+    }
+    if (q->observe) { /* which learns from samples only, and else goes on by the commands */
+        q->observe(d, k, s->dt, z->Y, z->held, t, s->p, s->law, z->observer, z->D_hat, work);
+    }
+    decide(d, q, s, z, k, t, work);
+    adapt(d, s->gamma_dt, s->bounds, z->phi, z->phi_before, z->D_hat);
+}
+
+/* Hold U as the command of step k; the next step's number. It and the sums stay small, for large ones round. */
+static inline int64_t remember(Shape d, int64_t k, double t, const Parts *q, const Settings *s, State *z, double *work)
+{
+    actuate(d, k, s->dt, z->D_seen, z->U, z->held, z->total, z->U0, z->U1, z->share);
+    if (s->gated) {
+        q->model(d, z->expected, z->U0, z->U1, z->share, s->dt, t, s->p, work);
+    }
+    if (k + 1 < 2 * (int64_t)d.rows) {
+        return k + 1;
+    }
+    for (int c = 0; c < d.m; c++) {
+        const double first = z->total[c];
+        for (int row = 0; row < d.rows; row++) {
+            z->total[row * d.m + c] -= first;
+        }
+    }
+    return d.rows;
+}
+
+/* The U of a step that was refused, for `remember`: the last one, which the actuator holds. */
+static inline void hold(Shape d, int64_t k, double t, const Parts *q, const Settings *s, State *z, double *work)
+{
+    if (q->believe && s->gated) {
+        q->believe(d, z->expected, t, s->p, s->ratios, z->D_hat, z->D_seen, work);
+    }
+    for (int c = 0; c < d.m; c++) {
+        z->U[c] = z->held[modulo(k - 1, d.rows) * d.m + c];
+        if (!q->believe) {
+            z->D_seen[c] = s->ratios[c] * z->D_hat[0];
+        }
+        if (!(0.0 <= z->D_seen[c] && z->D_seen[c] <= (double)(d.rows - 3) * s->dt)) { /* that of a state that is not known */
+            z->D_seen[c] = 0.0;
+        }
+    }
+}

@@ -1,0 +1,111 @@
+/* PREDICT by a network: its inputs scaled into z, v and r, the STEPS of its program to N_, and P = start + gain N_. The
+ * arrays are members of the memory `q`; npred.runtimes.program says what they are. */
+static inline void PART(_scaled)(int lanes, const double *X, const double *u, double D_hat, double t,
+                                 PART(_memory) *restrict q)
+{
+    for (int c = 0; c < N; c++) {
+        q->z[c] = (REAL)((asinh(X[c * lanes] * c_X_bend[c]) - c_X_zero[c]) * c_X_gain[c]);
+    }
+    if (PHASED) {
+        const double turns = t / PERIOD, angle = 2.0 * 3.141592653589793 * (turns - floor(turns));
+        q->z[N] = (REAL)cos(angle);
+        q->z[N + 1] = (REAL)sin(angle);
+    }
+    q->z[SEEN] = (REAL)((D_hat - c_D_hat_zero[0]) * c_D_hat_gain[0]);
+    for (int c = 0; c < M; c++) {
+        double total = 0.0;
+        for (int j = 0; j < NX; j++) {
+            q->v[j * M + c] = (REAL)((u[(j * M + c) * lanes] - c_u_zero[c]) * c_u_gain[c]);
+        }
+        /* The running mean is summed in double precision, four nodes at a time: that of equal values is exact. */
+        for (int j = 0; j < NX - NX % 4; j += 4) {
+            const double q0 = q->v[j * M + c], q1 = q->v[(j + 1) * M + c], q2 = q->v[(j + 2) * M + c];
+            const double q3 = q->v[(j + 3) * M + c], q01 = q0 + q1;
+            q->prefix[j] = total + q0;
+            q->prefix[j + 1] = total + q01;
+            q->prefix[j + 2] = total + (q01 + q2);
+            total += q01 + (q2 + q3);
+            q->prefix[j + 3] = total;
+        }
+        for (int j = NX - NX % 4; j < NX; j++) {
+            total += q->v[j * M + c];
+            q->prefix[j] = total;
+        }
+        q->r[c * NX] = q->v[c];
+        for (int j = 1; j < NX; j++) {
+            q->r[c * NX + j] = (REAL)((2.0 * q->prefix[j] - q->v[c] - q->v[j * M + c]) * (0.5 / (double)j));
+        }
+    }
+    if (PAIRED) { /* row 0: the difference of the sample from the plant at rest; row 1: the plant at rest */
+        for (int c = 0; c < COLUMNS; c++) {
+            q->z[COLUMNS + c] = c < N ? 0 : q->z[c];
+            q->z[c] = c < N ? q->z[c] : 0;
+        }
+    }
+}
+
+/* N_ of the sample less that of the plant at rest. */
+static inline void PART(_network)(int lanes, const double *X, const double *u, double D_hat, double t,
+                                  PART(_memory) *restrict q)
+{
+#if SERIES_TERMS || TWICE
+#if SERIES_TERMS
+    const double s = (D_hat - SERIES_LOW) * SERIES_SCALE - 1.0;
+    const int inside = fabs(s) <= 1.0;
+#else
+    const int inside = 0;
+#endif
+    for (int row = inside ? 1 : 0; row < 2; row++) { /* outside the series the point of rest has a pass of its own */
+        PART(_scaled)(lanes, X, u, D_hat, t, q);
+        for (int c = 0; c < N && row == 0; c++) {
+            q->z[c] = 0;
+        }
+        for (int k = 0; k < NX * M && row == 0; k++) {
+            q->r[k] = 0;
+        }
+        PART(_steps)(q);
+        for (int k = 0; k < N * NX && row == 0; k++) {
+            q->N_rest[k] = q->N_[k];
+        }
+    }
+#if SERIES_TERMS
+    if (inside) {
+        double one = 1.0, two = s;
+        for (int k = 0; k < SERIES_TERMS; k++) {
+            const double next = 2.0 * s * two - one;
+            q->T[k] = (REAL)one;
+            one = two;
+            two = next;
+        }
+        PART(_series)(q);
+    }
+#endif
+    for (int k = 0; k < N * NX; k++) {
+        q->N_[k] -= q->N_rest[k];
+    }
+#else
+    PART(_scaled)(lanes, X, u, D_hat, t, q);
+    PART(_steps)(q);
+#endif
+}
+
+static inline void KERNEL(Shape d, const double *X, const double *u, const double *D_hat, double t, const double *p, double *P,
+                   double *work)
+{
+    const int lanes = d.lanes;
+    PART(_memory) *const q = (PART(_memory) *)work;
+    (void)p;
+    for (int l = 0; l < lanes; l++) {
+        PART(_network)(lanes, X + l, u + l, D_hat[l], t, q);
+        for (int c = 0; c < N; c++) {
+#if BASED
+            const double start = c_base[c], factor = 1.0;
+#else
+            const double start = X[c * lanes + l], factor = D_hat[l];
+#endif
+            for (int j = 0; j < NX; j++) {
+                P[((ptrdiff_t)j * N + c) * lanes + l] = start + factor * (double)(c_gain[c * NX + j] * q->N_[c * NX + j]);
+            }
+        }
+    }
+}

@@ -1,0 +1,89 @@
+/* What the controller sees of the plant, and the state that it believes between samples. Random numbers are a function
+ * of the seed, the loop, the sample and the state: they depend neither on the batch nor on the order of evaluation. */
+enum { NOISE = 1, GAP = 2, DROP = 3 }; /* what a random number is for */
+
+/* A number of (0, 1) that those five decide: SplitMix64 [Steele, Lea, Flood 2014], a round for each. */
+static inline double uniform(int64_t seed, int64_t loop, int64_t number, int64_t state, int64_t purpose)
+{
+    const int64_t parts[] = {seed, loop, number, state, purpose};
+    uint64_t z = 0x9E3779B97F4A7C15u;
+    for (int k = 0; k < 5; k++) {
+        z = (z ^ (uint64_t)parts[k]) + 0x9E3779B97F4A7C15u;
+        z = (z ^ (z >> 30)) * 0xBF58476D1CE4E5B9u;
+        z = (z ^ (z >> 27)) * 0x94D049BB133111EBu;
+        z = z ^ (z >> 31);
+    }
+    return ((double)(z >> 11) + 0.5) / 9007199254740992.0; /* 2^53 */
+}
+
+/* A standard normal number [Box and Muller 1958]. */
+static inline double normal(int64_t seed, int64_t loop, int64_t number, int64_t state)
+{
+    const double radius = sqrt(-2.0 * log(uniform(seed, loop, number, state, NOISE)));
+    return radius * cos(2.0 * 3.141592653589793 * uniform(seed, loop, number, state, -NOISE));
+}
+
+/* The samples Y that arrive at control step k, NaN in the loops where none does. `past` keeps the last age + 1 states,
+ * `due` has when the next sample is taken, `number` how many were. */
+static inline void sample(Shape d, int64_t k, const Sensor *s, const double *X, double *past, double *due, int64_t *number,
+                   double *Y)
+{
+    const int rows = (int)s->age + 1, lanes = d.lanes;
+    const ptrdiff_t row = (ptrdiff_t)d.n * lanes;
+    const int64_t taken = k - s->age;
+    for (ptrdiff_t a = 0; a < row; a++) {
+        past[modulo(k, rows) * row + a] = X[a];
+        Y[a] = NAN;
+    }
+    for (int l = 0; l < lanes; l++) {
+        const int64_t loop = s->first + l, j = number[l];
+        if (k != 0 && !(taken >= 0 && (double)taken >= due[l] - ROUNDING)) {
+            continue;
+        }
+        if (k == 0 || uniform(s->seed, loop, j, 0, DROP) >= s->drop) {
+            for (int c = 0; c < d.n; c++) {
+                const double state = k == 0 ? X[c * lanes + l] : past[modulo(taken, rows) * row + c * lanes + l];
+                Y[c * lanes + l] = s->noise != 0.0 ? state * (1.0 + s->noise * normal(s->seed, loop, j, c)) : state;
+            }
+        }
+        if (k == 0 || taken > 0) {
+            const double gap = s->period * (1.0 + s->jitter * (2.0 * uniform(s->seed, loop, j, 0, GAP) - 1.0));
+            due[l] += larger(gap, 1.0);
+        }
+        number[l]++;
+    }
+}
+
+/* The input that acts during control step i in loop l, as `actuate` gives it, read from the history up to step k. */
+static inline void reached(Shape d, int64_t i, double dt, const double *D, const double *held, int l, double *U0, double *U1,
+                    double *share)
+{
+    for (int c = 0; c < d.m; c++) {
+        const int64_t step = leaving(i, dt, D[c * d.lanes + l], share + c), next = step + 1 < i ? step + 1 : i;
+        U0[c] = held[((ptrdiff_t)modulo(step, d.rows) * d.m + c) * d.lanes + l];
+        U1[c] = held[((ptrdiff_t)modulo(next, d.rows) * d.m + c) * d.lanes + l];
+    }
+}
+
+/* X_hat at control step k: from the sample that arrived now, or from the last estimate, forward by the model. */
+static inline void estimate(Shape d, int64_t k, int64_t origin, double dt, int64_t age, const double *D, const double *held,
+                     const double *Y, double *X_hat, Advance model, double *p, double *work)
+{
+    const int lanes = d.lanes;
+    double *x = work, *U0 = x + d.n, *U1 = U0 + d.m, *share = U1 + d.m, *rest = share + d.m;
+    Shape one = d;
+    one.lanes = 1;
+    for (int l = 0; l < lanes; l++) {
+        const int arrived = !isnan(Y[l]);
+        for (int c = 0; c < d.n; c++) {
+            x[c] = (arrived ? Y : X_hat)[c * lanes + l];
+        }
+        for (int64_t i = k == 0 ? k : arrived ? k - age : k - 1; i < k; i++) {
+            reached(d, origin + i, dt, D, held, l, U0, U1, share);
+            model(one, x, U0, U1, share, dt, (double)i * dt, p, rest);
+        }
+        for (int c = 0; c < d.n; c++) {
+            X_hat[c * lanes + l] = x[c];
+        }
+    }
+}

@@ -1,0 +1,63 @@
+/* What a controller computes in a control step [DAPF, eqs. 9-14], in a simulated loop and on a real plant. */
+
+/* The controller reads its own commands by its estimate of the delay. */
+static inline void own_history(Shape d, const double *ratios, const double *D_hat, double *D_seen)
+{
+    for (int c = 0; c < d.m; c++) {
+        for (int l = 0; l < d.lanes; l++) {
+            D_seen[c * d.lanes + l] = ratios[c] * D_hat[l];
+        }
+    }
+}
+
+/* U to its bounds; NaN stays NaN. */
+static inline void clip(Shape d, const double *bounds, double *U)
+{
+    for (int c = 0; c < d.m; c++) {
+        for (int l = 0; l < d.lanes; l++) {
+            double *const value = U + c * d.lanes + l;
+            *value = *value < bounds[2 * c] ? bounds[2 * c] : *value > bounds[2 * c + 1] ? bounds[2 * c + 1] : *value;
+        }
+    }
+}
+
+/* D_hat += gamma dt Proj{D_hat, phi}: clipping to the bounds is the projection [DAPF, eq. 11] in discrete time. phi is
+ * taken at the middle of the step, from this value and the one before: the method of Adams and Bashforth of order 2
+ * (Hairer, Nørsett, Wanner, III.1.5). A first step, which has none before, is Euler's. */
+static inline void adapt(Shape d, double gamma_dt, const double *bounds, const double *phi, double *phi_before, double *D_hat)
+{
+    if (!(gamma_dt > 0.0)) {
+        return;
+    }
+    for (int l = 0; l < d.lanes; l++) {
+        const double rate = isnan(phi_before[l]) ? phi[l] : 1.5 * phi[l] - 0.5 * phi_before[l];
+        D_hat[l] = smaller(larger(D_hat[l] + gamma_dt * rate, bounds[0]), bounds[1]);
+        phi_before[l] = phi[l];
+    }
+}
+
+/* U and phi at time t from X_hat, and from u where it is measured, else from the commands before step k. */
+static inline void decide(Shape d, const Parts *q, const Settings *s, State *z, int64_t k, double t, double *work)
+{
+    if (q->believe) {
+        q->believe(d, z->X_hat, t, s->p, s->ratios, z->D_hat, z->D_seen, work);
+    } else if (s->recalls) {
+        own_history(d, s->ratios, z->D_hat, z->D_seen);
+    }
+    if (s->keeps) {
+        transport(d, k, s->dt, z->D_seen, z->held, z->total, z->u, z->u_nodes);
+    }
+    if (q->predict) {
+        q->predict(d, z->X_hat, z->u, z->D_hat, t, s->p, z->P, work);
+    }
+    if (q->guard) {
+        q->guard(d, z->X_hat, z->u, z->D_hat, t, s->p, s->guard, z->P, z->error, z->fallback, work);
+    }
+    if (q->control) {
+        q->control(d, z->P, z->u, z->D_hat, t, s->p, z->U, work);
+    }
+    clip(d, s->input_bounds, z->U);
+    if (q->update) {
+        q->update(d, z->P, z->X_hat, z->u_nodes, z->D_hat, t, s->p, s->b, z->phi, z->N, work);
+    }
+}

@@ -1,0 +1,93 @@
+"""Formulas of a plant, printed as C functions on strided memory.
+
+A function reads component k of a vector x at x[k * stride]: lanes lie innermost, so that the calls of a loop over lanes
+become the instructions of a processor's vectors once the function is inlined.
+"""
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+from npred.symbolic import programs
+from npred.symbolic.tape import OPS, Vector
+
+TEXTS = {name: op.text.replace("math.", "") for name, op in OPS.items()} | {
+    "pow": "pow({0}, {1})", "abs": "fabs({0})", "sign": "sign_of({0})", "where": "{0} ? {1} : {2}",
+    "maximum": "larger({0}, {1})", "minimum": "smaller({0}, {1})",
+}  # fmt: skip
+NUMBERS = {"(np.inf)": "INFINITY", "(-np.inf)": "-INFINITY", "(np.nan)": "NAN", "True": "1", "False": "0"}
+HEAD = "static inline void {name}({arguments})\n{{\n    {lines}\n}}\n"
+_NUMBER = re.compile("|".join(re.escape(text) for text in NUMBERS))
+
+
+@dataclass(frozen=True)
+class Strided:
+    """A vector argument: its name, its components' names on the tape, and the C text of its stride."""
+
+    name: str
+    components: Sequence[str]
+    stride: str = "lanes"
+    written: bool = False
+
+    def at(self, k: int) -> str:
+        """The text of component k."""
+        return f"{self.name}[{k} * {self.stride}]" if self.stride != "1" else f"{self.name}[{k}]"
+
+    @property
+    def texts(self) -> dict[str, str]:
+        """The text of each component."""
+        return {component: self.at(k) for k, component in enumerate(self.components)}
+
+
+def vector(name: str, size: int, stride: str = "lanes", prefix: str | None = None) -> Strided:
+    """A vector argument whose components are called prefix0, prefix1, …, by default after its name."""
+    return Strided(name, [f"{name if prefix is None else prefix}{k}" for k in range(size)], stride)
+
+
+def function(
+    name: str, outputs: Vector, arguments: Iterable[Strided | str], results: Mapping[str, int], p: int,
+    stride: str = "lanes", sizes: Mapping[str, int] = {},
+) -> str:  # fmt: skip
+    """The C function `name` of vectors and numbers, then of the parameters p and of the `results`.
+
+    The outputs are written to the results, arrays by name of so many components with that stride, in their order; what
+    is written may be what was read. `sizes` are the results of the functions that it calls.
+    """
+    arguments = list(arguments)
+    bindings = {f"p{k}": f"p[{k}]" for k in range(p)}
+    for argument in arguments:
+        bindings |= argument.texts if isinstance(argument, Strided) else {}
+    targets = [Strided(result, [], stride).at(k) for result, size in results.items() for k in range(size)]
+    lines = statements(outputs, bindings, targets, sizes)
+    heads = [f"const double *{a.name}" if isinstance(a, Strided) else f"double {a}" for a in arguments]
+    strides = dict.fromkeys(a.stride for a in arguments if isinstance(a, Strided))
+    strides |= {stride: None} if results else {}
+    declared = [f"const int {text}" for text in strides if text != "1"]
+    named = ", ".join([*declared, *heads, "const double *p", *(f"double *{result}" for result in results)])
+    return HEAD.format(name=name, arguments=named, lines="\n    ".join([*unused(named, lines), *lines]))
+
+
+def unused(arguments: str, lines: Sequence[str]) -> list[str]:
+    """The statements that say of the declared arguments which the lines do not read."""
+    read = set(re.findall(r"\w+", "\n".join(lines)))
+    names = [argument.rpartition(" ")[2].removeprefix("*") for argument in arguments.split(", ")]
+    return [f"(void){name};" for name in names if name not in read]
+
+
+def statements(
+    outputs: Vector, bindings: Mapping[str, str], targets: Sequence[str], sizes: Mapping[str, int] = {}
+) -> list[str]:
+    """The statements that compute the outputs, results written to `targets`."""
+    lines = programs.lines(outputs, bindings, targets, TEXTS)
+    return [_statement(line, sizes) for line in lines]
+
+
+def _statement(line: str, sizes: Mapping[str, int]) -> str:
+    left, _, right = line.partition(" = ")
+    right = _NUMBER.sub(lambda found: NUMBERS[found[0]], right)
+    if called := re.match(r"plant_(\w+)\((.*)\)$", right):
+        return f"double {left}[{sizes[called[1]]}]; plant_{called[1]}({called[2]}, {left});"
+    if not re.fullmatch(r"v\d+", left):
+        return f"{left} = {right};"
+    kind = "int" if re.fullmatch(r"\S+ <=? \S+", right) else "double"
+    return f"const {kind} {left} = {right};"

@@ -1,0 +1,51 @@
+"""The formulas of one plant as C functions, those of a costly plant calling functions of their own."""
+
+from collections.abc import Collection, Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+from npred.kernels import formula
+from npred.kernels.formula import Strided, vector
+from npred.plants.base import Plant
+from npred.symbolic import called_functions
+from npred.symbolic.trace import Trace
+
+CALLED = "static APART void plant_{name}({arguments}, double *y)\n{{\n    {lines}\n}}\n"
+
+
+class Formulas:
+    """A trace, and C functions of what is made on it; `{name}` stands for the name of each."""
+
+    def __init__(self, plant: Plant, called: Collection[str] | None = None) -> None:
+        """Of `called` the functions are not written out; by default of those whose programs are long."""
+        self.plant = plant
+        self.trace = Trace(plant, called_functions.called(plant) if called is None else called)
+
+    def function(
+        self, outputs: Any, arguments: Iterable[Strided | str], results: Mapping[str, int], stride: str = "lanes"
+    ) -> str:
+        """The C function of some outputs; see npred.kernels.formula.function."""
+        return formula.function("{name}", outputs, arguments, results, len(self.plant.p), stride, self._sizes())
+
+    def f(self) -> str:
+        """f of x, u with the stride of lanes, to y next to each other."""
+        n, m = self.plant.n, self.plant.m
+        y = self.trace.f(self.trace.vector("x", n), self.trace.vector("u", m), self.trace.input("t"))
+        return self.function(y, [vector("x", n), vector("u", m), "t"], {"y": n}, "one")
+
+    def called(self) -> list[str]:
+        """The functions that those of this trace call."""
+        return [self._called(name) for name in self.trace.tape.called()]
+
+    def _called(self, name: str) -> str:
+        arguments, outputs = called_functions.program(self.plant, name, self.trace.steps.get(name))
+        lines = formula.statements(np.ravel(outputs), {}, [f"y[{k}]" for k in range(len(outputs))])
+        declared = ", ".join(f"double {argument}" for argument in arguments)
+        lines = [*formula.unused(declared, lines), *lines]
+        return CALLED.format(name=name, arguments=declared, lines="\n    ".join(lines))
+
+    def _sizes(self) -> dict[str, int]:
+        n, m = self.plant.n, self.plant.m
+        steps = {name: n * getattr(step, "whole", 1) for name, step in self.trace.steps.items()}
+        return {"f": n, "df": n, "kappa": m, "law": 2 * m} | steps

@@ -1,0 +1,137 @@
+"""A kernel: C text with one entry, compiled when it is first called or pointed to."""
+
+import ctypes
+import hashlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache, cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from npred.kernels import compiler
+
+FOLDER = Path(__file__).parent / "c"
+NUMBERS = {"t": "double", "dt": "double", "b": "double", "k": "int64_t", "origin": "int64_t"}  # others are arrays
+KINDS = {"double": ctypes.c_double, "int64_t": ctypes.c_int64, None: ctypes.c_void_p}
+AXES = {  # of the arrays whose sizes those of a call are, before the lanes; of several the last one counts
+    **dict.fromkeys(("D_hat", "phi", "N", "error", "fallback"), ()),
+    **dict.fromkeys(("X", "X_hat", "Y"), ("n",)),
+    **dict.fromkeys(("U", "U0", "U1", "share", "D", "D_seen", "speed"), ("m",)),
+    "u": ("nx", "m"), "u_nodes": ("nx", "m"), "P_hat": ("nx", "n"), "P": ("nx", "n"), "held": ("rows", "m"),
+    "total": ("rows", "m"),
+}  # fmt: skip
+Work = Callable[[int, int, Any], int]  # doubles that a call needs, by nodes, lanes and the settings of a guard
+
+
+class Shape(ctypes.Structure):
+    """The sizes of a call: nodes, lanes, rows of the history, states, inputs."""
+
+    _fields_ = tuple((name, ctypes.c_int) for name in ("nx", "lanes", "rows", "n", "m"))
+
+
+@cache
+def skeleton(name: str) -> str:
+    """The text of a file of npred/kernels/c."""
+    return (FOLDER / name).read_text(encoding="utf-8")
+
+
+def names(arguments: str) -> list[str]:
+    """The names of arguments, of which & marks those that are written."""
+    return arguments.replace("&", "").split(", ")
+
+
+def prototype(name: str, arguments: str) -> str:
+    """The C declaration of a function of such arguments, of the shape before them and scratch memory behind them."""
+    kinds = [f"{NUMBERS[a]} {a}" if a in NUMBERS else f"const double *{a}" for a in arguments.split(", ")]
+    kinds = [kind.replace("const double *&", "double *") for kind in kinds]
+    return f"void {name}(Shape d, {', '.join(kinds)}, double *work)"
+
+
+@cache
+def foreign_type(arguments: str) -> Any:
+    """The same for ctypes."""
+    kinds = [KINDS[NUMBERS.get(name)] for name in names(arguments)]
+    return ctypes.CFUNCTYPE(None, Shape, *kinds, ctypes.c_void_p)
+
+
+def no_work(nx: int, lanes: int, settings: Any) -> int:
+    """Of a kernel that needs none."""
+    return 0
+
+
+@dataclass(frozen=True)
+class Kernel:
+    """A C function of the arrays `arguments`, as npred.delays.family names them; its text calls `before` and `parts`.
+
+    Arrays have their lanes innermost.
+    """
+
+    name: str
+    arguments: str
+    text: str
+    before: tuple[str, ...] = ()
+    parts: tuple["Kernel", ...] = ()
+    sizes: tuple[int, int] = (0, 0)  # states and inputs
+    work: Work = no_work
+
+    @property
+    def texts(self) -> list[str]:
+        """Its C, after that of the parts."""
+        return [*self.before, *(text for part in self.parts for text in part.texts), self.text]
+
+    @property
+    def unit(self) -> str:
+        """A file of C of its own, each text in it once."""
+        passed = ", ".join(["d", *names(self.arguments), "work"])
+        entry = f"{prototype('entry', self.arguments)}\n{{\n    {self.name}({passed});\n}}\n"
+        return "\n".join(dict.fromkeys([skeleton("base.h"), *self.texts, entry]))
+
+    @cached_property
+    def function(self) -> Any:
+        """The compiled function."""
+        return foreign_type(self.arguments)(("entry", compiler.library(self.unit)))
+
+    @cached_property
+    def address(self) -> int:
+        """The address of the compiled function."""
+        return ctypes.cast(self.function, ctypes.c_void_p).value or 0
+
+    def __call__(self, *values: Any, scratch: Any = ()) -> None:
+        """Run it on C-contiguous arrays of float64, and numbers; `scratch` is what its scratch memory begins with."""
+        named = dict(zip(names(self.arguments), values, strict=True))
+        sizes = dict(zip(("n", "m"), self.sizes, strict=True))
+        for name, axes in AXES.items():
+            if name in named:
+                sizes |= dict(zip((*axes, "lanes"), named[name].shape, strict=True))
+        shape = Shape(**sizes)
+        work = np.empty(self.work(shape.nx, shape.lanes, named.get("guard")))
+        work[: len(scratch)] = scratch
+        passed = [address(value) if isinstance(value, np.ndarray) else value for value in values]
+        self.function(shape, *passed, address(work))
+
+
+def address(array: np.ndarray) -> int:
+    """Where the numbers of an array begin."""
+    return array.__array_interface__["data"][0]
+
+
+def made(
+    name: str, arguments: str, body: str, functions: Mapping[str, str], sizes: Mapping[str, Any] = {},
+    parts: Mapping[str, Kernel] = {}, before: Sequence[str] = (), **rest: Any,
+) -> Kernel:  # fmt: skip
+    """The kernel of a skeleton's text, its macros being functions (their C with {name}), numbers and other kernels.
+
+    All names that it defines end with a digest of the text, so that kernels can stand side by side.
+    """
+    macros = {key: str(value) for key, value in sizes.items()} | {key: part.name for key, part in parts.items()}
+    digest = hashlib.sha256(repr((body, macros, functions, *before)).encode()).hexdigest()[:8]
+    named = {key: f"{name}_{key.lower()}_{digest}" for key in functions}
+    texts = [text.replace("{name}", named[key]) for key, text in functions.items()]
+    macros |= {"KERNEL": f"{name}_{digest}"} | named
+    defines = [f"#define {key} {value}" for key, value in macros.items()]
+    ends = [f"#undef {key}" for key in macros]
+    text = "\n".join([*texts, *defines, body, *ends]) + "\n"
+    counts = sizes.get("N", 0), sizes.get("M", 0)
+    return Kernel(f"{name}_{digest}", arguments, text, tuple(before), tuple(parts.values()), counts, **rest)

@@ -1,0 +1,166 @@
+"""The signals of the loop: each is a row here, and all that holds them follows: the C structs, the memory, the record.
+
+A row is the name, the axes before the lanes, and what is in it at first. Kinds other than float64 are named.
+"""
+
+import ctypes
+from collections import namedtuple
+from collections.abc import Iterable, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from npred.delays import family
+from npred.kernels.kernel import address, prototype
+
+C = {"float64": "double", "int64": "int64_t", "bool": "uint8_t", "int": "int"}
+NUMBERS = {"float64": ctypes.c_double, "int64": ctypes.c_int64, "int": ctypes.c_int}
+
+
+class Sensor(ctypes.Structure):
+    """A measurement as the loop runs it: times in control steps, `first` the number of the batch's first loop."""
+
+    numbers, counts = ("noise", "period", "jitter", "drop"), ("age", "seed", "first")
+    _fields_ = (*((name, ctypes.c_double) for name in numbers), *((name, ctypes.c_int64) for name in counts))
+
+
+class Signal(NamedTuple):
+    """A signal: its axes before the lanes, its first value, its kind."""
+
+    name: str
+    axes: tuple[str, ...] | None  # None for one number
+    start: float = np.nan
+    kind: str = "float64"
+
+
+def _lane(*names: str, start: float = np.nan, kind: str = "float64") -> list[Signal]:
+    return [Signal(name, (), start, kind) for name in names]
+
+
+def _rows(axis: str, *names: str, start: float = np.nan) -> list[Signal]:
+    return [Signal(name, (axis,), start) for name in names]
+
+
+STATE = [
+    *_rows("n", "X"),  # the plant's state
+    *_rows("n", "X_hat"),  # what the controller sees or estimates of X: X itself by default
+    *_rows("n", "Y"),  # the samples that arrive now, NaN where none does: X itself by default
+    *_rows("m", "D"),  # the delay of each input
+    *_rows("m", "D_seen"),  # that by which the controller reads the commands: D itself where u is measured
+    *_rows("m", "speed", start=1.0),  # of phi(t) = t - D
+    *_lane("longest", start=0.0),  # the plant's longest delay
+    Signal("observer", ("observer",)),  # what an observer of the delay remembers
+    Signal("past", ("past", "n")),  # the last states
+    *_lane("due", start=0.0),  # when the next sample is taken, in control steps
+    *_lane("sampled", start=0, kind="int64"),  # samples taken so far
+    *_lane("D_hat"),
+    Signal("held", ("rows", "m")),
+    Signal("total", ("rows", "m")),
+    Signal("u", ("nx", "m")),  # means over the nodes' cells
+    Signal("u_nodes", ("nx", "m")),  # values at the nodes
+    Signal("P", ("nx", "n")),
+    *_rows("m", "U", start=0.0),
+    *_lane("phi", start=0.0),
+    *_lane("phi_before"),  # that of the step before; NaN at first
+    *_lane("N"),
+    *_rows("m", "U0", "U1", "share"),  # the delayed input for the first share of a step, and for the rest
+    *_lane("drawn", start=0, kind="int64"),  # samples of the record taken so far
+    *_lane("error", "fallback", start=0.0),  # the guard's estimate of the error of U; 1 where it answered
+    *_rows("n", "expected"),  # X by a controller's model, from the step before and the commands; NaN before the first
+    *_lane("missed", start=0.0),  # the last samples in a row that the gate of a controller refused
+]
+RECORD = [
+    Signal("X", ("row", "n")),
+    Signal("P", ("row", "n")),  # the prediction at x = 1
+    Signal("U", ("row", "m")),
+    *_rows("row", "D_hat", "N"),
+    *_rows("row", "energy"),  # the integral of |U - U*|² over the true delay
+    Signal("sample_X", ("sample", "n")),  # the last one where a prediction ended
+    Signal("sample_u", ("sample", "nx", "m")),
+    *_rows("sample", "sample_D_hat"),
+    *_lane("escaped", start=-1, kind="int64"),  # the first step whose state is not finite
+    *_lane("infeasible", start=-1, kind="int64"),  # the first step at which commands would overtake each other
+    *_rows("breach", "breach"),  # state and input there, and the time of that step
+    Signal("fallback", ("row",), 0, "bool"),  # whether the guard answered since the row before
+    *_lane("fallbacks", start=0, kind="int64"),  # the steps in which it did
+]
+SETTINGS = [
+    *(Signal(name, None, 0.0) for name in ("dt", "b", "gamma_dt")),  # gamma_dt = gamma dt, or 0 with D_hat frozen
+    Signal("gate", None, 0.0),  # how far a sample may be from what is expected, as a share of that
+    *(Signal(name, None, 0, "int64") for name in ("every", "row_count", "sample_count", "late")),
+    *(Signal(name, None, 0, "int") for name in ("recalls", "keeps", "gated")),
+    *(Signal(name, None, 0, "int") for name in ("moves", "senses", "tabulates", "disturbed")),
+    Signal("bounds", ()),  # (2,) of D_hat
+    Signal("input_bounds", ()),  # (m, 2)
+    Signal("u_star", ()),  # (m,)
+    Signal("p", ()),
+    Signal("truth_p", ()),  # the parameters of the simulated plant
+    Signal("ratios", ()),  # (m,), the delay of each input as a share of the longest
+    Signal("law", ()),  # what an observer of the delay is set to
+    Signal("guard", ()),  # what the guard of the predictor is set to
+    Signal("reach", ()),  # (n,), how far a sample may be from what is expected near 0
+    Signal("delays", ()),  # (steps + 1, m, B), of each input where the delay is a function of time, or empty
+    Signal("disturbance", ()),  # (steps, m), added to what leaves the actuator, or empty
+    Signal("samples", (), 0, "int64"),  # (S, B), sorted steps whose (X, u, D_hat) are kept
+]
+PARTS = {
+    "horizon": family.HORIZON, "observer": family.ESTIMATE, "observe": family.OBSERVE, "believe": family.HORIZON,
+    "predict": family.PREDICT, "guard": family.GUARD, "control": family.CONTROL, "update": family.UPDATE,
+    "pace": family.SPEED, "advance": family.ADVANCE, "model": family.ADVANCE,
+}  # fmt: skip
+
+State = namedtuple("State", [signal.name for signal in STATE])
+Record = namedtuple("Record", [signal.name for signal in RECORD])
+Settings = namedtuple("Settings", [*(signal.name for signal in SETTINGS), "sensor"])
+
+
+def settings(**given: Any) -> Settings:
+    """The settings that are given, and of the others that none is used."""
+    unused = {s.name: 0 if s.axes is None else np.zeros(0, dtype=s.kind) for s in SETTINGS}
+    return Settings(**(unused | {"sensor": Sensor()} | given))
+
+
+def _structure(name: str, rows: Iterable[Signal], more: Any = ()) -> Any:
+    fields = [(s.name, NUMBERS[s.kind] if s.axes is None else ctypes.c_void_p) for s in rows]
+    return type(name, (ctypes.Structure,), {"_fields_": [*fields, *more]})
+
+
+_STRUCTURES: dict[type, Any] = {
+    State: _structure("State", STATE),
+    Record: _structure("Record", RECORD),
+    Settings: _structure("Settings", SETTINGS, [("sensor", Sensor)]),
+}
+Pointers = type("Parts", (ctypes.Structure,), {"_fields_": [(name, ctypes.c_void_p) for name in PARTS]})
+
+
+def declared() -> tuple[str, str]:
+    """The C of the types of the parts, and of the structs."""
+    types = {arguments: name.capitalize() for name, arguments in reversed(PARTS.items())}
+    parts = [f"typedef {prototype(f'(*{name})', arguments)};" for arguments, name in types.items()]
+    pointers = [f"    {types[arguments]} {name};" for name, arguments in PARTS.items()]
+    structs = [_struct(kind.__name__, rows) for kind, rows in ((State, STATE), (Record, RECORD))]
+    kinds = {"double": Sensor.numbers, "int64_t": Sensor.counts}
+    sensor = _braced("Sensor", [f"    {kind} {', '.join(names)};" for kind, names in kinds.items()])
+    structs += [sensor, _struct("Settings", SETTINGS, ["    Sensor sensor;"]), _braced("Parts", pointers)]
+    return "\n".join(parts), "\n".join(structs)
+
+
+def _struct(name: str, rows: Iterable[Signal], more: Iterable[str] = ()) -> str:
+    return _braced(name, [*(f"    {C[s.kind]} {'' if s.axes is None else '*'}{s.name};" for s in rows), *more])
+
+
+def _braced(name: str, lines: Iterable[str]) -> str:
+    return "typedef struct {\n" + "\n".join(lines) + f"\n}} {name};\n"
+
+
+def memory(rows: Iterable[Signal], sizes: Mapping[str, int], lanes: int, given: Mapping[str, np.ndarray]) -> Any:
+    """The arrays of the rows by name: those given, and new ones."""
+    shapes = {s.name: (*(sizes[axis] for axis in s.axes or ()), lanes) for s in rows if s.name not in given}
+    new = {s.name: np.full(shapes[s.name], s.start, dtype=s.kind) for s in rows if s.name not in given}
+    return {s.name: given.get(s.name, new.get(s.name)) for s in rows}
+
+
+def structure(values: Any) -> Any:
+    """The C struct of a State, Record or Settings, whose arrays have to outlive it."""
+    passed = {name: address(v) if isinstance(v, np.ndarray) else v for name, v in values._asdict().items()}
+    return _STRUCTURES[type(values)](**passed)
