@@ -118,9 +118,9 @@ def margin() -> None:
 
 def published() -> None:
     """`npred reproduce`: what an exact predictor scores in unicycle_constant, and unicycle_time_varying by dt."""
-    from npred.stages.reproduce import pomet
-    from npred.stages.reproduce.experiments import unicycle_constant as constant
-    from npred.stages.reproduce.experiments import unicycle_time_varying as varying
+    from npred_experiments import pomet
+    from npred_experiments import unicycle_constant as constant
+    from npred_experiments import unicycle_time_varying as varying
 
     plant, score = pomet.plant(), []
     loop = constant.meant_loop(npred.predictor("rk4", plant, constant.NODES + 1), constant.draws())

@@ -8,8 +8,9 @@ import ast
 import hashlib
 import importlib
 import inspect
+import sys
 from collections.abc import Collection, Mapping
-from functools import lru_cache
+from functools import cache, lru_cache
 from keyword import iskeyword
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,7 +20,6 @@ from npred.errors import ConfigError, similar
 from npred.symbolic import source_lines
 
 SUFFIX = ".py:"
-_EXPERIMENTS = "npred.stages.reproduce.experiments"
 
 
 class Entry(NamedTuple):
@@ -77,7 +77,8 @@ class Registry:
         entry = None if name in self.builtin else self._installed().get(name)
         if entry is None:
             return name
-        package = {"package": entry.dist.name, "version": entry.dist.version} if entry.dist else {}
+        foreign = entry.dist and entry.dist.name != "npred"  # what npred brings is keyed by its code
+        package = {"package": entry.dist.name, "version": entry.dist.version} if foreign else {}
         return {"name": name, "target": entry.value} | package
 
     def load(self, what: str, name: str) -> Any:
@@ -136,10 +137,20 @@ class Registry:
                 f"{self.kind} {name}: {package} failed on import of {entry.value}: {reason}; install another version"
             ) from None
 
-    def _installed(self) -> dict[str, Any]:
-        from importlib.metadata import entry_points
+    def module(self, name: str) -> str:
+        """The module that an installed package registers a part of."""
+        return self._installed()[name].module
 
-        return {entry.name: entry for entry in entry_points(group=self.group)}
+    def _installed(self) -> dict[str, Any]:
+        return _entry_points(self.group, tuple(sys.path))
+
+
+@cache
+def _entry_points(group: str, path: tuple[str, ...]) -> dict[str, Any]:
+    """By name; to read those of a large installation takes tens of milliseconds."""
+    from importlib.metadata import entry_points
+
+    return {entry.name: entry for entry in entry_points(group=group)}
 
 
 NETWORKS = Registry(
@@ -195,24 +206,7 @@ RUNTIMES = Registry(
         "onnx": Entry("npred.runtimes.onnx:Onnx", "ONNX Runtime", ("", (4, 1.6), "D")),
     },
 )
-EXPERIMENTS = Registry(  # published ones, in the order of `npred reproduce`
-    "experiment",
-    "npred.experiments",
-    {
-        "manipulator": Entry(f"{_EXPERIMENTS}.manipulator:EXPERIMENT", "arm with five joints"),
-        "unicycle_constant": Entry(f"{_EXPERIMENTS}.unicycle_constant:EXPERIMENT", "wheeled robot, constant delay"),
-        "unicycle_time_varying": Entry(f"{_EXPERIMENTS}.unicycle_time_varying:EXPERIMENT", "wheeled robot, delay D(t)"),
-        "unicycle_two_inputs": Entry(f"{_EXPERIMENTS}.unicycle_two_inputs:EXPERIMENT", "wheeled robot, two inputs"),
-        "chemostat_unknown_delay": Entry(f"{_EXPERIMENTS}.chemostat_unknown_delay:EXPERIMENT", "bioreactor"),
-        "activator_unknown_delay": Entry(f"{_EXPERIMENTS}.activator_unknown_delay:EXPERIMENT", "activator"),
-        "prediction_horizons": Entry(f"{_EXPERIMENTS}.prediction_horizons:EXPERIMENT", "horizons of D(t)"),
-        "horizon_loop": Entry(f"{_EXPERIMENTS}.horizon_loop:EXPERIMENT", "loop with D1(t), D2(t)"),
-        "sampled_arm": Entry(f"{_EXPERIMENTS}.sampled_arm:EXPERIMENT", "arm with six joints, sampled"),
-        "feedforward_closed_form": Entry(f"{_EXPERIMENTS}.feedforward_closed_form:EXPERIMENT", "closed form"),
-        "state_delay_unicycle": Entry(f"{_EXPERIMENTS}.state_delay_unicycle:EXPERIMENT", "robot, delay x² + y²"),
-        "state_delay_two_inputs": Entry(f"{_EXPERIMENTS}.state_delay_two_inputs:EXPERIMENT", "two delays D(X)"),
-    },
-)
+EXPERIMENTS = Registry("experiment", "npred.experiments")  # published ones, which are in npred_experiments
 PLANTS = Registry("plant", "npred.plants")  # the built-in ones are the files of npred/plants/builtin
 
 

@@ -5,7 +5,7 @@ import numpy as np
 import npred
 from npred import plants
 from npred.loop.closed_loop import Trajectories
-from npred.stages.reproduce.network_loop import Called, NetworkLoop, Predict
+from npred_experiments.network_loop import Called, NetworkLoop, Predict
 
 NX, STEPS = 21, 40
 

@@ -72,6 +72,18 @@ def test_no_stage_knows_the_store():
     assert [path.name for path in MODULES if room(path) == "stages" and "store" in rooms_of(path)] == []
 
 
+def test_experiments_import_no_room_above_the_stages():
+    files = (ROOT.parent / "npred_experiments").glob("*.py")
+    above = {(path.name, name) for path in files for name in rooms_of(path) if FLOOR[name] > FLOOR["stages"]}
+    assert above == set()
+
+
+def test_one_command_of_npred_loads_modules_of_the_package_of_experiments():
+    assert [str(path.relative_to(ROOT)) for path in MODULES if "npred_experiments." in path.read_text()] == [
+        "cli/reproduce.py"
+    ]
+
+
 def rooms_of(path: Path) -> set[str]:
     return {name for _, name in imports(path)}
 

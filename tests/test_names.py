@@ -11,7 +11,8 @@ from npred import plants
 
 PACKAGE = Path(plants.__file__).parent.parent
 NAMES = [row["name"] for row in plants.named() if plants.is_builtin(row["name"])]
-PUBLISHED = PACKAGE / "stages" / "reproduce"  # experiments are about plants
+EXPERIMENTS = PACKAGE.parent / "npred_experiments"  # about plants, so a plant's name may occur there
+CODE = sorted([*PACKAGE.rglob("*.py"), *EXPERIMENTS.rglob("*.py")])
 EXCEPTIONS = {
     "activator_repressor": {"cli/commands.py"},  # the plant of the data that [DAPF]'s authors published
     "xarm6": {"plants/builtin/xarm6.py"},  # its functions are those of every chain
@@ -24,7 +25,6 @@ def test_a_plants_name_occurs_in_its_own_file_only(name: str):
     own = Path(inspect.getfile(inspect.unwrap(declaration.f)))
     said = rf"\b{declaration.__name__}\b|[\"'.]{name}\b"  # as a class, a string or a module; scalar is a word too
     texts = [path for path in PACKAGE.rglob("*") if path.suffix in (".py", ".txt") and path != own]
-    texts = [path for path in texts if PUBLISHED not in path.parents]
     found = {path.relative_to(PACKAGE).as_posix() for path in texts if re.search(said, path.read_text())}
     assert found == EXCEPTIONS.get(name, set())
 
@@ -36,7 +36,7 @@ ODD = re.compile(
     r"|; (?:fix|correct) (?:it|them|that)\b"
 )
 VAGUE = {"again", "found", "given", "known", "made", "own", "seen", "some", "told", "wanted"}
-TEXTS = sorted([*PACKAGE.rglob("*.py"), *PACKAGE.rglob("*.txt"), *(PACKAGE.parent / "docs").rglob("*.md")])
+TEXTS = sorted([*CODE, *PACKAGE.rglob("*.txt"), *(PACKAGE.parent / "docs").rglob("*.md")])
 
 
 @pytest.mark.parametrize("path", TEXTS, ids=lambda path: str(path.relative_to(PACKAGE.parent)))
@@ -45,7 +45,7 @@ def test_messages_are_in_plain_words(path: Path):
     assert ODD.findall(path.read_text()) == []
 
 
-@pytest.mark.parametrize("path", sorted(PACKAGE.rglob("*.py")), ids=lambda path: str(path.relative_to(PACKAGE)))
+@pytest.mark.parametrize("path", CODE, ids=lambda path: str(path.relative_to(PACKAGE.parent)))
 def test_a_variable_says_what_it_holds(path: Path):
     """Its name is no participle or pronoun: `rates` or `missing_packages`, not `found`."""
     nodes = list(ast.walk(ast.parse(path.read_text())))
@@ -54,6 +54,6 @@ def test_a_variable_says_what_it_holds(path: Path):
 
 
 def test_a_name_is_of_one_class():
-    trees = [ast.parse(path.read_text()) for path in PACKAGE.rglob("*.py")]
+    trees = [ast.parse(path.read_text()) for path in CODE]
     classes = [node.name for tree in trees for node in tree.body if isinstance(node, ast.ClassDef)]
     assert sorted({name for name in classes if classes.count(name) > 1}) == []

@@ -8,7 +8,8 @@ import pytest
 from conftest import HERE
 
 ROOT = HERE.parent
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+FILE = tomllib.loads((ROOT / "pyproject.toml").read_text())
+PROJECT, TARGETS = FILE["project"], FILE["tool"]["hatch"]["build"]["targets"]
 EXTRAS = [requirement for extra in PROJECT["optional-dependencies"].values() for requirement in extra]
 REQUIRED = [text for text in [*PROJECT["dependencies"], *EXTRAS] if not text.startswith("npred[")]
 TESTED = dict(line.split("==") for line in (ROOT / "constraints.txt").read_text().splitlines())
@@ -25,6 +26,15 @@ def test_a_requirement_is_a_lower_bound_that_the_tested_set_keeps(requirement: s
     name, bound = re.fullmatch(r"([\w-]+)>=([\d.]+)", requirement).groups()  # type: ignore[union-attr]
     tested = {known.lower().replace("_", "-"): number for known, number in TESTED.items()}
     assert version(tested[name]) >= version(bound)
+
+
+def test_wheel_and_sources_have_the_modules_that_entry_points_name():
+    targets = [target for group in PROJECT["entry-points"].values() for target in group.values()]
+    assert targets
+    for target in [*targets, *PROJECT["scripts"].values()]:
+        path = ROOT.joinpath(*target.partition(":")[0].split(".")).with_suffix(".py")
+        top = path.relative_to(ROOT).parts[0]
+        assert path.is_file() and top in TARGETS["wheel"]["packages"] and top in TARGETS["sdist"]["include"]
 
 
 @pytest.mark.parametrize("target", ["install", "dev"])

@@ -12,7 +12,7 @@ from npred.cli import completion
 from npred.cli.app import app, command, group
 from npred.cli.options import Common, Planned, Running, Work
 from npred.cli.usage import Command
-from npred.registry import EXPERIMENTS, STAGES
+from npred.registry import STAGES
 
 RUN, LOOK, CARE = "Run", "Look", "Look after"
 
@@ -84,9 +84,7 @@ def reproduce(
     *,
     names: Annotated[
         list[str] | None,
-        typer.Argument(
-            metavar="NAME", help="Experiments; all by default.", autocompletion=completion.words(*EXPERIMENTS.builtin)
-        ),
+        typer.Argument(metavar="NAME", help="Experiments; all by default.", autocompletion=completion.experiments),
     ] = None,
     listed: Annotated[bool, typer.Option("--list", help="Print the experiments, and run nothing.")] = False,
     numerical: Annotated[bool, typer.Option("--numerical", help="The rows of numerical predictors only.")] = False,

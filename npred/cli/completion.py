@@ -90,6 +90,14 @@ def plants(ctx: typer.Context, incomplete: str) -> Iterator[Offer]:
     yield from ((name, "") for name in plants.names())
 
 
+@_offered
+def experiments(ctx: typer.Context, incomplete: str) -> Iterator[Offer]:
+    """The published experiments."""
+    from npred.registry import EXPERIMENTS
+
+    yield from ((name, "") for name in EXPERIMENTS.names())
+
+
 def _values(ctx: typer.Context, key: str, field: Any) -> list[str]:
     """The words that a key takes, else its value in the pipeline."""
     from npred.pipeline.reasons import flat

@@ -12,7 +12,7 @@ from npred import config, defaults
 from npred.cli.options import Common
 from npred.errors import ConfigError, NpredError, StoreError
 from npred.parallel import devices
-from npred.pipeline import STAGES, Kept, Planner, closure, nodes, reproduction
+from npred.pipeline import STAGES, Kept, Planner, closure, experiments, nodes
 from npred.store import MARKER, Artifact, Store, claims, durable, gc_roots, short
 from npred.store.gc_roots import GcRoot
 from npred.sweep import cells
@@ -102,7 +102,8 @@ def _kept(options: Common, pipelines: list[Path], sets: list[str] | None, device
             "store was run with; name them"
         )
     kept, device = Kept(), devices.resolve(device)
-    kept.keys.update(reproduction.keys())
+    for experiment in experiments.every(store):
+        kept.add(experiment, experiment.possible())
     for path in paths:
         for cell in [*cells(path, []), *(cells(path, sets) if sets else [])]:
             kept.add(Planner(cell.config, store, device), nodes(cell.config, STAGES))
@@ -138,7 +139,7 @@ def _beyond(unneeded: list[Artifact], sound: list[Artifact], limit: int) -> Iter
 
 
 def _broken(store: Store, broken: list[Path], kept: Kept, since: float) -> Iterator[Waste]:
-    for folder in (f for f in broken if store.owns(f) and f.parent.name in (*STAGES, reproduction.STAGE)):
+    for folder in (f for f in broken if store.owns(f) and f.parent.name in (*STAGES, experiments.STAGE)):
         yield Waste(folder, _bytes(folder), "no sound manifest")
     for path in store.leftovers():
         resumed = path.parent.name == ".scratch" and kept.holds_checkpoint(path.name)

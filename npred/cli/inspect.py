@@ -5,11 +5,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from npred import registry
+from npred.cli import reproduce
 from npred.cli.options import Common, Planned
-from npred.errors import ConfigError, StoreError, UnmetError
+from npred.errors import ConfigError, NpredError, UnmetError
 from npred.json_files import escaped
-from npred.pipeline import STAGES, Step, nodes, reproduction, usual
+from npred.pipeline import STAGES, Step, experiments, nodes, usual
 from npred.pipeline.reasons import changes, differences, flat
 from npred.store import Artifact, short
 from npred.store.manifest import NAME
@@ -31,30 +31,25 @@ def status(options: Planned, check: bool) -> None:
 
 
 def why(options: Planned, stage: str) -> None:
-    """The reason of a stage or of a network. Raises ConfigError for another name."""
-    if stage == reproduction.STAGE or stage in registry.EXPERIMENTS.names():
-        _why_reproduced(options, stage)
-        return
+    """The reason of a stage, of a network, or of a published experiment. Raises ConfigError for another name."""
+    asked = _experiments(options, stage) or _asked(options, stage)
+    document = {"stages": [_step(step) for step in asked]}
+    options.show(document, lambda: "\n".join(f"{step.node.title}: {step.reason}" for step in asked))
+
+
+def _experiments(options: Common, name: str) -> list[Step]:
+    """The steps of one published experiment, of all for `reproduce`; no pipeline is read."""
+    planners = [p for p in experiments.every(options.results) if name in (experiments.STAGE, p.experiment)]
+    return [step for planner in planners for step in planner.plan(planner.nodes())]
+
+
+def _asked(options: Planned, stage: str) -> list[Step]:
     steps = options.planner().plan(nodes(options.config, usual(options.config)))
     asked = [step for step in steps if stage in (step.node.stage, step.node.model)]
     if not asked:
         names = ", ".join(dict.fromkeys(name for s in steps for name in (s.node.stage, s.node.name)))
         raise ConfigError(f"why: expected one of {names}, got {stage!r}; name one of them")
-    document = {"stages": [_step(step) for step in asked]}
-    options.show(document, lambda: "\n".join(f"{step.node.title}: {step.reason}" for step in asked))
-
-
-def _why_reproduced(options: Common, name: str) -> None:
-    """The reason of one published experiment, or of all; no pipeline is read."""
-    names = registry.EXPERIMENTS.names() if name == reproduction.STAGE else [name]
-    asked = [question for each in names for question in reproduction.questions(each)]
-    reasons = [reproduction.why(options.results, question) for question in asked]
-    rows = [
-        {"stage": reproduction.STAGE, "model": question.model, "key": question.key}
-        | {"state": reproduction.state(reason), "reason": reason}
-        for question, reason in zip(asked, reasons, strict=True)
-    ]
-    options.show({"stages": rows}, lambda: "\n".join(f"{row['stage']} {row['model']}: {row['reason']}" for row in rows))
+    return asked
 
 
 def show(options: Common, reference: str | None) -> None:
@@ -190,11 +185,10 @@ def _facts(artifact: Artifact) -> str:
 def _summary(stage: str, result: dict[str, Any], width: int | None = None) -> str:
     """A result that somebody else sent may be of a stage, or of a form, that this npred does not have."""
     result = escaped(result)
-    if stage == reproduction.STAGE:
-        return reproduction.summary(result, width)
     try:
-        return STAGES[stage].summary(result, width)
-    except (LookupError, StoreError):
+        written = reproduce.summary if stage == experiments.STAGE else STAGES[stage].summary
+        return written(result, width)
+    except (LookupError, NpredError):
         return "\n".join(changes({}, result)).replace(": unset ->", " =")
 
 

@@ -1,14 +1,16 @@
 """`npred reproduce`: published experiments, from the store or measured now."""
 
 from collections.abc import Sequence
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
-from npred import registry
 from npred.cli.options import Common
-from npred.errors import ConfigError
-from npred.pipeline import reproduction
-from npred.pipeline.reproduction import Reproduction
+from npred.errors import ConfigError, MissingError
+from npred.pipeline import Runner, experiments
+from npred.pipeline.experiments import ExperimentPlanner
 from npred.results import Reproduced
+from npred.stages.reproduce import load
 from npred.terminal.console import columns
 
 PAGE = "reproduce.html"
@@ -19,21 +21,41 @@ def reproduce(
 ) -> None:
     """The rows of these experiments, of all by default; with `listed` what there is.
 
-    Raises ConfigError for a name that there is none of, before anything is measured.
+    Raises ConfigError for a name that there is none of, before anything is measured, MissingError without experiments.
     """
-    chosen = list(dict.fromkeys(names or registry.EXPERIMENTS.names()))
-    for name in chosen:
-        reproduction.question(name)
+    forced = frozenset({experiments.STAGE} if force else ())
+    chosen = list(dict.fromkeys(names or experiments.names()))
+    planners = [ExperimentPlanner(name, options.results, forced) for name in chosen]
+    for planner in planners:
+        planner.check([])
+    rows = package("rows")
     if listed:
         _list(options, chosen)
         return
-    from npred.stages.reproduce import reproduce as stage
-
-    store = Reproduction(options.results, options.console, force)
-    results = [store.result(name, trained=not numerical) for name in chosen]
+    options.results.adopt()
+    results = [rows.joined(_parts(options, planner, not numerical), not numerical) for planner in planners]
     document = {"experiments": [result.json_object() for result in results]}
-    options.show(document, lambda: stage.summary(results, options.console.width))
-    _publish(options, results, output, whole=chosen == registry.EXPERIMENTS.names() and not numerical)
+    options.show(document, lambda: rows.summary(results, options.console.width))
+    _publish(options, results, output, whole=chosen == experiments.names() and not numerical)
+
+
+def summary(document: dict[str, Any], width: int | None = None) -> str:
+    """A result's JSON as a table. Raises StoreError where it is none, ConfigError without its experiment."""
+    return package("rows").summary([Reproduced.of(document, "result")], width)
+
+
+def package(module: str) -> Any:
+    """A module of npred_experiments. Raises MissingError without that package."""
+    try:
+        return import_module(f"npred_experiments.{module}")
+    except ModuleNotFoundError:
+        raise MissingError(f"{experiments.STAGE}: {experiments.ABSENT}") from None
+
+
+def _parts(options: Common, planner: ExperimentPlanner, trained: bool) -> list[Reproduced]:
+    """An experiment's parts, one after the other: a time is taken of a machine that does nothing else."""
+    outcomes = Runner(options.console, jobs=1).run(planner, planner.nodes(trained))
+    return [Reproduced.read(outcome.artifact.folder) for outcome in outcomes]
 
 
 def _publish(options: Common, results: Sequence[Reproduced], output: Path | None, whole: bool) -> None:
@@ -41,12 +63,10 @@ def _publish(options: Common, results: Sequence[Reproduced], output: Path | None
 
     Raises ConfigError for an `output` that cannot be written.
     """
-    from npred.stages.report import reproduced
-
     if output is None and not whole:
         return
-    path = output or options.results.root / PAGE
-    text = reproduced.markdown(results) if path.suffix == ".md" else reproduced.page(results)
+    path, page = output or options.results.root / PAGE, package("page")
+    text = page.markdown(results) if path.suffix == ".md" else page.page(results)
     try:
         path.write_text(text, encoding="utf-8")
     except OSError as error:
@@ -56,9 +76,7 @@ def _publish(options: Common, results: Sequence[Reproduced], output: Path | None
 
 def _list(options: Common, names: list[str]) -> None:
     """The experiments with their titles and sources."""
-    from npred.stages.reproduce import reproduce as stage
-
-    experiments = {name: stage.load(name) for name in names}
-    rows = [[name, experiment.title, experiment.source] for name, experiment in experiments.items()]
+    loaded = {name: load(name) for name in names}
+    rows = [[name, experiment.title, experiment.source] for name, experiment in loaded.items()]
     document = {"experiments": [dict(zip(("name", "title", "source"), row, strict=True)) for row in rows]}
     options.show(document, lambda: columns(["experiment", "title", "source"], rows, options.console.width))

@@ -9,7 +9,7 @@ import re
 
 from npred.defaults import RESULT
 from npred.errors import StoreError
-from npred.pipeline.reproduction import STAGE
+from npred.pipeline.experiments import STAGE
 from npred.registry import STAGES
 from npred.store import Manifest
 

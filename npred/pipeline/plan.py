@@ -1,15 +1,21 @@
 """The plan of a pipeline: which results the store has and what would run, by the keys of the nodes."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
 
 from npred.config import Pipeline
+from npred.errors import ConfigError, first_line
+from npred.parallel.executors import Workers
 from npred.pipeline import stage_registry
 from npred.pipeline.reasons import NEVER, alike, differences, distance, leaves, reason, sentence, settings
 from npred.pipeline.stage_registry import STAGES, Node
+from npred.results import Result
 from npred.store import Artifact, Question, ResultInput, SourceText, Store
+from npred.terminal.console import Console
 
 if TYPE_CHECKING:
     from npred.plants import Plant
@@ -45,26 +51,53 @@ class Step:
         return "missing" if self.reason.startswith(NEVER) else "stale"
 
 
-@dataclass(frozen=True)
-class Planner:
-    """Resolves the nodes of one pipeline against one store; `forced` stages count as not there.
+class Resolver(ABC):
+    """Resolves nodes, of a pipeline or of a published experiment, against one store.
 
-    With `borrows`, times that another machine took are taken where this one has none: to draw them.
+    `forced` stages count as not there. With `borrows`, times that another machine took are taken where this one has
+    none: to draw them.
     """
 
-    config: Pipeline
     store: Store
     device: str
-    forced: frozenset[str] = frozenset()
-    borrows: bool = False
+    forced: frozenset[str]
+    borrows: bool
 
+    @property
+    @abstractmethod
+    def name(self) -> str:
+        """The name of what its results are made for."""
+
+    @abstractmethod
+    def located(self) -> Self:
+        """The same for a process elsewhere: a relative path is another file there, and what is cached stays here."""
+
+    @abstractmethod
     def check(self, nodes: Iterable[Node]) -> None:
-        """Raise ConfigError where these nodes ask for what the plant does not have."""
-        stage_registry.check(self.config, {node.stage for node in nodes})
+        """Raise ConfigError where these nodes ask for what there is not."""
+
+    @abstractmethod
+    def version(self, node: Node) -> int:
+        """The version of the node's stage."""
+
+    @abstractmethod
+    def settings(self, node: Node) -> dict[str, Any]:
+        """All that the node's key holds besides its inputs."""
+
+    @abstractmethod
+    def sources(self, node: Node) -> dict[str, SourceText]:
+        """The files of code that a node's result depends on, as they are now."""
+
+    @abstractmethod
+    def run(
+        self, node: Node, folder: Path, inputs: dict[str, Path], scratch: Path, console: Console, jobs: int,
+        executor: Workers,
+    ) -> Result:  # fmt: skip
+        """The result of a node, made now: its files in `folder`, its checkpoints in `scratch`."""
 
     def plan(self, nodes: Iterable[Node]) -> list[Step]:
-        """One step per node, in order, without running anything. Raises StoreError for a corrupt
-        manifest, ConfigError for a pipeline that does not fit its plant.
+        """One step per node, in order, without running anything. Raises StoreError for a corrupt manifest, and what
+        `check` raises.
         """
         nodes = list(nodes)
         self.check(nodes)
@@ -87,7 +120,7 @@ class Planner:
         if artifact is None and self.borrows and (borrowed := self._borrowed(question)):
             why = sentence(differences(borrowed.manifest.question, question))
             return Step(node, question, borrowed, f"of another machine: {why}; npred {node.stage} runs it here")
-        why = UP_TO_DATE if artifact else reason(question, self.config.name, self._artifacts, self.sources(node))
+        why = UP_TO_DATE if artifact else reason(question, self.name, self._artifacts, self.sources(node))
         return Step(node, question, artifact, why)
 
     def question(self, node: Node, inputs: Mapping[str, Artifact]) -> Question:
@@ -98,20 +131,16 @@ class Planner:
         }
         return Question(
             stage=node.stage,
-            version=STAGES[node.stage].version,
+            version=self.version(node),
             model=node.model,
-            config=stage_registry.question(node, self.config, self.device),
+            config=self.settings(node),
             inputs=sources,
         )
 
-    def sources(self, node: Node) -> dict[str, SourceText]:
-        """The files of code that a node's result depends on, as they are now."""
-        return stage_registry.sources(node, self.config)
-
     def _waiting(self, node: Node, blocked: list[Step]) -> Step:
         causes = [f"upstream {step.node.name} will run ({step.reason})" for step in blocked if step.question]
-        older = [a for a in self._artifacts if alike(a, node.stage, node.model, self.config.name)]
-        asked, sources = stage_registry.question(node, self.config, self.device), self.sources(node)
+        older = [a for a in self._artifacts if alike(a, node.stage, node.model, self.name)]
+        asked, sources = self.settings(node), self.sources(node)
         flat = leaves(asked)
         closest = min(reversed(older), key=lambda a: distance(a.manifest.question.config, flat), default=None)
         before = closest.manifest if closest else None
@@ -125,15 +154,68 @@ class Planner:
         return next(same, None)
 
     @cached_property
+    def _artifacts(self) -> list[Artifact]:
+        return self.store.artifacts()
+
+
+@dataclass(frozen=True)
+class Planner(Resolver):
+    """Resolves the nodes of one pipeline."""
+
+    config: Pipeline
+    store: Store
+    device: str
+    forced: frozenset[str] = frozenset()
+    borrows: bool = False
+
+    @property
+    def name(self) -> str:
+        """The pipeline's."""
+        return self.config.name
+
+    def located(self) -> Self:
+        """The same for a process elsewhere."""
+        return replace(self, config=self.config.located(), store=Store(self.store.root.absolute()))
+
+    def check(self, nodes: Iterable[Node]) -> None:
+        """Raise ConfigError where these nodes ask for what the plant does not have."""
+        stage_registry.check(self.config, {node.stage for node in nodes})
+
+    def version(self, node: Node) -> int:
+        """As npred.registry has it."""
+        return STAGES[node.stage].version
+
+    def settings(self, node: Node) -> dict[str, Any]:
+        """The slice of the configuration that the node's key holds, with the plant and the seed."""
+        return stage_registry.question(node, self.config, self.device)
+
+    def sources(self, node: Node) -> dict[str, SourceText]:
+        """The plant's file, and those of parts that the node's stage names."""
+        return stage_registry.sources(node, self.config)
+
+    def run(
+        self, node: Node, folder: Path, inputs: dict[str, Path], scratch: Path, console: Console, jobs: int,
+        executor: Workers,
+    ) -> Result:  # fmt: skip
+        """The result of a stage. Raises what the stage raises, ConfigError where memory does not hold it."""
+        from npred.stages import Job
+
+        job = Job(self.config, self.plant, folder, inputs, scratch, self.device, jobs, console, node.model, executor)
+        try:
+            return STAGES[node.stage].run(job)
+        except (MemoryError, RuntimeError) as error:  # torch has a RuntimeError
+            if not isinstance(error, MemoryError) and "t allocate memory" not in str(error):
+                raise
+            todo = f"take fewer nodes, rows or weights in [{node.stage}]"
+            message = " ".join(first_line(error).split())
+            raise ConfigError(f"{node.title}: expected what fits into memory, got: {message}; {todo}") from error
+
+    @cached_property
     def plant(self) -> "Plant":
         """The plant of the pipeline, one object for all its stages: they share what it has compiled."""
         from npred import plants
 
         return plants.resolve(self.config.plant, self.config.parameters)
-
-    @cached_property
-    def _artifacts(self) -> list[Artifact]:
-        return self.store.artifacts()
 
 
 def anywhere(asked: Question) -> str | None:

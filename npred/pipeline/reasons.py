@@ -13,7 +13,7 @@ NEVER = "no artifact yet"
 UNSET, MISSING = "unset", object()
 SHOWN = 4
 CODE = re.compile(
-    r"plant\.program\.(?:source|files\.(?P<file>.+)|(?P<function>\w+))|(?P<part>\w+\.(?:adaptation|predictor|\w+\.network))\.source"
+    r"plant\.program\.(?:source|files\.(?P<file>.+)|(?P<function>\w+))|(?P<part>\w+\.(?:adaptation|predictor|\w+\.network)|code\.[\w.]+)\.source"
 )
 Sources = Mapping[str, SourceText]
 
@@ -38,13 +38,13 @@ def distance(before: Mapping[str, Any], after: Mapping[str, str]) -> int:
 
 def leaves(table: Mapping[str, Any], key: str = "") -> dict[str, str]:
     """The leaves of nested tables under dotted keys, as `repr`: 1 and 1.0 are equal, and not the same in a key."""
-    found = {}
+    flattened = {}
     for name, value in table.items():
         if isinstance(value, Mapping):
-            found |= leaves(value, f"{key}{name}.")
+            flattened |= leaves(value, f"{key}{name}.")
         else:
-            found[f"{key}{name}"] = repr(value)
-    return found
+            flattened[f"{key}{name}"] = repr(value)
+    return flattened
 
 
 def _table(asked: Question) -> dict[str, Any]:

@@ -5,8 +5,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from npred.errors import StoreError
-from npred.pipeline import stage_registry
-from npred.pipeline.plan import Planner, anywhere
+from npred.pipeline.plan import Resolver, anywhere
 from npred.pipeline.stage_registry import Node
 from npred.store import Artifact
 
@@ -19,8 +18,8 @@ class Kept:
     timed: set[str] = field(default_factory=set)  # keys of what was asked of a machine, leaving the machine out
     loose: list[tuple[Node, dict[str, Any]]] = field(default_factory=list)
 
-    def add(self, planner: Planner, nodes: Iterable[Node]) -> None:
-        """Keep what these nodes of a pipeline need, each after its inputs."""
+    def add(self, planner: Resolver, nodes: Iterable[Node]) -> None:
+        """Keep what these nodes need, each after its inputs."""
         artifacts: dict[str, Artifact | None] = {}
         for node in nodes:
             inputs = {name: artifact for name in node.inputs if (artifact := artifacts[name])}
@@ -38,7 +37,7 @@ class Kept:
         stage, _, key = name.rpartition("-")
         return key in self.keys or any(node.stage == stage for node, _ in self.loose)
 
-    def _keep(self, planner: Planner, node: Node, inputs: dict[str, Artifact]) -> Artifact | None:
+    def _keep(self, planner: Resolver, node: Node, inputs: dict[str, Artifact]) -> Artifact | None:
         question = planner.question(node, inputs)
         self.keys.add(question.key)
         if key := anywhere(question):
@@ -48,8 +47,8 @@ class Kept:
         except StoreError:  # that one is corrupt; what was made from it need not be
             return None
 
-    def _keep_alike(self, planner: Planner, node: Node) -> None:
-        self.loose.append((node, stage_registry.question(node, planner.config, planner.device)))
+    def _keep_alike(self, planner: Resolver, node: Node) -> None:
+        self.loose.append((node, planner.settings(node)))
 
 
 def closure(kept: Iterable[Artifact], everything: Iterable[Artifact]) -> set[str]:

@@ -11,7 +11,7 @@ from npred.errors import NpredError
 from npred.parallel import executors
 from npred.parallel.executors import Here, Threads, Workers
 from npred.pipeline import stage_registry
-from npred.pipeline.plan import UP_TO_DATE, Planner, Step
+from npred.pipeline.plan import UP_TO_DATE, Planner, Resolver, Step
 from npred.pipeline.stage_registry import Node
 from npred.pipeline.task import Outcome, Task, elsewhere, packages
 from npred.store import Artifact, Question, claims
@@ -29,7 +29,7 @@ class CellRun:
     """A pipeline of the graph: its nodes, each after its inputs, and their outcomes so far by name."""
 
     number: int
-    planner: Planner
+    planner: Resolver
     nodes: list[Node]
     outcomes: dict[str, Outcome] = field(default_factory=dict)
     asked: set[str] = field(default_factory=set)
@@ -62,7 +62,7 @@ class Runner:
     jobs: int
     executor: Workers = field(default_factory=Here)
 
-    def run(self, planner: Planner, nodes: Iterable[Node]) -> list[Outcome]:
+    def run(self, planner: Resolver, nodes: Iterable[Node]) -> list[Outcome]:
         """One outcome per node, in order; every result is verified. The networks of a pipeline train side by side.
 
         Raises ConfigError for a pipeline that does not fit its plant, before anything runs, StoreError for corrupt

@@ -54,16 +54,17 @@ class Stage:
 
 @dataclass(frozen=True)
 class Node:
-    """A stage, and the network where the stage has one artifact per network."""
+    """A stage, and the network where the stage has one artifact per network, which inputs call with the `suffix`."""
 
     stage: str
     model: str | None
     inputs: tuple[str, ...]
+    suffix: str = ""
 
     @property
     def name(self) -> str:
         """The name of the result as an input of others: `generate`, `deeponet`, `deeponet@refined`, …"""
-        return self.stage if self.model is None else f"{self.model}{registry.STAGES[self.stage].suffix}"
+        return f"{self.model or self.stage}{self.suffix}"
 
     @property
     def title(self) -> str:
@@ -128,8 +129,9 @@ def check(config: Pipeline, stages: Collection[str]) -> None:
 
 def _nodes(config: Pipeline, stage: str, networks: Sequence[str]) -> list[Node]:
     upstream = [above for above in STAGES[stage].upstream if getattr(config, above) is not None]
-    models = networks if registry.STAGES[stage].suffix is not None else (None,)
-    return [Node(stage, model, _inputs(upstream, [model] if model else networks)) for model in models]
+    suffix = registry.STAGES[stage].suffix
+    models = networks if suffix is not None else (None,)
+    return [Node(stage, model, _inputs(upstream, [model] if model else networks), suffix or "") for model in models]
 
 
 def _inputs(upstream: Iterable[str], networks: Iterable[str]) -> tuple[str, ...]:

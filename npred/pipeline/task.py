@@ -8,13 +8,13 @@ from functools import cache
 from typing import Self
 
 from npred.defaults import RESULT
-from npred.errors import ConfigError, NpredError, first_line
+from npred.errors import ConfigError, NpredError
 from npred.kernels import compiler
 from npred.parallel import devices
 from npred.parallel.executors import Here, Workers
-from npred.pipeline.plan import Planner, Step
-from npred.pipeline.stage_registry import STAGES, Node
-from npred.store import Artifact, Store, durable, short
+from npred.pipeline.plan import Resolver, Step
+from npred.pipeline.stage_registry import Node
+from npred.store import Artifact, durable, short
 from npred.terminal.console import Console
 
 PACKAGES = ("npred", "torch", "numpy")
@@ -56,7 +56,7 @@ class Outcome:
 class Task:
     """A step that the store had no result of, and the results that it takes."""
 
-    planner: Planner
+    planner: Resolver
     step: Step
     inputs: dict[str, Artifact]
 
@@ -67,11 +67,9 @@ class Task:
         return self.step.key
 
     def located(self) -> Self:
-        """The same for a process elsewhere: a relative path is another file there, and what is cached stays here."""
-        here = self.planner
-        there = Planner(here.config.located(), Store(here.store.root.absolute()), here.device, here.forced)
+        """The same for a process elsewhere: see Resolver."""
         inputs = {name: replace(artifact, folder=artifact.folder.absolute()) for name, artifact in self.inputs.items()}
-        return replace(self, planner=there, inputs=inputs)
+        return replace(self, planner=self.planner.located(), inputs=inputs)
 
     def outcome(self, console: Console, jobs: int, executor: Workers) -> Outcome:
         """The result, or the error that there was instead: nothing is raised but an interruption."""
@@ -107,30 +105,17 @@ class Task:
 
     def _run(self, console: Console, jobs: int, executor: Workers) -> Artifact:
         """Run the stage in a draft of the store. Raises what it raises."""
-        from npred.stages import Job
-
         planner, node, question = self.planner, self.step.node, self.step.question
         assert question is not None
         scratch = planner.store.scratch(node.stage, self.key)
         with durable.room(planner.store.root), planner.store.draft(node.stage, self.key) as folder:
             scratch.mkdir(parents=True, exist_ok=True)
             folders = {name: artifact.folder for name, artifact in self.inputs.items()}
-            job = Job(
-                config=planner.config, plant=planner.plant, folder=folder, inputs=folders, scratch=scratch,
-                device=planner.device, jobs=jobs, progress=console, model=node.model, executor=executor,
-            )  # fmt: skip
-            try:
-                result = STAGES[node.stage].run(job)
-            except (MemoryError, RuntimeError) as error:  # torch has a RuntimeError
-                if not isinstance(error, MemoryError) and "t allocate memory" not in str(error):
-                    raise
-                todo = f"take fewer nodes, rows or weights in [{node.stage}]"
-                message = " ".join(first_line(error).split())
-                raise ConfigError(f"{node.title}: expected what fits into memory, got: {message}; {todo}") from error
+            result = planner.run(node, folder, folders, scratch, console, jobs, executor)
             text = json.dumps(result.json_object(), indent=1, allow_nan=False)
             (folder / RESULT).write_text(text + "\n", encoding="utf-8")
             sources = planner.sources(node)
-            artifact = planner.store.commit(folder, question, planner.config.name, planner.device, sources)
+            artifact = planner.store.commit(folder, question, planner.name, planner.device, sources)
         planner.store.discard(scratch)
         return artifact
 

@@ -116,7 +116,7 @@ class Console:
         if self.view:
             self.view.finish(title, action, seconds)
         outcome = {"hit": "from the store", "run": "done"}.get(action, action)
-        self._logged(f"{title}: {outcome} after {seconds:.1f} s")
+        self._line(f"{title}: {outcome} after {seconds:.1f} s", shown=self.verbose and not self.view)
 
     def measured(self, title: str, values: Mapping[str, float]) -> None:
         """Take the metrics of an epoch of a training: for the live view, for TensorBoard and for the log."""

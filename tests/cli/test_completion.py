@@ -34,6 +34,7 @@ def test_commands_pipelines_and_plants(offered):
     Path("deep/one.toml").write_text("\x00")
     assert offered("npred status deep/") == ["deep/one.toml"]
     assert offered("npred plants check cart") == ["cart_pole"]
+    assert offered("npred reproduce horizon") == ["horizon_loop"]
 
 
 def test_keys_and_the_value_of_the_only_one_that_fits(offered):

@@ -1,6 +1,8 @@
 """`npred reproduce`: names, rows, the store, and the commands that look at its results."""
 
 import json
+import sys
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,8 +13,8 @@ from typer.testing import CliRunner
 
 from npred import registry
 from npred.cli import app
-from npred.registry import Entry
-from npred.stages.reproduce.experiment import Experiment, Measured, PublishedNumber, networks
+from npred.stages.reproduce import Experiment, Measured, PublishedNumber, networks
+from npred_experiments.network_loop import LoopNetworks
 
 CALLS: list[str] = []
 
@@ -30,25 +32,36 @@ TINY = Experiment(
 
 LOOP = small_loop()
 LEARNT = replace(
-    TINY, loops={"as published": LOOP, "as meant": LOOP},
-    sizes={"fno": {"epochs": 2, "width": 4, "modes": 3, "layers": 1, "nodes": 5}},
-)  # fmt: skip
+    TINY,
+    train=LoopNetworks(
+        {"as published": LOOP, "as meant": LOOP},
+        {"fno": {"epochs": 2, "width": 4, "modes": 3, "layers": 1, "nodes": 5}},
+    ),
+)
 
 
 @pytest.fixture(autouse=True)
-def only_tiny(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def publish(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Callable[..., None]]:
+    """A package with experiments, a file each, that are the only ones: `tiny` and `unused`, or others by name."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(
-        registry.EXPERIMENTS,
-        "builtin",
-        {"tiny": Entry(f"{__name__}:TINY", "tiny"), "unused": Entry(f"{__name__}:TINY", "")},
-    )
+    monkeypatch.setattr(registry.EXPERIMENTS, "group", "npred.tests")
+    monkeypatch.syspath_prepend(tmp_path)
     CALLS.clear()
-    folder = Path("experiments")
-    folder.mkdir()
-    monkeypatch.setattr("npred.pipeline.reproduction.SHARED", tmp_path)
-    for module in (__name__.rpartition(".")[2],):
-        (folder / f"{module}.py").write_text("first = 1\n")
+
+    def written(**experiments: str) -> None:
+        info, package = Path("published-1.0.dist-info"), Path("published")
+        for folder in (info, package):
+            folder.mkdir(exist_ok=True)
+        (info / "METADATA").write_text("Metadata-Version: 2.1\nName: published\nVersion: 1.0\n")
+        entries = [f"{name} = published.{name}:{value}" for name, value in experiments.items()]
+        (info / "entry_points.txt").write_text("\n".join(["[npred.tests]", *entries, ""]))
+        for name, value in experiments.items():
+            (package / f"{name}.py").write_text(f"from {__name__} import {value}\n\nfirst = 1\n")
+
+    written(tiny="TINY", unused="TINY")
+    yield written
+    for name in [name for name in sys.modules if name.partition(".")[0] == "published"]:
+        del sys.modules[name]
 
 
 def _call(*arguments: str, code: int = 0) -> Any:
@@ -89,13 +102,13 @@ def test_numbers_have_the_digits_that_are_printed():
 def test_a_result_is_measured_once_per_code():
     for _ in range(2):
         _call("reproduce", "tiny")
-    own = Path("experiments") / f"{__name__.rpartition('.')[2]}.py"
-    own.write_text('"""A docstring."""\nfirst = (1)  # a comment\n')
+    own = Path("published/tiny.py")
+    own.write_text(own.read_text().replace("first = 1", "# a comment\nfirst = (1)  # another\n"))
     assert _call("why", "tiny").stdout == "reproduce tiny: up to date\n"
     assert CALLS == ["measured"]
-    assert _call("why", "tiny").stdout == "reproduce tiny: up to date\n"
-    own.write_text("second = 2\n")
-    assert "code." in _call("why", "reproduce").stdout
+    own.write_text(own.read_text().replace("(1)", "2"))
+    changed = "reproduce tiny: code.published.tiny changed in tiny.py: first = 1 -> first = 2\n"
+    assert _call("why", "reproduce").stdout == f"{changed}reproduce unused: no artifact yet\n"
     states = [row["state"] for row in json.loads(_call("why", "reproduce", "--json").stdout)["stages"]]
     assert states == ["stale", "missing"]
     _call("reproduce", "tiny")
@@ -110,15 +123,53 @@ def test_show_ls_verify_and_gc_know_such_results():
     assert "tiny" in _call("ls").stdout
     _call("verify")
     assert _call("gc", "p.toml", "--yes").stdout == "nothing to delete\n"
-    (Path("experiments") / f"{__name__.rpartition('.')[2]}.py").write_text("second = 2\n")
+    Path("published/tiny.py").write_text("second = 2\n")
     assert "deleted 1" in _call("gc", "p.toml", "--yes").stdout
 
 
-def test_gc_keeps_the_results_of_an_installed_experiment(package):
-    package("shed = test_reproduce:TINY", group="npred.experiments")
-    _call("reproduce", "shed")
+def test_gc_imports_no_experiment():
+    _call("reproduce", "tiny")
+    broken = Path("published/broken.py")
+    broken.write_text("raise ValueError\n")
+    Path("published-1.0.dist-info/entry_points.txt").write_text("[npred.tests]\nbroken = published.broken:X\n")
     Path("p.toml").write_text('name = "p"\nplant = "scalar"\n')
-    assert _call("gc", "p.toml", "--yes").stdout == "nothing to delete\n"
+    registry._entry_points.cache_clear()
+    assert "1 to delete" in _call("gc", "p.toml").stdout
+
+
+def test_an_edit_changes_no_other_experiment(publish: Callable[..., None]):
+    _call("reproduce")
+    Path("published/unused.py").write_text(f"from {__name__} import TINY\n\nfirst = 2\n")
+    states = [row["state"] for row in json.loads(_call("why", "reproduce", "--json").stdout)["stages"]]
+    assert states == ["fresh", "stale"]
+
+
+def test_without_experiments_it_says_in_one_line_what_to_install(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(registry.EXPERIMENTS, "group", "npred.nobody")
+    for arguments in (["reproduce"], ["reproduce", "tiny"], ["reproduce", "--list"]):
+        (line,) = _call(*arguments, code=5).stderr.splitlines()
+        assert line == (
+            "error: reproduce: expected the package npred_experiments, found none; install npred again, with pip: it "
+            "brings that"
+        )
+    Path("p.toml").write_text('name = "p"\nplant = "scalar"\n')
+    assert _call("gc", "p.toml").stdout == "nothing to delete\n"
+
+
+def test_without_the_package_it_says_so_too(monkeypatch: pytest.MonkeyPatch):
+    for name in ("npred_experiments", *(name for name in sys.modules if name.startswith("npred_experiments."))):
+        monkeypatch.setitem(sys.modules, name, None)
+    for more in ([], ["--list"]):
+        assert "expected the package npred_experiments, found none" in _call("reproduce", "tiny", *more, code=5).stderr
+    assert CALLS == []
+
+
+def test_a_registered_experiment_that_is_not_there_is_one_line(publish: Callable[..., None]):
+    _call("reproduce", "tiny")
+    Path("published/tiny.py").unlink()
+    sys.modules.pop("published.tiny")
+    assert len(_call("reproduce", "tiny", code=2).stderr.splitlines()) == 1
+    assert "rows" in _call("show", "reproduce").stdout
 
 
 def test_a_result_of_an_experiment_does_not_travel():
@@ -135,8 +186,8 @@ def test_a_list_runs_nothing_and_another_name_is_one_line():
     assert CALLS == []
 
 
-def test_a_network_is_trained_once_and_an_interrupted_run_goes_on(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(registry.EXPERIMENTS, "builtin", {"tiny": Entry(f"{__name__}:LEARNT", "tiny")})
+def test_a_network_is_trained_once_and_an_interrupted_run_goes_on(publish: Callable[..., None]):
+    publish(tiny="LEARNT")
     answer = json.loads(_call("reproduce", "tiny", "--json").stdout)["experiments"][0]
     assert [row["predictor"] for row in answer["rows"]] == ["numerical", "numerical", "fno"]
     assert answer["rows"][-1]["as_published"] == pytest.approx(1.0, abs=0.5)

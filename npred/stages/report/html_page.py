@@ -8,7 +8,7 @@ from npred.figures.style import ROLES
 
 
 def filled(template: str, **values: Any) -> str:
-    """The page of a template for these values; the same values give the same bytes."""
+    """The page of a template's text for these values; the same values give the same bytes."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
     from markupsafe import Markup
 
@@ -18,10 +18,11 @@ def filled(template: str, **values: Any) -> str:
     )
     environment.filters["typeset"] = lambda text: Markup(typography.markup(text))  # which escapes
     environment.filters["plain"] = typography.plain
-    return environment.get_template(template).render(
-        roles=ROLES, style=_text("page.css"), script=_text("page.js"), **values
+    return environment.from_string(template).render(
+        roles=ROLES, style=text("page.css"), script=text("page.js"), **values
     )
 
 
-def _text(name: str) -> str:
+def text(name: str) -> str:
+    """A file of npred's templates for pages."""
     return (files("npred") / "templates" / "report" / name).read_text(encoding="utf-8")

@@ -40,7 +40,7 @@ def summary(result: Reported, width: int | None = None) -> str:
 
 def _page(story: Story, said: list[str], job: Job) -> str:
     return html_page.filled(
-        "page.html",
+        html_page.text("page.html"),
         name=job.config.name,
         about=_about(job),
         said=said,

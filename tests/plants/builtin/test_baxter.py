@@ -9,7 +9,7 @@ from npred.diagnosis import equilibrium
 from npred.loop import metrics
 from npred.loop.closed_loop import simulate
 from npred.predictors import RK4
-from npred.stages.reproduce.experiments import manipulator
+from npred_experiments import manipulator
 
 FIVE = plants.resolve("baxter_arm5")
 D = 0.5

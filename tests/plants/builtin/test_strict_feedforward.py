@@ -6,7 +6,7 @@ import pytest
 
 import npred
 from npred import plants
-from npred.stages.reproduce.experiments import feedforward_closed_form
+from npred_experiments import feedforward_closed_form
 
 TWO, THREE = plants.resolve("strict_feedforward2"), plants.resolve("strict_feedforward3")
 X = np.random.default_rng(0).uniform(-1, 1, (20, 3))

@@ -1,1 +1,0 @@
-"""Published predictor-feedback experiments, run again: as published, and as their articles mean them."""

@@ -1,1 +1,0 @@
-"""One file per published experiment; npred.registry.EXPERIMENTS has a line for each."""

@@ -1,0 +1,4 @@
+"""Published predictor-feedback experiments, run again: as published, and as their articles mean them.
+
+One file for each, which an entry point of the group `npred.experiments` names, and the files that they share.
+"""

@@ -1,0 +1,57 @@
+"""Every registered experiment: complete, and as the page about it shows it."""
+
+from pathlib import Path
+
+import pytest
+
+import npred_experiments
+from npred import registry
+from npred.pipeline.experiments import ExperimentPlanner
+from npred.stages.reproduce import NUMERICAL, Place, load
+from npred.store import Store
+from npred.terminal.console import Console
+from npred_experiments import rows
+
+PAGE = (Path(__file__).parents[2] / "docs" / "reproduce.md").read_text()
+NAMES = registry.EXPERIMENTS.names()
+FILES = Path(npred_experiments.__file__).parent.glob("*.py")
+
+
+def test_every_file_with_an_experiment_is_registered():
+    assert sorted(path.stem for path in FILES if "\nEXPERIMENT = " in path.read_text()) == NAMES
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_experiment_names_its_source_and_each_row_once(name: str):
+    experiment = load(name)
+    named = [(row.predictor, row.metric) for row in [*experiment.numerical, *experiment.networks]]
+    assert len(set(named)) == len(named)
+    assert {row.predictor for row in experiment.numerical} == {NUMERICAL}
+    assert NUMERICAL not in {row.predictor for row in experiment.networks}
+    assert experiment.title and f"`{name}`" in PAGE
+
+
+def test_an_experiment_is_keyed_by_what_it_imports():
+    planner = ExperimentPlanner("horizon_loop", Store(Path("none")))
+    settings = planner.settings(planner.possible()[0])
+    assert settings["experiment"] == {"name": "horizon_loop", "target": "npred_experiments.horizon_loop:EXPERIMENT"}
+    assert list(settings["code"]) == [f"npred_experiments{name}" for name in ("", ".horizon_loop", ".horizons")]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NAMES)
+def test_the_page_shows_what_the_command_prints(name: str):
+    place = Place(Path("none"), Path("none"), Console())
+    result = rows.joined([load(name).measured(name, NUMERICAL, place)], networks=False)
+    shown = [line.split() for line in PAGE.splitlines()]
+    for cells in rows.cells_of(result):
+        words = [*" ".join(cells).split()]
+        near = [line for line in shown if line[:-3] == words[:-3]]
+        assert len(near) == 1
+        assert near[0][-3] == words[-3]
+        if "e-" not in words[-2]:  # a rounding error is another on another machine
+            assert near[0][-2:] == words[-2:] or _close(near[0][-1], words[-1])
+
+
+def _close(left: str, right: str) -> bool:
+    return abs(float(left) - float(right)) <= 1e-6 * abs(float(left)) + 1e-6
