@@ -55,7 +55,7 @@ def outcome(plant, predictor, arguments) -> tuple[np.ndarray, float, float]:
     """Which loops are lost, the largest distance from rest, and the share of steps with the numerical predictor."""
     loops = npred.simulate(plant, predictor, t_end=T_END, adaptation=npred.DelayAdaptation(), every=10, **arguments)
     target = plant.target(loops.t)
-    lost = ~(metrics.radius(loops, target) <= 0.2 * metrics.size(target))
+    lost = metrics.lost(loops, target)
     return lost, float(np.nan_to_num(np.linalg.norm(loops.X - target, axis=-1), nan=np.inf).max()), loops.fallback_share
 
 

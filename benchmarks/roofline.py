@@ -17,13 +17,13 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
+from npred.runtimes.numba_text import TERMS
 from numba import njit
 
 import npred
 from npred.parallel import devices
 from npred.runtimes.fused import coarsest
 from npred.runtimes.lower import fold
-from npred.runtimes.numba_text import TERMS
 from npred.runtimes.program import Product, Program, Repeat, Silu, SiluPair, Step
 from npred.stages.bench import timing
 

@@ -22,11 +22,10 @@ import torch
 
 import npred
 from npred import config, grid, metrics
-from npred.loop import configured
+from npred.conditions import Condition
 from npred.predictors import Predictor
 from npred.predictors.neural import Neural
 from npred.runtimes.fused import Fused
-from npred.stages.evaluate.scenarios import LOST
 from npred.stages.generate import sampling
 
 BATCH, CLIMB, SEED = 500, 0.003, 12345  # loops side by side; the step of a weight, as a share of its layer's; of draws
@@ -81,14 +80,10 @@ def outcome(
     """Which loops are lost (B,), and the steps in which the numerical predictor answered, as a share."""
     X0, D, D_hat, *_ = drawn
     lost, shares = [], []
+    nominal = Condition(pipeline.evaluate, X0, D, D_hat, t_end, SEED)
     for i in range(0, len(X0), BATCH):
-        part = slice(i, i + BATCH)
-        loops = configured.loops(
-            predictor.plant, predictor, pipeline.evaluate, D=D[part], D_hat=D_hat[part], X0=X0[part], t_end=t_end,
-            seed=SEED, first=i, every=20,
-        )  # fmt: skip
-        target = predictor.plant.target(loops.t)
-        lost.append(~(metrics.radius(loops, target) <= far * metrics.size(target)))
+        loops = nominal.part(slice(i, i + BATCH)).loops(predictor.plant, predictor, every=20)
+        lost.append(metrics.lost(loops, predictor.plant.target(loops.t), far))
         shares.append(loops.fallback_share)
         print(f"\r{predictor.name}: {i + len(lost[-1])} of {len(X0)} loops", end="", file=sys.stderr, flush=True)
     print(file=sys.stderr)
@@ -100,7 +95,7 @@ if __name__ == "__main__":
     parser.add_argument("model", nargs="?", default="pipeline/paper.toml:deeponet")
     for name, kind, default in (("loops", int, 10_000), ("box", float, 1.0), ("t-end", float, None)):
         parser.add_argument(f"--{name}", type=kind, default=default)
-    for name, default in (("tolerance", 0.01), ("damage", None), ("lost", LOST), ("again", None)):
+    for name, default in (("tolerance", 0.01), ("damage", None), ("lost", metrics.LOST), ("again", None)):
         parser.add_argument(f"--{name}", type=float, default=default)
     parser.add_argument("--store", default="artifacts")
     options = parser.parse_args()

@@ -16,7 +16,7 @@ from pydantic_core import PydanticCustomError
 
 from npred import defaults, registry
 from npred.errors import ConfigError, similar, size
-from npred.registry import DELAY_LAWS, INTERPRETED, METHODS, NETWORKS, RUNTIMES, Registry
+from npred.registry import BASELINES, DELAY_LAWS, METHODS, NETWORKS, RUNTIMES, Registry
 
 NAME = re.compile(r"[^\W_][\w.-]{0,99}")  # of a pipeline
 LONGEST = 2**20  # bytes of a pipeline file
@@ -33,13 +33,16 @@ Number = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 StartInput = Number | list[Number] | list[list[Number]] | Literal["equilibrium", "law"]
 PAPER, FROZEN = "bresch-pietri-krstic", "frozen"  # delay laws
 STEPS_PER_DELAY = 10  # control steps in a delay, at least, where dt is not given
-TAKEN = ("generate", "train", "evaluate", "bench", "report", "numerical", "no_adaptation", *INTERPRETED.builtin)
+TAKEN = ("generate", "train", "evaluate", "bench", "report", "numerical", "no_adaptation", "published", "euler_python")
 Networks = Annotated[Some[str], AfterValidator(lambda names: sorted(set(names)))]
 Anchor = Literal["none", "initial", "equilibrium"]
 Actuator = Literal["measured", "history"]
 Share = Annotated[float, Field(ge=0, lt=1, strict=True)]
+GONE = {  # tables of earlier versions
+    "refine": "expected no such table, for that stage was taken out; drop it, and check networks by [evaluate.guard]"
+}
 # left out of a dump where they say nothing
-ADDED = ("actuator", "measurement", "disturbance", "truth", "scenarios", "guard", "certify", "refine", "spread")
+ADDED = ("actuator", "measurement", "disturbance", "truth", "scenarios", "guard", "certify", "spread", "baselines")
 
 
 def _part(parts: Registry, others: tuple[str, ...], name: str) -> str:
@@ -74,6 +77,7 @@ Span = Annotated[tuple[Number, Number], ORDERED]
 Bounds = Annotated[tuple[float, float], ORDERED]  # also infinite
 Method = Annotated[str, AfterValidator(partial(_part, METHODS, ())), METHODS]
 Law = Annotated[str, AfterValidator(partial(_part, DELAY_LAWS, (FROZEN,))), DELAY_LAWS]
+Baseline = Annotated[str, AfterValidator(partial(_part, BASELINES, ())), BASELINES]
 Architecture = Annotated[str, AfterValidator(partial(_part, NETWORKS, ())), NETWORKS]
 Runtime = Annotated[str, AfterValidator(partial(_part, RUNTIMES, ())), RUNTIMES]
 
@@ -260,7 +264,7 @@ class Generate(Loop):
     D: Range | Positive = 1.0  #: true delay in seconds, or a range to draw it from
     #: ranges of D_hat(0), an equal share of rollouts each; times D
     D_hat0: Some[Range] = [(0.3, 0.7), (1.0, 2.0), (1.0, 2.0)]
-    box: dict[str, Span] = {}  #: range of each initial state, instead of the plant's
+    box: dict[str, Span] = {}  #: range of each initial state of the data, instead of the plant's
     test_share: Annotated[float, Field(gt=0, lt=1)] = 0.1  #: of the rollouts, held out
     explore: Annotated[float, Field(ge=0, lt=1)] = 0.0  #: share of rollouts with delays from explore_D, explore_D_hat0
     redraw: Annotated[float, Field(ge=0, lt=1)] = 0.0  #: share of rows with a D_hat drawn anew
@@ -422,9 +426,12 @@ class Train(Section):
         return self
 
 
+CASES = {"D_hat0": "case_D_hat0", "t_end": "case_t_end"}  # keys of [evaluate] by those of a scenario
+
+
 class Scenario(Section):
     """Loops under other conditions, from the initial states of the cases: each key that is given takes the place of
-    the one of [evaluate], for the numerical predictor and for each network.
+    the one of [evaluate] or of its sensors, for the numerical predictor and for each network.
     """
 
     name: Annotated[str, Field(min_length=1, max_length=40)]  #: what tables and figures call it
@@ -518,16 +525,13 @@ class Evaluate(Loop):
 
     def under(self, scenario: Scenario) -> Self:
         """This table with the keys that a scenario gives in their places; drifts and jumps of D aside."""
-        update: dict[str, Any] = {
-            key: getattr(scenario, key)
-            for key in ("disturbance", "actuator", "adaptation")
-            if getattr(scenario, key) is not None
+        values = {CASES.get(key, key): value for key, value in scenario if value is not None}
+        update = {key: value for key, value in values.items() if key in type(self).model_fields}
+        sensors = {key: value for key, value in values.items() if key in Sensors.model_fields}
+        update |= {
+            "measurement": self.measurement.model_copy(update=sensors),
+            "truth": self.truth | scenario.parameters,
         }
-        update |= {"case_D_hat0": scenario.D_hat0} if scenario.D_hat0 else {}
-        update |= {"case_t_end": scenario.t_end} if scenario.t_end else {}
-        sensors = {key: value for key in Sensors.model_fields if (value := getattr(scenario, key)) is not None}
-        update |= {"measurement": self.measurement.model_copy(update=sensors)} if sensors else {}
-        update |= {"truth": self.truth | scenario.parameters} if scenario.parameters else {}
         return self.model_copy(update=update)
 
     @model_validator(mode="after")
@@ -561,6 +565,7 @@ class Bench(Section):
     threads: Count = 1  #: of each library
     batches: Some[Count] = [1, 1024]  #: rows per call
     runtimes: Some[Runtime] = ["torch", "fused", "onnx"]  #: ways to evaluate a network; also `file.py:Class`
+    baselines: list[Baseline] = []  #: predictors in Python to compare with, `file.py:Class`; timed at batch 1
 
 
 class Certify(Section):
@@ -576,23 +581,6 @@ class Certify(Section):
     loops: Count = 40  #: fresh starts, each with the numerical predictor, the bare network and the guarded one
 
 
-class Refine(Section):
-    """Further training of the trained networks, on inputs at which they failed: those that an adversary comes to, and
-    those of hostile loops at which a guard let the numerical predictor answer, beside a share of the data.
-    """
-
-    adversary: Annotated[int, Field(ge=0, le=MOST, strict=True)] = 20_000  #: rows from an adversary's search
-    fallbacks: Annotated[int, Field(ge=0, le=MOST, strict=True)] = (
-        5_000  #: rows that the guard refused in loops, at most
-    )
-    old: Annotated[float, Field(gt=0, le=1, strict=True)] = 0.5  #: share of the data's rows that is trained on again
-    epochs: Count = 20  #: passes over all of these rows
-    lr: Positive = 1e-3  #: learning rate, at its peak
-    loops: Count = 32  #: hostile loops of each kind
-    #: whose rows the guard takes for the data's: those of the data alone, also those of the loops, or all
-    domain: Literal["data", "loops", "all"] = "data"
-
-
 class Pipeline(Section):
     """A pipeline file, resolved: `plant` is a built-in name or `file.py:Class`, `parameters` override its defaults."""
 
@@ -605,7 +593,6 @@ class Pipeline(Section):
     evaluate: Evaluate = Evaluate()
     bench: Bench = Bench()
     certify: Certify | None = None  #: a table: with it, `npred run` certifies too
-    refine: Refine | None = None  #: a table: with it, `npred run` trains the networks further, on their failures
 
     @model_validator(mode="after")
     def _check_nodes(self) -> Self:
@@ -633,11 +620,6 @@ class Pipeline(Section):
     def certify_table(self) -> Certify:
         """The table [certify], or its defaults where there is none."""
         return self.certify or Certify()
-
-    @property
-    def refine_table(self) -> Refine:
-        """The table [refine], or its defaults where there is none."""
-        return self.refine or Refine()
 
     @property
     def longest_delay(self) -> float:
@@ -761,7 +743,7 @@ def _sentence(error: ValidationError) -> str:
 
 
 def _unknown(key: str, siblings: list[str]) -> str:
-    return f"unknown key; expected one of {', '.join(siblings)}{_meant(key, siblings)}"
+    return GONE.get(key) or f"unknown key; expected one of {', '.join(siblings)}{_meant(key, siblings)}"
 
 
 def _siblings(loc: tuple[int | str, ...]) -> list[str]:

@@ -67,7 +67,8 @@ class Registry:
             return None
         names = [*self.names(), *others]
         near = similar(name, names) or "; choose one"
-        return f"expected {', '.join(names)}, or a class of a file as my_file.py:Name, got {name!r}{near}"
+        named_ones = f"{', '.join(names)}, or " if names else ""
+        return f"expected {named_ones}a class of a file as my_file.py:Name, got {name!r}{near}"
 
     def identity(self, name: str) -> Any:
         """The part in a key: a built-in name, the digest of its file, or the package with version and target."""
@@ -178,16 +179,6 @@ METHODS = Registry(
         "rollout": Entry("npred.predictors.rollout:Rollout", "rollout", ("ink", (1, 1.5), "P")),
     },
 )
-INTERPRETED = Registry(  # to compare with: no pipeline predicts by them
-    "interpreted predictor",
-    "npred.interpreted",
-    {
-        "published": Entry(
-            "npred.predictors.interpreted:Published", "O(nx²) sums, interpreted", ("muted", (1, 1.5), "X")
-        ),
-        "euler_python": Entry("npred.predictors.interpreted:EulerPython", "Euler, interpreted", ("muted", (), "P")),
-    },
-)
 DELAY_LAWS = Registry(
     "adaptation",
     "npred.delay_laws",
@@ -207,6 +198,7 @@ RUNTIMES = Registry(
     },
 )
 EXPERIMENTS = Registry("experiment", "npred.experiments")  # published ones, which are in npred_experiments
+BASELINES = Registry("baseline", "npred.baselines")  # predictors to compare with: none is built in
 PLANTS = Registry("plant", "npred.plants")  # the built-in ones are the files of npred/plants/builtin
 
 
@@ -216,8 +208,8 @@ class StageEntry(NamedTuple):
     Its module has run(job), which gives an object of the class at `result`, and summary(result, width). Its key holds
     the table of its name in the pipeline file, unless npred.pipeline.stage_registry says otherwise. `data` is a pattern
     of its files that may come in from elsewhere; with `draws` it has figures too, which do not. An `optional` stage is
-    part of a run where the pipeline has its table. A stage with an artifact per network has a `suffix`, by which other
-    stages call it after the network's name.
+    part of a run where the pipeline has its table. A stage with an artifact `per_network` is called by the network's
+    name.
     """
 
     version: int
@@ -228,39 +220,34 @@ class StageEntry(NamedTuple):
     data: str = ""
     draws: bool = False
     optional: bool = False
-    suffix: str | None = None
+    per_network: bool = False
 
 
 STAGES = {
     "generate": StageEntry(
-        2, (), "npred.stages.generate.generate", "npred.results:Generated",
+        3, (), "npred.stages.generate.generate", "npred.results:Generated",
         "Rollouts with the numerical predictor: the training data.", r"data(-\d{5,})?\.h5",
     ),
     "train": StageEntry(
         2, ("generate",), "npred.stages.train", "npred.results:Trained",
         "The networks, one artifact per network.",
-        r"(model|domain)\.safetensors|model\.json|metrics\.jsonl|snapshot-\d+\.safetensors", suffix="",
-    ),
-    "refine": StageEntry(
-        2, ("generate", "train"), "npred.stages.refine.refine", "npred.results:Refined",
-        "The networks, trained further on an adversary's inputs and on those that a guard refused.",
-        r"(model|domain)\.safetensors|model\.json|metrics\.jsonl", optional=True, suffix="@refined",
+        r"(model|domain)\.safetensors|model\.json|metrics\.jsonl|snapshot-\d+\.safetensors", per_network=True,
     ),
     "evaluate": StageEntry(
-        10, ("generate", "train"), "npred.stages.evaluate.evaluate", "npred.results:Evaluated",
+        11, ("generate", "train"), "npred.stages.evaluate.evaluate", "npred.results:Evaluated",
         "Held-out errors and closed loops: eps and the convergence radius.", r"(errors|figure1|coverage)\.h5", True,
     ),
     "certify": StageEntry(
-        3, ("generate", "train"), "npred.stages.certify.certify", "npred.results:Certified",
+        4, ("generate", "train"), "npred.stages.certify.certify", "npred.results:Certified",
         "A bound of a network's error with a confidence, an adversary's search, and loops that the guard keeps.",
         r"(errors|worst)\.h5", True, optional=True,
     ),
     "bench": StageEntry(
-        9, ("generate", "train"), "npred.stages.bench.bench", "npred.results:Benched",
+        10, ("generate", "train"), "npred.stages.bench.bench", "npred.results:Benched",
         "The time of a predictor call, each with its error beside it.", r"times\.h5", True,
     ),
     "report": StageEntry(
-        7, ("generate", "train", "refine", "evaluate", "certify", "bench"), "npred.stages.report.report",
+        7, ("generate", "train", "evaluate", "certify", "bench"), "npred.stages.report.report",
         "npred.results:Reported",
         "All results as one HTML file; or as PDF, SVG and PNG, CSV and LaTeX.",
     ),

@@ -91,6 +91,7 @@ def test_a_pipeline_is_frozen(empty: Path):
         ("evalaute.dt=3", ["evalaute", "unknown key", "did you mean evaluate?"]),
         ("foo=3", ["foo", "unknown key", "generate"]),
         ("train.deeponet.modes=3", ["train.deeponet.modes", "unknown key", "width"]),
+        ("refine.epochs=3", ["refine: expected no such table", "taken out; drop it", "[evaluate.guard]"]),
         ("generate.samples=many", ["generate.samples", "integer", "'many'"]),
         ("generate.samples=0", ["generate.samples", "1", "0"]),
         ("generate.dt=-0.1", ["generate.dt", "greater than 0", "-0.1"]),

@@ -25,30 +25,25 @@ app = typer.Typer(
 
 
 def command(
-    panel: str, does: str, to: typer.Typer = app, name: str = "", help: str | None = None, **more: str
-) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    panel: str, does: str, to: typer.Typer = app, name: str = "", help: str | None = None, group: bool = False,
+    **more: str,
+) -> Callable[[Callable[..., None]], Any]:  # fmt: skip
     """Register f(options, *, own parameters) as a command that also takes the flags of its options class.
 
     f says no more than the parameters: `does`, as "inspect.why", is the function of npred.cli that gets their values,
-    and `more`. Its name and help are f's own unless they are given.
+    and `more`. Its name and help are f's own unless they are given. A `group` takes subcommands, and runs where none of
+    them is named.
     """
 
-    def register(function: Callable[..., None]) -> Callable[..., None]:
+    def register(function: Callable[..., None]) -> Any:
         words = name or function.__name__.strip("_").replace("_", "-")
-        call = _with_flags(function, does, **more)
-        to.command(words, cls=Command, rich_help_panel=panel, help=help or function.__doc__)(call)
-        return function
-
-    return register
-
-
-def group(panel: str, does: str) -> Callable[[Callable[..., None]], typer.Typer]:
-    """Make f(options) a command with subcommands: it runs where none of them is named."""
-
-    def register(function: Callable[..., None]) -> typer.Typer:
+        call, about = _with_flags(function, does, **more), help or function.__doc__
+        if not group:
+            to.command(words, cls=Command, rich_help_panel=panel, help=about)(call)
+            return function
         subcommands = typer.Typer(cls=Group, no_args_is_help=False)
-        subcommands.callback(invoke_without_command=True, help=function.__doc__)(_with_flags(function, does))
-        app.add_typer(subcommands, name=function.__name__, rich_help_panel=panel)
+        subcommands.callback(invoke_without_command=True, help=about)(call)
+        to.add_typer(subcommands, name=words, rich_help_panel=panel)
         return subcommands
 
     return register
@@ -87,19 +82,15 @@ def guarded(call: Callable[[], None], console: Console) -> int:
     except BrokenPipeError:  # the reader of stdout has left, as `head` does
         return 1
     except (Exception, KeyboardInterrupt) as error:
-        return _failed(error, console)
+        if interruption.heard() or isinstance(error, KeyboardInterrupt):  # libraries turn a signal into other errors
+            interruption.say(console.error)
+            return interruption.code()
+        if isinstance(error, NpredError):
+            console.error(str(error))
+            return error.exit_code
+        return _unforeseen(error, console)
     finally:
         console.close()
-
-
-def _failed(error: BaseException, console: Console) -> int:
-    if interruption.heard() or isinstance(error, KeyboardInterrupt):  # libraries turn a signal into other errors
-        interruption.say(console.error)
-        return interruption.code()
-    if isinstance(error, NpredError):
-        console.error(str(error))
-        return error.exit_code
-    return _unforeseen(error, console)
 
 
 def _unforeseen(error: BaseException, console: Console) -> int:

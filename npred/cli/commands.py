@@ -9,7 +9,7 @@ import typer
 
 import npred
 from npred.cli import completion
-from npred.cli.app import app, command, group
+from npred.cli.app import app, command
 from npred.cli.options import Common, Planned, Running, Work
 from npred.cli.usage import Command
 from npred.registry import STAGES
@@ -42,8 +42,7 @@ def _network(
     model: Annotated[
         str | None,
         typer.Option(
-            help="A network, as deeponet; those of the pipeline by default.",
-            autocompletion=completion.models,
+            help="A network, as deeponet; those of the pipeline by default.", autocompletion=completion.models
         ),
     ] = None,
 ) -> None: ...
@@ -54,7 +53,7 @@ def _stage(options: Work) -> None: ...
 
 for _name, _entry in STAGES.items():
     if _name != "report":  # it comes after the sweep
-        _flags = _stage if _entry.suffix is None else _network
+        _flags = _network if _entry.per_network else _stage
         command(RUN, "execute.stage", name=_name, help=_entry.help, stage_name=_name)(_flags)
 
 
@@ -182,7 +181,7 @@ def help_(
     root.command.main([*(words or []), "--help"], prog_name=root.info_name, standalone_mode=False)
 
 
-@group(LOOK, "inspect.plants")
+@command(LOOK, "inspect.plants", group=True)
 def plants(options: Common) -> None:
     """The plants that are built in or installed; `npred plants check` asks what is wrong with one."""
 

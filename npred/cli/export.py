@@ -1,19 +1,18 @@
 """`npred export` of a trained model: a file for another program, checked on held-out samples."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from npred import operators
-from npred.cli import data_exchange, export_controller, export_fmu
+from npred.cli import data_exchange, export_controller
 from npred.cli.export_controller import Choices
 from npred.cli.options import Common, writable
 from npred.data import shards
 from npred.errors import ConfigError
-from npred.pipeline import Stored, load_model
+from npred.pipeline import Stored
 from npred.runtimes import c, onnx
 from npred.runtimes.probe import Probe, probe
 
-FORMATS = ("onnx", "c")
 NX = 101  # nodes of a model's file
 COMPARED = 200  # held-out samples
 
@@ -25,22 +24,22 @@ def export(
     """Write the file. Raises ConfigError for a format that there is none of, NpredError for a graph that differs."""
     if nx is not None and nx < 2:
         raise ConfigError(f"--nx: expected at least 2 nodes, both ends of [0, 1], got {nx}; dx = 0.01 is nx = 101")
-    if form == "controller":
-        export_controller.export(options, key, output, Choices(nx=nx, **controller), mex)
-        return
-    if form == "fmu":
-        export_fmu.export(options, key, output, fmi, Choices(nx=nx, **controller))
-        return
-    nx = nx or NX
-    if form in data_exchange.WRITERS:
-        data_exchange.export(options, form, key, output)
-        return
-    if form not in FORMATS:
-        formats = ", ".join([*FORMATS, "controller", "fmu", *data_exchange.WRITERS])
-        raise ConfigError(f"export: expected one of {formats}, got {form!r}; name one of them")
-    stored = load_model(key, options.store)
+    choices = Choices(nx=nx, **controller)
+    forms: dict[str, Callable[[], None]] = {
+        **dict.fromkeys(("onnx", "c"), lambda: _model(options, form, key, output, nx or NX, atol)),
+        "controller": lambda: export_controller.export(options, key, output, choices, mex),
+        "fmu": lambda: export_controller.export_fmu(options, key, output, choices, fmi),
+        **dict.fromkeys(data_exchange.WRITERS, lambda: data_exchange.export(options, form, key, output)),
+    }
+    if form not in forms:
+        raise ConfigError(f"export: expected one of {', '.join(forms)}, got {form!r}; name one of them")
+    forms[form]()
+
+
+def _model(options: Common, form: str, key: str, output: Path | None, nx: int, atol: float) -> None:
+    """P and U of a trained model as a file, compared on held-out samples where it can be run here."""
+    stored, operator = export_controller.loaded(options, key)
     path = writable(output or Path(f"{stored.model}-{nx}.{form}"))
-    operator = operators.load(stored.folder, stored.plant, stored.snapshot, config=stored.config)
     samples = _samples(options, stored, COMPARED, nx)
     document = {"file": str(path), "format": form, "model": stored.model, "nx": nx}
     if form == "c":

@@ -1,4 +1,6 @@
-"""`npred export controller`: the controller of a pipeline's evaluated loop as C99, with a test inside."""
+"""`npred export controller` and `fmu`: the controller of a pipeline's evaluated loop as C99 with a test inside, and as
+a Functional Mock-up Unit; also the network in it, which `npred export c` and `onnx` write without the rest.
+"""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,22 +9,23 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from npred import config, defaults, operators, plants
-from npred.cli.options import Common, writable_folder
+from npred.cli.options import Common, writable, writable_folder
 from npred.config import Evaluate
 from npred.errors import ConfigError
 from npred.loop import closed_loop, delay_law
 from npred.loop.adaptation import DelayAdaptation
 from npred.loop.controller import Controller
 from npred.loop.loop_checks import HISTORY
-from npred.pipeline import load_model
+from npred.operators import Operator
+from npred.pipeline import Stored, load_model
 from npred.plants import Plant, inputs
 from npred.predictors import Predictor, numerical
 from npred.predictors.guarded import Guarded
-from npred.runtimes import c_controller, mex
+from npred.runtimes import c_controller, c_library, fmu, mex
 
 MEASURED_STEPS, RECALLED_STEPS = 4, 40  # of the test inside the file; u of each measured step is part of it
-
-
+NO_LIBRARY = "sources only, for there is no C compiler here; install one, or let the importer build them"
+NO_PLACE = "sources only, for FMI 2.0 has no name for this machine; take --fmi 3, or let the importer build them"
 RECALLS = (
     "the paper's law (12) is made for a measured u, and loses 16 of 30 loops of the paper's plant with its own "
     'commands (docs/delay_laws.md), DelayObserver none; set adaptation = "delay-observer" in [evaluate]'
@@ -90,6 +93,29 @@ def export(options: Common, key: str, output: Path | None, choices: Choices, gat
     options.show(document, lambda: f"{', '.join(written)}: {built.controller!r} in {choices.precision} precision")
 
 
+def export_fmu(options: Common, key: str, output: Path | None, choices: Choices, version: int) -> None:
+    """Write the FMU. Raises ConfigError as npred.runtimes.fmu.write does."""
+    path = writable(output or Path(f"{choices.name}.fmu"))
+    built = build(options, key, choices)
+    written = fmu.write(
+        built.controller, path, version=version, name=choices.name, precision=choices.precision, model=built.about,
+        X0=built.table.X0 or built.controller.plant.target(0.0), t_end=built.table.t_end, test=built.test,
+    )  # fmt: skip
+    document = {"file": str(path)} | built.document(choices, "fmu") | {
+        "fmi": version, "library": written.library, "token": written.token,
+        "variables": [variable.name for variable in written.variables],
+    }  # fmt: skip
+    without = NO_PLACE if c_library.compiler() else NO_LIBRARY
+    holds = f"{written.library} and sources" if written.library else without
+    options.show(document, lambda: f"{path}: {built.controller!r} as FMI {version}.0, {holds}")
+
+
+def loaded(options: Common, spec: str, plant: Plant | None = None, **dtype: Any) -> tuple[Stored, Operator]:
+    """The trained network of a key, for `plant` or, without one, for the plant that the key names."""
+    stored = load_model(spec, options.store)
+    return stored, operators.load(stored.folder, plant or stored.plant, stored.snapshot, config=stored.config, **dtype)
+
+
 def _named(key: str, predictor: str) -> tuple[Path, str]:
     """The pipeline file and the network that a key means; no network where the predictor is a numerical one."""
     path, colon, model = key.rpartition(":")
@@ -110,11 +136,9 @@ def _predictor(options: Common, spec: str, plant: Plant, table: Evaluate, choice
 
         from npred.runtimes.fused import Fused
 
-        dtype = {"float": torch.float32, "double": torch.float64}.get(choices.precision, torch.float64)
-        stored = load_model(spec, options.store)
-        operator = operators.load(stored.folder, plant, stored.snapshot, dtype, stored.config)
-        kind: Any = np.float32 if choices.precision == "float" else np.float64
-        predictor = Fused(plant, operator, nx, stored.model, precision=kind)
+        single = choices.precision == "float"
+        stored, operator = loaded(options, spec, plant, dtype=torch.float32 if single else torch.float64)
+        predictor = Fused(plant, operator, nx, stored.model, precision=np.float32 if single else np.float64)
     guard = dict(table.guard) if table.guard and spec else {}
     if choices.guard is not None:
         guard["tolerance"] = choices.guard

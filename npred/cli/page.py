@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
+from npred import json_files
 from npred.cli.options import Planned, Work
 from npred.errors import ConfigError
 from npred.pipeline import Outcome
@@ -29,7 +30,7 @@ def publish(options: Work, outcomes: list[Outcome], output: Path | None) -> Path
     if not folders:
         return None
     folder, source = folders[-1], source_of(options)
-    path = output or page_path(options, options.pipeline.stem, lambda name: options.store / f"{name}.html", _owner)
+    path = output or page_path(options, options.pipeline.stem, lambda name: options.store / f"{name}.html")
     aside = path.with_name(path.name + ".part")
     try:
         text = (folder / NAME).read_text(encoding="utf-8").replace(PLACE, _made_from(source, options.set or []), 1)
@@ -53,16 +54,15 @@ def _made_from(source: str, overrides: list[str]) -> str:
     return f'<p class="about" data-pipeline="{name}">From <code>{name}</code>{" with" if flags else ""}{flags}</p>'
 
 
-def page_path(options: Planned, name: str, of: Callable[[str], Path], owner: Callable[[Path], str | None]) -> Path:
-    """`of(name)`, as NAME.html; where `owner` says that this is another pipeline's, that of NAME-FOLDER after the
+def page_path(options: Planned, name: str, of: Callable[[str], Path]) -> Path:
+    """`of(name)`, a page or a folder; where that is another pipeline's, that of NAME-FOLDER after the
     file's folder, else with a digest. A line says which is whose.
     """
     source, folder = source_of(options), re.sub(r"[^\w.-]", "_", options.pipeline.absolute().parent.name)
     names = [name, f"{name}-{folder}", f"{name}-{hashlib.sha256(os.fsencode(source)).hexdigest()[:8]}"]
-    owners = {path: owner(path) for path in map(of, names)}
-    same = [path for path, owner in owners.items() if owner == source]
-    free = [path for path, owner in owners.items() if owner is None]
-    first, path = next(iter(owners)), [*same, *free, *owners][0]
+    owners = {path: _owner(path) for path in map(of, names)}
+    first = next(iter(owners))
+    path = min(owners, key=lambda path: (owners[path] != source, owners[path] is not None))
     if path != first and owners[first]:
         options.console.note(f"{first} is of {owners[first]}; that of {source} is {path}")
     return path
@@ -73,20 +73,12 @@ def sign(options: Planned, folder: Path) -> None:
     (folder / SIGNATURE).write_text(source_of(options) + "\n", encoding="utf-8", errors="surrogateescape")
 
 
-def signed(folder: Path) -> str | None:
-    """The pipeline that a folder names; None for a folder that names none."""
-    try:
-        return (folder / SIGNATURE).read_text(encoding="utf-8", errors="surrogateescape").strip() or None
-    except OSError:
-        return None
-
-
 def _owner(path: Path) -> str | None:
-    """The pipeline that a page names; None for no page, and for one that names none."""
+    """The pipeline that a page or a folder names; None for what is not there, and for what names none."""
     try:
-        if not path.is_file():
-            return None
-        with path.open("rb") as file:
+        if path.is_dir():
+            return (path / SIGNATURE).read_text(encoding="utf-8", errors="surrogateescape").strip() or None
+        with json_files.regular(path).open("rb") as file:
             named = OWNER.search(file.read(HEAD).decode("utf-8", errors="replace"))
     except OSError:
         return None

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 from npred.cli import execute
 from npred.cli.options import Work, writable_folder
-from npred.cli.page import page_path, sign, signed
+from npred.cli.page import page_path, sign
 from npred.errors import ConfigError
 from npred.store import durable
 
@@ -31,7 +31,7 @@ def _figures(options: Work, output: Path | None, medium: str) -> None:
 
     if medium not in MEDIA:
         raise ConfigError(f"--figures: expected {', '.join(MEDIA)}, got {medium!r}; name one of them")
-    default = page_path(options, options.pipeline.stem, lambda name: options.store / f"{name}-{medium}", signed)
+    default = page_path(options, options.pipeline.stem, lambda name: options.store / f"{name}-{medium}")
     target = writable_folder(output or default, "figures")
     outcomes = execute.bring(options, ["evaluate", "bench"], borrows=True)
     folders = {done.node.name: done.artifact.folder for done in outcomes}

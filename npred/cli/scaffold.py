@@ -54,6 +54,7 @@ def _copies(source: str, name: str, class_name: str) -> tuple[str, str]:
     toml = _shipped(source)
     if toml is None:
         return _renamed(source, plant, class_name), _fitted(_filled(PIPELINE, name, class_name), plant)
+    toml = re.sub(r"^baselines = .*\n", "", toml, flags=re.MULTILINE)  # of files that lie beside that pipeline
     toml = re.sub(r"^name = .*$", f'name = "{name}"', toml, count=1, flags=re.MULTILINE)
     toml = re.sub(r"^plant = .*$", f'plant = "{name}.py:{class_name}"', toml, count=1, flags=re.MULTILINE)
     return _renamed(source, plant, class_name), toml

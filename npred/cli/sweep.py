@@ -77,7 +77,7 @@ def _write(options: Running, name: str, output: Path | None, rows: list[dict[str
     """table.csv, and front.svg and front.png where there are two quantities to draw."""
     from npred.sweep import pareto
 
-    folder = output or page.page_path(options, name, lambda name: Path(f"sweep-{name}"), page.signed)
+    folder = output or page.page_path(options, name, lambda name: Path(f"sweep-{name}"))
     with durable.room(folder):
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "table.csv").write_text(_csv(rows), encoding="utf-8")

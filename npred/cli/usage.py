@@ -12,18 +12,24 @@ from npred.terminal.console import Console
 USAGE: type[BaseException] = typer.BadParameter.__mro__[1]  # what every usage error is; typer keeps the name to itself
 
 
-class Command(TyperCommand):
+class Untyped:
+    """Where a flag has no word for its value, it takes none."""
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        """The parameters, as typer reads them."""
+        parameters = super().get_params(ctx)  # type: ignore[misc]
+        for parameter in parameters:
+            if getattr(parameter, "is_flag", False) and parameter.metavar is None:
+                parameter.metavar = ""
+        return parameters
+
+
+class Command(Untyped, TyperCommand):
     """A command."""
 
-    def get_params(self, ctx: Any) -> list[Any]:
-        return _untyped(super().get_params(ctx))
 
-
-class Group(TyperGroup):
+class Group(Untyped, TyperGroup):
     """Commands under one name, or all of them."""
-
-    def get_params(self, ctx: Any) -> list[Any]:
-        return _untyped(super().get_params(ctx))
 
     def main(self, *args: Any, standalone_mode: bool = True, **extra: Any) -> Any:
         """Run the command of the arguments and exit with its code; without `standalone_mode` return it."""
@@ -40,24 +46,13 @@ class Group(TyperGroup):
         sys.exit(code if isinstance(code, int) else 0)
 
 
-def _untyped(parameters: list[Any]) -> list[Any]:
-    """The same, where a flag has no word for its value: it takes none."""
-    for parameter in parameters:
-        if getattr(parameter, "is_flag", False) and parameter.metavar is None:
-            parameter.metavar = ""
-    return parameters
-
-
 def _tell(error: Any) -> int:
-    """Say it on stderr; the exit code."""
-    got = " ".join(error.format_message().split()).rstrip(".")
+    """Say it on stderr, with the usage where the parser says of which command; the exit code."""
+    got, context = " ".join(error.format_message().split()).rstrip("."), error.ctx
+    path, expected = "npred", ""  # of an option without its value
+    if context:
+        path, pieces = context.command_path, context.command.collect_usage_pieces(context)
+        expected = f"expected {path} {' '.join(pieces)}, got: "
     if got:  # else no command was named, and the help is printed
-        Console().error(f"{_expected(error.ctx)}{got}; see {error.ctx.command_path if error.ctx else 'npred'} --help")
+        Console().error(f"{expected}{got}; see {path} --help")
     return error.exit_code
-
-
-def _expected(context: Any) -> str:
-    """The usage, where the parser says of which command: of an option without its value it does not."""
-    if context is None:
-        return ""
-    return f"expected {context.command_path} {' '.join(context.command.collect_usage_pieces(context))}, got: "

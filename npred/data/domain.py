@@ -1,7 +1,7 @@
 """Where the training data were: a score of (X, u, D_hat) that is cheap enough for every call of a network."""
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -74,11 +74,6 @@ class Domain:
         """The largest D_hat unread(u) of the examples, read on nx nodes, (m,): rougher inputs are outside."""
         rounding = ROUNDING * (self.D_hat[:, None] * np.abs(self.u).max(axis=1)).max(axis=0)
         return (self.D_hat[:, None] * unread(grid.refine(self.u, nx))).max(axis=0) + rounding
-
-    def widened(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, angle: np.ndarray | None) -> "Domain":
-        """The same with these rows inside by their distance, which is still that from the data's mean."""
-        farthest = self.distance(X, u, D_hat, angle).max(initial=0.0) * (1 + ROUNDING)
-        return replace(self, limit=np.maximum(self.limit, farthest))
 
     def save(self, folder: Path) -> None:
         """Write domain.safetensors."""

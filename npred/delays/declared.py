@@ -29,8 +29,6 @@ class DeclaredDelay(Family):
     lacks: ClassVar = {
         "picard": "use rk4",
         "semi_implicit": "use rosenbrock",
-        "published": "use euler, heun or rk4",
-        "euler_python": "use euler, heun or rk4",
         "defect": "take by = 'shadow'",
         "bound": "take error, an estimate",
         "adaptation": "the controller knows that delay: leave the law out",

@@ -33,8 +33,6 @@ BOUNDED = {  # what does not serve a plant whose states stop at bounds, and what
     "picard": "use rk4",
     "semi_implicit": "use rosenbrock",
     "rollout": "use rk4",
-    "published": "use euler, heun or rk4",
-    "euler_python": "use euler, heun or rk4",
     "adaptation": 'freeze the estimate, in a pipeline by adaptation = "frozen"',
     "observer": "freeze the estimate",
     "defect": "take by = 'shadow'",

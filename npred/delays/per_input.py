@@ -28,8 +28,6 @@ class DelayPerInput(Family):
     lacks: ClassVar = {
         "picard": "use rk4",
         "semi_implicit": "use rosenbrock",
-        "published": "use euler, heun or rk4",
-        "euler_python": "use euler, heun or rk4",
         "adaptation": 'freeze the estimate, in a pipeline by adaptation = "frozen"',
         "defect": "take by = 'shadow'",
         "bound": "take error, an estimate",

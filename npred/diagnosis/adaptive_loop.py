@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -84,21 +84,22 @@ def _timed(loops: Trial) -> Trial:
 
 def _kept(case: Case, loops: Trial, adaptation: str = PAPER) -> np.ndarray:
     """True (S, E) for loops that have converged, or still do, with another law where one is named."""
-    from npred.loop import closed_loop, configured  # they bring Numba
+    from npred.conditions import Condition  # they load slowly
+    from npred.loop import closed_loop
     from npred.loop.delay_observer import DelayObserver
 
     nodes = min(loops.table.nx, NODES) if loops.table else NODES
-    arguments: dict[str, Any] = {
-        "D": loops.D, "D_hat": loops.D_hat, "X0": loops.X0[:, None], "t_end": loops.seconds,
-        "every": max(round(loops.D / loops.dt / 10), 1),
-    }  # fmt: skip
+    X0, every, rk4 = loops.X0[:, None], max(round(loops.D / loops.dt / 10), 1), RK4(case.plant, nodes)
     if loops.table is None:
         law = {PAPER: loops.law, OBSERVER: DelayObserver(bounds=loops.law.bounds), FROZEN: None}[adaptation]
-        run = closed_loop.simulate(case.plant, RK4(case.plant, nodes), dt=loops.dt, adaptation=law, **arguments)
+        run = closed_loop.simulate(
+            case.plant, rk4, D=loops.D, D_hat=loops.D_hat, X0=X0, t_end=loops.seconds, dt=loops.dt, every=every,
+            adaptation=law,
+        )  # fmt: skip
     else:
         settings = {"gamma": loops.law.gamma, "dt": loops.dt, "adaptation": adaptation}
         table = loops.table.model_copy(update=settings)
-        run = configured.loops(case.plant, RK4(case.plant, nodes), table, seed=0, **arguments)
+        run = Condition(table, X0, loops.D, loops.D_hat, loops.seconds, seed=0).loops(case.plant, rk4, every=every)
     X = run.X.reshape(-1, *run.X.shape[-2:])
     gaps = distances(case, X, float(run.t[-1]))
     _, middle, _, end = (part.max(axis=1) for part in np.array_split(gaps, 4, axis=1))

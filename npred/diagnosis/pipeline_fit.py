@@ -23,7 +23,7 @@ ABOUT_DELAY = (  # keys that a plant which declares its delay has no use for
     "explore_D", "explore_D_hat0",
 )  # fmt: skip
 
-SIDE_BY_SIDE = 64  # loops: LANES of npred.loop.closed_loop, which brings Numba
+SIDE_BY_SIDE = 64  # loops: LANES of npred.loop.closed_loop, which loads slowly
 TIMES = 1001  # at which a delay by which networks tell the time is looked at
 
 
@@ -73,7 +73,6 @@ def room(case: Case) -> None:
     asked = [
         (stage, f"{stage}.nx", row * loop.nx * min(lanes[stage], SIDE_BY_SIDE)) for stage, loop in case.loops.items()
     ]
-    calls = certify.restarts * certify.steps
     asked += [
         ("generate", "generate.nx", row * generate.nx * generate.samples * min(1, SIDE_BY_SIDE / generate.rollouts)),
         ("generate", "generate.rollouts", 8 * generate.rollouts),
@@ -81,7 +80,7 @@ def room(case: Case) -> None:
         ("bench", "bench.dx, bench.batches", row * max(bench.batches) / bench.dx[0]),
         ("bench", "bench.dx", row / min(bench.dx)),
         ("bench", "bench.calls", 8 * bench.calls),
-        *((s, "certify.restarts, certify.steps", row * evaluate.nx * calls) for s in ("certify", "refine")),
+        ("certify", "certify.restarts, certify.steps", row * evaluate.nx * certify.restarts * certify.steps),
     ]
     tables = {f"train.{name}.width": pipeline.train.table(name).arguments for name in pipeline.train.models}
     asked += [("train", key, 4 * table["width"] ** 2) for key, table in tables.items() if "width" in table]

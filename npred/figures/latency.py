@@ -7,11 +7,19 @@ from typing import Any
 
 from npred.figures.figure import Key, Panel, Plate
 from npred.figures.style import Look, colours, log
-from npred.registry import INTERPRETED, METHODS, NETWORKS, RUNTIMES, Registry
+from npred.registry import METHODS, NETWORKS, RUNTIMES, Entry, Registry
 from npred.results import Contender, ranked
 from npred.results.bench import Timing
 
 FAR = 1000  #: times the networks' error: no prediction any more, an unstable step say
+INTERPRETED = Registry(  #: how the baselines of pipeline/interpreted.py are drawn
+    "baseline",
+    "npred.baselines",
+    {
+        "published": Entry("", "O(nx²) sums, interpreted", ("muted", (1, 1.5), "X")),
+        "euler_python": Entry("", "Euler, interpreted", ("muted", (), "P")),
+    },
+)
 TAIL = {"median_us": "o", "p95_us": "|", "p999_us": "|"}
 
 

@@ -11,6 +11,7 @@ from npred.plants.base import Plant
 
 SETTLED = 0.01  # of size(X*): inside this distance a loop counts as settled, and as converged when it ends there
 ORIGIN = 1e-9  # an equilibrium closer to the origin than this is the origin, found by a solver
+LOST = 0.2  # of size(X*): a loop that ends further away is lost
 TAIL = 0.1  # of the horizon: the radius is the supremum over this last share
 NEWTON, STEP = 8, 1e-6  # steps of Newton's method, and the half width in seconds of its differences
 CELLS = 4000  # of the horizon, along which the gain of a plant that tracks is integrated
@@ -154,6 +155,11 @@ def relative(plant: Plant, X: np.ndarray, u: np.ndarray, P_hat: np.ndarray, P: n
 def converged(radii: np.ndarray, X_star: np.ndarray) -> np.ndarray:
     """True if a loop of that radius ends settled."""
     return radii <= SETTLED * size(X_star)
+
+
+def lost(loops: Trajectories, X_star: np.ndarray, far: float = LOST) -> np.ndarray:
+    """True, (...), for a loop that ends further from X* than `far` of size(X*), or left the finite numbers."""
+    return ~(radius(loops, X_star) <= far * size(X_star))
 
 
 @cache

@@ -28,8 +28,7 @@ class Stored(NamedTuple):
 def load_model(spec: str, root: Path | None = None) -> Stored:
     """The trained model meant by `PIPELINE:MODEL`, `MODEL` (of the default pipeline), an artifact's folder or key.
 
-    Each may end in `@EPOCH`, for a snapshot; of a pipeline also in `@refined`. Raises ConfigError where there is none,
-    StoreError for corrupt files.
+    Each may end in `@EPOCH`, for a snapshot. Raises ConfigError where there is none, StoreError for corrupt files.
     """
     store = Store(root or defaults.store())
     try:
@@ -79,11 +78,11 @@ def _last(pipeline: config.Pipeline, store: Store, stage: str, model: str | None
 def _of_pipeline(
     path: Path, pipeline: config.Pipeline, asked: Contender, store: Store
 ) -> tuple[Artifact, Plant, Training]:  # fmt: skip
-    names, model, stage = pipeline.train.names, asked.model.rpartition(":")[2], "refine" if asked.refined else "train"
+    names, model = pipeline.train.names, asked.model.rpartition(":")[2]
     if model not in names:
         raise ConfigError(f"{path}:{model}: expected {', '.join(names)} after the colon; name one of them")
-    expected, todo = f"{path}:{model}: expected a trained model", f"npred {stage} {path} --model {model}"
-    artifact = _last(pipeline, store, stage, model, expected, todo)
+    expected, todo = f"{path}:{model}: expected a trained model", f"npred train {path} --model {model}"
+    artifact = _last(pipeline, store, "train", model, expected, todo)
     return artifact, plants.resolve(pipeline.plant, pipeline.parameters), pipeline.train.table(model)
 
 

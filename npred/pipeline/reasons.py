@@ -38,13 +38,13 @@ def distance(before: Mapping[str, Any], after: Mapping[str, str]) -> int:
 
 def leaves(table: Mapping[str, Any], key: str = "") -> dict[str, str]:
     """The leaves of nested tables under dotted keys, as `repr`: 1 and 1.0 are equal, and not the same in a key."""
-    flattened = {}
+    values = {}
     for name, value in table.items():
         if isinstance(value, Mapping):
-            flattened |= leaves(value, f"{key}{name}.")
+            values |= leaves(value, f"{key}{name}.")
         else:
-            flattened[f"{key}{name}"] = repr(value)
-    return flattened
+            values[f"{key}{name}"] = repr(value)
+    return values
 
 
 def _table(asked: Question) -> dict[str, Any]:

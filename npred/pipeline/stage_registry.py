@@ -54,17 +54,16 @@ class Stage:
 
 @dataclass(frozen=True)
 class Node:
-    """A stage, and the network where the stage has one artifact per network, which inputs call with the `suffix`."""
+    """A stage, and the network where the stage has one artifact per network, by which its inputs call it."""
 
     stage: str
     model: str | None
     inputs: tuple[str, ...]
-    suffix: str = ""
 
     @property
     def name(self) -> str:
-        """The name of the result as an input of others: `generate`, `deeponet`, `deeponet@refined`, …"""
-        return f"{self.model or self.stage}{self.suffix}"
+        """The name of the result as an input of others: `generate`, `deeponet`, …"""
+        return self.model or self.stage
 
     @property
     def title(self) -> str:
@@ -108,7 +107,8 @@ def sources(node: Node, config: Pipeline) -> dict[str, SourceText]:
     specs = {f"{stage}.{key}": getattr(getattr(config, stage, None), key, "") for stage, key in product(loops, keys)}
     if node.stage == "evaluate":
         specs |= {f"evaluate.scenarios[{k}]": s.adaptation or "" for k, s in enumerate(config.evaluate.scenarios)}
-    specs |= {f"bench.{registry.called(name)}": name for name in config.bench.runtimes if node.stage == "bench"}
+    compared = [*config.bench.runtimes, *config.bench.baselines] if node.stage == "bench" else []
+    specs |= {f"bench.{registry.called(name)}": name for name in compared}
     specs |= {f"train.{node.model}.network": config.train.table(node.model).architecture} if node.model else {}
     for role, spec in specs.items():
         if registry.named(spec):
@@ -129,19 +129,13 @@ def check(config: Pipeline, stages: Collection[str]) -> None:
 
 def _nodes(config: Pipeline, stage: str, networks: Sequence[str]) -> list[Node]:
     upstream = [above for above in STAGES[stage].upstream if getattr(config, above) is not None]
-    suffix = registry.STAGES[stage].suffix
-    models = networks if suffix is not None else (None,)
-    return [Node(stage, model, _inputs(upstream, [model] if model else networks), suffix or "") for model in models]
+    models = networks if registry.STAGES[stage].per_network else (None,)
+    return [Node(stage, model, _inputs(upstream, [model] if model else networks)) for model in models]
 
 
 def _inputs(upstream: Iterable[str], networks: Iterable[str]) -> tuple[str, ...]:
     """The names of results of these stages, those of these networks where there is one for each."""
-    suffixes = {above: registry.STAGES[above].suffix for above in upstream}
-    return tuple(
-        name
-        for above, suffix in suffixes.items()
-        for name in ((above,) if suffix is None else (f"{model}{suffix}" for model in networks))
-    )
+    return tuple(name for above in upstream for name in (networks if registry.STAGES[above].per_network else (above,)))
 
 
 def _dump(section: Section) -> dict[str, Any]:
@@ -240,18 +234,14 @@ def _certify(config: Pipeline, model: str | None, device: str) -> dict[str, Any]
     )
 
 
-def _refine(config: Pipeline, model: str | None, device: str) -> dict[str, Any]:
-    """What trains the network and what it is compared by, which is a certificate."""
-    return {"refine": _dump(config.refine_table)} | _certify(config, model, device) | _train(config, model, device)
-
-
 def _bench(config: Pipeline, model: str | None, device: str) -> dict[str, Any]:
     from npred import plants
 
-    runtimes = [registry.RUNTIMES.identity(name) for name in config.bench.runtimes]
     table = _own("bench", config, model, device)
-    table["bench"]["runtimes"] = runtimes
-    table["methods"] = [*registry.INTERPRETED.builtin, *map(registry.METHODS.identity, config.methods)]
+    table["bench"]["runtimes"] = [*map(registry.RUNTIMES.identity, config.bench.runtimes)]
+    if config.bench.baselines:
+        table["bench"]["baselines"] = [*map(registry.BASELINES.identity, config.bench.baselines)]
+    table["methods"] = [*map(registry.METHODS.identity, config.methods)]
     table |= plants.resolve(config.plant, config.parameters).mechanics_program
     return table | {"hardware": devices.hardware(device)} | _box(config)
 
@@ -285,8 +275,8 @@ def _notation(config: Pipeline) -> dict[str, Any]:
 
 
 SLICES: dict[str, Slice] = {
-    "generate": _generate, "train": _train, "refine": _refine, "evaluate": _evaluate, "certify": _certify,
-    "bench": _bench, "report": _report,
+    "generate": _generate, "train": _train, "evaluate": _evaluate, "certify": _certify, "bench": _bench,
+    "report": _report,
 }  # fmt: skip
 STAGES = {
     name: Stage(entry.version, entry.upstream, SLICES.get(name, partial(_own, name)), entry.module, entry.result)

@@ -6,7 +6,6 @@ from npred.results.certify import Certified
 from npred.results.contender import NO_ADAPTATION, NUMERICAL, Contender, ranked
 from npred.results.evaluate import Evaluated
 from npred.results.generate import Generated
-from npred.results.refine import Refined
 from npred.results.report import Reported
 from npred.results.reproduce import Reproduced, ReproducedRow
 from npred.results.train import Trained
@@ -20,7 +19,6 @@ __all__ = [
     "Evaluated",
     "Generated",
     "Number",
-    "Refined",
     "Reported",
     "Reproduced",
     "ReproducedRow",

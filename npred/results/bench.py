@@ -8,8 +8,7 @@ from npred.results.base import Number, Result
 class Timing(Result):
     """A timed predictor; times in microseconds per call."""
 
-    #: `published` (the O(nx²) interpreted one), `euler_python`, `euler`, `heun`, `rk4`, or a network
-    predictor: str
+    predictor: str  #: a method, a network, or a baseline, as `published` (the O(nx²) interpreted one)
     runtime: str  #: `python`, `compiled`, `torch`, `onnx` or `fused`
     dx: float  #: the spacing of the nodes
     batch: int  #: rows per call

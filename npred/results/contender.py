@@ -13,40 +13,32 @@ from npred.registry import NETWORKS
 class Contender:
     """A predictor of a comparison; `epoch` is that of a snapshot, None for the final weights and for numerics.
 
-    `refined`: a network as the stage refine leaves it.
-
     `rank` counts the networks of a result that are not built in, by name: what tells them apart in figures.
     """
 
     model: str
     epoch: int | None = None
     rank: int = field(default=0, compare=False)
-    refined: bool = False
 
     @classmethod
     def parse(cls, name: "str | Contender") -> "Contender":
-        """The contender of a name. Raises ValueError where what follows the @ is no epoch, and not `refined`."""
+        """The contender of a name. Raises ValueError where what follows the @ is no epoch."""
         if isinstance(name, Contender):
             return name
         model, at, epoch = name.rpartition("@")
-        if at and epoch == "refined":
-            return cls(model, refined=True)
         if at and not (epoch.isascii() and epoch.isdigit()):
             raise ValueError(f"expected an epoch after @, got {epoch!r}; for example deeponet@107")
         return cls(model, int(epoch)) if at else cls(name)
 
     @property
     def name(self) -> str:
-        """Its name in results: deeponet@107, deeponet@refined, numerical, no_adaptation."""
-        which = "refined" if self.refined else self.epoch
-        return self.model if which is None else f"{self.model}@{which}"
+        """Its name in results: deeponet@107, numerical, no_adaptation."""
+        return self.model if self.epoch is None else f"{self.model}@{self.epoch}"
 
     @property
     def label(self) -> str:
         """Its label for people: DeepONet, epoch 107."""
         label = NETWORKS.label(self.model) if self.is_network else self.model.replace("_", " ")
-        if self.refined:
-            return f"{label}, refined"
         return label if self.epoch is None else f"{label}, epoch {self.epoch}"
 
     @property

@@ -17,7 +17,7 @@ def predictor(
     Raises ConfigError for another name or a class that is no Predictor, MissingError for onnx without its extra.
     """
     if runtime is None and device == "cpu" and lowering(operator) and not family_of(plant).refusal("fused"):
-        from npred.runtimes.loaded import Loaded  # it brings Numba
+        from npred.runtimes.loaded import Loaded  # it compiles
 
         return Loaded(plant, operator, nx, name=name)
     kind = RUNTIMES.subclass("runtime", runtime or "torch", Predictor)

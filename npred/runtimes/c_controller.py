@@ -280,7 +280,7 @@ class _Writer:
         return fill(text, vector="\n".join(lines).splitlines()).splitlines()
 
 
-def _predict(controller: Controller, precision: str) -> Kernel:
+def _predict(controller: Controller, precision: str) -> Any:
     """The kernel of the prediction; that of a network in the precision of the file."""
     model: Any = bare(controller.predictor)
     if precision == "float" and hasattr(model, "operator"):

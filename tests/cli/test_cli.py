@@ -19,7 +19,7 @@ import npred
 from npred.cli import inspect
 from npred.registry import STAGES
 from npred.results import Evaluated
-from npred.store import Question, Store
+from npred.store import Question, ResultInput, Store
 
 
 def actions(result: Result) -> dict[str, str]:
@@ -205,6 +205,26 @@ def test_nothing_in_a_result_moves_the_cursor(call: Call):
         assert done.exit_code == 0
         assert [line for line in done.stdout.splitlines() if not line.isprintable()] == []
     assert r"\x1b[2J\x9b1m\n" in call("show").stdout
+
+
+def test_a_result_of_a_stage_that_was_taken_out_is_shown_and_collected_as_any_other(call: Call):
+    call("train", "tiny.toml")
+    store = Store(Path("artifacts"))
+    there = len(store.artifacts())
+    sources = {name: ResultInput(key=a.manifest.key, digest=a.manifest.digest)
+               for name, a in (("generate", store.find("generate")), ("fno", store.find("fno")))}  # fmt: skip
+    asked = Question(stage="refine", version=2, model="fno", config={"refine": {"epochs": 20}}, inputs=sources)
+    with store.draft("refine", asked.key) as folder:
+        (folder / "result.json").write_text('{"epochs": 20}')
+        store.commit(folder, asked, "tiny")
+    assert document(call("ls", "--json"))["artifacts"][-1]["stage"] == "refine"
+    assert "epochs = 20" in call("show", f"refine/{asked.key[:8]}").stdout
+    for command in (["status", "tiny.toml"], ["why", "train", "tiny.toml"], ["verify"], ["train", "tiny.toml"]):
+        assert call(*command).exit_code == 0
+    (row,) = document(call("gc", "tiny.toml", "--yes", "--json"))["plan"]
+    assert row["path"].endswith(asked.key) and len(store.artifacts()) == there
+    done = call("refine", "tiny.toml")
+    assert (done.exit_code, "No such command 'refine'" in done.stderr) == (2, True)
 
 
 def test_a_summary_moves_no_cursor():

@@ -64,6 +64,7 @@ def test_a_name_that_is_none_is_told(name):
 )
 def test_a_copy_of_a_plant_is_the_plant(source: str):
     spec = json.loads(call("init", "my_copy", "--from", source, "--json").stdout)["plant"]
+    assert config.load(Path("my_copy.toml")).files == ["my_copy.py"]  # none that lies beside npred's pipeline
     pipeline, copy, plant = config.load(Path("my_copy.toml")), plants.resolve(spec), plants.resolve(source)
     assert (pipeline.name, pipeline.plant) == ("my_copy", "my_copy.py:MyCopy")
     require(copy, pipeline, ("generate", "train", "evaluate", "bench"))

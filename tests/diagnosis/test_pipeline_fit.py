@@ -89,7 +89,7 @@ def test_what_does_not_fit_is_told(tables, message):
         ("bench", {"bench": {"batches": [10**10]}}, "bench.dx, bench.batches"),
         ("bench", {"bench": {"calls": 10**12}}, "bench.calls"),
         ("certify", {"certify": {"restarts": 10**9}}, "certify.restarts, certify.steps"),
-        ("refine", {"certify": {"steps": 10**9}}, "certify.restarts, certify.steps"),
+        ("certify", {"certify": {"steps": 10**9}}, "certify.restarts, certify.steps"),
         ("train", {"train": {"deeponet": {"width": 10**9}}}, "train.deeponet.width"),
     ],
 )

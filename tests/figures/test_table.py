@@ -12,10 +12,9 @@ from result_samples import timing
 from npred import plants
 from npred.figures.style import power, short
 from npred.figures.table import Column, Table
-from npred.results import Certified, Evaluated, Refined, Trained
+from npred.results import Certified, Evaluated, Trained
 from npred.results.base import Result
 from npred.results.certify import Certificate
-from npred.results.refine import Refinement
 from npred.stages.report import tables
 
 ERRORS = Table(
@@ -184,16 +183,7 @@ def test_each_number_of_a_certificate_is_below_the_head_that_names_it():
     )
 
 
-def test_each_number_of_a_refinement_and_of_a_training_is_below_the_head_that_names_it():
-    after = numbered(Refinement, 101, certificate=CERTIFICATE, hostile={})
-    refined = numbered(Refined, 201, model="fno", models={"fno@refined": after})
-    heads = {"mean square, held out": "mse", "ε sup": "eps_sup", "fallback in hostile loops": "fallback",
-             f"lost of {refined['loops']}": "lost", "guarded": "lost_guarded"}  # fmt: skip
-    certified = {"ε_{κ} of fresh rollouts": "eps_kappa", "adversary": "adversarial", "blind spots": "blind",
-                 "its median": "adversarial_median"}  # fmt: skip
-    row = last_row(tables.refined([Refined.of(refined, "a test")]))
-    del row["network"]
-    assert row == {h: after[k] for h, k in heads.items()} | {h: CERTIFICATE[k] for h, k in certified.items()}
+def test_each_number_of_a_training_is_below_the_head_that_names_it():
     trained = numbered(Trained, model="fno")
     assert last_row(tables.training({"fno": Trained.of(trained, "a test")})) == {
         "network": "FNO", **{name: trained[name] for name in ("parameters", "samples", "epochs")},

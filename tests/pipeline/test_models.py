@@ -96,26 +96,3 @@ def test_every_network_is_evaluated_timed_drawn_and_exported_but_not_to_c(file: 
     assert "export c: expected a network that can be lowered (deeponet, fno), got Plain; use npred export onnx" in said
     with pytest.raises(ConfigError, match=r"^fused: expected a network that can be lowered .* got mine; "):
         npred.load(f"{file}:mine", runtime="fused")
-
-
-@pytest.mark.slow
-def test_a_refined_network_is_loaded_by_its_name_and_the_trained_one_by_its_own(tmp_path: Path, monkeypatch):
-    monkeypatch.setenv("NPRED_STORE", str(tmp_path / "store"))
-    tiny = {"probability": 0.3, "confidence": 0.8, "samples": 5, "restarts": 8, "steps": 4, "loops": 2}
-    tables = {"certify": tiny, "refine": {"adversary": 80, "fallbacks": 20, "epochs": 2, "loops": 2}}
-    path = tmp_path / "tiny.toml"
-    path.write_text(toml_text.dumps({"plant": "activator_repressor"} | SMALL | tables))
-    done = call("refine", path, "--model", "deeponet", "--json")
-    assert done.exit_code == 0, done.output
-    document = json.loads(done.stdout)
-    assert [row["stage"] for row in document["stages"]] == ["generate", "train", "refine"]
-    assert set(document["result"]["deeponet"]["models"]) == {"deeponet", "deeponet@refined"}
-    trained, refined, latest = (npred.load(f"{path}:deeponet{end}", nx=21) for end in ("", "@refined", ""))
-    arguments = [0.03, 30.0], [[0.1]] * 21, 1.0
-    assert (trained(*arguments) == latest(*arguments)).all() and (trained(*arguments) != refined(*arguments)).any()
-    key = document["stages"][-1]["key"]
-    assert (npred.load(f"refine/{key}", nx=21)(*arguments) == refined(*arguments)).all()
-    with pytest.raises(ConfigError, match=r"expected a trained model .*run npred refine .* --model fno"):
-        npred.load(f"{path}:fno@refined")
-    assert json.loads(call("show", "deeponet", "--json").stdout)["manifest"]["question"]["stage"] == "train"
-    assert "refine deeponet" in call("refine", path, "--model", "deeponet", "--dry-run").stdout

@@ -13,7 +13,6 @@ from npred.loop.adaptation import DelayAdaptation
 from npred.loop.closed_loop import simulate
 from npred.loop.controller import Controller
 from npred.plants.black_box import BlackBox
-from npred.predictors.interpreted import EulerPython, Published
 from npred.runtimes import c, onnx
 from npred.stages import train
 from npred.stages.evaluate import evaluate
@@ -289,14 +288,6 @@ def test_exports_that_write_the_law_out_refuse_it(plant):
         pytest.importorskip(package)
     with pytest.raises(ConfigError, match="onnx: expected a plant that is traced, Box says traced = False"):
         onnx.graph(None, plant, 11)  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize("baseline", [Published, EulerPython])
-def test_interpreted_baselines_call_it_too(plant, baseline):
-    X, u = np.array([0.1, 0.0, 0.05, 0.0]), np.full((5, 1), 0.3)
-    np.testing.assert_allclose(
-        baseline(plant, 5)(X, u, 0.2), predictors.numerical("euler", TRACED, 5)(X, u, 0.2), rtol=1e-12
-    )
 
 
 def test_a_class_of_no_file_is_reported():

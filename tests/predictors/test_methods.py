@@ -16,7 +16,7 @@ from npred.errors import ConfigError
 from npred.loop.closed_loop import simulate
 from npred.pipeline import stage_registry
 from npred.predictors import OneStep
-from npred.registry import INTERPRETED, METHODS
+from npred.registry import METHODS
 from npred.stages.bench import candidates
 from npred.stages.generate import generate
 
@@ -110,9 +110,20 @@ def test_a_method_of_a_file_enters_keys_by_what_it_holds(ralston):
 def test_the_times_of_a_bench_are_of_the_methods_that_there_are(monkeypatch):
     """A method that is built in later is timed too: a result without it is not the answer."""
     before = question("bench")
-    assert before["methods"] == [*INTERPRETED.builtin, *METHODS.builtin]
+    assert before["methods"] == [*METHODS.builtin]
     monkeypatch.setitem(METHODS.builtin, "euler_again", METHODS.builtin["euler"])
     assert question("bench")["methods"] == [*before["methods"], "euler_again"]
+
+
+def test_the_times_of_a_bench_are_of_the_baselines_as_their_files_are(tmp_path: Path):
+    file = tmp_path / "plain.py"
+    file.write_text("class Plain: pass\n")
+    plain, named = question("bench"), question("bench", bench={"baselines": [f"{file}:Plain"]})
+    assert "baselines" not in plain["bench"] and named["bench"]["baselines"][0]["name"] == "Plain"
+    file.write_text("class Plain: speed = 1\n")
+    assert question("bench", bench={"baselines": [f"{file}:Plain"]}) != named
+    with pytest.raises(ConfigError, match=r"bench.baselines.*expected a class of a file as my_file.py:Name, got 'rk4'"):
+        question("bench", bench={"baselines": ["rk4"]})
 
 
 def test_a_method_of_a_package_has_a_name(package):

@@ -18,7 +18,6 @@ from npred.errors import ConfigError, DivergedError
 from npred.loop.closed_loop import simulate
 from npred.loop.controller import Controller
 from npred.predictors import RK4, Euler, Picard, Predictor
-from npred.predictors.interpreted import EulerPython, Published
 from npred.registry import METHODS
 from npred.runtimes import predictor as predictor_of
 
@@ -132,21 +131,6 @@ def test_few_nodes(nx):
     np.testing.assert_allclose(P[:, 0], exact, atol=1e-3 if nx == 2 else 1e-4)
 
 
-@pytest.mark.parametrize("baseline", [EulerPython, Published])
-def test_interpreted_baselines_equal_euler(baseline):
-    golden, nx = case("B"), 41
-    u = golden.u(grid.nodes(nx))[:, None]
-    np.testing.assert_allclose(baseline(PLANT, nx)(golden.X, u, 1.0), Euler(PLANT, nx)(golden.X, u, 1.0), rtol=1e-12)
-
-
-def test_an_interpreted_prediction_that_leaves_the_floats_is_nan_from_there_on():
-    stiff = plants.resolve("planar_arm2", {"friction": 1e4})
-    X, u, D_hat = np.full((1, stiff.n), 0.1), np.zeros((1, 201, stiff.m)), np.ones(1)
-    compiled, interpreted = Euler(stiff, 201), EulerPython(stiff, 201)
-    P, Q = (np.isfinite(one.predict(X, u, D_hat, np.zeros(1))).all(axis=2)[0] for one in (compiled, interpreted))
-    assert P[0] and not P[-1] and (P == Q).all()
-
-
 @pytest.mark.parametrize(
     ("X", "u", "message"),
     [
@@ -177,7 +161,7 @@ def test_picard_that_does_not_contract_says_so():
 
 
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("kind", [RK4, EulerPython, "own"])
+@pytest.mark.parametrize("kind", [RK4, "own"])
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -235,7 +219,7 @@ def test_a_predictor_of_ones_own_may_not_write_to_the_loop_nor_return_another_sh
             act()
 
 
-@pytest.mark.parametrize("kind", [*map(predictors.method, SERVED), EulerPython, Published, Bent])
+@pytest.mark.parametrize("kind", [*map(predictors.method, SERVED), Bent])
 def test_a_predictor_pickles_without_what_it_compiled(kind):
     predictor, u = kind(SCALAR, 5), np.linspace(0, 1, 5)[:, None]
     P = predictor([1.0], u, 0.4)

@@ -23,7 +23,6 @@ def test_a_name_is_read_back(model: str, epoch: int | None):
         ("deeponet", "DeepONet"),
         ("fno@20", "FNO, epoch 20"),
         ("my_net@3", "my_net, epoch 3"),
-        ("deeponet@refined", "DeepONet, refined"),
     ],
 )
 def test_labels_are_the_registrys_and_a_networks_own_name_elsewhere(name: str, label: str):
@@ -35,12 +34,6 @@ def test_networks_are_all_but_the_two():
         False, False, True, True,
     ]  # fmt: skip
     assert NUMERICAL.adapts and Contender("fno").adapts and not NO_ADAPTATION.adapts
-
-
-def test_a_refined_network_is_another_contender_than_the_trained_one():
-    refined = Contender.parse("fno@refined")
-    assert refined == Contender("fno", refined=True) != Contender("fno") and refined.is_network and refined.adapts
-    assert refined.name == "fno@refined" and Contender.parse(refined.name) == refined
 
 
 @pytest.mark.parametrize("name", ["fno@", "fno@last", "fno@-1", "fno@²"])

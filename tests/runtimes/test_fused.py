@@ -46,13 +46,6 @@ def test_equals_the_torch_model_in_double_precision(config):
     np.testing.assert_allclose(fused(X, u, D_hat), Neural(PLANT, model, 21)(X, u, D_hat), rtol=1e-11)
 
 
-def test_weights_of_any_size_are_kept_on_the_disk(recwarn):
-    """Numba by itself caches no function that reads a global array of over 1 MB."""
-    wide = operator(DeepONet(width=360, depth=3, basis=4, trunk=8, moments=4))
-    Fused(PLANT, wide, 5).lanes()
-    assert not [w for w in recwarn if "Cannot cache" in str(w.message)]
-
-
 @pytest.mark.parametrize("nx", [2, 103])
 def test_any_grid_in_a_call(nx):
     for config in SMALL:

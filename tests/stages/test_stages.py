@@ -11,6 +11,7 @@ import h5py
 import numpy as np
 import pytest
 import torch
+from conftest import HERE
 from jobs import job, tables, trained
 
 from npred import config, operators, plants
@@ -25,11 +26,12 @@ from npred.results import Benched, Contender, Evaluated
 from npred.results.bench import Stops
 from npred.stages import train
 from npred.stages.bench import bench, timing_tables
-from npred.stages.evaluate import accuracy, convergence_map, coverage, evaluate, initial_conditions
+from npred.stages.evaluate import accuracy, convergence_map, coverage, evaluate
 from npred.stages.generate import generate
 
 PLANT = plants.resolve("activator_repressor")
 FNO = Contender("fno")
+BASELINES = [f"{HERE.parent}/pipeline/interpreted.py:{name}" for name in ("Published", "EulerPython")]
 
 
 @pytest.fixture(scope="module")
@@ -205,22 +207,6 @@ def test_evaluation_gives_the_same_bytes_again(evaluated, made, tmp_path):
         assert (again.folder / name).read_bytes() == (first.folder / name).read_bytes()
 
 
-def test_starts_are_figure_1_then_cases_then_the_map():
-    tables_ = tables(evaluate={"map_D": [0.5, 1.5], "map_D_hat0": [0.6, 0.7, 0.8]})
-    begin = initial_conditions.starts(config.parse(tables_ | {"seed": 0}, "tests"), PLANT)
-    assert begin.D_hat0.tolist() == [2.0, 0.8, 1.2, 0.8, 1.2, 0.6, 0.7, 0.8, 0.6, 0.7, 0.8]
-    assert begin.D.tolist() == [1.0] * 5 + [0.5] * 3 + [1.5] * 3
-    np.testing.assert_array_equal(begin.X0[begin.map], np.tile([0.03, 30.0], (6, 1)))
-    np.testing.assert_array_equal(begin.X0[1], begin.X0[2])
-    assert (begin.X0[begin.cases, 1] >= 25).all() and (begin.X0[begin.cases, 1] <= 35).all()
-
-
-def test_the_pipelines_box_is_for_states_that_the_plant_has_none_for():
-    pipeline = config.parse({"plant": PLANT.name, "generate": {"box": {"x1": [0.5, 0.7], "x2": [3.0, 4.0]}}}, "tests")
-    boxless = types.SimpleNamespace(states=PLANT.states, box={"x2": (1.0, 2.0)})
-    np.testing.assert_array_equal(initial_conditions.box(boxless, pipeline), [[0.5, 0.7], [1.0, 2.0]])
-
-
 def test_map_and_coverage_of_known_loops():
     """Three loops at rest and one far away; the reference loses one that the contender brings home."""
     t, rest = np.linspace(0, 1, 11), np.tile(PLANT.equilibrium, (4, 11, 1))
@@ -287,7 +273,7 @@ def dataset(X, u, D_hat):
 
 @pytest.fixture(scope="module")
 def benched(made, tmp_path_factory):
-    task = job(tmp_path_factory.mktemp("bench"), "bench", inputs=made)
+    task = job(tmp_path_factory.mktemp("bench"), "bench", inputs=made, bench={"baselines": BASELINES})
     return task, bench.run(task).json_object()
 
 

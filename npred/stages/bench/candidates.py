@@ -9,6 +9,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from npred import grid, operators, randomness, runtimes
+from npred.conditions import box
 from npred.config import Bench, Pipeline
 from npred.data.dataset import Dataset
 from npred.delays import family_of
@@ -18,10 +19,9 @@ from npred.parallel import devices
 from npred.plants import Plant
 from npred.predictors import RK4, OneStep, Predictor, method
 from npred.predictors.rollout import Rollout
-from npred.registry import INTERPRETED, called
+from npred.registry import BASELINES, called
 from npred.runtimes.lower import lowering
 from npred.stages import Job
-from npred.stages.evaluate.initial_conditions import box
 
 FINE = 2001  # nodes of the reference
 PROBES = 200  # held-out samples that a row's error is taken over
@@ -130,7 +130,9 @@ def entries(job: Job, reference: Reference) -> list[Candidate]:
     rows: list[Candidate] = []
     for batch in config.batches:
         for nx in map(grid.count, config.dx if batch == 1 else config.dx[:1]):
-            rows += _numerical(job.plant, methods, nx, batch)
+            baselines = config.baselines if batch == 1 else []
+            rows += [_baseline(job.plant, spec, nx) for spec in baselines]
+            rows += [Candidate(name, "compiled", nx, batch, kind(job.plant, nx)) for name, kind in methods.items()]
             for name in networks:
                 rows += [Candidate(name, called(way), nx, batch, run(name, way, nx)) for way in ways[name]]
                 rows += _on_device(job, name, nx, batch)
@@ -192,12 +194,9 @@ def _ways(job: Job, name: str, operator: Operator, available: list[str]) -> list
     return [runtime for runtime in available if runtime != "fused"] or ["torch"]
 
 
-def _numerical(plant: Plant, methods: dict[str, Method], nx: int, batch: int) -> Iterator[Candidate]:
-    for name in INTERPRETED.builtin if batch == 1 else ():
-        if family_of(plant).refusal(name) is None:
-            yield Candidate(name, "python", nx, batch, INTERPRETED.load("bench", name)(plant, nx))
-    for name, kind in methods.items():
-        yield Candidate(name, "compiled", nx, batch, kind(plant, nx))
+def _baseline(plant: Plant, spec: str, nx: int) -> Candidate:
+    run = BASELINES.subclass("bench.baselines", spec, Predictor)(plant, nx)
+    return Candidate(run.name, "python", nx, 1, run)
 
 
 def _on_device(job: Job, name: str, nx: int, batch: int) -> Iterator[Candidate]:
@@ -211,7 +210,7 @@ def _on_device(job: Job, name: str, nx: int, batch: int) -> Iterator[Candidate]:
 def call(job: Job, entry: Candidate, count: int) -> Callable[[int], None]:
     """The k-th call as a loop makes it, on memory that is there: state at the box's corner, u(x) = x, D_hat random."""
     n, m, lanes = job.plant.n, job.plant.m, entry.batch
-    X = np.tile(box(job.plant, job.config)[:, :1], (1, lanes))
+    X = np.tile(box(job.plant, job.config.generate)[:, :1], (1, lanes))
     u = np.tile(grid.nodes(entry.nx)[:, None, None], (1, m, lanes))
     drawn = randomness.generator(job.config.seed, "bench").uniform(0.5, 1.7, count + lanes - 1)
     D_hat = np.lib.stride_tricks.sliding_window_view(drawn, lanes, writeable=True)  # (count, lanes), in little memory

@@ -2,18 +2,19 @@
 
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, NamedTuple
+from typing import Any
 
 import h5py
 import numpy as np
 import torch
 
 from npred import figures, randomness
+from npred.conditions import EVERY, Condition, box
 from npred.config import GuardTable
 from npred.data import shards
 from npred.data.dataset import Dataset
 from npred.delays import family_of
-from npred.loop import configured, metrics
+from npred.loop import metrics
 from npred.loop.closed_loop import Trajectories
 from npred.predictors import Predictor, numerical
 from npred.predictors.guarded import Guarded
@@ -24,8 +25,6 @@ from npred.stages.certify import adversary, blind_spots, rollouts
 from npred.stages.certify.input_set import Inputs
 from npred.stages.certify.rollouts import Calls, Rollouts
 from npred.stages.evaluate import networks
-from npred.stages.evaluate.initial_conditions import box
-from npred.stages.evaluate.scenarios import EVERY, LOST
 from npred.stages.generate import sampling
 from npred.terminal.console import columns
 
@@ -33,15 +32,6 @@ KEPT = 1000  # of the worst inputs
 NEAR = 0.3, 3.0  # of the tolerance: where the estimate decides
 QUANTILES = 0.01, 0.5, 0.99
 BOUNDED = 1000  # of the rollouts: their worst samples are bounded too
-
-
-class Found(NamedTuple):
-    """What is known of some networks, and from what: their rollouts, their adversaries' calls and errors."""
-
-    models: dict[Contender, Certificate]
-    rollouts: dict[Contender, Rollouts]
-    calls: dict[Contender, tuple[Calls, np.ndarray]]
-    lost: int  # of the nominal loops, with the numerical predictor
 
 
 def run(job: Job) -> Certified:
@@ -54,49 +44,42 @@ def run(job: Job) -> Certified:
     torch.set_num_threads(1)  # the same bits on any machine; another network takes the other cores
     exact, table = numerical(config.predictor, job.plant, config.nx), config.guard or GuardTable()
     guards = {
-        Contender(model): Guarded(networks.load(job, model, None, model), exact=exact, **dict(table))
-        for model in job.config.train.models
+        contender: Guarded(networks.load(job, contender), exact=exact, **dict(table))
+        for contender in map(Contender, job.config.train.models)
     }
-    data = shards.survey(job.inputs["generate"] / "data.h5")
-    certified = certificates(job, guards, exact, data)
-    by_rollout = {contender: fresh.errors for contender, fresh in certified.rollouts.items()}
-    with h5py.File(job.folder / "errors.h5", "w") as file:
-        for contender, errors in by_rollout.items():
-            file[contender.name] = errors
-    _write_worst(job, certified.calls)
-    result = Certified(
-        plant=job.plant.name,
-        loops=job.config.certify_table.loops,
-        lost_numerical=certified.lost,
-        models=certified.models,
-    )
-    if plate := figures.certified(job.plant, result, by_rollout):
-        figures.write(plate, job.folder)
-    return result
-
-
-def certificates(job: Job, guards: Mapping[Contender, Guarded], exact: Predictor, data: Dataset) -> Found:
-    """The certificates of guarded networks."""
     by_rollout = rollouts.judge(job, guards, exact)
     loops = _loops(job, exact, f"loops of {exact.name}")
-    with ThreadPoolExecutor(job.jobs) as pool:
-        searches = {contender: pool.submit(_search, job, data, guard.model) for contender, guard in guards.items()}
-        blind = {contender: pool.submit(_blind, job, data, guard, exact) for contender, guard in guards.items()}
-        runs = {contender: pool.submit(_both, job, guard) for contender, guard in guards.items()}
-        calls = {contender: search.result() for contender, search in searches.items()}
-        passes = {contender: search.result() for contender, search in blind.items()}
-        both = {contender: run.result() for contender, run in runs.items()}
+    calls, blind, both = _searches(job, guards, exact)
     models = {
         contender: Certificate(
             **_rollouts(job, by_rollout[contender]),
             **_bounds(guard, by_rollout[contender]),
             **_calls(guard, exact, *calls[contender]),
-            **passes[contender],
+            **blind[contender],
             **_behaviour(job, loops, *both[contender]),
         )
         for contender, guard in guards.items()
     }
-    return Found(models, by_rollout, calls, int(lost(job, loops).sum()))
+    errors = {contender: fresh.errors for contender, fresh in by_rollout.items()}
+    with h5py.File(job.folder / "errors.h5", "w") as file:
+        for contender, values in errors.items():
+            file[contender.name] = values
+    _write_worst(job, calls)
+    lost, count = int(_lost(job, loops).sum()), job.config.certify_table.loops
+    result = Certified(plant=job.plant.name, loops=count, lost_numerical=lost, models=models)
+    if plate := figures.certified(job.plant, result, errors):
+        figures.write(plate, job.folder)
+    return result
+
+
+def _searches(job: Job, guards: Mapping[Contender, Guarded], exact: Predictor) -> tuple[dict[Contender, Any], ...]:
+    """Of each network the adversary's calls, what a search for blind spots finds, and the loops, bare and guarded."""
+    data = shards.survey(job.inputs["generate"] / "data.h5")
+    with ThreadPoolExecutor(job.jobs) as pool:
+        searches = {contender: pool.submit(_search, job, data, guard.model) for contender, guard in guards.items()}
+        blind = {contender: pool.submit(_blind, job, data, guard, exact) for contender, guard in guards.items()}
+        runs = {contender: pool.submit(_both, job, guard) for contender, guard in guards.items()}
+        return tuple({c: done.result() for c, done in tasks.items()} for tasks in (searches, blind, runs))
 
 
 def summary(result: Certified, width: int | None = None) -> str:
@@ -119,14 +102,14 @@ def summary(result: Certified, width: int | None = None) -> str:
 
 
 def _search(job: Job, data: Dataset, network: Predictor) -> tuple[Calls, np.ndarray]:
-    table, inputs = job.config.certify_table, Inputs.of(data, box(job.plant, job.config), job.plant)
+    table, inputs = job.config.certify_table, Inputs.of(data, box(job.plant, job.config.generate), job.plant)
     with job.progress.bar(f"adversary {network.name}", table.restarts * table.steps, "calls") as bar:
         return adversary.search(job.plant, network, data, inputs, table, job.config.seed, bar.advance)
 
 
 def _blind(job: Job, data: Dataset, guard: Guarded, exact: Predictor) -> dict[str, Any]:
     """What a search for blind spots finds that the guard lets pass."""
-    table, inputs = job.config.certify_table, Inputs.of(data, box(job.plant, job.config), job.plant)
+    table, inputs = job.config.certify_table, Inputs.of(data, box(job.plant, job.config.generate), job.plant)
     with job.progress.bar(f"blind spots of {guard.name}", table.restarts * table.steps, "calls") as bar:
         calls, _ = blind_spots.search(guard, exact, data, inputs, table, job.config.seed, bar.advance)
     true, _, passed = rollouts.judged(guard, exact, *calls)
@@ -186,29 +169,25 @@ def _loops(job: Job, predictor: Predictor, title: str) -> Trajectories:
     config, number = job.config.evaluate, job.config.certify_table.loops
     pipeline = rollouts.fresh(job.config, job.config.certify_table, number)
     X0, D, D_hat, _ = sampling.starts(pipeline.seed, pipeline.generate, job.plant, range(number))
-    with job.progress.bar(title, number * (round(config.case_t_end / config.dt) + 1), "steps") as bar:
-        return configured.loops(
-            job.plant, predictor, config, D=D, D_hat=D_hat, X0=X0, t_end=config.case_t_end,
-            seed=randomness.integer(pipeline.seed, "noise"), every=EVERY, progress=bar.advance,
-        )  # fmt: skip
+    nominal = Condition(config, X0, D, D_hat, config.case_t_end, randomness.integer(pipeline.seed, "noise"))
+    with job.progress.bar(title, nominal.steps, "steps") as bar:
+        return nominal.loops(job.plant, predictor, every=EVERY, progress=bar.advance)
 
 
 def _behaviour(job: Job, loops: Trajectories, bare: Trajectories, guarded: Trajectories) -> dict[str, Any]:
     """What a network's loops do beside those of the numerical predictor."""
-    kept = ~lost(job, loops)
+    kept = ~_lost(job, loops)
     return {
-        "lost": int((lost(job, bare) & kept).sum()),
-        "lost_guarded": int((lost(job, guarded) & kept).sum()),
+        "lost": int((_lost(job, bare) & kept).sum()),
+        "lost_guarded": int((_lost(job, guarded) & kept).sum()),
         "peak": _peak(job, bare) / _peak(job, loops),
         "peak_guarded": _peak(job, guarded) / _peak(job, loops),
         "fallback": guarded.fallback_share,
     }
 
 
-def lost(job: Job, loops: Trajectories) -> np.ndarray:
-    """Which of the loops (B,) end further from rest than LOST of its size."""
-    target = job.plant.target(loops.t)
-    return ~(metrics.radius(loops, target) <= LOST * metrics.size(target))
+def _lost(job: Job, loops: Trajectories) -> np.ndarray:
+    return metrics.lost(loops, job.plant.target(loops.t))
 
 
 def _peak(job: Job, loops: Trajectories) -> float:

@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 
 from npred import figures, randomness
+from npred.conditions import EVERY, Condition, Starts, starts
 from npred.config import FROZEN, Evaluate
 from npred.data import shards
 from npred.data.dataset import Dataset
-from npred.loop import configured, metrics
+from npred.loop import metrics
 from npred.loop.closed_loop import Trajectories
 from npred.loop.trajectory_views import at_bound
 from npred.plants import Plant
@@ -32,9 +33,7 @@ from npred.stages.evaluate import (
     summary_tables,
 )
 from npred.stages.evaluate.accuracy import EXACT, Labelled
-from npred.stages.evaluate.initial_conditions import Starts, starts
 
-EVERY = 10  # control steps between two kept states
 FALLBACKS = 0.05  # share of steps with the numerical predictor, above which a guarded network is warned of
 SHARE = 6  # loops of a compiled predictor in a task
 summary, details = summary_tables.summary, summary_tables.details
@@ -105,10 +104,8 @@ def _predictors(job: Job) -> dict[Contender, Predictor]:
     for model in job.config.train.models:
         for snapshot in [*job.config.train.table(model).snapshots, None]:
             contender = Contender(model, snapshot)
-            network = networks.load(job, model, snapshot, contender.name)
-            predictors[contender] = network
-            if guard := config.guard:
-                predictors[contender] = Guarded(network, exact=exact, **dict(guard))
+            network, guard = networks.load(job, contender), config.guard
+            predictors[contender] = Guarded(network, exact=exact, **dict(guard)) if guard else network
     return predictors
 
 
@@ -126,7 +123,8 @@ def _all_loops(
         predictor.lanes()  # compiled here, once, not by threads side by side
     adapting = [c for c in predictors if c.adapts]  # with D_hat = D adaptation makes no difference
     total = sum(begin.of(contender) for contender in predictors) * (round(config.case_t_end / config.dt) + 1)
-    total += len(adapting) * in_loop.steps(config, begin)
+    at_D = in_loop.condition(job.config, begin)
+    total += len(adapting) * at_D.steps
     with job.progress.bar("evaluate", total, "steps") as bar, ThreadPoolExecutor(job.jobs) as pool:
         try:
             tasks = {
@@ -134,7 +132,7 @@ def _all_loops(
                     for part in _shares(predictor, begin.of(c))]
                 for c, predictor in predictors.items()
             }  # fmt: skip
-            checks = {c: pool.submit(in_loop.error, job, predictors[c], begin, bar.advance) for c in adapting}
+            checks = {c: pool.submit(in_loop.error, job.plant, predictors[c], at_D, bar.advance) for c in adapting}
             loops = {c: Trajectories.joined([done.result() for done in parts]) for c, parts in tasks.items()}
             errors = {c: done.result() for c, done in checks.items()}
             return loops, errors | {NO_ADAPTATION: errors[NUMERICAL]}
@@ -155,11 +153,9 @@ def _loops(
 ) -> Trajectories:
     config = job.config.evaluate
     taken = None if contender.is_network else accuracy.sample_steps(job.config.seed, config, begin.of(contender))[part]
-    return configured.loops(
-        job.plant, predictor, config, D=begin.D[part], D_hat=begin.D_hat0[part], X0=begin.X0[part],
-        t_end=config.case_t_end, adapts=contender.adapts, seed=randomness.integer(job.config.seed, "evaluate", "noise"),
-        first=part.start, every=EVERY, samples=taken, progress=progress,
-    )  # fmt: skip
+    seed = randomness.integer(job.config.seed, "evaluate", "noise")
+    whole = Condition(config, begin.X0, begin.D, begin.D_hat0, config.case_t_end, seed, adapts=contender.adapts)
+    return whole.part(part).loops(job.plant, predictor, every=EVERY, samples=taken, progress=progress)
 
 
 def _behaviour(

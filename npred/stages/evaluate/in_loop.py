@@ -10,13 +10,12 @@ from collections.abc import Callable
 import numpy as np
 
 from npred import randomness
-from npred.config import Evaluate
-from npred.loop import configured, metrics
+from npred.conditions import Condition, Starts
+from npred.config import Evaluate, Pipeline
+from npred.loop import metrics
 from npred.plants import Plant
 from npred.predictors import Predictor
 from npred.results.evaluate import InLoop
-from npred.stages import Job
-from npred.stages.evaluate.initial_conditions import Starts
 
 LONGEST = 40.0  # seconds of a loop: transients are over by then
 SHORTEST = 4  # delays: two of them pass before the error is taken, and the last one has nothing to compare with
@@ -37,19 +36,17 @@ def states(begin: Starts) -> np.ndarray:
     return np.concatenate([begin.X0[:1], begin.X0[begin.cases][:: begin.repeats]])
 
 
-def steps(config: Evaluate, begin: Starts) -> int:
-    """The control steps of one contender's loops."""
-    return len(states(begin)) * (round(length(config) / config.dt) + 1)
+def condition(pipeline: Pipeline, begin: Starts) -> Condition:
+    """Loops in which D_hat = D throughout."""
+    config, D = pipeline.evaluate, delay(pipeline.evaluate)
+    seed = randomness.integer(pipeline.seed, "evaluate", "in the loop")
+    return Condition(config, states(begin), D, D, length(config), seed, adapts=False)
 
 
-def error(job: Job, predictor: Predictor, begin: Starts, progress: Callable[[int], None]) -> float:
-    """The largest metrics.in_loop of loops in which D_hat = D throughout; infinite where one is lost."""
-    config, D = job.config.evaluate, delay(job.config.evaluate)
-    loops = configured.loops(
-        job.plant, predictor, config, D=D, D_hat=D, X0=states(begin), t_end=length(config), adapts=False,
-        seed=randomness.integer(job.config.seed, "evaluate", "in the loop"), progress=progress,
-    )  # fmt: skip
-    errors = metrics.in_loop_declared(loops) if job.plant.declares_delay else metrics.in_loop(loops, D)
+def error(plant: Plant, predictor: Predictor, at_D: Condition, progress: Callable[[int], None]) -> float:
+    """The largest metrics.in_loop of the loops of `condition`; infinite where one is lost."""
+    loops = at_D.loops(plant, predictor, progress=progress)
+    errors = metrics.in_loop_declared(loops) if plant.declares_delay else metrics.in_loop(loops, at_D.D)
     return float(errors.max())
 
 

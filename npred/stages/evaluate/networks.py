@@ -3,10 +3,11 @@
 import numpy as np
 
 from npred.predictors import Predictor
+from npred.results import Contender
 from npred.stages import Job
 
 
-def load(job: Job, model: str, snapshot: int | None, name: str) -> Predictor:
+def load(job: Job, contender: Contender) -> Predictor:
     """The fused network, as it is deployed but in double precision: in float32 an FNO's loops end 3e-6 away.
 
     A network that cannot be lowered is evaluated by torch.
@@ -18,8 +19,9 @@ def load(job: Job, model: str, snapshot: int | None, name: str) -> Predictor:
     from npred.runtimes.fused import Fused
     from npred.runtimes.lower import lowering
 
-    operator = operators.load(job.inputs[model], job.plant, snapshot, torch.float64, job.config.train.table(model))
-    if not lowering(operator) and snapshot is None:
+    model, epoch, name = contender.model, contender.epoch, contender.name
+    operator = operators.load(job.inputs[model], job.plant, epoch, torch.float64, job.config.train.table(model))
+    if not lowering(operator) and epoch is None:
         job.progress.note(f"evaluate: {model} is evaluated by torch, for it has no fused form")
     if job.device == "cpu" and lowering(operator):
         return Fused(job.plant, operator, job.config.evaluate.nx, name, precision=np.float64)

@@ -1,14 +1,12 @@
 """The cases under other conditions: sensors, parameters, disturbances and delays that are not those of the model."""
 
-import math
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from npred import randomness
-from npred.config import Evaluate, Scenario
-from npred.loop import configured, metrics
+from npred.conditions import EVERY, Condition, scenarios
+from npred.loop import metrics
 from npred.loop.closed_loop import Trajectories
 from npred.plants import Plant
 from npred.predictors import Predictor
@@ -16,11 +14,7 @@ from npred.results import Contender
 from npred.results.evaluate import Behaviour, Conditions, Radii
 from npred.stages import Job
 from npred.stages.evaluate import overtaking
-from npred.stages.evaluate.initial_conditions import starts
 from npred.stages.evaluate.overtaking import Ended
-
-EVERY = 10  # control steps between two kept states
-LOST = 0.2  # of the size of the target: a loop that ends further away is lost
 
 
 def run(job: Job, predictors: Mapping[Contender, Predictor]) -> list[Conditions]:
@@ -30,13 +24,13 @@ def run(job: Job, predictors: Mapping[Contender, Predictor]) -> list[Conditions]
     """
     config = job.config.evaluate
     compared = {c: predictor for c, predictor in predictors.items() if c.adapts and c.epoch is None}
-    tables = [(scenario, conditions(job.plant, config, scenario)) for scenario in config.scenarios]
-    total = sum(_steps(job, table) for _, table in tables) * len(compared)
+    conditions = [scenarios.condition(job.plant, job.config, scenario) for scenario in config.scenarios]
+    total = sum(condition.steps for condition in conditions) * len(compared)
     with job.progress.bar("scenarios", total, "steps") as bar, ThreadPoolExecutor(job.jobs) as pool:
         try:
             tasks = [
-                {c: pool.submit(_behaviour, job, scenario, table, p, bar.advance) for c, p in compared.items()}
-                for scenario, table in tables
+                {c: pool.submit(_behaviour, job, condition, p, bar.advance) for c, p in compared.items()}
+                for condition in conditions
             ]
             results = [{c: task.result() for c, task in by_name.items()} for by_name in tasks]
         except BaseException:
@@ -50,41 +44,11 @@ def run(job: Job, predictors: Mapping[Contender, Predictor]) -> list[Conditions]
     return [Conditions(name=scenario.name, models=models) for scenario, models in pairs]
 
 
-def conditions(plant: Plant, config: Evaluate, scenario: Scenario) -> Evaluate:
-    """The table [evaluate] under a scenario, `parameters_scale` included; drifts and jumps of D aside."""
-    table = config.under(scenario)
-    if scenario.parameters_scale is None:
-        return table
-    scaled = {name: scenario.parameters_scale * value for name, value in (plant.parameters | table.truth).items()}
-    return table.model_copy(update={"truth": scaled})
-
-
-def delay(config: Evaluate, scenario: Scenario) -> Callable[[float], float] | float:
-    """The true delay in seconds: D, or a function of t."""
-    D, drift, jump = config.D, scenario.drift, scenario.jump
-    if drift:
-        return lambda t: D + drift.amplitude * math.sin(2 * math.pi * t / drift.period)
-    if jump:
-        return lambda t: D if t < jump.at else jump.to
-    return D
-
-
-def _steps(job: Job, table: Evaluate) -> int:
-    """The control steps of one contender's loops."""
-    cases = starts(job.config.model_copy(update={"evaluate": table}), job.plant).cases
-    return (cases.stop - cases.start) * (round(table.case_t_end / table.dt) + 1)
-
-
 def _behaviour(
-    job: Job, scenario: Scenario, table: Evaluate, predictor: Predictor, progress: Callable[[int], None]
+    job: Job, condition: Condition, predictor: Predictor, progress: Callable[[int], None]
 ) -> tuple[Behaviour, Ended]:
-    plant, D = job.plant, delay(table, scenario)
-    begin = starts(job.config.model_copy(update={"evaluate": table}), plant)
-    loops = configured.loops(
-        plant, predictor, table, D=D, D_hat=begin.D_hat0[begin.cases], X0=begin.X0[begin.cases],
-        t_end=table.case_t_end, seed=randomness.integer(job.config.seed, "scenarios"), every=EVERY, progress=progress,
-    )  # fmt: skip
-    return behaviour(plant, loops, D, predictor.guard is not None), overtaking.ended(loops)
+    loops = condition.loops(job.plant, predictor, every=EVERY, progress=progress)
+    return behaviour(job.plant, loops, condition.D, predictor.guard is not None), overtaking.ended(loops)
 
 
 def behaviour(
@@ -99,7 +63,7 @@ def behaviour(
             cases=len(radii),
         ),
         settle_time=np.median(times),
-        lost=int((~(radii <= LOST * metrics.size(target))).sum()),
+        lost=int(metrics.lost(loops, target).sum()),
         overtaking=overtaking.ended(loops).count,
         D_error=None if plant.declares_delay else _error(loops, D),
         fallback=loops.fallback_share if guarded else None,

@@ -5,11 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from npred import array_checks, plants, randomness
+from npred import array_checks, conditions, plants, randomness
+from npred.conditions import Condition
 from npred.config import Generate, Pipeline
 from npred.errors import ConfigError, DivergedError
 from npred.kernels import compiler
-from npred.loop import configured
 from npred.loop.closed_loop import LANES, Trajectories
 from npred.loop.trajectory_views import infeasible
 from npred.parallel import devices
@@ -48,7 +48,7 @@ def elsewhere(pipeline: Pipeline, expected: dict[str, Any], batch: range) -> Col
 def compiled(pipeline: Pipeline, plant: Plant) -> bool:
     """True if the loops of rollouts are kernels throughout."""
     config = pipeline.generate
-    return configured.compiled(plant, numerical(config.predictor, plant, config.nx), config)
+    return conditions.compiled(plant, numerical(config.predictor, plant, config.nx), config)
 
 
 def rows(pipeline: Pipeline, plant: Plant, batch: range, finite: bool = True, progress: Progress = None) -> Columns:
@@ -73,10 +73,9 @@ def _chunk(pipeline: Pipeline, plant: Plant, chunk: range, finite: bool, progres
     X0, D, D_hat0, steps = sampling.starts(pipeline.seed, config, plant, chunk)
     predictor = numerical(config.predictor, plant, config.nx)
     noise = randomness.integer(pipeline.seed, "measurement")
-    loops = configured.loops(
-        plant, predictor, config, D=D, D_hat=D_hat0, X0=X0, t_end=config.t_end, seed=noise, first=chunk.start,
-        every=sampling.steps(config), samples=steps, progress=progress,
-    )  # fmt: skip
+    loops = Condition(config, X0, D, D_hat0, config.t_end, noise, first=chunk.start).loops(
+        plant, predictor, every=sampling.steps(config), samples=steps, progress=progress
+    )
     if finite:
         _finite(plant, config, chunk, X0, loops)
     count = steps.shape[1]

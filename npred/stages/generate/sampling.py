@@ -5,6 +5,7 @@ from functools import lru_cache
 import numpy as np
 
 from npred import grid, randomness
+from npred.conditions import box
 from npred.config import Generate, Range
 from npred.plants import Plant
 
@@ -14,12 +15,12 @@ SMOOTH = 6  # Legendre polynomials in a displacement of u
 
 def starts(seed: int, config: Generate, plant: Plant, chunk: range) -> tuple[np.ndarray, ...]:
     """X0 (B, n), D and D_hat(0) (B,), sorted sample steps (B, S), each rollout's from its child seed."""
-    box = _box(plant, config)
+    low, high = box(plant, config, data=True).T
     drawn = []
     for r in chunk:
         rng = randomness.generator(seed, "rollout", r)
         D, D_hat = _delays(config, r)
-        X0, D0, D_hat0 = rng.uniform(box[:, 0], box[:, 1]), rng.uniform(*D), rng.uniform(*D_hat)
+        X0, D0, D_hat0 = rng.uniform(low, high), rng.uniform(*D), rng.uniform(*D_hat)
         taken = np.sort(rng.choice(steps(config), samples(config, r), replace=False))
         drawn.append((X0, D0, D_hat0, np.pad(taken, (0, samples(config, 0) - len(taken)), mode="edge")))
     return tuple(np.array(column) for column in zip(*drawn, strict=True))
@@ -99,9 +100,3 @@ def _delays(config: Generate, rollout: int) -> tuple[Range, Range]:
         return config.explore_D, config.explore_D_hat0
     D = config.D if isinstance(config.D, tuple) else (config.D, config.D)
     return D, config.D_hat0[rollout * len(config.D_hat0) // regular]
-
-
-def _box(plant: Plant, config: Generate) -> np.ndarray:
-    """The range of each initial state (n, 2): the plant's box, overridden by the pipeline's."""
-    box = plant.box | config.box
-    return np.array([box[name] for name in plant.states], dtype=float)

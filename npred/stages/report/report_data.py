@@ -12,7 +12,7 @@ from npred.config import Pipeline
 from npred.figures import Evidence, Plate
 from npred.figures.table import Table
 from npred.plants import Plant
-from npred.results import Benched, Certified, Contender, Evaluated, Generated, Refined, Trained, ranked
+from npred.results import Benched, Certified, Contender, Evaluated, Generated, Trained, ranked
 from npred.stages.report import tables
 
 CHAPTERS = (
@@ -22,7 +22,7 @@ CHAPTERS = (
     ("delays", "Delays and first estimates", ("delays",), ()),
     ("scenarios", "Other conditions", ("scenarios",), ("scenarios",)),
     ("certified", "With a confidence", ("certified",), ("certified",)),
-    ("training", "Training", ("learning",), ("training", "refined")),
+    ("training", "Training", ("learning",), ("training",)),
     ("speed", "Speed", ("speed",), ("bench", "speed")),
     ("coverage", "Coverage of the data", ("coverage",), ("coverage",)),
 )  # identifier, heading, figures, tables
@@ -43,19 +43,17 @@ class Story:
     keys: dict[str, str]
     certified: Certified | None = None
     rollout_errors: dict[Contender, np.ndarray] = field(default_factory=dict)
-    refined: list[Refined] = field(default_factory=list)
 
     @classmethod
     def read(cls, config: Pipeline, plant: Plant, inputs: dict[str, Path]) -> "Story":
-        """The story of the results in these folders: all but certify and refine have to be there."""
+        """The story of the results in these folders: all but certify have to be there."""
         evaluated, benched = Evaluated.read(inputs["evaluate"]), Benched.read(inputs["bench"])
         trained = {name: Trained.read(inputs[name]) for name in config.train.models}
         histories = {name: _lines(inputs[name] / "metrics.jsonl") for name in trained}
         evidence = Evidence.read(inputs["evaluate"], plant, config.evaluate, evaluated)
         keys = {name: folder.name for name, folder in inputs.items()}
         generated = Generated.read(inputs["generate"])
-        refined = [Refined.read(folder) for name in trained if (folder := inputs.get(f"{name}@refined"))]
-        certificate: dict[str, Any] = {"refined": refined}
+        certificate: dict[str, Any] = {}
         if "certify" in inputs:
             certificate["certified"] = Certified.read(inputs["certify"])
             certificate["rollout_errors"] = _rollout_errors(inputs["certify"] / "errors.h5")
@@ -82,7 +80,6 @@ class Story:
             tables.scenarios(self.plant, self.evaluated),
             tables.certified(self.certified),
             tables.training(self.trained),
-            tables.refined(self.refined),
             tables.speed(self.benched.rows),
             tables.by_dx(self.benched.rows),
             tables.outside(self.plant, self.evaluated.coverage),

@@ -11,7 +11,7 @@ from npred.figures.notation import quantity, timed
 from npred.figures.table import Column, Table
 from npred.plants import Plant
 from npred.registry import NETWORKS
-from npred.results import NUMERICAL, Certified, Evaluated, Refined, Trained
+from npred.results import NUMERICAL, Certified, Evaluated, Trained
 from npred.results.bench import Timing
 from npred.results.evaluate import Coverage, Scores
 
@@ -117,24 +117,6 @@ def certified(result: Certified | None) -> Table | None:
         columns += [Column("bound / error", medians, ".3f"), *_columns(rows, {"bounded": "bounded"}, ".1%")]
     sampled = f"{rows[0].rollouts:,} rollouts of {rows[0].samples or 'some'} samples each"
     return Table("certified", f"Certificate, with {sampled} and {result.loops:,} loops", columns)
-
-
-def refined(results: Sequence[Refined]) -> Table | None:
-    """Each network before and after it was trained on its failures; None of a pipeline without that stage."""
-    rows = [(contender.label, row) for result in results for contender, row in result.models.items()]
-    if not rows:
-        return None
-    after = [row for _, row in rows]
-    heads = {"eps_kappa": "ε_{κ} of fresh rollouts", "adversarial": "adversary", "adversarial_median": "its median"}
-    columns = [
-        Column("network", [label for label, _ in rows]),
-        *_columns(after, {"mse": "mean square, held out", "eps_sup": "ε sup"}),
-        *_columns([row.certificate for row in after], heads),
-        *_columns([row.certificate for row in after], {"blind": "blind spots"}, ",d"),
-        *_columns(after, {"fallback": "fallback in hostile loops"}, ".2%"),
-        *_columns(after, {"lost": f"lost of {results[0].loops:,}", "lost_guarded": "guarded"}, ",d"),
-    ]
-    return Table("refined", "Before and after training on failures", columns)
 
 
 def training(trained: Mapping[str, Trained]) -> Table:

@@ -129,7 +129,7 @@ def test_the_gradient_climbs_through_a_network(certified):
     (task, _), _, data = certified
     from npred.stages.evaluate import networks
 
-    network = networks.load(task, "deeponet", None, "deeponet")
+    network = networks.load(task, Contender("deeponet"))
     inputs = Inputs.of(data, np.array([PLANT.box[name] for name in PLANT.states]))
     table = Certify(restarts=12, steps=40)
     calls, error = adversary.search(PLANT, network, data, inputs, table, 0, lambda n: None)

@@ -8,12 +8,13 @@ import pytest
 from jobs import SMALL, job
 
 from npred import figures, plants
+from npred.conditions import starts
 from npred.data.dataset import Dataset
 from npred.predictors import RK4
 from npred.results import NUMERICAL, Benched, Contender, Evaluated
 from npred.stages import train
 from npred.stages.bench import bench
-from npred.stages.evaluate import evaluate, initial_conditions, overtaking, scenarios, summary_tables
+from npred.stages.evaluate import evaluate, overtaking, scenarios, summary_tables
 from npred.stages.generate import generate
 from npred.stages.report import report
 
@@ -55,7 +56,7 @@ def test_cases_are_the_states_alone_and_nothing_runs_without_adaptation(stages):
     result = Evaluated.read(stages["evaluate"].folder)
     assert [c.name for c in result.models] == ["numerical", "deeponet@1", "deeponet", "fno"]
     assert result.models[NUMERICAL].radius.cases == 2 and result.models[NUMERICAL].map is None
-    begin = initial_conditions.starts(stages["evaluate"].config, stages["evaluate"].plant)
+    begin = starts(stages["evaluate"].config, stages["evaluate"].plant)
     assert begin.repeats == 1 and len(begin.X0) == 3
 
 
@@ -99,7 +100,7 @@ def test_the_page_says_so(stages):
 def test_loops_that_end_are_reported_once(stages, tmp_path):
     inputs = {name: stages[name].folder for name in ("generate", "deeponet", "fno")}
     task = job(tmp_path, "evaluate", inputs=inputs, **TABLES)
-    begin = initial_conditions.starts(task.config, task.plant)
+    begin = starts(task.config, task.plant)
     loops = evaluate._loops(task, NUMERICAL, RK4(task.plant, 21), begin, slice(0, 3), lambda count: None)
     overtaking.warn(task, {NUMERICAL: overtaking.ended(loops)})
     assert task.progress.notes == []

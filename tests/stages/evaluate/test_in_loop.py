@@ -5,10 +5,10 @@ import pytest
 from jobs import job
 
 from npred import plants
+from npred.conditions import starts
 from npred.loop.closed_loop import simulate
 from npred.predictors import RK4, Euler, Predictor
 from npred.stages.evaluate import in_loop
-from npred.stages.evaluate.initial_conditions import starts
 
 PLANT = plants.resolve("activator_repressor")
 
@@ -19,7 +19,8 @@ def task(tmp_path):
 
 
 def error(task, predictor):
-    return in_loop.error(task, predictor, starts(task.config, task.plant), lambda count: None)
+    known = in_loop.condition(task.config, starts(task.config, task.plant))
+    return in_loop.error(task.plant, predictor, known, lambda count: None)
 
 
 def test_it_is_the_largest_over_loops_that_know_the_delay(task):
@@ -37,7 +38,7 @@ def test_it_is_the_largest_over_loops_that_know_the_delay(task):
         "to": 5.0,
         "loops": 3,
     }
-    assert in_loop.steps(task.config.evaluate, begin) == 3 * 601
+    assert in_loop.condition(task.config, begin).steps == 3 * 601
 
 
 def test_a_worse_predictor_has_a_larger_error(task):

@@ -9,7 +9,7 @@ from jobs import job
 from known_loops import NEVER, known_loops
 
 import npred
-from npred.config import Evaluate, Scenario
+from npred.conditions import starts
 from npred.loop import metrics
 from npred.plants import Plant
 from npred.predictors import RK4
@@ -53,10 +53,10 @@ def test_threads_do_not_change_the_numbers(tmp_path):
 def test_a_scenario_is_what_simulate_does_under_it(tmp_path):
     one = run(tmp_path, "drift", tables=[TABLES[3]])[0].models[NUMERICAL]
     task = job(tmp_path, "same")
-    starts = scenarios.starts(task.config, PLANT)
+    begin = starts(task.config, PLANT)
     loops = npred.simulate(
-        PLANT, RK4(PLANT, 21), D=lambda t: 1 + 0.2 * math.sin(2 * math.pi * t / 3), D_hat=starts.D_hat0[starts.cases],
-        X0=starts.X0[starts.cases], t_end=6.0, dt=0.01, adaptation=npred.DelayAdaptation(1000.0, 1.0, (0.1, 4.0)),
+        PLANT, RK4(PLANT, 21), D=lambda t: 1 + 0.2 * math.sin(2 * math.pi * t / 3), D_hat=begin.D_hat0[begin.cases],
+        X0=begin.X0[begin.cases], t_end=6.0, dt=0.01, adaptation=npred.DelayAdaptation(1000.0, 1.0, (0.1, 4.0)),
         actuator="history",
     )  # fmt: skip
     radii = metrics.radius(loops, PLANT.equilibrium)
@@ -64,24 +64,6 @@ def test_a_scenario_is_what_simulate_does_under_it(tmp_path):
     late = loops.t >= 5.4
     delay = 1 + 0.2 * np.sin(2 * np.pi * loops.t[late] / 3)
     assert one.D_error == pytest.approx(np.abs(loops.D_hat[:, late] - delay).max(), rel=0.05)
-
-
-def test_the_delay_of_a_scenario():
-    config = Evaluate(D=1.0)
-    drift = scenarios.delay(config, Scenario.model_validate({"name": "a", "drift": {"amplitude": 0.3, "period": 60.0}}))
-    jump = scenarios.delay(config, Scenario.model_validate({"name": "a", "jump": {"to": 1.5, "at": 30.0}}))
-    assert callable(drift) and callable(jump)
-    assert [drift(t) for t in (0.0, 15.0, 45.0)] == pytest.approx([1.0, 1.3, 0.7])
-    assert [jump(t) for t in (0.0, 29.99, 30.0, 60.0)] == [1.0, 1.0, 1.5, 1.5]
-    assert scenarios.delay(config, Scenario(name="a")) == 1.0
-
-
-def test_scaled_parameters_are_those_of_the_truth():
-    config = Evaluate(truth={"Ka": 0.05})
-    scaled = scenarios.conditions(PLANT, config, Scenario(name="a", parameters_scale=1.1)).truth
-    assert scaled == {name: pytest.approx(1.1 * value) for name, value in (PLANT.parameters | {"Ka": 0.05}).items()}
-    given = scenarios.conditions(PLANT, config, Scenario(name="a", parameters={"Kb": 0.005})).truth
-    assert given == {"Ka": 0.05, "Kb": 0.005}
 
 
 class Held:

@@ -1,4 +1,4 @@
-"""Interpreted baselines of the benchmarks: predictors in plain Python, for no loop."""
+"""Predictors in plain Python to time the compiled ones beside: `baselines` below [bench], for no loop."""
 
 import contextlib
 from abc import abstractmethod
@@ -8,20 +8,22 @@ from typing import Any
 
 import numpy as np
 
-from npred.delays import family_of
-from npred.plants.base import Plant
-from npred.predictors.base import Predictor
+from npred import Predictor
+from npred.errors import ConfigError
+from npred.plants import Plant
 from npred.symbolic import array_math
 from npred.symbolic.tape import names
 from npred.symbolic.trace import Trace, python
 
 
 class Interpreted(Predictor):
-    """A predictor in plain Python, one sample after the other, for one delay. Raises ConfigError for several."""
+    """A predictor in plain Python, one sample after the other, for one delay. Raises ConfigError for other plants."""
 
     def __init__(self, plant: Plant, nx: int = 101):
         super().__init__(plant, nx)
-        family_of(plant).needs(self.name)
+        if not plant.one_delay or plant.declares_delay or plant.state_bounds:
+            what = f"expected a plant with one constant delay and no state_bounds, plant {plant.name} is another"
+            raise ConfigError(f"{self.name}: {what}; leave it out of bench.baselines")
 
     def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Any) -> np.ndarray:
         return np.stack([self.one(*row) for row in zip(X, u, D_hat, np.broadcast_to(t, len(X)), strict=True)])

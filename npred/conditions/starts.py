@@ -1,11 +1,11 @@
-"""Initial conditions of the loops of an evaluation."""
+"""Initial states, delays and estimates of loops."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from npred import randomness
-from npred.config import Pipeline
+from npred.config import Generate, Pipeline
 from npred.plants import Plant
 from npred.results import Contender
 
@@ -26,9 +26,13 @@ class Starts:
         return len(self.D) if contender.adapts else self.cases.stop
 
 
-def box(plant: Plant, pipeline: Pipeline) -> np.ndarray:
-    """The range of each initial state, (n, 2): the plant's; the pipeline's for a plant without one."""
-    ranges = pipeline.generate.box | plant.box
+def box(plant: Plant, config: Generate, data: bool = False) -> np.ndarray:
+    """The range of each initial state, (n, 2).
+
+    Experiments start in the plant's, and in the pipeline's where the plant has none. Of data the pipeline's comes
+    first: it may be wider, so that a network sees what its loops lead to.
+    """
+    ranges = plant.box | config.box if data else config.box | plant.box
     return np.array([ranges[name] for name in plant.states], dtype=float)
 
 
@@ -37,7 +41,7 @@ def starts(pipeline: Pipeline, plant: Plant) -> Starts:
 
     Of a plant that declares its delay the random states alone: D and D_hat(0) mean nothing there.
     """
-    config, ranges = pipeline.evaluate, box(plant, pipeline)
+    config, ranges = pipeline.evaluate, box(plant, pipeline.generate)
     rng = randomness.generator(pipeline.seed, "evaluate", "cases")
     states = rng.uniform(ranges[:, 0], ranges[:, 1], (config.case_states, plant.n))
     D, D_hat0 = np.meshgrid(config.map_D, config.map_D_hat0, indexing="ij")

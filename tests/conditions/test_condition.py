@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import npred
+from npred.conditions import Condition
 from npred.config import Evaluate
 from npred.errors import ConfigError
-from npred.loop import configured
 from npred.predictors import RK4
 
 PLANT = npred.plant("activator_repressor")
@@ -28,8 +28,9 @@ CASES = {
 }  # fmt: skip
 
 
-def run(table, **arguments):
-    return configured.loops(PLANT, RK4(PLANT, 21), table, D=1.0, D_hat=1.2, seed=7, **(START | arguments))
+def run(table, **changes):
+    settings = START | {"D": 1.0, "D_hat": 1.2, "seed": 7} | changes
+    return Condition(table, **settings).loops(PLANT, RK4(PLANT, 21))
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -47,8 +48,10 @@ def test_a_table_runs_as_the_same_settings_in_python(name):
 def test_a_part_of_a_batch_has_the_noise_that_it_has_in_the_whole():
     table = Evaluate.model_validate({"dt": 0.01, "measurement": {"noise": 0.05}})
     whole = run(table)
-    part = run(table, X0=START["X0"][1:], first=1)
+    condition = Condition(table, **START, D=np.ones(2), D_hat=np.full(2, 1.2), seed=7)
+    part = condition.part(slice(1, 2)).loops(PLANT, RK4(PLANT, 21))
     np.testing.assert_array_equal(part.X[0], whole.X[1])
+    assert (condition.steps, condition.part(slice(1, 2)).steps) == (602, 301)
     assert not np.array_equal(run(table, X0=START["X0"][1:]).X[0], whole.X[1])
 
 

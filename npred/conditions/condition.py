@@ -1,0 +1,72 @@
+"""A condition of closed loops: what a table of the pipeline file says, from which states, with which delay."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, Self
+
+from npred import plants
+from npred.config import Disturbance, Loop
+from npred.loop import closed_loop, delay_law
+from npred.loop.closed_loop import Trajectories
+from npred.loop.measurement import Measurement
+from npred.plants.base import Plant
+from npred.predictors import Predictor
+
+EVERY = 10  # control steps between two kept states, where nothing asks for more
+
+
+@dataclass(frozen=True)
+class Condition:
+    """Loops of a table from X0 (B, n) over t_end seconds, of delay D from the estimate D_hat.
+
+    D and D_hat are a number or (B,), D also a function of t; they mean nothing where the plant declares its delay.
+    `seed` is that of the sensors' noise, `first` the number of the first loop, where they are part of a larger batch;
+    without `adapts` the estimate is held.
+    """
+
+    table: Loop
+    X0: Any
+    D: Any
+    D_hat: Any
+    t_end: float
+    seed: int
+    first: int = 0
+    adapts: bool = True
+
+    @property
+    def steps(self) -> int:
+        """The control steps of all loops together, those at t = 0 included."""
+        return len(self.X0) * (round(self.t_end / self.table.dt) + 1)
+
+    def part(self, rows: slice) -> Self:
+        """Some of the loops, with the noise that they have among all."""
+        X0, D, D_hat = (a[rows] for a in (self.X0, self.D, self.D_hat))
+        return replace(self, X0=X0, D=D, D_hat=D_hat, first=self.first + rows.start)
+
+    def loops(self, plant: Plant, predictor: Predictor, **recorded: Any) -> Trajectories:
+        """The loops with this predictor; `recorded` are `every`, `samples` and `progress` of npred.simulate."""
+        table, delays = self.table, {} if plant.declares_delay else {"D": self.D, "D_hat": self.D_hat}
+        return closed_loop.simulate(
+            plant, predictor, X0=self.X0, t_end=self.t_end, dt=table.dt, input_bounds=table.input_bounds, u0=table.u0,
+            actuator=table.actuator, adaptation=delay_law.resolve(table, plant) if self.adapts else None,
+            truth=truth(plant, table), disturbance=_push(table.disturbance),
+            measurement=Measurement(**dict(table.measurement), seed=self.seed, first=self.first), **delays, **recorded,
+        )  # fmt: skip
+
+
+def compiled(plant: Plant, predictor: Predictor, table: Loop) -> bool:
+    """True if loops of this table that adapt are kernels throughout: no table names an observer in Python."""
+    law = delay_law.part(plant, delay_law.resolve(table, plant), table.dt)
+    return closed_loop.compiled(plant, predictor, law)
+
+
+def truth(plant: Plant, table: Loop) -> Plant | None:
+    """The plant with the parameters of `truth`; None where there are none. Raises ConfigError for an unknown one."""
+    return plants.varied(plant, tuple(table.truth.items())) if table.truth else None
+
+
+def _push(disturbance: Disturbance) -> Callable[[float], float] | None:
+    if not disturbance.amplitude:
+        return None
+    return lambda t: disturbance.amplitude * math.sin(disturbance.omega * t)

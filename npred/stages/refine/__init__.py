@@ -1,1 +1,0 @@
-"""The stage refine: further training on the inputs at which a network failed."""

@@ -1,0 +1,28 @@
+"""A scenario of the pipeline file as a condition: its delay, and the parameters of the simulated plant."""
+
+import pytest
+
+import npred
+from npred import config
+from npred.conditions import scenarios
+from npred.config import Evaluate, Scenario
+
+PLANT = npred.plant("activator_repressor")
+
+
+def test_the_delay_of_a_scenario():
+    table = Evaluate(D=1.0)
+    drift = scenarios.delay(table, Scenario.model_validate({"name": "a", "drift": {"amplitude": 0.3, "period": 60.0}}))
+    jump = scenarios.delay(table, Scenario.model_validate({"name": "a", "jump": {"to": 1.5, "at": 30.0}}))
+    assert callable(drift) and callable(jump)
+    assert [drift(t) for t in (0.0, 15.0, 45.0)] == pytest.approx([1.0, 1.3, 0.7])
+    assert [jump(t) for t in (0.0, 29.99, 30.0, 60.0)] == [1.0, 1.0, 1.5, 1.5]
+    assert scenarios.delay(table, Scenario(name="a")) == 1.0
+
+
+def test_scaled_parameters_are_those_of_the_truth():
+    pipeline = config.parse({"plant": PLANT.name, "evaluate": {"X0": [0.03, 30.0], "truth": {"Ka": 0.05}}}, "tests")
+    scaled = scenarios.condition(PLANT, pipeline, Scenario(name="a", parameters_scale=1.1)).table.truth
+    assert scaled == {name: pytest.approx(1.1 * value) for name, value in (PLANT.parameters | {"Ka": 0.05}).items()}
+    given = scenarios.condition(PLANT, pipeline, Scenario(name="a", parameters={"Kb": 0.005})).table.truth
+    assert given == {"Ka": 0.05, "Kb": 0.005}
