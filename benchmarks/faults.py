@@ -26,7 +26,6 @@ from typing import Any
 
 import h5py
 import matplotlib.figure
-import numba
 import torch
 
 from npred.cli import main as npred
@@ -36,7 +35,7 @@ from npred.stages.evaluate import evaluate
 from npred.stages.generate import generate
 from npred.store import Artifact, Store
 
-WARM = (h5py, matplotlib, numba, torch, bench, evaluate, generate, train)
+WARM = (h5py, matplotlib, torch, bench, evaluate, generate, train)
 SIZES = (40, 100, 200, 300, 400, 500, 700)  # KiB of the disks that are too small
 PROCESSES = 8
 TIMED = ("bench", "report")

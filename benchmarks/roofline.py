@@ -13,65 +13,72 @@ and division.
 """
 
 import argparse
+import ctypes
 from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
-from npred.runtimes.numba_text import TERMS
-from numba import njit
 
 import npred
+from npred.kernels import compiler
+from npred.kernels.kernel import address
 from npred.parallel import devices
 from npred.runtimes.fused import coarsest
 from npred.runtimes.lower import fold
 from npred.runtimes.program import Product, Program, Repeat, Silu, SiluPair, Step
 from npred.stages.bench import timing
 
+TERMS = 8  # of a block of a product, as npred/kernels/c/network.h has them
 BLOCK = 4  # operations that wait for each other, of a block of terms
 SILU, PAIR = 16, 24  # likewise, of an activation: scaling, a polynomial of five terms, a division
 RUNS = 200
 LATENCY, PER_CYCLE = 4, 16  # cycles of a multiply-add; how many begin per cycle, in two vectors of 256 bits
 
 
-@njit(fastmath=True)
-def read(a: np.ndarray, times: int) -> np.float32:
-    """The sum of a, again and again: bytes per second."""
-    total = np.float32(0.0)
-    for k in range(times):
-        part = np.float32(0.0)
-        for j in range(len(a)):
-            part += a[j]
-        total += part * np.float32(k)
-    return total
-
-
-@njit(fastmath=True)
-def multiply(out: np.ndarray, a: np.ndarray, b: np.ndarray, times: int) -> None:
-    """out (N,) += a (8,) b (8, N), again and again: multiply-adds per second."""
-    for _ in range(times):
-        a0, a1, a2, a3, a4, a5, a6, a7 = a[0], a[1], a[2], a[3], a[4], a[5], a[6], a[7]
-        for j in range(len(out)):
-            first = a0 * b[0, j] + a1 * b[1, j] + a2 * b[2, j] + a3 * b[3, j]
-            out[j] += first + (a4 * b[4, j] + a5 * b[5, j] + a6 * b[6, j] + a7 * b[7, j])
-
-
-@njit(fastmath={"contract"})
-def chain(x: np.float32, factor: np.float32, times: int) -> np.float32:
-    """One multiply-add after the other."""
-    for _ in range(times):
-        x = x * factor + factor
-    return x
+# The sum of a, again and again; out (128,) += a (8,) b (8, 128) likewise; one multiply-add after the other.
+LOOPS = """
+#include <stdint.h>
+#pragma GCC optimize("fast-math")
+float read(const float *a, int64_t size, int64_t times)
+{
+    float total = 0;
+    for (int64_t k = 0; k < times; k++) {
+        float part = 0;
+        for (int64_t j = 0; j < size; j++) {
+            part += a[j];
+        }
+        total += part * (float)k;
+    }
+    return total;
+}
+void multiply(float *restrict out, const float *restrict a, const float *restrict b, int64_t times)
+{
+    for (int64_t k = 0; k < times; k++) {
+        for (int j = 0; j < 128; j++) {
+            out[j] += (a[0] * b[j] + a[1] * b[128 + j] + a[2] * b[256 + j] + a[3] * b[384 + j]) +
+                      (a[4] * b[512 + j] + a[5] * b[640 + j] + a[6] * b[768 + j] + a[7] * b[896 + j]);
+        }
+    }
+}
+__attribute__((optimize("no-fast-math"))) float chain(float x, float factor, int64_t times)
+{
+    for (int64_t k = 0; k < times; k++) {
+        x = x * factor + factor;
+    }
+    return x;
+}
+"""
 
 
 def machine(size: int) -> dict[str, float]:
     """Of one core: bytes (of `size`) and multiply-adds per µs, and the µs of a multiply-add that waits."""
-    numbers, one = np.ones(size // 4, np.float32), np.float32(0.5)
+    numbers, half, library = np.ones(size // 4, np.float32), ctypes.c_float(0.5), compiler.library(LOOPS)
     out, terms, weights = np.zeros(128, np.float32), np.ones(TERMS, np.float32), np.full((TERMS, 128), 1e-6, np.float32)
     passes = max(1, 400_000 // len(numbers))
     calls = {
-        "bytes": lambda k: read(numbers, passes),
-        "products": lambda k: multiply(out, terms, weights, 1000),
-        "chain": lambda k: chain(one, one, 20_000),
+        "bytes": lambda k: library.read(ctypes.c_void_p(address(numbers)), len(numbers), passes),
+        "products": lambda k: library.multiply(*(ctypes.c_void_p(address(a)) for a in (out, terms, weights)), 1000),
+        "chain": lambda k: library.chain(half, half, 20_000),
     }
     taken = timing.sample(calls, RUNS, 1.0)
     fastest = {name: samples.min() / 1000 for name, samples in taken.items()}

@@ -1,6 +1,6 @@
 """The command line, `npred`."""
 
-import gc
+from gc import set_threshold
 
 from npred.cli import commands
 from npred.cli.app import app, guarded
@@ -20,7 +20,7 @@ def main() -> None:
     """
     interruption.listen()
     streams.open_closed()
-    gc.set_threshold(MANY)
+    set_threshold(MANY)
     if torchrun.count() > 1:
         torchrun.join()
         torchrun.leave(_lead() if torchrun.number() == 0 else _help_out())

@@ -346,7 +346,7 @@ def test_bench_with_onnx(made, tmp_path):
     pytest.importorskip("onnxruntime")
     task = job(tmp_path, "bench", inputs=made, bench={"runtimes": ["onnx"], "dx": [0.1], "batches": [1]})
     result = bench.run(task).json_object()
-    assert {r["runtime"] for r in result["rows"]} == {"python", "compiled", "onnx"}
+    assert {r["runtime"] for r in result["rows"]} == {"compiled", "onnx"}
     assert {found["runtime"] for found in result["crossover"]} == {"onnx"}
 
 

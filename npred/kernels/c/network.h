@@ -6,87 +6,125 @@ typedef struct {
     ptrdiff_t row, column; /* element (i, k) of a view of memory v is v[i row + k column] */
 } View;
 
-/* Rows i … i + 3 and terms k … k + 7 of a product: each b that is loaded serves all four. */
-static INLINED void four_rows(int n, int terms, REAL *restrict out, View to,
-                                                            const REAL *restrict a, View of, const REAL *restrict b,
-                                                            View by)
+#if defined __AVX__ || defined __SSE2__ || defined __ARM_NEON
+#ifdef __AVX__
+enum { VECTOR = 32 }; /* bytes */
+#else
+enum { VECTOR = 16 };
+#endif
+typedef REAL Vector __attribute__((vector_size(VECTOR), aligned(sizeof(REAL)), may_alias));
+#define TILE (2 * VECTOR / (int)sizeof(REAL)) /* columns of a product whose sums stay in registers */
+
+static INLINED Vector loaded(const REAL *a)
 {
-    const ptrdiff_t s = of.column;
-    const REAL *const a0 = a, *const a1 = a + of.row, *const a2 = a + 2 * of.row, *const a3 = a + 3 * of.row;
-    if (terms == 8) {
-        LANES for (int j = 0; j < n; j++) {
-            const REAL *v = b + j * by.column;
-            const REAL b0 = v[0], b1 = v[by.row], b2 = v[2 * by.row], b3 = v[3 * by.row];
-            const REAL b4 = v[4 * by.row], b5 = v[5 * by.row], b6 = v[6 * by.row], b7 = v[7 * by.row];
-            REAL *y = out + j * to.column;
-            y[0] += ((a0[0] * b0 + a0[s] * b1) + (a0[2 * s] * b2 + a0[3 * s] * b3)) +
-                    ((a0[4 * s] * b4 + a0[5 * s] * b5) + (a0[6 * s] * b6 + a0[7 * s] * b7));
-            y[to.row] += ((a1[0] * b0 + a1[s] * b1) + (a1[2 * s] * b2 + a1[3 * s] * b3)) +
-                         ((a1[4 * s] * b4 + a1[5 * s] * b5) + (a1[6 * s] * b6 + a1[7 * s] * b7));
-            y[2 * to.row] += ((a2[0] * b0 + a2[s] * b1) + (a2[2 * s] * b2 + a2[3 * s] * b3)) +
-                             ((a2[4 * s] * b4 + a2[5 * s] * b5) + (a2[6 * s] * b6 + a2[7 * s] * b7));
-            y[3 * to.row] += ((a3[0] * b0 + a3[s] * b1) + (a3[2 * s] * b2 + a3[3 * s] * b3)) +
-                             ((a3[4 * s] * b4 + a3[5 * s] * b5) + (a3[6 * s] * b6 + a3[7 * s] * b7));
-        }
-        return;
-    }
-    for (int k = 0; k < terms; k++) {
-        const REAL c0 = a0[k * s], c1 = a1[k * s], c2 = a2[k * s], c3 = a3[k * s];
-        LANES for (int j = 0; j < n; j++) {
-            const REAL v = b[k * by.row + j * by.column];
-            REAL *y = out + j * to.column;
-            y[0] += c0 * v;
-            y[to.row] += c1 * v;
-            y[2 * to.row] += c2 * v;
-            y[3 * to.row] += c3 * v;
-        }
-    }
+    return *(const Vector *)a;
 }
 
-static INLINED void one_row(int n, int terms, REAL *restrict out, View to,
-                                                          const REAL *restrict a, View of, const REAL *restrict b,
-                                                          View by)
+/* out (4, TILE) += a (4, terms) b (terms, TILE). */
+static INLINED void four_rows(int terms, REAL *restrict out, ptrdiff_t to, const REAL *restrict a, View of,
+                              const REAL *restrict b, ptrdiff_t by)
 {
-    const ptrdiff_t s = of.column;
-    if (terms == 8) {
-        LANES for (int j = 0; j < n; j++) {
-            const REAL *v = b + j * by.column;
-            out[j * to.column] += ((a[0] * v[0] + a[s] * v[by.row]) + (a[2 * s] * v[2 * by.row] + a[3 * s] * v[3 * by.row])) +
-                                  ((a[4 * s] * v[4 * by.row] + a[5 * s] * v[5 * by.row]) +
-                                   (a[6 * s] * v[6 * by.row] + a[7 * s] * v[7 * by.row]));
-        }
-        return;
-    }
+    REAL *const y1 = out + to, *const y2 = y1 + to, *const y3 = y2 + to;
+    Vector s00 = loaded(out), s01 = loaded(out + TILE / 2), s10 = loaded(y1), s11 = loaded(y1 + TILE / 2);
+    Vector s20 = loaded(y2), s21 = loaded(y2 + TILE / 2), s30 = loaded(y3), s31 = loaded(y3 + TILE / 2);
     for (int k = 0; k < terms; k++) {
-        LANES for (int j = 0; j < n; j++) {
-            out[j * to.column] += a[k * s] * b[k * by.row + j * by.column];
-        }
+        const Vector b0 = loaded(b + k * by), b1 = loaded(b + k * by + TILE / 2);
+        const REAL *const x = a + k * of.column;
+        s00 += x[0] * b0;
+        s01 += x[0] * b1;
+        s10 += x[of.row] * b0;
+        s11 += x[of.row] * b1;
+        s20 += x[2 * of.row] * b0;
+        s21 += x[2 * of.row] * b1;
+        s30 += x[3 * of.row] * b0;
+        s31 += x[3 * of.row] * b1;
     }
+    *(Vector *)out = s00;
+    *(Vector *)(out + TILE / 2) = s01;
+    *(Vector *)y1 = s10;
+    *(Vector *)(y1 + TILE / 2) = s11;
+    *(Vector *)y2 = s20;
+    *(Vector *)(y2 + TILE / 2) = s21;
+    *(Vector *)y3 = s30;
+    *(Vector *)(y3 + TILE / 2) = s31;
 }
+
+/* out (2, TILE) += a (2, terms) b (terms, TILE). */
+static INLINED void two_rows(int terms, REAL *restrict out, ptrdiff_t to, const REAL *restrict a, View of,
+                             const REAL *restrict b, ptrdiff_t by)
+{
+    REAL *const y = out + to;
+    Vector s00 = loaded(out), s01 = loaded(out + TILE / 2), s10 = loaded(y), s11 = loaded(y + TILE / 2);
+    for (int k = 0; k < terms; k++) {
+        const Vector b0 = loaded(b + k * by), b1 = loaded(b + k * by + TILE / 2);
+        const REAL *const x = a + k * of.column;
+        s00 += x[0] * b0;
+        s01 += x[0] * b1;
+        s10 += x[of.row] * b0;
+        s11 += x[of.row] * b1;
+    }
+    *(Vector *)out = s00;
+    *(Vector *)(out + TILE / 2) = s01;
+    *(Vector *)y = s10;
+    *(Vector *)(y + TILE / 2) = s11;
+}
+
+/* out (TILE) += a (terms) b (terms, TILE), in two chains of sums that do not wait for each other. */
+static INLINED void one_row(int terms, REAL *restrict out, const REAL *restrict a, View of, const REAL *restrict b,
+                            ptrdiff_t by)
+{
+    Vector s00 = loaded(out), s01 = loaded(out + TILE / 2), s10 = {0}, s11 = {0};
+    int k = 0;
+    for (; k + 2 <= terms; k += 2) {
+        const REAL x0 = a[k * of.column], x1 = a[(k + 1) * of.column];
+        s00 += x0 * loaded(b + k * by);
+        s01 += x0 * loaded(b + k * by + TILE / 2);
+        s10 += x1 * loaded(b + (k + 1) * by);
+        s11 += x1 * loaded(b + (k + 1) * by + TILE / 2);
+    }
+    if (k < terms) {
+        s00 += a[k * of.column] * loaded(b + k * by);
+        s01 += a[k * of.column] * loaded(b + k * by + TILE / 2);
+    }
+    *(Vector *)out = s00 + s10;
+    *(Vector *)(out + TILE / 2) = s01 + s11;
+}
+#endif
 
 /* out (rows, n) = start + a (rows, terms) b (terms, n), where start is out itself if it `adds`, else bias, else 0. */
 static INLINED void product(int rows, int terms, int n, REAL *restrict out, View to,
                                                           const REAL *restrict a, View of, const REAL *restrict b,
                                                           View by, const REAL *restrict bias, View from, int adds)
 {
+    int tiled = 0; /* columns */
     for (int i = 0; i < rows && !adds; i++) {
         for (int j = 0; j < n; j++) {
             out[i * to.row + j * to.column] = bias ? bias[i * from.row + j * from.column] : 0;
         }
     }
-    for (int i = 0; i < rows - rows % 4; i += 4) {
-        int k = 0;
-        for (; k + 8 <= terms; k += 8) {
-            four_rows(n, 8, out + i * to.row, to, a + i * of.row + k * of.column, of, b + k * by.row, by);
+#ifdef TILE
+    if (by.column == 1 && to.column == 1) {
+        for (; tiled + TILE <= n; tiled += TILE) {
+            int i = 0;
+            for (; i + 4 <= rows; i += 4) {
+                four_rows(terms, out + i * to.row + tiled, to.row, a + i * of.row, of, b + tiled, by.row);
+            }
+            for (; i + 2 <= rows; i += 2) {
+                two_rows(terms, out + i * to.row + tiled, to.row, a + i * of.row, of, b + tiled, by.row);
+            }
+            for (; i < rows; i++) {
+                one_row(terms, out + i * to.row + tiled, a + i * of.row, of, b + tiled, by.row);
+            }
         }
-        four_rows(n, terms % 8, out + i * to.row, to, a + i * of.row + k * of.column, of, b + k * by.row, by);
     }
-    for (int i = rows - rows % 4; i < rows; i++) {
-        int k = 0;
-        for (; k + 8 <= terms; k += 8) {
-            one_row(n, 8, out + i * to.row, to, a + i * of.row + k * of.column, of, b + k * by.row, by);
+#endif
+    for (int i = 0; i < rows && tiled < n; i++) {
+        for (int k = 0; k < terms; k++) {
+            const REAL x = a[i * of.row + k * of.column];
+            LANES for (int j = tiled; j < n; j++) {
+                out[i * to.row + j * to.column] += x * b[k * by.row + j * by.column];
+            }
         }
-        one_row(n, terms % 8, out + i * to.row, to, a + i * of.row + k * of.column, of, b + k * by.row, by);
     }
 }
 
