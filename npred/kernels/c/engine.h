@@ -144,7 +144,6 @@ static inline void keep(Shape d, int64_t k, int64_t origin, const Settings *s, S
 void run(Shape d, int64_t origin, int64_t start, int64_t stop, const Parts *q, const Settings *s, State *z, Record *out,
          const volatile int *failed, double *work)
 {
-    const ptrdiff_t inputs = (ptrdiff_t)d.m * d.lanes;
     for (int64_t k = start; k < stop && !*failed; k++) {
         const double t = (double)k * s->dt;
         const int64_t late = k - s->late, taken = late > 0 ? late : 0;
