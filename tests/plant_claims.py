@@ -6,6 +6,7 @@ A plant's test module subclasses Claims and says which plant, from where, over w
         plant, D, X0, t_end = plants.resolve("tank"), 0.5, (0.6,), 20.0
 """
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -14,7 +15,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from npred import config, diagnosis, grid, predictors
-from npred.delays import family, family_of
+from npred.delays import family_of
 from npred.delays.constant import ConstantDelay
 from npred.loop.closed_loop import Trajectories, simulate
 from npred.plants import Plant
@@ -40,9 +41,9 @@ class Held(OneStep):
         return RK4.step(f, x, u0, u0, u0, t, h)
 
     def compile(self) -> Any:
-        text, imports = ConstantDelay(self.plant).source(self.step)
-        assert "u[j, " in text
-        return family.build("sweep", family.PREDICT, text.replace("u[j, ", "u[j | 1, "), imports)
+        kernel, node = ConstantDelay(self.plant).sweep(self.step), "(CELLS ? 2 * j : j)"
+        assert node in kernel.text
+        return replace(kernel, text=kernel.text.replace(node, "(j | 1)"))
 
 
 class Claims:

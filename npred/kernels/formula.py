@@ -71,7 +71,7 @@ def unused(arguments: str, lines: Sequence[str]) -> list[str]:
     """The statements that say of the declared arguments which the lines do not read."""
     read = set(re.findall(r"\w+", "\n".join(lines)))
     names = [argument.rpartition(" ")[2].removeprefix("*") for argument in arguments.split(", ")]
-    return [f"(void){name};" for name in names if name not in read]
+    return [f"(void)({name});" for name in names if name not in read]
 
 
 def statements(

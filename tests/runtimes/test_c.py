@@ -62,7 +62,7 @@ def test_a_file_is_run_before_it_is_kept(tmp_path, monkeypatch):
     exact = npred.predictor("rk4", PLANT, 21)(*samples)
     assert 0 < error < 1e-4 and eps == pytest.approx(np.linalg.norm(P - exact, axis=-1).max(), rel=1e-4)
     with monkeypatch.context() as patch:
-        patch.setattr(c, "SOURCE", c.SOURCE.replace("delay = D_hat;", "delay = D_hat + 0.1;"))
+        patch.setattr(c, "SOURCE", c.SOURCE.replace("u, &D_hat", "u, (double[]){D_hat + 0.1}"))
         with pytest.raises(NpredError, match=r"export c: expected P and U within 0.0001 of their sizes, got"):
             c.export(model, PLANT, tmp_path / "wrong.c", 21, samples)
         patch.setattr(c, "SOURCE", c.SOURCE.replace("#include <math.h>", "#include <none.h>"))

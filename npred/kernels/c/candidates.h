@@ -54,9 +54,9 @@ static inline void begin_bank(Shape d, const Bank *b, const double *X)
 
 /* Count a control step, and write the gains of lane l's sample: inject, push, leak, fade.
  *
- * Over the T seconds since the sample before, the errors of x and d get the poles e^{sT}, s² + L s + L ω = 0:
+ * With T the time since the sample before, the errors of x and d get the poles e^{sT}, s² + L s + L ω = 0:
  *     inject = 1 - e^{-LT},   push = (1 + e^{-LT} - 2 e^{-LT/2} cos(T √(L ω - L²/4))) / T,
- * of which L ω is the limit of push / T for small T. What is forgotten is that of T seconds, but at most of a share
+ * of which L ω is the limit of push / T for small T. What is forgotten is that of the time T, but at most of a share
  * 1 / FEW of the window. A loop without a sample, NaN, forgets and corrects nothing. */
 static inline void gains(Shape d, const Bank *b, int l, double X, double dt, const double *law, double *gain)
 {

@@ -1,7 +1,7 @@
 /* A controller on a real plant: a control step on its memory, with one lane. */
 
 /* The sample Y is what the controller believes, X_hat, unless it is further from what the model expects than the gate:
- * then that is, and Y is NaN, no sample. After D_hat seconds of such samples the state has jumped. */
+ * then that is, and Y is NaN, no sample. After such samples for D_hat the state has jumped. */
 static inline void screen(Shape d, const Settings *s, State *z)
 {
     int far = 0;
