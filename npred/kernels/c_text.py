@@ -12,6 +12,7 @@ from npred.json_files import escaped
 SMALLEST, LARGEST = float(np.finfo(np.float32).tiny), float(np.finfo(np.float32).max)
 FUNCTIONS = ["sqrt", "exp", "log", "sin", "cos", "tan", "tanh", "fabs", "pow", "asinh", "rint", "floor"]
 _NUMBER = re.compile(r"(?<![\w.])(\d+\.\d*(?:e[+-]?\d+)?|\d+e[+-]?\d+)(?![\w.])")
+_HEXADECIMAL = re.compile(r"-?0x[\da-f.]+p[+-]?\d+(?![\w.])")
 _WORD = re.compile(rf"\bdouble\b|\b({'|'.join(FUNCTIONS)})(?=\()")
 
 
@@ -37,6 +38,7 @@ def comment(text: str) -> str:
 
 def single(text: str) -> str:
     """C in double precision as C in single precision: its types, its numbers and the functions of its library."""
+    text = _HEXADECIMAL.sub(lambda found: _exact(float.fromhex(found[0]), "float"), text)
     text = _NUMBER.sub(lambda found: literal(float(found[1]), "float"), text)
     return _WORD.sub(lambda found: f"{found[1]}f" if found[1] else "float", text)
 

@@ -36,10 +36,6 @@ SOURCE = """\
  {reads}
  * With -DNPRED_TEST it is a program that compares itself with the model it was made from.
  */
-#include <math.h>
-#include <stdint.h>
-#include <string.h>
-
 {sizes}
 
 {prototypes}

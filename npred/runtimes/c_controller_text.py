@@ -85,8 +85,6 @@ def signatures(recalls: bool, keeps: bool) -> list[str]:
 
 
 SOURCE = """\
-#include <math.h>
-#include <stddef.h>
 #include <string.h>
 
 #include "@.h"

@@ -65,7 +65,7 @@ def test_a_file_is_run_before_it_is_kept(tmp_path, monkeypatch):
         patch.setattr(c, "SOURCE", c.SOURCE.replace("u, &D_hat", "u, (double[]){D_hat + 0.1}"))
         with pytest.raises(NpredError, match=r"export c: expected P and U within 0.0001 of their sizes, got"):
             c.export(model, PLANT, tmp_path / "wrong.c", 21, samples)
-        patch.setattr(c, "SOURCE", c.SOURCE.replace("#include <math.h>", "#include <none.h>"))
+        patch.setattr(c, "SOURCE", c.SOURCE.replace("{sizes}", "#include <none.h>\n{sizes}"))
         with pytest.raises(NpredError, match=r"export c: expected sources that compile, got: .*none\.h"):
             c.export(model, PLANT, tmp_path / "wrong.c", 21, samples)
     assert not (tmp_path / "wrong.c").exists()
@@ -168,6 +168,6 @@ def test_the_text_is_the_same_again_and_calls_libm_alone(exported):
     text = path.read_text()
     assert c.source(model, PLANT, 21, probe()) == text
     assert [line for line in text.splitlines() if line.startswith("#include")] == [
-        "#include <math.h>", "#include <stdint.h>", "#include <string.h>", "#include <stdio.h>",
+        "#include <math.h>", "#include <stddef.h>", "#include <stdint.h>", "#include <stdio.h>",
     ]  # fmt: skip
     assert "malloc" not in text

@@ -6,14 +6,17 @@ typedef struct {
     ptrdiff_t row, column; /* element (i, k) of a view of memory v is v[i row + k column] */
 } View;
 
-#if defined __AVX__ || defined __SSE2__ || defined __ARM_NEON
-#ifdef __AVX__
-enum { VECTOR = 32 }; /* bytes */
+#if defined __AVX__
+#define VECTORS 32 /* bytes */
+#elif defined __SSE2__ || defined __ARM_NEON
+#define VECTORS 16
 #else
-enum { VECTOR = 16 };
+#define VECTORS 0
 #endif
-typedef REAL Vector __attribute__((vector_size(VECTOR), aligned(sizeof(REAL)), may_alias));
-#define TILE (2 * VECTOR / (int)sizeof(REAL)) /* columns of a product whose sums stay in registers */
+
+#if VECTORS
+typedef REAL Vector __attribute__((vector_size(VECTORS), aligned(sizeof(REAL)), may_alias));
+#define TILE (2 * VECTORS / (int)sizeof(REAL)) /* columns of a product whose sums stay in registers */
 
 static INLINED Vector loaded(const REAL *a)
 {
@@ -89,6 +92,8 @@ static INLINED void one_row(int terms, REAL *restrict out, const REAL *restrict 
     *(Vector *)out = s00 + s10;
     *(Vector *)(out + TILE / 2) = s01 + s11;
 }
+#else
+#define TILE 1
 #endif
 
 /* out (rows, n) = start + a (rows, terms) b (terms, n), where start is out itself if it `adds`, else bias, else 0. */
@@ -96,25 +101,23 @@ static INLINED void product(int rows, int terms, int n, REAL *restrict out, View
                                                           const REAL *restrict a, View of, const REAL *restrict b,
                                                           View by, const REAL *restrict bias, View from, int adds)
 {
-    int tiled = 0; /* columns */
+    const int tiled = VECTORS && by.column == 1 && to.column == 1 ? n - n % TILE : 0; /* columns */
     for (int i = 0; i < rows && !adds; i++) {
         for (int j = 0; j < n; j++) {
             out[i * to.row + j * to.column] = bias ? bias[i * from.row + j * from.column] : 0;
         }
     }
-#ifdef TILE
-    if (by.column == 1 && to.column == 1) {
-        for (; tiled + TILE <= n; tiled += TILE) {
-            int i = 0;
-            for (; i + 4 <= rows; i += 4) {
-                four_rows(terms, out + i * to.row + tiled, to.row, a + i * of.row, of, b + tiled, by.row);
-            }
-            for (; i + 2 <= rows; i += 2) {
-                two_rows(terms, out + i * to.row + tiled, to.row, a + i * of.row, of, b + tiled, by.row);
-            }
-            for (; i < rows; i++) {
-                one_row(terms, out + i * to.row + tiled, a + i * of.row, of, b + tiled, by.row);
-            }
+#if VECTORS
+    for (int j = 0; j < tiled; j += TILE) {
+        int i = 0;
+        for (; i + 4 <= rows; i += 4) {
+            four_rows(terms, out + i * to.row + j, to.row, a + i * of.row, of, b + j, by.row);
+        }
+        for (; i + 2 <= rows; i += 2) {
+            two_rows(terms, out + i * to.row + j, to.row, a + i * of.row, of, b + j, by.row);
+        }
+        for (; i < rows; i++) {
+            one_row(terms, out + i * to.row + j, a + i * of.row, of, b + j, by.row);
         }
     }
 #endif
