@@ -13,7 +13,7 @@ from conftest import process_environment
 ROOT = Path(__file__).parent.parent / "npred"
 FLOORS = [
     {"errors", "grid", "json_files", "randomness", "toml_text"},
-    {"array_checks", "config", "defaults", "parallel", "registry", "symbolic", "terminal"},
+    {"array_checks", "config", "defaults", "kernels", "parallel", "registry", "symbolic", "terminal"},
     {"plants", "results", "robots", "store"},
     {"data", "operators"},
     {"delays", "training"},

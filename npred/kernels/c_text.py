@@ -38,9 +38,9 @@ def comment(text: str) -> str:
 
 def single(text: str) -> str:
     """C in double precision as C in single precision: its types, its numbers and the functions of its library."""
-    text = _HEXADECIMAL.sub(lambda found: _exact(float.fromhex(found[0]), "float"), text)
-    text = _NUMBER.sub(lambda found: literal(float(found[1]), "float"), text)
-    return _WORD.sub(lambda found: f"{found[1]}f" if found[1] else "float", text)
+    text = _HEXADECIMAL.sub(lambda number: _exact(float.fromhex(number[0]), "float"), text)
+    text = _NUMBER.sub(lambda number: literal(float(number[1]), "float"), text)
+    return _WORD.sub(lambda number: f"{number[1]}f" if number[1] else "float", text)
 
 
 def fill(template: str, **slots: Sequence[str]) -> str:

@@ -113,11 +113,11 @@ def sound(target: Path) -> bool:
         return False
 
 
-def install(made: Path, target: Path) -> None:
+def install(folder: Path, target: Path) -> None:
     """Seal what was compiled, make it durable and rename it into place, where another process may have been faster."""
-    digests = _digests(made)
-    (made / SEAL).write_text(json.dumps(digests), encoding="utf-8")
-    for path in [*(made / name for name in digests), made / SEAL, made]:
+    digests = _digests(folder)
+    (folder / SEAL).write_text(json.dumps(digests), encoding="utf-8")
+    for path in [*(folder / name for name in digests), folder / SEAL, folder]:
         json_files.sync(path)
     if target.exists() and not sound(target):
         broken = Path(tempfile.mkdtemp(dir=target.parent, prefix=".old-"))
@@ -125,7 +125,7 @@ def install(made: Path, target: Path) -> None:
         shutil.rmtree(broken, ignore_errors=True)
     if not target.exists():
         try:
-            made.rename(target)
+            folder.rename(target)
         except FileExistsError:
             return
         except OSError as error:

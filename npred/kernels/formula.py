@@ -84,7 +84,7 @@ def statements(
 
 def _statement(line: str, sizes: Mapping[str, int]) -> str:
     left, _, right = line.partition(" = ")
-    right = _NUMBER.sub(lambda found: NUMBERS[found[0]], right)
+    right = _NUMBER.sub(lambda number: NUMBERS[number[0]], right)
     if called := re.match(r"plant_(\w+)\((.*)\)$", right):
         return f"double {left}[{sizes[called[1]]}]; plant_{called[1]}({called[2]}, {left});"
     if not re.fullmatch(r"v\d+", left):

@@ -1,4 +1,4 @@
-"""The formulas of one plant as C functions, those of a costly plant calling functions of their own."""
+"""The formulas of one plant as C functions, those of a costly plant calling other functions."""
 
 from collections.abc import Collection, Iterable, Mapping
 from typing import Any
@@ -7,7 +7,6 @@ import numpy as np
 
 from npred.kernels import formula
 from npred.kernels.formula import Strided, vector
-from npred.plants.base import Plant
 from npred.symbolic import called_functions
 from npred.symbolic.trace import Trace
 
@@ -17,7 +16,7 @@ CALLED = "static APART void plant_{name}({arguments}, double *y)\n{{\n    {lines
 class Formulas:
     """A trace, and C functions of what is made on it; `{name}` stands for the name of each."""
 
-    def __init__(self, plant: Plant, called: Collection[str] | None = None) -> None:
+    def __init__(self, plant: Any, called: Collection[str] | None = None) -> None:
         """Of `called` the functions are not written out; by default of those whose programs are long."""
         self.plant = plant
         self.trace = Trace(plant, called_functions.called(plant) if called is None else called)

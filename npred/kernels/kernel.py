@@ -83,7 +83,7 @@ class Kernel:
 
     @property
     def unit(self) -> str:
-        """A file of C of its own, each text in it once."""
+        """A file of C with all that it needs, each text once."""
         passed = ", ".join(["d", *names(self.arguments), "work"])
         entry = f"{prototype('entry', self.arguments)}\n{{\n    {self.name}({passed});\n}}\n"
         return "\n".join(dict.fromkeys([skeleton("base.h"), *self.texts, entry]))

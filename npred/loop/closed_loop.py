@@ -279,11 +279,11 @@ class _Simulation:
         n, m, lanes, D = self.plant.n, self.plant.m, len(D), self.plant.ratios[:, None] * D
         X, age = np.array(X0.T, order="C"), round(self.measurement.delay / self.dt)
         reads_commands = self.recalls or self.plant.declares_delay
-        given = {"X": X, "D": D, "D_hat": np.array(D_hat), "held": held, "total": total}
-        given |= {"D_seen": D.copy() if reads_commands else D}
-        given |= {"X_hat": X, "Y": X} if self.measurement.perfect else {"X_hat": X.copy()}
+        arrays = {"X": X, "D": D, "D_hat": np.array(D_hat), "held": held, "total": total}
+        arrays |= {"D_seen": D.copy() if reads_commands else D}
+        arrays |= {"X_hat": X, "Y": X} if self.measurement.perfect else {"X_hat": X.copy()}
         sizes = {"n": n, "m": m, "nx": nx, "observer": self.law.memory, "past": age + 1}
-        return State(**signals.memory(signals.STATE, sizes, lanes, given))
+        return State(**signals.memory(signals.STATE, sizes, lanes, arrays))
 
     def _record(self, rows: int, samples: int, nx: int, lanes: int) -> Record:
         n, m = self.plant.n, self.plant.m

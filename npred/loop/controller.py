@@ -281,11 +281,11 @@ class Controller:
         self._longest = longest
         self._k, held, total = history(longest, longest, self.dt, self._past(np.zeros(n)))
         Y = np.zeros((n, 1))
-        given = {"Y": Y, "X_hat": np.zeros((n, 1)) if self._gated else Y, "held": held, "total": total}
-        given |= {"u": np.zeros((nx, m, 1)), "u_nodes": np.zeros((nx, m, 1)), "D_seen": np.zeros((m, 1))}
-        given |= {"error": np.full(1, np.nan)}
+        arrays = {"Y": Y, "X_hat": np.zeros((n, 1)) if self._gated else Y, "held": held, "total": total}
+        arrays |= {"u": np.zeros((nx, m, 1)), "u_nodes": np.zeros((nx, m, 1)), "D_seen": np.zeros((m, 1))}
+        arrays |= {"error": np.full(1, np.nan)}
         sizes = {"n": n, "m": m, "nx": nx, "observer": size, "past": 0}
-        self._set_memory(signals.State(**signals.memory(signals.STATE, sizes, 1, given)))
+        self._set_memory(signals.State(**signals.memory(signals.STATE, sizes, 1, arrays)))
 
     def _set_memory(self, memory: signals.State) -> None:
         self.memory = memory

@@ -91,7 +91,7 @@ def _function(name: str, part: Any, settings: Settings, state: State, failure: F
     return callback(part, PARTS[name], fixed | {"p": settings.truth_p if name in TRUE else settings.p}, failure)
 
 
-TRUE = ("horizon", "pace", "advance")  # parts of the simulated plant, which has its own parameters
+TRUE = ("horizon", "pace", "advance")  # parts of the simulated plant, which may have other parameters
 
 
 @cache

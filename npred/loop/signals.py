@@ -114,10 +114,10 @@ Record = namedtuple("Record", [signal.name for signal in RECORD])
 Settings = namedtuple("Settings", [*(signal.name for signal in SETTINGS), "sensor"])
 
 
-def settings(**given: Any) -> Settings:
+def settings(**numbers: Any) -> Settings:
     """The settings that are given, and of the others that none is used."""
     unused = {s.name: 0 if s.axes is None else np.zeros(0, dtype=s.kind) for s in SETTINGS}
-    return Settings(**(unused | {"sensor": Sensor()} | given))
+    return Settings(**(unused | {"sensor": Sensor()} | numbers))
 
 
 def _structure(name: str, rows: Iterable[Signal], more: Any = ()) -> Any:
@@ -153,11 +153,11 @@ def _braced(name: str, lines: Iterable[str]) -> str:
     return "typedef struct {\n" + "\n".join(lines) + f"\n}} {name};\n"
 
 
-def memory(rows: Iterable[Signal], sizes: Mapping[str, int], lanes: int, given: Mapping[str, np.ndarray]) -> Any:
+def memory(rows: Iterable[Signal], sizes: Mapping[str, int], lanes: int, arrays: Mapping[str, np.ndarray]) -> Any:
     """The arrays of the rows by name: those given, and new ones."""
-    shapes = {s.name: (*(sizes[axis] for axis in s.axes or ()), lanes) for s in rows if s.name not in given}
-    new = {s.name: np.full(shapes[s.name], s.start, dtype=s.kind) for s in rows if s.name not in given}
-    return {s.name: given.get(s.name, new.get(s.name)) for s in rows}
+    shapes = {s.name: (*(sizes[axis] for axis in s.axes or ()), lanes) for s in rows if s.name not in arrays}
+    new = {s.name: np.full(shapes[s.name], s.start, dtype=s.kind) for s in rows if s.name not in arrays}
+    return {s.name: arrays.get(s.name, new.get(s.name)) for s in rows}
 
 
 def structure(values: Any) -> Any:

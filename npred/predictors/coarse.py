@@ -62,8 +62,8 @@ class Coarse(Compiled):
         sweep: Any = self.method.cells()
 
         def work(nx: int, lanes: int, _: Any) -> int:
-            own = 2 * (nx + 1) * m + 2 * count * m + (count + 1) * n
-            return own * lanes + sweep.work(count + 1, lanes, None)
+            cells = 2 * (nx + 1) * m + 2 * count * m + (count + 1) * n
+            return cells * lanes + sweep.work(count + 1, lanes, None)
 
         sizes, body = {"N": n, "M": m, "COUNT": count}, skeleton("coarse.h")
         return made("coarse", family.PREDICT, body, {}, sizes, {"SWEEP": sweep}, [skeleton("cells.h")], work=work)

@@ -28,10 +28,10 @@ def kernel(plant: Plant, by: str, exact: Predictor, method: type[OneStep]) -> Ca
 
     def work(nx: int, lanes: int, settings: np.ndarray) -> int:
         finest = int(settings[1]) << int(settings[5])
-        own = 3 * m + 2 * (nx + 1) * m + 2 * (finest + 1) * m + (1 + defect) * (finest + 1) * n
+        grids = 3 * m + 2 * (nx + 1) * m + 2 * (finest + 1) * m + (1 + defect) * (finest + 1) * n
         one = n + nx * (m + n) + (compiled["EXACT"].work(nx, 1, None) if compiled else 0)
         rest = [part.work(max(nx, finest + 1), lanes, None) for part in compiled.values()]
-        return len(POINTERS) + own * lanes + max(one, *rest, 0)
+        return len(POINTERS) + grids * lanes + max(one, *rest, 0)
 
     sizes = {"N": n, "M": m, "PHASED": int(phased), "PERIOD": repr(plant.period) if phased else "1.0"}
     sizes |= {"ON_CELLS": int(cells), "DEFECT": int(defect)} | ({} if plant.traced else {"FOREIGN": ""})

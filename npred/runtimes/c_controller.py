@@ -147,8 +147,8 @@ class _Writer:
         kernels = [text for part in self.parts.values() if part for text in part.texts]
         loop = [types, structs, skeleton("actuator.h"), skeleton("step.h"), skeleton("controller.h")]
         text = "\n".join(dict.fromkeys(["#define WIDE 1", "#define LANES", skeleton("base.h"), *kernels, *loop]))
-        given = self._numbers().items()
-        numbers = [constant(f"the_{name}", values, self.real) for name, values in given if values.size]
+        values_of = self._numbers().items()
+        numbers = [constant(f"the_{name}", values, self.real) for name, values in values_of if values.size]
         return "\n".join([single(text) if self.real == "float" else text, *numbers])
 
     def _numbers(self) -> dict[str, np.ndarray]:
@@ -163,12 +163,12 @@ class _Writer:
             names["X_hat"] = names["Y"]
         if not self.recalls:
             names |= {"u": "(REAL *)u", "u_nodes": "(REAL *)u_nodes"}
-        settings, given = self.controller.settings, {part: f"self->settings.{name}" for name, part in SETTINGS.items()
-                                                     if name in self.settings}  # fmt: skip
-        held = {name: given.get(name, f"(REAL *)the_{name}") for name, values in self._numbers().items() if values.size}
+        settings = self.controller.settings
+        held = {name: f"(REAL *)the_{name}" for name, values in self._numbers().items() if values.size}
         held |= {name: str(int(getattr(settings, name))) for name in FLAGS}
-        held |= {name: literal(getattr(settings, name), self.real) for name in ("dt", "b", "gate")}
-        held["gamma_dt"] = f"{given['gamma_dt']}[0]" if "gamma_dt" in given else literal(settings.gamma_dt, self.real)
+        held |= {name: literal(getattr(settings, name), self.real) for name in ("dt", "b", "gate", "gamma_dt")}
+        tunable = {part: f"self->settings.{name}" for name, part in SETTINGS.items() if name in self.settings}
+        held |= {part: f"{text}[0]" if part == "gamma_dt" else text for part, text in tunable.items()}
         parts = {name: part.name for name, part in self.parts.items() if part}
         rows = "%%_ROWS" if self.keeps else "0"
         slots = {
