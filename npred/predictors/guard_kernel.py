@@ -14,6 +14,7 @@ from npred.predictors.base import Predictor
 from npred.predictors.heun import Heun
 from npred.predictors.onestep import OneStep
 
+HEAD = 6  # numbers of the settings before those of the domain: tolerance, fine, coarse, correct, limit, refinements
 POINTERS = {"CONTROL": family.CONTROL, "EXACT": family.PREDICT, "REFERENCE": family.PREDICT}
 
 
