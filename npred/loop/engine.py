@@ -56,6 +56,7 @@ class Engine:
         self._arrays = [settings, state, *([out] if out else [])]
         self._structs = [signals.Pointers(**pointers), *map(signals.structure, self._arrays)]
         self._passed = [*map(ctypes.addressof, self._structs)]
+        self._scratch = address(self._work)
 
     def run(self, origin: int, start: int, stop: int) -> None:
         """Control steps start … stop - 1 of a loop; `origin` is the ring buffers' number of step 0.
@@ -63,23 +64,23 @@ class Engine:
         Raises what a part in Python raises, as the other methods do.
         """
         flag = ctypes.addressof(self._failure.flag)
-        library().run(self._shape, origin, start, stop, *self._passed, flag, address(self._work))
+        library().run(self._shape, origin, start, stop, *self._passed, flag, self._scratch)
         self._failure.raised()
 
     def control_step(self, k: int, t: float) -> None:
         """U, P and the next D_hat of a controller from its sample Y, and from u or the commands before step k."""
-        library().step(self._shape, k, t, *self._passed, address(self._work))
+        library().step(self._shape, k, t, *self._passed, self._scratch)
         self._failure.raised()
 
     def remember(self, k: int, t: float) -> int:
         """Hold U as the command of step k; the next step's number."""
-        after = library().remembered(self._shape, k, t, *self._passed, address(self._work))
+        after = library().remembered(self._shape, k, t, *self._passed, self._scratch)
         self._failure.raised()
         return after
 
     def hold(self, k: int, t: float) -> None:
         """The U of a step that was refused, for `remember`."""
-        library().held(self._shape, k, t, *self._passed, address(self._work))
+        library().held(self._shape, k, t, *self._passed, self._scratch)
         self._failure.raised()
 
 
