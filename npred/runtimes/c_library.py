@@ -1,7 +1,6 @@
 """A generated C file as a library that Python calls: to compare what it computes with what it should."""
 
 import ctypes
-import shutil
 import subprocess
 import tempfile
 from collections.abc import Iterable
@@ -10,20 +9,21 @@ from pathlib import Path
 import numpy as np
 
 from npred.errors import NpredError
+from npred.kernels.compiler import found
 from npred.plants.base import Plant
 from npred.runtimes.probe import Probe
 
 FLAGS = ("-std=c99", "-O2", "-shared", "-fPIC")
 
 
-def compiler() -> str | None:
-    """The C compiler of this machine, or None."""
-    return shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
+def compiler() -> tuple[str, ...] | None:
+    """The C compiler of this machine, as the words of a command, or None."""
+    return found() or None
 
 
 def build(sources: Iterable[Path], target: Path, what: str, *flags: str) -> None:
     """Compile C sources into a shared library. Raises NpredError, in one line, where they do not compile."""
-    command = [compiler() or "cc", *FLAGS, *flags, *map(str, sources), "-o", str(target), "-lm"]
+    command = [*(compiler() or ("cc",)), *FLAGS, *flags, *map(str, sources), "-o", str(target), "-lm"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=600)
     if done.returncode:
         complaint = (done.stderr.splitlines() or ["no word"])[0]

@@ -1,9 +1,9 @@
-"""An operator on a fixed grid as a short program of matrix products: what the compiled and the C runtime both print.
+"""An operator on a fixed grid as a short program of matrix products, which npred.runtimes.network prints as C.
 
 All that does not depend on the sample is folded into constants here: the grid's transforms, the trunk, the weights.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
@@ -22,8 +22,7 @@ def layers(module: nn.Module, kind: type[Layer]) -> list[Layer]:
 class Matrix:
     """A view of a named flat array: element (i, k) is name[offset + e turn + i row + k column].
 
-    e counts the repetitions of a product. With `layer`, name is a stack of constants of that size, one per layer, and
-    is read through a view of that layer.
+    e counts the repetitions of a product. With `layer`, name is a stack of constants of that size, one per layer.
     """
 
     name: str
@@ -32,21 +31,6 @@ class Matrix:
     offset: int = 0
     turn: int = 0
     layer: int = 0
-
-    def index(self, i: str, k: str) -> str:
-        """The text of the position of element (i, k), the same in Python and in C."""
-        pairs = (("e", self.turn), (i, self.row), (k, self.column))
-        terms = [text if stride == 1 else f"({text}) * {stride}" for text, stride in pairs if stride and text != "0"]
-        return " + ".join([*terms, *([str(self.offset)] if self.offset else [])]) or "0"
-
-    def at(self, i: str, k: str) -> str:
-        """The text of element (i, k)."""
-        return f"{self.view}[{self.index(i, k)}]"
-
-    @property
-    def view(self) -> str:
-        """The array's name in the text."""
-        return f"{self.name}_o" if self.layer else self.name
 
 
 @dataclass(frozen=True)
@@ -107,26 +91,8 @@ class Repeat:
     count: int
     steps: tuple["Step", ...]
 
-    @property
-    def stacks(self) -> list[Matrix]:
-        """The stacks of constants that the steps read."""
-        products = [step for step in self.steps if isinstance(step, Product)]
-        return [m for step in products for m in (step.a, step.b, step.bias) if m and m.layer]
-
 
 Step = Product | Silu | SiluPair | Transpose | Mirror | Repeat
-
-
-def loops(counts: dict[str, int], body: list[str], head: str, tail: Sequence[str] = ()) -> list[str]:
-    """The lines of a body in nested loops, the first index outermost; head and tail are those of one loop."""
-    for index, count in reversed(counts.items()):
-        body = [head.format(index, count), *indented(body), *tail]
-    return body
-
-
-def indented(lines: Iterable[str]) -> list[str]:
-    """The lines of a block."""
-    return [f"    {line}" for line in lines]
 
 
 @dataclass(frozen=True)
