@@ -158,7 +158,7 @@ def _kernels(network: Kernel, plant: Plant, nx: int) -> str:
     law = of.function(*_law(of.trace, nx), {"U": plant.m}, "1").replace("{name}", "npred_law")
     p = constant("parameters", plant.p if plant.p.size else np.zeros(1))
     texts = [skeleton("base.h"), *network.texts, *of.called(), law, p]
-    return "\n".join(["#define WIDE 1", "#define LANES", *dict.fromkeys(texts)])
+    return "\n".join(["#define WIDE 1", "#define LANES", "#define INDEX int", *dict.fromkeys(texts)])
 
 
 def _law(trace: Trace, nx: int) -> tuple[list[Any], list[Any]]:

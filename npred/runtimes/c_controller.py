@@ -146,7 +146,9 @@ class _Writer:
         types, structs = signals.declared()
         kernels = [text for part in self.parts.values() if part for text in part.texts]
         loop = [types, structs, skeleton("actuator.h"), skeleton("step.h"), skeleton("controller.h")]
-        text = "\n".join(dict.fromkeys(["#define WIDE 1", "#define LANES", skeleton("base.h"), *kernels, *loop]))
+        text = "\n".join(
+            dict.fromkeys(["#define WIDE 1", "#define LANES", "#define INDEX int", skeleton("base.h"), *kernels, *loop])
+        )
         values_of = self._numbers().items()
         numbers = [constant(f"the_{name}", values, self.real) for name, values in values_of if values.size]
         return "\n".join([single(text) if self.real == "float" else text, *numbers])

@@ -4,10 +4,10 @@
 #define ROUNDING 1e-9 /* of a control step: positions this close to a step's start are on it */
 
 /* The integral of U over time up to position s, in control steps. */
-static inline double sum_to(double s, int c, int l, Shape d, int64_t wrap, const double *held, const double *total)
+static inline double sum_to(double s, int c, int l, Shape d, INDEX wrap, const double *held, const double *total)
 {
-    const int64_t i = (int64_t)(s + ROUNDING);
-    const int64_t row = i >= wrap ? i - wrap : i - wrap + d.rows;
+    const INDEX i = (INDEX)(s + ROUNDING);
+    const INDEX row = i >= wrap ? i - wrap : i - wrap + d.rows;
     const ptrdiff_t at = ((ptrdiff_t)row * d.m + c) * d.lanes + l;
     return total[at] + larger(s - (double)i, 0.0) * held[at];
 }
@@ -16,11 +16,11 @@ static inline double sum_to(double s, int c, int l, Shape d, int64_t wrap, const
  * rule on cell means is the integral of the held input on any grid. The update law compares u with kappa(P): `u_nodes`
  * has values at the nodes, linear between the starts of control steps, where U = kappa(P(1)) was commanded; the held
  * value lags behind by half a step on average. At x = 1 it is the newest U, from the left. */
-static inline void transport(Shape d, int64_t k, double dt, const double *D, const double *held, const double *total, double *u,
+static inline void transport(Shape d, INDEX k, double dt, const double *D, const double *held, const double *total, double *u,
                       double *u_nodes)
 {
     const int last = d.nx - 1;
-    const int64_t wrap = k - k % d.rows;
+    const INDEX wrap = k - k % d.rows;
     for (int c = 0; c < d.m; c++) {
         for (int from = 0; from < d.lanes; from += WIDE) {
             const int width = least(WIDE, d.lanes - from);
@@ -37,7 +37,7 @@ static inline void transport(Shape d, int64_t k, double dt, const double *D, con
                 for (int l = 0; l < width; l++) {
                     const double s = (double)k - edge * span[l], position = (double)k - node * span[l];
                     const double sum_s = sum_to(s, c, from + l, d, wrap, held, total);
-                    int64_t i = (int64_t)(position + ROUNDING), after;
+                    INDEX i = (INDEX)(position + ROUNDING), after;
                     double start;
                     i = i < k - 1 ? i : k - 1;
                     after = i < k - 1 ? i + 1 : k - 1;
@@ -58,22 +58,22 @@ static inline void transport(Shape d, int64_t k, double dt, const double *D, con
 }
 
 /* The step whose command leaves a delay D at the start of control step k, and for how much of the step it does. */
-static inline int64_t leaving(int64_t k, double dt, double D, double *share)
+static inline INDEX leaving(INDEX k, double dt, double D, double *share)
 {
     const double s = isfinite(D) ? (double)k - D / dt : (double)k; /* that of a loop that ended is NaN */
     const double i = floor(s + ROUNDING);
     *share = s - i > ROUNDING ? 1.0 - (s - i) : 1.0;
-    return (int64_t)i;
+    return (INDEX)i;
 }
 
 /* Hold U over control step k, and say what leaves the delay meanwhile: U0 for the first `share` of it, then U1. */
-static inline void actuate(Shape d, int64_t k, double dt, const double *D, const double *U, double *held, double *total,
+static inline void actuate(Shape d, INDEX k, double dt, const double *D, const double *U, double *held, double *total,
                     double *U0, double *U1, double *share)
 {
     const ptrdiff_t row = (ptrdiff_t)d.m * d.lanes;
     const ptrdiff_t now = modulo(k, d.rows) * row, next = modulo(k + 1, d.rows) * row;
     for (ptrdiff_t a = 0; a < row; a++) {
-        const int64_t i = leaving(k, dt, D[a], share + a);
+        const INDEX i = leaving(k, dt, D[a], share + a);
         held[now + a] = U[a];
         total[next + a] = total[now + a] + U[a];
         U0[a] = held[modulo(i, d.rows) * row + a];
@@ -84,13 +84,13 @@ static inline void actuate(Shape d, int64_t k, double dt, const double *D, const
 /* The same where the delay changes during the step: phi(t) = t - D passes the commands at that speed. The first switch
  * comes when phi has passed the rest of its control step; all that follows it is U1, the mean of the commands over what
  * is left. A speed that is not positive, at a jump of the delay say, holds U0. */
-static inline void retime(Shape d, int64_t k, double dt, const double *D, const double *speed, const double *held, double *U1,
+static inline void retime(Shape d, INDEX k, double dt, const double *D, const double *speed, const double *held, double *U1,
                    double *share)
 {
     const ptrdiff_t row = (ptrdiff_t)d.m * d.lanes;
     for (ptrdiff_t a = 0; a < row; a++) {
         double rest, left, total = 0.0, mean;
-        int64_t i = leaving(k, dt, D[a], &rest);
+        INDEX i = leaving(k, dt, D[a], &rest);
         share[a] = 1.0;
         if (!(speed[a] > rest)) {
             continue;

@@ -4,6 +4,10 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#ifndef INDEX
+#define INDEX int64_t /* numbers of control steps */
+#endif
+
 typedef struct {
     int nx;    /* nodes of x in [0, 1] */
     int lanes; /* loops side by side */
@@ -56,7 +60,7 @@ static inline int most(int a, int b)
 }
 
 /* i modulo a positive number, never negative. */
-static inline int modulo(int64_t i, int count)
+static inline int modulo(INDEX i, int count)
 {
     const int rest = (int)(i % count);
     return rest < 0 ? rest + count : rest;

@@ -18,7 +18,7 @@ static inline void screen(Shape d, const Settings *s, State *z)
 }
 
 /* U, P and the next D_hat from the sample Y, and from u or the commands before step k. */
-static inline void control_step(Shape d, int64_t k, double t, const Parts *q, const Settings *s, State *z, double *work)
+static inline void control_step(Shape d, INDEX k, double t, const Parts *q, const Settings *s, State *z, double *work)
 {
     if (s->gated) {
         screen(d, s, z);
@@ -31,13 +31,13 @@ static inline void control_step(Shape d, int64_t k, double t, const Parts *q, co
 }
 
 /* Hold U as the command of step k; the next step's number. It and the sums stay small, for large ones round. */
-static inline int64_t remember(Shape d, int64_t k, double t, const Parts *q, const Settings *s, State *z, double *work)
+static inline INDEX remember(Shape d, INDEX k, double t, const Parts *q, const Settings *s, State *z, double *work)
 {
     actuate(d, k, s->dt, z->D_seen, z->U, z->held, z->total, z->U0, z->U1, z->share);
     if (s->gated) {
         q->model(d, z->expected, z->U0, z->U1, z->share, s->dt, t, s->p, work);
     }
-    if (k + 1 < 2 * (int64_t)d.rows) {
+    if (k + 1 < 2 * (INDEX)d.rows) {
         return k + 1;
     }
     for (int c = 0; c < d.m; c++) {
@@ -50,7 +50,7 @@ static inline int64_t remember(Shape d, int64_t k, double t, const Parts *q, con
 }
 
 /* The U of a step that was refused, for `remember`: the last one, which the actuator holds. */
-static inline void hold(Shape d, int64_t k, double t, const Parts *q, const Settings *s, State *z, double *work)
+static inline void hold(Shape d, INDEX k, double t, const Parts *q, const Settings *s, State *z, double *work)
 {
     if (q->believe && s->gated) {
         q->believe(d, z->expected, t, s->p, s->ratios, z->D_hat, z->D_seen, work);

@@ -1,7 +1,7 @@
 /* Loops of the plant and its controller, side by side: the only time loop. */
 
 /* D at control step k, and the speed of phi(t) = t - D during it, of delays that are a function of time. */
-static inline void tabulated(Shape d, int64_t k, double dt, const double *delays, double *D, double *speed)
+static inline void tabulated(Shape d, INDEX k, double dt, const double *delays, double *D, double *speed)
 {
     const ptrdiff_t row = (ptrdiff_t)d.m * d.lanes;
     for (ptrdiff_t a = 0; a < row; a++) {
@@ -33,7 +33,7 @@ static inline void copy_lane(int count, int lanes, int l, const double *from, do
  * are those whose delay is negative, or in one step came to be longer than the history of commands, `longest`. A
  * prediction that ends there has its last finite node as state, with the input there; what it was made from is the last
  * of the samples, and says when that node comes. */
-static inline void watch(Shape d, int64_t k, double t, double longest, const Settings *s, State *z, Record *out)
+static inline void watch(Shape d, INDEX k, double t, double longest, const Settings *s, State *z, Record *out)
 {
     const int lanes = d.lanes, last = d.nx - 1;
     const ptrdiff_t states = (ptrdiff_t)d.n * lanes, inputs = (ptrdiff_t)d.m * lanes;
@@ -70,7 +70,7 @@ static inline void watch(Shape d, int64_t k, double t, double longest, const Set
 
 /* Sum over inputs of ∫ (U_c - U_c*)² ds from t - D_c to t, by the trapezoidal rule on u; where the controller reads u by
  * another delay than the true one, over the commands that are held. */
-static inline void energy(Shape d, int64_t k, double dt, const double *u_star, const State *z, double *out)
+static inline void energy(Shape d, INDEX k, double dt, const double *u_star, const State *z, double *out)
 {
     const int last = d.nx - 1, lanes = d.lanes;
     const ptrdiff_t inputs = (ptrdiff_t)d.m * lanes;
@@ -89,7 +89,7 @@ static inline void energy(Shape d, int64_t k, double dt, const double *u_star, c
             const double D = z->D[c * lanes + l];
             if (D >= 0.0 && D != z->D_seen[c * lanes + l]) {
                 double left = smaller(D / dt, d.rows - 1);
-                for (int64_t i = k - 1; left > 0.0; i--, left -= 1.0) {
+                for (INDEX i = k - 1; left > 0.0; i--, left -= 1.0) {
                     const double gap = z->held[modulo(i, d.rows) * inputs + c * lanes + l] - u_star[c];
                     out[l] += smaller(left, 1.0) * dt * (gap * gap);
                 }
@@ -99,18 +99,18 @@ static inline void energy(Shape d, int64_t k, double dt, const double *u_star, c
 }
 
 /* Write step k to the record: every `every`-th state, the samples asked for, the first step that is not finite. */
-static inline void keep(Shape d, int64_t k, int64_t origin, const Settings *s, State *z, Record *out)
+static inline void keep(Shape d, INDEX k, INDEX origin, const Settings *s, State *z, Record *out)
 {
     const int lanes = d.lanes;
     const ptrdiff_t states = (ptrdiff_t)d.n * lanes, inputs = (ptrdiff_t)d.m * lanes;
     for (int l = 0; l < lanes; l++) {
-        for (int64_t i; (i = z->drawn[l]) < s->sample_count && s->samples[i * lanes + l] == k; z->drawn[l]++) {
+        for (INDEX i; (i = z->drawn[l]) < s->sample_count && s->samples[i * lanes + l] == k; z->drawn[l]++) {
             copy_lane(d.n, lanes, l, z->X, out->sample_X + i * states);
             copy_lane(d.nx * d.m, lanes, l, z->u, out->sample_u + i * d.nx * inputs);
             out->sample_D_hat[i * lanes + l] = z->D_hat[l];
         }
         if (z->fallback[l] > 0.0 && isfinite(z->X[l])) {
-            const int64_t row = (k + s->every - 1) / s->every;
+            const INDEX row = (k + s->every - 1) / s->every;
             out->fallbacks[l]++;
             if (row < s->row_count) {
                 out->fallback[row * lanes + l] = 1;
@@ -123,7 +123,7 @@ static inline void keep(Shape d, int64_t k, int64_t origin, const Settings *s, S
         }
     }
     if (k % s->every == 0) {
-        const int64_t row = k / s->every;
+        const INDEX row = k / s->every;
         for (ptrdiff_t a = 0; a < states; a++) {
             out->X[row * states + a] = z->X[a];
             out->P[row * states + a] = z->P[(d.nx - 1) * states + a];
@@ -141,12 +141,12 @@ static inline void keep(Shape d, int64_t k, int64_t origin, const Settings *s, S
 
 /* Control steps start … stop - 1 [DAPF, eqs. 6-14]; `origin` is the ring buffers' number of step 0. The plant advances by
  * `advance`, what the controller believes of it by `model`. A part in Python that fails ends the loop by `failed`. */
-void run(Shape d, int64_t origin, int64_t start, int64_t stop, const Parts *q, const Settings *s, State *z, Record *out,
+void run(Shape d, INDEX origin, INDEX start, INDEX stop, const Parts *q, const Settings *s, State *z, Record *out,
          const volatile int *failed, double *work)
 {
-    for (int64_t k = start; k < stop && !*failed; k++) {
+    for (INDEX k = start; k < stop && !*failed; k++) {
         const double t = (double)k * s->dt;
-        const int64_t late = k - s->late, taken = late > 0 ? late : 0;
+        const INDEX late = k - s->late, taken = late > 0 ? late : 0;
         if (s->tabulates) {
             tabulated(d, k, s->dt, s->delays, z->D, z->speed);
         }

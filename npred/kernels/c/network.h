@@ -7,16 +7,18 @@ typedef struct {
 } View;
 
 #if defined __AVX__
-#define VECTORS 32 /* bytes */
+#define BYTES 32
 #elif defined __SSE2__ || defined __ARM_NEON
-#define VECTORS 16
+#define BYTES 16
 #else
-#define VECTORS 0
+#define BYTES (int)sizeof(REAL)
 #endif
-
-#if VECTORS
-typedef REAL Vector __attribute__((vector_size(VECTORS), aligned(sizeof(REAL)), may_alias));
-#define TILE (2 * VECTORS / (int)sizeof(REAL)) /* columns of a product whose sums stay in registers */
+#if defined __AVX__ || defined __SSE2__ || defined __ARM_NEON
+typedef REAL Vector __attribute__((vector_size(BYTES), aligned(sizeof(REAL)), may_alias));
+#else
+typedef REAL Vector;
+#endif
+#define TILE (2 * BYTES / (int)sizeof(REAL)) /* columns of a product whose sums stay in registers */
 
 static INLINED Vector loaded(const REAL *a)
 {
@@ -76,7 +78,8 @@ static INLINED void two_rows(int terms, REAL *restrict out, ptrdiff_t to, const 
 static INLINED void one_row(int terms, REAL *restrict out, const REAL *restrict a, View of, const REAL *restrict b,
                             ptrdiff_t by)
 {
-    Vector s00 = loaded(out), s01 = loaded(out + TILE / 2), s10 = {0}, s11 = {0};
+    static const REAL zeros[TILE] = {0};
+    Vector s00 = loaded(out), s01 = loaded(out + TILE / 2), s10 = loaded(zeros), s11 = s10;
     int k = 0;
     for (; k + 2 <= terms; k += 2) {
         const REAL x0 = a[k * of.column], x1 = a[(k + 1) * of.column];
@@ -92,22 +95,18 @@ static INLINED void one_row(int terms, REAL *restrict out, const REAL *restrict 
     *(Vector *)out = s00 + s10;
     *(Vector *)(out + TILE / 2) = s01 + s11;
 }
-#else
-#define TILE 1
-#endif
 
 /* out (rows, n) = start + a (rows, terms) b (terms, n), where start is out itself if it `adds`, else bias, else 0. */
 static INLINED void product(int rows, int terms, int n, REAL *restrict out, View to,
                                                           const REAL *restrict a, View of, const REAL *restrict b,
                                                           View by, const REAL *restrict bias, View from, int adds)
 {
-    const int tiled = VECTORS && by.column == 1 && to.column == 1 ? n - n % TILE : 0; /* columns */
+    const int tiled = by.column == 1 && to.column == 1 ? n - n % TILE : 0; /* columns */
     for (int i = 0; i < rows && !adds; i++) {
         for (int j = 0; j < n; j++) {
             out[i * to.row + j * to.column] = bias ? bias[i * from.row + j * from.column] : 0;
         }
     }
-#if VECTORS
     for (int j = 0; j < tiled; j += TILE) {
         int i = 0;
         for (; i + 4 <= rows; i += 4) {
@@ -120,7 +119,6 @@ static INLINED void product(int rows, int terms, int n, REAL *restrict out, View
             one_row(terms, out + i * to.row + j, a + i * of.row, of, b + j, by.row);
         }
     }
-#endif
     for (int i = 0; i < rows && tiled < n; i++) {
         for (int k = 0; k < terms; k++) {
             const REAL x = a[i * of.row + k * of.column];

@@ -1,6 +1,6 @@
 /* OBSERVE: an observer of the state for each candidate of the delay, driven by the commands, late by that delay. STEP
  * writes y, Heun's step of x with the input held, the error e = X - y where there is a sample, and how d has to move. */
-static inline void PART(_candidate)(Shape d, const Bank *b, int i, int64_t k, const double *X, const double *held,
+static inline void PART(_candidate)(Shape d, const Bank *b, int i, INDEX k, const double *X, const double *held,
                                     double t, double dt, const double *p, const double *law, const double *gain)
 {
     const int lanes = d.lanes;
@@ -10,7 +10,7 @@ static inline void PART(_candidate)(Shape d, const Bank *b, int i, int64_t k, co
     for (int from = 0; from < lanes; from += WIDE) {
         const int width = least(WIDE, lanes - from);
         for (int c = 0; c < M; c++) {
-            const int64_t late = k - 1 - (int64_t)law[NUMBERS + i * M + c];
+            const INDEX late = k - 1 - (INDEX)law[NUMBERS + i * M + c];
             const double *command = held + modulo(late, d.rows) * inputs + c * lanes + from;
             for (int l = 0; l < width; l++) {
                 v[c * WIDE + l] = command[l] + push[c * lanes + from + l];
@@ -37,7 +37,7 @@ static inline void PART(_candidate)(Shape d, const Bank *b, int i, int64_t k, co
     }
 }
 
-static inline void KERNEL(Shape d, int64_t k, double dt, const double *X, const double *held, double t, const double *p,
+static inline void KERNEL(Shape d, INDEX k, double dt, const double *X, const double *held, double t, const double *p,
                    const double *law, double *memory, double *D_hat, double *work)
 {
     const Bank b = bank(d, law, memory);

@@ -25,12 +25,12 @@ static inline double normal(int64_t seed, int64_t loop, int64_t number, int64_t 
 
 /* The samples Y that arrive at control step k, NaN in the loops where none does. `past` keeps the last age + 1 states,
  * `due` has when the next sample is taken, `number` how many were. */
-static inline void sample(Shape d, int64_t k, const Sensor *s, const double *X, double *past, double *due, int64_t *number,
+static inline void sample(Shape d, INDEX k, const Sensor *s, const double *X, double *past, double *due, int64_t *number,
                    double *Y)
 {
     const int rows = (int)s->age + 1, lanes = d.lanes;
     const ptrdiff_t row = (ptrdiff_t)d.n * lanes;
-    const int64_t taken = k - s->age;
+    const INDEX taken = k - s->age;
     for (ptrdiff_t a = 0; a < row; a++) {
         past[modulo(k, rows) * row + a] = X[a];
         Y[a] = NAN;
@@ -55,18 +55,18 @@ static inline void sample(Shape d, int64_t k, const Sensor *s, const double *X, 
 }
 
 /* The input that acts during control step i in loop l, as `actuate` gives it, read from the history up to step k. */
-static inline void reached(Shape d, int64_t i, double dt, const double *D, const double *held, int l, double *U0, double *U1,
+static inline void reached(Shape d, INDEX i, double dt, const double *D, const double *held, int l, double *U0, double *U1,
                     double *share)
 {
     for (int c = 0; c < d.m; c++) {
-        const int64_t step = leaving(i, dt, D[c * d.lanes + l], share + c), next = step + 1 < i ? step + 1 : i;
+        const INDEX step = leaving(i, dt, D[c * d.lanes + l], share + c), next = step + 1 < i ? step + 1 : i;
         U0[c] = held[((ptrdiff_t)modulo(step, d.rows) * d.m + c) * d.lanes + l];
         U1[c] = held[((ptrdiff_t)modulo(next, d.rows) * d.m + c) * d.lanes + l];
     }
 }
 
 /* X_hat at control step k: from the sample that arrived now, or from the last estimate, forward by the model. */
-static inline void estimate(Shape d, int64_t k, int64_t origin, double dt, int64_t age, const double *D, const double *held,
+static inline void estimate(Shape d, INDEX k, INDEX origin, double dt, INDEX age, const double *D, const double *held,
                      const double *Y, double *X_hat, Advance model, double *p, double *work)
 {
     const int lanes = d.lanes;
@@ -78,7 +78,7 @@ static inline void estimate(Shape d, int64_t k, int64_t origin, double dt, int64
         for (int c = 0; c < d.n; c++) {
             x[c] = (arrived ? Y : X_hat)[c * lanes + l];
         }
-        for (int64_t i = k == 0 ? k : arrived ? k - age : k - 1; i < k; i++) {
+        for (INDEX i = k == 0 ? k : arrived ? k - age : k - 1; i < k; i++) {
             reached(d, origin + i, dt, D, held, l, U0, U1, share);
             model(one, x, U0, U1, share, dt, (double)i * dt, p, rest);
         }

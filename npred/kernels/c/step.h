@@ -37,7 +37,7 @@ static inline void adapt(Shape d, double gamma_dt, const double *bounds, const d
 }
 
 /* U and phi at time t from X_hat, and from u where it is measured, else from the commands before step k. */
-static inline void decide(Shape d, const Parts *q, const Settings *s, State *z, int64_t k, double t, double *work)
+static inline void decide(Shape d, const Parts *q, const Settings *s, State *z, INDEX k, double t, double *work)
 {
     if (q->believe) {
         q->believe(d, z->X_hat, t, s->p, s->ratios, z->D_hat, z->D_seen, work);
