@@ -107,7 +107,7 @@ def waits(steps: Iterable[Step]) -> int:
         elif isinstance(step, Product):
             total += BLOCK * -(-step.shape[1] // TERMS)
         elif isinstance(step, Silu | SiluPair):
-            total += SILU if isinstance(step, Silu) else PAIR
+            total += PAIR if isinstance(step, SiluPair) else SILU
     return total
 
 

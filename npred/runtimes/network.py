@@ -1,7 +1,7 @@
 """PREDICT by a trained network on a fixed grid: its program printed as calls on constants and buffers."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
@@ -9,7 +9,7 @@ import numpy as np
 from npred.delays import family
 from npred.kernels.c_text import constant, literal
 from npred.kernels.kernel import Kernel, made, skeleton
-from npred.runtimes.program import Matrix, Product, Program, Repeat, Silu, SiluPair, Step, Transpose
+from npred.runtimes.program import Matrix, Program, Step
 
 # 2^f on [-1/2, 1/2], to 2e-7 of the value and to 2e-16; (e^d - 1) / d on [-1/2, 1/2]: Taylor's, but for the shortest
 EXP2 = {
@@ -57,32 +57,19 @@ def _memory(p: Program) -> str:
 
 
 def _function(name: str, steps: Iterable[Step], p: Program) -> str:
-    lines = "\n    ".join(line for step in steps for line in _step(step, p))
+    lines = "\n    ".join(line for step in steps for line in step.lines(_view(p)))
     return f"static void PART(_{name})(PART(_memory) *restrict q)\n{{\n    {lines}\n}}\n"
 
 
-def _step(step: Step, p: Program) -> list[str]:
-    """The lines of a step: a call with literal sizes and strides."""
+def _view(p: Program) -> Callable[[Matrix | None], str]:
+    """The C of a matrix of the program: where its first element is, and its strides."""
 
-    def view(matrix: Matrix | None) -> str:
-        """Where its first element is, and its strides."""
+    def text(matrix: Matrix | None) -> str:
         if matrix is None:
             return "0, (View){0, 0}"
         name = f"q->{RENAMED.get(matrix.name, matrix.name)}" if matrix.name in p.buffers else f"c_{matrix.name}"
-        moves = [f" + {count}{of}" for count, of in ((matrix.offset, ""), (matrix.turn, " * e"), (matrix.layer, " * o"))
-                 if count]  # fmt: skip
-        return f"{name}{''.join(moves)}, (View){{{matrix.row}, {matrix.column}}}"
+        moves = {"": matrix.offset, " * e": matrix.turn, " * o": matrix.layer}
+        place = name + "".join(f" + {count}{index}" for index, count in moves.items() if count)
+        return f"{place}, (View){{{matrix.row}, {matrix.column}}}"
 
-    if isinstance(step, Product):
-        bias, sizes = view(step.bias), ", ".join(map(str, step.shape))
-        call = f"product({sizes}, {view(step.out)}, {view(step.a)}, {view(step.b)}, {bias}, {int(step.adds)});"
-        return [call] if step.repeats == 1 else [f"for (int e = 0; e < {step.repeats}; e++) {{", f"    {call}", "}"]
-    if isinstance(step, Repeat):
-        inner = [f"    {line}" for part in step.steps for line in _step(part, p)]
-        return [f"for (int o = 0; o < {step.count}; o++) {{", *inner, "}"]
-    if isinstance(step, Silu | SiluPair):
-        name = "silu" if isinstance(step, Silu) else "silu_pair"
-        return [f"{name}({step.count}, q->{step.a}, q->{step.out});"]
-    if isinstance(step, Transpose):
-        return [f"transpose({step.shape[0]}, {step.shape[1]}, {view(step.a)}, {view(step.out)});"]
-    return [f"mirror({step.rows}, {step.nx}, {view(step.even)}, {view(step.odd)}, {view(step.out)});"]
+    return text

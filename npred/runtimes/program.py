@@ -3,9 +3,9 @@
 All that does not depend on the sample is folded into constants here: the grid's transforms, the trunk, the weights.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 from torch import nn
@@ -33,6 +33,9 @@ class Matrix:
     layer: int = 0
 
 
+View = Callable[["Matrix | None"], str]  # the C of a matrix: see npred.runtimes.network
+
+
 @dataclass(frozen=True)
 class Product:
     """out (M, N) = start + a (M, K) b (K, N), with start = `bias` (its row 0 for each row if row = 0), out, or zero."""
@@ -45,6 +48,12 @@ class Product:
     adds: bool = False
     repeats: int = 1
 
+    def lines(self, view: View) -> list[str]:
+        """Its C: a call with literal sizes and strides, as of the other steps."""
+        matrices = ", ".join(map(view, (self.out, self.a, self.b, self.bias)))
+        call = f"product({', '.join(map(str, self.shape))}, {matrices}, {int(self.adds)});"
+        return [call] if self.repeats == 1 else [f"for (int e = 0; e < {self.repeats}; e++) {{", f"    {call}", "}"]
+
 
 @dataclass(frozen=True)
 class Silu:
@@ -53,15 +62,17 @@ class Silu:
     out: str
     a: str
     count: int
+    function: ClassVar[str] = "silu"
+
+    def lines(self, view: View) -> list[str]:
+        return [f"{self.function}({self.count}, q->{self.a}, q->{self.out});"]
 
 
 @dataclass(frozen=True)
-class SiluPair:
+class SiluPair(Silu):
     """Of rows (difference, rest) of `count` numbers each: silu(rest + difference) - silu(rest), and silu(rest)."""
 
-    out: str
-    a: str
-    count: int
+    function: ClassVar[str] = "silu_pair"
 
 
 @dataclass(frozen=True)
@@ -71,6 +82,9 @@ class Transpose:
     out: Matrix
     a: Matrix
     shape: tuple[int, int]  # rows, columns
+
+    def lines(self, view: View) -> list[str]:
+        return [f"transpose({self.shape[0]}, {self.shape[1]}, {view(self.a)}, {view(self.out)});"]
 
 
 @dataclass(frozen=True)
@@ -83,6 +97,9 @@ class Mirror:
     rows: int
     nx: int
 
+    def lines(self, view: View) -> list[str]:
+        return [f"mirror({self.rows}, {self.nx}, {', '.join(map(view, (self.even, self.odd, self.out)))});"]
+
 
 @dataclass(frozen=True)
 class Repeat:
@@ -90,6 +107,10 @@ class Repeat:
 
     count: int
     steps: tuple["Step", ...]
+
+    def lines(self, view: View) -> list[str]:
+        inner = [f"    {line}" for step in self.steps for line in step.lines(view)]
+        return [f"for (int o = 0; o < {self.count}; o++) {{", *inner, "}"]
 
 
 Step = Product | Silu | SiluPair | Transpose | Mirror | Repeat
