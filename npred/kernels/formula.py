@@ -27,7 +27,6 @@ class Strided:
     name: str
     components: Sequence[str]
     stride: str = "lanes"
-    written: bool = False
 
     def at(self, k: int) -> str:
         """The text of component k."""

@@ -29,8 +29,8 @@ def library() -> ctypes.CDLL:
     loaded = compiler.library("\n".join([skeleton("base.h"), *signals.declared(), *map(skeleton, LOOP)]))
     step, pointer = ctypes.c_int64, ctypes.c_void_p
     loaded.run.argtypes, loaded.run.restype = [Shape, step, step, step, *(pointer,) * 6], None
-    for function in (loaded.step, loaded.remembered, loaded.held):
-        function.argtypes, function.restype = [Shape, step, ctypes.c_double, *(pointer,) * 4], step
+    for function, returned in ((loaded.step, None), (loaded.remembered, step), (loaded.held, None)):
+        function.argtypes, function.restype = [Shape, step, ctypes.c_double, *(pointer,) * 4], returned
     return loaded
 
 
