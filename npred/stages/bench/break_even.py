@@ -9,6 +9,7 @@ import numpy as np
 
 from npred import grid
 from npred.figures.style import short
+from npred.kernels.kernel import bound
 from npred.predictors import RK4, OneStep, Predictor
 from npred.registry import METHODS, NETWORKS
 from npred.results.bench import Crossover, Rival, Timing
@@ -98,12 +99,9 @@ def _call(reference: Reference, run: Predictor) -> Callable[[int], None]:
         (reference.X[i][:, None].copy(), u[i][..., None].copy(), reference.D_hat[i : i + 1].copy())
         for i in range(len(reference.X))
     ]
-    P, p = np.empty((run.nx, plant.n, 1)), plant.p
-
-    def call(k: int) -> None:
-        predict(*inputs[k % len(inputs)], 0.0, p, P)
-
-    return call
+    P = np.empty((run.nx, plant.n, 1))
+    calls = [bound(predict, *sample, 0.0, plant.p, P) for sample in inputs]
+    return lambda k: calls[k % len(calls)]()
 
 
 def sentence(crossover: Crossover) -> str:

@@ -14,6 +14,7 @@ from npred.config import Bench, Pipeline
 from npred.data.dataset import Dataset
 from npred.delays import family_of
 from npred.errors import ConfigError, MissingError
+from npred.kernels.kernel import bound
 from npred.operators import Operator
 from npred.parallel import devices
 from npred.plants import Plant
@@ -216,10 +217,12 @@ def call(job: Job, entry: Candidate, count: int) -> Callable[[int], None]:
     D_hat = np.lib.stride_tricks.sliding_window_view(drawn, lanes, writeable=True)  # (count, lanes), in little memory
     if entry.copies is False:
         return _resident(entry, X.T, u.transpose(2, 0, 1), D_hat)
-    P, p, predict = np.empty((entry.nx, n, lanes)), job.plant.p, entry.run.lanes()
+    P, delays = np.empty((entry.nx, n, lanes)), np.empty(lanes)
+    predict = bound(entry.run.lanes(), X, u, delays, 0.0, job.plant.p, P)
 
     def one(k: int) -> None:
-        predict(X, u, D_hat[k], 0.0, p, P)
+        delays[:] = D_hat[k]
+        predict()
 
     return one
 
