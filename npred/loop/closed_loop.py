@@ -188,7 +188,7 @@ class _Simulation:
 
     @property
     def compiled(self) -> bool:
-        """True if all parts are kernels; else the same loop runs in Python around those that are."""
+        """True if all parts are kernels; else the loop calls those in Python, and needs the interpreter."""
         controller = compiled(self.plant, self.predictor, self.law)
         return controller and self.truth.traced and self.measurement.observer is None
 
@@ -208,7 +208,7 @@ class _Simulation:
         rows = (count - 1) // self.every + 1
         settings = self._settings(samples, delays, first, rows)
         out = self._record(rows, samples.shape[1] + 1, nx, lanes)
-        steps = Engine(self._parts(), settings, state, out)
+        steps = Engine(self.parts, settings, state, out)
         for start in range(0, count, BLOCK):
             stop = min(start + BLOCK, count)
             with np.errstate(all="ignore"), devices.one_thread():  # a lost loop is NaN, and no cause for a warning
@@ -225,8 +225,9 @@ class _Simulation:
         before = float(max(spans)) + self.measurement.delay
         return before, before + (self.t_end if self.plant.declares_delay else 0.0)  # phi(t) = t - D only rises
 
-    def _parts(self) -> dict[str, Any]:
-        """The sentences of a control step, on lanes."""
+    @cached_property
+    def parts(self) -> dict[str, Any]:
+        """The sentences of a control step, on lanes, traced once for all chunks."""
         model, truth, law = family_of(self.plant), family_of(self.truth), self.law
         observer = self.measurement.observer
         return {

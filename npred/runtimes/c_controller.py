@@ -1,4 +1,4 @@
-"""A whole controller as C99: every kernel of its control step translated, a state, and its test."""
+"""A whole controller as C99: the kernels of its control step, a state, and its test."""
 
 import hashlib
 import re
@@ -58,7 +58,7 @@ def digest(header: str) -> str:
 
 
 def _check(controller: Controller) -> None:
-    """Raise ConfigError for a part without a kernel that can be translated."""
+    """Raise ConfigError for a part that is no kernel."""
     family_of(controller.plant).needs(WHAT)
     if not controller.predictor.compiled:
         raise ConfigError(
@@ -179,11 +179,14 @@ class _Writer:
             "parts": [f".{name} = {text}," for name, text in parts.items()],
         }
         text = texts.BODIES + (texts.BOOKING if self.keeps else "")
-        measured = "" if self.recalls else ", const REAL *u, const REAL *u_nodes"
-        text = text.replace("<MEASURED>", measured).replace("<ROWS>", rows)
-        text = text.replace("<NONE>", ", NULL, NULL" if measured else "")
-        text = text.replace("<PASSED>", ", u, u_nodes" if measured else "")
-        return fill(text, **slots).splitlines()
+        return fill(self._measuring(text).replace("<ROWS>", rows), **slots).splitlines()
+
+    def _measuring(self, text: str) -> str:
+        """The text with the actuator's state among the arguments, where it is measured."""
+        words = {"MEASURED": ", const REAL *u, const REAL *u_nodes", "PASSED": ", u, u_nodes", "NONE": ", NULL, NULL"}
+        for slot, arguments in words.items():
+            text = text.replace(f"<{slot}>", "" if self.recalls else arguments)
+        return text
 
     def _functions(self) -> list[str]:
         """Initialisation, the step, and what reads and sets the state."""
@@ -208,8 +211,7 @@ class _Writer:
         text = fill(texts.FUNCTIONS, **slots)
         for name, value in names.items():
             text = text.replace(f"<{name}>", repr(float(value)))
-        measured = "" if self.recalls else ", const REAL *u, const REAL *u_nodes"
-        text = text.replace("<MEASURED>", measured).replace("<PASSED>", "" if self.recalls else ", u, u_nodes")
+        text = self._measuring(text)
         entry = texts.RECALLING if self.recalls else texts.MEASURING
         return (text + (texts.APPLIED if self.keeps else "") + entry).splitlines()
 
