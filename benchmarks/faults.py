@@ -29,10 +29,10 @@ import matplotlib.figure
 import torch
 
 from npred.cli import main as npred
-from npred.stages import train
 from npred.stages.bench import bench
 from npred.stages.evaluate import evaluate
 from npred.stages.generate import generate
+from npred.stages.train import train
 from npred.store import Artifact, Store
 
 WARM = (h5py, matplotlib, torch, bench, evaluate, generate, train)

@@ -37,7 +37,7 @@ COMMANDS = {
     "run": f"run smoke -q --jobs 2 {SETS}",
 }
 LIBRARIES = (
-    "torch, h5py, scipy, matplotlib.figure, npred.cli.execute, npred.cli.inspect, npred.stages.train, "
+    "torch, h5py, scipy, matplotlib.figure, npred.cli.execute, npred.cli.inspect, npred.stages.train.train, "
     "npred.stages.generate, npred.stages.evaluate.evaluate, npred.stages.bench.bench, npred.stages.report.report"
 )
 # The program: says on descriptor READY that it listens, then is `npred`. With WARM it forks one for each line on stdin.

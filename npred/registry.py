@@ -202,56 +202,12 @@ BASELINES = Registry("baseline", "npred.baselines")  # predictors to compare wit
 PLANTS = Registry("plant", "npred.plants")  # the built-in ones are the files of npred/plants/builtin
 
 
-class StageEntry(NamedTuple):
-    """A stage: raise `version` when its results change for the same configuration.
-
-    Its module has run(job), which gives an object of the class at `result`, and summary(result, width). Its key holds
-    the table of its name in the pipeline file, unless npred.pipeline.stage_registry says otherwise. `data` is a pattern
-    of its files that may come in from elsewhere; with `draws` it has figures too, which do not. An `optional` stage is
-    part of a run where the pipeline has its table. A stage with an artifact `per_network` is called by the network's
-    name.
-    """
-
-    version: int
-    upstream: tuple[str, ...]
-    module: str
-    result: str
-    help: str
-    data: str = ""
-    draws: bool = False
-    optional: bool = False
-    per_network: bool = False
+STAGES = ("generate", "train", "evaluate", "certify", "bench", "report")  # folders of npred/stages, in their order
 
 
-STAGES = {
-    "generate": StageEntry(
-        3, (), "npred.stages.generate.generate", "npred.results:Generated",
-        "Rollouts with the numerical predictor: the training data.", r"data(-\d{5,})?\.h5",
-    ),
-    "train": StageEntry(
-        2, ("generate",), "npred.stages.train", "npred.results:Trained",
-        "The networks, one artifact per network.",
-        r"(model|domain)\.safetensors|model\.json|metrics\.jsonl|snapshot-\d+\.safetensors", per_network=True,
-    ),
-    "evaluate": StageEntry(
-        11, ("generate", "train"), "npred.stages.evaluate.evaluate", "npred.results:Evaluated",
-        "Held-out errors and closed loops: eps and the convergence radius.", r"(errors|figure1|coverage)\.h5", True,
-    ),
-    "certify": StageEntry(
-        4, ("generate", "train"), "npred.stages.certify.certify", "npred.results:Certified",
-        "A bound of a network's error with a confidence, an adversary's search, and loops that the guard keeps.",
-        r"(errors|worst)\.h5", True, optional=True,
-    ),
-    "bench": StageEntry(
-        10, ("generate", "train"), "npred.stages.bench.bench", "npred.results:Benched",
-        "The time of a predictor call, each with its error beside it.", r"times\.h5", True,
-    ),
-    "report": StageEntry(
-        7, ("generate", "train", "evaluate", "certify", "bench"), "npred.stages.report.report",
-        "npred.results:Reported",
-        "All results as one HTML file; or as PDF, SVG and PNG, CSV and LaTeX.",
-    ),
-}  # fmt: skip
+def stage(name: str) -> Any:
+    """What a stage declares of itself: an npred.stages.declaration.Stage."""
+    return importlib.import_module(f"npred.stages.{name}").STAGE
 
 
 def named(spec: str) -> bool:

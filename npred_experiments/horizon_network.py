@@ -18,7 +18,7 @@ from npred.operators.fno import Spectral
 from npred.operators.io import save_weights
 from npred.results.reproduce import TrainedForLoop
 from npred.stages.reproduce import AS_MEANT
-from npred.stages.train import SEEDING
+from npred.stages.train.train import SEEDING
 from npred.training import training_loop
 from npred.training.training_loop import Fit, Rows
 from npred_experiments import horizons, latency

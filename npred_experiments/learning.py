@@ -21,7 +21,7 @@ from npred.plants import Plant
 from npred.results.reproduce import TrainedForLoop
 from npred.runtimes.lower import lowering
 from npred.stages.reproduce import Place
-from npred.stages.train import SEEDING
+from npred.stages.train.train import SEEDING
 from npred.training import loss, training_loop
 from npred.training.training_loop import Fit, Rows
 from npred_experiments import latency

@@ -15,7 +15,6 @@ import tank
 from hypothesis import HealthCheck, settings
 from typer.testing import CliRunner, Result
 
-from npred import registry
 from npred.cli import app
 from npred.pipeline import STAGES
 
@@ -116,8 +115,6 @@ def fakes(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     fake_stages.install(table)
     for name, stage in table.items():
         monkeypatch.setitem(STAGES, name, stage)
-    for name, entry in registry.STAGES.items():
-        monkeypatch.setitem(registry.STAGES, name, entry._replace(data=rf"{entry.data}|data\.bin"))
     log = tmp_path / "log"
     log.touch()
     monkeypatch.setenv("FAKE_LOG", str(log))

@@ -15,7 +15,8 @@ from typing import Any
 from result_samples import BENCHED, HARDWARE, SCORES, TRAINED, evaluated
 
 from npred.json_files import plain
-from npred.pipeline.stage_registry import STAGES, Stage
+from npred.pipeline.stage_registry import STAGES
+from npred.stages.declaration import Stage
 
 
 @dataclass(frozen=True)
@@ -30,8 +31,6 @@ class Answer:
 
 @dataclass(frozen=True)
 class Fake(Stage):
-    name: str = ""
-
     def run(self, job: Any) -> Any:
         return Answer(run(self.name, job))
 
@@ -42,9 +41,8 @@ class Fake(Stage):
 def install(table: MutableMapping[str, Stage] = STAGES, **versions: int) -> None:
     """Put a fake in the place of each stage of the table."""
     for name, stage in table.items():
-        table[name] = Fake(
-            versions.get(name, stage.version), stage.upstream, stage.slice, stage.module, stage.target, name
-        )
+        declared = vars(stage) | {"version": versions.get(name, stage.version), "data": rf"{stage.data}|data\.bin"}
+        table[name] = Fake(**declared)
 
 
 def run(name: str, job: Any) -> dict[str, Any]:

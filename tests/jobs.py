@@ -7,7 +7,7 @@ from silent import Silent
 
 from npred import config, plants
 from npred.parallel.executors import Here, Workers
-from npred.stages import Job
+from npred.stages.job import Job
 
 PLANT = "activator_repressor"
 SMALL = {
@@ -41,8 +41,8 @@ def job(root: Path, name: str, inputs: dict[str, Path] | None = None, jobs: int 
 
 def trained(root: Path) -> dict[str, Path]:
     """The folders of data and both networks, by name, as the inputs of the later stages."""
-    from npred.stages import train  # it brings torch
     from npred.stages.generate import generate
+    from npred.stages.train import train  # it brings torch
 
     data = job(root, "generate")
     generate.run(data)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, get_args, get_origin
 
 import typer.main
+from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from sphinx.application import Sphinx
 from sphinx.pycode import ModuleAnalyzer
@@ -176,8 +177,10 @@ def _table(path: str, model: type[config.Section]) -> Iterator[str]:
         yield from _table("train.NAME", config.Network)
 
 
-def _meaning(model: type, name: str) -> str:
-    """What stands behind #: at a field, in the class that declares it."""
+def _meaning(model: type[BaseModel], name: str) -> str:
+    """What stands behind #: at a field, in the class that declares it, or the description that the field has."""
+    if (field := model.model_fields[name]).description:
+        return str(field.description)
     owner = next(base for base in model.__mro__ if name in vars(base).get("__annotations__", {}))
     comments = ModuleAnalyzer.for_module(owner.__module__).find_attr_docs()
     meaning = " ".join(comments.get((owner.__name__, name), [])).strip()

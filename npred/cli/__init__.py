@@ -40,7 +40,7 @@ def _lead() -> int:
 
 def _help_out() -> int:
     """The exit code of a process that torchrun started to help the first one train."""
-    from npred.stages import train
+    from npred.stages.train import train
 
     console = Console(quiet=True)
     return guarded(lambda: train.help_out(console), console)

@@ -12,7 +12,7 @@ from npred.cli import completion
 from npred.cli.app import app, command
 from npred.cli.options import Common, Planned, Running, Work
 from npred.cli.usage import Command
-from npred.registry import STAGES
+from npred.registry import STAGES, stage
 
 RUN, LOOK, CARE = "Run", "Look", "Look after"
 
@@ -51,10 +51,10 @@ def _network(
 def _stage(options: Work) -> None: ...
 
 
-for _name, _entry in STAGES.items():
+for _name in STAGES:
     if _name != "report":  # it comes after the sweep
-        _flags = _network if _entry.per_network else _stage
-        command(RUN, "execute.stage", name=_name, help=_entry.help, stage_name=_name)(_flags)
+        _flags = _network if stage(_name).per_network else _stage
+        command(RUN, "execute.stage", name=_name, help=stage(_name).help, stage_name=_name)(_flags)
 
 
 @command(RUN, "sweep.sweep")
@@ -96,7 +96,7 @@ def reproduce(
     """Published experiments: each printed number beside the same loop run here, as published and as it is meant."""
 
 
-@command(RUN, "report.report", help=STAGES["report"].help)
+@command(RUN, "report.report", help=stage("report").help)
 def report(
     options: Work,
     *,

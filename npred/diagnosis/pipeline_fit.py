@@ -68,7 +68,8 @@ def declared_delay(case: Case) -> None:
 def room(case: Case) -> None:
     """Whether what the stages keep at once fits into this machine's memory: the least that they take, not all."""
     pipeline, row = case.settings, 8 * (case.plant.n + case.plant.m)  # bytes of a node, of P and u
-    generate, evaluate, bench, certify = pipeline.generate, pipeline.evaluate, pipeline.bench, pipeline.certify_table
+    generate, evaluate, bench = pipeline.generate, pipeline.evaluate, pipeline.bench
+    certify = pipeline.optional("certify")
     lanes = {"generate": generate.rollouts, "evaluate": evaluate.case_states * len(evaluate.case_D_hat0)}
     asked = [
         (stage, f"{stage}.nx", row * loop.nx * min(lanes[stage], SIDE_BY_SIDE)) for stage, loop in case.loops.items()

@@ -4,7 +4,7 @@ from npred.pipeline.models import Stored, load_data, load_model
 from npred.pipeline.plan import Planner, Step
 from npred.pipeline.retention import Kept, closure
 from npred.pipeline.runner import CellRun, Runner
-from npred.pipeline.stage_registry import STAGES, Node, Stage, nodes, usual
+from npred.pipeline.stage_registry import STAGES, Node, nodes, usual
 from npred.pipeline.task import Outcome
 
 __all__ = [
@@ -15,7 +15,6 @@ __all__ = [
     "Outcome",
     "Planner",
     "Runner",
-    "Stage",
     "Step",
     "Stored",
     "closure",

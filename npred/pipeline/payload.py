@@ -10,7 +10,7 @@ import re
 from npred.defaults import RESULT
 from npred.errors import StoreError
 from npred.pipeline.experiments import STAGE
-from npred.registry import STAGES
+from npred.pipeline.stage_registry import STAGES
 from npred.store import Manifest
 
 DRAWN = re.compile(r"[a-z][a-z0-9_]*\.(svg|png|pdf|tex)")

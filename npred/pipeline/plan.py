@@ -198,7 +198,7 @@ class Planner(Resolver):
         executor: Workers,
     ) -> Result:  # fmt: skip
         """The result of a stage. Raises what the stage raises, ConfigError where memory does not hold it."""
-        from npred.stages import Job
+        from npred.stages.job import Job
 
         job = Job(self.config, self.plant, folder, inputs, scratch, self.device, jobs, console, node.model, executor)
         try:

@@ -8,8 +8,7 @@ from conftest import Call, document, one_line
 from store_samples import question
 
 from npred.errors import StoreError
-from npred.pipeline import payload
-from npred.registry import STAGES
+from npred.pipeline import STAGES, payload
 from npred.store import Manifest, Store, archive
 
 

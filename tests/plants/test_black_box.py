@@ -14,9 +14,9 @@ from npred.loop.closed_loop import simulate
 from npred.loop.controller import Controller
 from npred.plants.black_box import BlackBox
 from npred.runtimes import c, onnx
-from npred.stages import train
 from npred.stages.evaluate import evaluate
 from npred.stages.generate import generate
+from npred.stages.train import train
 
 TRACED = plants.resolve("cart_pole")
 LAW = DelayAdaptation(gamma=1.0, b=1.0, bounds=(0.1, 0.3))

@@ -24,10 +24,10 @@ from npred.predictors import RK4
 from npred.predictors.neural import Neural
 from npred.results import Benched, Contender, Evaluated
 from npred.results.bench import Stops
-from npred.stages import train
 from npred.stages.bench import bench, timing_tables
 from npred.stages.evaluate import accuracy, convergence_map, coverage, evaluate
 from npred.stages.generate import generate
+from npred.stages.train import train
 
 PLANT = plants.resolve("activator_repressor")
 FNO = Contender("fno")

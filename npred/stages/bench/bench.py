@@ -13,9 +13,9 @@ from npred.kernels import compiler
 from npred.parallel import devices
 from npred.results import Benched
 from npred.results.bench import Hardware, Stops, Timing
-from npred.stages import Job
 from npred.stages.bench import break_even, candidates, timing, timing_tables
 from npred.stages.bench.candidates import Candidate, ErrorSizes, Reference
+from npred.stages.job import Job
 from npred.stages.report import tables
 
 PACKAGES = ("npred", "torch", "numpy", "onnxruntime")

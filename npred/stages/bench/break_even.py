@@ -13,9 +13,9 @@ from npred.kernels.kernel import bound
 from npred.predictors import RK4, OneStep, Predictor
 from npred.registry import METHODS, NETWORKS
 from npred.results.bench import Crossover, Rival, Timing
-from npred.stages import Job
 from npred.stages.bench import timing
 from npred.stages.bench.candidates import Candidate, Reference, matching
+from npred.stages.job import Job
 from npred.terminal.progress_bars import counted
 
 STEPS = (10, 210)  # of the two runs whose difference is the cost of f

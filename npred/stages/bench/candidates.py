@@ -22,7 +22,7 @@ from npred.predictors import RK4, OneStep, Predictor, method
 from npred.predictors.rollout import Rollout
 from npred.registry import BASELINES, called
 from npred.runtimes.lower import lowering
-from npred.stages import Job
+from npred.stages.job import Job
 
 FINE = 2001  # nodes of the reference
 PROBES = 200  # held-out samples that a row's error is taken over

@@ -15,7 +15,6 @@ import torch
 from torch import Tensor
 
 from npred import randomness
-from npred.config import Certify
 from npred.data.dataset import Dataset
 from npred.loop import metrics
 from npred.plants import Plant
@@ -23,6 +22,7 @@ from npred.predictors import RK4, Predictor
 from npred.stages.certify import evolution
 from npred.stages.certify.input_set import Inputs
 from npred.stages.certify.rollouts import Calls
+from npred.stages.certify.table import Certify
 from npred.symbolic import array_math
 
 RATE = 0.1  # of Adam, in logistic coordinates

@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 
 from npred import randomness
-from npred.config import Certify
 from npred.data.dataset import Dataset
 from npred.predictors import Predictor
 from npred.predictors.guarded import Guarded
 from npred.stages.certify import evolution, rollouts
 from npred.stages.certify.input_set import Inputs
 from npred.stages.certify.rollouts import Calls
+from npred.stages.certify.table import Certify
 
 PENALTY = 3.0  # more than the 1 that an error beyond the threshold brings, for it brings an estimate as large
 

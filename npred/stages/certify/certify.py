@@ -20,12 +20,12 @@ from npred.predictors import Predictor, numerical
 from npred.predictors.guarded import Guarded
 from npred.results import Certified, Contender
 from npred.results.certify import Certificate
-from npred.stages import Job
 from npred.stages.certify import adversary, blind_spots, rollouts
 from npred.stages.certify.input_set import Inputs
 from npred.stages.certify.rollouts import Calls, Rollouts
 from npred.stages.evaluate import networks
 from npred.stages.generate import sampling
+from npred.stages.job import Job
 from npred.terminal.console import columns
 
 KEPT = 1000  # of the worst inputs
@@ -65,7 +65,7 @@ def run(job: Job) -> Certified:
         for contender, values in errors.items():
             file[contender.name] = values
     _write_worst(job, calls)
-    lost, count = int(_lost(job, loops).sum()), job.config.certify_table.loops
+    lost, count = int(_lost(job, loops).sum()), job.config.optional("certify").loops
     result = Certified(plant=job.plant.name, loops=count, lost_numerical=lost, models=models)
     if plate := figures.certified(job.plant, result, errors):
         figures.write(plate, job.folder)
@@ -102,14 +102,14 @@ def summary(result: Certified, width: int | None = None) -> str:
 
 
 def _search(job: Job, data: Dataset, network: Predictor) -> tuple[Calls, np.ndarray]:
-    table, inputs = job.config.certify_table, Inputs.of(data, box(job.plant, job.config.generate), job.plant)
+    table, inputs = job.config.optional("certify"), Inputs.of(data, box(job.plant, job.config.generate), job.plant)
     with job.progress.bar(f"adversary {network.name}", table.restarts * table.steps, "calls") as bar:
         return adversary.search(job.plant, network, data, inputs, table, job.config.seed, bar.advance)
 
 
 def _blind(job: Job, data: Dataset, guard: Guarded, exact: Predictor) -> dict[str, Any]:
     """What a search for blind spots finds that the guard lets pass."""
-    table, inputs = job.config.certify_table, Inputs.of(data, box(job.plant, job.config.generate), job.plant)
+    table, inputs = job.config.optional("certify"), Inputs.of(data, box(job.plant, job.config.generate), job.plant)
     with job.progress.bar(f"blind spots of {guard.name}", table.restarts * table.steps, "calls") as bar:
         calls, _ = blind_spots.search(guard, exact, data, inputs, table, job.config.seed, bar.advance)
     true, _, passed = rollouts.judged(guard, exact, *calls)
@@ -128,7 +128,7 @@ def _write_worst(job: Job, calls: Mapping[Contender, tuple[Calls, np.ndarray]]) 
 
 
 def _rollouts(job: Job, fresh: Rollouts) -> dict[str, Any]:
-    table, errors = job.config.certify_table, fresh.errors
+    table, errors = job.config.optional("certify"), fresh.errors
     level = {"probability": table.probability, "confidence": table.confidence, "rollouts": len(errors)}
     level["samples"] = table.samples
     summary = {"eps_kappa": errors.max(), "median": np.median(errors), "fallback_rollouts": fresh.fallback}
@@ -166,8 +166,8 @@ def _both(job: Job, guard: Guarded) -> tuple[Trajectories, Trajectories]:
 
 def _loops(job: Job, predictor: Predictor, title: str) -> Trajectories:
     """Loops from fresh starts, delays and estimates as those of [generate], with the settings of [evaluate]."""
-    config, number = job.config.evaluate, job.config.certify_table.loops
-    pipeline = rollouts.fresh(job.config, job.config.certify_table, number)
+    config, number = job.config.evaluate, job.config.optional("certify").loops
+    pipeline = rollouts.fresh(job.config, job.config.optional("certify"), number)
     X0, D, D_hat, _ = sampling.starts(pipeline.seed, pipeline.generate, job.plant, range(number))
     nominal = Condition(config, X0, D, D_hat, config.case_t_end, randomness.integer(pipeline.seed, "noise"))
     with job.progress.bar(title, nominal.steps, "steps") as bar:

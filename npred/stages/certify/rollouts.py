@@ -14,14 +14,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from npred import grid, randomness
-from npred.config import Certify, Pipeline
+from npred.config import Pipeline
 from npred.loop import metrics
 from npred.predictors import Predictor
 from npred.predictors.guarded import Guarded
 from npred.results import Contender
-from npred.stages import Job
+from npred.stages.certify.table import Certify
 from npred.stages.evaluate.accuracy import ROWS
 from npred.stages.generate import generate
+from npred.stages.job import Job
 
 
 def count(probability: float, confidence: float) -> int:
@@ -42,7 +43,7 @@ class Rollouts(NamedTuple):
 
 def judge(job: Job, guarded: Mapping[Contender, Guarded], exact: Predictor) -> dict[Contender, Rollouts]:
     """Fresh rollouts, N of them, by network."""
-    table = job.config.certify_table
+    table = job.config.optional("certify")
     number = count(table.probability, table.confidence)
     parts: dict[Contender, list[tuple[int, Rollouts]]] = {contender: [] for contender in guarded}
     for start, rows in generate.batches(job, fresh(job.config, table, number), "certify"):

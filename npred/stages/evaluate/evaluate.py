@@ -19,7 +19,6 @@ from npred.predictors import Predictor, numerical
 from npred.predictors.guarded import Guarded, bare
 from npred.results import NO_ADAPTATION, NUMERICAL, Contender, Evaluated
 from npred.results.evaluate import Coverage, KindErrors, KindSize, Radius, Scores
-from npred.stages import Job
 from npred.stages.evaluate import (
     accuracy,
     convergence_map,
@@ -33,6 +32,7 @@ from npred.stages.evaluate import (
     summary_tables,
 )
 from npred.stages.evaluate.accuracy import EXACT, Labelled
+from npred.stages.job import Job
 
 FALLBACKS = 0.05  # share of steps with the numerical predictor, above which a guarded network is warned of
 SHARE = 6  # loops of a compiled predictor in a task

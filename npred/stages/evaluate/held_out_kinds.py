@@ -12,9 +12,9 @@ from npred.data import shards
 from npred.data.dataset import Dataset
 from npred.plants import Plant
 from npred.predictors import numerical
-from npred.stages import Job
 from npred.stages.evaluate.accuracy import Labelled
 from npred.stages.generate import rollouts, sampling
+from npred.stages.job import Job
 
 NOMINAL, EXPLORING, REDRAWN, IMPORTED = "nominal", "exploring", "redrawn", "imported"
 

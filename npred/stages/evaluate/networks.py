@@ -4,7 +4,7 @@ import numpy as np
 
 from npred.predictors import Predictor
 from npred.results import Contender
-from npred.stages import Job
+from npred.stages.job import Job
 
 
 def load(job: Job, contender: Contender) -> Predictor:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 from npred.loop.closed_loop import Trajectories
 from npred.loop.trajectory_views import infeasible
 from npred.results import Contender
-from npred.stages import Job
+from npred.stages.job import Job
 
 
 class Ended(NamedTuple):

@@ -12,9 +12,9 @@ from npred.plants import Plant
 from npred.predictors import Predictor
 from npred.results import Contender
 from npred.results.evaluate import Behaviour, Conditions, Radii
-from npred.stages import Job
 from npred.stages.evaluate import overtaking
 from npred.stages.evaluate.overtaking import Ended
+from npred.stages.job import Job
 
 
 def run(job: Job, predictors: Mapping[Contender, Predictor]) -> list[Conditions]:

@@ -15,9 +15,9 @@ from npred.loop.closed_loop import LANES
 from npred.parallel import executors
 from npred.registry import called
 from npred.results import Generated
-from npred.stages import Job
 from npred.stages.generate import rollouts, sampling, sharded
 from npred.stages.generate.rollouts import Columns
+from npred.stages.job import Job
 from npred.terminal.progress_bars import counted
 
 BATCH = 8 * LANES  # rollouts of a task at most: a cluster's scheduler has little to do with each

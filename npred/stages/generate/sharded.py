@@ -24,8 +24,8 @@ from npred.loop.closed_loop import LANES
 from npred.parallel import executors
 from npred.plants import Plant
 from npred.registry import called
-from npred.stages import Job
 from npred.stages.generate import rollouts, sampling
+from npred.stages.job import Job
 
 TOKEN = ".token"
 Batch = tuple[int, range]  # the number of a shard, and its rollouts

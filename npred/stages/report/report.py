@@ -10,8 +10,8 @@ from npred.figures.figure import Plate
 from npred.figures.notation import symbol
 from npred.plants import Plant
 from npred.results import Reported
-from npred.stages import Job
 from npred.stages.bench import timing_tables
+from npred.stages.job import Job
 from npred.stages.report import headline, html_page
 from npred.stages.report.report_data import CHAPTERS, Story
 from npred.terminal.console import Console

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 import npred
-from npred.config import Certify
 from npred.data.dataset import Dataset
 from npred.data.domain import Domain
 from npred.predictors import RK4, Predictor
 from npred.predictors.guarded import Guarded
 from npred.stages.certify import blind_spots, rollouts
 from npred.stages.certify.input_set import Inputs
+from npred.stages.certify.table import Certify
 
 PLANT, NX = npred.plant("activator_repressor"), 21
 BOX = np.array([PLANT.box[name] for name in PLANT.states])

@@ -15,7 +15,6 @@ from operator_samples import SMALL
 
 import npred
 from npred import operators
-from npred.config import Certify
 from npred.data.dataset import Dataset
 from npred.loop import metrics
 from npred.predictors import RK4, Predictor
@@ -24,6 +23,7 @@ from npred.predictors.neural import Neural
 from npred.results import Contender
 from npred.stages.certify import adversary, certify, rollouts
 from npred.stages.certify.input_set import Inputs
+from npred.stages.certify.table import Certify
 from npred.stages.generate import generate
 
 PLANT = npred.plant(NAME)

@@ -12,11 +12,11 @@ from npred.conditions import starts
 from npred.data.dataset import Dataset
 from npred.predictors import RK4
 from npred.results import NUMERICAL, Benched, Contender, Evaluated
-from npred.stages import train
 from npred.stages.bench import bench
 from npred.stages.evaluate import evaluate, overtaking, scenarios, summary_tables
 from npred.stages.generate import generate
 from npred.stages.report import report
+from npred.stages.train import train
 
 TANK = "transport_tank"
 TABLES = {

@@ -16,8 +16,8 @@ from npred.data import shards
 from npred.data.dataset import MEANING, Dataset
 from npred.operators import describe, load
 from npred.results import Trained
-from npred.stages import Job
-from npred.stages.train import run, summary
+from npred.stages.job import Job
+from npred.stages.train.train import run, summary
 
 SIZES = {
     "deeponet": {"width": 8, "depth": 1, "basis": 4, "trunk": 8, "moments": 4},

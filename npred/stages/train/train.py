@@ -16,7 +16,7 @@ from npred.data.domain import Domain
 from npred.operators import Operator, Scaling, checked, io, save
 from npred.parallel import torchrun
 from npred.results import Trained
-from npred.stages import Job
+from npred.stages.job import Job
 from npred.terminal.console import Console
 from npred.terminal.progress_bars import counted
 from npred.training import loss, training_loop

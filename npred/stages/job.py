@@ -1,0 +1,31 @@
+"""The job of a stage."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from npred.config import Pipeline
+from npred.parallel.executors import Here, Workers
+from npred.plants import Plant
+from npred.terminal.console import Console
+
+
+@dataclass(frozen=True)
+class Job:
+    """The job of a stage: write the payload to `folder`, read `inputs` (name to folder), return the result.
+
+    `scratch` outlives an interruption (checkpoints); `jobs`, `executor` and `progress` must not change the result.
+    `device` changes its digits: a GPU rounds otherwise, a training makes more of that, and torch evaluates networks
+    there. `jobs` bounds the threads, which share this process's memory; `executor` does what needs none of it, in other
+    processes or on other machines. `model` names the network of the train stage.
+    """
+
+    config: Pipeline
+    plant: Plant
+    folder: Path
+    inputs: dict[str, Path]
+    scratch: Path
+    device: str
+    jobs: int
+    progress: Console
+    model: str | None = None
+    executor: Workers = field(default_factory=Here)
