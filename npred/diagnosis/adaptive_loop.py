@@ -14,13 +14,23 @@ from npred.loop.adaptation import DelayAdaptation
 from npred.loop.delay_law import resolve
 from npred.predictors import RK4
 
-STARTS, NODES = 3, 31  # of the box; of the predictor, at most
+STARTS = 3  # of the box
 ESTIMATES = (0.5, 1.5, 2.0)  # times D, where no pipeline gives first estimates
 DELAYS = 40.0  # how long loops run at least
-STEPS, MOST = 50, 4000  # control steps in a delay, where they are not given or would be too many; in a loop, at most
+MOST = 4000  # control steps in a loop, at most
 LARGEST = 6  # states up to which a plant is asked without a pipeline: the kernels of larger ones compile for a minute
 NEAR = 0.05  # of the box: a loop that follows a reference is kept so close, for held commands are late by dt / 2
 WEAKER = (0.1, 0.01)  # gains that are tried where loops are lost, times that of the law
+
+
+class Mesh(NamedTuple):
+    """Nodes of the predictor at most, and control steps in a delay, where they are not given or would be too many."""
+
+    nodes: int
+    steps: int
+
+
+TRACED, UNTRACED = Mesh(31, 50), Mesh(11, 10)  # an f that runs in Python is slow
 
 
 class Trial(NamedTuple):
@@ -66,20 +76,24 @@ def _loops(case: Case) -> Trial:
     """Those of the pipeline's table [evaluate], else those of the law with nothing but the delay given."""
     X0, seconds = case.X[:STARTS], times(case)[1]
     if case.pipeline is None:
-        D_hat, dt = case.delay * np.array(ESTIMATES), case.delay / STEPS
+        D_hat, dt = case.delay * np.array(ESTIMATES), case.delay / _mesh(case).steps
         law = DelayAdaptation().suited(case.plant, case.delay, D_hat)
-        return _timed(Trial(law, case.delay, D_hat, X0, dt, max(seconds, DELAYS * case.delay), None))
+        return _timed(case, Trial(law, case.delay, D_hat, X0, dt, max(seconds, DELAYS * case.delay), None))
     table, law = case.pipeline.evaluate, resolve(case.pipeline.evaluate, case.plant)
     assert isinstance(law, DelayAdaptation)
     D_hat = np.array(sorted({table.D_hat0, *table.case_D_hat0}))
     X0 = np.concatenate([[table.X0], X0[1:]]) if len(table.X0) == case.plant.n else X0
-    return _timed(Trial(law, table.D, D_hat, X0, table.dt, max(seconds, DELAYS * table.D), table))
+    return _timed(case, Trial(law, table.D, D_hat, X0, table.dt, max(seconds, DELAYS * table.D), table))
 
 
-def _timed(loops: Trial) -> Trial:
+def _timed(case: Case, loops: Trial) -> Trial:
     """The same with a longer step, and then in a shorter time, where there would be more steps than MOST."""
-    dt = max(loops.dt, min(loops.seconds / MOST, loops.D / STEPS))
+    dt = max(loops.dt, min(loops.seconds / MOST, loops.D / _mesh(case).steps))
     return loops._replace(dt=dt, seconds=min(loops.seconds, MOST * dt))
+
+
+def _mesh(case: Case) -> Mesh:
+    return TRACED if case.plant.traced else UNTRACED
 
 
 def _kept(case: Case, loops: Trial, adaptation: str = PAPER) -> np.ndarray:
@@ -88,7 +102,8 @@ def _kept(case: Case, loops: Trial, adaptation: str = PAPER) -> np.ndarray:
     from npred.loop import closed_loop
     from npred.loop.delay_observer import DelayObserver
 
-    nodes = min(loops.table.nx, NODES) if loops.table else NODES
+    nodes = _mesh(case).nodes
+    nodes = min(loops.table.nx, nodes) if loops.table else nodes
     X0, every, rk4 = loops.X0[:, None], max(round(loops.D / loops.dt / 10), 1), RK4(case.plant, nodes)
     if loops.table is None:
         law = {PAPER: loops.law, OBSERVER: DelayObserver(bounds=loops.law.bounds), FROZEN: None}[adaptation]

@@ -23,7 +23,10 @@ def of(array: Any) -> SimpleNamespace:
 def stack(components: list[Any], like: Any) -> Any:
     """Components broadcast to the shape of `like` and stacked as the last axis."""
     if of(like) is NUMPY:
-        return np.stack([np.broadcast_to(c, like.shape) for c in components], axis=-1)
+        stacked = np.empty((*like.shape, len(components)))
+        for k, component in enumerate(components):  # np.stack of broadcast ones takes four times as long
+            stacked[..., k] = component
+        return stacked
     import torch
 
     return torch.stack(
