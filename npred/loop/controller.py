@@ -161,26 +161,22 @@ class Controller:
                 f"step: expected {expected}, for the actuator is {self.actuator!r}, got {came}; give what is measured"
             )
         X, applied = array_checks.floats("X", X), None if applied is None else self._as_applied(applied)
-        u = self.memory.u[:, :, 0] if u is None else array_checks.floats("u", u)
-        finite = self._measure(X, u, u if u_nodes is None else array_checks.floats("u_nodes", u_nodes))
+        self._measure(X, u, u_nodes)
         if applied is not None:
             self._correct(applied)
-        if not finite:
-            raise DivergedError(f"step: expected finite X and u, got one that is not; {self._held()}")
-        if self._awaits_X:
+        if self._awaits_X and np.isfinite(X).all():
             self._fill(X)
-        z = self.memory
-        before = z.D_hat[0], z.phi_before[0], z.observer.copy() if self._watches else z.observer
-        self._advance()
-        if failure := self._failure():
-            z.D_hat[0], z.phi_before[0], z.observer[:] = before
-            raise DivergedError(f"step: {failure}; {self._held()}")
+        observer = self.memory.observer
+        before = observer.copy() if self._watches else observer
+        code = self._engine.control_step(self._k, self.t, self.reach + self.dt if self._recalls else math.inf)
+        if code:
+            observer[:] = before
+            raise DivergedError(f"step: {self._reason(code)}; {self._held()}")
         if self.keeps_commands:
             self._remember()
         self._awaits_X = False
         self._step += 1
-        self._last_P[:] = z.P[:, :, 0]
-        self._last_U[:] = z.U[:, 0]
+        self._last_P[:], self._last_U[:] = self._P, self._U
         return self._last_U
 
     def state(self) -> dict[str, Any]:
@@ -288,7 +284,9 @@ class Controller:
         self._set_memory(signals.State(**signals.memory(signals.STATE, sizes, 1, arrays)))
 
     def _set_memory(self, memory: signals.State) -> None:
-        self.memory = memory
+        self.memory = z = memory
+        self._Y, self._u, self._u_nodes = z.Y[:, 0], z.u[:, :, 0], z.u_nodes[:, :, 0]  # of the only lane
+        self._P, self._U = z.P[:, :, 0], z.U[:, 0]
         self._engine = Engine(self.parts, self.settings, memory)
 
     def _past(self, X: np.ndarray) -> inputs.Past:
@@ -345,17 +343,16 @@ class Controller:
         z = self.memory
         z.D_hat[0], z.phi_before[0], self._step, self._t0 = seconds, rate, step, start
 
-    def _measure(self, X: np.ndarray, u: np.ndarray, u_nodes: np.ndarray) -> bool:
-        """Take the measurements into the buffers; whether they are finite."""
-        z = self.memory
-        expected = z.Y.shape[:1], z.u.shape[:2]
-        actuator_states = (u,) if u_nodes is u else (u, u_nodes)
-        for values in actuator_states:
+    def _measure(self, X: np.ndarray, u: Any, u_nodes: Any) -> None:
+        """Take the measurements into the buffers."""
+        u = self._u if u is None else array_checks.floats("u", u)
+        u_nodes = u if u_nodes is None else array_checks.floats("u_nodes", u_nodes)
+        expected = self._Y.shape, self._u.shape
+        for values in (u, u_nodes):
             if (X.shape, values.shape) != expected:  # broadcasting would hide a sensor that is lost
                 came = f"{X.shape} and {values.shape}"
                 raise ConfigError(f"step: expected X {expected[0]} and u {expected[1]}, got {came}; measure those")
-        z.Y[:, 0], z.u[:, :, 0], z.u_nodes[:, :, 0] = X, u, u_nodes
-        return all(np.isfinite(values).all() for values in (X, *actuator_states))
+        self._Y[:], self._u[:], self._u_nodes[:] = X, u, u_nodes
 
     def _as_applied(self, applied: Any) -> np.ndarray:
         """The command that the actuator got, (m,). Raises ConfigError for another shape, or where none is kept."""
@@ -376,7 +373,6 @@ class Controller:
         last, rows = self._k - 1, len(held)
         held[last % rows], total[self._k % rows] = U, total[last % rows] + U
 
-    @np.errstate(all="ignore")
     def _held(self) -> str:
         """Go on from a step that was refused, and what to do, in words."""
         advice = "hold the last U and measure again"
@@ -390,7 +386,6 @@ class Controller:
         self._step += 1
         return advice
 
-    @np.errstate(all="ignore")
     def _remember(self) -> None:
         """Keep U as sent."""
         self._k = self._engine.remember(self._k, self.t)
@@ -399,25 +394,20 @@ class Controller:
         """Set what the model says of the next sample, (n,) or None, and how many it took the place of."""
         self.memory.expected[:, 0], self.memory.missed[0] = np.nan if X_hat is None else X_hat, missed
 
-    def _failure(self) -> str:
-        """Why the step that was computed is none to send, in words; empty where it is."""
-        z = self.memory
-        if not (np.isfinite(z.U).all() and math.isfinite(z.D_hat[0])):
-            return "the prediction from X and u is not finite"
-        if self._recalls and z.D_seen.max() > self.reach + self.dt:
-            kept = f"expected a delay of at most {self.plant.time_text(self.reach)}, back to which commands are kept"
-            return f"{kept}, got {z.D_seen.max():g}; raise longest"
-        return ""
-
-    @np.errstate(all="ignore")  # what leaves the finite numbers in Python is refused, once, by step
-    def _advance(self) -> None:
-        """One control step on the buffers, as in the engine's loop."""
-        self._engine.control_step(self._k, self.t)
+    def _reason(self, code: int) -> str:
+        """Why a step gives no U to send, in words."""
+        kept, came = self.plant.time_text(self.reach), self.memory.D_seen.max()
+        return {
+            engine.MEASUREMENT: "expected finite X and u, got one that is not",
+            engine.PREDICTION: "the prediction from X and u is not finite",
+            engine.TOO_LONG: f"expected a delay of at most {kept}, back to which commands are kept, got {came:g}; "
+            "raise longest",
+        }[code]
 
     def _warm_up(self) -> None:
         """Compile and load all that a step runs, so that the first step takes no longer than the others."""
         state = self.state()
-        self._advance()
+        self._engine.control_step(self._k, self.t, math.inf)
         self.restore(state)
 
 

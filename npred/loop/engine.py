@@ -5,7 +5,7 @@ Python is called back, so that the order of a control step is written once.
 """
 
 import ctypes
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from typing import Any
 
@@ -20,18 +20,32 @@ from npred.loop.signals import PARTS, Record, Settings, State
 from npred.plants.base import Plant
 from npred.predictors.onestep import OneStep
 
-LOOP = ("actuator.h", "sensor.h", "step.h", "engine.h", "controller.h", "entries.h")
+LOOP = ("actuator.h", "sensor.h", "step.h", "engine.h")
+ON_A_PLANT = ("actuator.h", "step.h", "controller.h", "entries.h")
+MEASUREMENT, PREDICTION, TOO_LONG = 1, 2, 3  # in a step: what is not finite, or a delay beyond the kept commands
+INDEX, POINTER = ctypes.c_int64, ctypes.c_void_p
 
 
 @cache
-def library() -> ctypes.CDLL:
-    """The compiled engine."""
-    loaded = compiler.library("\n".join([skeleton("base.h"), *signals.declared(), *map(skeleton, LOOP)]))
-    step, pointer = ctypes.c_int64, ctypes.c_void_p
-    loaded.run.argtypes, loaded.run.restype = [Shape, step, step, step, *(pointer,) * 6], None
-    for function, returned in ((loaded.step, None), (loaded.remembered, step), (loaded.held, None)):
-        function.argtypes, function.restype = [Shape, step, ctypes.c_double, *(pointer,) * 4], returned
+def loop() -> ctypes.CDLL:
+    """The compiled loop with a simulated plant."""
+    loaded = _library(LOOP)
+    loaded.run.argtypes, loaded.run.restype = [Shape, INDEX, INDEX, INDEX, *(POINTER,) * 6], None
     return loaded
+
+
+@cache
+def on_a_plant() -> ctypes.CDLL:
+    """The compiled control step for a real one."""
+    loaded = _library(ON_A_PLANT)
+    loaded.step.argtypes, loaded.step.restype = [Shape, INDEX, *(ctypes.c_double,) * 2, *(POINTER,) * 4], INDEX
+    for function, returned in ((loaded.remembered, INDEX), (loaded.held, None)):
+        function.argtypes, function.restype = [Shape, INDEX, ctypes.c_double, *(POINTER,) * 4], returned
+    return loaded
+
+
+def _library(files: Sequence[str]) -> ctypes.CDLL:
+    return compiler.library("\n".join([skeleton("base.h"), *signals.declared(), *map(skeleton, files)]))
 
 
 class Engine:
@@ -64,23 +78,28 @@ class Engine:
         Raises what a part in Python raises, as the other methods do.
         """
         flag = ctypes.addressof(self._failure.flag)
-        library().run(self._shape, origin, start, stop, *self._passed, flag, self._scratch)
+        loop().run(self._shape, origin, start, stop, *self._passed, flag, self._scratch)
         self._failure.raised()
 
-    def control_step(self, k: int, t: float) -> None:
-        """U, P and the next D_hat of a controller from its sample Y, and from u or the commands before step k."""
-        library().step(self._shape, k, t, *self._passed, self._scratch)
+    def control_step(self, k: int, t: float, longest: float) -> int:
+        """U, P and the next D_hat of a controller from its sample Y, and from u or the commands before step k, which
+        are kept for `longest` seconds.
+
+        Returns 0, or why there is no U to send: MEASUREMENT, PREDICTION or TOO_LONG.
+        """
+        code = on_a_plant().step(self._shape, k, t, longest, *self._passed, self._scratch)
         self._failure.raised()
+        return code
 
     def remember(self, k: int, t: float) -> int:
         """Hold U as the command of step k; the next step's number."""
-        after = library().remembered(self._shape, k, t, *self._passed, self._scratch)
+        after = on_a_plant().remembered(self._shape, k, t, *self._passed, self._scratch)
         self._failure.raised()
         return after
 
     def hold(self, k: int, t: float) -> None:
         """The U of a step that was refused, for `remember`."""
-        library().held(self._shape, k, t, *self._passed, self._scratch)
+        on_a_plant().held(self._shape, k, t, *self._passed, self._scratch)
         self._failure.raised()
 
 
