@@ -355,7 +355,7 @@ def test_bench_without_the_onnx_extra_leaves_its_rows_out(made, tmp_path, monkey
 
     monkeypatch.setattr(candidates.devices, "package", lambda name: None if name == "onnx" else "1")
     task = job(tmp_path, "bench", inputs=made, bench={"runtimes": ["torch", "onnx"]})
-    assert candidates._available(task, task.config.bench) == ["torch"]
+    assert candidates._available(task.progress, task.config.bench) == ["torch"]
 
 
 def test_bench_of_the_runtime_onnx_alone_asks_for_its_package(made, tmp_path, monkeypatch):

@@ -42,7 +42,7 @@ def run(job: Job) -> Benched:
     rows = _speedups([_row(entry, times[entry.label], errors[entry.label]) for entry in entries])
     job.progress.doing("bench", "timing f")
     crossover = break_even.measure(job, zip(entries, rows, strict=True), reference)
-    stops, hardware = Stops.model_validate(timing.stops()), _hardware(job, config)
+    stops, hardware = Stops.model_validate(timing.stops()), _hardware(job.device, config)
     stops = stops.model_copy(update={"sentence": timing_tables.stopped(stops)})
     job.progress.doing("bench", "drawing")
     (job.folder / "bench.tex").write_text(tables.by_dx(rows).latex(), encoding="utf-8")
@@ -85,6 +85,6 @@ def _speedups(rows: list[Timing]) -> list[Timing]:
     return [row.model_copy(update={key: ratio(row, base) for key, base in ratios.items()}) for row in rows]
 
 
-def _hardware(job: Job, config: Bench) -> Hardware:
+def _hardware(device: str, config: Bench) -> Hardware:
     versions = {"python": platform.python_version(), "compiler": compiler.version()} | devices.packages(*PACKAGES)
-    return Hardware.model_validate(devices.hardware(job.device) | {"threads": config.threads, "versions": versions})
+    return Hardware.model_validate(devices.hardware(device) | {"threads": config.threads, "versions": versions})

@@ -23,6 +23,7 @@ from npred.predictors.rollout import Rollout
 from npred.registry import BASELINES, called
 from npred.runtimes.lower import lowering
 from npred.stages.job import Job
+from npred.terminal.console import Console
 
 FINE = 2001  # nodes of the reference
 PROBES = 200  # held-out samples that a row's error is taken over
@@ -121,8 +122,8 @@ def entries(job: Job, reference: Reference) -> list[Candidate]:
     config = job.config.bench
     tables = {name: job.config.train.table(name) for name in job.config.train.models}
     networks = {name: operators.load(job.inputs[name], job.plant, config=table) for name, table in tables.items()}
-    available, methods = _available(job, config), _methods(job.config, job.plant)
-    ways = {name: _ways(job, name, operator, available) for name, operator in networks.items()}
+    available, methods = _available(job.progress, config), _methods(job.config, job.plant)
+    ways = {name: _ways(job.progress, name, operator, available) for name, operator in networks.items()}
 
     @cache  # an ONNX graph takes seconds, and serves any batch
     def run(name: str, runtime: str, nx: int) -> Predictor:
@@ -178,20 +179,20 @@ def matching(reference: Reference, method: Method, eps: float, by: Literal["sup"
     return sufficient[-1] + 1
 
 
-def _available(job: Job, config: Bench) -> list[str]:
+def _available(progress: Console, config: Bench) -> list[str]:
     missing = [name for name in ("onnx", "onnxscript", "onnxruntime") if devices.package(name) is None]
     if set(config.runtimes) == {"onnx"} and missing:
         expected = f"expected the package {missing[0]} for the one runtime onnx, found none"
         raise MissingError(f"bench: {expected}; pip install 'npred[onnx]', or name torch in [bench] runtimes")
     if "onnx" in config.runtimes and missing:
-        job.progress.note(f"bench: no rows of the runtime onnx without {', '.join(missing)}")
+        progress.note(f"bench: no rows of the runtime onnx without {', '.join(missing)}")
     return [name for name in config.runtimes if name != "onnx" or not missing]
 
 
-def _ways(job: Job, name: str, operator: Operator, available: list[str]) -> list[str]:
+def _ways(progress: Console, name: str, operator: Operator, available: list[str]) -> list[str]:
     if lowering(operator) or "fused" not in available:
         return available
-    job.progress.note(f"bench: no rows of the runtime fused for {name}, for it has no fused form")
+    progress.note(f"bench: no rows of the runtime fused for {name}, for it has no fused form")
     return [runtime for runtime in available if runtime != "fused"] or ["torch"]
 
 

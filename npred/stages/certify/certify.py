@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from typing import Any
 
 import h5py
@@ -16,6 +17,7 @@ from npred.data.dataset import Dataset
 from npred.delays import family_of
 from npred.loop import metrics
 from npred.loop.closed_loop import Trajectories
+from npred.plants import Plant
 from npred.predictors import Predictor, numerical
 from npred.predictors.guarded import Guarded
 from npred.results import Certified, Contender
@@ -23,6 +25,7 @@ from npred.results.certify import Certificate
 from npred.stages.certify import adversary, blind_spots, rollouts
 from npred.stages.certify.input_set import Inputs
 from npred.stages.certify.rollouts import Calls, Rollouts
+from npred.stages.certify.table import Certify
 from npred.stages.evaluate import networks
 from npred.stages.generate import sampling
 from npred.stages.job import Job
@@ -52,11 +55,11 @@ def run(job: Job) -> Certified:
     calls, blind, both = _searches(job, guards, exact)
     models = {
         contender: Certificate(
-            **_rollouts(job, by_rollout[contender]),
+            **_rollouts(job.config.optional("certify"), by_rollout[contender]),
             **_bounds(guard, by_rollout[contender]),
             **_calls(guard, exact, *calls[contender]),
             **blind[contender],
-            **_behaviour(job, loops, *both[contender]),
+            **_behaviour(job.plant, loops, *both[contender]),
         )
         for contender, guard in guards.items()
     }
@@ -64,8 +67,8 @@ def run(job: Job) -> Certified:
     with h5py.File(job.folder / "errors.h5", "w") as file:
         for contender, values in errors.items():
             file[contender.name] = values
-    _write_worst(job, calls)
-    lost, count = int(_lost(job, loops).sum()), job.config.optional("certify").loops
+    _write_worst(job.folder, calls)
+    lost, count = int(_lost(job.plant, loops).sum()), job.config.optional("certify").loops
     result = Certified(plant=job.plant.name, loops=count, lost_numerical=lost, models=models)
     if plate := figures.certified(job.plant, result, errors):
         figures.write(plate, job.folder)
@@ -119,16 +122,16 @@ def _blind(job: Job, data: Dataset, guard: Guarded, exact: Predictor) -> dict[st
     }  # fmt: skip
 
 
-def _write_worst(job: Job, calls: Mapping[Contender, tuple[Calls, np.ndarray]]) -> None:
-    with h5py.File(job.folder / "worst.h5", "w") as file:
+def _write_worst(folder: Path, calls: Mapping[Contender, tuple[Calls, np.ndarray]]) -> None:
+    with h5py.File(folder / "worst.h5", "w") as file:
         for contender, (inputs, errors) in calls.items():
             worst = np.argsort(np.nan_to_num(errors))[::-1][:KEPT]
             for name, values in zip(("X", "u", "D_hat", "t", "error"), (*inputs, errors), strict=True):
                 file[f"{contender.name}/{name}"] = values[worst]
 
 
-def _rollouts(job: Job, fresh: Rollouts) -> dict[str, Any]:
-    table, errors = job.config.optional("certify"), fresh.errors
+def _rollouts(table: Certify, fresh: Rollouts) -> dict[str, Any]:
+    errors = fresh.errors
     level = {"probability": table.probability, "confidence": table.confidence, "rollouts": len(errors)}
     level["samples"] = table.samples
     summary = {"eps_kappa": errors.max(), "median": np.median(errors), "fallback_rollouts": fresh.fallback}
@@ -174,22 +177,22 @@ def _loops(job: Job, predictor: Predictor, title: str) -> Trajectories:
         return nominal.loops(job.plant, predictor, every=EVERY, progress=bar.advance)
 
 
-def _behaviour(job: Job, loops: Trajectories, bare: Trajectories, guarded: Trajectories) -> dict[str, Any]:
+def _behaviour(plant: Plant, loops: Trajectories, bare: Trajectories, guarded: Trajectories) -> dict[str, Any]:
     """What a network's loops do beside those of the numerical predictor."""
-    kept = ~_lost(job, loops)
+    kept = ~_lost(plant, loops)
     return {
-        "lost": int((_lost(job, bare) & kept).sum()),
-        "lost_guarded": int((_lost(job, guarded) & kept).sum()),
-        "peak": _peak(job, bare) / _peak(job, loops),
-        "peak_guarded": _peak(job, guarded) / _peak(job, loops),
+        "lost": int((_lost(plant, bare) & kept).sum()),
+        "lost_guarded": int((_lost(plant, guarded) & kept).sum()),
+        "peak": _peak(plant, bare) / _peak(plant, loops),
+        "peak_guarded": _peak(plant, guarded) / _peak(plant, loops),
         "fallback": guarded.fallback_share,
     }
 
 
-def _lost(job: Job, loops: Trajectories) -> np.ndarray:
-    return metrics.lost(loops, job.plant.target(loops.t))
+def _lost(plant: Plant, loops: Trajectories) -> np.ndarray:
+    return metrics.lost(loops, plant.target(loops.t))
 
 
-def _peak(job: Job, loops: Trajectories) -> float:
-    gaps = np.linalg.norm(loops.X - job.plant.target(loops.t), axis=-1)
+def _peak(plant: Plant, loops: Trajectories) -> float:
+    gaps = np.linalg.norm(loops.X - plant.target(loops.t), axis=-1)
     return float(gaps.max()) if np.isfinite(gaps).all() else np.inf

@@ -33,6 +33,7 @@ from npred.stages.evaluate import (
 )
 from npred.stages.evaluate.accuracy import EXACT, Labelled
 from npred.stages.job import Job
+from npred.terminal.console import Console
 
 FALLBACKS = 0.05  # share of steps with the numerical predictor, above which a guarded network is warned of
 SHARE = 6  # loops of a compiled predictor in a task
@@ -72,11 +73,11 @@ def run(job: Job) -> Evaluated:
     bounds = (0.0, np.inf) if job.plant.declares_delay else config.bounds
     covered = coverage.measure(job.plant, data, {c: loops[c] for c in bare_networks}, bounds)
     _warn(job, covered)
-    overtaking.warn(job, {contender: overtaking.ended(run) for contender, run in loops.items()})
+    overtaking.warn(job.progress, {contender: overtaking.ended(run) for contender, run in loops.items()})
     for contender, run in loops.items():
         if words := at_bound(run.part(begin.cases)):
             job.progress.warn(f"{contender.label}, cases: {words}")
-    _warn_of_fallbacks(job, models)
+    _warn_of_fallbacks(job.progress, models)
     _record(job, data, loops)
     result = Evaluated(
         plant=job.plant.name,
@@ -229,10 +230,10 @@ def _warn(job: Job, covered: Mapping[str, Coverage]) -> None:
                 )
 
 
-def _warn_of_fallbacks(job: Job, models: Mapping[Contender, Scores]) -> None:
+def _warn_of_fallbacks(progress: Console, models: Mapping[Contender, Scores]) -> None:
     for contender, scores in models.items():
         if (scores.fallback or 0.0) > FALLBACKS:
-            job.progress.warn(
+            progress.warn(
                 f"{contender.name}: the numerical predictor answered in {scores.fallback:.1%} of the loops' steps; "
                 "train it longer, or on wider data, or raise evaluate.guard.tolerance"
             )

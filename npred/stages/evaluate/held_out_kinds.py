@@ -15,6 +15,7 @@ from npred.predictors import numerical
 from npred.stages.evaluate.accuracy import Labelled
 from npred.stages.generate import rollouts, sampling
 from npred.stages.job import Job
+from npred.terminal.console import Console
 
 NOMINAL, EXPLORING, REDRAWN, IMPORTED = "nominal", "exploring", "redrawn", "imported"
 
@@ -34,10 +35,10 @@ def held_out(job: Job, data: Dataset) -> dict[str, Labelled]:
     if explored:
         columns = rollouts.rows(job.config, job.plant, explored, finite=False)
         kinds[EXPLORING] = _finite(
-            job, EXPLORING, Labelled(**{name: columns[name] for name in ("X", "u", "D_hat", "P", "t")})
+            job.progress, EXPLORING, Labelled(**{name: columns[name] for name in ("X", "u", "D_hat", "P", "t")})
         )
     if config.redraw:
-        kinds[REDRAWN] = _finite(job, REDRAWN, _redrawn(job, Labelled.joined(list(kinds.values()))))
+        kinds[REDRAWN] = _finite(job.progress, REDRAWN, _redrawn(job, Labelled.joined(list(kinds.values()))))
     return {name: rows for name, rows in kinds.items() if len(rows.X)}
 
 
@@ -55,8 +56,8 @@ def _redrawn(job: Job, rows: Labelled) -> Labelled:
     return Labelled(X, u, D_hat, numerical(config.predictor, job.plant, config.nx)(X, u, D_hat, rows.t), rows.t)
 
 
-def _finite(job: Job, kind: str, rows: Labelled) -> Labelled:
+def _finite(progress: Console, kind: str, rows: Labelled) -> Labelled:
     finite = np.flatnonzero(np.all(np.isfinite(rows.P), axis=(1, 2)))  # P(0) = X
     if lost := len(rows.X) - len(finite):
-        job.progress.note(f"evaluate: {lost} of {len(rows.X)} {kind} held-out rows have no finite P; left out")
+        progress.note(f"evaluate: {lost} of {len(rows.X)} {kind} held-out rows have no finite P; left out")
     return rows.take(finite)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 from npred.loop.closed_loop import Trajectories
 from npred.loop.trajectory_views import infeasible
 from npred.results import Contender
-from npred.stages.job import Job
+from npred.terminal.console import Console
 
 
 class Ended(NamedTuple):
@@ -21,11 +21,11 @@ def ended(loops: Trajectories) -> Ended:
     return Ended(int((loops.infeasible >= 0).sum()), " ".join(infeasible(loops) or ()))
 
 
-def warn(job: Job, by_contender: Mapping[Contender, Ended], scenario: str = "") -> None:
+def warn(progress: Console, by_contender: Mapping[Contender, Ended], scenario: str = "") -> None:
     """One warning for all contenders, of a scenario if one is named; none where no loop ended."""
     each = [(contender, loops) for contender, loops in by_contender.items() if loops.count]
     if each:
         counts = ", ".join(f"{loops.count} of {contender.label}" for contender, loops in each)
         where = f'in the scenario "{scenario}" ' if scenario else ""
         what = f"{where}loops in which commands would overtake each other count as lost"
-        job.progress.warn(f"{what}: {counts}; {each[0][1].where}")
+        progress.warn(f"{what}: {counts}; {each[0][1].where}")

@@ -29,7 +29,7 @@ def run(job: Job, predictors: Mapping[Contender, Predictor]) -> list[Conditions]
     with job.progress.bar("scenarios", total, "steps") as bar, ThreadPoolExecutor(job.jobs) as pool:
         try:
             tasks = [
-                {c: pool.submit(_behaviour, job, condition, p, bar.advance) for c, p in compared.items()}
+                {c: pool.submit(_behaviour, job.plant, condition, p, bar.advance) for c, p in compared.items()}
                 for condition in conditions
             ]
             results = [{c: task.result() for c, task in by_name.items()} for by_name in tasks]
@@ -38,17 +38,17 @@ def run(job: Job, predictors: Mapping[Contender, Predictor]) -> list[Conditions]
             pool.shutdown(wait=False, cancel_futures=True)
             raise
     for scenario, by_name in zip(config.scenarios, results, strict=True):
-        overtaking.warn(job, {c: ended for c, (_, ended) in by_name.items()}, scenario.name)
+        overtaking.warn(job.progress, {c: ended for c, (_, ended) in by_name.items()}, scenario.name)
     behaviours = [{c: does for c, (does, _) in by_name.items()} for by_name in results]
     pairs = zip(config.scenarios, behaviours, strict=True)
     return [Conditions(name=scenario.name, models=models) for scenario, models in pairs]
 
 
 def _behaviour(
-    job: Job, condition: Condition, predictor: Predictor, progress: Callable[[int], None]
+    plant: Plant, condition: Condition, predictor: Predictor, progress: Callable[[int], None]
 ) -> tuple[Behaviour, Ended]:
-    loops = condition.loops(job.plant, predictor, every=EVERY, progress=progress)
-    return behaviour(job.plant, loops, condition.D, predictor.guard is not None), overtaking.ended(loops)
+    loops = condition.loops(plant, predictor, every=EVERY, progress=progress)
+    return behaviour(plant, loops, condition.D, predictor.guard is not None), overtaking.ended(loops)
 
 
 def behaviour(

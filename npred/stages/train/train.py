@@ -95,7 +95,7 @@ def _task(job: Job, config: Training, path: Path) -> Fit:
     seed = randomness.integer(job.config.seed, "train", str(job.model))
     stream = Stream(path, job.device, config.nodes, job.plant.phase)
     scaling = Scaling.of_parts(stream.parts) if streamed else Scaling.of(fitted)
-    operator = _untrained(job, config, scaling, seed)
+    operator = _untrained(job.plant, config, scaling, seed)
     parts = stream.parts if streamed else lambda: [fitted]
     operator.domain = Domain.of_parts(parts, scaling.X_bend.double().numpy(), job.plant.phase)
     criterion = loss.criterion(config.rows, loss.weights(config, job.plant, rows.P))
@@ -103,11 +103,11 @@ def _task(job: Job, config: Training, path: Path) -> Fit:
     return Fit(f"train {job.model}", operator, config, stream if streamed else rows, test, criterion, seed)
 
 
-def _untrained(job: Job, config: Training, scaling: Scaling, seed: int) -> Operator:
+def _untrained(plant: plants.Plant, config: Training, scaling: Scaling, seed: int) -> Operator:
     """The same weights for the same seed, whatever was drawn before; torch's generator is left as it was."""
     with SEEDING, torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
-        return checked(config, job.plant, scaling)
+        return checked(config, plant, scaling)
 
 
 def _write(job: Job, config: Training, operator: Operator, metrics: list[dict[str, Any]]) -> None:

@@ -211,7 +211,7 @@ def test_what_a_guard_lets_pass_is_counted_by_call(tmp_path, monkeypatch):
 
 def test_rollouts_and_bounds_of_known_errors(tmp_path):
     fresh = rollouts.Rollouts(np.array([1.0, 9.0, 2.0]), CALLS, 0.25)
-    found = certify._rollouts(job(tmp_path, "certify"), fresh)
+    found = certify._rollouts(Certify(), fresh)
     assert (found["eps_kappa"], found["median"], found["rollouts"], found["fallback_rollouts"]) == (9.0, 2.0, 3, 0.25)
     bounds = certify._bounds(GUARD, fresh)
     assert bounds["bounded"] == pytest.approx(2 / 3) and bounds["bound"][1] == pytest.approx(2.5)  # of 2 / 1 and 6 / 2
