@@ -238,19 +238,17 @@ def test_an_error_is_the_largest_over_the_inputs_and_infinite_where_there_is_no_
 
 def test_loops_are_lost_beside_those_that_numerics_keep():
     """Of four loops numerics lose the third; the network the first and the third, the guarded one all but the first."""
-    task = SimpleNamespace(plant=npred.plant("scalar"))
     exact = known_loops([10, 10, NEVER, 10], [0.0] * 4)
     bare, guarded = known_loops([NEVER, 10, NEVER, 10], [0.0] * 4), known_loops([10, NEVER, NEVER, NEVER], [0.0] * 4)
     bare = replace(bare, X=3 * bare.X)
     guarded = replace(guarded, X=2 * guarded.X, fallbacks=np.array([0, 0, 0, guarded.steps]))
-    assert certify._behaviour(task, exact, bare, guarded) == {
+    assert certify._behaviour(npred.plant("scalar"), exact, bare, guarded) == {
         "lost": 1, "lost_guarded": 2, "peak": 3.0, "peak_guarded": 2.0, "fallback": 0.25
     }  # fmt: skip
 
 
 def test_the_worst_calls_are_kept_the_worst_first(tmp_path):
     X = np.arange(6.0)[:, None]
-    task = SimpleNamespace(folder=tmp_path)
-    certify._write_worst(task, {Contender("fno"): ((X, *CALLS[1:]), np.array([1, 5, 2, np.nan, 4, 3.0]))})
+    certify._write_worst(tmp_path, {Contender("fno"): ((X, *CALLS[1:]), np.array([1, 5, 2, np.nan, 4, 3.0]))})
     with h5py.File(tmp_path / "worst.h5") as file:
         assert file["fno/X"][:5, 0].tolist() == [1, 4, 5, 2, 0] and file["fno/error"][0] == 5.0
