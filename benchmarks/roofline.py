@@ -23,8 +23,7 @@ import npred
 from npred.kernels import compiler
 from npred.kernels.kernel import address
 from npred.parallel import devices
-from npred.runtimes.fused import coarsest
-from npred.runtimes.lower import fold
+from npred.runtimes.fused import coarsest, fold
 from npred.runtimes.program import Product, Program, Repeat, Silu, SiluPair, Step
 from npred.stages.bench import timing
 

@@ -19,7 +19,7 @@ from npred.parallel import executors
 from npred.parallel.executors import Threads
 from npred.plants import Plant
 from npred.results.reproduce import TrainedForLoop
-from npred.runtimes.lower import lowering
+from npred.runtimes.fused import lowering
 from npred.stages.reproduce import Place
 from npred.stages.train.train import SEEDING
 from npred.training import loss, training_loop

@@ -5,7 +5,7 @@ from npred.operators import Operator
 from npred.plants.base import Plant
 from npred.predictors.base import Predictor
 from npred.registry import RUNTIMES
-from npred.runtimes.lower import lowering
+from npred.runtimes.fused import Loaded, lowering
 
 
 def predictor(
@@ -13,12 +13,10 @@ def predictor(
 ) -> Predictor:
     """The operator as a predictor in a runtime, by its name or `my_runtime.py:Mine`; only torch uses the device.
 
-    None: the fastest that fits, npred.runtimes.loaded, or torch on a GPU and for a network without a fused form.
+    None: the fastest that fits, npred.runtimes.fused.Loaded, or torch on a GPU and for a network without a fused form.
     Raises ConfigError for another name or a class that is no Predictor, MissingError for onnx without its extra.
     """
     if runtime is None and device == "cpu" and lowering(operator) and not family_of(plant).refusal("fused"):
-        from npred.runtimes.loaded import Loaded  # it compiles
-
         return Loaded(plant, operator, nx, name=name)
     kind = RUNTIMES.subclass("runtime", runtime or "torch", Predictor)
     return kind(plant, operator, nx, name=name, device=device)

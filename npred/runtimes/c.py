@@ -19,8 +19,7 @@ from npred.loop import metrics
 from npred.operators import Operator
 from npred.plants.base import Plant
 from npred.runtimes import c_library
-from npred.runtimes.lower import fold, require
-from npred.runtimes.network import kernel
+from npred.runtimes.fused import fold, kernel, require
 from npred.runtimes.probe import Probe, eps
 from npred.runtimes.program import Program
 from npred.symbolic.trace import Trace

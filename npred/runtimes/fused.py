@@ -1,17 +1,39 @@
-"""Networks as one compiled function: a whole call of the operator on the loop's memory, for a fixed grid."""
+"""A trained operator as one compiled function on a fixed grid: lowered to a program, which is printed as C.
 
-from collections.abc import Callable
+The scalings and the anchor are lowered here, each network in another file.
+"""
+
+import copy
+import math
+from collections.abc import Callable, Iterable
+from functools import cached_property
+from importlib import import_module
 from typing import Any
 
 import numpy as np
+import torch
 
+from npred import grid
+from npred.delays import family, family_of
+from npred.errors import ConfigError
+from npred.kernels.c_text import constant, literal
+from npred.kernels.kernel import Kernel, made, skeleton
 from npred.operators import Operator
 from npred.plants.base import Plant
 from npred.predictors.base import Compiled
-from npred.runtimes import network
-from npred.runtimes.lower import fold, require
+from npred.predictors.neural import Neural
+from npred.registry import NETWORKS
+from npred.runtimes.program import Matrix, Program, Step
 
 COARSE = 100  # intervals that an FNO is evaluated on, at least
+# 2^f on [-1/2, 1/2], to 2e-7 of the value and to 2e-16; (e^d - 1) / d on [-1/2, 1/2]: Taylor's, but for the shortest
+EXP2 = {
+    np.float32: [1.0000001192, 0.6931471825, 0.2402210683, 0.0555035696, 0.0096760318, 0.0013390863],
+    np.float64: [math.log(2) ** k / math.factorial(k) for k in range(13)],
+}
+EXPM1 = {kind: [1 / math.factorial(k + 1) for k in range(terms)] for kind, terms in ((np.float32, 7), (np.float64, 13))}
+KINDS = {np.dtype(np.float32): "float", np.dtype(np.float64): "double"}
+RENAMED = {"N": "N_"}  # of the buffers, beside the macro N
 
 
 class Fused(Compiled):
@@ -26,20 +48,20 @@ class Fused(Compiled):
 
     def __init__(
         self, plant: Plant, operator: Operator, nx: int = 101, name: str = "neural", stride: int | None = None,
-        precision: Any = np.float32, device: str = "cpu",
+        precision: type[np.floating] = np.float32, device: str = "cpu",
     ) -> None:  # fmt: skip
         super().__init__(plant, nx)
         require(operator, "fused", "use the runtime torch or onnx", "" if name == "neural" else name)
         self.name, self.stride, self.precision = name, stride, precision  # type: ignore[misc]
         self.operator, self.kernels = operator.to("cpu").eval(), {}
 
-    def compile(self) -> Callable[..., None]:
+    def compile(self) -> Kernel:
         return self.on(self.nx)
 
-    def on(self, nx: int) -> Callable[..., None]:
+    def on(self, nx: int) -> Kernel:
         if nx not in self.kernels:
             stride = self.stride or coarsest(nx)
-            self.kernels[nx] = network.kernel(fold(self.operator, self.plant, nx, stride, self.precision))
+            self.kernels[nx] = kernel(fold(self.operator, self.plant, nx, stride, self.precision))
         return self.kernels[nx]
 
     def __getstate__(self) -> dict[str, Any]:
@@ -47,7 +69,149 @@ class Fused(Compiled):
         return super().__getstate__() | {"kernels": {}}
 
 
+class Loaded(Neural):
+    """A trained operator as npred.load gives it: torch in calls, one compiled function in loops and controllers.
+
+    Torch takes any batch and grid. Both are in double precision, equal up to rounding, but for an FNO on a fine grid
+    (Fused). Nothing is compiled before the first loop asks for `lanes`; an evaluation on as many nodes has left the
+    same function on the disk.
+    """
+
+    @property
+    def compiled(self) -> bool:
+        return True
+
+    @cached_property
+    def fused(self) -> Fused:
+        """The operator as the function that a loop calls."""
+        return Fused(self.plant, self.operator, self.nx, self.name, precision=np.float64)
+
+    def lanes(self) -> Kernel:
+        return self.fused.on(self.nx)
+
+
 def coarsest(nx: int) -> int:
     """The largest stride that divides the intervals and leaves COARSE of them, or 1."""
     intervals = nx - 1
     return max(s for s in range(1, max(intervals // COARSE, 1) + 1) if intervals % s == 0)
+
+
+def lowering(operator: Operator) -> str:
+    """The module that lowers the operator's network, empty where there is none."""
+    kind = type(operator.network)  # itself: a class derived from it may compute something else
+    target = f"{kind.__module__}:{kind.__qualname__}"
+    return next((entry.lowering for entry in NETWORKS.builtin.values() if entry.target == target), "")
+
+
+def require(operator: Operator, what: str, cure: str, name: str = "") -> None:
+    """Raise ConfigError, after `what` wants it, unless the operator's network can be lowered; `name`: its own."""
+    if not lowering(operator):
+        names = ", ".join(name for name, entry in NETWORKS.builtin.items() if entry.lowering)
+        name = name or type(operator.network).__name__
+        raise ConfigError(f"{what}: expected a network that can be lowered ({names}), got {name}; {cure}")
+
+
+@torch.no_grad()
+def fold(
+    operator: Operator, plant: Plant, nx: int, stride: int = 1, precision: type[np.floating] = np.float32
+) -> Program:  # fmt: skip
+    """The operator on nx nodes as a program; an FNO is evaluated on every stride-th of them, with cubics between.
+
+    `precision` is that of the network: np.float32 or np.float64.
+
+    Raises ConfigError for a network without a program, a plant whose family has none, or whose time has no period.
+    """
+    plant.phase(0.0)
+    family_of(plant).needs("fused")
+    require(operator, "fold", "use the runtime torch or onnx")
+    network, operator = import_module(lowering(operator)), _exact(operator, plant)
+    rows = 2 if network.PAIRED and operator.anchor == "equilibrium" else 1
+    period = plant.period if plant.phased else None
+    p = Program(plant.n, plant.m, nx, rows, stride if network.STRIDED else 1, period, precision=precision)
+    _inputs(p, operator)
+    network.append(p, operator)
+    scaling = operator.scaling
+    if operator.anchor == "none":
+        p.scale("base", scaling.P_mean.numpy())
+        p.constant("gain", np.repeat(scaling.P_std.numpy()[:, None], nx, axis=1))
+    else:
+        p.constant("gain", scaling.speed.numpy()[:, None] * grid.nodes(nx))
+    return p
+
+
+def _exact(operator: Operator, plant: Plant) -> Operator:
+    """A copy in double precision, the point of rest too."""
+    operator = copy.deepcopy(operator).double()
+    if operator.anchor == "equilibrium" and plant.rest:
+        operator.X_rest.copy_(torch.as_tensor(plant.rest[0]))
+        operator.u_rest.copy_(torch.as_tensor(plant.rest[1]))
+    return operator
+
+
+def _inputs(p: Program, operator: Operator) -> None:
+    """The scaling of the inputs; z and v are zero at rest, or at the mean of the data."""
+    scaling, rests = operator.scaling, operator.anchor == "equilibrium"
+    X_bend, X_mean, X_std = (scaling.get_buffer(f"X_{part}").numpy() for part in ("bend", "mean", "std"))
+    u_mean, u_std = scaling.u_mean.numpy(), scaling.u_std.numpy()
+    X_zero = np.arcsinh(operator.X_rest.numpy() / X_bend) if rests else X_mean
+    u_zero = operator.u_rest.numpy() if rests else u_mean
+    for name, values in {
+        "X_bend": 1 / X_bend, "X_zero": X_zero, "X_gain": 1 / X_std, "u_zero": u_zero, "u_gain": 1 / u_std,
+        "D_hat_zero": scaling.D_hat_mean.numpy(), "D_hat_gain": 1 / scaling.D_hat_std.numpy(),
+    }.items():  # fmt: skip
+        p.scale(name, values)
+    p.z_zero, p.v_zero = (X_zero - X_mean) / X_std, (u_zero - u_mean) / u_std
+
+
+def kernel(p: Program) -> Kernel:
+    """PREDICT by a program, for p.nx nodes and any number of lanes: its steps are calls on constants and buffers."""
+    functions = {"steps": p.steps} | ({"series": [p.series.product]} if p.series else {})
+    texts = [_memory(p), *(_function(name, steps, p) for name, steps in functions.items())]
+    constants = [constant(f"c_{name}", values, KINDS[values.dtype]) for name, values in p.constants.items()]
+    size = sum(p.buffers.values()) + p.nx  # doubles, for numbers of either precision
+    body = "\n".join([skeleton("network.h"), *constants, *texts, skeleton("fused.h")])
+    return made("fused", family.PREDICT, body, {}, _sizes(p), work=lambda nx, lanes, _: size)
+
+
+def _sizes(p: Program) -> dict[str, int | str]:
+    """The macros of the skeletons."""
+    numbers = np.finfo(p.precision)
+    sizes: dict[str, int | str] = {
+        "N": p.n, "M": p.m, "NX": p.nx, "SEEN": p.seen, "COLUMNS": p.columns, "REAL": KINDS[np.dtype(p.precision)],
+        "INTEGER": f"int{numbers.bits}_t", "MANTISSA": numbers.nmant, "EXPONENT": numbers.maxexp - 1,
+        "EXP2": _braces(EXP2[p.precision], p), "EXPM1": _braces(EXPM1[p.precision], p), "PHASED": int(bool(p.period)),
+        "PERIOD": repr(p.period or 1.0), "PAIRED": int(p.rows == 2), "TWICE": int(p.twice),
+        "SERIES_TERMS": p.series.terms if p.series else 0, "BASED": int("base" in p.constants),
+    }  # fmt: skip
+    if p.series:
+        sizes |= {"SERIES_LOW": repr(p.series.low), "SERIES_SCALE": repr(2 / (p.series.high - p.series.low))}
+    return sizes
+
+
+def _braces(values: Iterable[float], p: Program) -> str:
+    return "{" + ", ".join(literal(value, KINDS[np.dtype(p.precision)]) for value in values) + "}"
+
+
+def _memory(p: Program) -> str:
+    """The struct of the buffers."""
+    members = "\n".join(f"    REAL {RENAMED.get(name, name)}[{size}];" for name, size in p.buffers.items())
+    return f"typedef struct {{\n    double prefix[NX];\n{members}\n}} ALIASED PART(_memory);\n"
+
+
+def _function(name: str, steps: Iterable[Step], p: Program) -> str:
+    lines = "\n    ".join(line for step in steps for line in step.lines(_view(p)))
+    return f"static void PART(_{name})(PART(_memory) *restrict q)\n{{\n    {lines}\n}}\n"
+
+
+def _view(p: Program) -> Callable[[Matrix | None], str]:
+    """The C of a matrix of the program: where its first element is, and its strides."""
+
+    def text(matrix: Matrix | None) -> str:
+        if matrix is None:
+            return "0, (View){0, 0}"
+        name = f"q->{RENAMED.get(matrix.name, matrix.name)}" if matrix.name in p.buffers else f"c_{matrix.name}"
+        moves = {"": matrix.offset, " * e": matrix.turn, " * o": matrix.layer}
+        place = name + "".join(f" + {count}{index}" for index, count in moves.items() if count)
+        return f"{place}, (View){{{matrix.row}, {matrix.column}}}"
+
+    return text

@@ -1,11 +1,11 @@
-"""An operator on a fixed grid as a short program of matrix products, which npred.runtimes.network prints as C.
+"""An operator on a fixed grid as a short program of matrix products, which npred.runtimes.fused prints as C.
 
 All that does not depend on the sample is folded into constants here: the grid's transforms, the trunk, the weights.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, TypeVar
+from typing import ClassVar, TypeVar
 
 import numpy as np
 from torch import nn
@@ -33,7 +33,7 @@ class Matrix:
     layer: int = 0
 
 
-View = Callable[["Matrix | None"], str]  # the C of a matrix: see npred.runtimes.network
+View = Callable[["Matrix | None"], str]  # the C of a matrix: see npred.runtimes.fused
 
 
 @dataclass(frozen=True)
@@ -146,7 +146,7 @@ class Program:
     stride: int = 1
     period: float | None = None  # of the plant's time, in seconds, where the network sees it
     twice: bool = False
-    precision: Any = np.float32  # of the constants and buffers
+    precision: type[np.floating] = np.float32  # of the constants and buffers
     series: Series | None = None
     constants: dict[str, np.ndarray] = field(default_factory=dict)
     buffers: dict[str, int] = field(default_factory=dict)

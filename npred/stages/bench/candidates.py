@@ -21,7 +21,7 @@ from npred.plants import Plant
 from npred.predictors import RK4, OneStep, Predictor, method
 from npred.predictors.rollout import Rollout
 from npred.registry import BASELINES, called
-from npred.runtimes.lower import lowering
+from npred.runtimes.fused import lowering
 from npred.stages.job import Job
 from npred.terminal.console import Console
 

@@ -16,8 +16,7 @@ def load(job: Job, contender: Contender) -> Predictor:
 
     from npred import operators
     from npred.predictors.neural import Neural
-    from npred.runtimes.fused import Fused
-    from npred.runtimes.lower import lowering
+    from npred.runtimes.fused import Fused, lowering
 
     model, epoch, name = contender.model, contender.epoch, contender.name
     operator = operators.load(job.inputs[model], job.plant, epoch, torch.float64, job.config.train.table(model))
