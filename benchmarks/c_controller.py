@@ -3,8 +3,8 @@
     python benchmarks/c_controller.py pipeline/paper.toml:deeponet --store artifacts
 
 It exports the controller of the pipeline's evaluated loop with both predictors and precisions, with and without a
-guard, compiles each, and runs it on the steps of its own test, over and over. The compiler's flags allow what Numba
-allows itself (npred.symbolic.kernels.FASTMATH), and NaN stays NaN.
+guard, compiles each, and runs it on the steps of its own test, over and over. The compiler's flags allow what they
+allow the kernels that run here (npred.kernels.compiler.FLAGS), and NaN stays NaN.
 """
 
 import argparse
@@ -40,13 +40,12 @@ static int compare(const void *a, const void *b)
 int main(void)
 {
     static npred_controller c;
-    const int steps = (int)(sizeof test_D_hat / sizeof test_D_hat[0]);
     npred_init(&c);
     for (int k = 0; k < CALLS; k++) {
         struct timespec before, after;
         typeof(test_U[0] + 0) U[NPRED_M_INPUTS];
         clock_gettime(CLOCK_MONOTONIC, &before);
-        const int code = npred_step(&c, test_X + k % steps * NPRED_N_STATES, MEASURED U);
+        const int code = npred_step(&c, test_X + k % TEST_STEPS * NPRED_N_STATES, MEASURED U);
         clock_gettime(CLOCK_MONOTONIC, &after);
         times[k] = 1e6 * (double)(after.tv_sec - before.tv_sec) + 1e-3 * (double)(after.tv_nsec - before.tv_nsec);
         if (code) {
@@ -68,7 +67,7 @@ def measure(arguments: list[str], store: Path, flags: list[str]) -> dict[str, fl
         if done.exit_code:
             raise SystemExit(done.output)
         measured = re.search(r"npred_step_nodes", (folder / "npred.h").read_text()) is not None
-        u = "test_u + k % steps * NPRED_NX * NPRED_M_INPUTS," if measured else ""
+        u = "test_u + k % TEST_STEPS * NPRED_NX * NPRED_M_INPUTS," if measured else ""
         (folder / "main.c").write_text(PROGRAM.replace("MEASURED", u))
         command = ["cc", "-std=gnu99", *flags, "main.c", "-o", "main", "-lm"]
         subprocess.run(command, cwd=folder, check=True)

@@ -36,7 +36,7 @@ static npred_controller controller;
 static int run_steps(void)
 {
     npred_init(&controller);
-    for (int s = 0; s < (int)(sizeof test_D_hat / sizeof test_D_hat[0]); s++) {
+    for (int s = 0; s < TEST_STEPS; s++) {
         npred_real U[NPRED_M_INPUTS];
         if (npred_step(&controller, test_X + s * NPRED_N_STATES, MEASURED U)) {
             return 1;
@@ -70,7 +70,6 @@ static void write_text(const char *text)
 
 static void measure_steps(void)
 {
-    const int steps = (int)(sizeof test_D_hat / sizeof test_D_hat[0]);
     uint32_t ticks = 0, *here = (uint32_t *)__builtin_frame_address(0) - 64;
     npred_init(&controller);
     for (uint32_t *word = stack_bottom; word < here; word++) {
@@ -79,7 +78,7 @@ static void measure_steps(void)
     SYSTICK[1] = 0xFFFFFFu;
     SYSTICK[2] = 0;
     SYSTICK[0] = 5; /* on, at the processor's clock */
-    for (int s = 0; s < steps; s++) {
+    for (int s = 0; s < TEST_STEPS; s++) {
         npred_real U[NPRED_M_INPUTS];
         const uint32_t before = SYSTICK[2];
         (void)npred_step(&controller, test_X + s * NPRED_N_STATES, MEASURED U);
@@ -89,7 +88,7 @@ static void measure_steps(void)
     while (*deepest == PATTERN) {
         deepest++;
     }
-    write_number((uint32_t)steps);
+    write_number(TEST_STEPS);
     write_number(ticks);
     write_number((uint32_t)((const char *)__builtin_frame_address(0) - (const char *)deepest));
     write_text("\n");

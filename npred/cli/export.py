@@ -10,7 +10,7 @@ from npred.cli.options import Common, writable
 from npred.data import shards
 from npred.errors import ConfigError
 from npred.pipeline import Stored
-from npred.runtimes import c, onnx
+from npred.runtimes import c_network, onnx
 from npred.runtimes.probe import Probe, probe
 
 NX = 101  # nodes of a model's file
@@ -43,7 +43,7 @@ def _model(options: Common, form: str, key: str, output: Path | None, nx: int, a
     samples = _samples(options, stored, COMPARED, nx)
     document = {"file": str(path), "format": form, "model": stored.model, "nx": nx}
     if form == "c":
-        errors = c.export(operator, stored.plant, path, nx, samples)
+        errors = c_network.export(operator, stored.plant, path, nx, samples)
     else:
         errors = onnx.export(operator, stored.plant, path, nx, samples, atol)
     if errors:

@@ -21,7 +21,7 @@ from npred.pipeline import Stored, load_model
 from npred.plants import Plant, inputs
 from npred.predictors import Predictor, numerical
 from npred.predictors.guarded import Guarded
-from npred.runtimes import c_controller, c_library, fmu, mex
+from npred.runtimes import c_controller, c_files, fmu
 
 MEASURED_STEPS, RECALLED_STEPS = 4, 40  # of the test inside the file; u of each measured step is part of it
 NO_LIBRARY = "sources only, for there is no C compiler here; install one, or let the importer build them"
@@ -84,7 +84,7 @@ def export(options: Common, key: str, output: Path | None, choices: Choices, gat
     header, source = c_controller.sources(built.controller, choices.name, choices.precision, built.about, built.test)
     files = {f"{choices.name}.h": header, f"{choices.name}.c": source}
     if gateway:
-        files[f"{choices.name}_mex.c"] = mex.source(built.controller, choices.name, choices.precision)
+        files[f"{choices.name}_mex.c"] = c_controller.gateway(built.controller, choices.name, choices.precision)
     folder.mkdir(parents=True, exist_ok=True)
     for name, text in files.items():
         (folder / name).write_text(text, encoding="utf-8")
@@ -105,7 +105,7 @@ def export_fmu(options: Common, key: str, output: Path | None, choices: Choices,
         "fmi": version, "library": written.library, "token": written.token,
         "variables": [variable.name for variable in written.variables],
     }  # fmt: skip
-    without = NO_PLACE if c_library.compiler() else NO_LIBRARY
+    without = NO_PLACE if c_files.compiler() else NO_LIBRARY
     holds = f"{written.library} and sources" if written.library else without
     options.show(document, lambda: f"{path}: {built.controller!r} as FMI {version}.0, {holds}")
 

@@ -1,9 +1,7 @@
-"""Texts of C: numbers, arrays and comments, templates, and the same text in single precision."""
+"""Texts of C: numbers, arrays and comments, and the same text in single precision."""
 
 import math
 import re
-from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -16,7 +14,7 @@ _HEXADECIMAL = re.compile(r"-?0x[\da-f.]+p[+-]?\d+(?![\w.])")
 _WORD = re.compile(rf"\bdouble\b|\b({'|'.join(FUNCTIONS)})(?=\()")
 
 
-def literal(value: Any, kind: str) -> str:
+def literal(value: float, kind: str) -> str:
     """The number in C, in decimal."""
     if not math.isfinite(value):
         return {math.inf: "INFINITY", -math.inf: "-INFINITY"}.get(value, "NAN")
@@ -41,19 +39,6 @@ def single(text: str) -> str:
     text = _HEXADECIMAL.sub(lambda number: _exact(float.fromhex(number[0]), "float"), text)
     text = _NUMBER.sub(lambda number: literal(float(number[1]), "float"), text)
     return _WORD.sub(lambda number: f"{number[1]}f" if number[1] else "float", text)
-
-
-def fill(template: str, **slots: Sequence[str]) -> str:
-    """The template with each line `{slot}` replaced by that slot's lines at its indentation."""
-    lines = []
-    for line in template.splitlines():
-        name = line.strip().removeprefix("{").removesuffix("}")
-        if line.strip() != f"{{{name}}}" or name not in slots:
-            lines.append(line)
-        else:
-            indent = line[: len(line) - len(line.lstrip())]
-            lines += [indent + text if text else text for text in slots[name]]
-    return "\n".join(lines) + "\n"
 
 
 def _exact(value: float, kind: str) -> str:

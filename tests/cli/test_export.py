@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from npred.cli import app
-from npred.runtimes import c_library
+from npred.runtimes import c_files
 
 TEXT = """
 plant = "activator_repressor"
@@ -134,7 +134,7 @@ def test_an_fmu_to_a_file(export, trained, version):
     assert {"x1", "x2", "U", "D_hat", "D_hat_start", "gamma"} < set(document["variables"])
     with zipfile.ZipFile("tank.fmu") as opened:
         assert document["token"] in opened.read("modelDescription.xml").decode()
-        assert (document["library"] is None) == (c_library.compiler() is None)
+        assert (document["library"] is None) == (c_files.compiler() is None)
         opened.extractall("fmu")
     if shutil.which("gcc"):
         command = ["gcc", "-std=c99", "-DTANK_TEST", "fmu/sources/tank.c", "-o", "own_test", "-lm"]
@@ -143,7 +143,7 @@ def test_an_fmu_to_a_file(export, trained, version):
 
 
 def test_an_fmu_of_a_network_says_what_it_holds(export, monkeypatch):
-    monkeypatch.setattr(c_library, "compiler", lambda: None)
+    monkeypatch.setattr(c_files, "compiler", lambda: None)
     done = export("fmu", "-o", "net.fmu", "--nx", "21")
     assert done.exit_code == 0 and "as FMI 3.0, sources only, for there is no C compiler here" in done.stdout
 

@@ -13,7 +13,7 @@ from npred.loop.adaptation import DelayAdaptation
 from npred.loop.closed_loop import simulate
 from npred.loop.controller import Controller
 from npred.plants.black_box import BlackBox
-from npred.runtimes import c, onnx
+from npred.runtimes import c_network, onnx
 from npred.stages.evaluate import evaluate
 from npred.stages.generate import generate
 from npred.stages.train import train
@@ -283,7 +283,7 @@ def test_plants_check_asks_what_can_be_asked(plant, write):
 
 def test_exports_that_write_the_law_out_refuse_it(plant):
     with pytest.raises(ConfigError, match="export c: expected a plant that is traced, Box says traced = False"):
-        c.source(None, plant, 11, ())  # type: ignore[arg-type]
+        c_network.source(None, plant, 11, ())  # type: ignore[arg-type]
     for package in ("onnx", "onnxscript"):
         pytest.importorskip(package)
     with pytest.raises(ConfigError, match="onnx: expected a plant that is traced, Box says traced = False"):

@@ -12,7 +12,7 @@ from npred import diagnosis
 from npred.errors import ConfigError
 from npred.loop.controller import Controller
 from npred.plants import Plant
-from npred.runtimes import c_controller, fmu, mex
+from npred.runtimes import c_controller, fmu
 
 SECONDS = re.compile(r"[\d\])}] ?s\b|\bseconds?\b|\bin s\b")
 
@@ -77,7 +77,7 @@ def test_the_controller_in_python_and_in_c(name):
     assert "dt = 0.01 h, t = 0 h, D_hat = " in repr(made)
     header, source = c_controller.sources(made, test=(np.array([[1.1]]), None))
     assert "A control step each 0.01 h" in header
-    for text in (repr(made), header, source, mex.source(made)):
+    for text in (repr(made), header, source, c_controller.gateway(made)):
         names_no_seconds(text)
 
 

@@ -14,7 +14,7 @@ from varying_delays import with_delay
 import npred
 from npred.errors import ConfigError, DivergedError
 from npred.loop.controller import Controller
-from npred.runtimes import c_controller
+from npred.runtimes import c_controller, c_files
 from npred.runtimes.fused import Fused
 
 pytestmark = needs_gcc
@@ -330,6 +330,24 @@ def test_allocates_nothing_and_says_what_it_is_of(cases):
     }
     assert "Model: paper:heun." in header and len(c_controller.digest(header)) == 64
     assert not re.findall(r"^static (?!const|inline)[^()]*(?:;|=)", source, re.MULTILINE)  # no variable that changes
+
+
+@pytest.mark.parametrize("name", ["deeponet, guard", "two delays, guard", "observer", "declared"])
+def test_the_skeletons_are_c_before_an_export_fills_them_in(cases, tmp_path, monkeypatch, name):
+    files, fill = {}, c_files.filled
+
+    def filled(file, prefix, real, variants, parts):
+        files.update(variants=variants, parts=parts)
+        return fill(file, prefix, real, variants, parts)
+
+    monkeypatch.setattr(c_files, "filled", filled)
+    c_controller.sources(cases[name][0])
+    for part, text in files["parts"].items():
+        (tmp_path / f"{part}.h").write_text(f"{text}\n")
+    (tmp_path / "npred.h").write_text((c_files.FOLDER / "controller.h").read_text())
+    defined = [f"-D{variant}={int(holds)}" for variant, holds in files["variants"].items()]
+    command = ["gcc", *FLAGS, "-Dnpred_real=double", *defined, f"-I{tmp_path}", "-fsyntax-only"]
+    subprocess.run([*command, c_files.FOLDER / "controller.c"], check=True, timeout=120)
 
 
 @pytest.mark.parametrize("name", ["", "Npred", "1a", "a b", "a;", "ä", "a" * 32])

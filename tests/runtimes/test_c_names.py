@@ -17,7 +17,7 @@ from npred.errors import NpredError
 from npred.loop.controller import Controller
 from npred.plants import Plant
 from npred.predictors import Heun
-from npred.runtimes import c, c_controller, c_library, fmu
+from npred.runtimes import c_controller, c_files, c_network, fmu
 
 FLAGS = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wshadow", "-Werror", "-fsyntax-only"]
 HOSTILE = [
@@ -77,7 +77,7 @@ def test_so_are_a_thousand(plant, state, entry, unit, prefix, model):
 def check_fmu(plant, state, entry, unit, model):
     """The description is XML with the names as they are, and the sources are C."""
     with tempfile.TemporaryDirectory() as name, pytest.MonkeyPatch.context() as patch:
-        patch.setattr(c_library, "compiler", lambda: None)  # the sources alone
+        patch.setattr(c_files, "compiler", lambda: None)  # the sources alone
         try:
             named = Plant(plant, declaration(state, entry, unit))
             controller = Controller(named, Heun(named, 5), None, 0.1, D_hat=0.3, actuator="history")
@@ -116,4 +116,4 @@ def test_a_network_s_file_of_any_plant_s_name_is_c(name):
     model, data = operator(SMALL[0]), samples(2, 11, 0)
     plant = Plant("accepted", PLANT.declaration)
     plant.name = name  # which the declaration would refuse
-    is_c(c.source(model, plant, 11, (data.X, data.u, data.D_hat, np.ones(2))))
+    is_c(c_network.source(model, plant, 11, (data.X, data.u, data.D_hat, np.ones(2))))

@@ -19,7 +19,7 @@ from npred.cli import app
 from npred.errors import ConfigError, DivergedError, NpredError
 from npred.loop.controller import Controller
 from npred.predictors.guarded import Guarded
-from npred.runtimes import c_library, fmu
+from npred.runtimes import c_files, fmu
 from npred.runtimes.fused import Fused
 
 fmpy = pytest.importorskip("fmpy")
@@ -320,7 +320,7 @@ def test_its_build_description_names_its_sources(instance):
 def test_without_a_compiler_it_holds_its_sources_which_an_importer_builds(tmp_path, monkeypatch, version):
     from fmpy.build import build_platform_binary
 
-    monkeypatch.setattr(c_library, "compiler", lambda: None)
+    monkeypatch.setattr(c_files, "compiler", lambda: None)
     path, written = exported(heun(actuator="history"), tmp_path, version)
     assert written.library is None
     assert not [name for name in zipfile.ZipFile(path).namelist() if name.startswith("binaries")]
@@ -340,7 +340,7 @@ def test_in_float_it_is_so_to_float_s_rounding(tmp_path):
 
 
 def test_sources_that_do_not_compile_are_an_error_in_one_line(tmp_path, monkeypatch):
-    monkeypatch.setattr(c_library, "FLAGS", (*c_library.FLAGS, "-include", "missing.h"))
+    monkeypatch.setattr(c_files, "FLAGS", (*c_files.FLAGS, "-include", "missing.h"))
     with pytest.raises(NpredError, match=r"^export fmu: expected sources that compile, got: .*missing.h.*; report it$"):
         exported(heun(), tmp_path)
     assert list(tmp_path.iterdir()) == []

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 import npred
 from npred.cli import app
 from npred.loop.controller import Controller
-from npred.runtimes import c_controller, mex
+from npred.runtimes import c_controller
 
 missing = [tool for tool in ("octave-cli", "mkoctfile") if shutil.which(tool) is None]
 needs_octave = pytest.mark.skipif(bool(missing), reason=f"no {' and '.join(missing)} on this machine")
@@ -38,7 +38,7 @@ def folders(tmp_path_factory):
         folder = places[make.__name__] = tmp_path_factory.mktemp(make.__name__)
         controller = make()
         header, source = c_controller.sources(controller)
-        for name, text in (("npred.h", header), ("npred.c", source), ("npred_mex.c", mex.source(controller))):
+        for name, text in (("npred.h", header), ("npred.c", source), ("npred_mex.c", c_controller.gateway(controller))):
             (folder / name).write_text(text)
         octave(folder, "mex -Wall -Wextra -Werror npred_mex.c npred.c")
     return places

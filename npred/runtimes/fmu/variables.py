@@ -11,18 +11,18 @@ import numpy as np
 from npred.errors import ConfigError
 from npred.kernels.c_text import literal
 from npred.loop.controller import Controller
-from npred.predictors.guarded import PASSES
+from npred.predictors.guarded import PASSES, Guarded, bare
 from npred.runtimes import c_controller
 
 LARGEST, SMALLEST = sys.float_info.max, sys.float_info.min
-ROLES = {"input": "INPUT", "tunable": "TUNABLE", "fixed": "FIXED", "output": "OUTPUT", "independent": "INDEPENDENT"}
+PARAMETERS = ("tunable", "fixed")  # of the roles, which are these, input, output and independent
 
 
 @dataclass(frozen=True)
 class Variable:
     """A variable of the model description. Those of one `block` lie one after the other in the instance.
 
-    `role` is a key of ROLES; `start` has the numbers of the whole array, row by row; a parameter lies within low, high.
+    `start` has the numbers of the whole array, row by row; a parameter lies within low, high.
     """
 
     name: str
@@ -37,32 +37,12 @@ class Variable:
     boolean: bool = False
 
 
-def trained(controller: Controller) -> bool:
-    """Whether the prediction is a network's: it was trained for the plant's parameters as they are."""
-    predictor = controller.predictor
-    return hasattr(getattr(predictor, "model", predictor), "operator")
-
-
-def settings(controller: Controller) -> list[str]:
-    """The numbers of the controller that are tunable parameters: names of npred.runtimes.c_controller.SETTINGS."""
-    held = {
-        "p": controller.plant.p.size > 0 and not trained(controller),
-        "gamma_dt": controller.settings.gamma_dt > 0,
-        "guard_settings": controller.predictor.guard is not None,
-    }
-    return [name for name in c_controller.SETTINGS if held[name]]
-
-
 def of(controller: Controller, X0: np.ndarray, arrays: bool) -> list[Variable]:
     """All variables, a value reference being the place in this list; `arrays` where one variable may be an array.
 
     Raises ConfigError where two have one name.
     """
-    variables = [
-        *_inputs(controller, X0, arrays),
-        *_outputs(controller),
-        *_parameters(controller),
-    ]
+    variables = [*_inputs(controller, X0, arrays), *_outputs(controller), *_parameters(controller)]
     names = [variable.name for variable in variables]
     if doubled := sorted({name for name in names if names.count(name) > 1}):
         raise ConfigError(
@@ -97,28 +77,27 @@ def _outputs(controller: Controller) -> Iterator[Variable]:
     for name in plant.states:
         about = "predicted state, when the command acts"
         yield Variable(f"predicted.{name}", "output", "P", (0.0,), about, _unit(controller, name))
-    if controller.predictor.guard is not None:
+    if isinstance(controller.predictor, Guarded):
         about = "whether the numerical predictor answered"
         yield Variable("fallback", "output", "FALLBACK", (0.0,), about, boolean=True)
         yield Variable("error", "output", "ERROR", (0.0,), "the guard's estimate of the error of the command")
 
 
 def _parameters(controller: Controller) -> Iterator[Variable]:
-    plant, tunable = controller.plant, settings(controller)
+    """What can be set: of a network it is not the plant's parameters, for it was trained for them."""
+    plant, predictor, law = controller.plant, controller.predictor, controller.adaptation
     if not plant.declares_delay:
         low, high = c_controller.D_hat_bounds(controller)
         yield Variable(
             "D_hat_start", "fixed", "D_HAT_START", (controller.D_hat,), "first estimate of the delay",
             plant.time_unit, low=low, high=min(high, LARGEST),
         )  # fmt: skip
-    if "gamma_dt" in tunable:
-        gamma = controller.adaptation.gamma  # type: ignore[union-attr]
-        yield Variable("gamma", "tunable", "GAMMA", (gamma,), "gain of the delay law", low=SMALLEST)
-    if "guard_settings" in tunable:
-        tolerance = controller.predictor.tolerance  # type: ignore[attr-defined]
+    if law is not None and controller.settings.gamma_dt > 0:
+        yield Variable("gamma", "tunable", "GAMMA", (law.gamma,), "gain of the delay law", low=SMALLEST)
+    if isinstance(predictor, Guarded):
         about = "largest error of the command that passes the guard"
-        yield Variable("tolerance", "tunable", "TOLERANCE", (tolerance,), about, low=SMALLEST)
-    if "p" in tunable:
+        yield Variable("tolerance", "tunable", "TOLERANCE", (predictor.tolerance,), about, low=SMALLEST)
+    if not hasattr(bare(predictor), "operator"):
         for name, value in plant.parameters.items():
             yield Variable(f"parameter.{name}", "tunable", "PARAMETERS", (float(value),), "parameter of plant and law")
 
@@ -127,7 +106,7 @@ def _unit(controller: Controller, name: str) -> str:
     return (controller.plant.units or {}).get(name, "")
 
 
-def header(controller: Controller, variables: Sequence[Variable], name: str, real: str, token: str) -> str:
+def header(controller: Controller, variables: Sequence[Variable], name: str, token: str) -> str:
     """The text of variables.h: what instance.h and the functions of FMI read of this controller."""
     ends = list(accumulate(len(variable.start) for variable in variables))
     firsts = [end - len(variable.start) for end, variable in zip(ends, variables, strict=True)]
@@ -135,19 +114,12 @@ def header(controller: Controller, variables: Sequence[Variable], name: str, rea
     for first, variable in zip(firsts, variables, strict=True):
         blocks.setdefault(variable.block, first)
     lines = [
-        "/* The variables of this FMU and the names of its controller. */",
+        "/* The variables of this FMU. */",
         f'#include "{name}.h"',
         "",
         f'#define TOKEN "{token}"',
-        f"#define CORE(function) {name}_##function",
-        f"#define CODE(code) {name.upper()}_##code",
-        f"#define CONTROLLER {name}_controller",
-        f"#define SAVED {name}_saved",
-        f"#define REAL {real}",
         f"#define STEP {controller.dt!r}",
         f"#define TIME_UNIT {json.dumps(controller.plant.time_unit.replace('%', ''))} /* of STEP and all times */",
-        *(f"#define {size} CODE({size})" for size in ("N_STATES", "M_INPUTS", "NX")),
-        f"#define PARAMETERS {controller.plant.p.size}",
         f"#define GUARD_PASSES {PASSES!r}",
         f"#define VARIABLES {len(variables)}",
         f"#define VALUES {ends[-1]}",
@@ -165,4 +137,4 @@ def header(controller: Controller, variables: Sequence[Variable], name: str, rea
 
 def _entry(first: int, variable: Variable) -> str:
     low, high = literal(variable.low, "double"), literal(variable.high, "double")
-    return f"    {{{first}, {len(variable.start)}, {ROLES[variable.role]}, {int(variable.boolean)}, {low}, {high}}},"
+    return f"    {{{first}, {len(variable.start)}, {variable.role.upper()}, {int(variable.boolean)}, {low}, {high}}},"

@@ -42,7 +42,7 @@ enum { INSTANTIATED = 1, INITIALIZATION = 2, STEPPING = 4, TERMINATED = 8, ALWAY
 
 /* All that an importer may save and set again. */
 typedef struct {
-    SAVED saved;
+    npred_saved saved;
     double values[VALUES];
     double start;
     int64_t steps; /* control steps since start */
@@ -52,16 +52,16 @@ typedef struct {
 
 typedef struct Instance Instance;
 struct Instance {
-    CONTROLLER controller;
+    npred_controller controller;
     State now;
-    REAL X[N_STATES];
+    npred_real X[NPRED_N_STATES];
 #ifdef AT_ACTUATOR
-    REAL u[NX * M_INPUTS];
+    npred_real u[NPRED_NX * NPRED_M_INPUTS];
 #endif
     void *environment;
-    void (*log)(Instance *self, int status, const char *message);
+    void (*log)(Instance *self, int status, const char *message); /* by the callback, where there is one */
     void (*callback)(void);
-    char *name;
+    char name[];
 };
 
 static const char *category(int status)
@@ -77,7 +77,9 @@ static int report(Instance *self, int status, const char *format, ...)
     va_start(arguments, format);
     vsnprintf(line, sizeof line, format, arguments);
     va_end(arguments);
-    self->log(self, status, line);
+    if (self->callback != NULL) {
+        self->log(self, status, line);
+    }
     return status;
 }
 
@@ -99,7 +101,7 @@ static void reset(Instance *self)
     memset(&self->now, 0, sizeof self->now);
     memcpy(self->now.values, start_values, sizeof start_values);
     self->now.mode = INSTANTIATED;
-    CORE(init)(&self->controller);
+    npred_init(&self->controller);
 }
 
 /* A new instance, NULL for another token or where there is no memory. */
@@ -108,45 +110,24 @@ static Instance *create(const char *name, const char *token)
     if (token == NULL || strcmp(token, TOKEN) != 0) {
         return NULL;
     }
-    Instance *self = calloc(1, sizeof *self);
-    char *copy = calloc(name == NULL ? 1 : strlen(name) + 1, 1);
-    if (self == NULL || copy == NULL) {
-        free(self);
-        free(copy);
-        return NULL;
+    name = name == NULL ? "" : name;
+    Instance *self = calloc(1, sizeof *self + strlen(name) + 1);
+    if (self != NULL) {
+        strcpy(self->name, name);
+        reset(self);
     }
-    self->name = name == NULL ? copy : strcpy(copy, name);
-    reset(self);
     return self;
 }
 
-static void destroy(Instance *self)
-{
-    if (self != NULL) {
-        free(self->name);
-        free(self);
-    }
-}
-
-/* The variable of a value reference, NULL where there is none of that type. */
-static const Variable *variable(uint32_t reference, int boolean)
-{
-    if (reference >= VARIABLES || variables[reference].boolean != boolean) {
-        return NULL;
-    }
-    return &variables[reference];
-}
-
-/* How many numbers variables have; -1 where one is unknown. */
+/* How many numbers variables have; -1 where one is unknown, or of another type. */
 static long long count(const uint32_t *references, size_t many, int boolean)
 {
     long long numbers = 0;
     for (size_t i = 0; i < many; i++) {
-        const Variable *v = variable(references[i], boolean);
-        if (v == NULL) {
+        if (references[i] >= VARIABLES || variables[references[i]].boolean != boolean) {
             return -1;
         }
-        numbers += v->size;
+        numbers += variables[references[i]].size;
     }
     return numbers;
 }
@@ -157,7 +138,7 @@ static int get_values(Instance *self, const uint32_t *references, size_t many, d
         return report(self, ERROR, "get: expected known real variables with as many values, got others");
     }
     for (size_t i = 0; i < many; i++) {
-        const Variable *v = variable(references[i], 0);
+        const Variable *v = &variables[references[i]];
         memcpy(values, self->now.values + v->first, (size_t)v->size * sizeof *values);
         values += v->size;
     }
@@ -169,8 +150,7 @@ static int settable(Instance *self, const Variable *v, const double *values)
 {
     const int early = self->now.mode != STEPPING;
     if (v->role == OUTPUT || v->role == INDEPENDENT || (v->role == FIXED && !early)) {
-        report(self, ERROR, "set: expected an input or a parameter that may be set now, got another variable");
-        return ERROR;
+        return report(self, ERROR, "set: expected an input or a parameter that may be set now, got another variable");
     }
     for (int i = 0; v->role != INPUT && i < v->size; i++) {
         if (!(values[i] >= v->low && values[i] <= v->high)) {
@@ -188,7 +168,7 @@ static int set_values(Instance *self, const uint32_t *references, size_t many, c
     }
     const double *next = values;
     for (size_t i = 0; i < many; next += variables[references[i]].size, i++) {
-        const int status = settable(self, variable(references[i], 0), next);
+        const int status = settable(self, &variables[references[i]], next);
         if (status != OK) {
             return status;
         }
@@ -217,66 +197,70 @@ static int enter_initialization(Instance *self, double start)
 
 static int exit_initialization(Instance *self)
 {
-    int code = CORE(set_time)(&self->controller, self->now.start);
+    int code = npred_set_time(&self->controller, self->now.start);
 #ifdef AT_D_HAT_START
-    code = code == CODE(OK) ? CORE(set_D_hat)(&self->controller, (REAL)self->now.values[AT_D_HAT_START]) : code;
+    code = code == NPRED_OK ? npred_set_D_hat(&self->controller, (npred_real)self->now.values[AT_D_HAT_START]) : code;
 #endif
     self->now.mode = STEPPING;
-    return code == CODE(OK) ? OK : report(self, ERROR, "start: expected a D_hat_start within its bounds, got another");
+    return code == NPRED_OK ? OK : report(self, ERROR, "start: expected a D_hat_start within its bounds, got another");
+}
+
+static void copy_in(npred_real *to, const double *from, int numbers)
+{
+    for (int i = 0; i < numbers; i++) {
+        to[i] = (npred_real)from[i];
+    }
+}
+
+static void copy_out(double *to, const npred_real *from, int numbers)
+{
+    for (int i = 0; i < numbers; i++) {
+        to[i] = (double)from[i];
+    }
 }
 
 /* The inputs and parameters into the controller. */
 static void write_inputs(Instance *self)
 {
     const double *values = self->now.values;
-    for (int i = 0; i < N_STATES; i++) {
-        self->X[i] = (REAL)values[AT_X + i];
-    }
+    copy_in(self->X, values + AT_X, NPRED_N_STATES);
 #ifdef AT_ACTUATOR
-    for (int i = 0; i < NX * M_INPUTS; i++) {
-        self->u[i] = (REAL)values[AT_ACTUATOR + i];
-    }
+    copy_in(self->u, values + AT_ACTUATOR, NPRED_NX * NPRED_M_INPUTS);
 #endif
 #ifdef AT_PARAMETERS
-    for (int i = 0; i < PARAMETERS; i++) {
-        self->controller.settings.p[i] = (REAL)values[AT_PARAMETERS + i];
-    }
+    copy_in(self->controller.settings.p, values + AT_PARAMETERS, NPRED_PARAMETERS);
 #endif
 #ifdef AT_GAMMA
-    self->controller.settings.gamma_dt[0] = (REAL)(values[AT_GAMMA] * STEP);
+    self->controller.settings.gamma_dt = (npred_real)(values[AT_GAMMA] * STEP);
 #endif
 #ifdef AT_TOLERANCE
-    self->controller.settings.guard_settings[0] = (REAL)(values[AT_TOLERANCE] * GUARD_PASSES);
+    self->controller.settings.guard[0] = (npred_real)(values[AT_TOLERANCE] * GUARD_PASSES);
 #endif
 }
 
 /* U and what is known about it, after a control step. */
-static void read_outputs(Instance *self, const REAL *U)
+static void read_outputs(Instance *self, const npred_real *U)
 {
     double *values = self->now.values;
-    for (int i = 0; i < M_INPUTS; i++) {
-        values[AT_U + i] = (double)U[i];
-    }
-    for (int i = 0; i < N_STATES; i++) {
-        values[AT_P + i] = (double)self->controller.P[(NX - 1) * N_STATES + i];
-    }
-    values[AT_D_HAT] = (double)self->controller.saved.D_hat[0];
+    copy_out(values + AT_U, U, NPRED_M_INPUTS);
+    copy_out(values + AT_P, self->controller.P + (NPRED_NX - 1) * NPRED_N_STATES, NPRED_N_STATES);
+    copy_out(values + AT_D_HAT, self->controller.saved.D_hat, 1);
 #ifdef AT_FALLBACK
-    values[AT_FALLBACK] = (double)self->controller.fallback[0];
-    values[AT_ERROR] = (double)self->controller.error[0];
+    copy_out(values + AT_FALLBACK, self->controller.fallback, 1);
+    copy_out(values + AT_ERROR, self->controller.error, 1);
 #endif
 }
 
 static int control_step(Instance *self)
 {
-    REAL U[M_INPUTS];
+    npred_real U[NPRED_M_INPUTS];
     write_inputs(self);
 #ifdef AT_ACTUATOR
-    const int code = CORE(step)(&self->controller, self->X, self->u, U);
+    const int code = npred_step(&self->controller, self->X, self->u, U);
 #else
-    const int code = CORE(step)(&self->controller, self->X, U);
+    const int code = npred_step(&self->controller, self->X, U);
 #endif
-    if (code == CODE(OK)) {
+    if (code == NPRED_OK) {
         read_outputs(self, U);
     }
     self->now.steps++;
@@ -291,8 +275,8 @@ static double due_time(const Instance *self)
 
 static const char *reason(int code)
 {
-    return code == CODE(MEASUREMENT_NOT_FINITE)    ? "expected finite inputs, got one that is not"
-           : code == CODE(PREDICTION_NOT_FINITE) ? "the prediction from these inputs is not finite"
+    return code == NPRED_MEASUREMENT_NOT_FINITE    ? "expected finite inputs, got one that is not"
+           : code == NPRED_PREDICTION_NOT_FINITE ? "the prediction from these inputs is not finite"
                                                  : "the delay is above what the commands are kept for";
 }
 
@@ -309,7 +293,7 @@ static int advance(Instance *self, double t, double h)
     int status = OK;
     for (double due = due_time(self); due < end; due = due_time(self)) {
         const int code = control_step(self);
-        if (code != CODE(OK)) {
+        if (code != NPRED_OK) {
             status = report(self, WARNING, "step at %g " TIME_UNIT ": %s; U is held", due, reason(code));
         }
     }
@@ -328,8 +312,8 @@ static uint32_t checksum(const State *state)
     return sum;
 }
 
-/* A copy of the state, in *copy or, where that is NULL, in new memory. */
-static int get_state(Instance *self, void **copy)
+/* A state's bytes into *copy or, where that is NULL, into new memory. */
+static int copy_state(Instance *self, const void *bytes, void **copy)
 {
     if (*copy == NULL) {
         *copy = malloc(sizeof(State));
@@ -337,17 +321,23 @@ static int get_state(Instance *self, void **copy)
     if (*copy == NULL) {
         return report(self, ERROR, "state: expected %zu bytes of memory, got none", sizeof(State));
     }
-    CORE(get_state)(&self->controller, &self->now.saved);
-    self->now.checksum = checksum(&self->now);
-    memcpy(*copy, &self->now, sizeof(State));
+    memcpy(*copy, bytes, sizeof(State));
     return OK;
+}
+
+static int get_state(Instance *self, void **copy)
+{
+    npred_get_state(&self->controller, &self->now.saved);
+    self->now.checksum = checksum(&self->now);
+    return copy_state(self, &self->now, copy);
 }
 
 /* Whether a state may be one that get_state wrote. */
 static int sound(const State *state)
 {
     const int mode = state->mode, one_mode = mode == 1 || mode == 2 || mode == 4 || mode == 8;
-    int fits = state->checksum == checksum(state) && one_mode && state->steps >= 0 && isfinite(state->start) && isfinite(state->values[AT_TIME]);
+    int fits = state->checksum == checksum(state) && one_mode && state->steps >= 0;
+    fits = fits && isfinite(state->start) && isfinite(state->values[AT_TIME]);
     fits = fits && fabs(state->start + (double)state->steps * STEP - state->values[AT_TIME]) <= 2 * STEP;
     for (int i = 0; i < VARIABLES; i++) {
         const Variable *v = &variables[i];
@@ -361,25 +351,24 @@ static int sound(const State *state)
 static int set_state(Instance *self, const void *state)
 {
     const State *saved = state;
-    if (saved == NULL || !sound(saved) || CORE(set_state)(&self->controller, &saved->saved) != CODE(OK)) {
+    if (saved == NULL || !sound(saved) || npred_set_state(&self->controller, &saved->saved) != NPRED_OK) {
         return report(self, ERROR, "state: expected one of this FMU, got another; nothing changed");
     }
     memcpy(&self->now, saved, sizeof self->now);
     return OK;
 }
 
-static void free_state(void **state)
+/* Whether bytes are as many as a state has, and there is a state. */
+static int sized(Instance *self, const void *state, size_t size)
 {
-    if (state != NULL) {
-        free(*state);
-        *state = NULL;
-    }
+    const int fits = state != NULL && size == sizeof(State);
+    return fits ? OK : report(self, ERROR, "state: expected %zu bytes, got %zu", sizeof(State), size);
 }
 
 static int serialize(Instance *self, const void *state, void *bytes, size_t size)
 {
-    if (state == NULL || size != sizeof(State)) {
-        return report(self, ERROR, "state: expected %zu bytes, got %zu", sizeof(State), size);
+    if (sized(self, state, size) != OK) {
+        return ERROR;
     }
     memcpy(bytes, state, size);
     return OK;
@@ -387,21 +376,15 @@ static int serialize(Instance *self, const void *state, void *bytes, size_t size
 
 static int deserialize(Instance *self, const void *bytes, size_t size, void **state)
 {
-    if (size != sizeof(State)) {
-        return report(self, ERROR, "state: expected %zu bytes, got %zu", sizeof(State), size);
-    }
-    if (*state == NULL) {
-        *state = malloc(size);
-    }
-    if (*state == NULL) {
-        return report(self, ERROR, "state: expected %zu bytes of memory, got none", size);
-    }
-    memcpy(*state, bytes, size);
-    return OK;
+    return sized(self, bytes, size) == OK ? copy_state(self, bytes, state) : ERROR;
 }
 
+/* The answer to a call for what the FMU does not have, `many` of it. */
 static int unsupported(Instance *self, const char *call, size_t many)
 {
+    if (self == NULL) {
+        return ERROR;
+    }
     return many == 0 ? OK : report(self, ERROR, "%s: expected nothing, for the FMU has no such variable", call);
 }
 

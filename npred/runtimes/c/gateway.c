@@ -1,19 +1,26 @@
 /*
- * The controller as a function of MATLAB and GNU Octave; mex NAME_mex.c NAME.c compiles it.
+ * The controller as a function of MATLAB and GNU Octave; mex npred_mex.c npred.c compiles it.
  *
- *   c = NAME_mex('new')                                   a controller; any number of them
- *   [U, D_hat, P, fallback, error] = NAME_mex('step', c, X[, u])   a control step: U (m, 1), P (nx, n); u (nx, m)
- *   s = NAME_mex('state', c), NAME_mex('restore', c, s)    what a step remembers, as bytes
- *   NAME_mex('set_D_hat', c, D_hat), NAME_mex('set_time', c, t)
- *   NAME_mex('delete', c)
+ *   c = npred_mex('new')                                   a controller; any number of them
+ *   [U, D_hat, P, fallback, error] = npred_mex('step', c, X[, u])   a control step: U (m, 1), P (nx, n); u (nx, m)
+ *   s = npred_mex('state', c), npred_mex('restore', c, s)    what a step remembers, as bytes
+ *   npred_mex('set_D_hat', c, D_hat), npred_mex('set_time', c, t)
+ *   npred_mex('delete', c)
  */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "mex.h"
+#include "npred.h"
 
-static CONTROLLER **controllers; /* those that were made, NULL where deleted; a handle is the place, from 1 */
+#if MEASURED
+enum { GIVEN = 2 }; /* to a step: X and u */
+#else
+enum { GIVEN = 1 }; /* to a step: X */
+#endif
+
+static npred_controller **controllers; /* those that were made, NULL where deleted; a handle is the place, from 1 */
 static size_t made;
 
 static void delete_all(void)
@@ -52,16 +59,15 @@ static size_t place(const mxArray *handle)
 
 static mxArray *new_controller(void)
 {
-    CONTROLLER **longer = realloc(controllers, (made + 1) * sizeof *longer);
-    if (longer == NULL) {
+    npred_controller *controller = malloc(sizeof *controller);
+    npred_controller **longer = realloc(controllers, (made + 1) * sizeof *longer);
+    controllers = longer == NULL ? controllers : longer;
+    if (longer == NULL || controller == NULL) {
+        free(controller);
         complain("memory", "expected memory for a controller, got none");
     }
-    controllers = longer;
-    controllers[made] = malloc(sizeof **controllers);
-    if (controllers[made] == NULL) {
-        complain("memory", "expected memory for a controller, got none");
-    }
-    CORE(init)(controllers[made]);
+    npred_init(controller);
+    controllers[made] = controller;
     made++;
     mexAtExit(delete_all);
     return mxCreateDoubleScalar((double)made);
@@ -79,7 +85,7 @@ static void refuse(int code)
 }
 
 /* An array of results, columns of `columns` from rows that lie one after the other. */
-static mxArray *matrix(const REAL *rows, size_t count, size_t columns)
+static mxArray *matrix(const npred_real *rows, size_t count, size_t columns)
 {
     mxArray *value = mxCreateDoubleMatrix(count, columns, mxREAL);
     for (size_t i = 0; i < count; i++) {
@@ -90,65 +96,66 @@ static mxArray *matrix(const REAL *rows, size_t count, size_t columns)
     return value;
 }
 
-static void step(CONTROLLER *controller, int results, mxArray *result[], const mxArray *argument[])
+static void step(npred_controller *controller, int results, mxArray *result[], const mxArray *argument[])
 {
-    REAL X[N_STATES], U[M_INPUTS];
-    const double *measured = numbers(argument[0], N_STATES, "expected X with one number per state");
-    for (int i = 0; i < N_STATES; i++) {
-        X[i] = (REAL)measured[i];
+    npred_real X[NPRED_N_STATES], U[NPRED_M_INPUTS];
+    const double *measured = numbers(argument[0], NPRED_N_STATES, "expected X with one number per state");
+    for (int i = 0; i < NPRED_N_STATES; i++) {
+        X[i] = (npred_real)measured[i];
     }
 #if MEASURED
-    static REAL u[NX * M_INPUTS]; /* of this call alone */
-    const double *columns = numbers(argument[1], (size_t)NX * M_INPUTS, "expected u (nx, m), nodes by inputs");
-    for (int j = 0; j < NX; j++) {
-        for (int c = 0; c < M_INPUTS; c++) {
-            u[j * M_INPUTS + c] = (REAL)columns[j + c * NX];
+    static npred_real u[NPRED_NX * NPRED_M_INPUTS]; /* of this call alone */
+    const size_t size = (size_t)NPRED_NX * NPRED_M_INPUTS;
+    const double *columns = numbers(argument[1], size, "expected u (nx, m), nodes by inputs");
+    for (int j = 0; j < NPRED_NX; j++) {
+        for (int c = 0; c < NPRED_M_INPUTS; c++) {
+            u[j * NPRED_M_INPUTS + c] = (npred_real)columns[j + c * NPRED_NX];
         }
     }
-    refuse(CORE(step)(controller, X, u, U));
+    refuse(npred_step(controller, X, u, U));
 #else
-    refuse(CORE(step)(controller, X, U));
+    refuse(npred_step(controller, X, U));
 #endif
-    result[0] = matrix(U, M_INPUTS, 1);
+    result[0] = matrix(U, NPRED_M_INPUTS, 1);
     if (results > 1) {
         result[1] = mxCreateDoubleScalar((double)controller->saved.D_hat[0]);
     }
     if (results > 2) {
-        result[2] = matrix(controller->P, NX, N_STATES);
+        result[2] = matrix(controller->P, NPRED_NX, NPRED_N_STATES);
     }
     if (results > 3) {
-        result[3] = mxCreateLogicalScalar(GUARDED(fallback, 0) > 0);
+        result[3] = mxCreateLogicalScalar(controller->fallback[0] > 0);
     }
     if (results > 4) {
-        result[4] = mxCreateDoubleScalar(GUARDED(error, NAN));
+        result[4] = mxCreateDoubleScalar((double)controller->error[0]);
     }
 }
 
-static mxArray *state(const CONTROLLER *controller)
+static mxArray *state(const npred_controller *controller)
 {
-    mxArray *bytes = mxCreateNumericMatrix(sizeof(SAVED), 1, mxUINT8_CLASS, mxREAL);
-    SAVED saved;
-    CORE(get_state)(controller, &saved);
+    mxArray *bytes = mxCreateNumericMatrix(sizeof(npred_saved), 1, mxUINT8_CLASS, mxREAL);
+    npred_saved saved;
+    npred_get_state(controller, &saved);
     memcpy(mxGetData(bytes), &saved, sizeof saved);
     return bytes;
 }
 
-static void restore(CONTROLLER *controller, const mxArray *bytes)
+static void restore(npred_controller *controller, const mxArray *bytes)
 {
-    SAVED saved;
+    npred_saved saved;
     if (!mxIsUint8(bytes) || mxGetNumberOfElements(bytes) != sizeof saved) {
         complain("argument", "expected the bytes of 'state', got another value");
     }
     memcpy(&saved, mxGetData(bytes), sizeof saved);
-    refuse(CORE(set_state)(controller, &saved));
+    refuse(npred_set_state(controller, &saved));
 }
 
-/* The words with the arguments that follow the controller, and the results that they have at most. */
+/* The words with the arguments that follow the controller, and the results that may be asked for, of some in vain. */
 static const struct {
     const char *word;
     int arguments, results;
-} calls[] = {{"new", -1, 1},     {"step", 1 + MEASURED, 5}, {"state", 0, 1}, {"restore", 1, 0},
-             {"set_D_hat", 1, 0}, {"set_time", 1, 0},        {"delete", 0, 0}};
+} calls[] = {{"new", -1, 1},      {"step", GIVEN, 5}, {"state", 0, 1}, {"restore", 1, 1},
+             {"set_D_hat", 1, 1}, {"set_time", 1, 1}, {"delete", 0, 1}};
 enum { NEW, STEP, STATE, RESTORE, SET_D_HAT, SET_TIME, DELETE, CALLS };
 
 static int find(int results, int arguments, const mxArray *argument[])
@@ -158,8 +165,8 @@ static int find(int results, int arguments, const mxArray *argument[])
         mxGetString(argument[0], word, sizeof word);
     }
     for (int call = 0; call < CALLS; call++) {
-        const int most = calls[call].results > 1 ? calls[call].results : 1;
-        if (strcmp(word, calls[call].word) == 0 && arguments == calls[call].arguments + 2 && results <= most) {
+        const int fits = arguments == calls[call].arguments + 2 && results <= calls[call].results;
+        if (fits && strcmp(word, calls[call].word) == 0) {
             return call;
         }
     }
@@ -175,7 +182,7 @@ void mexFunction(int results, mxArray *result[], int arguments, const mxArray *a
         return;
     }
     const size_t at = place(argument[1]);
-    CONTROLLER *controller = controllers[at];
+    npred_controller *controller = controllers[at];
     switch (call) {
     case STEP:
         step(controller, results, result, argument + 2);
@@ -187,10 +194,10 @@ void mexFunction(int results, mxArray *result[], int arguments, const mxArray *a
         restore(controller, argument[2]);
         break;
     case SET_D_HAT:
-        refuse(CORE(set_D_hat)(controller, (REAL)*numbers(argument[2], 1, "expected a number")));
+        refuse(npred_set_D_hat(controller, (npred_real)*numbers(argument[2], 1, "expected a number")));
         break;
     case SET_TIME:
-        refuse(CORE(set_time)(controller, *numbers(argument[2], 1, "expected a number")));
+        refuse(npred_set_time(controller, *numbers(argument[2], 1, "expected a number")));
         break;
     case DELETE:
         free(controller);

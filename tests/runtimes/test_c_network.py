@@ -16,7 +16,7 @@ from npred.kernels.c_text import comment
 from npred.loop import metrics
 from npred.operators import Scaling, build
 from npred.predictors.neural import Neural
-from npred.runtimes import c, c_library
+from npred.runtimes import c_files, c_network
 
 FLAGS = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Werror"]
 needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc on this machine")
@@ -33,7 +33,7 @@ def probe(count=4, nx=21, seed=0):
 def exported(request, tmp_path):
     config, anchor = request.param
     model = operator(config, anchor=anchor)
-    c.export(model, PLANT, tmp_path / "model.c", 21, probe())
+    c_network.export(model, PLANT, tmp_path / "model.c", 21, probe())
     return model, tmp_path / "model.c"
 
 
@@ -57,20 +57,22 @@ def test_its_own_test_passes(exported):
 def test_a_file_is_run_before_it_is_kept(tmp_path, monkeypatch):
     samples = probe(9)
     model = operator(SMALL[0]).double()
-    error, eps = c.export(model, PLANT, tmp_path / "model.c", 21, samples)
+    error, eps = c_network.export(model, PLANT, tmp_path / "model.c", 21, samples)
     P = Neural(PLANT, model, 21)(*samples)
     exact = npred.predictor("rk4", PLANT, 21)(*samples)
     assert 0 < error < 1e-4 and eps == pytest.approx(np.linalg.norm(P - exact, axis=-1).max(), rel=1e-4)
-    with monkeypatch.context() as patch:
-        patch.setattr(c, "SOURCE", c.SOURCE.replace("u, &D_hat", "u, (double[]){D_hat + 0.1}"))
-        with pytest.raises(NpredError, match=r"export c: expected P and U within 0.0001 of their sizes, got"):
-            c.export(model, PLANT, tmp_path / "wrong.c", 21, samples)
-        patch.setattr(c, "SOURCE", c.SOURCE.replace("{sizes}", "#include <none.h>\n{sizes}"))
-        with pytest.raises(NpredError, match=r"export c: expected sources that compile, got: .*none\.h"):
-            c.export(model, PLANT, tmp_path / "wrong.c", 21, samples)
+    text = c_network.source
+    for right, wrong, refusal in (
+        ("u, &D_hat", "u, (double[]){D_hat + 0.1}", "P and U within 0.0001 of their sizes, got"),
+        ("enum {", "#include <none.h>\nenum {", r"sources that compile, got: .*none\.h"),
+    ):
+        with monkeypatch.context() as patch:
+            patch.setattr(c_network, "source", lambda *asked, a=right, b=wrong: text(*asked).replace(a, b, 1))
+            with pytest.raises(NpredError, match=f"export c: expected {refusal}"):
+                c_network.export(model, PLANT, tmp_path / "wrong.c", 21, samples)
     assert not (tmp_path / "wrong.c").exists()
-    monkeypatch.setattr(c_library, "compiler", lambda: None)
-    assert c.export(model, PLANT, tmp_path / "unseen.c", 21, samples) is None
+    monkeypatch.setattr(c_files, "compiler", lambda: None)
+    assert c_network.export(model, PLANT, tmp_path / "unseen.c", 21, samples) is None
     assert (tmp_path / "unseen.c").read_text() == (tmp_path / "model.c").read_text()
 
 
@@ -78,14 +80,16 @@ def test_a_file_is_run_before_it_is_kept(tmp_path, monkeypatch):
 def test_several_inputs(tmp_path):
     plant, data = several_inputs()
     model = build(SMALL[0], plant, Scaling.of(data))
-    c.export(model, plant, tmp_path / "two.c", 11, (data.X, data.u, data.D_hat, np.linspace(1.0, 9.0, len(data.X))))
+    c_network.export(
+        model, plant, tmp_path / "two.c", 11, (data.X, data.u, data.D_hat, np.linspace(1.0, 9.0, len(data.X)))
+    )
     assert subprocess.run([compiled(tmp_path / "two.c", "-DNPRED_TEST")], timeout=60).returncode == 0
 
 
 @needs_gcc
 def test_a_law_that_depends_on_time_is_tested_at_another_than_zero(tmp_path):
     plant, data = holding()
-    c.export(
+    c_network.export(
         build(SMALL[0], plant, Scaling.of(data)),
         plant,
         tmp_path / "model.c",
@@ -104,7 +108,9 @@ def test_a_law_that_depends_on_time_is_tested_at_another_than_zero(tmp_path):
 def test_several_delays_and_a_phase_of_the_time(tmp_path, config, anchor):
     plant, data, t = phased()
     model = build(config.model_copy(update={"anchor": anchor}), plant, Scaling.of(data))
-    c.export(model, plant, tmp_path / "model.c", 13, (data.X, data.u, data.D_hat, np.linspace(1.0, 9.0, len(data.X))))
+    c_network.export(
+        model, plant, tmp_path / "model.c", 13, (data.X, data.u, data.D_hat, np.linspace(1.0, 9.0, len(data.X)))
+    )
     assert subprocess.run([compiled(tmp_path / "model.c", "-DNPRED_TEST")], timeout=60).returncode == 0
     library = ctypes.CDLL(str(compiled(tmp_path / "model.c", "-shared", "-fPIC")))
     exact = Neural(plant, model.double(), 13)(data.X, data.u, data.D_hat, t)
@@ -145,7 +151,7 @@ def test_equals_the_model_on_other_samples(exported):
 @needs_gcc
 def test_the_example_of_the_documentation_is_the_model(tmp_path):
     model = operator(SMALL[0])
-    c.export(model, PLANT, tmp_path / "deeponet.c", 21, probe())
+    c_network.export(model, PLANT, tmp_path / "deeponet.c", 21, probe())
     page = (HERE.parent / "docs" / "deployment.md").read_text()
     example = re.findall(r"^```c\n(.*?)^```", page, re.MULTILINE | re.DOTALL)[0]
     (tmp_path / "main.c").write_text(example)
@@ -166,7 +172,7 @@ def _address(array):
 def test_the_text_is_the_same_again_and_calls_libm_alone(exported):
     model, path = exported
     text = path.read_text()
-    assert c.source(model, PLANT, 21, probe()) == text
+    assert c_network.source(model, PLANT, 21, probe()) == text
     assert [line for line in text.splitlines() if line.startswith("#include")] == [
         "#include <math.h>", "#include <stddef.h>", "#include <stdint.h>", "#include <stdio.h>",
     ]  # fmt: skip

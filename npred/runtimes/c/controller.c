@@ -1,0 +1,287 @@
+#include <string.h>
+
+#include "npred.h"
+
+#ifdef __FAST_MATH__
+#error "compile without -ffast-math"
+#endif
+
+static const uint32_t npred_digest[4] = {0x00000000u, 0x00000000u, 0x00000000u, 0x00000000u};
+
+#define WIDE 1 /* lane */
+#define LANES
+#define INDEX int
+#include "kernels.h"
+
+#include "settings.h"
+
+/* Where the numbers of the state are. A step reads u and u_nodes where they are measured, and else writes them. */
+static inline State npred_state(npred_controller *self, const npred_real *u, const npred_real *u_nodes)
+{
+    State state = {
+        .D_hat = self->saved.D_hat, .phi_before = self->saved.phi_before, .D_seen = self->D_seen,
+        .u = (npred_real *)u, .u_nodes = (npred_real *)u_nodes, .X_hat = self->Y, .Y = self->Y, .P = self->P,
+        .U = self->U, .U0 = self->U0, .U1 = self->U1, .share = self->share, .phi = self->phi, .N = self->N,
+        .error = self->error, .fallback = self->fallback,
+    };
+#if KEEPS
+    state.held = self->saved.held;
+    state.total = self->saved.total;
+#endif
+#if WATCHES
+    state.observer = self->saved.observer;
+#endif
+#if GATED
+    state.X_hat = self->X_hat;
+    state.expected = self->saved.expected;
+    state.missed = self->saved.missed;
+#endif
+    return state;
+}
+
+static int npred_finite(const npred_real *values, int count)
+{
+    int finite = 1;
+    for (int i = 0; i < count; i++) {
+        finite = finite && isfinite(values[i]);
+    }
+    return finite;
+}
+
+#if GATED
+/* The model expects nothing before the first sample. */
+static void npred_expect_nothing(npred_controller *self)
+{
+    for (int i = 0; i < NPRED_N_STATES; i++) {
+        self->saved.expected[i] = NAN;
+    }
+    self->saved.missed[0] = 0;
+}
+#endif
+
+void npred_init(npred_controller *self)
+{
+    memset(self, 0, sizeof *self);
+    memcpy(self->saved.digest, npred_digest, sizeof npred_digest);
+    self->saved.phi_before[0] = self->error[0] = NAN;
+    self->saved.D_hat[0] = (npred_real)NPRED_D_HAT;
+    self->saved.t0 = NPRED_T0;
+#if KEEPS
+    const npred_real first = (npred_real)(NPRED_ROWS - 1);
+    self->saved.k = NPRED_ROWS - 1;
+    for (int row = 0; row < NPRED_ROWS; row++) {
+        for (int i = 0; i < NPRED_M_INPUTS; i++) {
+            self->saved.held[row * NPRED_M_INPUTS + i] = the_u0[i];
+            self->saved.total[row * NPRED_M_INPUTS + i] = (npred_real)row * the_u0[i] - first * the_u0[i];
+        }
+    }
+#endif
+#if WATCHES
+    for (int i = 0; i < NPRED_OBSERVER; i++) {
+        self->saved.observer[i] = NAN;
+    }
+#endif
+#if GATED
+    npred_expect_nothing(self);
+#endif
+#if TUNABLE
+    memcpy(self->settings.p, the_p, sizeof self->settings.p);
+    memcpy(self->settings.guard, the_guard, sizeof self->settings.guard);
+    self->settings.gamma_dt = the_settings.gamma_dt;
+#endif
+}
+
+const char *npred_version(void)
+{
+    return NPRED_DIGEST;
+}
+
+/* FNV-1a: no single byte can change without it. */
+static uint32_t npred_checksum(const npred_saved *state)
+{
+    const unsigned char *bytes = (const unsigned char *)state;
+    uint32_t sum = 2166136261u;
+    for (size_t i = offsetof(npred_saved, checksum) + sizeof sum; i < sizeof *state; i++) {
+        sum = (sum ^ bytes[i]) * 16777619u;
+    }
+    return sum;
+}
+
+/* The time of the next step. */
+static double npred_time(const npred_saved *state)
+{
+    return state->t0 + (double)state->steps * NPRED_DT;
+}
+
+static int npred_within(npred_real D_hat)
+{
+    return D_hat >= (npred_real)NPRED_D_HAT_LOW && D_hat <= (npred_real)NPRED_D_HAT_HIGH;
+}
+
+void npred_get_state(const npred_controller *self, npred_saved *state)
+{
+    memcpy(state, &self->saved, sizeof *state);
+    state->checksum = npred_checksum(state);
+}
+
+int npred_set_state(npred_controller *self, const npred_saved *state)
+{
+    int fits = memcmp(state->digest, npred_digest, sizeof npred_digest) == 0;
+    fits = fits && state->checksum == npred_checksum(state);
+    fits = fits && isfinite(npred_time(state)) && state->steps >= 0;
+    fits = fits && npred_within(state->D_hat[0]) && !isinf(state->phi_before[0]);
+#if KEEPS
+    fits = fits && state->k >= NPRED_ROWS - 1 && state->k < 2 * NPRED_ROWS;
+    fits = fits && npred_finite(state->held, NPRED_ROWS * NPRED_M_INPUTS);
+    fits = fits && npred_finite(state->total, NPRED_ROWS * NPRED_M_INPUTS);
+#endif
+    if (!fits) {
+        return NPRED_STATE_REFUSED;
+    }
+    memcpy(&self->saved, state, sizeof *state);
+    return NPRED_OK;
+}
+
+int npred_set_D_hat(npred_controller *self, npred_real D_hat)
+{
+    if (!npred_within(D_hat)) {
+        return NPRED_STATE_REFUSED;
+    }
+    self->saved.D_hat[0] = D_hat;
+    self->saved.phi_before[0] = NAN;
+    return NPRED_OK;
+}
+
+int npred_set_time(npred_controller *self, double t)
+{
+    if (!isfinite(t)) {
+        return NPRED_STATE_REFUSED;
+    }
+    self->saved.t0 = t;
+    self->saved.steps = 0;
+    self->saved.phi_before[0] = NAN;
+#if GATED
+    npred_expect_nothing(self);
+#endif
+    return NPRED_OK;
+}
+
+static int npred_run(npred_controller *self, const npred_real *X, const npred_real *u, const npred_real *u_nodes,
+                     npred_real *U)
+{
+#if REPEATS
+    /* within the period: of a time of many periods a float would lose the phase */
+    const npred_real t = (npred_real)fmod(npred_time(&self->saved), NPRED_PERIOD);
+#else
+    const npred_real t = (npred_real)npred_time(&self->saved);
+#endif
+    Settings settings = the_settings;
+#if TUNABLE
+    settings.p = self->settings.p;
+    settings.gamma_dt = self->settings.gamma_dt;
+    settings.guard = self->settings.guard;
+#endif
+    const npred_real D_hat = self->saved.D_hat[0], phi_before = self->saved.phi_before[0];
+    State state = npred_state(self, u, u_nodes);
+    int finite = npred_finite(X, NPRED_N_STATES);
+#if MEASURED
+    finite = finite && npred_finite(u, NPRED_NX * NPRED_M_INPUTS) && npred_finite(u_nodes, NPRED_NX * NPRED_M_INPUTS);
+#endif
+    int code = finite ? NPRED_OK : NPRED_MEASUREMENT_NOT_FINITE;
+#if WATCHES
+    memcpy(self->before, self->saved.observer, sizeof self->before);
+#endif
+    if (code == NPRED_OK) {
+        memcpy(self->Y, X, sizeof self->Y);
+        control_step(the_shape, self->saved.k, t, &the_parts, &settings, &state, self->work);
+        finite = npred_finite(self->saved.D_hat, 1) && npred_finite(self->U, NPRED_M_INPUTS);
+        code = finite ? NPRED_OK : NPRED_PREDICTION_NOT_FINITE;
+#if BELIEVES
+        for (int i = 0; i < NPRED_M_INPUTS; i++) {
+            code = code == NPRED_OK && self->D_seen[i] > (npred_real)NPRED_REACH ? NPRED_DELAY_TOO_LONG : code;
+        }
+#endif
+    }
+    if (code != NPRED_OK) {
+        self->saved.D_hat[0] = D_hat;
+        self->saved.phi_before[0] = phi_before;
+#if WATCHES
+        memcpy(self->saved.observer, self->before, sizeof self->before);
+#endif
+#if KEEPS
+        hold(the_shape, self->saved.k, t, &the_parts, &settings, &state, self->work);
+#endif
+    } else {
+        memcpy(U, self->U, sizeof self->U);
+    }
+#if KEEPS
+    self->saved.k = (int32_t)remember(the_shape, self->saved.k, t, &the_parts, &settings, &state, self->work);
+#endif
+    self->saved.steps++;
+    return code;
+}
+
+#if KEEPS
+int npred_applied(npred_controller *self, const npred_real *U)
+{
+    const int last = (self->saved.k - 1) % NPRED_ROWS, next = self->saved.k % NPRED_ROWS;
+    if (!npred_finite(U, NPRED_M_INPUTS)) {
+        return NPRED_STATE_REFUSED;
+    }
+    for (int i = 0; i < NPRED_M_INPUTS; i++) {
+        self->saved.held[last * NPRED_M_INPUTS + i] = U[i];
+        self->saved.total[next * NPRED_M_INPUTS + i] = self->saved.total[last * NPRED_M_INPUTS + i] + U[i];
+    }
+    return NPRED_OK;
+}
+#endif
+
+#if RECALLS
+int npred_step(npred_controller *self, const npred_real *X, npred_real *U)
+{
+    return npred_run(self, X, self->u, self->u_nodes, U);
+}
+#else
+int npred_step(npred_controller *self, const npred_real *X, const npred_real *u, npred_real *U)
+{
+    return npred_run(self, X, u, u, U);
+}
+
+int npred_step_nodes(npred_controller *self, const npred_real *X, const npred_real *u, const npred_real *u_nodes,
+                     npred_real *U)
+{
+    return npred_run(self, X, u, u_nodes, U);
+}
+#endif
+
+#if TESTED
+#ifdef NPRED_TEST
+#include <stdio.h>
+
+#include "test.h"
+
+int main(void)
+{
+    static npred_controller c;
+    double worst = 0;
+    npred_init(&c);
+    for (int s = 0; s < TEST_STEPS; s++) {
+        npred_real U[NPRED_M_INPUTS];
+#if RECALLS
+        const int code = npred_step(&c, test_X + s * NPRED_N_STATES, U);
+#else
+        const int code = npred_step(&c, test_X + s * NPRED_N_STATES, test_u + s * NPRED_NX * NPRED_M_INPUTS, U);
+#endif
+        if (code != NPRED_OK) {
+            return 2;
+        }
+        for (int i = 0; i < NPRED_M_INPUTS; i++) {
+            worst = fmax(worst, fabs((double)U[i] - (double)test_U[s * NPRED_M_INPUTS + i]) / (double)test_size[i]);
+        }
+        worst = fmax(worst, fabs((double)c.saved.D_hat[0] - (double)test_D_hat[s]));
+    }
+    printf("largest difference: %.2e of each input's size, and of D_hat\n", worst);
+    return !(worst <= TEST_LIMIT);
+}
+#endif
+#endif

@@ -1,0 +1,96 @@
+/*
+#include "about.h"
+ *
+ * C99, no library but libm, no allocation, no static variable that changes: each npred_controller is on its own.
+ * Compile it without -ffast-math: NaN has to stay visible.
+ */
+#ifndef NPRED_CONTROLLER_H
+#define NPRED_CONTROLLER_H
+
+#include <stdint.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+#define NPRED_DIGEST "0000000000000000000000000000000000000000000000000000000000000000"
+
+enum {
+#include "sizes.h"
+    NPRED_OK = 0,
+    NPRED_MEASUREMENT_NOT_FINITE = 1, /* hold the last U, which the state has as sent, and measure again */
+    NPRED_PREDICTION_NOT_FINITE = 2,  /* likewise */
+    NPRED_STATE_REFUSED = 3,          /* of another controller, or out of range; the state stands as before */
+    NPRED_DELAY_TOO_LONG = 4          /* for the commands that are kept; likewise hold the last U */
+};
+
+/* What a step remembers. */
+typedef struct {
+    uint32_t digest[4];
+    uint32_t checksum; /* of all bytes after it, set by npred_get_state */
+    int32_t k;
+    int64_t steps;
+    double t0;
+    npred_real D_hat[1], phi_before[1];
+#if KEEPS
+    npred_real held[NPRED_ROWS * NPRED_M_INPUTS], total[NPRED_ROWS * NPRED_M_INPUTS];
+#endif
+#if WATCHES
+    npred_real observer[NPRED_OBSERVER];
+#endif
+#if GATED
+    npred_real expected[NPRED_N_STATES], missed[1];
+#endif
+} npred_saved;
+
+/* P, the prediction of the last step, is by nodes, then states; error and fallback are those of a guard. */
+typedef struct {
+    npred_saved saved;
+    npred_real P[NPRED_NX * NPRED_N_STATES];
+    npred_real error[1], fallback[1], phi[1], N[1];
+    npred_real Y[NPRED_N_STATES];
+    npred_real U[NPRED_M_INPUTS], U0[NPRED_M_INPUTS], U1[NPRED_M_INPUTS], share[NPRED_M_INPUTS], D_seen[NPRED_M_INPUTS];
+#if RECALLS
+    npred_real u[NPRED_NX * NPRED_M_INPUTS], u_nodes[NPRED_NX * NPRED_M_INPUTS];
+#endif
+#if WATCHES
+    npred_real before[NPRED_OBSERVER];
+#endif
+#if GATED
+    npred_real X_hat[NPRED_N_STATES];
+#endif
+#if TUNABLE
+    struct {
+        npred_real p[NPRED_PARAMETERS], gamma_dt, guard[NPRED_GUARD];
+    } settings; /* set by npred_init */
+#endif
+    npred_real work[NPRED_WORK];
+} npred_controller;
+
+void npred_init(npred_controller *self);
+void npred_get_state(const npred_controller *self, npred_saved *state);
+int npred_set_state(npred_controller *self, const npred_saved *state);
+int npred_set_D_hat(npred_controller *self, npred_real D_hat); /* go on from an estimate, as from a first step */
+int npred_set_time(npred_controller *self, double t); /* go on from another time, likewise */
+const char *npred_version(void);
+#if KEEPS
+/* What the actuator got since the last step, where that was not its U, or not the one that was held. */
+int npred_applied(npred_controller *self, const npred_real *U);
+#endif
+#if RECALLS
+/* One control step: X (N_STATES) measured now; writes U (M_INPUTS), which it remembers as sent. With a gate,
+ * self->saved.missed counts the last samples in a row that were not believed: the model's state took their place. */
+int npred_step(npred_controller *self, const npred_real *X, npred_real *U);
+#else
+/* One control step: X (N_STATES), u (NX * M_INPUTS, by nodes, then inputs: the last row was sent just now), both
+ * measured now; writes U (M_INPUTS). npred_step_nodes takes the means over the nodes' cells and the values at the
+ * nodes. */
+int npred_step(npred_controller *self, const npred_real *X, const npred_real *u, npred_real *U);
+int npred_step_nodes(npred_controller *self, const npred_real *X, const npred_real *u, const npred_real *u_nodes,
+                     npred_real *U);
+#endif
+
+#ifdef __cplusplus
+}
+#endif
+#endif
