@@ -10,11 +10,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 
-from npred import config, defaults, operators, plants
+from npred import config, defaults, grid, operators, plants
 from npred.cli import data_exchange
 from npred.cli.options import Common, writable, writable_folder
 from npred.config import Evaluate
 from npred.data import shards
+from npred.data.dataset import Dataset
 from npred.errors import ConfigError
 from npred.loop import closed_loop, delay_law
 from npred.loop.adaptation import DelayAdaptation
@@ -25,9 +26,8 @@ from npred.pipeline import Stored, load_model
 from npred.plants import Plant, inputs
 from npred.predictors import Predictor, numerical
 from npred.predictors.guarded import Guarded
-from npred.runtimes import c_controller, c_files, c_network, fmu, onnx
+from npred.runtimes import Samples, c_controller, c_files, c_network, fmu, onnx
 from npred.runtimes.fused import Fused
-from npred.runtimes.probe import probe
 
 NX = 101  # nodes of a model's file
 COMPARED = 200  # held-out samples
@@ -99,7 +99,7 @@ def _model(options: Common, form: str, key: str, output: Path | None, nx: int, a
         raise ConfigError(
             f"export: expected the model's data {source.key[:12]} in {options.store}, got none; generate it"
         )
-    samples = probe(shards.survey(data.verify().folder / "data.h5").subset(test=True), COMPARED, nx)
+    samples = _samples(shards.survey(data.verify().folder / "data.h5").subset(test=True), nx)
     if form == "c":
         errors = c_network.export(operator, stored.plant, path, nx, samples)
     else:
@@ -113,6 +113,12 @@ def _model(options: Common, form: str, key: str, output: Path | None, nx: int, a
     of_model = f"within {error:.2g} of the model, whose error there is {eps:.2g}"
     document |= {"error": error, "eps": eps, "samples": count}
     options.show(document, lambda: f"{line}; on {count} held-out samples {of_model}")
+
+
+def _samples(held_out: Dataset, nx: int) -> Samples:
+    """At most COMPARED samples on nx nodes, spread over the data; a time that is not known is 0."""
+    rows = np.linspace(0, len(held_out) - 1, min(COMPARED, len(held_out))).astype(int)
+    return held_out.X[rows], grid.refine(held_out.u[rows], nx), held_out.D_hat[rows], np.nan_to_num(held_out.t[rows])
 
 
 def _loaded(

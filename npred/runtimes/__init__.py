@@ -1,11 +1,16 @@
 """Ways to evaluate a trained operator: torch, one fused compiled function, ONNX Runtime, and C source."""
 
+import numpy as np
+
 from npred.delays import family_of
 from npred.operators import Operator
 from npred.plants.base import Plant
 from npred.predictors.base import Predictor
+from npred.predictors.rk4 import RK4
 from npred.registry import RUNTIMES
 from npred.runtimes.fused import Loaded, lowering
+
+Samples = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # X (B, n), u (B, nx, m), D_hat and t (B,)
 
 
 def predictor(
@@ -20,3 +25,9 @@ def predictor(
         return Loaded(plant, operator, nx, name=name)
     kind = RUNTIMES.subclass("runtime", runtime or "torch", Predictor)
     return kind(plant, operator, nx, name=name, device=device)
+
+
+def eps(plant: Plant, P_hat: np.ndarray, samples: Samples) -> float:
+    """sup |P̂ - P| over samples and nodes [DAPF, Theorem 2], P by RK4 on the nodes of P_hat (B, nx, n)."""
+    P = RK4(plant, P_hat.shape[1])(*samples)
+    return float(np.linalg.norm(P_hat - P, axis=-1).max())

@@ -23,10 +23,8 @@ NAME = re.compile(r"[a-z][a-z0-9_]{0,30}")
 PRECISIONS = {"float": np.float32, "double": np.float64}
 LIMITS = {"float": 1e-3, "double": 1e-9}  # of the test in the file
 WHAT = "export controller"
-NUMBERS, FLAGS = (
-    ("dt", "b", "gate", "gamma_dt"),
-    ("recalls", "keeps", "gated"),
-)  # of the settings, those that a step reads
+# of the settings, those that a step reads
+NUMBERS, FLAGS = ("dt", "b", "gate", "gamma_dt"), ("recalls", "keeps", "gated")
 ARRAYS = ("bounds", "input_bounds", "p", "ratios", "law", "guard", "reach")
 Test = tuple[np.ndarray, np.ndarray | None]  # X (S, n) and, for measured actuators, u (S, nx, m) of steps
 

@@ -18,9 +18,8 @@ from npred.kernels.kernel import Kernel, skeleton
 from npred.loop import metrics
 from npred.operators import Operator
 from npred.plants.base import Plant
-from npred.runtimes import c_files
+from npred.runtimes import Samples, c_files, eps
 from npred.runtimes.fused import fold, kernel, require
-from npred.runtimes.probe import Probe, eps
 from npred.symbolic.tape import Vector
 from npred.symbolic.trace import Trace
 
@@ -28,10 +27,10 @@ TESTED = 4  # samples of the test vector
 LIMIT = 1e-4  # of a state's or an input's size: the difference from the model that single precision makes
 
 
-def export(operator: Operator, plant: Plant, path: Path, nx: int, samples: Probe) -> tuple[float, float] | None:
+def export(operator: Operator, plant: Plant, path: Path, nx: int, samples: Samples) -> tuple[float, float] | None:
     """Write the C file for nx nodes, its first TESTED samples as its test vector.
 
-    Returns the largest difference of P and U from the operator's in double precision, and eps of npred.runtimes.probe:
+    Returns the largest difference of P and U from the operator's in double precision, and npred.runtimes.eps:
     the file is compiled and run before it is kept. None where there is no C compiler. Raises NpredError for a file that
     differs by more than LIMIT of the states' and inputs' sizes, and as `source` does.
     """
@@ -48,7 +47,7 @@ def export(operator: Operator, plant: Plant, path: Path, nx: int, samples: Probe
 
 
 def _errors(
-    operator: Operator, plant: Plant, samples: Probe, P_hat: np.ndarray, U_hat: np.ndarray
+    operator: Operator, plant: Plant, samples: Samples, P_hat: np.ndarray, U_hat: np.ndarray
 ) -> tuple[float, float]:  # fmt: skip
     P, U, size = _expected(operator, plant, samples)
     gaps = np.concatenate([np.abs(P_hat - P).max(axis=(0, 1)), np.abs(U_hat - U).max(axis=0)])
@@ -58,7 +57,7 @@ def _errors(
     return float(gaps.max()), eps(plant, P_hat, samples)
 
 
-def source(operator: Operator, plant: Plant, nx: int, samples: Probe) -> str:
+def source(operator: Operator, plant: Plant, nx: int, samples: Samples) -> str:
     """The text of the C file; the samples become its test vector.
 
     Raises ConfigError for an untraced plant, for a delay that the plant declares with a law that depends on time, and
@@ -105,7 +104,7 @@ def _law(trace: Trace, nx: int) -> tuple[Vector, list[Strided | str]]:
 
 
 @torch.no_grad()
-def _expected(operator: Operator, plant: Plant, samples: Probe) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _expected(operator: Operator, plant: Plant, samples: Samples) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The model's P and U in double precision, and the size of each state and input."""
     X, u, D_hat, t = (np.asarray(a, dtype=float) for a in samples)
     model = copy.deepcopy(operator).double()
@@ -116,14 +115,14 @@ def _expected(operator: Operator, plant: Plant, samples: Probe) -> tuple[np.ndar
     return P, U, np.where(size > 0, size, 1.0)
 
 
-def _test(operator: Operator, plant: Plant, samples: Probe) -> str:
+def _test(operator: Operator, plant: Plant, samples: Samples) -> str:
     """The samples, and what is expected of them."""
     columns = zip(("X", "u", "D_hat", "t"), (np.asarray(a, dtype=float) for a in samples), strict=True)
     arrays = dict(columns) | dict(zip(("P", "U", "size"), _expected(operator, plant, samples), strict=True))
     return "\n".join(constant(f"test_{name}", values.reshape(-1)) for name, values in arrays.items())
 
 
-def _outputs(path: Path, plant: Plant, nx: int, samples: Probe) -> tuple[np.ndarray, np.ndarray]:
+def _outputs(path: Path, plant: Plant, nx: int, samples: Samples) -> tuple[np.ndarray, np.ndarray]:
     """P (B, nx, n) and U (B, m) of the C file. Raises NpredError where it does not compile."""
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / "library.so"

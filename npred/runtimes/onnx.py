@@ -17,8 +17,7 @@ from npred.errors import NpredError, required
 from npred.operators import Operator
 from npred.plants.base import Plant
 from npred.predictors.base import Predictor
-from npred.runtimes import probe
-from npred.runtimes.probe import Probe
+from npred.runtimes import Samples, eps
 
 OPSET = 18  # MATLAB, TensorRT and ONNX Runtime read it
 INPUTS, OUTPUTS = ("X", "u", "D_hat"), ("P", "U")
@@ -78,11 +77,11 @@ def graph(operator: Operator, plant: Plant, nx: int) -> bytes:
 
 
 def export(
-    operator: Operator, plant: Plant, path: Path, nx: int, samples: Probe, atol: float
+    operator: Operator, plant: Plant, path: Path, nx: int, samples: Samples, atol: float
 ) -> tuple[float, float]:  # fmt: skip
     """Write the graph for nx nodes to `path` unless it differs from the operator.
 
-    Returns the largest difference of P and U from the operator's on these samples, and eps of npred.runtimes.probe.
+    Returns the largest difference of P and U from the operator's on these samples, and npred.runtimes.eps.
     Raises NpredError for a difference above `atol`, in units of the states and inputs, MissingError without the onnx
     extra.
     """
@@ -95,7 +94,7 @@ def export(
     if not error <= atol:
         raise NpredError(f"export onnx: expected P and U within {atol:g} of the model, got {error:.3g}; raise --atol")
     path.write_bytes(model)
-    return error, probe.eps(plant, outputs[0].astype(float), samples)
+    return error, eps(plant, outputs[0].astype(float), samples)
 
 
 class Onnx(Predictor):
