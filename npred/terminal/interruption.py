@@ -20,7 +20,7 @@ from types import FrameType
 SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 LINE = "interrupted; finished stages and checkpoints are kept: the same command goes on from there"
 SHOW_CURSOR = b"\x1b[?25h"  # the live view hides it
-GRACE = 3.0  # s that work which is asked to end may take
+GRACE = 3.0  # s that work which is asked to end may take, and that of multiprocessing at the very end
 _bells: list[int] = []  # the pipe that the interpreter writes the number of each signal to, at once
 _heard: list[int] = []
 _said: list[str] = []
@@ -114,8 +114,22 @@ def _leave() -> None:
         if not said:
             os.write(2, f"error: {LINE}\n".encode())
     if util := sys.modules.get("multiprocessing.util"):
-        util._run_finalizers(0)  # or the process that watches semaphores says that they are left
+        _bounded(lambda: util._run_finalizers(0))  # or the process that watches semaphores says that they are left
     os._exit(code())
+
+
+def _bounded(call: Callable[[], None]) -> None:
+    """Run what may wait for others, as for a queue that nobody reads: for GRACE seconds at most."""
+    over = _thread.allocate_lock()
+    over.acquire()
+
+    def run() -> None:
+        with suppress(Exception):
+            call()
+        over.release()
+
+    _thread.start_new_thread(run, ())
+    over.acquire(timeout=GRACE)
 
 
 def _ignore(numbers: list[int]) -> None:

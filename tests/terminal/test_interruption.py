@@ -71,6 +71,20 @@ with {where}:
     Timer(0.1, os.kill, (os.getpid(), {number})).start()
     hashlib.pbkdf2_hmac("sha256", b"", b"", 2**31 - 1)
 """
+# What multiprocessing puts away at the end waits for somebody who is gone.
+STUCK = """
+import os, signal
+from multiprocessing import util
+from threading import Event
+from npred.terminal import interruption
+interruption.GRACE = 0.1
+util.Finalize(None, print, ("first",), kwargs=dict(flush=True), exitpriority=2)
+util.Finalize(None, Event().wait, exitpriority=1)
+util.Finalize(None, print, ("last",), kwargs=dict(flush=True), exitpriority=0)
+interruption.listen()
+os.kill(os.getpid(), {number})
+Event().wait()
+"""
 
 
 def run(program: str, folder: Path) -> subprocess.CompletedProcess[str]:
@@ -102,6 +116,12 @@ def test_a_signal_while_futures_are_locked_ends_the_program(tmp_path: Path, numb
 def test_work_that_does_not_look_for_a_signal_is_ended(tmp_path: Path, where: str):
     done = run(DEAF.format(where=where, number=int(signal.SIGHUP)), tmp_path)
     assert (done.returncode, done.stderr) == (129, f"error: {interruption.LINE}\n")
+
+
+@pytest.mark.parametrize(("number", "code"), SIGNALS)
+def test_finalizers_that_wait_for_ever_are_left(tmp_path: Path, number: int, code: int):
+    done = run(STUCK.format(number=int(number)), tmp_path)
+    assert (done.returncode, done.stdout, done.stderr) == (code, "first\n", f"error: {interruption.LINE}\n")
 
 
 @pytest.mark.parametrize(("first", "code"), SIGNALS)
