@@ -26,6 +26,9 @@ MADE = "made"  # in the provenance: when
 LONGEST = 2**18  # letters of a file of code that is kept
 SHORT = 12  # digits of a key, enough for people
 PARTIAL = ".nfs"  # how NFS calls a file that was removed while somebody had it open
+_ENCODER = json.JSONEncoder(
+    sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False, check_circular=False, default=vars
+)
 
 
 def canonical(value: Any) -> str:
@@ -33,7 +36,7 @@ def canonical(value: Any) -> str:
 
     Raises ValueError for NaN and infinities.
     """
-    return json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False, default=vars)
+    return _ENCODER.encode(value)
 
 
 def sha256(value: Any) -> str:
@@ -188,7 +191,7 @@ class Manifest(ManifestPart):
 
     def _covered(self) -> dict[str, Any]:
         """The fields that the checksum covers; manifests of an older npred have no sources."""
-        return {k: v for k, v in self if k != "checksum" and (k != "sources" or v)}
+        return {k: v for k, v in vars(self).items() if k != "checksum" and (k != "sources" or v)}
 
     @property
     def made(self) -> float | None:
