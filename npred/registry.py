@@ -205,7 +205,7 @@ PLANTS = Registry("plant", "npred.plants")  # the built-in ones are the files of
 STAGES = ("generate", "train", "evaluate", "certify", "bench", "report")  # folders of npred/stages, in their order
 
 
-def stage(name: str) -> Any:
+def declared_stage(name: str) -> Any:
     """What a stage declares of itself: an npred.stages.declaration.Stage."""
     return importlib.import_module(f"npred.stages.{name}").STAGE
 

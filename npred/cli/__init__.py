@@ -1,6 +1,9 @@
 """The command line, `npred`."""
 
-from gc import set_threshold
+from gc import freeze, set_threshold
+from importlib import import_module
+from types import ModuleType
+from typing import TYPE_CHECKING
 
 from npred.cli import commands
 from npred.cli.app import app, guarded
@@ -8,9 +11,28 @@ from npred.parallel import torchrun
 from npred.terminal import interruption, streams
 from npred.terminal.console import Console
 
+if TYPE_CHECKING:
+    from npred.cli import data_exchange as data_exchange
+    from npred.cli import execute as execute
+    from npred.cli import export as export
+    from npred.cli import gc as gc
+    from npred.cli import inspect as inspect
+    from npred.cli import reproduce as reproduce
+    from npred.cli import scaffold as scaffold
+    from npred.cli import store_admin as store_admin
+    from npred.cli import sweep as sweep
+
 __all__ = ["app", "commands", "main"]
 
 MANY = 100_000  # objects between two searches for cycles: by default they take a third of the time of `npred status`
+
+
+def __getattr__(name: str) -> ModuleType:
+    """The module of a command, imported on first use. Raises AttributeError where there is none."""
+    try:
+        return import_module(f"npred.cli.{name}")
+    except ModuleNotFoundError as error:
+        raise AttributeError(f"module 'npred.cli' has no attribute {name!r}") from error
 
 
 def main() -> None:
@@ -24,7 +46,10 @@ def main() -> None:
     if torchrun.count() > 1:
         torchrun.join()
         torchrun.leave(_lead() if torchrun.number() == 0 else _help_out())
-    app()
+    try:
+        app()
+    finally:
+        freeze()  # while it is taken down, the interpreter would look for cycles among all that is left
 
 
 def _lead() -> int:

@@ -1,18 +1,69 @@
 """The typer application: how a function becomes a command, and how a failure becomes an exit code."""
 
 import inspect
+import sys
 import traceback
 from collections.abc import Callable
-from importlib import import_module
-from typing import Any
+from dataclasses import fields
+from typing import Any, TypeVar, get_type_hints
 
 import typer
+from typer.core import TyperCommand, TyperGroup
 
-from npred.cli.options import Common, parameters
-from npred.cli.usage import Command, Group
+from npred.cli.options import Common
 from npred.errors import NpredError
-from npred.terminal import interruption
+from npred.terminal import interruption, streams
 from npred.terminal.console import Console
+
+USAGE: type[BaseException] = typer.BadParameter.__mro__[1]  # what every usage error is; typer keeps the name to itself
+Function = TypeVar("Function", bound=Callable[..., None])
+
+
+class Untyped:
+    """Where a flag has no word for its value, it takes none."""
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        """The parameters, as typer reads them."""
+        parameters = super().get_params(ctx)  # type: ignore[misc]
+        for parameter in parameters:
+            if getattr(parameter, "is_flag", False) and parameter.metavar is None:
+                parameter.metavar = ""
+        return parameters
+
+
+class Command(Untyped, TyperCommand):
+    """A command."""
+
+
+class Group(Untyped, TyperGroup):
+    """Commands under one name, or all of them; a usage error is one line, where typer draws a box."""
+
+    def main(self, *args: Any, standalone_mode: bool = True, **extra: Any) -> Any:
+        """Run the command of the arguments and exit with its code; without `standalone_mode` return it."""
+        if not standalone_mode:
+            return super().main(*args, standalone_mode=False, **extra)
+        try:
+            code = super().main(*args, standalone_mode=False, **extra)
+        except USAGE as error:
+            sys.exit(_report_usage(error))
+        except OSError as error:  # commands say theirs: this is of a help that stdout does not take
+            streams.silence(sys.stdout)
+            Console().error(str(streams.unwritable(error.strerror)))
+            sys.exit(1)
+        sys.exit(code if isinstance(code, int) else 0)
+
+
+def _report_usage(error: Any) -> int:
+    """Say it on stderr, with the usage where the parser says of which command; the exit code."""
+    got, context = " ".join(error.format_message().split()).rstrip("."), error.ctx
+    path, expected = "npred", ""  # of an option without its value
+    if context:
+        path, pieces = context.command_path, context.command.collect_usage_pieces(context)
+        expected = f"expected {path} {' '.join(pieces)}, got: "
+    if got:  # else no command was named, and the help is printed
+        Console().error(f"{expected}{got}; see {path} --help")
+    return error.exit_code
+
 
 app = typer.Typer(
     name="npred",
@@ -25,51 +76,43 @@ app = typer.Typer(
 
 
 def command(
-    panel: str, does: str, to: typer.Typer = app, name: str = "", help: str | None = None, group: bool = False,
-    **more: str,
-) -> Callable[[Callable[..., None]], Any]:  # fmt: skip
-    """Register f(options, *, own parameters) as a command that also takes the flags of its options class.
+    panel: str, to: typer.Typer = app, name: str = "", help: str | None = None
+) -> Callable[[Function], Function]:
+    """Register f(options, *, own parameters) as a command, which also takes the flags of its options class.
 
-    f says no more than the parameters: `does`, as "inspect.why", is the function of npred.cli that gets their values,
-    and `more`. Its name and help are f's own unless they are given. A `group` takes subcommands, and runs where none of
-    them is named.
+    Its name and help are f's own unless they are given.
     """
 
-    def register(function: Callable[..., None]) -> Any:
+    def register(function: Function) -> Function:
         words = name or function.__name__.strip("_").replace("_", "-")
-        call, about = _with_flags(function, does, **more), help or function.__doc__
-        if not group:
-            to.command(words, cls=Command, rich_help_panel=panel, help=about)(call)
-            return function
-        subcommands = typer.Typer(cls=Group, no_args_is_help=False)
-        subcommands.callback(invoke_without_command=True, help=about)(call)
-        to.add_typer(subcommands, name=words, rich_help_panel=panel)
-        return subcommands
+        to.command(words, cls=Command, rich_help_panel=panel, help=help)(with_flags(function))
+        return function
 
     return register
 
 
-def _with_flags(function: Callable[..., None], does: str, **more: str) -> Callable[..., None]:
-    """The function as typer reads it: its parameters, then the flags; a failure becomes an exit code."""
+def with_flags(function: Callable[..., None]) -> Callable[..., None]:
+    """The function as typer reads it: its parameters, then the flags of its first one's class, the pipeline file
+    before the others. A failure becomes an exit code.
+    """
     first, *arguments = inspect.signature(function).parameters.values()
     options: type[Common] = first.annotation
-    shared = parameters(options)
-    module, _, action = does.partition(".")
+    hints = get_type_hints(options, include_extras=True)
+    shared = sorted(fields(options), key=lambda field: field.name != "pipeline_name")
 
     def call(context: typer.Context, **values: Any) -> None:
+        common = options(**{field.name: values.pop(field.name) for field in shared})
         if context.invoked_subcommand:  # of a group
             return
-        common = options(**{parameter.name: values.pop(parameter.name) for parameter in shared})
-        code = guarded(
-            lambda: getattr(import_module(f"npred.cli.{module}"), action)(common, **values, **more), common.console
-        )
-        if code:
+        if code := guarded(lambda: function(common, **values), common.console):
             raise typer.Exit(code)
 
-    context = inspect.Parameter("context", inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context)
-    signature = inspect.Signature([context, *arguments, *shared])
-    vars(call).update(__signature__=signature, __doc__=function.__doc__)
-    call.__annotations__ = {name: parameter.annotation for name, parameter in signature.parameters.items()}
+    kind = inspect.Parameter.KEYWORD_ONLY
+    flags = [inspect.Parameter(f.name, kind, default=f.default, annotation=hints[f.name]) for f in shared]
+    parameters = [inspect.Parameter("context", kind, annotation=typer.Context), *arguments, *flags]
+    call.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    call.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+    call.__doc__ = function.__doc__
     return call
 
 

@@ -1,5 +1,5 @@
-"""Every command with its own flags. The function of `npred.cli` that does it, by the name beside the panel, takes them
-under the same names; it is imported when it is called, so that `npred --help` is quick.
+"""Every command with its own flags; a module of `npred.cli` does the work, imported with the first command of it, so
+that `npred --help` is quick.
 """
 
 from pathlib import Path
@@ -8,13 +8,16 @@ from typing import Annotated
 import typer
 
 import npred
+from npred import cli
 from npred.cli import completion
-from npred.cli.app import app, command
-from npred.cli.options import Common, Planned, Running, Work
-from npred.cli.usage import Command
-from npred.registry import STAGES, stage
+from npred.cli.app import Command, Group, app, command, with_flags
+from npred.cli.options import Common, Planned, Running, Work, argument, flag
+from npred.registry import STAGES, declared_stage
 
 RUN, LOOK, CARE = "Run", "Look", "Look after"
+FORMS = ("onnx", "c", "controller", "fmu", "npy", "hdf5", "mat")
+MEDIA = ("ieee1", "ieee2", "slides")
+RESULT = argument("STAGE/KEY", "A result, as for show.", completion.artifacts)
 
 
 def _version(asked: bool) -> None:
@@ -31,338 +34,312 @@ def _root(
 ) -> None: ...
 
 
-@command(RUN, "execute.everything")
+@command(RUN)
 def run(options: Work) -> None:
     """All stages, in order, each from the store when its key is there."""
+    cli.execute.everything(options)
 
 
-def _network(
-    options: Work,
-    *,
-    model: Annotated[
-        str | None,
-        typer.Option(
-            help="A network, as deeponet; those of the pipeline by default.", autocompletion=completion.models
-        ),
-    ] = None,
-) -> None: ...
+def _add_stage(stage: str) -> None:
+    """A command that runs one stage; where the stage is one for each network, of one network or all."""
+    declared = declared_stage(stage)
+
+    def of_networks(
+        options: Work,
+        *,
+        model: Annotated[
+            str | None, flag("A network, as deeponet; those of the pipeline by default.", offers=completion.models)
+        ] = None,
+    ) -> None:
+        cli.execute.stage(options, stage, model)
+
+    def of_all(options: Work) -> None:
+        cli.execute.stage(options, stage)
+
+    command(RUN, name=stage, help=declared.help)(of_networks if declared.per_network else of_all)
 
 
-def _stage(options: Work) -> None: ...
+for _stage in STAGES:
+    if _stage != "report":  # it comes after the sweep
+        _add_stage(_stage)
 
 
-for _name in STAGES:
-    if _name != "report":  # it comes after the sweep
-        _flags = _network if stage(_name).per_network else _stage
-        command(RUN, "execute.stage", name=_name, help=stage(_name).help, stage_name=_name)(_flags)
-
-
-@command(RUN, "sweep.sweep")
+@command(RUN)
 def sweep(
     options: Running,
     *,
     to: Annotated[
-        str,
-        typer.Option(
-            metavar="STAGE",
-            help="The last stage of each cell; bench for latencies.",
-            autocompletion=completion.words(*STAGES),
-        ),
+        str, flag("The last stage of each cell; bench for latencies.", word="STAGE", offers=completion.words(*STAGES))
     ] = "evaluate",
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", metavar="DIR", help="For table and figure; sweep-NAME by default.")
+        Path | None, flag("For table and figure; sweep-NAME by default.", "-o", "--output", word="DIR")
     ] = None,
-    csv: Annotated[bool, typer.Option("--csv", help="Print the table as CSV.")] = False,
+    csv: Annotated[bool, flag("Print the table as CSV.", "--csv")] = False,
 ) -> None:
     """A grid of pipelines: --set train.deeponet.width=32,64,128 --set seed=0:10; what cells share is made once."""
+    cli.sweep.sweep(options, to, output, csv)
 
 
-@command(RUN, "reproduce.reproduce")
+@command(RUN)
 def reproduce(
     options: Common,
     *,
-    names: Annotated[
-        list[str] | None,
-        typer.Argument(metavar="NAME", help="Experiments; all by default.", autocompletion=completion.experiments),
-    ] = None,
-    listed: Annotated[bool, typer.Option("--list", help="Print the experiments, and run nothing.")] = False,
-    numerical: Annotated[bool, typer.Option("--numerical", help="The rows of numerical predictors only.")] = False,
-    force: Annotated[bool, typer.Option("--force", help="Measure again what the store has.")] = False,
+    names: Annotated[list[str] | None, argument("NAME", "Experiments; all by default.", completion.experiments)] = None,
+    listed: Annotated[bool, flag("Print the experiments, and run nothing.", "--list")] = False,
+    numerical: Annotated[bool, flag("The rows of numerical predictors only.", "--numerical")] = False,
+    force: Annotated[bool, flag("Measure again what the store has.", "--force")] = False,
     output: Annotated[
-        Path | None,
-        typer.Option("-o", "--output", metavar="FILE", help="The page: HTML, or Markdown for a name that ends in .md."),
+        Path | None, flag("The page: HTML, or Markdown for a name that ends in .md.", "-o", "--output", word="FILE")
     ] = None,
 ) -> None:
     """Published experiments: each printed number beside the same loop run here, as published and as it is meant."""
+    cli.reproduce.reproduce(options, names, listed, numerical, force, output)
 
 
-@command(RUN, "report.report", help=stage("report").help)
+@command(RUN, help=declared_stage("report").help)
 def report(
     options: Work,
     *,
-    output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="The HTML file, or the folder of the figures.")
-    ] = None,
+    output: Annotated[Path | None, flag("The HTML file, or the folder of the figures.", "-o", "--output")] = None,
     figures: Annotated[
         str | None,
-        typer.Option(
-            metavar="ieee1|ieee2|slides",
-            help="Figures and tables for a paper instead of the page.",
-            autocompletion=completion.words("ieee1", "ieee2", "slides"),
+        flag(
+            "Figures and tables for a paper instead of the page.", word="|".join(MEDIA), offers=completion.words(*MEDIA)
         ),
     ] = None,
-) -> None: ...
+) -> None:
+    cli.execute.report(options, output, figures)
 
 
-@command(LOOK, "inspect.status")
+@command(LOOK)
 def status(
-    options: Planned,
-    *,
-    check: Annotated[bool, typer.Option("--check", help="Read every file; exit 3 unless all is fresh.")] = False,
+    options: Planned, *, check: Annotated[bool, flag("Read every file; exit 3 unless all is fresh.", "--check")] = False
 ) -> None:
     """The state of each result: fresh, stale or missing."""
+    cli.inspect.status(options, check)
 
 
-@command(LOOK, "inspect.why")
+@command(LOOK)
 def why(
-    options: Planned,
-    *,
-    stage: Annotated[str, typer.Argument(help="A stage, or a network.", autocompletion=completion.stages)],
+    options: Planned, *, stage: Annotated[str, argument(None, "A stage, or a network.", completion.stages)]
 ) -> None:
     """The reason that a stage would run again: what changed, before -> after."""
+    cli.inspect.why(options, stage)
 
 
-@command(LOOK, "inspect.show")
+@command(LOOK)
 def show(
     options: Common,
     *,
     reference: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="STAGE/KEY",
-            help="A key, a stage or a network; the latest by default.",
-            autocompletion=completion.artifacts,
-        ),
+        str | None, argument("STAGE/KEY", "A key, a stage or a network; the latest by default.", completion.artifacts)
     ] = None,
 ) -> None:
     """The content of a result: question, files, answer."""
+    cli.inspect.show(options, reference)
 
 
-@command(LOOK, "inspect.ls")
+@command(LOOK)
 def ls(
     options: Common,
     *,
     shown: Annotated[
-        list[str] | None, typer.Option("--show", metavar="KEY", help="A setting as a column, as seed; repeatable.")
+        list[str] | None, flag("A setting as a column, as seed; repeatable.", "--show", word="KEY")
     ] = None,
 ) -> None:
     """Every result in the store, the most recent last."""
+    cli.inspect.ls(options, shown or [])
 
 
-@command(LOOK, "inspect.diff")
+@command(LOOK)
 def diff(
     options: Common,
     *,
-    a: Annotated[str, typer.Argument(metavar="A", help="A result, as for show.", autocompletion=completion.artifacts)],
-    b: Annotated[str, typer.Argument(metavar="B", help="Another.", autocompletion=completion.artifacts)],
+    a: Annotated[str, argument("A", "A result, as for show.", completion.artifacts)],
+    b: Annotated[str, argument("B", "Another.", completion.artifacts)],
 ) -> None:
     """The differences of two results: in their questions, and in their answers."""
+    cli.inspect.diff(options, a, b)
 
 
 @app.command("help", cls=Command, rich_help_panel=LOOK)
 def help_(
     context: typer.Context,
-    words: Annotated[
-        list[str] | None, typer.Argument(metavar="[COMMAND]...", help="As `run` or `plants check`.")
-    ] = None,
+    words: Annotated[list[str] | None, argument("[COMMAND]...", "As `run` or `plants check`.")] = None,
 ) -> None:
     """The help of a command, with its flags; all commands without a name."""
     root = context.find_root()
     root.command.main([*(words or []), "--help"], prog_name=root.info_name, standalone_mode=False)
 
 
-@command(LOOK, "inspect.plants", group=True)
-def plants(options: Common) -> None:
+plants = typer.Typer(cls=Group)
+app.add_typer(plants, name="plants", rich_help_panel=LOOK)
+
+
+@plants.callback(invoke_without_command=True)
+@with_flags
+def _plants(options: Common) -> None:
     """The plants that are built in or installed; `npred plants check` asks what is wrong with one."""
+    cli.inspect.plants(options)
 
 
-@command(LOOK, "inspect.check", to=plants)
+@command(LOOK, to=plants)
 def check(
     options: Common,
     *,
     plant: Annotated[
-        str,
-        typer.Argument(
-            metavar="PLANT",
-            help="A name, a file as my_plant.py:Tank, or a pipeline as tank.toml.",
-            autocompletion=completion.plants,
-        ),
+        str, argument("PLANT", "A name, a file as my_plant.py:Tank, or a pipeline as tank.toml.", completion.plants)
     ],
     delay: Annotated[
-        float | None,
-        typer.Option(help="The largest delay to predict over, in seconds; the pipeline's or the plant's, else 1."),
+        float | None, flag("The largest delay to predict over, in seconds; the pipeline's or the plant's, else 1.")
     ] = None,
-    nodes: Annotated[
-        int | None, typer.Option(help="Nodes of the prediction; dx = 0.01 is 101; the pipeline's, else 101.")
-    ] = None,
+    nodes: Annotated[int | None, flag("Nodes of the prediction; dx = 0.01 is 101; the pipeline's, else 101.")] = None,
 ) -> None:
     """Check a plant, one answer per question; exit 3 where an answer is no."""
+    cli.inspect.check(options, plant, delay, nodes)
 
 
-@command(RUN, "scaffold.init")
+@command(RUN)
 def init(
     options: Common,
     *,
-    name: Annotated[str, typer.Argument(metavar="NAME", help="The plant's name, as my_plant.")],
+    name: Annotated[str, argument("NAME", "The plant's name, as my_plant.")],
     source: Annotated[
         str | None,
-        typer.Option(
+        flag(
+            "A plant to copy, by name or as my_plant.py:Tank; a tank with comments by default.",
             "--from",
-            metavar="PLANT",
-            help="A plant to copy, by name or as my_plant.py:Tank; a tank with comments by default.",
-            autocompletion=completion.plants,
+            word="PLANT",
+            offers=completion.plants,
         ),
     ] = None,
 ) -> None:
     """A new plant to start from: NAME.py and NAME.toml in this folder."""
+    cli.scaffold.init(options, name, source)
 
 
-@command(LOOK, "export.export")
+@command(LOOK)
 def export(
     options: Common,
     *,
     form: Annotated[
         str,
-        typer.Argument(
-            metavar="onnx|c|controller|fmu|npy|hdf5|mat",
-            help="A model as ONNX graph or C99 file, the whole controller as C99 or FMU; data as the others.",
-            autocompletion=completion.words("onnx", "c", "controller", "fmu", "npy", "hdf5", "mat"),
+        argument(
+            "|".join(FORMS),
+            "A model as ONNX graph or C99 file, the whole controller as C99 or FMU; data as the others.",
+            completion.words(*FORMS),
         ),
     ],
     key: Annotated[
-        str,
-        typer.Argument(
-            metavar="KEY",
-            help="PIPELINE:MODEL or MODEL; PIPELINE for data; a folder or key.",
-            autocompletion=completion.artifacts,
-        ),
+        str, argument("KEY", "PIPELINE:MODEL or MODEL; PIPELINE for data; a folder or key.", completion.artifacts)
     ],
     output: Annotated[
         Path | None,
-        typer.Option(
+        flag(
+            "The file; by default MODEL-NX.onnx or .c, data.npy, .h5, .mat; a controller's folder, NAME.fmu.",
             "-o",
             "--output",
-            help="The file; by default MODEL-NX.onnx or .c, data.npy, .h5, .mat; a controller's folder, NAME.fmu.",
         ),
     ] = None,
     nx: Annotated[
-        int | None,
-        typer.Option(help="Nodes of the actuator state, any number; by default 101, a controller's as in evaluate."),
+        int | None, flag("Nodes of the actuator state, any number; by default 101, a controller's as in evaluate.")
     ] = None,
-    atol: Annotated[float, typer.Option(help="How far an ONNX graph's P and U may be from the model's.")] = 1e-4,
-    precision: Annotated[str, typer.Option(metavar="double|float", help="A controller's numbers.")] = "double",
+    atol: Annotated[float, flag("How far an ONNX graph's P and U may be from the model's.")] = 1e-4,
+    precision: Annotated[str, flag("A controller's numbers.", word="double|float")] = "double",
     predictor: Annotated[
-        str, typer.Option(metavar="METHOD", help="A controller's numerical predictor, as rk4, instead of a network.")
+        str, flag("A controller's numerical predictor, as rk4, instead of a network.", word="METHOD")
     ] = "",
-    name: Annotated[str, typer.Option(help="What a controller's files and C names begin with.")] = "npred",
+    name: Annotated[str, flag("What a controller's files and C names begin with.")] = "npred",
     actuator: Annotated[
-        str, typer.Option(metavar="measured|history", help="A controller's source of u; by default as in evaluate.")
+        str, flag("A controller's source of u; by default as in evaluate.", word="measured|history")
     ] = "",
     guard: Annotated[
-        float | None, typer.Option(help="A controller's guard: the largest error of U that passes; as in evaluate.")
+        float | None, flag("A controller's guard: the largest error of U that passes; as in evaluate.")
     ] = None,
-    fmi: Annotated[int, typer.Option(metavar="3|2", help="An FMU's version of FMI.")] = 3,
-    mex: Annotated[
-        bool, typer.Option("--mex", help="A controller's gateway to MATLAB and Octave too, NAME_mex.c.")
-    ] = False,
+    fmi: Annotated[int, flag("An FMU's version of FMI.", word="3|2")] = 3,
+    mex: Annotated[bool, flag("A controller's gateway to MATLAB and Octave too, NAME_mex.c.", "--mex")] = False,
 ) -> None:
     """A trained model, P and U = kappa(P(1)), the whole controller of the evaluated loop, or the data, for another
     program."""
+    cli.export.export(
+        options, form, key, output, nx, atol, fmi, mex,
+        precision=precision, predictor=predictor, name=name, actuator=actuator, guard=guard,
+    )  # fmt: skip
 
 
-@command(LOOK, "data_exchange.bring")
+@command(LOOK)
 def import_(
     options: Common,
     *,
-    form: Annotated[str, typer.Argument(metavar="npy", help="The format: the layout that [DAPF]'s authors published.")],
-    inputs: Annotated[Path, typer.Argument(metavar="INPUTS", help="Rows of D_hat, inputs, states, node after node.")],
-    outputs: Annotated[
-        Path, typer.Argument(metavar="OUTPUTS", help="Rows of P, one number per state, node after node.")
-    ],
+    form: Annotated[str, argument("npy", "The format: the layout that [DAPF]'s authors published.")],
+    inputs: Annotated[Path, argument("INPUTS", "Rows of D_hat, inputs, states, node after node.")],
+    outputs: Annotated[Path, argument("OUTPUTS", "Rows of P, one number per state, node after node.")],
     plant_name: Annotated[
-        str,
-        typer.Option(
-            "--plant",
-            help="The plant whose samples they are: a name or my_plant.py:Tank.",
-            autocompletion=completion.plants,
-        ),
+        str, flag("The plant whose samples they are: a name or my_plant.py:Tank.", "--plant", offers=completion.plants)
     ] = "activator_repressor",
     rollouts: Annotated[
-        int | None,
-        typer.Option(min=2, help="How many rollouts, if the rows of one lie together: to hold out whole ones."),
+        int | None, flag("How many rollouts, if the rows of one lie together: to hold out whole ones.", least=2)
     ] = None,
-    output: Annotated[Path, typer.Option("-o", "--output", help="The HDF5 file to write.")] = Path("data.h5"),
+    output: Annotated[Path, flag("The HDF5 file to write.", "-o", "--output")] = Path("data.h5"),
 ) -> None:
     """Data of others as a file that a pipeline can train on, checked against the predictor equation."""
+    cli.data_exchange.bring(options, form, inputs, outputs, plant_name, rollouts, output)
 
 
-@command(CARE, "store_admin.verify")
+@command(CARE)
 def verify(options: Common) -> None:
     """Every file of every result against its digest; exit 4 where one differs."""
+    cli.store_admin.verify(options)
 
 
-@command(CARE, "gc.gc")
+@command(CARE)
 def gc(
     options: Common,
     *,
     pipelines: Annotated[
         list[Path] | None,
-        typer.Argument(
-            help="Pipelines whose results stay; all in pipeline/ by default.", autocompletion=completion.pipelines
-        ),
+        argument(None, "Pipelines whose results stay; all in pipeline/ by default.", completion.pipelines),
     ] = None,
     set: Annotated[
         list[str] | None,
-        typer.Option(
+        flag(
+            "What a sweep was run with: its results stay as well.",
             "--set",
-            metavar="KEY=VALUES",
-            help="What a sweep was run with: its results stay as well.",
-            autocompletion=completion.settings,
+            word="KEY=VALUES",
+            offers=completion.settings,
         ),
     ] = None,
-    older: Annotated[float, typer.Option(min=0, metavar="DAYS", help="Only what is older than so many days.")] = 0.0,
-    keep: Annotated[
-        str | None, typer.Option(metavar="SIZE", help="The oldest only, until the store has this size: 500M, 2G.")
-    ] = None,
-    yes: Annotated[bool, typer.Option("--yes", help="Delete what the plan names.")] = False,
+    older: Annotated[float, flag("Only what is older than so many days.", word="DAYS", least=0)] = 0.0,
+    keep: Annotated[str | None, flag("The oldest only, until the store has this size: 500M, 2G.", word="SIZE")] = None,
+    yes: Annotated[bool, flag("Delete what the plan names.", "--yes")] = False,
     device: Annotated[
-        str, typer.Option(help="auto, cpu, cuda or cuda:N, as in the runs to keep.", autocompletion=completion.devices)
+        str, flag("auto, cpu, cuda or cuda:N, as in the runs to keep.", offers=completion.devices)
     ] = "auto",
 ) -> None:
     """Delete what no pipeline needs: the plan first, deleted with --yes."""
+    cli.gc.gc(options, pipelines or [], set or [], older, keep, device, yes)
 
 
-@command(CARE, "store_admin.export_artifact")
+@command(CARE)
 def export_artifact(
     options: Common,
     *,
-    reference: Annotated[
-        str, typer.Argument(metavar="STAGE/KEY", help="A result, as for show.", autocompletion=completion.artifacts)
-    ],
-    output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="The file; by default STAGE-KEY.tar here.")
-    ] = None,
+    reference: Annotated[str, RESULT],
+    output: Annotated[Path | None, flag("The file; by default STAGE-KEY.tar here.", "-o", "--output")] = None,
 ) -> None:
     """A result as one tar with its digests, to take elsewhere."""
+    cli.store_admin.export_artifact(options, reference, output)
 
 
-@command(CARE, "store_admin.import_artifact")
+@command(CARE)
 def import_artifact(
-    options: Common, *, path: Annotated[Path, typer.Argument(metavar="FILE.tar", help="What export-artifact wrote.")]
+    options: Common, *, path: Annotated[Path, argument("FILE.tar", "What export-artifact wrote.")]
 ) -> None:
     """A result from elsewhere into the store, checked; nothing in it is run."""
+    cli.store_admin.import_artifact(options, path)
 
 
-@command(CARE, "store_admin.doctor")
+@command(CARE)
 def doctor(options: Common) -> None:
     """Versions, devices, threads and the store."""
+    cli.store_admin.doctor(options)

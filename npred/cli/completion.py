@@ -1,28 +1,33 @@
-"""Completion in the shell, where Tab is pressed. It never fails and prints nothing: a broken file offers nothing."""
+"""Completion in the shell, where Tab is pressed. It never fails and prints nothing: a broken file offers nothing.
 
-from collections.abc import Callable, Iterator
+typer leaves out what does not begin with the letters that are typed.
+"""
+
+from collections.abc import Callable, Iterable, Iterator
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
+from typing import TYPE_CHECKING, Literal, get_args, get_origin
 
 import typer
 
 from npred import defaults
 
 if TYPE_CHECKING:
+    from pydantic.fields import FieldInfo
+
     from npred.config import Pipeline
 
-Offer = tuple[str, str]  # a word, and what the shell says beside it
+Offer = str | tuple[str, str]  # a word, and what the shell says beside it
 Complete = Callable[[typer.Context, str], list[Offer]]
 
 
-def _offered(find: Callable[[typer.Context, str], Iterator[Offer]]) -> Complete:
-    """The offers that begin with what is typed; none where they cannot be found."""
+def _offered(find: Callable[[typer.Context, str], Iterable[Offer]]) -> Complete:
+    """The words that a function finds; none where it fails."""
 
     @wraps(find)
     def complete(ctx: typer.Context, incomplete: str) -> list[Offer]:
         try:
-            return [offer for offer in find(ctx, incomplete) if offer[0].startswith(incomplete)]
+            return list(find(ctx, incomplete))
         except Exception:
             return []
 
@@ -31,17 +36,17 @@ def _offered(find: Callable[[typer.Context, str], Iterator[Offer]]) -> Complete:
 
 def words(*choices: str) -> Complete:
     """These words."""
-    return _offered(lambda ctx, incomplete: ((choice, "") for choice in choices))
+    return lambda ctx, incomplete: list(choices)
 
 
 @_offered
 def pipelines(ctx: typer.Context, incomplete: str) -> Iterator[Offer]:
     """The pipelines that are part of npred, and the TOML files of the folder that is typed."""
-    yield from ((name, _first_line(path)) for name, path in defaults.shipped().items())
+    yield from ((name, _first_comment(path)) for name, path in defaults.shipped().items())
     folder = incomplete.rpartition("/")[0]
     for path in sorted(Path(folder or ".").glob("*.toml")):
         if path.name not in defaults.NO_PIPELINE:
-            yield f"{folder}/{path.name}" if folder else path.name, _first_line(path)
+            yield f"{folder}/{path.name}" if folder else path.name, _first_comment(path)
 
 
 @_offered
@@ -53,23 +58,23 @@ def settings(ctx: typer.Context, incomplete: str) -> Iterator[Offer]:
     keys = config.leaves(networks=_pipeline(ctx).train.named)
     fields = {name: field for name, field in keys if (name == key if sign else name.startswith(key))}
     if len(fields) > 1:
-        yield from ((name, "") for name in fields)
+        yield from fields
     for name, field in fields.items() if len(fields) == 1 else ():
-        yield from ((f"{name}={value}", "") for value in ["", *_values(ctx, name, field)])
+        yield from (f"{name}={value}" for value in ["", *_values(ctx, name, field)])
 
 
 @_offered
-def stages(ctx: typer.Context, incomplete: str) -> Iterator[Offer]:
+def stages(ctx: typer.Context, incomplete: str) -> Iterable[Offer]:
     """The stages and the networks."""
-    from npred.pipeline import STAGES
+    from npred.registry import STAGES
 
-    yield from ((name, "") for name in (*STAGES, *_pipeline(ctx).train.models))
+    return [*STAGES, *_pipeline(ctx).train.models]
 
 
 @_offered
-def models(ctx: typer.Context, incomplete: str) -> Iterator[Offer]:
+def models(ctx: typer.Context, incomplete: str) -> Iterable[Offer]:
     """The networks."""
-    yield from ((name, "") for name in _pipeline(ctx).train.names)
+    return _pipeline(ctx).train.names
 
 
 @_offered
@@ -77,36 +82,36 @@ def artifacts(ctx: typer.Context, incomplete: str) -> Iterator[Offer]:
     """The results in the store, the most recent first."""
     from npred.store import Store
 
-    for artifact in reversed(Store(ctx.params.get("store") or defaults.store()).survey()[0]):
+    for artifact in reversed(Store(ctx.params.get("store") or defaults.store()).artifacts()):
         asked = artifact.manifest.question
         yield artifact.name, f"{asked.model or asked.stage} of {artifact.manifest.pipeline}"
 
 
 @_offered
-def plants(ctx: typer.Context, incomplete: str) -> Iterator[Offer]:
+def plants(ctx: typer.Context, incomplete: str) -> Iterable[Offer]:
     """The plants that have a name."""
     from npred import plants
 
-    yield from ((name, "") for name in plants.names())
+    return plants.names()
 
 
 @_offered
-def experiments(ctx: typer.Context, incomplete: str) -> Iterator[Offer]:
+def experiments(ctx: typer.Context, incomplete: str) -> Iterable[Offer]:
     """The published experiments."""
     from npred.registry import EXPERIMENTS
 
-    yield from ((name, "") for name in EXPERIMENTS.names())
+    return EXPERIMENTS.names()
 
 
-def _values(ctx: typer.Context, key: str, field: Any) -> list[str]:
+def _values(ctx: typer.Context, key: str, field: "FieldInfo") -> list[str]:
     """The words that a key takes, else its value in the pipeline."""
     from npred.pipeline.reasons import flat
     from npred.registry import Registry
 
     if get_origin(field.annotation) is Literal:
         return list(get_args(field.annotation))
-    for parts in (item for item in field.metadata if isinstance(item, Registry)):
-        return parts.names()
+    for registry in (item for item in field.metadata if isinstance(item, Registry)):
+        return registry.names()
     return [value.strip('"') for name, value in flat(_pipeline(ctx).model_dump()).items() if name == key]
 
 
@@ -122,7 +127,7 @@ def _pipeline(ctx: typer.Context) -> "Pipeline":
         return config.Pipeline(plant="")
 
 
-def _first_line(path: Path) -> str:
+def _first_comment(path: Path) -> str:
     with path.open(encoding="utf-8", errors="replace") as file:
         line = file.readline(200).strip()
     return line.removeprefix("#").strip() if line.startswith("#") else ""

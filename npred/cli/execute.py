@@ -5,13 +5,13 @@ from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any
 
-from npred.cli.options import Running, Work
-from npred.cli.page import publish
+from npred.cli.options import Running, Work, writable_folder
+from npred.cli.report import free_path, publish, sign, write_figures
 from npred.errors import ConfigError
 from npred.parallel import devices, executors
 from npred.pipeline import STAGES, Outcome, Planner, Runner, Step, nodes, usual
 from npred.results import Benched, Evaluated, Reported
-from npred.store import short
+from npred.store import durable, short
 from npred.terminal.console import columns
 
 
@@ -28,6 +28,30 @@ def stage(options: Work, stage_name: str, model: str | None = None, output: Path
     if model is not None and model not in (names := options.config.train.names):
         raise ConfigError(f"--model: expected {', '.join(names)}, got {model!r}; name one of them")
     _work(options, [stage_name], (stage_name,), model, output)
+
+
+def report(options: Work, output: Path | None, medium: str | None) -> None:
+    """The page, or for a medium of print its figures and tables, as files. Raises ConfigError for no such medium."""
+    if medium is None or options.dry_run:
+        stage(options, "report", output=output)
+        return
+    from npred import plants
+    from npred.figures.style import MEDIA
+    from npred.stages.report.report_data import Story
+
+    if medium not in MEDIA:
+        raise ConfigError(f"--figures: expected {', '.join(MEDIA)}, got {medium!r}; name one of them")
+    default = free_path(options, options.pipeline.stem, lambda name: options.store / f"{name}-{medium}")
+    folder = writable_folder(output or default, "figures")
+    folders = {done.node.name: done.artifact.folder for done in bring(options, ["evaluate", "bench"], borrows=True)}
+    plant = plants.resolve(options.config.plant, options.config.parameters)
+    story = Story.read(options.config, plant, folders)
+    with durable.room(folder):
+        files = write_figures(story, folder, MEDIA[medium])
+        if output is None:
+            sign(options, folder)
+    document = {"folder": str(folder), "files": [file.name for file in files]}
+    options.show(document, lambda: "\n".join(map(str, files)))
 
 
 def bring(options: Work, targets: list[str], model: str | None = None, borrows: bool = False) -> list[Outcome]:

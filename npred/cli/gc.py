@@ -40,7 +40,7 @@ class Waste(NamedTuple):
 
 
 def gc(
-    options: Common, pipelines: list[Path] | None, set: list[str] | None, older: float, keep: str | None, device: str,
+    options: Common, pipelines: list[Path], set: list[str], older: float, keep: str | None, device: str,
     yes: bool,
 ) -> None:  # fmt: skip
     """The plan of what to delete, and with `yes` the deletion: of what is older than so many days, the oldest first
@@ -50,7 +50,7 @@ def gc(
     """
     limit, since = size(keep), time.time() - older * DAY
     _check_marker(options.results)
-    plan = _plan(options.results, _kept(options, pipelines or [], set, device), limit, since)
+    plan = _plan(options.results, _kept(options, pipelines, set, device), limit, since)
     deleted = [str(path) for path in _delete(options.results, plan)] if yes else []
     rows = [{"path": str(waste.path), "bytes": waste.bytes, "reason": waste.reason} for waste in plan]
     options.show({"plan": rows, "deleted": deleted}, lambda: _table(plan, deleted, yes, options.console.width))
@@ -91,7 +91,7 @@ def _check_marker(store: Store) -> None:
         )
 
 
-def _kept(options: Common, pipelines: list[Path], sets: list[str] | None, device: str) -> Kept:
+def _kept(options: Common, pipelines: list[Path], sets: list[str], device: str) -> Kept:
     store = options.results
     paths = [defaults.pipeline(path) for path in pipelines] or sorted(defaults.PIPELINE.parent.glob("*.toml"))
     named = {path.resolve() for path in paths}
@@ -102,7 +102,7 @@ def _kept(options: Common, pipelines: list[Path], sets: list[str] | None, device
             "store was run with; name them"
         )
     kept, device = Kept(), devices.resolve(device)
-    for experiment in experiments.every(store):
+    for experiment in experiments.every(store) if _has_experiments(store) else ():
         kept.add(experiment, experiment.possible())
     for path in paths:
         for cell in [*cells(path, []), *(cells(path, sets) if sets else [])]:
@@ -110,6 +110,12 @@ def _kept(options: Common, pipelines: list[Path], sets: list[str] | None, device
     for root in remembered:
         _keep_remembered(options, kept, root, device)
     return kept
+
+
+def _has_experiments(store: Store) -> bool:
+    """True if a published experiment has left something: only then is their code read, which takes a while."""
+    stage = experiments.STAGE
+    return any(any(store.root.glob(pattern)) for pattern in (f"{stage}/*", f".scratch/{stage}-*"))
 
 
 def _keep_remembered(options: Common, kept: Kept, root: GcRoot, device: str) -> None:

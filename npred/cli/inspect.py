@@ -62,9 +62,9 @@ def show(options: Common, reference: str | None) -> None:
         options.console.out(_summary(artifact.manifest.question.stage, result, options.console.width))
 
 
-def ls(options: Common, shown: list[str] | None) -> None:
+def ls(options: Common, shown: list[str]) -> None:
     """Every result with a sound manifest and, of the keys to show, its settings; a warning for each of the others."""
-    (artifacts, broken), shown = options.results.survey(), shown or []
+    artifacts, broken = options.results.survey()
     for folder in broken:
         options.console.warn(f"{folder}: expected a sound manifest, got none; remove that folder")
     by_key = {artifact.manifest.key: artifact for artifact in artifacts}

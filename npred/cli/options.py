@@ -1,16 +1,16 @@
-"""The flags that commands share, each declared once."""
+"""The flags that commands share, each declared once, and how a flag is declared."""
 
-import inspect
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from npred import defaults
 from npred.cli import completion
+from npred.cli.completion import Complete
 from npred.errors import ConfigError
 from npred.terminal.console import Console
 
@@ -20,16 +20,30 @@ if TYPE_CHECKING:  # pydantic and filelock come with these, which `npred --help`
     from npred.store import Store
 
 
+def flag(
+    help: str, *names: str, word: str | None = None, offers: Complete | None = None, least: float | None = None,
+    variable: str | None = None,
+) -> Any:  # fmt: skip
+    """A flag for typer. `word` stands for its value in the help; the shell completes what `offers` returns.
+
+    Its number is at least `least`; an environment `variable` replaces its default.
+    """
+    return typer.Option(*names, help=help, metavar=word, autocompletion=offers, min=least, envvar=variable)
+
+
+def argument(word: str | None, help: str, offers: Complete | None = None, default: bool | str = True) -> Any:
+    """An argument for typer, as `flag`; `default` says in words what a command takes without it."""
+    return typer.Argument(metavar=word, help=help, autocompletion=offers, show_default=default)
+
+
 @dataclass(frozen=True)
 class Common:
     """Flags of every command."""
 
-    store: Annotated[Path, typer.Option(envvar=defaults.STORE_VARIABLE, help="Where results are kept.")] = (
-        defaults.STORE
-    )
-    json: Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout.")] = False
-    quiet: Annotated[bool, typer.Option("-q", "--quiet", help="Warnings and errors only.")] = False
-    verbose: Annotated[bool, typer.Option("-v", "--verbose", help="More messages; tracebacks.")] = False
+    store: Annotated[Path, flag("Where results are kept.", variable=defaults.STORE_VARIABLE)] = defaults.STORE
+    json: Annotated[bool, flag("Print one JSON document on stdout.", "--json")] = False
+    quiet: Annotated[bool, flag("Warnings and errors only.", "-q", "--quiet")] = False
+    verbose: Annotated[bool, flag("More messages; tracebacks.", "-v", "--verbose")] = False
 
     @cached_property
     def console(self) -> Console:
@@ -43,35 +57,35 @@ class Common:
 
         return Store(self.store)
 
-    def show(self, document: dict[str, Any], text: Callable[[], Any]) -> None:
+    def show(self, document: dict[str, Any], text: Callable[[], str]) -> None:
         """The document with --json, else the text for people."""
         self.console.json(document) if self.json else self.console.out(text())
+
+
+PIPELINE = argument(
+    "PIPELINE",
+    "A pipeline file, or the name of one that is part of npred, as smoke.",
+    completion.pipelines,
+    default=f"{defaults.PIPELINE_VARIABLE}, {defaults.PIPELINE}, or the only TOML file here",
+)
 
 
 @dataclass(frozen=True)
 class Planned(Common):
     """Flags of the commands that read a pipeline file."""
 
-    pipeline_name: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="PIPELINE",
-            show_default=f"{defaults.PIPELINE_VARIABLE}, {defaults.PIPELINE}, or the only TOML file here",
-            help="A pipeline file, or the name of one that is part of npred, as smoke.",
-            autocompletion=completion.pipelines,
-        ),
-    ] = None
+    pipeline_name: Annotated[str | None, PIPELINE] = None
     set: Annotated[
         list[str] | None,
-        typer.Option(
+        flag(
+            "Override a key, as in train.fno.epochs=5; repeatable.",
             "--set",
-            metavar="KEY=VALUE",
-            help="Override a key, as in train.fno.epochs=5; repeatable.",
-            autocompletion=completion.settings,
+            word="KEY=VALUE",
+            offers=completion.settings,
         ),
     ] = None
-    device: Annotated[str, typer.Option(help="auto, cpu, cuda or cuda:N.", autocompletion=completion.devices)] = "auto"
-    jobs: Annotated[int | None, typer.Option(min=1, help="Processes and threads; all cores by default.")] = None
+    device: Annotated[str, flag("auto, cpu, cuda or cuda:N.", offers=completion.devices)] = "auto"
+    jobs: Annotated[int | None, flag("Processes and threads; all cores by default.", least=1)] = None
 
     @cached_property
     def pipeline(self) -> Path:
@@ -97,12 +111,9 @@ class Planned(Common):
 class Running(Planned):
     """Flags of the commands that run something."""
 
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would run, and run nothing.")] = False
+    dry_run: Annotated[bool, flag("Say what would run, and run nothing.", "--dry-run")] = False
     executor: Annotated[
-        str,
-        typer.Option(
-            envvar=defaults.EXECUTOR_VARIABLE, metavar="local|dask:ADDRESS", help="Where batches of rollouts run."
-        ),
+        str, flag("Where batches of rollouts run.", word="local|dask:ADDRESS", variable=defaults.EXECUTOR_VARIABLE)
     ] = "local"
 
 
@@ -110,11 +121,9 @@ class Running(Planned):
 class Work(Running):
     """Flags of the commands that run stages."""
 
-    force: Annotated[bool, typer.Option("--force", help="Run the named stages even if the store has them.")] = False
-    wide: Annotated[bool, typer.Option("--wide", help="Print all that was measured, in tables of any width.")] = False
-    tensorboard: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Write the epochs of trainings as event files there.")
-    ] = None
+    force: Annotated[bool, flag("Run the named stages even if the store has them.", "--force")] = False
+    wide: Annotated[bool, flag("Print all that was measured, in tables of any width.", "--wide")] = False
+    tensorboard: Annotated[Path | None, flag("Write the epochs of trainings as event files there.", word="DIR")] = None
 
 
 def writable(path: Path) -> Path:
@@ -129,11 +138,3 @@ def writable_folder(path: Path, of: str) -> Path:
     if path.exists() and not path.is_dir():
         raise ConfigError(f"--output: expected a folder for the {of}, {path} is a file; choose another")
     return path
-
-
-def parameters(options: type[Common]) -> list[inspect.Parameter]:
-    """The fields of an options class as parameters of a command: the pipeline file first, then the flags."""
-    hints = get_type_hints(options, include_extras=True)
-    ordered = sorted(fields(options), key=lambda field: field.name != "pipeline_name")
-    kind = inspect.Parameter.KEYWORD_ONLY
-    return [inspect.Parameter(f.name, kind, default=f.default, annotation=hints[f.name]) for f in ordered]

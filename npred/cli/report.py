@@ -1,57 +1,107 @@
-"""`npred report`: the page of a pipeline, or its figures and tables for a paper."""
+"""A pipeline's page, or its figures and tables for a paper: they say what made them, and those of another pipeline of
+that name do not overwrite them.
+"""
 
+import hashlib
+import html
+import os
+import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from npred.cli import execute
-from npred.cli.options import Work, writable_folder
-from npred.cli.page import page_path, sign
+from npred import json_files
+from npred.cli.options import Planned, Work
 from npred.errors import ConfigError
-from npred.store import durable
+from npred.pipeline import Outcome
 
 if TYPE_CHECKING:
     from npred.figures.style import Style
     from npred.stages.report.report_data import Story
 
-FORMATS = ("pdf", "svg", "png")
+NAME = "report.html"  # in a result
+SIGNATURE = "pipeline.txt"  # in a folder of figures or tables: the pipeline file that they are of
+PLACE = "<!-- made from -->"  # in the header of that page, which knows neither files nor flags
+OWNER = re.compile('<p class="about" data-pipeline="([^"]*)">')
+HEAD = 2**16  # bytes of a page that its header is in
+FORMATS = ("pdf", "svg", "png")  # of each figure
 
 
-def report(options: Work, output: Path | None, figures: str | None) -> None:
-    """The page, or with a medium its figures and tables, as files. Raises ConfigError for no such medium."""
-    if figures is None or options.dry_run:
-        execute.stage(options, "report", output=output)
-    else:
-        _figures(options, output, figures)
+def publish(options: Work, outcomes: list[Outcome], output: Path | None) -> Path | None:
+    """Copy the page to `output`, by default to the pipeline's name in the store, and say what made it.
 
-
-def _figures(options: Work, output: Path | None, medium: str) -> None:
-    from npred import plants
-    from npred.figures.style import MEDIA
-    from npred.stages.report.report_data import Story
-
-    if medium not in MEDIA:
-        raise ConfigError(f"--figures: expected {', '.join(MEDIA)}, got {medium!r}; name one of them")
-    default = page_path(options, options.pipeline.stem, lambda name: options.store / f"{name}-{medium}")
-    target = writable_folder(output or default, "figures")
-    outcomes = execute.bring(options, ["evaluate", "bench"], borrows=True)
-    folders = {done.node.name: done.artifact.folder for done in outcomes}
-    plant = plants.resolve(options.config.plant, options.config.parameters)
-    story = Story.read(options.config, plant, folders)
-    with durable.room(target):
-        _write(story, target, MEDIA[medium])
+    Where that name is another pipeline's, the page gets a second one, and a line says so. A store that cannot be
+    written leaves the page where it is; None where no report was made. Raises ConfigError for an `output` that cannot
+    be written.
+    """
+    folders = [outcome.artifact.folder for outcome in outcomes if outcome.node.stage == "report"]
+    if not folders:
+        return None
+    folder, source = folders[-1], source_of(options)
+    path = output or free_path(options, options.pipeline.stem, lambda name: options.store / f"{name}.html")
+    aside = path.with_name(path.name + ".part")
+    try:
+        text = (folder / NAME).read_text(encoding="utf-8").replace(PLACE, _made_from(source, options.set or []), 1)
+        aside.write_text(text, encoding="utf-8", errors="backslashreplace")
+        aside.replace(path)  # a browser that reads it meanwhile sees the old page or the new one
+    except OSError as error:
         if output is None:
-            sign(options, target)
-    files = [f"{plate}.{form}" for plate in story.plates() for form in FORMATS]
-    files += [f"{table}.{form}" for table in story.tables() for form in ("csv", "tex")]
-    options.show({"folder": str(target), "files": files}, lambda: "\n".join(str(target / file) for file in files))
+            return folder / NAME
+        raise ConfigError(f"{path}: expected a file that can be written, got: {error.strerror}; name another") from None
+    return path
 
 
-def _write(story: "Story", target: Path, style: "Style") -> None:
+def write_figures(story: "Story", folder: Path, style: "Style") -> list[Path]:
+    """The files of the figures and tables, written in the style of a medium; a folder is made where there is none."""
     from npred.figures import write
 
-    target.mkdir(parents=True, exist_ok=True)
+    folder.mkdir(parents=True, exist_ok=True)
     for plate in story.plates().values():
-        write(plate, target, style, FORMATS)
+        write(plate, folder, style, FORMATS)
     for table in story.tables().values():
-        (target / f"{table.name}.csv").write_text(table.csv(), encoding="utf-8")
-        (target / f"{table.name}.tex").write_text(table.latex(), encoding="utf-8")
+        (folder / f"{table.name}.csv").write_text(table.csv(), encoding="utf-8")
+        (folder / f"{table.name}.tex").write_text(table.latex(), encoding="utf-8")
+    figures = [folder / f"{name}.{form}" for name in story.plates() for form in FORMATS]
+    return figures + [folder / f"{name}.{form}" for name in story.tables() for form in ("csv", "tex")]
+
+
+def source_of(options: Planned) -> str:
+    """The pipeline file, from the folder that the store is in: a folder that is moved or copied whole stays itself."""
+    return Path(os.path.relpath(options.pipeline.absolute(), options.store.absolute().parent)).as_posix()
+
+
+def free_path(options: Planned, name: str, of: Callable[[str], Path]) -> Path:
+    """`of(name)`, a page or a folder; where that is another pipeline's, that of NAME-FOLDER after the
+    file's folder, else with a digest. A line says which is whose.
+    """
+    source, folder = source_of(options), re.sub(r"[^\w.-]", "_", options.pipeline.absolute().parent.name)
+    names = [name, f"{name}-{folder}", f"{name}-{hashlib.sha256(os.fsencode(source)).hexdigest()[:8]}"]
+    owners = {path: _owner(path) for path in map(of, names)}
+    first = next(iter(owners))
+    path = min(owners, key=lambda path: (owners[path] != source, owners[path] is not None))
+    if path != first and owners[first]:
+        options.console.note(f"{first} is of {owners[first]}; that of {source} is {path}")
+    return path
+
+
+def sign(options: Planned, folder: Path) -> None:
+    """Say in a folder of results of which pipeline file they are."""
+    (folder / SIGNATURE).write_text(source_of(options) + "\n", encoding="utf-8", errors="surrogateescape")
+
+
+def _made_from(source: str, overrides: list[str]) -> str:
+    flags = "".join(f" <code>--set {html.escape(override)}</code>" for override in overrides)
+    name = html.escape(source)
+    return f'<p class="about" data-pipeline="{name}">From <code>{name}</code>{" with" if flags else ""}{flags}</p>'
+
+
+def _owner(path: Path) -> str | None:
+    """The pipeline that a page or a folder names; None for what is not there, and for what names none."""
+    try:
+        if path.is_dir():
+            return (path / SIGNATURE).read_text(encoding="utf-8", errors="surrogateescape").strip() or None
+        with json_files.regular(path).open("rb") as file:
+            named = OWNER.search(file.read(HEAD).decode("utf-8", errors="replace"))
+    except OSError:
+        return None
+    return html.unescape(named[1]) if named else None

@@ -12,7 +12,7 @@ from npred.errors import StoreError
 from npred.kernels import compiler
 from npred.parallel import devices
 from npred.pipeline import payload
-from npred.registry import stage
+from npred.registry import declared_stage
 from npred.store import Artifact, archive
 from npred.store.manifest import NAME
 from npred.terminal.console import columns
@@ -67,7 +67,7 @@ def import_artifact(options: Common, path: Path) -> None:
         options.results, path, payload.drawn, lambda holder: options.console.note(f"waiting for {holder}")
     )
     done = "imported, every digest verified" if new else "already in the store, the same bytes"
-    if new and stage(artifact.manifest.question.stage).draws:
+    if new and declared_stage(artifact.manifest.question.stage).draws:
         done += "; npred report draws its figures here, from its arrays"
     document = {"folder": str(artifact.folder), "key": artifact.manifest.key, "new": new}
     options.show(document, lambda: f"{artifact.name}: {done}\n{artifact.folder}")

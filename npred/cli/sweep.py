@@ -5,8 +5,9 @@ import io
 from pathlib import Path
 from typing import Any
 
-from npred.cli import execute, page
+from npred.cli import execute
 from npred.cli.options import Running, writable_folder
+from npred.cli.report import free_path, sign
 from npred.errors import ConfigError, NpredError
 from npred.parallel import devices, executors
 from npred.pipeline import STAGES, CellRun, Outcome, Planner, Runner, nodes
@@ -77,12 +78,12 @@ def _write(options: Running, name: str, output: Path | None, rows: list[dict[str
     """table.csv, and front.svg and front.png where there are two quantities to draw."""
     from npred.sweep import pareto
 
-    folder = output or page.page_path(options, name, lambda name: Path(f"sweep-{name}"))
+    folder = output or free_path(options, name, lambda name: Path(f"sweep-{name}"))
     with durable.room(folder):
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "table.csv").write_text(_csv(rows), encoding="utf-8")
         if output is None:
-            page.sign(options, folder)
+            sign(options, folder)
         return [folder / "table.csv", *pareto.draw(folder, rows)]
 
 

@@ -53,7 +53,7 @@ class _Tables(Section):
 
     def optional(self, stage: str) -> Any:
         """The table of an optional stage, or its defaults where the pipeline has none."""
-        return getattr(self, stage) or registry.stage(stage).table()
+        return getattr(self, stage) or registry.declared_stage(stage).table()
 
     @property
     def longest_delay(self) -> float:
@@ -95,6 +95,6 @@ if TYPE_CHECKING:
     Pipeline = _Tables
 else:  # with a table of each optional stage, where that declares it
     _optional = Field(None, description="a table: with it, `npred run` runs this stage too")
-    _stages = filter(lambda stage: stage.optional, map(registry.stage, registry.STAGES))
+    _stages = filter(lambda stage: stage.optional, map(registry.declared_stage, registry.STAGES))
     _fields = {stage.name: (Annotated[stage.table | None, ADDED], _optional) for stage in _stages}
     Pipeline = create_model("Pipeline", __base__=_Tables, __doc__=_Tables.__doc__, __module__=__name__, **_fields)

@@ -10,7 +10,7 @@ from npred.json_files import escaped
 from npred.stages.declaration import Stage
 from npred.store.manifest import LONGEST, SourceText
 
-STAGES: dict[str, Stage] = {name: registry.stage(name) for name in registry.STAGES}
+STAGES: dict[str, Stage] = {name: registry.declared_stage(name) for name in registry.STAGES}
 
 
 @dataclass(frozen=True)

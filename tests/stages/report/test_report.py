@@ -16,7 +16,7 @@ from jobs import job
 from result_samples import BENCHED, ERRORS, RADIUS, evaluation, timing
 
 from npred import config, json_files, plants
-from npred.cli.page import OWNER, PLACE
+from npred.cli.report import OWNER, PLACE
 from npred.errors import StoreError
 from npred.figures import Evidence
 from npred.figures.style import MEDIA
