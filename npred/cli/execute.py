@@ -13,6 +13,7 @@ from npred.pipeline import STAGES, Outcome, Planner, Runner, Step, nodes, usual
 from npred.results import Benched, Evaluated, Reported
 from npred.store import durable, short
 from npred.terminal.console import columns
+from npred.terminal.run_log import Events
 
 
 def everything(options: Work) -> None:
@@ -59,8 +60,6 @@ def bring(options: Work, targets: list[str], model: str | None = None, borrows: 
     needed, jobs, console = nodes(options.config, targets, model), options.jobs or devices.cores(), options.console
     with ExitStack() as stack:
         if options.tensorboard:
-            from npred.terminal.tensorboard import Events
-
             console.events = stack.enter_context(closing(Events(options.tensorboard)))
         stack.enter_context(console.watch(options.config.name, [node.title for node in needed]))
         executor = stack.enter_context(executors.opened(options.executor, jobs))

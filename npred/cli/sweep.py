@@ -67,24 +67,20 @@ def _report(options: Running, done: Done, output: Path | None, csv: bool) -> Non
 
 
 def _rows(done: Done) -> list[dict[str, Any]]:
-    from npred.sweep import pareto
-
     rows = [row for cell, run in done for row in sweep_table.rows(cell, run)]
-    marked = zip(rows, pareto.front(rows), strict=True)
+    marked = zip(rows, sweep_table.front(rows), strict=True)
     return [{"row": number, **row, "front": best} for number, (row, best) in enumerate(marked, 1)]
 
 
 def _write(options: Running, name: str, output: Path | None, rows: list[dict[str, Any]]) -> list[Path]:
     """table.csv, and front.svg and front.png where there are two quantities to draw."""
-    from npred.sweep import pareto
-
     folder = output or free_path(options, name, lambda name: Path(f"sweep-{name}"))
     with durable.room(folder):
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "table.csv").write_text(_csv(rows), encoding="utf-8")
         if output is None:
             sign(options, folder)
-        return [folder / "table.csv", *pareto.draw(folder, rows)]
+        return [folder / "table.csv", *sweep_table.draw(folder, rows)]
 
 
 def _csv(rows: list[dict[str, Any]]) -> str:

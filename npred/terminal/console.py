@@ -15,11 +15,10 @@ from typing import TYPE_CHECKING, Any
 from npred.json_files import escaped
 from npred.terminal import interruption, streams
 from npred.terminal.progress_bars import Bar
-from npred.terminal.run_log import RunLog
+from npred.terminal.run_log import Events, RunLog
 
 if TYPE_CHECKING:
     from npred.terminal.live_view import LiveView
-    from npred.terminal.tensorboard import Events
 
 GAP = 2  # columns between two of a table
 NARROW = 12  # a column is not folded to less …
@@ -35,7 +34,7 @@ class Console:
     clock: Callable[[], float] = time.monotonic
     stopped: bool = False
     view: "LiveView | None" = None
-    events: "Events | None" = None
+    events: Events | None = None
     log: RunLog | None = None
 
     def stop(self) -> None:

@@ -1,13 +1,22 @@
-"""The log of a run, a text file in the store's folder: its messages with times, and each epoch of a training."""
+"""What a run writes for later: its log, a text file in the store's folder with its messages and each epoch of a
+training, and on request the epochs as TensorBoard's event files.
+"""
 
+import json
 import os
 import re
+import threading
 import time
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Self, TextIO
+from typing import TYPE_CHECKING, Self, TextIO
 
+from npred.errors import required
 from npred.terminal.streams import printable
+
+if TYPE_CHECKING:
+    from torch.utils.tensorboard import SummaryWriter
 
 FOLDER = "logs"
 KEPT = 100  # logs of a store; older ones make room
@@ -54,3 +63,35 @@ def _make_room(folder: Path) -> None:
     with suppress(OSError):
         for path in sorted(path for path in folder.iterdir() if _NAME.fullmatch(path.name))[:-KEPT]:
             path.unlink(missing_ok=True)
+
+
+class Events:
+    """Writes one folder per training: loss, held-out errors and learning rate by epoch.
+
+    Event files hold times and host names, so they are no part of a result. Raises MissingError without TensorBoard.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        module = required("--tensorboard", "torch.utils.tensorboard", "tensorboard", "tensorboard")
+        self.folder, self.open_writer, self.lock = folder, module.SummaryWriter, threading.Lock()
+        self.writers: dict[str, SummaryWriter] = {}  # by training
+
+    def write(self, title: str, values: Mapping[str, float]) -> None:
+        """The values of one epoch, `epoch` among them."""
+        with self.lock:  # two networks may be in training
+            if title not in self.writers:
+                self.writers[title] = self.open_writer(str(self.folder / title.replace(" ", "-")))
+            writer = self.writers[title]
+        for name, value in values.items():
+            if name != "epoch":
+                writer.add_scalar(name, value, values["epoch"])
+
+    def replay(self, title: str, path: Path) -> None:
+        """The epochs of a training that the store had, from its metrics.jsonl."""
+        for line in path.read_text(encoding="utf-8").splitlines():
+            self.write(title, json.loads(line))
+
+    def close(self) -> None:
+        """Everything to the disk."""
+        for writer in self.writers.values():
+            writer.close()

@@ -5,8 +5,7 @@ from pathlib import Path
 import pytest
 
 from npred.errors import ConfigError
-from npred.sweep import cells
-from npred.sweep.sweep_grid import values
+from npred.sweep import cells, values
 
 
 @pytest.mark.parametrize(

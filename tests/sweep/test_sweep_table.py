@@ -1,14 +1,18 @@
-"""The rows of a sweep's table."""
+"""The rows of a sweep's table, and the front: what no other row beats in every quantity that is known."""
 
 from pathlib import Path
+from typing import Any
 
 import fake_stages
+import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from result_samples import BENCHED, SCORES, evaluated, timing
 
 from npred.pipeline import STAGES, Planner, Runner
 from npred.store import Store
-from npred.sweep import cells
+from npred.sweep import cells, sweep_table
 from npred.sweep.sweep_table import rows
 from npred.terminal.console import Console
 
@@ -45,3 +49,42 @@ def test_a_row_has_errors_radius_and_the_fastest_runtime(
     assert fno == {"seed": "3", "model": "fno", **numbers, "latency_us": 5.0, "artifact": fno["artifact"]}
     assert fno["artifact"].startswith("bench/")
     assert (snapshot["model"], snapshot["latency_us"]) == ("fno@7", None)
+
+
+def row(
+    eps: float | None, latency: float | None = None, radius: float | None = None, number: int = 1
+) -> dict[str, Any]:
+    return {"row": number, "model": "fno", "eps_sup": eps, "latency_us": latency, "radius_worst": radius}
+
+
+def test_the_front_of_errors_and_latencies():
+    rows = [row(1.0, 5.0), row(0.5, 9.0), row(2.0, 6.0), row(0.5, 9.0), row(0.6, None), row(None, 1.0)]
+    assert sweep_table.front(rows) == [True, True, False, True, False, False]
+
+
+def test_one_quantity_and_none():
+    assert sweep_table.front([row(2.0), row(1.0), row(None)]) == [False, True, False]
+    assert sweep_table.front([row(None), row(None)]) == [False, False]
+    assert sweep_table.front([]) == []
+
+
+@given(st.lists(st.tuples(*[st.integers(0, 4)] * 3), min_size=1, max_size=12))
+def test_every_point_that_is_dominated_is_so_by_one_that_is_not(points: list[tuple[int, int, int]]):
+    array = np.array(points, dtype=float)
+    lost = sweep_table.dominated(array)
+    assert not lost.all()
+    for point in array[lost]:
+        assert any((p <= point).all() and (p < point).any() for p in array[~lost])
+    for point in array[~lost]:
+        assert not any((p <= point).all() and (p < point).any() for p in array)
+
+
+def test_a_panel_for_each_pair_that_is_known_and_the_same_bytes(tmp_path: Path):
+    rows = [row(1.0, 5.0, 0.0, 1), row(0.5, 9.0, 2.0, 2), row(0.5, None, None, 3)]
+    written = []
+    for _ in range(2):
+        assert sweep_table.draw(tmp_path, rows) == [tmp_path / "front.svg", tmp_path / "front.png"]
+        written.append((tmp_path / "front.svg").read_bytes())
+    assert written[0] == written[1]
+    assert written[0].decode().count("<!-- µs per call -->") == 2
+    assert sweep_table.draw(tmp_path, [row(1.0), row(2.0)]) == []
