@@ -16,7 +16,7 @@ from typing import Any, Self
 from npred import json_files
 from npred.defaults import RESULT
 from npred.errors import ConfigError, StoreError
-from npred.store import durable, gc_roots, locks
+from npred.store import claims, durable, gc_roots
 from npred.store.manifest import NAME, Manifest, Question, Sources, cure, short
 
 MARKER = ".npred-store"  # an empty file: without it nothing in a folder is npred's to delete
@@ -114,8 +114,8 @@ class Store:
         return Artifact.read(folder) if folder.exists() else None
 
     def lock(self, stage: str, key: str, waiting: Callable[[str], None] | None = None) -> AbstractContextManager[None]:
-        """The lock of a key; see npred.store.locks.held."""
-        return locks.held(self.root / ".locks" / f"{stage}-{key}.lock", waiting)
+        """The lock of a key; see npred.store.claims.held."""
+        return claims.held(self.root / ".locks" / f"{stage}-{key}.lock", waiting)
 
     @contextmanager
     def draft(self, stage: str, key: str) -> Iterator[Path]:
@@ -221,7 +221,7 @@ class Store:
                 if removable:
                     self.discard(path)
                 return removable
-        except locks.HeldError:
+        except claims.HeldError:
             return False
 
     def discard(self, path: Path) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from conftest import document, process_environment
 
-from npred.store import claims, locks
+from npred.store import claims
 
 
 def lock_files(root):
@@ -62,19 +62,19 @@ def test_gc_leaves_what_a_run_has_taken(call):
 
 def test_a_claim_that_is_taken_for_one_left_behind_is_made_again(tmp_path, monkeypatch):
     """Another process may lock and remove the file between its opening and its lock, or before that lock is there."""
-    held, moments = locks.held, iter(["held elsewhere", "removed"])
+    held, moments = claims.held, iter(["held elsewhere", "removed"])
 
     @contextmanager
     def disturbed(path, waiting=None):
         moment = next(moments, "")
         if moment == "held elsewhere":
-            raise locks.HeldError
+            raise claims.HeldError
         with held(path, waiting):
             if moment == "removed":
                 path.unlink()
             yield
 
-    monkeypatch.setattr(locks, "held", disturbed)
+    monkeypatch.setattr(claims, "held", disturbed)
     with claims.claimed(tmp_path) as claim:
         claim("a" * 64)
         assert claims.in_use(tmp_path) == {"a" * 64}
