@@ -41,7 +41,7 @@ def main() -> None:
     Of the processes that torchrun starts, the first does so and the others help it train.
     """
     interruption.listen()
-    streams.open_closed()
+    streams.prepare()
     set_threshold(MANY)
     if torchrun.count() > 1:
         torchrun.join()

@@ -5,8 +5,8 @@ import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 
-from rich.console import Console, RenderableType
-from rich.progress import Progress, ProgressColumn, Task
+from rich.console import Console, JustifyMethod, RenderableType
+from rich.progress import Progress, Task
 from rich.progress_bar import ProgressBar
 from rich.table import Column, Table
 from rich.text import Text
@@ -77,11 +77,15 @@ class LiveView(Progress):
         super().stop()
 
     def make_tasks_table(self, tasks: Iterable[Task]) -> Table:
-        """The rows as they stand: no wider than the screen, for a row that wraps cannot be rewritten."""
-        with self._lock:
-            self.columns = tuple(column for column in COLUMNS if any(column(task) for task in tasks))
-            table = super().make_tasks_table(tasks)
-        table.show_header, table.padding = True, (0, GAP, 0, 0)
+        """The rows as they stand, without columns whose cells are all empty.
+
+        No wider than the screen, where the bar yields: a row that wraps cannot be rewritten.
+        """
+        rows = [_cells(task) for task in tasks]
+        shown = [index for index in range(len(COLUMNS)) if any(row[index] for row in rows)]
+        table = Table(*(COLUMNS[index].copy() for index in shown), box=None, padding=(0, GAP, 0, 0), pad_edge=False)
+        for row in rows:
+            table.add_row(*(row[index] for index in shown))
         if self.heading:
             table.title, table.title_justify = Text(escaped(self.heading), "bold"), "left"
         return table
@@ -102,17 +106,24 @@ class LiveView(Progress):
         return task
 
 
-class Shown(ProgressColumn):
-    """A column of the view: its head, and what it shows of a task. Where the screen is narrow, flexible ones yield."""
+def _column(head: str, justify: JustifyMethod = "right", flexible: bool = False) -> Column:
+    return Column(head, header_style="dim", justify=justify, no_wrap=not flexible, overflow="crop")
 
-    def __init__(self, head: str, show: Callable[[Task], RenderableType], number: bool = True, flexible: bool = False):
-        justify = "right" if number else "left"
-        super().__init__(Column(head, header_style="dim", justify=justify, no_wrap=not flexible, overflow="crop"))
-        self.show = show
 
-    def render(self, task: Task) -> RenderableType:
-        """The cell; a column whose cells are all empty is left out."""
-        return self.show(task)
+COLUMNS = (
+    _column("", "left"), _column("stage", "left"), _column("", "left", flexible=True), _column("elapsed"),
+    _column("left"), _column("loss"), _column("ε sup"),
+)  # fmt: skip
+
+
+def _cells(task: Task) -> list[RenderableType]:
+    """The cells of a task's row, one for each of COLUMNS."""
+    state, runs = task.fields["state"], _runs(task)
+    elapsed = task.elapsed if runs else task.fields["seconds"]
+    left = task.time_remaining if runs and task.total else None  # from the rate of this run, not of an earlier one
+    name = Text(task.description, "dim" if state == "waiting" else "")
+    errors = [Text(task.fields[error]) for error in ("loss", "eps_sup")]
+    return [Text(*MARKS[state]), name, _progress(task), _clock(elapsed), _clock(left), *errors]
 
 
 def _progress(task: Task) -> RenderableType:
@@ -142,17 +153,3 @@ def _clock(seconds: float | None) -> Text:
 
 def _runs(task: Task) -> bool:
     return task.fields["state"] == "running"
-
-
-COLUMNS = (
-    Shown("", lambda task: Text(*MARKS[task.fields["state"]]), number=False),
-    Shown(
-        "stage", lambda task: Text(task.description, "dim" if task.fields["state"] == "waiting" else ""), number=False
-    ),
-    Shown("", _progress, number=False, flexible=True),
-    Shown("elapsed", lambda task: _clock(task.elapsed if _runs(task) else task.fields["seconds"])),
-    # from the rate of this run: what an earlier one did took no time of it
-    Shown("left", lambda task: _clock(task.time_remaining if _runs(task) and task.total else None)),
-    Shown("loss", lambda task: Text(task.fields["loss"])),
-    Shown("ε sup", lambda task: Text(task.fields["eps_sup"])),
-)

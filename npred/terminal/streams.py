@@ -9,8 +9,10 @@ import shutil
 import sys
 import textwrap
 import unicodedata
-from contextlib import suppress
-from typing import Any
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from io import TextIOWrapper
+from typing import TextIO, cast
 
 from npred.errors import NpredError
 from npred.json_files import escaped
@@ -21,18 +23,12 @@ def printable(text: str) -> str:
     return "\n".join(escaped(line) for line in text.split("\n"))
 
 
-def encodable(text: str, stream: Any) -> str:
-    """The text with the characters that the stream's encoding lacks spelt out, as \\u03b5."""
-    encoding = getattr(stream, "encoding", None) or "utf-8"
-    return text.encode(encoding, "backslashreplace").decode(encoding)
-
-
-def is_utf8(stream: Any) -> bool:
+def is_utf8(stream: TextIO) -> bool:
     """True if a stream takes any character; one without an encoding, in memory, does."""
     return (getattr(stream, "encoding", None) or "utf-8").lower().replace("-", "") == "utf8"
 
 
-def is_terminal(stream: Any) -> bool:
+def is_terminal(stream: TextIO | None) -> bool:
     """True if a stream is a screen; one that is closed is none."""
     try:
         return stream is not None and stream.isatty()
@@ -40,7 +36,7 @@ def is_terminal(stream: Any) -> bool:
         return False
 
 
-def width(stream: Any) -> int | None:
+def width(stream: TextIO | None) -> int | None:
     """The columns of the screen that a stream is, or None where it is none: nothing is folded for a file or a pipe."""
     return shutil.get_terminal_size().columns if is_terminal(stream) else None
 
@@ -60,10 +56,9 @@ def wrapped(text: str, limit: int | None) -> str:
 
 def _wrapped(line: str, limit: int) -> str:
     indent = line[: len(line) - len(line.lstrip())]
-    parts = textwrap.wrap(
+    return textwrap.fill(
         line, limit, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False, replace_whitespace=False
     )
-    return "\n".join(parts)
 
 
 def answer(text: str) -> None:
@@ -74,7 +69,7 @@ def answer(text: str) -> None:
     if sys.stdout is None:
         raise unwritable("a closed one")
     try:
-        sys.stdout.write(encodable(text, sys.stdout) + "\n")
+        sys.stdout.write(text + "\n")
         sys.stdout.flush()
     except BrokenPipeError:
         silence(sys.stdout)
@@ -92,7 +87,7 @@ def unwritable(reason: str | None) -> NpredError:
     return NpredError(f"stdout: expected a stream that takes the answer, got {reason}; {todo}")
 
 
-def silence(stream: Any) -> None:
+def silence(stream: TextIO) -> None:
     """Send what a stream still holds to nowhere: Python would fail to write it when it ends."""
     with suppress(OSError, ValueError):
         nowhere = os.open(os.devnull, os.O_WRONLY)
@@ -100,13 +95,20 @@ def silence(stream: Any) -> None:
         os.close(nowhere)
 
 
-def open_closed() -> None:
-    """Give a standard stream that is closed a file, or the next that is opened, a result's, would get its words."""
+def prepare() -> None:
+    """Give a standard stream that is closed a file, or the next that is opened, a result's, would get its words; spell
+    out the characters that the encoding of a stream lacks, as \\u03b5.
+    """
     for number in range(3):
         try:
             os.fstat(number)
         except OSError:
             os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free: this one
+    if sys.stderr is None:
+        sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
 
 
 class Messages:
@@ -119,31 +121,29 @@ class Messages:
 
     def write(self, text: str) -> int:
         """Write what can be written."""
-        return self._attempt(lambda: sys.stderr.write(encodable(text, sys.stderr)), len(text))
+        with _lossy():
+            sys.stderr.write(text)
+        return len(text)
 
     def flush(self) -> None:
         """Flush what can be flushed."""
-        self._attempt(lambda: sys.stderr.flush(), None)
+        with _lossy():
+            sys.stderr.flush()
 
     def isatty(self) -> bool:
         """True if it is a screen."""
         return is_terminal(sys.stderr)
 
-    def fileno(self) -> int:
-        """Its number. Raises OSError where it has none."""
-        if sys.stderr is None:
-            raise OSError("stderr is closed")
-        return sys.stderr.fileno()
 
-    def _attempt(self, call: Any, otherwise: Any) -> Any:
-        try:
-            return otherwise if sys.stderr is None else call()
-        except (OSError, ValueError):
-            silence(sys.stderr)
-            return otherwise
+@contextmanager
+def _lossy() -> Iterator[None]:
+    try:
+        yield
+    except (OSError, ValueError):
+        silence(sys.stderr)
 
 
-MESSAGES: Any = Messages()
+MESSAGES = cast(TextIO, Messages())
 
 
 def say(text: str) -> None:

@@ -162,7 +162,7 @@ def test_a_screen_without_its_signs_gets_plain_lines(monkeypatch: pytest.MonkeyP
         def isatty(self) -> bool:
             return True
 
-    monkeypatch.setattr(sys, "stderr", Latin(io.BytesIO(), encoding="latin-1"))
+    monkeypatch.setattr(sys, "stderr", Latin(io.BytesIO(), encoding="latin-1", errors="backslashreplace"))
     with Console().watch("tiny", ["generate"]), Console().bar("generate", 2, "steps") as bar:
         bar.advance(2, "ε sup 1")
     sys.stderr.seek(0)
