@@ -3,14 +3,13 @@
 import os
 import reprlib
 from numbers import Real
-from typing import Any
 
 import numpy as np
 
 from npred.errors import ConfigError, size
 
 
-def floats(name: str, value: Any, kind: str = "an array of real numbers") -> np.ndarray:
+def floats(name: str, value: object, kind: str = "an array of real numbers") -> np.ndarray:
     """The float64 array of real numbers. Raises ConfigError for text, dates, complex numbers, masked arrays, others.
 
     A masked value and the imaginary part of a complex one would be lost without a word, and a date has no unit.
@@ -26,7 +25,7 @@ def floats(name: str, value: Any, kind: str = "an array of real numbers") -> np.
     raise ConfigError(f"{name}: expected {kind}, got {_described(value)}; convert it")
 
 
-def number(name: str, value: Any) -> float:
+def number(name: str, value: object) -> float:
     """One real number, which may be infinite. Raises ConfigError for an array with axes and what `floats` refuses."""
     array = floats(name, value, "a real number")
     if array.ndim:
@@ -69,17 +68,17 @@ def _all(right: np.ndarray, array: np.ndarray, expected: str, cure: str) -> None
         raise ConfigError(f"{expected}, got {array[index]:g}{at}; {cure}")
 
 
-def _masked(value: Any) -> bool:
+def _masked(value: object) -> bool:
     """Whether the value is a masked array, or a list of some: np.asarray would take what is below the mask."""
     items = value if isinstance(value, list | tuple) else (value,)
     return any(isinstance(item, np.ma.MaskedArray) for item in items)
 
 
-def _is_real(item: Any) -> bool:
+def _is_real(item: object) -> bool:
     return isinstance(item, Real) and not isinstance(item, np.timedelta64)  # NumPy counts that among the integers
 
 
-def _described(value: Any) -> str:
+def _described(value: object) -> str:
     """The argument in words, on one line."""
     if _masked(value):
         return "a masked array"

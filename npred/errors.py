@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 from importlib import import_module
-from typing import Any
+from types import ModuleType
 
 
 class NpredError(Exception):
@@ -39,7 +39,7 @@ class DivergedError(NpredError):
     """A rollout, a predictor or a training left the finite numbers."""
 
 
-def required(what: str, module: str, package: str, extra: str) -> Any:
+def required(what: str, module: str, package: str, extra: str) -> ModuleType:
     """A module of an optional package, imported now. Raises MissingError, after `what` needs it, without it."""
     try:
         return import_module(module)

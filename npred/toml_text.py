@@ -3,15 +3,14 @@
 import json
 import re
 from collections.abc import Mapping
-from typing import Any
 
 
-def dumps(table: Mapping[str, Any]) -> str:
+def dumps(table: Mapping[str, object]) -> str:
     """The text whose tables are these; a key with the value None is left out, as TOML has no null."""
     return "\n".join(_lines(table, ())).strip() + "\n"
 
 
-def _lines(table: Mapping[str, Any], path: tuple[str, ...]) -> list[str]:
+def _lines(table: Mapping[str, object], path: tuple[str, ...]) -> list[str]:
     filled = {key: value for key, value in table.items() if value is not None}
     leaves = [f"{_key(key)} = {_value(value)}" for key, value in filled.items() if not isinstance(value, Mapping)]
     head = ["", f"[{'.'.join(map(_key, path))}]"] if path and (leaves or not filled) else []
@@ -25,7 +24,7 @@ def _key(key: str) -> str:
     return key if re.fullmatch("[A-Za-z0-9_-]+", key) else json.dumps(key, ensure_ascii=False)
 
 
-def _value(value: Any) -> str:
+def _value(value: object) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, str):

@@ -3,7 +3,6 @@
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing
 from pathlib import Path
-from typing import Any
 
 from npred.cli.options import Running, Work, writable_folder
 from npred.cli.report import free_path, publish, sign, write_figures
@@ -108,18 +107,18 @@ def _planner(options: Work, targets: list[str], borrows: bool = False) -> Planne
     return planner
 
 
-def _document(stages: Sequence[Step | Outcome], result: dict[str, Any] | None) -> dict[str, Any]:
+def _document(stages: Sequence[Step | Outcome], result: dict[str, object] | None) -> dict[str, object]:
     return {"stages": [_stage(stage) for stage in stages], "result": result}
 
 
-def _stage(stage: Step | Outcome) -> dict[str, Any]:
+def _stage(stage: Step | Outcome) -> dict[str, object]:
     model = {"model": stage.node.model} if stage.node.model else {}
     shared = {"stage": stage.node.stage, "key": stage.key, "action": stage.action}
     return shared | model | {"reason": stage.reason, "seconds": round(stage.seconds, 3)}
 
 
-def _result(final: list[Outcome]) -> dict[str, Any]:
-    merged: dict[str, Any] = {}
+def _result(final: list[Outcome]) -> dict[str, object]:
+    merged: dict[str, object] = {}
     for outcome in final:
         result = outcome.artifact.result()
         merged |= {outcome.node.model: result} if outcome.node.model else result

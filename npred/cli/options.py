@@ -1,12 +1,13 @@
 """The flags that commands share, each declared once, and how a flag is declared."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+from typer.models import ArgumentInfo, OptionInfo
 
 from npred import defaults
 from npred.cli import completion
@@ -23,7 +24,7 @@ if TYPE_CHECKING:  # pydantic and filelock come with these, which `npred --help`
 def flag(
     help: str, *names: str, word: str | None = None, offers: Complete | None = None, least: float | None = None,
     variable: str | None = None,
-) -> Any:  # fmt: skip
+) -> OptionInfo:  # fmt: skip
     """A flag for typer. `word` stands for its value in the help; the shell completes what `offers` returns.
 
     Its number is at least `least`; an environment `variable` replaces its default.
@@ -31,7 +32,7 @@ def flag(
     return typer.Option(*names, help=help, metavar=word, autocompletion=offers, min=least, envvar=variable)
 
 
-def argument(word: str | None, help: str, offers: Complete | None = None, default: bool | str = True) -> Any:
+def argument(word: str | None, help: str, offers: Complete | None = None, default: bool | str = True) -> ArgumentInfo:
     """An argument for typer, as `flag`; `default` says in words what a command takes without it."""
     return typer.Argument(metavar=word, help=help, autocompletion=offers, show_default=default)
 
@@ -57,7 +58,7 @@ class Common:
 
         return Store(self.store)
 
-    def show(self, document: dict[str, Any], text: Callable[[], str]) -> None:
+    def show(self, document: Mapping[str, object], text: Callable[[], str]) -> None:
         """The document with --json, else the text for people."""
         self.console.json(document) if self.json else self.console.out(text())
 

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from npred.cli.options import Common
@@ -44,7 +45,7 @@ def summary(document: dict[str, Any], width: int | None = None) -> str:
     return package("rows").summary([Reproduced.of(document, "result")], width)
 
 
-def package(module: str) -> Any:
+def package(module: str) -> ModuleType:
     """A module of npred_experiments. Raises MissingError without that package."""
     try:
         return import_module(f"npred_experiments.{module}")

@@ -3,7 +3,6 @@
 import csv
 import io
 from pathlib import Path
-from typing import Any
 
 from npred.cli import execute
 from npred.cli.options import Running, writable_folder
@@ -13,11 +12,13 @@ from npred.parallel import devices, executors
 from npred.pipeline import STAGES, CellRun, Outcome, Planner, Runner, nodes
 from npred.store import durable
 from npred.sweep import Cell, cells, sweep_table
+from npred.sweep.sweep_table import Row
 from npred.terminal.console import columns
 from npred.terminal.progress_bars import counted
 
 PRECISION = 4  # digits of the table that people read
 Done = list[tuple[Cell, CellRun]]
+Table = list[dict[str, str | float | None]]
 
 
 def sweep(options: Running, to: str, output: Path | None, csv: bool) -> None:
@@ -54,44 +55,45 @@ def _show_plan(options: Running, sweep_cells: list[Cell], targets: list[str], de
 
 def _report(options: Running, done: Done, output: Path | None, csv: bool) -> None:
     fine, lost = [(c, run) for c, run in done if not run.failure], [(c, run) for c, run in done if run.failure]
-    rows = _rows(fine)
-    files = _write(options, done[0][0].config.name, output, rows) if rows else []
+    rows = [row for cell, run in fine for row in sweep_table.rows(cell, run)]
+    table = _numbered(rows)
+    files = _write(options, done[0][0].config.name, output, rows, table) if rows else []
     if csv:
-        options.console.out(_csv(rows).rstrip("\n"))
+        options.console.out(_csv(table).rstrip("\n"))
     else:
-        options.show(_document(done, rows, files), lambda: _table(len(fine), rows, files, options.console.width))
+        options.show(_document(done, table, files), lambda: _text(len(fine), table, files, options.console.width))
     if lost:
         (cell, run), *more = lost
         others = f"; and {len(more)} more, as --json says" if more else ""
         raise NpredError(f"sweep: {len(lost)} of {len(done)} cells failed: {cell.name}: {run.failure}{others}")
 
 
-def _rows(done: Done) -> list[dict[str, Any]]:
-    rows = [row for cell, run in done for row in sweep_table.rows(cell, run)]
-    marked = zip(rows, sweep_table.front(rows), strict=True)
-    return [{"row": number, **row, "front": best} for number, (row, best) in enumerate(marked, 1)]
+def _numbered(rows: list[Row]) -> Table:
+    """The rows by column, with their number, and whether they are on the front."""
+    marked = zip(rows, sweep_table.front([row.numbers for row in rows]), strict=True)
+    return [{"row": number, **row.cells(), "front": best} for number, (row, best) in enumerate(marked, 1)]
 
 
-def _write(options: Running, name: str, output: Path | None, rows: list[dict[str, Any]]) -> list[Path]:
+def _write(options: Running, name: str, output: Path | None, rows: list[Row], table: Table) -> list[Path]:
     """table.csv, and front.svg and front.png where there are two quantities to draw."""
     folder = output or free_path(options, name, lambda name: Path(f"sweep-{name}"))
     with durable.room(folder):
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / "table.csv").write_text(_csv(rows), encoding="utf-8")
+        (folder / "table.csv").write_text(_csv(table), encoding="utf-8")
         if output is None:
             sign(options, folder)
         return [folder / "table.csv", *sweep_table.draw(folder, rows)]
 
 
-def _csv(rows: list[dict[str, Any]]) -> str:
+def _csv(table: Table) -> str:
     text = io.StringIO()
-    writer = csv.DictWriter(text, list(rows[0]) if rows else [], lineterminator="\n")
+    writer = csv.DictWriter(text, list(table[0]) if table else [], lineterminator="\n")
     writer.writeheader()
-    writer.writerows(rows)
+    writer.writerows(table)
     return text.getvalue()
 
 
-def _document(done: Done, rows: list[dict[str, Any]], files: list[Path]) -> dict[str, Any]:
+def _document(done: Done, table: Table, files: list[Path]) -> dict[str, object]:
     listed = [
         {
             "set": cell.values, "state": "failed" if run.failure else "done", "error": run.failure or None,
@@ -100,23 +102,23 @@ def _document(done: Done, rows: list[dict[str, Any]], files: list[Path]) -> dict
         for cell, run in done
     ]  # fmt: skip
     count = sum(not run.failure for _, run in done)
-    return {"total": len(done), "done": count, "cells": listed, "rows": rows, "files": [str(file) for file in files]}
+    return {"total": len(done), "done": count, "cells": listed, "rows": table, "files": [str(file) for file in files]}
 
 
-def _stage(outcome: Outcome) -> dict[str, Any]:
+def _stage(outcome: Outcome) -> dict[str, object]:
     shared = {"stage": outcome.node.stage, "model": outcome.node.model, "action": outcome.action}
     return shared | {"seconds": round(outcome.seconds, 3), "key": outcome.key}
 
 
-def _table(done: int, rows: list[dict[str, Any]], files: list[Path], width: int | None) -> str:
-    if not rows:
+def _text(done: int, table: Table, files: list[Path], width: int | None) -> str:
+    if not table:
         return f"done: {counted(done, 'cells')}; rows come from train on" if done else "no cell is done"
-    shown = [name for name in rows[0] if any(row[name] is not None for row in rows)]
-    table = columns(shown, [[_cell(row[name]) for name in shown] for row in rows], width)
-    return "\n".join([table, *map(str, files)])
+    shown = [name for name in table[0] if any(row[name] is not None for row in table)]
+    text = columns(shown, [[_cell(row[name]) for name in shown] for row in table], width)
+    return "\n".join([text, *map(str, files)])
 
 
-def _cell(value: Any) -> str:
+def _cell(value: object) -> str:
     if isinstance(value, bool):
         return "*" if value else ""
     return f"{value:.{PRECISION}g}" if isinstance(value, float) else "∞" if value is None else str(value)

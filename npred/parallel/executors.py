@@ -20,16 +20,20 @@ from functools import partial
 from itertools import islice
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, ParamSpec, TypeVar
 
 from npred.errors import ConfigError, NpredError, first_line, required
 from npred.terminal import interruption
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 LOCAL = "local"
 ANSWER = 10  # seconds that a scheduler may take to answer
 BEAT = 0.2  # s between two looks for a signal
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+Parameters = ParamSpec("Parameters")
 
 
 class Workers(Executor):
@@ -95,9 +99,11 @@ class Here(Workers):
 
     count = 1
 
-    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+    def submit(
+        self, fn: Callable[Parameters, Result], /, *args: Parameters.args, **kwargs: Parameters.kwargs
+    ) -> Future[Result]:
         """The future of a call that is over."""
-        future: Future[Any] = Future()
+        future: Future[Result] = Future()
         try:
             future.set_result(fn(*args, **kwargs))
         except Exception as error:
@@ -121,9 +127,11 @@ class Processes(Workers):
         self._changing, self._closed = threading.Lock(), False
         self._pool, self._leash = self._fresh()
 
-    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+    def submit(
+        self, fn: Callable[Parameters, Result], /, *args: Parameters.args, **kwargs: Parameters.kwargs
+    ) -> Future[Result]:
         """The future of a call in one of the processes."""
-        outcome: Future[Any] = Future()
+        outcome: Future[Result] = Future()
         self._start(partial(fn, *args, **kwargs), outcome, retries=1)
         return outcome
 
@@ -133,7 +141,7 @@ class Processes(Workers):
         self._pool.shutdown(wait=wait, cancel_futures=cancel_futures)
         self._leash.close()
 
-    def _start(self, call: Callable[[], Any], outcome: Future[Any], retries: int) -> None:
+    def _start(self, call: Callable[[], Result], outcome: Future[Result], retries: int) -> None:
         pool = self._pool
         with _deaf():
             try:
@@ -144,19 +152,19 @@ class Processes(Workers):
         inner.add_done_callback(lambda done: self._finish(done, call, outcome, pool, retries))
 
     def _finish(
-        self, done: Future[Any], call: Callable[[], Any], outcome: Future[Any], pool: Executor, retries: int
+        self, done: Future[Result], call: Callable[[], Result], outcome: Future[Result], pool: Executor, retries: int
     ) -> None:
         error = CancelledError() if done.cancelled() else done.exception()
         if not isinstance(error, BrokenExecutor):
-            _settle(outcome, error, None if error else done.result())
+            _settle(outcome, error, done)
         elif retries and not self._closed and not outcome.cancelled():
             self._replace(pool)
             try:
                 self._start(call, outcome, retries - 1)
             except RuntimeError as lost:  # the fresh pool is closed or broken already: somebody may wait
-                _settle(outcome, lost, None)
+                _settle(outcome, lost, done)
         else:
-            _settle(outcome, NpredError("expected processes that live, got one killed twice; use fewer --jobs"), None)
+            _settle(outcome, NpredError("expected processes that live, got one killed twice; use fewer --jobs"), done)
 
     def _replace(self, broken: Executor) -> ProcessPoolExecutor:
         """A fresh pool for a broken one: once, however many of its tasks ask."""
@@ -184,12 +192,13 @@ def _deaf() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _settle(outcome: Future[Any], error: BaseException | None, result: Any) -> None:
+def _settle(outcome: Future[Result], error: BaseException | None, done: Future[Result]) -> None:
+    """Give a future this error, or without one what the other future has."""
     if outcome.set_running_or_notify_cancel():
         if error:
             outcome.set_exception(error)
         else:
-            outcome.set_result(result)
+            outcome.set_result(done.result())
 
 
 def _end_with_leash(end: Connection) -> None:
@@ -209,17 +218,19 @@ class Cluster(Workers):
 
     remote = True
 
-    def __init__(self, client: Any) -> None:
+    def __init__(self, client: "Client") -> None:
         self._client, self._inner = client, client.get_executor(pure=False)
 
     @property
     def count(self) -> int:  # type: ignore[override]
         """The threads of all workers now: they come and go."""
-        return max(sum(self._client.nthreads().values()), 1)
+        return max(sum(self._client.nthreads().values()), 1)  # type: ignore[union-attr]
 
-    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+    def submit(
+        self, fn: Callable[Parameters, Result], /, *args: Parameters.args, **kwargs: Parameters.kwargs
+    ) -> Future[Result]:
         """The future of a call on one of the workers."""
-        outcome: Future[Any] = Future()
+        outcome: Future[Result] = Future()
         inner = self._inner.submit(fn, *args, **kwargs)
         outcome.add_done_callback(lambda done: done.cancelled() and inner.cancel())
         inner.add_done_callback(lambda done: _pass_on(done, outcome))
@@ -231,14 +242,14 @@ class Cluster(Workers):
         self._client.close()
 
 
-def _pass_on(done: Future[Any], outcome: Future[Any]) -> None:
+def _pass_on(done: Future[Result], outcome: Future[Result]) -> None:
     """The outcome of a task of the cluster; its own failures in one line each."""
     error = CancelledError() if done.cancelled() else done.exception()
     if isinstance(error, CancelledError):
         error = NpredError("--executor: expected a scheduler that stays up, lost it; start it and run the same again")
     elif type(error).__name__ == "KilledWorker":
         error = NpredError(f"--executor: expected workers that live, got: {error}; give them more memory")
-    _settle(outcome, error, None if error else done.result())
+    _settle(outcome, error, done)
 
 
 def _executor(spec: str, jobs: int) -> Workers:

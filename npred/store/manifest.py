@@ -31,7 +31,7 @@ _ENCODER = json.JSONEncoder(
 )
 
 
-def canonical(value: Any) -> str:
+def canonical(value: object) -> str:
     """JSON with sorted keys and no spaces: one text per value, a part of a manifest as the table of its fields.
 
     Raises ValueError for NaN and infinities.
@@ -39,7 +39,7 @@ def canonical(value: Any) -> str:
     return _ENCODER.encode(value)
 
 
-def sha256(value: Any) -> str:
+def sha256(value: object) -> str:
     """The sha256 of a value's canonical JSON, in hexadecimal."""
     return hashlib.sha256(canonical(value).encode()).hexdigest()
 

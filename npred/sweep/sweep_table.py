@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -19,6 +19,9 @@ from npred.results import Benched, Contender, Evaluated, Trained, ranked
 from npred.results.evaluate import Scores
 from npred.sweep import Cell
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
 AXES = {
     "eps_sup": "sup error ε",
     "latency_us": "µs per call",
@@ -27,10 +30,24 @@ AXES = {
 PAIRS = (("latency_us", "eps_sup"), ("eps_sup", "radius_worst"), ("latency_us", "radius_worst"))
 NAMED = 20  # points of the front that have their row of the table beside them
 SMALLEST = 1e-16  # where a radius of 0 is drawn on a logarithmic axis
+Numbers = Mapping[str, float | None]  # by column; None for what is not known, and for what is not finite
 
 
-def rows(cell: Cell, run: CellRun) -> Iterator[dict[str, Any]]:
-    """The cell's values, the network, its errors, radius and latency, and the artifact that says so.
+class Row(NamedTuple):
+    """A trained network of a cell: the cell's values, its errors, radius and latency, and the artifact that says so."""
+
+    values: Mapping[str, str]
+    model: str
+    numbers: Numbers
+    artifact: str
+
+    def cells(self) -> dict[str, str | float | None]:
+        """All of them by column."""
+        return {**self.values, "model": self.model, **self.numbers, "artifact": self.artifact}
+
+
+def rows(cell: Cell, run: CellRun) -> Iterator[Row]:
+    """A row for each network of a cell.
 
     Errors and radius are of the evaluate stage, or of the network's training where that is all that ran; the
     latency, in µs, is the fastest runtime's for one call at the bench stage's first dx.
@@ -41,7 +58,7 @@ def rows(cell: Cell, run: CellRun) -> Iterator[dict[str, Any]]:
     for contender, measured in _measured(run, folders).items():
         numbers = _numbers(measured) | {"latency_us": _latency(benched, contender, cell.config.bench.dx[0])}
         source = list(artifacts)[-1] if "evaluate" in artifacts else contender.model
-        yield {**cell.values, "model": contender.name, **numbers, "artifact": artifacts[source].name}
+        yield Row(cell.values, contender.name, numbers, artifacts[source].name)
 
 
 def _measured(run: CellRun, folders: dict[str, Path]) -> dict[Contender, Scores] | dict[Contender, Trained]:
@@ -52,7 +69,6 @@ def _measured(run: CellRun, folders: dict[str, Path]) -> dict[Contender, Scores]
 
 
 def _numbers(measured: Scores | Trained) -> dict[str, float | None]:
-    """By column; None for what is not known, and for what is not finite."""
     numbers = {"mse": measured.mse, "eps_sup": measured.eps_sup}
     if isinstance(measured, Scores):
         radius = measured.radius
@@ -76,8 +92,8 @@ def dominated(points: np.ndarray) -> np.ndarray:
     return beaten
 
 
-def front(rows: Sequence[Mapping[str, Any]]) -> list[bool]:
-    """One boolean per row: it is on the front of those of error, latency and radius that are known.
+def front(rows: Sequence[Numbers]) -> list[bool]:
+    """One boolean per row of a table: it is on the front of those of error, latency and radius that are known.
 
     A loop that is lost or an error that is not finite (None) is beaten by any number, and never on the front.
     """
@@ -88,51 +104,50 @@ def front(rows: Sequence[Mapping[str, Any]]) -> list[bool]:
     return (~dominated(points) & np.isfinite(points).all(axis=1)).tolist()
 
 
-def measured_axes(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+def measured_axes(rows: Sequence[Numbers]) -> list[str]:
     """The axes of which some row has a number."""
     return [axis for axis in AXES if any(row[axis] is not None for row in rows)]
 
 
-def draw(folder: Path, rows: Sequence[Mapping[str, Any]]) -> list[Path]:
+def draw(folder: Path, rows: Sequence[Row]) -> list[Path]:
     """Write front.svg and front.png, a panel for each two axes that are known; no figure where one alone is.
 
-    The numbers in it are the `row` of the table.
+    The numbers in it count the rows, from 1.
     """
-    pairs = [pair for pair in PAIRS if set(pair) <= set(measured_axes(rows))]
+    known = measured_axes([row.numbers for row in rows])
+    pairs = [pair for pair in PAIRS if set(pair) <= set(known)]
     if not pairs:
         return []
     panels = tuple(
         Panel(f"{AXES[y]} versus {AXES[x]}", _alt(rows, x, y), partial(_panel, rows, x, y)) for x, y in pairs
     )
     caption = "One point per row of the table; the line is the front, and its numbers are the table's rows."
-    figures.write(
-        Plate("front", "The front", caption, panels, keys(_contenders(rows).values())),
-        folder,
-    )
+    figures.write(Plate("front", "The front", caption, panels, keys(_contenders(rows).values())), folder)
     return [folder / "front.svg", folder / "front.png"]
 
 
-def _contenders(rows: Sequence[Mapping[str, Any]]) -> dict[str, Contender]:
-    contenders = ranked(Contender.parse(model) for model in dict.fromkeys(row["model"] for row in rows))
+def _contenders(rows: Sequence[Row]) -> dict[str, Contender]:
+    contenders = ranked(Contender.parse(model) for model in dict.fromkeys(row.model for row in rows))
     return {contender.name: contender for contender in contenders}
 
 
-def _alt(rows: Sequence[Mapping[str, Any]], x: str, y: str) -> str:
-    shown = [row for row in rows if row[x] is not None and row[y] is not None]
+def _alt(rows: Sequence[Row], x: str, y: str) -> str:
+    shown = [row for row in rows if None not in (row.numbers[x], row.numbers[y])]
     return f"{len(shown)} networks by {AXES[x]} and {AXES[y]}."
 
 
-def _panel(rows: Sequence[Mapping[str, Any]], x: str, y: str, axis: Any) -> None:
-    shown = [k for k, row in enumerate(rows) if row[x] is not None and row[y] is not None]
-    points = np.maximum([[rows[k][x], rows[k][y]] for k in shown], SMALLEST).reshape(-1, 2)
+def _panel(rows: Sequence[Row], x: str, y: str, axis: "Axes") -> None:
+    shown = [(k, row) for k, row in enumerate(rows, 1) if None not in (row.numbers[x], row.numbers[y])]
+    points = np.array([[row.numbers[x], row.numbers[y]] for _, row in shown], dtype=float).reshape(-1, 2)
+    points = np.maximum(points, SMALLEST)
     best = ~dominated(points)
     contenders = _contenders(rows)
-    for model in dict.fromkeys(rows[k]["model"] for k in shown):
-        of_model = np.array([rows[k]["model"] == model for k in shown])
+    for model in dict.fromkeys(row.model for _, row in shown):
+        of_model = np.array([row.model == model for _, row in shown])
         axis.plot(*points[of_model].T, "o", color=look(contenders[model]).colour)
     order = np.flatnonzero(best)[np.argsort(points[best, 0])]
     axis.plot(*points[order].T, color=ROLES["muted"][0], zorder=0, drawstyle="steps-post")
     for k in order[:NAMED]:
-        axis.annotate(str(rows[shown[k]]["row"]), points[k], xytext=(4, 3), textcoords="offset points")
+        axis.annotate(str(shown[k][0]), tuple(points[k]), xytext=(4, 3), textcoords="offset points")
     axis.set_xlabel(AXES[x])
     log(axis, "x", "y")

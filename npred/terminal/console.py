@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import zip_longest
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from npred.json_files import escaped
 from npred.terminal import interruption, streams
@@ -50,7 +50,7 @@ class Console:
         """Data for stdout, its lines folded to the screen. Raises NpredError where stdout is closed or full."""
         streams.answer(streams.wrapped(streams.printable(text), self.width))
 
-    def json(self, document: Any) -> None:
+    def json(self, document: object) -> None:
         """One JSON document on stdout, with escapes for what a terminal obeys. Raises NpredError as `out` does."""
         text = json.dumps(document, indent=2, ensure_ascii=not streams.is_utf8(sys.stdout), allow_nan=False)
         streams.answer("".join(c if c.isprintable() or c == "\n" else json.dumps(c)[1:-1] for c in text))

@@ -1,7 +1,6 @@
 """The rows of a sweep's table, and the front: what no other row beats in every quantity that is known."""
 
 from pathlib import Path
-from typing import Any
 
 import fake_stages
 import numpy as np
@@ -13,7 +12,7 @@ from result_samples import BENCHED, SCORES, evaluated, timing
 from npred.pipeline import STAGES, Planner, Runner
 from npred.store import Store
 from npred.sweep import cells, sweep_table
-from npred.sweep.sweep_table import rows
+from npred.sweep.sweep_table import Row, rows
 from npred.terminal.console import Console
 
 
@@ -46,15 +45,17 @@ def test_a_row_has_errors_radius_and_the_fastest_runtime(
     (run, _) = Runner(Console(quiet=True), 1).sweep(planners, ["evaluate", "bench"])
     (fno, snapshot) = rows(grid[0], run)
     numbers = {"mse": 0.1, "eps_sup": 0.2, "eps_kappa": 0.3, "radius": 1.0, "radius_worst": None, "converged": 0.5}
-    assert fno == {"seed": "3", "model": "fno", **numbers, "latency_us": 5.0, "artifact": fno["artifact"]}
-    assert fno["artifact"].startswith("bench/")
-    assert (snapshot["model"], snapshot["latency_us"]) == ("fno@7", None)
+    assert fno.cells() == {"seed": "3", "model": "fno", **numbers, "latency_us": 5.0, "artifact": fno.artifact}
+    assert fno.artifact.startswith("bench/")
+    assert (snapshot.model, snapshot.numbers["latency_us"]) == ("fno@7", None)
 
 
-def row(
-    eps: float | None, latency: float | None = None, radius: float | None = None, number: int = 1
-) -> dict[str, Any]:
-    return {"row": number, "model": "fno", "eps_sup": eps, "latency_us": latency, "radius_worst": radius}
+def row(eps: float | None, latency: float | None = None, radius: float | None = None) -> dict[str, float | None]:
+    return {"eps_sup": eps, "latency_us": latency, "radius_worst": radius}
+
+
+def networks(rows: list[dict[str, float | None]]) -> list[Row]:
+    return [Row({}, "fno", numbers, "evaluate/0123456789ab") for numbers in rows]
 
 
 def test_the_front_of_errors_and_latencies():
@@ -80,11 +81,11 @@ def test_every_point_that_is_dominated_is_so_by_one_that_is_not(points: list[tup
 
 
 def test_a_panel_for_each_pair_that_is_known_and_the_same_bytes(tmp_path: Path):
-    rows = [row(1.0, 5.0, 0.0, 1), row(0.5, 9.0, 2.0, 2), row(0.5, None, None, 3)]
+    rows = [row(1.0, 5.0, 0.0), row(0.5, 9.0, 2.0), row(0.5, None, None)]
     written = []
     for _ in range(2):
-        assert sweep_table.draw(tmp_path, rows) == [tmp_path / "front.svg", tmp_path / "front.png"]
+        assert sweep_table.draw(tmp_path, networks(rows)) == [tmp_path / "front.svg", tmp_path / "front.png"]
         written.append((tmp_path / "front.svg").read_bytes())
     assert written[0] == written[1]
     assert written[0].decode().count("<!-- µs per call -->") == 2
-    assert sweep_table.draw(tmp_path, [row(1.0), row(2.0)]) == []
+    assert sweep_table.draw(tmp_path, networks([row(1.0), row(2.0)])) == []
