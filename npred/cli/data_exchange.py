@@ -1,9 +1,9 @@
 """`npred import`, and `npred export` of data: samples from and for other programs."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -20,7 +20,20 @@ from npred.store import durable
 RELATIVE = 0.05  # residual over what P moves: Euler's method leaves a third of it at dx = 0.01
 START = 1e-3  # of P(0) from X, in units of the state: files in single precision round a state of 1000 by less
 CELL = 0.5  # of a cell of the grid: by how much the delay that fits best may be off
-SHUFFLED = 0.1  # of interop.together
+SHUFFLED = 0.1  # of exchange.together
+Checks = dict[str, Any]  # of exchange.checks: numbers by state, and one
+
+
+class Split(NamedTuple):
+    """How many rows are held out, and how many deviations away the nearest training row is."""
+
+    held_out: int
+    nearest: float
+
+    @classmethod
+    def of(cls, data: Dataset, test: np.ndarray) -> Self:
+        """The split that holds out these rows (N,)."""
+        return cls(int(test.sum()), exchange.nearest(data, test))
 
 
 def bring(
@@ -34,13 +47,22 @@ def bring(
     plant = plants.resolve(plant_name)
     family_of(plant).needs("import")
     data = exchange.part(plant, exchange.read(inputs), exchange.read(outputs), rollouts)
-    answers = {"checks": exchange.checks(plant, data), "splits": _splits(data, rollouts)}
-    for line in _doubts(answers, data.u.shape[1]):
+    nx, checks = data.u.shape[1], exchange.checks(plant, data)
+    splits = {"rows": Split.of(data, exchange.split(len(data), None)[1])}
+    together = exchange.together(data) if rollouts else None
+    if rollouts:
+        splits["rollouts"] = Split.of(data, data.test)
+    for line in _doubts(checks, together, nx):
         options.console.warn(line)
     with durable.room(output):
         data.write(writable(output), attributes(plant, "imported"))
-    document = {"file": str(output), "plant": plant.name, "samples": len(data), "nx": data.u.shape[1], **answers}
-    options.show(plain(document), lambda: _summary(document))
+    measured = {name: split._asdict() for name, split in splits.items()}
+    document = {
+        "file": str(output), "plant": plant.name, "samples": len(data), "nx": nx, "checks": checks,
+        "splits": measured if together is None else measured | {"together": together},
+    }  # fmt: skip
+    first = f"{output}: {len(data)} samples on {nx} nodes for plant {plant.name}"
+    options.show(plain(document), lambda: "\n".join([first, *_summary(output, checks, splits)]))
 
 
 def export(options: Common, form: str, spec: str, output: Path | None) -> None:
@@ -79,18 +101,7 @@ def _mat(source: Path, data: Dataset, path: Path) -> list[Path]:
 WRITERS: dict[str, Callable[[Path, Dataset, Path], list[Path]]] = {"npy": _npy, "hdf5": _hdf5, "mat": _mat}
 
 
-def _splits(data: Dataset, rollouts: int | None) -> dict[str, Any]:
-    """Both splits: the rows held out, and how near the nearest training row is."""
-    _, test = exchange.split(len(data), None)
-    splits: dict[str, Any] = {"rows": {"held_out": int(test.sum()), "nearest": exchange.nearest(data, test)}}
-    if rollouts:
-        splits["rollouts"] = {"held_out": int(data.test.sum()), "nearest": exchange.nearest(data, data.test)}
-        splits["together"] = exchange.together(data)
-    return splits
-
-
-def _doubts(answers: dict[str, Any], nx: int) -> list[str]:
-    checks = answers["checks"]
+def _doubts(checks: Checks, together: float | None, nx: int) -> list[str]:
     lines = [
         f"{state}: P = X + D_hat ∫ f(P, u) leaves {100 * relative:.3g} % of what P moves: is it another plant?"
         for state, relative in checks["relative"].items()
@@ -105,27 +116,20 @@ def _doubts(answers: dict[str, Any], nx: int) -> list[str]:
         lines.append(
             f"P fits {checks['horizon']:.4f} D_hat better: do the nodes end at x = 1? Expected linspace(0, 1, nx)"
         )
-    if answers["splits"].get("together", 1.0) < SHUFFLED:
+    if together is not None and together < SHUFFLED:
         lines.append("the rows look shuffled: no nearer to their rollout than by chance; leave out --rollouts")
     return lines
 
 
-def _summary(document: dict[str, Any]) -> str:
-    checks, splits = document["checks"], document["splits"]
-    lines = [
-        f"{document['file']}: {document['samples']} samples on {document['nx']} nodes for plant {document['plant']}",
-        f"sup |P(0) - X|: {_by_state(checks['start'])}",
-        f"sup residual of P = X + D_hat ∫ f(P, u): {_by_state(checks['residual'])}",
-        f"rms of it over rms of P - X: {_by_state(checks['relative'])}; P fits {checks['horizon']:.4f} D_hat best",
-    ]
-    for name in ("rows", "rollouts"):
-        if name in splits:
-            lines.append(
-                f"split by {name}: {splits[name]['held_out']} rows held out, the nearest training row "
-                f"{splits[name]['nearest']:.3g} deviations away"
-            )
-    used = "rollouts" if "rollouts" in splits else "rows; with --rollouts N, by rollout"
-    return "\n".join([*lines, f'held out in the file: by {used}\nuse it: data = "{document["file"]}" below [generate]'])
+def _summary(output: Path, checks: Checks, splits: dict[str, Split]) -> Iterator[str]:
+    yield f"sup |P(0) - X|: {_by_state(checks['start'])}"
+    yield f"sup residual of P = X + D_hat ∫ f(P, u): {_by_state(checks['residual'])}"
+    yield f"rms of it over rms of P - X: {_by_state(checks['relative'])}; P fits {checks['horizon']:.4f} D_hat best"
+    for name, split in splits.items():
+        away = f"the nearest training row {split.nearest:.3g} deviations away"
+        yield f"split by {name}: {split.held_out} rows held out, {away}"
+    yield f"held out in the file: by {'rollouts' if 'rollouts' in splits else 'rows; with --rollouts N, by rollout'}"
+    yield f'use it: data = "{output}" below [generate]'
 
 
 def _by_state(values: dict[str, float]) -> str:

@@ -48,7 +48,7 @@ def gc(
 
     Raises ConfigError where no pipeline says what stays.
     """
-    limit, since = size(keep), time.time() - older * DAY
+    limit, since = to_bytes(keep), time.time() - older * DAY
     _check_marker(options.results)
     plan = _plan(options.results, _kept(options, pipelines, set, device), limit, since)
     deleted = [str(path) for path in _delete(options.results, plan)] if yes else []
@@ -94,8 +94,8 @@ def _check_marker(store: Store) -> None:
 def _kept(options: Common, pipelines: list[Path], sets: list[str], device: str) -> Kept:
     store = options.results
     paths = [defaults.pipeline(path) for path in pipelines] or sorted(defaults.PIPELINE.parent.glob("*.toml"))
-    named = {path.resolve() for path in paths}
-    remembered = [root for root in gc_roots.registered(store.root) if root.file not in named]
+    files = {path.resolve() for path in paths}
+    remembered = [root for root in gc_roots.registered(store.root) if root.file not in files]
     if not paths and not remembered:
         raise ConfigError(
             f"gc: expected pipelines whose results stay, found none in {defaults.PIPELINE.parent}/ and none that this "
@@ -154,7 +154,7 @@ def _broken(store: Store, broken: list[Path], kept: Kept, since: float) -> Itera
             yield Waste(path, _bytes(path), "left by a run that ended early")
 
 
-def size(text: str | None) -> int:
+def to_bytes(text: str | None) -> int:
     """The bytes meant by `500M` or `2.5G`, powers of ten; -1 for None. Raises ConfigError for other words."""
     if text is None:
         return -1

@@ -3,7 +3,6 @@
 import time
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
 from npred.cli import reproduce
 from npred.cli.options import Common, Planned
@@ -13,7 +12,6 @@ from npred.pipeline import STAGES, Step, experiments, nodes, usual
 from npred.pipeline.reasons import changes, differences, flat
 from npred.store import Artifact, short
 from npred.store.manifest import NAME
-from npred.terminal.console import columns
 
 
 def status(options: Planned, check: bool) -> None:
@@ -24,7 +22,7 @@ def status(options: Planned, check: bool) -> None:
             step.artifact.verify()
     rows = [[s.node.title, short(s.key or "-"), s.state, s.reason.removeprefix(f"{s.state}: ")] for s in steps]
     document = {"stages": [_step(step) for step in steps]}
-    options.show(document, lambda: columns(["stage", "key", "state", "reason"], rows, options.console.width))
+    options.show_table(document, ["stage", "key", "state", "reason"], rows)
     late = [step.node.title for step in steps if step.state != "fresh"]
     if check and late:
         raise UnmetError(f"expected every stage fresh, got {', '.join(late)} not; run npred run {options.pipeline}")
@@ -76,7 +74,7 @@ def ls(options: Common, shown: list[str]) -> None:
         for a, s in zip(artifacts, settings, strict=True)
     ]
     entries = [_entry(a) | {"settings": s} for a, s in zip(artifacts, settings, strict=True)]
-    options.show({"artifacts": entries}, lambda: columns(header, rows, options.console.width))
+    options.show_table({"artifacts": entries}, header, rows)
 
 
 def diff(options: Common, a: str, b: str) -> None:
@@ -112,10 +110,12 @@ def plants(options: Common) -> None:
     for broken in (p for p in listed if "error" in p):
         options.console.warn(broken["error"])
     sound = [p for p in listed if "error" not in p]
-    rows = [[p["name"], ", ".join(p["states"]), ", ".join(p["inputs"]), _assignments(p)] for p in sound]
-    options.show(
-        {"plants": listed}, lambda: columns(["plant", "states", "inputs", "parameters"], rows, options.console.width)
-    )
+    parameters = [" ".join(f"{name}={value:g}" for name, value in p["parameters"].items()) for p in sound]
+    rows = [
+        [p["name"], ", ".join(p["states"]), ", ".join(p["inputs"]), values]
+        for p, values in zip(sound, parameters, strict=True)
+    ]
+    options.show_table({"plants": listed}, ["plant", "states", "inputs", "parameters"], rows)
 
 
 def check(options: Common, plant: str, delay: float | None, nodes: int | None) -> None:
@@ -128,15 +128,15 @@ def check(options: Common, plant: str, delay: float | None, nodes: int | None) -
     fine = diagnosis.settled(answers)
     rows = [[*answer] for answer in answers]
     document = {"plant": plant, "fine": fine, "answers": [answer._asdict() for answer in answers]}
-    options.show(document, lambda: columns(["question", "answer", "found"], rows, options.console.width))
+    options.show_table(document, ["question", "answer", "found"], rows)
     if not fine:
         failed = ", ".join(answer.check for answer in answers if answer.verdict == "no")
         raise UnmetError(f"plants check {plant}: expected no answer of no, got {failed}; the table says what to change")
 
 
-def _step(step: Step) -> dict[str, Any]:
+def _step(step: Step) -> dict[str, object]:
     model = {"model": step.node.model} if step.node.model else {}
-    return {"stage": step.node.stage, "key": step.key, "state": step.state} | model | {"reason": step.reason}
+    return {"stage": step.node.stage, "key": step.key, "state": step.state, **model, "reason": step.reason}
 
 
 def _latest(options: Common) -> Artifact:
@@ -146,12 +146,13 @@ def _latest(options: Common) -> Artifact:
     return artifacts[-1]
 
 
-def _entry(artifact: Artifact) -> dict[str, Any]:
-    manifest = artifact.manifest
-    entry = {"stage": manifest.question.stage, "model": manifest.question.model, "key": manifest.key}
-    more = {"pipeline": manifest.pipeline, "digest": manifest.digest, "bytes": artifact.size}
-    time_made = datetime.fromtimestamp(artifact.made, UTC).isoformat()
-    return entry | more | {"folder": str(artifact.folder), "made": time_made}
+def _entry(artifact: Artifact) -> dict[str, object]:
+    manifest, time_made = artifact.manifest, datetime.fromtimestamp(artifact.made, UTC).isoformat()
+    return {
+        "stage": manifest.question.stage, "model": manifest.question.model, "key": manifest.key,
+        "pipeline": manifest.pipeline, "digest": manifest.digest, "bytes": artifact.size,
+        "folder": str(artifact.folder), "made": time_made,
+    }  # fmt: skip
 
 
 def _row(artifact: Artifact) -> list[str]:
@@ -182,7 +183,7 @@ def _facts(artifact: Artifact) -> str:
     return "\n".join([*lines, *inputs, *code, *settings, f"  made with {circumstances}"])
 
 
-def _summary(stage: str, result: dict[str, Any], width: int | None = None) -> str:
+def _summary(stage: str, result: dict[str, object], width: int | None = None) -> str:
     """A result that somebody else sent may be of a stage, or of a form, that this npred does not have."""
     result = escaped(result)
     try:
@@ -190,7 +191,3 @@ def _summary(stage: str, result: dict[str, Any], width: int | None = None) -> st
         return written(result, width)
     except (LookupError, NpredError):
         return "\n".join(changes({}, result)).replace(": unset ->", " =")
-
-
-def _assignments(plant: dict[str, Any]) -> str:
-    return " ".join(f"{name}={value:g}" for name, value in plant["parameters"].items())

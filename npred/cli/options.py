@@ -1,6 +1,6 @@
 """The flags that commands share, each declared once, and how a flag is declared."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -13,7 +13,7 @@ from npred import defaults
 from npred.cli import completion
 from npred.cli.completion import Complete
 from npred.errors import ConfigError
-from npred.terminal.console import Console
+from npred.terminal.console import Console, columns
 
 if TYPE_CHECKING:  # pydantic and filelock come with these, which `npred --help` has no use for
     from npred.config import Pipeline
@@ -61,6 +61,10 @@ class Common:
     def show(self, document: Mapping[str, object], text: Callable[[], str]) -> None:
         """The document with --json, else the text for people."""
         self.console.json(document) if self.json else self.console.out(text())
+
+    def show_table(self, document: Mapping[str, object], header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+        """The document with --json, else a table for people."""
+        self.show(document, lambda: columns(header, rows, self.console.width))
 
 
 PIPELINE = argument(

@@ -101,7 +101,7 @@ def _owner(path: Path) -> str | None:
         if path.is_dir():
             return (path / SIGNATURE).read_text(encoding="utf-8", errors="surrogateescape").strip() or None
         with json_files.regular(path).open("rb") as file:
-            named = OWNER.search(file.read(HEAD).decode("utf-8", errors="replace"))
+            owner = OWNER.search(file.read(HEAD).decode("utf-8", errors="replace"))
     except OSError:
         return None
-    return html.unescape(named[1]) if named else None
+    return html.unescape(owner[1]) if owner else None

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 from npred.cli.options import Common
 from npred.errors import ConfigError, MissingError
@@ -12,7 +11,6 @@ from npred.pipeline import Runner, experiments
 from npred.pipeline.experiments import ExperimentPlanner
 from npred.results import Reproduced
 from npred.stages.reproduce import load
-from npred.terminal.console import columns
 
 PAGE = "reproduce.html"
 
@@ -40,7 +38,7 @@ def reproduce(
     _publish(options, results, output, whole=chosen == experiments.names() and not numerical)
 
 
-def summary(document: dict[str, Any], width: int | None = None) -> str:
+def summary(document: dict[str, object], width: int | None = None) -> str:
     """A result's JSON as a table. Raises StoreError where it is none, ConfigError without its experiment."""
     return package("rows").summary([Reproduced.of(document, "result")], width)
 
@@ -80,4 +78,4 @@ def _list(options: Common, names: list[str]) -> None:
     loaded = {name: load(name) for name in names}
     rows = [[name, experiment.title, experiment.source] for name, experiment in loaded.items()]
     document = {"experiments": [dict(zip(("name", "title", "source"), row, strict=True)) for row in rows]}
-    options.show(document, lambda: columns(["experiment", "title", "source"], rows, options.console.width))
+    options.show_table(document, ["experiment", "title", "source"], rows)

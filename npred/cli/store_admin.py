@@ -4,7 +4,6 @@ import os
 import platform
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 from npred.cli.gc import shortened
 from npred.cli.options import Common, writable
@@ -15,7 +14,6 @@ from npred.pipeline import payload
 from npred.registry import declared_stage
 from npred.store import Artifact, archive
 from npred.store.manifest import NAME
-from npred.terminal.console import columns
 
 SHOWN = 4  # names of results on a line
 PACKAGES = ("npred", "numpy", "torch", "h5py", "pydantic", "safetensors", "typer", "onnxruntime",
@@ -36,15 +34,15 @@ def verify(options: Common) -> None:
     """Read every file of every result. Raises StoreError where one is not as it was written."""
     sound, broken = options.results.survey()
     faults = {str(folder): "no sound manifest" for folder in broken} | _faults(options, sound)
-    rows: list[dict[str, Any]] = [
-        {"folder": str(a.folder), "state": "corrupt" if str(a.folder) in faults else "sound"}
-        | {"made_with": a.manifest.circumstances}
-        for a in sound
+    made_with = {a.folder: a.manifest.circumstances for a in sound} | {folder: {} for folder in broken}
+    states = {folder: "corrupt" if str(folder) in faults else "sound" for folder in made_with}
+    table = [[shortened(folder), state, faults.get(str(folder), "")] for folder, state in states.items()]
+    entries = [
+        {"folder": str(folder), "state": state, "made_with": made_with[folder], "fault": faults.get(str(folder))}
+        for folder, state in states.items()
     ]
-    rows += [{"folder": str(folder), "state": "corrupt", "made_with": {}} for folder in broken]
-    table = [[shortened(Path(row["folder"])), row["state"], faults.get(row["folder"], "")] for row in rows]
-    document = {"artifacts": [row | {"fault": faults.get(row["folder"])} for row in rows]}
-    options.show(document, lambda: columns(["artifact", "state", "fault"], table, options.console.width))
+    document = {"artifacts": entries}
+    options.show_table(document, ["artifact", "state", "fault"], table)
     if not options.json and (different := list(_circumstances(sound))):
         options.console.out("\n".join(different))
     if faults:
@@ -103,7 +101,7 @@ def _some(names: list[str]) -> str:
     return ", ".join(names[:SHOWN]) + more
 
 
-def _machine() -> dict[str, Any]:
+def _machine() -> dict[str, object]:
     import torch
 
     gpus = [torch.cuda.get_device_name(index) for index in range(torch.cuda.device_count())]
@@ -112,7 +110,7 @@ def _machine() -> dict[str, Any]:
     return here | hardware | {"torch_threads": torch.get_num_threads(), "gpus": gpus}
 
 
-def _store(options: Common) -> dict[str, Any]:
+def _store(options: Common) -> dict[str, object]:
     """The store. Each file is read: corrupt are results with changed bytes, incomplete those with fewer."""
     store = options.results
     artifacts, broken = store.survey()
@@ -130,7 +128,7 @@ def _store(options: Common) -> dict[str, Any]:
     }
 
 
-def _words(value: Any) -> str:
+def _words(value: object) -> str:
     if isinstance(value, dict):
         return ", ".join(f"{key} {_words(item)}" for key, item in value.items())
     if value is None or isinstance(value, bool):

@@ -103,10 +103,10 @@ def _place(
 def _manifest(tar: IO[bytes], path: Path) -> tuple[Manifest, bytes]:
     """The manifest that a tar begins with, and its bytes; the tar's length is as the manifest has it."""
     header = tar.read(_BLOCK)
-    named = _FIRST.match(header)
+    first = _FIRST.match(header)
     digits = header[124:135]
     size = int(digits, 8) if re.fullmatch(b"[0-7]{11}", digits) else json_files.LIMIT + 1
-    if named is None or size > json_files.LIMIT:
+    if first is None or size > json_files.LIMIT:
         raise _refused(path, "its beginning")
     content = tar.read(size)
     try:

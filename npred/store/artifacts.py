@@ -183,8 +183,8 @@ class Store:
     def owns(self, path: Path) -> bool:
         """True if a folder is one that npred makes, by its path and name, and no link leads to it."""
         folder, place = path.parent, path.parent.name
-        named = place in _LEFT or (not place.startswith(".") and _KEY.fullmatch(path.name))
-        return bool(folder.parent == self.root and named and _whose(path) and _is_folder(folder) and _is_folder(path))
+        ours = place in _LEFT or (not place.startswith(".") and _KEY.fullmatch(path.name))
+        return bool(folder.parent == self.root and ours and _whose(path) and _is_folder(folder) and _is_folder(path))
 
     def find(self, reference: str) -> Artifact:
         """The artifact meant by `stage/prefix`, `prefix`, a stage or a trained model (its most recent), or a folder.
@@ -195,9 +195,9 @@ class Store:
             return Artifact.read(Path(reference).resolve())
         everything = self.artifacts()
         asked = [(a, a.manifest.question) for a in everything]
-        named = [a for a, q in asked if reference == q.stage or (reference == q.model and q.stage == "train")]
-        if named:
-            return named[-1]
+        of_stage = [a for a, q in asked if reference == q.stage or (reference == q.model and q.stage == "train")]
+        if of_stage:
+            return of_stage[-1]
         stage, _, prefix = reference.rpartition("/")
         matching = [
             a for a in everything if a.manifest.key.startswith(prefix) and stage in ("", a.manifest.question.stage)

@@ -50,12 +50,11 @@ def register(root: Path, pipeline: Path, keys: Mapping[str, str]) -> None:
 
 def registered(root: Path) -> list[GcRoot]:
     """The pipelines of a store whose files exist; an entry that cannot be read is none."""
-    entries = ((path, _read(path)) for path in sorted((root / FOLDER).glob("*.json")))
-    named = [(path, Path(str(entry["file"])), entry) for path, entry in entries if "file" in entry]
+    entries = {path: _read(path) for path in sorted((root / FOLDER).glob("*.json"))}
     return [
         GcRoot(file, frozenset(_keys(entry).values()), path.lstat().st_uid == os.geteuid())
-        for path, file, entry in named
-        if _exists(file)
+        for path, entry in entries.items()
+        if "file" in entry and _exists(file := Path(str(entry["file"])))
     ]
 
 

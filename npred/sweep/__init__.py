@@ -45,9 +45,9 @@ def cells(path: Path, sets: Sequence[str]) -> list[Cell]:
     several = [key for key, axis in axes.items() if len(axis) > 1]
     combinations = []
     for chosen in product(*axes.values()):
-        named = dict(zip(axes, chosen, strict=True))
-        pipeline = config.load(path, [key + value for key, value in named.items()])
-        combinations.append(Cell({key.removesuffix("="): named[key] for key in several}, pipeline))
+        value_of = dict(zip(axes, chosen, strict=True))
+        pipeline = config.load(path, [key + value for key, value in value_of.items()])
+        combinations.append(Cell({key.removesuffix("="): value_of[key] for key in several}, pipeline))
     return combinations
 
 

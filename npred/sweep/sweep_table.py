@@ -114,8 +114,8 @@ def draw(folder: Path, rows: Sequence[Row]) -> list[Path]:
 
     The numbers in it count the rows, from 1.
     """
-    known = measured_axes([row.numbers for row in rows])
-    pairs = [pair for pair in PAIRS if set(pair) <= set(known)]
+    axes = measured_axes([row.numbers for row in rows])
+    pairs = [pair for pair in PAIRS if set(pair) <= set(axes)]
     if not pairs:
         return []
     panels = tuple(

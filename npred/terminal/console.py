@@ -178,8 +178,8 @@ def columns(
     lines: list[str] = []
     for row in table:
         folded = [_folded(cell, room) for cell, room in zip(row, widths, strict=True)]
-        for parts in zip_longest(*folded, fillvalue=""):
-            padded = [_padded(*cell) for cell in zip(parts, widths, right, strict=True)]
+        for line in zip_longest(*folded, fillvalue=""):
+            padded = [_padded(*cell) for cell in zip(line, widths, right, strict=True)]
             lines.append((" " * GAP).join(padded).rstrip())
     return "\n".join(lines)
 

@@ -9,7 +9,7 @@ import pytest
 from conftest import Call, document, one_line
 from store_samples import made_at
 
-from npred.cli.gc import size
+from npred.cli.gc import to_bytes
 from npred.errors import ConfigError, NpredError
 from npred.parallel import devices
 from npred.store import MARKER, Store, gc_roots
@@ -135,10 +135,10 @@ def test_a_result_that_was_being_replaced_when_the_store_was_read_stays(call: Ca
 
 
 def test_sizes_in_words(call: Call):
-    assert [size(text) for text in (None, "0", "12", "2k", "2.5MB", "1G")] == [-1, 0, 12, 2000, 2_500_000, 10**9]
+    assert [to_bytes(text) for text in (None, "0", "12", "2k", "2.5MB", "1G")] == [-1, 0, 12, 2000, 2_500_000, 10**9]
     for text in ("", "two", "-1G", "5 G", "nan", "1e9"):
         with pytest.raises(ConfigError, match="expected a size as 500M"):
-            size(text)
+            to_bytes(text)
     assert "--keep" in one_line(call("gc", "tiny.toml", "--keep", "much"), 2)
 
 
