@@ -4,13 +4,14 @@ typer leaves out what does not begin with the letters that are typed.
 """
 
 from collections.abc import Callable, Iterable, Iterator
-from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, get_args, get_origin
 
 import typer
 
+import npred
 from npred import defaults
+from npred.registry import EXPERIMENTS, STAGES, Registry
 
 if TYPE_CHECKING:
     from pydantic.fields import FieldInfo
@@ -24,7 +25,6 @@ Complete = Callable[[typer.Context, str], list[Offer]]
 def _offered(find: Callable[[typer.Context, str], Iterable[Offer]]) -> Complete:
     """The words that a function finds; none where it fails."""
 
-    @wraps(find)
     def complete(ctx: typer.Context, incomplete: str) -> list[Offer]:
         try:
             return list(find(ctx, incomplete))
@@ -64,20 +64,6 @@ def settings(ctx: typer.Context, incomplete: str) -> Iterator[Offer]:
 
 
 @_offered
-def stages(ctx: typer.Context, incomplete: str) -> Iterable[Offer]:
-    """The stages and the networks."""
-    from npred.registry import STAGES
-
-    return [*STAGES, *_pipeline(ctx).train.models]
-
-
-@_offered
-def models(ctx: typer.Context, incomplete: str) -> Iterable[Offer]:
-    """The networks."""
-    return _pipeline(ctx).train.names
-
-
-@_offered
 def artifacts(ctx: typer.Context, incomplete: str) -> Iterator[Offer]:
     """The results in the store, the most recent first."""
     from npred.store import Store
@@ -87,26 +73,9 @@ def artifacts(ctx: typer.Context, incomplete: str) -> Iterator[Offer]:
         yield artifact.name, f"{asked.model or asked.stage} of {artifact.manifest.pipeline}"
 
 
-@_offered
-def plants(ctx: typer.Context, incomplete: str) -> Iterable[Offer]:
-    """The plants that have a name."""
-    from npred import plants
-
-    return plants.names()
-
-
-@_offered
-def experiments(ctx: typer.Context, incomplete: str) -> Iterable[Offer]:
-    """The published experiments."""
-    from npred.registry import EXPERIMENTS
-
-    return EXPERIMENTS.names()
-
-
 def _values(ctx: typer.Context, key: str, field: "FieldInfo") -> list[str]:
     """The words that a key takes, else its value in the pipeline."""
     from npred.pipeline.reasons import flat
-    from npred.registry import Registry
 
     if get_origin(field.annotation) is Literal:
         return list(get_args(field.annotation))
@@ -133,4 +102,8 @@ def _first_comment(path: Path) -> str:
     return line.removeprefix("#").strip() if line.startswith("#") else ""
 
 
+stages = _offered(lambda ctx, incomplete: [*STAGES, *_pipeline(ctx).train.models])  # and the networks
+models = _offered(lambda ctx, incomplete: _pipeline(ctx).train.names)
+plants = _offered(lambda ctx, incomplete: npred.plants.names())
+experiments = _offered(lambda ctx, incomplete: EXPERIMENTS.names())
 devices = words("auto", "cpu", "cuda")

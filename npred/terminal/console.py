@@ -154,7 +154,8 @@ class Console:
             return
         text = streams.wrapped(streams.printable(text), streams.width(streams.MESSAGES))
         if not self.view and not (style and streams.MESSAGES.isatty()):
-            streams.say(text)
+            streams.MESSAGES.write(text + "\n")  # in one piece: networks that train side by side speak side by side
+            streams.MESSAGES.flush()
             return
         from rich.console import Console as Rich
 

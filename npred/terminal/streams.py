@@ -144,9 +144,3 @@ def _lossy() -> Iterator[None]:
 
 
 MESSAGES = cast(TextIO, Messages())
-
-
-def say(text: str) -> None:
-    """A line on stderr, at once: networks that train side by side speak side by side."""
-    MESSAGES.write(text + "\n")
-    MESSAGES.flush()
