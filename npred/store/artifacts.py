@@ -1,9 +1,7 @@
 """The content-addressed store: a result is written aside, made durable, renamed into place, and never changed."""
 
-import os
 import re
 import shutil
-import stat
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, suppress
@@ -157,20 +155,15 @@ class Store:
         if self.root.exists() and not self.root.is_dir():
             raise StoreError(f"{self.root}: expected a store, a folder, got a file; choose another --store")
         sound, broken = [], []
-        for folder in self._folders():
+        for folder in sorted(self.root.glob("[!.]*/*"), key=str):
+            if not _KEY.fullmatch(folder.name) or not folder.is_dir():
+                continue
             try:
                 artifact = Artifact.read(folder)
                 sound.append((artifact.made, artifact))
             except (StoreError, FileNotFoundError):  # one that was removed meanwhile is none
                 broken += [folder] if folder.exists() else []
         return [artifact for _, artifact in sorted(sound, key=itemgetter(0))], broken
-
-    def _folders(self) -> Iterator[Path]:
-        """The folders named by a key, sorted; those of one stage are read at once, for they may be thousands."""
-        for stage in sorted(self.root.glob("[!.]*/")):
-            with suppress(OSError), os.scandir(stage) as entries:  # removed meanwhile, or not ours to read
-                names = [entry.name for entry in entries if _KEY.fullmatch(entry.name) and entry.is_dir()]
-                yield from (stage / name for name in sorted(names))
 
     def artifacts(self) -> list[Artifact]:
         """Every result with a sound manifest, the most recent last."""
@@ -184,7 +177,8 @@ class Store:
         """True if a folder is one that npred makes, by its path and name, and no link leads to it."""
         folder, place = path.parent, path.parent.name
         ours = place in _LEFT or (not place.startswith(".") and _KEY.fullmatch(path.name))
-        return bool(folder.parent == self.root and ours and _whose(path) and _is_folder(folder) and _is_folder(path))
+        links = path.is_symlink() or folder.is_symlink()
+        return bool(folder.parent == self.root and ours and _whose(path) and not links and path.is_dir())
 
     def find(self, reference: str) -> Artifact:
         """The artifact meant by `stage/prefix`, `prefix`, a stage or a trained model (its most recent), or a folder.
@@ -242,14 +236,6 @@ class Store:
             shutil.rmtree(aside, ignore_errors=True)
             path.rename(aside)
         return aside
-
-
-def _is_folder(path: Path) -> bool:
-    """True for a folder itself, not for a link to one."""
-    try:
-        return stat.S_ISDIR(path.lstat().st_mode)
-    except OSError:
-        return False
 
 
 def _whose(path: Path) -> tuple[str, str] | None:
