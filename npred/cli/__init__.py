@@ -32,6 +32,8 @@ def __getattr__(name: str) -> ModuleType:
     try:
         return import_module(f"npred.cli.{name}")
     except ModuleNotFoundError as error:
+        if error.name != f"npred.cli.{name}":  # of what that module imports
+            raise
         raise AttributeError(f"module 'npred.cli' has no attribute {name!r}") from error
 
 
