@@ -63,7 +63,7 @@ class Registry:
 
     def fault(self, name: str, *others: str) -> str | None:
         """The fault of a name, in words; None for a part, for a class of a file, and for one of `others`."""
-        if name in (*self.builtin, *others) or named(name) or name in self._installed():
+        if name in (*self.builtin, *others) or in_file(name) or name in self._installed():
             return None
         names = [*self.names(), *others]
         near = similar(name, names) or "; choose one"
@@ -72,7 +72,7 @@ class Registry:
 
     def identity(self, name: str) -> Any:
         """The part in a key: a built-in name, the digest of its file, or the package with version and target."""
-        if named(name):
+        if in_file(name):
             path, attribute = split(name)
             return {"name": attribute, "source": read(self.kind, path).sha256}
         entry = None if name in self.builtin else self._installed().get(name)
@@ -86,7 +86,7 @@ class Registry:
         """The part of that name, imported now. Raises ConfigError, after `what` (a key, say), where there is none."""
         if fault := self.fault(name):
             raise ConfigError(f"{what}: {fault}")
-        if named(name):
+        if in_file(name):
             return load(what, name)[0]
         if name in self.builtin:
             return attribute(self.builtin[name].target)
@@ -106,9 +106,9 @@ class Registry:
 
         What its class inherits is not seen, and not checked; nor is a part of a package.
         """
-        if not named(name) and name not in self.builtin:
+        if not in_file(name) and name not in self.builtin:
             return
-        path, attribute = split(name) if named(name) else _target_file(self.builtin[name].target)
+        path, attribute = split(name) if in_file(name) else _target_file(self.builtin[name].target)
         source = read(self.kind, path)
         if attribute not in source.text:
             raise ConfigError(f"{what}: expected a class {attribute} in {path}, found none; check the name")
@@ -210,7 +210,7 @@ def declared_stage(name: str) -> Any:
     return importlib.import_module(f"npred.stages.{name}").STAGE
 
 
-def named(spec: str) -> bool:
+def in_file(spec: str) -> bool:
     """True if the text names a class of a file."""
     return SUFFIX in spec
 
@@ -221,9 +221,9 @@ def attribute(target: str) -> Any:
     return getattr(importlib.import_module(module), name)
 
 
-def called(spec: str) -> str:
+def short_name(spec: str) -> str:
     """The name of a part in results: a registered name, or the class of a file."""
-    return split(spec)[1] if named(spec) else spec
+    return split(spec)[1] if in_file(spec) else spec
 
 
 def split(spec: str) -> tuple[Path, str]:

@@ -64,7 +64,7 @@ def _renamed(source: str, plant: "Plant", class_name: str) -> str:
     """The text of a plant's file with its class renamed to `class_name`; of a family, with a class for this member."""
     from npred import registry
 
-    in_file = registry.named(source)
+    in_file = registry.in_file(source)
     path = registry.split(source)[0] if in_file else Path(_module_file(plant.declaration))
     text, old = path.read_text(encoding="utf-8"), plant.declaration.__name__
     if re.search(rf"^class {old}\b", text, re.MULTILINE):

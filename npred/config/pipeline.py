@@ -71,7 +71,7 @@ class _Tables(Section):
         paths: dict[str, None] = {}
 
         def collect(path: str) -> str:
-            paths[registry.split(path)[0].name if registry.named(path) else Path(path).name] = None
+            paths[registry.split(path)[0].name if registry.in_file(path) else Path(path).name] = None
             return path
 
         self.moved(collect)

@@ -78,5 +78,5 @@ def moved(value: Any, locate: Callable[[str], str], key: Any = None) -> Any:
         return {name: moved(item, locate, name) for name, item in value.items()}
     if isinstance(value, list):
         return [moved(item, locate) for item in value]
-    is_path = isinstance(value, str) and (registry.named(value) or (key == "data" and value))
+    is_path = isinstance(value, str) and (registry.in_file(value) or (key == "data" and value))
     return locate(value) if is_path else value

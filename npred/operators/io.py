@@ -16,7 +16,7 @@ from npred.operators.base import Operator
 from npred.operators.build import build
 from npred.operators.scaling import Scaling
 from npred.plants.base import Plant
-from npred.registry import NETWORKS, named
+from npred.registry import NETWORKS, in_file
 
 MANIFEST = "model.json"
 
@@ -87,7 +87,7 @@ def _table(folder: Path) -> Training:
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         reason, names = " ".join(str(error).split()), ", ".join(NETWORKS.names())
         raise StoreError(f"{folder / MANIFEST}: expected a network of {names}, got: {reason}; train it again") from None
-    if named(table.architecture):
+    if in_file(table.architecture):
         raise ConfigError(f"{folder}: expected a registered network, got {table.architecture}; use PIPELINE:MODEL")
     return table
 
@@ -97,7 +97,7 @@ def _check(tensors: dict[str, torch.Tensor], config: Training, plant: Plant) -> 
     layers = max(config.arguments.get(key, 0) for key in ("layers", "depth"))
     if layers > len(tensors) and config.architecture in NETWORKS.builtin:
         raise ValueError(f"{len(tensors)} tensors for {layers} layers")
-    with torch.device("cpu" if named(config.architecture) else "meta"):
+    with torch.device("cpu" if in_file(config.architecture) else "meta"):
         expected = build(config, plant, Scaling(plant.n, plant.m)).state_dict()
     for name in sorted(expected.keys() | tensors.keys()):
         shapes = [

@@ -64,7 +64,7 @@ def sources(node: Node, config: Pipeline) -> dict[str, SourceText]:
 
     files_by_role = {"plant": plants.resolve(config.plant, config.parameters).source}
     for role, spec in STAGES[node.stage].parts(config, node.model).items():
-        if registry.named(spec):
+        if registry.in_file(spec):
             files_by_role[role] = registry.read(role, registry.split(spec)[0])
     return {
         role: SourceText(file=escaped(source.file), text=source.text)

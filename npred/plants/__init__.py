@@ -20,7 +20,7 @@ def resolve(name: str, parameters: Mapping[str, float] = {}) -> Plant:
     """
     if not isinstance(name, str):
         raise ConfigError(f"plant: expected a name or my_plant.py:Tank, got {name!r}; write it as text")
-    if registry.named(name):
+    if registry.in_file(name):
         (path, kind), (declaration, source) = registry.split(name), registry.load("plant", name)
         plant = make(kind, declaration, parameters, source)
         plant.spec = f"{path.absolute()}:{kind}"

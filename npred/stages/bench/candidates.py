@@ -20,7 +20,7 @@ from npred.parallel import devices
 from npred.plants import Plant
 from npred.predictors import RK4, OneStep, Predictor, method
 from npred.predictors.rollout import Rollout
-from npred.registry import BASELINES, called
+from npred.registry import BASELINES, short_name
 from npred.runtimes.fused import lowering
 from npred.stages.job import Job
 from npred.terminal.console import Console
@@ -136,7 +136,7 @@ def entries(job: Job, reference: Reference) -> list[Candidate]:
             rows += [_baseline(job.plant, spec, nx) for spec in baselines]
             rows += [Candidate(name, "compiled", nx, batch, kind(job.plant, nx)) for name, kind in methods.items()]
             for name in networks:
-                rows += [Candidate(name, called(way), nx, batch, run(name, way, nx)) for way in ways[name]]
+                rows += [Candidate(name, short_name(way), nx, batch, run(name, way, nx)) for way in ways[name]]
                 rows += _on_device(job, name, nx, batch)
     nx = grid.count(config.dx[0])
     for name in networks:
@@ -154,7 +154,7 @@ def _methods(config: Pipeline, plant: Plant) -> dict[str, Method]:
     """The methods of a step per interval that serve the plant, by what their rows are called: those that have a name,
     and those that the pipeline takes.
     """
-    kinds = {called(spec): method(spec) for spec in config.methods}
+    kinds = {short_name(spec): method(spec) for spec in config.methods}
     refusal = family_of(plant).refusal
     return {n: kind for n, kind in kinds.items() if issubclass(kind, OneStep | Rollout) and not refusal(kind.name)}
 

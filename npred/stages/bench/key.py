@@ -22,4 +22,4 @@ def parts(config: Pipeline, model: str | None) -> dict[str, str]:
     """The methods of the loops, and what is compared with them."""
     methods = {f"{stage}.predictor": getattr(config, stage).predictor for stage in ("generate", "evaluate")}
     compared = [*config.bench.runtimes, *config.bench.baselines]
-    return methods | {f"bench.{registry.called(name)}": name for name in compared}
+    return methods | {f"bench.{registry.short_name(name)}": name for name in compared}

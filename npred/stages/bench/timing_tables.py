@@ -2,7 +2,7 @@
 
 from math import isfinite
 
-from npred.registry import called
+from npred.registry import short_name
 from npred.results import NUMERICAL, Benched, Contender
 from npred.results.bench import Stops, Timing
 from npred.terminal.console import columns
@@ -35,7 +35,7 @@ def fastest(result: Benched, numerical: str) -> dict[Contender, float]:
     finest = min((row.dx for row in result.table), default=0.0)
     times: dict[Contender, float] = {}
     for row in result.table:
-        if row.dx == finest and (row.is_network or (row.predictor, row.runtime) == (called(numerical), "compiled")):
+        if row.dx == finest and (row.is_network or (row.predictor, row.runtime) == (short_name(numerical), "compiled")):
             contender = Contender(row.predictor) if row.is_network else NUMERICAL
             times[contender] = min(times.get(contender, row.median_us), row.median_us)
     return times

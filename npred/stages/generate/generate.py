@@ -13,7 +13,7 @@ from npred.config import Generate, Pipeline
 from npred.data.dataset import Dataset, attributes
 from npred.loop.closed_loop import LANES
 from npred.parallel import executors
-from npred.registry import called
+from npred.registry import short_name
 from npred.results import Generated
 from npred.stages.generate import rollouts, sampling, sharded
 from npred.stages.generate.rollouts import Columns
@@ -42,7 +42,7 @@ def run(job: Job) -> Generated:
     parts = dict(batches(job, job.config))
     rows = rollouts.joined([parts[start] for start in sorted(parts)])
     data = Dataset(**rows, test=np.isin(rows["rollout"], held_out).astype(np.uint8))
-    data.write(job.folder / "data.h5", attributes(job.plant, called(config.predictor)))
+    data.write(job.folder / "data.h5", attributes(job.plant, short_name(config.predictor)))
     return Generated(**size)
 
 

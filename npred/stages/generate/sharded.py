@@ -23,7 +23,7 @@ from npred.data.dataset import Dataset, attributes
 from npred.loop.closed_loop import LANES
 from npred.parallel import executors
 from npred.plants import Plant
-from npred.registry import called
+from npred.registry import short_name
 from npred.stages.generate import rollouts, sampling
 from npred.stages.job import Job
 
@@ -57,7 +57,7 @@ def write(job: Job) -> int:
     config, shards_at = job.config.generate, _shard_folder(job)
     batches = list(enumerate(_batches(job.plant, config)))
     missing = [batch for batch in batches if not _kept(shards_at.folder / shards.name(batch[0]))]
-    about = attributes(job.plant, called(config.predictor))
+    about = attributes(job.plant, short_name(config.predictor))
     make = partial(_shard, job.config.located(), rollouts.surroundings(job.config, job.plant), shards_at, about)
     job.progress.doing("generate", "compiling")
     with job.progress.bar("generate", config.rollouts, "rollouts") as bar:
