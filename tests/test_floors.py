@@ -17,7 +17,7 @@ FLOORS = [
     {"plants", "results", "robots", "store"},
     {"data", "operators"},
     {"delays", "training"},
-    {"predictors"},
+    {"bounds", "predictors"},
     {"conditions", "diagnosis", "loop", "runtimes"},
     {"figures"},
     {"stages"},

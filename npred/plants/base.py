@@ -1,7 +1,7 @@
 """A plant: what its author declared, its equilibrium, its functions on arrays, and its identity."""
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -231,32 +231,35 @@ class Plant:
 
     def jacobians(self, X: np.ndarray, u: np.ndarray, t: Any = 0.0) -> tuple[np.ndarray, np.ndarray]:
         """f_X (..., n, n) and f_U (..., n, m) at points X (..., n), u (..., m), derived from the declared f."""
-        X, u = np.asarray(X), np.asarray(u)
-        columns = self._columns("f", X, *np.moveaxis(u, -1, 0), t, rows=self.n)
-        return columns[..., : self.n], columns[..., self.n :]
+        point = np.asarray(X), *np.moveaxis(np.asarray(u), -1, 0), t
+        return self._matrix("f_x", self.n, *point), self._matrix("f_u", self.n, *point)
 
     def kappa_jacobian(self, X: np.ndarray, t: Any = 0.0) -> np.ndarray:
         """kappa' (..., m, n) at points X (..., n), derived from the declared kappa."""
-        return self._columns("kappa", np.asarray(X), t, rows=self.m)
+        return self._matrix("kappa_x", self.m, np.asarray(X), t)
 
-    def _columns(self, name: str, X: np.ndarray, *more: Any, rows: int) -> np.ndarray:
+    def _matrix(self, name: str, rows: int, X: np.ndarray, *more: Any) -> np.ndarray:
         """The derivatives as matrices (..., rows, columns), one column per direction."""
         with np.errstate(all="ignore"):
-            values = self._interpreted[name](*np.moveaxis(X, -1, 0), *more, *self.p)
+            values = self.derivatives[name](*np.moveaxis(X, -1, 0), *more, *self.p)
         values = array_math.stack(values, X[..., 0])
         return np.swapaxes(values.reshape(*X.shape[:-1], -1, rows), -1, -2)
 
     @cached_property
-    def _interpreted(self) -> dict[str, Any]:
-        """The derivatives of f by (x, u) and of kappa by x, one unit direction after the other, as Python functions."""
+    def derivatives(self) -> dict[str, Callable[..., list[Any]]]:
+        """f_x, f_u of the components of x, u, t, p, and kappa_x of those of x, t, p, as programs on numbers or arrays.
+
+        Each gives the derivatives along one unit direction after the other.
+        """
         trace = Trace(self)
         x, u, t = trace.vector("x", self.n), trace.vector("u", self.m), trace.input("t")
-        f, kappa, both = trace.f(x, u, t), trace.kappa(x, t), np.concatenate([x, u])
-        by_xu = [y for unit in np.eye(self.n + self.m) for y in programs.derivative(f, both, unit)]
-        by_x = [y for unit in np.eye(self.n) for y in programs.derivative(kappa, x, unit)]
-        x_names, rest = names("x", self.n), ["t", *names("p", len(self.p))]
-        f_names = [*x_names, *names("u", self.m), *rest]
-        return {"f": python(by_xu, f_names, np), "kappa": python(by_x, [*x_names, *rest], np)}
+        f, kappa, rest = trace.f(x, u, t), trace.kappa(x, t), ["t", *names("p", len(self.p))]
+        of_f, of_kappa = [*names("x", self.n), *names("u", self.m), *rest], [*names("x", self.n), *rest]
+        parts = {"f_x": (f, x, of_f), "f_u": (f, u, of_f), "kappa_x": (kappa, x, of_kappa)}
+        return {
+            name: python([y for unit in np.eye(len(by)) for y in programs.derivative(values, by, unit)], inputs, np)
+            for name, (values, by, inputs) in parts.items()
+        }
 
     def _at_rest(self, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """f(X, kappa(X)) and its Jacobian; NaN where they are not defined, so that the search turns back."""

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from functools import cached_property
 from itertools import pairwise
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -12,11 +12,13 @@ from npred.data.domain import Domain, unread
 from npred.delays import family_of
 from npred.delays.family import Kernel, by_time
 from npred.errors import ConfigError
-from npred.predictors import error_bound, guard_grids, method
+from npred.predictors import guard_grids, method
 from npred.predictors.base import Predictor
-from npred.predictors.error_bound import ErrorBound
 from npred.predictors.guard_kernel import kernel
 from npred.predictors.rk4 import RK4
+
+if TYPE_CHECKING:  # an extra of certify
+    from npred.bounds.error_bound import ErrorBound
 
 ESTIMATES = ("auto", "shadow", "defect")
 PASSES = 0.4  # of the tolerance: the largest estimate that passes, for errors may be larger; a margin, not a bound
@@ -161,7 +163,7 @@ class Guarded(Predictor):
         return self.judge(self.model(X, u, D_hat, t), X, u, D_hat, t)[1]
 
     def bound(self, X: Any, u: Any, D_hat: Any, t: Any = 0.0) -> np.ndarray:
-        """A bound of what `error` estimates, (...), in NumPy: see npred.predictors.error_bound.
+        """A bound of what `error` estimates, (...), in NumPy: see npred.bounds.error_bound.
 
         Infinite where none is found. Raises ConfigError for a plant that is not traced, or has not one constant delay.
         """
@@ -169,13 +171,14 @@ class Guarded(Predictor):
         return self.error_bound(self.model(*rows), *rows).reshape(shape)
 
     @cached_property
-    def error_bound(self) -> ErrorBound:
+    def error_bound(self) -> "ErrorBound":
         """The bound with the weights that suit examples of the data; without these, no state outweighs another."""
-        domain = self.domain
-        if domain is None:
+        from npred.bounds.error_bound import ErrorBound, weight
+
+        if self.domain is None:
             return ErrorBound(self.plant, np.eye(self.plant.n))
         rows = self.examples
-        return ErrorBound(self.plant, error_bound.weight(self.plant, self.exact(*rows), *rows[1:]))
+        return ErrorBound(self.plant, weight(self.plant, self.exact(*rows), *rows[1:]))
 
     def beyond(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: np.ndarray) -> np.ndarray:
         """How far inputs are from the data, as a share of how far the model is trusted, (B,); 0 where it has none."""

@@ -2,16 +2,16 @@
 
 import numpy as np
 import pytest
+from guard_samples import BOX, NX, PLANT, Wrong, rows
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicHermiteSpline
-from test_guarded import BOX, NX, PLANT, Wrong, rows
 
 import npred
 from npred import grid
+from npred.bounds import error_bound
+from npred.bounds.error_bound import Curve, ErrorBound
 from npred.errors import ConfigError
 from npred.plants import Plant
-from npred.predictors import error_bound
-from npred.predictors.error_bound import Curve, ErrorBound
 
 NOW = np.zeros(40)
 

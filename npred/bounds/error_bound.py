@@ -13,20 +13,13 @@ u is the cubic through the nodes, as RK4 reads it. Between nodes Q is the cubic 
 are Simpson's: it is a bound but for the error of these, of order 4.
 """
 
-from collections.abc import Callable
-from functools import cached_property
-from typing import Any
-
 import numpy as np
 
 from npred import grid
+from npred.bounds.intervals import Interval, Operand, interval
 from npred.delays import family_of
 from npred.delays.family import by_time
 from npred.plants.base import Plant
-from npred.symbolic import intervals, programs
-from npred.symbolic.intervals import Interval
-from npred.symbolic.tape import names
-from npred.symbolic.trace import Trace
 
 CELLS = 200  # that Q has at least
 SWEEPS = 2  # of the linearised equation
@@ -34,7 +27,6 @@ TUBES, WIDER = 12, 2.0  # tried, each so many times the bound that the one befor
 SMALLEST = 1e-12  # of the states: the radius of the first tube, at least
 TINY = 1e-12  # a rate that stands for 0
 DESCENT, RATE, ENOUGH = 300, 0.05, 2000  # steps of Adam that look for W, their size, and the derivatives they see
-Matrices = tuple[np.ndarray, np.ndarray]  # the middles (B, cells, ., n) of enclosed matrices, and how far they go
 
 
 class ErrorBound:
@@ -46,22 +38,26 @@ class ErrorBound:
     def __init__(self, plant: Plant, W: np.ndarray) -> None:
         family_of(plant).needs("bound")
         self.plant, self.W, self.inverse = plant, W, np.linalg.inv(W)
+        self.reach = np.linalg.norm(self.inverse, axis=1)  # how far each state may be off where |v|_W is 1, (n,)
 
     def __call__(self, P_hat: np.ndarray, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: np.ndarray) -> np.ndarray:
         """The bound (B,) of the predictions P_hat (B, nx, n) of X (B, n), u (B, nx, m), D_hat (B,), t (B,).
 
         Infinite where no tube holds P: P_hat is too far from it, or the plant too sensitive.
         """
-        nx = (u.shape[1] - 1) * -(-CELLS // (u.shape[1] - 1)) + 1
+        plant, nx = self.plant, (u.shape[1] - 1) * -(-CELLS // (u.shape[1] - 1)) + 1
         P_hat, u = grid.refine(P_hat, nx), grid.refine(u, nx)
+        correction, times = family_of(plant).correction(), np.zeros(len(X)) if plant.autonomous else t
         with np.errstate(all="ignore"):
             Q = P_hat
             for _ in range(SWEEPS):
-                Q = self._corrected(Q, X, u, D_hat, t)
-            distance = self._distance(Curve(self.plant, Q, X, u, D_hat, t))
+                corrected = np.empty_like(Q)
+                by_time(correction, (Q, X, u, D_hat), times, (plant.p,), (corrected,))
+                Q = corrected
+            distance = self._distance(Curve(plant, Q, X, u, D_hat, t))
             at, s = Q[:, -1], t + D_hat
             slope = self._slope(at, np.where(np.isfinite(distance), distance, 0.0), s)
-            gap = np.abs(self.plant.kappa(P_hat[:, -1], s) - self.plant.kappa(at, s)).max(axis=-1)
+            gap = np.abs(plant.kappa(P_hat[:, -1], s) - plant.kappa(at, s)).max(axis=-1)
             bound = gap + slope * distance
         return np.where(np.isfinite(bound), bound, np.inf)
 
@@ -69,13 +65,6 @@ class ErrorBound:
         """exp(D_hat ∫ mu), (B,): how much larger than at x = 0 a small error may be at x = 1, by this W."""
         A = _jacobians(self.plant, P, u, D_hat, t)
         return np.exp(D_hat * (_logarithmic_norm(self.W @ A @ self.inverse) @ grid.trapezoid(u.shape[1])))
-
-    def _corrected(
-        self, P_hat: np.ndarray, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: np.ndarray
-    ) -> np.ndarray:  # fmt: skip
-        Q, times = np.empty_like(P_hat), np.zeros(len(X)) if self.plant.autonomous else t
-        by_time(family_of(self.plant).correction(), (P_hat, X, u, D_hat), times, (self.plant.p,), (Q,))
-        return Q
 
     def _distance(self, curve: "Curve") -> np.ndarray:
         """The bound of |Q - P|_W at x = 1, (B,)."""
@@ -94,7 +83,12 @@ class ErrorBound:
 
     def _errors(self, curve: "Curve", residuals: np.ndarray, tube: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The bound in each cell (B, cells) and at x = 1 (B,), if P is within `tube` of the curve in each cell."""
-        A, spread = self._jacobians(curve, tube)
+        reach = tube[..., None] * self.reach
+        X = _components(curve.lowest - reach, curve.highest + reach)
+        entries = self.plant.derivatives["f_x"](*X, *_components(*curve.u), Interval(*curve.times), *self.plant.p)
+        middle, radius = _matrices(entries, tube.shape, self.plant.n)
+        A = self.W @ middle @ self.inverse
+        spread = np.linalg.norm(np.abs(self.W) @ radius @ np.abs(self.inverse), axis=(-2, -1))
         rate = _logarithmic_norm(A) + spread
         z = curve.h[:, None] * np.where(np.abs(rate) < TINY, TINY, rate)
         R = np.maximum.reduce((residuals[:, :-1:2], residuals[:, 1::2], residuals[:, 2::2]))
@@ -105,35 +99,13 @@ class ErrorBound:
         errors = R + np.maximum(w[:, :-1], w[:, 1:])
         return np.where(np.isnan(errors), np.inf, errors), residuals[:, -1] + w[:, -1]
 
-    def _jacobians(self, curve: "Curve", tube: np.ndarray) -> Matrices:
-        """W f_P W⁻¹ in the middle of each cell's tube, (B, cells, n, n), and how far from it in norm, (B, cells)."""
-        reach = self._reach(tube)
-        X = _box(curve.lowest - reach, curve.highest + reach)
-        entries = self._df(*X, *_box(*curve.u), Interval(*curve.times), *self.plant.p)
-        middle, radius = _enclosed(entries, tube.shape, self.plant.n)
-        spread = np.linalg.norm(np.abs(self.W) @ radius @ np.abs(self.inverse), axis=(-2, -1))
-        return self.W @ middle @ self.inverse, spread
-
     def _slope(self, Q: np.ndarray, distance: np.ndarray, t: np.ndarray) -> np.ndarray:
         """sup |kappa_P W⁻¹| (B,) within that distance of Q (B, n), over the inputs too."""
-        reach = self._reach(distance)
-        entries = self._dkappa(*_box(Q - reach, Q + reach), t, *self.plant.p)
-        middle, radius = _enclosed(entries, distance.shape, self.plant.n)
+        reach = distance[..., None] * self.reach
+        entries = self.plant.derivatives["kappa_x"](*_components(Q - reach, Q + reach), t, *self.plant.p)
+        middle, radius = _matrices(entries, distance.shape, self.plant.n)
         rows = np.linalg.norm(middle @ self.inverse, axis=-1) + np.linalg.norm(radius @ np.abs(self.inverse), axis=-1)
         return rows.max(axis=-1)
-
-    def _reach(self, distance: np.ndarray) -> np.ndarray:
-        """How far each state may be off, (..., n), where |v|_W is at most `distance` (...)."""
-        return distance[..., None] * np.linalg.norm(self.inverse, axis=1)
-
-    @cached_property
-    def _df(self) -> Callable[..., list[Any]]:
-        """f_P on intervals: its entries, column by column."""
-        return _derivatives(self.plant, "f")
-
-    @cached_property
-    def _dkappa(self) -> Callable[..., list[Any]]:
-        return _derivatives(self.plant, "kappa")
 
 
 class Curve:
@@ -205,26 +177,15 @@ def _logarithmic_norm(A: np.ndarray) -> np.ndarray:
     return np.where(finite, np.linalg.eigvalsh(symmetric)[..., -1], np.inf)
 
 
-def _derivatives(plant: Plant, name: str) -> Callable[..., list[Any]]:
-    """The derivatives of f or kappa by the states, on intervals: one unit direction after the other."""
-    trace = Trace(plant)
-    x, u, t = trace.vector("x", plant.n), trace.vector("u", plant.m), trace.input("t")
-    values = trace.f(x, u, t) if name == "f" else trace.kappa(x, t)
-    outputs = [y for unit in np.eye(plant.n) for y in programs.derivative(values, x, unit)]
-    inputs = [*names("x", plant.n), *(names("u", plant.m) if name == "f" else []), "t", *names("p", len(plant.p))]
-    return intervals.program(outputs, inputs)
-
-
-def _box(low: np.ndarray, high: np.ndarray) -> list[Interval]:
+def _components(low: np.ndarray, high: np.ndarray) -> list[Interval]:
     return [Interval(low[..., k], high[..., k]) for k in range(low.shape[-1])]
 
 
-def _enclosed(columns: list[Any], shape: tuple[int, ...], n: int) -> Matrices:
+def _matrices(columns: list[Operand], shape: tuple[int, ...], n: int) -> tuple[np.ndarray, np.ndarray]:
     """The middles of matrices (*shape, rows, n) whose entries are intervals or numbers, and their halves' widths."""
-    entries = [intervals.interval(a) for a in columns]
-    ends = []
-    for end in ("low", "high"):
-        values = [np.broadcast_to(getattr(a, end), shape) for a in entries]
-        matrix = np.stack(values, axis=-1).reshape(*shape, n, -1)
-        ends.append(np.swapaxes(matrix, -1, -2))
-    return (ends[0] + ends[1]) / 2, (ends[1] - ends[0]) / 2
+    entries = [interval(a) for a in columns]
+    low, high = (
+        np.stack([np.broadcast_to(a, shape) for a in ends], axis=-1).reshape(*shape, n, -1).swapaxes(-1, -2)
+        for ends in ([a.low for a in entries], [a.high for a in entries])
+    )
+    return (low + high) / 2, (high - low) / 2
