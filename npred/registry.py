@@ -170,9 +170,9 @@ METHODS = Registry(
     "predictor",
     "npred.predictors",
     {
-        "euler": Entry("npred.predictors.euler:Euler", "Euler", ("green", (), "^")),
-        "heun": Entry("npred.predictors.heun:Heun", "Heun", ("green", (4, 1.6), "v")),
-        "rk4": Entry("npred.predictors.rk4:RK4", "RK4", ("ink", (), "o")),
+        "euler": Entry("npred.predictors.runge_kutta:Euler", "Euler", ("green", (), "^")),
+        "heun": Entry("npred.predictors.runge_kutta:Heun", "Heun", ("green", (4, 1.6), "v")),
+        "rk4": Entry("npred.predictors.runge_kutta:RK4", "RK4", ("ink", (), "o")),
         "rosenbrock": Entry("npred.predictors.rosenbrock:Rosenbrock", "Rosenbrock", ("ink", (4, 1.6), "s")),
         "semi_implicit": Entry("npred.predictors.semi_implicit:SemiImplicit", "semi-implicit", ("green", (), "D")),
         "picard": Entry("npred.predictors.picard:Picard", "Picard", ("muted", (4, 1.6), "v")),

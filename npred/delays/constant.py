@@ -6,10 +6,10 @@ from typing import Any, ClassVar
 import numpy as np
 
 from npred.delays import family
-from npred.delays.family import Family, Step, transition
+from npred.delays.family import Family, Step, compiled, transition
 from npred.kernels.formula import vector
 from npred.kernels.functions import Formulas
-from npred.kernels.kernel import Kernel, made, skeleton
+from npred.kernels.kernel import Kernel, skeleton
 from npred.plants.base import Plant
 from npred.symbolic import called_functions, programs, tape
 from npred.symbolic.trace import Trace
@@ -30,16 +30,9 @@ class ConstantDelay(Family):
         y = called_functions.stepped(of.trace, step, x, (u0, um, u1), of.trace.input("t"), of.trace.input("h"))
         y = self.plant.stopped(y, tape.M)
         arguments = [vector("x", n), vector("a", m), vector("m", m, "wide"), vector("b", m), "t", "h"]
-        sizes = {"N": n, "M": m, "CELLS": int(cells), "MIDDLE": int(programs.depends(y, um))}
-        text = of.function(y, arguments, {"y": n})
-        return made(
-            "sweep",
-            family.PREDICT,
-            skeleton("sweep.h"),
-            {"STEP": text},
-            sizes,
-            before=[*of.called(), skeleton("middle.h")],
-        )
+        functions, before = {"STEP": of.function(y, arguments, {"y": n})}, [skeleton("middle.h")]
+        sizes = {"CELLS": int(cells), "MIDDLE": int(programs.depends(y, um))}
+        return compiled("sweep", family.PREDICT, "sweep.h", of, functions, before, **sizes)
 
     def paired(self, step: Step, cells: bool = False) -> Kernel:
         n, m, of = self.plant.n, self.plant.m, Formulas(self.plant)
@@ -47,22 +40,19 @@ class ConstantDelay(Family):
         inputs = u0, 0.5 * (u0 + u1), u1
         y = called_functions.stepped(of.trace, step, x, inputs, of.trace.input("t"), of.trace.input("h"))
         arguments = [vector("x", 2 * n, "one"), vector("a", m), vector("b", m), "t", "h"]
-        text = of.function(y, arguments, {"y": 2 * n}, "one")
-        sizes = {"N": n, "M": m, "CELLS": int(cells)}
-        return made("paired", family.PREDICT, skeleton("paired.h"), {"STEP": text}, sizes, before=of.called())
+        functions = {"STEP": of.function(y, arguments, {"y": 2 * n}, "one")}
+        return compiled("paired", family.PREDICT, "paired.h", of, functions, CELLS=int(cells))
 
     def picard(self, tolerance: float, sweeps: int) -> Kernel:
         of = Formulas(self.plant)
-        sizes = {"N": self.plant.n, "M": self.plant.m, "TOLERANCE": repr(tolerance), "SWEEPS": sweeps}
-        return made("picard", family.PREDICT, skeleton("picard.h"), {"F": of.f()}, sizes, before=of.called())
+        sizes = {"TOLERANCE": repr(tolerance), "SWEEPS": sweeps}
+        return compiled("picard", family.PREDICT, "picard.h", of, {"F": of.f()}, **sizes)
 
     def control(self, step: Step) -> Kernel:
         n, m, of = self.plant.n, self.plant.m, Formulas(self.plant)
         U = of.trace.kappa(of.trace.vector("x", n), of.trace.input("t"))
-        text = of.function(U, [vector("x", n), "t"], {"U": m})
-        return made(
-            "control", family.CONTROL, skeleton("control.h"), {"KAPPA": text}, {"N": n, "M": m}, before=of.called()
-        )
+        functions = {"KAPPA": of.function(U, [vector("x", n), "t"], {"U": m})}
+        return compiled("control", family.CONTROL, "control.h", of, functions)
 
     def update(self) -> Kernel:
         n, m, of = self.plant.n, self.plant.m, Formulas(self.plant)
@@ -80,7 +70,7 @@ class ConstantDelay(Family):
             "NODE": of.function(node, [*after, "t", "h"], written, "wide"),
             "VALUE": of.function([trace.V(x, t)], [vector("x", n), "t"], {"value": 1}, "wide"),
         }
-        return made("update", family.UPDATE, skeleton("update.h"), functions, {"N": n, "M": m}, before=of.called())
+        return compiled("update", family.UPDATE, "update.h", of, functions)
 
     def correction(self) -> Kernel:
         """With e = P̂ - P, e' = D_hat f_P(P̂, u) e + δ, δ = P̂' - D_hat f(P̂, u), e(0) = P̂(0) - X; both of order 2."""
@@ -88,25 +78,15 @@ class ConstantDelay(Family):
         x, u, e = of.trace.vector("x", n), of.trace.vector("u", m), of.trace.vector("e", n)
         along = of.trace.df(x, u, of.trace.input("t"), e)
         slope = of.function(along, [vector("x", n), vector("u", m), vector("e", n, "one"), "t"], {"d": n}, "one")
-        sizes = {"N": n, "M": m}
-        return made(
-            "correction",
-            family.CORRECT,
-            skeleton("correction.h"),
-            {"F": of.f(), "SLOPE": slope},
-            sizes,
-            before=of.called(),
-        )
+        return compiled("correction", family.CORRECT, "correction.h", of, {"F": of.f(), "SLOPE": slope})
 
     def advance(self, step: Step) -> Kernel:
         n, m, of = self.plant.n, self.plant.m, Formulas(self.plant)
         x, u = of.trace.vector("x", n), of.trace.vector("u", m)
         y = called_functions.stepped(of.trace, step, x, (u, u, u), of.trace.input("t"), of.trace.input("h"))
         y = self.plant.stopped([*y], tape.M)
-        text = of.function(y, [vector("x", n), vector("u", m), "t", "h"], {"y": n}, "wide")
-        return made(
-            "advance", family.ADVANCE, skeleton("advance.h"), {"STEP": text}, {"N": n, "M": m}, before=of.called()
-        )
+        functions = {"STEP": of.function(y, [vector("x", n), vector("u", m), "t", "h"], {"y": n}, "wide")}
+        return compiled("advance", family.ADVANCE, "advance.h", of, functions)
 
 
 def _node(trace: Trace, x: Any, u: Any, t: Any, r: Any, s: Any) -> list[Any]:

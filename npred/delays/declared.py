@@ -13,10 +13,10 @@ import numpy as np
 
 from npred.delays import family
 from npred.delays.constant import ConstantDelay
-from npred.delays.family import Family, Step
+from npred.delays.family import Family, Step, compiled
 from npred.kernels.formula import vector
 from npred.kernels.functions import Formulas
-from npred.kernels.kernel import Kernel, made, skeleton
+from npred.kernels.kernel import Kernel, skeleton
 from npred.symbolic import programs, tape
 from npred.symbolic.trace import Trace
 
@@ -63,11 +63,9 @@ class DeclaredDelay(Family):
         y = [*self.plant.stopped(y[:-1], tape.M), y[-1]]
         margin = _margin(trace, state[:-1], state[-1], trace.f(state[:-1], u0, state[-1]))
         arguments = [vector("x", n + 1, "one"), vector("a", m), vector("m", m, "wide"), vector("b", m), "h"]
-        text = of.function([*y, margin], arguments, {"y": n + 2}, "one")
-        sizes = {"N": n, "M": m, "TIMED": int(timed), "MIDDLE": int(programs.depends(y, um))}
-        return made(
-            "sweep", family.PREDICT, skeleton("declared.h"), {"STEP": text}, sizes, before=[skeleton("middle.h")]
-        )
+        functions = {"STEP": of.function([*y, margin], arguments, {"y": n + 2}, "one")}
+        sizes = {"TIMED": int(timed), "MIDDLE": int(programs.depends(y, um))}
+        return compiled("sweep", family.PREDICT, "declared.h", of, functions, [skeleton("middle.h")], **sizes)
 
     def control(self, step: Step) -> Kernel:
         n, m, of = self.plant.n, self.plant.m, Formulas(self.plant, ())
@@ -79,8 +77,8 @@ class DeclaredDelay(Family):
             "TIME": of.function(after, [vector("x", n), "s", "t"], {"after": 1}, "one"),
             "LAW": of.function(of.trace.kappa(x, s), [vector("x", n), "s"], {"U": m}),
         }
-        sizes = {"N": n, "M": m, "STEPS": STEPS if programs.depends([delay], [s]) else 1}
-        return made("control", family.CONTROL, skeleton("declared_control.h"), functions, sizes)
+        steps = STEPS if programs.depends([delay], [s]) else 1
+        return compiled("control", family.CONTROL, "declared_control.h", of, functions, STEPS=steps)
 
     def advance(self, step: Step) -> Kernel:
         return ConstantDelay(self.plant).advance(step)  # the engine says when the inputs switch
@@ -89,14 +87,14 @@ class DeclaredDelay(Family):
         n, of = self.plant.n, Formulas(self.plant, ())
         delay = of.trace.delay(of.trace.vector("x", n), of.trace.input("t"))
         text = of.function([delay], [vector("x", n), "t"], {"value": 1}, "one")
-        return made("horizon", family.HORIZON, skeleton("horizon.h"), {"VALUE": text}, {"M": self.plant.m})
+        return compiled("horizon", family.HORIZON, "horizon.h", of, {"VALUE": text})
 
     def speed(self) -> Kernel:
         n, m, of = self.plant.n, self.plant.m, Formulas(self.plant, ())
         x, u, t = of.trace.vector("x", n), of.trace.vector("u", m), of.trace.input("t")
         margin = _margin(of.trace, x, t, of.trace.f(x, u, t))
         text = of.function([margin], [vector("x", n), vector("u", m), "t"], {"value": 1}, "one")
-        return made("speed", family.SPEED, skeleton("speed.h"), {"VALUE": text}, {"M": m})
+        return compiled("speed", family.SPEED, "speed.h", of, {"VALUE": text})
 
 
 def _margin(trace: Trace, x: Any, t: Any, velocity: Any) -> Any:

@@ -12,6 +12,7 @@ import numpy as np
 
 from npred.errors import ConfigError
 from npred.kernels import kernel
+from npred.kernels.functions import Formulas
 from npred.plants.base import Plant
 
 Kernel = Callable[..., None]  # npred.kernels.kernel.Kernel, or for a black box the same in Python
@@ -44,6 +45,15 @@ def build(name: str, arguments: str, body: str) -> kernel.Kernel:
     """The kernel of a body in C99, for laws of yours: arrays have their lanes innermost, d.lanes of them."""
     head = kernel.prototype("KERNEL", arguments)
     return kernel.made(name, arguments, f"static inline {head}\n{{\n    (void)d, (void)work;\n{body}}}\n", {})
+
+
+def compiled(
+    name: str, arguments: str, file: str, of: Formulas, functions: Mapping[str, str], before: Sequence[str] = (),
+    **sizes: object,
+) -> kernel.Kernel:  # fmt: skip
+    """The kernel of a skeleton, which knows the plant's sizes N and M, and of formulas with the functions they call."""
+    sizes = {"N": of.plant.n, "M": of.plant.m} | sizes
+    return kernel.made(name, arguments, kernel.skeleton(file), functions, sizes, before=[*of.called(), *before])
 
 
 def rows(*lanes: np.ndarray) -> list[np.ndarray]:

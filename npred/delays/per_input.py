@@ -13,10 +13,10 @@ from typing import Any, ClassVar
 import numpy as np
 
 from npred.delays import family
-from npred.delays.family import Family, Step
+from npred.delays.family import Family, Step, compiled
 from npred.kernels.formula import vector
 from npred.kernels.functions import Formulas
-from npred.kernels.kernel import Kernel, made, skeleton
+from npred.kernels.kernel import Kernel
 from npred.plants.base import Plant
 from npred.symbolic import called_functions, tape
 from npred.symbolic.trace import Trace
@@ -43,14 +43,14 @@ class DelayPerInput(Family):
         return f"expected one delay, plant {self.plant.name} has delays {delays}"
 
     @property
-    def sizes(self) -> dict[str, Any]:
-        """The macros of the skeletons."""
-        ratios = ", ".join(map(repr, self.plant.ratios.tolist()))
-        return {"N": self.plant.n, "M": self.plant.m, "RATIOS": f"{{{ratios}}}"}
+    def _ratios(self) -> str:
+        """r, as C has it."""
+        return f"{{{', '.join(map(repr, self.plant.ratios.tolist()))}}}"
 
     def sweep(self, step: Step) -> Kernel:
         of = Formulas(self.plant, ())
-        return made("sweep", family.PREDICT, skeleton("per_input.h"), {"STEP": self._step(of, step)}, self.sizes)
+        functions = {"STEP": self._step(of, step)}
+        return compiled("sweep", family.PREDICT, "per_input.h", of, functions, RATIOS=self._ratios)
 
     def control(self, step: Step) -> Kernel:
         n, m, of = self.plant.n, self.plant.m, Formulas(self.plant, ())
@@ -59,18 +59,15 @@ class DelayPerInput(Family):
         U = [of.trace.kappa(Y[c * n : (c + 1) * n], t + r * D_hat)[c] for c, r in enumerate(ratios)]
         law = of.function(U, [vector("x", n * m, "wide"), "t", "D_hat"], {"U": m})
         functions = {"STEP": self._step(of, step), "LAW": law}
-        return made("control", family.CONTROL, skeleton("per_input.h"), functions, self.sizes)
+        return compiled("control", family.CONTROL, "per_input.h", of, functions, RATIOS=self._ratios)
 
     def advance(self, step: Step) -> Kernel:
         n, m, of = self.plant.n, self.plant.m, Formulas(self.plant)
         x, u = of.trace.vector("x", n), of.trace.vector("u", m)
         y = called_functions.stepped(of.trace, step, x, (u, u, u), of.trace.input("t"), of.trace.input("h"))
         y = self.plant.stopped([*y], tape.M)
-        text = of.function(y, [vector("x", n), vector("u", m, "one"), "t", "h"], {"y": n})
-        sizes = {"N": n, "M": m}
-        return made(
-            "advance", family.ADVANCE, skeleton("per_input_advance.h"), {"STEP": text}, sizes, before=of.called()
-        )
+        functions = {"STEP": of.function(y, [vector("x", n), vector("u", m, "one"), "t", "h"], {"y": n})}
+        return compiled("advance", family.ADVANCE, "per_input_advance.h", of, functions)
 
     def _step(self, of: Formulas, step: Step) -> str:
         """One step in place; `past` says which inputs' histories have ended."""

@@ -84,5 +84,5 @@ def _slopes(plant: Plant, t: np.ndarray) -> list[np.ndarray]:
     clock = trace.input("t")
     by_t = programs.derivative(trace.reference(clock), [clock], [1.0])
     with np.errstate(all="ignore"):
-        values = python(by_t, ["t", *names("p", len(plant.p))], np)(t, *plant.p)
+        values = python(by_t, ["t", *names("p", len(plant.p))])(t, *plant.p)
     return [array_math.stack(values, t)]

@@ -67,7 +67,7 @@ def _along(case: Case, X: np.ndarray) -> np.ndarray:
     x, t = trace.vector("x", plant.n), 0.0
     V = trace.V(x, t)
     slope = programs.derivative([V], x, trace.f(x, trace.kappa(x, t), t))
-    rate = python(slope, [*names("x", plant.n), *names("p", len(plant.p))], np)
+    rate = python(slope, [*names("x", plant.n), *names("p", len(plant.p))])
     with np.errstate(all="ignore"):
         return np.array([rate(*row, *plant.p)[0] for row in X], dtype=float)
 

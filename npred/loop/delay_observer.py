@@ -36,7 +36,7 @@ from npred.kernels.kernel import Kernel, made, skeleton
 from npred.loop.delay_law import DelayLaw
 from npred.plants.base import Plant
 from npred.plants.black_box import difference
-from npred.predictors.heun import Heun
+from npred.predictors.runge_kutta import Heun
 from npred.symbolic import programs
 from npred.symbolic.tape import M
 

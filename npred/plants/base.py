@@ -257,7 +257,7 @@ class Plant:
         of_f, of_kappa = [*names("x", self.n), *names("u", self.m), *rest], [*names("x", self.n), *rest]
         parts = {"f_x": (f, x, of_f), "f_u": (f, u, of_f), "kappa_x": (kappa, x, of_kappa)}
         return {
-            name: python([y for unit in np.eye(len(by)) for y in programs.derivative(values, by, unit)], inputs, np)
+            name: python([y for unit in np.eye(len(by)) for y in programs.derivative(values, by, unit)], inputs)
             for name, (values, by, inputs) in parts.items()
         }
 

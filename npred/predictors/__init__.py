@@ -3,11 +3,9 @@
 from npred.errors import ConfigError
 from npred.plants.base import Plant
 from npred.predictors.base import Compiled, Predictor
-from npred.predictors.euler import Euler
-from npred.predictors.heun import Heun
 from npred.predictors.onestep import OneStep
 from npred.predictors.picard import Picard
-from npred.predictors.rk4 import RK4
+from npred.predictors.runge_kutta import RK4, Euler, Heun
 from npred.registry import METHODS
 
 __all__ = ["Compiled", "Euler", "Heun", "OneStep", "Picard", "Predictor", "RK4", "method", "numerical"]

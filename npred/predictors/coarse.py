@@ -33,14 +33,6 @@ def straight(u: np.ndarray, count: int) -> np.ndarray:
     return np.stack([whole / long - half, whole / long + half], axis=2).reshape(len(u), 2 * count, -1)
 
 
-def ends(predictor: OneStep, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, count: int, t: np.ndarray) -> np.ndarray:
-    """P(1) (B, n) by the method on so many cells, of X (B, n), u (B, nx, m), D_hat and t (B,)."""
-    plant, P = predictor.plant, np.full((len(X), count + 1, predictor.plant.n), np.nan)
-    times = t if plant.clocked else np.zeros(len(X))
-    family.by_time(predictor.cells(), (X, straight(u, count), D_hat), times, (plant.p,), (P,))
-    return P[:, -1]
-
-
 class Coarse(Compiled):
     """A one-step method on `count` cells, whatever nx is: each cell reads the straight line nearest to u on it.
 
@@ -68,7 +60,6 @@ class Coarse(Compiled):
         sizes, body = {"N": n, "M": m, "COUNT": count}, skeleton("coarse.h")
         return made("coarse", family.PREDICT, body, {}, sizes, {"SWEEP": sweep}, [skeleton("cells.h")], work=work)
 
-    @property
-    def operations(self) -> int:
-        """The operations of a call, counted in the program of a step."""
-        return self.count * self.method.operations(self.plant)
+    def call_operations(self, steps: int) -> int:
+        """The operations of a call, whatever number of steps the nodes ask for, counted in the program of a step."""
+        return self.method.call_operations(self.count)

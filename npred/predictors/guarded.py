@@ -12,10 +12,11 @@ from npred.data.domain import Domain, unread
 from npred.delays import family_of
 from npred.delays.family import Kernel, by_time
 from npred.errors import ConfigError
-from npred.predictors import guard_grids, method
+from npred.predictors import method
 from npred.predictors.base import Predictor
+from npred.predictors.guard_examples import Examples, Grids
 from npred.predictors.guard_kernel import kernel
-from npred.predictors.rk4 import RK4
+from npred.predictors.runge_kutta import RK4
 
 if TYPE_CHECKING:  # an extra of certify
     from npred.bounds.error_bound import ErrorBound
@@ -100,7 +101,7 @@ class Guarded(Predictor):
         return self._set(self.reference[1])
 
     @cached_property
-    def reference(self) -> tuple[str, tuple[int, int]]:
+    def reference(self) -> tuple[str, Grids]:
         """The method that the estimate is by, and the steps of its two grids: the cheapest for the data's examples.
 
         Where an example of the data makes the coarse shadow and the fine one agree, to what passes, both agree with
@@ -113,27 +114,27 @@ class Guarded(Predictor):
         if self.domain is None:
             last = self.nx - 1
             return (self.exact.name if self.exact.name in self._methods else "heun"), (last, max(last // 2, 1))
-        return guard_grids.chosen(self, self._methods, self.threshold, MISLED * self.tolerance)
+        return self.examples.shadow(self.model, self.exact, self._methods, self.threshold, MISLED * self.tolerance)
 
-    def _divided(self) -> tuple[int, int]:
+    def _divided(self) -> Grids:
         """The steps of two grids of the nodes, as few as the data's examples allow."""
         finest, *coarser = _grids(self.nx)
         if self.domain is None:
             return finest
-        rows = self.examples
-        P = self.exact(*rows)
+        calls = self.examples.calls
+        P = self.exact(*calls)
         for counts in reversed(coarser):
-            error = self._run(self._set(counts, tolerance=np.inf), P, *rows, run=self._kernel("heun"))[1]
+            error = self._run(self._set(counts, tolerance=np.inf), P, *calls, run=self._kernel("heun"))[1]
             if error.max() <= SHARE * self.tolerance:
                 return counts
         return finest
 
     @cached_property
-    def examples(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """X, u, D_hat, t of some rows of the data, u on the nodes of the guard."""
+    def examples(self) -> Examples:
+        """Some rows of the data, u on the nodes of the guard."""
         domain = self.domain
         assert domain is not None
-        return domain.X, grid.refine(domain.u, self.nx), domain.D_hat, domain.t
+        return Examples(self.plant, domain.X, grid.refine(domain.u, self.nx), domain.D_hat, domain.t)
 
     @cached_property
     def exact(self) -> Predictor:
@@ -141,7 +142,7 @@ class Guarded(Predictor):
         50 of its steps, the cheapest implicit method on as few cells as keep U within SHARE of the tolerance.
         """
         if self._exact is None and self.domain is not None and family_of(self.plant).reads_cells:
-            return guard_grids.exact(self, self._methods[1:], SHARE * self.tolerance)
+            return self.examples.exact(self._methods[1:], SHARE * self.tolerance)
         return self._exact or RK4(self.plant, self.nx)
 
     @property
@@ -177,8 +178,8 @@ class Guarded(Predictor):
 
         if self.domain is None:
             return ErrorBound(self.plant, np.eye(self.plant.n))
-        rows = self.examples
-        return ErrorBound(self.plant, weight(self.plant, self.exact(*rows), *rows[1:]))
+        calls = self.examples.calls
+        return ErrorBound(self.plant, weight(self.plant, self.exact(*calls), *calls[1:]))
 
     def beyond(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: np.ndarray) -> np.ndarray:
         """How far inputs are from the data, as a share of how far the model is trusted, (B,); 0 where it has none."""
@@ -213,7 +214,7 @@ class Guarded(Predictor):
         by_time(run or self.guard, (X, u, D_hat), times, (self.plant.p, settings), (P, error, fallback))
         return P, error, fallback > 0
 
-    def _set(self, counts: tuple[int, int], tolerance: float | None = None) -> np.ndarray:
+    def _set(self, counts: Grids, tolerance: float | None = None) -> np.ndarray:
         head = [self.threshold if tolerance is None else tolerance, *counts, float(self.correct)]
         cells = self.by != "defect" and family_of(self.plant).reads_cells
         levels = float(REFINEMENTS if cells and self.domain is not None else 0)
@@ -224,7 +225,7 @@ class Guarded(Predictor):
         return np.concatenate([[*head, domain.limit.item(), levels], *parts])
 
 
-def _grids(nx: int) -> list[tuple[int, int]]:
+def _grids(nx: int) -> list[Grids]:
     """The pairs of numbers of intervals of nx nodes, each with the next smaller one, the finest first."""
     last = nx - 1
     return list(pairwise(last // s for s in range(1, last // FEWEST + 1) if last % s == 0))

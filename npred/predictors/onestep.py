@@ -2,7 +2,7 @@
 
 from abc import abstractmethod
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -11,6 +11,10 @@ from npred.errors import ConfigError
 from npred.plants.base import Plant
 from npred.predictors.base import Compiled
 from npred.symbolic import called_functions, source_lines
+
+Array: TypeAlias = np.ndarray  # of numbers or symbols: states (n,) and inputs (m,), or the same with lanes, (n, B)
+Time: TypeAlias = Any  # a number, a symbol, or the numbers of lanes (B,)
+Flow: TypeAlias = Callable[..., Array]  # f(x, u, t); of an implicit step a Trace, which knows derivatives too
 
 
 class OneStep(Compiled):
@@ -25,7 +29,7 @@ class OneStep(Compiled):
 
     @staticmethod
     @abstractmethod
-    def step(f: Callable[..., Any], x: Any, u0: Any, um: Any, u1: Any, t: Any, h: Any) -> Any:
+    def step(f: Flow, x: Array, u0: Array, um: Array, u1: Array, t: Time, h: Time) -> Array:
         """x(t + h) from x(t), the input being u0, um, u1 at t, t + h/2, t + h."""
 
     @classmethod
@@ -33,7 +37,7 @@ class OneStep(Compiled):
         """Evaluations of f per step. Raises ConfigError, with the line, for a formula that fails or is no step."""
         times = []
 
-        def f(x: Any, u: Any, t: Any) -> Any:
+        def f(x: Array, u: Array, t: Time) -> Array:
             times.append(t)
             return -x
 
@@ -60,3 +64,7 @@ class OneStep(Compiled):
     def operations(cls, plant: Plant) -> int:
         """The operations of a step, counted in its program."""
         return called_functions.operations(plant, cls.step)
+
+    def call_operations(self, steps: int) -> int:
+        """The operations of a call of so many steps."""
+        return steps * self.operations(self.plant)

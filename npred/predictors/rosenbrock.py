@@ -1,14 +1,13 @@
 """A linearly implicit method, for stiff plants of any kind."""
 
 import math
-from typing import Any
 
 import numpy as np
 
-from npred.predictors.onestep import OneStep
-from npred.symbolic import lu
+from npred.predictors.onestep import Array, OneStep, Time
 from npred.symbolic.called_functions import whole
-from npred.symbolic.linearised import linearised
+from npred.symbolic.implicit import linearised, solver
+from npred.symbolic.trace import Trace
 
 GAMMA = 1.0 - 1.0 / math.sqrt(2.0)
 
@@ -28,9 +27,9 @@ class Rosenbrock(OneStep):
 
     @staticmethod
     @whole
-    def step(f: Any, x: Any, u0: Any, um: Any, u1: Any, t: Any, h: Any) -> Any:
+    def step(f: Trace, x: Array, u0: Array, um: Array, u1: Array, t: Time, h: Time) -> Array:
         velocity, jacobian, d = linearised(f, x, u0, t, None if u0 is u1 else u1 - u0, h)
-        solve = lu.solver((np.eye(len(x)) - GAMMA * h * jacobian).tolist())
+        solve = solver((np.eye(len(x)) - GAMMA * h * jacobian).tolist())
         k1 = np.array(solve([*(velocity + GAMMA * d)]), dtype=object)
         k2 = np.array(solve([*(f(x + h * k1, u1, t + h) - 2.0 * k1 - GAMMA * d)]), dtype=object)
         return x + h * (1.5 * k1 + 0.5 * k2)

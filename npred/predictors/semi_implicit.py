@@ -2,15 +2,15 @@
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
 
 import numpy as np
 
 from npred.delays import family_of
 from npred.plants.base import Plant
-from npred.predictors.onestep import OneStep
+from npred.predictors.onestep import Array, OneStep, Time
 from npred.symbolic import called_functions, ldl
 from npred.symbolic.called_functions import whole
+from npred.symbolic.trace import Trace
 
 
 class SemiImplicit(OneStep):
@@ -44,7 +44,7 @@ class SemiImplicit(OneStep):
 
     @staticmethod
     @partial(whole, chains=2)
-    def chains(f: Any, x: Any, u0: Any, um: Any, u1: Any, t: Any, h: Any) -> Any:
+    def chains(f: Trace, x: Array, u0: Array, um: Array, u1: Array, t: Time, h: Time) -> Array:
         """Both chains a node further: x and the result have one after the other."""
         n, first, second = len(x) // 2, 0.5 * (u0 + um), 0.5 * (um + u1)
         half = _advanced(f, x[n:], first, t, 0.5 * h)
@@ -53,12 +53,12 @@ class SemiImplicit(OneStep):
 
     @staticmethod
     @whole
-    def step(f: Any, x: Any, u0: Any, um: Any, u1: Any, t: Any, h: Any) -> Any:
+    def step(f: Trace, x: Array, u0: Array, um: Array, u1: Array, t: Time, h: Time) -> Array:
         both = SemiImplicit.chains(f, np.concatenate([x, x]), u0, um, u1, t, h)
         return 2.0 * both[len(x) :] - both[: len(x)]
 
 
-def _advanced(f: Any, x: Any, u: Any, t: Any, h: Any) -> Any:
+def _advanced(f: Trace, x: Array, u: Array, t: Time, h: Time) -> Array:
     """One semi-implicit step."""
     at = f.mechanics(x, u, t)
     size, rates = range(len(at.rates)), [x[k] for k in at.rates]

@@ -12,7 +12,6 @@ import numpy as np
 
 from npred.symbolic import programs
 from npred.symbolic.declared import Declared
-from npred.symbolic.linearised import Flow
 from npred.symbolic.tape import names
 from npred.symbolic.trace import Trace
 
@@ -43,7 +42,7 @@ def stepped(trace: Trace, step: Step, x: np.ndarray, inputs: Sequence[np.ndarray
         return step(trace.f, x, *inputs, t, h)
     name = re.sub(r"\W", "_", step.__qualname__).lower() + ("_held" if inputs[0] is inputs[2] else "")
     if "f" not in trace.called and len(_lines(trace.plant, name, step)[1]) <= LONG_STEP:
-        return step(Flow(trace), x, *inputs, t, h)
+        return step(trace, x, *inputs, t, h)
     trace.steps[name] = step
     u = inputs[0] if inputs[0] is inputs[2] else np.concatenate(inputs)
     return np.array(trace.tape.call(name, [t, *x, *u, *trace.parameters, h], 0, len(x)), dtype=object)
@@ -80,6 +79,6 @@ def _step(trace: Trace, step: Step, held: bool) -> tuple[list[str], np.ndarray]:
     n, m = trace.plant.n * getattr(step, "whole", 1), trace.plant.m
     prefixes = "a" if held else "amb"
     inputs = [trace.vector(prefix, m) for prefix in prefixes] * (3 if held else 1)
-    outputs = step(Flow(trace), trace.vector("x", n), *inputs, trace.input("t"), trace.input("h"))
+    outputs = step(trace, trace.vector("x", n), *inputs, trace.input("t"), trace.input("h"))
     arguments = ["t", *names("x", n), *(name for prefix in prefixes for name in names(prefix, m))]
     return [*arguments, *names("p", len(trace.parameters)), "h"], outputs

@@ -37,17 +37,12 @@ class Declared(Protocol):
     """A plant as the formula compiler needs it: names, sizes, parameters, functions; npred.plants.Plant has them."""
 
     traced: ClassVar[bool]
+    name: str
+    declaration: Any
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    parameters: dict[str, float]
 
-    @property
-    def name(self) -> str: ...
-    @property
-    def declaration(self) -> Any: ...
-    @property
-    def states(self) -> Sequence[str]: ...
-    @property
-    def inputs(self) -> Sequence[str]: ...
-    @property
-    def parameters(self) -> dict[str, float]: ...
     @property
     def n(self) -> int: ...
     @property

@@ -1,6 +1,5 @@
 """A plant's functions on one tape, and programs of them printed as plain Python."""
 
-import math
 from collections.abc import Callable, Collection, Sequence
 from numbers import Real
 from typing import Any, NamedTuple
@@ -52,6 +51,8 @@ class Trace:
     def f(self, x: np.ndarray, u: np.ndarray, t: Any) -> np.ndarray:
         """f(x, u, t), shape (n,)."""
         return self._call("f", self.plant.n, x, u, t)
+
+    __call__ = f  # a step reads f of a trace, and, where it is implicit, more
 
     def kappa(self, x: np.ndarray, t: Any) -> np.ndarray:
         """kappa(x, t), shape (m,)."""
@@ -129,15 +130,14 @@ class Trace:
 ON_ARRAYS = {name: f"np.{name}({{0}}, {{1}})" for name in ("maximum", "minimum")} | {"where": "np.where({0}, {1}, {2})"}
 
 
-def python(outputs: tapes.Vector, names: Sequence[str], library: Any = math) -> Callable[..., list[float]]:
-    """The program as an interpreted function of the named inputs: for the few evaluations of a solver.
+def python(outputs: tapes.Vector, names: Sequence[str]) -> Callable[..., list[Any]]:
+    """The program as an interpreted function of the named inputs, on numbers, arrays, or what NumPy takes as such.
 
-    With `library` np it takes arrays too, and a branch that M.where does not take may be undefined there, as in the
-    compiled kernels.
+    A branch that M.where does not take may be undefined there, as in the compiled kernels.
     """
     targets = tapes.names("y", len(outputs))
-    lines = programs.lines(outputs, {}, targets, ON_ARRAYS if library is np else {})
+    lines = programs.lines(outputs, {}, targets, ON_ARRAYS)
     text = f"def function({', '.join(names)}):\n    " + "\n    ".join(lines) + f"\n    return [{', '.join(targets)}]"
-    space: dict[str, Any] = {"math": library, "np": np}
+    space: dict[str, Any] = {"math": np, "np": np}
     exec(text, space)
     return space["function"]

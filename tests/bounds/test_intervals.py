@@ -35,9 +35,9 @@ def test_the_values_at_points_are_in_the_interval(name, a, b, shares):
     outputs = [FORMULAS[name](*tape.inputs("x", 2))]
     boxes = [Interval(np.array([low]), np.array([low + width])) for low, width in (a, b)]
     with np.errstate(all="ignore"):
-        (enclosed,) = python(outputs, ["x0", "x1"], np)(*boxes)
+        (enclosed,) = python(outputs, ["x0", "x1"])(*boxes)
         assert enclosed.low <= enclosed.high
-        at_points = python(outputs, ["x0", "x1"], np)
+        at_points = python(outputs, ["x0", "x1"])
         for share in shares:
             point = [box.low + s * (box.high - box.low) for box, s in zip(boxes, share, strict=True)]
             (value,) = at_points(*point)
@@ -48,8 +48,8 @@ def test_the_values_at_points_are_in_the_interval(name, a, b, shares):
 def test_a_point_is_enclosed_closely(name):
     tape = Tape()
     outputs = [FORMULAS[name](*tape.inputs("x", 2))]
-    (enclosed,) = python(outputs, ["x0", "x1"], np)(0.7, Interval(np.array([0.2]), np.array([0.2])))
-    value = python(outputs, ["x0", "x1"], np)(0.7, np.array([0.2]))[0]
+    (enclosed,) = python(outputs, ["x0", "x1"])(0.7, Interval(np.array([0.2]), np.array([0.2])))
+    value = python(outputs, ["x0", "x1"])(0.7, np.array([0.2]))[0]
     assert enclosed.low <= value <= enclosed.high
     assert enclosed.high - enclosed.low <= 1e-13 * (1 + abs(value))
 

@@ -20,7 +20,7 @@ from npred.predictors import Predictor
 from npred.predictors.coarse import Coarse
 from npred.predictors.guard_kernel import HEAD
 from npred.predictors.guarded import Guarded, bare
-from npred.predictors.heun import Heun
+from npred.predictors.runge_kutta import Heun
 from npred.predictors.semi_implicit import SemiImplicit
 
 

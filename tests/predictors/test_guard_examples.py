@@ -5,7 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from npred.predictors import guard_grids
+from npred.predictors import guard_examples
+from npred.predictors.guard_examples import Examples
 
 PASSING, TOLERANCE, WHOLE = 0.4, 0.1, 100
 MODEL = np.array([0.0, 0.1, 0.35, 2.0])  # U of the model for four examples; that of `exact` is 0
@@ -18,21 +19,34 @@ def shadow(R, noise):
     return A, A - noise
 
 
+class Known(Examples):
+    """Examples whose U by a method on so many cells is known, and what each method costs on one."""
+
+    U, cost = {}, ()
+
+    def by_cost(self, names):
+        return [(cost, name, 1) for name, cost in self.cost]
+
+    def on_cells(self, name, count):
+        return self.U[name, count][:, None]
+
+
+def known(count):
+    nobody = np.zeros(count)
+    return Known(SimpleNamespace(kappa=lambda P, t: P), nobody, np.zeros((count, 51, 1)), nobody, nobody)
+
+
 @pytest.fixture
 def chosen(monkeypatch):
     """The grids that are chosen of some, each with its cost and its two U."""
+    monkeypatch.setattr(guard_examples, "_operations", lambda exact, steps: WHOLE)
 
     def choose(options):
-        ends = {(name, count): U for name, _, pair in options for count, U in zip((2, 1), pair, strict=True)}
-        monkeypatch.setattr(guard_grids, "_by_cost", lambda plant, names: [(cost, n, 1) for n, cost, _ in options])
-        monkeypatch.setattr(guard_grids, "_method", lambda name, plant: name)
-        monkeypatch.setattr(guard_grids, "_ends", lambda guarded, name, count: ends[name, count][:, None])
-        monkeypatch.setattr(guard_grids, "_fallback_cost", lambda guarded: WHOLE)
-        guarded = SimpleNamespace(
-            nx=51, examples=(None, None, NOBODY, NOBODY), plant=SimpleNamespace(kappa=lambda P, t: P),
-            model=lambda *rows: MODEL[:, None, None], exact=lambda *rows: 0 * MODEL[:, None, None],
-        )  # fmt: skip
-        return guard_grids.chosen(guarded, [], PASSING, TOLERANCE)[0]
+        monkeypatch.setattr(Known, "cost", [(name, cost) for name, cost, _ in options])
+        U = {(name, count): U for name, _, pair in options for count, U in zip((2, 1), pair, strict=True)}
+        monkeypatch.setattr(Known, "U", U)
+        model, exact = (lambda *calls, U=U: U[:, None, None] for U in (MODEL, 0 * MODEL))
+        return known(4).shadow(model, exact, [], PASSING, TOLERANCE)[0]
 
     return choose
 
@@ -59,8 +73,7 @@ def test_a_shadow_as_dear_as_the_fallback_is_not_taken_where_another_is_misled_l
 
 def test_a_step_is_short_enough_for_all_but_one_of_a_hundred_examples(monkeypatch):
     ends = {50: np.zeros(200), 100: np.random.default_rng(0).permutation(200).astype(float)}
-    monkeypatch.setattr(guard_grids, "_ends", lambda guarded, method, count: ends[count][:, None])
-    monkeypatch.setattr(guard_grids, "_law", lambda guarded, P: P)
-    assert guard_grids._move(None, None, 50) == 198.0
+    monkeypatch.setattr(Known, "U", {("rk4", count): U for count, U in ends.items()})
+    assert known(200).move("rk4", 50) == 198.0
     ends[50][:3] = np.nan
-    assert guard_grids._move(None, None, 50) == np.inf
+    assert known(200).move("rk4", 50) == np.inf

@@ -1,4 +1,4 @@
-"""A y = b for any square A, on numbers or symbols, by elimination with row exchanges that straight-line code can take.
+"""What an implicit step reads of f: its derivatives on one tape, and A y = b for the matrix that they make.
 
 The matrix I - h γ f_X of an implicit method may have any pivots. Rows are exchanged by M.where on the values, so that a
 kernel needs no branch; a pivot that is 1 by structure, as of a position whose rate is a state, is taken without a
@@ -8,11 +8,29 @@ search, and entries that are 0 by structure cost nothing. Golub, Van Loan, Matri
 from collections.abc import Callable
 from typing import Any
 
-from npred.symbolic import ldl
+import numpy as np
+
+from npred.symbolic import ldl, programs
 from npred.symbolic.tape import M, Symbol, nonzero
 
 Vector = list[Any]
 Replay = Callable[[Vector], None]  # what an elimination did to the rows, on a right side
+
+
+def linearised(
+    f: Callable[..., Any], x: np.ndarray, u: np.ndarray, t: Any, du: np.ndarray | None, dt: Any
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """f (n,), f_X (n, n) and its change f_U du + f_t dt (n,) at symbols x, u, t; without du the inputs are constant.
+
+    What vanishes by structure is the number 0, so that programs leave it out.
+    """
+    y = f(x, u, t)
+    units = np.eye(len(x)).tolist()
+    columns = [programs.derivative(y, x, unit) for unit in units]
+    moving = [] if du is None else list(zip(u, du, strict=True))
+    moving += [(t, dt)] if isinstance(t, Symbol) else []
+    change = programs.derivative(y, *zip(*moving, strict=True)) if moving else [0.0] * len(y)
+    return np.asarray(y), np.array(columns, dtype=object).T, np.array(change, dtype=object)
 
 
 def solver(A: list[Vector]) -> Callable[[Vector], Vector]:

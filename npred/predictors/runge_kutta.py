@@ -1,0 +1,43 @@
+"""Explicit Runge-Kutta methods."""
+
+from npred.predictors.onestep import Array, Flow, OneStep, Time
+
+
+class Euler(OneStep):
+    """x + h f(x, u): order 1, the paper's scheme."""
+
+    name, order = "euler", 1
+
+    @staticmethod
+    def step(f: Flow, x: Array, u0: Array, um: Array, u1: Array, t: Time, h: Time) -> Array:
+        return x + h * f(x, u0, t)
+
+
+class Heun(OneStep):
+    """The trapezoidal rule with Euler's step as its end point: order 2. Hairer, Nørsett, Wanner, Table II.1.1."""
+
+    name, order = "heun", 2
+
+    @staticmethod
+    def step(f: Flow, x: Array, u0: Array, um: Array, u1: Array, t: Time, h: Time) -> Array:
+        k1 = f(x, u0, t)
+        k2 = f(x + h * k1, u1, t + h)
+        return x + h / 2 * (k1 + k2)
+
+
+class RK4(OneStep):
+    """Kutta's method, u at half steps by the cubic through four nodes: order 4. Hairer, Nørsett, Wanner, Table II.1.2.
+
+    The order holds where u is smooth and has its values at the nodes. In a loop u has the means over their cells, which
+    differ from these in h² u'' / 24: order 2 there. Across a jump of u every method here is of order 1.
+    """
+
+    name, order = "rk4", 4
+
+    @staticmethod
+    def step(f: Flow, x: Array, u0: Array, um: Array, u1: Array, t: Time, h: Time) -> Array:
+        k1 = f(x, u0, t)
+        k2 = f(x + h / 2 * k1, um, t + h / 2)
+        k3 = f(x + h / 2 * k2, um, t + h / 2)
+        k4 = f(x + h * k3, u1, t + h)
+        return x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
