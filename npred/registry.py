@@ -162,8 +162,8 @@ NETWORKS = Registry(
         "fno": Entry("npred.operators.fno:FNOnetwork", "FNO", lowering="npred.runtimes.fno"),
         "averaging": Entry("npred.operators.averaging:AveragingNetwork", "averaging operator"),
         "gru": Entry("npred.operators.gru:GRUNetwork", "GRU"),
-        "fno_gru": Entry("npred.operators.corrected:FNOGRU", "FNO + GRU"),
-        "deeponet_gru": Entry("npred.operators.corrected:DeepONetGRU", "DeepONet + GRU"),
+        "fno_gru": Entry("npred.operators.gru:FNOGRU", "FNO + GRU"),
+        "deeponet_gru": Entry("npred.operators.gru:DeepONetGRU", "DeepONet + GRU"),
     },
 )
 METHODS = Registry(

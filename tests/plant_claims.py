@@ -20,7 +20,7 @@ from npred.delays.constant import ConstantDelay
 from npred.loop.closed_loop import Trajectories, simulate
 from npred.plants import Plant
 from npred.predictors import RK4
-from npred.predictors.onestep import OneStep
+from npred.predictors.base import OneStep
 from npred.registry import METHODS
 
 DT = 0.005

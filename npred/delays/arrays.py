@@ -3,30 +3,25 @@
 A lane that leaves the finite numbers is NaN from there on, which its reader says in words: NumPy warns of nothing.
 """
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from npred import grid
-from npred.delays.family import Family, Kernel, Step, transition
+from npred.delays.family import CURES, Family, Kernel, Step, transition
 from npred.plants.base import Plant
 from npred.plants.black_box import BlackBox
-from npred.symbolic import array_math
+from npred.symbolic import Value, array_math
+
+Lanes = np.ndarray  # lanes innermost
 
 
 class ArrayFamily(Family):
     """All inputs of a black box arrive D late."""
 
     plant: BlackBox
-    lacks: ClassVar = {
-        "rosenbrock": "use heun or rk4, on more nodes",
-        "semi_implicit": "use heun or rk4, on more nodes",
-        "defect": "take by = 'shadow'",
-        "bound": "take error, an estimate",
-        "onnx": "use the runtime torch or fused",
-        "export c": "use npred.controller",
-        "export controller": "use npred.controller",
-    }
+    lacks: ClassVar = ("rosenbrock", "semi_implicit", "defect", "bound", "onnx", "export c", "export controller")
+    cures: ClassVar = CURES | dict.fromkeys(("rosenbrock", "semi_implicit"), "use heun or rk4, on more nodes")
 
     @staticmethod
     def serves(plant: Plant) -> bool:
@@ -40,7 +35,7 @@ class ArrayFamily(Family):
         f = on_lanes(plant)
 
         @np.errstate(all="ignore")
-        def predict(X: Any, u: np.ndarray, D_hat: np.ndarray, t: float, p: Any, P: np.ndarray) -> None:
+        def predict(X: Lanes, u: Lanes, D_hat: Lanes, t: float, p: Lanes, P: Lanes) -> None:
             nx, h = len(P), D_hat / (len(P) - 1)
             middle = grid.refine(np.moveaxis(u, -1, 0), 2 * nx - 1)[:, 1::2].transpose(1, 2, 0)
             P[0] = X
@@ -53,7 +48,7 @@ class ArrayFamily(Family):
         plant = self.plant
 
         @np.errstate(all="ignore")
-        def predict(X: Any, u: np.ndarray, D_hat: np.ndarray, t: float, p: Any, P: np.ndarray) -> None:
+        def predict(X: Lanes, u: Lanes, D_hat: Lanes, t: float, p: Lanes, P: Lanes) -> None:
             h, times = D_hat / (len(P) - 1), t + np.arange(len(P))[:, None] * D_hat / (len(P) - 1)
             P[:] = X
             for _ in range(sweeps):
@@ -71,7 +66,7 @@ class ArrayFamily(Family):
         plant = self.plant
 
         @np.errstate(all="ignore")
-        def law(P: Any, u: Any, D_hat: Any, t: float, p: Any, U: Any) -> None:
+        def law(P: Lanes, u: Lanes, D_hat: Lanes, t: float, p: Lanes, U: Lanes) -> None:
             U[:] = plant.kappa(P[-1].T, t + D_hat).T
 
         return law
@@ -80,11 +75,11 @@ class ArrayFamily(Family):
         plant = self.plant
         f = on_lanes(plant)
 
-        def df(x: np.ndarray, v: np.ndarray, t: Any, along: np.ndarray) -> np.ndarray:
+        def df(x: Lanes, v: Lanes, t: Value, along: Lanes) -> Lanes:
             return plant.df(x.T, v.T, t, along.T, 1.0).T
 
         @np.errstate(all="ignore")
-        def law(P: Any, X: Any, u: Any, D_hat: Any, t: float, p: Any, b: float, phi: Any, N: Any) -> None:
+        def law(P: Lanes, X: Lanes, u: Lanes, D_hat: Lanes, t: float, p: Lanes, b: float, phi: Lanes, N: Lanes) -> None:
             last, h = len(P) - 1, D_hat / (len(P) - 1)
             r = f(P[0], u[0], t + 0.0 * h)
             s, I1, I2 = h * df(P[0], u[0], t + 0.0 * h, r), 0.0, 0.0
@@ -105,7 +100,7 @@ class ArrayFamily(Family):
         f = on_lanes(plant)
 
         @np.errstate(all="ignore")
-        def held(X: np.ndarray, U0: Any, U1: Any, share: np.ndarray, dt: float, t: float, p: Any) -> None:
+        def held(X: Lanes, U0: Lanes, U1: Lanes, share: Lanes, dt: float, t: float, p: Lanes) -> None:
             part = share[0]
             X[:] = plant.stopped(step(f, X, U0, U0, U0, t, part * dt), array_math.NUMPY)
             if (part < 1.0).any():

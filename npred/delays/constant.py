@@ -1,7 +1,7 @@
 """One constant delay, and a plant that is traced: formulas in C skeletons, compiled."""
 
 from functools import partial
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from npred.kernels.formula import vector
 from npred.kernels.functions import Formulas
 from npred.kernels.kernel import Kernel, skeleton
 from npred.plants.base import Plant
-from npred.symbolic import called_functions, programs, tape
+from npred.symbolic import Array, Value, called_functions, programs, tape
 from npred.symbolic.trace import Trace
 
 
@@ -89,7 +89,7 @@ class ConstantDelay(Family):
         return compiled("advance", family.ADVANCE, "advance.h", of, functions)
 
 
-def _node(trace: Trace, x: Any, u: Any, t: Any, r: Any, s: Any) -> list[Any]:
+def _node(trace: Trace, x: Array, u: Array, t: Value, r: Array, s: Array) -> list[Value]:
     """r and s of the node, q1 w and w²."""
     kappa, q1 = trace.law(x, t, r, 1.0)
     w = u - kappa

@@ -7,17 +7,18 @@ With H = D(X, t) the history is u(x, t) = U(t + H (x - 1)), and with s the time 
 would overtake each other and no causal predictor exists: P is NaN from that node on.
 """
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from npred.delays import family
 from npred.delays.constant import ConstantDelay
-from npred.delays.family import Family, Step, compiled
+from npred.delays.family import CURES, Family, Step, compiled
 from npred.kernels.formula import vector
 from npred.kernels.functions import Formulas
 from npred.kernels.kernel import Kernel, skeleton
-from npred.symbolic import programs, tape
+from npred.plants.base import Plant
+from npred.symbolic import Array, Value, programs, tape
 from npred.symbolic.trace import Trace
 
 STEPS = 20  # of Newton's method for s(1); a delay that is free of time needs one
@@ -26,26 +27,20 @@ STEPS = 20  # of Newton's method for s(1); a delay that is free of time needs on
 class DeclaredDelay(Family):
     """All inputs arrive D(X, t) late."""
 
-    lacks: ClassVar = {
-        "picard": "use rk4",
-        "semi_implicit": "use rosenbrock",
-        "defect": "take by = 'shadow'",
-        "bound": "take error, an estimate",
-        "adaptation": "the controller knows that delay: leave the law out",
-    }
+    lacks: ClassVar = ("picard", "semi_implicit", "defect", "bound", "adaptation")
+    cures: ClassVar = CURES | {"adaptation": "the controller knows that delay: leave the law out"}
 
     def expected(self) -> str:
         return f"expected a delay that is a number, plant {self.plant.name} declares delay(x, t, p, M)"
 
     def refusal(self, part: str) -> tuple[str, str] | None:
         """Those of `lacks`, and the files whose U is kappa(P(1), t + D_hat): no command acts at that time."""
-        cures = {"onnx": "use the runtime torch or fused", "export c": "use npred.controller"}
-        if part in cures and not self.plant.rests:
-            return f"expected a law free of time, for that of plant {self.plant.name} is read at s(1)", cures[part]
+        if part in ("onnx", "export c") and not self.plant.rests:
+            return f"expected a law free of time, for that of plant {self.plant.name} is read at s(1)", CURES[part]
         return super().refusal(part)
 
     @staticmethod
-    def serves(plant: Any) -> bool:
+    def serves(plant: Plant) -> bool:
         return plant.traced and plant.declares_delay
 
     def sweep(self, step: Step, timed: bool = False) -> Kernel:
@@ -54,7 +49,7 @@ class DeclaredDelay(Family):
         trace = of.trace
         state, (u0, um, u1) = trace.vector("x", n + 1), (trace.vector(name, m) for name in "amb")
 
-        def flow(y: Any, u: Any, _: Any) -> Any:
+        def flow(y: Array, u: Array, _: Value) -> Array:
             """d(P, s)/dx / H: the method steps through the time too, as one state more."""
             velocity = trace.f(y[:-1], u, y[-1])
             return np.array([*velocity, 1.0], dtype=object) / _margin(trace, y[:-1], y[-1], velocity)
@@ -97,6 +92,6 @@ class DeclaredDelay(Family):
         return compiled("speed", family.SPEED, "speed.h", of, {"VALUE": text})
 
 
-def _margin(trace: Trace, x: Any, t: Any, velocity: Any) -> Any:
+def _margin(trace: Trace, x: Array, t: Value, velocity: Array) -> Value:
     """1 - D_X f - D_t."""
     return 1.0 - programs.derivative([trace.delay(x, t)], [t, *x], [1.0, *velocity])[0]

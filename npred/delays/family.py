@@ -6,7 +6,7 @@ end. Arrays have their lanes innermost, so that B loops share each instruction.
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -14,9 +14,10 @@ from npred.errors import ConfigError
 from npred.kernels import kernel
 from npred.kernels.functions import Formulas
 from npred.plants.base import Plant
+from npred.symbolic import Array, Value
 
 Kernel = Callable[..., None]  # npred.kernels.kernel.Kernel, or for a black box the same in Python
-Step = Callable[..., Any]  # the formula of a one-step method: npred.predictors.onestep
+Step = Callable[..., Array]  # the formula of a one-step method: npred.predictors.base
 
 # The arguments of the kernels, in order; & marks those that are written.
 PREDICT = "X, u, D_hat, t, p, &P"
@@ -30,7 +31,7 @@ GUARD = "X, u, D_hat, t, p, guard, &P, &error, &fallback"  # P in place; guard: 
 # Of laws that estimate D_hat themselves, and write it: X are the samples of step k and time t, NaN where there is none.
 OBSERVE = "k, dt, X, held, t, p, law, &memory, &D_hat"
 ESTIMATE = "k, origin, dt, D_seen, held, &Y, &X_hat"  # of observers of the state in Python: X_hat in place, and Y
-BOUNDED = {  # what does not serve a plant whose states stop at bounds, and what to use instead
+CURES = {  # what to use instead of what does not serve a plant
     "picard": "use rk4",
     "semi_implicit": "use rosenbrock",
     "rollout": "use rk4",
@@ -38,7 +39,12 @@ BOUNDED = {  # what does not serve a plant whose states stop at bounds, and what
     "observer": "freeze the estimate",
     "defect": "take by = 'shadow'",
     "bound": "take error, an estimate",
+    "onnx": "use the runtime torch or fused",
+    "export c": "use npred.controller",
+    "export controller": "use npred.controller",
+    "import": "the files hold one D_hat per row",
 }
+BOUNDED = ("picard", "semi_implicit", "rollout", "adaptation", "observer", "defect", "bound")  # where states stop
 
 
 def build(name: str, arguments: str, body: str) -> kernel.Kernel:
@@ -81,10 +87,11 @@ def by_time(
 class Family(ABC):
     """The kernels of one plant. What a family lacks it refuses by ConfigError, with what to do instead.
 
-    `lacks` names the methods, laws, runtimes and formats that do not serve the family, each with what to use instead.
+    `lacks` names the methods, laws, runtimes and formats that do not serve the family, `cures` what to use instead.
     """
 
-    lacks: ClassVar[Mapping[str, str]] = {}
+    lacks: ClassVar[Sequence[str]] = ()
+    cures: ClassVar[Mapping[str, str]] = CURES
     reads_cells: ClassVar[bool] = False
 
     def __init__(self, plant: Plant) -> None:
@@ -100,9 +107,9 @@ class Family(ABC):
             reason = f"expected a prediction free of time, that of plant {self.plant.name} is not"
             return reason, "the files hold no time"
         if part in self.lacks:
-            return self.expected(), self.lacks[part]
-        if bounded := self._unbounded(part):
-            return bounded
+            return self.expected(), self.cures[part]
+        if part in BOUNDED and self.plant.state_bounds:
+            return f"expected a plant without state_bounds, plant {self.plant.name} has some", CURES[part]
         if part == "semi_implicit" and not self.plant.declares_mechanics:
             reason = f"expected a plant that declares mechanics(x, u, t, p, M), plant {self.plant.name} declares none"
             return reason, "use rosenbrock"
@@ -115,11 +122,6 @@ class Family(ABC):
         """Raise ConfigError where the part does not serve the plant."""
         if refusal := self.refusal(part):
             raise ConfigError(f"{part}: {'; '.join(refusal)}")
-
-    def _unbounded(self, part: str) -> tuple[str, str] | None:
-        """The refusal of what reads f where a state may have stopped at one of its bounds, else None."""
-        cure = BOUNDED.get(part) if self.plant.state_bounds else None
-        return (f"expected a plant without state_bounds, plant {self.plant.name} has some", cure) if cure else None
 
     @staticmethod
     @abstractmethod
@@ -169,7 +171,7 @@ class Family(ABC):
         """ADVANCE, a step of the plant with held inputs, split where a switch of a delayed input falls inside it."""
 
 
-def transition(df: Any, x: Any, u: Any, t: Any, h: Any, r: Any, s: Any) -> tuple[Any, Any]:
+def transition(df: Step, x: Array, u: Array, t: Value, h: Value, r: Array, s: Array) -> tuple[Array, Array]:
     """One step of dr/dx = D_hat (f_P r + f_t) by Heun's method: r at this node, and s = h (f_P r + f_t) for the next.
 
     x, u are of this node; r, s of the one before; h = D_hat / (nx - 1); df(x, u, t, r) is f_P r + f_t.

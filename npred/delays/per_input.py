@@ -8,7 +8,7 @@ The command is U_j = kappa_j(P(r_j), t + r_j D_hat).
 """
 
 from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -18,21 +18,14 @@ from npred.kernels.formula import vector
 from npred.kernels.functions import Formulas
 from npred.kernels.kernel import Kernel
 from npred.plants.base import Plant
-from npred.symbolic import called_functions, tape
+from npred.symbolic import Value, called_functions, tape
 from npred.symbolic.trace import Trace
 
 
 class DelayPerInput(Family):
     """Each input arrives r_j D late."""
 
-    lacks: ClassVar = {
-        "picard": "use rk4",
-        "semi_implicit": "use rosenbrock",
-        "adaptation": 'freeze the estimate, in a pipeline by adaptation = "frozen"',
-        "defect": "take by = 'shadow'",
-        "bound": "take error, an estimate",
-        "import": "the files hold one D_hat per row",
-    }
+    lacks: ClassVar = ("picard", "semi_implicit", "adaptation", "defect", "bound", "import")
 
     @staticmethod
     def serves(plant: Plant) -> bool:
@@ -79,12 +72,12 @@ class DelayPerInput(Family):
         return of.function(y, arguments, {"y": n})
 
 
-def _closed(trace: Trace) -> Callable[..., Any]:
+def _closed(trace: Trace) -> Callable[..., np.ndarray]:
     """f with kappa for the inputs whose history has ended: those that come sooner than the last."""
     plant = trace.plant
     past = {c: trace.input(f"past{c}") for c, r in enumerate(plant.ratios) if r < 1}
 
-    def f(x: Any, u: Any, t: Any) -> Any:
+    def f(x: np.ndarray, u: np.ndarray, t: Value) -> np.ndarray:
         law = trace.kappa(x, t)
         return trace.f(x, np.array([tape.M.where(past[c], law[c], v) if c in past else v for c, v in enumerate(u)]), t)
 

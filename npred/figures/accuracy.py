@@ -1,43 +1,28 @@
-"""Figures of accuracy: the errors of networks on held-out samples, and their effect on the closed loop."""
+"""Figures of accuracy: how networks learn, and their errors on held-out samples: over x, delays, states and kinds."""
 
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 
-from npred.figures.evaluation_data import ErrorArrays, Evidence
+from npred.figures.evaluation_data import OF, ErrorArrays, Evidence
 from npred.figures.figure import Key, Panel, Plate
-from npred.figures.loops import ends, keys
-from npred.figures.notation import common_unit, quantity, symbol, with_unit
-from npred.figures.style import ROLES, Look, lettered, log, look, power, short
+from npred.figures.loops import keys
+from npred.figures.notation import common_unit, quantity, symbol
+from npred.figures.style import ROLES, lettered, log, look, power, short
 from npred.results import Contender
-from npred.results.evaluate import Scores
 
 BINS = 24
 CELLS = (18, 14)  # of the map over the first two states
 LEVELS = 9  # colours of that map
-
-
-def certificate(evidence: Evidence) -> Plate:
-    """Error against radius with the line of theory, the distance to the target, and W(t) [DAPF, Theorem 3]."""
-    radii = {
-        contender: scores
-        for contender, scores in evidence.models.items()
-        if 0 < scores.eps_kappa < np.inf and 0 < scores.radius.median < np.inf
-    }
-    gain, line, key = evidence.gain, "", ()
-    if np.isfinite(gain):  # else an error that stays takes the linearised loop out of all bounds
-        line = f"; an error that stayed constant would move the end along the dotted line, {gain:.4g} ε"
-        key = (Key(f"constant error: {gain:.4g} ε", Look("muted", (1, 2))),)
-    beside = ends(evidence)
-    others = "Distance and W" if len(beside) > 1 else "Distance"
-    caption = (
-        "Radius: where loops end (filled: median over the cases, hollow: worst; squares: stopped early) against the "
-        f"error that control sees{line}. {others}: the loop of the first figure over time."
-    )
-    eps = with_unit("ε_{κ} on held-out samples", common_unit(evidence.plant, evidence.plant.inputs))
-    panels = (Panel("radius versus ε_{κ}", _alt_radii(radii), partial(_radii, radii, gain, eps)), *beside)
-    return Plate("certificate", "Error and radius", caption, panels, (*keys(evidence.loops), *key))
+ABOUT = {
+    "nominal": "nominal rollouts have the experiment's delays",
+    "exploring": "exploring ones wider ranges of delays and estimates",
+    "redrawn": "a redrawn D̂ is not the loop's",
+}
+Epochs = list[dict[str, float]]
+SHOWN = {"loss": "training loss", "mse": "held-out mean square", "eps_sup": "held-out sup error ε"}
 
 
 def errors(evidence: Evidence) -> Plate:
@@ -79,31 +64,6 @@ def box(evidence: Evidence) -> Plate:
         for contender, error in evidence.errors.items()
     ]
     return Plate("box", "Over the states", caption, tuple(panels))
-
-
-def _radii(rows: dict[Contender, Scores], gain: float, label: str, axis: Any) -> None:
-    for contender, row in rows.items():
-        eps, median, worst = row.eps_kappa, row.radius.median, row.radius.worst
-        colour, marker = look(contender).colour, "o" if contender.epoch is None else "s"
-        worst = worst if 0 < worst < np.inf else np.nan
-        axis.plot([eps, eps], [median, worst], "-", color=colour, linewidth=1.0)
-        axis.plot([eps], [median], marker, color=colour)
-        axis.plot([eps], [worst], marker, markerfacecolor=ROLES["paper"][0], markeredgecolor=colour)
-    if rows and np.isfinite(gain):
-        eps = [row.eps_kappa for row in rows.values()]
-        span = np.array([min(eps) / 3, max(eps) * 3])
-        axis.plot(span, gain * span, color=ROLES["muted"][0], linestyle=(0, (1, 2)), linewidth=1.2)
-    axis.set_xlabel(label)
-    log(axis, "x", "y")
-
-
-def _alt_radii(rows: dict[Contender, Scores]) -> str:
-    radii = [
-        f"{contender.label}: ε_{{κ}} {row.eps_kappa:.2e}, radius from {short(row.radius.median)} (median) to "
-        f"{short(row.radius.worst)} (worst)"
-        for contender, row in rows.items()
-    ]
-    return "; ".join(radii) + "." if radii else "No network's loops stay finite."
 
 
 def _band(axis: Any, contender: Contender, x: np.ndarray, middle: np.ndarray, sup: np.ndarray) -> None:
@@ -183,3 +143,54 @@ def _alt_box(evidence: Evidence, error: ErrorArrays) -> str:
     pairs = zip(evidence.plant.states, where, strict=True)
     at = ", ".join(f"{symbol(evidence.plant, name)} = {value:.3g}" for name, value in pairs)
     return f"Largest error in cells of the state space; largest of all {error.sup.max():.2e} at {at}."
+
+
+def kinds(evidence: Evidence) -> Plate | None:
+    """The distribution of the error on rows of each kind, all on one scale; None where there is one kind alone."""
+    if len(evidence.kinds) < 2:
+        return None
+    about = ", ".join(ABOUT[kind] for kind in evidence.kinds if kind in ABOUT)
+    caption = f"The share of held-out rows whose largest |P̂ − P| over x is below ε, by kind of row: {about}."
+    span = _span(evidence)
+    panels = [
+        Panel(OF[kind], _alt_kind(sup), partial(distribution, sup, xlim=span)) for kind, sup in evidence.kinds.items()
+    ]
+    return Plate("kinds", "By kind of row", caption, tuple(panels), keys(evidence.errors))
+
+
+def _span(evidence: Evidence) -> tuple[float, float]:
+    """From the smallest positive error to the largest."""
+    errors = np.concatenate([sup for networks in evidence.kinds.values() for sup in networks.values()])
+    errors = errors[errors > 0]
+    return (errors.min() / 2, errors.max() * 2) if len(errors) else (0.1, 1.0)
+
+
+def _alt_kind(networks: dict[Contender, np.ndarray]) -> str:
+    said = [f"{contender.label} {short(np.median(sup))} and {short(sup.max())}" for contender, sup in networks.items()]
+    return f"Median and largest error: {'; '.join(said)}."
+
+
+def learning(histories: dict[Contender, Epochs]) -> Plate:
+    """The metrics of each network's epochs, as its training left them."""
+    panels = [Panel(title, _alt_losses(title, key, histories), partial(_losses, key, histories))
+              for key, title in SHOWN.items()]  # fmt: skip
+    caption = (
+        "One point per epoch. The loss differs by network; the errors are in state units, on the rollouts that the "
+        "data hold out."
+    )
+    solid = tuple(Key(network.label, replace(look(network), dash=())) for network in histories)  # dashes hide roughness
+    return Plate("learning", "Training", caption, tuple(panels), solid)
+
+
+def _losses(key: str, histories: dict[Contender, Epochs], axis: Any) -> None:
+    for network, epochs in histories.items():
+        solid = replace(look(network), dash=(), marker="" if len(epochs) > 1 else "o")  # one point makes no line
+        axis.plot([row["epoch"] for row in epochs], [row[key] for row in epochs], **solid.line)
+    axis.set_xlabel("epoch")
+    log(axis, "y")
+
+
+def _alt_losses(title: str, key: str, histories: dict[Contender, Epochs]) -> str:
+    ends = "; ".join(f"{network.label} {rows[0][key]:.2e} to {rows[-1][key]:.2e} in {len(rows)} epochs"
+                     for network, rows in histories.items())  # fmt: skip
+    return f"{title}: {ends}."

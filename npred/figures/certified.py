@@ -1,4 +1,4 @@
-"""What a certificate says: the errors of fresh rollouts, and the bound that holds with a confidence."""
+"""What is known of a network's error: the radii that its loops end at, and the bound that holds with a confidence."""
 
 from collections.abc import Mapping
 from functools import partial
@@ -6,12 +6,36 @@ from typing import Any
 
 import numpy as np
 
+from npred.figures.evaluation_data import Evidence
 from npred.figures.figure import Key, Panel, Plate
-from npred.figures.loops import keys
+from npred.figures.loops import ends, keys
 from npred.figures.notation import common_unit, with_unit
 from npred.figures.style import ROLES, Look, log, look, short
 from npred.plants import Plant
 from npred.results import Certified, Contender
+from npred.results.evaluate import Scores
+
+
+def certificate(evidence: Evidence) -> Plate:
+    """Error against radius with the line of theory, the distance to the target, and W(t) [DAPF, Theorem 3]."""
+    radii = {
+        contender: scores
+        for contender, scores in evidence.models.items()
+        if 0 < scores.eps_kappa < np.inf and 0 < scores.radius.median < np.inf
+    }
+    gain, line, key = evidence.gain, "", ()
+    if np.isfinite(gain):  # else an error that stays takes the linearised loop out of all bounds
+        line = f"; an error that stayed constant would move the end along the dotted line, {gain:.4g} ε"
+        key = (Key(f"constant error: {gain:.4g} ε", Look("muted", (1, 2))),)
+    beside = ends(evidence)
+    others = "Distance and W" if len(beside) > 1 else "Distance"
+    caption = (
+        "Radius: where loops end (filled: median over the cases, hollow: worst; squares: stopped early) against the "
+        f"error that control sees{line}. {others}: the loop of the first figure over time."
+    )
+    eps = with_unit("ε_{κ} on held-out samples", common_unit(evidence.plant, evidence.plant.inputs))
+    panels = (Panel("radius versus ε_{κ}", _alt_radii(radii), partial(_radii, radii, gain, eps)), *beside)
+    return Plate("certificate", "Error and radius", caption, panels, (*keys(evidence.loops), *key))
 
 
 def certified(plant: Plant, result: Certified | None, errors: Mapping[Contender, np.ndarray]) -> Plate | None:
@@ -44,3 +68,28 @@ def _exceeding(result: Certified, errors: Mapping[Contender, np.ndarray], unit: 
     axis.axvline(tolerance, color=ROLES["muted"][0], linestyle=(0, (1, 2)), linewidth=1.2)
     axis.set_xlabel(unit)
     log(axis, "x", "y")
+
+
+def _radii(rows: dict[Contender, Scores], gain: float, label: str, axis: Any) -> None:
+    for contender, row in rows.items():
+        eps, median, worst = row.eps_kappa, row.radius.median, row.radius.worst
+        colour, marker = look(contender).colour, "o" if contender.epoch is None else "s"
+        worst = worst if 0 < worst < np.inf else np.nan
+        axis.plot([eps, eps], [median, worst], "-", color=colour, linewidth=1.0)
+        axis.plot([eps], [median], marker, color=colour)
+        axis.plot([eps], [worst], marker, markerfacecolor=ROLES["paper"][0], markeredgecolor=colour)
+    if rows and np.isfinite(gain):
+        eps = [row.eps_kappa for row in rows.values()]
+        span = np.array([min(eps) / 3, max(eps) * 3])
+        axis.plot(span, gain * span, color=ROLES["muted"][0], linestyle=(0, (1, 2)), linewidth=1.2)
+    axis.set_xlabel(label)
+    log(axis, "x", "y")
+
+
+def _alt_radii(rows: dict[Contender, Scores]) -> str:
+    radii = [
+        f"{contender.label}: ε_{{κ}} {row.eps_kappa:.2e}, radius from {short(row.radius.median)} (median) to "
+        f"{short(row.radius.worst)} (worst)"
+        for contender, row in rows.items()
+    ]
+    return "; ".join(radii) + "." if radii else "No network's loops stay finite."

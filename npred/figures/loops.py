@@ -1,4 +1,4 @@
-"""The loop of [DAPF, Fig. 1]: states, input and delay estimate with each predictor, and how it ends."""
+"""The loop of [DAPF, Fig. 1]: states, input and delay estimate with each predictor, how it ends, and where it goes."""
 
 from collections.abc import Iterable
 from functools import partial
@@ -6,10 +6,10 @@ from typing import Any, cast
 
 import numpy as np
 
-from npred.figures.evaluation_data import Evidence, LoopSeries
+from npred.figures.evaluation_data import Evidence, Histogram, LoopSeries
 from npred.figures.figure import Key, Panel, Plate
 from npred.figures.notation import common_unit, quantity, symbol, timed, with_unit
-from npred.figures.style import ROLES, log, look
+from npred.figures.style import ROLES, Look, log, look
 from npred.loop import delay_law, lyapunov, metrics
 from npred.plants import Plant
 from npred.results import NUMERICAL, Contender
@@ -154,3 +154,33 @@ def _alt(name: str, k: int, columns: dict[Contender, np.ndarray], t: np.ndarray)
 def _alt_end(name: str, k: int, columns: dict[Contender, np.ndarray]) -> str:
     ends = "; ".join(f"{c.label} {values[-1, k]:.6g}" for c, values in columns.items())
     return f"{name} over the last tenth of the horizon, ending at: {ends}."
+
+
+def coverage(evidence: Evidence) -> Plate:
+    """A panel per state, an input, and the delay estimate."""
+    histograms = evidence.coverage
+    named = {name: quantity(evidence.plant, name) for name in histograms}
+    panels = [Panel(f"density of {named[name]}", _alt_coverage(named[name], each), partial(_histogram, each))
+              for name, each in histograms.items()]  # fmt: skip
+    caption = (
+        "Filled: the training data; lines: what the closed loops visit, both on a logarithmic scale. A network is only "
+        "reliable where it was trained."
+    )
+    names = next(iter(histograms.values())).loops
+    return Plate(
+        "coverage", "Coverage of the data", caption, tuple(panels), (Key("data", Look("fill", (), 5)), *keys(names))
+    )
+
+
+def _alt_coverage(name: str, histogram: Histogram) -> str:
+    return f"The data cover {name} from {histogram.edges[0]:.4g} to {histogram.edges[-1]:.4g}."
+
+
+def _histogram(histogram: Histogram, axis: Any) -> None:
+    edges = histogram.edges
+    axis.stairs(histogram.data, edges, fill=True, color=ROLES["fill"][0])
+    for contender, density in histogram.loops.items():
+        line = look(contender).line
+        axis.stairs(density, edges, color=line["color"], linestyle=line["linestyle"], linewidth=1.0)
+    axis.set(yscale="log", xlim=(edges[0], edges[-1]))
+    axis.tick_params(axis="y", which="both", left=False, labelleft=False)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from npred.figures.typography import SUPERSCRIPTS, mathematics
+from npred.figures.notation import SUPERSCRIPTS, mathematics
 from npred.registry import NETWORKS
 from npred.results import NO_ADAPTATION, NUMERICAL, Contender
 

@@ -5,8 +5,8 @@ import re
 from xml.etree import ElementTree
 
 from npred.figures.figure import Panel, canvas, draw
+from npred.figures.notation import SUBSCRIPT, plain
 from npred.figures.style import ROLES, SCREEN, medium
-from npred.figures.typography import SUBSCRIPT, plain
 
 SVG = "http://www.w3.org/2000/svg"
 LINK = "{http://www.w3.org/1999/xlink}href"

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from math import isfinite
 from typing import Any
 
+from npred.figures.notation import PLAIN, RAISED, SUBSCRIPT, plain
 from npred.figures.style import short
-from npred.figures.typography import PLAIN, RAISED, SUBSCRIPT, plain
 
 LATEX = r"""% needs \usepackage{booktabs}
 \begin{tabular}{@alignment}

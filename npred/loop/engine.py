@@ -18,7 +18,7 @@ from npred.kernels.kernel import Kernel, Shape, address, skeleton
 from npred.loop import signals
 from npred.loop.signals import PARTS, Record, Settings, State
 from npred.plants.base import Plant
-from npred.predictors.onestep import OneStep
+from npred.predictors.base import OneStep
 
 LOOP = ("actuator.h", "sensor.h", "step.h", "engine.h")
 ON_A_PLANT = ("actuator.h", "step.h", "controller.h", "entries.h")

@@ -1,7 +1,6 @@
 """The predictor operator (X, u, D_hat) -> P as networks, their scaling, anchors and files."""
 
-from npred.operators.base import Operator
-from npred.operators.build import build, checked
+from npred.operators.base import Operator, build, checked
 from npred.operators.io import describe, load, save
 from npred.operators.scaling import Scaling
 

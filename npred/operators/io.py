@@ -12,8 +12,7 @@ from npred import json_files
 from npred.config import Network, Train, Training
 from npred.data.domain import Domain
 from npred.errors import ConfigError, StoreError, first_line
-from npred.operators.base import Operator
-from npred.operators.build import build
+from npred.operators.base import Operator, build
 from npred.operators.scaling import Scaling
 from npred.plants.base import Plant
 from npred.registry import NETWORKS, in_file

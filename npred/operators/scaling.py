@@ -76,16 +76,7 @@ class Scaling(nn.Module):
     @classmethod
     def of(cls, data: SampleArrays) -> "Scaling":
         """The constants of these samples; the spread of a constant component is taken as one."""
-        n, m = data.X.shape[-1], data.u.shape[-1]
-        scaling = cls(n, m)
-        scaling.X_bend.copy_(_positive(data.X.std(axis=0)))
-        bent = np.arcsinh(data.X / scaling.X_bend.numpy())
-        for name, values in {"X": bent, "u": data.u.reshape(-1, m), "P": data.P.reshape(-1, n)}.items():
-            scaling._set(name, values.mean(axis=0), values.std(axis=0))
-        scaling._set("D_hat", data.D_hat.mean(), data.D_hat.std())
-        displacement = ((data.P[:, -1] - data.X) ** 2).mean(axis=0)
-        scaling.speed.copy_(_positive((displacement / (data.D_hat**2).mean()) ** 0.5))
-        return scaling
+        return cls.of_parts(lambda: [data])
 
     @classmethod
     def of_parts(cls, parts: Callable[[], Iterable[SampleArrays]]) -> "Scaling":

@@ -55,13 +55,13 @@ def restored(spec: str, parameters: tuple[tuple[str, float], ...], digest: str |
 
 
 @lru_cache(maxsize=128)
-def remade(kind: type[Plant], name: str, declaration: Any, parameters: tuple[tuple[str, float], ...]) -> Plant:
+def remade(kind: type[Plant], name: str, declaration: type, parameters: tuple[tuple[str, float], ...]) -> Plant:
     """The plant that was pickled with its class, which Python could import; one per process."""
     return kind(name, declaration, dict(parameters))
 
 
 def make(
-    name: str, declaration: Any, parameters: Mapping[str, float] = {}, source: registry.Source | None = None
+    name: str, declaration: type, parameters: Mapping[str, float] = {}, source: registry.Source | None = None
 ) -> Plant:
     """The plant of a declaration: traced, unless it says `traced = False`."""
     kind = Plant if getattr(declaration, "traced", True) else BlackBox
@@ -89,7 +89,7 @@ def _summary(name: str) -> dict[str, Any]:
     return {"name": name, "states": list(p.states), "inputs": list(p.inputs), "parameters": p.parameters}
 
 
-def is_builtin(name: Any) -> bool:
+def is_builtin(name: object) -> bool:
     """True if a name is that of a built-in plant: to resolve it runs nobody else's code."""
     return isinstance(name, str) and name in _builtin()
 

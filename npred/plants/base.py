@@ -12,9 +12,9 @@ from npred.errors import ConfigError
 from npred.plants import declaration as declared
 from npred.plants import newton
 from npred.registry import Source
-from npred.symbolic import array_math, programs, source_lines
-from npred.symbolic.declared import call
-from npred.symbolic.tape import names
+from npred.symbolic import Array, Value, array_math, programs, source_lines
+from npred.symbolic.declared import Components, call
+from npred.symbolic.tape import Functions, names
 from npred.symbolic.trace import Trace, python
 
 
@@ -39,7 +39,7 @@ class Plant:
     )
 
     def __init__(self, name: str, declaration: Any, overrides: Mapping[str, float] = {}, source: Source | None = None):
-        declared.called(name)
+        declared.check_name(name)
         parts = declared.read(name, declaration, overrides)
         self.name, self.declaration = name, declared.completed(declaration)
         self.source = source or registry.declaring(declaration)
@@ -57,7 +57,7 @@ class Plant:
         values = [f"{name} = {value:g}" for name, value in self.parameters.items()]
         return f"<{type(self).__name__} {self.name}: {'; '.join(parts + ([_few(values)] if values else []))}>"
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[Callable[..., "Plant"], tuple[object, ...]]:
         """Pickled by name or file where there is one, else with its class; what is derived is made again."""
         from npred import plants
 
@@ -106,31 +106,31 @@ class Plant:
         line = source_lines.line(getattr(self.declaration, name))
         return f"plant {self.name}: {name}" + (f" ({line})" if line else "")
 
-    def call(self, name: str, x: list[Any] | None, u: list[Any] | None, t: Any, p: Any, M: Any) -> list[Any]:
+    def call(self, name: str, x: Components, u: Components, t: Value, p: Sequence[Value], M: Functions) -> list[Value]:
         """A declared function on components of any kind: floats, arrays, tensors or symbols."""
         return call(self, name, x, u, t, p, M)
 
-    def f(self, X: Any, u: Any, t: Any = 0.0) -> Any:
+    def f(self, X: Array, u: Array, t: Value = 0.0) -> Array:
         """f(X, u, t): X (..., n), u (..., m) to (..., n); NumPy arrays or torch tensors."""
         return array_math.stack(self._on("f", X, u, t), X[..., 0])
 
-    def kappa(self, X: Any, t: Any = 0.0) -> Any:
+    def kappa(self, X: Array, t: Value = 0.0) -> Array:
         """kappa(X, t): X (..., n) to (..., m)."""
         return array_math.stack(self._on("kappa", X, None, t), X[..., 0])
 
-    def V(self, X: Any, t: Any = 0.0) -> Any:
+    def V(self, X: Array, t: Value = 0.0) -> Array:
         """V(X, t): X (..., n) to (...)."""
         return self._on("V", X, None, t)[0]
 
-    def delay(self, X: Any, t: Any = 0.0) -> Any:
+    def delay(self, X: Array, t: Value = 0.0) -> Array:
         """delay(X, t) in seconds, X (..., n) to (...), of a plant that declares it."""
         return array_math.stack(self._on("delay", X, None, t), X[..., 0])[..., 0]
 
-    def rollout(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Any) -> np.ndarray:
+    def rollout(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Value) -> np.ndarray:
         """P (B, nx, n) by the simulator of a black box that declares rollout. Raises ConfigError for any other."""
         raise ConfigError(f"plant {self.name}: rollout expected traced = False and rollout(X, u, D_hat, t, p); use rk4")
 
-    def stopped(self, x: Any, M: Any) -> Any:
+    def stopped(self, x: Array, M: Functions) -> Array:
         """The components of a state after a step, each within `state_bounds`; what is not finite stays visible."""
         if not self.state_bounds:
             return x
@@ -143,13 +143,13 @@ class Plant:
                 components[k] = M.where(components[k] > high, high, components[k])
         return components
 
-    def _on(self, name: str, X: Any, u: Any, t: Any) -> list[Any]:
+    def _on(self, name: str, X: Array, u: Array | None, t: Value) -> list[Value]:
         self._fits(X, u)
         x = [X[..., k] for k in range(self.n)]
         inputs = None if u is None else [u[..., k] for k in range(self.m)]
         return self.call(name, x, inputs, t, list(self.parameters.values()), array_math.of(X))
 
-    def _fits(self, X: Any, u: Any) -> None:
+    def _fits(self, X: Array, u: Array | None) -> None:
         """Raise ConfigError unless the last axes of X and u are of the plant's sizes."""
         for name, a, size in (("X", X, self.n), ("u", u, self.m)):
             shape = tuple(getattr(a, "shape", ()))
@@ -180,7 +180,7 @@ class Plant:
         """u* = kappa(X*), shape (m,)."""
         return self.kappa(self.equilibrium)
 
-    def target(self, t: Any) -> np.ndarray:
+    def target(self, t: Value) -> np.ndarray:
         """The target of kappa: the equilibrium (n,) where the plant rests, else its reference at t (...), (..., n).
 
         Raises ConfigError for a plant that depends on time and declares no reference.
@@ -196,7 +196,7 @@ class Plant:
     def _reference(self, t: np.ndarray) -> np.ndarray:
         return array_math.stack(self.call("reference", None, None, t, [*self.p], array_math.NUMPY), t)
 
-    def u_target(self, t: Any) -> np.ndarray:
+    def u_target(self, t: Value) -> np.ndarray:
         """The input at the target, kappa(target(t), t): (m,) or (..., m)."""
         return self.u_equilibrium if self.rests else self.kappa(self.target(t), t)
 
@@ -206,7 +206,7 @@ class Plant:
         X, u = self.guess + draws.standard_normal((8, self.n)), draws.standard_normal((8, self.m))
         p, columns = list(self.parameters.values()), [*X.T]
         trace = Trace(self)
-        at = trace.mechanics(trace.vector("x", self.n), trace.vector("u", self.m), trace.input("t"))
+        at = trace.mechanics(*trace.symbols())
         inertia, force, damping = self.call("mechanics", columns, [*u.T], 0.0, p, array_math.NUMPY)
         inertia = np.moveaxis(np.array([[a + np.zeros(8) for a in row] for row in inertia]), -1, 0)
         pull = [a - c * X[:, k] + np.zeros(8) for a, c, k in zip(force, damping, at.rates, strict=True)]
@@ -224,21 +224,21 @@ class Plant:
         if not self.declares_mechanics:
             return {}
         trace = Trace(self)
-        at = trace.mechanics(trace.vector("x", self.n), trace.vector("u", self.m), trace.input("t"))
+        at = trace.mechanics(*trace.symbols())
         outputs = [a for row in at.inertia for a in row] + at.force + at.damping
         text = "\n".join(programs.lines(outputs, {}, names("y", len(outputs))))
         return {"mechanics": hashlib.sha256(text.encode()).hexdigest()}
 
-    def jacobians(self, X: np.ndarray, u: np.ndarray, t: Any = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    def jacobians(self, X: np.ndarray, u: np.ndarray, t: Value = 0.0) -> tuple[np.ndarray, np.ndarray]:
         """f_X (..., n, n) and f_U (..., n, m) at points X (..., n), u (..., m), derived from the declared f."""
         point = np.asarray(X), *np.moveaxis(np.asarray(u), -1, 0), t
         return self._matrix("f_x", self.n, *point), self._matrix("f_u", self.n, *point)
 
-    def kappa_jacobian(self, X: np.ndarray, t: Any = 0.0) -> np.ndarray:
+    def kappa_jacobian(self, X: np.ndarray, t: Value = 0.0) -> np.ndarray:
         """kappa' (..., m, n) at points X (..., n), derived from the declared kappa."""
         return self._matrix("kappa_x", self.m, np.asarray(X), t)
 
-    def _matrix(self, name: str, rows: int, X: np.ndarray, *more: Any) -> np.ndarray:
+    def _matrix(self, name: str, rows: int, X: np.ndarray, *more: Value) -> np.ndarray:
         """The derivatives as matrices (..., rows, columns), one column per direction."""
         with np.errstate(all="ignore"):
             values = self.derivatives[name](*np.moveaxis(X, -1, 0), *more, *self.p)
@@ -246,13 +246,13 @@ class Plant:
         return np.swapaxes(values.reshape(*X.shape[:-1], -1, rows), -1, -2)
 
     @cached_property
-    def derivatives(self) -> dict[str, Callable[..., list[Any]]]:
+    def derivatives(self) -> dict[str, Callable[..., list[Value]]]:
         """f_x, f_u of the components of x, u, t, p, and kappa_x of those of x, t, p, as programs on numbers or arrays.
 
         Each gives the derivatives along one unit direction after the other.
         """
         trace = Trace(self)
-        x, u, t = trace.vector("x", self.n), trace.vector("u", self.m), trace.input("t")
+        x, u, t = trace.symbols()
         f, kappa, rest = trace.f(x, u, t), trace.kappa(x, t), ["t", *names("p", len(self.p))]
         of_f, of_kappa = [*names("x", self.n), *names("u", self.m), *rest], [*names("x", self.n), *rest]
         parts = {"f_x": (f, x, of_f), "f_u": (f, u, of_f), "kappa_x": (kappa, x, of_kappa)}
@@ -285,7 +285,7 @@ class Plant:
     def clocked(self) -> bool:
         """True if P depends on the time: f does, or kappa_j of an input that is predicted past its delay."""
         trace = Trace(self)
-        x, t = trace.vector("x", self.n), trace.input("t")
+        x, _, t = trace.symbols()
         delay = [trace.delay(x, t)] if self.declares_delay else []
         return not self.autonomous or programs.depends([*trace.kappa(x, t)[self.ratios < 1], *delay], [t])
 
@@ -298,10 +298,10 @@ class Plant:
         if not (self.clocked and self.declares_delay and self.autonomous and self.period is None):
             return self.clocked
         trace = Trace(self)
-        x, t = trace.vector("x", self.n), trace.input("t")
+        x, _, t = trace.symbols()
         return programs.depends([trace.delay(x, t)], [*x])
 
-    def phase(self, t: Any) -> np.ndarray | None:
+    def phase(self, t: Value) -> np.ndarray | None:
         """t / period modulo 1, (...): what a network sees of the time. None where it sees nothing of it.
 
         Raises ConfigError for a prediction that depends on time without a period.
@@ -341,7 +341,7 @@ class Plant:
 
     def _timed(self, name: str) -> bool:
         trace = Trace(self)
-        x, u, t = trace.vector("x", self.n), trace.vector("u", self.m), trace.input("t")
+        x, u, t = trace.symbols()
         return programs.depends(trace.f(x, u, t) if name == "f" else trace.kappa(x, t), [t])
 
     @cached_property
@@ -374,7 +374,7 @@ class Plant:
         optional |= {"figure": self.figure} if self.figure else {}
         return {part: texts for part, texts in tables.items() if texts} | optional
 
-    def _program(self) -> dict[str, Any]:
+    def _program(self) -> Mapping[str, object]:
         """The hash of each function, as the program that its trace prints."""
         functions = ["f", "kappa", "V", *(["delay"] if self.declares_delay else [])]
         functions += ["reference"] if self.tracks else []
@@ -383,7 +383,7 @@ class Plant:
     def _printed(self, name: str) -> list[str]:
         """The lines of a function's program, from x0, …, u0, …, t and p0, … to y0, …; equal formulas, equal lines."""
         trace = Trace(self)
-        x, u, t = trace.vector("x", self.n), trace.vector("u", self.m), trace.input("t")
+        x, u, t = trace.symbols()
         inputs = {"f": (x, u, t), "reference": (t,)}.get(name, (x, t))
         outputs = np.ravel(np.array(getattr(trace, name)(*inputs), dtype=object))
         return programs.lines(outputs, {}, names("y", len(outputs)))

@@ -1,21 +1,26 @@
 """A plant that cannot be traced, a rigid-body library say: NumPy callables in the same loop, slower."""
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from npred import json_files, registry
 from npred.errors import ConfigError
 from npred.plants.base import Plant
 from npred.registry import Source
-from npred.symbolic.declared import RETURNS, failure, parameters
+from npred.symbolic import Array, Value
+from npred.symbolic.declared import RETURNS, Components, failure, parameters
+from npred.symbolic.tape import Functions
 
 STEP = 6e-6  # of a central difference: the cube root of the machine epsilon balances rounding and the third derivative
 UNDEFINED = (ArithmeticError, ValueError)  # where arrays give NaN Python's floats raise these: overflow, a domain
+Map = Callable[[np.ndarray], np.ndarray]
+Argument = Any  # of a declared function: rows, a time, or the parameters
 TIMES = (0.0, 0.37, 1.93)  # at which functions are compared to see whether they depend on time
 
 
@@ -43,52 +48,54 @@ class BlackBox(Plant):
             what = f"expected one delay, plant {name} has delays {self.delays}"
             raise ConfigError(f"traced = False: {what}; trace the plant, or drop delays")
 
-    def call(self, name: str, x: Any, u: Any, t: Any, p: Any, M: Any) -> list[Any]:
+    def call(self, name: str, x: Components, u: Components, t: Value, p: Sequence[Value], M: Functions) -> list[Value]:
         return [*(self.f(np.array(x), np.array(u), t) if name == "f" else self.kappa(np.array(x), t))]
 
-    def f(self, X: Any, u: Any, t: Any = 0.0) -> Any:
+    def f(self, X: Array, u: Array, t: Value = 0.0) -> np.ndarray:
         self._fits(X, u)
         return self._rows("f", self.n, t, X, u)
 
-    def kappa(self, X: Any, t: Any = 0.0) -> Any:
+    def kappa(self, X: Array, t: Value = 0.0) -> np.ndarray:
         self._fits(X, None)
         return self._rows("kappa", self.m, t, X)
 
-    def V(self, X: Any, t: Any = 0.0) -> Any:
+    def V(self, X: Array, t: Value = 0.0) -> np.ndarray:
         self._fits(X, None)
         return self._rows("V", None, t, X)
 
-    def df(self, X: np.ndarray, u: np.ndarray, t: Any, v: np.ndarray, dt: float = 0.0) -> np.ndarray:
+    def df(self, X: np.ndarray, u: np.ndarray, t: Value, v: np.ndarray, dt: float = 0.0) -> np.ndarray:
         """f_X v + f_t dt, (..., n): the change of f as X moves along v and t by dt, per unit."""
         by_time = dt * _rate(lambda at: self.f(X, u, at), t) if dt and not self.autonomous else 0.0
         if hasattr(self.declaration, "df"):
             return self._rows("df", self.n, t, X, u, last=v) + by_time
         return difference(lambda moved: self.f(moved, u, t), X, v) + by_time
 
-    def dkappa(self, X: np.ndarray, t: Any, v: np.ndarray, dt: float = 0.0) -> np.ndarray:
+    def dkappa(self, X: np.ndarray, t: Value, v: np.ndarray, dt: float = 0.0) -> np.ndarray:
         """kappa_X v + kappa_t dt, (..., m), likewise."""
         by_time = dt * _rate(lambda at: self.kappa(X, at), t) if dt and self._law_timed else 0.0
         if hasattr(self.declaration, "dkappa"):
             return self._rows("dkappa", self.m, t, X, last=v) + by_time
         return difference(lambda moved: self.kappa(moved, t), X, v) + by_time
 
-    def rollout(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Any) -> np.ndarray:
+    def rollout(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Value) -> np.ndarray:
         return self._declared("rollout", [X, u, D_hat, t, parameters(self)])
 
-    def jacobians(self, X: np.ndarray, u: np.ndarray, t: Any = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    def jacobians(self, X: np.ndarray, u: np.ndarray, t: Value = 0.0) -> tuple[np.ndarray, np.ndarray]:
         X, u = np.asarray(X, dtype=float), np.asarray(u, dtype=float)
         by_X = [self.df(X, u, t, np.broadcast_to(unit, X.shape)) for unit in np.eye(self.n)]
         by_u = [difference(lambda at: self.f(X, at, t), u, np.broadcast_to(unit, u.shape)) for unit in np.eye(self.m)]
         return np.stack(by_X, axis=-1), np.stack(by_u, axis=-1)
 
-    def kappa_jacobian(self, X: np.ndarray, t: Any = 0.0) -> np.ndarray:
+    def kappa_jacobian(self, X: np.ndarray, t: Value = 0.0) -> np.ndarray:
         X = np.asarray(X, dtype=float)
         return np.stack([self.dkappa(X, t, np.broadcast_to(unit, X.shape)) for unit in np.eye(self.n)], axis=-1)
 
     def _reference(self, t: np.ndarray) -> np.ndarray:
         return self._rows("reference", self.n, t)
 
-    def _rows(self, name: str, size: int | None, t: Any, *arrays: Any, last: Any = None) -> np.ndarray:
+    def _rows(
+        self, name: str, size: int | None, t: Value, *arrays: ArrayLike, last: ArrayLike | None = None
+    ) -> np.ndarray:
         """The declared function on arrays (..., k), seen by it as rows: (..., size), or (...) where size is None."""
         inputs = [np.asarray(a, dtype=float) for a in arrays]
         t = np.asarray(t, dtype=float)
@@ -110,7 +117,7 @@ class BlackBox(Plant):
         return values.reshape(shape if size is None else (*shape, size))
 
     @np.errstate(all="ignore")  # where it is not finite is for the caller to say, in words
-    def _declared(self, name: str, arguments: list[Any]) -> np.ndarray:
+    def _declared(self, name: str, arguments: list[Argument]) -> np.ndarray:
         """The declared function's values. Raises UNDEFINED as they come, and ConfigError for another failure."""
         try:
             return np.asarray(getattr(self.declaration, name)(*arguments), dtype=float)
@@ -119,7 +126,7 @@ class BlackBox(Plant):
         except Exception as error:
             raise failure(self, name, error) from None
 
-    def _one_by_one(self, name: str, arguments: list[Any], shape: tuple[int, ...], error: Exception) -> np.ndarray:
+    def _one_by_one(self, name: str, arguments: list[Argument], shape: tuple[int, ...], error: Exception) -> np.ndarray:
         """The values row by row, NaN in those in which the function is undefined: one loop must not end the others.
 
         Raises ConfigError where it fails in every row and at the guess too, for that is no matter of the state.
@@ -132,7 +139,7 @@ class BlackBox(Plant):
                 raise failure(self, name, error) from None
         return values
 
-    def _row(self, name: str, arguments: list[Any], row: slice, values: np.ndarray) -> bool:
+    def _row(self, name: str, arguments: list[Argument], row: slice, values: np.ndarray) -> bool:
         """Write the values of one row where the function is defined there, and say whether it is."""
         try:
             values[row] = self._declared(name, [a[row] if _batched(a) else a for a in arguments])
@@ -140,7 +147,7 @@ class BlackBox(Plant):
             return False
         return True
 
-    def _at_guess(self, k: int, argument: Any) -> Any:
+    def _at_guess(self, k: int, argument: Argument) -> Argument:
         """One row of the k-th argument where nothing is extreme: X at the guess, all else zero."""
         if not _batched(argument):
             return argument
@@ -167,7 +174,7 @@ class BlackBox(Plant):
         values = [self.f(X, u, t) if name == "f" else self.kappa(X, t) for t in TIMES]
         return not all(np.array_equal(values[0], later, equal_nan=True) for later in values[1:])
 
-    def _program(self) -> dict[str, Any]:
+    def _program(self) -> Mapping[str, object]:
         """In place of a program the hash of the plant's file, and of those that it reads, by name."""
         assert self.source is not None
         contents: dict[str, Any] = {}
@@ -183,20 +190,20 @@ class BlackBox(Plant):
         return {"source": self.source.sha256} | ({"files": files} if files else {})
 
 
-def _batched(argument: Any) -> bool:
+def _batched(argument: Argument) -> bool:
     """True if it is an array of rows, and neither a number nor the parameters."""
     return isinstance(argument, np.ndarray) and argument.ndim > 0
 
 
 @np.errstate(all="ignore")
-def difference(function: Any, X: np.ndarray, v: np.ndarray) -> np.ndarray:
+def difference(function: Map, X: np.ndarray, v: np.ndarray) -> np.ndarray:
     """Central difference of the function of X (..., n) along v (..., n)."""
     length = np.linalg.norm(v, axis=-1, keepdims=True)
     h = STEP * (1.0 + np.linalg.norm(X, axis=-1, keepdims=True)) / np.where(length > 0, length, 1.0)
     return (function(X + h * v) - function(X - h * v)) / (2 * h)
 
 
-def _rate(function: Any, t: Any) -> np.ndarray:
+def _rate(function: Map, t: Value) -> np.ndarray:
     """Central difference of the function of the time t, by the seconds between the two times as they are rounded."""
     later, earlier = np.asarray(t) + STEP, np.asarray(t) - STEP
     return (function(later) - function(earlier)) / (later - earlier)[..., None]

@@ -121,7 +121,7 @@ class Declaration(BaseModel, frozen=True):
         return self
 
 
-def called(plant: Any) -> None:
+def check_name(plant: object) -> None:
     """Raise ConfigError for a name of a plant that could be more than a name where it is written, in C say."""
     if not isinstance(plant, str) or not NAME.fullmatch(plant):
         raise ConfigError(

@@ -2,9 +2,10 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, TypeGuard
+from typing import TypeAlias, TypeGuard
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from npred import array_checks, randomness
 from npred.config import Loop
@@ -18,7 +19,7 @@ SPARE = 10.0  # times the largest |kappa| on the box, which loops leave in their
 DRAWN, SPAN, MOMENTS = 1024, 100.0, 16  # states of the box, seconds of a law that depends on time, and times in them
 
 
-def bounds(plant: Plant, bounds: Any) -> np.ndarray:
+def bounds(plant: Plant, bounds: ArrayLike | None) -> np.ndarray:
     """The range of each input, (m, 2): those given, else the plant's, else none. One input's pair may stand alone."""
     pairs = plant.input_bounds if bounds is None else bounds
     if pairs is None:
@@ -48,6 +49,10 @@ def widest(plant: Plant, limits: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(limits), limits, np.stack([-high, high], axis=1))
 
 
+Given: TypeAlias = ArrayLike | Callable[[float], ArrayLike] | None  # u0 as it was given; None is the default
+Start: TypeAlias = np.ndarray | str | Callable[[float], ArrayLike]  # numbers (m,), a table (k, m), a word, a function
+
+
 @dataclass(frozen=True)
 class Past:
     """The input of each loop before t = 0: constant, `held` (B, m), or a course over the last `span` (B,) seconds.
@@ -58,7 +63,7 @@ class Past:
 
     held: np.ndarray
     span: np.ndarray = field(default_factory=lambda: np.zeros(1))
-    course: np.ndarray | Callable[[float], Any] | None = None
+    course: np.ndarray | Callable[[float], ArrayLike] | None = None
     limits: np.ndarray | None = None
 
     def of(self, loops: slice) -> "Past":
@@ -102,7 +107,7 @@ class Past:
         return value
 
 
-def start(plant: Plant, u0: Any, limits: np.ndarray) -> Any:
+def start(plant: Plant, u0: Given, limits: np.ndarray) -> Start:
     """u0, the input before t = 0, with its default filled in: numbers (m,), a table (k, m), a function, "equilibrium"
     or "law".
 
@@ -126,7 +131,7 @@ def start(plant: Plant, u0: Any, limits: np.ndarray) -> Any:
     return _accepted(plant, np.broadcast_to(array, (plant.m,)), limits, "")
 
 
-def configured(plant: Plant, loop: Loop, stage: str) -> Any:
+def configured(plant: Plant, loop: Loop, stage: str) -> Start:
     """The `start` of a stage's loops. Raises ConfigError, naming the stage's table, also where nothing rests."""
     try:
         limits = bounds(plant, loop.input_bounds)
@@ -138,7 +143,7 @@ def configured(plant: Plant, loop: Loop, stage: str) -> Any:
     return commands
 
 
-def past(plant: Plant, u0: Any, limits: np.ndarray, X0: np.ndarray, span: np.ndarray) -> Past:
+def past(plant: Plant, u0: Given, limits: np.ndarray, X0: np.ndarray, span: np.ndarray) -> Past:
     """The inputs of loops before t = 0, for starts X0 (B, n) and the delays `span` (B,) over which a table u0 extends.
 
     Raises ConfigError as `start` does, and where there is no equilibrium.
@@ -149,7 +154,7 @@ def past(plant: Plant, u0: Any, limits: np.ndarray, X0: np.ndarray, span: np.nda
     return Past(before(plant, u0, limits, X0), span)
 
 
-def rows_of(plant: Plant, u0: Any, limits: np.ndarray, X0: np.ndarray) -> np.ndarray:
+def rows_of(plant: Plant, u0: Given, limits: np.ndarray, X0: np.ndarray) -> np.ndarray:
     """The `before` of each start; of a history, its rows in turn: for questions about constant inputs, (B, m)."""
     value = start(plant, u0, limits)
     if _is_table(value):
@@ -157,7 +162,7 @@ def rows_of(plant: Plant, u0: Any, limits: np.ndarray, X0: np.ndarray) -> np.nda
     return before(plant, u0, limits, X0)
 
 
-def before(plant: Plant, u0: Any, limits: np.ndarray, X0: np.ndarray) -> np.ndarray:
+def before(plant: Plant, u0: Given, limits: np.ndarray, X0: np.ndarray) -> np.ndarray:
     """The constant input of each loop before t = 0, (B, m), for starts X0 (B, n) and limits (m, 2).
 
     The numbers of u0; kappa(X*), or kappa of the reference at t = 0, for "equilibrium"; for "law" kappa(X0, 0) within
@@ -172,7 +177,7 @@ def before(plant: Plant, u0: Any, limits: np.ndarray, X0: np.ndarray) -> np.ndar
     return np.array(np.broadcast_to(value, (len(X0), plant.m)))
 
 
-def sentence(plant: Plant, u0: Any, limits: np.ndarray) -> str:
+def sentence(plant: Plant, u0: Given, limits: np.ndarray) -> str:
     """u0 in words: q = 0, or q = 0.5 of the equilibrium, or kappa(X0, 0)."""
     value = start(plant, u0, limits)
     if _is_table(value):
@@ -180,10 +185,11 @@ def sentence(plant: Plant, u0: Any, limits: np.ndarray) -> str:
     if isinstance(value, str):
         at_rest = None if value == LAW else source_lines.values(plant.inputs, _at_rest(plant, limits))
         return f"{at_rest} of the equilibrium" if at_rest else "kappa(X0, 0)"
+    assert isinstance(value, np.ndarray)
     return source_lines.values(plant.inputs, value)
 
 
-def _is_table(value: Any) -> TypeGuard[np.ndarray]:
+def _is_table(value: object) -> TypeGuard[np.ndarray]:
     return isinstance(value, np.ndarray) and value.ndim == 2
 
 

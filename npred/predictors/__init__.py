@@ -2,8 +2,7 @@
 
 from npred.errors import ConfigError
 from npred.plants.base import Plant
-from npred.predictors.base import Compiled, Predictor
-from npred.predictors.onestep import OneStep
+from npred.predictors.base import Compiled, OneStep, Predictor
 from npred.predictors.picard import Picard
 from npred.predictors.runge_kutta import RK4, Euler, Heun
 from npred.registry import METHODS

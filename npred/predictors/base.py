@@ -3,14 +3,19 @@
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from npred import array_checks
+from npred.delays import family_of
 from npred.delays.family import rows
 from npred.errors import ConfigError
 from npred.plants.base import Plant
+from npred.symbolic import Array, Value, called_functions, source_lines
+
+Flow: TypeAlias = Callable[..., Array]  # f(x, u, t); of an implicit step a Trace, which knows derivatives too
 
 
 class Predictor(ABC):
@@ -31,12 +36,14 @@ class Predictor(ABC):
             raise ConfigError(f"nx: expected at least 2 nodes, both ends of [0, 1], got {nx!r}; dx = 0.01 is nx = 101")
         self.plant, self.nx = plant, int(nx)
 
-    def __call__(self, X: Any, u: Any, D_hat: Any, t: Any = 0.0) -> np.ndarray:
+    def __call__(self, X: ArrayLike, u: ArrayLike, D_hat: ArrayLike, t: ArrayLike = 0.0) -> np.ndarray:
         shape, rows = self._rows(X, u, D_hat, t)
         P = self._predicted(*rows)
         return P.reshape(*shape, *P.shape[1:])
 
-    def _rows(self, X: Any, u: Any, D_hat: Any, t: Any) -> tuple[tuple[int, ...], tuple[np.ndarray, ...]]:
+    def _rows(
+        self, X: ArrayLike, u: ArrayLike, D_hat: ArrayLike, t: ArrayLike
+    ) -> tuple[tuple[int, ...], tuple[np.ndarray, ...]]:
         """The shape of a batch, and X (B, n), u (B, nx, m), D_hat and t (B,) of it. Raises as a call does."""
         X, u, D_hat, t = (array_checks.floats(name, a) for name, a in (("X", X), ("u", u), ("D_hat", D_hat), ("t", t)))
         self._check(X, u)
@@ -63,7 +70,7 @@ class Predictor(ABC):
         return {k: v for k, v in vars(self).items() if not isinstance(getattr(type(self), k, None), cached_property)}
 
     @abstractmethod
-    def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Any) -> np.ndarray:
+    def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: np.ndarray | float) -> np.ndarray:
         """P (B, nx, n) of X (B, n), u (B, nx, m), D_hat (B,), t (B,) or ()."""
 
     def lanes(self) -> Callable[..., None]:
@@ -75,7 +82,7 @@ class Predictor(ABC):
 
         return predict
 
-    def _predicted(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Any) -> np.ndarray:
+    def _predicted(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: np.ndarray | float) -> np.ndarray:
         """P of `predict`. Raises ConfigError where its shape is another, which a loop would broadcast."""
         P, shape = self.predict(X, u, D_hat, t), (*u.shape[:2], self.plant.n)
         if not isinstance(P, np.ndarray) or P.shape != shape:
@@ -118,19 +125,72 @@ class Compiled(Predictor):
     def lanes(self) -> Callable[..., None]:
         return self.kernel
 
-    def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Any) -> np.ndarray:
+    def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: np.ndarray | float) -> np.ndarray:
         if not self.plant.clocked:
             return self._at(0.0, X, u, D_hat)
         if np.ndim(t) == 0:
-            return self._at(t, X, u, D_hat)
+            return self._at(float(t), X, u, D_hat)
         P = np.full((*u.shape[:2], self.plant.n), np.nan)  # that of a time that is NaN
         for moment in np.unique(t):  # the kernel takes one time per call
             rows = t == moment
-            P[rows] = self._at(moment, X[rows], u[rows], D_hat[rows])
+            P[rows] = self._at(float(moment), X[rows], u[rows], D_hat[rows])
         return P
 
     def _at(self, t: float, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray) -> np.ndarray:
         P = np.empty((u.shape[1], self.plant.n, len(X)))
         X, u, D_hat = (np.array(a, order="C") for a in (X.T, u.transpose(1, 2, 0), D_hat))  # broadcasts are read-only
-        self.on(len(u))(X, u, D_hat, float(t), self.plant.p, P)
+        self.on(len(u))(X, u, D_hat, t, self.plant.p, P)
         return P.transpose(2, 0, 1)
+
+
+class OneStep(Compiled):
+    """x_{j+1} = step(x_j): `step` is the method's formula on arrays, of the declared order for smooth u.
+
+    Raises ConfigError for a plant that the method does not serve.
+    """
+
+    def __init__(self, plant: Plant, nx: int = 101):
+        super().__init__(plant, nx)
+        family_of(plant).needs(self.name)
+
+    @staticmethod
+    @abstractmethod
+    def step(f: Flow, x: Array, u0: Array, um: Array, u1: Array, t: Value, h: Value) -> Array:
+        """x(t + h) from x(t), the input being u0, um, u1 at t, t + h/2, t + h."""
+
+    @classmethod
+    def evaluations(cls) -> int:
+        """Evaluations of f per step. Raises ConfigError, with the line, for a formula that fails or is no step."""
+        times = []
+
+        def f(x: Array, u: Array, t: Value) -> Array:
+            times.append(t)
+            return -x
+
+        x, u, step = np.ones(2), np.zeros(1), f"predictor {cls.__name__}: step ({source_lines.line(cls.step)})"
+        try:
+            y = np.asarray(cls.step(f, x, u, u, u, 0.0, 0.1), dtype=float)
+        except Exception as error:
+            where, reason = source_lines.where(error, cls.step), source_lines.one_line(error)
+            raise ConfigError(f"{step} failed{where}: {reason}; use array arithmetic alone") from None
+        if y.shape != x.shape or not times:
+            returned = f"{y.shape} after {len(times)} evaluations of f"
+            expected = "expected to evaluate f and to return the state, shape (n,)"
+            raise ConfigError(f"{step} {expected}, got {returned}; return x + h * f(x, u0, t), say")
+        return len(times)
+
+    def compile(self) -> Callable[..., None]:
+        return family_of(self.plant).sweep(self.step)
+
+    def cells(self) -> Callable[..., None]:
+        """The compiled map for inputs that are a straight line on each cell: family.PREDICT with `cells`."""
+        return family_of(self.plant).sweep(self.step, cells=True)  # type: ignore[call-arg]
+
+    @classmethod
+    def operations(cls, plant: Plant) -> int:
+        """The operations of a step, counted in its program."""
+        return called_functions.operations(plant, cls.step)
+
+    def call_operations(self, steps: int) -> int:
+        """The operations of a call of so many steps."""
+        return steps * self.operations(self.plant)

@@ -8,8 +8,7 @@ from npred.delays import family, family_of
 from npred.errors import ConfigError
 from npred.kernels.kernel import Kernel, made, skeleton
 from npred.plants.base import Plant
-from npred.predictors.base import Compiled
-from npred.predictors.onestep import OneStep
+from npred.predictors.base import Compiled, OneStep
 
 
 def straight(u: np.ndarray, count: int) -> np.ndarray:

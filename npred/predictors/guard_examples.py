@@ -9,9 +9,8 @@ import numpy as np
 from npred.delays.family import by_time
 from npred.plants.base import Plant
 from npred.predictors import method
-from npred.predictors.base import Predictor
+from npred.predictors.base import OneStep, Predictor
 from npred.predictors.coarse import Coarse, straight
-from npred.predictors.onestep import OneStep
 from npred.predictors.runge_kutta import RK4
 
 LADDER = (2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 32, 40, 50, 64, 80, 100, 128, 160, 200)  # of the coarser grid

@@ -10,8 +10,7 @@ from npred.delays import family, family_of
 from npred.kernels.callback import Failure, callback
 from npred.kernels.kernel import Kernel, made, skeleton
 from npred.plants.base import Plant
-from npred.predictors.base import Predictor
-from npred.predictors.onestep import OneStep
+from npred.predictors.base import OneStep, Predictor
 from npred.predictors.runge_kutta import Heun
 
 HEAD = 6  # numbers of the settings before those of the domain: tolerance, fine, coarse, correct, limit, refinements

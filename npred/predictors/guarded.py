@@ -3,9 +3,10 @@
 from collections.abc import Callable
 from functools import cached_property
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from npred import array_checks, grid
 from npred.data.domain import Domain, unread
@@ -19,7 +20,7 @@ from npred.predictors.guard_kernel import kernel
 from npred.predictors.runge_kutta import RK4
 
 if TYPE_CHECKING:  # an extra of certify
-    from npred.bounds.error_bound import ErrorBound
+    from npred.bounds import ErrorBound
 
 ESTIMATES = ("auto", "shadow", "defect")
 PASSES = 0.4  # of the tolerance: the largest estimate that passes, for errors may be larger; a margin, not a bound
@@ -152,19 +153,19 @@ class Guarded(Predictor):
     def _kernel(self, name: str) -> Kernel:
         return kernel(self.plant, self.by, self.exact, method(name))  # type: ignore[arg-type]
 
-    def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Any) -> np.ndarray:
+    def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: np.ndarray | float) -> np.ndarray:
         return self._run(self._on(u), self.model(X, u, D_hat, t), X, u, D_hat, t)[0]
 
-    def error(self, X: Any, u: Any, D_hat: Any, t: Any = 0.0) -> np.ndarray:
+    def error(self, X: ArrayLike, u: ArrayLike, D_hat: ArrayLike, t: ArrayLike = 0.0) -> np.ndarray:
         """The estimate of |kappa(P̂(1)) - kappa(P(1))|, (...), in units of U; of the corrected P̂ with `correct`."""
         return self.judge(self.model(X, u, D_hat, t), X, u, D_hat, t)[0]
 
-    def fallback(self, X: Any, u: Any, D_hat: Any, t: Any = 0.0) -> np.ndarray:
+    def fallback(self, X: ArrayLike, u: ArrayLike, D_hat: ArrayLike, t: ArrayLike = 0.0) -> np.ndarray:
         """Whether the numerical predictor answers, (...) bool."""
         return self.judge(self.model(X, u, D_hat, t), X, u, D_hat, t)[1]
 
-    def bound(self, X: Any, u: Any, D_hat: Any, t: Any = 0.0) -> np.ndarray:
-        """A bound of what `error` estimates, (...), in NumPy: see npred.bounds.error_bound.
+    def bound(self, X: ArrayLike, u: ArrayLike, D_hat: ArrayLike, t: ArrayLike = 0.0) -> np.ndarray:
+        """A bound of what `error` estimates, (...), in NumPy: see npred.bounds.
 
         Infinite where none is found. Raises ConfigError for a plant that is not traced, or has not one constant delay.
         """
@@ -174,7 +175,7 @@ class Guarded(Predictor):
     @cached_property
     def error_bound(self) -> "ErrorBound":
         """The bound with the weights that suit examples of the data; without these, no state outweighs another."""
-        from npred.bounds.error_bound import ErrorBound, weight
+        from npred.bounds import ErrorBound, weight
 
         if self.domain is None:
             return ErrorBound(self.plant, np.eye(self.plant.n))
@@ -190,7 +191,9 @@ class Guarded(Predictor):
             rough = np.nan_to_num(D_hat[:, None] * unread(u) / self.domain.roughest(self.nx))
         return np.maximum(away, rough.max(axis=1))
 
-    def judge(self, P_hat: np.ndarray, X: Any, u: Any, D_hat: Any, t: Any = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    def judge(
+        self, P_hat: np.ndarray, X: ArrayLike, u: ArrayLike, D_hat: ArrayLike, t: ArrayLike = 0.0
+    ) -> tuple[np.ndarray, np.ndarray]:
         """The estimate and whether the numerical predictor answers, (...), where the model has said P_hat."""
         shape, rows = self._rows(X, u, D_hat, t)
         P_hat = P_hat.reshape(-1, *P_hat.shape[-2:])
@@ -204,10 +207,10 @@ class Guarded(Predictor):
         return self.settings
 
     def _run(
-        self, settings: np.ndarray, P_hat: np.ndarray, X: Any, u: Any, D_hat: Any, t: Any,
-        *, run: Kernel | None = None,
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
-        """P (B, nx, n), the estimate (B,) and whether `exact` answered (B,), of P_hat (B, nx, n)."""
+        self, settings: np.ndarray, P_hat: np.ndarray, *call: np.ndarray | float, run: Kernel | None = None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """P (B, nx, n), the estimate (B,) and whether `exact` answered (B,), of P_hat (B, nx, n) and X, u, D_hat, t."""
+        X, u, D_hat, t = map(np.asarray, call)
         P, error, fallback = np.array(P_hat, dtype=float), np.empty(len(X)), np.empty(len(X))
         reads_time = self.plant.clocked or not self.plant.rests  # the prediction, or the law that the guard compares by
         times = np.broadcast_to(t, len(X)) if reads_time else np.zeros(len(X))

@@ -1,7 +1,6 @@
 """A trained operator as a predictor: the one module that knows networks and the loop's memory."""
 
 from contextlib import nullcontext
-from typing import Any
 
 import numpy as np
 import torch
@@ -26,7 +25,7 @@ class Neural(Predictor):
         self.operator, self.device = operator.to(device).eval(), device
 
     @torch.inference_mode()
-    def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Any) -> np.ndarray:
+    def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: np.ndarray | float) -> np.ndarray:
         dtype = self.operator.X_rest.dtype
         phase = (self.plant.phase(np.broadcast_to(t, len(X))),) if self.plant.phased else ()
         tensors = (torch.as_tensor(np.array(a, dtype=float)).to(self.device, dtype) for a in (X, u, D_hat, *phase))

@@ -1,7 +1,6 @@
 """Successive approximations."""
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
@@ -26,7 +25,7 @@ class Picard(Compiled):
         family_of(plant).needs(self.name)
         self.tolerance, self.sweeps = tolerance, sweeps
 
-    def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Any) -> np.ndarray:
+    def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: np.ndarray | float) -> np.ndarray:
         P = super().predict(X, u, D_hat, t)
         failed = ~np.isfinite(P).all(axis=(1, 2))
         if failed.any():

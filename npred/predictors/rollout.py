@@ -1,7 +1,5 @@
 """The plant's own simulator, rolled forward over the delay: what one does whose plant is a black box."""
 
-from typing import Any
-
 import numpy as np
 
 from npred.delays import family_of
@@ -21,5 +19,5 @@ class Rollout(Predictor):
         super().__init__(plant, nx)
         family_of(plant).needs(self.name)
 
-    def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Any) -> np.ndarray:
+    def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: np.ndarray | float) -> np.ndarray:
         return self.plant.rollout(X, u, D_hat, t)

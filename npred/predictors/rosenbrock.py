@@ -4,7 +4,8 @@ import math
 
 import numpy as np
 
-from npred.predictors.onestep import Array, OneStep, Time
+from npred.predictors.base import OneStep
+from npred.symbolic import Array, Value
 from npred.symbolic.called_functions import whole
 from npred.symbolic.implicit import linearised, solver
 from npred.symbolic.trace import Trace
@@ -27,7 +28,7 @@ class Rosenbrock(OneStep):
 
     @staticmethod
     @whole
-    def step(f: Trace, x: Array, u0: Array, um: Array, u1: Array, t: Time, h: Time) -> Array:
+    def step(f: Trace, x: Array, u0: Array, um: Array, u1: Array, t: Value, h: Value) -> Array:
         velocity, jacobian, d = linearised(f, x, u0, t, None if u0 is u1 else u1 - u0, h)
         solve = solver((np.eye(len(x)) - GAMMA * h * jacobian).tolist())
         k1 = np.array(solve([*(velocity + GAMMA * d)]), dtype=object)

@@ -1,6 +1,7 @@
 """Explicit Runge-Kutta methods."""
 
-from npred.predictors.onestep import Array, Flow, OneStep, Time
+from npred.predictors.base import Flow, OneStep
+from npred.symbolic import Array, Value
 
 
 class Euler(OneStep):
@@ -9,7 +10,7 @@ class Euler(OneStep):
     name, order = "euler", 1
 
     @staticmethod
-    def step(f: Flow, x: Array, u0: Array, um: Array, u1: Array, t: Time, h: Time) -> Array:
+    def step(f: Flow, x: Array, u0: Array, um: Array, u1: Array, t: Value, h: Value) -> Array:
         return x + h * f(x, u0, t)
 
 
@@ -19,7 +20,7 @@ class Heun(OneStep):
     name, order = "heun", 2
 
     @staticmethod
-    def step(f: Flow, x: Array, u0: Array, um: Array, u1: Array, t: Time, h: Time) -> Array:
+    def step(f: Flow, x: Array, u0: Array, um: Array, u1: Array, t: Value, h: Value) -> Array:
         k1 = f(x, u0, t)
         k2 = f(x + h * k1, u1, t + h)
         return x + h / 2 * (k1 + k2)
@@ -35,7 +36,7 @@ class RK4(OneStep):
     name, order = "rk4", 4
 
     @staticmethod
-    def step(f: Flow, x: Array, u0: Array, um: Array, u1: Array, t: Time, h: Time) -> Array:
+    def step(f: Flow, x: Array, u0: Array, um: Array, u1: Array, t: Value, h: Value) -> Array:
         k1 = f(x, u0, t)
         k2 = f(x + h / 2 * k1, um, t + h / 2)
         k3 = f(x + h / 2 * k2, um, t + h / 2)

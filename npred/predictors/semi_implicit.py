@@ -7,8 +7,8 @@ import numpy as np
 
 from npred.delays import family_of
 from npred.plants.base import Plant
-from npred.predictors.onestep import Array, OneStep, Time
-from npred.symbolic import called_functions, ldl
+from npred.predictors.base import OneStep
+from npred.symbolic import Array, Value, called_functions, ldl
 from npred.symbolic.called_functions import whole
 from npred.symbolic.trace import Trace
 
@@ -44,7 +44,7 @@ class SemiImplicit(OneStep):
 
     @staticmethod
     @partial(whole, chains=2)
-    def chains(f: Trace, x: Array, u0: Array, um: Array, u1: Array, t: Time, h: Time) -> Array:
+    def chains(f: Trace, x: Array, u0: Array, um: Array, u1: Array, t: Value, h: Value) -> Array:
         """Both chains a node further: x and the result have one after the other."""
         n, first, second = len(x) // 2, 0.5 * (u0 + um), 0.5 * (um + u1)
         half = _advanced(f, x[n:], first, t, 0.5 * h)
@@ -53,12 +53,12 @@ class SemiImplicit(OneStep):
 
     @staticmethod
     @whole
-    def step(f: Trace, x: Array, u0: Array, um: Array, u1: Array, t: Time, h: Time) -> Array:
+    def step(f: Trace, x: Array, u0: Array, um: Array, u1: Array, t: Value, h: Value) -> Array:
         both = SemiImplicit.chains(f, np.concatenate([x, x]), u0, um, u1, t, h)
         return 2.0 * both[len(x) :] - both[: len(x)]
 
 
-def _advanced(f: Trace, x: Array, u: Array, t: Time, h: Time) -> Array:
+def _advanced(f: Trace, x: Array, u: Array, t: Value, h: Value) -> Array:
     """One semi-implicit step."""
     at = f.mechanics(x, u, t)
     size, rates = range(len(at.rates)), [x[k] for k in at.rates]

@@ -8,15 +8,20 @@ Arm = chain(Path(__file__).with_name("my_arm.urdf"))
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from keyword import iskeyword
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from threading import Lock
+from typing import NamedTuple, Protocol
+
+import numpy as np
 
 from npred.errors import ConfigError
 from npred.robots import rigid_body, urdf
-from npred.robots.rigid_body import Body
+from npred.robots.rigid_body import Body, Matrix, Vector
+from npred.symbolic import Parameters, Value, array_math
 from npred.symbolic.ldl import total
+from npred.symbolic.tape import Functions
 
 GAINS = {"stiffness": 40.0, "damping": 14.0, "amplitude": 0.2, "frequency": 0.6, "gravity": 9.81}
 TURNS, SLIDES = ("rad", "rad/s", "N m"), ("m", "m/s", "N")  # units of a joint's position, rate and input
@@ -31,6 +36,26 @@ class Joint(Protocol):
     def slides(self) -> bool: ...
     @property
     def effort(self) -> float: ...
+
+
+class Dynamics(Protocol):
+    """A library's model of a chain of n joints, row by row; arrays are (B, n).
+
+    Libraries work in memory that belongs to the model, and some let other threads run meanwhile: whoever calls has it
+    `alone`.
+    """
+
+    alone: Lock
+
+    def accelerations(self, q: np.ndarray, rates: np.ndarray, u: np.ndarray, gravity: float) -> np.ndarray:
+        """q'' under the torques u."""
+        ...
+
+    def torques(
+        self, q: np.ndarray, rates: np.ndarray, accelerations: np.ndarray, speeds: np.ndarray, gravity: float
+    ) -> np.ndarray:
+        """The torques of that motion, with the friction that there would be at `speeds`."""
+        ...
 
 
 class Wave(NamedTuple):
@@ -50,7 +75,7 @@ def chain(path: str | Path, pose: Sequence[float] | None = None) -> type:
 
 def serial(
     bodies: list[Body], title: str, pose: Sequence[float] | None = None, phases: Sequence[float] | None = None,
-    **more: Any,
+    **more: object,
 ) -> type:  # fmt: skip
     """The declaration of a chain of bodies, traced; `title` says in its docstring which, `more` are further attributes.
 
@@ -64,27 +89,27 @@ def serial(
     """
     n, rubs, wave = len(bodies), [body.damping for body in bodies], wave_of(bodies, pose, phases)
 
-    def f(x: Any, u: Any, t: Any, p: Any, M: Any) -> list[Any]:
+    def f(x: Vector, u: Vector, t: Value, p: Parameters, M: Functions) -> Vector:
         q, rates = list(x[:n]), list(x[n:])
         loads = rigid_body.torques(bodies, q, rates, [0.0] * n, p.gravity, M)
         forces = [a - b - c * rate for a, b, c, rate in zip(u, loads, rubs, rates, strict=True)]
         return [*rates, *M.solve(rigid_body.mass_matrix(bodies, q, M), forces)]
 
-    def mechanics(x: Any, u: Any, t: Any, p: Any, M: Any) -> tuple[list[list[Any]], list[Any], list[float]]:
+    def mechanics(x: Vector, u: Vector, t: Value, p: Parameters, M: Functions) -> tuple[Matrix, Vector, list[float]]:
         q, rates = list(x[:n]), list(x[n:])
         loads = rigid_body.torques(bodies, q, rates, [0.0] * n, p.gravity, M)
         return rigid_body.mass_matrix(bodies, q, M), [a - b for a, b in zip(u, loads, strict=True)], rubs
 
-    def kappa(x: Any, t: Any, p: Any, M: Any) -> list[Any]:
+    def kappa(x: Vector, t: Value, p: Parameters, M: Functions) -> Vector:
         q, rates = list(x[:n]), list(x[n:])
-        speeds, accelerations = called_for(x, t, p, M, wave)
+        speeds, accelerations = commanded(x, t, p, M, wave)
         torques = rigid_body.torques(bodies, q, rates, accelerations, p.gravity, M)
         return [a + c * speed for a, c, speed in zip(torques, rubs, speeds, strict=True)]
 
-    def V(x: Any, t: Any, p: Any, M: Any) -> Any:
+    def V(x: Vector, t: Value, p: Parameters, M: Functions) -> Value:
         return total((a - b) * (a - b) for a, b in zip(x, reference(t, p, M), strict=True))
 
-    def reference(t: Any, p: Any, M: Any) -> list[Any]:
+    def reference(t: Value, p: Parameters, M: Functions) -> Vector:
         goal, speed, _ = motion(t, p, M, wave)
         return goal + speed
 
@@ -92,7 +117,33 @@ def serial(
     return declaration(title, bodies, wave, functions | {"mechanics": mechanics}, **more)
 
 
-def declaration(title: str, bodies: Sequence[Joint], wave: Wave, functions: dict[str, Any], **more: Any) -> type:
+def by_library(dynamics: Dynamics, wave: Wave) -> dict[str, Callable[..., np.ndarray]]:
+    """f, kappa, V and reference of `serial` on rows, of dynamics that a library computes: called, and not traced."""
+    n = len(wave.middle)
+
+    def f(X: np.ndarray, u: np.ndarray, t: Value, p: Parameters) -> np.ndarray:
+        with dynamics.alone:
+            return np.hstack([X[:, n:], dynamics.accelerations(X[:, :n], X[:, n:], u, p.gravity)])
+
+    def kappa(X: np.ndarray, t: Value, p: Parameters) -> np.ndarray:
+        columns = commanded(X.T, t, p, array_math.NUMPY, wave)
+        speeds, accelerations = (np.stack([a + np.zeros(len(X)) for a in rows], axis=1) for rows in columns)
+        with dynamics.alone:
+            return dynamics.torques(X[:, :n], X[:, n:], accelerations, speeds, p.gravity)
+
+    def V(X: np.ndarray, t: Value, p: Parameters) -> np.ndarray:
+        return ((X - reference(np.broadcast_to(t, len(X)), p)) ** 2).sum(axis=1)
+
+    def reference(t: np.ndarray, p: Parameters) -> np.ndarray:
+        goal, speed, _ = motion(t, p, array_math.NUMPY, wave)
+        return np.stack(goal + speed, axis=1)
+
+    return {"f": f, "kappa": kappa, "V": V, "reference": reference}
+
+
+def declaration(
+    title: str, bodies: Sequence[Joint], wave: Wave, functions: Mapping[str, Callable[..., object]], **more: object
+) -> type:
     """The class that declares a chain of these bodies with its functions, and more attributes."""
     names = [_name(body.joint) for body in bodies]
     rates, efforts = [f"{name}_rate" for name in names], [body.effort for body in bodies]
@@ -132,7 +183,7 @@ def wave_of(bodies: Sequence[Joint], pose: Sequence[float] | None, phases: Seque
     return Wave(middle, phase)
 
 
-def motion(t: Any, p: Any, M: Any, wave: Wave) -> tuple[list[Any], list[Any], list[Any]]:
+def motion(t: Value, p: Parameters, M: Functions, wave: Wave) -> tuple[Vector, Vector, Vector]:
     """The desired positions, rates and accelerations."""
     turns = [p.frequency * t + at for at in wave.phase]
     waves = [p.amplitude * M.sin(turn) for turn in turns]
@@ -140,7 +191,7 @@ def motion(t: Any, p: Any, M: Any, wave: Wave) -> tuple[list[Any], list[Any], li
     return [at + w for at, w in zip(wave.middle, waves, strict=True)], speed, [-(p.frequency**2) * w for w in waves]
 
 
-def called_for(x: Any, t: Any, p: Any, M: Any, wave: Wave) -> tuple[list[Any], list[Any]]:
+def commanded(x: Vector | np.ndarray, t: Value, p: Parameters, M: Functions, wave: Wave) -> tuple[Vector, Vector]:
     """The rates that the errors call for, and the accelerations that make the errors linear."""
     n, (goal, speed, push) = len(wave.middle), motion(t, p, M, wave)
     errors = [x[i] - goal[i] for i in range(n)]

@@ -16,8 +16,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from npred.errors import ConfigError, first_line, required
-from npred.robots import called_chain
-from npred.robots.chain import declaration, wave_of
+from npred.robots.chain import by_library, declaration, wave_of
+from npred.symbolic import Parameters, Value
 
 INTEGRATORS = ("Euler", "RK4", "implicit", "implicitfast")  # MuJoCo's names
 LEFT_OUT = ("CONSTRAINT", "ACTUATION", "SENSOR", "AUTORESET")  # flags of what is no smooth function of state and input
@@ -37,11 +37,11 @@ def mujoco_chain(path: str | Path, pose: Sequence[float] | None = None, integrat
     engine = _Engine(Path(path), integrator)
     wave = wave_of(engine.joints, pose)
 
-    def rollout(X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Any, p: Any) -> np.ndarray:
+    def rollout(X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Value, p: Parameters) -> np.ndarray:
         with engine.alone:
             return engine.rollout(X, u, D_hat, p.gravity)
 
-    functions = called_chain.functions(engine, wave) | {"rollout": rollout}
+    functions = by_library(engine, wave) | {"rollout": rollout}
     return declaration(Path(path).name, engine.joints, wave, functions, traced=False, files=(path,))
 
 

@@ -7,8 +7,8 @@ from threading import Lock
 import numpy as np
 
 from npred.errors import required
-from npred.robots import called_chain, urdf
-from npred.robots.chain import declaration, wave_of
+from npred.robots import urdf
+from npred.robots.chain import by_library, declaration, wave_of
 
 
 def pin_chain(path: str | Path, pose: Sequence[float] | None = None) -> type:
@@ -18,7 +18,7 @@ def pin_chain(path: str | Path, pose: Sequence[float] | None = None) -> type:
     """
     bodies = urdf.read(path)
     wave = wave_of(bodies, pose)
-    functions = called_chain.functions(_Library(Path(path)), wave)
+    functions = by_library(_Library(Path(path)), wave)
     return declaration(Path(path).name, bodies, wave, functions, traced=False, files=(path,))
 
 

@@ -5,14 +5,15 @@ composite-rigid-body algorithm (sec. 6.2) for the mass matrix. Vectors are lists
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
+from npred.symbolic import Value
 from npred.symbolic.ldl import total
+from npred.symbolic.tape import Functions
 
-Vector = list[Any]
-Matrix = list[list[Any]]
+Vector = list[Value]
+Matrix = list[Vector]
 
 
 @dataclass(frozen=True)
@@ -35,43 +36,44 @@ class Body:
     effort: float
 
 
-def torques(bodies: list[Body], q: Vector, rates: Vector, accelerations: Vector, gravity: Any, M: Any) -> Vector:
-    """The joints' torques and forces for those accelerations, damping left out: M(q) q'' + C(q, q') q' + G(q)."""
+def torques(
+    bodies: list[Body], q: Vector, rates: Vector, accelerations: Vector, gravity: Value, M: Functions
+) -> Vector:
+    """The joints' torques and forces for those accelerations, damping left out: M(q) q'' + C(q, q') q' + G(q).
+
+    w is a body's angular velocity, dw its derivative, a the acceleration of its origin less that of gravity; f and n
+    are force and moment about its origin.
+    """
     placed = [_placed(body, angle, M) for body, angle in zip(bodies, q, strict=True)]
-    spin, spun, pushed = [0.0] * 3, [0.0] * 3, [0.0, 0.0, gravity]
-    forces: list[tuple[Vector, Vector]] = []
+    w, dw, a = [0.0] * 3, [0.0] * 3, [0.0, 0.0, gravity]
+    loads: list[tuple[Vector, Vector]] = []
     for body, (turn, position), rate, acceleration in zip(bodies, placed, rates, accelerations, strict=True):
-        pushed = back(turn, add(pushed, cross(spun, position), cross(spin, cross(spin, position))))
-        spin, spun, axis = back(turn, spin), back(turn, spun), body.axis.tolist()
-        along, sped = [rate * a for a in axis], [acceleration * a for a in axis]
+        a = back(turn, add(a, cross(dw, position), cross(w, cross(w, position))))
+        w, dw, axis = back(turn, w), back(turn, dw), body.axis.tolist()
+        joint_v, joint_a = [rate * c for c in axis], [acceleration * c for c in axis]
         if body.slides:
-            pushed = add(pushed, [2.0 * c for c in cross(spin, along)], sped)
+            a = add(a, [2.0 * c for c in cross(w, joint_v)], joint_a)
         else:
-            spun = add(spun, cross(spin, along), sped)
-            spin = add(spin, along)
-        forces.append(_force(body, spin, spun, pushed))
-    return _carried(bodies, placed, forces)
-
-
-def _force(body: Body, spin: Vector, spun: Vector, pushed: Vector) -> tuple[Vector, Vector]:
-    """Force and moment about the body's origin that the motion of this body alone takes."""
-    centre, inertia = body.centre.tolist(), body.inertia.tolist()
-    force = [body.mass * a for a in add(pushed, cross(spun, centre), cross(spin, cross(spin, centre)))]
-    return force, add(times(inertia, spun), cross(spin, times(inertia, spin)), cross(centre, force))
-
-
-def _carried(bodies: list[Body], placed: list[Any], forces: list[tuple[Vector, Vector]]) -> Vector:
-    """The joints' shares, from the tip to the base: each body carries those beyond it."""
+            dw = add(dw, cross(w, joint_v), joint_a)
+            w = add(w, joint_v)
+        loads.append(_force(body, w, dw, a))
     shares: Vector = []
-    force, moment = [0.0] * 3, [0.0] * 3
-    for body, (turn, position), (pull, turned) in reversed(list(zip(bodies, placed, forces, strict=True))):
-        force, moment = add(pull, force), add(turned, moment)
-        shares.append(dot(body.axis.tolist(), force if body.slides else moment))
-        force, moment = moved(turn, position, force, moment)
+    f, n = [0.0] * 3, [0.0] * 3
+    for body, (turn, position), (f_body, n_body) in reversed(list(zip(bodies, placed, loads, strict=True))):
+        f, n = add(f_body, f), add(n_body, n)  # each body carries those beyond it
+        shares.append(dot(body.axis.tolist(), f if body.slides else n))
+        f, n = moved(turn, position, f, n)
     return shares[::-1]
 
 
-def mass_matrix(bodies: list[Body], q: Vector, M: Any) -> Matrix:
+def _force(body: Body, w: Vector, dw: Vector, a: Vector) -> tuple[Vector, Vector]:
+    """f and n that the motion of this body alone takes."""
+    centre, inertia = body.centre.tolist(), body.inertia.tolist()
+    f = [body.mass * c for c in add(a, cross(dw, centre), cross(w, cross(w, centre)))]
+    return f, add(times(inertia, dw), cross(w, times(inertia, w)), cross(centre, f))
+
+
+def mass_matrix(bodies: list[Body], q: Vector, M: Functions) -> Matrix:
     """M(q), (n, n), symmetric."""
     placed = [_placed(body, angle, M) for body, angle in zip(bodies, q, strict=True)]
     H: Matrix = [[0.0] * len(bodies) for _ in bodies]
@@ -81,11 +83,11 @@ def mass_matrix(bodies: list[Body], q: Vector, M: Any) -> Matrix:
         mass = mass + body.mass
         first = add(first, [body.mass * c for c in body.centre.tolist()])
         second = [add(a, b) for a, b in zip(second, _about_origin(body), strict=True)]
-        force = [mass * a for a in axis] if body.slides else cross(axis, first)
-        moment = cross(first, axis) if body.slides else times(second, axis)
+        f = [mass * c for c in axis] if body.slides else cross(axis, first)
+        n = cross(first, axis) if body.slides else times(second, axis)
         for j in range(i, -1, -1):
-            H[i][j] = H[j][i] = dot(bodies[j].axis.tolist(), force if bodies[j].slides else moment)
-            force, moment = moved(*placed[j], force, moment)
+            H[i][j] = H[j][i] = dot(bodies[j].axis.tolist(), f if bodies[j].slides else n)
+            f, n = moved(*placed[j], f, n)
         first, second = _composite(*placed[i], mass, first, second)
     return H
 
@@ -96,7 +98,7 @@ def _about_origin(body: Body) -> Matrix:
     return (body.inertia + body.mass * (c @ c * np.eye(3) - np.outer(c, c))).tolist()
 
 
-def _composite(turn: Matrix, position: Vector, mass: Any, first: Vector, second: Matrix) -> tuple[Vector, Matrix]:
+def _composite(turn: Matrix, position: Vector, mass: Value, first: Vector, second: Matrix) -> tuple[Vector, Matrix]:
     """First moment and inertia about the origin of the body before: turned, then shifted by `position`."""
     first = times(turn, first)
     columns = [times(turn, row) for row in second]  # second is symmetric: rows are columns
@@ -110,7 +112,7 @@ def _composite(turn: Matrix, position: Vector, mass: Any, first: Vector, second:
     return shifted, turned
 
 
-def _placed(body: Body, q: Any, M: Any) -> tuple[Matrix, Vector]:
+def _placed(body: Body, q: Value, M: Functions) -> tuple[Matrix, Vector]:
     """Turn and position of the body's frame in that of the body before, at joint position q."""
     if body.slides:
         along = (body.turn @ body.axis).tolist()
@@ -128,10 +130,10 @@ def _clean(matrix: np.ndarray) -> list[list[float]]:
     return np.where(np.abs(matrix) < 1e-15, 0.0, matrix).tolist()
 
 
-def moved(turn: Matrix, position: Vector, force: Vector, moment: Vector) -> tuple[Vector, Vector]:
+def moved(turn: Matrix, position: Vector, f: Vector, n: Vector) -> tuple[Vector, Vector]:
     """Force and moment as the body before sees them."""
-    force = times(turn, force)
-    return force, add(times(turn, moment), cross(position, force))
+    f = times(turn, f)
+    return f, add(times(turn, n), cross(position, f))
 
 
 def times(A: Matrix, v: Vector) -> Vector:
@@ -144,7 +146,7 @@ def back(A: Matrix, v: Vector) -> Vector:
     return [dot([row[k] for row in A], v) for k in range(3)]
 
 
-def dot(a: Vector, b: Vector) -> Any:
+def dot(a: Vector, b: Vector) -> Value:
     """a · b."""
     return total(x * y for x, y in zip(a, b, strict=True))
 

@@ -1,13 +1,13 @@
 """The mathematics M that plant functions use, on NumPy arrays and on torch tensors."""
 
 import math
+from collections.abc import Callable
 from functools import cache
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 
-from npred.symbolic import ldl
+from npred.symbolic import Array, Value, ldl
 
 NUMPY = SimpleNamespace(
     pi=math.pi, sin=np.sin, cos=np.cos, tan=np.tan, exp=np.exp, log=np.log, sqrt=np.sqrt, tanh=np.tanh, abs=np.abs,
@@ -15,12 +15,12 @@ NUMPY = SimpleNamespace(
 )  # fmt: skip
 
 
-def of(array: Any) -> SimpleNamespace:
+def of(array: Array) -> SimpleNamespace:
     """The mathematics of an array's kind; torch is not imported unless the array is a tensor."""
     return _torch() if type(array).__module__.split(".")[0] == "torch" else NUMPY
 
 
-def stack(components: list[Any], like: Any) -> Any:
+def stack(components: list[Value], like: Array) -> Array:
     """Components broadcast to the shape of `like` and stacked as the last axis."""
     if of(like) is NUMPY:
         stacked = np.empty((*like.shape, len(components)))
@@ -38,16 +38,16 @@ def stack(components: list[Any], like: Any) -> Any:
 def _torch() -> SimpleNamespace:
     import torch
 
-    def on(function: Any) -> Any:
+    def on(function: Callable[..., torch.Tensor]) -> Callable[..., torch.Tensor]:
         """torch's functions want tensors; plant functions also give numbers: a parameter, the time, a constant."""
 
-        def call(*args: Any) -> Any:
+        def call(*args: Value) -> torch.Tensor:
             like = next((a for a in args if isinstance(a, torch.Tensor) and a.dtype != torch.bool), None)
             return function(*(_tensor(a, like) for a in args))
 
         return call
 
-    def _tensor(a: Any, like: Any) -> Any:
+    def _tensor(a: Value, like: torch.Tensor | None) -> torch.Tensor:
         if isinstance(a, torch.Tensor):
             return a
         if like is None or isinstance(a, bool | np.bool_):

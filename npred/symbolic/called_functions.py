@@ -6,11 +6,10 @@ Written out, RK4 holds f four times and the update law its derivative twice; a c
 import re
 from collections.abc import Callable, Sequence
 from functools import cache
-from typing import Any
 
 import numpy as np
 
-from npred.symbolic import programs
+from npred.symbolic import Value, programs
 from npred.symbolic.declared import Declared
 from npred.symbolic.tape import names
 from npred.symbolic.trace import Trace
@@ -18,7 +17,7 @@ from npred.symbolic.trace import Trace
 LONG = 150  # lines from which on a function is called; below, all fits into registers and SIMD lanes
 LONG_STEP = 500  # lines of an implicit step, which holds its matrix and elimination
 
-Step = Callable[..., Any]  # npred.predictors.onestep
+Step = Callable[..., np.ndarray]  # npred.predictors.base
 
 
 @cache
@@ -36,7 +35,7 @@ def whole(step: Step, chains: int = 1) -> Step:
     return step
 
 
-def stepped(trace: Trace, step: Step, x: np.ndarray, inputs: Sequence[np.ndarray], t: Any, h: Any) -> np.ndarray:
+def stepped(trace: Trace, step: Step, x: np.ndarray, inputs: Sequence[np.ndarray], t: Value, h: Value) -> np.ndarray:
     """x(t + h) by the formula of a one-step method, the inputs being u0, um, u1; a long implicit one is called."""
     if not hasattr(step, "whole"):
         return step(trace.f, x, *inputs, t, h)

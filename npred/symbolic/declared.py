@@ -2,15 +2,17 @@
 
 import re
 from collections import namedtuple
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
 from npred.errors import ConfigError
-from npred.symbolic import source_lines
-from npred.symbolic.tape import FUNCTIONS
+from npred.symbolic import Parameters, Value, source_lines
+from npred.symbolic.tape import FUNCTIONS, Functions
+
+Components = list[Value] | None
 
 SIGNATURES = {"f": "f(x, u, t, p, M)", "mechanics": "mechanics(x, u, t, p, M)", "reference": "reference(t, p, M)"}
 SIGNATURES |= {name: f"{name}(x, t, p, M)" for name in ("kappa", "V", "delay")}
@@ -48,7 +50,7 @@ class Declared(Protocol):
     @property
     def m(self) -> int: ...
 
-    def call(self, name: str, x: list[Any] | None, u: list[Any] | None, t: Any, p: Any, M: Any) -> list[Any]:
+    def call(self, name: str, x: Components, u: Components, t: Value, p: Sequence[Value], M: Functions) -> list[Value]:
         """A declared function on components of any kind."""
         ...
 
@@ -58,8 +60,8 @@ class Declared(Protocol):
 
 
 def call(
-    plant: Declared, name: str, x: list[Any] | None, u: list[Any] | None, t: Any, p: Sequence[Any], M: Any
-) -> list[Any]:
+    plant: Declared, name: str, x: Components, u: Components, t: Value, p: Sequence[Value], M: Functions
+) -> list[Value]:
     """The declared function on named components; a failure inside it becomes one line with the line of the file.
 
     Only f and mechanics take u, and `reference` takes the time alone.
@@ -81,7 +83,7 @@ def call(
     return list(values) if several else [values]
 
 
-def parameters(plant: Declared) -> Any:
+def parameters(plant: Declared) -> Parameters:
     """The parameters' values by name."""
     return _record("Parameters", tuple(plant.parameters))(*np.array([*plant.parameters.values()], dtype=float))
 
@@ -95,7 +97,7 @@ def failure(plant: Declared, name: str, error: Exception) -> ConfigError:
 
 
 @cache
-def _record(kind: str, names: tuple[str, ...]) -> Any:
+def _record(kind: str, names: tuple[str, ...]) -> Callable[..., Parameters]:
     return namedtuple(kind, names)
 
 

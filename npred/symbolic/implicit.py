@@ -6,19 +6,18 @@ search, and entries that are 0 by structure cost nothing. Golub, Van Loan, Matri
 """
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
-from npred.symbolic import ldl, programs
+from npred.symbolic import Value, ldl, programs
 from npred.symbolic.tape import M, Symbol, nonzero
 
-Vector = list[Any]
+Vector = list[Value]
 Replay = Callable[[Vector], None]  # what an elimination did to the rows, on a right side
 
 
 def linearised(
-    f: Callable[..., Any], x: np.ndarray, u: np.ndarray, t: Any, du: np.ndarray | None, dt: Any
+    f: Callable[..., np.ndarray], x: np.ndarray, u: np.ndarray, t: Value, du: np.ndarray | None, dt: Value
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """f (n,), f_X (n, n) and its change f_U du + f_t dt (n,) at symbols x, u, t; without du the inputs are constant.
 
@@ -62,7 +61,7 @@ def solver(A: list[Vector]) -> Callable[[Vector], Vector]:
     return solve
 
 
-def _is_one(a: Any) -> bool:
+def _is_one(a: Value) -> bool:
     return not isinstance(a, Symbol) and a == 1
 
 

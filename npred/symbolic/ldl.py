@@ -1,20 +1,21 @@
 """A y = b for a symmetric positive definite A, on numbers, arrays, tensors or symbols: mechanics has a mass matrix."""
 
 from collections.abc import Iterable
-from typing import Any
+
+from npred.symbolic import Value
 
 
-def solve(A: list[list[Any]], b: list[Any]) -> list[Any]:
+def solve(A: list[list[Value]], b: list[Value]) -> list[Value]:
     """y of A y = b, A = L D L' given as rows, of which those below the diagonal are read."""
     return back(*factors(A), b)
 
 
-def factors(A: list[list[Any]]) -> tuple[list[list[Any]], list[Any]]:
+def factors(A: list[list[Value]]) -> tuple[list[list[Value]], list[Value]]:
     """L, rows below its diagonal of ones, and 1 / D."""
-    L: list[list[Any]] = []
-    inverse: list[Any] = []
+    L: list[list[Value]] = []
+    inverse: list[Value] = []
     for i, row in enumerate(A):
-        scaled: list[Any] = []  # the row of L D
+        scaled: list[Value] = []  # the row of L D
         for j in range(i):
             scaled.append(minus(row[j], (scaled[k] * L[j][k] for k in range(j))))
         L.append([a * d for a, d in zip(scaled, inverse, strict=True)])
@@ -22,9 +23,9 @@ def factors(A: list[list[Any]]) -> tuple[list[list[Any]], list[Any]]:
     return L, inverse
 
 
-def back(L: list[list[Any]], inverse: list[Any], b: list[Any]) -> list[Any]:
+def back(L: list[list[Value]], inverse: list[Value], b: list[Value]) -> list[Value]:
     """y of L D L' y = b."""
-    y: list[Any] = []
+    y: list[Value] = []
     for i, right in enumerate(b):
         y.append(minus(right, (L[i][k] * y[k] for k in range(i))))
     for i in reversed(range(len(b))):
@@ -32,16 +33,16 @@ def back(L: list[list[Any]], inverse: list[Any], b: list[Any]) -> list[Any]:
     return y
 
 
-def minus(a: Any, terms: Iterable[Any]) -> Any:
+def minus(a: Value, terms: Iterable[Value]) -> Value:
     """a less all the terms."""
     for term in terms:
         a = a - term
     return a
 
 
-def total(terms: Iterable[Any]) -> Any:
+def total(terms: Iterable[Value]) -> Value:
     """The sum without the leading zero of sum(): 0.0 for none."""
-    result: Any = 0.0
+    result: Value = 0.0
     for k, term in enumerate(terms):
         result = term if k == 0 else result + term
     return result

@@ -5,15 +5,15 @@ Nodes that no output needs are left out.
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
 
-from npred.symbolic.tape import OPS, Symbol, Tape, Vector, nonzero, tangent_of
+from npred.symbolic import Value
+from npred.symbolic.tape import OPS, Arguments, Symbol, Tape, Vector, nonzero, tangent_of
 
 
-def derivative(outputs: Vector, inputs: Vector, direction: Vector) -> list[Any]:
+def derivative(outputs: Vector, inputs: Vector, direction: Vector) -> list[Value]:
     """Forward mode: d/ds outputs(inputs + s direction) at s = 0, on the same tape."""
     tape = inputs[0].tape
-    tangents: dict[int, Any] = {x.index: v for x, v in zip(inputs, direction, strict=True)}
+    tangents: dict[int, Value] = {x.index: v for x, v in zip(inputs, direction, strict=True)}
     for index in _needed(outputs):
         op, args = tape.nodes[index]
         if index in tangents or op == "input":
@@ -30,7 +30,7 @@ def derivative(outputs: Vector, inputs: Vector, direction: Vector) -> list[Any]:
     return [tangent_of(y, tangents) for y in outputs]
 
 
-def _of_function(tape: Tape, op: str, args: tuple[Any, ...], seeds: list[Any]) -> Symbol:
+def _of_function(tape: Tape, op: str, args: Arguments, seeds: list[Value]) -> Symbol:
     """The tangent of a call, a call of the function's derivative, and of its items, the items of that."""
     if op == "item":
         return tape.node("item", (seeds[0], args[1]))
@@ -71,7 +71,7 @@ def lines(
 
 
 def _right_side(
-    op: str, args: tuple[Any, ...], names: dict[int, str], bindings: Mapping[str, str], texts: Mapping[str, str]
+    op: str, args: Arguments, names: dict[int, str], bindings: Mapping[str, str], texts: Mapping[str, str]
 ) -> str:
     if op == "input":
         return bindings.get(args[0], args[0])
@@ -82,7 +82,7 @@ def _right_side(
     return texts.get(op, OPS[op].text).format(*(_operand(a, names) for a in args))
 
 
-def _operand(a: Any, names: dict[int, str]) -> str:
+def _operand(a: Value, names: dict[int, str]) -> str:
     if isinstance(a, Symbol):
         return names[a.index]
     if isinstance(a, bool):

@@ -8,13 +8,15 @@ import math
 import operator
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import numpy as np
 
-from npred.symbolic import ldl
+from npred.symbolic import Value, ldl
 
-Vector = Sequence[Any] | np.ndarray  # of symbols and numbers
+Vector = Sequence[Value] | np.ndarray
+Arguments = tuple[Any, ...]  # of an operation: symbols and numbers, and of some the name of an input or function
 
 
 @dataclass(frozen=True)
@@ -25,18 +27,13 @@ class Op:
     text: str
     tangent: Callable[..., Any]
 
-    @property
-    def arity(self) -> int:
-        """The number of its arguments."""
-        return self.text.count("{")
 
-
-def _pow_tangent(a: Any, b: Any, y: Any, da: Any, db: Any) -> Any:
+def _pow_tangent(a: Value, b: Value, y: Value, da: Value, db: Value) -> Value:
     by_base = b * a ** (b - 1) * da if nonzero(da) else 0.0
     return by_base + (y * M.log(a) * db if nonzero(db) else 0.0)
 
 
-def _flat(*_: Any) -> float:
+def _flat(*_: Value) -> float:
     return 0.0
 
 
@@ -75,11 +72,11 @@ class Tape:
     """The nodes of one trace, each an operation on earlier nodes or constants, stored once."""
 
     def __init__(self) -> None:
-        self.nodes: list[tuple[str, tuple[Any, ...]]] = []
-        self._index: dict[tuple[str, tuple[Any, ...]], int] = {}
+        self.nodes: list[tuple[str, Arguments]] = []
+        self._index: dict[tuple[str, Arguments], int] = {}
         self._solved: dict[int, Solution] = {}
 
-    def solve(self, A: Sequence[Vector], b: Vector) -> list[Any]:
+    def solve(self, A: Sequence[Vector], b: Vector) -> list[Value]:
         """y of A y = b, A symmetric positive definite; see ldl.solve. Its derivative takes the same factors."""
         before = len(self.nodes)
         L, inverse = ldl.factors([list(row) for row in A])
@@ -100,7 +97,7 @@ class Tape:
         """The symbols prefix0, prefix1, …"""
         return list(map(self.input, names(prefix, count)))
 
-    def apply(self, op: str, *args: Any) -> "Symbol | float":
+    def apply(self, op: str, *args: Value) -> "Symbol | float":
         """The node op(args), folded to a number where all arguments are numbers and simplified by 0 and 1."""
         if not any(isinstance(a, Symbol) for a in args):
             return _fold(op, args)
@@ -118,7 +115,7 @@ class Tape:
         """The names of the functions that are called, each once."""
         return sorted({args[0] for op, args in self.nodes if op == "call"})
 
-    def node(self, op: str, args: tuple[Any, ...]) -> "Symbol":
+    def node(self, op: str, args: Arguments) -> "Symbol":
         """The node op(args) as it stands, stored once."""
         key = (op, tuple(a.index if isinstance(a, Symbol) else _constant(a) for a in args))
         if key not in self._index:
@@ -134,10 +131,10 @@ class Solution:
     A: Sequence[Vector]
     b: Vector
     y: Vector
-    L: list[list[Any]]
-    inverse: list[Any]
+    L: list[list[Value]]
+    inverse: list[Value]
 
-    def tangent(self, tangents: dict[int, Any]) -> dict[int, Any]:
+    def tangent(self, tangents: dict[int, Value]) -> dict[int, Value]:
         """A dy = db - dA y: the tangents of y's nodes. Of A those on and below the diagonal, which gave the factors."""
         size = range(len(self.y))
         dA = [[tangent_of(self.A[max(i, j)][min(i, j)], tangents) for j in size] for i in size]
@@ -147,31 +144,31 @@ class Solution:
         return {y.index: change for y, change in zip(self.y, dy, strict=True) if isinstance(y, Symbol)}
 
 
-def tangent_of(a: Any, tangents: dict[int, Any]) -> Any:
+def tangent_of(a: Value, tangents: dict[int, Value]) -> Value:
     """That of a node by its index, 0 of a number."""
     return tangents.get(a.index, 0.0) if isinstance(a, Symbol) else 0.0
 
 
-def _constant(a: Any) -> tuple[str, Any]:
+def _constant(a: Value) -> tuple[str, Value]:
     return ("constant", a if isinstance(a, str) else float(a).hex())
 
 
-def _fold(op: str, args: tuple[Any, ...]) -> float:
+def _fold(op: str, args: Arguments) -> float:
     try:
         return OPS[op].value(*args)
     except (ArithmeticError, ValueError):
         return math.nan
 
 
-def nonzero(a: Any) -> bool:
+def nonzero(a: Value) -> bool:
     return isinstance(a, Symbol) or a != 0
 
 
-def _is(a: Any, value: float) -> bool:
+def _is(a: Value, value: float) -> bool:
     return not isinstance(a, Symbol) and a == value
 
 
-def _simplify(op: str, args: tuple[Any, ...]) -> Any:
+def _simplify(op: str, args: Arguments) -> Value:
     """The shorter equal of op(args), or None. Zero times anything is zero: derivatives are mostly zeros."""
     a, b = args[0], args[-1]
     if op in ("add", "sub") and _is(b, 0):
@@ -195,13 +192,13 @@ def _simplify(op: str, args: tuple[Any, ...]) -> Any:
     return None
 
 
-def _same(a: Any, b: Any) -> bool:
+def _same(a: Value, b: Value) -> bool:
     if isinstance(a, Symbol) and isinstance(b, Symbol):
         return a.index == b.index
     return not isinstance(a, Symbol) and not isinstance(b, Symbol) and a == b
 
 
-def _both(op: str) -> tuple[Callable[["Symbol", Any], Any], Callable[["Symbol", Any], Any]]:
+def _both(op: str) -> tuple[Callable[["Symbol", Value], Value], Callable[["Symbol", Value], Value]]:
     """The methods of a symbol that stands before the operator, and of one that stands after it."""
     return lambda a, b: _binary(op, a, b), lambda a, b: _binary(op, b, a)
 
@@ -222,22 +219,22 @@ class Symbol:
     __lt__, __gt__ = _both("lt")
     __le__, __ge__ = _both("le")
 
-    def __neg__(self) -> Any:
+    def __neg__(self) -> Value:
         return self.tape.apply("neg", self)
 
-    def __pos__(self) -> Any:
+    def __pos__(self) -> Value:
         return self
 
-    def __abs__(self) -> Any:
+    def __abs__(self) -> Value:
         return self.tape.apply("abs", self)
 
-    def __pow__(self, power: Any) -> Any:
+    def __pow__(self, power: Value) -> Value:
         return _power(self, power)
 
-    def __rpow__(self, base: Any) -> Any:
+    def __rpow__(self, base: Value) -> Value:
         return _binary("pow", base, self)
 
-    def __eq__(self, other: object) -> Any:
+    def __eq__(self, other: object) -> Value:
         raise TypeError("== on a state, input or parameter has no derivative; compare with <= and use M.where")
 
     def __bool__(self) -> bool:
@@ -253,22 +250,22 @@ class Symbol:
     __int__ = __index__ = __float__  # type: ignore[assignment]
 
 
-def _binary(op: str, a: Any, b: Any) -> Any:
+def _binary(op: str, a: Value, b: Value) -> Value:
     """The node op(a, b); an array beside a symbol is left to NumPy, which applies the operation to its elements."""
     if isinstance(a, np.ndarray) or isinstance(b, np.ndarray):
         return NotImplemented
     return _apply(op, a, b)
 
 
-def _power(base: Symbol, power: Any) -> Any:
+def _power(base: Symbol, power: Value) -> Value:
     """Powers as products and square roots: a general `pow` keeps the compiler from using SIMD lanes."""
     if isinstance(power, Symbol) or float(2 * power) != int(2 * power) or abs(power) > 64:
         return base.tape.apply("pow", base, power)
     if power < 0:
         return 1.0 / _power(base, -power)
     whole, half = divmod(int(2 * power), 2)
-    result: Any = M.sqrt(base) if half else 1.0
-    square: Any = base
+    result: Value = M.sqrt(base) if half else 1.0
+    square: Value = base
     while whole:
         if whole & 1:
             result = result * square
@@ -283,11 +280,11 @@ class Mathematics:
 
     pi = math.pi
 
-    def where(self, condition: Any, a: Any, b: Any) -> Any:
+    def where(self, condition: Value, a: Value, b: Value) -> Value:
         """a where the condition holds, else b."""
         return _apply("where", condition, a, b)
 
-    def solve(self, A: Sequence[Vector], b: Vector) -> list[Any]:
+    def solve(self, A: Sequence[Vector], b: Vector) -> list[Value]:
         """y of A y = b for a symmetric positive definite A, given as rows; above its diagonal nothing is read."""
         tape = next((a.tape for row in [*A, b] for a in row if isinstance(a, Symbol)), None)
         return ldl.solve([list(row) for row in A], list(b)) if tape is None else tape.solve(A, b)
@@ -296,7 +293,7 @@ class Mathematics:
         if name not in FUNCTIONS:
             raise AttributeError(f"M.{name} is unknown; expected one of pi, where, solve, {', '.join(FUNCTIONS)}")
 
-        def call(*args: Any) -> Any:
+        def call(*args: Value) -> Value:
             if len(args) != 1 + (name in ("maximum", "minimum")):
                 raise TypeError(f"M.{name} got {len(args)} arguments")
             return _apply(name, *args)
@@ -306,8 +303,9 @@ class Mathematics:
 
 FUNCTIONS = ("sin", "cos", "tan", "exp", "log", "sqrt", "tanh", "abs", "sign", "maximum", "minimum")
 M = Mathematics()
+Functions = Mathematics | SimpleNamespace | ModuleType  # M: on symbols, or on arrays and tensors, see array_math
 
 
-def _apply(op: str, *args: Any) -> Any:
+def _apply(op: str, *args: Value) -> Value:
     tape = next((a.tape for a in args if isinstance(a, Symbol)), None)
     return _fold(op, args) if tape is None else tape.apply(op, *args)

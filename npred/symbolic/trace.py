@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from npred.errors import ConfigError
-from npred.symbolic import programs
+from npred.symbolic import Value, programs
 from npred.symbolic import tape as tapes
 from npred.symbolic.declared import RETURNS, Declared
 
@@ -21,9 +21,9 @@ class Mechanics(NamedTuple):
 
     positions: list[int]
     rates: list[int]
-    inertia: list[list[Any]]
-    force: list[Any]
-    damping: list[Any]
+    inertia: list[list[Value]]
+    force: list[Value]
+    damping: list[Value]
 
 
 class Trace:
@@ -34,7 +34,7 @@ class Trace:
     """
 
     def __init__(self, plant: Declared, called: Collection[str] = ()) -> None:
-        self.plant: Any = plant
+        self.plant: Value = plant
         self.called = called
         self.steps: dict[str, Callable[..., Any]] = {}  # formulas that are called, by the names of the functions
         self.tape = tapes.Tape()
@@ -48,29 +48,33 @@ class Trace:
         """The vector input prefix0, prefix1, … of the program, shape (size,)."""
         return np.array(self.tape.inputs(prefix, size), dtype=object)
 
-    def f(self, x: np.ndarray, u: np.ndarray, t: Any) -> np.ndarray:
+    def symbols(self) -> tuple[np.ndarray, np.ndarray, tapes.Symbol]:
+        """The inputs x (n,), u (m,) and t of the plant's functions."""
+        return self.vector("x", self.plant.n), self.vector("u", self.plant.m), self.input("t")
+
+    def f(self, x: np.ndarray, u: np.ndarray, t: Value) -> np.ndarray:
         """f(x, u, t), shape (n,)."""
         return self._call("f", self.plant.n, x, u, t)
 
     __call__ = f  # a step reads f of a trace, and, where it is implicit, more
 
-    def kappa(self, x: np.ndarray, t: Any) -> np.ndarray:
+    def kappa(self, x: np.ndarray, t: Value) -> np.ndarray:
         """kappa(x, t), shape (m,)."""
         return self._call("kappa", self.plant.m, x, None, t)
 
-    def V(self, x: np.ndarray, t: Any) -> Any:
+    def V(self, x: np.ndarray, t: Value) -> Value:
         """V(x, t), a scalar."""
         return self._call("V", 1, x, None, t)[0]
 
-    def delay(self, x: np.ndarray, t: Any) -> Any:
+    def delay(self, x: np.ndarray, t: Value) -> Value:
         """delay(x, t) in seconds, a scalar."""
         return self._call("delay", 1, x, None, t)[0]
 
-    def reference(self, t: Any) -> np.ndarray:
+    def reference(self, t: Value) -> np.ndarray:
         """reference(t), shape (n,)."""
         return self._call("reference", self.plant.n, None, None, t)
 
-    def mechanics(self, x: np.ndarray, u: np.ndarray, t: Any) -> Mechanics:
+    def mechanics(self, x: np.ndarray, u: np.ndarray, t: Value) -> Mechanics:
         """M(q), force and damping at x, u, t. Raises ConfigError where their shapes do not fit the plant's states."""
         positions, rates = self._positions()
         values = self.plant.call("mechanics", list(x), list(u), t, self.parameters, tapes.M)
@@ -86,28 +90,28 @@ class Trace:
 
     def _positions(self) -> tuple[list[int], list[int]]:
         """The states whose derivative is another state, and those other states, in the same order."""
-        x, u = self.vector("x", self.plant.n), self.vector("u", self.plant.m)
+        x, u, t = self.symbols()
         by_node = {state.index: k for k, state in enumerate(x)}
-        velocity = self.f(x, u, self.input("t"))
+        velocity = self.f(x, u, t)
         pairs = [(k, by_node[v.index]) for k, v in enumerate(velocity) if getattr(v, "index", None) in by_node]
         return [k for k, _ in pairs], [j for _, j in pairs]
 
-    def df(self, x: np.ndarray, u: np.ndarray, t: Any, v: np.ndarray, dt: Any = 0.0) -> np.ndarray:
+    def df(self, x: np.ndarray, u: np.ndarray, t: Value, v: np.ndarray, dt: Value = 0.0) -> np.ndarray:
         """f_X v + f_t dt, the change of f(x, u, t) as x moves along v and t by dt, both input symbols, shape (n,)."""
         return np.array(programs.derivative(self.f(x, u, t), [t, *x], [dt, *v]), dtype=object)
 
-    def dkappa(self, x: np.ndarray, t: Any, v: np.ndarray, dt: Any = 0.0) -> np.ndarray:
+    def dkappa(self, x: np.ndarray, t: Value, v: np.ndarray, dt: Value = 0.0) -> np.ndarray:
         """kappa_X v + kappa_t dt, the change of kappa(x, t), likewise, shape (m,)."""
         return np.array(programs.derivative(self.kappa(x, t), [t, *x], [dt, *v]), dtype=object)
 
-    def law(self, x: np.ndarray, t: Any, v: np.ndarray, dt: Any = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    def law(self, x: np.ndarray, t: Value, v: np.ndarray, dt: Value = 0.0) -> tuple[np.ndarray, np.ndarray]:
         """kappa(x, t) and its change along (v, dt), in one call where kappa is called."""
         if "kappa" not in self.called:
             return self.kappa(x, t), self.dkappa(x, t, v, dt)
         both = self.tape.call("law", [t, *x, *self.parameters, dt, *v], 0, 2 * self.plant.m)
         return np.array(both[: self.plant.m], dtype=object), np.array(both[self.plant.m :], dtype=object)
 
-    def _call(self, name: str, size: int, x: np.ndarray | None, u: np.ndarray | None, t: Any) -> np.ndarray:
+    def _call(self, name: str, size: int, x: np.ndarray | None, u: np.ndarray | None, t: Value) -> np.ndarray:
         if name in self.called:
             args = [t, *(() if x is None else x), *(() if u is None else u), *self.parameters]
             return np.array(self.tape.call(name, args, 1 + self.plant.n, size), dtype=object)
@@ -130,7 +134,7 @@ class Trace:
 ON_ARRAYS = {name: f"np.{name}({{0}}, {{1}})" for name in ("maximum", "minimum")} | {"where": "np.where({0}, {1}, {2})"}
 
 
-def python(outputs: tapes.Vector, names: Sequence[str]) -> Callable[..., list[Any]]:
+def python(outputs: tapes.Vector, names: Sequence[str]) -> Callable[..., list[Value]]:
     """The program as an interpreted function of the named inputs, on numbers, arrays, or what NumPy takes as such.
 
     A branch that M.where does not take may be undefined there, as in the compiled kernels.

@@ -22,7 +22,7 @@ from npred.stages.generate import generate
 
 PLANT = plants.resolve("scalar")
 RALSTON = """
-from npred.predictors.onestep import OneStep
+from npred.predictors.base import OneStep
 
 class Ralston(OneStep):
     name, order = "ralston", 2

@@ -1,7 +1,5 @@
 """The activator/repressor clock of two proteins, the plant of [DAPF, sec. V]."""
 
-from typing import Any
-
 
 class ActivatorRepressor:
     """x1' = -x1 + f1(x1, x2) + U(t - D), x2' = -x2/2 + f2(x1): concentrations of activator and repressor protein.
@@ -21,21 +19,21 @@ class ActivatorRepressor:
     guess = (0.0939, 5.2525)
 
     @staticmethod
-    def f(x: Any, u: Any, t: Any, p: Any, M: Any) -> list[Any]:
+    def f(x, u, t, p, M):
         """The dynamics; U drives x1 only."""
         repression = (p.K2 * x.x1**2 + p.Kb) / (1 + x.x1**2)
         return [-x.x1 + _f1(x.x1, x.x2, p) + u.U, -x.x2 / 2 + repression]
 
     @staticmethod
-    def kappa(x: Any, t: Any, p: Any, M: Any) -> list[Any]:
+    def kappa(x, t, p, M):
         """The control law without delay [DAPF, sec. V]."""
         return [_f1(p.x1_set, p.x2_set, p) - _f1(x.x1, x.x2, p)]
 
     @staticmethod
-    def V(x: Any, t: Any, p: Any, M: Any) -> Any:
+    def V(x, t, p, M):
         """|X - set point|² as in [DAPF]; a normaliser, not a Lyapunov function of the loop (docs/fidelity.md)."""
         return (x.x1 - p.x1_set) ** 2 + (x.x2 - p.x2_set) ** 2
 
 
-def _f1(x1: Any, x2: Any, p: Any) -> Any:
+def _f1(x1, x2, p):
     return (p.K1 * x1**2 + p.Ka) / (1 + x1**2 + x2**2)

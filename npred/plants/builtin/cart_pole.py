@@ -1,7 +1,5 @@
 """An inverted pendulum on a cart, the textbook's unstable plant."""
 
-from typing import Any
-
 # Upper triangle of the S that solves (A + B K)' S + S (A + B K) = -(I + K' K) at the equilibrium of the default
 # parameters: the cost-to-go of the regulator, to four decimals.
 S = {
@@ -30,7 +28,7 @@ class CartPole:
     box = {"p": (-0.2, 0.2), "v": (-0.1, 0.1), "theta": (-0.1, 0.1), "omega": (-0.1, 0.1)}
 
     @staticmethod
-    def f(x: Any, u: Any, t: Any, p: Any, M: Any) -> list[Any]:
+    def f(x, u, t, p, M):
         """The dynamics, solved for both accelerations."""
         sin, cos = M.sin(x.theta), M.cos(x.theta)
         push = u.F + p.mass * sin * (p.length * x.omega**2 - p.gravity * cos)
@@ -38,18 +36,18 @@ class CartPole:
         return [x.v, acceleration, x.omega, (p.gravity * sin - acceleration * cos) / p.length]
 
     @staticmethod
-    def mechanics(x: Any, u: Any, t: Any, p: Any, M: Any) -> tuple[list[list[Any]], list[Any], list[float]]:
+    def mechanics(x, u, t, p, M):
         """Mass matrix of (p, theta), forces, and no friction."""
         arm = p.mass * p.length
         inertia = [[p.mass_cart + p.mass, arm * M.cos(x.theta)], [arm * M.cos(x.theta), arm * p.length]]
         return inertia, [u.F + arm * x.omega**2 * M.sin(x.theta), arm * p.gravity * M.sin(x.theta)], [0.0, 0.0]
 
     @staticmethod
-    def kappa(x: Any, t: Any, p: Any, M: Any) -> list[Any]:
+    def kappa(x, t, p, M):
         """The control law without delay, linear."""
         return [p.k_p * x.p + p.k_v * x.v + p.k_theta * x.theta + p.k_omega * x.omega]
 
     @staticmethod
-    def V(x: Any, t: Any, p: Any, M: Any) -> Any:
+    def V(x, t, p, M):
         """X' S X of the Lyapunov equation of the linearised loop."""
         return sum((1 if i == j else 2) * s * x[i] * x[j] for (i, j), s in S.items())

@@ -1,7 +1,5 @@
 """A continuous stirred bioreactor: biomass fed by substrate, controlled by the dilution rate."""
 
-from typing import Any
-
 
 class Chemostat:
     """Z' = (rho μ(S) - m - u) Z, S' = u (S_in - S) - μ(S) Z: biomass Z, substrate S, dilution rate u = U(t - D) >= 0.
@@ -26,13 +24,13 @@ class Chemostat:
     input_bounds = ((0.0, float("inf")),)
 
     @staticmethod
-    def f(x: Any, u: Any, t: Any, p: Any, M: Any) -> list[Any]:
+    def f(x, u, t, p, M):
         """The dynamics."""
         growth = _growth(x.S, p)
         return [(p.rho * growth - p.m - u.u) * x.Z, u.u * (p.S_in - x.S) - growth * x.Z]
 
     @staticmethod
-    def kappa(x: Any, t: Any, p: Any, M: Any) -> list[Any]:
+    def kappa(x, t, p, M):
         """u* μ(S) Z / (μ* Z*), and where substrate is short, S < S*, delta m |μ(S)/μ* - 1|^(3/2) more.
 
         Of class C¹: the slope of the second term begins at 0, and is kept from 0/0 where that term vanishes.
@@ -43,10 +41,10 @@ class Chemostat:
         return [p.u_set * growth * x.Z / (growth_set * p.Z_set) + p.delta * p.m * surplus]
 
     @staticmethod
-    def V(x: Any, t: Any, p: Any, M: Any) -> Any:
+    def V(x, t, p, M):
         """|X - set point|²: V' < -0.46 V along the loop of kappa on the box (checked there, not proved beyond)."""
         return (x.Z - p.Z_set) ** 2 + (x.S - p.S_set) ** 2
 
 
-def _growth(S: Any, p: Any) -> Any:
+def _growth(S, p):
     return p.a * S / (1 + S + S**2)

@@ -1,7 +1,5 @@
 """Planar chains of rigid links, hanging, a motor at each joint: plants that track, and whose f is costly."""
 
-from typing import Any
-
 from npred.symbolic.ldl import total
 
 
@@ -22,24 +20,33 @@ def arm(links: int) -> type:
     rates = tuple(f"omega{i + 1}" for i in range(links))
     inputs = tuple(f"tau{i + 1}" for i in range(links))
 
-    def f(x: Any, u: Any, t: Any, p: Any, M: Any) -> list[Any]:
+    def f(x, u, t, p, M):
         torques = [*u, 0.0]
         inertia, loads = _mechanics(x, p, M, links)
         drag = [p.friction * rate for rate in x[links:]]
         return [*x[links:], *M.solve(inertia, [torques[i] - torques[i + 1] - loads[i] - drag[i] for i in range(links)])]
 
-    def mechanics(x: Any, u: Any, t: Any, p: Any, M: Any) -> tuple[list[list[Any]], list[Any], list[Any]]:
+    def mechanics(x, u, t, p, M):
         torques = [*u, 0.0]
         inertia, loads = _mechanics(x, p, M, links)
         return inertia, [torques[i] - torques[i + 1] - loads[i] for i in range(links)], [p.friction] * links
 
-    def kappa(x: Any, t: Any, p: Any, M: Any) -> list[Any]:
-        return _computed_torque(x, t, p, M, links)
+    def kappa(x, t, p, M):
+        goal, speed, pulls = _motion(t, p, M, links)
+        errors = [x[i] - goal[i] for i in range(links)]
+        for i in range(links):
+            pulls[i] = pulls[i] - p.stiffness * errors[i] - p.damping * (x[links + i] - speed[i])
+        inertia, loads = _mechanics(x, p, M, links)
+        drag = [p.friction * (speed[i] - 0.5 * p.damping * errors[i]) for i in range(links)]
+        forces = [
+            loads[i] + drag[i] + total(a * b for a, b in zip(inertia[i], pulls, strict=True)) for i in range(links)
+        ]
+        return [total(forces[i:]) for i in range(links)]
 
-    def V(x: Any, t: Any, p: Any, M: Any) -> Any:
+    def V(x, t, p, M):
         return total((a - b) * (a - b) for a, b in zip(x, reference(t, p, M), strict=True))
 
-    def reference(t: Any, p: Any, M: Any) -> list[Any]:
+    def reference(t, p, M):
         goal, speed, _ = _motion(t, p, M, links)
         return goal + speed
 
@@ -56,19 +63,7 @@ def arm(links: int) -> type:
     })  # fmt: skip
 
 
-def _computed_torque(x: Any, t: Any, p: Any, M: Any, links: int) -> list[Any]:
-    """The joints' torques of computed torque control."""
-    goal, speed, pulls = _motion(t, p, M, links)
-    errors = [x[i] - goal[i] for i in range(links)]
-    for i in range(links):
-        pulls[i] = pulls[i] - p.stiffness * errors[i] - p.damping * (x[links + i] - speed[i])
-    inertia, loads = _mechanics(x, p, M, links)
-    drag = [p.friction * (speed[i] - 0.5 * p.damping * errors[i]) for i in range(links)]
-    forces = [loads[i] + drag[i] + total(a * b for a, b in zip(inertia[i], pulls, strict=True)) for i in range(links)]
-    return [total(forces[i:]) for i in range(links)]
-
-
-def _motion(t: Any, p: Any, M: Any, links: int) -> tuple[list[Any], list[Any], list[Any]]:
+def _motion(t, p, M, links: int):
     """The desired angles, rates and accelerations."""
     turns = [p.frequency * t + (i + 1.0) for i in range(links)]
     waves = [p.amplitude * M.sin(turn) for turn in turns]
@@ -77,7 +72,7 @@ def _motion(t: Any, p: Any, M: Any, links: int) -> tuple[list[Any], list[Any], l
     return goal, speed, [-(p.frequency * p.frequency * wave) for wave in waves]
 
 
-def _mechanics(x: Any, p: Any, M: Any, links: int) -> tuple[list[list[Any]], list[Any]]:
+def _mechanics(x, p, M, links: int):
     """The mass matrix c_ij cos(theta_i - theta_j), by the sines and cosines of the angles alone, and the loads:
     centrifugal forces and weight.
     """

@@ -1,7 +1,5 @@
 """An aircraft that takes off and lands vertically, in its plane: thrust and rolling moment arrive late."""
 
-from typing import Any
-
 # Upper triangle of the S that solves A' S + S A = -I for four integrators with all poles at -1.
 S = {
     (0, 0): 3.125, (0, 1): 4.0, (0, 2): 2.375, (0, 3): 0.5, (1, 1): 8.375,
@@ -29,13 +27,13 @@ class PVTOL:
            "omega": (-0.1, 0.1)}  # fmt: skip
 
     @staticmethod
-    def f(x: Any, u: Any, t: Any, p: Any, M: Any) -> list[Any]:
+    def f(x, u, t, p, M):
         """The dynamics."""
         sin, cos, push = M.sin(x.theta), M.cos(x.theta), p.epsilon * u.moment
         return [x.vx, x.vy, x.omega, -u.thrust * sin + push * cos, u.thrust * cos + push * sin - 1, u.moment]
 
     @staticmethod
-    def kappa(x: Any, t: Any, p: Any, M: Any) -> list[Any]:
+    def kappa(x, t, p, M):
         """The law without delay."""
         a, a_rate, b, b_rate = _free_point(x, p, M)
         cos, slope, k = M.cos(x.theta), M.tan(x.theta), p.k
@@ -45,7 +43,7 @@ class PVTOL:
         return [(1 + climb) / cos + p.epsilon * x.omega**2, bend * cos**2 - 2 * x.omega**2 * slope]
 
     @staticmethod
-    def V(x: Any, t: Any, p: Any, M: Any) -> Any:
+    def V(x, t, p, M):
         """Of the Lyapunov equations of both chains with k = 1, in b, b' and a, a', -tan θ, -(tan θ)'; the climb, which
         disturbs the other, weighs 40 times: V' < -0.06 V on the box (checked there, not proved beyond).
         """
@@ -55,7 +53,7 @@ class PVTOL:
         return 40 * climb + sum((1 if i == j else 2) * s * chain[i] * chain[j] for (i, j), s in S.items())
 
 
-def _free_point(x: Any, p: Any, M: Any) -> tuple[Any, Any, Any, Any]:
+def _free_point(x, p, M):
     """a, a', b, b': the point that the rolling moment does not accelerate."""
     sin, cos, swing = M.sin(x.theta), M.cos(x.theta), p.epsilon * x.omega
     return x.x - p.epsilon * sin, x.vx - swing * cos, x.y + p.epsilon * (cos - 1), x.vy - swing * sin

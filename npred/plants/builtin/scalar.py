@@ -1,7 +1,5 @@
 """X' = a X + U(t - D): the plant whose predictor, transition matrix and w are known in closed form."""
 
-from typing import Any
-
 
 class Scalar:
     """The linear plant X' = a X + U(t - D) with U = -(a + c) X, so that X' = -c X without delay.
@@ -16,16 +14,16 @@ class Scalar:
     guess = (0.0,)
 
     @staticmethod
-    def f(x: Any, u: Any, t: Any, p: Any, M: Any) -> list[Any]:
+    def f(x, u, t, p, M):
         """The dynamics."""
         return [p.a * x.X + u.U]
 
     @staticmethod
-    def kappa(x: Any, t: Any, p: Any, M: Any) -> list[Any]:
+    def kappa(x, t, p, M):
         """The control law without delay."""
         return [-(p.a + p.c) * x.X]
 
     @staticmethod
-    def V(x: Any, t: Any, p: Any, M: Any) -> Any:
+    def V(x, t, p, M):
         """X², with V' = -2 c V along the loop of kappa."""
         return x.X**2

@@ -1,7 +1,5 @@
 """A tank with self-heating contents, whose feed comes through a long pipe the slower the fuller the tank is."""
 
-from typing import Any
-
 
 class TransportTank:
     """h' = (a v - k √h) / A, T' = a v (u - T) / (A h) + s T, v = w √(H - h): level h, temperature T, delay L / v.
@@ -26,27 +24,27 @@ class TransportTank:
     guess = (2.0, 20.0)
 
     @staticmethod
-    def f(x: Any, u: Any, t: Any, p: Any, M: Any) -> list[Any]:
+    def f(x, u, t, p, M):
         """The dynamics."""
         feed = p.a * _speed(x, p, M)
         return [(feed - p.k * M.sqrt(x.h)) / p.A, feed * (u.u - x.T) / (p.A * x.h) + p.s * x.T]
 
     @staticmethod
-    def kappa(x: Any, t: Any, p: Any, M: Any) -> list[Any]:
+    def kappa(x, t, p, M):
         """The law without delay."""
         minutes = p.A * x.h / (p.a * _speed(x, p, M))  # of feed in the tank
         return [x.T - minutes * (p.s * x.T + p.c * (x.T - p.T_set))]
 
     @staticmethod
-    def V(x: Any, t: Any, p: Any, M: Any) -> Any:
+    def V(x, t, p, M):
         """(h - H / 2)² + (T - T_set)²: both states come to rest by themselves along the law's loop."""
         return (x.h - p.H / 2) ** 2 + (x.T - p.T_set) ** 2
 
     @staticmethod
-    def delay(x: Any, t: Any, p: Any, M: Any) -> Any:
+    def delay(x, t, p, M):
         """L / v(h), in minutes."""
         return p.L / _speed(x, p, M)
 
 
-def _speed(x: Any, p: Any, M: Any) -> Any:
+def _speed(x, p, M):
     return p.w * M.sqrt(p.H - x.h)

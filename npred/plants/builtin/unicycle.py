@@ -1,7 +1,6 @@
 """A wheeled robot that cannot move sideways; its commands to turn and to drive arrive unequally late."""
 
 import math
-from typing import Any
 
 
 class Unicycle:
@@ -25,12 +24,12 @@ class Unicycle:
     box = {"x": (-1.0, 1.0), "y": (-1.0, 1.0), "theta": (-1.0, 1.0)}
 
     @staticmethod
-    def f(x: Any, u: Any, t: Any, p: Any, M: Any) -> list[Any]:
+    def f(x, u, t, p, M):
         """The kinematics."""
         return [u.v * M.cos(x.theta), u.v * M.sin(x.theta), u.omega]
 
     @staticmethod
-    def kappa(x: Any, t: Any, p: Any, M: Any) -> list[Any]:
+    def kappa(x, t, p, M):
         """The control law without delay."""
         sin, cos = M.sin(x.theta), M.cos(x.theta)
         ahead, aside = x.x * cos + x.y * sin, x.x * sin - x.y * cos
@@ -39,12 +38,12 @@ class Unicycle:
         return [omega, -ahead + 5 * aside * (sway - swing) + aside * omega]
 
     @staticmethod
-    def reference(t: Any, p: Any, M: Any) -> list[Any]:
+    def reference(t, p, M):
         """The pose to come to."""
         return [0.0, 0.0, 0.0]
 
     @staticmethod
-    def V(x: Any, t: Any, p: Any, M: Any) -> Any:
+    def V(x, t, p, M):
         """The squared distance from the origin."""
         return x.x**2 + x.y**2 + x.theta**2
 
@@ -62,7 +61,7 @@ class UnicycleTimeDelay(Unicycle):
     delays = period = None
 
     @staticmethod
-    def delay(x: Any, t: Any, p: Any, M: Any) -> Any:
+    def delay(x, t, p, M):
         """D(t), in seconds."""
         return (1 + p.a * t) / (1 + p.b * t)
 
@@ -79,7 +78,7 @@ class SlowUnicycle(Unicycle):
     box = {"x": (-0.5, 0.5), "y": (-0.5, 0.5), "theta": (-0.5, 0.5)}
 
     @staticmethod
-    def kappa(x: Any, t: Any, p: Any, M: Any) -> list[Any]:
+    def kappa(x, t, p, M):
         """The control law without delay."""
         sin, cos = M.sin(x.theta), M.cos(x.theta)
         ahead, aside = x.x * cos + x.y * sin, x.x * sin - x.y * cos

@@ -1,7 +1,5 @@
 """Van der Pol's oscillator with a force that arrives late."""
 
-from typing import Any
-
 
 class VanDerPol:
     """x1' = x2, x2' = mu (1 - x1²) x2 - x1 + U(t - D).
@@ -18,16 +16,16 @@ class VanDerPol:
     box = {"x1": (-2.0, 2.0), "x2": (-2.0, 2.0)}
 
     @staticmethod
-    def f(x: Any, u: Any, t: Any, p: Any, M: Any) -> list[Any]:
+    def f(x, u, t, p, M):
         """The dynamics."""
         return [x.x2, p.mu * (1 - x.x1**2) * x.x2 - x.x1 + u.u]
 
     @staticmethod
-    def kappa(x: Any, t: Any, p: Any, M: Any) -> list[Any]:
+    def kappa(x, t, p, M):
         """The law without delay, linear."""
         return [-p.k1 * x.x1 - p.k2 * x.x2]
 
     @staticmethod
-    def V(x: Any, t: Any, p: Any, M: Any) -> Any:
+    def V(x, t, p, M):
         """X' S X of the Lyapunov equation of the linearised loop of the default parameters: V' < 0 for |x1| < 8.6."""
         return 65 / 42 * x.x1**2 + x.x1 * x.x2 / 7 + 4 / 21 * x.x2**2

@@ -3,7 +3,7 @@
 from importlib.resources import files
 from typing import Any
 
-from npred.figures import typography
+from npred.figures import notation as typography
 from npred.figures.style import ROLES
 
 

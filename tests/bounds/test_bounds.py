@@ -7,9 +7,8 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicHermiteSpline
 
 import npred
-from npred import grid
-from npred.bounds import error_bound
-from npred.bounds.error_bound import Curve, ErrorBound
+from npred import bounds, grid
+from npred.bounds import Curve, ErrorBound
 from npred.errors import ConfigError
 from npred.plants import Plant
 
@@ -43,7 +42,7 @@ def exact_end(plant, X, u, D_hat):
 @pytest.fixture(scope="module")
 def weighted():
     X, u, D_hat = rows()
-    return error_bound.weight(PLANT, npred.predictor("rk4", PLANT, NX)(X, u, D_hat), u, D_hat, NOW)
+    return bounds.weight(PLANT, npred.predictor("rk4", PLANT, NX)(X, u, D_hat), u, D_hat, NOW)
 
 
 @pytest.mark.parametrize("size", [1e-3, 0.05])
@@ -150,7 +149,7 @@ class Steep(Line):
 
 def of_another_start(plant, X, wrong, monkeypatch):
     """The bound of a prediction from `wrong`, told to be from X, where nothing is corrected first."""
-    monkeypatch.setattr(error_bound, "SWEEPS", 0)
+    monkeypatch.setattr(bounds, "SWEEPS", 0)
     u, one = np.zeros((1, NX, 1)), np.ones(1)
     P_hat = npred.predictor("rk4", plant, NX)(np.array([[wrong]]), u, one)
     return ErrorBound(plant, np.eye(1))(P_hat, np.array([[X]]), u, one, 0 * one)[0]
