@@ -10,7 +10,7 @@ from npred.figures.evaluation_data import OF, ErrorArrays, Evidence
 from npred.figures.figure import Key, Panel, Plate
 from npred.figures.loops import keys
 from npred.figures.notation import common_unit, quantity, symbol
-from npred.figures.style import ROLES, lettered, log, look, power, short
+from npred.figures.style import ROLES, Axes, lettered, log, look, power, short
 from npred.results import Contender
 
 BINS = 24
@@ -66,7 +66,7 @@ def box(evidence: Evidence) -> Plate:
     return Plate("box", "Over the states", caption, tuple(panels))
 
 
-def _band(axis: Any, contender: Contender, x: np.ndarray, middle: np.ndarray, sup: np.ndarray) -> None:
+def _band(axis: Axes, contender: Contender, x: np.ndarray, middle: np.ndarray, sup: np.ndarray) -> None:
     axis.plot(x, _positive(sup), **look(contender).line)
     axis.fill_between(x, _positive(middle), _positive(sup), color=look(contender).colour, alpha=0.14, linewidth=0)
 
@@ -76,14 +76,14 @@ def _positive(values: np.ndarray) -> np.ndarray:
     return np.where(values > 0, values, np.nan)
 
 
-def _over_x(by_network: dict[Contender, ErrorArrays], axis: Any) -> None:
+def _over_x(by_network: dict[Contender, ErrorArrays], axis: Axes) -> None:
     for contender, error in by_network.items():
         _band(axis, contender, np.linspace(0, 1, len(error.over_x)), error.over_x[:, 0], error.over_x[:, -1])
     axis.set(xlabel="x", xlim=(0, 1))
     log(axis, "y")
 
 
-def _over(values: np.ndarray, by_network: dict[Contender, ErrorArrays], label: str, axis: Any) -> None:
+def _over(values: np.ndarray, by_network: dict[Contender, ErrorArrays], label: str, axis: Axes) -> None:
     edges = np.linspace(values.min(), values.max(), BINS + 1)
     which = np.clip(np.digitize(values, edges) - 1, 0, BINS - 1)
     centres = (edges[1:] + edges[:-1]) / 2
@@ -95,7 +95,7 @@ def _over(values: np.ndarray, by_network: dict[Contender, ErrorArrays], label: s
     log(axis, "y")
 
 
-def distribution(sup_by_network: dict[Contender, np.ndarray], axis: Any, **limits: Any) -> None:
+def distribution(sup_by_network: dict[Contender, np.ndarray], axis: Axes, **limits: Any) -> None:
     """The share of samples (N,) whose error is below ε, a line per network."""
     share = np.linspace(0, 1, 201)
     for contender, sup in sup_by_network.items():
@@ -112,7 +112,7 @@ def _levels(by_network: dict[Contender, ErrorArrays]) -> np.ndarray:
     return np.geomspace(max(low, high * 1e-4), high * 1.0001, LEVELS + 1)
 
 
-def _cells(evidence: Evidence, error: ErrorArrays, levels: np.ndarray, axis: Any) -> None:
+def _cells(evidence: Evidence, error: ErrorArrays, levels: np.ndarray, axis: Axes) -> None:
     import matplotlib
     from matplotlib.colors import BoundaryNorm
     from matplotlib.ticker import FuncFormatter
@@ -182,7 +182,7 @@ def learning(histories: dict[Contender, Epochs]) -> Plate:
     return Plate("learning", "Training", caption, tuple(panels), solid)
 
 
-def _losses(key: str, histories: dict[Contender, Epochs], axis: Any) -> None:
+def _losses(key: str, histories: dict[Contender, Epochs], axis: Axes) -> None:
     for network, epochs in histories.items():
         solid = replace(look(network), dash=(), marker="" if len(epochs) > 1 else "o")  # one point makes no line
         axis.plot([row["epoch"] for row in epochs], [row[key] for row in epochs], **solid.line)

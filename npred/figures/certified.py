@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -10,7 +9,7 @@ from npred.figures.evaluation_data import Evidence
 from npred.figures.figure import Key, Panel, Plate
 from npred.figures.loops import ends, keys
 from npred.figures.notation import common_unit, with_unit
-from npred.figures.style import ROLES, Look, log, look, short
+from npred.figures.style import ROLES, Axes, Look, log, look, short
 from npred.plants import Plant
 from npred.results import Certified, Contender
 from npred.results.evaluate import Scores
@@ -57,7 +56,7 @@ def certified(plant: Plant, result: Certified | None, errors: Mapping[Contender,
     return Plate("certified", "With a confidence", caption, (panel,), (*keys(result.models), tolerance))
 
 
-def _exceeding(result: Certified, errors: Mapping[Contender, np.ndarray], unit: str, axis: Any) -> None:
+def _exceeding(result: Certified, errors: Mapping[Contender, np.ndarray], unit: str, axis: Axes) -> None:
     for contender, row in result.models.items():
         ordered = np.sort(errors[contender])
         share = 1 - np.arange(len(ordered)) / len(ordered)
@@ -70,7 +69,7 @@ def _exceeding(result: Certified, errors: Mapping[Contender, np.ndarray], unit: 
     log(axis, "x", "y")
 
 
-def _radii(rows: dict[Contender, Scores], gain: float, label: str, axis: Any) -> None:
+def _radii(rows: dict[Contender, Scores], gain: float, label: str, axis: Axes) -> None:
     for contender, row in rows.items():
         eps, median, worst = row.eps_kappa, row.radius.median, row.radius.worst
         colour, marker = look(contender).colour, "o" if contender.epoch is None else "s"

@@ -3,11 +3,14 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from npred.figures.style import HANDLE, MEDIA, SCREEN, Look, Style, lettered, medium
+from npred.figures.style import HANDLE, MEDIA, SCREEN, Axes, Look, Style, lettered, medium
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 FORMATS = {"svg": {"Date": None}, "pdf": {"CreationDate": None}, "png": {"Software": None}}  # without dates
 DPI = 300
@@ -20,7 +23,7 @@ class Panel:
 
     title: str
     alt: str
-    draw: Callable[[Any], None]
+    draw: Callable[[Axes], None]
 
 
 @dataclass(frozen=True)
@@ -42,7 +45,7 @@ class Plate:
     keys: tuple[Key, ...] = ()
 
 
-def draw(panel: Panel, axis: Any) -> None:
+def draw(panel: Panel, axis: Axes) -> None:
     """The panel on these axes."""
     panel.draw(axis)
     axis.set_title(panel.title)
@@ -60,7 +63,7 @@ def write(plate: Plate, folder: Path, style: Style = MEDIA["ieee2"], formats: Se
             )
 
 
-def canvas(width: float, height: float) -> Any:
+def canvas(width: float, height: float) -> "Figure":
     """An empty matplotlib figure of that many inches, free of pyplot's global state."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -70,7 +73,7 @@ def canvas(width: float, height: float) -> Any:
     return figure
 
 
-def _figure(plate: Plate, style: Style) -> Any:
+def _figure(plate: Plate, style: Style) -> "Figure":
     columns = min(style.columns, len(plate.panels))
     rows = -(-len(plate.panels) // columns)
     figure = canvas(style.width, rows * style.height * (1.0 if columns > 1 else 1.5) + 0.04 * style.font)
@@ -85,7 +88,7 @@ def _figure(plate: Plate, style: Style) -> Any:
     return figure
 
 
-def _legend(figure: Any, plate: Plate, style: Style) -> None:
+def _legend(figure: "Figure", plate: Plate, style: Style) -> None:
     from matplotlib.lines import Line2D
 
     if plate.keys:
@@ -103,7 +106,7 @@ def _columns(plate: Plate, style: Style) -> int:
     return 1
 
 
-def _scale_lines(figure: Any, factor: float) -> None:
+def _scale_lines(figure: "Figure", factor: float) -> None:
     """Lines as thick beside the letters as they are on a page."""
     from matplotlib.lines import Line2D
 
@@ -111,7 +114,7 @@ def _scale_lines(figure: Any, factor: float) -> None:
         line.set_linewidth(factor * line.get_linewidth())
 
 
-def _set_letters(figure: Any) -> None:
+def _set_letters(figure: "Figure") -> None:
     from matplotlib.text import Text
 
     for text in figure.findobj(Text):

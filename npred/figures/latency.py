@@ -3,10 +3,9 @@
 from collections.abc import Iterable
 from functools import partial
 from math import inf, isfinite
-from typing import Any
 
 from npred.figures.figure import Key, Panel, Plate
-from npred.figures.style import Look, colours, log
+from npred.figures.style import Axes, Look, colours, log
 from npred.registry import METHODS, NETWORKS, RUNTIMES, Entry, Registry
 from npred.results import Contender, ranked
 from npred.results.bench import Timing
@@ -84,14 +83,14 @@ def _rank(row: Timing) -> tuple[int, str]:
     return order.index(row.predictor) if row.predictor in order else len(order), label(row)
 
 
-def _lines(series: dict[str, list[Timing]], looks: dict[str, Look], key: str, title: str, axis: Any) -> None:
+def _lines(series: dict[str, list[Timing]], looks: dict[str, Look], key: str, title: str, axis: Axes) -> None:
     for name, rows in series.items():
         axis.plot([getattr(row, key) for row in rows], [row.median_us for row in rows], **looks[name].line)
     axis.set_xlabel(title)
     log(axis, "x", "y")
 
 
-def _tails(series: dict[str, list[Timing]], looks: dict[str, Look], axis: Any) -> None:
+def _tails(series: dict[str, list[Timing]], looks: dict[str, Look], axis: Axes) -> None:
     for position, (name, (finest, *_)) in enumerate(series.items()):
         style = looks[name]
         axis.plot([finest.median_us, finest.p999_us], [position, position], color=style.colour, linewidth=1.2)
@@ -106,9 +105,9 @@ def _tails(series: dict[str, list[Timing]], looks: dict[str, Look], axis: Any) -
     log(axis, "x")
 
 
-def _room(axis: Any) -> float:
+def _room(axis: Axes) -> float:
     """The number of labels that the y axis has the height for."""
-    line = 1.2 * axis.yaxis.get_ticklabels()[0].get_fontsize()
+    line = 1.2 * float(axis.yaxis.get_ticklabels()[0].get_fontsize())
     return axis.bbox.height * 72 / axis.figure.dpi / line
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from npred.figures.evaluation_data import Evidence, Histogram, LoopSeries
 from npred.figures.figure import Key, Panel, Plate
 from npred.figures.notation import common_unit, quantity, symbol, timed, with_unit
-from npred.figures.style import ROLES, Look, log, look
+from npred.figures.style import ROLES, Axes, Look, log, look
 from npred.loop import delay_law, lyapunov, metrics
 from npred.plants import Plant
 from npred.results import NUMERICAL, Contender
@@ -108,15 +108,16 @@ def _goals(evidence: Evidence, t: np.ndarray) -> np.ndarray:
 
 
 def _over_time(
-    t: np.ndarray, columns: dict[Contender, np.ndarray], k: int, goals: np.ndarray, span: Any, time: str, axis: Any
-) -> None:
+    t: np.ndarray, columns: dict[Contender, np.ndarray], k: int, goals: np.ndarray, span: tuple[float, float],
+    time: str, axis: Axes,
+) -> None:  # fmt: skip
     for contender, series in columns.items():
         axis.plot(t, series[:, k], **look(contender).line)
     axis.plot(t, goals[:, k], **GOAL)
     axis.set(xlabel=time, xlim=(t[0], t[-1]), ylim=span)
 
 
-def _end(t: np.ndarray, columns: dict[Contender, np.ndarray], k: int, goal: np.ndarray, time: str, axis: Any) -> None:
+def _end(t: np.ndarray, columns: dict[Contender, np.ndarray], k: int, goal: np.ndarray, time: str, axis: Axes) -> None:
     """The last tenth, at least a part in a thousand of the value high: closer, lines are one line."""
     late = t >= min((1 - END) * t[-1], t[-2:][0])  # a line has two ends
     shown = {contender: series[late, k] for contender, series in columns.items() if contender.adapts}
@@ -129,7 +130,7 @@ def _end(t: np.ndarray, columns: dict[Contender, np.ndarray], k: int, goal: np.n
     axis.ticklabel_format(axis="y", useOffset=False)
 
 
-def _curves(t: np.ndarray, curves: dict[Contender, np.ndarray], time: str, axis: Any) -> None:
+def _curves(t: np.ndarray, curves: dict[Contender, np.ndarray], time: str, axis: Axes) -> None:
     for contender, values in curves.items():
         positive = np.where(np.isfinite(values) & (values > 0), values, np.nan)
         axis.plot(t, positive, **look(contender).line)
@@ -176,7 +177,7 @@ def _alt_coverage(name: str, histogram: Histogram) -> str:
     return f"The data cover {name} from {histogram.edges[0]:.4g} to {histogram.edges[-1]:.4g}."
 
 
-def _histogram(histogram: Histogram, axis: Any) -> None:
+def _histogram(histogram: Histogram, axis: Axes) -> None:
     edges = histogram.edges
     axis.stairs(histogram.data, edges, fill=True, color=ROLES["fill"][0])
     for contender, density in histogram.loops.items():

@@ -2,14 +2,13 @@
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any
 
 import numpy as np
 
 from npred.figures.evaluation_data import Evidence
 from npred.figures.figure import Key, Panel, Plate
 from npred.figures.notation import common_unit, timed, with_unit
-from npred.figures.style import ROLES, Look, log, look, short
+from npred.figures.style import ROLES, Axes, Look, log, look, short
 from npred.plants import Plant
 from npred.results import NUMERICAL, Contender
 from npred.results.evaluate import Behaviour, Conditions, DelayMap
@@ -58,7 +57,7 @@ def _alt(names: Sequence[str], values: Values) -> str:
     return f"{'; '.join(rows)}."
 
 
-def _marks(names: Sequence[str], values: Values, logarithmic: bool, axis: Any) -> None:
+def _marks(names: Sequence[str], values: Values, logarithmic: bool, axis: Axes) -> None:
     """A mark per predictor on the line of each scenario, the first scenario on top; an arrow where it lies far left."""
     offsets = np.linspace(-SPREAD / 2, SPREAD / 2, len(values)) if len(values) > 1 else [0.0]
     finite = {c: np.where(np.isfinite(series), series, np.nan) for c, series in values.items()}
@@ -71,7 +70,8 @@ def _marks(names: Sequence[str], values: Values, logarithmic: bool, axis: Any) -
     axis.set(yticks=range(len(names)), yticklabels=list(names), ylim=(len(names) - 0.5, -0.5))
     if low > 0:
         log(axis, "x")
-        axis.xaxis.get_major_locator().set_params(numticks=4)  # beside the names there is little room
+        # beside the names there is little room
+        axis.xaxis.get_major_locator().set_params(numticks=4)  # type: ignore[call-arg]
     else:
         axis.set_xlim(left=0, right=axis.get_xlim()[1] * 1.03)  # no mark is cut at the edge
 
@@ -109,7 +109,7 @@ def _alt_map(contender: Contender, cells: DelayMap, exact: np.ndarray) -> str:
     return f"{contender.label} converges in {int(converged.sum())} of {converged.size} cells of D by D̂(0){beside}."
 
 
-def _cells(contender: Contender, cells: DelayMap, exact: np.ndarray, labels: list[str], axis: Any) -> None:
+def _cells(contender: Contender, cells: DelayMap, exact: np.ndarray, labels: list[str], axis: Axes) -> None:
     x, y = np.meshgrid(cells.D_hat0, cells.D)
     converged = np.array(cells.converged)
     size = min(90.0, 2600 / max(converged.shape) ** 1.6)

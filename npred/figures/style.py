@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from threading import Lock
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
@@ -12,6 +12,10 @@ from npred.figures.notation import SUPERSCRIPTS, mathematics
 from npred.registry import NETWORKS
 from npred.results import NO_ADAPTATION, NUMERICAL, Contender
 
+if TYPE_CHECKING:  # takes a second
+    import matplotlib.axes
+
+Axes: TypeAlias = "matplotlib.axes.Axes"
 # Near Okabe and Ito's colours, darker on a light page, which comes first, lighter on a dark one. What is close for some
 # colour-blind readers, a network and the same stopped early, differs in its dashes or markers too.
 ROLES = {
@@ -154,7 +158,7 @@ def medium(style: Style) -> Iterator[None]:
         yield
 
 
-def log(axis: Any, *sides: str) -> None:
+def log(axis: Axes, *sides: str) -> None:
     """Logarithmic sides with few ticks, as 10⁻³; for call after everything is drawn."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
 

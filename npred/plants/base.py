@@ -149,7 +149,7 @@ class Plant:
         inputs = None if u is None else [u[..., k] for k in range(self.m)]
         return self.call(name, x, inputs, t, list(self.parameters.values()), array_math.of(X))
 
-    def _fits(self, X: Array, u: Array | None) -> None:
+    def _fits(self, X: Array | None = None, u: Array | None = None) -> None:
         """Raise ConfigError unless the last axes of X and u are of the plant's sizes."""
         for name, a, size in (("X", X, self.n), ("u", u, self.m)):
             shape = tuple(getattr(a, "shape", ()))

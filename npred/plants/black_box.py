@@ -52,15 +52,12 @@ class BlackBox(Plant):
         return [*(self.f(np.array(x), np.array(u), t) if name == "f" else self.kappa(np.array(x), t))]
 
     def f(self, X: Array, u: Array, t: Value = 0.0) -> np.ndarray:
-        self._fits(X, u)
         return self._rows("f", self.n, t, X, u)
 
     def kappa(self, X: Array, t: Value = 0.0) -> np.ndarray:
-        self._fits(X, None)
         return self._rows("kappa", self.m, t, X)
 
     def V(self, X: Array, t: Value = 0.0) -> np.ndarray:
-        self._fits(X, None)
         return self._rows("V", None, t, X)
 
     def df(self, X: np.ndarray, u: np.ndarray, t: Value, v: np.ndarray, dt: float = 0.0) -> np.ndarray:
@@ -97,6 +94,7 @@ class BlackBox(Plant):
         self, name: str, size: int | None, t: Value, *arrays: ArrayLike, last: ArrayLike | None = None
     ) -> np.ndarray:
         """The declared function on arrays (..., k), seen by it as rows: (..., size), or (...) where size is None."""
+        self._fits(*arrays)
         inputs = [np.asarray(a, dtype=float) for a in arrays]
         t = np.asarray(t, dtype=float)
         more = [] if last is None else [np.asarray(last, dtype=float)]

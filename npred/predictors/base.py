@@ -189,7 +189,7 @@ class OneStep(Compiled):
     @classmethod
     def operations(cls, plant: Plant) -> int:
         """The operations of a step, counted in its program."""
-        return called_functions.operations(plant, cls.step)
+        return called_functions.operations(plant, "step", cls.step)
 
     def call_operations(self, steps: int) -> int:
         """The operations of a call of so many steps."""

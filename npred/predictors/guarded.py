@@ -15,7 +15,7 @@ from npred.delays.family import Kernel, by_time
 from npred.errors import ConfigError
 from npred.predictors import method
 from npred.predictors.base import Predictor
-from npred.predictors.guard_examples import Examples, Grids
+from npred.predictors.coarse import Examples, Grids
 from npred.predictors.guard_kernel import kernel
 from npred.predictors.runge_kutta import RK4
 

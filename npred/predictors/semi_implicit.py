@@ -40,7 +40,7 @@ class SemiImplicit(OneStep):
 
     @classmethod
     def operations(cls, plant: Plant) -> int:
-        return called_functions.operations(plant, cls.chains)
+        return called_functions.operations(plant, "step", cls.chains)
 
     @staticmethod
     @partial(whole, chains=2)

@@ -48,11 +48,13 @@ def _torch() -> SimpleNamespace:
         return call
 
     def _tensor(a: Value, like: torch.Tensor | None) -> torch.Tensor:
-        if isinstance(a, torch.Tensor):
-            return a
-        if like is None or isinstance(a, bool | np.bool_):
-            return torch.as_tensor(a, dtype=torch.bool if isinstance(a, bool | np.bool_) else torch.float64)
-        return torch.as_tensor(a, dtype=like.dtype, device=like.device)
+        match a:
+            case torch.Tensor():
+                return a
+            case bool() | np.bool_():
+                return torch.as_tensor(a, dtype=torch.bool)
+        dtype, device = (torch.float64, None) if like is None else (like.dtype, like.device)
+        return torch.as_tensor(a, dtype=dtype, device=device)
 
     names = [name for name in vars(NUMPY) if name not in ("pi", "solve")]
     return SimpleNamespace(pi=math.pi, solve=ldl.solve, **{name: on(getattr(torch, name)) for name in names})

@@ -23,7 +23,7 @@ Step = Callable[..., np.ndarray]  # npred.predictors.base
 @cache
 def called(plant: Declared) -> tuple[str, ...]:
     """The functions of the plant that its kernels call: those whose programs are long."""
-    return tuple(name for name in ("f", "kappa") if len(_lines(plant, name)[1]) > LONG)
+    return tuple(name for name in ("f", "kappa") if operations(plant, name) > LONG)
 
 
 def whole(step: Step, chains: int = 1) -> Step:
@@ -40,28 +40,23 @@ def stepped(trace: Trace, step: Step, x: np.ndarray, inputs: Sequence[np.ndarray
     if not hasattr(step, "whole"):
         return step(trace.f, x, *inputs, t, h)
     name = re.sub(r"\W", "_", step.__qualname__).lower() + ("_held" if inputs[0] is inputs[2] else "")
-    if "f" not in trace.called and len(_lines(trace.plant, name, step)[1]) <= LONG_STEP:
+    if "f" not in trace.called and operations(trace.plant, name, step) <= LONG_STEP:
         return step(trace, x, *inputs, t, h)
     trace.steps[name] = step
     u = inputs[0] if inputs[0] is inputs[2] else np.concatenate(inputs)
     return np.array(trace.tape.call(name, [t, *x, *u, *trace.parameters, h], 0, len(x)), dtype=object)
 
 
-def operations(plant: Declared, step: Step) -> int:
-    """How many operations a step is, f written out."""
-    return len(_lines(plant, "step", step)[1])
-
-
-def _lines(plant: Declared, name: str, step: Step | None = None) -> tuple[list[str], list[str], int]:
-    """Arguments, lines and number of results of f, its derivative df along (v, dt), kappa, kappa with its: law, or of a
-    step.
-    """
-    arguments, outputs = program(plant, name, step)
-    return arguments, programs.lines(outputs, {}, names("y", len(outputs))), len(outputs)
+def operations(plant: Declared, name: str, step: Step | None = None) -> int:
+    """The lines of the program of a function, or of a step, f written out."""
+    _, outputs = program(plant, name, step)
+    return len(programs.lines(outputs, {}, names("y", len(outputs))))
 
 
 def program(plant: Declared, name: str, step: Step | None = None) -> tuple[list[str], np.ndarray]:
-    """The names of the arguments, and the results, of such a function."""
+    """The names of the arguments, and the results, of f, its derivative df along (v, dt), kappa, kappa with its: law,
+    or of a step.
+    """
     trace = Trace(plant)
     if step is not None:
         return _step(trace, step, name.endswith("_held"))

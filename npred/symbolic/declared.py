@@ -105,11 +105,11 @@ def _cure(plant: Declared, function: str, error: Exception) -> str:
     signature = (SIGNATURES if plant.traced else ON_ROWS)[function]
     if not source_lines.where(error, getattr(plant.declaration, function)):  # it was not even entered
         return f"write def {signature}"
-    names = getattr(getattr(error, "obj", None), "_fields", None)
-    if isinstance(error, AttributeError) and names is not None:
-        return f"expected one of {', '.join(names) or 'none: none is declared'}"
-    if isinstance(error, NameError):
-        return _meant(str(error.name), plant, function, signature)
+    match error:
+        case AttributeError(obj=record) if (names := getattr(record, "_fields", None)) is not None:
+            return f"expected one of {', '.join(names) or 'none: none is declared'}"
+        case NameError(name=name):
+            return _meant(str(name), plant, function, signature)
     for words, hint in HINTS.items():
         if words in str(error):
             return hint.format(signature=signature)
