@@ -6,7 +6,7 @@ from npred.delays import family_of
 from npred.operators import Operator
 from npred.plants.base import Plant
 from npred.predictors.base import Predictor
-from npred.predictors.rk4 import RK4
+from npred.predictors.runge_kutta import RK4
 from npred.registry import RUNTIMES
 from npred.runtimes.fused import Loaded, lowering
 
