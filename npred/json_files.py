@@ -8,6 +8,7 @@ import json
 import math
 import os
 import stat
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -59,13 +60,20 @@ def parse(content: bytes | str) -> Any:
 
 def escaped(value: Any) -> Any:
     """A JSON value whose texts a terminal shows as they are, on one line: escape sequences and line ends spelt out."""
+    return mapped(value, _spelt_out)
+
+
+def mapped(value: Any, change: Callable[[Any], Any]) -> Any:
+    """Nested tables and lists with `change` of each key and of each leaf in its place."""
     if isinstance(value, dict):
-        return {escaped(key): escaped(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [escaped(item) for item in value]
-    if not isinstance(value, str) or value.isprintable():
-        return value
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in value)
+        return {change(key): mapped(item, change) for key, item in value.items()}
+    return [mapped(item, change) for item in value] if isinstance(value, list) else change(value)
+
+
+def _spelt_out(leaf: Any) -> Any:
+    if not isinstance(leaf, str) or leaf.isprintable():
+        return leaf
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in leaf)
 
 
 def plain(value: Any) -> Any:

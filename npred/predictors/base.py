@@ -85,8 +85,8 @@ class Predictor(ABC):
     def _predicted(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: np.ndarray | float) -> np.ndarray:
         """P of `predict`. Raises ConfigError where its shape is another, which a loop would broadcast."""
         P, shape = self.predict(X, u, D_hat, t), (*u.shape[:2], self.plant.n)
-        if not isinstance(P, np.ndarray) or P.shape != shape:
-            came = f"shape {P.shape}" if isinstance(P, np.ndarray) else f"a {type(P).__name__}"
+        if not (isinstance(P, np.ndarray) and P.shape == shape):
+            came = f"shape {P.shape}" if hasattr(P, "shape") else f"a {type(P).__name__}"
             raise ConfigError(f"{type(self).__name__}.predict: expected to return P {shape}, (B, nx, n), got {came}")
         return P
 

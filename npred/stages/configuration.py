@@ -5,6 +5,7 @@ from typing import Any
 
 from npred import plants, registry
 from npred.config import PAPER, Loop, Pipeline, Section
+from npred.json_files import mapped
 from npred.plants import Plant, inputs
 
 UNUSED = 1000.0  # gamma in the key of loops without an adaptation
@@ -17,7 +18,7 @@ def plant(config: Pipeline) -> Plant:
 
 def table(section: Section) -> dict[str, Any]:
     """A table as JSON."""
-    return _words(section.model_dump(mode="json"))
+    return mapped(section.model_dump(mode="json"), _word)
 
 
 def loop(config: Pipeline, stage: str) -> dict[str, Any]:
@@ -37,7 +38,8 @@ def loop(config: Pipeline, stage: str) -> dict[str, Any]:
     section |= {} if law == PAPER else {"adaptation": law}
     for scenario in section.get("scenarios", []):
         scenario |= {k: registry.DELAY_LAWS.identity(v) for k, v in scenario.items() if k == "adaptation"}
-    return section | ({"u0": u0 if isinstance(u0, str) else u0.tolist()} if isinstance(u0, str) or u0.any() else {})
+    past = u0 if isinstance(u0, str) else u0.tolist() if u0.any() else None
+    return section | ({} if past is None else {"u0": past})
 
 
 def gamma(config: Pipeline, settings: Loop) -> float:
@@ -78,10 +80,6 @@ def loop_parts(config: Pipeline, *stages: str) -> dict[str, str]:
 LOOP_PARTS = "predictor", "adaptation"
 
 
-def _words(value: Any) -> Any:
+def _word(leaf: Any) -> Any:
     """JSON has no infinity, and an input bounded on one side only has one: as text it can enter a key."""
-    if isinstance(value, dict):
-        return {key: _words(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_words(item) for item in value]
-    return str(value) if isinstance(value, float) and not math.isfinite(value) else value
+    return str(leaf) if isinstance(leaf, float) and not math.isfinite(leaf) else leaf
