@@ -4,7 +4,7 @@ import heapq
 import time
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Sequence
-from concurrent.futures import Future
+from concurrent.futures import Future, wait
 from dataclasses import dataclass, field
 
 from npred.errors import NpredError
@@ -97,10 +97,13 @@ class Runner:
         self, runs: list[CellRun], workers: Workers, submit: Callable[[Task], Future[Outcome]], bar: Bar | None = None
     ) -> None:
         with interruption.orderly(), claims.claimed(runs[0].planner.store.root) as claim:
+            graph = _Graph(self, workers, submit, claim, bar)
             try:
-                _Graph(self, workers, submit, claim, bar).run(runs)
+                graph.run(runs)
             except BaseException:
                 self.console.stop()
+                if interruption.heard() and not bar:  # the other networks end at their next report, and remove drafts
+                    wait(graph.under_way, interruption.GRACE)
                 raise
 
 
