@@ -1,5 +1,6 @@
 """What several test modules share: a small pipeline file, fake stages, npred as a process."""
 
+import fcntl
 import json
 import os
 import subprocess
@@ -165,7 +166,15 @@ def process_environment(**more: str) -> dict[str, str]:
 
 @pytest.fixture(scope="session")
 def reported(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
-    """A tiny pipeline's file, and the outcomes of a run of all stages into `store` beside it."""
+    """A tiny pipeline's file, and the outcomes of a run of all stages into `store` beside it.
+
+    Tests side by side have one folder: the process that comes first computes, the others find all done.
+    """
     import reported
 
-    return reported.run(tmp_path_factory.mktemp("reported"))
+    base = tmp_path_factory.getbasetemp()
+    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "reported"
+    folder.mkdir(exist_ok=True)
+    with (folder / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        return reported.run(folder)

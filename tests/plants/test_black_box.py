@@ -110,7 +110,7 @@ def test_update_law_is_that_of_the_traced_plant(write):
 @pytest.mark.parametrize("adaptation", [None, LAW])
 def test_the_loop_is_that_of_the_traced_plant(plant, adaptation):
     """Delays off the control steps; with adaptation, differences in place of derivatives."""
-    settings = {"D": [0.2, 0.1234], "D_hat": 0.25, "X0": [0.1, 0.0, 0.05, 0.0], "t_end": 3.0, "dt": 0.01}
+    settings = {"D": [0.2, 0.1234], "D_hat": 0.25, "X0": [0.1, 0.0, 0.05, 0.0], "t_end": 1.0, "dt": 0.01}
     runs = [simulate(p, predictors.numerical("rk4", p, 11), adaptation=adaptation, **settings) for p in (plant, TRACED)]
     np.testing.assert_allclose(runs[0].X, runs[1].X, atol=1e-10 if adaptation is None else 1e-6)
     np.testing.assert_allclose(runs[0].D_hat, runs[1].D_hat, atol=1e-7)
@@ -127,11 +127,11 @@ def test_controller_steps_are_those_of_the_loop(plant):
 
 def test_the_chain_runs(write, tmp_path):
     """Data, a network, and its evaluation."""
-    times = {"gamma": 1.0, "bounds": [0.1, 0.3], "nx": 11, "t_end": 1.0, "dt": 0.02}
+    times = {"gamma": 1.0, "bounds": [0.1, 0.3], "nx": 5, "t_end": 0.4, "dt": 0.02}
     tables = {
         "plant": write(), "train": {"models": ["deeponet"]},
         "generate": times | {"D": 0.2, "D_hat0": [[0.15, 0.25]], "samples": 60, "rollouts": 4},
-        "evaluate": times | {"D": 0.2, "D_hat0": 0.25, "X0": [0.1, 0, 0, 0], "case_t_end": 1.0, "case_states": 1,
+        "evaluate": times | {"D": 0.2, "D_hat0": 0.25, "X0": [0.1, 0, 0, 0], "case_t_end": 0.4, "case_states": 1,
                              "case_D_hat0": [0.2]},
     }  # fmt: skip
     data = job(tmp_path, "generate", **tables)
@@ -319,5 +319,5 @@ class Explosive:
 def test_a_loop_that_explodes_is_nan_without_a_warning(method: str):
     plant = plants.make("explosive", Explosive)
     predictor = predictors.numerical(method, plant, nx=11)
-    loop = simulate(plant, predictor, D=0.2, D_hat=0.3, X0=[3.0], t_end=4.0, dt=0.01, adaptation=LAW)
+    loop = simulate(plant, predictor, D=0.2, D_hat=0.3, X0=[3.0], t_end=0.5, dt=0.01, adaptation=LAW)
     assert not np.isfinite(loop.X[-1]).all()
