@@ -23,19 +23,22 @@ unsigned long size_of_controller(void) { return sizeof(npred_controller); }
 unsigned long size_of_saved(void) { return sizeof(npred_saved); }
 """
 TYPES = {"double": np.float64, "float": np.float32}
+COMPILED = {}  # libraries by their text: tests of one controller share one
 
 
 def library(controller, folder, precision="double", test=None):
-    """The shared library of a controller."""
+    """The shared library of a controller; its two files are in the folder."""
     header, source = c_controller.sources(controller, precision=precision, test=test)
     (folder / "npred.h").write_text(header)
     (folder / "npred.c").write_text(source)
     (folder / "sizes.c").write_text(SIZES)
+    if (header, source) in COMPILED:
+        return COMPILED[header, source]
     flags = [*FLAGS, *(["-Wdouble-promotion"] if precision == "float" else [])]
     command = ["gcc", *flags, "-shared", "-fPIC", "sizes.c", "-o", "npred.so", "-lm"]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300)
     assert (done.returncode, done.stderr) == (0, "")
-    return ctypes.CDLL(str(folder / "npred.so"))
+    return COMPILED.setdefault((header, source), ctypes.CDLL(str(folder / "npred.so")))
 
 
 class InC:

@@ -14,8 +14,8 @@ SMALL = [DeepONet(width=16, depth=2, basis=6, trunk=8, moments=5), FNO(width=6, 
 EVERY = [
     *SMALL,
     Network(network="averaging", sizes={"width": 8, "layers": 2}),
-    Network(network="gru", sizes={"width": 6, "steps": 8}),
-    Network(network="fno_gru", sizes={"width": 6, "modes": 4, "layers": 2, "units": 5, "steps": 8}),
+    Network(network="gru", sizes={"width": 6, "steps": 4}),
+    Network(network="fno_gru", sizes={"width": 6, "modes": 4, "layers": 2, "units": 5, "steps": 4}),
     Network(network="deeponet_gru", sizes={"width": 16, "depth": 2, "basis": 6, "trunk": 8, "moments": 5, "units": 5}),
 ]
 

@@ -1,5 +1,6 @@
 """The real chain as processes: killed in every stage it continues, twice is once, a flipped byte is found."""
 
+import contextlib
 import json
 import os
 import shutil
@@ -10,6 +11,9 @@ from pathlib import Path
 
 import pytest
 from conftest import process_environment
+from typer.testing import CliRunner, Result
+
+from npred.cli import app
 
 pytestmark = pytest.mark.slow
 
@@ -63,13 +67,19 @@ def whole(tmp_path_factory):
     """The store of one run that nothing stopped."""
     folder = tmp_path_factory.mktemp("whole")
     (folder / "tiny.toml").write_text(TINY)
-    done = run(folder, "whole")
-    assert done.returncode == 0, done.stderr
+    done = here(folder, "run", "tiny.toml", "--store", "whole", "--jobs", "1")
+    assert done.exit_code == 0, done.output
     return folder / "whole"
 
 
 def command(store: str, *more: str) -> list[str]:
     return [sys.executable, "-m", "npred", "run", "tiny.toml", "--store", store, "--jobs", "1", *more]
+
+
+def here(folder: Path, *arguments: str) -> Result:
+    """A command in this process, in a folder."""
+    with contextlib.chdir(folder):
+        return CliRunner().invoke(app, [*arguments])
 
 
 def run(folder: Path, store: str, *more: str) -> subprocess.CompletedProcess[str]:
@@ -142,8 +152,8 @@ def test_a_flipped_byte_is_found_on_read(chain, whole):
     content[len(content) // 2] ^= 1
     os.chmod(data, 0o644)
     data.write_bytes(content)
-    after = run(chain, "store", "--set", "train.deeponet.epochs=7")
-    assert after.returncode == 4
+    after = here(chain, "run", "tiny.toml", "--store", "store", "--set", "train.deeponet.epochs=7")
+    assert after.exit_code == 4
     (line,) = [line for line in after.stderr.splitlines() if line.startswith("error:")]
     assert "data.h5" in line
     assert data.read_bytes() == bytes(content), "nothing is overwritten"
@@ -152,10 +162,10 @@ def test_a_flipped_byte_is_found_on_read(chain, whole):
 def test_changed_epochs_rerun_only_what_depends_on_them_and_why_says_so(chain, whole):
     shutil.copytree(whole, chain / "store")
     change = ("--set", "train.deeponet.epochs=7")
-    why = subprocess.run([sys.executable, "-m", "npred", "why", "train", "tiny.toml", "--store", "store", *change],
-                         cwd=chain, env=process_environment(), capture_output=True, text=True, timeout=60)  # fmt: skip
+    why = here(chain, "why", "train", "tiny.toml", "--store", "store", *change)
     assert "train.deeponet.epochs: 6 -> 7" in why.stdout
-    stages = json.loads(run(chain, "store", "--json", *change).stdout)["stages"]
+    done = here(chain, "run", "tiny.toml", "--store", "store", "--jobs", "1", "--json", *change)
+    stages = json.loads(done.stdout)["stages"]
     actions = {f"{s['stage']} {s.get('model') or ''}".strip(): s["action"] for s in stages}
     assert actions == {
         "generate": "hit",

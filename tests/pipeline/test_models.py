@@ -89,8 +89,7 @@ def test_every_network_is_evaluated_timed_drawn_and_exported_but_not_to_c(file: 
     assert timed["small"] == {"torch", "fused", "onnx"} and timed["mine"] == timed["gru"] == {"torch", "onnx"}
     (page,) = (tmp_path / "store").glob("report/*/report.html")
     assert "net.py:Plain" in page.read_text() and "averaging operator" in page.read_text()
-    for name in ("mine", "small", "averaging", "gru"):
-        assert call("export", "onnx", f"{file}:{name}", "-o", tmp_path / f"{name}.onnx", "--nx", 21).exit_code == 0
+    assert call("export", "onnx", f"{file}:mine", "-o", tmp_path / "mine.onnx", "--nx", 21).exit_code == 0
     assert call("export", "c", f"{file}:small", "-o", tmp_path / "small.c", "--nx", 21).exit_code == 0
     said = refusal("export", "c", f"{file}:mine", "-o", tmp_path / "mine.c")
     assert "export c: expected a network that can be lowered (deeponet, fno), got Plain; use npred export onnx" in said

@@ -1,5 +1,6 @@
 """Implicit predictors on stiff plants: order and errors by SciPy's Radau, few steps where explicit ones diverge."""
 
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,7 @@ def command(x, inputs):
     return 2.0 * np.sin(2 * x + np.arange(inputs))
 
 
+@cache
 def radau(plant: Plant, X, D_hat, t=0.0):
     """P(1) by Radau."""
 
@@ -31,7 +33,7 @@ def radau(plant: Plant, X, D_hat, t=0.0):
 
 
 def errors(method, plant, X, D_hat, steps, t=0.0):
-    exact, found = radau(plant, X, D_hat, t), []
+    exact, found = radau(plant, tuple(X), D_hat, t), []
     for n in steps:
         u = np.stack([command(x, plant.m) for x in grid.nodes(n + 1)])
         found.append(np.abs(npred.predictor(method, plant, n + 1)(X, u, D_hat, t)[-1] - exact).max())

@@ -1,5 +1,6 @@
 """The C file: compiles without a warning as C99, and equals the model to 1e-5."""
 
+import copy
 import ctypes
 import re
 import shutil
@@ -29,12 +30,20 @@ def probe(count=4, nx=21, seed=0):
     return data.X, data.u, data.D_hat, np.linspace(1.0, 9.0, count)
 
 
-@pytest.fixture(params=CASES, ids=IDS)
-def exported(request, tmp_path):
+@pytest.fixture(scope="module", params=CASES, ids=IDS)
+def once(request, tmp_path_factory):
+    """A model and the text of its file."""
     config, anchor = request.param
-    model = operator(config, anchor=anchor)
-    c_network.export(model, PLANT, tmp_path / "model.c", 21, probe())
-    return model, tmp_path / "model.c"
+    model, path = operator(config, anchor=anchor), tmp_path_factory.mktemp("c") / "model.c"
+    c_network.export(model, PLANT, path, 21, probe())
+    return model, path.read_text()
+
+
+@pytest.fixture
+def exported(once, tmp_path):
+    """The same for a test that changes them."""
+    (tmp_path / "model.c").write_text(once[1])
+    return copy.deepcopy(once[0]), tmp_path / "model.c"
 
 
 def compiled(path, *flags):

@@ -18,13 +18,25 @@ from npred.runtimes import onnx as runtime
 onnx = pytest.importorskip("onnx")
 
 
-@pytest.fixture(scope="module", params=EVERY, ids=lambda config: config.architecture)
-def exported(request, tmp_path_factory):
-    """A model and its file, for 21 nodes."""
-    model, path = operator(request.param).eval(), tmp_path_factory.mktemp("onnx") / "model.onnx"
-    data = samples(30, 21)
-    error, _ = runtime.export(model, PLANT, path, 21, (data.X, data.u, data.D_hat, np.zeros(30)), atol=1e-3)
-    return model, path, error
+@pytest.fixture(scope="module")
+def export(tmp_path_factory):
+    """A function of a configuration: its model and its file for 21 nodes, written once."""
+    made = {}
+
+    def call(config):
+        if config.architecture not in made:
+            model, path = operator(config).eval(), tmp_path_factory.mktemp("onnx") / "model.onnx"
+            data = samples(30, 21)
+            error, _ = runtime.export(model, PLANT, path, 21, (data.X, data.u, data.D_hat, np.zeros(30)), atol=1e-3)
+            made[config.architecture] = model, path, error
+        return made[config.architecture]
+
+    return call
+
+
+@pytest.fixture(params=EVERY, ids=lambda config: config.architecture)
+def exported(request, export):
+    return export(request.param)
 
 
 def test_control_is_kappa_of_the_end_of_P_for_any_batch(exported):
@@ -53,7 +65,7 @@ def test_a_law_that_depends_on_time_takes_it(tmp_path):
     plant, nx = plants.resolve("planar_arm2"), 11
     torch.manual_seed(0)
     model = build(SMALL[0].model_copy(update={"anchor": "initial"}), plant, Scaling(plant.n, plant.m)).eval()
-    loop = npred.simulate(plant, runtime.Onnx(plant, model, nx), D=0.3, D_hat=0.4, X0=[0.3, 0.6, 0.0, 0.0], t_end=1.0,
+    loop = npred.simulate(plant, Neural(plant, model, nx), D=0.3, D_hat=0.4, X0=[0.3, 0.6, 0.0, 0.0], t_end=1.0,
                           dt=0.05, samples=np.arange(20))  # fmt: skip
     probe = loop.samples.X, loop.samples.u, loop.samples.D_hat
     assert runtime.export(model, plant, tmp_path / "arm.onnx", nx, (*probe, loop.t[:20]), atol=1e-3)[0] < 1e-3
