@@ -118,6 +118,7 @@ def test_a_page_runs_from_top_to_bottom(page: Path, store: Path, tmp_path: Path,
     pytest.importorskip("onnxruntime")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("NPRED_STORE", str(store))
+    monkeypatch.setattr("npred.cli.report.FORMATS", ("svg",))  # the others: tests/figures/test_figures.py
     for name in ("paper", "smoke"):
         write(tmp_path / "pipeline" / f"{name}.toml", SMOKE | {"name": name})
     call("npred train pipeline/paper.toml -q")
