@@ -9,7 +9,7 @@ from operator_samples import EVERY, PLANT, SMALL, operator, phased, samples
 
 import npred
 from npred import plants
-from npred.errors import MissingError, NpredError
+from npred.errors import MissingError
 from npred.loop import metrics
 from npred.operators import Scaling, build
 from npred.predictors.neural import Neural
@@ -98,14 +98,6 @@ def test_trunk_and_transforms_are_constants(exported):
     depth = len(branch) // 2 if branch else len(model.network.local) + 1
     assert kinds.count("Sigmoid") == 2 * depth
     assert not {"Sin", "Cos", "DFT", "Range"} & set(kinds)
-
-
-def test_a_graph_that_differs_is_refused(tmp_path):
-    data = samples(5, 21)
-    probe = data.X, data.u, data.D_hat, np.zeros(5)
-    with pytest.raises(NpredError, match="expected P and U within 0 of the model") as refused:
-        runtime.export(operator(SMALL[0]), PLANT, tmp_path / "m.onnx", 21, probe, atol=0.0)
-    assert refused.value.exit_code == 1 and not list(tmp_path.iterdir())
 
 
 def test_predicts_and_closes_the_loop():
