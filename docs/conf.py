@@ -34,7 +34,7 @@ maximum_signature_line_length = 160
 nitpicky = True
 # Types of other projects: their documentation is not fetched, so that a build needs no network.
 nitpick_ignore_regex = [
-    ("py:.*", r"(numpy|np|torch|pathlib|collections|typing|pydantic|h5py)\..*|optional"),
+    ("py:.*", r"(numpy|np|torch|pathlib|collections|typing|pydantic|h5py|types)\..*|optional"),
     (
         "py:class",
         r"Neural|Fused|Onnx|npred\.registry\.Source|npred\.loop\.delay_law\.DelayLaw|npred\.predictors\.base\.Compiled|npred\.operators\.scaling\.Scaling",
