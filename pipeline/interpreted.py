@@ -1,6 +1,7 @@
 """Predictors in plain Python to time the compiled ones beside: `baselines` below [bench], for no loop."""
 
 import contextlib
+import math
 from abc import abstractmethod
 from collections.abc import Callable
 from functools import cached_property
@@ -77,4 +78,4 @@ class EulerPython(Interpreted):
             ).tolist()
         trace = Trace(self.plant)
         values = trace.f(trace.vector("x", n), trace.vector("u", m), trace.input("t"))
-        return python(values, [*names("x", n), *names("u", m), "t", *names("p", len(self.plant.p))])
+        return python(values, [*names("x", n), *names("u", m), "t", *names("p", len(self.plant.p))], math)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Collection, Sequence
 from numbers import Real
+from types import ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -134,14 +135,15 @@ class Trace:
 ON_ARRAYS = {name: f"np.{name}({{0}}, {{1}})" for name in ("maximum", "minimum")} | {"where": "np.where({0}, {1}, {2})"}
 
 
-def python(outputs: tapes.Vector, names: Sequence[str]) -> Callable[..., list[Value]]:
+def python(outputs: tapes.Vector, names: Sequence[str], library: ModuleType = np) -> Callable[..., list[Value]]:
     """The program as an interpreted function of the named inputs, on numbers, arrays, or what NumPy takes as such.
 
-    A branch that M.where does not take may be undefined there, as in the compiled kernels.
+    A branch that M.where does not take may be undefined there, as in the compiled kernels. With `library` math it is
+    for Python's own floats, which is quicker, and raises where they do.
     """
     targets = tapes.names("y", len(outputs))
-    lines = programs.lines(outputs, {}, targets, ON_ARRAYS)
+    lines = programs.lines(outputs, {}, targets, ON_ARRAYS if library is np else {})
     text = f"def function({', '.join(names)}):\n    " + "\n    ".join(lines) + f"\n    return [{', '.join(targets)}]"
-    space: dict[str, Any] = {"math": np, "np": np}
+    space: dict[str, Any] = {"math": library, "np": np}
     exec(text, space)
     return space["function"]

@@ -30,6 +30,13 @@ def test_a_prediction_that_leaves_the_floats_is_nan_from_there_on():
     assert P[0] and not P[-1] and (P == Q).all()
 
 
+def test_euler_in_python_works_on_floats_of_python():
+    """NumPy's numbers would make the baseline several times slower, and flatter what is compared with it."""
+    euler = EulerPython(plants.resolve("planar_arm2"), 11)
+    values = euler._f(*[0.1] * 4, *[0.2] * 2, 0.0, *euler.plant.p.tolist())
+    assert {type(value) for value in values} == {float}
+
+
 @pytest.mark.parametrize("baseline", [EulerPython, Published])
 def test_they_call_a_plant_that_is_not_traced(baseline):
     class Box:
