@@ -18,59 +18,82 @@ typedef REAL Vector __attribute__((vector_size(BYTES), aligned(sizeof(REAL)), ma
 #else
 typedef REAL Vector;
 #endif
-#define WIDTH (BYTES / (int)sizeof(REAL)) /* numbers in a vector */
+#define TILE (2 * BYTES / (int)sizeof(REAL)) /* columns of a product whose sums stay in registers */
 
 static INLINED Vector loaded(const REAL *a)
 {
     return *(const Vector *)a;
 }
 
-/* out (rows, vectors) += a (rows, terms) b (terms, vectors), in sums that stay in registers: rows x vectors of them, of
- * which about eight do not wait for each other. */
-static INLINED void tile(int rows, int vectors, int terms, REAL *restrict out, ptrdiff_t to, const REAL *restrict a,
-                         View of, const REAL *restrict b, ptrdiff_t by)
+/* out (4, TILE) += a (4, terms) b (terms, TILE). */
+static INLINED void four_rows(int terms, REAL *restrict out, ptrdiff_t to, const REAL *restrict a, View of,
+                              const REAL *restrict b, ptrdiff_t by)
 {
-    Vector sums[4][4];
-UNROLLED
-    for (int i = 0; i < rows; i++) {
-UNROLLED
-        for (int v = 0; v < vectors; v++) {
-            sums[i][v] = loaded(out + i * to + v * WIDTH);
-        }
-    }
+    REAL *const y1 = out + to, *const y2 = y1 + to, *const y3 = y2 + to;
+    Vector s00 = loaded(out), s01 = loaded(out + TILE / 2), s10 = loaded(y1), s11 = loaded(y1 + TILE / 2);
+    Vector s20 = loaded(y2), s21 = loaded(y2 + TILE / 2), s30 = loaded(y3), s31 = loaded(y3 + TILE / 2);
     for (int k = 0; k < terms; k++) {
-UNROLLED
-        for (int v = 0; v < vectors; v++) {
-            const Vector each = loaded(b + k * by + v * WIDTH);
-UNROLLED
-            for (int i = 0; i < rows; i++) {
-                sums[i][v] += a[i * of.row + k * of.column] * each;
-            }
-        }
+        const Vector b0 = loaded(b + k * by), b1 = loaded(b + k * by + TILE / 2);
+        const REAL *const x = a + k * of.column;
+        s00 += x[0] * b0;
+        s01 += x[0] * b1;
+        s10 += x[of.row] * b0;
+        s11 += x[of.row] * b1;
+        s20 += x[2 * of.row] * b0;
+        s21 += x[2 * of.row] * b1;
+        s30 += x[3 * of.row] * b0;
+        s31 += x[3 * of.row] * b1;
     }
-UNROLLED
-    for (int i = 0; i < rows; i++) {
-UNROLLED
-        for (int v = 0; v < vectors; v++) {
-            *(Vector *)(out + i * to + v * WIDTH) = sums[i][v];
-        }
-    }
+    *(Vector *)out = s00;
+    *(Vector *)(out + TILE / 2) = s01;
+    *(Vector *)y1 = s10;
+    *(Vector *)(y1 + TILE / 2) = s11;
+    *(Vector *)y2 = s20;
+    *(Vector *)(y2 + TILE / 2) = s21;
+    *(Vector *)y3 = s30;
+    *(Vector *)(y3 + TILE / 2) = s31;
 }
 
-/* The rows of a tile of so many vectors, from column j on. */
-static INLINED void strip(int rows, int vectors, int terms, REAL *restrict out, ptrdiff_t to, const REAL *restrict a,
-                          View of, const REAL *restrict b, ptrdiff_t by)
+/* out (2, TILE) += a (2, terms) b (terms, TILE). */
+static INLINED void two_rows(int terms, REAL *restrict out, ptrdiff_t to, const REAL *restrict a, View of,
+                             const REAL *restrict b, ptrdiff_t by)
 {
-    int i = 0;
-    for (; i + 4 <= rows && vectors <= 2; i += 4) {
-        tile(4, vectors, terms, out + i * to, to, a + i * of.row, of, b, by);
+    REAL *const y = out + to;
+    Vector s00 = loaded(out), s01 = loaded(out + TILE / 2), s10 = loaded(y), s11 = loaded(y + TILE / 2);
+    for (int k = 0; k < terms; k++) {
+        const Vector b0 = loaded(b + k * by), b1 = loaded(b + k * by + TILE / 2);
+        const REAL *const x = a + k * of.column;
+        s00 += x[0] * b0;
+        s01 += x[0] * b1;
+        s10 += x[of.row] * b0;
+        s11 += x[of.row] * b1;
     }
-    for (; i + 2 <= rows; i += 2) {
-        tile(2, vectors, terms, out + i * to, to, a + i * of.row, of, b, by);
+    *(Vector *)out = s00;
+    *(Vector *)(out + TILE / 2) = s01;
+    *(Vector *)y = s10;
+    *(Vector *)(y + TILE / 2) = s11;
+}
+
+/* out (TILE) += a (terms) b (terms, TILE), in two chains of sums that do not wait for each other. */
+static INLINED void one_row(int terms, REAL *restrict out, const REAL *restrict a, View of, const REAL *restrict b,
+                            ptrdiff_t by)
+{
+    static const REAL zeros[TILE] = {0};
+    Vector s00 = loaded(out), s01 = loaded(out + TILE / 2), s10 = loaded(zeros), s11 = s10;
+    int k = 0;
+    for (; k + 2 <= terms; k += 2) {
+        const REAL x0 = a[k * of.column], x1 = a[(k + 1) * of.column];
+        s00 += x0 * loaded(b + k * by);
+        s01 += x0 * loaded(b + k * by + TILE / 2);
+        s10 += x1 * loaded(b + (k + 1) * by);
+        s11 += x1 * loaded(b + (k + 1) * by + TILE / 2);
     }
-    for (; i < rows; i++) {
-        tile(1, vectors, terms, out + i * to, to, a + i * of.row, of, b, by);
+    if (k < terms) {
+        s00 += a[k * of.column] * loaded(b + k * by);
+        s01 += a[k * of.column] * loaded(b + k * by + TILE / 2);
     }
+    *(Vector *)out = s00 + s10;
+    *(Vector *)(out + TILE / 2) = s01 + s11;
 }
 
 /* out (rows, n) = start + a (rows, terms) b (terms, n), where start is out itself if it `adds`, else bias, else 0. */
@@ -78,18 +101,23 @@ static INLINED void product(int rows, int terms, int n, REAL *restrict out, View
                                                           const REAL *restrict a, View of, const REAL *restrict b,
                                                           View by, const REAL *restrict bias, View from, int adds)
 {
-    const int tiled = by.column == 1 && to.column == 1 ? n - n % (2 * WIDTH) : 0; /* columns */
-    const int wide = rows < 4 ? tiled - tiled % (4 * WIDTH) : 0;
+    const int tiled = by.column == 1 && to.column == 1 ? n - n % TILE : 0; /* columns */
     for (int i = 0; i < rows && !adds; i++) {
         for (int j = 0; j < n; j++) {
             out[i * to.row + j * to.column] = bias ? bias[i * from.row + j * from.column] : 0;
         }
     }
-    for (int j = 0; j < wide; j += 4 * WIDTH) {
-        strip(rows, 4, terms, out + j, to.row, a, of, b + j, by.row);
-    }
-    for (int j = wide; j < tiled; j += 2 * WIDTH) {
-        strip(rows, 2, terms, out + j, to.row, a, of, b + j, by.row);
+    for (int j = 0; j < tiled; j += TILE) {
+        int i = 0;
+        for (; i + 4 <= rows; i += 4) {
+            four_rows(terms, out + i * to.row + j, to.row, a + i * of.row, of, b + j, by.row);
+        }
+        for (; i + 2 <= rows; i += 2) {
+            two_rows(terms, out + i * to.row + j, to.row, a + i * of.row, of, b + j, by.row);
+        }
+        for (; i < rows; i++) {
+            one_row(terms, out + i * to.row + j, a + i * of.row, of, b + j, by.row);
+        }
     }
     for (int i = 0; i < rows && tiled < n; i++) {
         for (int k = 0; k < terms; k++) {
