@@ -211,7 +211,7 @@ class _Simulation:
         steps = Engine(self.parts, settings, state, out)
         for start in range(0, count, BLOCK):
             stop = min(start + BLOCK, count)
-            with np.errstate(all="ignore"), devices.one_thread():  # a lost loop is NaN, and no cause for a warning
+            with devices.one_thread():
                 steps.run(origin, start, stop)
             if progress:
                 progress((stop - start) * lanes)

@@ -352,7 +352,9 @@ class Controller:
             if (X.shape, values.shape) != expected:  # broadcasting would hide a sensor that is lost
                 came = f"{X.shape} and {values.shape}"
                 raise ConfigError(f"step: expected X {expected[0]} and u {expected[1]}, got {came}; measure those")
-        self._Y[:], self._u[:], self._u_nodes[:] = X, u, u_nodes
+        self._Y[:] = X
+        if not self._recalls:
+            self._u[:], self._u_nodes[:] = u, u_nodes
 
     def _as_applied(self, applied: Any) -> np.ndarray:
         """The command that the actuator got, (m,). Raises ConfigError for another shape, or where none is kept."""
