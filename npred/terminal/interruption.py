@@ -45,6 +45,7 @@ def listen() -> None:
     heard = [number for number in SIGNALS if signal.getsignal(number) is not signal.SIG_IGN]
     for number in heard:
         signal.signal(number, _note)
+    sys.warnoptions.append("ignore:resource_tracker:UserWarning")  # read by the process that puts away what is left
     atexit.register(_ignore, heard)  # the first to be registered is the last to be called
 
 

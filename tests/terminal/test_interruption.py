@@ -85,6 +85,19 @@ interruption.listen()
 os.kill(os.getpid(), {number})
 Event().wait()
 """
+# A semaphore that nothing puts away, for its last user is stuck.
+LEFT = """
+import multiprocessing, os, signal
+from multiprocessing import util
+from threading import Event
+from npred.terminal import interruption
+interruption.GRACE = 0.1
+interruption.listen()
+lock = multiprocessing.get_context("spawn").Lock()
+util._finalizer_registry.clear()
+os.kill(os.getpid(), {number})
+Event().wait()
+"""
 
 
 def run(program: str, folder: Path) -> subprocess.CompletedProcess[str]:
@@ -122,6 +135,12 @@ def test_work_that_does_not_look_for_a_signal_is_ended(tmp_path: Path, where: st
 def test_finalizers_that_wait_for_ever_are_left(tmp_path: Path, number: int, code: int):
     done = run(STUCK.format(number=int(number)), tmp_path)
     assert (done.returncode, done.stdout, done.stderr) == (code, "first\n", f"error: {interruption.LINE}\n")
+
+
+@pytest.mark.parametrize(("number", "code"), SIGNALS)
+def test_what_is_left_for_the_tracker_is_put_away_without_a_word(tmp_path: Path, number: int, code: int):
+    done = run(LEFT.format(number=int(number)), tmp_path)
+    assert (done.returncode, done.stdout, done.stderr) == (code, "", f"error: {interruption.LINE}\n")
 
 
 @pytest.mark.parametrize(("first", "code"), SIGNALS)
