@@ -30,6 +30,7 @@ import npred
 from npred import grid
 from npred.data import shards
 from npred.data.dataset import Dataset
+from npred.loop import metrics
 from npred.pipeline.models import load_data
 from npred.predictors.guarded import Guarded
 
@@ -37,39 +38,37 @@ READINGS = ("linear", "cubic", "constant")
 COARSE, FINE = 2, 16  # steps of RK4 a cell: to search by, and to count by; even, so that a reading's jumps are between
 PENALTY = 1.5  # of a call that does not pass, by the logarithm of how far it is from passing
 CHAINS, MOVES = 500, 40  # of a round of hill climbing
-POPULATIONS, SIZE, GENERATIONS = 24, 20, 150  # of a round of CMA-ES
-SPREAD = 0.03  # standard deviation that CMA-ES starts with, as a share of the ranges
+POPULATIONS, SIZE, GENERATIONS, KEPT = 24, 20, 120, 6  # of a round of CMA-ES; those that the next round begins with
+SHAPES = {"waves": 0.35, "stairs": 0.25, "lines": 0.25, "nodes": 0.15}  # by which a population moves u: their shares
+NUMBERS = (1, 2, 3, 5, 8, 16)  # of shapes of u that a population has
+WHOLE = 60  # coordinates up to which CMA-ES adapts a whole covariance
+FLAT = 0.3  # of the populations that begin at a constant u
 PENDING = 2000  # calls above the tolerance by COARSE steps that are counted at once by FINE ones
 WORST, SAMPLE = 10, 10  # calls above the tolerance that are integrated by DOP853: the worst, and random ones
 STATES = ("box", "data", "domain")
 PAPER = "pipeline/paper.toml"
+UNICYCLE = {"model": "pipeline/unicycle.toml:deeponet", "tolerance": 0.05}
 TABLE: list[dict[str, Any]] = [
-    {"model": f"{PAPER}:deeponet", "nx": 101, "states": "box"},
-    {"model": f"{PAPER}:deeponet", "nx": 51, "states": "box"},
-    {"model": f"{PAPER}:fno", "nx": 51, "states": "box"},
-    {"model": f"{PAPER}:fno", "nx": 101, "states": "data"},
-    {"model": f"{PAPER}:deeponet", "nx": 51, "states": "domain"},
-    {"model": "pipeline/chemostat.toml:deeponet", "nx": 51, "states": "box"},
-    {"model": f"{PAPER}:deeponet", "nx": 51, "states": "box", "by": "defect"},
-    {"model": f"{PAPER}:deeponet", "nx": 51, "states": "box", "by": "defect", "correct": True},
+    {"nx": nx, "states": states} | network
+    for network in [
+        *({"model": f"{PAPER}:{name}", "nx": nx} for name in ("deeponet", "fno") for nx in (21, 51, 101)),
+        {"model": "pipeline/chemostat.toml:deeponet", "nx": 51},
+        UNICYCLE | {"nx": 51},
+    ]
+    for nx in [network["nx"]]
+    for states in ("box", "data")
 ]
-HEAD = [
-    "network, nodes",
-    "where X",
-    "guard",
-    "calls",
-    "passed",
-    "of these above {tolerance:g}",
-    "worst",
-    "DOP853 agrees",
-]
+HEAD = ["network, nodes", "where X", "calls", "passed", "of these above", "above 2", "worst", "DOP853 agrees"]
 
 
 class System(NamedTuple):
-    """A plant of one constant delay in plain NumPy: f(x, u) and kappa(x) of sequences of components."""
+    """A plant in plain NumPy: f(x, u) and kappa(x, t) of sequences of components, and the delays of its inputs as
+    shares of the longest. Where the history of an input has ended, kappa acts.
+    """
 
     f: Callable[[Any, Any], list[Any]]
-    kappa: Callable[[Any], list[Any]]
+    kappa: Callable[[Any, Any], list[Any]]
+    ratios: tuple[float, ...] = (1.0,)
 
 
 def hill(x: Any) -> Any:
@@ -82,24 +81,34 @@ def haldane(S: Any) -> Any:
     return 3.5 * S / (1.0 + S + S**2)
 
 
+def pomet(x: Any, t: Any) -> list[Any]:
+    """The law of the unicycle."""
+    p, q = x[0] * np.cos(x[2]) + x[1] * np.sin(x[2]), x[0] * np.sin(x[2]) - x[1] * np.cos(x[2])
+    s, c = np.sin(3 * t), np.cos(3 * t)
+    turn = -5 * p**2 * c - p * q * (1 + 25 * c**2) - x[2]
+    return [turn, -p + 5 * q * (s - c) + q * turn]
+
+
 SYSTEMS = {
     "activator_repressor": System(
         lambda x, u: [u[0] - x[0] + hill(x), (300.0 * x[0] ** 2 + 0.004) / (1.0 + x[0] ** 2) - 0.5 * x[1]],
-        lambda x: [hill((0.0939, 5.2525)) - hill(x)],
+        lambda x, t: [hill((0.0939, 5.2525)) - hill(x)],
     ),
     "chemostat": System(
         lambda x, u: [(haldane(x[1]) - 0.1 - u[0]) * x[0], u[0] * (16 / 3 - x[1]) - haldane(x[1]) * x[0]],
-        lambda x: [0.3 * haldane(x[1]) * x[0] + np.where(x[1] < 2, np.abs(haldane(x[1]) - 1), 0.0) ** 1.5],
+        lambda x, t: [0.3 * haldane(x[1]) * x[0] + np.where(x[1] < 2, np.abs(haldane(x[1]) - 1), 0.0) ** 1.5],
     ),
+    "unicycle": System(lambda x, u: [u[1] * np.cos(x[2]), u[1] * np.sin(x[2]), u[0]], pomet, (0.25 / 0.6, 1.0)),
 }
 
 
 class Calls(NamedTuple):
-    """X (B, n), u (B, nx, m), D_hat (B,)."""
+    """X (B, n), u (B, nx, m), D_hat (B,), t (B,)."""
 
     X: np.ndarray
     u: np.ndarray
     D_hat: np.ndarray
+    t: np.ndarray
 
 
 class Judged(NamedTuple):
@@ -111,65 +120,100 @@ class Judged(NamedTuple):
     score: np.ndarray
 
 
-def weights(reading: str, nx: int, cell: int, r: np.ndarray, middle: float) -> np.ndarray:
-    """The weights of nx nodal values in u at the shares r (k,) of a cell, (k, nx).
+def weights(reading: str, nx: int, places: np.ndarray, middle: float) -> np.ndarray:
+    """The weights of nx nodal values in u at places (k,), counted in nodes and of one cell, (k, nx).
 
-    `middle` is that of a step from r[0] to r[-1]: it says on which side of a jump u is meant.
+    `middle` is that of a step over these places: it says which cell, and on which side of a jump u is meant.
     """
+    cell = min(int(middle), nx - 2)
     first, width = {
         "linear": (cell, 2), "cubic": (min(max(cell - 1, 0), max(nx - 4, 0)), min(nx, 4)), "constant": (cell, 2),
     }[reading]  # fmt: skip
-    at = np.full(len(r), float(middle > 0.5)) if reading == "constant" else r
-    s, result = cell + at - first, np.zeros((len(r), nx))
+    at = np.full(len(places), cell + float(middle - cell > 0.5)) if reading == "constant" else places
+    s, result = at - first, np.zeros((len(places), nx))
     for k in range(width):  # Lagrange's polynomials of the nodes first, first + 1, …
         result[:, first + k] = np.prod([(s - j) / (k - j) for j in range(width) if j != k], axis=0)
     return result
 
 
 @cache
-def stages(nx: int, steps: int) -> np.ndarray:
-    """The weights of u at the begin, the middle and the end of each step by each reading, (steps, 3 readings, nx)."""
-    result = []
-    for step in range((nx - 1) * steps):
-        cell, r = step // steps, (step % steps + np.array([0.0, 0.5, 1.0])) / steps
-        result.append(np.stack([weights(reading, nx, cell, r, r[1]) for reading in READINGS], axis=1).reshape(-1, nx))
-    return np.array(result)
+def pieces(ratios: tuple[float, ...], nx: int, steps: int) -> np.ndarray:
+    """Where pieces of x begin and end: `steps` for each cell of each input, and the ends of histories."""
+    ends = [r * np.arange((nx - 1) * steps + 1) / ((nx - 1) * steps) for r in (1.0, *ratios)]
+    edges = np.sort(np.concatenate(ends))
+    return edges[np.append(True, np.diff(edges) > 1e-12)]
+
+
+@cache
+def stages(ratios: tuple[float, ...], nx: int, steps: int) -> list[tuple[float, float, list[np.ndarray | None]]]:
+    """Each piece's begin and end, and for each input the weights at its begin, middle and end by each reading, (3
+    readings, nx); None where its history has ended.
+    """
+    result, edges = [], pieces(ratios, nx, steps)
+    for begin, end in zip(edges, edges[1:], strict=False):
+        middle, of_inputs = (begin + end) / 2, []
+        for r in ratios:
+            places = np.array([begin, middle, end]) / r * (nx - 1)
+            W = [weights(reading, nx, places, places[1]) for reading in READINGS] if middle < r else None
+            of_inputs.append(None if W is None else np.stack(W, axis=1).reshape(-1, nx))
+        result.append((begin, end, of_inputs))
+    return result
 
 
 def by_rk4(system: System, calls: Calls, steps: int) -> np.ndarray:
-    """kappa(P(1)) by each reading of u, (readings, m, B): Kutta's method on `steps` steps a cell, an even number."""
-    X, u, D_hat = calls
-    nx = u.shape[1]
+    """U by each reading of u, (readings, m, B): Kutta's method on `steps` steps a cell, an even number."""
+    X, u, D_hat, t = calls
+    nx, at = u.shape[1], {}
     x = np.repeat(X.T[:, None], len(READINGS), axis=1)
-    values, h = u.transpose(1, 2, 0).reshape(nx, -1), D_hat / ((nx - 1) * steps)
-    for W in stages(nx, steps):
-        u0, um, u1 = (W @ values).reshape(3, len(READINGS), -1, len(X)).swapaxes(1, 2)
-        k1 = np.array(system.f(x, u0))
-        k2 = np.array(system.f(x + h / 2 * k1, um))
-        k3 = np.array(system.f(x + h / 2 * k2, um))
-        k4 = np.array(system.f(x + h * k3, u1))
+    values = u.transpose(2, 1, 0)
+
+    def f(x: np.ndarray, inputs: list[np.ndarray | None], now: np.ndarray) -> np.ndarray:
+        law = system.kappa(x, now) if any(v is None for v in inputs) else inputs
+        return np.array(system.f(x, [law[c] if v is None else v for c, v in enumerate(inputs)]))
+
+    for begin, end, of_inputs in stages(system.ratios, nx, steps):
+        at[round(begin, 9)], h = x, D_hat * (end - begin)
+        read = [
+            None if W is None else (W @ v).reshape(3, len(READINGS), -1) for W, v in zip(of_inputs, values, strict=True)
+        ]
+        u0, um, u1 = ([None if v is None else v[k] for v in read] for k in range(3))
+        t0, t1 = t + begin * D_hat, t + end * D_hat
+        k1 = f(x, u0, t0)
+        k2 = f(x + h / 2 * k1, um, (t0 + t1) / 2)
+        k3 = f(x + h / 2 * k2, um, (t0 + t1) / 2)
+        k4 = f(x + h * k3, u1, t1)
         x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-    return np.array(system.kappa(x)).swapaxes(0, 1)
+    at[1.0] = x
+    laws = [system.kappa(at[round(r, 9)], t + r * D_hat)[c] for c, r in enumerate(system.ratios)]
+    return np.array(laws).swapaxes(0, 1)
 
 
-def by_dop853(system: System, X: np.ndarray, u: np.ndarray, D_hat: float) -> np.ndarray:
-    """kappa(P(1)) of one call by each reading of u, (readings, m): piece by piece, for u is smooth on each only."""
+def by_dop853(system: System, X: np.ndarray, u: np.ndarray, D_hat: float, t: float) -> np.ndarray:
+    """U of one call by each reading of u, (readings, m): piece by piece, for u is smooth on each only."""
     nx, shares = len(u), np.linspace(0.0, 1.0, 4)
     powers = np.linalg.inv(np.vander(shares))
 
     def end(reading: str) -> np.ndarray:
-        pieces, x = 2 if reading == "constant" else 1, X
-        h = D_hat / ((nx - 1) * pieces)
-        for k in range((nx - 1) * pieces):
-            cell, r = k // pieces, (k % pieces + shares) / pieces
-            cubics = [c.tolist() for c in (powers @ weights(reading, nx, cell, r, r.mean()) @ u).T]
+        x, at, edges = X, {}, pieces(system.ratios, nx, 2)
+        for begin, until in zip(edges, edges[1:], strict=False):
+            at[round(begin, 9)], h, cubics = x, D_hat * (until - begin), []
+            for c, r in enumerate(system.ratios):
+                places = (begin + (until - begin) * shares) / r * (nx - 1)
+                W = weights(reading, nx, places, places.mean()) if (begin + until) / 2 < r else None
+                cubics.append(None if W is None else (powers @ W @ u[:, c]).tolist())
 
-            def f(s: float, x: np.ndarray, cubics: list[list[float]] = cubics, h: float = h) -> list[float]:
-                v = [((a * s + b) * s + c) * s + d for a, b, c, d in cubics]
-                return [h * slope for slope in system.f(x.tolist(), v)]
+            def f(
+                s: float, x: np.ndarray, begin: float = begin, h: float = h, cubics: list[Any] = cubics
+            ) -> list[float]:
+                v = [k and ((k[0] * s + k[1]) * s + k[2]) * s + k[3] for k in cubics]
+                law = system.kappa(x, t + begin * D_hat + s * h) if None in cubics else v
+                return [
+                    h * slope for slope in system.f(x.tolist(), [law[c] if k is None else k for c, k in enumerate(v)])
+                ]
 
             x = solve_ivp(f, (0.0, 1.0), x, method="DOP853", rtol=1e-12, atol=1e-14).y[:, -1]
-        return np.array(system.kappa(x))
+        at[1.0] = x
+        return np.array([system.kappa(at[round(r, 9)], t + r * D_hat)[c] for c, r in enumerate(system.ratios)])
 
     return np.stack([end(reading) for reading in READINGS])
 
@@ -184,21 +228,22 @@ def judge(guard: Guarded, system: System, calls: Calls) -> Judged:
     """What the guard makes of calls, and the error of U by COARSE steps; 0 where that is not finite."""
     P = guard.model(*calls)
     estimate, fallback = guard.judge(P, *calls)
-    if guard.correct:  # a pass is answered by P less its defect's error; a refusal, by numerics, is not the network's
-        P = np.where(fallback[:, None, None], P, guard(*calls))
-    error = np.nan_to_num(gap(command(system, P), by_rk4(system, calls, COARSE)), nan=0.0, posinf=0.0)
-    ratios = estimate / guard.threshold, guard.beyond(*calls, np.zeros(len(estimate)))
+    error = np.nan_to_num(gap(command(guard, P, calls), by_rk4(system, calls, COARSE)), nan=0.0, posinf=0.0)
+    ratios = estimate / guard.threshold, guard.beyond(*calls)
     doubt = sum(np.log(np.maximum(ratio, 1.0)) for ratio in ratios)
-    return Judged(~fallback, estimate, error, np.nan_to_num(np.log(error) - PENALTY * doubt, nan=-1e9, neginf=-1e9))
+    score = np.nan_to_num(np.log(error) - PENALTY * doubt, nan=-1e9, neginf=-1e9)
+    return Judged(~fallback, estimate, error, score)
 
 
-def command(system: System, P: np.ndarray) -> np.ndarray:
-    """kappa at the ends of predictions, (m, B)."""
-    return np.array(system.kappa(P[:, -1].T))
+def command(guard: Guarded, P: np.ndarray, calls: Calls) -> np.ndarray:
+    """U of predictions, (m, B), as the loop makes it."""
+    return metrics.law(guard.plant, P, calls.t, calls.D_hat).T
 
 
 class Ranges:
-    """The inputs that may be searched as coordinates z in [0, 1]^k: X, then u at the nodes, then D_hat."""
+    """The inputs that may be searched as coordinates z in [0, 1]^k: X, then u at the nodes, D_hat and, where the plant
+    reads a clock, the time.
+    """
 
     def __init__(self, guard: Guarded, data: Dataset, states: str) -> None:
         self.n, self.nx, self.m = guard.plant.n, guard.nx, guard.plant.m
@@ -207,19 +252,28 @@ class Ranges:
             X = np.array([guard.plant.box[name] for name in guard.plant.states]).T
         elif states == "domain":
             X, u, D_hat = reach(guard, u)
-        spans = zip(X, np.tile(u, self.nx), D_hat, strict=True)
+        clock = np.array([[0.0], [guard.plant.period or np.nanmax(data.t)]])[:, : int(guard.plant.clocked)]
+        self.clocked = guard.plant.clocked
+        spans = zip(X, np.tile(u, self.nx), D_hat, clock, strict=True)
         self.low, self.high = (np.concatenate(parts) for parts in spans)
+
+    @property
+    def end(self) -> int:
+        """Where the coordinates of u end."""
+        return self.n + self.nx * self.m
 
     def calls(self, z: np.ndarray) -> Calls:
         """The inputs of coordinates (B, k)."""
         v = self.low + (self.high - self.low) * z
-        return Calls(v[:, : self.n], v[:, self.n : -1].reshape(-1, self.nx, self.m), v[:, -1])
+        t = v[:, -1] if self.clocked else np.zeros(len(v))
+        return Calls(v[:, : self.n], v[:, self.n : self.end].reshape(-1, self.nx, self.m), v[:, self.end], t)
 
     def starts(self, rng: np.random.Generator, data: Dataset, count: int) -> np.ndarray:
         """Rows of the data, at the nearest coordinates; half of them with X anywhere in its range."""
         rows = rng.integers(0, len(data), count)
         u = grid.refine(data.u[rows], self.nx).reshape(count, -1)
-        v = np.concatenate([data.X[rows], u, data.D_hat[rows, None]], axis=1)
+        clock = (data.t[rows, None] % self.high[-1])[:, : int(self.clocked)]
+        v = np.concatenate([data.X[rows], u, data.D_hat[rows, None], clock], axis=1)
         z = np.clip((v - self.low) / np.where(self.high > self.low, self.high - self.low, 1.0), 0.0, 1.0)
         z[::2, : self.n] = rng.uniform(size=z[::2, : self.n].shape)
         return z
@@ -241,13 +295,56 @@ def reach(guard: Guarded, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.nda
     return domain.bend * np.sinh(features[:, :n]), u, np.maximum(features[:, n : n + 1], 0.0)
 
 
+def shapes(kind: str, count: int, nx: int) -> np.ndarray:
+    """Shapes of u over the nodes that a population moves by, (k, nx)."""
+    x = np.linspace(0.0, 1.0, nx)
+    if kind == "waves":
+        return np.array([np.cos(np.pi * k * x) / np.sqrt(1 + k) for k in range(count)])
+    if kind == "stairs":
+        return (np.minimum((x * count).astype(int), count - 1) == np.arange(count)[:, None]).astype(float)
+    if kind == "lines":
+        return np.array([np.interp(x, np.linspace(0, 1, count + 1), row) for row in np.eye(count + 1)])
+    return np.eye(nx)
+
+
+class Population:
+    """CMA-ES around a call z0, in X, D_hat, the time, and shapes of each input."""
+
+    def __init__(self, z0: np.ndarray, ranges: Ranges, rng: np.random.Generator) -> None:
+        self.ranges, self.z0, self.best, self.score = ranges, z0.copy(), z0, -np.inf
+        if rng.uniform() < FLAT:
+            self.z0[ranges.n : ranges.end] = np.tile(rng.uniform(size=ranges.m), ranges.nx)
+        kind = str(rng.choice(list(SHAPES), p=list(SHAPES.values())))
+        self.shapes = shapes(kind, int(rng.choice(NUMBERS)), ranges.nx)
+        size = len(z0) - ranges.nx * ranges.m + len(self.shapes) * ranges.m
+        options = {"popsize": SIZE, "verbose": -9, "seed": np.nan, "CMA_diagonal": size > WHOLE, "maxstd": 1.0}
+        options["randn"] = lambda *shape: rng.standard_normal(shape)
+        self.search = cma.CMAEvolutionStrategy(np.zeros(size), float(10 ** rng.uniform(-2, -0.5)), options)
+
+    def ask(self) -> np.ndarray:
+        """The next coordinates (SIZE, k), reflected at their ends."""
+        self.points = np.array(self.search.ask())
+        n, m, inner = self.ranges.n, self.ranges.m, len(self.shapes) * self.ranges.m
+        u = np.einsum("bkm,kj->bjm", self.points[:, n : n + inner].reshape(SIZE, -1, m), self.shapes)
+        moved = np.column_stack([self.points[:, :n], u.reshape(SIZE, -1), self.points[:, n + inner :]])
+        z = np.abs(self.z0 + moved) % 2.0
+        self.z = np.minimum(z, 2.0 - z)
+        return self.z
+
+    def tell(self, scores: np.ndarray) -> None:
+        """Adapt to the scores (SIZE,) of what was asked."""
+        self.search.tell(list(self.points), (-scores).tolist())
+        if scores.max() > self.score:
+            self.score, self.best = scores.max(), self.z[scores.argmax()]
+
+
 class Search:
     """Calls by calls, what passed, what of that is above the tolerance, and which of these are kept."""
 
     def __init__(self, guard: Guarded, system: System, data: Dataset, states: str, seed: int) -> None:
         self.guard, self.system, self.data, self.ranges = guard, system, data, Ranges(guard, data, states)
         self.rng = np.random.default_rng(seed)
-        self.made = self.passed = self.above = 0
+        self.made = self.passed = self.above = self.twice = 0
         k = len(self.ranges.low)
         self.worst, self.sample = (np.zeros((0, k + 3)) for _ in range(2))  # rows z, estimate, error, a random number
         self.pending = np.zeros((0, k + 1))  # rows z, estimate
@@ -273,10 +370,14 @@ class Search:
             return
         z, estimate = self.pending[:, :-1], self.pending[:, -1]
         calls = self.ranges.calls(z)
-        error = gap(command(self.system, self.guard(*calls)), by_rk4(self.system, calls, FINE))
+        error = gap(command(self.guard, self.guard.model(*calls), calls), by_rk4(self.system, calls, FINE))
         error = np.nan_to_num(error, nan=0.0, posinf=0.0)
         above = error > self.guard.tolerance
-        self.above, self.largest = self.above + int(above.sum()), max(self.largest, error.max(initial=0.0))
+        self.above, self.twice = (
+            self.above + int(above.sum()),
+            self.twice + int((error > 2 * self.guard.tolerance).sum()),
+        )
+        self.largest = max(self.largest, error.max(initial=0.0))
         kept = np.column_stack([z, estimate, error, self.rng.uniform(size=len(z))])[above]
         self.worst, self.sample = most(self.worst, kept, -2, WORST), most(self.sample, kept, -1, SAMPLE)
         self.pending = self.pending[:0]
@@ -291,7 +392,7 @@ class Search:
         while not over():
             z = self.ranges.starts(self.rng, self.data, CHAINS)
             z[: len(best)] = best
-            best = self.evolve(self.climb(z, over)[: POPULATIONS // 2], z, over)
+            best = self.evolve(self.climb(z, over)[:KEPT], z[self.rng.permutation(len(z))], over)
         self.count()
 
     def climb(self, z: np.ndarray, over: Callable[[], bool]) -> np.ndarray:
@@ -307,46 +408,42 @@ class Search:
         return z[np.argsort(-score)]
 
     def moved(self, z: np.ndarray) -> np.ndarray:
-        """Each chain with X, D_hat and u moved, together or one of them; u by a bump, by a jump, or along x."""
+        """Each chain with X, u and D_hat moved, together or one of them; u by a bump, by a jump, or along x."""
         rng, (n, nx, m), count = self.rng, (self.ranges.n, self.ranges.nx, self.ranges.m), len(z)
         size = 10 ** rng.uniform(-3.5, -0.3, (count, 1))
         parts, x = rng.uniform(size=(3, count, 1)) < 0.5, np.linspace(0.0, 1.0, nx)
         center, width = rng.uniform(size=(count, 1)), (1 / nx) ** rng.uniform(size=(count, 1))
         shape = np.where(rng.uniform(size=(count, 1)) < 0.5, np.exp(-(((x - center) / width) ** 2)), x > center)
-        u = z[:, n:-1].reshape(count, nx, m)
-        shifted = np.take_along_axis(
-            u, np.clip(np.arange(nx) + rng.integers(-2, 3, (count, 1)), 0, nx - 1)[..., None], 1
-        )
-        u = np.where(rng.uniform(size=(count, 1, 1)) < 0.1, shifted, u)
+        u = z[:, n : self.ranges.end].reshape(count, nx, m)
+        places = np.clip(np.arange(nx) + rng.integers(-2, 3, (count, 1)), 0, nx - 1)
+        u = np.where(rng.uniform(size=(count, 1, 1)) < 0.1, np.take_along_axis(u, places[..., None], 1), u)
         u = u + (parts[0] * size * shape)[..., None] * rng.standard_normal((count, 1, m))
         X = z[:, :n] + parts[1] * size * rng.standard_normal((count, n))
-        return np.column_stack([X, u.reshape(count, -1), z[:, -1:] + parts[2] * size * rng.standard_normal((count, 1))])
+        rest = z[:, self.ranges.end :]
+        rest = rest + parts[2] * size * rng.standard_normal(rest.shape)
+        return np.column_stack([X, u.reshape(count, -1), rest])
 
     def evolve(self, best: np.ndarray, others: np.ndarray, over: Callable[[], bool]) -> np.ndarray:
-        """Populations of CMA-ES around the best chains and some others, side by side; where the best of them are."""
-        around = [*best, *others[-(POPULATIONS - len(best)) :]]
-        options = {"popsize": SIZE, "bounds": [0.0, 1.0], "verbose": -9, "seed": np.nan}
-        options["randn"] = lambda *shape: self.rng.standard_normal(shape)
-        populations = [cma.CMAEvolutionStrategy(np.clip(z, 0.01, 0.99), SPREAD, options) for z in around]
+        """Populations around the best chains and some others, side by side; where the best of them came to."""
+        around = [*best, *others[: POPULATIONS - len(best)]]
+        populations = [Population(z, self.ranges, self.rng) for z in around]
         for _ in range(GENERATIONS):
             if over():
                 break
-            asked = [np.array(population.ask()) for population in populations]
-            scores = self.score(np.concatenate(asked)).reshape(len(populations), -1)
-            for population, points, values in zip(populations, asked, -scores, strict=True):
-                population.tell(list(points), values.tolist())
-        reached = [p for p in populations if p.best.x is not None]
-        reached.sort(key=lambda p: p.best.f)
-        return np.array([p.best.x for p in reached[: POPULATIONS // 2]]).reshape(-1, len(best[0]))
+            scores = self.score(np.concatenate([population.ask() for population in populations]))
+            for population, values in zip(populations, scores.reshape(len(populations), -1), strict=True):
+                population.tell(values)
+        populations.sort(key=lambda population: -population.score)
+        return np.array([population.best for population in populations[:KEPT]])
 
     def confirmed(self) -> tuple[np.ndarray, np.ndarray]:
         """The errors of the worst calls and of a random share of all above, by FINE steps and by DOP853, (B,) each."""
         rows = np.concatenate([self.worst, self.sample])
         calls = self.ranges.calls(rows[:, :-3])
-        P = self.guard(*calls) if len(rows) else np.zeros((0, 1, self.ranges.n))
+        P = self.guard.model(*calls) if len(rows) else np.zeros((0, self.ranges.nx, self.ranges.n))
         errors = [
-            float(gap(U, by_dop853(self.system, X, u, D_hat)))
-            for U, X, u, D_hat in zip(command(self.system, P).T, *calls, strict=True)
+            float(gap(U, by_dop853(self.system, X, u, float(D_hat), float(t))))
+            for U, X, u, D_hat, t in zip(command(self.guard, P, calls).T, *calls, strict=True)
         ]
         return rows[:, -2], np.array(errors)
 
@@ -360,7 +457,7 @@ def most(rows: np.ndarray, others: np.ndarray, column: int, count: int) -> np.nd
 def row(options: argparse.Namespace) -> list[str]:
     """Search one setting: what the table says of it."""
     network = npred.load(options.model, nx=options.nx, store=options.store, runtime="fused")
-    guard = Guarded(network, options.tolerance, options.by, correct=options.correct)
+    guard = Guarded(network, options.tolerance)
     data = shards.survey(load_data(options.model.rpartition(":")[0], options.store).folder / "data.h5")
     search = Search(guard, SYSTEMS[guard.plant.name], data, options.states, options.seed)
     judge(guard, search.system, search.ranges.calls(search.ranges.starts(search.rng, data, 2)))  # compiles
@@ -369,7 +466,6 @@ def row(options: argparse.Namespace) -> list[str]:
     if options.output and len(exact):
         z = np.concatenate([search.worst, search.sample])
         np.savez(options.output, **search.ranges.calls(z[:, :-3])._asdict(), estimate=z[:, -3], error=exact)
-    kind = f'`by="{guard.by}"`' + (", `correct=True`" if guard.correct else "")
     worst = f"{search.largest:.3g}"
     if len(exact):
         at = search.ranges.calls(search.worst[:1, :-3])
@@ -377,8 +473,8 @@ def row(options: argparse.Namespace) -> list[str]:
         worst += f" (X = ({X}), D̂ = {at.D_hat[0]:.3g}: estimate {search.worst[0, -3]:.2g})"
     agrees = f"{(exact > guard.tolerance).sum()} of {len(exact)}"
     agrees += f", to {np.max(np.abs(errors / exact - 1)):.0e}" if len(exact) else ""
-    counts = [f"{count:,}".replace(",", " ") for count in (search.made, search.passed, search.above)]
-    return [f"`{Path(options.model).name}`, {options.nx}", options.states, kind, *counts, worst, agrees]
+    counts = [f"{k:,}".replace(",", " ") for k in (search.made, search.passed, search.above, search.twice)]
+    return [f"`{Path(options.model).name}`, {options.nx}", options.states, *counts, worst, agrees]
 
 
 def main() -> None:
@@ -387,8 +483,6 @@ def main() -> None:
     parser.add_argument("--table", action="store_true", help="the settings of docs/guard.md, one after the other")
     parser.add_argument("--nx", type=int, default=51)
     parser.add_argument("--states", choices=STATES, default="box", help="where X comes from")
-    parser.add_argument("--by", default="auto")
-    parser.add_argument("--correct", action="store_true")
     parser.add_argument("--tolerance", type=float, default=0.01)
     parser.add_argument("--seconds", type=float, default=60.0, help="of a search; its DOP853 comes after it")
     parser.add_argument("--calls", type=float, default=np.inf, help="after which it ends too: the same on any machine")
@@ -396,8 +490,7 @@ def main() -> None:
     parser.add_argument("--store", type=Path, default=None)
     parser.add_argument("--output", type=Path, help="a .npz for the calls that DOP853 looked at")
     options = parser.parse_args()
-    head = [title.format(tolerance=options.tolerance) for title in HEAD]
-    print(f"| {' | '.join(head)} |\n|{'---|' * len(head)}", flush=True)
+    print(f"| {' | '.join(HEAD)} |\n|{'---|' * len(HEAD)}", flush=True)
     for setting in TABLE if options.table else [{}]:
         cells = row(argparse.Namespace(**vars(options) | setting))
         print(f"| {' | '.join(cells)} |", flush=True)

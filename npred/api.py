@@ -55,18 +55,16 @@ def load(
 
 
 def guarded(
-    model: Predictor, tolerance: float = 0.01, by: str = "auto", *, exact: Predictor | None = None,
-    correct: bool = False,
+    model: Predictor, tolerance: float = 0.01, by: str = "auto", *, exact: Predictor | None = None
 ) -> Predictor:  # fmt: skip
     """`model`, checked in every call: `exact`, RK4 by default, answers where |kappa(P̂(1)) - kappa(P(1))| is estimated
     to be above `tolerance`, in units of U; see npred.predictors.guarded.
 
-    A pass is an estimate, not a bound: docs/guard.md says what an adversary finds. `correct=True` is not advised: the
-    estimate then sees least of the error.
+    A pass is an estimate, not a bound: docs/guard.md says what an adversary finds.
     """
     from npred.predictors.guarded import Guarded
 
-    return Guarded(model, tolerance, by, exact=exact, correct=correct)
+    return Guarded(model, tolerance, by, exact=exact)
 
 
 def controller(

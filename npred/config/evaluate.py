@@ -74,8 +74,7 @@ class GuardTable(Section):
     """The networks are checked in every call of a loop; where one may be wrong, `predictor` answers (npred.guarded)."""
 
     tolerance: Positive = 0.01  #: the largest error of U that passes, in units of the input
-    by: Literal["auto", "shadow", "defect"] = "auto"  #: how the error is estimated
-    correct: bool = False  #: whether the error by the defect is subtracted first; not advised
+    by: Literal["auto", "shadow"] = "auto"  #: how the error is estimated: one way is left
 
 
 class Evaluate(Loop):

@@ -11,8 +11,9 @@ from npred.config.section import Section
 from npred.config.train import Network
 from npred.errors import similar
 
-GONE = {  # tables of earlier versions
-    "refine": "expected no such table, for that stage was taken out; drop it, and check networks by [evaluate.guard]"
+GONE = {  # tables and keys of earlier versions
+    "refine": "expected no such table, for that stage was taken out; drop it, and check networks by [evaluate.guard]",
+    "evaluate.guard.correct": "expected no such key, for the correction was taken out: it hid errors; drop it",
 }
 
 

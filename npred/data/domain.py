@@ -70,11 +70,6 @@ class Domain:
         """d of X (B, n), u (B, nx, m), D_hat (B,) and the phase in the plant's period (B,), where it has one; (B,)."""
         return np.linalg.norm((_features(X, u, D_hat, angle, self.bend) - self.mean) @ self.whiten.T, axis=1)
 
-    def roughest(self, nx: int) -> np.ndarray:
-        """The largest D_hat unread(u) of the examples, read on nx nodes, (m,): rougher inputs are outside."""
-        rounding = ROUNDING * (self.D_hat[:, None] * np.abs(self.u).max(axis=1)).max(axis=0)
-        return (self.D_hat[:, None] * unread(grid.refine(self.u, nx))).max(axis=0) + rounding
-
     def save(self, folder: Path) -> None:
         """Write domain.safetensors."""
         arrays = {f.name: np.array(getattr(self, f.name), dtype=float, order="C") for f in fields(self)}
@@ -92,18 +87,6 @@ class Domain:
 def legendre(nx: int) -> np.ndarray:
     """Weights (MOMENTS, nx) of the integrals of u P_k(2x - 1) over [0, 1] on nx nodes."""
     return np.polynomial.legendre.legvander(2 * grid.nodes(nx) - 1, MOMENTS - 1).T * grid.trapezoid(nx)
-
-
-def unread(u: np.ndarray) -> np.ndarray:
-    """How much the integral of u (B, nx, m) over x may change with how u is read between the nodes, (B, m).
-
-    Halfway between two nodes the cubic through four of them differs from the line by a sixteenth of their kink
-    u_0 - u_1 - u_2 + u_3, or, at an end, of 3 u_0 - 7 u_1 + 5 u_2 - u_3; Simpson's rule weighs it by 2/3. The moduli
-    are summed: a jump counts once, and what changes from node to node counts at each.
-    """
-    kinks = np.abs(u[:, :-3] - u[:, 1:-2] - u[:, 2:-1] + u[:, 3:]).sum(axis=1)
-    ends = sum(np.abs(np.tensordot([3, -7, 5, -1], part, (0, 1))) for part in (u[:, :4], u[:, :-5:-1]))
-    return (kinks + ends) / (24 * (u.shape[1] - 1))
 
 
 def _features(

@@ -20,7 +20,7 @@ class ArrayFamily(Family):
     """All inputs of a black box arrive D late."""
 
     plant: BlackBox
-    lacks: ClassVar = ("rosenbrock", "semi_implicit", "defect", "bound", "onnx", "export c", "export controller")
+    lacks: ClassVar = ("rosenbrock", "semi_implicit", "bound", "onnx", "export c", "export controller")
     cures: ClassVar = CURES | dict.fromkeys(("rosenbrock", "semi_implicit"), "use heun or rk4, on more nodes")
 
     @staticmethod
@@ -30,7 +30,7 @@ class ArrayFamily(Family):
     def expected(self) -> str:
         return f"expected a plant that is traced, {self.plant.name} says traced = False"
 
-    def sweep(self, step: Step) -> Kernel:
+    def sweep(self, step: Step, cells: bool = False, more: int = 0) -> Kernel:
         plant = self.plant
         f = on_lanes(plant)
 

@@ -24,14 +24,14 @@ class ConstantDelay(Family):
     def serves(plant: Plant) -> bool:
         return plant.traced and plant.one_delay and not plant.declares_delay
 
-    def sweep(self, step: Step, cells: bool = False) -> Kernel:
-        n, m, of = self.plant.n, self.plant.m, Formulas(self.plant)
+    def sweep(self, step: Step, cells: bool = False, more: int = 0) -> Kernel:
+        n, m, of = self.plant.n, self.plant.m + more, Formulas(self.plant)
         x, (u0, um, u1) = of.trace.vector("x", n), (of.trace.vector(name, m) for name in ("a", "m", "b"))
         y = called_functions.stepped(of.trace, step, x, (u0, um, u1), of.trace.input("t"), of.trace.input("h"))
         y = self.plant.stopped(y, tape.M)
         arguments = [vector("x", n), vector("a", m), vector("m", m, "wide"), vector("b", m), "t", "h"]
         functions, before = {"STEP": of.function(y, arguments, {"y": n})}, [skeleton("middle.h")]
-        sizes = {"CELLS": int(cells), "MIDDLE": int(programs.depends(y, um))}
+        sizes = {"M": m, "CELLS": int(cells), "MIDDLE": int(programs.depends(y, um))}
         return compiled("sweep", family.PREDICT, "sweep.h", of, functions, before, **sizes)
 
     def paired(self, step: Step, cells: bool = False) -> Kernel:

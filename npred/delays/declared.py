@@ -27,7 +27,7 @@ STEPS = 20  # of Newton's method for s(1); a delay that is free of time needs on
 class DeclaredDelay(Family):
     """All inputs arrive D(X, t) late."""
 
-    lacks: ClassVar = ("picard", "semi_implicit", "defect", "bound", "adaptation")
+    lacks: ClassVar = ("picard", "semi_implicit", "bound", "adaptation")
     cures: ClassVar = CURES | {"adaptation": "the controller knows that delay: leave the law out"}
 
     def expected(self) -> str:
@@ -43,9 +43,9 @@ class DeclaredDelay(Family):
     def serves(plant: Plant) -> bool:
         return plant.traced and plant.declares_delay
 
-    def sweep(self, step: Step, timed: bool = False) -> Kernel:
+    def sweep(self, step: Step, cells: bool = False, more: int = 0, timed: bool = False) -> Kernel:
         """With `timed` the time s of each node is one state more, the last one of X and P."""
-        n, m, of = self.plant.n, self.plant.m, Formulas(self.plant, ())
+        n, m, of = self.plant.n, self.plant.m + more, Formulas(self.plant, ())
         trace = of.trace
         state, (u0, um, u1) = trace.vector("x", n + 1), (trace.vector(name, m) for name in "amb")
 
@@ -56,10 +56,10 @@ class DeclaredDelay(Family):
 
         y = step(flow, state, u0, um, u1, 0.0, trace.input("h"))
         y = [*self.plant.stopped(y[:-1], tape.M), y[-1]]
-        margin = _margin(trace, state[:-1], state[-1], trace.f(state[:-1], u0, state[-1]))
+        margin = _margin(trace, state[:-1], state[-1], trace.f(state[:-1], u0[: self.plant.m], state[-1]))
         arguments = [vector("x", n + 1, "one"), vector("a", m), vector("m", m, "wide"), vector("b", m), "h"]
         functions = {"STEP": of.function([*y, margin], arguments, {"y": n + 2}, "one")}
-        sizes = {"TIMED": int(timed), "MIDDLE": int(programs.depends(y, um))}
+        sizes = {"M": m, "TIMED": int(timed), "MIDDLE": int(programs.depends(y, um))}
         return compiled("sweep", family.PREDICT, "declared.h", of, functions, [skeleton("middle.h")], **sizes)
 
     def control(self, step: Step) -> Kernel:

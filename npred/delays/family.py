@@ -37,14 +37,13 @@ CURES = {  # what to use instead of what does not serve a plant
     "rollout": "use rk4",
     "adaptation": 'freeze the estimate, in a pipeline by adaptation = "frozen"',
     "observer": "freeze the estimate",
-    "defect": "take by = 'shadow'",
     "bound": "take error, an estimate",
     "onnx": "use the runtime torch or fused",
     "export c": "use npred.controller",
     "export controller": "use npred.controller",
     "import": "the files hold one D_hat per row",
 }
-BOUNDED = ("picard", "semi_implicit", "rollout", "adaptation", "observer", "defect", "bound")  # where states stop
+BOUNDED = ("picard", "semi_implicit", "rollout", "adaptation", "observer", "bound")  # where states stop
 
 
 def build(name: str, arguments: str, body: str) -> kernel.Kernel:
@@ -129,9 +128,10 @@ class Family(ABC):
         """True if the family is that of the plant."""
 
     @abstractmethod
-    def sweep(self, step: Step) -> Kernel:
+    def sweep(self, step: Step, cells: bool = False, more: int = 0) -> Kernel:
         """PREDICT by a one-step method over the nodes; with `cells`, where `reads_cells`, u (2 (nx - 1), m, B) has the
-        begin and the end of each cell, between which it is a straight line.
+        begin and the end of each cell, between which it is a straight line. `more` inputs than the plant's are read by
+        the step alone.
         """
 
     def paired(self, step: Step, cells: bool = False) -> Kernel:
@@ -155,7 +155,7 @@ class Family(ABC):
 
     def correction(self) -> Kernel:
         """CORRECT, P_hat less its defect carried along by the linearised equation."""
-        self.needs("defect")
+        self.needs("bound")
         raise NotImplementedError
 
     def horizon(self) -> Kernel | None:

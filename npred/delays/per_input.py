@@ -25,7 +25,7 @@ from npred.symbolic.trace import Trace
 class DelayPerInput(Family):
     """Each input arrives r_j D late."""
 
-    lacks: ClassVar = ("picard", "semi_implicit", "adaptation", "defect", "bound", "import")
+    lacks: ClassVar = ("picard", "semi_implicit", "adaptation", "bound", "import")
 
     @staticmethod
     def serves(plant: Plant) -> bool:
@@ -36,23 +36,22 @@ class DelayPerInput(Family):
         return f"expected one delay, plant {self.plant.name} has delays {delays}"
 
     @property
-    def _ratios(self) -> str:
-        """r, as C has it."""
-        return f"{{{', '.join(map(repr, self.plant.ratios.tolist()))}}}"
+    def _ratios(self) -> list[float]:
+        """r of the inputs."""
+        return self.plant.ratios.tolist()
 
-    def sweep(self, step: Step) -> Kernel:
+    def sweep(self, step: Step, cells: bool = False, more: int = 0) -> Kernel:
         of = Formulas(self.plant, ())
-        functions = {"STEP": self._step(of, step)}
-        return compiled("sweep", family.PREDICT, "per_input.h", of, functions, RATIOS=self._ratios)
+        functions, ratios = {"STEP": self._step(of, step, more)}, [*self._ratios, *more * [1.0]]
+        return compiled("sweep", family.PREDICT, "per_input.h", of, functions, M=len(ratios), RATIOS=_array(ratios))
 
     def control(self, step: Step) -> Kernel:
         n, m, of = self.plant.n, self.plant.m, Formulas(self.plant, ())
         Y, t, D_hat = of.trace.vector("x", n * m), of.trace.input("t"), of.trace.input("D_hat")
-        ratios = self.plant.ratios.tolist()
-        U = [of.trace.kappa(Y[c * n : (c + 1) * n], t + r * D_hat)[c] for c, r in enumerate(ratios)]
+        U = [of.trace.kappa(Y[c * n : (c + 1) * n], t + r * D_hat)[c] for c, r in enumerate(self._ratios)]
         law = of.function(U, [vector("x", n * m, "wide"), "t", "D_hat"], {"U": m})
         functions = {"STEP": self._step(of, step), "LAW": law}
-        return compiled("control", family.CONTROL, "per_input.h", of, functions, RATIOS=self._ratios)
+        return compiled("control", family.CONTROL, "per_input.h", of, functions, RATIOS=_array(self._ratios))
 
     def advance(self, step: Step) -> Kernel:
         n, m, of = self.plant.n, self.plant.m, Formulas(self.plant)
@@ -62,14 +61,19 @@ class DelayPerInput(Family):
         functions = {"STEP": of.function(y, [vector("x", n), vector("u", m, "one"), "t", "h"], {"y": n})}
         return compiled("advance", family.ADVANCE, "per_input_advance.h", of, functions)
 
-    def _step(self, of: Formulas, step: Step) -> str:
+    def _step(self, of: Formulas, step: Step, more: int = 0) -> str:
         """One step in place; `past` says which inputs' histories have ended."""
-        n, m, trace = self.plant.n, self.plant.m, of.trace
+        n, m, trace = self.plant.n, self.plant.m + more, of.trace
         inputs = [trace.vector(name, m) for name in "amb"]  # at the piece's begin, middle and end
         y = step(_closed(trace), trace.vector("x", n), *inputs, trace.input("t"), trace.input("h"))
         y = self.plant.stopped(y, tape.M)
         arguments = [vector("x", n), *(vector(name, m, "wide") for name in "amb"), vector("past", m, "one"), "t", "h"]
         return of.function(y, arguments, {"y": n})
+
+
+def _array(numbers: list[float]) -> str:
+    """Numbers, as C has them."""
+    return f"{{{', '.join(map(repr, numbers))}}}"
 
 
 def _closed(trace: Trace) -> Callable[..., np.ndarray]:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from npred import array_checks
 from npred.delays import family_of
-from npred.delays.family import rows
+from npred.delays.family import Step, rows
 from npred.errors import ConfigError
 from npred.plants.base import Plant
 from npred.symbolic import Array, Value, called_functions, source_lines
@@ -146,8 +146,12 @@ class Compiled(Predictor):
 class OneStep(Compiled):
     """x_{j+1} = step(x_j): `step` is the method's formula on arrays, of the declared order for smooth u.
 
+    `pair` tells the local error too, by `steps_of_pair` times the operations, unless the method is not `paired`.
     Raises ConfigError for a plant that the method does not serve.
     """
+
+    steps_of_pair: ClassVar[int] = 3
+    paired: ClassVar[bool] = True
 
     def __init__(self, plant: Plant, nx: int = 101):
         super().__init__(plant, nx)
@@ -157,6 +161,25 @@ class OneStep(Compiled):
     @abstractmethod
     def step(f: Flow, x: Array, u0: Array, um: Array, u1: Array, t: Value, h: Value) -> Array:
         """x(t + h) from x(t), the input being u0, um, u1 at t, t + h/2, t + h."""
+
+    @classmethod
+    def pair(cls, f: Flow, x: Array, u0: Array, um: Array, u1: Array, t: Value, h: Value) -> tuple[Array, Array]:
+        """x(t + h) by two steps of h / 2, and how far one of h is from it, of the order of a step's error."""
+        halves = (u0, 0.5 * (u0 + um), um), (um, 0.5 * (um + u1), u1)
+        middle = called_functions.stepped(f, cls.step, x, halves[0], t, 0.5 * h)
+        end = called_functions.stepped(f, cls.step, middle, halves[1], t + 0.5 * h, 0.5 * h)
+        return end, called_functions.stepped(f, cls.step, x, (u0, um, u1), t, h) - end
+
+    @classmethod
+    def shadow(cls) -> Step:
+        """A step of `pair` plus its error times the last of the inputs, which the plant does not read."""
+
+        @called_functions.composed
+        def step(f: Flow, x: Array, u0: Array, um: Array, u1: Array, t: Value, h: Value) -> Array:
+            y, error = cls.pair(f, x, u0[:-1], um[:-1], u1[:-1], t, h)
+            return y + u0[-1] * error
+
+        return step
 
     @classmethod
     def evaluations(cls) -> int:
@@ -184,7 +207,7 @@ class OneStep(Compiled):
 
     def cells(self) -> Callable[..., None]:
         """The compiled map for inputs that are a straight line on each cell: family.PREDICT with `cells`."""
-        return family_of(self.plant).sweep(self.step, cells=True)  # type: ignore[call-arg]
+        return family_of(self.plant).sweep(self.step, cells=True)
 
     @classmethod
     def operations(cls, plant: Plant) -> int:

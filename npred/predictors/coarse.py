@@ -18,9 +18,7 @@ from npred.predictors.base import Compiled, OneStep, Predictor
 from npred.predictors.runge_kutta import RK4
 
 LADDER = (2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 32, 40, 50, 64, 80, 100, 128, 160, 200)  # of the coarser grid
-WORTH = 0.4  # of the operations of `exact`: what a shadow may take
 EXPLICIT = 50  # steps of RK4 that a plant that is not stiff can do with
-Grids = tuple[int, int]  # the steps of the finer one, and of the coarser
 
 
 def straight(u: np.ndarray, count: int) -> np.ndarray:
@@ -125,40 +123,6 @@ class Examples:
                 if self.move(name, count) <= tolerance:
                     return Coarse(self.plant, _one_step(name), 2 * count, nx)
         return RK4(self.plant, nx)
-
-    def shadow(
-        self, model: Predictor, exact: Predictor, names: Iterable[str], passing: float, tolerance: float
-    ) -> tuple[str, Grids]:
-        """The method and the grids (2 N, N) of the estimate; see Guarded.reference.
-
-        Where the shadow moves by no more than `passing` as its cells are halved, its R has to be that of `exact`: where
-        the data's own inputs mislead it, an adversary finds many that do. The cost of a call is that of 3 N steps, and,
-        for the share of the examples that does not pass, that of `exact`. A shadow that takes as long as `exact` is of
-        no use: of those that take a share WORTH of that, if none will do, the guard has the one that is misled least.
-        """
-        U, U_exact = (self.command(predict(*self.calls)[:, -1]) for predict in (model, exact))
-        last = self.u.shape[1] - 1
-        cost_exact = _operations(exact, last)
-        right, least = (np.inf, ("heun", (last, last // 2))), (np.inf, ("heun", (last, last // 2)))
-        for cost, name, count in self.by_cost(names):
-            if cost >= right[0] or (cost > WORTH * cost_exact and np.isfinite(least[0])):
-                break
-            B, A = (self.on_cells(name, k) for k in (count, 2 * count))
-            R = A + (A - B) / 3.0
-            gap, error, noise = (np.abs(a).max(axis=-1) for a in (U - R, U_exact - R, A - B))
-            passes = gap + noise <= passing
-            if passes.any():
-                misled, grids = error[noise <= passing].max(), (name, (2 * count, count))
-                if misled <= tolerance:
-                    right = min(right, (cost + (1 - passes.mean()) * cost_exact, grids))
-                least = min(least, (misled, grids))
-        return right[1] if np.isfinite(right[0]) else least[1]
-
-
-def _operations(exact: Predictor, steps: int) -> int:
-    """Those of a call; of a predictor whose operations are not known, those of RK4."""
-    counted = exact if isinstance(exact, Coarse | OneStep) else RK4(exact.plant)
-    return counted.call_operations(steps)
 
 
 def _one_step(name: str) -> type[OneStep]:

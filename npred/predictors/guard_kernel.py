@@ -11,32 +11,33 @@ from npred.kernels.callback import Failure, callback
 from npred.kernels.kernel import Kernel, made, skeleton
 from npred.plants.base import Plant
 from npred.predictors.base import OneStep, Predictor
-from npred.predictors.runge_kutta import Heun
 
-HEAD = 6  # numbers of the settings before those of the domain: tolerance, fine, coarse, correct, limit, refinements
+LEVELS = 4  # of grids that the settings have room for
+HEAD = 3 + LEVELS  # numbers of the settings before those of the domain: tolerance, limit, how many levels, their counts
+SHADOWS, WITHOUT_SIGNS = 4, 2  # predictions side by side; of a method whose steps do not tell their error
 POINTERS = {"CONTROL": family.CONTROL, "EXACT": family.PREDICT, "REFERENCE": family.PREDICT}
 
 
-def kernel(plant: Plant, by: str, exact: Predictor, method: type[OneStep]) -> Callable[..., None]:
+def kernel(plant: Plant, exact: Predictor, method: type[OneStep]) -> Callable[..., None]:
     """GUARD of a plant: its parts compiled into it, or, where the plant is not traced, called back."""
-    model, defect = family_of(plant), by == "defect"
-    cells = model.reads_cells and not defect
-    reference = model.correction() if defect else method(plant).cells() if cells else method(plant).lanes()
-    parts: dict[str, Any] = {"CONTROL": model.control(Heun.step), "EXACT": exact.lanes(), "REFERENCE": reference}
-    n, m, phased = plant.n, plant.m, plant.phased
-    compiled = parts if plant.traced else {}
+    model, n, m, phased = family_of(plant), plant.n, plant.m, plant.phased
+    cells, signed = model.reads_cells, method.paired
+    reference = model.sweep(method.shadow(), cells, more=1) if signed else method(plant).cells()
+    parts: dict[str, Any] = {"CONTROL": model.control(method.step), "EXACT": exact.lanes(), "REFERENCE": reference}
+    compiled, shadows = parts if plant.traced else {}, SHADOWS if signed else WITHOUT_SIGNS
 
     def work(nx: int, lanes: int, settings: np.ndarray) -> int:
-        finest = int(settings[1]) << int(settings[5])
-        grids = 3 * m + 2 * (nx + 1) * m + 2 * (finest + 1) * m + (1 + defect) * (finest + 1) * n
-        one = n + nx * (m + n) + (compiled["EXACT"].work(nx, 1, None) if compiled else 0)
-        rest = [part.work(max(nx, finest + 1), lanes, None) for part in compiled.values()]
-        return len(POINTERS) + grids * lanes + max(one, *rest, 0)
+        finest = int(settings[3:HEAD].max()) + 1
+        one = n + nx * (m + n) + (3 * nx + 2) * m + 2 * m * shadows  # of a lane, and what its levels share
+        grid = finest * (3 * m + shadows * (2 * (m + signed) + n)) + shadows * (2 * n + 1)
+        rest = [part.work(max(nx, finest), max(lanes, shadows), None) for part in compiled.values()]
+        return len(POINTERS) + m * lanes + one + grid + max(0, *rest, 0)
 
     sizes = {"N": n, "M": m, "PHASED": int(phased), "PERIOD": repr(plant.period) if phased else "1.0"}
-    sizes |= {"ON_CELLS": int(cells), "DEFECT": int(defect)} | ({} if plant.traced else {"FOREIGN": ""})
-    body = skeleton("guard.h")
-    guard = made("guarded", family.GUARD, body, {}, sizes, compiled, [skeleton("cells.h")], work=work)
+    sizes |= {"ON_CELLS": int(cells), "SIGNED": int(signed), "SHADOWS": shadows, "ORDER": method.order} | (
+        {} if plant.traced else {"FOREIGN": ""}
+    )
+    guard = made("guarded", family.GUARD, skeleton("guard.h"), {}, sizes, compiled, [skeleton("cells.h")], work=work)
     return guard if plant.traced else _foreign(guard, parts, plant)
 
 

@@ -3,74 +3,63 @@
 from collections.abc import Callable
 from functools import cached_property
 from itertools import pairwise
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from npred import array_checks, grid
-from npred.data.domain import Domain, unread
+from npred.data.domain import Domain
 from npred.delays import family_of
 from npred.delays.family import Kernel, by_time
 from npred.errors import ConfigError
 from npred.predictors import method
-from npred.predictors.base import Predictor
-from npred.predictors.coarse import Examples, Grids
-from npred.predictors.guard_kernel import kernel
+from npred.predictors.base import OneStep, Predictor
+from npred.predictors.coarse import LADDER, Coarse, Examples
+from npred.predictors.guard_kernel import HEAD, LEVELS, kernel
 from npred.predictors.runge_kutta import RK4
 
 if TYPE_CHECKING:  # an extra of certify
     from npred.bounds import ErrorBound
 
-ESTIMATES = ("auto", "shadow", "defect")
 PASSES = 0.4  # of the tolerance: the largest estimate that passes, for errors may be larger; a margin, not a bound
-SHARE = 0.25  # of the tolerance: how far off the estimate of an exact prediction may be
-MISLED = 0.1  # of the tolerance: how far off the shadow itself may be, where it seems to be right
-FEWEST = 4  # intervals of the coarser of two grids that read nodes
-METHODS = ("heun", "semi_implicit", "rosenbrock")  # of order 2, by which an estimate may be
-REFINEMENTS = 2  # of the grids, where they do not decide; the kernel has as many levels
+SHARE = 0.25  # of the tolerance: how far off what answers in the network's place may be
+METHODS = ("rk4", "semi_implicit", "rosenbrock")  # by which shadows may be taken
+FEWEST = 5  # nodes
+FEW = 0.01  # of the examples: for so many the shadows may not decide
+WORTH = 0.4  # of the operations of `exact`: what the shadows of the first level may take
 
 
 class Guarded(Predictor):
     """`model`, with its error in U estimated in every call; `exact` answers where that may be above `tolerance`.
 
     `tolerance` is in units of U, the largest |kappa(P̂(1)) - kappa(P(1))| over the inputs that is to pass; the model
-    answers where 2.5 times the estimate is within it. A pass is an estimate, not a bound (docs/guard.md). The estimate
-    is by a `shadow`, a method of order 2 on few steps, or by the `defect` P̂' - D_hat f(P̂, u), carried to x = 1 by the
-    linearised equation; `auto` is the shadow, of fewer operations per node. Which method (Heun's, or an implicit one
-    where the plant is stiff), how few steps, and what `exact` is by default follow from examples of the data, which
-    trained models carry; other models are compared on all nodes, by the method of `exact` where that is implicit, and
-    `exact` is RK4. Outside the data, as Domain has it, and where u is rougher than theirs, `exact` answers whatever the
-    estimate is. With `correct`, the defect's error is subtracted from P̂ first; that is not advised, for of what is left
-    the first term of the estimate says nothing.
-    Raises ConfigError for a tolerance that is not above 0, and for an estimate that the plant's family lacks.
+    answers where 2.5 times the estimate is within it. A pass is an estimate, not a bound (docs/guard.md). Shadows,
+    predictions on few intervals to which local errors are added with different signs, estimate it: the distance of U
+    from the first of them, and how far they come apart. Where that does not decide, they are taken on more intervals.
+    The method (RK4, or an implicit one where the plant is stiff), the intervals, and what `exact` is by default follow
+    from examples of the data, which trained models carry; other models are compared on all nodes, and `exact` is RK4.
+    Outside the data, as Domain has it, `exact` answers whatever the estimate is.
+    Raises ConfigError for a tolerance that is not above 0, and for fewer than five nodes.
     """
 
     name: ClassVar[str] = "guarded"
 
     def __init__(
-        self, model: Predictor, tolerance: float = 0.01, by: str = "auto", *, exact: Predictor | None = None,
-        correct: bool = False,
+        self, model: Predictor, tolerance: float = 0.01, by: str = "auto", *, exact: Predictor | None = None
     ) -> None:  # fmt: skip
         if not isinstance(model, Predictor):
             raise ConfigError(f"guarded: expected a Predictor, got {model!r}; load one with npred.load")
         super().__init__(model.plant, model.nx)
         if not array_checks.number("tolerance", tolerance) > 0:
             raise ConfigError(f"tolerance: expected a number above 0, in units of U, got {tolerance!r}; give another")
-        if by not in ESTIMATES:
-            raise ConfigError(f"by: expected {', '.join(ESTIMATES)}, got {by!r}; choose one")
-        if not _grids(self.nx):
+        if by not in ("auto", "shadow"):
+            raise ConfigError(f"by: expected auto or shadow, the only estimate there is, got {by!r}; leave it out")
+        if self.nx < FEWEST:
             raise ConfigError(
-                f"guarded: expected a model on nodes of which every second, third or so makes {FEWEST} intervals or "
-                f"more, got {self.nx} nodes; load it with nx = {self.nx // 10 * 10 + 11}"
+                f"guarded: expected a model on {FEWEST} nodes or more, got {self.nx}; load it with another nx"
             )
-        self.model, self.tolerance, self.correct = model, float(tolerance), bool(correct)
-        self._exact = exact
-        self.by = {"auto": "defect" if correct else "shadow"}.get(by, by)
-        if correct and self.by != "defect":
-            raise ConfigError("correct: expected by = 'defect', whose error is subtracted, got 'shadow'; leave it out")
-        if self.by == "defect":
-            family_of(model.plant).needs("defect")
+        self.model, self.tolerance, self.by, self._exact = model, float(tolerance), "shadow", exact
         self.name = f"guarded {model.name}"  # type: ignore[misc]
 
     @property
@@ -98,37 +87,60 @@ class Guarded(Predictor):
 
     @cached_property
     def settings(self) -> np.ndarray:
-        """What the kernel is set to: tolerance, grids, whether it corrects, and the domain."""
-        return self._set(self.reference[1])
+        """What the kernel is set to: tolerance, the limit of the distance, the levels, and the domain."""
+        return self._set(self.threshold, self.reference[1], self.domain)
 
     @cached_property
-    def reference(self) -> tuple[str, Grids]:
-        """The method that the estimate is by, and the steps of its two grids: the cheapest for the data's examples.
+    def reference(self) -> tuple[str, list[int]]:
+        """The method of the shadows and the intervals of their levels.
 
-        Where an example of the data makes the coarse shadow and the fine one agree, to what passes, both agree with
-        `exact`, to MISLED of the tolerance. Cost is counted in operations of the programs, with those of `exact` where
-        the guard doubts, so that the same guard answers the same calls on every machine.
+        Of those whose first level is worth it, they decide as many examples of the data as any, but for a hundredth,
+        by the fewest operations. An example is decided where the shadows come apart by half of what passes, at most.
+        This is a matter of cost alone, for a call that no level decides is answered by `exact`. Cost is counted in
+        operations of the programs, not timed, so that the same guard answers the same calls on every machine.
         """
-        family = family_of(self.plant)
-        if self.by == "defect" or not family.reads_cells:
-            return "heun", self._divided()
+        last = self.nx - 1
         if self.domain is None:
-            last = self.nx - 1
-            return (self.exact.name if self.exact.name in self._methods else "heun"), (last, max(last // 2, 1))
-        return self.examples.shadow(self.model, self.exact, self._methods, self.threshold, MISLED * self.tolerance)
+            name = self.exact.name if self.exact.name in self._methods else METHODS[0]
+            return name, [last // 2, last]
+        P, worth = self.exact(*self.examples.calls), WORTH * self._exact_operations
+        tried: list[tuple[float, float, str, int]] = []
+        for cost, name, first in self._ladder():
+            if cost > worth and any(undecided < 0.5 for undecided, *_ in tried):
+                break
+            tried.append((*self._undecided(P, name, self._levels(first)), name, first))
+        enough = min(undecided for undecided, *_ in tried) + FEW
+        _, name, first = min((cost, name, first) for undecided, cost, name, first in tried if undecided <= enough)
+        return name, self._levels(first)
 
-    def _divided(self) -> Grids:
-        """The steps of two grids of the nodes, as few as the data's examples allow."""
-        finest, *coarser = _grids(self.nx)
-        if self.domain is None:
-            return finest
-        calls = self.examples.calls
-        P = self.exact(*calls)
-        for counts in reversed(coarser):
-            error = self._run(self._set(counts, tolerance=np.inf), P, *calls, run=self._kernel("heun"))[1]
-            if error.max() <= SHARE * self.tolerance:
-                return counts
-        return finest
+    def _ladder(self) -> list[tuple[int, str, int]]:
+        """The operations on the intervals of a first level, and the method, the cheapest first."""
+        kinds = {name: _one_step(name) for name in self._methods}
+        each = {name: kind.operations(self.plant) * kind.steps_of_pair for name, kind in kinds.items()}
+        return sorted(
+            (count * cost, name, count) for name, cost in each.items() for count in LADDER if 2 * count < self.nx
+        )
+
+    def _levels(self, first: int) -> list[int]:
+        """The intervals of each level, twice those of the one before; no more than the nodes have, where they count."""
+        most = np.inf if family_of(self.plant).reads_cells else self.nx - 1
+        return sorted({int(min(first * 2**k, most)) for k in range(LEVELS)})
+
+    def _undecided(self, P: np.ndarray, name: str, levels: list[int]) -> tuple[float, float]:
+        """The share of the examples, whose predictions are P, that no level decides, and the operations of one call."""
+        kind, left = _one_step(name), np.ones(len(P), dtype=bool)
+        steps = float(levels[0])
+        for pair in pairwise(levels):
+            steps += left.mean() * pair[1]
+            settings = self._set(self.threshold / 2, [*pair], self.domain)
+            left &= self._run(settings, P, *self.examples.calls, run=self._kernel(name))[2]
+        return float(left.mean()), steps * kind.operations(self.plant) * kind.steps_of_pair
+
+    @property
+    def _exact_operations(self) -> int:
+        """Those of a call of what answers in the network's place; of one whose are not known, those of RK4."""
+        counted = self.exact if isinstance(self.exact, Coarse | OneStep) else RK4(self.plant)
+        return counted.call_operations(self.nx - 1)
 
     @cached_property
     def examples(self) -> Examples:
@@ -151,13 +163,13 @@ class Guarded(Predictor):
         return [name for name in METHODS if family_of(self.plant).refusal(name) is None]
 
     def _kernel(self, name: str) -> Kernel:
-        return kernel(self.plant, self.by, self.exact, method(name))  # type: ignore[arg-type]
+        return kernel(self.plant, self.exact, _one_step(name))
 
     def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: np.ndarray | float) -> np.ndarray:
         return self._run(self._on(u), self.model(X, u, D_hat, t), X, u, D_hat, t)[0]
 
     def error(self, X: ArrayLike, u: ArrayLike, D_hat: ArrayLike, t: ArrayLike = 0.0) -> np.ndarray:
-        """The estimate of |kappa(P̂(1)) - kappa(P(1))|, (...), in units of U; of the corrected P̂ with `correct`."""
+        """The estimate of |kappa(P̂(1)) - kappa(P(1))|, (...), in units of U."""
         return self.judge(self.model(X, u, D_hat, t), X, u, D_hat, t)[0]
 
     def fallback(self, X: ArrayLike, u: ArrayLike, D_hat: ArrayLike, t: ArrayLike = 0.0) -> np.ndarray:
@@ -186,10 +198,7 @@ class Guarded(Predictor):
         """How far inputs are from the data, as a share of how far the model is trusted, (B,); 0 where it has none."""
         if self.domain is None:
             return np.zeros(len(X))
-        away = self.domain.distance(X, u, D_hat, self.plant.phase(t)) / self.domain.limit
-        with np.errstate(divide="ignore", invalid="ignore"):
-            rough = np.nan_to_num(D_hat[:, None] * unread(u) / self.domain.roughest(self.nx))
-        return np.maximum(away, rough.max(axis=1))
+        return self.domain.distance(X, u, D_hat, self.plant.phase(t)) / self.domain.limit
 
     def judge(
         self, P_hat: np.ndarray, X: ArrayLike, u: ArrayLike, D_hat: ArrayLike, t: ArrayLike = 0.0
@@ -217,21 +226,14 @@ class Guarded(Predictor):
         by_time(run or self.guard, (X, u, D_hat), times, (self.plant.p, settings), (P, error, fallback))
         return P, error, fallback > 0
 
-    def _set(self, counts: Grids, tolerance: float | None = None) -> np.ndarray:
-        head = [self.threshold if tolerance is None else tolerance, *counts, float(self.correct)]
-        cells = self.by != "defect" and family_of(self.plant).reads_cells
-        levels = float(REFINEMENTS if cells and self.domain is not None else 0)
-        domain = self.domain
-        if domain is None or tolerance is not None:
-            return np.array([*head, np.inf, levels])
-        parts = (domain.bend, domain.mean, domain.whiten.ravel(), domain.roughest(self.nx))
-        return np.concatenate([[*head, domain.limit.item(), levels], *parts])
+    def _set(self, tolerance: float, levels: list[int], domain: Domain | None = None) -> np.ndarray:
+        head = [tolerance, np.inf if domain is None else domain.limit.item(), len(levels), *levels]
+        head += [0.0] * (HEAD - len(head))
+        return np.concatenate([head, *((domain.bend, domain.mean, domain.whiten.ravel()) if domain else ())])
 
 
-def _grids(nx: int) -> list[Grids]:
-    """The pairs of numbers of intervals of nx nodes, each with the next smaller one, the finest first."""
-    last = nx - 1
-    return list(pairwise(last // s for s in range(1, last // FEWEST + 1) if last % s == 0))
+def _one_step(name: str) -> type[OneStep]:
+    return cast(type[OneStep], method(name))
 
 
 def bare(predictor: Predictor) -> Predictor:

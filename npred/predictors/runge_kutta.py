@@ -33,12 +33,18 @@ class RK4(OneStep):
     differ from these in h² u'' / 24: order 2 there. Across a jump of u every method here is of order 1.
     """
 
-    name, order = "rk4", 4
+    name, order, steps_of_pair = "rk4", 4, 1
 
     @staticmethod
     def step(f: Flow, x: Array, u0: Array, um: Array, u1: Array, t: Value, h: Value) -> Array:
+        return RK4.pair(f, x, u0, um, u1, t, h)[0]
+
+    @classmethod
+    def pair(cls, f: Flow, x: Array, u0: Array, um: Array, u1: Array, t: Value, h: Value) -> tuple[Array, Array]:
+        """x(t + h), and how far that is from the midpoint rule, which takes the first two slopes: of order h³."""
         k1 = f(x, u0, t)
         k2 = f(x + h / 2 * k1, um, t + h / 2)
         k3 = f(x + h / 2 * k2, um, t + h / 2)
         k4 = f(x + h * k3, u1, t + h)
-        return x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        y = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        return y, y - (x + h * k2)

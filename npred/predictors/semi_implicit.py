@@ -27,6 +27,7 @@ class SemiImplicit(OneStep):
     """
 
     name, order = "semi_implicit", 2
+    paired = False  # a step by itself has a lower order where the plant is stiff
 
     def __init__(self, plant: Plant, nx: int = 101):
         super().__init__(plant, nx)

@@ -28,7 +28,7 @@ class Certificate(Result):
     blind: int  #: of these, those that it lets pass with an error above the tolerance
     blind_error: Number  #: the largest error that it let pass there
     tolerance: float  #: of the guard, in units of U
-    by: str  #: the guard's estimate, `shadow` or `defect`
+    by: str  #: how the guard estimates, `shadow`
     fallback_rollouts: float  #: share of the rollouts' samples that the guard answers numerically
     #: the estimate over the true error where that is within 0.3 to 3 tolerances, at 1 %, 50 % and 99 %; empty where
     #: there is no such call

@@ -35,10 +35,24 @@ def whole(step: Step, chains: int = 1) -> Step:
     return step
 
 
-def stepped(trace: Trace, step: Step, x: np.ndarray, inputs: Sequence[np.ndarray], t: Value, h: Value) -> np.ndarray:
-    """x(t + h) by the formula of a one-step method, the inputs being u0, um, u1; a long implicit one is called."""
+def composed(step: Step) -> Step:
+    """Mark the formula of steps that is made of those of another method, which it takes by `stepped`."""
+    step.composed = True  # type: ignore[attr-defined]
+    return step
+
+
+def stepped(
+    f: Trace | Step, step: Step, x: np.ndarray, inputs: Sequence[np.ndarray], t: Value, h: Value
+) -> np.ndarray:  # fmt: skip
+    """x(t + h) by the formula of a one-step method, the inputs being u0, um, u1; a long implicit one is called.
+
+    f is that of a trace, or any other.
+    """
+    trace = f
+    if not isinstance(trace, Trace):
+        return step(f, x, *inputs, t, h)
     if not hasattr(step, "whole"):
-        return step(trace.f, x, *inputs, t, h)
+        return step(trace.f if not hasattr(step, "composed") else trace, x, *inputs, t, h)
     name = re.sub(r"\W", "_", step.__qualname__).lower() + ("_held" if inputs[0] is inputs[2] else "")
     if "f" not in trace.called and operations(trace.plant, name, step) <= LONG_STEP:
         return step(trace, x, *inputs, t, h)

@@ -36,7 +36,7 @@ def controllers():
     measured = {"deeponet": network(0), "fno": network(1), "heun": heun, "rk4": npred.predictor("rk4", PLANT, 51)}
     measured |= {
         "deeponet, guard": npred.guarded(network(0), 0.01),
-        "euler, defect": npred.guarded(euler, 0.01, "defect"),
+        "euler, guard": npred.guarded(euler, 0.01),
     }
     measured |= {"picard": npred.predictor("picard", PLANT, 21)}
     cases = {
@@ -64,7 +64,7 @@ def controllers():
 
 
 NAMES = [
-    "deeponet", "fno", "heun", "rk4", "deeponet, guard", "euler, defect", "picard", "observer", "observer, measured",
+    "deeponet", "fno", "heun", "rk4", "deeponet, guard", "euler, guard", "picard", "observer", "observer, measured",
     "l1, history", "bounded", "two delays", "two delays, guard", "declared", "declared, guard",
 ]  # fmt: skip
 LONG = ["deeponet, guard", "fno", "rk4", "observer", "two delays, guard", "declared", "declared, guard"]

@@ -40,7 +40,7 @@ def network():
 
 
 def doubting():
-    guarded = npred.guarded(npred.predictor("euler", PLANT, 21), 2.5e-5, "defect")
+    guarded = npred.guarded(npred.predictor("euler", PLANT, 21), 2.5e-5)
     return Controller(PLANT, guarded, PAPER, DT, D_hat=2.0)
 
 
@@ -217,7 +217,7 @@ def test_parameters_are_those_of_another_controller(instance, version):
     name, value = next(iter(PLANT.parameters.items()))
     other = npred.plant("activator_repressor", **{name: 1.1 * value})
     law = npred.DelayAdaptation(300.0, bounds=(0.1, 4.0))
-    expected = Controller(other, Guarded(npred.predictor("euler", other, 21), 1e-5, "defect"), law, DT, D_hat=0.7)
+    expected = Controller(other, Guarded(npred.predictor("euler", other, 21), 1e-5), law, DT, D_hat=0.7)
     parameters = {f"parameter.{name}": 1.1 * value, "gamma": 300.0, "tolerance": 1e-5, "D_hat_start": 0.7}
     run = instance(doubting, version, **parameters)
     for x in states(50):

@@ -21,7 +21,7 @@ PAGE = (HERE.parent / "docs" / "deployment.md").read_text()
 
 
 def guarded():
-    predictor = npred.guarded(npred.predictor("euler", PLANT, 21), 2.5e-5, "defect")
+    predictor = npred.guarded(npred.predictor("euler", PLANT, 21), 2.5e-5)
     return Controller(PLANT, predictor, npred.DelayAdaptation(1000.0, bounds=(0.1, 4.0)), DT, D_hat=2.0)
 
 

@@ -43,23 +43,20 @@ static inline void lines_on_cells(Shape d, int m, int count, const double *u, co
     }
 }
 
-/* v (count + 1, m, lanes): the mean of u around each node of a grid of `count` intervals, and R, P there. */
-static inline void means_on_nodes(Shape d, int n, int m, int count, const double *u, const double *mass, const double *P,
-                           double *v, double *R)
+/* v (count + 1, m, lanes): the mean of u around each node of a grid of `count` intervals. */
+static inline void means_on_nodes(Shape d, int m, int count, const double *u, const double *mass, double *v)
 {
-    const int last = d.nx - 1, stride = last / count;
-    const ptrdiff_t row = (ptrdiff_t)m * d.lanes, states = (ptrdiff_t)n * d.lanes;
+    const int last = d.nx - 1;
+    const ptrdiff_t row = (ptrdiff_t)m * d.lanes;
+    const double stride = (double)last / (double)count;
     for (int node = 0; node <= count; node++) {
-        const double low = larger(((double)node - 0.5) * (double)stride, 0.0),
-                     high = smaller(((double)node + 0.5) * (double)stride, (double)last);
+        const double low = larger(((double)node - 0.5) * stride, 0.0),
+                     high = smaller(((double)node + 0.5) * stride, (double)last);
         const int i = least((int)(low + 0.5), last), j = least((int)(high + 0.5), last);
         const double a = low - larger((double)i - 0.5, 0.0), b = high - larger((double)j - 0.5, 0.0);
         for (ptrdiff_t k = 0; k < row; k++) {
             const double whole = mass[j * row + k] - mass[i * row + k] + b * u[j * row + k] - a * u[i * row + k];
             v[node * row + k] = whole / (high - low);
-        }
-        for (ptrdiff_t k = 0; k < states; k++) {
-            R[node * states + k] = P[node * stride * states + k];
         }
     }
 }

@@ -13,14 +13,14 @@ static inline void PART(_lane)(int nx, int lanes, const double *P_hat, const dou
         const double *before = P_hat + (ptrdiff_t)(j - 1) * N * lanes, *now = before + N * lanes;
         const double *u_before = u + (ptrdiff_t)(j - 1) * M * lanes, *u_now = u_before + M * lanes;
         SLOPE(lanes, 1, before, u_before, e, t + (double)(j - 1) * h, p, slope);
+        F(lanes, 1, now, u_now, t + (double)j * h, p, y);
         for (int c = 0; c < N; c++) {
             g[c] = slope[c];
-            e[c] += h * slope[c];
+            e[c] += h * slope[c] + now[c * lanes] - before[c * lanes] - 0.5 * h * (f[c] + y[c]);
         }
-        F(lanes, 1, now, u_now, t + (double)j * h, p, y);
         SLOPE(lanes, 1, now, u_now, e, t + (double)j * h, p, slope);
         for (int c = 0; c < N; c++) {
-            e[c] += 0.5 * h * (slope[c] - g[c]) + now[c * lanes] - before[c * lanes] - 0.5 * h * (f[c] + y[c]);
+            e[c] += 0.5 * h * (slope[c] - g[c]);
             f[c] = y[c];
             P[((ptrdiff_t)j * N + c) * lanes] = now[c * lanes] - e[c];
         }

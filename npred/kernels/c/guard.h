@@ -1,18 +1,23 @@
-/* GUARD: the estimate of the error of P in U, whether the input is where the data were, and EXACT where it is not to be
- * trusted. With A = kappa of REFERENCE, of order 2, on a grid and B of that on a coarser one, Richardson's extrapolation
- * is R = A + (A - B) / (ratio² - 1), and the estimate |kappa(P) - R| + |A - B|: where the reference itself is inaccurate,
- * it doubts. Where that is above the tolerance, and |kappa(P) - R| - |A - B| is not, the reference may be to blame: then
- * it is taken on twice as many steps, a few times.
+/* GUARD: whether U of P is that of numerical predictions, and EXACT where it is not, or where these do not say.
  *
- * A grid reads u, whose nodes stand for the cells around them, either by straight lines on its cells (ON_CELLS), or, where
- * a family of kernels reads values at nodes only, by the mean around each of its nodes. With DEFECT the reference is P less
- * its defect carried along.
+ * SHADOWS predictions by REFERENCE on a few intervals stand side by side. The first is the reference. In each interval
+ * the others have an error of their own: half of how u may be read otherwise there, and, with SIGNED, the local error
+ * of the step, with a sign that differs from shadow to shadow and from interval to interval. How far they come apart in
+ * U is what the reference may err by: the plant itself says how much an error grows, and errors of different intervals
+ * do not cancel in all shadows. With gap = |U - R|, R extrapolated from U_0 of this level and B of the one
+ * before, of half as many intervals, and spread = 2 max_k |U_k - U_0| + |U_0 - B|, P passes where gap + spread is within
+ * the tolerance, EXACT answers where gap - spread is above it, and in between the next level is asked.
  *
- * `guard` has the tolerance, the intervals of the two grids, whether to correct P, the limit of the distance, the
- * refinements; then what the distance from the data is made of. */
-enum { TOLERANCE_AT, FINE_AT, COARSE_AT, CORRECT_AT, LIMIT_AT, REFINEMENTS_AT, HEAD };
+ * A grid reads u, whose nodes stand for the cells around them, by straight lines on its cells (ON_CELLS), or, where a
+ * family of kernels reads values at nodes only, by the mean around each of its nodes.
+ *
+ * `guard` has the tolerance, the limit of the distance, how many levels there are and the intervals of each; then what
+ * the distance from the data is made of. */
+enum { TOLERANCE_AT, LIMIT_AT, LEVELS_AT, COUNTS_AT, HEAD = COUNTS_AT + 4 };
 #define FEATURES (N + 1 + 3 * M + 2 * PHASED)
+#define ROW (M + SIGNED) /* inputs of REFERENCE: the last is the sign of the local error */
 #define DOUBT 2.0
+#define RESOLVED 0.1 /* share of the states' size by which shadows that are to be believed may come apart */
 
 #ifdef FOREIGN /* the parts are called through the pointers that `work` begins with */
 typedef void (*PART(_control_pointer))(Shape, const double *, const double *, const double *, double, const double *,
@@ -25,72 +30,171 @@ typedef void (*PART(_control_pointer))(Shape, const double *, const double *, co
 #define POINTERS 0
 #endif
 
-/* The judgement of lane l by U of P, and A and B of the two grids: 0 passes, 1 falls back, DOUBT is undecided. */
-static inline double PART(_judged)(int l, int lanes, double tolerance, double ratio, const double *U, const double *A,
-                                   const double *B, double *error)
+/* The sign of the local error of shadow k in an interval: none for the reference, then all of one sign, or random. */
+static inline double PART(_sign)(int k, int interval)
+{
+    uint32_t bits = (uint32_t)(SHADOWS * interval + k) * 2654435769u;
+    if (k < 3) {
+        return (double)(2 * k - 3) * (double)(k > 0);
+    }
+    bits = (bits ^ (bits >> 16)) * 2246822507u;
+    bits = (bits ^ (bits >> 13)) * 3266489909u;
+    return bits >> 31 ? 1.0 : -1.0;
+}
+
+/* By how much the mean of u (nx, M) between the first nodes changes where a cubic reads it and not a line, summed up to
+ * each node, in units of the distance of nodes: after Simpson, 1/24 of the kink -u_0 + u_1 + u_2 - u_3. */
+static inline void PART(_kinks)(int last, const double *u, double *kinks)
+{
+    for (int c = 0; c < M; c++) {
+        const double *v = u + c;
+        kinks[c] = 0.0;
+        for (int j = 0; j < last; j++) {
+            const double *w = v + (ptrdiff_t)j * M;
+            double kink = 0.0;
+            if (last > 2 && j == 0) {
+                kink = -3.0 * w[0] + 7.0 * w[M] - 5.0 * w[2 * M] + w[3 * M];
+            } else if (last > 2 && j == last - 1) {
+                kink = -3.0 * w[M] + 7.0 * w[0] - 5.0 * w[-M] + w[-2 * M];
+            } else if (last > 2) {
+                kink = -w[-M] + w[0] + w[M] - w[2 * M];
+            }
+            kinks[(j + 1) * M + c] = kinks[j * M + c] + kink / 24.0;
+        }
+    }
+}
+
+/* The change of input c between two places, counted in nodes. */
+static inline double PART(_between)(int c, int last, double low, double high, const double *kinks)
+{
+    const int i = least((int)low, last - 1), j = least((int)high, last - 1);
+    const double *a = kinks + i * M + c, *b = kinks + j * M + c;
+    return b[0] + (high - (double)j) * (b[M] - b[0]) - a[0] - (low - (double)i) * (a[M] - a[0]);
+}
+
+/* v (rows, ROW, SHADOWS): the inputs of the shadows on `count` intervals, of those of one, lines (rows, M). */
+static inline void PART(_read)(int count, int last, const double *lines, const double *kinks, const double *coarse, double *v)
+{
+    const int rows = ON_CELLS ? 2 * count : count + 1;
+    const double wide = (double)last / (double)count;
+    for (int row = 0; row < rows; row++) {
+        const int interval = ON_CELLS ? row / 2 : row;
+        const double low = ON_CELLS ? (double)interval * wide : larger(((double)interval - 0.5) * wide, 0.0);
+        const double high = ON_CELLS ? low + wide : smaller(((double)interval + 0.5) * wide, (double)last);
+        double *at = v + (ptrdiff_t)row * ROW * SHADOWS;
+        for (int c = 0; c < M; c++) {
+            const double value = lines[row * M + c];
+            double change = PART(_between)(c, last, low, high, kinks) / (high - low);
+            if (!ON_CELLS && count < last) { /* and by how much the grid's own intervals may be read otherwise */
+                const double *k = coarse + least(interval, count - 1) * M + c;
+                change += k[M] - k[0];
+            }
+            at[c * SHADOWS] = value;
+            for (int k = 1; k < SHADOWS; k++) { /* by half, for the spread counts twice */
+                at[c * SHADOWS + k] = value + (k < 3 ? 0.5 : -0.5) * change;
+            }
+        }
+        for (int k = 0; SIGNED && k < SHADOWS; k++) {
+            at[M * SHADOWS + k] = PART(_sign)(k, interval);
+        }
+    }
+}
+
+/* U (M, SHADOWS) of the shadows Q (count + 1, N, SHADOWS) on `count` intervals, from X (N) and u (nx, M) of one lane. */
+static inline void PART(_shadows)(Shape one, int count, const double *X, const double *u, double D_hat, double t,
+                                  const double *p, const double *mass, const double *turn, const double *kinks,
+                                  double *U, double *Q, double *scratch, double *work)
+{
+    const int rows = ON_CELLS ? 2 * count : count + 1;
+    double *lines = scratch, *coarse = lines + rows * M, *v = coarse + (count + 1) * M, *x = v + rows * ROW * SHADOWS;
+    double *D = x + N * SHADOWS, *rest = D + SHADOWS;
+    Shape grid = one;
+    (void)work;
+    grid.nx = count + 1;
+    grid.lanes = SHADOWS;
+    grid.m = ROW;
+    if (ON_CELLS) {
+        lines_on_cells(one, M, count, u, mass, turn, lines);
+    } else {
+        means_on_nodes(one, M, count, u, mass, lines);
+        PART(_kinks)(count, lines, coarse);
+    }
+    PART(_read)(count, one.nx - 1, lines, kinks, coarse, v);
+    for (int k = 0; k < SHADOWS; k++) {
+        D[k] = D_hat;
+        for (int c = 0; c < N; c++) {
+            x[c * SHADOWS + k] = X[c];
+        }
+    }
+    REFERENCE(grid, x, v, D, t, p, Q, rest);
+    for (int row = 1; SIGNED && row < rows; row++) { /* the law reads the inputs alone */
+        for (int k = 0; k < M * SHADOWS; k++) {
+            v[row * M * SHADOWS + k] = v[row * ROW * SHADOWS + k];
+        }
+    }
+    grid.m = M;
+    CONTROL(grid, Q, v, D, t, p, U, rest);
+}
+
+/* How far the last states of the shadows are from those of the reference, and these from those of the level before, as a
+ * share of their size: the largest. A law may be the same for states that differ wildly. */
+static inline double PART(_apart)(const double *q, const double *before, const double *bend)
+{
+    double largest = 0.0;
+    for (int c = 0; c < N; c++) {
+        const double *a = q + c * SHADOWS;
+        double apart = fabs(before[c * SHADOWS] - a[0]);
+        for (int k = 1; k < SHADOWS; k++) {
+            apart = larger(apart, fabs(a[k] - a[0]));
+        }
+        largest = larger(largest, apart / (fabs(a[0]) + bend[c]));
+    }
+    return largest;
+}
+
+/* The judgement of U (M) by that of the shadows, and of the level before: 0 passes, 1 falls back, DOUBT is undecided. */
+static inline double PART(_judged)(int lanes, double tolerance, const double *U, const double *A, const double *before,
+                                   double ratio, double *error)
 {
     double certain = 0.0;
     *error = 0.0;
     for (int c = 0; c < M; c++) {
-        const int k = c * lanes + l;
-        const double R = A[k] + (A[k] - B[k]) / (ratio * ratio - 1.0);
-        const double gap = fabs(U[k] - R), noise = fabs(A[k] - B[k]);
-        *error = larger(*error, gap + noise < INFINITY ? gap + noise : INFINITY); /* also of NaN */
-        certain = larger(certain, gap - noise < INFINITY ? gap - noise : 0.0);
+        const double *a = A + c * SHADOWS, step = a[0] - before[c * SHADOWS];
+        const double gap = fabs(U[c * lanes] - a[0] - step / (pow(ratio, ORDER) - 1.0));
+        double spread = 0.0;
+        for (int k = 1; k < SHADOWS; k++) {
+            const double apart = fabs(a[k] - a[0]);
+            spread = apart < INFINITY ? larger(spread, apart) : INFINITY; /* also of NaN */
+        }
+        spread = 2.0 * spread + fabs(step);
+        *error = larger(*error, gap + spread < INFINITY ? gap + spread : INFINITY);
+        certain = larger(certain, gap - spread < INFINITY ? gap - spread : 0.0);
     }
     return *error <= tolerance ? 0.0 : certain > tolerance ? 1.0 : DOUBT;
 }
 
-/* Subtract the error that the defect says, linear between the nodes of the grid. */
-static inline void PART(_correct)(Shape d, int count, const double *Q, const double *R, double *P)
+/* Whether one lane is further from the data than the limit. The features are those of npred.data.domain: X bent, D_hat,
+ * the first Legendre moments of each input, the phase. */
+static inline int PART(_outside)(int last, const double *X, const double *u, double D_hat, double t, const double *guard,
+                                 const double *mass, const double *turn)
 {
-    const int stride = (d.nx - 1) / count;
-    const ptrdiff_t states = (ptrdiff_t)N * d.lanes;
-    for (int j = 0; j < d.nx; j++) {
-        const int J = least(j / stride, count - 1);
-        const double share = (double)j / (double)stride - (double)J;
-        const double *q = Q + J * states, *r = R + J * states;
-        for (ptrdiff_t k = 0; k < states; k++) {
-            P[j * states + k] += (1.0 - share) * (q[k] - r[k]) + share * (q[states + k] - r[states + k]);
-        }
-    }
-}
-
-/* Whether lane l is further from the data than the limit, or its u is rougher than theirs. The features are those of
- * npred.data.domain: X bent, D_hat, the first Legendre moments of each input, the phase. */
-static inline int PART(_outside)(Shape d, int l, const double *X, const double *u, double D_hat, double t, const double *guard,
-                          const double *mass, const double *turn)
-{
-    const int last = d.nx - 1, lanes = d.lanes;
-    const ptrdiff_t row = (ptrdiff_t)M * lanes;
-    const double *bend = guard + HEAD, *mean = bend + N, *whiten = mean + FEATURES;
-    const double *roughest = whiten + FEATURES * FEATURES, length = (double)last;
+    const double *bend = guard + HEAD, *mean = bend + N, *whiten = mean + FEATURES, length = (double)last;
     double feature[FEATURES], total = 0.0;
-    int rough = 0;
     for (int c = 0; c < N; c++) {
-        feature[c] = asinh(X[c * lanes + l] / bend[c]);
+        feature[c] = asinh(X[c] / bend[c]);
     }
     feature[N] = D_hat;
     for (int c = 0; c < M; c++) {
-        const double *v = u + c * lanes + l;
-        const ptrdiff_t k = d.nx * row + c * lanes + l;
-        const double first = mass[k] / length;
-        const double second = (turn[k] + 0.125 * (v[last * row] - v[0])) / (length * length);
-        double square = 0.5 * length * length * v[last * row], kinks = 0.0;
-        for (int j = 1; j < last - 1; j++) {
-            square += (double)j * (double)j * v[j * row];
-            kinks += fabs(v[(j - 1) * row] - v[j * row] - v[(j + 1) * row] + v[(j + 2) * row]);
-        }
-        square += (length - 1) * (length - 1) * v[(last - 1) * row];
-        if (d.nx > 3) { /* how differently a line and a cubic read u between nodes */
-            kinks += fabs(3.0 * v[0] - 7.0 * v[row] + 5.0 * v[2 * row] - v[3 * row]);
-            kinks += fabs(3.0 * v[last * row] - 7.0 * v[(last - 1) * row] + 5.0 * v[(last - 2) * row] -
-                          v[(last - 3) * row]);
+        const double *v = u + c, begin = v[0], end = v[last * M];
+        const double first = mass[(last + 1) * M + c] / length;
+        const double second = (turn[(last + 1) * M + c] + 0.125 * (end - begin)) / (length * length);
+        double square = 0.5 * length * length * end;
+        for (int j = 1; j < last; j++) {
+            square += (double)j * (double)j * v[j * M];
         }
         feature[N + 1 + 3 * c] = first;
         feature[N + 2 + 3 * c] = 2.0 * second - first;
         feature[N + 3 + 3 * c] = 6.0 * (square / (length * length * length) - second) + first;
-        rough = rough || !(D_hat * kinks <= 24.0 * length * roughest[c]);
     }
     if (PHASED) {
         const double angle = 2.0 * 3.141592653589793 * t / PERIOD;
@@ -104,91 +208,75 @@ static inline int PART(_outside)(Shape d, int l, const double *X, const double *
         }
         total += component * component;
     }
-    return rough || !(total <= guard[LIMIT_AT] * guard[LIMIT_AT]);
+    return !(total <= guard[LIMIT_AT] * guard[LIMIT_AT]);
 }
 
-/* P of lane l by the numerical predictor. */
-static inline void PART(_fall_back)(Shape d, int l, const double *X, const double *u, const double *D_hat, double t,
-                             const double *p, double *P, double *scratch, double *work)
+/* The judgement of lane l, whose X (N) and u (nx, M) are x and v. */
+static inline double PART(_judge)(Shape one, int lanes, int l, const double *x, const double *v, double D_hat, double t,
+                                  const double *p, const double *guard, const double *U, double *error, double *scratch,
+                                  double *work)
 {
-    const int lanes = d.lanes;
-    double *x1 = scratch, *u1 = x1 + N, *P1 = u1 + (ptrdiff_t)d.nx * M;
-    Shape one = d;
-    one.lanes = 1;
-    (void)work;
-    for (int c = 0; c < N; c++) {
-        x1[c] = X[c * lanes + l];
+    const int last = one.nx - 1, levels = (int)guard[LEVELS_AT];
+    double *mass = scratch, *turn = mass + (one.nx + 1) * M, *kinks = turn + (one.nx + 1) * M;
+    double *A = kinks + one.nx * M, *before = A + M * SHADOWS, *Q = before + M * SHADOWS;
+    double *end = Q + ((int)guard[COUNTS_AT + levels - 1] + 1) * N * SHADOWS, *rest = end + N * SHADOWS;
+    const int known = guard[LIMIT_AT] < INFINITY;
+    double judgement = DOUBT;
+    integrals(one, M, v, mass, turn);
+    PART(_kinks)(last, v, kinks);
+    for (int level = 0; level < levels && judgement == DOUBT; level++) {
+        const int count = (int)guard[COUNTS_AT + level];
+        double *const earlier = before;
+        before = A;
+        A = earlier;
+        PART(_shadows)(one, count, x, v, D_hat, t, p, mass, turn, kinks, A, Q, rest, work);
+        if (level > 0) {
+            const double ratio = (double)count / guard[COUNTS_AT + level - 1];
+            judgement = PART(_judged)(lanes, guard[TOLERANCE_AT], U + l, A, before, ratio, error);
+            if (judgement == 0.0 && known) {
+                const double apart = PART(_apart)(Q + count * N * SHADOWS, end, guard + HEAD) / RESOLVED;
+                *error = larger(*error, apart * guard[TOLERANCE_AT]);
+                judgement = apart <= 1.0 ? 0.0 : DOUBT;
+            }
+        }
+        for (int k = 0; k < N * SHADOWS; k++) {
+            end[k] = Q[count * N * SHADOWS + k];
+        }
     }
-    for (int k = 0; k < d.nx * M; k++) {
-        u1[k] = u[(ptrdiff_t)k * lanes + l];
+    if (known && PART(_outside)(last, x, v, D_hat, t, guard, mass, turn)) {
+        return 1.0;
     }
-    EXACT(one, x1, u1, D_hat + l, t, p, P1, P1 + (ptrdiff_t)d.nx * N);
-    for (int k = 0; k < d.nx * N; k++) {
-        P[(ptrdiff_t)k * lanes + l] = P1[k];
-    }
+    return judgement > 0.0 ? 1.0 : 0.0;
 }
 
 static inline void KERNEL(Shape d, const double *X, const double *u, const double *D_hat, double t, const double *p,
                    const double *guard, double *P, double *error, double *fallback, double *work)
 {
-    const int lanes = d.lanes, fine = (int)guard[FINE_AT], coarse = (int)guard[COARSE_AT];
-    const int finest = fine << (int)guard[REFINEMENTS_AT];
-    const ptrdiff_t row = (ptrdiff_t)M * lanes, states = (ptrdiff_t)N * lanes;
-    double *U = work + POINTERS, *A = U + row, *B = A + row, *mass = B + row, *turn = mass + (d.nx + 1) * row;
-    double *v = turn + (d.nx + 1) * row, *R = v + 2 * (finest + 1) * row, *Q = R + (DEFECT ? (finest + 1) * states : 0);
-    double *rest = Q + (finest + 1) * states;
-    int doubts = 1;
-    integrals(d, M, u, mass, turn);
+    const int lanes = d.lanes;
+    double *U = work + POINTERS, *x = U + M * lanes, *v = x + N, *y = v + d.nx * M, *rest = y + d.nx * N;
+    Shape one = d;
+    one.lanes = 1;
+    CONTROL(d, P, u, D_hat, t, p, U, x);
     for (int l = 0; l < lanes; l++) {
-        fallback[l] = DOUBT;
-    }
-    for (int level = -1; level <= (int)guard[REFINEMENTS_AT] && doubts; level++) {
-        const int count = level < 0 ? coarse : fine << level;
-        Shape grid = d;
-        grid.nx = count + 1;
-        if (level >= 0) {
-            double *const finer = B;
-            B = A;
-            A = finer;
+        for (int c = 0; c < N; c++) {
+            x[c] = X[c * lanes + l];
         }
-        if (ON_CELLS) {
-            lines_on_cells(d, M, count, u, mass, turn, v);
-        } else {
-            means_on_nodes(d, N, M, count, u, mass, P, v, DEFECT ? R : Q);
+        for (int k = 0; k < d.nx * M; k++) {
+            v[k] = u[(ptrdiff_t)k * lanes + l];
         }
-#if DEFECT
-        REFERENCE(grid, R, X, v, D_hat, t, p, Q, rest);
-#else
-        REFERENCE(grid, X, v, D_hat, t, p, Q, rest);
-#endif
-        CONTROL(grid, Q, v, D_hat, t, p, A, rest);
-        if (level == 0) {
-            if (DEFECT && guard[CORRECT_AT] > 0.0) {
-                PART(_correct)(d, count, Q, R, P);
-            }
-            CONTROL(d, P, u, D_hat, t, p, U, rest);
-        }
-        if (level >= 0) {
-            doubts = 0;
-            for (int l = 0; l < lanes; l++) {
-                if (fallback[l] == DOUBT) {
-                    fallback[l] = PART(_judged)(l, lanes, guard[TOLERANCE_AT], (double)fine / (double)coarse, U, A, B, error + l);
-                    doubts += fallback[l] == DOUBT;
-                }
-            }
-        }
-    }
-    for (int l = 0; l < lanes; l++) {
-        const int known = guard[LIMIT_AT] < INFINITY;
-        const int outside = known && PART(_outside)(d, l, X, u, D_hat[l], t, guard, mass, turn);
-        fallback[l] = outside || fallback[l] > 0.0;
+        fallback[l] = PART(_judge)(one, lanes, l, x, v, D_hat[l], t, p, guard, U, error + l, rest, work);
         if (fallback[l] > 0.0) {
-            PART(_fall_back)(d, l, X, u, D_hat, t, p, P, rest, work);
+            EXACT(one, x, v, D_hat + l, t, p, y, rest);
+            for (int k = 0; k < d.nx * N; k++) {
+                P[(ptrdiff_t)k * lanes + l] = y[k];
+            }
         }
     }
 }
 #undef FEATURES
+#undef ROW
 #undef DOUBT
+#undef RESOLVED
 #undef POINTERS
 #ifdef FOREIGN
 #undef CONTROL

@@ -4,7 +4,7 @@ from npred.stages.declaration import Stage
 
 STAGE = Stage(
     name="certify",
-    version=4,
+    version=5,
     upstream=("generate", "train"),
     result_class="npred.results:Certified",
     help="A bound of a network's error with a confidence, an adversary's search, and loops that the guard keeps.",

@@ -4,7 +4,7 @@ from npred.stages.declaration import Stage
 
 STAGE = Stage(
     name="evaluate",
-    version=11,
+    version=12,
     upstream=("generate", "train"),
     result_class="npred.results:Evaluated",
     help="Held-out errors and closed loops: eps and the convergence radius.",

@@ -85,10 +85,8 @@ def test_outside_of_a_small_domain_the_search_goes_in(data):
     assert smooth[10:].mean() > 3 * smooth[0] and not passed[~inside].any()
 
 
-def test_what_the_nodes_do_not_resolve_is_a_blind_spot_without_a_domain(data):
-    """The shadow reads u by lines, RK4 by cubics: between them the guard sees nothing. A domain has no such inputs."""
-    for guard, fewest, most in (
-        (Guarded(Wrong(PLANT, NX), TOLERANCE), 1, 10**4), (with_domain(Guarded, data, TOLERANCE), 0, 0),
-    ):  # fmt: skip
+def test_what_the_nodes_do_not_resolve_is_no_blind_spot_with_or_without_a_domain(data):
+    """The guard reads u by lines, RK4 by cubics: shadows that read it otherwise say how much of U that moves."""
+    for guard in (Guarded(Wrong(PLANT, NX), TOLERANCE), with_domain(Guarded, data, TOLERANCE)):
         _, _, true, _, passed = searched(guard, data)
-        assert fewest <= (passed & (true > TOLERANCE)).sum() <= most
+        assert passed.any() and not (passed & (true > TOLERANCE)).any()
