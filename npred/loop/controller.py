@@ -72,7 +72,8 @@ class Controller:
         }  # fmt: skip
         self.settings = signals.settings(
             dt=self.dt, b=law.b, gamma_dt=law.gamma * self.dt, gate=self.gate or 1.0, recalls=self._recalls,
-            keeps=self._recalls, gated=self._gated, bounds=law.bounds, p=plant.p, truth_p=plant.p, ratios=plant.ratios,
+            keeps=self._recalls, gated=self._gated, observer_count=law.memory if self._watches else 0,
+            bounds=law.bounds, p=plant.p, truth_p=plant.p, ratios=plant.ratios,
             input_bounds=np.ascontiguousarray(inputs.widest(plant, self._limits), dtype=float), law=law.settings,
             guard=np.zeros(0) if predictor.settings is None else predictor.settings,
             reach=(self.gate or 1.0) * _half_widths(plant),
@@ -124,6 +125,11 @@ class Controller:
         return (len(self.memory.held) - 4) * self.dt
 
     @property
+    def longest_D_hat(self) -> float:
+        """The longest delay, in seconds, by which a step can read its commands."""
+        return (len(self.memory.held) - 3) * self.dt
+
+    @property
     def missed(self) -> int:
         """How many of the last samples, in a row, were not believed; X_hat took their place."""
         return int(self.memory.missed[0])
@@ -166,16 +172,12 @@ class Controller:
             self._correct(applied)
         if self._awaits_X and np.isfinite(X).all():
             self._fill(X)
-        observer = self.memory.observer
-        before = observer.copy() if self._watches else observer
-        code = self._engine.control_step(self._k, self.t, self.reach + self.dt if self._recalls else math.inf)
+        code = self._engine.control_step(self._k, self.t)
         if code:
-            observer[:] = before
-            raise DivergedError(f"step: {self._reason(code)}; {self._held()}")
-        if self.keeps_commands:
-            self._remember()
+            reason = self._reason(code)
+            raise DivergedError(f"step: {reason}; {self._held(code)}")
         self._awaits_X = False
-        self._step += 1
+        self._remember(code)
         self._last_P[:], self._last_U[:] = self._P, self._U
         return self._last_U
 
@@ -328,7 +330,7 @@ class Controller:
         rate = math.nan if phi is None else array_checks.number("phi", phi)
         low, high = self.settings.bounds
         array_checks.within("D_hat", np.array(seconds), (low, high), self.plant.time_unit)
-        if self._recalls and seconds > self.reach + self.dt:
+        if self._recalls and seconds > self.longest_D_hat:
             raise ConfigError(
                 f"D_hat: expected at most {self.plant.time_text(self.reach)}, back to which the commands are kept, got "
                 f"{seconds:g}; make another controller with that D_hat"
@@ -375,22 +377,21 @@ class Controller:
         last, rows = self._k - 1, len(held)
         held[last % rows], total[self._k % rows] = U, total[last % rows] + U
 
-    def _held(self) -> str:
+    def _held(self, code: int) -> str:
         """Go on from a step that was refused, and what to do, in words."""
         advice = "hold the last U and measure again"
         if self._awaits_X:  # nothing was sent, and the commands before the first X are not known
             return advice
-        z = self.memory
+        self._remember(code)
         if self.keeps_commands:
-            self._engine.hold(self._k, self.t)
-            self._remember()
-            advice += f": {source_lines.values(self.plant.inputs, z.U[:, 0])} is booked as sent"
-        self._step += 1
+            advice += f": {source_lines.values(self.plant.inputs, self.memory.U[:, 0])} is booked as sent"
         return advice
 
-    def _remember(self) -> None:
-        """Keep U as sent."""
-        self._k = self._engine.remember(self._k, self.t)
+    def _remember(self, code: int) -> None:
+        """Go on to the next step, with U kept as sent, or the last one after a code that is not 0."""
+        if self.keeps_commands:
+            self._k = self._engine.remember(self._k, self.t, code)
+        self._step += 1
 
     def _expect(self, X_hat: Any, missed: int) -> None:
         """Set what the model says of the next sample, (n,) or None, and how many it took the place of."""
@@ -409,7 +410,7 @@ class Controller:
     def _warm_up(self) -> None:
         """Compile and load all that a step runs, so that the first step takes no longer than the others."""
         state = self.state()
-        self._engine.control_step(self._k, self.t, math.inf)
+        self._engine.control_step(self._k, self.t)
         self.restore(state)
 
 

@@ -22,7 +22,7 @@ from npred.predictors.base import OneStep
 
 LOOP = ("actuator.h", "sensor.h", "step.h", "engine.h")
 ON_A_PLANT = ("actuator.h", "step.h", "controller.h", "entries.h")
-MEASUREMENT, PREDICTION, TOO_LONG = 1, 2, 3  # in a step: what is not finite, or a delay beyond the kept commands
+MEASUREMENT, PREDICTION, TOO_LONG = 1, 2, 4  # in a step: what is not finite, or a delay beyond the kept commands
 INDEX, POINTER = ctypes.c_int64, ctypes.c_void_p
 
 
@@ -38,9 +38,9 @@ def loop() -> ctypes.CDLL:
 def on_a_plant() -> ctypes.CDLL:
     """The compiled control step for a real one."""
     loaded = _library(ON_A_PLANT)
-    loaded.step.argtypes, loaded.step.restype = [Shape, INDEX, *(ctypes.c_double,) * 2, *(POINTER,) * 4], INDEX
-    for function, returned in ((loaded.remembered, INDEX), (loaded.held, None)):
-        function.argtypes, function.restype = [Shape, INDEX, ctypes.c_double, *(POINTER,) * 4], returned
+    now, passed = [Shape, INDEX, ctypes.c_double], (POINTER,) * 4
+    loaded.stepped.argtypes, loaded.stepped.restype = [*now, *passed], ctypes.c_int
+    loaded.remembered.argtypes, loaded.remembered.restype = [*now, ctypes.c_int, *passed], INDEX
     return loaded
 
 
@@ -66,7 +66,7 @@ class Engine:
         }
         pointers = {name: ctypes.cast(f, ctypes.c_void_p).value for name, f in self._functions.items()}
         needed = [part.work(nx, lanes, settings.guard) for part in parts.values() if isinstance(part, Kernel)]
-        self._work = np.empty(max(needed, default=0) + n + 3 * m)
+        self._work = np.empty(max(needed, default=0) + n + 3 * m + settings.observer_count)
         self._arrays = [settings, state, *([out] if out else [])]
         self._structs = [signals.Pointers(**pointers), *map(signals.structure, self._arrays)]
         self._passed = [*map(ctypes.addressof, self._structs)]
@@ -81,26 +81,20 @@ class Engine:
         loop().run(self._shape, origin, start, stop, *self._passed, flag, self._scratch)
         self._failure.raised()
 
-    def control_step(self, k: int, t: float, longest: float) -> int:
-        """U, P and the next D_hat of a controller from its sample Y, and from u or the commands before step k, which
-        are kept for `longest` seconds.
+    def control_step(self, k: int, t: float) -> int:
+        """U, P and the next D_hat of a controller from its sample Y, and from u or the commands before step k.
 
-        Returns 0, or why there is no U to send: MEASUREMENT, PREDICTION or TOO_LONG.
+        Returns 0, or why there is no U to send: MEASUREMENT, PREDICTION or TOO_LONG. Then all stands as before.
         """
-        code = on_a_plant().step(self._shape, k, t, longest, *self._passed, self._scratch)
+        code = on_a_plant().stepped(self._shape, k, t, *self._passed, self._scratch)
         self._failure.raised()
         return code
 
-    def remember(self, k: int, t: float) -> int:
-        """Hold U as the command of step k; the next step's number."""
-        after = on_a_plant().remembered(self._shape, k, t, *self._passed, self._scratch)
+    def remember(self, k: int, t: float, code: int) -> int:
+        """Keep U as the command of step k, or the last one after a code that is not 0; the next step's number."""
+        after = on_a_plant().remembered(self._shape, k, t, code, *self._passed, self._scratch)
         self._failure.raised()
         return after
-
-    def hold(self, k: int, t: float) -> None:
-        """The U of a step that was refused, for `remember`."""
-        on_a_plant().held(self._shape, k, t, *self._passed, self._scratch)
-        self._failure.raised()
 
 
 def _function(name: str, part: Any, settings: Settings, state: State, failure: Failure) -> Any:

@@ -89,6 +89,7 @@ SETTINGS = [
     Signal("gate", None, 0.0),  # how far a sample may be from what is expected, as a share of that
     *(Signal(name, None, 0, "int64") for name in ("every", "row_count", "sample_count", "late")),
     *(Signal(name, None, 0, "int") for name in ("recalls", "keeps", "gated")),
+    Signal("observer_count", None, 0, "int"),  # numbers that an observer of the delay remembers, for a step to undo
     *(Signal(name, None, 0, "int") for name in ("moves", "senses", "tabulates", "disturbed")),
     Signal("bounds", ()),  # (2,) of D_hat
     Signal("input_bounds", ()),  # (m, 2)

@@ -24,7 +24,7 @@ PRECISIONS = {"float": np.float32, "double": np.float64}
 LIMITS = {"float": 1e-3, "double": 1e-9}  # of the test in the file
 WHAT = "export controller"
 # of the settings, those that a step reads
-NUMBERS, FLAGS = ("dt", "b", "gate", "gamma_dt"), ("recalls", "keeps", "gated")
+NUMBERS, FLAGS = ("dt", "b", "gate", "gamma_dt"), ("recalls", "keeps", "gated", "observer_count")
 ARRAYS = ("bounds", "input_bounds", "p", "ratios", "law", "guard", "reach")
 Test = tuple[np.ndarray, np.ndarray | None]  # X (S, n) and, for measured actuators, u (S, nx, m) of steps
 
@@ -46,10 +46,9 @@ def sources(
     _check(controller)
     kernels = {part: kernel for part, kernel in _parts(controller, precision).items() if kernel}
     variants = {
-        "RECALLS": bool(controller.settings.recalls), "MEASURED": not controller.settings.recalls,
-        "KEEPS": controller.keeps_commands, "WATCHES": "observe" in kernels, "GATED": bool(controller.settings.gated),
-        "BELIEVES": "believe" in kernels and bool(controller.settings.recalls), "TUNABLE": tunable,
-        "REPEATS": precision == "float" and bool(controller.plant.period), "TESTED": test is not None,
+        "RECALLS": bool(controller.settings.recalls), "KEEPS": controller.keeps_commands,
+        "WATCHES": "observe" in kernels, "GATED": bool(controller.settings.gated), "TUNABLE": tunable,
+        "TESTED": test is not None, "REPEATS": precision == "float" and bool(controller.plant.period),
     }  # fmt: skip
     sizes = _sizes(controller, kernels, variants)
     parts = {
@@ -74,7 +73,7 @@ def gateway(controller: Controller, name: str = "npred", precision: str = "doubl
 def D_hat_bounds(controller: Controller) -> tuple[float, float]:
     """The smallest and the largest D_hat that the controller in C takes, in seconds; infinity for no limit."""
     low, high = controller.settings.bounds.tolist()
-    return low, min(high, controller.reach + controller.dt) if controller.settings.recalls else high
+    return low, min(high, controller.longest_D_hat) if controller.settings.recalls else high
 
 
 def digest(header: str) -> str:
@@ -115,7 +114,8 @@ def _sizes(
     sizes |= {"OBSERVER": len(z.observer)} if variants["WATCHES"] else {}
     if variants["TUNABLE"]:
         sizes |= {"PARAMETERS": max(settings.p.size, 1), "GUARD": max(settings.guard.size, 1)}
-    return sizes | {"WORK": max(1, *(kernel.work(nx, 1, settings.guard) for kernel in kernels.values()))}
+    needed = max(1, *(kernel.work(nx, 1, settings.guard) for kernel in kernels.values()))
+    return sizes | {"WORK": needed + settings.observer_count}
 
 
 def _kernels(kernels: Mapping[str, Kernel], real: str) -> str:
@@ -134,7 +134,6 @@ def _settings(
     numbers = {
         "DT": controller.dt, "D_HAT": controller.D_hat, "T0": controller.t, "D_HAT_LOW": low,
         "D_HAT_HIGH": high if np.isfinite(high) else np.finfo(PRECISIONS[real]).max,
-        "REACH": controller.reach + controller.dt,
     }  # fmt: skip
     numbers |= {"PERIOD": controller.plant.period} if controller.plant.period else {}
     settings = controller.settings

@@ -39,15 +39,6 @@ static inline State npred_state(npred_controller *self, const npred_real *u, con
     return state;
 }
 
-static int npred_finite(const npred_real *values, int count)
-{
-    int finite = 1;
-    for (int i = 0; i < count; i++) {
-        finite = finite && isfinite(values[i]);
-    }
-    return finite;
-}
-
 #if GATED
 /* The model expects nothing before the first sample. */
 static void npred_expect_nothing(npred_controller *self)
@@ -132,8 +123,8 @@ int npred_set_state(npred_controller *self, const npred_saved *state)
     fits = fits && npred_within(state->D_hat[0]) && !isinf(state->phi_before[0]);
 #if KEEPS
     fits = fits && state->k >= NPRED_ROWS - 1 && state->k < 2 * NPRED_ROWS;
-    fits = fits && npred_finite(state->held, NPRED_ROWS * NPRED_M_INPUTS);
-    fits = fits && npred_finite(state->total, NPRED_ROWS * NPRED_M_INPUTS);
+    fits = fits && all_finite(NPRED_ROWS * NPRED_M_INPUTS, state->held);
+    fits = fits && all_finite(NPRED_ROWS * NPRED_M_INPUTS, state->total);
 #endif
     if (!fits) {
         return NPRED_STATE_REFUSED;
@@ -181,41 +172,15 @@ static int npred_run(npred_controller *self, const npred_real *X, const npred_re
     settings.gamma_dt = self->settings.gamma_dt;
     settings.guard = self->settings.guard;
 #endif
-    const npred_real D_hat = self->saved.D_hat[0], phi_before = self->saved.phi_before[0];
     State state = npred_state(self, u, u_nodes);
-    int finite = npred_finite(X, NPRED_N_STATES);
-#if MEASURED
-    finite = finite && npred_finite(u, NPRED_NX * NPRED_M_INPUTS) && npred_finite(u_nodes, NPRED_NX * NPRED_M_INPUTS);
-#endif
-    int code = finite ? NPRED_OK : NPRED_MEASUREMENT_NOT_FINITE;
-#if WATCHES
-    memcpy(self->before, self->saved.observer, sizeof self->before);
-#endif
+    memcpy(self->Y, X, sizeof self->Y);
+    const int code = control_step(the_shape, self->saved.k, t, &the_parts, &settings, &state, self->work);
     if (code == NPRED_OK) {
-        memcpy(self->Y, X, sizeof self->Y);
-        control_step(the_shape, self->saved.k, t, &the_parts, &settings, &state, self->work);
-        finite = npred_finite(self->saved.D_hat, 1) && npred_finite(self->U, NPRED_M_INPUTS);
-        code = finite ? NPRED_OK : NPRED_PREDICTION_NOT_FINITE;
-#if BELIEVES
-        for (int i = 0; i < NPRED_M_INPUTS; i++) {
-            code = code == NPRED_OK && self->D_seen[i] > (npred_real)NPRED_REACH ? NPRED_DELAY_TOO_LONG : code;
-        }
-#endif
-    }
-    if (code != NPRED_OK) {
-        self->saved.D_hat[0] = D_hat;
-        self->saved.phi_before[0] = phi_before;
-#if WATCHES
-        memcpy(self->saved.observer, self->before, sizeof self->before);
-#endif
-#if KEEPS
-        hold(the_shape, self->saved.k, t, &the_parts, &settings, &state, self->work);
-#endif
-    } else {
         memcpy(U, self->U, sizeof self->U);
     }
 #if KEEPS
-    self->saved.k = (int32_t)remember(the_shape, self->saved.k, t, &the_parts, &settings, &state, self->work);
+    const INDEX next = remember(the_shape, self->saved.k, t, code, &the_parts, &settings, &state, self->work);
+    self->saved.k = (int32_t)next;
 #endif
     self->saved.steps++;
     return code;
@@ -225,7 +190,7 @@ static int npred_run(npred_controller *self, const npred_real *X, const npred_re
 int npred_applied(npred_controller *self, const npred_real *U)
 {
     const int last = (self->saved.k - 1) % NPRED_ROWS, next = self->saved.k % NPRED_ROWS;
-    if (!npred_finite(U, NPRED_M_INPUTS)) {
+    if (!all_finite(NPRED_M_INPUTS, U)) {
         return NPRED_STATE_REFUSED;
     }
     for (int i = 0; i < NPRED_M_INPUTS; i++) {

@@ -53,9 +53,6 @@ typedef struct {
 #if RECALLS
     npred_real u[NPRED_NX * NPRED_M_INPUTS], u_nodes[NPRED_NX * NPRED_M_INPUTS];
 #endif
-#if WATCHES
-    npred_real before[NPRED_OBSERVER];
-#endif
 #if GATED
     npred_real X_hat[NPRED_N_STATES];
 #endif
