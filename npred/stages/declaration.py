@@ -1,6 +1,7 @@
 """What a stage declares of itself. A stage is a folder here, and its name a line in npred.registry."""
 
 import importlib
+import sys
 from dataclasses import dataclass
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
@@ -17,29 +18,39 @@ if TYPE_CHECKING:  # pydantic comes with these, which `npred --help` has no use 
 class Stage:
     """A stage; its `version` is raised when its results change for the same configuration.
 
-    Beside its declaration, in the folder's __init__.py, the folder of the stage `name` has these modules, which are
-    imported when they are asked for, since they may bring torch:
+    Its name is that of its folder, and its line in the help of commands is the docstring of the folder's __init__.py,
+    which declares it. Beside it the folder has these modules, which are imported when they are asked for, since they
+    may bring torch:
 
     - NAME.py: run(job), which gives an object of the class at `result`; summary(result, width), and, where there is
       more to say, details(result, width);
     - key.py: configuration(config, model, device), the slice of the configuration that its key holds beside plant and
-      seed; and parts(config, model), the specs of the parts that it names, by role.
+      seed; and parts(config, model), the specs of the parts that it names, by role;
+    - table.py, of an optional stage: its table, of the class `table_class`.
 
-    A stage with a `table_class` is optional: it is a part of a run where the pipeline file has that table. The tables
-    of the others, which more than one stage reads, are in npred.config. `data` is a pattern of its files that may come
-    in from elsewhere; with `draws` it has figures too, which do not. A stage with an artifact `per_network` is called
-    by the network's name.
+    An optional stage is a part of a run where the pipeline file has its table. The tables of the others, which more
+    than one stage reads, are in npred.config. `data` is a pattern of its files that may come in from elsewhere; with
+    `draws` it has figures too, which do not. A stage with an artifact `per_network` is called by the network's name.
     """
 
-    name: str
+    package: str
     version: int
     upstream: tuple[str, ...]
     result_class: str
-    help: str
     data: str = ""
     draws: bool = False
     table_class: str = ""
     per_network: bool = False
+
+    @property
+    def name(self) -> str:
+        """The name of its folder."""
+        return self.package.rpartition(".")[2]
+
+    @property
+    def help(self) -> str:
+        """What it makes, in a line."""
+        return sys.modules[self.package].__doc__ or ""
 
     @property
     def optional(self) -> bool:
@@ -54,7 +65,7 @@ class Stage:
     @property
     def table(self) -> "type[Section]":
         """The model of its table, of an optional stage."""
-        return registry.attribute(self.table_class)
+        return registry.attribute(f"{self.package}.table:{self.table_class}")
 
     def run(self, job: "Job") -> "Result":
         """The stage's result; its other files are in the job's folder."""
@@ -77,4 +88,4 @@ class Stage:
         return self._module("key").parts(config, model)
 
     def _module(self, name: str) -> ModuleType:
-        return importlib.import_module(f"npred.stages.{self.name}.{name}")
+        return importlib.import_module(f"{self.package}.{name}")

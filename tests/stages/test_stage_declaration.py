@@ -8,12 +8,13 @@ from pathlib import Path
 from conftest import process_environment
 
 FILES = {
-    "__init__.py": """
+    "__init__.py": '''
+"""How many rows there are."""
+
 from npred.stages.declaration import Stage
 
-STAGE = Stage("probe", 1, ("generate",), "npred.stages.probe.probe:Probed", "How many rows there are.",
-              table_class="npred.stages.probe.table:Probe")
-""",
+STAGE = Stage(__name__, 1, ("generate",), "npred.stages.probe.probe:Probed", table_class="Probe")
+''',
     "table.py": '''
 from npred.config.section import Count, Section
 

@@ -1,11 +1,10 @@
-"""All results on one page."""
+"""All results as one HTML file; or as PDF, SVG and PNG, CSV and LaTeX."""
 
 from npred.stages.declaration import Stage
 
 STAGE = Stage(
-    name="report",
+    __name__,
     version=7,
     upstream=("generate", "train", "evaluate", "certify", "bench"),
     result_class="npred.results:Reported",
-    help="All results as one HTML file; or as PDF, SVG and PNG, CSV and LaTeX.",
 )

@@ -1,13 +1,12 @@
-"""The networks."""
+"""The networks, one artifact per network."""
 
 from npred.stages.declaration import Stage
 
 STAGE = Stage(
-    name="train",
+    __name__,
     version=2,
     upstream=("generate",),
     result_class="npred.results:Trained",
-    help="The networks, one artifact per network.",
     data=r"(model|domain)\.safetensors|model\.json|metrics\.jsonl|snapshot-\d+\.safetensors",
     per_network=True,
 )
