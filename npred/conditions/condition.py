@@ -9,7 +9,7 @@ from npred import plants
 from npred.config import Disturbance, Loop
 from npred.loop import closed_loop, delay_law
 from npred.loop.closed_loop import Trajectories
-from npred.loop.measurement import Measurement
+from npred.loop.measurement import Measurement, Observer
 from npred.plants.base import Plant
 from npred.predictors import Predictor
 
@@ -22,7 +22,8 @@ class Condition:
 
     D and D_hat are a number or (B,), D also a function of t; they mean nothing where the plant declares its delay.
     `seed` is that of the sensors' noise, `first` the number of the first loop, where they are part of a larger batch;
-    without `adapts` the estimate is held.
+    without `adapts` the estimate is held. What no table can say: a `disturbance` that is any function of t, instead of
+    the table's, and an `observer` of the sensors (npred.Measurement).
     """
 
     table: Loop
@@ -33,6 +34,8 @@ class Condition:
     seed: int
     first: int = 0
     adapts: bool = True
+    disturbance: Callable[[float], float] | None = None
+    observer: Observer | None = None
 
     @property
     def steps(self) -> int:
@@ -47,11 +50,12 @@ class Condition:
     def loops(self, plant: Plant, predictor: Predictor, **recorded: Any) -> Trajectories:
         """The loops with this predictor; `recorded` are `every`, `samples` and `progress` of npred.simulate."""
         table, delays = self.table, {} if plant.declares_delay else {"D": self.D, "D_hat": self.D_hat}
+        sensors = dict(table.measurement) | {"seed": self.seed, "first": self.first, "observer": self.observer}
         return closed_loop.simulate(
             plant, predictor, X0=self.X0, t_end=self.t_end, dt=table.dt, input_bounds=table.input_bounds, u0=table.u0,
             actuator=table.actuator, adaptation=delay_law.resolve(table, plant) if self.adapts else None,
-            truth=truth(plant, table), disturbance=_push(table.disturbance),
-            measurement=Measurement(**dict(table.measurement), seed=self.seed, first=self.first), **delays, **recorded,
+            truth=truth(plant, table), disturbance=self.disturbance or _push(table.disturbance),
+            measurement=Measurement(**sensors), **delays, **recorded,
         )  # fmt: skip
 
 
