@@ -5,8 +5,9 @@ from pathlib import Path
 from jobs import tables
 from silent import Silent
 
-from npred import config, toml_text
+from npred import config
 from npred.pipeline import Outcome, Planner, Runner, nodes, usual
+from npred.stages.report import toml_text
 from npred.store import Store
 
 MAP = {"map_D": [0.5, 1.0], "map_D_hat0": [0.8, 1.2, 2.0], "case_t_end": 4.0, "t_end": 3.0}

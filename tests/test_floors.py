@@ -12,7 +12,7 @@ from conftest import process_environment
 
 ROOT = Path(__file__).parent.parent / "npred"
 FLOORS = [
-    {"errors", "grid", "json_files", "randomness", "toml_text"},
+    {"errors", "grid", "json_files", "randomness"},
     {"array_checks", "config", "defaults", "kernels", "parallel", "registry", "symbolic", "terminal"},
     {"plants", "results", "robots", "store"},
     {"data", "operators"},
@@ -22,7 +22,7 @@ FLOORS = [
     {"figures"},
     {"stages"},
     {"pipeline"},
-    {"api", "sweep"},
+    {"api"},
     {"cli", "__main__"},
 ]
 FLOOR = {name: floor for floor, names in enumerate(FLOORS) for name in names}

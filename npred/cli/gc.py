@@ -13,9 +13,9 @@ from npred.cli.options import Common
 from npred.errors import ConfigError, NpredError, StoreError
 from npred.parallel import devices
 from npred.pipeline import STAGES, Kept, Planner, closure, experiments, nodes
+from npred.pipeline.cells import cells
 from npred.store import MARKER, Artifact, Store, claims, durable, gc_roots, short
 from npred.store.gc_roots import GcRoot
-from npred.sweep import cells
 from npred.terminal.console import columns
 
 UNITS = {"": 1, "k": 10**3, "M": 10**6, "G": 10**9, "T": 10**12}

@@ -9,10 +9,10 @@ from npred.cli.options import Running, writable_folder
 from npred.cli.report import free_path, sign
 from npred.errors import ConfigError, NpredError
 from npred.parallel import devices, executors
-from npred.pipeline import STAGES, CellRun, Outcome, Planner, Runner, nodes
+from npred.pipeline import STAGES, CellRun, Outcome, Planner, Runner, nodes, sweep_table
+from npred.pipeline.cells import Cell, cells
+from npred.pipeline.sweep_table import Row
 from npred.store import durable
-from npred.sweep import Cell, cells, sweep_table
-from npred.sweep.sweep_table import Row
 from npred.terminal.console import columns
 from npred.terminal.progress_bars import counted
 

@@ -17,9 +17,9 @@ from npred.errors import ConfigError
 from npred.parallel import executors
 from npred.parallel.executors import Here
 from npred.pipeline import Planner, Runner
+from npred.pipeline.cells import cells
 from npred.stages.generate import generate
 from npred.store import Store
-from npred.sweep import cells
 from npred.terminal.console import Console
 
 distributed = pytest.importorskip("distributed")

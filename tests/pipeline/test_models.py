@@ -8,9 +8,9 @@ from jobs import SMALL
 from typer.testing import CliRunner, Result
 
 import npred
-from npred import toml_text
 from npred.cli import app
 from npred.errors import ConfigError
+from npred.stages.report import toml_text
 
 NET = """
 import torch

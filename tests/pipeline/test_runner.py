@@ -16,8 +16,8 @@ from npred.errors import ConfigError, DivergedError
 from npred.parallel import executors
 from npred.parallel.executors import Here
 from npred.pipeline import Planner, Runner, nodes
+from npred.pipeline.cells import cells
 from npred.store import Store
-from npred.sweep import cells
 from npred.terminal.console import Console
 
 

@@ -3,7 +3,6 @@
 from collections.abc import Iterator
 from typing import Any
 
-from npred import toml_text
 from npred.config import FROZEN, Evaluate
 from npred.figures import svg
 from npred.figures.figure import Plate
@@ -12,7 +11,7 @@ from npred.plants import Plant
 from npred.results import Reported
 from npred.stages.bench import timing_tables
 from npred.stages.job import Job
-from npred.stages.report import headline, html_page
+from npred.stages.report import headline, html_page, toml_text
 from npred.stages.report.report_data import CHAPTERS, Story
 from npred.terminal.console import Console
 from npred.terminal.progress_bars import Bar

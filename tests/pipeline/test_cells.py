@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from npred.errors import ConfigError
-from npred.sweep import cells, values
+from npred.pipeline.cells import cells, values
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from npred import config, toml_text
+from npred import config
+from npred.stages.report import toml_text
 
 LEAVES = st.one_of(
     st.booleans(),
