@@ -26,6 +26,14 @@ TYPES = {"double": np.float64, "float": np.float32}
 COMPILED = {}  # libraries by their text: tests of one controller share one
 
 
+def find_nothing(folder, file, *flags):
+    """A test fails for a warning that gcc, or clang where there is one, has for a C file."""
+    for compiler in filter(shutil.which, ("gcc", "clang")):
+        command = [compiler, *flags, "-Werror", "-fsyntax-only", file]
+        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300)
+        assert (done.returncode, done.stderr) == (0, ""), compiler
+
+
 def library(controller, folder, precision="double", test=None):
     """The shared library of a controller; its two files are in the folder."""
     header, source = c_controller.sources(controller, precision=precision, test=test)
@@ -35,6 +43,7 @@ def library(controller, folder, precision="double", test=None):
     if (header, source) in COMPILED:
         return COMPILED[header, source]
     flags = [*FLAGS, *(["-Wdouble-promotion"] if precision == "float" else [])]
+    find_nothing(folder, "sizes.c", *flags)
     command = ["gcc", *flags, "-shared", "-fPIC", "sizes.c", "-o", "npred.so", "-lm"]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300)
     assert (done.returncode, done.stderr) == (0, "")

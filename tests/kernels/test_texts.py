@@ -1,17 +1,16 @@
 """The C of the loop: strict compilers find nothing in it, and sanitizers nothing in a run of it."""
 
-import shutil
 import subprocess
 import sys
 
 import pytest
+from c_controllers import find_nothing, needs_gcc
 
 from npred.kernels.kernel import skeleton
 from npred.loop import signals
 from npred.loop.engine import LOOP
 
-needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc on this machine")
-STRICT = ["-std=c99", "-O1", "-Wall", "-Wextra", "-Wpedantic", "-Wshadow", "-Wconversion", "-Werror", "-fsyntax-only"]
+STRICT = ["-std=c99", "-O1", "-Wall", "-Wextra", "-Wpedantic", "-Wshadow", "-Wconversion"]
 RUN = """
 import ctypes, sys
 from npred.kernels import compiler
@@ -40,8 +39,7 @@ print("done")
 def test_strict_compilers_find_nothing_in_the_loop(tmp_path):
     text = "\n".join([skeleton("base.h"), *signals.declared(), *map(skeleton, LOOP)])
     (tmp_path / "loop.c").write_text(text)
-    done = subprocess.run(["gcc", *STRICT, "loop.c"], cwd=tmp_path, capture_output=True, text=True)
-    assert (done.returncode, done.stderr) == (0, "")
+    find_nothing(tmp_path, "loop.c", *STRICT)
 
 
 @pytest.mark.slow

@@ -1,6 +1,5 @@
 """Names from anywhere in the C files: what is written is valid C, and everything else is refused in one line."""
 
-import subprocess
 import tempfile
 import zipfile
 from pathlib import Path
@@ -8,7 +7,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from c_controllers import needs_gcc
+from c_controllers import find_nothing, needs_gcc
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from operator_samples import PLANT, SMALL, operator, samples
@@ -19,7 +18,7 @@ from npred.plants import Plant
 from npred.predictors import Heun
 from npred.runtimes import c_controller, c_files, c_network, fmu
 
-FLAGS = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wshadow", "-Werror", "-fsyntax-only"]
+FLAGS = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wshadow"]
 HOSTILE = [
     "*/", "/*", "//", "??/", "??=", "\\", "\n#error", "*/ int owned; /*", "double", "long", "NAN", "y0",
     "ä", "日本", "%s%n", '"', "'", "{}", "{about}", "{sizes}", "@", "%%", "<DT>", "REAL", "0" * 64, "DIGEST_WORDS",
@@ -44,8 +43,7 @@ def is_c(*texts):
     with tempfile.TemporaryDirectory() as name:
         for text, suffix in zip(texts, ("c", "h"), strict=False):
             (Path(name) / f"file.{suffix}").write_text(text, encoding="utf-8")
-        done = subprocess.run(["gcc", *FLAGS, f"{name}/file.c"], capture_output=True, text=True, timeout=60)
-    assert (done.returncode, done.stderr) == (0, "")
+        find_nothing(name, "file.c", *FLAGS)
 
 
 def check_controller(plant, state, entry, unit, prefix, model):
@@ -89,9 +87,7 @@ def check_fmu(plant, state, entry, unit, model):
             archive.extractall(name)
         root = ElementTree.parse(Path(name) / "modelDescription.xml").getroot()
         assert {state, entry} <= {element.get("name") for element in root.iter("Float64")}
-        command = ["gcc", *FLAGS, str(Path(name) / "sources" / "fmi3.c")]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=60)
-    assert (done.returncode, done.stderr) == (0, "")
+        find_nothing(Path(name) / "sources", "fmi3.c", *FLAGS)
 
 
 @needs_gcc

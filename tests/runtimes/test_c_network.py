@@ -3,11 +3,11 @@
 import copy
 import ctypes
 import re
-import shutil
 import subprocess
 
 import numpy as np
 import pytest
+from c_controllers import find_nothing, needs_gcc
 from conftest import HERE
 from operator_samples import PLANT, SMALL, holding, operator, phased, samples, several_inputs
 
@@ -20,7 +20,6 @@ from npred.predictors.neural import Neural
 from npred.runtimes import c_files, c_network
 
 FLAGS = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Werror"]
-needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc on this machine")
 CASES = [(config, anchor) for config in SMALL for anchor in ("none", "initial", "equilibrium")]
 IDS = [f"{type(config).__name__}-{anchor}" for config, anchor in CASES]
 
@@ -48,6 +47,7 @@ def exported(once, tmp_path):
 
 def compiled(path, *flags):
     target = path.with_suffix(".out")
+    find_nothing(path.parent, path.name, *FLAGS)
     done = subprocess.run(
         ["gcc", *FLAGS, *flags, str(path), "-o", str(target), "-lm"], capture_output=True, text=True, timeout=60
     )

@@ -84,8 +84,8 @@ static inline void actuate(Shape d, INDEX k, double dt, const double *D, const d
 /* The same where the delay changes during the step: phi(t) = t - D passes the commands at that speed. The first switch
  * comes when phi has passed the rest of its control step; all that follows it is U1, the mean of the commands over what
  * is left. A speed that is not positive, at a jump of the delay say, holds U0. */
-static inline void retime(Shape d, INDEX k, double dt, const double *D, const double *speed, const double *held, double *U1,
-                   double *share)
+SPARE static inline void retime(Shape d, INDEX k, double dt, const double *D, const double *speed, const double *held,
+                                double *U1, double *share)
 {
     const ptrdiff_t row = (ptrdiff_t)d.m * d.lanes;
     for (ptrdiff_t a = 0; a < row; a++) {

@@ -27,40 +27,42 @@ typedef struct {
 #define APART __attribute__((noinline))
 #define ALIASED __attribute__((may_alias)) /* scratch memory of other numbers */
 #define UNROLLED _Pragma("GCC unroll 16")
+#define SPARE __attribute__((unused)) /* a function that some kernels do not call */
 #else
 #define INLINED inline
 #define APART
 #define ALIASED
 #define UNROLLED
+#define SPARE
 #endif
 
-static inline double larger(double a, double b)
+SPARE static inline double larger(double a, double b)
 {
     return a < b ? b : a;
 }
 
-static inline double smaller(double a, double b)
+SPARE static inline double smaller(double a, double b)
 {
     return b < a ? b : a;
 }
 
-static inline double sign_of(double a)
+SPARE static inline double sign_of(double a)
 {
     return (double)((a > 0.0) - (a < 0.0));
 }
 
-static inline int least(int a, int b)
+SPARE static inline int least(int a, int b)
 {
     return b < a ? b : a;
 }
 
-static inline int most(int a, int b)
+SPARE static inline int most(int a, int b)
 {
     return a < b ? b : a;
 }
 
 /* i modulo a positive number, never negative. */
-static inline int modulo(INDEX i, int count)
+SPARE static inline int modulo(INDEX i, int count)
 {
     const int rest = (int)(i % count);
     return rest < 0 ? rest + count : rest;

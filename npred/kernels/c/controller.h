@@ -99,8 +99,8 @@ static inline void hold(Shape d, INDEX k, double t, const Parts *q, const Settin
 
 /* Keep U as the command of step k, or the last one where the step was refused for a `code`; the next step's number. It
  * and the sums stay small, for large ones round. */
-static inline INDEX remember(Shape d, INDEX k, double t, int code, const Parts *q, const Settings *s, State *z,
-                             double *work)
+SPARE static inline INDEX remember(Shape d, INDEX k, double t, int code, const Parts *q, const Settings *s, State *z,
+                                   double *work)
 {
     if (code != OK) {
         hold(d, k, t, q, s, z, work);

@@ -1,4 +1,4 @@
-/* The steps of a network's program, on arrays of REAL, which is float or double. Calls have literal sizes and strides, so
+/* The operations of a network's program, on arrays of REAL, which is float or double. Calls have literal sizes and strides, so
  * that a compiler unrolls and vectorises each by itself. */
 #define BOTH(in_float, in_double) (sizeof(REAL) == sizeof(float) ? (in_float) : (in_double))
 
@@ -164,7 +164,7 @@ UNROLLED
     return d * value;
 }
 
-static inline void silu(int count, const REAL *a, REAL *out)
+SPARE static inline void silu(int count, const REAL *a, REAL *out)
 {
     LANES for (int j = 0; j < count; j++) {
         out[j] = a[j] / one_plus_exp(a[j]);
@@ -174,7 +174,7 @@ static inline void silu(int count, const REAL *a, REAL *out)
 /* Of rows (difference, rest): silu(rest + difference) - silu(rest), and silu(rest). With s the logistic function and
  * d = b - a: silu(b) - silu(a) = d s(b) + a (s(b) - s(a)), and for small d s(b) - s(a) = s(a) (1 - s(b)) (e^d - 1), which
  * cancels nothing. */
-static inline void silu_pair(int count, const REAL *a, REAL *out)
+SPARE static inline void silu_pair(int count, const REAL *a, REAL *out)
 {
     LANES for (int j = 0; j < count; j++) {
         const REAL d = a[j], rest = a[count + j];
@@ -186,7 +186,7 @@ static inline void silu_pair(int count, const REAL *a, REAL *out)
 }
 
 /* out (columns, rows) = a (rows, columns). */
-static inline void transpose(int rows, int columns, const REAL *a, View of, REAL *out, View to)
+SPARE static inline void transpose(int rows, int columns, const REAL *a, View of, REAL *out, View to)
 {
     for (int j = 0; j < columns; j++) {
         for (int i = 0; i < rows; i++) {
@@ -196,8 +196,8 @@ static inline void transpose(int rows, int columns, const REAL *a, View of, REAL
 }
 
 /* out (rows, nx) of its even and odd parts about the middle, given on the first half. */
-static inline void mirror(int rows, int nx, const REAL *even, View of_even, const REAL *odd, View of_odd, REAL *out,
-                          View to)
+SPARE static inline void mirror(int rows, int nx, const REAL *even, View of_even, const REAL *odd, View of_odd,
+                                REAL *out, View to)
 {
     for (int i = 0; i < rows; i++) {
         for (int j = 0; j < (nx + 1) / 2; j++) {
