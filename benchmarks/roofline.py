@@ -24,7 +24,7 @@ from npred.kernels import compiler
 from npred.kernels.kernel import address
 from npred.parallel import devices
 from npred.runtimes.fused import coarsest, fold
-from npred.runtimes.program import Product, Program, Repeat, Silu, SiluPair, Step
+from npred.runtimes.program import Operation, Product, Program, Repeat, Silu, SiluPair
 from npred.stages.bench import timing
 
 TERMS = 8  # of a block of a product, as npred/kernels/c/network.h has them
@@ -88,43 +88,43 @@ def machine(size: int) -> dict[str, float]:
     }
 
 
-def products(steps: Iterable[Step]) -> int:
-    """The multiply-adds of some steps."""
+def products(operations: Iterable[Operation]) -> int:
+    """The multiply-adds of some operations."""
     return sum(
-        step.count * products(step.steps) if isinstance(step, Repeat)
-        else int(np.prod(step.shape)) * step.repeats if isinstance(step, Product) else 0
-        for step in steps
+        operation.count * products(operation.operations) if isinstance(operation, Repeat)
+        else int(np.prod(operation.shape)) * operation.repeats if isinstance(operation, Product) else 0
+        for operation in operations
     )  # fmt: skip
 
 
-def waits(steps: Iterable[Step]) -> int:
-    """The operations of some steps that wait for each other."""
+def waits(operations: Iterable[Operation]) -> int:
+    """The instructions of some operations that wait for each other."""
     total = 0
-    for step in steps:
-        if isinstance(step, Repeat):
-            total += step.count * waits(step.steps)
-        elif isinstance(step, Product):
-            total += BLOCK * -(-step.shape[1] // TERMS)
-        elif isinstance(step, Silu | SiluPair):
-            total += PAIR if isinstance(step, SiluPair) else SILU
+    for operation in operations:
+        if isinstance(operation, Repeat):
+            total += operation.count * waits(operation.operations)
+        elif isinstance(operation, Product):
+            total += BLOCK * -(-operation.shape[1] // TERMS)
+        elif isinstance(operation, Silu | SiluPair):
+            total += PAIR if isinstance(operation, SiluPair) else SILU
     return total
 
 
 def report(spec: str, store: str | None, nx: int) -> None:
     net = npred.load(spec, store=store, runtime="fused", nx=nx)
     p: Program = fold(net.operator, net.plant, nx, net.stride or coarsest(nx), net.precision)
-    steps = [*p.steps, *([p.series.product] if p.series else [])]
+    operations = [*p.operations, *([p.series.product] if p.series else [])]
     size = sum(array.nbytes for array in p.constants.values())
     does = machine(max(size, 4096))
     bounds = {
         "bytes": size / does["bytes"],
-        "multiply-adds": products(steps) / does["products"],
-        "chain": waits(steps) * does["chain"],
+        "multiply-adds": products(operations) / does["products"],
+        "chain": waits(operations) * does["chain"],
     }
     median, longest = measured(net, nx), max(bounds, key=lambda name: bounds[name])
     whole = sum(bounds.values())
-    print(f"{spec}, nx = {nx}: {size / 1000:.0f} kB, {products(steps) / 1000:.0f} thousand multiply-adds, "
-          f"{waits(steps)} operations in a chain")  # fmt: skip
+    print(f"{spec}, nx = {nx}: {size / 1000:.0f} kB, {products(operations) / 1000:.0f} thousand multiply-adds, "
+          f"{waits(operations)} operations in a chain")  # fmt: skip
     peak = PER_CYCLE * LATENCY / (1000 * does["chain"])
     print(f"  this core: {does['bytes'] / 1000:.0f} GB/s, {does['products'] / 1000:.0f} G multiply-adds/s (its units: "
           f"{peak:.0f}), {1000 * does['chain']:.2f} ns for one that waits")  # fmt: skip

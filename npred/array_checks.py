@@ -6,7 +6,7 @@ from numbers import Real
 
 import numpy as np
 
-from npred.errors import ConfigError, size
+from npred.errors import ConfigError, bytes_text
 
 
 def floats(name: str, value: object, kind: str = "an array of real numbers") -> np.ndarray:
@@ -114,5 +114,5 @@ def memory() -> int:
 def room(name: str, what: str, needed: float, cure: str) -> None:
     """Raise ConfigError for what needs more bytes than this machine has."""
     if needed > memory():
-        came = f"{what} of {size(needed)}"
-        raise ConfigError(f"{name}: expected what fits into memory, {size(memory())}, got {came}; {cure}")
+        came = f"{what} of {bytes_text(needed)}"
+        raise ConfigError(f"{name}: expected what fits into memory, {bytes_text(memory())}, got {came}; {cure}")

@@ -48,7 +48,7 @@ def required(what: str, module: str, package: str, extra: str) -> ModuleType:
         raise MissingError(f"{what}: expected the package {package}, found none; {todo}") from None
 
 
-def size(count: float) -> str:
+def bytes_text(count: float) -> str:
     """A number of bytes in words: 9.6 PB."""
     units = ("B", "kB", "MB", "GB", "TB", "PB")
     power = min(max(len(f"{count:.0f}") - 1, 0) // 3, len(units) - 1)

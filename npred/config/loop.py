@@ -21,7 +21,7 @@ from npred.config.section import (
     Section,
     Share,
 )
-from npred.errors import size
+from npred.errors import bytes_text
 
 LONGEST_RUN = 10**9  # control steps of a loop
 STEP = 6  # numbers that are kept of a step at least: X, P, U, D_hat, N and an energy
@@ -137,7 +137,7 @@ class Loop(Section):
             raise ValueError(f"dt: expected at most {key} = {seconds:g}, got {self.dt:g}; shorten the step")
         if seconds > LONGEST_RUN * self.dt:
             steps = seconds / self.dt
-            room = f"{steps:.3g} steps of {self.dt:g}, whose record takes {size(8 * STEP * steps)} for each loop"
+            room = f"{steps:.3g} steps of {self.dt:g}, whose record takes {bytes_text(8 * STEP * steps)} for each loop"
             raise ValueError(f"{key}: expected at most {LONGEST_RUN} steps, got {room}; shorten {key} or lengthen dt")
 
     def reached(self, key: str, span: Range) -> None:

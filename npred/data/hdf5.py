@@ -44,9 +44,9 @@ def _file(path: Path) -> h5py.File:
 
 
 def _dataset(file: h5py.File, name: str) -> h5py.Dataset:
-    steps = name.split("/")
-    for last in range(1, len(steps) + 1):  # a link anywhere on the way leads elsewhere as well
-        if not isinstance(file.get("/".join(steps[:last]), getlink=True), h5py.HardLink):
+    levels = name.split("/")
+    for last in range(1, len(levels) + 1):  # a link anywhere on the way leads elsewhere as well
+        if not isinstance(file.get("/".join(levels[:last]), getlink=True), h5py.HardLink):
             raise ValueError(f"{name} is missing, or a link to elsewhere")
     dataset = file[name]
     if not isinstance(dataset, h5py.Dataset) or dataset.dtype.kind not in "fiu":

@@ -16,7 +16,7 @@ PAIRED, STRIDED = True, False  # the sample runs beside the point of rest; every
 
 
 def append(p: Program, operator: Operator) -> None:
-    """Append the steps of N: both rows share each load of the weights, and the last, linear layer takes the first."""
+    """Append the operations of N: both rows share each load of the weights; the last, linear layer takes the first."""
     network = operator.network
     assert isinstance(network, DeepONetwork)
     n, m, nx, rows = p.n, p.m, p.nx, p.rows
@@ -24,12 +24,12 @@ def append(p: Program, operator: Operator) -> None:
     h, width = _hidden(p, network, hidden), hidden[-1].out_features
     by_state = last.weight.numpy().reshape(n, network.basis + m, width)
     a, by_mean = p.buffer("a", rows, n * m), by_state[:, network.basis :].reshape(-1, width).T
-    p.steps.append(Product(a, h, p.constant("by_mean", by_mean), (rows, width, n * m)))
+    p.operations.append(Product(a, h, p.constant("by_mean", by_mean), (rows, width, n * m)))
     N = _smooth(p, network, by_state[:, : network.basis], h)
     both = a if rows == 1 else p.buffer("both", 1, n * m)
     if rows == 2:
-        p.steps.append(Product(both, p.constant("ones", np.ones((1, 2))), a, (1, 2, n * m)))
-    p.steps.append(Product(N, replace(both, row=m), Matrix("r", nx), (n, m, nx), adds=True))
+        p.operations.append(Product(both, p.constant("ones", np.ones((1, 2))), a, (1, 2, n * m)))
+    p.operations.append(Product(N, replace(both, row=m), Matrix("r", nx), (n, m, nx), adds=True))
 
 
 def _hidden(p: Program, network: DeepONetwork, hidden: list[nn.Linear]) -> Matrix:
@@ -46,7 +46,7 @@ def _hidden(p: Program, network: DeepONetwork, hidden: list[nn.Linear]) -> Matri
         p.constant("bias", _bias(zero, rows)),
     )
     activation = Silu("h", "sums", width) if rows == 1 else SiluPair("h", "sums", width)
-    p.steps += [
+    p.operations += [
         Product(features, Matrix("v", 1, m), by_node, (m, nx, count)),
         Product(sums, Matrix("z", p.columns), by_z, (rows, p.columns, width), bias),
         Product(sums, Matrix("features", m * count), by_moment, (1, m * count, width), adds=True),
@@ -55,8 +55,8 @@ def _hidden(p: Program, network: DeepONetwork, hidden: list[nn.Linear]) -> Matri
     if hidden[1:]:
         weight = p.stack("weight", [layer.weight.numpy().T for layer in hidden[1:]])
         biases = p.stack("biases", [_bias(layer.bias.numpy(), rows) for layer in hidden[1:]])
-        step = Product(sums, h, weight, (rows, width, width), biases)
-        p.steps.append(Repeat(len(hidden) - 1, (step, activation)))
+        operation = Product(sums, h, weight, (rows, width, width), biases)
+        p.operations.append(Repeat(len(hidden) - 1, (operation, activation)))
     return h
 
 
@@ -77,12 +77,12 @@ def _smooth(p: Program, network: DeepONetwork, by_basis: np.ndarray, h: Matrix) 
     weights = np.concatenate([by_even, np.zeros((1, network.basis)), by_odd])  # (rank, basis)
     rank, b = len(weights), p.buffer("b", n, len(weights))
     folded = p.constant("by_basis", (weights @ by_basis).reshape(n * rank, width).T)
-    p.steps.append(Product(Matrix("b", n * rank), h, folded, (1, width, n * rank)))
+    p.operations.append(Product(Matrix("b", n * rank), h, folded, (1, width, n * rank)))
     level = Matrix("b", rank, offset=len(by_even))
-    p.steps.append(Product(level, Matrix("a", m), p.constant("level", p.v_zero[:, None]), (n, m, 1), adds=True))
+    p.operations.append(Product(level, Matrix("a", m), p.constant("level", p.v_zero[:, None]), (n, m, 1), adds=True))
     even_part, odd_part = p.buffer("even_part", n, half), p.buffer("odd_part", n, half)
     N, odd_b = Matrix("N", nx), Matrix("b", rank, offset=len(even))
-    p.steps += [
+    p.operations += [
         Product(even_part, b, p.constant("even", even), (n, len(even), half)),
         Product(odd_part, odd_b, p.constant("odd", odd), (n, len(odd), half)),
         Mirror(N, even_part, odd_part, n, nx),

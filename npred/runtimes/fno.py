@@ -9,7 +9,7 @@ from torch import nn
 from npred import grid
 from npred.operators import Operator
 from npred.operators.fno import FNOnetwork, Spectral, transforms
-from npred.runtimes.program import Matrix, Product, Program, Repeat, Series, Silu, Step, Transpose, layers
+from npred.runtimes.program import Matrix, Operation, Product, Program, Repeat, Series, Silu, Transpose, layers
 
 CPU = torch.device("cpu")
 PAIRED, STRIDED = False, True  # the point of rest is a series; on a fine grid every stride-th node is evaluated
@@ -19,15 +19,15 @@ SMALL = 1e-2  # of the rounding of the largest coefficient: what follows is left
 
 
 def append(p: Program, operator: Operator) -> None:
-    """Append the network's steps: nodes by channels up to the last two layers, which are channels by nodes."""
+    """Append the network's operations: nodes by channels up to the last two layers, which are channels by nodes."""
     network = operator.network
     assert isinstance(network, FNOnetwork)
     width, nx = network.lift.out_features, p.nodes
     v = _lift(p, network)
-    p.steps.append(Repeat(len(network.local), _layer(p, network, v)))
+    p.operations.append(Repeat(len(network.local), _layer(p, network, v)))
     turned = p.buffer("turned", width, nx)
-    p.steps.append(Transpose(turned, v, (nx, width)))
-    p.steps += _project(p, network, turned)
+    p.operations.append(Transpose(turned, v, (nx, width)))
+    p.operations += _project(p, network, turned)
     if operator.anchor == "equilibrium" and p.period:  # N at rest depends on two numbers, for which there is no series
         p.twice = True
         p.buffer("N_rest", 1, p.n * p.nx)
@@ -44,7 +44,7 @@ def _lift(p: Program, network: FNOnetwork) -> Matrix:
     bias, by_z = p.constant("lift", zero), p.constant("by_z", weight[: p.columns])
     nodes, by_x = p.constant("nodes", 2 * grid.nodes(nx)[:, None] - 1), p.constant("by_x", weight[-1:])
     by_mean = p.constant("by_mean", weight[p.columns : -1])
-    p.steps += [
+    p.operations += [
         Product(shift, Matrix("z", p.columns), by_z, (1, p.columns, width), bias),
         Product(waves, nodes, by_x, (nx, 1, width), replace(shift, row=0)),
         Product(waves, Matrix("r", p.stride, p.nx), by_mean, (nx, m, width), adds=True),
@@ -52,7 +52,7 @@ def _lift(p: Program, network: FNOnetwork) -> Matrix:
     return waves
 
 
-def _layer(p: Program, network: FNOnetwork, v: Matrix) -> tuple[Step, ...]:
+def _layer(p: Program, network: FNOnetwork, v: Matrix) -> tuple[Operation, ...]:
     """v = silu(W v + b + F^-1 (R_k F v))."""
     width, nx, spectral, linear = v.row, p.nodes, layers(network.spectral, Spectral), layers(network.local, nn.Linear)
     modes = spectral[0].modes
@@ -73,21 +73,21 @@ def _layer(p: Program, network: FNOnetwork, v: Matrix) -> tuple[Step, ...]:
     )
 
 
-def _project(p: Program, network: FNOnetwork, v: Matrix) -> tuple[Step, ...]:
+def _project(p: Program, network: FNOnetwork, v: Matrix) -> tuple[Operation, ...]:
     """N (n, nx) = last(silu(first(v)))."""
     first, last = layers(network.project, nn.Linear)
     size, width, nx = first.out_features, first.in_features, p.nodes
     hidden, ones = p.buffer("hidden", size, nx), p.constant("ones", np.ones((1, nx)))
     N = Matrix("N", nx) if p.stride == 1 else p.buffer("N_coarse", p.n, nx)
-    steps = (
+    operations = (
         Product(hidden, p.constant("project_bias", first.bias.numpy()[:, None]), ones, (size, 1, nx)),
         Product(hidden, p.constant("project", first.weight.numpy()), v, (size, width, nx), adds=True),
         Silu("hidden", "hidden", size * nx),
         Product(N, p.constant("last", last.weight.numpy()), hidden, (p.n, size, nx)),
     )
     if p.stride == 1:
-        return steps
-    return (*steps, Product(Matrix("N", p.nx), N, p.constant("refine", _refine(p).T), (p.n, nx, p.nx)))
+        return operations
+    return (*operations, Product(Matrix("N", p.nx), N, p.constant("refine", _refine(p).T), (p.n, nx, p.nx)))
 
 
 def _refine(p: Program) -> np.ndarray:
@@ -106,5 +106,5 @@ def _at_rest(p: Program, operator: Operator) -> Series:
     size = np.abs(series).max(axis=1)
     terms = int(np.flatnonzero(size > SMALL * p.rounding * size.max())[-1]) + 1
     T, N_rest = p.buffer("T", 1, terms), p.buffer("N_rest", 1, p.n * p.nx)
-    step = Product(N_rest, T, p.constant("series", series[:terms]), (1, terms, p.n * p.nx))
-    return Series(low, high, terms, step)
+    operation = Product(N_rest, T, p.constant("series", series[:terms]), (1, terms, p.n * p.nx))
+    return Series(low, high, terms, operation)

@@ -23,7 +23,7 @@ from npred.plants.base import Plant
 from npred.predictors.base import Compiled
 from npred.predictors.neural import Neural
 from npred.registry import NETWORKS
-from npred.runtimes.program import Matrix, Program, Step
+from npred.runtimes.program import Matrix, Operation, Program
 
 COARSE = 100  # intervals that an FNO is evaluated on, at least
 # 2^f on [-1/2, 1/2], to 2e-7 of the value and to 2e-16; (e^d - 1) / d on [-1/2, 1/2]: Taylor's, but for the shortest
@@ -164,13 +164,13 @@ def _inputs(p: Program, operator: Operator) -> None:
 
 
 def kernel(p: Program) -> Kernel:
-    """PREDICT by a program, for p.nx nodes and any number of lanes: its steps are calls on constants and buffers."""
-    functions = {"steps": p.steps} | ({"series": [p.series.product]} if p.series else {})
-    texts = [_memory(p), *(_function(name, steps, p) for name, steps in functions.items())]
+    """PREDICT by a program, for p.nx nodes and any number of lanes: operations are calls on constants and buffers."""
+    functions = {"operations": p.operations} | ({"series": [p.series.product]} if p.series else {})
+    texts = [_memory(p), *(_function(name, operations, p) for name, operations in functions.items())]
     constants = [constant(f"c_{name}", values, KINDS[values.dtype]) for name, values in p.constants.items()]
-    size = sum(p.buffers.values()) + p.nx  # doubles, for numbers of either precision
+    doubles = sum(p.buffers.values()) + p.nx  # of memory, for numbers of either precision
     body = "\n".join([skeleton("network.h"), *constants, *texts, skeleton("fused.h")])
-    return made("fused", family.PREDICT, body, {}, _sizes(p), work=lambda nx, lanes, _: size)
+    return made("fused", family.PREDICT, body, {}, _sizes(p), work=lambda nx, lanes, _: doubles)
 
 
 def _sizes(p: Program) -> dict[str, int | str]:
@@ -198,8 +198,8 @@ def _memory(p: Program) -> str:
     return f"typedef struct {{\n    double prefix[NX];\n{members}\n}} ALIASED PART(_memory);\n"
 
 
-def _function(name: str, steps: Iterable[Step], p: Program) -> str:
-    lines = "\n    ".join(line for step in steps for line in step.lines(_view(p)))
+def _function(name: str, operations: Iterable[Operation], p: Program) -> str:
+    lines = "\n    ".join(line for operation in operations for line in operation.lines(_view(p)))
     return f"static void PART(_{name})(PART(_memory) *restrict q)\n{{\n    {lines}\n}}\n"
 
 

@@ -49,7 +49,7 @@ class Product:
     repeats: int = 1
 
     def lines(self, view: View) -> list[str]:
-        """Its C: a call with literal sizes and strides, as of the other steps."""
+        """Its C: a call with literal sizes and strides, as of the other operations."""
         matrices = ", ".join(map(view, (self.out, self.a, self.b, self.bias)))
         call = f"product({', '.join(map(str, self.shape))}, {matrices}, {int(self.adds)});"
         return [call] if self.repeats == 1 else [f"for (int e = 0; e < {self.repeats}; e++) {{", f"    {call}", "}"]
@@ -103,17 +103,17 @@ class Mirror:
 
 @dataclass(frozen=True)
 class Repeat:
-    """The same steps for o = 0 … count - 1: the layers of a network, their constants stacked."""
+    """The same operations for o = 0 … count - 1: the layers of a network, their constants stacked."""
 
     count: int
-    steps: tuple["Step", ...]
+    operations: tuple["Operation", ...]
 
     def lines(self, view: View) -> list[str]:
-        inner = [f"    {line}" for step in self.steps for line in step.lines(view)]
+        inner = [f"    {line}" for operation in self.operations for line in operation.lines(view)]
         return [f"for (int o = 0; o < {self.count}; o++) {{", *inner, "}"]
 
 
-Step = Product | Silu | SiluPair | Transpose | Mirror | Repeat
+Operation = Product | Silu | SiluPair | Transpose | Mirror | Repeat
 
 
 @dataclass(frozen=True)
@@ -128,7 +128,7 @@ class Series:
 
 @dataclass
 class Program:
-    """The steps from the inputs that a runtime scales first to N (n, nx), and P = base + gain (N - N_rest).
+    """The operations from the inputs that a runtime scales first to N (n, nx), and P = base + gain (N - N_rest).
 
     z (rows, states + clock + 1): X, scaled and less its value at rest, cosine and sine of the phase in `period` where
     the network sees it, and scaled D_hat. v (nx, m): u likewise; r (m, nx): the running mean of v. At rest X and u give
@@ -150,7 +150,7 @@ class Program:
     series: Series | None = None
     constants: dict[str, np.ndarray] = field(default_factory=dict)
     buffers: dict[str, int] = field(default_factory=dict)
-    steps: list[Step] = field(default_factory=list)
+    operations: list[Operation] = field(default_factory=list)
     z_zero: np.ndarray = field(default_factory=lambda: np.zeros(0))  # (n,), what the network sees where z is zero
     v_zero: np.ndarray = field(default_factory=lambda: np.zeros(0))  # (m,), and where v is
 

@@ -63,7 +63,7 @@ static inline void PART(_network)(int lanes, const double *X, const double *u, d
         for (int k = 0; k < NX * M && row == 0; k++) {
             q->r[k] = 0;
         }
-        PART(_steps)(q);
+        PART(_operations)(q);
         for (int k = 0; k < N * NX && row == 0; k++) {
             q->N_rest[k] = q->N_[k];
         }
@@ -85,7 +85,7 @@ static inline void PART(_network)(int lanes, const double *X, const double *u, d
     }
 #else
     PART(_scaled)(lanes, X, u, D_hat, t, q);
-    PART(_steps)(q);
+    PART(_operations)(q);
 #endif
 }
 
