@@ -51,14 +51,14 @@ def sources(
         "TESTED": test is not None, "REPEATS": precision == "float" and bool(controller.plant.period),
     }  # fmt: skip
     sizes = _sizes(controller, kernels, variants)
-    parts = {
+    included = {
         "about": "\n".join(f" * {comment(line)}" for line in _about(controller, precision, model)),
         "sizes": "\n".join(f"    {name.upper()}_{size} = {value}," for size, value in sizes.items()),
         "kernels": _kernels(kernels, precision),
         "settings": _settings(controller, kernels, sizes, name.upper(), precision),
         "test": _test(controller, test, precision) if test else "",
     }
-    files = [c_files.filled(f"controller.{suffix}", name, precision, variants, parts) for suffix in "hc"]
+    files = [c_files.filled(f"controller.{suffix}", name, precision, variants, included) for suffix in "hc"]
     digest = hashlib.sha256("".join(files).encode()).hexdigest()
     words = ", ".join(f"0x{digest[i : i + 8]}u" for i in range(0, 32, 8))
     header, source = (text.replace("0" * 64, digest).replace(", ".join(4 * ["0x00000000u"]), words) for text in files)

@@ -15,17 +15,18 @@ _NAMED = re.compile(r"\b(npred|NPRED)(?=[_.])")
 
 def filled(
     file: str, name: str = "npred", real: str = "double", variants: Mapping[str, bool] = {},
-    parts: Mapping[str, str] = {},
+    included: Mapping[str, str] = {},
 ) -> str:  # fmt: skip
     """The text of a file of npred/runtimes/c.
 
     Its variants, `#if NAME`, are decided; npred_real is `real`; other words that begin with npred_ or NPRED_ begin with
-    `name`; a line `#include "PART.h"` is the text of that part. Other conditions and includes stay for the compiler.
+    `name`; for a line `#include "NAME.h"` comes the text that `included` has by that name. Other conditions and
+    includes stay for the compiler.
     """
     text = decided((FOLDER / file).read_text(encoding="utf-8"), variants)
     text = re.sub(r"\bnpred_real\b", real, text)
     text = _NAMED.sub(lambda word: name if word[1].islower() else name.upper(), text)
-    return re.sub(r'^#include "(\w+)\.h"$', lambda line: parts.get(line[1], line[0]), text, flags=re.MULTILINE)
+    return re.sub(r'^#include "(\w+)\.h"$', lambda line: included.get(line[1], line[0]), text, flags=re.MULTILINE)
 
 
 def decided(text: str, variants: Mapping[str, bool]) -> str:

@@ -68,13 +68,14 @@ def source(operator: Operator, plant: Plant, nx: int, samples: Samples) -> str:
     n, m, count = plant.n, plant.m, len(samples[0])
     sizes = {"N_STATES": n, "M_INPUTS": m, "NX": nx, "SIZE_U": nx * m, "SIZE_P": nx * n, "SAMPLES": count}
     about = f"The trained predictor of plant {comment(plant.name)} on {nx} nodes: P_hat(x), and U = kappa(P_hat(1))."
-    parts = {
+    included = {
         "about": f" * {about}",
         "sizes": f"enum {{ {', '.join(f'{name} = {value}' for name, value in sizes.items())} }};",
         "kernels": _kernels(kernel(fold(operator, plant, nx)), plant, nx),
         "test": _test(operator, plant, samples),
     }
-    return c_files.filled("network.c", variants={"PHASED": plant.phased, "ONE_DELAY": plant.one_delay}, parts=parts)
+    variants = {"PHASED": plant.phased, "ONE_DELAY": plant.one_delay}
+    return c_files.filled("network.c", variants=variants, included=included)
 
 
 def _kernels(network: Kernel, plant: Plant, nx: int) -> str:

@@ -336,13 +336,13 @@ def test_allocates_nothing_and_says_what_it_is_of(cases):
 def test_the_skeletons_are_c_before_an_export_fills_them_in(cases, tmp_path, monkeypatch, name):
     files, fill = {}, c_files.filled
 
-    def filled(file, prefix, real, variants, parts):
-        files.update(variants=variants, parts=parts)
-        return fill(file, prefix, real, variants, parts)
+    def filled(file, prefix, real, variants, included):
+        files.update(variants=variants, included=included)
+        return fill(file, prefix, real, variants, included)
 
     monkeypatch.setattr(c_files, "filled", filled)
     c_controller.sources(cases[name][0])
-    for part, text in files["parts"].items():
+    for part, text in files["included"].items():
         (tmp_path / f"{part}.h").write_text(f"{text}\n")
     (tmp_path / "npred.h").write_text((c_files.FOLDER / "controller.h").read_text())
     defined = [f"-D{variant}={int(holds)}" for variant, holds in files["variants"].items()]

@@ -16,7 +16,7 @@ def test_names_types_and_parts_are_written_in(tmp_path, monkeypatch):
     text = '#include "npred.h"\n#include "numbers.h"\nnpred_real npred_step(int NPRED_NX); /* by npred 1.0 */\n'
     (tmp_path / "file.c").write_text(text)
     monkeypatch.setattr(c_files, "FOLDER", tmp_path)
-    written = c_files.filled("file.c", "tank", "float", parts={"numbers": "static const int npred_kept = 1;"})
+    written = c_files.filled("file.c", "tank", "float", included={"numbers": "static const int npred_kept = 1;"})
     assert written == (
         '#include "tank.h"\nstatic const int npred_kept = 1;\nfloat tank_step(int TANK_NX); /* by npred 1.0 */\n'
     )
