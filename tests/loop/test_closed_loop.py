@@ -175,6 +175,28 @@ def test_scalar_loop_matches_the_delay_equation():
     np.testing.assert_allclose(loop.X[start:, 0], decay, rtol=1e-4)
 
 
+class Waves:
+    """Each state is the integral of an input that does not hang on it, and of a wave."""
+
+    states, inputs = ("a", "b"), ("u", "v")
+
+    def f(x, u, t, p, M):
+        return [u.u + M.cos(5 * t), u.v + M.cos(3 * t)]
+
+    def kappa(x, t, p, M):
+        return [M.sin(3 * t), M.cos(2 * t)]
+
+
+@pytest.mark.parametrize("delays", [(1.0, 1.0), (0.37, 1.0)])
+def test_a_step_that_a_switch_falls_into_reads_each_piece_at_its_time(delays):
+    plant, dt, D = Plant("waves", type("Waves", (Waves,), {"delays": delays})), 0.05, 0.537
+    loop = simulate(plant, RK4(plant, 5), D=D, D_hat=0.0, X0=[0.0, 0.0], t_end=3.0, dt=dt, u0=[0.0, 0.0])
+    for c, (late, wave) in enumerate(zip(D * np.array(delays), (5.0, 3.0), strict=True)):
+        total = np.concatenate([[0.0], np.cumsum(loop.U[:-1, c]) * dt])
+        wanted = np.interp(loop.t - late, loop.t, total, left=0.0) + np.sin(wave * loop.t) / wave
+        np.testing.assert_allclose(loop.X[:, c], wanted, rtol=0, atol=1e-5)  # Simpson's rule
+
+
 def test_an_escaping_loop_is_seen_and_leaves_the_others_alone():
     plant = Plant("Escape", Escape)
     loops = simulate(plant, Heun(plant, 11), D=0.1, D_hat=0.1, X0=[[0.1], [2.0]], t_end=1.0, dt=0.001)

@@ -10,6 +10,7 @@ import npred
 from npred.errors import ConfigError
 from npred.loop.delay_observer import NUMBERS, bank
 from npred.loop.measurement import Measurement
+from npred.plants import Plant
 
 PLANT = npred.plant("activator_repressor")
 FEW = 20.0  # samples that the window has at least
@@ -248,6 +249,33 @@ def test_the_gains_over_a_gap_place_the_poles_of_the_observer_s_errors(omega):
     np.testing.assert_allclose(np.poly(error_of_both), np.poly(np.exp(roots * T)).real, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(gain[2:, 0], [1 - np.exp(-1 / FEW / 5), np.exp(-1 / FEW)], rtol=1e-9)
     assert gain[:, 1].tolist() == [0.0, 0.0, 0.0, 1.0] and memory[-1].tolist() == [0.0, steps]
+
+
+class Waved:
+    """X' = U - X + 3 cos 9t."""
+
+    states, inputs = ("X",), ("U",)
+
+    def f(x, u, t, p, M):
+        return [u.U - x.X + 3 * M.cos(9 * t)]
+
+    def kappa(x, t, p, M):
+        return [M.sin(3 * t) - x.X]
+
+
+def test_the_observer_of_the_true_delay_follows_a_plant_of_time_to_rounding():
+    """Its steps are Heun's, as those of the plant here: 8 steps of delay, the commands held."""
+    plant, dt, late = Plant("waved", Waved), 0.05, 8
+    law = npred.DelayObserver(bounds=(0.1, 1.0))
+    at = np.rint(law.thetas(dt) / dt).tolist().index(late)
+    controller = npred.controller(plant, npred.predictor("rk4", plant, 11), law, dt, D_hat=0.7, actuator="history")
+    X, sent = 0.2, [0.0] * late
+    for k in range(100):
+        sent.append(controller.step([X])[0])
+        assert np.ravel(controller.memory.observer)[at] == pytest.approx(X, abs=1e-12)
+        first = sent[k] - X + 3 * np.cos(9 * k * dt)
+        second = sent[k] - (X + dt * first) + 3 * np.cos(9 * (k + 1) * dt)
+        X += dt / 2 * (first + second)
 
 
 def test_a_loop_at_rest_keeps_its_estimate():

@@ -6,6 +6,7 @@ import pytest
 import npred
 from npred.errors import ConfigError
 from npred.loop.measurement import Measurement
+from npred.plants import Plant
 
 PLANT = npred.plant("activator_repressor")
 RK4 = npred.predictor("rk4", PLANT, nx=51)
@@ -23,6 +24,29 @@ def loop(measurement=None, **changes):
 def test_a_perfect_model_fills_every_gap_exactly(settings):
     """Between samples the state is predicted with the commands that have arrived since: no error is left."""
     assert np.abs(loop(Measurement(**settings)).X - loop().X).max() < 1e-12
+
+
+class Driven:
+    """Two lags, each driven by the time and by an input of its own."""
+
+    states, inputs = ("a", "b"), ("u", "v")
+
+    def f(x, u, t, p, M):
+        return [u.u - x.a + M.cos(5 * t), u.v - x.b + M.sin(3 * t)]
+
+    def kappa(x, t, p, M):
+        return [M.sin(2 * t) - x.a, -2 * x.b]
+
+
+@pytest.mark.parametrize("delays", [(1.0, 1.0), (0.37, 1.0)])
+def test_so_does_one_that_knows_the_time_and_a_delay_for_each_input(delays):
+    plant = Plant("driven", type("Driven", (Driven,), {"delays": delays}))
+    sparse, start = Measurement(delay=0.1, period=0.15, drop=0.5), {"X0": [0.5, -0.3], "t_end": 4.0, "dt": 0.01}
+    runs = [
+        npred.simulate(plant, npred.predictor("rk4", plant, nx=21), D=0.537, D_hat=0.537, measurement=seen, **start)
+        for seen in (sparse, None)
+    ]
+    assert np.abs(runs[0].X - runs[1].X).max() < 1e-12
 
 
 def test_the_defaults_are_perfect():
@@ -65,6 +89,40 @@ def test_jitter_spreads_the_gaps_evenly():
     Y, _ = seen(period=0.1, jitter=0.5, seed=5)
     gaps = np.concatenate([np.diff(np.flatnonzero(~np.isnan(row[:, 0]))) for row in Y])
     assert gaps.min() == 5 and gaps.max() in (15, 16) and gaps.mean() == pytest.approx(10, abs=0.3)
+
+
+def arrivals(**settings):
+    """The gaps between samples that arrive, in control steps, of all loops."""
+    Y, _ = seen(**settings)
+    return np.concatenate([np.diff(np.flatnonzero(~np.isnan(row[:, 0]))) for row in Y])
+
+
+def test_a_period_of_whole_steps_is_one_whatever_its_quotient_rounds_to():
+    assert 0.07 / 0.01 > 7
+    assert set(arrivals(period=0.07)) == {7}
+
+
+def test_no_gap_is_shorter_than_a_control_step():
+    """Gaps g of 0.1 to 3.9 steps, g < 1 counted as 1: (0.9 + (3.9² - 1) / 2) / 3.8 steps on average."""
+    assert arrivals(period=0.02, jitter=0.95, seed=9).mean() == pytest.approx(2.107, abs=0.04)
+
+
+def test_whether_a_sample_is_lost_says_nothing_of_the_gap_behind_it():
+    """Of gaps of 5 to 15 steps, a fraction rounded either way, 0.45 are below ten; and half of these end in a sample."""
+    gaps = arrivals(period=0.1, jitter=0.5, drop=0.5, seed=4)
+    assert np.mean(gaps < 10) == pytest.approx(0.225, abs=0.04)
+
+
+def test_noise_says_nothing_of_gaps_and_drops():
+    Y, X = seen(noise=0.02, period=0.1, jitter=0.5, drop=0.5, seed=6)
+    errors = (Y / X - 1)[..., 0] / 0.02
+    assert np.nanstd(errors) == pytest.approx(1, abs=0.1)
+    Y, X = seen(noise=0.02, period=0.1, jitter=0.5, seed=6)
+    sizes, gaps = [], []
+    for row in (Y / X - 1)[..., 0]:
+        arrived = np.flatnonzero(~np.isnan(row))
+        sizes, gaps = [*sizes, *np.abs(row[arrived[:-1]])], [*gaps, *np.diff(arrived)]
+    assert abs(np.corrcoef(sizes, gaps)[0, 1]) < 0.1
 
 
 def test_the_numbers_depend_on_the_seed_and_the_loop_alone():
