@@ -100,6 +100,26 @@ def test_before_the_start_the_input_is_u0():
     np.testing.assert_allclose(line.read(), 0.7, rtol=1e-14)
 
 
+def test_without_a_delay_all_nodes_have_the_newest_command():
+    line = Line(0.0, nx=5)
+    for U in (0.3, -0.2, 0.9):
+        line.feed(U)
+    np.testing.assert_array_equal(line.read(), np.full((2, 5), 0.9))
+
+
+@given(D=st.floats(0.0, 0.5))
+@settings(max_examples=30)
+def test_the_input_that_acts_is_the_mean_of_what_leaves_the_delay(D):
+    """The integral of the staircase from k - D / dt to one step later; without a delay, of the newest command."""
+    line, inputs, U = Line(D, u0=0.4), np.random.default_rng(8).normal(size=80), np.empty((1, 1))
+    total = np.concatenate([0.4 * np.arange(-60.0, 0.0), [0.0], np.cumsum(inputs)])
+    for k, sent in enumerate(inputs):
+        line.feed(sent)
+        actuator.acting(line.origin + k, DT, line.D, line.held, U)
+        position = k - D / DT + np.array([0.0, 1.0])
+        assert U[0, 0] == pytest.approx(np.diff(np.interp(position, np.arange(-60, 81), total))[0], abs=1e-6)
+
+
 def test_inputs_with_delays_of_their_own_are_two_lines():
     D, random = np.array([[0.213], [0.5]]), np.random.default_rng(11)
     lines = [Line(d, nx=7) for d in D[:, 0]]
@@ -115,12 +135,14 @@ def test_inputs_with_delays_of_their_own_are_two_lines():
 
 
 @pytest.mark.parametrize(("delay", "reads"), [(np.nan, 0.0), (-1.0, 0.0), (1e300, 1.75), (np.inf, 1.75)])
-def test_a_delay_that_the_buffers_do_not_hold_reads_the_end_of_them(delay, reads):
+@pytest.mark.parametrize("k", [7, 21])
+def test_a_delay_that_the_buffers_do_not_hold_reads_the_end_of_them(delay, reads, k):
     """That of a loop that ended is NaN: it may read anything of its history, but nothing beyond it."""
-    held = np.arange(8.0)[:, None, None] ** 2
-    total = np.concatenate([[0.0], np.cumsum(held[:-1, 0, 0])])[:, None, None]
+    commands, rows = np.arange(k + 1.0) ** 2, np.arange(k - 7, k + 1) % 8
+    held, total = np.empty((8, 1, 1)), np.empty((8, 1, 1))
+    held[rows, 0, 0], total[rows, 0, 0] = commands[-8:], (np.cumsum(commands) - commands)[-8:]
     both = [np.empty((5, 1, 1)) for _ in range(4)]
     for D, (u, u_nodes) in ((delay, both[:2]), (reads, both[2:])):
-        actuator.transport(7, 0.25, np.array([[D]]), held, total, u, u_nodes)
+        actuator.transport(k, 0.25, np.array([[D]]), held, total, u, u_nodes)
     np.testing.assert_array_equal(both[0], both[2])
     np.testing.assert_array_equal(both[1], both[3])

@@ -313,6 +313,16 @@ def test_with_its_own_commands_it_needs_x_alone_and_goes_on_from_a_saved_state(l
     assert alone.D_hat == pytest.approx(loop.D_hat[-1], rel=1e-6)
 
 
+@pytest.mark.parametrize("law", LAWS, ids=lambda law: type(law).__name__)
+def test_in_a_loop_of_another_plant_it_is_what_knows_the_model_alone(law):
+    run = npred.predictor("rk4", PLANT, nx=21)
+    start = {"D": 1.2, "D_hat": 1.4, "X0": X0, "t_end": 3.0, "dt": 0.01, "adaptation": law, "actuator": "history"}
+    loop = npred.simulate(PLANT, run, truth=npred.plant(PLANT.name, K1=1.05 * PLANT.parameters["K1"]), **start)
+    alone = npred.controller(PLANT, run, law, 0.01, D_hat=1.4, actuator="history")
+    for k in range(300):
+        np.testing.assert_allclose(alone.step(loop.X[k]), loop.U[k], rtol=1e-9, atol=1e-12)
+
+
 def test_a_resumed_controller_takes_the_same_steps_to_the_bit():
     run, law = npred.predictor("rk4", PLANT, nx=21), LAWS[2]
     straight = npred.controller(PLANT, run, law, 0.01, actuator="history")

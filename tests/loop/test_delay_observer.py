@@ -278,6 +278,16 @@ def test_the_observer_of_the_true_delay_follows_a_plant_of_time_to_rounding():
         X += dt / 2 * (first + second)
 
 
+def test_samples_that_come_late_are_compared_at_the_time_when_they_were_taken():
+    """A wave of nine radians a second, 0.3 s late."""
+    plant = Plant("waved", Waved)
+    run = npred.simulate(
+        plant, npred.predictor("rk4", plant, nx=11), D=0.4, D_hat=[0.2, 0.8], X0=[0.2], t_end=10.0, dt=0.01,
+        adaptation=npred.DelayObserver(bounds=(0.1, 1.0)), actuator="history", measurement=Measurement(delay=0.3),
+    )  # fmt: skip
+    assert np.abs(run.D_hat[:, 300:] - 0.4).max() < 0.02
+
+
 def test_a_loop_at_rest_keeps_its_estimate():
     """No error, no level, and nothing to divide by; from 2 s on a push moves the loop, and the delay is found."""
     settings = {"D": 0.5, "D_hat": 0.9, "X0": [0.0], "t_end": 6.0, "dt": 0.01, "actuator": "history"}

@@ -49,6 +49,20 @@ def test_so_does_one_that_knows_the_time_and_a_delay_for_each_input(delays):
     assert np.abs(runs[0].X - runs[1].X).max() < 1e-12
 
 
+def test_between_samples_the_controller_believes_its_model():
+    """X' = X / 2 + U without a delay, U = -3 X_hat / 2, of a plant X' = X + U: both in closed form."""
+    model, truth = npred.plant("scalar", a=0.5, c=1.0), npred.plant("scalar", a=1.0, c=1.0)
+    run = npred.simulate(
+        model, npred.predictor("rk4", model, nx=5), D=0.0, D_hat=0.0, X0=[1.0], t_end=2.0, dt=0.01,
+        measurement=Measurement(period=0.2), truth=truth,
+    )  # fmt: skip
+    X = X_hat = 1.0
+    for k in range(200):
+        X_hat = X if k % 20 == 0 else X_hat
+        assert run.X[k, 0] == pytest.approx(X, rel=1e-9) and run.U[k, 0] == pytest.approx(-1.5 * X_hat, rel=1e-9)
+        X, X_hat = ((x - 1.5 * X_hat / a) * np.exp(a * 0.01) + 1.5 * X_hat / a for x, a in ((X, 1.0), (X_hat, 0.5)))
+
+
 def test_the_defaults_are_perfect():
     assert np.array_equal(loop(Measurement(seed=3)).X, loop().X)
 
@@ -108,7 +122,7 @@ def test_no_gap_is_shorter_than_a_control_step():
 
 
 def test_whether_a_sample_is_lost_says_nothing_of_the_gap_behind_it():
-    """Of gaps of 5 to 15 steps, a fraction rounded either way, 0.45 are below ten; and half of these end in a sample."""
+    """Of gaps of 5 to 15 steps, a fraction rounded either way, 0.45 are below ten; half of these end in a sample."""
     gaps = arrivals(period=0.1, jitter=0.5, drop=0.5, seed=4)
     assert np.mean(gaps < 10) == pytest.approx(0.225, abs=0.04)
 

@@ -6,7 +6,8 @@ import torch
 from driven import driven
 from operator_samples import EVERY
 
-from npred import grid, plants
+from npred import grid, plants, predictors
+from npred.delays import family_of
 from npred.diagnosis import Case, pipeline_fit
 from npred.errors import ConfigError
 from npred.loop.closed_loop import simulate
@@ -14,6 +15,7 @@ from npred.operators import Scaling, build
 from npred.plants import Plant
 from npred.predictors import RK4
 from npred.predictors.neural import Neural
+from npred.registry import METHODS
 from npred.runtimes import predictor
 from npred.training.training_loop import Rows
 
@@ -48,6 +50,37 @@ def test_a_time_is_taken_as_it_is():
     P = rk4.predict(X, u, D_hat, np.array([0.0, np.nan, 0.3, np.nan, -0.7]))
     assert np.isnan(P[[1, 3]]).all() and np.isfinite(P[[0, 2, 4]]).all()
     assert np.isnan(rk4.predict(X, u, D_hat, np.nan)[:, -1, 0]).all()
+
+
+class Pushed:
+    """A mass that is pushed by its input and a wave."""
+
+    states, inputs = ("v", "q"), ("U",)
+
+    def f(x, u, t, p, M):
+        return [u.U + M.sin(2 * t), x.v]
+
+    def mechanics(x, u, t, p, M):
+        return [[1.0]], [u.U + M.sin(2 * t)], [0.0]
+
+    def kappa(x, t, p, M):
+        return [-x.v - x.q]
+
+
+PUSHED = Plant("pushed", Pushed)
+
+
+@pytest.mark.parametrize("lanes", [1, 70])
+@pytest.mark.parametrize("method", [name for name in METHODS.builtin if family_of(PUSHED).refusal(name) is None])
+def test_each_node_is_predicted_at_its_time(method, lanes):
+    """v and q in closed form, by one lane and by more than a block of them."""
+    random, t, U, x = np.random.default_rng(3), 0.7, 0.4, grid.nodes(401)
+    X, D_hat = random.normal(size=(lanes, 2)), random.uniform(0.8, 1.3, lanes)
+    P = predictors.numerical(method, PUSHED, 401)(X, np.full((lanes, 401, 1), U), D_hat, t)
+    s, (v, q) = D_hat[:, None] * x, X.T[:, :, None]
+    speed = v + U * s + (np.cos(2 * t) - np.cos(2 * (t + s))) / 2
+    place = q + v * s + U * s**2 / 2 + s * np.cos(2 * t) / 2 - (np.sin(2 * (t + s)) - np.sin(2 * t)) / 4
+    np.testing.assert_allclose(P, np.stack([speed, place], axis=-1), atol=1e-2 if method == "euler" else 5e-5)
 
 
 def test_a_time_that_is_unknown_is_refused_where_the_prediction_needs_it():

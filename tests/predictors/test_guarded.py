@@ -86,6 +86,25 @@ def test_a_loop_that_always_falls_back_is_the_numerical_one_and_counts_every_ste
     assert run.fallback.all() and (run.fallbacks == run.steps).all() and run.fallback_share == 1.0
 
 
+class Escape:
+    """X' = X² leaves the numbers at t = 1 / X(0)."""
+
+    states, inputs, guess = ("X",), ("U",), (0.0,)
+
+    def f(x, u, t, p, M):
+        return [x.X**2 + 0 * u.U]
+
+    def kappa(x, t, p, M):
+        return [-x.X]
+
+
+def test_a_loop_that_is_lost_falls_back_no_more():
+    plant = Plant("escape", Escape)
+    guarded = npred.guarded(npred.predictor("heun", plant, 11), 1e-300)
+    run = npred.simulate(plant, guarded, D=0.1, D_hat=0.1, X0=[2.0], t_end=1.0, dt=0.001)
+    assert 450 < run.escaped < 700 and run.fallbacks == run.escaped
+
+
 def test_a_loop_that_never_falls_back_is_the_bare_one():
     heun = npred.predictor("heun", PLANT, NX)
     guarded = npred.guarded(heun, 0.05)
