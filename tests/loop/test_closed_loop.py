@@ -206,6 +206,25 @@ def test_an_escaping_loop_is_seen_and_leaves_the_others_alone():
     assert metrics.radius(loops, plant.equilibrium)[1] == np.inf
 
 
+class EscapeOfTheSecond:
+    """The same behind a state that stays."""
+
+    states, inputs, guess = ("still", "X"), ("U",), (0.0, 0.0)
+
+    def f(x, u, t, p, M):
+        return [u.U - x.still, x.X**2]
+
+    def kappa(x, t, p, M):
+        return [-x.still]
+
+
+def test_a_loop_is_lost_with_any_of_its_states():
+    plant = Plant("EscapeOfTheSecond", EscapeOfTheSecond)
+    loop = simulate(plant, Heun(plant, 11), D=0.1, D_hat=0.1, X0=[0.0, 2.0], t_end=1.0, dt=0.001)
+    assert np.isfinite(loop.X[loop.escaped - 1]).all() and not np.isfinite(loop.X[loop.escaped, 1])
+    assert 450 < loop.escaped < 700
+
+
 def test_functionals_of_the_proof_start_and_end_where_they_must(figure1):
     W = lyapunov.W(figure1.N, 1.0, figure1.D_hat, LAW.gamma, LAW.b)
     Gamma = lyapunov.Gamma(figure1.X, PLANT.equilibrium, figure1.energy, 1.0, figure1.D_hat)
@@ -229,6 +248,28 @@ def test_energy_is_over_the_true_delay_where_the_controller_reads_its_commands_b
     inside = np.clip(np.minimum(edges[1:], 3.0) - np.maximum(edges[:-1], 3.0 - D), 0.0, None)  # seconds of each command
     wanted = np.sum(inside * (loop.U[:400, 0] - PLANT.u_equilibrium) ** 2)
     assert loop.energy[k] == pytest.approx(wanted, rel=1e-9)
+
+
+class Pumped:
+    """Two tanks at rest where u = 1 and v = 3."""
+
+    states, inputs, guess = ("a", "b"), ("u", "v"), (0.0, 0.0)
+
+    def f(x, u, t, p, M):
+        return [u.u - 1 - x.a, u.v - 3 - x.b]
+
+    def kappa(x, t, p, M):
+        return [1 - x.a, 3 - x.b]
+
+
+@pytest.mark.parametrize("delays", [(1.0, 1.0), (0.37, 1.0)])
+@pytest.mark.parametrize("actuator", ["measured", "history"])
+def test_energy_is_of_each_input_from_its_own_rest_over_its_own_delay(delays, actuator):
+    plant, D = Plant("pumped", type("Pumped", (Pumped,), {"delays": delays})), 0.737
+    loop = simulate(
+        plant, RK4(plant, 21), D=D, D_hat=0.6, X0=[0.2, 0.1], t_end=0.1, dt=0.01, u0=[0.5, 1.0], actuator=actuator
+    )
+    assert loop.energy[0] == pytest.approx(D * (0.5**2 * delays[0] + 2.0**2 * delays[1]), rel=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 import ctypes
 import re
+import struct
 import subprocess
 
 import numpy as np
@@ -259,6 +260,36 @@ def test_a_state_with_one_bit_turned_is_refused(cases, tmp_path, precision):
         turned[bit // 8] ^= 1 << bit % 8
         assert run.restore(bytes(turned)) == 3
     assert bytes(run.state()) == saved and run.restore(saved) == 0
+
+
+def sealed(saved):
+    """The bytes of a state with the checksum, FNV-1a, of all that comes after it."""
+    total = 2166136261
+    for byte in saved[20:]:
+        total = (total ^ byte) * 16777619 % 2**32
+    return saved[:16] + struct.pack("<I", total) + saved[20:]
+
+
+def test_a_state_that_cannot_be_is_refused_whatever_its_checksum(cases, tmp_path):
+    """Indices beyond the ring buffers, times, estimates and commands that are none."""
+    controller = cases["observer"][0]
+    run = InC(library(controller, tmp_path), PLANT)
+    run.step(X0)
+    saved, rows = bytes(run.state()), len(controller.memory.held)
+    places = {"k": (20, "<i"), "steps": (24, "<q"), "t0": (32, "<d"), "D_hat": (40, "<d"), "phi": (48, "<d")}
+    places |= {"held": (56 + 8 * (rows - 1), "<d"), "total": (56 + 8 * rows, "<d")}
+
+    def changed(name, value):
+        at, kind = places[name]
+        return sealed(saved[:at] + struct.pack(kind, value) + saved[at + struct.calcsize(kind) :])
+
+    assert sealed(saved) == saved and struct.unpack_from("<i", saved, 20) == (rows,)
+    allowed = {"k": (rows - 1, 2 * rows - 1), "steps": (0,), "D_hat": (0.2, 2.0), "phi": (np.nan, 0.0), "held": (0.0,)}
+    wrong = {"k": (-1, rows - 2, 2 * rows), "steps": (-1,), "t0": (np.inf, np.nan), "D_hat": (np.nan, 0.19, 2.5)}
+    wrong |= {"phi": (np.inf,), "held": (np.nan, np.inf), "total": (np.nan,)}
+    for code, values in ((0, allowed), (3, wrong)):
+        answers = {(name, value): run.restore(changed(name, value)) for name in values for value in values[name]}
+        assert set(answers.values()) == {code}, answers
 
 
 WILD = """
