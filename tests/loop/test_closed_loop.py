@@ -197,6 +197,15 @@ def test_a_step_that_a_switch_falls_into_reads_each_piece_at_its_time(delays):
         np.testing.assert_allclose(loop.X[:, c], wanted, rtol=0, atol=1e-5)  # Simpson's rule
 
 
+def test_each_input_has_bounds_of_its_own():
+    plant, bounds = Plant("waves", Waves), np.array([(-0.3, 0.2), (-0.5, 0.7)])
+    loop = simulate(
+        plant, RK4(plant, 5), D=0.5, D_hat=0.0, X0=[0.0, 0.0], t_end=3.0, dt=0.05, u0=[0.0, 0.0], input_bounds=bounds
+    )
+    wanted = np.clip(np.stack([np.sin(3 * loop.t), np.cos(2 * loop.t)], axis=-1), *bounds.T)
+    np.testing.assert_allclose(loop.U, wanted, rtol=0, atol=1e-12)
+
+
 def test_an_escaping_loop_is_seen_and_leaves_the_others_alone():
     plant = Plant("Escape", Escape)
     loops = simulate(plant, Heun(plant, 11), D=0.1, D_hat=0.1, X0=[[0.1], [2.0]], t_end=1.0, dt=0.001)

@@ -451,6 +451,33 @@ def test_a_sample_that_the_plant_cannot_have_made_is_predicted_over(size):
     assert np.abs(around(trusting, X[:21], {20: X[20] + size})[20] - U[20]).max() > 1
 
 
+class Still:
+    """Nothing moves it, so that what it was is what is expected."""
+
+    states, inputs, box = ("x", "y"), ("u",), {"x": (-1.0, 1.0), "y": (-2.0, 4.0)}
+
+    def f(x, u, t, p, M):
+        return [u.u, 0 * x.y]
+
+    def kappa(x, t, p, M):
+        return [0 * x.x]
+
+
+@pytest.mark.parametrize("gate", [1.0, 0.5])
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize(
+    ("was", "reach"), [((0.1, 0.2), (1.0, 3.0)), ((4.0, 0.2), (4.0, 3.0)), ((0.1, 5.0), (1.0, 5.0))]
+)
+def test_the_gate_is_a_share_of_half_the_box_or_of_the_state_where_that_is_larger(was, reach, sign, gate):
+    plant, missed = Plant("still", Still), []
+    for way, state, part in ((way, state, part) for way in (1, -1) for state in (0, 1) for part in (0.99, 1.01)):
+        controller = npred.controller(plant, RK4(plant, 5), None, 0.1, D_hat=0.5, actuator="history", gate=gate)
+        controller.step(sign * np.array(was))
+        controller.step(sign * np.array(was) + way * part * gate * reach[state] * np.eye(2)[state])
+        missed.append(controller.missed)
+    assert missed == [0, 1] * 4
+
+
 def estimates(wrong):
     """D_hat of the observers in a loop of x' = x / 2 + u, D = 1 s, whose sample k is 6 off where `wrong` says so."""
     plant, law = npred.plant("scalar"), npred.DelayObserver(bounds=(0.1, 4.0))

@@ -216,6 +216,35 @@ def test_samples_of_noise_alone_leave_no_history_that_each_step_is_refused_for(t
     assert [run.code(X) for X in samples] == [0] * 5000
 
 
+@pytest.mark.parametrize(("name", "D_hat", "wrong"), [("heun", 1.25, 5.0), ("two delays", 0.5, 2.0)])
+def test_estimate_and_time_can_be_set_as_in_python(cases, tmp_path, name, D_hat, wrong):
+    """A law's first step from then on is Euler's, a clocked law knows the time, and no sample is expected."""
+    case, _, start = cases[name]
+    controller, run = case.fresh(), InC(library(case, tmp_path), case.plant)
+    u = [1e-3 * np.ones((51, 1))] if case.actuator == "measured" else []
+    set_D_hat = lambda value: run.library.npred_set_D_hat(run.memory, ctypes.c_double(value))  # noqa: E731
+    set_time = lambda value: run.library.npred_set_time(run.memory, ctypes.c_double(value))  # noqa: E731
+
+    def steps(X, count=3):
+        assert [alike(run, controller, X, u) for _ in range(count)] == [0] * count
+        assert struct.unpack_from("<d", bytes(run.state()), 40) == pytest.approx((controller.D_hat,), rel=1e-13)
+
+    steps(np.array(start))
+    controller.D_hat = D_hat
+    assert set_D_hat(D_hat) == 0
+    steps(1.1 * np.array(start))
+    controller.t = 7.3
+    assert set_time(7.3) == 0
+    if u:
+        steps(1.2 * np.array(start))
+    else:
+        steps(np.array(start) + 2.0, 1)  # too far, had something been expected
+        assert controller.missed == 0
+    before = bytes(run.state())
+    assert (set_D_hat(wrong), set_D_hat(np.nan), set_time(np.inf), set_time(np.nan)) == (3, 3, 3, 3)
+    assert bytes(run.state()) == before
+
+
 def test_a_prediction_that_diverges_is_refused_as_in_python(tmp_path):
     class Cube:
         states, inputs = ("x",), ("u",)
