@@ -478,6 +478,37 @@ def test_the_gate_is_a_share_of_half_the_box_or_of_the_state_where_that_is_large
     assert missed == [0, 1] * 4
 
 
+class Waves(Still):
+    """The first state follows a wave and an input of half the other one's delay."""
+
+    inputs, delays = ("u", "v"), (0.5, 1.0)
+
+    def f(x, u, t, p, M):
+        return [u.u + 3 * M.cos(9 * t), u.v]
+
+    def kappa(x, t, p, M):
+        return [M.sin(2 * t), M.cos(3 * t)]
+
+
+def test_what_is_expected_is_the_state_a_step_later():
+    """By the wave from now on, and by the commands of 2.15 and 4.3 steps ago; after a refused sample, from what was."""
+    plant, dt, refused = Plant("waves", Waves), 0.1, (7, 8)
+    controller = npred.controller(plant, RK4(plant, 5), None, dt, D_hat=0.43, actuator="history", gate=9.0)
+    sent, X = [np.zeros(2)] * 5, np.zeros(2)  # from five steps before the first on
+    for k in range(20):
+        if k in refused:
+            with pytest.raises(DivergedError):
+                controller.step([np.nan, 0.0])
+            sent.append(sent[-1])
+        else:
+            X = np.array([np.cos(k), 0.3])
+            sent.append(controller.step(X).copy())
+        u = 0.15 * sent[k + 2][0] + 0.85 * sent[k + 3][0]
+        v = 0.3 * sent[k][1] + 0.7 * sent[k + 1][1]
+        X = X + np.array([dt * u + (np.sin(9 * (k + 1) * dt) - np.sin(9 * k * dt)) / 3, dt * v])
+        np.testing.assert_allclose(controller.memory.expected[:, 0], X, rtol=0, atol=1e-4)
+
+
 def estimates(wrong):
     """D_hat of the observers in a loop of x' = x / 2 + u, D = 1 s, whose sample k is 6 off where `wrong` says so."""
     plant, law = npred.plant("scalar"), npred.DelayObserver(bounds=(0.1, 4.0))
