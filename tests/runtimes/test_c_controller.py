@@ -105,6 +105,16 @@ def test_in_float_it_is_so_to_float_s_rounding(cases, tmp_path, name):
     assert differ(X, X_c) < 1e-3 and differ(U, U_c) < 1e-2
 
 
+@pytest.mark.parametrize("t", [0.7, 1e6 + 0.7])
+def test_in_float_a_law_that_repeats_knows_its_phase_after_a_million_seconds(cases, tmp_path, t):
+    """A float of a million has steps of 1/16."""
+    case = cases["two delays"][0]
+    controller, run = case.fresh(), InC(library(case, tmp_path, "float"), UNICYCLE, "float")
+    controller.t = t
+    assert run.library.npred_set_time(run.memory, ctypes.c_double(t)) == 0
+    np.testing.assert_allclose(run.step(POSE), controller.step(POSE), rtol=1e-3)
+
+
 def test_goes_on_from_a_saved_state_to_the_bit(cases, tmp_path):
     controller = cases["observer"][0]
     compiled = library(controller, tmp_path)
@@ -135,6 +145,15 @@ def test_a_bad_measurement_is_refused_as_in_python(cases, tmp_path, name, bad):
     run, u = InC(library(controller, tmp_path), PLANT), [np.zeros((51, 1))] if measured else []
     for X, given in ((X0, u), ([bad, 30.0], u), (X0, [np.full((51, 1), bad)] if measured else u), (X0, u)):
         alike(run, controller, X, given)
+
+
+@pytest.mark.parametrize("reading", [0, 1])
+def test_a_node_that_is_not_finite_is_refused_in_the_means_and_in_the_values(cases, tmp_path, reading):
+    case, readings = cases["rk4"][0], [np.zeros((51, 1)), np.zeros((51, 1))]
+    readings[reading][20] = np.nan
+    assert InC(library(case, tmp_path), PLANT).code(X0, *readings) == 1
+    with pytest.raises(DivergedError, match="expected finite X and u"):
+        case.fresh().step(X0, *readings)
 
 
 def alike(run, controller, X, u=()):
