@@ -319,6 +319,10 @@ def chosen(sums, D_hat):
     return estimate[0]
 
 
+def test_the_estimate_stays_within_the_bounds_where_the_last_candidate_is_beyond_them():
+    assert chosen([*[9.0] * 9, 1.0], 0.5) == 0.9
+
+
 def test_a_candidate_that_left_the_finite_numbers_does_not_count():
     """An observer driven by other commands than the plant may diverge."""
     assert chosen([np.nan, 8.0, 1.0, 3.0], 0.1) == pytest.approx(0.3 + 0.05 * 5 / 9)

@@ -131,6 +131,14 @@ def test_few_nodes(nx):
     np.testing.assert_allclose(P[:, 0], exact, atol=1e-3 if nx == 2 else 1e-4)
 
 
+@pytest.mark.parametrize("nx", [4, 5, 6])
+def test_four_nodes_and_more_read_a_cubic_exactly(nx):
+    """Without f's own part P is X + D_hat ∫ u, which Simpson's rule gives of a cubic."""
+    x, plant = grid.nodes(nx), plants.resolve("scalar", {"a": 0.0})
+    P = RK4(plant, nx)([1.0], (x**3 - 2 * x**2 + 0.3)[:, None], 0.5)
+    np.testing.assert_allclose(P[:, 0], 1 + 0.5 * (x**4 / 4 - 2 * x**3 / 3 + 0.3 * x), rtol=0, atol=1e-14)
+
+
 @pytest.mark.parametrize(
     ("X", "u", "message"),
     [

@@ -1,6 +1,7 @@
 """The controller as an FMU: FMPy's steps are npred.controller's, its states, its refusals, its file."""
 
 import shutil
+import struct
 import subprocess
 import xml.etree.ElementTree as ET
 import zipfile
@@ -179,6 +180,31 @@ def test_a_state_with_one_bit_turned_is_refused(instance):
     assert run.state() == saved
 
 
+def test_a_state_that_cannot_be_is_refused_whatever_its_checksum(instance):
+    """Steps that do not make its time, a mode that is none, a start or a parameter out of range."""
+    run = instance(heun)
+    run.step(X0, np.zeros((21, 1)))
+    saved = run.state()
+    start, steps, mode, gamma = len(saved) - 24, len(saved) - 16, len(saved) - 8, saved.index(struct.pack("<d", 1000.0))
+
+    def changed(at, kind, value):
+        """With the checksum, FNV-1a, of all that comes before it."""
+        total, forged = 2166136261, bytearray(saved)
+        struct.pack_into(kind, forged, at, value)
+        for byte in forged[:-4]:
+            total = (total ^ byte) * 16777619 % 2**32
+        struct.pack_into("<I", forged, len(forged) - 4, total)
+        return bytes(forged)
+
+    assert changed(steps, "<q", 1) == saved
+    for refused in ((steps, "<q", 9), (steps, "<q", -1), (mode, "<i", 3), (start, "<d", np.nan), (gamma, "<d", -1.0)):
+        with pytest.raises(Exception, match="status 3"):
+            run.restore(changed(*refused))
+    assert run.state() == saved
+    run.restore(changed(gamma, "<d", 10.0))
+    assert run.get("gamma") == 10.0
+
+
 @pytest.mark.parametrize(("steps", "h"), [(1, 0.04), (4, 0.01), (8, 0.005), (40, 0.001)])
 def test_control_steps_are_at_multiples_of_dt_whatever_the_communication_step(instance, steps, h):
     controller, run = observing(), instance(observing, h=h, start=0.3)
@@ -237,6 +263,13 @@ def test_parameters_may_change_while_it_runs_but_not_to_nonsense(instance):
     with pytest.raises(Exception, match="status 3"):
         run.set("D_hat_start", 1.0)
     assert run.get("gamma") == 10.0 and len(run.messages) == 4
+
+
+def test_of_several_parameters_of_which_one_is_refused_none_is_set(instance):
+    run = instance(heun)
+    with pytest.raises(Exception, match="status 3"):
+        run._write([run.places["gamma"], run.places["D_hat_start"]], [10.0, -1.0])
+    assert run.get("gamma") == 1000.0 and run.get("D_hat_start") == 2.0
 
 
 def test_a_state_of_another_fmu_is_refused(instance):
