@@ -180,10 +180,10 @@ def test_each_input_arrives_after_its_own_delay(D):
 
 def test_batches_equal_single_loops():
     declared, random = plant((0.25, 0.6)), np.random.default_rng(1)
-    X0, D = random.uniform(-1, 1, (9, 3)), random.uniform(0.3, 0.6, 9)
-    loops = simulate(declared, RK4(declared, 30), D=D, D_hat=0.5, X0=X0, t_end=2.0, dt=0.017)
+    X0, D, D_hat = random.uniform(-1, 1, (9, 3)), *random.uniform(0.3, 0.6, (2, 9))
+    loops = simulate(declared, RK4(declared, 30), D=D, D_hat=D_hat, X0=X0, t_end=2.0, dt=0.017)
     for i in (0, 4, 8):
-        one = simulate(declared, RK4(declared, 30), D=D[i], D_hat=0.5, X0=X0[i], t_end=2.0, dt=0.017)
+        one = simulate(declared, RK4(declared, 30), D=D[i], D_hat=D_hat[i], X0=X0[i], t_end=2.0, dt=0.017)
         np.testing.assert_allclose(loops.X[i], one.X, rtol=1e-9, atol=1e-12)
         np.testing.assert_allclose(loops.energy[i], one.energy, rtol=1e-9)
 
