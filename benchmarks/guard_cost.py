@@ -9,6 +9,7 @@ the numerical predictor answers. benchmarks/starts.py counts the loops that are 
 """
 
 import argparse
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -17,43 +18,42 @@ import npred
 from npred import grid
 from npred.data import shards
 from npred.delays import family
+from npred.kernels import kernel
 from npred.loop import metrics
-from npred.pipeline.models import load_model
+from npred.pipeline.models import load_data, load_model
 from npred.predictors import OneStep, Predictor, method
 from npred.predictors.guarded import Guarded
 from npred.registry import METHODS
 from npred.stages.bench import candidates, timing
 
 PROBES = 64
-UNSEEN = 1e9  # a tolerance with which nothing falls back: what is left of a guard is its correction
 NEAR = 0.3, 3.0  # of the tolerance: where the estimate decides
-PAIR = """\
-    model(X, u, D_hat, t, p, P)
-    {guard}
-"""
 
 
-def one_call(predictor: Predictor):
+def one_call(run: Predictor) -> kernel.Kernel:
     """The compiled call of a loop: the model, and its guard where there is one."""
-    parts = {"model": predictor.lanes()} | ({"guarded": predictor.guard} if isinstance(predictor, Guarded) else {})
-    imports = "".join(f"from {part.__module__} import {part.__name__} as {name}\n" for name, part in parts.items())
-    call = "guarded(X, u, D_hat, t, p, guard, P, error, fallback)" if len(parts) > 1 else "pass"
-    return family.build("call", family.GUARD, PAIR.replace("{guard}", call), imports)
+    parts = {"MODEL": run.lanes()} | ({"CHECK": run.guard} if isinstance(run, Guarded) else {})
+    check = "    CHECK(d, X, u, D_hat, t, p, guard, P, error, fallback, work);\n" if len(parts) > 1 else ""
+    head = kernel.prototype("KERNEL", family.GUARD)
+    body = f"static inline {head}\n{{\n    MODEL(d, X, u, D_hat, t, p, P, work);\n{check}}}\n"
+
+    def work(nx: int, lanes: int, settings: np.ndarray) -> int:
+        return max(part.work(nx, lanes, settings) for part in parts.values())
+
+    return kernel.made("call", family.GUARD, body, {}, {}, parts, work=work)
 
 
 def calls(runs: dict[str, Predictor], reference: candidates.Reference) -> dict[str, float]:
     """Medians in microseconds."""
 
-    def caller(run: Predictor):
-        call, plant = one_call(run), run.plant
-        u = grid.refine(reference.u[:PROBES], run.nx)
-        rows = [
-            (reference.X[i][:, None].copy(), u[i][..., None].copy(), reference.D_hat[i : i + 1].copy())
-            for i in range(len(u))
-        ]
-        settings = run.settings if isinstance(run, Guarded) else np.zeros(1)
-        P, error, fallback = np.empty((run.nx, plant.n, 1)), np.empty(1), np.empty(1)
-        return lambda k: call(*rows[k % len(rows)], 0.0, plant.p, settings, P, error, fallback)
+    def caller(run: Predictor) -> Callable[[int], None]:
+        call, u = one_call(run), grid.refine(reference.u[:PROBES], run.nx)
+        settings = run.settings if isinstance(run, Guarded) else np.zeros(7)
+        P, error, fallback = np.empty((run.nx, run.plant.n, 1)), np.empty(1), np.empty(1)
+        rows = zip(reference.X[:PROBES, :, None], u[..., None], reference.D_hat[:PROBES, None], strict=True)
+        inputs = [[np.ascontiguousarray(a) for a in row] for row in rows]
+        bound = [call.bound(*row, 0.0, run.plant.p, settings, P, error, fallback) for row in inputs]
+        return lambda k: bound[k % len(bound)]()
 
     taken = timing.sample({name: caller(run) for name, run in runs.items()}, 5000, 2.0)
     return {name: timing.quantiles(times)["median_us"] for name, times in taken.items()}
@@ -77,18 +77,6 @@ def estimates(guard: Guarded, data) -> None:
     print(f"  estimate over true error, {near.sum()} calls: {quantiles}")
 
 
-def corrections(runs: dict[str, Predictor], data) -> None:
-    """Errors of U on held-out samples, after what RK4 says on the nodes of the data."""
-    X, t = data.X, data.t
-    plant = next(iter(runs.values())).plant if runs else None
-    exact = plant and npred.predictor("rk4", plant, data.u.shape[1])(X, data.u, data.D_hat, t)[:, -1:]
-    for name, run in runs.items():
-        u = grid.refine(data.u, run.nx)
-        U, U_exact = (metrics.law(run.plant, P, t, data.D_hat) for P in (run(X, u, data.D_hat, t)[:, -1:], exact))
-        gaps = np.abs(U - U_exact).max(axis=-1)
-        print(f"  {name}: error of U, median {np.median(gaps):.1e}, largest {gaps.max():.1e}")
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("model")
@@ -96,8 +84,9 @@ def main() -> None:
     parser.add_argument("--tolerance", type=float, default=0.01)
     parser.add_argument("--nx", type=int, nargs="+", default=[101])
     arguments = parser.parse_args()
-    stored = load_model(arguments.model, Path(arguments.store) if arguments.store else None)
-    data = shards.survey(next((Path(arguments.store or "artifacts") / "generate").glob("*/data.h5"))).subset(test=True)
+    store = Path(arguments.store) if arguments.store else None
+    stored = load_model(arguments.model, store)
+    data = shards.survey(load_data(arguments.model.rpartition(":")[0], store).folder / "data.h5").subset(test=True)
     reference = candidates.Reference(stored.plant, data)
     rivals = [k for k in map(method, METHODS.names()) if issubclass(k, OneStep)]
     rivals = [kind for kind in rivals if not npred.delays.family_of(stored.plant).refusal(kind.name)]
@@ -109,18 +98,12 @@ def main() -> None:
         for kind in rivals:
             if nodes := candidates.matching(reference, kind, eps):
                 runs[f"{kind.name} on {nodes - 1} steps"] = kind(stored.plant, nodes)
-        compared: dict[str, Predictor] = {}
-        if not npred.delays.family_of(stored.plant).refusal("defect"):
-            heun = npred.predictor("heun", stored.plant, nx)
-            runs |= {"corrected": Guarded(net, UNSEEN, correct=True), "heun on the same nodes": heun}
-            compared = {name: runs[name] for name in ("bare", "corrected", "heun on the same nodes")}
         times = calls(runs, reference)
-        by, grids = guard.reference
+        by, counts = guard.reference
         print(f"{stored.plant.name}, nx = {nx}, sup error {eps:.2g}, tolerance {arguments.tolerance:g}: "
-              f"shadow by {by} on {grids[0]} and {grids[1]} steps, falls back to {guard.exact.name}")  # fmt: skip
+              f"shadows by {by} on {', '.join(map(str, counts))} steps, falls back to {guard.exact.name}")  # fmt: skip
         for name, median in times.items():
             print(f"  {name}: {median:.1f} µs, {median / times['bare']:.2f} x bare")
-        corrections(compared, data)
         estimates(guard, data)
 
 

@@ -19,6 +19,7 @@ from npred.config.evaluate import Jump
 from npred.config.loop import Sensors
 from npred.plants import Plant
 from npred.predictors import Predictor
+from npred.predictors.guarded import Guarded
 
 B, NX, T_END = 64, 51, 100.0
 rng = np.random.default_rng(0)
@@ -67,11 +68,12 @@ def outcome(plant: Plant, predictor: Predictor, condition: Condition) -> tuple[n
 
 
 if __name__ == "__main__":
-    network = npred.load(sys.argv[1] if len(sys.argv) > 1 else "pipeline/paper.toml:deeponet", nx=NX, runtime="fused")
+    model, store = (sys.argv[1:] + ["pipeline/paper.toml:deeponet", "artifacts"][len(sys.argv) - 1 :])[:2]
+    network = npred.load(model, nx=NX, runtime="fused", store=store)
     plant = network.plant
-    rk4, guarded = npred.predictor("rk4", plant, NX), npred.guarded(network)
-    name, (steps, _) = guarded.reference
-    print(f"guarded by the {guarded.by}, {name} on {steps} steps, tolerance {guarded.tolerance:g}")
+    rk4, guarded = npred.predictor("rk4", plant, NX), Guarded(network)
+    name, counts = guarded.reference
+    print(f"guarded by shadows, {name} on {', '.join(map(str, counts))} steps, tolerance {guarded.tolerance:g}")
     print("| class | numerical: lost, peak | bare: extra, peak | guarded: extra, peak, fallback |")
     print("|---|---|---|---|")
     for name, condition in conditions(plant).items():
