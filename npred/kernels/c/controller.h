@@ -12,7 +12,7 @@ static inline int all_finite(int count, const double *a)
     return all;
 }
 
-/* The longest delay, in seconds, by which a step can read the commands. */
+/* The longest delay by which a step can read the commands. */
 static inline double longest(Shape d, double dt)
 {
     return (double)(d.rows - 3) * dt;
