@@ -11,6 +11,7 @@ from npred.kernels.callback import Failure, callback
 from npred.kernels.kernel import Kernel, made, skeleton
 from npred.plants.base import Plant
 from npred.predictors.base import OneStep, Predictor
+from npred.predictors.runge_kutta import RK4
 
 LEVELS = 4  # of grids that the settings have room for
 HEAD = 3 + LEVELS  # numbers of the settings before those of the domain: tolerance, limit, how many levels, their counts
@@ -23,7 +24,7 @@ def kernel(plant: Plant, exact: Predictor, method: type[OneStep]) -> Callable[..
     model, n, m, phased = family_of(plant), plant.n, plant.m, plant.phased
     cells, signed = model.reads_cells, method.paired
     reference = model.sweep(method.shadow(), cells, more=1) if signed else method(plant).cells()
-    parts: dict[str, Any] = {"CONTROL": model.control(method.step), "EXACT": exact.lanes(), "REFERENCE": reference}
+    parts: dict[str, Any] = {"CONTROL": model.control(RK4.step), "EXACT": exact.lanes(), "REFERENCE": reference}
     compiled, shadows = parts if plant.traced else {}, SHADOWS if signed else WITHOUT_SIGNS
 
     def work(nx: int, lanes: int, settings: np.ndarray) -> int:
