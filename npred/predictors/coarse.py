@@ -98,7 +98,7 @@ class Examples:
         """U (B, m) by the method on so many cells."""
         plant, P = self.plant, np.full((len(self.X), count + 1, self.plant.n), np.nan)
         times = self.t if plant.clocked else np.zeros(len(self.X))
-        run = _one_step(name)(plant).cells()
+        run = one_step(name)(plant).cells()
         with np.errstate(all="ignore"):
             family.by_time(run, (self.X, straight(self.u, count), self.D_hat), times, (plant.p,), (P,))
         return self.command(P[:, -1])
@@ -112,7 +112,7 @@ class Examples:
 
     def by_cost(self, names: Iterable[str]) -> list[tuple[int, str, int]]:
         """The operations of N and 2 N steps of each method, its name and N, the cheapest first."""
-        per_step = {name: _one_step(name).operations(self.plant) for name in names}
+        per_step = {name: one_step(name).operations(self.plant) for name in names}
         return sorted((3 * count * cost, name, count) for name, cost in per_step.items() for count in LADDER)
 
     def exact(self, names: Iterable[str], tolerance: float) -> Predictor:
@@ -121,9 +121,9 @@ class Examples:
         if self.move(RK4.name, EXPLICIT) > tolerance:
             for _, name, count in self.by_cost(names):
                 if self.move(name, count) <= tolerance:
-                    return Coarse(self.plant, _one_step(name), 2 * count, nx)
+                    return Coarse(self.plant, one_step(name), 2 * count, nx)
         return RK4(self.plant, nx)
 
 
-def _one_step(name: str) -> type[OneStep]:
+def one_step(name: str) -> type[OneStep]:
     return cast(type[OneStep], method(name))

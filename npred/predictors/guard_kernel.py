@@ -35,9 +35,13 @@ def kernel(plant: Plant, exact: Predictor, method: type[OneStep]) -> Callable[..
         return len(POINTERS) + m * lanes + one + grid + max(0, *rest, 0)
 
     sizes = {"N": n, "M": m, "PHASED": int(phased), "PERIOD": repr(plant.period) if phased else "1.0"}
-    sizes |= {"ON_CELLS": int(cells), "SIGNED": int(signed), "SHADOWS": shadows, "ORDER": method.order} | (
-        {} if plant.traced else {"FOREIGN": ""}
-    )
+    sizes |= {
+        "ON_CELLS": int(cells),
+        "SIGNED": int(signed),
+        "SHADOWS": shadows,
+        "ORDER": method.order,
+        "LEVELS": LEVELS,
+    } | ({} if plant.traced else {"FOREIGN": ""})
     guard = made("guarded", family.GUARD, skeleton("guard.h"), {}, sizes, compiled, [skeleton("cells.h")], work=work)
     return guard if plant.traced else _foreign(guard, parts, plant)
 

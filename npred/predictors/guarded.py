@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from functools import cached_property
 from itertools import pairwise
-from typing import TYPE_CHECKING, ClassVar, cast
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,9 +13,8 @@ from npred.data.domain import Domain
 from npred.delays import family_of
 from npred.delays.family import Kernel, by_time
 from npred.errors import ConfigError
-from npred.predictors import method
 from npred.predictors.base import OneStep, Predictor
-from npred.predictors.coarse import LADDER, Coarse, Examples
+from npred.predictors.coarse import LADDER, Coarse, Examples, one_step
 from npred.predictors.guard_kernel import HEAD, LEVELS, kernel
 from npred.predictors.runge_kutta import RK4
 
@@ -108,6 +107,8 @@ class Guarded(Predictor):
         for cost, name, first in self._ladder():
             if cost > worth and any(undecided < 0.5 for undecided, *_ in tried):
                 break
+            if any(undecided <= FEW and total < cost for undecided, total, *_ in tried):
+                break  # what comes costs more
             tried.append((*self._undecided(P, name, self._levels(first)), name, first))
         enough = min(undecided for undecided, *_ in tried) + FEW
         _, name, first = min((cost, name, first) for undecided, cost, name, first in tried if undecided <= enough)
@@ -115,7 +116,7 @@ class Guarded(Predictor):
 
     def _ladder(self) -> list[tuple[int, str, int]]:
         """The operations on the intervals of a first level, and the method, the cheapest first."""
-        kinds = {name: _one_step(name) for name in self._methods}
+        kinds = {name: one_step(name) for name in self._methods}
         each = {name: kind.operations(self.plant) * kind.steps_of_pair for name, kind in kinds.items()}
         return sorted(
             (count * cost, name, count) for name, cost in each.items() for count in LADDER if 2 * count < self.nx
@@ -128,7 +129,7 @@ class Guarded(Predictor):
 
     def _undecided(self, P: np.ndarray, name: str, levels: list[int]) -> tuple[float, float]:
         """The share of the examples, whose predictions are P, that no level decides, and the operations of one call."""
-        kind, left = _one_step(name), np.ones(len(P), dtype=bool)
+        kind, left = one_step(name), np.ones(len(P), dtype=bool)
         steps = float(levels[0])
         for pair in pairwise(levels):
             steps += left.mean() * pair[1]
@@ -162,8 +163,15 @@ class Guarded(Predictor):
     def _methods(self) -> list[str]:
         return [name for name in METHODS if family_of(self.plant).refusal(name) is None]
 
+    @cached_property
+    def _kernels(self) -> dict[str, Kernel]:
+        return {}
+
     def _kernel(self, name: str) -> Kernel:
-        return kernel(self.plant, self.exact, _one_step(name))
+        """GUARD with shadows by the method, put together once."""
+        if name not in self._kernels:
+            self._kernels[name] = kernel(self.plant, self.exact, one_step(name))
+        return self._kernels[name]
 
     def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: np.ndarray | float) -> np.ndarray:
         return self._run(self._on(u), self.model(X, u, D_hat, t), X, u, D_hat, t)[0]
@@ -230,10 +238,6 @@ class Guarded(Predictor):
         head = [tolerance, np.inf if domain is None else domain.limit.item(), len(levels), *levels]
         head += [0.0] * (HEAD - len(head))
         return np.concatenate([head, *((domain.bend, domain.mean, domain.whiten.ravel()) if domain else ())])
-
-
-def _one_step(name: str) -> type[OneStep]:
-    return cast(type[OneStep], method(name))
 
 
 def bare(predictor: Predictor) -> Predictor:

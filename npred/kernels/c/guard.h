@@ -13,7 +13,7 @@
  *
  * `guard` has the tolerance, the limit of the distance, how many levels there are and the intervals of each; then what
  * the distance from the data is made of. */
-enum { TOLERANCE_AT, LIMIT_AT, LEVELS_AT, COUNTS_AT, HEAD = COUNTS_AT + 4 };
+enum { TOLERANCE_AT, LIMIT_AT, LEVELS_AT, COUNTS_AT, HEAD = COUNTS_AT + LEVELS };
 #define FEATURES (N + 1 + 3 * M + 2 * PHASED)
 #define ROW (M + SIGNED) /* inputs of REFERENCE: the last is the sign of the local error */
 #define DOUBT 2.0
