@@ -1,0 +1,145 @@
+"""What an adversary makes of whole loops: does it lose one with a guarded network that the numerical predictor keeps?
+
+    python benchmarks/loop_adversary.py MODEL [--loops 500] [--push 0.5] [--spoof 0.5] [--tolerance 0.01] [--store artifacts]
+
+CMA-ES chooses the start, D, D_hat(0), a disturbance at the input that is constant over each of eight spans of time and
+at most `--push` in size, and four samples of X that a sensor gets wrong, each state by as much as the width of the
+plant's box, and when. It maximises how much further the guarded loop goes, and ends, from its target than the numerical
+one under the same attack. A loop is lost that ends further from its target than `--lost` times the target's size.
+Populations begin anew where one has converged. Printed is one row of a Markdown table.
+"""
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import cma
+import numpy as np
+
+import npred
+from npred import config, metrics
+from npred.conditions import Condition, box
+from npred.plants import Plant
+from npred.predictors import Predictor
+
+SPANS, SPOOFED = 8, 4
+ATTACKED = 0.3  # of the time: loops may settle in the rest
+SIZE, GENERATIONS, WIDTH = 20, 8, 0.3  # of a population; the spread that it begins with
+NEAR = 1e-3  # of the target's size: two loops that end nearer than this end alike
+FAR = 1e6  # stands for a distance that is not finite
+HEAD = ["model", "loops", "lost: numerical", "bare", "guarded", "guarded alone", "bare alone", "worst peak ratio"]
+
+
+class Attack(NamedTuple):
+    """What a point z in [0, 1]^k stands for."""
+
+    X0: np.ndarray
+    D: float
+    D_hat: float
+    push: np.ndarray  # (SPANS, m)
+    spoofs: dict[int, np.ndarray]  # control step -> what is added to the sample of X (n,)
+
+
+class Outcome(NamedTuple):
+    """Of one loop: whether it is lost, how far from its target it was at most, and at the end."""
+
+    lost: bool
+    peak: float
+    end: float
+
+
+def attack(z: np.ndarray, plant: Plant, pipeline: config.Pipeline, options: argparse.Namespace) -> Attack:
+    """The attack of a point: the ranges of delays and estimates are those of the data."""
+    generate, n, m = pipeline.generate, plant.n, plant.m
+    ranges, steps = box(plant, generate), round(ATTACKED * options.t_end / pipeline.evaluate.dt)
+    X0, (a, b), pushes, when, offsets = np.split(z, np.cumsum([n, 2, SPANS * m, SPOOFED]))
+    D_hat = between(b, np.array(generate.D_hat0, dtype=float).ravel())
+    at = (when * steps).astype(int)
+    wrong = options.spoof * (2 * offsets.reshape(SPOOFED, n) - 1) * (ranges[:, 1] - ranges[:, 0])
+    return Attack(
+        ranges[:, 0] + X0 * (ranges[:, 1] - ranges[:, 0]), between(a, np.atleast_1d(generate.D)), D_hat,
+        options.push * (2 * pushes.reshape(SPANS, m) - 1), dict(zip(at.tolist(), wrong, strict=True)),
+    )  # fmt: skip
+
+
+def between(share: float, ends: np.ndarray) -> float:
+    return float(ends.min() + share * (ends.max() - ends.min()))
+
+
+def condition(it: Attack, pipeline: config.Pipeline, t_end: float) -> Condition:
+    table = pipeline.evaluate
+
+    def disturbance(t: float) -> np.ndarray:
+        span = int(SPANS * t / (ATTACKED * t_end))
+        return it.push[span] if span < SPANS else 0 * it.push[0]
+
+    def observer(X_hat: np.ndarray, Y: np.ndarray, U: np.ndarray, t: float) -> np.ndarray:
+        return Y + it.spoofs.get(round(t / table.dt), 0.0)
+
+    one = np.array([1.0])
+    return Condition(
+        table, it.X0[None], it.D * one, it.D_hat * one, t_end, 0, disturbance=disturbance, observer=observer
+    )
+
+
+def outcome(predictor: Predictor, it: Condition, far: float) -> Outcome:
+    loops = it.loops(predictor.plant, predictor, every=20)
+    target = predictor.plant.target(loops.t)
+    size = np.linalg.norm(loops.X - target, axis=-1)[0]
+    size = np.nan_to_num(size, nan=FAR, posinf=FAR) / max(float(np.abs(target).max()), 1e-9 if target.any() else 1.0)
+    return Outcome(bool(metrics.lost(loops, target, far)[0]), float(size.max()), float(size[-1]))
+
+
+def worse(guarded: Outcome, numerical: Outcome) -> float:
+    """By how much further the guarded loop went, as logarithms."""
+    return float(np.log(guarded.peak / numerical.peak) + np.log((guarded.end + NEAR) / (numerical.end + NEAR)))
+
+
+def search(ask: Callable[[np.ndarray], float], size: int, loops: int, seed: int) -> None:
+    """Populations from random centres, until so many points were asked."""
+    rng, asked = np.random.default_rng(seed), 0
+    while asked < loops:
+        settings = {"bounds": [0, 1], "popsize": SIZE, "seed": int(rng.integers(1, 2**31)), "verbose": -9}
+        evolution = cma.CMAEvolutionStrategy(rng.uniform(0.2, 0.8, size), WIDTH, settings)
+        for _ in range(GENERATIONS):
+            points = evolution.ask()[: loops - asked]
+            if len(points) < SIZE:
+                points += evolution.ask()[len(points) : SIZE]
+            evolution.tell(points, [-ask(np.asarray(z)) for z in points])
+            asked += SIZE
+            if asked >= loops or evolution.stop():
+                break
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("model", nargs="?", default="pipeline/paper.toml:deeponet")
+    parser.add_argument("--loops", type=int, default=500)
+    for name, default in (("push", 0.5), ("spoof", 0.5), ("tolerance", 0.01), ("lost", metrics.LOST), ("t-end", 30.0)):
+        parser.add_argument(f"--{name}", type=float, default=default)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--store", default="artifacts")
+    options = parser.parse_args()
+    pipeline = config.load(Path(options.model.rsplit(":", 1)[0]))
+    network = npred.load(options.model, nx=pipeline.evaluate.nx, store=options.store, runtime="fused")
+    plant = network.plant
+    rk4 = npred.predictor(pipeline.evaluate.predictor, plant, network.nx)
+    runs = {"numerical": rk4, "bare": network, "guarded": npred.guarded(network, options.tolerance)}
+    found: list[dict[str, Outcome]] = []
+
+    def ask(z: np.ndarray) -> float:
+        it = condition(attack(z, plant, pipeline, options), pipeline, options.t_end)
+        found.append({name: outcome(run, it, options.lost) for name, run in runs.items()})
+        return worse(found[-1]["guarded"], found[-1]["numerical"])
+
+    search(ask, plant.n + 2 + SPANS * plant.m + SPOOFED * (1 + plant.n), options.loops, options.seed)
+    lost = {name: np.array([each[name].lost for each in found]) for name in runs}
+    ratio = max(each["guarded"].peak / each["numerical"].peak for each in found if not each["numerical"].lost)
+    alone = [int((lost[name] & ~lost["numerical"]).sum()) for name in ("guarded", "bare")]
+    cells = [options.model, len(found), *(int(lost[name].sum()) for name in runs), *alone, f"{ratio:.3g}"]
+    print(f"| {' | '.join(HEAD)} |\n|{'---|' * len(HEAD)}\n| {' | '.join(map(str, cells))} |")
+
+
+if __name__ == "__main__":
+    main()
