@@ -1,6 +1,6 @@
 """What an adversary makes of whole loops: does it lose one with a guarded network that the numerical predictor keeps?
 
-    python benchmarks/loop_adversary.py MODEL [--loops 500] [--push 0.5] [--spoof 0.5] [--tolerance 0.01] [--store artifacts]
+    python benchmarks/loop_adversary.py MODEL [--loops 500] [--push 0.5] [--spoof 0.5] [--tolerance 0.01] [--t-end 30]
 
 CMA-ES chooses the start, D, D_hat(0), a disturbance at the input that is constant over each of eight spans of time and
 at most `--push` in size, and four samples of X that a sensor gets wrong, each state by as much as the width of the

@@ -33,7 +33,7 @@ class Guarded(Predictor):
     """`model`, with its error in U estimated in every call; `exact` answers where that may be above `tolerance`.
 
     `tolerance` is in units of U, the largest |kappa(P̂(1)) - kappa(P(1))| over the inputs that is to pass; the model
-    answers where 2.5 times the estimate is within it. A pass is an estimate, not a bound (docs/guard.md). Shadows,
+    answers where 1.25 times the estimate is within it. A pass is an estimate, not a bound (docs/guard.md). Shadows,
     predictions on few intervals to which local errors are added with different signs, estimate it: the distance of U
     from the first of them, and how far they come apart. Where that does not decide, they are taken on more intervals.
     The method (RK4, or an implicit one where the plant is stiff), the intervals, and what `exact` is by default follow

@@ -1,11 +1,13 @@
 """A search for the blind spots of a guard: inputs that it lets pass, with as large an error of U as there is.
 
 CMA-ES, from rows of the data, of ln(error) - PENALTY (ln(estimate / threshold)⁺ + ln(beyond)⁺), with the guard's
-estimate, its threshold, and how far the input is from the data as a share of how far the network is trusted. Half of
-the calls evolve smooth inputs, half rough ones. It needs no derivative, so that it serves every plant and every guard.
+estimate, its threshold, and how far the input is from the data as a share of how far the network is trusted. The calls
+evolve waves, stairs, lines and single nodes of u, each with X in the box and with X in the range of the data. It needs
+no derivative, and so it works for every plant and every guard.
 """
 
 from collections.abc import Callable
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -35,10 +37,12 @@ def search(
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.log(true) - PENALTY * sum(np.log(np.maximum(ratio, 1.0)) for ratio in ratios)
 
-    halves = []
-    for count, smooth in ((table.restarts // 2, True), (table.restarts - table.restarts // 2, False)):
-        a = inputs.starts(rng, data, max(count, 1), 0, guard.nx)
-        halves.append(evolution.search(guard.plant, inputs, a, table.steps, score, rng, progress, smooth))
-    (one, scores), (other, more) = halves
-    X, u, D_hat, t = (np.concatenate(pair) for pair in zip(one, other, strict=True))
-    return (X, u, D_hat, t), np.concatenate([scores, more])
+    kinds, parts = list(product(evolution.SHAPES, (inputs, inputs.widened(data.X)))), []
+    for k, (shape, among) in enumerate(kinds):
+        count = (table.restarts + k) // len(kinds)
+        if count > 0:
+            a = among.starts(rng, data, count, 0, guard.nx)
+            parts.append(evolution.search(guard.plant, among, a, table.steps, score, rng, progress, shape))
+    calls, scores = zip(*parts, strict=True)
+    X, u, D_hat, t = (np.concatenate(column) for column in zip(*calls, strict=True))
+    return (X, u, D_hat, t), np.concatenate(scores)

@@ -22,23 +22,23 @@ Progress = Callable[[int], Any]
 
 def search(
     plant: Plant, inputs: Inputs, a: list[Tensor], steps: int, score: Score, rng: np.random.Generator,
-    progress: Progress, smooth: bool = True,
+    progress: Progress, shape: str = "waves",
 ) -> tuple[Calls, np.ndarray]:  # fmt: skip
     """The calls (B `steps` rows) from starts X, u, D_hat in logistic coordinates (B, ...), and the score of each.
 
     A plant with a clock is asked at times of the set; a delay that it declares is that of X and the time. Evolved are
-    the values of u at the nodes or, `smooth`, cosines over x, the k-th with a spread of 1 / (k + 1)²: both reach all u.
+    weights of `shape` in u, one of SHAPES: all of them reach every u, and the first weights count most.
     """
     nx, a = a[1].shape[1], [*a]
-    waves = torch.as_tensor(cosines(nx) if smooth else np.eye(nx))
-    a[1] = torch.einsum("bjm,kj->bkm", a[1], torch.linalg.inv(waves).T)
+    basis = torch.as_tensor(SHAPES[shape](nx))
+    a[1] = torch.einsum("bjm,kj->bkm", a[1], torch.linalg.inv(basis).T)
     shapes, ends = [b.shape[1:] for b in a], np.cumsum([0, *(b[0].numel() for b in a)])
     calls: list[tuple[np.ndarray, ...]] = []
 
     def scored(points: np.ndarray) -> np.ndarray:
         parts = [torch.as_tensor(points[:, i:j]) for i, j in zip(ends, ends[1:], strict=False)]
         X, u, D_hat = (part.reshape(-1, *shape) for part, shape in zip(parts, shapes, strict=True))
-        u = torch.einsum("bkm,kj->bjm", u, waves)
+        u = torch.einsum("bkm,kj->bjm", u, basis)
         X, u, D_hat = (inputs.inside(b, name).numpy() for b, name in ((X, "X"), (u, "u"), (D_hat, "D_hat")))
         t = inputs.span * torch.sigmoid(torch.as_tensor(points[:, -1])).numpy() if inputs.span else np.zeros(len(X))
         rows = X, u, plant.delay(X, t) if plant.declares_delay else D_hat, t
@@ -52,10 +52,35 @@ def search(
     return (X, u, D_hat, t), scores
 
 
-def cosines(nx: int) -> np.ndarray:
+def waves(nx: int) -> np.ndarray:
     """cos(π k x_j) / (k + 1)² at the middles x_j of nx cells, (k, j)."""
     k = np.arange(nx)[:, None]
     return np.cos(np.pi * k * (np.arange(nx) + 0.5) / nx) / (k + 1) ** 2
+
+
+def stairs(nx: int) -> np.ndarray:
+    """A constant, then jumps in the middle of all nodes, of each half, … (k, j), as large as the share of nodes."""
+    j, rows, parts = np.arange(nx), [np.ones(nx)], [(0, nx)]
+    for low, high in parts:
+        if high - low > 1:
+            middle = (low + high) // 2
+            rows.append((high - low) / nx * (((low <= j) & (j < middle)) * 1.0 - ((middle <= j) & (j < high))))
+            parts += [(low, middle), (middle, high)]
+    return np.array(rows)
+
+
+def lines(nx: int) -> np.ndarray:
+    """A constant, a line, then hats between both ends, in each half, … (k, j), as high as the share of nodes."""
+    j, rows, parts = np.arange(nx), [np.ones(nx), np.linspace(-1.0, 1.0, nx)], [(0, nx - 1)]
+    for low, high in parts:
+        if high - low > 1:
+            middle = (low + high) // 2
+            rows.append(np.interp(j, (low, middle, high), (0.0, (high - low) / (nx - 1), 0.0)))
+            parts += [(low, middle), (middle, high)]
+    return np.array(rows)
+
+
+SHAPES: dict[str, Callable[[int], np.ndarray]] = {"waves": waves, "stairs": stairs, "lines": lines, "nodes": np.eye}
 
 
 def evolve(

@@ -1,6 +1,6 @@
 """The inputs of a predictor that an adversary may choose from, and where it starts."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -34,6 +34,10 @@ class Inputs:
             np.stack([a.min(axis=0), a.max(axis=0)]) for a in (data.u.reshape(-1, data.u.shape[-1]), data.D_hat)
         )
         return cls(box.T, u, D_hat, span)
+
+    def widened(self, X: np.ndarray) -> "Inputs":
+        """The same inputs with X in the range of states (B, n) in place of the box."""
+        return replace(self, X=np.stack([X.min(axis=0), X.max(axis=0)]))
 
     def inside(self, a: Tensor, name: str) -> Tensor:
         """Logistic coordinates to those inputs."""

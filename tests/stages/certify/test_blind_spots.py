@@ -14,7 +14,7 @@ from npred.stages.certify.table import Certify
 
 PLANT, NX = npred.plant("activator_repressor"), 21
 BOX = np.array([PLANT.box[name] for name in PLANT.states])
-TOLERANCE, STEPS = 0.01, 40
+TOLERANCE, STEPS, SEARCHES = 0.01, 40, 8  # four shapes of u, two ranges of X
 BLIND = 1.4  # s: for a delay above it the guard sees nothing of the error
 
 
@@ -49,7 +49,7 @@ def data():
 
 
 def searched(guard, data, seed=0):
-    exact, table = RK4(PLANT, NX), Certify(restarts=80, steps=STEPS)
+    exact, table = RK4(PLANT, NX), Certify(restarts=20 * SEARCHES, steps=STEPS)
     inputs = Inputs.of(data, BOX, PLANT)
     calls, score = blind_spots.search(guard, exact, data, inputs, table, seed, lambda count: None)
     true, estimate, passed = rollouts.judged(guard, exact, *calls)
@@ -60,9 +60,9 @@ def test_the_search_comes_to_the_blind_spot(data):
     guard = with_domain(Blind, data, TOLERANCE)
     (_, _, D_hat, _), score, true, _, passed = searched(guard, data, seed=2)
     unseen = passed & (true > TOLERANCE)
-    smooth, rough = unseen.reshape(2, STEPS, -1).mean(axis=2)
-    assert smooth[0] == rough[0] == 0
-    assert smooth[-5:].mean() > 0.3 and rough[-5:].mean() > 0.3
+    searches = unseen.reshape(SEARCHES, STEPS, -1).mean(axis=2)
+    assert searches[:, 0].max() == 0
+    assert searches[:, -5:].mean(axis=1).reshape(-1, 2).max(axis=1).min() > 0.3  # by every shape, in one range at least
     assert (D_hat[unseen] > BLIND).all()
     best = np.argmax(score)
     assert passed[best] and true[best] == true[passed].max()
@@ -81,8 +81,8 @@ def test_outside_of_a_small_domain_the_search_goes_in(data):
     guard.domain.limit[...] = np.median(guard.domain.distance(data.X, data.u, data.D_hat, None))
     calls, _, _, _, passed = searched(guard, data)
     inside = guard.beyond(*calls) <= 1
-    smooth = inside.reshape(2, STEPS, -1)[0].mean(axis=1)
-    assert smooth[10:].mean() > 3 * smooth[0] and not passed[~inside].any()
+    waves = inside.reshape(SEARCHES, STEPS, -1)[0].mean(axis=1)
+    assert waves[10:].mean() > 3 * waves[0] and not passed[~inside].any()
 
 
 def test_what_the_nodes_do_not_resolve_is_no_blind_spot_with_or_without_a_domain(data):

@@ -59,9 +59,20 @@ def test_many_coordinates_take_a_diagonal(monkeypatch):
     assert np.linalg.norm(points[-1], axis=-1).min() < 0.05
 
 
-def test_cosines_reach_every_history_and_smooth_ones_first():
-    waves = evolution.cosines(21)
-    np.testing.assert_allclose(np.linalg.inv(waves) @ waves, np.eye(21), atol=1e-9)
+@pytest.mark.parametrize("nx", [2, 5, 21, 50, 101])
+@pytest.mark.parametrize("shape", evolution.SHAPES)
+def test_every_shape_reaches_every_history(shape, nx):
+    basis = evolution.SHAPES[shape](nx)
+    np.testing.assert_allclose(np.linalg.inv(basis) @ basis, np.eye(nx), atol=1e-9)
+
+
+def test_stairs_jump_and_lines_bend_in_the_middle_first():
+    np.testing.assert_allclose(evolution.stairs(4)[:3], [[1, 1, 1, 1], [1, 1, -1, -1], [0.5, -0.5, 0, 0]])
+    np.testing.assert_allclose(evolution.lines(5)[:3], [[1, 1, 1, 1, 1], [-1, -0.5, 0, 0.5, 1], [0, 0.5, 1, 0.5, 0]])
+
+
+def test_waves_reach_smooth_histories_first():
+    waves = evolution.waves(21)
     drawn = np.random.default_rng(0).normal(size=(200, 21)) @ waves
     kinks = np.abs(np.diff(drawn, 2)).sum(axis=1) / np.ptp(drawn, axis=1)
     assert np.median(kinks) < 3 < np.median(np.abs(np.diff(np.random.default_rng(1).normal(size=(200, 21)), 2)).sum(1))
