@@ -48,7 +48,8 @@ class ErrorBound:
         Infinite where no tube holds P: P_hat is too far from it, or the plant too sensitive.
         """
         plant, nx = self.plant, (u.shape[1] - 1) * -(-CELLS // (u.shape[1] - 1)) + 1
-        P_hat, u = grid.refine(P_hat, nx), grid.refine(u, nx)
+        P_hat, v = grid.refine(P_hat, nx), grid.refine(u, 2 * nx - 1)  # at once: a cubic through u[::2] is another u
+        u = np.ascontiguousarray(v[:, ::2])
         correction, times = family_of(plant).correction(), np.zeros(len(X)) if plant.autonomous else t
         with np.errstate(all="ignore"):
             Q = P_hat
@@ -56,7 +57,7 @@ class ErrorBound:
                 corrected = np.empty_like(Q)
                 by_time(correction, (Q, X, u, D_hat), times, (plant.p,), (corrected,))
                 Q = corrected
-            distance = self._distance(Curve(plant, Q, X, u, D_hat, t))
+            distance = self._distance(Curve(plant, Q, X, v, D_hat, t))
             at, s = Q[:, -1], t + D_hat
             slope = self._slope(at, np.where(np.isfinite(distance), distance, 0.0), s)
             gap = np.abs(plant.kappa(P_hat[:, -1], s) - plant.kappa(at, s)).max(axis=-1)
@@ -113,17 +114,17 @@ class ErrorBound:
 class Curve:
     """The cubic through Q (B, nx, n) with the slopes D_hat f, by cells of the width h (B,).
 
+    v (B, 2 nx - 1, m) is the input at nodes and middles in turn.
     `residuals` (B, 2 nx - 1, n) are R at nodes and middles in turn. In each cell the curve is between `lowest` and
     `highest` (B, cells, n), the input between the two of `u` (B, cells, m), the time between the two of `times`.
     """
 
     def __init__(
-        self, plant: Plant, Q: np.ndarray, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: np.ndarray
+        self, plant: Plant, Q: np.ndarray, X: np.ndarray, v: np.ndarray, D_hat: np.ndarray, t: np.ndarray
     ) -> None:  # fmt: skip
-        nx = u.shape[1]
-        v, s = grid.refine(u, 2 * nx - 1), t[:, None] + D_hat[:, None] * grid.nodes(2 * nx - 1)
+        nx, s = Q.shape[1], t[:, None] + D_hat[:, None] * grid.nodes(v.shape[1])
         self.h = D_hat / (nx - 1)
-        h, f = self.h[:, None, None], plant.f(Q, u, s[:, ::2])
+        h, f = self.h[:, None, None], plant.f(Q, v[:, ::2], s[:, ::2])
         middle = (Q[:, :-1] + Q[:, 1:]) / 2 + h / 8 * (f[:, :-1] - f[:, 1:])
         f_middle = plant.f(middle, v[:, 1::2], s[:, 1::2])
         whole = h / 6 * (f[:, :-1] + 4 * f_middle + f[:, 1:])

@@ -34,7 +34,7 @@ class Condition:
     seed: int
     first: int = 0
     adapts: bool = True
-    disturbance: Callable[[float], float] | None = None
+    disturbance: Callable[[float], Any] | None = None
     observer: Observer | None = None
 
     @property

@@ -1,5 +1,7 @@
 """The bound of the error of U: above the error by SciPy, near it, and closed forms where there are some."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from guard_samples import BOX, NX, PLANT, Wrong, rows
@@ -39,6 +41,18 @@ def exact_end(plant, X, u, D_hat):
     return solve_ivp(f, (0, 1), X, method="DOP853", rtol=1e-12, atol=1e-12).y[:, -1]
 
 
+def over_kinks(plant, X, u, D_hat):
+    """P (nx, n) of one row, node by node, for u is smooth between two nodes only."""
+    x, P = grid.nodes(len(u)), [X]
+    for a, b in pairwise(x):
+
+        def f(s, P):
+            return D_hat * np.asarray(plant.f(P, grid.read(u, np.array([s]))[0], 0.0))
+
+        P.append(solve_ivp(f, (a, b), P[-1], method="DOP853", rtol=1e-12, atol=1e-14).y[:, -1])
+    return np.array(P)
+
+
 @pytest.fixture(scope="module")
 def weighted():
     X, u, D_hat = rows()
@@ -55,6 +69,18 @@ def test_the_bound_is_above_the_error_and_near_it(size, weighted):
     assert (bound >= true * (1 - 1e-9)).all()
     assert np.median(bound / true) < 1.1
     assert np.isfinite(bound).all()
+
+
+def test_the_bound_holds_where_the_input_kinks_at_its_nodes():
+    """Between two nodes the bound reads the cubic through the nodes, and no cubic through what was read of it."""
+    plant, rng = Plant("line", Line), np.random.default_rng(6)
+    X, u, D_hat = rng.normal(size=(20, 1)), rng.normal(size=(20, 11, 1)), np.full(20, 0.15)
+    P = np.stack([over_kinks(plant, *row) for row in zip(X, u, D_hat, strict=True)])
+    P_hat = P + 1e-5 * grid.nodes(11)[:, None]
+    bound = ErrorBound(plant, np.eye(1))(P_hat, X, u, D_hat, np.zeros(20))
+    true = np.abs(plant.kappa(P_hat[:, -1]) - plant.kappa(P[:, -1])).max(axis=1)
+    assert (bound >= true * (1 - 1e-6)).all()
+    assert np.median(bound / true) < 3
 
 
 def test_an_error_without_bound_is_infinite():
@@ -99,7 +125,7 @@ def test_a_linear_plant_in_closed_form():
 def test_the_curve_is_inside_its_cells_and_its_residual_is_that_of_quadrature():
     X, u, D_hat = (a[:3] for a in rows())
     Q = npred.predictor("heun", PLANT, NX)(X, u, D_hat)
-    curve = Curve(PLANT, Q, X, u, D_hat, NOW[:3])
+    curve = Curve(PLANT, Q, X, grid.refine(u, 2 * NX - 1), D_hat, NOW[:3])
     x = grid.nodes(NX)
     fine = np.linspace(0, 1, 20 * (NX - 1) + 1)
     for i in range(3):
@@ -181,7 +207,7 @@ def test_a_bound_holds_where_the_law_is_steeper_at_P_than_at_what_was_predicted(
 def test_a_curve_that_turns_within_a_cell_is_inside_it():
     plant, rng, x = Plant("line", Line), np.random.default_rng(8), np.linspace(0, 1, 6)
     Q, u, D_hat = rng.normal(size=(20, 6, 1)), 20 * rng.normal(size=(20, 6, 1)), rng.uniform(0.5, 1.5, 20)
-    curve, turns = Curve(plant, Q, Q[:, 0], u, D_hat, np.zeros(20)), 0
+    curve, turns = Curve(plant, Q, Q[:, 0], grid.refine(u, 11), D_hat, np.zeros(20)), 0
     for i in range(20):
         spline = CubicHermiteSpline(x, Q[i], D_hat[i] * plant.f(Q[i], u[i]))
         for j in range(5):

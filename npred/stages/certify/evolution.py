@@ -60,7 +60,8 @@ def waves(nx: int) -> np.ndarray:
 
 def stairs(nx: int) -> np.ndarray:
     """A constant, then jumps in the middle of all nodes, of each half, … (k, j), as large as the share of nodes."""
-    j, rows, parts = np.arange(nx), [np.ones(nx)], [(0, nx)]
+    j, parts = np.arange(nx), [(0, nx)]
+    rows: list[Any] = [np.ones(nx)]
     for low, high in parts:
         if high - low > 1:
             middle = (low + high) // 2
@@ -71,7 +72,8 @@ def stairs(nx: int) -> np.ndarray:
 
 def lines(nx: int) -> np.ndarray:
     """A constant, a line, then hats between both ends, in each half, … (k, j), as high as the share of nodes."""
-    j, rows, parts = np.arange(nx), [np.ones(nx), np.linspace(-1.0, 1.0, nx)], [(0, nx - 1)]
+    j, parts = np.arange(nx), [(0, nx - 1)]
+    rows: list[Any] = [np.ones(nx), np.linspace(-1.0, 1.0, nx)]
     for low, high in parts:
         if high - low > 1:
             middle = (low + high) // 2
