@@ -41,7 +41,7 @@ def network():
 
 
 def doubting():
-    guarded = npred.guarded(npred.predictor("euler", PLANT, 21), 2.5e-5)
+    guarded = npred.guarded(npred.predictor("euler", PLANT, 21), 1.25e-5)
     return Controller(PLANT, guarded, PAPER, DT, D_hat=2.0)
 
 
