@@ -1,6 +1,6 @@
 """What an adversary finds that a guard lets pass, and how large the errors of U are there.
 
-    python benchmarks/guard_adversary.py [MODEL] [--nx 51] [--states box|data|domain] [--by shadow|defect] [--correct]
+    python benchmarks/guard_adversary.py [MODEL] [--nx 51] [--states box|data|domain]
     python benchmarks/guard_adversary.py --table --calls 100_000 --seconds 3600
 
 MODEL is pipeline/paper.toml:deeponet by default, and has to be trained. One row of a Markdown table is printed; with

@@ -3,10 +3,10 @@
     python benchmarks/loop_adversary.py MODEL [--loops 500] [--push 0.5] [--spoof 0.5] [--tolerance 0.01] [--t-end 30]
 
 CMA-ES chooses the start, D, D_hat(0), a disturbance at the input that is constant over each of eight spans of time and
-at most `--push` in size, and four samples of X that a sensor gets wrong, each state by as much as the width of the
-plant's box, and when. It maximises how much further the guarded loop goes, and ends, from its target than the numerical
-one under the same attack. A loop is lost that ends further from its target than `--lost` times the target's size.
-Populations begin anew where one has converged. Printed is one row of a Markdown table.
+at most `--push` in size, and four samples of X that a sensor gets wrong, each state by at most `--spoof` times the
+width of the plant's box, and when: all in the first 30 % of the time. It maximises how much further the guarded loop
+goes, and ends, from its target than the numerical one under the same attack. A loop is lost that ends further from its
+target than `--lost` times the target's size. It prints one row of a Markdown table.
 """
 
 import argparse
@@ -97,15 +97,13 @@ def worse(guarded: Outcome, numerical: Outcome) -> float:
 
 
 def search(ask: Callable[[np.ndarray], float], size: int, loops: int, seed: int) -> None:
-    """Populations from random centres, until so many points were asked."""
+    """Populations from random centres, until so many points were asked, or some more: populations are whole."""
     rng, asked = np.random.default_rng(seed), 0
     while asked < loops:
         settings = {"bounds": [0, 1], "popsize": SIZE, "seed": int(rng.integers(1, 2**31)), "verbose": -9}
         evolution = cma.CMAEvolutionStrategy(rng.uniform(0.2, 0.8, size), WIDTH, settings)
         for _ in range(GENERATIONS):
-            points = evolution.ask()[: loops - asked]
-            if len(points) < SIZE:
-                points += evolution.ask()[len(points) : SIZE]
+            points = evolution.ask()
             evolution.tell(points, [-ask(np.asarray(z)) for z in points])
             asked += SIZE
             if asked >= loops or evolution.stop():

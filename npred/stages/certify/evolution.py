@@ -1,6 +1,6 @@
 """CMA-ES: normal distributions of inputs that move to where a score is larger [Hansen 2016, arXiv:1604.00772]."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -60,26 +60,29 @@ def waves(nx: int) -> np.ndarray:
 
 def stairs(nx: int) -> np.ndarray:
     """A constant, then jumps in the middle of all nodes, of each half, … (k, j), as large as the share of nodes."""
-    j, parts = np.arange(nx), [(0, nx)]
+    j = np.arange(nx)
     rows: list[Any] = [np.ones(nx)]
-    for low, high in parts:
-        if high - low > 1:
-            middle = (low + high) // 2
-            rows.append((high - low) / nx * (((low <= j) & (j < middle)) * 1.0 - ((middle <= j) & (j < high))))
-            parts += [(low, middle), (middle, high)]
+    for low, middle, high in _halves(nx):
+        rows.append((high - low) / nx * (((low <= j) & (j < middle)) * 1.0 - ((middle <= j) & (j < high))))
     return np.array(rows)
 
 
 def lines(nx: int) -> np.ndarray:
     """A constant, a line, then hats between both ends, in each half, … (k, j), as high as the share of nodes."""
-    j, parts = np.arange(nx), [(0, nx - 1)]
     rows: list[Any] = [np.ones(nx), np.linspace(-1.0, 1.0, nx)]
+    for low, middle, high in _halves(nx - 1):
+        rows.append(np.interp(np.arange(nx), (low, middle, high), (0.0, (high - low) / (nx - 1), 0.0)))
+    return np.array(rows)
+
+
+def _halves(length: int) -> Iterator[tuple[int, int, int]]:
+    """Where [0, length], its halves, their halves, … begin, are halved and end, down to a length of two."""
+    parts = [(0, length)]
     for low, high in parts:
         if high - low > 1:
             middle = (low + high) // 2
-            rows.append(np.interp(j, (low, middle, high), (0.0, (high - low) / (nx - 1), 0.0)))
+            yield low, middle, high
             parts += [(low, middle), (middle, high)]
-    return np.array(rows)
 
 
 SHAPES: dict[str, Callable[[int], np.ndarray]] = {"waves": waves, "stairs": stairs, "lines": lines, "nodes": np.eye}
