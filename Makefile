@@ -9,12 +9,12 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check $(if $(C
 ZIG := $(if $(shell command -v cc || command -v gcc || command -v clang),,ziglang)
 
 .DEFAULT_GOAL := all
-.PHONY: all install dev test test-fast campaign smoke lint types docs cortex-m check constraints clean help force
+.PHONY: all install dev test test-fast campaign gpu smoke lint types docs cortex-m check constraints clean help force
 
 all: install ## set up, then run the paper's whole experiment (what is done already is not done again)
 	$(BIN)/npred run $(PIPELINE)
 
-install: $(VENV)/.installed ## set up .venv with npred in it
+install: $(VENV)/.installed ## set up .venv with npred in it, and torch, by which networks are trained
 
 dev: $(VENV)/.installed-dev ## the same with what the tests need
 
@@ -26,6 +26,9 @@ test-fast: dev ## the tests that take no more than a few seconds each
 
 campaign: dev ## the longest tests: 10^5 steps in C and an FMU, hostile names, published networks, real stages killed
 	$(BIN)/python -m pytest -n auto -m campaign
+
+gpu: dev ## what only a machine with a GPU can test: graphs captured, seeds side by side, stages there; prints times
+	NPRED_TEST_GPU=1 $(BIN)/python -m pytest -m gpu -s tests/training/test_on_gpu.py
 
 smoke: install ## the whole chain on a tiny problem
 	$(BIN)/npred run pipeline/smoke.toml
@@ -61,7 +64,7 @@ $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
 
 $(VENV)/.installed: pyproject.toml $(if $(CONSTRAINTS),force) | $(BIN)/python
-	$(PIP) -e . $(ZIG)
+	$(PIP) -e ".[train]" $(ZIG)
 	touch $@
 
 $(VENV)/.installed-dev: pyproject.toml $(if $(CONSTRAINTS),force) | $(BIN)/python

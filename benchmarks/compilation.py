@@ -1,15 +1,17 @@
-"""How long a plant takes from an empty cache of kernels, and from a full one, to the first step of the adaptive loop.
+"""How long a plant's first predictor call and first adaptive loop take, from an empty cache of kernels and a full one.
 
     python benchmarks/compilation.py [PLANT ...]
 
-A plant is a name or my_plant.py:Tank; by default some built-in ones and the six-joint arm of the tests' URDF file. The
-engine, which serves every plant, is compiled beforehand. Each time is of a process of its own, its imports left out.
+A plant is a name or my_plant.py:Tank; by default some built-in ones and the six-joint arm of the tests' URDF file. Each
+row is of processes of their own, the first with an empty folder of all caches: `wall` is the whole process, interpreter
+and imports included, `call` the predictor's call, or the loop, alone.
 """
 
 import os
 import subprocess
 import sys
 import tempfile
+import time
 from pathlib import Path
 
 from npred.terminal.console import columns
@@ -21,25 +23,35 @@ from npred.robots.chain import chain
 
 Arm = chain({path!r})
 """
-STEP = """\
+CALL = """\
 import sys, time
+import numpy as np
 import npred
-from npred.loop.closed_loop import simulate
 
-start = time.perf_counter()
 plant = npred.plant(sys.argv[1])
+rk4 = npred.predictor("rk4", plant, 101)
 X0 = [sum(span) / 2 for span in plant.box.values()]
-law = npred.DelayAdaptation(gamma=1.0, bounds=(0.1, 0.5))
-simulate(plant, npred.predictor("rk4", plant, 11), D=0.2, D_hat=0.3, X0=X0, t_end=0.01, dt=0.01, adaptation=law)
-print(time.perf_counter() - start)
+start = time.perf_counter()
 """
+FIRST = {
+    "call": "rk4(X0, np.zeros((101, plant.m)), 0.2)\n",
+    "loop": """\
+law = npred.DelayAdaptation(gamma=1.0, bounds=(0.1, 0.5))
+npred.simulate(plant, rk4, D=0.2, D_hat=0.3, X0=X0, t_end=1.0, dt=0.01, adaptation=law)
+""",
+}
 
 
-def seconds(plant: str, cache: str) -> float:
-    """To the first step, in a process of its own."""
-    command = [sys.executable, "-c", STEP, plant]
-    done = subprocess.run(command, env=os.environ | {"NPRED_CACHE": cache}, stdout=subprocess.PIPE, check=True)
-    return float(done.stdout)
+def seconds(plant: str, what: str, cache: str) -> tuple[float, float]:
+    """Of the whole process, and of the call alone."""
+    script = CALL + FIRST[what] + "print(time.perf_counter() - start)"
+    environment = {name: value for name, value in os.environ.items() if name != "NPRED_CACHE"}
+    start = time.perf_counter()
+    done = subprocess.run(
+        [sys.executable, "-c", script, plant], env=environment | {"XDG_CACHE_HOME": cache}, stdout=subprocess.PIPE,
+        check=True,
+    )  # fmt: skip
+    return time.perf_counter() - start, float(done.stdout)
 
 
 def main() -> None:
@@ -47,13 +59,13 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         arm = Path(folder, "six_joint.py")
         arm.write_text(URDF.format(path=str(HERE.parent / "tests" / "six_joint.urdf")))
-        plants = sys.argv[1:] or [*PLANTS, f"{arm}:Arm"]
-        seconds("scalar", folder)
         rows = []
-        for plant in plants:
-            cache = tempfile.mkdtemp(dir=folder)
-            rows.append([Path(plant).name, f"{seconds(plant, cache):.1f}", f"{seconds(plant, cache):.2f}"])
-    print(columns(["plant", "cold [s]", "warm [s]"], rows))
+        for plant in sys.argv[1:] or [*PLANTS, f"{arm}:Arm"]:
+            for what in FIRST:
+                cache = tempfile.mkdtemp(dir=folder)
+                times = [f"{t:.2f}" for _ in ("cold", "warm") for t in seconds(plant, what, cache)]
+                rows.append([Path(plant).name, what, *times])
+    print(columns(["plant", "first", "cold wall [s]", "cold call [s]", "warm wall [s]", "warm call [s]"], rows))
 
 
 if __name__ == "__main__":

@@ -90,7 +90,7 @@ def _late(number: int, frame: object) -> None:
 
 
 def _memory() -> int:
-    return int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
+    return int(Path("/proc/self/statm").read_text(encoding="utf-8").split()[0]) * os.sysconf("SC_PAGE_SIZE")
 
 
 def campaign(name: str, target: Target, seed: int, cases: int) -> tuple[Counter[str], list[str]]:

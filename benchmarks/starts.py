@@ -33,7 +33,8 @@ BATCH, CLIMB, SEED = 500, 0.003, 12345  # loops side by side; the step of a weig
 
 def damaged(network: Any, error: float) -> Predictor:
     """The network with weights moved until the median error of U on examples of its data is `error`."""
-    operator, plant = copy.deepcopy(network.operator).double().requires_grad_(True), network.plant
+    plant = network.plant
+    operator = copy.deepcopy(network.operator.module(plant)).double().requires_grad_(True)
     domain = operator.domain
     rows = domain.X, grid.refine(domain.u, network.nx), domain.D_hat, domain.t
     U = torch.as_tensor(plant.kappa(npred.predictor("rk4", plant, network.nx)(*rows)[:, -1], domain.t + domain.D_hat))

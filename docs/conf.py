@@ -37,6 +37,6 @@ nitpick_ignore_regex = [
     ("py:.*", r"(numpy|np|torch|pathlib|collections|typing|pydantic|h5py|types)\..*|optional"),
     (
         "py:class",
-        r"Neural|Fused|Onnx|npred\.registry\.Source|npred\.loop\.delay_law\.DelayLaw|npred\.predictors\.base\.Compiled|npred\.operators\.scaling\.Scaling",
+        r"Neural|Fused|Onnx|npred\.registry\.Source|npred\.loop\.delay_law\.DelayLaw|npred\.predictors\.base\.Compiled|npred\.operators\.scaling\.Scaling|npred\.config\.pipeline\.Pipeline|npred\.results\.evaluate\.Evaluated|npred\.runs\.Kind",
     ),
 ]

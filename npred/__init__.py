@@ -1,9 +1,9 @@
 """npred: predictor feedback for delayed nonlinear plants, with numerical predictors and measured neural ones.
 
-`plant` and `predictor` make the parts by name, `simulate` closes the loop, `load` takes a trained network from the
-store, `controller` is the controller for a real plant, `as_iosystem` that for python-control. DelayAdaptation is the
-paper's law for the delay estimate; DelayLaw and Predictor are what a law and a predictor that you write derive from.
-npred.errors has the failures.
+`plant` and `predictor` make the parts by name, `simulate` closes the loop; `generate`, `train` and `evaluate` are the
+stages of the command line on its store, from which `load` takes a trained network; `controller` is the controller for a
+real plant, `as_iosystem` that for python-control. DelayAdaptation is the paper's law for the delay estimate; DelayLaw
+and Predictor are what a law and a predictor that you write derive from. npred.errors has the failures.
 """
 
 from typing import TYPE_CHECKING, Any
@@ -24,11 +24,14 @@ if TYPE_CHECKING:
     from npred.loop.l1_adaptation import L1Adaptation as L1Adaptation
     from npred.loop.measurement import Measurement as Measurement
     from npred.predictors import Predictor as Predictor
+    from npred.runs import evaluate as evaluate
+    from npred.runs import generate as generate
+    from npred.runs import train as train
 
 __version__ = "0.1.0"
 __all__ = [
     "DelayAdaptation", "DelayLaw", "DelayObserver", "L1Adaptation", "Measurement", "Predictor", "as_iosystem",
-    "controller", "guarded", "load", "plant", "predictor", "simulate",
+    "controller", "evaluate", "generate", "guarded", "load", "plant", "predictor", "simulate", "train",
 ]  # fmt: skip
 
 _HOME = dict.fromkeys(__all__, "api") | {
@@ -39,6 +42,7 @@ _HOME = dict.fromkeys(__all__, "api") | {
     "Measurement": "loop.measurement",
     "Predictor": "predictors",
     "as_iosystem": "loop.iosystem",
+    **dict.fromkeys(("evaluate", "generate", "train"), "runs"),
     "simulate": "loop.closed_loop",
 }
 _MODULES = {

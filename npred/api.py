@@ -1,14 +1,21 @@
 """The public functions of Python and notebooks: plants, predictors, trained models and the controller, by name."""
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from npred import plants
 from npred.errors import ConfigError
 from npred.loop.controller import Controller
 from npred.loop.delay_law import DelayLaw
+from npred.parallel import devices
 from npred.plants import Plant
 from npred.predictors import Predictor, numerical
+from npred.terminal import waiting
+
+if TYPE_CHECKING:
+    from npred.pipeline.models import Stored
 
 
 def plant(name: str, **parameters: float) -> Plant:
@@ -33,25 +40,29 @@ def load(
     """A trained model as a predictor: `pipeline/paper.toml:deeponet`, `…:deeponet@107`, or an artifact's path or key.
 
     By default loops and controllers call one compiled function of the network, made at its first use there and kept
-    on the disk, and calls with batches torch: both in float64. On a GPU, and for a network of yours, torch does all.
+    on the disk, and calls with batches torch, where it is installed: both in float64. On a GPU, and for a network of
+    yours, torch does all.
     `runtime` names one for both: torch; fused, the compiled function in float32, which takes half the time; onnx, ONNX
     Runtime; that of a package; or a class of a file, `my_runtime.py:Mine`. Files are verified against their digests.
     The plant is the pipeline's, or, for an artifact, the built-in one of that name: a plant's file is code and is run
     only when a pipeline names it. Raises ConfigError, StoreError, and MissingError for a device or an extra that this
     machine lacks.
     """
-    import torch
-
-    from npred import operators, runtimes
-    from npred.parallel import devices
     from npred.pipeline.models import load_model
 
     device = devices.resolve(device)
     devices.require(device)
-    stored = load_model(str(model), Path(store) if store else None)
-    precision = torch.float64 if runtime in (None, "torch") else torch.float32
-    operator = operators.load(stored.folder, stored.plant, stored.snapshot, precision, stored.config)
-    return runtimes.predictor(runtime, stored.plant, operator, nx, stored.model, device)
+    return loaded(load_model(str(model), Path(store) if store else None), nx, device, runtime)
+
+
+def loaded(stored: "Stored", nx: int, device: str, runtime: str | None) -> Predictor:
+    """A trained model of the store as a predictor; see `load`."""
+    with waiting.said(f"loading network {stored.model}", often="once per process"):
+        from npred import operators, runtimes
+
+        precision = np.float64 if runtime in (None, "torch") else np.float32
+        operator = operators.read(stored.folder, stored.plant, stored.snapshot, precision, stored.config)
+        return runtimes.predictor(runtime, stored.plant, operator, nx, stored.model, device)
 
 
 def guarded(

@@ -2,6 +2,7 @@
 
 import os
 import reprlib
+import sys
 from numbers import Real
 
 import numpy as np
@@ -107,7 +108,9 @@ def fits(shape: tuple[int, ...], target: tuple[int, ...]) -> bool:
 
 
 def memory() -> int:
-    """The bytes that this machine has."""
+    """The bytes that this machine has; where the system does not say it, as on Windows, no size is too large."""
+    if "SC_PHYS_PAGES" not in getattr(os, "sysconf_names", ()):
+        return sys.maxsize
     return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from importlib import import_module
+from importlib.util import find_spec
 from types import ModuleType
 
 
@@ -39,13 +40,47 @@ class DivergedError(NpredError):
     """A rollout, a predictor or a training left the finite numbers."""
 
 
+EXTRAS = {  # the packages that a small installation lacks, by the extra that has them
+    "torch": "train", "onnx": "onnx", "onnxruntime": "onnx", "onnxscript": "onnx", "scipy": "mat",
+}  # fmt: skip
+
+
+def imported(what: str, module: str, extra: str = "") -> ModuleType:
+    """A module of npred that may need one of EXTRAS. Raises MissingError, after `what` needs it, without that.
+
+    `extra` is the one that has all that the module needs, where it is another than the package's.
+    """
+    try:
+        return import_module(module)
+    except ModuleNotFoundError as error:
+        raise missing(what, error, extra) or error from None
+
+
+def missing(what: str, error: ModuleNotFoundError, extra: str = "") -> MissingError | None:
+    """The same failure in one line, with what to do; None where the module is none of EXTRAS."""
+    package = (error.name or "").partition(".")[0]
+    return lacking(what, package, extra or EXTRAS[package]) if package in EXTRAS else None
+
+
+def installed(module: str) -> bool:
+    """True if a module could be imported; it is not."""
+    try:
+        return find_spec(module) is not None
+    except (ModuleNotFoundError, ValueError):
+        return False
+
+
 def required(what: str, module: str, package: str, extra: str) -> ModuleType:
     """A module of an optional package, imported now. Raises MissingError, after `what` needs it, without it."""
     try:
         return import_module(module)
     except ImportError:
-        todo = f"pip install 'npred[{extra}]'"
-        raise MissingError(f"{what}: expected the package {package}, found none; {todo}") from None
+        raise lacking(what, package, extra) from None
+
+
+def lacking(what: str, package: str, extra: str) -> MissingError:
+    """The failure of `what`, which needs a package that is not installed."""
+    return MissingError(f"{what}: expected the package {package}, found none; pip install 'npred[{extra}]'")
 
 
 def bytes_text(count: float) -> str:

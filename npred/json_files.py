@@ -36,7 +36,10 @@ def sha256(path: Path) -> str:
 
 def sync(path: Path) -> None:
     """Make a file's bytes, or a folder's names, outlive a loss of power. Raises OSError."""
-    descriptor = os.open(path, os.O_RDONLY)
+    posix = hasattr(os, "O_DIRECTORY")  # Windows opens no folder, and syncs what it may write to
+    if not posix and path.is_dir():
+        return
+    descriptor = os.open(path, os.O_RDONLY if posix else os.O_RDWR)
     try:
         os.fsync(descriptor)
     finally:

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from npred import json_files
-from npred.errors import ConfigError, similar
+from npred.errors import ConfigError, imported, similar
 from npred.symbolic import source_lines
 
 SUFFIX = ".py:"
@@ -26,13 +26,16 @@ class Entry(NamedTuple):
     """A built-in part: its module:Class, its label for people, and its line in figures.
 
     `look` is the role of the colour (of a runtime: its network's), the dash and the marker.
-    `lowering` is the module that makes a program of a network, where there is one.
+    `lowering` is the module that makes a program of a network, where there is one, and `layout` the function that says
+    what its file of weights holds. `extra` is that of npred with all that the part needs, where it is not torch's.
     """
 
     target: str
     label: str
     look: tuple[str, tuple[float, ...], str] = ("green", (1, 1), "D")
     lowering: str = ""
+    layout: str = ""
+    extra: str = ""
 
 
 class Source(NamedTuple):
@@ -89,7 +92,7 @@ class Registry:
         if in_file(name):
             return load(what, name)[0]
         if name in self.builtin:
-            return attribute(self.builtin[name].target)
+            return attribute(self.builtin[name].target, f"{what} {name}", self.builtin[name].extra)
         return self.installed(name)
 
     def subclass(self, what: str, name: str, base: type) -> Any:
@@ -158,8 +161,18 @@ NETWORKS = Registry(
     "network",
     "npred.networks",
     {
-        "deeponet": Entry("npred.operators.deeponet:DeepONetwork", "DeepONet", lowering="npred.runtimes.deeponet"),
-        "fno": Entry("npred.operators.fno:FNOnetwork", "FNO", lowering="npred.runtimes.fno"),
+        "deeponet": Entry(
+            "npred.operators.deeponet:DeepONetwork",
+            "DeepONet",
+            lowering="npred.runtimes.deeponet",
+            layout="npred.operators.layouts:deeponet",
+        ),
+        "fno": Entry(
+            "npred.operators.fno:FNOnetwork",
+            "FNO",
+            lowering="npred.runtimes.fno",
+            layout="npred.operators.layouts:fno",
+        ),
         "averaging": Entry("npred.operators.averaging:AveragingNetwork", "averaging operator"),
         "gru": Entry("npred.operators.gru:GRUNetwork", "GRU"),
         "fno_gru": Entry("npred.operators.gru:FNOGRU", "FNO + GRU"),
@@ -194,7 +207,7 @@ RUNTIMES = Registry(
     {
         "torch": Entry("npred.predictors.neural:Neural", "torch", ("", (1, 1.5), "*")),
         "fused": Entry("npred.runtimes.fused:Fused", "fused", ("", (), "s")),
-        "onnx": Entry("npred.runtimes.onnx:Onnx", "ONNX Runtime", ("", (4, 1.6), "D")),
+        "onnx": Entry("npred.runtimes.onnx:Onnx", "ONNX Runtime", ("", (4, 1.6), "D"), extra="onnx"),
     },
 )
 EXPERIMENTS = Registry("experiment", "npred.experiments")  # published ones, which are in npred_experiments
@@ -215,10 +228,10 @@ def in_file(spec: str) -> bool:
     return SUFFIX in spec
 
 
-def attribute(target: str) -> Any:
-    """The object at module:Name, imported now."""
+def attribute(target: str, what: str = "", extra: str = "") -> Any:
+    """The object at module:Name, imported now. Raises MissingError, after `what` needs it, without its package."""
     module, _, name = target.partition(":")
-    return getattr(importlib.import_module(module), name)
+    return getattr(imported(what or name, module, extra), name)
 
 
 def short_name(spec: str) -> str:

@@ -23,7 +23,7 @@ from npred.runtimes.fused import lowering
 from npred.stages.reproduce import Place
 from npred.stages.train.train import SEEDING
 from npred.training import loss, training_loop
-from npred.training.training_loop import Fit, Rows
+from npred.training.rows import Fit, Rows
 from npred_experiments import latency
 from npred_experiments.network_loop import SEED, NetworkLoop, Predict, RecordedCalls, recorded
 from npred_experiments.regression import Quadratic
@@ -48,7 +48,7 @@ def answers(loop: NetworkLoop, operator: Operator, regression: Quadratic | None 
         stride = (u.shape[1] - 1) // (loop.nodes - 1) if loop.nodes and loop.reads_end else 1
         rows = [torch.tensor(np.asarray(a), dtype=torch.float64) for a in (X, u, D_hat)]
         angle = torch.tensor(plant.phase(np.broadcast_to(t, len(X)))) if plant.phased else None
-        P = operator(*rows, angle, stride=stride).numpy()
+        P = operator(*rows, angle, stride=stride).cpu().numpy()
         return P + regression(X, u) if regression else P
 
     return predict

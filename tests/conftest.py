@@ -1,6 +1,5 @@
 """What several test modules share: a small pipeline file, fake stages, npred as a process."""
 
-import fcntl
 import json
 import os
 import subprocess
@@ -13,6 +12,7 @@ from typing import Any
 import fake_stages
 import pytest
 import tank
+from filelock import FileLock
 from hypothesis import HealthCheck, settings
 from typer.testing import CliRunner, Result
 
@@ -20,7 +20,8 @@ from npred.cli import app
 from npred.pipeline import STAGES
 
 Call = Callable[..., Result]
-os.environ["CUDA_VISIBLE_DEVICES"] = ""  # the tests' results and keys are the CPU's, also where there is a GPU
+if "NPRED_TEST_GPU" not in os.environ:
+    os.environ["CUDA_VISIBLE_DEVICES"] = ""  # the tests' results and keys are the CPU's, also where there is a GPU
 OWN_SETTINGS = ("NPRED_STORE", "NPRED_PIPELINE", "NPRED_EXECUTOR")  # of who runs the tests
 HERE = Path(__file__).parent
 # How long a draw takes says what else the machine does, not what the code does.
@@ -70,6 +71,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def _no_settings_of_ones_own(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in OWN_SETTINGS:
         monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("NPRED_QUIET", "1")  # what takes long differs from machine to machine
 
 
 @pytest.fixture
@@ -161,7 +163,7 @@ def process_environment(**more: str) -> dict[str, str]:
     """The environment of a child that imports npred from this checkout."""
     paths = f"{HERE.parent}{os.pathsep}{HERE}"
     kept = {name: value for name, value in os.environ.items() if name not in OWN_SETTINGS}
-    return kept | {"PYTHONPATH": paths, "COLUMNS": "200", "OMP_NUM_THREADS": "1"} | more
+    return kept | {"PYTHONPATH": paths, "COLUMNS": "200", "OMP_NUM_THREADS": "1", "NPRED_QUIET": "1"} | more
 
 
 @pytest.fixture(scope="session")
@@ -175,6 +177,5 @@ def reported(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, 
     base = tmp_path_factory.getbasetemp()
     folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "reported"
     folder.mkdir(exist_ok=True)
-    with (folder / "lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
+    with FileLock(folder / "lock"):
         return reported.run(folder)

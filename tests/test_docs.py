@@ -36,7 +36,7 @@ FILE = re.compile(r"# (\w+\.(?:py|toml))\n")
 SMOKE = tomllib.loads((ROOT / "pipeline" / "smoke.toml").read_text())
 BY_NAME = {"models", "coverage", "outside", "mse_by_state", "sup_by_state", "versions"}
 LONG = {"docs/reproduce.md"}  # minutes: its commands train every published network
-TRAINED = ("npred.load(", "onnxruntime")
+TRAINED = ("npred.load(", "npred.train(", "onnxruntime")
 
 
 class Block(NamedTuple):

@@ -1,8 +1,11 @@
-"""What of a foreign error is shown."""
+"""What of a foreign error is shown, and what of a package that is not installed."""
+
+import sys
+from pathlib import Path
 
 import pytest
 
-from npred.errors import first_line
+from npred.errors import MissingError, first_line, imported, installed, required
 
 
 @pytest.mark.parametrize(
@@ -16,3 +19,32 @@ from npred.errors import first_line
 )
 def test_the_first_line_says_something(error: Exception, line: str):
     assert first_line(error) == line
+
+
+@pytest.fixture
+def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    """A module that imports torch first, in a process that lacks it."""
+    (tmp_path / "takes_torch.py").write_text("import torch\nimport nowhere_to_be_found\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setitem(sys.modules, "torch", None)  # type: ignore[arg-type]
+    return "takes_torch"
+
+
+def test_a_module_without_its_package_names_the_extra(module):
+    with pytest.raises(
+        MissingError, match=r"^a: expected the package torch, found none; pip install 'npred\[train\]'$"
+    ):
+        imported("a", module)
+    with pytest.raises(MissingError, match=r"pip install 'npred\[onnx\]'$"):
+        imported("a", module, "onnx")
+    with pytest.raises(
+        MissingError, match=r"^b: expected the package PyTorch, found none; pip install 'npred\[gpu\]'$"
+    ):
+        required("b", "torch", "PyTorch", "gpu")
+    assert not installed("torch") and installed("numpy") and not installed("nowhere_to_be_found")
+
+
+def test_a_module_that_lacks_what_no_extra_has_fails_as_it_is(module, monkeypatch):
+    monkeypatch.setitem(sys.modules, "torch", sys)
+    with pytest.raises(ModuleNotFoundError, match="nowhere_to_be_found"):
+        imported("a", module)

@@ -22,7 +22,7 @@ FLOORS = [
     {"figures"},
     {"stages"},
     {"pipeline"},
-    {"api"},
+    {"api", "runs"},
     {"cli", "__main__"},
 ]
 FLOOR = {name: floor for floor, names in enumerate(FLOORS) for name in names}

@@ -29,6 +29,7 @@ TUBES, WIDER = 12, 2.0  # tried, each so many times the bound that the one befor
 SMALLEST = 1e-12  # of the states: the radius of the first tube, at least
 TINY = 1e-12  # a rate that stands for 0
 DESCENT, RATE, ENOUGH = 300, 0.05, 2000  # steps of Adam that look for W, their size, and the derivatives they see
+MEMORY, TINY_SLOPE = (0.9, 0.999), 1e-8  # Adam's, of the mean slope and of its square, and a slope that is none
 
 
 class ErrorBound:
@@ -145,27 +146,53 @@ def weight(plant: Plant, P: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: np.
 
     By gradient descent, from the states' spreads. W is free up to a factor.
     """
-    import torch
-
     shares = (D_hat[:, None] * grid.trapezoid(u.shape[1]) / len(D_hat)).reshape(-1)
     kept = slice(None, None, max(1, shares.size // ENOUGH))
-    A = torch.as_tensor(_jacobians(plant, P, u, D_hat, t).reshape(-1, plant.n, plant.n)[kept])
-    share = torch.as_tensor(shares[kept])
+    A, share = _jacobians(plant, P, u, D_hat, t).reshape(-1, plant.n, plant.n)[kept], shares[kept]
     spread = P.reshape(-1, plant.n).std(axis=0)
-    log_diagonal = torch.as_tensor(-np.log(np.where(spread > 0, spread, 1.0))).requires_grad_()
-    above = torch.zeros(plant.n, plant.n, dtype=A.dtype, requires_grad=True)
-    descent = torch.optim.Adam([log_diagonal, above], lr=RATE)
-    best, W_best = np.inf, np.diag(np.exp(log_diagonal.detach().numpy()))
+    log_diagonal, above = -np.log(np.where(spread > 0, spread, 1.0)), np.zeros((plant.n, plant.n))
+    adam = Adam(log_diagonal, above)
+    best, W_best = np.inf, np.diag(np.exp(log_diagonal))
     for _ in range(DESCENT):
-        W = torch.diag(log_diagonal.exp()) @ (torch.eye(plant.n) + torch.triu(above, 1))
-        B = W @ A @ torch.linalg.inv(W)
-        mean = (share * torch.linalg.eigvalsh((B + B.mT) / 2)[..., -1]).sum()
-        if mean.item() < best:
-            best, W_best = mean.item(), W.detach().numpy()
-        descent.zero_grad()
-        mean.backward()
-        descent.step()
+        diagonal, unit = np.exp(log_diagonal), np.eye(plant.n) + np.triu(above, 1)
+        W = diagonal[:, None] * unit
+        mean, slope = _mean_norm(A, share, W)
+        if mean < best:
+            best, W_best = mean, W
+        adam.step((slope * W).sum(axis=1), np.triu(diagonal[:, None] * slope, 1))
     return W_best
+
+
+def _mean_norm(A: np.ndarray, share: np.ndarray, W: np.ndarray) -> tuple[float, np.ndarray]:
+    """The mean of the logarithmic norms of A (B, n, n) with the weights W, and its derivative by W (n, n).
+
+    With v the eigenvector of the largest eigenvalue of the symmetric part of B = W A W⁻¹, that grows by v' dB v, and
+    dB = dW W⁻¹ B - B dW W⁻¹.
+    """
+    inverse = np.linalg.inv(W)
+    B = W @ A @ inverse
+    values, vectors = np.linalg.eigh((B + B.swapaxes(-1, -2)) / 2)
+    v = vectors[..., -1]
+    forth, back = (B @ v[..., None])[..., 0], (v[..., None, :] @ B)[..., 0, :]
+    slope = np.einsum("b,bi,bj->ij", share, v, forth) - np.einsum("b,bi,bj->ij", share, back, v)
+    return float(share @ values[..., -1]), slope @ inverse.T
+
+
+class Adam:
+    """Gradient descent with steps of about RATE [Kingma and Ba 2015, arXiv:1412.6980], in place."""
+
+    def __init__(self, *values: np.ndarray) -> None:
+        self.values, self.count = values, 0
+        self.means, self.squares = ([np.zeros_like(value) for value in values] for _ in range(2))
+
+    def step(self, *slopes: np.ndarray) -> None:
+        """One step against these derivatives."""
+        self.count += 1
+        for value, mean, square, slope in zip(self.values, self.means, self.squares, slopes, strict=True):
+            mean += (1 - MEMORY[0]) * (slope - mean)
+            square += (1 - MEMORY[1]) * (slope**2 - square)
+            size = np.sqrt(square / (1 - MEMORY[1] ** self.count)) + TINY_SLOPE
+            value -= RATE * mean / (1 - MEMORY[0] ** self.count) / size
 
 
 def _jacobians(plant: Plant, P: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: np.ndarray) -> np.ndarray:

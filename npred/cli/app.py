@@ -4,6 +4,7 @@ import inspect
 import sys
 import traceback
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import fields
 from typing import Any, TypeVar, get_type_hints
 
@@ -11,8 +12,8 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from npred.cli.options import Common
-from npred.errors import NpredError
-from npred.terminal import interruption, streams
+from npred.errors import NpredError, missing
+from npred.terminal import interruption, streams, waiting
 from npred.terminal.console import Console
 
 USAGE: type[BaseException] = typer.BadParameter.__mro__[1]  # what every usage error is; typer keeps the name to itself
@@ -76,22 +77,22 @@ app = typer.Typer(
 
 
 def command(
-    panel: str, to: typer.Typer = app, name: str = "", help: str | None = None
+    panel: str, to: typer.Typer = app, name: str = "", help: str | None = None, waits: str = ""
 ) -> Callable[[Function], Function]:
     """Register f(options, *, own parameters) as a command, which also takes the flags of its options class.
 
-    Its name and help are f's own unless they are given.
+    Its name and help are f's own unless they are given. `waits` is what it says of itself where it takes some seconds.
     """
 
     def register(function: Function) -> Function:
         words = name or function.__name__.strip("_").replace("_", "-")
-        to.command(words, cls=Command, rich_help_panel=panel, help=help)(with_flags(function))
+        to.command(words, cls=Command, rich_help_panel=panel, help=help)(with_flags(function, waits))
         return function
 
     return register
 
 
-def with_flags(function: Callable[..., None]) -> Callable[..., None]:
+def with_flags(function: Callable[..., None], waits: str = "") -> Callable[..., None]:
     """The function as typer reads it: its parameters, then the flags of its first one's class, the pipeline file
     before the others. A failure becomes an exit code.
     """
@@ -104,7 +105,7 @@ def with_flags(function: Callable[..., None]) -> Callable[..., None]:
         common = options(**{field.name: values.pop(field.name) for field in shared})
         if context.invoked_subcommand:  # of a group
             return
-        if code := guarded(lambda: function(common, **values), common.console):
+        if code := guarded(lambda: function(common, **values), common.console, waits):
             raise typer.Exit(code)
 
     kind = inspect.Parameter.KEYWORD_ONLY
@@ -116,10 +117,11 @@ def with_flags(function: Callable[..., None]) -> Callable[..., None]:
     return call
 
 
-def guarded(call: Callable[[], None], console: Console) -> int:
+def guarded(call: Callable[[], None], console: Console, waits: str = "") -> int:
     """The exit code of a call: 0, the failure's own, that of a signal, 1 for the unforeseen. Ends the console's log."""
     try:
-        call()
+        with waiting.heard(console.wait), waiting.said(waits) if waits else nullcontext():
+            call()
         interruption.check()
         return 0
     except BrokenPipeError:  # the reader of stdout has left, as `head` does
@@ -128,6 +130,8 @@ def guarded(call: Callable[[], None], console: Console) -> int:
         if interruption.heard() or isinstance(error, KeyboardInterrupt):  # libraries turn a signal into other errors
             interruption.say(console.error)
             return interruption.code()
+        if isinstance(error, ModuleNotFoundError):  # of a package of an extra, where nothing has said so before
+            error = missing("npred", error) or error
         if isinstance(error, NpredError):
             console.error(str(error))
             return error.exit_code

@@ -183,7 +183,7 @@ def _plants(options: Common) -> None:
     cli.inspect.plants(options)
 
 
-@command(LOOK, to=plants)
+@command(LOOK, to=plants, waits="checking the plant: its formulas, its equilibrium, the loops of its law")
 def check(
     options: Common,
     *,
@@ -218,7 +218,7 @@ def init(
     cli.scaffold.init(options, name, source)
 
 
-@command(LOOK)
+@command(LOOK, waits="reading what is to be exported, writing and testing it: some seconds, minutes for large networks")
 def export(
     options: Common,
     *,
@@ -257,12 +257,15 @@ def export(
         float | None, flag("A controller's guard: the largest error of U that passes; as in evaluate.")
     ] = None,
     fmi: Annotated[int, flag("An FMU's version of FMI.", word="3|2")] = 3,
+    platforms: Annotated[
+        str, flag("An FMU's machines, by ziglang, as linux64,win64,darwin64; by default this one.", word="NAME,…")
+    ] = "",
     mex: Annotated[bool, flag("A controller's gateway to MATLAB and Octave too, NAME_mex.c.", "--mex")] = False,
 ) -> None:
     """A trained model, P and U = kappa(P(1)), the whole controller of the evaluated loop, or the data, for another
     program."""
     cli.export.export(
-        options, form, key, output, nx, atol, fmi, mex,
+        options, form, key, output, nx, atol, fmi, mex, platforms,
         precision=precision, predictor=predictor, name=name, actuator=actuator, guard=guard,
     )  # fmt: skip
 
@@ -339,7 +342,7 @@ def import_artifact(
     cli.store_admin.import_artifact(options, path)
 
 
-@command(CARE)
+@command(CARE, waits="importing the packages and reading the store: some seconds")
 def doctor(options: Common) -> None:
     """Versions, devices, threads and the store."""
     cli.store_admin.doctor(options)

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import torch
 
 from npred import config, defaults, grid, operators, plants
 from npred.cli import data_exchange
@@ -16,17 +15,17 @@ from npred.cli.options import Common, writable, writable_folder
 from npred.config import Evaluate
 from npred.data import shards
 from npred.data.dataset import Dataset
-from npred.errors import ConfigError
+from npred.errors import ConfigError, imported
 from npred.loop import closed_loop, delay_law
 from npred.loop.adaptation import DelayAdaptation
 from npred.loop.controller import Controller
 from npred.loop.loop_checks import HISTORY
-from npred.operators import Operator
+from npred.operators import TrainedOperator
 from npred.pipeline import Stored, load_model
 from npred.plants import Plant, inputs
 from npred.predictors import Predictor, numerical
 from npred.predictors.guarded import Guarded
-from npred.runtimes import Samples, c_controller, c_files, c_network, fmu, onnx
+from npred.runtimes import Samples, c_controller, c_files, c_network, fmu
 from npred.runtimes.fused import Fused
 
 NX = 101  # nodes of a model's file
@@ -72,7 +71,7 @@ class Built(NamedTuple):
 
 def export(
     options: Common, form: str, key: str, output: Path | None, nx: int | None, atol: float, fmi: int, mex: bool,
-    **flags: Any
+    platforms: str, **flags: Any
 ) -> None:  # fmt: skip
     """Write the file. Raises ConfigError for a format that there is none of, NpredError for a graph that differs."""
     if nx is not None and nx < 2:
@@ -81,7 +80,7 @@ def export(
     forms: dict[str, Callable[[], None]] = {
         **dict.fromkeys(("onnx", "c"), lambda: _model(options, form, key, output, nx or NX, atol)),
         "controller": lambda: _controller_files(options, key, output, choices, mex),
-        "fmu": lambda: _fmu(options, key, output, choices, fmi),
+        "fmu": lambda: _fmu(options, key, output, choices, fmi, list(filter(None, platforms.split(",")))),
         **dict.fromkeys(data_exchange.WRITERS, lambda: data_exchange.export(options, form, key, output)),
     }
     if form not in forms:
@@ -91,6 +90,7 @@ def export(
 
 def _model(options: Common, form: str, key: str, output: Path | None, nx: int, atol: float) -> None:
     """P and U of a trained model as a file, compared on held-out samples where it can be run here."""
+    onnx = imported("export onnx", "npred.runtimes.onnx", "onnx") if form == "onnx" else None
     stored, operator = _loaded(options, key)
     path = writable(output or Path(f"{stored.model}-{nx}.{form}"))
     source = options.results.find(str(stored.folder)).manifest.question.inputs["generate"]
@@ -100,10 +100,10 @@ def _model(options: Common, form: str, key: str, output: Path | None, nx: int, a
             f"export: expected the model's data {source.key[:12]} in {options.store}, got none; generate it"
         )
     samples = _samples(shards.survey(data.verify().folder / "data.h5").subset(test=True), nx)
-    if form == "c":
+    if onnx is None:
         errors = c_network.export(operator, stored.plant, path, nx, samples)
     else:
-        errors = onnx.export(operator, stored.plant, path, nx, samples, atol)
+        errors = onnx.export(operator.module(stored.plant), stored.plant, path, nx, samples, atol)
     document = {"file": str(path), "format": form, "model": stored.model, "nx": nx}
     line, count = f"{path}: P and U of {stored.model} on {nx} nodes", len(samples[0])
     if errors is None:
@@ -122,11 +122,11 @@ def _samples(held_out: Dataset, nx: int) -> Samples:
 
 
 def _loaded(
-    options: Common, spec: str, plant: Plant | None = None, dtype: torch.dtype = torch.float32
-) -> tuple[Stored, Operator]:  # fmt: skip
+    options: Common, spec: str, plant: Plant | None = None, precision: type[np.floating] = np.float32
+) -> tuple[Stored, TrainedOperator]:  # fmt: skip
     """The trained network of a key, for `plant` or, without one, for the plant that the key names."""
     stored = load_model(spec, options.store)
-    return stored, operators.load(stored.folder, plant or stored.plant, stored.snapshot, dtype, stored.config)
+    return stored, operators.read(stored.folder, plant or stored.plant, stored.snapshot, precision, stored.config)
 
 
 def _controller_files(options: Common, key: str, output: Path | None, choices: Choices, gateway: bool) -> None:
@@ -149,20 +149,23 @@ def _controller_files(options: Common, key: str, output: Path | None, choices: C
     options.show(document, lambda: f"{', '.join(written)}: {controller!r} in {choices.precision} precision")
 
 
-def _fmu(options: Common, key: str, output: Path | None, choices: Choices, version: int) -> None:
+def _fmu(
+    options: Common, key: str, output: Path | None, choices: Choices, version: int, platforms: list[str]
+) -> None:  # fmt: skip
     """Write the FMU. Raises ConfigError as npred.runtimes.fmu.write does."""
     path = writable(output or Path(f"{choices.name}.fmu"))
     built = _built(options, key, choices)
     written = fmu.write(
         built.controller, path, version=version, name=choices.name, precision=choices.precision, model=built.about,
         X0=built.table.X0 or built.controller.plant.target(0.0), t_end=built.table.t_end, test=built.test,
+        platforms=platforms,
     )  # fmt: skip
     document = {"file": str(path)} | built.document(choices, "fmu") | {
-        "fmi": version, "library": written.library, "token": written.token,
+        "fmi": version, "library": written.library, "libraries": written.libraries, "token": written.token,
         "variables": [variable.name for variable in written.variables],
     }  # fmt: skip
     without = NO_PLACE if c_files.compiler() else NO_LIBRARY
-    holds = f"{written.library} and sources" if written.library else without
+    holds = f"{', '.join(written.libraries)} and sources" if written.libraries else without
     options.show(document, lambda: f"{path}: {built.controller!r} as FMI {version}.0, {holds}")
 
 
@@ -194,9 +197,9 @@ def _predictor(options: Common, spec: str, plant: Plant, table: Evaluate, choice
     if not spec:
         predictor: Predictor = numerical(choices.predictor, plant, nx)
     else:
-        single = choices.precision == "float"
-        stored, operator = _loaded(options, spec, plant, torch.float32 if single else torch.float64)
-        predictor = Fused(plant, operator, nx, stored.model, precision=np.float32 if single else np.float64)
+        precision = np.float32 if choices.precision == "float" else np.float64
+        stored, operator = _loaded(options, spec, plant, precision)
+        predictor = Fused(plant, operator, nx, stored.model, precision=precision)
     guard = dict(table.guard) if table.guard and spec else {}
     if choices.guard is not None:
         guard["tolerance"] = choices.guard

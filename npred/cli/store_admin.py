@@ -7,7 +7,7 @@ from pathlib import Path
 
 from npred.cli.gc import shortened
 from npred.cli.options import Common, writable
-from npred.errors import StoreError
+from npred.errors import StoreError, installed
 from npred.kernels import compiler
 from npred.parallel import devices
 from npred.pipeline import payload
@@ -102,11 +102,13 @@ def _some(names: list[str]) -> str:
 
 
 def _machine() -> dict[str, object]:
+    here = {"python": platform.python_version(), "platform": platform.platform()}
+    hardware = {key: value for key, value in devices.hardware("cpu").items() if key in ("cpu", "cores")}
+    if not installed("torch"):
+        return here | hardware | {"torch_threads": None, "gpus": []}
     import torch
 
     gpus = [torch.cuda.get_device_name(index) for index in range(torch.cuda.device_count())]
-    here = {"python": platform.python_version(), "platform": platform.platform()}
-    hardware = {key: value for key, value in devices.hardware("cpu").items() if key in ("cpu", "cores")}
     return here | hardware | {"torch_threads": torch.get_num_threads(), "gpus": gpus}
 
 

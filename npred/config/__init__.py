@@ -2,7 +2,7 @@
 
 from npred.config.bench import Bench
 from npred.config.evaluate import Evaluate, GuardTable, Scenario
-from npred.config.file import load, parse
+from npred.config.file import load, parse, put, table
 from npred.config.generate import Generate
 from npred.config.loop import Disturbance, Loop, Sensors, within
 from npred.config.messages import leaves
@@ -17,6 +17,8 @@ __all__ = [
     "Scenario",
     "load",
     "parse",
+    "put",
+    "table",
     "Generate",
     "FROZEN",
     "PAPER",

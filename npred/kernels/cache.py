@@ -67,6 +67,8 @@ def _private(folder: Path) -> None:
     """Keep others out. Raises ConfigError for a folder of another user, or that others could write to until now, and
     OSError for one that this user cannot write to.
     """
+    if not hasattr(os, "geteuid"):  # Windows, where a profile is its user's by its access list
+        return
     status = folder.stat()
     if status.st_uid == os.geteuid() and not status.st_mode & 0o022:
         if status.st_mode & 0o777 != 0o700:

@@ -5,17 +5,21 @@ The compiler is cc, gcc or clang, else that of the package ziglang. Another proc
 
 import ctypes
 import hashlib
+import re
 import shutil
 import subprocess
 import sys
 import threading
 from collections import defaultdict
+from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 
 from npred.errors import MissingError, NpredError
 from npred.kernels import cache as disk
+from npred.terminal import waiting
 
 COMPILERS = ("cc", "gcc", "clang")
 # Contraction, the sign of zero and reciprocals may change the last digit; NaN and infinities stay what they are, since
@@ -26,6 +30,10 @@ FLAGS = (
     "-Wno-unused-parameter", "-Wno-unused-function", "-Wno-unknown-pragmas",
 )  # fmt: skip
 LIMIT = 1200.0  # s that a compiler may take
+SIDE_BY_SIDE = 2  # compilers at once
+START, SPEED = 0.1, 2e5  # s that a compiler takes at least, and characters of formulas that it reads in one more
+STANDARD = ("-lm",)
+ONCE = "once per plant or network on this machine"
 LIBRARY, TEXT = "kernel.so", "kernel.c"
 _locks: defaultdict[str, threading.Lock] = defaultdict(threading.Lock)  # one writer per library
 _loaded: dict[str, ctypes.CDLL] = {}
@@ -55,6 +63,32 @@ def library(text: str) -> ctypes.CDLL:
         return _loaded[name]
 
 
+def prepare(texts: Iterable[str]) -> None:
+    """Compile what is not there yet of these texts, side by side: a first loop needs five. Raises as `library` does."""
+    missing = {name: text for text in texts if not _is_there(name := _named(text))}
+    with waiting.said(_doing(len(missing)), _seconds(missing.values()), ONCE), ThreadPoolExecutor(SIDE_BY_SIDE) as pool:
+        list(pool.map(_silently, sorted(missing.values(), key=len, reverse=True)))
+
+
+def _silently(text: str) -> None:
+    with waiting.quiet():
+        library(text)
+
+
+def _is_there(name: str) -> bool:
+    return name in _loaded or (disk.root() / name).exists()
+
+
+def _doing(count: int) -> str:
+    return f"compiling {count} kernels" if count > 1 else "compiling a kernel"
+
+
+def _seconds(texts: Iterable[str]) -> float:
+    """About how long texts take: the numbers of a network, which are most of its text, take none."""
+    lines = [sum(map(len, re.findall(r"^.*;$", text, re.MULTILINE))) for text in texts]
+    return (START * len(lines) + sum(lines) / SPEED) / min(SIDE_BY_SIDE, max(len(lines), 1))
+
+
 def _kept(name: str, text: str) -> Path:
     """The folder of a library, sound, made if it has to be."""
     target = disk.root() / name
@@ -63,7 +97,8 @@ def _kept(name: str, text: str) -> Path:
     aside = disk.aside()
     try:
         (aside / TEXT).write_text(text, encoding="utf-8")
-        _compile(aside)
+        with waiting.said(_doing(1), _seconds([text]), ONCE):
+            _compile(aside)
         disk.install(aside, target)
     except OSError as error:
         raise disk.full(error, disk.root()) or error from None
@@ -73,11 +108,31 @@ def _kept(name: str, text: str) -> Path:
 
 
 def _compile(folder: Path) -> None:
-    asked = [*command(), *FLAGS, TEXT, "-o", LIBRARY, "-lm"]
-    done = subprocess.run(asked, cwd=folder, capture_output=True, text=True, timeout=LIMIT)
+    asked = [*command(), *FLAGS, TEXT, "-o", LIBRARY]
+    done = _run([*asked, *_libraries()], folder)
+    if done.returncode and _libraries() != STANDARD:
+        done = _run([*asked, *STANDARD], folder)
     if done.returncode:
         complaint = next((line for line in done.stderr.splitlines() if "error" in line), done.stderr[:200])
         raise NpredError(f"{asked[0]}: expected a kernel that compiles, got: {complaint}; report it")
+
+
+def _run(words: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(words, cwd=folder, capture_output=True, text=True, timeout=LIMIT)
+
+
+@cache
+def _libraries() -> tuple[str, ...]:
+    """What a kernel is linked with: of ziglang the libraries of C that this process runs with.
+
+    Its own ones it would compile first, for six seconds.
+    """
+    maps = Path("/proc/self/maps")
+    if "ziglang" not in command() or not maps.exists():
+        return STANDARD
+    mapped = {line.split()[-1] for line in maps.read_text(encoding="utf-8", errors="replace").splitlines()}
+    loaded = sorted(path for path in mapped if re.search(r"/lib[cm]\.so\.6$", path))
+    return ("-nostdlib", "-Wl,-z,defs", *loaded) if len(loaded) == len("cm") else STANDARD
 
 
 def _named(text: str) -> str:

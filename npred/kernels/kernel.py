@@ -93,6 +93,11 @@ class Kernel:
         """The compiled function."""
         return foreign_type(self.arguments)(("entry", compiler.library(self.unit)))
 
+    @property
+    def is_compiled(self) -> bool:
+        """True if its function is there already."""
+        return "function" in vars(self)
+
     @cached_property
     def address(self) -> int:
         """The address of the compiled function."""

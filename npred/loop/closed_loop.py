@@ -1,9 +1,10 @@
 """Closed loops of plant, actuator, predictor and delay adaptation, simulated side by side [DAPF, eqs. 6-14]."""
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -23,12 +24,14 @@ from npred.parallel import devices
 from npred.plants import inputs
 from npred.plants.base import Plant
 from npred.predictors import OneStep, Predictor
+from npred.terminal import waiting
+from npred.terminal.progress_bars import counted
 
 __all__ = ["Samples", "Trajectories", "simulate"]
 
 LANES = 64  # loops per chunk: with more, their memory leaves the second-level cache
 NEURAL_LANES = 512  # a network's call has a fixed cost to share
-BLOCK = 500  # control steps between two reports of progress
+FIRST, BLOCK = 10, 500  # control steps before the first report of progress, and between two of them
 
 
 def simulate(
@@ -62,7 +65,8 @@ def simulate(
     control steps. `predictor=None` is the open loop U = 0, `adaptation=None` freezes D_hat; a DelayLaw that you write
     runs in Python. Every `every`-th step is kept; `samples` (..., S) are sorted steps whose (X, u, D_hat) are kept too.
     `integrator` advances the plant. `progress=True` shows a bar of the loop steps done, in a terminal or a notebook; a
-    function gets their number. A loop that leaves the finite numbers goes on as NaN and leaves the others alone.
+    function gets their number; by default a line on stderr says so where loops take longer than a second, and with
+    False nothing does. A loop that leaves the finite numbers goes on as NaN and leaves the others alone.
 
     D may be a function of t in seconds, a delay that drifts or jumps. A plant that declares `delay` takes neither D nor
     D_hat; where commands would overtake each other its loop is marked (`infeasible`) and ends. `actuator="history"`: u
@@ -106,7 +110,9 @@ def simulate(
     loop_checks.history(plant, loop.reach(D, D_hat, delays)[1], dt)
     width = LANES if loop.compiled else NEURAL_LANES
     chunks = [slice(i, i + width) for i in range(0, len(D), width)]
-    with _counted(progress, len(D) * (round(t_end / dt) + 1)) as count:
+    with waiting.quiet() if progress is False else nullcontext():
+        engine.prepare(loop.parts)
+    with _counted(progress, len(D), round(t_end / dt) + 1) as count:
         records = [
             loop.run(X0[c], D[c], D_hat[c], past.of(c), sample_steps[c], delays[:, c], c.start, count) for c in chunks
         ]
@@ -135,18 +141,20 @@ def _tabulated(D: Callable[[float], Any], t_end: float, dt: float) -> np.ndarray
 
 
 @contextmanager
-def _counted(progress: Callable[[int], Any] | bool | None, total: int) -> Iterator[Callable[[int], Any] | None]:
-    """A function of the number of loop steps done, of `total`: a bar where `progress` is True."""
-    if isinstance(progress, bool) or progress is None:
-        if not progress:
-            yield None
-            return
+def _counted(
+    progress: Callable[[int], Any] | bool | None, loops: int, steps: int
+) -> Iterator[Callable[[int], Any] | None]:  # fmt: skip
+    """A function of the number of loop steps done: a bar where `progress` is True, a line where it is not said."""
+    if progress is None:
+        with waiting.said(f"simulating {counted(loops, 'loops')}", total=loops * steps) as work:
+            yield work.advance
+    elif progress is True:
         from tqdm.auto import tqdm
 
-        with tqdm(total=total, unit="step", unit_scale=True) as bar:
+        with tqdm(total=loops * steps, unit="step", unit_scale=True) as bar:
             yield bar.update
     else:
-        yield progress
+        yield progress or None
 
 
 def compiled(plant: Plant, predictor: Predictor | None, law: Part) -> bool:
@@ -209,8 +217,7 @@ class _Simulation:
         settings = self._settings(samples, delays, first, rows)
         out = self._record(rows, samples.shape[1] + 1, nx, lanes)
         steps = Engine(self.parts, settings, state, out)
-        for start in range(0, count, BLOCK):
-            stop = min(start + BLOCK, count)
+        for start, stop in pairwise([0, *range(min(FIRST, count), count, BLOCK), count]):
             with devices.one_thread():
                 steps.run(origin, start, stop)
             if progress:

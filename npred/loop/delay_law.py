@@ -4,11 +4,11 @@ import copy
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 
-from npred import array_checks, config
+from npred import array_checks
 from npred.delays import family, family_of
 from npred.delays.family import Kernel
 from npred.errors import ConfigError
@@ -16,6 +16,9 @@ from npred.plants.base import Plant
 from npred.predictors import RK4
 from npred.registry import DELAY_LAWS
 from npred.symbolic import source_lines
+
+if TYPE_CHECKING:  # the tables of pipelines, which a loop in Python has no use for
+    from npred.config import Loop
 
 
 @dataclass(frozen=True)
@@ -108,13 +111,15 @@ def delay(D: Any, D_hat: Any = 0.0) -> float:
     return float(np.max(D, initial=0.0)) or float(np.max(D_hat, initial=0.0)) or 1.0
 
 
-def resolve(loop: config.Loop, plant: Plant) -> DelayLaw | None:
+def resolve(loop: "Loop", plant: Plant) -> DelayLaw | None:
     """The law of a stage's loops, made with their gamma, b and bounds, gamma suited to the plant where it is left out;
     None for frozen, for a plant that declares its delay, and for data that are not simulated.
 
     Raises ConfigError, in one line, for a name, file or class that is missing, broken or no law.
     """
-    if plant.declares_delay or loop.adaptation == config.FROZEN or not loop.simulated:
+    from npred.config import FROZEN
+
+    if plant.declares_delay or loop.adaptation == FROZEN or not loop.simulated:
         return None
     kind = DELAY_LAWS.subclass("adaptation", loop.adaptation, DelayLaw)
     try:
@@ -127,7 +132,7 @@ def resolve(loop: config.Loop, plant: Plant) -> DelayLaw | None:
     return law.suited(plant, loop.longest, loop.longest)
 
 
-def check(loop: config.Loop, plant: Plant) -> None:
+def check(loop: "Loop", plant: Plant) -> None:
     """Raise ConfigError where the delay law does not load, or refuses the plant."""
     resolve(loop, plant)
 

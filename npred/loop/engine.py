@@ -5,7 +5,7 @@ Python is called back, so that the order of a control step is written once.
 """
 
 import ctypes
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import cache
 from typing import Any
 
@@ -29,7 +29,7 @@ INDEX, POINTER = ctypes.c_int64, ctypes.c_void_p
 @cache
 def loop() -> ctypes.CDLL:
     """The compiled loop with a simulated plant."""
-    loaded = _library(LOOP)
+    loaded = compiler.library(_text(LOOP))
     loaded.run.argtypes, loaded.run.restype = [Shape, INDEX, INDEX, INDEX, *(POINTER,) * 6], None
     return loaded
 
@@ -37,15 +37,22 @@ def loop() -> ctypes.CDLL:
 @cache
 def on_a_plant() -> ctypes.CDLL:
     """The compiled control step for a real one."""
-    loaded = _library(ON_A_PLANT)
+    loaded = compiler.library(_text(ON_A_PLANT))
     now, passed = [Shape, INDEX, ctypes.c_double], (POINTER,) * 4
     loaded.stepped.argtypes, loaded.stepped.restype = [*now, *passed], ctypes.c_int
     loaded.remembered.argtypes, loaded.remembered.restype = [*now, ctypes.c_int, *passed], INDEX
     return loaded
 
 
-def _library(files: Sequence[str]) -> ctypes.CDLL:
-    return compiler.library("\n".join([skeleton("base.h"), *signals.declared(), *map(skeleton, files)]))
+@cache
+def _text(files: tuple[str, ...]) -> str:
+    return "\n".join([skeleton("base.h"), *signals.declared(), *map(skeleton, files)])
+
+
+def prepare(parts: Mapping[str, Kernel | Callable[..., Any] | None], files: tuple[str, ...] = LOOP) -> None:
+    """Compile the engine and those parts that are not compiled yet, side by side."""
+    if kernels := [part.unit for part in parts.values() if isinstance(part, Kernel) and not part.is_compiled]:
+        compiler.prepare([_text(files), *kernels])
 
 
 class Engine:
@@ -61,6 +68,7 @@ class Engine:
         nx, n, lanes = state.P.shape
         rows, m = state.held.shape[:2]
         self._failure, self._shape = Failure(), Shape(nx, lanes, rows, n, m)
+        prepare(parts, LOOP if out else ON_A_PLANT)
         self._functions = {
             name: _function(name, part, settings, state, self._failure) for name, part in parts.items() if part
         }

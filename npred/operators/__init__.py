@@ -1,7 +1,32 @@
-"""The predictor operator (X, u, D_hat) -> P as networks, their scaling, anchors and files."""
+"""The predictor operator (X, u, D_hat) -> P as networks, their scaling, anchors and files.
 
-from npred.operators.base import Operator, build, checked
-from npred.operators.io import describe, load, save
-from npred.operators.scaling import Scaling
+Weights are read without torch; what else is here are torch modules, imported on first use.
+"""
 
-__all__ = ["Operator", "Scaling", "build", "checked", "describe", "load", "save"]
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+from npred.errors import imported
+from npred.operators.weights import Weights, describe, read
+
+if TYPE_CHECKING:
+    from npred.operators.base import Operator as Operator
+    from npred.operators.base import build as build
+    from npred.operators.base import checked as checked
+    from npred.operators.io import load as load
+    from npred.operators.io import save as save
+    from npred.operators.scaling import Scaling as Scaling
+
+__all__ = ["Operator", "Scaling", "TrainedOperator", "Weights", "build", "checked", "describe", "load", "read", "save"]
+
+TrainedOperator: TypeAlias = "Weights | Operator"  # both have weights(), module(plant), double() and a domain
+
+_HOME: dict[str, str] = {
+    "Operator": "base", "build": "base", "checked": "base", "load": "io", "save": "io", "Scaling": "scaling",
+}  # fmt: skip
+
+
+def __getattr__(name: str) -> Any:
+    """What needs torch. Raises MissingError without it."""
+    if name not in _HOME:
+        raise AttributeError(f"module 'npred.operators' has no attribute {name!r}")
+    return getattr(imported("networks", f"npred.operators.{_HOME[name]}"), name)

@@ -9,6 +9,7 @@ from npred.config import Anchor, Training
 from npred.data.domain import Domain
 from npred.errors import ConfigError
 from npred.operators.scaling import Scaling
+from npred.operators.weights import Weights, check_anchor
 from npred.plants.base import Plant
 from npred.registry import NETWORKS
 from npred.symbolic import source_lines
@@ -27,6 +28,7 @@ class Operator(nn.Module):
         equilibrium  P_hat = X + x D_hat S [N(x; X, u, D_hat) - N(x; X*, u*, D_hat)], so also P_hat = X* at rest
     """
 
+    anchor: Anchor
     X_rest: Tensor
     u_rest: Tensor
 
@@ -36,6 +38,23 @@ class Operator(nn.Module):
         self.domain: Domain | None = None  # of the data, where it was saved with the network
         self.register_buffer("X_rest", X_rest)
         self.register_buffer("u_rest", u_rest)
+
+    @property
+    def architecture(self) -> str:
+        """The built-in name of the network; that of its class where it has none."""
+        kind = type(self.network)  # itself: a class derived from it may compute something else
+        target, name = f"{kind.__module__}:{kind.__qualname__}", kind.__name__
+        other = target if name in NETWORKS.builtin else name  # anybody's class may have the name of a built-in network
+        return next((name for name, entry in NETWORKS.builtin.items() if entry.target == target), other)
+
+    def weights(self) -> Weights:
+        """Parameters and buffers as they are now, as arrays."""
+        arrays = {name: tensor.detach().cpu().numpy() for name, tensor in self.state_dict().items()}
+        return Weights(self.architecture, self.anchor, arrays, self.domain)
+
+    def module(self, plant: Plant) -> "Operator":
+        """Itself; npred.operators.Weights make one."""
+        return self
 
     def forward(
         self, X: Tensor, u: Tensor, D_hat: Tensor, phase: Tensor | None = None, rest_nodes: int | None = None,
@@ -96,6 +115,21 @@ def build(config: Training, plant: Plant, scaling: Scaling) -> Operator:
     return Operator(network, scaling, config.anchor, *_rest(config, plant))
 
 
+def filled(weights: Weights, plant: Plant) -> Operator:
+    """The operator with these weights, in their precision, ready for use."""
+    assert weights.table is not None
+    operator = build(weights.table, plant, Scaling(plant.n, plant.m))
+    operator.to(torch.from_numpy(weights["X_rest"]).dtype)
+    operator.load_state_dict({name: torch.from_numpy(array) for name, array in weights.arrays.items()})
+    return ready(operator, weights.domain)
+
+
+def ready(operator: Operator, domain: Domain | None) -> Operator:
+    """A trained operator with the domain of its data, for use alone."""
+    operator.domain = domain
+    return operator.eval().requires_grad_(False)
+
+
 def checked(config: Training, plant: Plant, scaling: Scaling) -> Operator:
     """An untrained operator whose network has answered a tiny batch, for it may be anybody's.
 
@@ -125,10 +159,9 @@ def _clock(plant: Plant) -> int:
 
 
 def _rest(config: Training, plant: Plant) -> tuple[torch.Tensor, torch.Tensor]:
+    check_anchor(config.anchor, plant)
     if plant.rest:
         return _float32(plant.rest[0]), _float32(plant.rest[1])
-    if config.anchor == "equilibrium":
-        raise ConfigError(f"anchor: expected a plant with an equilibrium, {plant.name} has none; use 'initial'")
     return torch.zeros(plant.n), torch.zeros(plant.m)
 
 

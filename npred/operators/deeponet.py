@@ -6,8 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from npred.operators.features import legendre, moments, running_mean
-
-DEGREE = 12  # Legendre polynomials that the trunk sees: x alone gives a basis of almost straight lines at the start
+from npred.operators.layouts import DEGREE
 
 
 class DeepONetwork(nn.Module):

@@ -2,11 +2,10 @@
 
 from functools import lru_cache
 
-import numpy as np
 import torch
 from torch import Tensor
 
-from npred import grid
+from npred.operators import matrices
 
 
 def moments(u: Tensor, count: int) -> Tensor:
@@ -27,21 +26,12 @@ def running_mean(u: Tensor, stride: int = 1) -> Tensor:
 @lru_cache(maxsize=32)
 @torch.inference_mode(False)  # what an inference run caches must serve training too
 def legendre(nx: int, count: int, dtype: torch.dtype, device: torch.device) -> Tensor:
-    """The Legendre polynomials of degree 0 to count - 1 on [0, 1], each 1 at x = 1, at the nodes: (nx, count)."""
-    values = np.polynomial.legendre.legvander(2 * grid.nodes(nx) - 1, count - 1)
-    return torch.as_tensor(values, dtype=dtype, device=device)
+    """npred.operators.matrices.legendre, (nx, count), as a tensor."""
+    return torch.as_tensor(matrices.legendre(nx, count), dtype=dtype, device=device)
 
 
 @lru_cache(maxsize=32)
 @torch.inference_mode(False)  # what an inference run caches must serve training too
 def moment_matrix(nx: int, count: int, dtype: torch.dtype, device: torch.device) -> Tensor:
-    """(count, nx): nodal values to the moments of their piecewise linear interpolant, exact by Gauss's rule."""
-    points, weights = np.polynomial.legendre.leggauss(count // 2 + 1)
-    s, h = (points + 1) / 2, 1 / (nx - 1)  # where in its interval a point lies
-    x = h * (np.arange(nx - 1)[:, None] + s)  # (nx - 1, points)
-    L = np.polynomial.legendre.legvander(2 * x - 1, count - 1) * np.sqrt(2 * np.arange(count) + 1)
-    L *= weights[:, None] * h / 2
-    matrix = np.zeros((nx, count))
-    matrix[:-1] += np.einsum("jpk,p->jk", L, 1 - s)
-    matrix[1:] += np.einsum("jpk,p->jk", L, s)
-    return torch.as_tensor(matrix.T, dtype=dtype, device=device)
+    """npred.operators.matrices.moments, (count, nx), as a tensor."""
+    return torch.as_tensor(matrices.moments(nx, count), dtype=dtype, device=device)

@@ -2,17 +2,13 @@
 
 from functools import lru_cache
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from npred import grid
+from npred.operators import matrices
 from npred.operators.deeponet import mlp
 from npred.operators.features import running_mean
-
-PERIOD = 2.0  # P is not periodic on [0, 1]: its functions are continued by zero to this length before the transform
-GREGORY = np.array([95 / 288, 317 / 240, 23 / 30, 793 / 720, 157 / 160])  # the first weights of the rule, in intervals
 
 
 class FNOnetwork(nn.Module):
@@ -75,24 +71,6 @@ def _drawn(modes: int, width: int) -> Tensor:
 @lru_cache(maxsize=32)
 @torch.inference_mode(False)  # what an inference run caches must serve training too
 def transforms(nx: int, modes: int, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor]:
-    """The real DFT of v, continued by zero over PERIOD and weighed by Gregory's rule, and its inverse on [0, 1].
-
-    v_hat_k = int_0^1 v e^(-2 pi i k x / PERIOD) dx: (2 modes, nx), rows Re and Im of each mode;
-    v(x) = (1/PERIOD) Re [v_hat_0 + 2 sum_k v_hat_k e^(2 pi i k x / PERIOD)]: (nx, 2 modes).
-    """
-    k = np.arange(modes)[:, None]
-    angle = 2 * np.pi * k * grid.nodes(nx) / PERIOD  # (modes, nx)
-    pairs = np.stack([np.cos(angle), -np.sin(angle)], axis=1).reshape(2 * modes, nx)
-    twice = np.where(k > 0, 2.0, 1.0).repeat(2, axis=0) / PERIOD
-    forward, inverse = pairs * gregory(nx), (pairs * twice).T
+    """npred.operators.matrices.fourier, (2 modes, nx) and (nx, 2 modes), as tensors."""
+    forward, inverse = matrices.fourier(nx, modes)
     return torch.as_tensor(forward, dtype=dtype, device=device), torch.as_tensor(inverse, dtype=dtype, device=device)
-
-
-def gregory(nx: int) -> np.ndarray:
-    """Trapezoidal weights (nx,), corrected at both ends to sixth order, so that a coarse grid trains for a fine one."""
-    if nx < 2 * len(GREGORY):
-        return grid.trapezoid(nx)
-    weights = np.ones(nx)
-    weights[: len(GREGORY)] = GREGORY
-    weights[-len(GREGORY) :] = GREGORY[::-1]
-    return weights / (nx - 1)

@@ -1,28 +1,21 @@
-"""A trained operator as files: weights and scaling in safetensors, all else in JSON. Nothing is ever unpickled."""
+"""A trained torch operator as files: weights and scaling in safetensors, all else in JSON. Nothing is unpickled."""
 
 import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
-from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 
-from npred import json_files
-from npred.config import Network, Train, Training
+from npred.config import Training
 from npred.data.domain import Domain
-from npred.errors import ConfigError, StoreError, first_line
-from npred.operators.base import Operator, build
+from npred.operators import weights as stored
+from npred.operators.base import Operator, build, ready
 from npred.operators.scaling import Scaling
+from npred.operators.weights import MANIFEST, broken, check, weights
 from npred.plants.base import Plant
-from npred.registry import NETWORKS, in_file
-
-MANIFEST = "model.json"
-
-
-def weights(snapshot: int | None = None) -> str:
-    """The name of the file that holds the final weights, or those after `snapshot` epochs."""
-    return "model.safetensors" if snapshot is None else f"snapshot-{snapshot}.safetensors"
+from npred.registry import in_file
 
 
 def save(folder: Path, operator: Operator, config: Training, plant: Plant) -> None:
@@ -40,76 +33,33 @@ def save_weights(path: Path, operator: Operator) -> None:
     save_file({name: tensor.contiguous().clone() for name, tensor in operator.state_dict().items()}, path)
 
 
-def describe(folder: Path) -> dict[str, Any]:
-    """The saved model.json: `model`, `config` and `plant`. Raises StoreError where it is missing or no such object."""
-    path = folder / MANIFEST
-    try:
-        return json_files.table(path)
-    except (OSError, ValueError) as error:
-        raise StoreError(f"{path}: expected a saved model, got: {error}; train it again") from None
-
-
 def load(
     folder: Path, plant: Plant, snapshot: int | None = None, dtype: torch.dtype = torch.float32,
     config: Training | None = None,
 ) -> Operator:  # fmt: skip
-    """The saved operator, on the CPU and ready for use, as it ended or as it stood after `snapshot` epochs.
-
-    `config`: the pipeline's table of the network, without which the saved one is taken. A network of a file is code:
-    only a pipeline may name it, and the saved table alone is refused.
-
-    In float64 the weights are the same and the point of rest is the plant's: the anchor, and with it the end of a
-    closed loop, is exact to float64's rounding. In float32 loops end about 2e-6 away.
-    Raises StoreError for a file that is missing or broken, ConfigError for a plant that the anchor does not fit.
+    """The saved operator as a torch module, on the CPU and ready for use: see npred.operators.read, also for what it
+    raises.
     """
-    config, path = config or _table(folder), folder / weights(snapshot)
-    try:
+    precision = torch.empty(0, dtype=dtype).cpu().numpy().dtype
+    return stored.read(folder, plant, snapshot, precision, config).module(plant)
+
+
+def read(path: Path, plant: Plant, precision: Any, config: Training, domain: Domain | None) -> Operator:
+    """A network of which only its class says what the file has to hold; nothing is allocated before that is checked."""
+    with broken(path):
         tensors = load_file(path)
-        _check(tensors, config, plant)
+        with torch.device("cpu" if in_file(config.architecture) else "meta"):
+            expected = build(config, plant, Scaling(plant.n, plant.m)).state_dict()
+        check(_kinds(expected), _kinds(tensors))
         operator = build(config, plant, Scaling(plant.n, plant.m))
         operator.load_state_dict(tensors)
-    except (OSError, SafetensorError, RuntimeError, ValueError, TypeError, OverflowError) as error:
-        kept = ", ".join(sorted(p.name for p in folder.glob("*.safetensors"))) or "none"
-        raise StoreError(
-            f"{path}: expected weights of this model, got: {first_line(error)}; files there: {kept}"
-        ) from None
-    operator.domain = Domain.load(folder)
-    return _as(operator, dtype, plant).eval().requires_grad_(False)
-
-
-def _table(folder: Path) -> Training:
-    manifest = describe(folder)
-    try:
-        model, values = manifest["model"], manifest["config"]
-        kind: Any = Network if "network" in values else Train.model_fields[model].annotation
-        table = kind.model_validate(values)
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
-        reason, names = " ".join(str(error).split()), ", ".join(NETWORKS.names())
-        raise StoreError(f"{folder / MANIFEST}: expected a network of {names}, got: {reason}; train it again") from None
-    if in_file(table.architecture):
-        raise ConfigError(f"{folder}: expected a registered network, got {table.architecture}; use PIPELINE:MODEL")
-    return table
-
-
-def _check(tensors: dict[str, torch.Tensor], config: Training, plant: Plant) -> None:
-    """Raise ValueError unless the tensors are those of the network that the table describes; nothing is allocated."""
-    layers = max(config.arguments.get(key, 0) for key in ("layers", "depth"))
-    if layers > len(tensors) and config.architecture in NETWORKS.builtin:
-        raise ValueError(f"{len(tensors)} tensors for {layers} layers")
-    with torch.device("cpu" if in_file(config.architecture) else "meta"):
-        expected = build(config, plant, Scaling(plant.n, plant.m)).state_dict()
-    for name in sorted(expected.keys() | tensors.keys()):
-        shapes = [
-            (tuple(t.shape), t.dtype) if (t := state.get(name)) is not None else None for state in (expected, tensors)
-        ]
-        if shapes[0] != shapes[1]:
-            raise ValueError(f"{name}: expected {shapes[0]}, got {shapes[1]}")
-
-
-def _as(operator: Operator, dtype: torch.dtype, plant: Plant) -> Operator:
-    """The operator in another precision, its point of rest, saved in float32, in that precision too."""
-    operator = operator.to(dtype)
-    if plant.rest and dtype != torch.float32:
+    operator.to(torch.from_numpy(np.empty(0, dtype=precision)).dtype)
+    if plant.rest and precision != np.float32:
         operator.X_rest.copy_(torch.tensor(plant.rest[0]))
         operator.u_rest.copy_(torch.tensor(plant.rest[1]))
-    return operator
+    return ready(operator, domain)
+
+
+def _kinds(tensors: dict[str, torch.Tensor]) -> dict[str, tuple[tuple[int, ...], str]]:
+    """Shape and type of each, as a message has them."""
+    return {name: (tuple(t.shape), str(t.dtype).removeprefix("torch.")) for name, t in tensors.items()}

@@ -10,7 +10,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from npred import json_files
-from npred.errors import ConfigError, MissingError
+from npred.errors import ConfigError, MissingError, installed, required
 
 _CPUINFO = Path("/proc/cpuinfo")
 _VECTOR = re.compile("avx|amx|fma|f16c|sse4|asimd|sve|bf16")
@@ -39,8 +39,7 @@ def require(device: str) -> None:
     """Raise MissingError unless this machine has the device."""
     if device == "cpu":
         return
-    import torch
-
+    torch = required("--device", "torch", "torch", "train")
     count = torch.cuda.device_count() if torch.cuda.is_available() else 0
     if int(device.partition(":")[2] or 0) >= count:
         raise MissingError(
@@ -51,6 +50,14 @@ def require(device: str) -> None:
 def cores() -> int:
     """The cores this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def torch_threads(count: int) -> None:
+    """Let torch, where it is installed, compute on so many threads from now on."""
+    if installed("torch"):
+        import torch
+
+        torch.set_num_threads(count)
 
 
 @contextmanager
@@ -116,7 +123,7 @@ def _cuda_likely() -> bool:
 
 def _cpu() -> str:
     if _CPUINFO.exists():
-        for line in _CPUINFO.read_text().splitlines():
+        for line in _CPUINFO.read_text(encoding="utf-8").splitlines():
             if line.startswith("model name"):
                 return line.partition(":")[2].strip()
     return platform.processor() or platform.machine()
@@ -126,11 +133,21 @@ def _features() -> list[str]:
     """The vector instructions of the processor, by the kernel's names."""
     if not _CPUINFO.exists():
         return []
-    lines = (line.partition(":") for line in _CPUINFO.read_text().splitlines())
+    lines = (line.partition(":") for line in _CPUINFO.read_text(encoding="utf-8").splitlines())
     flags = next((value.split() for name, _, value in lines if name.strip() in ("flags", "Features")), [])
     return sorted(flag for flag in set(flags) if _VECTOR.match(flag))
 
 
 def _gpus() -> list[str]:
     texts = [path.read_text() for path in _GPUS.glob("*/information")] if _GPUS.exists() else []
-    return sorted(line.partition(":")[2].strip() for text in texts for line in text.splitlines() if "Model:" in line)
+    named = sorted(line.partition(":")[2].strip() for text in texts for line in text.splitlines() if "Model:" in line)
+    return named or _gpus_of_torch()
+
+
+def _gpus_of_torch() -> list[str]:
+    """As torch names them: in some containers the driver's files are not there."""
+    if package("torch") is None:
+        return []
+    import torch
+
+    return sorted(torch.cuda.get_device_name(k) for k in range(torch.cuda.device_count()))

@@ -185,6 +185,9 @@ class Processes(Workers):
 @contextmanager
 def _deaf() -> Iterator[None]:
     """Processes that start in the block do not hear what a terminal sends to all: they end with this one, silently."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows, where the processes themselves turn a deaf ear
+        yield
+        return
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
     try:
         yield
@@ -203,6 +206,7 @@ def _settle(outcome: Future[Result], error: BaseException | None, done: Future[R
 
 def _end_with_leash(end: Connection) -> None:
     """End a worker whose parent was killed or ends early, which closes the pipe: it would wait for tasks for ever."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
     def watch() -> None:
         try:

@@ -123,6 +123,15 @@ class Resolver(ABC):
         why = UP_TO_DATE if artifact else reason(question, self.name, self._artifacts, self.sources(node))
         return Step(node, question, artifact, why)
 
+    def misses(self, step: Step) -> bool:
+        """True if the store cannot have a result for a step, whatever comes of inputs that still have to be made."""
+        if step.question or step.artifact:
+            return step.artifact is None
+        node, asked = step.node, leaves(self.settings(step.node))
+        answered = (artifact.manifest.question for artifact in self._artifacts)
+        same = (question for question in answered if (question.stage, question.model) == (node.stage, node.model))
+        return all(distance(question.config, asked) for question in same)
+
     def question(self, node: Node, inputs: Mapping[str, Artifact]) -> Question:
         """The question of a node to the store, its inputs being there."""
         sources = {

@@ -7,12 +7,13 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 from concurrent.futures import Future, wait
 from dataclasses import dataclass, field
 
-from npred.errors import NpredError
-from npred.parallel import executors
+from npred.errors import EXTRAS, NpredError, installed, lacking
+from npred.parallel import executors, torchrun
 from npred.parallel.executors import Here, Threads, Workers
+from npred.parallel.side_by_side import Meeting
 from npred.pipeline import stage_registry
 from npred.pipeline.plan import UP_TO_DATE, Planner, Resolver, Step
-from npred.pipeline.stage_registry import Node
+from npred.pipeline.stage_registry import STAGES, Node
 from npred.pipeline.task import Outcome, Task, elsewhere, packages
 from npred.store import Artifact, Question, claims
 from npred.store.claims import Claim
@@ -65,11 +66,13 @@ class Runner:
     def run(self, planner: Resolver, nodes: Iterable[Node]) -> list[Outcome]:
         """One outcome per node, in order; every result is verified. The networks of a pipeline train side by side.
 
-        Raises ConfigError for a pipeline that does not fit its plant, before anything runs, StoreError for corrupt
-        files, and what the stages raise; what was finished before stays in the store.
+        Raises ConfigError for a pipeline that does not fit its plant and MissingError without a package, before
+        anything runs, StoreError for corrupt files, and what the stages raise; what was finished before stays in the
+        store.
         """
         run = CellRun(0, planner, list(nodes))
         planner.check(run.nodes)
+        _check_packages(planner, run.nodes)
         # In threads: the numerical libraries release the GIL, and progress, Ctrl-C and locks are this process's.
         count = min(self.jobs, sum(node.model is not None for node in run.nodes))
         with executors.closed(Threads(count) if count > 1 else Here()) as threads:
@@ -79,12 +82,14 @@ class Runner:
     def sweep(self, planners: Sequence[Planner], targets: Collection[str]) -> list[CellRun]:
         """The outcomes of each cell; one that fails does not stop the others.
 
-        Raises ConfigError for a cell that does not fit its plant, before anything runs.
+        Raises ConfigError for a cell that does not fit its plant and MissingError without a package, before anything
+        runs.
         """
         cells = [(planner, stage_registry.nodes(planner.config, targets)) for planner in planners]
         runs = [CellRun(number, *cell) for number, cell in enumerate(cells)]
         for run in runs:
             run.planner.check(run.nodes)
+            _check_packages(run.planner, run.nodes)
         with self.console.bar("sweep", len(runs), "cells") as bar:
             self._bring(runs, self.executor, lambda task: self.executor.submit(elsewhere, task, packages()), bar)
         return runs
@@ -102,8 +107,9 @@ class Runner:
                 graph.run(runs)
             except BaseException:
                 self.console.stop()
-                if interruption.heard() and not bar:  # the other networks end at their next report, and remove drafts
-                    wait(graph.under_way, interruption.GRACE)
+                here = graph.in_groups if bar else graph.under_way
+                if interruption.heard() and here:  # the other networks end at their next report, and remove drafts
+                    wait(here, interruption.GRACE)
                 raise
 
 
@@ -123,6 +129,7 @@ class _Graph:
     takers: dict[str, list[CellRun]] = field(default_factory=lambda: defaultdict(list))
     queue: list[tuple[int, int, int, Task]] = field(default_factory=list)  # a heap
     under_way: dict[Future[Outcome], Task] = field(default_factory=dict)
+    in_groups: list[Future[Outcome]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.screen = Console(quiet=True) if self.bar else self.runner.console
@@ -145,10 +152,28 @@ class _Graph:
             if here and self.under_way:
                 return
             heapq.heappop(self.queue)
-            if here:
+            if self.bar and not self.workers.remote and _in_a_graph(task):
+                self._start_together([task, *self._others(task)])
+            elif here:
                 self._settle(task, self.runner.make(task))
             else:
                 self.under_way[self.submit(task)] = task
+
+    def _others(self, task: Task) -> list[Task]:
+        """The tasks of the queue that train the same network with other seeds or data, taken out of it."""
+        same = [entry for entry in self.queue if _in_a_graph(entry[-1]) and _network(entry[-1]) == _network(task)]
+        self.queue = [entry for entry in self.queue if entry not in same]
+        heapq.heapify(self.queue)
+        return [entry[-1] for entry in sorted(same)]
+
+    def _start_together(self, tasks: list[Task]) -> None:
+        """Trainings on a GPU, in threads of this process: they meet in one CUDA graph, and end each by itself."""
+        group, threads = Meeting(len(tasks)), Threads(len(tasks))
+        for task in tasks:
+            future = threads.submit(_member, group, task)
+            self.in_groups.append(future)
+            self.under_way[future] = task
+        threads.shutdown(wait=False)
 
     def _ask(self, run: CellRun) -> None:
         """Take what is there already of a pipeline's next nodes, and queue the rest, each key once."""
@@ -206,9 +231,35 @@ class _Graph:
             raise outcome.error
 
 
+def _check_packages(planner: Resolver, nodes: Sequence[Node]) -> None:
+    """Raise MissingError where a stage that has to run lacks its package: before the minutes of the stages above it."""
+    short = {name for name, stage in STAGES.items() if stage.needs and not installed(stage.needs)}
+    if not short.intersection(node.stage for node in nodes):
+        return
+    for step in planner.plan(nodes):
+        if step.node.stage in short and planner.misses(step):
+            package = STAGES[step.node.stage].needs
+            raise lacking(step.node.title, package, EXTRAS[package])
+
+
 def _outcome(future: Future[Outcome], task: Task) -> Outcome:
     """A task's outcome, also where its process did not live to give one."""
     try:
         return future.result()
     except Exception as error:
         return Outcome(task.step.node, "failed", task.step.reason, 0.0, error=error)
+
+
+def _in_a_graph(task: Task) -> bool:
+    return task.step.node.stage == "train" and task.planner.device.startswith("cuda") and torchrun.count() == 1
+
+
+def _network(task: Task) -> tuple[object, ...]:
+    """Equal for trainings that differ in seed and data alone, as far as the pipeline says."""
+    config, model = task.planner.settings(task.step.node), task.step.node.model
+    return model, repr({key: value for key, value in config.items() if key != "seed"})
+
+
+def _member(group: Meeting, task: Task) -> Outcome:
+    with group.member():
+        return task.outcome(Console(quiet=True), 1, Here())

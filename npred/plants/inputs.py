@@ -2,16 +2,18 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TypeAlias, TypeGuard
+from typing import TYPE_CHECKING, TypeAlias, TypeGuard
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from npred import array_checks, randomness
-from npred.config import Loop
 from npred.errors import ConfigError
 from npred.plants.base import Plant
 from npred.symbolic import source_lines
+
+if TYPE_CHECKING:  # the tables of pipelines, which a loop in Python has no use for
+    from npred.config import Loop
 
 EQUILIBRIUM, LAW = "equilibrium", "law"  # the inputs before t = 0 that have a name
 ROUNDING = 1e-9  # of an input: this close to a bound it is on it
@@ -131,7 +133,7 @@ def start(plant: Plant, u0: Given, limits: np.ndarray) -> Start:
     return _accepted(plant, np.broadcast_to(array, (plant.m,)), limits, "")
 
 
-def configured(plant: Plant, loop: Loop, stage: str) -> Start:
+def configured(plant: Plant, loop: "Loop", stage: str) -> Start:
     """The `start` of a stage's loops. Raises ConfigError, naming the stage's table, also where nothing rests."""
     try:
         limits = bounds(plant, loop.input_bounds)

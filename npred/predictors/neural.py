@@ -5,7 +5,7 @@ from contextlib import nullcontext
 import numpy as np
 import torch
 
-from npred.operators import Operator
+from npred.operators import TrainedOperator
 from npred.parallel import devices
 from npred.plants.base import Plant
 from npred.predictors.base import Predictor
@@ -19,10 +19,12 @@ class Neural(Predictor):
     free of resolution: any nx in a call; `nx` is what a loop uses.
     """
 
-    def __init__(self, plant: Plant, operator: Operator, nx: int = 101, device: str = "cpu", name: str = "neural"):
+    def __init__(
+        self, plant: Plant, operator: TrainedOperator, nx: int = 101, device: str = "cpu", name: str = "neural"
+    ) -> None:  # fmt: skip
         super().__init__(plant, nx)
         self.name = name  # type: ignore[misc]
-        self.operator, self.device = operator.to(device).eval(), device
+        self.operator, self.device = operator.module(plant).to(device).eval(), device
 
     @torch.inference_mode()
     def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: np.ndarray | float) -> np.ndarray:

@@ -3,28 +3,34 @@
 import numpy as np
 
 from npred.delays import family_of
-from npred.operators import Operator
+from npred.operators import TrainedOperator
 from npred.plants.base import Plant
 from npred.predictors.base import Predictor
 from npred.predictors.runge_kutta import RK4
 from npred.registry import RUNTIMES
-from npred.runtimes.fused import Loaded, lowering
+from npred.runtimes.fused import Fused, Loaded, lowering
 
 Samples = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # X (B, n), u (B, nx, m), D_hat and t (B,)
 
 
 def predictor(
-    runtime: str | None, plant: Plant, operator: Operator, nx: int = 101, name: str = "neural", device: str = "cpu"
+    runtime: str | None,
+    plant: Plant,
+    operator: TrainedOperator,
+    nx: int = 101,
+    name: str = "neural",
+    device: str = "cpu",
 ) -> Predictor:
     """The operator as a predictor in a runtime, by its name or `my_runtime.py:Mine`; only torch uses the device.
 
     None: the fastest that fits, npred.runtimes.fused.Loaded, or torch on a GPU and for a network without a fused form.
-    Raises ConfigError for another name or a class that is no Predictor, MissingError for onnx without its extra.
+    Raises ConfigError for another name or a class that is no Predictor, MissingError for torch or onnx without its
+    extra.
     """
     if runtime is None and device == "cpu" and lowering(operator) and not family_of(plant).refusal("fused"):
         return Loaded(plant, operator, nx, name=name)
     kind = RUNTIMES.subclass("runtime", runtime or "torch", Predictor)
-    return kind(plant, operator, nx, name=name, device=device)
+    return kind(plant, operator if issubclass(kind, Fused) else operator.module(plant), nx, name=name, device=device)
 
 
 def eps(plant: Plant, P_hat: np.ndarray, samples: Samples) -> float:

@@ -2,10 +2,11 @@
 
 import re
 import subprocess
+import sys
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-from npred.errors import NpredError
+from npred.errors import NpredError, required
 from npred.kernels.compiler import found
 
 FOLDER = Path(__file__).parent / "c"
@@ -52,9 +53,19 @@ def compiler() -> tuple[str, ...] | None:
     return found() or None
 
 
-def build(sources: Iterable[Path], target: Path, what: str, *flags: str) -> None:
-    """Compile C sources into a shared library. Raises NpredError, in one line, where they do not compile."""
-    command = [*(compiler() or ("cc",)), *FLAGS, *flags, *map(str, sources), "-o", str(target), "-lm"]
+def cross_compiler(what: str) -> tuple[str, ...]:
+    """The C compiler for other machines. Raises MissingError where it is not installed."""
+    required(f"export {what}", "ziglang", "ziglang", "zig")
+    return sys.executable, "-m", "ziglang", "cc"
+
+
+def build(sources: Iterable[Path], target: Path, what: str, *flags: str, other: str = "") -> None:
+    """Compile C sources into a shared library, for this machine or for an `other`, as zig names it.
+
+    Raises NpredError, in one line, where they do not compile, MissingError for another machine without ziglang.
+    """
+    words = (*cross_compiler(what), "-target", other) if other else compiler() or ("cc",)
+    command = [*words, *FLAGS, *flags, *map(str, sources), "-o", str(target), "-lm"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=600)
     if done.returncode:
         complaint = (done.stderr.splitlines() or ["no word"])[0]

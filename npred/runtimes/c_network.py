@@ -6,7 +6,6 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-import torch
 
 from npred import grid
 from npred.delays import family_of
@@ -16,10 +15,10 @@ from npred.kernels.formula import Strided, vector
 from npred.kernels.functions import Formulas
 from npred.kernels.kernel import Kernel, skeleton
 from npred.loop import metrics
-from npred.operators import Operator
+from npred.operators import TrainedOperator
 from npred.plants.base import Plant
 from npred.runtimes import Samples, c_files, eps
-from npred.runtimes.fused import fold, kernel, require
+from npred.runtimes.fused import Loaded, fold, kernel, require
 from npred.symbolic.tape import Vector
 from npred.symbolic.trace import Trace
 
@@ -27,7 +26,9 @@ TESTED = 4  # samples of the test vector
 LIMIT = 1e-4  # of a state's or an input's size: the difference from the model that single precision makes
 
 
-def export(operator: Operator, plant: Plant, path: Path, nx: int, samples: Samples) -> tuple[float, float] | None:
+def export(
+    operator: TrainedOperator, plant: Plant, path: Path, nx: int, samples: Samples
+) -> tuple[float, float] | None:
     """Write the C file for nx nodes, its first TESTED samples as its test vector.
 
     Returns the largest difference of P and U from the operator's in double precision, and npred.runtimes.eps:
@@ -47,7 +48,7 @@ def export(operator: Operator, plant: Plant, path: Path, nx: int, samples: Sampl
 
 
 def _errors(
-    operator: Operator, plant: Plant, samples: Samples, P_hat: np.ndarray, U_hat: np.ndarray
+    operator: TrainedOperator, plant: Plant, samples: Samples, P_hat: np.ndarray, U_hat: np.ndarray
 ) -> tuple[float, float]:  # fmt: skip
     P, U, size = _expected(operator, plant, samples)
     gaps = np.concatenate([np.abs(P_hat - P).max(axis=(0, 1)), np.abs(U_hat - U).max(axis=0)])
@@ -57,7 +58,7 @@ def _errors(
     return float(gaps.max()), eps(plant, P_hat, samples)
 
 
-def source(operator: Operator, plant: Plant, nx: int, samples: Samples) -> str:
+def source(operator: TrainedOperator, plant: Plant, nx: int, samples: Samples) -> str:
     """The text of the C file; the samples become its test vector.
 
     Raises ConfigError for an untraced plant, for a delay that the plant declares with a law that depends on time, and
@@ -104,19 +105,16 @@ def _law(trace: Trace, nx: int) -> tuple[Vector, list[Strided | str]]:
     return U, [vector("P", nx * plant.n, "1"), "D_hat", "t"]
 
 
-@torch.no_grad()
-def _expected(operator: Operator, plant: Plant, samples: Samples) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _expected(operator: TrainedOperator, plant: Plant, samples: Samples) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The model's P and U in double precision, and the size of each state and input."""
     X, u, D_hat, t = (np.asarray(a, dtype=float) for a in samples)
-    model = copy.deepcopy(operator).double()
-    phase = (torch.as_tensor(plant.phase(t)),) if plant.phased else ()
-    P = model(torch.as_tensor(X), torch.as_tensor(u), torch.as_tensor(D_hat), *phase).numpy()
+    P = Loaded(plant, copy.deepcopy(operator).double(), u.shape[1])(X, u, D_hat, t)
     U = plant.kappa(P[:, -1], t + D_hat) if plant.declares_delay else metrics.law(plant, P, t, D_hat)
     size = np.concatenate([np.abs(P).max(axis=(0, 1)), np.abs(U).max(axis=0)])
     return P, U, np.where(size > 0, size, 1.0)
 
 
-def _test(operator: Operator, plant: Plant, samples: Samples) -> str:
+def _test(operator: TrainedOperator, plant: Plant, samples: Samples) -> str:
     """The samples, and what is expected of them."""
     columns = zip(("X", "u", "D_hat", "t"), (np.asarray(a, dtype=float) for a in samples), strict=True)
     arrays = dict(columns) | dict(zip(("P", "U", "size"), _expected(operator, plant, samples), strict=True))

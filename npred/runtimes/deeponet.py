@@ -3,42 +3,37 @@
 from dataclasses import replace
 
 import numpy as np
-import torch
-from torch import nn
 
-from npred.operators import Operator
-from npred.operators.deeponet import DEGREE, DeepONetwork
-from npred.operators.features import legendre, moment_matrix
-from npred.runtimes.program import Matrix, Mirror, Product, Program, Repeat, Silu, SiluPair, layers
+from npred.operators import Weights, matrices
+from npred.runtimes.program import Layers, Matrix, Mirror, Product, Program, Repeat, Silu, SiluPair, mlp
 
-CPU = torch.device("cpu")
 PAIRED, STRIDED = True, False  # the sample runs beside the point of rest; every node is evaluated
 
 
-def append(p: Program, operator: Operator) -> None:
+def append(p: Program, weights: Weights) -> None:
     """Append the operations of N: both rows share each load of the weights; the last, linear layer takes the first."""
-    network = operator.network
-    assert isinstance(network, DeepONetwork)
-    n, m, nx, rows = p.n, p.m, p.nx, p.rows
-    *hidden, last = layers(network.branch, nn.Linear)
-    h, width = _hidden(p, network, hidden), hidden[-1].out_features
-    by_state = last.weight.numpy().reshape(n, network.basis + m, width)
-    a, by_mean = p.buffer("a", rows, n * m), by_state[:, network.basis :].reshape(-1, width).T
+    n, m, nx, rows, trunk = p.n, p.m, p.nx, p.rows, weights.layers("network.trunk")
+    *hidden, last = weights.layers("network.branch")
+    h, basis = _hidden(p, hidden), len(trunk[-1]["weight"])
+    width = h.row
+    by_state = last["weight"].reshape(n, basis + m, width)
+    a, by_mean = p.buffer("a", rows, n * m), by_state[:, basis:].reshape(-1, width).T
     p.operations.append(Product(a, h, p.constant("by_mean", by_mean), (rows, width, n * m)))
-    N = _smooth(p, network, by_state[:, : network.basis], h)
+    N = _smooth(p, trunk, by_state[:, :basis], h)
     both = a if rows == 1 else p.buffer("both", 1, n * m)
     if rows == 2:
         p.operations.append(Product(both, p.constant("ones", np.ones((1, 2))), a, (1, 2, n * m)))
     p.operations.append(Product(N, replace(both, row=m), Matrix("r", nx), (n, m, nx), adds=True))
 
 
-def _hidden(p: Program, network: DeepONetwork, hidden: list[nn.Linear]) -> Matrix:
+def _hidden(p: Program, hidden: Layers) -> Matrix:
     """The branch's hidden layers, of all rows side by side: in differences a bias cancels."""
-    n, m, nx, rows, count, width = p.n, p.m, p.nx, p.rows, network.moments, hidden[0].out_features
-    transform = moment_matrix(nx, count, torch.float64, CPU).numpy().T  # (nx, count)
-    first = hidden[0].weight.numpy().T  # rows: X and the phase, moments, D_hat
+    n, m, nx, rows = p.n, p.m, p.nx, p.rows
+    first = hidden[0]["weight"].T  # rows: X and the phase, moments, D_hat
+    count, width = (len(first) - p.columns) // m, first.shape[1]
+    transform = matrices.moments(nx, count).T  # (nx, count)
     by_input = first[p.seen : -1].reshape(count, m, width).swapaxes(0, 1).reshape(m * count, width)
-    zero = p.z_zero @ first[:n] + np.outer(p.v_zero, transform.sum(axis=0)).ravel() @ by_input + hidden[0].bias.numpy()
+    zero = p.z_zero @ first[:n] + np.outer(p.v_zero, transform.sum(axis=0)).ravel() @ by_input + hidden[0]["bias"]
     features, sums, h = p.buffer("features", m, count), p.buffer("sums", rows, width), p.buffer("h", rows, width)
     by_node, by_moment = p.constant("by_node", transform), p.constant("by_moment", by_input)
     by_z, bias = (
@@ -53,8 +48,8 @@ def _hidden(p: Program, network: DeepONetwork, hidden: list[nn.Linear]) -> Matri
         activation,
     ]
     if hidden[1:]:
-        weight = p.stack("weight", [layer.weight.numpy().T for layer in hidden[1:]])
-        biases = p.stack("biases", [_bias(layer.bias.numpy(), rows) for layer in hidden[1:]])
+        weight = p.stack("weight", [layer["weight"].T for layer in hidden[1:]])
+        biases = p.stack("biases", [_bias(layer["bias"], rows) for layer in hidden[1:]])
         operation = Product(sums, h, weight, (rows, width, width), biases)
         p.operations.append(Repeat(len(hidden) - 1, (operation, activation)))
     return h
@@ -64,17 +59,17 @@ def _bias(values: np.ndarray, rows: int) -> np.ndarray:
     return np.stack([np.zeros_like(values), values]) if rows == 2 else values[None]
 
 
-def _smooth(p: Program, network: DeepONetwork, by_basis: np.ndarray, h: Matrix) -> Matrix:
+def _smooth(p: Program, trunk: Layers, by_basis: np.ndarray, h: Matrix) -> Matrix:
     """N = sum_k b_k t_k(x) + a v_zero of the first row, the trunk split by parity about the middle and by rank.
 
     Even and odd functions are known by half of the nodes, and each is of about half the rank.
     """
     n, m, nx, width = p.n, p.m, p.nx, h.row
-    trunk = network.trunk(legendre(nx, DEGREE, torch.float64, CPU)).numpy()  # (nx, basis)
-    half, size = (nx + 1) // 2, p.rounding * np.abs(trunk).max()
-    (even, by_even), (odd, by_odd) = (_factors((trunk + sign * trunk[::-1])[:half] / 2, size) for sign in (1, -1))
+    t = mlp(trunk, matrices.legendre(nx, trunk[0]["weight"].shape[1]))  # (nx, basis)
+    half, size = (nx + 1) // 2, p.rounding * np.abs(t).max()
+    (even, by_even), (odd, by_odd) = (_factors((t + sign * t[::-1])[:half] / 2, size) for sign in (1, -1))
     even = np.concatenate([even, np.ones((1, half))])  # takes the level a v_zero
-    weights = np.concatenate([by_even, np.zeros((1, network.basis)), by_odd])  # (rank, basis)
+    weights = np.concatenate([by_even, np.zeros((1, t.shape[1])), by_odd])  # (rank, basis)
     rank, b = len(weights), p.buffer("b", n, len(weights))
     folded = p.constant("by_basis", (weights @ by_basis).reshape(n * rank, width).T)
     p.operations.append(Product(Matrix("b", n * rank), h, folded, (1, width, n * rank)))

@@ -29,8 +29,8 @@ from npred.runtimes.fmu_variables import LARGEST, PARAMETERS, Variable
 VERSIONS = (3, 2)
 HIDDEN = "-fvisibility=hidden"  # but what FMI names
 SUFFIXES = {"linux": ".so", "darwin": ".dylib", "windows": ".dll"}
+SYSTEMS = {"linux": "linux-gnu", "darwin": "macos", "windows": "windows-gnu"}  # as zig names them
 MACHINES = {"amd64": "x86_64", "arm64": "aarch64"}
-FOLDERS_OF_2 = {("linux", "x86_64"): "linux64", ("darwin", "x86_64"): "darwin64", ("windows", "x86_64"): "win64"}
 ABOUT = {  # the categories of the log
     "logStatusWarning": "a control step that was refused",
     "logStatusDiscard": "a value that was refused",
@@ -44,12 +44,38 @@ ABILITIES = {
 }  # fmt: skip
 
 
-class Written(NamedTuple):
-    """What an FMU holds: where its library lies, None where it has none, its token, and its variables."""
+class Platform(NamedTuple):
+    """A system and its machine, in FMI 3.0's words."""
 
-    library: str | None
+    system: str
+    machine: str
+
+    def place(self, version: int, identifier: str) -> str | None:
+        """Where its library lies in the archive; None where FMI has no name for it."""
+        folder = f"{self.machine}-{self.system}" if version == 3 else FOLDERS_OF_2.get(self)
+        return f"binaries/{folder}/{identifier}{SUFFIXES[self.system]}" if folder and self.system in SUFFIXES else None
+
+
+FOLDERS_OF_2 = {
+    Platform("linux", "x86_64"): "linux64", Platform("darwin", "x86_64"): "darwin64",
+    Platform("windows", "x86_64"): "win64",
+}  # fmt: skip
+NAMED = {name: platform for platform, name in FOLDERS_OF_2.items()} | {
+    f"{machine}-{system}": Platform(system, machine) for system in SUFFIXES for machine in MACHINES.values()
+}
+
+
+class Written(NamedTuple):
+    """What an FMU holds: where its libraries lie, its token, and its variables."""
+
+    libraries: list[str]
     token: str
     variables: list[Variable]
+
+    @property
+    def library(self) -> str | None:
+        """Where the first library lies; None where it has none."""
+        return next(iter(self.libraries), None)
 
 
 class Model(NamedTuple):
@@ -67,14 +93,18 @@ class Model(NamedTuple):
 def write(
     controller: Controller, path: Path, *, version: int = 3, name: str = "npred", precision: str = "double",
     model: str = "", X0: ArrayLike | None = None, t_end: float = 1.0, test: c_controller.Test | None = None,
+    platforms: Sequence[str] = (),
 ) -> Written:  # fmt: skip
     """Write the FMU of a controller. `X0` (n,) are the first values of the inputs X, `t_end` the experiment's seconds.
 
-    Without a C compiler it holds its sources alone. Raises ConfigError for another version of FMI, for names of
-    variables that are not different, and as npred.runtimes.c_controller.sources does.
+    It holds a library for each of `platforms` (NAMED), which ziglang compiles; by default one for this machine, or,
+    without a C compiler, its sources alone. Raises ConfigError for another version of FMI, for a platform that it has
+    no name for, for names of variables that are not different, and as npred.runtimes.c_controller.sources does;
+    MissingError for platforms without ziglang.
     """
     if version not in VERSIONS:
         raise ConfigError(f"--fmi: expected 3 or 2, got {version}; name one of them")
+    places = _chosen(version, name, platforms) if platforms else _own(version, name)
     X0 = np.zeros(controller.plant.n) if X0 is None else np.asarray(X0, dtype=float)
     listed = fmu_variables.of(controller, X0, arrays=version == 3)
     header, source = c_controller.sources(controller, name, precision, model, test, tunable=True)
@@ -86,13 +116,13 @@ def write(
     token = _token(texts, _description(version, described, listed))
     described = described._replace(token=token)
     texts["variables.h"] = fmu_variables.header(controller, listed, name, token)
-    place = _place(version, name) if c_files.compiler() else None
     files: dict[str, str | bytes] = {"modelDescription.xml": _description(version, described, listed)}
-    files |= {place: _compiled(texts, sources)} if place else {}
+    libraries = {place: _compiled(texts, sources, target) for place, target in places.items()}
+    files |= libraries
     files |= {f"sources/{file}": text for file, text in texts.items()}
     files |= {"sources/buildDescription.xml": _build_description(described)} if version == 3 else {}
     _archive(path, files)
-    return Written(place, token, listed)
+    return Written(list(libraries), token, listed)
 
 
 def _token(texts: Mapping[str, str], undated: str) -> str:
@@ -101,20 +131,31 @@ def _token(texts: Mapping[str, str], undated: str) -> str:
     return "{" + "-".join(digest[i:j] for i, j in ((0, 8), (8, 12), (12, 16), (16, 20), (20, 32))) + "}"
 
 
-def _place(version: int, identifier: str) -> str | None:
-    """Where the library of this machine lies in the archive; None where FMI has no name for the machine."""
+def _own(version: int, identifier: str) -> dict[str, str]:
+    """Where the library of this machine lies; nowhere without a C compiler, or where FMI has no name for it."""
     system, machine = platform.system().lower(), platform.machine().lower()
-    machine = MACHINES.get(machine, machine)
-    folder = f"{machine}-{system}" if version == 3 else FOLDERS_OF_2.get((system, machine))
-    return f"binaries/{folder}/{identifier}{SUFFIXES[system]}" if folder and system in SUFFIXES else None
+    place = Platform(system, MACHINES.get(machine, machine)).place(version, identifier)
+    return {place: ""} if place and c_files.compiler() else {}
 
 
-def _compiled(texts: Mapping[str, str], sources: Sequence[str]) -> bytes:
-    """The shared library of the sources. Raises NpredError, in one line, where they do not compile."""
+def _chosen(version: int, identifier: str, names: Sequence[str]) -> dict[str, str]:
+    """Where the libraries of platforms lie, and how zig names these. Raises ConfigError for one that has no name."""
+    nameable = [name for name, one in NAMED.items() if one.place(version, identifier)]
+    places = {}
+    for name in names:
+        if name not in nameable:
+            raise ConfigError(f"--platforms: expected some of {', '.join(nameable)}, got {name!r}; name those")
+        one = NAMED[name]
+        places[str(one.place(version, identifier))] = f"{one.machine}-{SYSTEMS[one.system]}"
+    return places
+
+
+def _compiled(texts: Mapping[str, str], sources: Sequence[str], target: str) -> bytes:
+    """The shared library of the sources for a machine, this one without a name. Raises as c_files.build does."""
     with tempfile.TemporaryDirectory() as folder:
         for name, text in texts.items():
             (Path(folder) / name).write_text(text, encoding="utf-8")
-        c_files.build([Path(folder) / name for name in sources], Path(folder) / "library", "fmu", HIDDEN)
+        c_files.build([Path(folder) / name for name in sources], Path(folder) / "library", "fmu", HIDDEN, other=target)
         return (Path(folder) / "library").read_bytes()
 
 

@@ -3,7 +3,6 @@
 The scalings and the anchor are lowered here, each network in another file.
 """
 
-import copy
 import math
 from collections.abc import Callable, Iterable
 from functools import cached_property
@@ -11,17 +10,15 @@ from importlib import import_module
 from typing import Any
 
 import numpy as np
-import torch
 
 from npred import grid
 from npred.delays import family, family_of
-from npred.errors import ConfigError
+from npred.errors import ConfigError, installed
 from npred.kernels.c_text import constant, literal
 from npred.kernels.kernel import Kernel, made, skeleton
-from npred.operators import Operator
+from npred.operators import TrainedOperator, Weights
 from npred.plants.base import Plant
-from npred.predictors.base import Compiled
-from npred.predictors.neural import Neural
+from npred.predictors.base import Compiled, Predictor
 from npred.registry import NETWORKS
 from npred.runtimes.program import Matrix, Operation, Program
 
@@ -47,13 +44,13 @@ class Fused(Compiled):
     """
 
     def __init__(
-        self, plant: Plant, operator: Operator, nx: int = 101, name: str = "neural", stride: int | None = None,
+        self, plant: Plant, operator: TrainedOperator, nx: int = 101, name: str = "neural", stride: int | None = None,
         precision: type[np.floating] = np.float32, device: str = "cpu",
     ) -> None:  # fmt: skip
         super().__init__(plant, nx)
         require(operator, "fused", "use the runtime torch or onnx", "" if name == "neural" else name)
         self.name, self.stride, self.precision = name, stride, precision  # type: ignore[misc]
-        self.operator, self.kernels = operator.to("cpu").eval(), {}
+        self.operator, self.kernels = operator, {}
 
     def compile(self) -> Kernel:
         return self.on(self.nx)
@@ -69,13 +66,19 @@ class Fused(Compiled):
         return super().__getstate__() | {"kernels": {}}
 
 
-class Loaded(Neural):
+class Loaded(Predictor):
     """A trained operator as npred.load gives it: torch in calls, one compiled function in loops and controllers.
 
     Torch takes any batch and grid. Both are in double precision, equal up to rounding, but for an FNO on a fine grid
     (Fused). Nothing is compiled before the first loop asks for `lanes`; an evaluation on as many nodes has left the
-    same function on the disk.
+    same function on the disk. Without torch calls are compiled too, for each grid that one asks for, every node
+    evaluated.
     """
+
+    def __init__(self, plant: Plant, operator: TrainedOperator, nx: int = 101, name: str = "neural") -> None:
+        super().__init__(plant, nx)
+        require(operator, "fused", "use the runtime torch or onnx", "" if name == "neural" else name)
+        self.name, self.operator = name, operator  # type: ignore[misc]
 
     @property
     def compiled(self) -> bool:
@@ -85,6 +88,18 @@ class Loaded(Neural):
     def fused(self) -> Fused:
         """The operator as the function that a loop calls."""
         return Fused(self.plant, self.operator, self.nx, self.name, precision=np.float64)
+
+    @cached_property
+    def calls(self) -> Predictor:
+        """The operator as calls evaluate it."""
+        if not installed("torch"):
+            return Fused(self.plant, self.operator, self.nx, self.name, stride=1, precision=np.float64)
+        from npred.predictors.neural import Neural
+
+        return Neural(self.plant, self.operator, self.nx, name=self.name)
+
+    def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: np.ndarray | float) -> np.ndarray:
+        return self.calls.predict(X, u, D_hat, t)
 
     def lanes(self) -> Kernel:
         return self.fused.on(self.nx)
@@ -96,24 +111,22 @@ def coarsest(nx: int) -> int:
     return max(s for s in range(1, max(intervals // COARSE, 1) + 1) if intervals % s == 0)
 
 
-def lowering(operator: Operator) -> str:
+def lowering(operator: TrainedOperator) -> str:
     """The module that lowers the operator's network, empty where there is none."""
-    kind = type(operator.network)  # itself: a class derived from it may compute something else
-    target = f"{kind.__module__}:{kind.__qualname__}"
-    return next((entry.lowering for entry in NETWORKS.builtin.values() if entry.target == target), "")
+    entry = NETWORKS.builtin.get(operator.architecture)
+    return entry.lowering if entry else ""
 
 
-def require(operator: Operator, what: str, cure: str, name: str = "") -> None:
+def require(operator: TrainedOperator, what: str, cure: str, name: str = "") -> None:
     """Raise ConfigError, after `what` wants it, unless the operator's network can be lowered; `name`: its own."""
     if not lowering(operator):
         names = ", ".join(name for name, entry in NETWORKS.builtin.items() if entry.lowering)
-        name = name or type(operator.network).__name__
+        name = name or operator.architecture
         raise ConfigError(f"{what}: expected a network that can be lowered ({names}), got {name}; {cure}")
 
 
-@torch.no_grad()
 def fold(
-    operator: Operator, plant: Plant, nx: int, stride: int = 1, precision: type[np.floating] = np.float32
+    operator: TrainedOperator, plant: Plant, nx: int, stride: int = 1, precision: type[np.floating] = np.float32
 ) -> Program:  # fmt: skip
     """The operator on nx nodes as a program; an FNO is evaluated on every stride-th of them, with cubics between.
 
@@ -124,40 +137,30 @@ def fold(
     plant.phase(0.0)
     family_of(plant).needs("fused")
     require(operator, "fold", "use the runtime torch or onnx")
-    network, operator = import_module(lowering(operator)), _exact(operator, plant)
-    rows = 2 if network.PAIRED and operator.anchor == "equilibrium" else 1
+    network, weights = import_module(lowering(operator)), operator.weights().exact(plant)
+    rows = 2 if network.PAIRED and weights.anchor == "equilibrium" else 1
     period = plant.period if plant.phased else None
     p = Program(plant.n, plant.m, nx, rows, stride if network.STRIDED else 1, period, precision=precision)
-    _inputs(p, operator)
-    network.append(p, operator)
-    scaling = operator.scaling
-    if operator.anchor == "none":
-        p.scale("base", scaling.P_mean.numpy())
-        p.constant("gain", np.repeat(scaling.P_std.numpy()[:, None], nx, axis=1))
+    _inputs(p, weights)
+    network.append(p, weights)
+    if weights.anchor == "none":
+        p.scale("base", weights["scaling.P_mean"])
+        p.constant("gain", np.repeat(weights["scaling.P_std"][:, None], nx, axis=1))
     else:
-        p.constant("gain", scaling.speed.numpy()[:, None] * grid.nodes(nx))
+        p.constant("gain", weights["scaling.speed"][:, None] * grid.nodes(nx))
     return p
 
 
-def _exact(operator: Operator, plant: Plant) -> Operator:
-    """A copy in double precision, the point of rest too."""
-    operator = copy.deepcopy(operator).double()
-    if operator.anchor == "equilibrium" and plant.rest:
-        operator.X_rest.copy_(torch.as_tensor(plant.rest[0]))
-        operator.u_rest.copy_(torch.as_tensor(plant.rest[1]))
-    return operator
-
-
-def _inputs(p: Program, operator: Operator) -> None:
+def _inputs(p: Program, weights: Weights) -> None:
     """The scaling of the inputs; z and v are zero at rest, or at the mean of the data."""
-    scaling, rests = operator.scaling, operator.anchor == "equilibrium"
-    X_bend, X_mean, X_std = (scaling.get_buffer(f"X_{part}").numpy() for part in ("bend", "mean", "std"))
-    u_mean, u_std = scaling.u_mean.numpy(), scaling.u_std.numpy()
-    X_zero = np.arcsinh(operator.X_rest.numpy() / X_bend) if rests else X_mean
-    u_zero = operator.u_rest.numpy() if rests else u_mean
+    rests = weights.anchor == "equilibrium"
+    X_bend, X_mean, X_std = (weights[f"scaling.X_{part}"] for part in ("bend", "mean", "std"))
+    u_mean, u_std = weights["scaling.u_mean"], weights["scaling.u_std"]
+    X_zero = np.arcsinh(weights["X_rest"] / X_bend) if rests else X_mean
+    u_zero = weights["u_rest"] if rests else u_mean
     for name, values in {
         "X_bend": 1 / X_bend, "X_zero": X_zero, "X_gain": 1 / X_std, "u_zero": u_zero, "u_gain": 1 / u_std,
-        "D_hat_zero": scaling.D_hat_mean.numpy(), "D_hat_gain": 1 / scaling.D_hat_std.numpy(),
+        "D_hat_zero": weights["scaling.D_hat_mean"], "D_hat_gain": 1 / weights["scaling.D_hat_std"],
     }.items():  # fmt: skip
         p.scale(name, values)
     p.z_zero, p.v_zero = (X_zero - X_mean) / X_std, (u_zero - u_mean) / u_std

@@ -3,19 +3,31 @@
 All that does not depend on the sample is folded into constants here: the grid's transforms, the trunk, the weights.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import ClassVar, TypeVar
+from typing import ClassVar
 
 import numpy as np
-from torch import nn
 
-Layer = TypeVar("Layer", bound=nn.Module)
+Layers = Sequence[Mapping[str, np.ndarray]]  # of a network: the weight (out, in) and the bias (out,) of each
 
 
-def layers(module: nn.Module, kind: type[Layer]) -> list[Layer]:
-    """The children of a kind, in order."""
-    return [child for child in module.children() if isinstance(child, kind)]
+def silu(a: np.ndarray) -> np.ndarray:
+    """a / (1 + exp(-a)), the networks' activation."""
+    with np.errstate(over="ignore"):  # far below zero it is zero
+        return a / (1 + np.exp(-a))
+
+
+def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """a @ b of (..., i, j) and (..., j, k), without BLAS, whose sums depend on the number of its threads."""
+    return np.einsum("...ij,...jk->...ik", a, b)
+
+
+def mlp(layers: Layers, a: np.ndarray) -> np.ndarray:
+    """Linear layers with SiLU between them, of rows a (..., in)."""
+    for k, layer in enumerate(layers):
+        a = product(silu(a) if k else a, layer["weight"].T) + layer.get("bias", 0.0)
+    return a
 
 
 @dataclass(frozen=True)

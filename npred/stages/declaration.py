@@ -1,12 +1,12 @@
 """What a stage declares of itself. A stage is a folder here, and its name a line in npred.registry."""
 
-import importlib
 import sys
 from dataclasses import dataclass
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from npred import registry
+from npred.errors import imported
 
 if TYPE_CHECKING:  # pydantic comes with these, which `npred --help` has no use for
     from npred.config import Pipeline, Section
@@ -23,7 +23,7 @@ class Stage:
     may bring torch:
 
     - NAME.py: run(job), which gives an object of the class at `result`; summary(result, width), and, where there is
-      more to say, details(result, width);
+      more to say, details(result, width), unless `summary_module` has them;
     - key.py: configuration(config, model, device), the slice of the configuration that its key holds beside plant and
       seed; and parts(config, model), the specs of the parts that it names, by role;
     - table.py, of an optional stage: its table, of the class `table_class`.
@@ -31,6 +31,7 @@ class Stage:
     An optional stage is a part of a run where the pipeline file has its table. The tables of the others, which more
     than one stage reads, are in npred.config. `data` is a pattern of its files that may come in from elsewhere; with
     `draws` it has figures too, which do not. A stage with an artifact `per_network` is called by the network's name.
+    `needs` is the package of an extra without which it cannot run.
     """
 
     package: str
@@ -41,6 +42,8 @@ class Stage:
     draws: bool = False
     table_class: str = ""
     per_network: bool = False
+    needs: str = ""
+    summary_module: str = ""
 
     @property
     def name(self) -> str:
@@ -76,7 +79,7 @@ class Stage:
 
         Raises StoreError where it is no result of this stage.
         """
-        module, result = self._module(self.name), self.result.of(document, "result")
+        module, result = self._module(self.summary_module or self.name), self.result.of(document, "result")
         return (getattr(module, "details", module.summary) if wide else module.summary)(result, width)
 
     def configuration(self, config: "Pipeline", model: str | None, device: str) -> dict[str, Any]:
@@ -88,4 +91,4 @@ class Stage:
         return self._module("key").parts(config, model)
 
     def _module(self, name: str) -> ModuleType:
-        return importlib.import_module(f"{self.package}.{name}")
+        return imported(self.name, f"{self.package}.{name}")

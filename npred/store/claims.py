@@ -55,7 +55,7 @@ def holder(path: Path) -> str:
 def _sign(note: Path) -> None:
     """Write who holds the lock, for people; on a full disk nobody can, and the lock holds all the same."""
     try:
-        note.write_text(json.dumps({"pid": os.getpid(), "host": platform.node()}))
+        note.write_text(json.dumps({"pid": os.getpid(), "host": platform.node()}), encoding="utf-8")
     except OSError as error:
         if not durable.is_full(error):
             raise

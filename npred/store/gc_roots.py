@@ -35,7 +35,7 @@ def register(root: Path, pipeline: Path, keys: Mapping[str, str]) -> None:
     file = pipeline.resolve()
     if not file.is_file():
         return
-    name = hashlib.sha256(f"{os.geteuid()} {file}".encode(errors="surrogateescape")).hexdigest()[:32]
+    name = hashlib.sha256(f"{_user()} {file}".encode(errors="surrogateescape")).hexdigest()[:32]
     entry = root / FOLDER / f"{name}.json"
     aside = entry.with_suffix(f".{os.getpid()}")
     text = json.dumps({"file": str(file), "keys": _keys(_read(entry)) | dict(keys)}, indent=1)
@@ -48,11 +48,16 @@ def register(root: Path, pipeline: Path, keys: Mapping[str, str]) -> None:
             aside.unlink(missing_ok=True)
 
 
+def _user() -> int:
+    """The number of this user, by which files are owned; on Windows 0, as there of every file."""
+    return os.geteuid() if hasattr(os, "geteuid") else 0
+
+
 def registered(root: Path) -> list[GcRoot]:
     """The pipelines of a store whose files exist; an entry that cannot be read is none."""
     entries = {path: _read(path) for path in sorted((root / FOLDER).glob("*.json"))}
     return [
-        GcRoot(file, frozenset(_keys(entry).values()), path.lstat().st_uid == os.geteuid())
+        GcRoot(file, frozenset(_keys(entry).values()), path.lstat().st_uid == _user())
         for path, entry in entries.items()
         if "file" in entry and _exists(file := Path(str(entry["file"])))
     ]

@@ -59,6 +59,10 @@ class Console:
         """A message, unless quiet."""
         self._line(text, shown=not self.quiet)
 
+    def wait(self, text: str) -> None:
+        """What keeps the user waiting: a message, unless the live view is there, which shows that work goes on."""
+        self._line(text, shown=not self.quiet and not self.view)
+
     def detail(self, text: str) -> None:
         """A message for those who asked for more, and for the log."""
         self._line(text, shown=self.verbose)

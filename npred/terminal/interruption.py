@@ -8,20 +8,22 @@ report of progress.
 
 import _thread
 import atexit
-import fcntl
 import os
 import select
 import signal
+import socket
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from itertools import chain
 from types import FrameType
 
-SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK") if hasattr(signal, name)]
 LINE = "interrupted; finished stages and checkpoints are kept: the same command goes on from there"
 SHOW_CURSOR = b"\x1b[?25h"  # the live view hides it
+STREAMS = range(3)  # the numbers of stdin, stdout and stderr
 GRACE = 3.0  # s that work which is asked to end may take, and that of multiprocessing at the very end
-_bells: list[int] = []  # the pipe that the interpreter writes the number of each signal to, at once
+_bells: list[socket.socket] = []  # what the interpreter writes the number of each signal to, at once, and its end
 _heard: list[int] = []
 _said: list[str] = []
 _saying = _thread.allocate_lock()
@@ -35,18 +37,26 @@ def listen() -> None:
     """
     if _bells:
         return
-    pipe = os.pipe()
-    _bells.extend(fcntl.fcntl(end, fcntl.F_DUPFD_CLOEXEC, 3) for end in pipe)  # a closed stream stays closed
-    for end in pipe:
-        os.close(end)
-    os.set_blocking(_bells[1], False)
-    signal.set_wakeup_fd(_bells[1], warn_on_full_buffer=False)
+    _bells.extend(_pair())
+    _bells[1].setblocking(False)
+    signal.set_wakeup_fd(_bells[1].fileno(), warn_on_full_buffer=False)
     _thread.start_new_thread(_watch, ())
     heard = [number for number in SIGNALS if signal.getsignal(number) is not signal.SIG_IGN]
     for number in heard:
         signal.signal(number, _note)
     sys.warnoptions.append("ignore:resource_tracker:UserWarning")  # read by the process that puts away what is left
     atexit.register(_ignore, heard)  # the first to be registered is the last to be called
+
+
+def _pair() -> tuple[socket.socket, socket.socket]:
+    """Two connected sockets, which every system waits for; none gets the number of a stream that is closed."""
+    pair, taken = socket.socketpair(), []
+    while any(end.fileno() in STREAMS for end in pair):
+        taken.append(pair)
+        pair = socket.socketpair()
+    for end in chain.from_iterable(taken):
+        end.close()
+    return pair
 
 
 def heard() -> bool:
@@ -90,7 +100,7 @@ def _note(number: int, frame: FrameType | None) -> None:
 
 def _watch() -> None:
     """A thread, for the main one may be in compiled code for long, where Python calls no handler."""
-    while (number := os.read(_bells[0], 1)[0]) not in SIGNALS:
+    while (number := _bells[0].recv(1)[0]) not in SIGNALS:
         pass  # of others' handlers
     _heard.append(number)
     if _orderly:

@@ -70,11 +70,15 @@ class LiveView(Progress):
         self._task(title).fields.update(errors)
 
     def stop(self) -> None:
-        """The end: the last state stays on the screen. What still runs was stopped, or failed."""
+        """The end: the last state stays on the screen."""
+        self.end()
+        super().stop()
+
+    def end(self) -> None:
+        """Nothing follows: what still runs was stopped, or failed."""
         for title, task in list(self.stages.items()):  # a thread may still add one
             if task.fields["state"] == "running":
                 self.finish(title, "stopped", task.elapsed or 0.0)
-        super().stop()
 
     def make_tasks_table(self, tasks: Iterable[Task]) -> Table:
         """The rows as they stand, without columns whose cells are all empty.

@@ -6,7 +6,7 @@ It holds a digest of all that is in it and of the snapshots beside it: a bit tha
 import hashlib
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import torch
 from safetensors import SafetensorError, safe_open
@@ -20,7 +20,15 @@ NAME = "checkpoint.safetensors"
 Metrics = list[dict[str, Any]]
 
 
-def save(folder: Path, network: nn.Module, optimiser: torch.optim.Optimizer, metrics: Metrics) -> None:
+class Optimiser(Protocol):
+    """What is saved of an optimiser."""
+
+    def state_dict(self) -> dict[str, Any]: ...
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None: ...
+
+
+def save(folder: Path, network: nn.Module, optimiser: Optimiser, metrics: Metrics) -> None:
     """Write parameters, buffers and the optimiser's moments as tensors, the metrics so far as JSON in the header.
 
     The file is complete or absent: it is written beside its name, synced and renamed.
@@ -33,7 +41,7 @@ def save(folder: Path, network: nn.Module, optimiser: torch.optim.Optimizer, met
     partial.replace(folder / NAME)
 
 
-def restore(folder: Path, network: nn.Module, optimiser: torch.optim.Optimizer) -> Metrics:
+def restore(folder: Path, network: nn.Module, optimiser: Optimiser) -> Metrics:
     """Load the folder's checkpoint in place, if there is one; the metrics of the epochs behind it, else none.
 
     Raises StoreError for a file that is broken or was changed, and for such a snapshot.
@@ -48,7 +56,7 @@ def restore(folder: Path, network: nn.Module, optimiser: torch.optim.Optimizer) 
         ) from None
 
 
-def _restored(path: Path, network: nn.Module, optimiser: torch.optim.Optimizer) -> Metrics:
+def _restored(path: Path, network: nn.Module, optimiser: Optimiser) -> Metrics:
     with safe_open(path, framework="pt") as file:
         tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - no mapping
         texts = file.metadata()
@@ -75,7 +83,7 @@ def _digest(tensors: dict[str, Tensor], texts: dict[str, str]) -> str:
     return digest.hexdigest()
 
 
-def _tensors(network: nn.Module, optimiser: torch.optim.Optimizer) -> dict[str, Tensor]:
+def _tensors(network: nn.Module, optimiser: Optimiser) -> dict[str, Tensor]:
     moments = {
         f"optimiser/{index}/{key}": tensor
         for index, state in optimiser.state_dict()["state"].items()

@@ -1,6 +1,6 @@
 """The training loss: errors of P, weighed by what a component costs in the control law."""
 
-from collections.abc import Callable
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -41,11 +41,23 @@ def sensitivity(plant: Plant, P: Tensor) -> Tensor:
     return torch.stack(rows).square().sum(0).mean(0).sqrt()
 
 
-def criterion(rows: str, weights: Tensor) -> Callable[[Tensor, Tensor], Tensor]:
-    """(P_hat, P) -> the mean over the rows of e^2 (`square`) or of e (`norm`).
-
-    e^2 is the mean over nodes and components of (w_i (P_hat_i - P_i))^2. Squares are dominated by the few rows that are
-    far off, of loops that leave the data; norms weigh every row alike, also where the loops end, which serves the loop.
+@dataclass(frozen=True)
+class Criterion:
+    """(P_hat, P) -> the mean over the rows of e^(2 power), with e^2 the mean over nodes and components of
+    (w_i (P_hat_i - P_i))^2; a first axis more, of networks, stays.
     """
-    power = 1.0 if rows == "square" else 0.5
-    return lambda P_hat, P: (((P_hat - P) * weights).square().mean((1, 2)) + TINY).pow(power).mean()
+
+    power: float
+    weights: Tensor  # (n,)
+
+    def __call__(self, P_hat: Tensor, P: Tensor) -> Tensor:
+        return (((P_hat - P) * self.weights).square().mean((-2, -1)) + TINY).pow(self.power).mean(-1)
+
+
+def criterion(rows: str, weights: Tensor) -> Criterion:
+    """The mean over the rows of e^2 (`square`) or of e (`norm`).
+
+    Squares are dominated by the few rows that are far off, of loops that leave the data; norms weigh every row alike,
+    also where the loops end, which serves the loop.
+    """
+    return Criterion(1.0 if rows == "square" else 0.5, weights)

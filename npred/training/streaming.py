@@ -10,7 +10,7 @@ import torch
 
 from npred.data import shards
 from npred.data.dataset import Dataset
-from npred.training.training_loop import Rows
+from npred.training.rows import Rows
 
 BUFFER = 4  # shards in memory, whose rows are shuffled together
 
@@ -48,7 +48,8 @@ class Stream:
             rows = Rows.joined([*left, *(self._read(files[k]) for k in group.tolist())])
             order = torch.randperm(len(rows), generator=shuffle).to(rows.X.device)
             whole = len(rows) // size * size
-            yield from rows.split(order[:whole], size)
+            if whole:  # an empty order would be split into one empty batch
+                yield from rows.split(order[:whole], size)
             left = [rows[order[whole:]]]
         yield from (rows for rows in left if len(rows))
 

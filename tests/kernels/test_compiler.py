@@ -1,7 +1,9 @@
 """The compiler: threads that want the same library, texts that do not compile, machines without a compiler."""
 
 import ctypes
+import threading
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import pytest
 
@@ -49,3 +51,27 @@ def test_a_machine_without_a_compiler_is_told_what_to_install(monkeypatch):
             compiler.library(TEXT.format("7.0"))
     finally:
         compiler.command.cache_clear()
+
+
+def test_what_a_loop_needs_is_compiled_side_by_side_and_once(tmp_path, monkeypatch):
+    together, original = threading.Barrier(2, timeout=60), compiler._compile
+    monkeypatch.setattr(compiler, "_compile", lambda folder: (together.wait(), original(folder)))
+    texts = [TEXT.format(factor) for factor in ("2.0", "5.0")]
+    compiler.prepare(texts)
+    compiler.prepare(texts)
+    assert [twice(text, 3.0) for text in texts] == [6.0, 15.0]
+
+
+@pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="needs the list of a process's libraries")
+def test_with_ziglang_a_kernel_is_linked_with_the_libraries_of_this_process(monkeypatch):
+    compiler._libraries.cache_clear()
+    monkeypatch.setattr(compiler, "command", lambda: ("python", "-m", "ziglang", "cc"))
+    asked = compiler._libraries()
+    compiler._libraries.cache_clear()
+    assert asked == compiler.STANDARD or (asked[0] == "-nostdlib" and all(Path(path).exists() for path in asked[2:]))
+
+
+def test_libraries_that_do_not_link_give_way_to_the_standard_ones(monkeypatch):
+    monkeypatch.setattr(compiler, "_libraries", lambda: ("-nostdlib", "-Wl,-z,defs"))
+    text = "#include <math.h>\ndouble twice(double a) { return sin(a) + a; }"
+    assert twice(text, 0.0) == 0.0

@@ -6,7 +6,8 @@ import torch
 from operator_samples import operator
 
 from npred.config import FNO
-from npred.operators.fno import PERIOD, Spectral, gregory, transforms
+from npred.operators.fno import Spectral, transforms
+from npred.operators.matrices import PERIOD, gregory
 
 
 def by_fft(layer: Spectral, v: torch.Tensor) -> torch.Tensor:

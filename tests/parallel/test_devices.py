@@ -27,3 +27,18 @@ def gpu(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let this be a machine with a GPU."""
     monkeypatch.setattr(devices, "package", lambda name: "2.15.0+cu130")
     monkeypatch.setattr(Path, "glob", lambda self, pattern: iter([self / "nvidia0"]))
+
+
+def test_a_machine_with_a_gpu_is_named_by_it(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+    """By the driver's files, or where a container has none by torch: a bench's key holds it."""
+    torch = pytest.importorskip("torch")
+    folder = tmp_path / "0000:01:00.0"
+    folder.mkdir()
+    (folder / "information").write_text("Model: \t\t NVIDIA H100\nIRQ: 1\n")
+    monkeypatch.setattr(devices, "_GPUS", tmp_path)
+    assert devices.hardware("cuda:0")["gpus"] == ["NVIDIA H100"] and "gpus" not in devices.hardware("cpu")
+    monkeypatch.setattr(devices, "_GPUS", tmp_path / "none")
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 1)
+    monkeypatch.setattr(torch.cuda, "get_device_name", lambda k: "NVIDIA H200")
+    assert devices.hardware("cuda")["gpus"] == ["NVIDIA H200"]
+    assert devices.arithmetic("cuda")["device"] == "cuda, NVIDIA H200"

@@ -17,7 +17,7 @@ from npred.predictors import RK4
 from npred.predictors.neural import Neural
 from npred.registry import METHODS
 from npred.runtimes import predictor
-from npred.training.training_loop import Rows
+from npred.training.rows import Rows
 
 UNICYCLE, IN_TIME = plants.resolve("unicycle"), plants.resolve("unicycle_time_delay")
 NETWORKS = pytest.mark.parametrize("config", EVERY, ids=lambda config: config.architecture)

@@ -1,10 +1,13 @@
 """The fused function equals the torch model: both networks, all anchors, any grid, any number of lanes, in the loop."""
 
 import copy
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 import torch
+from conftest import process_environment
 from operator_samples import PLANT, SMALL, holding, operator, phased, samples, several_inputs
 
 import npred
@@ -178,3 +181,27 @@ def test_a_network_without_a_program_is_told():
         ConfigError, match=r"fused: expected a network that can be lowered \(deeponet, fno\), got Identity"
     ):
         Fused(PLANT, model, 11).lanes()
+
+
+FOLDED = """
+import hashlib, numpy as np
+from operator_samples import PLANT, operator
+from npred.config import FNO, DeepONet
+from npred.runtimes.fused import Fused
+
+for config in (DeepONet(), FNO()):
+    kernel = Fused(PLANT, operator(config).double(), 51, precision=np.float64).on(51)
+    print(hashlib.sha256(kernel.unit.encode()).hexdigest())
+"""
+
+
+def test_the_number_of_threads_changes_no_digit_of_a_folded_network():
+    texts = []
+    for count in ("1", "2"):
+        threads = {"OMP_NUM_THREADS": count, "OPENBLAS_NUM_THREADS": count}
+        done = subprocess.run(
+            [sys.executable, "-c", FOLDED], env=process_environment(**threads), capture_output=True, text=True
+        )
+        assert done.returncode == 0, done.stderr
+        texts.append(done.stdout)
+    assert texts[0] == texts[1] and len(set(texts[0].split())) == 2

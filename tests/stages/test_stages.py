@@ -353,7 +353,7 @@ def test_bench_with_onnx(made, tmp_path):
 def test_bench_without_the_onnx_extra_leaves_its_rows_out(made, tmp_path, monkeypatch):
     from npred.stages.bench import candidates
 
-    monkeypatch.setattr(candidates.devices, "package", lambda name: None if name == "onnx" else "1")
+    monkeypatch.setattr(candidates, "installed", lambda name: name != "onnx")
     task = job(tmp_path, "bench", inputs=made, bench={"runtimes": ["torch", "onnx"]})
     assert candidates._available(task.progress, task.config.bench) == ["torch"]
 
@@ -361,7 +361,7 @@ def test_bench_without_the_onnx_extra_leaves_its_rows_out(made, tmp_path, monkey
 def test_bench_of_the_runtime_onnx_alone_asks_for_its_package(made, tmp_path, monkeypatch):
     from npred.stages.bench import candidates
 
-    monkeypatch.setattr(candidates.devices, "package", lambda name: None if name == "onnx" else "1")
+    monkeypatch.setattr(candidates, "installed", lambda name: name != "onnx")
     task = job(tmp_path, "bench", inputs=made, bench={"runtimes": ["onnx"]})
     with pytest.raises(MissingError, match=r"bench: expected the package onnx .*; pip install 'npred\[onnx\]'"):
         bench.run(task)

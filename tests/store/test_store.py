@@ -419,7 +419,7 @@ def test_where_a_full_disk_has_no_room_for_another_name_a_result_goes_from_where
 
 
 def test_a_lock_works_where_its_note_cannot_be_written(store: Store, monkeypatch):
-    def full(self: Path, text: str) -> int:
+    def full(self: Path, text: str, encoding: str) -> int:
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(Path, "write_text", full)

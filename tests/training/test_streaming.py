@@ -8,8 +8,8 @@ from operator_samples import samples
 from npred.data import shards
 from npred.data.dataset import Dataset
 from npred.training import streaming
+from npred.training.rows import Rows
 from npred.training.streaming import Stream
-from npred.training.training_loop import Rows
 
 ROWS = [30, 30, 30, 30, 13]
 

@@ -29,10 +29,8 @@ def run(job: Job) -> Benched:
     nanoseconds), bench.tex (booktabs), speed.svg and speed.png (latency against error). `crossover` says when a network
     pays, one row per network; `stops` is the share of the machine in the tails.
     """
-    import torch
-
     config = job.config.bench
-    torch.set_num_threads(config.threads)
+    devices.torch_threads(config.threads)
     reference = Reference(job.plant, shards.survey(job.inputs["generate"] / "data.h5").subset(test=True))
     job.progress.doing("bench", "compiling")
     entries = candidates.entries(job, reference)

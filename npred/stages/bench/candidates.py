@@ -13,10 +13,9 @@ from npred.conditions import box
 from npred.config import Bench, Pipeline
 from npred.data.dataset import Dataset
 from npred.delays import family_of
-from npred.errors import ConfigError, MissingError
+from npred.errors import EXTRAS, ConfigError, MissingError, installed
 from npred.kernels.kernel import bound
-from npred.operators import Operator
-from npred.parallel import devices
+from npred.operators import TrainedOperator
 from npred.plants import Plant
 from npred.predictors import RK4, OneStep, Predictor, method
 from npred.predictors.rollout import Rollout
@@ -29,6 +28,7 @@ FINE = 2001  # nodes of the reference
 PROBES = 200  # held-out samples that a row's error is taken over
 Method = type[OneStep] | type[Rollout]
 LADDER = sorted({round(1.2**k) for k in range(42)} | {FINE - 1})  # numbers of intervals to try
+PACKAGES = {"torch": ("torch",), "onnx": ("torch", "onnx", "onnxscript", "onnxruntime")}  # that runtimes need
 FRONT = (4, 10, 20, 50)  # intervals of the compiled methods' coarse end
 
 
@@ -121,7 +121,7 @@ def entries(job: Job, reference: Reference) -> list[Candidate]:
     """
     config = job.config.bench
     tables = {name: job.config.train.table(name) for name in job.config.train.models}
-    networks = {name: operators.load(job.inputs[name], job.plant, config=table) for name, table in tables.items()}
+    networks = {name: operators.read(job.inputs[name], job.plant, table=table) for name, table in tables.items()}
     available, methods = _available(job.progress, config), _methods(job.config, job.plant)
     ways = {name: _ways(job.progress, name, operator, available) for name, operator in networks.items()}
 
@@ -180,16 +180,19 @@ def matching(reference: Reference, method: Method, eps: float, by: Literal["sup"
 
 
 def _available(progress: Console, config: Bench) -> list[str]:
-    missing = [name for name in ("onnx", "onnxscript", "onnxruntime") if devices.package(name) is None]
-    if set(config.runtimes) == {"onnx"} and missing:
-        expected = f"expected the package {missing[0]} for the one runtime onnx, found none"
-        raise MissingError(f"bench: {expected}; pip install 'npred[onnx]', or name torch in [bench] runtimes")
-    if "onnx" in config.runtimes and missing:
-        progress.note(f"bench: no rows of the runtime onnx without {', '.join(missing)}")
-    return [name for name in config.runtimes if name != "onnx" or not missing]
+    """The runtimes whose packages are installed, with a note of the others."""
+    lacks = {name: [p for p in PACKAGES.get(name, ()) if not installed(p)] for name in config.runtimes}
+    missing = {name: packages for name, packages in lacks.items() if packages}
+    for name, packages in missing.items():
+        if set(config.runtimes) == {name}:
+            expected, extra = f"expected the package {packages[0]} for the one runtime {name}, found none", EXTRAS[name]
+            cure = f"pip install 'npred[{extra}]', or name fused in [bench] runtimes"
+            raise MissingError(f"bench: {expected}; {cure}")
+        progress.note(f"bench: no rows of the runtime {name} without {', '.join(packages)}")
+    return [name for name in config.runtimes if name not in missing]
 
 
-def _ways(progress: Console, name: str, operator: Operator, available: list[str]) -> list[str]:
+def _ways(progress: Console, name: str, operator: TrainedOperator, available: list[str]) -> list[str]:
     if lowering(operator) or "fused" not in available:
         return available
     progress.note(f"bench: no rows of the runtime fused for {name}, for it has no fused form")
@@ -203,7 +206,7 @@ def _baseline(plant: Plant, spec: str, nx: int) -> Candidate:
 
 def _on_device(job: Job, name: str, nx: int, batch: int) -> Iterator[Candidate]:
     if job.device != "cpu":
-        moved = operators.load(job.inputs[name], job.plant, config=job.config.train.table(name))
+        moved = operators.read(job.inputs[name], job.plant, table=job.config.train.table(name))
         run = runtimes.predictor("torch", job.plant, moved, nx, name, job.device)
         for copies in (True, False):
             yield Candidate(name, "torch", nx, batch, run, device=job.device, copies=copies)

@@ -8,14 +8,13 @@ function keeps in the set); elsewhere CMA-ES evolves them.
 """
 
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from npred import randomness
 from npred.data.dataset import Dataset
+from npred.errors import required
 from npred.loop import metrics
 from npred.plants import Plant
 from npred.predictors import RK4, Predictor
@@ -24,6 +23,9 @@ from npred.stages.certify.input_set import Inputs
 from npred.stages.certify.rollouts import Calls
 from npred.stages.certify.table import Certify
 from npred.symbolic import array_math
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 RATE = 0.1  # of Adam, in logistic coordinates
 
@@ -35,8 +37,7 @@ def search(
     """The inputs of every call of every search, and |kappa(P̂(1)) - kappa(P(1))| there, (B,)."""
     rng, count = randomness.generator(seed, "certify", "adversary"), table.restarts // 2
     a = inputs.starts(rng, data, table.restarts - count, count, predictor.nx)
-    constant = plant.traced and plant.one_delay and not plant.declares_delay and not plant.clocked
-    if constant and hasattr(predictor, "operator"):
+    if climbs(plant) and hasattr(predictor, "operator"):
         calls = _climb(plant, predictor, inputs, a, table.steps, progress)
         X, u, D_hat, t, errors = (np.concatenate(column) for column in zip(*calls, strict=True))
         return (X, u, D_hat, t), errors
@@ -49,15 +50,30 @@ def search(
     return evolution.search(plant, inputs, a, table.steps, error, rng, progress)
 
 
+def climbs(plant: Plant) -> bool:
+    """True if the search of a network climbs its gradient, which takes torch."""
+    return plant.traced and plant.one_delay and not plant.declares_delay and not plant.clocked
+
+
+def check(plant: Plant) -> None:
+    """Raise MissingError where the search needs torch and there is none."""
+    if climbs(plant):
+        required("certify: the gradient of a network", "torch", "torch", "train")
+
+
 def _climb(
-    plant: Plant, predictor: Any, inputs: Inputs, a: list[Tensor], steps: int, progress: Callable[[int], Any]
+    plant: Plant, predictor: Any, inputs: Inputs, starts: list[np.ndarray], steps: int, progress: Callable[[int], Any]
 ) -> list[tuple[np.ndarray, ...]]:  # fmt: skip
     """The calls of gradient ascent."""
-    a, calls = [b.requires_grad_() for b in a], []
+    import torch
+
+    a, calls = [torch.as_tensor(start).requires_grad_() for start in starts], []
     ascent = torch.optim.Adam(a, lr=RATE, maximize=True)
-    operator, device = predictor.operator.double(), predictor.operator.X_rest.device
+    operator = predictor.operator.module(plant).double()
+    device = operator.X_rest.device
+    ranges = [torch.as_tensor(ends) for ends in (inputs.X, inputs.u, inputs.D_hat)]
     for _ in range(steps):
-        X, u, D_hat = (inputs.inside(b, name) for b, name in zip(a, ("X", "u", "D_hat"), strict=True))
+        X, u, D_hat = (low + (high - low) * torch.sigmoid(b) for b, (low, high) in zip(a, ranges, strict=True))
         U = plant.kappa(operator(X.to(device), u.to(device), D_hat.to(device))[:, -1].cpu())
         error = (U - plant.kappa(_rk4(plant, X, u, D_hat))).abs().amax(dim=-1)
         t = torch.zeros_like(D_hat)
@@ -71,11 +87,11 @@ def _climb(
     return calls
 
 
-def _rk4(plant: Plant, X: Tensor, u: Tensor, D_hat: Tensor) -> Tensor:
+def _rk4(plant: Plant, X: "Tensor", u: "Tensor", D_hat: "Tensor") -> "Tensor":
     """P(1) (B, n) by RK4 on the nodes of u (B, nx, m), as the predictor's, but that u is linear between nodes."""
     h = (D_hat / (u.shape[1] - 1))[:, None]
     for j in range(u.shape[1] - 1):
         X = RK4.step(plant.f, X, u[:, j], (u[:, j] + u[:, j + 1]) / 2, u[:, j + 1], 0.0, h)
         if plant.state_bounds:
-            X = torch.stack(plant.stopped(X.unbind(-1), array_math.of(X)), dim=-1)
+            X = array_math.stack(plant.stopped(X.unbind(-1), array_math.of(X)), like=X[..., 0])
     return X

@@ -7,7 +7,6 @@ from typing import Any
 
 import h5py
 import numpy as np
-import torch
 
 from npred import figures, randomness
 from npred.conditions import EVERY, Condition, box
@@ -17,6 +16,7 @@ from npred.data.dataset import Dataset
 from npred.delays import family_of
 from npred.loop import metrics
 from npred.loop.closed_loop import Trajectories
+from npred.parallel import devices
 from npred.plants import Plant
 from npred.predictors import Predictor, numerical
 from npred.predictors.guarded import Guarded
@@ -44,7 +44,8 @@ def run(job: Job) -> Certified:
     KEPT worst calls, by network) and certified (.svg, .png). The guard is that of [evaluate], or the default one.
     """
     config = job.config.evaluate
-    torch.set_num_threads(1)  # the same bits on any machine; another network takes the other cores
+    adversary.check(job.plant)
+    devices.torch_threads(1)  # the same bits on any machine; another network takes the other cores
     exact, table = numerical(config.predictor, job.plant, config.nx), config.guard or GuardTable()
     guards = {
         contender: Guarded(networks.load(job, contender), exact=exact, **dict(table))

@@ -4,11 +4,9 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from npred.plants import Plant
-from npred.stages.certify.input_set import Inputs
+from npred.stages.certify.input_set import Inputs, logistic
 from npred.stages.certify.rollouts import Calls
 
 SPREAD = 0.3  # standard deviation that a distribution starts with, in logistic coordinates
@@ -21,7 +19,7 @@ Progress = Callable[[int], Any]
 
 
 def search(
-    plant: Plant, inputs: Inputs, a: list[Tensor], steps: int, score: Score, rng: np.random.Generator,
+    plant: Plant, inputs: Inputs, a: list[np.ndarray], steps: int, score: Score, rng: np.random.Generator,
     progress: Progress, shape: str = "waves",
 ) -> tuple[Calls, np.ndarray]:  # fmt: skip
     """The calls (B `steps` rows) from starts X, u, D_hat in logistic coordinates (B, ...), and the score of each.
@@ -30,22 +28,22 @@ def search(
     weights of `shape` in u, one of SHAPES: all of them reach every u, and the first weights count most.
     """
     nx, a = a[1].shape[1], [*a]
-    basis = torch.as_tensor(SHAPES[shape](nx))
-    a[1] = torch.einsum("bjm,kj->bkm", a[1], torch.linalg.inv(basis).T)
-    shapes, ends = [b.shape[1:] for b in a], np.cumsum([0, *(b[0].numel() for b in a)])
+    basis = SHAPES[shape](nx)
+    a[1] = np.linalg.inv(basis).T @ a[1]
+    shapes, ends = [b.shape[1:] for b in a], np.cumsum([0, *(b[0].size for b in a)])
     calls: list[tuple[np.ndarray, ...]] = []
 
     def scored(points: np.ndarray) -> np.ndarray:
-        parts = [torch.as_tensor(points[:, i:j]) for i, j in zip(ends, ends[1:], strict=False)]
+        parts = [points[:, i:j] for i, j in zip(ends, ends[1:], strict=False)]
         X, u, D_hat = (part.reshape(-1, *shape) for part, shape in zip(parts, shapes, strict=True))
-        u = torch.einsum("bkm,kj->bjm", u, basis)
-        X, u, D_hat = (inputs.inside(b, name).numpy() for b, name in ((X, "X"), (u, "u"), (D_hat, "D_hat")))
-        t = inputs.span * torch.sigmoid(torch.as_tensor(points[:, -1])).numpy() if inputs.span else np.zeros(len(X))
+        u = basis.T @ u
+        X, u, D_hat = (inputs.inside(b, name) for b, name in ((X, "X"), (u, "u"), (D_hat, "D_hat")))
+        t = inputs.span * logistic(points[:, -1]) if inputs.span else np.zeros(len(X))
         rows = X, u, plant.delay(X, t) if plant.declares_delay else D_hat, t
         calls.append((*rows, score(*rows)))
         return calls[-1][-1]
 
-    starts = [b.reshape(len(b), -1).numpy() for b in a]
+    starts = [b.reshape(len(b), -1) for b in a]
     starts += [rng.standard_normal((len(starts[0]), 1))] if inputs.span else []
     evolve(scored, np.concatenate(starts, axis=1), steps, rng, progress)
     X, u, D_hat, t, scores = (np.concatenate(column) for column in zip(*calls, strict=True))

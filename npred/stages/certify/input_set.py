@@ -3,8 +3,6 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from npred import grid
 from npred.data.dataset import Dataset
@@ -39,18 +37,18 @@ class Inputs:
         """The same inputs with X in the range of states (B, n) in place of the box."""
         return replace(self, X=np.stack([X.min(axis=0), X.max(axis=0)]))
 
-    def inside(self, a: Tensor, name: str) -> Tensor:
+    def inside(self, a: np.ndarray, name: str) -> np.ndarray:
         """Logistic coordinates to those inputs."""
-        low, high = torch.as_tensor(getattr(self, name)).to(a)
-        return low + (high - low) * torch.sigmoid(a)
+        low, high = getattr(self, name)
+        return low + (high - low) * logistic(a)
 
-    def coordinates(self, values: np.ndarray, name: str) -> Tensor:
+    def coordinates(self, values: np.ndarray, name: str) -> np.ndarray:
         """Back, from the nearest inputs of the set."""
         low, high = getattr(self, name)
-        share = (values - low) / np.where(high > low, high - low, 1.0)
-        return torch.logit(torch.as_tensor(np.clip(share, EDGE, 1 - EDGE)))
+        share = np.clip((values - low) / np.where(high > low, high - low, 1.0), EDGE, 1 - EDGE)
+        return np.log(share / (1 - share))
 
-    def starts(self, rng: np.random.Generator, data: Dataset, count: int, random: int, nx: int) -> list[Tensor]:
+    def starts(self, rng: np.random.Generator, data: Dataset, count: int, random: int, nx: int) -> list[np.ndarray]:
         """Logistic coordinates of X, u and D_hat: of `count` rows of the data, then of `random` smooth histories."""
         rows = rng.integers(0, len(data), count)
         phases, turns = rng.uniform(0, 2 * np.pi, (2, random, 1, self.u.shape[1]))
@@ -60,3 +58,9 @@ class Inputs:
         X = np.concatenate([data.X[rows], rng.uniform(box[0], box[1], (random, box.shape[1]))])
         D_hat = np.concatenate([data.D_hat[rows], rng.uniform(D[0], D[1], random)])
         return [self.coordinates(values, name) for values, name in ((X, "X"), (u, "u"), (D_hat, "D_hat"))]
+
+
+def logistic(a: np.ndarray) -> np.ndarray:
+    """1 / (1 + exp(-a))."""
+    with np.errstate(over="ignore"):  # far below zero it is zero
+        return 1 / (1 + np.exp(-a))

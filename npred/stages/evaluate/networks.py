@@ -12,24 +12,23 @@ def load(job: Job, contender: Contender) -> Predictor:
 
     A network that cannot be lowered is evaluated by torch.
     """
-    import torch
-
-    from npred import operators
-    from npred.predictors.neural import Neural
+    from npred import operators, runtimes
     from npred.runtimes.fused import Fused, lowering
 
     model, epoch, name = contender.model, contender.epoch, contender.name
-    operator = operators.load(job.inputs[model], job.plant, epoch, torch.float64, job.config.train.table(model))
+    operator = operators.read(job.inputs[model], job.plant, epoch, np.float64, job.config.train.table(model))
     if not lowering(operator) and epoch is None:
         job.progress.note(f"evaluate: {model} is evaluated by torch, for it has no fused form")
     if job.device == "cpu" and lowering(operator):
         return Fused(job.plant, operator, job.config.evaluate.nx, name, precision=np.float64)
-    return Neural(job.plant, operator, job.config.evaluate.nx, job.device, name)
+    return runtimes.predictor("torch", job.plant, operator, job.config.evaluate.nx, name, job.device)
 
 
 def on_any_grid(job: Job, network: Predictor) -> Predictor:
-    """The same network by torch, equal up to rounding: on the data's grid it need not be compiled once more."""
-    from npred.predictors.neural import Neural
+    """The same network, equal up to rounding: by torch, where it is installed, for then the data's grid need not be
+    compiled too.
+    """
+    from npred import runtimes
 
     operator = getattr(network, "operator")  # noqa: B009 - every predictor of this module has one
-    return Neural(job.plant, operator, network.nx, job.device, network.name)
+    return runtimes.predictor(None, job.plant, operator, network.nx, network.name, job.device)

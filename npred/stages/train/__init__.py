@@ -9,4 +9,6 @@ STAGE = Stage(
     result_class="npred.results:Trained",
     data=r"(model|domain)\.safetensors|model\.json|metrics\.jsonl|snapshot-\d+\.safetensors",
     per_network=True,
+    needs="torch",
+    summary_module="summary",
 )

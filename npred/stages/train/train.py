@@ -2,6 +2,8 @@
 
 import json
 import shutil
+from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from threading import Lock
@@ -14,14 +16,15 @@ from npred.config import Pipeline, Training
 from npred.data import shards
 from npred.data.domain import Domain
 from npred.operators import Operator, Scaling, checked, io, save
-from npred.parallel import torchrun
+from npred.parallel import side_by_side, torchrun
 from npred.results import Trained
 from npred.stages.job import Job
 from npred.terminal.console import Console
-from npred.terminal.progress_bars import counted
-from npred.training import loss, training_loop
+from npred.training import captured, loss, training_loop
+from npred.training.checkpoint import Metrics
+from npred.training.cuda_graph import own_stream
+from npred.training.rows import Fit, Rows
 from npred.training.streaming import Stream
-from npred.training.training_loop import Fit, Rows
 
 SEEDING = Lock()  # torch has one generator for all threads, and another network may be starting beside this one
 
@@ -73,17 +76,28 @@ def help_out(progress: Console) -> None:
         _fit(order.job(progress))
 
 
-def summary(result: Trained, width: int | None = None) -> str:
-    """The trained network in a line."""
-    size = f"{result.parameters} parameters, {counted(result.epochs, 'epochs')} of {counted(result.samples, 'samples')}"
-    return f"{result.model}: {size}; held-out rollouts: MSE {result.mse:.3g}, sup error {result.eps_sup:.3g}"
-
-
 def _fit(job: Job) -> tuple[Fit, list[dict[str, Any]]]:
     config = job.config.train.table(str(job.model))
     job.progress.doing(f"train {job.model}", "reading the data")
     task = _task(replace(job, device=torchrun.device(job.device)), config, job.inputs["generate"] / "data.h5")
-    return task, training_loop.fit(task, job.scratch, job.progress)
+    return task, side_by_side.together((task, job.scratch), lambda several: _trained(several, job.progress))
+
+
+def _trained(several: Sequence[tuple[Fit, Path]], progress: Console) -> list[Metrics | Exception]:
+    """The metrics of each network: those of the same shapes trained in one graph, the others one after the other."""
+    groups: dict[object, list[int]] = defaultdict(list)
+    for number, (task, _) in enumerate(several):
+        groups[captured.alike(task) or number].append(number)
+    ended: dict[int, Metrics | Exception] = {}
+    for numbers in groups.values():
+        tasks, scratches = zip(*(several[number] for number in numbers), strict=True)
+        try:
+            with own_stream(tasks[0].test.X.device):
+                outcomes = training_loop.fit_side_by_side(tasks, scratches, progress)
+        except Exception as error:
+            outcomes = [error] * len(numbers)
+        ended.update(zip(numbers, outcomes, strict=True))
+    return [ended[number] for number in range(len(several))]
 
 
 def _task(job: Job, config: Training, path: Path) -> Fit:
@@ -97,7 +111,7 @@ def _task(job: Job, config: Training, path: Path) -> Fit:
     scaling = Scaling.of_parts(stream.parts) if streamed else Scaling.of(fitted)
     operator = _untrained(job.plant, config, scaling, seed)
     parts = stream.parts if streamed else lambda: [fitted]
-    operator.domain = Domain.of_parts(parts, scaling.X_bend.double().numpy(), job.plant.phase)
+    operator.domain = Domain.of_parts(parts, scaling.X_bend.double().cpu().numpy(), job.plant.phase)
     criterion = loss.criterion(config.rows, loss.weights(config, job.plant, rows.P))
     operator = operator.to(job.device)  # and the scaling with it, which the domain was made of
     return Fit(f"train {job.model}", operator, config, stream if streamed else rows, test, criterion, seed)

@@ -17,7 +17,9 @@ from npred.data.dataset import MEANING, Dataset
 from npred.operators import describe, load
 from npred.results import Trained
 from npred.stages.job import Job
-from npred.stages.train.train import run, summary
+from npred.stages.train.summary import summary
+from npred.stages.train.train import run
+from npred.training import captured
 
 SIZES = {
     "deeponet": {"width": 8, "depth": 1, "basis": 4, "trunk": 8, "moments": 4},
@@ -98,6 +100,21 @@ def test_shards_train_as_well_as_one_file(tmp_path):
     results = [run(whole), run(streamed)]
     assert results[0].samples == results[1].samples == 30
     assert results[1].mse == pytest.approx(results[0].mse, rel=1e-4)
+
+
+@pytest.mark.parametrize("batch", [7, 64], ids=["a smaller last batch", "one batch"])
+def test_shards_come_to_a_graph_as_to_plain_steps(batch, tmp_path, monkeypatch):
+    """A buffer of one batch is the graph's; here its text runs on the CPU."""
+    write_data(tmp_path / "data")
+    inputs = {"generate": sharded(tmp_path / "data", tmp_path / "shards")}
+    results = []
+    for graphs in (False, True):
+        monkeypatch.setattr(captured, "serves", lambda device, graphs=graphs: graphs)
+        stage = replace(job(tmp_path / str(graphs), "deeponet", batch=batch), inputs=inputs)
+        results.append(run(stage))
+        assert not any("expected" in note for note in stage.progress.notes)  # type: ignore[attr-defined]
+    assert results[1].mse == pytest.approx(results[0].mse, rel=1e-2)
+    assert results[1].loss == pytest.approx(results[0].loss, rel=1e-2)
 
 
 @MODELS

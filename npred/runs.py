@@ -1,0 +1,230 @@
+"""generate, train and evaluate from Python: the stages of the command line, its store and its keys.
+
+What they bring is in the store afterwards, and a second call takes it from there, as `npred` does. On a terminal they
+show the live view of the command line, in a notebook one line below the cell that is updated in place.
+"""
+
+import re
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
+
+import numpy as np
+
+from npred import config, defaults, plants, registry
+from npred.config import Pipeline
+from npred.errors import ConfigError
+from npred.parallel import devices, executors
+from npred.pipeline import STAGES, Planner, Runner, nodes
+from npred.plants import Plant
+from npred.predictors import Predictor
+from npred.results import Evaluated, Generated, Result, Trained
+from npred.store import Store
+from npred.terminal import notebook, waiting
+from npred.terminal.console import Console
+
+if TYPE_CHECKING:
+    from npred.data.dataset import Dataset
+
+Kind = TypeVar("Kind", bound=Result)
+Source = Plant | str | Path | Pipeline
+
+
+@dataclass(frozen=True)
+class Made(Generic[Kind]):
+    """What a stage has found: `result`, its numbers by name; `folder` and `key` in the store; `action`, `hit` or `run`.
+
+    `print` shows what the command line prints of it.
+    """
+
+    result: Kind
+    folder: Path
+    key: str
+    action: str
+    stage: str
+
+    def __str__(self) -> str:
+        return STAGES[self.stage].summary(self.result.json_object(), 120)
+
+
+@dataclass(frozen=True)
+class MadeData(Made[Generated]):
+    """Rows of (X, u, D_hat) -> P from closed loops; `result` says how many there are, and which are held out."""
+
+    @cached_property
+    def data(self) -> "Dataset":
+        """The rows: X (N, n), u (N, nx, m), D_hat (N,) in seconds, P (N, nx, n), and `test`, 1 where held out."""
+        from npred.data.dataset import Dataset
+
+        return Dataset.read(self.folder / "data.h5")
+
+
+@dataclass(frozen=True)
+class MadeNetwork(Made[Trained]):
+    """A trained network; `result` has its errors on held-out rollouts."""
+
+    plant: Plant
+    pipeline: Pipeline
+
+    @cached_property
+    def network(self) -> Predictor:
+        """The network as a predictor, as `npred.load` gives it: P (..., nx, n) of X, u and D_hat."""
+        return self.load()
+
+    def load(self, nx: int = 101, device: str = "cpu", runtime: str | None = None) -> Predictor:
+        """The same for loops on nx nodes, on a device, in a runtime: see `npred.load`."""
+        from npred.api import loaded
+        from npred.pipeline import Stored
+
+        device = devices.resolve(device)
+        devices.require(device)
+        name = self.result.model
+        return loaded(Stored(self.folder, name, None, self.plant, self.pipeline.train.table(name)), nx, device, runtime)
+
+
+def resolved(source: Source, settings: Mapping[str, Any] = {}) -> Pipeline:
+    """The pipeline of a source, with some of its keys changed; see `generate`.
+
+    Raises ConfigError for what there is none of, for an unknown key and for a value out of range.
+    """
+    table = _table(source)
+    for key, value in settings.items():
+        config.put(table, key, _plain(value), "settings: ")
+    return config.parse(table, str(source) if isinstance(source, str | Path) else str(table["name"]))
+
+
+def generate(
+    source: Source, *, settings: Mapping[str, Any] = {}, store: str | Path | None = None, jobs: int | None = None,
+    progress: bool = True,
+) -> MadeData:  # fmt: skip
+    """Data to train on, from closed loops with a numerical predictor: `npred generate` from Python.
+
+    `source` is a pipeline, by its file as "tank.toml" or, of those that are part of npred, by its name, as
+    npred.config.load gives it, or a plant, of npred.plant or as "my_plant.py:Tank", to which all else is the default. A
+    name of both is the pipeline's, as on the command line. `settings` changes its keys, those of `--set`, to values of
+    Python: {"generate.samples": 2000, "train.deeponet.epochs": 20}. `store` is the folder of results, by default
+    NPRED_STORE, else artifacts/; what it has is not made again. `jobs` are processes and threads, by default all cores.
+    `progress=False` shows nothing but warnings.
+    Raises ConfigError for a source that is not there and for settings that do not fit, DivergedError for a loop that
+    leaves the finite numbers, StoreError for corrupt results.
+    """
+    chosen, run = resolved(source, settings), _Run(store, jobs, "auto", progress)
+    return MadeData(*run.bring(chosen, _remembered(source, settings), "generate"))
+
+
+def train(
+    source: Source, model: str | None = None, *, settings: Mapping[str, Any] = {}, store: str | Path | None = None,
+    device: str = "auto", jobs: int | None = None, progress: bool = True,
+) -> MadeNetwork:  # fmt: skip
+    """A network trained to predict, on the data of `generate`: `npred train` from Python.
+
+    `model` names the network, as "fno"; by default it is the first of the pipeline's. `device` is auto, cpu, cuda or
+    cuda:N; the rest is as for `generate`. `network` of what it returns is a predictor, with the call of any other.
+    An interrupted training goes on from its checkpoint. Raises as `generate` does, ConfigError for a network that the
+    pipeline does not have, MissingError for a device or a package that is not there, DivergedError for a loss that is
+    not finite.
+    """
+    chosen, run = resolved(source, settings), _Run(store, jobs, device, progress)
+    name = model or chosen.train.models[0]
+    if name not in chosen.train.names:
+        raise ConfigError(f"model: expected {', '.join(chosen.train.names)}, got {name!r}; name one of them")
+    plant = run.planner(chosen).plant
+    return MadeNetwork(*run.bring(chosen, _remembered(source, settings), "train", name), plant, chosen)
+
+
+def evaluate(
+    source: Source, *, settings: Mapping[str, Any] = {}, store: str | Path | None = None, device: str = "auto",
+    jobs: int | None = None, progress: bool = True,
+) -> Made[Evaluated]:  # fmt: skip
+    """The errors of a pipeline's networks, and what closed loops make of them: `npred evaluate` from Python.
+
+    What the store does not have is generated and trained first. `result.models` has the scores of each contender
+    (npred.results.Evaluated). {"train.models": ["deeponet"]} in `settings` evaluates one network. Arguments and errors
+    are those of `train`.
+    """
+    chosen, run = resolved(source, settings), _Run(store, jobs, device, progress)
+    return Made(*run.bring(chosen, _remembered(source, settings), "evaluate"))
+
+
+@dataclass(frozen=True)
+class _Run:
+    """Where results are kept and how they are made."""
+
+    store: str | Path | None
+    jobs: int | None
+    device: str
+    progress: bool
+
+    def planner(self, chosen: Pipeline) -> Planner:
+        """The pipeline against the store."""
+        root = Path(self.store) if self.store else defaults.store()
+        return Planner(chosen, Store(root), devices.resolve(self.device))
+
+    def bring(
+        self, chosen: Pipeline, file: Path | None, stage: str, model: str | None = None
+    ) -> tuple[Any, Path, str, str, str]:
+        """The result of a stage, from the store or run with what it needs, and where it is."""
+        planner, needed, jobs = self.planner(chosen), nodes(chosen, [stage], model), self.jobs or devices.cores()
+        with ExitStack() as stack:
+            console = stack.enter_context(_console(chosen, [node.title for node in needed], self.progress))
+            devices.require(planner.device)
+            executor = stack.enter_context(executors.opened(executors.LOCAL, jobs))
+            planner.store.adopt()
+            outcomes = Runner(console, jobs, executor).run(planner, needed)
+        if file:  # so that npred gc keeps what it asked for
+            planner.store.remember(file, {done.node.name: done.artifact.manifest.key for done in outcomes})
+        done = outcomes[-1]
+        kind = STAGES[stage].result
+        return kind.read(done.artifact.folder), done.artifact.folder, done.artifact.manifest.key, done.action, stage
+
+
+def _remembered(source: Source, settings: Mapping[str, Any]) -> Path | None:
+    """The file that the results are of; with settings it does not ask for them."""
+    return None if settings else _file(source)
+
+
+@contextmanager
+def _console(chosen: Pipeline, titles: list[str], progress: bool) -> Iterator[Console]:
+    """What shows the stages: a table in a terminal, one line in a notebook, lines now and then elsewhere."""
+    shown: Callable[[], Console] = notebook.NotebookConsole if notebook.is_notebook() else Console
+    console = shown() if progress else Console(quiet=True)
+    with waiting.heard(console.wait), console.watch(chosen.name, titles):
+        yield console
+
+
+def _table(source: Source) -> dict[str, Any]:
+    """The pipeline as a plain dictionary; that of a plant has the defaults."""
+    if isinstance(source, Plant):
+        if source.spec is None:
+            raise ConfigError(
+                f"plant {source.name}: expected one with a name or a file, by which results are kept, got a class; "
+                "write it to a file, and name that: my_plant.py:Tank"
+            )
+        return {"name": _file_name(source.name), "plant": source.spec, "parameters": dict(source.parameters)}
+    if not isinstance(source, str | Path):
+        return source.model_dump(exclude_unset=True)
+    if _file(source):
+        return config.table(defaults.pipeline(source))
+    if not registry.in_file(str(source)) and str(source) not in plants.names():
+        raise ConfigError(f"{defaults.missing(Path(source))}, nor a plant of that name; npred plants lists those")
+    return _table(plants.resolve(str(source)))
+
+
+def _file(source: Source) -> Path | None:
+    """The pipeline file that a text names, as the command line takes it; None where it names a plant."""
+    if not isinstance(source, str | Path):
+        return None
+    path = defaults.pipeline(source)
+    return path if path.is_file() or path.suffix == ".toml" else None
+
+
+def _file_name(name: str) -> str:
+    return re.sub(r"\W+", "_", name)
+
+
+def _plain(value: Any) -> Any:
+    """Numbers and arrays of NumPy as TOML has them."""
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) else value

@@ -1,0 +1,10 @@
+"""What the train stage says of its result."""
+
+from npred.results import Trained
+from npred.terminal.progress_bars import counted
+
+
+def summary(result: Trained, width: int | None = None) -> str:
+    """The trained network in a line."""
+    size = f"{result.parameters} parameters, {counted(result.epochs, 'epochs')} of {counted(result.samples, 'samples')}"
+    return f"{result.model}: {size}; held-out rollouts: MSE {result.mse:.3g}, sup error {result.eps_sup:.3g}"

@@ -1,0 +1,117 @@
+"""What is said of work that keeps a user waiting: one line on stderr, before it has lasted half a second.
+
+Only work that takes longer says anything. A line says what is done, about how long it takes and how often it is to be
+expected. A command line shows it as it shows its other messages (`heard`); a notebook shows it below its cell, once.
+NPRED_QUIET=1 in the environment, or `quiet()` around a call, keeps it silent.
+"""
+
+import os
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+
+from npred.terminal.streams import MESSAGES, printable
+
+VARIABLE = "NPRED_QUIET"
+PATIENCE = 0.4  # s without a word
+SHORT = 1.0  # s: work that is expected to end before needs no word, unless it lasts longer
+_listeners: list[Callable[[str], None]] = []
+_said: ContextVar[bool] = ContextVar("said", default=False)  # what runs within work that was announced adds no line
+
+
+class Wait:
+    """Work under way: `done` of `total` units, where it can count them; the time that it takes follows from both."""
+
+    def __init__(self, what: str, seconds: float | None, often: str, total: int) -> None:
+        self.what, self.seconds, self.often, self.total, self.done = what, seconds, often, total, 0
+        self.start = time.perf_counter()
+
+    def advance(self, n: int) -> None:
+        """n units more are done."""
+        self.done += n
+
+    @property
+    def expected(self) -> float | None:
+        """The seconds that the work takes in all, as far as one knows."""
+        if self.total and self.done:
+            return (time.perf_counter() - self.start) * self.total / self.done
+        return self.seconds
+
+    @property
+    def line(self) -> str:
+        """The sentence: `compiling 5 kernels of plant scalar: about 3 s, once per plant`."""
+        expected = self.expected
+        words = [f"about {duration(expected)}" if expected else "", self.often]
+        ending = ", ".join(filter(None, words))
+        return f"{self.what}: {ending}" if ending else self.what
+
+
+@contextmanager
+def said(what: str, seconds: float | None = None, often: str = "", total: int = 0) -> Iterator[Wait]:
+    """In the block, work that a line is written of once it has lasted PATIENCE, unless it is expected to be SHORT.
+
+    `seconds` is how long it takes as a guess, `often` how often it does; with a `total` of units the time follows from
+    `advance`. Within work of which a line may come, other work adds none.
+    """
+    work = Wait(what, seconds, often, total)
+    if _said.get() or os.environ.get(VARIABLE):
+        yield work
+        return
+    over = threading.Event()
+    watcher = threading.Thread(target=_watch, args=(work, over, _sink()), daemon=True)
+    token = _said.set(True)
+    watcher.start()
+    try:
+        yield work
+    finally:
+        over.set()
+        _said.reset(token)
+        watcher.join()  # or its line could come after what follows
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """In the block nothing is said."""
+    token = _said.set(True)
+    try:
+        yield
+    finally:
+        _said.reset(token)
+
+
+@contextmanager
+def heard(listener: Callable[[str], None]) -> Iterator[None]:
+    """In the block lines go to this function instead of to stderr."""
+    _listeners.append(listener)
+    try:
+        yield
+    finally:
+        _listeners.remove(listener)
+
+
+def duration(seconds: float) -> str:
+    """`3 s`, `2 min`, `5 h`, rounded up."""
+    for unit, size in (("h", 3600), ("min", 60)):
+        if seconds > 1.5 * size:
+            return f"{round(seconds / size)} {unit}"
+    return f"{max(round(seconds), 1)} s"
+
+
+def _sink() -> Callable[[str], None]:
+    return _listeners[-1] if _listeners else _write
+
+
+def _write(text: str) -> None:
+    MESSAGES.write(f"npred: {printable(text)}\n")
+    MESSAGES.flush()
+
+
+def _watch(work: Wait, over: threading.Event, sink: Callable[[str], None]) -> None:
+    """Wait, then write the line, unless the work is over."""
+    if over.wait(PATIENCE):
+        return
+    if (expected := work.expected) is not None and expected < SHORT and over.wait(SHORT - PATIENCE):
+        return
+    sink(work.line)

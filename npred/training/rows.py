@@ -1,0 +1,90 @@
+"""What a training takes: the rows, where they come from, and all that is fitted to them."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import torch
+from torch import Tensor
+
+from npred.config import Training
+from npred.errors import ConfigError
+from npred.operators import Operator
+from npred.operators.scaling import SampleArrays
+from npred.training.loss import Criterion
+
+REST_NODES = 16  # points in D_hat through which a batch interpolates the anchor's term at rest
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Samples in memory as float32 tensors: X (N, n), u (N, nx, m), D_hat (N,), P (N, nodes, n), phase (N,) or None."""
+
+    X: Tensor
+    u: Tensor
+    D_hat: Tensor
+    P: Tensor
+    phase: Tensor | None = None
+
+    @classmethod
+    def of(cls, data: SampleArrays, device: str = "cpu", nodes: int | None = None, phase: Any = None) -> "Rows":
+        """The samples on a device; P on every s-th node where `nodes` of them are asked for, u on all.
+
+        `phase` (N,) is for an operator that sees the clock. Raises ConfigError where `nodes` does not divide the grid.
+        """
+        intervals = data.u.shape[1] - 1
+        stride, rest = divmod(intervals, (nodes or intervals + 1) - 1)
+        if rest or not stride:
+            raise ConfigError(f"nodes: expected nodes - 1 to divide the data's {intervals} intervals, got {nodes}")
+        arrays = data.X, data.u, data.D_hat, data.P[:, ::stride], *(() if phase is None else (phase,))
+        return cls(*(torch.as_tensor(a).to(device, torch.float32).contiguous() for a in arrays))
+
+    @property
+    def stride(self) -> int:
+        """The number of intervals of u in one of P."""
+        return (self.u.shape[1] - 1) // (self.P.shape[1] - 1)
+
+    def __len__(self) -> int:
+        return len(self.D_hat)
+
+    def __getitem__(self, index: Tensor | slice | tuple[slice, slice]) -> "Rows":
+        phase = None if self.phase is None else self.phase[index]
+        return Rows(self.X[index], self.u[index], self.D_hat[index], self.P[index], phase)
+
+    @classmethod
+    def joined(cls, parts: Sequence["Rows"]) -> "Rows":
+        """Rows one after the other."""
+        phases = [p.phase for p in parts if p.phase is not None]
+        X, u, D_hat, P = map(torch.cat, zip(*((p.X, p.u, p.D_hat, p.P) for p in parts), strict=True))
+        return cls(X, u, D_hat, P, torch.cat(phases) if phases else None)
+
+    def batches(self, shuffle: torch.Generator, size: int) -> Iterator["Rows"]:
+        """Each row once, in random order."""
+        return self.split(torch.randperm(len(self), generator=shuffle).to(self.X.device), size)
+
+    def split(self, order: Tensor, size: int) -> Iterator["Rows"]:
+        """The rows in this order, in batches."""
+        return (self[index] for index in order.split(size))
+
+
+class RowSource(Protocol):
+    """The source of an epoch's rows."""
+
+    def __len__(self) -> int: ...
+
+    def batches(self, shuffle: torch.Generator, size: int) -> Iterator[Rows]:
+        """Each row once, in an order that the generator draws, `size` at a time."""
+        ...
+
+
+@dataclass(frozen=True)
+class Fit:
+    """The operator to train (in place), its rows, test and loss; `title` names it in progress and errors."""
+
+    title: str
+    operator: Operator
+    config: Training
+    train: RowSource
+    test: Rows
+    loss: Criterion
+    seed: int
