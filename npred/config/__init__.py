@@ -1,12 +1,9 @@
 """The pipeline file as frozen models: one table per stage, every key checked, `--set` overrides included."""
 
-from npred.config.bench import Bench
 from npred.config.evaluate import Evaluate, GuardTable, Scenario
-from npred.config.file import load, parse, put, table
-from npred.config.generate import Generate
+from npred.config.file import leaves, load, parse, put, table
 from npred.config.loop import Disturbance, Loop, Sensors, within
-from npred.config.messages import leaves
-from npred.config.pipeline import Pipeline
+from npred.config.pipeline import Bench, Generate, Pipeline
 from npred.config.section import FROZEN, PAPER, Anchor, Range, Section
 from npred.config.train import FNO, DeepONet, Network, Train, Training
 
