@@ -18,12 +18,12 @@ from npred import config, defaults, plants, registry
 from npred.config import Pipeline
 from npred.errors import ConfigError
 from npred.parallel import devices, executors
-from npred.pipeline import STAGES, Planner, Runner, nodes
+from npred.pipeline import STAGES, Planner, Runner, nodes, remember
 from npred.plants import Plant
 from npred.predictors import Predictor
 from npred.results import Evaluated, Generated, Result, Trained
 from npred.store import Store
-from npred.terminal import notebook, waiting
+from npred.terminal import live_view, waiting
 from npred.terminal.console import Console
 
 if TYPE_CHECKING:
@@ -175,7 +175,7 @@ class _Run:
             planner.store.adopt()
             outcomes = Runner(console, jobs, executor).run(planner, needed)
         if file:  # so that npred gc keeps what it asked for
-            planner.store.remember(file, {done.node.name: done.artifact.manifest.key for done in outcomes})
+            remember(planner.store, file, {done.node.name: done.artifact.manifest.key for done in outcomes})
         done = outcomes[-1]
         kind = STAGES[stage].result
         return kind.read(done.artifact.folder), done.artifact.folder, done.artifact.manifest.key, done.action, stage
@@ -189,7 +189,7 @@ def _remembered(source: Source, settings: Mapping[str, Any]) -> Path | None:
 @contextmanager
 def _console(chosen: Pipeline, titles: list[str], progress: bool) -> Iterator[Console]:
     """What shows the stages: a table in a terminal, one line in a notebook, lines now and then elsewhere."""
-    shown: Callable[[], Console] = notebook.NotebookConsole if notebook.is_notebook() else Console
+    shown: Callable[[], Console] = live_view.NotebookConsole if live_view.is_notebook() else Console
     console = shown() if progress else Console(quiet=True)
     with waiting.heard(console.wait), console.watch(chosen.name, titles):
         yield console

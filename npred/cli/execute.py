@@ -8,7 +8,7 @@ from npred.cli.options import Running, Work, writable_folder
 from npred.cli.report import free_path, publish, sign, write_figures
 from npred.errors import ConfigError
 from npred.parallel import devices, executors
-from npred.pipeline import STAGES, Outcome, Planner, Runner, Step, nodes, usual
+from npred.pipeline import STAGES, Outcome, Planner, Runner, Step, nodes, remember, usual
 from npred.results import Benched, Evaluated, Reported
 from npred.store import durable, short
 from npred.terminal.console import columns
@@ -64,7 +64,7 @@ def bring(options: Work, targets: list[str], model: str | None = None, borrows: 
         executor = stack.enter_context(executors.opened(options.executor, jobs))
         planner = _planner(options, targets, borrows)  # on the screen already: to look for a GPU imports torch
         console.head(f"{options.config.name} on {planner.device}")
-        options.results.remember(options.pipeline)  # also where the run is interrupted
+        remember(options.results, options.pipeline)  # also where the run is interrupted
         keep_log(options)
         outcomes = Runner(console, jobs, executor).run(planner, needed)
         for done in outcomes:
@@ -72,7 +72,7 @@ def bring(options: Work, targets: list[str], model: str | None = None, borrows: 
                 console.events.replay(done.node.title, done.artifact.folder / "metrics.jsonl")
     if not options.set:  # what an override asks for, the file does not
         keys = {done.node.name: done.artifact.manifest.key for done in outcomes}
-        options.results.remember(options.pipeline, keys)
+        remember(options.results, options.pipeline, keys)
     return outcomes
 
 

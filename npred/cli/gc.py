@@ -14,8 +14,8 @@ from npred.errors import ConfigError, NpredError, StoreError
 from npred.parallel import devices
 from npred.pipeline import STAGES, Kept, Planner, closure, experiments, nodes
 from npred.pipeline.cells import cells
-from npred.store import MARKER, Artifact, Store, claims, durable, gc_roots, short
-from npred.store.gc_roots import GcRoot
+from npred.pipeline.retention import GcRoot, remembered
+from npred.store import MARKER, Artifact, Store, claims, durable, short
 from npred.terminal.console import columns
 
 UNITS = {"": 1, "k": 10**3, "M": 10**6, "G": 10**9, "T": 10**12}
@@ -95,8 +95,8 @@ def _kept(options: Common, pipelines: list[Path], sets: list[str], device: str) 
     store = options.results
     paths = [defaults.pipeline(path) for path in pipelines] or sorted(defaults.PIPELINE.parent.glob("*.toml"))
     files = {path.resolve() for path in paths}
-    remembered = [root for root in gc_roots.registered(store.root) if root.file not in files]
-    if not paths and not remembered:
+    roots = [root for root in remembered(store) if root.file not in files]
+    if not paths and not roots:
         raise ConfigError(
             f"gc: expected pipelines whose results stay, found none in {defaults.PIPELINE.parent}/ and none that this "
             "store was run with; name them"
@@ -107,7 +107,7 @@ def _kept(options: Common, pipelines: list[Path], sets: list[str], device: str) 
     for path in paths:
         for cell in [*cells(path, []), *(cells(path, sets) if sets else [])]:
             kept.add(Planner(cell.config, store, device), nodes(cell.config, STAGES))
-    for root in remembered:
+    for root in roots:
         _keep_remembered(options, kept, root, device)
     return kept
 

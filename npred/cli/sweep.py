@@ -9,12 +9,12 @@ from npred.cli.options import Running, writable_folder
 from npred.cli.report import free_path, sign
 from npred.errors import ConfigError, NpredError
 from npred.parallel import devices, executors
-from npred.pipeline import STAGES, CellRun, Outcome, Planner, Runner, nodes, sweep_table
+from npred.pipeline import STAGES, CellRun, Outcome, Planner, Runner, nodes, remember, sweep_table
 from npred.pipeline.cells import Cell, cells
 from npred.pipeline.sweep_table import Row
 from npred.store import durable
 from npred.terminal.console import columns
-from npred.terminal.progress_bars import counted
+from npred.terminal.waiting import counted
 
 PRECISION = 4  # digits of the table that people read
 Done = list[tuple[Cell, CellRun]]
@@ -37,7 +37,7 @@ def sweep(options: Running, to: str, output: Path | None, csv: bool) -> None:
         _show_plan(options, sweep_cells, targets, device)
         return
     jobs = options.jobs or devices.cores()
-    options.results.remember(options.pipeline)
+    remember(options.results, options.pipeline)
     execute.keep_log(options)
     with executors.opened(options.executor, jobs) as executor:
         planners = [Planner(cell.config, options.results, device) for cell in sweep_cells]

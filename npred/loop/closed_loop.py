@@ -25,7 +25,7 @@ from npred.plants import inputs
 from npred.plants.base import Plant
 from npred.predictors import OneStep, Predictor
 from npred.terminal import waiting
-from npred.terminal.progress_bars import counted
+from npred.terminal.waiting import counted
 
 __all__ = ["Samples", "Trajectories", "simulate"]
 

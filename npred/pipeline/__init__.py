@@ -2,7 +2,7 @@
 
 from npred.pipeline.models import Stored, load_data, load_model
 from npred.pipeline.plan import Planner, Step
-from npred.pipeline.retention import Kept, closure
+from npred.pipeline.retention import Kept, closure, remember
 from npred.pipeline.runner import CellRun, Runner
 from npred.pipeline.stage_registry import STAGES, Node, nodes, usual
 from npred.pipeline.task import Outcome
@@ -21,5 +21,6 @@ __all__ = [
     "load_data",
     "load_model",
     "nodes",
+    "remember",
     "usual",
 ]

@@ -1,17 +1,25 @@
-"""The reason that a stage would run, in words: what differs from the closest result that the store has."""
+"""The reason that a stage would run, in words: what differs from the closest result that the store has.
 
+A file of code differs in its author's lines: remarks, docstrings and blank lines are no difference.
+"""
+
+import ast
+import io
 import json
 import re
-from collections.abc import Iterable, Mapping
+import tokenize
+from collections.abc import Iterable, Iterator, Mapping
+from difflib import SequenceMatcher
 from typing import Any
 
 from npred.json_files import escaped
-from npred.pipeline import code_changes
 from npred.store import Artifact, Question, SourceText, short
 
 NEVER = "no artifact yet"
 UNSET, MISSING = "unset", object()
-SHOWN = 4
+SHOWN = 4  # differences of a sentence
+LINES = 2000  # of a file of code that is compared
+SHOWN_LINES = 2  # of one side of a difference of code
 CODE = re.compile(
     r"plant\.program\.(?:source|files\.(?P<file>.+)|(?P<function>\w+))|(?P<part>\w+\.(?:adaptation|predictor|\w+\.network)|code\.[\w.]+)\.source"
 )
@@ -84,7 +92,7 @@ def _code(key: str, old: str, new: str, plant: str, before: Sources, after: Sour
         return f"{what} {'added' if old == UNSET else 'dropped'}"
     if code["file"]:
         return f"{what} changed"
-    return code_changes.change(what, plant, before.get(role), after.get(role))
+    return code_change(what, plant, before.get(role), after.get(role))
 
 
 def changes(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[str]:
@@ -128,3 +136,78 @@ def alike(artifact: Artifact, stage: str, model: str | None, pipeline: str) -> b
     """True if an artifact is of this stage and network, and was made for this pipeline."""
     manifest = artifact.manifest
     return (manifest.question.stage, manifest.question.model, manifest.pipeline) == (stage, model, pipeline)
+
+
+def code_change(function: str, owner: str, before: SourceText | None, after: SourceText | None) -> str:
+    """`kappa changed in my_plant.py: old lines -> new lines`, of that function of the class `owner`, else of the file.
+
+    Without both texts it says that it changed; where the lines are equal, that what they call or import did.
+    """
+    if before is None or after is None:
+        return f"{function} changed"
+    hunks = _hunks(before.text, after.text, function, owner)
+    if hunks is None:
+        return f"{function} changed in {escaped(after.file)}"
+    message = f"{function} changed in {escaped(after.file)}"
+    return escaped(f"{message}: {'; '.join(hunks)}") if hunks else f"{message}, by code that it imports"
+
+
+def _hunks(before: str, after: str, function: str, owner: str) -> list[str] | None:
+    """The changes of the function's lines, or where it has none those of the file; None for what is no Python."""
+    try:
+        old, new = _Code(before), _Code(after)
+    except (SyntaxError, ValueError, RecursionError, MemoryError, tokenize.TokenError):
+        return None
+    return _compared(old.function(owner, function), new.function(owner, function)) or _compared(old.lines, new.lines)
+
+
+def _compared(before: Mapping[int, str], after: Mapping[int, str]) -> list[str]:
+    old, new = list(before.values()), list(after.values())
+    edits = SequenceMatcher(None, old, new, autojunk=False).get_opcodes()
+    return [_hunk(old[a:b], new[c:d]) for kind, a, b, c, d in edits if kind != "equal"]
+
+
+def _hunk(old: list[str], new: list[str]) -> str:
+    if not old or not new:
+        return f"{'new' if new else 'dropped'}: {_few(old or new)}"
+    return f"{_few(old)} -> {_few(new)}"
+
+
+def _few(lines: list[str]) -> str:
+    more = len(lines) - SHOWN_LINES
+    return " | ".join(lines[:SHOWN_LINES]) + (f" | and {more} more lines" if more > 0 else "")
+
+
+class _Code:
+    """The lines of a Python text that do something, by number. Raises what the parser raises."""
+
+    def __init__(self, text: str) -> None:
+        lines = text.replace("\r\n", "\n").split("\n")
+        if len(lines) > LINES:
+            raise ValueError("a long file")
+        self.tree = ast.parse(text)
+        for token in tokenize.generate_tokens(io.StringIO(text).readline):
+            if token.type == tokenize.COMMENT:
+                row, column = token.start
+                lines[row - 1] = lines[row - 1][:column]
+        for first, last in _docstrings(self.tree):
+            lines[first - 1 : last] = [""] * (last - first + 1)
+        self.lines = {number: " ".join(line.split()) for number, line in enumerate(lines, 1) if line.strip()}
+
+    def function(self, owner: str, name: str) -> dict[int, str]:
+        """The lines of the function in the class of that name, else of any function of that name."""
+        classes = [node for node in ast.walk(self.tree) if isinstance(node, ast.ClassDef) and node.name == owner]
+        for scope in [*classes, self.tree]:
+            for node in ast.walk(scope):
+                if isinstance(node, ast.FunctionDef) and node.name == name:
+                    last = node.end_lineno or node.lineno
+                    return {n: line for n, line in self.lines.items() if node.lineno <= n <= last}
+        return {}
+
+
+def _docstrings(tree: ast.AST) -> Iterator[tuple[int, int]]:
+    """First and last line of each."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(node, clean=False):
+            text = node.body[0]
+            yield text.lineno, text.end_lineno or text.lineno

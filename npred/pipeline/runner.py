@@ -19,7 +19,7 @@ from npred.store import Artifact, Question, claims
 from npred.store.claims import Claim
 from npred.terminal import interruption
 from npred.terminal.console import Console
-from npred.terminal.progress_bars import Bar
+from npred.terminal.waiting import Bar
 
 WHOLE = {"generate": 0, "bench": 2}  # they use the whole machine: before all else, and after it
 REASON = "of a sweep"

@@ -1,6 +1,6 @@
 """The content-addressed store of results."""
 
-from npred.store import claims, gc_roots
+from npred.store import claims
 from npred.store.artifacts import MARKER, Artifact, Store
 from npred.store.manifest import Manifest, Question, ResultInput, SourceText, short
 
@@ -13,6 +13,5 @@ __all__ = [
     "SourceText",
     "Store",
     "claims",
-    "gc_roots",
     "short",
 ]

@@ -3,7 +3,7 @@
 import re
 import shutil
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,7 +14,7 @@ from typing import Any, Self
 from npred import json_files
 from npred.defaults import RESULT
 from npred.errors import ConfigError, StoreError
-from npred.store import claims, durable, gc_roots
+from npred.store import claims, durable
 from npred.store.manifest import NAME, Manifest, Question, Sources, cure, short
 
 MARKER = ".npred-store"  # an empty file: without it nothing in a folder is npred's to delete
@@ -91,11 +91,6 @@ class Store:
         """
         if not self.marked and (not self.root.exists() or not any(self.root.iterdir()) or self.artifacts()):
             self._mark()
-
-    def remember(self, pipeline: Path, keys: Mapping[str, str] | None = None) -> None:
-        """Note that a run takes its pipeline from a file, and what it asked for, so that gc keeps that."""
-        self.adopt()
-        gc_roots.register(self.root, pipeline, keys or {})
 
     def _mark(self) -> None:
         with suppress(OSError):

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 
 from npred.json_files import escaped
 from npred.terminal import interruption, streams
-from npred.terminal.progress_bars import Bar
 from npred.terminal.run_log import Events, RunLog
+from npred.terminal.waiting import Bar
 
 if TYPE_CHECKING:
     from npred.terminal.live_view import LiveView

@@ -1,19 +1,27 @@
-"""The live view of a run on a terminal: each stage, what it does, for how long and how far, and a training's errors."""
+"""The live view of a run: each stage, what it does, for how long and how far, and a training's errors.
+
+A terminal rewrites it; in a notebook it is one output below the cell, which is updated in place and stays as it ends.
+"""
 
 import math
+import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from io import StringIO
+from typing import Any
 
-from rich.console import Console, JustifyMethod, RenderableType
+from rich.console import Console as RichConsole
+from rich.console import JustifyMethod, RenderableType
 from rich.progress import Progress, Task
 from rich.progress_bar import ProgressBar
 from rich.table import Column, Table
 from rich.text import Text
 
 from npred.json_files import escaped
-from npred.terminal.progress_bars import counted
-from npred.terminal.streams import MESSAGES
+from npred.terminal.console import Console
+from npred.terminal.streams import MESSAGES, printable
+from npred.terminal.waiting import counted
 
 REFRESH = 8  # times per second
 BAR = 24  # columns of a bar at most
@@ -23,6 +31,9 @@ MARKS = {
     "waiting": ("·", "dim"), "running": ("▸", "cyan"), "run": ("✓", "green"), "hit": ("✓", "dim"),
     "stopped": ("✗", "red"),
 }  # fmt: skip
+SECONDS = 0.5  # between two updates in a notebook
+WIDTH = 110  # columns there
+FORMAT = '<pre style="margin: 0; line-height: 1.3; font-family: monospace">{code}</pre>'
 WORDS = {"hit": "from the store", "stopped": "stopped"}
 
 
@@ -36,7 +47,7 @@ class LiveView(Progress):
     def __init__(self, heading: str, titles: Sequence[str], clock: Callable[[], float]) -> None:
         self.heading = heading  # rich draws at once
         self.lock = threading.Lock()  # not rich's, which drawing takes: adding a task draws
-        super().__init__(console=Console(file=MESSAGES), refresh_per_second=REFRESH, speed_estimate_period=math.inf,
+        super().__init__(console=RichConsole(file=MESSAGES), refresh_per_second=REFRESH, speed_estimate_period=math.inf,
                          redirect_stdout=False, redirect_stderr=False, get_time=clock)  # fmt: skip
         self.stages: dict[str, Task] = {}
         for title in titles:
@@ -157,3 +168,52 @@ def _clock(seconds: float | None) -> Text:
 
 def _runs(task: Task) -> bool:
     return task.fields["state"] == "running"
+
+
+def is_notebook() -> bool:
+    """True where the code runs in a notebook's kernel."""
+    ipython = sys.modules.get("IPython")
+    shell = ipython.get_ipython() if ipython else None
+    return getattr(shell, "kernel", None) is not None
+
+
+class NotebookConsole(Console):
+    """A console whose live view is an output of a notebook. Its notes are what the view shows; warnings stand below."""
+
+    @contextmanager
+    def watch(self, heading: str, titles: Sequence[str]) -> Iterator[None]:
+        """A live view of these stages while the block runs, its last state after it."""
+        from IPython.display import display  # pyright: ignore[reportMissingImports]
+
+        view = self.view = LiveView(heading, titles, self.clock)
+        shown: Any = display(_bundle(view), raw=True, display_id=True)
+        over = threading.Event()
+        painter = threading.Thread(target=_paint, args=(view, shown.update, over), daemon=True)
+        painter.start()
+        try:
+            yield
+        finally:
+            over.set()
+            painter.join()
+            view.end()
+            shown.update(_bundle(view), raw=True)
+            self.view = None
+
+    def _line(self, text: str, style: str = "", shown: bool = True) -> None:
+        self._logged(text)
+        if style:
+            MESSAGES.write(printable(text) + "\n")
+            MESSAGES.flush()
+
+
+def _paint(view: Any, update: Callable[..., None], over: threading.Event) -> None:
+    while not over.wait(SECONDS):
+        update(_bundle(view), raw=True)
+
+
+def _bundle(view: Any) -> dict[str, str]:
+    """The view as HTML and as text, as a notebook's file keeps it."""
+    page = RichConsole(file=StringIO(), record=True, width=WIDTH, force_jupyter=False, force_terminal=True)
+    page.print(view.make_tasks_table(view.tasks))
+    text = page.export_text(clear=False)
+    return {"text/plain": text.rstrip(), "text/html": page.export_html(code_format=FORMAT, inline_styles=True)}

@@ -12,7 +12,7 @@ from store_samples import made_at
 from npred.cli.gc import to_bytes
 from npred.errors import ConfigError, NpredError
 from npred.parallel import devices
-from npred.store import MARKER, Store, gc_roots
+from npred.store import MARKER, Store
 
 NEVER_MIND = ("run", "tiny.toml", "--jobs", "1")
 
@@ -204,7 +204,7 @@ def test_the_plant_of_a_pipeline_that_another_user_ran_is_not_run(call: Call, el
     Path("elsewhere/evil.py").write_text("open('ran', 'w')\n")
     elsewhere.write_text(elsewhere.read_text().replace('"scalar"', '"evil.py:Tank"'))
     uid = os.geteuid()
-    monkeypatch.setattr(gc_roots.os, "geteuid", lambda: uid + 1)
+    monkeypatch.setattr(os, "geteuid", lambda: uid + 1)
     assert planned(call) == set() and not Path("ran").exists()
     monkeypatch.undo()
 

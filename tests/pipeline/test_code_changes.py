@@ -2,7 +2,7 @@
 
 import pytest
 
-from npred.pipeline.code_changes import change
+from npred.pipeline.reasons import code_change
 from npred.store import SourceText
 
 TEXT = '''
@@ -36,7 +36,7 @@ def goal():
 def changed(old: str = "", new: str = "", function: str = "kappa") -> str:
     assert old in TEXT
     before, after = (SourceText(file="my_plant.py", text=text) for text in (TEXT, TEXT.replace(old, new, 1)))
-    return change(function, "Tank", before, after)
+    return code_change(function, "Tank", before, after)
 
 
 @pytest.mark.parametrize(
@@ -60,9 +60,9 @@ def test_a_change_is_told_in_the_lines_that_differ(old, new, lines):
 def test_the_functions_own_lines_come_before_those_of_the_file():
     before = SourceText(file="a.py", text=TEXT)
     after = SourceText(file="a.py", text=TEXT.replace("2 - error", "3 - error").replace("u.q - x.h", "u.q"))
-    assert change("f", "Tank", before, after) == "f changed in a.py: return [u.q - x.h] -> return [u.q]"
-    assert change("kappa", "Tank", before, after).endswith(": return [2 - error] -> return [3 - error]")
-    assert change("plant", "Tank", before, after).count("->") == 2
+    assert code_change("f", "Tank", before, after) == "f changed in a.py: return [u.q - x.h] -> return [u.q]"
+    assert code_change("kappa", "Tank", before, after).endswith(": return [2 - error] -> return [3 - error]")
+    assert code_change("plant", "Tank", before, after).count("->") == 2
 
 
 def test_long_changes_are_counted():
@@ -74,11 +74,11 @@ def test_long_changes_are_counted():
 @pytest.mark.parametrize("text", ["class", "x = (" * 300, "\0", "pass\n" * 3000, "\\\n\x0c(", "'''"])
 def test_texts_that_are_no_python_are_told_without_lines(text):
     before, after = (SourceText(file="a.py", text=text) for text in (text, TEXT))
-    assert change("kappa", "Tank", before, after) == "kappa changed in a.py"
+    assert code_change("kappa", "Tank", before, after) == "kappa changed in a.py"
 
 
 def test_without_a_text_it_is_said_that_something_changed():
-    assert change("kappa", "Tank", None, SourceText(file="a.py", text=TEXT)) == "kappa changed"
+    assert code_change("kappa", "Tank", None, SourceText(file="a.py", text=TEXT)) == "kappa changed"
 
 
 def test_nothing_in_the_lines_moves_a_cursor():

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from conftest import TANK, Call, document
 
-from npred.pipeline import code_changes, reasons
+from npred.pipeline import reasons
 from npred.store import Artifact, Question, Store
 from npred.store.manifest import Manifest
 
@@ -78,7 +78,7 @@ def test_each_result_has_the_code_that_it_was_made_with(edit, call, pipeline):
 def test_the_words_are_of_the_closest_result_and_are_made_for_no_other(monkeypatch):
     """Each costs time, and a store has thousands of results."""
     said = []
-    monkeypatch.setattr(code_changes, "change", lambda *of: said.append(of) or "changed")
+    monkeypatch.setattr(reasons, "code_change", lambda *of: said.append(of) or "changed")
     made = [
         Artifact(Path(), Manifest.model_construct(question=asked(source, seed), pipeline="p", sources={}))
         for source in ("a", "b") for seed in range(50)

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from npred.terminal import notebook
+from npred.terminal import live_view
 
 
 @pytest.fixture
@@ -31,7 +31,7 @@ def outputs(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, str]]:
 
 
 def test_the_view_is_one_output_that_ends_with_the_stages(outputs: list[dict[str, str]], capsys: Any):
-    console = notebook.NotebookConsole()
+    console = live_view.NotebookConsole()
     with console.watch("tank", ["generate"]):
         console.doing("generate", "compiling")
         console.note("generate: running")
@@ -45,11 +45,11 @@ def test_the_view_is_one_output_that_ends_with_the_stages(outputs: list[dict[str
 
 
 def test_a_warning_stands_below(outputs: list[dict[str, str]], capsys: Any):
-    notebook.NotebookConsole().warn("few samples")
+    live_view.NotebookConsole().warn("few samples")
     assert capsys.readouterr().err == "warning: few samples\n"
 
 
 def test_only_a_kernel_is_a_notebook(outputs: list[dict[str, str]], monkeypatch: pytest.MonkeyPatch):
-    assert notebook.is_notebook()
+    assert live_view.is_notebook()
     monkeypatch.setattr(sys.modules["IPython"], "get_ipython", lambda: None)
-    assert not notebook.is_notebook()
+    assert not live_view.is_notebook()

@@ -2,7 +2,7 @@
 
 import threading
 
-from npred.terminal.progress_bars import EVERY, Bar, counted
+from npred.terminal.waiting import EVERY, Bar, counted
 
 
 class Clock:

@@ -16,7 +16,7 @@ from npred.results.bench import Crossover, Rival, Timing
 from npred.stages.bench import timing
 from npred.stages.bench.candidates import Candidate, Reference, matching
 from npred.stages.job import Job
-from npred.terminal.progress_bars import counted
+from npred.terminal.waiting import counted
 
 STEPS = (10, 210)  # of the two runs whose difference is the cost of f
 

@@ -18,7 +18,7 @@ from npred.results import Generated
 from npred.stages.generate import rollouts, sampling, sharded
 from npred.stages.generate.rollouts import Columns
 from npred.stages.job import Job
-from npred.terminal.progress_bars import counted
+from npred.terminal.waiting import counted
 
 BATCH = 8 * LANES  # rollouts of a task at most: a cluster's scheduler has little to do with each
 

@@ -10,7 +10,7 @@ from npred.plants import Plant
 from npred.registry import METHODS
 from npred.results import NO_ADAPTATION, NUMERICAL, Benched, Contender, Evaluated
 from npred.results.evaluate import Scores
-from npred.terminal.progress_bars import counted
+from npred.terminal.waiting import counted
 
 
 def summary(plant: Plant, evaluated: Evaluated, benched: Benched) -> list[str]:

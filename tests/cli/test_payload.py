@@ -7,8 +7,9 @@ import pytest
 from conftest import Call, document, one_line
 from store_samples import question
 
+from npred.cli.store_admin import drawn
 from npred.errors import StoreError
-from npred.pipeline import STAGES, payload
+from npred.pipeline import STAGES
 from npred.store import Manifest, Store, archive
 
 
@@ -29,7 +30,7 @@ def manifest(stage: str, *names: str, folder: Path) -> Manifest:
     ],
 )
 def test_arrays_come_in_and_figures_are_left_out(tmp_path: Path, stage: str, data: list[str], figures: list[str]):
-    assert payload.drawn(manifest(stage, *data, *figures, folder=tmp_path / "made")) == set(figures)
+    assert drawn(manifest(stage, *data, *figures, folder=tmp_path / "made")) == set(figures)
 
 
 @pytest.mark.parametrize(
@@ -41,15 +42,15 @@ def test_arrays_come_in_and_figures_are_left_out(tmp_path: Path, stage: str, dat
 )  # fmt: skip
 def test_a_name_that_the_stage_does_not_give_is_refused(tmp_path: Path, stage: str, name: str):
     with pytest.raises(StoreError, match=f"expected the files of a result of {stage}, got {name} among them"):
-        payload.drawn(manifest(stage, name, folder=tmp_path / "made"))
+        drawn(manifest(stage, name, folder=tmp_path / "made"))
 
 
 def test_a_page_and_a_stage_that_is_not_known_are_refused(tmp_path: Path):
     """A page may hold a script, and `npred run` would show it as a page of its own."""
     with pytest.raises(StoreError, match="expected a result, got a page; npred report makes it anew"):
-        payload.drawn(manifest("report", "report.html", folder=tmp_path / "page"))
+        drawn(manifest("report", "report.html", folder=tmp_path / "page"))
     with pytest.raises(StoreError, match="got one of other; this npred has no such stage"):
-        payload.drawn(manifest("other", folder=tmp_path / "other"))
+        drawn(manifest("other", folder=tmp_path / "other"))
 
 
 def test_a_figure_with_a_script_does_not_come_in(call: Call, tmp_path: Path):
@@ -80,5 +81,5 @@ def test_every_file_that_a_stage_writes_is_known(reported, tmp_path: Path):
     """And what comes in of a result is enough to draw its figures again."""
     for name, outcome in reported[1].items():
         if name != "report":
-            drawn = payload.drawn(outcome.artifact.manifest)
-            assert bool(drawn) == (name in STAGES and STAGES[name].draws)
+            figures = drawn(outcome.artifact.manifest)
+            assert bool(figures) == (name in STAGES and STAGES[name].draws)
