@@ -11,7 +11,7 @@ import npred
 from npred import cli
 from npred.cli import completion
 from npred.cli.app import Command, Group, app, command, with_flags
-from npred.cli.options import Common, Planned, Running, Work, argument, flag
+from npred.cli.options import Common, Exporting, Planned, Running, Work, argument, flag
 from npred.registry import STAGES, declared_stage
 
 RUN, LOOK, CARE = "Run", "Look", "Look after"
@@ -220,7 +220,7 @@ def init(
 
 @command(LOOK, waits="reading what is to be exported, writing and testing it: some seconds, minutes for large networks")
 def export(
-    options: Common,
+    options: Exporting,
     *,
     form: Annotated[
         str,
@@ -241,33 +241,10 @@ def export(
             "--output",
         ),
     ] = None,
-    nx: Annotated[
-        int | None, flag("Nodes of the actuator state, any number; by default 101, a controller's as in evaluate.")
-    ] = None,
-    atol: Annotated[float, flag("How far an ONNX graph's P and U may be from the model's.")] = 1e-4,
-    precision: Annotated[str, flag("A controller's numbers.", word="double|float")] = "double",
-    predictor: Annotated[
-        str, flag("A controller's numerical predictor, as rk4, instead of a network.", word="METHOD")
-    ] = "",
-    name: Annotated[str, flag("What a controller's files and C names begin with.")] = "npred",
-    actuator: Annotated[
-        str, flag("A controller's source of u; by default as in evaluate.", word="measured|history")
-    ] = "",
-    guard: Annotated[
-        float | None, flag("A controller's guard: the largest error of U that passes; as in evaluate.")
-    ] = None,
-    fmi: Annotated[int, flag("An FMU's version of FMI.", word="3|2")] = 3,
-    platforms: Annotated[
-        str, flag("An FMU's machines, by ziglang, as linux64,win64,darwin64; by default this one.", word="NAME,…")
-    ] = "",
-    mex: Annotated[bool, flag("A controller's gateway to MATLAB and Octave too, NAME_mex.c.", "--mex")] = False,
 ) -> None:
     """A trained model, P and U = kappa(P(1)), the whole controller of the evaluated loop, or the data, for another
     program."""
-    cli.export.export(
-        options, form, key, output, nx, atol, fmi, mex, platforms,
-        precision=precision, predictor=predictor, name=name, actuator=actuator, guard=guard,
-    )  # fmt: skip
+    cli.export.export(options, form, key, output)
 
 
 @command(LOOK)

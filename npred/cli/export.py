@@ -3,7 +3,6 @@ evaluated loop as C99 with a test inside, and as a Functional Mock-up Unit.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,7 +10,7 @@ import numpy as np
 
 from npred import config, defaults, grid, operators, plants
 from npred.cli import data_exchange
-from npred.cli.options import Common, writable, writable_folder
+from npred.cli.options import Common, Exporting, writable, writable_folder
 from npred.config import Evaluate
 from npred.data import shards
 from npred.data.dataset import Dataset
@@ -39,18 +38,6 @@ RECALLS = (
 )
 
 
-@dataclass(frozen=True)
-class Choices:
-    """The flags of the command: what of the pipeline's loop is another in the controller's file."""
-
-    nx: int | None
-    precision: str
-    predictor: str
-    name: str
-    actuator: str
-    guard: float | None
-
-
 class Built(NamedTuple):
     """A pipeline's controller, its name in words, the table of its loop, and steps to test a file of it with."""
 
@@ -59,28 +46,24 @@ class Built(NamedTuple):
     table: Evaluate
     test: c_controller.Test
 
-    def document(self, choices: Choices, form: str) -> dict[str, object]:
+    def document(self, options: Exporting, form: str) -> dict[str, object]:
         """What the JSON document says about the controller."""
         controller = self.controller
         return {
             "format": form, "plant": controller.plant.name, "predictor": controller.predictor.name,
-            "nx": controller.predictor.nx, "precision": choices.precision, "actuator": controller.actuator,
+            "nx": controller.predictor.nx, "precision": options.precision, "actuator": controller.actuator,
             "guarded": controller.predictor.guard is not None,
         }  # fmt: skip
 
 
-def export(
-    options: Common, form: str, key: str, output: Path | None, nx: int | None, atol: float, fmi: int, mex: bool,
-    platforms: str, **flags: Any
-) -> None:  # fmt: skip
+def export(options: Exporting, form: str, key: str, output: Path | None) -> None:
     """Write the file. Raises ConfigError for a format that there is none of, NpredError for a graph that differs."""
-    if nx is not None and nx < 2:
+    if (nx := options.nx) is not None and nx < 2:
         raise ConfigError(f"--nx: expected at least 2 nodes, both ends of [0, 1], got {nx}; dx = 0.01 is nx = 101")
-    choices = Choices(nx=nx, **flags)
     forms: dict[str, Callable[[], None]] = {
-        **dict.fromkeys(("onnx", "c"), lambda: _model(options, form, key, output, nx or NX, atol)),
-        "controller": lambda: _controller_files(options, key, output, choices, mex),
-        "fmu": lambda: _fmu(options, key, output, choices, fmi, list(filter(None, platforms.split(",")))),
+        **dict.fromkeys(("onnx", "c"), lambda: _model(options, form, key, output)),
+        "controller": lambda: _controller_files(options, key, output),
+        "fmu": lambda: _fmu(options, key, output),
         **dict.fromkeys(data_exchange.WRITERS, lambda: data_exchange.export(options, form, key, output)),
     }
     if form not in forms:
@@ -88,8 +71,9 @@ def export(
     forms[form]()
 
 
-def _model(options: Common, form: str, key: str, output: Path | None, nx: int, atol: float) -> None:
+def _model(options: Exporting, form: str, key: str, output: Path | None) -> None:
     """P and U of a trained model as a file, compared on held-out samples where it can be run here."""
+    nx = options.nx or NX
     onnx = imported("export onnx", "npred.runtimes.onnx", "onnx") if form == "onnx" else None
     stored, operator = _loaded(options, key)
     path = writable(output or Path(f"{stored.model}-{nx}.{form}"))
@@ -103,7 +87,7 @@ def _model(options: Common, form: str, key: str, output: Path | None, nx: int, a
     if onnx is None:
         errors = c_network.export(operator, stored.plant, path, nx, samples)
     else:
-        errors = onnx.export(operator.module(stored.plant), stored.plant, path, nx, samples, atol)
+        errors = onnx.export(operator.module(stored.plant), stored.plant, path, nx, samples, options.atol)
     document = {"file": str(path), "format": form, "model": stored.model, "nx": nx}
     line, count = f"{path}: P and U of {stored.model} on {nx} nodes", len(samples[0])
     if errors is None:
@@ -129,53 +113,51 @@ def _loaded(
     return stored, operators.read(stored.folder, plant or stored.plant, stored.snapshot, precision, stored.config)
 
 
-def _controller_files(options: Common, key: str, output: Path | None, choices: Choices, gateway: bool) -> None:
-    """Write the header and the source, and the `gateway` of a MEX file.
+def _controller_files(options: Exporting, key: str, output: Path | None) -> None:
+    """Write the header and the source, and the gateway of a MEX file.
 
     Raises ConfigError as npred.runtimes.c_controller.sources does.
     """
-    folder = writable_folder(output or Path(choices.name), "controller")
-    built = _built(options, key, choices)
-    name, controller = choices.name, built.controller
-    header, source = c_controller.sources(controller, name, choices.precision, built.about, built.test)
+    folder = writable_folder(output or Path(options.name), "controller")
+    built = _built(options, key)
+    name, controller = options.name, built.controller
+    header, source = c_controller.sources(controller, name, options.precision, built.about, built.test)
     files = {f"{name}.h": header, f"{name}.c": source}
-    if gateway:
-        files[f"{name}_mex.c"] = c_controller.gateway(controller, name, choices.precision)
+    if options.mex:
+        files[f"{name}_mex.c"] = c_controller.gateway(controller, name, options.precision)
     folder.mkdir(parents=True, exist_ok=True)
     for file, text in files.items():
         (folder / file).write_text(text, encoding="utf-8")
     written = [str(folder / file) for file in files]
-    document = {"files": written} | built.document(choices, "controller") | {"digest": c_controller.digest(header)}
-    options.show(document, lambda: f"{', '.join(written)}: {controller!r} in {choices.precision} precision")
+    document = {"files": written} | built.document(options, "controller") | {"digest": c_controller.digest(header)}
+    options.show(document, lambda: f"{', '.join(written)}: {controller!r} in {options.precision} precision")
 
 
-def _fmu(
-    options: Common, key: str, output: Path | None, choices: Choices, version: int, platforms: list[str]
-) -> None:  # fmt: skip
+def _fmu(options: Exporting, key: str, output: Path | None) -> None:
     """Write the FMU. Raises ConfigError as npred.runtimes.fmu.write does."""
-    path = writable(output or Path(f"{choices.name}.fmu"))
-    built = _built(options, key, choices)
+    path = writable(output or Path(f"{options.name}.fmu"))
+    built = _built(options, key)
     written = fmu.write(
-        built.controller, path, version=version, name=choices.name, precision=choices.precision, model=built.about,
+        built.controller, path, version=options.fmi, name=options.name, precision=options.precision, model=built.about,
         X0=built.table.X0 or built.controller.plant.target(0.0), t_end=built.table.t_end, test=built.test,
-        platforms=platforms,
+        platforms=list(filter(None, options.platforms.split(","))),
     )  # fmt: skip
-    document = {"file": str(path)} | built.document(choices, "fmu") | {
-        "fmi": version, "library": written.library, "libraries": written.libraries, "token": written.token,
+    document = {"file": str(path)} | built.document(options, "fmu") | {
+        "fmi": options.fmi, "library": written.library, "libraries": written.libraries, "token": written.token,
         "variables": [variable.name for variable in written.variables],
     }  # fmt: skip
     without = NO_PLACE if c_files.compiler() else NO_LIBRARY
     holds = f"{', '.join(written.libraries)} and sources" if written.libraries else without
-    options.show(document, lambda: f"{path}: {built.controller!r} as FMI {version}.0, {holds}")
+    options.show(document, lambda: f"{path}: {built.controller!r} as FMI {options.fmi}.0, {holds}")
 
 
-def _built(options: Common, key: str, choices: Choices) -> Built:
+def _built(options: Exporting, key: str) -> Built:
     """The controller that a key and the flags mean. Raises ConfigError where there is none."""
-    path, model = _named(key, choices.predictor)
+    path, model = _named(key, options.predictor)
     pipeline = config.load(path)
     table, plant = pipeline.evaluate, plants.resolve(pipeline.plant, pipeline.parameters)
-    predictor = _predictor(options, f"{path}:{model}" if model else "", plant, table, choices)
-    controller = _controller(plant, predictor, table, choices)
+    predictor = _predictor(options, f"{path}:{model}" if model else "", plant, table)
+    controller = _controller(plant, predictor, table, options.actuator)
     if controller.actuator == HISTORY and isinstance(controller.adaptation, DelayAdaptation):
         options.console.warn(RECALLS)
     return Built(controller, f"{pipeline.name}:{predictor.name}", table, _steps(controller, table))
@@ -191,29 +173,29 @@ def _named(key: str, predictor: str) -> tuple[Path, str]:
     return defaults.pipeline(path), model
 
 
-def _predictor(options: Common, spec: str, plant: Plant, table: Evaluate, choices: Choices) -> Predictor:
-    nx = choices.nx or table.nx
+def _predictor(options: Exporting, spec: str, plant: Plant, table: Evaluate) -> Predictor:
+    nx = options.nx or table.nx
     exact = numerical(table.predictor, plant, nx)
     if not spec:
-        predictor: Predictor = numerical(choices.predictor, plant, nx)
+        predictor: Predictor = numerical(options.predictor, plant, nx)
     else:
-        precision = np.float32 if choices.precision == "float" else np.float64
+        precision = np.float32 if options.precision == "float" else np.float64
         stored, operator = _loaded(options, spec, plant, precision)
         predictor = Fused(plant, operator, nx, stored.model, precision=precision)
     guard = dict(table.guard) if table.guard and spec else {}
-    if choices.guard is not None:
-        guard["tolerance"] = choices.guard
+    if options.guard is not None:
+        guard["tolerance"] = options.guard
     return Guarded(predictor, exact=exact, **guard) if guard else predictor
 
 
-def _controller(plant: Plant, predictor: Predictor, table: Evaluate, choices: Choices) -> Controller:
+def _controller(plant: Plant, predictor: Predictor, table: Evaluate, actuator: str) -> Controller:
     limits = inputs.bounds(plant, table.input_bounds)
     start = np.array([table.X0]) if table.X0 else np.zeros((1, plant.n))
     u0 = inputs.before(plant, table.u0, limits, start)[0] if table.u0 == inputs.LAW else table.u0
     return Controller(
         plant, predictor, delay_law.resolve(table, plant), table.dt,
         D_hat=None if plant.declares_delay else table.D_hat0, input_bounds=table.input_bounds,
-        actuator=choices.actuator or table.actuator, u0=u0,
+        actuator=actuator or table.actuator, u0=u0,
     )  # fmt: skip
 
 

@@ -131,6 +131,32 @@ class Work(Running):
     tensorboard: Annotated[Path | None, flag("Write the epochs of trainings as event files there.", word="DIR")] = None
 
 
+@dataclass(frozen=True)
+class Exporting(Common):
+    """Flags of `npred export`: what of the pipeline's loop is another in a controller's file, and more."""
+
+    nx: Annotated[
+        int | None, flag("Nodes of the actuator state, any number; by default 101, a controller's as in evaluate.")
+    ] = None
+    atol: Annotated[float, flag("How far an ONNX graph's P and U may be from the model's.")] = 1e-4
+    precision: Annotated[str, flag("A controller's numbers.", word="double|float")] = "double"
+    predictor: Annotated[
+        str, flag("A controller's numerical predictor, as rk4, instead of a network.", word="METHOD")
+    ] = ""
+    name: Annotated[str, flag("What a controller's files and C names begin with.")] = "npred"
+    actuator: Annotated[
+        str, flag("A controller's source of u; by default as in evaluate.", word="measured|history")
+    ] = ""
+    guard: Annotated[
+        float | None, flag("A controller's guard: the largest error of U that passes; as in evaluate.")
+    ] = None
+    fmi: Annotated[int, flag("An FMU's version of FMI.", word="3|2")] = 3
+    platforms: Annotated[
+        str, flag("An FMU's machines, by ziglang, as linux64,win64,darwin64; by default this one.", word="NAME,…")
+    ] = ""
+    mex: Annotated[bool, flag("A controller's gateway to MATLAB and Octave too, NAME_mex.c.", "--mex")] = False
+
+
 def writable(path: Path) -> Path:
     """The path. Raises ConfigError where no file can be written there."""
     if not path.parent.is_dir() or (path.exists() and not path.is_file()):
