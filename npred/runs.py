@@ -203,7 +203,7 @@ def _table(source: Source) -> dict[str, Any]:
                 f"plant {source.name}: expected one with a name or a file, by which results are kept, got a class; "
                 "write it to a file, and name that: my_plant.py:Tank"
             )
-        return {"name": _file_name(source.name), "plant": source.spec, "parameters": dict(source.parameters)}
+        return {"name": re.sub(r"\W+", "_", source.name), "plant": source.spec, "parameters": dict(source.parameters)}
     if not isinstance(source, str | Path):
         return source.model_dump(exclude_unset=True)
     if _file(source):
@@ -219,10 +219,6 @@ def _file(source: Source) -> Path | None:
         return None
     path = defaults.pipeline(source)
     return path if path.is_file() or path.suffix == ".toml" else None
-
-
-def _file_name(name: str) -> str:
-    return re.sub(r"\W+", "_", name)
 
 
 def _plain(value: Any) -> Any:

@@ -122,32 +122,29 @@ def _cuda_likely() -> bool:
 
 
 def _cpu() -> str:
-    if _CPUINFO.exists():
-        for line in _CPUINFO.read_text(encoding="utf-8").splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    return platform.processor() or platform.machine()
+    return _cpuinfo().get("model name") or platform.processor() or platform.machine()
 
 
 def _features() -> list[str]:
     """The vector instructions of the processor, by the kernel's names."""
-    if not _CPUINFO.exists():
-        return []
-    lines = (line.partition(":") for line in _CPUINFO.read_text(encoding="utf-8").splitlines())
-    flags = next((value.split() for name, _, value in lines if name.strip() in ("flags", "Features")), [])
-    return sorted(flag for flag in set(flags) if _VECTOR.match(flag))
+    facts = _cpuinfo()
+    flags = facts.get("flags") or facts.get("Features", "")
+    return sorted(flag for flag in set(flags.split()) if _VECTOR.match(flag))
+
+
+def _cpuinfo() -> dict[str, str]:
+    """The kernel's facts of the first core; none where it gives none."""
+    lines = _CPUINFO.read_text(encoding="utf-8").splitlines() if _CPUINFO.exists() else []
+    facts = (line.partition(":") for line in reversed(lines))
+    return {name.strip(): value.strip() for name, _, value in facts}
 
 
 def _gpus() -> list[str]:
+    """As the driver names them, else as torch does: in some containers the driver's files are not there."""
     texts = [path.read_text() for path in _GPUS.glob("*/information")] if _GPUS.exists() else []
-    named = sorted(line.partition(":")[2].strip() for text in texts for line in text.splitlines() if "Model:" in line)
-    return named or _gpus_of_torch()
-
-
-def _gpus_of_torch() -> list[str]:
-    """As torch names them: in some containers the driver's files are not there."""
-    if package("torch") is None:
-        return []
+    models = sorted(line.partition(":")[2].strip() for text in texts for line in text.splitlines() if "Model:" in line)
+    if models or package("torch") is None:
+        return models
     import torch
 
     return sorted(torch.cuda.get_device_name(k) for k in range(torch.cuda.device_count()))

@@ -49,7 +49,19 @@ def opened(spec: str, jobs: int) -> AbstractContextManager[Workers]:
     Processes start when work comes; those of an interrupted run end at once. Raises ConfigError for another spec,
     MissingError without the extra, NpredError where no scheduler answers.
     """
-    return closed(_executor(spec, jobs))
+    if spec == LOCAL:
+        count = min(jobs, os.cpu_count() or 1)
+        return closed(Processes(count) if count > 1 else Here())
+    engine, _, address = spec.partition(":")
+    if engine != "dask" or not address:
+        raise ConfigError(f"--executor: expected local or dask:ADDRESS, got {spec!r}; as dask:tcp://localhost:8786")
+    client = required("--executor", "distributed", "distributed", "dask").Client
+    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # what fails is said once, in a line
+    try:
+        return closed(Cluster(client(address, timeout=ANSWER, set_as_default=False)))
+    except (OSError, ValueError) as error:
+        expected = f"--executor: expected a Dask scheduler at {address}"
+        raise NpredError(f"{expected}, got: {first_line(error)}; start one there with dask scheduler") from None
 
 
 @contextmanager
@@ -254,23 +266,3 @@ def _pass_on(done: Future[Result], outcome: Future[Result]) -> None:
     elif type(error).__name__ == "KilledWorker":
         error = NpredError(f"--executor: expected workers that live, got: {error}; give them more memory")
     _settle(outcome, error, done)
-
-
-def _executor(spec: str, jobs: int) -> Workers:
-    if spec == LOCAL:
-        count = min(jobs, os.cpu_count() or 1)
-        return Processes(count) if count > 1 else Here()
-    engine, _, address = spec.partition(":")
-    if engine != "dask" or not address:
-        raise ConfigError(f"--executor: expected local or dask:ADDRESS, got {spec!r}; as dask:tcp://localhost:8786")
-    return _cluster(address)
-
-
-def _cluster(address: str) -> Cluster:
-    client = required("--executor", "distributed", "distributed", "dask").Client
-    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # what fails is said once, in a line
-    try:
-        return Cluster(client(address, timeout=ANSWER, set_as_default=False))
-    except (OSError, ValueError) as error:
-        expected = f"--executor: expected a Dask scheduler at {address}"
-        raise NpredError(f"{expected}, got: {first_line(error)}; start one there with dask scheduler") from None

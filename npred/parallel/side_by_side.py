@@ -5,12 +5,13 @@ So the networks of a sweep train in one CUDA graph, and each keeps its lock, its
 
 import threading
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
+from npred.parallel.executors import BEAT, ended
 from npred.terminal import interruption
 
-BEAT = 0.2  # s between two looks for a signal
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 _here = threading.local()
@@ -22,8 +23,7 @@ class Meeting:
     def __init__(self, count: int) -> None:
         self._expected, self._changed = count, threading.Condition()
         self._items: list[Any] = []
-        self._results: list[Any] | None = None
-        self._failure: BaseException | None = None
+        self._results: Future[Sequence[Any]] = Future()
 
     @contextmanager
     def member(self) -> Iterator[None]:
@@ -46,28 +46,16 @@ class Meeting:
             number = len(self._items)
             self._items.append(item)
             self._changed.notify_all()
-            self._wait(lambda: len(self._items) >= self._expected)
+            while len(self._items) < self._expected:
+                interruption.check()
+                self._changed.wait(BEAT)
         if number == 0:
             try:
-                self._end(list(work(self._items)), None)
+                self._results.set_result(work(self._items))
             except BaseException as error:
-                self._end(None, error)
-        with self._changed:
-            self._wait(lambda: self._results is not None or self._failure is not None)
-        if self._failure:
-            raise self._failure
-        assert self._results is not None
-        return self._results[number]
-
-    def _wait(self, ready: Callable[[], bool]) -> None:
-        while not ready():
-            interruption.check()
-            self._changed.wait(BEAT)
-
-    def _end(self, results: list[Any] | None, failure: BaseException | None) -> None:
-        with self._changed:
-            self._results, self._failure = results, failure
-            self._changed.notify_all()
+                self._results.set_exception(error)
+        ended([self._results])
+        return self._results.result()[number]
 
 
 def leave() -> None:

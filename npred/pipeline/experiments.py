@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from importlib.util import find_spec, resolve_name
+from itertools import accumulate
 from pathlib import Path
 from typing import Any, Self
 
@@ -51,7 +52,6 @@ class ExperimentPlanner(Resolver):
         return STAGE
 
     def located(self) -> Self:
-        """The same for a process elsewhere."""
         return replace(self, store=Store(self.store.root.absolute()))
 
     def nodes(self, trained: bool = True) -> list[Node]:
@@ -69,7 +69,6 @@ class ExperimentPlanner(Resolver):
             raise ConfigError(f"{STAGE}: expected {', '.join(registered)}, got {self.experiment!r}{near}")
 
     def version(self, node: Node) -> int:
-        """One for all experiments."""
         return VERSION
 
     def settings(self, node: Node) -> dict[str, Any]:
@@ -122,8 +121,9 @@ def imported_code(module: str) -> dict[str, Source]:
         if path:
             sources[name] = registry.read(name, path)
             package = name if path.name == "__init__.py" else name.rpartition(".")[0]
-            imports = _imports(sources[name].text, package)
-            todo += [above for each in (name, *imports) if each.split(".")[0] == top for above in _with_parents(each)]
+            imports = [each for each in (name, *_imports(sources[name].text, package)) if each.split(".")[0] == top]
+            # to import a.b.c runs a and a.b too
+            todo += [above for each in imports for above in accumulate(each.split("."), "{}.{}".format)]
     return dict(sorted(sources.items()))
 
 
@@ -153,9 +153,3 @@ def _imports(text: str, package: str) -> list[str]:
         source = resolve_name("." * node.level + (node.module or ""), package)
         imported += [source, *(f"{source}.{alias.name}" for alias in node.names)]
     return imported
-
-
-def _with_parents(module: str) -> list[str]:
-    """a, a.b and a.b.c of a.b.c: to import the last runs the others."""
-    parts = module.split(".")
-    return [".".join(parts[: count + 1]) for count in range(len(parts))]

@@ -179,19 +179,15 @@ class Planner(Resolver):
 
     @property
     def name(self) -> str:
-        """The pipeline's."""
         return self.config.name
 
     def located(self) -> Self:
-        """The same for a process elsewhere."""
         return replace(self, config=self.config.located(), store=Store(self.store.root.absolute()))
 
     def check(self, nodes: Iterable[Node]) -> None:
-        """Raise ConfigError where these nodes ask for what the plant does not have."""
         stage_registry.check(self.config, {node.stage for node in nodes})
 
     def version(self, node: Node) -> int:
-        """As npred.registry has it."""
         return STAGES[node.stage].version
 
     def settings(self, node: Node) -> dict[str, Any]:

@@ -44,15 +44,17 @@ def distance(before: Mapping[str, Any], after: Mapping[str, str]) -> int:
     return len({key for key, _ in leaves(before).items() ^ after.items()})
 
 
-def leaves(table: Mapping[str, Any], key: str = "") -> dict[str, str]:
+def leaves(table: Mapping[str, Any]) -> dict[str, str]:
     """The leaves of nested tables under dotted keys, as `repr`: 1 and 1.0 are equal, and not the same in a key."""
-    values = {}
+    return {key: repr(value) for key, value in _walk(table)}
+
+
+def _walk(table: Mapping[str, Any], key: str = "") -> Iterator[tuple[str, Any]]:
     for name, value in table.items():
         if isinstance(value, Mapping):
-            values |= leaves(value, f"{key}{name}.")
+            yield from _walk(value, f"{key}{name}.")
         else:
-            values[f"{key}{name}"] = repr(value)
-    return values
+            yield f"{key}{name}", value
 
 
 def _table(asked: Question) -> dict[str, Any]:
@@ -101,24 +103,14 @@ def changes(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[str]:
 
 
 def _shown(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[tuple[str, str, str]]:
-    return [(escaped(key), _word(old), _word(new)) for key, old, new in pairs(before, after)]
+    """Each leaf in which they differ: its dotted key, and both values in words."""
+    old, new = dict(_walk(before)), dict(_walk(after))
+    rows = [(key, old.get(key, MISSING), new.get(key, MISSING)) for key in old | new]
+    return [(escaped(key), _word(a), _word(b)) for key, a, b in rows if repr(a) != repr(b)]
 
 
 def _word(value: Any) -> str:
     return UNSET if value is MISSING else escaped(json.dumps(value, ensure_ascii=False))
-
-
-def pairs(before: Any, after: Any, key: str = "") -> list[tuple[str, Any, Any]]:
-    """Each leaf of nested tables in which they differ: its dotted key, and both values, MISSING where there is none."""
-    if repr(before) == repr(after):  # 1 and 1.0 are equal, and not the same in a key
-        return []
-    tables = [value for value in (before, after) if isinstance(value, Mapping)]
-    old, new = (MISSING if isinstance(value, Mapping) else value for value in (before, after))
-    changed = [] if old is MISSING and new is MISSING else [(key, old, new)]
-    for name in dict.fromkeys(name for table in tables for name in table):
-        old, new = (v.get(name, MISSING) if isinstance(v, Mapping) else MISSING for v in (before, after))
-        changed += pairs(old, new, f"{key}.{name}" if key else name)
-    return changed
 
 
 def flat(table: Mapping[str, Any]) -> dict[str, str]:
