@@ -17,7 +17,9 @@ from hypothesis import HealthCheck, settings
 from typer.testing import CliRunner, Result
 
 from npred.cli import app
-from npred.pipeline import STAGES
+from npred.config import Pipeline
+from npred.pipeline import STAGES, Node, Planner
+from npred.store import Store
 
 Call = Callable[..., Result]
 if "NPRED_TEST_GPU" not in os.environ:
@@ -179,3 +181,8 @@ def reported(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, 
     folder.mkdir(exist_ok=True)
     with FileLock(folder / "lock"):
         return reported.run(folder)
+
+
+def settings_of(node: Node, config: Pipeline, device: str = "cpu") -> dict[str, Any]:
+    """What the key of a node holds besides its inputs."""
+    return Planner(config, Store(Path()), device).settings(node)

@@ -11,14 +11,14 @@ from typing import Any
 
 import pytest
 import torch
-from conftest import HERE, process_environment
+from conftest import HERE, process_environment, settings_of
 from safetensors.torch import save_file
 from store_samples import put, question
 
 from npred import config, operators, plants, registry
 from npred.config import FNO, DeepONet
 from npred.errors import ConfigError, StoreError
-from npred.pipeline import load_model, nodes, stage_registry
+from npred.pipeline import load_model, nodes
 from npred.store import Store, archive
 
 ROOT = HERE.parent
@@ -148,7 +148,7 @@ def test_a_pipe_in_the_place_of_a_file_is_not_waited_for(tmp_path: Path, line: s
     pipeline = config.load(tmp_path / "p.toml")
     node = nodes(pipeline, ["generate"])[0]
     with pytest.raises(ConfigError, match=r"expected a.* file"):
-        stage_registry.question(node, pipeline, "cpu")
+        settings_of(node, pipeline)
 
 
 @pytest.mark.parametrize("name", ["*/ int owned; /*", "a b", "", "class", "a\nb"])

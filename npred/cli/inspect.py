@@ -70,9 +70,13 @@ def ls(options: Common, shown: list[str]) -> None:
     digest = ["digest"] if options.console.width is None else []  # a screen has no room for it
     header = ["artifact", "model", "pipeline", "made", "size", *digest, *shown]
     rows = [
-        [*_row(a)[: 5 + len(digest)], *(s[key] or "-" for key in shown)]
+        [
+            a.name, a.manifest.question.model or "-", a.manifest.pipeline,
+            time.strftime("%Y-%m-%d %H:%M", time.localtime(a.made)), f"{a.size / 1e6:.1f} MB",
+            *(short(a.manifest.digest) for _ in digest), *(s[key] or "-" for key in shown),
+        ]
         for a, s in zip(artifacts, settings, strict=True)
-    ]
+    ]  # fmt: skip
     entries = [_entry(a) | {"settings": s} for a, s in zip(artifacts, settings, strict=True)]
     options.show_table({"artifacts": entries}, header, rows)
 
@@ -153,13 +157,6 @@ def _entry(artifact: Artifact) -> dict[str, object]:
         "pipeline": manifest.pipeline, "digest": manifest.digest, "bytes": artifact.size,
         "folder": str(artifact.folder), "made": time_made,
     }  # fmt: skip
-
-
-def _row(artifact: Artifact) -> list[str]:
-    manifest = artifact.manifest
-    time_made = time.strftime("%Y-%m-%d %H:%M", time.localtime(artifact.made))
-    size = f"{artifact.size / 1e6:.1f} MB"
-    return [artifact.name, manifest.question.model or "-", manifest.pipeline, time_made, size, short(manifest.digest)]
 
 
 def _setting(artifact: Artifact, key: str, by_key: dict[str, Artifact]) -> str | None:

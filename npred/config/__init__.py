@@ -8,29 +8,7 @@ from npred.config.section import FROZEN, PAPER, Anchor, Range, Section
 from npred.config.train import FNO, DeepONet, Network, Train, Training
 
 __all__ = [
-    "Bench",
-    "Evaluate",
-    "GuardTable",
-    "Scenario",
-    "load",
-    "parse",
-    "put",
-    "table",
-    "Generate",
-    "FROZEN",
-    "PAPER",
-    "Disturbance",
-    "Loop",
-    "Sensors",
-    "within",
-    "leaves",
-    "Pipeline",
-    "Anchor",
-    "Range",
-    "Section",
-    "FNO",
-    "DeepONet",
-    "Network",
-    "Train",
-    "Training",
-]
+    "FNO", "FROZEN", "PAPER", "Anchor", "Bench", "DeepONet", "Disturbance", "Evaluate", "Generate", "GuardTable",
+    "Loop", "Network", "Pipeline", "Range", "Scenario", "Section", "Sensors", "Train", "Training", "leaves", "load",
+    "parse", "put", "table", "within",
+]  # fmt: skip

@@ -15,13 +15,11 @@ from typing import Any, Self
 from npred import registry
 from npred.errors import ConfigError, MissingError, similar
 from npred.parallel.executors import Workers
-from npred.pipeline.plan import Resolver
-from npred.pipeline.stage_registry import Node
+from npred.pipeline.plan import Node, Resolver
 from npred.registry import Source
 from npred.results import Reproduced
 from npred.stages.reproduce import NUMERICAL, TIMES, Place, load
-from npred.store import SourceText, Store
-from npred.store.manifest import LONGEST
+from npred.store import Store
 from npred.terminal.console import Console
 
 STAGE = "reproduce"
@@ -77,13 +75,8 @@ class ExperimentPlanner(Resolver):
         part = {} if node.model == self.experiment else {"part": self._part(node)}
         return {"experiment": registry.EXPERIMENTS.identity(self.experiment), "code": code} | part
 
-    def sources(self, node: Node) -> dict[str, SourceText]:
-        """The files of its code."""
-        return {
-            f"code.{name}": SourceText(file=source.file, text=source.text)
-            for name, source in self._code.items()
-            if len(source.text) <= LONGEST
-        }
+    def code(self, node: Node) -> dict[str, Source | None]:
+        return {f"code.{name}": source for name, source in self._code.items()}
 
     def run(
         self, node: Node, folder: Path, inputs: dict[str, Path], scratch: Path, console: Console, jobs: int,

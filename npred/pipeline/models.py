@@ -6,8 +6,7 @@ from typing import NamedTuple
 from npred import config, defaults, plants
 from npred.config import Training
 from npred.errors import ConfigError
-from npred.pipeline.plan import Planner
-from npred.pipeline.stage_registry import nodes
+from npred.pipeline.stage_registry import Planner, nodes
 from npred.plants import Plant
 from npred.results import Contender
 from npred.store import Artifact, Store
@@ -35,11 +34,23 @@ def load_model(spec: str, root: Path | None = None) -> Stored:
         asked = Contender.parse(spec)
     except ValueError as error:
         raise ConfigError(f"{spec}: {error}") from None
-    path, colon, model = asked.model.rpartition(":")
-    if colon or _of_default(model):
-        pipeline = defaults.pipeline(path)
-        return _stored(*_of_pipeline(pipeline, config.load(pipeline), asked, store), asked.epoch, spec)
-    return _stored(store.find(model), None, None, asked.epoch, spec)
+    path, colon, name = asked.model.rpartition(":")
+    if colon or _of_default(name):
+        file = defaults.pipeline(path)
+        pipeline = config.load(file)
+        if name not in (names := pipeline.train.names):
+            raise ConfigError(f"{file}:{name}: expected {', '.join(names)} after the colon; name one of them")
+        expected, todo = f"{file}:{name}: expected a trained model", f"npred train {file} --model {name}"
+        artifact = _last(pipeline, store, "train", name, expected, todo)
+        plant, table = plants.resolve(pipeline.plant, pipeline.parameters), pipeline.train.table(name)
+    else:
+        artifact, plant, table = store.find(name), None, None
+    manifest, epoch = artifact.verify().manifest, asked.epoch
+    if (model := manifest.question.model) is None:
+        raise ConfigError(f"{spec}: expected a trained model, got {artifact.name}; see npred ls")
+    if epoch is not None and f"snapshot-{epoch}.safetensors" not in manifest.files:
+        raise ConfigError(f"{spec}: expected a snapshot of epoch {epoch}, got none; add it to train.{model}.snapshots")
+    return Stored(artifact.folder, model, epoch, plant or _named(artifact, spec), table)
 
 
 def _of_default(name: str) -> bool:
@@ -73,28 +84,6 @@ def _last(pipeline: config.Pipeline, store: Store, stage: str, model: str | None
     if step.artifact is None:
         raise ConfigError(f"{expected} in {store.root}, got none ({step.reason}); run {todo}")
     return step.artifact
-
-
-def _of_pipeline(
-    path: Path, pipeline: config.Pipeline, asked: Contender, store: Store
-) -> tuple[Artifact, Plant, Training]:  # fmt: skip
-    names, model = pipeline.train.names, asked.model.rpartition(":")[2]
-    if model not in names:
-        raise ConfigError(f"{path}:{model}: expected {', '.join(names)} after the colon; name one of them")
-    expected, todo = f"{path}:{model}: expected a trained model", f"npred train {path} --model {model}"
-    artifact = _last(pipeline, store, "train", model, expected, todo)
-    return artifact, plants.resolve(pipeline.plant, pipeline.parameters), pipeline.train.table(model)
-
-
-def _stored(
-    artifact: Artifact, plant: Plant | None, table: Training | None, epoch: int | None, spec: str
-) -> Stored:  # fmt: skip
-    model = artifact.verify().manifest.question.model
-    if model is None:
-        raise ConfigError(f"{spec}: expected a trained model, got {artifact.name}; see npred ls")
-    if epoch is not None and f"snapshot-{epoch}.safetensors" not in artifact.manifest.files:
-        raise ConfigError(f"{spec}: expected a snapshot of epoch {epoch}, got none; add it to train.{model}.snapshots")
-    return Stored(artifact.folder, model, epoch, plant or _named(artifact, spec), table)
 
 
 def _named(artifact: Artifact, spec: str) -> Plant:

@@ -1,26 +1,41 @@
-"""The plan of a pipeline: which results the store has and what would run, by the keys of the nodes."""
+"""The plan of a graph: which results the store has and what would run, by the keys of the nodes."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
-from npred.config import Pipeline
-from npred.errors import ConfigError, first_line
+from npred.json_files import escaped
 from npred.parallel.executors import Workers
-from npred.pipeline import stage_registry
 from npred.pipeline.reasons import NEVER, alike, differences, distance, leaves, reason, sentence, settings
-from npred.pipeline.stage_registry import STAGES, Node
+from npred.registry import Source
 from npred.results import Result
 from npred.store import Artifact, Question, ResultInput, SourceText, Store
+from npred.store.manifest import LONGEST
 from npred.terminal.console import Console
 
-if TYPE_CHECKING:
-    from npred.plants import Plant
-
 UP_TO_DATE = "up to date"
+
+
+@dataclass(frozen=True)
+class Node:
+    """A stage, and the network where the stage has one artifact per network, by which its inputs call it."""
+
+    stage: str
+    model: str | None
+    inputs: tuple[str, ...]
+
+    @property
+    def name(self) -> str:
+        """The name of the result as an input of others: `generate`, `deeponet`, …"""
+        return self.model or self.stage
+
+    @property
+    def title(self) -> str:
+        """For people: `train deeponet`."""
+        return f"{self.stage} {self.model}" if self.model else self.stage
 
 
 @dataclass(frozen=True)
@@ -85,8 +100,8 @@ class Resolver(ABC):
         """All that the node's key holds besides its inputs."""
 
     @abstractmethod
-    def sources(self, node: Node) -> dict[str, SourceText]:
-        """The files of code that a node's result depends on, as they are now."""
+    def code(self, node: Node) -> Mapping[str, Source | None]:
+        """The files of code that a node's result depends on, as they are now, by role."""
 
     @abstractmethod
     def run(
@@ -122,6 +137,14 @@ class Resolver(ABC):
             return Step(node, question, borrowed, f"of another machine: {why}; npred {node.stage} runs it here")
         why = UP_TO_DATE if artifact else reason(question, self.name, self._artifacts, self.sources(node))
         return Step(node, question, artifact, why)
+
+    def sources(self, node: Node) -> dict[str, SourceText]:
+        """The texts of a node's `code`; long ones not."""
+        return {
+            role: SourceText(file=escaped(source.file), text=source.text)
+            for role, source in self.code(node).items()
+            if source and len(source.text) <= LONGEST
+        }
 
     def misses(self, step: Step) -> bool:
         """True if the store cannot have a result for a step, whatever comes of inputs that still have to be made."""
@@ -165,62 +188,6 @@ class Resolver(ABC):
     @cached_property
     def _artifacts(self) -> list[Artifact]:
         return self.store.artifacts()
-
-
-@dataclass(frozen=True)
-class Planner(Resolver):
-    """Resolves the nodes of one pipeline."""
-
-    config: Pipeline
-    store: Store
-    device: str
-    forced: frozenset[str] = frozenset()
-    borrows: bool = False
-
-    @property
-    def name(self) -> str:
-        return self.config.name
-
-    def located(self) -> Self:
-        return replace(self, config=self.config.located(), store=Store(self.store.root.absolute()))
-
-    def check(self, nodes: Iterable[Node]) -> None:
-        stage_registry.check(self.config, {node.stage for node in nodes})
-
-    def version(self, node: Node) -> int:
-        return STAGES[node.stage].version
-
-    def settings(self, node: Node) -> dict[str, Any]:
-        """The slice of the configuration that the node's key holds, with the plant and the seed."""
-        return stage_registry.question(node, self.config, self.device)
-
-    def sources(self, node: Node) -> dict[str, SourceText]:
-        """The plant's file, and those of parts that the node's stage names."""
-        return stage_registry.sources(node, self.config)
-
-    def run(
-        self, node: Node, folder: Path, inputs: dict[str, Path], scratch: Path, console: Console, jobs: int,
-        executor: Workers,
-    ) -> Result:  # fmt: skip
-        """The result of a stage. Raises what the stage raises, ConfigError where memory does not hold it."""
-        from npred.stages.job import Job
-
-        job = Job(self.config, self.plant, folder, inputs, scratch, self.device, jobs, console, node.model, executor)
-        try:
-            return STAGES[node.stage].run(job)
-        except (MemoryError, RuntimeError) as error:  # torch has a RuntimeError
-            if not isinstance(error, MemoryError) and "t allocate memory" not in str(error):
-                raise
-            todo = f"take fewer nodes, rows or weights in [{node.stage}]"
-            message = " ".join(first_line(error).split())
-            raise ConfigError(f"{node.title}: expected what fits into memory, got: {message}; {todo}") from error
-
-    @cached_property
-    def plant(self) -> "Plant":
-        """The plant of the pipeline, one object for all its stages: they share what it has compiled."""
-        from npred import plants
-
-        return plants.resolve(self.config.plant, self.config.parameters)
 
 
 def anywhere(asked: Question) -> str | None:

@@ -1,13 +1,11 @@
 """The reason that a stage would run, in words: what differs from the closest result that the store has.
 
-A file of code differs in its author's lines: remarks, docstrings and blank lines are no difference.
+A file of code differs in lines, a statement on each: remarks, docstrings and layout are no difference.
 """
 
 import ast
-import io
 import json
 import re
-import tokenize
 from collections.abc import Iterable, Iterator, Mapping
 from difflib import SequenceMatcher
 from typing import Any
@@ -147,14 +145,32 @@ def code_change(function: str, owner: str, before: SourceText | None, after: Sou
 def _hunks(before: str, after: str, function: str, owner: str) -> list[str] | None:
     """The changes of the function's lines, or where it has none those of the file; None for what is no Python."""
     try:
-        old, new = _Code(before), _Code(after)
-    except (SyntaxError, ValueError, RecursionError, MemoryError, tokenize.TokenError):
+        old, new = _tree(before), _tree(after)
+        return _compared(_function(old, owner, function), _function(new, owner, function)) or _compared(old, new)
+    except (SyntaxError, ValueError, RecursionError, MemoryError):
         return None
-    return _compared(old.function(owner, function), new.function(owner, function)) or _compared(old.lines, new.lines)
 
 
-def _compared(before: Mapping[int, str], after: Mapping[int, str]) -> list[str]:
-    old, new = list(before.values()), list(after.values())
+def _tree(text: str) -> ast.Module:
+    """The code without its docstrings. Raises what the parser raises."""
+    if text.count("\n") >= LINES:
+        raise ValueError("a long file")
+    tree = ast.parse(text)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(node, clean=False):
+            node.body = node.body[1:]
+    return tree
+
+
+def _function(tree: ast.Module, owner: str, name: str) -> ast.AST:
+    """The function in the class of that name, else any function of that name; none is an empty text."""
+    classes = [node for node in ast.walk(tree) if isinstance(node, ast.ClassDef) and node.name == owner]
+    functions = (node for scope in [*classes, tree] for node in ast.walk(scope) if isinstance(node, ast.FunctionDef))
+    return next((node for node in functions if node.name == name), ast.Module([], []))
+
+
+def _compared(before: ast.AST, after: ast.AST) -> list[str]:
+    old, new = ([line.strip() for line in ast.unparse(tree).splitlines() if line.strip()] for tree in (before, after))
     edits = SequenceMatcher(None, old, new, autojunk=False).get_opcodes()
     return [_hunk(old[a:b], new[c:d]) for kind, a, b, c, d in edits if kind != "equal"]
 
@@ -168,38 +184,3 @@ def _hunk(old: list[str], new: list[str]) -> str:
 def _few(lines: list[str]) -> str:
     more = len(lines) - SHOWN_LINES
     return " | ".join(lines[:SHOWN_LINES]) + (f" | and {more} more lines" if more > 0 else "")
-
-
-class _Code:
-    """The lines of a Python text that do something, by number. Raises what the parser raises."""
-
-    def __init__(self, text: str) -> None:
-        lines = text.replace("\r\n", "\n").split("\n")
-        if len(lines) > LINES:
-            raise ValueError("a long file")
-        self.tree = ast.parse(text)
-        for token in tokenize.generate_tokens(io.StringIO(text).readline):
-            if token.type == tokenize.COMMENT:
-                row, column = token.start
-                lines[row - 1] = lines[row - 1][:column]
-        for first, last in _docstrings(self.tree):
-            lines[first - 1 : last] = [""] * (last - first + 1)
-        self.lines = {number: " ".join(line.split()) for number, line in enumerate(lines, 1) if line.strip()}
-
-    def function(self, owner: str, name: str) -> dict[int, str]:
-        """The lines of the function in the class of that name, else of any function of that name."""
-        classes = [node for node in ast.walk(self.tree) if isinstance(node, ast.ClassDef) and node.name == owner]
-        for scope in [*classes, self.tree]:
-            for node in ast.walk(scope):
-                if isinstance(node, ast.FunctionDef) and node.name == name:
-                    last = node.end_lineno or node.lineno
-                    return {n: line for n, line in self.lines.items() if node.lineno <= n <= last}
-        return {}
-
-
-def _docstrings(tree: ast.AST) -> Iterator[tuple[int, int]]:
-    """First and last line of each."""
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(node, clean=False):
-            text = node.body[0]
-            yield text.lineno, text.end_lineno or text.lineno

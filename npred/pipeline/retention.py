@@ -17,8 +17,7 @@ from typing import Any, NamedTuple
 
 from npred import json_files
 from npred.errors import StoreError
-from npred.pipeline.plan import Resolver, anywhere
-from npred.pipeline.stage_registry import Node
+from npred.pipeline.plan import Node, Resolver, anywhere
 from npred.store import Artifact, Store
 
 FOLDER = ".pipelines"

@@ -12,8 +12,8 @@ from npred.parallel import executors, torchrun
 from npred.parallel.executors import Here, Threads, Workers
 from npred.parallel.side_by_side import Meeting
 from npred.pipeline import stage_registry
-from npred.pipeline.plan import UP_TO_DATE, Planner, Resolver, Step
-from npred.pipeline.stage_registry import STAGES, Node
+from npred.pipeline.plan import UP_TO_DATE, Node, Resolver, Step
+from npred.pipeline.stage_registry import STAGES, Planner
 from npred.pipeline.task import Outcome, Task, elsewhere, packages
 from npred.store import Artifact, Question, claims
 from npred.store.claims import Claim

@@ -1,35 +1,26 @@
 """The stages as the graph of a pipeline: its nodes, and the question that each one asks."""
 
-from collections.abc import Collection, Iterable, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
 
 from npred import registry
 from npred.config import Pipeline
-from npred.json_files import escaped
+from npred.errors import ConfigError, first_line
+from npred.parallel.executors import Workers
+from npred.pipeline.plan import Node, Resolver
+from npred.registry import Source
+from npred.results import Result
 from npred.stages.declaration import Stage
-from npred.store.manifest import LONGEST, SourceText
+from npred.store import Store
+from npred.terminal.console import Console
+
+if TYPE_CHECKING:
+    from npred.plants import Plant
 
 STAGES: dict[str, Stage] = {name: registry.declared_stage(name) for name in registry.STAGES}
-
-
-@dataclass(frozen=True)
-class Node:
-    """A stage, and the network where the stage has one artifact per network, by which its inputs call it."""
-
-    stage: str
-    model: str | None
-    inputs: tuple[str, ...]
-
-    @property
-    def name(self) -> str:
-        """The name of the result as an input of others: `generate`, `deeponet`, …"""
-        return self.model or self.stage
-
-    @property
-    def title(self) -> str:
-        """For people: `train deeponet`."""
-        return f"{self.stage} {self.model}" if self.model else self.stage
 
 
 def nodes(config: Pipeline, targets: Iterable[str], only: str | None = None) -> list[Node]:
@@ -50,34 +41,68 @@ def usual(config: Pipeline) -> list[str]:
     return [name for name, entry in STAGES.items() if not entry.optional or getattr(config, name) is not None]
 
 
-def question(node: Node, config: Pipeline, device: str) -> dict[str, Any]:
-    """The slice of the configuration that the node's key holds, with the plant and the seed."""
-    from npred import plants  # brings NumPy, which `npred --help` has no use for
+@dataclass(frozen=True)
+class Planner(Resolver):
+    """Resolves the nodes of one pipeline."""
 
-    shared = {"plant": plants.resolve(config.plant, config.parameters).identity, "seed": config.seed}
-    return shared | STAGES[node.stage].configuration(config, node.model, device)
+    config: Pipeline
+    store: Store
+    device: str
+    forced: frozenset[str] = frozenset()
+    borrows: bool = False
 
+    @property
+    def name(self) -> str:
+        return self.config.name
 
-def sources(node: Node, config: Pipeline) -> dict[str, SourceText]:
-    """The files of code behind a node's question: the plant's, those of parts that it names; long ones not."""
-    from npred import plants
+    @cached_property
+    def plant(self) -> "Plant":
+        """The plant of the pipeline, one object for all its stages: they share what it has compiled."""
+        from npred import plants  # brings NumPy, which `npred --help` has no use for
 
-    files_by_role = {"plant": plants.resolve(config.plant, config.parameters).source}
-    for role, spec in STAGES[node.stage].parts(config, node.model).items():
-        if registry.in_file(spec):
-            files_by_role[role] = registry.read(role, registry.split(spec)[0])
-    return {
-        role: SourceText(file=escaped(source.file), text=source.text)
-        for role, source in files_by_role.items()
-        if source and len(source.text) <= LONGEST
-    }
+        return plants.resolve(self.config.plant, self.config.parameters)
 
+    def located(self) -> Self:
+        return replace(self, config=self.config.located(), store=Store(self.store.root.absolute()))
 
-def check(config: Pipeline, stages: Collection[str]) -> None:
-    """Raise ConfigError where the stages ask for what the pipeline's plant does not have."""
-    from npred import diagnosis, plants
+    def check(self, nodes: Iterable[Node]) -> None:
+        """Raise ConfigError where these nodes ask for what the plant does not have."""
+        from npred import diagnosis
 
-    diagnosis.require(plants.resolve(config.plant, config.parameters), config, stages)
+        diagnosis.require(self.plant, self.config, {node.stage for node in nodes})
+
+    def version(self, node: Node) -> int:
+        return STAGES[node.stage].version
+
+    def settings(self, node: Node) -> dict[str, Any]:
+        """The slice of the configuration that the node's key holds, with the plant and the seed."""
+        shared = {"plant": self.plant.identity, "seed": self.config.seed}
+        return shared | STAGES[node.stage].configuration(self.config, node.model, self.device)
+
+    def code(self, node: Node) -> dict[str, Source | None]:
+        """The plant's file, and those of parts that the node's stage names."""
+        files_by_role = {"plant": self.plant.source}
+        for role, spec in STAGES[node.stage].parts(self.config, node.model).items():
+            if registry.in_file(spec):
+                files_by_role[role] = registry.read(role, registry.split(spec)[0])
+        return files_by_role
+
+    def run(
+        self, node: Node, folder: Path, inputs: dict[str, Path], scratch: Path, console: Console, jobs: int,
+        executor: Workers,
+    ) -> Result:  # fmt: skip
+        """The result of a stage. Raises what the stage raises, ConfigError where memory does not hold it."""
+        from npred.stages.job import Job
+
+        job = Job(self.config, self.plant, folder, inputs, scratch, self.device, jobs, console, node.model, executor)
+        try:
+            return STAGES[node.stage].run(job)
+        except (MemoryError, RuntimeError) as error:  # torch has a RuntimeError
+            if not isinstance(error, MemoryError) and "t allocate memory" not in str(error):
+                raise
+            todo = f"take fewer nodes, rows or weights in [{node.stage}]"
+            message = " ".join(first_line(error).split())
+            raise ConfigError(f"{node.title}: expected what fits into memory, got: {message}; {todo}") from error
 
 
 def _nodes(config: Pipeline, stage: str, networks: Sequence[str]) -> list[Node]:

@@ -12,8 +12,7 @@ from npred.errors import ConfigError, NpredError
 from npred.kernels import compiler
 from npred.parallel import devices, side_by_side
 from npred.parallel.executors import Here, Workers
-from npred.pipeline.plan import Resolver, Step
-from npred.pipeline.stage_registry import Node
+from npred.pipeline.plan import Node, Resolver, Step
 from npred.store import Artifact, durable, short
 from npred.terminal.console import Console
 

@@ -5,13 +5,5 @@ from npred.store.artifacts import MARKER, Artifact, Store
 from npred.store.manifest import Manifest, Question, ResultInput, SourceText, short
 
 __all__ = [
-    "MARKER",
-    "Artifact",
-    "Manifest",
-    "Question",
-    "ResultInput",
-    "SourceText",
-    "Store",
-    "claims",
-    "short",
-]
+    "MARKER", "Artifact", "Manifest", "Question", "ResultInput", "SourceText", "Store", "claims", "short",
+]  # fmt: skip

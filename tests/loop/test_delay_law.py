@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import settings_of
 from input_histories import at_nodes
 from jobs import job, tables
 
@@ -13,7 +14,7 @@ from npred.data.dataset import Dataset
 from npred.errors import ConfigError
 from npred.loop import delay_law
 from npred.loop.adaptation import DelayAdaptation
-from npred.pipeline import stage_registry
+from npred.pipeline import Node
 from npred.predictors import RK4
 from npred.stages.generate import generate
 
@@ -170,9 +171,7 @@ def loop(**changes) -> config.Loop:
 
 def question(stage: str, adaptation: str | None) -> dict:
     changed = {} if adaptation is None else {stage: {"adaptation": adaptation}}
-    return stage_registry.question(
-        stage_registry.Node(stage, None, ()), config.parse(tables(**changed), "tests"), "cpu"
-    )
+    return settings_of(Node(stage, None, ()), config.parse(tables(**changed), "tests"))
 
 
 def test_laws_by_name_and_from_a_file(law):

@@ -48,7 +48,7 @@ def changed(old: str = "", new: str = "", function: str = "kappa") -> str:
         ("        error = x.h - goal()\n", "", "dropped: error = x.h - goal()"),
         ("return 1.0", "return 1.5", "return 1.0 -> return 1.5"),
         ("[u.q - x.h]", "[u.q]", "return [u.q - x.h] -> return [u.q]"),
-        ("class Other:\n    def kappa", "class Other:\n    def f(x): pass\n    def kappa", "new: def f(x): pass"),
+        ("class Other:\n    def kappa", "class Other:\n    def f(x): pass\n    def kappa", "new: def f(x): | pass"),
         ("Of water.", "Of oil.", None),
     ],
 )

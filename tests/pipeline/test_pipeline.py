@@ -7,11 +7,11 @@ from typing import Any
 
 import fake_stages
 import pytest
+from conftest import settings_of
 
 from npred import config
 from npred.errors import ConfigError, StoreError
 from npred.pipeline import STAGES, Outcome, Planner, Runner, load_model, nodes, usual
-from npred.pipeline.stage_registry import question
 from npred.store import Store
 from npred.terminal.console import Console
 
@@ -206,13 +206,13 @@ def test_a_stage_that_fails_leaves_its_checkpoint_and_nothing_else(run: Run, fak
 
 def test_where_it_runs_enters_the_key_of_bench_only(pipeline: Path):
     made = planner(pipeline).config
-    same = {n.name: question(n, made, "cpu") == question(n, made, "cuda") for n in nodes(made, usual(made))}
+    same = {n.name: settings_of(n, made) == settings_of(n, made, "cuda") for n in nodes(made, usual(made))}
     assert same == {"generate": True, "deeponet": True, "fno": True, "evaluate": True, "bench": False, "report": True}
 
 
 def test_every_key_of_the_pipeline_file_enters_the_questions_that_it_should(pipeline: Path):
     made = planner(pipeline).config
-    asked = {node.name: question(node, made, "cpu") for node in nodes(made, usual(made))}
+    asked = {node.name: settings_of(node, made) for node in nodes(made, usual(made))}
     for section, names in {"generate": ["generate"], "evaluate": ["evaluate"], "bench": ["bench"]}.items():
         table = type(getattr(made, section))
         # these enter where they are given
@@ -244,7 +244,7 @@ def test_ranges_of_the_pipeline_enter_where_data_were_given_and_the_plant_has_no
     def asked(name: str, *more: str) -> dict[str, Any]:
         gains = ("generate.gamma=1", "evaluate.gamma=1")  # none is derived for a plant without a box
         made = planner(pipeline, f"plant={tmp_path}/mover.py:Mover", *gains, *more).config
-        return next(question(node, made, "cpu") for node in nodes(made, usual(made)) if node.name == name)
+        return next(settings_of(node, made) for node in nodes(made, usual(made)) if node.name == name)
 
     given = f"generate.data={tmp_path}/d.h5"
     for name in ("evaluate", "bench"):
@@ -265,7 +265,7 @@ def test_where_files_lie_enters_no_key(pipeline: Path, monkeypatch: pytest.Monke
     here, there = config.load(Path(pipeline.name)), config.load(pipeline)
     assert here != there
     for node in nodes(here, usual(here)):
-        assert question(node, here, "cpu") == question(node, there, "cpu")
+        assert settings_of(node, here) == settings_of(node, there)
 
 
 def test_the_order_of_the_networks_does_not_matter(pipeline: Path):
@@ -345,7 +345,7 @@ def test_corrupt_weights_are_not_loaded(trained: dict[str, Path], pipeline: Path
 
 def test_labels_and_units_enter_the_keys_of_what_draws_them_and_no_other():
     cart = config.parse({"plant": "cart_pole", "generate": {"D": 0.2}, "evaluate": {"D": 0.2}}, "test")
-    named = {node.title for node in nodes(cart, usual(cart)) if "notation" in question(node, cart, "cpu")}
+    named = {node.title for node in nodes(cart, usual(cart)) if "notation" in settings_of(node, cart)}
     assert named == {"evaluate", "report"}
     plain = config.parse({"plant": "scalar"}, "test")
-    assert not any("notation" in question(node, plain, "cpu") for node in nodes(plain, usual(plain)))
+    assert not any("notation" in settings_of(node, plain) for node in nodes(plain, usual(plain)))

@@ -1,8 +1,12 @@
 """What enters the question of a stage: keys of a loop past the paper's, and laws of files by what they hold."""
 
+from pathlib import Path
+
+from conftest import settings_of
+
 from npred import config
-from npred.pipeline import nodes, usual
-from npred.pipeline.stage_registry import question, sources
+from npred.pipeline import Planner, nodes, usual
+from npred.store import Store
 
 LAW = """
 from npred import DelayLaw
@@ -16,7 +20,7 @@ class Own(DelayLaw):
 def evaluate_question(**tables):
     made = config.parse({"plant": "scalar"} | tables, "tests")
     node = next(node for node in nodes(made, usual(made)) if node.name == "evaluate")
-    return question(node, made, "cpu")["evaluate"], sources(node, made)
+    return settings_of(node, made)["evaluate"], Planner(made, Store(Path()), "cpu").sources(node)
 
 
 def test_keys_of_a_real_loop_enter_the_question_where_they_are_not_the_default():

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import settings_of
 from jobs import job
 from reactor import Reactor
 from scipy.integrate import solve_ivp
@@ -12,7 +13,7 @@ from npred import config, diagnosis, plants
 from npred.data.dataset import Dataset
 from npred.errors import ConfigError, DivergedError
 from npred.loop.closed_loop import simulate
-from npred.pipeline.stage_registry import nodes, question
+from npred.pipeline import nodes
 from npred.plants import Plant, inputs
 from npred.predictors import RK4
 from npred.stages.generate import generate
@@ -110,7 +111,7 @@ def test_a_reactor_runs_from_its_own_file_and_zero_kelvin_does_not(tmp_path):
 
 def asked(u0, plant="scalar", **more):
     loops = pipeline(plant=plant, **({} if u0 is None else {"u0": u0}), **more)
-    return [question(node, loops, "cpu") for node in nodes(loops, ["generate", "evaluate", "report"])]
+    return [settings_of(node, loops) for node in nodes(loops, ["generate", "evaluate", "report"])]
 
 
 def test_zero_by_default_leaves_the_keys_alone_and_another_input_does_not():

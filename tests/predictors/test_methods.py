@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import settings_of
 from jobs import job, tables
 from typer.testing import CliRunner
 
@@ -14,11 +15,12 @@ from npred.cli import app
 from npred.data.dataset import Dataset
 from npred.errors import ConfigError
 from npred.loop.closed_loop import simulate
-from npred.pipeline import stage_registry
+from npred.pipeline import Node, Planner
 from npred.predictors import OneStep
 from npred.registry import METHODS
 from npred.stages.bench import candidates
 from npred.stages.generate import generate
+from npred.store import Store
 
 PLANT = plants.resolve("scalar")
 RALSTON = """
@@ -43,8 +45,8 @@ def ralston(tmp_path: Path) -> str:
 
 
 def question(stage: str, **changed: dict) -> dict:
-    node = stage_registry.Node(stage, None, ())
-    return stage_registry.question(node, config.parse(tables(**changed), "tests"), "cpu")
+    node = Node(stage, None, ())
+    return settings_of(node, config.parse(tables(**changed), "tests"))
 
 
 @pytest.mark.parametrize(("name", "count"), [("euler", 1), ("heun", 2), ("rk4", 4)])
@@ -103,7 +105,7 @@ def test_a_method_of_a_file_enters_keys_by_what_it_holds(ralston):
     assert question("evaluate", **elsewhere) == mine
     moved.write_text(RALSTON.replace("h / 4", "h / 5") + "# another\n")
     assert question("evaluate", **elsewhere) != mine
-    sources = stage_registry.sources(stage_registry.Node("bench", None, ()), config.parse(tables(**elsewhere), "tests"))
+    sources = Planner(config.parse(tables(**elsewhere), "tests"), Store(Path()), "cpu").sources(Node("bench", None, ()))
     assert sources["generate.predictor"].text.endswith("# another\n")
 
 
@@ -152,7 +154,7 @@ def test_a_file_that_is_no_method_is_refused_in_one_line_before_a_run(ralston, o
     Path(ralston.partition(":")[0]).write_text(RALSTON.replace(old, new))
     pipeline = config.parse(tables(generate={"predictor": ralston}), "tests")
     with pytest.raises(ConfigError, match=message) as caught:
-        stage_registry.check(pipeline, ["generate"])
+        Planner(pipeline, Store(Path()), "cpu").check([Node("generate", None, ())])
     assert "\n" not in str(caught.value)
 
 

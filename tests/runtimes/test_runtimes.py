@@ -8,15 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from conftest import settings_of
 from jobs import tables
 from operator_samples import EVERY, PLANT, SMALL, operator, samples
 
 import npred
 from npred import config, runtimes
 from npred.errors import ConfigError
-from npred.pipeline import stage_registry
+from npred.pipeline import Node, Planner
 from npred.predictors.neural import Neural
 from npred.runtimes.fused import Fused
+from npred.store import Store
 
 LOOP = {"D": 1.0, "D_hat": [0.8, 2.0], "X0": [0.03, 30.0], "t_end": 0.5, "dt": 0.01}
 MINE = """
@@ -49,14 +51,14 @@ def test_a_runtime_of_a_file_or_of_a_package_evaluates_a_network(mine, package):
 def test_a_runtime_of_a_file_enters_the_key_by_what_it_holds(mine):
     def asked(*names: str) -> list:
         pipeline = config.parse(tables(bench={"runtimes": list(names)}), "tests")
-        return stage_registry.question(stage_registry.Node("bench", None, ()), pipeline, "cpu")["bench"]["runtimes"]
+        return settings_of(Node("bench", None, ()), pipeline)["bench"]["runtimes"]
 
     before = asked("torch", mine)
     assert before[0] == "torch" and before[1]["name"] == "Mine" and str(Path(mine).parent) not in str(before)
     Path(mine.partition(":")[0]).write_text(MINE + "another = 1\n")
     assert asked("torch", mine) != before
     pipeline = config.parse(tables(bench={"runtimes": [mine]}), "tests")
-    sources = stage_registry.sources(stage_registry.Node("bench", None, ()), pipeline)
+    sources = Planner(pipeline, Store(Path()), "cpu").sources(Node("bench", None, ()))
     assert sources["bench.Mine"].text == MINE + "another = 1\n"
 
 

@@ -4,12 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from conftest import settings_of
 from jobs import job, tables
 
 from npred import config, plants
 from npred.data.dataset import Dataset
 from npred.errors import DivergedError
-from npred.pipeline.stage_registry import Node, question
+from npred.pipeline import Node
 from npred.predictors import RK4, Euler
 from npred.stages.evaluate import accuracy, held_out_kinds
 from npred.stages.generate import generate, rollouts, sampling
@@ -88,9 +89,9 @@ def test_the_share_of_explorers_is_part_of_the_evaluations_key_where_data_are_th
     assert (sampling.held_out(0, few.generate) == sampling.held_out(0, many.generate)).all()
     assert len(sampling.explorers(few.generate, 99)) < len(sampling.explorers(many.generate, 99))
     node = Node("evaluate", None, ())
-    assert question(node, few, "cpu") != question(node, many, "cpu")
+    assert settings_of(node, few) != settings_of(node, many)
     plain = config.parse(tables(generate={"test_share": 0.2}), "tests")
-    assert "generate" not in question(node, plain, "cpu")
+    assert "generate" not in settings_of(node, plain)
 
 
 def test_data_that_neither_explore_nor_redraw_have_one_kind(made):
