@@ -11,22 +11,16 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from npred import errors as errors
     from npred import plants as plants
-    from npred.api import controller as controller
-    from npred.api import guarded as guarded
-    from npred.api import load as load
-    from npred.api import plant as plant
-    from npred.api import predictor as predictor
-    from npred.loop.adaptation import DelayAdaptation as DelayAdaptation
-    from npred.loop.closed_loop import simulate as simulate
-    from npred.loop.delay_law import DelayLaw as DelayLaw
-    from npred.loop.delay_observer import DelayObserver as DelayObserver
-    from npred.loop.iosystem import as_iosystem as as_iosystem
-    from npred.loop.l1_adaptation import L1Adaptation as L1Adaptation
-    from npred.loop.measurement import Measurement as Measurement
-    from npred.predictors import Predictor as Predictor
-    from npred.runs import evaluate as evaluate
-    from npred.runs import generate as generate
-    from npred.runs import train as train
+    from npred.api import controller, guarded, load, plant, predictor
+    from npred.loop.adaptation import DelayAdaptation
+    from npred.loop.closed_loop import simulate
+    from npred.loop.delay_law import DelayLaw
+    from npred.loop.delay_observer import DelayObserver
+    from npred.loop.iosystem import as_iosystem
+    from npred.loop.l1_adaptation import L1Adaptation
+    from npred.loop.measurement import Measurement
+    from npred.predictors import Predictor
+    from npred.runs import evaluate, generate, train
 
 __version__ = "0.1.0"
 __all__ = [

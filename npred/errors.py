@@ -1,9 +1,15 @@
 """Every failure a user can meet, each with its exit code; messages say what was expected, what came, what to do."""
 
-from collections.abc import Iterable
+import errno
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from importlib import import_module
 from importlib.util import find_spec
+from pathlib import Path
 from types import ModuleType
+
+_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+_WORDS = ("No space left on device", "Disk quota exceeded", "File too large")  # of libraries that drop the number
 
 
 class NpredError(Exception):
@@ -81,6 +87,29 @@ def required(what: str, module: str, package: str, extra: str) -> ModuleType:
 def lacking(what: str, package: str, extra: str) -> MissingError:
     """The failure of `what`, which needs a package that is not installed."""
     return MissingError(f"{what}: expected the package {package}, found none; pip install 'npred[{extra}]'")
+
+
+@contextmanager
+def room_on_disk(root: Path) -> Iterator[None]:
+    """Raise NpredError, one line, where the disk below `root` is full, whichever library met it."""
+    try:
+        yield
+    except Exception as error:
+        if disk_is_full(error):
+            todo = "free some, npred gc says what is not needed, and run again: what is finished is kept"
+            raise NpredError(f"{root}: expected room to write, got a full disk; {todo}") from error
+        raise
+
+
+def disk_is_full(error: BaseException | None) -> bool:
+    """Whether an error, or what it came from, is a full disk or a quota used up; not where it was raised `from None`,
+    for then it says of which disk it is.
+    """
+    if error is None:
+        return False
+    numbered = isinstance(error, OSError) and error.errno in _FULL
+    before = error.__cause__ or (None if error.__suppress_context__ else error.__context__)
+    return numbered or any(word in str(error) for word in _WORDS) or disk_is_full(before)
 
 
 def bytes_text(count: float) -> str:

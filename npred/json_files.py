@@ -46,6 +46,14 @@ def sync(path: Path) -> None:
         os.close(descriptor)
 
 
+def make_folder(folder: Path) -> None:
+    """A folder and those above it; a new name is made durable in the folder that holds it."""
+    if not folder.is_dir():
+        make_folder(folder.parent)
+        folder.mkdir(exist_ok=True)
+        sync(folder.parent)
+
+
 def regular(path: Path) -> Path:
     """The path, if it leads to a file. Raises OSError for a pipe or a device, which might be read without an end."""
     if path.exists() and not path.is_file():

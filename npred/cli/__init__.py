@@ -12,15 +12,7 @@ from npred.terminal import interruption, streams
 from npred.terminal.console import Console
 
 if TYPE_CHECKING:
-    from npred.cli import data_exchange as data_exchange
-    from npred.cli import execute as execute
-    from npred.cli import export as export
-    from npred.cli import gc as gc
-    from npred.cli import inspect as inspect
-    from npred.cli import reproduce as reproduce
-    from npred.cli import scaffold as scaffold
-    from npred.cli import store_admin as store_admin
-    from npred.cli import sweep as sweep
+    from npred.cli import data_exchange, execute, export, gc, inspect, reproduce, scaffold, store_admin, sweep  # noqa: F401
 
 __all__ = ["app", "commands", "main"]
 

@@ -12,10 +12,9 @@ from npred.cli.options import Common, writable
 from npred.data import exchange, shards
 from npred.data.dataset import MEANING, Dataset, attributes
 from npred.delays import family_of
-from npred.errors import ConfigError, required
+from npred.errors import ConfigError, required, room_on_disk
 from npred.json_files import plain
 from npred.pipeline import load_data
-from npred.store import durable
 
 RELATIVE = 0.05  # residual over what P moves: Euler's method leaves a third of it at dx = 0.01
 START = 1e-3  # of P(0) from X, in units of the state: files in single precision round a state of 1000 by less
@@ -54,7 +53,7 @@ def bring(
         splits["rollouts"] = Split.of(data, data.test)
     for line in _doubts(checks, together, nx):
         options.console.warn(line)
-    with durable.room(output):
+    with room_on_disk(output):
         data.write(writable(output), attributes(plant, "imported"))
     measured = {name: split._asdict() for name, split in splits.items()}
     document = {
@@ -70,7 +69,7 @@ def export(options: Common, form: str, spec: str, output: Path | None) -> None:
     artifact = load_data(spec, options.store)
     data = Dataset.read(artifact.folder / "data.h5")
     path = writable(output or Path(f"data.{'h5' if form == 'hdf5' else form}"))
-    with durable.room(path), TemporaryDirectory(dir=path.parent, prefix=".npred-") as aside:
+    with room_on_disk(path), TemporaryDirectory(dir=path.parent, prefix=".npred-") as aside:
         written = WRITERS[form](artifact.folder / "data.h5", data, Path(aside, path.name))
         files = [file.replace(path.parent / file.name) for file in written]
     document = {"files": [str(file) for file in files], "format": form, "samples": len(data), "key": artifact.name}

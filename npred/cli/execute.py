@@ -4,13 +4,13 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing
 from pathlib import Path
 
-from npred.cli.options import Running, Work, writable_folder
+from npred.cli.options import Work, writable_folder
 from npred.cli.report import free_path, publish, sign, write_figures
-from npred.errors import ConfigError
+from npred.errors import ConfigError, room_on_disk
 from npred.parallel import devices, executors
 from npred.pipeline import STAGES, Outcome, Planner, Runner, Step, nodes, remember, usual
 from npred.results import Benched, Evaluated, Reported
-from npred.store import durable, short
+from npred.store import short
 from npred.terminal.console import columns
 from npred.terminal.run_log import Events
 
@@ -46,7 +46,7 @@ def report(options: Work, output: Path | None, medium: str | None) -> None:
     folders = {done.node.name: done.artifact.folder for done in bring(options, ["evaluate", "bench"], borrows=True)}
     plant = plants.resolve(options.config.plant, options.config.parameters)
     story = Story.read(options.config, plant, folders)
-    with durable.room(folder):
+    with room_on_disk(folder):
         files = write_figures(story, folder, MEDIA[medium])
         if output is None:
             sign(options, folder)
@@ -65,7 +65,7 @@ def bring(options: Work, targets: list[str], model: str | None = None, borrows: 
         planner = _planner(options, targets, borrows)  # on the screen already: to look for a GPU imports torch
         console.head(f"{options.config.name} on {planner.device}")
         remember(options.results, options.pipeline)  # also where the run is interrupted
-        keep_log(options)
+        console.keep_log(options.store, options.pipeline.stem)
         outcomes = Runner(console, jobs, executor).run(planner, needed)
         for done in outcomes:
             if console.events and done.node.stage == "train" and done.action == "hit":
@@ -74,11 +74,6 @@ def bring(options: Work, targets: list[str], model: str | None = None, borrows: 
         keys = {done.node.name: done.artifact.manifest.key for done in outcomes}
         remember(options.results, options.pipeline, keys)
     return outcomes
-
-
-def keep_log(options: Running) -> None:
-    """A log of this run in the store's folder."""
-    options.console.keep_log(options.store, options.pipeline.stem)
 
 
 def _work(

@@ -10,12 +10,12 @@ from typing import NamedTuple
 
 from npred import config, defaults
 from npred.cli.options import Common
-from npred.errors import ConfigError, NpredError, StoreError
+from npred.errors import ConfigError, NpredError, StoreError, disk_is_full
 from npred.parallel import devices
 from npred.pipeline import STAGES, Kept, Planner, closure, experiments, nodes
 from npred.pipeline.cells import cells
 from npred.pipeline.retention import GcRoot, remembered
-from npred.store import MARKER, Artifact, Store, claims, durable, short
+from npred.store import MARKER, Artifact, Store, claims, short
 from npred.terminal.console import columns
 
 UNITS = {"": 1, "k": 10**3, "M": 10**6, "G": 10**9, "T": 10**12}
@@ -63,7 +63,7 @@ def _delete(store: Store, plan: list[Waste]) -> list[Path]:
         try:
             deleted += [waste.path] if _deleted(store, waste) else []
         except NpredError as error:
-            if not durable.is_full(error):
+            if not disk_is_full(error):
                 raise
             blocked.append(waste)
     return deleted + [waste.path for waste in blocked if _deleted(store, waste)]

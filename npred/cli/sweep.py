@@ -4,15 +4,14 @@ import csv
 import io
 from pathlib import Path
 
-from npred.cli import execute
+from npred.cli import sweep_table
 from npred.cli.options import Running, writable_folder
 from npred.cli.report import free_path, sign
-from npred.errors import ConfigError, NpredError
+from npred.cli.sweep_table import Row
+from npred.errors import ConfigError, NpredError, room_on_disk
 from npred.parallel import devices, executors
-from npred.pipeline import STAGES, CellRun, Outcome, Planner, Runner, nodes, remember, sweep_table
+from npred.pipeline import STAGES, CellRun, Outcome, Planner, Runner, nodes, remember
 from npred.pipeline.cells import Cell, cells
-from npred.pipeline.sweep_table import Row
-from npred.store import durable
 from npred.terminal.console import columns
 from npred.terminal.waiting import counted
 
@@ -38,7 +37,7 @@ def sweep(options: Running, to: str, output: Path | None, csv: bool) -> None:
         return
     jobs = options.jobs or devices.cores()
     remember(options.results, options.pipeline)
-    execute.keep_log(options)
+    options.console.keep_log(options.store, options.pipeline.stem)
     with executors.opened(options.executor, jobs) as executor:
         planners = [Planner(cell.config, options.results, device) for cell in sweep_cells]
         runs = Runner(options.console, jobs, executor).sweep(planners, targets)
@@ -77,7 +76,7 @@ def _numbered(rows: list[Row]) -> Table:
 def _write(options: Running, name: str, output: Path | None, rows: list[Row], table: Table) -> list[Path]:
     """table.csv, and front.svg and front.png where there are two quantities to draw."""
     folder = output or free_path(options, name, lambda name: Path(f"sweep-{name}"))
-    with durable.room(folder):
+    with room_on_disk(folder):
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "table.csv").write_text(_csv(table), encoding="utf-8")
         if output is None:

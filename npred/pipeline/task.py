@@ -8,12 +8,12 @@ from functools import cache
 from typing import Self
 
 from npred.defaults import RESULT
-from npred.errors import ConfigError, NpredError
+from npred.errors import ConfigError, NpredError, room_on_disk
 from npred.kernels import compiler
 from npred.parallel import devices, side_by_side
 from npred.parallel.executors import Here, Workers
 from npred.pipeline.plan import Node, Resolver, Step
-from npred.store import Artifact, durable, short
+from npred.store import Artifact, short
 from npred.terminal.console import Console
 
 PACKAGES = ("npred", "torch", "numpy")
@@ -108,7 +108,7 @@ class Task:
         planner, node, question = self.planner, self.step.node, self.step.question
         assert question is not None
         scratch = planner.store.scratch(node.stage, self.key)
-        with durable.room(planner.store.root), planner.store.draft(node.stage, self.key) as folder:
+        with room_on_disk(planner.store.root), planner.store.draft(node.stage, self.key) as folder:
             scratch.mkdir(parents=True, exist_ok=True)
             folders = {name: artifact.folder for name, artifact in self.inputs.items()}
             result = planner.run(node, folder, folders, scratch, console, jobs, executor)

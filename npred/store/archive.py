@@ -15,8 +15,7 @@ from pathlib import Path
 from typing import IO
 
 from npred import json_files
-from npred.errors import NpredError, StoreError
-from npred.store import durable
+from npred.errors import NpredError, StoreError, room_on_disk
 from npred.store.artifacts import Artifact, Store
 from npred.store.manifest import NAME, Manifest
 
@@ -31,7 +30,7 @@ def export(artifact: Artifact, path: Path) -> None:
     artifact.verify()
     partial = path.with_name(f"{path.name}.partial")
     try:
-        with durable.room(path), partial.open("wb") as tar:
+        with room_on_disk(path), partial.open("wb") as tar:
             for name, size in _members(artifact.manifest, (artifact.folder / NAME).stat().st_size):
                 tar.write(_header(artifact.manifest, name, size))
                 with (artifact.folder / name).open("rb") as file:
@@ -87,7 +86,7 @@ def _place(
 ) -> Artifact:
     _fits(store, manifest, path)
     kept = manifest.without(left_out) if left_out else manifest
-    with store.draft(manifest.question.stage, manifest.key) as folder, durable.room(store.root):
+    with store.draft(manifest.question.stage, manifest.key) as folder, room_on_disk(store.root):
         (folder / NAME).write_bytes(kept.text().encode() if left_out else content)
         for name, size in list(_members(manifest, len(content)))[1:]:
             _expect(tar, _header(manifest, name, size), path, name)
@@ -128,7 +127,7 @@ def _clash(manifest: Manifest) -> bool:
 
 
 def _fits(store: Store, manifest: Manifest, path: Path) -> None:
-    durable.make(store.root)
+    json_files.make_folder(store.root)
     free = shutil.disk_usage(store.root).free
     if manifest.size > free:
         raise NpredError(f"{path}: expected {manifest.size} free bytes in {store.root}, got {free}; free some")

@@ -13,8 +13,8 @@ from typing import Any, Self
 
 from npred import json_files
 from npred.defaults import RESULT
-from npred.errors import ConfigError, StoreError
-from npred.store import claims, durable
+from npred.errors import ConfigError, StoreError, disk_is_full
+from npred.store import claims
 from npred.store.manifest import NAME, Manifest, Question, Sources, cure, short
 
 MARKER = ".npred-store"  # an empty file: without it nothing in a folder is npred's to delete
@@ -134,7 +134,7 @@ class Store:
         for path in [*draft.rglob("*"), draft]:
             json_files.sync(path)
         target = self.root / manifest.question.stage / manifest.key
-        durable.make(target.parent)
+        json_files.make_folder(target.parent)
         before = self._aside(target)  # what takes time, its removal, comes when the new one is there
         draft.rename(target)
         json_files.sync(target.parent)
@@ -218,7 +218,7 @@ class Store:
         try:
             path = self._aside(path)
         except OSError as error:
-            if not durable.is_full(error):
+            if not disk_is_full(error):
                 raise  # a full disk may have no room for another name: then it goes from where it is
         shutil.rmtree(path, ignore_errors=True)
 

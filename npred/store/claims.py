@@ -15,8 +15,7 @@ from uuid import uuid4
 from filelock import FileLock, Timeout
 
 from npred import json_files
-from npred.errors import NpredError, StoreError
-from npred.store import durable
+from npred.errors import NpredError, StoreError, disk_is_full, room_on_disk
 
 Claim = Callable[[str], None]
 ATTEMPTS = 100  # each is lost only if another process looks at the claims in the microseconds between two calls
@@ -57,7 +56,7 @@ def _sign(note: Path) -> None:
     try:
         note.write_text(json.dumps({"pid": os.getpid(), "host": platform.node()}), encoding="utf-8")
     except OSError as error:
-        if not durable.is_full(error):
+        if not disk_is_full(error):
             raise
 
 
@@ -65,7 +64,7 @@ def _acquire(path: Path, waiting: Callable[[str], None] | None) -> FileLock:
     # No lock file that merely exists: where flock is missing it would outlive a killed process and stop all others.
     lock = FileLock(path, fallback_to_soft=False)
     try:
-        with durable.room(path):
+        with room_on_disk(path):
             path.parent.mkdir(parents=True, exist_ok=True)
             lock.acquire(timeout=0)
     except Timeout:

@@ -48,13 +48,12 @@ def columns_of(text: str) -> int:
 
 def wrapped(text: str, limit: int | None) -> str:
     """The text with lines of more than `limit` columns broken between words; a path stays whole, to be copied."""
-    lines = text.split("\n")
-    if limit is None or all(columns_of(line) <= limit for line in lines):
-        return text
-    return "\n".join(_wrapped(line, limit) for line in lines)
+    return text if limit is None else "\n".join(_folded(line, limit) for line in text.split("\n"))
 
 
-def _wrapped(line: str, limit: int) -> str:
+def _folded(line: str, limit: int) -> str:
+    if columns_of(line) <= limit:
+        return line
     indent = line[: len(line) - len(line.lstrip())]
     return textwrap.fill(
         line, limit, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False, replace_whitespace=False

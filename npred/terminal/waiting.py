@@ -102,7 +102,7 @@ def said(what: str, seconds: float | None = None, often: str = "", total: int = 
         yield work
         return
     over = threading.Event()
-    watcher = threading.Thread(target=_watch, args=(work, over, _sink()), daemon=True)
+    watcher = threading.Thread(target=_watch, args=(work, over, _listeners[-1] if _listeners else _write), daemon=True)
     token = _said.set(True)
     watcher.start()
     try:
@@ -139,10 +139,6 @@ def duration(seconds: float) -> str:
         if seconds > 1.5 * size:
             return f"{round(seconds / size)} {unit}"
     return f"{max(round(seconds), 1)} s"
-
-
-def _sink() -> Callable[[str], None]:
-    return _listeners[-1] if _listeners else _write
 
 
 def _write(text: str) -> None:

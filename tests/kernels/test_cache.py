@@ -10,9 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from npred.errors import ConfigError, NpredError
+from npred.errors import ConfigError, NpredError, room_on_disk
 from npred.kernels import cache, compiler
-from npred.store import durable
 
 CONSTANT = 0.123456789
 PROGRAM = f"""
@@ -152,7 +151,7 @@ def test_a_full_disk_is_that_of_the_cache(tmp_path, monkeypatch):
     monkeypatch.setenv("NPRED_CACHE", str(tmp_path))
     monkeypatch.setattr(cache.tempfile, "TemporaryFile", fail)
     full = pytest.raises(NpredError, match="kernels: expected room for compiled code, got a full disk")
-    with full as caught, durable.room(tmp_path / "store"):
+    with full as caught, room_on_disk(tmp_path / "store"):
         cache.folder()
     assert "store" not in str(caught.value)
 
@@ -164,7 +163,7 @@ def test_a_disk_that_fills_while_the_compiler_writes_is_that_of_the_cache(tmp_pa
     monkeypatch.setattr(cache, "root", lambda: tmp_path)
     monkeypatch.setattr(compiler, "_compile", fail)
     full = pytest.raises(NpredError, match=f"{tmp_path}: expected room for compiled code")
-    with full as caught, durable.room(tmp_path / "store"):
+    with full as caught, room_on_disk(tmp_path / "store"):
         compiler.library("int none;")
     assert "store" not in str(caught.value) and not [*tmp_path.iterdir()]
 

@@ -63,15 +63,15 @@ def _bulky(job: Any) -> bool:
 
 
 def test_libraries_that_hide_a_full_disk_are_understood():
-    from npred.store.durable import is_full
+    from npred.errors import disk_is_full
 
-    assert is_full(OSError(28, "No space left on device"))
-    assert is_full(RuntimeError("write failed: errno = 28, error message = 'No space left on device'"))
+    assert disk_is_full(OSError(28, "No space left on device"))
+    assert disk_is_full(RuntimeError("write failed: errno = 28, error message = 'No space left on device'"))
     wrapped = ValueError("no")
     wrapped.__cause__ = OSError(122, "Disk quota exceeded")
-    assert is_full(wrapped)
-    assert not is_full(OSError(13, "Permission denied"))
-    assert not is_full(ValueError("28"))
+    assert disk_is_full(wrapped)
+    assert not disk_is_full(OSError(13, "Permission denied"))
+    assert not disk_is_full(ValueError("28"))
 
 
 def test_eight_processes_make_each_result_once(pipeline: Path):

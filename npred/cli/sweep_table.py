@@ -14,8 +14,8 @@ from npred import figures
 from npred.figures.figure import Panel, Plate
 from npred.figures.loops import keys
 from npred.figures.style import ROLES, log, look
+from npred.pipeline import CellRun
 from npred.pipeline.cells import Cell
-from npred.pipeline.runner import CellRun
 from npred.results import Benched, Contender, Evaluated, Trained, ranked
 from npred.results.evaluate import Scores
 

@@ -9,9 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from result_samples import BENCHED, SCORES, evaluated, timing
 
-from npred.pipeline import STAGES, Planner, Runner, sweep_table
+from npred.cli import sweep_table
+from npred.cli.sweep_table import Row, rows
+from npred.pipeline import STAGES, Planner, Runner
 from npred.pipeline.cells import cells
-from npred.pipeline.sweep_table import Row, rows
 from npred.store import Store
 from npred.terminal.console import Console
 
