@@ -39,12 +39,8 @@ _HOME = dict.fromkeys(__all__, "api") | {
     **dict.fromkeys(("evaluate", "generate", "train"), "runs"),
     "simulate": "loop.closed_loop",
 }
-_MODULES = {
-    "errors": "errors",
-    "plants": "plants",
-    "metrics": "loop.metrics",
-    "lyapunov": "loop.lyapunov",
-}  # as npred.errors
+# as npred.errors
+_MODULES = {"errors": "errors", "plants": "plants", "metrics": "loop.metrics", "lyapunov": "loop.lyapunov"}
 
 
 def __getattr__(name: str) -> Any:

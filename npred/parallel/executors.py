@@ -20,7 +20,7 @@ from functools import partial
 from itertools import islice
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
-from typing import TYPE_CHECKING, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from npred.errors import ConfigError, NpredError, first_line, required
 from npred.terminal import interruption
@@ -33,7 +33,6 @@ ANSWER = 10  # seconds that a scheduler may take to answer
 BEAT = 0.2  # s between two looks for a signal
 Item = TypeVar("Item")
 Result = TypeVar("Result")
-Parameters = ParamSpec("Parameters")
 
 
 class Workers(Executor):
@@ -111,9 +110,7 @@ class Here(Workers):
 
     count = 1
 
-    def submit(
-        self, fn: Callable[Parameters, Result], /, *args: Parameters.args, **kwargs: Parameters.kwargs
-    ) -> Future[Result]:
+    def submit(self, fn: Callable[..., Result], /, *args: Any, **kwargs: Any) -> Future[Result]:
         """The future of a call that is over."""
         future: Future[Result] = Future()
         try:
@@ -139,9 +136,7 @@ class Processes(Workers):
         self._changing, self._closed = threading.Lock(), False
         self._pool, self._leash = self._fresh()
 
-    def submit(
-        self, fn: Callable[Parameters, Result], /, *args: Parameters.args, **kwargs: Parameters.kwargs
-    ) -> Future[Result]:
+    def submit(self, fn: Callable[..., Result], /, *args: Any, **kwargs: Any) -> Future[Result]:
         """The future of a call in one of the processes."""
         outcome: Future[Result] = Future()
         self._start(partial(fn, *args, **kwargs), outcome, retries=1)
@@ -242,9 +237,7 @@ class Cluster(Workers):
         """The threads of all workers now: they come and go."""
         return max(sum(self._client.nthreads().values()), 1)  # type: ignore[union-attr]
 
-    def submit(
-        self, fn: Callable[Parameters, Result], /, *args: Parameters.args, **kwargs: Parameters.kwargs
-    ) -> Future[Result]:
+    def submit(self, fn: Callable[..., Result], /, *args: Any, **kwargs: Any) -> Future[Result]:
         """The future of a call on one of the workers."""
         outcome: Future[Result] = Future()
         inner = self._inner.submit(fn, *args, **kwargs)

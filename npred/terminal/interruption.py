@@ -15,13 +15,11 @@ import socket
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from itertools import chain
 from types import FrameType
 
 SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK") if hasattr(signal, name)]
 LINE = "interrupted; finished stages and checkpoints are kept: the same command goes on from there"
 SHOW_CURSOR = b"\x1b[?25h"  # the live view hides it
-STREAMS = range(3)  # the numbers of stdin, stdout and stderr
 GRACE = 3.0  # s that work which is asked to end may take, and that of multiprocessing at the very end
 _bells: list[socket.socket] = []  # what the interpreter writes the number of each signal to, at once, and its end
 _heard: list[int] = []
@@ -37,7 +35,8 @@ def listen() -> None:
     """
     if _bells:
         return
-    _bells.extend(_pair())
+    _open_streams()
+    _bells.extend(socket.socketpair())
     _bells[1].setblocking(False)
     signal.set_wakeup_fd(_bells[1].fileno(), warn_on_full_buffer=False)
     _thread.start_new_thread(_watch, ())
@@ -48,15 +47,13 @@ def listen() -> None:
     atexit.register(_ignore, heard)  # the first to be registered is the last to be called
 
 
-def _pair() -> tuple[socket.socket, socket.socket]:
-    """Two connected sockets, which every system waits for; none gets the number of a stream that is closed."""
-    pair, taken = socket.socketpair(), []
-    while any(end.fileno() in STREAMS for end in pair):
-        taken.append(pair)
-        pair = socket.socketpair()
-    for end in chain.from_iterable(taken):
-        end.close()
-    return pair
+def _open_streams() -> None:
+    """Give a standard stream that is closed a file: else what is opened next, as a result, would get its words."""
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free: this one
 
 
 def heard() -> bool:

@@ -147,15 +147,11 @@ def _progress(task: Task) -> RenderableType:
     if not _runs(task) or not task.total:
         return Text(doing, "dim", no_wrap=True, overflow="crop")
     line = Table.grid(Column(max_width=BAR), Column(no_wrap=True, overflow="crop"), padding=(0, GAP, 0, 0))
-    text = _count(task, int(task.total)) if task.completed > task.fields["before"] or not doing else doing
+    count = f"{task.completed:.0f}/{counted(int(task.total), task.fields['unit'])}"
+    done = f"{task.percentage:.0f}%" if task.total >= MANY else count
+    text = done if task.completed > task.fields["before"] or not doing else doing
     line.add_row(ProgressBar(task.total, min(task.completed, task.total)), Text(text))
     return line
-
-
-def _count(task: Task, total: int) -> str:
-    if total >= MANY:
-        return f"{task.percentage:.0f}%"
-    return f"{task.completed:.0f}/{counted(total, task.fields['unit'])}"
 
 
 def _clock(seconds: float | None) -> Text:

@@ -95,14 +95,7 @@ def silence(stream: TextIO) -> None:
 
 
 def prepare() -> None:
-    """Give a standard stream that is closed a file, or the next that is opened, a result's, would get its words; spell
-    out the characters that the encoding of a stream lacks, as \\u03b5.
-    """
-    for number in range(3):
-        try:
-            os.fstat(number)
-        except OSError:
-            os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free: this one
+    """Spell out the characters that the encoding of a stream lacks, as \\u03b5; a closed stderr takes all, unseen."""
     if sys.stderr is None:
         sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
     for stream in (sys.stdout, sys.stderr):
