@@ -53,12 +53,8 @@ def within(name: str, array: np.ndarray, bounds: tuple[float, float], unit: str 
     """Raise ConfigError for a delay estimate outside the bounds, both ends in, with the unit of its times."""
     low, high = bounds
     inside = (low <= array) & (array <= high) & np.isfinite(array)
-    _all(
-        inside,
-        array,
-        f"{name}: expected within the bounds [{low:g}, {high:g}] {unit}".rstrip(),
-        f"widen them or move {name}",
-    )
+    expected = f"{name}: expected within the bounds [{low:g}, {high:g}] {unit}".rstrip()
+    _all(inside, array, expected, f"widen them or move {name}")
 
 
 def _all(right: np.ndarray, array: np.ndarray, expected: str, cure: str) -> None:

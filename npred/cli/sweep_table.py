@@ -22,11 +22,7 @@ from npred.results.evaluate import Scores
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-AXES = {
-    "eps_sup": "sup error ε",
-    "latency_us": "µs per call",
-    "radius_worst": "worst radius",
-}
+AXES = {"eps_sup": "sup error ε", "latency_us": "µs per call", "radius_worst": "worst radius"}
 PAIRS = (("latency_us", "eps_sup"), ("eps_sup", "radius_worst"), ("latency_us", "radius_worst"))
 NAMED = 20  # points of the front that have their row of the table beside them
 SMALLEST = 1e-16  # where a radius of 0 is drawn on a logarithmic axis

@@ -162,11 +162,7 @@ class Resolver(ABC):
             for name, artifact in inputs.items()
         }
         return Question(
-            stage=node.stage,
-            version=self.version(node),
-            model=node.model,
-            config=self.settings(node),
-            inputs=sources,
+            stage=node.stage, version=self.version(node), model=node.model, config=self.settings(node), inputs=sources
         )
 
     def _waiting(self, node: Node, blocked: list[Step]) -> Step:
