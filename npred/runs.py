@@ -92,7 +92,8 @@ def resolved(source: Source, settings: Mapping[str, Any] = {}) -> Pipeline:
     """
     table = _table(source)
     for key, value in settings.items():
-        config.put(table, key, _plain(value), "settings: ")
+        plain = value.tolist() if isinstance(value, np.ndarray | np.generic) else value
+        config.put(table, key, plain, "settings: ")
     return config.parse(table, str(source) if isinstance(source, str | Path) else str(table["name"]))
 
 
@@ -219,8 +220,3 @@ def _file(source: Source) -> Path | None:
         return None
     path = defaults.pipeline(source)
     return path if path.is_file() or path.suffix == ".toml" else None
-
-
-def _plain(value: Any) -> Any:
-    """Numbers and arrays of NumPy as TOML has them."""
-    return value.tolist() if isinstance(value, np.ndarray | np.generic) else value

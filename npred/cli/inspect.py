@@ -52,7 +52,10 @@ def _asked(options: Planned, stage: str) -> list[Step]:
 
 def show(options: Common, reference: str | None) -> None:
     """A result, verified: manifest and answer."""
-    artifact = (options.results.find(reference) if reference else _latest(options)).verify()
+    artifacts = [options.results.find(reference)] if reference else options.results.artifacts()
+    if not artifacts:
+        raise ConfigError(f"show: expected a result in {options.store}, got an empty store; run npred run")
+    artifact = artifacts[-1].verify()
     result = artifact.result()
     document = {"folder": str(artifact.folder), "manifest": artifact.manifest.model_dump(), "result": result}
     options.show(document, lambda: _facts(artifact))
@@ -141,13 +144,6 @@ def check(options: Common, plant: str, delay: float | None, nodes: int | None) -
 def _step(step: Step) -> dict[str, object]:
     model = {"model": step.node.model} if step.node.model else {}
     return {"stage": step.node.stage, "key": step.key, "state": step.state, **model, "reason": step.reason}
-
-
-def _latest(options: Common) -> Artifact:
-    artifacts = options.results.artifacts()
-    if not artifacts:
-        raise ConfigError(f"show: expected a result in {options.store}, got an empty store; run npred run")
-    return artifacts[-1]
 
 
 def _entry(artifact: Artifact) -> dict[str, object]:

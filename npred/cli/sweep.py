@@ -55,7 +55,8 @@ def _show_plan(options: Running, sweep_cells: list[Cell], targets: list[str], de
 def _report(options: Running, done: Done, output: Path | None, csv: bool) -> None:
     fine, lost = [(c, run) for c, run in done if not run.failure], [(c, run) for c, run in done if run.failure]
     rows = [row for cell, run in fine for row in sweep_table.rows(cell, run)]
-    table = _numbered(rows)
+    fronts = sweep_table.front([row.numbers for row in rows])
+    table: Table = [{"row": k, **row.cells(), "front": fronts[k - 1]} for k, row in enumerate(rows, 1)]
     files = _write(options, done[0][0].config.name, output, rows, table) if rows else []
     if csv:
         options.console.out(_csv(table).rstrip("\n"))
@@ -65,12 +66,6 @@ def _report(options: Running, done: Done, output: Path | None, csv: bool) -> Non
         (cell, run), *more = lost
         others = f"; and {len(more)} more, as --json says" if more else ""
         raise NpredError(f"sweep: {len(lost)} of {len(done)} cells failed: {cell.name}: {run.failure}{others}")
-
-
-def _numbered(rows: list[Row]) -> Table:
-    """The rows by column, with their number, and whether they are on the front."""
-    marked = zip(rows, sweep_table.front([row.numbers for row in rows]), strict=True)
-    return [{"row": number, **row.cells(), "front": best} for number, (row, best) in enumerate(marked, 1)]
 
 
 def _write(options: Running, name: str, output: Path | None, rows: list[Row], table: Table) -> list[Path]:

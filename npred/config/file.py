@@ -105,7 +105,9 @@ def _sentence(error: ValidationError) -> str:
     if first["type"] == "extra_forbidden":
         path = first["loc"] + tuple(first.get("ctx", {}).values())
         where = ".".join(map(str, path))
-        return f"{where}: {_unknown(where, _siblings(path))}"
+        keys = _siblings(path)
+        unknown = f"unknown key; expected one of {', '.join(keys)}{_meant(where, keys)}"
+        return f"{where}: {GONE.get(where, unknown)}"
     if first["type"] == "fault":
         place = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in fields)
         return f"{place.removeprefix('.')}: {first['msg']}"
@@ -120,10 +122,6 @@ def _sentence(error: ValidationError) -> str:
         e["msg"].removeprefix("Input should be ") for e in error.errors() if e["loc"][: len(fields)] == tuple(fields)
     ]
     return f"{where}: expected {' or '.join(dict.fromkeys(expected))}, got {first['input']!r}; give such a value"
-
-
-def _unknown(key: str, siblings: list[str]) -> str:
-    return GONE.get(key) or f"unknown key; expected one of {', '.join(siblings)}{_meant(key, siblings)}"
 
 
 def _siblings(loc: tuple[int | str, ...]) -> list[str]:

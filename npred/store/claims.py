@@ -139,7 +139,8 @@ def in_use(root: Path) -> set[str]:
                 for left in (_keys(path), path.with_suffix(".holder"), path):
                     left.unlink(missing_ok=True)
         except Timeout:
-            keys |= _read(_keys(path))
+            with suppress(FileNotFoundError):
+                keys.update(_keys(path).read_text(encoding="ascii").split())
         except OSError:  # a store that cannot be written, or one that has just gone
             continue
     return keys
@@ -152,10 +153,3 @@ def _remove(path: Path) -> None:
 
 def _keys(path: Path) -> Path:
     return path.with_suffix(".keys")
-
-
-def _read(path: Path) -> set[str]:
-    try:
-        return set(path.read_text(encoding="ascii").split())
-    except FileNotFoundError:
-        return set()
