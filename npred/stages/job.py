@@ -1,5 +1,8 @@
 """The job of a stage."""
 
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -29,3 +32,14 @@ class Job:
     progress: Console
     model: str | None = None
     executor: Workers = field(default_factory=Here)
+
+    @contextmanager
+    def threads(self) -> Iterator[ThreadPoolExecutor]:
+        """A pool of `jobs` threads; what ends the block, Ctrl-C say, ends the loops that they run."""
+        with ThreadPoolExecutor(self.jobs) as pool:
+            try:
+                yield pool
+            except BaseException:
+                self.progress.stop()
+                pool.shutdown(wait=False, cancel_futures=True)
+                raise

@@ -25,7 +25,7 @@ from npred.predictors.neural import Neural
 from npred.results import Benched, Contender, Evaluated
 from npred.results.bench import Stops
 from npred.stages.bench import bench, timing_tables
-from npred.stages.evaluate import accuracy, convergence_map, coverage, evaluate
+from npred.stages.evaluate import accuracy, behaviour, coverage, evaluate
 from npred.stages.generate import generate
 from npred.stages.train import train
 
@@ -215,7 +215,7 @@ def test_map_and_coverage_of_known_loops():
     lost = rest.copy()
     lost[2] += 10.0
     table = config.parse(tables(evaluate={"map_D": [0.5, 1.0], "map_D_hat0": [0.6, 0.7]}), "tests").evaluate
-    found = convergence_map.delay_map(PLANT, table, still(t, far), still(t, lost))
+    found = behaviour.delay_map(PLANT, table, still(t, far), still(t, lost))
     assert found.converged == [[True, True], [True, False]]
     assert found.share == pytest.approx(2 / 3) and found.band == (0.5, 0.5)
     data = dataset(X=np.array([[0.0, 0.0], [1.0, 10.0]]), u=np.array([-1.0, 1.0]), D_hat=np.array([0.0, 2.0]))

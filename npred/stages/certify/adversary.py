@@ -1,13 +1,22 @@
-"""A search for the inputs at which a network errs most: a lower bound of the uniform epsilon of [DAPF, Theorem 2].
+"""Searches for the inputs at which a network errs most, and for the blind spots of its guard.
+
+The first is a lower bound of the uniform epsilon of [DAPF, Theorem 2].
 
 Every X of the box of initial states, every u within the range of the data's inputs and every D_hat within that of the
 data's estimates counts as an input; of a plant that declares its delay, every X with its D(X, t). Half of the searches
 start at rows of the data, half at random ones. Where the plant is traced with one constant delay and without a clock
 they climb the gradient of |kappa(P̂(1)) - kappa(P(1))| through the network and RK4 (Adam, on coordinates that a logistic
 function keeps in the set); elsewhere CMA-ES evolves them.
+
+Blind spots are inputs that a guard lets pass, with as large an error of U as there is. There CMA-ES climbs, from rows
+of the data, ln(error) - PENALTY (ln(estimate / threshold)⁺ + ln(beyond)⁺), with the guard's estimate, its threshold,
+and how far the input is from the data as a share of how far the network is trusted. The calls evolve waves, stairs,
+lines and single nodes of u, each with X in the box and with X in the range of the data. It needs no derivative, and so
+it works for every plant and every guard.
 """
 
 from collections.abc import Callable
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,8 +27,9 @@ from npred.errors import required
 from npred.loop import metrics
 from npred.plants import Plant
 from npred.predictors import RK4, Predictor
-from npred.stages.certify import evolution
-from npred.stages.certify.input_set import Inputs
+from npred.predictors.guarded import Guarded
+from npred.stages.certify import evolution, rollouts
+from npred.stages.certify.evolution import Inputs
 from npred.stages.certify.rollouts import Calls
 from npred.stages.certify.table import Certify
 from npred.symbolic import array_math
@@ -28,6 +38,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 RATE = 0.1  # of Adam, in logistic coordinates
+PENALTY = 3.0  # more than the 1 that an error beyond the threshold brings, for it brings an estimate as large
 
 
 def search(
@@ -95,3 +106,27 @@ def _rk4(plant: Plant, X: "Tensor", u: "Tensor", D_hat: "Tensor") -> "Tensor":
         if plant.state_bounds:
             X = array_math.stack(plant.stopped(X.unbind(-1), array_math.of(X)), like=X[..., 0])
     return X
+
+
+def blind_spots(
+    guard: Guarded, exact: Predictor, data: Dataset, inputs: Inputs, table: Certify, seed: int,
+    progress: Callable[[int], Any],
+) -> tuple[Calls, np.ndarray]:  # fmt: skip
+    """The inputs of every call, and the score of each, (B,)."""
+    rng = randomness.generator(seed, "certify", "blind spots")
+
+    def score(X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: np.ndarray) -> np.ndarray:
+        true, estimate, _ = rollouts.judged(guard, exact, X, u, D_hat, t)
+        ratios = estimate / guard.threshold, guard.beyond(X, u, D_hat, t)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.log(true) - PENALTY * sum(np.log(np.maximum(ratio, 1.0)) for ratio in ratios)
+
+    kinds, parts = list(product(evolution.SHAPES, (inputs, inputs.widened(data.X)))), []
+    for k, (shape, among) in enumerate(kinds):
+        count = (table.restarts + k) // len(kinds)
+        if count > 0:
+            a = among.starts(rng, data, count, 0, guard.nx)
+            parts.append(evolution.search(guard.plant, among, a, table.steps, score, rng, progress, shape))
+    calls, scores = zip(*parts, strict=True)
+    X, u, D_hat, t = (np.concatenate(column) for column in zip(*calls, strict=True))
+    return (X, u, D_hat, t), np.concatenate(scores)

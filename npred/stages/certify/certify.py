@@ -1,7 +1,6 @@
 """The certify stage: what is known of a network's error, by fresh rollouts, by an adversary, and in loops."""
 
 from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +21,8 @@ from npred.predictors import Predictor, numerical
 from npred.predictors.guarded import Guarded
 from npred.results import Certified, Contender
 from npred.results.certify import Certificate
-from npred.stages.certify import adversary, blind_spots, rollouts
-from npred.stages.certify.input_set import Inputs
+from npred.stages.certify import adversary, rollouts
+from npred.stages.certify.evolution import Inputs
 from npred.stages.certify.rollouts import Calls, Rollouts
 from npred.stages.certify.table import Certify
 from npred.stages.evaluate import networks
@@ -79,7 +78,7 @@ def run(job: Job) -> Certified:
 def _searches(job: Job, guards: Mapping[Contender, Guarded], exact: Predictor) -> tuple[dict[Contender, Any], ...]:
     """Of each network the adversary's calls, what a search for blind spots finds, and the loops, bare and guarded."""
     data = shards.survey(job.inputs["generate"] / "data.h5")
-    with ThreadPoolExecutor(job.jobs) as pool:
+    with job.threads() as pool:
         searches = {contender: pool.submit(_search, job, data, guard.model) for contender, guard in guards.items()}
         blind = {contender: pool.submit(_blind, job, data, guard, exact) for contender, guard in guards.items()}
         runs = {contender: pool.submit(_both, job, guard) for contender, guard in guards.items()}
@@ -115,7 +114,7 @@ def _blind(job: Job, data: Dataset, guard: Guarded, exact: Predictor) -> dict[st
     """What a search for blind spots finds that the guard lets pass."""
     table, inputs = job.config.optional("certify"), Inputs.of(data, box(job.plant, job.config.generate), job.plant)
     with job.progress.bar(f"blind spots of {guard.name}", table.restarts * table.steps, "calls") as bar:
-        calls, _ = blind_spots.search(guard, exact, data, inputs, table, job.config.seed, bar.advance)
+        calls, _ = adversary.blind_spots(guard, exact, data, inputs, table, job.config.seed, bar.advance)
     true, _, passed = rollouts.judged(guard, exact, *calls)
     return {
         "blind_calls": len(true), "blind": int((passed & (true > guard.tolerance)).sum()),

@@ -1,4 +1,8 @@
-"""Errors of a network on held-out rows of each kind, and on the numerical predictor's loops of the evaluation."""
+"""Errors of a network on held-out rows of each kind, and on the numerical predictor's loops of the evaluation.
+
+The data hold out nominal rollouts only. Those of the other kinds are made for the evaluation, in addition, from other
+child seeds: the rows that are trained on stay as they are.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -8,19 +12,24 @@ import h5py
 import numpy as np
 
 from npred import array_checks, randomness
-from npred.config import Evaluate
+from npred.config import Evaluate, Generate
+from npred.data import shards
 from npred.data.dataset import Dataset
 from npred.loop import metrics
 from npred.loop.closed_loop import Trajectories
 from npred.plants import Plant
-from npred.predictors import Predictor
+from npred.predictors import Predictor, numerical
 from npred.results import Contender
 from npred.results.evaluate import Errors, KindErrors
+from npred.stages.generate import rollouts, sampling
+from npred.stages.job import Job
+from npred.terminal.console import Console
 
 ROWS = 1024  # rows per call
 FRESH = 40  # samples of each fresh loop, at random times …
 START = 40.0  # … of its first seconds: the start-up is in them, and not too much of the rest
 QUANTILES = (0.5, 0.95, 1.0)
+NOMINAL, EXPLORING, REDRAWN, IMPORTED = "nominal", "exploring", "redrawn", "imported"
 EXACT = Errors(mse=0.0, eps_sup=0.0, eps_kappa=0.0, rel_l2=0.0)  # the numerical predictor is the reference
 
 
@@ -59,6 +68,49 @@ class Labelled:
     def take(self, kept: np.ndarray) -> "Labelled":
         """The rows of these numbers."""
         return Labelled(**{f.name: getattr(self, f.name)[kept] for f in fields(self)})
+
+
+def held_out(job: Job, data: Dataset) -> dict[str, Labelled]:
+    """Rows of each kind that the networks were trained on; the first are the data's, and the headline's.
+
+    nominal: rollouts with the delays of `D` and `D_hat0`, and the D_hat of the loop. exploring: rollouts with the
+    delays of `explore_D` and `explore_D_hat0`. redrawn: the rows of both with a D_hat drawn from `explore_D_hat0`, and
+    moved by `spread`. Of imported data, `imported`, nobody knows what they are. Rows that are not finite are left out,
+    with a note.
+    """
+    config, nominal = job.config.generate, Labelled.held_out(data)
+    if config.data:
+        return {IMPORTED: nominal}
+    kinds, explored = {NOMINAL: nominal}, sampling.explorers(config, _most(job.plant, config))
+    if explored:
+        columns = rollouts.rows(job.config, job.plant, explored, finite=False)
+        kinds[EXPLORING] = _finite(
+            job.progress, EXPLORING, Labelled(**{name: columns[name] for name in ("X", "u", "D_hat", "P", "t")})
+        )
+    if config.redraw:
+        kinds[REDRAWN] = _finite(job.progress, REDRAWN, _redrawn(job, Labelled.joined(list(kinds.values()))))
+    return {name: rows for name, rows in kinds.items() if len(rows.X)}
+
+
+def _most(plant: Plant, config: Generate) -> int:
+    """Rollouts whose rows stand for all of their kind in memory."""
+    return max(shards.SURVEY // (sampling.samples(config, 0) * shards.width(plant.n, plant.m, config.nx)), 1)
+
+
+def _redrawn(job: Job, rows: Labelled) -> Labelled:
+    config = job.config.generate
+    rng = randomness.generator(job.config.seed, "held out", "redraw")
+    D_hat = rng.uniform(*config.explore_D_hat0, len(rows.X))
+    aside, push = sampling.spread(rng, config, rows.X, rows.u) if config.spread else (0.0, 0.0)
+    X, u = rows.X + aside, rows.u + push
+    return Labelled(X, u, D_hat, numerical(config.predictor, job.plant, config.nx)(X, u, D_hat, rows.t), rows.t)
+
+
+def _finite(progress: Console, kind: str, rows: Labelled) -> Labelled:
+    finite = np.flatnonzero(np.all(np.isfinite(rows.P), axis=(1, 2)))  # P(0) = X
+    if lost := len(rows.X) - len(finite):
+        progress.note(f"evaluate: {lost} of {len(rows.X)} {kind} held-out rows have no finite P; left out")
+    return rows.take(finite)
 
 
 def sample_steps(seed: int, config: Evaluate, loops: int) -> np.ndarray:

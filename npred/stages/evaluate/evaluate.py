@@ -1,16 +1,14 @@
 """The evaluate stage: errors on held-out rows of each kind, what closed loops make of them, the certificate of both."""
 
 from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
 
 from npred import figures, randomness
 from npred.conditions import EVERY, Condition, Starts, starts
-from npred.config import FROZEN, Evaluate
+from npred.config import FROZEN
 from npred.data import shards
-from npred.data.dataset import Dataset
 from npred.loop import metrics
 from npred.loop.closed_loop import Trajectories
 from npred.loop.trajectory_views import at_bound
@@ -18,19 +16,8 @@ from npred.plants import Plant
 from npred.predictors import Predictor, numerical
 from npred.predictors.guarded import Guarded, bare
 from npred.results import NO_ADAPTATION, NUMERICAL, Contender, Evaluated
-from npred.results.evaluate import Coverage, KindErrors, KindSize, Radius, Scores
-from npred.stages.evaluate import (
-    accuracy,
-    convergence_map,
-    coverage,
-    figure1,
-    held_out_kinds,
-    in_loop,
-    networks,
-    overtaking,
-    scenarios,
-    summary_tables,
-)
+from npred.results.evaluate import Coverage, KindErrors, KindSize, Scores
+from npred.stages.evaluate import accuracy, behaviour, coverage, in_loop, networks, scenarios, summary_tables
 from npred.stages.evaluate.accuracy import EXACT, Labelled
 from npred.stages.job import Job
 from npred.terminal.console import Console
@@ -58,7 +45,7 @@ def run(job: Job) -> Evaluated:
     job.progress.doing("evaluate", "measuring errors")
     taken = accuracy.sample_steps(job.config.seed, config, len(begin.D))[begin.cases] * config.dt
     cases = loops[NUMERICAL].part(begin.cases)
-    held_out, fresh = held_out_kinds.held_out(job, data), Labelled.fresh(cases, taken, predictors[NUMERICAL])
+    held_out, fresh = accuracy.held_out(job, data), Labelled.fresh(cases, taken, predictors[NUMERICAL])
     bare_networks = {c: networks.on_any_grid(job, bare(predictors[c])) for c in predictors if c.is_network}
     P_hat = {
         contender: {kind: accuracy.predict(predictor, rows) for kind, rows in held_out.items()}
@@ -68,17 +55,18 @@ def run(job: Job) -> Evaluated:
     models = {}
     for contender in predictors:
         errors = _errors(job.plant, bare_networks.get(contender), P_hat.get(contender, {}), held_out, fresh)
-        behaviour = _behaviour(job.plant, config, begin, contender, errors["eps_kappa"], loops)
-        models[contender] = Scores(**errors, in_loop=in_loops[contender], **behaviour)
+        does = behaviour.scores(job.plant, config, begin, contender, errors["eps_kappa"], loops)
+        models[contender] = Scores(**errors, in_loop=in_loops[contender], **does)
     bounds = (0.0, np.inf) if job.plant.declares_delay else config.bounds
     covered = coverage.measure(job.plant, data, {c: loops[c] for c in bare_networks}, bounds)
     _warn(job, covered)
-    overtaking.warn(job.progress, {contender: overtaking.ended(run) for contender, run in loops.items()})
+    behaviour.warn_of_overtaken(job.progress, {c: behaviour.overtaken(run) for c, run in loops.items()})
     for contender, run in loops.items():
         if words := at_bound(run.part(begin.cases)):
             job.progress.warn(f"{contender.label}, cases: {words}")
     _warn_of_fallbacks(job.progress, models)
-    _record(job, data, loops)
+    behaviour.write_figure1(job.folder / "figure1.h5", config, loops)
+    coverage.write(job.folder / "coverage.h5", job.plant, data, {c: loops[c] for c in loops if c.epoch is None})
     result = Evaluated(
         plant=job.plant.name,
         equilibrium=job.plant.equilibrium.tolist() if job.plant.rests else None,
@@ -126,21 +114,16 @@ def _all_loops(
     total = sum(begin.of(contender) for contender in predictors) * (round(config.case_t_end / config.dt) + 1)
     at_D = in_loop.condition(job.config, begin)
     total += len(adapting) * at_D.steps
-    with job.progress.bar("evaluate", total, "steps") as bar, ThreadPoolExecutor(job.jobs) as pool:
-        try:
-            tasks = {
-                c: [pool.submit(_loops, job, c, predictor, begin, part, bar.advance)
-                    for part in _shares(predictor, begin.of(c))]
-                for c, predictor in predictors.items()
-            }  # fmt: skip
-            checks = {c: pool.submit(in_loop.error, job.plant, predictors[c], at_D, bar.advance) for c in adapting}
-            loops = {c: Trajectories.joined([done.result() for done in parts]) for c, parts in tasks.items()}
-            errors = {c: done.result() for c, done in checks.items()}
-            return loops, errors | {NO_ADAPTATION: errors[NUMERICAL]}
-        except BaseException:
-            job.progress.stop()
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+    with job.progress.bar("evaluate", total, "steps") as bar, job.threads() as pool:
+        tasks = {
+            c: [pool.submit(_loops, job, c, predictor, begin, part, bar.advance)
+                for part in _shares(predictor, begin.of(c))]
+            for c, predictor in predictors.items()
+        }  # fmt: skip
+        checks = {c: pool.submit(in_loop.error, job.plant, predictors[c], at_D, bar.advance) for c in adapting}
+        loops = {c: Trajectories.joined([done.result() for done in parts]) for c, parts in tasks.items()}
+        errors = {c: done.result() for c, done in checks.items()}
+        return loops, errors | {NO_ADAPTATION: errors[NUMERICAL]}
 
 
 def _shares(predictor: Predictor, count: int) -> list[slice]:
@@ -157,41 +140,6 @@ def _loops(
     seed = randomness.integer(job.config.seed, "evaluate", "noise")
     whole = Condition(config, begin.X0, begin.D, begin.D_hat0, config.case_t_end, seed, adapts=contender.adapts)
     return whole.part(part).loops(job.plant, predictor, every=EVERY, samples=taken, progress=progress)
-
-
-def _behaviour(
-    plant: Plant, config: Evaluate, begin: Starts, contender: Contender, eps_kappa: float,
-    loops: Mapping[Contender, Trajectories],
-) -> dict[str, Any]:  # fmt: skip
-    """The scores of a contender's loops, by key of Scores."""
-    run, exact = loops[contender], loops[NUMERICAL]
-    cases, reference = run.part(begin.cases), exact.part(begin.cases)
-    target = plant.target(cases.t)
-    radii = metrics.radius(cases, target)
-    settle, goal = (metrics.settle_time(batch, target) for batch in (cases, reference))
-    settled = np.isfinite(goal) & (goal > 0)
-    mapped = contender.adapts and begin.map.stop > begin.map.start
-    return {
-        "radius": Radius(
-            median=np.median(radii),
-            worst=radii.max(),
-            converged=metrics.converged(radii, target).mean(),
-            cases=len(radii),
-            predicted=metrics.gain(plant, config.case_t_end) * eps_kappa,
-        ),
-        "settle_time": np.median(settle),
-        "settle_ratio": _median(settle[settled] / goal[settled]),
-        "decay_rate": _median(metrics.decay_rate(cases, target)),
-        "map": convergence_map.delay_map(plant, config, run.part(begin.map), exact.part(begin.map)) if mapped else None,
-        "figure1": figure1.numbers(plant, figure1.first(config, run)),
-        "fallback": run.fallback_share if config.guard and contender.is_network else None,
-    }
-
-
-def _median(values: np.ndarray) -> float | None:
-    """The median without NaN; None where nothing is left, or most are infinite."""
-    numbers = values[~np.isnan(values)]
-    return float(np.median(numbers)) if len(numbers) and np.isfinite(np.median(numbers)) else None
 
 
 def _errors(
@@ -237,12 +185,6 @@ def _warn_of_fallbacks(progress: Console, models: Mapping[Contender, Scores]) ->
                 f"{contender.name}: the numerical predictor answered in {scores.fallback:.1%} of the loops' steps; "
                 "train it longer, or on wider data, or raise evaluate.guard.tolerance"
             )
-
-
-def _record(job: Job, data: Dataset, loops: Mapping[Contender, Trajectories]) -> None:
-    figure1.write(job.folder / "figure1.h5", {c: figure1.first(job.config.evaluate, run) for c, run in loops.items()})
-    final = {contender: run for contender, run in loops.items() if contender.epoch is None}
-    coverage.write(job.folder / "coverage.h5", job.plant, data, final)
 
 
 def _draw(job: Job, result: Evaluated) -> None:

@@ -8,8 +8,8 @@ from npred.data.dataset import Dataset
 from npred.data.domain import Domain
 from npred.predictors import RK4, Predictor
 from npred.predictors.guarded import Guarded
-from npred.stages.certify import blind_spots, rollouts
-from npred.stages.certify.input_set import Inputs
+from npred.stages.certify import adversary, rollouts
+from npred.stages.certify.evolution import Inputs
 from npred.stages.certify.table import Certify
 
 PLANT, NX = npred.plant("activator_repressor"), 21
@@ -51,7 +51,7 @@ def data():
 def searched(guard, data, seed=0):
     exact, table = RK4(PLANT, NX), Certify(restarts=20 * SEARCHES, steps=STEPS)
     inputs = Inputs.of(data, BOX, PLANT)
-    calls, score = blind_spots.search(guard, exact, data, inputs, table, seed, lambda count: None)
+    calls, score = adversary.blind_spots(guard, exact, data, inputs, table, seed, lambda count: None)
     true, estimate, passed = rollouts.judged(guard, exact, *calls)
     return calls, score, true, estimate, passed
 
@@ -72,7 +72,7 @@ def test_the_score_is_the_formula(data):
     guard = Guarded(Wrong(PLANT, NX), TOLERANCE)
     _, score, true, estimate, passed = searched(guard, data)
     refused = np.log(np.maximum(estimate / guard.threshold, 1))
-    np.testing.assert_allclose(score, np.log(true) - blind_spots.PENALTY * refused, rtol=1e-9)
+    np.testing.assert_allclose(score, np.log(true) - adversary.PENALTY * refused, rtol=1e-9)
     assert (passed == (refused == 0)).all()
 
 

@@ -22,7 +22,7 @@ from npred.predictors.guarded import Guarded
 from npred.predictors.neural import Neural
 from npred.results import Contender
 from npred.stages.certify import adversary, certify, rollouts
-from npred.stages.certify.input_set import Inputs
+from npred.stages.certify.evolution import Inputs
 from npred.stages.certify.table import Certify
 from npred.stages.generate import generate
 
@@ -203,7 +203,7 @@ def test_what_a_guard_lets_pass_is_counted_by_call(tmp_path, monkeypatch):
     assert (found["calls"], found["above"], found["unnoticed"]) == (6, 3, 1)
     assert (found["adversarial"], found["adversarial_median"]) == (5.0, pytest.approx(1.15))
     assert found["ratio"][1] == pytest.approx(1.75)  # of 1, 1.5, 2 and 3, those of errors from 0.3 to 3
-    monkeypatch.setattr(certify.blind_spots, "search", lambda *arguments: (CALLS, None))
+    monkeypatch.setattr(certify.adversary, "blind_spots", lambda *arguments: (CALLS, None))
     monkeypatch.setattr(certify.Inputs, "of", lambda *arguments: None)
     blind = certify._blind(job(tmp_path, "certify"), None, GUARD, None)
     assert blind == {"blind_calls": 6, "blind": 1, "blind_error": 1.5}

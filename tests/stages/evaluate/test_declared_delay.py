@@ -13,7 +13,7 @@ from npred.data.dataset import Dataset
 from npred.predictors import RK4
 from npred.results import NUMERICAL, Benched, Contender, Evaluated
 from npred.stages.bench import bench
-from npred.stages.evaluate import evaluate, overtaking, scenarios, summary_tables
+from npred.stages.evaluate import behaviour, evaluate, scenarios, summary_tables
 from npred.stages.generate import generate
 from npred.stages.report import report
 from npred.stages.train import train
@@ -102,14 +102,16 @@ def test_loops_that_end_are_reported_once(stages, tmp_path):
     task = job(tmp_path, "evaluate", inputs=inputs, **TABLES)
     begin = starts(task.config, task.plant)
     loops = evaluate._loops(task, NUMERICAL, RK4(task.plant, 21), begin, slice(0, 3), lambda count: None)
-    overtaking.warn(task.progress, {NUMERICAL: overtaking.ended(loops)})
+    behaviour.warn_of_overtaken(task.progress, {NUMERICAL: behaviour.overtaken(loops)})
     assert task.progress.notes == []
     ended = replace(
         loops, infeasible=np.array([-1, 30, 20]), margin=np.array([np.nan, -0.3, -0.25]),
         breach=np.array([[np.nan, np.nan], [1.0, 2.0], [3.0, 4.0]]),
     )  # fmt: skip
     by_contender = {NUMERICAL: loops, Contender("deeponet"): ended, Contender("fno"): ended}
-    overtaking.warn(task.progress, {contender: overtaking.ended(run) for contender, run in by_contender.items()})
+    behaviour.warn_of_overtaken(
+        task.progress, {contender: behaviour.overtaken(run) for contender, run in by_contender.items()}
+    )
     (line,) = task.progress.notes
     assert "count as lost: 2 of DeepONet, 2 of FNO; first at control step 20, h = 3, T = 4: 1 - D_X f - D_t =" in line
 

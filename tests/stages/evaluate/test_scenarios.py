@@ -14,7 +14,7 @@ from npred.loop import metrics
 from npred.plants import Plant
 from npred.predictors import RK4
 from npred.results import NO_ADAPTATION, NUMERICAL, Contender
-from npred.stages.evaluate import scenarios
+from npred.stages.evaluate import behaviour, scenarios
 
 PLANT = npred.plant(NAME)
 TABLES = [
@@ -86,7 +86,7 @@ def test_loops_that_end_far_from_the_models_rest_are_lost(a, lost):
     """At rest at 1 / (2 - a), a little further with a delay: by more than a fifth of |X*| = 1 for a = 1.5."""
     plant, truth = Plant("held", Held), Plant("held", Held, {"a": a})
     loops = npred.simulate(plant, RK4(plant, 21), D=0.01, D_hat=0.01, X0=[[0.5], [2.0]], t_end=40.0, truth=truth)
-    does = scenarios.behaviour(plant, loops, 0.01)
+    does = behaviour.behaviour(plant, loops, 0.01)
     assert does.radius.median == pytest.approx(1 / (2 - a) - 1, rel=0.1, abs=1e-6)
     assert does.lost == lost and does.D_error == 0 and does.radius.count == (2 if a == 1 else 0)
 
@@ -94,13 +94,13 @@ def test_loops_that_end_far_from_the_models_rest_are_lost(a, lost):
 def test_loops_that_diverge_are_lost():
     plant = Plant("held", Held)
     loops = npred.simulate(plant, RK4(plant, 21), D=3.0, D_hat=0.0, X0=[[0.5], [1.0]], t_end=60.0, u0=[-1.0])
-    does = scenarios.behaviour(plant, loops, 3.0)
+    does = behaviour.behaviour(plant, loops, 3.0)
     assert does.lost == 1 and does.radius.converged == 0.5 and does.D_error == 3.0
     assert does.json_object()["radius"]["cases"] == 2
 
 
 def test_what_loops_do_is_medians_over_the_cases():
     loops = known_loops([20, 30, 80, 7, NEVER], [0.001, 0.004, 0.006, 0.003, 1.0])
-    does = scenarios.behaviour(npred.plant("scalar"), loops, 0.25)
+    does = behaviour.behaviour(npred.plant("scalar"), loops, 0.25)
     assert (does.radius.median, does.radius.worst, does.radius.count) == (0.004, 1.0, 4)
     assert (does.settle_time, does.lost, does.D_error) == (30.0, 1, 0.25)  # D_hat is 0 throughout

@@ -5,7 +5,7 @@ from jobs import job
 from known_loops import NEVER, known_loops
 
 from npred import plants
-from npred.stages.evaluate import convergence_map
+from npred.stages.evaluate import behaviour
 
 
 def test_a_delay_is_in_the_band_where_no_loop_is_lost_that_numerics_keep(tmp_path):
@@ -14,7 +14,7 @@ def test_a_delay_is_in_the_band_where_no_loop_is_lost_that_numerics_keep(tmp_pat
     config, home = job(tmp_path, "map", evaluate=table).config.evaluate, 9
     exact = known_loops([home, home, home, NEVER, home, home], [0.0] * 6)
     run = known_loops([home, home, home, NEVER, NEVER, home], [0.0] * 6)
-    found = convergence_map.delay_map(plants.resolve("scalar"), config, run, exact)
+    found = behaviour.delay_map(plants.resolve("scalar"), config, run, exact)
     assert found.converged == [[True, True], [True, False], [False, True]]
     assert found.band == (0.5, 1.0) and found.share == pytest.approx(4 / 5)
-    assert convergence_map.delay_map(plants.resolve("scalar"), config, exact, run).share == 1.0
+    assert behaviour.delay_map(plants.resolve("scalar"), config, exact, run).share == 1.0

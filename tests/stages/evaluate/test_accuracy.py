@@ -12,7 +12,7 @@ from npred.data.dataset import Dataset
 from npred.errors import DivergedError
 from npred.pipeline import Node
 from npred.predictors import RK4, Euler
-from npred.stages.evaluate import accuracy, held_out_kinds
+from npred.stages.evaluate import accuracy
 from npred.stages.generate import generate, rollouts, sampling
 
 PLANT = plants.resolve("activator_repressor")
@@ -25,7 +25,7 @@ def made(tmp_path_factory):
     task = job(tmp_path_factory.mktemp("kinds"), "data", generate=RANGES | {"redraw": 0.5, "test_share": 0.5})
     generate.run(task)
     data = Dataset.read(task.folder / "data.h5")
-    return task, data, held_out_kinds.held_out(task, data)
+    return task, data, accuracy.held_out(task, data)
 
 
 def test_every_kind_that_is_trained_on_is_held_out(made):
@@ -43,7 +43,7 @@ def test_every_kind_that_is_trained_on_is_held_out(made):
 def test_redrawn_rows_are_held_out_off_the_loop_as_they_are_trained_on(made):
     task, data, held_out = made
     apart = task.config.model_copy(update={"generate": task.config.generate.model_copy(update={"spread": 0.1})})
-    moved = held_out_kinds.held_out(replace(task, config=apart), data)
+    moved = accuracy.held_out(replace(task, config=apart), data)
     np.testing.assert_array_equal(moved["nominal"].X, held_out["nominal"].X)
     rows = moved["redrawn"]
     assert (rows.X != held_out["redrawn"].X).all() and (rows.u != held_out["redrawn"].u).any(axis=(1, 2)).all()
@@ -79,8 +79,8 @@ def test_as_large_a_share_of_explorers_is_held_out_as_of_the_others():
     assert sampling.explorers(paper, 7) == range(1000, 1007)
     assert not sampling.explorers(config.Generate(samples=100_000, rollouts=1000), 400)
     assert len(sampling.explorers(config.Generate(samples=100, rollouts=10, explore=0.1), 400)) == 1
-    assert held_out_kinds._most(PLANT, paper) > 50
-    assert held_out_kinds._most(PLANT, config.Generate(samples=10**6, rollouts=2, t_end=1e4, nx=1001)) == 1
+    assert accuracy._most(PLANT, paper) > 50
+    assert accuracy._most(PLANT, config.Generate(samples=10**6, rollouts=2, t_end=1e4, nx=1001)) == 1
 
 
 def test_the_share_of_explorers_is_part_of_the_evaluations_key_where_data_are_the_same():
@@ -97,16 +97,16 @@ def test_the_share_of_explorers_is_part_of_the_evaluations_key_where_data_are_th
 def test_data_that_neither_explore_nor_redraw_have_one_kind(made):
     task, data, _ = made
     plain = replace(task, config=config.parse(task.config.model_dump() | {"generate": {"samples": 300}}, "tests"))
-    assert list(held_out_kinds.held_out(plain, data)) == ["nominal"]
+    assert list(accuracy.held_out(plain, data)) == ["nominal"]
     redraw = task.config.model_dump() | {"generate": {"redraw": 0.5, "nx": 21}}
-    found = held_out_kinds.held_out(replace(task, config=config.parse(redraw, "tests")), data)
+    found = accuracy.held_out(replace(task, config=config.parse(redraw, "tests")), data)
     assert list(found) == ["nominal", "redrawn"] and len(found["redrawn"].X) == len(found["nominal"].X)
 
 
 def test_nobody_knows_the_kind_of_imported_rows(made, tmp_path):
     task, data, held_out = made
     again = job(tmp_path, "again", generate={"data": str(task.folder / "data.h5"), "explore": 0.5, "redraw": 0.5})
-    found = held_out_kinds.held_out(again, data)
+    found = accuracy.held_out(again, data)
     assert list(found) == ["imported"]
     np.testing.assert_array_equal(found["imported"].X, held_out["nominal"].X)
 
@@ -117,7 +117,7 @@ def test_a_held_out_explorer_that_diverges_is_left_out_with_a_note(tmp_path, mad
     task = job(tmp_path, "lost", generate=lost)
     with pytest.raises(DivergedError):
         rollouts.rows(task.config, PLANT, range(10, 11))
-    assert list(held_out_kinds.held_out(task, made[1])) == ["nominal"]
+    assert list(accuracy.held_out(task, made[1])) == ["nominal"]
     assert any("exploring held-out rows have no finite P; left out" in note for note in task.progress.notes)
 
 
