@@ -1,20 +1,26 @@
-"""The report stage: all results of a pipeline as one HTML file that needs nothing else."""
+"""The report stage: all results of a pipeline as one HTML file that needs nothing else, and in three sentences."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 from npred.config import FROZEN, Evaluate
 from npred.figures import svg
+from npred.figures.evaluation_data import OF
 from npred.figures.figure import Plate
+from npred.figures.latency import label
 from npred.figures.notation import symbol
+from npred.figures.style import short
+from npred.loop import metrics
 from npred.plants import Plant
-from npred.results import Reported
+from npred.registry import METHODS
+from npred.results import NO_ADAPTATION, NUMERICAL, Benched, Contender, Evaluated, Reported
+from npred.results.evaluate import Scores
 from npred.stages.bench import timing_tables
 from npred.stages.job import Job
-from npred.stages.report import headline, html_page, toml_text
+from npred.stages.report import html_page, toml_text
 from npred.stages.report.report_data import CHAPTERS, Story
 from npred.terminal.console import Console
-from npred.terminal.waiting import Bar
+from npred.terminal.progress_bars import Bar, counted
 
 NAME = "report.html"
 FOLDED = "speed"  # a table that is long
@@ -26,7 +32,7 @@ def run(job: Job) -> Reported:
     Inline SVG, style and script; nothing is loaded. Its three sentences are in the result.
     """
     story = Story.read(job.config, job.plant, job.inputs)
-    said = headline.summary(job.plant, story.evaluated, story.benched)
+    said = sentences(job.plant, story.evaluated, story.benched)
     page = _page(story, said, job)
     (job.folder / NAME).write_text(page, encoding="utf-8")
     return Reported(summary=said, bytes=len(page.encode()))
@@ -35,6 +41,69 @@ def run(job: Job) -> Reported:
 def summary(result: Reported, width: int | None = None) -> str:
     """The report in its sentences."""
     return "\n".join(result.summary)
+
+
+def sentences(plant: Plant, evaluated: Evaluated, benched: Benched) -> list[str]:
+    """A run in three sentences with their numbers: the error, the closed loop, the time of a call."""
+    networks = [contender for contender in evaluated.models if contender.is_network and contender.epoch is None]
+    return [_errors(evaluated, networks), _loops(plant, evaluated, networks), _speed(benched)]
+
+
+def _errors(evaluated: Evaluated, networks: list[Contender]) -> str:
+    rows = [(network.label, evaluated.models[network]) for network in networks]
+    errors = [f"{short(row.eps_sup)} for the {name} (mean square {short(row.mse)})" for name, row in rows]
+    first, *others = evaluated.kinds
+    samples = f"{evaluated.held_out:,} held-out samples of {OF[first]}"
+    others = [_of_kind(kind, evaluated.kinds[kind].rows, [row for _, row in rows]) for kind in others]
+    return "; ".join([f"On {samples} the largest error of a prediction is {_and(errors)}", *others]) + "."
+
+
+def _of_kind(kind: str, count: int, rows: Iterable[Scores]) -> str:
+    return f"on {count:,} of {OF[kind]} it is {_and([short(row.kinds[kind].eps_sup) for row in rows])}"
+
+
+def _and(texts: list[str]) -> str:
+    """a, b and c."""
+    return " and ".join([", ".join(texts[:-1]), texts[-1]] if texts[1:] else texts)
+
+
+def _loops(plant: Plant, evaluated: Evaluated, networks: list[Contender]) -> str:
+    radii = {contender: scores.radius for contender, scores in evaluated.models.items()}
+    counts = [f"{radii[n].count} with the {n.label} (median radius {short(radii[n].median)})" for n in networks]
+    counts.append(f"{radii[NUMERICAL].count} with the numerical predictor")
+    if adapts := NO_ADAPTATION in radii:
+        counts.append(f"{radii[NO_ADAPTATION].count} without adaptation")
+    delay = "with a delay that the controller does not know" if adapts else "with the delay estimate held"
+    delay = "with a delay that the plant declares" if plant.declares_delay else delay
+    return f"Of {radii[NUMERICAL].cases} closed loops {delay}, {_and(counts)} end {_near(plant)}."
+
+
+def _near(plant: Plant) -> str:
+    """Where a loop that converges ends."""
+    if plant.rests:
+        return f"within {short(metrics.SETTLED * metrics.size(plant.equilibrium))} of rest"
+    return f"within {100 * metrics.SETTLED:g} % of the reference"
+
+
+def _speed(benched: Benched) -> str:
+    single = benched.table
+    finest = min((row.dx for row in single), default=0.0)
+    networks = [row for row in single if row.is_network and row.dx == finest]
+    if not networks:
+        return "No network was timed."
+    row = min(networks, key=lambda row: row.median_us)
+    ratio = row.speedup_published  # None where inputs have several delays, which that predictor does not take
+    over = "" if ratio is None else f", {ratio:,.0f} times faster than interpreted O(nx²) sums"
+    text = f"A call of the {label(row)}, takes {row.median_us:.1f} µs at dx = {finest:.3g}{over}"
+    return f"{text}{_against_numerics(benched, row.predictor)}."
+
+
+def _against_numerics(benched: Benched, network: str) -> str:
+    crossover = next((row for row in benched.crossover if row.predictor == network), None)
+    if crossover is None:
+        return ""
+    steps = counted(crossover.best_steps, "steps")
+    return f"; {METHODS.label(crossover.best)} on {steps} is as accurate in {crossover.best_us:.1f} µs"
 
 
 def _page(story: Story, said: list[str], job: Job) -> str:
