@@ -15,9 +15,8 @@ from torch.func import functional_call, stack_module_state, vmap
 
 from npred.parallel import torchrun
 from npred.training.cuda_graph import Text, record
-from npred.training.eager import shuffled
+from npred.training.eager import rate, shuffled
 from npred.training.rows import REST_NODES, Fit, Rows
-from npred.training.schedule import rate
 from npred.training.stacked_optimisers import NetworkState, StackedAdam, StackedSOAP
 
 CHUNK = 8192  # rows of a call without gradients, of all networks together

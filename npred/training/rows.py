@@ -1,18 +1,24 @@
-"""What a training takes: the rows, where they come from, and all that is fitted to them."""
+"""What a training takes: the rows, in memory or read in every epoch, and all that is fitted to them."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from functools import cached_property
+from pathlib import Path
+from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from npred.config import Training
+from npred.data import shards
+from npred.data.dataset import Dataset
 from npred.errors import ConfigError
 from npred.operators import Operator
 from npred.operators.scaling import SampleArrays
 from npred.training.loss import Criterion
 
+BUFFER = 4  # shards in memory, whose rows are shuffled together
 REST_NODES = 16  # points in D_hat through which a batch interpolates the anchor's term at rest
 
 
@@ -67,14 +73,47 @@ class Rows:
         return (self[index] for index in order.split(size))
 
 
-class RowSource(Protocol):
-    """The source of an epoch's rows."""
+@dataclass(frozen=True)
+class Stream:
+    """Rows that do not fit in memory: of shards, those not held out; on a device, P on `nodes` nodes, as in Rows.
 
-    def __len__(self) -> int: ...
+    `phase` gives those of the rows' times to an operator that sees the clock; see Plant.phase.
+    """
+
+    path: Path
+    device: str = "cpu"
+    nodes: int | None = None
+    phase: Callable[[np.ndarray], np.ndarray | None] = lambda t: None
+
+    @cached_property
+    def _count(self) -> int:
+        return sum(int(np.count_nonzero(test == 0)) for test in shards.column(self.path, "test"))
+
+    def __len__(self) -> int:
+        return self._count
+
+    def parts(self) -> Iterator[Dataset]:
+        """The rows in the order and precision of the file, one shard at a time."""
+        return (part.subset(test=False) for part in shards.parts(self.path))
 
     def batches(self, shuffle: torch.Generator, size: int) -> Iterator[Rows]:
-        """Each row once, in an order that the generator draws, `size` at a time."""
-        ...
+        """Each row once: the shards in random order, BUFFER at a time, the rows of those in random order.
+
+        What is left of a buffer goes to the next, so that only the last batch is smaller.
+        """
+        files, left = shards.files(self.path), []
+        for group in torch.randperm(len(files), generator=shuffle).split(BUFFER):
+            rows = Rows.joined([*left, *(self._read(files[k]) for k in group.tolist())])
+            order = torch.randperm(len(rows), generator=shuffle).to(rows.X.device)
+            whole = len(rows) // size * size
+            if whole:  # an empty order would be split into one empty batch
+                yield from rows.split(order[:whole], size)
+            left = [rows[order[whole:]]]
+        yield from (rows for rows in left if len(rows))
+
+    def _read(self, path: Path) -> Rows:
+        data = Dataset.read(path).subset(test=False)
+        return Rows.of(data, self.device, self.nodes, self.phase(data.t))
 
 
 @dataclass(frozen=True)
@@ -84,7 +123,7 @@ class Fit:
     title: str
     operator: Operator
     config: Training
-    train: RowSource
+    train: Rows | Stream
     test: Rows
     loss: Criterion
     seed: int

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import torch
 
@@ -14,25 +14,11 @@ from npred.parallel import torchrun
 from npred.training import captured, checkpoint
 from npred.training.captured import Captured
 from npred.training.checkpoint import Metrics, Optimiser
-from npred.training.eager import Eager
+from npred.training.eager import Eager, cycle_ends
 from npred.training.rows import Fit
-from npred.training.schedule import cycle_ends
 
 Ended = Metrics | DivergedError
-
-
-class Steps(Protocol):
-    """The work of an epoch, for one network or for several side by side; `lr` is the rate of the last step."""
-
-    lr: float
-
-    def state(self, network: int) -> Optimiser: ...
-
-    def begin(self) -> None: ...
-
-    def epoch(self, number: int, bar: Any) -> list[float]: ...
-
-    def errors(self) -> list[dict[str, float]]: ...
+Steps = Captured | Eager  # the work of an epoch, for several networks side by side, or for one
 
 
 def fit(task: Fit, scratch: Path, progress: Any) -> Metrics:
@@ -73,7 +59,7 @@ def _alone(task: Fit, scratch: Path, progress: Any) -> Ended:
         return error
 
 
-def _begun(tasks: Sequence[Fit], scratches: Sequence[Path], progress: Any) -> tuple[Any, list[Metrics]]:
+def _begun(tasks: Sequence[Fit], scratches: Sequence[Path], progress: Any) -> tuple[Steps | None, list[Metrics]]:
     """Steps that are ready, and the metrics of the epochs behind: in CUDA graphs, or eager where these fail, and said.
 
     Several networks have no eager steps: there are none for them then.

@@ -23,8 +23,7 @@ from npred.terminal.console import Console
 from npred.training import captured, loss, training_loop
 from npred.training.checkpoint import Metrics
 from npred.training.cuda_graph import own_stream
-from npred.training.rows import Fit, Rows
-from npred.training.streaming import Stream
+from npred.training.rows import Fit, Rows, Stream
 
 SEEDING = Lock()  # torch has one generator for all threads, and another network may be starting beside this one
 
