@@ -1,13 +1,13 @@
 """The neural operator of [DAPF, Definition 1] with the averaging kernel of its Theorem 1."""
 
-from functools import lru_cache
-
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
 from npred import grid
-from npred.operators.deeponet import mlp
+from npred.operators.deeponet import as_tensors, mlp
+
+trapezoid = as_tensors(grid.trapezoid)
 
 
 class AveragingNetwork(nn.Module):
@@ -39,10 +39,3 @@ class AveragingNetwork(nn.Module):
                 h, x = h[:, ::stride], x[:, ::stride]
             h, linear = functional.silu(layer(linear(h)) + average), nn.Identity()
         return self.project(torch.cat([h, x], dim=2))
-
-
-@lru_cache(maxsize=32)
-@torch.inference_mode(False)  # what an inference run caches must serve training too
-def trapezoid(nx: int, dtype: torch.dtype, device: torch.device) -> Tensor:
-    """The weights (nx,) of the trapezoidal rule on [0, 1]."""
-    return torch.as_tensor(grid.trapezoid(nx), dtype=dtype, device=device)

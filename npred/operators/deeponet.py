@@ -1,11 +1,18 @@
-"""DeepONet [Lu et al. 2021, doi:10.1038/s42256-021-00302-5], on any grid of the actuator state."""
+"""DeepONet [Lu et al. 2021, doi:10.1038/s42256-021-00302-5], and what other networks see of u(x) and build on too.
 
+Features of u are linear functionals of its interpolant, the same on every grid.
+"""
+
+from collections.abc import Callable
+from functools import lru_cache
 from itertools import pairwise
+from typing import Any
 
 import torch
 from torch import Tensor, nn
+from torch.utils._pytree import tree_map
 
-from npred.operators.features import legendre, moments, running_mean
+from npred.operators import matrices
 from npred.operators.layouts import DEGREE
 
 
@@ -44,3 +51,33 @@ def mlp(sizes: list[int], bias: bool = True) -> nn.Sequential:
     for fan_in, fan_out in pairwise(sizes[:-1]):
         layers += [nn.Linear(fan_in, fan_out), nn.SiLU()]
     return nn.Sequential(*layers, nn.Linear(sizes[-2], sizes[-1], bias))
+
+
+def as_tensors(function: Callable[..., Any]) -> Callable[..., Any]:
+    """A function of sizes that gives one matrix or several, as one of sizes, type and device that gives tensors."""
+
+    @lru_cache(maxsize=32)
+    @torch.inference_mode(False)  # what an inference run caches must serve training too
+    def tensors(*arguments: Any) -> Any:
+        *sizes, dtype, device = arguments
+        return tree_map(lambda a: torch.as_tensor(a, dtype=dtype, device=device), function(*sizes))
+
+    return tensors
+
+
+legendre, moment_matrix = as_tensors(matrices.legendre), as_tensors(matrices.moments)
+
+
+def moments(u: Tensor, count: int) -> Tensor:
+    """int_0^1 u(x) L_k(x) dx (B, count, m) of u (B, nx, m), with L_k the orthonormal Legendre polynomials on [0, 1]."""
+    return moment_matrix(u.shape[-2], count, u.dtype, u.device) @ u
+
+
+def running_mean(u: Tensor, stride: int = 1) -> Tensor:
+    """(1/x) int_0^x u(y) dy at every stride-th node, by trapezoids over all, u(0) at x = 0; (B, nx, m) of u (B, nx, m).
+
+    It bends where u jumps, and so does P: no smooth function of x follows it there.
+    """
+    sums = torch.cumsum(u[:, 1:] + u[:, :-1], dim=1)[:, stride - 1 :: stride]  # 2 (nx - 1) int_0^x u
+    steps = torch.arange(stride, u.shape[1], stride, dtype=u.dtype, device=u.device)[:, None]
+    return torch.cat([u[:, :1], sums / (2 * steps)], dim=1)

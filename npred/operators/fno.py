@@ -1,14 +1,13 @@
 """Fourier neural operator [Li et al. 2021, arXiv:2010.08895] over x in [0, 1], its transforms as real matrices."""
 
-from functools import lru_cache
-
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
 from npred.operators import matrices
-from npred.operators.deeponet import mlp
-from npred.operators.features import running_mean
+from npred.operators.deeponet import as_tensors, mlp, running_mean
+
+transforms = as_tensors(matrices.fourier)
 
 
 class FNOnetwork(nn.Module):
@@ -55,10 +54,7 @@ class Spectral(nn.Module):
 
     def matrix(self) -> Tensor:
         """[[Re, Im], [-Im, Re]] of R_k: (Re v, Im v) in a row to (Re R v, Im R v); (modes, 2 width, 2 width)."""
-        return torch.cat(
-            [torch.cat([self.real, self.imag], dim=2), torch.cat([-self.imag, self.real], dim=2)],
-            dim=1,
-        )
+        return torch.cat([torch.cat([self.real, self.imag], dim=2), torch.cat([-self.imag, self.real], dim=2)], dim=1)
 
 
 def _drawn(modes: int, width: int) -> Tensor:
@@ -66,11 +62,3 @@ def _drawn(modes: int, width: int) -> Tensor:
     # To draw there would bring in torch's compiler, which takes a second.
     weights = torch.empty(modes, width, width)
     return weights if weights.is_meta else weights.normal_().div_(2 * width)
-
-
-@lru_cache(maxsize=32)
-@torch.inference_mode(False)  # what an inference run caches must serve training too
-def transforms(nx: int, modes: int, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor]:
-    """npred.operators.matrices.fourier, (2 modes, nx) and (nx, 2 modes), as tensors."""
-    forward, inverse = matrices.fourier(nx, modes)
-    return torch.as_tensor(forward, dtype=dtype, device=device), torch.as_tensor(inverse, dtype=dtype, device=device)

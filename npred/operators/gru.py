@@ -1,13 +1,10 @@
 """Gated recurrent units [Cho et al. 2014, arXiv:1406.1078] along x, on any grid: alone, or correcting a network."""
 
-from functools import lru_cache
-
 import numpy as np
 import torch
 from torch import Tensor, nn
 
-from npred.operators.deeponet import DeepONetwork, mlp
-from npred.operators.features import running_mean
+from npred.operators.deeponet import DeepONetwork, as_tensors, mlp, running_mean
 from npred.operators.fno import FNOnetwork
 
 
@@ -84,9 +81,8 @@ class DeepONetGRU(Corrected):
         super().__init__(first, n, units, steps)
 
 
-@lru_cache(maxsize=32)
-@torch.inference_mode(False)  # what an inference run caches must serve training too
-def matrices(nx: int, steps: int, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor]:
+@as_tensors
+def matrices(nx: int, steps: int) -> tuple[np.ndarray, np.ndarray]:
     """(steps, nx): nodal values to the means of their linear interpolant over equal cells; (nx, steps + 1): from the
     cells' ends to the nodes, linear between them.
     """
@@ -98,8 +94,7 @@ def matrices(nx: int, steps: int, dtype: torch.dtype, device: torch.device) -> t
     first, share = _located(nx, steps + 1)
     ends = np.eye(steps + 1)
     between = (1 - share) * ends[first] + share * ends[first + 1]
-    means = steps * np.diff(integrals, axis=0)
-    return torch.as_tensor(means, dtype=dtype, device=device), torch.as_tensor(between, dtype=dtype, device=device)
+    return steps * np.diff(integrals, axis=0), between
 
 
 def _located(count: int, nodes: int) -> tuple[np.ndarray, np.ndarray]:

@@ -59,7 +59,7 @@ def _alone(task: Fit, scratch: Path, progress: Any) -> Ended:
         return error
 
 
-def _begun(tasks: Sequence[Fit], scratches: Sequence[Path], progress: Any) -> tuple[Steps | None, list[Metrics]]:
+def _begun(tasks: Sequence[Fit], scratches: Sequence[Path], progress: Any) -> tuple[Any, list[Metrics]]:
     """Steps that are ready, and the metrics of the epochs behind: in CUDA graphs, or eager where these fail, and said.
 
     Several networks have no eager steps: there are none for them then.

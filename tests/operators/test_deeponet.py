@@ -6,8 +6,7 @@ import torch
 from operator_samples import operator, samples, tensors
 
 from npred.config import DeepONet
-from npred.operators.deeponet import DeepONetwork
-from npred.operators.features import legendre, moments, running_mean
+from npred.operators.deeponet import DeepONetwork, legendre, moments, running_mean
 
 X = torch.linspace(0, 1, 41, dtype=torch.float64)
 
