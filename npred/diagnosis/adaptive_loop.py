@@ -9,7 +9,7 @@ import numpy as np
 from npred.config import FROZEN, PAPER, Loop
 from npred.delays import family_of
 from npred.diagnosis.case import OBSERVER, Case, Verdict
-from npred.diagnosis.convergence import FALLING, HOME, distances, times
+from npred.diagnosis.equilibrium import FALLING, HOME, distances, times
 from npred.loop.adaptation import DelayAdaptation
 from npred.loop.delay_law import resolve
 from npred.predictors import RK4

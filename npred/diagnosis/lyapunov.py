@@ -4,7 +4,6 @@ import numpy as np
 
 from npred.diagnosis.case import Case, Verdict
 from npred.loop.adaptation import undeclared
-from npred.loop.suited_gain import closed_loop
 from npred.plants.base import Plant
 from npred.symbolic import programs
 from npred.symbolic.tape import names
@@ -33,7 +32,7 @@ def falls(case: Case) -> Verdict:
     if not case.plant.rests:
         return lacks, f"{missing} the squared distance to what it follows"
     X = _towards_rest(case)
-    S = lyapunov(closed_loop(case.plant))
+    S = lyapunov(case.plant.linearised()[0])
     if not case.plant.declares_V:
         return lacks, f"{missing} one: {_offer(case, S, X)}"
     rates = _along(case, X)

@@ -168,7 +168,7 @@ def parts(case: Case) -> None:
         NETWORKS.check_keywords(f"train.{name}.sizes", table.architecture, table.arguments)
     tables = [*case.loops.values(), *(case.settings.evaluate.under(scenario) for scenario in case.scenarios)]
     for loop in tables:
-        delay_law.check(loop, case.plant)
+        delay_law.resolve(loop, case.plant)
         plants.varied(case.plant, tuple(loop.truth.items()))
         predictors.numerical(loop.predictor, case.plant, loop.nx)
     if "evaluate" in case.stages and (guard := case.settings.evaluate.guard):

@@ -132,11 +132,6 @@ def resolve(loop: "Loop", plant: Plant) -> DelayLaw | None:
     return law.suited(plant, loop.longest, loop.longest)
 
 
-def check(loop: "Loop", plant: Plant) -> None:
-    """Raise ConfigError where the delay law does not load, or refuses the plant."""
-    resolve(loop, plant)
-
-
 class Part(NamedTuple):
     """The laws as the time loop runs them: U, then phi and N on lanes, and D_hat += gamma phi dt within the bounds.
 

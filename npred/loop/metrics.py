@@ -172,21 +172,14 @@ def gain(plant: Plant, t_end: float = 100.0) -> float:
     of t_end seconds, to first order in e. Where nothing changes in time, both are the same.
     """
     if plant.rests:
-        closed, f_U = _linear(plant, 0.0)
+        closed, f_U = plant.linearised()
         return float(np.linalg.norm(np.linalg.solve(closed, f_U), 2))
     return max(float(np.linalg.norm(G, 2)) for G in _responses(plant, t_end)[round((1 - TAIL) * CELLS) :])
 
 
-def _linear(plant: Plant, t: Any) -> tuple[np.ndarray, np.ndarray]:
-    """f_X + f_U kappa' (..., n, n) and f_U (..., n, m) at the target at times t (...)."""
-    X, u = plant.target(t), plant.u_target(t)
-    f_X, f_U = plant.jacobians(X, u, t)
-    return f_X + f_U @ plant.kappa_jacobian(X, t), f_U
-
-
 def _responses(plant: Plant, t_end: float) -> list[np.ndarray]:
     """G (n, m) of `gain` on CELLS + 1 times, by the trapezoidal rule, which no rate makes unstable."""
-    A, B = _linear(plant, np.linspace(0.0, t_end, CELLS + 1))
+    A, B = plant.linearised(np.linspace(0.0, t_end, CELLS + 1))
     h, eye, responses = t_end / CELLS, np.eye(plant.n), [np.zeros((plant.n, plant.m))]
     for k in range(CELLS):
         right = responses[-1] + h / 2 * (A[k] @ responses[-1] + B[k] + B[k + 1])

@@ -12,20 +12,9 @@ from npred.loop.signals import Record
 from npred.plants.base import Plant
 from npred.predictors import RK4, Predictor
 
-LOOPS = (
-    "X",
-    "U",
-    "D_hat",
-    "N",
-    "energy",
-    "escaped",
-    "P",
-    "infeasible",
-    "margin",
-    "breach",
-    "fallback",
-    "fallbacks",
-)  # arrays led by the batch's axes
+# arrays led by the batch's axes
+SERIES = ("X", "U", "D_hat", "N", "energy", "escaped", "P", "infeasible", "fallback", "fallbacks")  # a record's too
+LOOPS = (*SERIES, "margin", "breach")
 
 
 @dataclass(frozen=True)
@@ -126,7 +115,7 @@ def of_record(
         return np.moveaxis(a, -1, 0).reshape((*shape, *a.shape[:-1]))
 
     samples = Samples(lead(r.sample_X[:-1]), lead(r.sample_u[:-1]), lead(r.sample_D_hat[:-1]))
-    series = {name: lead(getattr(r, name)) for name in LOOPS if name not in ("margin", "breach")}
+    series = {name: lead(getattr(r, name)) for name in SERIES}
     times = np.arange(len(r.X)) * step
     return Trajectories(
         t=times, samples=samples, states=plant.states, inputs=plant.inputs, time_unit=plant.time_unit,

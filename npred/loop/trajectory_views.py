@@ -1,50 +1,20 @@
 """Views of closed loops: a summary in text, a plot, a data frame."""
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from importlib import import_module
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from npred import array_checks
 from npred.errors import ConfigError, MissingError
 
-
-class Loops(Protocol):
-    """What is shown: npred.loop.trajectories.Trajectories."""
-
-    @property
-    def t(self) -> np.ndarray: ...  # (nt,)
-    @property
-    def X(self) -> np.ndarray: ...  # (..., nt, n)
-    @property
-    def U(self) -> np.ndarray: ...  # (..., nt, m)
-    @property
-    def D_hat(self) -> np.ndarray: ...  # (..., nt)
-    @property
-    def escaped(self) -> np.ndarray: ...  # (...)
-    @property
-    def infeasible(self) -> np.ndarray: ...  # (...)
-    @property
-    def ends(self) -> tuple[float, float] | None: ...
-    @property
-    def margin(self) -> np.ndarray: ...  # (...)
-    @property
-    def breach(self) -> np.ndarray: ...  # (..., n)
-    @property
-    def states(self) -> tuple[str, ...]: ...
-    @property
-    def inputs(self) -> tuple[str, ...]: ...
-    @property
-    def time_unit(self) -> str: ...
-    @property
-    def labels(self) -> Mapping[str, str] | None: ...
-    @property
-    def units(self) -> Mapping[str, str] | None: ...
+if TYPE_CHECKING:
+    from npred.loop.trajectories import Trajectories
 
 
-def summary(loops: Loops) -> str:
+def summary(loops: "Trajectories") -> str:
     """The numbers of loops and times, then a line per series: its range over all times, and its end."""
     count, shape = loops.escaped.size, loops.escaped.shape
     batch = ("1 loop" if not shape else f"{count} loops") + (f" {shape}" if len(shape) > 1 else "")
@@ -65,7 +35,7 @@ def summary(loops: Loops) -> str:
     return "\n".join(lines)
 
 
-def at_bound(loops: Loops) -> str:
+def at_bound(loops: "Trajectories") -> str:
     """The number of loops whose D_hat ended at a bound of its law, in words; empty where none did."""
     low, high = loops.ends or (-np.inf, np.inf)
     last = loops.D_hat[..., -1]
@@ -74,7 +44,7 @@ def at_bound(loops: Loops) -> str:
     return f"D_hat ended at its bound {which}and the delay may lie outside; widen bounds" if count else ""
 
 
-def infeasible(loops: Loops) -> tuple[str, str] | None:
+def infeasible(loops: "Trajectories") -> tuple[str, str] | None:
     """Where commands would overtake each other first, and 1 - D_X f - D_t there, in words; None where they never do."""
     steps = loops.infeasible.reshape(-1)
     if not (marked := np.flatnonzero(steps >= 0)).size:
@@ -86,7 +56,7 @@ def infeasible(loops: Loops) -> tuple[str, str] | None:
     return f"first at control step {steps[loop]}, {at}:", margin
 
 
-def plot(loops: Loops, D: Any = None) -> np.ndarray:
+def plot(loops: "Trajectories", D: Any = None) -> np.ndarray:
     """A panel for each state, input and D_hat, all loops in each; the axes (n + m + 1,). D adds the true delay."""
     from matplotlib import pyplot
 
@@ -105,7 +75,7 @@ def plot(loops: Loops, D: Any = None) -> np.ndarray:
     return axes[:, 0]
 
 
-def _axis_label(loops: Loops, name: str) -> str:
+def _axis_label(loops: "Trajectories", name: str) -> str:
     """A series' declared label, else its name, with its unit in brackets; subscripts and powers as matplotlib sets."""
     declared = name.removeprefix("X.").removeprefix("U.")
     unit = loops.time_unit if name == "D_hat" else (loops.units or {}).get(declared, "")
@@ -113,7 +83,7 @@ def _axis_label(loops: Loops, name: str) -> str:
     return re.sub(r"\^\{?(-?\d+)\}?", r"$^{\1}$", re.sub(r"_\{([^}]+)\}", r"$_{\\mathrm{\1}}$", text))
 
 
-def dataframe(loops: Loops) -> Any:
+def dataframe(loops: "Trajectories") -> Any:
     """One row per loop and time, a column per series; the index is t, behind the loop's number on each axis of a batch.
 
     Raises MissingError without pandas.
@@ -131,7 +101,7 @@ def dataframe(loops: Loops) -> Any:
     return pandas.DataFrame(columns, index=index)
 
 
-def series(loops: Loops) -> Iterator[tuple[str, np.ndarray]]:
+def series(loops: "Trajectories") -> Iterator[tuple[str, np.ndarray]]:
     """Name and values (..., nt) of each state, each input and D_hat.
 
     Without names they are X1, X2, …, U1, …; a name that stands twice, or is D_hat, gets its letter in front.

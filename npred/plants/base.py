@@ -238,6 +238,12 @@ class Plant:
         """kappa' (..., m, n) at points X (..., n), derived from the declared kappa."""
         return self._matrix("kappa_x", self.m, np.asarray(X), t)
 
+    def linearised(self, t: Value = 0.0) -> tuple[np.ndarray, np.ndarray]:
+        """f_X + f_U kappa' (..., n, n) and f_U (..., n, m) at the target at times t (...)."""
+        X, u = self.target(t), self.u_target(t)
+        f_X, f_U = self.jacobians(X, u, t)
+        return f_X + f_U @ self.kappa_jacobian(X, t), f_U
+
     def _matrix(self, name: str, rows: int, X: np.ndarray, *more: Value) -> np.ndarray:
         """The derivatives as matrices (..., rows, columns), one column per direction."""
         with np.errstate(all="ignore"):

@@ -222,7 +222,7 @@ def test_data_are_made_with_the_law(tmp_path, law):
 def test_a_file_that_is_no_law_is_told(law, text, message):
     Path(law.partition(":")[0]).write_text(text)
     with pytest.raises(ConfigError, match=message) as caught:
-        delay_law.check(loop(adaptation=law), plants.resolve("scalar"))
+        delay_law.resolve(loop(adaptation=law), plants.resolve("scalar"))
     assert "\n" not in str(caught.value)
 
 

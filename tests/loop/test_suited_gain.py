@@ -8,7 +8,7 @@ from npred import diagnosis, plants
 from npred.config import parse
 from npred.errors import ConfigError
 from npred.loop import metrics
-from npred.loop.suited_gain import suited_gamma
+from npred.loop.adaptation import suited_gamma
 from npred.plants import Plant
 
 SCALAR = npred.plant("scalar")
