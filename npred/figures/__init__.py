@@ -9,18 +9,6 @@ from npred.figures.loops import coverage, figure1
 from npred.figures.scenarios import delays, scenarios
 
 __all__ = [
-    "Evidence",
-    "Plate",
-    "box",
-    "certificate",
-    "certified",
-    "coverage",
-    "delays",
-    "errors",
-    "figure1",
-    "kinds",
-    "learning",
-    "scenarios",
-    "speed",
-    "write",
-]
+    "Evidence", "Plate", "box", "certificate", "certified", "coverage", "delays", "errors", "figure1", "kinds",
+    "learning", "scenarios", "speed", "write",
+]  # fmt: skip

@@ -1,26 +1,13 @@
 """The results of the stages as frozen models of result.json: what each stage found, and the contenders compared."""
 
-from npred.results.base import Number, Result
+from npred.results.base import Generated, Number, Reported, Result, Trained
 from npred.results.bench import Benched
 from npred.results.certify import Certified
 from npred.results.contender import NO_ADAPTATION, NUMERICAL, Contender, ranked
 from npred.results.evaluate import Evaluated
-from npred.results.made import Generated, Reported, Trained
 from npred.results.reproduce import Reproduced, ReproducedRow
 
 __all__ = [
-    "NO_ADAPTATION",
-    "NUMERICAL",
-    "Benched",
-    "Certified",
-    "Contender",
-    "Evaluated",
-    "Generated",
-    "Number",
-    "Reported",
-    "Reproduced",
-    "ReproducedRow",
-    "Result",
-    "Trained",
-    "ranked",
-]
+    "NO_ADAPTATION", "NUMERICAL", "Benched", "Certified", "Contender", "Evaluated", "Generated", "Number", "Reported",
+    "Reproduced", "ReproducedRow", "Result", "Trained", "ranked",
+]  # fmt: skip

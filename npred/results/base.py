@@ -1,4 +1,7 @@
-"""The base class of results: the keys that a stage writes and no others, and null for a number that is not finite."""
+"""The base class of results: the keys that a stage writes and no others, and null for a number that is not finite.
+
+And the results of the stages generate, train and report, which are short.
+"""
 
 import math
 from pathlib import Path
@@ -61,3 +64,32 @@ class Result(BaseModel):
                 f"{source}: expected a result as this npred writes it, got at {key}: {first['msg']}; make it anew with "
                 "npred run, or show it with the npred that wrote it"
             ) from None
+
+
+class Generated(Result):
+    """The data: their size, and what of them no network sees."""
+
+    samples: int  #: rows of data
+    rollouts: int  #: closed loops that they are taken from
+    held_out: list[int]  #: numbers of the rollouts held out
+    nx: int  #: nodes on [0, 1]
+    shards: int = 0  #: how many files hold the rows, where there are several; else absent
+
+
+class Trained(Result):
+    """A trained network; the errors are those of the last epoch, on held-out rollouts."""
+
+    model: str  #: the network's name
+    parameters: int  #: how many numbers were trained
+    samples: int  #: rows that it was trained on
+    epochs: int  #: how often it saw them
+    loss: Number  #: the last epoch's
+    mse: Number  #: mean square error
+    eps_sup: Number  #: largest |P̂ − P|
+
+
+class Reported(Result):
+    """The page."""
+
+    summary: list[str]  #: three sentences: the error, the closed loop, the time of a call
+    bytes: int  #: of the page

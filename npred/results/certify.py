@@ -1,9 +1,9 @@
 """The result of the stage certify."""
 
-from pydantic import field_validator
+from typing import Annotated
 
 from npred.results.base import Number, Result
-from npred.results.contender import Contender, Name, ranked
+from npred.results.contender import RANKED, Name
 
 
 class Certificate(Result):
@@ -50,9 +50,4 @@ class Certified(Result):
     plant: str  #: its name
     loops: int  #: fresh starts whose loops were run
     lost_numerical: int  #: of these, those that the numerical predictor loses
-    models: dict[Name, Certificate]  #: by network
-
-    @field_validator("models")
-    @classmethod
-    def _rank(cls, models: dict[Contender, Certificate]) -> dict[Contender, Certificate]:
-        return dict(zip(ranked(models), models.values(), strict=True))
+    models: Annotated[dict[Name, Certificate], RANKED]  #: by network

@@ -2,11 +2,13 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
-from typing import Annotated
+from typing import Annotated, TypeVar
 
-from pydantic import BeforeValidator, PlainSerializer
+from pydantic import AfterValidator, BeforeValidator, PlainSerializer
 
 from npred.registry import NETWORKS
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -59,5 +61,10 @@ def ranked(contenders: Iterable[Contender]) -> list[Contender]:
     return [replace(c, rank=others.index(c.model)) if c.model in others else c for c in contenders]
 
 
+def _by_ranked(values: dict[Contender, T]) -> dict[Contender, T]:
+    return dict(zip(ranked(values), values.values(), strict=True))
+
+
 NUMERICAL, NO_ADAPTATION = Contender("numerical"), Contender("no_adaptation")
 Name = Annotated[Contender, BeforeValidator(Contender.parse), PlainSerializer(lambda c: c.name, return_type=str)]
+RANKED = AfterValidator(_by_ranked)  # of a table by Name

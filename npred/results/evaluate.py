@@ -1,9 +1,11 @@
 """The result of the stage evaluate."""
 
-from pydantic import AliasChoices, Field, field_validator
+from typing import Annotated
+
+from pydantic import AliasChoices, Field
 
 from npred.results.base import Number, Result
-from npred.results.contender import Contender, Name, ranked
+from npred.results.contender import RANKED, Name
 
 
 class Relative(Result):
@@ -132,12 +134,7 @@ class Conditions(Result):
     """One scenario of the pipeline."""
 
     name: str  #: as the pipeline calls it
-    models: dict[Name, Behaviour]  #: the numerical predictor and each network
-
-    @field_validator("models")
-    @classmethod
-    def _rank(cls, models: dict[Contender, Behaviour]) -> dict[Contender, Behaviour]:
-        return dict(zip(ranked(models), models.values(), strict=True))
+    models: Annotated[dict[Name, Behaviour], RANKED]  #: the numerical predictor and each network
 
 
 class Evaluated(Result):
@@ -156,11 +153,6 @@ class Evaluated(Result):
     kinds: dict[str, KindSize]
     fresh: int  #: how many samples of rollouts made for this evaluation
     in_loop: InLoop  #: what the errors in the loop are of
-    models: dict[Name, Scores]  #: by NAME what was measured
+    models: Annotated[dict[Name, Scores], RANKED]  #: by NAME what was measured
     coverage: dict[str, Coverage]  #: by state, input and `D_hat`
     scenarios: list[Conditions] = []  #: of a pipeline that has any, the same loops under other conditions
-
-    @field_validator("models")
-    @classmethod
-    def _rank(cls, models: dict[Contender, Scores]) -> dict[Contender, Scores]:
-        return dict(zip(ranked(models), models.values(), strict=True))
