@@ -93,7 +93,7 @@ def main() -> None:
     for nx in arguments.nx:
         net = npred.load(arguments.model, store=arguments.store, runtime="fused", nx=nx)
         guard = Guarded(net, arguments.tolerance)
-        eps = reference.of(net, nx)
+        eps = reference.errors(net, nx).sup
         runs: dict[str, Predictor] = {"bare": net, "guarded": guard, "fallback": guard.exact}
         for kind in rivals:
             if nodes := candidates.matching(reference, kind, eps):

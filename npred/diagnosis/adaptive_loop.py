@@ -1,6 +1,5 @@
 """The question about loops whose delay is unknown: does the paper's law keep them, and if not, what would?"""
 
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -123,7 +122,8 @@ def _kept(case: Case, loops: Trial, adaptation: str = PAPER) -> np.ndarray:
 
 def _cure(case: Case, loops: Trial, kept: np.ndarray) -> str:
     """The keys to give, of those with which all loops are kept: a weaker gain, first estimates, or another law."""
-    for law in _weaker(loops.law):
+    for share in WEAKER:
+        law = replace(loops.law, gamma=float(f"{share * loops.law.gamma:g}"))
         if _kept(case, loops._replace(law=law)).all():
             return f"give gamma = {law.gamma:g}"
     cures = []
@@ -135,8 +135,3 @@ def _cure(case: Case, loops: Trial, kept: np.ndarray) -> str:
     if not good.any() and _kept(case, loops._replace(D_hat=np.array([loops.D])), FROZEN).all():
         cures.append(f'set adaptation = "{FROZEN}" and D_hat0 = D where the delay is known')
     return ", or ".join(cures) or f'neither "{OBSERVER}" nor the known delay keeps all; shorten D, or shrink box'
-
-
-def _weaker(law: DelayAdaptation) -> Iterator[DelayAdaptation]:
-    for share in WEAKER:
-        yield replace(law, gamma=float(f"{share * law.gamma:g}"))

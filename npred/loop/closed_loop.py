@@ -84,7 +84,9 @@ def simulate(
         D, D_hat = (_declared(of, X0) for of in (truth or plant, plant))
     table = _tabulated(D, t_end, dt) if callable(D) else None
     D, D_hat = (array_checks.floats(name, a) for name, a in (("D", D if table is None else table[0]), ("D_hat", D_hat)))
-    loop_checks.numbers(plant, X0, D, D_hat)
+    loop_checks.start(plant, X0)
+    array_checks.delays("D", D)
+    array_checks.delays("D_hat", D_hat)
     loop_checks.one_per_loop(plant, D, X0)
     if adaptation is not None:
         delay_law.resolved("dt", dt, D)
@@ -215,7 +217,9 @@ class _Simulation:
         state = self._state(X0, D, D_hat, held, total, nx)
         rows = (count - 1) // self.every + 1
         settings = self._settings(samples, delays, first, rows)
-        out = self._record(rows, samples.shape[1] + 1, nx, lanes)
+        n, m = self.plant.n, self.plant.m
+        sizes = {"n": n, "m": m, "nx": nx, "row": rows, "sample": samples.shape[1] + 1, "breach": n + m + 1}
+        out = Record(**signals.memory(signals.RECORD, sizes, lanes, {}))
         steps = Engine(self.parts, settings, state, out)
         for start, stop in pairwise([0, *range(min(FIRST, count), count, BLOCK), count]):
             with devices.one_thread():
@@ -292,8 +296,3 @@ class _Simulation:
         arrays |= {"X_hat": X, "Y": X} if self.measurement.perfect else {"X_hat": X.copy()}
         sizes = {"n": n, "m": m, "nx": nx, "observer": self.law.memory, "past": age + 1}
         return State(**signals.memory(signals.STATE, sizes, lanes, arrays))
-
-    def _record(self, rows: int, samples: int, nx: int, lanes: int) -> Record:
-        n, m = self.plant.n, self.plant.m
-        sizes = {"n": n, "m": m, "nx": nx, "row": rows, "sample": samples, "breach": n + m + 1}
-        return Record(**signals.memory(signals.RECORD, sizes, lanes, {}))

@@ -93,13 +93,6 @@ def times(t_end: Any, dt: Any, measurement: Measurement | None = None) -> None:
         raise ConfigError(f"measurement: expected a period of at least dt = {dt:g}, got {period:g}; {cure}")
 
 
-def numbers(plant: Plant, X0: Any, D: np.ndarray, D_hat: np.ndarray) -> None:
-    """Raise ConfigError for a start or delays that make no loop."""
-    start(plant, X0)
-    for name, seconds in (("D", D), ("D_hat", D_hat)):
-        array_checks.delays(name, seconds)
-
-
 def one_per_loop(plant: Plant, D: np.ndarray, X0: np.ndarray) -> None:
     """Raise ConfigError where a list of delays may be meant as that of the inputs, which differ."""
     if not plant.one_delay and D.shape == (plant.m,) and X0.ndim == 1:

@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -112,7 +113,9 @@ def build(config: Training, plant: Plant, scaling: Scaling) -> Operator:
     Raises ConfigError for an unknown network, and for the anchor `equilibrium` on a plant without one.
     """
     network = NETWORKS.load("network", config.architecture)(plant.n, plant.m, _clock(plant), **config.arguments)
-    return Operator(network, scaling, config.anchor, *_rest(config, plant))
+    check_anchor(config.anchor, plant)
+    rest = plant.rest or (np.zeros(plant.n), np.zeros(plant.m))
+    return Operator(network, scaling, config.anchor, *(torch.as_tensor(a, dtype=torch.float32) for a in rest))
 
 
 def filled(weights: Weights, plant: Plant) -> Operator:
@@ -156,14 +159,3 @@ def checked(config: Training, plant: Plant, scaling: Scaling) -> Operator:
 
 def _clock(plant: Plant) -> int:
     return 2 if plant.phased else 0
-
-
-def _rest(config: Training, plant: Plant) -> tuple[torch.Tensor, torch.Tensor]:
-    check_anchor(config.anchor, plant)
-    if plant.rest:
-        return _float32(plant.rest[0]), _float32(plant.rest[1])
-    return torch.zeros(plant.n), torch.zeros(plant.m)
-
-
-def _float32(values: object) -> torch.Tensor:
-    return torch.as_tensor(values, dtype=torch.float32)

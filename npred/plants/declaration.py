@@ -109,12 +109,8 @@ class Declaration(BaseModel, frozen=True):
                 f"delay: a delay that depends on the input is not supported, {came}; write delay(x, t, p, M)"
             )
         quantities = (*self.states, *self.inputs)
-        for part, names in {
-            "box": self.states,
-            "state_bounds": self.states,
-            "labels": quantities,
-            "units": quantities,
-        }.items():
+        known = {"box": self.states, "state_bounds": self.states, "labels": quantities, "units": quantities}
+        for part, names in known.items():
             for name in getattr(self, part):
                 if name not in names:
                     raise ValueError(f"{part}: unknown name {name!r}; expected one of {', '.join(names)}")

@@ -206,7 +206,8 @@ class NetworkState:
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Take over such a state; all networks have done as many steps."""
-        for views, saved in zip(self.optimiser.moments(self.network), _ordered(state_dict["state"]), strict=True):
+        for k, views in enumerate(self.optimiser.moments(self.network)):
+            saved = state_dict["state"][k]
             self.optimiser.steps.copy_(saved["step"])
             for name, view in views.items():
                 view.copy_(saved[name])
@@ -234,7 +235,3 @@ def turned_bases(A: Tensor, Q: Tensor) -> Tensor:
 def _place(shape: torch.Size) -> tuple[int, ...]:
     """Weights by rows and columns, which the vectors have none of."""
     return tuple(shape[-2:]) if len(shape) > 1 else ()
-
-
-def _ordered(state: dict[int, State]) -> list[State]:
-    return [state[k] for k in sorted(state)]

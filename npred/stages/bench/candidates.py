@@ -101,10 +101,6 @@ class Reference:
             self._known[key] = self.errors(run, key[-1])
         return self._known[key]
 
-    def of(self, predictor: Predictor, nx: int) -> float:
-        """sup |P_hat - P| of a predictor on nx nodes."""
-        return self.errors(predictor, nx).sup
-
     def errors(self, predictor: Predictor, nx: int) -> ErrorSizes:
         """The errors of a predictor on nx nodes."""
         with np.errstate(over="ignore", invalid="ignore"):  # few steps may diverge: an infinite error

@@ -9,6 +9,7 @@ import os
 import shutil
 from collections.abc import Callable
 from functools import partial
+from operator import methodcaller
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
@@ -64,7 +65,7 @@ def write(job: Job) -> int:
         bar.advance(config.rollouts - sum(len(batch) for _, batch in missing))
         for (number, batch), content in executors.completed(job.executor, make, missing):
             if content is not None:
-                _durably(shards_at.folder / shards.name(number), partial(_copy, content))
+                _durably(shards_at.folder / shards.name(number), methodcaller("write_bytes", content))
             bar.advance(len(batch))
     for number, _ in batches:
         _link(shards_at.folder / shards.name(number), job.folder)
@@ -128,10 +129,6 @@ def _durably(path: Path, save: Callable[[Path], Any]) -> None:
         partly.replace(path.with_name(f"{path.name}.{json_files.sha256(partly)}"))
     finally:
         partly.unlink(missing_ok=True)  # a disk that is full gets the room back
-
-
-def _copy(content: bytes, path: Path) -> None:
-    path.write_bytes(content)
 
 
 def _link(path: Path, folder: Path) -> None:
