@@ -36,7 +36,9 @@ def join(folder: Path, rows: Sequence[int], attributes: dict[str, Any]) -> None:
     with h5py.File(folder / "data.h5", "w", track_order=False) as file:
         file.attrs.update(attributes)
         for key, meaning in MEANING.items():
-            joined = file.create_virtual_dataset(key, _layout(key, rows, *kinds[key]), _missing(kinds[key][1]))
+            shape, kind = kinds[key]
+            lost = math.nan if kind.kind == "f" else int(np.iinfo(kind).max)
+            joined = file.create_virtual_dataset(key, _layout(key, rows, shape, kind), lost)
             joined.attrs["meaning"] = meaning
 
 
@@ -86,7 +88,3 @@ def _layout(key: str, rows: Sequence[int], shape: tuple[int, ...], kind: np.dtyp
         layout[stop : stop + count] = h5py.VirtualSource(name(number), key, shape=(count, *shape))
         stop += count
     return layout
-
-
-def _missing(kind: np.dtype[Any]) -> float:
-    return math.nan if kind.kind == "f" else int(np.iinfo(kind).max)

@@ -11,7 +11,6 @@ from npred.figures.figure import Key, Panel, Plate
 from npred.figures.notation import common_unit, quantity, symbol, timed, with_unit
 from npred.figures.style import ROLES, Axes, Look, log, look
 from npred.loop import delay_law, lyapunov, metrics
-from npred.plants import Plant
 from npred.results import NUMERICAL, Contender
 
 GOAL = {"color": ROLES["muted"][0], "linewidth": 0.8, "linestyle": (0, (1, 2)), "zorder": 0}
@@ -26,7 +25,8 @@ def figure1(evidence: Evidence) -> Plate:
     goals, kept = _goals(evidence, t), _converging(evidence)
     panels = []
     for k, name in enumerate((*plant.states, *plant.inputs, "D_hat")):
-        title = (_estimate(plant) if name == "D_hat" else "") + quantity(plant, name)
+        what = "" if name != "D_hat" else "delay " if plant.declares_delay else "delay estimate "
+        title = what + quantity(plant, name)
         span = _around([goals[:, k], *(columns[c][:, k] for c in kept)])
         panels.append(Panel(title, _alt(title, k, columns, t), partial(_over_time, t, columns, k, goals, span, time)))
     for k, name in enumerate(plant.states):
@@ -34,10 +34,6 @@ def figure1(evidence: Evidence) -> Plate:
         caption = _alt_end(symbol(plant, name), k, columns)
         panels.append(Panel(title, caption, partial(_end, t, columns, k, goals[:, k], time)))
     return Plate("figure1", "The closed loop", _caption(evidence), tuple(panels), keys(evidence.loops))
-
-
-def _estimate(plant: Plant) -> str:
-    return "delay " if plant.declares_delay else "delay estimate "
 
 
 def _caption(evidence: Evidence) -> str:
@@ -159,22 +155,18 @@ def _alt_end(name: str, k: int, columns: dict[Contender, np.ndarray]) -> str:
 
 def coverage(evidence: Evidence) -> Plate:
     """A panel per state, an input, and the delay estimate."""
-    histograms = evidence.coverage
-    named = {name: quantity(evidence.plant, name) for name in histograms}
-    panels = [Panel(f"density of {named[name]}", _alt_coverage(named[name], each), partial(_histogram, each))
-              for name, each in histograms.items()]  # fmt: skip
+    histograms = {quantity(evidence.plant, name): each for name, each in evidence.coverage.items()}
+    panels = [
+        Panel(f"density of {name}", f"The data cover {name} from {each.edges[0]:.4g} to {each.edges[-1]:.4g}.",
+              partial(_histogram, each))
+        for name, each in histograms.items()
+    ]  # fmt: skip
     caption = (
         "Filled: the training data; lines: what the closed loops visit, both on a logarithmic scale. A network is only "
         "reliable where it was trained."
     )
-    names = next(iter(histograms.values())).loops
-    return Plate(
-        "coverage", "Coverage of the data", caption, tuple(panels), (Key("data", Look("fill", (), 5)), *keys(names))
-    )
-
-
-def _alt_coverage(name: str, histogram: Histogram) -> str:
-    return f"The data cover {name} from {histogram.edges[0]:.4g} to {histogram.edges[-1]:.4g}."
+    marks = Key("data", Look("fill", (), 5)), *keys(next(iter(histograms.values())).loops)
+    return Plate("coverage", "Coverage of the data", caption, tuple(panels), marks)
 
 
 def _histogram(histogram: Histogram, axis: Axes) -> None:

@@ -64,7 +64,8 @@ class DelayAdaptation(DelayLaw):
         _check(plant, X, u, P)
         shape = array_checks.batch(X=X.shape[:-1], u=u.shape[:-2], P=P.shape[:-2], D_hat=D_hat.shape)
         lanes = [np.broadcast_to(a, (*shape, *a.shape[a.ndim - k :])) for a, k in ((X, 1), (u, 2), (P, 2), (D_hat, 0))]
-        X, u, P, D_hat = (_lanes_last(a, len(shape)) for a in lanes)
+        rows = (a.reshape(-1, *a.shape[len(shape) :]) for a in lanes)
+        X, u, P, D_hat = (np.array(np.moveaxis(a, 0, -1), order="C") for a in rows)
         count = D_hat.shape[0]
         phi, N = np.empty(count), np.empty(count)
         update_law(plant)(P, X, u, D_hat, float(t), plant.p, self.b, phi, N)
@@ -78,10 +79,6 @@ def _check(plant: Plant, X: np.ndarray, u: np.ndarray, P: np.ndarray) -> None:
         if a.shape[-len(last) :] != last:
             axes = ", ".join(["..."] + ["nx"] * (len(last) - 1) + [str(last[-1])])
             raise ConfigError(f"{name}: expected shape ({axes}), nx >= 2 the same in u and P, got {a.shape}; reshape")
-
-
-def _lanes_last(a: np.ndarray, leading: int) -> np.ndarray:
-    return np.array(np.moveaxis(a.reshape(-1, *a.shape[leading:]), 0, -1), order="C")
 
 
 def undeclared(plant: Plant) -> str:

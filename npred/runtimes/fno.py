@@ -97,12 +97,8 @@ def _project(p: Program, weights: Weights, v: Matrix) -> tuple[Operation, ...]:
     )
     if p.stride == 1:
         return operations
-    return (*operations, Product(Matrix("N", p.nx), N, p.constant("refine", _refine(p).T), (p.n, nx, p.nx)))
-
-
-def _refine(p: Program) -> np.ndarray:
-    """(nx, nodes): from the network's nodes to all, by the cubic through four."""
-    return grid.refine(np.eye(p.nodes), p.nx)
+    to_all = p.constant("refine", grid.refine(np.eye(nx), p.nx).T)  # by the cubic through four
+    return (*operations, Product(Matrix("N", p.nx), N, to_all, (p.n, nx, p.nx)))
 
 
 def _at_rest(p: Program, weights: Weights) -> Series:

@@ -43,7 +43,8 @@ class PublishedNumber(NamedTuple):
 
     def row(self, measured: Measured = NOTHING) -> ReproducedRow:
         """The number and what was measured; None for a loop that has left the finite numbers."""
-        values = {key: _finite(value) for key, value in measured._asdict().items()}
+        pairs = measured._asdict().items()
+        values = {key: value if value is not None and math.isfinite(value) else None for key, value in pairs}
         return ReproducedRow(predictor=self.predictor, metric=self.metric, published=self.value, **values)
 
 
@@ -123,7 +124,3 @@ def networks(metric: str, **digits: str) -> tuple[PublishedNumber, ...]:
 def published_times(setting: str, **ms: float) -> tuple[PublishedTime, ...]:
     """The published times of predictors by name, for one setting."""
     return tuple(PublishedTime(name, setting, each) for name, each in ms.items())
-
-
-def _finite(value: float | None) -> float | None:
-    return value if value is not None and math.isfinite(value) else None

@@ -27,7 +27,8 @@ class OnDevice(TorchDispatchMode):
 
     def __torch_dispatch__(self, func: Any, types: Any, args: tuple[Any, ...] = (), kwargs: Any = None) -> Any:
         name = func._schema.name.removeprefix("aten::")
-        if name in READS or (name == "index" and any(_is_mask(index) for index in args[1])):
+        indices = [index for index in args[1] if index is not None] if name == "index" else []
+        if name in READS or any(index.dtype in (torch.bool, torch.uint8) for index in indices):  # a mask's shape
             raise NotCapturable(f"{name} reads numbers of the GPU on the host")
         result = func(*args, **(kwargs or {}))
         if name in ("_to_copy", "copy_"):
@@ -35,10 +36,6 @@ class OnDevice(TorchDispatchMode):
             if len(kinds) > 1:
                 raise NotCapturable(f"{name} takes data from {' to '.join(sorted(kinds))}")
         return result
-
-
-def _is_mask(index: Any) -> bool:
-    return index is not None and index.dtype in (torch.bool, torch.uint8)
 
 
 @contextmanager

@@ -128,8 +128,8 @@ def entries(job: Job, reference: Reference) -> list[Candidate]:
     rows: list[Candidate] = []
     for batch in config.batches:
         for nx in map(grid.count, config.dx if batch == 1 else config.dx[:1]):
-            baselines = config.baselines if batch == 1 else []
-            rows += [_baseline(job.plant, spec, nx) for spec in baselines]
+            kinds = (BASELINES.subclass("bench.baselines", s, Predictor) for s in config.baselines if batch == 1)
+            rows += [Candidate(run.name, "python", nx, 1, run) for run in (kind(job.plant, nx) for kind in kinds)]
             rows += [Candidate(name, "compiled", nx, batch, kind(job.plant, nx)) for name, kind in methods.items()]
             for name in networks:
                 rows += [Candidate(name, short_name(way), nx, batch, run(name, way, nx)) for way in ways[name]]
@@ -193,11 +193,6 @@ def _ways(progress: Console, name: str, operator: TrainedOperator, available: li
         return available
     progress.note(f"bench: no rows of the runtime fused for {name}, for it has no fused form")
     return [runtime for runtime in available if runtime != "fused"] or ["torch"]
-
-
-def _baseline(plant: Plant, spec: str, nx: int) -> Candidate:
-    run = BASELINES.subclass("bench.baselines", spec, Predictor)(plant, nx)
-    return Candidate(run.name, "python", nx, 1, run)
 
 
 def _on_device(job: Job, name: str, nx: int, batch: int) -> Iterator[Candidate]:

@@ -49,7 +49,8 @@ class Story:
         """The story of the results in these folders: all but certify have to be there."""
         evaluated, benched = Evaluated.read(inputs["evaluate"]), Benched.read(inputs["bench"])
         trained = {name: Trained.read(inputs[name]) for name in config.train.models}
-        histories = {name: _lines(inputs[name] / "metrics.jsonl") for name in trained}
+        lines = {name: json_files.read(inputs[name] / "metrics.jsonl").splitlines() for name in trained}
+        histories = {name: [*map(json_files.parse, each)] for name, each in lines.items()}
         evidence = Evidence.read(inputs["evaluate"], plant, config.evaluate, evaluated)
         keys = {name: folder.name for name, folder in inputs.items()}
         generated = Generated.read(inputs["generate"])
@@ -92,7 +93,3 @@ def _rollout_errors(path: Path) -> dict[Contender, np.ndarray]:
     with h5py.File(path, "r") as opened:
         file: Any = opened
         return {Contender.parse(str(name)): np.asarray(file[name]) for name in file}
-
-
-def _lines(path: Path) -> list[dict[str, float]]:
-    return [json_files.parse(line) for line in json_files.read(path).splitlines()]
