@@ -51,15 +51,15 @@ def run(job: Job) -> Certified:
         for contender in map(Contender, job.config.train.models)
     }
     by_rollout = rollouts.judge(job, guards, exact)
-    loops = _loops(job, exact, f"loops of {exact.name}")
-    calls, blind, both = _searches(job, guards, exact)
+    loops = _loops(job, exact)
+    calls, blind, bare, guarded = _searches(job, guards, exact)
     models = {
         contender: Certificate(
             **_rollouts(job.config.optional("certify"), by_rollout[contender]),
             **_bounds(guard, by_rollout[contender]),
-            **_calls(guard, exact, *calls[contender]),
+            **_calls(guard, exact, calls[contender][0]),
             **blind[contender],
-            **_behaviour(job.plant, loops, *both[contender]),
+            **_behaviour(job.plant, loops, bare[contender], guarded[contender]),
         )
         for contender, guard in guards.items()
     }
@@ -79,10 +79,13 @@ def _searches(job: Job, guards: Mapping[Contender, Guarded], exact: Predictor) -
     """Of each network the adversary's calls, what a search for blind spots finds, and the loops, bare and guarded."""
     data = shards.survey(job.inputs["generate"] / "data.h5")
     with job.threads() as pool:
-        searches = {contender: pool.submit(_search, job, data, guard.model) for contender, guard in guards.items()}
-        blind = {contender: pool.submit(_blind, job, data, guard, exact) for contender, guard in guards.items()}
-        runs = {contender: pool.submit(_both, job, guard) for contender, guard in guards.items()}
-        return tuple({c: done.result() for c, done in tasks.items()} for tasks in (searches, blind, runs))
+        tasks = (
+            {c: pool.submit(_search, job, data, guard.model) for c, guard in guards.items()},
+            {c: pool.submit(_blind, job, data, guard, exact) for c, guard in guards.items()},
+            {c: pool.submit(_loops, job, guard.model) for c, guard in guards.items()},
+            {c: pool.submit(_loops, job, guard) for c, guard in guards.items()},
+        )
+        return tuple({c: done.result() for c, done in by_network.items()} for by_network in tasks)
 
 
 def summary(result: Certified, width: int | None = None) -> str:
@@ -131,11 +134,11 @@ def _write_worst(folder: Path, calls: Mapping[Contender, tuple[Calls, np.ndarray
 
 
 def _rollouts(table: Certify, fresh: Rollouts) -> dict[str, Any]:
-    errors = fresh.errors
-    level = {"probability": table.probability, "confidence": table.confidence, "rollouts": len(errors)}
-    level["samples"] = table.samples
-    summary = {"eps_kappa": errors.max(), "median": np.median(errors), "fallback_rollouts": fresh.fallback}
-    return level | summary
+    return {
+        "probability": table.probability, "confidence": table.confidence, "rollouts": len(fresh.errors),
+        "samples": table.samples, "eps_kappa": fresh.errors.max(), "median": np.median(fresh.errors),
+        "fallback_rollouts": fresh.fallback,
+    }  # fmt: skip
 
 
 def _bounds(guard: Guarded, fresh: Rollouts) -> dict[str, Any]:
@@ -149,7 +152,7 @@ def _bounds(guard: Guarded, fresh: Rollouts) -> dict[str, Any]:
     return {"bound": np.quantile(ratio, QUANTILES).tolist() if finite.any() else [], "bounded": float(finite.mean())}
 
 
-def _calls(guard: Guarded, exact: Predictor, inputs: Calls, errors: np.ndarray) -> dict[str, Any]:
+def _calls(guard: Guarded, exact: Predictor, inputs: Calls) -> dict[str, Any]:
     """What the guard makes of an adversary's calls. The error is that against the predictor that falls back."""
     true, estimates, passed = rollouts.judged(guard, exact, *inputs)
     above = true > guard.tolerance
@@ -162,18 +165,13 @@ def _calls(guard: Guarded, exact: Predictor, inputs: Calls, errors: np.ndarray) 
     }  # fmt: skip
 
 
-def _both(job: Job, guard: Guarded) -> tuple[Trajectories, Trajectories]:
-    """The loops of the bare network, and those of the guarded one."""
-    return _loops(job, guard.model, f"loops of {guard.model.name}"), _loops(job, guard, f"loops of {guard.name}")
-
-
-def _loops(job: Job, predictor: Predictor, title: str) -> Trajectories:
+def _loops(job: Job, predictor: Predictor) -> Trajectories:
     """Loops from fresh starts, delays and estimates as those of [generate], with the settings of [evaluate]."""
     config, number = job.config.evaluate, job.config.optional("certify").loops
     pipeline = rollouts.fresh(job.config, job.config.optional("certify"), number)
     X0, D, D_hat, _ = sampling.starts(pipeline.seed, pipeline.generate, job.plant, range(number))
     nominal = Condition(config, X0, D, D_hat, config.case_t_end, randomness.integer(pipeline.seed, "noise"))
-    with job.progress.bar(title, nominal.steps, "steps") as bar:
+    with job.progress.bar(f"loops of {predictor.name}", nominal.steps, "steps") as bar:
         return nominal.loops(job.plant, predictor, every=EVERY, progress=bar.advance)
 
 

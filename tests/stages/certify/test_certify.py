@@ -199,7 +199,7 @@ BOUNDS = np.array([2.0, np.inf, 6.0])
 
 def test_what_a_guard_lets_pass_is_counted_by_call(tmp_path, monkeypatch):
     monkeypatch.setattr(rollouts, "judged", lambda *calls: (TRUE, ESTIMATES, PASSED))
-    found = certify._calls(GUARD, None, CALLS, TRUE)
+    found = certify._calls(GUARD, None, CALLS)
     assert (found["calls"], found["above"], found["unnoticed"]) == (6, 3, 1)
     assert (found["adversarial"], found["adversarial_median"]) == (5.0, pytest.approx(1.15))
     assert found["ratio"][1] == pytest.approx(1.75)  # of 1, 1.5, 2 and 3, those of errors from 0.3 to 3
