@@ -20,7 +20,7 @@ from npred.stages.job import Job
 from npred.stages.report import html_page, toml_text
 from npred.stages.report.report_data import CHAPTERS, Story
 from npred.terminal.console import Console
-from npred.terminal.progress_bars import Bar, counted
+from npred.terminal.waiting import Bar, counted
 
 NAME = "report.html"
 FOLDED = "speed"  # a table that is long
