@@ -23,7 +23,7 @@ from npred.figures.style import MEDIA
 from npred.plants.builtin.activator_repressor import ActivatorRepressor
 from npred.results import Benched, Contender
 from npred.stages.report import report
-from npred.stages.report.report_data import Story
+from npred.stages.report.report_data import Story, sentences
 
 LIMIT = 1_500_000  # bytes
 LOADED = ("src", "srcset", "data", "poster", "action", "formaction", "background")
@@ -181,9 +181,7 @@ NONE_TIMED = Benched.of(BENCHED, "a test")
 
 
 def test_the_sentences_know_loops_that_are_lost_and_a_benchmark_without_networks():
-    said = report.sentences(
-        plants.resolve("scalar"), evaluation("numerical", "no_adaptation", "fno", **LOST), NONE_TIMED
-    )
+    said = sentences(plants.resolve("scalar"), evaluation("numerical", "no_adaptation", "fno", **LOST), NONE_TIMED)
     assert said[0] == (
         "On 12,345 held-out samples of nominal rollouts the largest error of a prediction is ∞ for the FNO (mean "
         "square 0.25); on 100 of exploring rollouts it is 3.5."
@@ -197,7 +195,7 @@ def test_the_sentences_know_loops_that_are_lost_and_a_benchmark_without_networks
 
 def test_the_sentences_know_delays_that_are_held_and_plants_without_a_published_predictor():
     timed = NONE_TIMED.model_copy(update={"rows": [timing("fno", "torch", us=200.0)]})
-    said = report.sentences(plants.resolve("scalar"), evaluation("numerical", "fno", **LOST), timed)
+    said = sentences(plants.resolve("scalar"), evaluation("numerical", "fno", **LOST), timed)
     assert said[1] == (
         "Of 20 closed loops with the delay estimate held, 0 with the FNO (median radius ∞) and 0 with the numerical "
         "predictor end within 0.01 of rest."
@@ -328,7 +326,7 @@ def test_the_sentence_on_time_is_of_the_fastest_network_on_the_finest_grid():
         timing("fno", "fused", 0.01, 90.0),
         timing("rk4", "compiled", 0.01, 2.0),
     ]
-    said = report.sentences(
+    said = sentences(
         plants.resolve("scalar"), evaluation("numerical", "fno"), NONE_TIMED.model_copy(update={"rows": rows})
     )
     assert said[2] == (
