@@ -16,7 +16,7 @@ from npred.stages.job import Job
 from npred.stages.report import html_page
 from npred.stages.report.report_data import CHAPTERS, Story, sentences
 from npred.terminal.console import Console
-from npred.terminal.progress_bars import Bar
+from npred.terminal.waiting import Bar
 
 NAME = "report.html"
 FOLDED = "speed"  # a table that is long

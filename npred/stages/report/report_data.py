@@ -21,7 +21,7 @@ from npred.registry import METHODS
 from npred.results import NO_ADAPTATION, NUMERICAL, Benched, Certified, Contender, Evaluated, Generated, Trained, ranked
 from npred.results.evaluate import Scores
 from npred.stages.report import tables
-from npred.terminal.progress_bars import counted
+from npred.terminal.waiting import counted
 
 CHAPTERS = (
     ("loop", "The closed loop", ("figure1",), ("loops",)),
