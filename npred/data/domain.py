@@ -71,7 +71,6 @@ class Domain:
         return np.linalg.norm((_features(X, u, D_hat, angle, self.bend) - self.mean) @ self.whiten.T, axis=1)
 
     def save(self, folder: Path) -> None:
-        """Write domain.safetensors."""
         arrays = {f.name: np.array(getattr(self, f.name), dtype=float, order="C") for f in fields(self)}
         save_file(arrays, folder / FILE)
 

@@ -50,7 +50,6 @@ def files(path: Path) -> list[Path]:
 
 
 def attributes(path: Path) -> dict[str, Any]:
-    """The attributes of a data.h5."""
     with h5py.File(path, "r") as file:
         return dict(file.attrs)
 

@@ -119,7 +119,6 @@ class Case:
 
     @property
     def scenarios(self) -> list[Scenario]:
-        """The scenarios that are to run."""
         return self.pipeline.evaluate.scenarios if self.pipeline and "evaluate" in self.stages else []
 
     @cached_property
@@ -143,7 +142,6 @@ class Case:
         return np.clip(U, *self.limits.T)
 
     def state(self, X: np.ndarray) -> str:
-        """A state in words."""
         return source_lines.values(self.plant.states, X)
 
 

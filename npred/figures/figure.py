@@ -46,7 +46,6 @@ class Plate:
 
 
 def draw(panel: Panel, axis: Axes) -> None:
-    """The panel on these axes."""
     panel.draw(axis)
     axis.set_title(panel.title)
 

@@ -83,7 +83,6 @@ def ends(evidence: Evidence) -> tuple[Panel, ...]:
 
 
 def keys(contenders: Iterable[Contender]) -> tuple[Key, ...]:
-    """Legend entries of these contenders."""
     return tuple(Key(contender.label, look(contender)) for contender in contenders)
 
 

@@ -346,7 +346,6 @@ class Controller:
         z.D_hat[0], z.phi_before[0], self._step, self._t0 = seconds, rate, step, start
 
     def _measure(self, X: np.ndarray, u: Any, u_nodes: Any) -> None:
-        """Take the measurements into the buffers."""
         u = self._u if u is None else array_checks.floats("u", u)
         u_nodes = u if u_nodes is None else array_checks.floats("u_nodes", u_nodes)
         expected = self._Y.shape, self._u.shape

@@ -58,7 +58,6 @@ class Block:
         self._last: tuple[bytes, np.ndarray, np.ndarray] | None = None
 
     def update(self, t: float, x: np.ndarray, inputs: np.ndarray, params: Any) -> np.ndarray:
-        """The state after a step."""
         return self._stepped(x, inputs)[0]
 
     def output(self, t: float, x: np.ndarray, inputs: np.ndarray, params: Any) -> np.ndarray:

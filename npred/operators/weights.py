@@ -58,7 +58,6 @@ class Weights:
         return [layers[number] for number in sorted(layers)]
 
     def double(self) -> Self:
-        """In double precision."""
         return replace(self, arrays={name: array.astype(np.float64) for name, array in self.arrays.items()})
 
     def exact(self, plant: Plant) -> Self:

@@ -109,8 +109,8 @@ class Declaration(BaseModel, frozen=True):
                 f"delay: a delay that depends on the input is not supported, {came}; write delay(x, t, p, M)"
             )
         quantities = (*self.states, *self.inputs)
-        known = {"box": self.states, "state_bounds": self.states, "labels": quantities, "units": quantities}
-        for part, names in known.items():
+        allowed = {"box": self.states, "state_bounds": self.states, "labels": quantities, "units": quantities}
+        for part, names in allowed.items():
             for name in getattr(self, part):
                 if name not in names:
                     raise ValueError(f"{part}: unknown name {name!r}; expected one of {', '.join(names)}")

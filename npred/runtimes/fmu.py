@@ -177,7 +177,6 @@ def _archive(path: Path, files: Mapping[str, str | bytes]) -> None:
 
 
 def _description(version: int, model: Model, variables: Sequence[Variable]) -> str:
-    """modelDescription.xml."""
     root = ET.Element(
         "fmiModelDescription", {"fmiVersion": f"{version}.0", TOKENS[version]: model.token}, modelName=model.plant,
         description=model.about, generationTool=f"npred {npred.__version__}", variableNamingConvention="flat",

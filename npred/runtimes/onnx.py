@@ -48,7 +48,6 @@ class Deployed(nn.Module):
 
 
 def inputs(plant: Plant) -> tuple[str, ...]:
-    """The names of the graph's inputs."""
     return INPUTS if plant.rests and not plant.phased else (*INPUTS, "t")
 
 
@@ -110,7 +109,6 @@ class Onnx(Predictor):
         self.on(nx)
 
     def on(self, nx: int) -> Any:
-        """The session for nx nodes."""
         if nx not in self.graphs:
             self.graphs[nx] = graph(self.operator, self.plant, nx)
         if nx not in self.sessions:

@@ -196,7 +196,6 @@ class Program:
         return Matrix(name, values.shape[-1] if values.ndim > 1 else 0)
 
     def buffer(self, name: str, rows: int, columns: int) -> Matrix:
-        """A buffer (rows, columns) under a name."""
         self.buffers[name] = rows * columns
         return Matrix(name, columns)
 

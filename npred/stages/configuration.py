@@ -12,7 +12,6 @@ UNUSED = 1000.0  # gamma in the key of loops without an adaptation
 
 
 def plant(config: Pipeline) -> Plant:
-    """The plant of a pipeline."""
     return plants.resolve(config.plant, config.parameters)
 
 
@@ -53,7 +52,6 @@ def gamma(config: Pipeline, settings: Loop) -> float:
 
 
 def networks(config: Pipeline) -> dict[str, Any]:
-    """The networks that a stage takes."""
     return {"train": {"models": config.train.models}}
 
 

@@ -196,5 +196,4 @@ class Captured:
 
 
 def _columns(rows: Rows) -> list[Tensor]:
-    """The tensors of the rows."""
     return [column for field in fields(rows) if (column := getattr(rows, field.name)) is not None]

@@ -60,7 +60,6 @@ class Eager:
         return [torchrun.mean(total) / count]
 
     def errors(self) -> list[dict[str, float]]:
-        """Those of `errors` on the held-out rows."""
         return [errors(self.task.operator, self.task.test)]
 
 

@@ -69,7 +69,6 @@ class Rows:
         return self.split(torch.randperm(len(self), generator=shuffle).to(self.X.device), size)
 
     def split(self, order: Tensor, size: int) -> Iterator["Rows"]:
-        """The rows in this order, in batches."""
         return (self[index] for index in order.split(size))
 
 

@@ -30,7 +30,6 @@ class SOAP(torch.optim.Optimizer):
 
     @torch.no_grad()
     def step(self, closure: Callable[[], float] | None = None) -> None:  # type: ignore[override]
-        """One step along the gradients at hand."""
         for group in self.param_groups:
             for p in group["params"]:
                 state = self.state[p] or self._start(p)

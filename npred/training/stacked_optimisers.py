@@ -40,7 +40,6 @@ class StackedAdam:
         self.rate, self.keep = like.new_zeros(()), like.new_ones(())
 
     def set_rate(self, rate: float) -> None:
-        """The learning rate of the next updates."""
         self.rate.fill_(rate)
         self.keep.fill_(1 - rate * self.decay)
 
@@ -61,7 +60,6 @@ class StackedAdam:
         """The work after so many steps that is no part of the graph."""
 
     def tensors(self) -> list[Tensor]:
-        """All of the state."""
         return [self.steps, self.first, self.second]
 
     def of(self, network: int) -> "NetworkState":
@@ -135,7 +133,6 @@ class StackedSOAP(StackedAdam):
                 Q.copy_(turned_bases(self.covariances[size], Q))
 
     def tensors(self) -> list[Tensor]:
-        """All of the state."""
         return [*super().tensors(), *self.covariances.values(), *self.bases.values()]
 
     def moments(self, network: int) -> list[State]:

@@ -102,7 +102,6 @@ class Reference:
         return self._known[key]
 
     def errors(self, predictor: Predictor, nx: int) -> ErrorSizes:
-        """The errors of a predictor on nx nodes."""
         with np.errstate(over="ignore", invalid="ignore"):  # few steps may diverge: an infinite error
             P_hat = predictor(self.X, grid.refine(self.u, nx), self.D_hat, self.t)
             gaps = np.linalg.norm(P_hat - grid.refine(self.P, nx), axis=-1)

@@ -66,7 +66,6 @@ class Labelled:
         return cls(**{f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls)})
 
     def take(self, kept: np.ndarray) -> "Labelled":
-        """The rows of these numbers."""
         return Labelled(**{f.name: getattr(self, f.name)[kept] for f in fields(self)})
 
 

@@ -32,7 +32,6 @@ class Overtaken(NamedTuple):
 
 
 def overtaken(loops: Trajectories) -> Overtaken:
-    """Those of a batch of loops."""
     return Overtaken(int((loops.infeasible >= 0).sum()), " ".join(infeasible(loops) or ()))
 
 

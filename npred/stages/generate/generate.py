@@ -47,7 +47,6 @@ def run(job: Job) -> Generated:
 
 
 def summary(result: Generated, width: int | None = None) -> str:
-    """The data in a line."""
     samples, rollouts = counted(result.samples, "samples"), counted(result.rollouts, "rollouts")
     return f"{samples} of {rollouts} on {result.nx} nodes, {counted(len(result.held_out), 'rollouts')} held out"
 

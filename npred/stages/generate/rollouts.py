@@ -63,7 +63,6 @@ def rows(pipeline: Pipeline, plant: Plant, batch: range, finite: bool = True, pr
 
 
 def joined(parts: list[Columns]) -> Columns:
-    """Columns one after the other."""
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 

@@ -35,7 +35,6 @@ def run(job: Job) -> Reported:
 
 
 def summary(result: Reported, width: int | None = None) -> str:
-    """The report in its sentences."""
     return "\n".join(result.summary)
 
 

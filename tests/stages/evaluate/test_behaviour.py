@@ -1,11 +1,34 @@
-"""The map of loops that converge, on loops that are known."""
+"""What an evaluation says of loops that are known: medians, not means, of the cases; the map of loops that converge."""
+
+from types import SimpleNamespace
 
 import pytest
 from jobs import job
 from known_loops import NEVER, known_loops
 
 from npred import plants
+from npred.results import NUMERICAL, Contender
 from npred.stages.evaluate import behaviour
+
+PLANT = plants.resolve("scalar", {"a": 0.5, "c": 2.0})  # at rest at 0, where a control error of e moves it by e / 2
+FNO = Contender("fno")
+
+
+def test_scores_are_medians_over_the_cases(tmp_path):
+    """The loop shown, five cases, two of the map; a case that the numerical predictor has at rest gives no ratio."""
+    begin = SimpleNamespace(cases=slice(1, 6), map=slice(6, 6))
+    runs = {
+        NUMERICAL: known_loops([9, 10, 20, 40, 0, 50, 9, 9], [0.0] * 8),
+        FNO: known_loops([9, 20, 30, 80, 7, NEVER, NEVER, NEVER], [0.002, 0.001, 0.004, 0.006, 0.003, 1, 1, 1]),
+    }
+    config = job(tmp_path, "evaluate").config.evaluate
+    scores = behaviour.scores(PLANT, config, begin, FNO, 0.03, runs)
+    radius = scores["radius"]
+    assert (radius.median, radius.worst, radius.cases, radius.count) == (0.004, 1.0, 5, 4)
+    assert radius.predicted == pytest.approx(0.5 * 0.03)
+    assert scores["settle_time"] == 30.0  # of 20, 30, 80, 7 and one that does not
+    assert scores["settle_ratio"] == 2.0  # of 2, 1.5, 2 and an infinite one
+    assert scores["figure1"].radius == 1.0 and scores["map"] is None  # within t_end = 4 s it does not settle
 
 
 def test_a_delay_is_in_the_band_where_no_loop_is_lost_that_numerics_keep(tmp_path):
