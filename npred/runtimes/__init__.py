@@ -14,13 +14,9 @@ Samples = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # X (B, n), u (
 
 
 def predictor(
-    runtime: str | None,
-    plant: Plant,
-    operator: TrainedOperator,
-    nx: int = 101,
-    name: str = "neural",
+    runtime: str | None, plant: Plant, operator: TrainedOperator, nx: int = 101, name: str = "neural",
     device: str = "cpu",
-) -> Predictor:
+) -> Predictor:  # fmt: skip
     """The operator as a predictor in a runtime, by its name or `my_runtime.py:Mine`; only torch uses the device.
 
     None: the fastest that fits, npred.runtimes.fused.Loaded, or torch on a GPU and for a network without a fused form.

@@ -171,7 +171,7 @@ def _about(controller: Controller, real: str, model: str) -> list[str]:
 
 
 def _with_unit(plant: Plant, name: str) -> str:
-    unit = (plant.units or {}).get(name, "")
+    unit = plant.units.get(name, "")
     return f"{name} ({unit})" if unit else name
 
 

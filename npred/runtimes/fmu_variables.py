@@ -55,7 +55,7 @@ def _inputs(controller: Controller, X0: np.ndarray, arrays: bool) -> Iterator[Va
     plant, nx = controller.plant, controller.predictor.nx
     yield Variable("time", "independent", "TIME", (0.0,), "time", plant.time_unit)
     for name, value in zip(plant.states, X0.tolist(), strict=True):
-        yield Variable(name, "input", "X", (value,), "measured state", _unit(controller, name))
+        yield Variable(name, "input", "X", (value,), "measured state", plant.units.get(name, ""))
     if controller.actuator == "history":
         return
     about = "commands under way, by nodes and inputs: row 1 acts now, the last was sent just now"
@@ -65,18 +65,18 @@ def _inputs(controller: Controller, X0: np.ndarray, arrays: bool) -> Iterator[Va
         return
     for j in range(nx):
         for c, value in enumerate(controller.u0.tolist()):
-            unit = _unit(controller, plant.inputs[c])
+            unit = plant.units.get(plant.inputs[c], "")
             yield Variable(f"actuator_state[{j + 1},{c + 1}]", "input", "ACTUATOR", (value,), about, unit)
 
 
 def _outputs(controller: Controller) -> Iterator[Variable]:
     plant = controller.plant
     for name, value in zip(plant.inputs, controller.u0.tolist(), strict=True):
-        yield Variable(name, "output", "U", (value,), "command", _unit(controller, name))
+        yield Variable(name, "output", "U", (value,), "command", plant.units.get(name, ""))
     yield Variable("D_hat", "output", "D_HAT", (controller.D_hat,), "estimated delay", plant.time_unit)
     for name in plant.states:
         about = "predicted state, when the command acts"
-        yield Variable(f"predicted.{name}", "output", "P", (0.0,), about, _unit(controller, name))
+        yield Variable(f"predicted.{name}", "output", "P", (0.0,), about, plant.units.get(name, ""))
     if isinstance(controller.predictor, Guarded):
         about = "whether the numerical predictor answered"
         yield Variable("fallback", "output", "FALLBACK", (0.0,), about, boolean=True)
@@ -100,10 +100,6 @@ def _parameters(controller: Controller) -> Iterator[Variable]:
     if not hasattr(bare(predictor), "operator"):
         for name, value in plant.parameters.items():
             yield Variable(f"parameter.{name}", "tunable", "PARAMETERS", (float(value),), "parameter of plant and law")
-
-
-def _unit(controller: Controller, name: str) -> str:
-    return (controller.plant.units or {}).get(name, "")
 
 
 def header(controller: Controller, variables: Sequence[Variable], name: str, token: str) -> str:

@@ -54,7 +54,8 @@ class Captured:
         self.stacked = len(tasks) > 1
         self.parameters, self.buffers = stack_module_state(list(self.operators)) if self.stacked else ({}, {})
         leaves = list(self.parameters.values()) if self.stacked else list(self.operators[0].parameters())
-        self.optimiser = OPTIMISERS[self.config.optimiser](leaves, self.config.weight_decay, self._networks)
+        stacked = len(tasks) if self.stacked else None
+        self.optimiser = OPTIMISERS[self.config.optimiser](leaves, self.config.weight_decay, stacked)
         self.loss = tasks[0].loss
         if self.stacked:
             self.loss = replace(self.loss, weights=torch.stack([task.loss.weights for task in tasks])[:, None, None])
@@ -63,10 +64,6 @@ class Captured:
         self.squares = torch.zeros(len(tasks), dtype=torch.float64, device=self.device)
         tests = [task.test for task in tasks]
         self.test = Rows(*map(torch.stack, zip(*map(_columns, tests), strict=True))) if self.stacked else tests[0]
-
-    @property
-    def _networks(self) -> int | None:
-        return len(self.tasks) if self.stacked else None
 
     def state(self, network: int) -> NetworkState:
         """What a checkpoint saves and restores beside the network."""
@@ -113,9 +110,9 @@ class Captured:
             first = next(self.tasks[0].train.batches(shuffled(self.tasks[0], 1), size))
             self.source = Rows(*(column.clone() for column in _columns(first)))
         self.streams = not rows
-        shape = () if not self.stacked else (len(self.tasks), 1)
+        lead = (len(self.tasks),) if self.stacked else ()
         sizes = {size, self.count % self.config.batch} - {0}
-        self.index = {n: torch.arange(n, device=self.device).expand(*shape[:1], n).contiguous() for n in sizes}
+        self.index = {n: torch.arange(n, device=self.device).expand(*lead, n).contiguous() for n in sizes}
 
     def _put(self, epoch: int) -> Iterator[int]:
         """The sizes of the batches of an epoch, each being in its place."""

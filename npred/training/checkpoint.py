@@ -6,7 +6,7 @@ It holds a digest of all that is in it and of the snapshots beside it: a bit tha
 import hashlib
 import json
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
@@ -15,17 +15,11 @@ from torch import Tensor, nn
 
 from npred import json_files
 from npred.errors import StoreError, first_line
+from npred.training.stacked_optimisers import NetworkState
 
 NAME = "checkpoint.safetensors"
 Metrics = list[dict[str, Any]]
-
-
-class Optimiser(Protocol):
-    """What is saved of an optimiser."""
-
-    def state_dict(self) -> dict[str, Any]: ...
-
-    def load_state_dict(self, state_dict: dict[str, Any]) -> None: ...
+Optimiser = torch.optim.Optimizer | NetworkState
 
 
 def save(folder: Path, network: nn.Module, optimiser: Optimiser, metrics: Metrics) -> None:

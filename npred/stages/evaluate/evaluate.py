@@ -143,12 +143,9 @@ def _loops(
 
 
 def _errors(
-    plant: Plant,
-    network: Predictor | None,
-    P_hat: Mapping[str, np.ndarray],
-    held_out: Mapping[str, Labelled],
+    plant: Plant, network: Predictor | None, P_hat: Mapping[str, np.ndarray], held_out: Mapping[str, Labelled],
     fresh: Labelled,
-) -> dict[str, Any]:
+) -> dict[str, Any]:  # fmt: skip
     """By key of Scores: errors on held-out rows of the first kind, on those of each, and on this evaluation's loops.
 
     The numerical predictor's, which is no network, are 0: it is the reference.
