@@ -18,7 +18,7 @@ from npred.terminal.streams import MESSAGES, printable
 VARIABLE = "NPRED_QUIET"
 EVERY = 10.0  # seconds between two lines of a bar
 PATIENCE = 0.4  # s without a word
-SHORT = 1.0  # s: work that is expected to end before needs no word, unless it lasts longer
+SHORT = 1.0  # s: work that is counted to end before needs no word, unless it lasts longer
 _listeners: list[Callable[[str], None]] = []
 _said: ContextVar[bool] = ContextVar("said", default=False)  # what runs within work that was announced adds no line
 
@@ -92,10 +92,11 @@ class Wait:
 
 @contextmanager
 def said(what: str, seconds: float | None = None, often: str = "", total: int = 0) -> Iterator[Wait]:
-    """In the block, work that a line is written of once it has lasted PATIENCE, unless it is expected to be SHORT.
+    """In the block, work that a line is written of once it has lasted PATIENCE, or SHORT where it will end before that.
 
-    `seconds` is how long it takes as a guess, `often` how often it does; with a `total` of units the time follows from
-    `advance`. Within work of which a line may come, other work adds none.
+    `seconds` is a guess of how long it takes, which a slow machine makes wrong: it delays no line. `often` is how often
+    it does. With a `total` of units the time follows from `advance`. Within work of which a line may come, other work
+    adds none.
     """
     work = Wait(what, seconds, often, total)
     if _said.get() or os.environ.get(VARIABLE):
@@ -150,6 +151,6 @@ def _watch(work: Wait, over: threading.Event, sink: Callable[[str], None]) -> No
     """Wait, then write the line, unless the work is over."""
     if over.wait(PATIENCE):
         return
-    if (expected := work.expected) is not None and expected < SHORT and over.wait(SHORT - PATIENCE):
+    if work.done and (work.expected or 0.0) < SHORT and over.wait(SHORT - PATIENCE):
         return
     sink(work.line)

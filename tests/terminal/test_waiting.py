@@ -53,10 +53,19 @@ def test_quick_work_says_nothing(lines: list[str]):
     assert lines == []
 
 
-def test_work_that_is_expected_to_be_short_says_nothing_unless_it_lasts(lines: list[str]):
-    with waiting.said("compiling", 0.1):
+def test_work_that_is_counted_to_end_soon_says_nothing_unless_it_lasts(lines: list[str]):
+    with waiting.said("simulating", total=100) as work:
+        work.advance(99)
         threading.Event().wait(0.1)
         assert lines == []
+        hold(lines)
+    assert lines == ["simulating: about 1 s"]
+
+
+def test_a_guess_of_a_short_time_delays_no_line(lines: list[str], monkeypatch: pytest.MonkeyPatch):
+    """A slow machine, or a slow compiler, makes the guess wrong."""
+    monkeypatch.setattr(waiting, "SHORT", 1000.0)
+    with waiting.said("compiling", 0.1):
         hold(lines)
     assert lines == ["compiling: about 1 s"]
 
