@@ -118,7 +118,7 @@ def _compile(folder: Path) -> None:
 
 
 def _run(words: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(words, cwd=folder, capture_output=True, text=True, timeout=LIMIT)
+    return subprocess.run(words, cwd=folder, capture_output=True, encoding="utf-8", errors="replace", timeout=LIMIT)
 
 
 @cache

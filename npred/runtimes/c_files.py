@@ -66,7 +66,7 @@ def build(sources: Iterable[Path], target: Path, what: str, *flags: str, other: 
     """
     words = (*cross_compiler(what), "-target", other) if other else compiler() or ("cc",)
     command = [*words, *FLAGS, *flags, *map(str, sources), "-o", str(target), "-lm"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=600)
+    done = subprocess.run(command, capture_output=True, encoding="utf-8", errors="replace", timeout=600)
     if done.returncode:
         complaint = (done.stderr.splitlines() or ["no word"])[0]
         raise NpredError(f"export {what}: expected sources that compile, got: {complaint}; report it")

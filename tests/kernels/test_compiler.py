@@ -1,6 +1,7 @@
 """The compiler: threads that want the same library, texts that do not compile, machines without a compiler."""
 
 import ctypes
+import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -41,6 +42,13 @@ def test_a_text_that_does_not_compile_is_told_in_one_line_and_not_kept(tmp_path)
     with pytest.raises(NpredError, match=r"expected a kernel that compiles, got: .*report it") as caught:
         compiler.library("double twice(double a) { return 2.0 * b; }")
     assert "\n" not in str(caught.value) and not [*tmp_path.iterdir()]
+
+
+def test_a_compiler_that_writes_in_another_encoding_is_told_in_one_line_too(monkeypatch):
+    complaint = (sys.executable, "-c", r"import sys; sys.stderr.buffer.write(b'error: d\xe9clar\x81'); sys.exit(1)")
+    monkeypatch.setattr(compiler, "command", lambda: complaint)
+    with pytest.raises(NpredError, match="expected a kernel that compiles, got: error: d.clar.; report it"):
+        compiler.library(TEXT.format("11.0"))
 
 
 def test_a_machine_without_a_compiler_is_told_what_to_install(monkeypatch):
