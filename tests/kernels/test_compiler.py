@@ -47,7 +47,7 @@ def test_a_text_that_does_not_compile_is_told_in_one_line_and_not_kept(tmp_path)
 def test_a_compiler_that_writes_in_another_encoding_is_told_in_one_line_too(monkeypatch):
     complaint = (sys.executable, "-c", r"import sys; sys.stderr.buffer.write(b'error: d\xe9clar\x81'); sys.exit(1)")
     monkeypatch.setattr(compiler, "command", lambda: complaint)
-    with pytest.raises(NpredError, match="expected a kernel that compiles, got: error: d.clar.; report it"):
+    with pytest.raises(NpredError, match=r"got: error: d.clar.; report it"):
         compiler.library(TEXT.format("11.0"))
 
 
