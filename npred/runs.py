@@ -1,7 +1,7 @@
 """generate, train and evaluate from Python: the stages of the command line, its store and its keys.
 
 What they bring is in the store afterwards, and a second call takes it from there, as `npred` does. On a terminal they
-show the live view of the command line, in a notebook one line below the cell that is updated in place.
+show the live view of the command line, in a notebook one output below the cell that is updated in place.
 """
 
 import re
@@ -189,7 +189,7 @@ def _remembered(source: Source, settings: Mapping[str, Any]) -> Path | None:
 
 @contextmanager
 def _console(chosen: Pipeline, titles: list[str], progress: bool) -> Iterator[Console]:
-    """What shows the stages: a table in a terminal, one line in a notebook, lines now and then elsewhere."""
+    """What shows the stages: a table in a terminal, one output in a notebook, lines now and then elsewhere."""
     shown: Callable[[], Console] = live_view.NotebookConsole if live_view.is_notebook() else Console
     console = shown() if progress else Console(quiet=True)
     with waiting.heard(console.wait), console.watch(chosen.name, titles):
