@@ -43,6 +43,19 @@ for name in {modules()!r}:
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.slow
+def test_the_tests_are_collected_without_posix(tmp_path):
+    program = f"""
+import as_on_windows, distributed, fmpy, platformdirs.unix, pytest, sys, torch._dynamo, xdist
+as_on_windows.forget()
+sys.exit(pytest.main([{str(HERE)!r}, "--collect-only", "-qq", "-p", "no:cacheprovider"]))
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", program], cwd=tmp_path, env=process_environment(), capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stdout[-2000:]
+
+
 def modules() -> list[str]:
     """All modules of npred that load no torch, which asks for POSIX itself."""
     package = importlib.import_module("npred")
