@@ -23,7 +23,7 @@ def test_the_tested_set_is_names_and_versions():
 def test_a_requirement_is_a_lower_bound_that_the_tested_set_keeps(requirement: str):
     """`.ci/lowest` makes the lowest version of the bound."""
     version = pytest.importorskip("packaging.version").Version
-    name, bound = re.fullmatch(r"([\w-]+)>=([\d.]+)", requirement).groups()  # type: ignore[union-attr]
+    name, bound = re.fullmatch(r"([\w-]+)>=([\d.]+)(?:; .*)?", requirement).groups()  # type: ignore[union-attr]
     tested = {known.lower().replace("_", "-"): number for known, number in TESTED.items()}
     assert version(tested[name]) >= version(bound)
 

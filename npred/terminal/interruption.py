@@ -136,7 +136,10 @@ def _bounded(call: Callable[[], None]) -> None:
             call()
         over.release()
 
-    _thread.start_new_thread(run, ())
+    try:
+        _thread.start_new_thread(run, ())
+    except RuntimeError:  # from Python 3.12 on none starts while the interpreter is taken down
+        return
     over.acquire(timeout=GRACE)
 
 
