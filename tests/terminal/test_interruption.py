@@ -172,3 +172,15 @@ def test_what_a_library_makes_of_a_signal_is_an_interruption(tmp_path: Path, err
     (tmp_path / "tiny.toml").write_text('plant = "scalar"\n')
     done = run(program, tmp_path)
     assert (done.returncode, done.stderr) == (143, f"error: {interruption.LINE}\n")
+
+
+def test_where_no_thread_starts_any_more_nothing_is_waited_for(monkeypatch: pytest.MonkeyPatch):
+    """Python 3.12 refuses a thread while the interpreter is taken down."""
+
+    def refuse(*_: object) -> None:
+        raise RuntimeError("can't create new thread at interpreter shutdown")
+
+    monkeypatch.setattr(interruption._thread, "start_new_thread", refuse)
+    called: list[None] = []
+    interruption._bounded(lambda: called.append(None))
+    assert called == []
