@@ -13,7 +13,7 @@ from npred.symbolic.tape import OPS, Vector
 
 TEXTS = {name: op.text.replace("math.", "") for name, op in OPS.items()} | {
     "pow": "pow({0}, {1})", "abs": "fabs({0})", "sign": "sign_of({0})", "where": "{0} != 0 ? {1} : {2}",
-    "maximum": "larger({0}, {1})", "minimum": "smaller({0}, {1})",
+    "maximum": "larger({0}, {1})", "minimum": "smaller({0}, {1})", "sin": "sine({0})", "cos": "cosine({0})",
 }  # fmt: skip
 NUMBERS = {"(np.inf)": "INFINITY", "(-np.inf)": "-INFINITY", "(np.nan)": "NAN", "True": "1", "False": "0"}
 HEAD = "static inline void {name}({arguments})\n{{\n    {lines}\n}}\n"
