@@ -1,22 +1,25 @@
 /* Inputs on few cells, read from the nodes. Positions are counted in nodes, and a node stands for the cell around it.
  * mass and turn (nx + 1, m, lanes): the integrals of u and of s u from 0 to where the cell of node j begins. */
-static inline void integrals(Shape d, int m, const double *u, double *mass, double *turn)
+static inline void integrals(Shape d, int m, const double *restrict u, double *restrict mass, double *restrict turn)
 {
-    const int last = d.nx - 1, lanes = d.lanes;
-    const ptrdiff_t row = (ptrdiff_t)m * lanes;
+    const int last = d.nx - 1;
+    const ptrdiff_t row = (ptrdiff_t)m * d.lanes;
     for (ptrdiff_t a = 0; a < row; a++) {
-        double whole = 0.5 * u[a], lever = 0.125 * u[a];
         mass[a] = turn[a] = 0.0;
-        mass[row + a] = whole;
-        turn[row + a] = lever;
-        for (int j = 1; j < last; j++) {
-            whole += u[j * row + a];
-            lever += (double)j * u[j * row + a];
-            mass[(j + 1) * row + a] = whole;
-            turn[(j + 1) * row + a] = lever;
+        mass[row + a] = 0.5 * u[a];
+        turn[row + a] = 0.125 * u[a];
+    }
+    for (int j = 1; j < last; j++) { /* sums of all inputs side by side */
+        const double *v = u + j * row;
+        double *whole = mass + j * row, *lever = turn + j * row;
+        for (ptrdiff_t a = 0; a < row; a++) {
+            whole[row + a] = whole[a] + v[a];
+            lever[row + a] = lever[a] + (double)j * v[a];
         }
-        mass[d.nx * row + a] = whole + 0.5 * u[last * row + a];
-        turn[d.nx * row + a] = lever + (0.5 * (double)last - 0.125) * u[last * row + a];
+    }
+    for (ptrdiff_t a = 0; a < row; a++) {
+        mass[d.nx * row + a] = mass[last * row + a] + 0.5 * u[last * row + a];
+        turn[d.nx * row + a] = turn[last * row + a] + (0.5 * (double)last - 0.125) * u[last * row + a];
     }
 }
 

@@ -44,13 +44,15 @@ static inline double PART(_sign)(int k, int interval)
 
 /* By how much the mean of u (nx, M) between the first nodes changes where a cubic reads it and not a line, summed up to
  * each node, in units of the distance of nodes: after Simpson, 1/24 of the kink -u_0 + u_1 + u_2 - u_3. */
-static inline void PART(_kinks)(int last, const double *u, double *kinks)
+static inline void PART(_kinks)(int last, const double *restrict u, double *restrict kinks)
 {
+    const double *v = u;
     for (int c = 0; c < M; c++) {
-        const double *v = u + c;
         kinks[c] = 0.0;
-        for (int j = 0; j < last; j++) {
-            const double *w = v + (ptrdiff_t)j * M;
+    }
+    for (int j = 0; j < last; j++, v += M) {
+        for (int c = 0; c < M; c++) {
+            const double *w = v + c;
             double kink = 0.0;
             if (last > 2 && j == 0) {
                 kink = -3.0 * w[0] + 7.0 * w[M] - 5.0 * w[2 * M] + w[3 * M];
@@ -72,8 +74,9 @@ static inline double PART(_between)(int c, int last, double low, double high, co
     return b[0] + (high - (double)j) * (b[M] - b[0]) - a[0] - (low - (double)i) * (a[M] - a[0]);
 }
 
-/* v (rows, ROW, SHADOWS): the inputs of the shadows on `count` intervals, of those of one, lines (rows, M). */
-static inline void PART(_read)(int count, int last, const double *lines, const double *kinks, const double *coarse, double *v)
+/* v (rows, ROW, side): the inputs of the shadows on `count` intervals, of those of one, lines (rows, M). */
+static inline void PART(_read)(int count, int last, int side, const double *lines, const double *kinks,
+                               const double *coarse, double *v)
 {
     const int rows = ON_CELLS ? 2 * count : count + 1;
     const double wide = (double)last / (double)count;
@@ -81,7 +84,7 @@ static inline void PART(_read)(int count, int last, const double *lines, const d
         const int interval = ON_CELLS ? row / 2 : row;
         const double low = ON_CELLS ? (double)interval * wide : larger(((double)interval - 0.5) * wide, 0.0);
         const double high = ON_CELLS ? low + wide : smaller(((double)interval + 0.5) * wide, (double)last);
-        double *at = v + (ptrdiff_t)row * ROW * SHADOWS;
+        double *at = v + (ptrdiff_t)row * ROW * side;
         for (int c = 0; c < M; c++) {
             const double value = lines[row * M + c];
             double change = PART(_between)(c, last, low, high, kinks) / (high - low);
@@ -89,29 +92,30 @@ static inline void PART(_read)(int count, int last, const double *lines, const d
                 const double *k = coarse + least(interval, count - 1) * M + c;
                 change += k[M] - k[0];
             }
-            at[c * SHADOWS] = value;
-            for (int k = 1; k < SHADOWS; k++) { /* by half, for the spread counts twice */
-                at[c * SHADOWS + k] = value + (k < 3 ? 0.5 : -0.5) * change;
+            at[c * side] = value;
+            for (int k = 1; k < side; k++) { /* by half, for the spread counts twice */
+                at[c * side + k] = value + (k < 3 ? 0.5 : -0.5) * change;
             }
         }
-        for (int k = 0; SIGNED && k < SHADOWS; k++) {
-            at[M * SHADOWS + k] = PART(_sign)(k, interval);
+        for (int k = 0; SIGNED && k < side; k++) {
+            at[M * side + k] = PART(_sign)(k, interval);
         }
     }
 }
 
-/* U (M, SHADOWS) of the shadows Q (count + 1, N, SHADOWS) on `count` intervals, from X (N) and u (nx, M) of one lane. */
-static inline void PART(_shadows)(Shape one, int count, const double *X, const double *u, double D_hat, double t,
+/* U (M, side) of the first `side` shadows Q (count + 1, N, side) on `count` intervals, from X (N) and u (nx, M) of one
+ * lane. */
+static inline void PART(_shadows)(Shape one, int count, int side, const double *X, const double *u, double D_hat, double t,
                                   const double *p, const double *mass, const double *turn, const double *kinks,
                                   double *U, double *Q, double *scratch, double *work)
 {
     const int rows = ON_CELLS ? 2 * count : count + 1;
-    double *lines = scratch, *coarse = lines + rows * M, *v = coarse + (count + 1) * M, *x = v + rows * ROW * SHADOWS;
-    double *D = x + N * SHADOWS, *rest = D + SHADOWS;
+    double *lines = scratch, *coarse = lines + rows * M, *v = coarse + (count + 1) * M, *x = v + rows * ROW * side;
+    double *D = x + N * side, *rest = D + side;
     Shape grid = one;
     (void)work;
     grid.nx = count + 1;
-    grid.lanes = SHADOWS;
+    grid.lanes = side;
     grid.m = ROW;
     if (ON_CELLS) {
         lines_on_cells(one, M, count, u, mass, turn, lines);
@@ -119,17 +123,17 @@ static inline void PART(_shadows)(Shape one, int count, const double *X, const d
         means_on_nodes(one, M, count, u, mass, lines);
         PART(_kinks)(count, lines, coarse);
     }
-    PART(_read)(count, one.nx - 1, lines, kinks, coarse, v);
-    for (int k = 0; k < SHADOWS; k++) {
+    PART(_read)(count, one.nx - 1, side, lines, kinks, coarse, v);
+    for (int k = 0; k < side; k++) {
         D[k] = D_hat;
         for (int c = 0; c < N; c++) {
-            x[c * SHADOWS + k] = X[c];
+            x[c * side + k] = X[c];
         }
     }
     REFERENCE(grid, x, v, D, t, p, Q, rest);
     for (int row = 1; SIGNED && row < rows; row++) { /* the law reads the inputs alone */
-        for (int k = 0; k < M * SHADOWS; k++) {
-            v[row * M * SHADOWS + k] = v[row * ROW * SHADOWS + k];
+        for (int k = 0; k < M * side; k++) {
+            v[row * M * side + k] = v[row * ROW * side + k];
         }
     }
     grid.m = M;
@@ -143,7 +147,7 @@ static inline double PART(_apart)(const double *q, const double *before, const d
     double largest = 0.0;
     for (int c = 0; c < N; c++) {
         const double *a = q + c * SHADOWS;
-        double apart = fabs(before[c * SHADOWS] - a[0]);
+        double apart = fabs(before[c] - a[0]);
         for (int k = 1; k < SHADOWS; k++) {
             apart = larger(apart, fabs(a[k] - a[0]));
         }
@@ -159,7 +163,7 @@ static inline double PART(_judged)(int lanes, double tolerance, const double *U,
     double certain = 0.0;
     *error = 0.0;
     for (int c = 0; c < M; c++) {
-        const double *a = A + c * SHADOWS, step = a[0] - before[c * SHADOWS];
+        const double *a = A + c * SHADOWS, step = a[0] - before[c];
         const double gap = fabs(U[c * lanes] - a[0] - step / (pow(ratio, ORDER) - 1.0));
         double spread = 0.0;
         for (int k = 1; k < SHADOWS; k++) {
@@ -179,22 +183,26 @@ static inline int PART(_outside)(int last, const double *X, const double *u, dou
                                  const double *mass, const double *turn)
 {
     const double *bend = guard + HEAD, *mean = bend + N, *whiten = mean + FEATURES, length = (double)last;
-    double feature[FEATURES], total = 0.0;
+    double feature[FEATURES], square[M], total = 0.0;
     for (int c = 0; c < N; c++) {
         feature[c] = asinh(X[c] / bend[c]);
     }
     feature[N] = D_hat;
     for (int c = 0; c < M; c++) {
+        square[c] = 0.5 * length * length * u[last * M + c];
+    }
+    for (int j = 1; j < last; j++) {
+        for (int c = 0; c < M; c++) {
+            square[c] += (double)j * (double)j * u[j * M + c];
+        }
+    }
+    for (int c = 0; c < M; c++) {
         const double *v = u + c, begin = v[0], end = v[last * M];
         const double first = mass[(last + 1) * M + c] / length;
         const double second = (turn[(last + 1) * M + c] + 0.125 * (end - begin)) / (length * length);
-        double square = 0.5 * length * length * end;
-        for (int j = 1; j < last; j++) {
-            square += (double)j * (double)j * v[j * M];
-        }
         feature[N + 1 + 3 * c] = first;
         feature[N + 2 + 3 * c] = 2.0 * second - first;
-        feature[N + 3 + 3 * c] = 6.0 * (square / (length * length * length) - second) + first;
+        feature[N + 3 + 3 * c] = 6.0 * (square[c] / (length * length * length) - second) + first;
     }
     if (PHASED) {
         const double angle = 2.0 * 3.141592653589793 * t / PERIOD;
@@ -218,18 +226,16 @@ static inline double PART(_judge)(Shape one, int lanes, int l, const double *x, 
 {
     const int last = one.nx - 1, levels = (int)guard[LEVELS_AT];
     double *mass = scratch, *turn = mass + (one.nx + 1) * M, *kinks = turn + (one.nx + 1) * M;
-    double *A = kinks + one.nx * M, *before = A + M * SHADOWS, *Q = before + M * SHADOWS;
-    double *end = Q + ((int)guard[COUNTS_AT + levels - 1] + 1) * N * SHADOWS, *rest = end + N * SHADOWS;
+    double *A = kinks + one.nx * M, *Q = A + M * SHADOWS;
+    double *rest = Q + ((int)guard[COUNTS_AT + levels - 1] + 1) * N * SHADOWS, before[M], end[N];
     const int known = guard[LIMIT_AT] < INFINITY;
     double judgement = DOUBT;
     integrals(one, M, v, mass, turn);
     PART(_kinks)(last, v, kinks);
     for (int level = 0; level < levels && judgement == DOUBT; level++) {
         const int count = (int)guard[COUNTS_AT + level];
-        double *const earlier = before;
-        before = A;
-        A = earlier;
-        PART(_shadows)(one, count, x, v, D_hat, t, p, mass, turn, kinks, A, Q, rest, work);
+        const int side = SIGNED || level > 0 ? SHADOWS : 1; /* of the first level only the reference is compared */
+        PART(_shadows)(one, count, side, x, v, D_hat, t, p, mass, turn, kinks, A, Q, rest, work);
         if (level > 0) {
             const double ratio = (double)count / guard[COUNTS_AT + level - 1];
             judgement = PART(_judged)(lanes, guard[TOLERANCE_AT], U + l, A, before, ratio, error);
@@ -239,8 +245,11 @@ static inline double PART(_judge)(Shape one, int lanes, int l, const double *x, 
                 judgement = apart <= 1.0 ? 0.0 : DOUBT;
             }
         }
-        for (int k = 0; k < N * SHADOWS; k++) {
-            end[k] = Q[count * N * SHADOWS + k];
+        for (int c = 0; c < M; c++) {
+            before[c] = A[c * side];
+        }
+        for (int c = 0; c < N; c++) {
+            end[c] = Q[(count * N + c) * side];
         }
     }
     if (known && PART(_outside)(last, x, v, D_hat, t, guard, mass, turn)) {
@@ -253,16 +262,17 @@ static inline void KERNEL(Shape d, const double *X, const double *u, const doubl
                    const double *guard, double *P, double *error, double *fallback, double *work)
 {
     const int lanes = d.lanes;
-    double *U = work + POINTERS, *x = U + M * lanes, *v = x + N, *y = v + d.nx * M, *rest = y + d.nx * N;
+    double *U = work + POINTERS, *own = U + M * lanes, *copy = own + N, *y = copy + d.nx * M, *rest = y + d.nx * N;
     Shape one = d;
     one.lanes = 1;
-    CONTROL(d, P, u, D_hat, t, p, U, x);
+    CONTROL(d, P, u, D_hat, t, p, U, own);
     for (int l = 0; l < lanes; l++) {
-        for (int c = 0; c < N; c++) {
-            x[c] = X[c * lanes + l];
+        const double *x = lanes > 1 ? own : X, *v = lanes > 1 ? copy : u;
+        for (int c = 0; lanes > 1 && c < N; c++) {
+            own[c] = X[c * lanes + l];
         }
-        for (int k = 0; k < d.nx * M; k++) {
-            v[k] = u[(ptrdiff_t)k * lanes + l];
+        for (int k = 0; lanes > 1 && k < d.nx * M; k++) {
+            copy[k] = u[(ptrdiff_t)k * lanes + l];
         }
         fallback[l] = PART(_judge)(one, lanes, l, x, v, D_hat[l], t, p, guard, U, error + l, rest, work);
         if (fallback[l] > 0.0) {
