@@ -5,6 +5,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Self
 
+import numpy as np
+
 from npred import plants
 from npred.config import Disturbance, Loop
 from npred.loop import closed_loop, delay_law
@@ -45,7 +47,8 @@ class Condition:
     def part(self, rows: slice) -> Self:
         """Some of the loops, with the noise that they have among all."""
         X0, D, D_hat = (a[rows] for a in (self.X0, self.D, self.D_hat))
-        return replace(self, X0=X0, D=D, D_hat=D_hat, first=self.first + rows.start)
+        disturbance = self.disturbance and _of_rows(self.disturbance, rows)
+        return replace(self, X0=X0, D=D, D_hat=D_hat, first=self.first + rows.start, disturbance=disturbance)
 
     def loops(self, plant: Plant, predictor: Predictor, **recorded: Any) -> Trajectories:
         """The loops with this predictor; `recorded` are `every`, `samples` and `progress` of npred.simulate."""
@@ -68,6 +71,16 @@ def compiled(plant: Plant, predictor: Predictor, table: Loop) -> bool:
 def truth(plant: Plant, table: Loop) -> Plant | None:
     """The plant with the parameters of `truth`; None where there are none. Raises ConfigError for an unknown one."""
     return plants.varied(plant, tuple(table.truth.items())) if table.truth else None
+
+
+def _of_rows(disturbance: Callable[[float], Any], rows: slice) -> Callable[[float], Any]:
+    """The disturbance of some of the loops, where it differs from loop to loop."""
+
+    def some(t: float) -> Any:
+        value = np.asarray(disturbance(t))
+        return value[rows] if value.ndim > 1 else value
+
+    return some
 
 
 def _push(disturbance: Disturbance) -> Callable[[float], float] | None:

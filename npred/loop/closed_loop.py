@@ -71,7 +71,8 @@ def simulate(
     D may be a function of t in seconds, a delay that drifts or jumps. A plant that declares `delay` takes neither D nor
     D_hat; where commands would overtake each other its loop is marked (`infeasible`) and ends. `actuator="history"`: u
     is not measured, and the controller reads its own commands at D_hat. `measurement` is what it sees of X. `truth` is
-    the simulated plant where that is not the controller's model, and `disturbance(t)` (m,) adds to its input.
+    the simulated plant where that is not the controller's model, and `disturbance(t)` adds to its input: (m,), the same
+    in all loops, or (..., m).
     Raises ConfigError for delays, bounds, times, shapes or a predictor that do not fit.
     """
     loop_checks.parts(plant, predictor, adaptation, every)
@@ -107,7 +108,7 @@ def simulate(
     past = inputs.past(plant, u0, limits, X0, D)
     loop = _Simulation(
         plant, predictor, adaptation, limits, dt, t_end, every, method, actuator == loop_checks.HISTORY,
-        measurement or Measurement(), truth or plant, disturbance,
+        measurement or Measurement(), truth or plant, disturbance, shape,
     )  # fmt: skip
     loop_checks.history(plant, loop.reach(D, D_hat, delays)[1], dt)
     width = LANES if loop.compiled else NEURAL_LANES
@@ -180,6 +181,7 @@ class _Simulation:
     measurement: Measurement
     truth: Plant
     disturbance: Callable[[float], Any] | None
+    shape: tuple[int, ...]  # of the batch
 
     @cached_property
     def law(self) -> Part:
@@ -190,11 +192,12 @@ class _Simulation:
 
     @cached_property
     def pushes(self) -> np.ndarray:
-        """The disturbance in the middle of each control step, (steps, m), or (0, m); the same for all chunks."""
-        count = round(self.t_end / self.dt) + 1 if self.disturbance else 0
-        push = self.disturbance or (lambda t: 0.0)  # of no step, without one
-        values = [loop_checks.push(push((k + 0.5) * self.dt), self.plant.m) for k in range(count)]
-        return np.array(values).reshape(count, self.plant.m)
+        """The disturbance in the middle of each control step, (steps, m, 1 or B), or (0, m, 0) without one."""
+        m, count = self.plant.m, round(self.t_end / self.dt) + 1
+        if self.disturbance is None:
+            return np.zeros((0, m, 0))
+        values = [loop_checks.push(self.disturbance((k + 0.5) * self.dt), m, self.shape) for k in range(count)]
+        return np.moveaxis(np.stack(np.broadcast_arrays(*values)), 1, 2)
 
     @property
     def compiled(self) -> bool:
@@ -257,6 +260,7 @@ class _Simulation:
 
     def _settings(self, samples: np.ndarray, delays: np.ndarray, first: int, rows: int) -> Settings:
         m, settings = self.plant.m, getattr(self.predictor, "settings", None)
+        pushes = self.pushes if self.pushes.shape[2] < 2 else self.pushes[..., first : first + len(samples)]
         return signals.settings(
             dt=self.dt,
             b=self.law.b,
@@ -270,7 +274,7 @@ class _Simulation:
             moves=self.truth.declares_delay,
             senses=not self.measurement.perfect,
             tabulates=len(delays) > 0,
-            disturbed=len(self.pushes) > 0,
+            disturbed=pushes.shape[2],
             bounds=self.law.bounds,
             input_bounds=np.ascontiguousarray(self.input_bounds, dtype=float),
             u_star=np.ascontiguousarray(self.plant.u_equilibrium if self.plant.rests else np.zeros(m), dtype=float),
@@ -280,7 +284,7 @@ class _Simulation:
             law=self.law.settings,
             guard=np.zeros(0) if settings is None else settings,
             delays=np.array(delays[:, None, :] * self.plant.ratios[:, None], order="C"),
-            disturbance=self.pushes,
+            disturbance=np.ascontiguousarray(pushes),
             samples=np.array(samples.T, order="C", dtype=np.int64),
             sensor=sensing.sensor(self.measurement, self.dt, first),
         )

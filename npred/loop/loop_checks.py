@@ -75,12 +75,18 @@ def actuator_state(name: Any) -> None:
         raise ConfigError(f'actuator: expected "measured" or "history", got {name!r}; choose one')
 
 
-def push(value: Any, m: int) -> np.ndarray:
-    """What a disturbance adds, (m,). Raises ConfigError for another shape or a number that is not finite."""
+def push(value: Any, m: int, shape: tuple[int, ...] = ()) -> np.ndarray:
+    """What a disturbance adds to a batch of that shape: (1, m), or (B, m) where it has the batch's axes.
+
+    Raises ConfigError for another shape or a number that is not finite.
+    """
     array = array_checks.floats("disturbance(t)", value)
-    if not array_checks.fits(array.shape, (m,)) or not np.isfinite(array).all():
-        raise ConfigError(f"disturbance(t): expected {m} finite numbers, one per input, got {value!r}; return a list")
-    return np.broadcast_to(array, (m,))
+    if not array_checks.fits(array.shape, (*shape, m)) or not np.isfinite(array).all():
+        each = f", or an array {(*shape, m)}" if shape else ""
+        raise ConfigError(
+            f"disturbance(t): expected {m} finite numbers, one per input{each}, got {value!r}; return a list"
+        )
+    return np.broadcast_to(array, (*(shape if array.ndim > 1 else ()), m)).reshape(-1, m)
 
 
 def times(t_end: Any, dt: Any, measurement: Measurement | None = None) -> None:

@@ -90,7 +90,8 @@ SETTINGS = [
     *(Signal(name, None, 0, "int64") for name in ("every", "row_count", "sample_count", "late")),
     *(Signal(name, None, 0, "int") for name in ("recalls", "keeps", "gated")),
     Signal("observer_count", None, 0, "int"),  # numbers that an observer of the delay remembers, for a step to undo
-    *(Signal(name, None, 0, "int") for name in ("moves", "senses", "tabulates", "disturbed")),
+    *(Signal(name, None, 0, "int") for name in ("moves", "senses", "tabulates")),
+    Signal("disturbed", None, 0, "int"),  # lanes of the disturbance: 0 without one, 1 where it is the same for all
     Signal("bounds", ()),  # (2,) of D_hat
     Signal("input_bounds", ()),  # (m, 2)
     Signal("u_star", ()),  # (m,)
@@ -101,7 +102,7 @@ SETTINGS = [
     Signal("guard", ()),  # what the guard of the predictor is set to
     Signal("reach", ()),  # (n,), how far a sample may be from what is expected near 0
     Signal("delays", ()),  # (steps + 1, m, B), of each input where the delay is a function of time, or empty
-    Signal("disturbance", ()),  # (steps, m), added to what leaves the actuator, or empty
+    Signal("disturbance", ()),  # (steps, m, disturbed), added to what leaves the actuator, or empty
     Signal("samples", (), 0, "int64"),  # (S, B), sorted steps whose (X, u, D_hat) are kept
 ]
 PARTS = {

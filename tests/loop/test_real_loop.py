@@ -81,6 +81,22 @@ def test_a_disturbance_is_that_of_the_middle_of_each_step_for_the_whole_step():
     np.testing.assert_allclose(run.X[1:], wanted, rtol=0, atol=1e-12)
 
 
+@pytest.mark.parametrize("loops", [3, 70])  # one chunk of lanes, and two
+def test_a_disturbance_may_differ_from_loop_to_loop(loops):
+    plant, sizes = Plant("carried", Carried), np.linspace(-1.0, 1.0, loops)
+    predictor = npred.predictor("heun", plant, nx=5)
+    asked = {"D": 0.537, "D_hat": 0.5, "t_end": 1.0, "dt": 0.05, "every": 20}
+    run = npred.simulate(
+        plant, predictor, X0=np.zeros((loops, 2)), disturbance=lambda t: sizes[:, None] * [np.cos(9 * t), t], **asked
+    )  # fmt: skip
+    for k, size in enumerate(sizes):
+        own = {"disturbance": lambda t, size=size: [size * np.cos(9 * t), size * t]}
+        alone = npred.simulate(plant, predictor, X0=[0.0, 0.0], **asked, **own)
+        np.testing.assert_array_equal(run.X[k], alone.X)
+    with pytest.raises(ConfigError, match=rf"2 finite numbers, one per input, or an array \({loops}, 2\)"):
+        npred.simulate(plant, predictor, X0=np.zeros((loops, 2)), disturbance=lambda t: np.ones((5, 2)), **asked)
+
+
 class Sent(Carried):
     """The same, with commands of time alone."""
 

@@ -10,13 +10,14 @@ static inline void tabulated(Shape d, INDEX k, double dt, const double *delays, 
     }
 }
 
-/* Add a disturbance (m) to what leaves the actuator. */
-static inline void disturb(Shape d, const double *push, double *U0, double *U1)
+/* Add a disturbance (m, width) to what leaves the actuator: of each lane, or, where width is 1, the same for all. */
+static inline void disturb(Shape d, int width, const double *push, double *U0, double *U1)
 {
     for (int c = 0; c < d.m; c++) {
         for (int l = 0; l < d.lanes; l++) {
-            U0[c * d.lanes + l] += push[c];
-            U1[c * d.lanes + l] += push[c];
+            const double added = push[c * width + (width > 1 ? l : 0)];
+            U0[c * d.lanes + l] += added;
+            U1[c * d.lanes + l] += added;
         }
     }
 }
@@ -179,7 +180,7 @@ void run(Shape d, INDEX origin, INDEX start, INDEX stop, const Parts *q, const S
             retime(d, origin + k, s->dt, z->D, z->speed, z->held, z->U1, z->share);
         }
         if (s->disturbed) {
-            disturb(d, s->disturbance + k * d.m, z->U0, z->U1);
+            disturb(d, s->disturbed, s->disturbance + k * d.m * s->disturbed, z->U0, z->U1);
         }
         q->advance(d, z->X, z->U0, z->U1, z->share, s->dt, t, s->truth_p, work);
     }
