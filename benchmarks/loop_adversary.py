@@ -10,6 +10,7 @@ target than `--lost` times the target's size. It prints one row of a Markdown ta
 """
 
 import argparse
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
@@ -67,28 +68,33 @@ def between(share: float, ends: np.ndarray) -> float:
     return float(ends.min() + share * (ends.max() - ends.min()))
 
 
-def condition(it: Attack, pipeline: config.Pipeline, t_end: float) -> Condition:
-    table = pipeline.evaluate
+def condition(attacks: list[Attack], pipeline: config.Pipeline, t_end: float) -> Condition:
+    """The loops of a population side by side, each with its own attack."""
+    table, pushes = pipeline.evaluate, np.array([it.push for it in attacks])
+    wrong: dict[int, np.ndarray] = {}
+    for lane, it in enumerate(attacks):
+        for step, offset in it.spoofs.items():
+            wrong.setdefault(step, np.zeros((len(attacks), len(it.X0))))[lane] = offset
 
     def disturbance(t: float) -> np.ndarray:
         span = int(SPANS * t / (ATTACKED * t_end))
-        return it.push[span] if span < SPANS else 0 * it.push[0]
+        return pushes[:, span] if span < SPANS else 0 * pushes[:, 0]
 
     def observer(X_hat: np.ndarray, Y: np.ndarray, U: np.ndarray, t: float) -> np.ndarray:
-        return Y + it.spoofs.get(round(t / table.dt), 0.0)
+        return Y + wrong.get(round(t / table.dt), 0.0)
 
-    one = np.array([1.0])
-    return Condition(
-        table, it.X0[None], it.D * one, it.D_hat * one, t_end, 0, disturbance=disturbance, observer=observer
-    )
+    X0, D, D_hat = (np.array([getattr(it, name) for it in attacks]) for name in ("X0", "D", "D_hat"))
+    return Condition(table, X0, D, D_hat, t_end, 0, disturbance=disturbance, observer=observer)
 
 
-def outcome(predictor: Predictor, it: Condition, far: float) -> Outcome:
+def outcomes(predictor: Predictor, it: Condition, far: float) -> list[Outcome]:
+    """Of each loop."""
     loops = it.loops(predictor.plant, predictor, every=20)
     target = predictor.plant.target(loops.t)
-    size = np.linalg.norm(loops.X - target, axis=-1)[0]
+    size = np.linalg.norm(loops.X - target, axis=-1)
     size = np.nan_to_num(size, nan=FAR, posinf=FAR) / max(float(np.abs(target).max()), 1e-9 if target.any() else 1.0)
-    return Outcome(bool(metrics.lost(loops, target, far)[0]), float(size.max()), float(size[-1]))
+    ends = zip(metrics.lost(loops, target, far), size.max(axis=-1), size[:, -1], strict=True)
+    return [Outcome(bool(lost), float(peak), float(end)) for lost, peak, end in ends]
 
 
 def worse(guarded: Outcome, numerical: Outcome) -> float:
@@ -96,7 +102,7 @@ def worse(guarded: Outcome, numerical: Outcome) -> float:
     return float(np.log(guarded.peak / numerical.peak) + np.log((guarded.end + NEAR) / (numerical.end + NEAR)))
 
 
-def search(ask: Callable[[np.ndarray], float], size: int, loops: int, seed: int) -> None:
+def search(ask: Callable[[list[np.ndarray]], list[float]], size: int, loops: int, seed: int) -> None:
     """Populations from random centres, until so many points were asked, or some more: populations are whole."""
     rng, asked = np.random.default_rng(seed), 0
     while asked < loops:
@@ -104,7 +110,7 @@ def search(ask: Callable[[np.ndarray], float], size: int, loops: int, seed: int)
         evolution = cma.CMAEvolutionStrategy(rng.uniform(0.2, 0.8, size), WIDTH, settings)
         for _ in range(GENERATIONS):
             points = evolution.ask()
-            evolution.tell(points, [-ask(np.asarray(z)) for z in points])
+            evolution.tell(points, [-score for score in ask(points)])
             asked += SIZE
             if asked >= loops or evolution.stop():
                 break
@@ -126,10 +132,12 @@ def main() -> None:
     runs = {"numerical": rk4, "bare": network, "guarded": npred.guarded(network, options.tolerance)}
     found: list[dict[str, Outcome]] = []
 
-    def ask(z: np.ndarray) -> float:
-        it = condition(attack(z, plant, pipeline, options), pipeline, options.t_end)
-        found.append({name: outcome(run, it, options.lost) for name, run in runs.items()})
-        return worse(found[-1]["guarded"], found[-1]["numerical"])
+    def ask(points: list[np.ndarray]) -> list[float]:
+        it = condition([attack(z, plant, pipeline, options) for z in points], pipeline, options.t_end)
+        each = {name: outcomes(run, it, options.lost) for name, run in runs.items()}
+        found.extend(dict(zip(each, row, strict=True)) for row in zip(*each.values(), strict=True))
+        print(f"\r{len(found)} loops", end="", file=sys.stderr, flush=True)
+        return [worse(row["guarded"], row["numerical"]) for row in found[-len(points) :]]
 
     search(ask, plant.n + 2 + SPANS * plant.m + SPOOFED * (1 + plant.n), options.loops, options.seed)
     lost = {name: np.array([each[name].lost for each in found]) for name in runs}
