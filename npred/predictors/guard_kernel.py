@@ -29,8 +29,8 @@ def kernel(plant: Plant, exact: Predictor, method: type[OneStep]) -> Callable[..
 
     def work(nx: int, lanes: int, settings: np.ndarray) -> int:
         finest = int(settings[3:HEAD].max()) + 1
-        one = n + nx * (m + n) + (3 * nx + 2) * m + m * shadows  # of a lane, and what its levels share
-        grid = finest * (3 * m + shadows * (2 * (m + signed) + n)) + shadows * (n + 1)
+        one = n + nx * (m + n) + 2 * (nx + 1) * m + m * shadows  # of a lane, and what its levels share
+        grid = finest * (2 * m + shadows * (2 * (m + signed) + n)) + shadows * (n + 1)
         rest = [part.work(max(nx, finest), max(lanes, shadows), None) for part in compiled.values()]
         return len(POINTERS) + m * lanes + one + grid + max(0, *rest, 0)
 

@@ -241,7 +241,7 @@ class Guarded(Predictor):
     def _set(self, tolerance: float, levels: list[int], domain: Domain | None = None) -> np.ndarray:
         head = [tolerance, np.inf if domain is None else domain.limit.item(), len(levels), *levels]
         head += [0.0] * (HEAD - len(head))
-        return np.concatenate([head, *((domain.bend, domain.mean, domain.whiten.ravel()) if domain else ())])
+        return np.concatenate([head, *((domain.bend, domain.mean, domain.whiten.T.ravel()) if domain else ())])
 
 
 def bare(predictor: Predictor) -> Predictor:

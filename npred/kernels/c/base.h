@@ -72,7 +72,7 @@ SPARE static inline int modulo(INDEX i, int count)
  * they call the library. x less its quarter turns, by pi / 2 in three parts (Cody, Waite, Software Manual for the
  * Elementary Functions, ch. 8), then the polynomials of fdlibm (k_sin.c, k_cos.c): two units in the last place at most,
  * and from |x| = 1e6 on without FMA, of the last place of x. Within [-1, 1] for any finite x; NaN of an infinite one. */
-SPARE static inline double turned(double x, double quarters)
+SPARE static INLINED double turned(double x, double quarters)
 {
     const double k = rint(x * 0.63661977236758134), q = k + quarters, quadrant = q - 4.0 * floor(0.25 * q);
     const double near = ((x - k * 1.57079632673412561417) - k * 6.07710050630396597660e-11) - k * 2.02226624879595063154e-21;
@@ -88,12 +88,12 @@ SPARE static inline double turned(double x, double quarters)
     return quadrant < 2.0 ? value : -value;
 }
 
-SPARE static inline double sine(double x)
+SPARE static INLINED double sine(double x)
 {
     return turned(x, 0.0);
 }
 
-SPARE static inline double cosine(double x)
+SPARE static INLINED double cosine(double x)
 {
     return turned(x, 1.0);
 }

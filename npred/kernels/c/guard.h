@@ -42,41 +42,34 @@ static inline double PART(_sign)(int k, int interval)
     return bits >> 31 ? 1.0 : -1.0;
 }
 
-/* By how much the mean of u (nx, M) between the first nodes changes where a cubic reads it and not a line, summed up to
- * each node, in units of the distance of nodes: after Simpson, 1/24 of the kink -u_0 + u_1 + u_2 - u_3. */
-static inline void PART(_kinks)(int last, const double *restrict u, double *restrict kinks)
+/* By how much the integral of u (nx, M) up to node j, in units of the distance of nodes, changes where a cubic reads
+ * input c and not a line: after Simpson, 1/24 of the kink -u_0 + u_1 + u_2 - u_3 of each cell, of which most cancels in
+ * the sum. */
+static inline double PART(_kinks)(int c, int last, int j, const double *u)
 {
-    const double *v = u;
-    for (int c = 0; c < M; c++) {
-        kinks[c] = 0.0;
+    const double *v = u + c, *w = v + (ptrdiff_t)j * M;
+    if (last < 3 || j == 0) {
+        return 0.0;
     }
-    for (int j = 0; j < last; j++, v += M) {
-        for (int c = 0; c < M; c++) {
-            const double *w = v + c;
-            double kink = 0.0;
-            if (last > 2 && j == 0) {
-                kink = -3.0 * w[0] + 7.0 * w[M] - 5.0 * w[2 * M] + w[3 * M];
-            } else if (last > 2 && j == last - 1) {
-                kink = -3.0 * w[M] + 7.0 * w[0] - 5.0 * w[-M] + w[-2 * M];
-            } else if (last > 2) {
-                kink = -w[-M] + w[0] + w[M] - w[2 * M];
-            }
-            kinks[(j + 1) * M + c] = kinks[j * M + c] + kink / 24.0;
-        }
+    const double begin = -4.0 * v[0] + 7.0 * v[M] - 4.0 * v[2 * M] + v[3 * M];
+    if (j < last) {
+        return (begin + w[-M] - w[M]) / 24.0;
     }
+    return (begin - 4.0 * w[0] + 7.0 * w[-M] - 4.0 * w[-2 * M] + w[-3 * M]) / 24.0;
 }
 
-/* The change of input c between two places, counted in nodes. */
-static inline double PART(_between)(int c, int last, double low, double high, const double *kinks)
+/* The same between two places, counted in nodes. */
+static inline double PART(_between)(int c, int last, double low, double high, const double *u)
 {
     const int i = least((int)low, last - 1), j = least((int)high, last - 1);
-    const double *a = kinks + i * M + c, *b = kinks + j * M + c;
-    return b[0] + (high - (double)j) * (b[M] - b[0]) - a[0] - (low - (double)i) * (a[M] - a[0]);
+    const double a = PART(_kinks)(c, last, i, u), b = PART(_kinks)(c, last, j, u);
+    const double after_a = PART(_kinks)(c, last, i + 1, u), after_b = PART(_kinks)(c, last, j + 1, u);
+    return b + (high - (double)j) * (after_b - b) - a - (low - (double)i) * (after_a - a);
 }
 
-/* v (rows, ROW, side): the inputs of the shadows on `count` intervals, of those of one, lines (rows, M). */
-static inline void PART(_read)(int count, int last, int side, const double *lines, const double *kinks,
-                               const double *coarse, double *v)
+/* v (rows, ROW, side): the inputs of the shadows on `count` intervals, from u (nx, M) and lines (rows, M), those of the
+ * reference. */
+static inline void PART(_read)(int count, int last, int side, const double *u, const double *lines, double *v)
 {
     const int rows = ON_CELLS ? 2 * count : count + 1;
     const double wide = (double)last / (double)count;
@@ -87,10 +80,10 @@ static inline void PART(_read)(int count, int last, int side, const double *line
         double *at = v + (ptrdiff_t)row * ROW * side;
         for (int c = 0; c < M; c++) {
             const double value = lines[row * M + c];
-            double change = PART(_between)(c, last, low, high, kinks) / (high - low);
+            double change = PART(_between)(c, last, low, high, u) / (high - low);
             if (!ON_CELLS && count < last) { /* and by how much the grid's own intervals may be read otherwise */
-                const double *k = coarse + least(interval, count - 1) * M + c;
-                change += k[M] - k[0];
+                const int k = least(interval, count - 1);
+                change += PART(_between)(c, count, (double)k, (double)(k + 1), lines);
             }
             at[c * side] = value;
             for (int k = 1; k < side; k++) { /* by half, for the spread counts twice */
@@ -106,11 +99,11 @@ static inline void PART(_read)(int count, int last, int side, const double *line
 /* U (M, side) of the first `side` shadows Q (count + 1, N, side) on `count` intervals, from X (N) and u (nx, M) of one
  * lane. */
 static inline void PART(_shadows)(Shape one, int count, int side, const double *X, const double *u, double D_hat, double t,
-                                  const double *p, const double *mass, const double *turn, const double *kinks,
-                                  double *U, double *Q, double *scratch, double *work)
+                                  const double *p, const double *mass, const double *turn, double *U,
+                                  double *Q, double *scratch, double *work)
 {
     const int rows = ON_CELLS ? 2 * count : count + 1;
-    double *lines = scratch, *coarse = lines + rows * M, *v = coarse + (count + 1) * M, *x = v + rows * ROW * side;
+    double *lines = scratch, *v = lines + rows * M, *x = v + rows * ROW * side;
     double *D = x + N * side, *rest = D + side;
     Shape grid = one;
     (void)work;
@@ -121,9 +114,8 @@ static inline void PART(_shadows)(Shape one, int count, int side, const double *
         lines_on_cells(one, M, count, u, mass, turn, lines);
     } else {
         means_on_nodes(one, M, count, u, mass, lines);
-        PART(_kinks)(count, lines, coarse);
     }
-    PART(_read)(count, one.nx - 1, side, lines, kinks, coarse, v);
+    PART(_read)(count, one.nx - 1, side, u, lines, v);
     for (int k = 0; k < side; k++) {
         D[k] = D_hat;
         for (int c = 0; c < N; c++) {
@@ -183,7 +175,7 @@ static inline int PART(_outside)(int last, const double *X, const double *u, dou
                                  const double *mass, const double *turn)
 {
     const double *bend = guard + HEAD, *mean = bend + N, *whiten = mean + FEATURES, length = (double)last;
-    double feature[FEATURES], square[M], total = 0.0;
+    double feature[FEATURES], component[FEATURES] = {0.0}, square[M], total = 0.0;
     for (int c = 0; c < N; c++) {
         feature[c] = asinh(X[c] / bend[c]);
     }
@@ -209,12 +201,11 @@ static inline int PART(_outside)(int last, const double *X, const double *u, dou
         feature[FEATURES - 2] = cos(angle);
         feature[FEATURES - 1] = sin(angle);
     }
-    for (int i = 0; i < FEATURES; i++) {
-        double component = 0.0;
-        for (int k = 0; k <= i; k++) {
-            component += whiten[i * FEATURES + k] * (feature[k] - mean[k]);
+    for (int k = 0; k < FEATURES; k++) {
+        for (int i = k; i < FEATURES; i++) {
+            component[i] += whiten[k * FEATURES + i] * (feature[k] - mean[k]);
         }
-        total += component * component;
+        total += component[k] * component[k]; /* which is whole: whiten (transposed) is triangular */
     }
     return !(total <= guard[LIMIT_AT] * guard[LIMIT_AT]);
 }
@@ -225,17 +216,16 @@ static inline double PART(_judge)(Shape one, int lanes, int l, const double *x, 
                                   double *work)
 {
     const int last = one.nx - 1, levels = (int)guard[LEVELS_AT];
-    double *mass = scratch, *turn = mass + (one.nx + 1) * M, *kinks = turn + (one.nx + 1) * M;
-    double *A = kinks + one.nx * M, *Q = A + M * SHADOWS;
+    double *mass = scratch, *turn = mass + (one.nx + 1) * M, *A = turn + (one.nx + 1) * M, *Q = A + M * SHADOWS;
     double *rest = Q + ((int)guard[COUNTS_AT + levels - 1] + 1) * N * SHADOWS, before[M], end[N];
     const int known = guard[LIMIT_AT] < INFINITY;
     double judgement = DOUBT;
+    one.lanes = 1; /* as it is: here the compiler knows it */
     integrals(one, M, v, mass, turn);
-    PART(_kinks)(last, v, kinks);
     for (int level = 0; level < levels && judgement == DOUBT; level++) {
         const int count = (int)guard[COUNTS_AT + level];
         const int side = SIGNED || level > 0 ? SHADOWS : 1; /* of the first level only the reference is compared */
-        PART(_shadows)(one, count, side, x, v, D_hat, t, p, mass, turn, kinks, A, Q, rest, work);
+        PART(_shadows)(one, count, side, x, v, D_hat, t, p, mass, turn, A, Q, rest, work);
         if (level > 0) {
             const double ratio = (double)count / guard[COUNTS_AT + level - 1];
             judgement = PART(_judged)(lanes, guard[TOLERANCE_AT], U + l, A, before, ratio, error);
