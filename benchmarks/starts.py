@@ -106,7 +106,7 @@ if __name__ == "__main__":
     network = npred.load(options.model, nx=nx, store=options.store, runtime="fused")
     network = damaged(network, options.damage) if options.damage else network
     guarded = npred.guarded(network, options.tolerance)
-    nominal = pipeline.generate.model_copy(update={"rollouts": options.loops, "explore": 0.0})
+    nominal = pipeline.generate.model_copy(update={"rollouts": options.loops, "samples": options.loops, "explore": 0.0})
     drawn = sampling.starts(SEED, nominal, network.plant, range(options.loops))
     drawn = (wide(network.plant, drawn[0], options.box), *drawn[1:])
     rk4 = npred.predictor(pipeline.evaluate.predictor, network.plant, nx)

@@ -1,5 +1,6 @@
 """Formulas in C: every operation is that of the interpreter, long functions are called, edges are those of IEEE 754."""
 
+import ctypes
 import math
 
 import numpy as np
@@ -7,9 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from npred.kernels import compiler
 from npred.kernels.c_text import single
 from npred.kernels.formula import function, vector
-from npred.kernels.kernel import made
+from npred.kernels.kernel import made, skeleton
 from npred.symbolic.tape import OPS, M, Tape
 
 REALS = st.floats(0.1, 5) | st.floats(-5, -0.1) | st.just(0.0)
@@ -107,3 +109,42 @@ def test_in_single_precision_types_numbers_and_functions_change_and_nothing_else
         "float x2 = sqrtf(0.5f) * 1.1754944e-38f + larger(y[2], 3.0f); int k = 2; /* float */ "
         "const float z = powf(x2, 1.5f);"
     )
+
+
+TURNS = """
+void entry(int count, const double *x, double *y)
+{
+    for (int k = 0; k < count; k++) {
+        y[k] = sine(x[k]);
+        y[count + k] = cosine(x[k]);
+    }
+}
+"""
+
+
+def turns(x, text=lambda text: text):
+    """sine and cosine of x (count,), as rows, in the precision of x."""
+    entry = compiler.library(text(skeleton("base.h") + TURNS)).entry
+    y = np.empty((2, len(x)), dtype=x.dtype)
+    entry(len(x), *(ctypes.c_void_p(a.ctypes.data) for a in (x, y)))
+    return y
+
+
+@pytest.mark.parametrize("size", [1e-300, 1e-3, 1.0, 10.0, 1e3, 5e5])
+def test_sine_and_cosine_are_right_to_two_units_in_the_last_place(size):
+    x = np.random.default_rng(0).uniform(-size, size, 10_000)
+    for found, name in zip(turns(x), ("sin", "cos"), strict=True):
+        exact = np.array([getattr(math, name)(value) for value in x])
+        assert (np.abs(found - exact) <= 2 * np.spacing(np.abs(exact))).all()
+
+
+def test_sine_and_cosine_of_large_numbers_stay_bounded_and_of_infinite_ones_are_nan():
+    x = np.array([1e16, -1e100, 1.7e308, math.inf, -math.inf, math.nan])
+    found = turns(x)
+    assert (np.abs(found[:, :3]) <= 1).all() and np.isnan(found[:, 3:]).all()
+
+
+def test_sine_and_cosine_in_single_precision():
+    x = np.random.default_rng(0).uniform(-50, 50, 10_000).astype(np.float32)
+    wide = x.astype(float)
+    np.testing.assert_allclose(turns(x, single), [np.sin(wide), np.cos(wide)], rtol=0, atol=4e-6)  # the last place of x
