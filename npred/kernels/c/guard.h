@@ -217,7 +217,7 @@ static inline double PART(_judge)(Shape one, int lanes, int l, const double *x, 
 {
     const int last = one.nx - 1, levels = (int)guard[LEVELS_AT];
     double *mass = scratch, *turn = mass + (one.nx + 1) * M, *A = turn + (one.nx + 1) * M, *Q = A + M * SHADOWS;
-    double *rest = Q + ((int)guard[COUNTS_AT + levels - 1] + 1) * N * SHADOWS, before[M], end[N];
+    double *rest = Q + ((int)guard[COUNTS_AT + levels - 1] + 1) * N * SHADOWS, before[M] = {0.0}, end[N];
     const int known = guard[LIMIT_AT] < INFINITY;
     double judgement = DOUBT;
     one.lanes = 1; /* as it is: here the compiler knows it */
