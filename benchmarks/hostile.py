@@ -1,83 +1,95 @@
 """What hostile loops make of a network, bare and guarded: 64 loops a class, 100 s (about three minutes a network).
 
-Usage: python benchmarks/hostile.py [MODEL], by default pipeline/paper.toml:deeponet, which has to be trained. A loop is
-lost that ends further from rest than a fifth of |X*|; "extra" are those that the numerical predictor keeps.
+    python benchmarks/hostile.py [MODEL] [STORE] [--loops 16] [--t-end 40] [--tolerance 0.05] [--lost 2]
+
+MODEL is pipeline/paper.toml:deeponet by default, and has to be trained. A loop is lost that ends further from rest than
+`--lost` times |X*|; "extra" are those that the numerical predictor keeps. Times are shares of the length of a loop, and
+delays multiples of the pipeline's D where its plant knows its delay; the estimate then stays where it starts.
 """
 
-import sys
+import argparse
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
 import npred
-from npred import metrics
+from npred import config, metrics
 from npred.conditions import EVERY, Condition, box
 from npred.conditions.scenarios import delay
-from npred.config import Evaluate, Generate, Scenario
+from npred.config import FROZEN, Evaluate, Scenario
 from npred.config.evaluate import Jump
 from npred.config.loop import Sensors
 from npred.plants import Plant
 from npred.predictors import Predictor
 from npred.predictors.guarded import Guarded
 
-B, NX, T_END = 64, 51, 100.0
-rng = np.random.default_rng(0)
+NX = 51
 
 
-def pulse(size: float) -> Callable[[float], float]:
-    """A disturbance at the input from 20 s to 21 s."""
-    return lambda t: size if 20 <= t < 21 else 0.0
+def pulse(size: float, at: float) -> Callable[[float], float]:
+    """A disturbance at the input for one second."""
+    return lambda t: size if at <= t < at + 1 else 0.0
 
 
-def flipped(Y: np.ndarray, t: float, at: set[int]) -> np.ndarray:
-    """The measurement, its sign turned at those control steps."""
-    return -Y if round(t / 0.005) in at else Y
-
-
-def conditions(plant: Plant) -> dict[str, Condition]:
+def conditions(plant: Plant, pipeline: config.Pipeline, loops: int, t_end: float) -> dict[str, Condition]:
     """The conditions by what is hostile in them."""
-    ranges = box(plant, Generate())
-    X0 = rng.uniform(ranges[:, 0], ranges[:, 1], (B, plant.n))
-    middle = ranges.mean(axis=1)
-    at = set(rng.integers(1000, 8000, 5).tolist())
-    nominal = Condition(Evaluate(), X0, 1.0, rng.uniform(0.3, 2.5, B), T_END, seed=0)
-    slow, faster = Evaluate(D=2.0), Scenario(name="faster", jump=Jump(at=20.0, to=0.25))
+    rng, ranges = np.random.default_rng(0), box(plant, pipeline.generate)
+    frozen = pipeline.evaluate.adaptation == FROZEN
+    X0 = rng.uniform(ranges[:, 0], ranges[:, 1], (loops, plant.n))
+    middle, positive = ranges.mean(axis=1), ranges[:, 0] > 0
+    wide = middle + 5 * (X0 - middle)
+    table = pipeline.evaluate if frozen else Evaluate()
+    D, at = table.D, 0.2 * t_end
+    wrong = {round(step * t_end / 100 * 0.005 / table.dt) for step in rng.integers(1000, 8000, 5)}
+
+    def flipped(X_hat: np.ndarray, Y: np.ndarray, U: np.ndarray, t: float) -> np.ndarray:
+        return -Y if round(t / table.dt) in wrong else Y
+
+    near = np.array(pipeline.generate.D_hat0, dtype=float) if frozen else np.array([0.3, 2.5])
+    nominal = Condition(table, X0, D, rng.uniform(near.min(), near.max(), loops), t_end, seed=0)
+    slow, faster = table.model_copy(update={"D": 2 * D}), Scenario(name="faster", jump=Jump(at=at, to=D / 4))
     return {
         "nominal": nominal,
-        "starts from a box 5 times as wide": replace(nominal, X0=np.abs(middle + 5 * (X0 - middle))),
-        "noise 3 %": replace(nominal, table=Evaluate(measurement=Sensors(noise=0.03))),
-        "noise 5 %": replace(nominal, table=Evaluate(measurement=Sensors(noise=0.05))),
-        "D̂(0) = 0.1": replace(nominal, D_hat=0.1),
-        "D̂(0) = 4": replace(nominal, D_hat=4.0),
-        "D from 2 to 0.25 at 20 s": replace(nominal, table=slow, D=delay(slow, faster)),
-        "pulse of U + 0.5": replace(nominal, disturbance=pulse(0.5)),
-        "pulse of U − 0.5": replace(nominal, disturbance=pulse(-0.5)),
-        "pulse of U + 1": replace(nominal, disturbance=pulse(1.0)),
-        "pulse of U − 1": replace(nominal, disturbance=pulse(-1.0)),
-        "five samples of X with the sign turned": replace(nominal, observer=lambda X_hat, Y, U, t: flipped(Y, t, at)),
+        "starts from a box 5 times as wide": replace(nominal, X0=np.where(positive, np.abs(wide), wide)),
+        **{
+            f"noise {share:.0%}": replace(nominal, table=table.model_copy(update={"measurement": Sensors(noise=share)}))
+            for share in (0.03, 0.05)
+        },
+        **{f"D̂(0) = {share:g} D": replace(nominal, D_hat=share * D) for share in (0.1, 4.0)},
+        "D from 2 D to D / 4": replace(nominal, table=slow, D=delay(slow, faster)),
+        **{f"pulse of U {size:+g}": replace(nominal, disturbance=pulse(size, at)) for size in (0.5, -0.5, 1.0, -1.0)},
+        "five samples of X with the sign turned": replace(nominal, observer=flipped),
     }
 
 
-def outcome(plant: Plant, predictor: Predictor, condition: Condition) -> tuple[np.ndarray, float, float]:
+def outcome(plant: Plant, predictor: Predictor, condition: Condition, far: float) -> tuple[np.ndarray, float, float]:
     """Which loops are lost, the largest distance from rest, and the share of steps with the numerical predictor."""
     loops = condition.loops(plant, predictor, every=EVERY)
     target = plant.target(loops.t)
-    lost = metrics.lost(loops, target)
+    lost = metrics.lost(loops, target, far)
     return lost, float(np.nan_to_num(np.linalg.norm(loops.X - target, axis=-1), nan=np.inf).max()), loops.fallback_share
 
 
 if __name__ == "__main__":
-    model, store = (sys.argv[1:] + ["pipeline/paper.toml:deeponet", "artifacts"][len(sys.argv) - 1 :])[:2]
-    network = npred.load(model, nx=NX, runtime="fused", store=store)
+    parser = argparse.ArgumentParser()
+    parser.add_argument("model", nargs="?", default="pipeline/paper.toml:deeponet")
+    parser.add_argument("store", nargs="?", default="artifacts")
+    parser.add_argument("--loops", type=int, default=64)
+    for name, default in (("t-end", 100.0), ("tolerance", 0.01), ("lost", metrics.LOST)):
+        parser.add_argument(f"--{name}", type=float, default=default)
+    options = parser.parse_args()
+    pipeline = config.load(Path(options.model.rsplit(":", 1)[0]))
+    network = npred.load(options.model, nx=NX, runtime="fused", store=options.store)
     plant = network.plant
-    rk4, guarded = npred.predictor("rk4", plant, NX), Guarded(network)
+    rk4, guarded = npred.predictor("rk4", plant, NX), Guarded(network, options.tolerance)
     name, counts = guarded.reference
     print(f"guarded by shadows, {name} on {', '.join(map(str, counts))} steps, tolerance {guarded.tolerance:g}")
     print("| class | numerical: lost, peak | bare: extra, peak | guarded: extra, peak, fallback |")
     print("|---|---|---|---|")
-    for name, condition in conditions(plant).items():
-        (lost, peak, _), bare, safe = (outcome(plant, p, condition) for p in (rk4, network, guarded))
+    for name, condition in conditions(plant, pipeline, options.loops, options.t_end).items():
+        (lost, peak, _), bare, safe = (outcome(plant, p, condition, options.lost) for p in (rk4, network, guarded))
         extra = [int((each[0] & ~lost).sum()) for each in (bare, safe)]
         cells = [name, f"{lost.sum()}, {peak:.3g}", f"{extra[0]}, {bare[1]:.3g}"]
         print(f"| {' | '.join(cells)} | {extra[1]}, {safe[1]:.3g}, {safe[2]:.2%} |", flush=True)

@@ -89,7 +89,7 @@ def condition(attacks: list[Attack], pipeline: config.Pipeline, t_end: float) ->
 
 def outcomes(predictor: Predictor, it: Condition, far: float) -> list[Outcome]:
     """Of each loop."""
-    loops = it.loops(predictor.plant, predictor, every=20)
+    loops = it.loops(predictor.plant, predictor, every=20, progress=False)
     target = predictor.plant.target(loops.t)
     size = np.linalg.norm(loops.X - target, axis=-1)
     size = np.nan_to_num(size, nan=FAR, posinf=FAR) / max(float(np.abs(target).max()), 1e-9 if target.any() else 1.0)
