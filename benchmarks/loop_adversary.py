@@ -1,12 +1,14 @@
 """What an adversary makes of whole loops: does it lose one with a guarded network that the numerical predictor keeps?
 
     python benchmarks/loop_adversary.py MODEL [--loops 500] [--push 0.5] [--spoof 0.5] [--tolerance 0.01] [--t-end 30]
+        [--again 100]
 
 CMA-ES chooses the start, D, D_hat(0), a disturbance at the input that is constant over each of eight spans of time and
 at most `--push` in size, and four samples of X that a sensor gets wrong, each state by at most `--spoof` times the
 width of the plant's box, and when: all in the first 30 % of the time. It maximises how much further the guarded loop
 goes, and ends, from its target than the numerical one under the same attack. A loop is lost that ends further from its
-target than `--lost` times the target's size. It prints one row of a Markdown table.
+target than `--lost` times the target's size; with `--again 100` those that are lost run once more, under the same
+attack, for 100 s: some are still on their way at `--t-end`. It prints one row of a Markdown table.
 """
 
 import argparse
@@ -68,8 +70,8 @@ def between(share: float, ends: np.ndarray) -> float:
     return float(ends.min() + share * (ends.max() - ends.min()))
 
 
-def condition(attacks: list[Attack], pipeline: config.Pipeline, t_end: float) -> Condition:
-    """The loops of a population side by side, each with its own attack."""
+def condition(attacks: list[Attack], pipeline: config.Pipeline, attacked: float, t_end: float) -> Condition:
+    """The loops of a population side by side, each with its own attack, which lasts `attacked` seconds."""
     table, pushes = pipeline.evaluate, np.array([it.push for it in attacks])
     wrong: dict[int, np.ndarray] = {}
     for lane, it in enumerate(attacks):
@@ -77,7 +79,7 @@ def condition(attacks: list[Attack], pipeline: config.Pipeline, t_end: float) ->
             wrong.setdefault(step, np.zeros((len(attacks), len(it.X0))))[lane] = offset
 
     def disturbance(t: float) -> np.ndarray:
-        span = int(SPANS * t / (ATTACKED * t_end))
+        span = int(SPANS * t / attacked)
         return pushes[:, span] if span < SPANS else 0 * pushes[:, 0]
 
     def observer(X_hat: np.ndarray, Y: np.ndarray, U: np.ndarray, t: float) -> np.ndarray:
@@ -122,6 +124,7 @@ def main() -> None:
     parser.add_argument("--loops", type=int, default=500)
     for name, default in (("push", 0.5), ("spoof", 0.5), ("tolerance", 0.01), ("lost", metrics.LOST), ("t-end", 30.0)):
         parser.add_argument(f"--{name}", type=float, default=default)
+    parser.add_argument("--again", type=float, default=None)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--store", default="artifacts")
     options = parser.parse_args()
@@ -131,16 +134,24 @@ def main() -> None:
     rk4 = npred.predictor(pipeline.evaluate.predictor, plant, network.nx)
     runs = {"numerical": rk4, "bare": network, "guarded": npred.guarded(network, options.tolerance)}
     found: list[dict[str, Outcome]] = []
+    late: list[dict[str, Outcome]] = []  # of those that are lost, or what became of them
+
+    def made(attacks: list[Attack], t_end: float) -> list[dict[str, Outcome]]:
+        it = condition(attacks, pipeline, ATTACKED * options.t_end, t_end)
+        each = {name: outcomes(run, it, options.lost) for name, run in runs.items()}
+        return [dict(zip(each, row, strict=True)) for row in zip(*each.values(), strict=True)]
 
     def ask(points: list[np.ndarray]) -> list[float]:
-        it = condition([attack(z, plant, pipeline, options) for z in points], pipeline, options.t_end)
-        each = {name: outcomes(run, it, options.lost) for name, run in runs.items()}
-        found.extend(dict(zip(each, row, strict=True)) for row in zip(*each.values(), strict=True))
+        attacks = [attack(z, plant, pipeline, options) for z in points]
+        found.extend(made(attacks, options.t_end))
+        lost = [it for it, row in zip(attacks, found[-len(points) :], strict=True) if any(o.lost for o in row.values())]
+        if lost:
+            late.extend(made(lost, options.again or options.t_end))
         print(f"\r{len(found)} loops", end="", file=sys.stderr, flush=True)
         return [worse(row["guarded"], row["numerical"]) for row in found[-len(points) :]]
 
     search(ask, plant.n + 2 + SPANS * plant.m + SPOOFED * (1 + plant.n), options.loops, options.seed)
-    lost = {name: np.array([each[name].lost for each in found]) for name in runs}
+    lost = {name: np.array([each[name].lost for each in late], dtype=bool) for name in runs}
     ratio = max(each["guarded"].peak / each["numerical"].peak for each in found if not each["numerical"].lost)
     alone = [int((lost[name] & ~lost["numerical"]).sum()) for name in ("guarded", "bare")]
     cells = [options.model, len(found), *(int(lost[name].sum()) for name in runs), *alone, f"{ratio:.3g}"]
