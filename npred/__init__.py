@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from npred import errors as errors
     from npred import plants as plants
     from npred.api import controller, guarded, load, plant, predictor
+    from npred.identification.identify import identify
     from npred.loop.adaptation import DelayAdaptation
     from npred.loop.closed_loop import simulate
     from npred.loop.delay_law import DelayLaw
@@ -25,7 +26,8 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 __all__ = [
     "DelayAdaptation", "DelayLaw", "DelayObserver", "L1Adaptation", "Measurement", "Predictor", "as_iosystem",
-    "controller", "evaluate", "generate", "guarded", "load", "plant", "predictor", "simulate", "train",
+    "controller", "evaluate", "generate", "guarded", "identify", "load", "plant", "predictor", "simulate",
+    "train",
 ]  # fmt: skip
 
 _HOME = dict.fromkeys(__all__, "api") | {
@@ -36,6 +38,7 @@ _HOME = dict.fromkeys(__all__, "api") | {
     "Measurement": "loop.measurement",
     "Predictor": "predictors",
     "as_iosystem": "loop.iosystem",
+    "identify": "identification.identify",
     **dict.fromkeys(("evaluate", "generate", "train"), "runs"),
     "simulate": "loop.closed_loop",
 }

@@ -210,12 +210,27 @@ RUNTIMES = Registry(
         "onnx": Entry("npred.runtimes.onnx:Onnx", "ONNX Runtime", ("", (4, 1.6), "D"), extra="onnx"),
     },
 )
+RECORDINGS = Registry(  # by the suffix of a file
+    "recording",
+    "npred.recordings",
+    {
+        "csv": Entry("npred.recordings.csv:Csv", "CSV"),
+        "txt": Entry("npred.recordings.csv:Csv", "CSV"),
+        "tsv": Entry("npred.recordings.csv:Csv", "TSV"),
+        "mcap": Entry("npred.recordings.mcap:Mcap", "MCAP"),
+        "bag": Entry("npred.recordings.rosbag:Rosbag", "ROS 1 bag"),
+        "db3": Entry("npred.recordings.rosbag:Rosbag", "ROS 2 bag"),
+        "ulg": Entry("npred.recordings.ulog:Ulog", "ULog"),
+    },
+)
 EXPERIMENTS = Registry("experiment", "npred.experiments")  # published ones, which are in npred_experiments
 BASELINES = Registry("baseline", "npred.baselines")  # predictors to compare with: none is built in
 PLANTS = Registry("plant", "npred.plants")  # the built-in ones are the files of npred/plants/builtin
 
 
-STAGES = ("generate", "train", "evaluate", "certify", "bench", "report")  # folders of npred/stages, in their order
+STAGES = (  # folders of npred/stages, in their order
+    "identify", "generate", "train", "evaluate", "certify", "bench", "report"
+)  # fmt: skip
 
 
 def declared_stage(name: str) -> Any:

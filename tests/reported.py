@@ -7,7 +7,7 @@ from silent import Silent
 
 from npred import config
 from npred.pipeline import Outcome, Planner, Runner, nodes, usual
-from npred.stages.report.report import toml_text
+from npred.stages.report import toml_text
 from npred.store import Store
 
 MAP = {"map_D": [0.5, 1.0], "map_D_hat0": [0.8, 1.2, 2.0], "case_t_end": 4.0, "t_end": 3.0}
@@ -18,7 +18,7 @@ BENCH = {"dx": [0.1], "calls": 10, "batches": [1]}
 def run(folder: Path) -> tuple[Path, dict[str, Outcome]]:
     """The pipeline's file beside its store, and what became of each node."""
     path = folder / "tiny.toml"
-    path.write_text(toml_text({"name": "tiny"} | tables(evaluate=MAP, bench=BENCH, generate=REDRAW)))
+    path.write_text(toml_text.dumps({"name": "tiny"} | tables(evaluate=MAP, bench=BENCH, generate=REDRAW)))
     made = config.load(path)
     planner = Planner(made, Store(folder / "store"), "cpu")
     console: object = Silent()

@@ -9,7 +9,10 @@ from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec
 from typing import Any
 
-PACKAGES = {"torch", "pandas", "onnx", "onnxruntime", "onnxscript", "scipy", "sympy", "distributed", "control"}
+PACKAGES = {
+    "torch", "pandas", "onnx", "onnxruntime", "onnxscript", "scipy", "sympy", "distributed", "control",
+    "mcap", "mcap_ros2", "rosbags", "pyulog",
+}  # fmt: skip
 
 
 class Absent(MetaPathFinder):

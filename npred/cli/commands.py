@@ -12,6 +12,7 @@ from npred import cli
 from npred.cli import completion
 from npred.cli.app import Command, Group, app, command, with_flags
 from npred.cli.options import Common, Exporting, Planned, Running, Work, argument, flag
+from npred.cli.recorded import Recorded
 from npred.registry import STAGES, declared_stage
 
 RUN, LOOK, CARE = "Run", "Look", "Look after"
@@ -60,7 +61,7 @@ def _add_stage(stage: str) -> None:
 
 
 for _stage in STAGES:
-    if _stage != "report":  # it comes after the sweep
+    if _stage not in ("identify", "report"):  # which take more
         _add_stage(_stage)
 
 
@@ -94,6 +95,17 @@ def reproduce(
 ) -> None:
     """Published experiments: each printed number beside the same loop run here, as published and as it is meant."""
     cli.reproduce.reproduce(options, names, listed, numerical, force, output)
+
+
+@command(RUN, help=declared_stage("identify").help)
+def identify(
+    options: Recorded,
+    *,
+    output: Annotated[
+        Path | None, flag("The pipeline that is written; LOG's name with .toml, here, by default.", "-o", "--output")
+    ] = None,
+) -> None:
+    cli.identify.identify(options, output)
 
 
 @command(RUN, help=declared_stage("report").help)

@@ -125,7 +125,7 @@ def _keep_remembered(options: Common, kept: Kept, root: GcRoot, device: str) -> 
     its plant is run, which is code.
     """
     try:
-        if root.by_this_user:
+        if root.by_this_user and root.file.suffix == ".toml":  # of a recording what it asked for stays
             pipeline = config.load(root.file)
             kept.add(Planner(pipeline, options.results, device), nodes(pipeline, STAGES))
             return

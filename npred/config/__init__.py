@@ -1,7 +1,7 @@
 """The pipeline file as frozen models: one table per stage, every key checked, `--set` overrides included."""
 
 from npred.config.evaluate import Evaluate, GuardTable, Scenario
-from npred.config.file import leaves, load, parse, put, table
+from npred.config.file import leaves, load, override, parse, put, table
 from npred.config.loop import Disturbance, Loop, Sensors, within
 from npred.config.pipeline import Bench, Generate, Pipeline
 from npred.config.section import FROZEN, PAPER, Anchor, Range, Section
@@ -10,5 +10,5 @@ from npred.config.train import FNO, DeepONet, Network, Train, Training
 __all__ = [
     "FNO", "FROZEN", "PAPER", "Anchor", "Bench", "DeepONet", "Disturbance", "Evaluate", "Generate", "GuardTable",
     "Loop", "Network", "Pipeline", "Range", "Scenario", "Section", "Sensors", "Train", "Training", "leaves", "load",
-    "parse", "put", "table", "within",
+    "override", "parse", "put", "table", "within",
 ]  # fmt: skip

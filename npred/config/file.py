@@ -31,8 +31,8 @@ def load(path: Path, overrides: list[str] | None = None) -> Pipeline:
     Raises ConfigError, in one line, for a file that is missing or no TOML, an unknown key, a wrong type or value.
     """
     data = table(path)
-    for override in overrides or []:
-        _apply(data, override)
+    for text in overrides or []:
+        override(data, text)
     return parse(data, str(path))
 
 
@@ -73,16 +73,15 @@ def parse(data: dict[str, Any], source: str) -> Pipeline:
         raise ConfigError(f"{source}: {_sentence(error)}") from None
 
 
-def _apply(data: dict[str, Any], override: str) -> None:
-    key, sign, text = override.partition("=")
+def override(data: dict[str, Any], text: str) -> None:
+    """Set a key of tables in place by the text key.path=value. Raises ConfigError for another one."""
+    key, sign, value_text = text.partition("=")
     if not sign or not key:
-        raise ConfigError(
-            f"--set: expected key.path=value, got {override!r}; for example --set train.deeponet.epochs=5"
-        )
+        raise ConfigError(f"--set: expected key.path=value, got {text!r}; for example --set train.deeponet.epochs=5")
     try:
-        value = tomllib.loads(f"value = {text}")["value"]
+        value = tomllib.loads(f"value = {value_text}")["value"]
     except tomllib.TOMLDecodeError:
-        value = text  # a bare word is a string, so that --set plant=scalar needs no quotes
+        value = value_text  # a bare word is a string, so that --set plant=scalar needs no quotes
     put(data, key, value, "--set ")
 
 

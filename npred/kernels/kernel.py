@@ -20,6 +20,7 @@ AXES = {  # of the arrays whose sizes those of a call are, before the lanes; of 
     **dict.fromkeys(("X", "X_hat", "Y"), ("n",)),
     **dict.fromkeys(("U", "U0", "U1", "share", "D", "D_seen", "speed"), ("m",)),
     "u": ("nx", "m"), "u_nodes": ("nx", "m"), "P_hat": ("nx", "n"), "P": ("nx", "n"), "held": ("rows", "m"),
+    "spans": ("rows",), "moments": ("rows",),
     "total": ("rows", "m"),
 }  # fmt: skip
 Work = Callable[[int, int, Any], int]  # doubles that a call needs, by nodes, lanes and the settings of a guard

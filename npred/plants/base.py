@@ -45,6 +45,7 @@ class Plant:
         self.source = source or registry.declaring(declaration)
         self.declares_V, self.declares_delay = parts.V is not None, parts.delay is not None
         self.declares_mechanics, self.declares_rollout = parts.mechanics is not None, parts.rollout is not None
+        self.declares_output, self.outputs = parts.output is not None, parts.outputs or parts.states
         self.states, self.inputs, self.parameters, self.box = parts.states, parts.inputs, parts.parameters, parts.box
         self.guess = np.zeros(self.n) if parts.guess is None else np.array(parts.guess)
         self.input_bounds = None if parts.input_bounds is None else list(parts.input_bounds)
@@ -125,6 +126,10 @@ class Plant:
     def delay(self, X: Array, t: Value = 0.0) -> Array:
         """delay(X, t) in seconds, X (..., n) to (...), of a plant that declares it."""
         return array_math.stack(self._on("delay", X, None, t), X[..., 0])[..., 0]
+
+    def output(self, X: Array, t: Value = 0.0) -> Array:
+        """What is measured of X (..., n): output(X, t) (..., outputs) of a plant that declares it, else X."""
+        return array_math.stack(self._on("output", X, None, t), X[..., 0]) if self.declares_output else X
 
     def rollout(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Value) -> np.ndarray:
         """P (B, nx, n) by the simulator of a black box that declares rollout. Raises ConfigError for any other."""
@@ -228,6 +233,17 @@ class Plant:
         outputs = [a for row in at.inertia for a in row] + at.force + at.damping
         text = "\n".join(programs.lines(outputs, {}, names("y", len(outputs))))
         return {"mechanics": hashlib.sha256(text.encode()).hexdigest()}
+
+    @cached_property
+    def output_program(self) -> dict[str, str]:
+        """The hash of what is measured, for the keys of what reads it; empty where the states are."""
+        if not self.declares_output:
+            return {}
+        trace = Trace(self)
+        x, _, t = trace.symbols()
+        outputs = trace.output(x, t)
+        text = "\n".join(programs.lines(outputs, {}, names("y", len(outputs))))
+        return {"output": hashlib.sha256(text.encode()).hexdigest()}
 
     def jacobians(self, X: np.ndarray, u: np.ndarray, t: Value = 0.0) -> tuple[np.ndarray, np.ndarray]:
         """f_X (..., n, n) and f_U (..., n, m) at points X (..., n), u (..., m), derived from the declared f."""

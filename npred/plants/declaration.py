@@ -82,6 +82,8 @@ class Declaration(BaseModel, frozen=True):
     mechanics: Function | None = None
     rollout: Function | None = None
     reference: Function | None = None
+    output: Function | None = None
+    outputs: Names | None = None
     parameters: Parameters = {}
     box: Box = {}
     guess: Values | None = None
@@ -108,7 +110,10 @@ class Declaration(BaseModel, frozen=True):
             raise ValueError(
                 f"delay: a delay that depends on the input is not supported, {came}; write delay(x, t, p, M)"
             )
-        quantities = (*self.states, *self.inputs)
+        if self.outputs and not self.output:
+            cure = "write it, or drop outputs"
+            raise ValueError(f"outputs: expected output(x, t, p, M), which gives them, got none; {cure}")
+        quantities = (*self.states, *self.inputs, *(self.outputs or ()))
         allowed = {"box": self.states, "state_bounds": self.states, "labels": quantities, "units": quantities}
         for part, names in allowed.items():
             for name in getattr(self, part):

@@ -5,9 +5,11 @@ from npred.results.bench import Benched
 from npred.results.certify import Certified
 from npred.results.contender import NO_ADAPTATION, NUMERICAL, Contender, ranked
 from npred.results.evaluate import Evaluated
+from npred.results.identify import IdentifiedResult
 from npred.results.reproduce import Reproduced, ReproducedRow
 
 __all__ = [
-    "NO_ADAPTATION", "NUMERICAL", "Benched", "Certified", "Contender", "Evaluated", "Generated", "Number", "Reported",
+    "NO_ADAPTATION", "NUMERICAL", "Benched", "Certified", "Contender", "Evaluated", "Generated", "IdentifiedResult",
+    "Number", "Reported",
     "Reproduced", "ReproducedRow", "Result", "Trained", "ranked",
 ]  # fmt: skip

@@ -15,9 +15,9 @@ from npred.symbolic.tape import FUNCTIONS, Functions
 Components = list[Value] | None
 
 SIGNATURES = {"f": "f(x, u, t, p, M)", "mechanics": "mechanics(x, u, t, p, M)", "reference": "reference(t, p, M)"}
-SIGNATURES |= {name: f"{name}(x, t, p, M)" for name in ("kappa", "V", "delay")}
+SIGNATURES |= {name: f"{name}(x, t, p, M)" for name in ("kappa", "V", "delay", "output")}
 ON_ROWS = {"f": "f(X, u, t, p)", "reference": "reference(t, p)", "df": "df(X, u, t, p, v)"}
-ON_ROWS |= {"kappa": "kappa(X, t, p)", "V": "V(X, t, p)", "dkappa": "dkappa(X, t, p, v)"}
+ON_ROWS |= {"output": "output(X, t, p)", "kappa": "kappa(X, t, p)", "V": "V(X, t, p)", "dkappa": "dkappa(X, t, p, v)"}
 ON_ROWS |= {"rollout": "rollout(X, u, D_hat, t, p)"}
 HINTS = {
     "for &": "write M.where(a, M.where(b, yes, no), no) for a and b",
@@ -32,6 +32,7 @@ RETURNS = {
     "V": "one number, not a list",
     "delay": "one number of seconds, not a list",
     "mechanics": "M, force and damping",
+    "output": "a list, one value per output",
 }
 
 

@@ -71,6 +71,10 @@ class Trace:
         """delay(x, t) in seconds, a scalar."""
         return self._call("delay", 1, x, None, t)[0]
 
+    def output(self, x: np.ndarray, t: Value) -> np.ndarray:
+        """output(x, t), what is measured, shape (outputs,)."""
+        return self._call("output", len(self.plant.outputs), x, None, t)
+
     def reference(self, t: Value) -> np.ndarray:
         """reference(t), shape (n,)."""
         return self._call("reference", self.plant.n, None, None, t)

@@ -1,8 +1,6 @@
 """The report stage: all results of a pipeline as one HTML file that needs nothing else."""
 
-import json
-import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Any
 
 from npred.config import FROZEN, Evaluate
@@ -13,7 +11,7 @@ from npred.plants import Plant
 from npred.results import Reported
 from npred.stages.bench import timing_tables
 from npred.stages.job import Job
-from npred.stages.report import html_page
+from npred.stages.report import html_page, toml_text
 from npred.stages.report.report_data import CHAPTERS, Story, sentences
 from npred.terminal.console import Console
 from npred.terminal.waiting import Bar
@@ -48,7 +46,7 @@ def _page(story: Story, said: list[str], job: Job) -> str:
         folded=FOLDED,
         facts=_facts(story, job),
         files=job.config.files,
-        settings=toml_text(job.config.beside().model_dump()),
+        settings=toml_text.dumps(job.config.beside().model_dump()),
     )
 
 
@@ -118,34 +116,3 @@ def _facts(story: Story, job: Job) -> dict[str, dict[str, Any]]:
         "Results": story.keys,
         "Machine": hardware.model_dump(exclude={"versions"}, exclude_unset=True) | hardware.versions,
     }
-
-
-def toml_text(table: Mapping[str, object]) -> str:
-    """Nested tables as TOML, which nothing in Python's library writes; None is left out, as TOML has no null."""
-    return "\n".join(_toml_lines(table, ())).strip() + "\n"
-
-
-def _toml_lines(table: Mapping[str, object], path: tuple[str, ...]) -> list[str]:
-    filled = {key: value for key, value in table.items() if value is not None}
-    leaves = [f"{_key(key)} = {_value(value)}" for key, value in filled.items() if not isinstance(value, Mapping)]
-    head = ["", f"[{'.'.join(map(_key, path))}]"] if path and (leaves or not filled) else []
-    below = [
-        line for key, value in filled.items() if isinstance(value, Mapping) for line in _toml_lines(value, (*path, key))
-    ]
-    return [*head, *leaves, *below]
-
-
-def _key(key: str) -> str:
-    return key if re.fullmatch("[A-Za-z0-9_-]+", key) else json.dumps(key, ensure_ascii=False)
-
-
-def _value(value: object) -> str:
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False)
-    if isinstance(value, Mapping):
-        return f"{{ {', '.join(f'{_key(key)} = {_value(item)}' for key, item in value.items() if item is not None)} }}"
-    if isinstance(value, list | tuple):
-        return f"[{', '.join(map(_value, value))}]"
-    return repr(value)

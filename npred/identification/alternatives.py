@@ -1,0 +1,99 @@
+"""What else would explain a log: a first-order lag in place of a delay, a lag behind it, or no delay at all.
+
+Two models that do not contain each other are compared segment by segment [Vuong, Econometrica 57 (1989) 307]: the
+difference of their costs has to be large, and larger than its scatter over the segments.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from npred.identification import search
+from npred.identification.fit import Prior, Problem, SegmentFit
+from npred.identification.log import Segments, mean_square
+
+CLEAR = 10.8  # of chi² with one degree of freedom at 99.9 %
+DEVIATIONS = 1.0  # of the sum over the segments
+NONE = 1e-9  # of the samples' period: a lag that is none
+SHARES = 0.15, 0.3, 0.5, 0.75, 1.0  # of the delay, as a lag
+
+
+@dataclass(frozen=True)
+class FittedModel:
+    """A model with delays and lags (m,), fitted; `lags` is None where it has none."""
+
+    problem: Problem
+    fit: SegmentFit
+    lags: np.ndarray | None = None
+
+
+def better(one: SegmentFit, other: SegmentFit, inflation: float) -> bool:
+    """True if the data clearly prefer `one`."""
+    gain = _per_segment(other) - _per_segment(one)
+    total, scatter = other.cost - one.cost, np.sqrt(len(gain)) * gain.std(ddof=1)
+    return bool(total > CLEAR * inflation and total > DEVIATIONS * scatter)
+
+
+def with_lag(problem: Problem) -> Problem:
+    """The same problem for a model with lags."""
+    return replace(problem, model=replace(problem.model, lag=True))
+
+
+def lag_instead(problem: Problem, delays: np.ndarray, inputs: list[int], longest: float) -> FittedModel:
+    """The best fit with first-order lags in place of the delays of these inputs."""
+    lagged, period = with_lag(problem), problem.segments.log.period
+    D, tau = delays.copy(), np.full(len(delays), NONE * period)
+    D[inputs] = 0.0
+
+    def at(z: np.ndarray, start: SegmentFit | None) -> SegmentFit:
+        tau[inputs] = np.exp(z)
+        return lagged.fit(D, start, 2, tau)
+
+    low, high = (np.full(len(inputs), np.log(end)) for end in (0.2 * period, max(longest, period)))
+    z, _ = search.scan(at, low, high, 0.3)[0]
+    z, fit, _ = search.descend(at, at(z, None), z, low, high, 0.15, 0.01)
+    at(z, fit)
+    return FittedModel(lagged, fit, tau.copy())
+
+
+def lag_behind(problem: Problem, fit: SegmentFit, j: int, width: float) -> FittedModel:
+    """The best fit with a lag of some size behind the delay of input j."""
+    lagged, period, best = with_lag(problem), problem.segments.log.period, None
+    for share in SHARES:
+        tau = np.full(len(fit.delays), NONE * period)
+        tau[j] = share * max(fit.delays[j], period)
+
+        def at(z: np.ndarray, start: SegmentFit | None, tau: np.ndarray = tau) -> SegmentFit:
+            delays = fit.delays.copy()
+            delays[j] = z[0]
+            return lagged.fit(delays, start, 2, tau)
+
+        z = np.array([max(fit.delays[j] - tau[j], 0.0)])
+        high = np.array([fit.delays[j]])
+        _, new, _ = search.descend(at, at(z, fit), z, np.zeros(1), high, max(2 * width, 0.1 * tau[j]), 0.02 * tau[j])
+        if best is None or new.cost < best.fit.cost:
+            best = FittedModel(lagged, new, tau)
+    assert best is not None
+    return best
+
+
+def prediction_error(candidate: FittedModel, segments: Segments) -> np.ndarray:
+    """The rms of each output (outputs,) over the last two thirds of segments that the model was not fitted to.
+
+    Their first thirds give the initial states.
+    """
+    fit, third = candidate.fit, max(2, segments.t.shape[1] // 3)
+    head = segments.Y.copy()
+    head[:, third:] = np.nan
+    theta = fit.thetas(np.ones((1, len(fit.e))))[0]
+    fixed = Prior(theta, np.ones(len(theta)), np.stack([theta, theta]))
+    problem = replace(candidate.problem, segments=replace(segments, Y=head), prior=fixed)
+    start = problem.fit(fit.delays, None, 4, candidate.lags)
+    r = (segments.Y - problem.outputs(start, candidate.lags))[:, third:]
+    return np.sqrt(mean_square(r))
+
+
+def _per_segment(fit: SegmentFit) -> np.ndarray:
+    """The cost of each segment at the common optimum of theta."""
+    d = fit.thetas(np.ones((1, len(fit.e))))[0] - fit.theta
+    return fit.e - 2 * fit.g @ d + np.einsum("i,sij,j->s", d, fit.H, d)

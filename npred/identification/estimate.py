@@ -1,0 +1,118 @@
+"""The delays of a log with intervals of 95 %, by their profiles and by drawing the segments anew."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from npred.identification import search
+from npred.identification.fit import Problem, SegmentFit
+from npred.identification.search import LEVEL, Profile
+
+COARSE = 2500  # samples of the first scan
+TETHER = 0.3  # of its value: how far a free parameter goes in the first scan, where the delay is still wrong
+FINEST = 2e-3  # of the sampling period
+DRAWS = 400
+SHARES = 0.025, 0.975
+
+
+@dataclass(frozen=True)
+class Delays:
+    """Delays (m,), their intervals (m, 2), and the profiles that these come from."""
+
+    problem: Problem
+    values: np.ndarray
+    interval: np.ndarray
+    fit: SegmentFit
+    profiles: list[Profile]
+    widths: np.ndarray
+    inflation: float
+
+    @property
+    def level(self) -> float:
+        """How far above the least cost a fit may be that the data do not tell from the best."""
+        return LEVEL * self.inflation
+
+
+def estimate(problem: Problem, low: np.ndarray, high: np.ndarray, rng: np.random.Generator) -> Delays:
+    """The delays between `low` and `high` (m,)."""
+    period = problem.segments.log.period
+    for _ in range(2):  # the second time with the size of the residuals
+        coarse = _tethered(problem.some(COARSE))
+        places = search.scan(lambda z, start, coarse=coarse: coarse.fit(z, start, 1), low, high, period)
+        problem = problem.rescaled(problem.fit(places[0][0]))
+
+    def at(z: np.ndarray, start: SegmentFit | None) -> SegmentFit:
+        return problem.fit(z, start, 2)
+
+    least = FINEST * period
+    started = [(place, problem.fit(place)) for place, _ in places[:3]]
+    z, fit = min(started, key=lambda pair: pair[1].cost)
+    z, fit, widths = search.descend(at, fit, z, low, high, period, least)
+    problem = problem.rescaled(fit)
+    fit = problem.fit(z, fit)
+    scale = np.sqrt(max(fit.cost / max(fit.count, 1), 1e-12))
+    inflation = correlation_time(fit.residuals)
+    profiles = [search.profile(at, fit, z, j, low, high, widths * scale) for j in range(len(z))]
+    level = LEVEL * inflation
+    ends = np.array([_interval(p, level, rng) for p in profiles])
+    for place, other in started:  # other minima that are as good
+        far = problem.fit(place, other)
+        if far.cost - fit.cost < level:
+            ends = np.stack([np.minimum(ends[:, 0], place), np.maximum(ends[:, 1], place)], axis=1)
+    return Delays(problem, z, ends, fit, profiles, widths, inflation)
+
+
+def _tethered(problem: Problem) -> Problem:
+    """The problem with free parameters held near their values."""
+    prior = problem.prior
+    near = np.where(prior.mean == 0, np.inf, TETHER * np.abs(prior.mean))
+    deviation = np.minimum(prior.deviation, near)
+    return replace(problem, prior=replace(prior, deviation=deviation))
+
+
+def _interval(profile: Profile, level: float, rng: np.random.Generator) -> tuple[float, float]:
+    """The wider of two: of costs near the least one, and of the minima with the segments drawn anew."""
+    rises = profile.costs - profile.costs.min()
+    by_cost = search.interval(profile.values, rises, level)
+    by_draws = np.quantile(drawn(profile, rng)[0], SHARES)
+    return min(by_cost[0], by_draws[0]), max(by_cost[1], by_draws[1])
+
+
+def drawn(profile: Profile, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """The place of the least cost for DRAWS sets of weights of the segments (DRAWS,), and theta (DRAWS, q) there."""
+    S = len(profile.fits[0].e)
+    weights = rng.standard_exponential((DRAWS, S))
+    weights *= S / weights.sum(axis=1, keepdims=True)
+    costs = np.stack([fit.costs(weights) for fit in profile.fits], axis=1)
+    lowest, rows = costs.argmin(axis=1), np.arange(DRAWS)
+    thetas = np.stack([fit.thetas(weights) for fit in profile.fits], axis=1)[rows, lowest]
+    if len(profile.values) < 3:
+        return profile.values[lowest], thetas
+    k = np.clip(lowest, 1, len(profile.values) - 2)
+    x = np.stack([profile.values[k + i] for i in (-1, 0, 1)])
+    y = np.stack([costs[rows, k + i] for i in (-1, 0, 1)])
+    return np.clip(_vertex(x, y), x[0], x[2]), thetas
+
+
+def _vertex(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Where the parabola through three points is least; the lowest point where it opens downwards."""
+    with np.errstate(all="ignore"):
+        d1, d2 = (y[1] - y[0]) / (x[1] - x[0]), (y[2] - y[1]) / (x[2] - x[1])
+        curve = (d2 - d1) / (x[2] - x[0])
+        vertex = (x[0] + x[1]) / 2 - d1 / (2 * curve)
+    lowest = np.take_along_axis(x, np.nan_to_num(y, nan=np.inf).argmin(axis=0)[None], axis=0)[0]
+    return np.where((curve > 0) & np.isfinite(vertex), vertex, lowest)
+
+
+def correlation_time(residuals: np.ndarray) -> float:
+    """1 + 2 Σ ρ_k of the residuals along their segments, up to the first k where ρ_k is below 0; 1 at least."""
+    r = np.where(np.isfinite(residuals), residuals, 0.0)
+    present = np.isfinite(residuals).astype(float)
+    total, variance = 1.0, (r * r).sum() / max(present.sum(), 1)
+    for k in range(1, max(2, r.shape[1] // 3)):
+        pairs = (present[:, k:] * present[:, :-k]).sum()
+        rho = (r[:, k:] * r[:, :-k]).sum() / max(pairs, 1) / max(variance, 1e-300)
+        if rho <= 0:
+            break
+        total += 2 * rho
+    return total

@@ -1,0 +1,215 @@
+"""Initial states of segments and shared parameters by Gauss and Newton's method, the delays being given.
+
+The cost is the sum of squares of residuals over their scale, and of (theta - mean) / deviation. The initial states are
+eliminated segment by segment, so that what is left of each segment is a parabola in theta:
+    cost_s(theta + d) = e_s - 2 g_s d + d' H_s d.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from npred.identification.log import Pieces, Segments, mean_square
+from npred.identification.model import MeasuredOutputs, RolloutModel
+
+RIDGE = 1e-12  # of the largest element: states that nothing measures stay where they are
+HALVINGS = 5
+NEAR = 0.05  # to the least cost, where chi² with one degree of freedom is 3.84 at 95 %
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What is known of theta beforehand: mean and deviation (q,), infinite where nothing is, and limits (2, q)."""
+
+    mean: np.ndarray
+    deviation: np.ndarray
+    limits: np.ndarray
+
+    @property
+    def free(self) -> int:
+        """How many of theta nothing is known of."""
+        return int(np.isinf(self.deviation).sum())
+
+    @cached_property
+    def weight(self) -> np.ndarray:
+        """1 / deviation², (q,)."""
+        return 1.0 / self.deviation**2
+
+
+@dataclass(frozen=True)
+class SegmentFit:
+    """States X (S, n) and theta (q,) at given delays (m,), and the parabolas in theta around there."""
+
+    delays: np.ndarray
+    X: np.ndarray
+    theta: np.ndarray
+    e: np.ndarray  # (S,)
+    g: np.ndarray  # (S, q)
+    H: np.ndarray  # (S, q, q)
+    prior: Prior
+    residuals: np.ndarray  # (S, K, outputs), over their scale; NaN where there is no sample
+
+    @cached_property
+    def cost(self) -> float:
+        """The least cost of the parabolas."""
+        return float(self.costs(np.ones((1, len(self.e))))[0])
+
+    @property
+    def count(self) -> int:
+        """Residuals less what was fitted to them."""
+        return int(np.isfinite(self.residuals).sum()) - self.X.size - self.prior.free
+
+    def costs(self, weights: np.ndarray) -> np.ndarray:
+        """The least cost (B,) with segments weighted (B, S), theta being optimal for each row of weights."""
+        e, g, H = self._sums(weights)
+        with np.errstate(all="ignore"):
+            return np.where(np.isfinite(e), e - np.einsum("bi,bi->b", g, _solve(H, g)), np.inf)
+
+    def thetas(self, weights: np.ndarray) -> np.ndarray:
+        """The optimal theta (B, q) for each row of weights, within its limits."""
+        _, g, H = self._sums(weights)
+        return np.clip(self.theta + _solve(H, g), *self.prior.limits)
+
+    def _sums(self, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        gap = self.prior.mean - self.theta
+        gap = np.where(self.prior.weight > 0, gap, 0.0)
+        e = weights @ self.e + (self.prior.weight * gap**2).sum()
+        g = weights @ self.g + self.prior.weight * gap
+        H = np.einsum("bs,sij->bij", weights, self.H) + np.diag(self.prior.weight)
+        return e, g, H
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Segments to be fitted by a model; `scale` (outputs,) is the size of a residual."""
+
+    model: RolloutModel
+    segments: Segments
+    scale: np.ndarray
+    prior: Prior
+
+    @cached_property
+    def sensors(self) -> MeasuredOutputs:
+        """What is measured of the model's states."""
+        return MeasuredOutputs(self.model)
+
+    def some(self, rows: int) -> "Problem":
+        """The same for segments spread over the log, of about so many samples together."""
+        every = max(1, round(self.segments.mask.sum() / rows))
+        return replace(self, segments=self.segments.some(slice(None, None, every)))
+
+    def rescaled(self, fit: SegmentFit) -> "Problem":
+        """The same with the size of the residuals of a fit as their scale."""
+        r = fit.residuals.reshape(-1, len(self.scale))
+        share = np.isfinite(r).sum() / max(fit.count, 1)
+        size = np.sqrt(mean_square(r) * share)
+        return replace(self, scale=self.scale * np.where(size > 0, size, 1.0))
+
+    def start(self) -> tuple[np.ndarray, np.ndarray]:
+        """Initial states as they are measured, else the plant's guess, and theta as it is thought to be."""
+        X = self.sensors.states(self.segments.Y[:, 0])
+        return X, self.prior.mean
+
+    def fit(self, delays: np.ndarray, start: Any = None, steps: int = 3, tau: np.ndarray | None = None) -> SegmentFit:
+        """The fit with these delays, and lags (m,) of a model with lags, after at most so many steps from `start`.
+
+        That is another fit, or (X, theta).
+        """
+        X, theta = (start.X, start.theta) if isinstance(start, SegmentFit) else start or self.start()
+        theta = np.clip(theta, *self.prior.limits)
+        pieces, lag = self._inputs(delays, tau)
+        best, moved = self._linear(delays, X, theta, pieces, lag)
+        for _ in range(steps):
+            if self._at(best) - best.cost < NEAR:  # the parabolas' least cost is right to second order
+                break
+            dX, dtheta = moved
+            for halving in range(HALVINGS):
+                share = 0.5**halving
+                new_theta = np.clip(best.theta + share * dtheta, *self.prior.limits)
+                new, move = self._linear(delays, best.X + share * dX, new_theta, pieces, lag)
+                if self._at(new) <= self._at(best) or not np.isfinite(self._at(best)):
+                    break
+            else:
+                return best
+            best, moved = new, move
+        return best
+
+    def outputs(self, fit: SegmentFit, tau: np.ndarray | None = None) -> np.ndarray:
+        """The outputs (S, K, outputs) that the model of a fit has at the samples."""
+        pieces, lag = self._inputs(fit.delays, tau)
+        x, J = self.model.run(fit.X, fit.theta, pieces, lag)
+        return self.sensors.read(x, J, self.segments.t, self.model.parameters(fit.theta))[0]
+
+    def _inputs(self, delays: np.ndarray, tau: np.ndarray | None) -> tuple[Pieces, Any]:
+        """The pieces with these delays, and the states of lags with tau."""
+        lag = None if tau is None else (lag_states(self.segments, delays, tau), tau)
+        return self.segments.pieces(delays), lag
+
+    def _at(self, fit: SegmentFit) -> float:
+        """The cost where the fit stands, not where its parabolas are least."""
+        r = np.where(np.isfinite(fit.residuals) | ~np.isfinite(self.segments.Y), fit.residuals, np.inf)
+        gap = np.where(self.prior.weight > 0, fit.theta - self.prior.mean, 0.0)
+        return float(np.nansum(r**2) + (self.prior.weight * gap**2).sum())
+
+    def _linear(
+        self, delays: np.ndarray, X: np.ndarray, theta: np.ndarray, pieces: Any, lag: Any
+    ) -> tuple[SegmentFit, tuple[np.ndarray, np.ndarray]]:
+        """The parabolas about a point, and the way to their least cost."""
+        segments, n = self.segments, self.model.n
+        x, J = self.model.run(X, theta, pieces, lag)
+        y, G = self.sensors.read(x, J, segments.t, self.model.parameters(theta))
+        with np.errstate(all="ignore"):
+            residuals = (segments.Y - y) / self.scale
+        r = np.where(np.isfinite(segments.Y), residuals, 0.0)
+        G = np.where(np.isfinite(segments.Y)[..., None], G / self.scale[:, None], 0.0)
+        r, G = r.reshape(len(X), -1), G.reshape(len(X), -1, G.shape[-1])
+        with np.errstate(all="ignore"):
+            A, b = G.swapaxes(1, 2) @ G, (G.swapaxes(1, 2) @ r[..., None])[..., 0]
+            right = np.concatenate([b[:, :n, None], A[:, :n, n:]], axis=2)
+            solved = _ridged(A[:, :n, :n], right)
+            e = (r**2).sum(axis=1) - (b[:, :n] * solved[..., 0]).sum(axis=1)
+            g = b[:, n:] - (A[:, n:, :n] @ solved[..., :1])[..., 0]
+            H = A[:, n:, n:] - A[:, n:, :n] @ solved[..., 1:]
+        lost = ~np.isfinite(e) | ~np.isfinite(H).all(axis=(1, 2)) | ~np.isfinite(g).all(axis=1)
+        e, g, H = np.where(lost, np.inf, e), np.where(lost[:, None], 0.0, g), np.where(lost[:, None, None], 0.0, H)
+        fit = SegmentFit(np.asarray(delays), X, theta, e, g, H, self.prior, residuals)
+        dtheta = fit.thetas(np.ones((1, len(X))))[0] - theta
+        dX = np.where(lost[:, None], 0.0, solved[..., 0] - (solved[..., 1:] @ dtheta))
+        return fit, (dX, dtheta)
+
+
+def lag_states(segments: Segments, delays: np.ndarray, tau: np.ndarray) -> np.ndarray:
+    """The states (S, m) of first-order lags of the delayed commands at the begin of each segment."""
+    log, starts = segments.log, segments.t[:, 0]
+    states = np.empty((len(segments), log.U.shape[1]))
+    for j, U in enumerate(log.U.T.tolist()):
+        a, at = U[0], [U[0]]
+        for u, share in zip(U, np.exp(-np.diff(log.t_U) / tau[j]).tolist(), strict=False):
+            a = u + (a - u) * share
+            at.append(a)
+        k = np.maximum(np.searchsorted(log.t_U + delays[j], starts, side="right") - 1, 0)
+        rest = np.exp(-np.maximum(starts - log.t_U[k] - delays[j], 0.0) / tau[j])
+        states[:, j] = log.U[k, j] + (np.array(at)[k] - log.U[k, j]) * rest
+    return states
+
+
+def _ridged(A: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """A⁻¹ right of symmetric matrices, which may be singular."""
+    size = np.maximum(np.nanmax(np.abs(A), axis=(1, 2), initial=0.0), 1e-300)
+    return _solve(A + RIDGE * size[:, None, None] * np.eye(A.shape[-1]), right)
+
+
+def _solve(A: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """A⁻¹ right for stacks of matrices; NaN where there is none."""
+    column = right.ndim < A.ndim
+    right = right[..., None] if column else right
+    good = np.isfinite(A).all(axis=(-2, -1)) & np.isfinite(right).all(axis=(-2, -1))
+    solved = np.full(right.shape, np.nan)
+    if A.shape[-1]:
+        try:
+            solved[good] = np.linalg.solve(A[good], right[good])
+        except np.linalg.LinAlgError:
+            solved[good] = np.linalg.pinv(A[good], hermitian=True) @ right[good]
+    return solved[..., 0] if column else solved

@@ -1,0 +1,13 @@
+"""The delay and the parameters of a plant by a recording of it, and what the recording does not tell."""
+
+from npred.stages.declaration import Stage
+
+STAGE = Stage(
+    __name__,
+    version=1,
+    upstream=(),
+    result_class="npred.results:IdentifiedResult",
+    data=r"identified\.h5",
+    draws=True,
+    table_class="Identify",
+)

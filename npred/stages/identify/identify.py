@@ -1,0 +1,162 @@
+"""The identify stage: a recording read, the plant fitted to it, a page of what it tells."""
+
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from npred import recordings
+from npred.errors import ConfigError
+from npred.figures import identified as figures
+from npred.figures import svg
+from npred.figures.figure import write
+from npred.figures.table import Column, Table
+from npred.identification.identified import Identified
+from npred.identification.identify import Settings, of_log
+from npred.identification.log import Log
+from npred.plants import Plant
+from npred.results import IdentifiedResult
+from npred.stages.identify.table import Identify
+from npred.stages.job import Job
+from npred.stages.report import html_page, toml_text
+
+PAGE = "page.html"
+LAGS = 40
+
+
+def run(job: Job) -> IdentifiedResult:
+    """Write page.html, its figures, and identified.h5 with what they draw."""
+    table, plant = job.config.optional("identify"), job.plant
+    if not table.data:
+        raise ConfigError(
+            "identify: expected a recording, got none; name one by data in [identify], or npred identify LOG"
+        )
+    log = read(plant, table)
+    settings = Settings(
+        tuple(table.free),
+        table.bounds,
+        table.longest,
+        table.offset,
+        table.time_varying,
+        table.model_error,
+        job.config.seed,
+    )
+    identified = of_log(plant, log, settings)
+    drawn = _drawn(identified)
+    with h5py.File(job.folder / "identified.h5", "w") as file:
+        for name, values in drawn.items():
+            file[name] = values
+    result = _result(identified, log)
+    plates = list(figures.plates(plant, drawn))
+    for plate in plates:
+        write(plate, job.folder)
+    (job.folder / PAGE).write_text(_page(job, result, plates), encoding="utf-8")
+    return result
+
+
+def summary(result: IdentifiedResult, width: int | None = None) -> str:
+    """What is known, in sentences."""
+    return "\n".join(result.sentences)
+
+
+def read(plant: Plant, table: Identify) -> Log:
+    """The log in a recording. Raises ConfigError where an input has no column, or no output has one."""
+    path, columns = Path(table.data), {name: table.columns.get(name, name) for name in (*plant.inputs, *plant.outputs)}
+    unknown = set(table.columns) - set(columns)
+    if unknown:
+        raise ConfigError(
+            f"columns: expected inputs or outputs of plant {plant.name}, got {', '.join(sorted(unknown))}"
+        )
+    there = recordings.columns(path)
+    missing = [name for name, column in columns.items() if column not in there]
+    unmeasured = [name for name in missing if name in plant.outputs and name not in table.columns]
+    chosen = {name: column for name, column in columns.items() if name not in unmeasured}
+    if len(unmeasured) == len(plant.outputs):
+        raise ConfigError(
+            f"{path}: expected a column for one of {', '.join(plant.outputs)}, found {', '.join(there)}; map one, as "
+            f"--state {plant.outputs[0]}={there[-1] if there else 'y'}"
+        )
+    series = recordings.read(path, list(chosen.values()), table.time, table.time_unit)
+    return Log.of_series(
+        [_scaled(series[chosen[name]], table, chosen[name]) for name in plant.inputs],
+        [_scaled(series[chosen[name]], table, chosen[name]) if name in chosen else None for name in plant.outputs],
+    )
+
+
+def _scaled(series: recordings.TimeSeries, table: Identify, column: str) -> tuple[np.ndarray, np.ndarray]:
+    return series.t, table.scale.get(column, 1.0) * series.values + table.shift.get(column, 0.0)
+
+
+def _result(identified: Identified, log: Log) -> IdentifiedResult:
+    windows = identified.windows
+    lists = windows and {"t": windows.t.tolist(), "D": windows.D.tolist(), "interval": windows.interval.tolist()}
+    return IdentifiedResult(
+        plant=identified.plant.name,
+        inputs=list(identified.plant.inputs),
+        D=identified.D.tolist(),
+        interval=identified.interval.tolist(),
+        identifiable=identified.identifiable.tolist(),
+        parameters=identified.parameters,
+        parameter_intervals=identified.parameter_intervals,
+        held_back=identified.held_back,
+        sentences=identified.sentences,
+        samples=len(log.t),
+        period=log.period,
+        **({"windows": lists} if lists else {}),
+    )
+
+
+def _drawn(identified: Identified) -> dict[str, Any]:
+    """What the figures draw, as arrays."""
+    estimate, log, m = identified.details["estimate"], identified.details["log"], identified.plant.m
+    segments, fit = estimate.problem.segments, estimate.fit
+    fitted = estimate.problem.outputs(fit)[segments.mask]
+    profiles = {f"profile_{j}": np.stack([p.values, p.costs - p.costs.min()]) for j, p in enumerate(estimate.profiles)}
+    empty = np.zeros((0, m))
+    windows = identified.windows
+    return profiles | {
+        "t": segments.t[segments.mask], "Y": segments.Y[segments.mask], "fitted": fitted, "t_U": log.t_U, "U": log.U,
+        "D": identified.D, "interval": identified.interval, "level": estimate.level,
+        "autocorrelation": _autocorrelation(fit.residuals),
+        "window_t": windows.t if windows else empty[:, 0], "window_D": windows.D if windows else empty,
+        "window_interval": windows.interval if windows else np.zeros((0, m, 2)),
+    }  # fmt: skip
+
+
+def _autocorrelation(residuals: np.ndarray) -> np.ndarray:
+    """ρ_k of the residuals along their segments."""
+    r = np.nan_to_num(residuals)
+    products = [
+        (r[:, k:] * r[:, : r.shape[1] - k]).sum() / max(r.shape[1] - k, 1) for k in range(min(LAGS, r.shape[1] - 1))
+    ]
+    return np.array(products) / max(products[0], 1e-300)
+
+
+def _page(job: Job, result: IdentifiedResult, plates: list[Any]) -> str:
+    table = job.config.optional("identify")
+    return html_page.filled(
+        (files("npred") / "templates" / "report" / "identified.html").read_text(encoding="utf-8"),
+        name=job.config.name,
+        about=f"What {Path(table.data).name} tells of plant {result.plant}: {result.samples} samples, one each "
+        f"{job.plant.time_text(result.period)} in the median.",
+        said=result.sentences,
+        chapters=[],
+        plates=[(p, [svg.inline(panel, f"{p.name}-{k}") for k, panel in enumerate(p.panels)]) for p in plates],
+        table=_table(job.plant, result),
+        facts={"Recording": {"file": Path(table.data).name, "samples": str(result.samples)}},
+        settings=toml_text.dumps({"plant": job.config.beside().plant, "identify": table.beside()}),
+    )
+
+
+def _table(plant: Plant, result: IdentifiedResult) -> Table:
+    """Each delay and parameter with its interval."""
+    names = [*(f"delay of {name} ({plant.time_unit})" for name in result.inputs), *result.parameters]
+    values = [*result.D, *result.parameters.values()]
+    ends = [*result.interval, *result.parameter_intervals.values()]
+    yes_or_no = ["yes" if certain else "no" for certain in result.identifiable] + ["–"] * len(result.parameters)
+    return Table("identified", "With intervals of 95 %", [
+        Column("what", names), Column("value", values, digits=4), Column("from", [low for low, _ in ends], digits=4),
+        Column("to", [high for _, high in ends], digits=4), Column("identifiable", yes_or_no),
+    ])  # fmt: skip

@@ -1,0 +1,201 @@
+"""Delays and parameters from recordings that SciPy has made; and recordings that cannot tell."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from recorded import recording, steps
+from test_model import BOX
+
+import npred
+from npred.errors import ConfigError
+
+PERIOD = 0.05
+
+
+class Decay:
+    """X' = a X + b U."""
+
+    states, inputs = ("X",), ("U",)
+    parameters = {"a": -0.5, "b": 1.0}
+
+    def f(x, u, t, p, M):
+        return [p.a * x.X + p.b * u.U]
+
+    def kappa(x, t, p, M):
+        return [-x.X]
+
+
+class Pair:
+    """Two states with an input each."""
+
+    states, inputs = ("X", "Y"), ("U", "W")
+    parameters = {"a": 1.0}
+
+    def f(x, u, t, p, M):
+        return [u.U - p.a * x.X + 0.3 * x.Y, u.W - 2.0 * x.Y]
+
+    def kappa(x, t, p, M):
+        return [-x.X, -x.Y]
+
+
+class Cart(Pair):
+    """A position that is measured, and a speed that is not."""
+
+    states, inputs, outputs = ("X", "Y"), ("U",), ("position",)
+    parameters = {"drag": 0.8}
+
+    def f(x, u, t, p, M):
+        return [x.Y, u.U - p.drag * x.Y]
+
+    def kappa(x, t, p, M):
+        return [-x.X]
+
+    def output(x, t, p, M):
+        return [x.X]
+
+
+def decay() -> npred.plants.Plant:
+    return npred.plants.make("decay", Decay)
+
+
+def decayed(
+    D: float, noise: float = 0.02, seed: int = 0, count: int = 400, hold: int = 6, a: float = -0.5, b: float = 1.0
+):
+    return recording(lambda x, u: a * x + b * u, [0.0], steps(count, 1, hold, seed), [D], PERIOD, noise, seed)
+
+
+def test_a_delay_and_a_parameter_are_found_and_said():
+    found = npred.identify(decay(), *decayed(0.337, a=-0.6), free=["a"], longest=1.5)
+    assert abs(found.D[0] - 0.337) < 0.1 * PERIOD and found.identifiable.all()
+    assert found.interval[0, 0] <= 0.337 <= found.interval[0, 1]
+    low, high = found.parameter_intervals["a"]
+    assert low <= -0.6 <= high and high - low < 0.1
+    assert found.held_back["model"] < 0.5 * min(found.held_back["no_delay"], found.held_back["first_order_lag"])
+    assert str(found).startswith("U arrives 0.33") and "\na = -0.59" in str(found)
+
+
+def test_rows_in_any_order_and_twice_tell_the_same():
+    t, U, X = decayed(0.337)
+    one = npred.identify(decay(), t, U, X, longest=1.5)
+    mixed = np.random.default_rng(0).permutation(np.append(np.arange(len(t)), np.arange(40)))
+    other = npred.identify(decay(), t[mixed], U[mixed], X[mixed], longest=1.5)
+    assert np.array_equal(one.D, other.D) and np.array_equal(one.interval, other.interval)
+
+
+@pytest.mark.slow
+def test_nine_of_ten_intervals_hold_the_delay_also_where_the_model_is_off():
+    held = []
+    for seed in range(40):
+        rng = np.random.default_rng([5, seed])
+        D, a, b = rng.uniform(0.1, 0.9), -0.5 * (1 + rng.uniform(-0.03, 0.03)), 1 + rng.uniform(-0.03, 0.03)
+        low, high = npred.identify(decay(), *decayed(D, 0.03, seed, a=a, b=b), longest=1.5).interval[0]
+        held.append(low <= D <= high)
+    assert np.mean(held) >= 0.85
+
+
+def test_inputs_have_delays_of_their_own():
+    f = lambda x, u: np.array([u[0] - x[0] + 0.3 * x[1], u[1] - 2.0 * x[1]])  # noqa: E731
+    table = recording(f, [0.0, 0.0], steps(500, 2, 5, 1), [0.21, 0.63], PERIOD, 0.01, 1)
+    found = npred.identify(npred.plants.make("pair", Pair), *table, longest=1.2)
+    assert np.abs(found.D - [0.21, 0.63]).max() < 0.2 * PERIOD and found.identifiable.all()
+
+
+def test_a_state_that_is_not_measured_is_no_obstacle():
+    f = lambda x, u: np.array([x[1], u[0] - 0.8 * x[1]])  # noqa: E731
+    table = recording(f, [0.0, 0.0], steps(600, 1, 10, 2), [0.4], PERIOD, 0.002, 2, outputs=1)
+    found = npred.identify(npred.plants.make("cart", Cart), *table, free=["drag"], longest=1.2)
+    assert (
+        abs(found.D[0] - 0.4) < PERIOD
+        and found.parameter_intervals["drag"][0] <= 0.8 <= found.parameter_intervals["drag"][1]
+    )
+
+
+def test_a_black_box_is_fitted_by_differences(tmp_path: Path):
+    (tmp_path / "box.py").write_text(BOX)
+    f = lambda x, u: np.array([x[1], -1.2 * np.sin(x[0]) - x[1] + u[0]])  # noqa: E731
+    table = recording(f, [0.1, 0.0], steps(300, 1, 8, 3), [0.26], PERIOD, 0.01, 3)
+    found = npred.identify(npred.plant(f"{tmp_path}/box.py:Box", a=-1.0), *table, free=["a"], longest=1.0)
+    assert abs(found.D[0] - 0.26) < PERIOD and abs(found.parameters["a"] + 1.2) < 0.1
+
+
+def test_a_constant_at_the_input_is_found():
+    t, U, X = decayed(0.337)
+    found = npred.identify(decay(), t, U - 0.2, X, longest=1.5, offset=True)
+    assert abs(found.D[0] - 0.337) < 0.2 * PERIOD and abs(found.parameters["offset of U"] - 0.2) < 0.03
+
+
+def test_a_delay_that_jumps_is_seen_over_windows():
+    early, late = decayed(0.2, 0.005, 4, 700), decayed(0.6, 0.005, 4, 700)
+    t, U, X = early
+    X = np.where((t < 17.5)[:, None], X, late[2])  # the same samples: only the delay is another
+    found = npred.identify(decay(), t, U, X, longest=1.2, time_varying=True)
+    windows = found.windows
+    assert windows is not None
+    assert (
+        np.abs(windows.D[windows.t < 16] - 0.2).max() < PERIOD
+        and np.abs(windows.D[windows.t > 20] - 0.6).max() < PERIOD
+    )
+
+
+def still(seed: int):
+    t, U, X = decayed(0.3, 0.0, seed)
+    return t, 0 * U, np.where(np.isnan(X), X, 0.02 * np.random.default_rng(seed).standard_normal(X.shape))
+
+
+def lagged(seed: int):
+    f = lambda x, u: np.array([-0.5 * x[0] + x[1], (u[0] - x[1]) / 0.2])  # noqa: E731
+    return recording(f, [0.0, 0.0], steps(400, 1, 15, seed), [0.0], PERIOD, 0.02, seed, outputs=1)
+
+
+def small(seed: int):
+    t, U, X = decayed(0.3, 0.0, seed)
+    return t, 1e-3 * U, 1e-3 * X + 0.05 * np.random.default_rng(seed).standard_normal(X.shape)
+
+
+def closed(seed: int):
+    """U = -X + noise of the sensor, about rest: nothing moves but by that noise."""
+    rng, X, rows = np.random.default_rng(seed), 0.0, []
+    sent = np.zeros(406)
+    for k in range(400):
+        seen = X + 0.02 * rng.standard_normal()
+        sent[k + 6] = -0.3 * seen
+        rows.append((k * PERIOD, -0.3 * seen, seen))
+        X = X * np.exp(-0.5 * PERIOD) + sent[k] * (1 - np.exp(-0.5 * PERIOD)) / 0.5
+    t, U, Y = np.array(rows).T
+    return t, U[:, None], Y[:, None]
+
+
+@pytest.mark.parametrize("table", [still, small, lagged, closed])
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_what_a_log_cannot_tell_is_said(table, seed: int):
+    found = npred.identify(decay(), *table(seed), longest=1.5)
+    assert not found.identifiable.any() and "not identifiable" in str(found)
+    truth = {lagged: 0.0}.get(table, 0.3)
+    assert found.interval[0, 0] <= truth <= found.interval[0, 1]
+
+
+def test_a_delay_beyond_the_longest_one_is_said():
+    found = npred.identify(decay(), *decayed(1.2), longest=0.6)
+    assert not found.identifiable[0] and "not identifiable" in str(found)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"free": ["c"]}, "expected parameters of plant decay: a, b, got 'c'"),
+        ({"U": np.zeros((3, 2))}, "expected t (N,), U (N, 1), X (N, 1)"),
+        ({"longest": 30.0}, "record longer, or try shorter delays"),
+    ],
+)
+def test_what_does_not_fit_is_one_line(change, words):
+    t, U, X = decayed(0.3)
+    arguments = {"t": t, "U": U, "X": X, "longest": 1.5} | change
+    with pytest.raises(ConfigError) as failure:
+        npred.identify(decay(), arguments.pop("t"), arguments.pop("U"), arguments.pop("X"), **arguments)
+    assert words in str(failure.value) and "\n" not in str(failure.value)
+
+
+def test_a_plant_that_knows_its_delay_is_refused():
+    with pytest.raises(ConfigError, match="it declares delay"):
+        npred.identify(npred.plant("transport_tank"), np.arange(9.0), np.zeros((9, 1)), np.zeros((9, 1)))

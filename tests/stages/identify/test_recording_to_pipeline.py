@@ -1,0 +1,126 @@
+"""`npred identify`: a recording in, sentences, a page and a pipeline out; each failure is one line."""
+
+import json
+import shutil
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from typer.testing import CliRunner, Result
+
+from npred import config
+from npred.cli import app
+
+LOG = Path(__file__).parents[3] / "docs" / "recordings" / "tank_log.csv"
+PLANT = """
+class Tank:
+    states, inputs = ("h",), ("q",)
+    parameters = {"area": 1.0, "outflow": 0.5, "level": 1.0, "gain": 1.0}
+    box, guess = {"h": (0.5, 2.0)}, (1.0,)
+
+    def f(x, u, t, p, M):
+        return [(u.q - p.outflow * M.sqrt(x.h)) / p.area]
+
+    def kappa(x, t, p, M):
+        return [p.outflow * M.sqrt(x.h) - p.gain * (x.h - p.level)]
+
+    def V(x, t, p, M):
+        return (x.h - p.level) ** 2
+"""
+TRUTH = {"D": 0.43, "area": 1.05, "outflow": 0.52}  # of the file that made the recording
+FLAGS = ("--plant", "my_plant.py:Tank", "--input", "q=Q1", "--state", "h=level", "--free", "area", "--free", "outflow")
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "my_plant.py").write_text(PLANT)
+    shutil.copy(LOG, tmp_path / "log.csv")
+    return tmp_path
+
+
+def call(*arguments: str) -> Result:
+    return CliRunner().invoke(app, ["identify", *arguments])
+
+
+def test_a_recording_gives_the_delay_the_parameters_a_page_and_a_pipeline(folder: Path):
+    done = call("log.csv", *FLAGS, "--json")
+    assert done.exit_code == 0, done.output
+    answer = json.loads(done.stdout)
+    assert abs(answer["D"][0] - TRUTH["D"]) < 0.01 and answer["identifiable"] == [True]
+    assert answer["interval"][0][0] <= TRUTH["D"] <= answer["interval"][0][1]
+    assert all(abs(answer["parameters"][name] - TRUTH[name]) < 0.01 for name in ("area", "outflow"))
+    assert answer["held_back"]["model"] < 0.2 * answer["held_back"]["no_delay"]
+    assert answer["files"] == ["log.html", "log.toml"]
+    pipeline = config.load(folder / "log.toml")
+    assert pytest.approx(answer["D"][0], rel=1e-5) == pipeline.evaluate.D
+    assert pipeline.evaluate.bounds == pytest.approx(answer["interval"][0], rel=1e-5)
+    assert pipeline.parameters == pytest.approx(answer["parameters"])
+    page = (folder / "log.html").read_text()
+    assert answer["sentences"][0] in page and page.count("<svg") >= 6
+
+
+def test_a_second_call_takes_the_answer_from_the_store_and_another_recording_does_not(folder: Path):
+    assert call("log.csv", *FLAGS).exit_code == 0
+    plan = json.loads(call("log.csv", *FLAGS, "--json", "-v").stdout)
+    (store,) = (folder / "artifacts" / "identify").iterdir()
+    with h5py.File(store / "identified.h5") as file:
+        assert file["fitted"].shape == file["Y"].shape and np.isfinite(file["fitted"]).all()
+    text = (folder / "log.csv").read_text().replace("0.98848", "0.98849")
+    (folder / "log.csv").write_text(text)
+    again = json.loads(call("log.csv", *FLAGS, "--json").stdout)
+    assert len(list((folder / "artifacts" / "identify").iterdir())) == 2
+    assert again["D"] == pytest.approx(plan["D"], abs=1e-3)
+
+
+def test_a_pipeline_may_name_the_recording(folder: Path):
+    (folder / "tank.toml").write_text(
+        'plant = "my_plant.py:Tank"\n[identify]\ndata = "log.csv"\ncolumns = { q = "Q1", h = "level" }\n'
+        "bounds = { area = [0.5, 2.0] }\ntime_varying = true\n"
+    )
+    answer = json.loads(call("tank.toml", "-o", "found.toml", "--json").stdout)
+    assert set(answer["parameters"]) == {"area"} and len(answer["windows"]["t"]) == len(answer["windows"]["D"]) > 1
+    assert answer["files"] == ["found.html", "found.toml"]
+
+
+def test_no_pipeline_is_written_where_the_recording_does_not_tell(folder: Path):
+    lines = (folder / "log.csv").read_text().splitlines()
+    rows = [lines[0], *(f"{row.split(',')[0]},{row.split(',')[1] and '0.5'},{row.split(',')[2]}" for row in lines[1:])]
+    (folder / "still.csv").write_text("\n".join(rows) + "\n")
+    done = call("still.csv", *FLAGS)
+    assert done.exit_code == 0 and "q never changes" in done.stdout and "no pipeline was written" in done.stdout
+    assert not (folder / "still.toml").exists()
+
+
+def test_a_file_of_somebody_else_is_left_alone(folder: Path):
+    (folder / "log.toml").write_text('plant = "scalar"\n')
+    done = call("log.csv", *FLAGS)
+    assert done.exit_code == 2 and "name another by -o" in done.output
+    assert (folder / "log.toml").read_text() == 'plant = "scalar"\n'
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("log.csv",), "--plant: expected the plant of log.csv, got none"),
+        ((), "expected a recording, got none"),
+        (("other.csv", *FLAGS), "expected a file at other.csv"),
+        (("log.csv", "--plant", "my_plant.py:Tank", "--input", "q=Q2", "--state", "h=level"), "got 'Q2'"),
+        (("log.csv", "--plant", "my_plant.py:Tank", "--input", "q=Q1"), "expected a column for one of h"),
+        (("log.csv", *FLAGS, "--input", "p=Q1"), "expected inputs or outputs of plant Tank, got p"),
+        (("log.csv", *FLAGS, "--bounds", "area=2"), "identify.bounds.area"),
+        (("log.csv", *FLAGS, "--scale", "level"), "expected COLUMN=FACTOR, got 'level'"),
+        (("log.csv", *FLAGS, "--free", "araa"), "got 'araa'"),
+    ],
+)
+def test_a_failure_is_one_line(arguments: tuple[str, ...], words: str):
+    done = call(*arguments, "-q")
+    assert done.exit_code == 2 and words in done.output, done.output
+    assert len(done.output.strip().splitlines()) == 1
+
+
+def test_gc_keeps_what_a_recording_has_told(folder: Path):
+    assert call("log.csv", *FLAGS).exit_code == 0
+    done = CliRunner().invoke(app, ["gc", "--json", "log.toml"])
+    assert done.exit_code == 0 and json.loads(done.stdout)["plan"] == [], done.output
