@@ -9,12 +9,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from npred.identification import search
+from npred.identification.estimate import Delays
 from npred.identification.fit import Prior, Problem, SegmentFit
-from npred.identification.log import Segments, mean_square
+from npred.identification.identified import Alternative
+from npred.identification.log import Segments, mean_square, spread
 
 CLEAR = 10.8  # of chi² with one degree of freedom at 99.9 %
 DEVIATIONS = 1.0  # of the sum over the segments
 NONE = 1e-9  # of the samples' period: a lag that is none
+HELD_BACK = 0.25
+DECIDING = 8000  # samples, by which models are compared
 SHARES = 0.15, 0.3, 0.5, 0.75, 1.0  # of the delay, as a lag
 
 
@@ -97,3 +101,53 @@ def _per_segment(fit: SegmentFit) -> np.ndarray:
     """The cost of each segment at the common optimum of theta."""
     d = fit.thetas(np.ones((1, len(fit.e))))[0] - fit.theta
     return fit.e - 2 * fit.g @ d + np.einsum("i,sij,j->s", d, fit.H, d)
+
+
+def thinned(delays: Delays) -> Delays:
+    """The same on as many samples as decide between models."""
+    thinner = delays.problem.some(DECIDING)
+    if len(thinner.segments) == len(delays.problem.segments):
+        return delays
+    return replace(delays, problem=thinner, fit=thinner.fit(delays.values))
+
+
+def of_input(delays: Delays, j: int, high: float) -> Alternative:
+    """A lag in place of the delay of input j, and one behind it, against the delay alone."""
+    instead = lag_instead(delays.problem, delays.values, [j], high)
+    as_good = not better(delays.fit, instead.fit, delays.inflation)
+    behind = None
+    if not as_good and delays.values[j] > 0:
+        both = lag_behind(delays.problem, delays.fit, j, delays.widths[j])
+        if better(both.fit, delays.fit, delays.inflation) and both.lags is not None:
+            behind = float(both.fit.delays[j]), float(both.lags[j])
+    assert instead.lags is not None
+    return Alternative(float(instead.lags[j]), as_good, behind)
+
+
+def held_back(delays: Delays, high: np.ndarray) -> dict[str, float]:
+    """The errors on the last part of the log of models fitted to the rest; none for a log that is too short."""
+    segments, problem = delays.problem.segments, delays.problem
+    span = segments.log.t[-1] - segments.log.t[0]
+    early = segments.t[:, -1] <= segments.log.t[0] + (1 - HELD_BACK) * span
+    if early.sum() < 3 or (~early).sum() < 1 or segments.t.shape[1] < 4:
+        return {}
+    train, later = (replace(problem, segments=segments.some(part)).some(DECIDING) for part in (early, ~early))
+
+    def at(z: np.ndarray, fit: SegmentFit | None) -> SegmentFit:
+        return train.fit(z, fit, 2)
+
+    z, fit, _ = search.descend(
+        at, at(delays.values, None), delays.values, np.zeros(len(high)), high, float(delays.widths.max()),
+        0.2 * float(delays.widths.min()),
+    )  # fmt: skip
+    inputs = list(range(len(z)))
+    candidates = {
+        "model": FittedModel(train, fit),
+        "no_delay": FittedModel(train, train.fit(np.zeros(len(z)), None, 4)),
+        "first_order_lag": lag_instead(train, z, inputs, float(high.max())),
+    }
+    errors = {name: prediction_error(candidate, later.segments) for name, candidate in candidates.items()}
+    wide = spread(segments.log.Y)
+    unit = np.where(wide > 0, wide, np.inf) if len(wide) > 1 else np.ones(1)
+    measured = max(int((wide > 0).sum()), 1)
+    return {name: float(np.sqrt(((e / unit) ** 2).sum() / measured)) for name, e in errors.items()}

@@ -1,5 +1,6 @@
 """What a log tells of a plant, and what it does not, in numbers and in sentences."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -64,7 +65,7 @@ class Findings:
     period: float
     alternatives: list[Alternative]
     still: np.ndarray  # (m,) inputs that never change
-    parameters: dict[str, tuple[float, float, float, float]]  # value, low, high, correlation with the delays
+    parameters: Mapping[str, tuple[float, float, float, float]]  # npred.identification.parameters.Parameter
     assumed: dict[str, float]  # parameters that were not freed: how far from the plant's, in what was allowed
     inflation: float
     closed: float  # how much of the commands follows the outputs, R²

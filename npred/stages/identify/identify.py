@@ -14,8 +14,9 @@ from npred.figures import svg
 from npred.figures.figure import write
 from npred.figures.table import Column, Table
 from npred.identification.identified import Identified
-from npred.identification.identify import Settings, of_log
+from npred.identification.identify import of_log
 from npred.identification.log import Log
+from npred.identification.preparation import Settings
 from npred.plants import Plant
 from npred.results import IdentifiedResult
 from npred.stages.identify.table import Identify
