@@ -1,4 +1,4 @@
-"""The problem of a log: what is free and what is known of it, segments that are short enough, steps that are fine enough."""
+"""The problem of a log: what is free, what is known of it, segments that are short enough, and fine enough steps."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
