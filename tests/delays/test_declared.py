@@ -254,3 +254,21 @@ def test_the_margin_of_a_prediction_is_that_of_the_time_when_its_node_comes(guar
     assert k == next(k for k in range(400) if margins(k * dt)[-1] <= 0)
     assert loop.margin == pytest.approx(margins(k * dt)[-1], rel=1e-9)
     assert 1 + 1.125 * np.sin(1.5 * k * dt) > 0.5  # the margin at the time of the prediction, which broke nothing
+
+
+class Chased:
+    """x' = u and D = 1 + x: with u = 1 commands never arrive, 1 - D_X f = 0."""
+
+    states, inputs, delay = Clock.states, Clock.inputs, lambda x, t, p, M: 1 + x.s
+
+    def f(x, u, t, p, M):
+        return [u.u]
+
+    def kappa(x, t, p, M):
+        return [0 * x.s]
+
+
+def test_commands_that_never_arrive_end_a_prediction_too():
+    u = np.array([0.5, 0.5, 1.0, 0.5, 0.5])[None, :, None]
+    P = Euler(Plant("chased", Chased), 5).predict(np.array([[0.2]]), u, np.array([1.2]), 0.0)
+    assert np.isfinite(P[0, :3]).all() and np.isnan(P[0, 3:]).all()

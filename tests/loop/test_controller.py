@@ -509,6 +509,61 @@ def test_what_is_expected_is_the_state_a_step_later():
         np.testing.assert_allclose(controller.memory.expected[:, 0], X, rtol=0, atol=1e-4)
 
 
+class Stretched(Still):
+    """x' = u, whose delay is the state in units of 0.3 s."""
+
+    states, box = ("x",), {"x": (-1.0, 3.0)}
+
+    def f(x, u, t, p, M):
+        return [u.u]
+
+    def kappa(x, t, p, M):
+        return [M.sin(2 * t)]
+
+    def delay(x, t, p, M):
+        return 0.3 * x.x
+
+
+@pytest.mark.parametrize(("jump", "refused"), [(1.1, 8), (9.7, 9), (-1.6, 8)])
+def test_over_refused_steps_what_is_expected_follows_the_delay_that_is_expected(jump, refused):
+    """By the integral of the commands. A delay that cannot be, below 0 or beyond what is kept, counts as none."""
+    plant, dt, kept, past = Plant("stretched", Stretched), 0.1, 1.5, 40
+    controller = npred.controller(plant, RK4(plant, 5), None, dt, actuator="history", gate=9.0, longest=kept)
+    samples = [*(1.0 + 0.1 * np.cos(range(12))), jump, *[np.nan] * 8]
+    sent, X, held = [0.0] * past, 0.0, 0
+    for k, sample in enumerate(samples):
+        try:
+            sent.append(controller.step([sample])[0])
+        except DivergedError:
+            sent.append(sent[-1])
+            held += 1
+        X = X if np.isnan(sample) else sample
+        late = 0.3 * X / dt if 0 <= 0.3 * X <= kept else 0.0
+        begin, end = np.interp(past + k + np.array([0, 1]) - late, range(past + k + 2), np.cumsum([0.0, *sent]))
+        X += dt * (end - begin)
+        assert controller.memory.expected[0, 0] == pytest.approx(X, rel=1e-9)
+    assert held == refused
+
+
+class Bounded(Cube):
+    """Its V is not finite where X is huge, and U is."""
+
+    input_bounds = ((-1.0, 1.0),)
+
+    def f(x, u, t, p, M):
+        return [u.u - x.x]
+
+
+def test_an_estimate_that_would_not_be_finite_refuses_the_step():
+    plant = Plant("bounded", Bounded)
+    controller = npred.controller(plant, RK4(plant, 21), LAW, 0.01, D_hat=1.0, actuator="history", gate=None)
+    controller.step([0.5])
+    before = controller.D_hat
+    with pytest.raises(DivergedError):
+        controller.step([1e100])
+    assert controller.D_hat == before
+
+
 def estimates(wrong):
     """D_hat of the observers in a loop of x' = x / 2 + u, D = 1 s, whose sample k is 6 off where `wrong` says so."""
     plant, law = npred.plant("scalar"), npred.DelayObserver(bounds=(0.1, 4.0))

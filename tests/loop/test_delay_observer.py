@@ -249,6 +249,25 @@ def test_the_gains_over_a_gap_place_the_poles_of_the_observer_s_errors(omega):
     np.testing.assert_allclose(np.poly(error_of_both), np.poly(np.exp(roots * T)).real, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(gain[2:, 0], [1 - np.exp(-1 / FEW / 5), np.exp(-1 / FEW)], rtol=1e-9)
     assert gain[:, 1].tolist() == [0.0, 0.0, 0.0, 1.0] and memory[-1].tolist() == [0.0, steps]
+    assert memory[-3].tolist() == [1 + 200 / 2 / FEW, 1.0]  # the steps that the sample counts for: 200 are two windows
+
+
+def test_the_observers_of_a_loop_touch_those_of_no_other():
+    """Any memory, gap and sample: each lane of many ends as it does alone, also the last ones, past a full block."""
+    rng, lanes = np.random.default_rng(0), 70
+    kernel, settings, size = LAW.observer(PLANT, 0.01)
+    memory, X = rng.uniform(0.5, 1.5, (size, lanes)), rng.uniform(0.5, 1.5, (2, lanes))
+    memory[-1], X[:, 2] = np.arange(lanes), np.nan
+    held, D_hat = rng.uniform(0.5, 1.5, (500, 1, lanes)), rng.uniform(0.5, 1.5, lanes)
+
+    def after(kept):
+        parts = [np.ascontiguousarray(a[..., kept]) for a in (X, held, memory, D_hat)]
+        kernel(900, 0.01, *parts[:2], 0.0, PLANT.p, settings, *parts[2:])
+        return np.vstack(parts[2:])
+
+    together = after(np.arange(lanes))
+    for lane in (1, 2, 5, 65, 69):
+        np.testing.assert_allclose(after([lane])[:, 0], together[:, lane], rtol=1e-9)
 
 
 class Waved:
@@ -308,15 +327,21 @@ def test_a_disturbance_at_rest_replaces_no_transient():
     assert np.abs(run.D_hat[:, 100:] - 1.234).max() < 0.05
 
 
-def chosen(sums, D_hat):
-    """The estimate after a sample, of candidates 0.1, 0.2, … s with these sums of squared errors."""
-    count, settings = len(sums), [len(sums), 0.0, 0.0, 0.01, 0.9, 5.0, 0.1, 0.9]
+def chosen(sums, D_hat, X=(1.0,)):
+    """The estimate after a sample, of candidates 0.1, 0.2, … s with these sums (K,) or (K, n) of squared errors."""
+    count, n, settings = len(sums), len(X), [len(sums), 0.0, 0.0, 0.01, 0.9, 5.0, 0.1, 0.9]
     assert len(settings) == NUMBERS
-    law = np.array([*settings, *np.zeros(count), *np.linspace(0.1, 0.1 * count, count)])
-    memory = np.concatenate([np.zeros(2 * count), sums, np.array(sums) / 10, np.ones(3), [9.0, 1.0, 0.0]])[:, None]
+    law, errors = np.array([*settings, *np.zeros(count), *np.linspace(0.1, 0.1 * count, count)]), np.ravel(sums)
+    memory = np.concatenate([np.zeros(count * (n + 1)), errors, errors / 10, np.ones(3 * n), [9.0, 1.0, 0.0]])[:, None]
     estimate, gain = np.array([D_hat]), np.array([[0.0], [0.0], [0.01], [0.9]])
-    bank(1, 1, count)[1](np.ones((1, 1)), law, memory, gain, estimate)
+    bank(n, 1, count)[1](np.array(X)[:, None], law, memory, gain, estimate)
     return estimate[0]
+
+
+@pytest.mark.parametrize("size", [1e6, -1e6])
+def test_errors_of_rounding_in_a_large_state_choose_no_candidate(size):
+    sums = np.array([[9.0, 1e-15], [9.0, 9e-15], [1.0, 9e-15], [9.0, 9e-15]])
+    assert chosen(sums, 0.1, (1.0, size)) == pytest.approx(0.3, abs=1e-3)
 
 
 def test_the_estimate_stays_within_the_bounds_where_the_last_candidate_is_beyond_them():
@@ -347,7 +372,8 @@ def test_settings_and_plants_that_do_not_fit_are_refused():
 
 def test_of_candidates_that_are_as_good_the_estimate_is_the_nearest():
     """It stays within half a spacing of one of them; a single best one has the minimum of a parabola."""
-    tied, single = [5.0, 1.0, 1.00005, 1.0, 1.0, 5.0], [9.0, 5.0, 1.0, 2.0, 6.0, 9.0]
+    first, last, single = [5, 1, 1.00005, 1, 1, 5], [5, 1.00005, 1.00005, 1.00005, 1, 5], [9.0, 5.0, 1.0, 2.0, 6.0, 9.0]
     expected = {0.9: 0.5, 0.05: 0.2, 0.42: 0.42, 0.549: 0.549, 0.56: 0.5}
-    assert {D_hat: chosen(tied, D_hat) for D_hat in expected} == pytest.approx(expected)
+    for tied in (first, last):
+        assert {D_hat: chosen(tied, D_hat) for D_hat in expected} == pytest.approx(expected)
     assert chosen(single, 0.1) == pytest.approx(0.3 + 0.1 * 3 / 10)  # the parabola through (-1, 5), (0, 1), (1, 2)

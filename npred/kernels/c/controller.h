@@ -91,9 +91,6 @@ static inline void hold(Shape d, INDEX k, double t, const Parts *q, const Settin
         if (!q->believe) {
             z->D_seen[c] = s->ratios[c] * z->D_hat[0];
         }
-        if (!(0.0 <= z->D_seen[c] && z->D_seen[c] <= longest(d, s->dt))) { /* that of a state that is not known */
-            z->D_seen[c] = 0.0;
-        }
     }
 }
 
@@ -104,6 +101,11 @@ SPARE static inline INDEX remember(Shape d, INDEX k, double t, int code, const P
 {
     if (code != OK) {
         hold(d, k, t, q, s, z, work);
+    }
+    for (int c = 0; c < d.m; c++) {
+        if (!(0.0 <= z->D_seen[c] && z->D_seen[c] <= longest(d, s->dt))) { /* no command that is kept acts so late */
+            z->D_seen[c] = 0.0;
+        }
     }
     actuate(d, k, s->dt, z->D_seen, z->U, z->held, z->total, z->U0, z->U1, z->share);
     if (s->gated) {
