@@ -77,11 +77,14 @@ def test_a_branch_of_one_hidden_layer():
     )
 
 
-@pytest.mark.parametrize("D_hat", [0.01, 25.0])
-def test_delays_far_from_the_data(D_hat):
-    """An FNO's series at rest ends there; beyond it the point of rest is evaluated."""
+@pytest.mark.parametrize(("D_hat", "spread"), [(0.01, None), (25.0, None), (0.1, 0.05)])
+def test_delays_far_from_the_data(D_hat, spread):
+    """An FNO's series at rest ends there, also below data of nearly one delay; beyond, the point of rest is evaluated."""
     for config in SMALL:
-        fused, torch_model = pair(config, 21)
+        model = operator(config)
+        if spread:
+            model.scaling.D_hat_std.fill_(spread)
+        fused, torch_model = Fused(PLANT, model, 21), Neural(PLANT, copy.deepcopy(model), 21)
         data = samples(3, 21)
         found, wanted = (run(data.X, data.u, D_hat) for run in (fused, torch_model))
         np.testing.assert_allclose(found, wanted, rtol=2e-5, atol=2e-5 * D_hat)
