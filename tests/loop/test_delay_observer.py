@@ -327,15 +327,59 @@ def test_a_disturbance_at_rest_replaces_no_transient():
     assert np.abs(run.D_hat[:, 100:] - 1.234).max() < 0.05
 
 
-def chosen(sums, D_hat, X=(1.0,)):
-    """The estimate after a sample, of candidates 0.1, 0.2, … s with these sums (K,) or (K, n) of squared errors."""
-    count, n, settings = len(sums), len(X), [len(sums), 0.0, 0.0, 0.01, 0.9, 5.0, 0.1, 0.9]
+def after_sample(lasting, recent, D_hat, X=(1.0,), calls=9.0):
+    """The estimate and the memory after a sample of candidates 0.1, 0.2, … s with these sums (K,) or (K, n)."""
+    count, n, settings = len(lasting), len(X), [len(lasting), 0.0, 0.0, 0.01, 0.9, 5.0, 0.1, 0.9]
     assert len(settings) == NUMBERS
-    law, errors = np.array([*settings, *np.zeros(count), *np.linspace(0.1, 0.1 * count, count)]), np.ravel(sums)
-    memory = np.concatenate([np.zeros(count * (n + 1)), errors, errors / 10, np.ones(3 * n), [9.0, 1.0, 0.0]])[:, None]
+    law, sums = (
+        np.array([*settings, *np.zeros(count), *np.linspace(0.1, 0.1 * count, count)]),
+        np.ravel([lasting, recent]),
+    )
+    memory = np.concatenate([np.zeros(count * (n + 1)), sums, np.ones(3 * n), [calls, 1.0, 0.0]])[:, None]
     estimate, gain = np.array([D_hat]), np.array([[0.0], [0.0], [0.01], [0.9]])
     bank(n, 1, count)[1](np.array(X)[:, None], law, memory, gain, estimate)
-    return estimate[0]
+    return estimate[0], memory[count * (n + 1) :, 0]
+
+
+def chosen(sums, D_hat, X=(1.0,)):
+    """The estimate where a tenth of the squared errors (K,) or (K, n) is that of the window."""
+    return after_sample(sums, np.array(sums) / 10, D_hat, X)[0]
+
+
+def restarts(D_hat, recent=(9.0, 9.0, 9.0, 1.0, 9.0, 9.0, 9.0, 9.0), calls=9.0):
+    """Whether the memory starts again from the window; then its units do too."""
+    _, memory = after_sample([2.0] * 8, recent, D_hat, calls=calls)
+    found = memory[:8].tolist()
+    assert found in (list(recent), [2.0] * 8) and memory[16] == pytest.approx(min(found))
+    return found == list(recent)
+
+
+def test_the_memory_starts_again_where_the_best_candidate_is_none_of_those_at_the_estimate():
+    """The nearest one and its neighbours, and in the window another has errors a fourth of theirs: the delay jumped."""
+    far = {
+        0.2: True,
+        0.249: True,
+        0.251: False,
+        0.3: False,
+        0.4: False,
+        0.5: False,
+        0.549: False,
+        0.551: True,
+        0.8: True,
+    }
+    assert {D_hat: restarts(D_hat) for D_hat in far} == far
+    assert [restarts(0.8, calls=calls) for calls in (4.9, 5.1)] == [False, True]  # not within two windows of the start
+    for errors, expected in ((3.9, False), (4.1, True)):  # times their level
+        assert restarts(0.8, [errors] * 3 + [1.0] + [errors] * 4) is expected
+    assert not restarts(0.8, [3.0] * 3 + [0.1] + [3.0] * 4)  # the best one's are small, and the others usual
+
+
+@pytest.mark.parametrize(("share", "pace"), [(0.02, 0.4), (0.06, 1.0)])
+def test_the_pace_of_the_memory_is_what_the_window_tells_of_what_it_tells(share, pace):
+    """Twice w / W, 1 at most, both sums over their forgetting times, 10 and 100 samples; a level rises by 4 at most."""
+    lasting, recent = np.full(8, 500.0), np.full(8, 500.0 * share)
+    memory = after_sample(lasting, recent, 0.5)[1]
+    assert memory[-2] == pytest.approx(pace) and memory[17] == pytest.approx(1 + 0.01 * 3)
 
 
 @pytest.mark.parametrize("size", [1e6, -1e6])
@@ -376,4 +420,5 @@ def test_of_candidates_that_are_as_good_the_estimate_is_the_nearest():
     expected = {0.9: 0.5, 0.05: 0.2, 0.42: 0.42, 0.549: 0.549, 0.56: 0.5}
     for tied in (first, last):
         assert {D_hat: chosen(tied, D_hat) for D_hat in expected} == pytest.approx(expected)
-    assert chosen(single, 0.1) == pytest.approx(0.3 + 0.1 * 3 / 10)  # the parabola through (-1, 5), (0, 1), (1, 2)
+    for best, sums in ((0.2, single[1:]), (0.3, single), (0.5, [9.0, 9.0, *single[:4]])):
+        assert chosen(sums, 0.9) == pytest.approx(best + 0.1 * 3 / 10)  # the parabola through (-1, 5), (0, 1), (1, 2)
