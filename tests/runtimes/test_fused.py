@@ -49,7 +49,7 @@ def test_equals_the_torch_model_in_double_precision(config):
     np.testing.assert_allclose(fused(X, u, D_hat), Neural(PLANT, model, 21)(X, u, D_hat), rtol=1e-11)
 
 
-@pytest.mark.parametrize("nx", [2, 103])
+@pytest.mark.parametrize("nx", [2, 24, 103])  # remainders by four: 2, 0, 3; elsewhere 1
 def test_any_grid_in_a_call(nx):
     for config in SMALL:
         fused, torch_model = pair(config, 21)
