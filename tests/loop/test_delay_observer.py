@@ -346,11 +346,12 @@ def chosen(sums, D_hat, X=(1.0,)):
     return after_sample(sums, np.array(sums) / 10, D_hat, X)[0]
 
 
-def restarts(D_hat, recent=(9.0, 9.0, 9.0, 1.0, 9.0, 9.0, 9.0, 9.0), calls=9.0):
+def restarts(D_hat, recent=(9.0, 9.0, 9.0, 1.5, 9.0, 9.0, 9.0, 9.0), calls=9.0):
     """Whether the memory starts again from the window; then its units do too."""
     _, memory = after_sample([2.0] * 8, recent, D_hat, calls=calls)
     found = memory[:8].tolist()
     assert found in (list(recent), [2.0] * 8) and memory[16] == pytest.approx(min(found))
+    assert memory[17] == pytest.approx(0.99 * (1.0 if calls > 5 else min(recent)) + 0.01 * min(recent))  # it moved once
     return found == list(recent)
 
 
