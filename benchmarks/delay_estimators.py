@@ -1,7 +1,7 @@
-"""Three estimators of a delay in use elsewhere, re-implemented from their descriptions, with the best choice of channel.
+"""Three estimators of a delay in use elsewhere, re-implemented from their descriptions, on the channel that suits them.
 
-Each takes the nominal plant, t (N,), U (N, m), X (N, n), the input's number and the longest delay, and gives D, the ends of an interval of
-95 %, and whether it accepts its own answer. Logs are read on a grid of the median period: commands held, samples by
+Each takes the nominal plant, t (N,), U (N, m), X (N, n), the number of the input and the longest delay, and gives D, the
+ends of an interval of 95 %, and whether it accepts its answer. Logs are read on a grid of the median period: commands held, samples by
 lines between them. Where a description has no interval, the answers for blocks of the log give it, by Student's t.
 """
 
@@ -103,7 +103,7 @@ def by_blocks(estimate: Callable[..., float], period: float, u: np.ndarray, X: n
 
 
 def autoware(plant: Plant, t: np.ndarray, U: np.ndarray, X: np.ndarray, j: int, longest: float) -> Found:
-    """A grid over dead time and time constant of first-order models by least squares, of the state that they fit best."""
+    """A grid over dead time and time constant of first-order models by least squares, of the state they fit best."""
     period, held, Y = on_grid(t, U, X)
     return by_blocks(_first_order, period, held, Y, j, round(longest / period))
 
