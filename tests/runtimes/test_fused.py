@@ -49,6 +49,20 @@ def test_equals_the_torch_model_in_double_precision(config):
     np.testing.assert_allclose(fused(X, u, D_hat), Neural(PLANT, model, 21)(X, u, D_hat), rtol=1e-11)
 
 
+@pytest.mark.parametrize("factor", [5, 1000])
+def test_weights_whose_activations_are_far_from_zero(factor):
+    """Where differences from rest are of order 1, and where exp(-x) overflows."""
+    model, data = operator(SMALL[0]).double(), samples(9, 21)
+    model.X_rest.copy_(torch.tensor(PLANT.equilibrium))
+    model.u_rest.copy_(torch.tensor(PLANT.u_equilibrium))
+    with torch.no_grad():
+        for weight in model.network.parameters():
+            weight *= factor
+    fused = Fused(PLANT, copy.deepcopy(model), 21, precision=np.float64)
+    found, wanted = (run(data.X, data.u, data.D_hat) for run in (fused, Neural(PLANT, model, 21)))
+    assert np.abs(found - wanted).max() < 1e-11 * np.abs(wanted).max()
+
+
 @pytest.mark.parametrize("nx", [2, 24, 103])  # remainders by four: 2, 0, 3; elsewhere 1
 def test_any_grid_in_a_call(nx):
     for config in SMALL:
