@@ -93,7 +93,7 @@ def test_a_branch_of_one_hidden_layer():
 
 @pytest.mark.parametrize(("D_hat", "spread"), [(0.01, None), (25.0, None), (0.1, 0.05)])
 def test_delays_far_from_the_data(D_hat, spread):
-    """An FNO's series at rest ends there, also below data of nearly one delay; beyond, the point of rest is evaluated."""
+    """An FNO's series at rest ends there, also below data of nearly one delay; beyond, rest is evaluated."""
     for config in SMALL:
         model = operator(config)
         if spread:
