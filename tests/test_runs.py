@@ -17,7 +17,7 @@ from npred import runs
 from npred.errors import ConfigError
 from npred.pipeline import Planner, nodes
 from npred.results import Contender, Evaluated
-from npred.stages.report.report import toml_text
+from npred.stages.report import toml_text
 from npred.store import Store
 
 NOTEBOOK = HERE.parent / "docs" / "notebooks" / "network.ipynb"
@@ -29,7 +29,7 @@ def small(tmp_path: Path) -> Path:
     made = tables()
     made["train"] |= {"models": ["deeponet"]}
     path = tmp_path / "small.toml"
-    path.write_text(toml_text({"name": "small"} | made))
+    path.write_text(toml_text.dumps({"name": "small"} | made))
     return path
 
 

@@ -9,6 +9,7 @@ from npred.identification.fit import Problem, SegmentFit
 from npred.identification.search import LEVEL, Profile
 
 COARSE = 2500  # samples of the first scan
+PLACES = 8  # local minima of it that are looked at again
 TETHER = 0.3  # of its value: how far a free parameter goes in the first scan, where the delay is still wrong
 FINEST = 2e-3  # of the sampling period
 DRAWS = 400
@@ -36,10 +37,11 @@ class Delays:
 def estimate(problem: Problem, low: np.ndarray, high: np.ndarray, rng: np.random.Generator) -> Delays:
     """The delays between `low` and `high` (m,)."""
     period = problem.segments.log.period
-    for _ in range(2):  # the second time with the size of the residuals
-        coarse = _tethered(problem.some(COARSE))
-        places = search.scan(lambda z, start, coarse=coarse: coarse.fit(z, start, 1), low, high, period)
-        problem = problem.rescaled(problem.fit(places[0][0]))
+    coarse = _tethered(problem.some(COARSE))
+    places = search.scan(lambda z, start: coarse.fit(z, start, 1), low, high, period)
+    problem = problem.rescaled(problem.fit(places[0][0]))
+    coarse = _tethered(problem.some(COARSE))  # once more, with the size of the residuals
+    places = sorted(((z, coarse.fit(z, None, 2).cost) for z, _ in places[:PLACES]), key=lambda pair: pair[1])
 
     def at(z: np.ndarray, start: SegmentFit | None) -> SegmentFit:
         return problem.fit(z, start, 2)

@@ -16,6 +16,7 @@ from npred.identification.model import MeasuredOutputs, RolloutModel
 
 RIDGE = 1e-12  # of the largest element: states that nothing measures stay where they are
 HALVINGS = 5
+BLOCK = 64  # commands
 NEAR = 0.05  # to the least cost, where chi² with one degree of freedom is 3.84 at 95 %
 
 
@@ -151,7 +152,8 @@ class Problem:
         """The cost where the fit stands, not where its parabolas are least."""
         r = np.where(np.isfinite(fit.residuals) | ~np.isfinite(self.segments.Y), fit.residuals, np.inf)
         gap = np.where(self.prior.weight > 0, fit.theta - self.prior.mean, 0.0)
-        return float(np.nansum(r**2) + (self.prior.weight * gap**2).sum())
+        with np.errstate(all="ignore"):
+            return float(np.nansum(r**2) + (self.prior.weight * gap**2).sum())
 
     def _linear(
         self, delays: np.ndarray, X: np.ndarray, theta: np.ndarray, pieces: Any, lag: Any
@@ -184,15 +186,32 @@ def lag_states(segments: Segments, delays: np.ndarray, tau: np.ndarray) -> np.nd
     """The states (S, m) of first-order lags of the delayed commands at the begin of each segment."""
     log, starts = segments.log, segments.t[:, 0]
     states = np.empty((len(segments), log.U.shape[1]))
-    for j, U in enumerate(log.U.T.tolist()):
-        a, at = U[0], [U[0]]
-        for u, share in zip(U, np.exp(-np.diff(log.t_U) / tau[j]).tolist(), strict=False):
-            a = u + (a - u) * share
-            at.append(a)
+    for j, U in enumerate(log.U.T):
+        at = _lagged(U, np.exp(-np.diff(log.t_U) / tau[j]))
         k = np.maximum(np.searchsorted(log.t_U + delays[j], starts, side="right") - 1, 0)
         rest = np.exp(-np.maximum(starts - log.t_U[k] - delays[j], 0.0) / tau[j])
-        states[:, j] = log.U[k, j] + (np.array(at)[k] - log.U[k, j]) * rest
+        states[:, j] = U[k] + (at[k] - U[k]) * rest
     return states
+
+
+def _lagged(U: np.ndarray, shares: np.ndarray) -> np.ndarray:
+    """a (K,) with a_0 = U_0 and a_k+1 = U_k + (a_k - U_k) shares_k, in blocks that go side by side.
+
+    A block makes of what it begins with an affine function; the blocks' begins follow one from the other.
+    """
+    count = -(-len(shares) // BLOCK)
+    padded = [np.append(values, np.full(count * BLOCK - len(shares), fill)).reshape(count, BLOCK)
+              for values, fill in ((shares, 1.0), (U[:-1] * (1 - shares), 0.0))]  # fmt: skip
+    slope, offset = np.ones((count, BLOCK + 1)), np.zeros((count, BLOCK + 1))
+    for k in range(BLOCK):
+        slope[:, k + 1] = slope[:, k] * padded[0][:, k]
+        offset[:, k + 1] = offset[:, k] * padded[0][:, k] + padded[1][:, k]
+    begins, a = [], float(U[0])
+    for by, more in zip(slope[:, -1].tolist(), offset[:, -1].tolist(), strict=True):
+        begins.append(a)
+        a = by * a + more
+    inside = (np.array(begins)[:, None] * slope + offset)[:, :-1].ravel()
+    return np.append(inside, a)[: len(U)] if len(inside) == len(shares) else inside[: len(U)]
 
 
 def _ridged(A: np.ndarray, right: np.ndarray) -> np.ndarray:

@@ -130,7 +130,7 @@ class Segments:
         log, starts, ends = self.log, self.t[:, 0], self.t[:, -1]
         arrivals = log.t_U[:, None] + np.asarray(delays, dtype=float)  # (K, m)
         samples = self.t[self.mask]
-        events = np.unique(np.concatenate([samples, *arrivals.T]))
+        events = np.unique(np.concatenate([samples, *(_between(column, starts, ends) for column in arrivals.T)]))
         owner = np.searchsorted(starts, events, side="left") - 1  # the segment that began before the event
         inside = (owner >= 0) & (events <= ends[np.maximum(owner, 0)])
         events, owner = events[inside], owner[inside]
@@ -149,6 +149,13 @@ class Segments:
         rows[self.mask] = row[np.minimum(place, len(events) - 1)] + 1
         rows[:, 0] = 0
         return Pieces(u, spans, moments, rows)
+
+
+def _between(times: np.ndarray, starts: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    """The sorted times that lie in one of the segments."""
+    first, last = np.searchsorted(times, starts, side="right"), np.searchsorted(times, ends, side="right")
+    counts = last - first
+    return times[np.arange(counts.sum()) + np.repeat(first - np.cumsum(counts) + counts, counts)]
 
 
 @dataclass(frozen=True)

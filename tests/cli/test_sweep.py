@@ -81,7 +81,7 @@ def test_where_a_sweep_ends(sweep: Call, fakes: Path):
     assert document(sweep(*GRID, "--to", "generate", "--json"))["rows"] == []
     sweep(*GRID, "--to", "bench")
     assert runs(fakes)["bench:"] > 0
-    assert "--to: expected one of generate, train" in one_line(sweep("--to", "nowhere"), 2)
+    assert "--to: expected one of identify, generate, train" in one_line(sweep("--to", "nowhere"), 2)
 
 
 def test_without_a_row_it_says_what_is_done(sweep: Call):

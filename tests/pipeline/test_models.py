@@ -10,7 +10,7 @@ from typer.testing import CliRunner, Result
 import npred
 from npred.cli import app
 from npred.errors import ConfigError
-from npred.stages.report.report import toml_text
+from npred.stages.report import toml_text
 
 NET = """
 import torch
@@ -38,7 +38,7 @@ def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     train = {"models": ["mine", "small", "averaging", "gru"], "mine": MINE, "small": small}
     train |= {name: {"epochs": 1, "sizes": {"width": 4}} for name in ("averaging", "gru")}
     path = tmp_path / "own.toml"
-    path.write_text(toml_text({"plant": "activator_repressor"} | SMALL | {"train": train}))
+    path.write_text(toml_text.dumps({"plant": "activator_repressor"} | SMALL | {"train": train}))
     return path
 
 

@@ -23,9 +23,9 @@ def test_they_equal_euler(baseline):
 
 
 def test_a_prediction_that_leaves_the_floats_is_nan_from_there_on():
-    stiff = plants.resolve("planar_arm2", {"friction": 1e4})
-    X, u, D_hat = np.full((1, stiff.n), 0.1), np.zeros((1, 201, stiff.m)), np.ones(1)
-    compiled, interpreted = Euler(stiff, 201), EulerPython(stiff, 201)
+    plant = plants.resolve("van_der_pol")
+    X, u, D_hat = np.full((1, plant.n), 30.0), np.zeros((1, 201, plant.m)), np.full(1, 9.0)
+    compiled, interpreted = Euler(plant, 201), EulerPython(plant, 201)
     P, Q = (np.isfinite(one.predict(X, u, D_hat, np.zeros(1))).all(axis=2)[0] for one in (compiled, interpreted))
     assert P[0] and not P[-1] and (P == Q).all()
 
