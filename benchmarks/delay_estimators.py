@@ -1,8 +1,9 @@
-"""Three estimators of a delay in use elsewhere, re-implemented from their descriptions, on the channel that suits them.
+"""Three estimators of a delay in use elsewhere, re-implemented from descriptions, on the channel that suits them.
 
 Each takes the nominal plant, t (N,), U (N, m), X (N, n), the number of the input and the longest delay, and gives D, the
-ends of an interval of 95 %, and whether it accepts its answer. Logs are read on a grid of the median period: commands held, samples by
-lines between them. Where a description has no interval, the answers for blocks of the log give it, by Student's t.
+ends of an interval of 95 %, and whether it accepts its answer. Logs are read on a grid of the median period:
+commands held, samples by lines between them. Where a description has no interval, the answers for blocks of the log give
+it, by Student's t.
 """
 
 from collections.abc import Callable
@@ -149,7 +150,7 @@ def _arx(U: np.ndarray, X: np.ndarray, j: int, most: int) -> float:
         rows = np.arange(first, N)
         past = np.column_stack([X[rows - i] for i in range(1, na + 1)] + [np.ones(len(rows))])
         losses = np.zeros(most + 1)
-        for turn in range(2 if m > 1 else 1):
+        for _ in range(2 if m > 1 else 1):
             for i in [*(k for k in range(m) if k != j), j] if m > 1 else [j]:
                 rest = [U[rows - 1 - delays[k] - b, k] for k in range(m) if k != i for b in range(nb)]
                 A = np.column_stack([past, *rest])

@@ -51,7 +51,7 @@ def main_logs(count: int) -> Iterable[Sample]:
 
 def inside(interval: np.ndarray, D: np.ndarray) -> np.ndarray:
     """(m,) True where the interval holds D."""
-    return (interval[:, 0] <= D) & (D <= interval[:, 1])
+    return (interval[:, 0] <= D) & (interval[:, 1] >= D)
 
 
 def table(logs: Iterable[Sample], answer: Callable[[Sample], Answer], each: bool) -> None:
@@ -68,9 +68,9 @@ def table(logs: Iterable[Sample], answer: Callable[[Sample], Answer], each: bool
             about = {name: v for name, v in log.about.items() if name != "delays"}
             print(k, log.kind, np.round(log.D / log.period, 2), error.round(2), width.round(2), held, told,
                   f"{seconds:.1f}", about, flush=True)  # fmt: skip
-    print("| plant | delays | median error | 95 % of errors below | intervals that hold D | median width | not identifiable "
-          "| s a delay |\n" + "|---" * 8 + "|")  # fmt: skip
-    for name, values in [*rows.items(), ("all", [v for values in rows.values() for v in values])]:
+    heads = "plant | delays | median error | 95 % of errors below | intervals that hold D | median width"
+    print(f"| {heads} | not identifiable | s per delay |\n" + "|---" * 8 + "|")
+    for name, values in [*rows.items(), ("all", [v for several in rows.values() for v in several])]:
         error, held, width, told, seconds = np.array(values, dtype=float).T
         good = np.isfinite(error)
         print(f"| {name} | {len(held)} | {np.median(error[good]):.3f} | {np.quantile(error[good], 0.95):.2f} | "
@@ -86,7 +86,7 @@ def unable(count: int, each: bool) -> None:
         log = silent(k, np.random.default_rng([33, k]))
         why = log.about["why"]
         try:
-            D, interval, told, _ = ours(log)
+            _, interval, told, _ = ours(log)
         except ConfigError as error:  # refused in a sentence
             print(f"{k} {log.kind}, {why}: {error}")
             D, interval, told = log.D, np.stack([0 * log.D, log.D], axis=1), np.zeros(len(log.D), bool)
@@ -153,8 +153,8 @@ def adversary(name: str, seed: int, clean: bool, calls: int) -> None:
     while tried < calls:
         points = search.ask()
         search.tell(points, [score(z) for z in points])
-    print(f"| {name} | {'clean' if clean else 'disturbed, quantised'} | {tried} | {missed} | {worst[0]:.2f} | {worst[1]} |",
-          flush=True)  # fmt: skip
+    kind = "clean" if clean else "disturbed, quantised"
+    print(f"| {name} | {kind} | {tried} | {missed} | {worst[0]:.2f} | {worst[1]} |", flush=True)
 
 
 def main() -> None:
