@@ -1,9 +1,9 @@
 """Three estimators of a delay in use elsewhere, re-implemented from descriptions, on the channel that suits them.
 
-Each takes the nominal plant, t (N,), U (N, m), X (N, n), the number of the input and the longest delay, and gives D, the
-ends of an interval of 95 %, and whether it accepts its answer. Logs are read on a grid of the median period:
-commands held, samples by lines between them. Where a description has no interval, the answers for blocks of the log give
-it, by Student's t.
+Each takes the nominal plant, t (N,), U (N, m), X (N, n), the number of the input, and the longest delay. It gives D,
+the ends of an interval of 95 %, and whether it accepts its answer. Logs are read on a grid of the median period:
+commands held, samples by lines between them. Where a description has no interval, the answers for blocks of the log
+give it, by Student's t.
 """
 
 from collections.abc import Callable

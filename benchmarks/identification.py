@@ -136,7 +136,7 @@ def adversary(name: str, seed: int, clean: bool, calls: int) -> None:
     def score(z: np.ndarray) -> float:
         nonlocal worst, missed, tried
         log = attacked(np.clip(z, 0, 1), name, seed, clean)
-        D, interval, told, _ = ours(log)
+        _, interval, told, _ = ours(log)
         width = np.maximum(np.diff(interval, axis=1)[:, 0], 1e-3 * log.period)
         beyond = np.maximum(interval[:, 0] - log.D, log.D - interval[:, 1]) / width
         value = float(np.where(told, beyond, -0.5).max())
