@@ -10,12 +10,10 @@ import numpy as np
 
 from npred.identification import search
 from npred.identification.estimate import Delays
-from npred.identification.fit import Prior, Problem, SegmentFit
+from npred.identification.fit import Prior, Problem, SegmentFit, better
 from npred.identification.identified import Alternative
 from npred.identification.log import Segments, mean_square, spread
 
-CLEAR = 10.8  # of chi² with one degree of freedom at 99.9 %
-DEVIATIONS = 1.0  # of the sum over the segments
 NONE = 1e-9  # of the samples' period: a lag that is none
 HELD_BACK = 0.25
 DECIDING = 8000  # samples, by which models are compared
@@ -29,13 +27,6 @@ class FittedModel:
     problem: Problem
     fit: SegmentFit
     lags: np.ndarray | None = None
-
-
-def better(one: SegmentFit, other: SegmentFit, inflation: float) -> bool:
-    """True if the data clearly prefer `one`."""
-    gain = _per_segment(other) - _per_segment(one)
-    total, scatter = other.cost - one.cost, np.sqrt(len(gain)) * gain.std(ddof=1)
-    return bool(total > CLEAR * inflation and total > DEVIATIONS * scatter)
 
 
 def with_lag(problem: Problem) -> Problem:
@@ -95,12 +86,6 @@ def prediction_error(candidate: FittedModel, segments: Segments) -> np.ndarray:
     start = problem.fit(fit.delays, None, 4, candidate.lags)
     r = (segments.Y - problem.outputs(start, candidate.lags))[:, third:]
     return np.sqrt(mean_square(r))
-
-
-def _per_segment(fit: SegmentFit) -> np.ndarray:
-    """The cost of each segment at the common optimum of theta."""
-    d = fit.thetas(np.ones((1, len(fit.e))))[0] - fit.theta
-    return fit.e - 2 * fit.g @ d + np.einsum("i,sij,j->s", d, fit.H, d)
 
 
 def thinned(delays: Delays) -> Delays:

@@ -5,12 +5,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from npred.identification import search
-from npred.identification.fit import Problem, SegmentFit
+from npred.identification.fit import Problem, SegmentFit, better
 from npred.identification.search import LEVEL, Profile
 
 COARSE = 2500  # samples of the first scan
 PLACES = 8  # local minima of it that are looked at again
 TETHER = 0.3  # of its value: how far a free parameter goes in the first scan, where the delay is still wrong
+APART = 2.0  # deviations by which one minimum is better than another
 FINEST = 2e-3  # of the sampling period
 DRAWS = 400
 SHARES = 0.025, 0.975
@@ -57,9 +58,9 @@ def estimate(problem: Problem, low: np.ndarray, high: np.ndarray, rng: np.random
     profiles = [search.profile(at, fit, z, j, low, high, widths * scale) for j in range(len(z))]
     level = LEVEL * inflation
     ends = np.array([_interval(p, level, rng) for p in profiles])
-    for place, other in started:  # other minima that are as good
-        far = problem.fit(place, other)
-        if far.cost - fit.cost < level:
+    for place, _ in places:  # other minima that may be as good: of a periodic input, say
+        beyond = any(not p.values[0] <= end <= p.values[-1] for p, end in zip(profiles, place, strict=True))
+        if beyond and not better(fit, problem.fit(place), inflation, APART):
             ends = np.stack([np.minimum(ends[:, 0], place), np.maximum(ends[:, 1], place)], axis=1)
     return Delays(problem, z, ends, fit, profiles, widths, inflation)
 

@@ -17,6 +17,7 @@ from npred.identification.model import MeasuredOutputs, RolloutModel
 RIDGE = 1e-12  # of the largest element: states that nothing measures stay where they are
 HALVINGS = 5
 BLOCK = 64  # commands
+CLEAR = 10.8  # of chi² with one degree of freedom at 99.9 %
 NEAR = 0.05  # to the least cost, where chi² with one degree of freedom is 3.84 at 95 %
 
 
@@ -180,6 +181,21 @@ class Problem:
         dtheta = fit.thetas(np.ones((1, len(X))))[0] - theta
         dX = np.where(lost[:, None], 0.0, solved[..., 0] - (solved[..., 1:] @ dtheta))
         return fit, (dX, dtheta)
+
+
+def better(one: SegmentFit, other: SegmentFit, inflation: float, deviations: float = 1.0) -> bool:
+    """True if the data clearly prefer `one`: in the sum of its costs, and by so many deviations of that sum.
+
+    The second says whether some segments alone decide [Vuong, Econometrica 57 (1989) 307].
+    """
+    gain, total = _per_segment(other) - _per_segment(one), other.cost - one.cost
+    return bool(total > CLEAR * inflation and total > deviations * np.sqrt(len(gain)) * gain.std(ddof=1))
+
+
+def _per_segment(fit: SegmentFit) -> np.ndarray:
+    """The cost of each segment at the common optimum of theta."""
+    d = fit.thetas(np.ones((1, len(fit.e))))[0] - fit.theta
+    return fit.e - 2 * fit.g @ d + np.einsum("i,sij,j->s", d, fit.H, d)
 
 
 def lag_states(segments: Segments, delays: np.ndarray, tau: np.ndarray) -> np.ndarray:
