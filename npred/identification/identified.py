@@ -9,6 +9,7 @@ import numpy as np
 from npred.plants import Plant
 
 CERTAIN = 0.5  # of the range of delays: a wider interval says nothing
+ODD, FAR = 2.0, 4.0  # times what was allowed: a parameter that is looked at, and one that explains something else
 
 
 @dataclass(frozen=True)
@@ -76,7 +77,12 @@ class Findings:
         """(m,) True where the log tells the delay."""
         wide = np.diff(self.interval, axis=1)[:, 0] > CERTAIN * (self.high - self.low)
         ends = self.interval[:, 1] >= self.high - 1e-9 * (self.high - self.low)
-        return ~(wide | ends | self.still | np.array([a.as_good for a in self.alternatives]))
+        return ~(wide | ends | self.still | self._off | np.array([a.as_good for a in self.alternatives]))
+
+    @property
+    def _off(self) -> bool:
+        """True if the log asks for a plant that is far from the one that was given."""
+        return any(abs(deviations) > FAR for deviations in self.assumed.values())
 
     @property
     def sentences(self) -> list[str]:
@@ -84,7 +90,7 @@ class Findings:
         lines = [line for j in range(len(self.D)) for line in self._of_input(j)]
         lines += [line for name in self.parameters for line in self._of_parameter(name)]
         for name, deviations in self.assumed.items():
-            if abs(deviations) > 2:
+            if abs(deviations) > ODD:
                 lines.append(
                     f"The log asks for another value of {name}, {abs(deviations):.1f} times as far as was allowed. "
                     f"Free it, or check it."
@@ -116,6 +122,8 @@ class Findings:
                 f"The delay of {name} is not identifiable: the log {what} of {span}, the longest that was tried. "
                 f"Record larger steps of {name}, or try longer delays."
             ]
+        if self._off:
+            return [f"The delay of {name} is not identifiable: the plant as it was given does not explain the log."]
         if not self.identifiable[j]:
             return [
                 f"The delay of {name} is not identifiable: any delay of {span} fits. Record larger steps of {name}."

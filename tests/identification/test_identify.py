@@ -199,3 +199,17 @@ def test_what_does_not_fit_is_one_line(change, words):
 def test_a_plant_that_knows_its_delay_is_refused():
     with pytest.raises(ConfigError, match="it declares delay"):
         npred.identify(npred.plant("transport_tank"), np.arange(9.0), np.zeros((9, 1)), np.zeros((9, 1)))
+
+
+def test_a_plant_that_is_far_from_the_given_one_is_said():
+    found = npred.identify(decay(), *decayed(0.3, 0.005, b=1.5), longest=1.5)
+    assert not found.identifiable[0] and "the plant as it was given does not explain the log" in str(found)
+    assert "The log asks for another value of b" in str(found)
+    assert npred.identify(decay(), *decayed(0.3, 0.005, b=1.5), longest=1.5, free=["b"]).identifiable.all()
+
+
+def test_a_delay_of_a_sine_may_be_one_period_longer():
+    wave = 0.8 * np.sin(2 * np.pi * np.arange(400) / 20)[:, None]  # a period of 1 s
+    table = recording(lambda x, u: -0.5 * x + u, [0.0], wave, [0.3], PERIOD, 0.05, 1)
+    found = npred.identify(decay(), *table, longest=2.5)
+    assert not found.identifiable[0] and found.interval[0, 0] <= 0.3 and found.interval[0, 1] >= 1.2
