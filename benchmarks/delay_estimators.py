@@ -1,9 +1,9 @@
-"""Three estimators of a delay in use elsewhere, re-implemented from descriptions, on the channel that suits them.
+"""Three estimators of a delay that are in use elsewhere, re-implemented from their descriptions.
 
-Each takes the nominal plant, t (N,), U (N, m), X (N, n), the number of the input, and the longest delay. It gives D,
-the ends of an interval of 95 %, and whether it accepts its answer. Logs are read on a grid of the median period:
-commands held, samples by lines between them. Where a description has no interval, the answers for blocks of the log
-give it, by Student's t.
+Each takes the nominal plant, t (N,), U (N, m), X (N, n), the input's number and the longest delay. It gives D, the
+ends of an interval of 95 %, and whether it accepts its own answer. Logs are read on a grid of the median period:
+commands held, samples by lines between them. Where a description has no interval, the answers for
+blocks of the log give it, by Student's t.
 """
 
 from collections.abc import Callable
@@ -60,7 +60,7 @@ def motions(plant: Plant, U: np.ndarray, X: np.ndarray, j: int, period: float) -
     """The input that the measured motion asks for, by the nominal plant and a smoothed derivative; f is affine in u."""
     found, rest = [], np.median(U, axis=0)
     for width in SMOOTHING:
-        x = savgol_filter(X, width, 2, axis=0)
+        x = np.asarray(savgol_filter(X, width, 2, axis=0))
         slopes = savgol_filter(X, width, 2, deriv=1, delta=period, axis=0)
         times, held = np.zeros(len(x)), np.tile(rest, (len(x), 1))
         base = plant.f(x, held, times)
@@ -104,7 +104,7 @@ def by_blocks(estimate: Callable[..., float], period: float, u: np.ndarray, X: n
 
 
 def autoware(plant: Plant, t: np.ndarray, U: np.ndarray, X: np.ndarray, j: int, longest: float) -> Found:
-    """A grid over dead time and time constant of first-order models by least squares, of the state they fit best."""
+    """A grid over dead time and time constant of first-order models by least squares, for the state that fits best."""
     period, held, Y = on_grid(t, U, X)
     return by_blocks(_first_order, period, held, Y, j, round(longest / period))
 

@@ -32,9 +32,11 @@ class Motor:
     box = {"i": (-1.0, 1.0), "w": (-2.0, 2.0)}
     guess = (0.0, 0.0)
 
+    @staticmethod
     def f(x, u, t, p, M):
         return [(u.v - p.R * x.i - p.k * x.w) / p.L, (p.k * x.i - p.b * x.w) / p.J]
 
+    @staticmethod
     def kappa(x, t, p, M):
         return [-0.5 * x.w]
 
@@ -48,9 +50,11 @@ class Tank:
     box = {"h": (0.5, 2.0)}
     guess = (1.0,)
 
+    @staticmethod
     def f(x, u, t, p, M):
         return [(u.q - p.outflow * M.sqrt(x.h)) / p.area]
 
+    @staticmethod
     def kappa(x, t, p, M):
         return [0.5 - 0.5 * (x.h - 1.0)]
 
@@ -64,9 +68,11 @@ class Mixer:
     box = {"a": (-1.0, 1.0), "b": (-1.0, 1.0)}
     guess = (0.0, 0.0)
 
+    @staticmethod
     def f(x, u, t, p, M):
         return [-x.a + p.k * u.u + p.c * u.v, -0.5 * x.b - p.c * u.u + p.k * u.v]
 
+    @staticmethod
     def kappa(x, t, p, M):
         return [-0.3 * x.a, -0.3 * x.b]
 
@@ -85,7 +91,7 @@ class Stable(Scalar):
 class Kind:
     """How logs of a plant are made: its declaration, rest, amplitude of commands, periods, gain (m, n), loops."""
 
-    declaration: type
+    declaration: Any
     x: tuple[float, ...]
     u: tuple[float, ...]
     amplitude: float
