@@ -17,6 +17,7 @@ from npred.identification.model import MeasuredOutputs, RolloutModel
 RIDGE = 1e-12  # of the largest element: states that nothing measures stay where they are
 HALVINGS = 5
 BLOCK = 64  # commands
+MOST = 25.0  # of chi², that a segment may say
 CLEAR = 10.8  # of chi² with one degree of freedom at 99.9 %
 NEAR = 0.05  # to the least cost, where chi² with one degree of freedom is 3.84 at 95 %
 
@@ -186,10 +187,12 @@ class Problem:
 def better(one: SegmentFit, other: SegmentFit, inflation: float, deviations: float = 1.0) -> bool:
     """True if the data clearly prefer `one`: in the sum of its costs, and by so many deviations of that sum.
 
-    The second says whether some segments alone decide [Vuong, Econometrica 57 (1989) 307].
+    The second says whether few segments alone decide [Vuong, Econometrica 57 (1989) 307]; a segment counts for MOST at
+    most, since one that diverges has a cost without an end.
     """
-    gain, total = _per_segment(other) - _per_segment(one), other.cost - one.cost
-    return bool(total > CLEAR * inflation and total > deviations * np.sqrt(len(gain)) * gain.std(ddof=1))
+    gain = np.clip((_per_segment(other) - _per_segment(one)) / inflation, -MOST, MOST)
+    scatter = np.sqrt(len(gain)) * gain.std(ddof=1)
+    return bool(other.cost - one.cost > CLEAR * inflation and gain.sum() > deviations * scatter)
 
 
 def _per_segment(fit: SegmentFit) -> np.ndarray:
