@@ -13,6 +13,7 @@ PLACES = 8  # local minima of it that are looked at again
 TETHER = 0.3  # of its value: how far a free parameter goes in the first scan, where the delay is still wrong
 APART = 2.0  # deviations by which one minimum is better than another
 FINEST = 2e-3  # of the sampling period
+SEARCHED = 15000  # samples by which the least cost is searched first
 DRAWS = 400
 SHARES = 0.025, 0.975
 
@@ -44,18 +45,18 @@ def estimate(problem: Problem, low: np.ndarray, high: np.ndarray, rng: np.random
     coarse = _tethered(problem.some(COARSE))  # once more, with the size of the residuals
     places = sorted(((z, coarse.fit(z, None, 2).cost) for z, _ in places[:PLACES]), key=lambda pair: pair[1])
 
-    def at(z: np.ndarray, start: SegmentFit | None) -> SegmentFit:
-        return problem.fit(z, start, 2)
-
-    least = FINEST * period
-    started = [(place, problem.fit(place)) for place, _ in places[:3]]
-    z, fit = min(started, key=lambda pair: pair[1].cost)
-    z, fit, widths = search.descend(at, fit, z, low, high, period, least)
+    few = problem.some(SEARCHED)
+    z, fit = min(((z, few.fit(z)) for z, _ in places[:3]), key=lambda pair: pair[1].cost)
+    z, fit, widths = search.descend(_at(few), fit, z, low, high, period, FINEST * period)
+    if len(few.segments) < len(problem.segments):
+        z, fit, widths = search.descend(
+            _at(problem), problem.fit(z), z, low, high, float(widths.max()), FINEST * period
+        )
     problem = problem.rescaled(fit)
     fit = problem.fit(z, fit)
     scale = np.sqrt(max(fit.cost / max(fit.count, 1), 1e-12))
     inflation = correlation_time(fit.residuals)
-    profiles = [search.profile(at, fit, z, j, low, high, widths * scale) for j in range(len(z))]
+    profiles = [search.profile(_at(problem), fit, z, j, low, high, widths * scale) for j in range(len(z))]
     level = LEVEL * inflation
     ends = np.array([_interval(p, level, rng) for p in profiles])
     for place, _ in places:  # other minima that may be as good: of a periodic input, say
@@ -63,6 +64,11 @@ def estimate(problem: Problem, low: np.ndarray, high: np.ndarray, rng: np.random
         if beyond and not better(fit, problem.fit(place), inflation, APART):
             ends = np.stack([np.minimum(ends[:, 0], place), np.maximum(ends[:, 1], place)], axis=1)
     return Delays(problem, z, ends, fit, profiles, widths, inflation)
+
+
+def _at(problem: Problem) -> search.At:
+    """The fit of a problem with given delays, from another one."""
+    return lambda z, start: problem.fit(z, start, 2)
 
 
 def _tethered(problem: Problem) -> Problem:
