@@ -11,8 +11,7 @@ from npred.figures.notation import quantity, timed
 from npred.figures.style import ROLES, Axes, Look, short
 from npred.plants import Plant
 
-RECORDED, FITTED, BAND = Look("muted", marker="o", width=0), Look("blue"), Look("sky")
-LAGS = 40
+RECORDED, FITTED = Look("muted", marker="o", width=0), Look("blue")
 
 
 def plates(plant: Plant, drawn: dict[str, Any]) -> Iterator[Plate]:

@@ -70,7 +70,7 @@ def arrays(plant: Plant, t: Any, U: Any, X: Any) -> tuple[np.ndarray, np.ndarray
         raise ConfigError(f"plant {plant.name}: expected a plant whose delay is unknown, it declares delay(x, t, p, M)")
     t, U, X = (array_checks.floats(name, value) for name, value in (("t", t), ("U", U), ("X", X)))
     U, X = (a[:, None] if a.ndim == 1 else a for a in (U, X))
-    outputs = len(MeasuredOutputs(RolloutModel(plant, ())).names)
+    outputs = len(plant.outputs)
     if t.ndim != 1 or U.shape != (len(t), plant.m) or X.shape != (len(t), outputs):
         shapes = f"t (N,), U (N, {plant.m}), X (N, {outputs})"
         raise ConfigError(f"identify: expected {shapes}, got {t.shape}, {U.shape}, {X.shape}; give a row per time")
