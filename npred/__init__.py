@@ -20,13 +20,14 @@ if TYPE_CHECKING:
     from npred.loop.iosystem import as_iosystem
     from npred.loop.l1_adaptation import L1Adaptation
     from npred.loop.measurement import Measurement
+    from npred.loop.watchdog import Watchdog
     from npred.predictors import Predictor
     from npred.runs import evaluate, generate, train
 
 __version__ = "0.1.0"
 __all__ = [
-    "DelayAdaptation", "DelayLaw", "DelayObserver", "L1Adaptation", "Measurement", "Predictor", "as_iosystem",
-    "controller", "evaluate", "generate", "guarded", "identify", "load", "plant", "predictor", "simulate",
+    "DelayAdaptation", "DelayLaw", "DelayObserver", "L1Adaptation", "Measurement", "Predictor", "Watchdog",
+    "as_iosystem", "controller", "evaluate", "generate", "guarded", "identify", "load", "plant", "predictor", "simulate",
     "train",
 ]  # fmt: skip
 
@@ -37,6 +38,7 @@ _HOME = dict.fromkeys(__all__, "api") | {
     "L1Adaptation": "loop.l1_adaptation",
     "Measurement": "loop.measurement",
     "Predictor": "predictors",
+    "Watchdog": "loop.watchdog",
     "as_iosystem": "loop.iosystem",
     "identify": "identification.identify",
     **dict.fromkeys(("evaluate", "generate", "train"), "runs"),

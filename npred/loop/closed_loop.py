@@ -299,4 +299,5 @@ class _Simulation:
         arrays |= {"D_seen": D.copy() if reads_commands else D}
         arrays |= {"X_hat": X, "Y": X} if self.measurement.perfect else {"X_hat": X.copy()}
         sizes = {"n": n, "m": m, "nx": nx, "observer": self.law.memory, "past": age + 1}
+        sizes |= dict.fromkeys(("clock", "outputs", "filter"), 0)
         return State(**signals.memory(signals.STATE, sizes, lanes, arrays))

@@ -1,4 +1,4 @@
-"""The controller alone, for a real plant: one step per call, on memory taken at the start."""
+"""The controller alone, for a real plant: one control step per call, on memory taken at the start."""
 
 import math
 import operator
@@ -11,15 +11,21 @@ from npred import array_checks
 from npred.delays import family_of
 from npred.errors import ConfigError, DivergedError
 from npred.loop import engine, loop_checks, signals
-from npred.loop.actuator import history
+from npred.loop.actuator import ROUNDING, history
+from npred.loop.clock import Clock
 from npred.loop.delay_law import DelayLaw, part
 from npred.loop.engine import Engine
+from npred.loop.status import Status
+from npred.loop.watchdog import Watchdog
 from npred.plants import inputs
 from npred.plants.base import Plant
 from npred.predictors import RK4, Predictor
 from npred.symbolic import source_lines
 
 DELAYS = 5.0  # times the delay at a plant's target, where it declares one, are commands kept
+OLDEST = 20  # control steps, by default the largest age of a sample
+SIGMAS = 6.0  # of an output that an observer of the state estimates: `gate` times as many are not believed
+SNAP = 1e-6  # of a control step: times this close to a regular clock's are on it
 STEPS = 2**53  # beyond it a float64, as step * dt is one, no longer counts one by one
 
 
@@ -40,13 +46,19 @@ class Controller:
     further from it than `gate` times half the box, or |X_hat| where that is more, in any state, is not believed: X_hat
     takes its place, `missed` counts it, and an observer of the delay goes on without it. Such samples in a row for
     D_hat seconds are: X has jumped. `gate=None` believes all; so does a state without a box.
+
+    With "history" a call may also come at any time `t`, without a sample, or with one that was taken up to `oldest`
+    seconds ago (20 control steps by default): X_hat is the model's state from the last sample on. `observer`, one of
+    npred.observers, estimates X from the plant's outputs, of which `step` then gets the samples; it believes an output
+    within 6 `gate` standard deviations. `watchdog` says what U is where no sample comes (npred.Watchdog).
     Raises ConfigError for parts that do not fit together.
     """
 
     def __init__(
         self, plant: Plant, predictor: Predictor, adaptation: DelayLaw | None, dt: float, *,
         D_hat: float | None = None, input_bounds: Any = None, actuator: str = "measured", u0: Any = None,
-        longest: float | None = None, gate: float | None = 1.0,
+        longest: float | None = None, gate: float | None = 1.0, oldest: float | None = None, observer: Any = None,
+        watchdog: Watchdog | None = None,
     ) -> None:  # fmt: skip
         loop_checks.parts(plant, predictor, adaptation)
         loop_checks.actuator_state(actuator)
@@ -64,15 +76,25 @@ class Controller:
         self.gate = None if gate is None else array_checks.number("gate", gate)
         if self.gate is not None and not 0 < self.gate < math.inf:
             raise ConfigError(f"gate: expected a number above 0, or None for no gate, got {gate!r}; 1 is the default")
-        self._gated = self._recalls and self.gate is not None
+        self.oldest, self.observer, self.watchdog = oldest, observer, watchdog
+        self._check_clocked()
+        self._oldest = math.floor(seconds_in(oldest, self.dt)) if self._recalls else 0
         self.parts = {
             "observe": law.observe, "believe": family_of(plant).horizon(), "predict": predictor.lanes(),
             "guard": predictor.guard, "control": law.control, "update": law.update,
-            "model": engine.advance_kernel(plant, RK4) if self._gated else None,
+            "model": engine.advance_kernel(plant, RK4) if self._recalls else None,
+            "follow": observer and observer.follow(), "correct": observer and observer.correct(),
+            "relief": watchdog and watchdog.law(plant),
         }  # fmt: skip
         self.settings = signals.settings(
-            dt=self.dt, b=law.b, gamma_dt=law.gamma * self.dt, gate=self.gate or 1.0, recalls=self._recalls,
-            keeps=self._recalls, gated=self._gated, observer_count=law.memory if self._watches else 0,
+            dt=self.dt, b=law.b, gamma_dt=law.gamma * self.dt, recalls=self._recalls, keeps=self._recalls,
+            gate=(self.gate or 1.0) * (SIGMAS if observer else 1.0), gated=self._recalls and self.gate is not None,
+            observer_count=law.memory if self._watches else 0, oldest=float(self._oldest),
+            offsets=bool(observer and observer.offset), output_count=len(self.outputs),
+            watched=watchdog is not None, after=watchdog.after if watchdog else 0.0,
+            holds=bool(watchdog and watchdog.holds), rescue=watchdog.rescue(plant.m) if watchdog else np.zeros(0),
+            jump=watchdog.jumps(plant.m) if watchdog else np.zeros(0),
+            sensing=observer.settings if observer else np.zeros(0),
             bounds=law.bounds, p=plant.p, truth_p=plant.p, ratios=plant.ratios,
             input_bounds=np.ascontiguousarray(inputs.widest(plant, self._limits), dtype=float), law=law.settings,
             guard=np.zeros(0) if predictor.settings is None else predictor.settings,
@@ -83,6 +105,7 @@ class Controller:
         self._first_D_hat, self._awaits_X = D_hat, False
         self._take_memory(law.memory, self._kept(D_hat, longest))
         self._set_state(D_hat, None, 0, 0.0)
+        self._reset_clock(None)
         self._warm_up()
         self._awaits_X = self._by_law  # for the commands before the first step
 
@@ -109,7 +132,8 @@ class Controller:
     @t.setter
     def t(self, seconds: float) -> None:
         self._set_state(self.D_hat, None, 0, seconds)
-        self._expect(None, 0)
+        self._clock.forget()
+        self.memory.missed[0] = 0.0
 
     @property
     def u0(self) -> np.ndarray:
@@ -122,17 +146,40 @@ class Controller:
     @property
     def reach(self) -> float:
         """How far back its commands are kept, in seconds."""
-        return (len(self.memory.held) - 4) * self.dt
+        return (len(self.memory.held) - 4 - self._oldest) * self.dt
 
     @property
     def longest_D_hat(self) -> float:
         """The longest delay, in seconds, by which a step can read its commands."""
-        return (len(self.memory.held) - 3) * self.dt
+        return (len(self.memory.held) - 3 - self._oldest) * self.dt
 
     @property
     def missed(self) -> int:
         """How many of the last samples, in a row, were not believed; X_hat took their place."""
         return int(self.memory.missed[0])
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """The names of what a sample has: the states, or the outputs of its observer."""
+        return tuple(self.observer.outputs) if self.observer else self.plant.states
+
+    @property
+    def X_hat(self) -> np.ndarray:
+        """The state that the last step predicted from, (n,), a copy: the sample, or what the model made of those."""
+        return self.memory.X_hat[:, 0].copy()
+
+    @property
+    def status(self) -> Status:
+        """What happened in the last step (npred.loop.status)."""
+        z, clock, m = self.memory, self._clock, self.plant.m
+        age = (clock["at"] - clock["sample_at"]) * self.dt
+        offset = z.filter[self.plant.n : self.plant.n + m, 0].copy() if self.settings.offsets else np.zeros(m)
+        return Status(
+            D_hat=self.D_hat, D_hat_spread=self._spread(), age=math.inf if math.isnan(age) else age,
+            innovation=z.innovation[:, 0].copy(), late=int(clock["late"]), refused=int(clock["refused"]),
+            missed=self.missed, handed_over=clock["handed"] > 0, offset=offset, fallback=self.fallback,
+            error=self.error,
+        )  # fmt: skip
 
     @property
     def P(self) -> np.ndarray:
@@ -149,35 +196,53 @@ class Controller:
         """The guard's estimate of the error of U in the last step, in units of U; NaN without a guard."""
         return float(self.memory.error[0])
 
-    def step(self, X: Any, u: Any = None, u_nodes: Any = None, *, applied: Any = None) -> np.ndarray:
+    def step(
+        self, X: Any = None, u: Any = None, u_nodes: Any = None, *, t: float | None = None,
+        sampled_at: float | None = None, applied: Any = None,
+    ) -> np.ndarray:  # fmt: skip
         """U (m,) for the state X (n,) and the actuator state u (nx, m) on the predictor's nodes, both measured now.
 
         With actuator="history" there is no u to give. The predictor integrates u: where the measurement can tell them
         apart, `u` has the mean over each node's cell and `u_nodes` the values at the nodes, which the update law
         compares with kappa(P); by default they are u.
+        With "history" `t` is the time of this call, by default dt after the last one, and `sampled_at` when X was
+        taken, by default now; X None is no sample. With an observer X are the outputs, NaN where one is missing.
         `applied` (m,) is what the actuator got at the call before, where that was not U.
-        U is the controller's own memory, overwritten by the next step. Raises ConfigError for shapes that do not fit
-        and for what are no real numbers, masked arrays among them, and DivergedError for a measurement that is not
-        finite, or that the prediction leaves the finite numbers from. Then the last U is to be held: with it the time
-        and the history of commands go on, and all else, U's memory too, stands as before.
+        U is the controller's own memory, overwritten by the next step. Raises ConfigError for shapes and times that do
+        not fit and for what are no real numbers, masked arrays among them, and DivergedError for a measurement that is
+        not finite, or that the prediction leaves the finite numbers from. Then the last U is to be held: with it the
+        time and the history of commands go on, and all else, U's memory too, stands as before.
         """
-        if (u is None) != self._recalls:
-            expected, came = ("X alone", "u too") if self._recalls else ("X and u", "X alone")
+        if (u is None) != self._recalls or (X is None and not self._recalls):
+            expected, came = ("X alone", "u too") if self._recalls else ("X and u", "u alone" if X is None else "X alone")
             raise ConfigError(
                 f"step: expected {expected}, for the actuator is {self.actuator!r}, got {came}; give what is measured"
             )
-        X, applied = array_checks.floats("X", X), None if applied is None else self._as_applied(applied)
-        self._measure(X, u, u_nodes)
+        gap = 1.0 if t is None else self._gap(t)
+        now = self.t if t is None else t
+        age = 0.0 if sampled_at is None else self._age(now, sampled_at)
+        applied = None if applied is None else self._as_applied(applied)
+        came = X is not None
+        if came:
+            self._measure(array_checks.floats("X", X), u, u_nodes)
         if applied is not None:
-            self._correct(applied)
-        if self._awaits_X and np.isfinite(X).all():
-            self._fill(X)
-        code = self._engine.control_step(self._k, self.t)
+            self._engine.replace(applied)
+        before = None
+        if self._awaits_X:
+            if not came or not np.isfinite(self._Y).all():
+                raise DivergedError("step: expected a finite first X, got none; hold the last U and measure again")
+            before = self.state()
+            self._fill(self._Y)
+        code = self._engine.call(now, gap, came, age)
+        if code and before is not None:  # nothing was sent, and the commands before the first X are not known
+            self.restore(before)
+            raise DivergedError(f"step: {self._reason(code)}; hold the last U and measure again")
+        if gap != 1.0:
+            self._t0, self._step = now, 0
+        self._step += 1
         if code:
-            reason = self._reason(code)
-            raise DivergedError(f"step: {reason}; {self._held(code)}")
+            raise DivergedError(f"step: {self._reason(code)}; {self._held()}")
         self._awaits_X = False
-        self._remember(code)
         self._last_P[:], self._last_U[:] = self._P, self._U
         return self._last_U
 
@@ -188,10 +253,12 @@ class Controller:
         remembered: dict[str, Any] = {}
         if self.keeps_commands:
             held, sums = z.held[:, :, 0].tolist(), z.total[:, :, 0].tolist()
-            remembered = {"commands": {"k": self._k, "held": held, "sums": sums}}
-        if self._gated:
-            X_hat = z.expected[:, 0].tolist() if np.isfinite(z.expected).all() else None
+            remembered = {"commands": {"k": self._next, "held": held, "sums": sums}, "clock": self._clock.state()}
+        if self._recalls:
+            X_hat = self._clock.now.tolist() if np.isfinite(self._clock.now).all() else None
             remembered |= {"X_hat": X_hat, "missed": self.missed}
+        if self.observer:
+            remembered["filter"] = z.filter[:, 0].tolist()
         if self._watches:
             remembered["observer"] = [None if math.isnan(value) else value for value in z.observer[:, 0].tolist()]
         return {
@@ -216,7 +283,8 @@ class Controller:
         """Another one with these parts, which starts from this one's D_hat and t without a past."""
         parts = (self.plant, self.predictor, self.adaptation, self.dt)
         named = {"input_bounds": self._limits, "actuator": self.actuator, "u0": self._u0,
-                 "longest": self._longest, "gate": self.gate}  # fmt: skip
+                 "longest": self._longest, "gate": self.gate, "oldest": self.oldest,
+                 "observer": self.observer, "watchdog": self.watchdog}  # fmt: skip
         other = type(self)(*parts, D_hat=self.D_hat, **named)
         other.t = self.t
         return other
@@ -230,13 +298,23 @@ class Controller:
     def __getstate__(self) -> dict[str, Any]:
         parts = (self.plant, self.predictor, self.adaptation, self.dt)
         named = {"input_bounds": self._limits, "actuator": self.actuator, "u0": self._u0,
-                 "longest": self._longest, "gate": self.gate}  # fmt: skip
+                 "longest": self._longest, "gate": self.gate, "oldest": self.oldest,
+                 "observer": self.observer, "watchdog": self.watchdog}  # fmt: skip
         return {"parts": parts, "named": named, "state": self.state(), "P": self._last_P}
 
     def __setstate__(self, saved: Mapping[str, Any]) -> None:
         Controller.__init__(self, *saved["parts"], D_hat=saved["state"]["D_hat"], **saved["named"])
         self.restore(saved["state"])
         self._last_P[:] = saved["P"]
+
+    def _check_clocked(self) -> None:
+        """Raise ConfigError for parts that need the commands' history, where it has none, or are of another plant."""
+        parts = {"oldest": self.oldest, "observer": self.observer, "watchdog": self.watchdog}
+        for name, value in parts.items():
+            if value is not None and not self._recalls:
+                raise ConfigError(f'{name}: expected actuator="history", got {self.actuator!r}; give it, or no {name}')
+        if self.watchdog is not None and not isinstance(self.watchdog, Watchdog):
+            raise ConfigError(f"watchdog: expected npred.Watchdog, got {self.watchdog!r}; make one")
 
     @staticmethod
     def _suited(plant: Plant, law: DelayLaw, D_hat: float | None) -> DelayLaw:
@@ -248,6 +326,9 @@ class Controller:
         D = np.array(array_checks.number("D_hat", sum(law.bounds) / 2 if D_hat is None else D_hat))
         array_checks.delays("D_hat", D)
         return law.suited(plant, D, D)
+
+    def _spread(self) -> float:
+        return math.nan
 
     def _start(self, D_hat: float | None) -> float:
         if D_hat is not None:
@@ -277,17 +358,21 @@ class Controller:
         self._last_U = np.zeros(m)
         self._last_P = np.full((nx, n), np.nan)
         self._longest = longest
-        self._k, held, total = history(longest, longest, self.dt, self._past(np.zeros(n)))
-        Y = np.zeros((n, 1))
-        arrays = {"Y": Y, "X_hat": np.zeros((n, 1)) if self._gated else Y, "held": held, "total": total}
+        self._kept_for = (int(longest / self.dt) + self._oldest + 0.5) * self.dt if self._oldest else longest
+        held, total = history(self._kept_for, self._kept_for, self.dt, self._past(np.zeros(n)))[1:]
+        self._clock, Y = Clock(n, m), np.zeros((n, 1))
+        arrays = {"Y": Y, "X_hat": np.zeros((n, 1)) if self._recalls else Y, "held": held, "total": total}
         arrays |= {"u": np.zeros((nx, m, 1)), "u_nodes": np.zeros((nx, m, 1)), "D_seen": np.zeros((m, 1))}
-        arrays |= {"error": np.full(1, np.nan)}
-        sizes = {"n": n, "m": m, "nx": nx, "observer": size, "past": 0}
+        arrays |= {"error": np.full(1, np.nan), "clock": self._clock.memory[:, None]}
+        if self.observer:
+            arrays |= {"filter": np.array(self.observer.start(), dtype=float)[:, None]}
+        sizes = {"n": n, "m": m, "nx": nx, "observer": size, "past": 0, "outputs": len(self.outputs), "filter": 0}
         self._set_memory(signals.State(**signals.memory(signals.STATE, sizes, 1, arrays)))
 
     def _set_memory(self, memory: signals.State) -> None:
         self.memory = z = memory
-        self._Y, self._u, self._u_nodes = z.Y[:, 0], z.u[:, :, 0], z.u_nodes[:, :, 0]  # of the only lane
+        self._Y = (z.sample if self.observer else z.Y)[:, 0]  # of the only lane
+        self._u, self._u_nodes = z.u[:, :, 0], z.u_nodes[:, :, 0]
         self._P, self._U = z.P[:, :, 0], z.U[:, 0]
         self._engine = Engine(self.parts, self.settings, memory)
 
@@ -299,30 +384,78 @@ class Controller:
 
     def _fill(self, X: np.ndarray) -> None:
         """Hold kappa(X) before the first step, where that is u0."""
-        self._k, self.memory.held[:], self.memory.total[:] = history(
-            self._longest, self._longest, self.dt, self._past(X)
+        _, self.memory.held[:], self.memory.total[:] = history(
+            self._kept_for, self._kept_for, self.dt, self._past(X)
         )
+        self._reset_clock(None)
+
+    def _reset_clock(self, X_hat: Any, k: int | None = None, calls: int = 0) -> None:
+        """Set the clock before the call of control step k, the first by default, where the model expects X_hat."""
+        k = len(self.memory.held) - 1 if k is None else k
+        X_hat = self.memory.filter[: self.plant.n, 0] if X_hat is None and self.observer else X_hat
+        last = self.memory.held[(k - 1) % len(self.memory.held), :, 0]
+        self._clock.start(k, last, self.plant.ratios * self.D_hat, X_hat, calls)
+
+    @property
+    def _next(self) -> int:
+        """The control step of the next call, in the history."""
+        return int(self._clock["at"] + ROUNDING) + 1
+
+    def _gap(self, t: Any) -> float:
+        """The control steps from the last call to one at t. Raises ConfigError for a time that is not after it."""
+        now = array_checks.number("t", t)
+        if not self._recalls:
+            raise ConfigError(f't: expected actuator="history", got {self.actuator!r}, whose calls are each dt; omit t')
+        if abs(now - self.t) <= SNAP * self.dt:
+            return 1.0
+        if not self._clock["calls"] and math.isfinite(now):  # the clock starts here
+            self._t0, self._step = now, 0
+            return 1.0
+        last = self.t - self.dt
+        if not last < now < math.inf:
+            raise ConfigError(f"t: expected a time after that of the last call, {last:.9g}, got {now:.9g}; give the clock's")
+        return _snapped((now - last) / self.dt)
+
+    def _age(self, now: float, sampled_at: Any) -> float:
+        """The age of a sample in control steps. Raises ConfigError for one of the future, by more than dt."""
+        age = (now - array_checks.number("sampled_at", sampled_at)) / self.dt
+        if not -1.0 <= age < math.inf:
+            raise ConfigError(
+                f"sampled_at: expected a time up to that of the call, {now:.9g}, got {sampled_at!r}; use one clock"
+            )
+        if not self._recalls and age > SNAP:
+            raise ConfigError(f'sampled_at: expected actuator="history", got {self.actuator!r}; omit it')
+        return max(_snapped(age), 0.0)
 
     def _recall(self, state: Mapping[str, Any]) -> None:
         """Take the commands and the observer of a saved state, where it has them. Raises ConfigError for others."""
         z = self.memory
-        commands = state.get("commands", {"k": self._k, "held": z.held[:, :, 0], "sums": z.total[:, :, 0]})
-        X_hat, missed = state.get("X_hat"), state.get("missed", 0)
+        commands = state.get("commands", {"k": self._next, "held": z.held[:, :, 0], "sums": z.total[:, :, 0]})
+        X_hat, missed, clock = state.get("X_hat"), state.get("missed", 0), state.get("clock")
         observer = [math.nan if value is None else value for value in state.get("observer", z.observer[:, 0])]
         try:
             k, held, sums = operator.index(commands["k"]), np.array(commands["held"]), np.array(commands["sums"])
             fits = held.shape == sums.shape and held.shape[1:] == (self.plant.m,) and len(observer) == len(z.observer)
+            fits = fits and len(held) <= k + 1 <= 2 * len(held)
             X_hat = None if X_hat is None else np.array(X_hat, dtype=float)
             fits = fits and (X_hat is None or X_hat.shape == (self.plant.n,)) and operator.index(missed) >= 0
+            filtered = np.array(state.get("filter", z.filter[:, 0]), dtype=float)
+            fits = fits and filtered.shape == z.filter[:, 0].shape and np.isfinite(filtered).all()
+            if clock is not None:
+                Clock(self.plant.n, self.plant.m).restore(clock)
         except (KeyError, TypeError, ValueError):
             fits = False
         if not fits:
             raise ConfigError("state: expected the commands of such a controller, got others; save it with state()")
-        z.observer[:, 0] = observer
-        self._expect(None if self._watches and math.isnan(observer[-1]) else X_hat, missed)  # they start at a sample
+        z.observer[:, 0], z.filter[:, 0], z.missed[0] = observer, filtered, missed
         held, sums = held[:, :, None].astype(float), sums[:, :, None].astype(float)  # maybe longer than those before
-        self._k = k
         self._set_memory(z._replace(held=np.ascontiguousarray(held), total=np.ascontiguousarray(sums)))
+        if clock is None:  # of a version before this memory
+            self._reset_clock(X_hat, k, int(state["step"] > 0))
+        else:
+            self._clock.restore(clock)
+        if self._watches and math.isnan(observer[-1]):  # observers of the delay start at a sample that is believed
+            self._clock.now[:] = np.nan
 
     def _set_state(self, D_hat: Any, phi: Any, step: int, t0: Any) -> None:
         """Set the state of the next step, phi None for none. Raises ConfigError, and stays as it is, if wrong."""
@@ -370,31 +503,12 @@ class Controller:
             )
         return U
 
-    def _correct(self, U: np.ndarray) -> None:
-        """Put U (m,) for the last command."""
-        held, total = self.memory.held[:, :, 0], self.memory.total[:, :, 0]
-        last, rows = self._k - 1, len(held)
-        held[last % rows], total[self._k % rows] = U, total[last % rows] + U
-
-    def _held(self, code: int) -> str:
-        """Go on from a step that was refused, and what to do, in words."""
+    def _held(self) -> str:
+        """What to do after a step that was refused, in words."""
         advice = "hold the last U and measure again"
-        if self._awaits_X:  # nothing was sent, and the commands before the first X are not known
-            return advice
-        self._remember(code)
         if self.keeps_commands:
             advice += f": {source_lines.values(self.plant.inputs, self.memory.U[:, 0])} is booked as sent"
         return advice
-
-    def _remember(self, code: int) -> None:
-        """Go on to the next step, with U kept as sent, or the last one after a code that is not 0."""
-        if self.keeps_commands:
-            self._k = self._engine.remember(self._k, self.t, code)
-        self._step += 1
-
-    def _expect(self, X_hat: Any, missed: int) -> None:
-        """Set what the model says of the next sample, (n,) or None, and how many it took the place of."""
-        self.memory.expected[:, 0], self.memory.missed[0] = np.nan if X_hat is None else X_hat, missed
 
     def _reason(self, code: int) -> str:
         """Why a step gives no U to send, in words."""
@@ -409,8 +523,22 @@ class Controller:
     def _warm_up(self) -> None:
         """Compile and load all that a step runs, so that the first step takes no longer than the others."""
         state = self.state()
-        self._engine.control_step(self._k, self.t)
+        self._engine.call(self.t, 1.0, True, 0.0)
         self.restore(state)
+        self.memory.innovation[:] = np.nan
+
+
+def seconds_in(oldest: float | None, dt: float) -> float:
+    """The largest age of a sample, in control steps. Raises ConfigError for a negative one."""
+    seconds = OLDEST * dt if oldest is None else array_checks.number("oldest", oldest)
+    if not 0 <= seconds < math.inf:
+        raise ConfigError(f"oldest: expected how old a sample may be, at least 0, got {oldest!r}; give a time")
+    return seconds / dt * (1 + 1e-12)
+
+
+def _snapped(steps: float) -> float:
+    """A number of control steps, whole where it is nearly."""
+    return float(round(steps)) if abs(steps - round(steps)) <= SNAP else steps
 
 
 def _half_widths(plant: Plant) -> np.ndarray:

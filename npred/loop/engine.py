@@ -20,8 +20,8 @@ from npred.loop.signals import PARTS, Record, Settings, State
 from npred.plants.base import Plant
 from npred.predictors.base import OneStep
 
-LOOP = ("actuator.h", "sensor.h", "step.h", "engine.h")
-ON_A_PLANT = ("actuator.h", "step.h", "controller.h", "entries.h")
+LOOP = ("actuator.h", "onward.h", "sensor.h", "step.h", "engine.h")
+ON_A_PLANT = ("actuator.h", "onward.h", "step.h", "controller.h", "entries.h")
 MEASUREMENT, PREDICTION, TOO_LONG = 1, 2, 4  # in a step: what is not finite, or a delay beyond the kept commands
 INDEX, POINTER = ctypes.c_int64, ctypes.c_void_p
 
@@ -38,9 +38,9 @@ def loop() -> ctypes.CDLL:
 def on_a_plant() -> ctypes.CDLL:
     """The compiled control step for a real one."""
     loaded = compiler.library(_text(ON_A_PLANT))
-    now, passed = [Shape, INDEX, ctypes.c_double], (POINTER,) * 4
-    loaded.stepped.argtypes, loaded.stepped.restype = [*now, *passed], ctypes.c_int
-    loaded.remembered.argtypes, loaded.remembered.restype = [*now, ctypes.c_int, *passed], INDEX
+    times = (ctypes.c_double, ctypes.c_double, ctypes.c_int, ctypes.c_double)
+    loaded.called.argtypes, loaded.called.restype = [Shape, *times, *(POINTER,) * 4], ctypes.c_int
+    loaded.replaced.argtypes, loaded.replaced.restype = [Shape, POINTER, POINTER], None
     return loaded
 
 
@@ -89,20 +89,19 @@ class Engine:
         loop().run(self._shape, origin, start, stop, *self._passed, flag, self._scratch)
         self._failure.raised()
 
-    def control_step(self, k: int, t: float) -> int:
-        """U, P and the next D_hat of a controller from its sample Y, and from u or the commands before step k.
+    def call(self, t: float, gap: float, came: bool, age: float) -> int:
+        """A call of a controller at time t, `gap` control steps after the last one: U, P and the next D_hat.
 
-        Returns 0, or why there is no U to send: MEASUREMENT, PREDICTION or TOO_LONG. Then all stands as before.
+        They follow from the sample, where one `came`, taken `age` control steps ago, and from u or the commands before.
+        Returns 0, or why there is no U to send: MEASUREMENT, PREDICTION or TOO_LONG. Then the last U is booked.
         """
-        code = on_a_plant().stepped(self._shape, k, t, *self._passed, self._scratch)
+        code = on_a_plant().called(self._shape, t, gap, came, age, *self._passed, self._scratch)
         self._failure.raised()
         return code
 
-    def remember(self, k: int, t: float, code: int) -> int:
-        """Keep U as the command of step k, or the last one after a code that is not 0; the next step's number."""
-        after = on_a_plant().remembered(self._shape, k, t, code, *self._passed, self._scratch)
-        self._failure.raised()
-        return after
+    def replace(self, U: np.ndarray) -> None:
+        """Put U (m,) for the last command."""
+        on_a_plant().replaced(self._shape, self._passed[2], address(U))
 
 
 def _function(name: str, part: Any, settings: Settings, state: State, failure: Failure) -> Any:

@@ -12,6 +12,7 @@ import numpy as np
 
 from npred.delays import family
 from npred.kernels.kernel import address, prototype
+from npred.loop import clock
 
 C = {"float64": "double", "int64": "int64_t", "bool": "uint8_t", "int": "int"}
 NUMBERS = {"float64": ctypes.c_double, "int64": ctypes.c_int64, "int": ctypes.c_int}
@@ -66,8 +67,11 @@ STATE = [
     *_rows("m", "U0", "U1", "share"),  # the delayed input for the first share of a step, and for the rest
     *_lane("drawn", start=0, kind="int64"),  # samples of the record taken so far
     *_lane("error", "fallback", start=0.0),  # the guard's estimate of the error of U; 1 where it answered
-    *_rows("n", "expected"),  # X by a controller's model, from the step before and the commands; NaN before the first
+    *_rows("n", "expected"),  # X by a controller's model, from the call before and the commands; NaN before the first
     *_lane("missed", start=0.0),  # the last samples in a row that the gate of a controller refused
+    Signal("clock", ("clock",)),  # what a controller remembers of its calls: npred/kernels/c/controller.h
+    *_rows("outputs", "sample", "innovation", "spread"),  # of an observer of the state: what it gets, and how that fits
+    Signal("filter", ("filter",)),  # and what it remembers
 ]
 RECORD = [
     Signal("X", ("row", "n")),
@@ -87,9 +91,12 @@ RECORD = [
 SETTINGS = [
     *(Signal(name, None, 0.0) for name in ("dt", "b", "gamma_dt")),  # gamma_dt = gamma dt, or 0 with D_hat frozen
     Signal("gate", None, 0.0),  # how far a sample may be from what is expected, as a share of that
+    Signal("oldest", None, 0.0),  # how late a sample may come, in control steps
+    Signal("after", None, 0.0),  # how long a watchdog waits for one, in seconds
     *(Signal(name, None, 0, "int64") for name in ("every", "row_count", "sample_count", "late")),
-    *(Signal(name, None, 0, "int") for name in ("recalls", "keeps", "gated")),
+    *(Signal(name, None, 0, "int") for name in ("recalls", "keeps", "gated", "offsets", "watched", "holds")),
     Signal("observer_count", None, 0, "int"),  # numbers that an observer of the delay remembers, for a step to undo
+    Signal("output_count", None, 0, "int"),  # of a sample
     *(Signal(name, None, 0, "int") for name in ("moves", "senses", "tabulates")),
     Signal("disturbed", None, 0, "int"),  # lanes of the disturbance: 0 without one, 1 where it is the same for all
     Signal("bounds", ()),  # (2,) of D_hat
@@ -101,6 +108,9 @@ SETTINGS = [
     Signal("law", ()),  # what an observer of the delay is set to
     Signal("guard", ()),  # what the guard of the predictor is set to
     Signal("reach", ()),  # (n,), how far a sample may be from what is expected near 0
+    Signal("sensing", ()),  # what an observer of the state is set to
+    Signal("rescue", ()),  # (m,), the U of a watchdog that declares numbers
+    Signal("jump", ()),  # (m,), how far U moves in a call on its way there and back
     Signal("delays", ()),  # (steps + 1, m, B), of each input where the delay is a function of time, or empty
     Signal("disturbance", ()),  # (steps, m, disturbed), added to what leaves the actuator, or empty
     Signal("samples", (), 0, "int64"),  # (S, B), sorted steps whose (X, u, D_hat) are kept
@@ -109,6 +119,7 @@ PARTS = {
     "horizon": family.HORIZON, "observer": family.ESTIMATE, "observe": family.OBSERVE, "believe": family.HORIZON,
     "predict": family.PREDICT, "guard": family.GUARD, "control": family.CONTROL, "update": family.UPDATE,
     "pace": family.SPEED, "advance": family.ADVANCE, "model": family.ADVANCE,
+    "follow": family.FOLLOW, "correct": family.CORRECT_BY, "relief": family.CONTROL,
 }  # fmt: skip
 
 State = namedtuple("State", [signal.name for signal in STATE])
@@ -136,7 +147,7 @@ Pointers = type("Parts", (ctypes.Structure,), {"_fields_": [(name, ctypes.c_void
 
 
 def declared() -> tuple[str, str]:
-    """The C of the types of the parts, and of the structs."""
+    """The C of the types of the parts and of the stamps of a clock, and of the structs."""
     types = {arguments: name.capitalize() for name, arguments in reversed(PARTS.items())}
     parts = [f"typedef {prototype(f'(*{name})', arguments)};" for arguments, name in types.items()]
     pointers = [f"    {types[arguments]} {name};" for name, arguments in PARTS.items()]
@@ -144,7 +155,7 @@ def declared() -> tuple[str, str]:
     kinds = {"double": Sensor.numbers, "int64_t": Sensor.counts}
     sensor = _braced("Sensor", [f"    {kind} {', '.join(names)};" for kind, names in kinds.items()])
     structs += [sensor, _struct("Settings", SETTINGS, ["    Sensor sensor;"]), _braced("Parts", pointers)]
-    return "\n".join(parts), "\n".join(structs)
+    return "\n".join([*parts, clock.declared()]), "\n".join(structs)
 
 
 def _struct(name: str, rows: Iterable[Signal], more: Iterable[str] = ()) -> str:

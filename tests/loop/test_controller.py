@@ -494,8 +494,9 @@ def test_what_is_expected_is_the_state_a_step_later():
     """By the wave from now on, and by the commands of 2.15 and 4.3 steps ago; after a refused sample, from what was."""
     plant, dt, refused = Plant("waves", Waves), 0.1, (7, 8)
     controller = npred.controller(plant, RK4(plant, 5), None, dt, D_hat=0.43, actuator="history", gate=9.0)
-    sent, X = [np.zeros(2)] * 5, np.zeros(2)  # from five steps before the first on
+    sent, X = [np.zeros(2)] * 5, np.full(2, np.nan)  # from five steps before the first on
     for k in range(20):
+        expected = X
         if k in refused:
             with pytest.raises(DivergedError):
                 controller.step([np.nan, 0.0])
@@ -503,10 +504,10 @@ def test_what_is_expected_is_the_state_a_step_later():
         else:
             X = np.array([np.cos(k), 0.3])
             sent.append(controller.step(X).copy())
+        np.testing.assert_allclose(controller.memory.expected[:, 0], expected, rtol=0, atol=1e-4)
         u = 0.15 * sent[k + 2][0] + 0.85 * sent[k + 3][0]
         v = 0.3 * sent[k][1] + 0.7 * sent[k + 1][1]
         X = X + np.array([dt * u + (np.sin(9 * (k + 1) * dt) - np.sin(9 * k * dt)) / 3, dt * v])
-        np.testing.assert_allclose(controller.memory.expected[:, 0], X, rtol=0, atol=1e-4)
 
 
 class Stretched(Still):
@@ -530,18 +531,19 @@ def test_over_refused_steps_what_is_expected_follows_the_delay_that_is_expected(
     plant, dt, kept, past = Plant("stretched", Stretched), 0.1, 1.5, 40
     controller = npred.controller(plant, RK4(plant, 5), None, dt, actuator="history", gate=9.0, longest=kept)
     samples = [*(1.0 + 0.1 * np.cos(range(12))), jump, *[np.nan] * 8]
-    sent, X, held = [0.0] * past, 0.0, 0
+    sent, X, held = [0.0] * past, np.nan, 0
     for k, sample in enumerate(samples):
+        expected = X
         try:
             sent.append(controller.step([sample])[0])
         except DivergedError:
             sent.append(sent[-1])
             held += 1
+        assert controller.memory.expected[0, 0] == pytest.approx(expected, rel=1e-9, nan_ok=True)
         X = X if np.isnan(sample) else sample
         late = 0.3 * X / dt if 0 <= 0.3 * X <= kept else 0.0
         begin, end = np.interp(past + k + np.array([0, 1]) - late, range(past + k + 2), np.cumsum([0.0, *sent]))
         X += dt * (end - begin)
-        assert controller.memory.expected[0, 0] == pytest.approx(X, rel=1e-9)
     assert held == refused
 
 

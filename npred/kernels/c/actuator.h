@@ -12,15 +12,16 @@ static inline double sum_to(double s, int c, int l, Shape d, INDEX wrap, const d
     return total[at] + larger(s - (double)i, 0.0) * held[at];
 }
 
-/* u for the delays D (m, lanes). The predictor integrates u: `u` has the mean over each node's cell, and the trapezoidal
+/* u at `part` of control step k, for the delays D (m, lanes). The predictor integrates u: `u` has the mean over each node's cell, and the trapezoidal
  * rule on cell means is the integral of the held input on any grid. The update law compares u with kappa(P): `u_nodes`
  * has values at the nodes, linear between the starts of control steps, where U = kappa(P(1)) was commanded; the held
  * value lags behind by half a step on average. At x = 1 it is the newest U, from the left. */
-static inline void transport(Shape d, INDEX k, double dt, const double *D, const double *held, const double *total, double *u,
-                      double *u_nodes)
+static inline void transport(Shape d, INDEX k, double part, double dt, const double *D, const double *held,
+                             const double *total, double *u, double *u_nodes)
 {
     const int last = d.nx - 1;
-    const INDEX wrap = k - k % d.rows;
+    const INDEX wrap = k - k % d.rows, newest = part > 0.0 ? k : k - 1;
+    const double now = (double)k + part;
     for (int c = 0; c < d.m; c++) {
         for (int from = 0; from < d.lanes; from += WIDE) {
             const int width = least(WIDE, d.lanes - from);
@@ -28,22 +29,22 @@ static inline void transport(Shape d, INDEX k, double dt, const double *D, const
             for (int l = 0; l < width; l++) {
                 const double longest = (double)(k < d.rows - 1 ? k : d.rows - 1), steps = D[c * d.lanes + from + l] / dt;
                 span[l] = steps > 0.0 ? smaller(steps, longest) : 0.0; /* NaN, of a loop that ended, reads 0 */
-                before[l] = (double)k - span[l];
+                before[l] = now - span[l];
                 sum_before[l] = sum_to(before[l], c, from + l, d, wrap, held, total);
             }
             for (int j = 0; j < d.nx; j++) {
                 const double node = 1.0 - (double)j / (double)last, edge = larger(1.0 - ((double)j + 0.5) / (double)last, 0.0);
                 const ptrdiff_t row = ((ptrdiff_t)j * d.m + c) * d.lanes + from;
                 for (int l = 0; l < width; l++) {
-                    const double s = (double)k - edge * span[l], position = (double)k - node * span[l];
+                    const double s = now - edge * span[l], position = now - node * span[l];
                     const double sum_s = sum_to(s, c, from + l, d, wrap, held, total);
                     INDEX i = (INDEX)(position + ROUNDING), after;
                     double start;
-                    i = i < k - 1 ? i : k - 1;
-                    after = i < k - 1 ? i + 1 : k - 1;
+                    i = i < newest ? i : newest;
+                    after = i < newest ? i + 1 : newest;
                     u[row + l] = s > before[l]
                                      ? (sum_s - sum_before[l]) / (s - before[l])
-                                     : held[((ptrdiff_t)modulo(k - 1, d.rows) * d.m + c) * d.lanes + from + l];
+                                     : held[((ptrdiff_t)modulo(newest, d.rows) * d.m + c) * d.lanes + from + l];
                     before[l] = s;
                     sum_before[l] = sum_s;
                     start = held[((ptrdiff_t)(i < wrap ? i - wrap + d.rows : i - wrap) * d.m + c) * d.lanes + from + l];
@@ -57,10 +58,10 @@ static inline void transport(Shape d, INDEX k, double dt, const double *D, const
     }
 }
 
-/* The step whose command leaves a delay D at the start of control step k, and for how much of the step it does. */
-static inline INDEX leaving(INDEX k, double dt, double D, double *share)
+/* The step whose command leaves a delay D at a time, in control steps, and for how much of a step it does. */
+static inline INDEX leaving(double at, double dt, double D, double *share)
 {
-    const double s = isfinite(D) ? (double)k - D / dt : (double)k; /* that of a loop that ended is NaN */
+    const double s = isfinite(D) ? at - D / dt : at; /* that of a loop that ended is NaN */
     const double i = floor(s + ROUNDING);
     *share = s - i > ROUNDING ? 1.0 - (s - i) : 1.0;
     return (INDEX)i;
@@ -73,7 +74,7 @@ static inline void actuate(Shape d, INDEX k, double dt, const double *D, const d
     const ptrdiff_t row = (ptrdiff_t)d.m * d.lanes;
     const ptrdiff_t now = modulo(k, d.rows) * row, next = modulo(k + 1, d.rows) * row;
     for (ptrdiff_t a = 0; a < row; a++) {
-        const INDEX i = leaving(k, dt, D[a], share + a);
+        const INDEX i = leaving((double)k, dt, D[a], share + a);
         held[now + a] = U[a];
         total[next + a] = total[now + a] + U[a];
         U0[a] = held[modulo(i, d.rows) * row + a];
@@ -90,7 +91,7 @@ SPARE static inline void retime(Shape d, INDEX k, double dt, const double *D, co
     const ptrdiff_t row = (ptrdiff_t)d.m * d.lanes;
     for (ptrdiff_t a = 0; a < row; a++) {
         double rest, left, total = 0.0, mean;
-        INDEX i = leaving(k, dt, D[a], &rest);
+        INDEX i = leaving((double)k, dt, D[a], &rest);
         share[a] = 1.0;
         if (!(speed[a] > rest)) {
             continue;

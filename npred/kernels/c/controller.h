@@ -1,7 +1,30 @@
-/* A controller on a real plant: a control step on its memory, with one lane. */
+/* A controller on a real plant: a control step on its memory, with one lane, at the time at which it is called.
+ *
+ * Times are positions in the history of commands, in control steps. A call comes `gap` after the one before, 1 where it
+ * is on time, and its sample was taken `age` before it. The history has the mean of the commands over each control step
+ * of a regular clock, which those are themselves where all calls are on time. */
 
 /* Why a step gives no U to send; an export numbers them the same. */
 enum { OK, MEASUREMENT_NOT_FINITE, PREDICTION_NOT_FINITE, DELAY_TOO_LONG = 4 };
+
+#define PAUSE 4.0 /* histories of commands: after a longer pause nothing is expected of the state */
+
+/* What a controller with a history remembers, as npred/loop/clock.py declares it. */
+typedef struct {
+    double *stamp;             /* (STAMPS) */
+    double *sent, *before, *D; /* (m) the last command, the mean in the control step before it, the delays it was read by */
+    double *now, *base;        /* (n) */
+} Clock;
+
+static inline Clock clock_of(Shape d, double *memory)
+{
+    Clock c = {.stamp = memory, .sent = memory + STAMPS};
+    c.before = c.sent + d.m;
+    c.D = c.before + d.m;
+    c.now = c.D + d.m;
+    c.base = c.now + d.n;
+    return c;
+}
 
 static inline int all_finite(int count, const double *a)
 {
@@ -12,113 +35,383 @@ static inline int all_finite(int count, const double *a)
     return all;
 }
 
-/* The longest delay by which a step can read the commands. */
-static inline double longest(Shape d, double dt)
+static inline void copy(int count, const double *from, double *to)
 {
-    return (double)(d.rows - 3) * dt;
+    for (int i = 0; i < count; i++) {
+        to[i] = from[i];
+    }
 }
 
-/* The sample Y is what the controller believes, X_hat, unless it is further from what the model expects than the gate:
- * then that is, and Y is NaN, no sample. After such samples for D_hat the state has jumped. */
-static inline void screen(Shape d, const Settings *s, State *z)
+static inline void fill(int count, double value, double *to)
+{
+    for (int i = 0; i < count; i++) {
+        to[i] = value;
+    }
+}
+
+/* The longest delay by which a step can read the commands, and go back from a sample as old as any that is used. */
+static inline double longest(Shape d, const Settings *s)
+{
+    return ((double)(d.rows - 3) - s->oldest) * s->dt;
+}
+
+/* The control step of a position. */
+static inline INDEX step_of(double at)
+{
+    return (INDEX)(at + ROUNDING);
+}
+
+/* Write U into the history from one position to another; `before` is the mean in the first control step up to there. */
+static inline void book(Shape d, double from, double to, const double *before, const double *U, double *held, double *total)
+{
+    for (double at = from, end; at < to; at = end) {
+        const INDEX i = step_of(at);
+        const double part = larger(at - (double)i, 0.0);
+        end = smaller((double)(i + 1), to);
+        for (int c = 0; c < d.m; c++) {
+            const int row = modulo(i, d.rows) * d.m + c, next = modulo(i + 1, d.rows) * d.m + c;
+            held[row] = part > ROUNDING ? (part * before[c] + (end - at) * U[c]) / (part + end - at) : U[c];
+            total[next] = total[row] + held[row];
+        }
+    }
+}
+
+/* Put U for the last command, which is booked for one control step. */
+SPARE static inline void replace(Shape d, State *z, const double *U)
+{
+    const Clock c = clock_of(d, z->clock);
+    copy(d.m, U, c.sent);
+    book(d, c.stamp[AT], c.stamp[AT] + 1.0, c.before, c.sent, z->held, z->total);
+}
+
+/* Move what the last sample told to a position: its state by the model, or the filter with all that it knows. */
+static inline void move_base(Shape d, double to, Moment now, const Parts *q, const Settings *s, State *z, double *work)
+{
+    const Clock c = clock_of(d, z->clock);
+    double *U0 = work, *U1 = U0 + d.m, *share = U1 + d.m, *rest = share + d.m;
+    if (!(c.stamp[BASE_AT] < to)) {
+        return;
+    }
+    if (q->follow) {
+        for (double at = c.stamp[BASE_AT], end; at < to; at = end) {
+            end = reached(d, 0, at, to, s->dt, c.D, z->held, NULL, U0, U1, share);
+            q->follow(d, U0, U1, share, (end - at) * s->dt, time_at(now, at), s->p, s->sensing, z->filter, rest);
+        }
+        copy(d.n, z->filter, c.base);
+    } else {
+        onward(d, 0, c.stamp[BASE_AT], to, now, c.D, z->held, NULL, q->model, s->p, c.base, work);
+    }
+    c.stamp[BASE_AT] = to;
+}
+
+/* The state that the model expects, from one position to another. */
+static inline void expect(Shape d, double from, double to, Moment now, const Parts *q, const Settings *s, State *z,
+                          double *work)
+{
+    const Clock c = clock_of(d, z->clock);
+    const double *push = s->offsets ? z->filter + d.n : NULL;
+    if (all_finite(d.n, z->expected)) {
+        onward(d, 0, larger(from, c.stamp[NOW_AT]), to, now, c.D, z->held, push, q->model, s->p, z->expected, work);
+    }
+}
+
+/* Go on to a call `gap` after the last one, step by step: the last command was held until now, the model goes on by the
+ * commands that reached the plant, and D_hat by its last rate. After a pause of many histories all is new. */
+static inline void arrive(Shape d, double gap, double t, const Parts *q, const Settings *s, State *z, double *work)
+{
+    const Clock c = clock_of(d, z->clock);
+    const double since = c.stamp[CALLS] > 0.0 ? gap : 1.0, to = c.stamp[AT] + smaller(since, PAUSE * (double)d.rows);
+    const Moment now = {to, t, s->dt};
+    if (s->recalls) {
+        copy(d.n, c.now, z->expected);
+    }
+    if (to < c.stamp[AT] + since) {
+        fill(d.n, NAN, z->expected);
+        fill(d.n, NAN, c.base);
+    }
+    for (double at = c.stamp[AT], end; at < to; at = end) {
+        end = smaller((double)(step_of(at) + 1), to);
+        book(d, at, end, c.before, c.sent, z->held, z->total);
+        if (s->recalls) {
+            expect(d, at, end, now, q, s, z, work);
+            move_base(d, end - s->oldest, now, q, s, z, work);
+        }
+    }
+    if (since != 1.0 && s->gamma_dt > 0.0 && isfinite(z->phi_before[0])) {
+        const double moved = z->D_hat[0] + s->gamma_dt * (since - 1.0) * z->phi_before[0];
+        z->D_hat[0] = smaller(larger(moved, s->bounds[0]), s->bounds[1]);
+    }
+    copy(d.m, z->held + modulo(step_of(to), d.rows) * d.m, c.before);
+    c.stamp[AT] = to;
+    c.stamp[CALLS] = 1.0;
+}
+
+/* Whether the sample Y is further than the gate from X, what the model says of it. */
+static inline int is_far(Shape d, const Settings *s, const double *Y, const double *X)
 {
     int far = 0;
     for (int c = 0; c < d.n; c++) {
-        const double reach = larger(s->reach[c], s->gate * fabs(z->expected[c]));
-        far = far || fabs(z->Y[c] - z->expected[c]) > reach;
+        far = far || fabs(Y[c] - X[c]) > larger(s->reach[c], s->gate * fabs(X[c]));
     }
-    far = far && z->missed[0] * s->dt < z->D_hat[0];
-    z->missed[0] = far ? z->missed[0] + 1.0 : 0.0;
-    for (int c = 0; c < d.n; c++) {
-        z->expected[c] = z->X_hat[c] = far ? z->expected[c] : z->Y[c];
-        z->Y[c] = far ? NAN : z->Y[c];
+    return s->gated && far;
+}
+
+/* What became of a sample. */
+enum { USED = 1, FAR = 2 };
+
+/* Correct the filter, which is at the time of the sample, by those outputs that are not far from what it says. */
+static inline int correct(Shape d, double t, double gate, const Parts *q, const Settings *s, State *z, double *work)
+{
+    int what = 0;
+    q->correct(d, z->sample, t, s->p, gate, s->sensing, z->filter, z->innovation, z->spread, work);
+    for (int i = 0; i < s->output_count; i++) {
+        const double apart = fabs(z->innovation[i]);
+        what |= isnan(apart) ? 0 : apart > gate * z->spread[i] ? FAR : USED;
+    }
+    copy(d.n, z->filter, clock_of(d, z->clock).base);
+    return what;
+}
+
+/* Take the sample Y for the state, unless it is far from what the model says of its time. */
+static inline int compare_state(Shape d, double taken, double gate, Moment now, const Settings *s, State *z)
+{
+    const Clock c = clock_of(d, z->clock);
+    const double *X = taken < now.at ? c.base : z->expected;
+    const int far = gate < INFINITY && is_far(d, s, z->Y, X);
+    for (int i = 0; i < d.n; i++) {
+        z->innovation[i] = z->Y[i] - X[i];
+        c.base[i] = far ? c.base[i] : z->Y[i];
+    }
+    return far ? FAR : USED;
+}
+
+/* Learn from a sample taken at a position, unless it is far from what was expected: then it is refused. After such
+ * samples for D_hat the state has jumped. Gives 1 where it is used, and `base` is the state there. */
+static inline int learn(Shape d, double taken, Moment now, const Parts *q, const Settings *s, State *z, double *work)
+{
+    const Clock c = clock_of(d, z->clock);
+    const double since = z->missed[0] > 0.0 ? taken - c.stamp[REFUSED_AT] : 0.0;
+    const double gate = s->gated && since * s->dt < z->D_hat[0] ? s->gate : INFINITY;
+    int what;
+    if (q->correct || taken < now.at) {
+        move_base(d, taken, now, q, s, z, work);
+    }
+    what = q->correct ? correct(d, time_at(now, taken), gate, q, s, z, work) : compare_state(d, taken, gate, now, s, z);
+    if (what & FAR) {
+        c.stamp[REFUSED_AT] = taken - since;
+        c.stamp[REFUSED] += 1.0;
+        z->missed[0] += 1.0;
+    } else {
+        z->missed[0] = 0.0;
+    }
+    if (what & USED) {
+        c.stamp[BASE_AT] = c.stamp[SAMPLE_AT] = taken;
+    }
+    return what & USED;
+}
+
+/* X_hat from what the model expects, and from a sample of that age, where one came. Gives 1 where it is used. */
+static inline int sense(Shape d, Moment now, int came, double age, const Parts *q, const Settings *s, State *z, double *work)
+{
+    const Clock c = clock_of(d, z->clock);
+    const double taken = now.at - age, *push = s->offsets ? z->filter + d.n : NULL;
+    const int late = age > s->oldest || taken <= c.stamp[SAMPLE_AT] + ROUNDING || taken < c.stamp[BASE_AT] - ROUNDING;
+    int used = 0;
+    if (came && late) {
+        c.stamp[LATE] += 1.0;
+    } else if (came) {
+        used = learn(d, taken, now, q, s, z, work);
+    }
+    copy(d.n, used ? c.base : z->expected, z->X_hat);
+    if (used) {
+        onward(d, 0, taken, now.at, now, c.D, z->held, push, q->model, s->p, z->X_hat, work);
+    }
+    copy(d.n, z->X_hat, c.now);
+    c.stamp[NOW_AT] = now.at;
+    return used;
+}
+
+/* Bring the observer of the delay, which steps at the history's control steps, up to the sample that was used, else as
+ * near to now as samples may still come for. The sample is moved to the nearest of these steps. */
+static inline void find_delay(Shape d, Moment now, int used, double taken, const Parts *q, const Settings *s, State *z,
+                              double *work)
+{
+    const Clock c = clock_of(d, z->clock);
+    const INDEX newest = step_of(now.at), nearest = step_of(taken + 0.5), at = nearest < newest ? nearest : newest;
+    const INDEX last = used ? at : newest - (INDEX)c.stamp[LAG];
+    const double gap = ((double)at - taken) * s->dt, *push = s->offsets ? z->filter + d.n : NULL;
+    double *U0 = work, *U1 = U0 + d.m, *share = U1 + d.m, *rest = share + d.m;
+    if (used) {
+        c.stamp[LAG] = larger(c.stamp[LAG], (double)(newest - at));
+        c.stamp[TICK] = isnan(c.stamp[TICK]) ? (double)(at - 1) : c.stamp[TICK];
+    }
+    if (isnan(c.stamp[TICK])) { /* it starts at a sample */
+        return;
+    }
+    for (INDEX i = step_of(c.stamp[TICK]) + 1; i <= last; i++) {
+        fill(d.n, NAN, z->Y);
+        if (used && i == at) {
+            copy(d.n, c.base, z->Y);
+            if (gap != 0.0) {
+                reached(d, 0, taken, taken + 1.0, s->dt, c.D, z->held, push, U0, U1, share);
+                fill(d.m, 1.0, share);
+                q->model(d, z->Y, U0, U1, share, gap, time_at(now, taken), s->p, rest);
+            }
+        }
+        q->observe(d, i, s->dt, z->Y, z->held, time_at(now, (double)i), s->p, s->law, z->observer, z->D_hat, work);
+        c.stamp[TICK] = (double)i;
     }
 }
 
-/* U, P and the next D_hat from the sample Y, and from u or the commands before step k, and what is wrong with them. */
-static inline int compute(Shape d, INDEX k, double t, const Parts *q, const Settings *s, State *z, double *work)
+/* Where no sample was used for longer than the watchdog waits, U is what it declares: the last one, numbers, or another
+ * law of the prediction. On the way there and back U moves by its `jump` in a call at most. */
+static inline void hand_over(Shape d, Moment now, const Parts *q, const Settings *s, State *z, double *work)
 {
-    const int measured = s->recalls ? 0 : d.nx * d.m;
-    if (!all_finite(d.n, z->Y) || !all_finite(measured, z->u) || !all_finite(measured, z->u_nodes)) {
+    const Clock c = clock_of(d, z->clock);
+    const double handed = !((now.at - c.stamp[SAMPLE_AT]) * s->dt <= s->after);
+    int apart = 0;
+    if (handed > 0.0 && q->relief) {
+        q->relief(d, z->P, z->u, z->D_hat, now.t, s->p, z->U, work);
+        clip(d, s->input_bounds, z->U);
+    } else if (handed > 0.0) {
+        copy(d.m, s->holds ? c.sent : s->rescue, z->U);
+    }
+    c.stamp[MOVING] = handed != c.stamp[HANDED] ? 1.0 : c.stamp[MOVING];
+    c.stamp[HANDED] = handed;
+    for (int i = 0; i < d.m && c.stamp[MOVING] > 0.0; i++) {
+        const double way = z->U[i] - c.sent[i];
+        if (fabs(way) > s->jump[i]) {
+            z->U[i] = c.sent[i] + sign_of(way) * s->jump[i];
+            apart = 1;
+        }
+    }
+    c.stamp[MOVING] = apart ? 1.0 : 0.0;
+}
+
+/* U, P and the next D_hat of a controller that is given u. */
+static inline int compute_measured(Shape d, INDEX k, double t, const Parts *q, const Settings *s, State *z, double *work)
+{
+    if (!all_finite(d.n, z->Y) || !all_finite(d.nx * d.m, z->u) || !all_finite(d.nx * d.m, z->u_nodes)) {
         return MEASUREMENT_NOT_FINITE;
     }
-    if (s->gated) {
-        screen(d, s, z);
-    }
-    if (q->observe) { /* which learns from samples only, and else goes on by the commands */
+    if (q->observe) {
         q->observe(d, k, s->dt, z->Y, z->held, t, s->p, s->law, z->observer, z->D_hat, work);
     }
-    decide(d, q, s, z, k, t, work);
-    adapt(d, s->gamma_dt, s->bounds, z->phi, z->phi_before, z->D_hat);
+    decide(d, q, s, z, k, 0.0, t, work);
+    return OK;
+}
+
+/* U, P and the next D_hat from the commands before, and from a sample, where one came. */
+static inline int compute_recalled(Shape d, double t, int came, double age, const Parts *q, const Settings *s, State *z,
+                                   double *work)
+{
+    const Moment now = {clock_of(d, z->clock).stamp[AT], t, s->dt};
+    const INDEX k = step_of(now.at);
+    const int bad = came && !q->correct && !all_finite(d.n, z->Y);
+    const int used = sense(d, now, came && !bad, age, q, s, z, work);
+    if (q->observe && !bad) {
+        find_delay(d, now, used, now.at - age, q, s, z, work);
+    }
+    if (!s->watched && (bad || !all_finite(d.n, z->X_hat))) {
+        return MEASUREMENT_NOT_FINITE;
+    }
+    decide(d, q, s, z, k, larger(now.at - (double)k, 0.0), t, work);
+    if (s->watched) {
+        hand_over(d, now, q, s, z, work);
+    }
+    return OK;
+}
+
+/* The same, and what is wrong with them. */
+static inline int compute(Shape d, INDEX k, double t, int came, double age, const Parts *q, const Settings *s, State *z,
+                          double *work)
+{
+    const int code = s->recalls ? compute_recalled(d, t, came, age, q, s, z, work)
+                                : compute_measured(d, k, t, q, s, z, work);
+    if (code != OK) {
+        return code;
+    }
+    if (all_finite(d.n, z->X_hat)) { /* else U is the watchdog's */
+        adapt(d, s->gamma_dt, s->bounds, z->phi, z->phi_before, z->D_hat);
+    }
     if (!all_finite(d.m, z->U) || !isfinite(z->D_hat[0])) {
         return PREDICTION_NOT_FINITE;
     }
     for (int c = 0; c < d.m && s->recalls; c++) {
-        if (z->D_seen[c] > longest(d, s->dt)) {
+        if (z->D_seen[c] > longest(d, s)) {
             return DELAY_TOO_LONG;
         }
     }
     return OK;
 }
 
-/* The same, with D_hat, phi and the observer as before where that gives no U to send. */
-static inline int control_step(Shape d, INDEX k, double t, const Parts *q, const Settings *s, State *z, double *work)
+/* The U of a call that was refused: the last one, which the actuator holds. */
+static inline void hold(Shape d, double t, const Parts *q, const Settings *s, State *z, double *work)
 {
-    const double D_hat = z->D_hat[0], phi_before = z->phi_before[0];
-    double *const observer_before = work;
-    for (int i = 0; i < s->observer_count; i++) {
-        observer_before[i] = z->observer[i];
-    }
-    const int code = compute(d, k, t, q, s, z, work + s->observer_count);
-    if (code != OK) {
-        z->D_hat[0] = D_hat;
-        z->phi_before[0] = phi_before;
-        for (int i = 0; i < s->observer_count; i++) {
-            z->observer[i] = observer_before[i];
-        }
-    }
-    return code;
-}
-
-/* The U of a step that was refused: the last one, which the actuator holds. */
-static inline void hold(Shape d, INDEX k, double t, const Parts *q, const Settings *s, State *z, double *work)
-{
-    if (q->believe && s->gated) {
-        q->believe(d, z->expected, t, s->p, s->ratios, z->D_hat, z->D_seen, work);
+    if (q->believe && s->recalls) {
+        q->believe(d, z->X_hat, t, s->p, s->ratios, z->D_hat, z->D_seen, work);
     }
     for (int c = 0; c < d.m; c++) {
-        z->U[c] = z->held[modulo(k - 1, d.rows) * d.m + c];
+        z->U[c] = clock_of(d, z->clock).sent[c];
         if (!q->believe) {
             z->D_seen[c] = s->ratios[c] * z->D_hat[0];
         }
     }
 }
 
-/* Keep U as the command of step k, or the last one where the step was refused for a `code`; the next step's number. It
- * and the sums stay small, for large ones round. */
-SPARE static inline INDEX remember(Shape d, INDEX k, double t, int code, const Parts *q, const Settings *s, State *z,
-                                   double *work)
+/* Keep U as the command from now on, or the last one where the call was refused for a `code`. Positions and sums stay
+ * small, for large ones round. */
+SPARE static inline void remember(Shape d, double t, int code, const Parts *q, const Settings *s, State *z, double *work)
 {
+    const Clock c = clock_of(d, z->clock);
+    INDEX shift;
     if (code != OK) {
-        hold(d, k, t, q, s, z, work);
+        hold(d, t, q, s, z, work);
     }
-    for (int c = 0; c < d.m; c++) {
-        if (!(0.0 <= z->D_seen[c] && z->D_seen[c] <= longest(d, s->dt))) { /* no command that is kept acts so late */
-            z->D_seen[c] = 0.0;
-        }
+    for (int i = 0; i < d.m; i++) { /* no command that is kept acts later */
+        c.D[i] = 0.0 <= z->D_seen[i] && z->D_seen[i] <= longest(d, s) ? z->D_seen[i] : 0.0;
     }
-    actuate(d, k, s->dt, z->D_seen, z->U, z->held, z->total, z->U0, z->U1, z->share);
-    if (s->gated) {
-        q->model(d, z->expected, z->U0, z->U1, z->share, s->dt, t, s->p, work);
+    copy(d.m, z->U, c.sent);
+    book(d, c.stamp[AT], c.stamp[AT] + 1.0, c.before, c.sent, z->held, z->total);
+    shift = ((step_of(c.stamp[AT]) + 1) / d.rows - 1) * d.rows;
+    if (shift == 0) {
+        return;
     }
-    if (k + 1 < 2 * (INDEX)d.rows) {
-        return k + 1;
+    for (int i = AT; i <= TICK; i++) {
+        c.stamp[i] -= (double)shift;
     }
-    for (int c = 0; c < d.m; c++) {
-        const double first = z->total[c];
+    for (int i = 0; i < d.m; i++) {
+        const double first = z->total[i];
         for (int row = 0; row < d.rows; row++) {
-            z->total[row * d.m + c] -= first;
+            z->total[row * d.m + i] -= first;
         }
     }
-    return d.rows;
+}
+
+/* A call at time t, `gap` after the last one, with a sample of that age where one `came`, all in control steps. Where it
+ * gives no U to send, D_hat, phi and the observer of the delay are as before, and the last U is booked. */
+static inline int call(Shape d, double t, double gap, int came, double age, const Parts *q, const Settings *s, State *z,
+                       double *work)
+{
+    const int keeps = s->recalls || q->observe;
+    double D_hat, phi_before, *const observer_before = work, *const rest = work + s->observer_count;
+    INDEX k = 0;
+    int code;
+    if (keeps) {
+        arrive(d, gap, t, q, s, z, work);
+        k = step_of(clock_of(d, z->clock).stamp[AT]);
+    }
+    D_hat = z->D_hat[0];
+    phi_before = z->phi_before[0];
+    copy(s->observer_count, z->observer, observer_before);
+    code = compute(d, k, t, came, age, q, s, z, rest);
+    if (code != OK) {
+        z->D_hat[0] = D_hat;
+        z->phi_before[0] = phi_before;
+        copy(s->observer_count, observer_before, z->observer);
+    }
+    if (keeps) {
+        remember(d, t, code, q, s, z, work);
+    }
+    return code;
 }

@@ -165,7 +165,7 @@ void run(Shape d, INDEX origin, INDEX start, INDEX stop, const Parts *q, const S
         if (q->observe && (k == 0 || taken > 0)) { /* the first sample is there at once */
             q->observe(d, origin + taken, s->dt, z->Y, z->held, (double)taken * s->dt, s->p, s->law, z->observer, z->D_hat, work);
         }
-        decide(d, q, s, z, origin + k, t, work);
+        decide(d, q, s, z, origin + k, 0.0, t, work);
         if (*failed) {
             return;
         }

@@ -1,11 +1,11 @@
 /* What a controller in Python calls. */
 
-int stepped(Shape d, INDEX k, double t, const Parts *q, const Settings *s, State *z, double *work)
+int called(Shape d, double t, double gap, int came, double age, const Parts *q, const Settings *s, State *z, double *work)
 {
-    return control_step(d, k, t, q, s, z, work);
+    return call(d, t, gap, came, age, q, s, z, work);
 }
 
-INDEX remembered(Shape d, INDEX k, double t, int code, const Parts *q, const Settings *s, State *z, double *work)
+void replaced(Shape d, State *z, const double *U)
 {
-    return remember(d, k, t, code, q, s, z, work);
+    replace(d, z, U);
 }

@@ -4,7 +4,7 @@ static inline void KERNEL(Shape d, INDEX k, double dt, double *D, double *held, 
                    double *work)
 {
     (void)work;
-    transport(d, k, dt, D, held, total, u, u_nodes);
+    transport(d, k, 0.0, dt, D, held, total, u, u_nodes);
 }
 #elif WHICH == 1
 static inline void KERNEL(Shape d, INDEX k, double dt, double *D, double *U, double *held, double *total, double *U0,
@@ -19,7 +19,7 @@ static inline void KERNEL(Shape d, INDEX k, double dt, double *D, double *held, 
     (void)work;
     for (int a = 0; a < d.m * d.lanes; a++) {
         double share;
-        const INDEX i = leaving(k, dt, D[a], &share), next = i + 1 < k ? i + 1 : k;
+        const INDEX i = leaving((double)k, dt, D[a], &share), next = i + 1 < k ? i + 1 : k;
         const ptrdiff_t row = (ptrdiff_t)d.m * d.lanes;
         U[a] = share * held[modulo(i, d.rows) * row + a] + (1.0 - share) * held[modulo(next, d.rows) * row + a];
     }

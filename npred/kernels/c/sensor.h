@@ -54,34 +54,20 @@ static inline void sample(Shape d, INDEX k, const Sensor *s, const double *X, do
     }
 }
 
-/* The input that acts during control step i in loop l, as `actuate` gives it, read from the history up to step k. */
-static inline void reached(Shape d, INDEX i, double dt, const double *D, const double *held, int l, double *U0, double *U1,
-                    double *share)
-{
-    for (int c = 0; c < d.m; c++) {
-        const INDEX step = leaving(i, dt, D[c * d.lanes + l], share + c), next = step + 1 < i ? step + 1 : i;
-        U0[c] = held[((ptrdiff_t)modulo(step, d.rows) * d.m + c) * d.lanes + l];
-        U1[c] = held[((ptrdiff_t)modulo(next, d.rows) * d.m + c) * d.lanes + l];
-    }
-}
-
 /* X_hat at control step k: from the sample that arrived now, or from the last estimate, forward by the model. */
 static inline void estimate(Shape d, INDEX k, INDEX origin, double dt, INDEX age, const double *D, const double *held,
                      const double *Y, double *X_hat, Advance model, double *p, double *work)
 {
     const int lanes = d.lanes;
-    double *x = work, *U0 = x + d.n, *U1 = U0 + d.m, *share = U1 + d.m, *rest = share + d.m;
-    Shape one = d;
-    one.lanes = 1;
+    double *x = work, *rest = x + d.n;
     for (int l = 0; l < lanes; l++) {
         const int arrived = !isnan(Y[l]);
+        const INDEX from = k == 0 ? k : arrived ? k - age : k - 1;
         for (int c = 0; c < d.n; c++) {
             x[c] = (arrived ? Y : X_hat)[c * lanes + l];
         }
-        for (INDEX i = k == 0 ? k : arrived ? k - age : k - 1; i < k; i++) {
-            reached(d, origin + i, dt, D, held, l, U0, U1, share);
-            model(one, x, U0, U1, share, dt, (double)i * dt, p, rest);
-        }
+        const Moment begin = {(double)origin, 0.0, dt};
+        onward(d, l, (double)(origin + from), (double)(origin + k), begin, D, held, NULL, model, p, x, rest);
         for (int c = 0; c < d.n; c++) {
             X_hat[c * lanes + l] = x[c];
         }

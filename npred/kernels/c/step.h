@@ -36,8 +36,19 @@ static inline void adapt(Shape d, double gamma_dt, const double *bounds, const d
     }
 }
 
-/* U and phi at time t from X_hat, and from u where it is measured, else from the commands before step k. */
-static inline void decide(Shape d, const Parts *q, const Settings *s, State *z, INDEX k, double t, double *work)
+/* Add `sign` times the offset (m) that an observer of the state finds at the inputs to `rows` of them. */
+static inline void offset(Shape d, int rows, double sign, const double *found, double *U)
+{
+    for (int j = 0; j < rows; j++) {
+        for (int c = 0; c < d.m; c++) {
+            U[j * d.m + c] += sign * found[c];
+        }
+    }
+}
+
+/* U and phi at `part` of control step k and time t from X_hat, and from u where it is measured, else from the commands
+ * before. An offset of the inputs acts on the plant too, so that the law gets the prediction with it, and U is less. */
+static inline void decide(Shape d, const Parts *q, const Settings *s, State *z, INDEX k, double part, double t, double *work)
 {
     if (q->believe) {
         q->believe(d, z->X_hat, t, s->p, s->ratios, z->D_hat, z->D_seen, work);
@@ -45,7 +56,11 @@ static inline void decide(Shape d, const Parts *q, const Settings *s, State *z, 
         own_history(d, s->ratios, z->D_hat, z->D_seen);
     }
     if (s->keeps) {
-        transport(d, k, s->dt, z->D_seen, z->held, z->total, z->u, z->u_nodes);
+        transport(d, k, part, s->dt, z->D_seen, z->held, z->total, z->u, z->u_nodes);
+    }
+    if (s->offsets) {
+        offset(d, d.nx, 1.0, z->filter + d.n, z->u);
+        offset(d, d.nx, 1.0, z->filter + d.n, z->u_nodes);
     }
     if (q->predict) {
         q->predict(d, z->X_hat, z->u, z->D_hat, t, s->p, z->P, work);
@@ -55,6 +70,9 @@ static inline void decide(Shape d, const Parts *q, const Settings *s, State *z, 
     }
     if (q->control) {
         q->control(d, z->P, z->u, z->D_hat, t, s->p, z->U, work);
+    }
+    if (s->offsets) {
+        offset(d, 1, -1.0, z->filter + d.n, z->U);
     }
     clip(d, s->input_bounds, z->U);
     if (q->update) {

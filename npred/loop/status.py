@@ -1,0 +1,28 @@
+"""What an engineer may want to know of a controller after each call."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+
+class Status(NamedTuple):
+    """The state of a controller after its last call; times in the plant's unit.
+
+    `age` is how old the last used sample is, infinity before the first. `innovation` (outputs,) is what that sample
+    differed from what the model said of its time, NaN before the first. `late` counts the samples that were not used,
+    for they came after a newer one or were older than `oldest`, `refused` those that the gate did not believe, `missed`
+    the last of these in a row. `handed_over` says whether the watchdog has U, `offset` (m,) what an observer of the
+    state finds at the inputs, `fallback` and `error` what a guard says.
+    """
+
+    D_hat: float
+    D_hat_spread: float
+    age: float
+    innovation: np.ndarray
+    late: int
+    refused: int
+    missed: int
+    handed_over: bool
+    offset: np.ndarray
+    fallback: bool
+    error: float

@@ -1,0 +1,70 @@
+"""What a controller does that gets no sample: how long it waits, and what it hands over to."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from npred import array_checks
+from npred.delays import family_of
+from npred.errors import ConfigError
+from npred.kernels.kernel import Kernel
+from npred.plants.base import Plant
+from npred.predictors import RK4
+
+
+@dataclass(frozen=True)
+class Watchdog:
+    """U is what `then` says where the last used sample is older than `after` seconds.
+
+    `then` is "hold", the last U; "zero"; one number per input; or a law, a function (x, t, p, M) of the predicted state
+    as kappa is one, which is compiled and exported too. Until then, and as long as the watchdog has U, the state is
+    predicted by the model. On the way there and back each input moves by at most `jump` in a control step, one number
+    or one per input, in the unit of U; None is any distance.
+    Raises ConfigError for a time, numbers or a word that make no sense.
+    """
+
+    after: float
+    then: Any = "hold"
+    jump: Any = None
+
+    def __post_init__(self) -> None:
+        if not 0 < array_checks.number("watchdog: after", self.after) < math.inf:
+            raise ConfigError(f"watchdog: expected a time above 0 as after, got {self.after!r}; give seconds")
+        if isinstance(self.then, str) and self.then not in ("hold", "zero"):
+            raise ConfigError(f'watchdog: expected "hold", "zero", numbers or a law as then, got {self.then!r}')
+        if self.jump is not None and not (array_checks.floats("watchdog: jump", self.jump) > 0).all():
+            raise ConfigError(f"watchdog: expected numbers above 0 as jump, got {self.jump!r}; None is any distance")
+
+    @property
+    def holds(self) -> bool:
+        """Whether it keeps the last U."""
+        return isinstance(self.then, str) and self.then == "hold"
+
+    def rescue(self, m: int) -> np.ndarray:
+        """The U (m,) that it declares; zeros where that is the last one or a law's. Raises ConfigError for others."""
+        if isinstance(self.then, str) or callable(self.then):
+            return np.zeros(m)
+        U = _one_per_input("then", self.then, m)
+        array_checks.finite("watchdog: then", U)
+        return U
+
+    def jumps(self, m: int) -> np.ndarray:
+        """How far each input may move in a call, (m,)."""
+        return np.full(m, np.inf) if self.jump is None else _one_per_input("jump", self.jump, m)
+
+    def law(self, plant: Plant) -> Kernel | Callable[..., None] | None:
+        """npred.delays.family.CONTROL of its law, or None."""
+        if not callable(self.then):
+            return None
+        declaration = type("Rescue", (plant.declaration,), {"kappa": staticmethod(self.then)})
+        return family_of(Plant(plant.name, declaration, plant.parameters)).control(RK4.step)
+
+
+def _one_per_input(name: str, value: Any, m: int) -> np.ndarray:
+    numbers = array_checks.floats(f"watchdog: {name}", value)
+    if not array_checks.fits(numbers.shape, (m,)):
+        raise ConfigError(f"watchdog: expected one number or {m} as {name}, one per input, got {value!r}; give them")
+    return np.array(np.broadcast_to(numbers, (m,)))
