@@ -13,7 +13,14 @@ import numpy as np
 from npred.kernels import compiler
 
 FOLDER = Path(__file__).parent / "c"
-NUMBERS = {"t": "double", "dt": "double", "b": "double", "gate": "double", "k": "INDEX", "origin": "INDEX"}  # others are arrays
+NUMBERS = {
+    "t": "double",
+    "dt": "double",
+    "b": "double",
+    "gate": "double",
+    "k": "INDEX",
+    "origin": "INDEX",
+}  # others are arrays
 KINDS = {"double": ctypes.c_double, "INDEX": ctypes.c_int64, None: ctypes.c_void_p}
 AXES = {  # of the arrays whose sizes those of a call are, before the lanes; of several the last one counts
     **dict.fromkeys(("D_hat", "phi", "N", "error", "fallback"), ()),

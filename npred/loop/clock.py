@@ -68,6 +68,9 @@ class Clock:
     def restore(self, numbers: Any) -> None:
         """Set it to a state. Raises ValueError or TypeError for what is none."""
         values = np.array([np.nan if value is None else value for value in numbers], dtype=float)
-        if values.shape != self.memory.shape or not np.isfinite(values[[STAMPS.index("at"), STAMPS.index("lag")]]).all():
+        if (
+            values.shape != self.memory.shape
+            or not np.isfinite(values[[STAMPS.index("at"), STAMPS.index("lag")]]).all()
+        ):
             raise ValueError("a clock of other sizes")
         self.memory[:] = values

@@ -214,7 +214,9 @@ class Controller:
         time and the history of commands go on, and all else, U's memory too, stands as before.
         """
         if (u is None) != self._recalls or (X is None and not self._recalls):
-            expected, came = ("X alone", "u too") if self._recalls else ("X and u", "u alone" if X is None else "X alone")
+            expected, came = (
+                ("X alone", "u too") if self._recalls else ("X and u", "u alone" if X is None else "X alone")
+            )
             raise ConfigError(
                 f"step: expected {expected}, for the actuator is {self.actuator!r}, got {came}; give what is measured"
             )
@@ -328,7 +330,9 @@ class Controller:
         return law.suited(plant, D, D)
 
     def _spread(self) -> float:
-        return math.nan
+        if not self._watches:
+            return math.nan
+        return engine.spread(self.plant.n, self.plant.m, self.settings.law, self.memory.observer)
 
     def _start(self, D_hat: float | None) -> float:
         if D_hat is not None:
@@ -384,9 +388,7 @@ class Controller:
 
     def _fill(self, X: np.ndarray) -> None:
         """Hold kappa(X) before the first step, where that is u0."""
-        _, self.memory.held[:], self.memory.total[:] = history(
-            self._kept_for, self._kept_for, self.dt, self._past(X)
-        )
+        _, self.memory.held[:], self.memory.total[:] = history(self._kept_for, self._kept_for, self.dt, self._past(X))
         self._reset_clock(None)
 
     def _reset_clock(self, X_hat: Any, k: int | None = None, calls: int = 0) -> None:
@@ -413,7 +415,9 @@ class Controller:
             return 1.0
         last = self.t - self.dt
         if not last < now < math.inf:
-            raise ConfigError(f"t: expected a time after that of the last call, {last:.9g}, got {now:.9g}; give the clock's")
+            raise ConfigError(
+                f"t: expected a time after that of the last call, {last:.9g}, got {now:.9g}; give the clock's"
+            )
         return _snapped((now - last) / self.dt)
 
     def _age(self, now: float, sampled_at: Any) -> float:

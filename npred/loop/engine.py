@@ -21,7 +21,7 @@ from npred.plants.base import Plant
 from npred.predictors.base import OneStep
 
 LOOP = ("actuator.h", "onward.h", "sensor.h", "step.h", "engine.h")
-ON_A_PLANT = ("actuator.h", "onward.h", "step.h", "controller.h", "entries.h")
+ON_A_PLANT = ("actuator.h", "onward.h", "step.h", "controller.h", "candidates.h", "entries.h")
 MEASUREMENT, PREDICTION, TOO_LONG = 1, 2, 4  # in a step: what is not finite, or a delay beyond the kept commands
 INDEX, POINTER = ctypes.c_int64, ctypes.c_void_p
 
@@ -40,6 +40,7 @@ def on_a_plant() -> ctypes.CDLL:
     loaded = compiler.library(_text(ON_A_PLANT))
     times = (ctypes.c_double, ctypes.c_double, ctypes.c_int, ctypes.c_double)
     loaded.called.argtypes, loaded.called.restype = [Shape, *times, *(POINTER,) * 4], ctypes.c_int
+    loaded.spread.argtypes, loaded.spread.restype = [Shape, POINTER, POINTER], ctypes.c_double
     loaded.replaced.argtypes, loaded.replaced.restype = [Shape, POINTER, POINTER], None
     return loaded
 
@@ -119,3 +120,8 @@ TRUE = ("horizon", "pace", "advance")  # parts of the simulated plant, which may
 def advance_kernel(plant: Plant, method: type[OneStep]) -> Callable[..., None]:
     """The step of the plant with held inputs, split where a switch of a delayed input falls inside it."""
     return family_of(plant).advance(method.step)
+
+
+def spread(n: int, m: int, law: np.ndarray, memory: np.ndarray) -> float:
+    """Half the range of the candidates that an observer of the delay cannot tell apart, in seconds; NaN at first."""
+    return on_a_plant().spread(Shape(0, 1, 0, n, m), address(law), address(memory))

@@ -8,6 +8,7 @@ import numpy as np
 class Status(NamedTuple):
     """The state of a controller after its last call; times in the plant's unit.
 
+    `D_hat_spread` is half the range of the candidates that an observer of the delay cannot tell apart, NaN without one.
     `age` is how old the last used sample is, infinity before the first. `innovation` (outputs,) is what that sample
     differed from what the model said of its time, NaN before the first. `late` counts the samples that were not used,
     for they came after a newer one or were older than `oldest`, `refused` those that the gate did not believe, `missed`

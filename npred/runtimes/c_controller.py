@@ -12,7 +12,7 @@ from npred.errors import ConfigError
 from npred.kernels.c_text import comment, constant, literal, single
 from npred.kernels.kernel import Kernel, skeleton
 from npred.loop import signals
-from npred.loop.controller import Controller
+from npred.loop.controller import SNAP, Controller
 from npred.plants.base import Plant
 from npred.predictors.guarded import bare
 from npred.runtimes import c_files
@@ -24,8 +24,9 @@ PRECISIONS = {"float": np.float32, "double": np.float64}
 LIMITS = {"float": 1e-3, "double": 1e-9}  # of the test in the file
 WHAT = "export controller"
 # of the settings, those that a step reads
-NUMBERS, FLAGS = ("dt", "b", "gate", "gamma_dt"), ("recalls", "keeps", "gated", "observer_count")
-ARRAYS = ("bounds", "input_bounds", "p", "ratios", "law", "guard", "reach")
+NUMBERS = ("dt", "b", "gate", "gamma_dt", "oldest", "after")
+FLAGS = ("recalls", "keeps", "gated", "observer_count", "offsets", "watched", "holds", "output_count")
+ARRAYS = ("bounds", "input_bounds", "p", "ratios", "law", "guard", "reach", "sensing", "rescue", "jump")
 Test = tuple[np.ndarray, np.ndarray | None]  # X (S, n) and, for measured actuators, u (S, nx, m) of steps
 
 
@@ -47,7 +48,8 @@ def sources(
     kernels = {part: kernel for part, kernel in _parts(controller, precision).items() if kernel}
     variants = {
         "RECALLS": bool(controller.settings.recalls), "KEEPS": controller.keeps_commands,
-        "WATCHES": "observe" in kernels, "GATED": bool(controller.settings.gated), "TUNABLE": tunable,
+        "WATCHES": "observe" in kernels, "FILTERS": controller.observer is not None, "TUNABLE": tunable,
+        "OFFSETS": bool(controller.settings.offsets),
         "TESTED": test is not None, "REPEATS": precision == "float" and bool(controller.plant.period),
     }  # fmt: skip
     sizes = _sizes(controller, kernels, variants)
@@ -110,18 +112,21 @@ def _sizes(
     """The sizes of the C structs' arrays, by their names."""
     z, settings, nx = controller.memory, controller.settings, controller.predictor.nx
     sizes = {"N_STATES": controller.plant.n, "M_INPUTS": controller.plant.m, "NX": nx}
-    sizes |= {"ROWS": len(z.held)} if variants["KEEPS"] else {}
+    sizes |= {"N_OUTPUTS": len(controller.outputs)}
+    sizes |= {"ROWS": len(z.held), "CLOCK": len(z.clock)} if variants["KEEPS"] else {}
+    sizes |= {"FILTER": len(z.filter)} if variants["FILTERS"] else {}
     sizes |= {"OBSERVER": len(z.observer)} if variants["WATCHES"] else {}
     if variants["TUNABLE"]:
         sizes |= {"PARAMETERS": max(settings.p.size, 1), "GUARD": max(settings.guard.size, 1)}
     needed = max(1, *(kernel.work(nx, 1, settings.guard) for kernel in kernels.values()))
-    return sizes | {"WORK": needed + settings.observer_count}
+    states = controller.plant.n + 3 * controller.plant.m  # of a model that goes on from a sample
+    return sizes | {"WORK": needed + states + settings.observer_count}
 
 
 def _kernels(kernels: Mapping[str, Kernel], real: str) -> str:
     """The kernels and the step, as the loop runs them here, with one lane."""
     texts = [text for kernel in kernels.values() for text in kernel.texts]
-    loop = [*signals.declared(), *map(skeleton, ("actuator.h", "step.h", "controller.h"))]
+    loop = [*signals.declared(), *map(skeleton, ("actuator.h", "onward.h", "step.h", "controller.h"))]
     text = "\n".join(dict.fromkeys([skeleton("base.h"), *texts, *loop]))
     return single(text) if real == "float" else text
 
@@ -133,12 +138,14 @@ def _settings(
     low, high = D_hat_bounds(controller)
     numbers = {
         "DT": controller.dt, "D_HAT": controller.D_hat, "T0": controller.t, "D_HAT_LOW": low,
-        "D_HAT_HIGH": high if np.isfinite(high) else np.finfo(PRECISIONS[real]).max,
+        "SNAP": SNAP, "D_HAT_HIGH": high if np.isfinite(high) else np.finfo(PRECISIONS[real]).max,
     }  # fmt: skip
     numbers |= {"PERIOD": controller.plant.period} if controller.plant.period else {}
     settings = controller.settings
     arrays = {name: np.ravel(getattr(settings, name)).astype(float) for name in ARRAYS}
-    arrays |= {"u0": controller.u0} if controller.keeps_commands else {}
+    start = controller.fresh().memory
+    arrays |= {"u0": controller.u0, "clock": start.clock[:, 0]} if controller.keeps_commands else {}
+    arrays |= {"filter": start.filter[:, 0]} if controller.observer else {}
     values = {name: literal(getattr(settings, name), real) for name in NUMBERS}
     values |= {name: str(int(getattr(settings, name))) for name in FLAGS}
     values |= {name: f"({real} *)the_{name}" for name in ARRAYS}

@@ -14,6 +14,7 @@ from varying_delays import with_delay
 
 import npred
 from npred.errors import ConfigError, DivergedError
+from npred.loop.clock import STAMPS
 from npred.loop.controller import Controller
 from npred.runtimes import c_controller, c_files
 from npred.runtimes.fused import Fused
@@ -204,7 +205,7 @@ class FaultyInPython(Faulty):
             return None, 2 if "the prediction from X" in str(refusal) else 4 if "raise longest" in str(refusal) else 1
 
     def applied(self, U):
-        self.run._correct(U)
+        self.run._engine.replace(U)
 
 
 @pytest.mark.parametrize("gate", [None, 1.0])
@@ -325,16 +326,23 @@ def test_a_state_that_cannot_be_is_refused_whatever_its_checksum(cases, tmp_path
     run = InC(library(controller, tmp_path), PLANT)
     run.step(X0)
     saved, rows = bytes(run.state()), len(controller.memory.held)
-    places = {"k": (20, "<i"), "steps": (24, "<q"), "t0": (32, "<d"), "D_hat": (40, "<d"), "phi": (48, "<d")}
+    places = {"steps": (24, "<q"), "t0": (32, "<d"), "D_hat": (40, "<d"), "phi": (48, "<d")}
     places |= {"held": (56 + 8 * (rows - 1), "<d"), "total": (56 + 8 * rows, "<d")}
+    places |= {"at": (56 + 16 * rows, "<d"), "lag": (56 + 16 * rows + 8 * STAMPS.index("lag"), "<d")}
 
     def changed(name, value):
         at, kind = places[name]
         return sealed(saved[:at] + struct.pack(kind, value) + saved[at + struct.calcsize(kind) :])
 
-    assert sealed(saved) == saved and struct.unpack_from("<i", saved, 20) == (rows,)
-    allowed = {"k": (rows - 1, 2 * rows - 1), "steps": (0,), "D_hat": (0.2, 2.0), "phi": (np.nan, 0.0), "held": (0.0,)}
-    wrong = {"k": (-1, rows - 2, 2 * rows), "steps": (-1,), "t0": (np.inf, np.nan), "D_hat": (np.nan, 0.19, 2.5)}
+    assert sealed(saved) == saved and struct.unpack_from("<d", saved, places["at"][0]) == (rows - 1,)
+    allowed = {"at": (rows - 2, 2 * rows - 1), "steps": (0,), "D_hat": (0.2, 2.0), "phi": (np.nan, 0.0), "held": (0.0,)}
+    wrong = {
+        "at": (-1, rows - 3, 2 * rows, np.nan),
+        "lag": (np.nan,),
+        "steps": (-1,),
+        "t0": (np.inf, np.nan),
+        "D_hat": (np.nan, 0.19, 2.5),
+    }
     wrong |= {"phi": (np.inf,), "held": (np.nan, np.inf), "total": (np.nan,)}
     for code, values in ((0, allowed), (3, wrong)):
         answers = {(name, value): run.restore(changed(name, value)) for name in values for value in values[name]}

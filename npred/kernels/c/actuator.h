@@ -25,7 +25,7 @@ static inline void transport(Shape d, INDEX k, double part, double dt, const dou
     for (int c = 0; c < d.m; c++) {
         for (int from = 0; from < d.lanes; from += WIDE) {
             const int width = least(WIDE, d.lanes - from);
-            double span[WIDE], before[WIDE], sum_before[WIDE];
+            double span[WIDE], before[WIDE] = {0.0}, sum_before[WIDE] = {0.0};
             for (int l = 0; l < width; l++) {
                 const double longest = (double)(k < d.rows - 1 ? k : d.rows - 1), steps = D[c * d.lanes + from + l] / dt;
                 span[l] = steps > 0.0 ? smaller(steps, longest) : 0.0; /* NaN, of a loop that ended, reads 0 */

@@ -190,3 +190,28 @@ static inline void choose(Shape d, const Bank *b, int l, const double *X, const 
         D_hat[l] = smaller(larger(parabola(K, cost, best, thetas, D_hat[l]), law[LOW]), law[HIGH]);
     }
 }
+
+/* Half the range of the candidates that the errors do not tell apart from the best one, NaN before the first sample. */
+SPARE static inline double undecided(Shape d, const double *law, double *memory)
+{
+    const Bank b = bank(d, law, memory);
+    const double *thetas = law + NUMBERS + b.K * d.m;
+    double lowest = INFINITY, low = INFINITY, high = -INFINITY;
+    if (isnan(b.gap[0])) {
+        return NAN;
+    }
+    for (int pass = 0; pass < 2; pass++) {
+        for (int i = 0; i < b.K; i++) {
+            double cost = 0.0;
+            for (int c = 0; c < d.n; c++) {
+                cost += b.lasting[i * d.n + c] / b.floor[c];
+            }
+            lowest = smaller(lowest, cost);
+            if (pass == 1 && cost <= DIFFER * lowest) {
+                low = smaller(low, thetas[i]);
+                high = larger(high, thetas[i]);
+            }
+        }
+    }
+    return 0.5 * (high - low);
+}

@@ -26,6 +26,16 @@ static inline Clock clock_of(Shape d, double *memory)
     return c;
 }
 
+/* Expect nothing of the next sample, and take the next call for the first. */
+SPARE static inline void forget(Shape d, Clock c)
+{
+    c.stamp[BASE_AT] = c.stamp[SAMPLE_AT] = c.stamp[REFUSED_AT] = c.stamp[TICK] = NAN;
+    c.stamp[CALLS] = 0.0;
+    for (int i = 0; i < d.n; i++) {
+        c.now[i] = c.base[i] = NAN;
+    }
+}
+
 static inline int all_finite(int count, const double *a)
 {
     int all = 1;

@@ -9,3 +9,8 @@ void replaced(Shape d, State *z, const double *U)
 {
     replace(d, z, U);
 }
+
+double spread(Shape d, const double *law, double *memory)
+{
+    return undecided(d, law, memory);
+}

@@ -21,34 +21,29 @@ static inline State npred_state(npred_controller *self, const npred_real *u, con
     State state = {
         .D_hat = self->saved.D_hat, .phi_before = self->saved.phi_before, .D_seen = self->D_seen,
         .u = (npred_real *)u, .u_nodes = (npred_real *)u_nodes, .X_hat = self->Y, .Y = self->Y, .P = self->P,
-        .U = self->U, .U0 = self->U0, .U1 = self->U1, .share = self->share, .phi = self->phi, .N = self->N,
-        .error = self->error, .fallback = self->fallback,
+        .U = self->U, .phi = self->phi, .N = self->N, .error = self->error, .fallback = self->fallback,
     };
 #if KEEPS
     state.held = self->saved.held;
     state.total = self->saved.total;
+    state.clock = self->saved.clock;
 #endif
 #if WATCHES
     state.observer = self->saved.observer;
 #endif
-#if GATED
+#if RECALLS
     state.X_hat = self->X_hat;
-    state.expected = self->saved.expected;
+    state.expected = self->expected;
     state.missed = self->saved.missed;
+    state.innovation = self->innovation;
+#endif
+#if FILTERS
+    state.filter = self->saved.filter;
+    state.sample = self->sample;
+    state.spread = self->spread;
 #endif
     return state;
 }
-
-#if GATED
-/* The model expects nothing before the first sample. */
-static void npred_expect_nothing(npred_controller *self)
-{
-    for (int i = 0; i < NPRED_N_STATES; i++) {
-        self->saved.expected[i] = NAN;
-    }
-    self->saved.missed[0] = 0;
-}
-#endif
 
 void npred_init(npred_controller *self)
 {
@@ -59,7 +54,6 @@ void npred_init(npred_controller *self)
     self->saved.t0 = NPRED_T0;
 #if KEEPS
     const npred_real first = (npred_real)(NPRED_ROWS - 1);
-    self->saved.k = NPRED_ROWS - 1;
     for (int row = 0; row < NPRED_ROWS; row++) {
         for (int i = 0; i < NPRED_M_INPUTS; i++) {
             self->saved.held[row * NPRED_M_INPUTS + i] = the_u0[i];
@@ -72,8 +66,16 @@ void npred_init(npred_controller *self)
         self->saved.observer[i] = NAN;
     }
 #endif
-#if GATED
-    npred_expect_nothing(self);
+#if KEEPS
+    memcpy(self->saved.clock, the_clock, sizeof self->saved.clock);
+#endif
+#if RECALLS
+    for (int i = 0; i < NPRED_N_OUTPUTS; i++) {
+        self->innovation[i] = NAN;
+    }
+#endif
+#if FILTERS
+    memcpy(self->saved.filter, the_filter, sizeof self->saved.filter);
 #endif
 #if TUNABLE
     memcpy(self->settings.p, the_p, sizeof self->settings.p);
@@ -122,7 +124,8 @@ int npred_set_state(npred_controller *self, const npred_saved *state)
     fits = fits && isfinite(npred_time(state)) && state->steps >= 0;
     fits = fits && npred_within(state->D_hat[0]) && !isinf(state->phi_before[0]);
 #if KEEPS
-    fits = fits && state->k >= NPRED_ROWS - 1 && state->k < 2 * NPRED_ROWS;
+    fits = fits && state->clock[AT] >= NPRED_ROWS - 2 && state->clock[AT] < 2 * NPRED_ROWS;
+    fits = fits && isfinite(state->clock[LAG]);
     fits = fits && all_finite(NPRED_ROWS * NPRED_M_INPUTS, state->held);
     fits = fits && all_finite(NPRED_ROWS * NPRED_M_INPUTS, state->total);
 #endif
@@ -151,20 +154,25 @@ int npred_set_time(npred_controller *self, double t)
     self->saved.t0 = t;
     self->saved.steps = 0;
     self->saved.phi_before[0] = NAN;
-#if GATED
-    npred_expect_nothing(self);
+#if KEEPS
+    const Clock clock = clock_of(the_shape, self->saved.clock);
+    forget(the_shape, clock);
+#endif
+#if RECALLS
+    self->saved.missed[0] = 0;
 #endif
     return NPRED_OK;
 }
 
-static int npred_run(npred_controller *self, const npred_real *X, const npred_real *u, const npred_real *u_nodes,
-                     npred_real *U)
+/* A call at time t, `gap` control steps after the last one, with a sample X of that age in control steps, or NULL. */
+static int npred_call(npred_controller *self, double t, double gap, const npred_real *X, double age, const npred_real *u,
+                      const npred_real *u_nodes, npred_real *U)
 {
 #if REPEATS
     /* within the period: of a time of many periods a float would lose the phase */
-    const npred_real t = (npred_real)fmod(npred_time(&self->saved), NPRED_PERIOD);
+    const npred_real now = (npred_real)fmod(t, NPRED_PERIOD);
 #else
-    const npred_real t = (npred_real)npred_time(&self->saved);
+    const npred_real now = (npred_real)t;
 #endif
     Settings settings = the_settings;
 #if TUNABLE
@@ -173,15 +181,18 @@ static int npred_run(npred_controller *self, const npred_real *X, const npred_re
     settings.guard = self->settings.guard;
 #endif
     State state = npred_state(self, u, u_nodes);
-    memcpy(self->Y, X, sizeof self->Y);
-    const int code = control_step(the_shape, self->saved.k, t, &the_parts, &settings, &state, self->work);
+    if (X != NULL) {
+#if FILTERS
+        memcpy(self->sample, X, sizeof self->sample);
+#else
+        memcpy(self->Y, X, sizeof self->Y);
+#endif
+    }
+    const int code = call(the_shape, now, (npred_real)gap, X != NULL, (npred_real)age, &the_parts, &settings, &state,
+                          self->work);
     if (code == NPRED_OK) {
         memcpy(U, self->U, sizeof self->U);
     }
-#if KEEPS
-    const INDEX next = remember(the_shape, self->saved.k, t, code, &the_parts, &settings, &state, self->work);
-    self->saved.k = (int32_t)next;
-#endif
     self->saved.steps++;
     return code;
 }
@@ -189,14 +200,11 @@ static int npred_run(npred_controller *self, const npred_real *X, const npred_re
 #if KEEPS
 int npred_applied(npred_controller *self, const npred_real *U)
 {
-    const int last = (self->saved.k - 1) % NPRED_ROWS, next = self->saved.k % NPRED_ROWS;
     if (!all_finite(NPRED_M_INPUTS, U)) {
         return NPRED_STATE_REFUSED;
     }
-    for (int i = 0; i < NPRED_M_INPUTS; i++) {
-        self->saved.held[last * NPRED_M_INPUTS + i] = U[i];
-        self->saved.total[next * NPRED_M_INPUTS + i] = self->saved.total[last * NPRED_M_INPUTS + i] + U[i];
-    }
+    State state = npred_state(self, NULL, NULL);
+    replace(the_shape, &state, U);
     return NPRED_OK;
 }
 #endif
@@ -204,18 +212,62 @@ int npred_applied(npred_controller *self, const npred_real *U)
 #if RECALLS
 int npred_step(npred_controller *self, const npred_real *X, npred_real *U)
 {
-    return npred_run(self, X, self->u, self->u_nodes, U);
+    return npred_call(self, npred_time(&self->saved), 1.0, X, 0.0, self->u, self->u_nodes, U);
+}
+
+/* A number of control steps, whole where it is nearly. */
+static double npred_snapped(double steps)
+{
+    return fabs(steps - rint(steps)) <= NPRED_SNAP ? rint(steps) : steps;
+}
+
+int npred_step_at(npred_controller *self, double t, const npred_real *X, double sampled_at, npred_real *U)
+{
+    const double next = npred_time(&self->saved), last = next - NPRED_DT, age = (t - sampled_at) / NPRED_DT;
+    const int first = !(self->saved.clock[CALLS] > 0), regular = fabs(t - next) <= NPRED_SNAP * NPRED_DT;
+    if (!isfinite(t) || (!first && !(t > last)) || (X != NULL && !(age >= -1.0 && isfinite(age)))) {
+        return NPRED_STATE_REFUSED;
+    }
+    if (!regular) {
+        self->saved.t0 = t;
+        self->saved.steps = 0;
+    }
+    return npred_call(self, t, first || regular ? 1.0 : npred_snapped((t - last) / NPRED_DT), X,
+                      X != NULL ? fmax(npred_snapped(age), 0.0) : 0.0, self->u, self->u_nodes, U);
+}
+
+void npred_get_status(const npred_controller *self, npred_status *status)
+{
+    const npred_real *stamp = self->saved.clock;
+    const double age = ((double)stamp[AT] - (double)stamp[SAMPLE_AT]) * NPRED_DT;
+    memset(status, 0, sizeof *status);
+    status->D_hat = self->saved.D_hat[0];
+    status->D_hat_spread = NAN;
+#if WATCHES
+    status->D_hat_spread = undecided(the_shape, the_law, (npred_real *)self->saved.observer);
+#endif
+    status->age = isnan(age) ? (double)INFINITY : age;
+    memcpy(status->innovation, self->innovation, sizeof status->innovation);
+#if OFFSETS
+    memcpy(status->offset, self->saved.filter + NPRED_N_STATES, sizeof status->offset);
+#endif
+    status->late = (int32_t)stamp[LATE];
+    status->refused = (int32_t)stamp[REFUSED];
+    status->missed = (int32_t)self->saved.missed[0];
+    status->handed_over = stamp[HANDED] > 0;
+    status->fallback = self->fallback[0] > 0;
+    status->error = self->error[0];
 }
 #else
 int npred_step(npred_controller *self, const npred_real *X, const npred_real *u, npred_real *U)
 {
-    return npred_run(self, X, u, u, U);
+    return npred_call(self, npred_time(&self->saved), 1.0, X, 0.0, u, u, U);
 }
 
 int npred_step_nodes(npred_controller *self, const npred_real *X, const npred_real *u, const npred_real *u_nodes,
                      npred_real *U)
 {
-    return npred_run(self, X, u, u_nodes, U);
+    return npred_call(self, npred_time(&self->saved), 1.0, X, 0.0, u, u_nodes, U);
 }
 #endif
 
@@ -233,7 +285,7 @@ int main(void)
     for (int s = 0; s < TEST_STEPS; s++) {
         npred_real U[NPRED_M_INPUTS];
 #if RECALLS
-        const int code = npred_step(&c, test_X + s * NPRED_N_STATES, U);
+        const int code = npred_step(&c, test_X + s * NPRED_N_OUTPUTS, U);
 #else
         const int code = npred_step(&c, test_X + s * NPRED_N_STATES, test_u + s * NPRED_NX * NPRED_M_INPUTS, U);
 #endif

@@ -28,18 +28,21 @@ enum {
 typedef struct {
     uint32_t digest[4];
     uint32_t checksum; /* of all bytes after it, set by npred_get_state */
-    int32_t k;
     int64_t steps;
     double t0;
     npred_real D_hat[1], phi_before[1];
 #if KEEPS
     npred_real held[NPRED_ROWS * NPRED_M_INPUTS], total[NPRED_ROWS * NPRED_M_INPUTS];
+    npred_real clock[NPRED_CLOCK];
 #endif
 #if WATCHES
     npred_real observer[NPRED_OBSERVER];
 #endif
-#if GATED
-    npred_real expected[NPRED_N_STATES], missed[1];
+#if RECALLS
+    npred_real missed[1];
+#endif
+#if FILTERS
+    npred_real filter[NPRED_FILTER];
 #endif
 } npred_saved;
 
@@ -49,12 +52,15 @@ typedef struct {
     npred_real P[NPRED_NX * NPRED_N_STATES];
     npred_real error[1], fallback[1], phi[1], N[1];
     npred_real Y[NPRED_N_STATES];
-    npred_real U[NPRED_M_INPUTS], U0[NPRED_M_INPUTS], U1[NPRED_M_INPUTS], share[NPRED_M_INPUTS], D_seen[NPRED_M_INPUTS];
+    npred_real U[NPRED_M_INPUTS], D_seen[NPRED_M_INPUTS];
 #if RECALLS
     npred_real u[NPRED_NX * NPRED_M_INPUTS], u_nodes[NPRED_NX * NPRED_M_INPUTS];
 #endif
-#if GATED
-    npred_real X_hat[NPRED_N_STATES];
+#if RECALLS
+    npred_real X_hat[NPRED_N_STATES], expected[NPRED_N_STATES], innovation[NPRED_N_OUTPUTS];
+#endif
+#if FILTERS
+    npred_real sample[NPRED_N_OUTPUTS], spread[NPRED_N_OUTPUTS];
 #endif
 #if TUNABLE
     struct {
@@ -63,6 +69,18 @@ typedef struct {
 #endif
     npred_real work[NPRED_WORK];
 } npred_controller;
+
+#if RECALLS
+/* What happened in the last call. `age` is how old the last used sample is, infinity before the first; `innovation` what
+ * that differed from what the model said; `late` counts the samples that were not used, for they came after a newer one
+ * or were too old, `refused` those that were not believed, `missed` the last of these in a row. */
+typedef struct {
+    npred_real D_hat, D_hat_spread, error;
+    double age;
+    npred_real innovation[NPRED_N_OUTPUTS], offset[NPRED_M_INPUTS];
+    int32_t late, refused, missed, handed_over, fallback;
+} npred_status;
+#endif
 
 void npred_init(npred_controller *self);
 void npred_get_state(const npred_controller *self, npred_saved *state);
@@ -75,9 +93,13 @@ const char *npred_version(void);
 int npred_applied(npred_controller *self, const npred_real *U);
 #endif
 #if RECALLS
-/* One control step: X (N_STATES) measured now; writes U (M_INPUTS), which it remembers as sent. With a gate,
- * self->saved.missed counts the last samples in a row that were not believed: the model's state took their place. */
+/* One control step, each DT: the sample X (N_OUTPUTS) measured now; writes U (M_INPUTS), which it remembers as sent. A
+ * sample that the model says cannot be is not believed: npred_get_status. */
 int npred_step(npred_controller *self, const npred_real *X, npred_real *U);
+/* The same at any time t, later than the last one: with a sample that was taken at `sampled_at`, or NULL. Between
+ * samples the model says what X is. NPRED_STATE_REFUSED for times that cannot be; nothing changed then. */
+int npred_step_at(npred_controller *self, double t, const npred_real *X, double sampled_at, npred_real *U);
+void npred_get_status(const npred_controller *self, npred_status *status);
 #else
 /* One control step: X (N_STATES), u (NX * M_INPUTS, by nodes, then inputs: the last row was sent just now), both
  * measured now; writes U (M_INPUTS). npred_step_nodes takes the means over the nodes' cells and the values at the
