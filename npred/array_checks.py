@@ -44,9 +44,14 @@ def finite_rows(X: np.ndarray, u: np.ndarray, D_hat: np.ndarray) -> np.ndarray:
     return np.isfinite(X).all(axis=-1) & np.isfinite(u).all(axis=(-2, -1)) & np.isfinite(D_hat)
 
 
-def delays(name: str, array: np.ndarray) -> None:
+def at_least_0(name: str, array: np.ndarray, what: str) -> None:
     """Raise ConfigError unless all are finite numbers of at least 0."""
-    _all(np.isfinite(array) & (array >= 0), array, f"{name}: expected a delay of at least 0", "give 0 or more")
+    _all(np.isfinite(array) & (array >= 0), array, f"{name}: expected {what} of at least 0", "give 0 or more")
+
+
+def delays(name: str, array: np.ndarray) -> None:
+    """Raise ConfigError unless all are finite delays of at least 0."""
+    at_least_0(name, array, "a delay")
 
 
 def within(name: str, array: np.ndarray, bounds: tuple[float, float], unit: str = "s") -> None:

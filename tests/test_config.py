@@ -217,6 +217,11 @@ measurement = { noise = 0.01, period = 0.05 }
 name = "noise"
 noise = 0.03
 [[evaluate.scenarios]]
+name = "errors"
+absolute = 0.1
+bias = [-0.2]
+resolution = [0.5]
+[[evaluate.scenarios]]
 name = "drift"
 drift = { amplitude = 0.3, period = 60.0 }
 adaptation = "law.py:Law"
@@ -229,8 +234,10 @@ def test_a_scenario_takes_the_place_of_the_keys_that_it_gives(tmp_path: Path):
     path = tmp_path / "p.toml"
     path.write_text(SCENARIOS)
     evaluate = config.load(path).evaluate
-    noise, drift = (evaluate.under(scenario) for scenario in evaluate.scenarios)
+    noise, errors, drift = (evaluate.under(scenario) for scenario in evaluate.scenarios)
     assert noise.measurement == config.Sensors(noise=0.03, period=0.05)
+    sensors = {"noise": 0.01, "period": 0.05, "absolute": 0.1, "bias": [-0.2], "resolution": [0.5]}
+    assert errors.measurement == config.Sensors(**sensors)
     assert noise == evaluate.model_copy(update={"measurement": noise.measurement})
     assert (drift.adaptation, drift.case_D_hat0, drift.case_t_end) == (f"{tmp_path / 'law.py'}:Law", [0.5], 20.0)
     assert drift.measurement == evaluate.measurement
@@ -244,6 +251,9 @@ def test_keys_that_came_later_stand_in_a_dump_only_where_they_say_something(empt
     assert later & set(some) == {"actuator", "measurement"}
     one = config.load(empty, ['evaluate.scenarios=[{name="a", noise=0.1}]']).evaluate.model_dump()
     assert one["scenarios"] == [{"name": "a", "noise": 0.1}]
+    assert some["measurement"] == {"noise": 0.01, "period": None, "jitter": 0.0, "delay": 0.0, "drop": 0.0}
+    errors = {"absolute": [0.1, 0.0], "bias": -1.0, "resolution": 0.5}
+    assert config.Sensors(**errors).model_dump().items() >= errors.items()
 
 
 @pytest.mark.parametrize(
@@ -265,8 +275,12 @@ def test_keys_that_came_later_stand_in_a_dump_only_where_they_say_something(empt
          ["drift, jump: expected one of them, got both"]),
         ('evaluate.scenarios=[{name="a", adaptation="observer"}]', ["scenarios[0].adaptation: expected bresch"]),
         ("generate.actuator=guessed", ["generate.actuator: expected 'measured' or 'history', got 'guessed'"]),
+        ("generate.measurement.noise=-0.1", ["generate.measurement.noise: expected ", "equal to 0", "got -0.1; give"]),
+        ("generate.measurement.absolute=[0.1, -0.1]", ["generate.measurement.absolute: expected ", "equal to 0"]),
+        ("generate.measurement.bias=[nan]", ["generate.measurement.bias: expected ", "finite number"]),
+        ("generate.measurement.resolution=[]", ["generate.measurement.resolution: expected ", "got []; give"]),
         ("generate.measurement.drop=1.0", ["generate.measurement.drop: expected less than 1, got 1.0"]),
-        ("generate.measurement.nois=0.1", ["unknown key; expected one of delay, drop, jitter, noise, period"]),
+        ("generate.measurement.nois=0.1", ["unknown key; expected one of absolute, bias, delay, drop, jitter, noise"]),
     ],
 )  # fmt: skip
 def test_a_scenario_or_a_sensor_that_makes_no_sense_is_one_line(empty: Path, override: str, words: list[str]):

@@ -6,7 +6,21 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import Field, model_serializer, model_validator
 
 from npred.config.loop import Disturbance, Loop, Sensors
-from npred.config.section import ADDED, Actuator, Count, Delay, Law, Number, Positive, Range, Section, Share, Some
+from npred.config.section import (
+    ADDED,
+    Actuator,
+    Bias,
+    Count,
+    Delay,
+    Law,
+    Number,
+    PerState,
+    Positive,
+    Range,
+    Section,
+    Share,
+    Some,
+)
 
 CASES = {"D_hat0": "case_D_hat0", "t_end": "case_t_end"}  # keys of [evaluate] by those of a scenario
 
@@ -31,7 +45,10 @@ class Scenario(Section):
     """
 
     name: Annotated[str, Field(min_length=1, max_length=40)]  #: what tables and figures call it
-    noise: Delay | None = None  #: as measurement.noise
+    noise: PerState | None = None  #: as measurement.noise
+    absolute: PerState | None = None  #: as measurement.absolute
+    bias: Bias | None = None  #: as measurement.bias
+    resolution: PerState | None = None  #: as measurement.resolution
     period: Positive | None = None  #: as measurement.period
     jitter: Share | None = None  #: as measurement.jitter
     delay: Delay | None = None  #: as measurement.delay

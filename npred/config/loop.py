@@ -10,12 +10,14 @@ from npred.config.section import (
     FROZEN,
     PAPER,
     Actuator,
+    Bias,
     Bounds,
     Delay,
     Law,
     Method,
     Nodes,
     Number,
+    PerState,
     Positive,
     Range,
     Section,
@@ -30,12 +32,16 @@ STEPS_PER_DELAY = 10  # control steps in a delay, at least, where dt is not give
 
 
 class Sensors(Section):
-    """What the controller sees of the plant: samples X (1 + noise ξ), ξ standard normal, and when they arrive.
+    """What the controller sees of the plant: samples q(X (1 + noise ξ) + absolute η + bias), and when they arrive.
 
-    Between samples it predicts the state from the last one, with its own commands.
+    ξ and η are standard normal, q rounds to multiples of the resolution. The four are one number for all states or a
+    list with one for each. Between samples it predicts the state from the last one, with its own commands.
     """
 
-    noise: Delay = 0.0  #: standard deviation of a sample, relative to its value
+    noise: PerState = 0.0  #: standard deviation of a sample, relative to its value
+    absolute: Annotated[PerState, ADDED] = 0.0  #: standard deviation of a sample, in units of the state
+    bias: Annotated[Bias, ADDED] = 0.0  #: what a sensor adds to each sample, in units of the state
+    resolution: Annotated[PerState, ADDED] = 0.0  #: step of what a sensor shows, in units of the state; 0 is none
     period: Positive | None = None  #: between samples, in seconds; by default the control step
     jitter: Share = 0.0  #: largest deviation of a period, relative to it
     delay: Delay = 0.0  #: from a sample to its arrival, in seconds

@@ -18,6 +18,8 @@ Nodes = Annotated[int, Field(ge=2, le=MOST, strict=True)]
 Item = TypeVar("Item")
 Some = Annotated[list[Item], Field(min_length=1)]
 Number = Annotated[float, Field(allow_inf_nan=False, strict=True)]
+PerState = Delay | Some[Delay]
+Bias = Number | Some[Number]
 Anchor = Literal["none", "initial", "equilibrium"]
 Actuator = Literal["measured", "history"]
 Share = Annotated[float, Field(ge=0, lt=1, strict=True)]

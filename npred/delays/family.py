@@ -30,8 +30,8 @@ CORRECT = "P_hat, X, u, D_hat, t, p, &P"  # P_hat less its error, as far as its 
 GUARD = "X, u, D_hat, t, p, guard, &P, &error, &fallback"  # P in place; guard: what npred.predictors.guarded is set to
 # Of laws that estimate D_hat themselves, and write it: X are the samples of step k and time t, NaN where there is none.
 OBSERVE = "k, dt, X, held, t, p, law, &memory, &D_hat"
-# Of an observer of the state, with one lane: its memory, which begins with the state and the offsets of the inputs, goes
-# on by dt as ADVANCE does, and learns from a sample Y of the outputs, NaN where one is missing, that is taken at t.
+# Of an observer of the state, with one lane: its memory, which begins with the state and the offsets of the inputs,
+# goes on by dt as ADVANCE does, and learns from a sample Y of the outputs that is taken at t, NaN where one is missing.
 FOLLOW = "U0, U1, share, dt, t, p, law, &memory"
 CORRECT_BY = "Y, t, p, gate, law, &memory, &innovation, &spread"
 ESTIMATE = "k, origin, dt, D_seen, held, &Y, &X_hat"  # of observers of the state in Python: X_hat in place, and Y

@@ -14,6 +14,7 @@ from npred.diagnosis.lyapunov import DECLARE
 from npred.errors import ConfigError
 from npred.loop import delay_law
 from npred.loop.adaptation import undeclared
+from npred.loop.measurement import Measurement
 from npred.plants import inputs
 from npred.predictors.guarded import Guarded
 from npred.registry import NETWORKS
@@ -162,13 +163,14 @@ def radius(case: Case) -> None:
 
 
 def parts(case: Case) -> None:
-    """Whether delay laws and methods load, and accept the plant; whether networks take their sizes."""
+    """Whether delay laws, methods and sensors load, and fit the plant; whether networks take their sizes."""
     for name in case.settings.train.models if "train" in case.stages else ():
         table = case.settings.train.table(name)
         NETWORKS.check_keywords(f"train.{name}.sizes", table.architecture, table.arguments)
     tables = [*case.loops.values(), *(case.settings.evaluate.under(scenario) for scenario in case.scenarios)]
     for loop in tables:
         delay_law.resolve(loop, case.plant)
+        Measurement(**dict(loop.measurement)).check(case.plant)
         plants.varied(case.plant, tuple(loop.truth.items()))
         predictors.numerical(loop.predictor, case.plant, loop.nx)
     if "evaluate" in case.stages and (guard := case.settings.evaluate.guard):

@@ -286,7 +286,7 @@ class _Simulation:
             delays=np.array(delays[:, None, :] * self.plant.ratios[:, None], order="C"),
             disturbance=np.ascontiguousarray(pushes),
             samples=np.array(samples.T, order="C", dtype=np.int64),
-            sensor=sensing.sensor(self.measurement, self.dt, first),
+            **sensing.settings(self.measurement, self.dt, first, self.plant.n),
         )
 
     def _state(

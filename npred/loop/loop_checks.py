@@ -59,6 +59,8 @@ def reality(
     actuator_state(actuator)
     if measurement is not None and not isinstance(measurement, Measurement):
         raise ConfigError(f"measurement: expected an npred.Measurement, got {measurement!r}; make one")
+    if measurement is not None:
+        measurement.check(plant)
     if push is not None and not callable(push):
         raise ConfigError(f"disturbance: expected a function of t, got {push!r}; write lambda t: [0.1]")
     if truth is not None and (not isinstance(truth, Plant) or (truth.n, truth.m) != (plant.n, plant.m)):

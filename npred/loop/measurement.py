@@ -7,25 +7,31 @@ the state: they depend neither on the batch nor on the order of evaluation.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from npred import array_checks
 from npred.errors import ConfigError
 from npred.loop.actuator import acting
-from npred.loop.signals import Sensor
+from npred.plants.base import Plant
 
+PER_STATE = ("noise", "absolute", "bias", "resolution")  # one number, or one for each state
 Observer = Callable[[np.ndarray, np.ndarray, np.ndarray, float], Any]
 
 
 @dataclass(frozen=True)
 class Measurement:
-    """Sensors: each sample is X (1 + noise ξ), ξ standard normal by state, taken every `period` seconds.
+    """Sensors: a sample of state i is q_i(X_i (1 + noise_i ξ_i) + absolute_i η_i + bias_i), every `period` seconds.
 
-    `period` None is every control step; each gap between samples is period (1 + jitter r), r uniform on [-1, 1].
-    A sample arrives `delay` seconds after it was taken, or, with probability `drop`, never; the first one, at t = 0, is
+    ξ and η are standard normal, independent by sample and state; q_i rounds to the nearest multiple of resolution_i,
+    half to even, and not at all where that is 0. `noise` is a share of the state, the other three are in its units.
+    Each of the four is one number for all states, or a list with one per state.
+
+    `period` None is every control step; each gap between samples is period (1 + jitter r), r uniform on [-1, 1]. A
+    sample arrives `delay` seconds after it was taken, or, with probability `drop`, never; the first one, at t = 0, is
     there at once. Times are rounded to control steps, and no gap is shorter than one. `observer(X_hat, Y, U, t)`
     replaces the prediction between samples: it takes the last estimate X_hat (B, n), the sample Y (B, n) that arrived
     now, NaN where there is none, and the input U (B, m) that acted since the last call, and gives X_hat (B, n) at time
@@ -34,7 +40,10 @@ class Measurement:
     Raises ConfigError for a value out of range.
     """
 
-    noise: float = 0.0
+    noise: ArrayLike = 0.0
+    absolute: ArrayLike = field(default=0.0, kw_only=True)
+    bias: ArrayLike = field(default=0.0, kw_only=True)
+    resolution: ArrayLike = field(default=0.0, kw_only=True)
     period: float | None = None
     jitter: float = 0.0
     delay: float = 0.0
@@ -47,7 +56,18 @@ class Measurement:
         period = math.inf if self.period is None else array_checks.number("measurement: period", self.period)
         if not period > 0:
             raise ConfigError(f"measurement: expected a period above 0, got {self.period!r}; None is every step")
-        for name, highest in (("noise", math.inf), ("delay", math.inf), ("jitter", 1.0), ("drop", 1.0)):
+        for name in PER_STATE:
+            kind = "one real number, or one per state"
+            values = array_checks.floats(f"measurement: {name}", getattr(self, name), kind)
+            if values.ndim > 1:
+                came = f"an array of shape {values.shape}"
+                raise ConfigError(f"measurement: {name}: expected {kind}, got {came}; give a list")
+            if name == "bias":
+                array_checks.finite("measurement: bias", values)
+            else:
+                array_checks.at_least_0("measurement", values, name)
+            object.__setattr__(self, name, tuple(values.tolist()) if values.ndim else float(values))
+        for name, highest in (("delay", math.inf), ("jitter", 1.0), ("drop", 1.0)):
             value = array_checks.number(f"measurement: {name}", getattr(self, name))
             if not 0 <= value < highest:
                 room = "of at least 0" if highest == math.inf else f"from 0 up to {highest:g}, not included"
@@ -68,17 +88,31 @@ class Measurement:
     @property
     def perfect(self) -> bool:
         """Whether the controller sees X itself."""
-        return self.observer is None and self.period is None and not (self.noise or self.delay or self.drop)
+        exact = not any(np.any(getattr(self, name)) for name in PER_STATE)
+        return exact and self.observer is None and self.period is None and not (self.delay or self.drop)
+
+    def check(self, plant: Plant) -> None:
+        """Raise ConfigError where there is not a number for each state of the plant."""
+        for name in PER_STATE:
+            value = getattr(self, name)
+            if isinstance(value, tuple) and len(value) != plant.n:
+                what = f"expected {name} as one number or {plant.n}, one per state of plant {plant.name}"
+                raise ConfigError(f"measurement: {what}, got {len(value)}; give as many")
 
 
-def sensor(measurement: Measurement, dt: float, first: int) -> Sensor:
-    """The measurement for control steps of dt seconds, of loops whose first has that number in the whole batch."""
-    period = 1.0 if measurement.period is None else max(measurement.period / dt, 1.0)
-    age = round(measurement.delay / dt)
-    return Sensor(
-        measurement.noise, period, measurement.jitter, measurement.drop, age, measurement.seed,
-        first + measurement.first,
-    )  # fmt: skip
+def settings(measurement: Measurement, dt: float, first: int, n: int) -> dict[str, Any]:
+    """The measurement of n states by the names of npred.loop.signals: times in control steps of dt seconds.
+
+    `first` is the number that the first of these loops has in the batch.
+    """
+    return {name: np.full(n, getattr(measurement, name)) for name in PER_STATE} | {
+        "period": 1.0 if measurement.period is None else max(measurement.period / dt, 1.0),
+        "jitter": measurement.jitter,
+        "drop": measurement.drop,
+        "age": round(measurement.delay / dt),
+        "seed": measurement.seed,
+        "first": first + measurement.first,
+    }
 
 
 def observed(observer: Observer) -> Callable[..., None]:

@@ -18,13 +18,6 @@ C = {"float64": "double", "int64": "int64_t", "bool": "uint8_t", "int": "int"}
 NUMBERS = {"float64": ctypes.c_double, "int64": ctypes.c_int64, "int": ctypes.c_int}
 
 
-class Sensor(ctypes.Structure):
-    """A measurement as the loop runs it: times in control steps, `first` the number of the batch's first loop."""
-
-    numbers, counts = ("noise", "period", "jitter", "drop"), ("age", "seed", "first")
-    _fields_ = (*((name, ctypes.c_double) for name in numbers), *((name, ctypes.c_int64) for name in counts))
-
-
 class Signal(NamedTuple):
     """A signal: its axes before the lanes, its first value, its kind."""
 
@@ -107,6 +100,9 @@ SETTINGS = [
     Signal("ratios", ()),  # (m,), the delay of each input as a share of the longest
     Signal("law", ()),  # what an observer of the delay is set to
     Signal("guard", ()),  # what the guard of the predictor is set to
+    *(Signal(name, None, 0.0) for name in ("period", "jitter", "drop")),  # of samples; times in control steps
+    *(Signal(name, None, 0, "int64") for name in ("age", "seed", "first")),  # first: number of the batch's first loop
+    *(Signal(name, ()) for name in ("noise", "absolute", "bias", "resolution")),  # (n,), what sensors make of X
     Signal("reach", ()),  # (n,), how far a sample may be from what is expected near 0
     Signal("sensing", ()),  # what an observer of the state is set to
     Signal("rescue", ()),  # (m,), the U of a watchdog that declares numbers
@@ -124,24 +120,24 @@ PARTS = {
 
 State = namedtuple("State", [signal.name for signal in STATE])
 Record = namedtuple("Record", [signal.name for signal in RECORD])
-Settings = namedtuple("Settings", [*(signal.name for signal in SETTINGS), "sensor"])
+Settings = namedtuple("Settings", [signal.name for signal in SETTINGS])
 
 
 def settings(**numbers: Any) -> Settings:
     """The settings that are given, and of the others that none is used."""
     unused = {s.name: 0 if s.axes is None else np.zeros(0, dtype=s.kind) for s in SETTINGS}
-    return Settings(**(unused | {"sensor": Sensor()} | numbers))
+    return Settings(**(unused | numbers))
 
 
-def _structure(name: str, rows: Iterable[Signal], more: Any = ()) -> Any:
+def _structure(name: str, rows: Iterable[Signal]) -> Any:
     fields = [(s.name, NUMBERS[s.kind] if s.axes is None else ctypes.c_void_p) for s in rows]
-    return type(name, (ctypes.Structure,), {"_fields_": [*fields, *more]})
+    return type(name, (ctypes.Structure,), {"_fields_": fields})
 
 
 _STRUCTURES: dict[type, Any] = {
     State: _structure("State", STATE),
     Record: _structure("Record", RECORD),
-    Settings: _structure("Settings", SETTINGS, [("sensor", Sensor)]),
+    Settings: _structure("Settings", SETTINGS),
 }
 Pointers = type("Parts", (ctypes.Structure,), {"_fields_": [(name, ctypes.c_void_p) for name in PARTS]})
 
@@ -151,15 +147,13 @@ def declared() -> tuple[str, str]:
     types = {arguments: name.capitalize() for name, arguments in reversed(PARTS.items())}
     parts = [f"typedef {prototype(f'(*{name})', arguments)};" for arguments, name in types.items()]
     pointers = [f"    {types[arguments]} {name};" for name, arguments in PARTS.items()]
-    structs = [_struct(kind.__name__, rows) for kind, rows in ((State, STATE), (Record, RECORD))]
-    kinds = {"double": Sensor.numbers, "int64_t": Sensor.counts}
-    sensor = _braced("Sensor", [f"    {kind} {', '.join(names)};" for kind, names in kinds.items()])
-    structs += [sensor, _struct("Settings", SETTINGS, ["    Sensor sensor;"]), _braced("Parts", pointers)]
+    kinds = ((State, STATE), (Record, RECORD), (Settings, SETTINGS))
+    structs = [_struct(kind.__name__, rows) for kind, rows in kinds] + [_braced("Parts", pointers)]
     return "\n".join([*parts, clock.declared()]), "\n".join(structs)
 
 
-def _struct(name: str, rows: Iterable[Signal], more: Iterable[str] = ()) -> str:
-    return _braced(name, [*(f"    {C[s.kind]} {'' if s.axes is None else '*'}{s.name};" for s in rows), *more])
+def _struct(name: str, rows: Iterable[Signal]) -> str:
+    return _braced(name, [f"    {C[s.kind]} {'' if s.axes is None else '*'}{s.name};" for s in rows])
 
 
 def _braced(name: str, lines: Iterable[str]) -> str:

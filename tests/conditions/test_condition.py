@@ -21,6 +21,10 @@ CASES = {
         {"measurement": {"noise": 0.02, "period": 0.05, "jitter": 0.1, "delay": 0.02, "drop": 0.1}},
         {"measurement": npred.Measurement(0.02, 0.05, 0.1, 0.02, 0.1, seed=7)},
     ),
+    "errors": (
+        {"measurement": {"absolute": [0.001, 0.5], "bias": [0.0, 0.1], "resolution": 0.002}},
+        {"measurement": npred.Measurement(absolute=[0.001, 0.5], bias=[0.0, 0.1], resolution=0.002, seed=7)},
+    ),
     "truth": ({"truth": {"Ka": 0.042}}, {"truth": OTHER}),
     "disturbance": (
         {"disturbance": {"amplitude": 0.01, "omega": 0.7}}, {"disturbance": lambda t: 0.01 * math.sin(0.7 * t)},

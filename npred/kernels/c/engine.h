@@ -155,11 +155,11 @@ void run(Shape d, INDEX origin, INDEX start, INDEX stop, const Parts *q, const S
             q->horizon(d, z->X, t, s->truth_p, s->ratios, z->longest, z->D, work);
         }
         if (s->senses) {
-            sample(d, k, &s->sensor, z->X, z->past, z->due, z->sampled, z->Y);
+            sample(d, k, s, z->X, z->past, z->due, z->sampled, z->Y);
             if (q->observer) {
                 q->observer(d, k, origin, s->dt, z->D_seen, z->held, z->Y, z->X_hat, work);
             } else {
-                estimate(d, k, origin, s->dt, s->sensor.age, z->D_seen, z->held, z->Y, z->X_hat, q->model, s->p, work);
+                estimate(d, k, origin, s->dt, s->age, z->D_seen, z->held, z->Y, z->X_hat, q->model, s->p, work);
             }
         }
         if (q->observe && (k == 0 || taken > 0)) { /* the first sample is there at once */

@@ -3,6 +3,8 @@
 from collections.abc import Iterator
 from typing import Any
 
+import numpy as np
+
 from npred.config import FROZEN, Evaluate
 from npred.figures import svg
 from npred.figures.figure import Plate
@@ -91,7 +93,9 @@ def _delay(plant: Plant, config: Evaluate) -> str:
 
 def _reality(plant: Plant, config: Evaluate) -> Iterator[str]:
     """What of the loop is not as in the paper."""
-    sensors = [f"{key} {_sensor(plant, key, value)}" for key, value in dict(config.measurement).items() if value]
+    sensors = [
+        f"{key} {_sensor(plant, key, value)}" for key, value in dict(config.measurement).items() if np.any(value)
+    ]
     if config.actuator == "history":
         yield "actuator state not measured"
     if sensors:
@@ -100,10 +104,11 @@ def _reality(plant: Plant, config: Evaluate) -> Iterator[str]:
         yield "the simulated plant is not the controller's model"
 
 
-def _sensor(plant: Plant, key: str, value: float) -> str:
+def _sensor(plant: Plant, key: str, value: float | list[float]) -> str:
     """A setting of the sensors with its unit: noise, jitter and drop are shares."""
-    unit = plant.time_unit if key in ("period", "delay") else "%"
-    return f"{100 * value if unit == '%' else value:g}\N{NO-BREAK SPACE}{unit}".rstrip()
+    unit = plant.time_unit if key in ("period", "delay") else "%" if key in ("noise", "jitter", "drop") else ""
+    numbers = [f"{100 * number if unit == '%' else number:g}" for number in np.atleast_1d(value)]
+    return f"{' / '.join(numbers)}\N{NO-BREAK SPACE}{unit}".rstrip()
 
 
 def _facts(story: Story, job: Job) -> dict[str, dict[str, Any]]:
