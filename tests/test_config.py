@@ -278,7 +278,6 @@ def test_keys_that_came_later_stand_in_a_dump_only_where_they_say_something(empt
         ("generate.measurement.noise=-0.1", ["generate.measurement.noise: expected ", "equal to 0", "got -0.1; give"]),
         ("generate.measurement.absolute=[0.1, -0.1]", ["generate.measurement.absolute: expected ", "equal to 0"]),
         ("generate.measurement.bias=[nan]", ["generate.measurement.bias: expected ", "finite number"]),
-        ("generate.measurement.resolution=[]", ["generate.measurement.resolution: expected ", "got []; give"]),
         ("generate.measurement.drop=1.0", ["generate.measurement.drop: expected less than 1, got 1.0"]),
         ("generate.measurement.nois=0.1", ["unknown key; expected one of absolute, bias, delay, drop, jitter, noise"]),
     ],

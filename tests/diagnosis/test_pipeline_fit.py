@@ -292,6 +292,7 @@ def test_a_pipeline_names_no_delay_where_the_plant_declares_it(tmp_path, tables,
         ({"parameters": {"k1": 1.0}}, "unknown parameter 'k1'"),
         ({"adaptation": "missing.py:Law"}, "missing.py"),
         ({"bias": [0.1]}, "expected bias as one number or 2, one per state of plant activator_repressor, got 1"),
+        ({"resolution": []}, "expected resolution as one number or 2, .*, got 0; give as many"),
     ],
 )
 def test_a_scenario_that_cannot_run_is_told_before_anything_runs(scenario, message):

@@ -1,6 +1,7 @@
 """The errors of sensors: each sample is the formula's, by random numbers that NumPy and exact fractions repeat."""
 
 import math
+from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
@@ -27,11 +28,10 @@ def samples(measurement, X0, steps=STEPS):
         taken.append(Y.copy())
         return Y
 
-    looked = {name: getattr(measurement, name) for name in (*ERRORS, "seed", "first")} | {"observer": look}
     X0 = np.atleast_2d(X0)
     run = npred.simulate(
         PLANTS[X0.shape[1]], None, D=0.1, D_hat=0.1, X0=X0, t_end=steps * DT, dt=DT, u0=np.zeros(PLANTS[X0.shape[1]].m),
-        measurement=Measurement(**looked),
+        measurement=replace(measurement, observer=look),
     )  # fmt: skip
     return np.stack(taken, axis=1), run.X
 
@@ -124,6 +124,12 @@ def test_a_half_is_rounded_to_the_even_multiple():
     assert Y[:, 0, 0].tolist() == [0.0, 1.0, 0.0, -1.0, 1.0]
     Y, _ = samples(Measurement(resolution=3.0), np.array([[1.5], [4.5], [7.5], [10.5], [13.5]]))
     assert Y[:, 0, 0].tolist() == [0.0, 6.0, 6.0, 12.0, 12.0]
+
+
+def test_what_only_a_rounded_quotient_takes_for_a_half_is_none():
+    """0.1 in binary is above a tenth, so 0.75 is nearer to 7 times it than to 8 times, though 0.75 / 0.1 is 7.5."""
+    Y, _ = samples(Measurement(resolution=0.1), [[0.75]])
+    assert 0.75 / 0.1 == 7.5 and Y[0, 0, 0] == 7 * 0.1
 
 
 def test_a_state_at_zero_has_normal_noise_of_its_own_size():
