@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from npred import errors as errors
+    from npred import observers as observers
     from npred import plants as plants
     from npred.api import controller, guarded, load, plant, predictor
     from npred.identification.identify import identify
@@ -45,7 +46,10 @@ _HOME = dict.fromkeys(__all__, "api") | {
     "simulate": "loop.closed_loop",
 }
 # as npred.errors
-_MODULES = {"errors": "errors", "plants": "plants", "metrics": "loop.metrics", "lyapunov": "loop.lyapunov"}
+_MODULES = {
+    "errors": "errors", "observers": "observers", "plants": "plants", "metrics": "loop.metrics",
+    "lyapunov": "loop.lyapunov",
+}  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:

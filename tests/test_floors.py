@@ -17,7 +17,7 @@ FLOORS = [
     {"plants", "results", "robots", "store"},
     {"data", "operators", "recordings"},
     {"delays", "training"},
-    {"bounds", "predictors"},
+    {"bounds", "observers", "predictors"},
     {"conditions", "diagnosis", "identification", "loop", "runtimes"},
     {"figures"},
     {"stages"},

@@ -1,0 +1,4 @@
+"""Observers of a state that is not measured, from what is: one file each behind one interface, npred.observers.base."""
+
+from npred.observers.base import Observer as Observer
+from npred.observers.ekf import EKF as EKF

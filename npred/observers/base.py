@@ -1,0 +1,224 @@
+"""What an observer of the state is: two kernels of one lane on a memory, and what is assumed of a plant by default."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from npred import array_checks
+from npred.errors import ConfigError, similar
+from npred.kernels.formula import vector
+from npred.kernels.functions import Formulas
+from npred.kernels.kernel import Kernel
+from npred.plants.base import Plant
+from npred.symbolic import Value, programs, tape
+from npred.symbolic.trace import Trace, python
+
+POINTS = 64  # of the box, at which the sizes of f, kappa and the outputs are looked at
+TINY = 1e-9  # relative: what is no more than a rounding error
+
+
+class Sizes(NamedTuple):
+    """What is usual of a plant: states x and their half ranges dx (n,), sizes of f (n,), half ranges of the inputs du
+    (m,) and of the outputs dy (l,), and the rate (1/s) of the loop of kappa without delay.
+    """
+
+    x: np.ndarray
+    dx: np.ndarray
+    f: np.ndarray
+    du: np.ndarray
+    dy: np.ndarray
+    rate: float
+
+
+class Linearised(NamedTuple):
+    """z' = A z, y = C z near a point, z the state and, where they are observed, the offsets of the inputs."""
+
+    A: np.ndarray
+    C: np.ndarray
+
+
+class Observer(ABC):
+    """An observer of the state X of a plant, from the commands and from samples Y of its outputs.
+
+    The outputs are those that the plant declares by output(x, t, p, M), else all states, else the states that `outputs`
+    names. With `offset` the observer also finds what is added to each input before the plant, X' = f(X, U + d).
+    Its memory begins with X (n), then d (m), zeros without `offset`.
+
+    X0 (n,) is the state to begin with. By default it is the middle of the plant's box, and for a state without a range
+    there the equilibrium, or the reference at t = 0, or the guess.
+    Raises ConfigError for a plant that is not traced, for outputs that do not tell the state near the equilibrium, or,
+    of a plant that does not rest, anywhere in the box, and for settings that do not fit.
+    """
+
+    def __init__(
+        self, plant: Plant, *, offset: Any = False, X0: Any = None, outputs: Sequence[str] | None = None
+    ) -> None:
+        self.plant = plant
+        if not isinstance(plant, Plant) or not plant.traced:
+            came = f"{plant.name}, which says traced = False" if isinstance(plant, Plant) else repr(plant)
+            raise ConfigError(f"{self.label}: expected a plant that is traced, got {came}; write f with M's functions")
+        self.outputs = self._outputs(outputs)
+        self.offset = offset is not False
+        self.X0 = self.sizes.x if X0 is None else self.fitting("X0", X0, plant.n)
+        self._check_observable()
+
+    @property
+    def label(self) -> str:
+        """What messages call it."""
+        return type(self).__name__
+
+    @property
+    def size(self) -> int:
+        """The number of states and offsets that are observed."""
+        return self.plant.n + self.plant.m * self.offset
+
+    @property
+    @abstractmethod
+    def settings(self) -> np.ndarray:
+        """The numbers that its kernels read as `law`."""
+
+    @abstractmethod
+    def start(self) -> np.ndarray:
+        """The memory to begin with, of one axis."""
+
+    @abstractmethod
+    def follow(self) -> Kernel:
+        """npred.delays.family.FOLLOW: the memory a step on, by the inputs that act meanwhile."""
+
+    @abstractmethod
+    def correct(self) -> Kernel:
+        """npred.delays.family.CORRECT_BY: the memory corrected by a sample, and what the sample differs by."""
+
+    def fitting(self, name: str, value: Any, size: int) -> np.ndarray:
+        """Finite numbers (size,), or one for all. Raises ConfigError for others."""
+        array = array_checks.floats(f"{self.label}: {name}", value)
+        if array.shape not in ((), (size,)):
+            came = array.shape
+            raise ConfigError(f"{self.label}: {name} expected one number or shape ({size},), got {came}; give {size}")
+        array_checks.finite(f"{self.label}: {name}", array)
+        return np.broadcast_to(array, size).astype(float)
+
+    @cached_property
+    def sizes(self) -> Sizes:
+        """What is usual of the plant, by points of its box: all at the input that kappa gives at t = 0."""
+        plant, (x, u), (X, ends) = self.plant, self.operating_point, self._box
+        with np.errstate(all="ignore"):
+            U = plant.kappa(X)
+            f, Y = plant.f(X, U), self._measured(X)
+        half = [0.5 * np.ptp(a, axis=0) for a in (_finite(U), _finite(Y))]
+        parts = (ends[1] - ends[0]) / 2, np.sqrt((_finite(f) ** 2).mean(axis=0)), *half
+        f_X, f_U = plant.jacobians(x, u)
+        rates = np.abs(np.linalg.eigvals(f_X + f_U @ plant.kappa_jacobian(x)))
+        rates = rates[rates > TINY * rates.max(initial=0.0)]
+        rate = float(np.exp(np.log(rates).mean())) if rates.size else 1.0
+        return Sizes(ends.mean(axis=0), *(np.where(a > 0, a, 1.0) for a in parts), rate)
+
+    def linearised(self, x: np.ndarray, u: np.ndarray, t: float = 0.0) -> Linearised:
+        """The plant near a point x (n,), u (m,)."""
+        n, size, count = self.plant.n, self.size, len(self.outputs)
+        A, C = np.zeros((size, size)), np.zeros((count, size))
+        A[:n, :n], f_U = self.plant.jacobians(x, u, t)
+        A[:n, n:] = f_U[:, : size - n]
+        C[:, :n] = np.reshape(self._output_program(*x, t, *self.plant.p)[count:], (count, n))
+        return Linearised(A, C)
+
+    def output_function(self, of: Formulas) -> str:
+        """The C function of the outputs (l,) and of their derivatives by the state (l, n)."""
+        outputs, by_x = self._traced_outputs(of.trace)
+        results = {"y": len(outputs), "by_x": len(by_x)}
+        return of.function([*outputs, *by_x], [vector("x", self.plant.n, "1"), "t"], results, "1")
+
+    def stop_function(self, of: Formulas) -> str:
+        """The C function that keeps a state within the plant's state_bounds."""
+        x = self.plant.stopped(of.trace.vector("x", self.plant.n), tape.M)
+        return of.function([*x], [vector("x", self.plant.n, "1")], {"y": self.plant.n}, "1")
+
+    def _outputs(self, outputs: Sequence[str] | None) -> tuple[str, ...]:
+        if outputs is None:
+            return self.plant.outputs
+        states = self.plant.states
+        for name in [outputs] if isinstance(outputs, str) else outputs:
+            if isinstance(outputs, str) or name not in states:
+                near = similar(name, states)
+                names = ", ".join(states)
+                raise ConfigError(f"{self.label}: outputs expected a tuple of states, {names}, got {outputs!r}{near}")
+        return tuple(outputs)
+
+    @property
+    def _selects(self) -> bool:
+        """True if the outputs are states, and not what the plant declares."""
+        return self.outputs != self.plant.outputs or not self.plant.declares_output
+
+    def _traced_outputs(self, trace: Trace) -> tuple[list[Value], list[Value]]:
+        """The outputs (l,), and their derivatives by the state (l n,), output by output."""
+        x, t = trace.vector("x", self.plant.n), trace.input("t")
+        y = x[[self.plant.states.index(name) for name in self.outputs]] if self._selects else trace.output(x, t)
+        columns = [programs.derivative([*y], [*x], [*unit]) for unit in np.eye(len(x))]
+        return [*y], [column[i] for i in range(len(y)) for column in columns]
+
+    @cached_property
+    def _output_program(self) -> Any:
+        trace = Trace(self.plant)
+        outputs, by_x = self._traced_outputs(trace)
+        names = [*tape.names("x", self.plant.n), "t", *tape.names("p", len(self.plant.p))]
+        return python([*outputs, *by_x], names)
+
+    def _measured(self, X: np.ndarray) -> np.ndarray:
+        """The outputs (..., l) of states (..., n) at t = 0."""
+        if self._selects:
+            return X[..., [self.plant.states.index(name) for name in self.outputs]]
+        return self.plant.output(X)
+
+    @cached_property
+    def operating_point(self) -> tuple[np.ndarray, np.ndarray]:
+        """X and U where the plant works at t = 0: its equilibrium, else its reference, else its guess."""
+        plant = self.plant
+        if plant.rests or plant.tracks:
+            return plant.target(0.0), plant.u_target(0.0)
+        return plant.guess, plant.kappa(plant.guess)
+
+    @cached_property
+    def _box(self) -> tuple[np.ndarray, np.ndarray]:
+        """Points of the box (POINTS, n), and its ends (2, n)."""
+        ends = [self.plant.box.get(name, (a - max(1.0, abs(a)), a + max(1.0, abs(a))))
+                for name, a in zip(self.plant.states, self.operating_point[0].tolist(), strict=True)]  # fmt: skip
+        low, high = np.array(ends).T
+        return np.random.default_rng(0).uniform(low, high, (POINTS, self.plant.n)), np.array([low, high])
+
+    def _check_observable(self) -> None:
+        """Raise ConfigError where the linearised plant is not observable at the equilibrium. A plant that does not rest
+        has to be observable at one point of its box at least.
+        """
+        plant, points = self.plant, [(*self.operating_point, 0.0)]
+        if not plant.rests:
+            moments = np.linspace(0.0, plant.period or float(POINTS), POINTS, endpoint=False).tolist()
+            points += [(x, plant.kappa(x, t), t) for x, t in zip(self._box[0], moments, strict=True)]
+        rank = max(_rank(self.linearised(*point), self.sizes, self.size) for point in points)
+        if rank < self.size:
+            where = "at the equilibrium" if plant.rests else "in the box"
+            what = "states and offsets" if self.offset else "states"
+            cure = "measure more, or leave the offset out" if self.offset else "measure more"
+            raise ConfigError(
+                f"{self.label}: expected {what} that {', '.join(self.outputs)} tell of {where} of plant {plant.name}, "
+                f"got an observability matrix of rank {rank} of {self.size}; {cure}"
+            )
+
+
+def _rank(system: Linearised, sizes: Sizes, size: int) -> int:
+    """The rank of the observability matrix, in units of the sizes and of the rate."""
+    units = np.concatenate([sizes.dx, sizes.du])[:size]
+    A, C = system.A * units / units[:, None] / sizes.rate, system.C * units / sizes.dy[:, None]
+    rows = [C]
+    for _ in range(1, size):
+        rows.append(rows[-1] @ A)
+        rows[-1] /= max(1.0, float(np.abs(rows[-1]).max()))
+    return int(np.linalg.matrix_rank(np.concatenate(rows), tol=TINY))
+
+
+def _finite(rows: np.ndarray) -> np.ndarray:
+    """The rows without NaN and infinity; zeros where there are none."""
+    kept = rows[np.isfinite(rows).all(axis=-1)]
+    return kept if len(kept) else np.zeros((1, rows.shape[-1]))

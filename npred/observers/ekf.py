@@ -1,0 +1,119 @@
+"""The extended Kalman filter of a plant in continuous time with samples in discrete time."""
+
+from collections.abc import Sequence
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from npred import array_checks
+from npred.delays import family
+from npred.errors import ConfigError
+from npred.kernels.formula import vector
+from npred.kernels.functions import Formulas
+from npred.kernels.kernel import Kernel, made, skeleton
+from npred.observers.base import Observer
+from npred.plants.base import Plant
+from npred.predictors.runge_kutta import RK4
+from npred.symbolic import programs, tape
+
+MODEL = 0.1  # the share of f that the model does not know, by default
+NOISE = 0.01  # of the half range of an output
+OFFSET = 0.1  # of the half range of an input, in the time in which the loop moves
+
+
+class EKF(Observer):
+    """The extended Kalman filter [Jazwinski, Stochastic Processes and Filtering Theory, 1970, theorem 8.1].
+
+    The plant is X' = f(X, U + d) + w, d' = v, Y_k = output(X(t_k)) + e_k. The state goes on by RK4 with the input held,
+    the covariance P by the exact derivative of that step; a sample corrects both, one output after the other. P is kept
+    as U D U', so that it is symmetric and positive also in single precision.
+
+    Q is the spectral density of w, in units of X² / s: a number, (n,), or (n, n). By default w says that the model is
+    wrong by a tenth of f, which changes in the time T of the loop: Q_ii = (f_i / 10)² T, with f_i the root of the mean
+    square of f over the box, and 1 / T the geometric mean of the rates of the loop of kappa without delay.
+    R is the variance of e, a number or (l,) above 0. By default its deviation is 1 % of half the range that an output
+    has over the box.
+    P0 is the variance of X0, a number, (n,), or (n, n). By default its deviation is half the width of the box.
+    offset is False, True, or the spectral density of v, a number or (m,), in units of U² / s. With True an offset moves
+    by a tenth of half the range that kappa has over the box, in T. It begins at 0, with that deviation.
+    For a state without a range in the box, half of it is taken as 1, or as X0 where that is larger.
+    X0, outputs and what is raised: see Observer.
+    """
+
+    def __init__(
+        self, plant: Plant, Q: Any = None, R: Any = None, offset: Any = False, X0: Any = None, P0: Any = None,
+        outputs: Sequence[str] | None = None,
+    ) -> None:  # fmt: skip
+        super().__init__(plant, offset=offset, X0=X0, outputs=outputs)
+        sizes = self.sizes
+        walk = (OFFSET * sizes.du) ** 2 * sizes.rate if offset is True else offset
+        Q = (MODEL * sizes.f) ** 2 / sizes.rate if Q is None else Q
+        self.Q = self._whole("Q", Q, self.fitting("offset", walk, plant.m) if self.offset else np.zeros(0))
+        self.P0 = self._whole("P0", sizes.dx**2 if P0 is None else P0, (OFFSET * sizes.du[: self.size - plant.n]) ** 2)
+        self.R = self.fitting("R", (NOISE * sizes.dy) ** 2 if R is None else R, len(self.outputs))
+        if not (self.R > 0).all():
+            raise ConfigError(f"EKF: R expected variances above 0, got {self.R.tolist()}; give the square of the noise")
+
+    @property
+    def settings(self) -> np.ndarray:
+        return np.concatenate([self.R, factors(self.Q).ravel()])
+
+    def start(self) -> np.ndarray:
+        return np.concatenate([self.X0, np.zeros(self.plant.m), factors(self.P0).ravel()])
+
+    def covariance(self, memory: np.ndarray) -> np.ndarray:
+        """P of a memory, of X or of (X, d)."""
+        stored = memory[self.plant.n + self.plant.m :].reshape(self.size, self.size)
+        U = np.triu(stored, 1) + np.eye(self.size)
+        return (U * np.diag(stored)) @ U.T
+
+    def follow(self) -> Kernel:
+        return self._follow
+
+    def correct(self) -> Kernel:
+        return self._correct
+
+    @cached_property
+    def _follow(self) -> Kernel:
+        n, m, of = self.plant.n, self.plant.m, Formulas(self.plant, ())
+        trace = of.trace
+        x, u, v, w = (trace.vector(name, size) for name, size in zip("xuvw", (n, m, n, m), strict=True))
+        y = self.plant.stopped(RK4.step(trace.f, x, u, u, u, trace.input("t"), trace.input("h")), tape.M)
+        change = programs.derivative([*y], [*x, *u], [*v, *w])
+        arguments = [*(vector(name, size, "1") for name, size in zip("xuvw", (n, m, n, m), strict=True)), "t", "h"]
+        functions = {"STEP": of.function([*y, *change], arguments, {"y": n, "change": n}, "1")}
+        text = skeleton("ekf_follow.h") + skeleton("follow.h")
+        return made("ekf_follow", family.FOLLOW, text, functions, self._counts | {"WIDTH": 3 * self.size})
+
+    @cached_property
+    def _correct(self) -> Kernel:
+        of = Formulas(self.plant, ())
+        functions = {"OUTPUT": self.output_function(of), "STOP": self.stop_function(of)}
+        return made("ekf_correct", family.CORRECT_BY, skeleton("ekf_correct.h"), functions, self._counts)
+
+    @property
+    def _counts(self) -> dict[str, int]:
+        return {"N": self.plant.n, "M": self.plant.m, "SIZE": self.size, "OUTPUTS": len(self.outputs)}
+
+    def _whole(self, name: str, of_state: Any, of_offsets: np.ndarray) -> np.ndarray:
+        """The covariance (size, size) of the state and the offsets."""
+        n, array = self.plant.n, array_checks.floats(f"EKF: {name}", of_state)
+        array = array if array.shape == (n, n) else np.diag(self.fitting(name, array, n))
+        whole = np.diag(np.concatenate([np.zeros(n), of_offsets]))
+        whole[:n, :n] = array
+        array_checks.finite(f"EKF: {name}", whole)
+        if not np.allclose(whole, whole.T) or np.linalg.eigvalsh(whole).min() < -1e-12 * np.trace(whole):
+            raise ConfigError(f"EKF: {name} expected a symmetric matrix without negative eigenvalues, got others")
+        return whole
+
+
+def factors(P: np.ndarray) -> np.ndarray:
+    """U, unit upper triangular, with D as its diagonal: P = U D U' [Bierman, 1977, ch. III]."""
+    rest, result = P.copy(), np.zeros_like(P)
+    for j in reversed(range(len(P))):
+        D = result[j, j] = max(rest[j, j], 0.0)
+        if D > 0:
+            result[:j, j] = rest[:j, j] / D
+            rest[:j, :j] -= D * np.outer(result[:j, j], result[:j, j])
+    return result

@@ -1,0 +1,86 @@
+"""What tests of observers share: plants with outputs, and calls of an observer's kernels."""
+
+import numpy as np
+
+from npred import plants
+from npred.observers import Observer
+from npred.plants import Plant
+
+
+def plant_of(kind: type, **changes: float) -> Plant:
+    return Plant(kind.__name__, kind, changes)
+
+
+class Spring:
+    """Linear: position q and speed s, a force U; the position is measured."""
+
+    states, inputs = ("q", "s"), ("U",)
+    box = {"q": (-1.0, 1.0), "s": (-2.0, 2.0)}
+    outputs = ("position",)
+
+    def f(x, u, t, p, M):
+        return [x.s, -2.0 * x.q - 0.3 * x.s + 1.5 * u.U]
+
+    def kappa(x, t, p, M):
+        return [-x.s]
+
+    def output(x, t, p, M):
+        return [x.q]
+
+
+SPRING_A, SPRING_B, SPRING_C = np.array([[0.0, 1.0], [-2.0, -0.3]]), np.array([[0.0], [1.5]]), np.array([[1.0, 0.0]])
+
+
+class Swing:
+    """A pendulum of which a sine and a product are measured."""
+
+    states, inputs = ("angle", "rate"), ("U",)
+    box = {"angle": (-1.0, 1.0), "rate": (-2.0, 2.0)}
+    outputs = ("height", "product")
+
+    def f(x, u, t, p, M):
+        return [x.rate, -4.0 * M.sin(x.angle) - 0.2 * x.rate + u.U]
+
+    def kappa(x, t, p, M):
+        return [-x.rate]
+
+    def output(x, t, p, M):
+        return [M.sin(x.angle), x.rate * M.cos(x.angle) + x.angle]
+
+
+def swing_slope(x, u):
+    return np.array([x[1], -4.0 * np.sin(x[0]) - 0.2 * x[1] + u])
+
+
+def swing_jacobian(x):
+    return np.array([[0.0, 1.0], [-4.0 * np.cos(x[0]), -0.2]])
+
+
+def swing_output(x):
+    return np.array([np.sin(x[0]), x[1] * np.cos(x[0]) + x[0]])
+
+
+def swing_output_jacobian(x):
+    return np.array([[np.cos(x[0]), 0.0], [1.0 - x[1] * np.sin(x[0]), np.cos(x[0])]])
+
+
+def built_in(name: str) -> Plant:
+    return plants.resolve(name)
+
+
+def follow(observer: Observer, memory: np.ndarray, U, dt: float, t: float = 0.0, after=None, share=1.0) -> None:
+    """The memory on by dt with the input U for the share, then `after`."""
+    m = observer.plant.m
+    U0, U1, shares = (
+        np.broadcast_to(np.asarray(a, dtype=float), m).reshape(m, 1).copy()
+        for a in (U, U if after is None else after, share)
+    )
+    observer.follow()(U0, U1, shares, dt, t, observer.plant.p, observer.settings, memory)
+
+
+def correct(observer: Observer, memory: np.ndarray, Y, t: float = 0.0, gate: float = np.inf):
+    """Innovation and spread of a sample, which corrects the memory."""
+    innovation, spread = np.empty((2, len(observer.outputs)))
+    observer.correct()(np.asarray(Y, dtype=float).reshape(-1, 1), t, observer.plant.p, gate, observer.settings, memory,
+                       innovation, spread)  # fmt: skip
+    return innovation, spread
