@@ -106,7 +106,7 @@ SETTINGS = [
     Signal("reach", ()),  # (n,), how far a sample may be from what is expected near 0
     Signal("sensing", ()),  # what an observer of the state is set to
     Signal("rescue", ()),  # (m,), the U of a watchdog that declares numbers
-    Signal("jump", ()),  # (m,), how far U moves in a call on its way there and back
+    Signal("jump", ()),  # (m,), how far U moves in a call while the watchdog takes or returns it
     Signal("delays", ()),  # (steps + 1, m, B), of each input where the delay is a function of time, or empty
     Signal("disturbance", ()),  # (steps, m, disturbed), added to what leaves the actuator, or empty
     Signal("samples", (), 0, "int64"),  # (S, B), sorted steps whose (X, u, D_hat) are kept

@@ -21,7 +21,7 @@ class Watchdog:
 
     `then` is "hold", the last U; "zero"; one number per input; or a law, a function (x, t, p, M) of the predicted state
     as kappa is one, which is compiled and exported too. Until then, and as long as the watchdog has U, the state is
-    predicted by the model. On the way there and back each input moves by at most `jump` in a control step, one number
+    predicted by the model. While it takes or returns U, each input moves by at most `jump` in a call, one number
     or one per input, in the unit of U; None is any distance.
     Raises ConfigError for a time, numbers or a word that make no sense.
     """

@@ -274,7 +274,7 @@ static inline void find_delay(Shape d, Moment now, int used, double taken, const
 }
 
 /* Where no sample was used for longer than the watchdog waits, U is what it declares: the last one, numbers, or another
- * law of the prediction. On the way there and back U moves by its `jump` in a call at most. */
+ * law of the prediction. While it takes or returns U, that moves by its `jump` in a call at most. */
 static inline void hand_over(Shape d, Moment now, const Parts *q, const Settings *s, State *z, double *work)
 {
     const Clock c = clock_of(d, z->clock);

@@ -1,0 +1,263 @@
+"""The controller on a real clock: calls at any time, samples that come late or not at all, commands not sent."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+
+import npred
+from npred.errors import ConfigError, DivergedError
+from npred.plants import Plant
+from npred.predictors import RK4
+
+DT = 0.01
+
+
+class Motor:
+    """A motor's angle and speed, driven by its current."""
+
+    states, inputs = ("angle", "speed"), ("i",)
+    box, input_bounds = {"angle": (-3.0, 3.0), "speed": (-5.0, 5.0)}, ((-20.0, 20.0),)
+
+    def f(x, u, t, p, M):
+        return [x.speed, M.sin(x.angle) - 0.5 * x.speed + u.i]
+
+    def kappa(x, t, p, M):
+        return [-M.sin(x.angle) - 2 * x.angle - 2 * x.speed]
+
+    def V(x, t, p, M):
+        return x.angle**2 + x.speed**2
+
+
+MOTOR = Plant("motor", Motor)
+
+
+def motor(D_hat=0.2, law=None, **named):
+    return npred.controller(MOTOR, RK4(MOTOR, 41), law, DT, D_hat=D_hat, actuator="history", **named)
+
+
+class Truth:
+    """The motor by SciPy, with the commands at the times at which they were sent, late by D."""
+
+    def __init__(self, D=0.2, X=(0.5, 0.0)):
+        self.D, self.t, self.X, self.sent = D, 0.0, np.array(X), [(-np.inf, 0.0)]
+
+    def send(self, t, U):
+        self.sent.append((t, float(U[0])))
+
+    def to(self, t):
+        """The state at t, piece by piece between two commands."""
+        times = [s + self.D for s, _ in self.sent if self.t < s + self.D < t]
+        for end in [*times, t]:
+            U = max((s, u) for s, u in self.sent if s + self.D <= self.t + 1e-12)[1]
+            f = lambda _, x, U=U: MOTOR.f(x, np.array([U]))  # noqa: E731
+            if end > self.t:
+                self.X = solve_ivp(f, (self.t, end), self.X, rtol=1e-10, atol=1e-12).y[:, -1]
+            self.t = end
+        return self.X
+
+
+@pytest.mark.parametrize("law", [None, npred.DelayObserver(bounds=(0.05, 0.5))])
+def test_ideal_timing_by_stamps_is_the_plain_step_to_the_bit(law):
+    plain, stamped, truth = motor(law=law), motor(law=law), Truth()
+    for k in range(300):
+        X = truth.to(k * DT)
+        U = plain.step(X).copy()
+        assert (stamped.step(X, t=k * DT, sampled_at=k * DT) == U).all()
+        assert plain.D_hat == stamped.D_hat and (plain.P == stamped.P).all()
+        truth.send(k * DT, U)
+    assert np.abs(truth.X).max() < 0.1
+
+
+def test_the_clock_may_begin_at_any_time():
+    plain, stamped = motor(), motor()
+    for k in range(50):
+        X = np.array([0.5, 0.1 * k])
+        np.testing.assert_allclose(plain.step(X), stamped.step(X, t=1e4 + k * DT), rtol=1e-13)
+    assert stamped.t == pytest.approx(1e4 + 0.5)
+
+
+def test_between_samples_the_state_is_the_models_with_the_commands_at_their_times():
+    """Calls come 40 % early or late, each third one has a sample, which is 4 control steps old; X_hat against SciPy."""
+    rng, controller, truth = np.random.default_rng(0), motor(), Truth()
+    past, worst = [], 0.0
+    for k in range(400):
+        t = k * DT + (0.4 * DT * rng.uniform(-1, 1) if k else 0.0)
+        past.append((t, truth.to(t).copy()))
+        taken = k == 0 or (k > 4 and k % 3 == 0)
+        at, X = past[max(k - 4, 0)]
+        U = controller.step(X if taken else None, t=t, sampled_at=at if taken else None)
+        worst = max(worst, np.abs(controller.X_hat - truth.X).max())
+        truth.send(t, U)
+        assert controller.status.late == controller.status.refused == 0
+    assert worst < 2e-3  # a command that switches within a control step is spread over that
+    assert np.abs(truth.X).max() < 0.02
+
+
+def test_with_calls_on_time_late_samples_cost_rounding_errors_alone():
+    controller, exact, truth = motor(gate=None), motor(gate=None), Truth()
+    past = [truth.X]
+    for k in range(200):
+        X = truth.to(k * DT)
+        past.append(X.copy())
+        U = exact.step(X).copy()
+        late = min(k, 7)
+        lagged = controller.step(past[-1 - late], t=k * DT, sampled_at=(k - late) * DT)
+        np.testing.assert_allclose(controller.X_hat, X, atol=1e-8)
+        np.testing.assert_allclose(lagged, U, atol=1e-6)
+        truth.send(k * DT, U)
+
+
+def test_samples_that_are_old_doubled_or_out_of_order_are_counted_and_not_used():
+    controller = motor(oldest=0.05)
+    controller.step([0.5, 0.0], t=0.0)
+    controller.step([0.5, 0.0], t=DT, sampled_at=0.0)  # doubled
+    controller.step([0.5, 0.0], t=2 * DT, sampled_at=1.5 * DT)
+    controller.step([0.5, 0.0], t=3 * DT, sampled_at=1.2 * DT)  # older than the last one
+    controller.step(None, t=9 * DT)
+    assert controller.status.late == 2 and controller.status.age == pytest.approx(7.5 * DT)
+    controller.step([0.5, 0.0], t=10 * DT, sampled_at=4 * DT)  # six control steps old
+    assert controller.status.late == 3
+    controller.step([0.5, 0.0], t=11 * DT, sampled_at=6 * DT)
+    assert controller.status.late == 3 and controller.status.age == pytest.approx(5 * DT)
+
+
+@given(st.lists(st.floats(0.2, 3.0), min_size=3, max_size=60), st.integers(0, 2**32 - 1))
+@settings(max_examples=50, deadline=None)
+def test_the_history_has_the_integral_of_the_commands_whatever_the_calls_times(gaps, seed):
+    """Between control steps of its clock, by a sum over the calls."""
+    rng, controller = np.random.default_rng(seed), motor()
+    times, sent, t = [], [], 0.0
+    for gap in gaps:
+        U = controller.step(rng.uniform(-1, 1, 2), t=t)[0]
+        times.append(t)
+        sent.append(U)
+        t += gap * DT
+    controller.step([0.0, 0.0], t=t)
+    z, rows, first = controller.memory, len(controller.memory.held), controller._clock["at"]
+    ends = np.array([*times, t]) / DT - t / DT + first  # positions of the calls
+    for i in range(int(ends[0]) + 1, int(first)):
+        overlap = np.clip(np.minimum(ends[1:], i + 1) - np.maximum(ends[:-1], i), 0, None)
+        assert z.held[i % rows, 0, 0] == pytest.approx(overlap @ sent, abs=1e-7)
+
+
+def test_a_command_that_was_not_sent_is_corrected_at_the_next_call():
+    """With what the actuator got instead the model's state is the truth's, and without it is not."""
+    informed, silent, truth, kept = motor(), motor(), Truth(), None
+    for k in range(60):
+        X = truth.to(k * DT) if k < 20 else None
+        lost = k in (12, 13, 14, 15)
+        before = {} if k - 1 not in (12, 13, 14, 15) else {"applied": kept}
+        U = informed.step(X, t=k * DT, **before).copy()
+        silent.step(X, t=k * DT)
+        kept = kept if lost else U
+        truth.send(k * DT, kept)
+    X = truth.to(59 * DT)
+    assert np.abs(informed.X_hat - X).max() < 1e-8 < 1e-3 < np.abs(silent.X_hat - X).max()
+
+
+def test_after_a_pause_of_many_histories_nothing_is_expected():
+    controller = motor()
+    controller.step([0.5, 0.0], t=0.0)
+    with pytest.raises(DivergedError, match="expected finite X"):
+        controller.step(None, t=100.0)
+    assert np.isfinite(controller.step([2.9, -4.0], t=100.01)).all() and controller.missed == 0
+
+
+def test_a_pause_within_the_history_is_predicted_over():
+    controller, truth = motor(), Truth()
+    t = 0.0
+    for k in range(100):
+        t += DT if k != 50 else 0.05
+        U = controller.step(truth.to(t) if k != 50 else None, t=t)
+        np.testing.assert_allclose(controller.X_hat, truth.to(t), atol=1e-6)
+        truth.send(t, U)
+
+
+def test_a_saved_controller_goes_on_between_two_samples():
+    controller, other = motor(), motor()
+    rng = np.random.default_rng(1)
+    t = 0.0
+    for k in range(40):
+        t += DT * rng.uniform(0.5, 1.5)
+        X = rng.uniform(-1, 1, 2) if k % 4 == 0 else None
+        U = controller.step(X, t=t, sampled_at=None if X is None else t - 0.003).copy()
+        if k >= 20:
+            assert (other.step(X, t=t, sampled_at=None if X is None else t - 0.003) == U).all()
+        if k == 19:
+            other.restore(controller.state())
+
+
+def test_times_that_cannot_be_are_refused_in_one_line():
+    controller = motor()
+    controller.step([0.5, 0.0], t=1.0)
+    with pytest.raises(ConfigError, match=r"t: expected a time after that of the last call, 1, got 0\.5"):
+        controller.step(None, t=0.5)
+    with pytest.raises(ConfigError, match=r"sampled_at: expected a time up to that of the call, 1\.01, got 1\.5"):
+        controller.step([0.5, 0.0], t=1.01, sampled_at=1.5)
+    measured = npred.controller(MOTOR, RK4(MOTOR, 41), None, DT, D_hat=0.2)
+    with pytest.raises(ConfigError, match='t: expected actuator="history"'):
+        measured.step([0.5, 0.0], np.zeros((41, 1)), t=1.0)
+    for name, value in {"oldest": 0.1, "watchdog": npred.Watchdog(0.1)}.items():
+        with pytest.raises(ConfigError, match=f'{name}: expected actuator="history"'):
+            npred.controller(MOTOR, RK4(MOTOR, 41), None, DT, D_hat=0.2, **{name: value})
+
+
+@pytest.mark.parametrize("then", ["hold", "zero", 3.0, lambda x, t, p, M: [-x.speed]])
+def test_the_watchdog_hands_over_as_declared_and_returns_without_a_jump(then):
+    """Samples stop for 20 control steps; the watchdog waits 5, and U moves by 0.05 in a call while it changes hands."""
+    controller = motor(watchdog=npred.Watchdog(5.5 * DT, then, jump=0.05))
+    before, path = None, []
+    for k in range(200):
+        X = None if 50 <= k < 70 else np.array([0.3 * np.cos(0.01 * k), 0.2])
+        U = controller.step(X, t=k * DT).copy()
+        handed = controller.status.handed_over
+        assert handed == (55 <= k < 70)
+        if before is not None and (handed or 70 <= k < 75):
+            assert abs(U - before)[0] <= 0.05 + 1e-12
+        if k == 54:
+            held = U
+        path.append(U[0])
+        before = U
+    expected = {"hold": held[0], "zero": max(0.0, abs(held[0]) - 0.75) * np.sign(held[0])}
+    if isinstance(then, str):
+        assert path[69] == pytest.approx(expected[then], abs=1e-12)
+    law = motor()
+    free = [law.step([0.3 * np.cos(0.01 * k), 0.2], t=k * DT)[0] for k in range(200)]
+    assert abs(path[-1] - free[-1]) < 0.05  # it is the law's again
+
+
+def test_a_watchdog_has_u_before_the_first_sample():
+    controller = motor(watchdog=npred.Watchdog(0.1, then=1.5))
+    assert controller.step(None, t=0.0) == pytest.approx(1.5) and controller.status.handed_over
+    assert controller.status.age == np.inf
+
+
+@pytest.mark.parametrize(
+    ("named", "message"),
+    [
+        ({"after": 0.0}, "expected a time above 0"),
+        ({"after": 0.1, "then": "stop"}, 'expected "hold", "zero"'),
+        ({"after": 0.1, "jump": -1.0}, "expected numbers above 0 as jump"),
+    ],
+)
+def test_a_watchdog_that_makes_no_sense_is_refused(named, message):
+    with pytest.raises(ConfigError, match=message):
+        npred.Watchdog(**named)
+
+
+@pytest.mark.parametrize("D", [0.12, 0.2])
+def test_the_delay_is_found_with_jitter_and_late_samples(D):
+    """30 % jitter of the calls, samples 4 control steps old, 5 % of them lost: one control step, and 2 %."""
+    rng, truth = np.random.default_rng(2), Truth(D, X=(1.5, 0.0))
+    controller, past = motor(0.3, npred.DelayObserver(bounds=(0.05, 0.4))), []
+    for k in range(500):
+        t = k * DT + (0.3 * DT * rng.uniform(-1, 1) if k else 0.0)
+        past.append((t, truth.to(t).copy()))
+        at, X = past[max(k - 4, 0)]
+        came = k == 0 or rng.uniform() > 0.05
+        U = controller.step(X if came else None, t=t, sampled_at=at if came else None)
+        truth.send(t, U)
+    assert abs(controller.D_hat - D) < DT + 0.02 * D
+    assert controller.status.D_hat_spread < 0.4
