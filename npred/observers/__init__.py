@@ -2,3 +2,4 @@
 
 from npred.observers.base import Observer as Observer
 from npred.observers.ekf import EKF as EKF
+from npred.observers.luenberger import Luenberger as Luenberger

@@ -53,6 +53,8 @@ class Observer(ABC):
     of a plant that does not rest, anywhere in the box, and for settings that do not fit.
     """
 
+    settings: np.ndarray  # what its kernels read as `law`
+
     def __init__(
         self, plant: Plant, *, offset: Any = False, X0: Any = None, outputs: Sequence[str] | None = None
     ) -> None:
@@ -74,11 +76,6 @@ class Observer(ABC):
     def size(self) -> int:
         """The number of states and offsets that are observed."""
         return self.plant.n + self.plant.m * self.offset
-
-    @property
-    @abstractmethod
-    def settings(self) -> np.ndarray:
-        """The numbers that its kernels read as `law`."""
 
     @abstractmethod
     def start(self) -> np.ndarray:
@@ -107,14 +104,15 @@ class Observer(ABC):
         plant, (x, u), (X, ends) = self.plant, self.operating_point, self._box
         with np.errstate(all="ignore"):
             U = plant.kappa(X)
-            f, Y = plant.f(X, U), self._measured(X)
+            f, Y = plant.f(X, U), self.measured(X)
         half = [0.5 * np.ptp(a, axis=0) for a in (_finite(U), _finite(Y))]
-        parts = (ends[1] - ends[0]) / 2, np.sqrt((_finite(f) ** 2).mean(axis=0)), *half
+        parts = [(ends[1] - ends[0]) / 2, np.sqrt((_finite(f) ** 2).mean(axis=0)), *half]
         f_X, f_U = plant.jacobians(x, u)
         rates = np.abs(np.linalg.eigvals(f_X + f_U @ plant.kappa_jacobian(x)))
         rates = rates[rates > TINY * rates.max(initial=0.0)]
         rate = float(np.exp(np.log(rates).mean())) if rates.size else 1.0
-        return Sizes(ends.mean(axis=0), *(np.where(a > 0, a, 1.0) for a in parts), rate)
+        dx, rms, du, dy = (np.where(a > 0, a, 1.0) for a in parts)
+        return Sizes(ends.mean(axis=0), dx, rms, du, dy, rate)
 
     def linearised(self, x: np.ndarray, u: np.ndarray, t: float = 0.0) -> Linearised:
         """The plant near a point x (n,), u (m,)."""
@@ -125,9 +123,27 @@ class Observer(ABC):
         C[:, :n] = np.reshape(self._output_program(*x, t, *self.plant.p)[count:], (count, n))
         return Linearised(A, C)
 
+    def rank(self, x: np.ndarray, u: np.ndarray, t: float = 0.0) -> int:
+        """The rank of the observability matrix near a point, in units of the sizes and of the rate."""
+        (A, C), sizes = self.linearised(x, u, t), self.sizes
+        units = np.concatenate([sizes.dx, sizes.du])[: self.size]
+        A, rows = A * units / units[:, None] / sizes.rate, [C * units / sizes.dy[:, None]]
+        for _ in range(1, self.size):
+            rows.append(rows[-1] @ A)
+            rows[-1] /= max(1.0, float(np.abs(rows[-1]).max()))
+        return int(np.linalg.matrix_rank(np.concatenate(rows), tol=TINY))
+
+    def measured(self, X: np.ndarray, t: float = 0.0) -> np.ndarray:
+        """The outputs (..., l) of states (..., n)."""
+        return X[..., self._places] if self._selects else self.plant.output(X, t)
+
+    def traced_outputs(self, trace: Trace, x: np.ndarray, t: Value) -> list[Value]:
+        """The outputs (l,) on a trace."""
+        return [*(x[self._places] if self._selects else trace.output(x, t))]
+
     def output_function(self, of: Formulas) -> str:
         """The C function of the outputs (l,) and of their derivatives by the state (l, n)."""
-        outputs, by_x = self._traced_outputs(of.trace)
+        outputs, by_x = self._by_state(of.trace)
         results = {"y": len(outputs), "by_x": len(by_x)}
         return of.function([*outputs, *by_x], [vector("x", self.plant.n, "1"), "t"], results, "1")
 
@@ -148,29 +164,27 @@ class Observer(ABC):
         return tuple(outputs)
 
     @property
+    def _places(self) -> list[int]:
+        return [self.plant.states.index(name) for name in self.outputs]
+
+    @property
     def _selects(self) -> bool:
         """True if the outputs are states, and not what the plant declares."""
         return self.outputs != self.plant.outputs or not self.plant.declares_output
 
-    def _traced_outputs(self, trace: Trace) -> tuple[list[Value], list[Value]]:
-        """The outputs (l,), and their derivatives by the state (l n,), output by output."""
-        x, t = trace.vector("x", self.plant.n), trace.input("t")
-        y = x[[self.plant.states.index(name) for name in self.outputs]] if self._selects else trace.output(x, t)
-        columns = [programs.derivative([*y], [*x], [*unit]) for unit in np.eye(len(x))]
-        return [*y], [column[i] for i in range(len(y)) for column in columns]
+    def _by_state(self, trace: Trace) -> tuple[list[Value], list[Value]]:
+        """The outputs (l,) at x and t, and their derivatives by the state (l n,), output by output."""
+        x = trace.vector("x", self.plant.n)
+        y = self.traced_outputs(trace, x, trace.input("t"))
+        columns = [programs.derivative(y, [*x], [*unit]) for unit in np.eye(len(x))]
+        return y, [column[i] for i in range(len(y)) for column in columns]
 
     @cached_property
     def _output_program(self) -> Any:
         trace = Trace(self.plant)
-        outputs, by_x = self._traced_outputs(trace)
+        outputs, by_x = self._by_state(trace)
         names = [*tape.names("x", self.plant.n), "t", *tape.names("p", len(self.plant.p))]
         return python([*outputs, *by_x], names)
-
-    def _measured(self, X: np.ndarray) -> np.ndarray:
-        """The outputs (..., l) of states (..., n) at t = 0."""
-        if self._selects:
-            return X[..., [self.plant.states.index(name) for name in self.outputs]]
-        return self.plant.output(X)
 
     @cached_property
     def operating_point(self) -> tuple[np.ndarray, np.ndarray]:
@@ -196,7 +210,7 @@ class Observer(ABC):
         if not plant.rests:
             moments = np.linspace(0.0, plant.period or float(POINTS), POINTS, endpoint=False).tolist()
             points += [(x, plant.kappa(x, t), t) for x, t in zip(self._box[0], moments, strict=True)]
-        rank = max(_rank(self.linearised(*point), self.sizes, self.size) for point in points)
+        rank = max(self.rank(*point) for point in points)
         if rank < self.size:
             where = "at the equilibrium" if plant.rests else "in the box"
             what = "states and offsets" if self.offset else "states"
@@ -205,17 +219,6 @@ class Observer(ABC):
                 f"{self.label}: expected {what} that {', '.join(self.outputs)} tell of {where} of plant {plant.name}, "
                 f"got an observability matrix of rank {rank} of {self.size}; {cure}"
             )
-
-
-def _rank(system: Linearised, sizes: Sizes, size: int) -> int:
-    """The rank of the observability matrix, in units of the sizes and of the rate."""
-    units = np.concatenate([sizes.dx, sizes.du])[:size]
-    A, C = system.A * units / units[:, None] / sizes.rate, system.C * units / sizes.dy[:, None]
-    rows = [C]
-    for _ in range(1, size):
-        rows.append(rows[-1] @ A)
-        rows[-1] /= max(1.0, float(np.abs(rows[-1]).max()))
-    return int(np.linalg.matrix_rank(np.concatenate(rows), tol=TINY))
 
 
 def _finite(rows: np.ndarray) -> np.ndarray:

@@ -54,10 +54,7 @@ class EKF(Observer):
         self.R = self.fitting("R", (NOISE * sizes.dy) ** 2 if R is None else R, len(self.outputs))
         if not (self.R > 0).all():
             raise ConfigError(f"EKF: R expected variances above 0, got {self.R.tolist()}; give the square of the noise")
-
-    @property
-    def settings(self) -> np.ndarray:
-        return np.concatenate([self.R, factors(self.Q).ravel()])
+        self.settings = np.concatenate([self.R, factors(self.Q).ravel()])
 
     def start(self) -> np.ndarray:
         return np.concatenate([self.X0, np.zeros(self.plant.m), factors(self.P0).ravel()])
