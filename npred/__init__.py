@@ -23,11 +23,12 @@ if TYPE_CHECKING:
     from npred.loop.measurement import Measurement
     from npred.loop.watchdog import Watchdog
     from npred.predictors import Predictor
+    from npred.safety import SafetyFilter
     from npred.runs import evaluate, generate, train
 
 __version__ = "0.1.0"
 __all__ = [
-    "DelayAdaptation", "DelayLaw", "DelayObserver", "L1Adaptation", "Measurement", "Predictor", "Watchdog",
+    "DelayAdaptation", "DelayLaw", "DelayObserver", "L1Adaptation", "Measurement", "Predictor", "SafetyFilter", "Watchdog",
     "as_iosystem", "controller", "evaluate", "generate", "guarded", "identify", "load", "plant", "predictor",
     "simulate", "train",
 ]  # fmt: skip
@@ -39,6 +40,7 @@ _HOME = dict.fromkeys(__all__, "api") | {
     "L1Adaptation": "loop.l1_adaptation",
     "Measurement": "loop.measurement",
     "Predictor": "predictors",
+    "SafetyFilter": "safety",
     "Watchdog": "loop.watchdog",
     "as_iosystem": "loop.iosystem",
     "identify": "identification.identify",

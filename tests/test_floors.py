@@ -17,7 +17,7 @@ FLOORS = [
     {"plants", "results", "robots", "store"},
     {"data", "operators", "recordings"},
     {"delays", "training"},
-    {"bounds", "observers", "predictors"},
+    {"bounds", "observers", "predictors", "safety"},
     {"conditions", "diagnosis", "identification", "loop", "runtimes"},
     {"figures"},
     {"stages"},

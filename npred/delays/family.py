@@ -35,6 +35,8 @@ OBSERVE = "k, dt, X, held, t, p, law, &memory, &D_hat"
 FOLLOW = "U0, U1, share, dt, t, p, law, &memory"
 CORRECT_BY = "Y, t, p, gate, law, &memory, &innovation, &spread"
 ESTIMATE = "k, origin, dt, D_seen, held, &Y, &X_hat"  # of observers of the state in Python: X_hat in place, and Y
+# U as near to what it is as keeps the limits of the states that are predicted for the moments when it acts
+PROTECT = "ends, moments, p, safety, low, high, &U, &kept, &filtered"
 CURES = {  # what to use instead of what does not serve a plant
     "picard": "use rk4",
     "semi_implicit": "use rosenbrock",

@@ -24,6 +24,7 @@ from npred.parallel import devices
 from npred.plants import inputs
 from npred.plants.base import Plant
 from npred.predictors import OneStep, Predictor
+from npred.safety import SafetyFilter
 from npred.terminal import waiting
 from npred.terminal.waiting import counted
 
@@ -52,6 +53,7 @@ def simulate(
     measurement: Measurement | None = None,
     truth: Plant | None = None,
     disturbance: Callable[[float], Any] | None = None,
+    safety: SafetyFilter | None = None,
     integrator: str = "rk4",
     progress: Callable[[int], Any] | bool | None = None,
 ) -> Trajectories:
@@ -72,10 +74,12 @@ def simulate(
     D_hat; where commands would overtake each other its loop is marked (`infeasible`) and ends. `actuator="history"`: u
     is not measured, and the controller reads its own commands at D_hat. `measurement` is what it sees of X. `truth` is
     the simulated plant where that is not the controller's model, and `disturbance(t)` adds to its input: (m,), the same
-    in all loops, or (..., m).
+    in all loops, or (..., m). `safety` keeps the limits of the plant (npred.SafetyFilter).
     Raises ConfigError for delays, bounds, times, shapes or a predictor that do not fit.
     """
     loop_checks.parts(plant, predictor, adaptation, every)
+    if safety is not None:
+        loop_checks.protected(plant, safety, dt)
     loop_checks.reality(plant, adaptation, D, D_hat, actuator, measurement, truth, disturbance)
     loop_checks.times(t_end, dt, measurement)
     loop_checks.record(plant, 1, t_end, dt, every)
@@ -108,7 +112,7 @@ def simulate(
     past = inputs.past(plant, u0, limits, X0, D)
     loop = _Simulation(
         plant, predictor, adaptation, limits, dt, t_end, every, method, actuator == loop_checks.HISTORY,
-        measurement or Measurement(), truth or plant, disturbance, shape,
+        measurement or Measurement(), truth or plant, disturbance, shape, safety,
     )  # fmt: skip
     loop_checks.history(plant, loop.reach(D, D_hat, delays)[1], dt)
     width = LANES if loop.compiled else NEURAL_LANES
@@ -182,6 +186,7 @@ class _Simulation:
     truth: Plant
     disturbance: Callable[[float], Any] | None
     shape: tuple[int, ...]  # of the batch
+    safety: SafetyFilter | None
 
     @cached_property
     def law(self) -> Part:
@@ -255,6 +260,7 @@ class _Simulation:
             "update": law.update,
             "pace": truth.speed(),
             "advance": engine.advance_kernel(self.truth, self.integrator),
+            **engine.protection(self.safety, self.predictor),
             "model": None if self.measurement.perfect else engine.advance_kernel(self.plant, self.integrator),
         }
 
@@ -286,6 +292,7 @@ class _Simulation:
             delays=np.array(delays[:, None, :] * self.plant.ratios[:, None], order="C"),
             disturbance=np.ascontiguousarray(pushes),
             samples=np.array(samples.T, order="C", dtype=np.int64),
+            **(self.safety.settings(self.dt, self.input_bounds) if self.safety else {}),
             **sensing.settings(self.measurement, self.dt, first, self.plant.n),
         )
 
@@ -299,5 +306,6 @@ class _Simulation:
         arrays |= {"D_seen": D.copy() if reads_commands else D}
         arrays |= {"X_hat": X, "Y": X} if self.measurement.perfect else {"X_hat": X.copy()}
         sizes = {"n": n, "m": m, "nx": nx, "observer": self.law.memory, "past": age + 1}
-        sizes |= dict.fromkeys(("clock", "outputs", "filter"), 0)
+        sizes |= dict.fromkeys(("clock", "outputs", "filter", "ends", "protected"), 0)
+        sizes |= self.safety.sizes(nx) if self.safety else {}
         return State(**signals.memory(signals.STATE, sizes, lanes, arrays))

@@ -18,7 +18,9 @@ from npred.kernels.kernel import Kernel, Shape, address, skeleton
 from npred.loop import signals
 from npred.loop.signals import PARTS, Record, Settings, State
 from npred.plants.base import Plant
-from npred.predictors.base import OneStep
+from npred.predictors import RK4
+from npred.predictors.base import OneStep, Predictor
+from npred.safety import SafetyFilter
 
 LOOP = ("actuator.h", "onward.h", "sensor.h", "step.h", "engine.h")
 ON_A_PLANT = ("actuator.h", "onward.h", "step.h", "controller.h", "candidates.h", "entries.h")
@@ -114,6 +116,19 @@ def _function(name: str, part: Any, settings: Settings, state: State, failure: F
 
 
 TRUE = ("horizon", "pace", "advance")  # parts of the simulated plant, which may have other parameters
+
+
+def protection(safety: SafetyFilter | None, predictor: Predictor | None) -> dict[str, Callable[..., None] | None]:
+    """The parts of a step that keep limits: the filter, and what predicts the states that it asks of.
+
+    Limits are asked of a numerical prediction, also where a network gives U.
+    """
+    if safety is None or predictor is None:
+        return {"protect": None, "exact": None}
+    numerical = isinstance(predictor, OneStep)
+    other = predictor if numerical else getattr(predictor, "exact", None) or RK4(predictor.plant, predictor.nx)
+    exact = None if numerical and not safety.delay else other.lanes()
+    return {"protect": safety.kernel(predictor.plant), "exact": exact}
 
 
 @cache

@@ -13,6 +13,7 @@ from npred.loop.delay_law import DelayLaw
 from npred.loop.measurement import Measurement
 from npred.plants.base import Plant
 from npred.predictors import OneStep, Predictor, method
+from npred.safety import SafetyFilter
 
 MEASURED, HISTORY = "measured", "history"  # where the controller has the actuator state from
 PARTS = ("program", "parameters", "ratios")  # of the identity: what a compiled predictor has in it
@@ -26,6 +27,13 @@ def samples(samples: Any, shape: tuple[int, ...], last: int) -> np.ndarray:
         raise ConfigError(f"samples: expected sorted whole steps of 0 to {last}, (..., S), got {samples}; sort them")
     count = steps.shape[-1]
     return np.broadcast_to(steps.astype(np.int64), (*shape, count)).reshape(math.prod(shape), count)
+
+
+def protected(plant: Plant, safety: SafetyFilter, dt: float) -> None:
+    """Raise ConfigError for a safety filter that is none, or that does not serve the plant."""
+    if not isinstance(safety, SafetyFilter):
+        raise ConfigError(f"safety: expected npred.SafetyFilter, got {safety!r}; make one")
+    safety.check(plant, dt)
 
 
 def start(plant: Plant, X0: np.ndarray) -> None:

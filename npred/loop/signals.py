@@ -60,6 +60,12 @@ STATE = [
     *_rows("m", "U0", "U1", "share"),  # the delayed input for the first share of a step, and for the rest
     *_lane("drawn", start=0, kind="int64"),  # samples of the record taken so far
     *_lane("error", "fallback", start=0.0),  # the guard's estimate of the error of U; 1 where it answered
+    *_lane("kept", "filtered", start=0.0),  # the least h of a safety filter; 1 where U is its own, 2 where h is not kept
+    *_rows("m", "low", "high", "D_moved"),  # the bounds of U that it has, and the delays of a prediction
+    Signal("ends", ("ends", "n")),  # the states that are predicted for the moments when U acts
+    Signal("moments", ("ends",)),
+    *(Signal(name, ("protected", "m")) for name in ("u_moved", "u_nodes_moved")),  # what such a prediction reads
+    Signal("P_moved", ("protected", "n")),
     *_rows("n", "expected"),  # X by a controller's model, from the call before and the commands; NaN before the first
     *_lane("missed", start=0.0),  # the last samples in a row that the gate of a controller refused
     Signal("clock", ("clock",)),  # what a controller remembers of its calls: npred/kernels/c/controller.h
@@ -80,6 +86,8 @@ RECORD = [
     *_rows("breach", "breach"),  # state and input there, and the time of that step
     Signal("fallback", ("row",), 0, "bool"),  # whether the guard answered since the row before
     *_lane("fallbacks", start=0, kind="int64"),  # the steps in which it did
+    Signal("filtered", ("row",), 0, "bool"),  # whether the safety filter changed U since the row before
+    *_lane("unkept", start=0, kind="int64"),  # the steps in which the bounds of U left it no way to keep h
 ]
 SETTINGS = [
     *(Signal(name, None, 0.0) for name in ("dt", "b", "gamma_dt")),  # gamma_dt = gamma dt, or 0 with D_hat frozen
@@ -90,6 +98,8 @@ SETTINGS = [
     *(Signal(name, None, 0, "int") for name in ("recalls", "keeps", "gated", "offsets", "watched", "holds")),
     Signal("observer_count", None, 0, "int"),  # numbers that an observer of the delay remembers, for a step to undo
     Signal("output_count", None, 0, "int"),  # of a sample
+    Signal("end_count", None, 0, "int"),  # predicted states in which limits are kept
+    Signal("uncertain", None, 0.0),  # how wrong D_hat may be, in seconds
     *(Signal(name, None, 0, "int") for name in ("moves", "senses", "tabulates")),
     Signal("disturbed", None, 0, "int"),  # lanes of the disturbance: 0 without one, 1 where it is the same for all
     Signal("bounds", ()),  # (2,) of D_hat
@@ -107,6 +117,7 @@ SETTINGS = [
     Signal("sensing", ()),  # what an observer of the state is set to
     Signal("rescue", ()),  # (m,), the U of a watchdog that declares numbers
     Signal("jump", ()),  # (m,), how far U moves in a call while the watchdog takes or returns it
+    Signal("safety", ()),  # what a safety filter is set to
     Signal("delays", ()),  # (steps + 1, m, B), of each input where the delay is a function of time, or empty
     Signal("disturbance", ()),  # (steps, m, disturbed), added to what leaves the actuator, or empty
     Signal("samples", (), 0, "int64"),  # (S, B), sorted steps whose (X, u, D_hat) are kept
@@ -116,6 +127,7 @@ PARTS = {
     "predict": family.PREDICT, "guard": family.GUARD, "control": family.CONTROL, "update": family.UPDATE,
     "pace": family.SPEED, "advance": family.ADVANCE, "model": family.ADVANCE,
     "follow": family.FOLLOW, "correct": family.CORRECT_BY, "relief": family.CONTROL,
+    "exact": family.PREDICT, "protect": family.PROTECT,
 }  # fmt: skip
 
 State = namedtuple("State", [signal.name for signal in STATE])

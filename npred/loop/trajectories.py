@@ -1,7 +1,8 @@
 """What closed loops leave: their series, what was asked for of single steps, and what became of them."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,8 @@ from npred.plants.base import Plant
 from npred.predictors import RK4, Predictor
 
 # arrays led by the batch's axes
-SERIES = ("X", "U", "D_hat", "N", "energy", "escaped", "P", "infeasible", "fallback", "fallbacks")  # a record's too
+SERIES = ("X", "U", "D_hat", "N", "energy", "escaped", "P", "infeasible", "fallback", "fallbacks",
+          "filtered", "unkept")  # a record's too
 LOOPS = (*SERIES, "margin", "breach")
 
 
@@ -37,7 +39,9 @@ class Trajectories:
     commands would overtake each other, 1 - D_X f - D_t <= 0, or -1, `margin` (...) that value and `breach` (..., n) the
     state there, in the plant or at a node of a prediction, which crosses 0 early: where the exact loop has up to .2.
     With a guarded predictor `fallback` (..., nt) says where the numerical predictor answered, since the time before,
-    and `fallbacks` (...) in how many of the `steps` control steps. `states`, `inputs`, `time_unit`, `labels` and
+    and `fallbacks` (...) in how many of the `steps` control steps; with a safety filter `filtered` (..., nt) where U was
+    changed, likewise, `unkept` (...) in how many steps its bounds left no way to keep the limits, and `safety` (..., nt,
+    limits) is safe(x, t, p, M) of the plant's state. `states`, `inputs`, `time_unit`, `labels` and
     `units` are the plant's. At or beyond `ends` D_hat is at a bound of its law; None if frozen.
     print(loop) gives the ranges and ends of all series.
     """
@@ -56,6 +60,8 @@ class Trajectories:
     breach: np.ndarray
     fallback: np.ndarray
     fallbacks: np.ndarray
+    filtered: np.ndarray
+    unkept: np.ndarray
     steps: int
     states: tuple[str, ...] = ()
     inputs: tuple[str, ...] = ()
@@ -63,6 +69,12 @@ class Trajectories:
     labels: Mapping[str, str] | None = None
     units: Mapping[str, str] | None = None
     ends: tuple[float, float] | None = None
+    limits: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None
+
+    @cached_property
+    def safety(self) -> np.ndarray | None:
+        """safe(x, t, p, M) of the simulated plant's states, (..., nt, limits); None where it declares none."""
+        return None if self.limits is None else self.limits(self.X, self.t)
 
     @property
     def fallback_share(self) -> float:
@@ -120,7 +132,8 @@ def of_record(
     return Trajectories(
         t=times, samples=samples, states=plant.states, inputs=plant.inputs, time_unit=plant.time_unit,
         labels=plant.labels, units=plant.units, margin=lead(margins(r, plant, truth, predictor)),
-        breach=lead(r.breach[: plant.n]), steps=steps, ends=ends, **series,
+        breach=lead(r.breach[: plant.n]), steps=steps, ends=ends,
+        limits=truth.safe if truth.declares_safe else None, **series,
     )  # fmt: skip
 
 

@@ -46,6 +46,7 @@ class Plant:
         self.declares_V, self.declares_delay = parts.V is not None, parts.delay is not None
         self.declares_mechanics, self.declares_rollout = parts.mechanics is not None, parts.rollout is not None
         self.declares_output, self.outputs = parts.output is not None, parts.outputs or parts.states
+        self.declares_safe = parts.safe is not None
         self.states, self.inputs, self.parameters, self.box = parts.states, parts.inputs, parts.parameters, parts.box
         self.guess = np.zeros(self.n) if parts.guess is None else np.array(parts.guess)
         self.input_bounds = None if parts.input_bounds is None else list(parts.input_bounds)
@@ -130,6 +131,15 @@ class Plant:
     def output(self, X: Array, t: Value = 0.0) -> Array:
         """What is measured of X (..., n): output(X, t) (..., outputs) of a plant that declares it, else X."""
         return array_math.stack(self._on("output", X, None, t), X[..., 0]) if self.declares_output else X
+
+    def safe(self, X: Array, t: Value = 0.0) -> Array:
+        """What is at least 0 where X (..., n) is safe: safe(X, t) (..., limits), of a plant that declares it."""
+        return array_math.stack(self._on("safe", X, None, t), X[..., 0])
+
+    @cached_property
+    def limits(self) -> int:
+        """How many numbers safe(x, t, p, M) gives; 0 where it is not declared."""
+        return len(self._on("safe", self.guess, None, 0.0)) if self.declares_safe else 0
 
     def rollout(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Value) -> np.ndarray:
         """P (B, nx, n) by the simulator of a black box that declares rollout. Raises ConfigError for any other."""
@@ -237,13 +247,15 @@ class Plant:
     @cached_property
     def output_program(self) -> dict[str, str]:
         """The hash of what is measured, for the keys of what reads it; empty where the states are."""
-        if not self.declares_output:
-            return {}
-        trace = Trace(self)
-        x, _, t = trace.symbols()
-        outputs = trace.output(x, t)
-        text = "\n".join(programs.lines(outputs, {}, names("y", len(outputs))))
-        return {"output": hashlib.sha256(text.encode()).hexdigest()}
+        return {"output": self._hash("output")} if self.declares_output else {}
+
+    @cached_property
+    def safe_program(self) -> dict[str, str]:
+        """The hash of the limits, for the keys of what keeps them; empty where none are declared."""
+        return {"safe": self._hash("safe")} if self.declares_safe else {}
+
+    def _hash(self, name: str) -> str:
+        return hashlib.sha256("\n".join(self._printed(name)).encode()).hexdigest()
 
     def jacobians(self, X: np.ndarray, u: np.ndarray, t: Value = 0.0) -> tuple[np.ndarray, np.ndarray]:
         """f_X (..., n, n) and f_U (..., n, m) at points X (..., n), u (..., m), derived from the declared f."""
@@ -400,7 +412,7 @@ class Plant:
         """The hash of each function, as the program that its trace prints."""
         functions = ["f", "kappa", "V", *(["delay"] if self.declares_delay else [])]
         functions += ["reference"] if self.tracks else []
-        return {name: hashlib.sha256("\n".join(self._printed(name)).encode()).hexdigest() for name in functions}
+        return {name: self._hash(name) for name in functions}
 
     def _printed(self, name: str) -> list[str]:
         """The lines of a function's program, from x0, …, u0, …, t and p0, … to y0, …; equal formulas, equal lines."""

@@ -84,6 +84,7 @@ class Declaration(BaseModel, frozen=True):
     reference: Function | None = None
     output: Function | None = None
     outputs: Names | None = None
+    safe: Function | None = None
     parameters: Parameters = {}
     box: Box = {}
     guess: Values | None = None

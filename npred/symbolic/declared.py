@@ -15,7 +15,7 @@ from npred.symbolic.tape import FUNCTIONS, Functions
 Components = list[Value] | None
 
 SIGNATURES = {"f": "f(x, u, t, p, M)", "mechanics": "mechanics(x, u, t, p, M)", "reference": "reference(t, p, M)"}
-SIGNATURES |= {name: f"{name}(x, t, p, M)" for name in ("kappa", "V", "delay", "output")}
+SIGNATURES |= {name: f"{name}(x, t, p, M)" for name in ("kappa", "V", "delay", "output", "safe")}
 ON_ROWS = {"f": "f(X, u, t, p)", "reference": "reference(t, p)", "df": "df(X, u, t, p, v)"}
 ON_ROWS |= {"output": "output(X, t, p)", "kappa": "kappa(X, t, p)", "V": "V(X, t, p)", "dkappa": "dkappa(X, t, p, v)"}
 ON_ROWS |= {"rollout": "rollout(X, u, D_hat, t, p)"}
@@ -33,6 +33,7 @@ RETURNS = {
     "delay": "one number of seconds, not a list",
     "mechanics": "M, force and damping",
     "output": "a list, one value per output",
+    "safe": "a list, one value per limit, at least 0 where it is safe",
 }
 
 

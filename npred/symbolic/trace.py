@@ -75,6 +75,10 @@ class Trace:
         """output(x, t), what is measured, shape (outputs,)."""
         return self._call("output", len(self.plant.outputs), x, None, t)
 
+    def safe(self, x: np.ndarray, t: Value) -> np.ndarray:
+        """safe(x, t), what is at least 0 where the state is safe, shape (limits,)."""
+        return self._call("safe", self.plant.limits, x, None, t)
+
     def reference(self, t: Value) -> np.ndarray:
         """reference(t), shape (n,)."""
         return self._call("reference", self.plant.n, None, None, t)

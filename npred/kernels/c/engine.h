@@ -117,6 +117,13 @@ static inline void keep(Shape d, INDEX k, INDEX origin, const Settings *s, State
                 out->fallback[row * lanes + l] = 1;
             }
         }
+        if (z->filtered[l] > 0.0 && isfinite(z->X[l])) {
+            const INDEX row = (k + s->every - 1) / s->every;
+            out->unkept[l] += z->filtered[l] > 1.0;
+            if (row < s->row_count) {
+                out->filtered[row * lanes + l] = 1;
+            }
+        }
         for (int c = 0; c < d.n; c++) {
             if (out->escaped[l] < 0 && !isfinite(z->X[c * lanes + l])) {
                 out->escaped[l] = k;

@@ -46,6 +46,55 @@ static inline void offset(Shape d, int rows, double sign, const double *found, d
     }
 }
 
+/* The state when U acts if the delay is D_hat + `moved`, by the predictor `exact`, as number e of the ends. */
+static inline void predict_end(Shape d, int e, double moved, INDEX k, double part, double t, const Parts *q,
+                               const Settings *s, State *z, double *work)
+{
+    const int lanes = d.lanes;
+    const ptrdiff_t states = (ptrdiff_t)d.n * lanes;
+    double *D_hat = z->moments + e * lanes; /* scratch, until the moment is written to it */
+    const double *u = z->u, *P = z->P;
+    for (int l = 0; l < lanes; l++) {
+        D_hat[l] = larger(z->D_hat[l] + moved, 0.0);
+    }
+    if (moved != 0.0) {
+        own_history(d, s->ratios, D_hat, z->D_moved);
+        transport(d, k, part, s->dt, z->D_moved, z->held, z->total, z->u_moved, z->u_nodes_moved);
+        if (s->offsets) {
+            offset(d, d.nx, 1.0, z->filter + d.n, z->u_moved);
+        }
+        u = z->u_moved;
+    }
+    if (q->exact) {
+        q->exact(d, z->X_hat, u, D_hat, t, s->p, z->P_moved, work);
+        P = z->P_moved;
+    }
+    for (ptrdiff_t a = 0; a < states; a++) {
+        z->ends[e * states + a] = P[(d.nx - 1) * states + a];
+    }
+    for (int l = 0; l < lanes; l++) {
+        D_hat[l] += t;
+    }
+}
+
+/* U as near to what it is as keeps the limits, within its bounds; with an offset at the inputs U is what the plant gets. */
+static inline void protect(Shape d, INDEX k, double part, double t, const Parts *q, const Settings *s, State *z,
+                           double *work)
+{
+    for (int c = 0; c < d.m; c++) {
+        const double added = s->offsets ? z->filter[d.n + c] : 0.0;
+        for (int l = 0; l < d.lanes; l++) {
+            z->low[c * d.lanes + l] = s->input_bounds[2 * c] + added;
+            z->high[c * d.lanes + l] = s->input_bounds[2 * c + 1] + added;
+        }
+    }
+    for (int e = 0; e < s->end_count; e++) {
+        const double moved = e == 0 ? 0.0 : e == 1 ? -s->uncertain : s->uncertain;
+        predict_end(d, e, moved, k, part, t, q, s, z, work);
+    }
+    q->protect(d, z->ends, z->moments, s->p, s->safety, z->low, z->high, z->U, z->kept, z->filtered, work);
+}
+
 /* U and phi at `part` of control step k and time t from X_hat, and from u where it is measured, else from the commands
  * before. An offset of the inputs acts on the plant too, so that the law gets the prediction with it, and U is less. */
 static inline void decide(Shape d, const Parts *q, const Settings *s, State *z, INDEX k, double part, double t, double *work)
@@ -70,6 +119,9 @@ static inline void decide(Shape d, const Parts *q, const Settings *s, State *z, 
     }
     if (q->control) {
         q->control(d, z->P, z->u, z->D_hat, t, s->p, z->U, work);
+    }
+    if (q->protect) {
+        protect(d, k, part, t, q, s, z, work);
     }
     if (s->offsets) {
         offset(d, 1, -1.0, z->filter + d.n, z->U);

@@ -1,0 +1,106 @@
+/* The point nearest to 0 that keeps linear conditions: min ½ Σ (δ_c / w_c)² so that a_i δ >= b_i, i < ROWS.
+ *
+ * It is found in the dual, max bᵀλ - ½ λᵀ G λ for λ >= 0, G = A W² Aᵀ + diag(soft), δ = W² Aᵀ λ, by the active sets of
+ * Lawson and Hanson (Solving Least Squares Problems, 1974, ch. 23), with rows of the length 1. With soft_i > 0 a
+ * condition may be missed, by soft_i λ_i: where no point keeps all, their squares weighed by 1 / soft_i are least. */
+typedef struct {
+    int rows, size; /* conditions; components of δ */
+    double a[ROWS * M], b[ROWS], soft[ROWS];
+} Conditions;
+
+/* λ of the active conditions, by Cholesky's factors of their G. */
+static inline void solve_active(int count, const double *G, const double *b, double *L, double *y)
+{
+    for (int i = 0; i < count; i++) {
+        for (int j = 0; j <= i; j++) {
+            double sum = G[i * ROWS + j];
+            for (int k = 0; k < j; k++) {
+                sum -= L[i * ROWS + k] * L[j * ROWS + k];
+            }
+            L[i * ROWS + j] = i == j ? sqrt(larger(sum, 1e-300)) : sum / L[j * ROWS + j];
+        }
+    }
+    for (int i = 0; i < count; i++) {
+        y[i] = b[i];
+        for (int k = 0; k < i; k++) {
+            y[i] -= L[i * ROWS + k] * y[k];
+        }
+        y[i] /= L[i * ROWS + i];
+    }
+    for (int i = count - 1; i >= 0; i--) {
+        for (int k = i + 1; k < count; k++) {
+            y[i] -= L[k * ROWS + i] * y[k];
+        }
+        y[i] /= L[i * ROWS + i];
+    }
+}
+
+/* Row i of A times row j, in the weights w. */
+static inline double product(const Conditions *q, const double *w, int i, int j)
+{
+    double sum = i == j ? q->soft[i] : 0.0;
+    for (int c = 0; c < M; c++) {
+        sum += q->a[i * M + c] * w[c] * w[c] * q->a[j * M + c];
+    }
+    return sum;
+}
+
+static inline void nearest(const Conditions *q, const double *w, double *delta)
+{
+    double lambda[ROWS] = {0.0}, G[ROWS * ROWS], L[ROWS * ROWS], b[ROWS], y[ROWS];
+    int active[ROWS], count = 0;
+    for (int round = 0; round < 3 * ROWS; round++) {
+        double most_missed = 1e-12;
+        int worst = -1;
+        for (int i = 0; i < q->rows; i++) {
+            double missed = q->b[i];
+            int is_active = 0;
+            for (int k = 0; k < count; k++) {
+                missed -= product(q, w, i, active[k]) * lambda[active[k]];
+                is_active = is_active || active[k] == i;
+            }
+            if (!is_active && missed > most_missed) {
+                most_missed = missed;
+                worst = i;
+            }
+        }
+        if (worst < 0) {
+            break;
+        }
+        active[count++] = worst;
+        for (int tries = 0; tries < ROWS; tries++) {
+            double share = 1.0;
+            int kept = 0;
+            for (int i = 0; i < count; i++) {
+                b[i] = q->b[active[i]];
+                for (int j = 0; j < count; j++) {
+                    G[i * ROWS + j] = product(q, w, active[i], active[j]);
+                }
+            }
+            solve_active(count, G, b, L, y);
+            for (int i = 0; i < count; i++) {
+                const double now = lambda[active[i]];
+                share = y[i] <= 0.0 ? smaller(share, now / (now - y[i])) : share;
+            }
+            for (int i = 0; i < count; i++) {
+                double *const value = lambda + active[i];
+                *value += share * (y[i] - *value);
+                if (share < 1.0 && *value <= 1e-14) {
+                    *value = 0.0;
+                } else {
+                    active[kept++] = active[i];
+                }
+            }
+            if (share >= 1.0 || kept == count) {
+                break;
+            }
+            count = kept;
+        }
+    }
+    for (int c = 0; c < M; c++) {
+        delta[c] = 0.0;
+        for (int k = 0; k < count; k++) {
+            delta[c] += w[c] * w[c] * q->a[active[k] * M + c] * lambda[active[k]];
+        }
+    }
+}

@@ -1,0 +1,127 @@
+"""A control barrier function of the predicted state [Ames et al., IEEE TAC 62 (2017) 3861; with input delay, Jankovic,
+ACC 2018, 5200]: U is changed as little as keeps safe(x, t, p, M) >= 0.
+
+With P the state at the time when U acts, h = safe(P, t + D), and ψ_0 = h, ψ_j = ψ_j-1' + α ψ_j-1 up to the first one
+whose derivative U moves [Xiao, Belta, IEEE TAC 67 (2022) 3632], U is the nearest to kappa(P) with ψ' + α ψ >= margin.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from npred import array_checks
+from npred.delays import family
+from npred.errors import ConfigError
+from npred.kernels.formula import vector
+from npred.kernels.functions import Formulas
+from npred.kernels.kernel import Kernel, made, skeleton
+from npred.plants.base import Plant
+from npred.symbolic import Value, programs
+from npred.symbolic.trace import Trace
+
+
+@dataclass(frozen=True)
+class SafetyFilter:
+    """U as near to kappa(P) as keeps what the plant declares by safe(x, t, p, M) -> [h, ...] at h >= 0.
+
+    `alpha` (1/s) is how fast h may fall towards 0, h' >= -alpha h; `margin` is added to that, in units of h per second
+    (for a limit that a first derivative of h moves). `delay` (s) is how wrong D_hat may be: the conditions are kept in
+    the states that are predicted for D_hat and for D_hat less and more `delay`. That U is held over a control step is
+    in the conditions, to first order. Distances of U are in units of its bounds' width. Where the bounds of U leave no
+    room, the missed conditions, in units of what U can change, have the least sum of squares.
+    Raises ConfigError for numbers that make no sense.
+    """
+
+    alpha: float = 1.0
+    margin: float = 0.0
+    delay: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, low in (("alpha", None), ("margin", 0.0), ("delay", 0.0)):
+            value = array_checks.number(f"safety: {name}", getattr(self, name))
+            if not math.isfinite(value) or (value <= 0 if low is None else value < low):
+                room = "above 0" if low is None else "of at least 0"
+                raise ConfigError(f"safety: expected {name} {room}, got {value:g}; give another")
+
+    @property
+    def ends(self) -> int:
+        """How many predicted states the conditions are kept in."""
+        return 3 if self.delay else 1
+
+    def check(self, plant: Plant, dt: float) -> None:
+        """Raise ConfigError for a plant without limits, or of a kind that this filter does not serve."""
+        if not plant.declares_safe:
+            raise ConfigError(
+                f"safety: expected a plant with safe(x, t, p, M), which is at least 0 where it is safe, "
+                f"plant {plant.name} has none; write it"
+            )
+        if not plant.traced or not plant.one_delay or plant.declares_delay:
+            raise ConfigError(
+                f"safety: expected a traced plant with one constant delay, plant {plant.name} is of another kind; "
+                "keep its limits in kappa"
+            )
+        if self.alpha * dt > 1:
+            raise ConfigError(f"safety: expected alpha up to 1 / dt, {1 / dt:g}, got {self.alpha:g}; lower it")
+        kernel(plant, self.ends)
+
+    def settings(self, dt: float, input_bounds: np.ndarray) -> dict[str, Any]:
+        """The settings of a loop with it."""
+        widths = np.ptp(np.asarray(input_bounds, dtype=float), axis=1)
+        widths = np.where(np.isfinite(widths) & (widths > 0), widths, 1.0)
+        numbers = np.array([self.alpha, self.margin, dt, *widths])
+        return {"safety": numbers, "end_count": self.ends, "uncertain": float(self.delay)}
+
+    def sizes(self, nx: int) -> dict[str, int]:
+        """The sizes of its signals."""
+        return {"ends": self.ends, "protected": nx}
+
+    def kernel(self, plant: Plant) -> Kernel:
+        """npred.delays.family.PROTECT of the plant."""
+        return kernel(plant, self.ends)
+
+
+@cache
+def kernel(plant: Plant, ends: int) -> Kernel:
+    """PROTECT of a plant, for so many predicted states. Raises ConfigError for limits that no input moves in a way
+    that is linear in it.
+    """
+    n, m, of = plant.n, plant.m, Formulas(plant, ())
+    x, u, t, alpha = of.trace.vector("x", n), of.trace.vector("u", m), of.trace.input("t"), of.trace.input("alpha")
+    limits = [*of.trace.safe(x, t)]
+    phi = [_barrier(of.trace, plant, k, h, x, u, t, alpha) for k, h in enumerate(limits)]
+    along = of.trace.f(x, u, t)
+    gradient = [programs.derivative(phi, [*u], [*unit]) for unit in np.eye(m)]
+    a = [column[k] for k in range(len(phi)) for column in gradient]
+    change = programs.derivative(phi, [t, *x], [1.0, *along])
+    arguments = [vector("x", n), vector("u", m), "t", "alpha"]
+    results = {"h": len(limits), "phi": len(phi), "a": len(a), "change": len(phi)}
+    functions = {"BARRIER": of.function([*limits, *phi, *a, *change], arguments, results, "one")}
+    rows = ends * len(limits) + 2 * m
+    sizes = {"N": n, "M": m, "K": len(limits), "ENDS": ends, "ROWS": rows}
+    return made("protect", family.PROTECT, skeleton("nearest.h") + skeleton("protect.h"), functions, sizes)
+
+
+def _barrier(
+    trace: Trace, plant: Plant, k: int, h: Value, x: np.ndarray, u: np.ndarray, t: Value, alpha: Value
+) -> Value:  # fmt: skip
+    """φ(x, U) = ψ' + α ψ of limit k, ψ the first of its chain whose derivative U moves."""
+    along, psi = trace.f(x, u, t), h
+    for _ in range(plant.n):
+        [rate] = programs.derivative([psi], [t, *x], [1.0, *along])
+        phi = rate + alpha * psi
+        if programs.depends([phi], [*u]):
+            slopes = [programs.derivative([phi], [*u], [*unit])[0] for unit in np.eye(plant.m)]
+            if programs.depends(slopes, [*u]):
+                raise ConfigError(
+                    f"{plant.location('safe')} expected limits whose derivative is linear in the input, that of number "
+                    f"{k} is not; let another state be the input, by its rate"
+                )
+            return phi
+        psi = phi
+    raise ConfigError(
+        f"{plant.location('safe')} expected limits that the input moves, it does not move number {k}; drop that one"
+    )
+
