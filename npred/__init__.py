@@ -23,13 +23,13 @@ if TYPE_CHECKING:
     from npred.loop.measurement import Measurement
     from npred.loop.watchdog import Watchdog
     from npred.predictors import Predictor
-    from npred.safety import SafetyFilter
     from npred.runs import evaluate, generate, train
+    from npred.safety import SafetyFilter
 
 __version__ = "0.1.0"
 __all__ = [
-    "DelayAdaptation", "DelayLaw", "DelayObserver", "L1Adaptation", "Measurement", "Predictor", "SafetyFilter", "Watchdog",
-    "as_iosystem", "controller", "evaluate", "generate", "guarded", "identify", "load", "plant", "predictor",
+    "DelayAdaptation", "DelayLaw", "DelayObserver", "L1Adaptation", "Measurement", "Predictor", "SafetyFilter",
+    "Watchdog", "as_iosystem", "controller", "evaluate", "generate", "guarded", "identify", "load", "plant", "predictor",
     "simulate", "train",
 ]  # fmt: skip
 

@@ -13,6 +13,7 @@ from npred.loop.watchdog import Watchdog
 from npred.parallel import devices
 from npred.plants import Plant
 from npred.predictors import Predictor, numerical
+from npred.safety import SafetyFilter
 from npred.terminal import waiting
 
 if TYPE_CHECKING:
@@ -83,7 +84,7 @@ def controller(
     plant: Plant, predictor: Predictor, adaptation: DelayLaw | None, dt: float, *,
     D_hat: float | None = None, input_bounds: Any = None, actuator: str = "measured", u0: Any = None,
     longest: float | None = None, gate: float | None = 1.0, oldest: float | None = None, observer: Any = None,
-    watchdog: Watchdog | None = None,
+    watchdog: Watchdog | None = None, safety: SafetyFilter | None = None,
 ) -> Controller:  # fmt: skip
     """The controller alone, for a real plant: `U = controller.step(X, u)` each dt seconds (npred.loop.controller).
 
@@ -94,4 +95,5 @@ def controller(
     return Controller(
         plant, predictor, adaptation, dt, D_hat=D_hat, input_bounds=input_bounds, actuator=actuator, u0=u0,
         longest=longest, gate=gate, oldest=oldest, observer=observer, watchdog=watchdog,
+        safety=safety,
     )  # fmt: skip

@@ -20,6 +20,7 @@ from npred.loop.watchdog import Watchdog
 from npred.plants import inputs
 from npred.plants.base import Plant
 from npred.predictors import RK4, Predictor
+from npred.safety import SafetyFilter
 from npred.symbolic import source_lines
 
 DELAYS = 5.0  # times the delay at a plant's target, where it declares one, are commands kept
@@ -51,6 +52,7 @@ class Controller:
     seconds ago (20 control steps by default): X_hat is the model's state from the last sample on. `observer`, one of
     npred.observers, estimates X from the plant's outputs, of which `step` then gets the samples; it believes an output
     within 6 `gate` standard deviations. `watchdog` says what U is where no sample comes (npred.Watchdog).
+    `safety` keeps the limits that the plant declares (npred.SafetyFilter); with an uncertain delay it needs "history".
     Raises ConfigError for parts that do not fit together.
     """
 
@@ -58,7 +60,7 @@ class Controller:
         self, plant: Plant, predictor: Predictor, adaptation: DelayLaw | None, dt: float, *,
         D_hat: float | None = None, input_bounds: Any = None, actuator: str = "measured", u0: Any = None,
         longest: float | None = None, gate: float | None = 1.0, oldest: float | None = None, observer: Any = None,
-        watchdog: Watchdog | None = None,
+        watchdog: Watchdog | None = None, safety: SafetyFilter | None = None,
     ) -> None:  # fmt: skip
         loop_checks.parts(plant, predictor, adaptation)
         loop_checks.actuator_state(actuator)
@@ -76,7 +78,9 @@ class Controller:
         self.gate = None if gate is None else array_checks.number("gate", gate)
         if self.gate is not None and not 0 < self.gate < math.inf:
             raise ConfigError(f"gate: expected a number above 0, or None for no gate, got {gate!r}; 1 is the default")
-        self.oldest, self.observer, self.watchdog = oldest, observer, watchdog
+        self.oldest, self.observer, self.watchdog, self.safety = oldest, observer, watchdog, safety
+        if safety is not None:
+            loop_checks.protected(plant, safety, self.dt)
         self._check_clocked()
         self._oldest = math.floor(seconds_in(oldest, self.dt)) if self._recalls else 0
         self.parts = {
@@ -84,7 +88,7 @@ class Controller:
             "guard": predictor.guard, "control": law.control, "update": law.update,
             "model": engine.advance_kernel(plant, RK4) if self._recalls else None,
             "follow": observer and observer.follow(), "correct": observer and observer.correct(),
-            "relief": watchdog and watchdog.law(plant),
+            "relief": watchdog and watchdog.law(plant), **engine.protection(safety, predictor),
         }  # fmt: skip
         self.settings = signals.settings(
             dt=self.dt, b=law.b, gamma_dt=law.gamma * self.dt, recalls=self._recalls, keeps=self._recalls,
@@ -99,6 +103,7 @@ class Controller:
             input_bounds=np.ascontiguousarray(inputs.widest(plant, self._limits), dtype=float), law=law.settings,
             guard=np.zeros(0) if predictor.settings is None else predictor.settings,
             reach=(self.gate or 1.0) * _half_widths(plant),
+            **(safety.settings(self.dt, self._limits) if safety else {}),
         )  # fmt: skip
         D_hat = self._start(D_hat)
         array_checks.within("D_hat", np.array(array_checks.number("D_hat", D_hat)), tuple(law.bounds), plant.time_unit)
@@ -178,7 +183,8 @@ class Controller:
             D_hat=self.D_hat, D_hat_spread=self._spread(), age=math.inf if math.isnan(age) else age,
             innovation=z.innovation[:, 0].copy(), late=int(clock["late"]), refused=int(clock["refused"]),
             missed=self.missed, handed_over=clock["handed"] > 0, offset=offset, fallback=self.fallback,
-            error=self.error,
+            error=self.error, filtered=bool(z.filtered[0]), kept=float(z.kept[0]) if self.safety else math.nan,
+            unkept=z.filtered[0] > 1,
         )  # fmt: skip
 
     @property
@@ -286,7 +292,7 @@ class Controller:
         parts = (self.plant, self.predictor, self.adaptation, self.dt)
         named = {"input_bounds": self._limits, "actuator": self.actuator, "u0": self._u0,
                  "longest": self._longest, "gate": self.gate, "oldest": self.oldest,
-                 "observer": self.observer, "watchdog": self.watchdog}  # fmt: skip
+                 "observer": self.observer, "watchdog": self.watchdog, "safety": self.safety}  # fmt: skip
         other = type(self)(*parts, D_hat=self.D_hat, **named)
         other.t = self.t
         return other
@@ -301,7 +307,7 @@ class Controller:
         parts = (self.plant, self.predictor, self.adaptation, self.dt)
         named = {"input_bounds": self._limits, "actuator": self.actuator, "u0": self._u0,
                  "longest": self._longest, "gate": self.gate, "oldest": self.oldest,
-                 "observer": self.observer, "watchdog": self.watchdog}  # fmt: skip
+                 "observer": self.observer, "watchdog": self.watchdog, "safety": self.safety}  # fmt: skip
         return {"parts": parts, "named": named, "state": self.state(), "P": self._last_P}
 
     def __setstate__(self, saved: Mapping[str, Any]) -> None:
@@ -315,6 +321,8 @@ class Controller:
         for name, value in parts.items():
             if value is not None and not self._recalls:
                 raise ConfigError(f'{name}: expected actuator="history", got {self.actuator!r}; give it, or no {name}')
+        if self.safety is not None and self.safety.delay and not self._recalls:
+            raise ConfigError(f'safety: an uncertain delay expected actuator="history", got {self.actuator!r}; give it')
         if self.watchdog is not None and not isinstance(self.watchdog, Watchdog):
             raise ConfigError(f"watchdog: expected npred.Watchdog, got {self.watchdog!r}; make one")
 
@@ -371,6 +379,7 @@ class Controller:
         if self.observer:
             arrays |= {"filter": np.array(self.observer.start(), dtype=float)[:, None]}
         sizes = {"n": n, "m": m, "nx": nx, "observer": size, "past": 0, "outputs": len(self.outputs), "filter": 0}
+        sizes |= self.safety.sizes(nx) if self.safety else {"ends": 0, "protected": 0}
         self._set_memory(signals.State(**signals.memory(signals.STATE, sizes, 1, arrays)))
 
     def _set_memory(self, memory: signals.State) -> None:

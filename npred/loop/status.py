@@ -13,7 +13,9 @@ class Status(NamedTuple):
     differed from what the model said of its time, NaN before the first. `late` counts the samples that were not used,
     for they came after a newer one or were older than `oldest`, `refused` those that the gate did not believe, `missed`
     the last of these in a row. `handed_over` says whether the watchdog has U, `offset` (m,) what an observer of the
-    state finds at the inputs, `fallback` and `error` what a guard says.
+    state finds at the inputs, `fallback` and `error` what a guard says. With a
+    safety filter `filtered` says whether it changed U, `kept` is the least h = safe(P, t) of the predicted states, and
+    `unkept` whether the bounds of U left no way to keep the limits.
     """
 
     D_hat: float
@@ -27,3 +29,6 @@ class Status(NamedTuple):
     offset: np.ndarray
     fallback: bool
     error: float
+    filtered: bool
+    kept: float
+    unkept: bool

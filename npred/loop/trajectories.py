@@ -14,8 +14,20 @@ from npred.plants.base import Plant
 from npred.predictors import RK4, Predictor
 
 # arrays led by the batch's axes
-SERIES = ("X", "U", "D_hat", "N", "energy", "escaped", "P", "infeasible", "fallback", "fallbacks",
-          "filtered", "unkept")  # a record's too
+SERIES = (
+    "X",
+    "U",
+    "D_hat",
+    "N",
+    "energy",
+    "escaped",
+    "P",
+    "infeasible",
+    "fallback",
+    "fallbacks",
+    "filtered",
+    "unkept",
+)  # a record's too
 LOOPS = (*SERIES, "margin", "breach")
 
 
@@ -39,9 +51,9 @@ class Trajectories:
     commands would overtake each other, 1 - D_X f - D_t <= 0, or -1, `margin` (...) that value and `breach` (..., n) the
     state there, in the plant or at a node of a prediction, which crosses 0 early: where the exact loop has up to .2.
     With a guarded predictor `fallback` (..., nt) says where the numerical predictor answered, since the time before,
-    and `fallbacks` (...) in how many of the `steps` control steps; with a safety filter `filtered` (..., nt) where U was
-    changed, likewise, `unkept` (...) in how many steps its bounds left no way to keep the limits, and `safety` (..., nt,
-    limits) is safe(x, t, p, M) of the plant's state. `states`, `inputs`, `time_unit`, `labels` and
+    and `fallbacks` (...) in how many of the `steps` control steps. With a safety filter `filtered` (..., nt) says where
+    U was changed, likewise, and `unkept` (...) in how many steps the bounds of U left no way to keep the limits; `safety`
+    (..., nt, limits) is safe(x, t, p, M) of the plant's states. `states`, `inputs`, `time_unit`, `labels` and
     `units` are the plant's. At or beyond `ends` D_hat is at a bound of its law; None if frozen.
     print(loop) gives the ranges and ends of all series.
     """

@@ -124,4 +124,3 @@ def _barrier(
     raise ConfigError(
         f"{plant.location('safe')} expected limits that the input moves, it does not move number {k}; drop that one"
     )
-

@@ -1,0 +1,196 @@
+"""The safety filter: the nearest U by a solver of SciPy, the chain of derivatives by hand, limits kept in loops."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import minimize
+
+import npred
+from npred.errors import ConfigError
+from npred.plants import Plant
+from npred.predictors import RK4
+
+
+class Cart:
+    """A mass on a track of 1 m to either side, sent to 0.05 m before its end."""
+
+    states, inputs = ("x", "v"), ("u",)
+    box, input_bounds = {"x": (-1.0, 1.0), "v": (-1.0, 1.0)}, ((-5.0, 5.0),)
+
+    def f(x, u, t, p, M):
+        return [x.v, u.u]
+
+    def kappa(x, t, p, M):
+        return [-4 * (x.x - 0.95) - 1.2 * x.v]
+
+    def safe(x, t, p, M):
+        return [1.0 - x.x, 1.0 + x.x]
+
+
+class Plane:
+    """A point in the plane that each input moves, and the other one a little; a wall that moves, and a circle."""
+
+    states, inputs = ("x", "y"), ("u", "v")
+    box, input_bounds = {"x": (-2.0, 2.0), "y": (-2.0, 2.0)}, ((-1.0, 2.0), (-3.0, 1.0))
+
+    def f(x, u, t, p, M):
+        return [0.3 * x.y + u.u, -0.2 * x.x + u.v + 0.4 * u.u]
+
+    def kappa(x, t, p, M):
+        return [M.sin(3 * x.y) - x.x, M.cos(2 * x.x) - x.y]
+
+    def safe(x, t, p, M):
+        return [1.0 + 0.2 * M.sin(t) - x.x, x.x * x.x + x.y * x.y - 0.25, 1.5 - x.y]
+
+
+CART, PLANE = Plant("cart", Cart), Plant("plane", Plane)
+
+
+def filtered(plant, safety, P, U, t, dt=0.01):
+    """U (B, m) and what the kernel says of it, of states P (B, n) at the times t when U acts."""
+    B, bounds = len(P), np.array(plant.input_bounds)
+    lanes = [np.array(a.T, order="C") for a in (P, U)]
+    ends, low, high = lanes[0][None].copy(), *(np.repeat(bounds[:, [k]], B, axis=1) for k in (0, 1))
+    kept, flags = np.empty(B), np.empty(B)
+    numbers = safety.settings(dt, bounds)["safety"]
+    safety.kernel(plant)(ends, np.full((1, B), t), plant.p, numbers, low, high, lanes[1], kept, flags)
+    return lanes[1].T, kept, flags
+
+
+def conditions_of_plane(x, U, t, alpha, dt):
+    """φ, its slopes and its change by hand, of the three limits at one state."""
+    f = np.array([0.3 * x[1] + U[0], -0.2 * x[0] + U[1] + 0.4 * U[0]])
+    g = np.array([[1.0, 0.0], [0.4, 1.0]])
+    h = np.array([1 + 0.2 * np.sin(t) - x[0], x @ x - 0.25, 1.5 - x[1]])
+    slope = np.array([[-1.0, 0.0], 2 * x, [0.0, -1.0]])
+    rate = np.array([0.2 * np.cos(t), 0.0, 0.0])
+    phi = slope @ f + rate + alpha * h
+    A = np.array([[0.0, 0.3], [-0.2, 0.0]])  # f_x
+    change = slope @ A @ f + np.array([0.0, 2 * f @ f, 0.0]) + np.array([-0.2 * np.sin(t), 0.0, 0.0])
+    change += alpha * (slope @ f + rate)
+    return phi, slope @ g, change, h
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0.3, 5.0))
+@settings(max_examples=100, deadline=None)
+def test_u_is_the_nearest_that_scipy_finds(seed, alpha):
+    rng = np.random.default_rng(seed)
+    x, U, t, dt = rng.uniform(-1.5, 1.5, 2), rng.uniform([-1, -3], [2, 1]), rng.uniform(0, 6), 0.01
+    phi, a, change, h = conditions_of_plane(x, U, t, alpha, dt)
+    b = np.maximum(-dt * change, 0) - phi
+    found, kept, flag = (v[0] for v in filtered(PLANE, npred.SafetyFilter(alpha), x[None], U[None], t))
+    assert kept == pytest.approx(h.min(), abs=1e-12)
+    widths = np.array([3.0, 4.0])
+    if (b <= 0).all():
+        assert flag == 0 and (found == U).all()
+        return
+    bounds = [(low - now, high - now) for (low, high), now in zip(PLANE.input_bounds, U, strict=True)]
+    by_scipy = minimize(
+        lambda d: ((d / widths) ** 2).sum(), np.zeros(2), jac=lambda d: 2 * d / widths**2, method="SLSQP",
+        bounds=bounds,
+        constraints={"type": "ineq", "fun": lambda d: a @ d - b, "jac": lambda d: a}, options={"ftol": 1e-15},
+    )  # fmt: skip
+    if flag == 1:
+        assert (a @ (found - U) - b > -1e-5 * np.linalg.norm(a, axis=1)).all()
+        if by_scipy.success:
+            np.testing.assert_allclose(found - U, by_scipy.x, atol=2e-6)
+    else:
+        assert not by_scipy.success or (a @ by_scipy.x - b < 1e-5).any()
+
+
+def test_the_chain_of_a_limit_that_the_second_derivative_reaches():
+    """h = 1 - x of a mass: h'' + 2 α h' + α² h >= 0, with the change of that over the step; by hand."""
+    alpha, dt, rng = 3.0, 0.01, np.random.default_rng(0)
+    P, U = rng.uniform(-1, 1, (200, 2)), rng.uniform(-5, 5, (200, 1))
+    x, v, u = P[:, 0], P[:, 1], U[:, 0]
+    phi = -u - 2 * alpha * v + alpha**2 * (1 - x)
+    change = -2 * alpha * u - alpha**2 * v
+    upper = u + phi - np.maximum(-dt * change, 0)  # U of the end at 1
+    phi = u + 2 * alpha * v + alpha**2 * (1 + x)
+    change = 2 * alpha * u + alpha**2 * v
+    lower = u - phi + np.maximum(-dt * change, 0)
+    expected = np.clip(np.clip(u, lower, upper), -5, 5)
+    found, _, flags = filtered(CART, npred.SafetyFilter(alpha), P, U, 0.0)
+    room = lower < upper
+    np.testing.assert_allclose(found[room, 0], expected[room], atol=1e-7)
+    wanting = (lower > 5) | (upper < -5)
+    assert (flags[room] == np.where(wanting, 2, np.abs(expected - u) > 0)[room]).all()
+
+
+def safe_starts(count, alpha=3.0, D=0.3):
+    """Starts whose states at the moment when the first input acts are in the set that the filter keeps."""
+    X0 = np.random.default_rng(1).uniform([-0.8, -0.5], [0.8, 0.5], (count, 2))
+    x, v = X0[:, 0] + D * X0[:, 1], X0[:, 1]
+    return X0[(alpha * (1 - x) - v >= 0) & (alpha * (1 + x) + v >= 0)]
+
+
+@pytest.mark.parametrize(("D", "delay"), [(0.3, 0.0), (0.28, 0.02), (0.32, 0.02)])
+def test_limits_are_kept_in_loops_and_would_not_be_without(D, delay):
+    safety = npred.SafetyFilter(3.0, delay=delay)
+    X0 = safe_starts(300)
+    named = {"D": D, "D_hat": 0.3, "X0": X0, "t_end": 8.0, "dt": 0.01, "u0": [0.0], "actuator": "history"}
+    free = npred.simulate(CART, RK4(CART, 31), **named)
+    loop = npred.simulate(CART, RK4(CART, 31), safety=safety, **named)
+    assert free.safety.min() < -0.3 and not free.filtered.any()
+    assert loop.safety.min() > 0 and loop.unkept.sum() == 0 and 0 < loop.filtered.mean() < 0.5
+    assert np.abs(loop.X[:, -1, 0] - 0.95).max() < 0.02
+
+
+def test_a_filter_that_never_acts_changes_nothing():
+    named = {"D": 0.3, "D_hat": 0.3, "X0": [[0.9, 0.0]], "t_end": 3.0, "dt": 0.01, "u0": [0.2]}
+    free, loop = (npred.simulate(CART, RK4(CART, 31), safety=s, **named) for s in (None, npred.SafetyFilter(20.0)))
+    assert not loop.filtered.any() and (loop.U == free.U).all()
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.02])
+def test_a_controller_filters_as_the_simulated_loop(delay):
+    safety, X0 = npred.SafetyFilter(3.0, delay=delay), np.array([0.3, 0.45])
+    loop = npred.simulate(
+        CART, RK4(CART, 31), D=0.3, D_hat=0.3, X0=X0, t_end=3.0, dt=0.01, u0=[0.0], actuator="history", safety=safety
+    )
+    controller = npred.controller(
+        CART, RK4(CART, 31), None, 0.01, D_hat=0.3, u0=[0.0], actuator="history", safety=safety, gate=None
+    )
+    changed, kept = [], []
+    for X, U in zip(loop.X, loop.U, strict=True):
+        np.testing.assert_allclose(controller.step(X), U, rtol=1e-12, atol=1e-12)
+        changed.append(controller.status.filtered)
+        kept.append(controller.status.kept)
+    assert (changed == loop.filtered).all() and any(changed)
+    assert not controller.status.unkept
+    if delay == 0:  # what is said of the predicted state is true of the state at the moment when U acts
+        np.testing.assert_allclose(kept[:-30], loop.safety[30:].min(axis=1), atol=1e-9)
+
+
+class Bent(Cart):
+    def f(x, u, t, p, M):
+        return [x.v, u.u + u.u * u.u * u.u]
+
+
+class Still(Cart):
+    def safe(x, t, p, M):
+        return [1.0]
+
+
+class Free(Cart):
+    safe = None
+
+
+@pytest.mark.parametrize(("kind", "message"), [
+    (Bent, "limits whose derivative is linear in the input, that of number 0 is not"),
+    (Still, "limits that the input moves, it does not move number 0"),
+    (Free, r"expected a plant with safe\(x, t, p, M\)"),
+])  # fmt: skip
+def test_plants_that_it_does_not_serve_are_refused(kind, message):
+    plant = Plant("other", kind)
+    with pytest.raises(ConfigError, match=message):
+        npred.simulate(plant, RK4(plant, 21), D=0.3, D_hat=0.3, X0=[0, 0], t_end=1.0, safety=npred.SafetyFilter())
+
+
+@pytest.mark.parametrize("named", [{"alpha": 0.0}, {"alpha": np.nan}, {"margin": -1.0}, {"delay": -0.1}])
+def test_numbers_that_make_no_sense_are_refused(named):
+    with pytest.raises(ConfigError, match=f"safety: expected {next(iter(named))}"):
+        npred.SafetyFilter(**named)
+    with pytest.raises(ConfigError, match="expected alpha up to 1 / dt"):
+        npred.simulate(CART, RK4(CART, 21), D=0.3, D_hat=0.3, X0=[0, 0], t_end=1, dt=0.1, safety=npred.SafetyFilter(11))
