@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 __all__ = [
     "DelayAdaptation", "DelayLaw", "DelayObserver", "L1Adaptation", "Measurement", "Predictor", "SafetyFilter",
-    "Watchdog", "as_iosystem", "controller", "evaluate", "generate", "guarded", "identify", "load", "plant", "predictor",
-    "simulate", "train",
+    "Watchdog", "as_iosystem", "controller", "evaluate", "generate", "guarded", "identify", "load", "plant",
+    "predictor", "simulate", "train",
 ]  # fmt: skip
 
 _HOME = dict.fromkeys(__all__, "api") | {

@@ -52,8 +52,8 @@ class Trajectories:
     state there, in the plant or at a node of a prediction, which crosses 0 early: where the exact loop has up to .2.
     With a guarded predictor `fallback` (..., nt) says where the numerical predictor answered, since the time before,
     and `fallbacks` (...) in how many of the `steps` control steps. With a safety filter `filtered` (..., nt) says where
-    U was changed, likewise, and `unkept` (...) in how many steps the bounds of U left no way to keep the limits; `safety`
-    (..., nt, limits) is safe(x, t, p, M) of the plant's states. `states`, `inputs`, `time_unit`, `labels` and
+    U was changed, likewise, and `unkept` (...) in how many steps the bounds of U left no way to keep the limits;
+    `safety` (..., nt, limits) is safe(x, t, p, M) of the plant's states. `states`, `inputs`, `time_unit`, `labels` and
     `units` are the plant's. At or beyond `ends` D_hat is at a bound of its law; None if frozen.
     print(loop) gives the ranges and ends of all series.
     """

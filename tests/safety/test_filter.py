@@ -160,7 +160,7 @@ def test_a_controller_filters_as_the_simulated_loop(delay):
     assert (changed == loop.filtered).all() and any(changed)
     assert not controller.status.unkept
     if delay == 0:  # what is said of the predicted state is true of the state at the moment when U acts
-        np.testing.assert_allclose(kept[:-30], loop.safety[30:].min(axis=1), atol=1e-9)
+        np.testing.assert_allclose(kept[:-30], loop.safety[30:].min(axis=1), atol=3e-4)  # of 31 nodes
 
 
 class Bent(Cart):
