@@ -9,6 +9,7 @@ import pytest
 
 from npred.loop import engine
 from npred.loop.actuator import actuate, history, transport
+from npred.loop.status import Status
 from npred.plants.inputs import Past
 from npred.predictors import RK4
 from npred.runtimes import c_controller
@@ -70,6 +71,31 @@ class InC:
         U = np.full(self.m, np.nan, self.type) if out is None else out
         function = self.library.npred_step_nodes if len(measured) == 2 else self.library.npred_step
         return function(self.memory, *(a.ctypes.data_as(ctypes.c_void_p) for a in (*arrays, U)))
+
+    def step_at(self, t, X=None, sampled_at=0.0):
+        """The code of a call, and U, NaN where it was refused."""
+        U = np.full(self.m, np.nan, self.type)
+        X = None if X is None else np.ascontiguousarray(X, dtype=self.type)
+        sample = None if X is None else X.ctypes.data_as(ctypes.c_void_p)
+        times = ctypes.c_double(t), sample, ctypes.c_double(sampled_at)
+        return self.library.npred_step_at(self.memory, *times, U.ctypes.data_as(ctypes.c_void_p)), U
+
+    def applied(self, U):
+        return self.library.npred_applied(self.memory, np.array(U, self.type).ctypes.data_as(ctypes.c_void_p))
+
+    def set_time(self, t):
+        return self.library.npred_set_time(self.memory, ctypes.c_double(t))
+
+    def status(self, outputs):
+        """npred_get_status as Python's, with so many outputs."""
+        real = ctypes.c_double if self.type is np.float64 else ctypes.c_float
+        reals, counts = ("D_hat", "D_hat_spread", "error"), ("late", "refused", "missed", "handed_over", "fallback")
+        arrays = [("innovation", real * outputs), ("offset", real * self.m)]
+        fields = [*((name, real) for name in reals), ("age", ctypes.c_double), *arrays]
+        fields += [(name, ctypes.c_int32) for name in counts]
+        status = type("Fields", (ctypes.Structure,), {"_fields_": fields})()
+        self.library.npred_get_status(self.memory, ctypes.byref(status))
+        return Status(**{name: getattr(status, name) for name in Status._fields})
 
     def state(self):
         saved = ctypes.create_string_buffer(self.library.size_of_saved())

@@ -294,7 +294,7 @@ class Controller:
                  "longest": self._longest, "gate": self.gate, "oldest": self.oldest,
                  "observer": self.observer, "watchdog": self.watchdog, "safety": self.safety}  # fmt: skip
         other = type(self)(*parts, D_hat=self.D_hat, **named)
-        other.t = self.t
+        other._set_state(self.D_hat, None, 0, self.t)
         return other
 
     def __repr__(self) -> str:
@@ -538,7 +538,8 @@ class Controller:
         state = self.state()
         self._engine.call(self.t, 1.0, True, 0.0)
         self.restore(state)
-        self.memory.innovation[:] = np.nan
+        self.memory.innovation[:] = self.memory.error[:] = np.nan
+        self.memory.fallback[:] = 0.0
 
 
 def seconds_in(oldest: float | None, dt: float) -> float:

@@ -319,13 +319,18 @@ static inline int compute_recalled(Shape d, double t, int came, double age, cons
     const INDEX k = step_of(now.at);
     const int bad = came && !q->correct && !all_finite(d.n, z->Y);
     const int used = sense(d, now, came && !bad, age, q, s, z, work);
+    double D_hat;
     if (q->observe && !bad) {
         find_delay(d, now, used, now.at - age, q, s, z, work);
     }
     if (!s->watched && (bad || !all_finite(d.n, z->X_hat))) {
         return MEASUREMENT_NOT_FINITE;
     }
+    D_hat = z->D_hat[0];
     decide(d, q, s, z, k, larger(now.at - (double)k, 0.0), t, work);
+    if (!all_finite(d.n, z->X_hat)) { /* a delay that the plant declares is that of a state */
+        z->D_hat[0] = D_hat;
+    }
     if (s->watched) {
         hand_over(d, now, q, s, z, work);
     }
@@ -358,8 +363,10 @@ static inline int compute(Shape d, INDEX k, double t, int came, double age, cons
 /* The U of a call that was refused: the last one, which the actuator holds. */
 static inline void hold(Shape d, double t, const Parts *q, const Settings *s, State *z, double *work)
 {
+    const double D_hat = z->D_hat[0];
     if (q->believe && s->recalls) {
         q->believe(d, z->X_hat, t, s->p, s->ratios, z->D_hat, z->D_seen, work);
+        z->D_hat[0] = D_hat;
     }
     for (int c = 0; c < d.m; c++) {
         z->U[c] = clock_of(d, z->clock).sent[c];
