@@ -54,9 +54,13 @@ def of(controller: Controller, X0: np.ndarray, arrays: bool) -> list[Variable]:
 def _inputs(controller: Controller, X0: np.ndarray, arrays: bool) -> Iterator[Variable]:
     plant, nx = controller.plant, controller.predictor.nx
     yield Variable("time", "independent", "TIME", (0.0,), "time", plant.time_unit)
-    for name, value in zip(plant.states, X0.tolist(), strict=True):
-        yield Variable(name, "input", "X", (value,), "measured state", plant.units.get(name, ""))
+    what = "measured output" if controller.observer else "measured state"
+    X = X0 if controller.observer is None else controller.observer.measured(X0)
+    for name, value in zip(controller.outputs, X.tolist(), strict=True):
+        yield Variable(name, "input", "X", (value,), what, plant.units.get(name, ""))
     if controller.actuator == "history":
+        about = "how old that is when the control step is due; below 0 for no sample"
+        yield Variable("sample_age", "input", "SAMPLE_AGE", (0.0,), about, plant.time_unit)
         return
     about = "commands under way, by nodes and inputs: row 1 acts now, the last was sent just now"
     if arrays:
@@ -81,6 +85,27 @@ def _outputs(controller: Controller) -> Iterator[Variable]:
         about = "whether the numerical predictor answered"
         yield Variable("fallback", "output", "FALLBACK", (0.0,), about, boolean=True)
         yield Variable("error", "output", "ERROR", (0.0,), "the guard's estimate of the error of the command")
+    if controller.actuator == "history":
+        yield from _status(controller)
+
+
+def _status(controller: Controller) -> Iterator[Variable]:
+    """What npred.loop.status says of the last control step."""
+    plant = controller.plant
+    about = "age of the last sample that was used; -1 before the first"
+    yield Variable("age", "output", "AGE", (-1.0,), about, plant.time_unit)
+    yield Variable("late", "output", "LATE", (0.0,), "samples so far that came after a newer one, or were too old")
+    yield Variable("refused", "output", "REFUSED", (0.0,), "samples so far that were not believed")
+    if controller.parts["observe"]:
+        about = "half the range of the delays that cannot be told apart"
+        yield Variable("D_hat_spread", "output", "SPREAD", (controller.status.D_hat_spread,), about, plant.time_unit)
+    if controller.watchdog:
+        about = "whether the watchdog has the command"
+        yield Variable("handed_over", "output", "HANDED_OVER", (0.0,), about, boolean=True)
+    if controller.settings.offsets:
+        for name in plant.inputs:
+            about = "estimated, added to the command before the plant"
+            yield Variable(f"offset.{name}", "output", "OFFSET", (0.0,), about, plant.units.get(name, ""))
 
 
 def _parameters(controller: Controller) -> Iterator[Variable]:

@@ -272,7 +272,7 @@ def test_ideal_timing_by_stamps_is_the_plain_step_to_the_bit(compiled):
             X = world.X if observer is None else observer.measured(world.X)
             U = plain.step(X)
             code, at = stamped.step_at(start + k * DT, X, start + k * DT)
-            assert code == 0 and (U == at).all()
+            assert code == 0 and (at == U).all()
             world.sent.append((k * DT, U))
 
 

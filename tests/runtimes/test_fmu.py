@@ -54,6 +54,14 @@ def turning():
     return Controller(UNICYCLE, npred.predictor("rk4", UNICYCLE, 21), None, DT, D_hat=0.6, actuator="history")
 
 
+def estimating():
+    """Its samples are one state of two, some late and some missing."""
+    observer = npred.observers.EKF(PLANT, offset=True, outputs=PLANT.states[:1])
+    law, watchdog = npred.DelayObserver(bounds=(0.05, 0.4), candidates=15), npred.Watchdog(5.5 * DT, "zero")
+    named = {"observer": observer, "watchdog": watchdog, "actuator": "history"}
+    return Controller(PLANT, npred.predictor("heun", PLANT, 21), law, DT, D_hat=0.2, **named)
+
+
 CASES = {
     "measured": (heun, 1.0, X0), "network, guard": (network, 1.0, X0), "observer": (observing, 1.0, X0),
     "two delays": (turning, 0.6, POSE), "guard": (doubting, 1.0, X0),
@@ -152,6 +160,47 @@ def test_a_wrong_sample_is_predicted_over_as_in_python(instance):
         X = np.array(POSE) + 9.0 * (k in (20, 21))
         np.testing.assert_allclose(run.step(X), controller.step(X), rtol=1e-12)
         assert controller.missed == (k - 19 if k in (20, 21) else 0)
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+@pytest.mark.parametrize("make", [turning, estimating])
+def test_samples_that_are_late_or_missing_and_the_status_are_those_of_python(instance, version, make):
+    rng, controller, starts = np.random.default_rng(5), make(), 3.0
+    start, past, seen = X0 if make is estimating else POSE, [], set()
+    run = instance(make, version, start=starts)
+    controller.t = starts
+    for k in range(300):
+        X = np.array(start) * (1 + 0.1 * np.sin(0.05 * k)) + 9.0 * (k in (80, 81))
+        past.append(X[: len(controller.outputs)])
+        late = int(rng.integers(0, 26)) if k % 5 == 4 else 0
+        missing = k % 7 == 6 or 150 <= k < 160
+        run.set("sample_age", -1.0 if missing else late * DT)
+        Y, t = past[max(k - late, 0)], starts + k * DT
+        U = controller.step(None if missing else Y, t=t, sampled_at=t - late * DT)
+        np.testing.assert_allclose(run.step(Y), U, rtol=1e-12, atol=1e-15)
+        status, places = controller.status, run.places
+        assert (run.get("late"), run.get("refused")) == (status.late, status.refused)
+        assert run.get("age") == pytest.approx(status.age, abs=1e-9)
+        if "offset.U" in places:
+            np.testing.assert_allclose(run.get("offset.U"), status.offset, rtol=1e-11)
+            np.testing.assert_allclose(run.get("D_hat_spread"), status.D_hat_spread, rtol=1e-9)
+            assert run.flag("handed_over") == status.handed_over
+        seen |= {status.late > 0, 10 * (status.refused > 0), 20 + status.handed_over}
+    assert seen >= {True, 10} and run.messages == []
+    assert make is turning or seen >= {20, 21} and "offset.U" in run.places
+
+
+def test_before_the_first_sample_it_says_so(instance):
+    run = instance(turning)
+    run.set("sample_age", -1.0)
+    run.step(POSE)
+    assert run.get("age") == -1.0 and run.messages == ["step at 0 s: expected finite inputs, got one that is not; U is held"]
+    run.set("sample_age", np.inf)
+    run.step(POSE)
+    assert "expected a sample_age that can be" in run.messages[1]
+    run.set("sample_age", 0.0)
+    run.step(POSE)
+    assert run.get("age") == 0.0 and len(run.messages) == 2
 
 
 def test_of_several_steps_in_one_those_that_are_refused_hold_u(instance):
@@ -300,11 +349,11 @@ def test_a_call_out_of_turn_is_refused(instance):
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-@pytest.mark.parametrize("case", CASES)
-def test_fmpy_finds_it_valid(instance, case, version):
+@pytest.mark.parametrize("make", [*(case[0] for case in CASES.values()), estimating])
+def test_fmpy_finds_it_valid(instance, make, version):
     from fmpy.validation import validate_fmu
 
-    assert validate_fmu(str(instance(CASES[case][0], version).path)) == []
+    assert validate_fmu(str(instance(make, version).path)) == []
 
 
 @pytest.mark.parametrize("version", VERSIONS)
@@ -328,8 +377,9 @@ def test_the_same_controller_is_the_same_file(tmp_path, version):
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-def test_the_sources_build_strictly_and_against_the_standard_s_prototypes(instance, tmp_path, version):
-    run = instance(network, version)
+@pytest.mark.parametrize("make", [network, estimating])
+def test_the_sources_build_strictly_and_against_the_standard_s_prototypes(instance, tmp_path, version, make):
+    run = instance(make, version)
     with zipfile.ZipFile(run.path) as opened:
         opened.extractall(tmp_path)
     folder, headers = tmp_path / "sources", Path(fmpy.__file__).parent / "c-code"

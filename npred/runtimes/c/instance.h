@@ -54,7 +54,7 @@ typedef struct Instance Instance;
 struct Instance {
     npred_controller controller;
     State now;
-    npred_real X[NPRED_N_STATES];
+    npred_real X[NPRED_N_OUTPUTS];
 #ifdef AT_ACTUATOR
     npred_real u[NPRED_NX * NPRED_M_INPUTS];
 #endif
@@ -223,7 +223,7 @@ static void copy_out(double *to, const npred_real *from, int numbers)
 static void write_inputs(Instance *self)
 {
     const double *values = self->now.values;
-    copy_in(self->X, values + AT_X, NPRED_N_STATES);
+    copy_in(self->X, values + AT_X, NPRED_N_OUTPUTS);
 #ifdef AT_ACTUATOR
     copy_in(self->u, values + AT_ACTUATOR, NPRED_NX * NPRED_M_INPUTS);
 #endif
@@ -251,14 +251,40 @@ static void read_outputs(Instance *self, const npred_real *U)
 #endif
 }
 
-static int control_step(Instance *self)
+#ifdef AT_AGE
+/* What npred_get_status says, also of a control step that was refused. */
+static void read_status(Instance *self)
+{
+    double *values = self->now.values;
+    npred_status status;
+    npred_get_status(&self->controller, &status);
+    values[AT_AGE] = isfinite(status.age) ? status.age : -1.0;
+    values[AT_LATE] = status.late;
+    values[AT_REFUSED] = status.refused;
+#ifdef AT_SPREAD
+    values[AT_SPREAD] = (double)status.D_hat_spread;
+#endif
+#ifdef AT_HANDED_OVER
+    values[AT_HANDED_OVER] = status.handed_over;
+#endif
+#ifdef AT_OFFSET
+    copy_out(values + AT_OFFSET, status.offset, NPRED_M_INPUTS);
+#endif
+}
+#endif
+
+/* The control step that is due now. */
+static int control_step(Instance *self, double due)
 {
     npred_real U[NPRED_M_INPUTS];
     write_inputs(self);
 #ifdef AT_ACTUATOR
+    (void)due;
     const int code = npred_step(&self->controller, self->X, self->u, U);
 #else
-    const int code = npred_step(&self->controller, self->X, U);
+    const double age = self->now.values[AT_SAMPLE_AGE];
+    const int code = npred_step_at(&self->controller, due, age >= 0 ? self->X : NULL, due - age, U);
+    read_status(self);
 #endif
     if (code == NPRED_OK) {
         read_outputs(self, U);
@@ -275,8 +301,9 @@ static double due_time(const Instance *self)
 
 static const char *reason(int code)
 {
-    return code == NPRED_MEASUREMENT_NOT_FINITE    ? "expected finite inputs, got one that is not"
+    return code == NPRED_MEASUREMENT_NOT_FINITE  ? "expected finite inputs, got one that is not"
            : code == NPRED_PREDICTION_NOT_FINITE ? "the prediction from these inputs is not finite"
+           : code == NPRED_STATE_REFUSED         ? "expected a sample_age that can be, got another"
                                                  : "the delay is above what the commands are kept for";
 }
 
@@ -292,7 +319,7 @@ static int advance(Instance *self, double t, double h)
     const double end = t + h - SLACK * STEP;
     int status = OK;
     for (double due = due_time(self); due < end; due = due_time(self)) {
-        const int code = control_step(self);
+        const int code = control_step(self, due);
         if (code != NPRED_OK) {
             status = report(self, WARNING, "step at %g " TIME_UNIT ": %s; U is held", due, reason(code));
         }
