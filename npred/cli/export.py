@@ -19,6 +19,7 @@ from npred.loop import closed_loop, delay_law
 from npred.loop.adaptation import DelayAdaptation
 from npred.loop.controller import Controller
 from npred.loop.loop_checks import HISTORY
+from npred.loop.watchdog import Watchdog
 from npred.operators import TrainedOperator
 from npred.pipeline import Stored, load_model
 from npred.plants import Plant, inputs
@@ -157,7 +158,7 @@ def _built(options: Exporting, key: str) -> Built:
     pipeline = config.load(path)
     table, plant = pipeline.evaluate, plants.resolve(pipeline.plant, pipeline.parameters)
     predictor = _predictor(options, f"{path}:{model}" if model else "", plant, table)
-    controller = _controller(plant, predictor, table, options.actuator)
+    controller = _controller(plant, predictor, table, options)
     if controller.actuator == HISTORY and isinstance(controller.adaptation, DelayAdaptation):
         options.console.warn(RECALLS)
     return Built(controller, f"{pipeline.name}:{predictor.name}", table, _steps(controller, table))
@@ -188,15 +189,26 @@ def _predictor(options: Exporting, spec: str, plant: Plant, table: Evaluate) -> 
     return Guarded(predictor, exact=exact, **guard) if guard else predictor
 
 
-def _controller(plant: Plant, predictor: Predictor, table: Evaluate, actuator: str) -> Controller:
+def _controller(plant: Plant, predictor: Predictor, table: Evaluate, options: Exporting) -> Controller:
     limits = inputs.bounds(plant, table.input_bounds)
     start = np.array([table.X0]) if table.X0 else np.zeros((1, plant.n))
     u0 = inputs.before(plant, table.u0, limits, start)[0] if table.u0 == inputs.LAW else table.u0
     return Controller(
         plant, predictor, delay_law.resolve(table, plant), table.dt,
         D_hat=None if plant.declares_delay else table.D_hat0, input_bounds=table.input_bounds,
-        actuator=actuator or table.actuator, u0=u0,
+        actuator=options.actuator or table.actuator, u0=u0, oldest=options.oldest,
+        watchdog=_watchdog(options.watchdog) if options.watchdog else None,
     )  # fmt: skip
+
+
+def _watchdog(text: str) -> Watchdog:
+    """That of TIME[:hold|zero]. Raises ConfigError for another text."""
+    after, _, then = text.partition(":")
+    try:
+        seconds = float(after)
+    except ValueError:
+        raise ConfigError(f"--watchdog: expected TIME[:hold|zero], got {text!r}; as 0.2:zero") from None
+    return Watchdog(seconds, then or "hold")
 
 
 def _steps(controller: Controller, table: Evaluate) -> c_controller.Test:

@@ -150,6 +150,12 @@ class Exporting(Common):
     guard: Annotated[
         float | None, flag("A controller's guard: the largest error of U that passes; as in evaluate.")
     ] = None
+    watchdog: Annotated[
+        str, flag("How long a controller waits for a sample before it holds U, or sends 0.", word="TIME[:hold|zero]")
+    ] = ""
+    oldest: Annotated[
+        float | None, flag("How old a sample may be for a controller; by default 20 control steps.", word="TIME")
+    ] = None
     fmi: Annotated[int, flag("An FMU's version of FMI.", word="3|2")] = 3
     platforms: Annotated[
         str, flag("An FMU's machines, by ziglang, as linux64,win64,darwin64; by default this one.", word="NAME,…")

@@ -69,7 +69,7 @@ def sources(
 
 def gateway(controller: Controller, name: str = "npred", precision: str = "double") -> str:
     """NAME_mex.c, which makes the C that `sources` gives with this name and precision a function of MATLAB."""
-    return c_files.filled("gateway.c", name, precision, {"MEASURED": not controller.settings.recalls})
+    return c_files.filled("gateway.c", name, precision, {"RECALLS": bool(controller.settings.recalls)})
 
 
 def D_hat_bounds(controller: Controller) -> tuple[float, float]:

@@ -1,6 +1,7 @@
 """`npred export`: a trained model of the store as a file, checked on its held-out samples."""
 
 import json
+import re
 import shutil
 import subprocess
 import zipfile
@@ -122,6 +123,30 @@ def test_a_controller_with_a_numerical_predictor(export, trained):
     assert "float precision" in done.stdout and "int npred_step(npred_controller *self, const float *X, float *U);" in (
         Path("npred/npred.h").read_text()
     )
+
+
+def test_a_controller_with_a_watchdog_that_takes_older_samples(export, trained):
+    flags = ("--predictor", "heun", "--actuator", "history", "--nx", "21", "--watchdog", "0.5:zero", "--oldest", "1.5")
+    done = export("controller", *flags, model=str(trained / "p.toml"))
+    assert done.exit_code == 0, done.output
+    text = Path("npred/npred.c").read_text()
+    settings = dict(re.findall(r"^    \.(\w+) = (.*),$", text, re.MULTILINE))
+    assert [settings[name] for name in ("watched", "after", "holds", "oldest")] == ["1", "0.5", "0", "300.0"]
+    assert run("npred/npred.c", "-DNPRED_TEST").returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("flags", "message"),
+    [
+        (("--watchdog", "soon"), "--watchdog: expected TIME[:hold|zero], got 'soon'; as 0.2:zero"),
+        (("--watchdog", "1:stop"), 'watchdog: expected "hold", "zero", numbers or a law as then, got \'stop\''),
+        (("--oldest", "-1"), "oldest: expected how old a sample may be, at least 0"),
+    ],
+)
+def test_a_watchdog_or_age_that_is_none_is_refused_in_one_line(export, trained, flags, message):
+    done = export("controller", "--predictor", "heun", "--actuator", "history", *flags, model=str(trained / "p.toml"))
+    (line,) = done.stderr.splitlines()[-1:]
+    assert done.exit_code == 2 and message in line
 
 
 @pytest.mark.parametrize("version", [3, 2])

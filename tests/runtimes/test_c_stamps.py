@@ -1,10 +1,11 @@
 """The exported controller on a real clock: calls, samples, refusals and status are npred.controller's, call by call."""
 
 import json
+import subprocess
 
 import numpy as np
 import pytest
-from c_controllers import InC, library, needs_gcc
+from c_controllers import FLAGS, InC, library, needs_gcc
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from varying_delays import with_delay
@@ -286,3 +287,14 @@ def test_a_time_that_cannot_be_changes_nothing(compiled):
         assert code == 3 and np.isnan(U).all()
     assert bytes(pair.c.state()) == before
     pair.call(5.01, X, 5.015)  # by less than a control step of the future: two clocks
+
+
+@pytest.mark.parametrize("precision", ["double", "float"])
+def test_the_test_in_the_file_has_the_outputs_of_an_observer(tmp_path, precision):
+    controller = CASES["EKF, offset, both"]()
+    angles = np.linspace(0.5, 0.2, 40)
+    samples = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    library(controller, tmp_path, precision, test=(samples, None))
+    command = ["gcc", *FLAGS, "-DNPRED_TEST", "npred.c", "-o", "own_test", "-lm"]
+    subprocess.run(command, cwd=tmp_path, check=True, timeout=120)
+    assert subprocess.run([tmp_path / "own_test"], capture_output=True, timeout=60).returncode == 0

@@ -194,7 +194,9 @@ def test_before_the_first_sample_it_says_so(instance):
     run = instance(turning)
     run.set("sample_age", -1.0)
     run.step(POSE)
-    assert run.get("age") == -1.0 and run.messages == ["step at 0 s: expected finite inputs, got one that is not; U is held"]
+    assert run.get("age") == -1.0 and run.messages == [
+        "step at 0 s: expected finite inputs, got one that is not; U is held"
+    ]
     run.set("sample_age", np.inf)
     run.step(POSE)
     assert "expected a sample_age that can be" in run.messages[1]

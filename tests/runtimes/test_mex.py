@@ -101,6 +101,32 @@ def test_several_inputs_and_a_state_that_goes_on(folders):
     np.testing.assert_allclose(rows, [controller.step(x).copy() for x in X], rtol=1e-12, atol=1e-14)
 
 
+@needs_octave
+def test_calls_on_a_clock_and_the_status(folders):
+    folder, controller, random = folders["turning"], turning(), np.random.default_rng(2)
+    t = np.cumsum(DT * random.uniform(0.6, 1.4, 200))
+    X, came = 0.3 * random.standard_normal((200, 3)), np.arange(200) % 3 != 1
+    at = t - 0.02 * random.random(200)
+    written(folder, "X.txt", np.column_stack([t, at, came, X]))
+    printed = octave(
+        folder,
+        """
+        X = load('X.txt'); c = npred_mex('new');
+        for k = 1:rows(X)
+            sample = X(k, 4:6); if X(k, 3) == 0, sample = []; end
+            U = npred_mex('step_at', c, X(k, 1), sample, X(k, 2)); s = npred_mex('status', c);
+            printf('%.17g ', U, s.age, s.late, s.refused, s.missed, s.handed_over, s.innovation); printf('\\n');
+        end""",
+    )
+    rows = np.array([line.split() for line in printed.splitlines()], dtype=float)
+    expected = []
+    for k in range(200):
+        U = controller.step(X[k] if came[k] else None, t=t[k], sampled_at=at[k]).copy()
+        s = controller.status
+        expected.append([*U, s.age, s.late, s.refused, s.missed, s.handed_over, *s.innovation])
+    np.testing.assert_allclose(rows, expected, rtol=1e-11, atol=1e-12)
+
+
 REFUSED = [
     ("npred_mex('step', c, [NaN; 0; 0])", "expected finite X and u"),
     ("npred_mex('step', c, [0; 0])", "expected X with one number per state"),
@@ -111,7 +137,9 @@ REFUSED = [
     ("npred_mex('step', gone, [0; 0; 0])", "expected a controller of 'new' that is not deleted"),
     ("npred_mex('restore', c, zeros(4, 1, 'uint8'))", "expected the bytes of 'state'"),
     ("s(1) += 1; npred_mex('restore', c, s)", "expected a state of this controller"),
-    ("npred_mex('set_time', c, Inf)", "expected a state of this controller, or a number within its bounds"),
+    ("npred_mex('set_time', c, Inf)", "expected a state of this controller, a number within its bounds or a time"),
+    ("npred_mex('step_at', c, -9, [], 0)", "expected a state of this controller, a number within its bounds or a time"),
+    ("npred_mex('step_at', c, 9, [0; 0], 9)", "expected X with one number per state"),
     ("npred_mex('leap', c)", "expected new, step, state"),
     ("npred_mex()", "expected new, step, state"),
     ("npred_mex('step', c)", "expected new, step, state"),

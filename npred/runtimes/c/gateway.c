@@ -3,6 +3,8 @@
  *
  *   c = npred_mex('new')                                   a controller; any number of them
  *   [U, D_hat, P, fallback, error] = npred_mex('step', c, X[, u])   a control step: U (m, 1), P (nx, n); u (nx, m)
+ *   [U, ...] = npred_mex('step_at', c, t, X, sampled_at)     the same at a time t; [] for X where no sample came
+ *   s = npred_mex('status', c)                               what happened in it, a struct
  *   s = npred_mex('state', c), npred_mex('restore', c, s)    what a step remembers, as bytes
  *   npred_mex('set_D_hat', c, D_hat), npred_mex('set_time', c, t)
  *   npred_mex('delete', c)
@@ -14,10 +16,10 @@
 #include "mex.h"
 #include "npred.h"
 
-#if MEASURED
-enum { GIVEN = 2 }; /* to a step: X and u */
-#else
+#if RECALLS
 enum { GIVEN = 1 }; /* to a step: X */
+#else
+enum { GIVEN = 2 }; /* to a step: X and u */
 #endif
 
 static npred_controller **controllers; /* those that were made, NULL where deleted; a handle is the place, from 1 */
@@ -77,7 +79,7 @@ static void refuse(int code)
 {
     const char *messages[] = {"", "expected finite X and u, got one that is not; hold the last U and measure again",
                               "the prediction from X and u is not finite; hold the last U and measure again",
-                              "expected a state of this controller, or a number within its bounds, got another",
+                              "expected a state of this controller, a number within its bounds or a time that can be, got another",
                               "the delay is above what the commands are kept for"};
     if (code != 0) {
         complain("refused", messages[code]);
@@ -96,26 +98,18 @@ static mxArray *matrix(const npred_real *rows, size_t count, size_t columns)
     return value;
 }
 
-static void step(npred_controller *controller, int results, mxArray *result[], const mxArray *argument[])
+/* A sample X into npred_real. */
+static void read_sample(const mxArray *value, npred_real *X)
 {
-    npred_real X[NPRED_N_STATES], U[NPRED_M_INPUTS];
-    const double *measured = numbers(argument[0], NPRED_N_STATES, "expected X with one number per state");
-    for (int i = 0; i < NPRED_N_STATES; i++) {
+    const double *measured = numbers(value, NPRED_N_OUTPUTS, "expected X with one number per state or observed output");
+    for (int i = 0; i < NPRED_N_OUTPUTS; i++) {
         X[i] = (npred_real)measured[i];
     }
-#if MEASURED
-    static npred_real u[NPRED_NX * NPRED_M_INPUTS]; /* of this call alone */
-    const size_t size = (size_t)NPRED_NX * NPRED_M_INPUTS;
-    const double *columns = numbers(argument[1], size, "expected u (nx, m), nodes by inputs");
-    for (int j = 0; j < NPRED_NX; j++) {
-        for (int c = 0; c < NPRED_M_INPUTS; c++) {
-            u[j * NPRED_M_INPUTS + c] = (npred_real)columns[j + c * NPRED_NX];
-        }
-    }
-    refuse(npred_step(controller, X, u, U));
-#else
-    refuse(npred_step(controller, X, U));
-#endif
+}
+
+/* U and what is known about it, as many results as are asked for. */
+static void give(const npred_controller *controller, const npred_real *U, int results, mxArray *result[])
+{
     result[0] = matrix(U, NPRED_M_INPUTS, 1);
     if (results > 1) {
         result[1] = mxCreateDoubleScalar((double)controller->saved.D_hat[0]);
@@ -130,6 +124,57 @@ static void step(npred_controller *controller, int results, mxArray *result[], c
         result[4] = mxCreateDoubleScalar((double)controller->error[0]);
     }
 }
+
+static void step(npred_controller *controller, int results, mxArray *result[], const mxArray *argument[])
+{
+    npred_real X[NPRED_N_OUTPUTS], U[NPRED_M_INPUTS];
+    read_sample(argument[0], X);
+#if RECALLS
+    refuse(npred_step(controller, X, U));
+#else
+    static npred_real u[NPRED_NX * NPRED_M_INPUTS]; /* of this call alone */
+    const size_t size = (size_t)NPRED_NX * NPRED_M_INPUTS;
+    const double *columns = numbers(argument[1], size, "expected u (nx, m), nodes by inputs");
+    for (int j = 0; j < NPRED_NX; j++) {
+        for (int c = 0; c < NPRED_M_INPUTS; c++) {
+            u[j * NPRED_M_INPUTS + c] = (npred_real)columns[j + c * NPRED_NX];
+        }
+    }
+    refuse(npred_step(controller, X, u, U));
+#endif
+    give(controller, U, results, result);
+}
+
+#if RECALLS
+static void step_at(npred_controller *controller, int results, mxArray *result[], const mxArray *argument[])
+{
+    npred_real X[NPRED_N_OUTPUTS], U[NPRED_M_INPUTS];
+    const double t = *numbers(argument[0], 1, "expected a number"), at = *numbers(argument[2], 1, "expected a number");
+    const int came = mxGetNumberOfElements(argument[1]) > 0;
+    if (came) {
+        read_sample(argument[1], X);
+    }
+    refuse(npred_step_at(controller, t, came ? X : NULL, at, U));
+    give(controller, U, results, result);
+}
+
+static mxArray *status(const npred_controller *controller)
+{
+    const char *names[] = {"D_hat", "D_hat_spread", "age", "late", "refused", "missed", "handed_over", "fallback",
+                           "error", "innovation", "offset"};
+    npred_status of;
+    npred_get_status(controller, &of);
+    const double values[] = {(double)of.D_hat, (double)of.D_hat_spread, of.age, of.late, of.refused, of.missed,
+                             of.handed_over, of.fallback, (double)of.error};
+    mxArray *fields = mxCreateStructMatrix(1, 1, 11, names);
+    for (int i = 0; i < 9; i++) {
+        mxSetField(fields, 0, names[i], mxCreateDoubleScalar(values[i]));
+    }
+    mxSetField(fields, 0, "innovation", matrix(of.innovation, NPRED_N_OUTPUTS, 1));
+    mxSetField(fields, 0, "offset", matrix(of.offset, NPRED_M_INPUTS, 1));
+    return fields;
+}
+#endif
 
 static mxArray *state(const npred_controller *controller)
 {
@@ -155,8 +200,13 @@ static const struct {
     const char *word;
     int arguments, results;
 } calls[] = {{"new", -1, 1},      {"step", GIVEN, 5}, {"state", 0, 1}, {"restore", 1, 1},
-             {"set_D_hat", 1, 1}, {"set_time", 1, 1}, {"delete", 0, 1}};
-enum { NEW, STEP, STATE, RESTORE, SET_D_HAT, SET_TIME, DELETE, CALLS };
+             {"set_D_hat", 1, 1}, {"set_time", 1, 1}, {"delete", 0, 1},
+#if RECALLS
+             {"step_at", 3, 5},   {"status", 0, 1},
+#endif
+};
+enum { NEW, STEP, STATE, RESTORE, SET_D_HAT, SET_TIME, DELETE, STEP_AT, STATUS };
+enum { CALLS = sizeof calls / sizeof calls[0] };
 
 static int find(int results, int arguments, const mxArray *argument[])
 {
@@ -170,7 +220,7 @@ static int find(int results, int arguments, const mxArray *argument[])
             return call;
         }
     }
-    complain("call", "expected new, step, state, restore, set_D_hat, set_time or delete and their arguments");
+    complain("call", "expected new, step, state, restore, set_D_hat, set_time, delete, step_at or status and their arguments");
     return CALLS;
 }
 
@@ -199,6 +249,14 @@ void mexFunction(int results, mxArray *result[], int arguments, const mxArray *a
     case SET_TIME:
         refuse(npred_set_time(controller, *numbers(argument[2], 1, "expected a number")));
         break;
+#if RECALLS
+    case STEP_AT:
+        step_at(controller, results, result, argument + 2);
+        break;
+    case STATUS:
+        result[0] = status(controller);
+        break;
+#endif
     case DELETE:
         free(controller);
         controllers[at] = NULL;
