@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from npred.loop.iosystem import as_iosystem
     from npred.loop.l1_adaptation import L1Adaptation
     from npred.loop.measurement import Measurement
+    from npred.loop.timing import Timing
     from npred.loop.watchdog import Watchdog
     from npred.predictors import Predictor
     from npred.runs import evaluate, generate, train
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 __all__ = [
     "DelayAdaptation", "DelayLaw", "DelayObserver", "L1Adaptation", "Measurement", "Predictor", "SafetyFilter",
+    "Timing",
     "Watchdog", "as_iosystem", "controller", "evaluate", "generate", "guarded", "identify", "load", "plant",
     "predictor", "simulate", "train",
 ]  # fmt: skip
@@ -41,6 +43,7 @@ _HOME = dict.fromkeys(__all__, "api") | {
     "Measurement": "loop.measurement",
     "Predictor": "predictors",
     "SafetyFilter": "safety",
+    "Timing": "loop.timing",
     "Watchdog": "loop.watchdog",
     "as_iosystem": "loop.iosystem",
     "identify": "identification.identify",

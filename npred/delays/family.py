@@ -34,6 +34,7 @@ OBSERVE = "k, dt, X, held, t, p, law, &memory, &D_hat"
 # goes on by dt as ADVANCE does, and learns from a sample Y of the outputs that is taken at t, NaN where one is missing.
 FOLLOW = "U0, U1, share, dt, t, p, law, &memory"
 CORRECT_BY = "Y, t, p, gate, law, &memory, &innovation, &spread"
+OUTPUT = "X, t, p, &Y"  # what an observer of the state gets, of one lane
 ESTIMATE = "k, origin, dt, D_seen, held, &Y, &X_hat"  # of observers of the state in Python: X_hat in place, and Y
 # U as near to what it is as keeps the limits of the states that are predicted for the moments when it acts
 PROTECT = "ends, moments, p, safety, low, high, &U, &kept, &filtered"

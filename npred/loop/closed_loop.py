@@ -12,14 +12,17 @@ import numpy as np
 from npred import array_checks
 from npred.delays import family_of
 from npred.errors import ConfigError
-from npred.loop import delay_law, engine, loop_checks, signals
+from npred.loop import clocked, delay_law, engine, loop_checks, signals
 from npred.loop import measurement as sensing
 from npred.loop.actuator import history
+from npred.loop.clocked import Clocked
 from npred.loop.delay_law import DelayLaw, Part, part
 from npred.loop.engine import Engine
 from npred.loop.measurement import Measurement
 from npred.loop.signals import Record, Settings, State
+from npred.loop.timing import Timing
 from npred.loop.trajectories import Samples, Trajectories, of_record
+from npred.loop.watchdog import Watchdog
 from npred.parallel import devices
 from npred.plants import inputs
 from npred.plants.base import Plant
@@ -56,6 +59,9 @@ def simulate(
     safety: SafetyFilter | None = None,
     integrator: str = "rk4",
     progress: Callable[[int], Any] | bool | None = None,
+    timing: Timing | None = None,
+    observer: Any = None,
+    watchdog: Watchdog | None = None,
 ) -> Trajectories:
     """Loops of X' = f(X, U(t - D)), U = kappa(P(1)), D_hat' = gamma Proj{D_hat, phi} [DAPF, eqs. 6-14].
 
@@ -75,12 +81,20 @@ def simulate(
     is not measured, and the controller reads its own commands at D_hat. `measurement` is what it sees of X. `truth` is
     the simulated plant where that is not the controller's model, and `disturbance(t)` adds to its input: (m,), the same
     in all loops, or (..., m). `safety` keeps the limits of the plant (npred.SafetyFilter).
+
+    With `timing` (npred.Timing), an `observer` of npred.observers, whose outputs are then what is sampled, or a
+    `watchdog` the loops run on a real clock, one after the other: npred.controller with actuator="history" is called at
+    its own times, and samples and commands have theirs, not rounded to control steps. X is that of k dt all the same;
+    `clock` has what the controller says besides (npred.loop.trajectories.OnAClock).
     Raises ConfigError for delays, bounds, times, shapes or a predictor that do not fit.
     """
     loop_checks.parts(plant, predictor, adaptation, every)
     if safety is not None:
         loop_checks.protected(plant, safety, dt)
-    loop_checks.reality(plant, adaptation, D, D_hat, actuator, measurement, truth, disturbance)
+    loop_checks.reality(plant, adaptation, D, D_hat, actuator, measurement, truth, disturbance, observer)
+    on_a_clock = any(part is not None for part in (timing, observer, watchdog))
+    if on_a_clock:
+        clocked.check(plant, predictor, actuator, measurement, timing, observer)
     loop_checks.times(t_end, dt, measurement)
     loop_checks.record(plant, 1, t_end, dt, every)
     X0 = array_checks.floats("X0", X0)
@@ -117,15 +131,20 @@ def simulate(
     loop_checks.history(plant, loop.reach(D, D_hat, delays)[1], dt)
     width = LANES if loop.compiled else NEURAL_LANES
     chunks = [slice(i, i + width) for i in range(0, len(D), width)]
+    ends, clock = adaptation.ends(dt) if adaptation and predictor else None, None
     with waiting.quiet() if progress is False else nullcontext():
         engine.prepare(loop.parts)
     with _counted(progress, len(D), round(t_end / dt) + 1) as count:
-        records = [
-            loop.run(X0[c], D[c], D_hat[c], past.of(c), sample_steps[c], delays[:, c], c.start, count) for c in chunks
-        ]
-    joined = Record(*(np.concatenate(parts, axis=-1) for parts in zip(*records, strict=True)))
-    ends = adaptation.ends(dt) if adaptation and predictor else None
-    return of_record(joined, shape, dt * every, round(t_end / dt) + 1, plant, truth or plant, predictor, ends)
+        if on_a_clock:
+            one = loop.clocked(timing or Timing(), observer, watchdog)
+            joined, clock = one.run(X0, D, D_hat, past, sample_steps, delays, loop.compiled, count)
+        else:
+            records = [
+                loop.run(X0[c], D[c], D_hat[c], past.of(c), sample_steps[c], delays[:, c], c.start, count)
+                for c in chunks
+            ]
+            joined = Record(*(np.concatenate(parts, axis=-1) for parts in zip(*records, strict=True)))
+    return of_record(joined, shape, dt * every, round(t_end / dt) + 1, plant, truth or plant, predictor, ends, clock)
 
 
 def _declared(plant: Plant, X0: np.ndarray) -> np.ndarray:
@@ -235,6 +254,15 @@ class _Simulation:
             if progress:
                 progress((stop - start) * lanes)
         return out
+
+    def clocked(self, timing: Timing, observer: Any, watchdog: Watchdog | None) -> Clocked:
+        """The same loops on a real clock."""
+        assert self.predictor is not None
+        return Clocked(
+            self.plant, self.predictor, self.adaptation, self.input_bounds, self.dt, round(self.t_end / self.dt) + 1,
+            self.every, self.parts["advance"], self.truth, self.pushes, self.measurement, timing, observer, watchdog,
+            self.safety,
+        )  # fmt: skip
 
     def reach(self, D: np.ndarray, D_hat: np.ndarray, delays: np.ndarray) -> tuple[float, float]:
         """How far back commands may be read, in seconds: before t = 0, and at any time."""

@@ -16,14 +16,15 @@ from npred.kernels import compiler
 from npred.kernels.callback import Failure, callback
 from npred.kernels.kernel import Kernel, Shape, address, skeleton
 from npred.loop import signals
-from npred.loop.signals import PARTS, Record, Settings, State
+from npred.loop.signals import PARTS, Events, Record, Settings, State
 from npred.plants.base import Plant
 from npred.predictors import RK4
 from npred.predictors.base import OneStep, Predictor
 from npred.safety import SafetyFilter
 
-LOOP = ("actuator.h", "onward.h", "sensor.h", "step.h", "engine.h")
+LOOP = ("actuator.h", "onward.h", "sensor_errors.h", "sensor.h", "step.h", "engine.h")
 ON_A_PLANT = ("actuator.h", "onward.h", "step.h", "controller.h", "candidates.h", "entries.h")
+ON_A_CLOCK = ("actuator.h", "onward.h", "sensor_errors.h", "step.h", "controller.h", "clocked.h")
 MEASUREMENT, PREDICTION, TOO_LONG = 1, 2, 4  # in a step: what is not finite, or a delay beyond the kept commands
 INDEX, POINTER = ctypes.c_int64, ctypes.c_void_p
 
@@ -33,6 +34,14 @@ def loop() -> ctypes.CDLL:
     """The compiled loop with a simulated plant."""
     loaded = compiler.library(_text(LOOP))
     loaded.run.argtypes, loaded.run.restype = [Shape, INDEX, INDEX, INDEX, *(POINTER,) * 6], None
+    return loaded
+
+
+@cache
+def on_a_clock() -> ctypes.CDLL:
+    """The compiled loop of a controller on its own clock with a simulated plant."""
+    loaded = compiler.library(_text(ON_A_CLOCK))
+    loaded.run_clocked.argtypes, loaded.run_clocked.restype = [Shape, INDEX, INDEX, *(POINTER,) * 7], None
     return loaded
 
 
@@ -49,7 +58,8 @@ def on_a_plant() -> ctypes.CDLL:
 
 @cache
 def _text(files: tuple[str, ...]) -> str:
-    return "\n".join([skeleton("base.h"), *signals.declared(), *map(skeleton, files)])
+    events = [signals.declared_events()] if files is ON_A_CLOCK else []
+    return "\n".join([skeleton("base.h"), *signals.declared(), *events, *map(skeleton, files)])
 
 
 def prepare(parts: Mapping[str, Kernel | Callable[..., Any] | None], files: tuple[str, ...] = LOOP) -> None:
@@ -61,24 +71,25 @@ def prepare(parts: Mapping[str, Kernel | Callable[..., Any] | None], files: tupl
 class Engine:
     """Control steps on a state, by parts: kernels, or functions in Python of the same arrays.
 
-    The record `out` is that of a simulated plant; a controller on a real one has none.
+    The record `out` is that of a simulated plant; a controller on a real one has none. `events` are those of a
+    controller on its own clock with a simulated plant.
     """
 
     def __init__(
         self, parts: Mapping[str, Kernel | Callable[..., Any] | None], settings: Settings, state: State,
-        out: Record | None = None,
+        out: Record | None = None, events: Events | None = None,
     ) -> None:  # fmt: skip
         nx, n, lanes = state.P.shape
         rows, m = state.held.shape[:2]
         self._failure, self._shape = Failure(), Shape(nx, lanes, rows, n, m)
-        prepare(parts, LOOP if out else ON_A_PLANT)
+        prepare(parts, ON_A_CLOCK if events else LOOP if out else ON_A_PLANT)
         self._functions = {
             name: _function(name, part, settings, state, self._failure) for name, part in parts.items() if part
         }
         pointers = {name: ctypes.cast(f, ctypes.c_void_p).value for name, f in self._functions.items()}
         needed = [part.work(nx, lanes, settings.guard) for part in parts.values() if isinstance(part, Kernel)]
-        self._work = np.empty(max(needed, default=0) + n + 3 * m + settings.observer_count)
-        self._arrays = [settings, state, *([out] if out else [])]
+        self._work = np.empty(max(needed, default=0) + n + 3 * m + settings.observer_count + settings.output_count)
+        self._arrays = [settings, state, *([out] if out else []), *([events] if events else [])]
         self._structs = [signals.Pointers(**pointers), *map(signals.structure, self._arrays)]
         self._passed = [*map(ctypes.addressof, self._structs)]
         self._scratch = address(self._work)
@@ -90,6 +101,12 @@ class Engine:
         """
         flag = ctypes.addressof(self._failure.flag)
         loop().run(self._shape, origin, start, stop, *self._passed, flag, self._scratch)
+        self._failure.raised()
+
+    def run_clocked(self, start: int, stop: int) -> None:
+        """Control steps start … stop - 1 of a loop on its own clock."""
+        flag = ctypes.addressof(self._failure.flag)
+        on_a_clock().run_clocked(self._shape, start, stop, *self._passed, flag, self._scratch)
         self._failure.raised()
 
     def call(self, t: float, gap: float, came: bool, age: float) -> int:
@@ -115,7 +132,7 @@ def _function(name: str, part: Any, settings: Settings, state: State, failure: F
     return callback(part, PARTS[name], fixed | {"p": settings.truth_p if name in TRUE else settings.p}, failure)
 
 
-TRUE = ("horizon", "pace", "advance")  # parts of the simulated plant, which may have other parameters
+TRUE = ("horizon", "pace", "advance", "output")  # parts of the simulated plant, which may have other parameters
 
 
 def protection(safety: SafetyFilter | None, predictor: Predictor | None) -> dict[str, Callable[..., None] | None]:

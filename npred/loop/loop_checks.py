@@ -54,7 +54,8 @@ def start(plant: Plant, X0: np.ndarray) -> None:
 
 
 def reality(
-    plant: Plant, law: DelayLaw | None, D: Any, D_hat: Any, actuator: Any, measurement: Any, truth: Any, push: Any
+    plant: Plant, law: DelayLaw | None, D: Any, D_hat: Any, actuator: Any, measurement: Any, truth: Any, push: Any,
+    observer: Any = None,
 ) -> None:  # fmt: skip
     """Raise ConfigError for a delay, an actuator, a measurement, a truth or a disturbance of the wrong kind."""
     if plant.declares_delay:
@@ -68,7 +69,7 @@ def reality(
     if measurement is not None and not isinstance(measurement, Measurement):
         raise ConfigError(f"measurement: expected an npred.Measurement, got {measurement!r}; make one")
     if measurement is not None:
-        measurement.check(plant)
+        measurement.check(plant, observer and len(observer.outputs))
     if push is not None and not callable(push):
         raise ConfigError(f"disturbance: expected a function of t, got {push!r}; write lambda t: [0.1]")
     if truth is not None and (not isinstance(truth, Plant) or (truth.n, truth.m) != (plant.n, plant.m)):

@@ -91,12 +91,13 @@ class Measurement:
         exact = not any(np.any(getattr(self, name)) for name in PER_STATE)
         return exact and self.observer is None and self.period is None and not (self.delay or self.drop)
 
-    def check(self, plant: Plant) -> None:
-        """Raise ConfigError where there is not a number for each state of the plant."""
+    def check(self, plant: Plant, outputs: int | None = None) -> None:
+        """Raise ConfigError where there is not a number for each state of the plant, or for each of its outputs."""
+        count, what = (plant.n, "state") if outputs is None else (outputs, "output")
         for name in PER_STATE:
             value = getattr(self, name)
-            if isinstance(value, tuple) and len(value) != plant.n:
-                what = f"expected {name} as one number or {plant.n}, one per state of plant {plant.name}"
+            if isinstance(value, tuple) and len(value) != count:
+                what = f"expected {name} as one number or {count}, one per {what} of plant {plant.name}"
                 raise ConfigError(f"measurement: {what}, got {len(value)}; give as many")
 
 

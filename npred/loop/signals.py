@@ -122,17 +122,39 @@ SETTINGS = [
     Signal("disturbance", ()),  # (steps, m, disturbed), added to what leaves the actuator, or empty
     Signal("samples", (), 0, "int64"),  # (S, B), sorted steps whose (X, u, D_hat) are kept
 ]
+EVENTS = [  # of one loop on a real clock; times since its start, in control steps
+    *(Signal(name, ("count",)) for name in ("at", "gap", "age")),  # of each control step's call: npred/loop/timing.py
+    *(Signal(name, ("count",), 0, "bool") for name in ("skipped", "lost")),
+    Signal("sample", ("count",), -1, "int64"),  # the row of the sample that it gets
+    Signal("taken", ("samples",)),
+    Signal("number", ("samples",), 0, "int64"),
+    Signal("values", ("samples", "outputs")),  # of the samples
+    Signal("taken_count", (), 0, "int64"),  # samples taken so far
+    Signal("at_plant", (), 0.0),  # how far the plant is
+    Signal("sent_at", ("commands",)),  # of the commands that reached the actuator, those before the start too
+    Signal("sent", ("commands", "m")),
+    Signal("sent_count", (), 0, "int64"),
+    Signal("acting", ("m",), 0, "int64"),  # the number of the command that acts now
+    Signal("unsaid", (), 0, "int64"),  # 1 where the last command was lost
+    Signal("refusals", (), 0, "int64"),  # calls that gave no U to send
+    Signal("X_hat", ("row", "n")),
+    Signal("age_then", ("row",)),  # of the last used sample, in seconds
+    Signal("handed_over", ("row",), 0, "bool"),  # whether the watchdog has U
+    Signal("sample_count", None, 0, "int64"),
+    Signal("tells", None, 0, "int"),  # whether the controller gets to know that a command was lost
+]
 PARTS = {
     "horizon": family.HORIZON, "observer": family.ESTIMATE, "observe": family.OBSERVE, "believe": family.HORIZON,
     "predict": family.PREDICT, "guard": family.GUARD, "control": family.CONTROL, "update": family.UPDATE,
     "pace": family.SPEED, "advance": family.ADVANCE, "model": family.ADVANCE,
-    "follow": family.FOLLOW, "correct": family.CORRECT_BY, "relief": family.CONTROL,
+    "follow": family.FOLLOW, "correct": family.CORRECT_BY, "relief": family.CONTROL, "output": family.OUTPUT,
     "exact": family.PREDICT, "protect": family.PROTECT,
 }  # fmt: skip
 
 State = namedtuple("State", [signal.name for signal in STATE])
 Record = namedtuple("Record", [signal.name for signal in RECORD])
 Settings = namedtuple("Settings", [signal.name for signal in SETTINGS])
+Events = namedtuple("Events", [signal.name for signal in EVENTS])
 
 
 def settings(**numbers: Any) -> Settings:
@@ -150,6 +172,7 @@ _STRUCTURES: dict[type, Any] = {
     State: _structure("State", STATE),
     Record: _structure("Record", RECORD),
     Settings: _structure("Settings", SETTINGS),
+    Events: _structure("Events", EVENTS),
 }
 Pointers = type("Parts", (ctypes.Structure,), {"_fields_": [(name, ctypes.c_void_p) for name in PARTS]})
 
@@ -162,6 +185,11 @@ def declared() -> tuple[str, str]:
     kinds = ((State, STATE), (Record, RECORD), (Settings, SETTINGS))
     structs = [_struct(kind.__name__, rows) for kind, rows in kinds] + [_braced("Parts", pointers)]
     return "\n".join([*parts, clock.declared()]), "\n".join(structs)
+
+
+def declared_events() -> str:
+    """The C of the struct of what happens on a real clock."""
+    return _struct("Events", EVENTS)
 
 
 def _struct(name: str, rows: Iterable[Signal]) -> str:
@@ -180,6 +208,6 @@ def memory(rows: Iterable[Signal], sizes: Mapping[str, int], lanes: int, arrays:
 
 
 def structure(values: Any) -> Any:
-    """The C struct of a State, Record or Settings, whose arrays have to outlive it."""
+    """The C struct of a State, Record, Settings or Events, whose arrays have to outlive it."""
     passed = {name: address(v) if isinstance(v, np.ndarray) else v for name, v in values._asdict().items()}
     return _STRUCTURES[type(values)](**passed)

@@ -40,6 +40,27 @@ class Samples:
     D_hat: np.ndarray
 
 
+@dataclass(frozen=True)
+class OnAClock:
+    """What loops on a real clock leave beside the series of all loops; rows are those times.
+
+    `X_hat` (..., nt, n) is the state that the controller predicted from, `age` (..., nt) how old its last used sample
+    is, in seconds, `handed_over` (..., nt) whether the watchdog has U. Of each loop (...): the calls that were
+    `skipped`, the commands `lost`, the calls that gave no U (`refusals`), the samples that came too `late` and those
+    that the gate `refused`, and `offset` (..., m), what an observer of the state found at the inputs in the end.
+    """
+
+    X_hat: np.ndarray
+    age: np.ndarray
+    handed_over: np.ndarray
+    skipped: np.ndarray
+    lost: np.ndarray
+    refusals: np.ndarray
+    late: np.ndarray
+    refused: np.ndarray
+    offset: np.ndarray
+
+
 @dataclass(frozen=True, repr=False)
 class Trajectories:
     """Closed loops: t (nt,) in seconds, X and P (..., nt, n), U (..., nt, m), D_hat, N and energy (..., nt).
@@ -54,7 +75,8 @@ class Trajectories:
     and `fallbacks` (...) in how many of the `steps` control steps. With a safety filter `filtered` (..., nt) says where
     U was changed, likewise, and `unkept` (...) in how many steps the bounds of U left no way to keep the limits;
     `safety` (..., nt, limits) is safe(x, t, p, M) of the plant's states. `states`, `inputs`, `time_unit`, `labels` and
-    `units` are the plant's. At or beyond `ends` D_hat is at a bound of its law; None if frozen.
+    `units` are the plant's. At or beyond `ends` D_hat is at a bound of its law; None if frozen. `clock` is what loops on a
+    real clock add, else None.
     print(loop) gives the ranges and ends of all series.
     """
 
@@ -81,6 +103,7 @@ class Trajectories:
     labels: Mapping[str, str] | None = None
     units: Mapping[str, str] | None = None
     ends: tuple[float, float] | None = None
+    clock: OnAClock | None = None
     limits: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None
 
     @cached_property
@@ -114,8 +137,9 @@ class Trajectories:
     def part(self, rows: slice) -> "Trajectories":
         """The loops `rows` of a batch with one axis."""
         cut = {name: getattr(self, name)[rows] for name in LOOPS}
+        clock = self.clock and OnAClock(**{f.name: getattr(self.clock, f.name)[rows] for f in fields(OnAClock)})
         taken = {f.name: getattr(self.samples, f.name)[rows] for f in fields(Samples)}
-        return replace(self, samples=Samples(**taken), **cut)
+        return replace(self, samples=Samples(**taken), clock=clock, **cut)
 
     @classmethod
     def joined(cls, parts: Sequence["Trajectories"]) -> "Trajectories":
@@ -125,14 +149,20 @@ class Trajectories:
             return {name: np.concatenate([getattr(part, name) for part in of]) for name in names}
 
         samples = Samples(**join([part.samples for part in parts], [f.name for f in fields(Samples)]))
-        return replace(parts[0], samples=samples, **join(parts, LOOPS))
+        clocks, clock = [part.clock for part in parts], parts[0].clock
+        if clock is not None:
+            clock = OnAClock(**join(clocks, [f.name for f in fields(OnAClock)]))
+        return replace(parts[0], samples=samples, clock=clock, **join(parts, LOOPS))
 
 
 def of_record(
     r: Record, shape: tuple[int, ...], step: float, steps: int, plant: Plant, truth: Plant,
-    predictor: Predictor | None, ends: tuple[float, float] | None,
+    predictor: Predictor | None, ends: tuple[float, float] | None, clock: OnAClock | None = None,
 ) -> Trajectories:  # fmt: skip
-    """The loops of a batch of that shape, of so many control steps; `step` seconds lie between two kept states."""
+    """The loops of a batch of that shape, of so many control steps; `step` seconds lie between two kept states.
+
+    `clock` has the loops first.
+    """
 
     def lead(a: np.ndarray) -> np.ndarray:
         """Lanes last to the batch's shape first."""
@@ -141,10 +171,13 @@ def of_record(
     samples = Samples(lead(r.sample_X[:-1]), lead(r.sample_u[:-1]), lead(r.sample_D_hat[:-1]))
     series = {name: lead(getattr(r, name)) for name in SERIES}
     times = np.arange(len(r.X)) * step
+    if clock is not None:
+        arrays = {f.name: getattr(clock, f.name) for f in fields(OnAClock)}
+        clock = OnAClock(**{name: a.reshape((*shape, *a.shape[1:])) for name, a in arrays.items()})
     return Trajectories(
         t=times, samples=samples, states=plant.states, inputs=plant.inputs, time_unit=plant.time_unit,
         labels=plant.labels, units=plant.units, margin=lead(margins(r, plant, truth, predictor)),
-        breach=lead(r.breach[: plant.n]), steps=steps, ends=ends,
+        breach=lead(r.breach[: plant.n]), steps=steps, ends=ends, clock=clock,
         limits=truth.safe if truth.declares_safe else None, **series,
     )  # fmt: skip
 

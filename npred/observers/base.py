@@ -8,10 +8,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from npred import array_checks
+from npred.delays import family
 from npred.errors import ConfigError, similar
 from npred.kernels.formula import vector
 from npred.kernels.functions import Formulas
-from npred.kernels.kernel import Kernel
+from npred.kernels.kernel import Kernel, made, skeleton
 from npred.plants.base import Plant
 from npred.symbolic import Value, programs, tape
 from npred.symbolic.trace import Trace, python
@@ -140,6 +141,13 @@ class Observer(ABC):
     def traced_outputs(self, trace: Trace, x: np.ndarray, t: Value) -> list[Value]:
         """The outputs (l,) on a trace."""
         return [*(x[self._places] if self._selects else trace.output(x, t))]
+
+    def measure(self) -> Kernel:
+        """npred.delays.family.OUTPUT: the outputs of a state, without errors."""
+        of = Formulas(self.plant, ())
+        y = self.traced_outputs(of.trace, of.trace.vector("x", self.plant.n), of.trace.input("t"))
+        shown = of.function(y, [vector("x", self.plant.n, "1"), "t"], {"y": len(y)}, "1")
+        return made("measure", family.OUTPUT, skeleton("measure.h"), {"SHOWN": shown}, {"N": self.plant.n})
 
     def output_function(self, of: Formulas) -> str:
         """The C function of the outputs (l,) and of their derivatives by the state (l, n)."""

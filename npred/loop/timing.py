@@ -1,0 +1,128 @@
+"""When things happen in a loop on a real clock: calls, samples and what is lost, all known before it runs."""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from npred import array_checks
+from npred.errors import ConfigError
+from npred.loop.actuator import ROUNDING
+from npred.loop.controller import SNAP
+from npred.loop.measurement import Measurement
+
+GAP, DROP, CALL, OVERRUN, LOST = (
+    2,
+    3,
+    5,
+    6,
+    7,
+)  # what a random number is for, as in npred/kernels/c/sensor_errors.h
+FIRST = np.uint64(0x9E3779B97F4A7C15)
+FACTORS = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
+
+
+@dataclass(frozen=True)
+class Timing:
+    """The clock of a control loop: call k comes at k dt + jitter dt r, r uniform on [-1, 1]; the first one at 0.
+
+    With probability `overrun` a call is skipped: nothing is computed in that control step, for the one before took too
+    long. With probability `lost` a command does not reach the actuator, which goes on with the one before; with
+    `tells` the controller gets to know that at its next call, as `applied`. Random numbers are functions of the seed,
+    the loop and the call. `gate` and `oldest` (seconds) are those of npred.controller; `oldest` None is at least 20
+    control steps, and enough for the delay of the samples.
+    Raises ConfigError for a value out of range.
+    """
+
+    jitter: float = 0.0
+    lost: float = 0.0
+    overrun: float = 0.0
+    tells: bool = False
+    gate: float | None = 1.0
+    oldest: float | None = None
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name, highest in (("jitter", 0.5), ("lost", 1.0), ("overrun", 1.0)):
+            value = array_checks.number(f"timing: {name}", getattr(self, name))
+            if not 0 <= value < highest:
+                raise ConfigError(
+                    f"timing: expected {name} from 0 up to {highest:g}, not included, got {value:g}; give another"
+                )
+        if not isinstance(self.seed, int | np.integer) or not -(2**63) <= self.seed < 2**63:
+            raise ConfigError(f"timing: expected a whole number of 64 bits as seed, got {self.seed!r}; give one")
+
+
+class Schedule(NamedTuple):
+    """What happens to a loop of K control steps, in control steps: of each one the call at `at` (K,), `gap` after the
+    one before; `skipped`, `lost` (K,); `sample` (K,) is the row of the sample that it gets, -1 without a new one, of
+    the age `age` (K,). Of each sample (S,) when it is `taken`, and its `number`.
+    """
+
+    at: np.ndarray
+    gap: np.ndarray
+    skipped: np.ndarray
+    lost: np.ndarray
+    sample: np.ndarray
+    age: np.ndarray
+    taken: np.ndarray
+    number: np.ndarray
+
+
+def schedule(timing: Timing, measurement: Measurement, dt: float, count: int, loop: int) -> Schedule:
+    """The schedule of `count` control steps of dt seconds in the loop of that number.
+
+    Samples have their own clock: the gaps between two are period (1 + jitter r), as npred.Measurement has them, not
+    rounded to control steps. Without a period a call takes one. A sample arrives `delay` after it was taken or, with
+    probability `drop`, never; the first one, at 0, is there at once. A call gets the newest that has arrived.
+    """
+    steps = np.arange(count)
+    at = steps + timing.jitter * (2 * uniform(timing.seed, loop, steps, CALL) - 1)
+    at[0] = 0.0
+    skipped = uniform(timing.seed, loop, steps, OVERRUN) < timing.overrun
+    skipped[0] = False
+    lost = uniform(timing.seed, loop, steps, LOST) < timing.lost
+    taken = at[~skipped] if measurement.period is None else _regular(measurement, dt, at[-1], loop)
+    number = np.arange(len(taken))
+    kept = uniform(measurement.seed, loop, number, DROP) >= measurement.drop
+    kept[0] = True
+    taken, number = taken[kept], number[kept]
+    arrives = taken + measurement.delay / dt
+    arrives[0] = 0.0
+    called = np.flatnonzero(~skipped)
+    gap, sample, age = np.ones(count), np.full(count, -1), np.zeros(count)
+    gap[called[1:]] = _snapped(np.diff(at[called]))
+    newest = np.searchsorted(arrives, at[called] + ROUNDING, side="right") - 1
+    new = np.diff(newest, prepend=-1) > 0
+    sample[called[new]] = newest[new]
+    age[called[new]] = np.maximum(_snapped(at[called[new]] - taken[newest[new]]), 0.0)
+    return Schedule(at, gap, skipped, lost, sample, age, taken, number)
+
+
+def _regular(measurement: Measurement, dt: float, end: float, loop: int) -> np.ndarray:
+    """When samples are taken, up to `end`, by the sensors' clock."""
+    assert measurement.period is not None
+    period = measurement.period / dt
+    numbers = np.arange(math.ceil(end / (period * (1 - measurement.jitter))) + 2)
+    gaps = period * (1 + measurement.jitter * (2 * uniform(measurement.seed, loop, numbers, GAP) - 1))
+    taken = np.concatenate([[0.0], np.cumsum(gaps)[:-1]]) if measurement.jitter else numbers * period
+    return taken[taken <= end + ROUNDING]
+
+
+def _snapped(steps: np.ndarray) -> np.ndarray:
+    """Numbers of control steps, whole where they are nearly, as a controller takes them."""
+    return np.where(np.abs(steps - np.round(steps)) <= SNAP, np.round(steps), steps)
+
+
+def uniform(seed: int, loop: int, numbers: np.ndarray, purpose: int) -> np.ndarray:
+    """Numbers of (0, 1) that those four decide: `uniform` of npred/kernels/c/sensor_errors.h, at state 0."""
+    z = np.full(len(numbers), FIRST)
+    parts = (np.int64(seed), np.int64(loop), numbers.astype(np.int64), np.int64(0), np.int64(purpose))
+    with np.errstate(over="ignore"):
+        for part in parts:
+            z = (z ^ np.asarray(part).astype(np.uint64)) + FIRST
+            z = (z ^ (z >> np.uint64(30))) * FACTORS[0]
+            z = (z ^ (z >> np.uint64(27))) * FACTORS[1]
+            z = z ^ (z >> np.uint64(31))
+    return ((z >> np.uint64(11)).astype(float) + 0.5) / 2.0**53
