@@ -194,3 +194,12 @@ def test_numbers_that_make_no_sense_are_refused(named):
         npred.SafetyFilter(**named)
     with pytest.raises(ConfigError, match="expected alpha up to 1 / dt"):
         npred.simulate(CART, RK4(CART, 21), D=0.3, D_hat=0.3, X0=[0, 0], t_end=1, dt=0.1, safety=npred.SafetyFilter(11))
+
+
+def test_limits_are_kept_on_a_real_clock():
+    """Calls 30 % early or late, with the interval of the delay that they need."""
+    X0 = safe_starts(20)
+    named = {"D": 0.3, "D_hat": 0.3, "X0": X0, "t_end": 6.0, "dt": 0.01, "u0": [0.0], "actuator": "history"}
+    safety, timing = npred.SafetyFilter(3.0, delay=0.01), npred.Timing(jitter=0.3)
+    loop = npred.simulate(CART, RK4(CART, 31), safety=safety, timing=timing, **named)
+    assert loop.safety.min() > 0 and loop.filtered.any() and not loop.unkept.any()

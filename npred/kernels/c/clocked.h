@@ -115,7 +115,7 @@ static inline void do_call(Shape d, INDEX k, const Parts *q, const Settings *s, 
 static inline void note(Shape d, INDEX k, const Settings *s, const State *z, Events *e, Record *out)
 {
     const Clock c = clock_of(d, z->clock);
-    const INDEX row = k / s->every;
+    const INDEX row = k / s->every, next = (k + s->every - 1) / s->every < s->row_count ? (k + s->every - 1) / s->every : row;
     double D_hat = 0.0;
     for (int i = 0; i < d.m; i++) {
         D_hat = larger(D_hat, z->D_seen[i]); /* the one that it read the commands by: the next one is in z->D_hat */
@@ -127,7 +127,11 @@ static inline void note(Shape d, INDEX k, const Settings *s, const State *z, Eve
     }
     if (z->fallback[0] > 0.0 && !e->skipped[k]) {
         out->fallbacks[0]++;
-        out->fallback[(k + s->every - 1) / s->every < s->row_count ? (k + s->every - 1) / s->every : row] = 1;
+        out->fallback[next] = 1;
+    }
+    if (z->filtered[0] > 0.0 && !e->skipped[k]) {
+        out->unkept[0] += z->filtered[0] > 1.0;
+        out->filtered[next] = 1;
     }
     if (k % s->every == 0) {
         copy(d.n, z->P + (d.nx - 1) * d.n, out->P + row * d.n);
