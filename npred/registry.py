@@ -192,6 +192,16 @@ METHODS = Registry(
         "rollout": Entry("npred.predictors.rollout:Rollout", "rollout", ("ink", (1, 1.5), "P")),
     },
 )
+LAWS = Registry(  # kappa, designed from f
+    "kappa",
+    "npred.laws",
+    {
+        "lqr": Entry("npred.laws.regulator:lqr", "LQR"),
+        "pole_placement": Entry("npred.laws.placement:pole_placement", "pole placement"),
+        "feedback_linearisation": Entry("npred.laws.linearisation:feedback_linearisation", "feedback linearisation"),
+        "sontag": Entry("npred.laws.universal:sontag", "Sontag's formula"),
+    },
+)
 DELAY_LAWS = Registry(
     "adaptation",
     "npred.delay_laws",

@@ -15,7 +15,7 @@ FLOORS = [
     {"errors", "grid", "json_files", "randomness"},
     {"array_checks", "config", "defaults", "kernels", "parallel", "registry", "symbolic", "terminal"},
     {"plants", "results", "robots", "store"},
-    {"data", "operators", "recordings"},
+    {"data", "laws", "operators", "recordings"},
     {"delays", "training"},
     {"bounds", "observers", "predictors", "safety"},
     {"conditions", "diagnosis", "identification", "loop", "runtimes"},

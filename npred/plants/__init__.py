@@ -1,8 +1,9 @@
 """Plants by name or from a user's file."""
 
 import importlib
+import inspect
 import pkgutil
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from typing import Any
 
@@ -12,10 +13,14 @@ from npred.plants import builtin
 from npred.plants.base import Plant
 from npred.plants.black_box import BlackBox
 
+Kappa = Callable[..., Any] | str | Mapping[str, Any]  # a law, its name, or its name with what it takes
 
-def resolve(name: str, parameters: Mapping[str, float] = {}) -> Plant:
+
+def resolve(name: str, parameters: Mapping[str, float] = {}, kappa: Kappa = "") -> Plant:
     """The plant of a built-in or installed name or of `file.py:Class`, with parameters overridden.
 
+    `kappa` is a law in the place of the declared one: a function kappa(x, t, p, M), the name of a law that is designed
+    from f, as "lqr", or a table of such a name and what it takes: {"law": "pole_placement", "poles": [-1, -2]}.
     Raises ConfigError, in one line, for an unknown name, a missing or broken file, or an unknown parameter.
     """
     if not isinstance(name, str):
@@ -24,7 +29,7 @@ def resolve(name: str, parameters: Mapping[str, float] = {}) -> Plant:
         (path, kind), (declaration, source) = registry.split(name), registry.load("plant", name)
         plant = make(kind, declaration, parameters, source)
         plant.spec = f"{path.absolute()}:{kind}"
-        return plant
+        return controlled(plant, kappa)
     if name.endswith(".py"):
         raise ConfigError(f"plant {name}: expected the class too, got the file alone; write {name}:Tank, say")
     declaration = _builtin().get(name) or registry.PLANTS.installed(name)
@@ -33,31 +38,52 @@ def resolve(name: str, parameters: Mapping[str, float] = {}) -> Plant:
         raise ConfigError(f"plant {name!r}: expected one of {', '.join(names())}, or a file as my_plant.py:Tank{near}")
     plant = make(name, declaration, parameters)
     plant.spec = name
-    return plant
+    return controlled(plant, kappa)
+
+
+def controlled(plant: Plant, kappa: Kappa) -> Plant:
+    """The plant with that law; itself where there is none. Raises ConfigError for a law that does not serve it."""
+    if callable(kappa) or not kappa:
+        return plant.controlled(kappa) if callable(kappa) else plant
+    table = {"law": kappa} if isinstance(kappa, str) else dict(kappa)
+    name = str(table.pop("law", ""))
+    design = registry.LAWS.load("kappa", name)
+    try:
+        inspect.signature(design).bind(plant, **table)
+    except TypeError as error:
+        raise ConfigError(f"kappa {name}: expected what {name}{inspect.signature(design)} takes, {error}") from None
+    other = plant.controlled(design(plant, **table))
+    other.law_table = {"law": name} | table
+    return other
 
 
 @lru_cache(maxsize=16)
 def varied(plant: Plant, parameters: tuple[tuple[str, float], ...]) -> Plant:
     """The plant with some of its parameters changed. Raises ConfigError for one that it does not have."""
-    return type(plant)(plant.name, plant.declaration, plant.parameters | dict(parameters), plant.source)
+    return type(plant)(plant.name, plant.declared, plant.parameters | dict(parameters), plant.source, plant.law)
 
 
 @lru_cache(maxsize=128)
-def restored(spec: str, parameters: tuple[tuple[str, float], ...], digest: str | None) -> Plant:
+def restored(
+    spec: str, parameters: tuple[tuple[str, float], ...], digest: str | None, kappa: Callable[..., Any] | None
+) -> Plant:
     """The plant that was pickled by its name, one per process, for it keeps what is compiled.
 
     Raises ConfigError where it is not there, or its file has changed since.
     """
-    plant = resolve(spec, dict(parameters))
+    plant = resolve(spec, dict(parameters), kappa or "")
     if plant.digest != digest:
         raise ConfigError(f"plant {spec}: expected the file that was pickled, got another text; pickle the plant again")
     return plant
 
 
 @lru_cache(maxsize=128)
-def remade(kind: type[Plant], name: str, declaration: type, parameters: tuple[tuple[str, float], ...]) -> Plant:
+def remade(
+    kind: type[Plant], name: str, declaration: type, parameters: tuple[tuple[str, float], ...],
+    kappa: Callable[..., Any] | None,
+) -> Plant:  # fmt: skip
     """The plant that was pickled with its class, which Python could import; one per process."""
-    return kind(name, declaration, dict(parameters))
+    return kind(name, declaration, dict(parameters), kappa=kappa)
 
 
 def make(

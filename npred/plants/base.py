@@ -22,7 +22,7 @@ class Plant:
     """X'(t) = f(X(t), U(t - D)) with the control law kappa and the function V [DAPF, eqs. 1-4].
 
     A declaration is a class with `states`, `inputs` (names) and the functions f(x, u, t, p, M), kappa(x, t, p, M) and
-    V(x, t, p, M); optional are `parameters` (name to default), `box` (state to range, for experiments), `guess` (where
+    V(x, t, p, M); a law `kappa` that is not the declaration's may be passed, and takes its place; optional are `parameters` (name to default), `box` (state to range, for experiments), `guess` (where
     the equilibrium is searched from), `input_bounds` (a range per input), `state_bounds` (state to the range in which
     it stops, as if a wall were there), `delays` (seconds, one per input, where they
     differ), `mechanics` (M(q), force and damping of M q'' = force - damping q', for npred.predictors.semi_implicit),
@@ -37,11 +37,17 @@ class Plant:
     spec: str | None = (
         None  # what npred.plants.resolve takes for it, in another process say; None for a script's own class
     )
+    law_table: Mapping[str, Any] = {}  # the name of the law that was designed for it, and what that took
 
-    def __init__(self, name: str, declaration: Any, overrides: Mapping[str, float] = {}, source: Source | None = None):
+    def __init__(
+        self, name: str, declaration: Any, overrides: Mapping[str, float] = {}, source: Source | None = None,
+        kappa: Callable[..., Any] | None = None,
+    ):  # fmt: skip
         declared.check_name(name)
         parts = declared.read(name, declaration, overrides)
-        self.name, self.declaration = name, declared.completed(declaration)
+        self.name, self.declaration = name, declared.completed(name, declaration, kappa)
+        self.declared, self.law = declaration, kappa  # what the author wrote, and the law in the place of theirs
+        self.declares_kappa = (kappa or parts.kappa) is not None
         self.source = source or registry.declaring(declaration)
         self.declares_V, self.declares_delay = parts.V is not None, parts.delay is not None
         self.declares_mechanics, self.declares_rollout = parts.mechanics is not None, parts.rollout is not None
@@ -65,9 +71,17 @@ class Plant:
 
         parameters = tuple(self.parameters.items())
         if self.spec is not None:
-            return plants.restored, (self.spec, parameters, self.digest)
-        declaration = self.declaration if self.declares_V else self.declaration.__base__  # see declared.completed
-        return plants.remade, (type(self), self.name, declaration, parameters)
+            return plants.restored, (self.spec, parameters, self.digest, self.law)
+        return plants.remade, (type(self), self.name, self.declared, parameters, self.law)
+
+    def controlled(self, kappa: Callable[..., Any]) -> "Plant":
+        """The plant with another law kappa(x, t, p, M), one of npred.laws say. Raises ConfigError for a black box."""
+        if not self.traced:
+            cure = "write kappa(X, t, p) in its class"
+            raise ConfigError(f"plant {self.name}: kappa expected a plant that is traced, got traced = False; {cure}")
+        plant = type(self)(self.name, self.declared, self.parameters, self.source, kappa)
+        plant.spec = self.spec
+        return plant
 
     @property
     def digest(self) -> str | None:
@@ -287,9 +301,10 @@ class Plant:
         """
         trace = Trace(self)
         x, u, t = trace.symbols()
-        f, kappa, rest = trace.f(x, u, t), trace.kappa(x, t), ["t", *names("p", len(self.p))]
+        f, rest = trace.f(x, u, t), ["t", *names("p", len(self.p))]
         of_f, of_kappa = [*names("x", self.n), *names("u", self.m), *rest], [*names("x", self.n), *rest]
-        parts = {"f_x": (f, x, of_f), "f_u": (f, u, of_f), "kappa_x": (kappa, x, of_kappa)}
+        parts = {"f_x": (f, x, of_f), "f_u": (f, u, of_f)}
+        parts |= {"kappa_x": (trace.kappa(x, t), x, of_kappa)} if self.declares_kappa else {}
         return {
             name: python([y for unit in np.eye(len(by)) for y in programs.derivative(values, by, unit)], inputs)
             for name, (values, by, inputs) in parts.items()

@@ -40,8 +40,11 @@ class BlackBox(Plant):
 
     traced: ClassVar[bool] = False
 
-    def __init__(self, name: str, declaration: Any, overrides: Mapping[str, float] = {}, source: Source | None = None):
-        super().__init__(name, declaration, overrides, source)
+    def __init__(
+        self, name: str, declaration: Any, overrides: Mapping[str, float] = {}, source: Source | None = None,
+        kappa: Callable[..., Any] | None = None,
+    ):  # fmt: skip
+        super().__init__(name, declaration, overrides, source, kappa)
         if self.source is None:
             raise ConfigError(f"plant {name}: traced = False expected a class in a file, as tank.py:Tank; write one")
         if not self.one_delay:

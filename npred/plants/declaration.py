@@ -76,7 +76,7 @@ class Declaration(BaseModel, frozen=True):
     states: Names
     inputs: Names
     f: Function
-    kappa: Function
+    kappa: Function | None = None
     V: Function | None = None
     delay: Function | None = None
     mechanics: Function | None = None
@@ -151,16 +151,30 @@ def _sentence(error: ValidationError) -> str:
     first = error.errors()[0]
     part, *items = first["loc"] or ("",)
     if first["type"] == "missing":
-        return f"expected states, inputs, f, kappa, found no {part}; declare it"
+        return f"expected states, inputs, f, found no {part}; declare it"
     where = "".join(f"[{item!r}]" for item in items if item != "[key]")
     return " ".join(f"{part}{where}: {first['msg'].removeprefix('Value error, ')}".removeprefix(": ").split())
 
 
-def completed(declaration: Any) -> Any:
-    """The declaration, with V = 0 where it has none: such a plant can be looked at, and be offered one."""
-    if getattr(declaration, "V", None) is not None:
-        return declaration
-    return type(declaration.__name__, (declaration,), {"V": staticmethod(_zero)})
+def completed(plant: str, declaration: Any, kappa: Function | None = None) -> Any:
+    """The declaration with the law `kappa` where one is given, with V = 0 where it has none, and with a kappa that
+    refuses to be called where it has none: such a plant can be looked at, and be offered them.
+    """
+    parts: dict[str, Any] = {} if kappa is None else {"kappa": kappa}
+    if kappa is None and getattr(declaration, "kappa", None) is None:
+        parts["kappa"] = _absent(plant)
+    if getattr(declaration, "V", None) is None:
+        parts["V"] = _zero
+    functions = {name: staticmethod(function) for name, function in parts.items()}
+    return type(declaration.__name__, (declaration,), functions) if functions else declaration
+
+
+def _absent(plant: str) -> Function:
+    def kappa(*_: Any) -> Any:
+        cure = 'declare it, or set kappa = "lqr"; npred plants check offers one'
+        raise ConfigError(f"plant {plant}: expected kappa(x, t, p, M), found none; {cure}")
+
+    return kappa
 
 
 def _zero(x: Any, t: Any, p: Any, M: Any = None) -> Any:

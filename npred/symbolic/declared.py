@@ -68,9 +68,9 @@ def call(
 
     Only f and mechanics take u, and `reference` takes the time alone.
     """
-    state = () if x is None else (_record("State", plant.states)(*x),)
-    named = _record("Parameters", tuple(plant.parameters))(*p)
-    inputs = () if u is None else (_record("Inputs", plant.inputs)(*u),)
+    state = () if x is None else (record("State", plant.states)(*x),)
+    named = record("Parameters", tuple(plant.parameters))(*p)
+    inputs = () if u is None else (record("Inputs", plant.inputs)(*u),)
     function = getattr(plant.declaration, name)
     try:
         values = function(*state, *inputs, t, named, M)
@@ -87,7 +87,7 @@ def call(
 
 def parameters(plant: Declared) -> Parameters:
     """The parameters' values by name."""
-    return _record("Parameters", tuple(plant.parameters))(*np.array([*plant.parameters.values()], dtype=float))
+    return record("Parameters", tuple(plant.parameters))(*np.array([*plant.parameters.values()], dtype=float))
 
 
 def failure(plant: Declared, name: str, error: Exception) -> ConfigError:
@@ -99,7 +99,8 @@ def failure(plant: Declared, name: str, error: Exception) -> ConfigError:
 
 
 @cache
-def _record(kind: str, names: tuple[str, ...]) -> Callable[..., Parameters]:
+def record(kind: str, names: tuple[str, ...]) -> Callable[..., Parameters]:
+    """The class of components with names, as declared functions take them: record("State", ("h",))(1.0).h."""
     return namedtuple(kind, names)
 
 

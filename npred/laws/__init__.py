@@ -1,0 +1,12 @@
+"""Laws kappa that are designed from f alone: what is designed without delay is applied to P by npred.
+
+Each is a file and a line of npred.registry.LAWS: a function of a plant that gives a kappa(x, t, p, M).
+"""
+
+from npred.laws.law import Law
+from npred.laws.linearisation import feedback_linearisation
+from npred.laws.placement import pole_placement
+from npred.laws.regulator import lqr
+from npred.laws.universal import sontag
+
+__all__ = ["Law", "feedback_linearisation", "lqr", "pole_placement", "sontag"]

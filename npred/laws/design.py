@@ -1,0 +1,190 @@
+"""What a law is designed from: f on a tape, the point or the reference that it leads to, and sizes by the box."""
+
+from collections.abc import Sequence
+from functools import cached_property
+
+import numpy as np
+
+from npred import randomness
+from npred.errors import ConfigError
+from npred.plants import inputs
+from npred.plants.base import Plant
+from npred.plants.newton import REST
+from npred.symbolic import Value, programs, source_lines
+from npred.symbolic.tape import M, Vector, names
+from npred.symbolic.trace import Trace, python
+
+SAMPLES = 256  # states of the box
+SPAN, MOMENTS = 100.0, 64  # seconds of a reference without a period, and times in them
+STEPS, SHORTEST = 100, 1e-6  # of the search for a point of rest, and the shortest share of a step
+SLOW = 1e-6  # 1/s: rates below are those of integrators, which rounding moves off 0
+
+
+class Design:
+    """A plant as a law is designed for it; its own kappa, if it has one, is not looked at.
+
+    It is to rest at `guess`, where an input holds it there, else at a point of rest near it; or to follow `reference`,
+    where it declares one. Raises ConfigError for a plant that is not traced, that has no such point, or whose f
+    depends on time without a reference.
+    """
+
+    def __init__(self, plant: Plant, law: str) -> None:
+        self.plant, self.law = plant, law
+        if not plant.traced:
+            raise self.refusal("a plant that is traced, got traced = False", "write kappa(X, t, p) in its class")
+        self.follows = getattr(plant.declaration, "reference", None) is not None
+        if not (self.follows or plant.autonomous):
+            raise self.refusal("an f free of time or a reference(t, p, M), found neither", "declare one")
+        self.trace = Trace(plant)
+        self.x, self.u, self.t = self.trace.symbols()
+
+    def refusal(self, expected: str, cure: str) -> ConfigError:
+        """The error of a law that does not serve the plant, in one line."""
+        return ConfigError(f"kappa {self.law}: plant {self.plant.name}: expected {expected}; {cure}")
+
+    def values(self, outputs: Vector, X: np.ndarray, t: np.ndarray) -> np.ndarray:
+        """Expressions of x, t and the parameters at states X (B, n) and times t (B,): (B, outputs)."""
+        function = python(outputs, [*names("x", self.plant.n), "t", *names("p", len(self.plant.p))])
+        with np.errstate(all="ignore"):
+            columns = function(*X.T, t, *self.plant.p)
+        return np.stack([np.broadcast_to(column, t.shape) for column in columns], axis=-1).astype(float)
+
+    @cached_property
+    def rest(self) -> tuple[np.ndarray, np.ndarray]:
+        """X and u with f(X, u) = 0, (n,) and (m,), X nearest to `guess` in half widths of the box."""
+        plant = self.plant
+        low, high = self.limits.T
+        u = np.clip(0.0, low, high)
+        scale = np.concatenate([self.widths, np.ones(plant.m)])
+        z, arrived = self._search(np.concatenate([plant.guess, u]), np.where(np.arange(len(scale)) < plant.n, 0, 1))
+        if not arrived:
+            z, arrived = self._search(z, scale)
+        X, u = z[: plant.n], z[plant.n :]
+        if not arrived:
+            left = source_lines.values([f"{name}'" for name in plant.states], plant.f(X, u))
+            raise self.refusal(f"a point of rest near guess = {plant.guess.tolist()}, {left} is left", "move guess")
+        if (u < low).any() or (u > high).any():
+            raise self.refusal(f"an input within input_bounds at rest, got {source_lines.values(plant.inputs, u)}",
+                               "move guess")  # fmt: skip
+        return X, u
+
+    def _search(self, z: np.ndarray, scale: np.ndarray) -> tuple[np.ndarray, bool]:
+        """Gauss and Newton's method for f = 0 by X and u in one vector, by the shortest steps in units of `scale`."""
+        n, f = self.plant.n, self.plant.f
+        for _ in range(STEPS):
+            value = f(z[:n], z[n:])
+            jacobian = np.hstack(self.plant.jacobians(z[:n], z[n:])) * scale
+            if not np.isfinite(value).all() or not np.isfinite(jacobian).all():
+                break
+            step, share = scale * np.linalg.lstsq(jacobian, value, rcond=None)[0], 1.0
+            moved = z - step
+            while share > SHORTEST and not np.linalg.norm(f(moved[:n], moved[n:])) < np.linalg.norm(value):
+                share /= 2
+                moved = z - share * step
+            if share <= SHORTEST:
+                break
+            z = moved
+        size = max(1.0, float(np.linalg.norm(z[:n])))
+        return z, bool(np.linalg.norm(f(z[:n], z[n:])) <= REST * size)
+
+    @cached_property
+    def target(self) -> tuple[Sequence[Value], Sequence[Value]]:
+        """State and input to lead to, as numbers or as expressions of t.
+
+        The input of a reference is the one with which f is its derivative, by least squares where f has more rows.
+        """
+        if not self.follows:
+            X, u = self.rest
+            return X.tolist(), u.tolist()
+        X = self.trace.reference(self.t)
+        rate = programs.derivative(X, [self.t], [1.0])
+        B = self._by_input(X)
+        drift = self.trace.f(X, np.zeros(self.plant.m), self.t)
+        return list(X), solved(B, [a - b for a, b in zip(rate, drift, strict=True)])
+
+    @cached_property
+    def B(self) -> np.ndarray:
+        """f_U (n, m) as expressions. Raises ConfigError for an f that is not affine in the inputs."""
+        return self._by_input(self.x)
+
+    def _by_input(self, X: np.ndarray) -> np.ndarray:
+        f = self.trace.f(X, self.u, self.t)
+        columns = [programs.derivative(f, self.u, unit) for unit in np.eye(self.plant.m)]
+        if programs.depends([a for column in columns for a in column], self.u):
+            raise self.refusal("an f that is affine in the inputs, got another", "take lqr, or write kappa(x, t, p, M)")
+        return np.array(columns, dtype=object).T
+
+    @cached_property
+    def moments(self) -> np.ndarray:
+        """The times at which a reference is looked at; 0 for a point of rest."""
+        if not self.follows:
+            return np.zeros(1)
+        return np.linspace(0.0, self.plant.period or SPAN, MOMENTS, endpoint=False)
+
+    @cached_property
+    def targets(self) -> tuple[np.ndarray, np.ndarray]:
+        """States and inputs to lead to at `moments`: (T, n) and (T, m)."""
+        X, u = self.target
+        z = self.values([*X, *u], np.zeros((len(self.moments), self.plant.n)), self.moments)
+        return z[:, : self.plant.n], z[:, self.plant.n :]
+
+    @cached_property
+    def linearised(self) -> tuple[np.ndarray, np.ndarray]:
+        """f_X and f_U, (n, n) and (n, m), at the point of rest, or their means along the reference."""
+        A, B = self.plant.jacobians(*self.targets, self.moments)
+        A, B = A.mean(axis=0), B.mean(axis=0)
+        if not (np.isfinite(A).all() and np.isfinite(B).all()):
+            raise self.refusal("derivatives of f where the law leads, got none", "move guess")
+        return A, B
+
+    @cached_property
+    def ends(self) -> np.ndarray:
+        """The box (n, 2); where it has no range for a state, 1 around `guess`."""
+        pairs = [self.plant.box.get(name, (a - 1, a + 1)) for name, a in
+                 zip(self.plant.states, self.plant.guess, strict=True)]  # fmt: skip
+        return np.array(pairs, dtype=float)
+
+    @cached_property
+    def widths(self) -> np.ndarray:
+        """Half the box, (n,), where that has a width, else 1."""
+        width = np.ptp(self.ends, axis=1) / 2
+        return np.where(width > 0, width, 1.0)
+
+    @cached_property
+    def sizes(self) -> np.ndarray:
+        """A size of each input, (m,): how far it may move to the nearer of its bounds.
+
+        Without bounds, with how much of it a state crosses half its box within the time constant of the plant's
+        fastest rate, 1 where all its rates are 0: so a loop is about as fast as its plant.
+        """
+        u = self.targets[1][0]
+        room = np.abs(self.limits - u[:, None]).min(axis=1)
+        A, B = self.linearised
+        rate = np.abs(np.linalg.eigvals(A)).max()
+        crossings = np.abs(B / self.widths[:, None]).max(axis=0)
+        free = (rate if rate > SLOW else 1.0) / np.where(crossings > 0, crossings, 1.0)
+        return np.where(np.isfinite(room) & (room > 0), room, free)
+
+    @cached_property
+    def limits(self) -> np.ndarray:
+        """The plant's input bounds, (m, 2)."""
+        return inputs.bounds(self.plant, None)
+
+    @cached_property
+    def samples(self) -> np.ndarray:
+        """States of the box, (SAMPLES, n)."""
+        return randomness.generator(0, "laws").uniform(*self.ends.T, (SAMPLES, self.plant.n))
+
+
+def solved(B: np.ndarray, right: Sequence[Value]) -> list[Value]:
+    """u (m,) that minimises |B u - right|, B (k, m) of full rank, by expressions."""
+    columns = B.T
+    normal = [[_dot(a, b) for b in columns] for a in columns]
+    return M.solve(normal, [_dot(a, right) for a in columns])
+
+
+def _dot(a: Vector, b: Vector) -> Value:
+    total: Value = 0.0
+    for left, right in zip(a, b, strict=True):
+        total = total + left * right
+    return total

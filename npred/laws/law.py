@@ -1,0 +1,86 @@
+"""A law as the Python that it is: called as a plant's kappa is, printed to be pasted, pickled by its text."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from npred.plants.base import Plant
+from npred.symbolic import Parameters, Value, programs
+from npred.symbolic.tape import FUNCTIONS, OPS, Functions, Vector, names
+from npred.symbolic.trace import Trace
+
+DIGITS = 8  # of a gain: more would differ between libraries of linear algebra, and results are keyed by them
+SMALL = 1e-9  # of a law's largest term: rounding
+TEXTS = {
+    name: f"M.{name}({', '.join(f'{{{k}}}' for k in range(op.text.count('{')))})"
+    for name, op in OPS.items()
+    if name in FUNCTIONS
+} | {"where": "M.where({0}, {1}, {2})"}
+
+
+@dataclass(frozen=True)
+class Law:
+    """kappa(x, t, p, M) by the text of its definition, which can be pasted into a plant's class."""
+
+    text: str
+
+    @cached_property
+    def function(self) -> Callable[..., list[Value]]:
+        """The function that the text defines."""
+        space: dict[str, Any] = {"np": np}
+        exec(self.text, space)
+        return space["kappa"]
+
+    def __call__(self, x: Parameters, t: Value, p: Parameters, M: Functions) -> list[Value]:
+        return self.function(x, t, p, M)
+
+    def __str__(self) -> str:
+        return self.text
+
+    def __reduce__(self) -> tuple[type["Law"], tuple[str]]:
+        return Law, (self.text,)
+
+
+def written(trace: Trace, outputs: Vector) -> Law:
+    """The law whose values are these expressions of the trace's x, t and parameters."""
+    plant: Plant = trace.plant
+    bindings = {f"x{k}": f"x.{name}" for k, name in enumerate(plant.states)}
+    bindings |= {f"p{k}": f"p.{name}" for k, name in enumerate(plant.parameters)}
+    results = names("u", plant.m)
+    lines = programs.lines(outputs, bindings, results, TEXTS)
+    return _defined([*lines, f"return [{', '.join(results)}]"])
+
+
+def linear(plant: Plant, K: np.ndarray, X: np.ndarray, u: np.ndarray, widths: np.ndarray) -> Law:
+    """u - K (x - X) for K (m, n), X (n,), u (m,), without the terms that are rounding for errors of those widths."""
+    return _defined([f"return [{', '.join(_row(plant, *row, X, widths) for row in zip(u, K, strict=True))}]"])
+
+
+def error(state: str, rest: float) -> str:
+    """x.state - rest, in brackets, as text; without a rest that is 0."""
+    return f"(x.{state} - {rest:.12g})" if rest else f"x.{state}"
+
+
+def rounded(values: Any) -> np.ndarray:
+    """The values to DIGITS digits."""
+    return np.array([float(f"{value:.{DIGITS}g}") for value in np.ravel(values)]).reshape(np.shape(values))
+
+
+def _row(plant: Plant, u: float, gains: np.ndarray, X: np.ndarray, widths: np.ndarray) -> str:
+    sizes = np.abs(gains) * widths
+    terms = [
+        f"{'-' if gain > 0 else '+'} {abs(gain):.{DIGITS}g} * {error(name, rest)}"
+        for name, gain, rest, size in zip(plant.states, gains, X, sizes, strict=True)
+        if size > SMALL * sizes.max()
+    ]
+    if u or not terms:
+        return " ".join([f"{u:.12g}", *terms])
+    sign, first = terms[0].split(" ", 1)
+    return " ".join([first if sign == "+" else f"-{first}", *terms[1:]])
+
+
+def _defined(lines: Sequence[str]) -> Law:
+    return Law("\n".join(["def kappa(x, t, p, M):", *(f"    {line}" for line in lines)]) + "\n")

@@ -1,0 +1,63 @@
+"""The linear-quadratic regulator of the linearisation."""
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from npred import array_checks
+from npred.errors import ConfigError
+from npred.laws.design import Design
+from npred.laws.law import Law, linear, rounded, written
+from npred.laws.riccati import riccati
+from npred.plants.base import Plant
+
+
+def lqr(plant: Plant, Q: ArrayLike | None = None, R: ArrayLike | None = None) -> Law:
+    """kappa = u - K (x - X) with K = inv(R) B' S of the Riccati equation A'S + SA - S B inv(R) B' S + Q = 0.
+
+    A and B are those of f at the point of rest X, u, or their means along the reference. Q (n, n) and R (m, m), or
+    their diagonals, are by Bryson's rule by default: 1 / size² of each state, half its box, and of each input, the
+    distance to its nearer bound. The law itself is not clipped: npred clips every U to the input bounds.
+    Raises ConfigError for weights that do not fit, and for a linearisation that the inputs do not stabilise.
+    """
+    design = Design(plant, "lqr")
+    return along(design, gains(design, Q, R)[1])
+
+
+def gains(design: Design, Q: ArrayLike | None = None, R: ArrayLike | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """S (n, n) and K (m, n) of the regulator."""
+    weights = [
+        _weights(design, "Q", Q, design.widths, least=0.0),
+        _weights(design, "R", R, design.sizes, least=np.finfo(float).tiny),
+    ]
+    try:
+        return riccati(*design.linearised, *weights)
+    except ConfigError as fault:
+        raise ConfigError(f"kappa {design.law}: plant {design.plant.name}: {fault}") from None
+
+
+def along(design: Design, K: np.ndarray) -> Law:
+    """u - K (x - X), for the point of rest or the reference X with its input u."""
+    if not design.follows:
+        return linear(design.plant, K, *design.rest, design.widths)
+    X, u = design.target
+    errors = [a - b for a, b in zip(design.x, X, strict=True)]
+    outputs = list(u)
+    for j, row in enumerate(rounded(K)):
+        for gain, error in zip(row, errors, strict=True):
+            outputs[j] = outputs[j] - gain * error
+    return written(design.trace, outputs)
+
+
+def _weights(design: Design, name: str, given_weights: ArrayLike | None, sizes: np.ndarray, least: float) -> np.ndarray:
+    """The matrix of Q or R: as it was passed, of its diagonal, or by Bryson's rule."""
+    if given_weights is None:
+        return np.diag(1 / sizes**2)
+    matrix = array_checks.floats(name, given_weights)
+    matrix = np.diag(matrix) if matrix.ndim == 1 else matrix
+    size = len(sizes)
+    fits = matrix.shape == (size, size) and np.isfinite(matrix).all() and np.allclose(matrix, matrix.T)
+    if not fits or np.linalg.eigvalsh(matrix).min() < least - 1e-12 * np.abs(matrix).max() * (least == 0):
+        kind = "positive definite" if least else "without negative eigenvalues"
+        raise design.refusal(f"{name} ({size}, {size}) symmetric and {kind}, or its diagonal, got {given_weights}",
+                             "write one weight each")  # fmt: skip
+    return matrix

@@ -1,0 +1,84 @@
+"""Sontag's universal formula: a law from a function V that falls for some input."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from npred.laws.design import Design
+from npred.laws.law import Law, rounded, written
+from npred.laws.regulator import gains
+from npred.plants.base import Plant
+from npred.symbolic import Value, programs
+from npred.symbolic.declared import record
+from npred.symbolic.tape import M, names
+from npred.symbolic.trace import python
+
+LQR = "lqr"  # the V of the regulator's Riccati equation
+SMOOTH = 1e-6  # of the usual |a, b| on the box: where the formula passes into the linear law
+DOUBLINGS = 40  # of the linear law's gain
+
+
+def sontag(plant: Plant, V: Callable[..., Any] | str | None = None) -> Law:
+    """kappa = u - s b' (a + sqrt(a² + β² + ε²)) / (β + ε / g), β = b s b', with a = V_t + V_x f(x, u), b = V_x f_U.
+
+    Sontag (Systems & Control Letters 13, 1989, 117-123) has ε = 0, s = 1, and no derivative where it rests. Here s are
+    the inputs' sizes squared, ε is SMOOTH of the usual size of (a, β) on the box, and g the gain, doubled from 1/2,
+    with which the linear law -g s b' makes V fall near rest: V' < 0 wherever a < 0, or β sqrt(a² + β² + ε²) > a ε / g.
+    V is a function V(x, t, p, M), "lqr" for e'Se of the regulator, whose law this one then is near rest; by default
+    that of the plant, and "lqr" where it declares none. Raises ConfigError for an f that is not affine in the inputs,
+    and for a V that no input makes fall near rest.
+    """
+    design = Design(plant, "sontag")
+    value = _value(design, V)
+    X, u = design.target
+    velocity = design.trace.f(design.x, np.array(u, dtype=object), design.t)
+    rate = programs.derivative([value], [design.t, *design.x], [1.0, *velocity])[0]
+    row = [programs.derivative([value], design.x, column)[0] for column in design.B.T]
+    weights = rounded(design.sizes**2)
+    effect: Value = 0.0
+    for b, weight in zip(row, weights, strict=True):
+        effect = effect + weight * (b * b)
+    g = _gain(design, value, weights)
+    usual = np.hypot(*design.values([rate, effect], design.samples, np.zeros(len(design.samples))).T)
+    small = float(f"{SMOOTH * np.nanmedian(usual):.1g}")
+    size = M.sqrt(rate * rate + effect * effect + small**2)
+    # where a < 0 the sum a + size cancels, and is written as the quotient that it equals
+    sum_of_both = M.where(rate < 0, (effect * effect + small**2) / (size - rate), rate + size)
+    pull = sum_of_both / (effect + small / g)
+    return written(design.trace, [a - weight * b * pull for a, b, weight in zip(u, row, weights, strict=True)])
+
+
+def _value(design: Design, V: Callable[..., Any] | str | None) -> Value:
+    """V on the tape."""
+    plant = design.plant
+    if callable(V):
+        p = record("Parameters", tuple(plant.parameters))(*design.trace.parameters)
+        return V(record("State", plant.states)(*design.x), design.t, p, M)
+    if V is None and plant.declares_V:
+        return design.trace.V(design.x, design.t)
+    if V not in (None, LQR):
+        raise design.refusal(f'V(x, t, p, M) or "{LQR}", got {V!r}', "pass one of them")
+    S, total = rounded(gains(design)[0]), 0.0
+    errors = [a - b for a, b in zip(design.x, design.target[0], strict=True)]
+    for i, row in enumerate(S):
+        for j in range(i + 1):
+            total = total + (1 if i == j else 2) * row[j] * (errors[i] * errors[j])
+    return total
+
+
+def _gain(design: Design, value: Value, weights: np.ndarray) -> float:
+    """The least g = 1/2, 1, 2, … with which V falls along the linear law near rest."""
+    plant, x = design.plant, design.x
+    slopes = [programs.derivative([value], x, unit)[0] for unit in np.eye(plant.n)]
+    curvature = [y for unit in np.eye(plant.n) for y in programs.derivative(slopes, x, unit)]
+    function = python(curvature, [*names("x", plant.n), "t", *names("p", len(plant.p))])
+    X = design.targets[0][0]
+    H = np.array(function(*X, 0.0, *plant.p), dtype=float).reshape(plant.n, plant.n) / 2
+    A, B = design.linearised
+    if np.linalg.eigvalsh(H).min() > 0:
+        for g in 0.5 * 2.0 ** np.arange(DOUBLINGS):
+            fall = H @ A + A.T @ H - 4 * g * (H @ B * weights) @ (B.T @ H)
+            if np.linalg.eigvalsh(fall).max() < 0:
+                return float(g)
+    raise design.refusal("a V that some input makes fall near rest, got another", f'pass V = "{LQR}", or another V')
