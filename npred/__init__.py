@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from npred import errors as errors
+    from npred import laws as laws
     from npred import observers as observers
     from npred import plants as plants
     from npred.api import controller, guarded, load, plant, predictor
@@ -51,10 +52,8 @@ _HOME = dict.fromkeys(__all__, "api") | {
     "simulate": "loop.closed_loop",
 }
 # as npred.errors
-_MODULES = {
-    "errors": "errors", "observers": "observers", "plants": "plants", "metrics": "loop.metrics",
-    "lyapunov": "loop.lyapunov",
-}  # fmt: skip
+_MODULES = {name: name for name in ("errors", "laws", "observers", "plants")}
+_MODULES |= {"metrics": "loop.metrics", "lyapunov": "loop.lyapunov"}
 
 
 def __getattr__(name: str) -> Any:

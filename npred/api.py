@@ -20,9 +20,12 @@ if TYPE_CHECKING:
     from npred.pipeline.models import Stored
 
 
-def plant(name: str, **parameters: float) -> Plant:
-    """The plant of a built-in name or of `my_plant.py:Tank`, with parameters overridden; see npred.plants.resolve."""
-    return plants.resolve(name, parameters)
+def plant(name: str, *, kappa: plants.Kappa = "", **parameters: float) -> Plant:
+    """The plant of a built-in name or of `my_plant.py:Tank`, with parameters overridden; see npred.plants.resolve.
+
+    `kappa` takes the place of its law: a function kappa(x, t, p, M), or a law of npred.laws by its name, as "lqr".
+    """
+    return plants.resolve(name, parameters, kappa)
 
 
 def predictor(method: str, plant: Plant, nx: int = 101) -> Predictor:

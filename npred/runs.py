@@ -204,7 +204,14 @@ def _table(source: Source) -> dict[str, Any]:
                 f"plant {source.name}: expected one with a name or a file, by which results are kept, got a class; "
                 "write it to a file, and name that: my_plant.py:Tank"
             )
-        return {"name": re.sub(r"\W+", "_", source.name), "plant": source.spec, "parameters": dict(source.parameters)}
+        if source.law and not source.law_table:
+            raise ConfigError(
+                f"plant {source.name}: expected a kappa by its name, by which results are kept, got a function; "
+                "write it to the plant's file"
+            )
+        law = {"kappa": dict(source.law_table)} if source.law_table else {}
+        name = re.sub(r"\W+", "_", source.name)
+        return {"name": name, "plant": source.spec, "parameters": dict(source.parameters)} | law
     if not isinstance(source, str | Path):
         return source.model_dump(exclude_unset=True)
     if _file(source):

@@ -46,7 +46,7 @@ def test_a_broken_package_hides_no_other_plant(package):
         (
             "round_tank = shed_of_tanks:Tank",
             "Tank = 3",
-            "plant round_tank: expected states, inputs, f, kappa, found no states",
+            "plant round_tank: expected states, inputs, f, found no states",
         ),
     ],
 )

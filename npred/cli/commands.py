@@ -206,9 +206,12 @@ def check(
         float | None, flag("The largest delay to predict over, in seconds; the pipeline's or the plant's, else 1.")
     ] = None,
     nodes: Annotated[int | None, flag("Nodes of the prediction; dx = 0.01 is 101; the pipeline's, else 101.")] = None,
+    kappa: Annotated[
+        str, flag("A law designed from f in place of the plant's, as lqr; it is printed to be pasted.", word="LAW")
+    ] = "",
 ) -> None:
     """Check a plant, one answer per question; exit 3 where an answer is no."""
-    cli.inspect.check(options, plant, delay, nodes)
+    cli.inspect.check(options, plant, delay, nodes, kappa)
 
 
 @command(RUN)

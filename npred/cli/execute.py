@@ -44,7 +44,7 @@ def report(options: Work, output: Path | None, medium: str | None) -> None:
     default = free_path(options, options.pipeline.stem, lambda name: options.store / f"{name}-{medium}")
     folder = writable_folder(output or default, "figures")
     folders = {done.node.name: done.artifact.folder for done in bring(options, ["evaluate", "bench"], borrows=True)}
-    plant = plants.resolve(options.config.plant, options.config.parameters)
+    plant = plants.resolve(options.config.plant, options.config.parameters, options.config.kappa)
     story = Story.read(options.config, plant, folders)
     with room_on_disk(folder):
         files = write_figures(story, folder, MEDIA[medium])

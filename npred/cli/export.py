@@ -156,7 +156,7 @@ def _built(options: Exporting, key: str) -> Built:
     """The controller that a key and the flags mean. Raises ConfigError where there is none."""
     path, model = _named(key, options.predictor)
     pipeline = config.load(path)
-    table, plant = pipeline.evaluate, plants.resolve(pipeline.plant, pipeline.parameters)
+    table, plant = pipeline.evaluate, plants.resolve(pipeline.plant, pipeline.parameters, pipeline.kappa)
     predictor = _predictor(options, f"{path}:{model}" if model else "", plant, table)
     controller = _controller(plant, predictor, table, options)
     if controller.actuator == HISTORY and isinstance(controller.adaptation, DelayAdaptation):

@@ -125,17 +125,23 @@ def plants(options: Common) -> None:
     options.show_table({"plants": listed}, ["plant", "states", "inputs", "parameters"], rows)
 
 
-def check(options: Common, plant: str, delay: float | None, nodes: int | None) -> None:
-    """Every question about a plant, or about that of a pipeline, with its answer. Raises UnmetError where one is no."""
+def check(options: Common, plant: str, delay: float | None, nodes: int | None, kappa: str = "") -> None:
+    """Every question about a plant, or about that of a pipeline, with its answer; the law `kappa` in place of its law,
+    and the text of that to be pasted. Raises UnmetError where an answer is no.
+    """
     from npred import config, diagnosis, plants
 
     pipeline = config.load(Path(plant)) if plant.endswith(".toml") else None
-    asked = plants.resolve(pipeline.plant, pipeline.parameters) if pipeline else plants.resolve(plant)
+    parts = (pipeline.plant, pipeline.parameters, kappa or pipeline.kappa) if pipeline else (plant, {}, kappa)
+    asked = plants.resolve(*parts)
     answers = diagnosis.check(asked, delay, nodes, pipeline=pipeline)
     fine = diagnosis.settled(answers)
     rows = [[*answer] for answer in answers]
     document = {"plant": plant, "fine": fine, "answers": [answer._asdict() for answer in answers]}
+    document |= {"kappa": str(asked.law)} if asked.law_table else {}
     options.show_table(document, ["question", "answer", "found"], rows)
+    if asked.law_table and not options.json:
+        options.console.out(str(asked.law))
     if not fine:
         failed = ", ".join(answer.check for answer in answers if answer.verdict == "no")
         raise UnmetError(f"plants check {plant}: expected no answer of no, got {failed}; the table says what to change")

@@ -9,7 +9,7 @@ from pydantic import Field, create_model, model_validator
 from npred import registry
 from npred.config.evaluate import Evaluate
 from npred.config.loop import Loop
-from npred.config.section import ADDED, Baseline, Count, Delay, Positive, Range, Runtime, Section, Some, Span
+from npred.config.section import ADDED, Baseline, Count, Delay, Kappa, Positive, Range, Runtime, Section, Some, Span
 from npred.config.train import Train
 from npred.registry import METHODS
 
@@ -95,6 +95,8 @@ class _Tables(Section):
     seed: Annotated[int, Field(ge=0, strict=True)] = 0  #: of everything random
     plant: str  #: a name, or `file.py:Class`
     parameters: dict[str, float] = {}  #: overrides of the plant's
+    #: a law designed from f in place of the plant's: "lqr"; or a table, {law = "pole_placement", poles = [-1]}
+    kappa: Annotated[Kappa | dict[str, Any], ADDED] = ""
     generate: Generate = Generate()
     train: Train = Train()
     evaluate: Evaluate = Evaluate()

@@ -6,7 +6,7 @@ from contextlib import suppress
 import numpy as np
 
 from npred.config import Pipeline
-from npred.diagnosis import adaptive_loop, box, equilibrium, lyapunov, pipeline_fit
+from npred.diagnosis import adaptive_loop, box, equilibrium, lyapunov, pipeline_fit, region
 from npred.diagnosis.case import ANY, Answer, Case, Check, Verdict
 from npred.errors import ConfigError
 from npred.plants.base import Plant
@@ -70,10 +70,16 @@ def check(
     if count < 2:
         raise ConfigError(f"nodes: expected at least 2, both ends of [0, 1], got {count}; 101 are usual")
     case = Case(plant, longest, count, samples, pipeline, source=source)
+    if not plant.declares_kappa:
+        missing = f"plant {plant.name}: expected kappa(x, t, p, M), found none; declare it"
+        advice = 'or take one of these: kappa = "lqr" in a pipeline; --kappa lqr prints it to be pasted'
+        return [Answer("kappa", "no", f"{missing}, {advice}"), *region.offers(plant, case)]
     for question in QUESTIONS:
         if question.shown and case.verdict("trace") != "no":
             case.ask(question)
     answers = list(case.answers.values())
+    if plant.law and case.sound and case.leads == "yes":
+        answers.append(region.converging("kappa", case))
     if pipeline is None:
         return answers
     refusal = _refusal(case)

@@ -113,10 +113,8 @@ def limited(case: Case) -> Verdict:
 
 def converges(case: Case) -> Verdict:
     """Whether loops of the clipped kappa without delay come from the box to the equilibrium or the reference."""
-    closed, (h, seconds, horizon) = _closed(case), times(case)
-    X0, nodes = case.X[:LOOPS], max(int(seconds / h), 4) + 1
-    X = RK4(closed, nodes)(X0, np.zeros((nodes, closed.m)), seconds)
-    _, middle, _, end = (part.max(axis=1) for part in np.array_split(distances(case, X, seconds), 4, axis=1))
+    X0, (_, seconds, horizon) = case.X[:LOOPS], times(case)
+    middle, end = approach(case, X0)
     home, shown = end <= HOME, case.plant.time_text(seconds, ".3g")
     if home.all():
         return "yes", f"{len(X0)} loops from the box, without delay, converge in {shown}"
@@ -131,6 +129,15 @@ def converges(case: Case) -> Verdict:
     failing = f"{lost.mean():.0%} of {len(X0)} loops without delay do not converge, as from {start}"
     cure = "shrink box" + (", or widen input_bounds" if np.isfinite(case.limits).any() else ", or change kappa there")
     return "no", f"{case.plant.location('kappa')}: {failing}; {cure}"
+
+
+def approach(case: Case, X0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The largest distance to the target in the second and the last quarter of loops without delay from X0 (B, n)."""
+    closed, (h, seconds, _) = _closed(case), times(case)
+    nodes = max(int(seconds / h), 4) + 1
+    X = RK4(closed, nodes)(X0, np.zeros((nodes, closed.m)), seconds)
+    _, middle, _, end = (part.max(axis=1) for part in np.array_split(distances(case, X, seconds), 4, axis=1))
+    return middle, end
 
 
 def times(case: Case) -> tuple[float, float, float]:

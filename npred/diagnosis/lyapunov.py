@@ -3,6 +3,8 @@
 import numpy as np
 
 from npred.diagnosis.case import Case, Verdict
+from npred.laws.law import error
+from npred.laws.riccati import lyapunov
 from npred.loop.adaptation import undeclared
 from npred.plants.base import Plant
 from npred.symbolic import programs
@@ -78,12 +80,6 @@ def _rise(plant: Plant, X: np.ndarray) -> np.ndarray:
     return (plant.V(X + h[:, None] * velocity) - plant.V(X - h[:, None] * velocity)) / (2 * h)
 
 
-def lyapunov(A: np.ndarray) -> np.ndarray:
-    """The S of A'S + SA = -I, (n, n), symmetric; positive definite where A is stable."""
-    eye = np.eye(len(A))
-    return np.linalg.solve(np.kron(A.T, eye) + np.kron(eye, A.T), -eye.ravel()).reshape(A.shape)
-
-
 def _offered(case: Case, S: np.ndarray, X: np.ndarray) -> np.ndarray:
     """Half the derivative of e'Se along the loop of kappa, e = X - X*, at the states X (B, n), (B,)."""
     return np.einsum("bi,ij,bj->b", X - case.plant.equilibrium, S, case.plant.f(X, case.plant.kappa(X)))
@@ -105,9 +101,5 @@ def _offer(case: Case, S: np.ndarray, X: np.ndarray) -> str:
 
 
 def _term(case: Case, S: np.ndarray, i: int, j: int) -> str:
-    a, b = (_error(case.plant.states[k], case.plant.equilibrium[k]) for k in (i, j))
+    a, b = (error(case.plant.states[k], case.plant.equilibrium[k]) for k in (i, j))
     return f"{S[i, j]:.8g} * {a} ** 2" if i == j else f"{2 * S[i, j]:.8g} * {a} * {b}"
-
-
-def _error(state: str, rest: float) -> str:
-    return f"(x.{state} - {rest:.12g})" if rest else f"x.{state}"

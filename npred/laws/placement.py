@@ -11,7 +11,7 @@ from npred.laws.regulator import along
 from npred.plants.base import Plant
 
 TRIES = 20  # random choices of the free parameters of several inputs, of which the best conditioned is taken
-ACCURATE = 1e-4  # of 1 + the largest pole: how far poles may be from those asked for; equal ones split by rounding
+ACCURATE = 1e-4  # of a coefficient of the polynomial of the poles, whose scale is 1 + the largest of them
 
 
 def pole_placement(plant: Plant, poles: Sequence[complex]) -> Law:
@@ -70,7 +70,7 @@ def _block(design: Design, poles: np.ndarray) -> np.ndarray:
 
 
 def _check(design: Design, closed: np.ndarray, poles: np.ndarray) -> None:
-    """Raise ConfigError unless the closed loop's polynomial is that of the poles, which are its ill-conditioned roots."""
+    """Raise ConfigError unless the closed loop's polynomial is that of the poles: equal roots split by rounding."""
     expected, actual = np.poly(poles).real, np.poly(closed).real
     scale = 1 + np.abs(poles).max()
     error = (np.abs(actual - expected) / scale ** np.arange(len(expected))).max()
@@ -82,5 +82,3 @@ def default(closed: np.ndarray, count: int) -> np.ndarray:
     """`count` poles at one place: minus the geometric mean of the sizes of the rates of a closed loop, three digits."""
     rate = np.exp(np.log(np.abs(np.linalg.eigvals(closed))).mean())
     return np.full(count, -float(f"{rate:.3g}"))
-
-

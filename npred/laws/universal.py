@@ -31,7 +31,7 @@ def sontag(plant: Plant, V: Callable[..., Any] | str | None = None) -> Law:
     """
     design = Design(plant, "sontag")
     value = _value(design, V)
-    X, u = design.target
+    u = design.target[1]
     velocity = design.trace.f(design.x, np.array(u, dtype=object), design.t)
     rate = programs.derivative([value], [design.t, *design.x], [1.0, *velocity])[0]
     row = [programs.derivative([value], design.x, column)[0] for column in design.B.T]

@@ -60,7 +60,7 @@ class Planner(Resolver):
         """The plant of the pipeline, one object for all its stages: they share what it has compiled."""
         from npred import plants  # brings NumPy, which `npred --help` has no use for
 
-        return plants.resolve(self.config.plant, self.config.parameters)
+        return plants.resolve(self.config.plant, self.config.parameters, self.config.kappa)
 
     def located(self) -> Self:
         return replace(self, config=self.config.located(), store=Store(self.store.root.absolute()))

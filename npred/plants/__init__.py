@@ -51,7 +51,10 @@ def controlled(plant: Plant, kappa: Kappa) -> Plant:
     try:
         inspect.signature(design).bind(plant, **table)
     except TypeError as error:
-        raise ConfigError(f"kappa {name}: expected what {name}{inspect.signature(design)} takes, {error}") from None
+        takes = ", ".join(inspect.signature(design).parameters)
+        raise ConfigError(
+            f"kappa {name}: expected what {name}({takes}) takes, got a table: {error}; write it"
+        ) from None
     other = plant.controlled(design(plant, **table))
     other.law_table = {"law": name} | table
     return other

@@ -22,14 +22,14 @@ class Plant:
     """X'(t) = f(X(t), U(t - D)) with the control law kappa and the function V [DAPF, eqs. 1-4].
 
     A declaration is a class with `states`, `inputs` (names) and the functions f(x, u, t, p, M), kappa(x, t, p, M) and
-    V(x, t, p, M); a law `kappa` that is not the declaration's may be passed, and takes its place; optional are `parameters` (name to default), `box` (state to range, for experiments), `guess` (where
+    V(x, t, p, M); optional are `parameters` (name to default), `box` (state to range, for experiments), `guess` (where
     the equilibrium is searched from), `input_bounds` (a range per input), `state_bounds` (state to the range in which
     it stops, as if a wall were there), `delays` (seconds, one per input, where they
     differ), `mechanics` (M(q), force and damping of M q'' = force - damping q', for npred.predictors.semi_implicit),
     what figures write: `labels` and `units` (by state or input), `time_unit` ("s" by default) and `figure`
     (that of an article which the evaluated loop is), and, where f or kappa depends on time, `reference(t, p, M)`, the
     trajectory that kappa follows, and `period`, the seconds after which they repeat. M provides the functions: sin,
-    exp, where …
+    exp, where … A law `kappa` that is passed takes the place of the declaration's.
     Raises ConfigError for a declaration with a part that is missing or wrong, or a parameter that it does not have.
     """
 

@@ -12,7 +12,7 @@ UNUSED = 1000.0  # gamma in the key of loops without an adaptation
 
 
 def plant(config: Pipeline) -> Plant:
-    return plants.resolve(config.plant, config.parameters)
+    return plants.resolve(config.plant, config.parameters, config.kappa)
 
 
 def table(section: Section) -> dict[str, Any]:

@@ -63,7 +63,7 @@ class _Order(NamedTuple):
 
     def job(self, progress: Console) -> Job:
         """The job as a helper sees it, who writes nothing."""
-        plant = plants.resolve(self.config.plant, self.config.parameters)
+        plant = plants.resolve(self.config.plant, self.config.parameters, self.config.kappa)
         inputs = {"generate": self.data}
         return Job(self.config, plant, self.scratch, inputs, self.scratch, self.device, 1, progress, self.model)
 

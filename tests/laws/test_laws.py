@@ -1,0 +1,197 @@
+"""Laws designed from f: SciPy's equations as referees, spectra, exact linear responses, a V that falls."""
+
+import pickle
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm, solve_continuous_are
+from scipy.signal import place_poles
+
+import npred
+import npred.diagnosis
+from npred import laws, plants
+from npred.errors import ConfigError
+from npred.laws.riccati import riccati
+from npred.plants import Plant
+from npred.predictors import RK4
+
+LAWLESS = """
+class Pendulum:
+    states, inputs = ("theta", "omega"), ("tau",)
+    parameters = {"g": 9.81, "friction": 0.2, "inertia": 1.3}
+    box = {"theta": (-1.0, 1.0), "omega": (-1.0, 1.0)}
+
+    def f(x, u, t, p, M):
+        return [x.omega, (p.g * M.sin(x.theta) - p.friction * x.omega + u.tau) / p.inertia]
+"""
+
+
+@pytest.fixture
+def pendulum(tmp_path: Path) -> str:
+    path = tmp_path / "my_pendulum.py"
+    path.write_text(LAWLESS)
+    return f"{path}:Pendulum"
+
+
+@given(st.integers(1, 7), st.integers(1, 3), st.integers(0, 10**6))
+@settings(deadline=None, max_examples=60)
+def test_the_riccati_equation_has_scipys_solution(n, m, seed):
+    draws = np.random.default_rng(seed)
+    A, B = draws.standard_normal((n, n)), draws.standard_normal((n, m))
+    Q, R = np.diag(draws.uniform(0.1, 3, n)), np.diag(draws.uniform(0.1, 3, m))
+    S, K = riccati(A, B, Q, R)
+    expected = solve_continuous_are(A, B, Q, R)
+    np.testing.assert_allclose(S, expected, rtol=1e-6, atol=1e-8 * np.abs(expected).max())
+    np.testing.assert_allclose(K, np.linalg.solve(R, B.T @ expected), rtol=1e-5, atol=1e-7 * np.abs(K).max())
+
+
+def test_the_regulator_is_scipys_with_brysons_weights(pendulum):
+    plant = npred.plant(pendulum)
+    A, B = (part for part in plant.jacobians(np.zeros(2), np.zeros(1)))
+    size = np.abs(np.linalg.eigvals(A)).max() * 1.0 / np.abs(B).max()
+    S = solve_continuous_are(A, B, np.eye(2), np.array([[1 / size**2]]))
+    law = plant.controlled(laws.lqr(plant))
+    np.testing.assert_allclose(law.kappa_jacobian(np.zeros(2)), -(size**2) * B.T @ S, rtol=1e-7)
+    S = solve_continuous_are(A, B, np.diag([4.0, 1.0]), np.array([[0.5]]))
+    law = plant.controlled(laws.lqr(plant, Q=[4.0, 1.0], R=[[0.5]]))
+    np.testing.assert_allclose(law.kappa_jacobian(np.zeros(2)), -2 * B.T @ S, rtol=1e-7)
+
+
+@pytest.mark.parametrize("poles", [[-1, -2], [-2, -2], [-1 + 2j, -1 - 2j]])
+def test_poles_are_placed_where_scipy_places_them(pendulum, poles):
+    plant = npred.plant(pendulum)
+    A, B = plant.jacobians(np.zeros(2), np.zeros(1))
+    law = plant.controlled(laws.pole_placement(plant, poles))
+    if len(set(poles)) == 2:  # SciPy refuses two equal ones for one input
+        expected = place_poles(A, B, poles).gain_matrix
+        np.testing.assert_allclose(-law.kappa_jacobian(np.zeros(2)), expected, rtol=1e-6)
+    np.testing.assert_allclose(np.poly(law.linearised()[0]), np.poly(poles).real, rtol=1e-6)
+
+
+def test_poles_of_two_inputs_are_placed():
+    plant = npred.plant("pvtol")
+    poles = [-0.7, -1.5, -2, -2.5, -1 + 1j, -1 - 1j]
+    closed = plant.controlled(laws.pole_placement(plant, poles)).linearised()[0]
+    np.testing.assert_allclose(np.sort_complex(np.linalg.eigvals(closed)), np.sort_complex(poles), rtol=1e-5)
+
+
+def test_feedback_linearisation_makes_the_loop_linear(pendulum):
+    """From far away, where a linearisation is not exact: X(t) is that of e'' + 3 e' + 2 e = 0."""
+    plant = npred.plant(pendulum)
+    law = plant.controlled(laws.feedback_linearisation(plant, poles=[-1, -2]))
+    X0, t = np.array([2.5, -1.0]), np.linspace(0, 3, 7)
+    run = solve_ivp(lambda t, X: law.f(X, law.kappa(X)), (0, 3), X0, t_eval=t, rtol=1e-10, atol=1e-12)
+    expected = [expm(np.array([[0, 1], [-2, -3]]) * s) @ X0 for s in t]
+    np.testing.assert_allclose(run.y.T, expected, atol=1e-7)
+
+
+def test_an_output_that_is_no_state_is_found_flat_on_the_tape():
+    """y = z1 + c z2³ / 3 has y'' = u, which no state of the plant has."""
+    plant = npred.plant("strict_feedforward2")
+    with pytest.raises(ConfigError, match="relative degree"):
+        laws.feedback_linearisation(plant)
+    law = laws.feedback_linearisation(plant, poles=[-1, -1], output=lambda x, t, p, M: x.z1 + p.c * x.z2**3 / 3)
+    X = np.random.default_rng(0).uniform(-2, 2, (50, 2))
+    np.testing.assert_allclose(plant.controlled(law).kappa(X), plant.kappa(X), rtol=1e-9, atol=1e-9)
+
+
+def test_feedback_linearisation_follows_a_reference():
+    plant = npred.plant("planar_arm2")
+    law = plant.controlled(laws.feedback_linearisation(plant, poles=[-3] * 4))
+    t = np.linspace(0, 6, 9)
+    np.testing.assert_allclose(law.kappa(plant.target(t), t), plant.kappa(plant.target(t), t), rtol=1e-7, atol=1e-7)
+    np.testing.assert_allclose(np.poly(law.linearised(1.0)[0]), np.poly([-3] * 4), rtol=1e-5)
+
+
+@given(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0))
+@settings(deadline=None, max_examples=200)
+def test_sontags_law_makes_v_fall_on_the_box(x1, x2):
+    """Along the loop, by central differences of V."""
+    X = np.array([x1, x2]) * 2
+    if np.linalg.norm(X) < 1e-4:
+        return
+    plant = SONTAG
+    velocity = plant.f(X, plant.kappa(X))
+    h = 1e-5
+    assert plant.V(X + h * velocity) < plant.V(X - h * velocity)
+
+
+SONTAG = npred.plant("van_der_pol", kappa="sontag")
+
+
+def test_sontags_law_from_the_regulators_v_is_the_regulator_near_rest():
+    plant = npred.plant("cart_pole")
+    law, lqr = plant.controlled(laws.sontag(plant, V="lqr")), plant.controlled(laws.lqr(plant))
+    np.testing.assert_allclose(law.kappa_jacobian(np.zeros(4)), lqr.kappa_jacobian(np.zeros(4)), rtol=1e-6)
+
+
+def test_a_law_is_its_text(pendulum):
+    law = laws.lqr(npred.plant(pendulum))
+    assert pickle.loads(pickle.dumps(law)) == law
+    space: dict = {}
+    exec(str(law), space)
+    pasted = npred.plant(pendulum).controlled(space["kappa"])
+    plant = npred.plant(pendulum, kappa="lqr")
+    assert pasted.identity == plant.identity
+    restored = pickle.loads(pickle.dumps(plant))
+    assert restored.identity == plant.identity and restored.law == plant.law
+
+
+def test_the_identity_of_a_plant_has_its_law(pendulum):
+    plant, other = npred.plant("van_der_pol"), npred.plant("van_der_pol", kappa="lqr")
+    changed = {k for k in plant.identity if plant.identity[k] != other.identity[k]}
+    assert changed == {"program"}
+    changed = {k for k in plant.identity["program"] if plant.identity["program"][k] != other.identity["program"][k]}
+    assert changed == {"kappa"}
+    table = {"law": "pole_placement", "poles": [-1, -2]}
+    assert npred.plant(pendulum, kappa=table).identity != npred.plant(pendulum, kappa="lqr").identity
+
+
+def test_a_loop_clips_a_law_to_the_input_bounds():
+    plant = npred.plant("scalar", kappa="lqr")
+    loop = npred.simulate(plant, RK4(plant, 21), D=0.2, D_hat=0.2, adaptation=None, X0=[1.0], t_end=20.0, dt=0.01,
+                          input_bounds=[(-0.6, 0.6)])  # fmt: skip
+    assert loop.U.min() == -0.6 and abs(loop.X[-1]).max() < 0.2
+
+
+@pytest.mark.parametrize(
+    ("name", "kappa", "message"),
+    [
+        ("unicycle", "lqr", "kappa lqr: plant unicycle: expected a linearisation that its inputs stabilise, got the r"),
+        ("cart_pole", "feedback_linearisation", "outputs that leave a stable rest, got one with the rate 3.13"),
+        ("planar_arm2", "sontag", "expected a V that some input makes fall near rest"),
+        ("scalar", "lqg", "kappa: expected lqr, pole_placement, feedback_linearisation, sontag, or a class of a file"),
+        (
+            "scalar",
+            "pole_placement",
+            r"kappa pole_placement: expected what pole_placement\(plant, poles\) takes, .*missing a required",
+        ),
+        ("scalar", {"law": "pole_placement", "poles": [1]}, "expected 1 poles with negative real parts"),
+    ],
+)
+def test_a_law_that_does_not_serve_is_refused_in_one_line(name, kappa, message):
+    with pytest.raises(ConfigError, match=message) as caught:
+        npred.plant(name, kappa=kappa)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_plant_without_a_law_is_offered_some(pendulum):
+    rows = {answer.check: answer for answer in npred.diagnosis.check(npred.plant(pendulum))}
+    assert rows["kappa"].verdict == "no" and "pole_placement" not in rows
+    for name in ("lqr", "feedback_linearisation", "sontag"):
+        assert rows[name].verdict == "yes" and "from the whole box" in rows[name].text
+
+
+def test_a_pipeline_names_a_law(pendulum, tmp_path):
+    from npred import config
+
+    text = f'plant = "{pendulum}"\nkappa = "lqr"\n[evaluate]\nX0 = [0.1, 0.0]\n'
+    (tmp_path / "p.toml").write_text(text)
+    pipeline = config.load(tmp_path / "p.toml")
+    plant = plants.resolve(pipeline.plant, pipeline.parameters, pipeline.kappa)
+    assert isinstance(plant, Plant) and plant.declares_kappa
+    assert "kappa" not in config.load(Path("pipeline/smoke.toml")).model_dump()
