@@ -173,7 +173,7 @@ class Design:
     @cached_property
     def samples(self) -> np.ndarray:
         """States of the box, (SAMPLES, n)."""
-        return randomness.generator(0, "laws").uniform(*self.ends.T, (SAMPLES, self.plant.n))
+        return randomness.generator(0, "laws").uniform(self.ends[:, 0], self.ends[:, 1], (SAMPLES, self.plant.n))
 
 
 def solved(B: np.ndarray, right: Sequence[Value]) -> list[Value]:

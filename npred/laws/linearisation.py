@@ -14,12 +14,13 @@ from npred.laws.regulator import gains
 from npred.plants.base import Plant
 from npred.symbolic import Value, programs
 from npred.symbolic.declared import record
-from npred.symbolic.tape import M
+from npred.symbolic.tape import M, Vector
 
 ZERO = 1e-9  # of a derivative's size over the box: below it an input does not act
 REGULAR = 1e-6  # of the largest determinant over the box: below it the decoupling matrix is singular somewhere
 MOST = 5000  # combinations of states that are tried as outputs
 
+Scalar = Callable[[Vector, Value], Value]  # of the components of x, and t
 Output = Callable[..., Any] | str | Sequence[str]
 
 
@@ -55,11 +56,11 @@ def feedback_linearisation(
     raise fault or design.refusal("states on which the inputs act, found none", "pass output, or take lqr")
 
 
-def _state(k: int) -> Callable[[Sequence[Value], Value], Value]:
+def _state(k: int) -> Scalar:
     return lambda x, t: x[k]
 
 
-def _outputs(design: Design, output: Output) -> list[Callable[[Sequence[Value], Value], Value]]:
+def _outputs(design: Design, output: Output) -> list[Scalar]:
     """One function of x and t per output."""
     plant = design.plant
     words = [output] if isinstance(output, str) else output
@@ -70,7 +71,7 @@ def _outputs(design: Design, output: Output) -> list[Callable[[Sequence[Value], 
         return [_state(plant.states.index(word)) for word in words]
     named, p = record("State", plant.states), record("Parameters", tuple(plant.parameters))(*design.trace.parameters)
 
-    def values(x: Sequence[Value], t: Value) -> list[Value]:
+    def values(x: Vector, t: Value) -> list[Value]:
         returned = words(named(*x), t, p, M)
         results = list(returned) if isinstance(returned, list | tuple) else [returned]
         if len(results) != plant.m:
@@ -80,7 +81,7 @@ def _outputs(design: Design, output: Output) -> list[Callable[[Sequence[Value], 
     return [lambda x, t, j=j: values(x, t)[j] for j in range(plant.m)]
 
 
-def _chain(design: Design, output: Callable[[Sequence[Value], Value], Value]) -> Chain | None:
+def _chain(design: Design, output: Scalar) -> Chain | None:
     """The derivatives of an output along f until an input acts; None where none does."""
     y = output(design.x, design.t)
     drift = design.trace.f(design.x, np.zeros(design.plant.m), design.t)
@@ -108,9 +109,7 @@ def _places(design: Design) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate([X, design.targets[0]]), times
 
 
-def _law(
-    design: Design, outputs: Sequence[Callable[[Sequence[Value], Value], Value]], poles: Sequence[complex] | None
-) -> Law:
+def _law(design: Design, outputs: Sequence[Scalar], poles: Sequence[complex] | None) -> Law:
     plant = design.plant
     chains = [chain for output in outputs if (chain := _chain(design, output))]
     _check_degree(design, chains)
@@ -133,7 +132,7 @@ def _law(
     return law
 
 
-def _goals(design: Design, output: Callable[[Sequence[Value], Value], Value], degree: int) -> list[Value]:
+def _goals(design: Design, output: Scalar, degree: int) -> list[Value]:
     """The output and its derivatives by the time along what the law leads to, degree + 1 of them."""
     X = design.target[0]
     y = output(X, design.t)

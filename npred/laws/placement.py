@@ -57,7 +57,7 @@ def checked(design: Design, poles: Sequence[complex], count: int) -> np.ndarray:
 
 def _block(design: Design, poles: np.ndarray) -> np.ndarray:
     """A real matrix with these eigenvalues, equal ones in one chain."""
-    upper = sorted((pole for pole in poles if pole.imag >= 0), key=lambda pole: (pole.real, pole.imag))
+    upper = sorted((pole for pole in poles if pole.imag >= 0), key=lambda pole: (np.real(pole), np.imag(pole)))
     L, at, before = np.zeros((len(poles), len(poles))), 0, None
     for pole in upper:
         size = 2 if pole.imag else 1
@@ -71,7 +71,7 @@ def _block(design: Design, poles: np.ndarray) -> np.ndarray:
 
 def _check(design: Design, closed: np.ndarray, poles: np.ndarray) -> None:
     """Raise ConfigError unless the closed loop's polynomial is that of the poles: equal roots split by rounding."""
-    expected, actual = np.poly(poles).real, np.poly(closed).real
+    expected, actual = np.real(np.poly(poles)), np.real(np.poly(closed))
     scale = 1 + np.abs(poles).max()
     error = (np.abs(actual - expected) / scale ** np.arange(len(expected))).max()
     if not error <= ACCURATE:

@@ -19,7 +19,7 @@ Kappa = Callable[..., Any] | str | Mapping[str, Any]  # a law, its name, or its 
 def resolve(name: str, parameters: Mapping[str, float] = {}, kappa: Kappa = "") -> Plant:
     """The plant of a built-in or installed name or of `file.py:Class`, with parameters overridden.
 
-    `kappa` is a law in the place of the declared one: a function kappa(x, t, p, M), the name of a law that is designed
+    `kappa` is a law in place of the declared one: a function kappa(x, t, p, M), the name of a law that is designed
     from f, as "lqr", or a table of such a name and what it takes: {"law": "pole_placement", "poles": [-1, -2]}.
     Raises ConfigError, in one line, for an unknown name, a missing or broken file, or an unknown parameter.
     """

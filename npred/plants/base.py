@@ -46,7 +46,7 @@ class Plant:
         declared.check_name(name)
         parts = declared.read(name, declaration, overrides)
         self.name, self.declaration = name, declared.completed(name, declaration, kappa)
-        self.declared, self.law = declaration, kappa  # what the author wrote, and the law in the place of theirs
+        self.declared, self.law = declaration, kappa  # what the author wrote, and the law in place of theirs
         self.declares_kappa = (kappa or parts.kappa) is not None
         self.source = source or registry.declaring(declaration)
         self.declares_V, self.declares_delay = parts.V is not None, parts.delay is not None
