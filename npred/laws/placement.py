@@ -49,7 +49,7 @@ def checked(design: Design, poles: Sequence[complex], count: int) -> np.ndarray:
     except (TypeError, ValueError):
         raise design.refusal(f"{count} poles, got {poles!r}", "write a list of numbers") from None
     paired = np.allclose(np.sort_complex(values), np.sort_complex(values.conj()))
-    if len(values) != count or not paired or not (np.isfinite(values).all() and (values.real < 0).all()):
+    if len(values) != count or not paired or not (np.isfinite(values).all() and (np.real(values) < 0).all()):
         expected = f"{count} poles with negative real parts, complex ones in pairs, got {poles}"
         raise design.refusal(expected, "write as many")
     return values
