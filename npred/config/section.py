@@ -47,7 +47,7 @@ Bounds = Annotated[tuple[float, float], ORDERED]  # also infinite
 Method = Annotated[str, AfterValidator(partial(_part, METHODS, ())), METHODS]
 Law = Annotated[str, AfterValidator(partial(_part, DELAY_LAWS, (FROZEN,))), DELAY_LAWS]
 Baseline = Annotated[str, AfterValidator(partial(_part, BASELINES, ())), BASELINES]
-Kappa = Annotated[str, AfterValidator(partial(_part, LAWS, ("",))), LAWS]
+Kappa = Annotated[str, AfterValidator(partial(_part, LAWS, ())), LAWS]
 Architecture = Annotated[str, AfterValidator(partial(_part, NETWORKS, ())), NETWORKS]
 Runtime = Annotated[str, AfterValidator(partial(_part, RUNTIMES, ())), RUNTIMES]
 

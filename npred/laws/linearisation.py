@@ -20,7 +20,7 @@ ZERO = 1e-9  # of a derivative's size over the box: below it an input does not a
 REGULAR = 1e-6  # of the largest determinant over the box: below it the decoupling matrix is singular somewhere
 MOST = 5000  # combinations of states that are tried as outputs
 
-Scalar = Callable[[Vector, Value], Value]  # of the components of x, and t
+OutputMap = Callable[[Vector, Value], Value]  # of the components of x, and t
 Output = Callable[..., Any] | str | Sequence[str]
 
 
@@ -56,11 +56,11 @@ def feedback_linearisation(
     raise fault or design.refusal("states on which the inputs act, found none", "pass output, or take lqr")
 
 
-def _state(k: int) -> Scalar:
+def _state(k: int) -> OutputMap:
     return lambda x, t: x[k]
 
 
-def _outputs(design: Design, output: Output) -> list[Scalar]:
+def _outputs(design: Design, output: Output) -> list[OutputMap]:
     """One function of x and t per output."""
     plant = design.plant
     words = [output] if isinstance(output, str) else output
@@ -81,7 +81,7 @@ def _outputs(design: Design, output: Output) -> list[Scalar]:
     return [lambda x, t, j=j: values(x, t)[j] for j in range(plant.m)]
 
 
-def _chain(design: Design, output: Scalar) -> Chain | None:
+def _chain(design: Design, output: OutputMap) -> Chain | None:
     """The derivatives of an output along f until an input acts; None where none does."""
     y = output(design.x, design.t)
     drift = design.trace.f(design.x, np.zeros(design.plant.m), design.t)
@@ -109,7 +109,7 @@ def _places(design: Design) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate([X, design.targets[0]]), times
 
 
-def _law(design: Design, outputs: Sequence[Scalar], poles: Sequence[complex] | None) -> Law:
+def _law(design: Design, outputs: Sequence[OutputMap], poles: Sequence[complex] | None) -> Law:
     plant = design.plant
     chains = [chain for output in outputs if (chain := _chain(design, output))]
     _check_degree(design, chains)
@@ -132,7 +132,7 @@ def _law(design: Design, outputs: Sequence[Scalar], poles: Sequence[complex] | N
     return law
 
 
-def _goals(design: Design, output: Scalar, degree: int) -> list[Value]:
+def _goals(design: Design, output: OutputMap, degree: int) -> list[Value]:
     """The output and its derivatives by the time along what the law leads to, degree + 1 of them."""
     X = design.target[0]
     y = output(X, design.t)

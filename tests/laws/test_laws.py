@@ -208,3 +208,11 @@ def test_a_pipeline_names_a_law(pendulum, tmp_path):
     plant = plants.resolve(pipeline.plant, pipeline.parameters, pipeline.kappa)
     assert isinstance(plant, Plant) and plant.declares_kappa
     assert "kappa" not in config.load(Path("pipeline/smoke.toml")).model_dump()
+
+
+def test_a_class_of_a_file_may_be_a_law(pendulum, tmp_path):
+    text = "class Damping:\n    def __init__(self, plant):\n        self.gain = 2.0 * plant.n\n"
+    text += "    def __call__(self, x, t, p, M):\n        return [-self.gain * x.omega - 20 * x.theta]\n"
+    (tmp_path / "my_law.py").write_text(text)
+    plant = npred.plant(pendulum, kappa=f"{tmp_path / 'my_law.py'}:Damping")
+    np.testing.assert_allclose(plant.kappa_jacobian(np.zeros(2)), [[-20.0, -4.0]])
