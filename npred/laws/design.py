@@ -152,10 +152,10 @@ class Design:
 
     @cached_property
     def sizes(self) -> np.ndarray:
-        """A size of each input, (m,): how far it may move to the nearer of its bounds.
+        """A size of each input, (m,): how far it may move to the nearer of its bounds, but no more than this.
 
-        Without bounds, with how much of it a state crosses half its box within the time constant of the plant's
-        fastest rate, 1 where all its rates are 0: so a loop is about as fast as its plant.
+        With so much of it a state crosses half its box within the time constant of the plant's fastest rate, of 1
+        where all its rates are 0: so a loop is about as fast as its plant, however strong its motors are.
         """
         u = self.targets[1][0]
         room = np.abs(self.limits - u[:, None]).min(axis=1)
@@ -163,7 +163,7 @@ class Design:
         rate = np.abs(np.linalg.eigvals(A)).max()
         crossings = np.abs(B / self.widths[:, None]).max(axis=0)
         free = (rate if rate > SLOW else 1.0) / np.where(crossings > 0, crossings, 1.0)
-        return np.where(np.isfinite(room) & (room > 0), room, free)
+        return np.where(room > 0, np.minimum(room, free), free)
 
     @cached_property
     def limits(self) -> np.ndarray:
