@@ -11,7 +11,7 @@ import npred
 from npred import cli
 from npred.cli import completion
 from npred.cli.app import Command, Group, app, command, with_flags
-from npred.cli.options import Common, Exporting, Planned, Running, Work, argument, flag
+from npred.cli.options import Common, Exporting, Planned, Rigged, Running, Work, argument, flag
 from npred.cli.recorded import Recorded
 from npred.registry import STAGES, declared_stage
 
@@ -121,6 +121,17 @@ def report(
     ] = None,
 ) -> None:
     cli.execute.report(options, output, figures)
+
+
+@command(RUN)
+def rig(
+    options: Rigged,
+    *,
+    log: Annotated[Path | None, flag("The log that is written; NAME-rig.csv here by default.", word="FILE.csv")] = None,
+    plain: Annotated[bool, flag("No live view.", "--plain")] = False,
+) -> None:
+    """Plant and controller of the evaluated loop as two processes on a real clock, with a network between them."""
+    cli.rig.rig(options, log, plain)
 
 
 @command(LOOK)

@@ -158,7 +158,8 @@ def _built(options: Exporting, key: str) -> Built:
     pipeline = config.load(path)
     table, plant = pipeline.evaluate, plants.resolve(pipeline.plant, pipeline.parameters, pipeline.kappa)
     predictor = _predictor(options, f"{path}:{model}" if model else "", plant, table)
-    controller = _controller(plant, predictor, table, options)
+    watchdog = _watchdog(options.watchdog) if options.watchdog else None
+    controller = of_table(plant, predictor, table, options.actuator, oldest=options.oldest, watchdog=watchdog)
     if controller.actuator == HISTORY and isinstance(controller.adaptation, DelayAdaptation):
         options.console.warn(RECALLS)
     return Built(controller, f"{pipeline.name}:{predictor.name}", table, _steps(controller, table))
@@ -189,15 +190,15 @@ def _predictor(options: Exporting, spec: str, plant: Plant, table: Evaluate) -> 
     return Guarded(predictor, exact=exact, **guard) if guard else predictor
 
 
-def _controller(plant: Plant, predictor: Predictor, table: Evaluate, options: Exporting) -> Controller:
+def of_table(plant: Plant, predictor: Predictor, table: Evaluate, actuator: str, **more: Any) -> Controller:
+    """The controller of the evaluated loop; `more` as for Controller."""
     limits = inputs.bounds(plant, table.input_bounds)
     start = np.array([table.X0]) if table.X0 else np.zeros((1, plant.n))
     u0 = inputs.before(plant, table.u0, limits, start)[0] if table.u0 == inputs.LAW else table.u0
     return Controller(
         plant, predictor, delay_law.resolve(table, plant), table.dt,
         D_hat=None if plant.declares_delay else table.D_hat0, input_bounds=table.input_bounds,
-        actuator=options.actuator or table.actuator, u0=u0, oldest=options.oldest,
-        watchdog=_watchdog(options.watchdog) if options.watchdog else None,
+        actuator=actuator or table.actuator, u0=u0, **more,
     )  # fmt: skip
 
 

@@ -163,6 +163,26 @@ class Exporting(Common):
     mex: Annotated[bool, flag("A controller's gateway to MATLAB and Octave too, NAME_mex.c.", "--mex")] = False
 
 
+@dataclass(frozen=True)
+class Rigged(Planned):
+    """Flags of `npred rig`: its clock and its network."""
+
+    seconds: Annotated[float, flag("How long it runs.")] = 60.0
+    rate: Annotated[float | None, flag("Calls per second; by default 1 / dt of the pipeline.", word="HZ")] = None
+    delay: Annotated[float, flag("Of each way, in seconds; that of commands adds to the plant's D.")] = 0.12
+    jitter: Annotated[float, flag("The largest deviation of that delay, in seconds.")] = 0.02
+    loss: Annotated[float, flag("Share of packets that are lost.")] = 0.0
+    reorder: Annotated[float, flag("Share of packets that take twice their time.")] = 0.0
+    stops: Annotated[float, flag("Times per minute that the network stands still for 200 ms.")] = 0.0
+    seed: Annotated[int, flag("Of the network and the sensors.", least=0)] = 0
+    watchdog: Annotated[
+        float | None, flag("Hold U where the last sample is older, in seconds; by default no matter.")
+    ] = None
+    network: Annotated[
+        str | None, flag("A network of the pipeline that predicts, as deeponet; by default evaluate's method.")
+    ] = None
+
+
 def writable(path: Path) -> Path:
     """The path. Raises ConfigError where no file can be written there."""
     if not path.parent.is_dir() or (path.exists() and not path.is_file()):

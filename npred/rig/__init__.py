@@ -1,0 +1,1 @@
+"""A rig: a plant and a controller, two processes with a network between them, on a real clock."""
