@@ -63,7 +63,7 @@ def run(
     sides = [
         context.Process(target=controller_side.run, args=(controller, ends[0], network, seconds, path, parent)),
         context.Process(target=plant_side.run, args=(truth, ends[1], network, seconds, parent)),
-        context.Process(target=clock.witness, args=(controller.dt, seconds, writer), daemon=True),
+        context.Process(target=clock.witness, args=(controller.dt, seconds, writer, parent), daemon=True),
     ]  # fmt: skip
     path.unlink(missing_ok=True)
     try:

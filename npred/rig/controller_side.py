@@ -17,9 +17,7 @@ from npred.rig.log import OVER, LogFile
 from npred.rig.network import Network
 
 
-def run(
-    controller: Controller, end: socket.socket, network: Network, seconds: float, path: Path, parent: int
-) -> None:
+def run(controller: Controller, end: socket.socket, network: Network, seconds: float, path: Path, parent: int) -> None:
     """Be the controller for so many seconds, or until the plant or the parent is gone or SIGTERM comes; the log says
     which."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)

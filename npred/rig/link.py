@@ -8,6 +8,7 @@ import math
 import select
 import socket
 import time
+from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
@@ -56,10 +57,8 @@ class Link:
 
     def leave(self) -> None:
         """Say that this is the end, to whom it may reach."""
-        try:
+        with suppress(GoneError):
             self._send(END, 0.0, np.zeros(0))
-        except GoneError:
-            pass
 
     def lead(self) -> None:
         """Wait for the other side, and say when the start is."""

@@ -35,9 +35,7 @@ class LogFile:
         self.m, self.n = plant.m, len(controller.outputs)
         self._line(["t", *plant.inputs, *controller.outputs, *CALL, *SAMPLE])
 
-    def call(
-        self, t: float, U: np.ndarray, status: Status, new: bool, refused: bool, late: float, took: float
-    ) -> None:
+    def call(self, t: float, U: np.ndarray, status: Status, new: bool, refused: bool, late: float, took: float) -> None:
         """Write a call; times in seconds."""
         flags = (int(new), int(refused), int(status.handed_over))
         values = (status.D_hat, status.D_hat_spread, status.age, *flags, late, took)

@@ -5,7 +5,7 @@ import os
 import signal
 import socket
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -30,8 +30,8 @@ class Truth:
     D: float
     period: float
     step: float
-    sensors: Sensors = Sensors()
-    disturbance: Disturbance = Disturbance()
+    sensors: Sensors = field(default_factory=Sensors)
+    disturbance: Disturbance = field(default_factory=Disturbance)
     seed: int = 0
 
 
