@@ -12,8 +12,19 @@ from npred.terminal import interruption, streams
 from npred.terminal.console import Console
 
 if TYPE_CHECKING:
-    from npred.cli import data_exchange, execute, export, gc, identify, inspect, reproduce, rig, scaffold  # noqa: F401
-    from npred.cli import store_admin, sweep  # noqa: F401
+    from npred.cli import (  # noqa: F401
+        data_exchange,
+        execute,
+        export,
+        gc,
+        identify,
+        inspect,
+        reproduce,
+        rig,
+        scaffold,
+        store_admin,
+        sweep,
+    )
 
 __all__ = ["app", "commands", "main"]
 

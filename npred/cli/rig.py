@@ -22,8 +22,8 @@ from npred.loop.loop_checks import HISTORY
 from npred.loop.watchdog import Watchdog
 from npred.predictors import numerical
 from npred.rig import clock, controller_side, link, plant_side
-from npred.rig.log import OVER, Log
-from npred.rig.network import Network
+from npred.rig.log import OVER, RigLog
+from npred.rig.network import Channel
 from npred.rig.plant_side import Truth
 from npred.rig.view import View
 from npred.terminal import interruption, streams
@@ -36,24 +36,28 @@ def rig(options: Rigged, log: Path | None, plain: bool) -> None:
     """Run it and say what its log says. Raises NpredError where a side was lost, UnmetError where the loop was."""
     if not 0 < options.seconds < math.inf:
         raise ConfigError(f"--seconds: expected a time above 0, got {options.seconds:g}; give seconds")
-    network = Network(options.delay, options.jitter, options.loss, options.reorder, options.stops, options.seed)
+    network = Channel(options.delay, options.jitter, options.loss, options.reorder, options.stops, options.seed)
     path, (controller, truth) = writable(log or Path(f"{options.config.name}-rig.csv")), _sides(options, network)
     interactive = streams.MESSAGES.isatty() and not (plain or options.quiet or options.json)
     with interruption.orderly():
         late = run(controller, truth, network, options.seconds, path, View(path) if interactive else None)
-    written = Log(path, truth.plant)
+    written = RigLog(path, truth.plant)
     if written.why != OVER:
         raise NpredError(f"rig: expected a whole run, got an end, {written.why or 'a side was killed'}; read {path}")
-    found = written.summary(controller.dt) | {"log": str(path)}
-    found |= {f"machine_late_{name}_us": 1e6 * float(np.quantile(late, q)) for name, q in (("p999", 0.999), ("max", 1))}
-    options.show(found, lambda: _said(found, controller))
+    summary = written.summary(controller.dt) | {"log": str(path)}
+    summary |= {
+        f"machine_late_{name}_us": 1e6 * float(np.quantile(late, q)) for name, q in (("p999", 0.999), ("max", 1))
+    }
+    options.show(summary, lambda: _said(summary, controller))
     start = written.distance()[0]
-    if not found["radius"] <= max(start, metrics.LOST * metrics.size(truth.plant.target(0.0))):
-        raise UnmetError(f"rig: expected a loop that stays, got one {found['radius']:.3g} away at the end; read {path}")
+    if not summary["radius"] <= max(start, metrics.LOST * metrics.size(truth.plant.target(0.0))):
+        raise UnmetError(
+            f"rig: expected a loop that stays, got one {summary['radius']:.3g} away at the end; read {path}"
+        )
 
 
 def run(
-    controller: Controller, truth: Truth, network: Network, seconds: float, path: Path, view: View | None = None
+    controller: Controller, truth: Truth, network: Channel, seconds: float, path: Path, view: View | None = None
 ) -> np.ndarray:
     """Run both sides until they end, and end them where this process is asked to; how late a process comes, in
     seconds, that only waits for the same times.
@@ -87,7 +91,7 @@ def run(
                 side.kill()
 
 
-def _sides(options: Rigged, network: Network) -> tuple[Controller, Truth]:
+def _sides(options: Rigged, network: Channel) -> tuple[Controller, Truth]:
     """The controller and the plant. Raises ConfigError for a plant that no network can be between."""
     config = options.config
     table, plant = config.evaluate, plants.resolve(config.plant, config.parameters)
@@ -106,7 +110,7 @@ def _sides(options: Rigged, network: Network) -> tuple[Controller, Truth]:
     return controller, truth
 
 
-def _controller(options: Rigged, plant: Any, table: Evaluate, network: Network) -> Controller:
+def _controller(options: Rigged, plant: Any, table: Evaluate, network: Channel) -> Controller:
     if options.network:
         from npred import api
 
@@ -118,9 +122,9 @@ def _controller(options: Rigged, plant: Any, table: Evaluate, network: Network) 
     return export.of_table(plant, predictor, table, HISTORY, oldest=oldest, watchdog=watchdog)
 
 
-def _said(found: dict[str, Any], controller: Controller) -> str:
+def _said(summary: dict[str, Any], controller: Controller) -> str:
     """The summary for people."""
-    text, f = controller.plant.time_text, found
+    text, f = controller.plant.time_text, summary
     delay, acting = (math.nan if f[name] is None else f[name] for name in ("delay", "acting"))
     return "\n".join([
         f"{f['calls']} calls in {text(f['seconds'])}, {100 * f['without_sample']:.1f} % without a new sample, "

@@ -12,18 +12,18 @@ import numpy as np
 from npred.errors import DivergedError
 from npred.loop.controller import Controller
 from npred.rig import clock
-from npred.rig.link import GoneError, Link, Packet
+from npred.rig.link import GoneError, Packet, UdpLink
 from npred.rig.log import OVER, LogFile
-from npred.rig.network import Network
+from npred.rig.network import Channel
 
 
-def run(controller: Controller, end: socket.socket, network: Network, seconds: float, path: Path, parent: int) -> None:
+def run(controller: Controller, end: socket.socket, network: Channel, seconds: float, path: Path, parent: int) -> None:
     """Be the controller for so many seconds, or until the plant or the parent is gone or SIGTERM comes; the log says
     which."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     asked: list[int] = []
     signal.signal(signal.SIGTERM, lambda number, frame: asked.append(number))
-    link = Link(end, network, "commands", "samples")
+    link = UdpLink(end, network, "commands", "samples")
     gc.disable()
     with LogFile(path, controller) as log:
         loop = Calls(controller, link, log)
@@ -43,7 +43,7 @@ def run(controller: Controller, end: socket.socket, network: Network, seconds: f
 class Calls:
     """The calls of a controller, each written to the log with its samples."""
 
-    def __init__(self, controller: Controller, link: Link, log: LogFile) -> None:
+    def __init__(self, controller: Controller, link: UdpLink, log: LogFile) -> None:
         self.controller, self.link, self.log = controller, link, log
         self._newest, self._U = -math.inf, np.zeros(controller.plant.m)
 

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from npred.errors import NpredError
-from npred.rig.network import Network
+from npred.rig.network import Channel
 
 PATIENCE = 2.0  # s without any packet, lost ones too, after which the other side is gone …
 COMPILING = 120.0  # … and before the start
@@ -36,10 +36,10 @@ class Packet(NamedTuple):
     values: np.ndarray
 
 
-class Link:
+class UdpLink:
     """Sends packets of one way and receives those of the other. Raises GoneError where nobody is there any more."""
 
-    def __init__(self, end: socket.socket, network: Network, way: str, back: str) -> None:
+    def __init__(self, end: socket.socket, network: Channel, way: str, back: str) -> None:
         self.end, self.network, self.way, self.back = end, network, way, back
         end.setblocking(False)
         self.start, self.sent, self.ended = 0.0, 0, False

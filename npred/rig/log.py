@@ -62,7 +62,7 @@ class LogFile:
         self.file.write(",".join(written) + "\n")
 
 
-class Log:
+class RigLog:
     """A log that is read: `calls` and `samples`, each a dictionary of columns, and why it ends, empty where it was
     cut. Raises ConfigError for a file that is none."""
 

@@ -10,7 +10,7 @@ STOP = 0.2  # s that the network stands still
 
 
 @dataclass(frozen=True)
-class Network:
+class Channel:
     """Packets take delay + jitter r seconds, r uniform on [-1, 1], each by itself, so that they overtake each other.
 
     The share `loss` never arrives, the share `reorder` takes twice its time; `stops` times a minute all that is sent

@@ -14,8 +14,8 @@ from npred.config import Disturbance, Sensors
 from npred.loop.engine import advance_kernel
 from npred.plants import Plant
 from npred.predictors import RK4
-from npred.rig.link import PATIENCE, GoneError, Link, Packet
-from npred.rig.network import Network
+from npred.rig.link import PATIENCE, GoneError, Packet, UdpLink
+from npred.rig.network import Channel
 
 
 @dataclass(frozen=True)
@@ -99,10 +99,10 @@ def sensed(X: np.ndarray, sensors: Sensors, rng: np.random.Generator) -> np.ndar
     return np.where(step > 0, np.round(Y / np.where(step > 0, step, 1.0)) * step, Y)
 
 
-def run(truth: Truth, end: socket.socket, network: Network, seconds: float, parent: int) -> None:
+def run(truth: Truth, end: socket.socket, network: Channel, seconds: float, parent: int) -> None:
     """Be the plant, until the controller says that it is the end, or is gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # whoever started both sides ends them
-    plant, link = DelayedPlant(truth), Link(end, network, "samples", "commands")
+    plant, link = DelayedPlant(truth), UdpLink(end, network, "samples", "commands")
     try:
         link.follow()
         for k in range(int((seconds + PATIENCE) / truth.period) + 1):
