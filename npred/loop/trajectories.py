@@ -75,8 +75,8 @@ class Trajectories:
     and `fallbacks` (...) in how many of the `steps` control steps. With a safety filter `filtered` (..., nt) says where
     U was changed, likewise, and `unkept` (...) in how many steps the bounds of U left no way to keep the limits;
     `safety` (..., nt, limits) is safe(x, t, p, M) of the plant's states. `states`, `inputs`, `time_unit`, `labels` and
-    `units` are the plant's. At or beyond `ends` D_hat is at a bound of its law; None if frozen. `clock` is what loops on a
-    real clock add, else None.
+    `units` are the plant's. At or beyond `ends` D_hat is at a bound of its law; None if frozen. `clock` is what
+    loops on a real clock add, else None.
     print(loop) gives the ranges and ends of all series.
     """
 

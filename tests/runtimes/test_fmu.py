@@ -187,7 +187,7 @@ def test_samples_that_are_late_or_missing_and_the_status_are_those_of_python(ins
             assert run.flag("handed_over") == status.handed_over
         seen |= {status.late > 0, 10 * (status.refused > 0), 20 + status.handed_over}
     assert seen >= {True, 10} and run.messages == []
-    assert make is turning or seen >= {20, 21} and "offset.U" in run.places
+    assert make is turning or (seen >= {20, 21} and "offset.U" in run.places)
 
 
 def test_before_the_first_sample_it_says_so(instance):
