@@ -12,13 +12,8 @@ from npred.loop.actuator import ROUNDING
 from npred.loop.controller import SNAP
 from npred.loop.measurement import Measurement
 
-GAP, DROP, CALL, OVERRUN, LOST = (
-    2,
-    3,
-    5,
-    6,
-    7,
-)  # what a random number is for, as in npred/kernels/c/sensor_errors.h
+# what a random number is for, as in npred/kernels/c/sensor_errors.h
+GAP, DROP, CALL, OVERRUN, LOST = 2, 3, 5, 6, 7
 FIRST = np.uint64(0x9E3779B97F4A7C15)
 FACTORS = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
 
