@@ -3,20 +3,26 @@
     python benchmarks/c_controller.py pipeline/paper.toml:deeponet --store artifacts
 
 It exports the controller of the pipeline's evaluated loop with both predictors and precisions, with and without a
-guard, compiles each, and runs it on the steps of its own test, over and over. The compiler's flags allow what they
-allow the kernels that run here (npred.kernels.compiler.FLAGS), and NaN stays NaN.
+guard, compiles each, and runs it on the steps of its own test, over and over. Then controllers of the plant with an
+extended Kalman filter of one output, called at jittering times with samples that are four control steps old, each
+tenth call without one. The compiler's flags allow what they allow the kernels that run here
+(npred.kernels.compiler.FLAGS), and NaN stays NaN.
 """
 
 import argparse
 import json
-import re
 import subprocess
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 from typer.testing import CliRunner
 
+import npred
+from npred import config, defaults
 from npred.cli import app
+from npred.runtimes import c_controller
 
 FLAGS = "-O3 -march=native -fno-math-errno -fno-trapping-math -fno-signed-zeros -freciprocal-math"
 PROGRAM = r"""
@@ -28,10 +34,10 @@ PROGRAM = r"""
 #include <stdlib.h>
 #include <time.h>
 
-enum { CALLS = 200000 };
-static double times[CALLS];
+enum { TIMED = 200000 };
+static double times[TIMED];
 
-static int compare(const void *a, const void *b)
+static int order(const void *a, const void *b)
 {
     const double x = *(const double *)a, y = *(const double *)b;
     return (x > y) - (x < y);
@@ -41,38 +47,67 @@ int main(void)
 {
     static npred_controller c;
     npred_init(&c);
-    for (int k = 0; k < CALLS; k++) {
+    for (int k = 0; k < TIMED; k++) {
         struct timespec before, after;
         typeof(test_U[0] + 0) U[NPRED_M_INPUTS];
         clock_gettime(CLOCK_MONOTONIC, &before);
-        const int code = npred_step(&c, test_X + k % TEST_STEPS * NPRED_N_STATES, MEASURED U);
+        const int code = STEP;
         clock_gettime(CLOCK_MONOTONIC, &after);
         times[k] = 1e6 * (double)(after.tv_sec - before.tv_sec) + 1e-3 * (double)(after.tv_nsec - before.tv_nsec);
         if (code) {
             return code;
         }
     }
-    qsort(times, CALLS, sizeof times[0], compare);
-    printf("%.2f %.2f %.2f\n", times[CALLS / 2], times[CALLS * 999LL / 1000], times[CALLS - 1]);
+    qsort(times, TIMED, sizeof times[0], order);
+    printf("%.2f %.2f %.2f\n", times[TIMED / 2], times[TIMED * 999LL / 1000], times[TIMED - 1]);
     return 0;
 }
 """
 
 
-def measure(arguments: list[str], store: Path, flags: list[str]) -> dict[str, float]:
-    """Median, 99.9 % quantile and longest time of a step in µs, and the size of the state in bytes."""
+PLAIN = "npred_step(&c, test_X + k % TEST_STEPS * NPRED_N_OUTPUTS, U)"
+MEASURED = PLAIN.replace("U)", "test_u + k % TEST_STEPS * NPRED_NX * NPRED_M_INPUTS, U)")
+STAMPED = "npred_step_at(&c, TIME(k), k % 10 == 9 ? NULL : test_X + k % TEST_STEPS * NPRED_N_OUTPUTS, TIME(k - 4), U)"
+TIME = "#define TIME(k) (NPRED_DT * ((double)(k) + 0.3 * (double)((k) * 7 % 11) / 11.0))"  # later by 0 to 0.27 steps
+
+
+def measure(folder: Path, flags: list[str], step: str) -> dict[str, float]:
+    """Median, 99.9 % quantile and longest time of a step in µs of the files in a folder."""
+    (folder / "main.c").write_text(f"{TIME}\n{PROGRAM.replace('STEP;', f'{step};')}")
+    command = ["cc", "-std=gnu99", *flags, "main.c", "-o", "main", "-lm"]
+    subprocess.run(command, cwd=folder, check=True)
+    output = subprocess.run(["./main"], cwd=folder, check=True, capture_output=True, text=True).stdout
+    return dict(zip(("median_us", "p999_us", "max_us"), map(float, output.split()), strict=True))
+
+
+def exported(arguments: list[str], store: Path, flags: list[str]) -> dict[str, float]:
+    """The times of a controller that the command line exports."""
     with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
         done = CliRunner().invoke(app, ["export", "controller", *arguments, "--store", str(store), "-o", name])
         if done.exit_code:
             raise SystemExit(done.output)
-        measured = re.search(r"npred_step_nodes", (folder / "npred.h").read_text()) is not None
-        u = "test_u + k % TEST_STEPS * NPRED_NX * NPRED_M_INPUTS," if measured else ""
-        (folder / "main.c").write_text(PROGRAM.replace("MEASURED", u))
-        command = ["cc", "-std=gnu99", *flags, "main.c", "-o", "main", "-lm"]
-        subprocess.run(command, cwd=folder, check=True)
-        output = subprocess.run(["./main"], cwd=folder, check=True, capture_output=True, text=True).stdout
-    return dict(zip(("median_us", "p999_us", "max_us"), map(float, output.split()), strict=True))
+        return measure(Path(name), flags, PLAIN if "history" in arguments else MEASURED)
+
+
+def clocked(pipeline: str, nx: int, flags: list[str]) -> Iterator[tuple[str, dict[str, float]]]:
+    """The times of controllers of the pipeline's plant with an observer of the state."""
+    table = config.load(defaults.pipeline(pipeline))
+    plant, dt = npred.plant(table.plant), table.evaluate.dt
+    laws = {"": npred.DelayAdaptation(bounds=(0.1, 4.0)), ", DelayObserver": npred.DelayObserver(bounds=(0.1, 4.0))}
+    for name, law in laws.items():
+        for method in ("heun", "rk4"):
+            observer = npred.observers.EKF(plant, outputs=plant.states[1:2])
+            controller = npred.controller(
+                plant, npred.predictor(method, plant, nx), law, dt, D_hat=2.0, actuator="history", observer=observer
+            )
+            wave = 1 + 0.01 * np.sin(2 * np.pi * np.arange(40) / 40)
+            samples = observer.measured(plant.target(0.0) * wave[:, None])
+            files = c_controller.sources(controller, test=(samples, None))
+            for kind, step in {"EKF": PLAIN, "EKF and stamps": STAMPED}.items():
+                with tempfile.TemporaryDirectory() as folder:
+                    for file, text in zip(("npred.h", "npred.c"), files, strict=True):
+                        (Path(folder) / file).write_text(text)
+                    yield f"{method}, double, {kind}{name}", measure(Path(folder), flags, step)
 
 
 def rows(model: str, nx: int) -> dict[str, list[str]]:
@@ -105,9 +140,10 @@ def main() -> None:
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     results = {
-        kind: measure(arguments, options.store, options.flags.split())
+        kind: exported(arguments, options.store, options.flags.split())
         for kind, arguments in rows(options.model, options.nx).items()
     }
+    results |= clocked(options.model.rpartition(":")[0], options.nx, options.flags.split())
     if options.json:
         print(json.dumps(results, indent=2))
         return

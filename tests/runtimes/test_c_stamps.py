@@ -298,3 +298,30 @@ def test_the_test_in_the_file_has_the_outputs_of_an_observer(tmp_path, precision
     command = ["gcc", *FLAGS, "-DNPRED_TEST", "npred.c", "-o", "own_test", "-lm"]
     subprocess.run(command, cwd=tmp_path, check=True, timeout=120)
     assert subprocess.run([tmp_path / "own_test"], capture_output=True, timeout=60).returncode == 0
+
+
+AT_ONCE = """
+#include "npred.c"
+int main(void)
+{
+    static npred_controller c;
+    static npred_saved saved;
+    npred_init(&c);
+    npred_get_state(&c, &saved);
+    for (int i = 0; i < NPRED_CLOCK; i++) {
+        if (isnan(saved.clock[i]) != isnan(the_clock[i])) {
+            return 2;
+        }
+    }
+    return npred_set_state(&c, &saved);
+}
+"""
+
+
+def test_it_begins_with_its_numbers_also_where_the_compiler_knows_wide_registers(tmp_path):
+    """gcc 12 with AVX-512 once began with NaN for the lag, and refused the state that it had saved."""
+    library(CASES["one input"](), tmp_path)
+    (tmp_path / "at_once.c").write_text(AT_ONCE)
+    command = ["gcc", "-std=c99", "-O2", "-march=native", "at_once.c", "-o", "at_once", "-lm"]
+    subprocess.run(command, cwd=tmp_path, check=True, timeout=120)
+    assert subprocess.run([tmp_path / "at_once"], timeout=60).returncode == 0

@@ -45,6 +45,14 @@ static inline State npred_state(npred_controller *self, const npred_real *u, con
     return state;
 }
 
+/* Numbers of a table, one by one: gcc 12 with AVX-512 makes others of a copy at once, where it knows them. */
+SPARE static void npred_set(int count, const volatile npred_real *from, npred_real *to)
+{
+    for (int i = 0; i < count; i++) {
+        to[i] = from[i];
+    }
+}
+
 void npred_init(npred_controller *self)
 {
     memset(self, 0, sizeof *self);
@@ -67,7 +75,7 @@ void npred_init(npred_controller *self)
     }
 #endif
 #if KEEPS
-    memcpy(self->saved.clock, the_clock, sizeof self->saved.clock);
+    npred_set(NPRED_CLOCK, the_clock, self->saved.clock);
 #endif
 #if RECALLS
     for (int i = 0; i < NPRED_N_OUTPUTS; i++) {
@@ -75,11 +83,11 @@ void npred_init(npred_controller *self)
     }
 #endif
 #if FILTERS
-    memcpy(self->saved.filter, the_filter, sizeof self->saved.filter);
+    npred_set(NPRED_FILTER, the_filter, self->saved.filter);
 #endif
 #if TUNABLE
-    memcpy(self->settings.p, the_p, sizeof self->settings.p);
-    memcpy(self->settings.guard, the_guard, sizeof self->settings.guard);
+    npred_set(NPRED_PARAMETERS, the_p, self->settings.p);
+    npred_set(NPRED_GUARD, the_guard, self->settings.guard);
     self->settings.gamma_dt = the_settings.gamma_dt;
 #endif
 }
@@ -126,6 +134,11 @@ int npred_set_state(npred_controller *self, const npred_saved *state)
 #if KEEPS
     fits = fits && state->clock[AT] >= NPRED_ROWS - 2 && state->clock[AT] < 2 * NPRED_ROWS;
     fits = fits && isfinite(state->clock[LAG]);
+#endif
+#if FILTERS
+    fits = fits && all_finite(NPRED_FILTER, state->filter);
+#endif
+#if KEEPS
     fits = fits && all_finite(NPRED_ROWS * NPRED_M_INPUTS, state->held);
     fits = fits && all_finite(NPRED_ROWS * NPRED_M_INPUTS, state->total);
 #endif
