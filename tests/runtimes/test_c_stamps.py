@@ -6,6 +6,7 @@ import subprocess
 import numpy as np
 import pytest
 from c_controllers import FLAGS, InC, library, needs_gcc
+from conftest import HERE
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from varying_delays import with_delay
@@ -325,3 +326,48 @@ def test_it_begins_with_its_numbers_also_where_the_compiler_knows_wide_registers
     command = ["gcc", "-std=c99", "-O2", "-march=native", "at_once.c", "-o", "at_once", "-lm"]
     subprocess.run(command, cwd=tmp_path, check=True, timeout=120)
     assert subprocess.run([tmp_path / "at_once"], timeout=60).returncode == 0
+
+
+RIG = """
+#include <stdio.h>
+static int call = -1;
+static const double times[] = {CALLS}, samples[][3] = {SAMPLES};
+double now(void) { return times[call]; }
+int receive(double *X, double *taken)
+{
+    call++;
+    X[0] = samples[call][0], X[1] = samples[call][1], *taken = samples[call][2];
+    return *taken > 0;
+}
+int send(const double *U) { printf("%.17g\\n", U[0]); return call != 7; }
+void warn(void) { printf("warn\\n"); }
+int main(void) { begin(); for (int k = 0; k < 40; k++) { on_timer(); } }
+"""
+
+
+def test_the_page_s_main_loop_runs_as_python_does(tmp_path):
+    page = (HERE.parent / "docs" / "deployment.md").read_text()
+    (example,) = (text.split("```")[0] for text in page.split("```C\n")[1:] if "on_timer" in text.split("```")[0])
+    python, rng = CASES["one input"](), np.random.default_rng(6)
+    t = 1.0 + np.cumsum(DT * rng.uniform(0.7, 1.3, 40))
+    samples = np.column_stack([rng.uniform(0.02, 0.04, 40), rng.uniform(29, 31, 40), t - 0.004])
+    samples[rng.random(40) < 0.2, 2] = 0.0
+    samples[0, 2], t[39] = t[0], t[39] + 0.7  # a pause
+    samples[39, 2] = 0.0
+    expected, held, lost = [], np.zeros(1), None
+    for k, (*X, taken) in enumerate(samples):
+        U = python.step(X if taken else None, t=t[k], sampled_at=taken or None, applied=lost).copy()
+        lost, held = (held, held) if k == 7 else (None, U)
+        expected += [U[0]] if python.status.age <= 0.5 else [U[0], "warn"]
+    calls, rows = (
+        ", ".join(map(repr, t.tolist())),
+        ", ".join(f"{{{a!r}, {b!r}, {c!r}}}" for a, b, c in samples.tolist()),
+    )
+    library(python, tmp_path)
+    (tmp_path / "rig.h").write_text(example.split("/* ")[1].split(" */")[0])
+    (tmp_path / "main.c").write_text(example + RIG.replace("CALLS", calls).replace("SAMPLES", rows))
+    command = ["gcc", *FLAGS, "-Wno-missing-prototypes", "main.c", "npred.c", "-o", "main", "-lm"]
+    subprocess.run(command, cwd=tmp_path, check=True, timeout=120)
+    printed = subprocess.run([tmp_path / "main"], capture_output=True, text=True, check=True, timeout=60).stdout.split()
+    assert printed[-1] == expected[-1] == "warn" and len(printed) == 41
+    np.testing.assert_allclose(np.array(printed[:-1], dtype=float), expected[:-1], rtol=1e-11)
