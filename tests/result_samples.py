@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from npred.results.bench import Timing
+from npred.results.bench import CallTimes
 from npred.results.evaluate import Evaluated, Scores
 
 ERRORS = {"mse": 1.2e-7, "eps_sup": 0.0184, "eps_kappa": 3.4e-3, "rel_l2": 1e-4}
@@ -48,7 +48,7 @@ def scores(**changes: Any) -> Scores:
     return Scores.of(SCORES | changes, "a test")
 
 
-def timing(predictor: str, runtime: str = "compiled", dx: float = 0.1, us: float = 2.0, **changes: Any) -> Timing:
+def timing(predictor: str, runtime: str = "compiled", dx: float = 0.1, us: float = 2.0, **changes: Any) -> CallTimes:
     """A row of the benchmark."""
     row = {
         "batch": 1,
@@ -61,4 +61,6 @@ def timing(predictor: str, runtime: str = "compiled", dx: float = 0.1, us: float
     }
     times = {"median_us": us, "p95_us": us, "p999_us": us, "max_us": us}
     ratios = {"speedup_published": None, "speedup_compiled": 1.5}
-    return Timing.of({"predictor": predictor, "runtime": runtime, "dx": dx} | row | times | ratios | changes, "a test")
+    return CallTimes.of(
+        {"predictor": predictor, "runtime": runtime, "dx": dx} | row | times | ratios | changes, "a test"
+    )

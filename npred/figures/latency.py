@@ -8,7 +8,7 @@ from npred.figures.figure import Key, Panel, Plate
 from npred.figures.style import Axes, Look, colours, log
 from npred.registry import METHODS, NETWORKS, RUNTIMES, Entry, Registry
 from npred.results import Contender, ranked
-from npred.results.bench import Timing
+from npred.results.bench import CallTimes
 
 FAR = 1000  #: times the networks' error: no prediction any more, an unstable step say
 INTERPRETED = Registry(  #: how the baselines of pipeline/interpreted.py are drawn
@@ -22,7 +22,7 @@ INTERPRETED = Registry(  #: how the baselines of pipeline/interpreted.py are dra
 TAIL = {"median_us": "o", "p95_us": "|", "p999_us": "|"}
 
 
-def speed(rows: list[Timing]) -> Plate:
+def speed(rows: list[CallTimes]) -> Plate:
     """Latency against error and against dx, a line through the grids of each; median to 99.9 % at the finest dx."""
     single = [row for row in rows if row.batch == 1 and isfinite(row.eps_sup)]
     front = _series(_near(single))
@@ -42,13 +42,13 @@ def speed(rows: list[Timing]) -> Plate:
     return Plate("speed", "Latency and accuracy", caption, panels, tuple(Key(*item) for item in looks.items()))
 
 
-def _near(rows: list[Timing]) -> list[Timing]:
+def _near(rows: list[CallTimes]) -> list[CallTimes]:
     """Without the errors that would leave the others no room."""
     worst = max((row.eps_sup for row in rows if row.is_network), default=inf)
     return [row for row in rows if row.eps_sup <= FAR * worst]
 
 
-def label(row: Timing) -> str:
+def label(row: CallTimes) -> str:
     """Predictor and runtime for people."""
     if (parts := _numerical(row)) is not None:
         return parts.label(row.predictor)
@@ -56,7 +56,7 @@ def label(row: Timing) -> str:
     return f"{NETWORKS.label(row.predictor)}, {row.runtime}{device}"
 
 
-def _look(row: Timing, networks: dict[str, Contender]) -> Look:
+def _look(row: CallTimes, networks: dict[str, Contender]) -> Look:
     """A numerical predictor has one look; a network its colour, and the dash and marker of the runtime."""
     if (parts := _numerical(row)) is not None:
         role, dash, marker = parts.look(row.predictor)
@@ -65,32 +65,32 @@ def _look(row: Timing, networks: dict[str, Contender]) -> Look:
     return Look(colours(networks[row.predictor])[row.copies is not None], dash, 1.2, marker)
 
 
-def _numerical(row: Timing) -> Registry | None:
+def _numerical(row: CallTimes) -> Registry | None:
     """The registry that names the row's predictor; None for a network."""
     return {"python": INTERPRETED, "compiled": METHODS}.get(row.runtime)
 
 
-def _series(rows: Iterable[Timing]) -> dict[str, list[Timing]]:
+def _series(rows: Iterable[CallTimes]) -> dict[str, list[CallTimes]]:
     """The rows of each predictor and runtime, from the finest grid to the coarsest."""
-    series: dict[str, list[Timing]] = {}
+    series: dict[str, list[CallTimes]] = {}
     for row in sorted(rows, key=lambda row: row.dx):
         series.setdefault(label(row), []).append(row)
     return dict(sorted(series.items(), key=lambda item: _rank(item[1][0])))
 
 
-def _rank(row: Timing) -> tuple[int, str]:
+def _rank(row: CallTimes) -> tuple[int, str]:
     order = [*INTERPRETED.builtin, *METHODS.builtin, *NETWORKS.builtin]
     return order.index(row.predictor) if row.predictor in order else len(order), label(row)
 
 
-def _lines(series: dict[str, list[Timing]], looks: dict[str, Look], key: str, title: str, axis: Axes) -> None:
+def _lines(series: dict[str, list[CallTimes]], looks: dict[str, Look], key: str, title: str, axis: Axes) -> None:
     for name, rows in series.items():
         axis.plot([getattr(row, key) for row in rows], [row.median_us for row in rows], **looks[name].line)
     axis.set_xlabel(title)
     log(axis, "x", "y")
 
 
-def _tails(series: dict[str, list[Timing]], looks: dict[str, Look], axis: Axes) -> None:
+def _tails(series: dict[str, list[CallTimes]], looks: dict[str, Look], axis: Axes) -> None:
     for position, (name, (finest, *_)) in enumerate(series.items()):
         style = looks[name]
         axis.plot([finest.median_us, finest.p999_us], [position, position], color=style.colour, linewidth=1.2)
@@ -111,17 +111,17 @@ def _room(axis: Axes) -> float:
     return axis.bbox.height * 72 / axis.figure.dpi / line
 
 
-def _alt_front(series: dict[str, list[Timing]]) -> str:
+def _alt_front(series: dict[str, list[CallTimes]]) -> str:
     quickest = {name: min(rows, key=lambda row: row.median_us) for name, rows in series.items()}
     return "; ".join(f"{n}: {r.median_us:.3g} µs at error {r.eps_sup:.1e}" for n, r in quickest.items()) + "."
 
 
-def _alt_grids(series: dict[str, list[Timing]]) -> str:
+def _alt_grids(series: dict[str, list[CallTimes]]) -> str:
     texts = [f"{name}: {rows[-1].median_us:.3g} µs at dx = {rows[-1].dx:.3g}, {rows[0].median_us:.3g} µs at "
              f"{rows[0].dx:.3g}" for name, rows in series.items()]  # fmt: skip
     return "; ".join(texts) + "."
 
 
-def _alt_tail(series: dict[str, list[Timing]]) -> str:
+def _alt_tail(series: dict[str, list[CallTimes]]) -> str:
     texts = [f"{name}: {rows[0].median_us:.3g} to {rows[0].p999_us:.3g} µs" for name, rows in series.items()]
     return "; ".join(texts) + "."

@@ -24,7 +24,8 @@ class Timing:
 
     With probability `overrun` a call is skipped: nothing is computed in that control step, for the one before took too
     long. With probability `lost` a command does not reach the actuator, which goes on with the one before; with
-    `tells` the controller gets to know that at its next call, as `applied`. Random numbers are functions of the seed,
+    `tells` the controller gets to know that at its next call, as `applied`. No sample arrives that is taken in the last
+    `stop` seconds of each `stop_every` seconds. Random numbers are functions of the seed,
     the loop and the call. `gate` and `oldest` (seconds) are those of npred.controller; `oldest` None is at least 20
     control steps, and enough for the delay of the samples.
     Raises ConfigError for a value out of range.
@@ -34,6 +35,8 @@ class Timing:
     lost: float = 0.0
     overrun: float = 0.0
     tells: bool = False
+    stop: float = 0.0
+    stop_every: float | None = None
     gate: float | None = 1.0
     oldest: float | None = None
     seed: int = 0
@@ -45,6 +48,12 @@ class Timing:
                 raise ConfigError(
                     f"timing: expected {name} from 0 up to {highest:g}, not included, got {value:g}; give another"
                 )
+        every = math.inf if self.stop_every is None else array_checks.number("timing: stop_every", self.stop_every)
+        if not 0 <= (stop := array_checks.number("timing: stop", self.stop)) < every or bool(stop) == math.isinf(every):
+            raise ConfigError(
+                f"timing: expected 0 < stop < stop_every, or neither, got {self.stop!r} and {self.stop_every!r}; "
+                "give two times"
+            )
         if not isinstance(self.seed, int | np.integer) or not -(2**63) <= self.seed < 2**63:
             raise ConfigError(f"timing: expected a whole number of 64 bits as seed, got {self.seed!r}; give one")
 
@@ -68,7 +77,7 @@ class Schedule(NamedTuple):
 def schedule(timing: Timing, measurement: Measurement, dt: float, count: int, loop: int) -> Schedule:
     """The schedule of `count` control steps of dt seconds in the loop of that number.
 
-    Samples have their own clock: the gaps between two are period (1 + jitter r), as npred.Measurement has them, not
+    Sensors run on another clock: the gaps between two are period (1 + jitter r), as npred.Measurement has them, not
     rounded to control steps. Without a period a call takes one. A sample arrives `delay` after it was taken or, with
     probability `drop`, never; the first one, at 0, is there at once. A call gets the newest that has arrived.
     """
@@ -81,6 +90,8 @@ def schedule(timing: Timing, measurement: Measurement, dt: float, count: int, lo
     taken = at[~skipped] if measurement.period is None else _regular(measurement, dt, at[-1], loop)
     number = np.arange(len(taken))
     kept = uniform(measurement.seed, loop, number, DROP) >= measurement.drop
+    if timing.stop_every is not None:
+        kept &= taken * dt % timing.stop_every < timing.stop_every - timing.stop
     kept[0] = True
     taken, number = taken[kept], number[kept]
     arrives = taken + measurement.delay / dt

@@ -5,7 +5,7 @@ from math import inf
 from npred.results.base import Number, Result
 
 
-class Timing(Result):
+class CallTimes(Result):
     """A timed predictor; times in microseconds per call."""
 
     predictor: str  #: a method, a network, or a baseline, as `published` (the O(nx²) interpreted one)
@@ -88,13 +88,13 @@ class Hardware(Result):
 class Benched(Result):
     """Predictors timed beside their errors."""
 
-    rows: list[Timing]  #: one per timed predictor
+    rows: list[CallTimes]  #: one per timed predictor
     calls: int  #: how many calls were asked for
     crossover: list[Crossover]  #: one per network: when it pays
     stops: Stops  #: what of the tails is the machine's
     hardware: Hardware  #: the machine and the packages
 
     @property
-    def table(self) -> list[Timing]:
+    def table(self) -> list[CallTimes]:
         """The rows of Table I of [DAPF]: one call, on the grids that were asked for."""
         return [row for row in self.rows if row.batch == 1 and row.matches is None]

@@ -12,7 +12,7 @@ from npred.data import shards
 from npred.kernels import compiler
 from npred.parallel import devices
 from npred.results import Benched
-from npred.results.bench import Hardware, Stops, Timing
+from npred.results.bench import CallTimes, Hardware, Stops
 from npred.stages.bench import break_even, candidates, timing, timing_tables
 from npred.stages.bench.candidates import Candidate, ErrorSizes, Reference
 from npred.stages.job import Job
@@ -63,19 +63,19 @@ def _times(job: Job, config: Bench, entries: list[Candidate]) -> dict[str, np.nd
     return times
 
 
-def _row(entry: Candidate, nanoseconds: np.ndarray, eps: ErrorSizes) -> Timing:
-    return Timing(
+def _row(entry: Candidate, nanoseconds: np.ndarray, eps: ErrorSizes) -> CallTimes:
+    return CallTimes(
         predictor=entry.predictor, runtime=entry.runtime, dx=1 / (entry.nx - 1), batch=entry.batch,
         matches=entry.matches, device=entry.device, copies=entry.copies, calls=len(nanoseconds),
         **timing.quantiles(nanoseconds), eps_sup=eps.sup, eps_median=eps.median,
     )  # fmt: skip
 
 
-def _speedups(rows: list[Timing]) -> list[Timing]:
+def _speedups(rows: list[CallTimes]) -> list[CallTimes]:
     """Each row with its speed-up by medians over the published predictor and over compiled Euler at the same dx."""
     medians = {(r.predictor, r.dx, r.batch): r.median_us for r in reversed(rows) if r.matches is None}
 
-    def ratio(row: Timing, predictor: str) -> float | None:
+    def ratio(row: CallTimes, predictor: str) -> float | None:
         base = medians.get((predictor, row.dx, row.batch))
         return None if base is None else base / row.median_us
 

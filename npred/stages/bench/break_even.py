@@ -12,7 +12,7 @@ from npred.figures.style import short
 from npred.kernels.kernel import bound
 from npred.predictors import RK4, OneStep, Predictor
 from npred.registry import METHODS, NETWORKS
-from npred.results.bench import Crossover, Rival, Timing
+from npred.results.bench import CallTimes, Crossover, Rival
 from npred.stages.bench import timing
 from npred.stages.bench.candidates import Candidate, Reference, matching
 from npred.stages.job import Job
@@ -21,7 +21,7 @@ from npred.terminal.waiting import counted
 STEPS = (10, 210)  # of the two runs whose difference is the cost of f
 
 
-def measure(job: Job, timed: Iterable[tuple[Candidate, Timing]], reference: Reference) -> list[Crossover]:
+def measure(job: Job, timed: Iterable[tuple[Candidate, CallTimes]], reference: Reference) -> list[Crossover]:
     """One row per trained network: its quickest runtime at batch 1 and the first dx, and every method as accurate."""
     single = [
         (entry, row)
@@ -38,7 +38,9 @@ def measure(job: Job, timed: Iterable[tuple[Candidate, Timing]], reference: Refe
     return crossovers
 
 
-def _crossover(job: Job, network: Candidate, row: Timing, rivals: list[Candidate], reference: Reference) -> Crossover:
+def _crossover(
+    job: Job, network: Candidate, row: CallTimes, rivals: list[Candidate], reference: Reference
+) -> Crossover:
     """All timed in turn. pays_from_ns: the cost of f at which the rival's steps take as long as the network, 0 where
     they do without f.
     """

@@ -4,7 +4,7 @@ from math import isfinite
 
 from npred.registry import short_name
 from npred.results import NUMERICAL, Benched, Contender
-from npred.results.bench import Stops, Timing
+from npred.results.bench import CallTimes, Stops
 from npred.terminal.console import columns
 
 TIMES = {"median": "median_us", "p95": "p95_us", "p99.9": "p999_us", "max": "max_us"}
@@ -59,28 +59,28 @@ def _with_sentences(result: Benched, rows: list[dict[str, str]], width: int | No
     return "\n".join([title, "", table, "", *sentences(result)])
 
 
-def _first(row: Timing) -> dict[str, str]:
+def _first(row: CallTimes) -> dict[str, str]:
     return {"predictor": _name(row), "runtime": _runtime(row), "dx": f"{row.dx:.3g}", "batch": str(row.batch)}
 
 
-def _all(row: Timing) -> dict[str, str]:
+def _all(row: CallTimes) -> dict[str, str]:
     times = {head: _short(getattr(row, key)) for head, key in TIMES.items()}
     ratios = {head: "" if getattr(row, key) is None else f"{getattr(row, key):.3g}" for head, key in RATIOS.items()}
     return _first(row) | times | _errors(row) | ratios
 
 
-def _name(row: Timing) -> str:
+def _name(row: CallTimes) -> str:
     name = NAMES.get(row.predictor) or str(row.predictor)
     return f"{name} (ε of {row.matches})" if row.matches not in (None, "front") else name
 
 
-def _runtime(row: Timing) -> str:
+def _runtime(row: CallTimes) -> str:
     if row.copies is None:
         return row.runtime
     return f"{row.runtime} {row.device} {'with' if row.copies else 'without'} copies"
 
 
-def _errors(row: Timing) -> dict[str, str]:
+def _errors(row: CallTimes) -> dict[str, str]:
     errors = {"ε sup": row.eps_sup, "ε median": row.eps_median}
     return {head: f"{error:.1e}" if isfinite(error) else "∞" for head, error in errors.items()}
 

@@ -12,7 +12,7 @@ from npred.figures.table import Column, Table
 from npred.plants import Plant
 from npred.registry import NETWORKS
 from npred.results import NUMERICAL, Certified, Evaluated, Trained
-from npred.results.bench import Timing
+from npred.results.bench import CallTimes
 from npred.results.evaluate import Coverage, Scores
 
 ERRORS = {"mse": "mean square", "eps_sup": "ε sup", "eps_kappa": "ε_{κ}", "rel_l2": "relative L²"}
@@ -127,7 +127,7 @@ def training(trained: Mapping[str, Trained]) -> Table:
     return Table("training", "Training", columns)
 
 
-def speed(rows: Sequence[Timing]) -> Table:
+def speed(rows: Sequence[CallTimes]) -> Table:
     """Every row of the benchmark."""
     rows = [row for row in rows if row.matches != "front"]
     names = [
@@ -144,7 +144,7 @@ def speed(rows: Sequence[Timing]) -> Table:
     return Table("speed", "Time of a call", columns)
 
 
-def by_dx(rows: Iterable[Timing]) -> Table:
+def by_dx(rows: Iterable[CallTimes]) -> Table:
     """Table I of [DAPF]: median and error at batch 1, a pair of columns for each dx."""
     single = {(label(row), row.dx): row for row in rows if row.batch == 1 and row.matches is None}
     names = list(dict.fromkeys(name for name, _ in single))
