@@ -91,7 +91,7 @@ def settling(plant, run):
 def timing():
     """±30 % jitter, 5 % of samples and of commands lost, samples ten control steps late."""
     print(
-        "| plant | D | lost, ideal | lost | lost that ideal keeps | worst error of D̂, ideal | worst error of D̂ | allowed |"
+        "| plant | D | lost, ideal | lost | that ideal keeps | worst error of D̂, ideal | worst error of D̂ | allowed |"
     )
     print("|---|---|---|---|---|---|---|---|")
     for name, (plant, dt, D, seconds, unknown) in PLANTS.items():
@@ -116,9 +116,7 @@ def timing():
 
 def stops():
     """200 ms without samples, 50 times a minute; the watchdog waits 100 ms."""
-    print(
-        "| plant | then | lost | U handed over | while the samples are older than 100 ms | largest step of U then | jump |"
-    )
+    print("| plant | then | lost | handed over | exactly where samples are too old | largest step of U then | jump |")
     print("|---|---|---|---|---|---|---|")
     for name, jump in (("scalar", 0.01), ("DC motor", 0.05), ("cart-pole", 0.1)):
         plant, dt, D, seconds, _ = PLANTS[name]

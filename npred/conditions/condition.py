@@ -12,6 +12,7 @@ from npred.config import Disturbance, Loop
 from npred.loop import closed_loop, delay_law
 from npred.loop.closed_loop import Trajectories
 from npred.loop.measurement import Measurement, Observer
+from npred.loop.timing import Timing
 from npred.plants.base import Plant
 from npred.predictors import Predictor
 
@@ -58,7 +59,8 @@ class Condition:
             plant, predictor, X0=self.X0, t_end=self.t_end, dt=table.dt, input_bounds=table.input_bounds, u0=table.u0,
             actuator=table.actuator, adaptation=delay_law.resolve(table, plant) if self.adapts else None,
             truth=truth(plant, table), disturbance=self.disturbance or _push(table.disturbance),
-            measurement=Measurement(**sensors), **delays, **recorded,
+            measurement=Measurement(**sensors), timing=table.timing and Timing(**dict(table.timing), seed=self.seed),
+            **delays, **recorded,
         )  # fmt: skip
 
 

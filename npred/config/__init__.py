@@ -2,13 +2,13 @@
 
 from npred.config.evaluate import Evaluate, GuardTable, Scenario
 from npred.config.file import leaves, load, override, parse, put, table
-from npred.config.loop import Disturbance, Loop, Sensors, within
+from npred.config.loop import Calls, Disturbance, Loop, Sensors, within
 from npred.config.pipeline import Bench, Generate, Pipeline
 from npred.config.section import FROZEN, PAPER, Anchor, Range, Section
 from npred.config.train import FNO, DeepONet, Network, Train, Training
 
 __all__ = [
-    "FNO", "FROZEN", "PAPER", "Anchor", "Bench", "DeepONet", "Disturbance", "Evaluate", "Generate", "GuardTable",
-    "Loop", "Network", "Pipeline", "Range", "Scenario", "Section", "Sensors", "Train", "Training", "leaves", "load",
-    "override", "parse", "put", "table", "within",
+    "FNO", "FROZEN", "PAPER", "Anchor", "Bench", "Calls", "DeepONet", "Disturbance", "Evaluate", "Generate",
+    "GuardTable", "Loop", "Network", "Pipeline", "Range", "Scenario", "Section", "Sensors", "Train", "Training",
+    "leaves", "load", "override", "parse", "put", "table", "within",
 ]  # fmt: skip

@@ -5,7 +5,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_serializer, model_validator
 
-from npred.config.loop import Disturbance, Loop, Sensors
+from npred.config.loop import Calls, Disturbance, Loop, Sensors
 from npred.config.section import (
     ADDED,
     Actuator,
@@ -57,6 +57,7 @@ class Scenario(Section):
     parameters: dict[str, Number] = {}  #: as truth
     disturbance: Disturbance | None = None  #: as disturbance, amplitude sin(omega t)
     actuator: Actuator | None = None  #: as actuator
+    timing: Calls | None = None  #: as timing
     adaptation: Law | None = None  #: as adaptation
     D_hat0: Some[Positive] | None = None  #: as case_D_hat0
     drift: Drift | None = None  #: the true delay is D + amplitude sin(2π t / period)
@@ -130,6 +131,7 @@ class Evaluate(Loop):
                 table.reached("delay", span)
                 table.lasts("t_end", table.case_t_end)
                 table.measurement.spread()
+                table.clocked()
             except ValueError as error:
                 raise ValueError(f"scenarios[{k}]: {error}") from None
             for value in scenario.D_hat0 or []:

@@ -13,6 +13,7 @@ from npred.config.section import (
     Bias,
     Bounds,
     Delay,
+    Half,
     Law,
     Method,
     Nodes,
@@ -58,6 +59,25 @@ class Sensors(Section):
             raise ValueError("jitter: expected a period that it spreads, got none; give period")
 
 
+class Calls(Section):
+    """The clock of the control loop: call k comes at k dt + jitter dt r, r uniform on [-1, 1], and samples and commands
+    have times that are not rounded to control steps.
+    """
+
+    jitter: Half = 0.0  #: largest deviation of a call from its time, in control steps
+    lost: Share = 0.0  #: probability that a command does not reach the actuator, which goes on with the one before
+    overrun: Share = 0.0  #: probability that a call is skipped
+    tells: bool = False  #: whether the controller gets to know at its next call that a command was lost
+    stop: Delay = 0.0  #: no sample arrives that is taken in the last so many seconds …
+    stop_every: Positive | None = None  #: … of each so many seconds
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if (self.stop_every is None) != (self.stop == 0.0) or self.stop >= (self.stop_every or math.inf):
+            raise ValueError("stop, stop_every: expected 0 < stop < stop_every, or neither; give two times")
+        return self
+
+
 class Disturbance(Section):
     """amplitude sin(omega t), added to what leaves the actuator, the same for each input."""
 
@@ -100,6 +120,8 @@ class Loop(Section):
     #: parameters of the simulated plant that are not those of the controller's model
     truth: Annotated[dict[str, Number], ADDED] = {}
     measurement: Annotated[Sensors, ADDED] = Sensors()  #: a table: what the controller sees of the state
+    #: a table: the clock of the control loop, with actuator = "history"; by default calls come at k dt exactly
+    timing: Annotated[Calls | None, ADDED] = None
     #: a table: what is added to the input of the simulated plant
     disturbance: Annotated[Disturbance, ADDED] = Disturbance()
 
@@ -125,6 +147,7 @@ class Loop(Section):
     @model_validator(mode="after")
     def _check(self) -> Self:
         self.lasts("t_end", self.t_end)
+        self.clocked()
         return self
 
     @property
@@ -136,6 +159,11 @@ class Loop(Section):
     def simulated(self) -> bool:
         """True if loops are run: data may come from a file."""
         return not getattr(self, "data", "")
+
+    def clocked(self) -> None:
+        """Raise ValueError for a clock of a controller that is given u."""
+        if self.timing and self.actuator != "history":
+            raise ValueError(f'timing: expected actuator = "history", got {self.actuator!r}; give it, or no timing')
 
     def lasts(self, key: str, seconds: float) -> None:
         """Raise ValueError for loops shorter than a control step, or with more steps than a record can hold."""

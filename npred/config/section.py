@@ -23,6 +23,7 @@ Bias = Number | list[Number]
 Anchor = Literal["none", "initial", "equilibrium"]
 Actuator = Literal["measured", "history"]
 Share = Annotated[float, Field(ge=0, lt=1, strict=True)]
+Half = Annotated[float, Field(ge=0, lt=0.5, strict=True)]
 PAPER, FROZEN = "bresch-pietri-krstic", "frozen"  # delay laws
 ADDED = "added"  # marks a key that results are older than: a dump leaves it out where it says nothing
 

@@ -12,7 +12,7 @@ from npred.diagnosis.case import SPAN, Case
 from npred.diagnosis.equilibrium import SLIP
 from npred.diagnosis.lyapunov import DECLARE
 from npred.errors import ConfigError
-from npred.loop import delay_law
+from npred.loop import clocked, delay_law
 from npred.loop.adaptation import undeclared
 from npred.loop.measurement import Measurement
 from npred.plants import inputs
@@ -171,6 +171,8 @@ def parts(case: Case) -> None:
     for loop in tables:
         delay_law.resolve(loop, case.plant)
         Measurement(**dict(loop.measurement)).check(case.plant)
+        if loop.timing:
+            clocked.serves(case.plant)
         plants.varied(case.plant, tuple(loop.truth.items()))
         predictors.numerical(loop.predictor, case.plant, loop.nx)
     if "evaluate" in case.stages and (guard := case.settings.evaluate.guard):

@@ -46,10 +46,15 @@ def check(
         raise ConfigError(f'actuator: expected "history" for a loop on a real clock, got {actuator!r}; give it')
     if predictor is None:
         raise ConfigError("predictor: expected one for a loop on a real clock, got None; make one")
-    if plant.declares_delay:
-        raise ConfigError(f"timing: expected a plant that does not declare its delay, got {plant.name}; leave it out")
+    serves(plant)
     if measurement is not None and measurement.observer is not None:
         raise ConfigError("measurement: expected no observer in Python on a real clock, got one; give observer")
+
+
+def serves(plant: Plant) -> None:
+    """Raise ConfigError for a plant that no loop on a real clock is made for."""
+    if plant.declares_delay:
+        raise ConfigError(f"timing: expected a plant that does not declare its delay, got {plant.name}; leave it out")
 
 
 @dataclass(frozen=True)

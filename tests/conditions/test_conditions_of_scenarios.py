@@ -1,5 +1,8 @@
 """A scenario of the pipeline file as a condition: its delay, and the parameters of the simulated plant."""
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 
 import npred
@@ -26,3 +29,23 @@ def test_scaled_parameters_are_those_of_the_truth():
     assert scaled == {name: pytest.approx(1.1 * value) for name, value in (PLANT.parameters | {"Ka": 0.05}).items()}
     given = scenarios.condition(PLANT, pipeline, Scenario(name="a", parameters={"Kb": 0.005})).table.truth
     assert given == {"Ka": 0.05, "Kb": 0.005}
+
+
+def test_a_scenario_may_have_a_clock():
+    """Its loops are those of npred.simulate with the clock, whatever part of the batch they are run in."""
+    evaluate = {"X0": [0.1], "D": 0.2, "case_states": 3, "case_D_hat0": [0.2], "adaptation": "frozen", "dt": 0.01}
+    pipeline = config.parse({"plant": "scalar", "evaluate": evaluate | {"case_t_end": 2.0, "t_end": 2.0}}, "tests")
+    clock = {"jitter": 0.3, "lost": 0.2}
+    scenario = Scenario.model_validate({"name": "a", "actuator": "history", "timing": clock, "delay": 0.05})
+    plant = npred.plant("scalar")
+    predictor = npred.predictor("rk4", plant, nx=11)
+    condition = scenarios.condition(plant, pipeline, scenario)
+    condition = replace(condition, D=np.full(3, condition.D))
+    whole, part = condition.loops(plant, predictor), condition.part(slice(1, 3)).loops(plant, predictor)
+    alone = npred.simulate(
+        plant, predictor, D=0.2, D_hat=0.2, X0=condition.X0, t_end=2.0, dt=0.01, actuator="history",
+        timing=npred.Timing(**clock, seed=condition.seed),
+        measurement=npred.Measurement(delay=0.05, seed=condition.seed),
+    )  # fmt: skip
+    assert (whole.X == alone.X).all() and (whole.X[1:] == part.X).all()
+    assert whole.clock is not None and whole.clock.lost.min() > 10

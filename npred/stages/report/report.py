@@ -98,6 +98,8 @@ def _reality(plant: Plant, config: Evaluate) -> Iterator[str]:
     ]
     if config.actuator == "history":
         yield "actuator state not measured"
+    if config.timing:
+        yield "calls of the controller that are not on time"
     if sensors:
         yield f"measurements with {', '.join(sensors)}"
     if config.truth or config.disturbance.amplitude:
