@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from npred import observers as observers
     from npred import plants as plants
     from npred.api import controller, guarded, load, plant, predictor
+    from npred.diagnosis.delay_margin import delay_margin
     from npred.identification.identify import identify
     from npred.loop.adaptation import DelayAdaptation
     from npred.loop.closed_loop import simulate
@@ -31,9 +32,8 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 __all__ = [
     "DelayAdaptation", "DelayLaw", "DelayObserver", "L1Adaptation", "Measurement", "Predictor", "SafetyFilter",
-    "Timing",
-    "Watchdog", "as_iosystem", "controller", "evaluate", "generate", "guarded", "identify", "load", "plant",
-    "predictor", "simulate", "train",
+    "Timing", "Watchdog", "as_iosystem", "controller", "delay_margin", "evaluate", "generate", "guarded", "identify",
+    "load", "plant", "predictor", "simulate", "train",
 ]  # fmt: skip
 
 _HOME = dict.fromkeys(__all__, "api") | {
@@ -47,6 +47,7 @@ _HOME = dict.fromkeys(__all__, "api") | {
     "Timing": "loop.timing",
     "Watchdog": "loop.watchdog",
     "as_iosystem": "loop.iosystem",
+    "delay_margin": "diagnosis.delay_margin",
     "identify": "identification.identify",
     **dict.fromkeys(("evaluate", "generate", "train"), "runs"),
     "simulate": "loop.closed_loop",

@@ -1,0 +1,165 @@
+"""How wrong a constant D_hat may be: the linearised loop of a predictor that reads its own commands at D_hat.
+
+With x' = A x + B u(t - D), u = K P and P the prediction of x by D_hat, the mismatch w = B (u(t - D) - u(t - D_hat)) is
+all that the model does not know: P' = (A + B K) P + e^{A D_hat} w. So the characteristic equation is
+    det(s I - A - B K - e^{A D_hat} B K (e^{-s D} - e^{-s D_hat})) = 0.
+It is of retarded type: roots enter the right half-plane across the imaginary axis only, at bounded frequencies, and not
+at 0. Let G be the response of u to w / B, G = K (s I - A - B K)^{-1} e^{A D_hat} B; the equation is det(I - T) = 0 with
+T(s) = G(s) (e^{-s D} - e^{-s D_hat}). T has no unstable pole, so the loop is stable if det(I - T(iω)) does not turn
+around 0 (Nyquist). No root crosses at a frequency where |T| < 1.
+
+Several inputs: D_j = r_j D, and u_j = K_j P(D_hat_j). Along the prediction w grows by the flow Phi of A, in which the
+loops of the inputs that have arrived are closed, and with L the longest D_hat_j
+    G_j = K_j e^{s D_hat_j} [e^{-s L} (s I - A - B K)^{-1} Phi(L) + ∫ Phi(σ) e^{-s σ} dσ over D_hat_j < σ < L] B.
+"""
+
+import numpy as np
+
+from npred import array_checks
+from npred.errors import ConfigError
+from npred.plants.base import Plant
+
+SEARCHED = 10.0  # times D plus the loop's slowest time constant: D_hat is looked at up to there
+FIRST, LEAST, LONGER = 1e-2, 1e-3, 1.5  # the first and the shortest step of D_hat, in D; how much a next one may grow
+SHARE = 0.5  # of the distance from I - T to a singular matrix: a step of D_hat changes T by less
+TOLERANCE = 1e-9  # of D: the margin's
+QUIET = 0.5  # frequencies end where |T| stays below
+HIGHEST = 1e6  # times the fastest rate of the loop: the highest frequency that is looked for
+PHASE = 0.2  # rad, by which the delays turn T between two frequencies
+AROUND = np.sinh(np.linspace(-6.0, 6.0, 41))  # times the damping of a pole: frequencies around it
+TURN, HALVINGS = 0.5, 40  # rad between two points of the Nyquist curve; how often frequencies are halved for that
+POINTS = 16  # of Gauss-Legendre, and one more per radian of an integrand
+
+
+def delay_margin(plant: Plant, D: float) -> tuple[float, float]:
+    """The errors (low, high) of D_hat in seconds, low <= 0 <= high, that the linearised loop bears.
+
+    The plant's delay is D seconds (the longest, where inputs have several), and the controller predicts by a constant
+    D_hat from its own commands (`actuator="history"`, `adaptation=None`). The loop, linearised at the equilibrium, is
+    stable for every constant D_hat in (D + low, D + high), and at the ends a root is on the imaginary axis: the first
+    crossing on each side. low = -D if it is stable down to D_hat = 0. high = inf if it is stable up to ten times the
+    sum of D and the loop's slowest time constant. Time is continuous here, and no command is clipped.
+    Raises ConfigError for a plant that declares its delay, has no equilibrium, or has a kappa that does not stabilise
+    without delay, and for a D that is no time above 0.
+    """
+    D = array_checks.number("D", D)
+    if not 0 < D < np.inf:
+        raise ConfigError(f"D: expected a time above 0, got {plant.time_text(D)}; give the plant's delay")
+    loop = MismatchedLoop(plant, D)
+    return loop.edge(0.0) - D, loop.edge(SEARCHED * (D + loop.slowest)) - D
+
+
+class MismatchedLoop:
+    """The linearised loop of a plant with delay D whose controller predicts by D_hat."""
+
+    def __init__(self, plant: Plant, D: float):
+        if plant.declares_delay:
+            raise ConfigError(f"plant {plant.name}: expected a constant delay, it declares delay(x, t, p, M); drop it")
+        rest = plant.equilibrium
+        (self.closed, self.B), self.K = plant.linearised(), plant.kappa_jacobian(rest)
+        self.D, self.r = D, plant.ratios
+        self.poles = np.linalg.eigvals(self.closed) if np.isfinite(self.closed).all() else np.full(1, np.inf)
+        if not self.poles.real.max() < 0:
+            got = f"got the eigenvalue {self.poles[np.argmax(self.poles.real)]:.3g} at the equilibrium"
+            raise ConfigError(f"{plant.location('kappa')} expected to stabilise without delay, {got}; change its gains")
+
+    @property
+    def slowest(self) -> float:
+        """The slowest time constant of the loop without delay, in seconds."""
+        return float(1 / -self.poles.real.max())
+
+    def edge(self, end: float) -> float:
+        """The D_hat of the first crossing on the way from D to `end`; 0 or infinity where there is none."""
+        a, step = self.D, FIRST * self.D
+        while a != end:
+            b = a + np.clip(end - a, -step, step)
+            omega = self.frequencies(a, b)
+            T, next_T = self.T(omega, a), self.T(omega, b)
+            near = np.linalg.svd(np.eye(len(self.r)) - T, compute_uv=False)[:, -1]
+            if step > LEAST * self.D and (np.linalg.norm(next_T - T, axis=(1, 2)) > SHARE * near).any():
+                step /= 2
+            elif self.stable(b):
+                a, step = b, LONGER * step
+            else:
+                return self._bisected(a, b)
+        return 0.0 if end < self.D else np.inf
+
+    def _bisected(self, a: float, b: float) -> float:
+        """Where stability ends between a, where the loop is stable, and b, where it is not."""
+        while abs(b - a) > TOLERANCE * self.D:
+            middle = (a + b) / 2
+            a, b = (middle, b) if self.stable(middle) else (a, middle)
+        return float((a + b) / 2)
+
+    def stable(self, D_hat: float) -> bool:
+        """True if no root is in the right half-plane: det(I - T(iω)), 0 < ω, does not turn around 0."""
+        omega, eye = self.frequencies(D_hat), np.eye(len(self.r))
+        curve = np.linalg.det(eye - self.T(omega, D_hat))
+        for _ in range(HALVINGS):
+            wide = np.abs(np.angle(curve[1:] / curve[:-1])) > TURN
+            if not wide.any():
+                break
+            between = (omega[1:] + omega[:-1])[wide] / 2
+            places = np.flatnonzero(wide) + 1
+            curve = np.insert(curve, places, np.linalg.det(eye - self.T(between, D_hat)))
+            omega = np.insert(omega, places, between)
+        return round(np.angle(curve[1:] / curve[:-1]).sum() / np.pi) == 0  # a turn is 2 pi, half of it for ω > 0
+
+    def frequencies(self, *D_hats: float) -> np.ndarray:
+        """Frequencies in rad/s from 0 to where |T| stays small: equally far, and denser around the poles."""
+        fastest = np.abs(self.poles).max()
+        far = np.geomspace(fastest, HIGHEST * fastest, 200)
+        loud = np.max([np.linalg.norm(self.G(far, D_hat), axis=(1, 2)) for D_hat in D_hats], axis=0) >= QUIET / 2
+        top = far[min(np.flatnonzero(loud)[-1] + 1, len(far) - 1)] if loud.any() else fastest
+        even = np.arange(0.0, top + 1.0 / max(self.D, *D_hats), PHASE / max(self.D, *D_hats))
+        around = np.abs(self.poles.imag) + np.outer(AROUND, self.poles.real)
+        return np.unique(np.concatenate([even, around[(0 < around) & (around < top)]]))
+
+    def T(self, omega: np.ndarray, D_hat: float) -> np.ndarray:
+        """The return ratio T(iω), (frequencies, m, m)."""
+        turns = -1j * np.outer(omega, self.r)
+        return self.G(omega, D_hat) * (np.exp(turns * self.D) - np.exp(turns * D_hat))[:, None, :]
+
+    def G(self, omega: np.ndarray, D_hat: float) -> np.ndarray:
+        """The response of the commands to a mismatch at the inputs, (frequencies, m, m)."""
+        order, s = np.argsort(self.r), 1j * omega
+        ends = D_hat * self.r[order]
+        A = self.closed - self.B @ self.K
+        flow, pieces = exponential(A * ends[0]), []
+        for j, begin, end in zip(order[:-1], ends[:-1], ends[1:], strict=True):
+            A = A + np.outer(self.B[:, j], self.K[j])
+            pieces.append(self._integral(A, flow, begin, end, s))
+            flow = exponential(A * (end - begin)) @ flow
+        resolvent = s[:, None, None] * np.eye(len(A)) - self.closed
+        x = np.exp(-s * D_hat)[:, None, None] * np.linalg.solve(resolvent, flow @ self.B + 0j)
+        G = np.empty((len(omega), len(order), len(order)), complex)
+        for j, end, piece in zip(order[::-1], ends[::-1], [0.0, *pieces[::-1]], strict=True):
+            x = x + piece
+            G[:, j] = np.exp(s * end)[:, None] * np.einsum("i,wij->wj", self.K[j], x)
+        return G
+
+    def _integral(self, A: np.ndarray, flow: np.ndarray, begin: float, end: float, s: np.ndarray) -> np.ndarray:
+        """∫ e^{A (σ - begin)} flow B e^{-s σ} dσ over a piece, (frequencies, n, m)."""
+        h, speed = end - begin, np.linalg.norm(A, 2)
+        across, fast = exponential(A * h), np.abs(s) > 2 * speed  # where A - s I is far from singular
+        out = np.empty((len(s), *self.B.shape), complex)
+        shifted = A - s[fast, None, None] * np.eye(len(A))
+        last, first = (np.exp(-s[fast] * moment)[:, None, None] for moment in (end, begin))
+        out[fast] = np.linalg.solve(shifted, (last * across - first * np.eye(len(A))) @ flow @ self.B)
+        x, weights = np.polynomial.legendre.leggauss(POINTS + int(3 * h * speed))
+        q = h * (x + 1) / 2
+        waves = np.exp(-np.outer(s[~fast], begin + q)) * weights * h / 2
+        out[~fast] = np.einsum("wq,qij->wij", waves, exponential(A * q[:, None, None]) @ flow @ self.B)
+        return out
+
+
+def exponential(A: np.ndarray) -> np.ndarray:
+    """e^A of matrices (..., n, n): the Taylor series of A / 2^k, squared k times."""
+    k = max(0, int(np.ceil(np.log2(np.abs(A).sum(axis=-1).max(initial=1e-300)))) + 1)
+    term = total = np.broadcast_to(np.eye(A.shape[-1]), A.shape)
+    for i in range(1, 19):
+        term = term @ A / (i * 2.0**k)
+        total = total + term
+    for _ in range(k):
+        total = total @ total
+    return total

@@ -1,0 +1,153 @@
+"""How wrong D_hat may be: the crossings in closed form, the spectrum by collocation, and loops that are simulated."""
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+from scipy.optimize import brentq, fsolve
+
+import npred
+from npred.diagnosis.delay_margin import MismatchedLoop
+from npred.errors import ConfigError
+from npred.plants import Plant
+
+
+class TwoDelays:
+    """Two inputs, the second one later; unstable without them."""
+
+    states, inputs, delays = ("x", "y"), ("a", "b"), (0.4, 1.0)
+
+    def f(x, u, t, p, M):
+        return [0.3 * x.x + x.y + u.a, 0.2 * x.x - 0.1 * x.y + u.b]
+
+    def kappa(x, t, p, M):
+        return [-2.3 * x.x - 0.4 * x.y, -0.5 * x.x - 2.2 * x.y]
+
+
+def abscissa(plant: Plant, D: float, D_hat: float, N: int = 40) -> float:
+    """The largest real part of the spectrum of (x, U over the delays), by Chebyshev collocation of its generator."""
+    n, m, r = plant.n, plant.m, plant.ratios
+    closed, B = plant.linearised()
+    K = plant.kappa_jacobian(plant.equilibrium)
+    A, span = closed - B @ K, max(D, D_hat)
+    z = np.cos(np.pi * np.arange(N + 1) / N)
+    c = np.array([2.0, *[1.0] * (N - 1), 2.0]) * (-1.0) ** np.arange(N + 1)
+    gaps = z[:, None] - z + np.eye(N + 1)
+    d = np.outer(c, 1 / c) / gaps
+    d = (d - np.diag(d.sum(axis=1))) * 2 / span
+    theta = (z - 1) * span / 2  # 0 first, -span last
+
+    def at(times):  # barycentric: values at `times` of the polynomial through the nodes
+        away = np.asarray(times)[:, None] - theta
+        hit = np.abs(away) < 1e-14
+        with np.errstate(divide="ignore", invalid="ignore"):
+            w = (1 / c) / away
+            w = w / w.sum(axis=1, keepdims=True)
+        return np.where(hit.any(axis=1, keepdims=True), hit, w)
+
+    size = n + m * (N + 1)  # x, then the commands of each input at the nodes
+    cells = [n + j * (N + 1) + np.arange(N + 1) for j in range(m)]
+    P, sigma, law = np.zeros((n, size)), 0.0, np.zeros((m, size))
+    P[:, :n] = np.eye(n)
+    F, arrived = A.copy(), []
+    x, w = np.polynomial.legendre.leggauss(50)
+    for j in np.argsort(r):
+        h = D_hat * r[j] - sigma
+        P = expm(F * h) @ P
+        for q, weight in zip(h * (x + 1) / 2, w * h / 2, strict=True):
+            for i in set(range(m)) - set(arrived):
+                row = at([sigma + q - D_hat * r[i]])[0]
+                P[:, cells[i]] += weight * np.outer(expm(F * (h - q)) @ B[:, i], row)
+        law[j] = K[j] @ P
+        F, sigma = F + np.outer(B[:, j], K[j]), D_hat * r[j]
+        arrived.append(j)
+    full = np.zeros((size, size))
+    full[:n, :n] = A
+    for j in range(m):
+        full[:n, cells[j]] += np.outer(B[:, j], at([-D * r[j]])[0])
+        full[np.ix_(cells[j], cells[j])] = d
+    heads = [cell[0] for cell in cells]
+    rest = np.setdiff1d(np.arange(size), heads)
+    new = np.linalg.solve(np.eye(m) - law[:, heads], law[:, rest])  # U now, by what else is known
+    return np.linalg.eigvals(full[np.ix_(rest, rest)] + full[np.ix_(rest, heads)] @ new).real.max()
+
+
+def test_scalar_plant_crosses_where_its_characteristic_equation_says():
+    a, c, D = 0.5, 1.0, 1.0
+    low, high = npred.delay_margin(npred.plant("scalar"), D)
+
+    def residual(v):
+        s, gain = 1j * v[0], (a + c) * np.exp(a * v[1])
+        value = s + c + gain * (np.exp(-s * D) - np.exp(-s * v[1]))
+        return [value.real, value.imag]
+
+    for edge, start in ((D + low, 1.3), (D + high, 2.0)):
+        roots = [fsolve(residual, [w, edge], full_output=True, xtol=1e-13) for w in np.linspace(0.3, 6, 40)]
+        crossings = [abs(v[1] - edge) for v, _, ok, _ in roots if ok == 1 and v[0] > 0.05]
+        assert min(crossings) < 1e-7, start
+
+
+@pytest.mark.parametrize(("name", "D"), [("scalar", 1.0), ("van_der_pol", 1.0), ("chemostat", 1.5), ("pvtol", 0.5)])
+def test_the_spectrum_by_collocation_is_on_the_axis_at_both_ends_and_left_between(name, D):
+    plant = npred.plant(name)
+    low, high = npred.delay_margin(plant, D)
+    for edge in (D + low, D + high):
+        if 0 < edge < np.inf:
+            assert abs(abscissa(plant, D, edge)) < 1e-5
+    inside = np.linspace(D + low, D + min(high, 3 * D), 12)[1:-1]
+    assert all(abscissa(plant, D, D_hat) < 0 for D_hat in inside)
+
+
+def test_inputs_with_several_delays_cross_where_the_collocation_does():
+    plant = Plant("two", TwoDelays)
+    low, high = npred.delay_margin(plant, 1.0)
+    assert -1 < low < 0 < high < np.inf
+    for edge in (1 + low, 1 + high):
+        assert brentq(lambda D_hat: abscissa(plant, 1.0, D_hat), 0.98 * edge, 1.02 * edge) == pytest.approx(
+            edge, rel=1e-6
+        )
+
+
+@pytest.mark.parametrize(("name", "D"), [("scalar", 1.0), ("activator_repressor", 1.0), ("strict_feedforward2", 1.0)])
+def test_simulated_loops_of_small_states_are_lost_at_the_margin_with_an_error_of_the_order_of_dt(name, D):
+    plant = npred.plant(name)
+    for edge in npred.delay_margin(plant, D):
+        coarse, fine = (_lost(plant, D, edge, D / steps) / edge - 1 for steps in (250, 500))
+        assert abs(fine) < 0.005
+        assert abs(2 * fine - coarse) < 0.001  # extrapolated to dt = 0
+
+
+def _lost(plant: Plant, D: float, edge: float, dt: float) -> float:
+    """The error of D_hat near `edge` at which loops from near the equilibrium neither grow nor fall."""
+    errors, rest = edge * np.linspace(0.98, 1.02, 5), plant.equilibrium
+    loop = npred.simulate(
+        plant, npred.predictor("rk4", plant, 201), D=D, D_hat=D + errors, X0=rest + 1e-6 * np.maximum(1, np.abs(rest)),
+        t_end=60 * D, dt=dt, u0="equilibrium", actuator="history",
+    )  # fmt: skip
+    gaps = np.linalg.norm(loop.X - rest, axis=-1)
+    middle, end = (
+        gaps[:, int(a * gaps.shape[1]) : int(b * gaps.shape[1])].max(axis=1) for a, b in ((0.45, 0.7), (0.75, 1))
+    )
+    growth = np.log(end / middle)
+    assert (np.diff(growth) > 0).all() and growth[0] < 0 < growth[-1]
+    return float(np.interp(0.0, growth, errors))
+
+
+@pytest.mark.parametrize("D_hat", [0.1, 0.8, 1.05, 1.6, 3.0])
+def test_stability_by_the_nyquist_curve_is_that_of_the_spectrum(D_hat):
+    for plant in (npred.plant("scalar"), npred.plant("van_der_pol"), Plant("two", TwoDelays)):
+        assert MismatchedLoop(plant, 1.0).stable(D_hat) == (abscissa(plant, 1.0, D_hat) < 0)
+
+
+@pytest.mark.parametrize(
+    ("name", "parameters", "D", "words"),
+    [
+        ("scalar", {}, 0.0, "D: expected a time above 0"),
+        ("scalar", {"c": -1.0}, 1.0, "expected to stabilise without delay, got the eigenvalue 1"),
+        ("transport_tank", {}, 1.0, "expected a constant delay"),
+        ("planar_arm2", {}, 1.0, "expected an equilibrium"),
+    ],
+)
+def test_what_has_no_margin_is_refused_in_one_line(name, parameters, D, words):
+    with pytest.raises(ConfigError, match=words) as error:
+        npred.delay_margin(npred.plant(name, **parameters), D)
+    assert "\n" not in str(error.value)
