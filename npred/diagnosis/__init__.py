@@ -6,7 +6,7 @@ from contextlib import suppress
 import numpy as np
 
 from npred.config import Pipeline
-from npred.diagnosis import adaptive_loop, box, equilibrium, lyapunov, pipeline_fit, region
+from npred.diagnosis import adaptive_loop, box, delay_margin, equilibrium, lyapunov, pipeline_fit, region
 from npred.diagnosis.case import ANY, Answer, Case, Check, Verdict
 from npred.errors import ConfigError
 from npred.plants.base import Plant
@@ -42,6 +42,7 @@ QUESTIONS = (
     Check("V", lyapunov.falls, lyapunov.applies),
     Check("input bounds", equilibrium.limited, lambda case: case.sound),
     Check("convergence", equilibrium.converges, lambda case: case.sound and case.leads == "yes"),
+    Check("delay margin", delay_margin.bears, delay_margin.applies),
     Check("adaptation", adaptive_loop.converges, adaptive_loop.applies),
     Check("jacobians", box.jacobians, lambda case: case.sound and case.plant.traced),
     Check("stiffness", box.stiff, lambda case: case.sound and case.verdict("jacobians") != "no"),

@@ -16,6 +16,7 @@ loops of the inputs that have arrived are closed, and with L the longest D_hat_j
 import numpy as np
 
 from npred import array_checks
+from npred.diagnosis.case import Case, Verdict
 from npred.errors import ConfigError
 from npred.plants.base import Plant
 
@@ -49,6 +50,18 @@ def delay_margin(plant: Plant, D: float) -> tuple[float, float]:
     return loop.edge(0.0) - D, loop.edge(SEARCHED * (D + loop.slowest)) - D
 
 
+def applies(case: Case) -> bool:
+    """True if the plant rests, is stable without delay, and its delay is a constant."""
+    return case.plant.rests and not case.plant.declares_delay and case.verdict("stability") == "yes"
+
+
+def bears(case: Case) -> Verdict:
+    """How wrong a constant estimate of the case's delay may be."""
+    low, high = delay_margin(case.plant, case.delay)
+    longest = "any longer one" if np.isinf(high) else case.plant.time_text(case.delay + high, ".4g")
+    return "yes", f"a constant D_hat from {case.plant.time_text(case.delay + low, '.4g')} to {longest} keeps it stable"
+
+
 class MismatchedLoop:
     """The linearised loop of a plant with delay D whose controller predicts by D_hat."""
 
@@ -58,7 +71,9 @@ class MismatchedLoop:
         rest = plant.equilibrium
         (self.closed, self.B), self.K = plant.linearised(), plant.kappa_jacobian(rest)
         self.D, self.r = D, plant.ratios
-        self.poles = np.linalg.eigvals(self.closed) if np.isfinite(self.closed).all() else np.full(1, np.inf)
+        self.poles = np.full(1, np.inf + 0j)
+        if np.isfinite(self.closed).all():
+            self.poles = np.linalg.eigvals(self.closed)
         if not self.poles.real.max() < 0:
             got = f"got the eigenvalue {self.poles[np.argmax(self.poles.real)]:.3g} at the equilibrium"
             raise ConfigError(f"{plant.location('kappa')} expected to stabilise without delay, {got}; change its gains")
@@ -113,7 +128,7 @@ class MismatchedLoop:
         top = far[min(np.flatnonzero(loud)[-1] + 1, len(far) - 1)] if loud.any() else fastest
         even = np.arange(0.0, top + 1.0 / max(self.D, *D_hats), PHASE / max(self.D, *D_hats))
         around = np.abs(self.poles.imag) + np.outer(AROUND, self.poles.real)
-        return np.unique(np.concatenate([even, around[(0 < around) & (around < top)]]))
+        return np.unique(np.concatenate([even, around[(around > 0) & (around < top)]]))
 
     def T(self, omega: np.ndarray, D_hat: float) -> np.ndarray:
         """The return ratio T(iω), (frequencies, m, m)."""
