@@ -51,8 +51,8 @@ def delay_margin(plant: Plant, D: float) -> tuple[float, float]:
 
 
 def applies(case: Case) -> bool:
-    """True if the plant rests, is stable without delay, and its delay is a constant."""
-    return case.plant.rests and not case.plant.declares_delay and case.verdict("stability") == "yes"
+    """True if the plant rests, is sound and stable without delay, and its delay is a constant."""
+    return case.sound and case.plant.rests and not case.plant.declares_delay and case.verdict("stability") == "yes"
 
 
 def bears(case: Case) -> Verdict:
@@ -71,7 +71,7 @@ class MismatchedLoop:
         rest = plant.equilibrium
         (self.closed, self.B), self.K = plant.linearised(), plant.kappa_jacobian(rest)
         self.D, self.r = D, plant.ratios
-        self.poles = np.full(1, np.inf + 0j)
+        self.poles: np.ndarray = np.full(1, np.inf + 0j)
         if np.isfinite(self.closed).all():
             self.poles = np.linalg.eigvals(self.closed)
         if not self.poles.real.max() < 0:
