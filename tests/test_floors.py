@@ -19,7 +19,7 @@ FLOORS = [
     {"delays", "training"},
     {"bounds", "observers", "predictors", "safety"},
     {"conditions", "diagnosis", "identification", "loop", "runtimes"},
-    {"figures", "rig"},
+    {"figures", "rig", "tuning"},
     {"stages"},
     {"pipeline"},
     {"api", "runs"},

@@ -12,19 +12,8 @@ from npred.terminal import interruption, streams
 from npred.terminal.console import Console
 
 if TYPE_CHECKING:
-    from npred.cli import (  # noqa: F401
-        data_exchange,
-        execute,
-        export,
-        gc,
-        identify,
-        inspect,
-        reproduce,
-        rig,
-        scaffold,
-        store_admin,
-        sweep,
-    )
+    from npred.cli import data_exchange, execute, export, gc, identify, inspect, reproduce, rig  # noqa: F401
+    from npred.cli import scaffold, store_admin, sweep, tune  # noqa: F401
 
 __all__ = ["app", "commands", "main"]
 

@@ -108,6 +108,19 @@ def identify(
     cli.identify.identify(options, output)
 
 
+@command(RUN)
+def tune(
+    options: Planned,
+    *,
+    free: Annotated[
+        list[str] | None, flag("A gain of kappa, or gamma or b, and its range, as k1=0.5:5.", word="NAME[=LOW:HIGH]")
+    ] = None,
+    output: Annotated[Path | None, flag("A pipeline with the new numbers.", "-o", "--output", word="FILE")] = None,
+) -> None:
+    """Better gamma, b and gains of kappa for the loops of [evaluate], or that there is nothing to gain."""
+    cli.tune.tune(options, free or [], output)
+
+
 @command(RUN, help=declared_stage("report").help)
 def report(
     options: Work,

@@ -6,9 +6,10 @@ from npred.config.loop import Calls, Disturbance, Loop, Sensors, within
 from npred.config.pipeline import Bench, Generate, Pipeline
 from npred.config.section import FROZEN, PAPER, Anchor, Range, Section
 from npred.config.train import FNO, DeepONet, Network, Train, Training
+from npred.config.tune import Tune
 
 __all__ = [
     "FNO", "FROZEN", "PAPER", "Anchor", "Bench", "Calls", "DeepONet", "Disturbance", "Evaluate", "Generate",
     "GuardTable", "Loop", "Network", "Pipeline", "Range", "Scenario", "Section", "Sensors", "Train", "Training",
-    "leaves", "load", "override", "parse", "put", "table", "within",
+    "Tune", "leaves", "load", "override", "parse", "put", "table", "within",
 ]  # fmt: skip

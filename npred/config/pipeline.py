@@ -11,6 +11,7 @@ from npred.config.evaluate import Evaluate
 from npred.config.loop import Loop
 from npred.config.section import ADDED, Baseline, Count, Delay, Kappa, Positive, Range, Runtime, Section, Some, Span
 from npred.config.train import Train
+from npred.config.tune import Tune
 from npred.registry import METHODS
 
 NAME = re.compile(r"[^\W_][\w.-]{0,99}")  # of a pipeline
@@ -101,6 +102,7 @@ class _Tables(Section):
     train: Train = Train()
     evaluate: Evaluate = Evaluate()
     bench: Bench = Bench()
+    tune: Annotated[Tune | None, ADDED] = None  #: a table: what `npred tune` varies
 
     @model_validator(mode="after")
     def _check_nodes(self) -> Self:

@@ -1,0 +1,86 @@
+"""`npred tune`: better numbers for the laws of a pipeline's loops, and a pipeline with them."""
+
+from pathlib import Path
+from typing import Any
+
+from npred import config
+from npred.cli.options import Planned, writable
+from npred.config import Pipeline
+from npred.errors import ConfigError
+from npred.parallel import devices
+from npred.results import Tuned
+from npred.stages.report import toml_text
+from npred.terminal import interruption
+from npred.terminal.console import columns
+from npred.tuning.cost import LAW
+from npred.tuning.tune import tune as search
+
+MADE = "# made by npred tune"
+
+
+def tune(options: Planned, free: list[str], output: Path | None) -> None:
+    """The answer as a table before -> after; with `output` a pipeline with the new numbers, where there is a gain.
+
+    Raises ConfigError for a flag, or a file of somebody else.
+    """
+    tables = config.table(options.pipeline)
+    for override in options.set or []:
+        config.override(tables, override)
+    _free(tables, free)
+    pipeline = config.parse(tables, str(options.pipeline))
+    if output and writable(output).exists() and not output.read_text("utf-8", "replace").startswith(MADE):
+        raise ConfigError(f"{output}: expected no such file, or one that npred tune made; name another by -o")
+    planner = options.planner()
+    with interruption.orderly():
+        result = search(pipeline, planner.plant, options.jobs or devices.cores(), options.console)
+        text = _table(result, options.console.width)
+        if output and result.gained:
+            output.write_text(_pipeline(options.pipeline.name, tables, pipeline, result), encoding="utf-8")
+            text += f"\nwrote {output}"
+        elif output:
+            text += "\nno pipeline was written"
+        options.show(result.json_object(), lambda: text)
+
+
+def _free(tables: dict[str, Any], flags: list[str]) -> None:
+    """Add NAME or NAME=LOW:HIGH to the table [tune]."""
+    for flag in flags:
+        name, sign, span = flag.partition("=")
+        table = tables.setdefault("tune", {})
+        if name not in (*LAW, *table.setdefault("free", [])):
+            table["free"].append(name)
+        if sign:
+            table.setdefault("bounds", {})[name] = _ends(flag, span)
+
+
+def _ends(flag: str, span: str) -> list[float]:
+    try:
+        low, high = map(float, span.split(":"))
+        return [low, high]
+    except ValueError:
+        raise ConfigError(f"--free: expected NAME or NAME=LOW:HIGH, got {flag!r}; write k1=0.5:5, say") from None
+
+
+def _table(result: Tuned, width: int | None) -> str:
+    """Each number, and what the loops do, before and after."""
+    rows = [[each.name, f"{each.before:.4g}", f"{each.after:.4g}"] for each in result.numbers]
+    for where, judged in (("training", result.training), ("held-out", result.held_out)):
+        times = ["–" if time is None else f"{time:.4g}" for time in judged.settle_time]
+        rows += [
+            [f"cost, {where}", *(f"{cost:.4g}" for cost in judged.cost)],
+            [f"settling time, {where}", *times],
+            [f"of {judged.loops} loops do not settle", *map(str, judged.unsettled)],
+        ]
+    return f"{result.sentence}\n\n{columns(['', 'before', 'after'], rows, width, {'before', 'after'})}"
+
+
+def _pipeline(source: str, tables: dict[str, Any], pipeline: Pipeline, result: Tuned) -> str:
+    """The pipeline file with the new numbers: gamma and b in [evaluate], and in [generate] where its law is the same."""
+    after = {each.name: float(f"{each.after:.6g}") for each in result.numbers}
+    law = {name: value for name, value in after.items() if name in LAW}
+    rest = {name: value for name, value in after.items() if name not in law}
+    same = pipeline.generate.adaptation == pipeline.evaluate.adaptation
+    changed = dict(tables) | {"parameters": tables.get("parameters", {}) | rest}
+    for stage in ("evaluate", "generate") if same else ("evaluate",):
+        changed[stage] = tables.get(stage, {}) | law
+    return f"{MADE} {source}\n# {result.sentence}\n\n{toml_text.dumps(changed)}"

@@ -1,0 +1,141 @@
+"""What loops of [evaluate] cost, by start: the time until they settle, and a little of the control effort."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from npred import plants, randomness
+from npred.conditions import EVERY, Condition, scenarios
+from npred.config import Pipeline, Scenario
+from npred.errors import ConfigError
+from npred.loop import metrics
+from npred.loop.trajectories import Trajectories
+from npred.plants import Plant
+from npred.predictors import numerical
+from npred.symbolic import programs
+from npred.symbolic.trace import Trace
+
+LAW = ("gamma", "b")  # numbers of the delay law, as [evaluate] calls them
+CASES = Scenario(name="cases")  # [evaluate] as it stands
+Progress = Callable[[int], None]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Loops from S initial states, K of each: `time`, `effort` and whether each settles, (S, K); see `of`."""
+
+    time: np.ndarray
+    effort: np.ndarray
+    settled: np.ndarray
+
+    @classmethod
+    def of(cls, loops: Trajectories, plant: Plant, states: int) -> "Outcome":
+        """The loops (states * K,) against the target X* and input U* of `plant`, whatever was tuned in them.
+
+        time: the settling time (within 1 % of size(X*), npred.loop.metrics). A loop that does not settle in T = t_end
+        has (2 + q) T with q = r / (1 + r), r = sup |X - X*| / size(X*) over the last tenth: from 2 T to 3 T, less
+        where it ends nearer. One that leaves the finite numbers at t has 4 T - t, from 3 T to 4 T.
+        effort: the mean of |U - U*|² over [0, T]; infinite where a loop does not settle.
+        """
+        target, t_end = plant.target(loops.t), float(loops.t[-1])
+        time, near = metrics.settle_time(loops, target), metrics.radius(loops, target) / metrics.size(target)
+        finite = np.isfinite(loops.X).all(axis=-1).mean(axis=-1)
+        settled = np.isfinite(time)
+        with np.errstate(invalid="ignore", over="ignore"):
+            lost = np.where(np.isfinite(near), (2 + near / (1 + near)) * t_end, (4 - finite) * t_end)
+            effort = np.mean(np.sum((loops.U - plant.u_target(loops.t)) ** 2, axis=-1), axis=-1)
+        columns = np.where(settled, time, lost), np.where(settled, effort, np.inf), settled
+        return cls(*(a.reshape(states, -1) for a in columns))
+
+    @classmethod
+    def failed(cls, like: "Outcome", t_end: float) -> "Outcome":
+        """Loops that cannot be simulated: as lost as one that leaves the finite numbers at once."""
+        return cls(np.full_like(like.time, 4 * t_end), np.full_like(like.effort, np.inf), like.settled & False)
+
+
+@dataclass(frozen=True)
+class Yardstick:
+    """The unit of the cost: mean time T_0 and effort E_0 of the present loops from the training starts.
+
+    The cost of a loop is time / T_0 + w E / (E + E_0), w the weight `effort`: about 1 + w / 2 at present; a loop that
+    does not settle has all of w.
+    """
+
+    time: float
+    effort: float
+    weight: float
+
+    @classmethod
+    def of(cls, present: Outcome, weight: float, dt: float) -> "Yardstick":
+        """That of these loops; a time is at least dt, and an effort above 0."""
+        efforts = present.effort[present.settled]
+        effort = float(efforts.mean()) if efforts.size else 1.0
+        return cls(max(float(present.time.mean()), dt), effort or 1.0, weight)
+
+    def costs(self, outcome: Outcome) -> np.ndarray:
+        """The cost of each loop, (S, K)."""
+        return outcome.time / self.time + self.weight * (1 - self.effort / (outcome.effort + self.effort))
+
+
+@dataclass(frozen=True)
+class Loops:
+    """The cases of [evaluate] and its scenarios from `states` random initial states of the box, drawn by `purpose`."""
+
+    pipeline: Pipeline
+    plant: Plant
+    states: int
+    purpose: str
+
+    @cached_property
+    def conditions(self) -> list[Condition]:
+        """One for the cases, then one per scenario."""
+        seed = randomness.integer(self.pipeline.seed, "tune", self.purpose)
+        table = self.pipeline.evaluate.model_copy(update={"case_states": self.states})
+        drawn = self.pipeline.model_copy(update={"seed": seed, "evaluate": table})
+        return [scenarios.condition(self.plant, drawn, scenario) for scenario in (CASES, *table.scenarios)]
+
+    @property
+    def steps(self) -> int:
+        """Control steps of all loops together."""
+        return sum(condition.steps for condition in self.conditions)
+
+    def run(self, numbers: Mapping[str, float], progress: Progress) -> Outcome:
+        """The loops with these gamma, b and parameters, and the pipeline's numerical predictor."""
+        plant = varied(self.plant, numbers)
+        parts = [self._outcome(condition, plant, numbers, progress) for condition in self.conditions]
+        columns = ("time", "effort", "settled")
+        return Outcome(*(np.concatenate([getattr(part, name) for part in parts], axis=1) for name in columns))
+
+    def _outcome(self, condition: Condition, plant: Plant, numbers: Mapping[str, float], progress: Progress) -> Outcome:
+        law = {name: numbers[name] for name in LAW if name in numbers}
+        table = condition.table.model_copy(update=law)
+        changed = Condition(table, condition.X0, condition.D, condition.D_hat, condition.t_end, condition.seed)
+        predictor = numerical(table.predictor, plant, table.nx)
+        loops = changed.loops(plant, predictor, every=EVERY, progress=progress)
+        return Outcome.of(loops, self.plant, self.states)
+
+
+def varied(plant: Plant, numbers: Mapping[str, float]) -> Plant:
+    """The plant with those of the numbers that are its parameters."""
+    return plants.varied(plant, tuple((name, value) for name, value in numbers.items() if name not in LAW))
+
+
+def gains(plant: Plant) -> list[str]:
+    """The parameters that kappa reads, and neither f, nor the delay, the reference or the limits: a user may choose them.
+
+    Raises ConfigError for a plant whose formulas cannot be read.
+    """
+    if not plant.traced:
+        raise ConfigError(f"plant {plant.name}: free expected a traced plant, got traced = False; leave free out")
+    return [name for k, name in enumerate(plant.parameters) if name not in LAW and _read(plant, k)]
+
+
+def _read(plant: Plant, k: int) -> bool:
+    trace = Trace(plant)
+    x, u, t = trace.symbols()
+    fixed = [*trace.f(x, u, t), *([trace.delay(x, t)] if plant.declares_delay else [])]
+    fixed += [*(trace.reference(t) if plant.tracks else []), *(trace.safe(x, t) if plant.declares_safe else [])]
+    p = [trace.parameters[k]]
+    return programs.depends([*trace.kappa(x, t)], p) and not programs.depends(fixed, p)
