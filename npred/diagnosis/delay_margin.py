@@ -14,6 +14,7 @@ loops of the inputs that have arrived are closed, and with L the longest D_hat_j
 """
 
 import numpy as np
+from numpy.typing import NDArray
 
 from npred import array_checks
 from npred.diagnosis.case import Case, Verdict
@@ -71,7 +72,7 @@ class MismatchedLoop:
         rest = plant.equilibrium
         (self.closed, self.B), self.K = plant.linearised(), plant.kappa_jacobian(rest)
         self.D, self.r = D, plant.ratios
-        self.poles: np.ndarray = np.full(1, np.inf + 0j)
+        self.poles: NDArray[np.complex128] = np.full(1, np.inf + 0j)
         if np.isfinite(self.closed).all():
             self.poles = np.linalg.eigvals(self.closed)
         if not self.poles.real.max() < 0:
