@@ -3,17 +3,12 @@
 from gc import freeze, set_threshold
 from importlib import import_module
 from types import ModuleType
-from typing import TYPE_CHECKING
 
 from npred.cli import commands
 from npred.cli.app import app, guarded
 from npred.parallel import torchrun
 from npred.terminal import interruption, streams
 from npred.terminal.console import Console
-
-if TYPE_CHECKING:
-    from npred.cli import data_exchange, execute, export, gc, identify, inspect, reproduce, rig  # noqa: F401
-    from npred.cli import scaffold, store_admin, sweep, tune  # noqa: F401
 
 __all__ = ["app", "commands", "main"]
 

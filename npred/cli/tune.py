@@ -75,7 +75,7 @@ def _table(result: Tuned, width: int | None) -> str:
 
 
 def _pipeline(source: str, tables: dict[str, Any], pipeline: Pipeline, result: Tuned) -> str:
-    """The pipeline file with the new numbers: gamma and b in [evaluate], and in [generate] where its law is the same."""
+    """The pipeline with the new numbers: gamma and b in [evaluate], and in [generate] where its law is the same."""
     after = {each.name: float(f"{each.after:.6g}") for each in result.numbers}
     law = {name: value for name, value in after.items() if name in LAW}
     rest = {name: value for name, value in after.items() if name not in law}

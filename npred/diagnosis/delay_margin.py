@@ -74,7 +74,7 @@ class MismatchedLoop:
         self.D, self.r = D, plant.ratios
         self.poles: NDArray[np.complex128] = np.full(1, np.inf + 0j)
         if np.isfinite(self.closed).all():
-            self.poles = np.linalg.eigvals(self.closed)
+            self.poles = np.linalg.eigvals(self.closed).astype(complex)
         if not self.poles.real.max() < 0:
             got = f"got the eigenvalue {self.poles[np.argmax(self.poles.real)]:.3g} at the equilibrium"
             raise ConfigError(f"{plant.location('kappa')} expected to stabilise without delay, {got}; change its gains")

@@ -123,7 +123,7 @@ def varied(plant: Plant, numbers: Mapping[str, float]) -> Plant:
 
 
 def gains(plant: Plant) -> list[str]:
-    """The parameters that kappa reads, and neither f, nor the delay, the reference or the limits: a user may choose them.
+    """The parameters that kappa alone reads, not f, the delay, the reference or the limits: a user may choose them.
 
     Raises ConfigError for a plant whose formulas cannot be read.
     """

@@ -182,8 +182,8 @@ def _result(
     pipeline: Pipeline, plant: Plant, table: Tune, search: _Search, before: _Best, interrupted: bool
 ) -> Tuned:  # fmt: skip
     best, ranges = search.best, search.ranges
-    pair = [search.yardstick.costs(each.held_out) for each in (before, best)]
-    gain, interval = gained(*pair, randomness.generator(pipeline.seed, "tune", "bootstrap"))
+    costs = [search.yardstick.costs(each.held_out) for each in (before, best)]
+    gain, interval = gained(costs[0], costs[1], randomness.generator(pipeline.seed, "tune", "bootstrap"))
     enough = gain >= table.margin and interval[0] > 0
     spread = f"{gain:.1%} on held-out starts, with 95 % between {interval[0]:.1%} and {interval[1]:.1%}"
     answer = f"{said(best.numbers)}: the cost falls by {spread}" if enough else (
