@@ -539,7 +539,7 @@ class Controller:
         self._engine.call(self.t, 1.0, True, 0.0)
         self.restore(state)
         self.memory.innovation[:] = self.memory.error[:] = np.nan
-        self.memory.fallback[:] = 0.0
+        self.memory.fallback[:] = self.memory.filtered[:] = self.memory.kept[:] = 0.0
 
 
 def seconds_in(oldest: float | None, dt: float) -> float:

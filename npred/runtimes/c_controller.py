@@ -24,9 +24,9 @@ PRECISIONS = {"float": np.float32, "double": np.float64}
 LIMITS = {"float": 1e-3, "double": 1e-9}  # of the test in the file
 WHAT = "export controller"
 # of the settings, those that a step reads
-NUMBERS = ("dt", "b", "gate", "gamma_dt", "oldest", "after")
-FLAGS = ("recalls", "keeps", "gated", "observer_count", "offsets", "watched", "holds", "output_count")
-ARRAYS = ("bounds", "input_bounds", "p", "ratios", "law", "guard", "reach", "sensing", "rescue", "jump")
+NUMBERS = ("dt", "b", "gate", "gamma_dt", "oldest", "after", "uncertain")
+FLAGS = ("recalls", "keeps", "gated", "observer_count", "offsets", "watched", "holds", "output_count", "end_count")
+ARRAYS = ("bounds", "input_bounds", "p", "ratios", "law", "guard", "reach", "sensing", "rescue", "jump", "safety")
 Test = tuple[np.ndarray, np.ndarray | None]  # X (S, n) and, for measured actuators, u (S, nx, m) of steps
 
 
@@ -49,7 +49,7 @@ def sources(
     variants = {
         "RECALLS": bool(controller.settings.recalls), "KEEPS": controller.keeps_commands,
         "WATCHES": "observe" in kernels, "FILTERS": controller.observer is not None, "TUNABLE": tunable,
-        "OFFSETS": bool(controller.settings.offsets),
+        "OFFSETS": bool(controller.settings.offsets), "PROTECTS": controller.safety is not None,
         "TESTED": test is not None, "REPEATS": precision == "float" and bool(controller.plant.period),
     }  # fmt: skip
     sizes = _sizes(controller, kernels, variants)
@@ -116,6 +116,7 @@ def _sizes(
     sizes |= {"ROWS": len(z.held), "CLOCK": len(z.clock)} if variants["KEEPS"] else {}
     sizes |= {"FILTER": len(z.filter)} if variants["FILTERS"] else {}
     sizes |= {"OBSERVER": len(z.observer)} if variants["WATCHES"] else {}
+    sizes |= {"ENDS": len(z.moments)} if variants["PROTECTS"] else {}
     if variants["TUNABLE"]:
         sizes |= {"PARAMETERS": max(settings.p.size, 1), "GUARD": max(settings.guard.size, 1)}
     needed = max(1, *(kernel.work(nx, 1, settings.guard) for kernel in kernels.values()))

@@ -42,6 +42,9 @@ class Motor:
     def V(x, t, p, M):
         return x.angle**2 + x.speed**2
 
+    def safe(x, t, p, M):
+        return [0.6 - x.angle, x.angle + 0.6]
+
 
 MOTOR = Plant("motor", Motor)
 START[MOTOR.name] = [0.5, 0.0]
@@ -79,6 +82,7 @@ CASES = {
         MOTOR, delays(), observer=npred.observers.EKF(MOTOR, offset=True), watchdog=npred.Watchdog(0.2, "zero")
     ),
     "EKF, no gate": lambda: controller(MOTOR, observer=npred.observers.EKF(MOTOR), gate=None),
+    "safety filter": lambda: controller(MOTOR, delays(), safety=npred.SafetyFilter(3.0, delay=0.02)),
     "Luenberger": lambda: controller(MOTOR, observer=npred.observers.Luenberger(MOTOR, offset=True)),
 }  # fmt: skip
 
@@ -119,6 +123,7 @@ class Pair:
         self.python, self.c = python, InC(compiled, python.plant, precision)
         self.compiled, self.limit, self.precision = compiled, limit, precision
         self.size, self.codes, self.handed = np.full(python.plant.m, 1e-300), [], 0
+        self.filtered = 0
 
     def call(self, t, X=None, sampled_at=None, applied=None):
         if applied is not None:
@@ -147,16 +152,18 @@ class Pair:
     def compare(self):
         python, limit = self.python.status, self.limit
         status = self.c.status(len(self.python.outputs))
-        exact = ("late", "refused", "missed", "handed_over", "fallback")
+        exact = ("late", "refused", "missed", "handed_over", "fallback", "filtered", "unkept")
         assert [getattr(status, name) for name in exact] == [getattr(python, name) for name in exact]
         np.testing.assert_allclose(status.D_hat, python.D_hat, rtol=limit)
         np.testing.assert_allclose(status.age, python.age, rtol=1e-9, atol=1e-12 + limit)
         np.testing.assert_allclose(status.D_hat_spread, python.D_hat_spread, rtol=1e3 * limit)
         np.testing.assert_allclose(status.error, python.error, rtol=1e6 * limit)
+        np.testing.assert_allclose(status.kept, python.kept, rtol=1e3 * limit, atol=10 * limit)
         sizes = np.maximum(1.0, np.abs(START[self.python.plant.name]).max())
         np.testing.assert_allclose(status.innovation, python.innovation, rtol=10 * limit, atol=10 * limit * sizes)
         assert (np.abs(np.array(status.offset) - python.offset) <= 10 * limit * self.size).all()
         self.handed += python.handed_over
+        self.filtered += python.filtered
 
     def renew(self):
         """Go on with two new ones that get the saved states."""
@@ -234,6 +241,7 @@ def test_a_loop_on_a_clock_is_that_of_python(compiled, name):
     assert status.late > 0 and pair.codes.count(0) > 300
     assert status.refused > 0 or pair.python.gate is None or name == "Luenberger"
     assert pair.handed > 0 or pair.python.watchdog is None
+    assert pair.filtered > 0 or pair.python.safety is None
 
 
 EVENT = st.tuples(

@@ -42,6 +42,18 @@ static inline State npred_state(npred_controller *self, const npred_real *u, con
     state.sample = self->sample;
     state.spread = self->spread;
 #endif
+#if PROTECTS
+    state.kept = self->kept;
+    state.filtered = self->filtered;
+    state.low = self->low;
+    state.high = self->high;
+    state.D_moved = self->D_moved;
+    state.ends = self->ends;
+    state.moments = self->moments;
+    state.P_moved = self->P_moved;
+    state.u_moved = self->u_moved;
+    state.u_nodes_moved = self->u_nodes_moved;
+#endif
     return state;
 }
 
@@ -270,6 +282,12 @@ void npred_get_status(const npred_controller *self, npred_status *status)
     status->handed_over = stamp[HANDED] > 0;
     status->fallback = self->fallback[0] > 0;
     status->error = self->error[0];
+    status->kept = NAN;
+#if PROTECTS
+    status->filtered = self->filtered[0] > 0;
+    status->unkept = self->filtered[0] > 1;
+    status->kept = self->kept[0];
+#endif
 }
 #else
 int npred_step(npred_controller *self, const npred_real *X, const npred_real *u, npred_real *U)

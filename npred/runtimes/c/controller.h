@@ -62,6 +62,11 @@ typedef struct {
 #if FILTERS
     npred_real sample[NPRED_N_OUTPUTS], spread[NPRED_N_OUTPUTS];
 #endif
+#if PROTECTS
+    npred_real kept[1], filtered[1], low[NPRED_M_INPUTS], high[NPRED_M_INPUTS], D_moved[NPRED_M_INPUTS];
+    npred_real ends[NPRED_ENDS * NPRED_N_STATES], moments[NPRED_ENDS], P_moved[NPRED_NX * NPRED_N_STATES];
+    npred_real u_moved[NPRED_NX * NPRED_M_INPUTS], u_nodes_moved[NPRED_NX * NPRED_M_INPUTS];
+#endif
 #if TUNABLE
     struct {
         npred_real p[NPRED_PARAMETERS], gamma_dt, guard[NPRED_GUARD];
@@ -73,12 +78,14 @@ typedef struct {
 #if RECALLS
 /* What happened in the last call. `age` is how old the last used sample is, infinity before the first; `innovation` what
  * that differed from what the model said; `late` counts the samples that were not used, for they came after a newer one
- * or were too old, `refused` those that were not believed, `missed` the last of these in a row. */
+ * or were too old, `refused` those that were not believed, `missed` the last of these in a row. `filtered` is 1 where a
+ * safety filter changed U, `unkept` where the bounds of U left no way to keep the limits, of which `kept` is the least. */
 typedef struct {
     npred_real D_hat, D_hat_spread, error;
     double age;
     npred_real innovation[NPRED_N_OUTPUTS], offset[NPRED_M_INPUTS];
-    int32_t late, refused, missed, handed_over, fallback;
+    int32_t late, refused, missed, handed_over, fallback, filtered, unkept;
+    npred_real kept;
 } npred_status;
 #endif
 
