@@ -97,7 +97,7 @@ def _status(controller: Controller) -> Iterator[Variable]:
     yield Variable("late", "output", "LATE", (0.0,), "samples so far that came after a newer one, or were too old")
     yield Variable("refused", "output", "REFUSED", (0.0,), "samples so far that were not believed")
     if controller.parts["observe"]:
-        about = "half the range of the delays that cannot be told apart"
+        about = "half the range of the delays that fit as well"
         yield Variable("D_hat_spread", "output", "SPREAD", (controller.status.D_hat_spread,), about, plant.time_unit)
     if controller.watchdog:
         about = "whether the watchdog has the command"

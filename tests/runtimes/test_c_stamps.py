@@ -43,7 +43,7 @@ class Motor:
         return x.angle**2 + x.speed**2
 
     def safe(x, t, p, M):
-        return [0.6 - x.angle, x.angle + 0.6]
+        return [0.15 - x.speed, 0.15 + x.speed]
 
 
 MOTOR = Plant("motor", Motor)
