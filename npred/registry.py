@@ -211,6 +211,14 @@ DELAY_LAWS = Registry(
         "delay-observer": Entry("npred.loop.delay_observer:DelayObserver", "delay observer"),
     },
 )
+OBSERVERS = Registry(
+    "observer",
+    "npred.observers",
+    {
+        "ekf": Entry("npred.observers.ekf:EKF", "extended Kalman filter"),
+        "luenberger": Entry("npred.observers.luenberger:Luenberger", "Luenberger observer"),
+    },
+)
 RUNTIMES = Registry(
     "runtime",
     "npred.runtimes",

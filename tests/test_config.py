@@ -280,6 +280,7 @@ def test_keys_that_came_later_stand_in_a_dump_only_where_they_say_something(empt
         ("generate.measurement.bias=[nan]", ["generate.measurement.bias: expected ", "finite number"]),
         ("generate.measurement.drop=1.0", ["generate.measurement.drop: expected less than 1, got 1.0"]),
         ("evaluate.timing.jitter=0.1", ['timing: expected actuator = "history", got \'measured\'']),
+        ("evaluate.observer.kind=kalman", ["evaluate.observer.kind: expected ekf, luenberger, or a class of a file"]),
         ('evaluate.scenarios=[{name="a", timing={lost=0.1}}]', ["scenarios[0]: timing: expected actuator"]),
         ('evaluate.scenarios=[{name="a", actuator="history", timing={stop=0.1}}]', ["expected 0 < stop < stop_every"]),
         ("generate.measurement.nois=0.1", ["unknown key; expected one of absolute, bias, delay, drop, jitter, noise"]),

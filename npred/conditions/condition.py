@@ -13,8 +13,10 @@ from npred.loop import closed_loop, delay_law
 from npred.loop.closed_loop import Trajectories
 from npred.loop.measurement import Measurement, Observer
 from npred.loop.timing import Timing
+from npred.observers import Observer as StateObserver
 from npred.plants.base import Plant
 from npred.predictors import Predictor
+from npred.registry import OBSERVERS
 
 EVERY = 10  # control steps between two kept states, where nothing asks for more
 
@@ -60,7 +62,7 @@ class Condition:
             actuator=table.actuator, adaptation=delay_law.resolve(table, plant) if self.adapts else None,
             truth=truth(plant, table), disturbance=self.disturbance or _push(table.disturbance),
             measurement=Measurement(**sensors), timing=table.timing and Timing(**dict(table.timing), seed=self.seed),
-            **delays, **recorded,
+            observer=state_observer(plant, table), **delays, **recorded,
         )  # fmt: skip
 
 
@@ -68,6 +70,14 @@ def compiled(plant: Plant, predictor: Predictor, table: Loop) -> bool:
     """True if loops of this table that adapt are kernels throughout: no table names an observer in Python."""
     law = delay_law.part(plant, delay_law.resolve(table, plant), table.dt)
     return closed_loop.compiled(plant, predictor, law)
+
+
+def state_observer(plant: Plant, table: Loop) -> StateObserver | None:
+    """The observer of the state that the table names, or None. Raises ConfigError for one that does not fit."""
+    if table.observer is None:
+        return None
+    kind = OBSERVERS.subclass("observer", table.observer.kind, StateObserver)
+    return kind(plant, outputs=table.observer.outputs, offset=table.observer.offset)
 
 
 def truth(plant: Plant, table: Loop) -> Plant | None:

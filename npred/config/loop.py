@@ -18,6 +18,7 @@ from npred.config.section import (
     Method,
     Nodes,
     Number,
+    Observes,
     PerState,
     Positive,
     Range,
@@ -78,6 +79,14 @@ class Calls(Section):
         return self
 
 
+class StateObserver(Section):
+    """An observer of the state, which gets the plant's outputs instead of its state."""
+
+    kind: Observes = "ekf"  #: ekf, luenberger, one of a package, or `file.py:Class`
+    outputs: list[str] | None = None  #: the states that are measured; by default what the plant declares as output
+    offset: bool = False  #: whether it also finds what is added to each input
+
+
 class Disturbance(Section):
     """amplitude sin(omega t), added to what leaves the actuator, the same for each input."""
 
@@ -122,6 +131,8 @@ class Loop(Section):
     measurement: Annotated[Sensors, ADDED] = Sensors()  #: a table: what the controller sees of the state
     #: a table: the clock of the control loop, with actuator = "history"; by default calls come at k dt exactly
     timing: Annotated[Calls | None, ADDED] = None
+    #: a table: what estimates the state from outputs, with actuator = "history"; by default the state is measured
+    observer: Annotated[StateObserver | None, ADDED] = None
     #: a table: what is added to the input of the simulated plant
     disturbance: Annotated[Disturbance, ADDED] = Disturbance()
 
@@ -161,9 +172,10 @@ class Loop(Section):
         return not getattr(self, "data", "")
 
     def clocked(self) -> None:
-        """Raise ValueError for a clock of a controller that is given u."""
-        if self.timing and self.actuator != "history":
-            raise ValueError(f'timing: expected actuator = "history", got {self.actuator!r}; give it, or no timing')
+        """Raise ValueError for a clock, or an observer of the state, of a controller that is given u."""
+        for key in ("timing", "observer"):
+            if getattr(self, key) and self.actuator != "history":
+                raise ValueError(f'{key}: expected actuator = "history", got {self.actuator!r}; give it, or no {key}')
 
     def lasts(self, key: str, seconds: float) -> None:
         """Raise ValueError for loops shorter than a control step, or with more steps than a record can hold."""

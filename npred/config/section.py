@@ -8,7 +8,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_seriali
 from pydantic_core import PydanticCustomError
 
 from npred import registry
-from npred.registry import BASELINES, DELAY_LAWS, LAWS, METHODS, NETWORKS, RUNTIMES, Registry
+from npred.registry import BASELINES, DELAY_LAWS, LAWS, METHODS, NETWORKS, OBSERVERS, RUNTIMES, Registry
 
 MOST = 2**53  # of anything that is counted
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
@@ -47,6 +47,7 @@ Span = Annotated[tuple[Number, Number], ORDERED]
 Bounds = Annotated[tuple[float, float], ORDERED]  # also infinite
 Method = Annotated[str, AfterValidator(partial(_part, METHODS, ())), METHODS]
 Law = Annotated[str, AfterValidator(partial(_part, DELAY_LAWS, (FROZEN,))), DELAY_LAWS]
+Observes = Annotated[str, AfterValidator(partial(_part, OBSERVERS, ())), OBSERVERS]
 Baseline = Annotated[str, AfterValidator(partial(_part, BASELINES, ())), BASELINES]
 Kappa = Annotated[str, AfterValidator(partial(_part, LAWS, ())), LAWS]
 Architecture = Annotated[str, AfterValidator(partial(_part, NETWORKS, ())), NETWORKS]

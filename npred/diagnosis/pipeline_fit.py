@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from npred import array_checks, plants, predictors
+from npred.conditions.condition import state_observer
 from npred.config import FROZEN, PAPER
 from npred.delays import family_of
 from npred.diagnosis.case import SPAN, Case
@@ -170,8 +171,9 @@ def parts(case: Case) -> None:
     tables = [*case.loops.values(), *(case.settings.evaluate.under(scenario) for scenario in case.scenarios)]
     for loop in tables:
         delay_law.resolve(loop, case.plant)
-        Measurement(**dict(loop.measurement)).check(case.plant)
-        if loop.timing:
+        observer = state_observer(case.plant, loop)
+        Measurement(**dict(loop.measurement)).check(case.plant, observer and len(observer.outputs))
+        if loop.timing or observer:
             clocked.serves(case.plant)
         plants.varied(case.plant, tuple(loop.truth.items()))
         predictors.numerical(loop.predictor, case.plant, loop.nx)

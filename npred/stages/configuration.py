@@ -35,6 +35,9 @@ def loop(config: Pipeline, stage: str) -> dict[str, Any]:
         section |= plant(config).mechanics_program
     del section["adaptation"], section["u0"]
     section |= {} if law == PAPER else {"adaptation": law}
+    for holder in [section, *section.get("scenarios", [])]:
+        if observer := holder.get("observer"):
+            observer["kind"] = registry.OBSERVERS.identity(observer["kind"])
     for scenario in section.get("scenarios", []):
         scenario |= {k: registry.DELAY_LAWS.identity(v) for k, v in scenario.items() if k == "adaptation"}
     past = u0 if isinstance(u0, str) else u0.tolist() if u0.any() else None

@@ -49,3 +49,16 @@ def test_a_scenario_may_have_a_clock():
     )  # fmt: skip
     assert (whole.X == alone.X).all() and (whole.X[1:] == part.X).all()
     assert whole.clock is not None and whole.clock.lost.min() > 10
+
+
+def test_a_scenario_may_observe_the_state():
+    """The chemostat from one of its states, which is what the samples then are."""
+    evaluate = {"X0": [2.5, 2.2], "D": 0.5, "case_states": 2, "case_D_hat0": [0.5], "adaptation": "frozen", "dt": 0.01}
+    pipeline = config.parse({"plant": "chemostat", "evaluate": evaluate | {"case_t_end": 20.0, "t_end": 20.0}}, "tests")
+    observer = {"kind": "ekf", "outputs": ["S"], "offset": True}
+    scenario = {"name": "a", "actuator": "history", "observer": observer, "resolution": [0.01]}
+    plant = npred.plant("chemostat")
+    condition = scenarios.condition(plant, pipeline, Scenario.model_validate(scenario))
+    run = condition.loops(plant, npred.predictor("rk4", plant, nx=11))
+    assert run.clock is not None and np.abs(run.clock.X_hat - run.X)[:, -1].max() < 0.03
+    assert np.abs(run.X[:, -1] - plant.equilibrium).max() < 0.05

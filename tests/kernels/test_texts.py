@@ -8,7 +8,7 @@ from c_controllers import find_nothing, needs_gcc
 
 from npred.kernels.kernel import skeleton
 from npred.loop import signals
-from npred.loop.engine import LOOP
+from npred.loop.engine import LOOP, ON_A_CLOCK
 
 STRICT = ["-std=c99", "-O1", "-Wall", "-Wextra", "-Wpedantic", "-Wshadow", "-Wconversion"]
 RUN = """
@@ -23,6 +23,11 @@ for name, options in {
                     "measurement": npred.Measurement(noise=0.01, absolute=[0.1, 0.0], bias=0.1, resolution=[0.0, 0.01],
                                                      period=0.1, jitter=0.5, delay=0.04, drop=0.1)},
     "unicycle": {"D": 0.5, "D_hat": 0.4, "actuator": "history"},
+    "slow_unicycle": {"D": lambda t: 0.5 + 0.1 * np.sin(9 * t), "D_hat": 0.5, "actuator": "history", "u0": "law",
+                      "timing": npred.Timing(jitter=0.4, lost=0.2, overrun=0.2, tells=True),
+                      "observer": npred.observers.EKF(npred.plant("slow_unicycle"), offset=True),
+                      "watchdog": npred.Watchdog(0.1, "zero", jump=0.1),
+                      "measurement": npred.Measurement(noise=0.01, period=0.05, jitter=0.5, delay=0.04, drop=0.3)},
     "unicycle_time_delay": {},
     "chemostat": {"D": lambda t: 0.5 + 0.1 * np.sin(t), "D_hat": 0.5, "disturbance": lambda t: [0.01]},
 }.items():
@@ -37,8 +42,10 @@ print("done")
 
 
 @needs_gcc
-def test_strict_compilers_find_nothing_in_the_loop(tmp_path):
-    text = "\n".join([skeleton("base.h"), *signals.declared(), *map(skeleton, LOOP)])
+@pytest.mark.parametrize("files", [LOOP, ON_A_CLOCK])
+def test_strict_compilers_find_nothing_in_the_loop(tmp_path, files):
+    declared = [*signals.declared(), signals.declared_events()]
+    text = "\n".join([skeleton("base.h"), *declared, *map(skeleton, files)])
     (tmp_path / "loop.c").write_text(text)
     find_nothing(tmp_path, "loop.c", *STRICT)
 

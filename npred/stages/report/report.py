@@ -100,6 +100,8 @@ def _reality(plant: Plant, config: Evaluate) -> Iterator[str]:
         yield "actuator state not measured"
     if config.timing:
         yield "calls of the controller that are not on time"
+    if config.observer:
+        yield f"the state estimated by {config.observer.kind}"
     if sensors:
         yield f"measurements with {', '.join(sensors)}"
     if config.truth or config.disturbance.amplitude:
