@@ -17,6 +17,7 @@ from npred.errors import ConfigError, similar
 from npred.loop import delay_law
 from npred.plants import Plant
 from npred.results import JudgedLoops, Tuned, TunedNumber
+from npred.terminal import interruption
 from npred.terminal.console import Console
 from npred.tuning.cost import LAW, Loops, Outcome, Progress, Yardstick, gains
 
@@ -127,12 +128,12 @@ class _Search:
     def run(self, evaluations: int, rng: np.random.Generator, progress: Progress) -> None:
         """CMA-ES from the present numbers, then, where it has converged, from random ones with twice the points."""
         start, size = self.ranges.start(), 4 + int(3 * np.log(max(len(self.ranges.low), 2)))
-        while self.tried < evaluations:
+        while self.tried + size <= evaluations:
             self._descend(_started(start, size, rng), evaluations, progress)
             start, size = rng.uniform(size=len(start)), 2 * size
 
     def _descend(self, search: Any, evaluations: int, progress: Progress) -> None:
-        while not search.stop() and self.tried < evaluations:
+        while not search.stop() and self.tried + search.popsize <= evaluations:
             asked = search.ask()
             numbers = [self.ranges.numbers(z) for z in asked]
             outcomes = list(self.pool.map(lambda each: self._loops(each, progress), numbers))
@@ -141,7 +142,7 @@ class _Search:
             self.tried += len(costs)
             k = int(np.argmin(costs))
             if costs[k] < self.best.cost:
-                judged = self.judges.run(numbers[k], lambda steps: progress(0))
+                judged = self.judges.run(numbers[k], lambda steps: interruption.check())
                 self.best = _Best(numbers[k], costs[k], outcomes[k], judged)
                 self.console.detail(f"tune: cost {costs[k]:.4g} after {self.tried}: {said(numbers[k])}")
 

@@ -1,0 +1,79 @@
+"""What `npred tune` gains on three pipelines, beside the best of a grid over the same ranges.
+
+    python benchmarks/tuning.py [NAME …] [--cells 12] [--evaluations 150] [--jobs 1]
+
+The grid has its cells on the logarithmic scale, ends included, is judged on the same training starts, and its best on
+the same held-out starts. Loops are shorter than the pipelines', for they settle long before. Markdown goes to stdout.
+"""
+
+import argparse
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+
+from npred import config, plants
+from npred.terminal import waiting
+from npred.tuning.cost import Loops, Yardstick
+from npred.tuning.tune import gained, said, tune
+
+SETS = {  # pipeline: what is set in it
+    "paper": ["evaluate.t_end=40.0", "evaluate.case_t_end=40.0"],
+    "chemostat": ["evaluate.t_end=30.0", "evaluate.case_t_end=30.0"],
+    "van_der_pol": ['tune.free=["k1", "k2"]', "tune.bounds={ k1 = [1.0, 20.0], k2 = [1.0, 20.0] }"],
+}
+HEAD = ("pipeline", "", "numbers", "cost, training", "cost, held-out", "gain, held-out", "tries")
+
+
+def rows(name: str, cells: int, evaluations: int, jobs: int) -> list[tuple[str, ...]]:
+    """A pipeline before, by CMA-ES, and by the grid."""
+    sets = [*SETS[name], f"tune.evaluations={evaluations}"]
+    pipeline = config.load(Path(__file__).parents[1] / "pipeline" / f"{name}.toml", sets)
+    plant, table = plants.resolve(pipeline.plant, pipeline.parameters), pipeline.tune
+    result = tune(pipeline, plant, jobs)
+    before = {each.name: each.before for each in result.numbers}
+    axes = [np.geomspace(each.low, each.high, cells).tolist() for each in result.numbers]
+    training, held_out = (
+        Loops(pipeline, plant, states, purpose)
+        for states, purpose in ((table.starts, "training"), (table.held_out, "held out"))
+    )
+    yardstick = Yardstick.of(training.run(before, _silent), table.effort, pipeline.evaluate.dt)
+    grid = [dict(zip(before, values, strict=True)) for values in product(*axes)]
+    costs = [float(yardstick.costs(training.run(numbers, _silent)).mean()) for numbers in grid]
+    best = grid[int(np.argmin(costs))]
+    pair = [yardstick.costs(held_out.run(numbers, _silent)) for numbers in (before, best)]
+    gain, interval = gained(*pair, np.random.default_rng(0))
+    (first, tuned), (judged, after) = result.training.cost, result.held_out.cost
+    answer = _share(result.gain, result.interval) + ("" if result.gained else ", nothing to gain")
+    return [
+        (name, "before", said(before), f"{first:.3f}", f"{judged:.3f}", "", ""),
+        ("", "CMA-ES", said({n.name: n.after for n in result.numbers}), f"{tuned:.3f}", f"{after:.3f}", answer,
+         str(result.evaluations)),
+        ("", "grid", said(best), f"{min(costs):.3f}", f"{pair[1].mean():.3f}", _share(gain, interval), str(len(grid))),
+    ]  # fmt: skip
+
+
+def _silent(steps: int) -> None:
+    pass
+
+
+def _share(gain: float, interval: tuple[float, float]) -> str:
+    return f"{gain:.1%} ({interval[0]:.1%} to {interval[1]:.1%})"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("names", nargs="*", default=list(SETS))
+    parser.add_argument("--cells", type=int, default=12)
+    parser.add_argument("--evaluations", type=int, default=150)
+    parser.add_argument("--jobs", type=int, default=1)
+    asked = parser.parse_args()
+    print("| " + " | ".join(HEAD) + " |\n|" + "---|" * len(HEAD), flush=True)
+    with waiting.quiet():
+        for name in asked.names:
+            for row in rows(name, asked.cells, asked.evaluations, asked.jobs):
+                print("| " + " | ".join(row) + " |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
