@@ -1,11 +1,13 @@
 """`npred tune`: better numbers for the laws of a pipeline's loops, and a pipeline with them."""
 
+from os.path import relpath
 from pathlib import Path
 from typing import Any
 
 from npred import config
 from npred.cli.options import Planned, writable
 from npred.config import Pipeline
+from npred.config.section import moved
 from npred.errors import ConfigError
 from npred.parallel import devices
 from npred.results import Tuned
@@ -35,7 +37,12 @@ def tune(options: Planned, free: list[str], output: Path | None) -> None:
         result = search(pipeline, planner.plant, options.jobs or devices.cores(), options.console)
         text = _table(result, options.console.width)
         if output and result.gained:
-            output.write_text(_pipeline(options.pipeline.name, tables, pipeline, result), encoding="utf-8")
+            output.write_text(
+                _pipeline(
+                    options.pipeline.name, moved(tables, lambda file: relpath(file, output.parent)), pipeline, result
+                ),
+                encoding="utf-8",
+            )
             text += f"\nwrote {output}"
         elif output:
             text += "\nno pipeline was written"

@@ -37,7 +37,7 @@ class Outcome:
         time: the settling time (within 1 % of size(X*), npred.loop.metrics). A loop that does not settle in T = t_end
         has (2 + q) T with q = r / (1 + r), r = sup |X - X*| / size(X*) over the last tenth: from 2 T to 3 T, less
         where it ends nearer. One that leaves the finite numbers at t has 4 T - t, from 3 T to 4 T.
-        effort: the mean of |U - U*|² over [0, T]; infinite where a loop does not settle.
+        effort: the mean of |U - U*|² over [0, T], by trapezia; infinite where a loop does not settle.
         """
         target, t_end = plant.target(loops.t), float(loops.t[-1])
         time, near = metrics.settle_time(loops, target), metrics.radius(loops, target) / metrics.size(target)
@@ -45,7 +45,7 @@ class Outcome:
         settled = np.isfinite(time)
         with np.errstate(invalid="ignore", over="ignore"):
             lost = np.where(np.isfinite(near), (2 + near / (1 + near)) * t_end, (4 - finite) * t_end)
-            effort = np.mean(np.sum((loops.U - plant.u_target(loops.t)) ** 2, axis=-1), axis=-1)
+            effort = np.trapezoid(np.sum((loops.U - plant.u_target(loops.t)) ** 2, axis=-1), loops.t) / t_end
         columns = np.where(settled, time, lost), np.where(settled, effort, np.inf), settled
         return cls(*(a.reshape(states, -1) for a in columns))
 

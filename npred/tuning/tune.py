@@ -102,9 +102,9 @@ def tune(pipeline: Pipeline, plant: Plant, jobs: int = 1, console: Console | Non
     judges = Loops(pipeline, plant, table.held_out, "held out")
     total = (table.evaluations + 1) * loops.steps + judges.steps
     with console.bar("tune", total, "steps") as bar, ThreadPoolExecutor(jobs) as pool:
-        outcomes = [each.run(ranges.present, bar.advance) for each in (loops, judges)]
-        yardstick = Yardstick.of(outcomes[0], table.effort, pipeline.evaluate.dt)
-        before = _Best(dict(ranges.present), float(yardstick.costs(outcomes[0]).mean()), *outcomes)
+        training, held_out = (each.run(ranges.present, bar.advance) for each in (loops, judges))
+        yardstick = Yardstick.of(training, table.effort, pipeline.evaluate.dt)
+        before = _Best(dict(ranges.present), float(yardstick.costs(training).mean()), training, held_out)
         search = _Search(ranges, loops, judges, yardstick, before, pool, console)
         interrupted = False
         try:
@@ -183,8 +183,9 @@ def _result(
     pipeline: Pipeline, plant: Plant, table: Tune, search: _Search, before: _Best, interrupted: bool
 ) -> Tuned:  # fmt: skip
     best, ranges = search.best, search.ranges
-    costs = [search.yardstick.costs(each.held_out) for each in (before, best)]
-    gain, interval = gained(costs[0], costs[1], randomness.generator(pipeline.seed, "tune", "bootstrap"))
+    costs = search.yardstick.costs
+    rng = randomness.generator(pipeline.seed, "tune", "bootstrap")
+    gain, interval = gained(costs(before.held_out), costs(best.held_out), rng)
     enough = gain >= table.margin and interval[0] > 0
     spread = f"{gain:.1%} on held-out starts, with 95 % between {interval[0]:.1%} and {interval[1]:.1%}"
     answer = f"{said(best.numbers)}: the cost falls by {spread}" if enough else (

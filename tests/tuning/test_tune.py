@@ -1,0 +1,232 @@
+"""`npred tune`: its cost and its choice against closed forms, and what it says where there is nothing to gain."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize_scalar
+from typer.testing import CliRunner, Result
+
+from npred import config, plants
+from npred.cli import app
+from npred.config import Pipeline
+from npred.errors import ConfigError
+from npred.results import Tuned
+from npred.terminal.console import Console
+from npred.tuning.cost import Loops, Outcome, Yardstick, gains
+from npred.tuning.tune import gained, tune
+
+PLANT = """
+class Line:
+    states, inputs, guess, box = ("x",), ("q",), (0.0,), {"x": (0.5, 2.0)}
+    parameters = {"a": 0.5, "k": 1.0, "aim": 0.0}
+
+    def f(x, u, t, p, M):
+        return [p.a * x.x + u.q]
+
+    def kappa(x, t, p, M):
+        return [-(p.a + p.k) * x.x + p.aim]
+
+    def V(x, t, p, M):
+        return x.x**2
+"""
+A, D, T = 0.5, 0.4, 12.0
+TABLES: dict[str, Any] = {
+    "plant": "line.py:Line",
+    "evaluate": {
+        "adaptation": "frozen", "D": D, "D_hat0": D, "case_D_hat0": [D], "X0": [1.0], "t_end": T, "case_t_end": T,
+        "dt": 0.002, "nx": 11,
+    },
+    "tune": {"free": ["k"], "bounds": {"k": [0.5, 6.0]}, "starts": 4, "held_out": 6, "evaluations": 60},
+}  # fmt: skip
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "line.py").write_text(PLANT)
+    return tmp_path
+
+
+def pipeline(**tables: Any) -> Pipeline:
+    merged = {key: value | tables.get(key, {}) if isinstance(value, dict) else value for key, value in TABLES.items()}
+    return config.parse(merged | {key: value for key, value in tables.items() if key not in merged}, "line.toml")
+
+
+def tuned(chosen: Pipeline, **more: Any) -> Tuned:
+    return tune(chosen, plants.resolve(chosen.plant, chosen.parameters), **more)
+
+
+def exact(X0: np.ndarray, k: float) -> tuple[np.ndarray, np.ndarray]:
+    """Settling time and mean of U² in closed form: X(D) = X0 exp(a D), then X' = -k X, and U(t) = -(a + k) X(t + D)."""
+    X_D = np.abs(X0) * np.exp(A * D)
+    return D + np.log(X_D / 0.01) / k, ((A + k) * X_D) ** 2 * (1 - np.exp(-2 * k * T)) / (2 * k * T)
+
+
+def starts(chosen: Pipeline, purpose: str, states: int) -> np.ndarray:
+    return Loops(chosen, plants.resolve(chosen.plant), states, purpose).conditions[0].X0[:, 0]
+
+
+@pytest.mark.parametrize("k", [0.8, 3.0])
+def test_times_and_efforts_are_those_of_the_closed_form(k: float):
+    chosen = pipeline()
+    loops = Loops(chosen, plants.resolve(chosen.plant), 5, "training")
+    outcome = loops.run({"k": k}, lambda steps: None)
+    time, effort = exact(starts(chosen, "training", 5), k)
+    assert outcome.time[:, 0] == pytest.approx(time, abs=0.025)  # a state is kept every .02 s
+    assert outcome.effort[:, 0] == pytest.approx(effort, rel=0.002) and outcome.settled.all()
+
+
+def test_the_search_ends_at_the_least_cost_of_the_closed_form():
+    chosen = pipeline(tune={"effort": 1.0})
+    result = tuned(chosen)
+    X0 = starts(chosen, "training", 4)
+    time, effort = (part.mean() for part in exact(X0, 1.0))
+
+    def cost(k: float) -> float:
+        times, efforts = exact(X0, k)
+        return float(np.mean(times / time + efforts / (efforts + effort)))
+
+    best = minimize_scalar(cost, bounds=(0.5, 6.0), method="bounded", options={"xatol": 1e-6})
+    assert 0.6 < best.x < 5.9  # inside the range
+    assert cost(result.numbers[0].after) == pytest.approx(best.fun, rel=2e-3)
+    assert result.training.cost[1] == pytest.approx(best.fun, rel=5e-3)
+
+
+def test_a_better_gain_is_judged_on_other_starts():
+    chosen = pipeline()
+    result = tuned(chosen)
+    assert result.gained and result.gain > 0.5 and result.interval[0] <= result.gain <= result.interval[1]
+    assert result.numbers[0].before == 1.0 and result.held_out.loops == 6 and result.evaluations <= 60
+    assert not set(starts(chosen, "training", 4)) & set(starts(chosen, "held out", 6))
+    before, after = (exact(starts(chosen, "held out", 6), k)[0].mean() for k in (1.0, result.numbers[0].after))
+    assert result.held_out.settle_time == pytest.approx((before, after), abs=0.025)
+
+
+def test_nothing_to_gain_is_said_where_the_best_is_there_already():
+    result = tuned(pipeline(parameters={"k": 3.0}, tune={"bounds": {"k": [1.5, 3.05]}}))
+    assert not result.gained and result.gain < result.margin and result.sentence.startswith("nothing to gain")
+
+
+def test_a_law_that_rests_elsewhere_is_no_gain():
+    result = tuned(pipeline(tune={"free": ["aim"], "bounds": {"aim": [-2.0, -0.5]}, "evaluations": 12}))
+    assert not result.gained and result.numbers[0].after == 0.0  # the present number stays the best
+
+
+def test_the_answer_depends_on_the_seed_and_not_on_the_threads():
+    short = {"evaluations": 18}
+    one, two = (tuned(pipeline(tune=short), jobs=jobs) for jobs in (1, 2))
+    assert one == two
+    assert tuned(pipeline(tune=short, seed=1)).numbers != one.numbers
+
+
+def test_an_interruption_gives_the_best_up_to_then():
+    class Stopping(Console):
+        def detail(self, text: str) -> None:
+            self.stop()  # as Ctrl-C: at the next report of progress
+
+    result = tuned(pipeline(), console=Stopping(quiet=True))
+    assert result.interrupted and 0 < result.evaluations < 60
+    assert result.gained and result.numbers[0].after > 1 and result.sentence.startswith("interrupted")
+
+
+def test_gamma_and_b_vary_where_the_delay_adapts_and_scenarios_count():
+    table = {"adaptation": "bresch-pietri-krstic", "bounds": [0.1, 0.8], "case_D_hat0": [0.2, 0.7]}
+    table |= {"scenarios": [{"name": "noisy", "noise": 0.001}]}
+    chosen = pipeline(evaluate=table, tune={"free": [], "bounds": {"b": [1.0, 1.0]}, "evaluations": 6})
+    result = tuned(chosen)
+    assert [number.name for number in result.numbers] == ["gamma"]  # b is held
+    assert result.training.loops == 4 * 2 * 2 and result.held_out.loops == 6 * 2 * 2
+
+
+def test_lost_loops_cost_more_than_any_that_settles_and_are_in_order():
+    chosen = pipeline()
+    plant = plants.resolve(chosen.plant)
+    outcomes = [
+        Loops(chosen, plant, 2, "training").run({"k": k}, lambda steps: None).time.mean()
+        for k in (1.0, -0.1, -0.3, -0.6)
+    ]
+    assert outcomes[0] < T and np.all(np.diff(outcomes) > 0) and outcomes[1] > 2 * T and outcomes[3] < 3 * T
+    failed = Outcome.failed(Loops(chosen, plant, 2, "training").run({"k": 1.0}, lambda steps: None), T)
+    assert (failed.time == 4 * T).all() and not failed.settled.any()
+    assert np.isfinite(Yardstick(1.0, 1.0, 0.1).costs(failed)).all()
+
+
+def test_the_interval_is_that_of_pairs():
+    before = np.random.default_rng(1).uniform(1, 2, (40, 3))
+    gain, (low, high) = gained(before, 0.8 * before, np.random.default_rng(2))
+    assert (gain, low, high) == pytest.approx((0.2, 0.2, 0.2))  # what the starts differ in falls out
+    gain, (low, high) = gained(before, before[::-1], np.random.default_rng(2))
+    assert gain == pytest.approx(0) and low < 0 < high
+
+
+def test_gains_are_what_kappa_alone_reads():
+    assert gains(plants.resolve("line.py:Line")) == ["k", "aim"]
+    assert gains(plants.resolve("planar_arm2")) == ["stiffness", "damping"]
+    assert gains(plants.resolve("scalar")) == ["c"]
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        ({"free": ["a"], "bounds": {}}, "free: expected gains.*k, aim; got 'a'"),
+        ({"free": ["aim"], "bounds": {}}, "expected a range for aim"),
+        ({"free": [], "bounds": {}}, "expected something to tune"),
+        ({"free": ["b"], "bounds": {}}, "got 'b'"),
+        ({"free": []}, "bounds: expected gamma, b or a name of free, got 'k'"),
+    ],
+)
+def test_what_cannot_be_tuned_is_refused_in_a_line(table: dict[str, Any], message: str):
+    with pytest.raises(ConfigError, match=message):
+        tuned(pipeline(tune=table))
+
+
+def call(*arguments: str) -> Result:
+    return CliRunner().invoke(app, ["tune", *arguments])
+
+
+FILE = """
+plant = "line.py:Line"
+
+[evaluate]
+adaptation = "frozen"
+D = 0.4
+D_hat0 = 0.4
+case_D_hat0 = [0.4]
+X0 = [1.0]
+t_end = 12.0
+case_t_end = 12.0
+dt = 0.002
+nx = 11
+scenarios = [{ name = "noisy", noise = 0.001 }]
+
+[tune]
+starts = 2
+held_out = 3
+evaluations = 12
+"""
+
+
+def test_the_command_writes_a_pipeline_that_runs_as_it_is(folder: Path):
+    (folder / "line.toml").write_text(FILE)
+    (folder / "out").mkdir()
+    done = call("line.toml", "--free", "k=0.5:6", "-o", "out/better.toml", "--json")
+    assert done.exit_code == 0, done.output
+    answer = Tuned.of(json.loads(done.stdout), "stdout")
+    better = config.load(folder / "out" / "better.toml")  # the plant's file is found from there
+    assert better.parameters["k"] == pytest.approx(answer.numbers[0].after, rel=1e-5)
+    again = tuned(better.model_copy(update={"tune": better.tune.model_copy(update={"evaluations": 1})}))  # type: ignore[union-attr]
+    assert again.held_out.settle_time[0] == pytest.approx(answer.held_out.settle_time[1])
+    text = call("line.toml", "--free", "k=0.5:6", "--set", "tune.evaluations=6").stdout
+    assert "cost, held-out" in text and "before" in text
+
+
+def test_no_pipeline_is_written_where_there_is_nothing_to_gain_or_over_anothers_file(folder: Path):
+    (folder / "line.toml").write_text(FILE)
+    done = call("line.toml", "--free", "k=0.98:1.02", "-o", "better.toml")
+    assert done.exit_code == 0 and "nothing to gain" in done.stdout and not (folder / "better.toml").exists()
+    refused = call("line.toml", "--free", "k", "-o", "line.toml")
+    assert refused.exit_code == 2 and "line.toml: expected no such file" in refused.output
+    assert "write k1=0.5:5" in call("line.toml", "--free", "k=5").output
