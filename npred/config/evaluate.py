@@ -5,7 +5,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_serializer, model_validator
 
-from npred.config.loop import Calls, Disturbance, Loop, Sensors, StateObserver
+from npred.config.loop import ControlClock, Disturbance, Loop, Sensors, StateObserver
 from npred.config.section import (
     ADDED,
     Actuator,
@@ -57,7 +57,7 @@ class Scenario(Section):
     parameters: dict[str, Number] = {}  #: as truth
     disturbance: Disturbance | None = None  #: as disturbance, amplitude sin(omega t)
     actuator: Actuator | None = None  #: as actuator
-    timing: Calls | None = None  #: as timing
+    timing: ControlClock | None = None  #: as timing
     observer: StateObserver | None = None  #: as observer
     adaptation: Law | None = None  #: as adaptation
     D_hat0: Some[Positive] | None = None  #: as case_D_hat0

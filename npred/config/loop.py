@@ -60,7 +60,7 @@ class Sensors(Section):
             raise ValueError("jitter: expected a period that it spreads, got none; give period")
 
 
-class Calls(Section):
+class ControlClock(Section):
     """The clock of the control loop: call k comes at k dt + jitter dt r, r uniform on [-1, 1], and samples and commands
     have times that are not rounded to control steps.
     """
@@ -130,7 +130,7 @@ class Loop(Section):
     truth: Annotated[dict[str, Number], ADDED] = {}
     measurement: Annotated[Sensors, ADDED] = Sensors()  #: a table: what the controller sees of the state
     #: a table: the clock of the control loop, with actuator = "history"; by default calls come at k dt exactly
-    timing: Annotated[Calls | None, ADDED] = None
+    timing: Annotated[ControlClock | None, ADDED] = None
     #: a table: what estimates the state from outputs, with actuator = "history"; by default the state is measured
     observer: Annotated[StateObserver | None, ADDED] = None
     #: a table: what is added to the input of the simulated plant
