@@ -141,10 +141,10 @@ def rig(
     options: Rigged,
     *,
     log: Annotated[Path | None, flag("The log that is written; NAME-rig.csv here by default.", word="FILE.csv")] = None,
-    plain: Annotated[bool, flag("No live view.", "--plain")] = False,
+    figure: Annotated[Path | None, flag("A figure of the log: SVG, PDF or PNG.", word="FILE")] = None,
 ) -> None:
     """Plant and controller of the evaluated loop as two processes on a real clock, with a network between them."""
-    cli.rig.rig(options, log, plain)
+    cli.rig.rig(options, log, figure)
 
 
 @command(LOOK)

@@ -158,8 +158,8 @@ def _built(options: Exporting, key: str) -> Built:
     pipeline = config.load(path)
     table, plant = pipeline.evaluate, plants.resolve(pipeline.plant, pipeline.parameters, pipeline.kappa)
     predictor = _predictor(options, f"{path}:{model}" if model else "", plant, table)
-    watchdog = _watchdog(options.watchdog) if options.watchdog else None
-    controller = of_table(plant, predictor, table, options.actuator, oldest=options.oldest, watchdog=watchdog)
+    more = {"oldest": options.oldest, "watchdog": watchdog(options.watchdog)}
+    controller = of_table(plant, predictor, table, options.actuator, **more)
     if controller.actuator == HISTORY and isinstance(controller.adaptation, DelayAdaptation):
         options.console.warn(RECALLS)
     return Built(controller, f"{pipeline.name}:{predictor.name}", table, _steps(controller, table))
@@ -202,8 +202,10 @@ def of_table(plant: Plant, predictor: Predictor, table: Evaluate, actuator: str,
     )  # fmt: skip
 
 
-def _watchdog(text: str) -> Watchdog:
-    """That of TIME[:hold|zero]. Raises ConfigError for another text."""
+def watchdog(text: str) -> Watchdog | None:
+    """That of TIME[:hold|zero]; None without a text. Raises ConfigError for another one."""
+    if not text:
+        return None
     after, _, then = text.partition(":")
     try:
         seconds = float(after)

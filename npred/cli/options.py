@@ -131,6 +131,9 @@ class Work(Running):
     tensorboard: Annotated[Path | None, flag("Write the epochs of trainings as event files there.", word="DIR")] = None
 
 
+WATCHDOG = flag("How long a controller waits for a sample before it holds U, or sends 0.", word="TIME[:hold|zero]")
+
+
 @dataclass(frozen=True)
 class Exporting(Common):
     """Flags of `npred export`: what of the pipeline's loop is another in a controller's file, and more."""
@@ -150,9 +153,7 @@ class Exporting(Common):
     guard: Annotated[
         float | None, flag("A controller's guard: the largest error of U that passes; as in evaluate.")
     ] = None
-    watchdog: Annotated[
-        str, flag("How long a controller waits for a sample before it holds U, or sends 0.", word="TIME[:hold|zero]")
-    ] = ""
+    watchdog: Annotated[str, WATCHDOG] = ""
     oldest: Annotated[
         float | None, flag("How old a sample may be for a controller; by default 20 control steps.", word="TIME")
     ] = None
@@ -165,22 +166,17 @@ class Exporting(Common):
 
 @dataclass(frozen=True)
 class Rigged(Planned):
-    """Flags of `npred rig`: its clock and its network."""
+    """Flags of `npred rig`: its length, its network, and what of the controller is not in [evaluate]."""
 
     seconds: Annotated[float, flag("How long it runs.")] = 60.0
-    rate: Annotated[float | None, flag("Calls per second; by default 1 / dt of the pipeline.", word="HZ")] = None
     delay: Annotated[float, flag("Of each way, in seconds; that of commands adds to the plant's D.")] = 0.12
     jitter: Annotated[float, flag("The largest deviation of that delay, in seconds.")] = 0.02
     loss: Annotated[float, flag("Share of packets that are lost.")] = 0.0
     reorder: Annotated[float, flag("Share of packets that take twice their time.")] = 0.0
     stops: Annotated[float, flag("Times per minute that the network stands still for 200 ms.")] = 0.0
     seed: Annotated[int, flag("Of the network and the sensors.", least=0)] = 0
-    watchdog: Annotated[
-        float | None, flag("Hold U where the last sample is older, in seconds; by default no matter.")
-    ] = None
-    network: Annotated[
-        str | None, flag("A network of the pipeline that predicts, as deeponet; by default evaluate's method.")
-    ] = None
+    watchdog: Annotated[str, WATCHDOG] = ""
+    model: Annotated[str | None, flag("A trained network that predicts, as deeponet.", offers=completion.models)] = None
 
 
 def writable(path: Path) -> Path:

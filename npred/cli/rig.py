@@ -2,141 +2,120 @@
 
 import math
 import multiprocessing
-import os
 import time
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from npred import plants
+from npred import api, figures, plants
 from npred.cli import export
 from npred.cli.options import Rigged, writable
 from npred.conditions import condition
-from npred.config import Evaluate
 from npred.errors import ConfigError, NpredError, UnmetError
+from npred.figures.figure import FORMATS
 from npred.loop import metrics
 from npred.loop.adaptation import DelayAdaptation
 from npred.loop.controller import OLDEST, Controller
 from npred.loop.loop_checks import HISTORY
-from npred.loop.watchdog import Watchdog
+from npred.plants import Plant
 from npred.predictors import numerical
-from npred.rig import clock, controller_side, link, plant_side
-from npred.rig.log import OVER, RigLog
+from npred.rig import clock, controller_side, log, network, plant_side
 from npred.rig.network import Channel
-from npred.rig.plant_side import Truth
-from npred.rig.view import View
-from npred.terminal import interruption, streams
+from npred.terminal import interruption
 
-FINE = 4  # steps of the truth in a control step, at least
 EVERY = 0.1  # s between two looks at the processes
+AHEAD = 0.1  # s from the agreement to the start
 
 
-def rig(options: Rigged, log: Path | None, plain: bool) -> None:
+def rig(options: Rigged, output: Path | None, figure: Path | None) -> None:
     """Run it and say what its log says. Raises NpredError where a side was lost, UnmetError where the loop was."""
     if not 0 < options.seconds < math.inf:
         raise ConfigError(f"--seconds: expected a time above 0, got {options.seconds:g}; give seconds")
-    network = Channel(options.delay, options.jitter, options.loss, options.reorder, options.stops, options.seed)
-    path, (controller, truth) = writable(log or Path(f"{options.config.name}-rig.csv")), _sides(options, network)
-    interactive = streams.MESSAGES.isatty() and not (plain or options.quiet or options.json)
-    with interruption.orderly():
-        late = run(controller, truth, network, options.seconds, path, View(path) if interactive else None)
-    written = RigLog(path, truth.plant)
-    if written.why != OVER:
-        raise NpredError(f"rig: expected a whole run, got an end, {written.why or 'a side was killed'}; read {path}")
-    summary = written.summary(controller.dt) | {"log": str(path)}
-    summary |= {
-        f"machine_late_{name}_us": 1e6 * float(np.quantile(late, q)) for name, q in (("p999", 0.999), ("max", 1))
-    }
-    options.show(summary, lambda: _said(summary, controller))
-    start = written.distance()[0]
-    if not summary["radius"] <= max(start, metrics.LOST * metrics.size(truth.plant.target(0.0))):
-        raise UnmetError(
-            f"rig: expected a loop that stays, got one {summary['radius']:.3g} away at the end; read {path}"
-        )
-
-
-def run(
-    controller: Controller, truth: Truth, network: Channel, seconds: float, path: Path, view: View | None = None
-) -> np.ndarray:
-    """Run both sides until they end, and end them where this process is asked to; how late a process comes, in
-    seconds, that only waits for the same times.
-    """
-    context, parent, ends = multiprocessing.get_context("spawn"), os.getpid(), link.pair()
-    reader, writer = context.Pipe(duplex=False)
-    sides = [
-        context.Process(target=controller_side.run, args=(controller, ends[0], network, seconds, path, parent)),
-        context.Process(target=plant_side.run, args=(truth, ends[1], network, seconds, parent)),
-        context.Process(target=clock.witness, args=(controller.dt, seconds, writer, parent), daemon=True),
-    ]  # fmt: skip
-    path.unlink(missing_ok=True)
-    try:
-        for side in sides:
-            side.start()
-        for end in ends:
-            end.close()  # the sides have them: with theirs closed, the other one hears of it
-        while any(side.is_alive() for side in sides[:2]):
-            interruption.check()
-            time.sleep(EVERY)
-            if view:
-                view.draw()
-        return reader.recv() if reader.poll(2 * link.AHEAD) else np.zeros(1)
-    finally:
-        if view:
-            view.close()
-        for side in sides:
-            if side.pid is not None:
-                side.terminate()
-                side.join(interruption.GRACE / 2)
-                side.kill()
-
-
-def _sides(options: Rigged, network: Channel) -> tuple[Controller, Truth]:
-    """The controller and the plant. Raises ConfigError for a plant that no network can be between."""
-    config = options.config
-    table, plant = config.evaluate, plants.resolve(config.plant, config.parameters)
+    if figure and figure.suffix[1:] not in FORMATS:
+        raise ConfigError(f"--figure: expected a file that ends in {', '.join(FORMATS)}, got {figure}; name another")
+    channel = Channel(options.delay, options.jitter, options.loss, options.reorder, options.stops, options.seed)
+    path, plot = writable(output or Path(f"{options.config.name}-rig.csv")), figure and writable(figure)
+    plant = plants.resolve(options.config.plant, options.config.parameters, options.config.kappa)
     if plant.declares_delay or not plant.one_delay or plant.time_unit != "s":
         raise ConfigError(f"rig: expected a plant with one delay and in seconds, got {plant.name}; take another")
-    table = table.model_copy(update={"dt": 1 / options.rate if options.rate else table.dt})
-    controller = _controller(options, plant, table, network)
-    if isinstance(controller.adaptation, DelayAdaptation):
-        options.console.warn(export.RECALLS)
-    X0 = np.array(table.X0 or plant.target(0.0))
-    period = table.measurement.period or table.dt
-    truth = Truth(
-        condition.truth(plant, table) or plant, X0, controller.u0, table.D, period, table.dt / FINE,
-        table.measurement, table.disturbance, options.seed,
-    )  # fmt: skip
-    return controller, truth
+    controller = _controller(options, plant, channel)
+    with interruption.orderly():
+        late = run(options, plant, controller, channel, path)
+    written = log.read(path)
+    if written.why != log.OVER:
+        raise NpredError(f"rig: expected a whole run, got an end, {written.why or 'a side was killed'}; read {path}")
+    if plot:
+        figures.write(figures.rig(plant, plot.stem, *written[:2]), plot.parent, formats=[plot.suffix[1:]])
+    document = log.summary(plant, written, controller.dt) | log.micro("waits_late", late) | {"log": str(path)}
+    rows = [[name, f"{x:.4g}" if isinstance(x, float) else str(x)] for name, x in document.items()]
+    options.show_table(document, ("of the log", ""), rows)
+    near, radius = metrics.LOST * metrics.size(plant.target(0.0)), document["radius"]
+    if not radius <= max(log.distance(plant, written.samples)[0], near):
+        raise UnmetError(f"rig: expected a loop that stays, got one {radius:.3g} away at the end; read {path}")
 
 
-def _controller(options: Rigged, plant: Any, table: Evaluate, network: Channel) -> Controller:
-    if options.network:
-        from npred import api
+def run(options: Rigged, plant: Plant, controller: Controller, channel: Channel, path: Path) -> np.ndarray:
+    """Run both sides until they end, or this process is asked to; how late a process comes, in seconds, that only
+    waits for the same times. Raises NpredError where one ends before it begins.
+    """
+    context, ends, seconds = multiprocessing.get_context("spawn"), network.pair(), options.seconds
+    table, console = options.config.evaluate, options.console
+    truth = condition.truth(plant, table) or plant
+    work: list[tuple[Any, tuple[Any, ...]]] = [
+        (controller_side.run, (controller, ends[0], channel, seconds, path)),
+        (plant_side.run, (truth, table, controller.u0, ends[1], channel)),
+        (clock.only_wait, (controller.dt, seconds)),
+    ]
+    pipes, sides = [context.Pipe() for _ in work], []
+    path.unlink(missing_ok=True)
+    try:
+        for (target, values), (_, theirs) in zip(work, pipes, strict=True):
+            sides.append(context.Process(target=target, args=(*values, theirs)))
+            sides[-1].start()
+            theirs.close()  # each side has its own: that the other one is gone shows at a closed one
+        for end in ends:
+            end.close()
+        ours = [pipe for pipe, _ in pipes]
+        start = _begin(ours)
+        with console.bar("rig", math.ceil(seconds), "seconds") as bar:
+            while sides[0].is_alive():
+                time.sleep(EVERY)
+                console.head(last := log.last_row(path))
+                bar.advance(min(int(time.monotonic() - start), bar.total) - bar.done, last)
+        return ours[2].recv() if ours[2].poll(2 * AHEAD) else np.zeros(1)
+    finally:
+        for pipe, _ in pipes:
+            pipe.close()
+        for side in sides:
+            side.join(interruption.GRACE / 2)
+            side.kill()
 
-        predictor = api.load(f"{options.pipeline}:{options.network}", store=options.store, nx=table.nx)
+
+def _begin(pipes: list[Connection]) -> float:
+    """Wait until all are ready, and tell them when to begin."""
+    for pipe in pipes:
+        while not pipe.poll(EVERY):
+            interruption.check()
+        try:
+            pipe.recv()
+        except EOFError:
+            raise NpredError("rig: expected three processes that begin, got one that ended; read its message") from None
+    start = time.monotonic() + AHEAD
+    for pipe in pipes:
+        pipe.send(start)
+    return start
+
+
+def _controller(options: Rigged, plant: Plant, channel: Channel) -> Controller:
+    table = options.config.evaluate
+    if options.model:
+        predictor = api.load(f"{options.pipeline}:{options.model}", store=options.store, nx=table.nx)
     else:
         predictor = numerical(table.predictor, plant, table.nx)
-    oldest = max(OLDEST * table.dt, 2 * network.longest)
-    watchdog = None if options.watchdog is None else Watchdog(options.watchdog)
-    return export.of_table(plant, predictor, table, HISTORY, oldest=oldest, watchdog=watchdog)
-
-
-def _said(summary: dict[str, Any], controller: Controller) -> str:
-    """The summary for people."""
-    text, f = controller.plant.time_text, summary
-    delay, acting = (math.nan if f[name] is None else f[name] for name in ("delay", "acting"))
-    return "\n".join([
-        f"{f['calls']} calls in {text(f['seconds'])}, {100 * f['without_sample']:.1f} % without a new sample, "
-        f"{f['refused']} refused, {100 * f['handed_over']:.1f} % by the watchdog",
-        f"D_hat {text(f['D_hat'])} at the end; commands act {text(delay)} after their stamp, "
-        f"and the acting one's mean age less half a step is {text(acting)}",
-        f"samples: {f['samples']} arrived, {text(f['samples_late'])} late, {f['samples_lost']} lost, "
-        f"{f['samples_reordered']} out of order",
-        f"calls come {f['late_p999_us']:.0f} µs late (99.9 %), {f['late_max_us']:.0f} µs at worst; a process that only "
-        f"waits {f['machine_late_p999_us']:.0f} and {f['machine_late_max_us']:.0f} µs; {f['skipped']} skipped",
-        f"a call takes {f['took_median_us']:.0f} µs (median), {f['took_p999_us']:.0f} µs (99.9 %), "
-        f"{f['took_max_us']:.0f} µs at worst",
-        f"radius {f['radius']:.3g} over the last tenth",
-        f"wrote {f['log']}: npred identify {f['log']} --plant {controller.plant.name} reads it",
-    ])  # fmt: skip
+    more = {"oldest": max(OLDEST * table.dt, 2 * channel.longest), "watchdog": export.watchdog(options.watchdog)}
+    controller = export.of_table(plant, predictor, table, HISTORY, **more)
+    if isinstance(controller.adaptation, DelayAdaptation):
+        options.console.warn(export.RECALLS)
+    return controller

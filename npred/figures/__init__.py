@@ -6,9 +6,10 @@ from npred.figures.evaluation_data import Evidence
 from npred.figures.figure import Plate, write
 from npred.figures.latency import speed
 from npred.figures.loops import coverage, figure1
+from npred.figures.rig import rig
 from npred.figures.scenarios import delays, scenarios
 
 __all__ = [
     "Evidence", "Plate", "box", "certificate", "certified", "coverage", "delays", "errors", "figure1", "kinds",
-    "learning", "scenarios", "speed", "write",
+    "learning", "rig", "scenarios", "speed", "write",
 ]  # fmt: skip

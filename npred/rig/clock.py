@@ -1,12 +1,22 @@
-"""Waiting for a time, and how late a program is that does nothing else."""
+"""The clock of a rig, time.monotonic, common to all processes of a machine: its start, waiting, and being late."""
 
-import os
+import signal
 import time
 from multiprocessing.connection import Connection
 
 import numpy as np
 
 SPIN = 2e-4  # s before the time, from which on the clock is read without sleeping
+
+
+def agreed(parent: Connection) -> float:
+    """Say that this process is ready; when all begin. Whoever started it ends it: Ctrl-C does not reach it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        parent.send(None)
+        return parent.recv()
+    except (EOFError, OSError):  # it is gone
+        raise SystemExit(1) from None
 
 
 def wait(until: float) -> float:
@@ -17,11 +27,11 @@ def wait(until: float) -> float:
     return time.monotonic()
 
 
-def witness(dt: float, seconds: float, answer: Connection, parent: int) -> None:
+def only_wait(dt: float, seconds: float, parent: Connection) -> None:
     """Send how late, in seconds, a process comes that waits for each dt and does nothing: the machine's own stops."""
-    start, late = time.monotonic(), []
+    start, late = agreed(parent), []
     for k in range(1, int(seconds / dt) + 1):
-        if os.getppid() != parent:
+        if parent.poll():
             return
         late.append(wait(start + k * dt) - start - k * dt)
-    answer.send(np.array(late))
+    parent.send(np.array(late))

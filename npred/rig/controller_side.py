@@ -2,9 +2,8 @@
 
 import gc
 import math
-import os
-import signal
 import socket
+from multiprocessing.connection import Connection
 from pathlib import Path
 
 import numpy as np
@@ -12,32 +11,25 @@ import numpy as np
 from npred.errors import DivergedError
 from npred.loop.controller import Controller
 from npred.rig import clock
-from npred.rig.link import GoneError, Packet, UdpLink
-from npred.rig.log import OVER, LogFile
-from npred.rig.network import Channel
+from npred.rig.log import CALL, OVER, SAMPLE, LogFile
+from npred.rig.network import Channel, Packet, UdpLink
 
 
-def run(controller: Controller, end: socket.socket, network: Channel, seconds: float, path: Path, parent: int) -> None:
-    """Be the controller for so many seconds, or until the plant or the parent is gone or SIGTERM comes; the log says
-    which."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    asked: list[int] = []
-    signal.signal(signal.SIGTERM, lambda number, frame: asked.append(number))
-    link = UdpLink(end, network, "commands", "samples")
+def run(
+    controller: Controller, end: socket.socket, network: Channel, seconds: float, path: Path, parent: Connection
+) -> None:
+    """Be the controller for so many seconds, or until the plant or the parent is gone; the log says which."""
+    link = UdpLink(end, network, "samples", clock.agreed(parent))
     gc.disable()
-    with LogFile(path, controller) as log:
-        loop = Calls(controller, link, log)
-        try:
-            link.lead()
-            k = 0
-            while k * controller.dt < seconds and not asked and os.getppid() == parent:
-                loop.call(k * controller.dt)
-                k = max(k + 1, math.ceil(link.now / controller.dt))  # an overrun skips those that are past
-            log.end("interrupted" if asked else OVER if os.getppid() == parent else "nobody waits for it")
-        except GoneError:
-            log.end("the plant is gone")
-        finally:
-            link.leave()
+    log, dt, k = LogFile(path, controller), controller.dt, 0
+    calls = Calls(controller, link, log)
+    try:
+        while k * dt < seconds and not parent.poll():
+            calls.call(k * dt)
+            k = max(k + 1, math.ceil(link.now / dt))  # an overrun skips those that are past
+        log.end("interrupted" if k * dt < seconds else OVER if calls.begun else "no sample arrived")
+    except ConnectionError:
+        log.end("the plant is gone")
 
 
 class Calls:
@@ -45,29 +37,28 @@ class Calls:
 
     def __init__(self, controller: Controller, link: UdpLink, log: LogFile) -> None:
         self.controller, self.link, self.log = controller, link, log
-        self._newest, self._U = -math.inf, np.zeros(controller.plant.m)
+        self.begun, self._failed, self._U = False, 0, np.zeros(controller.plant.m)
 
     def call(self, due: float) -> None:
         """Wait until it is due, take the samples that have arrived, and send U."""
         clock.wait(self.link.start + due)
-        t = self.link.now
+        t, n = self.link.now, len(self.controller.outputs)
         packets = self.link.arrived(t)
-        new = [packet for packet in packets if packet.sent_at > self._newest]
-        newest = max(new, key=lambda packet: packet.sent_at, default=None)
-        if newest or self._newest > -math.inf:  # before the first sample there is nothing to begin from
-            refused = self._step(t, newest)
+        self.begun = self.begun or bool(packets)
+        if self.begun:  # before the first sample there is nothing to begin from
+            self._step(t, max(packets, key=lambda packet: packet.sent_at, default=None), n)
             self.link.send(t, self._U)
-            self.log.call(t, self._U, self.controller.status, newest is not None, refused, t - due, self.link.now - t)
+            status, took = self.controller.status, self.link.now - t
+            counts = (status.refused + self._failed, status.handed_over)
+            values = (*self._U, status.D_hat, status.D_hat_spread, status.age, *counts, t - due, took)
+            self.log.row(t, (*self.controller.plant.inputs, *CALL), values)
         for packet in packets:
-            self.log.sample(packet)
+            values = (*packet.values[:n], packet.number, packet.arrival, *packet.values[n:])
+            self.log.row(packet.sent_at, (*self.controller.outputs, *SAMPLE), values)
 
-    def _step(self, t: float, packet: Packet | None) -> bool:
-        """Set U; whether the sample was refused."""
-        n = len(self.controller.outputs)
-        sample = {} if packet is None else {"X": packet.values[:n], "sampled_at": packet.sent_at}
-        self._newest = packet.sent_at if packet else self._newest
+    def _step(self, t: float, newest: Packet | None, n: int) -> None:
+        sample = {"X": newest.values[:n], "sampled_at": newest.sent_at} if newest else {}
         try:
             self._U = self.controller.step(t=t, **sample).copy()
         except DivergedError:  # hold the last U
-            return True
-        return False
+            self._failed += 1

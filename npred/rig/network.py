@@ -1,12 +1,25 @@
-"""A network between two programs: what becomes of a packet is a function of the seed, its way and its number."""
+"""A network between two programs: numbered and stamped packets by UDP, each handed over when it is to arrive.
 
+What becomes of a packet is a function of the seed, its way and its number.
+"""
+
+import heapq
 import math
+import select
+import socket
+import time
+from contextlib import suppress
 from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
 
 from npred import array_checks, randomness
 from npred.errors import ConfigError
 
 STOP = 0.2  # s that the network stands still
+PATIENCE = 2.0  # s without any packet, lost ones too, after which the other side is gone
+LONGEST = 65507  # bytes of a packet
 
 
 @dataclass(frozen=True)
@@ -51,3 +64,71 @@ class Channel:
         part = int(t // span)
         begin = part * span + (span - STOP) * randomness.generator(self.seed, "stop", part).random()
         return begin <= t < begin + STOP
+
+
+class Packet(NamedTuple):
+    """What arrived: its times in seconds since the start, and its values."""
+
+    arrival: float
+    number: int
+    sent_at: float
+    values: np.ndarray
+
+
+class UdpLink:
+    """One end of two: sends packets, and receives those of the way `back`; `start` is 0 on the common clock.
+
+    Raises ConnectionError where nobody is there any more.
+    """
+
+    def __init__(self, end: socket.socket, network: Channel, back: str, start: float) -> None:
+        end.setblocking(False)
+        self.end, self.network, self.back, self.start = end, network, back, start
+        self._sent, self._heard, self._waiting = 0, start, list[Packet]()
+
+    @property
+    def now(self) -> float:
+        """Seconds since the start."""
+        return time.monotonic() - self.start
+
+    def send(self, sent_at: float, values: np.ndarray) -> None:
+        """Send the next packet."""
+        with suppress(BlockingIOError):  # it is lost
+            self.end.send(np.concatenate([(self._sent, sent_at), values]).tobytes())
+        self._sent += 1
+
+    def until(self, t: float) -> None:
+        """Receive what comes until a time since the start."""
+        while (left := t - self.now) > 0:
+            if select.select([self.end], [], [], left)[0]:
+                self._receive()
+
+    def arrived(self, t: float) -> list[Packet]:
+        """The packets that arrive up to a time since the start, in their order."""
+        self._receive()
+        if time.monotonic() - self._heard > PATIENCE:
+            raise ConnectionError("rig: the other side is silent")
+        packets = []
+        while self._waiting and self._waiting[0].arrival <= t:
+            packets.append(heapq.heappop(self._waiting))
+        return packets
+
+    def _receive(self) -> None:
+        with suppress(BlockingIOError):  # no more of them
+            while True:
+                number, sent_at, *values = np.frombuffer(self.end.recv(LONGEST)).tolist()
+                self._heard = time.monotonic()
+                due = self.network.arrival(self.back, int(number), sent_at)
+                if due < math.inf:  # what this machine needs itself may be more than the network's delay
+                    packet = Packet(max(due, self.now), int(number), sent_at, np.array(values))
+                    heapq.heappush(self._waiting, packet)
+
+
+def pair() -> tuple[socket.socket, socket.socket]:
+    """Two sockets of localhost, each connected to the other."""
+    ends = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2)]
+    for end in ends:
+        end.bind(("127.0.0.1", 0))
+    for end, other in zip(ends, reversed(ends), strict=True):
+        end.connect(other.getsockname())
+    return ends[0], ends[1]

@@ -1,47 +1,33 @@
 """The plant of a rig: the truth, integrated on the real clock, that applies commands when they arrive."""
 
 import math
-import os
-import signal
 import socket
 from collections import deque
-from dataclasses import dataclass, field
+from contextlib import suppress
+from multiprocessing.connection import Connection
 
 import numpy as np
 
 from npred import randomness
-from npred.config import Disturbance, Sensors
+from npred.config import Evaluate, Sensors
 from npred.loop.engine import advance_kernel
 from npred.plants import Plant
 from npred.predictors import RK4
-from npred.rig.link import PATIENCE, GoneError, Packet, UdpLink
-from npred.rig.network import Channel
+from npred.rig import clock
+from npred.rig.network import Channel, Packet, UdpLink
 
-
-@dataclass(frozen=True)
-class Truth:
-    """The plant as it is: from X0 (n,), with U0 (m,) before the first command; each command acts D seconds after it
-    arrives, and the sensors sample every `period` seconds. `step` is the longest one of the integration.
-    """
-
-    plant: Plant
-    X0: np.ndarray
-    U0: np.ndarray
-    D: float
-    period: float
-    step: float
-    sensors: Sensors = field(default_factory=Sensors)
-    disturbance: Disturbance = field(default_factory=Disturbance)
-    seed: int = 0
+FINE = 4  # steps of the integration in a control step, at least
 
 
 class DelayedPlant:
-    """X' = f(X, U), U the newest of the commands that arrived D seconds ago, by RK4 with a step at each change of U."""
+    """X' = f(X, U), U the newest of the commands that arrived D seconds ago, by RK4 with a step at each change of U.
 
-    def __init__(self, truth: Truth) -> None:
-        plant = truth.plant
-        self.truth, self.t = truth, 0.0
-        self.X, self.U = np.array(truth.X0, dtype=float)[:, None], np.array(truth.U0, dtype=float)[:, None]
+    D, X0 and the disturbance are those of [evaluate], U0 (m,) acts before the first command.
+    """
+
+    def __init__(self, plant: Plant, table: Evaluate, U0: np.ndarray) -> None:
+        self.plant, self.D, self.push, self.step, self.t = plant, table.D, table.disturbance, table.dt / FINE, 0.0
+        self.X, self.U = np.array(table.X0 or plant.target(0.0))[:, None], np.array(U0, dtype=float)[:, None]
         self._advance, self._share = advance_kernel(plant, RK4), np.ones((plant.m, 1))
         self._queue: deque[Packet] = deque()
         self._last, self._sent_at, self._since = -1, math.nan, math.nan
@@ -57,12 +43,12 @@ class DelayedPlant:
     def to(self, t: float) -> np.ndarray:
         """Go on to a time; X (n,) there."""
         while True:
-            while self._queue and self._queue[0].arrival + self.truth.D <= self.t:
+            while self._queue and self._queue[0].arrival + self.D <= self.t:
                 self._apply(self._queue.popleft())
             if self.t >= t:
                 return self.X[:, 0]
-            next_change = self._queue[0].arrival + self.truth.D if self._queue else math.inf
-            self._step(min(t, next_change, self.t + self.truth.step))
+            next_change = self._queue[0].arrival + self.D if self._queue else math.inf
+            self._step(min(t, next_change, self.t + self.step))
 
     @property
     def delay(self) -> float:
@@ -83,9 +69,9 @@ class DelayedPlant:
         self.applied += 1
 
     def _step(self, end: float) -> None:
-        dt, push = end - self.t, self.truth.disturbance
-        U = self.U + push.amplitude * math.sin(push.omega * (self.t + dt / 2))
-        self._advance(self.X, U, U, self._share, dt, self.t, self.truth.plant.p)
+        dt = end - self.t
+        U = self.U + self.push.amplitude * math.sin(self.push.omega * (self.t + dt / 2))
+        self._advance(self.X, U, U, self._share, dt, self.t, self.plant.p)
         if self.applied:
             self._ages += dt * (self.t + dt / 2 - self._sent_at)
         self.t = end
@@ -99,20 +85,18 @@ def sensed(X: np.ndarray, sensors: Sensors, rng: np.random.Generator) -> np.ndar
     return np.where(step > 0, np.round(Y / np.where(step > 0, step, 1.0)) * step, Y)
 
 
-def run(truth: Truth, end: socket.socket, network: Channel, seconds: float, parent: int) -> None:
-    """Be the plant, until the controller says that it is the end, or is gone."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # whoever started both sides ends them
-    plant, link = DelayedPlant(truth), UdpLink(end, network, "samples", "commands")
-    try:
-        link.follow()
-        for k in range(int((seconds + PATIENCE) / truth.period) + 1):
-            t = k * truth.period
+def run(
+    plant: Plant, table: Evaluate, U0: np.ndarray, end: socket.socket, network: Channel, parent: Connection
+) -> None:  # fmt: skip
+    """Be the plant, until the controller or the parent is gone."""
+    truth, period = DelayedPlant(plant, table, U0), table.measurement.period or table.dt
+    link, k = UdpLink(end, network, "commands", clock.agreed(parent)), 0
+    with suppress(ConnectionError):
+        while not parent.poll():
+            t = k * period
             link.until(t)
             for packet in link.arrived(t):
-                plant.command(packet)
-            if link.ended or os.getppid() != parent:
-                return
-            Y = sensed(plant.to(t), truth.sensors, randomness.generator(truth.seed, "sensors", k))
-            link.send(t, np.append(Y, (plant.delay, plant.age)))
-    except GoneError:
-        return
+                truth.command(packet)
+            Y = sensed(truth.to(t), table.measurement, randomness.generator(network.seed, "sensors", k))
+            link.send(t, np.append(Y, (truth.delay, truth.age - table.dt / 2)))
+            k += 1

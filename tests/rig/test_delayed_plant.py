@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 import npred
-from npred.config import Sensors
-from npred.rig.link import Packet
-from npred.rig.plant_side import DelayedPlant, Truth, sensed
+from npred.config import Evaluate, Sensors
+from npred.rig.network import Packet
+from npred.rig.plant_side import DelayedPlant, sensed
 
 
 def scalar(D: float) -> DelayedPlant:
     plant = npred.plant("scalar")  # X' = X/2 + U
-    return DelayedPlant(Truth(plant, np.array([1.0]), np.zeros(1), D, 0.01, 0.005))
+    return DelayedPlant(plant, Evaluate(X0=[1.0], D=D, D_hat0=D, dt=0.02), np.zeros(1))
 
 
 def exact(X: float, U: float, span: float) -> float:

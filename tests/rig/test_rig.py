@@ -54,11 +54,11 @@ def wait_for_rows(path: Path, count: int) -> None:
 
 
 def sides(process: subprocess.Popen, path: Path) -> tuple[int, int]:
-    """The ids of the controller's process, which writes the log, and of the plant's, which has a socket too."""
+    """The ids of the controller's process, which writes the log, and of the plant's, which has two sockets as well."""
     children = map(int, Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split())
     files = {child: [os.readlink(file) for file in Path(f"/proc/{child}/fd").iterdir()] for child in children}
     (controller,) = [child for child, names in files.items() if str(path) in names]
-    (plant,) = [c for c, names in files.items() if c != controller and any("socket:" in name for name in names)]
+    (plant,) = [c for c in files if c != controller and sum("socket:" in name for name in files[c]) == 2]
     return controller, plant
 
 
@@ -83,7 +83,6 @@ def test_a_loop_of_two_seconds_says_what_its_stamps_say(start, tmp_path):
     out, err = process.communicate(timeout=120)
     assert process.returncode == 0, err
     said = json.loads(out)
-    assert said["end"] == "the time is over"
     assert said["calls"] > 20
     assert said["samples"] > 20
     assert 0.2 < said["delay"] < 1.0  # D of the plant and the network's, whatever the machine adds
