@@ -25,15 +25,15 @@ def rig(plant: Plant, name: str, calls: dict[str, Any], samples: dict[str, Any])
     panels += [
         Panel(quantity(plant, U), f"The commands {U}.", partial(_line, plant, t, calls[U])) for U in plant.inputs
     ]
-    ends = calls["rig.D_hat"][-1], samples["rig.acting"][order][-1]
+    ends = calls["rig.D_hat"][-1], samples["rig.delay"][order][-1]
     alt = "D_hat ends at {:.4g}, the stamps say {:.4g}.".format(*ends)
-    drawn = partial(_delay, plant, t, calls["rig.D_hat"], taken, samples["rig.acting"][order])
+    drawn = partial(_delay, plant, t, calls["rig.D_hat"], taken, samples["rig.delay"][order])
     panels.append(Panel(f"delay estimate {quantity(plant, 'D_hat')}", alt, drawn))
     age = calls["rig.age"]
     alt = f"In the middle {np.median(age):.3g}, at most {age.max():.3g}."
     panels.append(Panel(timed(plant, "age of the sample"), alt, partial(_line, plant, t, age)))
     caption = "A loop on a real clock: the samples that arrived, the commands, D̂ and the delay that the stamps say."
-    keys = (Key("by the controller", ESTIMATE), Key("by the stamps of the commands that act, so far", STAMPS))
+    keys = (Key("by the controller", ESTIMATE), Key("by the stamps, its mean so far", STAMPS))
     return Plate(name, "The rig", caption, tuple(panels), keys)
 
 
@@ -43,8 +43,8 @@ def _line(plant: Plant, t: np.ndarray, values: np.ndarray, axis: Axes) -> None:
 
 
 def _delay(
-    plant: Plant, t: np.ndarray, D_hat: np.ndarray, taken: np.ndarray, acting: np.ndarray, axis: Axes
+    plant: Plant, t: np.ndarray, D_hat: np.ndarray, taken: np.ndarray, delay: np.ndarray, axis: Axes
 ) -> None:  # fmt: skip
     axis.plot(t, D_hat, **ESTIMATE.line)
-    axis.plot(taken, acting, **STAMPS.line)
+    axis.plot(taken, delay, **STAMPS.line)
     axis.set_xlabel(timed(plant, "t"))

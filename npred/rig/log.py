@@ -22,9 +22,8 @@ TAIL = 4096  # bytes of the log's end that the live view reads
 #: of a call: D_hat and its spread, how old the used sample is, samples refused so far, 1 where the watchdog has U; how
 #: late the call was, how long it took
 CALL = ("rig.D_hat", "rig.D_hat_spread", "rig.age", "rig.refused", "rig.handed_over", "rig.late", "rig.took")
-#: of a sample: its number, its arrival, the means so far of the commands' delay, and of the acting command's age
-#: less half a control step
-SAMPLE = ("rig.number", "rig.arrival", "rig.delay", "rig.acting")
+#: of a sample: its number, its arrival, and the delay by the stamps of the commands, its mean so far
+SAMPLE = ("rig.number", "rig.arrival", "rig.delay")
 
 
 class LogFile:
@@ -76,7 +75,7 @@ def summary(plant: Plant, log: RigLog, dt: float) -> dict[str, Any]:
     slots = np.round((calls["t"] - late) / dt)
     return {
         "D_hat": _number(calls["rig.D_hat"][-1]), "D_hat_spread": _number(calls["rig.D_hat_spread"][-1]),
-        "delay": _number(samples["rig.delay"][-1]), "acting": _number(samples["rig.acting"][-1]),
+        "delay": _number(samples["rig.delay"][-1]),
         "seconds": float(calls["t"][-1]), "calls": len(late), "skipped": int((np.diff(slots) - 1).sum()),
         "without_sample": float(np.mean(np.diff(calls["t"] - calls["rig.age"]) < dt / 1000)),
         "refused": int(calls["rig.refused"][-1]), "handed_over": float(calls["rig.handed_over"].mean()),

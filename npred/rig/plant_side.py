@@ -30,9 +30,7 @@ class DelayedPlant:
         self.X, self.U = np.array(table.X0 or plant.target(0.0))[:, None], np.array(U0, dtype=float)[:, None]
         self._advance, self._share = advance_kernel(plant, RK4), np.ones((plant.m, 1))
         self._queue: deque[Packet] = deque()
-        self._last, self._sent_at, self._since = -1, math.nan, math.nan
-        self._ages = self._delays = 0.0
-        self.applied = 0
+        self._last, self._sent_at, self._since, self._ages = -1, math.nan, math.nan, 0.0
 
     def command(self, packet: Packet) -> None:
         """Take a command, in the order of arrival; one that is older than another before it is dropped."""
@@ -51,28 +49,21 @@ class DelayedPlant:
             self._step(min(t, next_change, self.t + self.step))
 
     @property
-    def delay(self) -> float:
-        """The mean time from the stamp of a command to where it acts, of those that did; NaN before."""
-        return self._delays / self.applied if self.applied else math.nan
-
-    @property
     def age(self) -> float:
         """The mean over time of how old the acting command is: the delay and half a control step, and more where
-        commands are lost."""
+        commands are lost; NaN before the first."""
         return self._ages / (self.t - self._since) if self.t > self._since else math.nan
 
     def _apply(self, packet: Packet) -> None:
-        if not self.applied:
+        if math.isnan(self._since):
             self._since = self.t
         self.U[:, 0], self._sent_at = packet.values, packet.sent_at
-        self._delays += self.t - packet.sent_at
-        self.applied += 1
 
     def _step(self, end: float) -> None:
         dt = end - self.t
         U = self.U + self.push.amplitude * math.sin(self.push.omega * (self.t + dt / 2))
         self._advance(self.X, U, U, self._share, dt, self.t, self.plant.p)
-        if self.applied:
+        if self.t >= self._since:
             self._ages += dt * (self.t + dt / 2 - self._sent_at)
         self.t = end
 
@@ -98,5 +89,5 @@ def run(
             for packet in link.arrived(t):
                 truth.command(packet)
             Y = sensed(truth.to(t), table.measurement, randomness.generator(network.seed, "sensors", k))
-            link.send(t, np.append(Y, (truth.delay, truth.age - table.dt / 2)))
+            link.send(t, np.append(Y, truth.age - table.dt / 2))
             k += 1

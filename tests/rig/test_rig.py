@@ -123,4 +123,4 @@ def test_identify_reads_the_log_and_finds_the_delay(start, tmp_path):
         command, cwd=tmp_path, env=process_environment(), capture_output=True, text=True, check=True
     )
     low, high = json.loads(answer.stdout)["interval"][0]
-    assert low <= json.loads(out)["acting"] <= high
+    assert low <= json.loads(out)["delay"] <= high
