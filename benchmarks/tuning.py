@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from npred import config, plants
+from npred.config import Tune
 from npred.terminal import waiting
 from npred.tuning.cost import Loops, Yardstick
 from npred.tuning.tune import gained, said, tune
@@ -29,27 +30,25 @@ def rows(name: str, cells: int, evaluations: int, jobs: int) -> list[tuple[str, 
     """A pipeline before, by CMA-ES, and by the grid."""
     sets = [*SETS[name], f"tune.evaluations={evaluations}"]
     pipeline = config.load(Path(__file__).parents[1] / "pipeline" / f"{name}.toml", sets)
-    plant, table = plants.resolve(pipeline.plant, pipeline.parameters), pipeline.tune
+    plant, table = plants.resolve(pipeline.plant, pipeline.parameters), pipeline.tune or Tune()
     result = tune(pipeline, plant, jobs)
     before = {each.name: each.before for each in result.numbers}
     axes = [np.geomspace(each.low, each.high, cells).tolist() for each in result.numbers]
-    training, held_out = (
-        Loops(pipeline, plant, states, purpose)
-        for states, purpose in ((table.starts, "training"), (table.held_out, "held out"))
-    )
+    training = Loops(pipeline, plant, table.starts, "training")
+    held_out = Loops(pipeline, plant, table.held_out, "held out")
     yardstick = Yardstick.of(training.run(before, _silent), table.effort, pipeline.evaluate.dt)
     grid = [dict(zip(before, values, strict=True)) for values in product(*axes)]
     costs = [float(yardstick.costs(training.run(numbers, _silent)).mean()) for numbers in grid]
     best = grid[int(np.argmin(costs))]
-    pair = [yardstick.costs(held_out.run(numbers, _silent)) for numbers in (before, best)]
-    gain, interval = gained(*pair, np.random.default_rng(0))
+    judged_before, judged = (yardstick.costs(held_out.run(numbers, _silent)) for numbers in (before, best))
+    gain, interval = gained(judged_before, judged, np.random.default_rng(0))
     (first, tuned), (judged, after) = result.training.cost, result.held_out.cost
     answer = _share(result.gain, result.interval) + ("" if result.gained else ", nothing to gain")
     return [
-        (name, "before", said(before), f"{first:.3f}", f"{judged:.3f}", "", ""),
-        ("", "CMA-ES", said({n.name: n.after for n in result.numbers}), f"{tuned:.3f}", f"{after:.3f}", answer,
+        (name, "before", said(before), f"{first:.3f}", f"{first_held_out:.3f}", "", ""),
+        ("", "CMA-ES", said({n.name: n.after for n in result.numbers}), f"{tuned:.3f}", f"{tuned_held_out:.3f}", answer,
          str(result.evaluations)),
-        ("", "grid", said(best), f"{min(costs):.3f}", f"{pair[1].mean():.3f}", _share(gain, interval), str(len(grid))),
+        ("", "grid", said(best), f"{min(costs):.3f}", f"{judged.mean():.3f}", _share(gain, interval), str(len(grid))),
     ]  # fmt: skip
 
 

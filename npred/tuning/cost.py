@@ -23,7 +23,7 @@ Progress = Callable[[int], None]
 
 
 @dataclass(frozen=True)
-class TunedLoops:
+class Settling:
     """Loops from S initial states, K of each: `time`, `effort` and whether each settles, (S, K); see `of`."""
 
     time: np.ndarray
@@ -31,7 +31,7 @@ class TunedLoops:
     settled: np.ndarray
 
     @classmethod
-    def of(cls, loops: Trajectories, plant: Plant, states: int) -> "TunedLoops":
+    def of(cls, loops: Trajectories, plant: Plant, states: int) -> "Settling":
         """The loops (states * K,) against the target X* and input U* of `plant`, whatever was tuned in them.
 
         time: the settling time (within 1 % of size(X*), npred.loop.metrics). A loop that does not settle in T = t_end
@@ -50,7 +50,7 @@ class TunedLoops:
         return cls(*(a.reshape(states, -1) for a in columns))
 
     @classmethod
-    def failed(cls, like: "TunedLoops", t_end: float) -> "TunedLoops":
+    def failed(cls, like: "Settling", t_end: float) -> "Settling":
         """Loops that cannot be simulated: as lost as one that leaves the finite numbers at once."""
         return cls(np.full_like(like.time, 4 * t_end), np.full_like(like.effort, np.inf), like.settled & False)
 
@@ -68,13 +68,13 @@ class Yardstick:
     weight: float
 
     @classmethod
-    def of(cls, present: TunedLoops, weight: float, dt: float) -> "Yardstick":
+    def of(cls, present: Settling, weight: float, dt: float) -> "Yardstick":
         """That of these loops; a time is at least dt, and an effort above 0."""
         efforts = present.effort[present.settled]
         effort = float(efforts.mean()) if efforts.size else 1.0
         return cls(max(float(present.time.mean()), dt), effort or 1.0, weight)
 
-    def costs(self, outcome: TunedLoops) -> np.ndarray:
+    def costs(self, outcome: Settling) -> np.ndarray:
         """The cost of each loop, (S, K)."""
         return outcome.time / self.time + self.weight * (1 - self.effort / (outcome.effort + self.effort))
 
@@ -101,22 +101,22 @@ class Loops:
         """Control steps of all loops together."""
         return sum(condition.steps for condition in self.conditions)
 
-    def run(self, numbers: Mapping[str, float], progress: Progress) -> TunedLoops:
+    def run(self, numbers: Mapping[str, float], progress: Progress) -> Settling:
         """The loops with these gamma, b and parameters, and the pipeline's numerical predictor."""
         plant = varied(self.plant, numbers)
-        parts = [self._outcome(condition, plant, numbers, progress) for condition in self.conditions]
+        parts = [self._settling(condition, plant, numbers, progress) for condition in self.conditions]
         columns = ("time", "effort", "settled")
-        return TunedLoops(*(np.concatenate([getattr(part, name) for part in parts], axis=1) for name in columns))
+        return Settling(*(np.concatenate([getattr(part, name) for part in parts], axis=1) for name in columns))
 
-    def _outcome(
+    def _settling(
         self, condition: Condition, plant: Plant, numbers: Mapping[str, float], progress: Progress
-    ) -> TunedLoops:
+    ) -> Settling:
         law = {name: numbers[name] for name in LAW if name in numbers}
         table = condition.table.model_copy(update=law)
         changed = Condition(table, condition.X0, condition.D, condition.D_hat, condition.t_end, condition.seed)
         predictor = numerical(table.predictor, plant, table.nx)
         loops = changed.loops(plant, predictor, every=EVERY, progress=progress)
-        return TunedLoops.of(loops, self.plant, self.states)
+        return Settling.of(loops, self.plant, self.states)
 
 
 def varied(plant: Plant, numbers: Mapping[str, float]) -> Plant:
@@ -125,7 +125,7 @@ def varied(plant: Plant, numbers: Mapping[str, float]) -> Plant:
 
 
 def gains(plant: Plant) -> list[str]:
-    """The parameters that kappa alone reads, not f, the delay, the reference or the limits: a user may choose them.
+    """The parameters that kappa reads, and neither f nor the delay, the reference or the limits: a user's choice.
 
     Raises ConfigError for a plant whose formulas cannot be read.
     """

@@ -19,7 +19,7 @@ from npred.plants import Plant
 from npred.results import JudgedLoops, Tuned, TunedNumber
 from npred.terminal import interruption
 from npred.terminal.console import Console
-from npred.tuning.cost import LAW, Loops, Progress, TunedLoops, Yardstick, gains
+from npred.tuning.cost import LAW, Loops, Settling, Progress, Yardstick, gains
 
 SPREAD = 0.25  # standard deviation that a search starts with, as a share of each range
 FAR = {"gamma": 100.0, "b": 100.0}  # a default range is the present number divided and multiplied by this …
@@ -84,8 +84,8 @@ class _Best:
 
     numbers: dict[str, float]
     cost: float
-    training: TunedLoops
-    held_out: TunedLoops
+    training: Settling
+    held_out: Settling
 
 
 def tune(pipeline: Pipeline, plant: Plant, jobs: int = 1, console: Console | None = None) -> Tuned:
@@ -146,12 +146,12 @@ class _Search:
                 self.best = _Best(numbers[k], costs[k], outcomes[k], judged)
                 self.console.detail(f"tune: cost {costs[k]:.4g} after {self.tried}: {said(numbers[k])}")
 
-    def _loops(self, numbers: Mapping[str, float], progress: Progress) -> TunedLoops:
+    def _loops(self, numbers: Mapping[str, float], progress: Progress) -> Settling:
         try:
             return self.loops.run(numbers, progress)
         except ConfigError as error:  # of a law without an equilibrium
             self.console.detail(f"tune: {said(numbers)}: {error}")
-            return TunedLoops.failed(self.present.training, self.loops.conditions[0].t_end)
+            return Settling.failed(self.present.training, self.loops.conditions[0].t_end)
 
 
 def _started(start: np.ndarray, size: int, rng: np.random.Generator) -> Any:
@@ -206,7 +206,7 @@ def _result(
     )  # fmt: skip
 
 
-def _judged(yardstick: Yardstick, outcomes: Sequence[TunedLoops]) -> JudgedLoops:
+def _judged(yardstick: Yardstick, outcomes: Sequence[Settling]) -> JudgedLoops:
     before, after = outcomes
     return JudgedLoops(
         loops=before.time.size,
@@ -216,5 +216,5 @@ def _judged(yardstick: Yardstick, outcomes: Sequence[TunedLoops]) -> JudgedLoops
     )
 
 
-def _settle_time(outcome: TunedLoops) -> float | None:
+def _settle_time(outcome: Settling) -> float | None:
     return float(outcome.time[outcome.settled].mean()) if outcome.settled.any() else None

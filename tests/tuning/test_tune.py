@@ -15,7 +15,7 @@ from npred.config import Pipeline
 from npred.errors import ConfigError
 from npred.results import Tuned
 from npred.terminal.console import Console
-from npred.tuning.cost import Loops, TunedLoops, Yardstick, gains
+from npred.tuning.cost import Loops, Settling, Yardstick, gains
 from npred.tuning.tune import gained, tune
 
 PLANT = """
@@ -89,7 +89,7 @@ def test_the_search_ends_at_the_least_cost_of_the_closed_form():
         times, efforts = exact(X0, k)
         return float(np.mean(times / time + efforts / (efforts + effort)))
 
-    best = minimize_scalar(cost, bounds=(0.5, 6.0), method="bounded", options={"xatol": 1e-6})
+    best: Any = minimize_scalar(cost, bounds=(0.5, 6.0), method="bounded", options={"xatol": 1e-6})
     assert 0.6 < best.x < 5.9  # inside the range
     assert cost(result.numbers[0].after) == pytest.approx(best.fun, rel=2e-3)
     assert result.training.cost[1] == pytest.approx(best.fun, rel=5e-3)
@@ -149,7 +149,7 @@ def test_lost_loops_cost_more_than_any_that_settles_and_are_in_order():
         for k in (1.0, -0.1, -0.3, -0.6)
     ]
     assert outcomes[0] < T and np.all(np.diff(outcomes) > 0) and outcomes[1] > 2 * T and outcomes[3] < 3 * T
-    failed = TunedLoops.failed(Loops(chosen, plant, 2, "training").run({"k": 1.0}, lambda steps: None), T)
+    failed = Settling.failed(Loops(chosen, plant, 2, "training").run({"k": 1.0}, lambda steps: None), T)
     assert (failed.time == 4 * T).all() and not failed.settled.any()
     assert np.isfinite(Yardstick(1.0, 1.0, 0.1).costs(failed)).all()
 
