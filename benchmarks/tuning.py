@@ -42,7 +42,7 @@ def rows(name: str, cells: int, evaluations: int, jobs: int) -> list[tuple[str, 
     best = grid[int(np.argmin(costs))]
     judged_before, judged = (yardstick.costs(held_out.run(numbers, _silent)) for numbers in (before, best))
     gain, interval = gained(judged_before, judged, np.random.default_rng(0))
-    (first, tuned), (judged, after) = result.training.cost, result.held_out.cost
+    (first, tuned), (first_held_out, tuned_held_out) = result.training.cost, result.held_out.cost
     answer = _share(result.gain, result.interval) + ("" if result.gained else ", nothing to gain")
     return [
         (name, "before", said(before), f"{first:.3f}", f"{first_held_out:.3f}", "", ""),

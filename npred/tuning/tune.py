@@ -19,7 +19,7 @@ from npred.plants import Plant
 from npred.results import JudgedLoops, Tuned, TunedNumber
 from npred.terminal import interruption
 from npred.terminal.console import Console
-from npred.tuning.cost import LAW, Loops, Settling, Progress, Yardstick, gains
+from npred.tuning.cost import LAW, Loops, Progress, Settling, Yardstick, gains
 
 SPREAD = 0.25  # standard deviation that a search starts with, as a share of each range
 FAR = {"gamma": 100.0, "b": 100.0}  # a default range is the present number divided and multiplied by this …
