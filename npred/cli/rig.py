@@ -74,7 +74,7 @@ def run(options: Rigged, plant: Plant, controller: Controller, channel: Channel,
         for (target, values), (_, theirs) in zip(work, pipes, strict=True):
             sides.append(context.Process(target=target, args=(*values, theirs)))
             sides[-1].start()
-            theirs.close()  # only the side itself holds its end: the other one sees at once that it is gone
+            theirs.close()  # else this process would keep open what a side closes by its end
         for end in ends:
             end.close()
         ours = [pipe for pipe, _ in pipes]
