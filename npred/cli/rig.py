@@ -41,7 +41,7 @@ def rig(options: Rigged, output: Path | None, figure: Path | None) -> None:
     if plant.declares_delay or not plant.one_delay or plant.time_unit != "s":
         raise ConfigError(f"rig: expected a plant with one delay and in seconds, got {plant.name}; take another")
     controller = _controller(options, plant, channel)
-    with interruption.orderly():
+    with interruption.orderly("interrupted; the log has all up to then"):
         late = run(options, plant, controller, channel, path)
     written = log.read(path)
     if written.why != log.OVER:

@@ -25,7 +25,7 @@ _bells: list[socket.socket] = []  # what the interpreter writes the number of ea
 _heard: list[int] = []
 _said: list[str] = []
 _saying = _thread.allocate_lock()
-_orderly: list[None] = []
+_orderly: list[str] = []  # what is said of the work that is asked to end
 
 
 def listen() -> None:
@@ -68,13 +68,14 @@ def check() -> None:
 
 
 @contextmanager
-def orderly() -> Iterator[None]:
-    """In the block a signal gives the work GRACE seconds to end by itself, at its next `check`."""
-    _orderly.append(None)
+def orderly(line: str = LINE) -> Iterator[None]:
+    """A signal gives the work in the block GRACE seconds to end, at its next `check`; `line` is said of it then."""
+    _orderly.append(line)
     try:
         yield
     finally:
-        _orderly.pop()
+        if not _heard:
+            _orderly.pop()
 
 
 def code() -> int:
@@ -86,8 +87,12 @@ def say(error: Callable[[str], None]) -> None:
     """Say once, with this function, that the command was interrupted."""
     with _saying:  # _leave waits for it, or it would cut the line
         if not (_heard and _said):
-            error(LINE)
-            _said.append(LINE)
+            error(_line())
+            _said.append(_line())
+
+
+def _line() -> str:
+    return _orderly[-1] if _orderly else LINE
 
 
 def _note(number: int, frame: FrameType | None) -> None:
@@ -120,7 +125,7 @@ def _leave() -> None:
         if sys.stderr and sys.stderr.isatty():
             os.write(2, SHOW_CURSOR)
         if not said:
-            os.write(2, f"error: {LINE}\n".encode())
+            os.write(2, f"error: {_line()}\n".encode())
     if util := sys.modules.get("multiprocessing.util"):
         _bounded(lambda: util._run_finalizers(0))  # or the process that watches semaphores says that they are left
     os._exit(code())
