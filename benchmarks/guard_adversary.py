@@ -2,10 +2,12 @@
 
     python benchmarks/guard_adversary.py [MODEL] [--nx 51] [--states box|data|domain]
     python benchmarks/guard_adversary.py --table --calls 100_000 --seconds 3600
+    python benchmarks/guard_adversary.py --states data --recombined 240000
 
 MODEL is pipeline/paper.toml:deeponet by default, and has to be trained. One row of a Markdown table is printed; with
 `--table` those of docs/guard.md. Inputs are u and D_hat in the ranges of the data, and X in the plant's box, as `npred
 certify` searches, or in the range of the data; with `--states domain` all three as far as the guard's domain reaches.
+`--recombined` searches nothing: X, u, D_hat and the time are those of rows of the data, each of another one.
 
 Neither the guard, nor npred's integrators, nor its plants say here what the true U is. Hill climbing from rows of the
 data, and CMA-ES from the best that it came to, maximise the error of U among the calls that pass. That error is the
@@ -273,13 +275,16 @@ class Ranges:
         t = v[:, -1] if self.clocked else np.zeros(len(v))
         return Calls(v[:, : self.n], v[:, self.n : self.end].reshape(-1, self.nx, self.m), v[:, self.end], t)
 
+    def of_rows(self, data: Dataset, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: np.ndarray) -> np.ndarray:
+        """The nearest coordinates of calls (B, k) whose X, u, D_hat and time are those of these rows of the data."""
+        inputs = grid.refine(data.u[u], self.nx).reshape(len(u), -1)
+        clock = (data.t[t, None] % self.high[-1])[:, : int(self.clocked)]
+        v = np.concatenate([data.X[X], inputs, data.D_hat[D_hat, None], clock], axis=1)
+        return np.clip((v - self.low) / np.where(self.high > self.low, self.high - self.low, 1.0), 0.0, 1.0)
+
     def starts(self, rng: np.random.Generator, data: Dataset, count: int) -> np.ndarray:
         """Rows of the data, at the nearest coordinates; half of them with X anywhere in its range."""
-        rows = rng.integers(0, len(data), count)
-        u = grid.refine(data.u[rows], self.nx).reshape(count, -1)
-        clock = (data.t[rows, None] % self.high[-1])[:, : int(self.clocked)]
-        v = np.concatenate([data.X[rows], u, data.D_hat[rows, None], clock], axis=1)
-        z = np.clip((v - self.low) / np.where(self.high > self.low, self.high - self.low, 1.0), 0.0, 1.0)
+        z = self.of_rows(data, *[rng.integers(0, len(data), count)] * 4)
         z[::2, : self.n] = rng.uniform(size=z[::2, : self.n].shape)
         return z
 
@@ -400,6 +405,13 @@ class Search:
             best = self.evolve(self.climb(z, over)[:KEPT], z[self.rng.permutation(len(z))], over)
         self.count()
 
+    def recombine(self, count: int) -> None:
+        """Judge calls whose X, u, D_hat and time come from a row of the data each."""
+        while self.made < count:
+            rows = self.rng.integers(0, len(self.data), (4, min(count - self.made, PENDING)))
+            self.score(self.ranges.of_rows(self.data, *rows))
+        self.count()
+
     def climb(self, z: np.ndarray, over: Callable[[], bool]) -> np.ndarray:
         """Random moves of each chain that are kept where the score is larger; the chains, the best first."""
         score = self.score(z)
@@ -466,7 +478,10 @@ def row(options: argparse.Namespace) -> list[str]:
     data = shards.survey(load_data(options.model.rpartition(":")[0], options.store).folder / "data.h5")
     search = Search(guard, SYSTEMS[guard.plant.name], data, options.states, options.seed)
     judge(guard, search.system, search.ranges.calls(search.ranges.starts(search.rng, data, 2)))  # compiles
-    search.run(options.seconds, options.calls)
+    if options.recombined:
+        search.recombine(options.recombined)
+    else:
+        search.run(options.seconds, options.calls)
     errors, exact = search.confirmed()
     if options.output and len(exact):
         z = np.concatenate([search.worst, search.sample])
@@ -491,6 +506,7 @@ def main() -> None:
     parser.add_argument("--tolerance", type=float, default=0.01)
     parser.add_argument("--seconds", type=float, default=60.0, help="of a search; its DOP853 comes after it")
     parser.add_argument("--calls", type=float, default=np.inf, help="after which it ends too: the same on any machine")
+    parser.add_argument("--recombined", type=int, default=0, help="instead of a search so many rows of the data, mixed")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--store", type=Path, default=None)
     parser.add_argument("--output", type=Path, help="a .npz for the calls that DOP853 looked at")

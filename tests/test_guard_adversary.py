@@ -158,6 +158,16 @@ def test_it_finds_the_blind_spot(data, monkeypatch, states):
     assert exact.min() > TOLERANCE and exact[0] == pytest.approx(search.largest, rel=1e-4)
 
 
+def test_recombined_calls_take_each_input_from_a_row_of_its_own(data):
+    search = adversary.Search(guard(Blind, Wrong(PLANT, NX), data), adversary.SYSTEMS[PLANT.name], data, "data", 1)
+    rows = np.random.default_rng(2).integers(0, len(data), (4, 30))
+    made = search.ranges.calls(search.ranges.of_rows(data, *rows))
+    for name, taken in zip(("X", "u", "D_hat"), rows, strict=False):
+        np.testing.assert_allclose(getattr(made, name), getattr(data, name)[taken], rtol=1e-12)
+    search.recombine(700)
+    assert search.made == 700 and search.above > 20
+
+
 def test_of_a_numerical_predictor_it_finds_nothing(data, monkeypatch):
     search = searched(Guarded, RK4(PLANT, NX), data, monkeypatch)
     assert search.passed > 300
