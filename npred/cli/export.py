@@ -11,6 +11,7 @@ import numpy as np
 from npred import config, defaults, grid, operators, plants
 from npred.cli import data_exchange
 from npred.cli.options import Common, Exporting, writable, writable_folder
+from npred.conditions import condition
 from npred.config import Evaluate
 from npred.data import shards
 from npred.data.dataset import Dataset
@@ -195,10 +196,12 @@ def of_table(plant: Plant, predictor: Predictor, table: Evaluate, actuator: str,
     limits = inputs.bounds(plant, table.input_bounds)
     start = np.array([table.X0]) if table.X0 else np.zeros((1, plant.n))
     u0 = inputs.before(plant, table.u0, limits, start)[0] if table.u0 == inputs.LAW else table.u0
+    actuator = actuator or table.actuator
+    more |= {"observer": condition.state_observer(plant, table)} if actuator == HISTORY else {}
     return Controller(
         plant, predictor, delay_law.resolve(table, plant), table.dt,
         D_hat=None if plant.declares_delay else table.D_hat0, input_bounds=table.input_bounds,
-        actuator=actuator or table.actuator, u0=u0, **more,
+        actuator=actuator, u0=u0, **more,
     )  # fmt: skip
 
 
@@ -228,4 +231,5 @@ def _steps(controller: Controller, table: Evaluate) -> c_controller.Test:
     )  # fmt: skip
     samples = run.samples
     assert samples is not None
-    return np.array(samples.X), None if recalls else np.array(samples.u)
+    X = np.array(samples.X)
+    return controller.observer.measured(X) if controller.observer else X, None if recalls else np.array(samples.u)

@@ -65,15 +65,16 @@ def run(options: Rigged, plant: Plant, controller: Controller, channel: Channel,
     truth = condition.truth(plant, table) or plant
     work: list[tuple[Any, tuple[Any, ...]]] = [
         (controller_side.run, (controller, ends[0], channel, seconds, path)),
-        (plant_side.run, (truth, table, controller.u0, ends[1], channel)),
+        (plant_side.run, (truth, table, controller.u0, controller.observer, ends[1], channel)),
         (clock.only_wait, (controller.dt, seconds)),
     ]
     pipes, sides = [context.Pipe() for _ in work], []
     path.unlink(missing_ok=True)
     try:
         for (target, values), (_, theirs) in zip(work, pipes, strict=True):
-            sides.append(context.Process(target=target, args=(*values, theirs)))
-            sides[-1].start()
+            side = context.Process(target=target, args=(*values, theirs))
+            side.start()
+            sides.append(side)
             theirs.close()  # else this process would keep open what a side closes by its end
         for end in ends:
             end.close()

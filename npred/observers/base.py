@@ -78,6 +78,11 @@ class Observer(ABC):
         """The number of states and offsets that are observed."""
         return self.plant.n + self.plant.m * self.offset
 
+    def __getstate__(self) -> dict[str, Any]:
+        """What it is made of; what was compiled is made again on use."""
+        compiled = {name for name in dir(type(self)) if isinstance(getattr(type(self), name), cached_property)}
+        return {name: value for name, value in vars(self).items() if name not in compiled}
+
     @abstractmethod
     def start(self) -> np.ndarray:
         """The memory to begin with, of one axis."""

@@ -11,6 +11,7 @@ import numpy as np
 from npred import randomness
 from npred.config import Evaluate, Sensors
 from npred.loop.engine import advance_kernel
+from npred.observers import Observer
 from npred.plants import Plant
 from npred.predictors import RK4
 from npred.rig import clock
@@ -77,9 +78,10 @@ def sensed(X: np.ndarray, sensors: Sensors, rng: np.random.Generator) -> np.ndar
 
 
 def run(
-    plant: Plant, table: Evaluate, U0: np.ndarray, end: socket.socket, network: Channel, parent: Connection
+    plant: Plant, table: Evaluate, U0: np.ndarray, observer: Observer | None, end: socket.socket, network: Channel,
+    parent: Connection,
 ) -> None:  # fmt: skip
-    """Be the plant, until the controller or the parent is gone."""
+    """Be the plant, until the controller or the parent is gone; samples are what the `observer` is to get of X."""
     truth, period = DelayedPlant(plant, table, U0), table.measurement.period or table.dt
     link, k = UdpLink(end, network, "commands", clock.agreed(parent)), 0
     with suppress(ConnectionError):
@@ -88,6 +90,8 @@ def run(
             link.until(t)
             for packet in link.arrived(t):
                 truth.command(packet)
-            Y = sensed(truth.to(t), table.measurement, randomness.generator(network.seed, "sensors", k))
+            X = truth.to(t)
+            rng = randomness.generator(network.seed, "sensors", k)
+            Y = sensed(observer.measured(X) if observer else X, table.measurement, rng)
             link.send(t, np.append(Y, truth.age - table.dt / 2))
             k += 1

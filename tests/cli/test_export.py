@@ -135,6 +135,17 @@ def test_a_controller_with_a_watchdog_that_takes_older_samples(export, trained):
     assert run("npred/npred.c", "-DNPRED_TEST").returncode == 0
 
 
+def test_a_controller_with_the_observer_of_its_pipeline(export, tmp_path):
+    """Of the two states only the second is measured; the program in the file repeats steps in Python."""
+    lines = ['plant = "chemostat"', "[evaluate]", "X0 = [2.0, 2.0]", "D = 0.5", "D_hat0 = 0.5", 'adaptation = "frozen"']
+    lines += ['actuator = "history"', 'observer = { kind = "ekf", outputs = ["S"], offset = true }']
+    (tmp_path / "seen.toml").write_text("\n".join(lines))
+    done = export("controller", "--predictor", "rk4", "--nx", "21", model=str(tmp_path / "seen.toml"))
+    assert done.exit_code == 0, done.output
+    assert "NPRED_N_OUTPUTS = 1" in Path("npred/npred.h").read_text()
+    assert run("npred/npred.c", "-DNPRED_TEST").returncode == 0
+
+
 @pytest.mark.parametrize(
     ("flags", "message"),
     [

@@ -1,5 +1,7 @@
 """The extended Kalman filter against SciPy and against formulas with matrices, which share no code with it."""
 
+import pickle
+
 import numpy as np
 import pytest
 from driven import driven
@@ -23,6 +25,7 @@ from observed import (
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm, solve_discrete_are
 
+import npred
 from npred.errors import ConfigError
 from npred.observers import EKF
 from npred.observers.ekf import factors
@@ -275,3 +278,15 @@ def test_what_does_not_fit_is_refused_in_one_line(make, words):
     with pytest.raises(ConfigError) as caught:
         make()
     assert words in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_an_observer_pickles_with_the_controller_that_has_it():
+    plant = npred.plant("cart_pole")
+    ekf = npred.observers.EKF(plant, outputs=("p", "theta"), offset=True)
+    controller = npred.controller(
+        plant, npred.predictor("rk4", plant, 21), None, 0.01, D_hat=0.1, actuator="history", observer=ekf
+    )
+    for k in range(5):
+        controller.step([0.1, 0.01 * k])
+    copy = pickle.loads(pickle.dumps(controller))
+    assert (copy.step([0.1, 0.02]) == controller.step([0.1, 0.02])).all()
