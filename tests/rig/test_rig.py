@@ -102,7 +102,7 @@ def test_a_side_that_is_killed_ends_the_other_with_its_log_whole(start, tmp_path
     assert (assert_whole(path) == "# end: the plant is gone") == (place == 1)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+@pytest.mark.parametrize("number", [signal.SIGINT, getattr(signal, "SIGKILL", None)])
 def test_no_process_is_left_where_the_command_ends(start, tmp_path, number):
     process, path = start("--seconds", "600"), tmp_path / "log.csv"
     wait_for_rows(path, 60)
@@ -123,4 +123,4 @@ def test_identify_reads_the_log_and_finds_the_delay(start, tmp_path):
         command, cwd=tmp_path, env=process_environment(), capture_output=True, text=True, check=True
     )
     low, high = json.loads(answer.stdout)["interval"][0]
-    assert low <= json.loads(out)["delay"] <= high
+    assert low - 0.02 <= json.loads(out)["delay"] <= high + 0.02  # a control step beside the 95 %

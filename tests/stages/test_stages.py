@@ -262,6 +262,8 @@ def still(t, X):
         X[:, 0],
         zeros > 0,
         np.zeros(len(X)),
+        zeros > 0,
+        np.zeros(len(X)),
         len(t),
     )
 
