@@ -102,6 +102,11 @@ def _status(controller: Controller) -> Iterator[Variable]:
     if controller.watchdog:
         about = "whether the watchdog has the command"
         yield Variable("handed_over", "output", "HANDED_OVER", (0.0,), about, boolean=True)
+    if controller.safety:
+        yield Variable("filtered", "output", "FILTERED", (0.0,), "whether the safety filter changed U", boolean=True)
+        about = "whether the bounds of U left no way to keep the limits"
+        yield Variable("unkept", "output", "UNKEPT", (0.0,), about, boolean=True)
+        yield Variable("kept", "output", "KEPT", (0.0,), "the least limit of the predicted states, safe at 0 or above")
     if controller.settings.offsets:
         for name in plant.inputs:
             about = "estimated, added to the command before the plant"

@@ -83,6 +83,10 @@ CASES = {
     ),
     "EKF, no gate": lambda: controller(MOTOR, observer=npred.observers.EKF(MOTOR), gate=None),
     "safety filter": lambda: controller(MOTOR, delays(), safety=npred.SafetyFilter(3.0, delay=0.02)),
+    "safety filter, delay known": lambda: controller(MOTOR, safety=npred.SafetyFilter(3.0)),
+    "safety filter, EKF, offset": lambda: controller(
+        MOTOR, safety=npred.SafetyFilter(3.0, delay=0.02), observer=npred.observers.EKF(MOTOR, offset=True)
+    ),
     "Luenberger": lambda: controller(MOTOR, observer=npred.observers.Luenberger(MOTOR, offset=True)),
 }  # fmt: skip
 

@@ -19,6 +19,8 @@ import npred
 from npred.cli import app
 from npred.errors import ConfigError, DivergedError, NpredError
 from npred.loop.controller import Controller
+from npred.plants import Plant
+from npred.plants.builtin.activator_repressor import ActivatorRepressor
 from npred.predictors.guarded import Guarded
 from npred.runtimes import c_files, fmu
 from npred.runtimes.fused import Fused
@@ -60,6 +62,22 @@ def estimating():
     law, watchdog = npred.DelayObserver(bounds=(0.05, 0.4), candidates=15), npred.Watchdog(5.5 * DT, "zero")
     named = {"observer": observer, "watchdog": watchdog, "actuator": "history"}
     return Controller(PLANT, npred.predictor("heun", PLANT, 21), law, DT, D_hat=0.2, **named)
+
+
+class Limited(ActivatorRepressor):
+    """The repressor is to stay above a floor, with an input that cannot always do so."""
+
+    input_bounds = ((-0.5, 0.5),)
+
+    def safe(x, t, p, M):
+        return [x.x2 - 18.0]
+
+
+def protecting():
+    plant, safety = Plant("limited", Limited), npred.SafetyFilter(2.0, delay=0.02)
+    return Controller(
+        plant, npred.predictor("heun", plant, 21), None, DT, D_hat=0.2, actuator="history", gate=None, safety=safety
+    )
 
 
 CASES = {
@@ -188,6 +206,19 @@ def test_samples_that_are_late_or_missing_and_the_status_are_those_of_python(ins
         seen |= {status.late > 0, 10 * (status.refused > 0), 20 + status.handed_over}
     assert seen >= {True, 10} and run.messages == []
     assert make is turning or (seen >= {20, 21} and "offset.U" in run.places)
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_what_a_safety_filter_did_is_that_of_python(instance, version):
+    run, controller, seen = instance(protecting, version), protecting(), set()
+    for k in range(200):
+        X = np.array(X0) * (1 + 0.3 * np.sin(0.1 * k))
+        np.testing.assert_allclose(run.step(X), controller.step(X), rtol=1e-12, atol=1e-15)
+        status = controller.status
+        assert (run.flag("filtered"), run.flag("unkept")) == (status.filtered, status.unkept)
+        assert run.get("kept") == pytest.approx(status.kept, rel=1e-12)
+        seen |= {"filtered" if status.filtered else "free", "unkept" if status.unkept else "kept"}
+    assert seen == {"filtered", "free", "unkept", "kept"}
 
 
 def test_before_the_first_sample_it_says_so(instance):

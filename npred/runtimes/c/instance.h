@@ -267,6 +267,11 @@ static void read_status(Instance *self)
 #ifdef AT_HANDED_OVER
     values[AT_HANDED_OVER] = status.handed_over;
 #endif
+#ifdef AT_FILTERED
+    values[AT_FILTERED] = status.filtered;
+    values[AT_UNKEPT] = status.unkept;
+    values[AT_KEPT] = (double)status.kept;
+#endif
 #ifdef AT_OFFSET
     copy_out(values + AT_OFFSET, status.offset, NPRED_M_INPUTS);
 #endif
