@@ -17,6 +17,7 @@ from npred.loop.delay_law import DelayLaw, part
 from npred.loop.engine import Engine
 from npred.loop.status import Status
 from npred.loop.watchdog import Watchdog
+from npred.observers import Observer
 from npred.plants import inputs
 from npred.plants.base import Plant
 from npred.predictors import RK4, Predictor
@@ -323,6 +324,8 @@ class Controller:
                 raise ConfigError(f'{name}: expected actuator="history", got {self.actuator!r}; give it, or no {name}')
         if self.safety is not None and self.safety.delay and not self._recalls:
             raise ConfigError(f'safety: an uncertain delay expected actuator="history", got {self.actuator!r}; give it')
+        if self.observer is not None and not isinstance(self.observer, Observer):
+            raise ConfigError(f"observer: expected one of npred.observers, got {self.observer!r}; make one")
         if self.watchdog is not None and not isinstance(self.watchdog, Watchdog):
             raise ConfigError(f"watchdog: expected npred.Watchdog, got {self.watchdog!r}; make one")
 
