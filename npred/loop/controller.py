@@ -428,7 +428,7 @@ class Controller:
         last = self.t - self.dt
         if not last < now < math.inf:
             raise ConfigError(
-                f"t: expected a time after that of the last call, {last:.9g}, got {now:.9g}; give the clock's"
+                f"t: expected a time after that of the last call, {last:.9g}, got {now:.9g}; use one clock"
             )
         return _snapped((now - last) / self.dt)
 

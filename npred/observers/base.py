@@ -87,13 +87,21 @@ class Observer(ABC):
     def start(self) -> np.ndarray:
         """The memory to begin with, of one axis."""
 
-    @abstractmethod
     def follow(self) -> Kernel:
         """npred.delays.family.FOLLOW: the memory a step on, by the inputs that act meanwhile."""
+        return self._follow
 
-    @abstractmethod
     def correct(self) -> Kernel:
         """npred.delays.family.CORRECT_BY: the memory corrected by a sample, and what the sample differs by."""
+        return self._correct
+
+    @property
+    @abstractmethod
+    def _follow(self) -> Kernel: ...
+
+    @property
+    @abstractmethod
+    def _correct(self) -> Kernel: ...
 
     def fitting(self, name: str, value: Any, size: int) -> np.ndarray:
         """Finite numbers (size,), or one for all. Raises ConfigError for others."""

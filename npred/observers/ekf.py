@@ -65,12 +65,6 @@ class EKF(Observer):
         U = np.triu(stored, 1) + np.eye(self.size)
         return (U * np.diag(stored)) @ U.T
 
-    def follow(self) -> Kernel:
-        return self._follow
-
-    def correct(self) -> Kernel:
-        return self._correct
-
     @cached_property
     def _follow(self) -> Kernel:
         n, m, of = self.plant.n, self.plant.m, Formulas(self.plant, ())

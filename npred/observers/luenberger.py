@@ -56,12 +56,6 @@ class Luenberger(Observer):
     def start(self) -> np.ndarray:
         return np.concatenate([self.X0, np.zeros(self.plant.m), self.measured(self.X0)])
 
-    def follow(self) -> Kernel:
-        return self._follow
-
-    def correct(self) -> Kernel:
-        return self._correct
-
     @cached_property
     def _follow(self) -> Kernel:
         n, m, count, of = self.plant.n, self.plant.m, len(self.outputs), Formulas(self.plant, ())
