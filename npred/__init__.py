@@ -69,5 +69,5 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """The public names before their first use too, and the modules imported so far."""
-    return sorted({*__all__, *_MODULES, *globals()} - {"Any", "TYPE_CHECKING"})
+    """The public names, before their first use too."""
+    return sorted({*__all__, *_MODULES, "__doc__", "__version__"})

@@ -25,6 +25,7 @@ from npred.results import Evaluated, Generated, Result, Trained
 from npred.store import Store
 from npred.terminal import live_view, waiting
 from npred.terminal.console import Console
+from npred.terminal.notebook import InNotebook
 
 if TYPE_CHECKING:
     from npred.data.dataset import Dataset
@@ -34,7 +35,7 @@ Source = Plant | str | Path | Pipeline
 
 
 @dataclass(frozen=True)
-class Made(Generic[Kind]):
+class Made(InNotebook, Generic[Kind]):
     """What a stage has found: `result`, its numbers by name; `folder` and `key` in the store; `action`, `hit` or `run`.
 
     `print` shows what the command line prints of it.

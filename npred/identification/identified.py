@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from npred.plants import Plant
+from npred.terminal.notebook import InNotebook
 
 CERTAIN = 0.5  # of the range of delays: a wider interval says nothing
 ODD, FAR = 2.0, 4.0  # times what was allowed: a parameter that is looked at, and one that explains something else
@@ -31,7 +32,7 @@ class Windows:
 
 
 @dataclass(frozen=True)
-class Identified:
+class Identified(InNotebook):
     """Delays D (m,) with intervals of 95 % (m, 2); the parameters that were freed; errors on what was held back.
 
     `identifiable` (m,) is False where the log does not tell the delay: the interval holds what it does tell. Of

@@ -23,6 +23,7 @@ from npred.plants.base import Plant
 from npred.predictors import RK4, Predictor
 from npred.safety import SafetyFilter
 from npred.symbolic import source_lines
+from npred.terminal.notebook import InNotebook
 
 DELAYS = 5.0  # times the delay at a plant's target, where it declares one, are commands kept
 OLDEST = 20  # control steps, by default the largest age of a sample
@@ -31,7 +32,7 @@ SNAP = 1e-6  # of a control step: times this close to a regular clock's are on i
 STEPS = 2**53  # beyond it a float64, as step * dt is one, no longer counts one by one
 
 
-class Controller:
+class Controller(InNotebook):
     """U = kappa(P(1)), P from the predictor, and D_hat' = gamma Proj{D_hat, phi} [DAPF, eqs. 9-14], each dt seconds.
 
     With `actuator="measured"` each step is given u, so D_hat, phi of the last step and the time are all that it

@@ -119,12 +119,21 @@ class Trajectories:
     def __repr__(self) -> str:
         return trajectory_views.summary(self)
 
-    def plot(self, D: Any = None) -> Any:
+    def _repr_html_(self) -> str:
+        return trajectory_views.html(self)
+
+    def plot(self, D: Any = None, ax: Any = None, label: str | None = None) -> Any:
         """States, inputs and D_hat over time, a panel each, all loops in each; `D` (...) adds the true delay, dashed.
 
         Gives matplotlib's axes (n + m + 1,); their figure is `axes[0].figure`, shown by matplotlib.pyplot.show().
+        Loops are compared in one figure with a label each, which has one colour in all panels:
+
+            axes = first.plot(label="first")
+            second.plot(ax=axes, label="second")
+
+        Raises ConfigError where `ax` is not as many axes as there are series.
         """
-        return trajectory_views.plot(self, D)
+        return trajectory_views.plot(self, D, ax, label)
 
     def to_dataframe(self) -> Any:
         """A pandas DataFrame: a row per kept time, a column per state and input, and D_hat; the index is t in seconds.

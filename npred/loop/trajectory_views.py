@@ -1,7 +1,8 @@
 """Views of closed loops: a summary in text, a plot, a data frame."""
 
+import io
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -9,9 +10,12 @@ import numpy as np
 
 from npred import array_checks
 from npred.errors import ConfigError, MissingError
+from npred.terminal import notebook
 
 if TYPE_CHECKING:
     from npred.loop.trajectories import Trajectories
+
+DRAWN = 20  # loops, at most, in a notebook without a call
 
 
 def summary(loops: "Trajectories") -> str:
@@ -56,23 +60,64 @@ def infeasible(loops: "Trajectories") -> tuple[str, str] | None:
     return f"first at control step {steps[loop]}, {at}:", margin
 
 
-def plot(loops: "Trajectories", D: Any = None) -> np.ndarray:
+def plot(loops: "Trajectories", D: Any = None, ax: Any = None, label: str | None = None) -> np.ndarray:
     """A panel for each state, input and D_hat, all loops in each; the axes (n + m + 1,). D adds the true delay."""
-    from matplotlib import pyplot
-
     named = dict(series(loops))
-    _, axes = pyplot.subplots(
-        len(named), 1, sharex=True, squeeze=False, figsize=(6.4, 1.0 + 1.2 * len(named)), layout="constrained"
-    )
-    for panel, (name, values) in zip(axes[:, 0], named.items(), strict=True):
-        panel.plot(loops.t, values.reshape(-1, len(loops.t)).T, linewidth=1.2)
+    axes = _panels(len(named)) if ax is None else _taken(ax, [*named])
+    # what has a label has one colour in all panels, the next one of matplotlib's cycle
+    colour = {} if label is None else {"color": f"C{len(axes[0].get_legend_handles_labels()[1])}"}
+    for panel, (name, values) in zip(axes, named.items(), strict=True):
+        lines = panel.plot(loops.t, values.reshape(-1, len(loops.t)).T, linewidth=1.2, **colour)
         panel.set_ylabel(_axis_label(loops, name))
-        panel.grid(alpha=0.3)
+        panel.grid(visible=True, alpha=0.3)
+        if label is not None:
+            lines[0].set_label(label)
     if D is not None:
         for delay in np.unique(array_checks.floats("D", D)):
-            axes[-1, 0].axhline(delay, color="black", linestyle="--", linewidth=0.8)
-    axes[-1, 0].set_xlabel(f"t ({loops.time_unit})")
-    return axes[:, 0]
+            axes[-1].axhline(delay, color="black", linestyle="--", linewidth=0.8)
+    axes[-1].set_xlabel(f"t ({loops.time_unit})")
+    if label is not None:  # above the panels, where no line is
+        axes[0].legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, frameon=False)
+    return axes
+
+
+def html(loops: "Trajectories") -> str:
+    """The summary and the plot, as a notebook shows them; no plot of more than DRAWN loops."""
+    text = notebook.preformatted(summary(loops))
+    if loops.escaped.size > DRAWN:
+        return text
+    from matplotlib import rc_context
+    from matplotlib.figure import Figure
+
+    count, buffer = len([*series(loops)]), io.StringIO()
+    figure = Figure(_size(count), layout="constrained")  # free of pyplot, which would show it too
+    plot(loops, ax=figure.subplots(count, 1, sharex=True))
+    with rc_context({"svg.fonttype": "none"}):
+        figure.savefig(buffer, format="svg", metadata={"Date": None})
+    return text + buffer.getvalue()[buffer.getvalue().index("<svg") :]
+
+
+def _panels(count: int) -> np.ndarray:
+    """Axes (count,) below each other in a new figure."""
+    from matplotlib import pyplot
+
+    figure = pyplot.figure(figsize=_size(count), layout="constrained")
+    return figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0]
+
+
+def _size(panels: int) -> tuple[float, float]:
+    """Width and height of their figure, in inches."""
+    return 6.4, 1.0 + 1.2 * panels
+
+
+def _taken(ax: Any, names: Sequence[str]) -> np.ndarray:
+    """A caller's axes, one for each series. Raises ConfigError for another number of them, and for what is no axes."""
+    axes = np.ravel(np.array(ax, dtype=object))
+    if len(axes) != len(names) or not all(hasattr(panel, "axhline") for panel in axes):
+        axes_of = f"expected {len(names)} matplotlib axes, for {', '.join(names)}"
+        got = f"{len(axes)} axes" if all(hasattr(panel, "axhline") for panel in axes) else repr(ax)
+        raise ConfigError(f"ax: {axes_of}, got {got}; give what the first loop.plot() returned")
+    return axes
 
 
 def _axis_label(loops: "Trajectories", name: str) -> str:

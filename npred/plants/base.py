@@ -16,9 +16,10 @@ from npred.symbolic import Array, Value, array_math, programs, source_lines
 from npred.symbolic.declared import Components, call
 from npred.symbolic.tape import Functions, names
 from npred.symbolic.trace import Trace, python
+from npred.terminal.notebook import InNotebook
 
 
-class Plant:
+class Plant(InNotebook):
     """X'(t) = f(X(t), U(t - D)) with the control law kappa and the function V [DAPF, eqs. 1-4].
 
     A declaration is a class with `states`, `inputs` (names) and the functions f(x, u, t, p, M), kappa(x, t, p, M) and

@@ -14,11 +14,12 @@ from npred.delays.family import Step, rows
 from npred.errors import ConfigError
 from npred.plants.base import Plant
 from npred.symbolic import Array, Value, called_functions, source_lines
+from npred.terminal.notebook import InNotebook
 
 Flow: TypeAlias = Callable[..., Array]  # f(x, u, t); of an implicit step a Trace, which knows derivatives too
 
 
-class Predictor(ABC):
+class Predictor(InNotebook, ABC):
     """P(x) = X + D_hat ∫₀ˣ f(P(y), u(y)) dy on nx uniform nodes, both ends in [DAPF, eq. 10].
 
     Call it with X (..., n), u (..., nx, m) and D_hat (...) in seconds; P is (..., nx, n). `t` (...) is the time at

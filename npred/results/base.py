@@ -4,6 +4,7 @@ And the results of the stages generate, train and report, which are short.
 """
 
 import math
+import reprlib
 from pathlib import Path
 from typing import Annotated, Any, Self
 
@@ -12,6 +13,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, PlainSerializer, Va
 from npred import json_files
 from npred.defaults import RESULT
 from npred.errors import StoreError
+from npred.terminal import notebook
 
 
 def _number(value: Any) -> Any:
@@ -37,6 +39,10 @@ class Result(BaseModel):
     def json_object(self) -> dict[str, Any]:
         """The JSON object, as result.json holds it."""
         return self.model_dump(mode="json", by_alias=True, exclude_unset=True)
+
+    def _repr_html_(self) -> str:
+        """A line for each key in a notebook, long values cut."""
+        return notebook.preformatted("\n".join(f"{key}: {reprlib.repr(value)}" for key, value in self))
 
     @property
     def set_values(self) -> dict[str, Any]:

@@ -4,6 +4,7 @@ import pickle
 import subprocess
 import sys
 from dataclasses import replace
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from npred.errors import ConfigError, MissingError
 from npred.loop import trajectory_views
 from npred.loop.closed_loop import Trajectories
 from npred.plants import Plant
+from npred.results import Generated
 
 
 class Escape:
@@ -167,3 +169,49 @@ def test_neither_matplotlib_nor_pandas_comes_with_a_loop():
     program = "import sys, npred; npred.simulate; print([m for m in ('matplotlib', 'pandas') if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=60)
     assert done.stdout.strip() == "[]"
+
+
+def test_loops_with_labels_share_a_figure_and_keep_their_colour_over_the_panels(one, batch):
+    from matplotlib import pyplot
+
+    with pyplot.rc_context({"backend": "agg"}):
+        axes = one.plot(label="first")
+        assert batch.plot(ax=axes, label="six more")[0] is axes[0]
+        colours = [[line.get_color() for line in panel.lines] for panel in axes]
+        assert colours == [["C0", *["C1"] * 6]] * 4
+        assert [text.get_text() for text in axes[0].get_legend().get_texts()] == ["first", "six more"]
+        pyplot.close(axes[0].figure)
+
+
+def test_a_plot_takes_axes_of_any_arrangement_and_refuses_too_few(one):
+    from matplotlib import pyplot
+
+    with pyplot.rc_context({"backend": "agg"}):
+        figure, axes = pyplot.subplots(2, 2)
+        assert list(one.plot(ax=axes)) == list(axes.flat) and axes[0, 0].get_legend() is None
+        with pytest.raises(ConfigError, match=r"expected 4 matplotlib axes, for x1, x2, U, D_hat, got 2 axes"):
+            one.plot(ax=axes[0])
+        with pytest.raises(ConfigError, match=r"expected 4 matplotlib axes, .* got 'ax'"):
+            one.plot(ax="ax")
+        pyplot.close(figure)
+
+
+def test_a_notebook_shows_text_and_plot_of_a_few_loops_and_the_text_of_many(one, batch):
+    from matplotlib import pyplot
+
+    before = pyplot.get_fignums()
+    page = batch._repr_html_()
+    assert pyplot.get_fignums() == before  # else a notebook shows the figure twice
+    text, svg = page.split("</pre>")
+    assert "D_hat  0.5 … 1" in text
+    root = ElementTree.fromstring(svg)
+    assert {"x1", "x2", "U", "D_hat (s)"} <= {element.text for element in root.iter(f"{root.tag[:-3]}text")}
+    assert "<svg" not in replace(batch, escaped=np.full(21, -1))._repr_html_()
+    assert len(one._repr_html_()) < 50_000
+
+
+def test_a_notebook_shows_names_as_text():
+    plant = Plant("tank", Tank)
+    assert "&lt;Plant tank: " in plant._repr_html_() and "<Plant" not in plant._repr_html_()
+    assert "nx = 7" in npred.predictor("rk4", plant, 7)._repr_html_()
+    assert "samples: 3" in Generated(samples=3, rollouts=1, held_out=[0], nx=5)._repr_html_()
