@@ -87,7 +87,7 @@ def main() -> None:
     store = Path(arguments.store) if arguments.store else None
     stored = load_model(arguments.model, store)
     data = shards.survey(load_data(arguments.model.rpartition(":")[0], store).folder / "data.h5").subset(test=True)
-    reference = candidates.Reference(stored.plant, data)
+    reference = candidates.Reference.of(stored.plant, data)
     rivals = [k for k in map(method, METHODS.names()) if issubclass(k, OneStep)]
     rivals = [kind for kind in rivals if not npred.delays.family_of(stored.plant).refusal(kind.name)]
     for nx in arguments.nx:

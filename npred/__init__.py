@@ -28,12 +28,13 @@ if TYPE_CHECKING:
     from npred.predictors import Predictor
     from npred.runs import evaluate, generate, train
     from npred.safety import SafetyFilter
+    from npred.stages.bench.comparison import compare
 
 __version__ = "0.1.0"
 __all__ = [
     "DelayAdaptation", "DelayLaw", "DelayObserver", "L1Adaptation", "Measurement", "Predictor", "SafetyFilter",
-    "Timing", "Watchdog", "as_iosystem", "controller", "delay_margin", "evaluate", "generate", "guarded", "identify",
-    "load", "plant", "predictor", "simulate", "train",
+    "Timing", "Watchdog", "as_iosystem", "compare", "controller", "delay_margin", "evaluate", "generate", "guarded",
+    "identify", "load", "plant", "predictor", "simulate", "train",
 ]  # fmt: skip
 
 _HOME = dict.fromkeys(__all__, "api") | {
@@ -47,6 +48,7 @@ _HOME = dict.fromkeys(__all__, "api") | {
     "Timing": "loop.timing",
     "Watchdog": "loop.watchdog",
     "as_iosystem": "loop.iosystem",
+    "compare": "stages.bench.comparison",
     "delay_margin": "diagnosis.delay_margin",
     "identify": "identification.identify",
     **dict.fromkeys(("evaluate", "generate", "train"), "runs"),

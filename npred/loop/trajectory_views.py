@@ -133,17 +133,22 @@ def dataframe(loops: "Trajectories") -> Any:
 
     Raises MissingError without pandas.
     """
-    try:
-        pandas = import_module("pandas")
-    except ImportError:
-        raise MissingError("to_dataframe: expected the package pandas, found none; pip install pandas") from None
+    frames = pandas()
     columns = {name: values.reshape(-1) for name, values in series(loops)}
     shape = loops.escaped.shape
     if not shape:
-        return pandas.DataFrame(columns, index=pandas.Index(loops.t, name="t"))
+        return frames.DataFrame(columns, index=frames.Index(loops.t, name="t"))
     axes = ["loop"] if len(shape) == 1 else [f"loop{k}" for k in range(len(shape))]
-    index = pandas.MultiIndex.from_product([*map(range, shape), loops.t], names=[*axes, "t"])
-    return pandas.DataFrame(columns, index=index)
+    index = frames.MultiIndex.from_product([*map(range, shape), loops.t], names=[*axes, "t"])
+    return frames.DataFrame(columns, index=index)
+
+
+def pandas() -> Any:
+    """The package, which is no dependency. Raises MissingError without it."""
+    try:
+        return import_module("pandas")
+    except ImportError:
+        raise MissingError("to_dataframe: expected the package pandas, found none; pip install pandas") from None
 
 
 def series(loops: "Trajectories") -> Iterator[tuple[str, np.ndarray]]:

@@ -137,7 +137,7 @@ def test_a_method_of_a_package_has_a_name(package):
     assert asked == {
         "name": "ralston", "target": "shed_of_tanks:Ralston", "package": "shed-of-tanks", "version": "1.0",
     }  # fmt: skip
-    assert "ralston" in candidates._methods(config.parse(tables(), "tests"), PLANT)
+    assert "ralston" in candidates.one_step_methods(config.parse(tables(), "tests"), PLANT)
 
 
 @pytest.mark.parametrize(

@@ -72,5 +72,5 @@ def test_a_simulator_that_fails_or_returns_another_shape_is_one_line(tank):
 
 def test_the_benchmark_knows_it_where_the_plant_has_one(tank):
     pipeline = config.Pipeline(plant="any")
-    assert candidates._methods(pipeline, tank())["rollout"] is Rollout
-    assert "rollout" not in candidates._methods(pipeline, plants.resolve("scalar"))
+    assert candidates.one_step_methods(pipeline, tank())["rollout"] is Rollout
+    assert "rollout" not in candidates.one_step_methods(pipeline, plants.resolve("scalar"))

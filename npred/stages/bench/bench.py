@@ -31,7 +31,7 @@ def run(job: Job) -> Benched:
     """
     config = job.config.bench
     devices.torch_threads(config.threads)
-    reference = Reference(job.plant, shards.survey(job.inputs["generate"] / "data.h5").subset(test=True))
+    reference = Reference.of(job.plant, shards.survey(job.inputs["generate"] / "data.h5").subset(test=True))
     job.progress.doing("bench", "compiling")
     entries = candidates.entries(job, reference)
     job.progress.doing("bench", "measuring errors")

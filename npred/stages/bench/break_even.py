@@ -8,13 +8,14 @@ from typing import Any
 import numpy as np
 
 from npred import grid
+from npred.config import Bench
 from npred.figures.style import short
 from npred.kernels.kernel import bound
 from npred.predictors import RK4, OneStep, Predictor
 from npred.registry import METHODS, NETWORKS
 from npred.results.bench import CallTimes, Crossover, Rival
 from npred.stages.bench import timing
-from npred.stages.bench.candidates import Candidate, Reference, matching
+from npred.stages.bench.candidates import Candidate, ErrorSizes, Reference, matching
 from npred.stages.job import Job
 from npred.terminal.waiting import counted
 
@@ -34,21 +35,24 @@ def measure(job: Job, timed: Iterable[tuple[Candidate, CallTimes]], reference: R
         timings = [(e, row) for e, row in single if (e.predictor, e.nx, e.matches) == (name, first, None)]
         rivals = [entry for entry, _ in single if entry.matches == name]
         if timings and rivals:
-            crossovers.append(_crossover(job, *min(timings, key=lambda pair: pair[1].median_us), rivals, reference))
+            network, row = min(timings, key=lambda pair: pair[1].median_us)
+            eps = ErrorSizes(row.eps_sup, row.eps_median)
+            crossovers.append(crossover(job.config.bench, network, eps, rivals, reference))
     return crossovers
 
 
-def _crossover(
-    job: Job, network: Candidate, row: CallTimes, rivals: list[Candidate], reference: Reference
+def crossover(
+    config: Bench, network: Candidate, eps: ErrorSizes, rivals: list[Candidate], reference: Reference
 ) -> Crossover:
     """All timed in turn. pays_from_ns: the cost of f at which the rival's steps take as long as the network, 0 where
     they do without f.
     """
-    typical = [_by_median(entry, reference, row.eps_median) for entry in rivals]
+    plant = reference.plant
+    typical = [_by_median(entry, reference, eps.median) for entry in rivals]
     contenders = (network, *rivals, *(entry for entry in typical if entry))
-    runs = {entry.label: entry.run for entry in contenders} | {str(k): RK4(job.plant, k + 1) for k in STEPS}
-    calls = {label: _call(reference, run) for label, run in runs.items()}
-    times = timing.sample(calls, job.config.bench.calls, job.config.bench.seconds)
+    runs = {entry.label: entry.run for entry in contenders} | {str(k): RK4(plant, k + 1) for k in STEPS}
+    calls = {label: call(reference, run) for label, run in runs.items()}
+    times = timing.sample(calls, config.calls, config.seconds)
     median = {label: timing.quantiles(taken)["median_us"] for label, taken in times.items()}
     few, many = (median[str(k)] for k in STEPS)
     f_ns = 1000 * (many - few) / (RK4.evaluations() * (STEPS[1] - STEPS[0]))
@@ -56,15 +60,15 @@ def _crossover(
     network_us, best_us = median[network.label], median[best.label]
     evaluations = _evaluations(best) or 1000 * best_us / f_ns
     overhead = max(best_us - f_ns * evaluations / 1000, 0.0)
-    crossover = Crossover(
-        plant=job.plant.name, predictor=network.predictor, runtime=network.runtime, eps_sup=row.eps_sup,
-        eps_relative=row.eps_sup / float(np.abs(reference.P).max()), eps_median=row.eps_median,
+    measured = Crossover(
+        plant=plant.name, predictor=network.predictor, runtime=network.runtime, eps_sup=eps.sup,
+        eps_relative=eps.sup / float(np.abs(reference.P).max()), eps_median=eps.median,
         network_us=network_us, numerical=[_rival(e, median, reference) for e in rivals],
         by_median=[_rival(e, median, reference) for e in typical if e],
         best=best.predictor, best_steps=best.nx - 1, best_us=best_us, network_speedup=best_us / network_us,
         f_ns=f_ns, pays_from_ns=1000 * max(network_us - overhead, 0.0) / evaluations,
     )  # fmt: skip
-    return crossover.model_copy(update={"sentence": sentence(crossover)})
+    return measured.model_copy(update={"sentence": sentence(measured)})
 
 
 def _by_median(rival: Candidate, reference: Reference, eps: float) -> Candidate | None:
@@ -93,17 +97,25 @@ def _evaluations(rival: Candidate) -> int | None:
     return run.evaluations() * (rival.nx - 1)
 
 
-def _call(reference: Reference, run: Predictor) -> Callable[[int], None]:
-    """The k-th call on a held-out sample of the reference, as a loop makes it, on memory that is there."""
+def call(reference: Reference, run: Predictor) -> Callable[[int], None]:
+    """The k-th call on a sample of the reference, as a loop makes it, on memory that is there; then the guard's."""
     plant, predict = run.plant, run.lanes()
     u = grid.refine(reference.u, run.nx)
     inputs = [
         (reference.X[i][:, None].copy(), u[i][..., None].copy(), reference.D_hat[i : i + 1].copy())
         for i in range(len(reference.X))
     ]
-    P = np.empty((run.nx, plant.n, 1))
+    P, error, fallback = np.empty((run.nx, plant.n, 1)), np.empty(1), np.empty(1)
     calls = [bound(predict, *sample, 0.0, plant.p, P) for sample in inputs]
-    return lambda k: calls[k % len(calls)]()
+    if run.guard is None:
+        return lambda k: calls[k % len(calls)]()
+    checks = [bound(run.guard, *sample, 0.0, plant.p, run.settings, P, error, fallback) for sample in inputs]
+
+    def checked(k: int) -> None:
+        calls[k % len(calls)]()
+        checks[k % len(checks)]()
+
+    return checked
 
 
 def sentence(crossover: Crossover) -> str:

@@ -4,7 +4,7 @@ from bisect import bisect_left
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, Self
 
 import numpy as np
 
@@ -68,25 +68,32 @@ class ErrorSizes(NamedTuple):
 
 
 class Reference:
-    """Held-out samples with their P on a fine grid, to take any predictor's error on.
+    """Samples with their P on a fine grid, to take any predictor's error on.
 
-    Only samples after the first delay: before, u jumps from its past to the first control, and there every scheme is of
-    first order, so that no row would show what it can do. Imported samples do not say when they are: all are taken.
-    Raises ConfigError where no sample is left.
+    X (B, n), u (B, nx, m), D_hat and t (B,).
     """
 
-    def __init__(self, plant: Plant, test: Dataset) -> None:
+    def __init__(self, plant: Plant, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: np.ndarray) -> None:
+        self.plant, self.X, self.u, self.D_hat, self.t = plant, X, u, D_hat, t
+        self.P = RK4(plant)(X, grid.refine(u, FINE), D_hat, t)
+        self._known: dict[tuple[str, str, int], ErrorSizes] = {}
+
+    @classmethod
+    def of(cls, plant: Plant, test: Dataset, most: int = PROBES) -> Self:
+        """At most so many of the samples, spread over them.
+
+        Only samples after the first delay: before, u jumps from its past to the first control, and there every scheme
+        is of first order, so that no row would show what it can do. Imported samples do not say when they are: all are
+        taken. Raises ConfigError where no sample is left.
+        """
         later = np.flatnonzero(~(test.t <= test.D))
         if not len(later):
             raise ConfigError(
                 f"bench: expected held-out samples after the first delay, got {len(test)} before it; lengthen "
                 "generate.t_end"
             )
-        rows = later[np.linspace(0, len(later) - 1, min(PROBES, len(later))).astype(int)]
-        self.plant, self.X, self.u = plant, test.X[rows], test.u[rows]
-        self.D_hat, self.t = test.D_hat[rows], test.t[rows]
-        self.P = RK4(plant)(self.X, grid.refine(self.u, FINE), self.D_hat, self.t)
-        self._known: dict[tuple[str, str, int], ErrorSizes] = {}
+        rows = later[np.linspace(0, len(later) - 1, min(most, len(later))).astype(int)]
+        return cls(plant, test.X[rows], test.u[rows], test.D_hat[rows], test.t[rows])
 
     def error(self, entry: Candidate) -> ErrorSizes:
         """The errors of an entry on its nodes."""
@@ -117,7 +124,7 @@ def entries(job: Job, reference: Reference) -> list[Candidate]:
     config = job.config.bench
     tables = {name: job.config.train.table(name) for name in job.config.train.models}
     networks = {name: operators.read(job.inputs[name], job.plant, table=table) for name, table in tables.items()}
-    available, methods = _available(job.progress, config), _methods(job.config, job.plant)
+    available, methods = _available(job.progress, config), one_step_methods(job.config, job.plant)
     ways = {name: _ways(job.progress, name, operator, available) for name, operator in networks.items()}
 
     @cache  # an ONNX graph takes seconds, and serves any batch
@@ -136,16 +143,24 @@ def entries(job: Job, reference: Reference) -> list[Candidate]:
     nx = grid.count(config.dx[0])
     for name in networks:
         eps = reference.error(next(e for e in rows if (e.predictor, e.nx) == (name, nx))).sup
-        for rival, kind in methods.items():
-            if coarse := matching(reference, kind, eps):
-                rows.append(Candidate(rival, "compiled", coarse, 1, kind(job.plant, coarse), name))
+        rows += rivals(methods, reference, eps, name)
     coarse_grids = [(k + 1, rival) for k in FRONT for rival in methods]
     return rows + [
         Candidate(rival, "compiled", nx, 1, methods[rival](job.plant, nx), "front") for nx, rival in coarse_grids
     ]
 
 
-def _methods(config: Pipeline, plant: Plant) -> dict[str, Method]:
+def rivals(methods: dict[str, Method], reference: Reference, eps: float, name: str) -> list[Candidate]:
+    """The methods that reach the error eps of the network `name`, each on the fewest nodes that do."""
+    grids = {rival: matching(reference, kind, eps) for rival, kind in methods.items()}
+    return [
+        Candidate(rival, "compiled", nx, 1, methods[rival](reference.plant, nx), name)
+        for rival, nx in grids.items()
+        if nx
+    ]
+
+
+def one_step_methods(config: Pipeline, plant: Plant) -> dict[str, Method]:
     """The methods of a step per interval that serve the plant, by what their rows are called: those that have a name,
     and those that the pipeline takes.
     """
