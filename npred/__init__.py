@@ -27,14 +27,15 @@ if TYPE_CHECKING:
     from npred.loop.watchdog import Watchdog
     from npred.predictors import Predictor
     from npred.runs import evaluate, generate, train
+    from npred.runtimes.export import export
     from npred.safety import SafetyFilter
     from npred.stages.bench.comparison import compare
 
 __version__ = "0.1.0"
 __all__ = [
     "DelayAdaptation", "DelayLaw", "DelayObserver", "L1Adaptation", "Measurement", "Predictor", "SafetyFilter",
-    "Timing", "Watchdog", "as_iosystem", "compare", "controller", "delay_margin", "evaluate", "generate", "guarded",
-    "identify", "load", "plant", "predictor", "simulate", "train",
+    "Timing", "Watchdog", "as_iosystem", "compare", "controller", "delay_margin", "evaluate", "export", "generate",
+    "guarded", "identify", "load", "plant", "predictor", "simulate", "train",
 ]  # fmt: skip
 
 _HOME = dict.fromkeys(__all__, "api") | {
@@ -50,6 +51,7 @@ _HOME = dict.fromkeys(__all__, "api") | {
     "as_iosystem": "loop.iosystem",
     "compare": "stages.bench.comparison",
     "delay_margin": "diagnosis.delay_margin",
+    "export": "runtimes.export",
     "identify": "identification.identify",
     **dict.fromkeys(("evaluate", "generate", "train"), "runs"),
     "simulate": "loop.closed_loop",

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 from npred import plants
-from npred.cli.options import Common, writable
+from npred.cli.options import Common, Exporting, writable
 from npred.data import exchange, shards
 from npred.data.dataset import MEANING, Dataset, attributes
 from npred.delays import family_of
@@ -64,9 +64,9 @@ def bring(
     options.show(plain(document), lambda: "\n".join([first, *_summary(output, checks, splits)]))
 
 
-def export(options: Common, form: str, spec: str, output: Path | None) -> None:
+def export(options: Exporting, form: str, spec: str, output: Path | None) -> None:
     """Write the samples of a generate artifact. Raises ConfigError where there is none, MissingError without scipy."""
-    artifact = load_data(spec, options.store)
+    artifact = load_data(spec, options.store, options.set)
     data = Dataset.read(artifact.folder / "data.h5")
     path = writable(output or Path(f"data.{'h5' if form == 'hdf5' else form}"))
     with room_on_disk(path), TemporaryDirectory(dir=path.parent, prefix=".npred-") as aside:

@@ -10,13 +10,13 @@ import numpy as np
 
 from npred import config, defaults, grid, operators, plants
 from npred.cli import data_exchange
-from npred.cli.options import Common, Exporting, writable, writable_folder
+from npred.cli.options import Exporting, writable, writable_folder
 from npred.conditions import condition
 from npred.config import Evaluate
 from npred.data import shards
 from npred.data.dataset import Dataset
 from npred.errors import ConfigError, imported
-from npred.loop import closed_loop, delay_law
+from npred.loop import delay_law
 from npred.loop.adaptation import DelayAdaptation
 from npred.loop.controller import Controller
 from npred.loop.loop_checks import HISTORY
@@ -27,11 +27,11 @@ from npred.plants import Plant, inputs
 from npred.predictors import Predictor, numerical
 from npred.predictors.guarded import Guarded
 from npred.runtimes import Samples, c_controller, c_files, c_network, fmu
+from npred.runtimes.export import steps
 from npred.runtimes.fused import Fused
 
 NX = 101  # nodes of a model's file
 COMPARED = 200  # held-out samples
-MEASURED_STEPS, RECALLED_STEPS = 4, 40  # of the test inside the file; u of each measured step is part of it
 NO_LIBRARY = "sources only, for there is no C compiler here; install one, or let the importer build them"
 NO_PLACE = "sources only, for FMI 2.0 has no name for this machine; take --fmi 3, or let the importer build them"
 RECALLS = (
@@ -108,10 +108,10 @@ def _samples(held_out: Dataset, nx: int) -> Samples:
 
 
 def _loaded(
-    options: Common, spec: str, plant: Plant | None = None, precision: type[np.floating] = np.float32
+    options: Exporting, spec: str, plant: Plant | None = None, precision: type[np.floating] = np.float32
 ) -> tuple[Stored, TrainedOperator]:  # fmt: skip
     """The trained network of a key, for `plant` or, without one, for the plant that the key names."""
-    stored = load_model(spec, options.store)
+    stored = load_model(spec, options.store, options.set)
     return stored, operators.read(stored.folder, plant or stored.plant, stored.snapshot, precision, stored.config)
 
 
@@ -122,17 +122,12 @@ def _controller_files(options: Exporting, key: str, output: Path | None) -> None
     """
     folder = writable_folder(output or Path(options.name), "controller")
     built = _built(options, key)
-    name, controller = options.name, built.controller
-    header, source = c_controller.sources(controller, name, options.precision, built.about, built.test)
-    files = {f"{name}.h": header, f"{name}.c": source}
-    if options.mex:
-        files[f"{name}_mex.c"] = c_controller.gateway(controller, name, options.precision)
-    folder.mkdir(parents=True, exist_ok=True)
-    for file, text in files.items():
-        (folder / file).write_text(text, encoding="utf-8")
-    written = [str(folder / file) for file in files]
-    document = {"files": written} | built.document(options, "controller") | {"digest": c_controller.digest(header)}
-    options.show(document, lambda: f"{', '.join(written)}: {controller!r} in {options.precision} precision")
+    files, digest = c_controller.write(
+        built.controller, folder, options.name, options.precision, built.about, built.test, options.mex
+    )
+    written = [str(file) for file in files]
+    document = {"files": written} | built.document(options, "controller") | {"digest": digest}
+    options.show(document, lambda: f"{', '.join(written)}: {built.controller!r} in {options.precision} precision")
 
 
 def _fmu(options: Exporting, key: str, output: Path | None) -> None:
@@ -156,14 +151,16 @@ def _fmu(options: Exporting, key: str, output: Path | None) -> None:
 def _built(options: Exporting, key: str) -> Built:
     """The controller that a key and the flags mean. Raises ConfigError where there is none."""
     path, model = _named(key, options.predictor)
-    pipeline = config.load(path)
+    pipeline = config.load(path, options.set)
     table, plant = pipeline.evaluate, plants.resolve(pipeline.plant, pipeline.parameters, pipeline.kappa)
     predictor = _predictor(options, f"{path}:{model}" if model else "", plant, table)
     more = {"oldest": options.oldest, "watchdog": watchdog(options.watchdog)}
     controller = of_table(plant, predictor, table, options.actuator, **more)
     if controller.actuator == HISTORY and isinstance(controller.adaptation, DelayAdaptation):
         options.console.warn(RECALLS)
-    return Built(controller, f"{pipeline.name}:{predictor.name}", table, _steps(controller, table))
+    X0 = np.array(table.X0) if table.X0 else plant.target(0.0)
+    test = steps(controller, X0, table.D, input_bounds=table.input_bounds, u0=table.u0)
+    return Built(controller, f"{pipeline.name}:{predictor.name}", table, test)
 
 
 def _named(key: str, predictor: str) -> tuple[Path, str]:
@@ -215,21 +212,3 @@ def watchdog(text: str) -> Watchdog | None:
     except ValueError:
         raise ConfigError(f"--watchdog: expected TIME[:hold|zero], got {text!r}; as 0.2:zero") from None
     return Watchdog(seconds, then or "hold")
-
-
-def _steps(controller: Controller, table: Evaluate) -> c_controller.Test:
-    """Steps of a simulated loop of this controller."""
-    plant, dt, recalls = controller.plant, controller.dt, controller.actuator == HISTORY
-    count = RECALLED_STEPS if recalls else MEASURED_STEPS
-    delay: dict[str, Any] = {} if plant.declares_delay else {"D": table.D, "D_hat": controller.D_hat}
-    stride = 1 if recalls else max(int(table.D / dt), 1)
-    steps = np.arange(count) * stride
-    X0 = np.array(table.X0) if table.X0 else plant.target(0.0)
-    run = closed_loop.simulate(
-        plant, controller.predictor, X0=X0, t_end=(steps[-1] + 1) * dt, dt=dt, adaptation=controller.adaptation,
-        input_bounds=table.input_bounds, u0=table.u0, actuator=controller.actuator, samples=steps, **delay,
-    )  # fmt: skip
-    samples = run.samples
-    assert samples is not None
-    X = np.array(samples.X)
-    return controller.observer.measured(X) if controller.observer else X, None if recalls else np.array(samples.u)

@@ -73,6 +73,9 @@ PIPELINE = argument(
     completion.pipelines,
     default=f"{defaults.PIPELINE_VARIABLE}, {defaults.PIPELINE}, or the only TOML file here",
 )
+OVERRIDES = flag(
+    "Override a key, as in train.fno.epochs=5; repeatable.", "--set", word="KEY=VALUE", offers=completion.settings
+)
 
 
 @dataclass(frozen=True)
@@ -80,15 +83,7 @@ class Planned(Common):
     """Flags of the commands that read a pipeline file."""
 
     pipeline_name: Annotated[str | None, PIPELINE] = None
-    set: Annotated[
-        list[str] | None,
-        flag(
-            "Override a key, as in train.fno.epochs=5; repeatable.",
-            "--set",
-            word="KEY=VALUE",
-            offers=completion.settings,
-        ),
-    ] = None
+    set: Annotated[list[str] | None, OVERRIDES] = None
     device: Annotated[str, flag("auto, cpu, cuda or cuda:N.", offers=completion.devices)] = "auto"
     jobs: Annotated[int | None, flag("Processes and threads; all cores by default.", least=1)] = None
 
@@ -138,6 +133,7 @@ WATCHDOG = flag("How long a controller waits for a sample before it holds U, or 
 class Exporting(Common):
     """Flags of `npred export`: what of the pipeline's loop is another in a controller's file, and more."""
 
+    set: Annotated[list[str] | None, OVERRIDES] = None
     nx: Annotated[
         int | None, flag("Nodes of the actuator state, any number; by default 101, a controller's as in evaluate.")
     ] = None

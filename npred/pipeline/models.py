@@ -24,10 +24,11 @@ class Stored(NamedTuple):
     config: Training | None
 
 
-def load_model(spec: str, root: Path | None = None) -> Stored:
+def load_model(spec: str, root: Path | None = None, overrides: list[str] | None = None) -> Stored:
     """The trained model meant by `PIPELINE:MODEL`, `MODEL` (of the default pipeline), an artifact's folder or key.
 
-    Each may end in `@EPOCH`, for a snapshot. Raises ConfigError where there is none, StoreError for corrupt files.
+    Each may end in `@EPOCH`, for a snapshot; `overrides` of the pipeline are as for config.load.
+    Raises ConfigError where there is none, StoreError for corrupt files.
     """
     store = Store(root or defaults.store())
     try:
@@ -37,7 +38,7 @@ def load_model(spec: str, root: Path | None = None) -> Stored:
     path, colon, name = asked.model.rpartition(":")
     if colon or _of_default(name):
         file = defaults.pipeline(path)
-        pipeline = config.load(file)
+        pipeline = config.load(file, overrides)
         if name not in (names := pipeline.train.names):
             raise ConfigError(f"{file}:{name}: expected {', '.join(names)} after the colon; name one of them")
         expected, todo = f"{file}:{name}: expected a trained model", f"npred train {file} --model {name}"
@@ -63,7 +64,7 @@ def _of_default(name: str) -> bool:
         return False
 
 
-def load_data(spec: str, root: Path | None = None) -> Artifact:
+def load_data(spec: str, root: Path | None = None, overrides: list[str] | None = None) -> Artifact:
     """The data meant by `PIPELINE`, an artifact's folder or key, or `generate` for the latest; verified.
 
     Raises ConfigError where there is none, StoreError for corrupt files.
@@ -74,7 +75,7 @@ def load_data(spec: str, root: Path | None = None) -> Artifact:
         if artifact.manifest.question.stage != "generate":
             raise ConfigError(f"{spec}: expected data, got {artifact.name}; see npred ls for generate/…")
         return artifact
-    pipeline = config.load(defaults.pipeline(spec))
+    pipeline = config.load(defaults.pipeline(spec), overrides)
     return _last(pipeline, store, "generate", None, f"{spec}: expected data", f"npred generate {spec}").verify()
 
 

@@ -3,6 +3,7 @@
 import hashlib
 import re
 from collections.abc import Mapping
+from pathlib import Path
 
 import numpy as np
 
@@ -65,6 +66,21 @@ def sources(
     words = ", ".join(f"0x{digest[i : i + 8]}u" for i in range(0, 32, 8))
     header, source = (text.replace("0" * 64, digest).replace(", ".join(4 * ["0x00000000u"]), words) for text in files)
     return header, source
+
+
+def write(
+    controller: Controller, folder: Path, name: str = "npred", precision: str = "double", model: str = "",
+    test: Test | None = None, mex: bool = False,
+) -> tuple[list[Path], str]:  # fmt: skip
+    """Write NAME.h, NAME.c and, with `mex`, the gateway NAME_mex.c; the files and their digest. Raises as `sources`."""
+    header, source = sources(controller, name, precision, model, test)
+    texts = {f"{name}.h": header, f"{name}.c": source}
+    if mex:
+        texts[f"{name}_mex.c"] = gateway(controller, name, precision)
+    folder.mkdir(parents=True, exist_ok=True)
+    for file, text in texts.items():
+        (folder / file).write_text(text, encoding="utf-8")
+    return [folder / file for file in texts], digest(header)
 
 
 def gateway(controller: Controller, name: str = "npred", precision: str = "double") -> str:

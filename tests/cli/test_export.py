@@ -7,10 +7,13 @@ import subprocess
 import zipfile
 from pathlib import Path
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+import npred
 from npred.cli import app
+from npred.errors import ConfigError
 from npred.runtimes import c_files
 
 TEXT = """
@@ -207,3 +210,65 @@ def test_an_fmu_that_cannot_be(export, flags, message):
 def test_a_controller_that_cannot_be(export, flags, message):
     done = export("controller", *flags)
     assert done.exit_code == 2 and message in done.output
+
+
+@pytest.fixture
+def from_python(trained, tmp_path, monkeypatch):
+    """A controller with the trained network, in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+    network = npred.load(f"{trained / 'p.toml'}:deeponet", store=trained / "store", nx=21)
+    return npred.controller(network.plant, network, None, 0.01, D_hat=0.5)
+
+
+def test_python_exports_a_controller_as_c_with_its_test(from_python):
+    files = npred.export(from_python, "c", "firmware/tank.c")
+    assert files == [Path("firmware/tank.h"), Path("firmware/tank.c")]
+    assert run("firmware/tank.c", "-DTANK_TEST").returncode == 0
+    folder = npred.export(from_python, "c", "folder", precision="float")
+    assert [file.name for file in folder] == ["npred.h", "npred.c"]
+    assert "const float *X" in Path("folder/npred.h").read_text()
+
+
+def test_python_exports_an_fmu(from_python):
+    assert npred.export(from_python, "fmu", "out/tank.fmu") == [Path("out/tank.fmu")]
+    with zipfile.ZipFile("out/tank.fmu") as archive:
+        assert b'modelIdentifier="tank"' in archive.read("modelDescription.xml")
+
+
+def test_python_exports_the_network_of_a_controller_as_onnx(from_python):
+    onnxruntime = pytest.importorskip("onnxruntime")
+    guarded = npred.guarded(from_python.predictor, 0.1)
+    npred.export(npred.controller(guarded.plant, guarded, None, 0.01, D_hat=0.5), "onnx", "net.onnx")
+    session = onnxruntime.InferenceSession("net.onnx")
+    X, u, D_hat = np.float32([[0.03, 30.0]]), np.zeros((1, 21, 1), np.float32), np.float32([0.5])
+    P = session.run(["P"], dict(zip([entry.name for entry in session.get_inputs()], (X, u, D_hat), strict=True)))[0]
+    np.testing.assert_allclose(P, from_python.predictor(X, u, D_hat), atol=1e-4)
+    assert from_python.predictor.operator["X_rest"].dtype == float  # the caller's network stays as it is
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("exe", "x"), "export: expected one of c, fmu, onnx, got 'exe'"),
+        (("c", "Tank.c"), "path: expected a file named by a C identifier in lower case, as tank.c, got 'Tank.c'"),
+        (("c", "tank.c", ["linux64"]), r"platforms: expected none for c, .* got \['linux64'\]"),
+        (("onnx", "x.onnx"), "export onnx: expected a controller with a trained network, got <RK4"),
+    ],
+)
+def test_python_says_what_cannot_be_exported(arguments, message, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    plant = npred.plant("scalar")
+    with pytest.raises(ConfigError, match=message):
+        npred.export(npred.controller(plant, npred.predictor("rk4", plant), None, 0.01, D_hat=0.5), *arguments)
+    with pytest.raises(ConfigError, match="export: expected a controller, got <Plant scalar"):
+        npred.export(plant, "c", "tank.c")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_key_is_overridden_for_an_export(export, trained):
+    flags = ("--predictor", "heun", "--nx", "21", "--set", "evaluate.dt=0.02", "--set", "evaluate.D_hat0=0.75")
+    assert export("controller", *flags, model=str(trained / "p.toml")).exit_code == 0
+    text = Path("npred/npred.c").read_text()
+    assert re.findall(r"\.dt = (.*),", text) == ["0.02"] and "0.75" in text
+    other = export("c", "--set", "train.deeponet.width=9")
+    assert other.exit_code == 2 and "got none (train.deeponet.width: 8 -> 9" in other.stderr

@@ -106,7 +106,7 @@ def _reference(plant: Plant, about: Mapping[str, Any], loops: Trajectories) -> R
     """Samples of the same loops with RK4, after the longest delay; `loops` are those of some predictor."""
     batch, dt, last = loops.escaped.shape, about["dt"], loops.steps - 1
     D: Any = loops.D_hat if plant.declares_delay else about["D"]
-    longest = float(np.max([D(t) for t in loops.t] if callable(D) else array_checks.floats("D", D)))
+    longest = array_checks.floats("D", [D(t) for t in loops.t] if callable(D) else D).max()
     steps = np.arange(last + 1)[ceil(longest / dt) + 1 :]
     if not len(steps):
         raise ConfigError(f"t_end: expected loops longer than the delay {longest:g}, got {about['t_end']:g}; raise it")

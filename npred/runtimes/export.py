@@ -1,0 +1,105 @@
+"""A controller as files for another program: C99 sources, an FMU, the ONNX graph of its network."""
+
+import copy
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from npred import grid
+from npred.errors import ConfigError, imported
+from npred.loop.closed_loop import simulate
+from npred.loop.controller import Controller
+from npred.loop.loop_checks import HISTORY
+from npred.predictors.guarded import bare
+from npred.runtimes import c_controller, fmu
+
+MEASURED_STEPS, RECALLED_STEPS = 4, 40  # of the test inside a file; u of each measured step is part of it
+ATOL = 1e-4  # how far an ONNX graph's P and U may be from the network's, in the plant's units
+NAME = "npred"  # of the files in a folder
+
+
+def export(
+    controller: Controller, form: str, path: str | Path, platforms: Sequence[str] = (), *, precision: str = "double"
+) -> list[Path]:
+    """The controller as files for another program: `npred export controller`, `fmu` and `onnx` from Python.
+
+    `form` is "c": `path` is a file, as firmware/tank.c, beside which tank.h is written, or a folder for npred.c and
+    npred.h, in C99 with a test inside; "fmu": a Functional Mock-up Unit of FMI 3.0, with a library for each of
+    `platforms`, as ["linux64", "win64"], by default for this machine; "onnx": the graph P and U of the controller's
+    network, compared with it before it is kept. `precision` of "c" and "fmu" is "double" or "float".
+    Returns the files. Raises ConfigError for another form and for a part that has no such form, MissingError for a
+    package that is not there, NpredError for a file that cannot be written or a graph that differs.
+    """
+    forms: dict[str, Callable[[], list[Path]]] = {
+        "c": lambda: _c(controller, Path(path), precision),
+        "fmu": lambda: _fmu(controller, Path(path), platforms, precision),
+        "onnx": lambda: _onnx(controller, Path(path)),
+    }
+    if not isinstance(controller, Controller):
+        raise ConfigError(f"export: expected a controller, got {controller!r}; make one with npred.controller")
+    if form not in forms:
+        raise ConfigError(f"export: expected one of {', '.join(forms)}, got {form!r}; name one of them")
+    if platforms and form != "fmu":
+        raise ConfigError(f"platforms: expected none for {form}, whose files are for any machine, got {platforms!r}")
+    return forms[form]()
+
+
+def steps(controller: Controller, X0: np.ndarray, D: Any, **loop: Any) -> c_controller.Test:
+    """Steps of a simulated loop of this controller, to test its files with; `loop` as for npred.simulate."""
+    plant, dt, recalls = controller.plant, controller.dt, controller.actuator == HISTORY
+    delay: dict[str, Any] = {} if plant.declares_delay else {"D": D, "D_hat": controller.D_hat}
+    stride = 1 if recalls or D is None else max(int(D / dt), 1)
+    chosen = np.arange(RECALLED_STEPS if recalls else MEASURED_STEPS) * stride
+    run = simulate(
+        plant, controller.predictor, X0=X0, t_end=(chosen[-1] + 1) * dt, dt=dt, adaptation=controller.adaptation,
+        actuator=controller.actuator, samples=chosen, **delay, **loop,
+    )  # fmt: skip
+    X = np.array(run.samples.X)
+    return controller.observer.measured(X) if controller.observer else X, None if recalls else np.array(run.samples.u)
+
+
+def _test(controller: Controller) -> c_controller.Test:
+    """Steps from the middle of the plant's box, or from the target where it has none; the delay is D_hat."""
+    plant = controller.plant
+    X0 = np.array([sum(plant.box[name]) / 2 if name in plant.box else rest
+                   for name, rest in zip(plant.states, plant.target(0.0), strict=True)])  # fmt: skip
+    D = plant.delay(X0, 0.0) if plant.declares_delay else controller.D_hat
+    return steps(controller, X0, float(D), **controller.start)
+
+
+def _c(controller: Controller, path: Path, precision: str) -> list[Path]:
+    folder, name = (path.parent, path.stem) if path.suffix == ".c" else (path, NAME)
+    return c_controller.write(controller, folder, _identifier(name, path), precision, test=_test(controller))[0]
+
+
+def _fmu(controller: Controller, path: Path, platforms: Sequence[str], precision: str) -> list[Path]:
+    listed = platforms.split(",") if isinstance(platforms, str) else [*platforms]
+    name = path.stem if c_controller.NAME.fullmatch(path.stem) else NAME
+    path.parent.mkdir(parents=True, exist_ok=True)
+    target = controller.plant.target(0.0)
+    fmu.write(controller, path, name=name, precision=precision, X0=target, test=_test(controller), platforms=listed)
+    return [path]
+
+
+def _onnx(controller: Controller, path: Path) -> list[Path]:
+    plant, predictor = controller.plant, bare(controller.predictor)
+    operator: Any = getattr(predictor, "operator", None)
+    if operator is None or operator.domain is None:
+        raise ConfigError(
+            f"export onnx: expected a controller with a trained network, got {predictor!r}; npred.load one"
+        )
+    onnx = imported("export onnx", "npred.runtimes.onnx", "onnx")
+    domain = operator.domain  # which has some rows of the data
+    samples = domain.X, grid.refine(domain.u, predictor.nx), domain.D_hat, np.nan_to_num(domain.t)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    onnx.export(copy.deepcopy(operator.module(plant)).float(), plant, path, predictor.nx, samples, ATOL)
+    return [path]
+
+
+def _identifier(name: str, path: Path) -> str:
+    """The name. Raises ConfigError for one that C or a file cannot have."""
+    if not c_controller.NAME.fullmatch(name):
+        raise ConfigError(f"path: expected a file named by a C identifier in lower case, as tank.c, got {str(path)!r}")
+    return name
