@@ -91,11 +91,11 @@ def resolved(source: Source, settings: Mapping[str, Any] = {}) -> Pipeline:
 
     Raises ConfigError for what there is none of, for an unknown key and for a value out of range.
     """
-    table = _table(source)
+    chosen = table(source)
     for key, value in settings.items():
         plain = value.tolist() if isinstance(value, np.ndarray | np.generic) else value
-        config.put(table, key, plain, "settings: ")
-    return config.parse(table, str(source) if isinstance(source, str | Path) else str(table["name"]))
+        config.put(chosen, key, plain, "settings: ")
+    return config.parse(chosen, str(source) if isinstance(source, str | Path) else str(chosen["name"]))
 
 
 def generate(
@@ -197,7 +197,7 @@ def _console(chosen: Pipeline, titles: list[str], progress: bool) -> Iterator[Co
         yield console
 
 
-def _table(source: Source) -> dict[str, Any]:
+def table(source: Source) -> dict[str, Any]:
     """The pipeline as a plain dictionary; that of a plant has the defaults."""
     if isinstance(source, Plant):
         if source.spec is None:
@@ -219,7 +219,7 @@ def _table(source: Source) -> dict[str, Any]:
         return config.table(defaults.pipeline(source))
     if not registry.in_file(str(source)) and str(source) not in plants.names():
         raise ConfigError(f"{defaults.missing(Path(source))}, nor a plant of that name; npred plants lists those")
-    return _table(plants.resolve(str(source)))
+    return table(plants.resolve(str(source)))
 
 
 def _file(source: Source) -> Path | None:

@@ -11,7 +11,7 @@ import npred
 from npred import cli
 from npred.cli import completion
 from npred.cli.app import Command, Group, app, command, with_flags
-from npred.cli.options import Common, Exporting, Planned, Rigged, Running, Work, argument, flag
+from npred.cli.options import Common, Exporting, Planned, Rigged, Running, Timed, Work, argument, flag
 from npred.cli.recorded import Recorded
 from npred.registry import STAGES, declared_stage
 
@@ -61,8 +61,19 @@ def _add_stage(stage: str) -> None:
 
 
 for _stage in STAGES:
-    if _stage not in ("identify", "report"):  # which take more
+    if _stage not in ("bench", "identify", "report"):  # which take more
         _add_stage(_stage)
+
+
+@command(RUN, help=declared_stage("bench").help)
+def bench(
+    options: Timed,
+    *,
+    no_networks: Annotated[
+        bool, flag("Train none: say in seconds from the cost of f whether one could pay.", "--no-networks")
+    ] = False,
+) -> None:
+    cli.execute.could_pay(options) if no_networks else cli.execute.stage(options, "bench")
 
 
 @command(RUN)

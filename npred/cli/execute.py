@@ -30,6 +30,21 @@ def stage(options: Work, stage_name: str, model: str | None = None, output: Path
     _work(options, [stage_name], (stage_name,), model, output)
 
 
+def could_pay(options: Work) -> None:
+    """Whether a network could pay for a pipeline's plant, or a plant; nothing is trained or stored."""
+    from npred import config, plants, runs
+    from npred.stages.bench import without_networks
+
+    source = options.pipeline_name or options.pipeline
+    table = runs.table(source)
+    for text in options.set or []:
+        config.override(table, text)
+    pipeline = config.parse(table, str(source))
+    plant = plants.resolve(pipeline.plant, pipeline.parameters, pipeline.kappa)
+    measured = without_networks.measure(pipeline, plant)
+    options.show(measured.json_object(), lambda: without_networks.summary(measured, options.console.width))
+
+
 def report(options: Work, output: Path | None, medium: str | None) -> None:
     """The page, or for a medium of print its figures and tables, as files. Raises ConfigError for no such medium."""
     if medium is None or options.dry_run:

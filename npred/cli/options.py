@@ -67,11 +67,12 @@ class Common:
         self.show(document, lambda: columns(header, rows, self.console.width))
 
 
+FALLBACKS = f"{defaults.PIPELINE_VARIABLE}, {defaults.PIPELINE}, or the only TOML file here"
 PIPELINE = argument(
     "PIPELINE",
     "A pipeline file, or the name of one that is part of npred, as smoke.",
     completion.pipelines,
-    default=f"{defaults.PIPELINE_VARIABLE}, {defaults.PIPELINE}, or the only TOML file here",
+    default=FALLBACKS,
 )
 OVERRIDES = flag(
     "Override a key, as in train.fno.epochs=5; repeatable.", "--set", word="KEY=VALUE", offers=completion.settings
@@ -124,6 +125,21 @@ class Work(Running):
     force: Annotated[bool, flag("Run the named stages even if the store has them.", "--force")] = False
     wide: Annotated[bool, flag("Print all that was measured, in tables of any width.", "--wide")] = False
     tensorboard: Annotated[Path | None, flag("Write the epochs of trainings as event files there.", word="DIR")] = None
+
+
+@dataclass(frozen=True)
+class Timed(Work):
+    """Flags of `npred bench`, which takes a plant too."""
+
+    pipeline_name: Annotated[
+        str | None,
+        argument(
+            "PIPELINE",
+            "A pipeline file or name; with --no-networks a plant too, by name or as my_plant.py:Tank.",
+            completion.pipelines,
+            default=FALLBACKS,
+        ),
+    ] = None
 
 
 WATCHDOG = flag("How long a controller waits for a sample before it holds U, or sends 0.", word="TIME[:hold|zero]")

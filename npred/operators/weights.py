@@ -106,16 +106,32 @@ def read(
         layers = max(table.arguments.get(key, 0) for key in ("layers", "depth"))
         if layers > len(arrays):  # else a file of a few bytes could ask for any number of them
             raise ValueError(f"{len(arrays)} tensors for {layers} layers")
-        network = registry.attribute(entry.layout)(plant.n, plant.m, 2 if plant.phased else 0, **table.arguments)
-        shapes = {f"network.{name}": shape for name, shape in network.items()}
-        shapes |= {f"scaling.{name}": shape for name, shape in layouts.scaling(plant.n, plant.m).items()}
-        shapes |= {"X_rest": (plant.n,), "u_rest": (plant.m,)}
         check(
-            {name: (shape, "float32") for name, shape in shapes.items()},
+            {name: (shape, "float32") for name, shape in _shapes(table, plant).items()},
             {name: (array.shape, array.dtype.name) for name, array in arrays.items()},
         )
     as_saved = Weights(table.architecture, table.anchor, arrays, domain, table)
     return as_saved if precision == np.float32 else as_saved.exact(plant)
+
+
+def untrained(table: Training, plant: Plant, rng: np.random.Generator) -> Weights:
+    """Random weights of a network with a fused form: what a call of it takes, before there are data."""
+    anchor = table.anchor if plant.rest else "initial"
+    arrays = {
+        name: rng.standard_normal(shape, dtype=np.float32) / np.float32(max(shape[-1:], default=1)) ** 0.5
+        for name, shape in _shapes(table, plant).items()
+    }
+    ones = {name: np.ones_like(array) for name, array in arrays.items() if name.startswith("scaling.")}
+    return Weights(table.architecture, anchor, arrays | ones, None, table)
+
+
+def _shapes(table: Training, plant: Plant) -> layouts.Shapes:
+    """The shape of each array of a network with a fused form."""
+    layout = registry.attribute(NETWORKS.builtin[table.architecture].layout)
+    network = layout(plant.n, plant.m, 2 if plant.phased else 0, **table.arguments)
+    shapes = {f"network.{name}": shape for name, shape in network.items()}
+    shapes |= {f"scaling.{name}": shape for name, shape in layouts.scaling(plant.n, plant.m).items()}
+    return shapes | {"X_rest": (plant.n,), "u_rest": (plant.m,)}
 
 
 def check_anchor(anchor: Anchor, plant: Plant) -> None:

@@ -66,6 +66,15 @@ class Crossover(Result):
     sentence: str = ""  #: all that in words
 
 
+class Foreseen(Result):
+    """What `npred bench --no-networks` says before a network is trained."""
+
+    plant: str  #: its name
+    network: str  #: the network whose call is timed, with random weights
+    crossover: list[Crossover]  #: its break-even at each of the errors that networks reach, the larger first
+    sentence: str  #: whether a network could pay
+
+
 class Stops(Result):
     """The share of the machine in the tails of the times."""
 

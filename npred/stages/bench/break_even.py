@@ -120,7 +120,7 @@ def call(reference: Reference, run: Predictor) -> Callable[[int], None]:
 
 def sentence(crossover: Crossover) -> str:
     """The crossover in a sentence for people."""
-    numerical, ratio = _method(crossover.best, crossover.best_steps), crossover.network_speedup
+    numerical, ratio = method_on(crossover.best, crossover.best_steps), crossover.network_speedup
     network = f"the {NETWORKS.label(crossover.predictor)} ({crossover.runtime})"
     first, second = (numerical, network) if ratio < 1 else (network, numerical)
     times = f"the network takes {crossover.network_us:.1f} µs, {numerical} {crossover.best_us:.1f} µs"
@@ -138,7 +138,7 @@ def _typical(crossover: Crossover) -> str:
     if not crossover.by_median:
         return ""
     rival = min(crossover.by_median, key=lambda row: row.median_us)
-    method = _method(rival.predictor, rival.steps)
+    method = method_on(rival.predictor, rival.steps)
     return (
         f" By the median error over samples, {short(crossover.eps_median)}, {method} has the network's "
         f"in {rival.median_us:.1f} µs, {rival.median_us / crossover.network_us:.1f} times its time."
@@ -148,8 +148,9 @@ def _typical(crossover: Crossover) -> str:
 def _others(crossover: Crossover) -> str:
     """The methods of that accuracy that are slower than the best."""
     rows = [row for row in crossover.numerical if row.predictor != crossover.best]
-    return "".join(f", {_method(row.predictor, row.steps)} {row.median_us:.1f} µs" for row in rows)
+    return "".join(f", {method_on(row.predictor, row.steps)} {row.median_us:.1f} µs" for row in rows)
 
 
-def _method(name: str, steps: int) -> str:
+def method_on(name: str, steps: int) -> str:
+    """A method and its number of steps, in words."""
     return f"{METHODS.label(name)} on {counted(steps, 'steps')}"
