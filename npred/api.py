@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from npred.pipeline.models import Stored
 
 
-def plant(name: str, *, kappa: plants.Kappa = "", **parameters: float) -> Plant:
-    """The plant of a built-in name or of `my_plant.py:Tank`, with parameters overridden; see npred.plants.resolve.
+def plant(name: str | type, *, kappa: plants.Kappa = "", **parameters: float) -> Plant:
+    """The plant of a built-in name, of `my_plant.py:Tank` or of a class, with parameters overridden.
 
     `kappa` takes the place of its law: a function kappa(x, t, p, M), or a law of npred.laws by its name, as "lqr".
     """

@@ -16,15 +16,17 @@ from npred.plants.black_box import BlackBox
 Kappa = Callable[..., Any] | str | Mapping[str, Any]  # a law, its name, or its name with what it takes
 
 
-def resolve(name: str, parameters: Mapping[str, float] = {}, kappa: Kappa = "") -> Plant:
-    """The plant of a built-in or installed name or of `file.py:Class`, with parameters overridden.
+def resolve(name: str | type, parameters: Mapping[str, float] = {}, kappa: Kappa = "") -> Plant:
+    """The plant of a built-in or installed name, of `file.py:Class` or of a class, with parameters overridden.
 
     `kappa` is a law in place of the declared one: a function kappa(x, t, p, M), the name of a law that is designed
     from f, as "lqr", or a table of such a name and what it takes: {"law": "pole_placement", "poles": [-1, -2]}.
     Raises ConfigError, in one line, for an unknown name, a missing or broken file, or an unknown parameter.
     """
+    if isinstance(name, type):
+        return controlled(make(name.__name__, name, parameters), kappa)
     if not isinstance(name, str):
-        raise ConfigError(f"plant: expected a name or my_plant.py:Tank, got {name!r}; write it as text")
+        raise ConfigError(f"plant: expected a name, my_plant.py:Tank or a class, got {name!r}; give one")
     if registry.in_file(name):
         (path, kind), (declaration, source) = registry.split(name), registry.load("plant", name)
         plant = make(kind, declaration, parameters, source)
