@@ -1,4 +1,4 @@
-"""Each built-in plant, and the README's tank, in a pipeline that gives nothing but D: is the adaptive loop kept?
+"""Each built-in plant, and the tutorial's tank, in a pipeline that gives nothing but D: is the adaptive loop kept?
 
 The gain, the bounds and the first estimates are derived from the plant and D, and the loops are those of the check
 before a run: 3 starts of the box times the first estimates 0.3 D to 2 D. `python benchmarks/defaults.py [PLANT=D …]`
@@ -14,7 +14,7 @@ from npred import config, diagnosis, plants
 from npred.errors import ConfigError
 from npred.loop import delay_law
 
-README = Path(__file__).parent.parent / "README.md"
+TUTORIAL = Path(__file__).parent.parent / "docs" / "own_plant.md"
 SECONDS = {  # D of the plants' pipelines and pages, else 0.5 s
     "activator_repressor": 1.0, "cart_pole": 0.2, "chemostat": 1.5, "scalar": 1.0, "strict_feedforward2": 1.0,
     "strict_feedforward3": 1.0, "van_der_pol": 1.0, "xarm6": 0.1,
@@ -22,8 +22,8 @@ SECONDS = {  # D of the plants' pipelines and pages, else 0.5 s
 
 
 def tank() -> str:
-    """The plant of the README, in a file of its own."""
-    block = re.search(r"```python\n(# my_plant\.py.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
+    """The plant of the tutorial, in a file of its own."""
+    block = re.search(r"```python\n(# my_plant\.py.*?)```", TUTORIAL.read_text(encoding="utf-8"), re.DOTALL)
     path = Path(tempfile.mkdtemp()) / "my_plant.py"
     path.write_text(block[1] if block else "", encoding="utf-8")
     return f"{path}:Tank"

@@ -11,10 +11,23 @@ import npred  # noqa: E402
 project, author, copyright = "npred", "The npred authors", "the npred authors, MIT licence"
 version = release = npred.__version__
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "docstrings", "mathml", "reference"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx_gallery.gen_gallery", "docstrings", "mathml", "reference"]
 myst_enable_extensions = ["deflist", "dollarmath"]
 myst_heading_anchors = 3
-exclude_patterns = ["_build"]
+exclude_patterns = ["_build", "gallery"]
+
+sphinx_gallery_conf = {
+    "examples_dirs": "gallery",
+    "gallery_dirs": "examples",
+    "filename_pattern": "/",  # all are run
+    "download_all_examples": False,
+    "write_computation_times": False,
+    "min_reported_time": 1e9,
+    "show_memory": False,
+    "reset_modules": ("matplotlib",),
+    "nested_sections": False,
+    "remove_config_comments": True,
+}
 
 html_theme = "furo"
 html_title = f"npred {release}"

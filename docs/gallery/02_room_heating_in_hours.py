@@ -25,7 +25,10 @@ class Room:
     def f(x, u, t, p, M):
         to_walls = 1.5 * (x.air - x.walls)
         out = 0.05 * (x.air - p.outside)
-        return [2.0 * u.heat - to_walls - out, 0.3 * to_walls - 0.1 * (x.walls - p.outside)]
+        return [
+            2.0 * u.heat - to_walls - out,
+            0.3 * to_walls - 0.1 * (x.walls - p.outside),
+        ]
 
     def kappa(x, t, p, M):
         # what holds the air where it is, and a share of what is missing
@@ -35,7 +38,13 @@ class Room:
 
 room = npred.plant(Room)
 rk4 = npred.predictor("rk4", room)
-evening = {"D": 0.75, "X0": [15.0, 12.0], "t_end": 10.0, "dt": 0.01, "u0": [0.0]}
+evening = {
+    "D": 0.75,
+    "X0": [15.0, 12.0],
+    "t_end": 10.0,
+    "dt": 0.01,
+    "u0": [0.0],
+}
 
 switching = npred.simulate(room, rk4, D_hat=0.0, **evening)
 steady = npred.simulate(room, rk4, D_hat=0.75, **evening)

@@ -24,12 +24,20 @@ class Altitude:
         return [x.climb, (u.thrust - drag) / p.mass - 9.81]
 
 
-drone = npred.plant(Altitude, kappa="lqr")
+# The weights of height and climb, and of the thrust.
+costs = {"law": "lqr", "Q": [100.0, 1.0], "R": [0.1]}
+drone = npred.plant(Altitude, kappa=costs)
 rk4 = npred.predictor("rk4", drone)
 low, high = npred.delay_margin(drone, D=0.25)
 print(f"the loop bears an error of D_hat from {low:+.3f} to {high:+.3f} s")
 
-flight = {"D": 0.25, "X0": [-1.0, 0.0], "t_end": 6.0, "dt": 0.005, "u0": "equilibrium"}
+flight = {
+    "D": 0.25,
+    "X0": [-1.0, 0.0],
+    "t_end": 6.0,
+    "dt": 0.005,
+    "u0": "equilibrium",
+}
 axes = npred.simulate(drone, rk4, D_hat=0.0, **flight).plot(label="D_hat = 0")
 for D_hat in (0.15, 0.25):
     npred.simulate(drone, rk4, D_hat=D_hat, **flight).plot(

@@ -30,7 +30,9 @@ class Robot:
 robot = npred.plant(Robot)
 rk4 = npred.predictor("rk4", robot)
 starts = [[0.5, 0.3, 0.6], [-0.4, 0.2, 1.4], [0.2, -0.4, 1.0]]
-loops = npred.simulate(robot, rk4, D=0.6, D_hat=0.6, X0=starts, t_end=6.0, dt=0.01)
+loops = npred.simulate(
+    robot, rk4, D=0.6, D_hat=0.6, X0=starts, t_end=6.0, dt=0.01
+)
 axes = loops.plot()
 print("furthest from the line at the end:", np.abs(loops.X[:, -1, 0]).max())
 assert np.abs(loops.X[:, -1] - [0, 0, 1]).max() < 0.01

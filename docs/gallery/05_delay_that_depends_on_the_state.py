@@ -2,9 +2,9 @@
 A delay that depends on the state
 =================================
 
-The inflow of a tank takes longer the higher the level is. The delay is a part of
-the plant: ``delay(x, t, p, M)``. The prediction reaches as far as the command
-needs that is sent now, and the loop watches that no command overtakes another.
+The inflow of a tank takes longer if the level is higher. The delay is a part of
+the plant: ``delay(x, t, p, M)``. The prediction reaches up to the time when the
+command acts, and the loop checks that no command overtakes another.
 """
 
 import npred
@@ -24,12 +24,6 @@ class Tank:
 
     def delay(x, t, p, M):
         return 0.4 + 0.2 * x.level
-
-
-class Believed(Tank):
-    """The same tank for an engineer who takes the delay for constant."""
-
-    delay = None
 
 
 tank = npred.plant(Tank)

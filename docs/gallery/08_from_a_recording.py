@@ -56,7 +56,13 @@ assert result.identifiable[0] and abs(result.D[0] - 7.3) < 0.2
 
 known = npred.plant(Heater, **result.parameters)
 loop = npred.simulate(
-    known, npred.predictor("rk4", known), D=7.3, D_hat=result.D[0], X0=[2.0],
-    t_end=120.0, dt=0.1, u0=[0.0],
-)  # fmt: skip
+    known,
+    npred.predictor("rk4", known),
+    D=7.3,
+    D_hat=result.D[0],
+    X0=[2.0],
+    t_end=120.0,
+    dt=0.1,
+    u0=[0.0],
+)
 axes = loop.plot(D=7.3)

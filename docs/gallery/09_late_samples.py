@@ -14,16 +14,23 @@ import npred
 plant = npred.plant("van_der_pol")
 rk4 = npred.predictor("rk4", plant, nx=51)
 setting = {
-    "D": 0.5, "D_hat": 0.3, "X0": [1.0, 0.0], "t_end": 15.0, "dt": 0.01,
-    "adaptation": npred.DelayObserver(bounds=(0.1, 1.0)), "actuator": "history",
-}  # fmt: skip
+    "D": 0.5,
+    "D_hat": 0.3,
+    "X0": [1.0, 0.0],
+    "t_end": 15.0,
+    "dt": 0.01,
+    "adaptation": npred.DelayObserver(bounds=(0.1, 1.0)),
+    "actuator": "history",
+}
 
 ideal = npred.simulate(plant, rk4, **setting)
 real = npred.simulate(
-    plant, rk4, **setting,
+    plant,
+    rk4,
+    **setting,
     timing=npred.Timing(jitter=0.3, lost=0.05),
     measurement=npred.Measurement(delay=0.1, drop=0.05),
-)  # fmt: skip
+)
 axes = ideal.plot(D=0.5, label="on time")
 real.plot(ax=axes, label="late and lost")
 print(f"oldest sample that a step used: {1e3 * real.clock.age.max():.0f} ms")

@@ -30,9 +30,14 @@ class Cart:
 cart = npred.plant(Cart)
 rk4 = npred.predictor("rk4", cart, nx=31)
 loop = {
-    "D": 0.3, "D_hat": 0.3, "X0": [-0.6, 0.2], "t_end": 8.0, "dt": 0.01,
-    "actuator": "history", "u0": [0.0],
-}  # fmt: skip
+    "D": 0.3,
+    "D_hat": 0.3,
+    "X0": [-0.6, 0.2],
+    "t_end": 8.0,
+    "dt": 0.01,
+    "actuator": "history",
+    "u0": [0.0],
+}
 free = npred.simulate(cart, rk4, **loop)
 kept = npred.simulate(cart, rk4, safety=npred.SafetyFilter(alpha=3.0), **loop)
 
