@@ -2,7 +2,7 @@
 
     python benchmarks/install.py [--extra train …] [--model pipeline/paper.toml:deeponet] [--store artifacts] [--cached]
 
-Each line is a new environment with this checkout installed in it: without extras, then with each that is named.
+Each line is a new environment with the wheel of this checkout: without extras, then with each that is named.
 Packages are downloaded, unless `--cached` lets pip take those that it has. MB are those of the environment's packages;
 pip and setuptools, which are there before, count apart. Times of imports are medians of new processes, beside that of
 NumPy, which the names bring. With `--model`, a trained network of the store, the tasks are done with it too.
@@ -65,12 +65,20 @@ def megabytes(folder: Path) -> tuple[float, float]:
     return sum(sizes.values()), sum(ours)
 
 
-def install(folder: Path, extras: str, cached: bool) -> float:
+def built(folder: Path) -> Path:
+    """The wheel of this checkout, as a release has it."""
+    pip = [sys.executable, "-m", "pip", "wheel", "--quiet", "--disable-pip-version-check", "--no-deps", "-w", folder]
+    subprocess.run([*pip, ROOT], check=True)
+    (wheel,) = folder.glob("npred-*.whl")
+    return wheel
+
+
+def install(folder: Path, wheel: Path, extras: str, cached: bool) -> float:
     """A new environment; the seconds that pip takes."""
     subprocess.run([sys.executable, "-m", "venv", folder], check=True)
     start = time.perf_counter()
     pip = [folder / "bin" / "python", "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
-    subprocess.run([*pip, *([] if cached else ["--no-cache-dir"]), f"{ROOT}{extras}"], check=True, cwd=folder)
+    subprocess.run([*pip, *([] if cached else ["--no-cache-dir"]), f"{wheel}{extras}"], check=True, cwd=folder)
     return time.perf_counter() - start
 
 
@@ -106,7 +114,8 @@ def main() -> None:
     for extra in ["", *options.extra]:
         with tempfile.TemporaryDirectory() as temporary:
             folder = Path(temporary) / "venv"
-            taken = install(folder, f"[{extra}]" if extra else "", options.cached)
+            wheel = built(Path(temporary))
+            taken = install(folder, wheel, f"[{extra}]" if extra else "", options.cached)
             python = str(folder / "bin" / "python")
             times = [f"{import_seconds(python, text, folder):.2f} s" for text in IMPORTS.values()]
             whole, added = megabytes(folder)

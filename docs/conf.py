@@ -33,6 +33,7 @@ html_theme = "furo"
 html_title = f"npred {release}"
 html_static_path = ["_static"]
 html_css_files = ["npred.css"]
+html_extra_path = ["llms.txt"]
 html_math_renderer = "mathml"
 html_copy_source = html_show_sourcelink = False
 highlight_language = "none"

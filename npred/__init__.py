@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from npred.safety import SafetyFilter
     from npred.stages.bench.comparison import compare
 
-__version__ = "0.1.0"
+__version__ = "1.0.0"
 __all__ = [
     "DelayAdaptation", "DelayLaw", "DelayObserver", "L1Adaptation", "Measurement", "Predictor", "SafetyFilter",
     "Timing", "Watchdog", "as_iosystem", "compare", "controller", "delay_margin", "evaluate", "export", "generate",

@@ -264,3 +264,8 @@ def test_the_documentation_builds_without_a_warning_and_asks_no_one(tmp_path: Pa
     for page in tmp_path.rglob("*.html"):
         fetched = re.findall(r"<(?:script|img|link|iframe)\b[^>]*(?:src|href)=\"(https?:[^\"]+)", page.read_text())
         assert fetched == [], page.name
+
+
+def test_the_pages_that_llms_txt_names_exist():
+    names = re.findall(r"\]\(([^)]+)\)", (ROOT / "docs" / "llms.txt").read_text())
+    assert len(names) > 10 and [name for name in names if not (ROOT / "docs" / name).exists()] == []

@@ -2,10 +2,16 @@
 
 import re
 import subprocess
+import sys
+import tarfile
 import tomllib
+import zipfile
+from pathlib import Path
 
 import pytest
 from conftest import HERE
+
+import npred
 
 ROOT = HERE.parent
 FILE = tomllib.loads((ROOT / "pyproject.toml").read_text())
@@ -45,3 +51,33 @@ def test_make_takes_the_tested_set(target: str):
     assert re.search(r"pip install .*--constraint constraints.txt -e ", said)
     plain = subprocess.run(["make", "-n", "-B", target], cwd=ROOT, capture_output=True, text=True, check=True).stdout
     assert "pip install" in plain and "--constraint" not in plain
+
+
+def test_the_version_is_the_same_everywhere_and_has_a_section_in_the_changelog():
+    cited = re.search(r"^version: (.+)$", (ROOT / "CITATION.cff").read_text(), re.MULTILINE)
+    assert cited is not None and cited[1] == PROJECT["version"] == npred.__version__
+    assert f"\n## {PROJECT['version']}\n" in (ROOT / "CHANGELOG.md").read_text()
+
+
+@pytest.mark.slow
+def test_wheel_and_sources_have_what_they_should_and_nothing_else(tmp_path: Path):
+    pytest.importorskip("hatchling")
+    build = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-t", "sdist", "-d", str(tmp_path)]
+    subprocess.run(build, cwd=ROOT, check=True, capture_output=True)
+    (wheel,), (sources,) = tmp_path.glob("*.whl"), tmp_path.glob("*.tar.gz")
+    with zipfile.ZipFile(wheel) as archive:
+        in_wheel = {name for name in archive.namelist() if not name.endswith("/")}
+    with tarfile.open(sources) as archive:
+        in_sources = {name.partition("/")[2] for name in archive.getnames()}
+    tracked = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=True).stdout.split(
+        "\n"
+    )
+    package = {name for name in tracked if name.startswith(("npred/", "npred_experiments/"))}
+    pipelines = {
+        f"npred/pipelines/{name.removeprefix('pipeline/')}" for name in tracked if name.startswith("pipeline/")
+    }
+    metadata = {name for name in in_wheel if ".dist-info/" in name}
+    assert in_wheel - metadata == package | pipelines
+    assert any(name.endswith("licenses/LICENSE") for name in metadata)
+    assert {"LICENSE", "README.md", "pyproject.toml", "docs/llms.txt", "docs/gallery/00_first_loop.py"} <= in_sources
+    assert not any(name.startswith(("artifacts", "docs/_build", "docs/examples", ".venv")) for name in in_sources)

@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tank import TANK
 
+import npred
 from npred import plants
 from npred.errors import ConfigError
 from npred.plants import BlackBox, Plant
@@ -341,3 +342,18 @@ def test_plants_say_what_they_are():
     assert repr(plants.resolve("scalar", {"a": 0.3})) == "<Plant scalar: states X; inputs U; a = 0.3, c = 1>"
     assert repr(BlackBox("lag", Called)) == "<BlackBox lag: states x; inputs u; a = 1>"
     assert len(repr(plants.resolve("planar_arm7"))) < 200
+
+
+def test_a_class_is_a_plant_with_parameters_and_a_law():
+    class Lag:
+        states, inputs, parameters, box = ("x",), ("u",), {"rate": 1.0}, {"x": (-1.0, 1.0)}
+
+        def f(x, u, t, p, M):
+            return [-p.rate * x.x + u.u]
+
+    lag = npred.plant(Lag, kappa="lqr", rate=2.0)
+    assert (lag.name, lag.parameters["rate"]) == ("Lag", 2.0)
+    assert lag.f(np.array([1.0]), np.array([0.0]))[0] == -2.0
+    assert lag.kappa(np.array([1.0]))[0] < 0
+    with pytest.raises(ConfigError, match=r"a name, my_plant\.py:Tank or a class"):
+        npred.plant(Lag.f)  # type: ignore[arg-type]
