@@ -29,6 +29,9 @@ def measure(pipeline: Pipeline, plant: Plant) -> Foreseen:
     Samples come from short loops of [generate], and nothing is stored. Raises ConfigError for a pipeline that its plant
     does not fit, for loops that leave the finite numbers, and where no method reaches an error.
     """
+    if not plant.declares_V:  # the paper's law takes one, and its loops are asked for samples only
+        adapted = pipeline.generate.model_copy(update={"adaptation": "delay-observer", "actuator": "history"})
+        pipeline = pipeline.model_copy(update={"generate": adapted})
     diagnosis.require(plant, pipeline, ("generate",))
     reference = Reference.of(plant, _samples(pipeline, plant))
     nx = grid.count(pipeline.bench.dx[0])
