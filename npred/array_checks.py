@@ -26,6 +26,12 @@ def floats(name: str, value: object, kind: str = "an array of real numbers") -> 
     raise ConfigError(f"{name}: expected {kind}, got {_described(value)}; convert it")
 
 
+def nodes(name: str, value: object, m: int) -> np.ndarray:
+    """The values at nodes, (..., nx, m); those of a single input may come flat, (nx,). Raises as `floats`."""
+    array = floats(name, value)
+    return array[:, None] if m == 1 and array.ndim == 1 else array
+
+
 def number(name: str, value: object) -> float:
     """One real number, which may be infinite. Raises ConfigError for an array with axes and what `floats` refuses."""
     array = floats(name, value, "a real number")

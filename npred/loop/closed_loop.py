@@ -8,6 +8,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from npred import array_checks
 from npred.delays import family_of
@@ -51,7 +52,7 @@ def simulate(
     input_bounds: Any = None,
     u0: Any = None,
     every: int = 1,
-    samples: np.ndarray | None = None,
+    samples: ArrayLike | None = None,
     actuator: str = loop_checks.MEASURED,
     measurement: Measurement | None = None,
     truth: Plant | None = None,

@@ -501,8 +501,8 @@ class Controller(InNotebook):
         z.D_hat[0], z.phi_before[0], self._step, self._t0 = seconds, rate, step, start
 
     def _measure(self, X: np.ndarray, u: Any, u_nodes: Any) -> None:
-        u = self._u if u is None else array_checks.floats("u", u)
-        u_nodes = u if u_nodes is None else array_checks.floats("u_nodes", u_nodes)
+        u = self._u if u is None else array_checks.nodes("u", u, self.plant.m)
+        u_nodes = u if u_nodes is None else array_checks.nodes("u_nodes", u_nodes, self.plant.m)
         expected = self._Y.shape, self._u.shape
         for values in (u, u_nodes):
             if (X.shape, values.shape) != expected:  # broadcasting would hide a sensor that is lost

@@ -4,6 +4,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from npred import grid
 from npred.loop.closed_loop import Trajectories
@@ -17,18 +18,20 @@ NEWTON, STEP = 8, 1e-6  # steps of Newton's method, and the half width in second
 CELLS = 4000  # of the horizon, along which the gain of a plant that tracks is integrated
 
 
-def size(X_star: np.ndarray) -> float:
+def size(X_star: ArrayLike) -> float:
     """The unit of a distance from X*: the largest |X*|, or one unit of state where X* is the origin."""
+    X_star = np.asarray(X_star)
     norm = float(np.linalg.norm(X_star) if X_star.ndim == 1 else np.linalg.norm(X_star, axis=-1).max())
     return norm if norm > ORIGIN else 1.0
 
 
-def errors(plant: Plant, P_hat: np.ndarray, P: np.ndarray, t: Any = 0.0, D_hat: Any = 0.0) -> dict[str, Any]:
+def errors(plant: Plant, P_hat: ArrayLike, P: ArrayLike, t: Any = 0.0, D_hat: Any = 0.0) -> dict[str, Any]:
     """Errors of P_hat against P, both (N, nx, n), over samples and nodes, in the plant's units; t, D_hat (N,).
 
     mse: mean square, as [DAPF] reports it. eps_sup: sup |P_hat - P|, the epsilon of [DAPF, Theorem 2]. eps_kappa:
     sup |kappa(P_hat(1)) - kappa(P(1))|, what the control sees, kappa_j at r_j. rel_l2: mean of ||P_hat - P|| / ||P||.
     """
+    P_hat, P = np.asarray(P_hat), np.asarray(P)
     gap = P_hat - P
     control = law(plant, P_hat, t, D_hat) - law(plant, P, t, D_hat)
     relative = np.linalg.norm(gap, axis=(1, 2)) / np.linalg.norm(P, axis=(1, 2))
@@ -65,12 +68,13 @@ def arrival(plant: Plant, X: np.ndarray, t: Any, D: Any) -> np.ndarray:
     return s
 
 
-def radius(loops: Trajectories, X_star: np.ndarray) -> np.ndarray:
+def radius(loops: Trajectories, X_star: ArrayLike) -> np.ndarray:
     """sup |X - X*| over the last tenth of the horizon, (...); infinite for a loop that left the finite numbers.
 
     Here and below X* is (n,), or (nt, n) for a plant that tracks: `plant.target(loops.t)`.
     """
     rows = loops.t >= (1 - TAIL) * loops.t[-1]
+    X_star = np.asarray(X_star)
     goal = X_star if X_star.ndim == 1 else X_star[rows]
     distance = _length(loops.X[..., rows, :] - goal).max(axis=-1)
     return np.where(np.isfinite(distance), distance, np.inf)
@@ -112,12 +116,12 @@ def _gap_where_it_acts(t: np.ndarray, X: np.ndarray, P: np.ndarray, D: np.ndarra
     return float(_length(P[rows] - reached).max(initial=0.0)) if rows.any() else np.inf
 
 
-def settle_time(loops: Trajectories, X_star: np.ndarray) -> np.ndarray:
+def settle_time(loops: Trajectories, X_star: ArrayLike) -> np.ndarray:
     """The time in seconds after which |X - X*| stays within 1 % of size(X*), (...); infinite where it does not."""
     return _last_outside(loops.t, _length(loops.X - X_star), SETTLED * size(X_star))
 
 
-def decay_rate(loops: Trajectories, X_star: np.ndarray) -> np.ndarray:
+def decay_rate(loops: Trajectories, X_star: ArrayLike) -> np.ndarray:
     """The mean rate in 1/s at which |X - X*| falls from 1e-2 to 1e-4 of size(X*), (...); NaN where it does not."""
     distance = _length(loops.X - X_star) / size(X_star)
     ends = [_last_outside(loops.t, distance, level) for level in (1e-2, 1e-4)]
@@ -138,7 +142,7 @@ def _last_outside(t: np.ndarray, distance: np.ndarray, level: float) -> np.ndarr
     return np.where(outside.any(axis=-1), np.append(t[1:], np.inf)[last], 0.0)
 
 
-def relative(plant: Plant, X: np.ndarray, u: np.ndarray, P_hat: np.ndarray, P: np.ndarray) -> dict[str, Any]:
+def relative(plant: Plant, X: ArrayLike, u: ArrayLike, P_hat: ArrayLike, P: ArrayLike) -> dict[str, Any]:
     """sup_x |P_hat - P| / (|X - X*| + sup_x |u - u*|), its supremum and median over the samples.
 
     Finite and small, it makes the loop converge to the point: near rest the error vanishes with the distance. A plant
@@ -146,18 +150,18 @@ def relative(plant: Plant, X: np.ndarray, u: np.ndarray, P_hat: np.ndarray, P: n
     """
     if not plant.rests:
         return {}
-    distance = np.linalg.norm(X - plant.equilibrium, axis=-1)
-    distance = distance + np.linalg.norm(u - plant.u_equilibrium, axis=-1).max(axis=-1)
-    ratio = np.linalg.norm(P_hat - P, axis=-1).max(axis=-1) / distance
+    distance = np.linalg.norm(np.subtract(X, plant.equilibrium), axis=-1)
+    distance = distance + np.linalg.norm(np.subtract(u, plant.u_equilibrium), axis=-1).max(axis=-1)
+    ratio = np.linalg.norm(np.subtract(P_hat, P), axis=-1).max(axis=-1) / distance
     return {"eps_relative": {"sup": float(ratio.max()), "median": float(np.median(ratio))}}
 
 
-def converged(radii: np.ndarray, X_star: np.ndarray) -> np.ndarray:
+def converged(radii: ArrayLike, X_star: ArrayLike) -> np.ndarray:
     """True if a loop of that radius ends settled."""
-    return radii <= SETTLED * size(X_star)
+    return np.asarray(radii) <= SETTLED * size(X_star)
 
 
-def lost(loops: Trajectories, X_star: np.ndarray, far: float = LOST) -> np.ndarray:
+def lost(loops: Trajectories, X_star: ArrayLike, far: float = LOST) -> np.ndarray:
     """True, (...), for a loop that ends further from X* than `far` of size(X*), or left the finite numbers."""
     return ~(radius(loops, X_star) <= far * size(X_star))
 

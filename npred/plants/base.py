@@ -128,28 +128,28 @@ class Plant(InNotebook):
         return call(self, name, x, u, t, p, M)
 
     def f(self, X: Array, u: Array, t: Value = 0.0) -> Array:
-        """f(X, u, t): X (..., n), u (..., m) to (..., n); NumPy arrays or torch tensors."""
-        return array_math.stack(self._on("f", X, u, t), X[..., 0])
+        """f(X, u, t): X (..., n), u (..., m) to (..., n); lists, NumPy arrays or torch tensors."""
+        return self._stacked("f", X, u, t)
 
     def kappa(self, X: Array, t: Value = 0.0) -> Array:
         """kappa(X, t): X (..., n) to (..., m)."""
-        return array_math.stack(self._on("kappa", X, None, t), X[..., 0])
+        return self._stacked("kappa", X, None, t)
 
     def V(self, X: Array, t: Value = 0.0) -> Array:
         """V(X, t): X (..., n) to (...)."""
-        return self._on("V", X, None, t)[0]
+        return self._on("V", array_math.taken(X), None, array_math.taken(t))[0]
 
     def delay(self, X: Array, t: Value = 0.0) -> Array:
         """delay(X, t) in seconds, X (..., n) to (...), of a plant that declares it."""
-        return array_math.stack(self._on("delay", X, None, t), X[..., 0])[..., 0]
+        return self._stacked("delay", X, None, t)[..., 0]
 
     def output(self, X: Array, t: Value = 0.0) -> Array:
         """What is measured of X (..., n): output(X, t) (..., outputs) of a plant that declares it, else X."""
-        return array_math.stack(self._on("output", X, None, t), X[..., 0]) if self.declares_output else X
+        return self._stacked("output", X, None, t) if self.declares_output else array_math.taken(X)
 
     def safe(self, X: Array, t: Value = 0.0) -> Array:
         """What is at least 0 where X (..., n) is safe: safe(X, t) (..., limits), of a plant that declares it."""
-        return array_math.stack(self._on("safe", X, None, t), X[..., 0])
+        return self._stacked("safe", X, None, t)
 
     @cached_property
     def limits(self) -> int:
@@ -172,6 +172,12 @@ class Plant(InNotebook):
             if high < np.inf:
                 components[k] = M.where(components[k] > high, high, components[k])
         return components
+
+    def _stacked(self, name: str, X: Array, u: Array | None, t: Value) -> Array:
+        """A declared function, its values as the last axis; lists are taken as arrays."""
+        X, u, t = map(array_math.taken, (X, u, t))
+        values = self._on(name, X, u, t)
+        return array_math.stack(values, X[..., 0])
 
     def _on(self, name: str, X: Array, u: Array | None, t: Value) -> list[Value]:
         self._fits(X, u)

@@ -22,8 +22,9 @@ Flow: TypeAlias = Callable[..., Array]  # f(x, u, t); of an implicit step a Trac
 class Predictor(InNotebook, ABC):
     """P(x) = X + D_hat ∫₀ˣ f(P(y), u(y)) dy on nx uniform nodes, both ends in [DAPF, eq. 10].
 
-    Call it with X (..., n), u (..., nx, m) and D_hat (...) in seconds; P is (..., nx, n). `t` (...) is the time at
-    x = 0, of use to plants that depend on time. A predictor that you write is a subclass with `predict`.
+    Call it with X (..., n), u (..., nx, m) and D_hat (...) in seconds; P is (..., nx, n). The u of one sample with one
+    input may be (nx,). `t` (...) is the time at x = 0, of use to plants that depend on time. A predictor that you write
+    is a subclass with `predict`.
     Raises ConfigError where the shapes do not fit the plant, nx is below 2, a number is not finite or a delay is
     negative.
     """
@@ -46,7 +47,8 @@ class Predictor(InNotebook, ABC):
         self, X: ArrayLike, u: ArrayLike, D_hat: ArrayLike, t: ArrayLike
     ) -> tuple[tuple[int, ...], tuple[np.ndarray, ...]]:
         """The shape of a batch, and X (B, n), u (B, nx, m), D_hat and t (B,) of it. Raises as a call does."""
-        X, u, D_hat, t = (array_checks.floats(name, a) for name, a in (("X", X), ("u", u), ("D_hat", D_hat), ("t", t)))
+        X, D_hat, t = (array_checks.floats(name, a) for name, a in (("X", X), ("D_hat", D_hat), ("t", t)))
+        u = array_checks.nodes("u", u, self.plant.m)
         self._check(X, u)
         for name, array in (("X", X), ("u", u), *([("t", t)] if self.plant.clocked else [])):
             array_checks.finite(

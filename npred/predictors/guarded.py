@@ -213,10 +213,11 @@ class Guarded(Predictor):
         return self.domain.distance(X, u, D_hat, self.plant.phase(t)) / self.domain.limit
 
     def judge(
-        self, P_hat: np.ndarray, X: ArrayLike, u: ArrayLike, D_hat: ArrayLike, t: ArrayLike = 0.0
+        self, P_hat: ArrayLike, X: ArrayLike, u: ArrayLike, D_hat: ArrayLike, t: ArrayLike = 0.0
     ) -> tuple[np.ndarray, np.ndarray]:
         """The estimate and whether the numerical predictor answers, (...), where the model has said P_hat."""
         shape, rows = self._rows(X, u, D_hat, t)
+        P_hat = array_checks.floats("P_hat", P_hat)
         P_hat = P_hat.reshape(-1, *P_hat.shape[-2:])
         _, error, fallback = self._run(self._on(rows[1]), P_hat, *rows)
         return error.reshape(shape), fallback.reshape(shape)

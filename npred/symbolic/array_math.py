@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable
 from functools import cache
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 
@@ -18,6 +19,11 @@ NUMPY = SimpleNamespace(
 def of(array: Array) -> SimpleNamespace:
     """The mathematics of an array's kind; torch is not imported unless the array is a tensor."""
     return _torch() if type(array).__module__.split(".")[0] == "torch" else NUMPY
+
+
+def taken(value: Any) -> Any:
+    """A list or tuple of numbers as an array, anything else as it is."""
+    return np.asarray(value, dtype=float) if isinstance(value, list | tuple) else value
 
 
 def stack(components: list[Value], like: Array) -> Array:
