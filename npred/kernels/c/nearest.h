@@ -36,7 +36,7 @@ static inline void solve_active(int count, const double *G, const double *b, dou
 }
 
 /* Row i of A times row j, in the weights w. */
-static inline double product(const Conditions *q, const double *w, int i, int j)
+static inline double gram(const Conditions *q, const double *w, int i, int j)
 {
     double sum = i == j ? q->soft[i] : 0.0;
     for (int c = 0; c < M; c++) {
@@ -56,7 +56,7 @@ static inline void nearest(const Conditions *q, const double *w, double *delta)
             double missed = q->b[i];
             int is_active = 0;
             for (int k = 0; k < count; k++) {
-                missed -= product(q, w, i, active[k]) * lambda[active[k]];
+                missed -= gram(q, w, i, active[k]) * lambda[active[k]];
                 is_active = is_active || active[k] == i;
             }
             if (!is_active && missed > most_missed) {
@@ -74,7 +74,7 @@ static inline void nearest(const Conditions *q, const double *w, double *delta)
             for (int i = 0; i < count; i++) {
                 b[i] = q->b[active[i]];
                 for (int j = 0; j < count; j++) {
-                    G[i * ROWS + j] = product(q, w, active[i], active[j]);
+                    G[i * ROWS + j] = gram(q, w, active[i], active[j]);
                 }
             }
             solve_active(count, G, b, L, y);
