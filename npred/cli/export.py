@@ -151,11 +151,11 @@ def _fmu(options: Exporting, key: str, output: Path | None) -> None:
 def _built(options: Exporting, key: str) -> Built:
     """The controller that a key and the flags mean. Raises ConfigError where there is none."""
     path, model = _named(key, options.predictor)
-    pipeline = config.load(path, options.set)
+    pipeline = config.load(path, options.overrides)
     table, plant = pipeline.evaluate, plants.resolve(pipeline.plant, pipeline.parameters, pipeline.kappa)
     predictor = _predictor(options, f"{path}:{model}" if model else "", plant, table)
     more = {"oldest": options.oldest, "watchdog": watchdog(options.watchdog)}
-    controller = of_table(plant, predictor, table, options.actuator, **more)
+    controller = of_table(plant, predictor, table, **more)
     if controller.actuator == HISTORY and isinstance(controller.adaptation, DelayAdaptation):
         options.console.warn(RECALLS)
     X0 = np.array(table.X0) if table.X0 else plant.target(0.0)
@@ -188,17 +188,16 @@ def _predictor(options: Exporting, spec: str, plant: Plant, table: Evaluate) -> 
     return Guarded(predictor, exact=exact, **guard) if guard else predictor
 
 
-def of_table(plant: Plant, predictor: Predictor, table: Evaluate, actuator: str, **more: Any) -> Controller:
+def of_table(plant: Plant, predictor: Predictor, table: Evaluate, **more: Any) -> Controller:
     """The controller of the evaluated loop; `more` as for Controller."""
     limits = inputs.bounds(plant, table.input_bounds)
     start = np.array([table.X0]) if table.X0 else np.zeros((1, plant.n))
     u0 = inputs.before(plant, table.u0, limits, start)[0] if table.u0 == inputs.LAW else table.u0
-    actuator = actuator or table.actuator
-    more |= {"observer": condition.state_observer(plant, table)} if actuator == HISTORY else {}
+    more |= condition.wrapped(plant, table)
     return Controller(
         plant, predictor, delay_law.resolve(table, plant), table.dt,
         D_hat=None if plant.declares_delay else table.D_hat0, input_bounds=table.input_bounds,
-        actuator=actuator, u0=u0, **more,
+        actuator=table.actuator, u0=u0, **more,
     )  # fmt: skip
 
 

@@ -1,5 +1,6 @@
 """The flags that commands share, each declared once, and how a flag is declared."""
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -162,6 +163,12 @@ class Exporting(Common):
     actuator: Annotated[
         str, flag("A controller's source of u; by default as in evaluate.", word="measured|history")
     ] = ""
+    observer: Annotated[
+        str, flag("A controller's observer, as kind=ekf,offset=true; by default as in evaluate.", word="KEY=VALUE,…")
+    ] = ""
+    safety: Annotated[
+        str, flag("A controller's filter of U, as alpha=3,delay=0.02; by default as in evaluate.", word="KEY=VALUE,…")
+    ] = ""
     guard: Annotated[
         float | None, flag("A controller's guard: the largest error of U that passes; as in evaluate.")
     ] = None
@@ -174,6 +181,17 @@ class Exporting(Common):
         str, flag("An FMU's machines, by ziglang, as linux64,win64,darwin64; by default this one.", word="NAME,…")
     ] = ""
     mex: Annotated[bool, flag("A controller's gateway to MATLAB and Octave too, NAME_mex.c.", "--mex")] = False
+
+    @property
+    def overrides(self) -> list[str]:
+        """Those of --set, and the keys of [evaluate] that have a flag. Raises ConfigError for a flag without a key."""
+        flags = [f"evaluate.actuator={self.actuator}"] if self.actuator else []
+        for key, text in (("observer", self.observer), ("safety", self.safety)):
+            pairs = re.split(r",(?=\w+=)", text) if text else []
+            if not all(re.match(r"\w+=", pair) for pair in pairs):
+                raise ConfigError(f"--{key}: expected KEY=VALUE,…, got {text!r}; name the keys of evaluate.{key}")
+            flags += [f"evaluate.{key}.{pair}" for pair in pairs]
+        return [*(self.set or []), *flags]
 
 
 @dataclass(frozen=True)

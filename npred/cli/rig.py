@@ -116,7 +116,7 @@ def _controller(options: Rigged, plant: Plant, channel: Channel) -> Controller:
     else:
         predictor = numerical(table.predictor, plant, table.nx)
     more = {"oldest": max(OLDEST * table.dt, 2 * channel.longest), "watchdog": export.watchdog(options.watchdog)}
-    controller = export.of_table(plant, predictor, table, HISTORY, **more)
+    controller = export.of_table(plant, predictor, table.model_copy(update={"actuator": HISTORY}), **more)
     if isinstance(controller.adaptation, DelayAdaptation):
         options.console.warn(export.RECALLS)
     return controller

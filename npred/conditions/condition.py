@@ -17,6 +17,7 @@ from npred.observers import Observer as StateObserver
 from npred.plants.base import Plant
 from npred.predictors import Predictor
 from npred.registry import OBSERVERS
+from npred.safety import SafetyFilter
 
 EVERY = 10  # control steps between two kept states, where nothing asks for more
 
@@ -62,7 +63,7 @@ class Condition:
             actuator=table.actuator, adaptation=delay_law.resolve(table, plant) if self.adapts else None,
             truth=truth(plant, table), disturbance=self.disturbance or _push(table.disturbance),
             measurement=Measurement(**sensors), timing=table.timing and Timing(**dict(table.timing), seed=self.seed),
-            observer=state_observer(plant, table), **delays, **recorded,
+            **wrapped(plant, table), **delays, **recorded,
         )  # fmt: skip
 
 
@@ -72,12 +73,15 @@ def compiled(plant: Plant, predictor: Predictor, table: Loop) -> bool:
     return closed_loop.compiled(plant, predictor, law)
 
 
-def state_observer(plant: Plant, table: Loop) -> StateObserver | None:
-    """The observer of the state that the table names, or None. Raises ConfigError for one that does not fit."""
-    if table.observer is None:
-        return None
-    kind = OBSERVERS.subclass("observer", table.observer.kind, StateObserver)
-    return kind(plant, outputs=table.observer.outputs, offset=table.observer.offset)
+def wrapped(plant: Plant, table: Loop) -> dict[str, Any]:
+    """The observer of the state and the safety filter of a table, each or None: as npred.simulate and npred.controller
+    take them. Raises ConfigError for one that does not fit.
+    """
+    observer: StateObserver | None = None
+    if table.observer:
+        kind = OBSERVERS.subclass("observer", table.observer.kind, StateObserver)
+        observer = kind(plant, outputs=table.observer.outputs, offset=table.observer.offset)
+    return {"observer": observer, "safety": table.safety and SafetyFilter(**dict(table.safety))}
 
 
 def truth(plant: Plant, table: Loop) -> Plant | None:

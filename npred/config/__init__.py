@@ -2,7 +2,7 @@
 
 from npred.config.evaluate import Evaluate, GuardTable, Scenario
 from npred.config.file import leaves, load, override, parse, put, table
-from npred.config.loop import ControlClock, Disturbance, Loop, Sensors, StateObserver, within
+from npred.config.loop import ControlClock, Disturbance, Loop, Sensors, StateLimits, StateObserver, within
 from npred.config.pipeline import Bench, Generate, Pipeline
 from npred.config.section import FROZEN, PAPER, Anchor, Range, Section
 from npred.config.train import FNO, DeepONet, Network, Train, Training
@@ -10,6 +10,6 @@ from npred.config.tune import Tune
 
 __all__ = [
     "FNO", "FROZEN", "PAPER", "Anchor", "Bench", "ControlClock", "DeepONet", "Disturbance", "Evaluate", "Generate",
-    "GuardTable", "Loop", "Network", "Pipeline", "Range", "Scenario", "Section", "Sensors", "StateObserver", "Train",
-    "Training", "Tune", "leaves", "load", "override", "parse", "put", "table", "within",
+    "GuardTable", "Loop", "Network", "Pipeline", "Range", "Scenario", "Section", "Sensors", "StateLimits",
+    "StateObserver", "Train", "Training", "Tune", "leaves", "load", "override", "parse", "put", "table", "within",
 ]  # fmt: skip

@@ -5,7 +5,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_serializer, model_validator
 
-from npred.config.loop import ControlClock, Disturbance, Loop, Sensors, StateObserver
+from npred.config.loop import ControlClock, Disturbance, Loop, Sensors, StateLimits, StateObserver
 from npred.config.section import (
     ADDED,
     Actuator,
@@ -59,6 +59,7 @@ class Scenario(Section):
     actuator: Actuator | None = None  #: as actuator
     timing: ControlClock | None = None  #: as timing
     observer: StateObserver | None = None  #: as observer
+    safety: StateLimits | None = None  #: as safety
     adaptation: Law | None = None  #: as adaptation
     D_hat0: Some[Positive] | None = None  #: as case_D_hat0
     drift: Drift | None = None  #: the true delay is D + amplitude sin(2π t / period)

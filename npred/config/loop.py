@@ -87,6 +87,14 @@ class StateObserver(Section):
     offset: bool = False  #: whether it also finds what is added to each input
 
 
+class StateLimits(Section):
+    """A filter of U that keeps the limits which the plant declares by safe(x, t, p, M): npred.SafetyFilter."""
+
+    alpha: Positive = 1.0  #: how fast a limit may be approached, h' >= -alpha h, in 1/s; at most 1 / dt
+    margin: Delay = 0.0  #: added to that condition, in units of h per second
+    delay: Delay = 0.0  #: how wrong D_hat may be, in seconds; above 0 with actuator = "history"
+
+
 class Disturbance(Section):
     """amplitude sin(omega t), added to what leaves the actuator, the same for each input."""
 
@@ -133,6 +141,8 @@ class Loop(Section):
     timing: Annotated[ControlClock | None, ADDED] = None
     #: a table: what estimates the state from outputs, with actuator = "history"; by default the state is measured
     observer: Annotated[StateObserver | None, ADDED] = None
+    #: a table: a filter of U that keeps what the plant declares by `safe`; by default U is not filtered
+    safety: Annotated[StateLimits | None, ADDED] = None
     #: a table: what is added to the input of the simulated plant
     disturbance: Annotated[Disturbance, ADDED] = Disturbance()
 
@@ -172,9 +182,10 @@ class Loop(Section):
         return not getattr(self, "data", "")
 
     def clocked(self) -> None:
-        """Raise ValueError for a clock, or an observer of the state, of a controller that is given u."""
-        for key in ("timing", "observer"):
-            if getattr(self, key) and self.actuator != "history":
+        """Raise ValueError for what reads the controller's own commands where it is given u."""
+        parts = {"timing": self.timing, "observer": self.observer, "safety.delay": self.safety and self.safety.delay}
+        for key, value in parts.items():
+            if value and self.actuator != "history":
                 raise ValueError(f'{key}: expected actuator = "history", got {self.actuator!r}; give it, or no {key}')
 
     def lasts(self, key: str, seconds: float) -> None:

@@ -6,14 +6,14 @@ from typing import Any
 import numpy as np
 
 from npred import array_checks, plants, predictors
-from npred.conditions.condition import state_observer
+from npred.conditions.condition import wrapped
 from npred.config import FROZEN, PAPER
 from npred.delays import family_of
 from npred.diagnosis.case import SPAN, Case
 from npred.diagnosis.equilibrium import SLIP
 from npred.diagnosis.lyapunov import DECLARE
 from npred.errors import ConfigError
-from npred.loop import clocked, delay_law
+from npred.loop import clocked, delay_law, loop_checks
 from npred.loop.adaptation import undeclared
 from npred.loop.measurement import Measurement
 from npred.plants import inputs
@@ -171,10 +171,12 @@ def parts(case: Case) -> None:
     tables = [*case.loops.values(), *(case.settings.evaluate.under(scenario) for scenario in case.scenarios)]
     for loop in tables:
         delay_law.resolve(loop, case.plant)
-        observer = state_observer(case.plant, loop)
+        observer, safety = wrapped(case.plant, loop).values()
         Measurement(**dict(loop.measurement)).check(case.plant, observer and len(observer.outputs))
         if loop.timing or observer:
             clocked.serves(case.plant)
+        if safety:
+            loop_checks.protected(case.plant, safety, loop.dt)
         plants.varied(case.plant, tuple(loop.truth.items()))
         predictors.numerical(loop.predictor, case.plant, loop.nx)
     if "evaluate" in case.stages and (guard := case.settings.evaluate.guard):

@@ -87,6 +87,7 @@ RECORD = [
     Signal("fallback", ("row",), 0, "bool"),  # whether the guard answered since the row before
     *_lane("fallbacks", start=0, kind="int64"),  # the steps in which it did
     Signal("filtered", ("row",), 0, "bool"),  # whether the safety filter changed U since the row before
+    *_lane("changes", start=0, kind="int64"),  # the steps in which it did
     *_lane("unkept", start=0, kind="int64"),  # the steps in which the bounds of U left it no way to keep h
 ]
 SETTINGS = [

@@ -26,6 +26,7 @@ SERIES = (
     "fallback",
     "fallbacks",
     "filtered",
+    "changes",
     "unkept",
 )  # a record's too
 LOOPS = (*SERIES, "margin", "breach")
@@ -73,7 +74,7 @@ class Trajectories:
     state there, in the plant or at a node of a prediction, which crosses 0 early: where the exact loop has up to .2.
     With a guarded predictor `fallback` (..., nt) says where the numerical predictor answered, since the time before,
     and `fallbacks` (...) in how many of the `steps` control steps. With a safety filter `filtered` (..., nt) says where
-    U was changed, likewise, and `unkept` (...) in how many steps the bounds of U left no way to keep the limits;
+    U was changed, likewise, and `changes` (...) in how many steps; in `unkept` (...) of them U's bounds left no way;
     `safety` (..., nt, limits) is safe(x, t, p, M) of the plant's states. `states`, `inputs`, `time_unit`, `labels` and
     `units` are the plant's. At or beyond `ends` D_hat is at a bound of its law; None if frozen. `clock` is what
     loops on a real clock add, else None.
@@ -95,6 +96,7 @@ class Trajectories:
     fallback: np.ndarray
     fallbacks: np.ndarray
     filtered: np.ndarray
+    changes: np.ndarray
     unkept: np.ndarray
     steps: int
     states: tuple[str, ...] = ()
@@ -115,6 +117,11 @@ class Trajectories:
     def fallback_share(self) -> float:
         """The share of the control steps of all loops in which a guarded predictor's numerical one answered."""
         return float(self.fallbacks.mean() / self.steps)
+
+    @property
+    def filtered_share(self) -> float:
+        """The share of the control steps of all loops in which a safety filter changed U."""
+        return float(self.changes.mean() / self.steps)
 
     def __repr__(self) -> str:
         return trajectory_views.summary(self)

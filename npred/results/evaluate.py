@@ -54,6 +54,14 @@ class Radius(Radii):
     predicted: Number  #: `gain` times `eps_kappa`
 
 
+class Limits(Result):
+    """How loops keep what the plant declares by `safe`, over the cases."""
+
+    least: float | None  #: the smallest h at the kept times; `null` where a loop leaves the finite numbers
+    filtered: float | None  #: share of the control steps in which the safety filter changed U; `null` without one
+    unkept: int | None  #: number of steps in which the bounds of U left no way to keep the limits, likewise
+
+
 class DelayMap(Result):
     """The loops that converge, by true delay and first estimate."""
 
@@ -89,6 +97,7 @@ class Scores(Errors):
     figure1: LoopEnd  #: the loop of Fig. 1
     #: share of its loops' steps in which the numerical predictor answered; `null` without a guard
     fallback: float | None = None
+    limits: Limits | None = None  #: of a plant that declares `safe`
 
 
 class KindSize(Result):
@@ -128,6 +137,7 @@ class Behaviour(Result):
     D_error: float | None
     #: share of the steps in which the numerical predictor answered; `null` without a guard
     fallback: float | None = None
+    limits: Limits | None = None  #: of a plant that declares `safe`
 
 
 class Conditions(Result):

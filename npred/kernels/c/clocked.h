@@ -130,6 +130,7 @@ static inline void note(Shape d, INDEX k, const Settings *s, const State *z, Eve
         out->fallback[next] = 1;
     }
     if (z->filtered[0] > 0.0 && !e->skipped[k]) {
+        out->changes[0]++;
         out->unkept[0] += z->filtered[0] > 1.0;
         out->filtered[next] = 1;
     }

@@ -119,6 +119,7 @@ static inline void keep(Shape d, INDEX k, INDEX origin, const Settings *s, State
         }
         if (z->filtered[l] > 0.0 && isfinite(z->X[l])) {
             const INDEX row = (k + s->every - 1) / s->every;
+            out->changes[l]++;
             out->unkept[l] += z->filtered[l] > 1.0;
             if (row < s->row_count) {
                 out->filtered[row * lanes + l] = 1;

@@ -15,7 +15,7 @@ from npred.loop.closed_loop import Trajectories
 from npred.loop.trajectory_views import infeasible
 from npred.plants import Plant
 from npred.results import NUMERICAL, Contender
-from npred.results.evaluate import Behaviour, DelayMap, LoopEnd, Radii, Radius
+from npred.results.evaluate import Behaviour, DelayMap, Limits, LoopEnd, Radii, Radius
 from npred.terminal.console import Console
 
 SERIES = ("t", "X", "U", "D_hat", "N")  # of figure1.h5
@@ -64,12 +64,14 @@ def scores(
         "map": delay_map(plant, config, run.part(begin.map), exact.part(begin.map)) if mapped else None,
         "figure1": _end(plant, figure1(config, run)),
         "fallback": run.fallback_share if config.guard and contender.is_network else None,
+        **limits(cases, config.safety is not None),
     }
 
 
 def behaviour(
-    plant: Plant, loops: Trajectories, D: Callable[[float], float] | float, guarded: bool = False
-) -> Behaviour:
+    plant: Plant, loops: Trajectories, D: Callable[[float], float] | float, guarded: bool = False,
+    filtered: bool = False,
+) -> Behaviour:  # fmt: skip
     """What loops (B,) of true delay D do in a scenario."""
     target = plant.target(loops.t)
     return Behaviour(
@@ -79,7 +81,22 @@ def behaviour(
         overtaking=overtaken(loops).count,
         D_error=None if plant.declares_delay else _D_error(loops, D),
         fallback=loops.fallback_share if guarded else None,
+        **limits(loops, filtered),
     )
+
+
+def limits(loops: Trajectories, filtered: bool) -> dict[str, Limits]:
+    """How loops keep the plant's limits, with a safety filter or without; empty where it declares none."""
+    if loops.safety is None:
+        return {}
+    least, share, unkept = float(loops.safety.min()), loops.filtered_share, int(loops.unkept.sum())
+    return {
+        "limits": Limits(
+            least=least if np.isfinite(least) else None,
+            filtered=share if filtered else None,
+            unkept=unkept if filtered else None,
+        )
+    }
 
 
 def delay_map(plant: Plant, config: Evaluate, loops: Trajectories, reference: Trajectories) -> DelayMap:

@@ -36,4 +36,5 @@ def _loops(
     plant: Plant, condition: Condition, predictor: Predictor, progress: Callable[[int], None]
 ) -> tuple[Behaviour, Overtaken]:
     loops = condition.loops(plant, predictor, every=EVERY, progress=progress)
-    return behaviour(plant, loops, condition.D, predictor.guard is not None), overtaken(loops)
+    filtered = condition.table.safety is not None
+    return behaviour(plant, loops, condition.D, predictor.guard is not None, filtered), overtaken(loops)

@@ -5,10 +5,11 @@ from math import isfinite
 
 from npred.figures.style import short
 from npred.results import Contender, Evaluated
-from npred.results.evaluate import Scores
+from npred.results.evaluate import Behaviour, Scores
 from npred.terminal.console import columns
 
 ERRORS = {"MSE": "mse", "ε sup": "eps_sup", "ε κ": "eps_kappa"}
+LIMITS = ["least h", "filtered", "unkept"]
 RADII = {"radius": "median", "worst": "worst", "from ε κ": "predicted"}
 
 
@@ -23,6 +24,7 @@ def table(result: Evaluated, width: int | None = None, microseconds: Mapping[Con
     Errors are against the numerical predictor: where it predicts, there is none.
     """
     head = ["predictor", "ε sup", "worst radius", "converged"]
+    head += LIMITS[:1] if any(scores.limits for scores in result.models.values()) else []
     rows = [[contender.label, *_cells(scores)] for contender, scores in result.models.items()]
     if microseconds is not None:
         head.append("µs per call")
@@ -40,13 +42,14 @@ def details(result: Evaluated, width: int | None = None) -> str:
 
 def _scenarios(result: Evaluated, width: int | None) -> Iterator[str]:
     """The cases under other conditions, where a pipeline has any."""
-    guarded = any(does.fallback is not None for each in result.scenarios for does in each.models.values())
+    does = [behaviour for each in result.scenarios for behaviour in each.models.values()]
     head = ["scenario", "predictor", "radius", "worst", "converged", "lost", "settles", "|D̂ − D|"]
-    head += ["fallback"] if guarded else []
+    head += ["fallback"] if any(each.fallback is not None for each in does) else []
+    head += LIMITS if any(each.limits for each in does) else []
     rows = [
         [scenario.name, c.label, _cell(does.radius.median), _cell(does.radius.worst), f"{does.radius.converged:.0%}",
          str(does.lost), _cell(does.settle_time, ".1f"), "" if does.D_error is None else _cell(does.D_error, ".3f"),
-         _share(does.fallback)][: len(head)]
+         *([_share(does.fallback)] if "fallback" in head else []), *_limits(does)]
         for scenario in result.scenarios
         for c, does in scenario.models.items()
     ]  # fmt: skip
@@ -61,7 +64,8 @@ def _title(result: Evaluated) -> str:
 
 def _cells(scores: Scores) -> list[str]:
     converged = f"{scores.radius.count} of {scores.radius.cases}"
-    return ["–" if scores.eps_sup == 0 else short(scores.eps_sup), short(scores.radius.worst), converged]
+    error = "–" if scores.eps_sup == 0 else short(scores.eps_sup)
+    return [error, short(scores.radius.worst), converged, *_limits(scores)[:1]]
 
 
 def _all(contender: Contender, scores: Scores, result: Evaluated) -> dict[str, str]:
@@ -75,8 +79,17 @@ def _all(contender: Contender, scores: Scores, result: Evaluated) -> dict[str, s
     cells |= {"settles": "" if scores.settle_ratio is None else f"{scores.settle_ratio:.2f} ×"}
     guarded = any(each.fallback is not None for each in result.models.values())
     cells |= {"fallback": _share(scores.fallback)} if guarded else {}
+    cells |= dict(zip(LIMITS, _limits(scores), strict=False))
     cells |= {"map": f"{scores.map.share:.0%}" if scores.map else "", "Fig. 1": _cell(end.radius)}
     return cells | {"D̂" if result.in_loop.D is not None else "D": _cell(end.D_hat_end, ".3f")}
+
+
+def _limits(does: Scores | Behaviour) -> list[str]:
+    """The cells below LIMITS; none of a plant without limits."""
+    if does.limits is None:
+        return []
+    least, filtered, unkept = does.limits.least, does.limits.filtered, does.limits.unkept
+    return ["lost" if least is None else f"{least:.3g}", _share(filtered), "" if unkept is None else str(unkept)]
 
 
 def _share(value: float | None) -> str:

@@ -102,6 +102,8 @@ def _reality(plant: Plant, config: Evaluate) -> Iterator[str]:
         yield "calls of the controller that are not on time"
     if config.observer:
         yield f"the state estimated by {config.observer.kind}"
+    if config.safety:
+        yield f"limits kept by a filter with α = {config.safety.alpha:g}"
     if sensors:
         yield f"measurements with {', '.join(sensors)}"
     if config.truth or config.disturbance.amplitude:

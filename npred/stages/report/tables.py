@@ -62,6 +62,7 @@ def loops(evaluated: Evaluated) -> Table:
         Column(f"{D} at its end", [scores.figure1.D_hat_end for scores in rows], ".3f"),
         Column(f"sup |P(1, t) − X({acts})|", [scores.in_loop for scores in rows], digits=2),
         *_fallback(rows),
+        *_limits(rows),
     ]
     return Table("loops", "Closed loops", [column for column in columns if any(v is not None for v in column.values)])
 
@@ -81,6 +82,7 @@ def scenarios(plant: Plant, evaluated: Evaluated) -> Table | None:
         *_columns(does, {"lost": "lost"}, "d"),
         *_columns(does, {"settle_time": timed(plant, "settles after")} | error),
         *_fallback(does),
+        *_limits(does),
     ]
     return Table("scenarios", "The cases under other conditions", columns)
 
@@ -89,6 +91,16 @@ def _fallback(rows: Sequence[Any]) -> list[Column]:
     """The share of steps in which the numerical predictor answered, where networks are guarded."""
     guarded = any(row.fallback is not None for row in rows)
     return _columns(rows, {"fallback": "fallback"}, ".2%") if guarded else []
+
+
+def _limits(rows: Sequence[Any]) -> list[Column]:
+    """How the limits of a plant that declares any are kept, and what a safety filter does."""
+    limits = [row.limits for row in rows if row.limits]
+    columns = _columns(limits, {"least": "least h"}) if limits else []
+    if any(each.filtered is not None for each in limits):
+        columns += _columns(limits, {"filtered": "filtered"}, ".1%")
+        columns += _columns(limits, {"unkept": "steps without a way"}, "d")
+    return columns
 
 
 def _kept(scores: Scores, exact: Scores) -> int | None:

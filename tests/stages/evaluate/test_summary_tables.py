@@ -57,3 +57,15 @@ def test_each_radius_is_below_its_head():
     columns = ("radius", "worst", "from ε κ")
     cells = [row[head.index(name) :].split()[0] for name in columns]
     assert dict(zip(columns, cells, strict=True)) == {"radius": "1.0e-01", "worst": "2.0e-01", "from ε κ": "3.0e-01"}
+
+
+def test_limits_have_columns_where_the_plant_declares_any():
+    kept = {"least": 0.0123, "filtered": 0.25, "unkept": 3}
+    result = evaluation("numerical", limits=kept)
+    assert summary_tables.table(result).splitlines()[0].endswith("least h")
+    head, row = summary_tables.details(result).splitlines()[-2:]
+    cells = [row[head.index(name) :].split()[0] for name in summary_tables.LIMITS]
+    assert cells == ["0.0123", "25.00%", "3"]
+    free = {"least": None, "filtered": None, "unkept": None}  # a loop that is lost, without a filter
+    assert "lost" in summary_tables.table(evaluation("numerical", limits=free))
+    assert not set(summary_tables.LIMITS) & set(summary_tables.details(RESULT).splitlines()[2].split("  "))
