@@ -29,9 +29,10 @@ class SafetyFilter:
 
     `alpha` (1/s) is how fast h may fall towards 0, h' >= -alpha h; `margin` is added to that, in units of h per second
     (for a limit that a first derivative of h moves). `delay` (s) is how wrong D_hat may be: the conditions are kept in
-    the states that are predicted for D_hat and for D_hat less and more `delay`. That U is held over a control step is
-    in the conditions, to first order. Distances of U are in units of its bounds' width. Where the bounds of U leave no
-    room, the missed conditions, in units of what U can change, have the least sum of squares.
+    the states that are predicted for D_hat and for D_hat less and more `delay`. U is held over a control step: the
+    conditions are kept at both ends of it, to second order in dt. Distances of U are in units of its bounds' width.
+    Where the bounds of U leave no room, the missed conditions, in units of what U can change, have the least sum of
+    squares.
     Raises ConfigError for numbers that make no sense.
     """
 
@@ -93,13 +94,13 @@ def kernel(plant: Plant, ends: int) -> Kernel:
     limits = [*of.trace.safe(x, t)]
     phi = [_barrier(of.trace, plant, k, h, x, u, t, alpha) for k, h in enumerate(limits)]
     along = of.trace.f(x, u, t)
-    gradient = [programs.derivative(phi, [*u], [*unit]) for unit in np.eye(m)]
-    a = [column[k] for k in range(len(phi)) for column in gradient]
-    change = programs.derivative(phi, [t, *x], [1.0, *along])
+    by_input = [programs.derivative(phi, [*u], [*unit]) for unit in np.eye(m)]
+    by_state = [programs.derivative(phi, [*x], programs.derivative([*along], [*u], [*unit])) for unit in np.eye(m)]
+    a, pull = ([column[k] for k in range(len(phi)) for column in columns] for columns in (by_input, by_state))
     arguments = [vector("x", n), vector("u", m), "t", "alpha"]
-    results = {"h": len(limits), "phi": len(phi), "a": len(a), "change": len(phi)}
-    functions = {"BARRIER": of.function([*limits, *phi, *a, *change], arguments, results, "one")}
-    rows = ends * len(limits) + 2 * m
+    results = {"h": len(limits), "phi": len(phi), "a": len(a), "pull": len(pull)}
+    functions = {"BARRIER": of.function([*limits, *phi, *a, *pull], arguments, results, "one"), "FLOW": of.f()}
+    rows = 2 * ends * len(limits) + 2 * m
     sizes = {"N": n, "M": m, "K": len(limits), "ENDS": ends, "ROWS": rows}
     return made("protect", family.PROTECT, skeleton("nearest.h") + skeleton("protect.h"), functions, sizes)
 

@@ -1,48 +1,118 @@
 /* PROTECT: U as near to what it is as keeps h >= 0, in every state of `ends` that the plant may have when U acts.
  *
- * BARRIER says of such a state x, at its time, the K values of h, of φ(x, U) = ψ' + α ψ, of a = φ_U, and of the change of
- * φ with U held; ψ is h, or, where U acts on a higher derivative alone, ψ' + α ψ of the one before. φ >= margin keeps ψ
- * from falling faster than α ψ. φ is held to that now and at the end of the control step. `kept` is the least h. */
+ * BARRIER says of a state x, at its time, the K values of h, of φ(x, U) = ψ' + α ψ, of a = φ_U and of pull = φ_x f_U; ψ is
+ * h, or, where U acts on a higher derivative alone, ψ' + α ψ of the one before. φ >= margin keeps ψ from falling faster
+ * than α ψ. φ is held to that at both ends of the control step over which U is held: the second state is a step of Heun's
+ * method further, so that it is met to second order in the step. U moves it too, so that the conditions are made linear
+ * around the last U until that no longer moves. `kept` is the least h of `ends`. */
 enum { ALPHA, MARGIN, STEP_LENGTH, WIDTHS };
 #define SOFT 1e-9   /* of conditions on states, whose rows have the length 1 */
 #define BOUND 1e-13 /* of the bounds of U */
+#define PASSES 4    /* solutions of the linear conditions; the error of one is multiplied by about (alpha dt)² */
+#define SETTLED 1e-9
+#define MISSED 1e-6
 
-/* Add a condition a δ >= b, in rows of the length 1; one that no input moves is left out. */
-static inline void condition(Conditions *q, const double *w, const double *a, double b, double soft)
+/* Add a condition a δ >= b, in rows of the length 1; one that no input moves is left out. Gives by how much δ misses it. */
+static inline double condition(Conditions *q, const double *w, const double *a, double b, const double *delta, double soft)
 {
     double length = 0.0;
     for (int c = 0; c < M; c++) {
         length += a[c] * w[c] * a[c] * w[c];
+        b -= a[c] * delta[c];
     }
     length = sqrt(length);
     if (!(length > 1e-12)) {
-        return;
+        return b;
     }
+    double *const row = q->a + q->rows * M, *const bound = q->b + q->rows;
+    *bound = b / length;
     for (int c = 0; c < M; c++) {
-        q->a[q->rows * M + c] = a[c] / length;
+        row[c] = a[c] / length;
+        *bound += row[c] * delta[c];
     }
-    q->b[q->rows] = b / length;
-    q->soft[q->rows] = soft;
-    q->rows++;
+    q->soft[q->rows++] = soft;
+    return b / length;
 }
 
-/* The conditions of all ends, of lane l, and the least h. Gives 1 where U as it is misses one. */
-static inline int PART(_conditions)(int lanes, int count, const double *ends, const double *moments, const double *p,
-                                    const double *safety, const double *U, Conditions *q, double *least_h)
+/* The state x after a step of Heun's method, U held. */
+static inline void PART(_onward)(double t, double step, const double *p, const double *U, double *x)
 {
-    const double *w = safety + WIDTHS;
-    int missed = 0;
-    for (int e = 0; e < count; e++) {
-        double h[K], phi[K], a[K * M], change[K];
-        BARRIER(lanes, 1, ends + (ptrdiff_t)e * N * lanes, U, moments[e * lanes], safety[ALPHA], p, h, phi, a, change);
-        for (int k = 0; k < K; k++) {
-            const double b = safety[MARGIN] + larger(-safety[STEP_LENGTH] * change[k], 0.0) - phi[k];
-            *least_h = smaller(*least_h, h[k]);
-            missed = missed || b > 0.0;
-            condition(q, w, a + k * M, b, SOFT);
+    double rate[N], second[N], trial[N];
+    FLOW(1, 1, x, U, t, p, rate);
+    for (int c = 0; c < N; c++) {
+        trial[c] = x[c] + step * rate[c];
+    }
+    FLOW(1, 1, trial, U, t + step, p, second);
+    for (int c = 0; c < N; c++) {
+        x[c] += 0.5 * step * (rate[c] + second[c]);
+    }
+}
+
+/* The conditions of all ends on δ, linear around U + δ, of one lane, and the least h. Gives the most that U + δ misses. */
+static inline double PART(_conditions)(int lanes, const double *ends, const double *moments, const double *p,
+                                       const double *safety, const double *now, const double *delta, Conditions *q,
+                                       double *least_h)
+{
+    const double step = safety[STEP_LENGTH];
+    double missed = 0.0, U[M];
+    for (int c = 0; c < M; c++) {
+        U[c] = now[c] + delta[c];
+    }
+    for (int e = 0; e < ENDS; e++) {
+        const double t = moments[e * lanes];
+        double x[N], h[K], phi[K], a[K * M], pull[K * M];
+        for (int c = 0; c < N; c++) {
+            x[c] = ends[(e * N + c) * (ptrdiff_t)lanes];
+        }
+        for (int later = 0; later < 2; later++) {
+            if (later) {
+                PART(_onward)(t, step, p, U, x);
+            }
+            BARRIER(1, 1, x, U, t + later * step, safety[ALPHA], p, h, phi, a, pull);
+            for (int k = 0; k < K; k++) {
+                double b = safety[MARGIN] - phi[k];
+                for (int c = 0; c < M; c++) {
+                    a[k * M + c] += later * step * pull[k * M + c];
+                    b += a[k * M + c] * delta[c];
+                }
+                *least_h = later ? *least_h : smaller(*least_h, h[k]);
+                missed = larger(missed, condition(q, safety + WIDTHS, a + k * M, b, delta, SOFT));
+            }
         }
     }
     return missed;
+}
+
+/* The bounds of one lane as conditions. */
+static inline void PART(_bounds)(int lanes, const double *safety, const double *low, const double *high, const double *now,
+                                 const double *delta, Conditions *q)
+{
+    double unit[M];
+    for (int c = 0; c < 2 * M; c++) {
+        const int i = c / 2, upper = c % 2;
+        const double room = upper ? now[i] - high[i * lanes] : low[i * lanes] - now[i];
+        for (int k = 0; k < M; k++) {
+            unit[k] = k == i ? (upper ? -1.0 : 1.0) : 0.0;
+        }
+        if (isfinite(room)) {
+            condition(q, safety + WIDTHS, unit, room, delta, BOUND);
+        }
+    }
+}
+
+/* Find δ anew around the last one, within the bounds of U. Gives how far it moved, in widths of these. */
+static inline double PART(_solve)(int lanes, const double *safety, const double *low, const double *high, const double *now,
+                                  const Conditions *q, double *delta)
+{
+    const double *w = safety + WIDTHS;
+    double next[M], moved = 0.0;
+    nearest(q, w, next);
+    for (int c = 0; c < M; c++) {
+        next[c] = smaller(larger(now[c] + next[c], low[c * lanes]), high[c * lanes]) - now[c];
+        moved = larger(moved, fabs(next[c] - delta[c]) / w[c]);
+        delta[c] = next[c];
+    }
+    return moved;
 }
 
 static inline void KERNEL(Shape d, const double *ends, const double *moments, const double *p, const double *safety,
@@ -51,37 +121,25 @@ static inline void KERNEL(Shape d, const double *ends, const double *moments, co
     const int lanes = d.lanes;
     (void)work;
     for (int l = 0; l < lanes; l++) {
-        Conditions q = {.rows = 0, .size = M};
-        double delta[M], unit[M], missed = 0.0;
-        kept[l] = INFINITY;
+        double now[M], delta[M] = {0.0}, missed = 0.0, moved = INFINITY;
         filtered[l] = 0.0;
-        if (!PART(_conditions)(lanes, ENDS, ends + l, moments + l, p, safety, U + l, &q, kept + l)) {
-            continue;
-        }
-        const int states = q.rows;
-        for (int c = 0; c < 2 * M; c++) {
-            const int i = c / 2, upper = c % 2;
-            const double now = U[i * lanes + l], room = upper ? now - high[i * lanes + l] : low[i * lanes + l] - now;
-            for (int k = 0; k < M; k++) {
-                unit[k] = k == i ? (upper ? -1.0 : 1.0) : 0.0;
-            }
-            if (isfinite(room)) {
-                condition(&q, safety + WIDTHS, unit, room, BOUND);
-            }
-        }
-        nearest(&q, safety + WIDTHS, delta);
         for (int c = 0; c < M; c++) {
-            double *const value = U + c * lanes + l;
-            delta[c] = smaller(larger(*value + delta[c], low[c * lanes + l]), high[c * lanes + l]) - *value;
-            *value += delta[c];
+            now[c] = U[c * lanes + l];
         }
-        for (int i = 0; i < states; i++) {
-            double left = q.b[i];
-            for (int c = 0; c < M; c++) {
-                left -= q.a[i * M + c] * delta[c];
+        for (int pass = 0; pass <= PASSES; pass++) {
+            Conditions q = {.rows = 0, .size = M};
+            kept[l] = INFINITY;
+            missed = PART(_conditions)(lanes, ends + l, moments + l, p, safety, now, delta, &q, kept + l);
+            if ((pass == 0 && !(missed > 0.0)) || moved < SETTLED || pass == PASSES) {
+                break;
             }
-            missed = larger(missed, left);
+            PART(_bounds)(lanes, safety, low + l, high + l, now, delta, &q);
+            moved = PART(_solve)(lanes, safety, low + l, high + l, now, &q, delta);
+            filtered[l] = 1.0;
         }
-        filtered[l] = missed > 1e-6 ? 2.0 : 1.0;
+        for (int c = 0; c < M; c++) {
+            U[c * lanes + l] += delta[c];
+        }
+        filtered[l] += missed > MISSED && filtered[l] > 0.0 ? 1.0 : 0.0;
     }
 }
