@@ -55,7 +55,7 @@ def test_unknown_predictor_is_told():
 def test_what_is_no_plant_is_told():
     with pytest.raises(ConfigError, match=r"expected a Plant, got 'scalar'; make one with npred.plant"):
         npred.predictor("rk4", "scalar")  # type: ignore[arg-type]
-    with pytest.raises(ConfigError, match=r"expected a name or my_plant.py:Tank, got 3"):
+    with pytest.raises(ConfigError, match=r"expected a name, my_plant\.py:Tank or a class, got 3"):
         npred.plant(3)  # type: ignore[arg-type]
 
 
