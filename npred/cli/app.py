@@ -1,22 +1,26 @@
 """The typer application: how a function becomes a command, and how a failure becomes an exit code."""
 
 import inspect
+import re
 import sys
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import fields
+from itertools import zip_longest
 from typing import Any, TypeVar, get_type_hints
 
 import typer
 from typer.core import TyperCommand, TyperGroup
 
 from npred.cli.options import Common
-from npred.errors import NpredError, missing
+from npred.errors import NpredError, missing, similar
 from npred.terminal import interruption, streams, waiting
 from npred.terminal.console import Console
 
 USAGE: type[BaseException] = typer.BadParameter.__mro__[1]  # what every usage error is; typer keeps the name to itself
+# What the parser says of a number, by version, and what npred says
+FAULTS = {"integer|not in the range": "a whole number", "number|float|greater than": "a number"}
 Function = TypeVar("Function", bound=Callable[..., None])
 
 
@@ -46,7 +50,7 @@ class Group(Untyped, TyperGroup):
         try:
             code = super().main(*args, standalone_mode=False, **extra)
         except USAGE as error:
-            sys.exit(_report_usage(error))
+            sys.exit(_report_usage(error, args[0] if args and args[0] else extra.get("args") or sys.argv[1:]))
         except OSError as error:  # commands say theirs: this is of a help that stdout does not take
             streams.silence(sys.stdout)
             Console().error(str(streams.unwritable(error.strerror)))
@@ -54,9 +58,12 @@ class Group(Untyped, TyperGroup):
         sys.exit(code if isinstance(code, int) else 0)
 
 
-def _report_usage(error: Any) -> int:
+def _report_usage(error: Any, arguments: Sequence[str]) -> int:
     """Say it on stderr, with the usage where the parser says of which command; the exit code."""
     got, context = " ".join(error.format_message().split()).rstrip("."), error.ctx
+    if context and (fault := _fault_of_option(error, arguments)):
+        Console().error(f"{fault}; see {context.command_path} --help")
+        return error.exit_code
     path, expected = "npred", ""  # of an option without its value
     if context:
         path, pieces = context.command_path, context.command.collect_usage_pieces(context)
@@ -64,6 +71,24 @@ def _report_usage(error: Any) -> int:
     if got:  # else no command was named, and the help is printed
         Console().error(f"{expected}{got}; see {path} --help")
     return error.exit_code
+
+
+def _fault_of_option(error: Any, arguments: Sequence[str]) -> str:
+    """An unknown option, or a number that is none, in the words of npred; else nothing."""
+    command = error.ctx.command
+    if option := getattr(error, "option_name", ""):
+        options = [name for parameter in command.params for name in parameter.opts]
+        return f"{option}: expected an option of {error.ctx.command_path}, found no such{similar(option, options)}"
+    expected = next((words for form, words in FAULTS.items() if re.search(form, error.message)), "")
+    names = error.param.opts if expected and getattr(error, "param", None) else ()
+    values = [
+        text.partition("=")[2] or following
+        for text, following in zip_longest(arguments, arguments[1:], fillvalue="")
+        if text.partition("=")[0] in names
+    ]
+    least = re.search(r"(?:equal to |>=)([\d.]+)", error.message)
+    expected += f" of at least {least[1]}" if least else ""
+    return f"{names[-1]}: expected {expected}, got {', '.join(map(repr, values))}" if values else ""
 
 
 app = typer.Typer(

@@ -56,20 +56,20 @@ def declared(case: Case) -> Verdict:
 
 
 def finite(case: Case) -> Verdict:
-    """Whether f, kappa and V are finite on the box, and V is not negative."""
+    """Whether f and kappa are finite on the box, and V too, and not negative, where a delay law takes it."""
     plant, X = case.plant, case.X
     with np.errstate(all="ignore"):
-        values = {"kappa": plant.kappa(X), "f": plant.f(X, case.u), "V": np.reshape(plant.V(X), (-1, 1))}
+        values = {"f": plant.f(X, case.u), "kappa": plant.kappa(X)}
+        values |= {"V": np.reshape(plant.V(X), (-1, 1))} if case.takes_V else {}
     for name, value in values.items():
         lost = ~np.isfinite(np.broadcast_to(value, (len(X), value.shape[-1]))).all(axis=-1)
         if lost.any():
             where = f"at {case.state(X[np.argmax(lost)])}, and on {lost.mean():.0%} of the box"
             return "no", f"{plant.location(name)} is not finite {where}; shrink box, or guard it with M.where"
-    lowest = int(np.argmin(values["V"]))
-    if values["V"][lowest] < 0:
-        came = f"{values['V'][lowest, 0]:.3g} at {case.state(X[lowest])}"
+    if case.takes_V and (V := values["V"][:, 0]).min() < 0:
+        came = f"{V.min():.3g} at {case.state(X[np.argmin(V)])}"
         return "no", f"{plant.location('V')} expected at least 0 on the box, got {came}; 1 + V divides: add squares"
-    return "yes", f"f, kappa and V are, at {len(X)} states of the box"
+    return "yes", f"{'f, kappa and V' if case.takes_V else 'f and kappa'} are, at {len(X)} states of the box"
 
 
 def jacobians(case: Case) -> Verdict:

@@ -70,7 +70,7 @@ class Case:
 
     @property
     def sound(self) -> bool:
-        """True if f, kappa and V were evaluated on the box, and are finite there."""
+        """True if f and kappa, and V where a law takes it, were evaluated on the box, and are finite there."""
         return self.verdict("finite") == "yes"
 
     @property

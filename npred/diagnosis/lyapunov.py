@@ -13,6 +13,7 @@ from npred.symbolic.trace import Trace, python
 
 NEAR = 0.01  # of the box, around rest: loops come there from all sides, whichever side the box is on
 DECLARE = 'npred plants check offers one; or set adaptation = "delay-observer", "l1" or "frozen", which take none'
+ROUNDING, DIFFERENCES = 1e-9, 1e-6  # relative: what of S and of a rest is rounding, and where f_X is a difference
 SAME = 1e-3  # of its largest value: this close to x'Sx a V is taken for it
 
 
@@ -27,8 +28,9 @@ def applies(case: Case) -> bool:
 
 def falls(case: Case) -> Verdict:
     """Whether V' = V_X f(X, kappa(X)) < 0 from the box to rest."""
-    if not case.plant.declares_V and not case.takes_V:
-        return "yes", "none is declared and none is needed: no update law runs"
+    if not case.takes_V:
+        declared = "it" if case.plant.declares_V else "one, and none is declared"
+        return "yes", f"no law runs that takes {declared}"
     lacks = "warn" if case.pipeline is None else "no"  # where nothing says which law will run
     missing = f"{undeclared(case.plant)}; delay-observer, l1 and frozen take none; declare"
     if not case.plant.rests:
@@ -95,11 +97,19 @@ def _proportional(case: Case, S: np.ndarray, X: np.ndarray) -> bool:
 def _offer(case: Case, S: np.ndarray, X: np.ndarray) -> str:
     """e'Se as text for the plant's file, with how often it falls at the states X."""
     scale = np.sqrt(np.outer(np.diag(S), np.diag(S)))
-    pairs = [(i, j) for i in range(len(S)) for j in range(i, len(S)) if abs(S[i, j]) > 1e-9 * scale[i, j]]
+    rounding = ROUNDING if case.plant.traced else DIFFERENCES
+    pairs = [(i, j) for i in range(len(S)) for j in range(i, len(S)) if abs(S[i, j]) > rounding * scale[i, j]]
+    text = " ".join(_term(case, S, i, j, rounding) for i, j in pairs).removeprefix("+ ")
     falls = f"falls at {(_offered(case, S, X) < 0).mean():.0%} of {len(X)} states"
-    return f"V = {' + '.join(_term(case, S, i, j) for i, j in pairs)} solves the Lyapunov equation, and {falls}"
+    return f"V = {text} solves the Lyapunov equation, and {falls}"
 
 
-def _term(case: Case, S: np.ndarray, i: int, j: int) -> str:
-    a, b = (error(case.plant.states[k], case.plant.equilibrium[k]) for k in (i, j))
-    return f"{S[i, j]:.8g} * {a} ** 2" if i == j else f"{2 * S[i, j]:.8g} * {a} * {b}"
+def _term(case: Case, S: np.ndarray, i: int, j: int, rounding: float) -> str:
+    """A term with its sign, as a plant's file has it: by names, or in a plant that is called by columns of X."""
+    rest = np.where(np.abs(case.plant.equilibrium) > rounding * np.ptp(case.ends, axis=1), case.plant.equilibrium, 0.0)
+    names = case.plant.states if case.plant.traced else [f"X[..., {k}]" for k in range(len(S))]
+    a, b = (error(names[k], rest[k]) for k in (i, j))
+    if not case.plant.traced:
+        a, b = a.replace("x.X", "X"), b.replace("x.X", "X")
+    value, digits = (1 if i == j else 2) * S[i, j], 8 if case.plant.traced else 6
+    return f"{'-' if value < 0 else '+'} {abs(value):.{digits}g} * {a}{' ** 2' if i == j else f' * {b}'}"

@@ -61,7 +61,7 @@ def linear(plant: Plant, K: np.ndarray, X: np.ndarray, u: np.ndarray, widths: np
 
 def error(state: str, rest: float) -> str:
     """x.state - rest, in brackets, as text; without a rest that is 0."""
-    return f"(x.{state} - {rest:.12g})" if rest else f"x.{state}"
+    return f"(x.{state} {'-' if rest > 0 else '+'} {abs(rest):.12g})" if rest else f"x.{state}"
 
 
 def rounded(values: Any) -> np.ndarray:

@@ -323,8 +323,11 @@ def test_bad_input_is_one_line_and_its_exit_code(call: Call, arguments: list[str
             ["nonsense"],
             r"expected npred \[OPTIONS\] COMMAND \[ARGS\]..., got: No such command 'nonsense'; see npred --help",
         ),
-        (["run", "--nonsense"], r"got: No such option:? '?--nonsense'?; see npred run --help"),
-        (["run", "--jobs", "many"], "got: Invalid value for '--jobs': "),
+        (["run", "--nonsense"], "--nonsense: expected an option of npred run, found no such; see npred run --help"),
+        (["run", "--stoer", "x"], r"--stoer: expected an option of npred run, found no such; did you mean --store"),
+        (["run", "--jobs", "many"], "--jobs: expected a whole number, got 'many'; see npred run --help"),
+        (["run", "--jobs=0"], r"--jobs: expected a (whole )?number of at least 1, got '0'; see npred run --help"),
+        (["rig", "--seconds", "sixty"], "--seconds: expected a number, got 'sixty'; see npred rig --help"),
         (
             ["run", "a.toml", "b.toml"],
             r"expected npred run \[OPTIONS\] \[PIPELINE\], got: Got unexpected extra argument",

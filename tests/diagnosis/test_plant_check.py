@@ -437,7 +437,7 @@ def test_a_negative_delay_is_an_answer_of_no():
 def test_the_delay_of_a_plant_that_declares_it_is_the_longest_on_its_box():
     found = answers(Plant("Late", Late))
     assert re.fullmatch(r"1\.4\d* s, the longest that the plant declares on the box", found["delay"].text)
-    assert found["completeness"].verdict == "yes" and found["V"].text.startswith("none is declared and none is needed")
+    assert found["completeness"].verdict == "yes" and found["V"].text.startswith("no law runs that takes one")
 
 
 def test_the_adaptive_loop_is_simulated_with_the_gain_that_suits_the_delay():
@@ -451,3 +451,71 @@ def test_the_adaptive_loop_is_not_asked_for_where_its_law_does_not_run(tank_file
     no_V = tank_file("    def V(x, t, p, M):\n        return (x.h - p.level) ** 2\n", "")
     assert "adaptation" not in answers(plants.resolve(no_V))
     assert "adaptation" not in answers(plants.resolve("unicycle"))
+
+
+BLACK_BOX = """
+import numpy as np
+
+class Mass:
+    traced = False
+    states, inputs, guess = ("q", "w"), ("a",), (0.5, 0.1)
+    box = {"q": (-1.0, 2.0), "w": (-1.0, 1.0)}
+
+    def f(X, u, t, p):
+        return np.stack([X[..., 1], u[..., 0] - 0.3 * np.sin(X[..., 0] - 1)], axis=-1)
+
+    def kappa(X, t, p):
+        return -2 * (X[..., :1] - 1) - 3 * X[..., 1:]
+"""
+
+
+def test_the_V_that_is_offered_for_a_black_box_is_pasted_as_it_is(tmp_path):
+    """In columns of X, without a term that is rounding: the rest of w is 1e-17 or so."""
+    (tmp_path / "mass.py").write_text(BLACK_BOX)
+    plant = plants.resolve(f"{tmp_path / 'mass.py'}:Mass")
+    offered = re.search(r"V = (.+) solves the Lyapunov equation", answers(plant)["V"].text)
+    assert offered is not None and "- -" not in offered[1] and "e-" not in offered[1] and "x." not in offered[1]
+    S = solve_continuous_lyapunov(np.array([[0, 1], [-2.3, -3]]).T, -np.eye(2))
+    X = np.random.default_rng(0).uniform(-1, 2, (50, 2))
+    e = X - [1.0, 0.0]
+    V = eval(f"lambda X, t, p: {offered[1]}")(X, 0.0, None)
+    np.testing.assert_allclose(V / V[0], np.einsum("bi,ij,bj->b", e, S, e) / (e[0] @ S @ e[0]), rtol=1e-4)
+
+
+def test_signs_stand_between_the_terms_of_what_is_offered():
+    class Turned:
+        states, inputs, guess = ("x", "y"), ("U",), (0.0, 0.0)
+        box = {"x": (-3.0, 0.0), "y": (0.0, 1.0)}
+
+        def f(x, u, t, p, M):
+            return [-(x.x + 1) - 3 * (x.y - 0.5), u.U + 3 * (x.x + 1)]
+
+        def kappa(x, t, p, M):
+            return [-2 * (x.y - 0.5)]
+
+    plant = Plant("turned", Turned)
+    offered = re.search(r"V = (.+) solves the Lyapunov equation", answers(plant)["V"].text)
+    assert offered is not None
+    assert "(x.x + 1) ** 2 - " in offered[1] and "- -" not in offered[1] and "+ -" not in offered[1]
+    assert lyapunov._proportional(_case(plant, offered[1]), *_solution(plant, offered[1]))
+
+
+def _case(plant, V):
+    pasted = Plant("turned", type("Pasted", (plant.declaration,), {"V": eval(f"lambda x, t, p, M: {V}")}))
+    return diagnosis.Case(pasted, 1.0, 101, 64)
+
+
+def _solution(plant, V):
+    case = _case(plant, V)
+    return solve_continuous_lyapunov(plant.linearised()[0].T, -np.eye(2)), lyapunov._towards_rest(case)
+
+
+def test_a_V_that_no_law_takes_is_not_asked_for(tank_file, tmp_path):
+    """A pipeline with a frozen estimate ends with 0, one with the paper's law with 3."""
+    plant = tank_file("(x.h - p.level) ** 2", "x.h - p.level")
+    tables = '[{stage}]\nD = 0.3\nadaptation = "{law}"\nu0 = "equilibrium"\n'
+    for law, code in (("frozen", 0), ("bresch-pietri-krstic", 3)):
+        text = f'plant = "{plant}"\n' + "".join(tables.format(stage=s, law=law) for s in ("generate", "evaluate"))
+        (tmp_path / "p.toml").write_text(text + "X0 = [0.7]\n")
+        done = CliRunner().invoke(app, ["plants", "check", str(tmp_path / "p.toml")])
+        assert done.exit_code == code, done.output
