@@ -5,7 +5,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from npred.cli import reproduce
-from npred.cli.options import Common, Planned
+from npred.cli.options import Common, Planned, drawable
 from npred.errors import ConfigError, NpredError, UnmetError
 from npred.json_files import escaped
 from npred.pipeline import STAGES, Step, experiments, nodes, usual
@@ -125,15 +125,17 @@ def plants(options: Common) -> None:
     options.show_table({"plants": listed}, ["plant", "states", "inputs", "parameters"], rows)
 
 
-def check(options: Common, plant: str, delay: float | None, nodes: int | None, kappa: str = "") -> None:
+def check(
+    options: Common, plant: str, delay: float | None, nodes: int | None, kappa: str = "", figure: Path | None = None
+) -> None:  # fmt: skip
     """Every question about a plant, or about that of a pipeline, with its answer; the law `kappa` in place of its law,
-    and the text of that to be pasted. Raises UnmetError where an answer is no.
+    and the text of that to be pasted; a `figure` of the delay margin. Raises UnmetError where an answer is no.
     """
     from npred import config, diagnosis, plants
 
     pipeline = config.load(Path(plant)) if plant.endswith(".toml") else None
     parts = (pipeline.plant, pipeline.parameters, kappa or pipeline.kappa) if pipeline else (plant, {}, kappa)
-    asked = plants.resolve(*parts)
+    asked, plot = plants.resolve(*parts), figure and drawable(figure)
     answers = diagnosis.check(asked, delay, nodes, pipeline=pipeline)
     fine = diagnosis.settled(answers)
     rows = [[*answer] for answer in answers]
@@ -142,6 +144,11 @@ def check(options: Common, plant: str, delay: float | None, nodes: int | None, k
     options.show_table(document, ["question", "answer", "found"], rows)
     if asked.law_table and not options.json:
         options.console.out(str(asked.law))
+    if plot:
+        from npred import figures
+
+        D = diagnosis.longest(asked, pipeline)[0] if delay is None else delay
+        figures.write(figures.margin(asked, plot.stem, D), plot.parent, formats=[plot.suffix[1:]])
     if not fine:
         failed = ", ".join(answer.check for answer in answers if answer.verdict == "no")
         raise UnmetError(f"plants check {plant}: expected no answer of no, got {failed}; the table says what to change")

@@ -216,6 +216,15 @@ def writable(path: Path) -> Path:
     return path
 
 
+def drawable(path: Path) -> Path:
+    """The path. Raises ConfigError where no figure can be written there."""
+    from npred.figures.figure import FORMATS
+
+    if path.suffix[1:] not in FORMATS:
+        raise ConfigError(f"--figure: expected a file that ends in {', '.join(FORMATS)}, got {path}; name another")
+    return writable(path)
+
+
 def writable_folder(path: Path, of: str) -> Path:
     """The path. Raises ConfigError where it is no folder, and none can be made there."""
     if path.exists() and not path.is_dir():

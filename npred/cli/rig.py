@@ -11,10 +11,9 @@ import numpy as np
 
 from npred import api, figures, plants
 from npred.cli import export
-from npred.cli.options import Rigged, writable
+from npred.cli.options import Rigged, drawable, writable
 from npred.conditions import condition
 from npred.errors import ConfigError, NpredError, UnmetError
-from npred.figures.figure import FORMATS
 from npred.loop import metrics
 from npred.loop.adaptation import DelayAdaptation
 from npred.loop.controller import OLDEST, Controller
@@ -33,10 +32,8 @@ def rig(options: Rigged, output: Path | None, figure: Path | None) -> None:
     """Run it and say what its log says. Raises NpredError where a side was lost, UnmetError where the loop was."""
     if not 0 < options.seconds < math.inf:
         raise ConfigError(f"--seconds: expected a time above 0, got {options.seconds:g}; give seconds")
-    if figure and figure.suffix[1:] not in FORMATS:
-        raise ConfigError(f"--figure: expected a file that ends in {', '.join(FORMATS)}, got {figure}; name another")
     channel = Channel(options.delay, options.jitter, options.loss, options.reorder, options.stops, options.seed)
-    path, plot = writable(output or Path(f"{options.config.name}-rig.csv")), figure and writable(figure)
+    path, plot = writable(output or Path(f"{options.config.name}-rig.csv")), figure and drawable(figure)
     plant = plants.resolve(options.config.plant, options.config.parameters, options.config.kappa)
     if plant.declares_delay or not plant.one_delay or plant.time_unit != "s":
         raise ConfigError(f"rig: expected a plant with one delay and in seconds, got {plant.name}; take another")

@@ -11,7 +11,7 @@ from npred.diagnosis.case import ANY, Answer, Case, Check, Verdict
 from npred.errors import ConfigError
 from npred.plants.base import Plant
 
-__all__ = ["Answer", "Case", "check", "doubts", "require", "settled"]
+__all__ = ["Answer", "Case", "check", "doubts", "longest", "require", "settled"]
 
 SIMULATED = ("box", "finite", "equilibrium", "stability", "reference", "adaptation")  # each after those that it needs
 NODES, ASSUMED, SAMPLES = 101, 1.0, 256  # 1 s where nothing says how long the delay is
@@ -64,13 +64,13 @@ def check(
     A question that needs what another one found missing is not asked.
     Raises ConfigError for a delay that is not positive, or for fewer than two nodes.
     """
-    longest, source = _longest(plant, pipeline) if delay is None else (delay, "as asked")
+    D, source = longest(plant, pipeline) if delay is None else (delay, "as asked")
     count = nodes if nodes is not None else pipeline.generate.nx if pipeline else NODES
-    if not 0 < longest < np.inf:
-        raise ConfigError(f"delay: expected a time above 0, got {plant.time_text(longest)}; give --delay")
+    if not 0 < D < np.inf:
+        raise ConfigError(f"delay: expected a time above 0, got {plant.time_text(D)}; give --delay")
     if count < 2:
         raise ConfigError(f"nodes: expected at least 2, both ends of [0, 1], got {count}; 101 are usual")
-    case = Case(plant, longest, count, samples, pipeline, source=source)
+    case = Case(plant, D, count, samples, pipeline, source=source)
     if not plant.declares_kappa:
         missing = f"plant {plant.name}: expected kappa(x, t, p, M), found none; declare it"
         advice = 'or take one of these: kappa = "lqr" in a pipeline; --kappa lqr prints it to be pasted'
@@ -95,14 +95,14 @@ def settled(answers: Sequence[Answer]) -> bool:
 
 def require(plant: Plant, pipeline: Pipeline, stages: Collection[str]) -> None:
     """Raise ConfigError, in one line, where those stages ask for what the plant does not have."""
-    case = Case(plant, _longest(plant, pipeline)[0], pipeline.generate.nx, SAMPLES, pipeline, stages)
+    case = Case(plant, longest(plant, pipeline)[0], pipeline.generate.nx, SAMPLES, pipeline, stages)
     if refusal := _refusal(case):
         raise ConfigError(refusal)
 
 
 def doubts(plant: Plant, pipeline: Pipeline) -> list[str]:
     """The questions that take a simulation, asked before a run: what the adaptive loop makes doubtful, in words."""
-    case = Case(plant, _longest(plant, pipeline)[0], pipeline.generate.nx, SAMPLES, pipeline)
+    case = Case(plant, longest(plant, pipeline)[0], pipeline.generate.nx, SAMPLES, pipeline)
     answers = [case.ask(question) for question in QUESTIONS if question.name in SIMULATED]
     return [answer.text for answer in answers if answer and answer.verdict == "warn" and answer.check == "adaptation"]
 
@@ -113,7 +113,7 @@ def _refusal(case: Case) -> str | None:
     return next((answer.text for answer in asked if answer and answer.verdict == "no"), None)
 
 
-def _longest(plant: Plant, pipeline: Pipeline | None) -> tuple[float, str]:
+def longest(plant: Plant, pipeline: Pipeline | None) -> tuple[float, str]:
     """The delay to predict over, and where it is from."""
     if plant.declares_delay:
         return _declared(Case(plant, ASSUMED, NODES, SAMPLES, pipeline))
@@ -128,7 +128,7 @@ def _declared(case: Case) -> tuple[float, str]:
     """The longest delay that the plant declares on the box; where it cannot say, other answers say why."""
     if all(name in case.box for name in case.plant.states):
         with suppress(ConfigError):
-            longest = float(np.nanmax(case.delays[1]))
-            if 0 < longest < np.inf:
-                return longest, "the longest that the plant declares on the box"
+            D = float(np.nanmax(case.delays[1]))
+            if 0 < D < np.inf:
+                return D, "the longest that the plant declares on the box"
     return ASSUMED, "assumed: the plant declares none on the box"

@@ -6,7 +6,8 @@ all that the model does not know: P' = (A + B K) P + e^{A D_hat} w. So the chara
 It is of retarded type: roots enter the right half-plane across the imaginary axis only, at bounded frequencies, and not
 at 0. Let G be the response of u to w / B, G = K (s I - A - B K)^{-1} e^{A D_hat} B; the equation is det(I - T) = 0 with
 T(s) = G(s) (e^{-s D} - e^{-s D_hat}). T has no unstable pole, so the loop is stable if det(I - T(iω)) does not turn
-around 0 (Nyquist). No root crosses at a frequency where |T| < 1.
+around 0 (Nyquist). No root crosses at a frequency where |T| < 1. On the line s = c + iω the turns count the roots to
+the right of c, less the eigenvalues of A + B K there.
 
 Several inputs: D_j = r_j D, and u_j = K_j P(D_hat_j). Along the prediction w grows by the flow Phi of A, in which the
 loops of the inputs that have arrived are closed, and with L the longest D_hat_j
@@ -25,6 +26,10 @@ SEARCHED = 10.0  # times D plus the loop's slowest time constant: D_hat is looke
 FIRST, LEAST, LONGER = 1e-2, 1e-3, 1.5  # the first and the shortest step of D_hat, in D; how much a next one may grow
 SHARE = 0.5  # of the distance from I - T to a singular matrix: a step of D_hat changes T by less
 TOLERANCE = 1e-9  # of D: the margin's
+FIRST_C, NEAR = (
+    0.1 / np.pi,
+    1e-6,
+)  # of the slowest rate: a first step in c, which meets no eigenvalue; and where it ends
 QUIET = 0.5  # frequencies end where |T| stays below
 HIGHEST = 1e6  # times the fastest rate of the loop: the highest frequency that is looked for
 PHASE = 0.2  # rad, by which the delays turn T between two frequencies
@@ -108,37 +113,58 @@ class MismatchedLoop:
         return float((a + b) / 2)
 
     def stable(self, D_hat: float) -> bool:
-        """True if no root is in the right half-plane: det(I - T(iω)), 0 < ω, does not turn around 0."""
-        omega, eye = self.frequencies(D_hat), np.eye(len(self.r))
-        curve = np.linalg.det(eye - self.T(omega, D_hat))
+        """True if no root is in the right half-plane."""
+        return self.roots(D_hat) == 0
+
+    def rightmost(self, D_hat: float) -> float:
+        """The largest real part of the roots, in 1/s: how fast small states decay or grow."""
+        if D_hat == self.D:
+            return -1 / self.slowest
+        right = left = 0.0
+        step = FIRST_C / self.slowest
+        while self.roots(D_hat, right) > 0:
+            left, right, step = right, right + step, 2 * step
+        while right <= 0 and self.roots(D_hat, left) == 0:
+            left, right, step = left - step, left, 2 * step
+        while right - left > NEAR / self.slowest:
+            middle = (left + right) / 2
+            left, right = (middle, right) if self.roots(D_hat, middle) else (left, middle)
+        return (left + right) / 2
+
+    def roots(self, D_hat: float, c: float = 0.0) -> int:
+        """The number of roots with a real part above c, by the turns of det(I - T(c + iω)), 0 < ω, around 0."""
+        omega, eye = self.frequencies(D_hat, c=c), np.eye(len(self.r))
+        curve = np.linalg.det(eye - self.T(omega, D_hat, c))
         for _ in range(HALVINGS):
             wide = np.abs(np.angle(curve[1:] / curve[:-1])) > TURN
             if not wide.any():
                 break
             between = (omega[1:] + omega[:-1])[wide] / 2
             places = np.flatnonzero(wide) + 1
-            curve = np.insert(curve, places, np.linalg.det(eye - self.T(between, D_hat)))
+            curve = np.insert(curve, places, np.linalg.det(eye - self.T(between, D_hat, c)))
             omega = np.insert(omega, places, between)
-        return round(np.angle(curve[1:] / curve[:-1]).sum() / np.pi) == 0  # a turn is 2 pi, half of it for ω > 0
+        turns = np.angle(curve[1:] / curve[:-1]).sum() / np.pi  # a turn is 2 pi, half of it for ω > 0
+        return int((self.poles.real > c).sum()) - round(turns)
 
-    def frequencies(self, *D_hats: float) -> np.ndarray:
+    def frequencies(self, *D_hats: float, c: float = 0.0) -> np.ndarray:
         """Frequencies in rad/s from 0 to where |T| stays small: equally far, and denser around the poles."""
         fastest = np.abs(self.poles).max()
         far = np.geomspace(fastest, HIGHEST * fastest, 200)
-        loud = np.max([np.linalg.norm(self.G(far, D_hat), axis=(1, 2)) for D_hat in D_hats], axis=0) >= QUIET / 2
+        most = 2 * np.exp(-c * np.outer(self.r, (self.D, *D_hats))).max()  # |e^{-s D} - e^{-s D_hat}|
+        loud = np.max([np.linalg.norm(self.G(far, D_hat, c), axis=(1, 2)) for D_hat in D_hats], axis=0) >= QUIET / most
         top = far[min(np.flatnonzero(loud)[-1] + 1, len(far) - 1)] if loud.any() else fastest
         even = np.arange(0.0, top + 1.0 / max(self.D, *D_hats), PHASE / max(self.D, *D_hats))
-        around = np.abs(self.poles.imag) + np.outer(AROUND, self.poles.real)
+        around = np.abs(self.poles.imag) + np.outer(AROUND, self.poles.real - c)
         return np.unique(np.concatenate([even, around[(around > 0) & (around < top)]]))
 
-    def T(self, omega: np.ndarray, D_hat: float) -> np.ndarray:
-        """The return ratio T(iω), (frequencies, m, m)."""
-        turns = -1j * np.outer(omega, self.r)
-        return self.G(omega, D_hat) * (np.exp(turns * self.D) - np.exp(turns * D_hat))[:, None, :]
+    def T(self, omega: np.ndarray, D_hat: float, c: float = 0.0) -> np.ndarray:
+        """The return ratio T(c + iω), (frequencies, m, m)."""
+        turns = -np.outer(c + 1j * omega, self.r)
+        return self.G(omega, D_hat, c) * (np.exp(turns * self.D) - np.exp(turns * D_hat))[:, None, :]
 
-    def G(self, omega: np.ndarray, D_hat: float) -> np.ndarray:
-        """The response of the commands to a mismatch at the inputs, (frequencies, m, m)."""
-        order, s = np.argsort(self.r), 1j * omega
+    def G(self, omega: np.ndarray, D_hat: float, c: float = 0.0) -> np.ndarray:
+        """The response of the commands to a mismatch at the inputs, (frequencies, m, m), at s = c + iω."""
+        order, s = np.argsort(self.r), c + 1j * omega
         ends = D_hat * self.r[order]
         A = self.closed - self.B @ self.K
         flow, pieces = exponential(A * ends[0]), []

@@ -2,6 +2,7 @@
 
 from npred.figures.accuracy import box, errors, kinds, learning
 from npred.figures.certified import certificate, certified
+from npred.figures.delay_margin import margin
 from npred.figures.evaluation_data import Evidence
 from npred.figures.figure import Plate, write
 from npred.figures.latency import speed
@@ -11,5 +12,5 @@ from npred.figures.scenarios import delays, scenarios
 
 __all__ = [
     "Evidence", "Plate", "box", "certificate", "certified", "coverage", "delays", "errors", "figure1", "kinds",
-    "learning", "rig", "scenarios", "speed", "write",
+    "learning", "margin", "rig", "scenarios", "speed", "write",
 ]  # fmt: skip

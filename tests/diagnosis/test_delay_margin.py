@@ -151,3 +151,13 @@ def test_what_has_no_margin_is_refused_in_one_line(name, parameters, D, words):
     with pytest.raises(ConfigError, match=words) as error:
         npred.delay_margin(npred.plant(name, **parameters), D)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("D_hat", [0.1, 0.8, 0.95, 1.02, 1.6, 3.0])
+def test_the_rightmost_root_is_that_of_the_spectrum_by_collocation(D_hat):
+    for plant in (npred.plant("scalar"), npred.plant("van_der_pol"), npred.plant("pvtol"), Plant("two", TwoDelays)):
+        assert MismatchedLoop(plant, 1.0).rightmost(D_hat) == pytest.approx(abscissa(plant, 1.0, D_hat), abs=1e-5)
+
+
+def test_the_rightmost_root_where_the_estimate_is_right_is_that_without_delay():
+    assert MismatchedLoop(npred.plant("scalar"), 1.0).rightmost(1.0) == -1.0  # c = 1

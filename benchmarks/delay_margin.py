@@ -1,0 +1,89 @@
+"""The margin of a constant delay estimate: by the spectrum, and where simulated loops begin to be lost.
+
+    python benchmarks/delay_margin.py [--steps 500]
+
+The controller predicts by a constant D_hat from its own commands, with a control step of D / steps. Loops begin near
+rest. A loop is lost where its distance from rest grows, later against earlier, over the last 40 % of LENGTH D, or is
+FAR times the first one there, as in a cycle that bounds of U limit. Nothing of the spectrum is in the search: errors of D_hat grow from 1 % of D until a loop is lost, and that interval is divided
+until it is narrower than 0.05 % of the error.
+"""
+
+import argparse
+
+import numpy as np
+
+import npred
+from npred.plants import Plant
+
+
+class TwoDelays:
+    """Two inputs, the second one later; unstable without them."""
+
+    states, inputs, delays = ("x", "y"), ("a", "b"), (0.4, 1.0)
+
+    @staticmethod
+    def f(x, u, t, p, M):
+        """Both states grow."""
+        return [0.3 * x.x + x.y + u.a, 0.2 * x.x - 0.1 * x.y + u.b]
+
+    @staticmethod
+    def kappa(x, t, p, M):
+        """Linear."""
+        return [-2.3 * x.x - 0.4 * x.y, -0.5 * x.x - 2.2 * x.y]
+
+
+CASES = (
+    (npred.plant("scalar"), 1.0), (npred.plant("activator_repressor"), 1.0), (npred.plant("strict_feedforward2"), 1.0),
+    (npred.plant("van_der_pol"), 1.0), (npred.plant("chemostat"), 1.5), (npred.plant("cart_pole"), 0.3),
+    (npred.plant("pvtol"), 0.5), (Plant("two delays", TwoDelays), 1.0),
+)  # fmt: skip
+LENGTH, NEAR, NODES = 100.0, 1e-5, 201  # D; the distance from rest at the start; of the predictor
+FAR = 100.0  # times the first distance
+FIRST, GROWTH, MOST = 0.01, 1.3, 22  # of D: the first error, then so many times more, so often
+WIDTH, PARTS = 5e-4, 9  # of the error, where the search ends; loops side by side
+
+
+def grows(plant: Plant, D: float, errors: np.ndarray, dt: float) -> np.ndarray:
+    """Whether small states grow, for each error of D_hat."""
+    rest = plant.equilibrium
+    loop = npred.simulate(
+        plant, npred.predictor("rk4", plant, NODES), D=D, D_hat=D + errors, t_end=LENGTH * D, dt=dt, every=5,
+        X0=rest + NEAR * np.maximum(1, np.abs(rest)), u0="equilibrium", actuator="history", progress=False,
+    )  # fmt: skip
+    gaps, count = np.abs(loop.X - rest).max(axis=-1), len(loop.t)
+    gaps = np.where(np.isfinite(gaps), gaps, np.inf)
+    earlier, later = (gaps[:, int(a * count) : int(b * count)].max(axis=1) for a, b in ((0.6, 0.8), (0.8, 1.0)))
+    return (later > np.maximum(earlier, NEAR**2)) | (later > FAR * gaps[:, 0])
+
+
+def simulated(plant: Plant, D: float, side: int, steps: int) -> float:
+    """The least error of that sign at which loops are lost; infinite if none is."""
+    errors = side * D * FIRST * GROWTH ** np.arange(MOST + 1)
+    errors = errors[errors > -D]
+    lost = grows(plant, D, errors, D / steps)
+    if not lost.any():
+        return side * np.inf
+    first = int(np.argmax(lost))
+    low, high = errors[first - 1] if first else 0.0, errors[first]
+    while abs(high - low) > WIDTH * abs(high):
+        inner = np.linspace(low, high, PARTS + 2)
+        lost = grows(plant, D, inner[1:-1], D / steps)
+        first = int(np.argmax(lost)) if lost.any() else PARTS
+        low, high = inner[first], inner[first + 1]
+    return (low + high) / 2
+
+
+def main() -> None:
+    """Print a line per plant and side."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--steps", type=int, default=500)
+    steps = parser.parse_args().steps
+    print("plant                  D    by the spectrum  by simulation  difference")
+    for plant, D in CASES:
+        for side, edge in zip((-1, 1), npred.delay_margin(plant, D), strict=True):
+            found = simulated(plant, D, side, steps)
+            print(f"{plant.name:20} {D:5g} {edge:16.5f} {found:14.5f} {found / edge - 1:10.2%}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
