@@ -37,7 +37,7 @@ CASES = (
     (npred.plant("van_der_pol"), 1.0), (npred.plant("chemostat"), 1.5), (npred.plant("cart_pole"), 0.3),
     (npred.plant("pvtol"), 0.5), (Plant("two delays", TwoDelays), 1.0),
 )  # fmt: skip
-LENGTH, NEAR, NODES = 100.0, 1e-5, 201  # D; the distance from rest at the start; of the predictor
+LENGTH, NEAR, NODES = 80.0, 1e-5, 201  # D; the distance from rest at the start; of the predictor
 FAR = 100.0  # times the first distance
 FIRST, GROWTH, MOST = 0.01, 1.3, 22  # of D: the first error, then so many times more, so often
 WIDTH, PARTS = 5e-4, 9  # of the error, where the search ends; loops side by side
