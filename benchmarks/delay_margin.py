@@ -4,8 +4,9 @@
 
 The controller predicts by a constant D_hat from its own commands, with a control step of D / steps. Loops begin near
 rest. A loop is lost where its distance from rest grows, later against earlier, over the last 40 % of LENGTH D, or is
-FAR times the first one there, as in a cycle that bounds of U limit. Nothing of the spectrum is in the search: errors of D_hat grow from 1 % of D until a loop is lost, and that interval is divided
-until it is narrower than 0.05 % of the error.
+FAR times the first one there, as in a cycle that bounds of U limit. Nothing of the spectrum is in the search: errors
+of D_hat grow from 1 % of D until a loop is lost, and that interval is divided until it is narrower than 0.05 % of the
+error.
 """
 
 import argparse
