@@ -288,7 +288,9 @@ def main() -> None:
     for plant in arguments.plants:
         task = TASKS[plant]
         box = np.array([task.limited.box[name] for name in task.limited.states])
-        starts = randomness.generator(0, "nmpc").uniform(box[:, 0], box[:, 1], (arguments.starts, task.limited.n))
+        size = (10 * arguments.starts, task.limited.n)
+        starts = randomness.generator(0, "nmpc").uniform(box[:, 0], box[:, 1], size)
+        starts = starts[task.limited.safe(starts).min(axis=1) >= 0][: arguments.starts]
         for bounded in (False, True):
             print(f"{plant}, D = {task.D:g} s, {'inputs and states bounded' if bounded else 'nothing bounded'}")
             for name, make in contenders(task, bounded, arguments.solver).items():
