@@ -7,6 +7,7 @@ import html
 import os
 import re
 from collections.abc import Callable
+from itertools import takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -41,7 +42,11 @@ def publish(options: Work, outcomes: list[Outcome], output: Path | None) -> Path
     path = output or free_path(options, options.pipeline.stem, lambda name: options.store / f"{name}.html")
     aside = path.with_name(path.name + ".part")
     try:
-        text = (folder / NAME).read_text(encoding="utf-8").replace(PLACE, _made_from(source, options.set or []), 1)
+        text = (
+            (folder / NAME)
+            .read_text(encoding="utf-8")
+            .replace(PLACE, _made_from(source, options.set or [], _intent(options.pipeline)), 1)
+        )
         aside.write_text(text, encoding="utf-8", errors="backslashreplace")
         aside.replace(path)  # a browser that reads it meanwhile sees the old page or the new one
     except OSError as error:
@@ -89,10 +94,18 @@ def sign(options: Planned, folder: Path) -> None:
     (folder / SIGNATURE).write_text(source_of(options) + "\n", encoding="utf-8", errors="surrogateescape")
 
 
-def _made_from(source: str, overrides: list[str]) -> str:
+def _intent(pipeline: Path) -> str:
+    """The comment that a pipeline file begins with: what it is for, such as a test whose numbers mean nothing."""
+    lines = pipeline.read_text(encoding="utf-8", errors="replace").splitlines()
+    return " ".join(line.lstrip("# ") for line in takewhile(lambda line: line.startswith("#"), lines))
+
+
+def _made_from(source: str, overrides: list[str], intent: str) -> str:
     flags = "".join(f" <code>--set {html.escape(override)}</code>" for override in overrides)
-    name = html.escape(source)
-    return f'<p class="about" data-pipeline="{name}">From <code>{name}</code>{" with" if flags else ""}{flags}</p>'
+    name, said = html.escape(source), f". {html.escape(intent)}" if intent else ""
+    return (
+        f'<p class="about" data-pipeline="{name}">From <code>{name}</code>{" with" if flags else ""}{flags}{said}</p>'
+    )
 
 
 def _owner(path: Path) -> str | None:

@@ -24,7 +24,9 @@ def certificate(evidence: Evidence) -> Plate:
     }
     gain, line, key = evidence.gain, "", ()
     if np.isfinite(gain):  # else an error that stays takes the linearised loop out of all bounds
-        line = f"; an error that stayed constant would move the end along the dotted line, {gain:.4g} ε"
+        line = (
+            f". Dotted: the radius of a constant error ε of U, {gain:.4g} ε; {gain:.4g} is the gain, the distance per ε"
+        )
         key = (Key(f"constant error: {gain:.4g} ε", Look("muted", (1, 2))),)
     beside = ends(evidence)
     others = "Distance and W" if len(beside) > 1 else "Distance"

@@ -1,6 +1,7 @@
 """The time of a predictor call: against its error, against the grid, and its tail."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 from functools import partial
 from math import inf, isfinite
 
@@ -30,13 +31,13 @@ def speed(rows: list[CallTimes]) -> Plate:
     networks = {c.model: c for c in ranked(Contender(row.predictor) for row in rows if row.is_network)}
     looks = {name: _look(series[0], networks) for name, series in _series(single).items()}
     caption = (
-        "Time of one call at batch 1. Versus ε: the median and the error, one line per method through its grids; lower "
-        "and further left is better. From the median to the 99.9 % quantile: at the finest dx; a control loop misses "
-        "its deadline in the tail."
+        "Time of one call at batch 1. Versus ε: the median and the error, one mark per grid. The line of a method "
+        "joins the grids that no other grid of it beats in both; lower and further left is better. From the median "
+        "to the 99.9 % quantile: at the finest dx; a control loop misses its deadline in the tail."
     )
     panels = (
-        Panel("µs per call versus ε", _alt_front(front), partial(_lines, front, looks, "eps_sup", "sup error ε")),
-        Panel("µs per call versus dx", _alt_grids(grids), partial(_lines, grids, looks, "dx", "dx")),
+        Panel("µs per call versus ε", _alt_front(front), partial(_fronts, front, looks)),
+        Panel("µs per call versus dx", _alt_grids(grids), partial(_lines, grids, looks)),
         Panel("µs, median to 99.9 %", _alt_tail(grids), partial(_tails, grids, looks)),
     )  # fmt: skip
     return Plate("speed", "Latency and accuracy", caption, panels, tuple(Key(*item) for item in looks.items()))
@@ -83,10 +84,29 @@ def _rank(row: CallTimes) -> tuple[int, str]:
     return order.index(row.predictor) if row.predictor in order else len(order), label(row)
 
 
-def _lines(series: dict[str, list[CallTimes]], looks: dict[str, Look], key: str, title: str, axis: Axes) -> None:
+def _fronts(series: dict[str, list[CallTimes]], looks: dict[str, Look], axis: Axes) -> None:
     for name, rows in series.items():
-        axis.plot([getattr(row, key) for row in rows], [row.median_us for row in rows], **looks[name].line)
-    axis.set_xlabel(title)
+        front, look = _unbeaten(rows), looks[name]
+        axis.plot([row.eps_sup for row in rows], [row.median_us for row in rows], look.marker, color=look.colour)
+        line = replace(look, marker="").line
+        axis.plot([row.eps_sup for row in front], [row.median_us for row in front], **line)
+    axis.set_xlabel("sup error ε")
+    log(axis, "x", "y")
+
+
+def _unbeaten(rows: list[CallTimes]) -> list[CallTimes]:
+    """The rows that no other beats in error and time, by rising error: their times fall, so a line has no way back."""
+    best: list[CallTimes] = []
+    for row in sorted(rows, key=lambda row: (row.eps_sup, row.median_us)):
+        if not best or row.median_us < best[-1].median_us:
+            best.append(row)
+    return best
+
+
+def _lines(series: dict[str, list[CallTimes]], looks: dict[str, Look], axis: Axes) -> None:
+    for name, rows in series.items():
+        axis.plot([row.dx for row in rows], [row.median_us for row in rows], **looks[name].line)
+    axis.set_xlabel("dx")
     log(axis, "x", "y")
 
 

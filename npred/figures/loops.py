@@ -1,4 +1,4 @@
-"""The loop of [DAPF, Fig. 1]: states, input and delay estimate with each predictor, how it ends, and where it goes."""
+"""The loop of [DAPF, Fig. 1] with each predictor: states, input and delay estimate, differences, and coverage."""
 
 from collections.abc import Iterable
 from functools import partial
@@ -8,18 +8,17 @@ import numpy as np
 
 from npred.figures.evaluation_data import Evidence, Histogram, LoopSeries
 from npred.figures.figure import Key, Panel, Plate
-from npred.figures.notation import common_unit, quantity, symbol, timed, with_unit
-from npred.figures.style import ROLES, Axes, Look, log, look
+from npred.figures.notation import common_unit, quantity, timed, with_unit
+from npred.figures.style import ROLES, Axes, Look, log, look, short
 from npred.loop import delay_law, lyapunov, metrics
 from npred.results import NUMERICAL, Contender
 
 GOAL = {"color": ROLES["muted"][0], "linewidth": 0.8, "linestyle": (0, (1, 2)), "zorder": 0}
 ROUNDS = 30  # of the fixed-point iteration for when a command acts
-END = 0.1  # the share of the horizon that is looked at closely
 
 
 def figure1(evidence: Evidence) -> Plate:
-    """x, U and D_hat over time [DAPF, Fig. 1], and the states at the end."""
+    """x, U and D_hat over time [DAPF, Fig. 1], and how far each loop is from the numerical predictor's."""
     plant, columns = evidence.plant, {contender: _columns(loop) for contender, loop in evidence.loops.items()}
     t, time = evidence.loops[NUMERICAL].t, timed(plant, "t")
     goals, kept = _goals(evidence, t), _converging(evidence)
@@ -29,23 +28,36 @@ def figure1(evidence: Evidence) -> Plate:
         title = what + quantity(plant, name)
         span = _around([goals[:, k], *(columns[c][:, k] for c in kept)])
         panels.append(Panel(title, _alt(title, k, columns, t), partial(_over_time, t, columns, k, goals, span, time)))
-    for k, name in enumerate(plant.states):
-        title = f"{quantity(plant, name)}, the last tenth"
-        caption = _alt_end(symbol(plant, name), k, columns)
-        panels.append(Panel(title, caption, partial(_end, t, columns, k, goals[:, k], time)))
-    return Plate("figure1", "The closed loop", _caption(evidence), tuple(panels), keys(evidence.loops))
+    apart = _apart(evidence)
+    if apart:
+        title = with_unit("difference from the numerical loop", common_unit(plant, plant.states))
+        panels.append(Panel(title, _alt_apart(apart), partial(_curves, t, apart, time)))
+    return Plate("figure1", "The closed loop", _caption(evidence, apart), tuple(panels), keys(evidence.loops))
 
 
-def _caption(evidence: Evidence) -> str:
+def _apart(evidence: Evidence) -> dict[Contender, np.ndarray]:
+    """|X - X of the numerical predictor's loop| over time, (nt,): curves on one another have a distance here."""
+    exact = evidence.loops[NUMERICAL].X
+    return {c: np.linalg.norm(loop.X - exact, axis=1) for c, loop in evidence.loops.items() if c != NUMERICAL}
+
+
+def _alt_apart(apart: dict[Contender, np.ndarray]) -> str:
+    largest = "; ".join(f"{c.label} {short(np.max(values))}" for c, values in apart.items())
+    return f"|X − X of the numerical loop| on a logarithmic scale, at most: {largest}."
+
+
+def _caption(evidence: Evidence, apart: dict[Contender, np.ndarray]) -> str:
     plant, config = evidence.plant, evidence.config
     D, D_hat0 = map(plant.time_text, (config.D, config.D_hat0))
     delay = "the delay that the plant declares" if plant.declares_delay else f"D = {D} and D̂(0) = {D_hat0}"
     goal = "the delay there" if plant.declares_delay else "the true delay"
     of = f" [{plant.figure}]" if plant.figure else ""
     where, start = "rest" if plant.rests else "the reference", ", ".join(f"{value:g}" for value in config.X0)
+    near = ", ".join(f"{c.label} {short(np.max(apart[c]))}" for c in _converging(evidence) if c in apart)
+    said = f" Lines that lie on each other differ from the numerical loop by at most: {near}." if near else ""
     return (
         f"One closed loop{of} from X(0) = ({start}) with {delay}, run with each "
-        f"predictor. Grey and dotted: {where}, and {goal}. A loop that does not converge may leave the picture."
+        f"predictor. Grey and dotted: {where}, and {goal}. A loop that does not converge may leave the picture.{said}"
     )
 
 
@@ -112,19 +124,6 @@ def _over_time(
     axis.set(xlabel=time, xlim=(t[0], t[-1]), ylim=span)
 
 
-def _end(t: np.ndarray, columns: dict[Contender, np.ndarray], k: int, goal: np.ndarray, time: str, axis: Axes) -> None:
-    """The last tenth, at least a part in a thousand of the value high: closer, lines are one line."""
-    late = t >= min((1 - END) * t[-1], t[-2:][0])  # a line has two ends
-    shown = {contender: series[late, k] for contender, series in columns.items() if contender.adapts}
-    for contender, values in shown.items():
-        axis.plot(t[late], values, **look(contender).line)
-    axis.plot(t[late], goal[late], **GOAL)
-    gaps = [gap for values in shown.values() if np.isfinite(gap := float(np.abs(values - goal[late]).max()))]
-    reach = max([1.5 * gap for gap in gaps] + [1e-3 * float(np.abs(goal).max()), 1e-9])
-    axis.set(xlabel=time, xlim=(t[late][0], t[-1]), ylim=(goal[late].min() - reach, goal[late].max() + reach))
-    axis.ticklabel_format(axis="y", useOffset=False)
-
-
 def _curves(t: np.ndarray, curves: dict[Contender, np.ndarray], time: str, axis: Axes) -> None:
     for contender, values in curves.items():
         positive = np.where(np.isfinite(values) & (values > 0), values, np.nan)
@@ -147,11 +146,6 @@ def _alt(name: str, k: int, columns: dict[Contender, np.ndarray], t: np.ndarray)
     return f"{name} from t = 0 to {t[-1]:g}: {ends}."
 
 
-def _alt_end(name: str, k: int, columns: dict[Contender, np.ndarray]) -> str:
-    ends = "; ".join(f"{c.label} {values[-1, k]:.6g}" for c, values in columns.items())
-    return f"{name} over the last tenth of the horizon, ending at: {ends}."
-
-
 def coverage(evidence: Evidence) -> Plate:
     """A panel per state, an input, and the delay estimate."""
     histograms = {quantity(evidence.plant, name): each for name, each in evidence.coverage.items()}
@@ -161,7 +155,8 @@ def coverage(evidence: Evidence) -> Plate:
         for name, each in histograms.items()
     ]  # fmt: skip
     caption = (
-        "Filled: the training data; lines: what the closed loops visit, both on a logarithmic scale. A network is only "
+        "Filled: the training data; lines: what the closed loops visit. Upwards: the share per unit of the quantity, "
+        "on a logarithmic scale. A network is only "
         "reliable where it was trained."
     )
     marks = Key("data", Look("fill", (), 5)), *keys(next(iter(histograms.values())).loops)
@@ -174,5 +169,5 @@ def _histogram(histogram: Histogram, axis: Axes) -> None:
     for contender, density in histogram.loops.items():
         line = look(contender).line
         axis.stairs(density, edges, color=line["color"], linestyle=line["linestyle"], linewidth=1.0)
-    axis.set(yscale="log", xlim=(edges[0], edges[-1]))
-    axis.tick_params(axis="y", which="both", left=False, labelleft=False)
+    axis.set(xlim=(edges[0], edges[-1]))
+    log(axis, "y")

@@ -32,12 +32,16 @@ SYMBOLS = {
 
 @dataclass(frozen=True)
 class Column:
-    """A heading, a value per row, and how a number is written: a format, or so many `digits`."""
+    """A heading, a value per row, and how a number is written: a format, or so many `digits`.
+
+    `about` says below the table of a page what the heading cannot.
+    """
 
     head: str
     values: Sequence[Any]
     form: str = ""
     digits: int = 0
+    about: str = ""
 
     @property
     def numeric(self) -> bool:

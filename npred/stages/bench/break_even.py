@@ -9,15 +9,12 @@ import numpy as np
 
 from npred import grid
 from npred.config import Bench
-from npred.figures.style import short
 from npred.kernels.kernel import bound
 from npred.predictors import RK4, OneStep, Predictor
-from npred.registry import METHODS, NETWORKS
 from npred.results.bench import CallTimes, Crossover, Rival
-from npred.stages.bench import timing
+from npred.stages.bench import sentences, timing
 from npred.stages.bench.candidates import Candidate, ErrorSizes, Reference, matching
 from npred.stages.job import Job
-from npred.terminal.waiting import counted
 
 STEPS = (10, 210)  # of the two runs whose difference is the cost of f
 
@@ -68,7 +65,7 @@ def crossover(
         best=best.predictor, best_steps=best.nx - 1, best_us=best_us, network_speedup=best_us / network_us,
         f_ns=f_ns, pays_from_ns=1000 * max(network_us - overhead, 0.0) / evaluations,
     )  # fmt: skip
-    return measured.model_copy(update={"sentence": sentence(measured)})
+    return measured.model_copy(update={"sentence": sentences.network_pays(measured, 1 / (network.nx - 1))})
 
 
 def _by_median(rival: Candidate, reference: Reference, eps: float) -> Candidate | None:
@@ -116,41 +113,3 @@ def call(reference: Reference, run: Predictor) -> Callable[[int], None]:
         checks[k % len(checks)]()
 
     return checked
-
-
-def sentence(crossover: Crossover) -> str:
-    """The crossover in a sentence for people."""
-    numerical, ratio = method_on(crossover.best, crossover.best_steps), crossover.network_speedup
-    network = f"the {NETWORKS.label(crossover.predictor)} ({crossover.runtime})"
-    first, second = (numerical, network) if ratio < 1 else (network, numerical)
-    times = f"the network takes {crossover.network_us:.1f} µs, {numerical} {crossover.best_us:.1f} µs"
-    from_ns, here = crossover.pays_from_ns, f"(here {crossover.f_ns:.0f} ns)"
-    pays = f"from {from_ns:.0f} ns per evaluation of f on {here}" if from_ns else f"however cheap f is {here}"
-    return (
-        f"For {crossover.plant} at ε = {short(crossover.eps_sup)} the fastest predictor is {first}, "
-        f"{max(ratio, 1 / ratio):.1f} times as fast as {second}: {times}{_others(crossover)}.{_typical(crossover)} "
-        f"A network pays {pays}."
-    )
-
-
-def _typical(crossover: Crossover) -> str:
-    """The network beside the fastest method of its median error, which ranks them otherwise than the largest may."""
-    if not crossover.by_median:
-        return ""
-    rival = min(crossover.by_median, key=lambda row: row.median_us)
-    method = method_on(rival.predictor, rival.steps)
-    return (
-        f" By the median error over samples, {short(crossover.eps_median)}, {method} has the network's "
-        f"in {rival.median_us:.1f} µs, {rival.median_us / crossover.network_us:.1f} times its time."
-    )
-
-
-def _others(crossover: Crossover) -> str:
-    """The methods of that accuracy that are slower than the best."""
-    rows = [row for row in crossover.numerical if row.predictor != crossover.best]
-    return "".join(f", {method_on(row.predictor, row.steps)} {row.median_us:.1f} µs" for row in rows)
-
-
-def method_on(name: str, steps: int) -> str:
-    """A method and its number of steps, in words."""
-    return f"{METHODS.label(name)} on {counted(steps, 'steps')}"

@@ -4,7 +4,8 @@ from math import isfinite
 
 from npred.registry import short_name
 from npred.results import NUMERICAL, Benched, Contender
-from npred.results.bench import CallTimes, Stops
+from npred.results.bench import CallTimes, Crossover, Stops
+from npred.stages.bench.sentences import network_pays
 from npred.terminal.console import columns
 
 TIMES = {"median": "median_us", "p95": "p95_us", "p99.9": "p999_us", "max": "max_us"}
@@ -24,8 +25,14 @@ def details(result: Benched, width: int | None = None) -> str:
 
 
 def sentences(result: Benched) -> list[str]:
-    """One sentence per network, when it pays; then one on the machine."""
-    return [*(crossover.sentence for crossover in result.crossover), result.stops.sentence]
+    """One sentence per network, when it pays; then one on the machine. They are put anew, as results keep old words."""
+    return [*(network_pays(row, timed_dx(result, row)) for row in result.crossover), result.stops.sentence]
+
+
+def timed_dx(result: Benched, crossover: Crossover) -> float | None:
+    """The dx of the network's call in a crossover; None where no row of the benchmark is that call."""
+    call = (crossover.predictor, crossover.runtime, crossover.eps_sup)
+    return next((row.dx for row in result.table if (row.predictor, row.runtime, row.eps_sup) == call), None)
 
 
 def fastest(result: Benched, numerical: str) -> dict[Contender, float]:

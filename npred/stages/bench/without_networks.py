@@ -10,7 +10,7 @@ from npred.operators.weights import untrained
 from npred.plants import Plant
 from npred.results.bench import Crossover, Foreseen
 from npred.runtimes.fused import Fused
-from npred.stages.bench import break_even, candidates
+from npred.stages.bench import break_even, candidates, sentences
 from npred.stages.bench.candidates import Candidate, ErrorSizes, Reference
 from npred.stages.generate import rollouts
 from npred.terminal.console import columns
@@ -76,7 +76,7 @@ def sentence(crossovers: list[Crossover]) -> str:
 
 
 def _method(crossover: Crossover) -> str:
-    return break_even.method_on(crossover.best, crossover.best_steps)
+    return sentences.method_on(crossover.best, crossover.best_steps)
 
 
 def summary(result: Foreseen, width: int | None = None) -> str:

@@ -73,7 +73,7 @@ def _all(contender: Contender, scores: Scores, result: Evaluated) -> dict[str, s
     cells = {"predictor": contender.label} | {head: _cell(getattr(scores, key)) for head, key in ERRORS.items()}
     cells |= {f"{kind}: ε sup": _cell(scores.kinds[kind].eps_sup) for kind in kinds}
     cells |= {f"fresh: {head}": _cell(getattr(scores.fresh, key)) for head, key in ERRORS.items() if head != "ε κ"}
-    cells |= {"in the loop": _cell(scores.in_loop)}
+    cells |= {"in the loop": _cell(scores.in_loop) if contender.adapts else ""}
     cells |= {head: _cell(getattr(radius, key)) for head, key in RADII.items()}
     cells |= {"converged": f"{radius.converged:.0%}"}
     cells |= {"settles": "" if scores.settle_ratio is None else f"{scores.settle_ratio:.2f} ×"}

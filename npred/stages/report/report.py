@@ -20,6 +20,9 @@ from npred.terminal.waiting import Bar
 
 NAME = "report.html"
 FOLDED = "speed"  # a table that is long
+POOR = (
+    0.02  # relative L² error of networks: those of the pipelines that are meant to be used have less than a tenth of it
+)
 
 
 def run(job: Job) -> Reported:
@@ -44,6 +47,7 @@ def _page(story: Story, said: list[str], job: Job) -> str:
         name=job.config.name,
         about=_about(job),
         said=said,
+        caution=_caution(story),
         chapters=list(_chapters(story, job.progress)),
         folded=FOLDED,
         facts=_facts(story, job),
@@ -74,6 +78,17 @@ def _pictures(plate: Plate, bar: Bar) -> list[str]:
         pictures.append(svg.inline(panel, f"{plate.name}-{number}"))
         bar.advance()
     return pictures
+
+
+def _caution(story: Story) -> str:
+    """A sentence where no network is good, as in a pipeline that only tests the chain; empty where one is."""
+    errors = [scores.rel_l2 for c, scores in story.evaluated.models.items() if c.is_network and c.epoch is None]
+    if not errors or min(errors) < POOR:
+        return ""
+    return (
+        f"No network here predicts well: the mean error is {min(errors):.0%} of the state or more, after a training on "
+        f"{story.generated.samples:,} samples. Take its numbers for a test of the program, not of networks."
+    )
 
 
 def _about(job: Job) -> str:

@@ -17,11 +17,11 @@ from npred.figures.style import short
 from npred.figures.table import Table
 from npred.loop import metrics
 from npred.plants import Plant
-from npred.registry import METHODS
 from npred.results import NO_ADAPTATION, NUMERICAL, Benched, Certified, Contender, Evaluated, Generated, Trained, ranked
 from npred.results.evaluate import Scores
+from npred.stages.bench import timing_tables
+from npred.stages.bench.sentences import method_on
 from npred.stages.report import tables
-from npred.terminal.waiting import counted
 
 CHAPTERS = (
     ("loop", "The closed loop", ("figure1",), ("loops",)),
@@ -162,5 +162,9 @@ def _against_numerics(benched: Benched, network: str) -> str:
     crossover = next((row for row in benched.crossover if row.predictor == network), None)
     if crossover is None:
         return ""
-    steps = counted(crossover.best_steps, "steps")
-    return f"; {METHODS.label(crossover.best)} on {steps} is as accurate in {crossover.best_us:.1f} µs"
+    dx = timing_tables.timed_dx(benched, crossover)
+    at = "" if dx is None else f" at dx = {dx:.3g}"
+    method = method_on(crossover.best, crossover.best_steps)
+    return (
+        f"; {method} is as accurate in {crossover.best_us:.1f} µs as the network{at} in {crossover.network_us:.1f} µs"
+    )

