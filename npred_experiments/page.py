@@ -68,12 +68,12 @@ def page(results: Sequence[Reproduced]) -> str:
 
 
 def markdown(results: Sequence[Reproduced]) -> str:
-    """The same tables as a page of the documentation."""
+    """The rows and the times as a page of the documentation; how networks were trained is on the other page."""
     lines = [f"# {TITLE}, measured", "", ABOUT, "", *summary(results), ""]
     for result in results:
         experiment = load(result.name)
         lines += [f"## {_heading(result.name)}", "", f"`{result.name}`: {experiment.source}.", ""]
-        for table in tables(result):
+        for table in [_rows(result), *_times(result)]:
             heads = [column.head for column in table.columns]
             rules = ["---:" if column.numeric else "---" for column in table.columns]
             cells = [[column.text(v) for column, v in zip(table.columns, row, strict=True)] for row in table.rows]
@@ -174,6 +174,10 @@ def _heading(name: str) -> str:
 
 def tables(result: Reproduced) -> list[Table]:
     """The rows of an experiment, the times of predictions, and the networks that were trained."""
+    return [_rows(result), *_times(result), *_trained(result)]
+
+
+def _rows(result: Reproduced) -> Table:
     rows = [(row, cells) for row, cells in zip(result.rows, cells_of(result), strict=True)]
     numbers = [
         Column(head, [_digits(getattr(row, key), cells[place]) for row, cells in rows], "s")
@@ -188,7 +192,7 @@ def tables(result: Reproduced) -> list[Table]:
         Column("metric", [row.metric for row, _ in rows]),
         *numbers,
     ]
-    return [Table(f"{result.name}-rows", "Published and measured", columns), *_times(result), *_trained(result)]
+    return Table(f"{result.name}-rows", "Published and measured", columns)
 
 
 def _times(result: Reproduced) -> Iterator[Table]:

@@ -1,5 +1,6 @@
 """Every registered experiment: complete, and as the page about it shows it."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -12,7 +13,9 @@ from npred.store import Store
 from npred.terminal.console import Console
 from npred_experiments import rows
 
-PAGE = (Path(__file__).parents[2] / "docs" / "reproduce.md").read_text()
+DOCS = Path(__file__).parents[2] / "docs"
+PAGE = (DOCS / "reproduce.md").read_text()
+MEASURED = (DOCS / "published.md").read_text().replace("−", "-").split("\n## ")
 NAMES = registry.EXPERIMENTS.names()
 FILES = Path(npred_experiments.__file__).parent.glob("*.py")
 
@@ -43,14 +46,13 @@ def test_an_experiment_is_keyed_by_what_it_imports():
 def test_the_page_shows_what_the_command_prints(name: str):
     place = Place(Path("none"), Path("none"), Console())
     result = rows.joined([load(name).measured(name, NUMERICAL, place)], networks=False)
-    shown = [line.split() for line in PAGE.splitlines()]
-    for cells in rows.cells_of(result):
-        words = [*" ".join(cells).split()]
-        near = [line for line in shown if line[:-3] == words[:-3]]
-        assert len(near) == 1
-        assert near[0][-3] == words[-3]
-        if "e-" not in words[-2]:  # a rounding error is another on another machine
-            assert near[0][-2:] == words[-2:] or _close(near[0][-1], words[-1])
+    section = next(part for part in MEASURED if f"\n`{name}`: " in part)
+    shown = [re.split(r"(?<!\\) ?\| ?", line)[1:-1] for line in section.splitlines()]
+    for _, predictor, metric, published, as_published, as_meant in rows.cells_of(result):
+        (near,) = (row[2:] for row in shown if row[:2] == [predictor, metric.replace("|", "\\|")])
+        assert near[0] == published
+        if "e-" not in as_published:  # a rounding error is another on another machine
+            assert near[1:] == [as_published, as_meant] or _close(near[2], as_meant)
 
 
 def _close(left: str, right: str) -> bool:
