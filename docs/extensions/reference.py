@@ -17,10 +17,16 @@ from sphinx.util import logging
 
 from npred import cli, config, plants
 from npred.cli.options import Common, Planned, Work
+from npred.config.section import MOST
 from npred.pipeline import STAGES
 from npred.results import Result
 
 logger = logging.getLogger(__name__)
+
+IN_COMMON: dict[type[config.Section], tuple[str, str]] = {  # tables that others extend: a heading, and a path below it
+    config.Loop: ("Loops: `[generate]` and `[evaluate]`", "STAGE"),
+    config.Training: ("Networks: every table `[train.NAME]`", "train.NAME"),
+}
 
 
 def _own(options: type[Common], *bases: type[Common]) -> list[str]:
@@ -109,36 +115,51 @@ def configuration() -> Iterator[str]:
     """The page of the pipeline file: a section per table, a row per key."""
     yield from ("# Configuration", "", "A pipeline is a TOML file; `--set table.key=value` overrides a key for a run.")
     yield "An unknown key or a value out of range is an error that names the key. Delays and times are in seconds."
-    yield from ("The pipelines in `pipeline/` are examples.", "")
-    yield from _table("", config.Pipeline)
+    yield from ("The pipelines in `pipeline/` are examples. STAGE is `generate` or `evaluate`.", "")
+    yield from _table("Top level", "", config.Pipeline, set())
 
 
 def results() -> Iterator[str]:
     """The page of the results: a section per stage and per table in its result, a row per key."""
-    yield from ("# Results", "", "What each stage finds, as `result.json` holds it and as `--json` prints it: see")
-    yield "[documents for programs](documents.md). Keys may be added, and none is dropped or renamed. A number that is"
-    yield "not finite is `null`. In a heading `*` stands for any name, or for each entry of a list."
-    described: set[type[Result]] = set()
+    yield from ("# Results", "", "The keys of `result.json`, which `--json` prints: see")
+    yield "[documents for programs](documents.md). Keys may be added; none is dropped or renamed."
+    yield "`null` is a number that is not finite. In a heading `*` stands for each name, or for each entry of a list. ε and κ are those of"
+    yield "[theory](../theory.md)."
+    described: dict[type, str] = {}
     for name, stage in STAGES.items():
         yield from _result(name, stage.result, described)
 
 
-def _result(path: str, model: type[Result], described: set[type[Result]]) -> Iterator[str]:
+def _result(path: str, model: type[Result], described: dict[type, str]) -> Iterator[str]:
+    """A section of the keys that no section before has, then the tables below them."""
     if model in described:
         return
-    described.add(model)
     stage, _, below = path.partition(".")
-    yield from ("", f"### {stage}: `{below}`" if below else f"## {stage}", "", _words(model), "")
+    place = f"{stage}: `{below}`" if below else stage
+    owners = {name: _owner(model, name) for name in model.model_fields}
+    before = {name: described[owner] for name, owner in owners.items() if owner in described}
+    keys = [name for name in owners if name not in before]
+    described |= dict.fromkeys([model, *owners.values()], place)
+    yield from ("", f"### {place}" if below else f"## {place}", "", _words(model), "")
+    for section in dict.fromkeys(before.values()):
+        names = [f"`{name}`" for name in before if before[name] == section]
+        yield from (f"Also {', '.join(names)}, as in {section}.", "")
     yield from ("| key | what |", "|---|---|")
     tables: list[tuple[str, type[Result]]] = []
-    for name, field in model.model_fields.items():
+    for name in keys:
+        field = model.model_fields[name]
         key = field.serialization_alias or name
         yield f"| `{key}` | {_cell(_meaning(model, name))} |"
         kinds = [kind for kind in _parts(field.annotation) if isinstance(kind, type) and issubclass(kind, Result)]
         each = ".*" if get_origin(field.annotation) in (dict, list) else ""
         tables += [(f"{path}.{key}{each}", kind) for kind in kinds]
-    for place, kind in tables:
-        yield from _result(place, kind, described)
+    for section, kind in tables:
+        yield from _result(section, kind, described)
+
+
+def _owner(model: type[BaseModel], name: str) -> type:
+    """The class that declares a field."""
+    return next(base for base in model.__mro__ if name in vars(base).get("__annotations__", {}))
 
 
 def _parts(kind: Any) -> list[Any]:
@@ -160,28 +181,37 @@ def _few(names: list[str]) -> str:
     return ", ".join(names) if len(names) < 5 else f"{names[0]} … {names[-1]}: {len(names)}"
 
 
-def _table(path: str, model: type[config.Section]) -> Iterator[str]:
-    tables = {name: field for name, field in model.model_fields.items() if _is_table(field)}
-    yield from ("", f"## `[{path}]`" if path else "## Top level", "", _words(model), "")
-    yield from ("| key | type | default | meaning |", "|---|---|---|---|")
-    for name, field in model.model_fields.items():
-        if name not in tables:
+def _table(heading: str, path: str, model: type[config.Section], described: set[type]) -> Iterator[str]:
+    """A section for the keys that the model adds to a table in common or that have another default, and its tables."""
+    if model in described:
+        return
+    described.add(model)
+    common = next((base for base in IN_COMMON if base in model.__mro__[1:]), None)
+    if common:
+        yield from _table(*IN_COMMON[common], common, described)
+    before = common.model_fields if common else {}
+    keys = {k: f for k, f in model.model_fields.items() if k not in before or f.default != before[k].default}
+    yield from ("", f"## {heading}", "", _words(model), "", "| key | type | default | meaning |", "|---|---|---|---|")
+    for name, field in keys.items():
+        if _inner(field) is None:
             yield f"| `{name}` | {_cell(_type(field))} | {_value(field)} | {_cell(_meaning(model, name))} |"
-        elif issubclass(model, config.Loop):
+        elif field.default is None or issubclass(model, config.Loop):
             yield f"| `{name}` | table | | {_cell(_meaning(model, name))} |"
-    for name, field in tables.items():
-        yield from _table(f"{path}.{name}".strip("."), field.annotation)  # type: ignore[arg-type]
+    for name, field in keys.items():
+        if inner := _inner(field):
+            below = f"{path}.{name}".strip(".")
+            yield from _table(f"`[{below}]`", below, inner, described)
     if model is config.Evaluate:
-        yield from _table("[evaluate.scenarios]", config.Scenario)
+        yield from _table("`[[evaluate.scenarios]]`", "evaluate.scenarios", config.Scenario, described)
     if model is config.Train:
-        yield from _table("train.NAME", config.Network)
+        yield from _table("`[train.NAME]`", "train.NAME", config.Network, described)
 
 
 def _meaning(model: type[BaseModel], name: str) -> str:
     """What stands behind #: at a field, in the class that declares it, or the description that the field has."""
     if (field := model.model_fields[name]).description:
         return str(field.description)
-    owner = next(base for base in model.__mro__ if name in vars(base).get("__annotations__", {}))
+    owner = _owner(model, name)
     comments = ModuleAnalyzer.for_module(owner.__module__).find_attr_docs()
     meaning = " ".join(comments.get((owner.__name__, name), [])).strip()
     if not meaning:
@@ -189,8 +219,10 @@ def _meaning(model: type[BaseModel], name: str) -> str:
     return meaning
 
 
-def _is_table(field: FieldInfo) -> bool:
-    return isinstance(field.annotation, type) and issubclass(field.annotation, config.Section)
+def _inner(field: FieldInfo) -> type[config.Section] | None:
+    """The table that a key is, or may be."""
+    kinds = (field.annotation, *get_args(field.annotation)) if get_origin(field.annotation) is not list else ()
+    return next((kind for kind in kinds if isinstance(kind, type) and issubclass(kind, config.Section)), None)
 
 
 def _words(model: type) -> str:
@@ -214,7 +246,7 @@ def _name(kind: Any) -> str:
         return ""
     origin, inner = get_origin(kind), get_args(kind)
     if isinstance(kind, type) and issubclass(kind, config.Section):
-        return "tables" if kind is config.Scenario else "table of " + ", ".join(f"`{k}`" for k in kind.model_fields)
+        return "tables"
     if origin is None:
         return {float: "number", int: "integer", str: "text", bool: "true or false", Any: "values"}.get(kind, str(kind))
     if hasattr(kind, "__metadata__"):
@@ -239,7 +271,8 @@ def _limit(item: Any) -> str:
     if isinstance(item, FieldInfo):
         return ", ".join(text for text in map(_limit, item.metadata) if text)
     signs = {"gt": ">", "ge": "≥", "lt": "<", "le": "≤"}
-    return next((f"{sign} {getattr(item, name):g}" for name, sign in signs.items() if hasattr(item, name)), "")
+    bounds = ((sign, getattr(item, name)) for name, sign in signs.items() if hasattr(item, name))
+    return next((f"{sign} {bound:g}" for sign, bound in bounds if bound != MOST), "")
 
 
 def _cell(text: str) -> str:

@@ -33,18 +33,16 @@ class Drift(Section):
 
 
 class Jump(Section):
-    """The true delay D up to the time `at`, and another one from there on."""
+    """The true delay is D until the time `at`, then another one."""
 
-    to: Delay  #: the delay afterwards, in seconds
+    to: Delay  #: the new delay
     at: Delay  #: in seconds
 
 
 class Scenario(Section):
-    """Loops under other conditions, from the initial states of the cases: each key that is given takes the place of
-    the one of [evaluate] or of its sensors, for the numerical predictor and for each network.
-    """
+    """Loops under other conditions, from the initial states of the cases. A key replaces that of [evaluate]."""
 
-    name: Annotated[str, Field(min_length=1, max_length=40)]  #: what tables and figures call it
+    name: Annotated[str, Field(min_length=1, max_length=40)]  #: in tables and figures
     noise: PerState | None = None  #: as measurement.noise
     absolute: PerState | None = None  #: as measurement.absolute
     bias: Bias | None = None  #: as measurement.bias
@@ -53,17 +51,17 @@ class Scenario(Section):
     jitter: Share | None = None  #: as measurement.jitter
     delay: Delay | None = None  #: as measurement.delay
     drop: Share | None = None  #: as measurement.drop
-    parameters_scale: Positive | None = None  #: all parameters of the simulated plant times that
+    parameters_scale: Positive | None = None  #: factor of all parameters of the simulated plant
     parameters: dict[str, Number] = {}  #: as truth
-    disturbance: Disturbance | None = None  #: as disturbance, amplitude sin(omega t)
+    disturbance: Disturbance | None = None  #: as disturbance
     actuator: Actuator | None = None  #: as actuator
     timing: ControlClock | None = None  #: as timing
     observer: StateObserver | None = None  #: as observer
     safety: StateLimits | None = None  #: as safety
     adaptation: Law | None = None  #: as adaptation
     D_hat0: Some[Positive] | None = None  #: as case_D_hat0
-    drift: Drift | None = None  #: the true delay is D + amplitude sin(2π t / period)
-    jump: Jump | None = None  #: the true delay is `to` from the time `at` on
+    drift: Drift | None = None  #: the true delay oscillates
+    jump: Jump | None = None  #: the true delay jumps
     t_end: Positive | None = None  #: as case_t_end
 
     @model_validator(mode="after")
@@ -91,32 +89,32 @@ class Scenario(Section):
 
 
 class GuardTable(Section):
-    """The networks are checked in every call of a loop; where one may be wrong, `predictor` answers (npred.guarded)."""
+    """The networks are checked in every call of a loop; if one may be wrong, `predictor` answers (npred.guarded)."""
 
-    tolerance: Positive = 0.01  #: the largest error of U that passes, in units of the input
-    by: Literal["auto", "shadow"] = "auto"  #: how the error is estimated: one way is left
+    tolerance: Positive = 0.01  #: largest error of U that passes, in units of U
+    by: Literal["auto", "shadow"] = "auto"  #: the method of the estimate; both are the same
 
 
 class Evaluate(Loop):
-    """Held-out errors by kind of row; the error |P(1, t) - X(t + D)| in loops that know the delay; the loop of Fig. 1,
-    initial states x D_hat(0), and Fig. 1's start over a map D x D_hat(0).
+    """Errors on held-out rows, the error |P(1, t) - X(t + D)| in loops, the loop of Fig. 1, cases (initial states x
+    D_hat(0)) and a map D x D_hat(0).
     """
 
     follows: ClassVar = ("D_hat0", "case_D_hat0")
     mapped: ClassVar = ("map_D", "map_D_hat0")
     lasting: ClassVar = ("t_end", "case_t_end")
 
-    t_end: Positive = 100.0  #: length of the loop of Fig. 1, in seconds
-    D: Positive = 1.0  #: true delay, in seconds
-    X0: list[float] = []  #: start of Fig. 1, one number per state; has to be given
+    t_end: Positive = 100.0  #: length of the loop of Fig. 1
+    D: Positive = 1.0  #: true delay
+    X0: list[float] = []  #: start of Fig. 1, one number per state; required
     D_hat0: Positive = 2.0  #: D_hat(0) of Fig. 1; times D
-    case_states: Count = 10  #: random initial states of the box …
+    case_states: Count = 10  #: random initial states of the cases …
     case_D_hat0: Some[Positive] = [0.3, 0.5, 1.0, 1.5, 2.0]  #: … times these D_hat(0); times D
-    case_t_end: Positive = 100.0  #: length of those loops, in seconds
+    case_t_end: Positive = 100.0  #: length of these loops
     map_D: list[Positive] = []  #: true delays of the convergence map …
     map_D_hat0: list[Positive] = []  #: … times these D_hat(0), from the start of Fig. 1
-    scenarios: Annotated[list[Scenario], ADDED] = []  #: other conditions, each a table [[evaluate.scenarios]]
-    #: a table: how networks are checked in their loops; by default they are not
+    scenarios: Annotated[list[Scenario], ADDED] = []  #: other conditions
+    #: the check of networks in loops; by default none
     guard: Annotated[GuardTable | None, ADDED] = None
 
     @model_validator(mode="after")

@@ -34,16 +34,16 @@ STEPS_PER_DELAY = 10  # control steps in a delay, at least, where dt is not give
 
 
 class Sensors(Section):
-    """What the controller sees of the plant: samples q(X (1 + noise ξ) + absolute η + bias), and when they arrive.
+    """The samples that the controller gets: q(X (1 + noise ξ) + absolute η + bias), and when they arrive.
 
-    ξ and η are standard normal, q rounds to multiples of the resolution. The four are one number for all states or a
-    list with one for each. Between samples it predicts the state from the last one, with its own commands.
+    ξ and η are standard normal; q rounds to multiples of the resolution. Each is one number, or a list with one number
+    for each state. Between samples the controller predicts the state from the last one and its commands.
     """
 
     noise: PerState = 0.0  #: standard deviation of a sample, relative to its value
-    absolute: Annotated[PerState, ADDED] = 0.0  #: standard deviation of a sample, in units of the state
-    bias: Annotated[Bias, ADDED] = 0.0  #: what a sensor adds to each sample, in units of the state
-    resolution: Annotated[PerState, ADDED] = 0.0  #: step of what a sensor shows, in units of the state; 0 is none
+    absolute: Annotated[PerState, ADDED] = 0.0  #: the same, in units of the state
+    bias: Annotated[Bias, ADDED] = 0.0  #: of each sample, in units of the state
+    resolution: Annotated[PerState, ADDED] = 0.0  #: step of the sensor, in units of the state; 0 for none
     period: Positive | None = None  #: between samples, in seconds; by default the control step
     jitter: Share = 0.0  #: largest deviation of a period, relative to it
     delay: Delay = 0.0  #: from a sample to its arrival, in seconds
@@ -61,16 +61,14 @@ class Sensors(Section):
 
 
 class ControlClock(Section):
-    """The clock of the control loop: call k comes at k dt + jitter dt r, r uniform on [-1, 1], and samples and commands
-    have times that are not rounded to control steps.
-    """
+    """The clock of the control loop: call k comes at k dt + jitter dt r, with r uniform on [-1, 1]."""
 
     jitter: Half = 0.0  #: largest deviation of a call from its time, in control steps
-    lost: Share = 0.0  #: probability that a command does not reach the actuator, which goes on with the one before
+    lost: Share = 0.0  #: probability that a command is lost; the actuator keeps the last one
     overrun: Share = 0.0  #: probability that a call is skipped
-    tells: bool = False  #: whether the controller gets to know at its next call that a command was lost
-    stop: Delay = 0.0  #: no sample arrives that is taken in the last so many seconds …
-    stop_every: Positive | None = None  #: … of each so many seconds
+    tells: bool = False  #: whether the next call reports a lost command to the controller
+    stop: Delay = 0.0  #: samples of the last `stop` seconds are lost …
+    stop_every: Positive | None = None  #: … of each period of this length, in seconds
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -80,11 +78,11 @@ class ControlClock(Section):
 
 
 class StateObserver(Section):
-    """An observer of the state, which gets the plant's outputs instead of its state."""
+    """An observer that estimates the state from the plant's outputs."""
 
     kind: Observes = "ekf"  #: ekf, luenberger, one of a package, or `file.py:Class`
-    outputs: list[str] | None = None  #: the states that are measured; by default what the plant declares as output
-    offset: bool = False  #: whether it also finds what is added to each input
+    outputs: list[str] | None = None  #: the measured states; by default the plant's outputs
+    offset: bool = False  #: whether it also estimates an offset of each input
 
 
 class StateLimits(Section):
@@ -96,22 +94,21 @@ class StateLimits(Section):
 
 
 class Disturbance(Section):
-    """amplitude sin(omega t), added to what leaves the actuator, the same for each input."""
+    """amplitude sin(omega t), added to each input of the plant."""
 
     amplitude: Number = 0.0  #: in units of the input
     omega: Positive = 1.0  #: in rad/s
 
 
 class Loop(Section):
-    """The settings of a stage's closed loops [DAPF, eqs. 6-14]: times and delays in seconds, nx nodes on [0, 1].
+    """The settings of closed loops [DAPF, eqs. 6-14].
 
-    `adaptation` is the delay law: the paper's by default; frozen, where D_hat stays where it starts (started at D, the
-    delay is known); or a user's, `file.py:Class`, made with gamma, b and bounds. For a plant that declares its delay,
-    which the controller then knows, every key about delays, estimates and laws is left out.
+    With `adaptation = "frozen"` D_hat stays at its first value; start it at D for a known delay. For a plant that
+    declares its delay, leave out all keys about delays, estimates and laws.
 
-    Keys that are left out follow D: the defaults below are those of D = 1. Estimates, their bounds and other delays are
-    multiplied by D, or by the middle of its range, and kept within bounds that are given; bounds that are left out hold
-    all delays and estimates that are given. A dt is at most D / 10, and loops are longer where D is above 1.
+    The defaults are for D = 1. For another D, estimates, bounds and delays without a value are multiplied by D (or by
+    the middle of its range), dt is at most D / 10, and loops are longer if D > 1. Bounds without a value contain all
+    delays and estimates.
     """
 
     follows: ClassVar[tuple[str, ...]] = ()  # keys that are multiples of D
@@ -121,29 +118,28 @@ class Loop(Section):
     dt: Positive = 0.005  #: control step, in seconds
     nx: Nodes = 101  #: nodes of the predictor and of u, both ends of [0, 1]; dx = 0.01 is 101
     t_end: Positive = 40.0  #: length of a loop, in seconds
-    #: euler, heun, rk4, rosenbrock, semi_implicit, picard, one of an installed package, or `file.py:Class`
+    #: a method, as rk4 or rosenbrock, one of a package, or `file.py:Class`
     predictor: Method = "rk4"
     adaptation: Law = PAPER  #: the delay law: the paper's, frozen, one of a package, or `file.py:Class`
     gamma: Positive | None = None  #: adaptation gain [DAPF, eq. 11]; by default one that suits the plant and D
     b: Positive = 1.0  #: weight of w in phi [DAPF, eq. 12]
-    bounds: Range = (0.1, 4.0)  #: where D_hat stays, in seconds; by default 0.1 D to 4 D
+    bounds: Range = (0.1, 4.0)  #: of D_hat; by default 0.1 D to 4 D
     input_bounds: list[Bounds] | None = None  #: of U, a pair per input; by default the plant's
-    #: the input before t = 0, which fills the delay: numbers, "equilibrium", "law" (κ of the start), or a history over
-    #: [-D, 0], a list of rows of equal duration, the oldest first; by default 0 where input_bounds allow it, else
-    #: "equilibrium"
+    #: the input before t = 0: numbers, "equilibrium", "law" (κ of the start), or rows over [-D, 0], the oldest first;
+    #: by default 0 if input_bounds allow it, else "equilibrium"
     u0: StartInput | None = None
-    #: whether u is measured, or read from the history of commands at D_hat
+    #: whether u is measured, or computed from past commands and D_hat
     actuator: Annotated[Actuator, ADDED] = "measured"
-    #: parameters of the simulated plant that are not those of the controller's model
+    #: parameters of the simulated plant that differ from the controller's model
     truth: Annotated[dict[str, Number], ADDED] = {}
-    measurement: Annotated[Sensors, ADDED] = Sensors()  #: a table: what the controller sees of the state
-    #: a table: the clock of the control loop, with actuator = "history"; by default calls come at k dt exactly
+    measurement: Annotated[Sensors, ADDED] = Sensors()  #: the sensors
+    #: the clock of the control loop, with actuator = "history"
     timing: Annotated[ControlClock | None, ADDED] = None
-    #: a table: what estimates the state from outputs, with actuator = "history"; by default the state is measured
+    #: an observer of the state, with actuator = "history"
     observer: Annotated[StateObserver | None, ADDED] = None
-    #: a table: a filter of U that keeps what the plant declares by `safe`; by default U is not filtered
+    #: a filter of U that keeps the plant's limits, `safe`; by default U is not filtered
     safety: Annotated[StateLimits | None, ADDED] = None
-    #: a table: what is added to the input of the simulated plant
+    #: a disturbance of the input
     disturbance: Annotated[Disturbance, ADDED] = Disturbance()
 
     @model_validator(mode="before")

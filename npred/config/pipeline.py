@@ -18,33 +18,29 @@ NAME = re.compile(r"[^\W_][\w.-]{0,99}")  # of a pipeline
 
 
 class Generate(Loop):
-    """Rollouts with the numerical predictor and the samples taken from them.
+    """Rollouts with the numerical predictor, and samples of them.
 
-    The share `explore` of the rollouts, the last ones, takes its delays from explore_D and explore_D_hat0: they widen
-    what a network is trained on, and all of them are trained on. So does the share `redraw` of all rows to train on:
-    their D_hat is drawn from explore_D_hat0 instead of the loop's, and P is the numerical predictor's for it. With
-    `spread` their X and u are moved off the loop too, near it and farther away: where the delay is known the loops of
-    the exact prediction run along one curve, and a network's own loops beside it. The evaluation makes more rollouts
-    and rows of both kinds, which no network has seen, and reports their errors apart.
-    `data` is an HDF5 file with these samples, as `npred import` and `npred export hdf5` write it: nothing is simulated.
+    A share `explore` of the rollouts has other delays, from explore_D and explore_D_hat0. A share `redraw` of the
+    training rows has a D_hat from explore_D_hat0, and with `spread` an X and u off the loop; the numerical predictor
+    labels them. Use `spread` if the delay is known: exact loops then follow one curve, and loops of networks leave it.
     """
 
     follows: ClassVar = ("D_hat0", "explore_D", "explore_D_hat0")
 
     samples: Count = 5000  #: rows of data
-    rollouts: Count = 50  #: loops that they are taken from
-    D: Range | Positive = 1.0  #: true delay in seconds, or a range to draw it from
+    rollouts: Count = 50  #: loops of these rows
+    D: Range | Positive = 1.0  #: true delay, or its range
     #: ranges of D_hat(0), an equal share of rollouts each; times D
     D_hat0: Some[Range] = [(0.3, 0.7), (1.0, 2.0), (1.0, 2.0)]
-    box: dict[str, Span] = {}  #: range of each initial state of the data, instead of the plant's
-    test_share: Annotated[float, Field(gt=0, lt=1)] = 0.1  #: of the rollouts, held out
-    explore: Annotated[float, Field(ge=0, lt=1)] = 0.0  #: share of rollouts with delays from explore_D, explore_D_hat0
-    redraw: Annotated[float, Field(ge=0, lt=1)] = 0.0  #: share of rows with a D_hat drawn anew
-    #: how far redrawn rows are off the loop at most, in standard deviations of X and of u on it
+    box: dict[str, Span] = {}  #: range of each initial state; by default the plant's
+    test_share: Annotated[float, Field(gt=0, lt=1)] = 0.1  #: share of held-out rollouts
+    explore: Annotated[float, Field(ge=0, lt=1)] = 0.0  #: share of exploring rollouts
+    redraw: Annotated[float, Field(ge=0, lt=1)] = 0.0  #: share of redrawn rows
+    #: largest distance of redrawn rows from the loop, in standard deviations of X and u
     spread: Annotated[Delay, ADDED] = 0.0
     explore_D: Range = (0.25, 2.0)  #: D of exploring rollouts; times D
-    explore_D_hat0: Range = (0.25, 3.5)  #: D_hat(0) of those, and D_hat of redrawn rows; times D
-    data: str = ""  #: an HDF5 file of samples instead of rollouts
+    explore_D_hat0: Range = (0.25, 3.5)  #: D_hat(0) of exploring rollouts, D_hat of redrawn rows; times D
+    data: str = ""  #: HDF5 samples of `npred import` or `npred export hdf5`, instead of rollouts
 
     @property
     def explorers(self) -> int:
@@ -74,14 +70,11 @@ class Generate(Loop):
 
 
 class Bench(Section):
-    """Table I of [DAPF]: calls at each dx, each predictor with its error beside its time.
-
-    Batches above 1 are timed at the first dx. `calls` of a predictor end after `seconds`.
-    """
+    """Times and errors of predictors, as Table I of [DAPF]. Batches above 1 are timed at the first dx only."""
 
     dx: Some[Annotated[float, Field(gt=0, le=0.5)]] = [0.01, 0.005, 0.001]  #: spacings of the nodes
-    calls: Count = 20_000  #: timed calls of a predictor: of 1000, one alone is beyond 99.9 %
-    seconds: Positive = 3.0  #: after which they end
+    calls: Count = 20_000  #: timed calls of a predictor
+    seconds: Positive = 3.0  #: longest time of a predictor
     threads: Count = 1  #: of each library
     batches: Some[Count] = [1, 1024]  #: rows per call
     runtimes: Some[Runtime] = ["torch", "fused", "onnx"]  #: ways to evaluate a network; also `file.py:Class`
@@ -90,19 +83,19 @@ class Bench(Section):
 
 
 class _Tables(Section):
-    """A pipeline file, resolved: `plant` is a built-in name or `file.py:Class`, `parameters` override its defaults."""
+    """The plant, and one table per stage."""
 
-    name: str = "pipeline"  #: what its results are called
-    seed: Annotated[int, Field(ge=0, strict=True)] = 0  #: of everything random
+    name: str = "pipeline"  #: in results
+    seed: Annotated[int, Field(ge=0, strict=True)] = 0  #: of all random numbers
     plant: str  #: a name, or `file.py:Class`
     parameters: dict[str, float] = {}  #: overrides of the plant's
-    #: a law designed from f in place of the plant's: "lqr"; or a table, {law = "pole_placement", poles = [-1]}
+    #: a law designed from f: "lqr", or a table, {law = "pole_placement", poles = [-1]}; by default the plant's
     kappa: Annotated[Kappa | dict[str, Any], ADDED] = ""
     generate: Generate = Generate()
     train: Train = Train()
     evaluate: Evaluate = Evaluate()
     bench: Bench = Bench()
-    tune: Annotated[Tune | None, ADDED] = None  #: a table: what `npred tune` varies
+    tune: Annotated[Tune | None, ADDED] = None  #: for `npred tune`
 
     @model_validator(mode="after")
     def _check_nodes(self) -> Self:
@@ -169,7 +162,7 @@ class _Tables(Section):
 if TYPE_CHECKING:
     Pipeline = _Tables
 else:  # with a table of each optional stage, where that declares it
-    _optional = Field(None, description="a table: with it, `npred run` runs this stage too")
+    _optional = Field(None, description="`npred run` also runs this stage")
     _stages = filter(lambda stage: stage.optional, map(registry.declared_stage, registry.STAGES))
     _fields = {stage.name: (Annotated[stage.table | None, ADDED], _optional) for stage in _stages}
     Pipeline = create_model("Pipeline", __base__=_Tables, __doc__=_Tables.__doc__, __module__=__name__, **_fields)

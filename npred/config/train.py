@@ -14,23 +14,19 @@ Networks = Annotated[Some[str], AfterValidator(lambda names: sorted(set(names)))
 
 
 class Training(Section):
-    """The settings that all networks share; `snapshots` keeps the model as it stood after those epochs.
+    """The settings of all networks."""
 
-    `loss` weighs the components of an error, `rows` says what of a row's error is averaged; `nodes`: how many of the
-    data's nodes the error is taken on (u is seen on all).
-    """
-
-    epochs: Count = 100  #: passes over the data; the most of them, with `eps`
-    eps: Positive | None = None  #: ends once the largest error of P, held out, is as small
+    epochs: Count = 100  #: passes over the data; with `eps` the largest number
+    eps: Positive | None = None  #: training ends at this largest held-out error of P
     batch: Count = 1024  #: rows per step
     lr: Positive = 1e-2  #: learning rate, at its peak
     weight_decay: Annotated[float, Field(ge=0)] = 0.0  #: of the weights, towards 0
     optimiser: Literal["soap", "adam"] = "soap"  #: SOAP or Adam
     schedule: Literal["one-cycle", "step"] = "one-cycle"  #: of the learning rate; step halves it every 50 epochs
-    loss: Literal["raw", "standardised", "kappa"] = "kappa"  #: how components weigh; kappa: in control
-    rows: Literal["square", "norm"] = "norm"  #: mean of squares, or of norms, over rows
-    nodes: Nodes | None = None  #: of the data's, where P is compared; all by default
-    snapshots: list[Count] = []  #: epochs whose model is kept beside the last
+    loss: Literal["raw", "standardised", "kappa"] = "kappa"  #: weights of components; kappa: by their effect on U
+    rows: Literal["square", "norm"] = "norm"  #: mean over rows of squares or norms
+    nodes: Nodes | None = None  #: number of nodes on which P is compared; all by default
+    snapshots: list[Count] = []  #: epochs whose model is kept
     anchor: Anchor = "equilibrium"  #: where P_hat is exact by construction
     checkpoint_every: Count = 5  #: epochs between checkpoints
 
@@ -78,22 +74,19 @@ class FNO(Training):
 
 
 class Network(Training):
-    """Any network under a name of your choice: one that is registered, or a class of a file, and its sizes."""
+    """A network with a name of your choice."""
 
-    network: Architecture  #: a registered one, one of a package, or `file.py:Class`; the table's name
+    network: Architecture  #: a registered one, one of a package, or `file.py:Class`; by default the table's name
     sizes: dict[str, Any] = {}  #: keyword arguments of the network's class
 
 
 class Train(Section):
-    """One table per network; `models` says which of them are trained, each once; their order means nothing.
-
-    A table of another name says by `network` what it is; a registered network needs no table.
-    """
+    """One table per network. A registered network needs no table."""
 
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, Network] = Field(init=False)
 
-    models: Networks = ["deeponet", "fno"]  #: networks to train: registered ones, or names of tables
+    models: Networks = ["deeponet", "fno"]  #: registered networks or names of tables
     deeponet: DeepONet = DeepONet()
     fno: FNO = FNO()
 

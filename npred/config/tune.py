@@ -10,21 +10,18 @@ Margin = Annotated[float, Field(gt=0, lt=1, strict=True)]
 
 
 class Tune(Section):
-    """What `npred tune` varies in the loops of [evaluate], and how it judges.
+    """The search of `npred tune` in the loops of [evaluate].
 
-    gamma and b vary where a delay law adapts. A range with low > 0 is searched on a logarithmic scale, and one with
-    low = high holds its number.
+    gamma and b vary if a delay law adapts. A range with low > 0 has a logarithmic scale; low = high fixes the number.
     """
 
-    free: list[str] = []  #: parameters of the plant that vary: those that kappa reads, and the plant's motion does not
-    bounds: dict[
-        str, Span
-    ] = {}  #: ranges by name; by default gamma and b from 1 % to 100 times, gains a fifth to 5 times
-    starts: Count = 8  #: random initial states of the search, each times case_D_hat0, in each scenario
-    held_out: Annotated[int, Field(ge=2, le=2**53, strict=True)] = 16  #: other initial states, which judge
-    evaluations: Count = 150  #: how many settings are tried
+    free: list[str] = []  #: parameters that vary: those of kappa, not of f
+    bounds: dict[str, Span] = {}  #: by name; by default gamma, b: 1 % to 100 times, gains: a fifth to 5 times
+    starts: Count = 8  #: random initial states of the search
+    held_out: Annotated[int, Field(ge=2, le=2**53, strict=True)] = 16  #: initial states of the final judgement
+    evaluations: Count = 150  #: number of settings to try
     effort: Delay = 0.1  #: weight of the control effort in the cost
-    margin: Margin = 0.05  #: least share of the cost to gain; with less there is nothing to gain
+    margin: Margin = 0.05  #: smallest gain that counts, as a share of the cost
 
     @model_validator(mode="after")
     def _check_bounds(self) -> Self:

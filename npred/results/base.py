@@ -73,22 +73,22 @@ class Result(BaseModel):
 
 
 class Generated(Result):
-    """The data: their size, and what of them no network sees."""
+    """The data."""
 
     samples: int  #: rows of data
-    rollouts: int  #: closed loops that they are taken from
-    held_out: list[int]  #: numbers of the rollouts held out
+    rollouts: int  #: closed loops of these rows
+    held_out: list[int]  #: numbers of the held-out rollouts
     nx: int  #: nodes on [0, 1]
-    shards: int = 0  #: how many files hold the rows, where there are several; else absent
+    shards: int = 0  #: number of data files, if there are several
 
 
 class Trained(Result):
-    """A trained network; the errors are those of the last epoch, on held-out rollouts."""
+    """A trained network. The errors are of the last epoch, on held-out rollouts."""
 
     model: str  #: the network's name
-    parameters: int  #: how many numbers were trained
-    samples: int  #: rows that it was trained on
-    epochs: int  #: how often it saw them
+    parameters: int  #: number of weights
+    samples: int  #: training rows
+    epochs: int  #: passes over these rows
     loss: Number  #: the last epoch's
     mse: Number  #: mean square error
     eps_sup: Number  #: largest |P̂ − P|

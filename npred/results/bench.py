@@ -6,28 +6,27 @@ from npred.results.base import Number, Result
 
 
 class CallTimes(Result):
-    """A timed predictor; times in microseconds per call."""
+    """A timed predictor. Times are in microseconds per call."""
 
     predictor: str  #: a method, a network, or a baseline, as `published` (the O(nx²) interpreted one)
     runtime: str  #: `python`, `compiled`, `torch`, `onnx` or `fused`
     dx: float  #: the spacing of the nodes
     batch: int  #: rows per call
-    #: `null` in the rows of Table I. Else an extra grid: the network whose accuracy this numerical predictor has there,
-    #: or `front`, a coarse end of the accuracy–time front
+    #: `null` in the rows of Table I. On an extra grid: the network of equal accuracy, or `front`, a coarse grid
     matches: str | None
     device: str  #: `cpu`, or a GPU
-    copies: bool | None  #: whether samples are copied from and to the host within the time; `null` on the CPU
-    calls: int  #: how many calls were timed
+    copies: bool | None  #: whether the time includes copies from and to the host; `null` on the CPU
+    calls: int  #: number of timed calls
     median_us: float  #: the median
     p95_us: float  #: the 95 % quantile
     p999_us: float  #: the 99.9 % quantile
     max_us: float  #: the largest
-    #: the largest error over held-out samples of the data and nodes; `null` where the predictor diverges
+    #: the largest error over held-out samples and nodes; `null` if the predictor diverges
     eps_sup: Number
-    eps_median: Number = inf  #: the median over samples of the largest over nodes, likewise
-    #: the median of `published` at the same dx and batch over this one's; `null` where that was not timed
+    eps_median: Number = inf  #: the median over samples of the largest error over nodes
+    #: median of `published` at the same dx and batch over this median; `null` if not timed
     speedup_published: float | None = None
-    speedup_compiled: float | None = None  #: the same of compiled `euler`
+    speedup_compiled: float | None = None  #: the same for compiled `euler`
 
     @property
     def is_network(self) -> bool:
@@ -41,29 +40,29 @@ class Rival(Result):
     predictor: str  #: its name
     steps: int  #: how many
     median_us: float  #: microseconds per call
-    eps_sup: Number = inf  #: its error on those steps, the largest
+    eps_sup: Number = inf  #: its largest error with these steps
     eps_median: Number = inf  #: its median error
 
 
 class Crossover(Result):
-    """The break-even of a network: from which cost of f on it pays."""
+    """The break-even of a network: the cost of f above which the network is faster."""
 
     plant: str  #: its name
     predictor: str  #: the network
     runtime: str  #: its fastest
-    eps_sup: Number  #: its error, the largest over samples and nodes, by which methods are matched
-    eps_relative: Number  #: that over the largest P
-    eps_median: Number = inf  #: its median error, over samples, of the largest over nodes
+    eps_sup: Number  #: its largest error; the methods have at most this error
+    eps_relative: Number  #: `eps_sup` over the largest P
+    eps_median: Number = inf  #: its median error, as in `rows`
     network_us: float  #: microseconds per call
     numerical: list[Rival]  #: each method of that accuracy
-    by_median: list[Rival] = []  #: each on as many steps as it needs for the network's median error
+    by_median: list[Rival] = []  #: each method at the network's median error
     best: str  #: the fastest of them
     best_steps: int  #: its steps
     best_us: float  #: its microseconds per call
     network_speedup: float  #: `best_us` over `network_us`
-    f_ns: float  #: what an evaluation of f costs, in nanoseconds
-    pays_from_ns: float  #: from which cost of f on the network pays; 0 for always
-    sentence: str = ""  #: all that in words
+    f_ns: float  #: cost of an evaluation of f, in nanoseconds
+    pays_from_ns: float  #: cost of f above which the network is faster; 0 for always
+    sentence: str = ""  #: the same in words
 
 
 class Foreseen(Result):
@@ -76,10 +75,10 @@ class Foreseen(Result):
 
 
 class Stops(Result):
-    """The share of the machine in the tails of the times."""
+    """Interruptions by the machine, which cause the tails of the times."""
 
-    per_s: float  #: how often per second it stops a thread that only reads the clock
-    median_us: float  #: for how long, in microseconds
+    per_s: float  #: interruptions per second of a thread that only reads the clock
+    median_us: float  #: their length, in microseconds
     sentence: str = ""  #: both in words
 
 
@@ -87,7 +86,7 @@ class Hardware(Result):
     """The machine that was timed."""
 
     cpu: str  #: the processor
-    cores: int  #: that this process may use
+    cores: int  #: of this process
     device: str  #: `cpu` or `cuda`
     gpus: list[str] = []  #: by name, on CUDA
     threads: int  #: of torch
@@ -95,12 +94,12 @@ class Hardware(Result):
 
 
 class Benched(Result):
-    """Predictors timed beside their errors."""
+    """Times and errors of predictors."""
 
     rows: list[CallTimes]  #: one per timed predictor
-    calls: int  #: how many calls were asked for
-    crossover: list[Crossover]  #: one per network: when it pays
-    stops: Stops  #: what of the tails is the machine's
+    calls: int  #: calls that the pipeline asks for
+    crossover: list[Crossover]  #: one per network
+    stops: Stops  #: interruptions by the machine
     hardware: Hardware  #: the machine and the packages
 
     @property

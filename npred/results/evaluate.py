@@ -9,10 +9,10 @@ from npred.results.contender import RANKED, Name
 
 
 class Relative(Result):
-    """The largest error over x divided by the distance from rest, over the samples."""
+    """The largest error over x, divided by the distance from rest."""
 
-    sup: Number  #: the largest
-    median: Number  #: the median
+    sup: Number  #: the largest over the samples
+    median: Number  #: the median over the samples
 
 
 class Errors(Result):
@@ -20,22 +20,22 @@ class Errors(Result):
 
     mse: Number  #: mean square of P̂ − P
     eps_sup: Number  #: largest |P̂ − P|
-    eps_kappa: Number  #: largest |κ(P̂(1)) − κ(P(1))|, what the control sees
+    eps_kappa: Number  #: largest |κ(P̂(1)) − κ(P(1))|
     rel_l2: Number  #: mean of ‖P̂ − P‖ / ‖P‖
-    mse_by_state: dict[str, Number] = {}  #: `mse` by the states' names; networks only
-    sup_by_state: dict[str, Number] = {}  #: the largest error by the states' names; networks only
-    #: `sup` and `median` of the error over the distance from rest; networks only, and of a plant that rests
+    mse_by_state: dict[str, Number] = {}  #: `mse` of each state; networks only
+    sup_by_state: dict[str, Number] = {}  #: `eps_sup` of each state; networks only
+    #: relative errors; only networks, and plants with an equilibrium
     eps_relative: Relative | None = None
 
 
 class KindErrors(Errors):
     """Errors on the held-out rows of one kind."""
 
-    above: Number  #: share of the rows with an error above the `eps_sup` of the kind `held_out_kind`
+    above: Number  #: share of the rows with an error above `eps_sup` of the kind `held_out_kind`
 
 
 class Radii(Result):
-    """How far from rest, or from the reference, loops end: the largest distance over the last tenth."""
+    """The largest distance from rest, or from the reference, over the last tenth of the loops."""
 
     median: Number  #: over the cases
     worst: Number  #: over the cases
@@ -49,7 +49,7 @@ class Radii(Result):
 
 
 class Radius(Radii):
-    """The same beside what the error of the prediction explains."""
+    """The largest distance from rest, or from the reference, over the last tenth of the loops."""
 
     predicted: Number  #: `gain` times `eps_kappa`
 
@@ -68,8 +68,8 @@ class DelayMap(Result):
     D: list[float]  #: true delays, in seconds
     D_hat0: list[float]  #: first estimates, in seconds
     converged: list[list[bool]]  #: one row per D
-    share: float  #: of the loops that converge with the numerical predictor
-    band: tuple[float, float] | None  #: of D, within which none of those is lost; `null` where there is none
+    share: float  #: of the numerical predictor's converging loops
+    band: tuple[float, float] | None  #: range of D without a lost loop; `null` for none
 
 
 class LoopEnd(Result):
@@ -82,20 +82,20 @@ class LoopEnd(Result):
 
 
 class Scores(Errors):
-    """One contender. Its errors are on the held-out rows of the kind `held_out_kind`."""
+    """One predictor. Its errors are on held-out rows of the kind `held_out_kind`."""
 
-    kinds: dict[str, KindErrors]  #: by kind all these on its held-out rows, and `above`
-    fresh: Errors  #: all these on the fresh samples
-    #: the largest |P(1, t) − X(t + D)| where D̂ = D, see [accuracy](../accuracy.md#the-error-in-the-loop); `null`
-    #: where a loop is lost
+    kinds: dict[str, KindErrors]  #: errors by kind of held-out row
+    fresh: Errors  #: the same errors on the fresh samples
+    #: the largest |P(1, t) − X(t + D)| with D̂ = D ([accuracy](../accuracy.md#the-error-in-the-loop)); `null` if a
+    #: loop is lost
     in_loop: Number
     radius: Radius  #: over the cases
     settle_time: Number  #: the median over the cases, in seconds
-    settle_ratio: float | None  #: the median of it over the numerical predictor's
-    decay_rate: float | None  #: the median rate at which loops decay near rest, in 1/s; `null` where none does
-    map: DelayMap | None  #: over true delays and first estimates; `null` without a map
+    settle_ratio: float | None  #: `settle_time` over the numerical predictor's, median
+    decay_rate: float | None  #: the median decay rate near rest, in 1/s; `null` without decay
+    map: DelayMap | None  #: convergence by D and D̂(0); `null` without a map
     figure1: LoopEnd  #: the loop of Fig. 1
-    #: share of its loops' steps in which the numerical predictor answered; `null` without a guard
+    #: share of its loops' steps with a numerical answer; `null` without a guard
     fallback: float | None = None
     limits: Limits | None = None  #: of a plant that declares `safe`
 
@@ -107,35 +107,35 @@ class KindSize(Result):
 
 
 class InLoop(Result):
-    """The loops that the errors in the loop are of."""
+    """The loops of the errors in the loop."""
 
-    #: the delay, which the estimate equals, in seconds; `null` where the plant declares its delay
+    #: the delay, in seconds; `null` if the plant declares its delay
     D: float | None
-    #: errors are taken from this time on, in seconds; `null` where it differs by loop
+    #: first time, in seconds; `null` if it differs by loop
     start: float | None = Field(validation_alias=AliasChoices("from", "start"), serialization_alias="from")
-    to: float  #: and up to this time
+    to: float  #: last time
     loops: int  #: how many
 
 
 class Coverage(Result):
     """One state, input, or `D_hat`."""
 
-    data: tuple[float, float]  #: its range in the data
-    outside: dict[Name, Number]  #: by network, the share of its loop steps beyond that range
+    data: tuple[float, float]  #: range in the data
+    outside: dict[Name, Number]  #: by network, share of loop steps outside this range
 
 
 class Behaviour(Result):
-    """What one contender's loops do in a scenario."""
+    """The loops of one predictor in a scenario."""
 
     radius: Radii  #: over the cases
     settle_time: Number  #: the median over the cases, in seconds
-    #: loops that leave the finite numbers, whose commands would overtake each other, or that end further away than a
-    #: fifth of the distance that radii are measured against
+    #: loops that diverge, whose commands overtake each other, or that end farther away than a fifth of the distance
+    #: that radii are relative to
     lost: int
-    overtaking: int = 0  #: those of them whose commands would overtake each other
-    #: the largest |D̂ − D| over the last tenth and the cases, in seconds; `null` where there is no estimate
+    overtaking: int = 0  #: of these, loops whose commands overtake each other
+    #: the largest |D̂ − D| over the last tenth and the cases, in seconds; `null` without an estimate
     D_error: float | None
-    #: share of the steps in which the numerical predictor answered; `null` without a guard
+    #: share of the steps with a numerical answer; `null` without a guard
     fallback: float | None = None
     limits: Limits | None = None  #: of a plant that declares `safe`
 
@@ -148,21 +148,20 @@ class Conditions(Result):
 
 
 class Evaluated(Result):
-    """Errors on held-out samples, and what closed loops make of them.
+    """Errors on held-out samples, and closed loops.
 
-    NAME is `numerical`, `no_adaptation` (where the estimate adapts), a network as `deeponet`, or a snapshot as
-    `deeponet@20`.
+    NAME is `numerical`, `no_adaptation`, a network such as `deeponet`, or a snapshot such as `deeponet@20`.
     """
 
     plant: str  #: its name
-    equilibrium: list[float] | None  #: where it rests, one number per state; `null` for one that follows a trajectory
-    gain: Number  #: how far a constant error of 1 in the control law moves the loop
-    held_out: int  #: how many samples of held-out rollouts the errors are taken on
-    held_out_kind: str  #: which kind of row the errors of `models` are of: `nominal`, or `imported`
-    #: by kind of held-out row: `nominal`, `exploring` and `redrawn` where the data have them, or `imported`
+    equilibrium: list[float] | None  #: one number per state; `null` if the plant tracks
+    gain: Number  #: distance that a constant error of 1 in U moves the loop
+    held_out: int  #: number of held-out samples
+    held_out_kind: str  #: kind of row of the errors of `models`: `nominal`, or `imported`
+    #: by kind of held-out row: `nominal`, `exploring`, `redrawn`, or `imported`
     kinds: dict[str, KindSize]
-    fresh: int  #: how many samples of rollouts made for this evaluation
-    in_loop: InLoop  #: what the errors in the loop are of
-    models: Annotated[dict[Name, Scores], RANKED]  #: by NAME what was measured
+    fresh: int  #: number of samples of new rollouts
+    in_loop: InLoop  #: the loops of the errors in the loop
+    models: Annotated[dict[Name, Scores], RANKED]  #: by NAME
     coverage: dict[str, Coverage]  #: by state, input and `D_hat`
-    scenarios: list[Conditions] = []  #: of a pipeline that has any, the same loops under other conditions
+    scenarios: list[Conditions] = []  #: the loops under other conditions
