@@ -26,7 +26,10 @@ from npred.runtimes import c_controller
 TARGET = Path(__file__).parent.parent / "_static" / "play_loops.js"
 LOOP = Path(__file__).with_suffix(".c")
 SCRIPTS, SHEET = ("play_loops.js", "play.js"), "play.css"
-FLAGS = ("-target", "wasm32-wasi", "-mexec-model=reactor", "-std=c99", "-O2", "-Wl,--export=play", "-Wl,--strip-all")
+FLAGS = (
+    "-target", "wasm32-wasi", "-mexec-model=reactor", "-std=c99", "-O2", "-Wl,--export=play", "-Wl,--strip-all",
+    "-Wl,-z,stack-size=262144",
+)  # fmt: skip
 B = 1.0
 logger = logging.getLogger(__name__)
 
@@ -35,7 +38,7 @@ class Scene(NamedTuple):
     """A plant of the page: its start, its control step and times in seconds, and what the sliders begin with.
 
     A slider is (first value, lowest, highest); that of gamma is logarithmic, and has 0 below its lowest. `axes` are the
-    least ranges of the figures of the states and of U.
+    least ranges of the figures of the states and of U, `labels` their names and units.
     """
 
     plant: str
@@ -50,6 +53,7 @@ class Scene(NamedTuple):
     gamma: tuple[float, float, float]
     noise: tuple[float, float, float]
     axes: tuple[tuple[float, float], ...]
+    labels: tuple[str, ...]
 
     @property
     def steps(self) -> int:
@@ -62,11 +66,13 @@ SCENES = (
         "activator_repressor", "Two proteins that regulate each other", (0.03, 30.0), 40.0, 0.01, 51, 5,
         D=(1.0, 0.1, 2.5), D_hat=(2.0, 0.1, 4.0), gamma=(1000.0, 10.0, 1e5), noise=(0.0, 0.0, 0.1),
         axes=((0.0, 0.2), (0.0, 30.0), (-0.1, 0.1)),
+        labels=("x1, activator (no unit)", "x2, repressor (no unit)", "U, command (1/s)"),
     ),
     Scene(
         "van_der_pol", "Van der Pol's oscillator", (1.0, 0.0), 20.0, 0.005, 51, 5,
         D=(0.3, 0.05, 0.6), D_hat=(0.6, 0.05, 2.0), gamma=(1.0, 0.01, 100.0), noise=(0.0, 0.0, 0.1),
         axes=((-1.5, 1.5), (-2.0, 2.0), (-6.0, 6.0)),
+        labels=("x1, position (no unit)", "x2, speed (1/s)", "U, command (1/s²)"),
     ),
 )  # fmt: skip
 
