@@ -31,13 +31,13 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from limits import Aircraft, Arm
+from limits import Arm
 from scipy.linalg import expm, solve_continuous_lyapunov
 
 import npred
 from npred import randomness
 from npred.plants import Plant
-from npred.plants.builtin import cart_pole
+from npred.plants.builtin import cart_pole, pvtol
 
 DT, T_END = 0.02, 8.0  # s
 STEPS, STEP = 50, 0.04  # of the horizon, s
@@ -55,6 +55,15 @@ class Cart(cart_pole.CartPole):
     def safe(x, t, p, M):
         """Both ends."""
         return [0.6 - x.p, 0.6 + x.p]
+
+
+class Aircraft(pvtol.PVTOL):
+    """The roll angle stays within 0.12 rad, which its law exceeds."""
+
+    @staticmethod
+    def safe(x, t, p, M):
+        """To either side."""
+        return [0.12 - x.theta, 0.12 + x.theta]
 
 
 @dataclass(frozen=True)
