@@ -29,9 +29,10 @@ def kernel(plant: Plant, exact: Predictor, method: type[OneStep]) -> Callable[..
 
     def work(nx: int, lanes: int, settings: np.ndarray) -> int:
         finest = int(settings[3:HEAD].max()) + 1
-        one = n + nx * (m + n) + 2 * (nx + 1) * m + m * shadows  # of a lane, and what its levels share
-        grid = finest * (2 * m + shadows * (2 * (m + signed) + n)) + shadows * (n + 1)
-        rest = [part.work(max(nx, finest), max(lanes, shadows), None) for part in compiled.values()]
+        side = shadows + (cells and signed)
+        one = n + nx * (m + n) + 2 * (nx + 1) * m + m * side  # of a lane, and what its levels share
+        grid = finest * (2 * m + side * (2 * (m + signed) + n)) + side * (n + 1)
+        rest = [part.work(max(nx, finest), max(lanes, side), None) for part in compiled.values()]
         return len(POINTERS) + m * lanes + one + grid + max(0, *rest, 0)
 
     sizes = {"N": n, "M": m, "PHASED": int(phased), "PERIOD": repr(plant.period) if phased else "1.0"}

@@ -16,6 +16,7 @@
 enum { TOLERANCE_AT, LIMIT_AT, LEVELS_AT, COUNTS_AT, HEAD = COUNTS_AT + LEVELS };
 #define FEATURES (N + 1 + 3 * M + 2 * PHASED)
 #define ROW (M + SIGNED) /* inputs of REFERENCE: the last is the sign of the local error */
+#define BESIDE (ON_CELLS && SIGNED) /* the first level is a lane more of the second */
 #define DOUBT 2.0
 #define RESOLVED 0.1 /* share of the states' size by which shadows that are to be believed may come apart */
 
@@ -58,56 +59,61 @@ static inline double PART(_kinks)(int c, int last, int j, const double *u)
     return (begin - 4.0 * w[0] + 7.0 * w[-M] - 4.0 * w[-2 * M] + w[-3 * M]) / 24.0;
 }
 
-/* The same between two places, counted in nodes. */
-static inline double PART(_between)(int c, int last, double low, double high, const double *u)
+/* The same up to a place, counted in nodes. */
+static inline double PART(_kinks_to)(int c, int last, double place, const double *u)
 {
-    const int i = least((int)low, last - 1), j = least((int)high, last - 1);
-    const double a = PART(_kinks)(c, last, i, u), b = PART(_kinks)(c, last, j, u);
-    const double after_a = PART(_kinks)(c, last, i + 1, u), after_b = PART(_kinks)(c, last, j + 1, u);
-    return b + (high - (double)j) * (after_b - b) - a - (low - (double)i) * (after_a - a);
+    const int j = least((int)place, last - 1);
+    const double before = PART(_kinks)(c, last, j, u), after = PART(_kinks)(c, last, j + 1, u);
+    return before + (place - (double)j) * (after - before);
 }
 
-/* v (rows, ROW, side): the inputs of the shadows on `count` intervals, from u (nx, M) and lines (rows, M), those of the
- * reference. */
+/* v (rows, ROW, side): the inputs of the shadows on `count` intervals, from u (nx, M) and
+ * lines (rows, M), those of the reference. */
 static inline void PART(_read)(int count, int last, int side, const double *u, const double *lines, double *v)
 {
-    const int rows = ON_CELLS ? 2 * count : count + 1;
+    const int parts = ON_CELLS ? count : count + 1, ends = ON_CELLS ? 2 : 1;
     const double wide = (double)last / (double)count;
-    for (int row = 0; row < rows; row++) {
-        const int interval = ON_CELLS ? row / 2 : row;
-        const double low = ON_CELLS ? (double)interval * wide : larger(((double)interval - 0.5) * wide, 0.0);
-        const double high = ON_CELLS ? low + wide : smaller(((double)interval + 0.5) * wide, (double)last);
-        double *at = v + (ptrdiff_t)row * ROW * side;
+    double low = 0.0, before[M] = {0.0};
+    for (int part = 0; part < parts; part++) {
+        const double high = ON_CELLS ? (double)(part + 1) * wide : smaller(((double)part + 0.5) * wide, (double)last);
         for (int c = 0; c < M; c++) {
-            const double value = lines[row * M + c];
-            double change = PART(_between)(c, last, low, high, u) / (high - low);
+            const double after = PART(_kinks_to)(c, last, high, u);
+            double change = (after - before[c]) / (high - low);
+            before[c] = after;
             if (!ON_CELLS && count < last) { /* and by how much the grid's own intervals may be read otherwise */
-                const int k = least(interval, count - 1);
-                change += PART(_between)(c, count, (double)k, (double)(k + 1), lines);
+                const int k = least(part, count - 1);
+                change += PART(_kinks)(c, count, k + 1, lines) - PART(_kinks)(c, count, k, lines);
             }
-            at[c * side] = value;
-            for (int k = 1; k < side; k++) { /* by half, for the spread counts twice */
-                at[c * side + k] = value + (k < 3 ? 0.5 : -0.5) * change;
+            for (int row = part * ends; row < (part + 1) * ends; row++) {
+                double *at = v + ((ptrdiff_t)row * ROW + c) * side;
+                at[0] = lines[row * M + c];
+                for (int k = 1; k < side; k++) { /* by half, for the spread counts twice */
+                    at[k] = at[0] + (k < 3 ? 0.5 : -0.5) * change;
+                }
             }
         }
-        for (int k = 0; SIGNED && k < side; k++) {
-            at[M * side + k] = PART(_sign)(k, interval);
+        for (int row = part * ends; SIGNED && row < (part + 1) * ends; row++) {
+            for (int k = 0; k < side; k++) {
+                v[((ptrdiff_t)row * ROW + M) * side + k] = PART(_sign)(k, part);
+            }
         }
+        low = high;
     }
 }
 
 /* U (M, side) of the first `side` shadows Q (count + 1, N, side) on `count` intervals, from X (N) and u (nx, M) of one
- * lane. */
-static inline void PART(_shadows)(Shape one, int count, int side, const double *X, const double *u, double D_hat, double t,
-                                  const double *p, const double *mass, const double *turn, double *U,
-                                  double *Q, double *scratch, double *work)
+ * lane. With `few` above 0 the last lane is instead the reference on so many intervals: it goes beside the first steps of
+ * the shadows, and then stands still. Each step waits for the one before, so that a lane more takes no longer. */
+static inline void PART(_shadows)(Shape one, int count, int few, int side, const double *X, const double *u,
+                                  double D_hat, double t, const double *p, const double *mass, const double *turn,
+                                  double *U, double *Q, double *scratch, double *work)
 {
     const int rows = ON_CELLS ? 2 * count : count + 1;
+    const double share = (double)few / (double)count;
     double *lines = scratch, *v = lines + rows * M, *x = v + rows * ROW * side;
-    double *D = x + N * side, *rest = D + side;
+    double *span = x + N * side, *rest = span + side;
     Shape grid = one;
     (void)work;
-    grid.nx = count + 1;
     grid.lanes = side;
     grid.m = ROW;
     if (ON_CELLS) {
@@ -116,29 +122,60 @@ static inline void PART(_shadows)(Shape one, int count, int side, const double *
         means_on_nodes(one, M, count, u, mass, lines);
     }
     PART(_read)(count, one.nx - 1, side, u, lines, v);
+    for (int k = 0; k < N * side; k++) {
+        x[k] = X[k / side];
+    }
     for (int k = 0; k < side; k++) {
-        D[k] = D_hat;
-        for (int c = 0; c < N; c++) {
-            x[c * side + k] = X[c];
+        span[k] = share * D_hat;
+    }
+    if (few > 0) {
+        span[side - 1] = D_hat;
+        lines_on_cells(one, M, few, u, mass, turn, lines);
+        for (int k = 0; k < 2 * few * ROW; k++) {
+            v[k * side + side - 1] = k % ROW < M ? lines[k / ROW * M + k % ROW] : 0.0;
+        }
+        grid.nx = few + 1;
+        REFERENCE(grid, x, v, span, t, p, Q, rest);
+        for (int k = 0; k < N * side; k++) {
+            x[k] = Q[few * N * side + k];
         }
     }
-    REFERENCE(grid, x, v, D, t, p, Q, rest);
+    for (int k = 0; k < side; k++) {
+        span[k] = D_hat - span[k];
+    }
+    grid.nx = count - few + 1;
+    REFERENCE(grid, x, v + 2 * few * ROW * side, span, t + share * D_hat, p, Q + few * N * side, rest);
     for (int row = 1; SIGNED && row < rows; row++) { /* the law reads the inputs alone */
         for (int k = 0; k < M * side; k++) {
             v[row * M * side + k] = v[row * ROW * side + k];
         }
     }
+    for (int k = 0; k < side; k++) {
+        span[k] = D_hat;
+    }
+    grid.nx = count + 1;
     grid.m = M;
-    CONTROL(grid, Q, v, D, t, p, U, rest);
+    CONTROL(grid, Q, v, span, t, p, U, rest);
+}
+
+/* What the level after compares with: U and the last state of lane k. */
+static inline void PART(_keep)(int k, int side, const double *A, const double *q, double *before, double *end)
+{
+    for (int c = 0; c < M; c++) {
+        before[c] = A[c * side + k];
+    }
+    for (int c = 0; c < N; c++) {
+        end[c] = q[c * side + k];
+    }
 }
 
 /* How far the last states of the shadows are from those of the reference, and these from those of the level before, as a
  * share of their size: the largest. A law may be the same for states that differ wildly. */
-static inline double PART(_apart)(const double *q, const double *before, const double *bend)
+static inline double PART(_apart)(int side, const double *q, const double *before, const double *bend)
 {
     double largest = 0.0;
     for (int c = 0; c < N; c++) {
-        const double *a = q + c * SHADOWS;
+        const double *a = q + c * side;
         double apart = fabs(before[c] - a[0]);
         for (int k = 1; k < SHADOWS; k++) {
             apart = larger(apart, fabs(a[k] - a[0]));
@@ -149,13 +186,13 @@ static inline double PART(_apart)(const double *q, const double *before, const d
 }
 
 /* The judgement of U (M) by that of the shadows, and of the level before: 0 passes, 1 falls back, DOUBT is undecided. */
-static inline double PART(_judged)(int lanes, double tolerance, const double *U, const double *A, const double *before,
+static inline double PART(_judged)(int lanes, int side, double tolerance, const double *U, const double *A, const double *before,
                                    double ratio, double *error)
 {
     double certain = 0.0;
     *error = 0.0;
     for (int c = 0; c < M; c++) {
-        const double *a = A + c * SHADOWS, step = a[0] - before[c];
+        const double *a = A + c * side, step = a[0] - before[c];
         const double gap = fabs(U[c * lanes] - a[0] - step / (pow(ratio, ORDER) - 1.0));
         double spread = 0.0;
         for (int k = 1; k < SHADOWS; k++) {
@@ -216,31 +253,30 @@ static inline double PART(_judge)(Shape one, int lanes, int l, const double *x, 
                                   double *work)
 {
     const int last = one.nx - 1, levels = (int)guard[LEVELS_AT];
-    double *mass = scratch, *turn = mass + (one.nx + 1) * M, *A = turn + (one.nx + 1) * M, *Q = A + M * SHADOWS;
-    double *rest = Q + ((int)guard[COUNTS_AT + levels - 1] + 1) * N * SHADOWS, before[M] = {0.0}, end[N];
+    double *mass = scratch, *turn = mass + (one.nx + 1) * M, *A = turn + (one.nx + 1) * M, *Q = A + M * (SHADOWS + BESIDE);
+    double *rest = Q + ((int)guard[COUNTS_AT + levels - 1] + 1) * N * (SHADOWS + BESIDE), before[M] = {0.0}, end[N];
     const int known = guard[LIMIT_AT] < INFINITY;
     double judgement = DOUBT;
     one.lanes = 1; /* as it is: here the compiler knows it */
     integrals(one, M, v, mass, turn);
-    for (int level = 0; level < levels && judgement == DOUBT; level++) {
-        const int count = (int)guard[COUNTS_AT + level];
-        const int side = SIGNED || level > 0 ? SHADOWS : 1; /* of the first level only the reference is compared */
-        PART(_shadows)(one, count, side, x, v, D_hat, t, p, mass, turn, A, Q, rest, work);
+    for (int level = BESIDE; level < levels && judgement == DOUBT; level++) {
+        const int count = (int)guard[COUNTS_AT + level], few = BESIDE && level == 1 ? (int)guard[COUNTS_AT] : 0;
+        const int side = few > 0 ? SHADOWS + 1 : SIGNED || level > 0 ? SHADOWS : 1; /* of a first level the reference */
+        const double *q = Q + count * N * side;
+        PART(_shadows)(one, count, few, side, x, v, D_hat, t, p, mass, turn, A, Q, rest, work);
+        if (few > 0) {
+            PART(_keep)(SHADOWS, side, A, q, before, end);
+        }
         if (level > 0) {
             const double ratio = (double)count / guard[COUNTS_AT + level - 1];
-            judgement = PART(_judged)(lanes, guard[TOLERANCE_AT], U + l, A, before, ratio, error);
+            judgement = PART(_judged)(lanes, side, guard[TOLERANCE_AT], U + l, A, before, ratio, error);
             if (judgement == 0.0 && known) {
-                const double apart = PART(_apart)(Q + count * N * SHADOWS, end, guard + HEAD) / RESOLVED;
+                const double apart = PART(_apart)(side, q, end, guard + HEAD) / RESOLVED;
                 *error = larger(*error, apart * guard[TOLERANCE_AT]);
                 judgement = apart <= 1.0 ? 0.0 : DOUBT;
             }
         }
-        for (int c = 0; c < M; c++) {
-            before[c] = A[c * side];
-        }
-        for (int c = 0; c < N; c++) {
-            end[c] = Q[(count * N + c) * side];
-        }
+        PART(_keep)(0, side, A, q, before, end);
     }
     if (known && PART(_outside)(last, x, v, D_hat, t, guard, mass, turn)) {
         return 1.0;
@@ -275,6 +311,7 @@ static inline void KERNEL(Shape d, const double *X, const double *u, const doubl
 }
 #undef FEATURES
 #undef ROW
+#undef BESIDE
 #undef DOUBT
 #undef RESOLVED
 #undef POINTERS
