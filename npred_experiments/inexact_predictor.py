@@ -26,8 +26,8 @@ PRINTED = {
     "U1(0+)": "-11.6010660825110",
     "U2(0+)": "-29.3576817206423",
     "|x(10)|, step 0.0005 s": "0.0146589049",
-    "real part of the root": "0.682101813345006",
-    "imaginary part of the root": "53.148865919078973",
+    "real part of the root": "0.68210181334501",
+    "imaginary part of the root": "53.14886591907897",
 }
 Pair = tuple[float, float]
 

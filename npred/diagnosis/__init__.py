@@ -81,6 +81,8 @@ def check(
     answers = list(case.answers.values())
     if plant.law and case.sound and case.leads == "yes":
         answers.append(region.converging("kappa", case))
+        if plant.law_table and answers[-1].verdict != "yes":
+            answers.append(region.instead(plant, case))
     if pipeline is None:
         return answers
     refusal = _refusal(case)

@@ -11,21 +11,33 @@ from npred.errors import ConfigError
 from npred.plants.base import Plant
 from npred.registry import LAWS
 
-EIGHTHS = 8  # sub-boxes that are looked at
+EIGHTHS, HALF = 8, 4  # sub-boxes that are looked at, and the one that a law should converge from
 
 
 def offers(plant: Plant, case: Case) -> list[Answer]:
     """An answer per law that is designed from f alone: where its loop converges, or why it does not serve."""
-    answers = []
+    return [offer(name, plant, case) for name in LAWS.names() if not _takes_more(name)]
+
+
+def instead(plant: Plant, case: Case) -> Answer:
+    """The first other law that is designed from f alone and converges from half the box, or that no such law does."""
+    tried = []
     for name in LAWS.names():
-        if _takes_more(name):
-            continue
-        try:
-            controlled = plants.controlled(plant, name)
-            answers.append(converging(name, Case(controlled, case.delay, case.nodes, case.samples, case.pipeline)))
-        except ConfigError as fault:
-            answers.append(Answer(name, "no", str(fault)))
-    return answers
+        if name != plant.law_table["law"] and not _takes_more(name):
+            answer = offer(name, plant, case)
+            if answer.verdict == "yes":
+                return Answer("other law", "yes", f"{name}: {answer.text}")
+            tried.append(name)
+    return Answer("other law", "warn", f"{', '.join(tried)}: does not converge from half the box either")
+
+
+def offer(name: str, plant: Plant, case: Case) -> Answer:
+    """Where the loop of that law converges, or why the plant does not take it."""
+    try:
+        controlled = plants.controlled(plant, name)
+        return converging(name, Case(controlled, case.delay, case.nodes, case.samples, case.pipeline))
+    except ConfigError as fault:
+        return Answer(name, "no", str(fault))
 
 
 def _takes_more(name: str) -> bool:
@@ -44,15 +56,18 @@ def converging(name: str, case: Case) -> Answer:
     _, seconds, horizon = equilibrium.times(case)
     looked = f"in {case.plant.time_text(seconds, '.3g')}"
     looked += "" if seconds >= horizon else f", as long as was looked, of the {horizon:.3g} that its slowest rate takes"
-    share = 0.0
+    shares: dict[int, float] = {}
     for eighth in range(EIGHTHS, 0, -1):
         home = equilibrium.approach(case, centre + eighth / EIGHTHS * (X0 - centre))[1] <= equilibrium.HOME
-        share = home.mean() if eighth == EIGHTHS else share
+        shares[eighth] = home.mean()
         if home.all():
-            smaller = f"from {share:.0%} of them, and all from {eighth}/{EIGHTHS} of it about {case.state(centre)}"
-            part = "from all of them" if eighth == EIGHTHS else smaller
-            return Answer(name, "yes", f"{len(X0)} starts in the box, without delay: converges {part}, {looked}")
-    text = (
-        f"{len(X0)} starts in the box, without delay: converges from {share:.0%} of them, not from all of any sub-box"
-    )
-    return Answer(name, "warn", f"{text}, {looked}")
+            break
+    parts = ["from all of them" if shares[EIGHTHS] == 1 else f"from {shares[EIGHTHS]:.0%} of them"]
+    if shares.get(HALF, 1.0) < 1:
+        parts.append(f"from {shares[HALF]:.0%} of half of it")
+    if eighth < EIGHTHS:
+        parts.append(f"and all from {eighth}/{EIGHTHS} of it about {case.state(centre)}")
+    if shares[eighth] < 1:
+        parts[-1] = "not from all of any sub-box"
+    verdict = "yes" if shares[eighth] == 1 and eighth >= HALF else "warn"
+    return Answer(name, verdict, f"{len(X0)} starts in the box, without delay: converges {', '.join(parts)}, {looked}")

@@ -1,0 +1,40 @@
+"""Laws designed from f, for each shipped plant as if it declared no kappa: from which part of the box they converge.
+
+    python benchmarks/laws.py [PLANT ...] [--laws lqr feedback_linearisation]
+
+Loops are without delay, from 64 starts of the plant's box, then of the box shrunk by eighths about the target; the
+sentence is that of `npred plants check PLANT --kappa LAW`. A law that does not fit a plant says why.
+"""
+
+import argparse
+import time
+
+import npred
+from npred import plants
+from npred.diagnosis import Case, region
+
+
+def main() -> None:
+    """Print a line per plant and law, and how many converge from half the box."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("plants", nargs="*")
+    parser.add_argument("--laws", nargs="+", default=["lqr", "feedback_linearisation"])
+    options = parser.parse_args()
+    names, kept = options.plants or plants.names(), dict.fromkeys(options.laws, 0)
+    either = 0
+    for name in names:
+        plant, verdicts = npred.plant(name), []
+        for law in options.laws:
+            began = time.perf_counter()
+            answer = region.offer(law, plant, Case(plant, delay=1.0, nodes=101, samples=256))
+            verdicts.append(answer.verdict)
+            kept[law] += answer.verdict == "yes"
+            print(f"{name}, {law}: {answer.text} ({time.perf_counter() - began:.0f} s)", flush=True)
+        either += "yes" in verdicts
+    for law, count in kept.items():
+        print(f"{law} converges from half the box, or more, for {count} of {len(names)} plants")
+    print(f"one of these laws does for {either} of {len(names)}")
+
+
+if __name__ == "__main__":
+    main()
