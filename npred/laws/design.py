@@ -11,12 +11,13 @@ from npred.plants import inputs
 from npred.plants.base import Plant
 from npred.plants.newton import REST
 from npred.symbolic import Value, programs, source_lines
-from npred.symbolic.tape import M, Vector, names
+from npred.symbolic.tape import M, Symbol, Vector, names
 from npred.symbolic.trace import Trace, python
 
 SAMPLES = 256  # states of the box
 SPAN, MOMENTS = 100.0, 64  # seconds of a reference without a period, and times in them
 STEPS, SHORTEST = 100, 1e-6  # of the search for a point of rest, and the shortest share of a step
+MATCHED = 1e-6  # of the largest rate: less of the rates than this may be out of reach of the inputs
 SLOW = 1e-6  # 1/s: rates below are those of integrators, which rounding moves off 0
 
 
@@ -129,10 +130,33 @@ class Design:
         return z[:, : self.plant.n], z[:, self.plant.n :]
 
     @cached_property
+    def slopes(self) -> tuple[np.ndarray, np.ndarray]:
+        """f_X (T, n, n) and f_U (T, n, m) at `moments` of the target."""
+        return self.plant.jacobians(*self.targets, self.moments)
+
+    def scheduled(self, closed: np.ndarray, error: Sequence[Value]) -> list[Value] | None:
+        """K(t) e, as expressions, with A(t) - B(t) K(t) = closed along the reference: the error obeys e' = closed e.
+
+        None where no K(t) does, since a difference of the rates is not in the range of B(t), or where a state of the
+        reference is a number, or is equal to another one.
+        """
+        A, B = self.slopes
+        excess = A - closed
+        left = excess - B @ np.linalg.pinv(B) @ excess
+        X, u = self.target
+        symbols = {x.index for x in X if isinstance(x, Symbol)}
+        if len(symbols) < len(X) or np.abs(left).max() > MATCHED * np.abs(A).max():
+            return None
+        rates = self.trace.f(np.array(X, dtype=object), np.array(u, dtype=object), self.t)
+        held = [a for a in u if isinstance(a, Symbol)]  # u is an expression of X, but no part of f_X
+        by_error = programs.derivative(rates, [*X, *held], [*error, *[0.0] * len(held)])
+        wanted = [_dot(row, error) for row in closed]
+        return solved(self._by_input(np.array(X, dtype=object)), [a - b for a, b in zip(by_error, wanted, strict=True)])
+
+    @cached_property
     def linearised(self) -> tuple[np.ndarray, np.ndarray]:
         """f_X and f_U, (n, n) and (n, m), at the point of rest, or their means along the reference."""
-        A, B = self.plant.jacobians(*self.targets, self.moments)
-        A, B = A.mean(axis=0), B.mean(axis=0)
+        A, B = (part.mean(axis=0) for part in self.slopes)
         if not (np.isfinite(A).all() and np.isfinite(B).all()):
             raise self.refusal("derivatives of f where the law leads, got none", "move guess")
         return A, B

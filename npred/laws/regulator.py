@@ -37,16 +37,20 @@ def gains(design: Design, Q: ArrayLike | None = None, R: ArrayLike | None = None
 
 
 def along(design: Design, K: np.ndarray) -> Law:
-    """u - K (x - X), for the point of rest or the reference X with its input u."""
+    """u - K (x - X), for the point of rest or the reference X with its input u.
+
+    Along a reference the gain is K(t) with A(t) - B(t) K(t) = A - B K, of the means A and B, so that errors obey the
+    same equation all the time; or K where no K(t) does that.
+    """
     if not design.follows:
         return linear(design.plant, K, *design.rest, design.widths)
     X, u = design.target
     errors = [a - b for a, b in zip(design.x, X, strict=True)]
-    outputs = list(u)
-    for j, row in enumerate(rounded(K)):
-        for gain, error in zip(row, errors, strict=True):
-            outputs[j] = outputs[j] - gain * error
-    return written(design.trace, outputs)
+    A, B = design.linearised
+    pulls = design.scheduled(rounded(A - B @ K), errors)
+    if pulls is None:
+        pulls = [sum(gain * error for gain, error in zip(row, errors, strict=True)) for row in rounded(K)]
+    return written(design.trace, [a - b for a, b in zip(u, pulls, strict=True)])
 
 
 def _weights(design: Design, name: str, given_weights: ArrayLike | None, sizes: np.ndarray, least: float) -> np.ndarray:

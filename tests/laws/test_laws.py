@@ -16,6 +16,7 @@ import npred
 import npred.diagnosis
 from npred import laws, plants
 from npred.errors import ConfigError
+from npred.laws.design import MOMENTS, SPAN, Design
 from npred.laws.riccati import riccati
 from npred.plants import Plant
 from npred.predictors import RK4
@@ -106,6 +107,62 @@ def test_feedback_linearisation_follows_a_reference():
     t = np.linspace(0, 6, 9)
     np.testing.assert_allclose(law.kappa(plant.target(t), t), plant.kappa(plant.target(t), t), rtol=1e-7, atol=1e-7)
     np.testing.assert_allclose(np.poly(law.linearised(1.0)[0]), np.poly([-3] * 4), rtol=1e-5)
+
+
+@pytest.mark.parametrize("name", ["planar_arm3", "xarm6"])
+def test_the_regulator_follows_a_reference_with_one_equation_of_the_error(name: str):
+    """The derivative of f with kappa by differences along the reference is A - B K of SciPy, A and B the means."""
+    plant = npred.plant(name, kappa="lqr")
+    times = np.linspace(0, SPAN, MOMENTS, endpoint=False)
+    A, B = (part.mean(axis=0) for part in plant.jacobians(plant.target(times), plant.u_target(times), times))
+    design = Design(plant, "lqr")
+    Q, R = np.diag(1 / design.widths**2), np.diag(1 / design.sizes**2)
+    closed = A - B @ np.linalg.solve(R, B.T @ solve_continuous_are(A, B, Q, R))
+    for t in (0.0, 2.7, 31.0):
+        X, h = plant.target(t), 1e-5
+        ends = [[plant.f(Y, plant.kappa(Y, t), t) for Y in (X + h * unit, X - h * unit)] for unit in np.eye(plant.n)]
+        slopes = np.array([(up - down) / (2 * h) for up, down in ends]).T
+        np.testing.assert_allclose(slopes, closed, atol=1e-5 * np.abs(closed).max())
+
+
+def test_the_error_of_a_small_start_is_the_exponential():
+    """e(t) = exp((A - B K) t) e(0), of the loop by solve_ivp: the arm's reference moves meanwhile."""
+    plant = npred.plant("planar_arm2", kappa="lqr")
+    e0 = 1e-6 * np.array([1.0, -2.0, 0.5, 1.0])
+    closed, t_end = plant.linearised(0.0)[0], 3.0
+    run = solve_ivp(
+        lambda t, X: plant.f(X, plant.kappa(X, t), t), (0, t_end), plant.target(0.0) + e0, rtol=1e-12, atol=1e-14
+    )
+    np.testing.assert_allclose(run.y[:, -1] - plant.target(t_end), expm(closed * t_end) @ e0, atol=2e-10)
+
+
+def test_a_reference_whose_slopes_the_inputs_do_not_reach_gets_one_gain():
+    """x1' = sin x1 + x2: no input acts where the slope cos x1 swings with the reference."""
+
+    class Swinging:
+        states, inputs = ("x1", "x2"), ("u",)
+        box = {"x1": (-1.0, 1.0), "x2": (-1.0, 1.0)}
+        period = 2 * np.pi
+
+        def f(x, u, t, p, M):
+            return [M.sin(x.x1) + x.x2, u.u]
+
+        def reference(t, p, M):
+            return [M.sin(t), M.cos(t) - M.sin(M.sin(t))]
+
+    plant = npred.plant(Swinging, kappa="lqr")
+    gains = [plant.kappa_jacobian(plant.target(t), t) for t in (0.0, 1.0)]
+    np.testing.assert_allclose(*gains, rtol=1e-12)
+
+
+def test_the_check_names_another_law_where_one_does_not_converge():
+    answers = {a.check: a for a in npred.diagnosis.check(npred.plant("strict_feedforward3", kappa="lqr"))}
+    assert answers["kappa"].verdict == "yes" and "other law" not in answers
+    answers = {
+        a.check: a for a in npred.diagnosis.check(npred.plant("activator_repressor", kappa="feedback_linearisation"))
+    }
+    assert answers["kappa"].verdict == "warn" and "of half of it" in answers["kappa"].text
+    assert answers["other law"].verdict == "yes" and answers["other law"].text.startswith("lqr: 64 starts")
 
 
 @given(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0))
