@@ -11,7 +11,8 @@ import npred  # noqa: E402
 project, author, copyright = "npred", "The npred authors", "the npred authors, MIT licence"
 version = release = npred.__version__
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx_gallery.gen_gallery", "docstrings", "mathml", "play", "reference"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx_gallery.gen_gallery"]
+extensions += ["docstrings", "mathml", "play", "reference"]  # of docs/extensions
 myst_enable_extensions = ["deflist", "dollarmath"]
 myst_heading_anchors = 3
 exclude_patterns = ["_build", "gallery"]

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import browsers
 import fake_stages
 import pytest
 import tank
@@ -181,6 +182,13 @@ def reported(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, 
     folder.mkdir(exist_ok=True)
     with FileLock(folder / "lock"):
         return reported.run(folder)
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """Chromium, headless."""
+    with browsers.chromium() as opened:
+        yield opened
 
 
 def settings_of(node: Node, config: Pipeline, device: str = "cpu") -> dict[str, Any]:

@@ -1,6 +1,7 @@
 """The loops of docs/play.md as WebAssembly: the controller that `npred export controller` writes, and its plant, in C.
 
-_static/play_loops.js holds them and what the page has to know of them. It is made again only when they change.
+_static/play_loops.js of the built pages holds them, and what the page has to know of them. It is made only when they
+change.
 """
 
 import base64
@@ -23,7 +24,6 @@ from npred.loop.engine import advance_kernel
 from npred.predictors import RK4
 from npred.runtimes import c_controller
 
-TARGET = Path(__file__).parent.parent / "_static" / "play_loops.js"
 LOOP = Path(__file__).with_suffix(".c")
 SCRIPTS, SHEET = ("play_loops.js", "play.js"), "play.css"
 FLAGS = (
@@ -69,8 +69,8 @@ SCENES = (
         labels=("x1, activator (no unit)", "x2, repressor (no unit)", "U, command (1/s)"),
     ),
     Scene(
-        "van_der_pol", "Van der Pol's oscillator", (1.0, 0.0), 20.0, 0.005, 51, 5,
-        D=(0.3, 0.05, 0.6), D_hat=(0.6, 0.05, 2.0), gamma=(1.0, 0.01, 100.0), noise=(0.0, 0.0, 0.1),
+        "van_der_pol", "Van der Pol's oscillator", (1.0, 0.0), 12.0, 0.005, 51, 4,
+        D=(0.3, 0.05, 0.6), D_hat=(0.6, 0.05, 2.0), gamma=(0.2, 0.01, 100.0), noise=(0.0, 0.0, 0.1),
         axes=((-1.5, 1.5), (-2.0, 2.0), (-6.0, 6.0)),
         labels=("x1, position (no unit)", "x2, speed (1/s)", "U, command (1/s²)"),
     ),
@@ -114,13 +114,16 @@ def described(scene: Scene) -> dict[str, Any]:
     return scene._asdict() | names
 
 
-def script(scenes: tuple[Scene, ...] = SCENES) -> str:
-    """The text of play_loops.js: the scenes with their modules in base64; none of these without ziglang."""
+def script(before: str = "", scenes: tuple[Scene, ...] = SCENES) -> str:
+    """The text of play_loops.js: the scenes with their modules in base64; none of these without ziglang.
+
+    `before` is the text of an earlier build, which is returned where nothing has changed.
+    """
     texts = [source(scene) for scene in scenes]
     there = find_spec("ziglang") is not None
     head = "// " + hashlib.sha256("\n".join([*texts, repr(scenes), *FLAGS, str(there)]).encode()).hexdigest()
-    if TARGET.exists() and TARGET.read_text(encoding="utf-8").startswith(head):
-        return TARGET.read_text(encoding="utf-8")
+    if before.startswith(head):
+        return before
     if not there:
         logger.info("play.md: expected the package ziglang, found none; the page says so")
     loops = [
@@ -132,9 +135,13 @@ def script(scenes: tuple[Scene, ...] = SCENES) -> str:
 
 def write(app: Sphinx) -> None:
     """Write play_loops.js, where it has changed."""
-    text = script()
-    if not TARGET.exists() or TARGET.read_text(encoding="utf-8") != text:
-        TARGET.write_text(text, encoding="utf-8")
+    if app.builder.format != "html":
+        return
+    path = Path(app.outdir) / "_static" / SCRIPTS[0]
+    before = path.read_text(encoding="utf-8") if path.exists() else ""
+    if (text := script(before)) != before:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
 
 
 def add(app: Sphinx, page: str, template: str, context: dict[str, Any], tree: Any) -> None:
@@ -146,7 +153,7 @@ def add(app: Sphinx, page: str, template: str, context: dict[str, Any], tree: An
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
-    """Write the loops before files are copied."""
+    """Write the loops before the pages."""
     app.connect("builder-inited", write)
     app.connect("html-page-context", add)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,52 +1,20 @@
 """The report in a real browser: at a desk and on a phone, in the light and in the dark, and in print."""
 
-import os
-import shutil
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import pytest
+from browsers import CONTRAST, LEGIBLE, VISIBLE
 
-NEEDED = "NPRED_BROWSER"  # set by .ci/run: then a browser that is missing is a failure
-FOUND = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 WIDTHS = (1280, 390)
-LEGIBLE = 4.5  # contrast of text, WCAG 2.2 AA
-VISIBLE = 3.0  # of lines that carry meaning
 READABLE = 9.5  # pixels of the smallest letters in a figure
 
-CONTRAST = """([selector, property]) => {
-  const light = (colour) => {
-    const parts = colour.match(/[\\d.]+/g).slice(0, 3).map((part) => part / 255)
-      .map((part) => (part <= 0.04045 ? part / 12.92 : ((part + 0.055) / 1.055) ** 2.4));
-    return 0.2126 * parts[0] + 0.7152 * parts[1] + 0.0722 * parts[2];
-  };
-  const page = light(getComputedStyle(document.documentElement).backgroundColor);
-  return [...document.querySelectorAll(selector)].map((element) => getComputedStyle(element)[property])
-    .filter((colour) => colour.startsWith("rgb("))
-    .map(light).map((own) => (Math.max(own, page) + 0.05) / (Math.min(own, page) + 0.05));
-}"""
 LETTERS = """() => [...document.querySelectorAll(".panel svg text")].map((text) => {
   const box = text.getBoundingClientRect(), size = parseFloat(getComputedStyle(text).fontSize);
   return size * text.ownerSVGElement.getScreenCTM().a;
 })"""
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    """Chromium, headless; the test is skipped where there is none, unless the environment says that it is needed."""
-    try:
-        from playwright.sync_api import sync_playwright
-    except ImportError:
-        sync_playwright = None
-    if FOUND is None or sync_playwright is None:
-        lacking = f"expected Chromium and playwright, got {FOUND} and {sync_playwright}"
-        pytest.fail(lacking) if os.environ.get(NEEDED) else pytest.skip(lacking)
-    with sync_playwright() as started:
-        opened = started.chromium.launch(executable_path=FOUND, args=["--no-sandbox"])
-        yield opened
-        opened.close()
 
 
 @pytest.fixture
