@@ -69,7 +69,7 @@ SCENES = (
         labels=("x1, activator (no unit)", "x2, repressor (no unit)", "U, command (1/s)"),
     ),
     Scene(
-        "van_der_pol", "Van der Pol's oscillator", (1.0, 0.0), 12.0, 0.005, 51, 4,
+        "van_der_pol", "Van der Pol's oscillator", (1.0, 0.0), 10.0, 0.005, 51, 4,
         D=(0.3, 0.05, 0.6), D_hat=(0.6, 0.05, 2.0), gamma=(0.2, 0.01, 100.0), noise=(0.0, 0.0, 0.1),
         axes=((-1.5, 1.5), (-2.0, 2.0), (-6.0, 6.0)),
         labels=("x1, position (no unit)", "x2, speed (1/s)", "U, command (1/s²)"),
