@@ -38,7 +38,8 @@ def figure1(evidence: Evidence) -> Plate:
 def _apart(evidence: Evidence) -> dict[Contender, np.ndarray]:
     """|X - X of the numerical predictor's loop| over time, (nt,): curves on one another have a distance here."""
     exact = evidence.loops[NUMERICAL].X
-    return {c: np.linalg.norm(loop.X - exact, axis=1) for c, loop in evidence.loops.items() if c != NUMERICAL}
+    every = {c: np.linalg.norm(loop.X - exact, axis=1) for c, loop in evidence.loops.items()}
+    return {c: values for c, values in every.items() if np.any((values > 0) & np.isfinite(values))}
 
 
 def _alt_apart(apart: dict[Contender, np.ndarray]) -> str:

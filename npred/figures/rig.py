@@ -33,7 +33,7 @@ def rig(plant: Plant, name: str, calls: dict[str, Any], samples: dict[str, Any])
     alt = f"In the middle {np.median(age):.3g}, at most {age.max():.3g}."
     panels.append(Panel(timed(plant, "age of the sample"), alt, partial(_line, plant, t, age)))
     caption = "A loop on a real clock: the samples that arrived, the commands, D̂ and the delay that the stamps say."
-    keys = (Key("by the controller", ESTIMATE), Key("by the stamps, its mean so far", STAMPS))
+    keys = (Key("D̂ of the controller", ESTIMATE), Key("delay by the stamps, its mean so far", STAMPS))
     return Plate(name, "The rig", caption, tuple(panels), keys)
 
 

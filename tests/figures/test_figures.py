@@ -101,9 +101,26 @@ def test_every_figure_of_every_plant_can_be_drawn_and_is_told_in_words(plant, lo
             ElementTree.fromstring(svg.inline(panel, "p"))
 
 
-def test_figure_1_has_a_panel_a_quantity_and_a_close_look_at_each_state():
-    titles = [panel.title for panel in figures.figure1(found()).panels]
-    assert titles == ["x_{1}", "x_{2}", "U", "delay estimate D̂ (s)", "x_{1}, the last tenth", "x_{2}, the last tenth"]
+def test_figure_1_has_a_panel_a_quantity_and_the_differences_of_loops_that_lie_on_each_other():
+    evidence, quantities = found(), ["x_{1}", "x_{2}", "U", "delay estimate D̂ (s)"]
+    assert [panel.title for panel in figures.figure1(evidence).panels] == quantities  # all loops are the same
+    apart = replace(evidence.loops[FNO], X=evidence.loops[FNO].X + np.array([3e-7, 4e-7]))
+    plate = figures.figure1(replace(evidence, loops=evidence.loops | {FNO: apart}))
+    assert [panel.title for panel in plate.panels] == [*quantities, "difference from the numerical loop"]
+    axis = Figure().subplots()
+    plate.panels[-1].draw(axis)
+    (line,) = axis.lines
+    np.testing.assert_allclose(np.asarray(line.get_ydata()), 5e-7, rtol=1e-6)
+    assert plate.caption.endswith("differ from the numerical loop by at most: FNO 5.0·10⁻⁷.")
+
+
+def test_the_density_of_the_coverage_has_an_axis_with_numbers():
+    for panel in figures.coverage(found()).panels:
+        axis = Figure().subplots()
+        panel.draw(axis)
+        axis.figure.draw_without_rendering()
+        assert [label for label in axis.get_yticklabels() if label.get_visible() and label.get_text()]
+    assert "share per unit" in figures.coverage(found()).caption
 
 
 def limits(panel: Panel) -> tuple[float, float]:
@@ -321,6 +338,16 @@ def test_speed_leaves_out_of_the_front_what_predicts_nothing():
     front, grids, _ = figures.speed(rows).panels
     assert front.alt == "Euler: 2 µs at error 2.0e+00; DeepONet, fused: 2 µs at error 1.0e-02."
     assert "Euler: 2 µs at dx = 0.1, 2 µs at 0.01" in grids.alt
+
+
+def test_no_line_of_latency_against_error_turns_back_and_every_grid_has_a_mark():
+    times = {0.2: (1.0, 0.5), 0.1: (2.0, 1e-3), 0.05: (4.5, 9e-7), 0.02: (8.0, 3e-5), 0.01: (36.0, 1.4e-6)}
+    rows = [timing("rk4", dx=dx, us=us, eps_sup=eps) for dx, (us, eps) in times.items()]
+    axis = Figure().subplots()
+    figures.speed(rows).panels[0].draw(axis)
+    marks, line = axis.lines
+    assert sorted(zip(marks.get_ydata(), marks.get_xdata(), strict=True)) == sorted(times.values())
+    assert list(line.get_xdata()) == [9e-7, 1e-3, 0.5] and list(line.get_ydata()) == [4.5, 2.0, 1.0]
 
 
 def test_scenarios_have_a_mark_for_what_is_finite_and_positive():

@@ -19,6 +19,7 @@ from npred import config, json_files, plants
 from npred.cli.report import OWNER, PLACE
 from npred.errors import StoreError
 from npred.figures import Evidence
+from npred.figures.notation import markup
 from npred.figures.style import MEDIA
 from npred.plants.builtin.activator_repressor import ActivatorRepressor
 from npred.results import Benched, Contender
@@ -161,8 +162,27 @@ def test_the_tables_say_what_the_results_say(page, story):
     predictors, _, eps_sup, *_ = story.tables()["accuracy"].columns
     assert eps_sup.values[predictors.values.index("FNO")] == story.evaluated.models[FNO].eps_sup
     assert set(story.tables()["kinds"].columns[1].values) == {"nominal rollouts", "rows with a redrawn D̂"}
-    assert all(in_loop > 0 for in_loop in story.tables()["loops"].columns[-1].values)
+    shown, *_, in_loop = story.tables()["loops"].columns
+    errors = dict(zip(shown.values, in_loop.values, strict=True))
+    assert errors.pop("no adaptation") is None and all(error > 0 for error in errors.values())
     assert set(story.tables()["speed"].columns[3].values) <= {row.median_us for row in story.benched.rows}
+
+
+def test_headings_that_do_not_explain_themselves_are_explained_below_their_table(text, story):
+    heads = {"settles ×", "radius, median", "worst", "ε_{κ}", "relative L²", "× Euler", "× O(nx²) sums"}
+    heads |= {column.head for column in story.tables()["loops"].columns if column.head.startswith(("map", "sup |P"))}
+    columns = {column.head: column for table in story.tables().values() for column in table.columns}
+    assert len(heads) == 9
+    for head in heads:
+        said = f"<dt>{markup(head)}</dt><dd>{markup(columns[head].about)}</dd>"
+        assert columns[head].about and said in text
+
+
+def test_a_page_of_networks_that_do_not_predict_says_so(text, story, monkeypatch):
+    assert "No network here predicts well" in text  # two epochs
+    assert report._caution(story).split(": ")[1].startswith("the mean error is ")
+    monkeypatch.setattr(report, "POOR", 1e9)
+    assert report._caution(story) == ""
 
 
 def test_three_sentences_bear_the_numbers(reported, text):
@@ -234,7 +254,7 @@ def test_a_page_of_another_plant_names_no_figure_of_the_paper_and_its_own_units(
     page = (made.folder / report.NAME).read_text()
     assert "Fig. 1" in text and "Fig. 1" not in page and "published" not in page
     assert "states activator, x<sub>2</sub>; inputs U; delay D = 1 h, unknown" in page
-    for title in ("activator (mol/m³), the last tenth", "density of x<sub>2</sub>", "delay estimate D̂ (h)"):
+    for title in ("activator (mol/m³)", "density of x<sub>2</sub>", "delay estimate D̂ (h)"):
         assert f"<h3>{title}</h3>" in page
     assert "radius versus ε<sub>κ</sub>" in page and ">t (h)</text>" in page and ">t (s)</text>" not in page
 
@@ -274,6 +294,11 @@ def test_a_page_says_which_file_and_which_flags_made_it(call: Call, here: Path, 
     call("report", "tiny.toml")
     line = '<p class="about" data-pipeline="tiny.toml">From <code>tiny.toml</code></p>'
     assert line in Path("store/tiny.html").read_text()
+    Path("noted.toml").write_text("# Is it all wired up?\n# <Nothing> else.\n" + Path("tiny.toml").read_text())
+    call("report", "noted.toml")
+    assert (
+        "<code>noted.toml</code>. Is it all wired up? &lt;Nothing&gt; else.</p>" in Path("store/noted.html").read_text()
+    )
     models = 'train.models=["deeponet","fno"]'
     call("report", "tiny.toml", "--set", models, "-o", str(tmp_path / "page.html"))
     said = f"From <code>tiny.toml</code> with <code>--set {html.escape(models)}</code></p>"

@@ -67,6 +67,18 @@ def test_no_letters_of_a_figure_are_cut_off_or_lie_on_each_other(look, width):
                 assert left[1] <= right[0] + 1.0, "tick labels overlap"
 
 
+def test_on_a_phone_the_legend_stays_in_sight_and_a_cut_table_has_a_shadow(look):
+    page = look(390)
+    page.evaluate("document.documentElement.style.scrollBehavior = 'auto'")
+    last = page.locator("#figure-figure1 .panel").last
+    page.evaluate("(top) => scrollTo(0, top)", last.bounding_box()["y"])
+    box = page.locator("#figure-figure1 .keys").bounding_box()
+    assert box["y"] >= 0 and box["y"] + box["height"] < 844 / 2
+    cut = "[...document.querySelectorAll('.scroll')].filter((e) => e.scrollWidth > e.clientWidth)"
+    shadows = page.evaluate(f"{cut}.map((e) => getComputedStyle(e).backgroundAttachment)")
+    assert shadows and set(shadows) == {"local, scroll"}
+
+
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_it_is_legible_in_the_light_and_in_the_dark(look, scheme):
     page = look(color_scheme=scheme)
@@ -114,6 +126,8 @@ def test_no_panel_is_cut_in_print_and_no_heading_is_left_behind(look):
     assert page.evaluate(kept, ".panel")[:2] == ["inline-block", "avoid"]
     assert page.evaluate(kept, ".keys")[1:] == ["avoid", "avoid"]
     assert page.evaluate(kept, "h2")[2] == "avoid"
+    panels = "getComputedStyle(document.querySelector('.panels'))"
+    assert page.evaluate(f"[{panels}.orphans, {panels}.widows]") == ["1", "1"]  # else three rows stay together
 
 
 def test_it_prints_on_light_paper(look):
