@@ -15,7 +15,7 @@ from npred_experiments.rows import cells_of
 
 TITLE = "Published experiments"
 ABOUT = (
-    "Published predictor-feedback experiments, run again. As published: in the published loop, its errors included. "
+    "Published predictor-feedback experiments, run by npred. As published: in the published loop, with its errors. "
     "As meant: the same quantity with the right plant, law, transport and metric. Networks are npred's, of the "
     "published kinds."
 )
@@ -68,19 +68,17 @@ def page(results: Sequence[Reproduced]) -> str:
 
 
 def markdown(results: Sequence[Reproduced]) -> str:
-    """The rows and the times as a page of the documentation; how networks were trained is on the other page."""
+    """The rows as a page of the documentation; times and trainings are on the other page."""
     lines = [f"# {TITLE}, measured", "", ABOUT, "", *summary(results), ""]
     for result in results:
         experiment = load(result.name)
         lines += [f"## {_heading(result.name)}", "", f"`{result.name}`: {experiment.source}.", ""]
-        for table in [_rows(result), *_times(result)]:
-            heads = [column.head for column in table.columns]
-            rules = ["---:" if column.numeric else "---" for column in table.columns]
-            cells = [[column.text(v) for column, v in zip(table.columns, row, strict=True)] for row in table.rows]
-            lines += [
-                "| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in (heads, rules, *cells)
-            ]
-            lines.append("")
+        table = _rows(result)
+        heads = [column.head for column in table.columns]
+        rules = ["---:" if column.numeric else "---" for column in table.columns]
+        cells = [[column.text(v) for column, v in zip(table.columns, row, strict=True)] for row in table.rows]
+        lines += ["| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in (heads, rules, *cells)]
+        lines.append("")
     return "\n".join(lines)
 
 

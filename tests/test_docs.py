@@ -243,7 +243,7 @@ def test_the_reference_has_every_key_of_every_result(extension: Callable[[str], 
     assert {"generate", "train", "evaluate", "evaluate: `models.*.radius`", "bench: `rows.*`", "report"} <= set(
         headings
     )
-    assert "| `from` | errors are taken" in page and "largest \\|P̂ − P\\|" in page
+    assert "| `from` | first time" in page and "largest \\|P̂ − P\\|" in page
     assert re.findall(r"^\| `\w+` \|  \|$", page, re.MULTILINE) == []
 
 

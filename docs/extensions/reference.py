@@ -123,8 +123,8 @@ def results() -> Iterator[str]:
     """The page of the results: a section per stage and per table in its result, a row per key."""
     yield from ("# Results", "", "The keys of `result.json`, which `--json` prints: see")
     yield "[documents for programs](documents.md). Keys may be added; none is dropped or renamed."
-    yield "`null` is a number that is not finite. In a heading `*` stands for each name, or for each entry of a list. ε and κ are those of"
-    yield "[theory](../theory.md)."
+    yield "`null` is a number that is not finite. In a heading `*` stands for each name, or for each entry of a list."
+    yield "ε and κ are those of [theory](../theory.md)."
     described: dict[type, str] = {}
     for name, stage in STAGES.items():
         yield from _result(name, stage.result, described)

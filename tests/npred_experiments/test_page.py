@@ -54,8 +54,7 @@ def test_the_page_and_the_markdown_have_every_row_with_the_printed_digits():
     html, markdown = page.page([RESULT]), page.markdown([RESULT])
     assert "| FNO | prediction | 0.061734 | 0.028643 | 0.500000 |" in markdown
     assert "| FNO + GRU | prediction | 0.268882 | – | – |" in markdown
-    assert "1,234" in html and "1,234" not in markdown
-    assert "| FNO | Euler, 100 steps | 1.06 | 0.0042 | 0.02 |" in markdown
+    assert all(text in html and text not in markdown for text in ("1,234", "Euler, 100 steps", "0.0042"))
     for text in ("0.061734", "0.028543", "DeepONet + GRU", "Unicycle, constant delay", "arXiv:2411.18964"):
         assert text in html and text in markdown
     assert "https:" not in html and "default-src 'none'" in html
