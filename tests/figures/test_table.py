@@ -150,6 +150,8 @@ def test_each_number_of_an_evaluation_is_below_the_head_that_names_it():
         "map, of 3": 2, "radius, loop shown": 38.0, "D̂ at its end": 37.0, "sup |P(1, t) − X(t + D)|": 35.0,
         "fallback": 0.36,
     }  # fmt: skip
+    settles = next(column for column in tables.loops(evaluated).columns if column.head == "settles ×")
+    assert "over the numerical predictor's" in settles.about
     outside = last_row(tables.outside(plants.resolve("activator_repressor"), evaluated.coverage))
     assert list(outside.values())[1:] == [41.0, 42.0, 0.43]
     assert list(outside)[1:] == ["data from", "to", "outside, FNO"]
