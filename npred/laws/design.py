@@ -150,8 +150,8 @@ class Design:
         rates = self.trace.f(np.array(X, dtype=object), np.array(u, dtype=object), self.t)
         held = [a for a in u if isinstance(a, Symbol)]  # u is an expression of X, but no part of f_X
         by_error = programs.derivative(rates, [*X, *held], [*error, *[0.0] * len(held)])
-        wanted = [_dot(row, error) for row in closed]
-        return solved(self._by_input(np.array(X, dtype=object)), [a - b for a, b in zip(by_error, wanted, strict=True)])
+        goals = [_dot(row, error) for row in closed]
+        return solved(self._by_input(np.array(X, dtype=object)), [a - b for a, b in zip(by_error, goals, strict=True)])
 
     @cached_property
     def linearised(self) -> tuple[np.ndarray, np.ndarray]:
