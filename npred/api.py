@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from npred import plants
-from npred.errors import ConfigError
 from npred.loop.controller import Controller
 from npred.loop.delay_law import DelayLaw
 from npred.loop.watchdog import Watchdog
 from npred.parallel import devices
 from npred.plants import Plant
+from npred.plants.base import require
 from npred.predictors import Predictor, numerical
 from npred.safety import SafetyFilter
 from npred.terminal import waiting
@@ -34,8 +34,7 @@ def predictor(method: str, plant: Plant, nx: int = 101) -> Predictor:
     `method` may also be that of an installed package, or a class of a file, `my_method.py:Ralston`.
     Raises ConfigError for an unknown or broken method, for fewer than two nodes, or for what is no plant.
     """
-    if not isinstance(plant, Plant):
-        raise ConfigError(f"plant: expected a Plant, got {plant!r}; make one with npred.plant")
+    require(plant)
     return numerical(method, plant, nx)
 
 

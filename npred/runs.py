@@ -213,7 +213,11 @@ def table(source: Source) -> dict[str, Any]:
         law = {"kappa": dict(source.law_table)} if source.law_table else {}
         name = re.sub(r"\W+", "_", source.name)
         return {"name": name, "plant": source.spec, "parameters": dict(source.parameters)} | law
-    if not isinstance(source, str | Path):
+    if not isinstance(source, str | Path | Pipeline):
+        raise ConfigError(
+            f"source: expected a pipeline or a plant, by name, file or as an object, got {source!r}; name one"
+        )
+    if isinstance(source, Pipeline):
         return source.model_dump(exclude_unset=True)
     if _file(source):
         return config.table(defaults.pipeline(source))

@@ -10,6 +10,7 @@ import pytest
 
 import npred
 from npred.errors import ConfigError, MissingError
+from npred.predictors import RK4
 
 
 def test_public_names_are_the_documented_ones():
@@ -113,3 +114,23 @@ def test_documented_modules_are_there_before_they_are_imported():
 
 def test_type_checkers_are_told_that_the_package_has_types():
     assert (Path(npred.__file__).parent / "py.typed").is_file()
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: npred.delay_margin("scalar", 1.0), "plant: expected a Plant, got 'scalar'; make one with npred.plant"),  # type: ignore[arg-type]
+        (lambda: npred.identify("scalar", [0], [0], [0]), "plant: expected a Plant, got 'scalar'; make one"),  # type: ignore[arg-type]
+        (lambda: npred.observers.EKF("scalar"), "plant: expected a Plant, got 'scalar'; make one"),  # type: ignore[arg-type]
+        (lambda: npred.observers.EKF(npred.plant("scalar"), outputs="X"), 'got \'X\'; write ("X",)'),
+        (lambda: npred.plant("scalar").safe([1.0]), "plant scalar: expected safe(x, t, p, M), found none; declare it"),
+        (lambda: npred.plant("scalar").delay([1.0]), "plant scalar: expected delay(x, t, p, M), found none; declare"),
+        (lambda: npred.evaluate(3), "source: expected a pipeline or a plant, by name, file or as an object, got 3"),  # type: ignore[arg-type]
+        (lambda: npred.load("smoke"), "smoke: expected PIPELINE:MODEL, got no model; write smoke:deeponet, say"),
+        (lambda: npred.guarded(RK4(npred.plant("scalar")), exact="rk4"), "exact: expected a Predictor, got 'rk4'"),  # type: ignore[arg-type]
+    ],
+)  # fmt: skip
+def test_a_mistake_is_one_line_with_a_cure(call, message):
+    with pytest.raises(ConfigError) as error:
+        call()
+    assert message in str(error.value) and "\n" not in str(error.value)

@@ -136,8 +136,11 @@ def _result(final: list[Outcome]) -> dict[str, object]:
 
 
 def _table(options: Work, stages: Sequence[Step | Outcome]) -> str:
-    head = ["stage", "key", "action", "seconds", "reason"]
-    rows = [[s.node.title, short(s.key or "-"), s.action, f"{s.seconds:.1f}", s.reason] for s in stages]
+    seconds = [] if options.dry_run else ["seconds"]  # of a plan nothing has taken time
+    head = ["stage", "key", "action", *seconds, "reason"]
+    rows = [
+        [s.node.title, short(s.key or "-"), s.action, *(f"{s.seconds:.1f}" for _ in seconds), s.reason] for s in stages
+    ]
     return columns(head, rows, options.console.width)
 
 

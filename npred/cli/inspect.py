@@ -6,7 +6,7 @@ from pathlib import Path
 
 from npred.cli import reproduce
 from npred.cli.options import Common, Planned, drawable
-from npred.errors import ConfigError, NpredError, UnmetError
+from npred.errors import ConfigError, NpredError, UnmetError, similar
 from npred.json_files import escaped
 from npred.pipeline import STAGES, Step, experiments, nodes, usual
 from npred.pipeline.reasons import changes, differences, flat
@@ -42,11 +42,14 @@ def _experiments(options: Common, name: str) -> list[Step]:
 
 
 def _asked(options: Planned, stage: str) -> list[Step]:
+    if stage.endswith(".toml"):
+        raise ConfigError(f"why: expected a stage or a network, got a pipeline; write npred why train {stage}")
     steps = options.planner().plan(nodes(options.config, usual(options.config)))
     asked = [step for step in steps if stage in (step.node.stage, step.node.model)]
     if not asked:
-        names = ", ".join(dict.fromkeys(name for s in steps for name in (s.node.stage, s.node.name)))
-        raise ConfigError(f"why: expected one of {names}, got {stage!r}; name one of them")
+        names = dict.fromkeys(name for s in steps for name in (s.node.stage, s.node.name))
+        todo = similar(stage, names) or "; name one of them"
+        raise ConfigError(f"why: expected one of {', '.join(names)}, got {stage!r}{todo}")
     return asked
 
 
@@ -151,7 +154,7 @@ def check(
         figures.write(figures.margin(asked, plot.stem, D), plot.parent, formats=[plot.suffix[1:]])
     if not fine:
         failed = ", ".join(answer.check for answer in answers if answer.verdict == "no")
-        raise UnmetError(f"plants check {plant}: expected no answer of no, got {failed}; the table says what to change")
+        raise UnmetError(f"plants check {plant}: the answer is no for {failed}; the table says what to change")
 
 
 def _step(step: Step) -> dict[str, object]:

@@ -91,8 +91,11 @@ class Planned(Common):
 
     @cached_property
     def pipeline(self) -> Path:
-        """The pipeline file."""
-        return defaults.pipeline(self.pipeline_name)
+        """The pipeline file; one that was not named is said."""
+        path = defaults.pipeline(self.pipeline_name)
+        if self.pipeline_name is None:
+            self.console.note(f"pipeline {path}")
+        return path
 
     @cached_property
     def config(self) -> "Pipeline":

@@ -77,12 +77,16 @@ class Recorded(Work):
         named = {
             "time": self.time, "time_unit": self.time_unit, "longest": self.longest, "model_error": self.model_error,
             "free": self.free, "offset": self.offset or None, "time_varying": self.time_varying or None,
-            "columns": dict(_pair(text, "NAME=COLUMN") for text in [*(self.input or []), *(self.state or [])]),
-            "scale": _numbers(self.scale, "COLUMN=FACTOR"),
-            "shift": _numbers(self.shift, "COLUMN=NUMBER"),
+            "columns": dict(
+                _pair(text, f"{name} NAME=COLUMN")
+                for name, texts in (("--input", self.input), ("--state", self.state))
+                for text in texts or []
+            ),
+            "scale": _numbers(self.scale, "--scale COLUMN=FACTOR"),
+            "shift": _numbers(self.shift, "--shift COLUMN=NUMBER"),
             "bounds": {
                 key: [_number(end) for end in value.split(":")]
-                for key, value in (_pair(text, "NAME=LOW:HIGH") for text in self.bounds or [])
+                for key, value in (_pair(text, "--bounds NAME=LOW:HIGH") for text in self.bounds or [])
             },
         }  # fmt: skip
         return {key: value for key, value in named.items() if value}

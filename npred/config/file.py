@@ -1,6 +1,7 @@
 """Pipeline files: read, overridden by `--set`, parsed; and what is wrong with one, in one line."""
 
 import os
+import re
 import stat
 import tomllib
 from collections.abc import Iterable, Iterator
@@ -20,6 +21,22 @@ LONGEST = 2**20  # bytes of a pipeline file
 GONE = {  # tables and keys of earlier versions
     "refine": "expected no such table, for that stage was taken out; drop it, and check networks by [evaluate.guard]",
     "evaluate.guard.correct": "expected no such key, for the correction was taken out: it hid errors; drop it",
+}
+
+
+WORDS = {  # of what pydantic expects, in turn
+    "^Input should be ": "",
+    "^a valid (list|tuple|dictionary|boolean|string).*": r"a \1",
+    "^a tuple$": "a range [low, high]",
+    "^a dictionary$": "a table",
+    "^a boolean$": "true or false",
+    "^a string$": "a text in quotes",
+    "^a valid integer.*": "a whole number",
+    "^a valid number.*": "a number",
+    "^greater than or equal to (.*)": r"a number of at least \1",
+    "^greater than (.*)": r"a number above \1",
+    "^less than or equal to (.*)": r"a number of at most \1",
+    "^less than (.*)": r"a number below \1",
 }
 
 
@@ -117,10 +134,17 @@ def _sentence(error: ValidationError) -> str:
         return f"{where}: expected a value, found none; add it{example}"
     if first["type"] == "too_short":
         return f"{where}: expected at least one value, got {first['input']!r}; give one"
-    expected = [
-        e["msg"].removeprefix("Input should be ") for e in error.errors() if e["loc"][: len(fields)] == tuple(fields)
-    ]
-    return f"{where}: expected {' or '.join(dict.fromkeys(expected))}, got {first['input']!r}; give such a value"
+    words = [_words(e["msg"]) for e in error.errors() if e["loc"][: len(fields)] == tuple(fields)]
+    # "a number or a number above 0" is a number above 0
+    expected = [word for word in dict.fromkeys(words) if not any(other.startswith(f"{word} ") for other in words)]
+    return f"{where}: expected {' or '.join(expected)}, got {first['input']!r}; write such a value"
+
+
+def _words(message: str) -> str:
+    """What pydantic expects, in the words of npred."""
+    for form, words in WORDS.items():
+        message = re.sub(form, words, message)
+    return message
 
 
 def _siblings(loc: tuple[int | str, ...]) -> list[str]:

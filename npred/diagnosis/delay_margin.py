@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from npred import array_checks
 from npred.diagnosis.case import Case, Verdict
 from npred.errors import ConfigError
-from npred.plants.base import Plant
+from npred.plants.base import Plant, require
 
 SEARCHED = 10.0  # times D plus the loop's slowest time constant: D_hat is looked at up to there
 FIRST, LEAST, LONGER = 1e-2, 1e-3, 1.5  # the first and the shortest step of D_hat, in D; how much a next one may grow
@@ -49,6 +49,7 @@ def delay_margin(plant: Plant, D: float) -> tuple[float, float]:
     Raises ConfigError for a plant that declares its delay, has no equilibrium, or has a kappa that does not stabilise
     without delay, and for a D that is no time above 0.
     """
+    require(plant)
     D = array_checks.number("D", D)
     if not 0 < D < np.inf:
         raise ConfigError(f"D: expected a time above 0, got {plant.time_text(D)}; give the plant's delay")

@@ -13,6 +13,7 @@ from npred.identification.identified import Findings, Identified, Windows
 from npred.identification.log import Log
 from npred.identification.preparation import MODEL_ERROR, Settings, arrays, prepared
 from npred.plants import Plant
+from npred.plants.base import require
 from npred.terminal import waiting
 
 WINDOW = 8, 20  # segments of a window, and windows, at most
@@ -39,6 +40,7 @@ def identify(
     Raises ConfigError for arrays that do not fit together, an unknown parameter, a log that is too short, and a plant
     that declares its delay.
     """
+    require(plant)
     settings = Settings(tuple(free), bounds, longest, offset, time_varying, model_error, seed)
     log = Log.of(*arrays(plant, t, U, X))
     with waiting.said("identifying: fits of many delays", 3e-5 * len(log.t) + 1.0):

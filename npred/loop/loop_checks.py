@@ -131,12 +131,19 @@ def history(plant: Plant, reach: float, dt: float) -> None:
     array_checks.room("D", "the history", 16 * plant.m * reach / dt, cure)
 
 
+MADE = {
+    "plant": "make one with npred.plant",
+    "predictor": "make one with npred.predictor or npred.load",
+    "adaptation": "make one, as npred.DelayObserver(bounds=(0.1, 4.0)), or give None, which freezes D_hat",
+}
+
+
 def parts(plant: Any, predictor: Any, adaptation: Any, every: Any = 1) -> None:
     """Raise ConfigError for a part of the wrong kind, or a predictor of another plant."""
     kinds = {"plant": (plant, Plant), "predictor": (predictor, Predictor), "adaptation": (adaptation, DelayLaw)}
     for name, (thing, kind) in kinds.items():
         if not isinstance(thing, kind) and (thing is not None or name == "plant"):
-            raise ConfigError(f"{name}: expected a {kind.__name__}, got {thing!r}; see npred.simulate")
+            raise ConfigError(f"{name}: expected a {kind.__name__}, got {thing!r}; {MADE[name]}")
     if predictor is not None:
         _same_plant(plant, predictor)
     if adaptation is not None:

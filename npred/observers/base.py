@@ -13,7 +13,7 @@ from npred.errors import ConfigError, similar
 from npred.kernels.formula import vector
 from npred.kernels.functions import Formulas
 from npred.kernels.kernel import Kernel, made, skeleton
-from npred.plants.base import Plant
+from npred.plants.base import Plant, require
 from npred.symbolic import Value, programs, tape
 from npred.symbolic.trace import Trace, python
 
@@ -60,8 +60,9 @@ class Observer(ABC):
         self, plant: Plant, *, offset: Any = False, X0: Any = None, outputs: Sequence[str] | None = None
     ) -> None:
         self.plant = plant
-        if not isinstance(plant, Plant) or not plant.traced:
-            came = f"{plant.name}, which says traced = False" if isinstance(plant, Plant) else repr(plant)
+        require(plant)
+        if not plant.traced:
+            came = f"{plant.name}, which says traced = False"
             raise ConfigError(f"{self.label}: expected a plant that is traced, got {came}; write f with M's functions")
         self.outputs = self._outputs(outputs)
         self.offset = offset is not False
@@ -179,7 +180,7 @@ class Observer(ABC):
         states = self.plant.states
         for name in [outputs] if isinstance(outputs, str) else outputs:
             if isinstance(outputs, str) or name not in states:
-                near = similar(name, states)
+                near = f'; write ("{outputs}",)' if isinstance(outputs, str) else similar(name, states)
                 names = ", ".join(states)
                 raise ConfigError(f"{self.label}: outputs expected a tuple of states, {names}, got {outputs!r}{near}")
         return tuple(outputs)

@@ -36,6 +36,8 @@ def load_model(spec: str, root: Path | None = None, overrides: list[str] | None 
     except ValueError as error:
         raise ConfigError(f"{spec}: {error}") from None
     path, colon, name = asked.model.rpartition(":")
+    if not colon and (name.endswith(".toml") or name in defaults.shipped()) and name not in config.Train().names:
+        raise ConfigError(f"{spec}: expected PIPELINE:MODEL, got no model; write {spec}:deeponet, say")
     if colon or _of_default(name):
         file = defaults.pipeline(path)
         pipeline = config.load(file, overrides)

@@ -140,7 +140,8 @@ class Plant(InNotebook):
         return self._on("V", array_math.taken(X), None, array_math.taken(t))[0]
 
     def delay(self, X: Array, t: Value = 0.0) -> Array:
-        """delay(X, t) in seconds, X (..., n) to (...), of a plant that declares it."""
+        """delay(X, t) in seconds, X (..., n) to (...), of a plant that declares it. Raises ConfigError for another."""
+        self._declares("delay")
         return self._stacked("delay", X, None, t)[..., 0]
 
     def output(self, X: Array, t: Value = 0.0) -> Array:
@@ -148,7 +149,11 @@ class Plant(InNotebook):
         return self._stacked("output", X, None, t) if self.declares_output else array_math.taken(X)
 
     def safe(self, X: Array, t: Value = 0.0) -> Array:
-        """What is at least 0 where X (..., n) is safe: safe(X, t) (..., limits), of a plant that declares it."""
+        """What is at least 0 where X (..., n) is safe: safe(X, t) (..., limits), of a plant that declares it.
+
+        Raises ConfigError for another plant.
+        """
+        self._declares("safe")
         return self._stacked("safe", X, None, t)
 
     @cached_property
@@ -172,6 +177,11 @@ class Plant(InNotebook):
             if high < np.inf:
                 components[k] = M.where(components[k] > high, high, components[k])
         return components
+
+    def _declares(self, name: str) -> None:
+        """Raise ConfigError unless the plant declares that function."""
+        if not hasattr(self.declaration, name):
+            raise ConfigError(f"plant {self.name}: expected {name}(x, t, p, M), found none; declare it")
 
     def _stacked(self, name: str, X: Array, u: Array | None, t: Value) -> Array:
         """A declared function, its values as the last axis; lists are taken as arrays."""
@@ -443,6 +453,12 @@ class Plant(InNotebook):
         inputs = {"f": (x, u, t), "reference": (t,)}.get(name, (x, t))
         outputs = np.ravel(np.array(getattr(trace, name)(*inputs), dtype=object))
         return programs.lines(outputs, {}, names("y", len(outputs)))
+
+
+def require(plant: object) -> None:
+    """Raise ConfigError for what is no plant."""
+    if not isinstance(plant, Plant):
+        raise ConfigError(f"plant: expected a Plant, got {plant!r}; make one with npred.plant")
 
 
 def _few(words: Sequence[str]) -> str:

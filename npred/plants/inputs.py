@@ -28,8 +28,12 @@ def bounds(plant: Plant, bounds: ArrayLike | None) -> np.ndarray:
         pairs = [(-np.inf, np.inf)] * plant.m
     array = array_checks.floats("input_bounds", pairs)
     array = array[None] if array.shape == (2,) else array
-    if array.shape != (plant.m, 2) or not (array[:, 0] <= array[:, 1]).all():
-        raise ConfigError(f"input_bounds: expected {plant.m} pairs (low, high), got {pairs}; give one pair per input")
+    if array.shape != (plant.m, 2):
+        names = ", ".join(plant.inputs)
+        raise ConfigError(f"input_bounds: expected a pair (low, high) for each of {names}, got {pairs}; give {plant.m}")
+    for name, (low, high) in zip(plant.inputs, array.tolist(), strict=True):
+        if not low <= high:
+            raise ConfigError(f"input_bounds: expected low <= high for {name}, got ({low:g}, {high:g}); swap them")
     return array
 
 

@@ -49,6 +49,8 @@ class Guarded(Predictor):
     ) -> None:  # fmt: skip
         if not isinstance(model, Predictor):
             raise ConfigError(f"guarded: expected a Predictor, got {model!r}; load one with npred.load")
+        if exact is not None and not isinstance(exact, Predictor):
+            raise ConfigError(f"exact: expected a Predictor, got {exact!r}; make one with npred.predictor")
         super().__init__(model.plant, model.nx)
         if not array_checks.number("tolerance", tolerance) > 0:
             raise ConfigError(f"tolerance: expected a number above 0, in units of U, got {tolerance!r}; give another")

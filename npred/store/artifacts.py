@@ -13,7 +13,8 @@ from typing import Any, Self
 
 from npred import json_files
 from npred.defaults import RESULT
-from npred.errors import ConfigError, StoreError, disk_is_full
+from npred.errors import ConfigError, StoreError, disk_is_full, similar
+from npred.registry import NETWORKS, STAGES
 from npred.store import claims
 from npred.store.manifest import NAME, Manifest, Question, Sources, cure, short
 
@@ -193,7 +194,9 @@ class Store:
         ]
         if len(matching) != 1 or not prefix:
             names = ", ".join(a.name for a in matching[:4]) or "none"
-            raise ConfigError(f"{reference}: expected one artifact of {self.root}, got {names}; see npred ls")
+            stored = {*STAGES, *NETWORKS.names(), *(q.model for _, q in asked if q.model)}
+            todo = similar(reference, stored - {reference}) or "; see npred ls"
+            raise ConfigError(f"{reference}: expected one artifact of {self.root}, got {names}{todo}")
         return matching[0]
 
     def delete(self, path: Path, due: Callable[[Path], bool] = lambda path: True) -> bool:

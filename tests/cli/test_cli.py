@@ -290,7 +290,7 @@ def test_the_executor_may_be_set_for_good_and_is_in_no_key(call: Call, monkeypat
     [
         (["run", "none.toml"], 2, "none.toml: expected a pipeline file"),
         (["run", "tiny.toml", "--set", "generate.dtt=1"], 2, "generate.dtt: unknown key"),
-        (["run", "tiny.toml", "--set", "bench.dx=[-0.1]"], 2, "bench.dx.0: expected greater than 0, got -0.1"),
+        (["run", "tiny.toml", "--set", "bench.dx=[-0.1]"], 2, "bench.dx.0: expected a number above 0, got -0.1"),
         (["run", "tiny.toml", "--set", "plant=nonesuch"], 2, "nonesuch"),
         (["run", "tiny.toml", "--set", "plant=broken.py:Tank"], 2, "broken.py"),
         (["run", "tiny.toml", "--set", "parameters.zz=1"], 2, "zz"),
@@ -305,6 +305,19 @@ def test_the_executor_may_be_set_for_good_and_is_in_no_key(call: Call, monkeypat
         (["why", "tuning", "tiny.toml"], 2, "got 'tuning'"),
         (["show"], 2, "empty store"),
         (["show", "train/0123"], 2, "expected one artifact"),
+        (["show", "generte"], 2, "generte: expected one artifact of artifacts, got none; did you mean generate?"),
+        (["why", "generte", "tiny.toml"], 2, "got 'generte'; did you mean generate?"),
+        (
+            ["why", "tiny.toml"],
+            2,
+            "why: expected a stage or a network, got a pipeline; write npred why train tiny.toml",
+        ),
+        (
+            ["run", "tiny.toml", "--set", "generate.D=-1"],
+            2,
+            "generate.D: expected a range [low, high] or a number above 0",
+        ),
+        (["identify", "log.csv", "--plant", "scalar", "--input", "q"], 2, "expected --input NAME=COLUMN, got 'q'"),
         (["diff", "0123", "4567"], 2, "expected one artifact"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else None,
@@ -498,3 +511,10 @@ def test_every_stage_is_a_command_with_its_line_of_the_table(call: Call, name: s
     result = call(name, "--help")
     words = " ".join(result.stdout.replace("│", " ").split())
     assert result.exit_code == 0 and declared_stage(name).help in words and "--dry-run" in words
+
+
+def test_the_pipeline_that_is_taken_is_named_and_a_plan_has_no_seconds(call: Call):
+    plan = call("run", "--dry-run")
+    assert plan.exit_code == 0 and plan.stderr.startswith("pipeline tiny.toml")
+    assert plan.stdout.splitlines()[0].split() == ["stage", "key", "action", "reason"] and " 0.0 " not in plan.stdout
+    assert call("run", "tiny.toml", "--dry-run").stderr == "" == call("run", "--dry-run", "-q").stderr

@@ -65,7 +65,7 @@ def test_the_default_pipeline_fits_but_for_the_start_that_it_has_to_give():
         ({"evaluate": {"X0": [float("nan"), 1.0]}}, "evaluate.X0: expected finite values"),
         (
             {"generate": {"input_bounds": [[0, 1], [0, 1]]}},
-            "generate.input_bounds: expected 1 pairs",
+            r"generate.input_bounds: expected a pair \(low, high\) for each of U, .*; give 1",
         ),
         ({"evaluate": {"input_bounds": [[1, 0]]}}, r"evaluate.input_bounds\[0\]: expected .* low <= high"),
         ({"generate": {"box": {"x1": [3, 1]}}}, "generate.box.x1: expected .* low <= high"),

@@ -271,7 +271,7 @@ def test_all_states_are_the_outputs_of_a_plant_without_output():
         (lambda: EKF(built_in("chemostat"), Q=[[1.0, 2.0], [2.0, 1.0]]), "Q expected a symmetric matrix"),
         (lambda: EKF(built_in("chemostat"), P0=-1.0), "P0 expected a symmetric matrix"),
         (lambda: EKF(built_in("chemostat"), X0=[1.0, np.nan]), "X0: expected finite numbers"),
-        (lambda: EKF("chemostat"), "expected a plant that is traced, got 'chemostat'"),
+        (lambda: EKF("chemostat"), "plant: expected a Plant, got 'chemostat'"),
     ],
 )
 def test_what_does_not_fit_is_refused_in_one_line(make, words):
