@@ -42,7 +42,7 @@ def test_built_in_plants_have_no_answer_of_no(name):
         ("[p.c * M.sqrt(x.h) +", "[u.U +", "trace", "kappa failed at my_plant.py:14: .*only f knows the inputs"),
         ("- p.c *", "- p.drain *", "trace", "f failed at my_plant.py:11: .*expected one of c, level"),
         ('box = {"h": (0.5, 2.0)}', "box = {}", "box", 'plant Tank: box has no range for h; add box = {"h":'),
-        ("(0.5, 2.0)", "(-0.5, 2.0)", "finite", r"kappa \(my_plant.py:13\) is not finite at h = -0.\d+, .*shrink box"),
+        ("(0.5, 2.0)", "(-0.5, 2.0)", "finite", r"f \(my_plant.py:10\) is not finite at h = -0.\d+, .*shrink box"),
         ("(x.h - p.level) ** 2", "x.h - p.level", "finite", r"V \(my_plant.py:16\) expected at least 0 .*, got -0.\d+"),
         ("+ p.level - x.h", "+ 1 + x.h**2", "equilibrium", r"py:13\) leads to no equilibrium .* `guess`"),
         ("guess =", "input_bounds = [(0.0, 0.3)]\n    guess =", "equilibrium", "rests with U = 0.5, outside input_b"),
@@ -376,7 +376,7 @@ def test_a_pipeline_is_checked_with_its_own_settings(tmp_path):
     (tmp_path / "line.toml").write_text(PIPELINE)
     call = CliRunner().invoke(app, ["plants", "check", str(tmp_path / "line.toml"), "--json"])
     found = {row["check"]: row for row in json.loads(call.stdout)["answers"]}
-    assert call.exit_code == 0 and found["V"]["text"].endswith("no update law runs")
+    assert call.exit_code == 0 and found["V"]["text"].endswith("no law runs that takes one, and none is declared")
     assert found["box"]["text"] == "x in [-0.5, 0.5]" and "eigenvalues of the loop without delay: -2" in str(found)
     assert "31 nodes and a delay of 0.7 s" in found["stiffness"]["text"] and "u0: u = 0.25" in str(found)
     assert found["pipeline"] == {"check": "pipeline", "verdict": "yes", "text": "line fits its plant"}
