@@ -36,14 +36,12 @@ class ConstantDelay(Family):
 
     def paired(self, step: Step, cells: bool = False) -> Kernel:
         n, m, of = self.plant.n, self.plant.m, Formulas(self.plant)
-        if called_functions.fills_lanes(self.plant, step):  # written out, so that lanes fill a vector
-            y, sides = called_functions.program(self.plant, "step", step)[1], "ABREAST"
-        else:
-            x, inputs = of.trace.vector("x", 2 * n), [of.trace.vector(name, m) for name in ("a", "m", "b")]
-            y, sides = called_functions.stepped(of.trace, step, x, inputs, of.trace.input("t"), of.trace.input("h")), 1
-        arguments = [vector("x", 2 * n), vector("a", m), vector("m", m), vector("b", m), "t", "h"]
-        functions = {"STEP": of.function(y, arguments, {"y": 2 * n})}
-        return compiled("paired", family.PREDICT, "paired.h", of, functions, CELLS=int(cells), SIDES=sides)
+        x, (u0, u1) = of.trace.vector("x", 2 * n), (of.trace.vector(name, m) for name in ("a", "b"))
+        inputs = u0, 0.5 * (u0 + u1), u1
+        y = called_functions.stepped(of.trace, step, x, inputs, of.trace.input("t"), of.trace.input("h"))
+        arguments = [vector("x", 2 * n, "one"), vector("a", m), vector("b", m), "t", "h"]
+        functions = {"STEP": of.function(y, arguments, {"y": 2 * n}, "one")}
+        return compiled("paired", family.PREDICT, "paired.h", of, functions, CELLS=int(cells))
 
     def picard(self, tolerance: float, sweeps: int) -> Kernel:
         of = Formulas(self.plant)

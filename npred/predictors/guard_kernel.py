@@ -12,7 +12,6 @@ from npred.kernels.kernel import Kernel, made, skeleton
 from npred.plants.base import Plant
 from npred.predictors.base import OneStep, Predictor
 from npred.predictors.runge_kutta import RK4
-from npred.symbolic import called_functions
 
 LEVELS = 4  # of grids that the settings have room for
 HEAD = 3 + LEVELS  # numbers of the settings before those of the domain: tolerance, limit, how many levels, their counts
@@ -26,12 +25,11 @@ def kernel(plant: Plant, exact: Predictor, method: type[OneStep]) -> Callable[..
     cells, signed = model.reads_cells, method.paired
     reference = model.sweep(method.shadow(), cells, more=1) if signed else method(plant).cells()
     parts: dict[str, Any] = {"CONTROL": model.control(RK4.step), "EXACT": exact.lanes(), "REFERENCE": reference}
-    beside = cells and (signed or called_functions.fills_lanes(plant, method.chains))
     compiled, shadows = parts if plant.traced else {}, SHADOWS if signed else WITHOUT_SIGNS
 
     def work(nx: int, lanes: int, settings: np.ndarray) -> int:
         finest = int(settings[3:HEAD].max()) + 1
-        side = shadows + beside
+        side = shadows + (cells and signed)
         one = n + nx * (m + n) + 2 * (nx + 1) * m + m * side  # of a lane, and what its levels share
         grid = finest * (2 * m + side * (2 * (m + signed) + n)) + side * (n + 1)
         rest = [part.work(max(nx, finest), max(lanes, side), None) for part in compiled.values()]
@@ -41,7 +39,6 @@ def kernel(plant: Plant, exact: Predictor, method: type[OneStep]) -> Callable[..
     sizes |= {
         "ON_CELLS": int(cells),
         "SIGNED": int(signed),
-        "BESIDE": int(beside),
         "SHADOWS": shadows,
         "ORDER": method.order,
         "LEVELS": LEVELS,

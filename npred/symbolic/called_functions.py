@@ -15,7 +15,6 @@ from npred.symbolic.tape import names
 from npred.symbolic.trace import Trace
 
 LONG = 150  # lines from which on a function is called; below, all fits into registers and SIMD lanes
-LONG_IN_LANES = 3000  # lines of a step that is written out once, for lanes side by side
 LONG_STEP = 500  # lines of an implicit step, which holds its matrix and elimination
 
 Step = Callable[..., np.ndarray]  # npred.predictors.base
@@ -60,11 +59,6 @@ def stepped(
     trace.steps[name] = step
     u = inputs[0] if inputs[0] is inputs[2] else np.concatenate(inputs)
     return np.array(trace.tape.call(name, [t, *x, *u, *trace.parameters, h], 0, len(x)), dtype=object)
-
-
-def fills_lanes(plant: Declared, step: Step) -> bool:
-    """Whether a step is short enough to be written out for lanes side by side."""
-    return operations(plant, "step", step) <= LONG_IN_LANES
 
 
 def operations(plant: Declared, name: str, step: Step | None = None) -> int:

@@ -19,13 +19,6 @@ typedef struct {
 #define WIDE 64 /* lanes of a block, whose scratch memory is on the stack */
 #define LANES _Pragma("GCC ivdep") /* a loop over lanes, which do not know of each other */
 #endif
-#if defined(__AVX__)
-#define ABREAST 4 /* doubles of a vector */
-#elif defined(__SSE2__) || defined(__aarch64__)
-#define ABREAST 2
-#else
-#define ABREAST 1
-#endif
 #define JOINED(a, b) a##b
 #define JOIN(a, b) JOINED(a, b)
 #define PART(suffix) JOIN(KERNEL, suffix)

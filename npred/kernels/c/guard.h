@@ -8,8 +8,6 @@
  * before, of half as many intervals, and spread = 2 max_k |U_k - U_0| + |U_0 - B|, P passes where gap + spread is within
  * the tolerance, EXACT answers where gap - spread is above it, and in between the next level is asked.
  *
- * With BESIDE the first level is not taken by itself, but as a lane more of the second.
- *
  * A grid reads u, whose nodes stand for the cells around them, by straight lines on its cells (ON_CELLS), or, where a
  * family of kernels reads values at nodes only, by the mean around each of its nodes.
  *
@@ -18,6 +16,7 @@
 enum { TOLERANCE_AT, LIMIT_AT, LEVELS_AT, COUNTS_AT, HEAD = COUNTS_AT + LEVELS };
 #define FEATURES (N + 1 + 3 * M + 2 * PHASED)
 #define ROW (M + SIGNED) /* inputs of REFERENCE: the last is the sign of the local error */
+#define BESIDE (ON_CELLS && SIGNED) /* the first level is a lane more of the second */
 #define DOUBT 2.0
 #define RESOLVED 0.1 /* share of the states' size by which shadows that are to be believed may come apart */
 
@@ -103,18 +102,18 @@ static inline void PART(_read)(int count, int last, int side, const double *u, c
 }
 
 /* U (M, side) of the first `side` shadows Q (count + 1, N, side) on `count` intervals, from X (N) and u (nx, M) of one
- * lane. With `few` above 0 the last lane is instead the reference on so many intervals: it is through after the
- * first `few` steps, and what it does later is not read. Steps wait for each other: a lane more takes hardly longer. */
+ * lane. With `few` above 0 the last lane is instead the reference on so many intervals: it goes beside the first steps of
+ * the shadows, and then stands still. Each step waits for the one before, so that a lane more takes no longer. */
 static inline void PART(_shadows)(Shape one, int count, int few, int side, const double *X, const double *u,
                                   double D_hat, double t, const double *p, const double *mass, const double *turn,
                                   double *U, double *Q, double *scratch, double *work)
 {
     const int rows = ON_CELLS ? 2 * count : count + 1;
+    const double share = (double)few / (double)count;
     double *lines = scratch, *v = lines + rows * M, *x = v + rows * ROW * side;
     double *span = x + N * side, *rest = span + side;
     Shape grid = one;
     (void)work;
-    grid.nx = count + 1;
     grid.lanes = side;
     grid.m = ROW;
     if (ON_CELLS) {
@@ -127,25 +126,34 @@ static inline void PART(_shadows)(Shape one, int count, int few, int side, const
         x[k] = X[k / side];
     }
     for (int k = 0; k < side; k++) {
-        span[k] = D_hat;
+        span[k] = share * D_hat;
     }
     if (few > 0) {
-        span[side - 1] = D_hat * (double)count / (double)few;
+        span[side - 1] = D_hat;
         lines_on_cells(one, M, few, u, mass, turn, lines);
         for (int k = 0; k < 2 * few * ROW; k++) {
             v[k * side + side - 1] = k % ROW < M ? lines[k / ROW * M + k % ROW] : 0.0;
         }
+        grid.nx = few + 1;
+        REFERENCE(grid, x, v, span, t, p, Q, rest);
+        for (int k = 0; k < N * side; k++) {
+            x[k] = Q[few * N * side + k];
+        }
     }
-    REFERENCE(grid, x, v, span, t, p, Q, rest);
-    for (int c = 0; few > 0 && c < N; c++) {
-        Q[(count * N + c + 1) * side - 1] = Q[(few * N + c + 1) * side - 1];
+    for (int k = 0; k < side; k++) {
+        span[k] = D_hat - span[k];
     }
-    span[side - 1] = D_hat;
+    grid.nx = count - few + 1;
+    REFERENCE(grid, x, v + 2 * few * ROW * side, span, t + share * D_hat, p, Q + few * N * side, rest);
     for (int row = 1; SIGNED && row < rows; row++) { /* the law reads the inputs alone */
         for (int k = 0; k < M * side; k++) {
             v[row * M * side + k] = v[row * ROW * side + k];
         }
     }
+    for (int k = 0; k < side; k++) {
+        span[k] = D_hat;
+    }
+    grid.nx = count + 1;
     grid.m = M;
     CONTROL(grid, Q, v, span, t, p, U, rest);
 }
@@ -303,6 +311,7 @@ static inline void KERNEL(Shape d, const double *X, const double *u, const doubl
 }
 #undef FEATURES
 #undef ROW
+#undef BESIDE
 #undef DOUBT
 #undef RESOLVED
 #undef POINTERS
