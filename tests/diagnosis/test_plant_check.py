@@ -200,7 +200,7 @@ def test_the_command_says_it_to_people_and_programs(tank_file):
     assert bad.exit_code == 3
     assert json.loads(bad.stdout)["fine"] is False
     (line,) = bad.stderr.splitlines()
-    assert "got stability" in line
+    assert "the answer is no for stability" in line
     assert call("nonesuch").exit_code == 2
     assert call("scalar", "--delay", "-1").exit_code == 2
 
