@@ -14,7 +14,7 @@ from npred.results import Tuned
 from npred.stages.report import toml_text
 from npred.terminal import interruption
 from npred.terminal.console import columns
-from npred.tuning.cost import LAW
+from npred.tuning.cost import ALPHA, LAW
 from npred.tuning.tune import tune as search
 
 MADE = "# made by npred tune"
@@ -85,9 +85,12 @@ def _pipeline(source: str, tables: dict[str, Any], pipeline: Pipeline, result: T
     """The pipeline with the new numbers: gamma and b in [evaluate], and in [generate] where its law is the same."""
     after = {each.name: float(f"{each.after:.6g}") for each in result.numbers}
     law = {name: value for name, value in after.items() if name in LAW}
-    rest = {name: value for name, value in after.items() if name not in law}
+    rest = {name: value for name, value in after.items() if name not in (*law, ALPHA)}
     same = pipeline.generate.adaptation == pipeline.evaluate.adaptation
     changed = dict(tables) | {"parameters": tables.get("parameters", {}) | rest}
     for stage in ("evaluate", "generate") if same else ("evaluate",):
         changed[stage] = tables.get(stage, {}) | law
+    if ALPHA in after:
+        table = changed["evaluate"]
+        changed["evaluate"] = table | {"safety": table["safety"] | {"alpha": after[ALPHA]}}
     return f"{MADE} {source}\n# {result.sentence}\n\n{toml_text.dumps(changed)}"

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from npred.symbolic import programs
 from npred.symbolic.trace import Trace
 
 LAW = ("gamma", "b")  # numbers of the delay law, as [evaluate] calls them
+ALPHA = "safety.alpha"  # of the safety filter, likewise
 CASES = Scenario(name="cases")  # [evaluate] as it stands
 Progress = Callable[[int], None]
 
@@ -31,18 +33,21 @@ class Settling:
     settled: np.ndarray
 
     @classmethod
-    def of(cls, loops: Trajectories, plant: Plant, states: int) -> "Settling":
+    def of(cls, loops: Trajectories, plant: Plant, states: int, limited: bool = False) -> "Settling":
         """The loops (states * K,) against the target X* and input U* of `plant`, whatever was tuned in them.
 
         time: the settling time (within 1 % of size(X*), npred.loop.metrics). A loop that does not settle in T = t_end
         has (2 + q) T with q = r / (1 + r), r = sup |X - X*| / size(X*) over the last tenth: from 2 T to 3 T, less
-        where it ends nearer. One that leaves the finite numbers at t has 4 T - t, from 3 T to 4 T.
+        where it ends nearer. One that leaves the finite numbers at t has 4 T - t, from 3 T to 4 T. If `limited`, a
+        loop that breaks a limit of the plant does not settle.
         effort: the mean of |U - U*|² over [0, T], by trapezia; infinite where a loop does not settle.
         """
         target, t_end = plant.target(loops.t), float(loops.t[-1])
         time, near = metrics.settle_time(loops, target), metrics.radius(loops, target) / metrics.size(target)
         finite = np.isfinite(loops.X).all(axis=-1).mean(axis=-1)
         settled = np.isfinite(time)
+        if limited and loops.safety is not None:
+            settled = settled & ~(loops.safety < 0).any(axis=(-2, -1))
         with np.errstate(invalid="ignore", over="ignore"):
             lost = np.where(np.isfinite(near), (2 + near / (1 + near)) * t_end, (4 - finite) * t_end)
             effort = np.trapezoid(np.sum((loops.U - plant.u_target(loops.t)) ** 2, axis=-1), loops.t) / t_end
@@ -111,17 +116,20 @@ class Loops:
     def _settling(
         self, condition: Condition, plant: Plant, numbers: Mapping[str, float], progress: Progress
     ) -> Settling:
-        law = {name: numbers[name] for name in LAW if name in numbers}
+        law: dict[str, Any] = {name: numbers[name] for name in LAW if name in numbers}
+        safety = condition.table.safety
+        if safety and ALPHA in numbers:
+            law["safety"] = safety.model_copy(update={"alpha": numbers[ALPHA]})
         table = condition.table.model_copy(update=law)
         changed = Condition(table, condition.X0, condition.D, condition.D_hat, condition.t_end, condition.seed)
         predictor = numerical(table.predictor, plant, table.nx)
         loops = changed.loops(plant, predictor, every=EVERY, progress=progress)
-        return Settling.of(loops, self.plant, self.states)
+        return Settling.of(loops, self.plant, self.states, limited=safety is not None)
 
 
 def varied(plant: Plant, numbers: Mapping[str, float]) -> Plant:
     """The plant with those of the numbers that are its parameters."""
-    return plants.varied(plant, tuple((name, value) for name, value in numbers.items() if name not in LAW))
+    return plants.varied(plant, tuple((name, value) for name, value in numbers.items() if name not in (*LAW, ALPHA)))
 
 
 def gains(plant: Plant) -> list[str]:

@@ -19,7 +19,7 @@ from npred.plants import Plant
 from npred.results import JudgedLoops, Tuned, TunedNumber
 from npred.terminal import interruption
 from npred.terminal.console import Console
-from npred.tuning.cost import LAW, Loops, Progress, Settling, Yardstick, gains
+from npred.tuning.cost import ALPHA, LAW, Loops, Progress, Settling, Yardstick, gains
 
 SPREAD = 0.25  # standard deviation that a search starts with, as a share of each range
 FAR = {"gamma": 100.0, "b": 100.0}  # a default range is the present number divided and multiplied by this …
@@ -39,7 +39,7 @@ class Ranges:
     def of(cls, pipeline: Pipeline, plant: Plant, table: Tune) -> "Ranges":
         """Those of a pipeline. Raises ConfigError for a name that is no gain, and where nothing is free."""
         law = delay_law.resolve(pipeline.evaluate, plant)
-        chosen = [name for name in table.free if name not in LAW or law is None]
+        chosen = [name for name in table.free if name != ALPHA and (name not in LAW or law is None)]
         offered = gains(plant) if chosen else []
         for name in chosen:
             if name not in offered:
@@ -48,6 +48,8 @@ class Ranges:
                     f"got {name!r}{similar(name, offered)}"
                 )
         present = ({"gamma": law.gamma, "b": law.b} if law else {}) | {name: plant.parameters[name] for name in chosen}
+        if ALPHA in table.free:
+            present |= {ALPHA: _alpha(pipeline)}
         spans = {name: table.bounds.get(name) or _span(name, value) for name, value in present.items()}
         free = {name: value for name, value in present.items() if spans[name][0] < spans[name][1]}
         if not free:
@@ -68,6 +70,15 @@ class Ranges:
         ends = zip(self.low, self.high, np.clip([*self.present.values()], self.low, self.high), strict=True)
         z = [np.log(x / low) / np.log(high / low) if low > 0 else (x - low) / (high - low) for low, high, x in ends]
         return np.array(z)
+
+
+def _alpha(pipeline: Pipeline) -> float:
+    """That of the safety filter in [evaluate]. Raises ConfigError where there is none."""
+    if pipeline.evaluate.safety is None:
+        raise ConfigError(
+            f"free: {ALPHA} expected a safety filter in [evaluate], found none; add safety = {{ alpha = 1.0 }}"
+        )
+    return pipeline.evaluate.safety.alpha
 
 
 def _span(name: str, value: float) -> tuple[float, float]:

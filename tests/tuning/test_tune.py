@@ -32,6 +32,13 @@ class Line:
     def V(x, t, p, M):
         return x.x**2
 """
+LIMITED = (
+    PLANT.replace("{", "{{").replace("}", "}}")
+    + """
+    def safe(x, t, p, M):
+        return [{}]
+"""
+)
 A, D, T = 0.5, 0.4, 12.0
 TABLES: dict[str, Any] = {
     "plant": "line.py:Line",
@@ -160,6 +167,32 @@ def test_the_interval_is_that_of_pairs():
     assert (gain, low, high) == pytest.approx((0.2, 0.2, 0.2))  # what the starts differ in falls out
     gain, (low, high) = gained(before, before[::-1], np.random.default_rng(2))
     assert gain == pytest.approx(0) and low < 0 < high
+
+
+def test_alpha_of_a_filter_is_as_large_as_keeps_the_limits(folder: Path):
+    """With h = x + 0.2 the filter lets x fall at alpha (x + 0.2) at the most: a small alpha is slower than the law."""
+    (folder / "line.py").write_text(LIMITED.format("x.x + 0.2"))
+    table = {"safety": {"alpha": 0.4, "delay": 0.0}, "actuator": "history", "u0": [0.0]}
+    search = {"free": ["safety.alpha"], "bounds": {"safety.alpha": [0.2, 8.0]}, "evaluations": 18}
+    chosen = pipeline(evaluate=table, tune=search)
+    plant = plants.resolve(chosen.plant)
+    loops = Loops(chosen, plant, 3, "training")
+    slow, quick = (loops.run({"safety.alpha": alpha}, lambda steps: None).time.mean() for alpha in (0.4, 4.0))
+    assert quick < slow
+    result = tuned(chosen)
+    assert result.numbers[0].name == "safety.alpha" and result.numbers[0].after > 0.4 and result.gained
+    without = pipeline(tune={"free": ["safety.alpha"], "bounds": {}})
+    with pytest.raises(ConfigError, match="expected a safety filter"):
+        tuned(without)
+
+
+def test_a_loop_that_breaks_a_limit_does_not_settle(folder: Path):
+    (folder / "line.py").write_text(LIMITED.format("1.6 - x.x"))
+    chosen = pipeline(evaluate={"safety": {"alpha": 1.0}, "actuator": "history", "u0": [0.0]})
+    outcome = Loops(chosen, plants.resolve(chosen.plant), 5, "training").run({"k": 1.0}, lambda steps: None)
+    beyond = starts(chosen, "training", 5) * np.exp(A * D) > 1.6  # before the first command arrives
+    assert 0 < beyond.sum() < 5
+    assert outcome.settled[:, 0].tolist() == (~beyond).tolist() and (outcome.time[beyond] >= 2 * T).all()
 
 
 def test_gains_are_what_kappa_alone_reads():
