@@ -31,7 +31,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from limits import Arm
+from limits import Arm, Pole
 from scipy.linalg import expm, solve_continuous_lyapunov
 
 import npred
@@ -68,13 +68,16 @@ class Aircraft(pvtol.PVTOL):
 
 @dataclass(frozen=True)
 class Task:
-    """A plant with limits, its delay, the bounds of its inputs, the filter's alpha, and the angle that may not tip."""
+    """A plant with limits, its delay, the bounds of its inputs, the filter's alpha, the angle that may not tip, and the
+    plant with the filter's limits, where these are others.
+    """
 
     limited: Plant
     D: float
     bounds: Sequence[tuple[float, float]]
     alpha: float
     upright: int | None = None
+    filtered: Plant | None = None
 
     @property
     def pending(self) -> int:
@@ -83,7 +86,7 @@ class Task:
 
 
 TASKS = {
-    "cart_pole": Task(npred.plant(Cart), 0.3, [(-3.0, 3.0)], 2.0, 2),
+    "cart_pole": Task(npred.plant(Cart), 0.3, [(-3.0, 3.0)], 3.0, 2, npred.plant(Pole)),
     "pvtol": Task(npred.plant(Aircraft), 0.2, [(0.0, 2.0), (-1.0, 1.0)], 5.0, 2),
     "planar_arm2": Task(npred.plant(Arm), 0.1, [(-20.0, 20.0), (-10.0, 10.0)], 5.0),
 }
@@ -223,13 +226,14 @@ def contenders(task: Task, bounded: bool, solver: str) -> dict[str, Callable[[],
     plant, D, nx = task.limited, task.D, task.pending + 1
     bounds = task.bounds if bounded else [(-np.inf, np.inf)] * plant.m
     rk4, euler = (npred.predictor(method, plant, nx) for method in ("rk4", "euler"))
+    filtered = npred.predictor("rk4", task.filtered or plant, nx)
     each = {
         "P = X": lambda: by_law(task, rk4, 0.0, bounds),
         "replayed commands": lambda: by_law(task, euler, D, bounds),
         "linear predictor": lambda: by_law(task, LinearPredictor(plant, nx), D, bounds),
         "RK4 predictor": lambda: by_law(task, rk4, D, bounds),
         "RK4 predictor, lqr": lambda: by_law(task, npred.predictor("rk4", designed(plant), nx), D, bounds),
-        "RK4 predictor, filter": lambda: by_law(task, rk4, D, bounds, task.alpha),
+        "RK4 predictor, filter": lambda: by_law(task, filtered, D, bounds, task.alpha),
         "NMPC, predicted state": lambda: Nmpc(task, plant, bounded, False, solver).step,
         "NMPC, pending inputs": lambda: Nmpc(task, plant, bounded, True, solver).step,
     }
