@@ -80,7 +80,7 @@ def _fault_of_option(error: Any, arguments: Sequence[str]) -> str:
         options = [name for parameter in command.params for name in parameter.opts]
         return f"{option}: expected an option of {error.ctx.command_path}, found no such{similar(option, options)}"
     expected = next((words for form, words in FAULTS.items() if re.search(form, error.message)), "")
-    names = error.param.opts if expected and getattr(error, "param", None) else ()
+    names: Sequence[str] = error.param.opts if expected and getattr(error, "param", None) else []
     values = [
         text.partition("=")[2] or following
         for text, following in zip_longest(arguments, arguments[1:], fillvalue="")
