@@ -110,7 +110,7 @@ def test_a_file_of_somebody_else_is_left_alone(folder: Path):
         (("log.csv", "--plant", "my_plant.py:Tank", "--input", "q=Q1"), "expected a column for one of h"),
         (("log.csv", *FLAGS, "--input", "p=Q1"), "expected inputs or outputs of plant Tank, got p"),
         (("log.csv", *FLAGS, "--bounds", "area=2"), "identify.bounds.area"),
-        (("log.csv", *FLAGS, "--scale", "level"), "expected COLUMN=FACTOR, got 'level'"),
+        (("log.csv", *FLAGS, "--scale", "level"), "expected --scale COLUMN=FACTOR, got 'level'"),
         (("log.csv", *FLAGS, "--free", "araa"), "got 'araa'"),
     ],
 )
