@@ -166,7 +166,9 @@ function redraw() {
 }
 
 async function update() {
-  const of = scene(), predicts = form.elements.predicts.checked, exports = await load(of);
+  const of = scene(), exports = await load(of);
+  if (of !== scene()) return; // another was chosen meanwhile, and has its own update
+  const predicts = form.elements.predicts.checked;
   const values = Object.fromEntries(SLIDERS.map((name) => [name, valueOf(name)]));
   for (const name of SLIDERS) {
     const input = slider(name), text = textOf(name, values[name]);
@@ -181,6 +183,7 @@ async function update() {
 }
 
 function choose() {
+  shown = undefined; // what the new figures are not of
   SLIDERS.forEach(place);
   form.elements.predicts.checked = true;
   panels.replaceChildren(...figures(scene()).map(frame));

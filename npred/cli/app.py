@@ -62,7 +62,7 @@ def _report_usage(error: Any, arguments: Sequence[str]) -> int:
     """Say it on stderr, with the usage where the parser says of which command; the exit code."""
     got, context = " ".join(error.format_message().split()).rstrip("."), error.ctx
     if context and (fault := _fault_of_option(error, arguments)):
-        Console().error(f"{fault}; see {context.command_path} --help")
+        Console().error(fault if fault.endswith("?") else f"{fault}; see {context.command_path} --help")
         return error.exit_code
     path, expected = "npred", ""  # of an option without its value
     if context:

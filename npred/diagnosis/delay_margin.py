@@ -26,10 +26,7 @@ SEARCHED = 10.0  # times D plus the loop's slowest time constant: D_hat is looke
 FIRST, LEAST, LONGER = 1e-2, 1e-3, 1.5  # the first and the shortest step of D_hat, in D; how much a next one may grow
 SHARE = 0.5  # of the distance from I - T to a singular matrix: a step of D_hat changes T by less
 TOLERANCE = 1e-9  # of D: the margin's
-FIRST_C, NEAR = (
-    0.1 / np.pi,
-    1e-6,
-)  # of the slowest rate: a first step in c, which meets no eigenvalue; and where it ends
+FIRST_C, NEAR = 0.1 / np.pi, 1e-6  # of the slowest rate: a first step in c, which meets no eigenvalue; and the last
 QUIET = 0.5  # frequencies end where |T| stays below
 HIGHEST = 1e6  # times the fastest rate of the loop: the highest frequency that is looked for
 PHASE = 0.2  # rad, by which the delays turn T between two frequencies

@@ -21,14 +21,14 @@ def offers(plant: Plant, case: Case) -> list[Answer]:
 
 def instead(plant: Plant, case: Case) -> Answer:
     """The first other law that is designed from f alone and converges from half the box, or that no such law does."""
-    tried = []
+    tried, faults = [], {"warn": "does not converge from half the box", "no": "does not fit the plant"}
     for name in LAWS.names():
         if name != plant.law_table["law"] and not _takes_more(name):
             answer = offer(name, plant, case)
             if answer.verdict == "yes":
                 return Answer("other law", "yes", f"{name}: {answer.text}")
-            tried.append(name)
-    return Answer("other law", "warn", f"{', '.join(tried)}: does not converge from half the box either")
+            tried.append(f"{name} {faults[answer.verdict]}")
+    return Answer("other law", "warn", f"none: {', '.join(tried)}")
 
 
 def offer(name: str, plant: Plant, case: Case) -> Answer:

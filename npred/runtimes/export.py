@@ -29,8 +29,8 @@ def export(
     npred.h, in C99 with a test inside; "fmu": a Functional Mock-up Unit of FMI 3.0, with a library for each of
     `platforms`, as ["linux64", "win64"], by default for this machine; "onnx": the graph P and U of the controller's
     network, compared with it before it is kept. `precision` of "c" and "fmu" is "double" or "float".
-    Returns the files. Raises ConfigError for another form and for a part that has no such form, MissingError for a
-    package that is not there, NpredError for a file that cannot be written or a graph that differs.
+    Returns the files. Raises ConfigError for another form, for a part that has no such form and for a file that cannot
+    be written, MissingError for a package that is not there, NpredError for a graph that differs.
     """
     forms: dict[str, Callable[[], list[Path]]] = {
         "c": lambda: _c(controller, Path(path), precision),
@@ -42,8 +42,11 @@ def export(
     if form not in forms:
         raise ConfigError(f"export: expected one of {', '.join(forms)}, got {form!r}; name one of them")
     if platforms and form != "fmu":
-        raise ConfigError(f"platforms: expected none for {form}, whose files are for any machine, got {platforms!r}")
-    return forms[form]()
+        raise ConfigError(f"platforms: expected none for {form}, whose files are for any machine, got {platforms!r}; drop it")
+    try:
+        return forms[form]()
+    except OSError as error:
+        raise ConfigError(f"path: expected a place to write, got {str(path)!r}: {error.strerror}; name another") from None
 
 
 def steps(controller: Controller, X0: np.ndarray, D: Any, **loop: Any) -> c_controller.Test:

@@ -265,6 +265,16 @@ def test_python_says_what_cannot_be_exported(arguments, message, tmp_path, monke
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize(("form", "path"), [("c", "file"), ("c", "file/tank.c"), ("fmu", "file/tank.fmu")])
+def test_python_says_where_nothing_can_be_written(form, path, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").touch()
+    plant = npred.plant("scalar")
+    controller = npred.controller(plant, npred.predictor("rk4", plant), None, 0.01, D_hat=0.5)
+    with pytest.raises(ConfigError, match=f"path: expected a place to write, got '{path}': "):
+        npred.export(controller, form, path)
+
+
 def test_a_key_is_overridden_for_an_export(export, trained):
     flags = ("--predictor", "heun", "--nx", "21", "--set", "evaluate.dt=0.02", "--set", "evaluate.D_hat0=0.75")
     assert export("controller", *flags, model=str(trained / "p.toml")).exit_code == 0

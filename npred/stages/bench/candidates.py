@@ -70,7 +70,9 @@ class ErrorSizes(NamedTuple):
 class Reference:
     """Samples with their P on a fine grid, to take any predictor's error on.
 
-    X (B, n), u (B, nx, m), D_hat and t (B,).
+    X (B, n), u (B, nx, m), D_hat and t (B,). Between these nodes u is the cubic that RK4 reads there: on the same nodes
+    RK4 reads u as the reference does, so that its error leaves out that of reading u, and on others it reads across the
+    kinks that the cubics have at the nodes, with an error of second order.
     """
 
     def __init__(self, plant: Plant, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: np.ndarray) -> None:

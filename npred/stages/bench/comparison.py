@@ -14,6 +14,7 @@ from npred.loop import metrics
 from npred.loop.closed_loop import Trajectories, simulate
 from npred.loop.trajectory_views import pandas
 from npred.plants import Plant
+from npred.plants.base import require
 from npred.predictors import RK4, Predictor
 from npred.stages.bench import break_even, timing
 from npred.stages.bench.candidates import PROBES, Reference
@@ -76,6 +77,7 @@ def compare(
     turn. A loop has converged that ends within 1 % of the target. It takes about a second for each predictor.
     Raises ConfigError as npred.simulate does, and where no sample is left.
     """
+    require(plant)
     named = _named(predictors)
     delays = {} if plant.declares_delay else {"D": D, "D_hat": D_hat}
     about = {"X0": X0, "t_end": t_end, "dt": dt, **delays, **loop}

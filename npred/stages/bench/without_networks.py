@@ -5,6 +5,7 @@ import numpy as np
 from npred import array_checks, diagnosis, grid, randomness
 from npred.config import Pipeline
 from npred.data.dataset import Dataset
+from npred.errors import ConfigError
 from npred.figures.style import short
 from npred.operators.weights import untrained
 from npred.plants import Plant
@@ -43,6 +44,9 @@ def measure(pipeline: Pipeline, plant: Plant) -> Foreseen:
     for relative in RELATIVE:
         eps = relative * float(np.abs(reference.P).max())
         rivals = candidates.rivals(methods, reference, eps, NETWORK)
+        if not rivals:
+            names = ", ".join(methods) or "none"
+            raise ConfigError(f"bench: expected a method whose error is {short(eps)}, got {names}; name one in generate")
         crossovers.append(break_even.crossover(config, network, ErrorSizes(eps, np.nan), rivals, reference))
     return Foreseen(plant=plant.name, network=NETWORK, crossover=crossovers, sentence=sentence(crossovers))
 
@@ -69,8 +73,10 @@ def sentence(crossovers: list[Crossover]) -> str:
     pays = f"A network pays from {least} ns per evaluation of f on (here {crossovers[-1].f_ns:.0f} ns)."
     if not faster:
         return f"No network pays for {crossovers[0].plant}: {times}. {pays}"
-    which = "" if len(faster) == len(crossovers) else f" if its error is {short(faster[0].eps_sup)} or less"
-    if faster and faster[0] is crossovers[0] and which:  # the larger error only
+    which = ""
+    if crossovers[0] not in faster:
+        which = f" if its error is {short(faster[0].eps_sup)} or less"
+    elif crossovers[-1] not in faster:
         which = f", but not if its error has to be {short(crossovers[-1].eps_sup)}"
     return f"A network could pay for {crossovers[0].plant}{which}: {times}. {pays} Train one to know its error."
 

@@ -20,9 +20,7 @@ from npred.terminal.waiting import Bar
 
 NAME = "report.html"
 FOLDED = "speed"  # a table that is long
-POOR = (
-    0.02  # relative L² error of networks: those of the pipelines that are meant to be used have less than a tenth of it
-)
+POOR = 0.02  # relative L² error of a network: in pipelines that are meant to be used, less than a tenth of it
 
 
 def run(job: Job) -> Reported:

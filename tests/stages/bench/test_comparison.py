@@ -79,6 +79,11 @@ def test_what_is_no_predictor_is_refused(wrong):
         npred.compare(PLANT, wrong, **LOOP)
 
 
+def test_what_is_no_plant_is_refused():
+    with pytest.raises(ConfigError, match="plant: expected a Plant, got 'scalar'; make one with npred.plant"):
+        npred.compare("scalar", [npred.predictor("rk4", PLANT)], **LOOP)
+
+
 def test_loops_that_are_shorter_than_the_delay_leave_nothing_to_compare():
     with pytest.raises(ConfigError, match=r"t_end: expected loops longer than the delay 0.5, got 0.5; raise it"):
         npred.compare(PLANT, [npred.predictor("rk4", PLANT)], **LOOP | {"t_end": 0.5})

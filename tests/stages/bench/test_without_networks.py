@@ -121,6 +121,12 @@ def test_what_is_neither_pipeline_nor_plant_is_told():
     assert done.exit_code == 2 and "did you mean scalar?" in done.stderr
 
 
+def test_an_error_that_no_method_reaches_is_told(monkeypatch):
+    monkeypatch.setattr(without_networks, "RELATIVE", (-1.0,))
+    with pytest.raises(ConfigError, match="bench: expected a method whose error is -.*, got .*rk4"):
+        without_networks.measure(config.parse({"plant": "scalar"}, "tests"), plants.resolve("scalar"))
+
+
 def test_a_plant_without_a_box_is_refused():
     class Boxless:
         states, inputs, guess = ("x",), ("U",), (0.0,)
