@@ -107,9 +107,7 @@ def _offer(case: Case, S: np.ndarray, X: np.ndarray) -> str:
 def _term(case: Case, S: np.ndarray, i: int, j: int, rounding: float) -> str:
     """A term with its sign, as a plant's file has it: by names, or in a plant that is called by columns of X."""
     rest = np.where(np.abs(case.plant.equilibrium) > rounding * np.ptp(case.ends, axis=1), case.plant.equilibrium, 0.0)
-    names = case.plant.states if case.plant.traced else [f"X[..., {k}]" for k in range(len(S))]
-    a, b = (error(names[k], rest[k]) for k in (i, j))
-    if not case.plant.traced:
-        a, b = a.replace("x.X", "X"), b.replace("x.X", "X")
+    columns = [f"x.{name}" if case.plant.traced else f"X[..., {k}]" for k, name in enumerate(case.plant.states)]
+    a, b = (error(columns[k], rest[k]) for k in (i, j))
     value, digits = (1 if i == j else 2) * S[i, j], 8 if case.plant.traced else 6
     return f"{'-' if value < 0 else '+'} {abs(value):.{digits}g} * {a}{' ** 2' if i == j else f' * {b}'}"

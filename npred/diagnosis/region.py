@@ -66,8 +66,7 @@ def converging(name: str, case: Case) -> Answer:
     if shares.get(HALF, 1.0) < 1:
         parts.append(f"from {shares[HALF]:.0%} of half of it")
     if eighth < EIGHTHS:
-        parts.append(f"and all from {eighth}/{EIGHTHS} of it about {case.state(centre)}")
-    if shares[eighth] < 1:
-        parts[-1] = "not from all of any sub-box"
+        all_from = f"and all from {eighth}/{EIGHTHS} of it about {case.state(centre)}"
+        parts.append(all_from if shares[eighth] == 1 else "not from all of any sub-box")
     verdict = "yes" if shares[eighth] == 1 and eighth >= HALF else "warn"
     return Answer(name, verdict, f"{len(X0)} starts in the box, without delay: converges {', '.join(parts)}, {looked}")

@@ -60,8 +60,8 @@ def linear(plant: Plant, K: np.ndarray, X: np.ndarray, u: np.ndarray, widths: np
 
 
 def error(state: str, rest: float) -> str:
-    """x.state - rest, in brackets, as text; without a rest that is 0."""
-    return f"(x.{state} {'-' if rest > 0 else '+'} {abs(rest):.12g})" if rest else f"x.{state}"
+    """state - rest, in brackets, as text; without a rest that is 0."""
+    return f"({state} {'-' if rest > 0 else '+'} {abs(rest):.12g})" if rest else state
 
 
 def rounded(values: Any) -> np.ndarray:
@@ -72,7 +72,7 @@ def rounded(values: Any) -> np.ndarray:
 def _row(plant: Plant, u: float, gains: np.ndarray, X: np.ndarray, widths: np.ndarray) -> str:
     sizes = np.abs(gains) * widths
     terms = [
-        f"{'-' if gain > 0 else '+'} {abs(gain):.{DIGITS}g} * {error(name, rest)}"
+        f"{'-' if gain > 0 else '+'} {abs(gain):.{DIGITS}g} * {error(f'x.{name}', rest)}"
         for name, gain, rest, size in zip(plant.states, gains, X, sizes, strict=True)
         if size > SMALL * sizes.max()
     ]

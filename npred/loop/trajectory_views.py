@@ -113,10 +113,10 @@ def _size(panels: int) -> tuple[float, float]:
 def _taken(ax: Any, names: Sequence[str]) -> np.ndarray:
     """A caller's axes, one for each series. Raises ConfigError for another number of them, and for what is no axes."""
     axes = np.ravel(np.array(ax, dtype=object))
-    if len(axes) != len(names) or not all(hasattr(panel, "axhline") for panel in axes):
-        axes_of = f"expected {len(names)} matplotlib axes, for {', '.join(names)}"
-        got = f"{len(axes)} axes" if all(hasattr(panel, "axhline") for panel in axes) else repr(ax)
-        raise ConfigError(f"ax: {axes_of}, got {got}; give what the first loop.plot() returned")
+    drawn = all(hasattr(panel, "axhline") for panel in axes)
+    if len(axes) != len(names) or not drawn:
+        axes_of, got = f"matplotlib axes, for {', '.join(names)}", f"{len(axes)} axes" if drawn else repr(ax)
+        raise ConfigError(f"ax: expected {len(names)} {axes_of}, got {got}; give what the first loop.plot() returned")
     return axes
 
 

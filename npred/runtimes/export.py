@@ -42,11 +42,11 @@ def export(
     if form not in forms:
         raise ConfigError(f"export: expected one of {', '.join(forms)}, got {form!r}; name one of them")
     if platforms and form != "fmu":
-        raise ConfigError(f"platforms: expected none for {form}, whose files are for any machine, got {platforms!r}; drop it")
+        raise ConfigError(f"platforms: expected none for {form}, which fits any machine, got {platforms!r}; drop it")
     try:
         return forms[form]()
     except OSError as error:
-        raise ConfigError(f"path: expected a place to write, got {str(path)!r}: {error.strerror}; name another") from None
+        raise ConfigError(f"path: expected a place to write, got '{path}': {error.strerror}; name another") from None
 
 
 def steps(controller: Controller, X0: np.ndarray, D: Any, **loop: Any) -> c_controller.Test:

@@ -33,14 +33,14 @@ def loop(config: Pipeline, stage: str) -> dict[str, Any]:
     section["gamma"] = gamma(config, settings)
     if settings.predictor == "semi_implicit" or stage == "evaluate":  # of which a guard may choose it
         section |= plant(config).mechanics_program
-    section |= plant(config).safe_program if stage == "evaluate" else {}  # it says how limits are kept
+    if settings.safety or stage == "evaluate":  # which says how limits are kept, with a filter or without
+        section |= plant(config).safe_program
     del section["adaptation"], section["u0"]
     section |= {} if law == PAPER else {"adaptation": law}
     for holder in [section, *section.get("scenarios", [])]:
         if observer := holder.get("observer"):
             observer["kind"] = registry.OBSERVERS.identity(observer["kind"])
             section |= plant(config).output_program
-        section |= plant(config).safe_program if holder.get("safety") else {}
     for scenario in section.get("scenarios", []):
         scenario |= {k: registry.DELAY_LAWS.identity(v) for k, v in scenario.items() if k == "adaptation"}
     past = u0 if isinstance(u0, str) else u0.tolist() if u0.any() else None

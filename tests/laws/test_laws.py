@@ -15,6 +15,7 @@ from scipy.signal import place_poles
 import npred
 import npred.diagnosis
 from npred import laws, plants
+from npred.diagnosis import Case, region
 from npred.errors import ConfigError
 from npred.laws.design import MOMENTS, SPAN, Design
 from npred.laws.riccati import riccati
@@ -163,6 +164,20 @@ def test_the_check_names_another_law_where_one_does_not_converge():
     }
     assert answers["kappa"].verdict == "warn" and "of half of it" in answers["kappa"].text
     assert answers["other law"].verdict == "yes" and answers["other law"].text.startswith("lqr: 64 starts")
+
+
+def test_the_check_says_of_each_other_law_why_it_does_not_serve():
+    class Weak:
+        states, inputs = ("x", "y"), ("u",)
+        box, guess, input_bounds = {"x": (-3.0, 3.0), "y": (-3.0, 3.0)}, (0.0, 0.0), ((-0.5, 0.5),)
+
+        def f(x, u, t, p, M):
+            return [x.x + M.sin(u.u) + x.y**2, x.x * x.y - x.y + u.u]
+
+    plant = npred.plant(Weak, kappa="lqr")
+    answer = region.instead(plant, Case(plant, delay=0.1, nodes=21, samples=256))
+    assert answer.verdict == "warn"
+    assert answer.text.startswith("none: feedback_linearisation does not fit the plant, sontag does not fit the plant")
 
 
 @given(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0))

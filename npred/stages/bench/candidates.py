@@ -81,8 +81,8 @@ class Reference:
         self._known: dict[tuple[str, str, int], ErrorSizes] = {}
 
     @classmethod
-    def of(cls, plant: Plant, test: Dataset, most: int = PROBES) -> Self:
-        """At most so many of the samples, spread over them.
+    def of(cls, plant: Plant, test: Dataset) -> Self:
+        """At most PROBES of the samples, spread over them.
 
         Only samples after the first delay: before, u jumps from its past to the first control, and there every scheme
         is of first order, so that no row would show what it can do. Imported samples do not say when they are: all are
@@ -94,7 +94,7 @@ class Reference:
                 f"bench: expected held-out samples after the first delay, got {len(test)} before it; lengthen "
                 "generate.t_end"
             )
-        rows = later[np.linspace(0, len(later) - 1, min(most, len(later))).astype(int)]
+        rows = later[np.linspace(0, len(later) - 1, min(PROBES, len(later))).astype(int)]
         return cls(plant, test.X[rows], test.u[rows], test.D_hat[rows], test.t[rows])
 
     def error(self, entry: Candidate) -> ErrorSizes:

@@ -17,7 +17,7 @@ from npred.plants import Plant
 from npred.plants.base import require
 from npred.predictors import RK4, Predictor
 from npred.stages.bench import break_even, timing
-from npred.stages.bench.candidates import PROBES, Reference
+from npred.stages.bench.candidates import PROBES, ErrorSizes, Reference
 from npred.terminal.console import columns
 from npred.terminal.notebook import InNotebook
 
@@ -124,7 +124,7 @@ def _reference(plant: Plant, about: Mapping[str, Any], loops: Trajectories) -> R
     return Reference(plant, X[kept][rows], u[kept][rows], D_hat[kept][rows], t[kept][rows])
 
 
-def _row(name: str, nanoseconds: np.ndarray, eps: Any, plant: Plant, loops: Trajectories) -> Compared:
+def _row(name: str, nanoseconds: np.ndarray, eps: ErrorSizes, plant: Plant, loops: Trajectories) -> Compared:
     target, quantiles = plant.target(loops.t), timing.quantiles(nanoseconds)
     radius = metrics.radius(loops, target)
     return Compared(

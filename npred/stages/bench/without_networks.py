@@ -45,8 +45,8 @@ def measure(pipeline: Pipeline, plant: Plant) -> Foreseen:
         eps = relative * float(np.abs(reference.P).max())
         rivals = candidates.rivals(methods, reference, eps, NETWORK)
         if not rivals:
-            names = ", ".join(methods) or "none"
-            raise ConfigError(f"bench: expected a method whose error is {short(eps)}, got {names}; name one in generate")
+            todo = f"got {', '.join(methods) or 'none'}; name one in generate"
+            raise ConfigError(f"bench: expected a method whose error is {short(eps)}, {todo}")
         crossovers.append(break_even.crossover(config, network, ErrorSizes(eps, np.nan), rivals, reference))
     return Foreseen(plant=plant.name, network=NETWORK, crossover=crossovers, sentence=sentence(crossovers))
 

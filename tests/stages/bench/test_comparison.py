@@ -80,7 +80,7 @@ def test_what_is_no_predictor_is_refused(wrong):
 
 
 def test_what_is_no_plant_is_refused():
-    with pytest.raises(ConfigError, match="plant: expected a Plant, got 'scalar'; make one with npred.plant"):
+    with pytest.raises(ConfigError, match=r"plant: expected a Plant, got 'scalar'; make one with npred.plant"):
         npred.compare("scalar", [npred.predictor("rk4", PLANT)], **LOOP)
 
 

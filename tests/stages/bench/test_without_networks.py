@@ -123,7 +123,7 @@ def test_what_is_neither_pipeline_nor_plant_is_told():
 
 def test_an_error_that_no_method_reaches_is_told(monkeypatch):
     monkeypatch.setattr(without_networks, "RELATIVE", (-1.0,))
-    with pytest.raises(ConfigError, match="bench: expected a method whose error is -.*, got .*rk4"):
+    with pytest.raises(ConfigError, match=r"bench: expected a method whose error is -.*, got .*rk4"):
         without_networks.measure(config.parse({"plant": "scalar"}, "tests"), plants.resolve("scalar"))
 
 
