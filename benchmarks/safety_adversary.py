@@ -2,15 +2,16 @@
 
     python benchmarks/safety_adversary.py [--plant cart] [--seconds 60] [--seed 0]
 
-CMA-ES chooses the start in the plant's box, the true delay in D_hat ± delay, and the input before t = 0, and makes the
-least h as small as it can, in units of the limit's size. The plants and filters are those of limits.py. npred says
-only which commands its filtered loop gives. That loop is then integrated once more by SciPy's DOP853, with the
-dynamics, h and the set that the filter promises to keep, h >= 0 and h' + alpha h >= 0 where the first command acts,
-written here anew. A candidate outside that set counts by how far it is outside.
+CMA-ES chooses the start in the plant's box, the true delay in D_hat ± delay, and the input before t = 0 as steps of
+equal length, and makes the least h as small as it can, in units of the limit's size. The plants and filters are those
+of limits.py. npred says only which commands its filtered loop gives. That loop is then integrated once more by SciPy's
+DOP853, with the dynamics, h and the set that the filter promises to keep, h >= 0 and h' + alpha h >= 0 where the first
+command acts, written here anew. A candidate outside that set counts by how far it is outside.
 Printed are the loops, those inside the set, and the least h over the size among these.
 """
 
 import argparse
+import math
 import time
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -23,6 +24,7 @@ from scipy.integrate import solve_ivp
 import npred
 
 SIZE, GENERATIONS, WIDTH = 12, 15, 0.3  # of a population; the spread that it begins with
+PIECES = 4  # of the input before t = 0
 OUTSIDE = 10.0  # what a candidate outside the promised set counts at least
 
 
@@ -33,6 +35,15 @@ class System(NamedTuple):
     h: Callable[[Any], list[Any]]
     rates: Callable[[Any], list[Any]] | None
     before: Sequence[tuple[float, float]]
+
+
+def arm(x: Any, u: Any) -> list[Any]:
+    """Two rods of 1 kg and 0.5 m, their angles to the vertical, friction 0.1, by Cramer's rule."""
+    c, s = 0.125 * np.cos(x[0] - x[1]), 0.125 * np.sin(x[0] - x[1])
+    first = u[0] - u[1] - 0.1 * x[2] - s * x[3] ** 2 - 7.3575 * np.sin(x[0])
+    second = u[1] - 0.1 * x[3] + s * x[2] ** 2 - 2.4525 * np.sin(x[1])
+    whole = 1 / 36 - c**2
+    return [x[2], x[3], (first / 12 - c * second) / whole, (second / 3 - c * first) / whole]
 
 
 def tank(x: Any, u: Any) -> list[Any]:
@@ -58,6 +69,12 @@ SYSTEMS = {
     "cart": System(
         lambda x, u: [x[1], u[0]], lambda x: [0.25 - x[0], 0.25 + x[0]], lambda x: [-x[1], x[1]], [(-1.0, 1.0)]
     ),
+    "arm": System(
+        arm,
+        lambda x: [0.37 - x[0], x[0] + 0.05, 0.9 - x[1], x[1] - 0.25],
+        lambda x: [-x[2], x[2], -x[3], x[3]],
+        [(0.0, 7.0), (-1.0, 4.0)],
+    ),
     "tank": System(tank, lambda x: [24.0 - x[1], x[1] - 16.0], None, [(-5.0, 15.0)]),
     "aircraft": System(
         aircraft, lambda x: [0.25 - x[2], 0.25 + x[2]], lambda x: [-x[5], x[5]], [(0.5, 1.5), (-0.5, 0.5)]
@@ -66,10 +83,23 @@ SYSTEMS = {
 }
 
 
+def length(case: Case) -> float:
+    """How long a piece of the input before t = 0 lasts: control steps, so many that all pieces cover D_hat + delay."""
+    return case.dt * math.ceil((case.D + case.delay) / case.dt / PIECES - 1e-9)
+
+
+def past(case: Case, before: np.ndarray, t: float) -> np.ndarray:
+    """The input at t < 0; before (PIECES, m) are its pieces, the last one first."""
+    return before[min(int(-t / length(case)), PIECES - 1)]
+
+
 def replayed(case: Case, system: System, X0: np.ndarray, D: float, before: np.ndarray, U: np.ndarray) -> np.ndarray:
     """The states (k, n) at the moments when commands U (k, m) begin to act and between them, by SciPy."""
-    named = {"method": "DOP853", "rtol": 1e-9, "atol": 1e-11}
-    x = solve_ivp(lambda t, x: system.f(x, before), (0.0, D), X0, **named).y[:, -1]
+    named, x = {"method": "DOP853", "rtol": 1e-9, "atol": 1e-11}, X0
+    for i in reversed(range(PIECES)):
+        span = max(D - (i + 1) * length(case), 0.0), D - i * length(case)
+        if span[1] > span[0]:
+            x = solve_ivp(lambda t, x, u=before[i]: system.f(x, u), span, x, **named).y[:, -1]
     states = [x]
     for u in U:
         times = np.linspace(0.0, case.dt, 3)
@@ -85,7 +115,7 @@ def score(case: Case, system: System, z: np.ndarray) -> tuple[float, bool]:
     box = np.array([plant.box[name] for name in plant.states])
     X0, delay, share = box[:, 0] + z[:n] * np.ptp(box, axis=1), case.D + case.delay * (2 * z[n] - 1), z[n + 1 :]
     low, high = np.array(system.before).T
-    before = low + share * (high - low)
+    before = low + share.reshape(PIECES, -1) * (high - low)
     first = replayed(case, system, X0, delay, before, np.zeros((0, plant.m)))[0]
     h = np.array(system.h(first))
     chain = h if system.rates is None else np.append(h, np.array(system.rates(first)) / case.alpha + h)
@@ -93,7 +123,8 @@ def score(case: Case, system: System, z: np.ndarray) -> tuple[float, bool]:
         return OUTSIDE - chain.min() / case.size, False
     loop = npred.simulate(
         plant, npred.predictor("rk4", plant, 31), D=delay, D_hat=case.D, X0=X0, t_end=case.t_end / 2, dt=case.dt,
-        u0=before, actuator="history", safety=npred.SafetyFilter(case.alpha, delay=case.delay), progress=False,
+        u0=lambda t: past(case, before, t), actuator="history",
+        safety=npred.SafetyFilter(case.alpha, delay=case.delay), progress=False,
     )  # fmt: skip
     X = replayed(case, system, X0, delay, before, loop.U)
     return min(np.min(system.h(x)) for x in X) / case.size, True
@@ -102,7 +133,7 @@ def score(case: Case, system: System, z: np.ndarray) -> tuple[float, bool]:
 def search(case: Case, seconds: float, seed: int) -> str:
     """Populations from random centres until the time is over: a line on the worst."""
     system, rng, ends = SYSTEMS[case.plant.name], np.random.default_rng(seed), time.monotonic() + seconds
-    size, loops, inside, worst = case.plant.n + 1 + case.plant.m, 0, 0, (np.inf, np.zeros(0))
+    size, loops, inside, worst = case.plant.n + 1 + PIECES * case.plant.m, 0, 0, (np.inf, np.zeros(0))
     while time.monotonic() < ends:
         settings = {"bounds": [0, 1], "popsize": SIZE, "seed": int(rng.integers(1, 2**31)), "verbose": -9}
         evolution = cma.CMAEvolutionStrategy(rng.uniform(0.2, 0.8, size), WIDTH, settings)

@@ -1,0 +1,73 @@
+"""The adversary of benchmarks/safety_adversary.py: its plants, its integration, and that it sees a limit broken."""
+
+import dataclasses
+import importlib
+
+import numpy as np
+import pytest
+from conftest import HERE
+
+import npred
+
+
+@pytest.fixture(scope="module")
+def adversary():
+    pytest.importorskip("cma")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(HERE.parent / "benchmarks"))
+        yield importlib.import_module("safety_adversary")
+
+
+@pytest.fixture
+def cases(adversary):
+    return {case.plant.name: case for case in adversary.CASES}
+
+
+def states(plant, rng):
+    low, high = np.array([plant.box[name] for name in plant.states]).T
+    return rng.uniform(low, high)
+
+
+@pytest.mark.parametrize("name", ["cart", "arm", "tank", "aircraft", "clock"])
+def test_its_plants_are_those_of_the_filters(adversary, cases, name):
+    plant, system, rng, step = cases[name].plant, adversary.SYSTEMS[name], np.random.default_rng(0), 1e-6
+    for _ in range(20):
+        X, u = states(plant, rng), rng.uniform(*np.array(system.before).T)
+        rate = plant.f(X, u)
+        np.testing.assert_allclose(system.f(X, u), rate, rtol=1e-11, atol=1e-12)
+        np.testing.assert_allclose(system.h(X), plant.safe(X), rtol=1e-13, atol=1e-15)
+        if system.rates is not None:
+            moved = (plant.safe(X + step * rate) - plant.safe(X - step * rate)) / (2 * step)
+            np.testing.assert_allclose(system.rates(X), moved, rtol=1e-6, atol=1e-8)
+
+
+@pytest.mark.parametrize("name", ["cart", "arm"])
+def test_its_integration_is_that_of_the_loop(adversary, cases, name):
+    case, system, rng = dataclasses.replace(cases[name], dt=0.005), adversary.SYSTEMS[name], np.random.default_rng(1)
+    low, high = np.array(system.before).T
+    X0, before = states(case.plant, rng), rng.uniform(low, high, (adversary.PIECES, case.plant.m))
+    delay = case.D + case.dt
+    loop = npred.simulate(
+        case.plant, npred.predictor("rk4", case.plant, 31), D=delay, D_hat=case.D, X0=X0, t_end=1.0, dt=case.dt,
+        u0=lambda t: adversary.past(case, before, t), actuator="history",
+        safety=npred.SafetyFilter(case.alpha, delay=case.delay), progress=False,
+    )  # fmt: skip
+    X = adversary.replayed(case, system, X0, delay, before, loop.U)[::2]
+    begun = round(delay / case.dt)
+    np.testing.assert_allclose(X[: len(loop.X) - begun], loop.X[begun:], atol=1e-6)
+    assert np.ptp(before, axis=0).min() > 0.1
+
+
+def test_it_tells_a_filter_that_expects_the_error_of_the_delay(adversary, cases, monkeypatch):
+    """From the same points a filter that takes D_hat for true breaks the limit, and one that does not keeps it."""
+    case, points = dataclasses.replace(cases["cart"], delay=0.2), np.random.default_rng(0).uniform(size=(30, 7))
+
+    def least():
+        values = [adversary.score(case, adversary.SYSTEMS["cart"], z) for z in points]
+        inside = [value for value, counts in values if counts]
+        assert len(inside) > 20
+        return min(inside)
+
+    assert least() > 0
+    monkeypatch.setattr(npred, "SafetyFilter", lambda alpha, delay, real=npred.SafetyFilter: real(alpha))
+    assert least() < -0.1
