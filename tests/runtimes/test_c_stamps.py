@@ -264,7 +264,7 @@ EVENT = st.tuples(
 @example(events=[(1.0, "none", 0), (1.0, "save", 0), (1.0, "save", 0)])
 @settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_any_calls_and_samples_are_those_of_python(compiled, name, events):
-    play(compiled(name, limit=1e-9), events)  # a long pause amplifies rounding errors, as a wrong sample does
+    play(compiled(name, limit=1e-8), events)  # a long pause amplifies rounding errors, as a wrong sample does
 
 
 @pytest.mark.parametrize("name", ["two inputs", "declared", "observer of the delay", "watchdog, zero", "EKF"])
