@@ -12,7 +12,6 @@ import npred
 
 @pytest.fixture(scope="module")
 def adversary():
-    pytest.importorskip("cma")
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(HERE.parent / "benchmarks"))
         yield importlib.import_module("safety_adversary")
