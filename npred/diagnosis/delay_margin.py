@@ -26,6 +26,7 @@ SEARCHED = 10.0  # times D plus the loop's slowest time constant: D_hat is looke
 FIRST, LEAST, LONGER = 1e-2, 1e-3, 1.5  # the first and the shortest step of D_hat, in D; how much a next one may grow
 SHARE = 0.5  # of the distance from I - T to a singular matrix: a step of D_hat changes T by less
 TOLERANCE = 1e-9  # of D: the margin's
+GROWTH = 3 / np.pi  # a step to the left multiplies T by e to that, at most: far left it is too large to follow
 FIRST_C, NEAR = 0.1 / np.pi, 1e-6  # of the slowest rate: a first step in c, which meets no eigenvalue; and the last
 QUIET = 0.5  # frequencies end where |T| stays below
 HIGHEST = 1e6  # times the fastest rate of the loop: the highest frequency that is looked for
@@ -122,7 +123,9 @@ class MismatchedLoop:
         step = FIRST_C / self.slowest
         while self.roots(D_hat, right) > 0:
             left, right, step = right, right + step, 2 * step
+        widest = GROWTH / float(self.r.max() * max(self.D, D_hat))
         while right <= 0 and self.roots(D_hat, left) == 0:
+            step = min(step, widest)
             left, right, step = left - step, left, 2 * step
         while right - left > NEAR / self.slowest:
             middle = (left + right) / 2

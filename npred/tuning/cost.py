@@ -118,7 +118,7 @@ class Loops:
     ) -> Settling:
         law: dict[str, Any] = {name: numbers[name] for name in LAW if name in numbers}
         safety = condition.table.safety
-        if safety and ALPHA in numbers:
+        if safety and ALPHA in numbers and safety == self.pipeline.evaluate.safety:  # a scenario's stays
             law["safety"] = safety.model_copy(update={"alpha": numbers[ALPHA]})
         table = condition.table.model_copy(update=law)
         changed = Condition(table, condition.X0, condition.D, condition.D_hat, condition.t_end, condition.seed)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 from scipy.optimize import brentq, fsolve
+from scipy.special import lambertw
 
 import npred
 from npred.diagnosis.delay_margin import MismatchedLoop
@@ -157,6 +158,30 @@ def test_what_has_no_margin_is_refused_in_one_line(name, parameters, D, words):
 def test_the_rightmost_root_is_that_of_the_spectrum_by_collocation(D_hat):
     for plant in (npred.plant("scalar"), npred.plant("van_der_pol"), npred.plant("pvtol"), Plant("two", TwoDelays)):
         assert MismatchedLoop(plant, 1.0).rightmost(D_hat) == pytest.approx(abscissa(plant, 1.0, D_hat), abs=1e-5)
+
+
+class DeadTime:
+    """A stable plant whose delay may be many of its time constants."""
+
+    states, inputs, guess = ("x",), ("u",), (0.0,)
+
+    @staticmethod
+    def f(x, u, t, p, M):
+        return [-x.x + u.u]
+
+    @staticmethod
+    def kappa(x, t, p, M):
+        return [-0.5 * x.x]
+
+
+@pytest.mark.parametrize("D", [1.0, 5.0, 30.0])
+def test_the_rightmost_root_with_a_long_delay(D):
+    """Without prediction s + 1 + e^{-sD} / 2 = 0. With a long D_hat roots come near Re s = -1, where e^{-D_hat (1 + s)}
+    has the size of 1.
+    """
+    loop = MismatchedLoop(Plant("dead time", DeadTime), D)
+    assert loop.rightmost(0.0) == pytest.approx(lambertw(-0.5 * D * np.exp(D)).real / D - 1, abs=1e-5)
+    assert loop.rightmost(60.0 + D) == pytest.approx(-1.0, abs=1 / 60)
 
 
 def test_the_rightmost_root_where_the_estimate_is_right_is_that_without_delay():

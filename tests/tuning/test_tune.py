@@ -186,6 +186,18 @@ def test_alpha_of_a_filter_is_as_large_as_keeps_the_limits(folder: Path):
         tuned(without)
 
 
+def test_the_filter_of_a_scenario_keeps_its_alpha(folder: Path):
+    (folder / "line.py").write_text(LIMITED.format("x.x + 0.2"))
+    scenario = {"name": "slow", "safety": {"alpha": 0.4}}
+    table = {"safety": {"alpha": 1.0}, "actuator": "history", "u0": [0.0], "scenarios": [scenario]}
+    chosen = pipeline(evaluate=table)
+    loops = Loops(chosen, plants.resolve(chosen.plant), 3, "training")
+    slow, quick = (loops.run({"safety.alpha": alpha}, lambda steps: None).time for alpha in (0.4, 4.0))
+    per_condition = slow.shape[1] // 2
+    assert quick[:, :per_condition].mean() < slow[:, :per_condition].mean()
+    np.testing.assert_array_equal(slow[:, per_condition:], quick[:, per_condition:])
+
+
 def test_a_loop_that_breaks_a_limit_does_not_settle(folder: Path):
     (folder / "line.py").write_text(LIMITED.format("1.6 - x.x"))
     chosen = pipeline(evaluate={"safety": {"alpha": 1.0}, "actuator": "history", "u0": [0.0]})
