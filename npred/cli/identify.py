@@ -48,8 +48,10 @@ def _pipeline(options: Recorded, plant: Plant, result: IdentifiedResult, path: P
         sum(plant.box[state]) / 2 if state in plant.box else float(x)
         for state, x in zip(plant.states, plant.guess, strict=True)
     ]
+    loop |= {} if plant.declares_V else {"adaptation": "delay-observer", "actuator": "history"}
     tables = {
         "name": options.config.name, "plant": options.config.plant,
+        **({"kappa": options.config.kappa} if options.config.kappa else {}),
         "parameters": options.config.parameters | {k: v for k, v in result.parameters.items() if k in plant.parameters},
         "generate": loop, "evaluate": loop | {"X0": middle},
     }  # fmt: skip

@@ -19,7 +19,7 @@ class Recorded(Work):
     """Flags of the command that reads a recording; each has its place in the table [identify]."""
 
     pipeline_name: Annotated[
-        str | None, argument("LOG", "A recording, as log.csv; or a pipeline with a table [identify].", default=False)
+        str | None, argument("LOG", "A recording, as log.csv; or a pipeline that names one.", default=False)
     ] = None
     plant: Annotated[
         str | None, flag("The plant: a name, or my_plant.py:Tank.", word="PLANT", offers=completion.plants)

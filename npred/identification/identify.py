@@ -16,6 +16,7 @@ from npred.plants import Plant
 from npred.plants.base import require
 from npred.terminal import waiting
 
+FAR = 3.0  # widths of the box beyond it
 WINDOW = 8, 20  # segments of a window, and windows, at most
 
 
@@ -63,9 +64,23 @@ def of_log(plant: Plant, log: Log, settings: Settings) -> Identified:
     )  # fmt: skip
     return Identified(
         plant, delays.values, interval, findings.identifiable, {name: row.value for name, row in asked.items()},
-        {name: (row.low, row.high) for name, row in asked.items()}, findings.held_back, findings.sentences,
+        {name: (row.low, row.high) for name, row in asked.items()}, findings.held_back,
+        [*_units(plant, log), *findings.sentences],
         _windows(delays, high, settings) if settings.time_varying else None, {"estimate": delays, "log": log},
     )  # fmt: skip
+
+
+def _units(plant: Plant, log: Log) -> list[str]:
+    """One sentence for each measured state that lies far from the plant's box: its unit is another, perhaps."""
+    said = []
+    for name, y in () if plant.declares_output else zip(plant.states, log.Y.T, strict=True):
+        if name not in plant.box or not np.isfinite(y).any():
+            continue
+        (low, high), middle = plant.box[name], np.nanmedian(y)
+        if max(low - middle, middle - high) > FAR * (high - low):
+            log_and_box = f"{name} is about {middle:.3g} in the recording, and {low:g} to {high:g} in the plant's box"
+            said.append(f"{log_and_box}: if the units differ, scale its column.")
+    return said
 
 
 def _closed(log: Log) -> float:

@@ -8,7 +8,7 @@ import h5py
 import numpy as np
 
 from npred import recordings
-from npred.errors import ConfigError
+from npred.errors import ConfigError, similar
 from npred.figures import identified as figures
 from npred.figures import svg
 from npred.figures.figure import write
@@ -68,7 +68,8 @@ def read(plant: Plant, table: Identify) -> Log:
     unknown = set(table.columns) - set(columns)
     if unknown:
         raise ConfigError(
-            f"columns: expected inputs or outputs of plant {plant.name}, got {', '.join(sorted(unknown))}"
+            f"columns: expected inputs or outputs of plant {plant.name}, {', '.join(columns)}, got "
+            f"{', '.join(sorted(unknown))}; name one of those"
         )
     there = recordings.columns(path)
     missing = [name for name, column in columns.items() if column not in there]
@@ -79,6 +80,12 @@ def read(plant: Plant, table: Identify) -> Log:
             f"{path}: expected a column for one of {', '.join(plant.outputs)}, found {', '.join(there)}; map one, as "
             f"--state {plant.outputs[0]}={there[-1] if there else 'y'}"
         )
+    for key in (*table.scale, *table.shift):
+        if key not in chosen.values():
+            raise ConfigError(
+                f"scale, shift: expected columns that are read, {', '.join(chosen.values())}, got {key}"
+                f"{similar(key, chosen.values())}; name one of those"
+            )
     series = recordings.read(path, list(chosen.values()), table.time, table.time_unit)
     return Log.of_series(
         [_scaled(series[chosen[name]], table, chosen[name]) for name in plant.inputs],

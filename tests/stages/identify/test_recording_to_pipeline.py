@@ -93,6 +93,22 @@ def test_no_pipeline_is_written_where_the_recording_does_not_tell(folder: Path):
     assert not (folder / "still.toml").exists()
 
 
+def test_the_pipeline_of_a_designed_law_has_that_law_and_a_delay_law_that_takes_no_V(folder: Path):
+    (folder / "my_plant.py").write_text(PLANT.split("    def kappa")[0])
+    done = call("log.csv", *FLAGS, "--set", "kappa=lqr")
+    assert done.exit_code == 0, done.output
+    pipeline = config.load(folder / "log.toml")
+    assert pipeline.kappa == "lqr"
+    assert pipeline.generate.adaptation == pipeline.evaluate.adaptation == "delay-observer"
+    assert CliRunner().invoke(app, ["run", "log.toml", "--dry-run"]).exit_code == 0
+
+
+def test_a_column_in_another_unit_is_said(folder: Path):
+    sentence = "in the recording, and 0.5 to 2 in the plant's box: if the units differ, scale its column."
+    assert sentence not in call("log.csv", *FLAGS).stdout
+    assert sentence in call("log.csv", *FLAGS, "--scale", "level=100").stdout
+
+
 def test_a_file_of_somebody_else_is_left_alone(folder: Path):
     (folder / "log.toml").write_text('plant = "scalar"\n')
     done = call("log.csv", *FLAGS)
@@ -108,7 +124,12 @@ def test_a_file_of_somebody_else_is_left_alone(folder: Path):
         (("other.csv", *FLAGS), "expected a file at other.csv"),
         (("log.csv", "--plant", "my_plant.py:Tank", "--input", "q=Q2", "--state", "h=level"), "got 'Q2'"),
         (("log.csv", "--plant", "my_plant.py:Tank", "--input", "q=Q1"), "expected a column for one of h"),
-        (("log.csv", *FLAGS, "--input", "p=Q1"), "expected inputs or outputs of plant Tank, got p"),
+        (("log.csv", *FLAGS, "--input", "p=Q1"), "expected inputs or outputs of plant Tank, q, h, got p; name one"),
+        (
+            ("log.csv", *FLAGS, "--scale", "levl=0.01"),
+            "columns that are read, Q1, level, got levl; did you mean level?",
+        ),
+        (("log.csv", *FLAGS, "--shift", "h=1"), "columns that are read, Q1, level, got h"),
         (("log.csv", *FLAGS, "--bounds", "area=2"), "identify.bounds.area"),
         (("log.csv", *FLAGS, "--scale", "level"), "expected --scale COLUMN=FACTOR, got 'level'"),
         (("log.csv", *FLAGS, "--free", "araa"), "got 'araa'"),
