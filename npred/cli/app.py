@@ -67,15 +67,18 @@ def _report_usage(error: Any, arguments: Sequence[str]) -> int:
     path, expected = "npred", ""  # of an option without its value
     if context:
         path, pieces = context.command_path, context.command.collect_usage_pieces(context)
-        expected = f"expected {path} {' '.join(pieces)}, got: "
+        expected, got = f"expected {path} {' '.join(pieces)}, got: ", got.removeprefix("Got ")
     if got:  # else no command was named, and the help is printed
         Console().error(f"{expected}{got}; see {path} --help")
     return error.exit_code
 
 
 def _fault_of_option(error: Any, arguments: Sequence[str]) -> str:
-    """An unknown option, or a number that is none, in the words of npred; else nothing."""
+    """An unknown command or option, or a number that is none, in the words of npred; else nothing."""
     command = error.ctx.command
+    if unknown := re.match(r"No such command '(.*?)'", error.message):
+        near = similar(unknown[1], command.list_commands(error.ctx))
+        return f"{unknown[1]}: expected a command of {error.ctx.command_path}, found no such{near}"
     if option := getattr(error, "option_name", ""):
         options = [name for parameter in command.params for name in parameter.opts]
         return f"{option}: expected an option of {error.ctx.command_path}, found no such{similar(option, options)}"
