@@ -4,6 +4,7 @@ import inspect
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
+from difflib import get_close_matches
 from keyword import iskeyword
 from typing import Annotated, Any, Self
 
@@ -40,6 +41,13 @@ def _listed(value: Any) -> Any:
     return tuple(value)
 
 
+def _pairs(value: Any) -> Any:
+    """The items of a list of pairs; one pair alone, and a table, are not that."""
+    if isinstance(value, Mapping) or not all(np.iterable(item) for item in _listed(value)):
+        raise ValueError
+    return _listed(value)
+
+
 def _is_name(word: str) -> bool:
     return word.isidentifier() and not iskeyword(word) and not word.startswith("_")
 
@@ -60,7 +68,9 @@ Seconds = Annotated[Finite, expected("seconds above 0", "write how many", lambda
 Values = Annotated[tuple[Finite, ...], LIST, expected("one number per state", "write a tuple")]
 Delays = Annotated[tuple[Seconds, ...], LIST, expected("the seconds of each input", "write a tuple")]
 Range = Annotated[tuple[Number, Number], LIST, IN_ORDER]
-Bounds = Annotated[tuple[Range, ...], LIST, expected("a pair (low, high) per input", "write a list")]
+Bounds = Annotated[
+    tuple[Range, ...], BeforeValidator(_pairs), expected("a pair (low, high) per input", "write ((0.0, 1.0),), say")
+]
 Ranges = Annotated[dict[str, Range], expected('ranges as {"h": (0.0, 1.0)}', "write a dict")]
 FiniteRange = Annotated[tuple[Finite, Finite], LIST, IN_ORDER]
 Box = Annotated[dict[str, FiniteRange], expected('ranges as {"h": (0.0, 1.0)}', "write a dict")]
@@ -138,9 +148,13 @@ def read(plant: str, declaration: Any, overrides: Mapping[str, Any]) -> Declarat
     for key in overrides if isinstance(defaults, Mapping) else ():
         if key not in defaults:
             names = ", ".join(defaults) or "none"
-            near = similar(key, defaults)
+            near = similar(key, [*defaults, "kappa"])
             raise ConfigError(f"plant {plant}: unknown parameter {key!r}; expected one of: {names}{near}")
         parts["parameters"] = {**defaults, **overrides}
+    undeclared = [name for name in Declaration.model_fields if name not in parts]
+    for name in vars(declaration) if getattr(declaration, "traced", True) else ():  # a black box has other parts too
+        if name not in Declaration.model_fields and get_close_matches(name, undeclared, cutoff=0.85):
+            raise ConfigError(f"plant {plant}: {name}: unknown part{similar(name, undeclared)}; rename it")
     try:
         return Declaration.model_validate(parts)
     except ValidationError as error:
@@ -171,7 +185,7 @@ def completed(plant: str, declaration: Any, kappa: Function | None = None) -> An
 
 def _absent(plant: str) -> Function:
     def kappa(*_: Any) -> Any:
-        cure = 'declare it, or set kappa = "lqr"; npred plants check offers one'
+        cure = 'declare it, or set kappa = "lqr" (--set kappa=lqr); npred plants check offers one'
         raise ConfigError(f"plant {plant}: expected kappa(x, t, p, M), found none; {cure}")
 
     return kappa

@@ -24,6 +24,8 @@ HINTS = {
     "for |": "write M.where(a, yes, M.where(b, yes, no)) for a or b",
     "tuple indices must be": "states, inputs and parameters have names: write x.name, u.name, p.name",
     "'Symbol' object has no attribute": "look at the order of the arguments: write def {signature}",
+    "Inputs": "inputs have names: write u.name",
+    "State": "states have names: write x.name",
 }
 RETURNS = {
     "f": "one derivative per state",

@@ -126,17 +126,17 @@ class Trace:
             return np.array(self.tape.call(name, args, 1 + self.plant.n, size), dtype=object)
         state, inputs = (None if part is None else list(part) for part in (x, u))
         values = self.plant.call(name, state, inputs, t, self.parameters, tapes.M)
-        if len(values) != size:
-            count = f"{size} value{'s' * (size > 1)}"
-            names = ", ".join(self.plant.inputs if name == "kappa" else self.plant.states)
-            cure = f"return {RETURNS[name]}: {names}"
-            raise ConfigError(f"{self.plant.location(name)} expected to return {count}, got {len(values)}; {cure}")
         for value in values:
             if not isinstance(value, tapes.Symbol | Real):
                 raise ConfigError(
                     f"{self.plant.location(name)} expected to return numbers and formulas, got {type(value).__name__}; "
                     f"return {RETURNS[name]}"
                 )
+        if len(values) != size:
+            count = f"{size} value{'s' * (size > 1)}"
+            names = ", ".join(self.plant.inputs if name == "kappa" else self.plant.states)
+            cure = f"return {RETURNS[name]}: {names}"
+            raise ConfigError(f"{self.plant.location(name)} expected to return {count}, got {len(values)}; {cure}")
         return np.array(values, dtype=object)
 
 

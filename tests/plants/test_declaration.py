@@ -64,6 +64,13 @@ def plant(**parts):
         ({"guess": 1.0}, "guess: expected one number per state, got 1.0"),
         ({"guess": ("a",)}, r"guess\[0\]: expected a finite number, got 'a'"),
         ({"input_bounds": [(0, 1), (0, 1)]}, "input_bounds: expected one for each of q"),
+        (
+            {"input_bounds": (0, 1)},
+            r"input_bounds: expected a pair \(low, high\) per input, got \(0, 1\); write \(\(0.0",
+        ),
+        ({"input_bounds": {"q": (0, 1)}}, r"input_bounds: expected a pair .*, got {'q'"),
+        ({"label": {"h": "level"}}, r"label: unknown part; did you mean labels\?; rename it"),
+        ({"input_bound": [(0, 1)]}, r"input_bound: unknown part; did you mean input_bounds"),
         ({"input_bounds": [(1, 0)]}, r"input_bounds\[0\]: expected a range"),
         ({"state_bounds": {"q": (0, 1)}}, "state_bounds: unknown name 'q'; expected one of"),
         ({"input_bounds": np.array([[0, math.nan]])}, r"input_bounds\[0\]: expected a range"),

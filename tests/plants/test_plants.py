@@ -216,6 +216,8 @@ def test_derivatives_at_many_points_and_times_are_those_at_each():
         ("p.c * M.sqrt(x.h)]", "p['c']]", r"f failed at my_plant.py:11: .*; states, .* have names: write x.name"),
         ("def f(x, u, t, p, M)", "def f(t, x, u, p, M)", r"; look at the order .*: write def f\(x, u, t, p, M\)"),
         ("return [u.U - p.c * M.sqrt(x.h)]", "return [u.U, x.h]", r"10\) expected to return 1 value, got 2; .* h"),
+        ("[u.U - p.c", "[u - p.c", r"f failed at my_plant.py:11: TypeError: .*; inputs have names: write u.name"),
+        ("M.sqrt(x.h)]", "M.sqrt(x)]", r"f failed at my_plant.py:11: TypeError: .*; states have names: write x.name"),
         ("M.sqrt(x.h)]", "M.sqrt(x.level)]", r"Tank: f failed at my_plant.py:11: AttributeError: .*level"),
         ("+ p.level - x.h", "+ max(x.h, 0)", r"Tank: kappa failed at my_plant.py:14: .*use M.where"),
         ("M.sqrt(x.h)]", "M.sinh(x.h)]", r"Tank: f failed at my_plant.py:11: .*M.sinh is unknown; expected one of pi"),
@@ -244,6 +246,7 @@ def test_mistakes_are_told_in_one_line(tank_file, old, new, message):
     [
         ("protein", {}, "expected one of activator_repressor, .*scalar.*, or a file"),
         ("scalar", {"k": 1.0}, "unknown parameter 'k'; expected one of: a, c"),
+        ("scalar", {"kapa": 1.0}, "unknown parameter 'kapa'; .*; did you mean kappa?"),
         ("nowhere.py:Tank", {}, "found none at nowhere.py"),
         ("my_plant.py", {}, "expected the class too, got the file alone; write my_plant.py:Tank, say"),
     ],
