@@ -132,8 +132,8 @@ def complete(case: Case) -> Verdict:
     first = int(np.argmax(lost))
     t = case.delay * int(np.argmax(ended[first])) / (nodes - 1)
     after = case.plant.time_text(t, ".3g")
-    start = f"{case.state(case.X[first])} ({lost.mean():.0%} of the box)"
-    cure = "shrink box or the delay, or guard what is undefined there with M.where"
+    start = f"{case.state(case.X[first])} ({lost.sum()} of {lost.size} states of the box)"
+    cure = "shrink box or the delay, set u0 in a pipeline, or guard what is undefined there with M.where"
     return "no", f"{case.plant.location('f')}: {loop} leaves the finite numbers after {after} from {start}; {cure}"
 
 
