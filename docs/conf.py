@@ -21,6 +21,8 @@ sphinx_gallery_conf = {
     "examples_dirs": "gallery",
     "gallery_dirs": "examples",
     "filename_pattern": "/",  # all are run
+    "within_subsection_order": "FileNameSortKey",
+    "capture_repr": (),  # the page has what is printed, not what its last line returns
     "download_all_examples": False,
     "write_computation_times": False,
     "min_reported_time": 1e9,

@@ -63,7 +63,7 @@ class Scene(NamedTuple):
 
 SCENES = (
     Scene(
-        "activator_repressor", "Two proteins that regulate each other", (0.03, 30.0), 40.0, 0.01, 51, 5,
+        "activator_repressor", "Two proteins", (0.03, 30.0), 40.0, 0.01, 51, 5,
         D=(1.0, 0.1, 2.5), D_hat=(2.0, 0.1, 4.0), gamma=(1000.0, 10.0, 1e5), noise=(0.0, 0.0, 0.1),
         axes=((0.0, 0.2), (0.0, 30.0), (-0.1, 0.1)),
         labels=("x1, activator (no unit)", "x2, repressor (no unit)", "U, command (1/s)"),

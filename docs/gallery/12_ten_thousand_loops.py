@@ -64,5 +64,5 @@ for error in (low, high):
     axis.axvline(error, color="black", linestyle="--")
 axis.set_xlabel("D_hat - D (s)")
 axis.set_ylabel("theta at the start (rad)")
-axis.legend(loc="upper right")
+axis.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=2, markerscale=6)
 print(f"kept: {kept.mean():.1%}")
