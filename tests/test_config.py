@@ -163,6 +163,13 @@ def test_an_override_below_a_plain_value_is_refused(tmp_path: Path):
         config.load(path, ["seed.x=1"])
 
 
+def test_a_plant_in_place_of_a_pipeline_is_told_where_it_goes(tmp_path: Path):
+    path = tmp_path / "my_plant.py"
+    path.write_text("class Tank:\n    pass\n")
+    with pytest.raises(ConfigError, match=r"my_plant\.py: expected a TOML file, got: .*; name it as plant in a TOML"):
+        config.load(path)
+
+
 @pytest.mark.parametrize(("content", "word"), [(b"[generate\n", "line 1"), (b"\xff\xfe", "TOML")])
 def test_a_file_that_is_no_toml_is_named(tmp_path: Path, content: bytes, word: str):
     path = tmp_path / "p.toml"

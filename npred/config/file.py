@@ -61,7 +61,8 @@ def table(path: Path) -> dict[str, Any]:
     except FileNotFoundError:
         raise ConfigError(defaults.missing(path)) from None
     except (OSError, ValueError, RecursionError) as error:
-        raise ConfigError(f"{path}: expected a TOML file, got: {error}; write TOML, as seed = 0") from None
+        cure = "name it as plant in a TOML file" if path.suffix == ".py" else "write TOML, as seed = 0"
+        raise ConfigError(f"{path}: expected a TOML file, got: {error}; {cure}") from None
 
 
 def _file_text(path: Path) -> str:
