@@ -1,6 +1,7 @@
 """A trained operator as an ONNX graph with its control law, and as a predictor that ONNX Runtime evaluates."""
 
 import logging
+import sys
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -137,13 +138,22 @@ def session(model: bytes) -> Any:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Silence the exporter's warnings: of its deprecations, and of packages that no operator here needs."""
-    logger = logging.getLogger("torch.onnx")
-    level = logger.level
-    logger.setLevel(logging.ERROR)
+    """Silence the exporter's warnings: of its deprecations, and of packages that no operator here needs.
+
+    The exporter imports triton, which is for GPUs. At the end of the process triton's binding lists objects that it
+    did not free. Without a GPU triton stays out.
+    """
+    levels = {name: logging.getLogger(name).level for name in ("torch.onnx", "torch.utils.flop_counter")}
+    for name in levels:
+        logging.getLogger(name).setLevel(logging.ERROR)
+    absent = {} if "triton" in sys.modules or torch.cuda.is_available() else {"triton": None}
+    sys.modules.update(absent)  # type: ignore[arg-type]
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             yield
     finally:
-        logger.setLevel(level)
+        for name in absent:
+            del sys.modules[name]
+        for name, level in levels.items():
+            logging.getLogger(name).setLevel(level)

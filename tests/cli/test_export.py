@@ -4,11 +4,13 @@ import json
 import re
 import shutil
 import subprocess
+import sys
 import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import process_environment
 from typer.testing import CliRunner
 
 import npred
@@ -67,6 +69,15 @@ def test_writes_a_file(export, form):
         assert document["error"] < 1e-4 < document["eps"]
         said = export(form, "--nx", "21").stdout
         assert f"on {document['samples']} held-out samples within" in said and "ε" not in said  # evaluate's is of all
+
+
+def test_a_process_that_exports_ends_without_words(trained, tmp_path):
+    """Also not those of triton's binding, which come after Python's last line."""
+    pytest.importorskip("onnxruntime")
+    line = ["export", "onnx", f"{trained / 'p.toml'}:deeponet", "--store", str(trained / "store"), "-q", "--nx", "5"]
+    command = [sys.executable, "-m", "npred", *line]
+    done = subprocess.run(command, cwd=tmp_path, env=process_environment(), capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_a_snapshot_to_a_named_file(export, trained):
