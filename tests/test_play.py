@@ -204,7 +204,7 @@ def test_the_page_says_what_one_sees(look):
     move(page, "D_hat", 1)
     assert sentence(page).startswith("Settled")
     page.select_option("[name=scene]", "1")
-    page.wait_for_function("shown.of === LOOPS[1]")
+    page.wait_for_function("shown?.of === LOOPS[1]")
     assert sentence(page).startswith("Settled")
 
 
