@@ -1,9 +1,11 @@
 """Sphinx's configuration; `make docs` builds docs/_build/html."""
 
+import os
 import sys
 from pathlib import Path
 
 HERE = Path(__file__).parent
+os.environ["NPRED_QUIET"] = "1"  # in the gallery's outputs
 sys.path[:0] = [str(HERE.parent), str(HERE / "extensions")]
 
 import npred  # noqa: E402
