@@ -171,7 +171,7 @@ def run(
 
 def met(case: Case, loop: Any, D: np.ndarray) -> np.ndarray:
     """The states (B, n) that the first commands meet."""
-    return loop.X[np.arange(len(D)), np.rint(D / case.dt).astype(int)]
+    return loop.X[np.arange(len(D)), np.ceil(D / case.dt - 1e-9).astype(int)]  # the first that is looked at
 
 
 def promised(case: Case, X: np.ndarray) -> np.ndarray:
