@@ -99,9 +99,11 @@ class Guarded(Predictor):
         by the fewest operations. An example is decided where the shadows come apart by half of what passes, at most.
         This is a matter of cost alone, for a call that no level decides is answered by `exact`. Cost is counted in
         operations of the programs, not timed, so that the same guard answers the same calls on every machine.
+        Where inputs are read at nodes only (several delays, a declared one), intervals wider than these lose what
+        inputs do together, on both grids alike: shadows are then on all nodes, and on half of them.
         """
         last = self.nx - 1
-        if self.domain is None:
+        if self.domain is None or not family_of(self.plant).reads_cells:
             name = self.exact.name if self.exact.name in self._methods else METHODS[0]
             return name, [last // 2, last]
         P, worth = self.exact(*self.examples.calls), WORTH * self._exact_operations
@@ -129,9 +131,8 @@ class Guarded(Predictor):
         )
 
     def _levels(self, first: int) -> list[int]:
-        """The intervals of each level, twice those of the one before; no more than the nodes have, where they count."""
-        most = np.inf if family_of(self.plant).reads_cells else self.nx - 1
-        return sorted({int(min(first * 2**k, most)) for k in range(LEVELS)})
+        """The intervals of each level, twice those of the one before."""
+        return [first * 2**k for k in range(LEVELS)]
 
     def _undecided(self, P: np.ndarray, name: str, levels: list[int]) -> tuple[float, float]:
         """The share of the examples, whose predictions are P, that no level decides, and the operations of one call."""

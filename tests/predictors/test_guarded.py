@@ -1,5 +1,7 @@
 """Guarded predictors: the estimate against SciPy, what passes and what does not, loops as numerics' own."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from follower import follower
@@ -11,12 +13,12 @@ from stiff_plants import Sprung
 from varying_delays import with_delay
 
 import npred
-from npred import grid
+from npred import grid, plants
 from npred.data.domain import Domain
 from npred.errors import ConfigError
 from npred.loop import metrics
 from npred.plants import Plant
-from npred.predictors import Predictor
+from npred.predictors import RK4, Predictor
 from npred.predictors.coarse import Coarse, straight
 from npred.predictors.guarded import Guarded, bare
 from npred.predictors.semi_implicit import SemiImplicit
@@ -418,3 +420,18 @@ def test_the_estimate_is_the_gap_to_the_shadows_and_how_far_they_come_apart(leve
     np.testing.assert_array_equal(fallback, expected > np.median(expected))
     assert 0.1 < np.median(spread.max(axis=1) / expected) < 0.9  # both parts count
     assert 0.1 < np.mean((gap + spread).argmax(axis=1)) < 0.9  # and both inputs
+
+
+def test_inputs_that_are_read_at_nodes_only_have_shadows_on_all_of_them(monkeypatch):
+    """In wider intervals two grids lose alike what two inputs do together."""
+    guarded = Guarded(RK4(plants.resolve("unicycle"), 51), 0.05)
+    monkeypatch.setattr(Guarded, "domain", object())
+    assert guarded.reference == ("rk4", [25, 50])
+
+
+def test_calls_that_an_adversary_has_passed_fall_back_now():
+    """Rough inputs with two delays, a network's P̂, and its true error, 1.3 to 5 times the tolerance (DOP853)."""
+    calls = np.load(Path(__file__).parent.parent / "guard_calls.npz")
+    guarded = Guarded(RK4(plants.resolve("unicycle"), 51), 0.05)
+    _, fallback = guarded.judge(*(calls[name] for name in ("P_hat", "X", "u", "D_hat", "t")))
+    assert (calls["error"] > 0.06).all() and fallback.all()

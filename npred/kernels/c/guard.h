@@ -80,7 +80,7 @@ static inline void PART(_read)(int count, int last, int side, const double *u, c
             const double after = PART(_kinks_to)(c, last, high, u);
             double change = (after - before[c]) / (high - low);
             before[c] = after;
-            if (!ON_CELLS && count < last) { /* and by how much the grid's own intervals may be read otherwise */
+            if (!ON_CELLS) { /* and by how much the grid's own intervals may be read otherwise */
                 const int k = least(part, count - 1);
                 change += PART(_kinks)(c, count, k + 1, lines) - PART(_kinks)(c, count, k, lines);
             }
