@@ -152,7 +152,8 @@ def read(plant: str, declaration: Any, overrides: Mapping[str, Any]) -> Declarat
             raise ConfigError(f"plant {plant}: unknown parameter {key!r}; expected one of: {names}{near}")
         parts["parameters"] = {**defaults, **overrides}
     undeclared = [name for name in Declaration.model_fields if name not in parts]
-    for name in vars(declaration) if getattr(declaration, "traced", True) else ():  # a black box has other parts too
+    traced = isinstance(declaration, type) and getattr(declaration, "traced", True)
+    for name in vars(declaration) if traced else ():  # a black box has other parts too
         if name not in Declaration.model_fields and get_close_matches(name, undeclared, cutoff=0.85):
             raise ConfigError(f"plant {plant}: {name}: unknown part{similar(name, undeclared)}; rename it")
     try:
