@@ -249,6 +249,8 @@ class _Simulation:
         sizes = {"n": n, "m": m, "nx": nx, "row": rows, "sample": samples.shape[1] + 1, "breach": n + m + 1}
         out = Record(**signals.memory(signals.RECORD, sizes, lanes, {}))
         steps = Engine(self.parts, settings, state, out)
+        if progress:
+            progress(0)
         for start, stop in pairwise([0, *range(min(FIRST, count), count, BLOCK), count]):
             with devices.one_thread():
                 steps.run(origin, start, stop)

@@ -100,12 +100,12 @@ class Guarded(Predictor):
         This is a matter of cost alone, for a call that no level decides is answered by `exact`. Cost is counted in
         operations of the programs, not timed, so that the same guard answers the same calls on every machine.
         Where inputs are read at nodes only (several delays, a declared one), intervals wider than these lose what
-        inputs do together, on both grids alike: shadows are then on all nodes, and on half of them.
+        inputs do together, on both grids alike: shadows are then on all nodes, and on twice as many intervals.
         """
         last = self.nx - 1
         if self.domain is None or not family_of(self.plant).reads_cells:
             name = self.exact.name if self.exact.name in self._methods else METHODS[0]
-            return name, [last // 2, last]
+            return name, [last, 2 * last]
         P, worth = self.exact(*self.examples.calls), WORTH * self._exact_operations
         tried: list[tuple[float, float, str, int]] = []
         for cost, name, first in self._ladder():

@@ -64,21 +64,27 @@ def counted(count: int, unit: str) -> str:
 
 
 class Wait:
-    """Work under way: `done` of `total` units, where it can count them; the time that it takes follows from both."""
+    """Work under way: `done` of `total` units, where it can count them; the time that it takes follows from both.
+
+    What comes before the first units, such as a compilation, is not multiplied: `advance(0)` says that they begin.
+    """
 
     def __init__(self, what: str, seconds: float | None, often: str, total: int) -> None:
         self.what, self.seconds, self.often, self.total, self.done = what, seconds, often, total, 0
-        self.start = time.perf_counter()
+        self.start = self.began = self.latest = time.perf_counter()
 
     def advance(self, n: int) -> None:
         """n units more are done."""
+        self.latest = time.perf_counter()
+        if not self.done and n == 0:
+            self.began = self.latest
         self.done += n
 
     @property
     def expected(self) -> float | None:
         """The seconds that the work takes in all, as far as one knows."""
         if self.total and self.done:
-            return (time.perf_counter() - self.start) * self.total / self.done
+            return self.began - self.start + (self.latest - self.began) * self.total / self.done
         return self.seconds
 
     @property

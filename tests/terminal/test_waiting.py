@@ -78,6 +78,15 @@ def test_the_time_follows_from_the_units_done(lines: list[str]):
     assert line.startswith("simulating: about ")
 
 
+def test_what_comes_before_the_first_units_is_not_multiplied(monkeypatch: pytest.MonkeyPatch):
+    times = iter([0.0, 1.0, 1.5])  # of the beginning, of the first units' beginning, of their end
+    monkeypatch.setattr(waiting.time, "perf_counter", lambda: next(times))
+    work = waiting.Wait("simulating", None, "", total=100)
+    work.advance(0)
+    work.advance(10)
+    assert work.expected == pytest.approx(1.0 + 0.5 * 10)
+
+
 def test_work_within_work_adds_no_line_and_its_end_is_no_end_of_the_quiet(lines: list[str]):
     with waiting.said("simulating", 10.0):
         with waiting.said("compiling", 10.0):
