@@ -15,7 +15,7 @@ from npred.predictors.runge_kutta import RK4
 
 LEVELS = 4  # of grids that the settings have room for
 HEAD = 3 + LEVELS  # numbers of the settings before those of the domain: tolerance, limit, how many levels, their counts
-SHADOWS, WITHOUT_SIGNS = 4, 2  # predictions side by side; of a method whose steps do not tell their error
+SHADOWS = 4  # predictions side by side, of a method whose steps tell their error; there is one of any other
 POINTERS = {"CONTROL": family.CONTROL, "EXACT": family.PREDICT, "REFERENCE": family.PREDICT}
 
 
@@ -25,7 +25,7 @@ def kernel(plant: Plant, exact: Predictor, method: type[OneStep]) -> Callable[..
     cells, signed = model.reads_cells, method.paired
     reference = model.sweep(method.shadow(), cells, more=1) if signed else method(plant).cells()
     parts: dict[str, Any] = {"CONTROL": model.control(RK4.step), "EXACT": exact.lanes(), "REFERENCE": reference}
-    compiled, shadows = parts if plant.traced else {}, SHADOWS if signed else WITHOUT_SIGNS
+    compiled, shadows = parts if plant.traced else {}, SHADOWS if signed else 1
 
     def work(nx: int, lanes: int, settings: np.ndarray) -> int:
         finest = int(settings[3:HEAD].max()) + 1

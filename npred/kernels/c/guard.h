@@ -1,12 +1,12 @@
 /* GUARD: whether U of P is that of numerical predictions, and EXACT where it is not, or where these do not say.
  *
- * SHADOWS predictions by REFERENCE on a few intervals stand side by side. The first is the reference. In each interval
- * the others have an error of their own: half of how u may be read otherwise there, and, with SIGNED, the local error
- * of the step, with a sign that differs from shadow to shadow and from interval to interval. How far they come apart in
- * U is what the reference may err by: the plant itself says how much an error grows, and errors of different intervals
- * do not cancel in all shadows. With gap = |U - R|, R extrapolated from U_0 of this level and B of the one
- * before, of half as many intervals, and spread = 2 max_k |U_k - U_0| + |U_0 - B|, P passes where gap + spread is within
- * the tolerance, EXACT answers where gap - spread is above it, and in between the next level is asked.
+ * SHADOWS predictions by REFERENCE on a few intervals stand side by side. The first is the reference. With SIGNED the
+ * others add the local error of each step, with a sign that differs from shadow to shadow and from interval to
+ * interval. How far they come apart in U is what the reference may err by: the plant itself says how much an error
+ * grows, and errors of different intervals do not cancel in all shadows. With gap = |U - R|, R extrapolated from U_0 of
+ * this level and B of the one before, of half as many intervals, and spread = 2 max_k |U_k - U_0| + |U_0 - B|, P passes
+ * where gap + spread is within the tolerance, EXACT answers where gap - spread is above it, and in between the next
+ * level is asked.
  *
  * A grid reads u, whose nodes stand for the cells around them, by straight lines on its cells (ON_CELLS), or, where a
  * family of kernels reads values at nodes only, by the mean around each of its nodes.
@@ -43,61 +43,19 @@ static inline double PART(_sign)(int k, int interval)
     return bits >> 31 ? 1.0 : -1.0;
 }
 
-/* By how much the integral of u (nx, M) up to node j, in units of the distance of nodes, changes where a cubic reads
- * input c and not a line: after Simpson, 1/24 of the kink -u_0 + u_1 + u_2 - u_3 of each cell, of which most cancels in
- * the sum. */
-static inline double PART(_kinks)(int c, int last, int j, const double *u)
+/* v (rows, ROW, side): the inputs of the shadows, from `lines` (rows, M), of which each interval has `ends`. */
+static inline void PART(_read)(int rows, int ends, int side, const double *lines, double *v)
 {
-    const double *v = u + c, *w = v + (ptrdiff_t)j * M;
-    if (last < 3 || j == 0) {
-        return 0.0;
-    }
-    const double begin = -4.0 * v[0] + 7.0 * v[M] - 4.0 * v[2 * M] + v[3 * M];
-    if (j < last) {
-        return (begin + w[-M] - w[M]) / 24.0;
-    }
-    return (begin - 4.0 * w[0] + 7.0 * w[-M] - 4.0 * w[-2 * M] + w[-3 * M]) / 24.0;
-}
-
-/* The same up to a place, counted in nodes. */
-static inline double PART(_kinks_to)(int c, int last, double place, const double *u)
-{
-    const int j = least((int)place, last - 1);
-    const double before = PART(_kinks)(c, last, j, u), after = PART(_kinks)(c, last, j + 1, u);
-    return before + (place - (double)j) * (after - before);
-}
-
-/* v (rows, ROW, side): the inputs of the shadows on `count` intervals, from u (nx, M) and
- * lines (rows, M), those of the reference. */
-static inline void PART(_read)(int count, int last, int side, const double *u, const double *lines, double *v)
-{
-    const int parts = ON_CELLS ? count : count + 1, ends = ON_CELLS ? 2 : 1;
-    const double wide = (double)last / (double)count;
-    double low = 0.0, before[M] = {0.0};
-    for (int part = 0; part < parts; part++) {
-        const double high = ON_CELLS ? (double)(part + 1) * wide : smaller(((double)part + 0.5) * wide, (double)last);
+    for (int row = 0; row < rows; row++) {
+        double *at = v + (ptrdiff_t)row * ROW * side;
         for (int c = 0; c < M; c++) {
-            const double after = PART(_kinks_to)(c, last, high, u);
-            double change = (after - before[c]) / (high - low);
-            before[c] = after;
-            if (!ON_CELLS) { /* and by how much the grid's own intervals may be read otherwise */
-                const int k = least(part, count - 1);
-                change += PART(_kinks)(c, count, k + 1, lines) - PART(_kinks)(c, count, k, lines);
-            }
-            for (int row = part * ends; row < (part + 1) * ends; row++) {
-                double *at = v + ((ptrdiff_t)row * ROW + c) * side;
-                at[0] = lines[row * M + c];
-                for (int k = 1; k < side; k++) { /* by half, for the spread counts twice */
-                    at[k] = at[0] + (k < 3 ? 0.5 : -0.5) * change;
-                }
-            }
-        }
-        for (int row = part * ends; SIGNED && row < (part + 1) * ends; row++) {
             for (int k = 0; k < side; k++) {
-                v[((ptrdiff_t)row * ROW + M) * side + k] = PART(_sign)(k, part);
+                at[c * side + k] = lines[row * M + c];
             }
         }
-        low = high;
+        for (int k = 0; SIGNED && k < side; k++) {
+            at[M * side + k] = PART(_sign)(k, row / ends);
+        }
     }
 }
 
@@ -121,7 +79,7 @@ static inline void PART(_shadows)(Shape one, int count, int few, int side, const
     } else {
         means_on_nodes(one, M, count, u, mass, lines);
     }
-    PART(_read)(count, one.nx - 1, side, u, lines, v);
+    PART(_read)(rows, ON_CELLS ? 2 : 1, side, lines, v);
     for (int k = 0; k < N * side; k++) {
         x[k] = X[k / side];
     }
@@ -261,7 +219,7 @@ static inline double PART(_judge)(Shape one, int lanes, int l, const double *x, 
     integrals(one, M, v, mass, turn);
     for (int level = BESIDE; level < levels && judgement == DOUBT; level++) {
         const int count = (int)guard[COUNTS_AT + level], few = BESIDE && level == 1 ? (int)guard[COUNTS_AT] : 0;
-        const int side = few > 0 ? SHADOWS + 1 : SIGNED || level > 0 ? SHADOWS : 1; /* of a first level the reference */
+        const int side = few > 0 ? SHADOWS + 1 : level > 0 ? SHADOWS : 1; /* of a first level the reference */
         const double *q = Q + count * N * side;
         PART(_shadows)(one, count, few, side, x, v, D_hat, t, p, mass, turn, A, Q, rest, work);
         if (few > 0) {
