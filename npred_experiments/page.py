@@ -19,6 +19,7 @@ ABOUT = (
     "As meant: the same quantity with the right plant, law, transport and metric. Networks are npred's, of the "
     "published kinds."
 )
+LEFT_OUT = "A table without `predictor` is of the numerical one; without `published`, the source prints no number."
 LOOKS = {"published": Look("crimson", width=0, marker="X"), "npred's network": Look("blue", width=0, marker="o")}
 LEAST = 1e-7  # a distance that is shown
 
@@ -69,16 +70,13 @@ def page(results: Sequence[Reproduced]) -> str:
 
 def markdown(results: Sequence[Reproduced]) -> str:
     """The rows as a page of the documentation; times and trainings are on the other page."""
-    lines = [f"# {TITLE}, measured", "", ABOUT, "", *summary(results), ""]
+    lines = [f"# {TITLE}, measured", "", ABOUT, LEFT_OUT, "", *summary(results), ""]
     for result in results:
-        experiment = load(result.name)
-        lines += [f"## {_heading(result.name)}", "", f"`{result.name}`: {experiment.source}.", ""]
-        table = _rows(result)
-        heads = [column.head for column in table.columns]
-        rules = ["---:" if column.numeric else "---" for column in table.columns]
-        cells = [[column.text(v) for column, v in zip(table.columns, row, strict=True)] for row in table.rows]
-        lines += ["| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in (heads, rules, *cells)]
-        lines.append("")
+        lines += [f"## {_heading(result.name)}", "", f"`{result.name}`: {load(result.name).source}.", ""]
+        columns = [column for column in _rows(result).columns if {*map(column.text, column.values)} - {NUMERICAL, "–"}]
+        rows = zip(*([column.head, *map(column.text, column.values)] for column in columns), strict=True)
+        head, *others = ["| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in rows]
+        lines += [head, "".join("|---:" if column.numeric else "|---" for column in columns) + "|", *others, ""]
     return "\n".join(lines)
 
 

@@ -61,6 +61,12 @@ def test_the_page_and_the_markdown_have_every_row_with_the_printed_digits():
     assert page.page([RESULT]) == html
 
 
+def test_the_markdown_leaves_out_a_column_that_says_the_same_in_every_row():
+    numerical = Reproduced(name="unicycle_constant", rows=[row("numerical", None, 0.0285430028)], trained=[])
+    table = page.markdown([numerical]).splitlines()[-3:]
+    assert table == ["| metric | as published | as meant |", "|---|---:|---:|", "| prediction | 0.028543 | 0.500000 |"]
+
+
 def test_a_page_without_networks_has_no_figure():
     numerical = Reproduced(name="unicycle_constant", rows=ROWS[:1], trained=[])
     assert "<figure" not in page.page([numerical])
