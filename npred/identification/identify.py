@@ -1,13 +1,15 @@
-"""`npred.identify`: from the arrays of a recording to the delays and parameters of a plant."""
+"""`npred.identify`: from a recording, a file or arrays, to the delays and parameters of a plant."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from npred import randomness
-from npred.identification import alternatives, estimate, parameters
+from npred.errors import ConfigError
+from npred.identification import alternatives, estimate, parameters, recorded
 from npred.identification.estimate import Delays
 from npred.identification.identified import Findings, Identified, Windows
 from npred.identification.log import Log
@@ -21,15 +23,21 @@ WINDOW = 8, 20  # segments of a window, and windows, at most
 
 
 def identify(
-    plant: Plant, t: Any, U: Any, X: Any, *, free: Sequence[str] = (),
-    bounds: Mapping[str, tuple[float, float]] | None = None, longest: float | None = None, offset: bool = False,
-    time_varying: bool = False, model_error: float = MODEL_ERROR, seed: int = 0,
+    plant: Plant, t: Any, U: Any = None, X: Any = None, *, columns: Mapping[str, str] = {},
+    scale: Mapping[str, float] = {}, shift: Mapping[str, float] = {}, time: str | None = None,
+    time_unit: str | None = None, free: Sequence[str] = (), bounds: Mapping[str, tuple[float, float]] | None = None,
+    longest: float | None = None, offset: bool = False, time_varying: bool = False,
+    model_error: float = MODEL_ERROR, seed: int = 0,
 ) -> Identified:  # fmt: skip
     """The delay of each input, and the parameters `free`, by a recording of the plant: what it tells, and what not.
 
     t (N,) are the times of the rows, U (N, m) the commands, each held until the next one, and X (N, n) the measured
     outputs: the states, or what the plant declares by output(x, t, p, M). NaN in U is no new command, NaN in X no
     sample; rows may be irregular, repeated and in any order, and inputs may come at other times than outputs.
+
+    In place of the arrays, the path of a recording, before or after the plant: a table "log.csv", or a format of an
+    extra. `columns` has the columns of inputs and outputs that are named otherwise, {"q": "Q1"}; `scale` and `shift`
+    bring columns to the plant's units; `time` is the column of the times, in `time_unit`.
 
     Delays from 0 to `longest` are tried, by default up to a fifth of the log. `bounds` has ranges of free parameters.
     Those that are not free are taken to be within about `model_error` of their value, relatively (0: they are exact),
@@ -38,12 +46,21 @@ def identify(
 
     The fit is by rollouts over short segments each with its initial state, by Gauss and Newton's method; delays by
     the profile of the cost, which has kinks; intervals by the profile and by drawing the segments anew.
-    Raises ConfigError for arrays that do not fit together, an unknown parameter, a log that is too short, and a plant
-    that declares its delay.
+    Raises ConfigError for arrays that do not fit together, a file or a column that is not there, an unknown parameter,
+    a log that is too short, and a plant that declares its delay.
     """
+    if isinstance(t, Plant):
+        plant, t = t, plant
     require(plant)
     settings = Settings(tuple(free), bounds, longest, offset, time_varying, model_error, seed)
-    log = Log.of(*arrays(plant, t, U, X))
+    is_file = isinstance(t, str | Path)
+    if any((a is None) != is_file for a in (U, X)):
+        got = "both" if is_file else f"no {'U' if U is None else 'X'}"
+        raise ConfigError(f"identify: expected the path of a recording, or t, U and X, got {got}; give one of both")
+    if is_file:
+        log = recorded.read(plant, Path(t), columns, scale, shift, time, time_unit)
+    else:
+        log = Log.of(*arrays(plant, t, U, X))
     with waiting.said("identifying: fits of many delays", 3e-5 * len(log.t) + 1.0):
         return of_log(plant, log, settings)
 

@@ -44,6 +44,8 @@ class Settings:
 
 def prepared(plant: Plant, log: Log, settings: Settings) -> tuple[Problem, np.ndarray]:
     """The problem of a log, its steps fine enough, and the longest delays (m,)."""
+    if plant.declares_delay:
+        raise ConfigError(f"plant {plant.name}: expected a plant whose delay is unknown, it declares delay(x, t, p, M)")
     duration = log.t[-1] - log.begin
     longest = settings.longest or min(duration / RANGE[0], RANGE[1] * log.period)
     rows = log.between(log.begin + longest, np.inf)
@@ -66,8 +68,6 @@ def prepared(plant: Plant, log: Log, settings: Settings) -> tuple[Problem, np.nd
 
 def arrays(plant: Plant, t: Any, U: Any, X: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The rows as arrays t (N,), U (N, m) and X (N, outputs). Raises ConfigError as `identify` does."""
-    if plant.declares_delay:
-        raise ConfigError(f"plant {plant.name}: expected a plant whose delay is unknown, it declares delay(x, t, p, M)")
     t, U, X = (array_checks.floats(name, value) for name, value in (("t", t), ("U", U), ("X", X)))
     U, X = (a[:, None] if a.ndim == 1 else a for a in (U, X))
     outputs = len(plant.outputs)

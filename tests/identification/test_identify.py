@@ -198,7 +198,7 @@ def test_what_does_not_fit_is_one_line(change, words):
 
 def test_a_plant_that_knows_its_delay_is_refused():
     with pytest.raises(ConfigError, match="it declares delay"):
-        npred.identify(npred.plant("transport_tank"), np.arange(9.0), np.zeros((9, 1)), np.zeros((9, 1)))
+        npred.identify(npred.plant("transport_tank"), np.arange(9.0), np.arange(9.0), np.zeros((9, 2)))
 
 
 def test_a_plant_that_is_far_from_the_given_one_is_said():

@@ -7,19 +7,18 @@ from typing import Any
 import h5py
 import numpy as np
 
-from npred import recordings
-from npred.errors import ConfigError, similar
+from npred.errors import ConfigError
 from npred.figures import identified as figures
 from npred.figures import svg
 from npred.figures.figure import write
 from npred.figures.table import Column, Table
+from npred.identification import recorded
 from npred.identification.identified import Identified
 from npred.identification.identify import of_log
 from npred.identification.log import Log
 from npred.identification.preparation import Settings
 from npred.plants import Plant
 from npred.results import IdentifiedResult
-from npred.stages.identify.table import Identify
 from npred.stages.job import Job
 from npred.stages.report import html_page, toml_text
 
@@ -34,7 +33,7 @@ def run(job: Job) -> IdentifiedResult:
         raise ConfigError(
             "identify: expected a recording, got none; name one by data in [identify], or npred identify LOG"
         )
-    log = read(plant, table)
+    log = recorded.read(plant, Path(table.data), table.columns, table.scale, table.shift, table.time, table.time_unit)
     settings = Settings(
         tuple(table.free),
         table.bounds,
@@ -60,41 +59,6 @@ def run(job: Job) -> IdentifiedResult:
 def summary(result: IdentifiedResult, width: int | None = None) -> str:
     """What is known, in sentences."""
     return "\n".join(result.sentences)
-
-
-def read(plant: Plant, table: Identify) -> Log:
-    """The log in a recording. Raises ConfigError where an input has no column, or no output has one."""
-    path, columns = Path(table.data), {name: table.columns.get(name, name) for name in (*plant.inputs, *plant.outputs)}
-    unknown = set(table.columns) - set(columns)
-    if unknown:
-        raise ConfigError(
-            f"columns: expected inputs or outputs of plant {plant.name}, {', '.join(columns)}, got "
-            f"{', '.join(sorted(unknown))}; name one of those"
-        )
-    there = recordings.columns(path)
-    missing = [name for name, column in columns.items() if column not in there]
-    unmeasured = [name for name in missing if name in plant.outputs and name not in table.columns]
-    chosen = {name: column for name, column in columns.items() if name not in unmeasured}
-    if len(unmeasured) == len(plant.outputs):
-        raise ConfigError(
-            f"{path}: expected a column for one of {', '.join(plant.outputs)}, found {', '.join(there)}; map one, as "
-            f"--state {plant.outputs[0]}={there[-1] if there else 'y'}"
-        )
-    for key in (*table.scale, *table.shift):
-        if key not in chosen.values():
-            raise ConfigError(
-                f"scale, shift: expected columns that are read, {', '.join(chosen.values())}, got {key}"
-                f"{similar(key, chosen.values())}; name one of those"
-            )
-    series = recordings.read(path, list(chosen.values()), table.time, table.time_unit)
-    return Log.of_series(
-        [_scaled(series[chosen[name]], table, chosen[name]) for name in plant.inputs],
-        [_scaled(series[chosen[name]], table, chosen[name]) if name in chosen else None for name in plant.outputs],
-    )
-
-
-def _scaled(series: recordings.TimeSeries, table: Identify, column: str) -> tuple[np.ndarray, np.ndarray]:
-    return series.t, table.scale.get(column, 1.0) * series.values + table.shift.get(column, 0.0)
 
 
 def _result(identified: Identified, log: Log) -> IdentifiedResult:

@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
+import npred
 from npred import config
 from npred.cli import app
+from npred.errors import ConfigError
 
 LOG = Path(__file__).parents[3] / "docs" / "recordings" / "tank_log.csv"
 PLANT = """
@@ -145,3 +147,36 @@ def test_gc_keeps_what_a_recording_has_told(folder: Path):
     assert call("log.csv", *FLAGS).exit_code == 0
     done = CliRunner().invoke(app, ["gc", "--json", "log.toml"])
     assert done.exit_code == 0 and json.loads(done.stdout)["plan"] == [], done.output
+
+
+def test_python_takes_a_path_before_or_after_the_plant_and_answers_as_the_command(folder: Path):
+    answer = json.loads(call("log.csv", *FLAGS, "--scale", "level=1.5", "--json").stdout)
+    plant = npred.plant("my_plant.py:Tank")
+    how = {"columns": {"q": "Q1", "h": "level"}, "scale": {"level": 1.5}, "free": ["area", "outflow"]}
+    first, second = npred.identify("log.csv", plant, **how), npred.identify(plant, folder / "log.csv", **how)
+    assert first.D.tolist() == second.D.tolist() == answer["D"]
+    assert first.parameters == second.parameters == answer["parameters"]
+    assert first.sentences == answer["sentences"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named", "words"),
+    [
+        (("log.csv",), {}, "expected a column for one of h, found time, Q1, level; map one by columns"),
+        (("log.csv",), {"columns": {"Q": "Q1"}}, "got Q; did you mean q?"),
+        (("lok.csv",), {}, "expected a recording, found no file"),
+        (("log.csv", [0.0]), {}, "identify: expected the path of a recording, or t, U and X, got both"),
+        (([0.0, 1.0], [0.0, 1.0]), {}, "identify: expected the path of a recording, or t, U and X, got no X"),
+    ],
+)
+def test_python_says_what_is_wrong_with_a_path(arguments: tuple, named: dict, words: str):
+    with pytest.raises(ConfigError) as caught:
+        npred.identify(npred.plant("my_plant.py:Tank"), *arguments, **named)
+    assert words in str(caught.value)
+
+
+def test_a_plant_that_declares_its_delay_is_refused_with_a_file_too(folder: Path):
+    late = PLANT.replace("    def kappa", "    def delay(x, t, p, M):\n        return 0.3\n\n    def kappa")
+    (folder / "my_plant.py").write_text(late)
+    done = call("log.csv", *FLAGS, "-q")
+    assert done.exit_code == 2 and "expected a plant whose delay is unknown" in done.output
