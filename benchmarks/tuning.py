@@ -1,4 +1,4 @@
-"""What `npred tune` gains on three pipelines, beside the best of a grid over the same ranges.
+"""What `npred tune` gains on four pipelines, beside the best of a grid over the same ranges.
 
     python benchmarks/tuning.py [NAME …] [--cells 12] [--evaluations 150] [--jobs 1]
 
@@ -22,7 +22,11 @@ SETS = {  # pipeline: what is set in it
     "paper": ["evaluate.t_end=40.0", "evaluate.case_t_end=40.0"],
     "chemostat": ["evaluate.t_end=30.0", "evaluate.case_t_end=30.0"],
     "van_der_pol": ['tune.free=["k1", "k2"]', "tune.bounds={ k1 = [1.0, 20.0], k2 = [1.0, 20.0] }"],
-}
+    "cart_pole": [
+        'kappa="lqr"', 'tune.free=["Q.p", "R.F"]', 'evaluate.adaptation="frozen"', "evaluate.case_D_hat0=[0.2]",
+        "evaluate.t_end=20.0", "evaluate.case_t_end=20.0",
+    ],
+}  # fmt: skip
 HEAD = ("pipeline", "", "numbers", "cost, training", "cost, held-out", "gain, held-out", "tries")
 
 
@@ -30,7 +34,7 @@ def rows(name: str, cells: int, evaluations: int, jobs: int) -> list[tuple[str, 
     """A pipeline before, by CMA-ES, and by the grid."""
     sets = [*SETS[name], f"tune.evaluations={evaluations}"]
     pipeline = config.load(Path(__file__).parents[1] / "pipeline" / f"{name}.toml", sets)
-    plant, table = plants.resolve(pipeline.plant, pipeline.parameters), pipeline.tune or Tune()
+    plant, table = plants.resolve(pipeline.plant, pipeline.parameters, pipeline.kappa), pipeline.tune or Tune()
     result = tune(pipeline, plant, jobs)
     before = {each.name: each.before for each in result.numbers}
     axes = [np.geomspace(each.low, each.high, cells).tolist() for each in result.numbers]

@@ -10,11 +10,13 @@ from npred.config import Pipeline
 from npred.config.section import moved
 from npred.errors import ConfigError
 from npred.parallel import devices
+from npred.plants import Plant
 from npred.results import Tuned
 from npred.stages.report import toml_text
 from npred.terminal import interruption
 from npred.terminal.console import columns
 from npred.tuning.cost import ALPHA, LAW
+from npred.tuning.lqr_weights import LqrWeights
 from npred.tuning.tune import tune as search
 
 MADE = "# made by npred tune"
@@ -38,9 +40,8 @@ def tune(options: Planned, free: list[str], output: Path | None) -> None:
         text = _table(result, options.console.width)
         if output and result.gained:
             output.write_text(
-                _pipeline(
-                    options.pipeline.name, moved(tables, lambda file: relpath(file, output.parent)), pipeline, result
-                ),
+                f"{MADE} {options.pipeline.name}\n# {result.sentence}\n\n"
+                + _pipeline(moved(tables, lambda file: relpath(file, output.parent)), pipeline, planner.plant, result),
                 encoding="utf-8",
             )
             text += f"\nwrote {output}"
@@ -81,16 +82,19 @@ def _table(result: Tuned, width: int | None) -> str:
     return f"{result.sentence}\n\n{columns(['', 'before', 'after'], rows, width, {'before', 'after'})}"
 
 
-def _pipeline(source: str, tables: dict[str, Any], pipeline: Pipeline, result: Tuned) -> str:
+def _pipeline(tables: dict[str, Any], pipeline: Pipeline, plant: Plant, result: Tuned) -> str:
     """The pipeline with the new numbers: gamma and b in [evaluate], and in [generate] where its law is the same."""
     after = {each.name: float(f"{each.after:.6g}") for each in result.numbers}
     law = {name: value for name, value in after.items() if name in LAW}
-    rest = {name: value for name, value in after.items() if name not in (*law, ALPHA)}
+    rest = {name: value for name, value in after.items() if name not in law and "." not in name}
     same = pipeline.generate.adaptation == pipeline.evaluate.adaptation
     changed = dict(tables) | {"parameters": tables.get("parameters", {}) | rest}
     for stage in ("evaluate", "generate") if same else ("evaluate",):
         changed[stage] = tables.get(stage, {}) | law
+    weights = LqrWeights.of(plant)
+    if weights and weights.present.keys() & after.keys():
+        changed["kappa"] = weights.table(after)
     if ALPHA in after:
         table = changed["evaluate"]
         changed["evaluate"] = table | {"safety": table["safety"] | {"alpha": after[ALPHA]}}
-    return f"{MADE} {source}\n# {result.sentence}\n\n{toml_text.dumps(changed)}"
+    return toml_text.dumps(changed)

@@ -15,8 +15,10 @@ class Tune(Section):
     gamma and b vary if a delay law adapts. A range with low > 0 has a logarithmic scale; low = high fixes the number.
     """
 
-    free: list[str] = []  #: parameters that vary: those of kappa, not of f
-    bounds: dict[str, Span] = {}  #: by name; by default gamma, b: 1 % to 100 times, gains: a fifth to 5 times
+    #: parameters that vary: those of kappa, not of f; of kappa = "lqr" also Q and R, their diagonals, or one as Q.x
+    free: list[str] = []
+    #: by name, of Q and R times the present; by default gamma, b, Q, R: 1 % to 100 times, gains: a fifth to 5 times
+    bounds: dict[str, Span] = {}
     starts: Count = 8  #: random initial states of the search
     held_out: Annotated[int, Field(ge=2, le=2**53, strict=True)] = 16  #: initial states of the final judgement
     evaluations: Count = 150  #: number of settings to try

@@ -134,19 +134,21 @@ class Design:
         """f_X (T, n, n) and f_U (T, n, m) at `moments` of the target."""
         return self.plant.jacobians(*self.targets, self.moments)
 
-    def scheduled(self, closed: np.ndarray, error: Sequence[Value]) -> list[Value] | None:
-        """K(t) e, as expressions, with A(t) - B(t) K(t) = closed along the reference: the error obeys e' = closed e.
+    def schedules(self, closed: np.ndarray) -> bool:
+        """Whether some K(t) makes A(t) - B(t) K(t) = closed, (n, n), along the reference.
 
-        None where no K(t) does, since a difference of the rates is not in the range of B(t), or where a state of the
-        reference is a number, or is equal to another one.
+        None does where a difference of the rates is not in the range of B(t), or where a state of the reference is a
+        number, or is equal to another one.
         """
         A, B = self.slopes
         excess = A - closed
         left = excess - B @ np.linalg.pinv(B) @ excess
+        symbols = {x.index for x in self.target[0] if isinstance(x, Symbol)}
+        return len(symbols) == self.plant.n and bool(np.abs(left).max() <= MATCHED * np.abs(A).max())
+
+    def scheduled(self, closed: np.ndarray, error: Sequence[Value]) -> list[Value]:
+        """K(t) e, as expressions, where K(t) makes A(t) - B(t) K(t) = closed: the error obeys e' = closed e."""
         X, u = self.target
-        symbols = {x.index for x in X if isinstance(x, Symbol)}
-        if len(symbols) < len(X) or np.abs(left).max() > MATCHED * np.abs(A).max():
-            return None
         rates = self.trace.f(np.array(X, dtype=object), np.array(u, dtype=object), self.t)
         held = [a for a in u if isinstance(a, Symbol)]  # u is an expression of X, but no part of f_X
         by_error = programs.derivative(rates, [*X, *held], [*error, *[0.0] * len(held)])

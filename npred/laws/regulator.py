@@ -9,6 +9,7 @@ from npred.laws.design import Design
 from npred.laws.law import Law, linear, rounded, written
 from npred.laws.riccati import riccati
 from npred.plants.base import Plant
+from npred.symbolic import Value
 
 
 def lqr(plant: Plant, Q: ArrayLike | None = None, R: ArrayLike | None = None) -> Law:
@@ -24,14 +25,19 @@ def lqr(plant: Plant, Q: ArrayLike | None = None, R: ArrayLike | None = None) ->
     return along(design, gains(design, Q, R)[1])
 
 
-def gains(design: Design, Q: ArrayLike | None = None, R: ArrayLike | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """S (n, n) and K (m, n) of the regulator."""
-    weights = [
+def weights(design: Design, Q: ArrayLike | None = None, R: ArrayLike | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Q (n, n) and R (m, m), by default those of Bryson's rule. Raises ConfigError for weights that do not fit."""
+    return (
         _weights(design, "Q", Q, design.widths, least=0.0),
         _weights(design, "R", R, design.sizes, least=np.finfo(float).tiny),
-    ]
+    )
+
+
+def gains(design: Design, Q: ArrayLike | None = None, R: ArrayLike | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """S (n, n) and K (m, n) of the regulator."""
+    both = weights(design, Q, R)
     try:
-        return riccati(*design.linearised, *weights)
+        return riccati(*design.linearised, *both)
     except ConfigError as fault:
         raise ConfigError(f"kappa {design.law}: plant {design.plant.name}: {fault}") from None
 
@@ -44,13 +50,32 @@ def along(design: Design, K: np.ndarray) -> Law:
     """
     if not design.follows:
         return linear(design.plant, K, *design.rest, design.widths)
+    A, B = design.linearised
+    return written(design.trace, _commands(design, rounded(K), rounded(A - B @ K)))
+
+
+def adjustable(plant: Plant, K: np.ndarray) -> Plant:
+    """The plant with the law of `along` whose gains K (m, n) are its last parameters: other gains compile nothing."""
+    names = [f"lqr_gain{k}" for k in range(K.size)]
+    parameters = plant.parameters | dict(zip(names, K.ravel().tolist(), strict=True))
+    declared = type(plant.declared.__name__, (plant.declared,), {"parameters": parameters})
+    other = type(plant)(plant.name, declared, source=plant.source)
+    design = Design(other, "lqr")
+    A, B = design.linearised
+    symbols = np.array(design.trace.parameters[-K.size :], dtype=object).reshape(K.shape)
+    closed = A - B @ (symbols if design.schedules(A - B @ K) else K)
+    return other.controlled(written(design.trace, _commands(design, symbols, closed)))
+
+
+def _commands(design: Design, K: np.ndarray, closed: np.ndarray) -> list[Value]:
+    """u - K (x - X), or u - K(t) (x - X) with A(t) - B(t) K(t) = closed = A - B K, as expressions."""
     X, u = design.target
     errors = [a - b for a, b in zip(design.x, X, strict=True)]
-    A, B = design.linearised
-    pulls = design.scheduled(rounded(A - B @ K), errors)
-    if pulls is None:
-        pulls = [sum(gain * error for gain, error in zip(row, errors, strict=True)) for row in rounded(K)]
-    return written(design.trace, [a - b for a, b in zip(u, pulls, strict=True)])
+    if closed.dtype == object or design.schedules(closed):
+        pulls = design.scheduled(closed, errors)
+    else:
+        pulls = [sum(gain * error for gain, error in zip(row, errors, strict=True)) for row in K]
+    return [a - b for a, b in zip(u, pulls, strict=True)]
 
 
 def _weights(design: Design, name: str, given_weights: ArrayLike | None, sizes: np.ndarray, least: float) -> np.ndarray:

@@ -17,6 +17,7 @@ from npred.plants import Plant
 from npred.predictors import numerical
 from npred.symbolic import programs
 from npred.symbolic.trace import Trace
+from npred.tuning.lqr_weights import LqrWeights
 
 LAW = ("gamma", "b")  # numbers of the delay law, as [evaluate] calls them
 ALPHA = "safety.alpha"  # of the safety filter, likewise
@@ -128,8 +129,10 @@ class Loops:
 
 
 def varied(plant: Plant, numbers: Mapping[str, float]) -> Plant:
-    """The plant with those of the numbers that are its parameters."""
-    return plants.varied(plant, tuple((name, value) for name, value in numbers.items() if name not in (*LAW, ALPHA)))
+    """The plant with those of the numbers that are its parameters, or weights of its law."""
+    if any(name[:2] in ("Q.", "R.") for name in numbers) and (weights := LqrWeights.of(plant)):
+        plant = weights.varied(numbers)
+    return plants.varied(plant, tuple((k, value) for k, value in numbers.items() if k not in LAW and "." not in k))
 
 
 def gains(plant: Plant) -> list[str]:

@@ -20,9 +20,11 @@ from npred.results import JudgedLoops, Tuned, TunedNumber
 from npred.terminal import interruption
 from npred.terminal.console import Console
 from npred.tuning.cost import ALPHA, LAW, Loops, Progress, Settling, Yardstick, gains
+from npred.tuning.lqr_weights import LqrWeights
 
 SPREAD = 0.25  # standard deviation that a search starts with, as a share of each range
-FAR = {"gamma": 100.0, "b": 100.0}  # a default range is the present number divided and multiplied by this …
+# A default range is the present number divided and multiplied by this …
+FAR = {"gamma": 100.0, "b": 100.0, "Q": 100.0, "R": 100.0}
 GAIN_FAR = 5.0  # … or, of a gain, by this
 RESAMPLES = 4000
 
@@ -40,20 +42,22 @@ class Ranges:
         """Those of a pipeline. Raises ConfigError for a name that is no gain, and where nothing is free."""
         law = delay_law.resolve(pipeline.evaluate, plant)
         chosen = [name for name in table.free if name != ALPHA and (name not in LAW or law is None)]
-        offered = gains(plant) if chosen else []
+        weights = LqrWeights.of(plant)
+        chosen = weights.named(chosen) if weights else chosen
+        offered = _offered(plant, weights) if chosen else {}
         for name in chosen:
             if name not in offered:
                 raise ConfigError(
                     f"free: expected gains, which kappa reads and the plant does not: {', '.join(offered) or 'none'}; "
                     f"got {name!r}{similar(name, offered)}"
                 )
-        present = ({"gamma": law.gamma, "b": law.b} if law else {}) | {name: plant.parameters[name] for name in chosen}
+        present = ({"gamma": law.gamma, "b": law.b} if law else {}) | {name: offered[name] for name in chosen}
         if ALPHA in table.free:
             present |= {ALPHA: _alpha(pipeline)}
-        spans = {name: table.bounds.get(name) or _span(name, value) for name, value in present.items()}
+        spans = {name: _span(name, value, table.bounds) for name, value in present.items()}
         free = {name: value for name, value in present.items() if spans[name][0] < spans[name][1]}
         if not free:
-            names = ", ".join(gains(plant)) if plant.traced else "none"
+            names = ", ".join(_offered(plant, weights)) if plant.traced else "none"
             raise ConfigError(f"free: expected something to tune, got nothing; name gains of kappa, here: {names}")
         low, high = np.array([spans[name] for name in free], dtype=float).T
         return cls(free, low, high)
@@ -72,6 +76,10 @@ class Ranges:
         return np.array(z)
 
 
+def _offered(plant: Plant, weights: LqrWeights | None) -> dict[str, float]:
+    return {name: plant.parameters[name] for name in gains(plant)} | (dict(weights.present) if weights else {})
+
+
 def _alpha(pipeline: Pipeline) -> float:
     """That of the safety filter in [evaluate]. Raises ConfigError where there is none."""
     if pipeline.evaluate.safety is None:
@@ -81,8 +89,14 @@ def _alpha(pipeline: Pipeline) -> float:
     return pipeline.evaluate.safety.alpha
 
 
-def _span(name: str, value: float) -> tuple[float, float]:
-    far = FAR.get(name, GAIN_FAR)
+def _span(name: str, value: float, bounds: Mapping[str, tuple[float, float]]) -> tuple[float, float]:
+    """The range of a number: its bounds, or those of all Q or R, which are times the present weight, or by default."""
+    letter, dot, _ = name.partition(".")
+    if name in bounds:
+        return bounds[name]
+    if dot and letter in bounds:
+        return bounds[letter][0] * value, bounds[letter][1] * value
+    far = FAR.get(letter, GAIN_FAR)
     if value == 0:
         raise ConfigError(f"free: expected a range for {name}, which is 0 now, got none; write {name}=LOW:HIGH")
     ends = (value / far, value * far)
