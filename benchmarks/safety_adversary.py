@@ -3,10 +3,11 @@
     python benchmarks/safety_adversary.py [--plant cart] [--seconds 60] [--seed 0]
 
 CMA-ES chooses the start in the plant's box, the true delay in D_hat ± delay (that of the pole is D_hat), and the input
-before t = 0 as steps of equal length, and makes the least h as small as it can, in units of the limit's size. The plants
-and filters are those of limits.py. npred says only which commands its filtered loop gives. That loop is then integrated
-once more by SciPy's DOP853, with the dynamics, h and the set that the filter promises to keep, h >= 0 and h' + alpha h
->= 0 where the first command acts, written here anew. A candidate outside that set counts by how far it is outside.
+before t = 0 as steps of equal length, and makes the least h as small as it can, in units of the limit's size. The
+plants and filters are those of limits.py. npred says only which commands its filtered loop gives. That loop is then
+integrated once more by SciPy's DOP853, with the dynamics, h and the set that the filter promises to keep, h >= 0 and
+h' + alpha h >= 0 where the first command acts, written here anew. A candidate outside that set counts by how far it is
+outside.
 Printed are the loops, those inside the set, and the least h over the size among these.
 """
 
