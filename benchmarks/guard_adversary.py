@@ -92,6 +92,38 @@ def pomet(x: Any, t: Any) -> list[Any]:
     return [turn, -p + 5 * q * (s - c) + q * turn]
 
 
+LINKS, FRICTION = 7, 20.0  # of pipeline/geared_arm.toml; rods of 1 kg and 0.5 m
+
+
+def rods(x: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """The mass matrix (..., 7, 7) of the arm, its centrifugal forces and weight, its angles and rates (..., 7)."""
+    states, beyond = np.stack([np.asarray(part) for part in x], axis=-1), LINKS - 1.0 - np.arange(LINKS)
+    theta, omega = states[..., :LINKS], states[..., LINKS:]
+    coupled = 0.25 * (np.minimum.outer(beyond, beyond) + np.where(np.eye(LINKS) > 0, 1 / 3, 0.5))
+    apart = theta[..., :, None] - theta[..., None, :]
+    spun = (coupled * np.sin(apart) @ (omega**2)[..., None])[..., 0]
+    return coupled * np.cos(apart), spun + 9.81 * 0.5 * (beyond + 0.5) * np.sin(theta), theta, omega
+
+
+def swing(x: Any, u: Any) -> list[Any]:
+    """f of the arm: a motor at each joint, and friction that makes it stiff."""
+    mass, loads, _, omega = rods(x)
+    torque = np.stack(np.broadcast_arrays(*u, np.zeros_like(u[0])), axis=-1)
+    force = torque[..., :-1] - torque[..., 1:] - loads - FRICTION * omega
+    return [*np.moveaxis(omega, -1, 0), *np.moveaxis(np.linalg.solve(mass, force[..., None])[..., 0], -1, 0)]
+
+
+def computed_torque(x: Any, t: Any) -> list[Any]:
+    """The law of the arm, which follows r_i = 0.3 i + 0.1 sin(t + i) with stiffness and damping of 4."""
+    mass, loads, theta, omega = rods(x)
+    joint = np.arange(1.0, LINKS + 1)
+    turn = np.asarray(t)[..., None] + joint
+    error, speed = theta - 0.3 * joint - 0.1 * np.sin(turn), 0.1 * np.cos(turn)
+    pull = -0.1 * np.sin(turn) - 4 * error - 4 * (omega - speed)
+    force = loads + FRICTION * (speed - 2 * error) + (mass @ pull[..., None])[..., 0]
+    return list(np.moveaxis(np.cumsum(force[..., ::-1], axis=-1)[..., ::-1], -1, 0))
+
+
 SYSTEMS = {
     "activator_repressor": System(
         lambda x, u: [u[0] - x[0] + hill(x), (300.0 * x[0] ** 2 + 0.004) / (1.0 + x[0] ** 2) - 0.5 * x[1]],
@@ -101,6 +133,7 @@ SYSTEMS = {
         lambda x, u: [(haldane(x[1]) - 0.1 - u[0]) * x[0], u[0] * (16 / 3 - x[1]) - haldane(x[1]) * x[0]],
         lambda x, t: [0.3 * haldane(x[1]) * x[0] + np.where(x[1] < 2, np.abs(haldane(x[1]) - 1), 0.0) ** 1.5],
     ),
+    "planar_arm7": System(swing, computed_torque, LINKS * (1.0,)),
     "unicycle": System(lambda x, u: [u[1] * np.cos(x[2]), u[1] * np.sin(x[2]), u[0]], pomet, (0.25 / 0.6, 1.0)),
 }
 
