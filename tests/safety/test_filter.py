@@ -59,6 +59,36 @@ def filtered(plant, safety, P, U, t, dt=0.01):
     return lanes[1].T, kept, flags
 
 
+class Valve:
+    """A flow that the valve scales: where nothing flows, no input moves the limit."""
+
+    states, inputs = ("q",), ("u",)
+    box, input_bounds = {"q": (0.0, 2.0)}, ((-1.0, 1.0),)
+
+    def f(x, u, t, p, M):
+        return [x.q * u.u]
+
+    def kappa(x, t, p, M):
+        return [0.5 - x.q]
+
+    def safe(x, t, p, M):
+        return [x.q - 0.2]
+
+
+def test_a_limit_that_no_input_moves_is_unkept_and_changes_nothing():
+    valve = Plant("valve", Valve)
+    P, U = np.array([[0.0], [0.0], [0.05], [1.0]]), np.array([[0.5], [-0.7], [1.0], [0.5]])
+    after, kept, flags = filtered(valve, npred.SafetyFilter(), P, U, 0.0)
+    assert np.array_equal(after, U) and np.allclose(kept, P[:, 0] - 0.2)
+    assert flags.tolist() == [2, 2, 2, 0]  # at rest; and at the bound, where U is all that the valve can do
+    rk4 = npred.predictor("rk4", valve, nx=11)
+    for actuator in ("measured", "history"):
+        loop = npred.simulate(
+            valve, rk4, D=0.2, D_hat=0.2, X0=[0.0], t_end=1.0, dt=0.01, safety=npred.SafetyFilter(), actuator=actuator
+        )
+        assert loop.changes == 0 and not loop.filtered.any() and loop.unkept == loop.steps
+
+
 def rate_of_plane(x, U):
     return np.array([0.3 * x[1] + U[0], -0.2 * x[0] + U[1] + 0.4 * U[0]])
 
@@ -115,7 +145,7 @@ def test_the_chain_of_a_limit_that_the_second_derivative_reaches():
     room = lower < upper
     np.testing.assert_allclose(found[room, 0], expected[room], atol=1e-6)
     wanting = (lower > 5) | (upper < -5)
-    assert (flags[room] == np.where(wanting, 2, np.abs(expected - u) > 0)[room]).all()
+    assert (flags[room] == (2 * wanting + (np.abs(expected - u) > 0))[room]).all()
 
 
 def test_conditions_hold_to_second_order_while_u_is_held():

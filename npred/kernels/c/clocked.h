@@ -129,9 +129,9 @@ static inline void note(Shape d, INDEX k, const Settings *s, const State *z, Eve
         out->fallbacks[0]++;
         out->fallback[next] = 1;
     }
-    if (z->filtered[0] > 0.0 && !e->skipped[k]) {
+    out->unkept[0] += z->filtered[0] > 1.0 && !e->skipped[k];
+    if ((int)z->filtered[0] % 2 && !e->skipped[k]) {
         out->changes[0]++;
-        out->unkept[0] += z->filtered[0] > 1.0;
         out->filtered[next] = 1;
     }
     if (k % s->every == 0) {

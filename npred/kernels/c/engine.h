@@ -117,10 +117,10 @@ static inline void keep(Shape d, INDEX k, INDEX origin, const Settings *s, State
                 out->fallback[row * lanes + l] = 1;
             }
         }
-        if (z->filtered[l] > 0.0 && isfinite(z->X[l])) {
+        out->unkept[l] += z->filtered[l] > 1.0 && isfinite(z->X[l]);
+        if ((int)z->filtered[l] % 2 && isfinite(z->X[l])) {
             const INDEX row = (k + s->every - 1) / s->every;
             out->changes[l]++;
-            out->unkept[l] += z->filtered[l] > 1.0;
             if (row < s->row_count) {
                 out->filtered[row * lanes + l] = 1;
             }

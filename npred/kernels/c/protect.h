@@ -4,7 +4,8 @@
  * h, or, where U acts on a higher derivative alone, ψ' + α ψ of the one before. φ >= margin keeps ψ from falling faster
  * than α ψ. φ is held to that at both ends of the control step over which U is held: the second state is a step of Heun's
  * method further, so that it is met to second order in the step. U moves it too, so that the conditions are made linear
- * around the last U until that no longer moves. `kept` is the least h of `ends`. */
+ * around the last U until that no longer moves. `kept` is the least h of `ends`; `filtered` is 1 where U was changed, and
+ * 2 more where no U in its bounds meets the conditions. */
 enum { ALPHA, MARGIN, STEP_LENGTH, WIDTHS };
 #define SOFT 1e-9   /* of conditions on states, whose rows have the length 1 */
 #define BOUND 1e-13 /* of the bounds of U */
@@ -135,11 +136,11 @@ static inline void KERNEL(Shape d, const double *ends, const double *moments, co
             }
             PART(_bounds)(lanes, safety, low + l, high + l, now, delta, &q);
             moved = PART(_solve)(lanes, safety, low + l, high + l, now, &q, delta);
-            filtered[l] = 1.0;
         }
         for (int c = 0; c < M; c++) {
             U[c * lanes + l] += delta[c];
+            filtered[l] = U[c * lanes + l] != now[c] ? 1.0 : filtered[l];
         }
-        filtered[l] += missed > MISSED && filtered[l] > 0.0 ? 1.0 : 0.0;
+        filtered[l] += missed > MISSED ? 2.0 : 0.0;
     }
 }

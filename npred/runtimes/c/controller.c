@@ -284,7 +284,7 @@ void npred_get_status(const npred_controller *self, npred_status *status)
     status->error = self->error[0];
     status->kept = NAN;
 #if PROTECTS
-    status->filtered = self->filtered[0] > 0;
+    status->filtered = (int32_t)self->filtered[0] % 2;
     status->unkept = self->filtered[0] > 1;
     status->kept = self->kept[0];
 #endif
