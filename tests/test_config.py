@@ -310,14 +310,14 @@ def test_what_is_left_out_follows_the_delay():
     assert table.case_D_hat0 == pytest.approx([0.036, 0.06, 0.12, 0.18, 0.24])
     assert (data.D_hat0[0], data.bounds) == (pytest.approx((0.06, 0.14)), pytest.approx((0.02, 0.8)))
     assert (data.explore_D, data.explore_D_hat0) == (pytest.approx((0.05, 0.4)), pytest.approx((0.05, 0.7)))
-    assert (table.dt, table.t_end, table.case_t_end) == (0.005, 100.0, 100.0)
+    assert (table.dt, table.t_end, table.case_t_end) == (0.005, 40.0, 40.0)
 
 
 def test_steps_are_shorter_for_short_delays_and_loops_longer_for_long_ones():
     short = config.parse({"plant": "scalar", "evaluate": {"D": 0.02}}, "tests").evaluate
     long = config.parse({"plant": "scalar", "evaluate": {"D": 5.0}, "generate": {"D": 5.0}}, "tests")
-    assert (short.dt, short.t_end) == (0.002, 100.0)
-    assert (long.evaluate.t_end, long.evaluate.case_t_end, long.generate.t_end) == (500.0, 500.0, 200.0)
+    assert (short.dt, short.t_end) == (0.002, 40.0)
+    assert (long.evaluate.t_end, long.evaluate.case_t_end, long.generate.t_end) == (200.0, 200.0, 200.0)
 
 
 @pytest.mark.parametrize("D", [0.004, 0.12, 9.0])

@@ -13,6 +13,7 @@ from npred.config.section import (
     Count,
     Delay,
     Law,
+    Nodes,
     Number,
     PerState,
     Positive,
@@ -104,13 +105,14 @@ class Evaluate(Loop):
     mapped: ClassVar = ("map_D", "map_D_hat0")
     lasting: ClassVar = ("t_end", "case_t_end")
 
-    t_end: Positive = 100.0  #: length of the loop of Fig. 1
+    t_end: Positive = 40.0  #: length of the loop of Fig. 1
+    nx: Nodes = 51  #: nodes of the predictors and of u; networks take any number
     D: Positive = 1.0  #: true delay
     X0: list[float] = []  #: start of Fig. 1, one number per state; required
     D_hat0: Positive = 2.0  #: D_hat(0) of Fig. 1; times D
     case_states: Count = 10  #: random initial states of the cases …
     case_D_hat0: Some[Positive] = [0.3, 0.5, 1.0, 1.5, 2.0]  #: … times these D_hat(0); times D
-    case_t_end: Positive = 100.0  #: length of these loops
+    case_t_end: Positive = 40.0  #: length of these loops
     map_D: list[Positive] = []  #: true delays of the convergence map …
     map_D_hat0: list[Positive] = []  #: … times these D_hat(0), from the start of Fig. 1
     scenarios: Annotated[list[Scenario], ADDED] = []  #: other conditions

@@ -74,7 +74,7 @@ class Bench(Section):
 
     dx: Some[Annotated[float, Field(gt=0, le=0.5)]] = [0.01, 0.005, 0.001]  #: spacings of the nodes
     calls: Count = 20_000  #: timed calls of a predictor
-    seconds: Positive = 3.0  #: longest time of a predictor
+    seconds: Positive = 1.0  #: longest time of a predictor
     threads: Count = 1  #: of each library
     batches: Some[Count] = [1, 1024]  #: rows per call
     runtimes: Some[Runtime] = ["torch", "fused", "onnx"]  #: ways to evaluate a network; also `file.py:Class`

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import zip_longest
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from npred.json_files import escaped
 from npred.terminal import interruption, streams
@@ -18,7 +18,7 @@ from npred.terminal.run_log import Events, RunLog
 from npred.terminal.waiting import Bar
 
 if TYPE_CHECKING:
-    from npred.terminal.live_view import LiveView
+    from npred.terminal.live_view import LiveView, Shown
 
 GAP = 2  # columns between two of a table
 NARROW = 12  # a column is not folded to less …
@@ -130,23 +130,24 @@ class Console:
         self._logged(f"{title}: " + ", ".join(f"{name} {value:.4g}" for name, value in values.items()))
 
     @contextmanager
-    def bar(self, title: str, total: int, unit: str, done: int = 0) -> Iterator[Bar]:
-        """The progress of `total` units, named in the plural: a bar with the time left on a terminal, else a line now
-        and then. `done` of them were there before.
+    def bar(self, title: str, total: int | Mapping[Any, int], unit: str, done: int = 0) -> Iterator[Bar]:
+        """The progress of `total` units, named in the plural, or of such by kind: a bar with the time left on a
+        terminal, else a line now and then. `done` of them were there before.
         """
         with ExitStack() as stack:
             if not self.view:
                 stack.enter_context(self.watch("", []))
-            shown = stack.enter_context(self.view.bar(title, total, unit, done)) if self.view else None
+            count = total if isinstance(total, int) else sum(total.values())
+            shown = stack.enter_context(self.view.bar(title, count, unit, done)) if self.view else None
             line = self._logged if self.view or self.quiet else self._line
             yield Bar(title, total, unit, done, self.clock, partial(self._moved, shown), line)
 
-    def _moved(self, shown: Callable[[int], None] | None, n: int) -> None:
+    def _moved(self, shown: "Shown | None", n: int, left: float | None) -> None:
         interruption.check()
         if self.stopped:
             raise KeyboardInterrupt
         if shown:
-            shown(n)
+            shown(n, left)
 
     def _logged(self, text: str) -> None:
         if self.log:

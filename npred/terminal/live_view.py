@@ -35,13 +35,14 @@ SECONDS = 0.5  # between two updates in a notebook
 WIDTH = 110  # columns there
 FORMAT = '<pre style="margin: 0; line-height: 1.3; font-family: monospace">{code}</pre>'
 WORDS = {"hit": "from the store", "stopped": "stopped"}
+Shown = Callable[[int, float | None], None]
 
 
 class LiveView(Progress):
     """A table of the stages that rewrites itself; safe to call from several threads.
 
     The fields of a task: `state`, one of MARKS; `doing`, in words; `seconds`, of one that has ended; of a bar its
-    `unit` and the units `before` it, of an earlier run; of a training `loss` and `eps_sup`.
+    `unit`, the units `before` it, of an earlier run, and the seconds `left`; of a training `loss` and `eps_sup`.
     """
 
     def __init__(self, heading: str, titles: Sequence[str], clock: Callable[[], float]) -> None:
@@ -58,13 +59,14 @@ class LiveView(Progress):
         self._running(title).fields["doing"] = escaped(what)
 
     @contextmanager
-    def bar(self, title: str, total: int, unit: str, done: int = 0) -> Iterator[Callable[[int], None]]:
-        """The progress of a stage, or of a part, which gets a separate row; what it yields takes the units done."""
+    def bar(self, title: str, total: int, unit: str, done: int = 0) -> Iterator[Shown]:
+        """The progress of a stage, or of a part, which gets a separate row; what it yields takes the units that are
+        done, and the seconds that are left.
+        """
         is_part = title not in self.stages
         task = self._running(title)
-        self.update(task.id, total=total, completed=done, unit=escaped(unit), before=done)
-        self.advance(task.id, 0)  # rich counts a rate from the second advance on
-        yield lambda n: self.advance(task.id, n) if n else None
+        self.update(task.id, total=total, completed=done, unit=escaped(unit), before=done, left=None)
+        yield lambda n, left: self.update(task.id, advance=n, left=left) if n else None
         with self._lock:  # or it would change amid a drawing
             task.total = None
         if is_part:
@@ -135,7 +137,7 @@ def _cells(task: Task) -> list[RenderableType]:
     """The cells of a task's row, one for each of COLUMNS."""
     state, runs = task.fields["state"], _runs(task)
     elapsed = task.elapsed if runs else task.fields["seconds"]
-    left = task.time_remaining if runs and task.total else None  # from the rate of this run, not of an earlier one
+    left = task.fields["left"] if runs and task.total else None
     name = Text(task.description, "dim" if state == "waiting" else "")
     errors = [Text(task.fields[error]) for error in ("loss", "eps_sup")]
     return [Text(*MARKS[state]), name, _progress(task), _clock(elapsed), _clock(left), *errors]

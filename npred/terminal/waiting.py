@@ -9,51 +9,88 @@ NPRED_QUIET=1 in the environment, or `quiet()` around a call, keeps it silent.
 import os
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Hashable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
+from typing import Any
 
 from npred.terminal.streams import MESSAGES, printable
 
 VARIABLE = "NPRED_QUIET"
 EVERY = 10.0  # seconds between two lines of a bar
+MEMORY = 0.25  # of the time of a bar, after which what was measured counts half
 PATIENCE = 0.4  # s without a word
 SHORT = 1.0  # s: work that is counted to end before needs no word, unless it lasts longer
 _listeners: list[Callable[[str], None]] = []
 _said: ContextVar[bool] = ContextVar("said", default=False)  # what runs within work that was announced adds no line
 
 
+class Pace:
+    """The time that a unit of one kind takes: what was done lately counts more, for work side by side ends."""
+
+    def __init__(self, left: int) -> None:
+        self.left, self.units, self.seconds, self.since = left, 0.0, 0.0, 0.0
+
+    def add(self, n: int, seconds: float, memory: float) -> None:
+        """n units more, after so many seconds of a thread; what is `memory` seconds older counts half."""
+        self.left -= n
+        self.since += seconds
+        if n:
+            fade = 0.5 ** (self.since / memory) if memory else 1.0
+            self.units, self.seconds, self.since = fade * self.units + n, fade * self.seconds + self.since, 0.0
+
+
 class Bar:
     """`total` units of work, named in the plural; `done` of them were there before, and took no time of this run.
 
-    An advance calls `moved` with its units; `line` gets a text every EVERY seconds and one at the end.
+    Units of several kinds, of which one may take a hundred times longer than another, are a `total` by kind.
+    An advance calls `moved` with its units and the seconds that are left, None before they can be told; `line` gets a
+    text every EVERY seconds and one at the end.
     """
 
     def __init__(
-        self, title: str, total: int, unit: str, done: int, clock: Callable[[], float],
-        moved: Callable[[int], None], line: Callable[[str], None],
+        self, title: str, total: int | Mapping[Any, int], unit: str, done: int, clock: Callable[[], float],
+        moved: Callable[[int, float | None], None], line: Callable[[str], None],
     ) -> None:  # fmt: skip
-        self.title, self.total, self.unit, self.before, self.done = title, total, unit, done, done
+        totals = {"": total} if isinstance(total, int) else total
+        self.title, self.total, self.unit, self.before, self.done = title, sum(totals.values()), unit, done, done
+        self.paces = {kind: Pace(total - done) for kind, total in totals.items()}
         self.clock, self.moved, self.line, self.lock = clock, moved, line, threading.Lock()
         self.note, self.start = "", clock()
-        self.last = self.start
+        self.last, self.heard = self.start, dict[int, float]()  # the last advance of each thread
 
-    def advance(self, n: int = 1, note: str = "") -> None:
+    def expect(self, kind: Hashable, seconds: float) -> None:
+        """What a unit of a kind takes, as far as one knows before it has begun."""
+        self.paces[kind].units, self.paces[kind].seconds = 1.0, seconds
+
+    def advance(self, n: int = 1, note: str = "", kind: Hashable = "") -> None:
         """n units more are done; the note (a loss, say) replaces the last one. Raises what `moved` raises."""
-        self.moved(n)
         with self.lock:
+            now, thread = self.clock(), threading.get_ident()
+            self.paces[kind].add(n, now - self.heard.get(thread, self.start), MEMORY * (now - self.start))
+            self.heard[thread] = now
             self.done += n
-            self.note = note or self.note
-            now = self.clock()
+            self.note, left = note or self.note, self.left
+        self.moved(n, left)
+        with self.lock:
             finished = n > 0 and self.done >= self.total
             if finished or (self.done > self.before and now - self.last >= EVERY):
                 self.last = now
                 self.line(self._line(now - self.start))
 
+    @property
+    def left(self) -> float | None:
+        """The seconds that the rest takes as many threads as there are; kinds not begun as long as the others."""
+        begun = [pace for pace in self.paces.values() if pace.units]
+        if not begun:
+            return None
+        usual = sum(pace.seconds for pace in begun) / sum(pace.units for pace in begun)
+        times = [(p.seconds + p.since) / p.units if p.units else usual for p in self.paces.values()]
+        rest = sum(p.left * time for p, time in zip(self.paces.values(), times, strict=True))
+        return rest / len(self.heard)
+
     def _line(self, elapsed: float) -> str:
-        left = ""
-        if self.done < self.total:
-            left = f", {elapsed / (self.done - self.before) * (self.total - self.done):.0f} s left"
+        left = f", {self.left:.0f} s left" if self.done < self.total else ""
         progress = f"{self.title}: {self.done}/{counted(self.total, self.unit)} in {elapsed:.1f} s{left}"
         return f"{progress}, {self.note}" if self.note else progress
 

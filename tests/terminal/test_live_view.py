@@ -9,6 +9,7 @@ from rich.console import Console as Rich
 
 from npred.terminal.console import Console
 from npred.terminal.live_view import LiveView
+from npred.terminal.waiting import Bar
 
 
 class Clock:
@@ -39,7 +40,7 @@ def test_stages_wait_run_and_are_done(view: LiveView, clock: Clock):
     view.finish("generate", "hit", 0.1)
     with view.bar("train fno", 40, "epochs") as advance:
         clock.now = 30.0
-        advance(10)
+        advance(10, 90.0)
         done, running, waiting = shown(view)
         assert done.split() == ["✓", "generate", "from", "the", "store", "0:00"]
         assert running.startswith("▸  train fno  ━") and running.split()[-4:] == ["10/40", "epochs", "0:30", "1:30"]
@@ -56,38 +57,39 @@ def test_a_stage_says_what_it_does_from_its_first_moment(view: LiveView, clock: 
     with view.bar("evaluate", 20_000, "steps") as advance:
         clock.now = 65.0
         assert shown(view)[2].endswith("1:05") and "compiling" in shown(view)[2]  # until it moves
-        advance(5_000)
+        advance(5_000, None)
         assert "25%" in shown(view)[2] and "compiling" not in shown(view)[2]
     view.doing("evaluate", "drawing")
     assert shown(view)[2].split() == ["▸", "evaluate", "drawing", "1:05"]
 
 
 def test_the_time_left_after_a_resume_counts_this_run_only(view: LiveView, clock: Clock):
-    with view.bar("train fno", 180, "epochs", done=116) as advance:
+    with view.bar("train fno", 180, "epochs", done=116) as shown_bar:
+        bar = Bar("train fno", 180, "epochs", 116, clock, shown_bar, lambda line: None)
         clock.now = 10.0
-        advance(4)
+        bar.advance(4)
         assert shown(view)[1].split()[-4:] == ["120/180", "epochs", "0:10", "2:30"]
 
 
 def test_a_training_tells_loss_and_error_in_columns(view: LiveView):
     with view.bar("train fno", 40, "epochs") as advance:
         view.measured("train fno", {"epoch": 1, "loss": 0.25, "mse": 1.0, "eps_sup": 0.039})
-        advance(1)
+        advance(1, None)
     assert shown(view)[1].split()[-2:] == ["2.5e-01", "3.9e-02"]
 
 
 def test_work_that_is_no_stage_gets_a_row_of_its_own(view: LiveView):
     with view.bar("warm up", 3, "calls") as advance:
-        advance(0)
+        advance(0, None)
         assert "0/3 calls" in shown(view)[3]
-        advance(3)
+        advance(3, None)
     assert shown(view)[3].split() == ["✓", "warm", "up", "3", "calls", "0:00"]
 
 
 def test_words_and_units_move_no_cursor(view: LiveView):
     view.doing("generate", "\x1b[2Jlooking")
     with view.bar("warm up", 3, "ca\u202ells") as advance:
-        advance(1)
+        advance(1, None)
         lines = shown(view)
     assert r"\x1b[2Jlooking" in lines[0] and r"1/3 ca\u202ells" in lines[3]
 
@@ -99,7 +101,7 @@ def test_no_row_is_wrapped_or_cut(clock: Clock, width: int):
     view.doing("train fno", "importing and compiling")
     with view.bar("train deeponet", 2000, "epochs") as advance:
         view.measured("train deeponet", {"epoch": 1000, "loss": 1.0e-10, "eps_sup": 1.0e10})
-        advance(1000)
+        advance(1000, 10.0)
         clock.now = 3599.0
         lines = shown(view, width)
         assert len(lines) == 3 and max(map(len, lines)) <= width
@@ -111,7 +113,7 @@ def test_no_row_is_wrapped_or_cut(clock: Clock, width: int):
 
 def test_threads_count_together(view: LiveView):
     with view.bar("evaluate", 4000, "steps") as advance:
-        threads = [threading.Thread(target=lambda: [advance(1) for _ in range(1000)]) for _ in range(4)]
+        threads = [threading.Thread(target=lambda: [advance(1, None) for _ in range(1000)]) for _ in range(4)]
         for thread in threads:
             thread.start()
         for thread in threads:

@@ -87,6 +87,18 @@ def test_what_comes_before_the_first_units_is_not_multiplied(monkeypatch: pytest
     assert work.expected == pytest.approx(1.0 + 0.5 * 10)
 
 
+def test_the_time_is_counted_at_the_last_unit(lines: list[str], monkeypatch: pytest.MonkeyPatch):
+    """A block of 500 steps may come long after the first 10, and says nothing of them before it ends."""
+    now = [0.0]
+    monkeypatch.setattr(waiting.time, "perf_counter", lambda: now[0])
+    with waiting.said("simulating", total=1000) as work:
+        now[0] = 0.1
+        work.advance(20)
+        now[0] = 4.0
+        hold(lines)
+    assert lines == ["simulating: about 5 s"]
+
+
 def test_work_within_work_adds_no_line_and_its_end_is_no_end_of_the_quiet(lines: list[str]):
     with waiting.said("simulating", 10.0):
         with waiting.said("compiling", 10.0):

@@ -51,12 +51,14 @@ def run(job: Job) -> Benched:
 def _times(job: Job, config: Bench, entries: list[Candidate]) -> dict[str, np.ndarray]:
     """Nanoseconds of each call of each entry, by label; one group after the other."""
     times: dict[str, np.ndarray] = {}
-    ordered = sorted(entries, key=lambda entry: entry.group)
-    with job.progress.bar("bench", len(entries) * config.calls, "calls") as bar:
-        for _, group in groupby(ordered, key=lambda entry: entry.group):
-            calls = {entry.label: candidates.call(job, entry, config.calls) for entry in group}
-            with np.errstate(all="ignore"):  # with few steps a method may diverge: its error says so
-                times |= timing.sample(calls, config.calls, config.seconds, bar.advance)
+    calls = {e.label: candidates.call(job, e, config.calls) for e in sorted(entries, key=lambda entry: entry.group)}
+    with np.errstate(all="ignore"):  # with few steps a method may diverge: its error says so
+        counts = {label: timing.affordable(call, config.calls, config.seconds) for label, call in calls.items()}
+        with job.progress.bar("bench", counts, "calls") as bar:
+            for label, call in calls.items():
+                bar.expect(label, timing.quickest(call))
+            for _, group in groupby(calls, key={entry.label: entry.group for entry in entries}.__getitem__):
+                times |= timing.sample({label: calls[label] for label in group}, counts, progress=bar.advance)
     with h5py.File(job.folder / "times.h5", "w") as file:
         for label, samples in times.items():
             file.create_dataset(label.replace("/", " "), data=samples).attrs["unit"] = "ns"

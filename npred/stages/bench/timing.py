@@ -16,16 +16,19 @@ Call = Callable[[int], None]
 
 
 def sample(
-    calls: Mapping[str, Call], count: int, seconds: float, progress: Callable[[int], None] | None = None
-) -> dict[str, np.ndarray]:
+    calls: Mapping[str, Call], count: int | Mapping[str, int], seconds: float = np.inf,
+    progress: Callable[..., None] | None = None,
+) -> dict[str, np.ndarray]:  # fmt: skip
     """Nanoseconds of the calls of each contender: call(k) is the k-th call, of `count` or of as many as take `seconds`.
 
-    Contenders take turns, on one core where that can be had, with the garbage collector off.
+    Contenders take turns, on one core where that can be had, with the garbage collector off. `progress` takes a
+    number of calls and, as `kind`, whose they are.
     """
+    counts = dict.fromkeys(calls, count) if isinstance(count, int) else count
     taken: dict[str, list[np.ndarray]] = {name: [] for name in calls}
     with undisturbed():
         edges = {
-            name: np.linspace(0, affordable(call, count, seconds), ROUNDS + 1).astype(int)
+            name: np.linspace(0, affordable(call, counts[name], seconds), ROUNDS + 1).astype(int)
             for name, call in calls.items()
         }
         for turn in range(ROUNDS):
@@ -34,14 +37,18 @@ def sample(
                 call(numbers.start)  # back into the caches
                 taken[name].append(_clock(call, numbers))
                 if progress:
-                    progress(len(numbers))
+                    progress(len(numbers), kind=name)
     return {name: np.concatenate(parts) for name, parts in taken.items()}
 
 
 def affordable(call: Call, count: int, seconds: float) -> int:
     """The number of calls, at most `count`, that fit into `seconds`; the calls made to find out are the warm-up."""
-    quickest = _clock(call, range(WARM_UP)).min() / 1e9
-    return int(min(count, max(LEAST, seconds / max(quickest, 1e-9))))
+    return int(min(count, max(LEAST, seconds / quickest(call))))
+
+
+def quickest(call: Call) -> float:
+    """The seconds of the quickest of a few calls."""
+    return max(_clock(call, range(WARM_UP)).min() / 1e9, 1e-9)
 
 
 @contextmanager

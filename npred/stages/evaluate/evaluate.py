@@ -1,6 +1,8 @@
 """The evaluate stage: errors on held-out rows of each kind, what closed loops make of them, the certificate of both."""
 
 from collections.abc import Callable, Mapping
+from functools import partial
+from itertools import chain, zip_longest
 from typing import Any
 
 import numpy as np
@@ -23,7 +25,7 @@ from npred.stages.job import Job
 from npred.terminal.console import Console
 
 FALLBACKS = 0.05  # share of steps with the numerical predictor, above which a guarded network is warned of
-SHARE = 6  # loops of a compiled predictor in a task
+SHARE = 3  # loops of a compiled predictor in a task
 summary, details = summary_tables.summary, summary_tables.details
 
 
@@ -111,16 +113,16 @@ def _all_loops(
     for predictor in predictors.values():
         predictor.lanes()  # compiled here, once, not by threads side by side
     adapting = [c for c in predictors if c.adapts]  # with D_hat = D adaptation makes no difference
-    total = sum(begin.of(contender) for contender in predictors) * (round(config.case_t_end / config.dt) + 1)
     at_D = in_loop.condition(job.config, begin)
-    total += len(adapting) * at_D.steps
-    with job.progress.bar("evaluate", total, "steps") as bar, job.threads() as pool:
-        tasks = {
-            c: [pool.submit(_loops, job, c, predictor, begin, part, bar.advance)
-                for part in _shares(predictor, begin.of(c))]
-            for c, predictor in predictors.items()
-        }  # fmt: skip
-        checks = {c: pool.submit(in_loop.error, job.plant, predictors[c], at_D, bar.advance) for c in adapting}
+    steps = {c: begin.of(c) * (round(config.case_t_end / config.dt) + 1) for c in predictors}
+    steps |= {c: steps[c] + at_D.steps for c in adapting}
+    with job.progress.bar("evaluate", steps, "steps") as bar, job.threads() as pool:
+        moved = {c: partial(bar.advance, kind=c) for c in predictors}
+        checks = {c: pool.submit(in_loop.error, job.plant, predictors[c], at_D, moved[c]) for c in adapting}
+        turns = zip_longest(*([(c, part) for part in _shares(p, begin.of(c))] for c, p in predictors.items()))
+        tasks = {c: [] for c in predictors}
+        for c, part in filter(None, chain.from_iterable(turns)):  # in turns: the time left depends on each one's pace
+            tasks[c].append(pool.submit(_loops, job, c, predictors[c], begin, part, moved[c]))
         loops = {c: Trajectories.joined([done.result() for done in parts]) for c, parts in tasks.items()}
         errors = {c: done.result() for c, done in checks.items()}
         return loops, errors | {NO_ADAPTATION: errors[NUMERICAL]}
