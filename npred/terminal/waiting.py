@@ -44,7 +44,7 @@ class Bar:
     """`total` units of work, named in the plural; `done` of them were there before, and took no time of this run.
 
     Units of several kinds, of which one may take a hundred times longer than another, are a `total` by kind.
-    An advance calls `moved` with its units and the seconds that are left, None before they can be told; `line` gets a
+    An advance calls `moved` with its units and the seconds that are left, None before they can be known; `line` gets a
     text every EVERY seconds and one at the end.
     """
 
