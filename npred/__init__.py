@@ -67,9 +67,11 @@ def __getattr__(name: str) -> Any:
         raise AttributeError(f"module 'npred' has no attribute {name!r}")
     import importlib
 
+    from npred.docstrings import documented
+
     if name in _MODULES:
         return importlib.import_module(f"npred.{_MODULES[name]}")
-    return getattr(importlib.import_module(f"npred.{_HOME[name]}"), name)
+    return documented(getattr(importlib.import_module(f"npred.{_HOME[name]}"), name))
 
 
 def __dir__() -> list[str]:

@@ -21,17 +21,16 @@ if TYPE_CHECKING:
 
 
 def plant(name: str | type, *, kappa: plants.Kappa = "", **parameters: float) -> Plant:
-    """The plant of a built-in name, of `my_plant.py:Tank` or of a class, with parameters overridden.
+    """The plant of a built-in name, of a file or of a class, with parameters overridden.
 
-    `kappa` takes the place of its law: a function kappa(x, t, p, M), or a law of npred.laws by its name, as "lqr".
+    Raises ConfigError for a name, a file or a law that is not there, and for a class that declares no plant.
     """
     return plants.resolve(name, parameters, kappa)
 
 
 def predictor(method: str, plant: Plant, nx: int = 101) -> Predictor:
-    """The numerical predictor `euler`, `heun`, `rk4` or `picard` of a plant, nx nodes in a loop [DAPF, eq. 10].
+    """The numerical predictor of a plant, on nx nodes in a loop [DAPF, eq. 10].
 
-    `method` may also be that of an installed package, or a class of a file, `my_method.py:Ralston`.
     Raises ConfigError for an unknown or broken method, for fewer than two nodes, or for what is no plant.
     """
     require(plant)
@@ -41,16 +40,14 @@ def predictor(method: str, plant: Plant, nx: int = 101) -> Predictor:
 def load(
     model: str, *, store: str | Path | None = None, nx: int = 101, device: str = "cpu", runtime: str | None = None
 ) -> Predictor:
-    """A trained model as a predictor: `pipeline/paper.toml:deeponet`, `…:deeponet@107`, or an artifact's path or key.
+    """A trained model as a predictor.
 
-    By default loops and controllers call one compiled function of the network, made at its first use there and kept
-    on the disk, and calls with batches torch, where it is installed: both in float64. On a GPU, and for a network of
-    yours, torch does all.
-    `runtime` names one for both: torch; fused, the compiled function in float32, which takes half the time; onnx, ONNX
-    Runtime; that of a package; or a class of a file, `my_runtime.py:Mine`. Files are verified against their digests.
-    The plant is the pipeline's, or, for an artifact, the built-in one of that name: a plant's file is code and is run
-    only when a pipeline names it. Raises ConfigError, StoreError, and MissingError for a device or an extra that this
-    machine lacks.
+    The compiled function is made at its first use in a loop or controller and kept on the disk. On a GPU, and for a
+    network of yours, torch does all. Files are verified against their digests. The plant is the pipeline's, or, for an
+    artifact, the built-in one of that name: a plant's file is code and is run only when a pipeline names it.
+
+    Raises ConfigError for a model or a runtime that is not there; StoreError for corrupt results; MissingError for a
+    device or an extra that this machine lacks.
     """
     from npred.pipeline.models import load_model
 
@@ -72,10 +69,12 @@ def loaded(stored: "Stored", nx: int, device: str, runtime: str | None) -> Predi
 def guarded(
     model: Predictor, tolerance: float = 0.01, by: str = "auto", *, exact: Predictor | None = None
 ) -> Predictor:  # fmt: skip
-    """`model`, checked in every call: `exact`, RK4 by default, answers where |kappa(P̂(1)) - kappa(P(1))| is estimated
-    to be above `tolerance`, in units of U; see npred.predictors.guarded.
+    """`model`, checked in every call: `exact` answers where |kappa(P̂(1)) - kappa(P(1))| is estimated to be above
+    `tolerance`; see npred.predictors.guarded.
 
     A pass is an estimate, not a bound: docs/guard.md says what an adversary finds.
+
+    Raises ConfigError for a tolerance that is not above 0, and for a model on fewer than five nodes.
     """
     from npred.predictors.guarded import Guarded
 
@@ -88,11 +87,10 @@ def controller(
     longest: float | None = None, gate: float | None = 1.0, oldest: float | None = None, observer: Any = None,
     watchdog: Watchdog | None = None, safety: SafetyFilter | None = None,
 ) -> Controller:  # fmt: skip
-    """The controller alone, for a real plant: `U = controller.step(X, u)` each dt seconds (npred.loop.controller).
+    """The controller alone, for a real plant: `U = controller.step(X, u)` each dt, and `controller.step(X)` with
+    `actuator="history"`, where u is not measured.
 
-    With `actuator="history"`, where u is not measured, `controller.step(X)`; it remembers its own commands, those of
-    the last `longest` seconds, and does not believe a sample that its model is further from than `gate` (of half the
-    plant's box, or of X); None believes all.
+    Raises ConfigError for parts that do not fit together.
     """
     return Controller(
         plant, predictor, adaptation, dt, D_hat=D_hat, input_bounds=input_bounds, actuator=actuator, u0=u0,

@@ -104,14 +104,8 @@ def generate(
 ) -> MadeData:  # fmt: skip
     """Data to train on, from closed loops with a numerical predictor: `npred generate` from Python.
 
-    `source` is a pipeline, by its file as "tank.toml" or, of those that are part of npred, by its name, as
-    npred.config.load gives it, or a plant, of npred.plant or as "my_plant.py:Tank", to which all else is the default. A
-    name of both is the pipeline's, as on the command line. `settings` changes its keys, those of `--set`, to values of
-    Python: {"generate.samples": 2000, "train.deeponet.epochs": 20}. `store` is the folder of results, by default
-    NPRED_STORE, else artifacts/; what it has is not made again. `jobs` are processes and threads, by default all cores.
-    `progress=False` shows nothing but warnings.
-    Raises ConfigError for a source that is not there and for settings that do not fit, DivergedError for a loop that
-    leaves the finite numbers, StoreError for corrupt results.
+    Raises ConfigError for a source that is not there and for settings that do not fit; DivergedError for a loop that
+    leaves the finite numbers; StoreError for corrupt results.
     """
     chosen, run = resolved(source, settings), _Run(store, jobs, "auto", progress)
     return MadeData(*run.bring(chosen, _remembered(source, settings), "generate"))
@@ -123,11 +117,11 @@ def train(
 ) -> MadeNetwork:  # fmt: skip
     """A network trained to predict, on the data of `generate`: `npred train` from Python.
 
-    `model` names the network, as "fno"; by default it is the first of the pipeline's. `device` is auto, cpu, cuda or
-    cuda:N; the rest is as for `generate`. `network` of what it returns is a predictor, with the call of any other.
-    An interrupted training goes on from its checkpoint. Raises as `generate` does, ConfigError for a network that the
-    pipeline does not have, MissingError for a device or a package that is not there, DivergedError for a loss that is
-    not finite.
+    An interrupted training goes on from its checkpoint. `network` of what it returns is a predictor.
+
+    Raises ConfigError for a source or a network that is not there and for settings that do not fit; MissingError for a
+    device or a package that is not there; DivergedError for a loop or a loss that leaves the finite numbers; StoreError
+    for corrupt results.
     """
     chosen, run = resolved(source, settings), _Run(store, jobs, device, progress)
     name = model or chosen.train.models[0]
@@ -144,8 +138,11 @@ def evaluate(
     """The errors of a pipeline's networks, and what closed loops make of them: `npred evaluate` from Python.
 
     What the store does not have is generated and trained first. `result.models` has the scores of each contender
-    (npred.results.Evaluated). {"train.models": ["deeponet"]} in `settings` evaluates one network. Arguments and errors
-    are those of `train`.
+    (npred.results.Evaluated). {"train.models": ["deeponet"]} in `settings` evaluates one network.
+
+    Raises ConfigError for a source that is not there and for settings that do not fit; MissingError for a device or a
+    package that is not there; DivergedError for a loop or a loss that leaves the finite numbers; StoreError for corrupt
+    results.
     """
     chosen, run = resolved(source, settings), _Run(store, jobs, device, progress)
     return Made(*run.bring(chosen, _remembered(source, settings), "evaluate"))

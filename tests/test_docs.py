@@ -5,7 +5,6 @@ not run. The tests marked slow run every other block in the order of its page, o
 """
 
 import importlib
-import inspect
 import json
 import re
 import shlex
@@ -21,7 +20,6 @@ import typer.main
 from conftest import HERE, process_environment
 from typer.testing import CliRunner
 
-import npred
 from npred import config, registry
 from npred.cli import app
 from npred.stages.reproduce import load
@@ -263,6 +261,9 @@ def test_the_documentation_builds_without_a_warning_and_asks_no_one(tmp_path: Pa
     assert (done.returncode, done.stderr) == (0, "")
     commands = (tmp_path / "reference" / "commands.html").read_text()
     assert "--set train.deeponet.width" in commands and not re.search(r"–[a-z]", commands)
+    python = (tmp_path / "reference" / "python.html").read_text()
+    for section in ("Parameters", "Returns", "Raises"):
+        assert python.count(f">{section}<span") > 15
     for page in tmp_path.rglob("*.html"):
         fetched = re.findall(r"<(?:script|img|link|iframe)\b[^>]*(?:src|href)=\"(https?:[^\"]+)", page.read_text())
         assert fetched == [], page.name
@@ -271,14 +272,3 @@ def test_the_documentation_builds_without_a_warning_and_asks_no_one(tmp_path: Pa
 def test_the_pages_that_llms_txt_names_exist():
     names = re.findall(r"\]\(([^)]+)\)", (ROOT / "docs" / "llms.txt").read_text())
     assert len(names) > 10 and [name for name in names if not (ROOT / "docs" / name).exists()] == []
-
-
-def test_the_reference_says_shape_and_default_of_an_argument(extension: Callable[[str], Any]):
-    """From the signature and one table; each name of the table is an argument of a public function or class."""
-    docstrings = extension("docstrings")
-    lines = [*docstrings.parameters(npred.simulate)]
-    assert any(line.startswith(":param X0: states at t = 0, (..., n)") for line in lines)
-    assert ":param dt: control step, in the plant's unit of time; by default ``0.005``" in lines
-    things = [getattr(npred, name) for name in npred.__all__] + [npred.Predictor.__call__, npred.observers.EKF]
-    taken = {name for thing in things for name in inspect.signature(thing).parameters}
-    assert set(docstrings.PARAMETERS) <= taken

@@ -37,13 +37,14 @@ POINTS = 16  # of Gauss-Legendre, and one more per radian of an integrand
 
 
 def delay_margin(plant: Plant, D: float) -> tuple[float, float]:
-    """The errors (low, high) of D_hat in seconds, low <= 0 <= high, that the linearised loop bears.
+    """The errors of D_hat that the linearised loop bears.
 
-    The plant's delay is D seconds (the longest, where inputs have several), and the controller predicts by a constant
-    D_hat from its own commands (`actuator="history"`, `adaptation=None`). The loop, linearised at the equilibrium, is
-    stable for every constant D_hat in (D + low, D + high), and at the ends a root is on the imaginary axis: the first
-    crossing on each side. low = -D if it is stable down to D_hat = 0. high = inf if it is stable up to ten times the
-    sum of D and the loop's slowest time constant. Time is continuous here, and no command is clipped.
+    The controller predicts by a constant D_hat from its own commands (`actuator="history"`, `adaptation=None`). The
+    loop, linearised at the equilibrium, is stable for every constant D_hat in (D + low, D + high), and at the ends a
+    root is on the imaginary axis: the first crossing on each side. Time is continuous here, and no command is clipped.
+
+    Returns (low, high), low <= 0 <= high, in the plant's unit of time. low = -D if the loop is stable down to D_hat =
+    0. high = inf if it is stable up to ten times the sum of D and the loop's slowest time constant.
     Raises ConfigError for a plant that declares its delay, has no equilibrium, or has a kappa that does not stabilise
     without delay, and for a D that is no time above 0.
     """

@@ -31,21 +31,9 @@ def identify(
 ) -> Identified:  # fmt: skip
     """The delay of each input, and the parameters `free`, by a recording of the plant: what it tells, and what not.
 
-    t (N,) are the times of the rows, U (N, m) the commands, each held until the next one, and X (N, n) the measured
-    outputs: the states, or what the plant declares by output(x, t, p, M). NaN in U is no new command, NaN in X no
-    sample; rows may be irregular, repeated and in any order, and inputs may come at other times than outputs.
-
-    In place of the arrays, the path of a recording, before or after the plant: a table "log.csv", or a format of an
-    extra. `columns` has the columns of inputs and outputs that are named otherwise, {"q": "Q1"}; `scale` and `shift`
-    bring columns to the plant's units; `time` is the column of the times, in `time_unit`.
-
-    Delays from 0 to `longest` are tried, by default up to a fifth of the log. `bounds` has ranges of free parameters.
-    Those that are not free are taken to be within about `model_error` of their value, relatively (0: they are exact),
-    which widens the intervals; a black box's are taken to be exact. With `offset` a constant is added to each input and
-    estimated. With `time_varying` the delays are estimated over windows of time as well (`windows`).
-
     The fit is by rollouts over short segments each with its initial state, by Gauss and Newton's method; delays by
     the profile of the cost, which has kinks; intervals by the profile and by drawing the segments anew.
+
     Raises ConfigError for arrays that do not fit together, a file or a column that is not there, an unknown parameter,
     a log that is too short, and a plant that declares its delay.
     """

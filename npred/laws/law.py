@@ -23,7 +23,7 @@ TEXTS = {
 
 @dataclass(frozen=True)
 class Law:
-    """kappa(x, t, p, M) by the text of its definition, which can be pasted into a plant's class."""
+    """A law kappa(x, t, p, M) by the text of its definition, which can be pasted into a plant's class."""
 
     text: str
 

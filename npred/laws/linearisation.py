@@ -37,9 +37,8 @@ def feedback_linearisation(
 ) -> Law:  # fmt: skip
     """kappa by which every output y_i obeys e^(r_i) + … + k_0 e = 0, e = y_i - its target (Isidori 1995, sec. 5.3).
 
-    `output` names a state per input, or is a function output(x, t, p, M) with one value per input; by default those
-    states are taken that have the largest relative degrees r_i and leave a stable rest. `poles` are the r_1 + r_2 + …
-    poles of the outputs in turn; by default each is minus the geometric mean of the rates of the loop of `lqr`.
+    The r_i are the relative degrees of the outputs.
+
     Raises ConfigError where the outputs have no relative degree on the box, or leave a rest that is not stable.
     """
     design = Design(plant, "feedback_linearisation")

@@ -15,10 +15,9 @@ from npred.symbolic import Value
 def lqr(plant: Plant, Q: ArrayLike | None = None, R: ArrayLike | None = None) -> Law:
     """kappa = u - K (x - X) with K = inv(R) B' S of the Riccati equation A'S + SA - S B inv(R) B' S + Q = 0.
 
-    A and B are those of f at the point of rest X, u, or their means along the reference. Q (n, n) and R (m, m), or
-    their diagonals, are by Bryson's rule by default: 1 / size² of each state, half its box, and of each input, the
-    distance to its nearer bound, or less: see Design.sizes. The law itself is not clipped: npred clips every U to the
-    input bounds.
+    A and B are those of f at the point of rest X, u, or their means along the reference. The law itself is not clipped:
+    npred clips every U to the input bounds.
+
     Raises ConfigError for weights that do not fit, and for a linearisation that the inputs do not stabilise.
     """
     design = Design(plant, "lqr")

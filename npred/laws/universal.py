@@ -25,9 +25,9 @@ def sontag(plant: Plant, V: Callable[..., Any] | str | None = None) -> Law:
     Sontag (Systems & Control Letters 13, 1989, 117-123) has ε = 0, s = 1, and no derivative where it rests. Here s are
     the inputs' sizes squared, ε is SMOOTH of the usual size of (a, β) on the box, and g the gain, doubled from 1/2,
     with which the linear law -g s b' makes V fall near rest: V' < 0 wherever a < 0, or β sqrt(a² + β² + ε²) > a ε / g.
-    V is a function V(x, t, p, M), "lqr" for e'Se of the regulator, whose law this one then is near rest; by default
-    that of the plant, and "lqr" where it declares none. Raises ConfigError for an f that is not affine in the inputs,
-    and for a V that no input makes fall near rest.
+    With V = "lqr" the law is that of the regulator near rest.
+
+    Raises ConfigError for an f that is not affine in the inputs, and for a V that no input makes fall near rest.
     """
     design = Design(plant, "sontag")
     value = _value(design, V)

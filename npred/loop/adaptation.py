@@ -21,10 +21,12 @@ CELLS = (200, 800)  # of that time; more where fewer leave the finite numbers
 
 @dataclass(frozen=True)
 class DelayAdaptation(DelayLaw):
-    """D_hat' = gamma Proj_[bounds]{D_hat, phi} [DAPF, eq. 11]: gamma the adaptation gain, b > 0, bounds in seconds.
+    """D_hat' = gamma Proj_[bounds]{D_hat, phi} [DAPF, eq. 11].
 
     A gamma that is left out is None until a loop says how long delays are, and then `suited_gamma`: 1000 for the
-    paper's plant with D = 1 s. Raises ConfigError for a gain, b or bounds that make no sense.
+    paper's plant with D = 1 s.
+
+    Raises ConfigError for a gain, b or bounds that make no sense.
     """
 
     gamma: float = None  # type: ignore[assignment]

@@ -66,27 +66,15 @@ def simulate(
 ) -> Trajectories:
     """Loops of X' = f(X, U(t - D)), U = kappa(P(1)), D_hat' = gamma Proj{D_hat, phi} [DAPF, eqs. 6-14].
 
-    D, D_hat (...) in seconds and X0 (..., n) broadcast to the batch. Where inputs have several delays D is the
-    longest, input j comes after r_j D, and U_j = kappa_j(P(r_j), t + r_j D_hat). U is held over each step of dt and
-    clipped to `input_bounds` (m, 2), by default the plant's. Before t = 0 the input is u0: numbers (m,), "equilibrium"
-    or "law", kappa(X0, 0); by default 0 where the bounds allow it, else the equilibrium's. It may be a history too: a
-    table (k, m) over [-D, 0], each row held for D / k, the oldest first, or a function of t < 0, read in the middle of
-    control steps. `predictor=None` is the open loop U = 0, `adaptation=None` freezes D_hat; a DelayLaw that you write
-    runs in Python. Every `every`-th step is kept; `samples` (..., S) are sorted steps whose (X, u, D_hat) are kept too.
-    `integrator` advances the plant. `progress=True` shows a bar of the loop steps done, in a terminal or a notebook; a
-    function gets their number; by default a line on stderr says so where loops take longer than a second, and with
-    False nothing does. A loop that leaves the finite numbers goes on as NaN and leaves the others alone.
+    D, D_hat and X0 broadcast to the batch. Where inputs have several delays input j comes after r_j D, and U_j =
+    kappa_j(P(r_j), t + r_j D_hat). A DelayLaw that you write runs in Python. A loop that leaves the finite numbers goes
+    on as NaN and leaves the others alone; one of a plant that declares its delay is marked (`infeasible`) and ends
+    where commands would overtake each other.
 
-    D may be a function of t in seconds, a delay that drifts or jumps. A plant that declares `delay` takes neither D nor
-    D_hat; where commands would overtake each other its loop is marked (`infeasible`) and ends. `actuator="history"`: u
-    is not measured, and the controller reads its own commands at D_hat. `measurement` is what it sees of X. `truth` is
-    the simulated plant where that is not the controller's model, and `disturbance(t)` adds to its input: (m,), the same
-    in all loops, or (..., m). `safety` keeps the limits of the plant (npred.SafetyFilter).
+    With `timing`, `observer` or `watchdog` the loops run on a real clock, one after the other: npred.controller with
+    actuator="history" is called at its own times, and samples and commands have theirs, not rounded to control steps. X
+    is that of k dt all the same; `clock` has what the controller says besides (npred.loop.trajectories.OnAClock).
 
-    With `timing` (npred.Timing), an `observer` of npred.observers, whose outputs are then what is sampled, or a
-    `watchdog` the loops run on a real clock, one after the other: npred.controller with actuator="history" is called at
-    its own times, and samples and commands have theirs, not rounded to control steps. X is that of k dt all the same;
-    `clock` has what the controller says besides (npred.loop.trajectories.OnAClock).
     Raises ConfigError for delays, bounds, times, shapes or a predictor that do not fit.
     """
     loop_checks.parts(plant, predictor, adaptation, every)

@@ -39,9 +39,7 @@ class Controller(InNotebook):
     remembers; with "history" it remembers its own commands and reads u from them at D_hat. Those before the first step
     are u0, as npred.simulate has it: numbers (m,), a history over [-D_hat, 0], or a word; "law" is kappa of the first
     X. `D_hat` (seconds) is the estimate that the next step uses, by default the middle of the
-    adaptation's bounds; `adaptation=None` freezes it, and a plant that declares its delay has none. Commands are kept
-    for `longest` seconds, by default the largest D_hat, or five times the declared delay at the target. U is clipped to
-    `input_bounds` (m, 2), by default the plant's; where those leave it free, to npred.plants.inputs.widest. Steps equal
+    adaptation's bounds. Where `input_bounds` leave U free, it is clipped to npred.plants.inputs.widest. Steps equal
     those of npred.simulate. Its memory is not shared, so one controller belongs to one thread; a pickled one goes on
     where it stood.
 
@@ -215,16 +213,13 @@ class Controller(InNotebook):
     ) -> np.ndarray:  # fmt: skip
         """U (m,) for the state X (n,) and the actuator state u (nx, m) on the predictor's nodes, both measured now.
 
-        With actuator="history" there is no u to give. The predictor integrates u: where the measurement can tell them
-        apart, `u` has the mean over each node's cell and `u_nodes` the values at the nodes, which the update law
-        compares with kappa(P); by default they are u.
-        With "history" `t` is the time of this call, by default dt after the last one, and `sampled_at` when X was
-        taken, by default now; X None is no sample. With an observer X are the outputs, NaN where one is missing.
-        `applied` (m,) is what the actuator got at the call before, where that was not U.
-        U is the controller's own memory, overwritten by the next step. Raises ConfigError for shapes and times that do
-        not fit and for what are no real numbers, masked arrays among them, and DivergedError for a measurement that is
-        not finite, or that the prediction leaves the finite numbers from. Then the last U is to be held: with it the
-        time and the history of commands go on, and all else, U's memory too, stands as before.
+        The predictor integrates u, of which the update law compares the values at the nodes with kappa(P). `t`,
+        `sampled_at` and `applied` are for actuator="history". After a DivergedError the last U is to be held: with it
+        the time and the history of commands go on, and all else, U's memory too, stands as before.
+
+        Returns U, the controller's own memory, overwritten by the next step.
+        Raises ConfigError for shapes and times that do not fit and for what are no real numbers, masked arrays among
+        them; DivergedError for a measurement that is not finite, or that the prediction leaves the finite numbers from.
         """
         if (u is None) != self._recalls or (X is None and not self._recalls):
             expected, came = (

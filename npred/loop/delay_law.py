@@ -25,10 +25,11 @@ if TYPE_CHECKING:  # the tables of pipelines, which a loop in Python has no use 
 class DelayLaw(ABC):
     """D_hat' = Proj_[bounds]{D_hat, rate}: a delay law that you write is a subclass with `rate`, in NumPy.
 
-    gamma > 0 is the adaptation gain, b > 0 weighs w, bounds are in seconds: a pipeline's, of which `rate` uses what it
-    needs. Bounds that are left out are None until a loop says how long delays are: see `suited`. simulate, controller
-    and the stages of a pipeline take it; it runs in Python, batch by batch, unless it has a `kernel`. A subclass that
-    changes a method of such a law, `check` aside, runs in Python again.
+    `rate` uses of gamma, b and bounds, which are a pipeline's, what it needs. Bounds that are left out are None until a
+    loop says how long delays are: see `suited`. simulate, controller and the stages of a pipeline take it; it runs in
+    Python, batch by batch, unless it has a `kernel`. A subclass that changes a method of such a law, `check` aside,
+    runs in Python again.
+
     Raises ConfigError for a gain, b or bounds that make no sense.
     """
 

@@ -47,9 +47,6 @@ NUMBERS = 8  # of the settings, as npred/kernels/c/candidates.h has them; behind
 class DelayObserver(DelayLaw):
     """D_hat from X and the controller's own commands, by a bank of observers, one per candidate of the delay.
 
-    `bounds` (seconds) are the candidates' range, `candidates` how many they are at most, `L` (1/s) the rate at which an
-    observer follows X, `omega` (1/s) that at which its disturbance follows, `memory` and `window` (s) the forgetting
-    times. gamma and b, which the laws of a pipeline have, mean nothing here.
     Raises ConfigError for settings that make no sense.
     """
 

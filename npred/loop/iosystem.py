@@ -25,8 +25,9 @@ def as_iosystem(controller: Controller, name: str = "npred") -> Any:
     outputs the plant's inputs, D_hat, and P(1) as `x_predicted` for a state x. The states are those of
     `controller.state()`: D_hat, phi, the commands within the longest delay, the observers of the delay. A state of
     zeros, python-control's default, is the one that the controller has now. The block has no gate: it believes each X.
-    Raises ConfigError for what is no controller, MissingError without the extra `control`; a step DivergedError for a
-    measurement that is not finite.
+
+    Returns the block, whose step raises DivergedError for a measurement that is not finite.
+    Raises ConfigError for what is no controller; MissingError without the extra `control`.
     """
     control = required("as_iosystem", "control", "control", "control")
     if not isinstance(controller, Controller):

@@ -22,8 +22,8 @@ class L1Adaptation(DelayLaw):
 
     summed over the inputs, with w / (|w| + epsilon) for sgn: near rest w is a rounding error of the grid, and its sign
     noise, which a law without that width answers at full speed; epsilon = 0 is the published law. It converges
-    locally, from estimates near the delay, and has no limit as dt goes to 0 (docs/delay_laws.md); b has no meaning
-    here.
+    locally, from estimates near the delay, and has no limit as dt goes to 0 (docs/delay_laws.md).
+
     Raises ConfigError for a gain or bounds that make no sense.
     """
 

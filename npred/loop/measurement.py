@@ -27,16 +27,9 @@ class Measurement:
     """Sensors: a sample of state i is q_i(X_i (1 + noise_i ξ_i) + absolute_i η_i + bias_i), every `period` seconds.
 
     ξ and η are standard normal, independent by sample and state; q_i rounds to the nearest multiple of resolution_i,
-    half to even, and not at all where that is 0. `noise` is a share of the state, the other three are in its units.
-    Each of the four is one number for all states, or a list with one per state.
+    half to even, and not at all where that is 0. The first sample, at t = 0, is there at once. Times are rounded to
+    control steps, and no gap between samples is shorter than one.
 
-    `period` None is every control step; each gap between samples is period (1 + jitter r), r uniform on [-1, 1]. A
-    sample arrives `delay` seconds after it was taken, or, with probability `drop`, never; the first one, at t = 0, is
-    there at once. Times are rounded to control steps, and no gap is shorter than one. `observer(X_hat, Y, U, t)`
-    replaces the prediction between samples: it takes the last estimate X_hat (B, n), the sample Y (B, n) that arrived
-    now, NaN where there is none, and the input U (B, m) that acted since the last call, and gives X_hat (B, n) at time
-    t, which then is what a DelayObserver sees. `first` is the number of the batch's first loop, where the batch is a
-    part of a larger one: each loop has the noise that it has there.
     Raises ConfigError for a value out of range.
     """
 

@@ -22,12 +22,9 @@ FACTORS = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
 class Timing:
     """The clock of a control loop: call k comes at k dt + jitter dt r, r uniform on [-1, 1]; the first one at 0.
 
-    With probability `overrun` a call is skipped: nothing is computed in that control step, for the one before took too
-    long. With probability `lost` a command does not reach the actuator, which goes on with the one before; with
-    `tells` the controller gets to know that at its next call, as `applied`. No sample arrives that is taken in the last
-    `stop` seconds of each `stop_every` seconds. Random numbers are functions of the seed,
-    the loop and the call. `gate` and `oldest` (seconds) are those of npred.controller; `oldest` None is at least 20
-    control steps, and enough for the delay of the samples.
+    Random numbers are functions of the seed, the loop and the call. In a control step whose call is skipped nothing is
+    computed.
+
     Raises ConfigError for a value out of range.
     """
 

@@ -19,10 +19,8 @@ from npred.predictors import RK4
 class Watchdog:
     """U is what `then` says where the last used sample is older than `after` seconds.
 
-    `then` is "hold", the last U; "zero"; one number per input; or a law, a function (x, t, p, M) of the predicted state
-    as kappa is one, which is compiled and exported too. Until then, and as long as the watchdog has U, the state is
-    predicted by the model. While it takes or returns U, each input moves by at most `jump` in a call, one number
-    or one per input, in the unit of U; None is any distance.
+    Until then, and as long as the watchdog has U, the state is predicted by the model.
+
     Raises ConfigError for a time, numbers or a word that make no sense.
     """
 

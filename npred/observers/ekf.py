@@ -29,16 +29,11 @@ class EKF(Observer):
     the covariance P by the exact derivative of that step; a sample corrects both, one output after the other. P is kept
     as U D U', so that it is symmetric and positive also in single precision.
 
-    Q is the spectral density of w, in units of X² / s: a number, (n,), or (n, n). By default w says that the model is
-    wrong by a tenth of f, which changes in the time T of the loop: Q_ii = (f_i / 10)² T, with f_i the root of the mean
-    square of f over the box, and 1 / T the geometric mean of the rates of the loop of kappa without delay.
-    R is the variance of e, a number or (l,) above 0. By default its deviation is 1 % of half the range that an output
-    has over the box.
-    P0 is the variance of X0, a number, (n,), or (n, n). By default its deviation is half the width of the box.
-    offset is False, True, or the spectral density of v, a number or (m,), in units of U² / s. With True an offset moves
-    by a tenth of half the range that kappa has over the box, in T. It begins at 0, with that deviation.
-    For a state without a range in the box, half of it is taken as 1, or as X0 where that is larger.
-    X0, outputs and what is raised: see Observer.
+    1 / T is the geometric mean of the rates of the loop of kappa without delay. d begins at 0. For a state without a
+    range in the box, half of it is taken as 1, or as X0 where that is larger. Outputs: see Observer.
+
+    Raises ConfigError for a plant that is not traced, for outputs that do not tell the state, and for settings that do
+    not fit.
     """
 
     def __init__(

@@ -25,14 +25,14 @@ class Luenberger(Observer):
     sample,
     w' = output_x f + output_t, w(t_k) = Y_k [Karafyllis, Kravaris, IEEE TAC 54 (2009) 2169].
 
-    `rate` (1/s) is how fast errors fade near the equilibrium. Poles λ of the linearised plant that are slower, or
-    unstable, go to -2 rate - λ, which is the smallest gain that makes all as fast as `rate`; the others stay
-    [Anderson, Moore, Linear Optimal Control, 1971, ch. 3, in the limit of a small weight on the state]. By default it
-    is the geometric mean of the rates of the loop of kappa without delay. The outputs are weighed by their half ranges
-    over the box. It has no gate, for it knows no spread, and L is that of one point: where the plant is driven far from
-    it, or samples are rare, take the EKF.
-    X0, outputs and what is raised: see Observer. Raises ConfigError also for a plant without an operating point that
-    tells all states at t = 0.
+    Poles λ of the linearised plant that are slower than `rate`, or unstable, go to -2 rate - λ, which is the smallest
+    gain that makes all as fast as `rate`; the others stay [Anderson, Moore, Linear Optimal Control, 1971, ch. 3, in the
+    limit of a small weight on the state]. The outputs (see Observer) are weighed by their half ranges over the box. It
+    has no gate, for it knows no spread, and L is that of one point: where the plant is driven far from it, or samples
+    are rare, take the EKF.
+
+    Raises ConfigError for a plant that is not traced, or without an operating point that tells all states at t = 0, and
+    for settings that do not fit.
     """
 
     def __init__(

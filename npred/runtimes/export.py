@@ -25,12 +25,9 @@ def export(
 ) -> list[Path]:
     """The controller as files for another program: `npred export controller`, `fmu` and `onnx` from Python.
 
-    `form` is "c": `path` is a file, as firmware/tank.c, beside which tank.h is written, or a folder for npred.c and
-    npred.h, in C99 with a test inside; "fmu": a Functional Mock-up Unit of FMI 3.0, with a library for each of
-    `platforms`, as ["linux64", "win64"], by default for this machine; "onnx": the graph P and U of the controller's
-    network, compared with it before it is kept. `precision` of "c" and "fmu" is "double" or "float".
-    Returns the files. Raises ConfigError for another form, for a part that has no such form and for a file that cannot
-    be written, MissingError for a package that is not there, NpredError for a graph that differs.
+    Returns the files.
+    Raises ConfigError for another form, for a part that has no such form and for a file that cannot be written;
+    MissingError for a package that is not there; NpredError for a graph that differs from the network.
     """
     forms: dict[str, Callable[[], list[Path]]] = {
         "c": lambda: _c(controller, Path(path), precision),

@@ -27,12 +27,10 @@ from npred.symbolic.trace import Trace
 class SafetyFilter:
     """U as near to kappa(P) as keeps what the plant declares by safe(x, t, p, M) -> [h, ...] at h >= 0.
 
-    `alpha` (1/s) is how fast h may fall towards 0, h' >= -alpha h; `margin` is added to that, in units of h per second
-    (for a limit that a first derivative of h moves). `delay` (s) is how wrong D_hat may be: the conditions are kept in
-    the states that are predicted for D_hat and for D_hat less and more `delay`. U is held over a control step: the
-    conditions are kept at both ends of it, to second order in dt. Distances of U are in units of its bounds' width.
-    Where the bounds of U leave no room, the missed conditions, in units of what U can change, have the least sum of
-    squares.
+    U is held over a control step: the conditions are kept at both ends of it, to second order in dt. Distances of U are
+    in units of its bounds' width. Where the bounds of U leave no room, the missed conditions, in units of what U can
+    change, have the least sum of squares.
+
     Raises ConfigError for numbers that make no sense.
     """
 

@@ -71,10 +71,10 @@ def compare(
 ) -> Comparison:  # fmt: skip
     """The predictors of a plant, each timed, with its error, and with what it makes of the same loops.
 
-    `predictors` is a list, or a dictionary by the names that the table shows. D, D_hat, X0, t_end, dt and what else is
-    given are those of npred.simulate. Errors are taken along these loops with RK4, on at most 200 samples after the
-    first delay, against RK4 on 2000 steps. Calls are of one loop, as a compiled loop makes them, all predictors in
-    turn. A loop has converged that ends within 1 % of the target. It takes about a second for each predictor.
+    Errors are taken along these loops with RK4, on at most 200 samples after the first delay, against RK4 on 2000
+    steps. Calls are of one loop, as a compiled loop makes them, all predictors in turn. A loop has converged that ends
+    within 1 % of the target. It takes about a second for each predictor.
+
     Raises ConfigError as npred.simulate does, and where no sample is left.
     """
     require(plant)
