@@ -1,6 +1,8 @@
 """Every failure a user can meet, each with its exit code; messages say what was expected, what came, what to do."""
 
 import errno
+import os
+import traceback
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from importlib import import_module
@@ -16,6 +18,12 @@ class NpredError(Exception):
     """A failure in one line: what was expected, what came, what to do. The base is a stage that failed."""
 
     exit_code = 1
+
+    def _render_traceback_(self) -> list[str]:
+        """What IPython shows of it: the lines of the caller. `%debug` has the frames of npred too."""
+        inside = (str(Path(__file__).parent), f"{os.sep}IPython{os.sep}")
+        frames = [f for f in traceback.extract_tb(self.__traceback__) if not any(part in f.filename for part in inside)]
+        return [*map(str.rstrip, traceback.format_list(frames)), f"{type(self).__name__}: {self}"]
 
 
 class ConfigError(NpredError):

@@ -48,3 +48,16 @@ def test_a_module_that_lacks_what_no_extra_has_fails_as_it_is(module, monkeypatc
     monkeypatch.setitem(sys.modules, "torch", sys)
     with pytest.raises(ModuleNotFoundError, match="nowhere_to_be_found"):
         imported("a", module)
+
+
+def test_a_notebook_shows_the_lines_of_the_caller_and_not_those_of_npred(capsys: pytest.CaptureFixture):
+    interactiveshell = pytest.importorskip("IPython.core.interactiveshell")
+    shell = interactiveshell.InteractiveShell()
+    shell.run_cell(
+        "import npred\ndef mine():\n    return npred.generate('smoke', settings={'generate.sample': 2})\nmine()"
+    )
+    shown = "".join(capsys.readouterr())
+    assert "in mine" in shown and "ConfigError: smoke: generate.sample: unknown key" in shown
+    assert "runs.py" not in shown and "interactiveshell" not in shown and len(shown.splitlines()) < 8
+    shell.run_cell("1 / 0")
+    assert "ZeroDivisionError" in capsys.readouterr().out  # as usual
