@@ -122,12 +122,27 @@ def test_no_panel_is_cut_in_print_and_no_heading_is_left_behind(look):
     page.emulate_media(media="print")
     style = "(name) => { const found = getComputedStyle(document.querySelector(name));"
     kept = style + "return [found.display, found.breakInside, found.breakAfter]; }"
-    assert page.evaluate(kept, ".panels")[0] == "block"  # rows of a grid are cut by some browsers
+    assert page.evaluate(kept, ".plate")[0] == "block"  # rows of a grid are cut by some browsers
+    assert page.evaluate(kept, ".panels")[0] == "contents"
     assert page.evaluate(kept, ".panel")[:2] == ["inline-block", "avoid"]
     assert page.evaluate(kept, ".keys")[1:] == ["avoid", "avoid"]
     assert page.evaluate(kept, "h2")[2] == "avoid"
-    panels = "getComputedStyle(document.querySelector('.panels'))"
-    assert page.evaluate(f"[{panels}.orphans, {panels}.widows]") == ["1", "1"]  # else three rows stay together
+    plate = "getComputedStyle(document.querySelector('.plate'))"
+    assert page.evaluate(f"[{plate}.orphans, {plate}.widows]") == ["1", "1"]  # else three rows stay together
+
+
+def test_on_paper_a_caption_takes_the_place_beside_a_last_panel_without_a_neighbour(look):
+    page = look()
+    page.emulate_media(media="print")
+    page.set_viewport_size({"width": 718, "height": 1016})  # A4 without its margins
+    plates = page.evaluate("""[...document.querySelectorAll('.plate')].map((plate) => {
+      const boxes = [...plate.querySelectorAll('.panel, figcaption')].map((part) => part.getBoundingClientRect());
+      return boxes.map(({ left, right, top, bottom }) => [left, right, top, bottom]);
+    })""")  # fmt: skip
+    assert {len(plate) % 2 for plate in plates} == {0, 1}  # both kinds
+    for *panels, caption in plates:
+        beside = caption[2] < panels[-1][3] and caption[0] >= panels[-1][1]
+        assert beside == (len(panels) % 2 == 1)
 
 
 def test_it_prints_on_light_paper(look):
