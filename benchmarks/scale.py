@@ -15,7 +15,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -133,7 +133,7 @@ def draw(costs: dict[str, list[Cost]], folder: Path) -> None:
         Panel("Memory of all processes, GiB", "Gibibytes against samples.", memory),
     )
     keys = tuple(Key(COMMANDS[command], look) for command, look in looks.items())
-    style = replace(MEDIA["ieee2"], columns=2)
+    style = MEDIA["page"]
     write(Plate("scale", "What a sample costs", "From 10⁴ to 10⁷ samples.", panels, keys), folder, style)
 
 

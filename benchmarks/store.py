@@ -20,8 +20,8 @@ from typer.testing import CliRunner
 
 from npred.cli import app
 from npred.errors import NpredError
-from npred.figures.figure import Panel, Plate, write
-from npred.figures.style import Look, log
+from npred.figures.figure import Key, Panel, Plate, write
+from npred.figures.style import MEDIA, Look, log
 from npred.store import Question, Store, archive
 from npred.terminal.console import columns
 
@@ -107,18 +107,21 @@ def slope(sizes: list[int], times: list[float]) -> float:
 def draw(folder: Path, sizes: list[int], times: dict[str, list[float]]) -> None:
     """store.svg and store.png."""
 
+    looks = [Look(role, marker="o") for role in ROLE]
+
     def lines(axis: Any) -> None:
-        for role, (name, seconds) in zip(ROLE, times.items(), strict=True):
-            axis.plot(sizes, seconds, label=f"{name}: {slope(sizes, seconds):.2f}", **Look(role, marker="o").line)
+        for look, seconds in zip(looks, times.values(), strict=True):
+            axis.plot(sizes, seconds, **look.line)
         axis.set_xlabel("results in the store")
         log(axis, "x", "y")
-        axis.legend(loc="upper left", ncols=2, fontsize=6)
 
     panel = Panel(
         "seconds, and slopes", "Seconds by the number of results: straight lines of slope 1, or level.", lines
     )
     caption = "What the store's operations cost with ever more results in it."
-    write(Plate("store", "The store", caption, (panel,)), folder)
+    labels = [f"{name}: {slope(sizes, seconds):.2f}" for name, seconds in times.items()]
+    keys = tuple(map(Key, labels, looks))
+    write(Plate("store", "The store", caption, (panel,), keys), folder, MEDIA["page"])
 
 
 def main() -> None:

@@ -110,6 +110,7 @@ SCREEN = Style(300 / 72, 1, 9.5, "DejaVu Sans", 2.9)
 MEDIA = {
     "ieee1": Style(3.5, 2, 6.5, "STIXGeneral", 1.35),
     "ieee2": Style(7.16, 3, 8, "STIXGeneral", 1.75),
+    "page": Style(5.4, 2, 9, "DejaVu Sans", 1.9),  # of text, legible on a telephone
     "slides": Style(12.8, 3, 15, "DejaVu Sans", 3.2),
 }
 _TURN = Lock()  # matplotlib's settings are the process's

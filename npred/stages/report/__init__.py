@@ -4,7 +4,7 @@ from npred.stages.declaration import Stage
 
 STAGE = Stage(
     __name__,
-    version=8,
+    version=9,
     upstream=("generate", "train", "evaluate", "certify", "bench"),
     result_class="npred.results:Reported",
 )
