@@ -14,6 +14,7 @@ from npred.cli import export
 from npred.cli.options import Rigged, drawable, writable
 from npred.conditions import condition
 from npred.errors import ConfigError, NpredError, UnmetError
+from npred.figures.style import MEDIA
 from npred.loop import metrics
 from npred.loop.adaptation import DelayAdaptation
 from npred.loop.controller import OLDEST, Controller
@@ -44,9 +45,7 @@ def rig(options: Rigged, output: Path | None, figure: Path | None) -> None:
     if written.why != log.OVER:
         raise NpredError(f"rig: expected a whole run, got an end, {written.why or 'a side was killed'}; read {path}")
     if plot:
-        figures.write(
-            figures.rig(plant, plot.stem, *written[:2]), plot.parent, figures.style.MEDIA["page"], [plot.suffix[1:]]
-        )
+        figures.write(figures.rig(plant, plot.stem, *written[:2]), plot.parent, MEDIA["page"], [plot.suffix[1:]])
     document = log.summary(plant, written, controller.dt) | log.micro("waits_late", late) | {"log": str(path)}
     rows = [[name, f"{x:.4g}" if isinstance(x, float) else str(x)] for name, x in document.items()]
     options.show_table(document, ("of the log", ""), rows)
