@@ -86,7 +86,7 @@ def test_outside_of_a_small_domain_the_search_goes_in(data):
 
 
 def test_what_the_nodes_do_not_resolve_is_no_blind_spot_with_or_without_a_domain(data):
-    """The guard reads u by lines, RK4 by cubics: shadows that read it otherwise say how much of U that moves."""
+    """The guard reads u by lines, RK4 by cubics: an error is by the nearer of both."""
     for guard in (Guarded(Wrong(PLANT, NX), TOLERANCE), with_domain(Guarded, data, TOLERANCE)):
         _, _, true, _, passed = searched(guard, data)
         assert passed.any() and not (passed & (true > TOLERANCE)).any()
