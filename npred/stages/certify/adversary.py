@@ -116,7 +116,7 @@ def blind_spots(
     rng = randomness.generator(seed, "certify", "blind spots")
 
     def score(X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: np.ndarray) -> np.ndarray:
-        true, estimate, _ = rollouts.judged(guard, exact, X, u, D_hat, t)
+        true, estimate, _ = rollouts.judged(guard, exact, X, u, D_hat, t, nearest=True)
         ratios = estimate / guard.threshold, guard.beyond(X, u, D_hat, t)
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.log(true) - PENALTY * sum(np.log(np.maximum(ratio, 1.0)) for ratio in ratios)

@@ -118,7 +118,7 @@ def _blind(job: Job, data: Dataset, guard: Guarded, exact: Predictor) -> dict[st
     table, inputs = job.config.optional("certify"), Inputs.of(data, box(job.plant, job.config.generate), job.plant)
     with job.progress.bar(f"blind spots of {guard.name}", table.restarts * table.steps, "calls") as bar:
         calls, _ = adversary.blind_spots(guard, exact, data, inputs, table, job.config.seed, bar.advance)
-    true, _, passed = rollouts.judged(guard, exact, *calls)
+    true, _, passed = rollouts.judged(guard, exact, *calls, nearest=True)
     return {
         "blind_calls": len(true), "blind": int((passed & (true > guard.tolerance)).sum()),
         "blind_error": true[passed].max(initial=0.0),

@@ -75,21 +75,21 @@ def _joined(parts: list[Rollouts]) -> Rollouts:
 
 
 def judged(
-    guard: Guarded, exact: Predictor, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Any = 0.0
+    guard: Guarded, exact: Predictor, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Any = 0.0,
+    *, nearest: bool = False,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
     """Of each call the true error of U, the guard's estimate, and whether it lets the network answer, (B,) each.
 
-    The error is by the nearer of two readings of u between its nodes, cubics and straight lines: what the nodes do not
-    say is no error of the network. One that is not a number is infinite.
+    With `nearest` it is by the nearer of two readings of u between its nodes, cubics and straight lines: what the nodes
+    do not say is no error of the network. An error that is not a number is infinite.
     """
     t, parts = np.broadcast_to(t, len(X)), []
     for i in range(0, len(X), ROWS):
         rows = X[i : i + ROWS], u[i : i + ROWS], D_hat[i : i + ROWS], t[i : i + ROWS]
         P_hat = guard.model(*rows)
-        U, *readings = (
-            metrics.law(guard.plant, P, rows[3], rows[2]) for P in (P_hat, exact(*rows), _by_lines(exact, rows))
-        )
-        true = np.fmin(*(np.abs(U - reading).max(axis=-1) for reading in readings))
+        exacts = [exact(*rows), *([_by_lines(exact, rows)] if nearest else [])]
+        U, *readings = (metrics.law(guard.plant, P, rows[3], rows[2]) for P in (P_hat, *exacts))
+        true = np.fmin.reduce([np.abs(U - reading).max(axis=-1) for reading in readings])
         estimate, fallback = guard.judge(P_hat, *rows)
         parts.append((np.where(np.isnan(true), np.inf, true), estimate, ~fallback))
     errors, estimates, passed = (np.concatenate(column) for column in zip(*parts, strict=True))

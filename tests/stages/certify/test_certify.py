@@ -198,7 +198,7 @@ BOUNDS = np.array([2.0, np.inf, 6.0])
 
 
 def test_what_a_guard_lets_pass_is_counted_by_call(tmp_path, monkeypatch):
-    monkeypatch.setattr(rollouts, "judged", lambda *calls: (TRUE, ESTIMATES, PASSED))
+    monkeypatch.setattr(rollouts, "judged", lambda *calls, **_: (TRUE, ESTIMATES, PASSED))
     found = certify._calls(GUARD, None, CALLS)
     assert (found["calls"], found["above"], found["unnoticed"]) == (6, 3, 1)
     assert (found["adversarial"], found["adversarial_median"]) == (5.0, pytest.approx(1.15))
