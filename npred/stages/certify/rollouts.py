@@ -84,10 +84,11 @@ def judged(
     do not say is no error of the network. An error that is not a number is infinite.
     """
     t, parts = np.broadcast_to(t, len(X)), []
+    by_lines = nearest and isinstance(exact, OneStep) and family_of(exact.plant).reads_cells
     for i in range(0, len(X), ROWS):
         rows = X[i : i + ROWS], u[i : i + ROWS], D_hat[i : i + ROWS], t[i : i + ROWS]
         P_hat = guard.model(*rows)
-        exacts = [exact(*rows), *([_by_lines(exact, rows)] if nearest else [])]
+        exacts = [exact(*rows), *([_by_lines(exact, *rows)] if by_lines else [])]
         U, *readings = (metrics.law(guard.plant, P, rows[3], rows[2]) for P in (P_hat, *exacts))
         true = np.fmin.reduce([np.abs(U - reading).max(axis=-1) for reading in readings])
         estimate, fallback = guard.judge(P_hat, *rows)
@@ -96,11 +97,8 @@ def judged(
     return errors, estimates, passed
 
 
-def _by_lines(exact: Predictor, rows: tuple[np.ndarray, ...]) -> np.ndarray:
+def _by_lines(exact: Predictor, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: np.ndarray) -> np.ndarray:
     """P where u is straight between its nodes, by `exact`'s method on FINER times as many intervals."""
-    X, u, D_hat, t = rows
-    if not isinstance(exact, OneStep) or not family_of(exact.plant).reads_cells:
-        return exact(*rows)  # whose reading is its own, or of nodes only
     share = np.linspace(0.0, 1.0, FINER, endpoint=False)[:, None]
     fine = (u[:, :-1, None] + share * np.diff(u, axis=1)[:, :, None]).reshape(len(u), -1, u.shape[-1])
     fine = np.concatenate([fine, u[:, -1:]], axis=1)
