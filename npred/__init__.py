@@ -64,7 +64,9 @@ _MODULES |= {"metrics": "loop.metrics", "lyapunov": "loop.lyapunov"}
 def __getattr__(name: str) -> Any:
     """The public names, imported on first use: torch takes seconds that `npred --help` has no use for."""
     if name not in (*_HOME, *_MODULES):
-        raise AttributeError(f"module 'npred' has no attribute {name!r}")
+        from npred.errors import similar
+
+        raise AttributeError(f"module 'npred' has no attribute {name!r}{similar(name, (*_HOME, *_MODULES))}")
     import importlib
 
     from npred.docstrings import documented

@@ -128,6 +128,15 @@ def bytes_text(count: float) -> str:
     return f"{count / 1000**power:.3g} {units[power]}"
 
 
+def unlisted(
+    what: str, name: object, names: Iterable[str], kind: str = "one of", todo: str = "name one of them"
+) -> str:
+    """The message of a name that is not in a list: what is there, and what comes closest, else what to do."""
+    names = list(names)
+    near = similar(str(name), names) or f"; {todo}"
+    return f"{what}: expected {kind} {', '.join(names) or 'none: there is none'}, got {name!r}{near}"
+
+
 def similar(name: str, names: Iterable[str]) -> str:
     """`; did you mean …?` with what comes closest to a name, in any case; nothing where nothing comes close."""
     from difflib import get_close_matches

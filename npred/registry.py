@@ -370,6 +370,7 @@ def load(what: str, spec: str) -> tuple[Any, Source]:
     if not isinstance(space.get(name), type):
         classes = [key for key, value in space.items() if isinstance(value, type) and value.__module__ == path.stem]
         raise ConfigError(
-            f"{what} {path}: expected a class {name}, found {', '.join(classes) or 'none'}; name one that it has"
+            f"{what} {path}: expected a class {name}, found {', '.join(classes) or 'none'}"
+            f"{similar(name, classes) or '; name one that it has'}"
         )
     return space[name], _source(path, content)

@@ -16,7 +16,7 @@ import numpy as np
 
 from npred import config, defaults, plants, registry
 from npred.config import Pipeline
-from npred.errors import ConfigError
+from npred.errors import ConfigError, unlisted
 from npred.parallel import devices, executors
 from npred.pipeline import STAGES, Planner, Runner, nodes, remember
 from npred.plants import Plant
@@ -126,7 +126,7 @@ def train(
     chosen, run = resolved(source, settings), _Run(store, jobs, device, progress)
     name = model or chosen.train.models[0]
     if name not in chosen.train.names:
-        raise ConfigError(f"model: expected {', '.join(chosen.train.names)}, got {name!r}; name one of them")
+        raise ConfigError(unlisted("model", name, chosen.train.names))
     plant = run.planner(chosen).plant
     return MadeNetwork(*run.bring(chosen, _remembered(source, settings), "train", name), plant, chosen)
 

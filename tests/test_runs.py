@@ -71,7 +71,7 @@ def test_a_plant_that_is_a_class_has_no_name_to_keep_results_by():
 
 
 def test_a_network_that_a_pipeline_does_not_have_is_refused(small: Path):
-    with pytest.raises(ConfigError, match="model: expected deeponet"):
+    with pytest.raises(ConfigError, match="model: expected one of deeponet"):
         npred.train(small, "fnoo")
 
 

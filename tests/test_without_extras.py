@@ -124,7 +124,7 @@ def test_a_network_without_a_fused_form_needs_torch(script, tmp_path):
     [
         (f"{LOAD}, runtime='torch')", f"runtime torch: expected the package torch, {TRAIN}"),
         (f"{LOAD}, runtime='onnx')", "runtime onnx: expected the package torch, npred[onnx]"),
-        (f"{LOAD}, device='cuda')", f"--device: expected the package torch, {TRAIN}"),
+        (f"{LOAD}, device='cuda')", f"device: expected the package torch, {TRAIN}"),
         ("from npred.operators import Operator", f"networks: expected the package torch, {TRAIN}"),
         ("npred.registry.NETWORKS.load('network', 'gru')", f"network gru: expected the package torch, {TRAIN}"),
         ("npred.simulate(npred.plant('scalar'), None, D=1.0, D_hat=1.0, X0=[1.0], t_end=0.1, dt=0.01, adaptation=None)"

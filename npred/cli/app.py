@@ -4,7 +4,7 @@ import inspect
 import re
 import sys
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import fields
 from itertools import zip_longest
@@ -133,7 +133,7 @@ def with_flags(function: Callable[..., None], waits: str = "") -> Callable[..., 
         common = options(**{field.name: values.pop(field.name) for field in shared})
         if context.invoked_subcommand:  # of a group
             return
-        if code := guarded(lambda: function(common, **values), common.console, waits):
+        if code := guarded(lambda: function(common, **values), common.console, waits, _flags(context)):
             raise typer.Exit(code)
 
     kind = inspect.Parameter.KEYWORD_ONLY
@@ -145,8 +145,18 @@ def with_flags(function: Callable[..., None], waits: str = "") -> Callable[..., 
     return call
 
 
-def guarded(call: Callable[[], None], console: Console, waits: str = "") -> int:
-    """The exit code of a call: 0, the failure's own, that of a signal, 1 for the unforeseen. Ends the console's log."""
+def _flags(context: typer.Context) -> dict[str, str]:
+    """The flags that the user wrote, by the names that they have as arguments in Python."""
+    sources = {p: context.get_parameter_source(str(p.name)) for p in context.command.params}
+    written = [p for p, source in sources.items() if source and source.name == "COMMANDLINE"]
+    return {str(p.name): p.opts[-1] for p in written if p.opts[-1].startswith("--")}
+
+
+def guarded(call: Callable[[], None], console: Console, waits: str = "", flags: Mapping[str, str] = {}) -> int:
+    """The exit code of a call: 0, the failure's own, that of a signal, 1 for the unforeseen. Ends the console's log.
+
+    A message that begins with an argument's name, as `precision: expected …`, names the one of `flags` instead.
+    """
     try:
         with waiting.heard(console.wait), waiting.said(waits) if waits else nullcontext():
             call()
@@ -161,7 +171,8 @@ def guarded(call: Callable[[], None], console: Console, waits: str = "") -> int:
         if isinstance(error, ModuleNotFoundError):  # of a package of an extra, where nothing has said so before
             error = missing("npred", error) or error
         if isinstance(error, NpredError):
-            console.error(str(error))
+            name, colon, rest = str(error).partition(":")
+            console.error(f"{flags.get(name, name)}{colon}{rest}")
             return error.exit_code
         return _unforeseen(error, console)
     finally:

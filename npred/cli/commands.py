@@ -244,10 +244,13 @@ def check(
     kappa: Annotated[
         str, flag("A law designed from f in place of the plant's, as lqr; it is printed to be pasted.", word="LAW")
     ] = "",
+    u0: Annotated[
+        str | None, flag("The input before t = 0: equilibrium, law or numbers, as [0.5].", word="VALUE")
+    ] = None,
     figure: Annotated[Path | None, flag("A figure of the delay margin: SVG, PDF or PNG.", word="FILE")] = None,
 ) -> None:
     """Check a plant, one answer per question; exit 3 where an answer is no."""
-    cli.inspect.check(options, plant, delay, nodes, kappa, figure)
+    cli.inspect.check(options, plant, delay, nodes, kappa, figure, u0)
 
 
 @command(RUN)

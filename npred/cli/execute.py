@@ -6,7 +6,7 @@ from pathlib import Path
 
 from npred.cli.options import Work, writable_folder
 from npred.cli.report import free_path, publish, sign, write_figures
-from npred.errors import ConfigError, room_on_disk
+from npred.errors import ConfigError, room_on_disk, unlisted
 from npred.parallel import devices, executors
 from npred.pipeline import STAGES, Outcome, Planner, Runner, Step, nodes, remember, usual
 from npred.results import Benched, Evaluated, Reported
@@ -26,7 +26,7 @@ def stage(options: Work, stage_name: str, model: str | None = None, output: Path
     Raises ConfigError for a network that there is none of.
     """
     if model is not None and model not in (names := options.config.train.names):
-        raise ConfigError(f"--model: expected {', '.join(names)}, got {model!r}; name one of them")
+        raise ConfigError(unlisted("--model", model, names))
     _work(options, [stage_name], (stage_name,), model, output)
 
 
@@ -55,7 +55,7 @@ def report(options: Work, output: Path | None, medium: str | None) -> None:
     from npred.stages.report.report_data import Story
 
     if medium not in MEDIA:
-        raise ConfigError(f"--figures: expected {', '.join(MEDIA)}, got {medium!r}; name one of them")
+        raise ConfigError(unlisted("--figures", medium, MEDIA))
     default = free_path(options, options.pipeline.stem, lambda name: options.store / f"{name}-{medium}")
     folder = writable_folder(output or default, "figures")
     folders = {done.node.name: done.artifact.folder for done in bring(options, ["evaluate", "bench"], borrows=True)}

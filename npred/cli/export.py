@@ -15,7 +15,7 @@ from npred.conditions import condition
 from npred.config import Evaluate
 from npred.data import shards
 from npred.data.dataset import Dataset
-from npred.errors import ConfigError, imported
+from npred.errors import ConfigError, imported, unlisted
 from npred.loop import delay_law
 from npred.loop.adaptation import DelayAdaptation
 from npred.loop.controller import Controller
@@ -69,7 +69,7 @@ def export(options: Exporting, form: str, key: str, output: Path | None) -> None
         **dict.fromkeys(data_exchange.WRITERS, lambda: data_exchange.export(options, form, key, output)),
     }
     if form not in forms:
-        raise ConfigError(f"export: expected one of {', '.join(forms)}, got {form!r}; name one of them")
+        raise ConfigError(unlisted("export", form, forms))
     forms[form]()
 
 

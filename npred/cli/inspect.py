@@ -6,7 +6,7 @@ from pathlib import Path
 
 from npred.cli import reproduce
 from npred.cli.options import Common, Planned, drawable
-from npred.errors import ConfigError, NpredError, UnmetError, similar
+from npred.errors import ConfigError, NpredError, UnmetError, unlisted
 from npred.json_files import escaped
 from npred.pipeline import STAGES, Step, experiments, nodes, usual
 from npred.pipeline.reasons import changes, differences, flat
@@ -48,8 +48,7 @@ def _asked(options: Planned, stage: str) -> list[Step]:
     asked = [step for step in steps if stage in (step.node.stage, step.node.model)]
     if not asked:
         names = dict.fromkeys(name for s in steps for name in (s.node.stage, s.node.name))
-        todo = similar(stage, names) or "; name one of them"
-        raise ConfigError(f"why: expected one of {', '.join(names)}, got {stage!r}{todo}")
+        raise ConfigError(unlisted("why", stage, names))
     return asked
 
 
@@ -129,17 +128,19 @@ def plants(options: Common) -> None:
 
 
 def check(
-    options: Common, plant: str, delay: float | None, nodes: int | None, kappa: str = "", figure: Path | None = None
+    options: Common, plant: str, delay: float | None, nodes: int | None, kappa: str = "", figure: Path | None = None,
+    u0: str | None = None,
 ) -> None:  # fmt: skip
     """Every question about a plant, or about that of a pipeline, with its answer; the law `kappa` in place of its law,
-    and the text of that to be pasted; a `figure` of the delay margin. Raises UnmetError where an answer is no.
+    and the text of that to be pasted; a `figure` of the delay margin; `u0` as in a pipeline. Raises UnmetError where an
+    answer is no.
     """
     from npred import config, diagnosis, plants
 
     pipeline = config.load(Path(plant)) if plant.endswith(".toml") else None
     parts = (pipeline.plant, pipeline.parameters, kappa or pipeline.kappa) if pipeline else (plant, {}, kappa)
     asked, plot = plants.resolve(*parts), figure and drawable(figure)
-    answers = diagnosis.check(asked, delay, nodes, pipeline=pipeline)
+    answers = diagnosis.check(asked, delay, nodes, pipeline=pipeline, u0=u0 and config.value(u0))
     fine = diagnosis.settled(answers)
     rows = [[*answer] for answer in answers]
     document = {"plant": plant, "fine": fine, "answers": [answer._asdict() for answer in answers]}

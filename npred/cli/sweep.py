@@ -8,7 +8,7 @@ from npred.cli import sweep_table
 from npred.cli.options import Running, writable_folder
 from npred.cli.report import free_path, sign
 from npred.cli.sweep_table import Row
-from npred.errors import ConfigError, NpredError, room_on_disk
+from npred.errors import ConfigError, NpredError, room_on_disk, unlisted
 from npred.parallel import devices, executors
 from npred.pipeline import STAGES, CellRun, Outcome, Planner, Runner, nodes, remember
 from npred.pipeline.cells import Cell, cells
@@ -25,7 +25,7 @@ def sweep(options: Running, to: str, output: Path | None, csv: bool) -> None:
     name, and with `csv` the table to stdout. Raises NpredError, once all the others are done, where a cell failed.
     """
     if to not in STAGES:
-        raise ConfigError(f"--to: expected one of {', '.join(STAGES)}, got {to!r}; name one of them")
+        raise ConfigError(unlisted("--to", to, STAGES))
     if output:
         writable_folder(output, "table")
     device = devices.resolve(options.device)

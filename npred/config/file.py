@@ -40,13 +40,14 @@ WORDS = {  # of what pydantic expects, in turn
 }
 
 
-def load(path: Path, overrides: list[str] | None = None) -> Pipeline:
+def load(path: str | Path, overrides: list[str] | None = None) -> Pipeline:
     """The pipeline of a TOML file with `key.path=value` overrides applied.
 
     Files that it names (a plant's, a delay law's, data) are relative to its folder; those of overrides, and of a
     pipeline that comes through a pipe, to the current one.
     Raises ConfigError, in one line, for a file that is missing or no TOML, an unknown key, a wrong type or value.
     """
+    path = Path(path)
     data = table(path)
     for text in overrides or []:
         override(data, text)
@@ -96,11 +97,15 @@ def override(data: dict[str, Any], text: str) -> None:
     key, sign, value_text = text.partition("=")
     if not sign or not key:
         raise ConfigError(f"--set: expected key.path=value, got {text!r}; for example --set train.deeponet.epochs=5")
+    put(data, key, value(value_text), "--set ")
+
+
+def value(text: str) -> Any:
+    """A value of TOML; a bare word is a string, so that --set plant=scalar needs no quotes."""
     try:
-        value = tomllib.loads(f"value = {value_text}")["value"]
+        return tomllib.loads(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:
-        value = value_text  # a bare word is a string, so that --set plant=scalar needs no quotes
-    put(data, key, value, "--set ")
+        return text
 
 
 def put(data: dict[str, Any], key: str, value: Any, what: str = "") -> None:
@@ -138,7 +143,8 @@ def _sentence(error: ValidationError) -> str:
     words = [_words(e["msg"]) for e in error.errors() if e["loc"][: len(fields)] == tuple(fields)]
     # "a number or a number above 0" is a number above 0
     expected = [word for word in dict.fromkeys(words) if not any(other.startswith(f"{word} ") for other in words)]
-    return f"{where}: expected {' or '.join(expected)}, got {first['input']!r}; write such a value"
+    near = similar(str(first["input"]), re.findall(r"'(.*?)'", " ".join(expected))) or "; write such a value"
+    return f"{where}: expected {' or '.join(expected)}, got {first['input']!r}{near}"
 
 
 def _words(message: str) -> str:

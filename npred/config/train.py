@@ -6,7 +6,7 @@ from pydantic import AfterValidator, ConfigDict, Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from npred.config.section import Anchor, Architecture, Count, Nodes, Positive, Section, Some
-from npred.errors import similar
+from npred.errors import unlisted
 from npred.registry import METHODS, NETWORKS
 
 TAKEN = ("generate", "train", "evaluate", "bench", "report", "numerical", "no_adaptation", "published", "euler_python")
@@ -127,6 +127,5 @@ class Train(Section):
     def _check_models(self) -> Self:
         for name in set(self.models) - {*self.named, *NETWORKS.builtin}:
             if name not in self.names:
-                cure, names = similar(name, self.names) or "; choose one or add a table", ", ".join(self.names)
-                raise ValueError(f"models: expected {names} or a table [train.NAME], got {name!r}{cure}")
+                raise ValueError(unlisted("models", name, self.names, todo="choose one or add a table [train.NAME]"))
         return self

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
+from typing import Any
 
 import numpy as np
 
@@ -9,6 +10,7 @@ from npred.config import Pipeline
 from npred.diagnosis import adaptive_loop, box, delay_margin, equilibrium, lyapunov, pipeline_fit, region
 from npred.diagnosis.case import ANY, Answer, Case, Check, Verdict
 from npred.errors import ConfigError
+from npred.plants import inputs
 from npred.plants.base import Plant
 
 __all__ = ["Answer", "Case", "check", "doubts", "longest", "require", "settled"]
@@ -55,22 +57,24 @@ QUESTIONS = (
 
 def check(
     plant: Plant, delay: float | None = None, nodes: int | None = None, samples: int = SAMPLES,
-    pipeline: Pipeline | None = None,
+    pipeline: Pipeline | None = None, u0: Any = None,
 ) -> list[Answer]:  # fmt: skip
     """Every question about a plant with its answer, for delays up to `delay` seconds on `nodes` nodes.
 
     By default the delay is the longest that the pipeline names, else the longest of the plant's, else 1 s; a pipeline
-    gives nodes, box, input bounds and u0 too, and one more answer: whether each of its stages can run with the plant.
+    gives nodes, box, input bounds and, without `u0`, that too, and one more answer: whether each of its stages can run
+    with the plant.
     A question that needs what another one found missing is not asked.
-    Raises ConfigError for a delay that is not positive, or for fewer than two nodes.
+    Raises ConfigError for a delay that is not positive, for fewer than two nodes, and for a u0 that does not fit.
     """
     D, source = longest(plant, pipeline) if delay is None else (delay, "as asked")
     count = nodes if nodes is not None else pipeline.generate.nx if pipeline else NODES
     if not 0 < D < np.inf:
-        raise ConfigError(f"delay: expected a time above 0, got {plant.time_text(D)}; give --delay")
+        raise ConfigError(f"delay: expected a time above 0, got {plant.time_text(D)}; give another")
     if count < 2:
         raise ConfigError(f"nodes: expected at least 2, both ends of [0, 1], got {count}; 101 are usual")
-    case = Case(plant, D, count, samples, pipeline, source=source)
+    case = Case(plant, D, count, samples, pipeline, source=source, commands=u0)
+    inputs.start(plant, u0, case.limits)
     if not plant.declares_kappa:
         missing = f"plant {plant.name}: expected kappa(x, t, p, M), found none; declare it"
         advice = 'or take one of these: kappa = "lqr" in a pipeline; --kappa lqr prints it to be pasted'

@@ -6,6 +6,7 @@ import numpy as np
 
 from npred.delays import family_of
 from npred.diagnosis.case import Case, Verdict
+from npred.errors import unlisted
 from npred.plants import inputs
 from npred.plants.base import Plant
 from npred.predictors import RK4
@@ -44,7 +45,7 @@ def declared(case: Case) -> Verdict:
     """Whether every state has a range to start experiments from, and nothing else."""
     states = case.plant.states
     if unknown := [name for name in case.box if name not in states]:
-        return "no", f"generate.box: unknown state {unknown[0]!r}; expected one of {', '.join(states)}"
+        return "no", unlisted("generate.box", unknown[0], states)
     missing = [name for name in states if name not in case.box]
     if missing and case.pipeline:
         first = missing[0]
@@ -133,7 +134,7 @@ def complete(case: Case) -> Verdict:
     t = case.delay * int(np.argmax(ended[first])) / (nodes - 1)
     after = case.plant.time_text(t, ".3g")
     start = f"{case.state(case.X[first])} ({lost.sum()} of {lost.size} states of the box)"
-    cure = "shrink box or the delay, set u0 in a pipeline, or guard what is undefined there with M.where"
+    cure = "shrink box or the delay, set u0, in a pipeline or by --u0, or guard what is undefined there with M.where"
     return "no", f"{case.plant.location('f')}: {loop} leaves the finite numbers after {after} from {start}; {cure}"
 
 

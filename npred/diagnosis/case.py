@@ -47,6 +47,7 @@ class Case:
     pipeline: Pipeline | None = None
     stages: Collection[str] = STAGES
     source: str = ""  # of the delay
+    commands: Any = None  # the input before t = 0, where it is not the pipeline's
     answers: dict[str, Answer] = field(default_factory=dict)
 
     def ask(self, question: "Check") -> Answer | None:
@@ -95,8 +96,8 @@ class Case:
 
     @property
     def u0(self) -> Any:
-        """The input before t = 0 in the pipeline."""
-        return self.pipeline.generate.u0 if self.pipeline else None
+        """The input before t = 0."""
+        return self.pipeline.generate.u0 if self.pipeline and self.commands is None else self.commands
 
     @property
     def settings(self) -> Pipeline:

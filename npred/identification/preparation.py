@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from npred import array_checks
-from npred.errors import ConfigError, similar
+from npred.errors import ConfigError, unlisted
 from npred.identification.fit import Prior, Problem
 from npred.identification.log import Log, Segments, spread
 from npred.identification.model import MeasuredOutputs, RolloutModel
@@ -82,10 +82,7 @@ def _prior(plant: Plant, settings: Settings) -> tuple[tuple[int, ...], Prior]:
     names, bounds = list(plant.parameters), settings.bounds or {}
     for name in settings.wanted:
         if name not in names:
-            raise ConfigError(
-                f"free: expected parameters of plant {plant.name}: {', '.join(names) or 'none'}, got {name!r}"
-                f"{similar(name, names)}"
-            )
+            raise ConfigError(unlisted("free", name, names, f"parameters of plant {plant.name}:"))
     free = [k for k, name in enumerate(names) if name in settings.wanted]
     assumed = [k for k in _used(plant) if k not in free and plant.p[k] != 0 and settings.model_error > 0]
     offsets = [len(names) + j for j in range(plant.m)] if settings.offset else []

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from npred import recordings
-from npred.errors import ConfigError, similar
+from npred.errors import ConfigError, unlisted
 from npred.identification.log import Log
 from npred.plants import Plant
 
@@ -22,17 +22,11 @@ def read(
     every = {name: columns.get(name, name) for name in (*plant.inputs, *plant.outputs)}
     for name in columns:
         if name not in every:
-            raise ConfigError(
-                f"columns: expected inputs or outputs of plant {plant.name}, {', '.join(every)}, got {name}"
-                f"{similar(name, every) or '; name one of those'}"
-            )
+            raise ConfigError(unlisted("columns", name, every, f"inputs or outputs of plant {plant.name},"))
     chosen = _measured(plant, path, every, columns)
     for key in (*scale, *shift):
         if key not in chosen.values():
-            raise ConfigError(
-                f"scale, shift: expected columns that are read, {', '.join(chosen.values())}, got {key}"
-                f"{similar(key, chosen.values()) or '; name one of those'}"
-            )
+            raise ConfigError(unlisted("scale, shift", key, chosen.values(), "columns that are read,"))
     series = recordings.read(path, list(chosen.values()), time, time_unit)
     there = {
         name: (series[c].t, scale.get(c, 1.0) * series[c].values + shift.get(c, 0.0)) for name, c in chosen.items()

@@ -7,7 +7,7 @@ import numpy as np
 
 from npred import array_checks
 from npred.delays import family_of
-from npred.errors import ConfigError
+from npred.errors import ConfigError, unlisted
 from npred.loop.actuator import ROUNDING
 from npred.loop.delay_law import DelayLaw
 from npred.loop.measurement import Measurement
@@ -83,7 +83,7 @@ def reality(
 def actuator_state(name: Any) -> None:
     """Raise ConfigError for what is no way to know the actuator state."""
     if name not in (MEASURED, HISTORY):
-        raise ConfigError(f'actuator: expected "measured" or "history", got {name!r}; choose one')
+        raise ConfigError(unlisted("actuator", name, (MEASURED, HISTORY)))
 
 
 def push(value: Any, m: int, shape: tuple[int, ...] = ()) -> np.ndarray:

@@ -9,7 +9,7 @@ import numpy as np
 
 from npred import array_checks
 from npred.delays import family_of
-from npred.errors import ConfigError
+from npred.errors import ConfigError, unlisted
 from npred.kernels.kernel import Kernel
 from npred.plants.base import Plant
 from npred.predictors import RK4
@@ -32,7 +32,8 @@ class Watchdog:
         if not 0 < array_checks.number("watchdog: after", self.after) < math.inf:
             raise ConfigError(f"watchdog: expected a time above 0 as after, got {self.after!r}; give seconds")
         if isinstance(self.then, str) and self.then not in ("hold", "zero"):
-            raise ConfigError(f'watchdog: expected "hold", "zero", numbers or a law as then, got {self.then!r}')
+            kind = "numbers, a law or one of"
+            raise ConfigError(unlisted("watchdog: then", self.then, ("hold", "zero"), kind))
         if self.jump is not None and not (array_checks.floats("watchdog: jump", self.jump) > 0).all():
             raise ConfigError(f"watchdog: expected numbers above 0 as jump, got {self.jump!r}; None is any distance")
 

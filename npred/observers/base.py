@@ -9,7 +9,7 @@ import numpy as np
 
 from npred import array_checks
 from npred.delays import family
-from npred.errors import ConfigError, similar
+from npred.errors import ConfigError, unlisted
 from npred.kernels.formula import vector
 from npred.kernels.functions import Formulas
 from npred.kernels.kernel import Kernel, made, skeleton
@@ -180,9 +180,10 @@ class Observer(ABC):
         states = self.plant.states
         for name in [outputs] if isinstance(outputs, str) else outputs:
             if isinstance(outputs, str) or name not in states:
-                near = f'; write ("{outputs}",)' if isinstance(outputs, str) else similar(name, states)
-                names = ", ".join(states)
-                raise ConfigError(f"{self.label}: outputs expected a tuple of states, {names}, got {outputs!r}{near}")
+                if isinstance(outputs, str):
+                    cure = f'write ("{outputs}",)'
+                    raise ConfigError(f"{self.label}: outputs expected a tuple of states, got {outputs!r}; {cure}")
+                raise ConfigError(unlisted(f"{self.label}: outputs", name, states, "states,"))
         return tuple(outputs)
 
     @property

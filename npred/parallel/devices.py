@@ -31,7 +31,7 @@ def resolve(requested: str) -> str:
     if requested == "auto":
         return "cuda" if _cuda_likely() else "cpu"
     if not re.fullmatch(r"cpu|cuda(:\d+)?", requested):
-        raise ConfigError(f"--device: expected auto, cpu, cuda or cuda:N, got {requested!r}; choose one of those")
+        raise ConfigError(f"device: expected auto, cpu, cuda or cuda:N, got {requested!r}; choose one of those")
     return requested
 
 
@@ -39,12 +39,10 @@ def require(device: str) -> None:
     """Raise MissingError unless this machine has the device."""
     if device == "cpu":
         return
-    torch = required("--device", "torch", "torch", "train")
+    torch = required("device", "torch", "torch", "train")
     count = torch.cuda.device_count() if torch.cuda.is_available() else 0
     if int(device.partition(":")[2] or 0) >= count:
-        raise MissingError(
-            f"--device: expected a device of this machine, got {device!r} with {count} CUDA devices; use --device cpu"
-        )
+        raise MissingError(f"device: expected one of this machine, got {device!r} with {count} CUDA devices; use cpu")
 
 
 def cores() -> int:

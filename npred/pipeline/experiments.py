@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from npred import registry
-from npred.errors import ConfigError, MissingError, similar
+from npred.errors import ConfigError, MissingError, unlisted
 from npred.parallel.executors import Workers
 from npred.pipeline.plan import Node, Resolver
 from npred.registry import Source
@@ -63,8 +63,7 @@ class ExperimentPlanner(Resolver):
     def check(self, nodes: Iterable[Node]) -> None:
         """Raise ConfigError for a name that there is no experiment of."""
         if self.experiment not in (registered := names()):
-            near = similar(self.experiment, registered) or "; choose one"
-            raise ConfigError(f"{STAGE}: expected {', '.join(registered)}, got {self.experiment!r}{near}")
+            raise ConfigError(unlisted(STAGE, self.experiment, registered))
 
     def version(self, node: Node) -> int:
         return VERSION

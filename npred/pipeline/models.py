@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from npred import config, defaults, plants
 from npred.config import Training
-from npred.errors import ConfigError
+from npred.errors import ConfigError, unlisted
 from npred.pipeline.stage_registry import Planner, nodes
 from npred.plants import Plant
 from npred.results import Contender
@@ -42,7 +42,7 @@ def load_model(spec: str, root: Path | None = None, overrides: list[str] | None 
         file = defaults.pipeline(path)
         pipeline = config.load(file, overrides)
         if name not in (names := pipeline.train.names):
-            raise ConfigError(f"{file}:{name}: expected {', '.join(names)} after the colon; name one of them")
+            raise ConfigError(unlisted(f"{spec}: after the colon", name, names))
         expected, todo = f"{file}:{name}: expected a trained model", f"npred train {file} --model {name}"
         artifact = _last(pipeline, store, "train", name, expected, todo)
         plant, table = plants.resolve(pipeline.plant, pipeline.parameters, pipeline.kappa), pipeline.train.table(name)

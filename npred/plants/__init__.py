@@ -8,7 +8,7 @@ from functools import lru_cache
 from typing import Any
 
 from npred import registry
-from npred.errors import ConfigError, similar
+from npred.errors import ConfigError, similar, unlisted
 from npred.plants import builtin
 from npred.plants.base import Plant
 from npred.plants.black_box import BlackBox
@@ -53,9 +53,12 @@ def controlled(plant: Plant, kappa: Kappa) -> Plant:
     try:
         inspect.signature(design).bind(plant, **table)
     except TypeError as error:
-        takes = ", ".join(inspect.signature(design).parameters)
+        takes = list(inspect.signature(design).parameters)
+        for key in table:
+            if key not in takes:
+                raise ConfigError(unlisted(f"kappa {name}", key, takes[1:], "arguments", "drop it")) from None
         raise ConfigError(
-            f"kappa {name}: expected what {name}({takes}) takes, got a table: {error}; write it"
+            f"kappa {name}: expected what {name}({', '.join(takes)}) takes, got a table: {error}; write it"
         ) from None
     other = plant.controlled(design(plant, **table))
     other.law_table = {"law": name} | table

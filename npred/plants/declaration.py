@@ -11,7 +11,7 @@ from typing import Annotated, Any, Self
 import numpy as np
 from pydantic import AfterValidator, BaseModel, BeforeValidator, Field, ValidationError, WrapValidator, model_validator
 
-from npred.errors import ConfigError, similar
+from npred.errors import ConfigError, similar, unlisted
 
 NAME = re.compile(r"\w[\w., -]{0,99}")
 LONGEST = 40  # letters of a label or a unit
@@ -129,7 +129,7 @@ class Declaration(BaseModel, frozen=True):
         for part, names in allowed.items():
             for name in getattr(self, part):
                 if name not in names:
-                    raise ValueError(f"{part}: unknown name {name!r}; expected one of {', '.join(names)}")
+                    raise ValueError(unlisted(part, name, names))
         return self
 
 
@@ -147,9 +147,9 @@ def read(plant: str, declaration: Any, overrides: Mapping[str, Any]) -> Declarat
     defaults = parts.get("parameters", {})
     for key in overrides if isinstance(defaults, Mapping) else ():
         if key not in defaults:
-            names = ", ".join(defaults) or "none"
-            near = similar(key, [*defaults, "kappa"])
-            raise ConfigError(f"plant {plant}: unknown parameter {key!r}; expected one of: {names}{near}")
+            if near := similar(key, ["kappa"]):
+                raise ConfigError(f"plant {plant}: expected parameters, got {key!r}{near}")
+            raise ConfigError(unlisted(f"plant {plant}", key, defaults, "parameters"))
         parts["parameters"] = {**defaults, **overrides}
     undeclared = [name for name in Declaration.model_fields if name not in parts]
     traced = isinstance(declaration, type) and getattr(declaration, "traced", True)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from npred import array_checks, randomness
-from npred.errors import ConfigError
+from npred.errors import ConfigError, unlisted
 from npred.plants.base import Plant
 from npred.symbolic import source_lines
 
@@ -126,7 +126,7 @@ def start(plant: Plant, u0: Given, limits: np.ndarray) -> Start:
         u0 = np.zeros(plant.m) if _inside(np.zeros(plant.m), limits) else EQUILIBRIUM
     if isinstance(u0, str):
         if u0 not in (EQUILIBRIUM, LAW):
-            raise ConfigError(f'u0: expected numbers, "{EQUILIBRIUM}" or "{LAW}", got {u0!r}; choose one')
+            raise ConfigError(unlisted("u0", u0, (EQUILIBRIUM, LAW), "numbers or one of"))
         return u0
     array = array_checks.floats("u0", u0)
     is_table = array.ndim == 2 and array.shape[0] > 0 and array.shape[1] == plant.m

@@ -10,7 +10,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from npred.errors import ConfigError, NpredError, first_line, similar
+from npred.errors import ConfigError, NpredError, first_line, similar, unlisted
 from npred.registry import RECORDINGS
 
 UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
@@ -47,7 +47,7 @@ def read(
     of a format.
     """
     if time_unit is not None and time_unit not in UNITS:
-        raise ConfigError(f"{path}: expected a unit of time, one of {', '.join(UNITS)}, got {time_unit!r}; choose one")
+        raise ConfigError(unlisted("time_unit", time_unit, UNITS))
     series = opened(path).series(names, time, time_unit)
     return {name: _finite(path, name, *series[name]) for name in names}
 
@@ -63,8 +63,7 @@ def opened(path: Path) -> Recording:
         raise ConfigError(f"{path}: expected a recording, found no file; check the path")
     form, forms = "db3" if path.is_dir() else path.suffix[1:].lower(), RECORDINGS.names()
     if form not in forms:
-        got = f"the suffix {path.suffix}" if form else "no suffix"
-        raise ConfigError(f"{path}: expected a file of a format that is read ({', '.join(forms)}), got {got}")
+        raise ConfigError(unlisted(str(path), form, forms, "a file that ends in", "convert it"))
     return RECORDINGS.load("recording", form)(path)
 
 

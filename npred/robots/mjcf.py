@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from npred.errors import ConfigError, first_line, required
+from npred.errors import ConfigError, first_line, required, unlisted
 from npred.robots.chain import by_library, declaration, wave_of
 from npred.symbolic import Parameters, Value
 
@@ -64,8 +64,7 @@ class _Engine:
             self.model.opt.disableflags |= getattr(flags, f"mjDSBL_{part}").value
         if integrator is not None:
             if integrator not in INTEGRATORS:
-                names = ", ".join(INTEGRATORS)
-                raise ConfigError(f"mujoco_chain: integrator expected one of {names}, got {integrator!r}; choose one")
+                raise ConfigError(unlisted("mujoco_chain: integrator", integrator, INTEGRATORS))
             self.model.opt.integrator = getattr(self.mujoco.mjtIntegrator, f"mjINT_{integrator.upper()}")
         self.joints = self._joints(path)
         self.data, self.alone = self.mujoco.MjData(self.model), Lock()

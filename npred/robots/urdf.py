@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from npred import json_files
-from npred.errors import ConfigError
+from npred.errors import ConfigError, unlisted
 from npred.robots.rigid_body import Body
 
 LARGEST = 2**20  # bytes of a file: a chain has kilobytes, its meshes are elsewhere and not read
@@ -116,7 +116,7 @@ class _Tree:
 def _body(joint: ElementTree.Element, turn: np.ndarray, position: np.ndarray, inertials: list[Any]) -> Body:
     name, kind = _attribute(joint, "name"), joint.get("type", "")
     if kind not in MOVING:
-        raise _Wrong(f"joint {name}: expected a type of {', '.join(MOVING)} or fixed, got {kind!r}")
+        raise _Wrong(unlisted(f"joint {name}", kind, (*MOVING, "fixed"), "a type of"))
     mass = sum(m for m, _, _ in inertials)
     if not mass > 0:
         raise _Wrong(f"joint {name}: expected a link with a mass above 0 kg, got {mass:g}")

@@ -9,7 +9,7 @@ import numpy as np
 
 import npred
 from npred.delays import family_of
-from npred.errors import ConfigError
+from npred.errors import ConfigError, unlisted
 from npred.kernels.c_text import comment, constant, literal, single
 from npred.kernels.kernel import Kernel, skeleton
 from npred.loop import signals
@@ -42,9 +42,9 @@ def sources(
     Raises ConfigError for a name or precision that is none, and for a controller with a part that runs in Python.
     """
     if not NAME.fullmatch(name):
-        raise ConfigError(f"--name: expected a short C identifier in lower case, got {name!r}; take npred")
+        raise ConfigError(f"name: expected a short C identifier in lower case, got {name!r}; take npred")
     if precision not in PRECISIONS:
-        raise ConfigError(f"--precision: expected float or double, got {precision!r}; name one of them")
+        raise ConfigError(unlisted("precision", precision, PRECISIONS))
     _check(controller)
     kernels = {part: kernel for part, kernel in _parts(controller, precision).items() if kernel}
     variants = {

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from npred import grid
-from npred.errors import ConfigError, imported
+from npred.errors import ConfigError, imported, unlisted
 from npred.loop.closed_loop import simulate
 from npred.loop.controller import Controller
 from npred.loop.loop_checks import HISTORY
@@ -37,7 +37,7 @@ def export(
     if not isinstance(controller, Controller):
         raise ConfigError(f"export: expected a controller, got {controller!r}; make one with npred.controller")
     if form not in forms:
-        raise ConfigError(f"export: expected one of {', '.join(forms)}, got {form!r}; name one of them")
+        raise ConfigError(unlisted("form", form, forms))
     if platforms and form != "fmu":
         raise ConfigError(f"platforms: expected none for {form}, which fits any machine, got {platforms!r}; drop it")
     try:

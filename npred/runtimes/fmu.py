@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 import npred
-from npred.errors import ConfigError
+from npred.errors import ConfigError, unlisted
 from npred.json_files import escaped
 from npred.loop.controller import Controller
 from npred.runtimes import c_controller, c_files, fmu_variables
@@ -103,7 +103,7 @@ def write(
     MissingError for platforms without ziglang.
     """
     if version not in VERSIONS:
-        raise ConfigError(f"--fmi: expected 3 or 2, got {version}; name one of them")
+        raise ConfigError(f"fmi: expected 3 or 2, got {version}; give one")
     places = _chosen(version, name, platforms) if platforms else _own(version, name)
     X0 = np.zeros(controller.plant.n) if X0 is None else np.asarray(X0, dtype=float)
     listed = fmu_variables.of(controller, X0, arrays=version == 3)
@@ -144,7 +144,7 @@ def _chosen(version: int, identifier: str, names: Sequence[str]) -> dict[str, st
     places = {}
     for name in names:
         if name not in nameable:
-            raise ConfigError(f"--platforms: expected some of {', '.join(nameable)}, got {name!r}; name those")
+            raise ConfigError(unlisted("platforms", name, nameable, "some of"))
         one = NAMED[name]
         places[str(one.place(version, identifier))] = f"{one.machine}-{SYSTEMS[one.system]}"
     return places

@@ -4,11 +4,12 @@ import re
 from collections import namedtuple
 from collections.abc import Callable, Sequence
 from functools import cache
+from types import SimpleNamespace
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
-from npred.errors import ConfigError
+from npred.errors import ConfigError, similar
 from npred.symbolic import Parameters, Value, source_lines
 from npred.symbolic.tape import FUNCTIONS, Functions
 
@@ -111,8 +112,10 @@ def _cure(plant: Declared, function: str, error: Exception) -> str:
     if not source_lines.where(error, getattr(plant.declaration, function)):  # it was not even entered
         return f"write def {signature}"
     match error:
-        case AttributeError(obj=record) if (names := getattr(record, "_fields", None)) is not None:
-            return f"expected one of {', '.join(names) or 'none: none is declared'}"
+        case AttributeError(name=name, obj=record) if (names := getattr(record, "_fields", None)) is not None:
+            return f"expected one of {', '.join(names) or 'none: none is declared'}{similar(str(name), names)}"
+        case AttributeError(name=name, obj=SimpleNamespace() as of_M):
+            return f"expected one of M's {', '.join(vars(of_M))}{similar(str(name), vars(of_M))}"
         case NameError(name=name):
             return _meant(str(name), plant, function, signature)
     for words, hint in HINTS.items():
@@ -133,4 +136,5 @@ def _meant(name: str, plant: Declared, function: str, signature: str) -> str:
     arguments = signature.partition("(")[2].rstrip(")")
     if name in ("u", *plant.inputs) and function not in ("f", "mechanics"):
         return f"only f knows the inputs, and kappa gives them: write {function} in {arguments}"
-    return f"expected one of {arguments}, or what the file defines"
+    near = similar(name, [f"{home}.{each}" for home, names in homes.items() for each in names])
+    return f"expected one of {arguments}, or what the file defines{near}"

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from npred.errors import unlisted
 from npred.symbolic import Value, ldl
 
 Vector = Sequence[Value] | np.ndarray
@@ -291,7 +292,7 @@ class Mathematics:
 
     def __getattr__(self, name: str) -> Callable[..., Any]:
         if name not in FUNCTIONS:
-            raise AttributeError(f"M.{name} is unknown; expected one of pi, where, solve, {', '.join(FUNCTIONS)}")
+            raise AttributeError(unlisted("M", name, ("pi", "where", "solve", *FUNCTIONS)))
 
         def call(*args: Value) -> Value:
             if len(args) != 1 + (name in ("maximum", "minimum")):

@@ -13,7 +13,7 @@ import numpy as np
 
 from npred import randomness
 from npred.config import Pipeline, Tune
-from npred.errors import ConfigError, similar
+from npred.errors import ConfigError, unlisted
 from npred.loop import delay_law
 from npred.plants import Plant
 from npred.results import JudgedLoops, Tuned, TunedNumber
@@ -47,10 +47,7 @@ class Ranges:
         offered = _offered(plant, weights) if chosen else {}
         for name in chosen:
             if name not in offered:
-                raise ConfigError(
-                    f"free: expected gains, which kappa reads and the plant does not: {', '.join(offered) or 'none'}; "
-                    f"got {name!r}{similar(name, offered)}"
-                )
+                raise ConfigError(unlisted("free", name, offered, "gains, which kappa reads and the plant does not:"))
         present = ({"gamma": law.gamma, "b": law.b} if law else {}) | {name: offered[name] for name in chosen}
         if ALPHA in table.free:
             present |= {ALPHA: _alpha(pipeline)}

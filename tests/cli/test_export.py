@@ -164,7 +164,7 @@ def test_a_controller_with_the_observer_of_its_pipeline(export, tmp_path):
     ("flags", "message"),
     [
         (("--watchdog", "soon"), "--watchdog: expected TIME[:hold|zero], got 'soon'; as 0.2:zero"),
-        (("--watchdog", "1:stop"), 'watchdog: expected "hold", "zero", numbers or a law as then, got \'stop\''),
+        (("--watchdog", "1:stop"), "then: expected numbers, a law or one of hold, zero, got 'stop'"),
         (("--oldest", "-1"), "oldest: expected how old a sample may be, at least 0"),
     ],
 )
@@ -201,7 +201,7 @@ def test_an_fmu_of_a_network_says_what_it_holds(export, monkeypatch):
 @pytest.mark.parametrize(
     ("flags", "message"),
     [
-        (("--fmi", "1"), "--fmi: expected 3 or 2, got 1; name one of them"),
+        (("--fmi", "1"), "--fmi: expected 3 or 2, got 1; give one"),
         (("-o", "nowhere/a.fmu"), "nowhere/a.fmu: expected a file that can be written"),
     ],
 )
@@ -214,7 +214,7 @@ def test_an_fmu_that_cannot_be(export, flags, message):
     ("flags", "message"),
     [
         (("--name", "a b"), "--name: expected a short C identifier in lower case, got 'a b'; take npred"),
-        (("--precision", "half"), "--precision: expected float or double, got 'half'; name one of them"),
+        (("--precision", "half"), "--precision: expected one of float, double, got 'half'; name one of them"),
         (("--nx", "1"), "--nx: expected at least 2 nodes"),
     ],
 )
@@ -260,7 +260,7 @@ def test_python_exports_the_network_of_a_controller_as_onnx(from_python):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("exe", "x"), "export: expected one of c, fmu, onnx, got 'exe'"),
+        (("exe", "x"), "form: expected one of c, fmu, onnx, got 'exe'"),
         (("c", "Tank.c"), "path: expected a file named by a C identifier in lower case, as tank.c, got 'Tank.c'"),
         (("c", "tank.c", ["linux64"]), r"platforms: expected none for c, .* got \['linux64'\]"),
         (("onnx", "x.onnx"), "export onnx: expected a controller with a trained network, got <RK4"),

@@ -60,7 +60,7 @@ def test_the_default_pipeline_fits_but_for_the_start_that_it_has_to_give():
 @pytest.mark.parametrize(
     ("tables", "message"),
     [
-        ({"generate": {"box": {"x3": [0, 1]}}}, "unknown state 'x3'; expected one of x1, x2"),
+        ({"generate": {"box": {"x3": [0, 1]}}}, "generate.box: expected one of x1, x2, got 'x3'"),
         ({"evaluate": {"X0": [1.0]}}, r"evaluate.X0: expected one number per state \(x1, x2\), got \[1.0\]"),
         ({"evaluate": {"X0": [float("nan"), 1.0]}}, "evaluate.X0: expected finite values"),
         (
@@ -289,7 +289,7 @@ def test_a_pipeline_names_no_delay_where_the_plant_declares_it(tmp_path, tables,
 @pytest.mark.parametrize(
     ("scenario", "message"),
     [
-        ({"parameters": {"k1": 1.0}}, "unknown parameter 'k1'"),
+        ({"parameters": {"k1": 1.0}}, "got 'k1'"),
         ({"adaptation": "missing.py:Law"}, "missing.py"),
         ({"bias": [0.1]}, "expected bias as one number or 2, one per state of plant activator_repressor, got 1"),
         ({"resolution": []}, "expected resolution as one number or 2, .*, got 0; give as many"),

@@ -519,3 +519,28 @@ def test_a_V_that_no_law_takes_is_not_asked_for(tank_file, tmp_path):
         (tmp_path / "p.toml").write_text(text + "X0 = [0.7]\n")
         done = CliRunner().invoke(app, ["plants", "check", str(tmp_path / "p.toml")])
         assert done.exit_code == code, done.output
+
+
+def test_the_input_before_the_start_may_be_asked_for(tmp_path):
+    """Where nothing flows in, a tank is empty after 2 (sqrt h - 0) / 0.5 s, from h = 0.5 in 2.83 s."""
+    text = """
+class Tank:
+    states, inputs = ("h",), ("q",)
+    box, guess = {"h": (0.5, 0.9)}, (1.0,)
+
+    def f(x, u, t, p, M):
+        return [u.q - 0.5 * M.sqrt(x.h)]
+
+    def kappa(x, t, p, M):
+        return [0.5 + 0.2 * (1 - x.h)]
+"""
+    (tmp_path / "tank.py").write_text(text)
+
+    def complete(*flags: str):
+        arguments = ["plants", "check", f"{tmp_path}/tank.py:Tank", "--delay", "3", "--json", *flags]
+        call = CliRunner().invoke(app, arguments)
+        return next(a["verdict"] for a in json.loads(call.stdout)["answers"] if a["check"] == "completeness")
+
+    assert (complete(), complete("--u0", "equilibrium"), complete("--u0", "[0.4]")) == ("no", "yes", "yes")
+    wrong = CliRunner().invoke(app, ["plants", "check", "scalar", "--u0", "equilibrum"])
+    assert wrong.exit_code == 2 and "error: --u0: " in wrong.output and "did you mean equilibrium?" in wrong.output

@@ -265,7 +265,7 @@ def test_all_states_are_the_outputs_of_a_plant_without_output():
     [
         (lambda: EKF(built_in("cart_pole"), outputs=("theta",)), "rank 2 of 4; measure more"),
         (lambda: EKF(built_in("planar_arm2"), outputs=("theta1",), offset=True), "leave the offset out"),
-        (lambda: EKF(built_in("chemostat"), outputs=("X",)), "outputs expected a tuple of states, Z, S, got ('X',)"),
+        (lambda: EKF(built_in("chemostat"), outputs=("X",)), "outputs: expected states, Z, S, got 'X'; name one"),
         (lambda: EKF(built_in("chemostat"), R=[1.0, 2.0], outputs=("S",)), "R expected one number or shape (1,)"),
         (lambda: EKF(built_in("chemostat"), R=0.0), "R expected variances above 0"),
         (lambda: EKF(built_in("chemostat"), Q=[[1.0, 2.0], [2.0, 1.0]]), "Q expected a symmetric matrix"),

@@ -321,7 +321,7 @@ def test_models_are_found_by_pipeline_folder_and_key(trained: dict[str, Path], p
     [
         ("{p}:deeponet@8", "snapshot of epoch 8"),
         ("{p}:deeponet@best", "epoch after @"),
-        ("{p}:cnn", "expected deeponet, fno, "),
+        ("{p}:cnn", "after the colon: expected one of deeponet, fno, "),
         ("{generate}", "expected a trained model"),
         ("0123456789", "expected one artifact"),
         ("nowhere.toml:fno", "nowhere.toml"),

@@ -61,7 +61,7 @@ def test_the_plant_gets_it_for_the_length_of_the_delay(u0, held):
         (351.0, "got Tc = 351"),
         ([300.0, 300.0], r"u0: expected a finite number per input \(Tc\)"),
         (float("nan"), "a finite number per input"),
-        ("kappa", 'u0: expected numbers, "equilibrium" or "law", got \'kappa\''),
+        ("kappa", "u0: expected numbers or one of equilibrium, law, got 'kappa'"),
     ],
 )
 def test_what_the_plant_does_not_accept_is_refused(u0, words):

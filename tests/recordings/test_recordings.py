@@ -35,8 +35,8 @@ def test_series_have_times_of_their_own_without_what_is_not_finite(table):
     ("name", "names", "words"),
     [
         ("none.csv", ["level"], "none.csv: expected a recording, found no file; check the path"),
-        ("log.xyz", ["level"], f"log.xyz: expected a file of a format that is read ({FORMATS}), got the suffix .xyz"),
-        ("log", ["level"], f"log: expected a file of a format that is read ({FORMATS}), got no suffix"),
+        ("log.xyz", ["level"], f"log.xyz: expected a file that ends in {FORMATS}, got 'xyz'"),
+        ("log", ["level"], f"log: expected a file that ends in {FORMATS}, got ''; convert it"),
         ("log.csv", ["vlave"], "log.csv: expected the name of a column with numbers, got 'vlave'; did you mean valve"),
         ("log.csv", ["q"], "got 'q'; choose one of t, valve, level, empty"),
         ("log.csv", ["empty"], "log.csv: expected numbers in empty, got empty cells or NaN alone; name another column"),
@@ -57,7 +57,7 @@ def test_numbers_without_a_time_are_not_called_empty(tmp_path):
 
 
 def test_an_unknown_unit_is_refused(table):
-    with pytest.raises(ConfigError, match=r"expected a unit of time, one of s, ms, us, µs, ns, min, h, got 'days'"):
+    with pytest.raises(ConfigError, match=r"time_unit: expected one of s, ms, us, µs, ns, min, h, got 'days'"):
         recordings.read(table, ["level"], time_unit="days")
 
 

@@ -216,7 +216,7 @@ def test_gains_are_what_kappa_alone_reads():
 @pytest.mark.parametrize(
     ("table", "message"),
     [
-        ({"free": ["a"], "bounds": {}}, "free: expected gains.*k, aim; got 'a'"),
+        ({"free": ["a"], "bounds": {}}, "free: expected gains.*k, aim, got 'a'"),
         ({"free": ["aim"], "bounds": {}}, "expected a range for aim"),
         ({"free": [], "bounds": {}}, "expected something to tune"),
         ({"free": ["b"], "bounds": {}}, "got 'b'"),
