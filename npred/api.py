@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from npred import plants
+from npred.errors import ConfigError
 from npred.loop.controller import Controller
 from npred.loop.delay_law import DelayLaw
 from npred.loop.watchdog import Watchdog
@@ -51,6 +52,8 @@ def load(
     """
     from npred.pipeline.models import load_model
 
+    if not isinstance(model, str | Path):
+        raise ConfigError(f"model: expected PIPELINE:MODEL, a path or a key, got {model!r}; write smoke:deeponet, say")
     device = devices.resolve(device)
     devices.require(device)
     return loaded(load_model(str(model), Path(store) if store else None), nx, device, runtime)

@@ -37,8 +37,16 @@ def pipeline(name: str | Path | None = None) -> Path:
     return Path(name) if Path(name).is_file() else shipped().get(name, Path(name))
 
 
+def of_code(path: Path) -> str:
+    """The message for a plant where a pipeline is expected."""
+    spec = path if ".py:" in str(path) else f"{path}:Tank"
+    return f'{path}: expected a pipeline, a TOML file, got code; write plant = "{spec}" to one, and name that'
+
+
 def missing(path: Path) -> str:
     """The message for a pipeline that is no file."""
+    if ".py:" in str(path):
+        return of_code(path)
     names = list(shipped())
     near = similar(str(path), [*names, *(str(file) for file in path.parent.glob("*.toml"))])
     return f"{path}: expected a pipeline file, or one of {', '.join(names)}; found no such file{near}"

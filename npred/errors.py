@@ -141,8 +141,8 @@ def similar(name: str, names: Iterable[str]) -> str:
     """`; did you mean …?` with what comes closest to a name, in any case; nothing where nothing comes close."""
     from difflib import get_close_matches
 
-    cased = {each.casefold(): each for each in names}
-    close = [cased[each] for each in get_close_matches(name.casefold(), cased, n=2)]
+    cased = {each.casefold().lstrip("-"): each for each in names}
+    close = [cased[each] for each in get_close_matches(name.casefold().lstrip("-"), cased, n=2)]
     return f"; did you mean {' or '.join(close)}?" if close else ""
 
 

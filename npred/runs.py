@@ -91,6 +91,8 @@ def resolved(source: Source, settings: Mapping[str, Any] = {}) -> Pipeline:
 
     Raises ConfigError for what there is none of, for an unknown key and for a value out of range.
     """
+    if not isinstance(settings, Mapping):
+        raise ConfigError(f"settings: expected keys and values, got {settings!r}; write {{'generate.samples': 2000}}")
     chosen = table(source)
     for key, value in settings.items():
         plain = value.tolist() if isinstance(value, np.ndarray | np.generic) else value

@@ -1,4 +1,6 @@
-"""Where a name is answered with the names that there are, the message says which of them comes closest."""
+"""Where a name is answered with the names that there are, the message says which of them comes closest; and what else a
+newcomer writes is answered with what to write instead.
+"""
 
 import re
 from collections.abc import Callable
@@ -38,6 +40,9 @@ TANK = plants.make("tank", Tank)
 PIPELINE = {"plant": "scalar", "evaluate": {"X0": [1.0]}}
 COMMANDS = {  # what is written after npred, and the name that was meant
     "trian": "train",
+    "version": "--version",
+    "plants check tank": "tank.py",
+    "plants check tank.py:tank": "Tank",
     "train smoke --modell fno": "model",
     "train smoke --model fnoo": "fno",
     "report smoke --figures slide": "slides",
@@ -107,14 +112,17 @@ def traced(**parts: Any) -> Any:
 @pytest.fixture(autouse=True)
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
+    (tmp_path / "tank.py").write_text("class Tank:\n    states = ('h',)\n")
     for name in ("log.csv", "log.cvs"):
         (tmp_path / name).write_text("t,U,X\n" + "".join(f"{k},{k % 7},{k % 5}\n" for k in range(99)))
 
 
 @pytest.mark.parametrize(("line", "meant"), COMMANDS.items())
 def test_a_command_says_what_comes_closest(line: str, meant: str):
-    done = CliRunner().invoke(app, [*line.split(), "-q"] if line != "trian" else [line])
-    assert done.exit_code == 2 and re.search(rf"did you mean .*\b{meant}\b.*\?", done.output), done.output
+    done = CliRunner().invoke(app, [*line.split(), "-q"] if " " in line else [line])
+    assert done.exit_code == 2 and re.search(rf"did you mean .*(?<![\w.]){re.escape(meant)}\b.*\?", done.output), (
+        done.output
+    )
     assert len(done.output.strip().splitlines()) == 1
 
 
@@ -124,6 +132,39 @@ def test_python_says_what_comes_closest(name: str):
     with pytest.raises((NpredError, AttributeError)) as caught:
         call()
     assert re.search(rf"did you mean (\w\.)?{meant}\b", str(caught.value)), str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("line", "instead"),
+    [
+        ("run tank.py", 'expected a pipeline, a TOML file, got code; write plant = "tank.py:Tank" to one'),
+        ("run tank.py:Tank", 'expected a pipeline, a TOML file, got code; write plant = "tank.py:Tank" to one'),
+        ("run smoke --seed 3", "write --set seed=VALUE"),
+        ("run smoke --samples 3", "write --set generate.samples=VALUE"),
+        ("run smoke --set evaluate.X0=0.5", "write [0.5]"),
+        ("run smoke --set train.models=fno", 'write ["fno"]'),
+        ("run smoke --set bench.calls=1e3", "write 1000"),
+    ],
+)
+def test_a_command_says_what_to_write_instead(line: str, instead: str):
+    done = CliRunner().invoke(app, [*line.split(), "-q"])
+    assert done.exit_code == 2 and instead in done.output, done.output
+    assert len(done.output.strip().splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: npred.load(TANK), "model: expected PIPELINE:MODEL, a path or a key, got <Plant tank"),
+        (lambda: npred.laws.lqr("tank"), "plant: expected a Plant, got 'tank'; make one with npred.plant"),
+        (lambda: npred.generate("smoke", settings=["generate.samples=9"]), "settings: expected keys and values"),
+        (lambda: npred.config.load("smok.toml"), "smok.toml: expected a pipeline file"),
+    ],
+)
+def test_python_says_what_to_write_instead(call: Callable[[], Any], words: str):
+    with pytest.raises(NpredError) as caught:
+        call()
+    assert words in str(caught.value) and "\n" not in str(caught.value)
 
 
 def test_a_box_of_a_pipeline_says_what_comes_closest():

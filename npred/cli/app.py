@@ -77,11 +77,11 @@ def _fault_of_option(error: Any, arguments: Sequence[str]) -> str:
     """An unknown command or option, or a number that is none, in the words of npred; else nothing."""
     command = error.ctx.command
     if unknown := re.match(r"No such command '(.*?)'", error.message):
-        near = similar(unknown[1], command.list_commands(error.ctx))
+        near = similar(unknown[1], [*command.list_commands(error.ctx), *_options(command)])
         return f"{unknown[1]}: expected a command of {error.ctx.command_path}, found no such{near}"
     if option := getattr(error, "option_name", ""):
-        options = [name for parameter in command.params for name in parameter.opts]
-        return f"{option}: expected an option of {error.ctx.command_path}, found no such{similar(option, options)}"
+        near = similar(option, _options(command)) or _key(option, command)
+        return f"{option}: expected an option of {error.ctx.command_path}, found no such{near}"
     expected = next((words for form, words in FAULTS.items() if re.search(form, error.message)), "")
     names: Sequence[str] = error.param.opts if expected and getattr(error, "param", None) else []
     values = [
@@ -92,6 +92,20 @@ def _fault_of_option(error: Any, arguments: Sequence[str]) -> str:
     least = re.search(r"(?:equal to |>=)([\d.]+)", error.message)
     expected += f" of at least {least[1]}" if least else ""
     return f"{names[-1]}: expected {expected}, got {', '.join(map(repr, values))}" if values else ""
+
+
+def _options(command: Any) -> list[str]:
+    """The long options of a command."""
+    return [name for parameter in command.params for name in parameter.opts if name.startswith("--")]
+
+
+def _key(option: str, command: Any) -> str:
+    """How to set a key of the pipeline that is called like an unknown option, as --epochs; else nothing."""
+    from npred import config
+
+    leaf = option.removeprefix("--").replace("-", "_")
+    keys = [key for key, _ in config.leaves() if key.rpartition(".")[2] == leaf]
+    return f"; write --set {keys[0]}=VALUE" if keys and "--set" in _options(command) else ""
 
 
 app = typer.Typer(

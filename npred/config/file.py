@@ -1,5 +1,6 @@
 """Pipeline files: read, overridden by `--set`, parsed; and what is wrong with one, in one line."""
 
+import json
 import os
 import re
 import stat
@@ -62,8 +63,9 @@ def table(path: Path) -> dict[str, Any]:
     except FileNotFoundError:
         raise ConfigError(defaults.missing(path)) from None
     except (OSError, ValueError, RecursionError) as error:
-        cure = "name it as plant in a TOML file" if path.suffix == ".py" else "write TOML, as seed = 0"
-        raise ConfigError(f"{path}: expected a TOML file, got: {error}; {cure}") from None
+        if path.suffix == ".py":
+            raise ConfigError(defaults.of_code(path)) from None
+        raise ConfigError(f"{path}: expected a TOML file, got: {error}; write TOML, as seed = 0") from None
 
 
 def _file_text(path: Path) -> str:
@@ -143,8 +145,17 @@ def _sentence(error: ValidationError) -> str:
     words = [_words(e["msg"]) for e in error.errors() if e["loc"][: len(fields)] == tuple(fields)]
     # "a number or a number above 0" is a number above 0
     expected = [word for word in dict.fromkeys(words) if not any(other.startswith(f"{word} ") for other in words)]
-    near = similar(str(first["input"]), re.findall(r"'(.*?)'", " ".join(expected))) or "; write such a value"
-    return f"{where}: expected {' or '.join(expected)}, got {first['input']!r}{near}"
+    came = first["input"]
+    near = similar(str(came), re.findall(r"'(.*?)'", " ".join(expected))) or f"; {_cure(expected, came)}"
+    return f"{where}: expected {' or '.join(expected)}, got {came!r}{near}"
+
+
+def _cure(expected: list[str], came: Any) -> str:
+    """What to write instead: 1000 for 1e3, [0.5] for 0.5."""
+    if "a whole number" in expected and isinstance(came, float) and came.is_integer():
+        return f"write {came:.0f}"
+    single = expected == ["a list"] and isinstance(came, str | int | float)
+    return f"write {json.dumps([came])}" if single else "write such a value"
 
 
 def _words(message: str) -> str:

@@ -8,7 +8,7 @@ import numpy as np
 from npred import randomness
 from npred.errors import ConfigError
 from npred.plants import inputs
-from npred.plants.base import Plant
+from npred.plants.base import Plant, require
 from npred.plants.newton import REST
 from npred.symbolic import Value, programs, source_lines
 from npred.symbolic.tape import M, Symbol, Vector, names
@@ -30,6 +30,7 @@ class Design:
     """
 
     def __init__(self, plant: Plant, law: str) -> None:
+        require(plant)
         self.plant, self.law = plant, law
         if not plant.traced:
             raise self.refusal("a plant that is traced, got traced = False", "write kappa(X, t, p) in its class")

@@ -5,6 +5,7 @@ import inspect
 import pkgutil
 from collections.abc import Callable, Mapping
 from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 from npred import registry
@@ -36,7 +37,7 @@ def resolve(name: str | type, parameters: Mapping[str, float] = {}, kappa: Kappa
         raise ConfigError(f"plant {name}: expected the class too, got the file alone; write {name}:Tank, say")
     declaration = _builtin().get(name) or registry.PLANTS.installed(name)
     if declaration is None:
-        near = similar(name, names())
+        near = similar(name, [*names(), *map(str, Path().glob("*.py"))])
         raise ConfigError(f"plant {name!r}: expected one of {', '.join(names())}, or a file as my_plant.py:Tank{near}")
     plant = make(name, declaration, parameters)
     plant.spec = name
