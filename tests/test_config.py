@@ -117,7 +117,7 @@ def test_a_pipeline_is_frozen(empty: Path):
         ("generate.D=[2, 1]", ["generate", "D:", "low <= high", "[2.0, 1.0]"]),
         (
             "train.models=['cnn']",
-            ["train.models", "deeponet, fno, averaging, gru, fno_gru, deeponet_gru or a table", "'cnn'"],
+            ["train.models", "deeponet, fno, averaging, gru, fno_gru, deeponet_gru", "table [train.NAME]", "'cnn'"],
         ),
         ("train.fno.snapshots=[9999]", ["train.fno", "snapshots", "9999"]),
         ("train.fno={eps=0.1, snapshots=[2]}", ["train.fno", "snapshots: expected none beside eps"]),
@@ -166,7 +166,9 @@ def test_an_override_below_a_plain_value_is_refused(tmp_path: Path):
 def test_a_plant_in_place_of_a_pipeline_is_told_where_it_goes(tmp_path: Path):
     path = tmp_path / "my_plant.py"
     path.write_text("class Tank:\n    pass\n")
-    with pytest.raises(ConfigError, match=r"my_plant\.py: expected a TOML file, got: .*; name it as plant in a TOML"):
+    with pytest.raises(
+        ConfigError, match=r"my_plant\.py: expected a pipeline, a TOML file, got code; write plant = .*:Tank"
+    ):
         config.load(path)
 
 
