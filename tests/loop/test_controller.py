@@ -364,7 +364,7 @@ def test_it_is_given_what_is_measured_and_nothing_else():
         npred.controller(PLANT, run, LAW, 0.01, actuator="history").step(X0, np.zeros((21, 1)))
     with pytest.raises(ConfigError, match="expected X and u, for the actuator is 'measured', got X alone"):
         npred.controller(PLANT, run, LAW, 0.01).step(X0)
-    with pytest.raises(ConfigError, match='actuator: expected "measured" or "history"'):
+    with pytest.raises(ConfigError, match="actuator: expected one of measured, history"):
         npred.controller(PLANT, run, LAW, 0.01, actuator="other")
     with pytest.raises(ConfigError, match="expected the commands of such a controller, got others"):
         npred.controller(PLANT, run, LAW, 0.01, actuator="history").restore({"D_hat": 1.0, "step": 0, "commands": {}})

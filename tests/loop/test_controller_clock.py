@@ -240,7 +240,7 @@ def test_a_watchdog_has_u_before_the_first_sample():
     ("named", "message"),
     [
         ({"after": 0.0}, "expected a time above 0"),
-        ({"after": 0.1, "then": "stop"}, 'expected "hold", "zero"'),
+        ({"after": 0.1, "then": "stop"}, "then: expected numbers, a law or one of hold, zero"),
         ({"after": 0.1, "jump": -1.0}, "expected numbers above 0 as jump"),
     ],
 )

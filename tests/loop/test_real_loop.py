@@ -188,7 +188,7 @@ def test_own_commands_at_the_true_delay_are_the_measured_actuator_state():
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        ({"D": 1.0, "actuator": "guessed"}, 'actuator: expected "measured" or "history", got \'guessed\''),
+        ({"D": 1.0, "actuator": "guessed"}, "actuator: expected one of measured, history, got 'guessed'"),
         ({"D": 1.0, "disturbance": 0.1}, "disturbance: expected a function of t, got 0.1"),
         ({"D": 1.0, "disturbance": lambda t: [0.1, 0.2]}, r"disturbance\(t\): expected 1 finite numbers"),
         ({"D": 1.0, "truth": npred.plant("scalar")}, "truth: expected a plant with 2 states and 1 inputs"),

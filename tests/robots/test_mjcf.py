@@ -178,7 +178,7 @@ def test_what_is_no_such_arm_is_one_line(tmp_path, old, new, message):
 
 
 def test_an_integrator_that_there_is_not_is_named():
-    with pytest.raises(ConfigError, match="integrator expected one of Euler, RK4, implicit, implicitfast, got 'rk5'"):
+    with pytest.raises(ConfigError, match="integrator: expected one of Euler, RK4, implicit, implicitfast, got 'rk5'"):
         mujoco_chain(FILE, integrator="rk5")
 
 

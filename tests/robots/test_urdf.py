@@ -37,7 +37,7 @@ def test_what_is_fixed_is_merged():
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ('type="prismatic"', 'type="planar"', "joint reach: expected a type of .*prismatic or fixed, got 'planar'"),
+        ('type="prismatic"', 'type="planar"', "joint reach: expected a type of .*prismatic, fixed, got 'planar'"),
         ('<child link="hand"/>', '<child link="foot"/>', "joint pitch names a link 'foot' that is not there"),
         (
             '<parent link="hand"/>',
