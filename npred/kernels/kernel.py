@@ -23,7 +23,7 @@ NUMBERS = {
 }  # others are arrays
 KINDS = {"double": ctypes.c_double, "INDEX": ctypes.c_int64, None: ctypes.c_void_p}
 AXES = {  # of the arrays whose sizes those of a call are, before the lanes; of several the last one counts
-    **dict.fromkeys(("D_hat", "phi", "N", "error", "fallback", "kept", "filtered"), ()),
+    **dict.fromkeys(("D_hat", "phi", "N", "error", "fallback", "kept", "filtered", "unkept"), ()),
     **dict.fromkeys(("X", "X_hat", "Y"), ("n",)),
     **dict.fromkeys(("U", "U0", "U1", "share", "D", "D_seen", "speed", "low", "high"), ("m",)),
     "u": ("nx", "m"), "u_nodes": ("nx", "m"), "P_hat": ("nx", "n"), "P": ("nx", "n"), "held": ("rows", "m"),

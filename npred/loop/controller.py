@@ -188,8 +188,8 @@ class Controller(InNotebook):
             D_hat=self.D_hat, D_hat_spread=self._spread(), age=math.inf if math.isnan(age) else age,
             innovation=z.innovation[:, 0].copy(), late=int(clock["late"]), refused=int(clock["refused"]),
             missed=self.missed, handed_over=clock["handed"] > 0, offset=offset, fallback=self.fallback,
-            error=self.error, filtered=z.filtered[0] % 2 == 1, kept=float(z.kept[0]) if self.safety else math.nan,
-            unkept=z.filtered[0] > 1,
+            error=self.error, filtered=z.filtered[0] > 0, kept=float(z.kept[0]) if self.safety else math.nan,
+            unkept=z.unkept[0] > 0,
         )  # fmt: skip
 
     @property
@@ -543,7 +543,8 @@ class Controller(InNotebook):
         self._engine.call(self.t, 1.0, True, 0.0)
         self.restore(state)
         self.memory.innovation[:] = self.memory.error[:] = np.nan
-        self.memory.fallback[:] = self.memory.filtered[:] = self.memory.kept[:] = 0.0
+        for signal in ("fallback", "kept", "filtered", "unkept"):
+            getattr(self.memory, signal)[:] = 0.0
 
 
 def seconds_in(oldest: float | None, dt: float) -> float:

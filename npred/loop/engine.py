@@ -22,9 +22,9 @@ from npred.predictors import RK4
 from npred.predictors.base import OneStep, Predictor
 from npred.safety import SafetyFilter
 
-LOOP = ("actuator.h", "onward.h", "sensor_errors.h", "sensor.h", "step.h", "engine.h")
+LOOP = ("actuator.h", "onward.h", "sensor_errors.h", "sensor.h", "step.h", "marks.h", "engine.h")
 ON_A_PLANT = ("actuator.h", "onward.h", "step.h", "controller.h", "candidates.h", "entries.h")
-ON_A_CLOCK = ("actuator.h", "onward.h", "sensor_errors.h", "step.h", "controller.h", "clocked.h")
+ON_A_CLOCK = ("actuator.h", "onward.h", "sensor_errors.h", "step.h", "controller.h", "marks.h", "clocked.h")
 MEASUREMENT, PREDICTION, TOO_LONG = 1, 2, 4  # in a step: what is not finite, or a delay beyond the kept commands
 INDEX, POINTER = ctypes.c_int64, ctypes.c_void_p
 

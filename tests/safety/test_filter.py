@@ -49,14 +49,14 @@ CART, PLANE = Plant("cart", Cart), Plant("plane", Plane)
 
 
 def filtered(plant, safety, P, U, t, dt=0.01):
-    """U (B, m) and what the kernel says of it, of states P (B, n) at the times t when U acts."""
+    """U (B, m), the least h, where U was changed and where in vain, of states P (B, n) at the times t when U acts."""
     B, bounds = len(P), np.array(plant.input_bounds)
     lanes = [np.array(a.T, order="C") for a in (P, U)]
     ends, low, high = lanes[0][None].copy(), *(np.repeat(bounds[:, [k]], B, axis=1) for k in (0, 1))
-    kept, flags = np.empty(B), np.empty(B)
+    kept, changed, unkept = np.empty((3, B))
     numbers = safety.settings(dt, bounds)["safety"]
-    safety.kernel(plant)(ends, np.full((1, B), t), plant.p, numbers, low, high, lanes[1], kept, flags)
-    return lanes[1].T, kept, flags
+    safety.kernel(plant)(ends, np.full((1, B), t), plant.p, numbers, low, high, lanes[1], kept, changed, unkept)
+    return lanes[1].T, kept, changed, unkept
 
 
 class Valve:
@@ -78,9 +78,10 @@ class Valve:
 def test_a_limit_that_no_input_moves_is_unkept_and_changes_nothing():
     valve = Plant("valve", Valve)
     P, U = np.array([[0.0], [0.0], [0.05], [1.0]]), np.array([[0.5], [-0.7], [1.0], [0.5]])
-    after, kept, flags = filtered(valve, npred.SafetyFilter(), P, U, 0.0)
+    after, kept, changed, unkept = filtered(valve, npred.SafetyFilter(), P, U, 0.0)
     assert np.array_equal(after, U) and np.allclose(kept, P[:, 0] - 0.2)
-    assert flags.tolist() == [2, 2, 2, 0]  # at rest; and at the bound, where U is all that the valve can do
+    assert unkept.tolist() == [1, 1, 1, 0]  # at rest; and at the bound, where U is all that the valve can do
+    assert not changed.any()
     rk4 = npred.predictor("rk4", valve, nx=11)
     for actuator in ("measured", "history"):
         loop = npred.simulate(
@@ -112,18 +113,18 @@ def at_both_ends(x, U, t, alpha, dt):
 def test_u_is_the_nearest_that_scipy_finds(seed, alpha):
     rng = np.random.default_rng(seed)
     x, U, t, dt = rng.uniform(-1.5, 1.5, 2), rng.uniform([-1, -3], [2, 1]), rng.uniform(0, 6), 0.01
-    found, kept, flag = (v[0] for v in filtered(PLANE, npred.SafetyFilter(alpha), x[None], U[None], t))
+    found, kept, changed, unkept = (v[0] for v in filtered(PLANE, npred.SafetyFilter(alpha), x[None], U[None], t))
     assert kept == pytest.approx(conditions_of_plane(x, U, t, alpha)[1].min(), abs=1e-12)
     widths = np.array([3.0, 4.0])
     if (at_both_ends(x, U, t, alpha, dt) >= 0).all():
-        assert flag == 0 and (found == U).all()
+        assert not changed and not unkept and (found == U).all()
         return
     constraint = {"type": "ineq", "fun": lambda u: at_both_ends(x, u, t, alpha, dt)}
     by_scipy = minimize(
         lambda u: (((u - U) / widths) ** 2).sum(), U, jac=lambda u: 2 * (u - U) / widths**2, method="SLSQP",
         bounds=PLANE.input_bounds, constraints=constraint, options={"ftol": 1e-15},
     )  # fmt: skip
-    if flag == 1:
+    if changed and not unkept:
         assert (at_both_ends(x, found, t, alpha, dt) > -1e-5).all()
         if by_scipy.success:
             np.testing.assert_allclose(found, by_scipy.x, atol=2e-4)  # slopes at the end are to first order in dt
@@ -141,11 +142,11 @@ def test_the_chain_of_a_limit_that_the_second_derivative_reaches():
     upper = np.minimum(-2 * alpha * v + alpha**2 * (1 - x), (alpha**2 - at_end) / most)
     lower = np.maximum(-2 * alpha * v - alpha**2 * (1 + x), (-(alpha**2) - at_end) / most)
     expected = np.clip(np.clip(u, lower, upper), -5, 5)
-    found, _, flags = filtered(CART, npred.SafetyFilter(alpha), P, U, 0.0)
+    found, _, changed, unkept = filtered(CART, npred.SafetyFilter(alpha), P, U, 0.0)
     room = lower < upper
     np.testing.assert_allclose(found[room, 0], expected[room], atol=1e-6)
     wanting = (lower > 5) | (upper < -5)
-    assert (flags[room] == (2 * wanting + (np.abs(expected - u) > 0))[room]).all()
+    assert (changed[room] == (np.abs(expected - u) > 0)[room]).all() and (unkept[room] == wanting[room]).all()
 
 
 def test_conditions_hold_to_second_order_while_u_is_held():
@@ -153,9 +154,9 @@ def test_conditions_hold_to_second_order_while_u_is_held():
     alpha, rng, steps = 2.0, np.random.default_rng(3), np.array([0.08, 0.04, 0.02, 0.01])
     P, U = rng.uniform(-1.2, 1.2, (150, 2)), rng.uniform([-1, -3], [2, 1], (150, 2))
     answers = [filtered(PLANE, npred.SafetyFilter(alpha), P, U, 0.7, dt) for dt in steps]
-    both = np.all([flags == 1 for _, _, flags in answers], axis=0)
+    both = np.all([changed > unkept for _, _, changed, unkept in answers], axis=0)
     ends = []
-    for dt, (found, _, _) in zip(steps, answers, strict=True):
+    for dt, (found, *_) in zip(steps, answers, strict=True):
         times, least = np.linspace(0, dt, 5), np.zeros(5)
         for x, u in zip(P[both], found[both], strict=True):
             path = solve_ivp(lambda t, x, u=u: rate_of_plane(x, u), (0, dt), x, "DOP853", times, rtol=1e-12, atol=1e-14)

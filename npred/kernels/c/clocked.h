@@ -115,7 +115,7 @@ static inline void do_call(Shape d, INDEX k, const Parts *q, const Settings *s, 
 static inline void note(Shape d, INDEX k, const Settings *s, const State *z, Events *e, Record *out)
 {
     const Clock c = clock_of(d, z->clock);
-    const INDEX row = k / s->every, next = (k + s->every - 1) / s->every < s->row_count ? (k + s->every - 1) / s->every : row;
+    const INDEX row = k / s->every;
     double D_hat = 0.0;
     for (int i = 0; i < d.m; i++) {
         D_hat = larger(D_hat, z->D_seen[i]); /* the one that it read the commands by: the next one is in z->D_hat */
@@ -125,14 +125,8 @@ static inline void note(Shape d, INDEX k, const Settings *s, const State *z, Eve
         copy(d.nx * d.m, z->u, out->sample_u + i * d.nx * d.m);
         out->sample_D_hat[i] = D_hat;
     }
-    if (z->fallback[0] > 0.0 && !e->skipped[k]) {
-        out->fallbacks[0]++;
-        out->fallback[next] = 1;
-    }
-    out->unkept[0] += z->filtered[0] > 1.0 && !e->skipped[k];
-    if ((int)z->filtered[0] % 2 && !e->skipped[k]) {
-        out->changes[0]++;
-        out->filtered[next] = 1;
+    if (!e->skipped[k]) {
+        mark_step(k, 1, 0, s, z, out);
     }
     if (k % s->every == 0) {
         copy(d.n, z->P + (d.nx - 1) * d.n, out->P + row * d.n);

@@ -110,20 +110,8 @@ static inline void keep(Shape d, INDEX k, INDEX origin, const Settings *s, State
             copy_lane(d.nx * d.m, lanes, l, z->u, out->sample_u + i * d.nx * inputs);
             out->sample_D_hat[i * lanes + l] = z->D_hat[l];
         }
-        if (z->fallback[l] > 0.0 && isfinite(z->X[l])) {
-            const INDEX row = (k + s->every - 1) / s->every;
-            out->fallbacks[l]++;
-            if (row < s->row_count) {
-                out->fallback[row * lanes + l] = 1;
-            }
-        }
-        out->unkept[l] += z->filtered[l] > 1.0 && isfinite(z->X[l]);
-        if ((int)z->filtered[l] % 2 && isfinite(z->X[l])) {
-            const INDEX row = (k + s->every - 1) / s->every;
-            out->changes[l]++;
-            if (row < s->row_count) {
-                out->filtered[row * lanes + l] = 1;
-            }
+        if (isfinite(z->X[l])) {
+            mark_step(k, lanes, l, s, z, out);
         }
         for (int c = 0; c < d.n; c++) {
             if (out->escaped[l] < 0 && !isfinite(z->X[c * lanes + l])) {

@@ -5,7 +5,7 @@
  * than α ψ. φ is held to that at both ends of the control step over which U is held: the second state is a step of Heun's
  * method further, so that it is met to second order in the step. U moves it too, so that the conditions are made linear
  * around the last U until that no longer moves. `kept` is the least h of `ends`; `filtered` is 1 where U was changed, and
- * 2 more where no U in its bounds meets the conditions. */
+ * `unkept` where no U in its bounds meets the conditions. */
 enum { ALPHA, MARGIN, STEP_LENGTH, WIDTHS };
 #define SOFT 1e-9   /* of conditions on states, whose rows have the length 1 */
 #define BOUND 1e-13 /* of the bounds of U */
@@ -117,7 +117,8 @@ static inline double PART(_solve)(int lanes, const double *safety, const double 
 }
 
 static inline void KERNEL(Shape d, const double *ends, const double *moments, const double *p, const double *safety,
-                          const double *low, const double *high, double *U, double *kept, double *filtered, double *work)
+                          const double *low, const double *high, double *U, double *kept, double *filtered, double *unkept,
+                          double *work)
 {
     const int lanes = d.lanes;
     (void)work;
@@ -141,6 +142,6 @@ static inline void KERNEL(Shape d, const double *ends, const double *moments, co
             U[c * lanes + l] += delta[c];
             filtered[l] = U[c * lanes + l] != now[c] ? 1.0 : filtered[l];
         }
-        filtered[l] += missed > MISSED ? 2.0 : 0.0;
+        unkept[l] = missed > MISSED ? 1.0 : 0.0;
     }
 }

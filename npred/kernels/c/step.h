@@ -92,7 +92,8 @@ static inline void protect(Shape d, INDEX k, double part, double t, const Parts 
         const double moved = e == 0 ? 0.0 : e == 1 ? -s->uncertain : s->uncertain;
         predict_end(d, e, moved, k, part, t, q, s, z, work);
     }
-    q->protect(d, z->ends, z->moments, s->p, s->safety, z->low, z->high, z->U, z->kept, z->filtered, work);
+    q->protect(d, z->ends, z->moments, s->p, s->safety, z->low, z->high, z->U, z->kept, z->filtered, z->unkept,
+               work);
 }
 
 /* U and phi at `part` of control step k and time t from X_hat, and from u where it is measured, else from the commands

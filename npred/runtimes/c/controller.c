@@ -45,6 +45,7 @@ static inline State npred_state(npred_controller *self, const npred_real *u, con
 #if PROTECTS
     state.kept = self->kept;
     state.filtered = self->filtered;
+    state.unkept = self->unkept;
     state.low = self->low;
     state.high = self->high;
     state.D_moved = self->D_moved;
@@ -284,8 +285,8 @@ void npred_get_status(const npred_controller *self, npred_status *status)
     status->error = self->error[0];
     status->kept = NAN;
 #if PROTECTS
-    status->filtered = (int32_t)self->filtered[0] % 2;
-    status->unkept = self->filtered[0] > 1;
+    status->filtered = self->filtered[0] > 0;
+    status->unkept = self->unkept[0] > 0;
     status->kept = self->kept[0];
 #endif
 }
