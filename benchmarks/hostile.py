@@ -1,6 +1,7 @@
 """What hostile loops make of a network, bare and guarded: 64 loops a class, 100 s (about three minutes a network).
 
     python benchmarks/hostile.py [MODEL] [STORE] [--loops 16] [--t-end 40] [--tolerance 0.05] [--lost 2]
+        [--only nominal noise]
 
 MODEL is pipeline/paper.toml:deeponet by default, and has to be trained. A loop is lost that ends further from rest than
 `--lost` times |X*|; "extra" are those that the numerical predictor keeps. Times are shares of the length of a loop, and
@@ -77,6 +78,7 @@ if __name__ == "__main__":
     parser.add_argument("model", nargs="?", default="pipeline/paper.toml:deeponet")
     parser.add_argument("store", nargs="?", default="artifacts")
     parser.add_argument("--loops", type=int, default=64)
+    parser.add_argument("--only", nargs="*", default=[""], help="classes whose names have one of these words")
     for name, default in (("t-end", 100.0), ("tolerance", 0.01), ("lost", metrics.LOST)):
         parser.add_argument(f"--{name}", type=float, default=default)
     options = parser.parse_args()
@@ -89,6 +91,8 @@ if __name__ == "__main__":
     print("| class | numerical: lost, peak | bare: extra, peak | guarded: extra, peak, fallback |")
     print("|---|---|---|---|")
     for name, condition in conditions(plant, pipeline, options.loops, options.t_end).items():
+        if not any(word in name for word in options.only):
+            continue
         (lost, peak, _), bare, safe = (outcome(plant, p, condition, options.lost) for p in (rk4, network, guarded))
         extra = [int((each[0] & ~lost).sum()) for each in (bare, safe)]
         cells = [name, f"{lost.sum()}, {peak:.3g}", f"{extra[0]}, {bare[1]:.3g}"]
