@@ -1,7 +1,7 @@
 """What hostile loops make of a network, bare and guarded: 64 loops a class, 100 s (about three minutes a network).
 
     python benchmarks/hostile.py [MODEL] [STORE] [--loops 16] [--t-end 40] [--tolerance 0.05] [--lost 2]
-        [--only nominal noise]
+        [--nx 51] [--only nominal noise]
 
 MODEL is pipeline/paper.toml:deeponet by default, and has to be trained. A loop is lost that ends further from rest than
 `--lost` times |X*|; "extra" are those that the numerical predictor keeps. Times are shares of the length of a loop, and
@@ -78,14 +78,15 @@ if __name__ == "__main__":
     parser.add_argument("model", nargs="?", default="pipeline/paper.toml:deeponet")
     parser.add_argument("store", nargs="?", default="artifacts")
     parser.add_argument("--loops", type=int, default=64)
+    parser.add_argument("--nx", type=int, default=NX, help="nodes of the network and of the numerical predictor")
     parser.add_argument("--only", nargs="*", default=[""], help="classes whose names have one of these words")
     for name, default in (("t-end", 100.0), ("tolerance", 0.01), ("lost", metrics.LOST)):
         parser.add_argument(f"--{name}", type=float, default=default)
     options = parser.parse_args()
     pipeline = config.load(Path(options.model.rsplit(":", 1)[0]))
-    network = npred.load(options.model, nx=NX, runtime="fused", store=options.store)
+    network = npred.load(options.model, nx=options.nx, runtime="fused", store=options.store)
     plant = network.plant
-    rk4, guarded = npred.predictor("rk4", plant, NX), Guarded(network, options.tolerance)
+    rk4, guarded = npred.predictor("rk4", plant, options.nx), Guarded(network, options.tolerance)
     name, counts = guarded.reference
     print(f"guarded by shadows, {name} on {', '.join(map(str, counts))} steps, tolerance {guarded.tolerance:g}")
     print("| class | numerical: lost, peak | bare: extra, peak | guarded: extra, peak, fallback |")
