@@ -60,7 +60,7 @@ STATE = [
     *_rows("m", "U0", "U1", "share"),  # the delayed input for the first share of a step, and for the rest
     *_lane("drawn", start=0, kind="int64"),  # samples of the record taken so far
     *_lane("error", "fallback", start=0.0),  # the guard's estimate of the error of U; 1 where it answered
-    *_lane("kept", "filtered", "unkept", start=0.0),  # the least h of a safety filter; 1 where it changed U; in vain
+    *_lane("kept", "filtered", "unkept", start=0.0),  # of a filter: the least h; 1 where it changed U; 1 where in vain
     *_rows("m", "low", "high", "D_moved"),  # the bounds of U that it has, and the delays of a prediction
     Signal("ends", ("ends", "n")),  # the states that are predicted for the moments when U acts
     Signal("moments", ("ends",)),
