@@ -310,7 +310,7 @@ class Ranges:
 
     def of_rows(self, data: Dataset, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: np.ndarray) -> np.ndarray:
         """The nearest coordinates of calls (B, k) whose X, u, D_hat and time are those of these rows of the data."""
-        inputs = grid.refine(data.u[u], self.nx).reshape(len(u), -1)
+        inputs = grid.means(data.u[u], self.nx).reshape(len(u), -1)
         clock = (data.t[t, None] % self.high[-1])[:, : int(self.clocked)]
         v = np.concatenate([data.X[X], inputs, data.D_hat[D_hat, None], clock], axis=1)
         return np.clip((v - self.low) / np.where(self.high > self.low, self.high - self.low, 1.0), 0.0, 1.0)

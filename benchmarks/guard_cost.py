@@ -47,7 +47,7 @@ def calls(runs: dict[str, Predictor], reference: candidates.Reference) -> dict[s
     """Medians in microseconds."""
 
     def caller(run: Predictor) -> Callable[[int], None]:
-        call, u = one_call(run), grid.refine(reference.u[:PROBES], run.nx)
+        call, u = one_call(run), grid.means(reference.u[:PROBES], run.nx)
         settings = run.settings if isinstance(run, Guarded) else np.zeros(7)
         P, error, fallback = np.empty((run.nx, run.plant.n, 1)), np.empty(1), np.empty(1)
         rows = zip(reference.X[:PROBES, :, None], u[..., None], reference.D_hat[:PROBES, None], strict=True)
@@ -61,7 +61,7 @@ def calls(runs: dict[str, Predictor], reference: candidates.Reference) -> dict[s
 
 def estimates(guard: Guarded, data) -> None:
     """How often the guard doubts on held-out samples, and its estimate over the true error where that decides."""
-    X, u, D_hat, t = data.X, grid.refine(data.u, guard.nx), data.D_hat, data.t
+    X, u, D_hat, t = data.X, grid.means(data.u, guard.nx), data.D_hat, data.t
     exact = npred.predictor("rk4", guard.plant, data.u.shape[1])(X, data.u, D_hat, t)[:, -1:]
     P_hat = guard.model(X, u, D_hat, t)
     true = np.abs(metrics.law(guard.plant, P_hat[:, -1:], t, D_hat) - metrics.law(guard.plant, exact, t, D_hat))

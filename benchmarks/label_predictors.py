@@ -50,7 +50,7 @@ def main() -> None:
     rows = made(table.predictor)
     X, u, D_hat, t = (rows[key] for key in ("X", "u", "D_hat", "t"))
     fine = FINER * (table.nx - 1) + 1
-    exact = grid.refine(method("rk4")(plant, fine)(X, grid.refine(u, fine), D_hat, t), table.nx)
+    exact = grid.refine(method("rk4")(plant, fine)(X, grid.means(u, fine), D_hat, t), table.nx)
     early = t <= rows["D"]
     print(f"{len(X)} rows on {table.nx} nodes, {early.sum()} of them before the first delay")
     for name in kinds:

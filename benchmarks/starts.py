@@ -36,7 +36,7 @@ def damaged(network: Any, error: float) -> Predictor:
     plant = network.plant
     operator = copy.deepcopy(network.operator.module(plant)).double().requires_grad_(True)
     domain = operator.domain
-    rows = domain.X, grid.refine(domain.u, network.nx), domain.D_hat, domain.t
+    rows = domain.X, grid.means(domain.u, network.nx), domain.D_hat, domain.t
     U = torch.as_tensor(plant.kappa(npred.predictor("rk4", plant, network.nx)(*rows)[:, -1], domain.t + domain.D_hat))
     inputs = [torch.as_tensor(a) for a in (*rows[:3], *([plant.phase(domain.t)] if plant.phased else []))]
     for _ in range(1000):

@@ -47,7 +47,7 @@ class PredictorInputs(NamedTuple):
 
     def on(self, nx: int) -> "PredictorInputs":
         """The same with u on nx nodes."""
-        return self._replace(u=grid.refine(self.u, nx))
+        return self._replace(u=grid.means(self.u, nx))
 
 
 def of_loop(loop: NetworkLoop, methods: Methods) -> list[PredictionTime]:

@@ -11,8 +11,8 @@ with mu the W-weighted logarithmic norm of A, the largest eigenvalue of the symm
 bound is inside the tube, P is: it begins there and cannot leave. Q is P̂ less its defect, as the linearised equation
 carries it, so that the bound |kappa(P̂(1)) - kappa(Q(1))| + sup |kappa_P W⁻¹| |Q - P|_W(1) is near the error.
 
-u is the cubic through the nodes, as RK4 reads it. Between nodes Q is the cubic with the slopes D_hat f, and integrals
-are Simpson's: it is a bound but for the error of these, of order 4.
+u is straight between the nodes: RK4 reads it by lines with the same mean. Between nodes Q is the cubic with the slopes
+D_hat f, and integrals are Simpson's: it is a bound but for the error of these, of order 4.
 """
 
 import numpy as np
@@ -49,7 +49,7 @@ class ErrorBound:
         Infinite where no tube holds P: P_hat is too far from it, or the plant too sensitive.
         """
         plant, nx = self.plant, (u.shape[1] - 1) * -(-CELLS // (u.shape[1] - 1)) + 1
-        P_hat, v = grid.refine(P_hat, nx), grid.refine(u, 2 * nx - 1)  # at once: a cubic through u[::2] is another u
+        P_hat, v = grid.refine(P_hat, nx), grid.straight(u, 2 * nx - 1)
         u = np.ascontiguousarray(v[:, ::2])
         correction, times = family_of(plant).correction(), np.zeros(len(X)) if plant.autonomous else t
         with np.errstate(all="ignore"):

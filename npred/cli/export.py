@@ -104,7 +104,7 @@ def _model(options: Exporting, form: str, key: str, output: Path | None) -> None
 def _samples(held_out: Dataset, nx: int) -> Samples:
     """At most COMPARED samples on nx nodes, spread over the data; a time that is not known is 0."""
     rows = np.linspace(0, len(held_out) - 1, min(COMPARED, len(held_out))).astype(int)
-    return held_out.X[rows], grid.refine(held_out.u[rows], nx), held_out.D_hat[rows], np.nan_to_num(held_out.t[rows])
+    return held_out.X[rows], grid.means(held_out.u[rows], nx), held_out.D_hat[rows], np.nan_to_num(held_out.t[rows])
 
 
 def _loaded(

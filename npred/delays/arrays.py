@@ -32,15 +32,18 @@ class ArrayFamily(Family):
 
     def sweep(self, step: Step, cells: bool = False, more: int = 0) -> Kernel:
         plant = self.plant
-        f = on_lanes(plant)
+        f, middle = on_lanes(plant), _reads_middle(step)
 
         @np.errstate(all="ignore")
         def predict(X: Lanes, u: Lanes, D_hat: Lanes, t: float, p: Lanes, P: Lanes) -> None:
             nx, h = len(P), D_hat / (len(P) - 1)
-            middle = grid.refine(np.moveaxis(u, -1, 0), 2 * nx - 1)[:, 1::2].transpose(1, 2, 0)
+            begin, end = (
+                (a.transpose(1, 2, 0) for a in grid.lines(np.moveaxis(u, -1, 0))) if middle else (u[:-1], u[1:])
+            )
             P[0] = X
             for j in range(nx - 1):
-                P[j + 1] = plant.stopped(step(f, P[j], u[j], middle[j], u[j + 1], t + j * h, h), array_math.NUMPY)
+                inputs = begin[j], 0.5 * (begin[j] + end[j]), end[j]
+                P[j + 1] = plant.stopped(step(f, P[j], *inputs, t + j * h, h), array_math.NUMPY)
 
         return predict
 
@@ -113,3 +116,9 @@ class ArrayFamily(Family):
 def on_lanes(plant: Plant) -> Step:
     """f(x, u, t) with lanes last: x (n, B), u (m, B), t a number or (B,), to (n, B)."""
     return lambda x, u, t: plant.f(x.T, u.T, t).T
+
+
+def _reads_middle(step: Step) -> bool:
+    """Whether the method takes u in the middle of a step: then that is the mean over it."""
+    zero, unknown = np.zeros((1, 1)), np.full((1, 1), np.nan)
+    return bool(np.isnan(step(lambda x, u, t: x + u, zero, zero, unknown, zero, 0.0, 0.1)).any())

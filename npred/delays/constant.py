@@ -29,9 +29,11 @@ class ConstantDelay(Family):
         x, (u0, um, u1) = of.trace.vector("x", n), (of.trace.vector(name, m) for name in ("a", "m", "b"))
         y = called_functions.stepped(of.trace, step, x, (u0, um, u1), of.trace.input("t"), of.trace.input("h"))
         y = self.plant.stopped(y, tape.M)
-        arguments = [vector("x", n), vector("a", m), vector("m", m, "wide"), vector("b", m), "t", "h"]
-        functions, before = {"STEP": of.function(y, arguments, {"y": n})}, [skeleton("middle.h")]
-        sizes = {"M": m, "CELLS": int(cells), "MIDDLE": int(programs.depends(y, um))}
+        middle = programs.depends(y, um)
+        stride = "wide" if middle and not cells else "lanes"
+        inputs = vector("a", m, stride), vector("m", m, "wide"), vector("b", m, stride)
+        functions = {"STEP": of.function(y, [vector("x", n), *inputs, "t", "h"], {"y": n})}
+        before, sizes = [skeleton("reading.h")], {"M": m, "CELLS": int(cells), "MIDDLE": int(middle)}
         return compiled("sweep", family.PREDICT, "sweep.h", of, functions, before, **sizes)
 
     def paired(self, step: Step, cells: bool = False) -> Kernel:

@@ -155,7 +155,7 @@ class Guarded(Predictor):
         """Some rows of the data, u on the nodes of the guard."""
         domain = self.domain
         assert domain is not None
-        return Examples(self.plant, domain.X, grid.refine(domain.u, self.nx), domain.D_hat, domain.t)
+        return Examples(self.plant, domain.X, grid.means(domain.u, self.nx), domain.D_hat, domain.t)
 
     @cached_property
     def exact(self) -> Predictor:

@@ -5,13 +5,13 @@ from npred.symbolic import Array, Value
 
 
 class Euler(OneStep):
-    """x + h f(x, u): order 1, the paper's scheme."""
+    """x + h f(x, u), u the mean over the step: order 1, the paper's scheme."""
 
     name, order = "euler", 1
 
     @staticmethod
     def step(f: Flow, x: Array, u0: Array, um: Array, u1: Array, t: Value, h: Value) -> Array:
-        return x + h * f(x, u0, t)
+        return x + h * f(x, um, t)
 
 
 class Heun(OneStep):
@@ -27,10 +27,10 @@ class Heun(OneStep):
 
 
 class RK4(OneStep):
-    """Kutta's method, u at half steps by the cubic through four nodes: order 4. Hairer, Nørsett, Wanner, Table II.1.2.
+    """Kutta's method: order 4. Hairer, Nørsett, Wanner, Table II.1.2.
 
-    The order holds where u is smooth and has its values at the nodes. In a loop u has the means over their cells, which
-    differ from these in h² u'' / 24: order 2 there. Across a jump of u every method here is of order 1.
+    The order holds for u that is given between the nodes. A loop gives means over the nodes' cells: there it is about 3
+    where u is smooth, and 2 across a jump.
     """
 
     name, order, steps_of_pair = "rk4", 4, 1

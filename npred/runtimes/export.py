@@ -92,7 +92,7 @@ def _onnx(controller: Controller, path: Path) -> list[Path]:
         )
     onnx = imported("export onnx", "npred.runtimes.onnx", "onnx")
     domain = operator.domain  # which has some rows of the data
-    samples = domain.X, grid.refine(domain.u, predictor.nx), domain.D_hat, np.nan_to_num(domain.t)
+    samples = domain.X, grid.means(domain.u, predictor.nx), domain.D_hat, np.nan_to_num(domain.t)
     path.parent.mkdir(parents=True, exist_ok=True)
     onnx.export(copy.deepcopy(operator.module(plant)).float(), plant, path, predictor.nx, samples, ATOL)
     return [path]

@@ -6,7 +6,7 @@ static inline void PART(_lane)(int nx, int lanes, const double *X, const double 
                                const double *p, double *P)
 {
     const int last = nx - 1;
-    double x[N + 1], y[N + 2], half[M * WIDE];
+    double x[N + 1], y[N + 2], q[M * WIDE], begin[M * WIDE], half[M * WIDE], end[M * WIDE];
     for (int c = 0; c < STATES; c++) {
         P[c * lanes] = X[c * lanes];
     }
@@ -15,12 +15,15 @@ static inline void PART(_lane)(int nx, int lanes, const double *X, const double 
     }
     x[N] = t;
     for (int j = 0; j < last; j++) {
-        const double *a = u + (ptrdiff_t)j * M * lanes;
         double *now = P + (ptrdiff_t)(j + 1) * STATES * lanes;
         if (MIDDLE) {
-            middle(M, j, last, lanes, 1, WIDE, u, half);
+            line(M, j, last, lanes, 1, WIDE, u, q, begin, half, end);
         }
-        STEP(1, lanes, WIDE, x, a, half, a + M * lanes, D_hat / (double)last, p, y);
+        for (int c = 0; !MIDDLE && c < M; c++) {
+            begin[c * WIDE] = u[(ptrdiff_t)(j * M + c) * lanes];
+            end[c * WIDE] = u[(ptrdiff_t)((j + 1) * M + c) * lanes];
+        }
+        STEP(1, WIDE, x, begin, half, end, D_hat / (double)last, p, y);
         for (int c = 0; c < STATES; c++) {
             now[c * lanes] = x[c] = y[c];
         }

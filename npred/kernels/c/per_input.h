@@ -19,24 +19,36 @@ static inline double PART(_until)(double begin, double end, int last)
     return end;
 }
 
-/* Input c at a position in nodes: the cubic through four nodes, one-sided at the ends; linear where nx < 4. */
-static inline void PART(_read)(int c, int last, int lanes, int width, const double *u, double position, double *out)
+/* Input c from one position in nodes to another, as a straight line: the means of its halves, out of the means that the
+ * nodes have over the cells around them, less steep where it would leave these. */
+static inline void PART(_read)(int c, int last, int lanes, int width, const double *u, double from, double to,
+                               double *begin, double *half, double *end)
 {
-    const ptrdiff_t row = (ptrdiff_t)M * lanes;
-    position = position < (double)last ? position : (double)last;
-    if (last < 3) {
-        const int i = least((int)position, last - 1);
-        const double *v = u + i * row + c * lanes;
-        for (int l = 0; l < width; l++) {
-            out[l] = v[l] + (position - (double)i) * (v[row + l] - v[l]);
-        }
-        return;
-    }
-    const int i = least(most((int)position - 1, 0), last - 3);
-    const double s = position - (double)i, *v = u + i * row + c * lanes;
+    const double middle = 0.5 * (from + smaller(to, (double)last)), length = 2.0 * (middle - from);
+    const int first = least((int)(from + 0.5), last), stop = least((int)ceil(from + length - 0.5), last);
+    const double *v = u + ((ptrdiff_t)first * M + c) * lanes;
+    double low[WIDE], high[WIDE];
     for (int l = 0; l < width; l++) {
-        const double outer = (s - 1.0) * (s - 2.0) * (s * v[3 * row + l] - (s - 3.0) * v[l]) / 6.0;
-        out[l] = outer + s * (s - 3.0) * ((s - 2.0) * v[row + l] - (s - 1.0) * v[2 * row + l]) / 2.0;
+        low[l] = high[l] = v[l];
+        begin[l] = end[l] = length > 0.0 ? 0.0 : v[l]; /* past its end kappa acts */
+    }
+    for (int k = first; length > 0.0 && k <= stop; k++, v += (ptrdiff_t)M * lanes) {
+        const double a = larger((double)k - 0.5, from), b = smaller((double)k + 0.5, from + length);
+        const double left = 2.0 * larger(smaller(b, middle) - a, 0.0) / length;
+        const double right = 2.0 * larger(b - larger(a, middle), 0.0) / length;
+        for (int l = 0; l < width; l++) {
+            low[l] = smaller(low[l], v[l]);
+            high[l] = larger(high[l], v[l]);
+            begin[l] += left * v[l];
+            end[l] += right * v[l];
+        }
+    }
+    for (int l = 0; l < width; l++) {
+        const double mean = 0.5 * (begin[l] + end[l]), room = smaller(mean - low[l], high[l] - mean);
+        const double slope = larger(smaller(end[l] - begin[l], room), -room);
+        begin[l] = mean - slope;
+        half[l] = mean;
+        end[l] = mean + slope;
     }
 }
 
@@ -48,9 +60,7 @@ static inline void PART(_piece)(double begin, double end, int last, int lanes, i
     for (int c = 0; c < M; c++) {
         const double r = PART(_ratios)[c];
         past[c] = r < 1.0 && begin >= PART(_edge)(c, last);
-        PART(_read)(c, last, lanes, width, u, begin / r, a + c * WIDE);
-        PART(_read)(c, last, lanes, width, u, (begin + end) / 2.0 / r, half + c * WIDE);
-        PART(_read)(c, last, lanes, width, u, end / r, b + c * WIDE);
+        PART(_read)(c, last, lanes, width, u, begin / r, end / r, a + c * WIDE, half + c * WIDE, b + c * WIDE);
     }
     LANES for (int l = 0; l < width; l++) {
         const double h = D_hat[l] * (end - begin) / (double)last, now = t + D_hat[l] * begin / (double)last;

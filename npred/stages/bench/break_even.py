@@ -97,7 +97,7 @@ def _evaluations(rival: Candidate) -> int | None:
 def call(reference: Reference, run: Predictor) -> Callable[[int], None]:
     """The k-th call on a sample of the reference, as a loop makes it, on memory that is there; then the guard's."""
     plant, predict = run.plant, run.lanes()
-    u = grid.refine(reference.u, run.nx)
+    u = grid.means(reference.u, run.nx)
     inputs = [
         (reference.X[i][:, None].copy(), u[i][..., None].copy(), reference.D_hat[i : i + 1].copy())
         for i in range(len(reference.X))

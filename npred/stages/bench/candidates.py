@@ -70,14 +70,13 @@ class ErrorSizes(NamedTuple):
 class Reference:
     """Samples with their P on a fine grid, to take any predictor's error on.
 
-    X (B, n), u (B, nx, m), D_hat and t (B,). Between these nodes u is the cubic that RK4 reads there: on the same nodes
-    RK4 reads u as the reference does, so that its error leaves out that of reading u, and on others it reads across the
-    kinks that the cubics have at the nodes, with an error of second order.
+    X (B, n), u (B, nx, m), D_hat and t (B,). Between these nodes u is what RK4 reads there: on the same nodes its error
+    leaves out that of reading u; on others the nodes have the means of that u.
     """
 
     def __init__(self, plant: Plant, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: np.ndarray) -> None:
         self.plant, self.X, self.u, self.D_hat, self.t = plant, X, u, D_hat, t
-        self.P = RK4(plant)(X, grid.refine(u, FINE), D_hat, t)
+        self.P = RK4(plant)(X, grid.means(u, FINE), D_hat, t)
         self._known: dict[tuple[str, str, int], ErrorSizes] = {}
 
     @classmethod
@@ -112,7 +111,7 @@ class Reference:
 
     def errors(self, predictor: Predictor, nx: int) -> ErrorSizes:
         with np.errstate(over="ignore", invalid="ignore"):  # few steps may diverge: an infinite error
-            P_hat = predictor(self.X, grid.refine(self.u, nx), self.D_hat, self.t)
+            P_hat = predictor(self.X, grid.means(self.u, nx), self.D_hat, self.t)
             gaps = np.linalg.norm(P_hat - grid.refine(self.P, nx), axis=-1)
         largest = np.nan_to_num(gaps, nan=np.inf, posinf=np.inf).max(axis=1)
         return ErrorSizes(float(largest.max()), float(np.median(largest)))

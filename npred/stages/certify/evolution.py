@@ -67,7 +67,7 @@ class Inputs:
         phases, turns = rng.uniform(0, 2 * np.pi, (2, random, 1, self.u.shape[1]))
         waves = 0.5 + 0.5 * np.cos(phases + turns * grid.nodes(nx)[:, None])
         (low, high), box, D = self.u, self.X, self.D_hat
-        u = np.concatenate([grid.refine(data.u[rows], nx), low + (high - low) * waves])
+        u = np.concatenate([grid.means(data.u[rows], nx), low + (high - low) * waves])
         X = np.concatenate([data.X[rows], rng.uniform(box[0], box[1], (random, box.shape[1]))])
         D_hat = np.concatenate([data.D_hat[rows], rng.uniform(D[0], D[1], random)])
         return [self.coordinates(values, name) for values, name in ((X, "X"), (u, "u"), (D_hat, "D_hat"))]

@@ -51,7 +51,7 @@ def judge(job: Job, guarded: Mapping[Contender, Guarded], exact: Predictor) -> d
     parts: dict[Contender, list[tuple[int, Rollouts]]] = {contender: [] for contender in guarded}
     for start, rows in generate.batches(job, fresh(job.config, table, number), "certify"):
         X, u, D_hat, t = (rows[name] for name in ("X", "u", "D_hat", "t"))
-        calls = X, grid.refine(u, exact.nx), D_hat, t
+        calls = X, grid.means(u, exact.nx), D_hat, t
         for contender, guard in guarded.items():
             true, _, passed = judged(guard, exact, *calls)
             worst = _largest(true, rows["rollout"])
@@ -80,8 +80,8 @@ def judged(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
     """Of each call the true error of U, the guard's estimate, and whether it lets the network answer, (B,) each.
 
-    With `nearest` it is by the nearer of two readings of u between its nodes, cubics and straight lines: what the nodes
-    do not say is no error of the network. An error that is not a number is infinite.
+    With `nearest` it is by the nearer of two readings of u, that of `exact` and straight lines through the nodes: what
+    the nodes do not say is no error of the network. An error that is not a number is infinite.
     """
     t, parts = np.broadcast_to(t, len(X)), []
     by_lines = nearest and isinstance(exact, OneStep) and family_of(exact.plant).reads_cells
@@ -99,9 +99,7 @@ def judged(
 
 def _by_lines(exact: Predictor, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: np.ndarray) -> np.ndarray:
     """P where u is straight between its nodes, by `exact`'s method on FINER times as many intervals."""
-    share = np.linspace(0.0, 1.0, FINER, endpoint=False)[:, None]
-    fine = (u[:, :-1, None] + share * np.diff(u, axis=1)[:, :, None]).reshape(len(u), -1, u.shape[-1])
-    fine = np.concatenate([fine, u[:, -1:]], axis=1)
+    fine = grid.straight(u, FINER * (u.shape[1] - 1) + 1)
     return type(exact)(exact.plant, fine.shape[1])(X, fine, D_hat, t)[:, ::FINER]
 
 

@@ -4,7 +4,7 @@ from npred.stages.declaration import Stage
 
 STAGE = Stage(
     __name__,
-    version=3,
+    version=4,
     upstream=(),
     result_class="npred.results:Generated",
     data=r"data(-\d{5,})?\.h5",
