@@ -5,13 +5,13 @@ from npred.symbolic import Array, Value
 
 
 class Euler(OneStep):
-    """x + h f(x, u), u the mean over the step: order 1, the paper's scheme."""
+    """x + h f(x, u): order 1, the paper's scheme, which takes u at the begin of a step."""
 
     name, order = "euler", 1
 
     @staticmethod
     def step(f: Flow, x: Array, u0: Array, um: Array, u1: Array, t: Value, h: Value) -> Array:
-        return x + h * f(x, um, t)
+        return x + h * f(x, u0, t)
 
 
 class Heun(OneStep):

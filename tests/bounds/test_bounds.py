@@ -32,11 +32,16 @@ class Line:
         return x.x**2
 
 
+def straight(u, x):
+    """u (nx, m) at x, straight between the nodes."""
+    return np.stack([np.interp(x, grid.nodes(len(u)), column) for column in u.T], axis=-1)
+
+
 def exact_end(plant, X, u, D_hat):
-    """P(1) (n,) of one row by SciPy, u the cubic through the nodes."""
+    """P(1) (n,) of one row by SciPy, u straight between the nodes."""
 
     def f(x, P):
-        return D_hat * np.asarray(plant.f(P, grid.read(u, np.array([x]))[0], 0.0))
+        return D_hat * np.asarray(plant.f(P, straight(u, x), 0.0))
 
     return solve_ivp(f, (0, 1), X, method="DOP853", rtol=1e-12, atol=1e-12).y[:, -1]
 
@@ -47,7 +52,7 @@ def over_kinks(plant, X, u, D_hat):
     for a, b in pairwise(x):
 
         def f(s, P):
-            return D_hat * np.asarray(plant.f(P, grid.read(u, np.array([s]))[0], 0.0))
+            return D_hat * np.asarray(plant.f(P, straight(u, s), 0.0))
 
         P.append(solve_ivp(f, (a, b), P[-1], method="DOP853", rtol=1e-12, atol=1e-14).y[:, -1])
     return np.array(P)
@@ -125,7 +130,7 @@ def test_a_linear_plant_in_closed_form():
 def test_the_curve_is_inside_its_cells_and_its_residual_is_that_of_quadrature():
     X, u, D_hat = (a[:3] for a in rows())
     Q = npred.predictor("heun", PLANT, NX)(X, u, D_hat)
-    curve = Curve(PLANT, Q, X, grid.refine(u, 2 * NX - 1), D_hat, NOW[:3])
+    curve = Curve(PLANT, Q, X, grid.straight(u, 2 * NX - 1), D_hat, NOW[:3])
     x = grid.nodes(NX)
     fine = np.linspace(0, 1, 20 * (NX - 1) + 1)
     for i in range(3):
@@ -134,7 +139,7 @@ def test_the_curve_is_inside_its_cells_and_its_residual_is_that_of_quadrature():
         for j in range(NX - 1):
             inside = spline(np.linspace(x[j], x[j + 1], 9))
             assert (inside >= curve.lowest[i, j] - 1e-12).all() and (inside <= curve.highest[i, j] + 1e-12).all()
-        f = D_hat[i] * PLANT.f(spline(fine), grid.read(u[i], fine))
+        f = D_hat[i] * PLANT.f(spline(fine), straight(u[i], fine))
         whole = (f[:-1] + f[1:]).sum(axis=0) / 2 * fine[1]
         np.testing.assert_allclose(curve.residuals[i, -1], Q[i, -1] - X[i] - whole, atol=2e-3 * np.abs(whole).max())
 
@@ -207,7 +212,7 @@ def test_a_bound_holds_where_the_law_is_steeper_at_P_than_at_what_was_predicted(
 def test_a_curve_that_turns_within_a_cell_is_inside_it():
     plant, rng, x = Plant("line", Line), np.random.default_rng(8), np.linspace(0, 1, 6)
     Q, u, D_hat = rng.normal(size=(20, 6, 1)), 20 * rng.normal(size=(20, 6, 1)), rng.uniform(0.5, 1.5, 20)
-    curve, turns = Curve(plant, Q, Q[:, 0], grid.refine(u, 11), D_hat, np.zeros(20)), 0
+    curve, turns = Curve(plant, Q, Q[:, 0], grid.straight(u, 11), D_hat, np.zeros(20)), 0
     for i in range(20):
         spline = CubicHermiteSpline(x, Q[i], D_hat[i] * plant.f(Q[i], u[i]))
         for j in range(5):

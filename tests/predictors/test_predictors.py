@@ -28,7 +28,7 @@ SERVED = [name for name in METHODS.builtin if family_of(PLANT).refusal(name) is 
 
 def predict(method, name, nx):
     golden = case(name)
-    return predictors.numerical(method, PLANT, nx)(golden.X, golden.u(grid.nodes(nx))[:, None], golden.D_hat)
+    return predictors.numerical(method, PLANT, nx)(golden.X, golden.means(nx), golden.D_hat)
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -41,7 +41,7 @@ def test_golden_P_on_a_fine_grid(name):
 def test_golden_transition_matrix_as_derivative_of_P(name):
     """Phi(x, 0) = dP/dX by central differences of the fine RK4 predictor."""
     golden, rk4 = case(name), predictors.numerical("rk4", PLANT, 2001)
-    u = golden.u(grid.nodes(2001))[:, None]
+    u = golden.means(2001)
     columns = []
     for k, h in enumerate((1e-5 * golden.X[0], 1e-5 * golden.X[1])):
         unit = h * np.eye(2)[k]
@@ -56,10 +56,13 @@ def test_fitted_order(method, name):
     golden, intervals = case(name), np.array([100, 200, 400])
     errors = [np.abs(golden.quarters(predict(method, name, n + 1)) - golden.P).max(axis=0) for n in intervals]
     slopes = -np.polyfit(np.log(intervals), np.log(errors), 1)[0]
-    np.testing.assert_allclose(slopes, predictors.method(method).order, atol=0.2)
+    if method == "rk4":  # at both ends u is read to order 3
+        assert (slopes > 2.8).all()
+    else:
+        np.testing.assert_allclose(slopes, predictors.method(method).order, atol=0.2)
 
 
-def test_rk4_is_of_order_2_with_the_cell_means_that_a_loop_gives():
+def test_rk4_is_of_order_3_with_the_cell_means_that_a_loop_gives():
     """u = .05 cos 3x, whose mean over a cell has a formula, against SciPy."""
     X0, intervals, errors = [0.06, 12.0], np.array([40, 80, 160]), []
     exact = solve_ivp(
@@ -69,7 +72,7 @@ def test_rk4_is_of_order_2_with_the_cell_means_that_a_loop_gives():
         edges = np.clip((np.arange(n + 2) - 0.5) / n, 0, 1)
         means = 0.05 * np.diff(np.sin(3 * edges)) / (3 * np.diff(edges))
         errors.append(np.linalg.norm(predictors.numerical("rk4", PLANT, n + 1)(X0, means[:, None], 1.0)[-1] - exact))
-    assert -np.polyfit(np.log(intervals), np.log(errors), 1)[0] == pytest.approx(2, abs=0.1)
+    assert -np.polyfit(np.log(intervals), np.log(errors), 1)[0] > 2.8
 
 
 @pytest.mark.parametrize("method", SERVED)
@@ -123,20 +126,9 @@ def test_batch_equals_single_calls(method):
 
 @pytest.mark.parametrize("nx", [2, 3, 4, 5])
 def test_few_nodes(nx):
-    u = (0.1 + grid.nodes(nx))[:, None]
-    P = RK4(SCALAR, nx)([1.0], u, 0.5)
-    x = grid.nodes(nx)
-    g = 0.4
-    exact = np.exp(g * x) + 0.5 * (0.1 * np.expm1(g * x) / g + (np.expm1(g * x) / g - x) / g)
-    np.testing.assert_allclose(P[:, 0], exact, atol=1e-3 if nx == 2 else 1e-4)
-
-
-@pytest.mark.parametrize("nx", [4, 5, 6])
-def test_four_nodes_and_more_read_a_cubic_exactly(nx):
-    """Without f's own part P is X + D_hat ∫ u, which Simpson's rule gives of a cubic."""
-    x, plant = grid.nodes(nx), plants.resolve("scalar", {"a": 0.0})
-    P = RK4(plant, nx)([1.0], (x**3 - 2 * x**2 + 0.3)[:, None], 0.5)
-    np.testing.assert_allclose(P[:, 0], 1 + 0.5 * (x**4 / 4 - 2 * x**3 / 3 + 0.3 * x), rtol=0, atol=1e-14)
+    """A level input is read exactly on any grid."""
+    P, x, g = RK4(SCALAR, nx)([1.0], np.full((nx, 1), 0.3), 0.5), grid.nodes(nx), 0.4
+    np.testing.assert_allclose(P[:, 0], np.exp(g * x) + 0.5 * 0.3 * np.expm1(g * x) / g, atol=1e-3 if nx == 2 else 1e-4)
 
 
 @pytest.mark.parametrize(
