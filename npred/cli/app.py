@@ -13,6 +13,7 @@ from typing import Any, TypeVar, get_type_hints
 import typer
 from typer.core import TyperCommand, TyperGroup
 
+from npred.cli.completion import literal
 from npred.cli.options import Common
 from npred.errors import NpredError, missing, similar
 from npred.terminal import interruption, streams, waiting
@@ -25,7 +26,13 @@ Function = TypeVar("Function", bound=Callable[..., None])
 
 
 class Untyped:
-    """Where a flag has no word for its value, it takes none."""
+    """Where a flag has no word for its value, it takes none; help is text, of which rich would eat `[evaluate]`."""
+
+    def __init__(self, *args: Any, **named: Any) -> None:
+        super().__init__(*args, **named)
+        self.help: str | None
+        for one in (self, *self.params) if self.rich_markup_mode == "rich" else ():  # type: ignore[attr-defined]
+            one.help = one.help and literal(one.help)
 
     def get_params(self, ctx: Any) -> list[Any]:
         """The parameters, as typer reads them."""
