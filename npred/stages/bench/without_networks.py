@@ -5,6 +5,7 @@ import numpy as np
 from npred import array_checks, diagnosis, grid, randomness
 from npred.config import Pipeline
 from npred.data.dataset import Dataset
+from npred.diagnosis.case import WITHOUT_V
 from npred.errors import ConfigError
 from npred.figures.style import short
 from npred.operators.weights import untrained
@@ -30,7 +31,7 @@ def measure(pipeline: Pipeline, plant: Plant) -> Foreseen:
     Samples come from short loops of [generate], and nothing is stored. Raises ConfigError for a pipeline that its plant
     does not fit, for loops that leave the finite numbers, and where no method reaches an error.
     """
-    if not plant.declares_V:  # the paper's law takes one, and its loops are asked for samples only
+    if not plant.declares_V and pipeline.generate.adaptation not in WITHOUT_V:  # its loops are asked for samples only
         adapted = pipeline.generate.model_copy(update={"adaptation": "delay-observer", "actuator": "history"})
         pipeline = pipeline.model_copy(update={"generate": adapted})
     diagnosis.require(plant, pipeline, ("generate",))
