@@ -15,7 +15,7 @@ from typer.core import TyperCommand, TyperGroup
 
 from npred.cli.completion import literal
 from npred.cli.options import Common
-from npred.errors import NpredError, missing, similar
+from npred.errors import NpredError, first_line, missing, similar
 from npred.terminal import interruption, streams, waiting
 from npred.terminal.console import Console
 
@@ -202,8 +202,7 @@ def guarded(call: Callable[[], None], console: Console, waits: str = "", flags: 
 
 def _unforeseen(error: BaseException, console: Console) -> int:
     console.detail("".join(traceback.format_exception(error)).rstrip())
-    first = (str(error).splitlines() or ["no message"])[0]
     todo = f"the traceback is in {console.log.path}" if console.log else "run with -v for the traceback"
     if not console.verbose:
-        console.error(f"{type(error).__name__}: {first}; {todo}")
+        console.error(f"{type(error).__name__}: {first_line(error, 'no message')}; {todo}")
     return 1

@@ -121,9 +121,7 @@ def _check(table: Evaluate, controller: Controller) -> None:
     given = {f"measurement.{key}": getattr(table.measurement, key) for key in ("jitter", "delay", "drop")}
     if keys := [f"evaluate.{key}" for key, value in (given | {"timing": table.timing}).items() if value]:
         cure = "leave it out, and describe the network by --delay, --jitter, --loss and --stops"
-        raise ConfigError(
-            f"rig: expected no delays, losses or clock but its own, got {', '.join(keys)}; {cure}"
-        )
+        raise ConfigError(f"rig: expected no delays, losses or clock but its own, got {', '.join(keys)}; {cure}")
     if table.X0:
         loop_checks.start(plant, np.array(table.X0))
     Measurement(**dict(table.measurement)).check(plant, observer and len(observer.outputs))

@@ -514,6 +514,15 @@ def test_every_stage_is_a_command_with_its_line_of_the_table(call: Call, name: s
     assert result.exit_code == 0 and declared_stage(name).help in words and "--dry-run" in words
 
 
+@pytest.mark.parametrize(("text", "said"), [("\nlost", "lost"), ("", "no message"), (" \n ", "no message")])
+def test_an_error_that_nobody_foresaw_has_words(call: Call, monkeypatch: pytest.MonkeyPatch, text: str, said: str):
+    def fail(job: object) -> None:
+        raise RuntimeError(text)
+
+    monkeypatch.setitem(fake_stages.ANSWERS, "generate", fail)
+    assert one_line(call("generate", "tiny.toml", "-q"), 1).startswith(f"error: RuntimeError: {said}; ")
+
+
 def test_the_pipeline_that_is_taken_is_named_and_a_plan_has_no_seconds(call: Call):
     plan = call("run", "--dry-run")
     assert plan.exit_code == 0 and plan.stderr.startswith("pipeline tiny.toml")
