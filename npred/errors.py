@@ -133,7 +133,7 @@ def unlisted(
 ) -> str:
     """The message of a name that is not in a list: what is there, and what comes closest, else what to do."""
     names = list(names)
-    near = similar(str(name), names) or f"; {todo}"
+    near = similar(str(name), names) or f"; {todo if names else 'leave it out'}"
     return f"{what}: expected {kind} {', '.join(names) or 'none: there is none'}, got {name!r}{near}"
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from npred.errors import MissingError, first_line, imported, installed, required
+from npred.errors import MissingError, first_line, imported, installed, required, unlisted
 
 
 @pytest.mark.parametrize(
@@ -19,6 +19,15 @@ from npred.errors import MissingError, first_line, imported, installed, required
 )
 def test_the_first_line_says_something(error: Exception, line: str):
     assert first_line(error) == line
+
+
+def test_a_list_without_names_is_left_out():
+    assert unlisted("--free", "k", [], "gains:") == "--free: expected gains: none: there is none, got 'k'; leave it out"
+    assert unlisted("--free", "k", ["gain"]).endswith("got 'k'; name one of them")
+
+
+def test_a_text_without_a_word_says_what_is_said_otherwise():
+    assert first_line("\n \n", "no word") == "no word" and first_line("\n a \nb", "no word") == "a "
 
 
 @pytest.fixture
