@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from npred.errors import MissingError, first_line, imported, installed, required, unlisted
+from npred.errors import MissingError, first_line, imported, installed, required
 
 
 @pytest.mark.parametrize(
@@ -19,11 +19,6 @@ from npred.errors import MissingError, first_line, imported, installed, required
 )
 def test_the_first_line_says_something(error: Exception, line: str):
     assert first_line(error) == line
-
-
-def test_a_list_without_names_is_left_out():
-    assert unlisted("--free", "k", [], "gains:") == "--free: expected gains: none: there is none, got 'k'; leave it out"
-    assert unlisted("--free", "k", ["gain"]).endswith("got 'k'; name one of them")
 
 
 def test_a_text_without_a_word_says_what_is_said_otherwise():

@@ -118,8 +118,8 @@ def _begin(pipes: list[Connection]) -> float:
 def _check(table: Evaluate, controller: Controller) -> None:
     """Raise ConfigError for keys of [evaluate] that the rig does not honour, or that do not fit the plant."""
     plant, observer = controller.plant, controller.observer
-    given = {f"measurement.{key}": getattr(table.measurement, key) for key in ("jitter", "delay", "drop")}
-    if keys := [f"evaluate.{key}" for key, value in (given | {"timing": table.timing}).items() if value]:
+    sensors = {f"measurement.{key}": getattr(table.measurement, key) for key in ("jitter", "delay", "drop")}
+    if keys := [f"evaluate.{key}" for key, value in (sensors | {"timing": table.timing}).items() if value]:
         cure = "leave it out, and describe the network by --delay, --jitter, --loss and --stops"
         raise ConfigError(f"rig: expected no delays, losses or clock but its own, got {', '.join(keys)}; {cure}")
     if table.X0:

@@ -152,8 +152,8 @@ def version() -> str | None:
     """What the compiler says that it is; None where there is none."""
     if not (words := found()):
         return None
-    told = subprocess.run([*words, "--version"], capture_output=True, text=True, timeout=60).stdout
-    return first_line(told, "no version")
+    said = subprocess.run([*words, "--version"], capture_output=True, text=True, timeout=60).stdout
+    return first_line(said, "no version")
 
 
 @cache
