@@ -45,7 +45,7 @@ class StoreError(NpredError):
 
 
 class MissingError(NpredError):
-    """An extra or a device that this machine lacks."""
+    """What this machine lacks: an extra, a device, a compiler, a folder that compiled code is safe in."""
 
     exit_code = 5
 
@@ -133,7 +133,7 @@ def unlisted(
 ) -> str:
     """The message of a name that is not in a list: what is there, and what comes closest, else what to do."""
     names = list(names)
-    near = similar(str(name), names) or f"; {todo}"
+    near = similar(str(name), names) or f"; {todo if names else 'leave it out'}"
     return f"{what}: expected {kind} {', '.join(names) or 'none: there is none'}, got {name!r}{near}"
 
 
@@ -146,6 +146,6 @@ def similar(name: str, names: Iterable[str]) -> str:
     return f"; did you mean {' or '.join(close)}?" if close else ""
 
 
-def first_line(error: BaseException) -> str:
-    """The first line of an error's message; its type where it has none."""
-    return (str(error).strip().splitlines() or [type(error).__name__])[0]
+def first_line(of: object, otherwise: str = "") -> str:
+    """The first line with a word of an error's message, or of a text; where it has none, `otherwise` or its type."""
+    return (str(of).strip().splitlines() or [otherwise or type(of).__name__])[0]

@@ -21,6 +21,10 @@ def test_the_first_line_says_something(error: Exception, line: str):
     assert first_line(error) == line
 
 
+def test_a_text_without_a_word_says_what_is_said_otherwise():
+    assert first_line("\n \n", "no word") == "no word" and first_line("\n a \nb", "no word") == "a "
+
+
 @pytest.fixture
 def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     """A module that imports torch first, in a process that lacks it."""

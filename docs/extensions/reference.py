@@ -11,6 +11,7 @@ from typing import Any, get_args, get_origin
 import typer.main
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
+from rich.text import Text
 from sphinx.application import Sphinx
 from sphinx.pycode import ModuleAnalyzer
 from sphinx.util import logging
@@ -52,7 +53,7 @@ def write(app: Sphinx) -> None:
 def commands() -> Iterator[str]:
     """The page of the command line: the flags in common once, then each command's own."""
     root: Any = typer.main.get_command(cli.app)
-    yield from ("# Commands", "", root.help)
+    yield from ("# Commands", "", _text(root))
     for caption, _, names in SHARED:
         taker = next(c for c in root.commands.values() if set(names) <= {p.name for p in c.params})
         yield from ("", caption, "")
@@ -64,7 +65,7 @@ def commands() -> Iterator[str]:
 def _command(path: str, command: Any) -> Iterator[str]:
     arguments = [p for p in command.params if not p.opts[0].startswith("-")]
     shown = " ".join([path, *(_slot(p) for p in arguments)])
-    yield from ("", f"## {path}", "", f"`{shown}`", "", command.help or "", "")
+    yield from ("", f"## {path}", "", f"`{shown}`", "", _text(command), "")
     has = {p.name for p in command.params}
     taken = [(label, names) for _, label, names in SHARED if set(names) <= has]
     shared = set[str]().union(*(names for _, names in taken))
@@ -73,6 +74,11 @@ def _command(path: str, command: Any) -> Iterator[str]:
     yield from [f"Also the flags {' and '.join(labels)}."] if labels else []
     for name, child in getattr(command, "commands", {}).items():
         yield from _command(f"{path} {name}", child)
+
+
+def _text(of: Any) -> str:
+    """The help of a command or a parameter, which is rich's markup."""
+    return Text.from_markup(of.help or "").plain
 
 
 def _slot(parameter: Any) -> str:
@@ -84,7 +90,7 @@ def _slot(parameter: Any) -> str:
 def _parameters(parameters: list[Any]) -> Iterator[str]:
     if not parameters:
         return
-    rows = [[_names(p), p.help or "", _default(p)] for p in parameters]
+    rows = [[_names(p), _text(p), _default(p)] for p in parameters]
     shown = 3 if any(row[2] for row in rows) else 2
     yield f"| {' | '.join(('', '', 'default')[:shown])} |"
     yield "|---" * shown + "|"

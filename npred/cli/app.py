@@ -13,8 +13,9 @@ from typing import Any, TypeVar, get_type_hints
 import typer
 from typer.core import TyperCommand, TyperGroup
 
+from npred.cli.completion import literal
 from npred.cli.options import Common
-from npred.errors import NpredError, missing, similar
+from npred.errors import NpredError, first_line, missing, similar
 from npred.terminal import interruption, streams, waiting
 from npred.terminal.console import Console
 
@@ -25,7 +26,13 @@ Function = TypeVar("Function", bound=Callable[..., None])
 
 
 class Untyped:
-    """Where a flag has no word for its value, it takes none."""
+    """Where a flag has no word for its value, it takes none; help is text, of which rich would eat `[evaluate]`."""
+
+    def __init__(self, *args: Any, **named: Any) -> None:
+        super().__init__(*args, **named)
+        self.help: str | None
+        for one in (self, *self.params) if self.rich_markup_mode == "rich" else ():  # type: ignore[attr-defined]
+            one.help = one.help and literal(one.help)
 
     def get_params(self, ctx: Any) -> list[Any]:
         """The parameters, as typer reads them."""
@@ -195,8 +202,7 @@ def guarded(call: Callable[[], None], console: Console, waits: str = "", flags: 
 
 def _unforeseen(error: BaseException, console: Console) -> int:
     console.detail("".join(traceback.format_exception(error)).rstrip())
-    first = (str(error).splitlines() or ["no message"])[0]
     todo = f"the traceback is in {console.log.path}" if console.log else "run with -v for the traceback"
     if not console.verbose:
-        console.error(f"{type(error).__name__}: {first}; {todo}")
+        console.error(f"{type(error).__name__}: {first_line(error, 'no message')}; {todo}")
     return 1

@@ -37,7 +37,7 @@ def _root(
 
 @command(RUN)
 def run(options: Work) -> None:
-    """All stages, in order, each from the store when its key is there."""
+    """Run all stages in order; a result that is already in the store is reused."""
     cli.execute.everything(options)
 
 
@@ -128,7 +128,7 @@ def tune(
     ] = None,
     output: Annotated[Path | None, flag("A pipeline with the new numbers.", "-o", "--output", word="FILE")] = None,
 ) -> None:
-    """Better gamma, b and gains of kappa for the loops of [evaluate], or that there is nothing to gain."""
+    """Search better gamma, b and gains of kappa on the loops of [evaluate]; say so if nothing is to be gained."""
     cli.tune.tune(options, free or [], output)
 
 

@@ -3,6 +3,7 @@
 typer leaves out what does not begin with the letters that are typed.
 """
 
+import re
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, get_args, get_origin
@@ -96,10 +97,15 @@ def _pipeline(ctx: typer.Context) -> "Pipeline":
         return config.Pipeline(plant="")
 
 
+def literal(text: str) -> str:
+    """Text for typer, which takes it for rich's markup."""
+    return re.sub(r"(?=\[[a-z#/@][^[]*?])", r"\\", text)
+
+
 def _first_comment(path: Path) -> str:
     with path.open(encoding="utf-8", errors="replace") as file:
         line = file.readline(200).strip()
-    return line.removeprefix("#").strip() if line.startswith("#") else ""
+    return literal(line.removeprefix("#").strip()) if line.startswith("#") else ""
 
 
 stages = _offered(lambda ctx, incomplete: [*STAGES, *_pipeline(ctx).train.models])  # and the networks

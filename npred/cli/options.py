@@ -202,12 +202,12 @@ class Rigged(Planned):
     """Flags of `npred rig`: its length, its network, and what of the controller is not in [evaluate]."""
 
     seconds: Annotated[float, flag("How long it runs.")] = 60.0
-    delay: Annotated[float, flag("Of each way, in seconds; that of commands adds to the plant's D.")] = 0.12
+    delay: Annotated[float, flag("Delay in each direction, in seconds; the plant's D adds to that of commands.")] = 0.12
     jitter: Annotated[float, flag("The largest deviation of that delay, in seconds.")] = 0.02
     loss: Annotated[float, flag("Share of packets that are lost.")] = 0.0
     reorder: Annotated[float, flag("Share of packets that take twice their time.")] = 0.0
     stops: Annotated[float, flag("Times per minute that the network stands still for 200 ms.")] = 0.0
-    seed: Annotated[int, flag("Of the network and the sensors.", least=0)] = 0
+    seed: Annotated[int, flag("Seed of network and sensor noise.", least=0)] = 0
     watchdog: Annotated[str, WATCHDOG] = ""
     model: Annotated[str | None, flag("A trained network that predicts, as deeponet.", offers=completion.models)] = None
 

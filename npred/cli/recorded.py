@@ -25,7 +25,7 @@ class Recorded(Work):
         str | None, flag("The plant: a name, or my_plant.py:Tank.", word="PLANT", offers=completion.plants)
     ] = None
     time: Annotated[str | None, flag("The column of the times.", word="COLUMN")] = None
-    time_unit: Annotated[str | None, flag("Of that column.", word="s|ms|us|ns|min|h")] = None
+    time_unit: Annotated[str | None, flag("Unit of the time column.", word="s|ms|us|ns|min|h")] = None
     input: Annotated[
         list[str] | None, flag("An input and its column, as q=Q1; repeatable.", "--input", word="NAME=COLUMN")
     ] = None
@@ -34,7 +34,7 @@ class Recorded(Work):
         flag("A state or output and its column, as h=T1.", "--state", "--output-column", word="NAME=COLUMN"),
     ] = None
     scale: Annotated[list[str] | None, flag("A factor to the plant's unit, as T1=0.01.", word="COLUMN=FACTOR")] = None
-    shift: Annotated[list[str] | None, flag("What is added then, as T1=273.15.", word="COLUMN=NUMBER")] = None
+    shift: Annotated[list[str] | None, flag("Offset added after scaling, as T1=273.15.", word="COLUMN=NUMBER")] = None
     free: Annotated[list[str] | None, flag("A parameter to estimate; repeatable.", word="NAME")] = None
     bounds: Annotated[list[str] | None, flag("The range of one, as gain=0.1:2.", word="NAME=LOW:HIGH")] = None
     longest: Annotated[float | None, flag("The longest delay to try; by default a fifth of the log.")] = None

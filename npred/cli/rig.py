@@ -13,14 +13,19 @@ from npred import api, figures, plants
 from npred.cli import export
 from npred.cli.options import Rigged, drawable, writable
 from npred.conditions import condition
+from npred.config import Evaluate
 from npred.errors import ConfigError, NpredError, UnmetError
 from npred.figures.style import MEDIA
-from npred.loop import metrics
+from npred.loop import loop_checks, metrics
 from npred.loop.adaptation import DelayAdaptation
 from npred.loop.controller import OLDEST, Controller
 from npred.loop.loop_checks import HISTORY
+from npred.loop.measurement import Measurement
+from npred.parallel import executors
+from npred.pipeline import load_model
 from npred.plants import Plant
 from npred.predictors import numerical
+from npred.predictors.guarded import Guarded
 from npred.rig import clock, controller_side, log, network, plant_side
 from npred.rig.network import Channel
 from npred.terminal import interruption
@@ -39,6 +44,7 @@ def rig(options: Rigged, output: Path | None, figure: Path | None) -> None:
     if plant.declares_delay or not plant.one_delay or plant.time_unit != "s":
         raise ConfigError(f"rig: expected a plant with one delay and in seconds, got {plant.name}; take another")
     controller = _controller(options, plant, channel)
+    _check(options.config.evaluate, controller)
     with interruption.orderly("interrupted; the log has all up to then"):
         late = run(options, plant, controller, channel, path)
     written = log.read(path)
@@ -50,8 +56,9 @@ def rig(options: Rigged, output: Path | None, figure: Path | None) -> None:
     rows = [[name, f"{x:.4g}" if isinstance(x, float) else str(x)] for name, x in document.items()]
     options.show_table(document, ("of the log", ""), rows)
     near, radius = metrics.LOST * metrics.size(plant.target(0.0)), document["radius"]
-    if not radius <= max(log.distance(plant, written.samples)[0], near):
-        raise UnmetError(f"rig: expected a loop that stays, got one {radius:.3g} away at the end; read {path}")
+    if radius is None or radius > max(log.distance(plant, written.samples)[0], near):
+        away = "that left the finite numbers" if radius is None else f"{radius:.3g} away at the end"
+        raise UnmetError(f"rig: expected a loop that stays, got one {away}; read {path}")
 
 
 def run(options: Rigged, plant: Plant, controller: Controller, channel: Channel, path: Path) -> np.ndarray:
@@ -71,7 +78,8 @@ def run(options: Rigged, plant: Plant, controller: Controller, channel: Channel,
     try:
         for (target, values), (_, theirs) in zip(work, pipes, strict=True):
             side = context.Process(target=target, args=(*values, theirs))
-            side.start()
+            with executors.deaf():
+                side.start()
             sides.append(side)
             theirs.close()  # else this process would keep open what a side closes by its end
         for end in ends:
@@ -107,12 +115,25 @@ def _begin(pipes: list[Connection]) -> float:
     return start
 
 
+def _check(table: Evaluate, controller: Controller) -> None:
+    """Raise ConfigError for keys of [evaluate] that the rig does not honour, or that do not fit the plant."""
+    plant, observer = controller.plant, controller.observer
+    sensors = {f"measurement.{key}": getattr(table.measurement, key) for key in ("jitter", "delay", "drop")}
+    if keys := [f"evaluate.{key}" for key, value in (sensors | {"timing": table.timing}).items() if value]:
+        cure = "leave it out, and describe the network by --delay, --jitter, --loss and --stops"
+        raise ConfigError(f"rig: expected no delays, losses or clock but its own, got {', '.join(keys)}; {cure}")
+    if table.X0:
+        loop_checks.start(plant, np.array(table.X0))
+    Measurement(**dict(table.measurement)).check(plant, observer and len(observer.outputs))
+
+
 def _controller(options: Rigged, plant: Plant, channel: Channel) -> Controller:
     table = options.config.evaluate
+    exact = predictor = numerical(table.predictor, plant, table.nx)
     if options.model:
-        predictor = api.load(f"{options.pipeline}:{options.model}", store=options.store, nx=table.nx)
-    else:
-        predictor = numerical(table.predictor, plant, table.nx)
+        stored = load_model(f"{options.pipeline}:{options.model}", options.store, options.set)
+        predictor = api.loaded(stored, table.nx, "cpu", None)
+        predictor = Guarded(predictor, exact=exact, **dict(table.guard)) if table.guard else predictor
     more = {"oldest": max(OLDEST * table.dt, 2 * channel.longest), "watchdog": export.watchdog(options.watchdog)}
     controller = export.of_table(plant, predictor, table.model_copy(update={"actuator": HISTORY}), **more)
     if isinstance(controller.adaptation, DelayAdaptation):

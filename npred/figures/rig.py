@@ -19,7 +19,7 @@ def rig(plant: Plant, name: str, calls: dict[str, Any], samples: dict[str, Any])
     taken = samples["t"][order]
     panels = [
         Panel(quantity(plant, x), f"{x} as measured.", partial(_line, plant, taken, samples[x][order]))
-        for x in plant.outputs
+        for x in dict.fromkeys([*plant.outputs, *plant.states])
         if x in samples
     ]
     panels += [

@@ -13,16 +13,15 @@ from functools import cache
 from pathlib import Path
 
 from npred import json_files
-from npred.errors import ConfigError, NpredError
+from npred.errors import MissingError, NpredError, disk_is_full
 
 VARIABLE, HOME = "NPRED_CACHE", "XDG_CACHE_HOME"
 SEAL = "digests.json"
-FULL = {errno.ENOSPC, errno.EDQUOT}
 
 
 def full(error: OSError, folder: Path) -> NpredError | None:
     """The failure in words where the disk of the cache is full, else None."""
-    if error.errno not in FULL:
+    if not disk_is_full(error):
         return None
     todo = f"free some, or name a folder on another disk in {VARIABLE}"
     return NpredError(f"{folder}: expected room for compiled code, got a full disk; {todo}")
@@ -32,7 +31,8 @@ def folder() -> Path:
     """The folder of compiled code: $NPRED_CACHE, else the user's cache, else a temporary folder; none but the owner may
     enter it.
 
-    Raises ConfigError for a relative path, and for a folder that others can write to; NpredError for a full disk.
+    Raises MissingError for a relative path, and for a folder that others can write to: no fault of a plant; NpredError
+    for a full disk.
     """
     home = _absolute(HOME) or Path(os.path.expanduser("~/.cache"))
     chosen = (_absolute(VARIABLE) or home / "npred") / "kernels"
@@ -59,12 +59,12 @@ def _absolute(variable: str) -> Path | None:
     """The folder that an environment variable names; an empty one is unset."""
     text = os.environ.get(variable, "")
     if text and not os.path.isabs(text):
-        raise ConfigError(f"{variable}: expected an absolute path, got {text!r}; begin it with /")
+        raise MissingError(f"{variable}: expected an absolute path, got {text!r}; begin it with /")
     return Path(text) if text else None
 
 
 def _private(folder: Path) -> None:
-    """Keep others out. Raises ConfigError for a folder of another user, or that others could write to until now, and
+    """Keep others out. Raises MissingError for a folder of another user, or that others could write to until now, and
     OSError for one that this user cannot write to.
     """
     if not hasattr(os, "geteuid"):  # Windows, where a profile is its user's by its access list
@@ -76,7 +76,7 @@ def _private(folder: Path) -> None:
     elif not os.access(folder, os.W_OK):
         raise PermissionError(errno.EACCES, "cannot be written", str(folder))
     else:
-        raise ConfigError(
+        raise MissingError(
             f"{folder}: expected a folder that only you can write to, for the code in it is run, got mode "
             f"{status.st_mode & 0o777:o} of user {status.st_uid}; remove it (all is compiled again) or name another in "
             f"{VARIABLE}"
@@ -91,7 +91,7 @@ def _temporary() -> Path:
         home = Path(tempfile.mkdtemp(prefix="npred-"))
     except OSError as error:
         cure = f"name one that can be written in {VARIABLE}"
-        raise ConfigError(f"{VARIABLE}: expected a folder for compiled code, got: {error.strerror}; {cure}") from None
+        raise MissingError(f"{VARIABLE}: expected a folder for compiled code, got: {error.strerror}; {cure}") from None
     os.environ[VARIABLE] = str(home)
     Finalize(None, shutil.rmtree, (home, True), exitpriority=0)
     (home / "kernels").mkdir(mode=0o700)

@@ -17,7 +17,7 @@ from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 
-from npred.errors import MissingError, NpredError
+from npred.errors import MissingError, NpredError, disk_is_full, first_line
 from npred.kernels import cache as disk
 from npred.terminal import waiting
 
@@ -113,8 +113,15 @@ def _compile(folder: Path) -> None:
     if done.returncode and _libraries() != STANDARD:
         done = _run([*asked, *STANDARD], folder)
     if done.returncode:
-        complaint = next((line for line in done.stderr.splitlines() if "error" in line), done.stderr[:200])
-        raise NpredError(f"{asked[0]}: expected a kernel that compiles, got: {complaint}; report it")
+        full = disk_is_full(OSError(done.stderr))
+        todo = f"free some of the disk, or name others in {disk.VARIABLE} and TMPDIR" if full else "report it"
+        raise NpredError(f"{asked[0]}: expected a kernel that compiles, got: {complaint(done)}; {todo}")
+
+
+def complaint(done: subprocess.CompletedProcess[str]) -> str:
+    """What a compiler that failed said: its first line with an error, else its first one, else how it ended."""
+    lines = [line for line in done.stderr.splitlines() if "error" in line]
+    return first_line("\n".join(lines) or done.stderr, f"no word, exit code {done.returncode}")
 
 
 def _run(words: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
@@ -145,7 +152,8 @@ def version() -> str | None:
     """What the compiler says that it is; None where there is none."""
     if not (words := found()):
         return None
-    return subprocess.run([*words, "--version"], capture_output=True, text=True, timeout=60).stdout.partition("\n")[0]
+    said = subprocess.run([*words, "--version"], capture_output=True, text=True, timeout=60).stdout
+    return first_line(said, "no version")
 
 
 @cache

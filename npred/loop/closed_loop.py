@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from npred import array_checks
 from npred.delays import family_of
+from npred.delays.constant import ConstantDelay
 from npred.errors import ConfigError
 from npred.loop import clocked, delay_law, engine, loop_checks, signals
 from npred.loop import measurement as sensing
@@ -27,7 +28,7 @@ from npred.loop.watchdog import Watchdog
 from npred.parallel import devices
 from npred.plants import inputs
 from npred.plants.base import Plant
-from npred.predictors import OneStep, Predictor
+from npred.predictors import RK4, OneStep, Predictor
 from npred.safety import SafetyFilter
 from npred.terminal import waiting
 from npred.terminal.waiting import counted
@@ -67,9 +68,12 @@ def simulate(
     """Loops of X' = f(X, U(t - D)), U = kappa(P(1)), D_hat' = gamma Proj{D_hat, phi} [DAPF, eqs. 6-14].
 
     D, D_hat and X0 broadcast to the batch. Where inputs have several delays input j comes after r_j D, and U_j =
-    kappa_j(P(r_j), t + r_j D_hat). A DelayLaw that you write runs in Python. A loop that leaves the finite numbers goes
-    on as NaN and leaves the others alone; one of a plant that declares its delay is marked (`infeasible`) and ends
-    where commands would overtake each other.
+    kappa_j(P(r_j), t + r_j D_hat). A DelayLaw that you write runs in Python. If a loop overflows, the rest of it is
+    NaN; the other loops are not affected. Where commands would overtake each other, a loop of a plant that declares its
+    delay is marked (`infeasible`) and ends.
+
+    Without a predictor the loop is open, U = 0. With D_hat = 0 there is no prediction, U = kappa(X, t). A plant that
+    declares its delay takes no other D_hat.
 
     With `timing`, `observer` or `watchdog` the loops run on a real clock, one after the other: npred.controller with
     actuator="history" is called at its own times, and samples and commands have theirs, not rounded to control steps. X
@@ -87,9 +91,10 @@ def simulate(
     loop_checks.times(t_end, dt, measurement)
     loop_checks.record(plant, 1, t_end, dt, every)
     X0 = array_checks.floats("X0", X0)
+    blind = plant.declares_delay and D_hat is not None
     if plant.declares_delay:
         loop_checks.start(plant, X0)
-        D, D_hat = (_declared(of, X0) for of in (truth or plant, plant))
+        D, D_hat = _declared(truth or plant, X0), D_hat if blind else _declared(plant, X0)
     table = _tabulated(D, t_end, dt) if callable(D) else None
     D, D_hat = (array_checks.floats(name, a) for name, a in (("D", D if table is None else table[0]), ("D_hat", D_hat)))
     loop_checks.start(plant, X0)
@@ -115,7 +120,7 @@ def simulate(
     past = inputs.past(plant, u0, limits, X0, D)
     loop = _Simulation(
         plant, predictor, adaptation, limits, dt, t_end, every, method, actuator == loop_checks.HISTORY,
-        measurement or Measurement(), truth or plant, disturbance, shape, safety,
+        measurement or Measurement(), truth or plant, disturbance, shape, safety, blind,
     )  # fmt: skip
     loop_checks.history(plant, loop.reach(D, D_hat, delays)[1], dt)
     width = LANES if loop.compiled else NEURAL_LANES
@@ -195,13 +200,15 @@ class _Simulation:
     disturbance: Callable[[float], Any] | None
     shape: tuple[int, ...]  # of the batch
     safety: SafetyFilter | None
+    blind: bool  # whether the controller of a plant that declares its delay is as if there was none
 
     @cached_property
     def law(self) -> Part:
         """The kernels of U and of D_hat's rate; the open loop has U = 0."""
         if self.predictor is None:
             return part(self.plant, None, self.dt)._replace(control=None)
-        return part(self.plant, self.adaptation, self.dt)
+        law = part(self.plant, self.adaptation, self.dt)
+        return law._replace(control=ConstantDelay(self.plant).control(RK4.step)) if self.blind else law
 
     @cached_property
     def pushes(self) -> np.ndarray:
@@ -266,15 +273,16 @@ class _Simulation:
     @cached_property
     def parts(self) -> dict[str, Any]:
         """The sentences of a control step, on lanes, traced once for all chunks."""
-        model, truth, law = family_of(self.plant), family_of(self.truth), self.law
+        model = ConstantDelay(self.plant) if self.blind else family_of(self.plant)
+        truth, law = family_of(self.truth), self.law
         observer = self.measurement.observer
         return {
             "horizon": truth.horizon(),
             "observer": observer and sensing.observed(observer),
             "observe": law.observe,
-            "believe": model.horizon(),
-            "predict": self.predictor and self.predictor.lanes(),
-            "guard": getattr(self.predictor, "guard", None),
+            "believe": model.horizon(),  # None too where D_hat = 0
+            "predict": self.predictor and (model.sweep(RK4.step) if self.blind else self.predictor.lanes()),
+            "guard": None if self.blind else getattr(self.predictor, "guard", None),
             "control": law.control,
             "update": law.update,
             "pace": truth.speed(),
@@ -320,7 +328,7 @@ class _Simulation:
     ) -> State:
         n, m, lanes, D = self.plant.n, self.plant.m, len(D), self.plant.ratios[:, None] * D
         X, age = np.array(X0.T, order="C"), round(self.measurement.delay / self.dt)
-        reads_commands = self.recalls or self.plant.declares_delay
+        reads_commands = self.recalls or (self.plant.declares_delay and not self.blind)
         arrays = {"X": X, "D": D, "D_hat": np.array(D_hat), "held": held, "total": total}
         arrays |= {"D_seen": D.copy() if reads_commands else D}
         arrays |= {"X_hat": X, "Y": X} if self.measurement.perfect else {"X_hat": X.copy()}

@@ -235,19 +235,19 @@ class Controller(InNotebook):
         came = X is not None
         if came:
             self._measure(array_checks.floats("X", X), u, u_nodes)
-        if applied is not None:
-            self._engine.replace(applied)
         before = None
         if self._awaits_X:
             if not came or not np.isfinite(self._Y).all():
                 raise DivergedError("step: expected a finite first X, got none; hold the last U and measure again")
             before = self.state()
             self._fill(self._Y)
+        if applied is not None:
+            self._engine.replace(applied)
         code = self._engine.call(now, gap, came, age)
         if code and before is not None:  # nothing was sent, and the commands before the first X are not known
             self.restore(before)
             raise DivergedError(f"step: {self._reason(code)}; hold the last U and measure again")
-        if gap != 1.0:
+        if abs(now - self.t) > SNAP * self.dt:
             self._t0, self._step = now, 0
         self._step += 1
         if code:
@@ -285,8 +285,13 @@ class Controller(InNotebook):
             phi, t0 = state.get("phi"), state.get("t0", 0.0)
         except (AttributeError, KeyError, TypeError, ValueError):
             raise ConfigError(f"state: expected D_hat and step, got {state!r}; save it with state()") from None
+        before = self.state()
         self._recall(state)
-        self._set_state(D_hat, phi, step, t0)
+        try:
+            self._set_state(D_hat, phi, step, t0)
+        except ConfigError:
+            self._recall(before)
+            raise
         self._awaits_X = self._awaits_X and step == 0
 
     def fresh(self) -> "Controller":
@@ -424,7 +429,6 @@ class Controller(InNotebook):
         if abs(now - self.t) <= SNAP * self.dt:
             return 1.0
         if not self._clock["calls"] and math.isfinite(now):  # the clock starts here
-            self._t0, self._step = now, 0
             return 1.0
         last = self.t - self.dt
         if not last < now < math.inf:

@@ -59,9 +59,11 @@ def reality(
 ) -> None:  # fmt: skip
     """Raise ConfigError for a delay, an actuator, a measurement, a truth or a disturbance of the wrong kind."""
     if plant.declares_delay:
-        for name, value in (("D", D), ("D_hat", D_hat), ("adaptation", law)):
+        blind = D_hat is not None and not np.any(array_checks.floats("D_hat", D_hat))
+        for name, value in (("D", D), ("D_hat", None if blind else D_hat), ("adaptation", law)):
             if value is not None:
-                raise ConfigError(f"{name}: expected none, for plant {plant.name} declares its delay; leave {name} out")
+                todo = f"leave {name} out" + (", or give 0 for no prediction" if name == "D_hat" else "")
+                raise ConfigError(f"{name}: expected none, for plant {plant.name} declares its delay; {todo}")
     for name, value in (("D", D), ("D_hat", D_hat)):
         if value is None and not plant.declares_delay:
             raise ConfigError(f"{name}: expected a delay in {plant.time_unit}, got none; give {name}")

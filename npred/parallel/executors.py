@@ -150,7 +150,7 @@ class Processes(Workers):
 
     def _start(self, call: Callable[[], Result], outcome: Future[Result], retries: int) -> None:
         pool = self._pool
-        with _deaf():
+        with deaf():
             try:
                 inner = pool.submit(call)
             except BrokenExecutor:
@@ -185,12 +185,12 @@ class Processes(Workers):
         """Processes start afresh: a fork would copy the threads' locks of whatever the caller has loaded."""
         context = get_context("spawn")
         end, leash = context.Pipe(duplex=False)
-        with _deaf():  # multiprocessing starts a process that watches its semaphores
+        with deaf():  # multiprocessing starts a process that watches its semaphores
             return ProcessPoolExecutor(self.count, context, _end_with_leash, (end,)), leash
 
 
 @contextmanager
-def _deaf() -> Iterator[None]:
+def deaf() -> Iterator[None]:
     """Processes that start in the block do not hear what a terminal sends to all: they end with this one, silently."""
     if not hasattr(signal, "pthread_sigmask"):  # Windows, where the processes themselves turn a deaf ear
         yield

@@ -6,12 +6,17 @@ from multiprocessing.connection import Connection
 
 import numpy as np
 
+from npred.terminal import interruption
+
 SPIN = 2e-4  # s before the time, from which on the clock is read without sleeping
 
 
 def agreed(parent: Connection) -> float:
-    """Say that this process is ready; when all begin. Whoever started it ends it: Ctrl-C does not reach it."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    """Say that this process is ready; when all begin. Whoever started it ends it, so that the log has its end: it
+    ignores signals, which a terminal or `timeout` sends to all.
+    """
+    for number in interruption.SIGNALS:
+        signal.signal(number, signal.SIG_IGN)
     try:
         parent.send(None)
         return parent.recv()

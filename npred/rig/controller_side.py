@@ -11,7 +11,7 @@ import numpy as np
 from npred.errors import DivergedError
 from npred.loop.controller import Controller
 from npred.rig import clock
-from npred.rig.log import CALL, OVER, SAMPLE, LogFile
+from npred.rig.log import CALL, OVER, SAMPLE, LogFile, truth
 from npred.rig.network import Channel, Packet, UdpLink
 
 
@@ -54,7 +54,7 @@ class Calls:
             self.log.row(t, (*self.controller.plant.inputs, *CALL), values)
         for packet in packets:
             values = (*packet.values[:n], packet.number, packet.arrival, *packet.values[n:])
-            self.log.row(packet.sent_at, (*self.controller.outputs, *SAMPLE), values)
+            self.log.row(packet.sent_at, (*self.controller.outputs, *SAMPLE, *truth(self.controller.plant)), values)
 
     def _step(self, t: float, newest: Packet | None, n: int) -> None:
         sample = {"X": newest.values[:n], "sampled_at": newest.sent_at} if newest else {}

@@ -26,12 +26,17 @@ CALL = ("rig.D_hat", "rig.D_hat_spread", "rig.age", "rig.refused", "rig.handed_o
 SAMPLE = ("rig.number", "rig.arrival", "rig.delay")
 
 
+def truth(plant: Plant) -> tuple[str, ...]:
+    """The columns of the simulated plant's states when a sample was taken, which the controller does not get."""
+    return tuple(f"rig.X.{name}" for name in plant.states)
+
+
 class LogFile:
     """A log that is written: whole lines at once, so that a process that is killed leaves whole ones."""
 
     def __init__(self, path: Path, controller: Controller) -> None:
         self.file = path.open("w", encoding="utf-8", buffering=1)
-        self.names = ("t", *controller.plant.inputs, *controller.outputs, *CALL, *SAMPLE)
+        self.names = ("t", *controller.plant.inputs, *controller.outputs, *CALL, *SAMPLE, *truth(controller.plant))
         self.file.write(",".join(self.names) + "\n")
 
     def row(self, t: float, names: Sequence[str], values: Sequence[float] | np.ndarray) -> None:
@@ -63,9 +68,9 @@ def read(path: Path) -> RigLog:
 
 
 def distance(plant: Plant, samples: dict[str, np.ndarray]) -> np.ndarray:
-    """|X - X*| of each sample, over the states that are measured."""
-    gap = np.stack([samples.get(x, np.nan * samples["t"]) for x in plant.states], axis=-1) - plant.target(samples["t"])
-    return np.linalg.norm(np.nan_to_num(gap), axis=-1)
+    """|X - X*| of the plant at each sample; infinity where a state has left the finite numbers."""
+    gap = np.stack([samples[name] for name in truth(plant)], axis=-1) - plant.target(samples["t"])
+    return np.nan_to_num(np.linalg.norm(gap, axis=-1), nan=np.inf, posinf=np.inf)
 
 
 def summary(plant: Plant, log: RigLog, dt: float) -> dict[str, Any]:
@@ -82,7 +87,7 @@ def summary(plant: Plant, log: RigLog, dt: float) -> dict[str, Any]:
         "samples": len(number), "samples_lost": int(number.max() + 1 - len(number)),
         "samples_late": float((samples["rig.arrival"] - samples["t"]).mean()),
         "samples_reordered": int((number < np.maximum.accumulate(number)).sum()),
-        "radius": float(far[samples["t"] >= (1 - metrics.TAIL) * samples["t"].max()].max()),
+        "radius": _number(far[samples["t"] >= (1 - metrics.TAIL) * samples["t"].max()].max()),
         **micro("late", late), **micro("took", calls["rig.took"]),
     }  # fmt: skip
 

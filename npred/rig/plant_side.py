@@ -81,7 +81,10 @@ def run(
     plant: Plant, table: Evaluate, U0: np.ndarray, observer: Observer | None, end: socket.socket, network: Channel,
     parent: Connection,
 ) -> None:  # fmt: skip
-    """Be the plant, until the controller or the parent is gone; samples are what the `observer` is to get of X."""
+    """Be the plant, until the controller or the parent is gone; samples are what the `observer` is to get of X.
+
+    The mean age of the commands and X itself go with them, for the log.
+    """
     truth, period = DelayedPlant(plant, table, U0), table.measurement.period or table.dt
     link, k = UdpLink(end, network, "commands", clock.agreed(parent)), 0
     with suppress(ConnectionError):
@@ -92,6 +95,6 @@ def run(
                 truth.command(packet)
             X = truth.to(t)
             rng = randomness.generator(network.seed, "sensors", k)
-            Y = sensed(observer.measured(X) if observer else X, table.measurement, rng)
-            link.send(t, np.append(Y, truth.age - table.dt / 2))
+            Y = sensed(observer.measured(X, t) if observer else X, table.measurement, rng)
+            link.send(t, np.concatenate([Y, [truth.age - table.dt / 2], X]))
             k += 1

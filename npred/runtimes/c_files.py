@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from npred.errors import NpredError, required
-from npred.kernels.compiler import found
+from npred.kernels.compiler import complaint, found
 
 FOLDER = Path(__file__).parent / "c"
 FLAGS = ("-std=c99", "-O2", "-shared", "-fPIC")
@@ -68,5 +68,4 @@ def build(sources: Iterable[Path], target: Path, what: str, *flags: str, other: 
     command = [*words, *FLAGS, *flags, *map(str, sources), "-o", str(target), "-lm"]
     done = subprocess.run(command, capture_output=True, encoding="utf-8", errors="replace", timeout=600)
     if done.returncode:
-        complaint = (done.stderr.splitlines() or ["no word"])[0]
-        raise NpredError(f"export {what}: expected sources that compile, got: {complaint}; report it")
+        raise NpredError(f"export {what}: expected sources that compile, got: {complaint(done)}; report it")

@@ -5,18 +5,20 @@ import re
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import fake_stages
 import pytest
+import typer.main
 from conftest import HERE, TANK, Call, document, one_line, process_environment
 from result_samples import TRAINED
 from stopped_runs import Process, stopped_in
-from typer.testing import Result
+from typer.testing import CliRunner, Result
 
 import npred
-from npred.cli import inspect
+from npred.cli import app, inspect
 from npred.registry import STAGES, declared_stage
 from npred.results import Evaluated
 from npred.store import Question, ResultInput, Store
@@ -512,8 +514,34 @@ def test_every_stage_is_a_command_with_its_line_of_the_table(call: Call, name: s
     assert result.exit_code == 0 and declared_stage(name).help in words and "--dry-run" in words
 
 
+@pytest.mark.parametrize(("text", "said"), [("\nlost", "lost"), ("", "no message"), (" \n ", "no message")])
+def test_an_error_that_nobody_foresaw_has_words(call: Call, monkeypatch: pytest.MonkeyPatch, text: str, said: str):
+    def fail(job: object) -> None:
+        raise RuntimeError(text)
+
+    monkeypatch.setitem(fake_stages.ANSWERS, "generate", fail)
+    assert one_line(call("generate", "tiny.toml", "-q"), 1).startswith(f"error: RuntimeError: {said}; ")
+
+
 def test_the_pipeline_that_is_taken_is_named_and_a_plan_has_no_seconds(call: Call):
     plan = call("run", "--dry-run")
     assert plan.exit_code == 0 and plan.stderr.startswith("pipeline tiny.toml")
     assert plan.stdout.splitlines()[0].split() == ["stage", "key", "action", "reason"] and " 0.0 " not in plan.stdout
     assert call("run", "tiny.toml", "--dry-run").stderr == "" == call("run", "--dry-run", "-q").stderr
+
+
+def commands(command: Any, *path: str) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """All commands as typer has them, by their words."""
+    yield path, command
+    for name, child in getattr(command, "commands", {}).items():
+        yield from commands(child, *path, name)
+
+
+@pytest.mark.parametrize(("path", "command"), [*commands(typer.main.get_command(app))])
+def test_help_says_all_that_is_declared_brackets_too(path: tuple[str, ...], command: Any):
+    """rich takes a word in square brackets for markup, and leaves it out; a name between colons becomes a picture."""
+    shown = CliRunner().invoke(app, [*path, "--help"], env={"COLUMNS": "1000", "TERMINAL_WIDTH": "1000"}).stdout
+    shown = " ".join(shown.replace("│", " ").split())
+    texts = [one.help for one in (command, *command.params, *getattr(command, "commands", {}).values()) if one.help]
+    assert [text for text in texts if " ".join(text.replace("\\[", "[").split()) not in shown] == []
+    assert path != ("tune",) or "on the loops of [evaluate];" in shown

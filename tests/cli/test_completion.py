@@ -72,3 +72,12 @@ def test_a_store_that_cannot_be_read_offers_nothing(offered):
     Path("artifacts/generate").mkdir(parents=True)
     Path(f"artifacts/generate/{'0' * 64}").write_text(json.dumps([]))
     assert offered("npred show ") == []
+
+
+def test_what_a_pipeline_says_of_itself_is_text(call: Call):
+    """For a shell that shows it beside the name; typer takes it for rich's markup."""
+    Path("tiny.toml").write_text("# as [evaluate], [/but] shorter\n")
+    asked = {"_NPRED_COMPLETE": "complete_fish", "_TYPER_COMPLETE_ARGS": "npred run ti"}
+    asked |= {"_TYPER_COMPLETE_FISH_ACTION": "get-args"}
+    done = CliRunner().invoke(app, prog_name="npred", env=asked)
+    assert "tiny.toml\tas [evaluate], [/but] shorter" in done.stdout.splitlines()

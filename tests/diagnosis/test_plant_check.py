@@ -2,9 +2,12 @@
 
 import json
 import re
+import subprocess
+import sys
 
 import numpy as np
 import pytest
+from conftest import process_environment
 from follower import Follower, follower
 from reactor import Reactor
 from scipy.linalg import solve_continuous_lyapunov
@@ -544,3 +547,22 @@ class Tank:
     assert (complete(), complete("--u0", "equilibrium"), complete("--u0", "[0.4]")) == ("no", "yes", "yes")
     wrong = CliRunner().invoke(app, ["plants", "check", "scalar", "--u0", "equilibrum"])
     assert wrong.exit_code == 2 and "error: --u0: " in wrong.output and "did you mean equilibrium?" in wrong.output
+
+
+@pytest.mark.parametrize("plant", ["scalar", "lawless.py:Lawless"])
+@pytest.mark.parametrize(("cache", "words"), [("open", "only you can write to"), ("./open", "an absolute path")])
+def test_a_fault_of_the_machine_is_no_verdict_on_a_plant(tmp_path, cache, words, plant):
+    """Neither on a law that is offered to one without."""
+    (tmp_path / "lawless.py").write_text(
+        "class Lawless:\n    states, inputs, box = ('x',), ('u',), {'x': (-1.0, 1.0)}\n"
+        "    def f(x, u, t, p, M):\n        return [M.sin(x.x) + u.u]\n"
+    )
+    (tmp_path / "open" / "kernels").mkdir(parents=True)
+    (tmp_path / "open" / "kernels").chmod(0o777)
+    folder = cache if cache.startswith(".") else str(tmp_path / cache)
+    done = subprocess.run(
+        [sys.executable, "-m", "npred", "plants", "check", plant, "-q"],
+        cwd=tmp_path, env=process_environment(NPRED_CACHE=folder), capture_output=True, text=True, timeout=120,
+    )  # fmt: skip
+    assert (done.returncode, done.stdout) == (5, "")
+    assert words in done.stderr and done.stderr.count("\n") == 1

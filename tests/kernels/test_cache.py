@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from npred.errors import ConfigError, NpredError, room_on_disk
+from npred.errors import MissingError, NpredError, room_on_disk
 from npred.kernels import cache, compiler
 
 CONSTANT = 0.123456789
@@ -97,14 +97,14 @@ def test_a_folder_that_others_write_to_is_refused(tmp_path, monkeypatch, mode):
     monkeypatch.setenv("NPRED_CACHE", str(tmp_path))
     (tmp_path / "kernels").mkdir()
     (tmp_path / "kernels").chmod(mode)
-    with pytest.raises(ConfigError, match=f"kernels: expected a folder that only you can write to.*{mode:o}.*remove"):
+    with pytest.raises(MissingError, match=f"kernels: expected a folder that only you can write to.*{mode:o}.*remove"):
         cache.folder()
 
 
 def test_the_folder_of_another_user_is_refused(tmp_path, monkeypatch):
     monkeypatch.setenv("NPRED_CACHE", str(tmp_path))
     monkeypatch.setattr(os, "geteuid", lambda: tmp_path.stat().st_uid + 1)
-    with pytest.raises(ConfigError, match="only you can write to"):
+    with pytest.raises(MissingError, match="only you can write to"):
         cache.folder()
 
 
@@ -121,7 +121,7 @@ def test_an_empty_variable_is_unset(tmp_path, monkeypatch, unset):
 def test_a_relative_folder_is_refused(tmp_path, monkeypatch, name):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv(name, "cache")
-    with pytest.raises(ConfigError, match=f"{name}: expected an absolute path, got 'cache'"):
+    with pytest.raises(MissingError, match=f"{name}: expected an absolute path, got 'cache'"):
         cache.folder()
     assert not [*tmp_path.iterdir()]
 

@@ -1,6 +1,7 @@
 """The compiler: threads that want the same library, texts that do not compile, machines without a compiler."""
 
 import ctypes
+import re
 import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
@@ -10,6 +11,7 @@ import pytest
 
 from npred.errors import MissingError, NpredError
 from npred.kernels import cache, compiler
+from npred.runtimes import c_files
 
 TEXT = "double twice(double a) {{ return {} * a; }}"
 
@@ -49,6 +51,30 @@ def test_a_compiler_that_writes_in_another_encoding_is_told_in_one_line_too(monk
     monkeypatch.setattr(compiler, "command", lambda: complaint)
     with pytest.raises(NpredError, match=r"got: error: d.clar.; report it"):
         compiler.library(TEXT.format("11.0"))
+
+
+@pytest.mark.parametrize(
+    ("does", "words"),
+    [
+        ("sys.exit(7)", "got: no word, exit code 7; report it"),
+        ("os.kill(os.getpid(), 9)", "got: no word, exit code -9; report it"),
+        (r"sys.exit('\n\n  stopped here\nfor good')", "got: stopped here; report it"),
+        (r"sys.exit('\nwarning: b\nan error: c')", "got: an error: c; report it"),
+        (
+            "sys.exit('error: as: No space left on device')",
+            "device; free some of the disk, or name others in NPRED_CACHE",
+        ),
+    ],
+)
+def test_what_a_compiler_says_that_fails_is_never_empty(tmp_path, monkeypatch, does, words):
+    monkeypatch.setattr(compiler, "command", lambda: (sys.executable, "-c", f"import os, sys; {does}"))
+    with pytest.raises(NpredError, match=re.escape(words)):
+        compiler.library(TEXT.format("13.0"))
+    (tmp_path / "cc").write_text(f"#!{sys.executable}\nimport os, sys\n{does}\n")
+    (tmp_path / "cc").chmod(0o700)
+    monkeypatch.setattr(c_files, "found", lambda: (str(tmp_path / "cc"),))
+    with pytest.raises(NpredError, match=re.escape(words.partition(";")[0])):
+        c_files.build([], tmp_path / "library.so", "fmu")
 
 
 def test_a_machine_without_a_compiler_is_told_what_to_install(monkeypatch):

@@ -263,3 +263,55 @@ def test_the_delay_is_found_with_jitter_and_late_samples(D):
         truth.send(t, U)
     assert abs(controller.D_hat - D) < DT + 0.02 * D
     assert controller.status.D_hat_spread < 0.4
+
+
+REFUSED = {  # what raises ConfigError, of a controller whose last call was at `last`
+    "a sample of the future": lambda c, last: c.step([0.4, 0.1], t=last + 0.7, sampled_at=last + 0.7 + 1.5 * DT),
+    "a state of another shape": lambda c, last: c.step([0.4], t=last + 0.7),
+    "u as well": lambda c, last: c.step([0.4, 0.1], np.zeros((41, 1)), t=last + 0.7),
+    "a command that is none": lambda c, last: c.step([0.4, 0.1], t=last + 0.7, applied=[np.inf]),
+    "no number": lambda c, last: c.step([0.4, 0.1], t=last + 0.7, applied=[1.0], sampled_at="now"),
+    "infinity": lambda c, last: c.step([0.4, 0.1], t=np.inf),
+    "an estimate of a state": lambda c, last: c.restore(other() | {"D_hat": 9.0}),
+    "steps of a state": lambda c, last: c.restore(other() | {"step": -1}),
+    "phi of a state": lambda c, last: c.restore(other() | {"phi": np.inf}),
+    "a time of a state": lambda c, last: c.restore(other() | {"t0": np.nan}),
+    "commands of a state": lambda c, last: c.restore(other() | {"commands": {"k": 0, "held": [], "sums": []}}),
+    "a clock of a state": lambda c, last: c.restore(other() | {"clock": [1.0]}),
+    "an estimate": lambda c, last: setattr(c, "D_hat", 9.0),
+    "a time": lambda c, last: setattr(c, "t", np.inf),
+}
+
+
+def other():
+    """The state of a controller that has stepped elsewhere."""
+    controller = motor(law=npred.DelayObserver(bounds=(0.05, 0.5)))
+    for k in range(9):
+        controller.step([0.1 * k, -0.2])
+    return controller.state()
+
+
+@pytest.mark.parametrize("steps", [0, 30])
+@pytest.mark.parametrize("u0", [None, "law"])
+@pytest.mark.parametrize("name", REFUSED)
+def test_a_call_that_is_refused_changes_nothing(name, u0, steps):
+    law = npred.DelayObserver(bounds=(0.05, 0.5))
+    controller, twin = motor(law=law, u0=u0), motor(law=law, u0=u0)
+    for k in range(steps):
+        for each in (controller, twin):
+            each.step([0.5 - 0.01 * k, 0.1], t=3.0 + k * DT)
+    saved = controller.state()
+    with pytest.raises(ConfigError):
+        REFUSED[name](controller, controller.t - DT)
+    assert controller.state() == saved
+    for k in range(3):
+        t = 3.0 + (steps + k) * DT
+        np.testing.assert_array_equal(controller.step([0.3, 0.2], t=t), twin.step([0.3, 0.2], t=t))
+    assert controller.state() == twin.state()
+
+
+def test_a_first_state_that_is_not_finite_starts_no_clock():
+    controller = motor(u0="law")
+    with pytest.raises(DivergedError):
+        controller.step([np.nan, 0.0], t=3.0, applied=[1.0])
+    assert controller.t == 0.0 and not controller.state()["clock"][7]

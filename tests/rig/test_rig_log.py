@@ -27,8 +27,8 @@ def path(tmp_path: Path) -> Path:
     order[19], order[20] = order[20], order[19]
     for k in order:
         taken = 2 * k * DT
-        values = (1 / (k + 1), k, taken + 0.05, np.nan if k < 10 else 0.29)
-        written.row(taken, (*PLANT.states, *log.SAMPLE), values)
+        values = (0.0, k, taken + 0.05, np.nan if k < 10 else 0.29, 1 / (k + 1))
+        written.row(taken, (*PLANT.states, *log.SAMPLE, *log.truth(PLANT)), values)
     written.end(log.OVER)
     return tmp_path / "log.csv"
 
@@ -43,7 +43,14 @@ def test_the_summary_counts_what_is_in_the_log(path):
     assert said["without_sample"] == pytest.approx(49 / 98)  # the second call of each pair; 41 has what 40 did not take
     assert said["late_max_us"] == pytest.approx(100)
     assert said["took_median_us"] == pytest.approx(200)
-    assert said["radius"] == pytest.approx(1 / 46)  # of the first sample in the last tenth
+    assert said["radius"] == pytest.approx(1 / 46)  # of the plant at the first sample in the last tenth
+
+
+@pytest.mark.parametrize("lost", ["", "inf", "-inf"])
+def test_a_plant_that_left_the_finite_numbers_has_no_radius(path, lost):
+    *rows, last, why = path.read_text().splitlines()
+    path.write_text("\n".join([*rows, ",".join([*last.split(",")[:-1], lost]), why]) + "\n")
+    assert log.summary(PLANT, log.read(path), DT)["radius"] is None
 
 
 def test_a_log_that_was_cut_says_no_reason(path):

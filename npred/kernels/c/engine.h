@@ -34,12 +34,13 @@ static inline void copy_lane(int count, int lanes, int l, const double *from, do
  * are those whose delay is negative, or in one step came to be longer than the history of commands, `longest`. A
  * prediction that ends there has its last finite node as state, with the input there; what it was made from is the last
  * of the samples, and says when that node comes. */
-static inline void watch(Shape d, INDEX k, double t, double longest, const Settings *s, State *z, Record *out)
+static inline void watch(Shape d, INDEX k, double t, double longest, int predicts, const Settings *s, State *z,
+                         Record *out)
 {
     const int lanes = d.lanes, last = d.nx - 1;
     const ptrdiff_t states = (ptrdiff_t)d.n * lanes, inputs = (ptrdiff_t)d.m * lanes;
     for (int l = 0; l < lanes; l++) {
-        const int lost = isnan(z->P[last * states + l]) && !isnan(z->X_hat[l]);
+        const int lost = predicts && isnan(z->P[last * states + l]) && !isnan(z->X_hat[l]);
         const int runs = z->speed[l] > 0.0 && 0.0 <= z->D[l] && z->D[l] <= longest;
         const double *X = z->X, *U = z->U0;
         if (out->infeasible[l] >= 0 || !isfinite(z->X[l]) || !(lost || !runs)) {
@@ -170,7 +171,7 @@ void run(Shape d, INDEX origin, INDEX start, INDEX stop, const Parts *q, const S
         actuate(d, origin + k, s->dt, z->D, z->U, z->held, z->total, z->U0, z->U1, z->share);
         if (s->moves) {
             q->pace(d, z->X, z->U0, t, s->truth_p, z->speed, work);
-            watch(d, k, t, (double)(origin + k) * s->dt, s, z, out);
+            watch(d, k, t, (double)(origin + k) * s->dt, q->predict && q->believe, s, z, out);
         }
         if (s->moves || s->tabulates) {
             retime(d, origin + k, s->dt, z->D, z->speed, z->held, z->U1, z->share);

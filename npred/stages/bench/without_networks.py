@@ -5,6 +5,7 @@ import numpy as np
 from npred import array_checks, diagnosis, grid, randomness
 from npred.config import Pipeline
 from npred.data.dataset import Dataset
+from npred.diagnosis.case import WITHOUT_V
 from npred.errors import ConfigError
 from npred.figures.style import short
 from npred.operators.weights import untrained
@@ -30,7 +31,7 @@ def measure(pipeline: Pipeline, plant: Plant) -> Foreseen:
     Samples come from short loops of [generate], and nothing is stored. Raises ConfigError for a pipeline that its plant
     does not fit, for loops that leave the finite numbers, and where no method reaches an error.
     """
-    if not plant.declares_V:  # the paper's law takes one, and its loops are asked for samples only
+    if not plant.declares_V and pipeline.generate.adaptation not in WITHOUT_V:  # its loops are asked for samples only
         adapted = pipeline.generate.model_copy(update={"adaptation": "delay-observer", "actuator": "history"})
         pipeline = pipeline.model_copy(update={"generate": adapted})
     diagnosis.require(plant, pipeline, ("generate",))
@@ -69,8 +70,8 @@ def sentence(crossovers: list[Crossover]) -> str:
     faster = [c for c in crossovers if c.network_speedup > 1]
     bests = ", ".join(f"{_method(c)} {c.best_us:.1f} µs at ε = {short(c.eps_sup)}" for c in crossovers)
     times = f"the network takes {crossovers[-1].network_us:.1f} µs, {bests}"
-    least = " or ".join(f"{c.pays_from_ns:.0f}" for c in crossovers)
-    pays = f"A network pays from {least} ns per evaluation of f on (here {crossovers[-1].f_ns:.0f} ns)."
+    least = " or ".join(f"{c.pays_from_ns:.0f} ns (for {_share(c)} error)" for c in crossovers)
+    pays = f"One would pay if an evaluation of f took at least {least}; here it takes {crossovers[-1].f_ns:.0f} ns."
     if not faster:
         return f"No network pays for {crossovers[0].plant}: {times}. {pays}"
     which = ""
@@ -79,6 +80,10 @@ def sentence(crossovers: list[Crossover]) -> str:
     elif crossovers[-1] not in faster:
         which = f", but not if its error has to be {short(crossovers[-1].eps_sup)}"
     return f"A network could pay for {crossovers[0].plant}{which}: {times}. {pays} Train one to know its error."
+
+
+def _share(crossover: Crossover) -> str:
+    return f"{100 * crossover.eps_relative:.2g} %"
 
 
 def _method(crossover: Crossover) -> str:
@@ -95,6 +100,7 @@ def summary(result: Foreseen, width: int | None = None) -> str:
     first = result.crossover[0]
     rows.append([result.network, "", "", f"{first.network_us:.1f}", "not trained"])
     head = ["predictor", "steps", "dx", "µs", "ε sup"]
-    errors = " and ".join(short(c.eps_relative) for c in result.crossover)
-    about = f"{result.plant}: each method on the fewest steps whose error is {errors} of the largest |P|"
+    upper, lower = map(_share, result.crossover)
+    errors = f"{upper} (upper rows) and {lower} (lower rows) of the largest |P|"
+    about = f"{result.plant}: the fewest steps with which each method errs by at most {errors}"
     return "\n".join([about, "", columns(head, rows, width, numbers=head[1:]), "", result.sentence])

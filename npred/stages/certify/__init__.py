@@ -1,4 +1,4 @@
-"""A bound of a network's error with a confidence, an adversary's search, and loops that the guard keeps."""
+"""Bound a network's error by fresh rollouts, search for its worst inputs, and test its guard."""
 
 from npred.stages.declaration import Stage
 
