@@ -12,6 +12,7 @@ from npred.plants import Plant
 from npred.predictors import RK4
 
 DT = 0.01
+SEEKING = npred.DelayObserver(bounds=(0.05, 0.4))
 
 
 class Motor:
@@ -263,3 +264,39 @@ def test_the_delay_is_found_with_jitter_and_late_samples(D):
         truth.send(t, U)
     assert abs(controller.D_hat - D) < DT + 0.02 * D
     assert controller.status.D_hat_spread < 0.4
+
+
+def test_samples_just_before_the_control_steps_find_the_delay_as_those_on_them():
+    """They are two old, and a ten-thousandth more: the estimate is the same within a hundredth of one in each call."""
+
+    def found(early):
+        truth, controller, past, series = Truth(0.12, X=(1.5, 0.0)), motor(0.3, SEEKING), [], []
+        for k in range(60):
+            taken = max(k - early, 0.0) * DT
+            past.append((taken, truth.to(taken).copy()))
+            at, X = past[max(k - 2, 0)]
+            came = k == 0 or k > 2
+            U = controller.step(X if came else None, t=k * DT, sampled_at=at if came else None)
+            series.append(controller.D_hat)
+            truth.send(k * DT, U)
+        return np.array(series)
+
+    on_time = found(0.0)
+    assert on_time[0] == 0.3 and abs(on_time[-1] - 0.12) < 1e-3
+    np.testing.assert_allclose(found(1e-4), on_time, rtol=0, atol=1e-2 * DT)
+
+
+def test_the_jump_of_a_watchdog_limits_u_at_no_other_time():
+    """Not before it takes U, and not after the law has it back: a state that steps has the law's U at once."""
+    guarded, law = motor(watchdog=npred.Watchdog(5.5 * DT, "zero", jump=0.05)), motor()
+    sent, free, handed = [], [], []
+    for k in range(150):
+        X = None if 50 <= k < 60 else np.array([0.3 if k // 10 % 2 else 0.2, 0.1])
+        free.append(law.step(X, t=k * DT, applied=sent[-1] if sent else None).copy())
+        sent.append(guarded.step(X, t=k * DT).copy())
+        handed.append(guarded.status.handed_over)
+    steps, apart = np.abs(np.diff(np.ravel(sent))), np.abs(np.subtract(sent, free)).ravel()
+    limited = np.flatnonzero(apart > 1e-12)
+    assert np.flatnonzero(handed).tolist() == [55, 56, 57, 58, 59]
+    assert limited[0] == 55 and 60 <= limited[-1] < 70 and steps[54:69].max() <= 0.05 + 1e-12
+    assert steps[:50].max() > 0.1 and steps[80:].max() > 0.1

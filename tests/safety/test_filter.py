@@ -252,3 +252,27 @@ def test_limits_are_kept_on_a_real_clock():
     safety, timing = npred.SafetyFilter(3.0, delay=0.01), npred.Timing(jitter=0.3)
     loop = npred.simulate(CART, RK4(CART, 31), safety=safety, timing=timing, **named)
     assert loop.safety.min() > 0 and loop.filtered.any() and not loop.unkept.any()
+
+
+@pytest.mark.parametrize("push", [1.0, -1.0])
+def test_an_offset_that_the_observer_found_acts_in_every_state_that_the_delay_may_lead_to(push):
+    """The least h of the commands of the last 0.26, 0.3 and 0.34 s, with the push, by the parabolas of the mass."""
+    dt, sent, X = 0.01, [0.0] * 40, np.zeros(2)
+    controller = npred.controller(
+        CART, RK4(CART, 31), None, dt, D_hat=0.3, u0=[0.0], actuator="history", gate=None,
+        safety=npred.SafetyFilter(3.0, delay=0.04), observer=npred.observers.EKF(CART, offset=1.0, R=1e-8),
+    )  # fmt: skip
+
+    def flown(X, U):
+        for u in U:
+            X = np.array([X[0] + dt * X[1] + dt**2 / 2 * (u + push), X[1] + dt * (u + push)])
+        return X
+
+    for k in range(400):
+        least = min(1 - abs(flown(X, sent[-late:])[0]) for late in (26, 30, 34))
+        U = controller.step(X)[0]
+        if k >= 300:
+            assert controller.status.kept == pytest.approx(least, abs=1e-4)
+        sent.append(U)
+        X = flown(X, [sent[-31]])
+    assert controller.status.offset[0] == pytest.approx(push, abs=1e-4)
