@@ -8,6 +8,7 @@ from scipy.integrate import solve_ivp
 
 import npred
 from npred.errors import ConfigError, DivergedError
+from npred.loop.clock import STAMPS
 from npred.plants import Plant
 from npred.predictors import RK4
 
@@ -188,6 +189,18 @@ def test_a_saved_controller_goes_on_between_two_samples():
             assert (other.step(X, t=t, sampled_at=None if X is None else t - 0.003) == U).all()
         if k == 19:
             other.restore(controller.state())
+
+
+@pytest.mark.parametrize("stamp", ["at", "lag"])
+def test_a_saved_clock_without_a_position_is_refused(stamp):
+    controller = motor()
+    controller.step([0.5, 0.0], t=0.0)
+    before = controller.state()
+    clock = list(before["clock"])
+    clock[STAMPS.index(stamp)] = None
+    with pytest.raises(ConfigError, match="expected the commands of such a controller, got others"):
+        controller.restore(before | {"clock": clock})
+    assert controller.state() == before
 
 
 def test_times_that_cannot_be_are_refused_in_one_line():

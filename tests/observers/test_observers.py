@@ -30,9 +30,9 @@ def test_from_the_truth_it_stays_there(kind):
 
 @KINDS
 def test_its_defaults_do_not_depend_on_units(kind):
-    """A pendulum in microseconds, milliradians and other units: the same estimates, and the same offset."""
+    """A pendulum in picoseconds, milliradians and other units: the same estimates, and the same offset."""
     found = []
-    for units in ({}, {"time": 1e6, "angle": 1e3, "rate": 7.0, "input": 0.01, "outputs": (50.0, 0.02)}):
+    for units in ({}, {"time": 1e12, "angle": 1e3, "rate": 7.0, "input": 0.01, "outputs": (50.0, 0.02)}):
         of = {"time": 1.0, "angle": 1.0, "rate": 1.0, "input": 1.0, "outputs": (1.0, 1.0)} | units
         observer = kind(swing_in(**units), offset=True)
         memory, rng = observer.start(), np.random.default_rng(0)
