@@ -244,10 +244,23 @@ def test_the_watchdog_hands_over_as_declared_and_returns_without_a_jump(then):
     assert abs(path[-1] - free[-1]) < 0.05  # it is the law's again
 
 
-def test_a_watchdog_has_u_before_the_first_sample():
-    controller = motor(watchdog=npred.Watchdog(0.1, then=1.5))
+class Stretched(Motor):
+    """Its delay is that of its angle."""
+
+    def delay(x, t, p, M):
+        return 0.1 + 0.01 * x.angle
+
+
+@pytest.mark.parametrize("kind", [Motor, Stretched])
+def test_a_watchdog_has_u_before_the_first_sample(kind):
+    plant, D_hat = Plant(kind.__name__, kind), None if kind is Stretched else 0.2
+    controller = npred.controller(
+        plant, RK4(plant, 11), None, DT, D_hat=D_hat, actuator="history", watchdog=npred.Watchdog(0.1, then=1.5)
+    )
     assert controller.step(None, t=0.0) == pytest.approx(1.5) and controller.status.handed_over
-    assert controller.status.age == np.inf
+    assert controller.status.age == np.inf and np.isfinite(controller.D_hat)
+    controller.step([0.5, 0.0], t=DT)
+    assert not controller.status.handed_over
 
 
 @pytest.mark.parametrize(
@@ -369,21 +382,22 @@ def test_an_observer_begins_at_its_first_state_where_no_sample_comes():
 
 
 def test_an_observer_does_not_go_back_for_a_sample_older_than_one_that_it_refused():
-    """By then it is at the time of the refused one."""
-    controllers = []
-    for samples in ([(6, 4), (7, 5)], [(6, 4), (7, None)]):
-        ekf = npred.observers.EKF(ROCKED, X0=[0.0, 0.0])
-        controller = npred.controller(ROCKED, RK4(ROCKED, 41), None, DT, D_hat=0.2, actuator="history", observer=ekf)
-        for k in range(6):
-            controller.step([np.sin(5 * k * DT)], t=k * DT)
-        (k, _), (later, older) = samples
-        controller.step([50.0], t=k * DT, sampled_at=k * DT)
-        controller.step(
-            None if older is None else [0.3], t=later * DT, sampled_at=None if older is None else older * DT
+    """By then it is at the time of the refused one, whose sample of the step before is counted as late."""
+    used, without = (
+        npred.controller(
+            ROCKED, RK4(ROCKED, 41), None, DT, D_hat=0.2, actuator="history",
+            observer=npred.observers.EKF(ROCKED, X0=[0.0, 0.0]),
         )
-        controllers.append(controller)
-    used, without = controllers
-    assert used.status.refused == without.status.refused == 1 and used.status.late - without.status.late == 1
+        for _ in range(2)
+    )  # fmt: skip
+    for k in range(7):
+        for controller in (used, without):
+            Y = 50.0 if k == 6 else np.sin(5 * k * DT)
+            controller.step([Y] if k < 4 or k == 6 else None, t=k * DT)
+    used.step([0.3], t=7 * DT, sampled_at=5 * DT)
+    without.step(None, t=7 * DT)
+    assert used.status.refused == without.status.refused == 1
+    assert (used.status.late, without.status.late) == (1, 0)
     np.testing.assert_array_equal(used.X_hat, without.X_hat)
 
 
