@@ -92,3 +92,30 @@ def test_the_size_of_the_noise_is_found_although_each_segment_has_a_state_of_its
     plant = npred.plants.make("decay", Decay)
     problem = Problem(RolloutModel(plant, ()), Segments.of(log, 4, 1.0), np.ones(1), nothing)
     assert problem.rescaled(problem.fit(np.zeros(1))).scale[0] == pytest.approx(0.2, rel=0.03)
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e3, 1e-3])
+def test_a_fit_does_not_depend_on_the_unit_of_a_state_that_is_not_measured(unit):
+    """A speed that only the position tells of: its initial values leave the noise alone."""
+
+    class Cart:
+        states, inputs, outputs = ("X", "Y"), ("U",), ("position",)
+
+        def f(x, u, t, p, M):
+            return [x.Y / unit, unit * u.U - 0.8 * x.Y]
+
+        def kappa(x, t, p, M):
+            return [-x.X]
+
+        def output(x, t, p, M):
+            return [x.X]
+
+    rng, t = np.random.default_rng(0), 0.1 * np.arange(400)
+    positions = np.concatenate([0.2 * k + 0.7 * (1 - np.exp(-0.8 * 0.1 * np.arange(20))) / 0.8 for k in range(20)])
+    log = Log(t, positions[:, None] + 0.01 * rng.standard_normal((400, 1)), t[:2], np.zeros((2, 1)))
+    nothing = Prior(np.zeros(0), np.zeros(0), np.zeros((2, 0)))
+    plant = npred.plants.make("cart", Cart)
+    problem = Problem(RolloutModel(plant, (), steps=4), Segments.of(log, 20, 1.0), np.array([0.01]), nothing)
+    found = problem.fit(np.zeros(1))
+    assert found.cost / found.count == pytest.approx(1.0, abs=0.15)
+    np.testing.assert_allclose(found.X[:, 1] / unit, 0.7, atol=0.08)
