@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 import npred
 from npred.errors import ConfigError, DivergedError
 from npred.loop.clock import STAMPS
-from npred.plants import Plant
+from npred.plants import Plant, make
 from npred.predictors import RK4
 
 DT = 0.01
@@ -451,15 +451,35 @@ class Winch(Motor):
         return [-x.angle - x.speed, -0.5 * x.angle]
 
 
-def winch(then, jump=None):
-    plant = Plant("winch", Winch, {"rescue": 3.0})
+class CalledWinch:
+    """The same, called."""
+
+    traced = False
+    states, inputs, parameters, input_bounds = Winch.states, Winch.inputs, Winch.parameters, Winch.input_bounds
+
+    def f(X, u, t, p):
+        return np.stack([X[:, 1] + u[:, 1], u[:, 0]], axis=1)
+
+    def kappa(X, t, p):
+        return np.stack([-X[:, 0] - X[:, 1], -0.5 * X[:, 0]], axis=1)
+
+
+def winch(then, jump=None, kind=Winch):
+    plant = make("winch", kind, {"rescue": 3.0})
     return npred.controller(
         plant, RK4(plant, 21), None, DT, D_hat=0.1, actuator="history", watchdog=npred.Watchdog(1.5 * DT, then, jump)
     )
 
 
-def test_the_law_of_a_watchdog_has_the_plants_parameters_and_the_bounds_of_u():
-    controller = winch(lambda x, t, p, M: [p.rescue + 0 * x.angle, 90.0 + 0 * x.angle])
+@pytest.mark.parametrize(
+    ("kind", "law"),
+    [
+        (Winch, lambda x, t, p, M: [p.rescue + 0 * x.angle, 90.0 + 0 * x.angle]),
+        (CalledWinch, lambda X, t, p: np.stack([p.rescue + 0 * X[:, 0], 90.0 + 0 * X[:, 0]], axis=1)),
+    ],
+)
+def test_the_law_of_a_watchdog_has_the_plants_parameters_and_the_bounds_of_u(kind, law):
+    controller = winch(law, kind=kind)
     controller.step([0.5, 0.0], t=0.0)
     U = [controller.step(None, t=k * DT).copy() for k in (1, 2)][-1]
     assert controller.status.handed_over and U.tolist() == [3.0, 2.0]
