@@ -11,7 +11,7 @@ from npred import array_checks
 from npred.delays import family_of
 from npred.errors import ConfigError, unlisted
 from npred.kernels.kernel import Kernel
-from npred.plants.base import Plant
+from npred.plants import Plant, make
 from npred.predictors import RK4
 
 
@@ -59,7 +59,7 @@ class Watchdog:
         if not callable(self.then):
             return None
         declaration = type("Rescue", (plant.declaration,), {"kappa": staticmethod(self.then)})
-        return family_of(Plant(plant.name, declaration, plant.parameters)).control(RK4.step)
+        return family_of(make(plant.name, declaration, plant.parameters)).control(RK4.step)
 
 
 def _one_per_input(name: str, value: Any, m: int) -> np.ndarray:

@@ -38,6 +38,13 @@ class Seen(Swing):
         return [M.sin(x.angle) + 0.1 * M.sin(t)]
 
 
+class Rocked(Seen):
+    """On a ship."""
+
+    def f(x, u, t, p, M):
+        return [x.rate, M.sin(x.angle) - 0.5 * x.rate + u.torque + 2 * M.cos(9 * t)]
+
+
 class Pair:
     """Two integrators, the second input later by half."""
 
@@ -54,7 +61,7 @@ class Pair:
         return x.a**2 + x.b**2
 
 
-SWING, SEEN, PAIR = Plant("swing", Swing), Plant("seen", Seen), Plant("pair", Pair)
+SWING, SEEN, PAIR, ROCKED = (Plant(kind.__name__.lower(), kind) for kind in (Swing, Seen, Pair, Rocked))
 UNSTEADY = npred.Timing(jitter=0.3, lost=0.1, overrun=0.1, seed=3)
 
 
@@ -143,6 +150,7 @@ CASES = {
                  {"watchdog": npred.Watchdog(0.05, "zero", jump=0.3)}),
     "delays": (PAIR, UNSTEADY, npred.Measurement(period=0.02), {}),
     "observer": (SEEN, UNSTEADY, npred.Measurement(delay=0.02), {"observer": npred.observers.EKF(SEEN)}),
+    "plant of time": (ROCKED, UNSTEADY, npred.Measurement(delay=0.02), {"observer": npred.observers.EKF(ROCKED)}),
     "delay observer": (SWING, UNSTEADY, npred.Measurement(drop=0.2),
                        {"law": npred.DelayObserver(bounds=(0.05, 0.4)), "D_hat": 0.3}),
 }  # fmt: skip
@@ -184,6 +192,14 @@ def test_ideal_timing_is_the_plain_loop(D, law):
     assert not timed.clock.age.any() and not timed.clock.skipped.any() and not timed.clock.refusals.any()
 
 
+def test_a_delay_that_jumps_is_the_plain_loops():
+    """Where it grows, the plant gets older commands again. In the step of the jump itself the two differ a little."""
+    for before, after in ((0.2, 0.3), (0.3, 0.2)):
+        D = lambda t, a=before, b=after: a if t < 1.0 else b  # noqa: E731
+        plain, timed = (simulated(SWING, [0.5, 0.2], D=D, **more) for more in ({}, {"timing": npred.Timing(gate=None)}))
+        np.testing.assert_allclose(timed.X, plain.X, rtol=0, atol=1e-5)
+
+
 def test_a_disturbance_and_a_history_before_the_start_are_the_plain_loops():
     X0, push = [[0.5, 0.2], [0.2, 0.0]], lambda t: [[np.sin(3 * t)], [0.2]]
     for u0 in ([[0.3], [-0.2], [0.1]], lambda t: [np.cos(9 * t)]):
@@ -220,6 +236,17 @@ def test_the_schedule_has_the_jitter_the_losses_and_the_ages_that_are_declared()
             assert plan.sample[k] == newest and plan.age[k] == pytest.approx(plan.at[k] - plan.taken[newest])
         else:
             assert newest in plan.sample[:k] or newest == 0
+
+
+def test_samples_stop_for_the_end_of_each_period_and_the_first_one_is_there_at_once():
+    """None of 0.3 s in each second; with these, too, the loop begins with a sample and a call."""
+    stops = schedule(npred.Timing(stop=0.3, stop_every=1.0), npred.Measurement(), DT, 250, 0)
+    expected = np.arange(250) % 100 < 70
+    assert (stops.sample >= 0).tolist() == expected.tolist() and not stops.age.any()
+    for loop in range(40):
+        timing, sensors = npred.Timing(overrun=0.5, lost=0.5, seed=1), npred.Measurement(drop=0.6, delay=0.05, seed=2)
+        plan = schedule(timing, sensors, DT, 30, loop)
+        assert not plan.skipped[0] and plan.sample[0] == 0 and plan.age[0] == 0.0 and plan.taken[0] == 0.0
 
 
 def test_random_numbers_are_those_of_the_loop_in_c():

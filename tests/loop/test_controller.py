@@ -533,6 +533,22 @@ def test_over_refused_steps_what_is_expected_follows_the_delay_that_is_expected(
     assert held == refused
 
 
+def test_a_delay_is_refused_from_where_its_commands_are_overwritten_on():
+    """A tenth of a control step to either side of the longest that is kept."""
+    plant, dt = Plant("stretched", Stretched), 0.1
+    for beyond, refused in ((-0.1, False), (0.1, True)):
+        controller = npred.controller(plant, RK4(plant, 5), None, dt, actuator="history", gate=None, longest=1.5)
+        for k in range(60):
+            controller.step([1.0], t=k * dt)
+        longest = (controller.longest_D_hat + beyond * dt) / 0.3
+        assert controller.longest_D_hat >= 1.5
+        try:
+            controller.step([longest], t=60 * dt)
+            assert not refused
+        except DivergedError:
+            assert refused
+
+
 class Bounded(Cube):
     """Its V is not finite where X is huge, and U is."""
 

@@ -8,10 +8,12 @@ from scipy.integrate import solve_ivp
 
 import npred
 from npred.errors import ConfigError, DivergedError
-from npred.plants import Plant
+from npred.loop.clock import STAMPS
+from npred.plants import Plant, make
 from npred.predictors import RK4
 
 DT = 0.01
+SEEKING = npred.DelayObserver(bounds=(0.05, 0.4))
 
 
 class Motor:
@@ -40,8 +42,8 @@ def motor(D_hat=0.2, law=None, **named):
 class Truth:
     """The motor by SciPy, with the commands at the times at which they were sent, late by D."""
 
-    def __init__(self, D=0.2, X=(0.5, 0.0)):
-        self.D, self.t, self.X, self.sent = D, 0.0, np.array(X), [(-np.inf, 0.0)]
+    def __init__(self, D=0.2, X=(0.5, 0.0), plant=MOTOR):
+        self.D, self.t, self.X, self.sent, self.plant = D, 0.0, np.array(X), [(-np.inf, 0.0)], plant
 
     def send(self, t, U):
         self.sent.append((t, float(U[0])))
@@ -51,7 +53,7 @@ class Truth:
         times = [s + self.D for s, _ in self.sent if self.t < s + self.D < t]
         for end in [*times, t]:
             U = max((s, u) for s, u in self.sent if s + self.D <= self.t + 1e-12)[1]
-            f = lambda _, x, U=U: MOTOR.f(x, np.array([U]))  # noqa: E731
+            f = lambda s, x, U=U: self.plant.f(x, np.array([U]), s)  # noqa: E731
             if end > self.t:
                 self.X = solve_ivp(f, (self.t, end), self.X, rtol=1e-10, atol=1e-12).y[:, -1]
             self.t = end
@@ -189,6 +191,18 @@ def test_a_saved_controller_goes_on_between_two_samples():
             other.restore(controller.state())
 
 
+@pytest.mark.parametrize("stamp", ["at", "lag"])
+def test_a_saved_clock_without_a_position_is_refused(stamp):
+    controller = motor()
+    controller.step([0.5, 0.0], t=0.0)
+    before = controller.state()
+    clock = list(before["clock"])
+    clock[STAMPS.index(stamp)] = None
+    with pytest.raises(ConfigError, match="expected the commands of such a controller, got others"):
+        controller.restore(before | {"clock": clock})
+    assert controller.state() == before
+
+
 def test_times_that_cannot_be_are_refused_in_one_line():
     controller = motor()
     controller.step([0.5, 0.0], t=1.0)
@@ -230,10 +244,23 @@ def test_the_watchdog_hands_over_as_declared_and_returns_without_a_jump(then):
     assert abs(path[-1] - free[-1]) < 0.05  # it is the law's again
 
 
-def test_a_watchdog_has_u_before_the_first_sample():
-    controller = motor(watchdog=npred.Watchdog(0.1, then=1.5))
+class Stretched(Motor):
+    """Its delay is that of its angle."""
+
+    def delay(x, t, p, M):
+        return 0.1 + 0.01 * x.angle
+
+
+@pytest.mark.parametrize("kind", [Motor, Stretched])
+def test_a_watchdog_has_u_before_the_first_sample(kind):
+    plant, D_hat = Plant(kind.__name__, kind), None if kind is Stretched else 0.2
+    controller = npred.controller(
+        plant, RK4(plant, 11), None, DT, D_hat=D_hat, actuator="history", watchdog=npred.Watchdog(0.1, then=1.5)
+    )
     assert controller.step(None, t=0.0) == pytest.approx(1.5) and controller.status.handed_over
-    assert controller.status.age == np.inf
+    assert controller.status.age == np.inf and np.isfinite(controller.D_hat)
+    controller.step([0.5, 0.0], t=DT)
+    assert not controller.status.handed_over
 
 
 @pytest.mark.parametrize(
@@ -315,3 +342,204 @@ def test_a_first_state_that_is_not_finite_starts_no_clock():
     with pytest.raises(DivergedError):
         controller.step([np.nan, 0.0], t=3.0, applied=[1.0])
     assert controller.t == 0.0 and not controller.state()["clock"][7]
+
+
+def test_samples_just_before_the_control_steps_find_the_delay_as_those_on_them():
+    """They are two old, and a ten-thousandth more: the estimate is the same within a hundredth of one in each call."""
+
+    def found(early):
+        truth, controller, past, series = Truth(0.12, X=(1.5, 0.0)), motor(0.3, SEEKING), [], []
+        for k in range(60):
+            taken = max(k - early, 0.0) * DT
+            past.append((taken, truth.to(taken).copy()))
+            at, X = past[max(k - 2, 0)]
+            came = k == 0 or k > 2
+            U = controller.step(X if came else None, t=k * DT, sampled_at=at if came else None)
+            series.append(controller.D_hat)
+            truth.send(k * DT, U)
+        return np.array(series)
+
+    on_time = found(0.0)
+    assert on_time[0] == 0.3 and abs(on_time[-1] - 0.12) < 1e-3
+    np.testing.assert_allclose(found(1e-4), on_time, rtol=0, atol=1e-2 * DT)
+
+
+def test_the_jump_of_a_watchdog_limits_u_at_no_other_time():
+    """Not before it takes U, and not after the law has it back: a state that steps has the law's U at once."""
+    guarded, law = motor(watchdog=npred.Watchdog(5.5 * DT, "zero", jump=0.05)), motor()
+    sent, free, handed = [], [], []
+    for k in range(150):
+        X = None if 50 <= k < 60 else np.array([0.3 if k // 10 % 2 else 0.2, 0.1])
+        free.append(law.step(X, t=k * DT, applied=sent[-1] if sent else None).copy())
+        sent.append(guarded.step(X, t=k * DT).copy())
+        handed.append(guarded.status.handed_over)
+    steps, apart = np.abs(np.diff(np.ravel(sent))), np.abs(np.subtract(sent, free)).ravel()
+    limited = np.flatnonzero(apart > 1e-12)
+    assert np.flatnonzero(handed).tolist() == [55, 56, 57, 58, 59]
+    assert limited[0] == 55 and 60 <= limited[-1] < 70 and steps[54:69].max() <= 0.05 + 1e-12
+    assert steps[:50].max() > 0.1 and steps[80:].max() > 0.1
+
+
+def test_a_pause_of_two_histories_is_predicted_over():
+    """The last command was held, so that the model knows where the plant is."""
+    controller, truth = motor(), Truth()
+    for k in range(30):
+        truth.send(k * DT, controller.step(truth.to(k * DT), t=k * DT))
+    pause = 2 * len(controller.memory.held) * DT
+    t = 29 * DT + pause
+    controller.step(None, t=t)
+    np.testing.assert_allclose(controller.X_hat, truth.to(t), atol=1e-6)
+
+
+class Rocked(Motor):
+    """The motor on a ship, seen by its angle to the horizon."""
+
+    outputs = ("to_horizon",)
+
+    def f(x, u, t, p, M):
+        return [x.speed, M.sin(x.angle) - 0.5 * x.speed + u.i + 3.0 * M.cos(9.0 * t)]
+
+    def output(x, t, p, M):
+        return [x.angle + M.sin(5.0 * t)]
+
+
+ROCKED = Plant("rocked", Rocked)
+
+
+@pytest.mark.parametrize("observed", [False, True])
+def test_samples_that_are_late_are_brought_to_now_by_the_time_at_which_they_were_taken(observed):
+    """Of a plant and an output that time moves: five control steps of age, each other call without a sample."""
+    observer = npred.observers.EKF(ROCKED, X0=[0.5, 0.0]) if observed else None
+    controller = npred.controller(
+        ROCKED, RK4(ROCKED, 41), None, DT, D_hat=0.2, actuator="history", observer=observer, gate=None
+    )
+    truth, past, worst = Truth(plant=ROCKED), [], 0.0
+    for k in range(80):
+        t = k * DT
+        past.append(truth.to(t).copy())
+        at, X = max(k - 5, 0) * DT, past[max(k - 5, 0)]
+        Y = ROCKED.output(X, at) if observed else X
+        came = k == 0 or (k > 5 and k % 2 == 0)
+        U = controller.step(Y if came else None, t=t, sampled_at=at if came else None)
+        worst = max(worst, np.abs(controller.X_hat - truth.X).max())
+        truth.send(t, U)
+    assert worst < 1e-5
+
+
+def test_an_observer_begins_at_its_first_state_where_no_sample_comes():
+    ekf = npred.observers.EKF(ROCKED, X0=[0.5, -1.0])
+    controller = npred.controller(ROCKED, RK4(ROCKED, 41), None, DT, D_hat=0.2, actuator="history", observer=ekf)
+    controller.step(None, t=0.0)
+    np.testing.assert_array_equal(controller.X_hat, [0.5, -1.0])
+
+
+def test_an_observer_does_not_go_back_for_a_sample_older_than_one_that_it_refused():
+    """By then it is at the time of the refused one, whose sample of the step before is counted as late."""
+    used, without = (
+        npred.controller(
+            ROCKED, RK4(ROCKED, 41), None, DT, D_hat=0.2, actuator="history",
+            observer=npred.observers.EKF(ROCKED, X0=[0.0, 0.0]),
+        )
+        for _ in range(2)
+    )  # fmt: skip
+    for k in range(7):
+        for controller in (used, without):
+            Y = 50.0 if k == 6 else np.sin(5 * k * DT)
+            controller.step([Y] if k < 4 or k == 6 else None, t=k * DT)
+    used.step([0.3], t=7 * DT, sampled_at=5 * DT)
+    without.step(None, t=7 * DT)
+    assert used.status.refused == without.status.refused == 1
+    assert (used.status.late, without.status.late) == (1, 0)
+    np.testing.assert_array_equal(used.X_hat, without.X_hat)
+
+
+@pytest.mark.parametrize("gap", [1.0, 2.0, 3.5])
+def test_while_no_call_comes_the_estimate_goes_on_by_its_last_rate(gap):
+    """Then by the method of Adams and Bashforth, as in each call; the commands are read by what it is by then."""
+    gamma, controller = 0.4, motor(0.2, npred.DelayAdaptation(0.4, 1.0, (0.05, 0.5)))
+    for k in range(6):
+        controller.step([0.5 - 0.01 * k, 0.1], t=k * DT)
+    before, phi = controller.D_hat, controller.state()["phi"]
+    controller.step([0.4, 0.1], t=(5 + gap) * DT)
+    read = before + gamma * DT * (gap - 1) * phi
+    assert controller.memory.D_seen[0, 0] == pytest.approx(read, abs=1e-12) and phi != 0
+    after = read + gamma * DT * (1.5 * controller.state()["phi"] - 0.5 * phi)
+    assert controller.D_hat == pytest.approx(after, abs=1e-12)
+
+
+@pytest.mark.parametrize("gamma", [30.0, -30.0])
+def test_over_a_pause_the_estimate_stays_within_its_bounds(gamma):
+    low, high = 0.15, 0.25
+    controller = motor(0.2, npred.DelayAdaptation(abs(gamma), 1.0, (low, high)))
+    for k in range(4):
+        controller.step([0.5, np.sign(gamma) * 3.0], t=k * DT)
+    controller.step([0.4, 0.1], t=(3 + 30) * DT)
+    assert low <= controller.memory.D_seen[0, 0] <= high
+
+
+@pytest.mark.parametrize("early", [0.0, 0.45])
+def test_each_second_sample_finds_the_delay_also_late_and_between_control_steps(early):
+    """Four steps old, and some; a call without one takes nothing from the next. Within a tenth of a control step."""
+    truth, controller, past = Truth(0.12, X=(1.5, 0.0)), motor(0.3, SEEKING), []
+    for k in range(120):
+        taken = max(k - early, 0.0) * DT
+        past.append((taken, truth.to(taken).copy()))
+        at, X = past[max(k - 4, 0)]
+        came = k == 0 or (k > 4 and k % 2 == 0)
+        truth.send(k * DT, controller.step(X if came else None, t=k * DT, sampled_at=at if came else None))
+    assert abs(controller.D_hat - 0.12) < 0.1 * DT
+
+
+class Winch(Motor):
+    """Two motors; the first one's rescue current is a parameter."""
+
+    states, inputs, parameters = ("angle", "speed"), ("i", "j"), {"rescue": 1.0}
+    input_bounds = ((-20.0, 20.0), (-2.0, 2.0))
+
+    def f(x, u, t, p, M):
+        return [x.speed + u.j, u.i]
+
+    def kappa(x, t, p, M):
+        return [-x.angle - x.speed, -0.5 * x.angle]
+
+
+class CalledWinch:
+    """The same, called."""
+
+    traced = False
+    states, inputs, parameters, input_bounds = Winch.states, Winch.inputs, Winch.parameters, Winch.input_bounds
+
+    def f(X, u, t, p):
+        return np.stack([X[:, 1] + u[:, 1], u[:, 0]], axis=1)
+
+    def kappa(X, t, p):
+        return np.stack([-X[:, 0] - X[:, 1], -0.5 * X[:, 0]], axis=1)
+
+
+def winch(then, jump=None, kind=Winch):
+    plant = make("winch", kind, {"rescue": 3.0})
+    return npred.controller(
+        plant, RK4(plant, 21), None, DT, D_hat=0.1, actuator="history", watchdog=npred.Watchdog(1.5 * DT, then, jump)
+    )
+
+
+@pytest.mark.parametrize(
+    ("kind", "law"),
+    [
+        (Winch, lambda x, t, p, M: [p.rescue + 0 * x.angle, 90.0 + 0 * x.angle]),
+        (CalledWinch, lambda X, t, p: np.stack([p.rescue + 0 * X[:, 0], 90.0 + 0 * X[:, 0]], axis=1)),
+    ],
+)
+def test_the_law_of_a_watchdog_has_the_plants_parameters_and_the_bounds_of_u(kind, law):
+    controller = winch(law, kind=kind)
+    controller.step([0.5, 0.0], t=0.0)
+    U = [controller.step(None, t=k * DT).copy() for k in (1, 2)][-1]
+    assert controller.status.handed_over and U.tolist() == [3.0, 2.0]
+
+
+def test_each_input_has_a_jump_of_its_own():
+    controller = winch((5.0, 1.5), jump=(0.5, 0.02))
+    before = controller.step([0.5, 0.0], t=0.0).copy()
+    U = [controller.step(None, t=k * DT).copy() for k in (1, 2)][-1]
+    assert controller.status.handed_over
+    np.testing.assert_allclose(U - before, [0.5, 0.02], atol=0.011)

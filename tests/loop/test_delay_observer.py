@@ -8,6 +8,7 @@ from follower import Follower, follower
 
 import npred
 from npred.errors import ConfigError
+from npred.loop import engine
 from npred.loop.delay_observer import NUMBERS, bank
 from npred.loop.measurement import Measurement
 from npred.plants import Plant
@@ -329,6 +330,13 @@ def test_a_disturbance_at_rest_replaces_no_transient():
 
 def after_sample(lasting, recent, D_hat, X=(1.0,), calls=9.0):
     """The estimate and the memory after a sample of candidates 0.1, 0.2, … s with these sums (K,) or (K, n)."""
+    count, n = len(lasting), len(X)
+    _, memory, estimate = sampled_by(lasting, recent, D_hat, X, calls)
+    return estimate, memory[count * (n + 1) :]
+
+
+def sampled_by(lasting, recent, D_hat, X, calls):
+    """The settings, the whole memory and the estimate after such a sample."""
     count, n, settings = len(lasting), len(X), [len(lasting), 0.0, 0.0, 0.01, 0.9, 5.0, 0.1, 0.9]
     assert len(settings) == NUMBERS
     law, sums = (
@@ -338,7 +346,7 @@ def after_sample(lasting, recent, D_hat, X=(1.0,), calls=9.0):
     memory = np.concatenate([np.zeros(count * (n + 1)), sums, np.ones(3 * n), [calls, 1.0, 0.0]])[:, None]
     estimate, gain = np.array([D_hat]), np.array([[0.0], [0.0], [0.01], [0.9]])
     bank(n, 1, count)[1](np.array(X)[:, None], law, memory, gain, estimate)
-    return estimate[0], memory[count * (n + 1) :, 0]
+    return law, memory[:, 0], estimate[0]
 
 
 def chosen(sums, D_hat, X=(1.0,)):
@@ -423,3 +431,12 @@ def test_of_candidates_that_are_as_good_the_estimate_is_the_nearest():
         assert {D_hat: chosen(tied, D_hat) for D_hat in expected} == pytest.approx(expected)
     for best, sums in ((0.2, single[1:]), (0.3, single), (0.5, [9.0, 9.0, *single[:4]])):
         assert chosen(sums, 0.9) == pytest.approx(best + 0.1 * 3 / 10)  # the parabola through (-1, 5), (0, 1), (1, 2)
+
+
+@pytest.mark.parametrize("times", [3.9, 4.1])
+def test_the_spread_is_that_of_the_candidates_between_which_the_estimate_does_not_choose(times):
+    """It is narrow exactly where the estimate moves: the errors of the others are four times the best one's."""
+    sums = np.array([times] * 3 + [1.0, 1.5, 3.0] + [times] * 2)
+    law, memory, estimate = sampled_by(sums, sums / 10, 0.8, (1.0,), 9.0)
+    moves, spread = estimate != 0.8, engine.spread(1, 1, law, memory)
+    assert (moves, spread) == (times > 4, pytest.approx(0.1 if moves else 0.35))

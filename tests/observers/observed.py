@@ -84,3 +84,39 @@ def correct(observer: Observer, memory: np.ndarray, Y, t: float = 0.0, gate: flo
     observer.correct()(np.asarray(Y, dtype=float).reshape(-1, 1), t, observer.plant.p, gate, observer.settings, memory,
                        innovation, spread)  # fmt: skip
     return innovation, spread
+
+
+def swing_in(time=1.0, angle=1.0, rate=1.0, input=1.0, outputs=(1.0, 1.0)) -> Plant:
+    """The Swing in other units: a second is `time` of the new ones, a radian `angle`, and so on."""
+
+    class Scaled(Swing):
+        box = {"angle": (-angle, angle), "rate": (-2.0 * rate, 2.0 * rate)}
+
+        def f(x, u, t, p, M):
+            x1, x2 = x.angle / angle, x.rate / rate
+            return [angle / time * x2, rate / time * (-4.0 * M.sin(x1) - 0.2 * x2 + u.U / input)]
+
+        def kappa(x, t, p, M):
+            return [-input / rate * x.rate]
+
+        def output(x, t, p, M):
+            x1, x2 = x.angle / angle, x.rate / rate
+            return [outputs[0] * M.sin(x1), outputs[1] * (x2 * M.cos(x1) + x1)]
+
+    return plant_of(Scaled)
+
+
+class Tide:
+    """A spring that time drives, whose gauge it shifts."""
+
+    states, inputs, outputs = ("q", "s"), ("U",), ("gauge",)
+    box = {"q": (-1.0, 1.0), "s": (-2.0, 2.0)}
+
+    def f(x, u, t, p, M):
+        return [x.s, -2.0 * x.q - 0.3 * x.s + 1.5 * u.U + 2.0 * M.sin(3.0 * t)]
+
+    def kappa(x, t, p, M):
+        return [-x.s]
+
+    def output(x, t, p, M):
+        return [x.q + 0.5 * M.sin(5.0 * t)]

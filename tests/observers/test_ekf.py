@@ -179,6 +179,7 @@ def test_factors_give_the_matrix_back():
         assert np.allclose(U @ np.diag(np.diag(stored)) @ U.T, P) and np.array_equal(
             np.tril(stored, -1), np.zeros((5, 5))
         )
+        assert (np.diag(stored) >= 0).all()  # variances, also of a matrix without full rank
 
 
 def test_an_input_switches_within_a_step():
@@ -290,3 +291,45 @@ def test_an_observer_pickles_with_the_controller_that_has_it():
         controller.step([0.1, 0.01 * k])
     copy = pickle.loads(pickle.dumps(controller))
     assert (copy.step([0.1, 0.02]) == controller.step([0.1, 0.02])).all()
+
+
+def test_what_is_known_exactly_stays_finite():
+    """Without noise of the model and of the first guess there is nothing to learn from a sample."""
+    observer = EKF(plant_of(Spring), Q=0.0, P0=0.0, X0=[0.6, -0.4])
+    memory = observer.start()
+    for _ in range(10):
+        follow(observer, memory, 0.5, 0.02)
+        correct(observer, memory, [3.0])
+    free = solve_ivp(lambda _, x: SPRING_A @ x + SPRING_B[:, 0] * 0.5, (0, 0.2), [0.6, -0.4], rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(memory[:2], free.y[:, -1], atol=1e-7)
+    assert not observer.covariance(memory).any()
+
+
+def test_each_output_has_the_gate_of_its_own_spread():
+    """One deviation of a rough output is used, and fifty of a fine one are not."""
+    observer = swing(R=[1e-6, 4.0], P0=[1e-8, 1e-8])
+    memory, fine = observer.start(), swing_output(np.array([0.6, -0.4]))
+    innovation, spread = correct(observer, memory, fine + np.array([0.05, 2.0]), gate=3.0)
+    expected, _ = updated(np.array([0.6, -0.4]), np.diag([1e-8, 1e-8]), fine + np.array([np.nan, 2.0]), [1e-6, 4.0])
+    assert abs(innovation[0]) > 40 * spread[0] and abs(innovation[1]) < 2 * spread[1]
+    np.testing.assert_allclose(memory[:2], expected, rtol=0, atol=1e-12)
+    assert (memory[:2] != [0.6, -0.4]).any()
+
+
+def test_defaults_are_shares_of_what_is_usual_of_the_plant():
+    """1 % of the half range of an output, half the box; where there is no box, the size of the state at rest."""
+
+    class Warm(Spring):
+        box = {"s": (-2.0, 2.0)}
+
+        def f(x, u, t, p, M):
+            return [x.s, 30.0 - x.q - x.s + u.U]
+
+        def kappa(x, t, p, M):
+            return [-x.s]
+
+    inside, without = EKF(plant_of(Spring)), EKF(plant_of(Warm))
+    assert np.sqrt(inside.R[0]) == pytest.approx(0.01, rel=0.05)
+    np.testing.assert_allclose(np.sqrt(np.diag(inside.P0)), [1.0, 2.0])
+    np.testing.assert_allclose(np.sqrt(np.diag(without.P0)), [30.0, 2.0], rtol=1e-6)
+    np.testing.assert_allclose(without.X0, [30.0, 0.0], atol=1e-6)

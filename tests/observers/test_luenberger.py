@@ -78,6 +78,11 @@ def test_a_long_step_is_divided():
     correct(observer, memory, [1.0])
     follow(observer, memory, 0.0, 1.0)
     assert 1.0 / observer.settings[0] > 100 and np.isfinite(memory).all() and np.abs(memory).max() < 30
+    fine = observer.start()
+    correct(observer, fine, [1.0])
+    for _ in range(2000):
+        follow(observer, fine, 0.0, 5e-4)
+    np.testing.assert_allclose(memory, fine, rtol=0, atol=1e-3)
 
 
 @pytest.mark.parametrize(("name", "outputs", "dt"), [("chemostat", ("S",), 0.05), ("cart_pole", ("p", "theta"), 0.02)])

@@ -132,6 +132,27 @@ def test_u_is_the_nearest_that_scipy_finds(seed, alpha):
         assert not by_scipy.success or (at_both_ends(x, by_scipy.x, t, alpha, dt) < 1e-5).any()
 
 
+def test_a_law_beyond_the_bounds_of_u_keeps_no_limit_by_what_is_not_sent():
+    """v = 5 would keep the point out of the circle, and 1 is all there is: u, which moves y by 0.4, does the rest."""
+    x, t, alpha, dt = np.array([0.0, 0.3]), 0.0, 5.0, 0.01
+    found, _, changed, unkept = filtered(PLANE, npred.SafetyFilter(alpha), x[None], np.array([[0.0, 5.0]]), t, dt)
+    assert changed[0] and not unkept[0] and found[0] == pytest.approx([5 / 6, 1.0], abs=1e-3)
+    assert at_both_ends(x, found[0], t, alpha, dt).min() == pytest.approx(0.0, abs=1e-5)
+
+
+def test_what_is_sent_keeps_the_limits_or_it_is_said():
+    """Of laws within the bounds and far beyond them; and where the law's U, at its bounds, keeps them, it is left."""
+    rng, (low, high), alpha, dt = np.random.default_rng(0), np.array(PLANE.input_bounds).T, 2.0, 0.01
+    P, U = rng.uniform(-1.5, 1.5, (2000, 2)), rng.uniform(3 * low - 1, 3 * high + 1, (2000, 2))
+    found, _, changed, unkept = filtered(PLANE, npred.SafetyFilter(alpha), P, U, 0.7, dt)
+    sent, free = (
+        np.array([at_both_ends(x, u, 0.7, alpha, dt).min() for x, u in zip(P, np.clip(V, low, high), strict=True)])
+        for V in (found, U)
+    )
+    assert (sent[unkept == 0] > -1e-5).all() and (sent[unkept > 0] < 0).all() and 5 < unkept.sum() < 500
+    assert (changed[free >= 0] == 0).all() and (found[free >= 0] == U[free >= 0]).all() and (free >= 0).sum() > 200
+
+
 def test_the_chain_of_a_limit_that_the_second_derivative_reaches():
     """h = 1 - x of a mass: h'' + 2 α h' + α² h >= 0 at the begin of a step and at its end; by hand."""
     alpha, dt, rng = 3.0, 0.01, np.random.default_rng(0)
@@ -165,6 +186,35 @@ def test_conditions_hold_to_second_order_while_u_is_held():
         assert least[0] > -1e-6 and least.min() > -(dt**2)
         ends.append(-least[-1])
     assert both.sum() > 30 and np.polyfit(np.log(steps), np.log(ends), 1)[0] > 2.7
+
+
+def test_conditions_are_of_second_order_in_the_step_where_time_moves_the_plant():
+    """x' = u + 2 sin 6t towards a wall that moves: φ at the end of a step in closed form, three steps of dt."""
+
+    class Shaken:
+        states, inputs, box, input_bounds = ("x",), ("u",), {"x": (-1.0, 1.0)}, ((-9.0, 9.0),)
+
+        def f(x, u, t, p, M):
+            return [u.u + 2 * M.sin(6 * t)]
+
+        def kappa(x, t, p, M):
+            return [0 * x.x]
+
+        def safe(x, t, p, M):
+            return [1.0 + 0.3 * M.sin(4 * t) - x.x]
+
+    plant, alpha, steps = Plant("shaken", Shaken), 2.0, np.array([0.08, 0.04, 0.02, 0.01])
+    x, t0, ends = np.linspace(0.2, 1.0, 40), 0.35, []
+    for dt in steps:
+        u, _, changed, unkept = filtered(plant, npred.SafetyFilter(alpha), x[:, None], np.full((40, 1), 5.0), t0, dt)
+
+        def phi(t, there, u=u[:, 0]):
+            return 1.2 * np.cos(4 * t) - u - 2 * np.sin(6 * t) + alpha * (1 + 0.3 * np.sin(4 * t) - there)
+
+        end = phi(t0 + dt, x + u[:, 0] * dt + (np.cos(6 * t0) - np.cos(6 * (t0 + dt))) / 3)
+        assert changed.all() and not unkept.any() and phi(t0, x).min() > -1e-6
+        ends.append(np.abs(np.minimum(end, 0)).max())
+    assert np.polyfit(np.log(steps), np.log(ends), 1)[0] > 2.7
 
 
 def safe_starts(count, alpha=3.0, D=0.3):
@@ -252,3 +302,72 @@ def test_limits_are_kept_on_a_real_clock():
     safety, timing = npred.SafetyFilter(3.0, delay=0.01), npred.Timing(jitter=0.3)
     loop = npred.simulate(CART, RK4(CART, 31), safety=safety, timing=timing, **named)
     assert loop.safety.min() > 0 and loop.filtered.any() and not loop.unkept.any()
+
+
+class Shutter(Cart):
+    """The end of the track comes and goes."""
+
+    def safe(x, t, p, M):
+        return [1.0 + 0.2 * M.sin(2 * t) - x.x, 1.0 + x.x]
+
+
+SHUTTER = Plant("shutter", Shutter)
+
+
+def pushed(plant, push, D, delay, **named):
+    """A controller whose observer finds an offset, and the mass after commands, by its parabolas."""
+    dt = 0.01
+    controller = npred.controller(
+        plant, RK4(plant, 31), None, dt, D_hat=D, u0=[0.0], actuator="history", gate=None,
+        safety=npred.SafetyFilter(3.0, delay=delay), observer=npred.observers.EKF(plant, offset=1.0, R=1e-8), **named,
+    )  # fmt: skip
+
+    def flown(X, U):
+        for u in U:
+            X = np.array([X[0] + dt * X[1] + dt**2 / 2 * (u + push), X[1] + dt * (u + push)])
+        return X
+
+    return controller, flown
+
+
+@pytest.mark.parametrize(("push", "lates"), [(1.0, (26, 30, 34)), (-1.0, (26, 30, 34)), (0.5, (0, 2, 7))])
+def test_an_offset_that_the_observer_found_acts_in_every_state_that_the_delay_may_lead_to(push, lates):
+    """`kept` is the least h after the commands of the shortest, expected and longest delay, at the time then. No delay
+    is below 0.
+    """
+    sent, X, late = [0.0] * 40, np.zeros(2), lates[1]
+    controller, flown = pushed(SHUTTER, push, late / 100, (lates[2] - late) / 100)
+    for k in range(400):
+        ends = [(k + j, flown(X, sent[len(sent) - j :])[0]) for j in lates]
+        least = min(min(1 + 0.2 * np.sin(0.02 * step) - x, 1 + x) for step, x in ends)
+        U = controller.step(X)[0]
+        if k >= 300:
+            assert controller.status.kept == pytest.approx(least, abs=1e-4)
+        sent.append(U)
+        X = flown(X, [sent[-1 - late]])
+    assert controller.status.offset[0] == pytest.approx(push, abs=1e-4)
+
+
+@pytest.mark.parametrize("push", [1.0, -1.0])
+def test_an_offset_takes_from_the_room_of_u(push):
+    """Near the end of the track, at a speed from which 4.5 of braking is needed: the push leaves 4 of 5."""
+    controller, _ = pushed(CART, push, 0.1, 0.0)
+    state = controller.state()
+    state["filter"][2] = push
+    controller.restore(state)
+    x, v = np.array([0.9, 0.9]) * push
+    U = controller.step([x - 0.1 * v + 0.1**2 / 2 * push, v - 0.1 * push])  # the commands before, 0, lead there
+    np.testing.assert_allclose(controller.P[-1], [x, v], atol=1e-6)
+    assert U.tolist() == [-5 * push] and controller.status.unkept
+
+
+def test_a_margin_is_kept_on_top_of_the_limits():
+    """φ >= margin at both ends of a step, in a unit of h over a second."""
+    rng, alpha, dt = np.random.default_rng(4), 2.0, 0.01
+    P, U = rng.uniform(-1.2, 1.2, (200, 2)), rng.uniform([-1, -3], [2, 1], (200, 2))
+    found, _, changed, unkept = filtered(PLANE, npred.SafetyFilter(alpha, margin=0.3), P, U, 0.7)
+    phi = np.array([at_both_ends(x, u, 0.7, alpha, dt).min() for x, u in zip(P, found, strict=True)])
+    free = np.array([at_both_ends(x, u, 0.7, alpha, dt).min() for x, u in zip(P, U, strict=True)])
+    kept = changed > unkept
+    assert kept.sum() > 30 and np.abs(phi[kept] - 0.3).max() < 1e-4
+    assert (free[changed == 0] >= 0.3).all() and (phi[unkept > 0] < 0.3).all() and unkept.any()

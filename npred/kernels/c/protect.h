@@ -123,10 +123,11 @@ static inline void KERNEL(Shape d, const double *ends, const double *moments, co
     const int lanes = d.lanes;
     (void)work;
     for (int l = 0; l < lanes; l++) {
-        double now[M], delta[M] = {0.0}, missed = 0.0, moved = INFINITY;
+        double now[M], within[M], delta[M], missed = 0.0, moved = INFINITY;
         filtered[l] = 0.0;
-        for (int c = 0; c < M; c++) {
+        for (int c = 0; c < M; c++) { /* what is beyond the bounds is not sent: it keeps nothing */
             now[c] = U[c * lanes + l];
+            within[c] = delta[c] = smaller(larger(now[c], low[c * lanes + l]), high[c * lanes + l]) - now[c];
         }
         for (int pass = 0; pass <= PASSES; pass++) {
             Conditions q = {.rows = 0, .size = M};
@@ -139,8 +140,10 @@ static inline void KERNEL(Shape d, const double *ends, const double *moments, co
             moved = PART(_solve)(lanes, safety, low + l, high + l, now, &q, delta);
         }
         for (int c = 0; c < M; c++) {
+            filtered[l] = delta[c] != within[c] ? 1.0 : filtered[l];
+        }
+        for (int c = 0; c < M && filtered[l] > 0.0; c++) {
             U[c * lanes + l] += delta[c];
-            filtered[l] = U[c * lanes + l] != now[c] ? 1.0 : filtered[l];
         }
         unkept[l] = missed > MISSED ? 1.0 : 0.0;
     }

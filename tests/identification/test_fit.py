@@ -1,0 +1,121 @@
+"""The cost of a fit with what is known beforehand, the size of the noise, and which of two fits the data prefer."""
+
+import numpy as np
+import pytest
+
+import npred
+from npred.identification.fit import Prior, Problem, SegmentFit, better
+from npred.identification.log import Log, Segments
+from npred.identification.model import RolloutModel
+
+SEGMENTS = 30
+
+
+def fit(costs) -> SegmentFit:
+    """A fit with these costs of its segments, without parameters."""
+    nothing = Prior(np.zeros(0), np.zeros(0), np.zeros((2, 0)))
+    e, shape = np.array(costs, dtype=float), (len(costs), 0)
+    return SegmentFit(np.zeros(1), np.zeros((len(e), 1)), np.zeros(0), e, np.zeros(shape), np.zeros((*shape, 0)),
+                      nothing, np.zeros((len(e), 9, 1)))  # fmt: skip
+
+
+def gains(*values: float, others: float = 0.0) -> np.ndarray:
+    """Costs of 9 a segment, and so much more in the first ones and in the others."""
+    return 9.0 + np.append(values, np.full(SEGMENTS - len(values), others))
+
+
+@pytest.mark.parametrize(
+    ("total", "inflation", "decides"), [(15, 1, True), (8, 1, False), (15, 2, False), (30, 2, True)]
+)
+def test_what_each_segment_says_decides_where_the_sum_is_clear(total, inflation, decides):
+    """10.8 of chi² are; of errors that stay on one side for two samples twice as much."""
+    even = gains(others=total / SEGMENTS)
+    assert better(fit(gains()), fit(even), inflation) is decides
+    assert not better(fit(even), fit(gains()), inflation)
+
+
+@pytest.mark.parametrize("strange", [(20.0,), (1e6,), (np.inf,), (25.0, -9.0)])
+def test_one_strange_segment_alone_decides_nothing(strange):
+    """Whatever it says, while the others hardly say the reverse: a pump that was off makes no lag of a delay."""
+    assert not better(fit(gains()), fit(gains(*strange, others=-0.05)), 1.0)
+
+
+@pytest.mark.parametrize("strange", [1e6, np.inf])
+def test_one_strange_segment_does_not_outvote_the_others(strange):
+    assert better(fit(gains()), fit(gains(strange, others=0.5)), 1.0)
+
+
+def parabolas(rng: np.random.Generator, q: int = 2) -> SegmentFit:
+    """A fit about some theta, of which one has a prior, within limits."""
+    roots = rng.standard_normal((SEGMENTS, q, q))
+    prior = Prior(np.array([0.3, 0.0]), np.array([0.1, np.inf]), np.array([[-9.0, -9.0], [9.0, 9.0]]))
+    g, H = rng.standard_normal((SEGMENTS, q)), roots @ roots.swapaxes(1, 2) + np.eye(q)
+    return SegmentFit(np.zeros(1), np.zeros((SEGMENTS, 1)), np.array([0.1, 0.2]), rng.uniform(20, 30, SEGMENTS), g, H,
+                      prior, np.zeros((SEGMENTS, 9, 1)))  # fmt: skip
+
+
+def test_the_cost_is_the_least_of_the_weighted_segments_and_of_what_was_known():
+    """By the normal equations of the whole sum; and theta is what gives it, within its limits."""
+    rng = np.random.default_rng(3)
+    of, weights = parabolas(rng), rng.uniform(0.5, 2.0, (1, SEGMENTS))
+    known = np.diag([1 / 0.1**2, 0.0])
+
+    def cost(theta):
+        d = theta - of.theta
+        each = of.e - 2 * of.g @ d + np.einsum("i,sij,j->s", d, of.H, d)
+        return weights[0] @ each + (theta - of.prior.mean) @ known @ (theta - of.prior.mean)
+
+    theta = of.thetas(weights)[0]
+    assert of.costs(weights)[0] == pytest.approx(cost(theta), rel=1e-12)
+    for step in 1e-3 * np.array([[1, 0], [0, 1], [-1, 0], [0, -1]]):
+        assert cost(theta + step) > cost(theta)
+    tight = Prior(of.prior.mean, of.prior.deviation, np.array([[0.5, -9.0], [9.0, 9.0]]))
+    limited = SegmentFit(of.delays, of.X, of.theta, of.e, of.g, of.H, tight, of.residuals)
+    assert theta[0] < 0.5 and limited.thetas(weights)[0, 0] == 0.5
+
+
+def test_the_size_of_the_noise_is_found_although_each_segment_has_a_state_of_its_own():
+    """Of four samples each: their scatter about the fit is three quarters of the noise's."""
+
+    class Decay:
+        states, inputs = ("X",), ("U",)
+
+        def f(x, u, t, p, M):
+            return [u.U - x.X]
+
+        def kappa(x, t, p, M):
+            return [-x.X]
+
+    rng, t = np.random.default_rng(0), 0.1 * np.arange(4000)
+    log = Log(t, 0.2 * rng.standard_normal((len(t), 1)), t[:2], np.zeros((2, 1)))
+    nothing = Prior(np.zeros(0), np.zeros(0), np.zeros((2, 0)))
+    plant = npred.plants.make("decay", Decay)
+    problem = Problem(RolloutModel(plant, ()), Segments.of(log, 4, 1.0), np.ones(1), nothing)
+    assert problem.rescaled(problem.fit(np.zeros(1))).scale[0] == pytest.approx(0.2, rel=0.03)
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e3, 1e-3])
+def test_a_fit_does_not_depend_on_the_unit_of_a_state_that_is_not_measured(unit):
+    """A speed that only the position tells of: its initial values leave the noise alone."""
+
+    class Cart:
+        states, inputs, outputs = ("X", "Y"), ("U",), ("position",)
+
+        def f(x, u, t, p, M):
+            return [x.Y / unit, unit * u.U - 0.8 * x.Y]
+
+        def kappa(x, t, p, M):
+            return [-x.X]
+
+        def output(x, t, p, M):
+            return [x.X]
+
+    rng, t = np.random.default_rng(0), 0.1 * np.arange(400)
+    positions = np.concatenate([0.2 * k + 0.7 * (1 - np.exp(-0.8 * 0.1 * np.arange(20))) / 0.8 for k in range(20)])
+    log = Log(t, positions[:, None] + 0.01 * rng.standard_normal((400, 1)), t[:2], np.zeros((2, 1)))
+    nothing = Prior(np.zeros(0), np.zeros(0), np.zeros((2, 0)))
+    plant = npred.plants.make("cart", Cart)
+    problem = Problem(RolloutModel(plant, (), steps=4), Segments.of(log, 20, 1.0), np.array([0.01]), nothing)
+    found = problem.fit(np.zeros(1))
+    assert found.cost / found.count == pytest.approx(1.0, abs=0.15)
+    np.testing.assert_allclose(found.X[:, 1] / unit, 0.7, atol=0.08)
