@@ -1,6 +1,7 @@
 """The loop of [DAPF, Fig. 1] with each predictor: states, input and delay estimate, differences, and coverage."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 from functools import partial
 from typing import Any, cast
 
@@ -8,7 +9,7 @@ import numpy as np
 
 from npred.figures.evaluation_data import Evidence, Histogram, LoopSeries
 from npred.figures.figure import Key, Panel, Plate
-from npred.figures.notation import common_unit, quantity, timed, with_unit
+from npred.figures.notation import common_unit, quantity, symbol, timed, with_unit
 from npred.figures.style import ROLES, Axes, Look, log, look, short
 from npred.loop import delay_law, lyapunov, metrics
 from npred.results import NUMERICAL, Contender
@@ -35,6 +36,15 @@ def figure1(evidence: Evidence) -> Plate:
     return Plate("figure1", "The closed loop", _caption(evidence, apart), tuple(panels), keys(evidence.loops))
 
 
+def figure1_bounded(evidence: Evidence) -> Plate | None:
+    """The same of the loops with U within `figure_bounds`; None where there are none."""
+    table = evidence.config.bounded
+    if table is None:
+        return None
+    plate = figure1(replace(evidence, config=table, loops=evidence.bounded))
+    return replace(plate, name="figure1_bounded", title="The closed loop, U within bounds")
+
+
 def _apart(evidence: Evidence) -> dict[Contender, np.ndarray]:
     """|X - X of the numerical predictor's loop| over time, (nt,): curves on one another have a distance here."""
     exact = evidence.loops[NUMERICAL].X
@@ -58,7 +68,19 @@ def _caption(evidence: Evidence, apart: dict[Contender, np.ndarray]) -> str:
     said = f" Lines that lie on each other differ from the numerical loop by at most: {near}." if near else ""
     return (
         f"One closed loop{of} from X(0) = ({start}) with {delay}, run with each "
-        f"predictor. Grey and dotted: {where}, and {goal}. A loop that does not converge may leave the picture.{said}"
+        f"predictor{_limits(evidence)}. Grey and dotted: {where}, and {goal}. "
+        f"A loop that does not converge may leave the picture.{said}"
+    )
+
+
+def _limits(evidence: Evidence) -> str:
+    """The bounds of U, where a pipeline gives some; that there are none, where it draws a bounded loop too."""
+    plant, given = evidence.plant, evidence.config.input_bounds
+    if given is None:
+        return ", U without bounds" if evidence.bounded and plant.input_bounds is None else ""
+    ranges = zip(plant.inputs, given, strict=True)
+    return "".join(
+        f", {symbol(plant, name)} in [{low:g}, {high:g}]".replace("inf", "∞") for name, (low, high) in ranges
     )
 
 

@@ -114,6 +114,19 @@ def test_figure_1_has_a_panel_a_quantity_and_the_differences_of_loops_that_lie_o
     assert plate.caption.endswith("differ from the numerical loop by at most: FNO 5.0·10⁻⁷.")
 
 
+def test_the_loop_within_other_bounds_is_a_figure_of_its_own_and_both_say_what_u_may_be():
+    evidence = found()
+    assert figures.figure1_bounded(evidence) is None and "without bounds" not in figures.figure1(evidence).caption
+    within = {name: replace(loop, U=loop.U * 0) for name, loop in evidence.loops.items()}
+    config = evidence.config.model_copy(update={"figure_bounds": [(0.0, np.inf)]})
+    both = replace(evidence, config=config, bounded=within)
+    plate, free = figures.figure1_bounded(both), figures.figure1(both)
+    assert plate and (plate.name, free.name) == ("figure1_bounded", "figure1")
+    assert "U in [0, ∞]" in plate.caption and "U without bounds" in free.caption
+    U = [panel.alt for panel in plate.panels if panel.title == "U"]
+    assert U and "numerical 0 to 0" in U[0] and "numerical 0 to 0" not in free.panels[2].alt
+
+
 def test_the_density_of_the_coverage_has_an_axis_with_numbers():
     for panel in figures.coverage(found()).panels:
         axis = Figure().subplots()
