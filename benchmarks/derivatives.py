@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 
 import npred
-from npred import grid
+from npred import config, grid
 from npred.data import shards
-from npred.loop import metrics
-from npred.pipeline.models import load_data, load_model
+from npred.loop import delay_law, metrics
+from npred.pipeline.models import load_data
 from npred.terminal.console import columns
 
 FIRST = (0.3, 0.5, 1.0, 1.5, 2.0, 3.5)  # s: D_hat(0)
@@ -72,8 +72,7 @@ def of_networks(models: list[str]) -> None:
     for model in models:
         network, pipeline = npred.load(model), model.rpartition(":")[0]
         data = shards.survey(load_data(pipeline, None).folder / "data.h5").subset(test=True)
-        table = load_model(model).pipeline.evaluate
-        law = npred.DelayAdaptation(gamma=table.gamma, b=table.b, bounds=table.bounds)
+        law = delay_law.resolve(config.load(pipeline).evaluate, network.plant)
         u = grid.refine(data.u, network.nx)
         exact = npred.predictor("rk4", network.plant, network.nx)(data.X, u, data.D_hat)
         both = network(data.X, u, data.D_hat), exact

@@ -27,7 +27,7 @@ def figure1(evidence: Evidence) -> Plate:
     for k, name in enumerate((*plant.states, *plant.inputs, "D_hat")):
         what = "" if name != "D_hat" else "delay " if plant.declares_delay else "delay estimate "
         title = what + quantity(plant, name)
-        span = _around([goals[:, k], *(columns[c][:, k] for c in kept)])
+        span = _around([goals[:, k], *(columns[c][:, k] for c in kept)], [series[:, k] for series in columns.values()])
         panels.append(Panel(title, _alt(title, k, columns, t), partial(_over_time, t, columns, k, goals, span, time)))
     apart = _apart(evidence)
     if apart:
@@ -155,13 +155,19 @@ def _curves(t: np.ndarray, curves: dict[Contender, np.ndarray], time: str, axis:
     log(axis, "y")
 
 
-def _around(series: list[np.ndarray]) -> tuple[float, float]:
-    """The range of all series with room on both sides."""
-    values = np.concatenate(series)
-    finite = values[np.isfinite(values)]
-    low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 1.0)
+def _around(series: list[np.ndarray], others: list[np.ndarray]) -> tuple[float, float]:
+    """The range of all series, and of those others that leave it by less than its height; with room on both sides."""
+    low, high = _ends(np.concatenate(series)) or (0.0, 1.0)
+    near = [ends for ends in map(_ends, others) if ends and max(low - ends[0], ends[1] - high) < high - low]
+    low, high = min([low, *(a for a, _ in near)]), max([high, *(b for _, b in near)])
     room = 0.15 * (high - low) or 1.0
     return low - room, high + room
+
+
+def _ends(values: np.ndarray) -> tuple[float, float] | None:
+    """The least and the largest of the finite values; None where there is none."""
+    finite = values[np.isfinite(values)]
+    return (float(finite.min()), float(finite.max())) if len(finite) else None
 
 
 def _alt(name: str, k: int, columns: dict[Contender, np.ndarray], t: np.ndarray) -> str:

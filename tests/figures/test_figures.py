@@ -154,6 +154,9 @@ def test_a_panel_of_the_loop_covers_every_loop_that_converges_and_the_true_delay
     assert 7 < high < 20  # the lost loop's 50 leave the picture
     low, high = limits(panels[len(states) + 1])
     assert low < 0.2 and high > 2.9
+    near = replace(lost, X=np.where(lost.X == 50.0, 12.0, lost.X))  # a cycle, say: it stays in the picture
+    panels = figures.figure1(replace(evidence, loops=loops | {DEEPONET: near}, config=config)).panels
+    assert limits(panels[0])[1] > 12.0
 
 
 def test_only_the_papers_plant_has_its_figure_and_axes_have_units():

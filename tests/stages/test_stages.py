@@ -165,7 +165,7 @@ def test_the_loop_of_fig_1_runs_within_bounds_of_its_own_too(made, tmp_path):
         assert set(file) == {*result["models"], "bounded"} and set(file["bounded"]) == set(result["models"])
         for name, row in result["models"].items():
             U, X = (file[f"bounded/{name}/{series}"][:] for series in "UX")
-            assert 0.0 <= U.min() and U.max() == 0.05 < file[f"{name}/U"][:].max()
+            assert U.min() >= 0.0 and U.max() == 0.05 < file[f"{name}/U"][:].max()
             np.testing.assert_allclose(X[-1], row["figure1_bounded"]["X_end"])
 
 
