@@ -1,17 +1,23 @@
-"""What the published notebook's two wrong derivatives do to the loop of the update law.
+"""What the published notebook's two wrong derivatives do to the loop of the update law, and what a network does to phi.
 
-    python benchmarks/derivatives.py
+    python benchmarks/derivatives.py [MODEL ...]
 
+With MODELs, as pipeline/paper.toml:deeponet, it prints of each the error of D_hat' on held-out rows, for the network's
+P_hat stands in the place of P in [DAPF, eqs. 12-14]. Otherwise, the notebook:
 ∂f1/∂x2 has x2² in the place of x2; ∂κ/∂x1 has 1 added and lacks a factor x1. All else is npred's: RK4, exact transport.
 The law with the right derivatives, by the same code, is the reference; npred's compiled one is the same law.
 """
 
+import sys
 from typing import Any
 
 import numpy as np
 
 import npred
-from npred.loop import metrics
+from npred import config, grid
+from npred.data import shards
+from npred.loop import delay_law, metrics
+from npred.pipeline.models import load_data
 from npred.terminal.console import columns
 
 FIRST = (0.3, 0.5, 1.0, 1.5, 2.0, 3.5)  # s: D_hat(0)
@@ -60,7 +66,26 @@ class Notebook(ByHand):
     wrong = True
 
 
+def of_networks(models: list[str]) -> None:
+    """gamma |phi(P_hat) - phi(P)| in seconds per second, P by RK4; gamma and b as the pipeline evaluates."""
+    rows = []
+    for model in models:
+        network, pipeline = npred.load(model), model.rpartition(":")[0]
+        data = shards.survey(load_data(pipeline, None).folder / "data.h5").subset(test=True)
+        law = delay_law.resolve(config.load(pipeline).evaluate, network.plant)
+        u = grid.refine(data.u, network.nx)
+        exact = npred.predictor("rk4", network.plant, network.nx)(data.X, u, data.D_hat)
+        both = network(data.X, u, data.D_hat), exact
+        ours, right = (law.rate(network.plant, data.X, u, P, data.D_hat, 0.0) for P in both)
+        gap, largest = np.abs(ours - right), np.abs(right).max()
+        rows.append([model, str(len(gap)), *(f"{value:.2g}" for value in (gap.max(), np.median(gap), largest))])
+    print(columns(["network", "rows", "largest error of D_hat'", "median", "largest |D_hat'|"], rows))
+
+
 def main() -> None:
+    if sys.argv[1:]:
+        of_networks(sys.argv[1:])
+        return
     plant = npred.plant("activator_repressor")
     rk4 = npred.predictor("rk4", plant, nx=51)
     laws = {"compiled": npred.DelayAdaptation, "right, by hand": ByHand, "the notebook's": Notebook}

@@ -10,6 +10,7 @@ from npred.config.section import (
     ADDED,
     Actuator,
     Bias,
+    Bounds,
     Count,
     Delay,
     Law,
@@ -115,6 +116,8 @@ class Evaluate(Loop):
     case_t_end: Positive = 40.0  #: length of these loops
     map_D: list[Positive] = []  #: true delays of the convergence map …
     map_D_hat0: list[Positive] = []  #: … times these D_hat(0), from the start of Fig. 1
+    #: bounds of U, a pair per input, of a second loop of Fig. 1; by default there is none
+    figure_bounds: Annotated[list[Bounds] | None, ADDED] = None
     scenarios: Annotated[list[Scenario], ADDED] = []  #: other conditions
     #: the check of networks in loops; by default none
     guard: Annotated[GuardTable | None, ADDED] = None
@@ -150,6 +153,12 @@ class Evaluate(Loop):
             "truth": self.truth | scenario.parameters,
         }
         return self.model_copy(update=update)
+
+    @property
+    def bounded(self) -> Self | None:
+        """This table with `figure_bounds` in the place of `input_bounds`; None where there are none."""
+        bounds = self.figure_bounds
+        return None if bounds is None else self.model_copy(update={"input_bounds": bounds})
 
     @model_validator(mode="after")
     def _check_delays(self) -> Self:

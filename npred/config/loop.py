@@ -89,7 +89,7 @@ class StateLimits(Section):
     """A filter of U that keeps the limits which the plant declares by safe(x, t, p, M): npred.SafetyFilter."""
 
     alpha: Positive = 1.0  #: how fast a limit may be approached, h' >= -alpha h, in 1/s; at most 1 / dt
-    margin: Delay = 0.0  #: added to that condition, in units of h per second
+    margin: Delay = 0.0  #: added to that condition, in units of h / s^r if U moves the derivative r of h first
     delay: Delay = 0.0  #: how wrong D_hat may be, in seconds; above 0 with actuator = "history"
 
 

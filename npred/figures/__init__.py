@@ -6,11 +6,11 @@ from npred.figures.delay_margin import margin
 from npred.figures.evaluation_data import Evidence
 from npred.figures.figure import Plate, write
 from npred.figures.latency import speed
-from npred.figures.loops import coverage, figure1
+from npred.figures.loops import coverage, figure1, figure1_bounded
 from npred.figures.rig import rig
 from npred.figures.scenarios import delays, scenarios
 
 __all__ = [
-    "Evidence", "Plate", "box", "certificate", "certified", "coverage", "delays", "errors", "figure1", "kinds",
-    "learning", "margin", "rig", "scenarios", "speed", "write",
+    "Evidence", "Plate", "box", "certificate", "certified", "coverage", "delays", "errors", "figure1",
+    "figure1_bounded", "kinds", "learning", "margin", "rig", "scenarios", "speed", "write",
 ]  # fmt: skip

@@ -1,7 +1,7 @@
 """The arrays of an evaluation in its folder, as the figures read them."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -68,6 +68,7 @@ class Evidence:
     errors: dict[Contender, ErrorArrays]
     coverage: dict[str, Histogram]
     kinds: dict[str, dict[Contender, np.ndarray]]
+    bounded: dict[Contender, LoopSeries] = field(default_factory=dict)  # loops with U within figure_bounds
 
     @property
     def samples(self) -> str:
@@ -82,17 +83,23 @@ class Evidence:
         densities = {f"loops/{contender.name}": contender for contender in order if contender.epoch is None}
         (rows,) = _arrays(folder / "errors.h5", [""], {"X": 2, "D_hat": 1})
         errors = _arrays(folder / "errors.h5", [f"networks/{c.name}/" for c in networks], ERRORS)
-        loops = _arrays(folder / "figure1.h5", [f"{c.name}/" for c in order], LOOP)
+        loops = _loops(folder / "figure1.h5", order)
         quantities = [*plant.states, *plant.inputs, "D_hat"]
         kinds = dict.fromkeys(("edges", "data", *densities), 1)
         histograms = _arrays(folder / "coverage.h5", [f"{name}/" for name in quantities], kinds)
         coverage = [Histogram(h["edges"], h["data"], {densities[k]: h[k] for k in densities}) for h in histograms]
         return cls(
             plant, config, result.models, result.gain,
-            {c: LoopSeries(**series) for c, series in zip(order, loops, strict=True)}, **rows,
+            loops, **rows,
             errors={c: ErrorArrays(**arrays) for c, arrays in zip(networks, errors, strict=True)},
             coverage=dict(zip(quantities, coverage, strict=True)), kinds=_by_kind(folder, result.kinds, networks),
+            bounded=_loops(folder / "figure1.h5", order, "bounded/") if config.bounded else {},
         )  # fmt: skip
+
+
+def _loops(path: Path, order: list[Contender], group: str = "") -> dict[Contender, LoopSeries]:
+    series = _arrays(path, [f"{group}{c.name}/" for c in order], LOOP)
+    return {c: LoopSeries(**arrays) for c, arrays in zip(order, series, strict=True)}
 
 
 def _by_kind(folder: Path, kinds: Iterable[str], networks: list[Contender]) -> dict[str, dict[Contender, np.ndarray]]:

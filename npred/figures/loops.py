@@ -1,6 +1,7 @@
 """The loop of [DAPF, Fig. 1] with each predictor: states, input and delay estimate, differences, and coverage."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 from functools import partial
 from typing import Any, cast
 
@@ -8,7 +9,7 @@ import numpy as np
 
 from npred.figures.evaluation_data import Evidence, Histogram, LoopSeries
 from npred.figures.figure import Key, Panel, Plate
-from npred.figures.notation import common_unit, quantity, timed, with_unit
+from npred.figures.notation import common_unit, quantity, symbol, timed, with_unit
 from npred.figures.style import ROLES, Axes, Look, log, look, short
 from npred.loop import delay_law, lyapunov, metrics
 from npred.results import NUMERICAL, Contender
@@ -26,13 +27,22 @@ def figure1(evidence: Evidence) -> Plate:
     for k, name in enumerate((*plant.states, *plant.inputs, "D_hat")):
         what = "" if name != "D_hat" else "delay " if plant.declares_delay else "delay estimate "
         title = what + quantity(plant, name)
-        span = _around([goals[:, k], *(columns[c][:, k] for c in kept)])
+        span = _around([goals[:, k], *(columns[c][:, k] for c in kept)], [series[:, k] for series in columns.values()])
         panels.append(Panel(title, _alt(title, k, columns, t), partial(_over_time, t, columns, k, goals, span, time)))
     apart = _apart(evidence)
     if apart:
         title = with_unit("difference from the numerical loop", common_unit(plant, plant.states))
         panels.append(Panel(title, _alt_apart(apart), partial(_curves, t, apart, time)))
     return Plate("figure1", "The closed loop", _caption(evidence, apart), tuple(panels), keys(evidence.loops))
+
+
+def figure1_bounded(evidence: Evidence) -> Plate | None:
+    """The same of the loops with U within `figure_bounds`; None where there are none."""
+    table = evidence.config.bounded
+    if table is None:
+        return None
+    plate = figure1(replace(evidence, config=table, loops=evidence.bounded))
+    return replace(plate, name="figure1_bounded", title="The closed loop, U within bounds")
 
 
 def _apart(evidence: Evidence) -> dict[Contender, np.ndarray]:
@@ -58,7 +68,19 @@ def _caption(evidence: Evidence, apart: dict[Contender, np.ndarray]) -> str:
     said = f" Lines that lie on each other differ from the numerical loop by at most: {near}." if near else ""
     return (
         f"One closed loop{of} from X(0) = ({start}) with {delay}, run with each "
-        f"predictor. Grey and dotted: {where}, and {goal}. A loop that does not converge may leave the picture.{said}"
+        f"predictor{_limits(evidence)}. Grey and dotted: {where}, and {goal}. "
+        f"A loop that does not converge may leave the picture.{said}"
+    )
+
+
+def _limits(evidence: Evidence) -> str:
+    """The bounds of U, where a pipeline gives some; that there are none, where it draws a bounded loop too."""
+    plant, given = evidence.plant, evidence.config.input_bounds
+    if given is None:
+        return ", U without bounds" if evidence.bounded and plant.input_bounds is None else ""
+    ranges = zip(plant.inputs, given, strict=True)
+    return "".join(
+        f", {symbol(plant, name)} in [{low:g}, {high:g}]".replace("inf", "∞") for name, (low, high) in ranges
     )
 
 
@@ -133,13 +155,19 @@ def _curves(t: np.ndarray, curves: dict[Contender, np.ndarray], time: str, axis:
     log(axis, "y")
 
 
-def _around(series: list[np.ndarray]) -> tuple[float, float]:
-    """The range of all series with room on both sides."""
-    values = np.concatenate(series)
-    finite = values[np.isfinite(values)]
-    low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 1.0)
+def _around(series: list[np.ndarray], others: list[np.ndarray]) -> tuple[float, float]:
+    """The range of all series, and of those others that leave it by less than its height; with room on both sides."""
+    low, high = _ends(np.concatenate(series)) or (0.0, 1.0)
+    near = [ends for ends in map(_ends, others) if ends and max(low - ends[0], ends[1] - high) < high - low]
+    low, high = min([low, *(a for a, _ in near)]), max([high, *(b for _, b in near)])
     room = 0.15 * (high - low) or 1.0
     return low - room, high + room
+
+
+def _ends(values: np.ndarray) -> tuple[float, float] | None:
+    """The least and the largest of the finite values; None where there is none."""
+    finite = values[np.isfinite(values)]
+    return (float(finite.min()), float(finite.max())) if len(finite) else None
 
 
 def _alt(name: str, k: int, columns: dict[Contender, np.ndarray], t: np.ndarray) -> str:

@@ -80,7 +80,7 @@ def _tethered(problem: Problem) -> Problem:
 
 
 def _interval(profile: Profile, level: float, rng: np.random.Generator) -> tuple[float, float]:
-    """The wider of two: of costs near the least one, and of the minima with the segments drawn anew."""
+    """The least one around two: that of costs near the least, and that of the minima with the segments drawn anew."""
     rises = profile.costs - profile.costs.min()
     by_cost = search.interval(profile.values, rises, level)
     by_draws = np.quantile(drawn(profile, rng)[0], SHARES)

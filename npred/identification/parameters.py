@@ -38,7 +38,7 @@ def estimated(plant: Plant, delays: Delays, settings: Settings) -> tuple[dict[st
 
 
 def _rows(delays: Delays, theta: np.ndarray, seed: int) -> list[Parameter]:
-    """Each theta: the wider interval of the curvature of the cost and of drawing the segments anew."""
+    """Each theta: the least interval that holds that of the cost's curvature and that of drawing the segments anew."""
     if not len(theta):
         return []
     rng, prior = randomness.generator(seed, "parameters"), delays.problem.prior

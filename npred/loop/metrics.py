@@ -28,8 +28,9 @@ def size(X_star: ArrayLike) -> float:
 def errors(plant: Plant, P_hat: ArrayLike, P: ArrayLike, t: Any = 0.0, D_hat: Any = 0.0) -> dict[str, Any]:
     """Errors of P_hat against P, both (N, nx, n), over samples and nodes, in the plant's units; t, D_hat (N,).
 
-    mse: mean square, as [DAPF] reports it. eps_sup: sup |P_hat - P|, the epsilon of [DAPF, Theorem 2]. eps_kappa:
-    sup |kappa(P_hat(1)) - kappa(P(1))|, what the control sees, kappa_j at r_j. rel_l2: mean of ||P_hat - P|| / ||P||.
+    mse: mean square, as [DAPF]'s notebook reports it. eps_sup: the largest |P_hat - P| of these rows, a lower bound of
+    the epsilon of [DAPF, Theorem 2]. eps_kappa: the largest |kappa(P_hat(1)) - kappa(P(1))|, what the control sees,
+    kappa_j at r_j. rel_l2: mean of ||P_hat - P|| / ||P||.
     """
     P_hat, P = np.asarray(P_hat), np.asarray(P)
     gap = P_hat - P
@@ -171,9 +172,10 @@ def gain(plant: Plant, t_end: float = 100.0) -> float:
     """|dX*| per unit of a constant control error: |(f_X + f_U kappa')^{-1} f_U|, largest singular value.
 
     A constant error e of kappa(P_hat(1)) moves the equilibrium to f(X, kappa(X) + e) = 0, whatever D, D_hat, gamma, b:
-    the radius that an error of the predictor must leave behind. Where the plant tracks, it moves the trajectory by
-    G(t) e, with G' = (f_X + f_U kappa') G + f_U along the reference and G(0) = 0: the largest |G| over the last tenth
-    of t_end seconds, to first order in e. Where nothing changes in time, both are the same.
+    the radius that such an error leaves, to first order in e; one that oscillates may leave a larger one.
+    Where the plant tracks, a constant e moves the trajectory by G(t) e, with G' = (f_X + f_U kappa') G + f_U along the
+    reference and G(0) = 0: the largest |G| over the last tenth of t_end seconds. Where nothing changes in time, both
+    are the same.
     """
     if plant.rests:
         closed, f_U = plant.linearised()

@@ -95,6 +95,7 @@ class Scores(Errors):
     decay_rate: float | None  #: the median decay rate near rest, in 1/s; `null` without decay
     map: DelayMap | None  #: convergence by D and D̂(0); `null` without a map
     figure1: LoopEnd  #: the loop of Fig. 1
+    figure1_bounded: LoopEnd | None = None  #: the same with U within `figure_bounds`; `null` without them
     #: share of its loops' steps with a numerical answer; `null` without a guard
     fallback: float | None = None
     limits: Limits | None = None  #: of a plant that declares `safe`

@@ -30,6 +30,6 @@ def predictor(
 
 
 def eps(plant: Plant, P_hat: np.ndarray, samples: Samples) -> float:
-    """sup |P̂ - P| over samples and nodes [DAPF, Theorem 2], P by RK4 on the nodes of P_hat (B, nx, n)."""
+    """The largest |P̂ - P| over samples and nodes, P by RK4 on the nodes of P_hat (B, nx, n)."""
     P = RK4(plant, P_hat.shape[1])(*samples)
     return float(np.linalg.norm(P_hat - P, axis=-1).max())

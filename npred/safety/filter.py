@@ -2,7 +2,8 @@
 ACC 2018, 5200]: U is changed as little as keeps safe(x, t, p, M) >= 0.
 
 With P the state at the time when U acts, h = safe(P, t + D), and ψ_0 = h, ψ_j = ψ_j-1' + α ψ_j-1 up to the first one
-whose derivative U moves [Xiao, Belta, IEEE TAC 67 (2022) 3632], U is the nearest to kappa(P) with ψ' + α ψ >= margin.
+whose derivative U moves [Xiao, Belta, IEEE TAC 67 (2022) 3655], U is the nearest to kappa(P), in widths of its
+bounds, with ψ' + α ψ >= margin.
 """
 
 import math

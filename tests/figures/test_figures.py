@@ -114,6 +114,19 @@ def test_figure_1_has_a_panel_a_quantity_and_the_differences_of_loops_that_lie_o
     assert plate.caption.endswith("differ from the numerical loop by at most: FNO 5.0·10⁻⁷.")
 
 
+def test_the_loop_within_other_bounds_is_a_figure_of_its_own_and_both_say_what_u_may_be():
+    evidence = found()
+    assert figures.figure1_bounded(evidence) is None and "without bounds" not in figures.figure1(evidence).caption
+    within = {name: replace(loop, U=loop.U * 0) for name, loop in evidence.loops.items()}
+    config = evidence.config.model_copy(update={"figure_bounds": [(0.0, np.inf)]})
+    both = replace(evidence, config=config, bounded=within)
+    plate, free = figures.figure1_bounded(both), figures.figure1(both)
+    assert plate and (plate.name, free.name) == ("figure1_bounded", "figure1")
+    assert "U in [0, ∞]" in plate.caption and "U without bounds" in free.caption
+    U = [panel.alt for panel in plate.panels if panel.title == "U"]
+    assert U and "numerical 0 to 0" in U[0] and "numerical 0 to 0" not in free.panels[2].alt
+
+
 def test_the_density_of_the_coverage_has_an_axis_with_numbers():
     for panel in figures.coverage(found()).panels:
         axis = Figure().subplots()
@@ -141,6 +154,9 @@ def test_a_panel_of_the_loop_covers_every_loop_that_converges_and_the_true_delay
     assert 7 < high < 20  # the lost loop's 50 leave the picture
     low, high = limits(panels[len(states) + 1])
     assert low < 0.2 and high > 2.9
+    near = replace(lost, X=np.where(lost.X == 50.0, 12.0, lost.X))  # a cycle, say: it stays in the picture
+    panels = figures.figure1(replace(evidence, loops=loops | {DEEPONET: near}, config=config)).panels
+    assert limits(panels[0])[1] > 12.0
 
 
 def test_only_the_papers_plant_has_its_figure_and_axes_have_units():

@@ -83,10 +83,22 @@ def test_golden_loop_with_the_input_clipped():
 
 
 def test_frozen_wrong_estimate_does_not_converge():
-    loop = simulate(PLANT, RK4(PLANT, 101), input_bounds=[(0.0, np.inf)], **FIGURE1)
-    assert (loop.D_hat == 2.0).all()
-    tail = loop.X[loop.t > 60, 1]
-    np.testing.assert_allclose([tail.min(), tail.max()], [3.53, 14.05], rtol=0.01)
+    """With U >= 0 it keeps the article's limit cycle, the same for half the step."""
+    for dt in (0.005, 0.0025):
+        loop = simulate(PLANT, RK4(PLANT, 101), input_bounds=[(0.0, np.inf)], dt=dt, **FIGURE1)
+        assert (loop.D_hat == 2.0).all()
+        tail = loop.X[loop.t > 60]
+        np.testing.assert_allclose([tail[:, 0].min(), tail[:, 0].max()], [0.058, 0.2153], rtol=0.01)
+        np.testing.assert_allclose([tail[:, 1].min(), tail[:, 1].max()], [3.53, 14.05], rtol=0.01)
+
+
+@pytest.mark.slow
+def test_frozen_wrong_estimate_has_no_limit_where_u_may_be_negative():
+    """What such a loop does hangs on its step: no figure of it is one of the plant."""
+    runs = [simulate(PLANT, RK4(PLANT, 101), dt=dt, **FIGURE1) for dt in (0.005, 0.0025, 0.00125)]
+    peaks = np.array([run.X[:, 1].max() for run in runs])
+    assert peaks.min() > 50 and np.ptp(peaks) > 0.1 * peaks.min()
+    assert all(run.U.min() < -5 and run.X[:, 0].min() < -0.05 for run in runs)
 
 
 @pytest.mark.parametrize(

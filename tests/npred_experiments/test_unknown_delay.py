@@ -5,7 +5,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import HERE
 
+from npred import config
 from npred_experiments import activator_unknown_delay, chemostat_unknown_delay
 
 STEP = 1e-6
@@ -21,6 +23,22 @@ def test_the_chemostat_ends_where_the_published_figure_does():
 def test_the_activator_ends_where_the_published_figure_does():
     X, D_hat = activator_unknown_delay.published_loop()
     assert (*X[-1], D_hat[-1]) == pytest.approx((0.09391273, 5.25247145, 0.355024), abs=5e-7)
+
+
+def test_the_activators_loop_as_meant_is_the_one_that_the_papers_pipeline_draws_first():
+    paper, meant = config.load(HERE.parent / "pipeline" / "paper.toml").evaluate, activator_unknown_delay
+    assert paper.bounded.input_bounds == [meant.CLIPPED] and paper.input_bounds is None
+    assert (paper.D, paper.D_hat0, tuple(paper.X0)) == (meant.D, meant.D_HAT, meant.X0)
+    assert (paper.gamma, paper.b, paper.bounds, paper.dt) == (meant.GAMMA, meant.B, meant.BOUNDS, meant.DT)
+
+
+@pytest.mark.slow
+def test_the_activators_loop_ends_elsewhere_where_u_may_be_negative():
+    """The rest has u* < 0: the loop with U >= 0 ends beside it. Limits: tests/loop/test_closed_loop.py."""
+    free, clipped = (activator_unknown_delay.meant(limits=limits) for limits in ((-np.inf, np.inf), (0.0, np.inf)))
+    rest = activator_unknown_delay.plant().equilibrium
+    assert np.abs(np.subtract(free[:2], rest)).max() < 1e-9 < 1e-6 < abs(clipped[0] - rest[0])
+    assert (free[2], clipped[2]) == pytest.approx((1.19226, 0.4975), rel=0.02)
 
 
 def test_the_activators_first_seconds():

@@ -156,6 +156,19 @@ def test_figure_and_loops_are_written(evaluated):
     np.testing.assert_allclose(X[-1], result["models"]["fno"]["figure1"]["X_end"])
 
 
+def test_the_loop_of_fig_1_runs_within_bounds_of_its_own_too(made, tmp_path):
+    """The other loops are as without these bounds."""
+    task = job(tmp_path, "bounded", inputs=made, evaluate={"figure_bounds": [[0.0, 0.05]], "t_end": 2.0})
+    result = evaluate.run(task).json_object()
+    assert (task.folder / "figure1_bounded.png").read_bytes().startswith(b"\x89PNG")
+    with h5py.File(task.folder / "figure1.h5") as file:
+        assert set(file) == {*result["models"], "bounded"} and set(file["bounded"]) == set(result["models"])
+        for name, row in result["models"].items():
+            U, X = (file[f"bounded/{name}/{series}"][:] for series in "UX")
+            assert U.min() >= 0.0 and U.max() == 0.05 < file[f"{name}/U"][:].max()
+            np.testing.assert_allclose(X[-1], row["figure1_bounded"]["X_end"])
+
+
 def test_where_networks_err_is_written_and_adds_up(evaluated):
     task, result = evaluated
     with h5py.File(task.folder / "errors.h5") as file:

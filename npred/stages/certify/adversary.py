@@ -1,6 +1,7 @@
 """Searches for the inputs at which a network errs most, and for the blind spots of its guard.
 
-The first is a lower bound of the uniform epsilon of [DAPF, Theorem 2].
+The first is a lower bound of sup |kappa(P̂(1)) - kappa(P(1))| over these inputs: what an epsilon of [DAPF, Theorem 2],
+an error of P, becomes in U.
 
 Every X of the box of initial states, every u within the range of the data's inputs and every D_hat within that of the
 data's estimates counts as an input; of a plant that declares its delay, every X with its D(X, t). Half of the searches

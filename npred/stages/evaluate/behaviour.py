@@ -62,7 +62,7 @@ def scores(
         "settle_ratio": _median(settle[settled] / goal[settled]),
         "decay_rate": _median(metrics.decay_rate(cases, target)),
         "map": delay_map(plant, config, run.part(begin.map), exact.part(begin.map)) if mapped else None,
-        "figure1": _end(plant, figure1(config, run)),
+        "figure1": end(plant, figure1(config, run)),
         "fallback": run.fallback_share if config.guard and contender.is_network else None,
         **limits(cases, config.safety is not None),
     }
@@ -121,15 +121,18 @@ def figure1(config: Evaluate, loops: Trajectories) -> Trajectories:
     return replace(loops, t=loops.t[rows], escaped=loops.escaped[0], **series)
 
 
-def write_figure1(path: Path, config: Evaluate, loops: Mapping[Contender, Trajectories]) -> None:
-    """These loops as HDF5: by contender t, X, U, D_hat, and N of the stability proof."""
+def write_figure1(path: Path, config: Evaluate, *readings: Mapping[Contender, Trajectories]) -> None:
+    """These loops as HDF5: by contender t, X, U, D_hat, and N of the stability proof; those of a second reading, with U
+    within `figure_bounds`, below `bounded/`.
+    """
     with h5py.File(path, "w") as file:
-        for contender, run in loops.items():
-            for series in SERIES:
-                file[f"{contender.name}/{series}"] = getattr(figure1(config, run), series)
+        for group, loops in zip(("", "bounded/"), readings, strict=False):
+            for contender, run in loops.items():
+                for series in SERIES:
+                    file[f"{group}{contender.name}/{series}"] = getattr(figure1(config, run), series)
 
 
-def _end(plant: Plant, loop: Trajectories) -> LoopEnd:
+def end(plant: Plant, loop: Trajectories) -> LoopEnd:
     target = plant.target(loop.t)
     radius, settle_time = float(metrics.radius(loop, target)), float(metrics.settle_time(loop, target))
     return LoopEnd(X_end=loop.X[-1].tolist(), D_hat_end=loop.D_hat[-1], radius=radius, settle_time=settle_time)

@@ -9,7 +9,7 @@ import numpy as np
 
 from npred import figures, randomness
 from npred.conditions import EVERY, Condition, Starts, starts
-from npred.config import FROZEN
+from npred.config import FROZEN, Evaluate
 from npred.data import shards
 from npred.loop import metrics
 from npred.loop.closed_loop import Trajectories
@@ -37,12 +37,14 @@ def run(job: Job) -> Evaluated:
     Where none adapts, "without adaptation" would be the numerical predictor's loop again and is left out. With
     `scenarios`, the cases under other conditions too.
     With `guard`, networks are guarded in loops, and `fallback` is how often; errors are those of the bare networks.
-    Writes figure1, certificate and coverage (.svg, .png); figure1.h5 (its loops), errors.h5 (where networks err) and
-    coverage.h5 (histograms). Warns where loops leave the data, or end since commands would overtake each other.
+    Writes figure1, certificate, coverage and, with `figure_bounds`, figure1_bounded (.svg, .png); figure1.h5 (loops),
+    errors.h5 (where networks err) and coverage.h5 (histograms). Warns where loops leave the data, or end since commands
+    would overtake each other.
     """
     config, data = job.config.evaluate, shards.survey(job.inputs["generate"] / "data.h5")
     begin, predictors = starts(job.config, job.plant), _predictors(job)
     loops, in_loops = _all_loops(job, predictors, begin)
+    bounded = _bounded_loops(job, predictors, begin)
     conditions = {"scenarios": scenarios.run(job, predictors)} if config.scenarios else {}
     job.progress.doing("evaluate", "measuring errors")
     taken = accuracy.sample_steps(job.config.seed, config, len(begin.D))[begin.cases] * config.dt
@@ -58,6 +60,8 @@ def run(job: Job) -> Evaluated:
     for contender in predictors:
         errors = _errors(job.plant, bare_networks.get(contender), P_hat.get(contender, {}), held_out, fresh)
         does = behaviour.scores(job.plant, config, begin, contender, errors["eps_kappa"], loops)
+        if bounded:
+            does["figure1_bounded"] = behaviour.end(job.plant, behaviour.figure1(config, bounded[contender]))
         models[contender] = Scores(**errors, in_loop=in_loops[contender], **does)
     bounds = (0.0, np.inf) if job.plant.declares_delay else config.bounds
     covered = coverage.measure(job.plant, data, {c: loops[c] for c in bare_networks}, bounds)
@@ -67,7 +71,7 @@ def run(job: Job) -> Evaluated:
         if words := at_bound(run.part(begin.cases)):
             job.progress.warn(f"{contender.label}, cases: {words}")
     _warn_of_fallbacks(job.progress, models)
-    behaviour.write_figure1(job.folder / "figure1.h5", config, loops)
+    behaviour.write_figure1(job.folder / "figure1.h5", config, loops, bounded)
     coverage.write(job.folder / "coverage.h5", job.plant, data, {c: loops[c] for c in loops if c.epoch is None})
     result = Evaluated(
         plant=job.plant.name,
@@ -122,10 +126,20 @@ def _all_loops(
         turns = zip_longest(*([(c, part) for part in _shares(p, begin.of(c))] for c, p in predictors.items()))
         tasks = {c: [] for c in predictors}
         for c, part in filter(None, chain.from_iterable(turns)):  # in turns: the time left depends on each one's pace
-            tasks[c].append(pool.submit(_loops, job, c, predictors[c], begin, part, moved[c]))
+            tasks[c].append(pool.submit(_loops, job, config, c, predictors[c], begin, part, moved[c]))
         loops = {c: Trajectories.joined([done.result() for done in parts]) for c, parts in tasks.items()}
         errors = {c: done.result() for c, done in checks.items()}
         return loops, errors | {NO_ADAPTATION: errors[NUMERICAL]}
+
+
+def _bounded_loops(job: Job, predictors: Mapping[Contender, Predictor], begin: Starts) -> dict[Contender, Trajectories]:
+    """The loop of Fig. 1 with U within `figure_bounds`, of every contender; empty without these."""
+    table = job.config.evaluate.bounded
+    if table is None:
+        return {}
+    with job.threads() as pool:
+        tasks = {c: pool.submit(_loops, job, table, c, p, begin, slice(0, 1)) for c, p in predictors.items()}
+        return {c: task.result() for c, task in tasks.items()}
 
 
 def _shares(predictor: Predictor, count: int) -> list[slice]:
@@ -135,9 +149,9 @@ def _shares(predictor: Predictor, count: int) -> list[slice]:
 
 
 def _loops(
-    job: Job, contender: Contender, predictor: Predictor, begin: Starts, part: slice, progress: Callable[[int], None]
-) -> Trajectories:
-    config = job.config.evaluate
+    job: Job, config: Evaluate, contender: Contender, predictor: Predictor, begin: Starts, part: slice,
+    progress: Callable[[int], None] | None = None,
+) -> Trajectories:  # fmt: skip
     taken = None if contender.is_network else accuracy.sample_steps(job.config.seed, config, begin.of(contender))[part]
     seed = randomness.integer(job.config.seed, "evaluate", "noise")
     whole = Condition(config, begin.X0, begin.D, begin.D_hat0, config.case_t_end, seed, adapts=contender.adapts)
@@ -189,5 +203,6 @@ def _warn_of_fallbacks(progress: Console, models: Mapping[Contender, Scores]) ->
 def _draw(job: Job, result: Evaluated) -> None:
     job.progress.doing("evaluate", "drawing")
     evidence = figures.Evidence.read(job.folder, job.plant, job.config.evaluate, result)
-    for plate in (figures.figure1(evidence), figures.certificate(evidence), figures.coverage(evidence)):
+    kinds = figures.figure1, figures.figure1_bounded, figures.certificate, figures.coverage
+    for plate in filter(None, (kind(evidence) for kind in kinds)):
         figures.write(plate, job.folder)

@@ -3,7 +3,8 @@
 from typing import Any
 
 from npred.config import Pipeline
-from npred.stages.configuration import box, loop, loop_parts, networks, notation, table
+from npred.plants import inputs
+from npred.stages.configuration import box, loop, loop_parts, networks, notation, plant, table
 
 HELD_OUT = ("test_share", "explore", "redraw", "spread", "explore_D", "explore_D_hat0")
 
@@ -11,6 +12,8 @@ HELD_OUT = ("test_share", "explore", "redraw", "spread", "explore_D", "explore_D
 def configuration(config: Pipeline, model: str | None, device: str) -> dict[str, Any]:
     """The table and the networks, what draws held-out rows, and the labels of its figures."""
     section = {"evaluate": loop(config, "evaluate")}
+    if bounded := config.evaluate.bounded:
+        inputs.configured(plant(config), bounded, "evaluate")  # it may refuse them
     return section | networks(config) | box(config) | notation(config) | _held_out(config)
 
 

@@ -81,7 +81,9 @@ def _all(contender: Contender, scores: Scores, result: Evaluated) -> dict[str, s
     cells |= {"fallback": _share(scores.fallback)} if guarded else {}
     cells |= dict(zip(LIMITS, _limits(scores), strict=False))
     cells |= {"map": f"{scores.map.share:.0%}" if scores.map else "", "Fig. 1": _cell(end.radius)}
-    return cells | {"D̂" if result.in_loop.D is not None else "D": _cell(end.D_hat_end, ".3f")}
+    cells |= {"D̂" if result.in_loop.D is not None else "D": _cell(end.D_hat_end, ".3f")}
+    bounded = scores.figure1_bounded
+    return cells | ({"U bounded": _cell(bounded.radius), "its D̂": _cell(bounded.D_hat_end, ".3f")} if bounded else {})
 
 
 def _limits(does: Scores | Behaviour) -> list[str]:

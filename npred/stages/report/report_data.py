@@ -24,7 +24,7 @@ from npred.stages.bench.sentences import method_on
 from npred.stages.report import tables
 
 CHAPTERS = (
-    ("loop", "The closed loop", ("figure1",), ("loops",)),
+    ("loop", "The closed loop", ("figure1_bounded", "figure1"), ("loops",)),
     ("radius", "Error and radius", ("certificate",), ()),
     ("errors", "Where networks err", ("errors", "kinds", "box"), ("accuracy", "kinds")),
     ("delays", "Delays and first estimates", ("delays",), ()),
@@ -70,7 +70,8 @@ class Story:
 
     def plates(self) -> dict[str, Plate]:
         """Every figure by name, in order."""
-        kinds = figures.figure1, figures.certificate, figures.errors, figures.kinds, figures.box, figures.delays
+        kinds = figures.figure1_bounded, figures.figure1, figures.certificate, figures.errors, figures.kinds
+        kinds = *kinds, figures.box, figures.delays
         plates = [*(kind(self.evidence) for kind in kinds), figures.scenarios(self.plant, self.evaluated.scenarios)]
         plates += [
             figures.certified(self.plant, self.certified, self.rollout_errors),

@@ -80,6 +80,7 @@ def loops(evaluated: Evaluated) -> Table:
     exact, rows = evaluated.models[NUMERICAL], list(evaluated.models.values())
     about = "loops of the map of D and D̂(0) that converge, of those that do with the numerical predictor"
     mapped = [Column(f"map, of {_kept(exact, exact)}", [_kept(scores, exact) for scores in rows], "d", about=about)]
+    bounded, within = [scores.figure1_bounded for scores in rows], "of the loop shown with U within figure_bounds"
     settles = "settling time over the numerical predictor's, the median over the cases"
     D, acts = ("D", "σ(t)") if evaluated.in_loop.D is None else ("D̂", "t + D")  # a declared delay is no estimate
     in_loop = [scores.in_loop if contender.adapts else None for contender, scores in evaluated.models.items()]
@@ -93,6 +94,8 @@ def loops(evaluated: Evaluated) -> Table:
         *(mapped if exact.map else []),
         *_columns([scores.figure1 for scores in rows], {"radius": "radius, loop shown"}),
         Column(f"{D} at its end", [scores.figure1.D_hat_end for scores in rows], ".3f"),
+        Column("radius, U bounded", [end and end.radius for end in bounded], digits=2, about=within),
+        Column(f"{D} at the end of that", [end and end.D_hat_end for end in bounded], ".3f"),
         Column(f"sup |P(1, t) − X({acts})|", in_loop, digits=2, about=checked),
         *_fallback(rows),
         *_limits(rows),
