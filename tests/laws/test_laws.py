@@ -14,10 +14,12 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm, solve_continuous_are
 from scipy.optimize import minimize
 from scipy.signal import place_poles
+from typer.testing import CliRunner
 
 import npred
 import npred.diagnosis
 from npred import laws, plants
+from npred.cli import app
 from npred.diagnosis import Case, region
 from npred.errors import ConfigError
 from npred.laws.design import MOMENTS, SPAN, Design
@@ -219,6 +221,22 @@ def test_a_law_keeps_its_rest_with_other_parameters_pickled_and_designed_again()
     for other in (plants.varied(plant, (("a", a),)), plants.controlled(plant, "lqr"), LqrWeights.of(plant).varied({})):
         np.testing.assert_allclose(other.equilibrium, plant.equilibrium, atol=1e-9)  # the text has 12 digits
     assert pickle.loads(pickle.dumps(plant.law)).guess == plant.law.guess == tuple(plant.guess)
+
+
+def test_the_check_prints_the_law_with_the_guess_that_leads_to_its_rest(tmp_path):
+    """Pasted into the class, both make the same plant."""
+    head = "class Wavy:\n    states, inputs = ('x', 'y'), ('u',)\n    box = {'x': (-3.0, 3.0), 'y': (-3.0, 3.0)}\n"
+    f = "    def f(x, u, t, p, M):\n        return [x.y - M.sin(2.024 * x.x), -x.y + u.u]\n"
+    (tmp_path / "lawless.py").write_text(f"{head}    guess = (1.351, -0.854)\n{f}")
+    done = CliRunner().invoke(app, ["plants", "check", f"{tmp_path / 'lawless.py'}:Wavy", "--kappa", "lqr"])
+    printed = done.output[done.output.index("guess = [") :]
+    (tmp_path / "pasted.py").write_text(head + f + "\n".join(f"    {line}" for line in printed.splitlines()) + "\n")
+    pasted, designed = (
+        npred.plant(f"{tmp_path / 'pasted.py'}:Wavy"),
+        npred.plant(f"{tmp_path / 'lawless.py'}:Wavy", kappa="lqr"),
+    )
+    assert pasted.identity == designed.identity
+    np.testing.assert_array_equal(pasted.equilibrium, designed.equilibrium)
 
 
 def test_the_nearest_point_of_rest_of_two_inputs_is_that_of_scipy():

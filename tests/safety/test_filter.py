@@ -11,6 +11,7 @@ import npred
 from npred.errors import ConfigError
 from npred.plants import Plant
 from npred.predictors import RK4
+from npred.runtimes import fmu_variables
 from npred.safety.filter import assumed
 
 
@@ -167,6 +168,15 @@ def test_the_relative_degree_is_that_of_the_values_on_the_box():
     assert plain.filtered.any() and not tilted.unkept
     np.testing.assert_allclose(tilted.U, plain.U, atol=1e-12)
     assert assumed(Plant("tilted", Tilted)) == ["tilt"] and not assumed(CART)
+
+
+@pytest.mark.parametrize(("tilt", "about"), [(0.0, "; the safety filter is written for 0"), (0.5, "")])
+def test_an_fmu_says_which_parameter_decided_the_relative_degree(tilt, about):
+    plant = Plant("tilted", Tilted, {"tilt": tilt})
+    controller = npred.controller(plant, RK4(plant, 11), None, 0.01, D_hat=0.3, actuator="history", u0=[0.0],
+                                  safety=npred.SafetyFilter(3.0))  # fmt: skip
+    (parameter,) = [a for a in fmu_variables.of(controller, np.zeros(2), False) if a.name == "parameter.tilt"]
+    assert parameter.about == "parameter of plant and law" + about
 
 
 def test_a_parameter_that_is_not_0_lets_u_act_on_the_first_derivative():
