@@ -144,10 +144,10 @@ def check(
     fine = diagnosis.settled(answers)
     rows = [[*answer] for answer in answers]
     document = {"plant": plant, "fine": fine, "answers": [answer._asdict() for answer in answers]}
-    document |= {"kappa": str(asked.law)} if asked.law_table else {}
+    document |= {"kappa": str(asked.law), "guess": asked.guess.tolist()} if asked.law_table else {}
     options.show_table(document, ["question", "answer", "found"], rows)
     if asked.law_table and not options.json:
-        options.console.out(str(asked.law))
+        options.console.out(f"guess = {asked.guess.tolist()}\n\n{asked.law}")
     if plot:
         from npred import figures
 

@@ -55,7 +55,8 @@ def stability(case: Case) -> Verdict:
     if rates[0].real < 0:
         return "yes", f"eigenvalues of the loop without delay: {values}"
     at = f"eigenvalues {values} at {case.state(plant.equilibrium)}, expected all negative"
-    return "no", f"{plant.location('kappa')} does not stabilise without delay: {at}; check its signs and gains"
+    cure = "check its signs and gains, or move guess to the rest that it holds"
+    return "no", f"{plant.location('kappa')} does not stabilise without delay: {at}; {cure}"
 
 
 def reference(case: Case) -> Verdict:

@@ -17,7 +17,9 @@ from npred.symbolic.trace import Trace, python
 SAMPLES = 256  # states of the box
 SPAN, MOMENTS = 100.0, 64  # seconds of a reference without a period, and times in them
 STEPS, SHORTEST = 100, 1e-6  # of the search for a point of rest, and the shortest share of a step
+STARTS, ROUGH, NEAR, DECIMALS = 16, 1e-3, 1e-7, 6  # of the search for the nearest, in half widths of the box
 MATCHED = 1e-6  # of the largest rate: less of the rates than this may be out of reach of the inputs
+ZERO = 1e-9  # of a derivative's size over the box: below it an input does not act
 SLOW = 1e-6  # 1/s: rates below are those of integrators, which rounding moves off 0
 
 
@@ -46,44 +48,96 @@ class Design:
 
     def values(self, outputs: Vector, X: np.ndarray, t: np.ndarray) -> np.ndarray:
         """Expressions of x, t and the parameters at states X (B, n) and times t (B,): (B, outputs)."""
-        function = python(outputs, [*names("x", self.plant.n), "t", *names("p", len(self.plant.p))])
-        with np.errstate(all="ignore"):
-            columns = function(*X.T, t, *self.plant.p)
-        return np.stack([np.broadcast_to(column, t.shape) for column in columns], axis=-1).astype(float)
+        return values(self.plant, outputs, X, np.zeros((len(X), self.plant.m)), t)
 
     @cached_property
     def rest(self) -> tuple[np.ndarray, np.ndarray]:
-        """X and u with f(X, u) = 0, (n,) and (m,), X nearest to `guess` in half widths of the box."""
-        plant = self.plant
+        """X and u with f(X, u) = 0, (n,) and (m,), X nearest to `guess` in half widths of the box.
+
+        Another one may be nearer where none of STARTS searches, from as near to `guess` as the first point found, leads
+        there. X is kept to DECIMALS of those widths: more would differ between libraries of linear algebra.
+        """
+        plant, n = self.plant, self.plant.n
         low, high = self.limits.T
-        u = np.clip(0.0, low, high)
-        scale = np.concatenate([self.widths, np.ones(plant.m)])
-        z, arrived = self._search(np.concatenate([plant.guess, u]), np.where(np.arange(len(scale)) < plant.n, 0, 1))
-        if not arrived:
-            z, arrived = self._search(z, scale)
-        X, u = z[: plant.n], z[plant.n :]
-        if not arrived:
-            left = source_lines.values([f"{name}'" for name in plant.states], plant.f(X, u))
-            raise self.refusal(f"a point of rest near guess = {plant.guess.tolist()}, {left} is left", "move guess")
+        start = np.concatenate([plant.guess, np.clip(0.0, low, high)])
+        z, arrived = self._onto(start)
+        if not arrived or self._distance(z) > 0:
+            near, draws = ([self._nearer(z)] if arrived else []), randomness.generator(0, "rest")
+            start[n:] = z[n:] if arrived else start[n:]
+            for _ in range(STARTS):
+                reach = min(map(self._distance, near), default=np.sqrt(n))
+                way = draws.standard_normal(n)
+                start[:n] = plant.guess + reach * draws.uniform() ** (1 / n) * way / np.linalg.norm(way) * self.widths
+                other, arrived = self._search(start)
+                near += [self._nearer(other)] if arrived else []
+            if not near:
+                left = source_lines.values([f"{name}'" for name in plant.states], plant.f(z[:n], z[n:]))
+                expected = f"a point of rest near guess = {plant.guess.tolist()}, {left} is left"
+                raise self.refusal(expected, "move guess")
+            z = self._nearer(min(near, key=self._distance), NEAR)
+            z[:n] = np.round(z[:n] / self.widths, DECIMALS) * self.widths + 0.0
+            z, _ = self._onto(z)
+        X, u = z[:n], z[n:]
         if (u < low).any() or (u > high).any():
             raise self.refusal(f"an input within input_bounds at rest, got {source_lines.values(plant.inputs, u)}",
                                "move guess")  # fmt: skip
         return X, u
 
-    def _search(self, z: np.ndarray, scale: np.ndarray) -> tuple[np.ndarray, bool]:
-        """Gauss and Newton's method for f = 0 by X and u in one vector, by the shortest steps in units of `scale`."""
+    @property
+    def guess(self) -> tuple[float, ...]:
+        """Where the equilibrium of the law's loop is searched from: the point of rest; of a reference, `guess`."""
+        return tuple((self.plant.guess if self.follows else self.rest[0]).tolist())
+
+    def _distance(self, z: np.ndarray) -> float:
+        """How far X of z is from `guess`, in half widths of the box."""
+        return float(np.linalg.norm((z[: self.plant.n] - self.plant.guess) / self.widths))
+
+    def _nearer(self, z: np.ndarray, last: float = ROUGH) -> np.ndarray:
+        """From a point of rest z to the nearest to `guess` around it: down the gradient along those of the
+        linearisation, and back onto those of f, until a step is as short as `last`.
+        """
+        n, units = self.plant.n, np.concatenate([self.widths, np.ones(self.plant.m)])
+        for _ in range(STEPS):
+            jacobian = np.hstack(self.plant.jacobians(z[:n], z[n:])) * units
+            if not np.isfinite(jacobian).all():
+                break
+            _, sizes, rows = np.linalg.svd(jacobian)
+            free = rows[np.count_nonzero(sizes > ZERO * sizes[0]) :].T
+            away = (z[:n] - self.plant.guess) / self.widths
+            step = free @ np.linalg.lstsq(free[:n], -away, rcond=ZERO)[0]
+            length, share = np.linalg.norm(step[:n]), 1.0
+            while share * length > last:
+                moved, arrived = self._search(z + share * units * step)
+                if arrived and self._distance(moved) ** 2 < away @ away - share * length**2 / 10:
+                    break
+                share /= 2
+            if share * length <= last:
+                break
+            z = moved
+        return z
+
+    def _onto(self, z: np.ndarray) -> tuple[np.ndarray, bool]:
+        """A point of rest near z: by u alone where that leads to one, else by X and u."""
+        z, arrived = self._search(z, by_input=True)
+        return (z, arrived) if arrived else self._search(z)
+
+    def _search(self, z: np.ndarray, by_input: bool = False) -> tuple[np.ndarray, bool]:
+        """Gauss and Newton's method for f = 0 by X and u in one vector, or by u alone, by the shortest steps in half
+        widths of the box and units of u.
+        """
         n, f = self.plant.n, self.plant.f
+        scale = np.concatenate([np.zeros(n) if by_input else self.widths, np.ones(self.plant.m)])
         for _ in range(STEPS):
             value = f(z[:n], z[n:])
             jacobian = np.hstack(self.plant.jacobians(z[:n], z[n:])) * scale
             if not np.isfinite(value).all() or not np.isfinite(jacobian).all():
                 break
-            step, share = scale * np.linalg.lstsq(jacobian, value, rcond=None)[0], 1.0
+            step, share, size = scale * np.linalg.lstsq(jacobian, value, rcond=None)[0], 1.0, np.linalg.norm(value)
             moved = z - step
-            while share > SHORTEST and not np.linalg.norm(f(moved[:n], moved[n:])) < np.linalg.norm(value):
+            while not np.array_equal(moved, z) and not np.linalg.norm(f(moved[:n], moved[n:])) < size:
                 share /= 2
-                moved = z - share * step
-            if share <= SHORTEST:
+                moved = z - share * step if share > SHORTEST else z
+            if np.array_equal(moved, z):
                 break
             z = moved
         size = max(1.0, float(np.linalg.norm(z[:n])))
@@ -119,9 +173,7 @@ class Design:
     @cached_property
     def moments(self) -> np.ndarray:
         """The times at which a reference is looked at; 0 for a point of rest."""
-        if not self.follows:
-            return np.zeros(1)
-        return np.linspace(0.0, self.plant.period or SPAN, MOMENTS, endpoint=False)
+        return moments(self.plant) if self.follows else np.zeros(1)
 
     @cached_property
     def targets(self) -> tuple[np.ndarray, np.ndarray]:
@@ -165,16 +217,9 @@ class Design:
         return A, B
 
     @cached_property
-    def ends(self) -> np.ndarray:
-        """The box (n, 2); where it has no range for a state, 1 around `guess`."""
-        pairs = [self.plant.box.get(name, (a - 1, a + 1)) for name, a in
-                 zip(self.plant.states, self.plant.guess, strict=True)]  # fmt: skip
-        return np.array(pairs, dtype=float)
-
-    @cached_property
     def widths(self) -> np.ndarray:
         """Half the box, (n,), where that has a width, else 1."""
-        width = np.ptp(self.ends, axis=1) / 2
+        width = np.ptp(ends(self.plant), axis=1) / 2
         return np.where(width > 0, width, 1.0)
 
     @cached_property
@@ -197,10 +242,40 @@ class Design:
         """The plant's input bounds, (m, 2)."""
         return inputs.bounds(self.plant, None)
 
-    @cached_property
-    def samples(self) -> np.ndarray:
-        """States of the box, (SAMPLES, n)."""
-        return randomness.generator(0, "laws").uniform(self.ends[:, 0], self.ends[:, 1], (SAMPLES, self.plant.n))
+
+def ends(plant: Plant) -> np.ndarray:
+    """The box (n, 2); where it has no range for a state, 1 around `guess`."""
+    pairs = [plant.box.get(name, (a - 1, a + 1)) for name, a in zip(plant.states, plant.guess, strict=True)]
+    return np.array(pairs, dtype=float)
+
+
+def samples(plant: Plant) -> np.ndarray:
+    """States of the box, (SAMPLES, n)."""
+    low, high = ends(plant).T
+    return randomness.generator(0, "laws").uniform(low, high, (SAMPLES, plant.n))
+
+
+def moments(plant: Plant) -> np.ndarray:
+    """Times of a period, or of SPAN seconds, (MOMENTS,)."""
+    return np.linspace(0.0, plant.period or SPAN, MOMENTS, endpoint=False)
+
+
+def values(plant: Plant, outputs: Vector, X: np.ndarray, u: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """Expressions of x, u, t and the parameters at X (B, n), u (B, m) and times t (B,): (B, outputs)."""
+    function = python(outputs, [*names("x", plant.n), *names("u", plant.m), "t", *names("p", len(plant.p))])
+    with np.errstate(all="ignore"):
+        columns = function(*X.T, *u.T, t, *plant.p)
+    return np.stack([np.broadcast_to(column, t.shape) for column in columns], axis=-1).astype(float)
+
+
+def acts(forces: np.ndarray, drift: np.ndarray) -> bool:
+    """True if an input moves a derivative, by the values `forces` (B, m), whose value is `drift` (B,) without.
+
+    A tape does not see that x - x + u - u is 0, nor that a parameter is.
+    """
+    finite = np.isfinite(forces).all(axis=-1) & np.isfinite(drift)
+    most, other = (np.abs(part[finite]).max(initial=0.0) for part in (forces, drift))
+    return bool(most > ZERO * max(most, other, np.finfo(float).tiny))
 
 
 def solved(B: np.ndarray, right: Sequence[Value]) -> list[Value]:

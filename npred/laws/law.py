@@ -23,9 +23,13 @@ TEXTS = {
 
 @dataclass(frozen=True)
 class Law:
-    """A law kappa(x, t, p, M) by the text of its definition, which can be pasted into a plant's class."""
+    """A law kappa(x, t, p, M) by the text of its definition, which can be pasted into a plant's class.
+
+    A plant with it has this `guess`: a law holds the rest that it was designed for, and perhaps no other.
+    """
 
     text: str
+    guess: tuple[float, ...]
 
     @cached_property
     def function(self) -> Callable[..., list[Value]]:
@@ -40,23 +44,24 @@ class Law:
     def __str__(self) -> str:
         return self.text
 
-    def __reduce__(self) -> tuple[type["Law"], tuple[str]]:
-        return Law, (self.text,)
+    def __reduce__(self) -> tuple[type["Law"], tuple[str, tuple[float, ...]]]:
+        return Law, (self.text, self.guess)
 
 
-def written(trace: Trace, outputs: Vector) -> Law:
+def written(trace: Trace, guess: tuple[float, ...], outputs: Vector) -> Law:
     """The law whose values are these expressions of the trace's x, t and parameters."""
     plant: Plant = trace.plant
     bindings = {f"x{k}": f"x.{name}" for k, name in enumerate(plant.states)}
     bindings |= {f"p{k}": f"p.{name}" for k, name in enumerate(plant.parameters)}
     results = names("u", plant.m)
     lines = programs.lines(outputs, bindings, results, TEXTS)
-    return _defined([*lines, f"return [{', '.join(results)}]"])
+    return _defined([*lines, f"return [{', '.join(results)}]"], guess)
 
 
 def linear(plant: Plant, K: np.ndarray, X: np.ndarray, u: np.ndarray, widths: np.ndarray) -> Law:
     """u - K (x - X) for K (m, n), X (n,), u (m,), without the terms that are rounding for errors of those widths."""
-    return _defined([f"return [{', '.join(_row(plant, *row, X, widths) for row in zip(u, K, strict=True))}]"])
+    line = f"return [{', '.join(_row(plant, *row, X, widths) for row in zip(u, K, strict=True))}]"
+    return _defined([line], tuple(X.tolist()))
 
 
 def error(state: str, rest: float) -> str:
@@ -82,5 +87,5 @@ def _row(plant: Plant, u: float, gains: np.ndarray, X: np.ndarray, widths: np.nd
     return " ".join([first if sign == "+" else f"-{first}", *terms[1:]])
 
 
-def _defined(lines: Sequence[str]) -> Law:
-    return Law("\n".join(["def kappa(x, t, p, M):", *(f"    {line}" for line in lines)]) + "\n")
+def _defined(lines: Sequence[str], guess: tuple[float, ...]) -> Law:
+    return Law("\n".join(["def kappa(x, t, p, M):", *(f"    {line}" for line in lines)]) + "\n", guess)

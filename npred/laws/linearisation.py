@@ -8,7 +8,7 @@ import numpy as np
 
 from npred.errors import ConfigError
 from npred.laws import placement
-from npred.laws.design import Design, solved
+from npred.laws.design import ZERO, Design, acts, samples, solved
 from npred.laws.law import Law, rounded, written
 from npred.laws.regulator import gains
 from npred.plants.base import Plant
@@ -16,7 +16,6 @@ from npred.symbolic import Value, programs
 from npred.symbolic.declared import record
 from npred.symbolic.tape import M, Vector
 
-ZERO = 1e-9  # of a derivative's size over the box: below it an input does not act
 REGULAR = 1e-6  # of the largest determinant over the box: below it the decoupling matrix is singular somewhere
 MOST = 5000  # combinations of states that are tried as outputs
 
@@ -95,15 +94,14 @@ def _chain(design: Design, output: OutputMap) -> Chain | None:
 
 
 def _acts(design: Design, row: list[Value], y: Value) -> bool:
-    """True if an input moves a derivative on the box: a tape does not see that x - x + u - u is 0."""
-    values = np.abs(np.nan_to_num(design.values([*row, y], *_places(design))))
-    forces = values[:, :-1] * design.sizes
-    return bool(forces.max() > ZERO * max(values[:, -1].max(), forces.max(), np.finfo(float).tiny))
+    """True if an input moves a derivative on the box."""
+    values = design.values([*row, y], *_places(design))
+    return acts(values[:, :-1] * design.sizes, values[:, -1])
 
 
 def _places(design: Design) -> tuple[np.ndarray, np.ndarray]:
     """States of the box, and those that the law leads to, with times."""
-    X, moments = design.samples, design.moments
+    X, moments = samples(design.plant), design.moments
     times = np.concatenate([np.resize(moments, len(X)), moments])
     return np.concatenate([X, design.targets[0]]), times
 
@@ -125,7 +123,7 @@ def _law(design: Design, outputs: Sequence[OutputMap], poles: Sequence[complex] 
             pull = pull - k * (y - goal)
         right.append(pull)
     rows = np.array([chain.row for chain in chains], dtype=object)
-    law = written(design.trace, [right[0] / rows[0, 0]] if plant.m == 1 else solved(rows, right))
+    law = written(design.trace, design.guess, [right[0] / rows[0, 0]] if plant.m == 1 else solved(rows, right))
     if sum(degrees) < plant.n:
         _check_rest(design, law)
     return law

@@ -50,7 +50,7 @@ def along(design: Design, K: np.ndarray) -> Law:
     if not design.follows:
         return linear(design.plant, K, *design.rest, design.widths)
     A, B = design.linearised
-    return written(design.trace, _commands(design, rounded(K), rounded(A - B @ K)))
+    return written(design.trace, design.guess, _commands(design, rounded(K), rounded(A - B @ K)))
 
 
 def adjustable(plant: Plant, K: np.ndarray) -> Plant:
@@ -63,7 +63,7 @@ def adjustable(plant: Plant, K: np.ndarray) -> Plant:
     A, B = design.linearised
     symbols = np.array(design.trace.parameters[-K.size :], dtype=object).reshape(K.shape)
     closed = A - B @ (symbols if design.schedules(A - B @ K) else K)
-    return other.controlled(written(design.trace, _commands(design, symbols, closed)))
+    return other.controlled(written(design.trace, design.guess, _commands(design, symbols, closed)))
 
 
 def _commands(design: Design, K: np.ndarray, closed: np.ndarray) -> list[Value]:

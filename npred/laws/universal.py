@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from npred.laws.design import Design
+from npred.laws.design import SAMPLES, Design, samples
 from npred.laws.law import Law, rounded, written
 from npred.laws.regulator import gains
 from npred.plants.base import Plant
@@ -40,13 +40,15 @@ def sontag(plant: Plant, V: Callable[..., Any] | str | None = None) -> Law:
     for b, weight in zip(row, weights, strict=True):
         effect = effect + weight * (b * b)
     g = _gain(design, value, weights)
-    usual = np.hypot(*design.values([rate, effect], design.samples, np.zeros(len(design.samples))).T)
+    usual = np.hypot(*design.values([rate, effect], samples(plant), np.zeros(SAMPLES)).T)
     small = float(f"{SMOOTH * np.nanmedian(usual):.1g}")
     size = M.sqrt(rate * rate + effect * effect + small**2)
     # where a < 0 the sum a + size cancels, and is written as the quotient that it equals
     sum_of_both = M.where(rate < 0, (effect * effect + small**2) / (size - rate), rate + size)
     pull = sum_of_both / (effect + small / g)
-    return written(design.trace, [a - weight * b * pull for a, b, weight in zip(u, row, weights, strict=True)])
+    return written(
+        design.trace, design.guess, [a - weight * b * pull for a, b, weight in zip(u, row, weights, strict=True)]
+    )
 
 
 def _value(design: Design, V: Callable[..., Any] | str | None) -> Value:

@@ -55,7 +55,8 @@ class Plant(InNotebook):
         self.declares_output, self.outputs = parts.output is not None, parts.outputs or parts.states
         self.declares_safe = parts.safe is not None
         self.states, self.inputs, self.parameters, self.box = parts.states, parts.inputs, parts.parameters, parts.box
-        self.guess = np.zeros(self.n) if parts.guess is None else np.array(parts.guess)
+        guess = getattr(kappa, "guess", parts.guess)  # a law that was designed has that of its rest
+        self.guess = np.zeros(self.n) if guess is None else np.array(guess)
         self.input_bounds = None if parts.input_bounds is None else list(parts.input_bounds)
         self.state_bounds = parts.state_bounds
         self.delays, self.period = parts.delays, parts.period

@@ -13,6 +13,7 @@ from npred.kernels.c_text import literal
 from npred.loop.controller import Controller
 from npred.predictors.guarded import PASSES, Guarded, bare
 from npred.runtimes import c_controller
+from npred.safety.filter import assumed
 
 LARGEST, SMALLEST = sys.float_info.max, sys.float_info.min
 PARAMETERS = ("tunable", "fixed")  # of the roles, which are these, input, output and independent
@@ -128,8 +129,11 @@ def _parameters(controller: Controller) -> Iterator[Variable]:
         about = "largest error of the command that passes the guard"
         yield Variable("tolerance", "tunable", "TOLERANCE", (predictor.tolerance,), about, low=SMALLEST)
     if not hasattr(bare(predictor), "operator"):
+        decided = assumed(plant) if controller.safety else []
         for name, value in plant.parameters.items():
-            yield Variable(f"parameter.{name}", "tunable", "PARAMETERS", (float(value),), "parameter of plant and law")
+            about = "parameter of plant and law"
+            about += f"; the safety filter is written for {value:g}" if name in decided else ""
+            yield Variable(f"parameter.{name}", "tunable", "PARAMETERS", (float(value),), about)
 
 
 def header(controller: Controller, variables: Sequence[Variable], name: str, token: str) -> str:

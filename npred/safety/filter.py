@@ -13,12 +13,14 @@ from typing import Any
 
 import numpy as np
 
-from npred import array_checks
+from npred import array_checks, randomness
 from npred.delays import family
 from npred.errors import ConfigError
 from npred.kernels.formula import vector
 from npred.kernels.functions import Formulas
 from npred.kernels.kernel import Kernel, made, skeleton
+from npred.laws import design
+from npred.plants import inputs
 from npred.plants.base import Plant
 from npred.symbolic import Value, programs
 from npred.symbolic.trace import Trace
@@ -107,20 +109,52 @@ def kernel(plant: Plant, ends: int) -> Kernel:
 def _barrier(
     trace: Trace, plant: Plant, k: int, h: Value, x: np.ndarray, u: np.ndarray, t: Value, alpha: Value
 ) -> Value:  # fmt: skip
-    """φ(x, U) = ψ' + α ψ of limit k, ψ the first of its chain whose derivative U moves."""
-    along, psi = trace.f(x, u, t), h
-    for _ in range(plant.n):
+    """φ(x, U) = ψ' + α ψ of limit k, ψ the first of its chain whose derivative U moves on the box."""
+    along, psi, degree = trace.f(x, u, t), h, _degree(plant, k)[0]
+    for order in range(1, degree + 1):
         [rate] = programs.derivative([psi], [t, *x], [1.0, *along])
-        phi = rate + alpha * psi
-        if programs.depends([phi], [*u]):
-            slopes = [programs.derivative([phi], [*u], [*unit])[0] for unit in np.eye(plant.m)]
-            if programs.depends(slopes, [*u]):
-                raise ConfigError(
-                    f"{plant.location('safe')} expected limits whose derivative is linear in the input, that of number "
-                    f"{k} is not; let another state be the input, by its rate"
-                )
-            return phi
-        psi = phi
+        if order < degree and programs.depends([rate], [*u]):
+            [rate] = programs.derivative([psi], [t, *x], [1.0, *trace.f(x, np.zeros(plant.m), t)])
+        psi = rate + alpha * psi
+    slopes = [programs.derivative([psi], [*u], [*unit])[0] for unit in np.eye(plant.m)]
+    if programs.depends(slopes, [*u]):
+        raise ConfigError(
+            f"{plant.location('safe')} expected limits whose derivative is linear in the input, that of number "
+            f"{k} is not; let another state be the input, by its rate"
+        )
+    return psi
+
+
+def assumed(plant: Plant) -> list[str]:
+    """The parameters without whose values U would move an earlier derivative of a limit: 0, say."""
+    names = {name for k in range(plant.limits) for name in _degree(plant, k)[1]}
+    return [name for name in plant.parameters if name in names]
+
+
+def _degree(plant: Plant, k: int) -> tuple[int, list[str]]:
+    """The first derivative of limit k by the time that U moves on the box, and the parameters that decide it."""
+    trace = Trace(plant)
+    x, u, t = trace.symbols()
+    along, still = trace.f(x, u, t), trace.f(x, np.zeros(plant.m), t)
+    y, decide = trace.safe(x, t)[k], []
+    for degree in range(1, plant.n + 1):
+        [rate] = programs.derivative([y], [t, *x], [1.0, *along])
+        slopes = [programs.derivative([rate], [*u], [*unit])[0] for unit in np.eye(plant.m)]
+        [y] = programs.derivative([y], [t, *x], [1.0, *still])
+        if _moved(plant, slopes, y):
+            return degree, decide
+        decide += [name for name, p in zip(plant.parameters, trace.parameters, strict=True)
+                   if programs.depends(slopes, [p])]  # fmt: skip
     raise ConfigError(
         f"{plant.location('safe')} expected limits that the input moves, it does not move number {k}; drop that one"
     )
+
+
+def _moved(plant: Plant, slopes: list[Value], drift: Value) -> bool:
+    """True if U moves a derivative on the box, by its slopes there, and its value where U = 0."""
+    X, t = design.samples(plant), np.resize(design.moments(plant), design.SAMPLES)
+    limits = inputs.bounds(plant, None)
+    limits = np.where(np.isfinite(limits), limits, [-1.0, 1.0])
+    U = randomness.generator(0, "limits").uniform(limits[:, 0], limits[:, 1], (design.SAMPLES, plant.m))
+    rates = design.values(plant, [*slopes, drift], X, U, t)
+    return design.acts(rates[:, :-1] * np.abs(limits).max(axis=1), rates[:, -1])

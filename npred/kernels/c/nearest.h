@@ -2,7 +2,9 @@
  *
  * It is found in the dual, max bᵀλ - ½ λᵀ G λ for λ >= 0, G = A W² Aᵀ + diag(soft), δ = W² Aᵀ λ, by the active sets of
  * Lawson and Hanson (Solving Least Squares Problems, 1974, ch. 23), with rows of the length 1. With soft_i > 0 a
- * condition may be missed, by soft_i λ_i: where no point keeps all, their squares weighed by 1 / soft_i are least. */
+ * condition may be missed, by soft_i λ_i: where no point keeps all, their squares weighed by 1 / soft_i are least. Where
+ * one does, those soft_i λ_i are small; they are solved for once more, which leaves about soft_i² λ_i. */
+#define ROOM 1e-6 /* of soft_i λ_i: above it no point keeps all */
 typedef struct {
     int rows, size; /* conditions; components of δ */
     double a[ROWS * M], b[ROWS], soft[ROWS];
@@ -95,6 +97,20 @@ static inline void nearest(const Conditions *q, const double *w, double *delta)
                 break;
             }
             count = kept;
+        }
+    }
+    double most_left = 0.0;
+    for (int i = 0; i < count; i++) {
+        b[i] = q->soft[active[i]] * lambda[active[i]];
+        most_left = larger(most_left, b[i]);
+        for (int j = 0; j < count; j++) {
+            G[i * ROWS + j] = gram(q, w, active[i], active[j]);
+        }
+    }
+    if (most_left < ROOM) {
+        solve_active(count, G, b, L, y);
+        for (int i = 0; i < count; i++) {
+            lambda[active[i]] += y[i];
         }
     }
     for (int c = 0; c < M; c++) {
