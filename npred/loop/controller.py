@@ -191,8 +191,8 @@ class Controller(InNotebook):
             D_hat=self.D_hat, D_hat_spread=self._spread(), age=math.inf if math.isnan(age) else age,
             innovation=z.innovation[:, 0].copy(), late=int(clock["late"]), refused=int(clock["refused"]),
             missed=self.missed, renewed=int(clock["renewed"]), handed_over=clock["handed"] > 0, offset=offset,
-            fallback=self.fallback, error=self.error, filtered=z.filtered[0] > 0, kept=float(z.kept[0]) if self.safety else math.nan,
-            unkept=z.unkept[0] > 0,
+            fallback=self.fallback, error=self.error, filtered=z.filtered[0] > 0,
+            kept=float(z.kept[0]) if self.safety else math.nan, unkept=z.unkept[0] > 0,
         )  # fmt: skip
 
     @property
