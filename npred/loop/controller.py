@@ -46,13 +46,15 @@ class Controller(InNotebook):
     With "history" the model says what X must be by now, X_hat, from the last sample and the commands. A sample that is
     further from it than `gate` times half the box, or |X_hat| where that is more, in any state, is not believed: X_hat
     takes its place, `missed` counts it, and an observer of the delay goes on without it. Such samples in a row for
-    D_hat seconds are: X has jumped. `gate=None` believes all; so does a state without a box.
+    D_hat seconds are, within six half widths of the box's middle, and ten times as far after each further D_hat: X has
+    jumped. `gate=None` believes all; so does a state without a box.
 
     With "history" a call may also come at any time `t`, without a sample, or with one that was taken up to `oldest`
     seconds ago (20 control steps by default): X_hat is the model's state from the last sample on. `observer`, one of
     npred.observers, estimates X from the plant's outputs, of which `step` then gets the samples; it believes an output
-    within 6 `gate` standard deviations. `watchdog` says what U is where no sample comes (npred.Watchdog).
-    `safety` keeps the limits that the plant declares (npred.SafetyFilter); with an uncertain delay it needs "history".
+    within 6 `gate` standard deviations, and begins anew where it did not believe one for D_hat. `watchdog` says what U
+    is where no sample comes (npred.Watchdog). `safety` keeps the limits that the plant declares (npred.SafetyFilter);
+    with an uncertain delay it needs "history".
     Raises ConfigError for parts that do not fit together.
     """
 
