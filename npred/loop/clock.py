@@ -12,12 +12,14 @@ STAMPS = (
     "now_at",  # position of the state `now` that the model goes on from
     "base_at",  # position of the state `base` of the last used sample
     "sample_at",  # position of the last used sample
-    "refused_at",  # position of the first of the samples in a row that were not believed
+    "renewed_at",  # position where the filter last began anew
     "tick",  # position of the last control step that the observer of the delay did
     "lag",  # control steps that it runs behind, the largest age of a sample
     "calls",  # 0 before the first call
     "late",  # samples that came too late, or after a newer one
     "refused",  # samples that were not believed
+    "renewed",  # times that the filter began anew
+    "stray",  # 1 where a state far from the box was believed
     "handed",  # 1 where the watchdog has U
     "moving",  # 1 while U goes from the law to the watchdog's or back
 )
@@ -29,16 +31,17 @@ def declared() -> str:
 
 
 class Clock:
-    """Views of that memory, a flat array: the stamps by name, then `sent`, `before`, `D` (m), `now`, `base` (n).
+    """Views of that memory, a flat array: the stamps by name, then `sent`, `before`, `D` (m), `now`, `base` (n),
+    `refused` (outputs).
 
     sent is the last command, before the mean of those before it in the control step of its call, D the delays by which
-    the last call read the commands.
+    the last call read the commands, and refused where the samples in a row begin in which an output was not believed.
     """
 
-    def __init__(self, n: int, m: int) -> None:
-        ends = np.cumsum([len(STAMPS), m, m, m, n, n]).tolist()
+    def __init__(self, n: int, m: int, outputs: int) -> None:
+        ends = np.cumsum([len(STAMPS), m, m, m, n, n, outputs]).tolist()
         self.memory = np.full(ends[-1], np.nan)
-        self.sent, self.before, self.D, self.now, self.base = (
+        self.sent, self.before, self.D, self.now, self.base, self.refused = (
             self.memory[a:b] for a, b in zip(ends[:-1], ends[1:], strict=True)
         )
 
@@ -48,7 +51,8 @@ class Clock:
     def start(self, k: int, U: np.ndarray, D: np.ndarray, X: np.ndarray | None, calls: int = 0) -> None:
         """Set it before the call of control step k, where the model expects X (n), after the command U (m)."""
         self.memory[:] = np.nan
-        self.memory[[STAMPS.index(name) for name in ("lag", "late", "refused", "handed", "moving")]] = 0.0
+        zeros = ("lag", "late", "refused", "renewed", "stray", "handed", "moving")
+        self.memory[[STAMPS.index(name) for name in zeros]] = 0.0
         self.memory[STAMPS.index("at")], self.memory[STAMPS.index("calls")] = k - 1, calls
         self.memory[STAMPS.index("now_at")] = k
         self.sent[:], self.before[:], self.D[:] = U, U, D
@@ -56,10 +60,10 @@ class Clock:
 
     def forget(self) -> None:
         """Expect nothing of the next sample, and take the next call for the first."""
-        for name in ("base_at", "sample_at", "refused_at", "tick"):
+        for name in ("base_at", "sample_at", "renewed_at", "tick"):
             self.memory[STAMPS.index(name)] = np.nan
         self.memory[STAMPS.index("calls")] = 0.0
-        self.now[:] = self.base[:] = np.nan
+        self.now[:] = self.base[:] = self.refused[:] = np.nan
 
     def state(self) -> list[float | None]:
         """The memory, ready for JSON."""

@@ -46,13 +46,15 @@ class Controller(InNotebook):
     With "history" the model says what X must be by now, X_hat, from the last sample and the commands. A sample that is
     further from it than `gate` times half the box, or |X_hat| where that is more, in any state, is not believed: X_hat
     takes its place, `missed` counts it, and an observer of the delay goes on without it. Such samples in a row for
-    D_hat seconds are: X has jumped. `gate=None` believes all; so does a state without a box.
+    D_hat seconds are, within six half widths of the box's middle, and ten times as far after each further D_hat: X has
+    jumped. `gate=None` believes all; so does a state without a box.
 
     With "history" a call may also come at any time `t`, without a sample, or with one that was taken up to `oldest`
     seconds ago (20 control steps by default): X_hat is the model's state from the last sample on. `observer`, one of
     npred.observers, estimates X from the plant's outputs, of which `step` then gets the samples; it believes an output
-    within 6 `gate` standard deviations. `watchdog` says what U is where no sample comes (npred.Watchdog).
-    `safety` keeps the limits that the plant declares (npred.SafetyFilter); with an uncertain delay it needs "history".
+    within 6 `gate` standard deviations, and begins anew where it did not believe one for D_hat. `watchdog` says what U
+    is where no sample comes (npred.Watchdog). `safety` keeps the limits that the plant declares (npred.SafetyFilter);
+    with an uncertain delay it needs "history".
     Raises ConfigError for parts that do not fit together.
     """
 
@@ -98,7 +100,10 @@ class Controller(InNotebook):
             watched=watchdog is not None, after=watchdog.after if watchdog else 0.0,
             holds=bool(watchdog and watchdog.holds), rescue=watchdog.rescue(plant.m) if watchdog else np.zeros(0),
             jump=watchdog.jumps(plant.m) if watchdog else np.zeros(0),
-            sensing=observer.settings if observer else np.zeros(0),
+            sensing=observer.settings if observer else np.zeros(0), pulls=bool(observer and observer.pulls),
+            filter_count=len(observer.start()) if observer else 0,
+            anew=observer.anew()[0] if observer else _box(plant).mean(axis=0),
+            widens=observer.anew()[1] if observer else np.zeros(0),
             bounds=law.bounds, p=plant.p, truth_p=plant.p, ratios=plant.ratios,
             input_bounds=np.ascontiguousarray(inputs.widest(plant, self._limits), dtype=float), law=law.settings,
             guard=np.zeros(0) if predictor.settings is None else predictor.settings,
@@ -187,9 +192,9 @@ class Controller(InNotebook):
         return Status(
             D_hat=self.D_hat, D_hat_spread=self._spread(), age=math.inf if math.isnan(age) else age,
             innovation=z.innovation[:, 0].copy(), late=int(clock["late"]), refused=int(clock["refused"]),
-            missed=self.missed, handed_over=clock["handed"] > 0, offset=offset, fallback=self.fallback,
-            error=self.error, filtered=z.filtered[0] > 0, kept=float(z.kept[0]) if self.safety else math.nan,
-            unkept=z.unkept[0] > 0,
+            missed=self.missed, renewed=int(clock["renewed"]), handed_over=clock["handed"] > 0, offset=offset,
+            fallback=self.fallback, error=self.error, filtered=z.filtered[0] > 0,
+            kept=float(z.kept[0]) if self.safety else math.nan, unkept=z.unkept[0] > 0,
         )  # fmt: skip
 
     @property
@@ -381,7 +386,7 @@ class Controller(InNotebook):
         self._longest = longest
         self._kept_for = (int(longest / self.dt) + self._oldest + 0.5) * self.dt if self._oldest else longest
         held, total = history(self._kept_for, self._kept_for, self.dt, self._past(np.zeros(n)))[1:]
-        self._clock, Y = Clock(n, m), np.zeros((n, 1))
+        self._clock, Y = Clock(n, m, len(self.outputs)), np.zeros((n, 1))
         arrays = {"Y": Y, "X_hat": np.zeros((n, 1)) if self._recalls else Y, "held": held, "total": total}
         arrays |= {"u": np.zeros((nx, m, 1)), "u_nodes": np.zeros((nx, m, 1)), "D_seen": np.zeros((m, 1))}
         arrays |= {"error": np.full(1, np.nan), "clock": self._clock.memory[:, None]}
@@ -463,7 +468,7 @@ class Controller(InNotebook):
             filtered = np.array(state.get("filter", z.filter[:, 0]), dtype=float)
             fits = fits and filtered.shape == z.filter[:, 0].shape and np.isfinite(filtered).all()
             if clock is not None:
-                Clock(self.plant.n, self.plant.m).restore(clock)
+                Clock(self.plant.n, self.plant.m, len(self.outputs)).restore(clock)
         except (KeyError, TypeError, ValueError):
             fits = False
         if not fits:
@@ -566,5 +571,10 @@ def _snapped(steps: float) -> float:
 
 def _half_widths(plant: Plant) -> np.ndarray:
     """Half the width of each state's box, (n,); infinity where it has none, or one of a point."""
-    low, high = np.array([plant.box.get(name, (0.0, 0.0)) for name in plant.states]).T
+    low, high = _box(plant)
     return np.where(high > low, (high - low) / 2, np.inf)
+
+
+def _box(plant: Plant) -> np.ndarray:
+    """The ends of each state's box, (2, n); zeros where it has none."""
+    return np.array([plant.box.get(name, (0.0, 0.0)) for name in plant.states]).T

@@ -69,7 +69,7 @@ STATE = [
     *_rows("n", "expected"),  # X by a controller's model, from the call before and the commands; NaN before the first
     *_lane("missed", start=0.0),  # the last samples in a row that the gate of a controller refused
     Signal("clock", ("clock",)),  # what a controller remembers of its calls: npred/kernels/c/controller.h
-    *_rows("outputs", "sample", "innovation", "spread"),  # of an observer of the state: what it gets, and how that fits
+    *_rows("outputs", "sample", "innovation", "fate"),  # of an observer of the state: what it gets, and how that fits
     Signal("filter", ("filter",)),  # and what it remembers
 ]
 RECORD = [
@@ -97,6 +97,8 @@ SETTINGS = [
     Signal("after", None, 0.0),  # how long a watchdog waits for one, in seconds
     *(Signal(name, None, 0, "int64") for name in ("every", "row_count", "sample_count", "late")),
     *(Signal(name, None, 0, "int") for name in ("recalls", "keeps", "gated", "offsets", "watched", "holds")),
+    Signal("pulls", None, 0, "int"),  # whether an observer of the state corrects it between samples too
+    Signal("filter_count", None, 0, "int"),  # numbers that an observer of the state remembers
     Signal("observer_count", None, 0, "int"),  # numbers that an observer of the delay remembers, for a step to undo
     Signal("output_count", None, 0, "int"),  # of a sample
     Signal("end_count", None, 0, "int"),  # predicted states in which limits are kept
@@ -116,6 +118,8 @@ SETTINGS = [
     *(Signal(name, ()) for name in ("noise", "absolute", "bias", "resolution")),  # (n,), what sensors make of X
     Signal("reach", ()),  # (n,), how far a sample may be from what is expected near 0
     Signal("sensing", ()),  # what an observer of the state is set to
+    Signal("anew", ()),  # what it begins with where it is lost; without one the middle of the box (n,)
+    Signal("widens", ()),  # 1 where that is a variance
     Signal("rescue", ()),  # (m,), the U of a watchdog that declares numbers
     Signal("jump", ()),  # (m,), how far U moves in a call while the watchdog takes or returns it
     Signal("safety", ()),  # what a safety filter is set to

@@ -12,10 +12,10 @@ class Status(NamedTuple):
     `age` is how old the last used sample is, infinity before the first. `innovation` (outputs,) is what that sample
     differed from what the model said of its time, NaN before the first. `late` counts the samples that were not used,
     for they came after a newer one or were older than `oldest`, `refused` those that the gate did not believe, `missed`
-    the last of these in a row. `handed_over` says whether the watchdog has U, `offset` (m,) what an observer of the
-    state finds at the inputs, `fallback` and `error` what a guard says. With a
-    safety filter `filtered` says whether it changed U, `kept` is the least h = safe(P, t) of the predicted states, and
-    `unkept` whether the bounds of U left no way to keep the limits.
+    the last of these in a row, `renewed` how often the observer of the state was lost and began anew. `handed_over`
+    says whether the watchdog has U, `offset` (m,) what an observer of the state finds at the inputs, `fallback` and
+    `error` what a guard says. With a safety filter `filtered` says whether it changed U, `kept` is the least h =
+    safe(P, t) of the predicted states, and `unkept` whether the bounds of U left no way to keep the limits.
     """
 
     D_hat: float
@@ -25,6 +25,7 @@ class Status(NamedTuple):
     late: int
     refused: int
     missed: int
+    renewed: int
     handed_over: bool
     offset: np.ndarray
     fallback: bool

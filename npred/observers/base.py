@@ -55,6 +55,7 @@ class Observer(ABC):
     """
 
     settings: np.ndarray  # what its kernels read as `law`
+    pulls = False  # whether it corrects the state between samples too
 
     def __init__(
         self, plant: Plant, *, offset: Any = False, X0: Any = None, outputs: Sequence[str] | None = None
@@ -87,6 +88,10 @@ class Observer(ABC):
     @abstractmethod
     def start(self) -> np.ndarray:
         """The memory to begin with, of one axis."""
+
+    def anew(self) -> tuple[np.ndarray, np.ndarray]:
+        """The memory to go on with where it was lost, and 1 where that is the variance of what it begins with."""
+        return self.start(), np.zeros(len(self.start()))
 
     def follow(self) -> Kernel:
         """npred.delays.family.FOLLOW: the memory a step on, by the inputs that act meanwhile."""

@@ -54,6 +54,10 @@ class EKF(Observer):
     def start(self) -> np.ndarray:
         return np.concatenate([self.X0, np.zeros(self.plant.m), factors(self.P0).ravel()])
 
+    def anew(self) -> tuple[np.ndarray, np.ndarray]:
+        variances = np.concatenate([np.zeros(self.plant.n + self.plant.m), np.eye(self.size).ravel()])
+        return self.start(), variances
+
     def covariance(self, memory: np.ndarray) -> np.ndarray:
         """P of a memory, of X or of (X, d)."""
         stored = memory[self.plant.n + self.plant.m :].reshape(self.size, self.size)

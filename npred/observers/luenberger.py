@@ -18,6 +18,7 @@ from npred.predictors.runge_kutta import RK4
 from npred.symbolic import Array, Value, programs, tape
 
 STEP = 0.5  # the longest of RK4, times the fastest pole
+ANY = 1e300  # the variance of an output before its first sample
 
 
 class Luenberger(Observer):
@@ -27,13 +28,15 @@ class Luenberger(Observer):
 
     Poles λ of the linearised plant that are slower than `rate`, or unstable, go to -2 rate - λ, which is the smallest
     gain that makes all as fast as `rate`; the others stay [Anderson, Moore, Linear Optimal Control, 1971, ch. 3, in the
-    limit of a small weight on the state]. The outputs (see Observer) are weighed by their half ranges over the box. It
-    has no gate, for it knows no spread, and L is that of one point: where the plant is driven far from it, or samples
-    are rare, take the EKF.
+    limit of a small weight on the state]. The outputs (see Observer) are weighed by their half ranges over the box.
+    These are the spread that its gate knows, of an output less w. L is that of one point: where the plant is driven far
+    from it, or samples are rare, take the EKF.
 
     Raises ConfigError for a plant that is not traced, or without an operating point that tells all states at t = 0, and
     for settings that do not fit.
     """
+
+    pulls = True
 
     def __init__(
         self, plant: Plant, rate: float | None = None, offset: bool = False, X0: Any = None,
@@ -51,10 +54,16 @@ class Luenberger(Observer):
             )
         self.L = smallest_gain(A, C, self.sizes.dy, self.rate)
         fastest = max(np.abs(np.linalg.eigvals(matrix)).max() for matrix in (A, A - self.L @ C, self.L @ C))
-        self.settings = np.concatenate([[STEP / fastest], self.L.ravel()])
+        self.settings = np.concatenate([[STEP / fastest], self.L.ravel(), self.sizes.dy**2])
 
     def start(self) -> np.ndarray:
-        return np.concatenate([self.X0, np.zeros(self.plant.m), self.measured(self.X0)])
+        w = self.measured(self.X0)
+        return np.concatenate([self.X0, np.zeros(self.plant.m), w, np.full(len(w), ANY)])
+
+    def anew(self) -> tuple[np.ndarray, np.ndarray]:
+        memory, count = self.start(), len(self.outputs)
+        memory[-count:] = self.sizes.dy**2
+        return memory, np.concatenate([np.zeros(len(memory) - count), np.ones(count)])
 
     @cached_property
     def _follow(self) -> Kernel:
@@ -80,7 +89,7 @@ class Luenberger(Observer):
     @cached_property
     def _correct(self) -> Kernel:
         of = Formulas(self.plant, ())
-        sizes = {"N": self.plant.n, "M": self.plant.m, "OUTPUTS": len(self.outputs)}
+        sizes = {"N": self.plant.n, "M": self.plant.m, "SIZE": self.size, "OUTPUTS": len(self.outputs)}
         text, functions = skeleton("luenberger_correct.h"), {"OUTPUT": self.output_function(of)}
         return made("luenberger_correct", family.CORRECT_BY, text, functions, sizes)
 

@@ -26,8 +26,10 @@ LIMITS = {"float": 1e-3, "double": 1e-9}  # of the test in the file
 WHAT = "export controller"
 # of the settings, those that a step reads
 NUMBERS = ("dt", "b", "gate", "gamma_dt", "oldest", "after", "uncertain")
-FLAGS = ("recalls", "keeps", "gated", "observer_count", "offsets", "watched", "holds", "output_count", "end_count")
-ARRAYS = ("bounds", "input_bounds", "p", "ratios", "law", "guard", "reach", "sensing", "rescue", "jump", "safety")
+FLAGS = ("recalls", "keeps", "gated", "observer_count", "offsets", "watched", "holds", "output_count", "end_count",
+         "pulls", "filter_count")  # fmt: skip
+ARRAYS = ("bounds", "input_bounds", "p", "ratios", "law", "guard", "reach", "sensing", "rescue", "jump", "safety",
+          "anew", "widens")  # fmt: skip
 Test = tuple[np.ndarray, np.ndarray | None]  # X (S, n) and, for measured actuators, u (S, nx, m) of steps
 
 
@@ -137,7 +139,8 @@ def _sizes(
         sizes |= {"PARAMETERS": max(settings.p.size, 1), "GUARD": max(settings.guard.size, 1)}
     needed = max(1, *(kernel.work(nx, 1, settings.guard) for kernel in kernels.values()))
     states = controller.plant.n + 3 * controller.plant.m  # of a model that goes on from a sample
-    return sizes | {"WORK": needed + states + settings.observer_count}
+    filters = settings.filter_count + 2 * settings.output_count
+    return sizes | {"WORK": needed + states + settings.observer_count + filters}
 
 
 def _kernels(kernels: Mapping[str, Kernel], real: str) -> str:

@@ -97,6 +97,9 @@ def _status(controller: Controller) -> Iterator[Variable]:
     yield Variable("age", "output", "AGE", (-1.0,), about, plant.time_unit)
     yield Variable("late", "output", "LATE", (0.0,), "samples so far that came after a newer one, or were too old")
     yield Variable("refused", "output", "REFUSED", (0.0,), "samples so far that were not believed")
+    if controller.observer:
+        about = "how often the observer of the state was lost and began anew"
+        yield Variable("renewed", "output", "RENEWED", (0.0,), about)
     if controller.parts["observe"]:
         about = "half the range of the delays that fit as well"
         yield Variable("D_hat_spread", "output", "SPREAD", (controller.status.D_hat_spread,), about, plant.time_unit)

@@ -8,6 +8,7 @@ from observed import swing_slope as slope
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm, solve_continuous_are
 
+import npred
 from npred.errors import ConfigError
 from npred.observers import Luenberger
 from npred.observers.luenberger import smallest_gain
@@ -55,10 +56,10 @@ def test_between_samples_it_is_the_equation_of_scipy_with_order_four():
     correct(observer, start, [0.3, 0.1])
 
     def right(_, z):
-        x, d, w = z[:2], z[2], z[3:]
+        x, d, w = z[:2], z[2], z[3:5]
         pull = observer.L @ (w - swing_output(x))
         f = slope(x, U + d)
-        return [*(f + pull[:2]), pull[2], *(output_jacobian(x) @ f)]
+        return [*(f + pull[:2]), pull[2], *(output_jacobian(x) @ f), 0.0, 0.0]
 
     expected = solve_ivp(right, (0, 0.4), start, method="DOP853", rtol=1e-12, atol=1e-14).y[:, -1]
     errors = []
@@ -109,7 +110,62 @@ def test_a_missing_output_goes_on_by_the_plant():
     assert np.isnan(innovation).all() and np.isinf(spread).all()
     exact = expm(SPRING_A) @ [0.5, -1.0]
     np.testing.assert_allclose(memory[:2], exact, atol=1e-5)
-    np.testing.assert_allclose(memory[3:], SPRING_C @ exact, atol=1e-5)
+    np.testing.assert_allclose(memory[3:4], SPRING_C @ exact, atol=1e-5)
+
+
+def test_an_output_far_from_the_last_one_is_not_used_and_the_first_one_always_is():
+    """Six half ranges from what was predicted of it, whatever the state says."""
+    observer = Luenberger(plant_of(Spring), rate=2.0)
+    memory = observer.start()
+    correct(observer, memory, [50.0], gate=6.0)
+    reach, before = 6.0 * observer.sizes.dy[0], memory.copy()
+    assert memory[3] == 50.0 and observer.anew()[0][4] == memory[4] == observer.sizes.dy[0] ** 2
+    innovation, spread = correct(observer, memory, [50.1 - reach - 0.2], gate=6.0)
+    assert innovation == 49.9 - reach and spread == 0 and np.array_equal(memory, before)
+    _, spread = correct(observer, memory, [50.1 - reach], gate=6.0)
+    assert np.isinf(spread) and memory[3] == 50.1 - reach
+
+
+def referee(observer, X, times, U, D, every):
+    """x and the observer's x at the times, the outputs being measured at each `every`-th; and its x without the pull
+    between samples, by SciPy with the input U[k - D] from times[k] on.
+    """
+
+    def right(_, z, u):
+        x, o, w = z[:2], z[2:4], z[4:]
+        f = slope(o, u)
+        return [*slope(x, u), *(f + observer.L @ (w - swing_output(o))), *(output_jacobian(o) @ f)]
+
+    z, model, rows = np.array([*X, 0.0, 0.0, 0.0, 0.0]), np.zeros(2), []
+    for k in range(len(times)):
+        if k % every == 0:
+            z[4:], model = swing_output(z[:2]), z[2:4]
+        rows.append([*z[:4], *model])
+        u, span = (U[k - D] if k >= D else 0.0), (0.0, times[1] - times[0])
+        z = solve_ivp(right, span, z, args=(u,), method="DOP853", rtol=1e-11, atol=1e-13).y[:, -1]
+        model = solve_ivp(lambda _, x, u: slope(x, u), span, model, args=(u,), rtol=1e-10, atol=1e-12).y[:, -1]
+    return np.array(rows).T.reshape(3, 2, -1).transpose(0, 2, 1)
+
+
+@pytest.mark.parametrize(("every", "share"), [(1, 1.0), (8, 0.95), (25, 0.85)])
+def test_in_a_controller_the_state_is_the_observers_also_between_samples(every, share):
+    """Against SciPy; the share of the error that is left of that of the model alone between two samples."""
+    plant, dt, D = plant_of(Swing), 0.02, 10
+    observer, x = Luenberger(plant, rate=1.0, X0=[0.0, 0.0]), np.array([0.6, -0.4])
+    controller = npred.controller(
+        plant, npred.predictor("heun", plant, nx=11), None, dt, D_hat=D * dt, actuator="history", observer=observer
+    )
+    times, U, X_hat = np.arange(151) * dt, [], []
+    for k, t in enumerate(times):
+        U.append(float(controller.step(swing_output(x) if k % every == 0 else None, t=t)[0]))
+        X_hat.append(controller.X_hat)
+        u = U[k - D] if k >= D else 0.0
+        x = solve_ivp(lambda _, x, u: slope(x, u), (0, dt), x, args=(u,), rtol=1e-10, atol=1e-12).y[:, -1]
+    X, expected, model = referee(observer, [0.6, -0.4], times, U, D, every)
+    np.testing.assert_allclose(X_hat, expected, atol=2e-6)
+    rms = [np.sqrt(((a - X) ** 2).mean()) for a in (expected, model)]
+    print(f"every {every}: rms {rms[0]:.3f}, the model alone between samples {rms[1]:.3f}")
+    assert rms[0] <= share * rms[1]
 
 
 @pytest.mark.parametrize(

@@ -7,13 +7,16 @@
 /* Why a step gives no U to send; an export numbers them the same. */
 enum { OK, MEASUREMENT_NOT_FINITE, PREDICTION_NOT_FINITE, DELAY_TOO_LONG = 4 };
 
-#define PAUSE 4.0 /* histories of commands: after a longer pause nothing is expected of the state */
+#define PAUSE 4.0  /* histories of commands: after a longer pause nothing is expected of the state */
+#define AROUND 6.0 /* half widths of the box: a state that jumps further is believed later */
+#define MOST 1e12  /* times that, at most */
 
 /* What a controller with a history remembers, as npred/loop/clock.py declares it. */
 typedef struct {
     double *stamp;             /* (STAMPS) */
     double *sent, *before, *D; /* (m) the last command, the mean in the control step before it, the delays it was read by */
     double *now, *base;        /* (n) */
+    double *refused;           /* (outputs) where the samples in a row begin in which one was not believed, else NaN */
 } Clock;
 
 static inline Clock clock_of(Shape d, double *memory)
@@ -23,17 +26,8 @@ static inline Clock clock_of(Shape d, double *memory)
     c.D = c.before + d.m;
     c.now = c.D + d.m;
     c.base = c.now + d.n;
+    c.refused = c.base + d.n;
     return c;
-}
-
-/* Expect nothing of the next sample, and take the next call for the first. */
-SPARE static inline void forget(Shape d, Clock c)
-{
-    c.stamp[BASE_AT] = c.stamp[SAMPLE_AT] = c.stamp[REFUSED_AT] = c.stamp[TICK] = NAN;
-    c.stamp[CALLS] = 0.0;
-    for (int i = 0; i < d.n; i++) {
-        c.now[i] = c.base[i] = NAN;
-    }
 }
 
 static inline int all_finite(int count, const double *a)
@@ -57,6 +51,23 @@ static inline void fill(int count, double value, double *to)
     for (int i = 0; i < count; i++) {
         to[i] = value;
     }
+}
+
+/* Expect nothing of the next sample, and take the next call for the first. */
+SPARE static inline void forget(Shape d, int output_count, Clock c)
+{
+    c.stamp[BASE_AT] = c.stamp[SAMPLE_AT] = c.stamp[RENEWED_AT] = c.stamp[TICK] = NAN;
+    c.stamp[CALLS] = 0.0;
+    fill(d.n, NAN, c.now);
+    fill(d.n, NAN, c.base);
+    fill(output_count, NAN, c.refused);
+}
+
+/* Let the observer of the delay begin anew, at the next sample. */
+static inline void forget_delay(const Settings *s, State *z, Clock c)
+{
+    fill(s->observer_count, NAN, z->observer);
+    c.stamp[TICK] = NAN;
 }
 
 /* The longest delay by which a step can read the commands, and go back from a sample as old as any that is used. */
@@ -94,18 +105,38 @@ SPARE static inline void replace(Shape d, State *z, const double *U)
     book(d, c.stamp[AT], c.stamp[AT] + 1.0, c.before, c.sent, z->held, z->total);
 }
 
+/* Bring a filter's memory from one position to another. */
+static inline void follow(Shape d, double from, double to, Moment now, const Parts *q, const Settings *s, const State *z,
+                          double *filter, double *work)
+{
+    double *U0 = work, *U1 = U0 + d.m, *share = U1 + d.m, *rest = share + d.m;
+    for (double at = from, end; at < to; at = end) {
+        end = reached(d, 0, at, to, s->dt, clock_of(d, z->clock).D, z->held, NULL, U0, U1, share);
+        q->follow(d, U0, U1, share, (end - at) * s->dt, time_at(now, at), s->p, s->sensing, filter, rest);
+    }
+}
+
+/* Begin the filter anew at a position, as it is in `filter`. */
+static inline void renew(Shape d, double at, const double *filter, const Settings *s, State *z)
+{
+    const Clock c = clock_of(d, z->clock);
+    copy(s->filter_count, filter, z->filter);
+    c.stamp[RENEWED_AT] = at;
+    c.stamp[RENEWED] += 1.0;
+    forget_delay(s, z, c);
+}
+
 /* Move what the last sample told to a position: its state by the model, or the filter with all that it knows. */
 static inline void move_base(Shape d, double to, Moment now, const Parts *q, const Settings *s, State *z, double *work)
 {
     const Clock c = clock_of(d, z->clock);
-    double *U0 = work, *U1 = U0 + d.m, *share = U1 + d.m, *rest = share + d.m;
     if (!(c.stamp[BASE_AT] < to)) {
         return;
     }
     if (q->follow) {
-        for (double at = c.stamp[BASE_AT], end; at < to; at = end) {
-            end = reached(d, 0, at, to, s->dt, c.D, z->held, NULL, U0, U1, share);
-            q->follow(d, U0, U1, share, (end - at) * s->dt, time_at(now, at), s->p, s->sensing, z->filter, rest);
+        follow(d, c.stamp[BASE_AT], to, now, q, s, z, z->filter, work);
+        if (!all_finite(s->filter_count, z->filter)) {
+            renew(d, to, s->anew, s, z);
         }
         copy(d.n, z->filter, c.base);
     } else {
@@ -138,6 +169,7 @@ static inline void arrive(Shape d, double gap, double t, const Parts *q, const S
     if (to < c.stamp[AT] + since) {
         fill(d.n, NAN, z->expected);
         fill(d.n, NAN, c.base);
+        fill(s->output_count, NAN, c.refused);
     }
     for (double at = c.stamp[AT], end; at < to; at = end) {
         end = smaller((double)(step_of(at) + 1), to);
@@ -169,49 +201,132 @@ static inline int is_far(Shape d, const Settings *s, const double *Y, const doub
 /* What became of a sample. */
 enum { USED = 1, FAR = 2 };
 
-/* Correct the filter, which is at the time of the sample, by those outputs that are not far from what it says. */
-static inline int correct(Shape d, double t, double gate, const Parts *q, const Settings *s, State *z, double *work)
+/* How much further than by itself a sample may be that follows on others in a row, from `first` on, which were not
+ * believed: 0 for less than D_hat, or than a new filter was believed, then 1, and ten times as much after each D_hat. */
+static inline double believable(Shape d, double first, double taken, const Settings *s, const State *z)
 {
-    int what = 0;
-    q->correct(d, z->sample, t, s->p, gate, s->sensing, z->filter, z->innovation, z->spread, work);
-    for (int i = 0; i < s->output_count; i++) {
-        const double apart = fabs(z->innovation[i]);
-        what |= isnan(apart) ? 0 : apart > gate * z->spread[i] ? FAR : USED;
-    }
-    copy(d.n, z->filter, clock_of(d, z->clock).base);
-    return what;
+    const double time = (taken - first) * s->dt, lived = (first - clock_of(d, z->clock).stamp[RENEWED_AT]) * s->dt;
+    const double times = larger(time / larger(z->D_hat[0], s->dt) - 1.0, 0.0);
+    return time < smaller(z->D_hat[0], lived) ? 0.0 : smaller(pow(10.0, times), MOST);
 }
 
-/* Take the sample Y for the state, unless it is far from what the model says of its time. */
+/* Correct a filter, which is at the time of the sample, by those outputs that are not far from what it says. `fate`
+ * has what became of each. */
+static inline int correct(Shape d, double t, double gate, const Parts *q, const Settings *s, const State *z, double *filter,
+                          double *innovation, double *fate, double *work)
+{
+    int all = 0;
+    q->correct(d, z->sample, t, s->p, gate, s->sensing, filter, innovation, fate, work);
+    for (int i = 0; i < s->output_count; i++) {
+        const int far = !(fabs(innovation[i]) <= gate * fate[i]);
+        const int what = isnan(z->sample[i]) ? 0 : far ? FAR : USED;
+        fate[i] = (double)what;
+        all |= what;
+    }
+    return all;
+}
+
+/* Take a new filter, wider by that factor, where it believes an output that the present one refused for D_hat: that one
+ * is wrong. */
+static inline int replace_filter(Shape d, double taken, double t, double gate, double wider, const Parts *q,
+                                 const Settings *s, State *z, double *work)
+{
+    const Clock c = clock_of(d, z->clock);
+    double *filter = work, *innovation = filter + s->filter_count, *fate = innovation + s->output_count;
+    int all, helps = 0;
+    for (int i = 0; i < s->filter_count; i++) {
+        filter[i] = s->anew[i] * (s->widens[i] > 0.0 ? wider * wider : 1.0);
+    }
+    all = correct(d, t, gate, q, s, z, filter, innovation, fate, fate + s->output_count);
+    for (int i = 0; i < s->output_count; i++) {
+        const int late = believable(d, c.refused[i], taken, s, z) > 0.0;
+        helps = helps || (late && (int)z->fate[i] == FAR && (int)fate[i] == USED);
+    }
+    if (!helps || !all_finite(s->filter_count, filter)) {
+        return 0;
+    }
+    copy(s->output_count, innovation, z->innovation);
+    copy(s->output_count, fate, z->fate);
+    renew(d, taken, filter, s, z);
+    forget_delay(s, z, c);
+    return all;
+}
+
+/* Estimate the state from the outputs of a sample. */
+static inline int estimate_state(Shape d, double taken, double gate, Moment now, const Parts *q, const Settings *s, State *z,
+                                 double *work)
+{
+    const Clock c = clock_of(d, z->clock);
+    const double t = time_at(now, taken);
+    double wider = 0.0;
+    int all = correct(d, t, gate, q, s, z, z->filter, z->innovation, z->fate, work), other = 0;
+    for (int i = 0; i < s->output_count; i++) {
+        if ((int)z->fate[i] == FAR) {
+            c.refused[i] = isnan(c.refused[i]) ? taken : c.refused[i];
+            wider = larger(wider, believable(d, c.refused[i], taken, s, z));
+        }
+    }
+    if (!all_finite(s->filter_count, z->filter)) {
+        renew(d, taken, s->anew, s, z);
+        all = FAR;
+    } else if (wider > 0.0) {
+        other = replace_filter(d, taken, t, gate, wider, q, s, z, work);
+    }
+    for (int i = 0; i < s->output_count; i++) {
+        c.refused[i] = (int)z->fate[i] == USED ? NAN : c.refused[i];
+    }
+    copy(d.n, z->filter, c.base);
+    return other ? other : all;
+}
+
+/* Whether the sample Y is near the box of the state, or `wider` times as far. */
+static inline int is_near(Shape d, const Settings *s, const double *Y, double wider)
+{
+    int near = 1;
+    for (int c = 0; c < d.n; c++) {
+        near = near && fabs(Y[c] - s->anew[c]) <= wider * AROUND * s->reach[c];
+    }
+    return near;
+}
+
+/* Take the sample Y for the state, unless it is far from what the model says of its time. After such samples for D_hat
+ * the state has jumped, and what the observer of the delay knows is of another course; so it is where the state comes
+ * back from afar. */
 static inline int compare_state(Shape d, double taken, double gate, Moment now, const Settings *s, State *z)
 {
     const Clock c = clock_of(d, z->clock);
     const double *X = taken < now.at ? c.base : z->expected;
-    const int far = gate < INFINITY && is_far(d, s, z->Y, X);
+    const double first = isnan(c.refused[0]) ? taken : c.refused[0];
+    const int far = gate < INFINITY && is_far(d, s, z->Y, X), near = is_near(d, s, z->Y, 1.0);
+    const int jumped = far && is_near(d, s, z->Y, believable(d, first, taken, s, z));
+    const int used = !far || jumped;
+    if (jumped || (used && near && c.stamp[STRAY] > 0.0)) {
+        c.stamp[STRAY] = near ? 0.0 : 1.0;
+        forget_delay(s, z, c);
+    }
+    c.refused[0] = used ? NAN : first;
     for (int i = 0; i < d.n; i++) {
         z->innovation[i] = z->Y[i] - X[i];
-        c.base[i] = far ? c.base[i] : z->Y[i];
+        c.base[i] = used ? z->Y[i] : c.base[i];
     }
-    return far ? FAR : USED;
+    return used ? USED : FAR;
 }
 
-/* Learn from a sample taken at a position, unless it is far from what was expected: then it is refused. After such
- * samples for D_hat the state has jumped. Gives 1 where it is used, and `base` is the state there. */
+/* Learn from a sample taken at a position, unless it is far from what was expected: then it is refused. Gives 1 where it
+ * is used, and `base` is the state there. */
 static inline int learn(Shape d, double taken, Moment now, const Parts *q, const Settings *s, State *z, double *work)
 {
     const Clock c = clock_of(d, z->clock);
-    const double since = z->missed[0] > 0.0 ? taken - c.stamp[REFUSED_AT] : 0.0;
-    const double gate = s->gated && since * s->dt < z->D_hat[0] ? s->gate : INFINITY;
+    const double gate = s->gated && z->D_hat[0] > 0.0 ? s->gate : INFINITY;
     int what;
     if (q->correct || taken < now.at) {
         move_base(d, taken, now, q, s, z, work);
     }
-    what = q->correct ? correct(d, time_at(now, taken), gate, q, s, z, work) : compare_state(d, taken, gate, now, s, z);
+    what = q->correct ? estimate_state(d, taken, gate, now, q, s, z, work) : compare_state(d, taken, gate, now, s, z);
     if (what & FAR) {
-        c.stamp[REFUSED_AT] = taken - since;
         c.stamp[REFUSED] += 1.0;
         z->missed[0] += 1.0;
-    } else {
+    } else if (what & USED) {
         z->missed[0] = 0.0;
     }
     if (what & USED) {
@@ -233,7 +348,11 @@ static inline int sense(Shape d, Moment now, int came, double age, const Parts *
         used = learn(d, taken, now, q, s, z, work);
     }
     copy(d.n, used ? c.base : z->expected, z->X_hat);
-    if (used) {
+    if (s->pulls && c.stamp[BASE_AT] <= now.at && (used || all_finite(d.n, z->expected))) {
+        copy(s->filter_count, z->filter, work);
+        follow(d, c.stamp[BASE_AT], now.at, now, q, s, z, work, work + s->filter_count);
+        copy(d.n, work, z->X_hat);
+    } else if (used) {
         onward(d, 0, taken, now.at, now, c.D, z->held, push, q->model, s->p, z->X_hat, work);
     }
     copy(d.n, z->X_hat, c.now);
@@ -251,6 +370,9 @@ static inline void find_delay(Shape d, Moment now, int used, double taken, const
     const INDEX last = used ? at : newest - (INDEX)c.stamp[LAG];
     const double gap = ((double)at - taken) * s->dt, *push = s->offsets ? z->filter + d.n : NULL;
     double *U0 = work, *U1 = U0 + d.m, *share = U1 + d.m, *rest = share + d.m;
+    if (used && !isnan(c.stamp[TICK]) && !all_finite(s->observer_count, z->observer)) {
+        forget_delay(s, z, c);
+    }
     if (used) {
         c.stamp[LAG] = larger(c.stamp[LAG], (double)(newest - at));
         c.stamp[TICK] = isnan(c.stamp[TICK]) ? (double)(at - 1) : c.stamp[TICK];
@@ -305,6 +427,9 @@ static inline int compute_measured(Shape d, INDEX k, double t, const Parts *q, c
         return MEASUREMENT_NOT_FINITE;
     }
     if (q->observe) {
+        if (!isnan(z->observer[s->observer_count - 1]) && !all_finite(s->observer_count, z->observer)) {
+            fill(s->observer_count, NAN, z->observer); /* it begins anew */
+        }
         q->observe(d, k, s->dt, z->Y, z->held, t, s->p, s->law, z->observer, z->D_hat, work);
     }
     decide(d, q, s, z, k, 0.0, t, work);
@@ -318,8 +443,12 @@ static inline int compute_recalled(Shape d, double t, int came, double age, cons
     const Moment now = {clock_of(d, z->clock).stamp[AT], t, s->dt};
     const INDEX k = step_of(now.at);
     const int bad = came && !q->correct && !all_finite(d.n, z->Y);
-    const int used = sense(d, now, came && !bad, age, q, s, z, work);
+    int used;
     double D_hat;
+    for (int i = 0; i < s->output_count && q->correct; i++) {
+        z->sample[i] = isfinite(z->sample[i]) ? z->sample[i] : NAN;
+    }
+    used = sense(d, now, came && !bad, age, q, s, z, work);
     if (q->observe && !bad) {
         find_delay(d, now, used, now.at - age, q, s, z, work);
     }
@@ -349,7 +478,7 @@ static inline int compute(Shape d, INDEX k, double t, int came, double age, cons
     if (all_finite(d.n, z->X_hat)) { /* else U is the watchdog's */
         adapt(d, s->gamma_dt, s->bounds, z->phi, z->phi_before, z->D_hat);
     }
-    if (!all_finite(d.m, z->U) || !isfinite(z->D_hat[0])) {
+    if (!all_finite(d.m, z->U) || !isfinite(z->D_hat[0]) || isinf(z->phi_before[0])) {
         return PREDICTION_NOT_FINITE;
     }
     for (int c = 0; c < d.m && s->recalls; c++) {
@@ -396,6 +525,9 @@ SPARE static inline void remember(Shape d, double t, int code, const Parts *q, c
     }
     for (int i = AT; i <= TICK; i++) {
         c.stamp[i] -= (double)shift;
+    }
+    for (int i = 0; i < s->output_count; i++) {
+        c.refused[i] -= (double)shift;
     }
     for (int i = 0; i < d.m; i++) {
         const double first = z->total[i];

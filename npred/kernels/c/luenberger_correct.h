@@ -1,13 +1,19 @@
-/* CORRECT_BY, of a Luenberger observer: what is measured takes the place of what was expected. It knows no spread. */
+/* CORRECT_BY, of a Luenberger observer; its memory is that of luenberger_follow.h. What is measured takes the place of what
+ * was expected, unless it is far from that. `spread` is 0 where it is, else infinite. */
 static inline void KERNEL(Shape d, const double *Y, double t, const double *p, double gate, const double *law,
                           double *memory, double *innovation, double *spread, double *work)
 {
-    double y[OUTPUTS], by_x[OUTPUTS * N], *w = memory + N + M;
-    (void)d, (void)gate, (void)law, (void)work;
+    double y[OUTPUTS], by_x[OUTPUTS * N], *w = memory + N + M, *variance = w + OUTPUTS;
+    const double *usual = law + 1 + SIZE * OUTPUTS;
+    (void)d, (void)work;
     OUTPUT(memory, t, p, y, by_x);
     for (int i = 0; i < OUTPUTS; i++) {
+        const int far = fabs(Y[i] - w[i]) > gate * sqrt(variance[i]);
         innovation[i] = Y[i] - y[i];
-        spread[i] = INFINITY;
-        w[i] = isnan(Y[i]) ? w[i] : Y[i];
+        spread[i] = far ? 0.0 : INFINITY;
+        if (!far && !isnan(Y[i])) {
+            w[i] = Y[i];
+            variance[i] = usual[i];
+        }
     }
 }

@@ -40,7 +40,7 @@ static inline State npred_state(npred_controller *self, const npred_real *u, con
 #if FILTERS
     state.filter = self->saved.filter;
     state.sample = self->sample;
-    state.spread = self->spread;
+    state.fate = self->fate;
 #endif
 #if PROTECTS
     state.kept = self->kept;
@@ -182,7 +182,7 @@ int npred_set_time(npred_controller *self, double t)
     self->saved.phi_before[0] = NAN;
 #if KEEPS
     const Clock clock = clock_of(the_shape, self->saved.clock);
-    forget(the_shape, clock);
+    forget(the_shape, NPRED_N_OUTPUTS, clock);
 #endif
 #if RECALLS
     self->saved.missed[0] = 0;
@@ -280,6 +280,7 @@ void npred_get_status(const npred_controller *self, npred_status *status)
     status->late = (int32_t)stamp[LATE];
     status->refused = (int32_t)stamp[REFUSED];
     status->missed = (int32_t)self->saved.missed[0];
+    status->renewed = (int32_t)stamp[RENEWED];
     status->handed_over = stamp[HANDED] > 0;
     status->fallback = self->fallback[0] > 0;
     status->error = self->error[0];

@@ -60,7 +60,7 @@ typedef struct {
     npred_real X_hat[NPRED_N_STATES], expected[NPRED_N_STATES], innovation[NPRED_N_OUTPUTS];
 #endif
 #if FILTERS
-    npred_real sample[NPRED_N_OUTPUTS], spread[NPRED_N_OUTPUTS];
+    npred_real sample[NPRED_N_OUTPUTS], fate[NPRED_N_OUTPUTS];
 #endif
 #if PROTECTS
     npred_real kept[1], filtered[1], unkept[1], low[NPRED_M_INPUTS], high[NPRED_M_INPUTS], D_moved[NPRED_M_INPUTS];
@@ -78,13 +78,14 @@ typedef struct {
 #if RECALLS
 /* What happened in the last call. `age` is how old the last used sample is, infinity before the first; `innovation` what
  * that differed from what the model said; `late` counts the samples that were not used, for they came after a newer one
- * or were too old, `refused` those that were not believed, `missed` the last of these in a row. `filtered` is 1 where a
- * safety filter changed U, `unkept` where the bounds of U left no way to keep the limits, of which `kept` is the least. */
+ * or were too old, `refused` those that were not believed, `missed` the last of these in a row, `renewed` how often
+ * the observer of the state began anew. `filtered` is 1 where a safety filter changed U, `unkept` where the bounds of U
+ * left no way to keep the limits, of which `kept` is the least. */
 typedef struct {
     npred_real D_hat, D_hat_spread, error;
     double age;
     npred_real innovation[NPRED_N_OUTPUTS], offset[NPRED_M_INPUTS];
-    int32_t late, refused, missed, handed_over, fallback, filtered, unkept;
+    int32_t late, refused, missed, renewed, handed_over, fallback, filtered, unkept;
     npred_real kept;
 } npred_status;
 #endif

@@ -160,14 +160,14 @@ static void step_at(npred_controller *controller, int results, mxArray *result[]
 
 static mxArray *status(const npred_controller *controller)
 {
-    const char *names[] = {"D_hat", "D_hat_spread", "age", "late", "refused", "missed", "handed_over", "fallback",
-                           "error", "filtered", "unkept", "kept", "innovation", "offset"};
+    const char *names[] = {"D_hat", "D_hat_spread", "age", "late", "refused", "missed", "renewed", "handed_over",
+                           "fallback", "error", "filtered", "unkept", "kept", "innovation", "offset"};
     npred_status of;
     npred_get_status(controller, &of);
     const double values[] = {(double)of.D_hat, (double)of.D_hat_spread, of.age, of.late, of.refused, of.missed,
-                             of.handed_over, of.fallback, (double)of.error, of.filtered, of.unkept, (double)of.kept};
-    mxArray *fields = mxCreateStructMatrix(1, 1, 14, names);
-    for (int i = 0; i < 12; i++) {
+                             of.renewed, of.handed_over, of.fallback, (double)of.error, of.filtered, of.unkept, (double)of.kept};
+    mxArray *fields = mxCreateStructMatrix(1, 1, 15, names);
+    for (int i = 0; i < 13; i++) {
         mxSetField(fields, 0, names[i], mxCreateDoubleScalar(values[i]));
     }
     mxSetField(fields, 0, "innovation", matrix(of.innovation, NPRED_N_OUTPUTS, 1));

@@ -264,6 +264,9 @@ static void read_status(Instance *self)
 #ifdef AT_SPREAD
     values[AT_SPREAD] = (double)status.D_hat_spread;
 #endif
+#ifdef AT_RENEWED
+    values[AT_RENEWED] = status.renewed;
+#endif
 #ifdef AT_HANDED_OVER
     values[AT_HANDED_OVER] = status.handed_over;
 #endif
