@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from npred import plants, randomness
-from npred.conditions import EVERY, Condition, scenarios
+from npred.conditions import Condition, scenarios
 from npred.config import Pipeline, Scenario
 from npred.errors import ConfigError
 from npred.loop import metrics
@@ -37,10 +37,10 @@ class Settling:
     def of(cls, loops: Trajectories, plant: Plant, states: int, limited: bool = False) -> "Settling":
         """The loops (states * K,) against the target X* and input U* of `plant`, whatever was tuned in them.
 
-        time: the settling time (within 1 % of size(X*), npred.loop.metrics). A loop that does not settle in T = t_end
-        has (2 + q) T with q = r / (1 + r), r = sup |X - X*| / size(X*) over the last tenth: from 2 T to 3 T, less
-        where it ends nearer. One that leaves the finite numbers at t has 4 T - t, from 3 T to 4 T. If `limited`, a
-        loop that breaks a limit of the plant does not settle.
+        time: of the first step from which |X - X*| stays within 1 % of size(X*) (npred.loop.metrics). A loop that does
+        not settle in T = t_end has (2 + q) T with q = r / (1 + r), r = sup |X - X*| / size(X*) over the last tenth:
+        from 2 T to 3 T, less where it ends nearer. One that leaves the finite numbers at t has 4 T - t, from 3 T to
+        4 T. If `limited`, a loop that breaks a limit of the plant does not settle.
         effort: the mean of |U - U*|² over [0, T], by trapezia; infinite where a loop does not settle.
         """
         target, t_end = plant.target(loops.t), float(loops.t[-1])
@@ -124,7 +124,7 @@ class Loops:
         table = condition.table.model_copy(update=law)
         changed = Condition(table, condition.X0, condition.D, condition.D_hat, condition.t_end, condition.seed)
         predictor = numerical(table.predictor, plant, table.nx)
-        loops = changed.loops(plant, predictor, every=EVERY, progress=progress)
+        loops = changed.loops(plant, predictor, progress=progress)  # every step: a law may ripple between
         return Settling.of(loops, self.plant, self.states, limited=safety is not None)
 
 

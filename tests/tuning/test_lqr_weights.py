@@ -120,7 +120,7 @@ def test_only_ratios_count_so_that_one_weight_is_held():
 
 
 def test_no_cell_of_a_grid_over_one_scale_is_better_by_more_than_some_per_cent():
-    plant, chosen = lever(), pipeline(free=["Q.x"], bounds={"Q.x": [0.04, 4e3]}, evaluations=40)
+    plant, chosen = lever(), pipeline(free=["Q.x"], bounds={"Q.x": [0.04, 4e4]}, evaluations=40)
     result = tune(chosen, plant)
     [number] = result.numbers
     grid = {scale: cost(chosen, plant, {"Q.x": float(scale)}) for scale in np.geomspace(number.low, number.high, 41)}

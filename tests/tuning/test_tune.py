@@ -78,11 +78,11 @@ def starts(chosen: Pipeline, purpose: str, states: int) -> np.ndarray:
 
 @pytest.mark.parametrize("k", [0.8, 3.0])
 def test_times_and_efforts_are_those_of_the_closed_form(k: float):
-    chosen = pipeline()
+    chosen = pipeline(evaluate={"nx": 41})
     loops = Loops(chosen, plants.resolve(chosen.plant), 5, "training")
     outcome = loops.run({"k": k}, lambda steps: None)
     time, effort = exact(starts(chosen, "training", 5), k)
-    assert outcome.time[:, 0] == pytest.approx(time, abs=0.025)  # a state is kept every .02 s
+    assert outcome.time[:, 0] == pytest.approx(time, abs=0.01)  # U is held for steps of .002 s
     assert outcome.effort[:, 0] == pytest.approx(effort, rel=0.002) and outcome.settled.all()
 
 
@@ -109,7 +109,7 @@ def test_a_better_gain_is_judged_on_other_starts():
     assert result.numbers[0].before == 1.0 and result.held_out.loops == 6 and result.evaluations <= 60
     assert not set(starts(chosen, "training", 4)) & set(starts(chosen, "held out", 6))
     before, after = (exact(starts(chosen, "held out", 6), k)[0].mean() for k in (1.0, result.numbers[0].after))
-    assert result.held_out.settle_time == pytest.approx((before, after), abs=0.025)
+    assert result.held_out.settle_time == pytest.approx((before, after), abs=0.02)
 
 
 def test_nothing_to_gain_is_said_where_the_best_is_there_already():
