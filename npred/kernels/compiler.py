@@ -13,7 +13,7 @@ import threading
 from collections import defaultdict
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
-from functools import cache
+from functools import cache, partial
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -29,6 +29,8 @@ FLAGS = (
     "-freciprocal-math", "-fno-trapping-math", "-fno-math-errno", "-fno-strict-aliasing", "-Wall", "-Wextra",
     "-Wno-unused-parameter", "-Wno-unused-function", "-Wno-unknown-pragmas",
 )  # fmt: skip
+# Of what a controller runs: each operation rounds by itself, as C99 has it, so that its export computes the same.
+EXACT = ("-ffp-contract=off", "-fno-reciprocal-math", "-fsigned-zeros")
 LIMIT = 1200.0  # s that a compiler may take
 SIDE_BY_SIDE = 2  # compilers at once
 START, SPEED = 0.1, 2e5  # s that a compiler takes at least, and characters of formulas that it reads in one more
@@ -54,25 +56,30 @@ def command() -> tuple[str, ...]:
     return words
 
 
-def library(text: str) -> ctypes.CDLL:
-    """The library of a C text. Raises NpredError where it does not compile, or where the disk is full."""
-    name = _named(text)
+def library(text: str, exact: bool = False) -> ctypes.CDLL:
+    """The library of a C text, with EXACT or not.
+
+    Raises NpredError where it does not compile, or where the disk is full.
+    """
+    flags = (*FLAGS, *EXACT) if exact else FLAGS
+    name = _named(text, flags)
     with _locks[name]:
         if name not in _loaded:
-            _loaded[name] = ctypes.CDLL(str(_kept(name, text) / LIBRARY))
+            _loaded[name] = ctypes.CDLL(str(_kept(name, text, flags) / LIBRARY))
         return _loaded[name]
 
 
-def prepare(texts: Iterable[str]) -> None:
+def prepare(texts: Iterable[str], exact: bool = False) -> None:
     """Compile what is not there yet of these texts, side by side: a first loop needs five. Raises as `library` does."""
-    missing = {name: text for text in texts if not _is_there(name := _named(text))}
+    flags = (*FLAGS, *EXACT) if exact else FLAGS
+    missing = {name: text for text in texts if not _is_there(name := _named(text, flags))}
     with waiting.said(_doing(len(missing)), _seconds(missing.values()), ONCE), ThreadPoolExecutor(SIDE_BY_SIDE) as pool:
-        list(pool.map(_silently, sorted(missing.values(), key=len, reverse=True)))
+        list(pool.map(partial(_silently, exact=exact), sorted(missing.values(), key=len, reverse=True)))
 
 
-def _silently(text: str) -> None:
+def _silently(text: str, exact: bool) -> None:
     with waiting.quiet():
-        library(text)
+        library(text, exact)
 
 
 def _is_there(name: str) -> bool:
@@ -89,7 +96,7 @@ def _seconds(texts: Iterable[str]) -> float:
     return (START * len(lines) + sum(lines) / SPEED) / min(SIDE_BY_SIDE, max(len(lines), 1))
 
 
-def _kept(name: str, text: str) -> Path:
+def _kept(name: str, text: str, flags: tuple[str, ...]) -> Path:
     """The folder of a library, sound, made if it has to be."""
     target = disk.root() / name
     if disk.sound(target):
@@ -98,7 +105,7 @@ def _kept(name: str, text: str) -> Path:
     try:
         (aside / TEXT).write_text(text, encoding="utf-8")
         with waiting.said(_doing(1), _seconds([text]), ONCE):
-            _compile(aside)
+            _compile(aside, flags)
         disk.install(aside, target)
     except OSError as error:
         raise disk.full(error, disk.root()) or error from None
@@ -107,8 +114,8 @@ def _kept(name: str, text: str) -> Path:
     return target
 
 
-def _compile(folder: Path) -> None:
-    asked = [*command(), *FLAGS, TEXT, "-o", LIBRARY]
+def _compile(folder: Path, flags: tuple[str, ...]) -> None:
+    asked = [*command(), *flags, TEXT, "-o", LIBRARY]
     done = _run([*asked, *_libraries()], folder)
     if done.returncode and _libraries() != STANDARD:
         done = _run([*asked, *STANDARD], folder)
@@ -142,9 +149,9 @@ def _libraries() -> tuple[str, ...]:
     return ("-nostdlib", "-Wl,-z,defs", *loaded) if len(loaded) == len("cm") else STANDARD
 
 
-def _named(text: str) -> str:
+def _named(text: str, flags: tuple[str, ...]) -> str:
     """npred_<digest> of all that a library depends on."""
-    return "npred_" + hashlib.sha256("\n".join([*_machine(), text]).encode()).hexdigest()[:32]
+    return "npred_" + hashlib.sha256("\n".join([*_machine(), *flags, text]).encode()).hexdigest()[:32]
 
 
 @cache
@@ -158,8 +165,8 @@ def version() -> str | None:
 
 @cache
 def _machine() -> tuple[str, ...]:
-    """The compiler, its flags and the processor."""
-    return (*command(), version() or "", *FLAGS, *_processor())
+    """The compiler and the processor."""
+    return (*command(), version() or "", *_processor())
 
 
 def _processor() -> list[str]:

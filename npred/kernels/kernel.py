@@ -3,7 +3,7 @@
 import ctypes
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
 from pathlib import Path
 from typing import Any
@@ -73,7 +73,8 @@ def no_work(nx: int, lanes: int, settings: Any) -> int:
 class Kernel:
     """A C function of the arrays `arguments`, as npred.delays.family names them; its text calls `before` and `parts`.
 
-    Arrays have their lanes innermost.
+    Arrays have their lanes innermost. `exact` ones round as compiler.EXACT has it, `loose` ones never do: a network's
+    sums depend on the width of the processor's vectors anyway.
     """
 
     name: str
@@ -83,6 +84,13 @@ class Kernel:
     parts: tuple["Kernel", ...] = ()
     sizes: tuple[int, int] = (0, 0)  # states and inputs
     work: Work = no_work
+    exact: bool = False
+    loose: bool = False
+
+    @cached_property
+    def exactly(self) -> "Kernel":
+        """The same, exact unless it is loose."""
+        return self if self.loose else replace(self, exact=True)
 
     @property
     def texts(self) -> list[str]:
@@ -99,7 +107,7 @@ class Kernel:
     @cached_property
     def function(self) -> Any:
         """The compiled function."""
-        return foreign_type(self.arguments)(("entry", compiler.library(self.unit)))
+        return foreign_type(self.arguments)(("entry", compiler.library(self.unit, self.exact)))
 
     @property
     def is_compiled(self) -> bool:

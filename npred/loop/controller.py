@@ -40,8 +40,8 @@ class Controller(InNotebook):
     are u0, as npred.simulate has it: numbers (m,), a history over [-D_hat, 0], or a word; "law" is kappa of the first
     X. `D_hat` (seconds) is the estimate that the next step uses, by default the middle of the
     adaptation's bounds. Where `input_bounds` leave U free, it is clipped to npred.plants.inputs.widest. Steps equal
-    those of npred.simulate. Its memory is not shared, so one controller belongs to one thread; a pickled one goes on
-    where it stood.
+    those of npred.simulate up to rounding, and those of its export in C to the bit. Its memory is not shared, so one
+    controller belongs to one thread; a pickled one goes on where it stood.
 
     With "history" the model says what X must be by now, X_hat, from the last sample and the commands. A sample that is
     further from it than `gate` times half the box, or |X_hat| where that is more, in any state, is not believed: X_hat

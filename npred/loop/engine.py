@@ -48,7 +48,7 @@ def on_a_clock() -> ctypes.CDLL:
 @cache
 def on_a_plant() -> ctypes.CDLL:
     """The compiled control step for a real one."""
-    loaded = compiler.library(_text(ON_A_PLANT))
+    loaded = compiler.library(_text(ON_A_PLANT), exact=True)
     times = (ctypes.c_double, ctypes.c_double, ctypes.c_int, ctypes.c_double)
     loaded.called.argtypes, loaded.called.restype = [Shape, *times, *(POINTER,) * 4], ctypes.c_int
     loaded.spread.argtypes, loaded.spread.restype = [Shape, POINTER, POINTER], ctypes.c_double
@@ -64,8 +64,11 @@ def _text(files: tuple[str, ...]) -> str:
 
 def prepare(parts: Mapping[str, Kernel | Callable[..., Any] | None], files: tuple[str, ...] = LOOP) -> None:
     """Compile the engine and those parts that are not compiled yet, side by side."""
-    if kernels := [part.unit for part in parts.values() if isinstance(part, Kernel) and not part.is_compiled]:
-        compiler.prepare([_text(files), *kernels])
+    kernels = [part for part in parts.values() if isinstance(part, Kernel) and not part.is_compiled]
+    for exact in (False, True):
+        units = [kernel.unit for kernel in kernels if kernel.exact is exact]
+        if units:
+            compiler.prepare([_text(files), *units] if exact is (files is ON_A_PLANT) else units, exact)
 
 
 class Engine:
@@ -81,6 +84,8 @@ class Engine:
     ) -> None:  # fmt: skip
         nx, n, lanes = state.P.shape
         rows, m = state.held.shape[:2]
+        if out is None:
+            parts = {name: part.exactly if isinstance(part, Kernel) else part for name, part in parts.items()}
         self._failure, self._shape = Failure(), Shape(nx, lanes, rows, n, m)
         prepare(parts, ON_A_CLOCK if events else LOOP if out else ON_A_PLANT)
         self._functions = {

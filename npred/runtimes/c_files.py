@@ -10,7 +10,7 @@ from npred.errors import NpredError, required
 from npred.kernels.compiler import complaint, found
 
 FOLDER = Path(__file__).parent / "c"
-FLAGS = ("-std=c99", "-O2", "-shared", "-fPIC")
+FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-shared", "-fPIC")
 _NAMED = re.compile(r"\b(npred|NPRED)(?=[_.])")
 
 

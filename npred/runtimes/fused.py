@@ -173,7 +173,7 @@ def kernel(p: Program) -> Kernel:
     constants = [constant(f"c_{name}", values, KINDS[values.dtype]) for name, values in p.constants.items()]
     doubles = sum(p.buffers.values()) + p.nx  # of memory, for numbers of either precision
     body = "\n".join([skeleton("network.h"), *constants, *texts, skeleton("fused.h")])
-    return made("fused", family.PREDICT, body, {}, _sizes(p), work=lambda nx, lanes, _: doubles)
+    return made("fused", family.PREDICT, body, {}, _sizes(p), work=lambda nx, lanes, _: doubles, loose=True)
 
 
 def _sizes(p: Program) -> dict[str, int | str]:

@@ -30,7 +30,7 @@ def twice(text, value):
 
 def test_threads_that_want_the_same_library_compile_it_once(tmp_path, monkeypatch):
     compiled, original = [], compiler._compile
-    monkeypatch.setattr(compiler, "_compile", lambda folder: (compiled.append(folder), original(folder)))
+    monkeypatch.setattr(compiler, "_compile", lambda *asked: (compiled.append(asked), original(*asked)))
     with ThreadPoolExecutor(8) as pool:
         assert [*pool.map(lambda _: twice(TEXT.format("2.0"), 21.0), range(8))] == [42.0] * 8
     assert len(compiled) == 1 and len([*tmp_path.iterdir()]) == 1
@@ -38,6 +38,17 @@ def test_threads_that_want_the_same_library_compile_it_once(tmp_path, monkeypatc
 
 def test_another_text_is_another_library():
     assert [twice(TEXT.format(factor), 3.0) for factor in ("2.0", "5.0")] == [6.0, 15.0]
+
+
+def test_an_exact_library_rounds_each_operation_by_itself():
+    """1 + 2^-27 squared is 1 + 2^-26 + 2^-54, whose last term is lost in the product, and not in a multiply-add."""
+    text = "double left(double a) { return a * a - 1.0; }\ndouble part(double a) { return a / 49.0; }"
+    functions = compiler.library(text, exact=True)
+    for function in (functions.left, functions.part):
+        function.restype, function.argtypes = ctypes.c_double, [ctypes.c_double]
+    assert functions.left(1 + 2.0**-27) == 2.0**-26
+    assert [functions.part(float(a)) for a in range(99)] == [a / 49 for a in range(99)]
+    assert compiler.library(text)._name != functions._name
 
 
 def test_a_text_that_does_not_compile_is_told_in_one_line_and_not_kept(tmp_path):
@@ -89,7 +100,7 @@ def test_a_machine_without_a_compiler_is_told_what_to_install(monkeypatch):
 
 def test_what_a_loop_needs_is_compiled_side_by_side_and_once(tmp_path, monkeypatch):
     together, original = threading.Barrier(2, timeout=60), compiler._compile
-    monkeypatch.setattr(compiler, "_compile", lambda folder: (together.wait(), original(folder)))
+    monkeypatch.setattr(compiler, "_compile", lambda *asked: (together.wait(), original(*asked)))
     texts = [TEXT.format(factor) for factor in ("2.0", "5.0")]
     compiler.prepare(texts)
     compiler.prepare(texts)

@@ -2,7 +2,8 @@
 #include "about.h"
  *
  * C99, no library but libm, no allocation, no static variable that changes: each npred_controller is on its own.
- * Compile it without -ffast-math: NaN has to stay visible.
+ * Compile it without -ffast-math: NaN has to stay visible. In double precision, with -ffp-contract=off (gcc: -std=c99),
+ * it computes what npred.controller does, to the bit where libm is the same; a network's sums may round otherwise.
  */
 #ifndef NPRED_CONTROLLER_H
 #define NPRED_CONTROLLER_H
