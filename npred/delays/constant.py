@@ -30,6 +30,8 @@ class ConstantDelay(Family):
         y = called_functions.stepped(of.trace, step, x, (u0, um, u1), of.trace.input("t"), of.trace.input("h"))
         y = self.plant.stopped(y, tape.M)
         middle = programs.depends(y, um)
+        if hasattr(step, "whole") and not cells:
+            middle = called_functions.reads_middle(self.plant, step)
         stride = "wide" if middle and not cells else "lanes"
         inputs = vector("a", m, stride), vector("m", m, "wide"), vector("b", m, stride)
         functions = {"STEP": of.function(y, [vector("x", n), *inputs, "t", "h"], {"y": n})}

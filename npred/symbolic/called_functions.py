@@ -83,6 +83,15 @@ def program(plant: Declared, name: str, step: Step | None = None) -> tuple[list[
     return arguments, outputs
 
 
+@cache
+def reads_middle(plant: Declared, step: Step) -> bool:
+    """True if an implicit step takes u in the middle of it: a call does not tell which of its inputs are read."""
+    trace = Trace(plant)
+    inputs = [trace.vector(prefix, plant.m) for prefix in "amb"]
+    y = step(trace, trace.vector("x", plant.n), *inputs, trace.input("t"), trace.input("h"))
+    return programs.depends(y, inputs[1])
+
+
 def _step(trace: Trace, step: Step, held: bool) -> tuple[list[str], np.ndarray]:
     n, m = trace.plant.n * getattr(step, "whole", 1), trace.plant.m
     prefixes = "a" if held else "amb"

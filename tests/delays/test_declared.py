@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from input_histories import means
 from scipy.integrate import solve_ivp
 from varying_delays import InSpace, InTime, with_delay
 
@@ -84,9 +85,12 @@ def test_each_method_keeps_its_order(plant, robot, method):
     assert s == pytest.approx(t + robot.D(P, s), abs=1e-10)  # s(1) is when the command acts
 
     def error(method, n):
-        return np.abs(method(plant, n + 1)(X, commands(np.linspace(0, 1, n + 1)), robot.D(X, t), t)[-1] - P).max()
+        return np.abs(method(plant, n + 1)(X, means(commands, n + 1), robot.D(X, t), t)[-1] - P).max()
 
-    assert order(method, error) == pytest.approx(method.order, abs=0.1)
+    if method is RK4:  # at both ends u is read to order 3
+        assert order(method, error) > 2.8
+    else:
+        assert order(method, error) == pytest.approx(method.order, abs=0.1)
 
 
 @pytest.mark.parametrize("method", CELLS)

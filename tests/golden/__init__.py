@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from input_histories import means
 
 INPUTS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "A": lambda x: 0 * x,
@@ -31,11 +32,8 @@ class Golden:
     phi: float
 
     def means(self, nx: int) -> np.ndarray:
-        """u as a loop gives it: its means over the cells of the nodes, (nx, 1), by Gauss's rule of five points."""
-        edges = np.clip((np.arange(nx + 1) - 0.5) / (nx - 1), 0.0, 1.0)
-        places, weights = np.polynomial.legendre.leggauss(5)
-        x = (edges[:-1, None] + edges[1:, None] + np.diff(edges)[:, None] * places) / 2
-        return self.u(x) @ weights[:, None] / 2
+        """u as a loop gives it: its means over the cells of the nodes, (nx, 1)."""
+        return means(lambda x: self.u(x)[..., None], nx)
 
     def quarters(self, values: np.ndarray) -> np.ndarray:
         """The rows of a nodal array (nx, ...) at x = 1/4, 1/2, 3/4, 1."""
