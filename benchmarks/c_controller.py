@@ -16,7 +16,6 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
 from typer.testing import CliRunner
 
 import npred
@@ -65,9 +64,10 @@ int main(void)
 """
 
 
-PLAIN = "npred_step(&c, test_X + k % TEST_STEPS * NPRED_N_OUTPUTS, U)"
-MEASURED = PLAIN.replace("U)", "test_u + k % TEST_STEPS * NPRED_NX * NPRED_M_INPUTS, U)")
-STAMPED = "npred_step_at(&c, TIME(k), k % 10 == 9 ? NULL : test_X + k % TEST_STEPS * NPRED_N_OUTPUTS, TIME(k - 4), U)"
+PLAIN = "npred_step(&c, test_X + k % 10 * NPRED_N_OUTPUTS, U)"  # the self-test begins with ten such calls
+MEASURED = """npred_step(&c, test_X + k % TEST_ROWS * NPRED_N_STATES,
+                           test_u + k % TEST_U_ROWS * NPRED_NX * NPRED_M_INPUTS, U)"""
+STAMPED = "npred_step_at(&c, TIME(k), k % 10 == 9 ? NULL : test_X + k % 10 * NPRED_N_OUTPUTS, TIME(k - 4), U)"
 TIME = "#define TIME(k) (NPRED_DT * ((double)(k) + 0.3 * (double)((k) * 7 % 11) / 11.0))"  # later by 0 to 0.27 steps
 
 
@@ -100,9 +100,7 @@ def clocked(pipeline: str, nx: int, flags: list[str]) -> Iterator[tuple[str, dic
             controller = npred.controller(
                 plant, npred.predictor(method, plant, nx), law, dt, D_hat=2.0, actuator="history", observer=observer
             )
-            wave = 1 + 0.01 * np.sin(2 * np.pi * np.arange(40) / 40)
-            samples = observer.measured(plant.target(0.0) * wave[:, None])
-            files = c_controller.sources(controller, test=(samples, None))
+            files = c_controller.sources(controller)
             for kind, step in {"EKF": PLAIN, "EKF and stamps": STAMPED}.items():
                 with tempfile.TemporaryDirectory() as folder:
                     for file, text in zip(("npred.h", "npred.c"), files, strict=True):

@@ -32,8 +32,10 @@ def measure(folder: Path, precision: str) -> dict[str, float]:
     """
     board, cpu = BOARDS[precision]
     measured = "npred_step_nodes" in (folder / "npred.h").read_text()
-    define = [f"-Dnpred_real={precision}", f"-DMEASURED={_u(measured, 'test_u + s * NPRED_NX * NPRED_M_INPUTS,')}"]
-    define += [f"-DMEASURED_FROM={_u(measured, '(const npred_real *)measured + NPRED_N_STATES,')}"]
+    define = [
+        f"-Dnpred_real={precision}",
+        f"-DMEASURED_FROM={_u(measured, '(const npred_real *)measured + NPRED_N_STATES,')}",
+    ]
     cross = ["arm-none-eabi-gcc", "-std=gnu99", "-O2", "-mthumb", "-mfloat-abi=hard", *cpu, *define, f"-I{folder}"]
     link = ["-nostartfiles", "-specs=nosys.specs", "-ffunction-sections", "-fdata-sections", "-Wl,--gc-sections"]
     link += [f"-T{ASSETS / 'mps2.ld'}", "-Wl,--no-warn-rwx-segments"]

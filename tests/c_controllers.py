@@ -35,9 +35,9 @@ def find_nothing(folder, file, *flags):
         assert (done.returncode, done.stderr) == (0, ""), compiler
 
 
-def library(controller, folder, precision="double", test=None):
+def library(controller, folder, precision="double"):
     """The shared library of a controller; its two files are in the folder."""
-    header, source = c_controller.sources(controller, precision=precision, test=test)
+    header, source = c_controller.sources(controller, precision=precision)
     (folder / "npred.h").write_text(header)
     (folder / "npred.c").write_text(source)
     (folder / "sizes.c").write_text(SIZES)

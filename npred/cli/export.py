@@ -27,7 +27,6 @@ from npred.plants import Plant, inputs
 from npred.predictors import Predictor, numerical
 from npred.predictors.guarded import Guarded
 from npred.runtimes import Samples, c_controller, c_files, c_network, fmu
-from npred.runtimes.export import steps
 from npred.runtimes.fused import Fused
 
 NX = 101  # nodes of a model's file
@@ -41,12 +40,11 @@ RECALLS = (
 
 
 class Built(NamedTuple):
-    """A pipeline's controller, its name in words, the table of its loop, and steps to test a file of it with."""
+    """A pipeline's controller, its name in words, and the table of its loop."""
 
     controller: Controller
     about: str
     table: Evaluate
-    test: c_controller.Test
 
     def document(self, options: Exporting, form: str) -> dict[str, object]:
         """What the JSON document says about the controller."""
@@ -123,7 +121,7 @@ def _controller_files(options: Exporting, key: str, output: Path | None) -> None
     folder = writable_folder(output or Path(options.name), "controller")
     built = _built(options, key)
     files, digest = c_controller.write(
-        built.controller, folder, options.name, options.precision, built.about, built.test, options.mex
+        built.controller, folder, options.name, options.precision, built.about, options.mex
     )
     written = [str(file) for file in files]
     document = {"files": written} | built.document(options, "controller") | {"digest": digest}
@@ -136,7 +134,7 @@ def _fmu(options: Exporting, key: str, output: Path | None) -> None:
     built = _built(options, key)
     written = fmu.write(
         built.controller, path, version=options.fmi, name=options.name, precision=options.precision, model=built.about,
-        X0=built.table.X0 or built.controller.plant.target(0.0), t_end=built.table.t_end, test=built.test,
+        X0=built.table.X0 or built.controller.plant.target(0.0), t_end=built.table.t_end,
         platforms=list(filter(None, options.platforms.split(","))),
     )  # fmt: skip
     document = {"file": str(path)} | built.document(options, "fmu") | {
@@ -158,9 +156,7 @@ def _built(options: Exporting, key: str) -> Built:
     controller = of_table(plant, predictor, table, **more)
     if controller.actuator == HISTORY and isinstance(controller.adaptation, DelayAdaptation):
         options.console.warn(RECALLS)
-    X0 = np.array(table.X0) if table.X0 else plant.target(0.0)
-    test = steps(controller, X0, table.D, input_bounds=table.input_bounds, u0=table.u0)
-    return Built(controller, f"{pipeline.name}:{predictor.name}", table, test)
+    return Built(controller, f"{pipeline.name}:{predictor.name}", table)
 
 
 def _named(key: str, predictor: str) -> tuple[Path, str]:

@@ -16,13 +16,13 @@ from npred.loop import signals
 from npred.loop.controller import SNAP, Controller
 from npred.plants.base import Plant
 from npred.predictors.guarded import bare
-from npred.runtimes import c_files
+from npred.runtimes import c_files, self_test
 from npred.runtimes.fused import Fused
 from npred.symbolic import source_lines
 
 NAME = re.compile(r"[a-z][a-z0-9_]{0,30}")
 PRECISIONS = {"float": np.float32, "double": np.float64}
-LIMITS = {"float": 1e-3, "double": 1e-9}  # of the test in the file
+LIMITS = {"float": 1e-4, "double": 1e-10}  # of the test in the file, times what it amplifies rounding errors by
 WHAT = "export controller"
 # of the settings, those that a step reads
 NUMBERS = ("dt", "b", "gate", "gamma_dt", "oldest", "after", "uncertain")
@@ -30,14 +30,12 @@ FLAGS = ("recalls", "keeps", "gated", "observer_count", "offsets", "watched", "h
          "pulls", "filter_count")  # fmt: skip
 ARRAYS = ("bounds", "input_bounds", "p", "ratios", "law", "guard", "reach", "sensing", "rescue", "jump", "safety",
           "anew", "widens")  # fmt: skip
-Test = tuple[np.ndarray, np.ndarray | None]  # X (S, n) and, for measured actuators, u (S, nx, m) of steps
 
 
 def sources(
-    controller: Controller, name: str = "npred", precision: str = "double", model: str = "", test: Test | None = None,
-    tunable: bool = False,
-) -> tuple[str, str]:  # fmt: skip
-    """The header and the source, with the steps `test` as a program that tests them.
+    controller: Controller, name: str = "npred", precision: str = "double", model: str = "", tunable: bool = False
+) -> tuple[str, str]:
+    """The header and the source, with a program in it that tests them (npred.runtimes.self_test).
 
     A `tunable` controller holds the plant's parameters, gamma dt and the settings of the guard in its C struct, so that
     they can be set. All identifiers begin with `name`.
@@ -53,7 +51,7 @@ def sources(
         "RECALLS": bool(controller.settings.recalls), "KEEPS": controller.keeps_commands,
         "WATCHES": "observe" in kernels, "FILTERS": controller.observer is not None, "TUNABLE": tunable,
         "OFFSETS": bool(controller.settings.offsets), "PROTECTS": controller.safety is not None,
-        "TESTED": test is not None, "REPEATS": precision == "float" and bool(controller.plant.period),
+        "REPEATS": precision == "float" and bool(controller.plant.period),
     }  # fmt: skip
     sizes = _sizes(controller, kernels, variants)
     included = {
@@ -61,7 +59,7 @@ def sources(
         "sizes": "\n".join(f"    {name.upper()}_{size} = {value}," for size, value in sizes.items()),
         "kernels": _kernels(kernels, precision),
         "settings": _settings(controller, kernels, sizes, name.upper(), precision),
-        "test": _test(controller, test, precision) if test else "",
+        "test": _test(controller, precision),
     }
     files = [c_files.filled(f"controller.{suffix}", name, precision, variants, included) for suffix in "hc"]
     digest = hashlib.sha256("".join(files).encode()).hexdigest()
@@ -72,10 +70,10 @@ def sources(
 
 def write(
     controller: Controller, folder: Path, name: str = "npred", precision: str = "double", model: str = "",
-    test: Test | None = None, mex: bool = False,
+    mex: bool = False,
 ) -> tuple[list[Path], str]:  # fmt: skip
     """Write NAME.h, NAME.c and, with `mex`, the gateway NAME_mex.c; the files and their digest. Raises as `sources`."""
-    header, source = sources(controller, name, precision, model, test)
+    header, source = sources(controller, name, precision, model)
     texts = {f"{name}.h": header, f"{name}.c": source}
     if mex:
         texts[f"{name}_mex.c"] = gateway(controller, name, precision)
@@ -202,13 +200,18 @@ def _with_unit(plant: Plant, name: str) -> str:
     return f"{name} ({unit})" if unit else name
 
 
-def _test(controller: Controller, test: Test, real: str) -> str:
-    """Steps of the controller in Python, which the file's program repeats."""
-    twin, (X, u) = controller.fresh(), test
-    rows = [(twin.step(x, None if u is None else u[i]).copy(), twin.D_hat) for i, x in enumerate(X)]
-    U, D_hat = np.array([row[0] for row in rows]), np.array([row[1] for row in rows])
-    size = np.abs(U).max(axis=0)
-    arrays = {"X": X} | ({} if u is None else {"u": u})
-    arrays |= {"U": U, "D_hat": D_hat, "size": np.where(size > 0, size, 1.0)}
+def _test(controller: Controller, real: str) -> str:
+    """Calls of the controller in Python, which the file's program repeats."""
+    test, growth = self_test.designed(controller)
+    U, D_hat = self_test.answers(controller, test)
+    size = np.nanmax(np.abs(U), axis=0)
+    arrays = {"X": test.X, "U": U, "D_hat": D_hat, "size": np.append(np.where(size > 0, size, 1.0), D_hat.max() or 1.0)}
+    arrays |= {"u": test.u} if test.u.size else {}
     vectors = [constant(f"test_{name}", np.ravel(a), real) for name, a in arrays.items()]
-    return "\n".join([f"enum {{ TEST_STEPS = {len(X)} }};", f"#define TEST_LIMIT {LIMITS[real]!r}", *vectors])
+    stamps = {"t": test.t} | ({"taken": test.taken} if controller.settings.recalls else {})
+    vectors += [constant(f"test_{name}", a) for name, a in stamps.items()]
+    single = real == "float" or getattr(bare(controller.predictor), "precision", None) is np.float32  # of a network
+    limit = LIMITS["float" if single else "double"] * max(growth, 1.0)
+    counts = f"TEST_CALLS = {len(test.does)}, TEST_ROWS = {len(test.X)}, TEST_U_ROWS = {max(len(test.u), 1)}"
+    does = f"static const unsigned char test_does[TEST_CALLS] = {{{', '.join(map(str, test.does))}}};"
+    return "\n".join([f"enum {{ {counts} }};", f"#define TEST_LIMIT {limit:.1e}", does, *vectors])

@@ -9,13 +9,10 @@ import numpy as np
 
 from npred import grid
 from npred.errors import ConfigError, imported, unlisted
-from npred.loop.closed_loop import simulate
 from npred.loop.controller import Controller
-from npred.loop.loop_checks import HISTORY
 from npred.predictors.guarded import bare
 from npred.runtimes import c_controller, fmu
 
-MEASURED_STEPS, RECALLED_STEPS = 4, 40  # of the test inside a file; u of each measured step is part of it
 ATOL = 1e-4  # how far an ONNX graph's P and U may be from the network's, in the plant's units
 NAME = "npred"  # of the files in a folder
 
@@ -46,32 +43,9 @@ def export(
         raise ConfigError(f"path: expected a place to write, got '{path}': {error.strerror}; name another") from None
 
 
-def steps(controller: Controller, X0: np.ndarray, D: Any, **loop: Any) -> c_controller.Test:
-    """Steps of a simulated loop of this controller, to test its files with; `loop` as for npred.simulate."""
-    plant, dt, recalls = controller.plant, controller.dt, controller.actuator == HISTORY
-    delay: dict[str, Any] = {} if plant.declares_delay else {"D": D, "D_hat": controller.D_hat}
-    stride = 1 if recalls or D is None else max(int(D / dt), 1)
-    chosen = np.arange(RECALLED_STEPS if recalls else MEASURED_STEPS) * stride
-    run = simulate(
-        plant, controller.predictor, X0=X0, t_end=(chosen[-1] + 1) * dt, dt=dt, adaptation=controller.adaptation,
-        actuator=controller.actuator, samples=chosen, **delay, **loop,
-    )  # fmt: skip
-    X = np.array(run.samples.X)
-    return controller.observer.measured(X) if controller.observer else X, None if recalls else np.array(run.samples.u)
-
-
-def _test(controller: Controller) -> c_controller.Test:
-    """Steps from the middle of the plant's box, or from the target where it has none; the delay is D_hat."""
-    plant = controller.plant
-    X0 = np.array([sum(plant.box[name]) / 2 if name in plant.box else rest
-                   for name, rest in zip(plant.states, plant.target(0.0), strict=True)])  # fmt: skip
-    D = plant.delay(X0, 0.0) if plant.declares_delay else controller.D_hat
-    return steps(controller, X0, float(D), **controller.start)
-
-
 def _c(controller: Controller, path: Path, precision: str) -> list[Path]:
     folder, name = (path.parent, path.stem) if path.suffix == ".c" else (path, NAME)
-    return c_controller.write(controller, folder, _identifier(name, path), precision, test=_test(controller))[0]
+    return c_controller.write(controller, folder, _identifier(name, path), precision)[0]
 
 
 def _fmu(controller: Controller, path: Path, platforms: Sequence[str], precision: str) -> list[Path]:
@@ -79,7 +53,7 @@ def _fmu(controller: Controller, path: Path, platforms: Sequence[str], precision
     name = path.stem if c_controller.NAME.fullmatch(path.stem) else NAME
     path.parent.mkdir(parents=True, exist_ok=True)
     target = controller.plant.target(0.0)
-    fmu.write(controller, path, name=name, precision=precision, X0=target, test=_test(controller), platforms=listed)
+    fmu.write(controller, path, name=name, precision=precision, X0=target, platforms=listed)
     return [path]
 
 

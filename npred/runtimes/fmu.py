@@ -92,8 +92,7 @@ class Model(NamedTuple):
 
 def write(
     controller: Controller, path: Path, *, version: int = 3, name: str = "npred", precision: str = "double",
-    model: str = "", X0: ArrayLike | None = None, t_end: float = 1.0, test: c_controller.Test | None = None,
-    platforms: Sequence[str] = (),
+    model: str = "", X0: ArrayLike | None = None, t_end: float = 1.0, platforms: Sequence[str] = (),
 ) -> Written:  # fmt: skip
     """Write the FMU of a controller. `X0` (n,) are the first values of the inputs X, `t_end` the experiment's seconds.
 
@@ -107,7 +106,7 @@ def write(
     places = _chosen(version, name, platforms) if platforms else _own(version, name)
     X0 = np.zeros(controller.plant.n) if X0 is None else np.asarray(X0, dtype=float)
     listed = fmu_variables.of(controller, X0, arrays=version == 3)
-    header, source = c_controller.sources(controller, name, precision, model, test, tunable=True)
+    header, source = c_controller.sources(controller, name, precision, model, tunable=True)
     texts = {f"{name}.h": header, f"{name}.c": source}
     texts |= {file: c_files.filled(file, name, precision) for file in ("instance.h", "calls.h", f"fmi{version}.c")}
     sources = (f"{name}.c", f"fmi{version}.c")

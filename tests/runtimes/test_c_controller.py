@@ -391,23 +391,6 @@ def test_wild_samples_are_no_undefined_behaviour(cases, tmp_path, name):
     assert done.stdout[0] == "0" and set(done.stdout) <= set("0124") and "1" in done.stdout
 
 
-def test_its_own_test_passes_and_fails_for_another(cases, tmp_path):
-    controller = cases["rk4"][0]
-    X, u = np.array([X0, [0.05, 20.0]]), np.zeros((2, 51, 1))
-    library(controller, tmp_path, test=(X, u))
-    assert own_test(tmp_path) == 0
-    text = (tmp_path / "npred.c").read_text()
-    at = text.index("test_U[")
-    (tmp_path / "npred.c").write_text(text[:at] + text[at:].replace("{\n    ", "{\n    1 + ", 1))
-    assert own_test(tmp_path) == 1
-
-
-def own_test(folder):
-    flags = [*FLAGS, "-DNPRED_TEST"]
-    subprocess.run(["gcc", *flags, "npred.c", "-o", "own_test", "-lm"], cwd=folder, check=True, timeout=120)
-    return subprocess.run([folder / "own_test"], capture_output=True, timeout=60).returncode
-
-
 def test_allocates_nothing_and_says_what_it_is_of(cases):
     header, source = c_controller.sources(cases["observer"][0], model="paper:heun")
     assert "malloc" not in source and set(re.findall(r"#include <(.*)>", source)) == {

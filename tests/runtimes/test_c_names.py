@@ -50,7 +50,7 @@ def check_controller(plant, state, entry, unit, prefix, model):
     try:
         named = Plant(plant, declaration(state, entry, unit))
         controller = Controller(named, Heun(named, 5), None, 0.1, D_hat=0.3, actuator="history")
-        header, source = c_controller.sources(controller, prefix, model=model, test=(np.ones((2, 1)), None))
+        header, source = c_controller.sources(controller, prefix, model=model)
     except NpredError as error:
         assert len(str(error).splitlines()) == 1 and str(error).isprintable()
     else:

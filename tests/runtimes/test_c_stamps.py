@@ -344,17 +344,6 @@ def test_a_time_that_cannot_be_changes_nothing(compiled):
     pair.call(5.01, X, 5.015)  # by less than a control step of the future: two clocks
 
 
-@pytest.mark.parametrize("precision", ["double", "float"])
-def test_the_test_in_the_file_has_the_outputs_of_an_observer(tmp_path, precision):
-    controller = CASES["EKF, offset, both"]()
-    angles = np.linspace(0.5, 0.2, 40)
-    samples = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    library(controller, tmp_path, precision, test=(samples, None))
-    command = ["gcc", *FLAGS, "-DNPRED_TEST", "npred.c", "-o", "own_test", "-lm"]
-    subprocess.run(command, cwd=tmp_path, check=True, timeout=120)
-    assert subprocess.run([tmp_path / "own_test"], capture_output=True, timeout=60).returncode == 0
-
-
 AT_ONCE = """
 #include "npred.c"
 int main(void)

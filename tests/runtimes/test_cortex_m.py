@@ -41,12 +41,7 @@ def with_a_clock(kind):
 @pytest.mark.parametrize("made_of", [measured, recalled, with_a_clock])
 def test_its_steps_are_the_host_s_and_its_sizes_are_small(tmp_path, made_of, precision, kind, limit):
     controller = made_of(kind)
-    rng, u = np.random.default_rng(0), None
-    start = np.array([0.03, 30.0] if made_of is not with_a_clock else [0.3, -0.2, 0.2])
-    X = start * (1 + 0.1 * rng.standard_normal((6, len(start))))
-    if controller.actuator == "measured":
-        u = 0.01 * rng.standard_normal((6, 21, 1))
-    texts = c_controller.sources(controller, precision=precision, test=(X, u))
+    texts = c_controller.sources(controller, precision=precision)
     for text, suffix in zip(texts, "hc", strict=True):
         (tmp_path / f"npred.{suffix}").write_text(text)
     row = cortex_m.measure(tmp_path, precision)
@@ -57,7 +52,7 @@ def test_its_steps_are_the_host_s_and_its_sizes_are_small(tmp_path, made_of, pre
 
 
 def test_a_program_that_computes_something_else_is_seen(tmp_path):
-    texts = c_controller.sources(recalled(np.float64), test=(np.array([[0.03, 30.0], [0.04, 29.0]]), None))
+    texts = c_controller.sources(recalled(np.float64))
     copied = "    memcpy(U, self->U"
     wrong = texts[1].replace(copied, f"#ifdef __arm__\n    self->U[0] *= 1.001;\n#endif\n{copied}")
     for text, suffix in zip((texts[0], wrong), "hc", strict=True):

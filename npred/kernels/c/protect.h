@@ -69,11 +69,11 @@ static inline double PART(_conditions)(int lanes, const double *ends, const doub
             if (later) {
                 PART(_onward)(t, step, p, U, x);
             }
-            BARRIER(1, 1, x, U, t + later * step, safety[ALPHA], p, h, phi, a, pull);
+            BARRIER(1, 1, x, U, t + (double)later * step, safety[ALPHA], p, h, phi, a, pull);
             for (int k = 0; k < K; k++) {
                 double b = safety[MARGIN] - phi[k];
                 for (int c = 0; c < M; c++) {
-                    a[k * M + c] += later * step * pull[k * M + c];
+                    a[k * M + c] += (double)later * step * pull[k * M + c];
                     b += a[k * M + c] * delta[c];
                 }
                 *least_h = later ? *least_h : smaller(*least_h, h[k]);
