@@ -65,7 +65,7 @@ def lines(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     )
     size, outer = np.abs(d1 + d2), np.maximum(np.abs(d0), np.abs(d3))
     q = np.minimum(np.minimum(np.abs(d1), np.abs(d2)), np.maximum(0.125 * size, 0.5 * size - outer))
-    q = np.where(d1 * d2 > 0, np.copysign(q, d1), 0.0)
+    q = np.where(d1 * d2 > 0, np.sign(d1) * q, 0.0)
     before, after = q[..., :-1, :], q[..., 1:, :]
     first = 0.5 * (rise + before - after)
     mean, room = u[..., :-1, :] + first, np.minimum(np.abs(first), np.abs(rise - first))

@@ -7,7 +7,7 @@ static inline double shift(double d0, double d1, double d2, double d3)
 {
     const double all = fabs(d1 + d2), outer = larger(fabs(d0), fabs(d3));
     const double q = smaller(smaller(fabs(d1), fabs(d2)), larger(0.125 * all, 0.5 * all - outer));
-    return d1 * d2 > 0.0 ? copysign(q, d1) : 0.0;
+    return d1 * d2 > 0.0 ? (d1 > 0.0 ? q : -q) : 0.0;
 }
 
 /* u from node j to the next one: the straight line through the means of the two halves, less steep where it would leave
