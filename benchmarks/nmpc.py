@@ -1,10 +1,13 @@
 """Rivals of another kind: model predictive control, replayed commands, a linear predictor, and no predictor at all.
 
-python benchmarks/nmpc.py [cart_pole] [pvtol] [planar_arm2]  # Linux; needs the extra: pip install -e '.[rivals]'
+python benchmarks/nmpc.py [cart_pole] [pvtol] [planar_arm2]
 python benchmarks/nmpc.py --starts 3 --mismatch 0  # without the search for delays, which takes minutes
 
-The package of acados brings a CasADi of its own, for Python 3.12 alone, into the folder of the whole one. Where CasADi
-cannot be imported: pip install --force-reinstall --no-deps casadi
+On Linux with a C compiler, in an environment of its own, because the package of acados brings a part of CasADi, for
+Python 3.12 alone, into the folder of the whole one. That one has to come last:
+
+python -m venv rivals && rivals/bin/pip install . scipy 'comma-deps-acados>=0.2.2.post92'
+rivals/bin/pip install --force-reinstall --no-deps 'casadi>=3.8'
 
 A pendulum on a cart, an aircraft that takes off vertically, and an arm that follows a reference, each with nothing
 bounded, and with bounds of inputs and limits on states (`safe`). All have one cost up to 8 s, with the target x*, u*:

@@ -67,9 +67,12 @@ def tuned(chosen: Pipeline, **more: Any) -> Tuned:
 
 
 def exact(X0: np.ndarray, k: float) -> tuple[np.ndarray, np.ndarray]:
-    """Settling time and mean of U² in closed form: X(D) = X0 exp(a D), then X' = -k X, and U(t) = -(a + k) X(t + D)."""
-    X_D = np.abs(X0) * np.exp(A * D)
-    return D + np.log(X_D / 0.01) / k, ((A + k) * X_D) ** 2 * (1 - np.exp(-2 * k * T)) / (2 * k * T)
+    """Settling time and mean of U² in closed form: X(D) = X0 exp(a D), U(t) = -(a + k) X(t + D), then X' = -rate X.
+
+    rate is k, and a little more since U is held for steps of .002 s.
+    """
+    X_D, rate = np.abs(X0) * np.exp(A * D), k * (1 + (A + k) * 0.002 / 2)
+    return D + np.log(X_D / 0.01) / rate, ((A + k) * X_D) ** 2 * (1 - np.exp(-2 * rate * T)) / (2 * rate * T)
 
 
 def starts(chosen: Pipeline, purpose: str, states: int) -> np.ndarray:
@@ -82,8 +85,8 @@ def test_times_and_efforts_are_those_of_the_closed_form(k: float):
     loops = Loops(chosen, plants.resolve(chosen.plant), 5, "training")
     outcome = loops.run({"k": k}, lambda steps: None)
     time, effort = exact(starts(chosen, "training", 5), k)
-    assert outcome.time[:, 0] == pytest.approx(time, abs=0.01)  # U is held for steps of .002 s
-    assert outcome.effort[:, 0] == pytest.approx(effort, rel=0.002) and outcome.settled.all()
+    assert outcome.time[:, 0] == pytest.approx(time, abs=0.006)
+    assert outcome.effort[:, 0] == pytest.approx(effort, rel=5e-4) and outcome.settled.all()
 
 
 def test_the_search_ends_at_the_least_cost_of_the_closed_form():
@@ -109,7 +112,7 @@ def test_a_better_gain_is_judged_on_other_starts():
     assert result.numbers[0].before == 1.0 and result.held_out.loops == 6 and result.evaluations <= 60
     assert not set(starts(chosen, "training", 4)) & set(starts(chosen, "held out", 6))
     before, after = (exact(starts(chosen, "held out", 6), k)[0].mean() for k in (1.0, result.numbers[0].after))
-    assert result.held_out.settle_time == pytest.approx((before, after), abs=0.02)
+    assert result.held_out.settle_time == pytest.approx((before, after), abs=0.012)
 
 
 def test_nothing_to_gain_is_said_where_the_best_is_there_already():
