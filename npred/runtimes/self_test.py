@@ -209,7 +209,8 @@ def _recalled(controller: Controller, size: float) -> Test:
         call = DOES.get(what, SAMPLED | STAMPED), t, taken, Y
         rows.append(call)
         world.sent.append((world.t, np.nan_to_num(player.call(s, *call)[0])))
-    return Test(*map(np.array, zip(*rows, strict=True)), np.zeros(0))
+    does, t, taken, X = (np.array(column) for column in zip(*rows, strict=True))
+    return Test(does, t, taken, X, np.zeros(0))
 
 
 def _measured(controller: Controller, size: float) -> Test:
