@@ -99,7 +99,10 @@ def _at_the_gate(twin: Controller, s: int, t: float, Y: np.ndarray, share: float
     """A sample of time t with an output that is a share of the gate off what the controller expects; Y without one."""
     scout = twin.fresh()
     scout.restore(twin.state())
-    scout.step(Y, t=t)
+    try:
+        scout.step(Y, t=t)
+    except (ConfigError, DivergedError):
+        return Y
     expected, gate = Y - scout.status.innovation, scout.settings.gate
     wide = (
         gate * scout.memory.spread[:, 0] if scout.observer else np.maximum(scout.settings.reach, gate * abs(expected))
