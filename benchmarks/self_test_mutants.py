@@ -286,12 +286,9 @@ def measured(controller: Controller, random: np.random.Generator, length: int) -
 def run_call(source: str) -> str:
     """The C function that makes a call of these runs: that of the self-test with other names."""
     (body,) = re.findall(r"static int test_call\(.*?^\}$", source, re.MULTILINE | re.DOTALL)
-    body = body.replace("test_call", "run_call").replace("test_", "run_")
-    return (
-        re.sub(r" % TEST_(?:U_)?ROWS|\(s \+ 1\) % TEST_U_ROWS", "", body)
-        .replace("run_u + s + 1", "run_u + (s + 1) % RUN_CALLS")
-        .replace("run_u + (s + 1)  ", "run_u + (s + 1) % RUN_CALLS ")
-    )
+    for old, new in {"test_": "run_", "TEST_ROWS": "RUN_CALLS", "TEST_U_ROWS": "RUN_CALLS"}.items():
+        body = body.replace(old, new)
+    return body
 
 
 def judged(controller: Controller, precision: str = "double", count: int = 1500, seed: int = 0) -> Row:

@@ -99,7 +99,10 @@ def _at_the_gate(twin: Controller, s: int, t: float, Y: np.ndarray, share: float
     """A sample of time t with an output that is a share of the gate off what the controller expects; Y without one."""
     scout = twin.fresh()
     scout.restore(twin.state())
-    scout.step(Y, t=t)
+    try:
+        scout.step(Y, t=t)
+    except (ConfigError, DivergedError):
+        return Y
     expected, gate = Y - scout.status.innovation, scout.settings.gate
     wide = (
         gate * scout.memory.spread[:, 0] if scout.observer else np.maximum(scout.settings.reach, gate * abs(expected))
@@ -176,12 +179,20 @@ def _calls(controller: Controller) -> Iterator[tuple[str, float, float]]:
     yield from [("back", -1.0, 0.0), ("far", 2.0, 0.0), now, ("nan", 1.0, 0.0), ("none", 1.0, 0.0), ("far", 1.0, 0.0)]
     yield from [now, ("kick", 1.0, 0.5), *5 * [("far", round(d / 3) + 0.5, 0.0)], *3 * [now]]
     yield from [("saved", 1.0, 0.0), ("estimate", 1.25, 0.0), now, ("time", 1.0, 0.0), now]
-    yield from [("restart", 1.0, 0.0), ("now", 1.0, 3.0), now, ("now", 1.0, 0.25)]
+    yield from [("restart", 1.0, 0.0), ("now", 1.0, oldest + 0.5), ("now", 1.0, 3.0), now, ("now", 1.0, 0.25)]
     yield from [*4 * [("none", round(waits / 3) + 0.25, 0.0)], *3 * [now], ("kick", 1.0, 0.0)]
     for gap, first in ((rows + 3.5, "now"), (4.0 * rows + 7.0, "far")):
         yield from [(first, gap, 0.0), ("kick", 0.75, 0.0), ("now", 1.25, 0.5), *4 * [now], ("estimate", 1.0, 0.0)]
     yield from [("none", 4.0 * rows + 9.0, 0.0), ("far", 1.0, 0.0), *3 * [now], *4 * [("plain", 1.0, 0.0)]]
-    yield from [("anew", 1.0, 0.0), now, ("none", 1.0, 0.0), *5 * [now]]
+    yield from [
+        ("anew", 1.0, 0.0),
+        ("now", 1.0, oldest + 0.5),
+        now,
+        ("now", 1.0, 1.0),
+        now,
+        ("none", 1.0, 0.0),
+        *5 * [now],
+    ]
 
 
 def _recalled(controller: Controller, size: float) -> Test:
@@ -201,7 +212,8 @@ def _recalled(controller: Controller, size: float) -> Test:
         call = DOES.get(what, SAMPLED | STAMPED), t, taken, Y
         rows.append(call)
         world.sent.append((world.t, np.nan_to_num(player.call(s, *call)[0])))
-    return Test(*map(np.array, zip(*rows, strict=True)), np.zeros(0))
+    does, t, taken, X = (np.array(column) for column in zip(*rows, strict=True))
+    return Test(does, t, taken, X, np.zeros(0))
 
 
 def _measured(controller: Controller, size: float) -> Test:
