@@ -5,6 +5,7 @@ import pytest
 from golden import CASES, case
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from input_histories import means
 from scipy.integrate import solve_ivp
 
 import npred
@@ -236,7 +237,8 @@ def test_q1_of_a_law_of_time_moves_w_along_its_transport():
         X = solve_ivp(lambda s, x: plant.f(x, np.cos([3 * (s - D)]), s), (t, moment), [0.4], rtol=1e-12, atol=1e-12).y[
             :, -1
         ]
-        P = RK4(plant, nx)(X, u, D_hat, moment)
+        mean = means(lambda x: np.cos(3 * (moment + D * (x - 1)))[..., None], nx)
+        P = RK4(plant, nx)(X, mean, D_hat, moment)
         kappa = plant.kappa(P, moment + nodes * D_hat)
         return (u - kappa)[:, 0], u, P, X
 
