@@ -26,6 +26,9 @@ GROWTH = 200.0  # of a relative error of the samples, up to which the test takes
 TURNED = 1e-9  # that error
 X_ROWS, U_ROWS, MEASURED_CALLS = 5, 4, 24  # of a controller that is given u: rows that are taken in turn
 
+USED = 1  # a sample's fate: npred/kernels/c/controller.h
+BISECTIONS = 12  # that find how wide the gate is
+
 
 class Test(NamedTuple):
     """Calls, and what is measured in them: X (calls or rows, outputs), and u (rows, nx, m) or nothing."""
@@ -97,20 +100,33 @@ class _Player:
 
 def _at_the_gate(twin: Controller, s: int, t: float, Y: np.ndarray, share: float) -> np.ndarray:
     """A sample of time t with an output that is a share of the gate off what the controller expects; Y without one."""
-    scout = twin.fresh()
-    scout.restore(twin.state())
+    one, saved = s % len(Y), twin.state()
+    if not twin.settings.gated:
+        return Y
+
+    def tried(sample: np.ndarray) -> Controller:
+        scout = twin.fresh()
+        scout.restore(saved)
+        scout.step(sample, t=t)
+        return scout
+
+    def believed(off: float) -> bool:
+        scout = tried(np.where(np.arange(len(Y)) == one, expected + off, expected))
+        return int(scout.memory.fate[one, 0]) == USED if scout.observer else scout.status.age == 0.0
+
     try:
-        scout.step(Y, t=t)
+        expected = Y - tried(Y).status.innovation
+        sign = 1.0 if s % 2 else -1.0
+        wide = next((w for w in 2.0 ** np.arange(-20, 20) * max(1.0, abs(Y[one])) if not believed(sign * w)), None)
+        if wide is None or not np.isfinite(expected).all():
+            return Y
+        low, high = 0.5 * wide, wide
+        for _ in range(BISECTIONS):
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if believed(sign * middle) else (low, middle)
     except (ConfigError, DivergedError):
         return Y
-    expected, gate = Y - scout.status.innovation, scout.settings.gate
-    wide = (
-        gate * scout.memory.spread[:, 0] if scout.observer else np.maximum(scout.settings.reach, gate * abs(expected))
-    )
-    one = s % len(Y)
-    if not (scout.settings.gated and np.isfinite(wide[one]) and np.isfinite(expected).all()):
-        return Y
-    expected[one] += share * wide[one] * (1 if s % 2 else -1)
+    expected[one] += share * sign * low
     return expected
 
 
