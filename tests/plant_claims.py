@@ -12,9 +12,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pytest
+from input_histories import means
 from scipy.integrate import solve_ivp
 
-from npred import config, diagnosis, grid, predictors
+from npred import config, diagnosis, predictors
 from npred.delays import family_of
 from npred.delays.constant import ConstantDelay
 from npred.loop.closed_loop import Trajectories, simulate
@@ -79,17 +80,20 @@ class Claims:
         if refusal := family_of(self.plant).refusal(method):
             assert {"semi_implicit": "mechanics", "rollout": "rollout"}[method] in refusal[0]
             return
-        assert order(self.plant, method, np.max(self.D)) == pytest.approx(predictors.method(method).order, abs=0.25)
+        fitted, stated = order(self.plant, method, np.max(self.D)), predictors.method(method).order
+        if stated < 4:
+            assert fitted == pytest.approx(stated, abs=0.25)
+        else:  # u is read to order 3
+            assert fitted > 2.75
 
     def test_the_loop_is_the_golden_one(self):
-        """Exact with nodes on the ends and middles of control steps; RK4 comes near with the square of the cells."""
+        """With nodes on the ends and middles of control steps, and by RK4 with three nodes a step, which find each jump."""
         cells = round(np.max(self.D) / DT)
         golden = golden_loop(self.plant, self.D, self.X0, GOLDEN)
         loop = self.predicted(2 * cells + 1, X0=self.X0, t_end=GOLDEN)
         np.testing.assert_allclose(loop.X, golden, rtol=0, atol=1e-6)
-        runs = (self.predicted(k * cells + 1, RK4, X0=self.X0, t_end=GOLDEN) for k in (4, 8))
-        coarse, fine = (np.abs(run.X - golden).max() for run in runs)
-        assert fine / coarse == pytest.approx(0.25, abs=0.03)
+        loop = self.predicted(3 * cells + 1, RK4, X0=self.X0, t_end=GOLDEN)
+        np.testing.assert_allclose(loop.X, golden, rtol=0, atol=1e-6)
 
     def test_the_exact_predictors_loop_converges_from_the_box(self):
         assert self.distances(self.D).max() < self.near
@@ -173,8 +177,6 @@ def order(plant: Plant, method: str, D_hat: float) -> float:
 
 
 def _predict(plant: Plant, method: str, intervals: int, X: np.ndarray, D_hat: float) -> np.ndarray:
-    x = grid.nodes(intervals + 1)
     middle = plant.u_equilibrium if plant.rests else np.zeros(plant.m)
-    return predictors.numerical(method, plant, intervals + 1)(X, middle + 0.3 * np.sin(3 * x + 1)[:, None], D_hat)[
-        :, -1
-    ]
+    u = means(lambda x: middle + 0.3 * np.sin(3 * x + 1)[..., None], intervals + 1)
+    return predictors.numerical(method, plant, intervals + 1)(X, u, D_hat)[:, -1]

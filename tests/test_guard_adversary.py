@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from conftest import HERE
+from input_histories import means
 
 import npred
 from npred import grid
@@ -48,6 +49,11 @@ def calls(plant, count, seed=0, nx=NX):
     u = np.repeat(u, plant.m, axis=2)
     X, D_hat = rng.uniform(low, high, (count, plant.n)), rng.uniform(0.5, 1.5, count)
     return adversary.Calls(X, u, D_hat, rng.uniform(0.0, 2.0, count))
+
+
+def cubic(x):
+    """A u of which the adversary's cubic reading makes no error, (..., 1)."""
+    return 0.3 + 0.5 * x[..., None] ** 3
 
 
 @pytest.mark.parametrize("name", sorted(adversary.SYSTEMS))
@@ -105,12 +111,12 @@ def test_dop853_s_tolerance_is_kept_on_long_cells():
 def test_a_delay_of_each_input_is_npred_s_too():
     """kappa acts where the history of an input has ended: RK4 of npred on many nodes comes to the cubic reading."""
     plant, inputs = npred.plant("unicycle"), calls(npred.plant("unicycle"), 3)
-    system, x = adversary.SYSTEMS["unicycle"], grid.nodes(NX)[:, None]
-    inputs.u[:] = 0.3 + 0.5 * x**3
+    system = adversary.SYSTEMS["unicycle"]
+    inputs.u[:] = cubic(grid.nodes(NX))
     exact = np.stack([adversary.by_dop853(system, *call)[1] for call in zip(*inputs, strict=True)])
     errors = []
     for count in (120, 240):
-        P = RK4(plant, count + 1)(inputs.X, grid.refine(inputs.u, count + 1), inputs.D_hat, inputs.t)
+        P = RK4(plant, count + 1)(inputs.X, means(cubic, count + 1) + 0 * inputs.u[:, :1], inputs.D_hat, inputs.t)
         errors.append(np.abs(metrics.law(plant, P, inputs.t, inputs.D_hat) - exact).max())
     assert errors[1] < errors[0] / 8 and errors[1] < 1e-6
 
@@ -118,11 +124,11 @@ def test_a_delay_of_each_input_is_npred_s_too():
 def test_npred_s_own_rk4_comes_to_the_cubic_reading():
     """Where u is a cubic, which both read as what it is."""
     system, inputs = adversary.SYSTEMS[PLANT.name], calls(PLANT, 3)
-    inputs.u[:] = 0.3 + 0.5 * grid.nodes(NX)[:, None] ** 3
+    inputs.u[:] = cubic(grid.nodes(NX))
     exact = np.stack([adversary.by_dop853(system, *call)[1] for call in zip(*inputs, strict=True)])
     counts, errors = [40, 80, 160], []
     for count in counts:
-        P = RK4(PLANT, count + 1)(inputs.X, grid.refine(inputs.u, count + 1), inputs.D_hat)
+        P = RK4(PLANT, count + 1)(inputs.X, means(cubic, count + 1) + 0 * inputs.u[:, :1], inputs.D_hat)
         errors.append(np.abs(PLANT.kappa(P[:, -1], 0.0) - exact).max())
     assert -np.polyfit(np.log(counts), np.log(errors), 1)[0] == pytest.approx(4.0, abs=0.4)
     assert errors[-1] < 1e-6

@@ -156,7 +156,7 @@ class Evaluate(Loop):
 
     @property
     def bounded(self) -> Self | None:
-        """This table with `figure_bounds` in the place of `input_bounds`; None where there are none."""
+        """This table with `figure_bounds` for `input_bounds`; None where there are none."""
         bounds = self.figure_bounds
         return None if bounds is None else self.model_copy(update={"input_bounds": bounds})
 

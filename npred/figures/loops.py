@@ -75,10 +75,10 @@ def _caption(evidence: Evidence, apart: dict[Contender, np.ndarray]) -> str:
 
 def _limits(evidence: Evidence) -> str:
     """The bounds of U, where a pipeline gives some; that there are none, where it draws a bounded loop too."""
-    plant, given = evidence.plant, evidence.config.input_bounds
-    if given is None:
+    plant, bounds = evidence.plant, evidence.config.input_bounds
+    if bounds is None:
         return ", U without bounds" if evidence.bounded and plant.input_bounds is None else ""
-    ranges = zip(plant.inputs, given, strict=True)
+    ranges = zip(plant.inputs, bounds, strict=True)
     return "".join(
         f", {symbol(plant, name)} in [{low:g}, {high:g}]".replace("inf", "∞") for name, (low, high) in ranges
     )

