@@ -3,7 +3,7 @@
     python benchmarks/bound_adversary.py [MODEL] [--nx 51] [--states box|data] [--calls 60_000] [--store artifacts]
 
 Populations by CMA-ES, those of guard_adversary.py, maximise the true error over the bound. The bound is that of inputs
-which are cubics between nodes, so the true error is of that reading: by RK4 on 4 steps a cell of formulas written
+read by the means of half cells, so the true error is of that reading: by RK4 on 4 steps a cell of formulas written
 anew. The calls that come nearest to the bound are integrated by SciPy's DOP853, rtol 1e-12, whose figure counts. Errors
 below `TINY` are left out: they are those of the integrations. Printed is one row of a Markdown table.
 """
@@ -24,7 +24,7 @@ STEPS = 4  # of RK4 a cell: to search by
 TINY = 1e-7  # of an error of U: smaller ones are not told from those of the integrations
 NEAREST = 20  # calls that DOP853 integrates
 HEAD = ["network, nodes", "where X", "calls", "bounded", "largest error / bound, RK4", "the same, DOP853"]
-CUBIC = READINGS.index("cubic")
+MEANS = READINGS.index("means")
 
 
 @np.errstate(all="ignore")
@@ -33,7 +33,7 @@ def ratios(guard: Guarded, system: System, calls: Calls) -> tuple[np.ndarray, np
     P = guard.model(*calls)
     U = guard.plant.kappa(P[:, -1], calls.t + calls.D_hat).T
     bound = guard.error_bound(P, *calls)
-    error = np.abs(U - by_rk4(system, calls, STEPS)[CUBIC]).max(axis=0)
+    error = np.abs(U - by_rk4(system, calls, STEPS)[MEANS]).max(axis=0)
     ratio = np.where(np.isfinite(bound) & np.isfinite(error) & (error > TINY), error / bound, 0.0)
     return ratio, bound, U
 
@@ -74,7 +74,7 @@ def main() -> None:
     made, bounded, nearest = search(guard, system, ranges, starts, options)
     calls = ranges.calls(nearest[:, :-1])
     _, bound, U = ratios(guard, system, calls)
-    exact = np.array([by_dop853(system, *(part[k] for part in calls))[CUBIC] for k in range(len(nearest))])
+    exact = np.array([by_dop853(system, *(part[k] for part in calls))[MEANS] for k in range(len(nearest))])
     ratio = np.abs(U.T - exact).max(axis=1) / bound
     cells = [f"`{Path(options.model).name}`, {options.nx}", options.states, made, bounded, f"{nearest[0, -1]:.9f}"]
     print(f"| {' | '.join(HEAD)} |\n|{'---|' * len(HEAD)}\n| {' | '.join(map(str, cells))} | {ratio.max():.9f} |")

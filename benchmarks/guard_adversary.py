@@ -11,10 +11,11 @@ certify` searches, or in the range of the data; with `--states domain` all three
 
 Neither the guard, nor npred's integrators, nor its plants say here what the true U is. Hill climbing from rows of the
 data, and CMA-ES from the best that it came to, maximise the error of U among the calls that pass. That error is the
-smallest over three readings of u between its nodes: linear, cubic, constant around each node. How u is read is no part
-of it. f and kappa of the plants are written here once more. RK4 on 2 steps a cell leads the search, and on 16 steps a
-cell it counts the calls above the tolerance. SciPy's DOP853 integrates the worst of these, and some at random, once
-more: at rtol 1e-12, cell by cell. An error that is not finite does not count.
+smallest over four readings of u between its nodes: linear, cubic, constant around each node, and by the means of half
+cells, as npred reads it. How u is read is no part of it. f and kappa of the plants are written here once more. RK4 on 2
+steps a cell leads the search, and on 16 steps a cell it counts the calls above the tolerance. SciPy's DOP853 integrates
+the worst of these, and some at random, once more: at rtol 1e-12, cell by cell. An error that is not finite does not
+count.
 """
 
 import argparse
@@ -37,7 +38,7 @@ from npred.pipeline.models import load_data
 from npred.predictors import RK4
 from npred.predictors.guarded import Guarded
 
-READINGS = ("linear", "cubic", "constant")
+READINGS = ("linear", "cubic", "constant", "means")
 COARSE, FINE = 2, 16  # steps of RK4 a cell: to search by, and to count by; even, so that a reading's jumps are between
 PENALTY = 1.5  # of a call that does not pass, by the logarithm of how far it is from passing
 CHAINS, MOVES = 500, 40  # of a round of hill climbing
@@ -157,19 +158,43 @@ class Judged(NamedTuple):
 
 
 def weights(reading: str, nx: int, places: np.ndarray, middle: float) -> np.ndarray:
-    """The weights of nx nodal values in u at places (k,), counted in nodes and of one cell, (k, nx).
+    """The weights of `values` of nx nodes in u at places (k,), counted in nodes and of one cell, (k, 3 nx - 2).
 
     `middle` is that of a step over these places: it says which cell, and on which side of a jump u is meant.
     """
-    cell = min(int(middle), nx - 2)
+    cell, result = min(int(middle), nx - 2), np.zeros((len(places), 3 * nx - 2))
+    if reading == "means":
+        result[:, nx + cell], result[:, 2 * nx - 1 + cell] = 1 - (places - cell), places - cell
+        return result
     first, width = {
         "linear": (cell, 2), "cubic": (min(max(cell - 1, 0), max(nx - 4, 0)), min(nx, 4)), "constant": (cell, 2),
     }[reading]  # fmt: skip
     at = np.full(len(places), cell + float(middle - cell > 0.5)) if reading == "constant" else places
-    s, result = at - first, np.zeros((len(places), nx))
+    s = at - first
     for k in range(width):  # Lagrange's polynomials of the nodes first, first + 1, …
         result[:, first + k] = np.prod([(s - j) / (k - j) for j in range(width) if j != k], axis=0)
     return result
+
+
+def values(u: np.ndarray) -> np.ndarray:
+    """u (nx, ...) at the nodes, and the begins and ends of its lines by the means of half cells, (3 nx - 2, ...).
+
+    Of a node's mean m, m - q is of the lower half of its cell, m + q of the upper one: docs/predictors.md.
+    """
+    q = np.zeros_like(u)
+    for j in range(1, len(u) - 1):
+        a, b = u[j] - u[j - 1], u[j + 1] - u[j]
+        beside = [np.abs(u[k] - u[k - 1]) if 0 < k < len(u) else 0 * a for k in (j - 1, j + 2)]
+        large = np.abs(a + b)
+        least = np.maximum(large / 8, large / 2 - np.maximum(*beside))
+        q[j] = np.where(a * b > 0, np.sign(a) * np.minimum(least, np.minimum(np.abs(a), np.abs(b))), 0.0)
+    low, high = u[:-1] + q[:-1], u[1:] - q[1:]
+    middle, most_steep = (
+        (low + high) / 2,
+        np.minimum(np.abs(low + high - 2 * u[:-1]), np.abs(2 * u[1:] - low - high)) / 2,
+    )
+    steep = np.clip(high - low, -most_steep, most_steep)
+    return np.concatenate([u, middle - steep, middle + steep])
 
 
 @cache
@@ -182,8 +207,8 @@ def pieces(ratios: tuple[float, ...], nx: int, steps: int) -> np.ndarray:
 
 @cache
 def stages(ratios: tuple[float, ...], nx: int, steps: int) -> list[tuple[float, float, list[np.ndarray | None]]]:
-    """Each piece's begin and end, and for each input the weights at its begin, middle and end by each reading, (3
-    readings, nx); None where its history has ended.
+    """Each piece's begin and end, and for each input the weights of `values` at its begin, middle and end by each
+    reading, (3 readings, 3 nx - 2); None where its history has ended.
     """
     result, edges = [], pieces(ratios, nx, steps)
     for begin, end in zip(edges, edges[1:], strict=False):
@@ -191,7 +216,7 @@ def stages(ratios: tuple[float, ...], nx: int, steps: int) -> list[tuple[float, 
         for r in ratios:
             places = np.array([begin, middle, end]) / r * (nx - 1)
             W = [weights(reading, nx, places, places[1]) for reading in READINGS] if middle < r else None
-            of_inputs.append(None if W is None else np.stack(W, axis=1).reshape(-1, nx))
+            of_inputs.append(None if W is None else np.stack(W, axis=1).reshape(-1, 3 * nx - 2))
         result.append((begin, end, of_inputs))
     return result
 
@@ -201,7 +226,7 @@ def by_rk4(system: System, calls: Calls, steps: int) -> np.ndarray:
     X, u, D_hat, t = calls
     nx, at = u.shape[1], {}
     x = np.repeat(X.T[:, None], len(READINGS), axis=1)
-    values = u.transpose(2, 1, 0)
+    by_input = values(u.swapaxes(0, 1)).transpose(2, 0, 1)
 
     def f(x: np.ndarray, inputs: list[np.ndarray | None], now: np.ndarray) -> np.ndarray:
         law = system.kappa(x, now) if any(v is None for v in inputs) else inputs
@@ -210,7 +235,8 @@ def by_rk4(system: System, calls: Calls, steps: int) -> np.ndarray:
     for begin, end, of_inputs in stages(system.ratios, nx, steps):
         at[round(begin, 9)], h = x, D_hat * (end - begin)
         read = [
-            None if W is None else (W @ v).reshape(3, len(READINGS), -1) for W, v in zip(of_inputs, values, strict=True)
+            None if W is None else (W @ v).reshape(3, len(READINGS), -1)
+            for W, v in zip(of_inputs, by_input, strict=True)
         ]
         u0, um, u1 = ([None if v is None else v[k] for v in read] for k in range(3))
         t0, t1 = t + begin * D_hat, t + end * D_hat
@@ -226,7 +252,7 @@ def by_rk4(system: System, calls: Calls, steps: int) -> np.ndarray:
 
 def by_dop853(system: System, X: np.ndarray, u: np.ndarray, D_hat: float, t: float) -> np.ndarray:
     """U of one call by each reading of u, (readings, m): piece by piece, for u is smooth on each only."""
-    nx, shares = len(u), np.linspace(0.0, 1.0, 4)
+    nx, shares, read = len(u), np.linspace(0.0, 1.0, 4), values(u)
     powers = np.linalg.inv(np.vander(shares))
 
     def end(reading: str) -> np.ndarray:
@@ -236,7 +262,7 @@ def by_dop853(system: System, X: np.ndarray, u: np.ndarray, D_hat: float, t: flo
             for c, r in enumerate(system.ratios):
                 places = (begin + (until - begin) * shares) / r * (nx - 1)
                 W = weights(reading, nx, places, places.mean()) if (begin + until) / 2 < r else None
-                cubics.append(None if W is None else (powers @ W @ u[:, c]).tolist())
+                cubics.append(None if W is None else (powers @ W @ read[:, c]).tolist())
 
             def f(
                 s: float, x: np.ndarray, begin: float = begin, h: float = h, cubics: list[Any] = cubics

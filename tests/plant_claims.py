@@ -87,7 +87,7 @@ class Claims:
             assert fitted > 2.75
 
     def test_the_loop_is_the_golden_one(self):
-        """With nodes on the ends and middles of control steps, and by RK4 with three nodes a step, which find each jump."""
+        """With nodes on the ends and middles of control steps, and by RK4 with three nodes a step."""
         cells = round(np.max(self.D) / DT)
         golden = golden_loop(self.plant, self.D, self.X0, GOLDEN)
         loop = self.predicted(2 * cells + 1, X0=self.X0, t_end=GOLDEN)

@@ -66,19 +66,21 @@ def test_its_plants_are_those_of_npred(name):
     np.testing.assert_allclose(system.ratios, plant.ratios)
 
 
-def test_its_readings_are_lines_cubics_and_constants_around_the_nodes():
+def test_its_readings_are_lines_cubics_constants_around_the_nodes_and_npred_s():
     rng = np.random.default_rng(0)
     u, r = rng.standard_normal((NX, 1)), np.linspace(0.0, 0.5, 5)
+    begin, end = grid.lines(u)
     for cell in range(NX - 1):
         for half in (0.0, 0.5):
             x = (cell + half + r) / (NX - 1)
-            line, cubic, constant = (
-                adversary.weights(reading, NX, cell + half + r, cell + half + 0.25) @ u
+            line, cubic, constant, means = (
+                adversary.weights(reading, NX, cell + half + r, cell + half + 0.25) @ adversary.values(u)
                 for reading in adversary.READINGS
             )
             np.testing.assert_allclose(line[:, 0], np.interp(x, grid.nodes(NX), u[:, 0]), atol=1e-13)
             np.testing.assert_allclose(cubic, grid.read(u, x), atol=1e-12)
             np.testing.assert_array_equal(constant, np.full((5, 1), u[cell + (half > 0), 0]))
+            np.testing.assert_allclose(means, begin[cell] + (half + r[:, None]) * (end - begin)[cell], atol=1e-13)
 
 
 def test_an_error_is_the_largest_component_s_by_the_reading_that_is_kindest():
@@ -118,11 +120,11 @@ def test_a_delay_of_each_input_is_npred_s_too():
     for count in (120, 240):
         P = RK4(plant, count + 1)(inputs.X, means(cubic, count + 1) + 0 * inputs.u[:, :1], inputs.D_hat, inputs.t)
         errors.append(np.abs(metrics.law(plant, P, inputs.t, inputs.D_hat) - exact).max())
-    assert errors[1] < errors[0] / 8 and errors[1] < 1e-6
+    assert errors[1] < errors[0] / 3.5 and errors[1] < 1e-5  # of order 2: each input has a delay of its own
 
 
 def test_npred_s_own_rk4_comes_to_the_cubic_reading():
-    """Where u is a cubic, which both read as what it is."""
+    """RK4 from the means of a cubic, which are read to order 3."""
     system, inputs = adversary.SYSTEMS[PLANT.name], calls(PLANT, 3)
     inputs.u[:] = cubic(grid.nodes(NX))
     exact = np.stack([adversary.by_dop853(system, *call)[1] for call in zip(*inputs, strict=True)])
@@ -130,7 +132,7 @@ def test_npred_s_own_rk4_comes_to_the_cubic_reading():
     for count in counts:
         P = RK4(PLANT, count + 1)(inputs.X, means(cubic, count + 1) + 0 * inputs.u[:, :1], inputs.D_hat)
         errors.append(np.abs(PLANT.kappa(P[:, -1], 0.0) - exact).max())
-    assert -np.polyfit(np.log(counts), np.log(errors), 1)[0] == pytest.approx(4.0, abs=0.4)
+    assert -np.polyfit(np.log(counts), np.log(errors), 1)[0] > 2.8
     assert errors[-1] < 1e-6
 
 

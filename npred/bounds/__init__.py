@@ -11,8 +11,8 @@ with mu the W-weighted logarithmic norm of A, the largest eigenvalue of the symm
 bound is inside the tube, P is: it begins there and cannot leave. Q is P̂ less its defect, as the linearised equation
 carries it, so that the bound |kappa(P̂(1)) - kappa(Q(1))| + sup |kappa_P W⁻¹| |Q - P|_W(1) is near the error.
 
-u is straight between the nodes: RK4 reads it by lines with the same mean. Between nodes Q is the cubic with the slopes
-D_hat f, and integrals are Simpson's: it is a bound but for the error of these, of order 4.
+u is read as RK4 reads it, by the lines of `grid.lines`. Between nodes Q is the cubic with the slopes D_hat f, and
+integrals are Simpson's: it is a bound but for the error of these, of order 4.
 """
 
 import numpy as np
@@ -29,6 +29,7 @@ TUBES, WIDER = 12, 2.0  # tried, each so many times the bound that the one befor
 SMALLEST = 1e-12  # of the states: the radius of the first tube, at least
 TINY = 1e-12  # a rate that stands for 0
 DESCENT, RATE, ENOUGH = 300, 0.05, 2000  # steps of Adam that look for W, their size, and the derivatives they see
+Inputs = tuple[np.ndarray, np.ndarray, np.ndarray]
 MEMORY, TINY_SLOPE = (0.9, 0.999), 1e-8  # Adam's, of the mean slope and of its square, and a slope that is none
 
 
@@ -48,9 +49,9 @@ class ErrorBound:
 
         Infinite where no tube holds P: P_hat is too far from it, or the plant too sensitive.
         """
-        plant, nx = self.plant, (u.shape[1] - 1) * -(-CELLS // (u.shape[1] - 1)) + 1
-        P_hat, v = grid.refine(P_hat, nx), grid.straight(u, 2 * nx - 1)
-        u = np.ascontiguousarray(v[:, ::2])
+        plant, parts = self.plant, -(-CELLS // (u.shape[1] - 1))
+        nx, inputs = parts * (u.shape[1] - 1) + 1, _inputs(u, parts)
+        P_hat, u = grid.refine(P_hat, nx), grid.means(u, nx)
         correction, times = family_of(plant).correction(), np.zeros(len(X)) if plant.autonomous else t
         with np.errstate(all="ignore"):
             Q = P_hat
@@ -58,7 +59,7 @@ class ErrorBound:
                 corrected = np.empty_like(Q)
                 by_time(correction, (Q, X, u, D_hat), times, (plant.p,), (corrected,))
                 Q = corrected
-            distance = self._distance(Curve(plant, Q, X, v, D_hat, t))
+            distance = self._distance(Curve(plant, Q, X, inputs, D_hat, t))
             at, s = Q[:, -1], t + D_hat
             slope = self._slope(at, np.where(np.isfinite(distance), distance, 0.0), s)
             gap = np.abs(plant.kappa(P_hat[:, -1], s) - plant.kappa(at, s)).max(axis=-1)
@@ -115,30 +116,38 @@ class ErrorBound:
 class Curve:
     """The cubic through Q (B, nx, n) with the slopes D_hat f, by cells of the width h (B,).
 
-    v (B, 2 nx - 1, m) is the input at nodes and middles in turn.
+    `inputs` are those at the begin, the middle and the end of each cell, each (B, cells, m): u may jump at a node.
     `residuals` (B, 2 nx - 1, n) are R at nodes and middles in turn. In each cell the curve is between `lowest` and
     `highest` (B, cells, n), the input between the two of `u` (B, cells, m), the time between the two of `times`.
     """
 
     def __init__(
-        self, plant: Plant, Q: np.ndarray, X: np.ndarray, v: np.ndarray, D_hat: np.ndarray, t: np.ndarray
+        self, plant: Plant, Q: np.ndarray, X: np.ndarray, inputs: Inputs, D_hat: np.ndarray, t: np.ndarray
     ) -> None:  # fmt: skip
-        nx, s = Q.shape[1], t[:, None] + D_hat[:, None] * grid.nodes(v.shape[1])
+        nx, first, last = Q.shape[1], Q[:, :-1], Q[:, 1:]
+        s = t[:, None] + D_hat[:, None] * grid.nodes(2 * nx - 1)
+        self.times = s[:, :-1:2], s[:, 2::2]
         self.h = D_hat / (nx - 1)
-        h, f = self.h[:, None, None], plant.f(Q, v[:, ::2], s[:, ::2])
-        middle = (Q[:, :-1] + Q[:, 1:]) / 2 + h / 8 * (f[:, :-1] - f[:, 1:])
-        f_middle = plant.f(middle, v[:, 1::2], s[:, 1::2])
-        whole = h / 6 * (f[:, :-1] + 4 * f_middle + f[:, 1:])
-        half = h / 24 * (5 * f[:, :-1] + 8 * f_middle - f[:, 1:])
+        h, f_first = self.h[:, None, None], plant.f(first, inputs[0], self.times[0])
+        f_last = plant.f(last, inputs[2], self.times[1])
+        middle = (first + last) / 2 + h / 8 * (f_first - f_last)
+        f_middle = plant.f(middle, inputs[1], s[:, 1::2])
+        whole = h / 6 * (f_first + 4 * f_middle + f_last)
+        half = h / 24 * (5 * f_first + 8 * f_middle - f_last)
         total = np.concatenate([np.zeros_like(X)[:, None], np.cumsum(whole, axis=1)], axis=1)
         self.residuals = np.empty((len(X), 2 * nx - 1, plant.n))
         self.residuals[:, ::2] = Q - X[:, None] - total
         self.residuals[:, 1::2] = middle - X[:, None] - total[:, :-1] - half
-        hull = Q[:, :-1], Q[:, :-1] + h / 3 * f[:, :-1], Q[:, 1:] - h / 3 * f[:, 1:], Q[:, 1:]  # Bézier's points
+        hull = first, first + h / 3 * f_first, last - h / 3 * f_last, last  # Bézier's points
         self.lowest, self.highest = np.minimum.reduce(hull), np.maximum.reduce(hull)
-        inputs = v[:, :-1:2], v[:, 1::2], v[:, 2::2]
         self.u = np.minimum.reduce(inputs), np.maximum.reduce(inputs)
-        self.times = s[:, :-1:2], s[:, 2::2]
+
+
+def _inputs(u: np.ndarray, parts: int) -> Inputs:
+    """u (B, nx, m) at the begin, the middle and the end of each of `parts` equal cells between two nodes."""
+    begin, end = (np.repeat(ends, parts, axis=1) for ends in grid.lines(u))
+    slope, low = (end - begin) / parts, np.tile(np.arange(parts), u.shape[1] - 1)[:, None]
+    return begin + low * slope, begin + (low + 0.5) * slope, begin + (low + 1) * slope
 
 
 def weight(plant: Plant, P: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: np.ndarray) -> np.ndarray:

@@ -1,7 +1,5 @@
 """The bound of the error of U: above the error by SciPy, near it, and closed forms where there are some."""
 
-from itertools import pairwise
-
 import numpy as np
 import pytest
 from guard_samples import BOX, NX, PLANT, Wrong, rows
@@ -15,6 +13,7 @@ from npred.errors import ConfigError
 from npred.plants import Plant
 
 NOW = np.zeros(40)
+EXACT = {"rtol": 1e-12, "atol": 1e-14}
 
 
 class Line:
@@ -32,30 +31,16 @@ class Line:
         return x.x**2
 
 
-def straight(u, x):
-    """u (nx, m) at x, straight between the nodes."""
-    return np.stack([np.interp(x, grid.nodes(len(u)), column) for column in u.T], axis=-1)
-
-
-def exact_end(plant, X, u, D_hat):
-    """P(1) (n,) of one row by SciPy, u straight between the nodes."""
-
-    def f(x, P):
-        return D_hat * np.asarray(plant.f(P, straight(u, x), 0.0))
-
-    return solve_ivp(f, (0, 1), X, method="DOP853", rtol=1e-12, atol=1e-12).y[:, -1]
-
-
-def over_kinks(plant, X, u, D_hat):
-    """P (nx, n) of one row, node by node, for u is smooth between two nodes only."""
+def exact(plant, X, u, D_hat):
+    """P (nx, n) of one row by SciPy, node by node: between two nodes u is a straight line, and may jump at each."""
     x, P = grid.nodes(len(u)), [X]
-    for a, b in pairwise(x):
-
-        def f(s, P):
-            return D_hat * np.asarray(plant.f(P, straight(u, s), 0.0))
-
-        P.append(solve_ivp(f, (a, b), P[-1], method="DOP853", rtol=1e-12, atol=1e-14).y[:, -1])
+    for begin, end in zip(*grid.lines(u), strict=True):
+        P.append(solve_ivp(_slope, (0, 1), P[-1], "DOP853", args=(plant, begin, end, D_hat * x[1]), **EXACT).y[:, -1])
     return np.array(P)
+
+
+def _slope(s, P, plant, begin, end, h):
+    return h * np.asarray(plant.f(P, begin + s * (end - begin), 0.0))
 
 
 @pytest.fixture(scope="module")
@@ -69,18 +54,17 @@ def test_the_bound_is_above_the_error_and_near_it(size, weighted):
     X, u, D_hat = rows()
     P_hat = Wrong(PLANT, error=size)(X, u, D_hat)
     bound = ErrorBound(PLANT, weighted)(P_hat, X, u, D_hat, NOW)
-    U = np.stack([PLANT.kappa(exact_end(PLANT, *row), 0.0) for row in zip(X, u, D_hat, strict=True)])
+    U = np.stack([PLANT.kappa(exact(PLANT, *row)[-1], 0.0) for row in zip(X, u, D_hat, strict=True)])
     true = np.abs(PLANT.kappa(P_hat[:, -1]) - U).max(axis=1)
     assert (bound >= true * (1 - 1e-9)).all()
     assert np.median(bound / true) < 1.1
     assert np.isfinite(bound).all()
 
 
-def test_the_bound_holds_where_the_input_kinks_at_its_nodes():
-    """Between two nodes the bound reads the cubic through the nodes, and no cubic through what was read of it."""
+def test_the_bound_holds_where_the_input_jumps_at_its_nodes():
     plant, rng = Plant("line", Line), np.random.default_rng(6)
     X, u, D_hat = rng.normal(size=(20, 1)), rng.normal(size=(20, 11, 1)), np.full(20, 0.15)
-    P = np.stack([over_kinks(plant, *row) for row in zip(X, u, D_hat, strict=True)])
+    P = np.stack([exact(plant, *row) for row in zip(X, u, D_hat, strict=True)])
     P_hat = P + 1e-5 * grid.nodes(11)[:, None]
     bound = ErrorBound(plant, np.eye(1))(P_hat, X, u, D_hat, np.zeros(20))
     true = np.abs(plant.kappa(P_hat[:, -1]) - plant.kappa(P[:, -1])).max(axis=1)
@@ -112,7 +96,7 @@ def test_small_errors_grow_by_no_more_than_the_factor(weighted):
         columns = []
         for unit in np.eye(2):
             step = 1e-6 * np.linalg.solve(weighted, unit)
-            ends = [exact_end(PLANT, X[k] + sign * step, u[k], D_hat[k]) for sign in (1, -1)]
+            ends = [exact(PLANT, X[k] + sign * step, u[k], D_hat[k])[-1] for sign in (1, -1)]
             columns.append(weighted @ (ends[0] - ends[1]) / 2e-6)
         assert np.linalg.norm(np.stack(columns, axis=-1), 2) <= growth[k] * (1 + 1e-3)
 
@@ -127,10 +111,15 @@ def test_a_linear_plant_in_closed_form():
     np.testing.assert_allclose(bounds(wrong, X, u, D_hat, np.zeros(2)), 1.7 * 0.01, rtol=0.01)
 
 
+def straight(u):
+    """u (B, nx, m) at the begin, the middle and the end of each cell, straight between the nodes."""
+    return u[:, :-1], (u[:, :-1] + u[:, 1:]) / 2, u[:, 1:]
+
+
 def test_the_curve_is_inside_its_cells_and_its_residual_is_that_of_quadrature():
     X, u, D_hat = (a[:3] for a in rows())
     Q = npred.predictor("heun", PLANT, NX)(X, u, D_hat)
-    curve = Curve(PLANT, Q, X, grid.straight(u, 2 * NX - 1), D_hat, NOW[:3])
+    curve = Curve(PLANT, Q, X, straight(u), D_hat, NOW[:3])
     x = grid.nodes(NX)
     fine = np.linspace(0, 1, 20 * (NX - 1) + 1)
     for i in range(3):
@@ -139,7 +128,7 @@ def test_the_curve_is_inside_its_cells_and_its_residual_is_that_of_quadrature():
         for j in range(NX - 1):
             inside = spline(np.linspace(x[j], x[j + 1], 9))
             assert (inside >= curve.lowest[i, j] - 1e-12).all() and (inside <= curve.highest[i, j] + 1e-12).all()
-        f = D_hat[i] * PLANT.f(spline(fine), straight(u[i], fine))
+        f = D_hat[i] * PLANT.f(spline(fine), np.interp(fine, x, u[i, :, 0])[:, None])
         whole = (f[:-1] + f[1:]).sum(axis=0) / 2 * fine[1]
         np.testing.assert_allclose(curve.residuals[i, -1], Q[i, -1] - X[i] - whole, atol=2e-3 * np.abs(whole).max())
 
@@ -212,7 +201,7 @@ def test_a_bound_holds_where_the_law_is_steeper_at_P_than_at_what_was_predicted(
 def test_a_curve_that_turns_within_a_cell_is_inside_it():
     plant, rng, x = Plant("line", Line), np.random.default_rng(8), np.linspace(0, 1, 6)
     Q, u, D_hat = rng.normal(size=(20, 6, 1)), 20 * rng.normal(size=(20, 6, 1)), rng.uniform(0.5, 1.5, 20)
-    curve, turns = Curve(plant, Q, Q[:, 0], grid.straight(u, 11), D_hat, np.zeros(20)), 0
+    curve, turns = Curve(plant, Q, Q[:, 0], straight(u), D_hat, np.zeros(20)), 0
     for i in range(20):
         spline = CubicHermiteSpline(x, Q[i], D_hat[i] * plant.f(Q[i], u[i]))
         for j in range(5):

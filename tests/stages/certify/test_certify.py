@@ -63,8 +63,7 @@ def test_a_certificate_of_each_network(certified):
         assert row["rollouts"] == rollouts.count(0.2, 0.9) and row["calls"] == 48
         assert 0 < row["median"] <= row["eps_kappa"]
         assert 0 <= row["unnoticed"] <= row["above"] <= row["calls"]
-        # the bound is for u that is straight between its nodes, the error for u as RK4 reads it
-        assert 0 <= row["bounded"] <= 1 and (not row["bound"] or 1 - 1e-3 <= row["bound"][0] <= row["bound"][2])
+        assert 0 <= row["bounded"] <= 1 and (not row["bound"] or 1 - 1e-6 <= row["bound"][0] <= row["bound"][2])
         assert 0 <= row["lost_guarded"] <= 5 and 0 <= row["fallback"] <= 1
 
 

@@ -101,7 +101,8 @@ def test_loops_that_end_are_reported_once(stages, tmp_path):
     inputs = {name: stages[name].folder for name in ("generate", "deeponet", "fno")}
     task = job(tmp_path, "evaluate", inputs=inputs, **TABLES)
     begin = starts(task.config, task.plant)
-    loops = evaluate._loops(task, task.config.evaluate, NUMERICAL, RK4(task.plant, 21), begin, slice(0, 3), lambda count: None)
+    numerical, part = RK4(task.plant, 21), slice(0, 3)
+    loops = evaluate._loops(task, task.config.evaluate, NUMERICAL, numerical, begin, part, lambda count: None)
     behaviour.warn_of_overtaken(task.progress, {NUMERICAL: behaviour.overtaken(loops)})
     assert task.progress.notes == []
     ended = replace(
