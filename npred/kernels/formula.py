@@ -16,7 +16,7 @@ TEXTS = {name: op.text.replace("math.", "") for name, op in OPS.items()} | {
     "maximum": "larger({0}, {1})", "minimum": "smaller({0}, {1})", "sin": "sine({0})", "cos": "cosine({0})",
 }  # fmt: skip
 NUMBERS = {"(np.inf)": "INFINITY", "(-np.inf)": "-INFINITY", "(np.nan)": "NAN", "True": "1", "False": "0"}
-HEAD = "static inline void {name}({arguments})\n{{\n    {lines}\n}}\n"
+HEAD = "static INLINED void {name}({arguments})\n{{\n    {lines}\n}}\n"
 _NUMBER = re.compile("|".join(re.escape(text) for text in NUMBERS))
 
 

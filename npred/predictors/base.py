@@ -13,6 +13,7 @@ from npred.delays import family_of
 from npred.delays.family import Step, rows
 from npred.errors import ConfigError
 from npred.plants.base import Plant
+from npred.predictors.single import SingleCalls
 from npred.symbolic import Array, Value, called_functions, source_lines
 from npred.terminal.notebook import InNotebook
 
@@ -39,9 +40,16 @@ class Predictor(InNotebook, ABC):
         self.plant, self.nx = plant, int(nx)
 
     def __call__(self, X: ArrayLike, u: ArrayLike, D_hat: ArrayLike, t: ArrayLike = 0.0) -> np.ndarray:
+        if (single := self._single) and (P := single(X, u, D_hat, t)) is not None:
+            return P
         shape, rows = self._rows(X, u, D_hat, t)
         P = self._predicted(*rows)
         return P.reshape(*shape, *P.shape[1:])
+
+    @cached_property
+    def _single(self) -> SingleCalls | None:
+        """The prepared calls of one sample, where the map is compiled."""
+        return None
 
     def _rows(
         self, X: ArrayLike, u: ArrayLike, D_hat: ArrayLike, t: ArrayLike
@@ -127,6 +135,12 @@ class Compiled(Predictor):
 
     def lanes(self) -> Callable[..., None]:
         return self.kernel
+
+    @cached_property
+    def _single(self) -> SingleCalls | None:
+        if type(self).predict is not Compiled.predict:
+            return None
+        return SingleCalls(self.plant, self.plant.clocked, lambda nx: [(self.on(nx), (), 0)])
 
     def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: np.ndarray | float) -> np.ndarray:
         if not self.plant.clocked:

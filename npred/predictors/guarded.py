@@ -13,10 +13,11 @@ from npred.data.domain import Domain
 from npred.delays import family_of
 from npred.delays.family import Kernel, by_time
 from npred.errors import ConfigError
-from npred.predictors.base import OneStep, Predictor
+from npred.predictors.base import Compiled, OneStep, Predictor
 from npred.predictors.coarse import LADDER, Coarse, Examples, one_step
 from npred.predictors.guard_kernel import HEAD, LEVELS, kernel
 from npred.predictors.runge_kutta import RK4
+from npred.predictors.single import SingleCalls
 
 if TYPE_CHECKING:  # an extra of certify
     from npred.bounds import ErrorBound
@@ -180,6 +181,22 @@ class Guarded(Predictor):
             self._kernels[name] = kernel(self.plant, self.exact, one_step(name))
         return self._kernels[name]
 
+    @property
+    def _reads_time(self) -> bool:
+        """Whether the prediction reads it, or the law that the guard compares by."""
+        return self.plant.clocked or not self.plant.rests
+
+    @cached_property
+    def _single(self) -> SingleCalls | None:
+        model = self.model
+        if not isinstance(model, Compiled) or type(self).predict is not Guarded.predict or model._single is None:
+            return None
+
+        def chain(nx: int) -> list[tuple[Kernel, tuple[np.ndarray, ...], int]] | None:
+            return [(model.on(nx), (), 0), (self.guard, (self.settings,), 2)] if nx == self.nx else None
+
+        return SingleCalls(self.plant, self._reads_time, chain)
+
     def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: np.ndarray | float) -> np.ndarray:
         return self._run(self._on(u), self.model(X, u, D_hat, t), X, u, D_hat, t)[0]
 
@@ -237,8 +254,7 @@ class Guarded(Predictor):
         """P (B, nx, n), the estimate (B,) and whether `exact` answered (B,), of P_hat (B, nx, n) and X, u, D_hat, t."""
         X, u, D_hat, t = map(np.asarray, call)
         P, error, fallback = np.array(P_hat, dtype=float), np.empty(len(X)), np.empty(len(X))
-        reads_time = self.plant.clocked or not self.plant.rests  # the prediction, or the law that the guard compares by
-        times = np.broadcast_to(t, len(X)) if reads_time else np.zeros(len(X))
+        times = np.broadcast_to(t, len(X)) if self._reads_time else np.zeros(len(X))
         by_time(run or self.guard, (X, u, D_hat), times, (self.plant.p, settings), (P, error, fallback))
         return P, error, fallback > 0
 

@@ -7,17 +7,7 @@ import numpy as np
 from npred import grid
 from npred.operators import Weights, matrices
 from npred.runtimes.program import (
-    Matrix,
-    Operation,
-    Product,
-    Program,
-    Repeat,
-    Series,
-    Silu,
-    Transpose,
-    mlp,
-    product,
-    silu,
+    Dots, Matrix, Operation, Product, Program, Recombine, Repeat, Series, Silu, mlp, product, silu,
 )  # fmt: skip
 
 PAIRED, STRIDED = False, True  # the point of rest is a series; on a fine grid every stride-th node is evaluated
@@ -27,15 +17,13 @@ SMALL = 1e-2  # of the rounding of the largest coefficient: what follows is left
 
 
 def append(p: Program, weights: Weights) -> None:
-    """Append the network's operations: nodes by channels up to the last two layers, which are channels by nodes."""
-    v, nx = _lift(p, weights), p.nodes
+    """Append the network's operations, nodes by channels."""
+    v = _lift(p, weights)
     p.operations.append(Repeat(len(weights.layers("network.local")), _layer(p, weights, v)))
-    turned = p.buffer("turned", v.row, nx)
-    p.operations.append(Transpose(turned, v, (nx, v.row)))
-    p.operations += _project(p, weights, turned)
+    p.operations += _project(p, weights, v)
     if weights.anchor == "equilibrium" and p.period:  # N at rest depends on two numbers, for which there is no series
         p.twice = True
-        p.buffer("N_rest", 1, p.n * p.nx)
+        p.buffer("N_rest", 1, p.n * p.nodes)
     elif weights.anchor == "equilibrium":
         p.series = _at_rest(p, weights)
 
@@ -46,9 +34,9 @@ def _lift(p: Program, weights: Weights) -> Matrix:
     width = weight.shape[1]
     shift, waves = p.buffer("shift", 1, width), p.buffer("waves", nx, width)
     zero = weights["network.lift.bias"] + p.z_zero @ weight[:n] + p.v_zero @ weight[p.columns : -1]
-    bias, by_z = p.constant("lift", zero), p.constant("by_z", weight[: p.columns])
-    nodes, by_x = p.constant("nodes", 2 * grid.nodes(nx)[:, None] - 1), p.constant("by_x", weight[-1:])
-    by_mean = p.constant("by_mean", weight[p.columns : -1])
+    bias, by_z = p.constant("lift", zero), p.weights("by_z", weight[: p.columns], 1)
+    nodes, by_x = p.constant("nodes", 2 * grid.nodes(nx)[:, None] - 1), p.weights("by_x", weight[-1:], nx)
+    by_mean = p.weights("by_mean", weight[p.columns : -1], nx)
     p.operations += [
         Product(shift, Matrix("z", p.columns), by_z, (1, p.columns, width), bias),
         Product(waves, nodes, by_x, (nx, 1, width), replace(shift, row=0)),
@@ -62,43 +50,39 @@ def _layer(p: Program, weights: Weights, v: Matrix) -> tuple[Operation, ...]:
     width, nx, linear, spectral = v.row, p.nodes, weights.layers("network.local"), _spectral(weights)
     modes = len(spectral[0])
     forward, inverse = matrices.fourier(nx, modes)
-    local = p.stack("local", [layer["weight"].T for layer in linear])
+    local = p.stack("local", [layer["weight"].T for layer in linear], nx)
     bias = p.stack("bias", [layer["bias"] for layer in linear])
-    pair = 2 * width  # real and imaginary part of a mode, one after the other
-    matrix = p.stack("matrix", [R.reshape(-1, pair) for R in spectral])
+    pair = 2 * width  # the real and the imaginary part of R, side by side
+    by_mode = p.stack("matrix", [mode for R in spectral for mode in R], 2)
+    matrix = replace(by_mode, turn=width * pair, layer=modes * width * pair)
     v_hat, y_hat = p.buffer("v_hat", 2 * modes, width), p.buffer("y_hat", 2 * modes, width)
-    out = p.buffer("sums", nx, width)
-    modal = (Matrix("y_hat", pair, turn=pair), Matrix("v_hat", pair, turn=pair), replace(matrix, turn=pair**2))
+    pairs, out = p.buffer("pairs", 2 * modes, pair), p.buffer("sums", nx, width)
+    modal = replace(pairs, turn=2 * pair), replace(v_hat, turn=pair), matrix
     return (
         Product(out, v, local, (nx, width, width), bias),
         Product(v_hat, p.constant("forward", forward), v, (2 * modes, nx, width)),
-        Product(*modal, (1, pair, pair), repeats=modes),
+        Product(*modal, (2, width, pair), repeats=modes),
+        Recombine("y_hat", "pairs", modes, width),
         Product(out, p.constant("inverse", inverse), y_hat, (nx, 2 * modes, width), adds=True),
         Silu(v.name, out.name, nx * width),
     )
 
 
 def _spectral(weights: Weights) -> list[np.ndarray]:
-    """R_k of each layer, (modes, 2 width, 2 width): [[Re, Im], [-Im, Re]] takes (Re v, Im v) to (Re R v, Im R v)."""
-    return [np.block([[R["real"], R["imag"]], [-R["imag"], R["real"]]]) for R in weights.layers("network.spectral")]
+    """R_k of each layer, (modes, width, 2 width): its real and its imaginary part, side by side."""
+    return [np.concatenate([R["real"], R["imag"]], axis=-1) for R in weights.layers("network.spectral")]
 
 
 def _project(p: Program, weights: Weights, v: Matrix) -> tuple[Operation, ...]:
     """N (n, nx) = last(silu(first(v)))."""
     first, last = weights.layers("network.project")
     (size, width), nx = first["weight"].shape, p.nodes
-    hidden, ones = p.buffer("hidden", size, nx), p.constant("ones", np.ones((1, nx)))
-    N = Matrix("N", nx) if p.stride == 1 else p.buffer("N_coarse", p.n, nx)
-    operations = (
-        Product(hidden, p.constant("project_bias", first["bias"][:, None]), ones, (size, 1, nx)),
-        Product(hidden, p.constant("project", first["weight"]), v, (size, width, nx), adds=True),
+    hidden, bias = p.buffer("hidden", nx, size), p.constant("project_bias", first["bias"])
+    return (
+        Product(hidden, v, p.weights("project", first["weight"].T, nx), (nx, width, size), bias),
         Silu("hidden", "hidden", size * nx),
-        Product(N, p.constant("last", last["weight"]), hidden, (p.n, size, nx)),
+        Dots(Matrix("N", 1, nx), hidden, p.constant("last", last["weight"]), (nx, size, p.n)),
     )
-    if p.stride == 1:
-        return operations
-    to_all = p.constant("refine", grid.refine(np.eye(nx), p.nx).T)  # by the cubic through four
-    return (*operations, Product(Matrix("N", p.nx), N, to_all, (p.n, nx, p.nx)))
 
 
 def _at_rest(p: Program, weights: Weights) -> Series:
@@ -107,14 +91,14 @@ def _at_rest(p: Program, weights: Weights) -> Series:
     low, high = max(0.0, mean - SPREAD * std), mean + SPREAD * std
     points = np.polynomial.chebyshev.chebpts1(TERMS)
     D_hat = low + (high - low) * (points + 1) / 2
-    values = grid.refine(_velocity_at_rest(p, weights, (D_hat - mean) / std), p.nx)  # (TERMS, nx, n)
+    values = _velocity_at_rest(p, weights, (D_hat - mean) / std)  # (TERMS, nodes, n)
     polynomials = np.polynomial.chebyshev.chebvander(points, TERMS - 1)  # orthogonal over these points
     series = product(polynomials.T, values.transpose(0, 2, 1).reshape(TERMS, -1)) * 2 / TERMS
     series[0] /= 2
     size = np.abs(series).max(axis=1)
     terms = int(np.flatnonzero(size > SMALL * p.rounding * size.max())[-1]) + 1
-    T, N_rest = p.buffer("T", 1, terms), p.buffer("N_rest", 1, p.n * p.nx)
-    operation = Product(N_rest, T, p.constant("series", series[:terms]), (1, terms, p.n * p.nx))
+    T, N_rest = p.buffer("T", 1, terms), p.buffer("N_rest", 1, p.n * p.nodes)
+    operation = Product(N_rest, T, p.weights("series", series[:terms], 1), (1, terms, p.n * p.nodes))
     return Series(low, high, terms, operation)
 
 
@@ -127,7 +111,10 @@ def _velocity_at_rest(p: Program, weights: Weights, D_hat: np.ndarray) -> np.nda
     spectral = _spectral(weights)
     forward, inverse = matrices.fourier(nx, len(spectral[0]))
     for layer, R in zip(linear, spectral, strict=True):
-        v_hat = product(forward, v).reshape(len(D_hat), len(R), -1)  # (B, modes, 2 width)
-        y_hat = product(v_hat.swapaxes(0, 1), R).swapaxes(0, 1).reshape(len(D_hat), 2 * len(R), -1)
+        v_hat = product(forward, v).reshape(len(D_hat), len(R), 2, -1)  # (B, modes, Re and Im, width)
+        real, imaginary = np.moveaxis(np.einsum("bmpi,mij->bmpj", v_hat, R), 2, 0)  # of v, (B, modes, 2 width)
+        width = v.shape[-1]
+        y_hat = np.stack([real[..., :width] - imaginary[..., width:], real[..., width:] + imaginary[..., :width]], axis=2)
+        y_hat = y_hat.reshape(len(D_hat), 2 * len(R), width)
         v = silu(product(inverse, y_hat) + (product(v, layer["weight"].T) + layer["bias"]))
     return mlp(weights.layers("network.project"), v)

@@ -143,12 +143,22 @@ def fold(
     p = Program(plant.n, plant.m, nx, rows, stride if network.STRIDED else 1, period, precision=precision)
     _inputs(p, weights)
     network.append(p, weights)
+    if p.stride > 1:
+        p.buffer("N_fine", plant.n, nx)
+        p.constant("refine", _between(p.nodes, p.stride))
     if weights.anchor == "none":
         p.scale("base", weights["scaling.P_mean"])
         p.constant("gain", np.repeat(weights["scaling.P_std"][:, None], nx, axis=1))
     else:
         p.constant("gain", weights["scaling.speed"][:, None] * grid.nodes(nx))
     return p
+
+
+def _between(nodes: int, stride: int) -> np.ndarray:
+    """The weights (3, 4, stride) of four nodes in a cell's points: in the first cell, those between and the last one."""
+    places = np.array([0, min(1, nodes - 2), nodes - 2])[:, None] + np.arange(stride) / stride
+    _, weights = grid.stencil(nodes, places.ravel() / (nodes - 1))
+    return weights.reshape(4, 3, stride).swapaxes(0, 1)
 
 
 def _inputs(p: Program, weights: Weights) -> None:
@@ -180,7 +190,7 @@ def _sizes(p: Program) -> dict[str, int | str]:
     """The macros of the skeletons."""
     numbers = np.finfo(p.precision)
     sizes: dict[str, int | str] = {
-        "N": p.n, "M": p.m, "NX": p.nx, "SEEN": p.seen, "COLUMNS": p.columns, "REAL": KINDS[np.dtype(p.precision)],
+        "N": p.n, "M": p.m, "NX": p.nx, "NODES": p.nodes, "STRIDE": p.stride, "SEEN": p.seen, "COLUMNS": p.columns, "REAL": KINDS[np.dtype(p.precision)],
         "INTEGER": f"int{numbers.bits}_t", "MANTISSA": numbers.nmant, "EXPONENT": numbers.maxexp - 1,
         "EXP2": _braces(EXP2[p.precision], p), "EXPM1": _braces(EXPM1[p.precision], p), "PHASED": int(bool(p.period)),
         "PERIOD": repr(p.period or 1.0), "PAIRED": int(p.rows == 2), "TWICE": int(p.twice),

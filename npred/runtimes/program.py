@@ -34,7 +34,8 @@ def mlp(layers: Layers, a: np.ndarray) -> np.ndarray:
 class Matrix:
     """A view of a named flat array: element (i, k) is name[offset + e turn + i row + k column].
 
-    e counts the repetitions of a product. With `layer`, name is a stack of constants of that size, one per layer.
+    e counts the repetitions of a product. With `layer`, name is a stack of constants of that size, one per layer. With
+    `panel` the columns lie in panels of so many, one after the other: see Program.weights.
     """
 
     name: str
@@ -43,8 +44,11 @@ class Matrix:
     offset: int = 0
     turn: int = 0
     layer: int = 0
+    panel: int = 0
 
 
+TILES = {1: 8, 2: 6, 3: 4}  # vectors of the widest tile of a product with one row, two, or more: kernels/c/network.h
+TILE_BYTES = 32  # of a vector; on processors with shorter ones it is several
 View = Callable[["Matrix | None"], str]  # the C of a matrix: see npred.runtimes.fused
 
 
@@ -63,8 +67,24 @@ class Product:
     def lines(self, view: View) -> list[str]:
         """Its C: a call with literal sizes and strides, as of the other operations."""
         matrices = ", ".join(map(view, (self.out, self.a, self.b, self.bias)))
-        call = f"product({', '.join(map(str, self.shape))}, {matrices}, {int(self.adds)});"
+        sizes = (*self.shape, self.b.panel or self.shape[2])
+        call = f"product({', '.join(map(str, sizes))}, {matrices}, {int(self.adds)});"
         return [call] if self.repeats == 1 else [f"for (int e = 0; e < {self.repeats}; e++) {{", f"    {call}", "}"]
+
+
+@dataclass(frozen=True)
+class Dots:
+    """out (M, N) = bias + a (M, K) times the transpose of b (N, K), for few columns N."""
+
+    out: Matrix
+    a: Matrix
+    b: Matrix
+    shape: tuple[int, int, int]  # M, K, N
+    bias: Matrix | None = None
+
+    def lines(self, view: View) -> list[str]:
+        matrices = ", ".join(map(view, (self.out, self.a, self.b, self.bias)))
+        return [f"dots({', '.join(map(str, self.shape))}, {matrices});"]
 
 
 @dataclass(frozen=True)
@@ -88,15 +108,16 @@ class SiluPair(Silu):
 
 
 @dataclass(frozen=True)
-class Transpose:
-    """out (columns, rows) = a (rows, columns)."""
+class Recombine:
+    """y (2 modes, width), rows Re and Im of each mode, = R v, of `pairs` (2 modes, 2 width): Re v, Im v times (Re R, Im R)."""
 
-    out: Matrix
-    a: Matrix
-    shape: tuple[int, int]  # rows, columns
+    y: str
+    pairs: str
+    modes: int
+    width: int
 
     def lines(self, view: View) -> list[str]:
-        return [f"transpose({self.shape[0]}, {self.shape[1]}, {view(self.a)}, {view(self.out)});"]
+        return [f"recombine({self.modes}, {self.width}, q->{self.pairs}, q->{self.y});"]
 
 
 @dataclass(frozen=True)
@@ -125,12 +146,12 @@ class Repeat:
         return [f"for (int o = 0; o < {self.count}; o++) {{", *inner, "}"]
 
 
-Operation = Product | Silu | SiluPair | Transpose | Mirror | Repeat
+Operation = Product | Dots | Silu | SiluPair | Recombine | Mirror | Repeat
 
 
 @dataclass(frozen=True)
 class Series:
-    """N_rest (n, nx), N at rest for D_hat in [low, high], by a product with T, the Chebyshev polynomials of D_hat."""
+    """N_rest (n, nodes), N at rest for D_hat in [low, high], by a product with T, the Chebyshev polynomials of D_hat."""
 
     low: float
     high: float
@@ -140,7 +161,9 @@ class Series:
 
 @dataclass
 class Program:
-    """The operations from the inputs that a runtime scales first to N (n, nx), and P = base + gain (N - N_rest).
+    """The operations from the inputs that a runtime scales first to N (n, nodes), and P = base + gain (N - N_rest).
+
+    N is given on every `stride`-th of the nx nodes, with cubics between.
 
     z (rows, states + clock + 1): X, scaled and less its value at rest, cosine and sine of the phase in `period` where
     the network sees it, and scaled D_hat. v (nx, m): u likewise; r (m, nx): the running mean of v. At rest X and u give
@@ -168,7 +191,7 @@ class Program:
 
     def __post_init__(self) -> None:
         n, m, nx = self.n, self.m, self.nx
-        self.buffers |= {"z": self.rows * self.columns, "v": nx * m, "r": m * nx, "N": n * nx}
+        self.buffers |= {"z": self.rows * self.columns, "v": nx * m, "r": m * nx, "N": n * self.nodes}
 
     @property
     def seen(self) -> int:
@@ -199,11 +222,26 @@ class Program:
         self.buffers[name] = rows * columns
         return Matrix(name, columns)
 
-    def stack(self, name: str, values: Sequence[np.ndarray]) -> Matrix:
-        """Constants of equal shape, one per layer."""
-        first = self.constant(name, values[0])
-        self.constant(name, np.stack(values))
+    def weights(self, name: str, values: np.ndarray, rows: int) -> Matrix:
+        """A constant b (K, N) of products with so many rows, its columns in panels as wide as the widest tile."""
+        panel = TILES.get(rows, TILES[3]) * TILE_BYTES // np.dtype(self.precision).itemsize
+        panels = [values[:, first : first + panel].ravel() for first in range(0, values.shape[1], panel)]
+        self.constant(name, np.concatenate(panels))
+        return Matrix(name, values.shape[1], panel=panel)
+
+    def stack(self, name: str, values: Sequence[np.ndarray], rows: int = 0) -> Matrix:
+        """Constants of equal shape, one per layer; with `rows` as `weights` has them."""
+        layers = []
+        for layer in values:
+            first = self.weights(name, layer, rows) if rows else self.constant(name, layer)
+            layers.append(self.constants[name])
+        self.constants[name] = np.concatenate(layers)
         return replace(first, layer=values[0].size)
+
+    def rounded(self, columns: int) -> int:
+        """So many columns or a few more, whole vectors."""
+        lane = TILE_BYTES // np.dtype(self.precision).itemsize
+        return -(-columns // lane) * lane
 
     def scale(self, name: str, values: np.ndarray) -> None:
         """A constant of the inputs' scaling, in double precision."""

@@ -1,6 +1,7 @@
-/* PREDICT by a network: its inputs scaled into z, v and r, the STEPS of its program to N_, and P = start + gain N_. The
+/* PREDICT by a network: its inputs scaled into z, v and r, the STEPS of its program to N_ (N, NODES), and P = start + gain
+ * N_, by cubics between the nodes where these are fewer than NX. The
  * arrays are members of the memory `q`; npred.runtimes.program says what they are. */
-static inline void PART(_scaled)(int lanes, const double *X, const double *u, double D_hat, double t,
+static INLINED void PART(_scaled)(int lanes, const double *X, const double *u, double D_hat, double t,
                                  PART(_memory) *restrict q)
 {
     for (int c = 0; c < N; c++) {
@@ -45,7 +46,7 @@ static inline void PART(_scaled)(int lanes, const double *X, const double *u, do
 }
 
 /* N_ of the sample less that of the plant at rest. */
-static inline void PART(_network)(int lanes, const double *X, const double *u, double D_hat, double t,
+static INLINED void PART(_network)(int lanes, const double *X, const double *u, double D_hat, double t,
                                   PART(_memory) *restrict q)
 {
 #if SERIES_TERMS || TWICE
@@ -64,7 +65,7 @@ static inline void PART(_network)(int lanes, const double *X, const double *u, d
             q->r[k] = 0;
         }
         PART(_operations)(q);
-        for (int k = 0; k < N * NX && row == 0; k++) {
+        for (int k = 0; k < N * NODES && row == 0; k++) {
             q->N_rest[k] = q->N_[k];
         }
     }
@@ -80,32 +81,50 @@ static inline void PART(_network)(int lanes, const double *X, const double *u, d
         PART(_series)(q);
     }
 #endif
-    for (int k = 0; k < N * NX; k++) {
+    for (int k = 0; k < N * NODES; k++) {
         q->N_[k] -= q->N_rest[k];
     }
 #else
     PART(_scaled)(lanes, X, u, D_hat, t, q);
     PART(_operations)(q);
 #endif
+#if STRIDE > 1
+    refine(N, NODES, STRIDE, q->N_, c_refine, q->N_fine);
+#endif
+}
+
+/* P of lane l. */
+static INLINED void PART(_lane)(int lanes, const double *X, const double *u, double D_hat, double t,
+                                PART(_memory) *restrict q, double *P)
+{
+#if STRIDE > 1
+    const REAL *const v = q->N_fine;
+#else
+    const REAL *const v = q->N_;
+#endif
+    PART(_network)(lanes, X, u, D_hat, t, q);
+    for (int j = 0; j < NX; j++) {
+        for (int c = 0; c < N; c++) {
+#if BASED
+            const double start = c_base[c], factor = 1.0;
+#else
+            const double start = X[c * lanes], factor = D_hat;
+#endif
+            P[((ptrdiff_t)j * N + c) * lanes] = start + factor * (double)(c_gain[c * NX + j] * v[c * NX + j]);
+        }
+    }
 }
 
 static inline void KERNEL(Shape d, const double *X, const double *u, const double *D_hat, double t, const double *p, double *P,
                    double *work)
 {
-    const int lanes = d.lanes;
     PART(_memory) *const q = (PART(_memory) *)work;
     (void)p;
-    for (int l = 0; l < lanes; l++) {
-        PART(_network)(lanes, X + l, u + l, D_hat[l], t, q);
-        for (int c = 0; c < N; c++) {
-#if BASED
-            const double start = c_base[c], factor = 1.0;
-#else
-            const double start = X[c * lanes + l], factor = D_hat[l];
-#endif
-            for (int j = 0; j < NX; j++) {
-                P[((ptrdiff_t)j * N + c) * lanes + l] = start + factor * (double)(c_gain[c * NX + j] * q->N_[c * NX + j]);
-            }
-        }
+    if (d.lanes == 1) { /* with strides that are known */
+        PART(_lane)(1, X, u, D_hat[0], t, q, P);
+        return;
+    }
+    for (int l = 0; l < d.lanes; l++) {
+        PART(_lane)(d.lanes, X + l, u + l, D_hat[l], t, q, P + l);
     }
 }

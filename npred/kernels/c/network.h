@@ -18,114 +18,166 @@ typedef REAL Vector __attribute__((vector_size(BYTES), aligned(sizeof(REAL)), ma
 #else
 typedef REAL Vector;
 #endif
-#define TILE (2 * BYTES / (int)sizeof(REAL)) /* columns of a product whose sums stay in registers */
+#define LANE (BYTES / (int)sizeof(REAL)) /* columns of a vector */
+#define SUMS 16 /* at most, that a tile keeps in registers */
 
 static INLINED Vector loaded(const REAL *a)
 {
     return *(const Vector *)a;
 }
 
-/* out (4, TILE) += a (4, terms) b (terms, TILE). */
-static INLINED void four_rows(int terms, REAL *restrict out, ptrdiff_t to, const REAL *restrict a, View of,
-                              const REAL *restrict b, ptrdiff_t by)
+/* out (rows, vectors LANE) = start + a (rows, terms) b (terms, vectors LANE), `start` being 0 where there is none. Literal
+ * sizes make the sums registers; each is split into `chains` that do not wait for each other. */
+static INLINED void tile(const int rows, const int vectors, const int chains, int terms, REAL *out, View to, const REAL *a,
+                         View of, const REAL *b, ptrdiff_t by, const REAL *start, ptrdiff_t from)
 {
-    REAL *const y1 = out + to, *const y2 = y1 + to, *const y3 = y2 + to;
-    Vector s00 = loaded(out), s01 = loaded(out + TILE / 2), s10 = loaded(y1), s11 = loaded(y1 + TILE / 2);
-    Vector s20 = loaded(y2), s21 = loaded(y2 + TILE / 2), s30 = loaded(y3), s31 = loaded(y3 + TILE / 2);
-    for (int k = 0; k < terms; k++) {
-        const Vector b0 = loaded(b + k * by), b1 = loaded(b + k * by + TILE / 2);
-        const REAL *const x = a + k * of.column;
-        s00 += x[0] * b0;
-        s01 += x[0] * b1;
-        s10 += x[of.row] * b0;
-        s11 += x[of.row] * b1;
-        s20 += x[2 * of.row] * b0;
-        s21 += x[2 * of.row] * b1;
-        s30 += x[3 * of.row] * b0;
-        s31 += x[3 * of.row] * b1;
-    }
-    *(Vector *)out = s00;
-    *(Vector *)(out + TILE / 2) = s01;
-    *(Vector *)y1 = s10;
-    *(Vector *)(y1 + TILE / 2) = s11;
-    *(Vector *)y2 = s20;
-    *(Vector *)(y2 + TILE / 2) = s21;
-    *(Vector *)y3 = s30;
-    *(Vector *)(y3 + TILE / 2) = s31;
-}
-
-/* out (2, TILE) += a (2, terms) b (terms, TILE). */
-static INLINED void two_rows(int terms, REAL *restrict out, ptrdiff_t to, const REAL *restrict a, View of,
-                             const REAL *restrict b, ptrdiff_t by)
-{
-    REAL *const y = out + to;
-    Vector s00 = loaded(out), s01 = loaded(out + TILE / 2), s10 = loaded(y), s11 = loaded(y + TILE / 2);
-    for (int k = 0; k < terms; k++) {
-        const Vector b0 = loaded(b + k * by), b1 = loaded(b + k * by + TILE / 2);
-        const REAL *const x = a + k * of.column;
-        s00 += x[0] * b0;
-        s01 += x[0] * b1;
-        s10 += x[of.row] * b0;
-        s11 += x[of.row] * b1;
-    }
-    *(Vector *)out = s00;
-    *(Vector *)(out + TILE / 2) = s01;
-    *(Vector *)y = s10;
-    *(Vector *)(y + TILE / 2) = s11;
-}
-
-/* out (TILE) += a (terms) b (terms, TILE), in two chains of sums that do not wait for each other. */
-static INLINED void one_row(int terms, REAL *restrict out, const REAL *restrict a, View of, const REAL *restrict b,
-                            ptrdiff_t by)
-{
-    static const REAL zeros[TILE] = {0};
-    Vector s00 = loaded(out), s01 = loaded(out + TILE / 2), s10 = loaded(zeros), s11 = s10;
+    Vector s[SUMS];
+    const int size = rows * vectors;
     int k = 0;
-    for (; k + 2 <= terms; k += 2) {
-        const REAL x0 = a[k * of.column], x1 = a[(k + 1) * of.column];
-        s00 += x0 * loaded(b + k * by);
-        s01 += x0 * loaded(b + k * by + TILE / 2);
-        s10 += x1 * loaded(b + (k + 1) * by);
-        s11 += x1 * loaded(b + (k + 1) * by + TILE / 2);
+UNROLLED
+    for (int q = 0; q < chains * size; q++) {
+        s[q] = start && q < size ? loaded(start + q / vectors * from + q % vectors * LANE) : (Vector){0};
     }
-    if (k < terms) {
-        s00 += a[k * of.column] * loaded(b + k * by);
-        s01 += a[k * of.column] * loaded(b + k * by + TILE / 2);
-    }
-    *(Vector *)out = s00 + s10;
-    *(Vector *)(out + TILE / 2) = s01 + s11;
-}
-
-/* out (rows, n) = start + a (rows, terms) b (terms, n), where start is out itself if it `adds`, else bias, else 0. */
-static INLINED void product(int rows, int terms, int n, REAL *restrict out, View to,
-                                                          const REAL *restrict a, View of, const REAL *restrict b,
-                                                          View by, const REAL *restrict bias, View from, int adds)
-{
-    const int tiled = by.column == 1 && to.column == 1 ? n - n % TILE : 0; /* columns */
-    for (int i = 0; i < rows && !adds; i++) {
-        for (int j = 0; j < n; j++) {
-            out[i * to.row + j * to.column] = bias ? bias[i * from.row + j * from.column] : 0;
-        }
-    }
-    for (int j = 0; j < tiled; j += TILE) {
-        int i = 0;
-        for (; i + 4 <= rows; i += 4) {
-            four_rows(terms, out + i * to.row + j, to.row, a + i * of.row, of, b + j, by.row);
-        }
-        for (; i + 2 <= rows; i += 2) {
-            two_rows(terms, out + i * to.row + j, to.row, a + i * of.row, of, b + j, by.row);
-        }
-        for (; i < rows; i++) {
-            one_row(terms, out + i * to.row + j, a + i * of.row, of, b + j, by.row);
-        }
-    }
-    for (int i = 0; i < rows && tiled < n; i++) {
-        for (int k = 0; k < terms; k++) {
-            const REAL x = a[i * of.row + k * of.column];
-            LANES for (int j = tiled; j < n; j++) {
-                out[i * to.row + j * to.column] += x * b[k * by.row + j * by.column];
+    for (; k + chains <= terms; k += chains) {
+UNROLLED
+        for (int c = 0; c < chains; c++) {
+UNROLLED
+            for (int j = 0; j < vectors; j++) {
+                const Vector weight = loaded(b + (k + c) * by + j * LANE);
+UNROLLED
+                for (int i = 0; i < rows; i++) {
+                    s[c * size + i * vectors + j] += a[i * of.row + (k + c) * of.column] * weight;
+                }
             }
         }
+    }
+    for (; k < terms; k++) {
+UNROLLED
+        for (int q = 0; q < size; q++) {
+            s[q] += a[q / vectors * of.row + k * of.column] * loaded(b + k * by + q % vectors * LANE);
+        }
+    }
+UNROLLED
+    for (int q = 0; q < size; q++) {
+UNROLLED
+        for (int c = 1; c < chains; c++) {
+            s[q] += s[c * size + q];
+        }
+        *(Vector *)(out + q / vectors * to.row + q % vectors * LANE) = s[q];
+    }
+}
+
+/* The columns of a product that tiles of so many vectors take, from j on: three rows at a time, or as many as there are.
+ * More than one row reads each weight once. */
+#define TILED(vectors)                                                                                                 \
+    for (; j + (vectors) * LANE <= n; j += (vectors) * LANE) {                                                         \
+        const int low = j / panel * panel;                                                                             \
+        const ptrdiff_t stride = panel < n ? least(panel, n - low) : by.row;                                           \
+        const REAL *const weights = b + (ptrdiff_t)low * terms + (j - low), *const first = start ? start + j : 0;      \
+        int i = 0;                                                                                                     \
+        for (; rows > 2 && (vectors) <= 4 && i + 3 <= rows; i += 3) {                                                  \
+            tile(3, (vectors), (vectors) > 1 ? 1 : 2, terms, out + i * to.row + j, to, a + i * of.row, of, weights, stride, \
+                 first ? first + i * from.row : 0, from.row);                                                          \
+        }                                                                                                              \
+        for (; rows > 1 && i + 2 <= rows; i += 2) {                                                                    \
+            tile(2, (vectors), (vectors) > 2 ? 1 : 4 / (vectors), terms, out + i * to.row + j, to, a + i * of.row, of,  \
+                 weights, stride, first ? first + i * from.row : 0, from.row);                                         \
+        }                                                                                                              \
+        for (; i < rows; i++) {                                                                                        \
+            tile(1, (vectors), (vectors) > 4 ? 1 : 8 / (vectors), terms, out + i * to.row + j, to, a + i * of.row, of,  \
+                 weights, stride, first ? first + i * from.row : 0, from.row);                                         \
+        }                                                                                                              \
+    }
+
+/* out (rows, n) = start + a (rows, terms) b (terms, n), where start is out itself if it `adds`, else bias, else 0. The
+ * columns of b lie in panels of so many, each of all terms: in the order in which they are read. */
+static INLINED void product(int rows, int terms, int n, int panel, REAL *out, View to, const REAL *a, View of, const REAL *b,
+                            View by, const REAL *bias, View from, int adds)
+{
+    const REAL *const start = adds ? out : bias;
+    int j = 0;
+    from = adds ? to : from;
+    if (by.column == 1 && to.column == 1) {
+        if (rows == 1) {
+            TILED(8)
+        }
+        if (rows == 2) {
+            TILED(6)
+        }
+        TILED(4)
+        TILED(2)
+        TILED(1)
+    }
+    for (int i = 0; i < rows && j < n; i++) {
+        for (int c = j; c < n; c++) {
+            const int low = c / panel * panel;
+            const ptrdiff_t stride = panel < n ? least(panel, n - low) : by.row;
+            const REAL *const weights = b + (ptrdiff_t)low * terms + (c - low) * by.column;
+            REAL sum = start ? start[i * from.row + c * from.column] : 0;
+            for (int k = 0; k < terms; k++) {
+                sum += a[i * of.row + k * of.column] * weights[k * stride];
+            }
+            out[i * to.row + c * to.column] = sum;
+        }
+    }
+}
+
+/* out (rows, n) = bias + a (rows, terms) times the transpose of b (n, terms), for few columns. */
+static INLINED void dots(int rows, int terms, int n, REAL *out, View to, const REAL *a, View of, const REAL *b, View by,
+                         const REAL *bias, View from)
+{
+    const int tiled = terms - terms % LANE;
+    for (int i = 0; i < rows; i++) {
+        for (int j = 0; j < n; j++) {
+            const REAL *const x = a + i * of.row, *const y = b + j * by.row;
+            Vector sums = {0}, others = {0};
+            REAL sum = bias ? bias[i * from.row + j * from.column] : 0;
+            for (int k = 0; k + LANE < tiled; k += 2 * LANE) {
+                sums += loaded(x + k) * loaded(y + k);
+                others += loaded(x + k + LANE) * loaded(y + k + LANE);
+            }
+            if (tiled % (2 * LANE)) {
+                sums += loaded(x + tiled - LANE) * loaded(y + tiled - LANE);
+            }
+            sums += others;
+            for (int k = 0; k < LANE; k++) {
+                sum += ((const REAL *)&sums)[k];
+            }
+            for (int k = tiled; k < terms; k++) {
+                sum += x[k] * y[k];
+            }
+            out[i * to.row + j * to.column] = sum;
+        }
+    }
+}
+
+/* y (2 modes, width) = R v of complex numbers, from `pairs` (2 modes, 2 width): Re v and Im v times (Re R, Im R). */
+SPARE static inline void recombine(int modes, int width, const REAL *pairs, REAL *y)
+{
+    for (int e = 0; e < modes; e++) {
+        const REAL *const real = pairs + e * 4 * width, *const imaginary = real + 2 * width;
+        REAL *const out = y + e * 2 * width;
+        LANES for (int j = 0; j < width; j++) {
+            out[j] = real[j] - imaginary[width + j];
+            out[width + j] = real[width + j] + imaginary[j];
+        }
+    }
+}
+
+/* out (rows, (nodes - 1) stride + 1): the cubic through four of the nodes of a (rows, nodes), by weights (3, 4, stride) in
+ * the first cell, in those between, and in the last one. */
+SPARE static inline void refine(int rows, int nodes, int stride, const REAL *a, const REAL *weights, REAL *out)
+{
+    for (int i = 0; i < rows; i++) {
+        REAL *y = out + i * ((nodes - 1) * stride + 1);
+        for (int cell = 0; cell < nodes - 1; cell++, y += stride) {
+            const REAL *const v = a + i * nodes + most(least(cell - 1, nodes - 4), 0);
+            const REAL *const w = weights + (cell > 0) * 4 * stride + (cell > 0 && cell == nodes - 2) * 4 * stride;
+            LANES for (int j = 0; j < stride; j++) {
+                y[j] = v[0] * w[j] + v[1] * w[stride + j] + v[2] * w[2 * stride + j] + v[3] * w[3 * stride + j];
+            }
+        }
+        *y = a[i * nodes + nodes - 1];
     }
 }
 
@@ -182,16 +234,6 @@ SPARE static inline void silu_pair(int count, const REAL *a, REAL *out)
         const REAL small = s_rest * (1 - s) * change_of_exp(d), size = d < 0 ? -d : d;
         out[count + j] = rest * s_rest;
         out[j] = d * s + rest * (size < (REAL)0.5 ? small : s - s_rest);
-    }
-}
-
-/* out (columns, rows) = a (rows, columns). */
-SPARE static inline void transpose(int rows, int columns, const REAL *a, View of, REAL *out, View to)
-{
-    for (int j = 0; j < columns; j++) {
-        for (int i = 0; i < rows; i++) {
-            out[j * to.row + i * to.column] = a[i * of.row + j * of.column];
-        }
     }
 }
 
