@@ -165,7 +165,8 @@ def generate() -> Call:
 
 def cold() -> Call:
     """A process with an empty cache that runs a loop."""
-    text = "import npred; p = npred.plant('van_der_pol'); npred.simulate(p, npred.predictor('rk4', p), X0=[1.0, 0.0], D=0.5, D_hat=0.5, t_end=5)"
+    loop = "npred.simulate(p, npred.predictor('rk4', p), X0=[1.0, 0.0], D=0.5, D_hat=0.5, t_end=5)"
+    text = f"import npred; p = npred.plant('van_der_pol'); {loop}"
 
     def call() -> None:
         with tempfile.TemporaryDirectory() as cache:
