@@ -28,6 +28,9 @@ static inline void PART(_read)(int c, int last, int lanes, int width, const doub
     const int first = least((int)(from + 0.5), last), stop = least((int)ceil(from + length - 0.5), last);
     const double *v = u + ((ptrdiff_t)first * M + c) * lanes;
     double low[WIDE], high[WIDE];
+    if (width < 1) { /* which no call has, and a compiler does not know */
+        return;
+    }
     for (int l = 0; l < width; l++) {
         low[l] = high[l] = v[l];
         begin[l] = end[l] = length > 0.0 ? 0.0 : v[l]; /* past its end kappa acts */
