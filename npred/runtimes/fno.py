@@ -114,7 +114,9 @@ def _velocity_at_rest(p: Program, weights: Weights, D_hat: np.ndarray) -> np.nda
         v_hat = product(forward, v).reshape(len(D_hat), len(R), 2, -1)  # (B, modes, Re and Im, width)
         real, imaginary = np.moveaxis(np.einsum("bmpi,mij->bmpj", v_hat, R), 2, 0)  # of v, (B, modes, 2 width)
         width = v.shape[-1]
-        y_hat = np.stack([real[..., :width] - imaginary[..., width:], real[..., width:] + imaginary[..., :width]], axis=2)
+        y_hat = np.stack(
+            [real[..., :width] - imaginary[..., width:], real[..., width:] + imaginary[..., :width]], axis=2
+        )
         y_hat = y_hat.reshape(len(D_hat), 2 * len(R), width)
         v = silu(product(inverse, y_hat) + (product(v, layer["weight"].T) + layer["bias"]))
     return mlp(weights.layers("network.project"), v)

@@ -34,7 +34,7 @@ static INLINED void PART(_scaled)(int lanes, const double *X, const double *u, d
         }
         q->r[c * NX] = q->v[c];
         for (int j = 1; j < NX; j++) {
-            q->r[c * NX + j] = (REAL)((2.0 * q->prefix[j] - q->v[c] - q->v[j * M + c]) * (0.5 / (double)j));
+            q->r[c * NX + j] = (REAL)((2.0 * q->prefix[j] - q->v[c] - q->v[j * M + c]) * c_halves[j]);
         }
     }
     if (PAIRED) { /* row 0: the difference of the sample from the plant at rest; row 1: the plant at rest */

@@ -67,26 +67,39 @@ UNROLLED
     }
 }
 
-/* The columns of a product that tiles of so many vectors take, from j on: three rows at a time, or as many as there are.
- * More than one row reads each weight once. */
-#define TILED(vectors)                                                                                                 \
+/* Tiles of some sizes, each a function of its own: inlined side by side their sums would not stay in registers. */
+#define A_TILE(rows, vectors, chains)                                                                                  \
+    SPARE static APART void tile_##rows##_##vectors(int terms, REAL *out, View to, const REAL *a, View of,             \
+                                                    const REAL *b, ptrdiff_t by, const REAL *start, ptrdiff_t from)    \
+    {                                                                                                                  \
+        tile(rows, vectors, chains, terms, out, to, a, of, b, by, start, from);                                        \
+    }
+A_TILE(1, 8, 1)
+A_TILE(1, 4, 2)
+A_TILE(1, 2, 4)
+A_TILE(1, 1, 8)
+A_TILE(2, 6, 1)
+A_TILE(2, 4, 1)
+A_TILE(2, 2, 2)
+A_TILE(2, 1, 4)
+A_TILE(3, 4, 1)
+A_TILE(3, 2, 2)
+A_TILE(3, 1, 4)
+
+/* Rows of the columns from j on, as many at a time as there are. */
+#define ROWS(count, vectors)                                                                                           \
+    for (; i + (count) <= rows; i += (count)) {                                                                        \
+        tile_##count##_##vectors(terms, out + i * to.row + j, to, a + i * of.row, of, weights, stride,                 \
+                                 start ? start + i * from.row + j : 0, from.row);                                      \
+    }
+/* The columns that tiles of so many vectors take, from j on. */
+#define TILED(vectors, EACH)                                                                                           \
     for (; j + (vectors) * LANE <= n; j += (vectors) * LANE) {                                                         \
         const int low = j / panel * panel;                                                                             \
         const ptrdiff_t stride = panel < n ? least(panel, n - low) : by.row;                                           \
-        const REAL *const weights = b + (ptrdiff_t)low * terms + (j - low), *const first = start ? start + j : 0;      \
+        const REAL *const weights = b + (ptrdiff_t)low * terms + (j - low);                                            \
         int i = 0;                                                                                                     \
-        for (; rows > 2 && (vectors) <= 4 && i + 3 <= rows; i += 3) {                                                  \
-            tile(3, (vectors), (vectors) > 1 ? 1 : 2, terms, out + i * to.row + j, to, a + i * of.row, of, weights, stride, \
-                 first ? first + i * from.row : 0, from.row);                                                          \
-        }                                                                                                              \
-        for (; rows > 1 && i + 2 <= rows; i += 2) {                                                                    \
-            tile(2, (vectors), (vectors) > 2 ? 1 : 4 / (vectors), terms, out + i * to.row + j, to, a + i * of.row, of,  \
-                 weights, stride, first ? first + i * from.row : 0, from.row);                                         \
-        }                                                                                                              \
-        for (; i < rows; i++) {                                                                                        \
-            tile(1, (vectors), (vectors) > 4 ? 1 : 8 / (vectors), terms, out + i * to.row + j, to, a + i * of.row, of,  \
-                 weights, stride, first ? first + i * from.row : 0, from.row);                                         \
-        }                                                                                                              \
+        EACH                                                                                                           \
     }
 
 /* out (rows, n) = start + a (rows, terms) b (terms, n), where start is out itself if it `adds`, else bias, else 0. The
@@ -99,14 +112,13 @@ static INLINED void product(int rows, int terms, int n, int panel, REAL *out, Vi
     from = adds ? to : from;
     if (by.column == 1 && to.column == 1) {
         if (rows == 1) {
-            TILED(8)
+            TILED(8, ROWS(1, 8))
+        } else if (rows == 2) {
+            TILED(6, ROWS(2, 6))
         }
-        if (rows == 2) {
-            TILED(6)
-        }
-        TILED(4)
-        TILED(2)
-        TILED(1)
+        TILED(4, ROWS(3, 4) ROWS(2, 4) ROWS(1, 4))
+        TILED(2, ROWS(3, 2) ROWS(2, 2) ROWS(1, 2))
+        TILED(1, ROWS(3, 1) ROWS(2, 1) ROWS(1, 1))
     }
     for (int i = 0; i < rows && j < n; i++) {
         for (int c = j; c < n; c++) {
@@ -181,21 +193,34 @@ SPARE static inline void refine(int rows, int nodes, int stride, const REAL *a, 
     }
 }
 
-/* 1 + e^-x: 2^k by the exponent's bits, and 2^f on [-1/2, 1/2] to rounding. */
-static inline REAL one_plus_exp(REAL x)
+#define BLOCK 64 /* numbers that an activation takes at a time */
+
+/* y = -x log2(e), within what an exponent holds. One bound after the other: of both at once compilers make branches. */
+static inline void exponents(int width, const REAL *x, REAL *y)
+{
+    for (int j = 0; j < width; j++) {
+        const REAL scaled = x[j] * (REAL)-1.4426950408889634;
+        y[j] = scaled > (REAL)(1 - EXPONENT) ? scaled : (REAL)(1 - EXPONENT); /* NaN too */
+    }
+    for (int j = 0; j < width; j++) {
+        y[j] = y[j] < (REAL)(EXPONENT - 1) ? y[j] : (REAL)(EXPONENT - 1);
+    }
+}
+
+/* 1 + 2^y: the nearest whole number by the exponent's bits, and 2^f on [-1/2, 1/2] to rounding. A number plus 1.5 times
+ * 2^MANTISSA has its whole part in the last bits. */
+static inline REAL one_plus_exp(REAL y)
 {
     static const REAL terms[] = EXP2;
     const int count = (int)(sizeof terms / sizeof *terms);
-    REAL y = x * (REAL)-1.4426950408889634, f, value;
-    y = y > (REAL)(1 - EXPONENT) ? y : (REAL)(1 - EXPONENT); /* NaN too: as an integer it is undefined */
-    y = y < (REAL)(EXPONENT - 1) ? y : (REAL)(EXPONENT - 1);
-    const int32_t k = (int32_t)(y + (REAL)(EXPONENT + 0.5));
+    const REAL large = (REAL)1.5 * (REAL)((INTEGER)1 << MANTISSA);
     union {
-        INTEGER bits;
         REAL number;
-    } power = {(INTEGER)k << MANTISSA};
-    f = y - (REAL)(k - EXPONENT);
-    value = terms[count - 1];
+        INTEGER bits;
+    } whole = {y + large}, power;
+    const REAL f = y - (whole.number - large);
+    REAL value = terms[count - 1];
+    power.bits = (INTEGER)((UNSIGNED)whole.bits << MANTISSA) + ((INTEGER)EXPONENT << MANTISSA);
 UNROLLED
     for (int i = count - 2; i >= 0; i--) {
         value = terms[i] + f * value;
@@ -218,8 +243,13 @@ UNROLLED
 
 SPARE static inline void silu(int count, const REAL *a, REAL *out)
 {
-    LANES for (int j = 0; j < count; j++) {
-        out[j] = a[j] / one_plus_exp(a[j]);
+    REAL y[BLOCK];
+    for (int i = 0; i < count; i += BLOCK) {
+        const int width = least(BLOCK, count - i);
+        exponents(width, a + i, y);
+        LANES for (int j = 0; j < width; j++) {
+            out[i + j] = a[i + j] / one_plus_exp(y[j]);
+        }
     }
 }
 
@@ -228,12 +258,21 @@ SPARE static inline void silu(int count, const REAL *a, REAL *out)
  * cancels nothing. */
 SPARE static inline void silu_pair(int count, const REAL *a, REAL *out)
 {
-    LANES for (int j = 0; j < count; j++) {
-        const REAL d = a[j], rest = a[count + j];
-        const REAL s_rest = 1 / one_plus_exp(rest), s = 1 / one_plus_exp(rest + d);
-        const REAL small = s_rest * (1 - s) * change_of_exp(d), size = d < 0 ? -d : d;
-        out[count + j] = rest * s_rest;
-        out[j] = d * s + rest * (size < (REAL)0.5 ? small : s - s_rest);
+    REAL y[BLOCK], sum[BLOCK], y_rest[BLOCK];
+    for (int i = 0; i < count; i += BLOCK) {
+        const REAL *const d = a + i, *const rest = d + count;
+        const int width = least(BLOCK, count - i);
+        for (int j = 0; j < width; j++) {
+            sum[j] = rest[j] + d[j];
+        }
+        exponents(width, sum, y);
+        exponents(width, rest, y_rest);
+        LANES for (int j = 0; j < width; j++) {
+            const REAL s_rest = 1 / one_plus_exp(y_rest[j]), s = 1 / one_plus_exp(y[j]);
+            const REAL small = s_rest * (1 - s) * change_of_exp(d[j]), size = d[j] < 0 ? -d[j] : d[j];
+            out[count + i + j] = rest[j] * s_rest;
+            out[i + j] = d[j] * s + rest[j] * (size < (REAL)0.5 ? small : s - s_rest);
+        }
     }
 }
 
