@@ -7,8 +7,19 @@ import numpy as np
 from npred import grid
 from npred.operators import Weights, matrices
 from npred.runtimes.program import (
-    Dots, Matrix, Operation, Product, Program, Recombine, Repeat, Series, Silu, mlp, product, silu,
-)  # fmt: skip
+    Dots,
+    Matrix,
+    Operation,
+    Product,
+    Program,
+    Recombine,
+    Repeat,
+    Series,
+    Silu,
+    mlp,
+    product,
+    silu,
+)
 
 PAIRED, STRIDED = False, True  # the point of rest is a series; on a fine grid every stride-th node is evaluated
 SPREAD = 6.0  # standard deviations of D_hat that the series covers; beyond, N at rest is evaluated like the sample

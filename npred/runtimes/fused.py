@@ -155,7 +155,7 @@ def fold(
 
 
 def _between(nodes: int, stride: int) -> np.ndarray:
-    """The weights (3, 4, stride) of four nodes in a cell's points: in the first cell, those between and the last one."""
+    """The weights (3, 4, stride) of four nodes in the points of the first cell, of those between, and of the last."""
     places = np.array([0, min(1, nodes - 2), nodes - 2])[:, None] + np.arange(stride) / stride
     _, weights = grid.stencil(nodes, places.ravel() / (nodes - 1))
     return weights.reshape(4, 3, stride).swapaxes(0, 1)
@@ -191,11 +191,12 @@ def _sizes(p: Program) -> dict[str, int | str]:
     """The macros of the skeletons."""
     numbers = np.finfo(p.precision)
     sizes: dict[str, int | str] = {
-        "N": p.n, "M": p.m, "NX": p.nx, "NODES": p.nodes, "STRIDE": p.stride, "SEEN": p.seen, "COLUMNS": p.columns, "REAL": KINDS[np.dtype(p.precision)],
-        "INTEGER": f"int{numbers.bits}_t", "UNSIGNED": f"uint{numbers.bits}_t", "MANTISSA": numbers.nmant, "EXPONENT": numbers.maxexp - 1,
-        "EXP2": _braces(EXP2[p.precision], p), "EXPM1": _braces(EXPM1[p.precision], p), "PHASED": int(bool(p.period)),
-        "PERIOD": repr(p.period or 1.0), "PAIRED": int(p.rows == 2), "TWICE": int(p.twice),
-        "SERIES_TERMS": p.series.terms if p.series else 0, "BASED": int("base" in p.constants),
+        "N": p.n, "M": p.m, "NX": p.nx, "NODES": p.nodes, "STRIDE": p.stride, "SEEN": p.seen, "COLUMNS": p.columns,
+        "REAL": KINDS[np.dtype(p.precision)], "INTEGER": f"int{numbers.bits}_t", "UNSIGNED": f"uint{numbers.bits}_t",
+        "MANTISSA": numbers.nmant, "EXPONENT": numbers.maxexp - 1, "EXP2": _braces(EXP2[p.precision], p),
+        "EXPM1": _braces(EXPM1[p.precision], p), "PHASED": int(bool(p.period)), "PERIOD": repr(p.period or 1.0),
+        "PAIRED": int(p.rows == 2), "TWICE": int(p.twice), "SERIES_TERMS": p.series.terms if p.series else 0,
+        "BASED": int("base" in p.constants),
     }  # fmt: skip
     if p.series:
         sizes |= {"SERIES_LOW": repr(p.series.low), "SERIES_SCALE": repr(2 / (p.series.high - p.series.low))}

@@ -109,7 +109,7 @@ class SiluPair(Silu):
 
 @dataclass(frozen=True)
 class Recombine:
-    """y (2 modes, width), rows Re and Im of each mode, = R v, of `pairs` (2 modes, 2 width): Re v, Im v times (Re R, Im R)."""
+    """y (2 modes, width), Re and Im by mode, = R v, of `pairs` (2 modes, 2 width): Re v, Im v times (Re R, Im R)."""
 
     y: str
     pairs: str
@@ -151,7 +151,7 @@ Operation = Product | Dots | Silu | SiluPair | Recombine | Mirror | Repeat
 
 @dataclass(frozen=True)
 class Series:
-    """N_rest (n, nodes), N at rest for D_hat in [low, high], by a product with T, the Chebyshev polynomials of D_hat."""
+    """N_rest (n, nodes), N at rest for D_hat in [low, high], by a product with T, Chebyshev's polynomials of D_hat."""
 
     low: float
     high: float

@@ -4,7 +4,7 @@ from npred.stages.declaration import Stage
 
 STAGE = Stage(
     __name__,
-    version=11,
+    version=12,
     upstream=("generate", "train"),
     result_class="npred.results:Benched",
     data=r"times\.h5",

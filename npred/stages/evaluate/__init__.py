@@ -4,7 +4,7 @@ from npred.stages.declaration import Stage
 
 STAGE = Stage(
     __name__,
-    version=15,
+    version=16,
     upstream=("generate", "train"),
     result_class="npred.results:Evaluated",
     data=r"(errors|figure1|coverage)\.h5",
