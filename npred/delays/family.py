@@ -64,7 +64,7 @@ def compiled(
     **sizes: object,
 ) -> kernel.Kernel:  # fmt: skip
     """The kernel of a skeleton, which knows the plant's sizes N and M, and of formulas with the functions they call."""
-    sizes = {"N": of.plant.n, "M": of.plant.m} | sizes
+    sizes = {"N": of.plant.n, "M": of.plant.m, "CALLS": int(bool(of.called()))} | sizes
     return kernel.made(name, arguments, kernel.skeleton(file), functions, sizes, before=[*of.called(), *before])
 
 

@@ -8,6 +8,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
+from npred.kernels import grouped
 from npred.symbolic import programs
 from npred.symbolic.tape import OPS, Vector
 
@@ -17,6 +18,8 @@ TEXTS = {name: op.text.replace("math.", "") for name, op in OPS.items()} | {
 }  # fmt: skip
 NUMBERS = {"(np.inf)": "INFINITY", "(-np.inf)": "-INFINITY", "(np.nan)": "NAN", "True": "1", "False": "0"}
 HEAD = "static INLINED void {name}({arguments})\n{{\n    {lines}\n}}\n"
+# of a function that calls others: for `count` lanes, each with numbers of its own, and for one
+CALLING = HEAD + "static INLINED void {name_of_one}({of_one})\n{{\n    {name}(1, {passed});\n}}\n"
 _NUMBER = re.compile("|".join(re.escape(text) for text in NUMBERS))
 
 
@@ -57,13 +60,33 @@ def function(
     for argument in arguments:
         bindings |= argument.texts if isinstance(argument, Strided) else {}
     targets = [Strided(result, [], stride).at(k) for result, size in results.items() for k in range(size)]
-    lines = statements(outputs, bindings, targets, sizes)
-    heads = [f"const double *{a.name}" if isinstance(a, Strided) else f"double {a}" for a in arguments]
     strides = dict.fromkeys(a.stride for a in arguments if isinstance(a, Strided))
     strides |= {stride: None} if results else {}
-    declared = [f"const int {text}" for text in strides if text != "1"]
-    named = ", ".join([*declared, *heads, "const double *p", *(f"double *{result}" for result in results)])
-    return HEAD.format(name=name, arguments=named, lines="\n    ".join([*unused(named, lines), *lines]))
+    sized = [text for text in strides if text != "1"]
+    tail = ["const double *p", *(f"double *{result}" for result in results)]
+    heads = [f"const double *{a.name}" if isinstance(a, Strided) else f"double {a}" for a in arguments]
+    named = ", ".join([*(f"const int {text}" for text in sized), *heads, *tail])
+    program = programs.lines(outputs, bindings, targets, TEXTS)
+    if not grouped.is_calling(program):
+        lines = [_statement(line) for line in program]
+        return HEAD.format(name=name, arguments=named, lines="\n    ".join([*unused(named, lines), *lines]))
+    for a in arguments:  # numbers are arrays then, too
+        bindings |= {k: _at_lane(text, a.stride) for k, text in a.texts.items()} if isinstance(a, Strided) else {}
+        bindings |= {} if isinstance(a, Strided) else {a: f"{a}[l]"}
+    targets = [_at_lane(target, stride) for target in targets]
+    lines = grouped.body(programs.lines(outputs, bindings, targets, TEXTS), sizes, _statement)
+    heads = [f"const double *{a.name if isinstance(a, Strided) else a}" for a in arguments]
+    of_lanes = ", ".join(["const int count", *(f"const int {text}" for text in sized), *heads, *tail])
+    passed = [*sized, *(a.name if isinstance(a, Strided) else f"&{a}" for a in arguments), "p", *results]
+    return CALLING.format(
+        name=f"{name}_of", arguments=of_lanes, lines="\n    ".join([*unused(of_lanes, lines), *lines]),
+        name_of_one=name, of_one=named, passed=", ".join(passed),
+    )  # fmt: skip
+
+
+def _at_lane(text: str, stride: str) -> str:
+    """The text of a component for lane l; with the stride 1 there is one lane."""
+    return text if stride == "1" else f"{text[:-1]} + l]"
 
 
 def unused(arguments: str, lines: Sequence[str]) -> list[str]:
@@ -73,19 +96,14 @@ def unused(arguments: str, lines: Sequence[str]) -> list[str]:
     return [f"(void)({name});" for name in names if name not in read]
 
 
-def statements(
-    outputs: Vector, bindings: Mapping[str, str], targets: Sequence[str], sizes: Mapping[str, int] = {}
-) -> list[str]:
+def statements(outputs: Vector, bindings: Mapping[str, str], targets: Sequence[str]) -> list[str]:
     """The statements that compute the outputs, results written to `targets`."""
-    lines = programs.lines(outputs, bindings, targets, TEXTS)
-    return [_statement(line, sizes) for line in lines]
+    return [_statement(line) for line in programs.lines(outputs, bindings, targets, TEXTS)]
 
 
-def _statement(line: str, sizes: Mapping[str, int]) -> str:
+def _statement(line: str) -> str:
     left, _, right = line.partition(" = ")
     right = _NUMBER.sub(lambda number: NUMBERS[number[0]], right)
-    if called := re.match(r"plant_(\w+)\((.*)\)$", right):
-        return f"double {left}[{sizes[called[1]]}]; plant_{called[1]}({called[2]}, {left});"
     if not re.fullmatch(r"v\d+", left):
         return f"{left} = {right};"
     kind = "int" if re.fullmatch(r"\S+ <=? \S+", right) else "double"

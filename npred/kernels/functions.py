@@ -5,12 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from npred.kernels import formula
+from npred.kernels import formula, grouped
 from npred.kernels.formula import Strided, vector
 from npred.symbolic import called_functions
 from npred.symbolic.trace import Trace
-
-CALLED = "static APART void plant_{name}({arguments}, double *y)\n{{\n    {lines}\n}}\n"
 
 
 class Formulas:
@@ -39,10 +37,9 @@ class Formulas:
 
     def _called(self, name: str) -> str:
         arguments, outputs = called_functions.program(self.plant, name, self.trace.steps.get(name))
-        lines = formula.statements(np.ravel(outputs), {}, [f"y[{k}]" for k in range(len(outputs))])
-        declared = ", ".join(f"double {argument}" for argument in arguments)
-        lines = [*formula.unused(declared, lines), *lines]
-        return CALLED.format(name=name, arguments=declared, lines="\n    ".join(lines))
+        read = {argument: f"q[{k}][l]" for k, argument in enumerate(arguments)}
+        lines = formula.statements(np.ravel(outputs), read, [f"y[{k}][l]" for k in range(len(outputs))])
+        return grouped.called(name, lines)
 
     def _sizes(self) -> dict[str, int]:
         n, m = self.plant.n, self.plant.m

@@ -19,6 +19,13 @@ typedef struct {
 #define WIDE 64 /* lanes of a block, whose scratch memory is on the stack */
 #define LANES _Pragma("GCC ivdep") /* a loop over lanes, which do not know of each other */
 #endif
+#if WIDE > 1
+#define GROUP 8 /* lanes that go side by side from one call of a plant's function to the next */
+#define CALLED(function, count, q, y) ((count) == 1 ? function##_one(q, y) : function##_group(q, y))
+#else
+#define GROUP 1
+#define CALLED(function, count, q, y) function##_one(q, y)
+#endif
 #define JOINED(a, b) a##b
 #define JOIN(a, b) JOINED(a, b)
 #define PART(suffix) JOIN(KERNEL, suffix)

@@ -49,7 +49,19 @@ static inline void PART(_block)(int nx, int lanes, int width, const double *rest
         const double *x = P + (ptrdiff_t)j * N * lanes, *a = u + (ptrdiff_t)(CELLS ? 2 * j : j) * M * lanes;
         double *y = P + (ptrdiff_t)(j + 1) * N * lanes;
         PART(_inputs)(j, last, lanes, width, u, q, begin, half, end);
-        LANES for (int l = 0; l < width; l++) {
+        int first = 0;
+#if CALLS && GROUP > 1
+        for (; first + GROUP <= width; first += GROUP) {
+            double h[GROUP], now[GROUP];
+            for (int l = 0; l < GROUP; l++) {
+                h[l] = D_hat[first + l] / (double)last;
+                now[l] = t + (double)j * h[l];
+            }
+            JOIN(STEP, _of)(GROUP, lanes, WIDE, x + first, (READS ? begin : a) + first, half + first,
+                            (READS ? end : a + M * lanes) + first, now, h, p, y + first);
+        }
+#endif
+        LANES for (int l = first; l < width; l++) {
             const double h = D_hat[l] / (double)last;
             STEP(lanes, WIDE, x + l, (READS ? begin : a) + l, half + l, (READS ? end : a + M * lanes) + l,
                  t + (double)j * h, h, p, y + l);
