@@ -7,9 +7,8 @@ multiply-adds, and the length of its chain. Each is divided by what one core of 
 by plain loops: bytes per second of a sum over as many bytes, multiply-adds per second of a product whose weights stay
 in the nearest cache, and the seconds of one multiply-add that waits for the one before. A call takes about the longest
 of the three times at least, if all overlap, and their sum if nothing does; what it takes beyond that sum goes to
-inputs, running means and the call itself. The chain of a product of K terms is one block of eight terms after
-the other, each a sum by halves: three additions and a multiply-add. An activation counts with its scaling, polynomial
-and division.
+inputs, running means and the call itself. The chain of a product of K terms is K multiply-adds, one after the other. An
+activation counts with its scaling, polynomial and division.
 """
 
 import argparse
@@ -21,15 +20,14 @@ import numpy as np
 
 import npred
 from npred.kernels import compiler
-from npred.kernels.kernel import address
+from npred.kernels.kernel import address, bound
 from npred.parallel import devices
 from npred.runtimes.fused import coarsest, fold
-from npred.runtimes.program import Operation, Product, Program, Repeat, Silu, SiluPair
+from npred.runtimes.program import Dots, Operation, Product, Program, Repeat, Silu, SiluPair
 from npred.stages.bench import timing
 
-TERMS = 8  # of a block of a product, as npred/kernels/c/network.h has them
-BLOCK = 4  # operations that wait for each other, of a block of terms
-SILU, PAIR = 16, 24  # likewise, of an activation: scaling, a polynomial of five terms, a division
+TERMS = 8  # of the product that is timed
+SILU, PAIR = 16, 24  # operations of an activation that wait: scaling, a polynomial of five terms, a division
 RUNS = 200
 LATENCY, PER_CYCLE = 4, 16  # cycles of a multiply-add; how many begin per cycle, in two vectors of 256 bits
 
@@ -92,7 +90,8 @@ def products(operations: Iterable[Operation]) -> int:
     """The multiply-adds of some operations."""
     return sum(
         operation.count * products(operation.operations) if isinstance(operation, Repeat)
-        else int(np.prod(operation.shape)) * operation.repeats if isinstance(operation, Product) else 0
+        else int(np.prod(operation.shape)) * operation.repeats if isinstance(operation, Product)
+        else int(np.prod(operation.shape)) if isinstance(operation, Dots) else 0
         for operation in operations
     )  # fmt: skip
 
@@ -103,8 +102,8 @@ def waits(operations: Iterable[Operation]) -> int:
     for operation in operations:
         if isinstance(operation, Repeat):
             total += operation.count * waits(operation.operations)
-        elif isinstance(operation, Product):
-            total += BLOCK * -(-operation.shape[1] // TERMS)
+        elif isinstance(operation, Product | Dots):
+            total += operation.shape[1]
         elif isinstance(operation, Silu | SiluPair):
             total += PAIR if isinstance(operation, SiluPair) else SILU
     return total
@@ -135,10 +134,10 @@ def report(spec: str, store: str | None, nx: int) -> None:
 
 def measured(net: npred.Predictor, nx: int) -> float:
     """The median microseconds of a call."""
-    predict, plant = net.lanes(), net.plant
-    X = np.array([[low] for low, _ in plant.box.values()])
-    u, P = np.zeros((nx, plant.m, 1)), np.empty((nx, plant.n, 1))
-    taken = timing.sample({"call": lambda k: predict(X, u, np.ones(1), 0.0, plant.p, P)}, 20_000, 3.0)
+    X = np.array([[low] for low, _ in net.plant.box.values()])
+    u, P = np.zeros((nx, net.plant.m, 1)), np.empty((nx, net.plant.n, 1))
+    predict = bound(net.lanes(), X, u, np.ones(1), 0.0, net.plant.p, P)
+    taken = timing.sample({"call": lambda k: predict()}, 20_000, 3.0)
     return timing.quantiles(taken["call"])["median_us"]
 
 
