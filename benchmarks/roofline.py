@@ -5,10 +5,10 @@ python benchmarks/roofline.py pipeline/paper.toml:deeponet pipeline/paper.toml:f
 For each network, of its program as the fused runtime prints it: the bytes of its constants that a call reads, its
 multiply-adds, and the length of its chain. Each is divided by what one core of this machine does of it, measured here
 by plain loops: bytes per second of a sum over as many bytes, and the seconds of one multiply-add that waits for the one
-before, in which PER_CYCLE times LATENCY others could be done. A call takes about the longest
-of the three times at least, if all overlap, and their sum if nothing does; what it takes beyond that sum goes to
-inputs, running means and the call itself. The chain of a product of K terms is K multiply-adds, one after the other. An
-activation counts with its scaling, polynomial and division.
+before, in which PER_CYCLE times LATENCY others could be done. A call takes about the longest of the three times at
+least, if all overlap, and their sum if nothing does; what it takes beyond that sum goes to inputs, running means and
+the call itself. The chain of a product of K terms is K multiply-adds, one after the other. An activation counts with
+its scaling, polynomial and division.
 """
 
 import argparse
@@ -31,7 +31,7 @@ RUNS = 200
 LATENCY, PER_CYCLE = 4, 16  # cycles of a multiply-add; how many begin per cycle, in two vectors of 256 bits
 
 
-# The sum of a, again and again, of whole numbers, which a compiler may add in any order; one multiply-add after the other.
+# A sum of whole numbers, which a compiler may add in any order, again and again; one multiply-add after the other.
 LOOPS = """
 #include <stdint.h>
 int32_t read(const int32_t *a, int64_t size, int64_t times)
