@@ -18,7 +18,7 @@ TEXTS = {name: op.text.replace("math.", "") for name, op in OPS.items()} | {
 }  # fmt: skip
 NUMBERS = {"(np.inf)": "INFINITY", "(-np.inf)": "-INFINITY", "(np.nan)": "NAN", "True": "1", "False": "0"}
 HEAD = "static INLINED void {name}({arguments})\n{{\n    {lines}\n}}\n"
-# of a function that calls others: for `count` lanes, each with numbers of its own, and for one
+# for a function that calls others: for `count` lanes, each with its numbers, and for one lane
 CALLING = HEAD + "static INLINED void {name_of_one}({of_one})\n{{\n    {name}(1, {passed});\n}}\n"
 _NUMBER = re.compile("|".join(re.escape(text) for text in NUMBERS))
 

@@ -47,15 +47,15 @@ def body(program: Sequence[str], sizes: Mapping[str, int], statement: Callable[[
     """
     segments, arrays = _segments(program), set()
     for k, (lines, _) in enumerate(segments):
-        made = {line.partition(" = ")[0] for line in lines}
+        assigned = {line.partition(" = ")[0] for line in lines}
         later = {v for others, call in segments[k + 1 :] for line in (*others, call) for v in _VARIABLE.findall(line)}
-        arrays |= made & later
+        arrays |= assigned & later
     results = {call.partition(" = ")[0]: CALL.search(call)[1] for _, call in segments if call}  # type: ignore[index]
     declared = [f"double {', '.join(f'{v}[GROUP]' for v in sorted(arrays, key=_number))};"] if arrays else []
     declared += [f"double {v}[{sizes[name]}][GROUP];" for v, name in results.items()]
     lines = []
-    for k, (own, call) in enumerate(segments):
-        inner = [_of_lane(statement(line), arrays, results) for line in own]
+    for k, (glue, call) in enumerate(segments):
+        inner = [_of_lane(statement(line), arrays, results) for line in glue]
         if call:
             name, arguments = CALL.search(call).groups()  # type: ignore[union-attr]
             passed = arguments.split(", ")
@@ -83,9 +83,9 @@ def _segments(program: Sequence[str]) -> list[tuple[list[str], str]]:
 def _of_lane(text: str, arrays: set[str], results: Mapping[str, str]) -> str:
     """The text for lane l: variables that are arrays get its index, and one that is assigned is not declared."""
 
-    def indexed(found: re.Match[str]) -> str:
-        v, item = found.group("v"), found.group("item") or ""
-        return f"{v}{item}[l]" if v in arrays or v in results else found[0]
+    def indexed(match: re.Match[str]) -> str:
+        v, item = match.group("v"), match.group("item") or ""
+        return f"{v}{item}[l]" if v in arrays or v in results else match[0]
 
     text = re.sub(r"\b(?P<v>v\d+)\b(?P<item>\[\d+\])?", indexed, text)
     return re.sub(r"^const (?:int|double) (v\d+\[l\] =)", r"\1", text)

@@ -1,6 +1,7 @@
 """Calls of one sample at a time, as loops in Python make them: memory and pointers are prepared once per shape of u."""
 
 import ctypes
+import math
 import threading
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -14,14 +15,14 @@ Chain = Callable[[int], Sequence[tuple[Any, Sequence[np.ndarray], int]] | None]
 
 
 class Prepared:
-    """Kernels one after the other on memory of their own, each of X, u, D_hat, t, p and `before`, P and scratch behind.
+    """Kernels one after the other on prepared memory, each of X, u, D_hat, t, p and `before`, P and scratch behind.
 
-    X, u, D_hat and t stand side by side in `inputs`, so that one product with 0 tells whether all are finite.
+    X, u, D_hat and t stand side by side in `inputs`, so that one sum, a product with 1, tells whether all are finite.
     """
 
     def __init__(self, n: int, m: int, nx: int, p: np.ndarray, chain: Sequence[tuple[Kernel, Any, int]]) -> None:
         self.inputs = np.zeros(n + nx * m + 2)
-        self.zeros, self.P = np.zeros_like(self.inputs), np.empty((nx, n, 1))
+        self.ones, self.P = np.ones_like(self.inputs), np.empty((nx, n, 1))
         self.X, self.u = self.inputs[:n], self.inputs[n:-2]
         D_hat, t = self.inputs[-2:-1], ctypes.c_double.from_buffer(self.inputs, 8 * (len(self.inputs) - 1))
         head = self.X[:, None], self.u.reshape(nx, m, 1), D_hat, t, p
@@ -31,7 +32,7 @@ class Prepared:
         """P (nx, n); None for inputs that are not finite, or a negative delay."""
         self.X[:], self.u[:] = X, u.reshape(-1)
         self.inputs[-2], self.inputs[-1] = D_hat, t
-        if not (D_hat >= 0.0 and self.zeros.dot(self.inputs) == 0.0):
+        if not (D_hat >= 0.0 and math.isfinite(self.ones.dot(self.inputs))):
             return None
         for call in self.calls:
             call()
@@ -39,7 +40,7 @@ class Prepared:
 
 
 class SingleCalls(threading.local):
-    """The prepared calls of a predictor, of each thread its own.
+    """The prepared calls of a predictor, others in each thread.
 
     `chain` gives the kernels for so many nodes with the arrays they take after p, and how many numbers they write
     after P; None where there are none. What is not one sample of float64 is not answered: the predictor's own path

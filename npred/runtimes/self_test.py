@@ -26,7 +26,6 @@ GROWTH = 200.0  # of a relative error of the samples, up to which the test takes
 TURNED = 1e-9  # that error
 X_ROWS, U_ROWS, MEASURED_CALLS = 5, 4, 24  # of a controller that is given u: rows that are taken in turn
 
-OFF = {"above": 5.0, "below": -5.0, "wild": 100.0, "wildest": -100.0}  # half widths off the box, states by turns
 ROUNDED = {"earlier": 0.47, "later": 0.53}  # of a control step: a sample's time, which is moved to the nearest begin
 USED = 1  # a sample's fate: npred/kernels/c/controller.h
 BISECTIONS = 12  # that find how wide the gate is
@@ -204,8 +203,6 @@ def _calls(controller: Controller) -> Iterator[tuple[str, float, float]]:
     yield from [("none", 4.0 * rows + 9.0, 0.0), ("far", 1.0, 0.0), *3 * [now], *4 * [("plain", 1.0, 0.0)]]
     yield from [*(2 * [(what, 1.375, 0.0) for what in ROUNDED]), now]
     yield from [("far", 1.0, 0.0), ("restart", 1.0, 0.0), *5 * [("far", round(d / 3) + 0.5, 0.0)], *2 * [now]]
-    for what in OFF:
-        yield from [("none", 4.0 * rows + 9.0, 0.0), *3 * [(what, 1.0, 0.0)], *3 * [now]]
     yield from [
         ("anew", 1.0, 0.0),
         ("now", 1.0, oldest + 0.5),
@@ -227,8 +224,7 @@ def _recalled(controller: Controller, size: float) -> Test:
             world.kick()
         shift += 1.7 * (what in ("time", "restart"))
         t, X = world.t + shift + min(gap, 0.0) * controller.dt, world.past[max(len(world.past) - 1 - round(age), 0)]
-        off = 1.2 * gate if what == "far" else size * OFF.get(what, 0.0) * (-1.0) ** np.arange(len(X))
-        Y = np.asarray(outputs(X + off * world.half), dtype=float)
+        Y = np.asarray(outputs(X + 1.2 * gate * world.half * (what == "far")), dtype=float)
         Y = np.full(len(Y), np.nan) if what in ("nan", "none", "restart", "anew") else Y
         age = (t / controller.dt - ROUNDED[what]) % 1.0 if what in ROUNDED else age
         taken = t - age * controller.dt

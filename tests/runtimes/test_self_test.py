@@ -63,7 +63,7 @@ def test_a_law_of_another_gain_fails(tmp_path, name):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["plain", "law"])
 def test_no_mutant_that_changes_u_passes(name):
-    assert not judged(name, 250).matter
+    assert not judged(name, 60).matter
 
 
 @pytest.mark.campaign
@@ -76,5 +76,5 @@ def test_of_many_at_most_one_in_a_hundred_does(name):
 def judged(name, count):
     make, precision = TWELVE[name]
     row = mutants.judged(make(), precision, count)
-    assert row.mutants == count and row.passed < 0.8 * count  # many are in code that this controller does not run
+    assert row.mutants == count and row.passed < 0.9 * count  # many are in code that this controller does not run
     return row

@@ -16,7 +16,7 @@ static inline void PART(_held)(int lanes, int width, const double *X, const doub
 static inline void PART(_block)(int lanes, int width, double *X, const double *U0, const double *U1,
                                 const double *share, double dt, double t, const double *p)
 {
-    double y[N * WIDE], now[WIDE], h[WIDE];
+    double y[N * WIDE], now[WIDE] = {0.0}, h[WIDE] = {0.0}; /* 0 for a compiler that knows no least width */
     int split = 0;
     for (int l = 0; l < width; l++) {
         now[l] = t;

@@ -87,13 +87,13 @@ A_TILE(3, 2, 2)
 A_TILE(3, 1, 4)
 
 /* Rows of the columns from j on, as many at a time as there are. */
-#define ROWS(count, vectors)                                                                                           \
+#define TILE_ROWS(count, vectors)                                                                                           \
     for (; i + (count) <= rows; i += (count)) {                                                                        \
         tile_##count##_##vectors(terms, out + i * to.row + j, to, a + i * of.row, of, weights, stride,                 \
                                  start ? start + i * from.row + j : 0, from.row);                                      \
     }
 /* The columns that tiles of so many vectors take, from j on. */
-#define TILED(vectors, EACH)                                                                                           \
+#define TILE_COLUMNS(vectors, EACH)                                                                                           \
     for (; j + (vectors) * LANE <= n; j += (vectors) * LANE) {                                                         \
         const int low = j / panel * panel;                                                                             \
         const ptrdiff_t stride = panel < n ? least(panel, n - low) : by.row;                                           \
@@ -112,13 +112,13 @@ static INLINED void product(int rows, int terms, int n, int panel, REAL *out, Vi
     from = adds ? to : from;
     if (by.column == 1 && to.column == 1) {
         if (rows == 1) {
-            TILED(8, ROWS(1, 8))
+            TILE_COLUMNS(8, TILE_ROWS(1, 8))
         } else if (rows == 2) {
-            TILED(6, ROWS(2, 6))
+            TILE_COLUMNS(6, TILE_ROWS(2, 6))
         }
-        TILED(4, ROWS(3, 4) ROWS(2, 4) ROWS(1, 4))
-        TILED(2, ROWS(3, 2) ROWS(2, 2) ROWS(1, 2))
-        TILED(1, ROWS(3, 1) ROWS(2, 1) ROWS(1, 1))
+        TILE_COLUMNS(4, TILE_ROWS(3, 4) TILE_ROWS(2, 4) TILE_ROWS(1, 4))
+        TILE_COLUMNS(2, TILE_ROWS(3, 2) TILE_ROWS(2, 2) TILE_ROWS(1, 2))
+        TILE_COLUMNS(1, TILE_ROWS(3, 1) TILE_ROWS(2, 1) TILE_ROWS(1, 1))
     }
     for (int i = 0; i < rows && j < n; i++) {
         for (int c = j; c < n; c++) {
