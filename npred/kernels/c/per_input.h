@@ -31,7 +31,7 @@ static inline void PART(_read)(int c, int last, int lanes, int width, const doub
     if (width < 1) { /* which no call has, and a compiler does not know */
         return;
     }
-    for (int l = 0; l < width; l++) {
+    LANES for (int l = 0; l < width; l++) {
         low[l] = high[l] = v[l];
         begin[l] = end[l] = length > 0.0 ? 0.0 : v[l]; /* past its end kappa acts */
     }
@@ -39,14 +39,14 @@ static inline void PART(_read)(int c, int last, int lanes, int width, const doub
         const double a = larger((double)k - 0.5, from), b = smaller((double)k + 0.5, from + length);
         const double left = 2.0 * larger(smaller(b, middle) - a, 0.0) / length;
         const double right = 2.0 * larger(b - larger(a, middle), 0.0) / length;
-        for (int l = 0; l < width; l++) {
+        LANES for (int l = 0; l < width; l++) {
             low[l] = smaller(low[l], v[l]);
             high[l] = larger(high[l], v[l]);
             begin[l] += left * v[l];
             end[l] += right * v[l];
         }
     }
-    for (int l = 0; l < width; l++) {
+    LANES for (int l = 0; l < width; l++) {
         const double mean = 0.5 * (begin[l] + end[l]), room = smaller(mean - low[l], high[l] - mean);
         const double slope = larger(smaller(end[l] - begin[l], room), -room);
         begin[l] = mean - slope;

@@ -3,7 +3,7 @@
  * from it, q is (d1 + d2) / 8, as of a smooth u, and more where the rises d0 and d3 outside of them are smaller: there u
  * jumps inside the cell, and the mean says where. The halves stay between the nodes beside. Compare Harten, J. Comput.
  * Phys. 83 (1989) 148. */
-static inline double shift(double d0, double d1, double d2, double d3)
+static INLINED double shift(double d0, double d1, double d2, double d3)
 {
     const double all = fabs(d1 + d2), outer = larger(fabs(d0), fabs(d3));
     const double q = smaller(smaller(fabs(d1), fabs(d2)), larger(0.125 * all, 0.5 * all - outer));
@@ -20,7 +20,7 @@ static inline void line(int size, int j, int last, int lanes, int width, int str
     const ptrdiff_t high = j < last - 1 ? 2 * row : row, beyond = j < last - 2 ? 3 * row : high;
     for (int c = 0; c < size; c++) {
         const double *v = u + j * row + c * lanes;
-        for (int l = 0; l < width; l++) {
+        LANES for (int l = 0; l < width; l++) {
             const double *w = v + l;
             const int at = c * stride + l;
             const double rise = w[row] - w[0], before = j > 0 ? q[at] : 0.0;
