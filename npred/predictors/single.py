@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from npred.kernels.kernel import Kernel
+from npred.kernels.kernel import Kernel, address
 
 NUMBERS = (float, int, np.float64)
 Chain = Callable[[int], Sequence[tuple[Any, Sequence[np.ndarray], int]] | None]
@@ -24,7 +24,7 @@ class Prepared:
         self.inputs = np.zeros(n + nx * m + 2)
         self.ones, self.P = np.ones_like(self.inputs), np.empty((nx, n, 1))
         self.X, self.u = self.inputs[:n], self.inputs[n:-2]
-        D_hat, t = self.inputs[-2:-1], ctypes.c_double.from_buffer(self.inputs, 8 * (len(self.inputs) - 1))
+        D_hat, t = self.inputs[-2:-1], ctypes.c_double.from_address(address(self.inputs[-1:]))
         head = self.X[:, None], self.u.reshape(nx, m, 1), D_hat, t, p
         self.calls = [run.bound(*head, *before, self.P, *np.empty((count, 1))) for run, before, count in chain]
 
@@ -54,15 +54,15 @@ class SingleCalls(threading.local):
     def __call__(self, X: Any, u: Any, D_hat: Any, t: Any) -> np.ndarray | None:
         if type(X) is not np.ndarray or type(u) is not np.ndarray or X.shape != self.shape:
             return None
-        if type(D_hat) is np.ndarray and D_hat.ndim == 0 and D_hat.dtype.char == "d":
-            D_hat = D_hat.item()
-        if type(D_hat) not in NUMBERS or type(t) not in NUMBERS or not X.dtype.char == u.dtype.char == "d":
+        flat = type(D_hat) is np.ndarray and D_hat.ndim == 0 and D_hat.dtype.char == "d"
+        delay: Any = D_hat.item() if flat else D_hat
+        if type(delay) not in NUMBERS or type(t) not in NUMBERS or not X.dtype.char == u.dtype.char == "d":
             return None
         shape = u.shape
         if shape not in self.prepared:
             self.prepared[shape] = self._made(shape)
         call = self.prepared[shape]
-        return call(X, u, D_hat, t if self.reads_time else 0.0) if call else None
+        return call(X, u, delay, t if self.reads_time else 0.0) if call else None
 
     def _made(self, shape: tuple[int, ...]) -> Prepared | None:
         nx, m = (*shape, 1) if len(shape) == 1 else shape if len(shape) == 2 else (0, 0)

@@ -15,7 +15,7 @@ from npred.config import Bench, Pipeline
 from npred.data.dataset import Dataset
 from npred.delays import family_of
 from npred.errors import EXTRAS, ConfigError, MissingError, installed
-from npred.kernels.kernel import bound
+from npred.kernels.kernel import address, bound
 from npred.operators import TrainedOperator
 from npred.plants import Plant
 from npred.predictors import RK4, OneStep, Predictor, method
@@ -235,7 +235,7 @@ def call(job: Job, entry: Candidate, count: int) -> Callable[[int], None]:
         delays[:] = D_hat[k]
         predict()
 
-    numbers, delay = drawn.tolist(), ctypes.c_double.from_buffer(delays)
+    numbers, delay = drawn.tolist(), ctypes.c_double.from_address(address(delays))
 
     def alone(k: int) -> None:  # NumPy would take longer for one number than a method of few steps
         delay.value = numbers[k]
