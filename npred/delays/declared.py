@@ -57,10 +57,9 @@ class DeclaredDelay(Family):
         y = step(flow, state, u0, um, u1, 0.0, trace.input("h"))
         y = [*self.plant.stopped(y[:-1], tape.M), y[-1]]
         margin = _margin(trace, state[:-1], state[-1], trace.f(state[:-1], u0[: self.plant.m], state[-1]))
-        middle = programs.depends(y, um)
         inputs = [vector(name, m, "wide") for name in "amb"]
         functions = {"STEP": of.function([*y, margin], [vector("x", n + 1, "one"), *inputs, "h"], {"y": n + 2}, "one")}
-        sizes = {"M": m, "TIMED": int(timed), "MIDDLE": int(middle)}
+        sizes = {"M": m, "TIMED": int(timed), "MIDDLE": int(programs.depends(y, um))}
         return compiled("sweep", family.PREDICT, "declared.h", of, functions, [skeleton("reading.h")], **sizes)
 
     def control(self, step: Step) -> Kernel:

@@ -43,8 +43,7 @@ class DelayPerInput(Family):
     def sweep(self, step: Step, cells: bool = False, more: int = 0) -> Kernel:
         of = Formulas(self.plant, ())
         functions, ratios = {"STEP": self._step(of, step, more)}, [*self._ratios, *more * [1.0]]
-        sizes = {"M": len(ratios), "RATIOS": _array(ratios)}
-        return compiled("sweep", family.PREDICT, "per_input.h", of, functions, **sizes)
+        return compiled("sweep", family.PREDICT, "per_input.h", of, functions, M=len(ratios), RATIOS=_array(ratios))
 
     def control(self, step: Step) -> Kernel:
         n, m, of = self.plant.n, self.plant.m, Formulas(self.plant, ())
@@ -52,8 +51,7 @@ class DelayPerInput(Family):
         U = [of.trace.kappa(Y[c * n : (c + 1) * n], t + r * D_hat)[c] for c, r in enumerate(self._ratios)]
         law = of.function(U, [vector("x", n * m, "wide"), "t", "D_hat"], {"U": m})
         functions = {"STEP": self._step(of, step), "LAW": law}
-        sizes = {"RATIOS": _array(self._ratios)}
-        return compiled("control", family.CONTROL, "per_input.h", of, functions, **sizes)
+        return compiled("control", family.CONTROL, "per_input.h", of, functions, RATIOS=_array(self._ratios))
 
     def advance(self, step: Step) -> Kernel:
         n, m, of = self.plant.n, self.plant.m, Formulas(self.plant)

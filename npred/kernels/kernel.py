@@ -174,9 +174,9 @@ def _in_memory(name: str, value: Any) -> Any:
 
 def address(value: Any) -> int:
     """Where an array, or an object of ctypes, begins."""
+    if not isinstance(value, np.ndarray):
+        return ctypes.addressof(value)
     try:
-        if not isinstance(value, np.ndarray):
-            return ctypes.addressof(value)
         return ctypes.addressof(ctypes.c_char.from_buffer(value))  # type: ignore[arg-type]  # a fifth of the time
     except (TypeError, ValueError):  # one that cannot be written, or is empty
         return value.__array_interface__["data"][0]

@@ -120,11 +120,6 @@ class Controller(InNotebook):
         self._awaits_X = self._by_law  # for the commands before the first step
 
     @property
-    def start(self) -> dict[str, Any]:
-        """What a simulated loop of the controller begins with, and its limits: arguments of npred.simulate."""
-        return {"input_bounds": self._limits, "u0": self._u0, "safety": self.safety}
-
-    @property
     def D_hat(self) -> float:
         """The delay estimate of the next step, in seconds. Set it within the adaptation's bounds, else ConfigError.
 

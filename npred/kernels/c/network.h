@@ -87,13 +87,13 @@ A_TILE(3, 2, 2)
 A_TILE(3, 1, 4)
 
 /* Rows of the columns from j on, as many at a time as there are. */
-#define TILE_ROWS(count, vectors)                                                                                           \
+#define TILE_ROWS(count, vectors)                                                                                      \
     for (; i + (count) <= rows; i += (count)) {                                                                        \
         tile_##count##_##vectors(terms, out + i * to.row + j, to, a + i * of.row, of, weights, stride,                 \
                                  start ? start + i * from.row + j : 0, from.row);                                      \
     }
 /* The columns that tiles of so many vectors take, from j on. */
-#define TILE_COLUMNS(vectors, EACH)                                                                                           \
+#define TILE_COLUMNS(vectors, EACH)                                                                                    \
     for (; j + (vectors) * LANE <= n; j += (vectors) * LANE) {                                                         \
         const int low = j / panel * panel;                                                                             \
         const ptrdiff_t stride = panel < n ? least(panel, n - low) : by.row;                                           \
