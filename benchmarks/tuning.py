@@ -12,9 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from npred import config, plants
+from npred import config, plants, progress
 from npred.config import Tune
-from npred.terminal import waiting
 from npred.tuning.cost import Loops, Yardstick
 from npred.tuning.tune import gained, said, tune
 
@@ -72,7 +71,7 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=1)
     asked = parser.parse_args()
     print("| " + " | ".join(HEAD) + " |\n|" + "---|" * len(HEAD), flush=True)
-    with waiting.quiet():
+    with progress.quiet():
         for name in asked.names:
             for row in rows(name, asked.cells, asked.evaluations, asked.jobs):
                 print("| " + " | ".join(row) + " |", flush=True)

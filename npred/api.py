@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from npred import plants
+from npred import plants, progress
 from npred.errors import ConfigError
 from npred.loop.controller import Controller
 from npred.loop.delay_law import DelayLaw
@@ -15,7 +15,6 @@ from npred.plants import Plant
 from npred.plants.base import require
 from npred.predictors import Predictor, numerical
 from npred.safety import SafetyFilter
-from npred.terminal import waiting
 
 if TYPE_CHECKING:
     from npred.pipeline.models import Stored
@@ -61,7 +60,7 @@ def load(
 
 def loaded(stored: "Stored", nx: int, device: str, runtime: str | None) -> Predictor:
     """A trained model of the store as a predictor; see `load`."""
-    with waiting.said(f"loading network {stored.model}", often="once per process"):
+    with progress.announce(f"loading network {stored.model}", often="once per process"):
         from npred import operators, runtimes
 
         precision = np.float64 if runtime in (None, "torch") else np.float32

@@ -21,9 +21,10 @@ from npred.parallel import devices, executors
 from npred.pipeline import STAGES, Planner, Runner, nodes, remember
 from npred.plants import Plant
 from npred.predictors import Predictor
+from npred.progress import listener
 from npred.results import Evaluated, Generated, Result, Trained
 from npred.store import Store
-from npred.terminal import live_view, waiting
+from npred.terminal import live_view
 from npred.terminal.console import Console
 from npred.terminal.notebook import InNotebook
 
@@ -192,7 +193,7 @@ def _console(chosen: Pipeline, titles: list[str], progress: bool) -> Iterator[Co
     """What shows the stages: a table in a terminal, one output in a notebook, lines now and then elsewhere."""
     shown: Callable[[], Console] = live_view.NotebookConsole if live_view.is_notebook() else Console
     console = shown() if progress else Console(quiet=True)
-    with waiting.heard(console.wait), console.watch(chosen.name, titles):
+    with listener(console.wait), console.watch(chosen.name, titles):
         yield console
 
 

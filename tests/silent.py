@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any
 
 
 class Silent:
@@ -15,17 +14,14 @@ class Silent:
         self.done, self.calls, self.stop_after = 0, 0, stop_after
 
     @contextmanager
-    def bar(self, title: str, total: int | Mapping[Any, int], unit: str, done: int = 0) -> Iterator["Silent"]:
+    def bar(self, title: str, total: int, unit: str, done: int = 0) -> Iterator["Silent"]:
         self.done += done
         yield self
 
     def doing(self, title: str, what: str) -> None:
         self.phases.append(f"{title}: {what}")
 
-    def expect(self, kind: Any, seconds: float) -> None:
-        pass
-
-    def advance(self, n: int = 1, note: str = "", kind: Any = "") -> None:
+    def advance(self, n: int = 1, note: str = "") -> None:
         self.done += n
         self.notes.append(note)
         self.calls += n > 0

@@ -1,5 +1,6 @@
 """The command line, `npred`."""
 
+import sys
 from gc import freeze, set_threshold
 from importlib import import_module
 from types import ModuleType
@@ -38,6 +39,10 @@ def main() -> None:
         torchrun.leave(_lead() if torchrun.number() == 0 else _help_out())
     try:
         app()
+    except OSError as error:  # commands say theirs: this is of a help that stdout does not take
+        streams.silence(sys.stdout)
+        Console().error(str(streams.unwritable(error.strerror)))
+        sys.exit(1)
     finally:
         freeze()  # while it is taken down, the interpreter would look for cycles among all that is left
 

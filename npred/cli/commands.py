@@ -9,16 +9,14 @@ import typer
 
 import npred
 from npred import cli
-from npred.cli import completion
-from npred.cli.app import Command, Group, app, command, with_flags
+from npred.cli.app import app, command, with_flags
 from npred.cli.options import Common, Exporting, Planned, Rigged, Running, Timed, Work, argument, flag
 from npred.cli.recorded import Recorded
 from npred.registry import STAGES, declared_stage
 
-RUN, LOOK, CARE = "Run", "Look", "Look after"
 FORMS = ("onnx", "c", "controller", "fmu", "npy", "hdf5", "mat")
 MEDIA = ("ieee1", "ieee2", "page", "slides")
-RESULT = argument("STAGE/KEY", "A result, as for show.", completion.artifacts)
+RESULT = argument("STAGE/KEY", "A result, as for show.")
 
 
 def _version(asked: bool) -> None:
@@ -35,7 +33,7 @@ def _root(
 ) -> None: ...
 
 
-@command(RUN)
+@command()
 def run(options: Work) -> None:
     """Run all stages in order; a result that is already in the store is reused."""
     cli.execute.everything(options)
@@ -48,16 +46,14 @@ def _add_stage(stage: str) -> None:
     def of_networks(
         options: Work,
         *,
-        model: Annotated[
-            str | None, flag("A network, as deeponet; those of the pipeline by default.", offers=completion.models)
-        ] = None,
+        model: Annotated[str | None, flag("A network, as deeponet; those of the pipeline by default.")] = None,
     ) -> None:
         cli.execute.stage(options, stage, model)
 
     def of_all(options: Work) -> None:
         cli.execute.stage(options, stage)
 
-    command(RUN, name=stage, help=declared.help)(of_networks if declared.per_network else of_all)
+    command(name=stage, help=declared.help)(of_networks if declared.per_network else of_all)
 
 
 for _stage in STAGES:
@@ -65,7 +61,7 @@ for _stage in STAGES:
         _add_stage(_stage)
 
 
-@command(RUN, help=declared_stage("bench").help)
+@command(help=declared_stage("bench").help)
 def bench(
     options: Timed,
     *,
@@ -76,13 +72,11 @@ def bench(
     cli.execute.could_pay(options) if no_networks else cli.execute.stage(options, "bench")
 
 
-@command(RUN)
+@command()
 def sweep(
     options: Running,
     *,
-    to: Annotated[
-        str, flag("The last stage of each cell; bench for latencies.", word="STAGE", offers=completion.words(*STAGES))
-    ] = "evaluate",
+    to: Annotated[str, flag("The last stage of each cell; bench for latencies.", word="STAGE")] = "evaluate",
     output: Annotated[
         Path | None, flag("For table and figure; sweep-NAME by default.", "-o", "--output", word="DIR")
     ] = None,
@@ -92,11 +86,11 @@ def sweep(
     cli.sweep.sweep(options, to, output, csv)
 
 
-@command(RUN)
+@command()
 def reproduce(
     options: Common,
     *,
-    names: Annotated[list[str] | None, argument("NAME", "Experiments; all by default.", completion.experiments)] = None,
+    names: Annotated[list[str] | None, argument("NAME", "Experiments; all by default.")] = None,
     listed: Annotated[bool, flag("Print the experiments, and run nothing.", "--list")] = False,
     numerical: Annotated[bool, flag("The rows of numerical predictors only.", "--numerical")] = False,
     force: Annotated[bool, flag("Measure again what the store has.", "--force")] = False,
@@ -108,7 +102,7 @@ def reproduce(
     cli.reproduce.reproduce(options, names, listed, numerical, force, output)
 
 
-@command(RUN, help=declared_stage("identify").help)
+@command(help=declared_stage("identify").help)
 def identify(
     options: Recorded,
     *,
@@ -119,7 +113,7 @@ def identify(
     cli.identify.identify(options, output)
 
 
-@command(RUN)
+@command()
 def tune(
     options: Planned,
     *,
@@ -132,22 +126,20 @@ def tune(
     cli.tune.tune(options, free or [], output)
 
 
-@command(RUN, help=declared_stage("report").help)
+@command(help=declared_stage("report").help)
 def report(
     options: Work,
     *,
     output: Annotated[Path | None, flag("The HTML file, or the folder of the figures.", "-o", "--output")] = None,
     figures: Annotated[
         str | None,
-        flag(
-            "Figures and tables for a paper instead of the page.", word="|".join(MEDIA), offers=completion.words(*MEDIA)
-        ),
+        flag("Figures and tables for a paper instead of the page.", word="|".join(MEDIA)),
     ] = None,
 ) -> None:
     cli.execute.report(options, output, figures)
 
 
-@command(RUN)
+@command()
 def rig(
     options: Rigged,
     *,
@@ -158,7 +150,7 @@ def rig(
     cli.rig.rig(options, log, figure)
 
 
-@command(LOOK)
+@command()
 def status(
     options: Planned, *, check: Annotated[bool, flag("Read every file; exit 3 unless all is fresh.", "--check")] = False
 ) -> None:
@@ -166,27 +158,25 @@ def status(
     cli.inspect.status(options, check)
 
 
-@command(LOOK)
-def why(
-    options: Planned, *, stage: Annotated[str, argument(None, "A stage, or a network.", completion.stages)]
-) -> None:
+@command()
+def why(options: Planned, *, stage: Annotated[str, argument(None, "A stage, or a network.")]) -> None:
     """The reason that a stage would run again: what changed, before -> after."""
     cli.inspect.why(options, stage)
 
 
-@command(LOOK)
+@command()
 def show(
     options: Common,
     *,
     reference: Annotated[
-        str | None, argument("STAGE/KEY", "A key, a stage or a network; the latest by default.", completion.artifacts)
+        str | None, argument("STAGE/KEY", "A key, a stage or a network; the latest by default.")
     ] = None,
 ) -> None:
     """The content of a result: question, files, answer."""
     cli.inspect.show(options, reference)
 
 
-@command(LOOK)
+@command()
 def ls(
     options: Common,
     *,
@@ -198,45 +188,43 @@ def ls(
     cli.inspect.ls(options, shown or [])
 
 
-@command(LOOK)
+@command()
 def diff(
     options: Common,
     *,
-    a: Annotated[str, argument("A", "A result, as for show.", completion.artifacts)],
-    b: Annotated[str, argument("B", "Another.", completion.artifacts)],
+    a: Annotated[str, argument("A", "A result, as for show.")],
+    b: Annotated[str, argument("B", "Another.")],
 ) -> None:
     """The differences of two results: in their questions, and in their answers."""
     cli.inspect.diff(options, a, b)
 
 
-@app.command("help", cls=Command, rich_help_panel=LOOK)
+@app.command("help")
 def help_(
     context: typer.Context,
     words: Annotated[list[str] | None, argument("[COMMAND]...", "As `run` or `plants check`.")] = None,
 ) -> None:
-    """The help of a command, with its flags; all commands without a name."""
+    """Help of a command, or of all."""
     root = context.find_root()
     root.command.main([*(words or []), "--help"], prog_name=root.info_name, standalone_mode=False)
 
 
-plants = typer.Typer(cls=Group)
-app.add_typer(plants, name="plants", rich_help_panel=LOOK)
+PLANTS = "The plants that are built in or installed; `npred plants check` asks what is wrong with one."
+plants = typer.Typer()
+app.add_typer(plants, name="plants", help=PLANTS, short_help=PLANTS)
 
 
 @plants.callback(invoke_without_command=True)
 @with_flags
 def _plants(options: Common) -> None:
-    """The plants that are built in or installed; `npred plants check` asks what is wrong with one."""
     cli.inspect.plants(options)
 
 
-@command(LOOK, to=plants, waits="checking the plant: its formulas, its equilibrium, the loops of its law")
+@command(to=plants, waits="checking the plant: its formulas, its equilibrium, the loops of its law")
 def check(
     options: Common,
     *,
-    plant: Annotated[
-        str, argument("PLANT", "A name, a file as my_plant.py:Tank, or a pipeline as tank.toml.", completion.plants)
-    ],
+    plant: Annotated[str, argument("PLANT", "A name, a file as my_plant.py:Tank, or a pipeline as tank.toml.")],
     delay: Annotated[
         float | None, flag("The largest delay to predict over, in seconds; the pipeline's or the plant's, else 1.")
     ] = None,
@@ -253,7 +241,7 @@ def check(
     cli.inspect.check(options, plant, delay, nodes, kappa, figure, u0)
 
 
-@command(RUN)
+@command()
 def init(
     options: Common,
     *,
@@ -264,7 +252,6 @@ def init(
             "A plant to copy, by name or as my_plant.py:Tank; a tank with comments by default.",
             "--from",
             word="PLANT",
-            offers=completion.plants,
         ),
     ] = None,
 ) -> None:
@@ -272,7 +259,7 @@ def init(
     cli.scaffold.init(options, name, source)
 
 
-@command(LOOK, waits="reading what is to be exported, writing and testing it: some seconds, minutes for large networks")
+@command(waits="reading what is to be exported, writing and testing it: some seconds, minutes for large networks")
 def export(
     options: Exporting,
     *,
@@ -281,12 +268,9 @@ def export(
         argument(
             "|".join(FORMS),
             "A model as ONNX graph or C99 file, the whole controller as C99 or FMU; data as the others.",
-            completion.words(*FORMS),
         ),
     ],
-    key: Annotated[
-        str, argument("KEY", "PIPELINE:MODEL or MODEL; PIPELINE for data; a folder or key.", completion.artifacts)
-    ],
+    key: Annotated[str, argument("KEY", "PIPELINE:MODEL or MODEL; PIPELINE for data; a folder or key.")],
     output: Annotated[
         Path | None,
         flag(
@@ -301,7 +285,7 @@ def export(
     cli.export.export(options, form, key, output)
 
 
-@command(LOOK)
+@command()
 def import_(
     options: Common,
     *,
@@ -309,7 +293,7 @@ def import_(
     inputs: Annotated[Path, argument("INPUTS", "Rows of D_hat, inputs, states, node after node.")],
     outputs: Annotated[Path, argument("OUTPUTS", "Rows of P, one number per state, node after node.")],
     plant_name: Annotated[
-        str, flag("The plant whose samples they are: a name or my_plant.py:Tank.", "--plant", offers=completion.plants)
+        str, flag("The plant whose samples they are: a name or my_plant.py:Tank.", "--plant")
     ] = "activator_repressor",
     rollouts: Annotated[
         int | None, flag("How many rollouts, if the rows of one lie together: to hold out whole ones.", least=2)
@@ -320,19 +304,19 @@ def import_(
     cli.data_exchange.bring(options, form, inputs, outputs, plant_name, rollouts, output)
 
 
-@command(CARE)
+@command()
 def verify(options: Common) -> None:
     """Every file of every result against its digest; exit 4 where one differs."""
     cli.store_admin.verify(options)
 
 
-@command(CARE)
+@command()
 def gc(
     options: Common,
     *,
     pipelines: Annotated[
         list[Path] | None,
-        argument(None, "Pipelines whose results stay; all in pipeline/ by default.", completion.pipelines),
+        argument(None, "Pipelines whose results stay; all in pipeline/ by default."),
     ] = None,
     set: Annotated[
         list[str] | None,
@@ -340,21 +324,18 @@ def gc(
             "What a sweep was run with: its results stay as well.",
             "--set",
             word="KEY=VALUES",
-            offers=completion.settings,
         ),
     ] = None,
     older: Annotated[float, flag("Only what is older than so many days.", word="DAYS", least=0)] = 0.0,
     keep: Annotated[str | None, flag("The oldest only, until the store has this size: 500M, 2G.", word="SIZE")] = None,
     yes: Annotated[bool, flag("Delete what the plan names.", "--yes")] = False,
-    device: Annotated[
-        str, flag("auto, cpu, cuda or cuda:N, as in the runs to keep.", offers=completion.devices)
-    ] = "auto",
+    device: Annotated[str, flag("auto, cpu, cuda or cuda:N, as in the runs to keep.")] = "auto",
 ) -> None:
     """Delete what no pipeline needs: the plan first, deleted with --yes."""
     cli.gc.gc(options, pipelines or [], set or [], older, keep, device, yes)
 
 
-@command(CARE)
+@command()
 def export_artifact(
     options: Common,
     *,
@@ -365,7 +346,7 @@ def export_artifact(
     cli.store_admin.export_artifact(options, reference, output)
 
 
-@command(CARE)
+@command()
 def import_artifact(
     options: Common, *, path: Annotated[Path, argument("FILE.tar", "What export-artifact wrote.")]
 ) -> None:
@@ -373,7 +354,7 @@ def import_artifact(
     cli.store_admin.import_artifact(options, path)
 
 
-@command(CARE, waits="importing the packages and reading the store: some seconds")
+@command(waits="importing the packages and reading the store: some seconds")
 def doctor(options: Common) -> None:
     """Versions, devices, threads and the store."""
     cli.store_admin.doctor(options)

@@ -11,8 +11,6 @@ import typer
 from typer.models import ArgumentInfo, OptionInfo
 
 from npred import defaults
-from npred.cli import completion
-from npred.cli.completion import Complete
 from npred.errors import ConfigError
 from npred.terminal.console import Console, columns
 
@@ -23,19 +21,18 @@ if TYPE_CHECKING:  # pydantic and filelock come with these, which `npred --help`
 
 
 def flag(
-    help: str, *names: str, word: str | None = None, offers: Complete | None = None, least: float | None = None,
-    variable: str | None = None,
-) -> OptionInfo:  # fmt: skip
-    """A flag for typer. `word` stands for its value in the help; the shell completes what `offers` returns.
+    help: str, *names: str, word: str | None = None, least: float | None = None, variable: str | None = None
+) -> OptionInfo:
+    """A flag for typer. `word` stands for its value in the help.
 
     Its number is at least `least`; an environment `variable` replaces its default.
     """
-    return typer.Option(*names, help=help, metavar=word, autocompletion=offers, min=least, envvar=variable)
+    return typer.Option(*names, help=help, metavar=word, min=least, envvar=variable)
 
 
-def argument(word: str | None, help: str, offers: Complete | None = None, default: bool | str = True) -> ArgumentInfo:
+def argument(word: str | None, help: str, default: bool | str = True) -> ArgumentInfo:
     """An argument for typer, as `flag`; `default` says in words what a command takes without it."""
-    return typer.Argument(metavar=word, help=help, autocompletion=offers, show_default=default)
+    return typer.Argument(metavar=word, help=help, show_default=default)
 
 
 @dataclass(frozen=True)
@@ -72,12 +69,9 @@ FALLBACKS = f"{defaults.PIPELINE_VARIABLE}, {defaults.PIPELINE}, or the only TOM
 PIPELINE = argument(
     "PIPELINE",
     "A pipeline file, or the name of one that is part of npred, as smoke.",
-    completion.pipelines,
     default=FALLBACKS,
 )
-OVERRIDES = flag(
-    "Override a key, as in train.fno.epochs=5; repeatable.", "--set", word="KEY=VALUE", offers=completion.settings
-)
+OVERRIDES = flag("Override a key, as in train.fno.epochs=5; repeatable.", "--set", word="KEY=VALUE")
 
 
 @dataclass(frozen=True)
@@ -86,7 +80,7 @@ class Planned(Common):
 
     pipeline_name: Annotated[str | None, PIPELINE] = None
     set: Annotated[list[str] | None, OVERRIDES] = None
-    device: Annotated[str, flag("auto, cpu, cuda or cuda:N.", offers=completion.devices)] = "auto"
+    device: Annotated[str, flag("auto, cpu, cuda or cuda:N.")] = "auto"
     jobs: Annotated[int | None, flag("Processes and threads; all cores by default.", least=1)] = None
 
     @cached_property
@@ -140,7 +134,6 @@ class Timed(Work):
         argument(
             "PIPELINE",
             "A pipeline file or name; with --no-networks a plant too, by name or as my_plant.py:Tank.",
-            completion.pipelines,
             default=FALLBACKS,
         ),
     ] = None
@@ -209,7 +202,7 @@ class Rigged(Planned):
     stops: Annotated[float, flag("Times per minute that the network stands still for 200 ms.")] = 0.0
     seed: Annotated[int, flag("Seed of network and sensor noise.", least=0)] = 0
     watchdog: Annotated[str, WATCHDOG] = ""
-    model: Annotated[str | None, flag("A trained network that predicts, as deeponet.", offers=completion.models)] = None
+    model: Annotated[str | None, flag("A trained network that predicts, as deeponet.")] = None
 
 
 def writable(path: Path) -> Path:

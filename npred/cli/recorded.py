@@ -6,7 +6,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from npred.cli import completion
 from npred.cli.options import Work, argument, flag
 from npred.errors import ConfigError
 
@@ -21,9 +20,7 @@ class Recorded(Work):
     pipeline_name: Annotated[
         str | None, argument("LOG", "A recording, as log.csv; or a pipeline that names one.", default=False)
     ] = None
-    plant: Annotated[
-        str | None, flag("The plant: a name, or my_plant.py:Tank.", word="PLANT", offers=completion.plants)
-    ] = None
+    plant: Annotated[str | None, flag("The plant: a name, or my_plant.py:Tank.", word="PLANT")] = None
     time: Annotated[str | None, flag("The column of the times.", word="COLUMN")] = None
     time_unit: Annotated[str | None, flag("Unit of the time column.", word="s|ms|us|ns|min|h")] = None
     input: Annotated[

@@ -45,7 +45,7 @@ def rig(options: Rigged, output: Path | None, figure: Path | None) -> None:
         raise ConfigError(f"rig: expected a plant with one delay and in seconds, got {plant.name}; take another")
     controller = _controller(options, plant, channel)
     _check(options.config.evaluate, controller)
-    with interruption.orderly("interrupted; the log has all up to then"):
+    with interruption.graceful("interrupted; the log has all up to then"):
         late = run(options, plant, controller, channel, path)
     written = log.read(path)
     if written.why != log.OVER:
@@ -78,7 +78,7 @@ def run(options: Rigged, plant: Plant, controller: Controller, channel: Channel,
     try:
         for (target, values), (_, theirs) in zip(work, pipes, strict=True):
             side = context.Process(target=target, args=(*values, theirs))
-            with executors.deaf():
+            with executors.signals_blocked():
                 side.start()
             sides.append(side)
             theirs.close()  # else this process would keep open what a side closes by its end

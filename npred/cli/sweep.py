@@ -12,8 +12,8 @@ from npred.errors import ConfigError, NpredError, room_on_disk, unlisted
 from npred.parallel import devices, executors
 from npred.pipeline import STAGES, CellRun, Outcome, Planner, Runner, nodes, remember
 from npred.pipeline.cells import Cell, cells
+from npred.progress import counted
 from npred.terminal.console import columns
-from npred.terminal.waiting import counted
 
 PRECISION = 4  # digits of the table that people read
 Done = list[tuple[Cell, CellRun]]

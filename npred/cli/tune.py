@@ -35,7 +35,7 @@ def tune(options: Planned, free: list[str], output: Path | None) -> None:
     if output and writable(output).exists() and not output.read_text("utf-8", "replace").startswith(MADE):
         raise ConfigError(f"{output}: expected no such file, or one that npred tune made; name another by -o")
     planner = options.planner()
-    with interruption.orderly("interrupted; the numbers are the best up to then"):
+    with interruption.graceful("interrupted; the numbers are the best up to then"):
         result = search(pipeline, planner.plant, options.jobs or devices.cores(), options.console)
         text = _table(result, options.console.width)
         if output and result.gained:

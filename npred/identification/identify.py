@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from npred import randomness
+from npred import progress, randomness
 from npred.errors import ConfigError
 from npred.identification import alternatives, estimate, parameters, recorded
 from npred.identification.estimate import Delays
@@ -16,7 +16,6 @@ from npred.identification.log import Log
 from npred.identification.preparation import MODEL_ERROR, Settings, arrays, prepared
 from npred.plants import Plant
 from npred.plants.base import require
-from npred.terminal import waiting
 
 FAR = 3.0  # widths of the box beyond it
 WINDOW = 8, 20  # segments of a window, and windows, at most
@@ -49,7 +48,7 @@ def identify(
         log = recorded.read(plant, Path(t), columns, scale, shift, time, time_unit)
     else:
         log = Log.of(*arrays(plant, t, U, X))
-    with waiting.said("identifying: fits of many delays", 3e-5 * len(log.t) + 1.0):
+    with progress.announce("identifying: fits of many delays", 3e-5 * len(log.t) + 1.0):
         return of_log(plant, log, settings)
 
 

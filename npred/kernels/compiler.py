@@ -17,9 +17,9 @@ from functools import cache, partial
 from importlib.util import find_spec
 from pathlib import Path
 
+from npred import progress
 from npred.errors import MissingError, NpredError, disk_is_full, first_line
 from npred.kernels import cache as disk
-from npred.terminal import waiting
 
 COMPILERS = ("cc", "gcc", "clang")
 # Contraction, the sign of zero and reciprocals may change the last digit; NaN and infinities stay what they are, since
@@ -73,12 +73,13 @@ def prepare(texts: Iterable[str], exact: bool = False) -> None:
     """Compile what is not there yet of these texts, side by side: a first loop needs five. Raises as `library` does."""
     flags = (*FLAGS, *EXACT) if exact else FLAGS
     missing = {name: text for text in texts if not _is_there(name := _named(text, flags))}
-    with waiting.said(_doing(len(missing)), _seconds(missing.values()), ONCE), ThreadPoolExecutor(SIDE_BY_SIDE) as pool:
+    work = progress.announce(_doing(len(missing)), _seconds(missing.values()), ONCE)
+    with work, ThreadPoolExecutor(SIDE_BY_SIDE) as pool:
         list(pool.map(partial(_silently, exact=exact), sorted(missing.values(), key=len, reverse=True)))
 
 
 def _silently(text: str, exact: bool) -> None:
-    with waiting.quiet():
+    with progress.quiet():
         library(text, exact)
 
 
@@ -104,7 +105,7 @@ def _kept(name: str, text: str, flags: tuple[str, ...]) -> Path:
     aside = disk.aside()
     try:
         (aside / TEXT).write_text(text, encoding="utf-8")
-        with waiting.said(_doing(1), _seconds([text]), ONCE):
+        with progress.announce(_doing(1), _seconds([text]), ONCE):
             _compile(aside, flags)
         disk.install(aside, target)
     except OSError as error:

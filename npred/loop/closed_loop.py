@@ -29,9 +29,8 @@ from npred.parallel import devices
 from npred.plants import inputs
 from npred.plants.base import Plant
 from npred.predictors import RK4, OneStep, Predictor
+from npred.progress import announce, counted, quiet
 from npred.safety import SafetyFilter
-from npred.terminal import waiting
-from npred.terminal.waiting import counted
 
 __all__ = ["Samples", "Trajectories", "simulate"]
 
@@ -126,7 +125,7 @@ def simulate(
     width = LANES if loop.compiled else NEURAL_LANES
     chunks = [slice(i, i + width) for i in range(0, len(D), width)]
     ends, clock = adaptation.ends(dt) if adaptation and predictor else None, None
-    with waiting.quiet() if progress is False else nullcontext():
+    with quiet() if progress is False else nullcontext():
         engine.prepare(loop.parts)
     with _counted(progress, len(D), round(t_end / dt) + 1) as count:
         if on_a_clock:
@@ -166,7 +165,7 @@ def _counted(
 ) -> Iterator[Callable[[int], Any] | None]:  # fmt: skip
     """A function of the number of loop steps done: a bar where `progress` is True, a line where it is not said."""
     if progress is None:
-        with waiting.said(f"simulating {counted(loops, 'loops')}", total=loops * steps) as work:
+        with announce(f"simulating {counted(loops, 'loops')}", total=loops * steps) as work:
             yield work.advance
     elif progress is True:
         from tqdm.auto import tqdm

@@ -134,7 +134,7 @@ class Processes(Workers):
     def __init__(self, count: int) -> None:
         self.count = count
         self._changing, self._closed = threading.Lock(), False
-        self._pool, self._leash = self._fresh()
+        self._pool, self._parent_pipe = self._fresh()
 
     def submit(self, fn: Callable[..., Result], /, *args: Any, **kwargs: Any) -> Future[Result]:
         """The future of a call in one of the processes."""
@@ -146,11 +146,11 @@ class Processes(Workers):
         """End the processes: after their work, or, without `wait`, now."""
         self._closed = True
         self._pool.shutdown(wait=wait, cancel_futures=cancel_futures)
-        self._leash.close()
+        self._parent_pipe.close()
 
     def _start(self, call: Callable[[], Result], outcome: Future[Result], retries: int) -> None:
         pool = self._pool
-        with deaf():
+        with signals_blocked():
             try:
                 inner = pool.submit(call)
             except BrokenExecutor:
@@ -177,22 +177,22 @@ class Processes(Workers):
         """A fresh pool for a broken one: once, however many of its tasks ask."""
         with self._changing:  # no lock of a pool is taken in here: its thread may hold that one and wait for this
             if self._pool is broken:
-                self._leash.close()
-                self._pool, self._leash = self._fresh()
+                self._parent_pipe.close()
+                self._pool, self._parent_pipe = self._fresh()
             return self._pool
 
     def _fresh(self) -> tuple[ProcessPoolExecutor, Connection]:
         """Processes start afresh: a fork would copy the threads' locks of whatever the caller has loaded."""
         context = get_context("spawn")
-        end, leash = context.Pipe(duplex=False)
-        with deaf():  # multiprocessing starts a process that watches its semaphores
-            return ProcessPoolExecutor(self.count, context, _end_with_leash, (end,)), leash
+        end, parent_pipe = context.Pipe(duplex=False)
+        with signals_blocked():  # multiprocessing starts a process that watches its semaphores
+            return ProcessPoolExecutor(self.count, context, _end_with_parent, (end,)), parent_pipe
 
 
 @contextmanager
-def deaf() -> Iterator[None]:
-    """Processes that start in the block do not hear what a terminal sends to all: they end with this one, silently."""
-    if not hasattr(signal, "pthread_sigmask"):  # Windows, where the processes themselves turn a deaf ear
+def signals_blocked() -> Iterator[None]:
+    """Processes that start in the block do not get what a terminal sends to all: they end with this one, silently."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows, where the processes themselves ignore signals
         yield
         return
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
@@ -211,7 +211,7 @@ def _settle(outcome: Future[Result], error: BaseException | None, done: Future[R
             outcome.set_result(done.result())
 
 
-def _end_with_leash(end: Connection) -> None:
+def _end_with_parent(end: Connection) -> None:
     """End a worker whose parent was killed or ends early, which closes the pipe: it would wait for tasks for ever."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 

@@ -18,8 +18,7 @@ from npred.pipeline.task import Outcome, Task, elsewhere, packages
 from npred.store import Artifact, Question, claims
 from npred.store.claims import Claim
 from npred.terminal import interruption
-from npred.terminal.console import Console
-from npred.terminal.waiting import Bar
+from npred.terminal.console import Bar, Console
 
 WHOLE = {"generate": 0, "bench": 2}  # they use the whole machine: before all else, and after it
 REASON = "of a sweep"
@@ -101,14 +100,14 @@ class Runner:
     def _bring(
         self, runs: list[CellRun], workers: Workers, submit: Callable[[Task], Future[Outcome]], bar: Bar | None = None
     ) -> None:
-        with interruption.orderly(), claims.claimed(runs[0].planner.store.root) as claim:
+        with interruption.graceful(), claims.claimed(runs[0].planner.store.root) as claim:
             graph = _Graph(self, workers, submit, claim, bar)
             try:
                 graph.run(runs)
             except BaseException:
                 self.console.stop()
                 here = graph.in_groups if bar else graph.under_way
-                if interruption.heard() and here:  # the other networks end at their next report, and remove drafts
+                if interruption.interrupted() and here:  # the others end at their next report, and remove drafts
                     wait(here, interruption.GRACE)
                 raise
 

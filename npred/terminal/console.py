@@ -1,33 +1,34 @@
 """The console: data on stdout, messages on stderr, no bars where stderr is no terminal."""
 
 import json
+import shutil
 import sys
-import textwrap
+import threading
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from functools import partial
-from itertools import zip_longest
+from io import StringIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from npred.json_files import escaped
+from npred.progress import counted
 from npred.terminal import interruption, streams
 from npred.terminal.run_log import Events, RunLog
-from npred.terminal.waiting import Bar
 
 if TYPE_CHECKING:
-    from npred.terminal.live_view import LiveView, Shown
+    from rich.console import RenderableType
 
-GAP = 2  # columns between two of a table
-NARROW = 12  # a column is not folded to less …
-WORD = 40  # … and words of up to so many columns are broken last
+    from npred.terminal.live_view import LiveView
+
+EVERY = 10.0  # seconds between two lines of a bar
+UNFOLDED = 10**6  # columns of a table for a file or a pipe
 
 
 @dataclass
 class Console:
-    """quiet: warnings and errors only. verbose: more notes, tracebacks. rich is imported on terminals only."""
+    """quiet: warnings and errors only. verbose: more notes, tracebacks."""
 
     quiet: bool = False
     verbose: bool = False
@@ -44,11 +45,12 @@ class Console:
     @property
     def width(self) -> int | None:
         """The columns of the screen that stdout is; None for a file or a pipe, where nothing is folded."""
-        return streams.width(sys.stdout)
+        return shutil.get_terminal_size().columns if streams.is_terminal(sys.stdout) else None
 
     def out(self, text: str) -> None:
         """Data for stdout, its lines folded to the screen. Raises NpredError where stdout is closed or full."""
-        streams.answer(streams.wrapped(streams.printable(text), self.width))
+        text = streams.printable(text)
+        streams.answer(_folded(text, self.width) if self.width else text)
 
     def json(self, document: object) -> None:
         """One JSON document on stdout, with escapes for what a terminal obeys. Raises NpredError as `out` does."""
@@ -60,7 +62,7 @@ class Console:
         self._line(text, shown=not self.quiet)
 
     def wait(self, text: str) -> None:
-        """What keeps the user waiting: a message, unless the live view is there, which shows that work goes on."""
+        """A message that work takes long, unless the live view is there, which shows that work goes on."""
         self._line(text, shown=not self.quiet and not self.view)
 
     def detail(self, text: str) -> None:
@@ -117,37 +119,27 @@ class Console:
     def finish(self, title: str, action: str, seconds: float) -> None:
         """A stage has its result, `hit` or `run`, or none: `stopped`."""
         if self.view:
-            self.view.finish(title, action, seconds)
+            self.view.finish(title, action)
         outcome = {"hit": "from the store", "run": "done"}.get(action, action)
         self._line(f"{title}: {outcome} after {seconds:.1f} s", shown=self.verbose and not self.view)
 
     def measured(self, title: str, values: Mapping[str, float]) -> None:
-        """Take the metrics of an epoch of a training: for the live view, for TensorBoard and for the log."""
-        if self.view:
-            self.view.measured(title, values)
+        """Take the metrics of an epoch of a training: for TensorBoard and for the log."""
         if self.events:
             self.events.write(title, values)
         self._logged(f"{title}: " + ", ".join(f"{name} {value:.4g}" for name, value in values.items()))
 
     @contextmanager
-    def bar(self, title: str, total: int | Mapping[Any, int], unit: str, done: int = 0) -> Iterator[Bar]:
-        """The progress of `total` units, named in the plural, or of such by kind: a bar with the time left on a
-        terminal, else a line now and then. `done` of them were there before.
+    def bar(self, title: str, total: int, unit: str, done: int = 0) -> Iterator["Bar"]:
+        """The progress of `total` units, named in the plural: a bar with the time left on a terminal, else a line now
+        and then. `done` of them were there before.
         """
         with ExitStack() as stack:
             if not self.view:
                 stack.enter_context(self.watch("", []))
-            count = total if isinstance(total, int) else sum(total.values())
-            shown = stack.enter_context(self.view.bar(title, count, unit, done)) if self.view else None
+            shown = stack.enter_context(self.view.bar(title, total, done)) if self.view else None
             line = self._logged if self.view or self.quiet else self._line
-            yield Bar(title, total, unit, done, self.clock, partial(self._moved, shown), line)
-
-    def _moved(self, shown: "Shown | None", n: int, left: float | None) -> None:
-        interruption.check()
-        if self.stopped:
-            raise KeyboardInterrupt
-        if shown:
-            shown(n, left)
+            yield Bar(self, title, total, unit, done, line, shown)
 
     def _logged(self, text: str) -> None:
         if self.log:
@@ -157,15 +149,47 @@ class Console:
         self._logged(text)
         if not shown:
             return
-        text = streams.wrapped(streams.printable(text), streams.width(streams.MESSAGES))
-        if not self.view and not (style and streams.MESSAGES.isatty()):
+        text = streams.printable(text)
+        if self.view or streams.MESSAGES.isatty():
+            from rich.console import Console as Rich
+
+            screen = self.view.console if self.view else Rich(file=streams.MESSAGES)
+            screen.print(text, style=style, markup=False, emoji=False, highlight=False)
+        else:
             streams.MESSAGES.write(text + "\n")  # in one piece: networks that train side by side speak side by side
             streams.MESSAGES.flush()
-            return
-        from rich.console import Console as Rich
 
-        screen = self.view.console if self.view else Rich(file=streams.MESSAGES)
-        screen.print(text, style=style, markup=False, emoji=False, highlight=False, soft_wrap=True)
+
+class Bar:
+    """`total` units of work; `done` of them were there before, and took no time of this run.
+
+    `line` gets a text every EVERY seconds and one at the end; `shown` the units of each advance, and words for them.
+    """
+
+    def __init__(
+        self, console: Console, title: str, total: int, unit: str, done: int, line: Callable[[str], None],
+        shown: Callable[[int, str], None] | None,
+    ) -> None:  # fmt: skip
+        self.console, self.title, self.total, self.unit = console, title, total, unit
+        self.line, self.shown, self.lock = line, shown, threading.Lock()
+        self.before, self.done, self.note = done, done, ""
+        self.start = self.last = console.clock()
+
+    def advance(self, n: int = 1, note: str = "") -> None:
+        """n units more are done; the note (a loss, say) replaces the last one. Raises KeyboardInterrupt to end it."""
+        interruption.check()
+        if self.console.stopped:
+            raise KeyboardInterrupt
+        with self.lock:
+            self.done, self.note, now = self.done + n, note or self.note, self.console.clock()
+            count, noted = f"{self.done}/{counted(self.total, self.unit)}", self.note and f", {self.note}"
+            if n and self.shown:
+                self.shown(n, count + noted)
+            here, finished = self.done - self.before, self.done >= self.total
+            if (n > 0 and finished) or (here > 0 and now - self.last >= EVERY):
+                self.last, elapsed = now, now - self.start
+                left = "" if finished else f", {elapsed / here * (self.total - self.done):.0f} s left"
+                self.line(f"{self.title}: {count} in {elapsed:.1f} s{left}{noted}")
 
 
 def columns(
@@ -175,40 +199,21 @@ def columns(
 
     One row per line, so that grep and awk can read it, or, with a `width`, the widest columns folded until it fits.
     """
-    table = [[escaped(cell) for cell in row] for row in (header, *rows)]
-    widths = [max(map(streams.columns_of, cells)) for cells in zip(*table, strict=True)]
-    if width is not None:
-        words = [min(WORD, max(map(_longest, cells))) for cells in zip(*table, strict=True)]
-        widths = _fitted(_fitted(widths, width, words), width, [NARROW] * len(widths))
-    right = [name in numbers for name in header]
-    lines: list[str] = []
-    for row in table:
-        folded = [_folded(cell, room) for cell, room in zip(row, widths, strict=True)]
-        for line in zip_longest(*folded, fillvalue=""):
-            padded = [_padded(*cell) for cell in zip(line, widths, right, strict=True)]
-            lines.append((" " * GAP).join(padded).rstrip())
-    return "\n".join(lines)
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="")
+    for name in header:
+        table.add_column(Text(escaped(name)), justify="right" if name in numbers else "left", overflow="fold")
+    for row in rows:
+        table.add_row(*(Text(escaped(cell)) for cell in row))
+    return _folded(table, width or UNFOLDED)
 
 
-def _fitted(widths: list[int], width: int, least: list[int]) -> list[int]:
-    """The widths, the largest made smaller until they fit, but none less than its least."""
-    fitted = list(widths)
-    while sum(fitted) + GAP * (len(fitted) - 1) > width:
-        foldable = [i for i in range(len(fitted)) if fitted[i] > least[i]]
-        if not foldable:
-            break
-        fitted[max(foldable, key=fitted.__getitem__)] -= 1
-    return fitted
+def _folded(what: "RenderableType", width: int) -> str:
+    from rich.console import Console as Rich
 
-
-def _longest(cell: str) -> int:
-    return max(map(streams.columns_of, cell.split()), default=0)
-
-
-def _folded(cell: str, room: int) -> list[str]:
-    return [cell] if streams.columns_of(cell) <= room else textwrap.wrap(cell, room, break_on_hyphens=False)
-
-
-def _padded(cell: str, room: int, right: bool) -> str:
-    blanks = " " * (room - streams.columns_of(cell))
-    return blanks + cell if right else cell + blanks
+    page = StringIO()
+    screen = Rich(file=page, width=width, color_system=None, force_terminal=False, force_jupyter=False)
+    screen.print(what, markup=False, emoji=False, highlight=False)
+    return "\n".join(line.rstrip() for line in page.getvalue().splitlines())

@@ -2,7 +2,7 @@
 
 No exception is raised where the signal finds the program: it could leave a library's lock taken for ever, or an import
 half done. A thread hears of the signal and ends the process at once, which the store bears as it bears kill -9. Where
-there is something to put away, in `orderly`, the work is asked to end first, and raises KeyboardInterrupt at its next
+there is something to put away, in `graceful`, the work is asked to end first, and raises KeyboardInterrupt at its next
 report of progress.
 """
 
@@ -21,11 +21,11 @@ SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SI
 LINE = "interrupted; finished stages and checkpoints are kept: the same command goes on from there"
 SHOW_CURSOR = b"\x1b[?25h"  # the live view hides it
 GRACE = 3.0  # s that work which is asked to end may take, and that of multiprocessing at the very end
-_bells: list[socket.socket] = []  # what the interpreter writes the number of each signal to, at once, and its end
-_heard: list[int] = []
+_wakeup: list[socket.socket] = []  # what the interpreter writes the number of each signal to, at once, and its end
+_received: list[int] = []
 _said: list[str] = []
 _saying = _thread.allocate_lock()
-_orderly: list[str] = []  # what is said of the work that is asked to end
+_graceful: list[str] = []  # what is said of the work that is asked to end
 
 
 def listen() -> None:
@@ -33,18 +33,18 @@ def listen() -> None:
 
     A signal that is ignored, as nohup and a shell's background have it, stays so.
     """
-    if _bells:
+    if _wakeup:
         return
     _open_streams()
-    _bells.extend(socket.socketpair())
-    _bells[1].setblocking(False)
-    signal.set_wakeup_fd(_bells[1].fileno(), warn_on_full_buffer=False)
+    _wakeup.extend(socket.socketpair())
+    _wakeup[1].setblocking(False)
+    signal.set_wakeup_fd(_wakeup[1].fileno(), warn_on_full_buffer=False)
     _thread.start_new_thread(_watch, ())
-    heard = [number for number in SIGNALS if signal.getsignal(number) is not signal.SIG_IGN]
-    for number in heard:
+    handled = [number for number in SIGNALS if signal.getsignal(number) is not signal.SIG_IGN]
+    for number in handled:
         signal.signal(number, _note)
     sys.warnoptions.append("ignore:resource_tracker:UserWarning")  # read by the process that puts away what is left
-    atexit.register(_ignore, heard)  # the first to be registered is the last to be called
+    atexit.register(_ignore, handled)  # the first to be registered is the last to be called
 
 
 def _open_streams() -> None:
@@ -56,63 +56,63 @@ def _open_streams() -> None:
             os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free: this one
 
 
-def heard() -> bool:
+def interrupted() -> bool:
     """True if a signal has arrived: what failed since may have failed of it."""
-    return bool(_heard)
+    return bool(_received)
 
 
 def check() -> None:
     """Raise KeyboardInterrupt if a signal has arrived: for work that can end here."""
-    if _heard:
+    if _received:
         raise KeyboardInterrupt
 
 
 @contextmanager
-def orderly(line: str = LINE) -> Iterator[None]:
+def graceful(line: str = LINE) -> Iterator[None]:
     """A signal gives the work in the block GRACE seconds to end, at its next `check`; `line` is said of it then."""
-    _orderly.append(line)
+    _graceful.append(line)
     try:
         yield
     finally:
-        if not _heard:
-            _orderly.pop()
+        if not _received:
+            _graceful.pop()
 
 
 def code() -> int:
     """130 for Ctrl-C, 143 for SIGTERM, 129 for SIGHUP."""
-    return 128 + (_heard[0] if _heard else signal.SIGINT)
+    return 128 + (_received[0] if _received else signal.SIGINT)
 
 
 def say(error: Callable[[str], None]) -> None:
     """Say once, with this function, that the command was interrupted."""
     with _saying:  # _leave waits for it, or it would cut the line
-        if not (_heard and _said):
+        if not (_received and _said):
             error(_line())
             _said.append(_line())
 
 
 def _line() -> str:
-    return _orderly[-1] if _orderly else LINE
+    return _graceful[-1] if _graceful else LINE
 
 
 def _note(number: int, frame: FrameType | None) -> None:
     """In the main thread, so that an error which it meets later is known to come later."""
-    _heard.append(number)
+    _received.append(number)
 
 
 def _watch() -> None:
     """A thread, for the main one may be in compiled code for long, where Python calls no handler."""
-    while (number := _bells[0].recv(1)[0]) not in SIGNALS:
+    while (number := _wakeup[0].recv(1)[0]) not in SIGNALS:
         pass  # of others' handlers
-    _heard.append(number)
-    if _orderly:
-        select.select(_bells[:1], [], [], GRACE)  # or until a second one comes
+    _received.append(number)
+    if _graceful:
+        select.select(_wakeup[:1], [], [], GRACE)  # or until a second one comes
     _leave()
 
 
 def leave() -> None:
     """The end of a command that was interrupted: the interpreter is not taken down, for that waits for threads."""
-    if _heard:
+    if _received:
         with suppress(OSError, ValueError, AttributeError):  # closed
             sys.stdout.flush()
         _leave()

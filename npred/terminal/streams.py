@@ -5,10 +5,7 @@ cursor, turns the direction of writing or hides behind characters without a widt
 """
 
 import os
-import shutil
 import sys
-import textwrap
-import unicodedata
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from io import TextIOWrapper
@@ -34,30 +31,6 @@ def is_terminal(stream: TextIO | None) -> bool:
         return stream is not None and stream.isatty()
     except (OSError, ValueError):
         return False
-
-
-def width(stream: TextIO | None) -> int | None:
-    """The columns of the screen that a stream is, or None where it is none: nothing is folded for a file or a pipe."""
-    return shutil.get_terminal_size().columns if is_terminal(stream) else None
-
-
-def columns_of(text: str) -> int:
-    """The columns that a line takes: D̂ is one, though it is two characters."""
-    return len(text) if text.isascii() else sum(not unicodedata.combining(c) for c in text)
-
-
-def wrapped(text: str, limit: int | None) -> str:
-    """The text with lines of more than `limit` columns broken between words; a path stays whole, to be copied."""
-    return text if limit is None else "\n".join(_folded(line, limit) for line in text.split("\n"))
-
-
-def _folded(line: str, limit: int) -> str:
-    if columns_of(line) <= limit:
-        return line
-    indent = line[: len(line) - len(line.lstrip())]
-    return textwrap.fill(
-        line, limit, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False, replace_whitespace=False
-    )
 
 
 def answer(text: str) -> None:

@@ -31,9 +31,9 @@ import os, signal, time
 from npred.terminal import interruption
 interruption.GRACE = 60
 interruption.listen()
-with interruption.orderly():
+with interruption.graceful():
     os.kill(os.getpid(), {first})
-    while not interruption.heard():
+    while not interruption.interrupted():
         pass
     {said}
     os.kill(os.getpid(), {second})
@@ -56,7 +56,7 @@ def entered(self):
 _base._AcquireFutures.__enter__ = entered
 interruption.listen()
 def work():
-    with interruption.orderly(), executors.closed(executors.Threads(2)) as threads:
+    with interruption.graceful(), executors.closed(executors.Threads(2)) as threads:
         for _ in executors.completed(threads, gate.wait, [60] * 4):
             pass
 raise SystemExit(guarded(work, Console()))
@@ -127,7 +127,7 @@ def test_a_signal_while_futures_are_locked_ends_the_program(tmp_path: Path, numb
     assert (done.returncode, done.stderr) == (code, f"error: {interruption.LINE}\n")
 
 
-@pytest.mark.parametrize("where", ["nullcontext()", "interruption.orderly()"])
+@pytest.mark.parametrize("where", ["nullcontext()", "interruption.graceful()"])
 def test_work_that_does_not_look_for_a_signal_is_ended(tmp_path: Path, where: str):
     done = run(DEAF.format(where=where, number=int(signal.SIGHUP)), tmp_path)
     assert (done.returncode, done.stderr) == (129, f"error: {interruption.LINE}\n")

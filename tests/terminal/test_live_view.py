@@ -7,9 +7,9 @@ import threading
 import pytest
 from rich.console import Console as Rich
 
+from npred.progress import Bar
 from npred.terminal.console import Console
 from npred.terminal.live_view import LiveView
-from npred.terminal.waiting import Bar
 
 
 class Clock:

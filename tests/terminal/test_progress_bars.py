@@ -5,7 +5,7 @@ import threading
 
 import pytest
 
-from npred.terminal.waiting import EVERY, Bar, counted
+from npred.progress import EVERY, Bar, counted
 
 
 class Clock:

@@ -54,9 +54,7 @@ def _times(job: Job, config: Bench, entries: list[Candidate]) -> dict[str, np.nd
     calls = {e.label: candidates.call(job, e, config.calls) for e in sorted(entries, key=lambda entry: entry.group)}
     with np.errstate(all="ignore"):  # with few steps a method may diverge: its error says so
         counts = {label: timing.affordable(call, config.calls, config.seconds) for label, call in calls.items()}
-        with job.progress.bar("bench", counts, "calls") as bar:
-            for label, call in calls.items():
-                bar.expect(label, timing.quickest(call))
+        with job.progress.bar("bench", sum(counts.values()), "calls") as bar:
             for _, group in groupby(calls, key={entry.label: entry.group for entry in entries}.__getitem__):
                 times |= timing.sample({label: calls[label] for label in group}, counts, progress=bar.advance)
     with h5py.File(job.folder / "times.h5", "w") as file:

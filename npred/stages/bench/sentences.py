@@ -1,9 +1,9 @@
 """The break-even of a network in words."""
 
 from npred.figures.style import short
+from npred.progress import counted
 from npred.registry import METHODS, NETWORKS
 from npred.results.bench import Crossover
-from npred.terminal.waiting import counted
 
 
 def network_pays(crossover: Crossover, dx: float | None) -> str:

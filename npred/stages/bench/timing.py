@@ -22,7 +22,7 @@ def sample(
     """Nanoseconds of the calls of each contender: call(k) is the k-th call, of `count` or of as many as take `seconds`.
 
     Contenders take turns, on one core where that can be had, with the garbage collector off. `progress` takes a
-    number of calls and, as `kind`, whose they are.
+    number of calls.
     """
     counts = dict.fromkeys(calls, count) if isinstance(count, int) else count
     taken: dict[str, list[np.ndarray]] = {name: [] for name in calls}
@@ -37,7 +37,7 @@ def sample(
                 call(numbers.start)  # back into the caches
                 taken[name].append(_clock(call, numbers))
                 if progress:
-                    progress(len(numbers), kind=name)
+                    progress(len(numbers))
     return {name: np.concatenate(parts) for name, parts in taken.items()}
 
 

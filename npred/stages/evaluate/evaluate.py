@@ -1,7 +1,6 @@
 """The evaluate stage: errors on held-out rows of each kind, what closed loops make of them, the certificate of both."""
 
 from collections.abc import Callable, Mapping
-from functools import partial
 from itertools import chain, zip_longest
 from typing import Any
 
@@ -118,15 +117,14 @@ def _all_loops(
         predictor.lanes()  # compiled here, once, not by threads side by side
     adapting = [c for c in predictors if c.adapts]  # with D_hat = D adaptation makes no difference
     at_D = in_loop.condition(job.config, begin)
-    steps = {c: begin.of(c) * (round(config.case_t_end / config.dt) + 1) for c in predictors}
-    steps |= {c: steps[c] + at_D.steps for c in adapting}
+    starts = sum(begin.of(c) for c in predictors)
+    steps = starts * (round(config.case_t_end / config.dt) + 1) + at_D.steps * len(adapting)
     with job.progress.bar("evaluate", steps, "steps") as bar, job.threads() as pool:
-        moved = {c: partial(bar.advance, kind=c) for c in predictors}
-        checks = {c: pool.submit(in_loop.error, job.plant, predictors[c], at_D, moved[c]) for c in adapting}
+        checks = {c: pool.submit(in_loop.error, job.plant, predictors[c], at_D, bar.advance) for c in adapting}
         turns = zip_longest(*([(c, part) for part in _shares(p, begin.of(c))] for c, p in predictors.items()))
         tasks = {c: [] for c in predictors}
-        for c, part in filter(None, chain.from_iterable(turns)):  # in turns: the time left depends on each one's pace
-            tasks[c].append(pool.submit(_loops, job, config, c, predictors[c], begin, part, moved[c]))
+        for c, part in filter(None, chain.from_iterable(turns)):  # in turns: the time left is of a mean pace
+            tasks[c].append(pool.submit(_loops, job, config, c, predictors[c], begin, part, bar.advance))
         loops = {c: Trajectories.joined([done.result() for done in parts]) for c, parts in tasks.items()}
         errors = {c: done.result() for c, done in checks.items()}
         return loops, errors | {NO_ADAPTATION: errors[NUMERICAL]}

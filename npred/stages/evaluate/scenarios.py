@@ -1,7 +1,6 @@
 """The cases under other conditions: sensors, parameters, disturbances and delays that are not those of the model."""
 
 from collections.abc import Callable, Mapping
-from functools import partial
 
 from npred.conditions import EVERY, Condition, scenarios
 from npred.plants import Plant
@@ -20,13 +19,12 @@ def run(job: Job, predictors: Mapping[Contender, Predictor]) -> list[Conditions]
     config = job.config.evaluate
     compared = {c: predictor for c, predictor in predictors.items() if c.adapts and c.epoch is None}
     conditions = [scenarios.condition(job.plant, job.config, scenario) for scenario in config.scenarios]
-    steps = dict.fromkeys(compared, sum(condition.steps for condition in conditions))
+    steps = len(compared) * sum(condition.steps for condition in conditions)
     with job.progress.bar("scenarios", steps, "steps") as bar, job.threads() as pool:
         tasks = [
-            {c: pool.submit(_loops, job.plant, condition, p, partial(bar.advance, kind=c))
-             for c, p in compared.items()}
+            {c: pool.submit(_loops, job.plant, condition, p, bar.advance) for c, p in compared.items()}
             for condition in conditions
-        ]  # fmt: skip
+        ]
         results = [{c: task.result() for c, task in by_name.items()} for by_name in tasks]
     for scenario, by_name in zip(config.scenarios, results, strict=True):
         warn_of_overtaken(job.progress, {c: ended for c, (_, ended) in by_name.items()}, scenario.name)

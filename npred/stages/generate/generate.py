@@ -13,12 +13,12 @@ from npred.config import Generate, Pipeline
 from npred.data.dataset import Dataset, attributes
 from npred.loop.closed_loop import LANES
 from npred.parallel import executors
+from npred.progress import counted
 from npred.registry import short_name
 from npred.results import Generated
 from npred.stages.generate import rollouts, sampling, sharded
 from npred.stages.generate.rollouts import Columns
 from npred.stages.job import Job
-from npred.terminal.waiting import counted
 
 BATCH = 8 * LANES  # rollouts of a task at most: a cluster's scheduler has little to do with each
 

@@ -15,8 +15,7 @@ from npred.stages.bench import timing_tables
 from npred.stages.job import Job
 from npred.stages.report import html_page, toml_text
 from npred.stages.report.report_data import CHAPTERS, Story, sentences
-from npred.terminal.console import Console
-from npred.terminal.waiting import Bar
+from npred.terminal.console import Bar, Console
 
 NAME = "report.html"
 FOLDED = "speed"  # a table that is long

@@ -1,7 +1,7 @@
 """What the train stage says of its result."""
 
+from npred.progress import counted
 from npred.results import Trained
-from npred.terminal.waiting import counted
 
 
 def summary(result: Trained, width: int | None = None) -> str:

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from conftest import process_environment
 
-from npred.terminal import waiting
+from npred import progress
 
 LOOP = """
 import numpy as np
@@ -25,11 +25,11 @@ npred.simulate(plant, rk4, D=0.2, D_hat=0.3, X0=[1.0], t_end=1.0)
 @pytest.fixture
 def lines(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[str]]:
     """The lines that come of work that takes 0.05 s without a word; what takes less than 0.2 s is short."""
-    monkeypatch.delenv(waiting.VARIABLE, raising=False)
-    monkeypatch.setattr(waiting, "PATIENCE", 0.05)
-    monkeypatch.setattr(waiting, "SHORT", 0.2)
+    monkeypatch.delenv(progress.VARIABLE, raising=False)
+    monkeypatch.setattr(progress, "PATIENCE", 0.05)
+    monkeypatch.setattr(progress, "SHORT", 0.2)
     heard: list[str] = []
-    with waiting.heard(heard.append):
+    with progress.listener(heard.append):
         yield heard
 
 
@@ -42,19 +42,19 @@ def hold(lines: list[str], seconds: float = 10.0) -> None:
 
 
 def test_work_that_lasts_says_what_how_long_and_how_often(lines: list[str]):
-    with waiting.said("compiling 5 kernels", 3.2, "once per plant"):
+    with progress.announce("compiling 5 kernels", 3.2, "once per plant"):
         hold(lines)
     assert lines == ["compiling 5 kernels: about 3 s, once per plant"]
 
 
 def test_quick_work_says_nothing(lines: list[str]):
-    with waiting.said("compiling", 3.0):
+    with progress.announce("compiling", 3.0):
         pass
     assert lines == []
 
 
 def test_work_that_is_counted_to_end_soon_says_nothing_unless_it_lasts(lines: list[str]):
-    with waiting.said("simulating", total=100) as work:
+    with progress.announce("simulating", total=100) as work:
         work.advance(99)
         threading.Event().wait(0.1)
         assert lines == []
@@ -64,14 +64,14 @@ def test_work_that_is_counted_to_end_soon_says_nothing_unless_it_lasts(lines: li
 
 def test_a_guess_of_a_short_time_delays_no_line(lines: list[str], monkeypatch: pytest.MonkeyPatch):
     """A slow machine, or a slow compiler, makes the guess wrong."""
-    monkeypatch.setattr(waiting, "SHORT", 1000.0)
-    with waiting.said("compiling", 0.1):
+    monkeypatch.setattr(progress, "SHORT", 1000.0)
+    with progress.announce("compiling", 0.1):
         hold(lines)
     assert lines == ["compiling: about 1 s"]
 
 
 def test_the_time_follows_from_the_units_done(lines: list[str]):
-    with waiting.said("simulating", total=1000) as work:
+    with progress.announce("simulating", total=1000) as work:
         work.advance(1)
         hold(lines)
     (line,) = lines
@@ -80,8 +80,8 @@ def test_the_time_follows_from_the_units_done(lines: list[str]):
 
 def test_what_comes_before_the_first_units_is_not_multiplied(monkeypatch: pytest.MonkeyPatch):
     times = iter([0.0, 1.0, 1.5])  # of the beginning, of the first units' beginning, of their end
-    monkeypatch.setattr(waiting.time, "perf_counter", lambda: next(times))
-    work = waiting.Wait("simulating", None, "", total=100)
+    monkeypatch.setattr(progress.time, "perf_counter", lambda: next(times))
+    work = progress.Pending("simulating", None, "", total=100)
     work.advance(0)
     work.advance(10)
     assert work.expected == pytest.approx(1.0 + 0.5 * 10)
@@ -90,8 +90,8 @@ def test_what_comes_before_the_first_units_is_not_multiplied(monkeypatch: pytest
 def test_the_time_is_counted_at_the_last_unit(lines: list[str], monkeypatch: pytest.MonkeyPatch):
     """A block of 500 steps may come long after the first 10, and says nothing of them before it ends."""
     now = [0.0]
-    monkeypatch.setattr(waiting.time, "perf_counter", lambda: now[0])
-    with waiting.said("simulating", total=1000) as work:
+    monkeypatch.setattr(progress.time, "perf_counter", lambda: now[0])
+    with progress.announce("simulating", total=1000) as work:
         now[0] = 0.1
         work.advance(20)
         now[0] = 4.0
@@ -100,30 +100,30 @@ def test_the_time_is_counted_at_the_last_unit(lines: list[str], monkeypatch: pyt
 
 
 def test_work_within_work_adds_no_line_and_its_end_is_no_end_of_the_quiet(lines: list[str]):
-    with waiting.said("simulating", 10.0):
-        with waiting.said("compiling", 10.0):
+    with progress.announce("simulating", 10.0):
+        with progress.announce("compiling", 10.0):
             hold(lines)
         threading.Event().wait(0.1)
     assert lines == ["simulating: about 10 s"]
 
 
 def test_nobody_hears_of_work_that_is_quiet(lines: list[str], monkeypatch: pytest.MonkeyPatch):
-    with waiting.quiet(), waiting.said("simulating", 10.0):
+    with progress.quiet(), progress.announce("simulating", 10.0):
         hold(lines, 0.2)
-    monkeypatch.setenv(waiting.VARIABLE, "1")
-    with waiting.said("simulating", 10.0):
+    monkeypatch.setenv(progress.VARIABLE, "1")
+    with progress.announce("simulating", 10.0):
         hold(lines, 0.2)
     assert lines == []
 
 
 @pytest.mark.parametrize(("seconds", "text"), [(0.2, "1 s"), (59, "59 s"), (100, "2 min"), (9000, "2 h")])
 def test_a_duration_in_words(seconds: float, text: str):
-    assert waiting.duration(seconds) == text
+    assert progress.duration(seconds) == text
 
 
 def run(cache: Path, **environment: str) -> str:
     """What a script of a first call and a first loop says on stderr."""
-    environment = process_environment(**{"NPRED_CACHE": str(cache), waiting.VARIABLE: ""} | environment)
+    environment = process_environment(**{"NPRED_CACHE": str(cache), progress.VARIABLE: ""} | environment)
     return subprocess.run(
         [sys.executable, "-c", LOOP], env=environment, capture_output=True, text=True, check=True, timeout=300
     ).stderr
