@@ -1,4 +1,4 @@
-"""What is said of work that keeps a user waiting: one line, in time, and none of what is quick, cached or quiet."""
+"""The word on slow work: one line, in time, and none of what is quick, cached or quiet."""
 
 import subprocess
 import sys

@@ -1,13 +1,12 @@
 """Pipeline files: read, overridden by `--set`, parsed; and what is wrong with one, in one line."""
 
-import json
 import os
 import re
 import stat
 import tomllib
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 from pydantic import ValidationError
 from pydantic.fields import FieldInfo
@@ -19,26 +18,6 @@ from npred.config.train import Network
 from npred.errors import ConfigError, similar
 
 LONGEST = 2**20  # bytes of a pipeline file
-GONE = {  # tables and keys of earlier versions
-    "refine": "expected no such table, for that stage was taken out; drop it, and check networks by [evaluate.guard]",
-    "evaluate.guard.correct": "expected no such key, for the correction was taken out: it hid errors; drop it",
-}
-
-
-WORDS = {  # of what pydantic expects, in turn
-    "^Input should be ": "",
-    "^a valid (list|tuple|dictionary|boolean|string).*": r"a \1",
-    "^a tuple$": "a range [low, high]",
-    "^a dictionary$": "a table",
-    "^a boolean$": "true or false",
-    "^a string$": "a text in quotes",
-    "^a valid integer.*": "a whole number",
-    "^a valid number.*": "a number",
-    "^greater than or equal to (.*)": r"a number of at least \1",
-    "^greater than (.*)": r"a number above \1",
-    "^less than or equal to (.*)": r"a number of at most \1",
-    "^less than (.*)": r"a number below \1",
-}
 
 
 def load(path: str | Path, overrides: list[str] | None = None) -> Pipeline:
@@ -121,74 +100,28 @@ def put(data: dict[str, Any], key: str, value: Any, what: str = "") -> None:
 
 
 def _sentence(error: ValidationError) -> str:
-    """The first fault of a pipeline, with its key: what was expected, what came."""
+    """The first fault of a pipeline: its key, what pydantic says of it, and the value."""
     first: Any = error.errors()[0]
-    named = [part for part in first["loc"] if part != "float"]  # without a union's types
-    fields = [part for part in named if isinstance(part, int) or part.isidentifier()]
-    where = ".".join(str(part) for part in fields)
+    loc = first["loc"] + (tuple(first["ctx"].values()) if first["type"] == "extra_forbidden" and "ctx" in first else ())
+    # without a union's types
+    path = [part for part in loc if isinstance(part, int) or (part.isidentifier() and part != "float")]
+    where = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in path).removeprefix(".")
     if first["type"] == "extra_forbidden":
-        path = first["loc"] + tuple(first.get("ctx", {}).values())
-        where = ".".join(map(str, path))
-        keys = _siblings(path)
-        unknown = f"unknown key; expected one of {', '.join(keys)}{_meant(where, keys)}"
-        return f"{where}: {GONE.get(where, unknown)}"
-    if first["type"] == "fault":
-        place = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in fields)
-        return f"{place.removeprefix('.')}: {first['msg']}"
-    if first["type"] == "value_error":
+        keys, leaf = [key for key, _ in leaves()], str(loc[-1])
+        elsewhere = " or ".join(key for key in keys if key.endswith(f".{leaf}"))
+        near = similar(leaf, [part for key in keys for part in key.split(".")])
+        table = where.removesuffix(leaf)
+        there = sorted({key.removeprefix(table).partition(".")[0] for key in keys if key.startswith(table)})
+        expected = f"; expected one of {', '.join(there)}" if there else ""
+        return f"{where}: unknown key{expected}" + (f"; did you mean {elsewhere}?" if elsewhere else near)
+    if first["type"] in ("fault", "missing"):
+        return f"{where}: {first['msg']}"
+    if first["type"] == "value_error":  # which begins with a key
         return f"{where + '.' if where else ''}{first['ctx']['error']}"
-    if first["type"] == "missing":
-        example = ' as plant = "my_plant.py:Tank"' if where == "plant" else ""
-        return f"{where}: expected a value, found none; add it{example}"
-    if first["type"] == "too_short":
-        return f"{where}: expected at least one value, got {first['input']!r}; give one"
-    words = [_words(e["msg"]) for e in error.errors() if e["loc"][: len(fields)] == tuple(fields)]
-    # "a number or a number above 0" is a number above 0
-    expected = [word for word in dict.fromkeys(words) if not any(other.startswith(f"{word} ") for other in words)]
-    came = first["input"]
-    near = similar(str(came), re.findall(r"'(.*?)'", " ".join(expected))) or f"; {_cure(expected, came)}"
-    return f"{where}: expected {' or '.join(expected)}, got {came!r}{near}"
-
-
-def _cure(expected: list[str], came: Any) -> str:
-    """What to write instead: 1000 for 1e3, [0.5] for 0.5."""
-    if "a whole number" in expected and isinstance(came, float) and came.is_integer():
-        return f"write {came:.0f}"
-    single = expected == ["a list"] and isinstance(came, str | int | float)
-    return f"write {json.dumps([came])}" if single else "write such a value"
-
-
-def _words(message: str) -> str:
-    """What pydantic expects, in the words of npred."""
-    for form, words in WORDS.items():
-        message = re.sub(form, words, message)
-    return message
-
-
-def _siblings(loc: tuple[int | str, ...]) -> list[str]:
-    model: Any = Pipeline
-    for part in loc[:-1]:
-        if isinstance(part, str):
-            model = _table(model.model_fields[part].annotation) if part in model.model_fields else Network
-    return sorted(model.model_fields)
-
-
-def _table(kind: Any) -> Any:
-    """The table that a key holds, or a list of."""
-    return next(
-        (part for part in (kind, *get_args(kind)) if isinstance(part, type) and issubclass(part, Section)), kind
-    )
-
-
-def _meant(key: str, siblings: list[str]) -> str:
-    """A suggestion for an unknown key: one of the same table that is spelt alike, else one of another table."""
-    leaf = key.rpartition(".")[2]
-    near = similar(leaf, siblings)
-    keys = [other for other, _ in leaves()]
-    elsewhere = [other for other in keys if other.rpartition(".")[2] == leaf]
-    if elsewhere and "sizes" in siblings:
-        return f"; did you mean sizes = {{ {leaf} = … }}?"
-    return near or (f"; did you mean {' or '.join(elsewhere)}?" if elsewhere else similar(key, keys))
+    said = dict.fromkeys(each["msg"] for each in error.errors() if each["loc"][: len(path)] == tuple(path))
+    expected, came = " or ".join(said).replace(" or Input should be", " or"), first["input"]
+    near = similar(str(came), re.findall(r"'(.*?)'", expected))
+    return f"{where}: {expected}, got {came!r}{near}"
 
 
 def leaves(

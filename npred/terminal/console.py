@@ -1,7 +1,6 @@
 """The console: data on stdout, messages on stderr, no bars where stderr is no terminal."""
 
 import json
-import shutil
 import sys
 import threading
 import time
@@ -10,7 +9,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from npred.json_files import escaped
 from npred.progress import counted
@@ -18,8 +17,6 @@ from npred.terminal import interruption, streams
 from npred.terminal.run_log import Events, RunLog
 
 if TYPE_CHECKING:
-    from rich.console import RenderableType
-
     from npred.terminal.live_view import LiveView
 
 EVERY = 10.0  # seconds between two lines of a bar
@@ -45,12 +42,11 @@ class Console:
     @property
     def width(self) -> int | None:
         """The columns of the screen that stdout is; None for a file or a pipe, where nothing is folded."""
-        return shutil.get_terminal_size().columns if streams.is_terminal(sys.stdout) else None
+        return streams.width(sys.stdout)
 
     def out(self, text: str) -> None:
         """Data for stdout, its lines folded to the screen. Raises NpredError where stdout is closed or full."""
-        text = streams.printable(text)
-        streams.answer(_folded(text, self.width) if self.width else text)
+        streams.answer(streams.folded(streams.printable(text), self.width))
 
     def json(self, document: object) -> None:
         """One JSON document on stdout, with escapes for what a terminal obeys. Raises NpredError as `out` does."""
@@ -149,15 +145,15 @@ class Console:
         self._logged(text)
         if not shown:
             return
-        text = streams.printable(text)
-        if self.view or streams.MESSAGES.isatty():
-            from rich.console import Console as Rich
-
-            screen = self.view.console if self.view else Rich(file=streams.MESSAGES)
-            screen.print(text, style=style, markup=False, emoji=False, highlight=False)
-        else:
+        text = streams.folded(streams.printable(text), streams.width(streams.MESSAGES))
+        if not self.view and not (style and streams.MESSAGES.isatty()):
             streams.MESSAGES.write(text + "\n")  # in one piece: networks that train side by side speak side by side
             streams.MESSAGES.flush()
+            return
+        from rich.console import Console as Rich
+
+        screen = self.view.console if self.view else Rich(file=streams.MESSAGES)
+        screen.print(text, style=style, markup=False, emoji=False, highlight=False, soft_wrap=True)
 
 
 class Bar:
@@ -199,21 +195,18 @@ def columns(
 
     One row per line, so that grep and awk can read it, or, with a `width`, the widest columns folded until it fits.
     """
+    from rich.console import Console as Rich
     from rich.table import Table
     from rich.text import Text
 
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="")
-    for name in header:
-        table.add_column(Text(escaped(name)), justify="right" if name in numbers else "left", overflow="fold")
+    room = (width or UNFOLDED) // max(len(header), 1) - 2  # of each column, if all were alike
+    for cells in zip(header, *rows, strict=True):
+        justify: Literal["left", "right"] = "right" if cells[0] in numbers else "left"
+        whole = max(map(len, cells)) <= room  # a column of keys is not broken for one of sentences
+        table.add_column(Text(escaped(cells[0])), justify=justify, overflow="fold", no_wrap=whole)
     for row in rows:
         table.add_row(*(Text(escaped(cell)) for cell in row))
-    return _folded(table, width or UNFOLDED)
-
-
-def _folded(what: "RenderableType", width: int) -> str:
-    from rich.console import Console as Rich
-
     page = StringIO()
-    screen = Rich(file=page, width=width, color_system=None, force_terminal=False, force_jupyter=False)
-    screen.print(what, markup=False, emoji=False, highlight=False)
+    Rich(file=page, width=width or UNFOLDED, color_system=None, force_terminal=False, force_jupyter=False).print(table)
     return "\n".join(line.rstrip() for line in page.getvalue().splitlines())

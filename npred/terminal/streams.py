@@ -5,9 +5,12 @@ cursor, turns the direction of writing or hides behind characters without a widt
 """
 
 import os
+import shutil
 import sys
+import textwrap
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from functools import partial
 from io import TextIOWrapper
 from typing import TextIO, cast
 
@@ -31,6 +34,19 @@ def is_terminal(stream: TextIO | None) -> bool:
         return stream is not None and stream.isatty()
     except (OSError, ValueError):
         return False
+
+
+def width(stream: TextIO | None) -> int | None:
+    """The columns of the screen that a stream is, or None where it is none: nothing is folded for a file or a pipe."""
+    return shutil.get_terminal_size().columns if is_terminal(stream) else None
+
+
+def folded(text: str, limit: int | None) -> str:
+    """The text with lines of more than `limit` columns broken between words; a path stays whole, to be copied."""
+    if limit is None:
+        return text
+    fill = partial(textwrap.fill, break_long_words=False, break_on_hyphens=False, replace_whitespace=False)
+    return "\n".join(fill(line, limit) for line in text.split("\n"))
 
 
 def answer(text: str) -> None:

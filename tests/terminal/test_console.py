@@ -202,16 +202,17 @@ def test_columns_fold_the_widest_until_the_screen_holds_them():
     assert all(line.startswith(" " * 25) for line in lines[2:] if not line.startswith("evaluate"))
 
 
-def test_words_are_broken_last():
+def test_keys_are_not_broken_for_sentences():
     rows = [
         ["activator_repressor", "x1, x2", "a=1 b=2 " * 10],
         ["generate/0123456789ab", "theta1, theta2, " * 3, "c=3"],
     ]
-    lines = columns(["plant", "states", "parameters"], rows, 60).splitlines()
-    assert max(map(len, lines)) <= 60
+    lines = columns(["plant", "states", "parameters"], rows, 80).splitlines()
+    assert max(map(len, lines)) <= 80
     assert any("activator_repressor" in line for line in lines)
+    assert any("generate/0123456789ab" in line for line in lines)
     narrow = columns(["plant", "states", "parameters"], rows, 36).splitlines()
-    assert max(map(len, narrow)) <= 36 and not any("activator_repressor" in line for line in narrow)
+    assert max(map(len, narrow)) <= 36 and "".join(narrow).count("a=1") == 10
 
 
 def test_numbers_are_aligned_at_their_right_and_hats_take_no_column():

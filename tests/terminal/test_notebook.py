@@ -39,7 +39,7 @@ def test_the_view_is_one_output_that_ends_with_the_stages(outputs: list[dict[str
             bar.advance(8)
         console.finish("generate", "run", 3.0)
     assert "generate" in outputs[0]["text/plain"]
-    assert "0:03" in outputs[-1]["text/plain"]
+    assert "✓ generate" in outputs[-1]["text/plain"]
     assert "<pre" in outputs[-1]["text/html"]
     assert capsys.readouterr() == ("", "")
 

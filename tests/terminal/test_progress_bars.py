@@ -1,11 +1,9 @@
 """Progress where there is no screen: a line now and then."""
 
-import heapq
 import threading
 
-import pytest
-
-from npred.progress import EVERY, Bar, counted
+from npred.progress import counted
+from npred.terminal.console import EVERY, Bar, Console
 
 
 class Clock:
@@ -19,7 +17,7 @@ class Clock:
 
 def lines(total: int, unit: str, done: int = 0) -> tuple[Clock, list[str], Bar]:
     clock, said = Clock(), list[str]()
-    return clock, said, Bar("train", total, unit, done, clock, lambda n, left: None, said.append)
+    return clock, said, Bar(Console(clock=clock), "train", total, unit, done, said.append, None)
 
 
 def test_progress_is_a_line_now_and_then():
@@ -72,56 +70,3 @@ def test_units_are_plural_where_there_are_several():
         "0 rollouts",
         "8 rollouts",
     )
-
-
-SECONDS = {"rk4": 1e-5, "no_adaptation": 1e-5, "deeponet": 2e-4, "fno": 4e-3}  # of a step
-
-
-def worst(threads: int, shares: int = 17, steps: int = 1000, reports: int = 40) -> float:
-    """The worst factor between the time left and what was said after the first tenth, of what is wrong by more than
-    one share: shares of each kind in turns, which threads take one after the other, in simulated time.
-    """
-    clock, said = Clock(), list[tuple[float, float | None]]()
-    total = dict.fromkeys(SECONDS, shares * steps)
-    bar = Bar("loops", total, "steps", 0, clock, lambda n, left: said.append((clock.now, left)), lambda line: None)
-    queue = [kind for _ in range(shares) for kind in SECONDS]
-    events: list[tuple[float, int, str, int]] = [(0.0, k, "", 0) for k in range(threads)]
-    while events:
-        clock.now, thread, kind, rest = heapq.heappop(events)
-        if kind:
-            with pytest.MonkeyPatch.context() as patch:
-                patch.setattr(threading, "get_ident", lambda thread=thread: thread)
-                bar.advance(steps // reports, kind=kind)
-        if not rest and queue:
-            kind, rest = queue.pop(0), reports
-        if rest:
-            heapq.heappush(events, (clock.now + steps / reports * SECONDS[kind], thread, kind, rest - 1))
-    end, share = clock.now, steps * SECONDS["fno"]
-    told = [(end - now, left or 0.0) for now, left in said if 0.1 * end < now < end]
-    return max((max(true / left, left / true) for true, left in told if abs(true - left) > share), default=1.0)
-
-
-@pytest.mark.parametrize("threads", [1, 2, 4, 16])
-def test_the_time_left_is_right_where_a_step_of_one_kind_takes_as_long_as_hundreds_of_another(threads: int):
-    assert worst(threads) < 1.5
-
-
-def test_the_time_left_forgets_work_beside_it_that_has_ended():
-    clock, said = Clock(), list[tuple[float, float | None]]()
-    bar = Bar("train", 100, "epochs", 0, clock, lambda n, left: said.append((clock.now, left)), lambda line: None)
-    for epoch in range(100):
-        clock.now += 2.0 if epoch < 8 else 0.9
-        bar.advance()
-    true = {now: clock.now - now for now, _ in said}
-    assert all(1 / 1.5 < (left or 0.0) / true[now] < 1.5 for now, left in said if now > 0.25 * clock.now and true[now])
-
-
-def test_what_was_measured_before_the_work_begins_tells_the_time_left_at_once():
-    clock = Clock()
-    left = []
-    bar = Bar("bench", {"a": 100, "b": 100}, "calls", 0, clock, lambda n, rest: left.append(rest), lambda line: None)
-    bar.expect("a", 1.0)
-    bar.expect("b", 3.0)
-    clock.now = 10.0
-    bar.advance(10, kind="a")
-    assert left == [pytest.approx(390.0)]

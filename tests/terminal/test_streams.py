@@ -86,10 +86,10 @@ def test_what_a_terminal_obeys_or_hides_is_spelt_out():
     assert streams.printable("a\x1b[2J\n\u202e\u2066\u200b\xadé D̂ ε") == "a\\x1b[2J\n\\u202e\\u2066\\u200b\\xadé D̂ ε"
 
 
-def test_lines_are_folded_between_words_under_their_indent():
-    assert streams.wrapped("  one two three", 10) == "  one two\n  three"
-    assert streams.wrapped("x" * 20, 10) == "x" * 20
-    assert streams.wrapped("one two three", None) == "one two three"
+def test_lines_are_folded_between_words():
+    assert streams.folded("  one two three\n\nfour", 10) == "  one two\nthree\n\nfour"
+    assert streams.folded("x" * 20, 10) == "x" * 20
+    assert streams.folded("one two three", None) == "one two three"
 
 
 def test_a_reader_that_has_left_is_told_from_a_full_disk(monkeypatch: pytest.MonkeyPatch):
