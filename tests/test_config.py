@@ -284,7 +284,7 @@ def test_keys_that_came_later_stand_in_a_dump_only_where_they_say_something(empt
         ('evaluate.scenarios=[{name="a", adaptation="observer"}]', ["scenarios[0].adaptation: expected bresch"]),
         ("generate.actuator=guessed", ["generate.actuator: Input should be 'measured' or 'history', got 'guessed'"]),
         ("generate.measurement.noise=-0.1", ["generate.measurement.noise: ", "greater than or equal to 0", "got -0.1"]),
-        ("generate.measurement.absolute=[0.1, -0.1]", ["generate.measurement.absolute: ", "greater than or equal to 0"]),
+        ("generate.measurement.absolute=[0.1, -0.1]", ["generate.measurement.absolute: ", "than or equal to 0"]),
         ("generate.measurement.bias=[nan]", ["generate.measurement.bias: ", "finite number"]),
         ("generate.measurement.drop=1.0", ["generate.measurement.drop: Input should be less than 1, got 1.0"]),
         ("evaluate.timing.jitter=0.1", ['timing: expected actuator = "history", got \'measured\'']),

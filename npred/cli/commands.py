@@ -132,8 +132,7 @@ def report(
     *,
     output: Annotated[Path | None, flag("The HTML file, or the folder of the figures.", "-o", "--output")] = None,
     figures: Annotated[
-        str | None,
-        flag("Figures and tables for a paper instead of the page.", word="|".join(MEDIA)),
+        str | None, flag("Figures and tables for a paper instead of the page.", word="|".join(MEDIA))
     ] = None,
 ) -> None:
     cli.execute.report(options, output, figures)
@@ -249,9 +248,7 @@ def init(
     source: Annotated[
         str | None,
         flag(
-            "A plant to copy, by name or as my_plant.py:Tank; a tank with comments by default.",
-            "--from",
-            word="PLANT",
+            "A plant to copy, by name or as my_plant.py:Tank; a tank with comments by default.", "--from", word="PLANT"
         ),
     ] = None,
 ) -> None:
@@ -315,16 +312,10 @@ def gc(
     options: Common,
     *,
     pipelines: Annotated[
-        list[Path] | None,
-        argument(None, "Pipelines whose results stay; all in pipeline/ by default."),
+        list[Path] | None, argument(None, "Pipelines whose results stay; all in pipeline/ by default.")
     ] = None,
     set: Annotated[
-        list[str] | None,
-        flag(
-            "What a sweep was run with: its results stay as well.",
-            "--set",
-            word="KEY=VALUES",
-        ),
+        list[str] | None, flag("What a sweep was run with: its results stay as well.", "--set", word="KEY=VALUES")
     ] = None,
     older: Annotated[float, flag("Only what is older than so many days.", word="DAYS", least=0)] = 0.0,
     keep: Annotated[str | None, flag("The oldest only, until the store has this size: 500M, 2G.", word="SIZE")] = None,

@@ -67,9 +67,7 @@ class Common:
 
 FALLBACKS = f"{defaults.PIPELINE_VARIABLE}, {defaults.PIPELINE}, or the only TOML file here"
 PIPELINE = argument(
-    "PIPELINE",
-    "A pipeline file, or the name of one that is part of npred, as smoke.",
-    default=FALLBACKS,
+    "PIPELINE", "A pipeline file, or the name of one that is part of npred, as smoke.", default=FALLBACKS
 )
 OVERRIDES = flag("Override a key, as in train.fno.epochs=5; repeatable.", "--set", word="KEY=VALUE")
 

@@ -4,17 +4,15 @@ import os
 import re
 import stat
 import tomllib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
-from pydantic.fields import FieldInfo
 
 from npred import defaults
 from npred.config.pipeline import Pipeline
 from npred.config.section import Section, moved
-from npred.config.train import Network
 from npred.errors import ConfigError, similar
 
 LONGEST = 2**20  # bytes of a pipeline file
@@ -107,7 +105,7 @@ def _sentence(error: ValidationError) -> str:
     path = [part for part in loc if isinstance(part, int) or (part.isidentifier() and part != "float")]
     where = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in path).removeprefix(".")
     if first["type"] == "extra_forbidden":
-        keys, leaf = [key for key, _ in leaves()], str(loc[-1])
+        keys, leaf = list(leaves()), str(loc[-1])
         elsewhere = " or ".join(key for key in keys if key.endswith(f".{leaf}"))
         near = similar(leaf, [part for key in keys for part in key.split(".")])
         table = where.removesuffix(leaf)
@@ -124,14 +122,10 @@ def _sentence(error: ValidationError) -> str:
     return f"{where}: {expected}, got {came!r}{near}"
 
 
-def leaves(
-    model: type[Section] = Pipeline, path: str = "", networks: Iterable[str] = ()
-) -> Iterator[tuple[str, FieldInfo]]:
-    """Every key of a pipeline file, dotted, with its declaration; `networks` are names of tables below train."""
-    for name in networks:
-        yield from leaves(Network, f"train.{name}.")
+def leaves(model: type[Section] = Pipeline, path: str = "") -> Iterator[str]:
+    """Every key of a pipeline file, dotted."""
     for name, field in model.model_fields.items():
         if isinstance(field.annotation, type) and issubclass(field.annotation, Section):
             yield from leaves(field.annotation, f"{path}{name}.")
         else:
-            yield path + name, field
+            yield path + name

@@ -117,7 +117,8 @@ def test_a_signal_during_imports_says_so(tmp_path: Path, number: int, code: int,
 
 def test_a_signal_while_typer_writes_the_help_says_so(tmp_path: Path):
     """typer makes code 130 and no word of a KeyboardInterrupt."""
-    done = run(DURING.format(module="typer.rich_utils", number=int(signal.SIGTERM), arguments=["--help"]), tmp_path)
+    program = DURING.format(module="typer._click._textwrap", number=int(signal.SIGTERM), arguments=["--help"])
+    done = run(program, tmp_path)
     assert (done.returncode, done.stderr) == (143, f"error: {interruption.LINE}\n")
 
 
