@@ -10,8 +10,8 @@ import typer
 import npred
 from npred import cli
 from npred.cli.app import app, command, with_flags
+from npred.cli.identify import Recorded
 from npred.cli.options import Common, Exporting, Planned, Rigged, Running, Timed, Work, argument, flag
-from npred.cli.recorded import Recorded
 from npred.registry import STAGES, declared_stage
 
 FORMS = ("onnx", "c", "controller", "fmu", "npy", "hdf5", "mat")

@@ -1,6 +1,6 @@
 """The commands that run stages."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack, closing
 from pathlib import Path
 
@@ -103,11 +103,21 @@ def _work(
     final = [outcome for outcome in outcomes if outcome.node.stage in answering]
     page = publish(options, outcomes, output)
     if options.json:
-        options.console.json(_document(outcomes, _result(final)) | ({"report": str(page)} if page else {}))
+        result: dict[str, object] = {}
+        for outcome in final:
+            answer = outcome.artifact.result()
+            result |= {outcome.node.model: answer} if outcome.node.model else answer
+        options.console.json(_document(outcomes, result) | ({"report": str(page)} if page else {}))
         return
-    table = [_table(options, outcomes)] if options.wide else []
-    answers = [_closing(options, outcomes)] if closing and not options.wide else _answers(options, final)
-    options.console.out("\n".join([*table, *answers, *([f"report: {page}"] if page else [])]))
+    lines = [_table(options, outcomes)] if options.wide else []
+    if closing and not options.wide:
+        lines.append(_closing(options, outcomes))
+    else:
+        for outcome in final:
+            artifact = outcome.artifact
+            lines.append(STAGES[outcome.node.stage].summary(artifact.result(), options.console.width, options.wide))
+            lines.append(f"\n{outcome.node.title}: {artifact.folder if options.wide else artifact.name}")
+    options.console.out("\n".join([*lines, *([f"report: {page}"] if page else [])]))
 
 
 def _planner(options: Work, targets: list[str], borrows: bool = False) -> Planner:
@@ -118,38 +128,20 @@ def _planner(options: Work, targets: list[str], borrows: bool = False) -> Planne
 
 
 def _document(stages: Sequence[Step | Outcome], result: dict[str, object] | None) -> dict[str, object]:
-    return {"stages": [_stage(stage) for stage in stages], "result": result}
-
-
-def _stage(stage: Step | Outcome) -> dict[str, object]:
-    model = {"model": stage.node.model} if stage.node.model else {}
-    shared = {"stage": stage.node.stage, "key": stage.key, "action": stage.action}
-    return shared | model | {"reason": stage.reason, "seconds": round(stage.seconds, 3)}
-
-
-def _result(final: list[Outcome]) -> dict[str, object]:
-    merged: dict[str, object] = {}
-    for outcome in final:
-        result = outcome.artifact.result()
-        merged |= {outcome.node.model: result} if outcome.node.model else result
-    return merged
+    rows = []
+    for stage in stages:
+        model = {"model": stage.node.model} if stage.node.model else {}
+        row = {"stage": stage.node.stage, "key": stage.key, "action": stage.action} | model
+        rows.append(row | {"reason": stage.reason, "seconds": round(stage.seconds, 3)})
+    return {"stages": rows, "result": result}
 
 
 def _table(options: Work, stages: Sequence[Step | Outcome]) -> str:
-    seconds = [] if options.dry_run else ["seconds"]  # of a plan nothing has taken time
-    head = ["stage", "key", "action", *seconds, "reason"]
-    rows = [
-        [s.node.title, short(s.key or "-"), s.action, *(f"{s.seconds:.1f}" for _ in seconds), s.reason] for s in stages
-    ]
+    head = ["stage", "key", "action", "seconds", "reason"]
+    rows = [[s.node.title, short(s.key or "-"), s.action, f"{s.seconds:.1f}", s.reason] for s in stages]
+    if options.dry_run:  # a plan has taken no time
+        head, rows = [*head[:3], head[4]], [[*row[:3], row[4]] for row in rows]
     return columns(head, rows, options.console.width)
-
-
-def _answers(options: Work, final: list[Outcome]) -> Iterator[str]:
-    """Each result in words, and what it is called; with `wide` its folder."""
-    for outcome in final:
-        stage, artifact = STAGES[outcome.node.stage], outcome.artifact
-        yield stage.summary(artifact.result(), options.console.width, options.wide)
-        yield f"\n{outcome.node.title}: {artifact.folder if options.wide else artifact.name}"
 
 
 def _closing(options: Work, outcomes: list[Outcome]) -> str:

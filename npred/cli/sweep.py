@@ -1,21 +1,56 @@
-"""`npred sweep`: every cell of a sweep grid from the store or made, one table, and the front as a figure."""
+"""`npred sweep`: every cell of a sweep grid from the store or made, one table with a row per trained network of a cell,
+and its front of accuracy, latency and radius as a figure: what no other network beats in all of them.
+"""
 
 import csv
 import io
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
 
-from npred.cli import sweep_table
+import numpy as np
+
+from npred import figures
 from npred.cli.options import Running, writable_folder
 from npred.cli.report import free_path, sign
-from npred.cli.sweep_table import Row
 from npred.errors import ConfigError, NpredError, room_on_disk, unlisted
+from npred.figures.figure import Panel, Plate
+from npred.figures.loops import keys
+from npred.figures.style import ROLES, log, look
 from npred.parallel import devices, executors
-from npred.pipeline import STAGES, CellRun, Outcome, Planner, Runner, nodes, remember
+from npred.pipeline import STAGES, CellRun, Planner, Runner, nodes, remember
 from npred.pipeline.cells import Cell, cells
 from npred.progress import counted
+from npred.results import Benched, Contender, Evaluated, Trained, ranked
+from npred.results.evaluate import Scores
 from npred.terminal.console import columns
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
 PRECISION = 4  # digits of the table that people read
+AXES = {"eps_sup": "sup error ε", "latency_us": "µs per call", "radius_worst": "worst radius"}
+PAIRS = (("latency_us", "eps_sup"), ("eps_sup", "radius_worst"), ("latency_us", "radius_worst"))
+NAMED = 20  # points of the front that have their row of the table beside them
+SMALLEST = 1e-16  # where a radius of 0 is drawn on a logarithmic axis
+Numbers = Mapping[str, float | None]  # by column; None for what is not known, and for what is not finite
+
+
+class Row(NamedTuple):
+    """A trained network of a cell: the cell's values, its errors, radius and latency, and the artifact that says so."""
+
+    values: Mapping[str, str]
+    model: str
+    numbers: Numbers
+    artifact: str
+
+    def cells(self) -> dict[str, str | float | None]:
+        """All of them by column."""
+        return {**self.values, "model": self.model, **self.numbers, "artifact": self.artifact}
+
+
 Done = list[tuple[Cell, CellRun]]
 Table = list[dict[str, str | float | None]]
 
@@ -53,9 +88,10 @@ def _show_plan(options: Running, sweep_cells: list[Cell], targets: list[str], de
 
 
 def _report(options: Running, done: Done, output: Path | None, csv: bool) -> None:
-    fine, lost = [(c, run) for c, run in done if not run.failure], [(c, run) for c, run in done if run.failure]
-    rows = [row for cell, run in fine for row in sweep_table.rows(cell, run)]
-    fronts = sweep_table.front([row.numbers for row in rows])
+    fine = [(cell, run) for cell, run in done if not run.failure]
+    lost = [(cell, run) for cell, run in done if run.failure]
+    rows = [row for cell, run in fine for row in rows_of(cell, run)]
+    fronts = front([row.numbers for row in rows])
     table: Table = [{"row": k, **row.cells(), "front": fronts[k - 1]} for k, row in enumerate(rows, 1)]
     files = _write(options, done[0][0].config.name, output, rows, table) if rows else []
     if csv:
@@ -76,7 +112,7 @@ def _write(options: Running, name: str, output: Path | None, rows: list[Row], ta
         (folder / "table.csv").write_text(_csv(table), encoding="utf-8")
         if output is None:
             sign(options, folder)
-        return [folder / "table.csv", *sweep_table.draw(folder, rows)]
+        return [folder / "table.csv", *draw(folder, rows)]
 
 
 def _csv(table: Table) -> str:
@@ -88,20 +124,17 @@ def _csv(table: Table) -> str:
 
 
 def _document(done: Done, table: Table, files: list[Path]) -> dict[str, object]:
-    listed = [
-        {
-            "set": cell.values, "state": "failed" if run.failure else "done", "error": run.failure or None,
-            "stages": [_stage(outcome) for node in run.nodes if (outcome := run.outcomes.get(node.name))],
-        }
-        for cell, run in done
-    ]  # fmt: skip
+    listed = []
+    for cell, run in done:
+        outcomes = [outcome for node in run.nodes if (outcome := run.outcomes.get(node.name))]
+        stages = []
+        for outcome in outcomes:
+            shown = {"stage": outcome.node.stage, "model": outcome.node.model, "action": outcome.action}
+            stages.append(shown | {"seconds": round(outcome.seconds, 3), "key": outcome.key})
+        state = "failed" if run.failure else "done"
+        listed.append({"set": cell.values, "state": state, "error": run.failure or None, "stages": stages})
     count = sum(not run.failure for _, run in done)
     return {"total": len(done), "done": count, "cells": listed, "rows": table, "files": [str(file) for file in files]}
-
-
-def _stage(outcome: Outcome) -> dict[str, object]:
-    shared = {"stage": outcome.node.stage, "model": outcome.node.model, "action": outcome.action}
-    return shared | {"seconds": round(outcome.seconds, 3), "key": outcome.key}
 
 
 def _text(done: int, table: Table, files: list[Path], width: int | None) -> str:
@@ -116,3 +149,110 @@ def _cell(value: object) -> str:
     if isinstance(value, bool):
         return "*" if value else ""
     return f"{value:.{PRECISION}g}" if isinstance(value, float) else "∞" if value is None else str(value)
+
+
+def rows_of(cell: Cell, run: CellRun) -> Iterator[Row]:
+    """A row for each network of a cell.
+
+    Errors and radius are of the evaluate stage, or of the network's training where that is all that ran; the
+    latency, in µs, is the fastest runtime's for one call at the bench stage's first dx.
+    """
+    artifacts = {name: outcome.artifact for name, outcome in run.outcomes.items()}
+    folders = {name: artifact.folder for name, artifact in artifacts.items()}
+    benched = Benched.read(folders["bench"]) if "bench" in folders else None
+    for contender, measured in _measured(run, folders).items():
+        numbers = _numbers(measured) | {"latency_us": _latency(benched, contender, cell.config.bench.dx[0])}
+        source = list(artifacts)[-1] if "evaluate" in artifacts else contender.model
+        yield Row(cell.values, contender.name, numbers, artifacts[source].name)
+
+
+def _measured(run: CellRun, folders: dict[str, Path]) -> dict[Contender, Scores] | dict[Contender, Trained]:
+    if "evaluate" in folders:
+        models = Evaluated.read(folders["evaluate"]).models
+        return {contender: scores for contender, scores in models.items() if contender.is_network}
+    return {Contender(node.model): Trained.read(folders[node.name]) for node in run.nodes if node.model}
+
+
+def _numbers(measured: Scores | Trained) -> dict[str, float | None]:
+    numbers = {"mse": measured.mse, "eps_sup": measured.eps_sup}
+    if isinstance(measured, Scores):
+        radius = measured.radius
+        numbers |= {"eps_kappa": measured.eps_kappa, "radius": radius.median, "radius_worst": radius.worst}
+        numbers |= {"converged": radius.converged}
+    keys = ("mse", "eps_sup", "eps_kappa", "radius", "radius_worst", "converged")
+    return {key: number if math.isfinite(number := numbers.get(key, math.nan)) else None for key in keys}
+
+
+def _latency(benched: Benched | None, contender: Contender, dx: float) -> float | None:
+    rows = benched.table if benched and contender.epoch is None else []
+    times = [row.median_us for row in rows if row.predictor == contender.model and abs(row.dx - dx) < dx / 10]
+    return min(times, default=None)
+
+
+def dominated(points: np.ndarray) -> np.ndarray:
+    """A mask (N,) of the points (N, k) for which another is nowhere larger and somewhere smaller."""
+    beaten = np.zeros(len(points), dtype=bool)
+    for index, point in enumerate(points):
+        beaten[index] = ((points <= point).all(axis=1) & (points < point).any(axis=1)).any()
+    return beaten
+
+
+def front(rows: Sequence[Numbers]) -> list[bool]:
+    """One boolean per row of a table: it is on the front of those of error, latency and radius that are known.
+
+    A loop that is lost or an error that is not finite (None) is beaten by any number, and never on the front.
+    """
+    axes = measured_axes(rows)
+    points = np.array([[np.inf if row[axis] is None else row[axis] for axis in axes] for row in rows], dtype=float)
+    if not axes:
+        return [False] * len(rows)
+    return (~dominated(points) & np.isfinite(points).all(axis=1)).tolist()
+
+
+def measured_axes(rows: Sequence[Numbers]) -> list[str]:
+    """The axes of which some row has a number."""
+    return [axis for axis in AXES if any(row[axis] is not None for row in rows)]
+
+
+def draw(folder: Path, rows: Sequence[Row]) -> list[Path]:
+    """Write front.svg and front.png, a panel for each two axes that are known; no figure where one alone is.
+
+    The numbers in it count the rows, from 1.
+    """
+    axes = measured_axes([row.numbers for row in rows])
+    pairs = [pair for pair in PAIRS if set(pair) <= set(axes)]
+    if not pairs:
+        return []
+    panels = tuple(
+        Panel(f"{AXES[y]} versus {AXES[x]}", _alt(rows, x, y), partial(_panel, rows, x, y)) for x, y in pairs
+    )
+    caption = "One point per row of the table; the line is the front, and its numbers are the table's rows."
+    figures.write(Plate("front", "The front", caption, panels, keys(_contenders(rows).values())), folder)
+    return [folder / "front.svg", folder / "front.png"]
+
+
+def _contenders(rows: Sequence[Row]) -> dict[str, Contender]:
+    contenders = ranked(Contender.parse(model) for model in dict.fromkeys(row.model for row in rows))
+    return {contender.name: contender for contender in contenders}
+
+
+def _alt(rows: Sequence[Row], x: str, y: str) -> str:
+    shown = [row for row in rows if None not in (row.numbers[x], row.numbers[y])]
+    return f"{len(shown)} networks by {AXES[x]} and {AXES[y]}."
+
+
+def _panel(rows: Sequence[Row], x: str, y: str, axis: "Axes") -> None:
+    shown = [(k, row) for k, row in enumerate(rows, 1) if None not in (row.numbers[x], row.numbers[y])]
+    points = np.array([[row.numbers[x], row.numbers[y]] for _, row in shown], dtype=float).reshape(-1, 2)
+    points = np.maximum(points, SMALLEST)
+    best = ~dominated(points)
+    contenders = _contenders(rows)
+    for model in dict.fromkeys(row.model for _, row in shown):
+        of_model = np.array([row.model == model for _, row in shown])
+        axis.plot(*points[of_model].T, "o", color=look(contenders[model]).colour)
+    order = np.flatnonzero(best)[np.argsort(points[best, 0])]
+    axis.plot(*points[order].T, color=ROLES["muted"][0], zorder=0, drawstyle="steps-post")
+    for k in order[:NAMED]:
+        axis.annotate(str(shown[k][0]), tuple(points[k]), xytext=(4, 3), textcoords="offset points")
+    axis.set_xlabel(AXES[x])
+    log(axis, "x", "y")

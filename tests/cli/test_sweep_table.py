@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from result_samples import BENCHED, SCORES, evaluated, timing
 
-from npred.cli import sweep_table
-from npred.cli.sweep_table import Row, rows
+from npred.cli import sweep as sweep_table
+from npred.cli.sweep import Row, rows_of
 from npred.pipeline import STAGES, Planner, Runner
 from npred.pipeline.cells import cells
 from npred.store import Store
@@ -44,7 +44,7 @@ def test_a_row_has_errors_radius_and_the_fastest_runtime(
     grid = cells(pipeline, ["train.models=['fno']", "seed=3,4"])
     planners = [Planner(cell.config, Store(tmp_path / "s"), "cpu") for cell in grid]
     (run, _) = Runner(Console(quiet=True), 1).sweep(planners, ["evaluate", "bench"])
-    (fno, snapshot) = rows(grid[0], run)
+    (fno, snapshot) = rows_of(grid[0], run)
     numbers = {"mse": 0.1, "eps_sup": 0.2, "eps_kappa": 0.3, "radius": 1.0, "radius_worst": None, "converged": 0.5}
     assert fno.cells() == {"seed": "3", "model": "fno", **numbers, "latency_us": 5.0, "artifact": fno.artifact}
     assert fno.artifact.startswith("bench/")
