@@ -11,7 +11,6 @@ from typing import Any, get_args, get_origin
 import typer.main
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
-from rich.text import Text
 from sphinx.application import Sphinx
 from sphinx.pycode import ModuleAnalyzer
 from sphinx.util import logging
@@ -77,8 +76,8 @@ def _command(path: str, command: Any) -> Iterator[str]:
 
 
 def _text(of: Any) -> str:
-    """The help of a command or a parameter, which is rich's markup."""
-    return Text.from_markup(of.help or "").plain
+    """The help of a command or a parameter."""
+    return of.help or ""
 
 
 def _slot(parameter: Any) -> str:

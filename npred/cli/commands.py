@@ -11,7 +11,7 @@ import npred
 from npred import cli
 from npred.cli.app import app, command, with_flags
 from npred.cli.identify import Recorded
-from npred.cli.options import Common, Exporting, Planned, Rigged, Running, Timed, Work, argument, flag
+from npred.cli.options import Common, Exporting, Planned, Rigged, Running, Work, argument, flag
 from npred.registry import STAGES, declared_stage
 
 FORMS = ("onnx", "c", "controller", "fmu", "npy", "hdf5", "mat")
@@ -63,10 +63,14 @@ for _stage in STAGES:
 
 @command(help=declared_stage("bench").help)
 def bench(
-    options: Timed,
+    options: Work,
     *,
     no_networks: Annotated[
-        bool, flag("Train none: say in seconds from the cost of f whether one could pay.", "--no-networks")
+        bool,
+        flag(
+            "Train none: say in seconds from the cost of f, of a plant as my_plant.py:Tank too, whether one could pay.",
+            "--no-networks",
+        ),
     ] = False,
 ) -> None:
     cli.execute.could_pay(options) if no_networks else cli.execute.stage(options, "bench")

@@ -123,20 +123,6 @@ class Work(Running):
     tensorboard: Annotated[Path | None, flag("Write the epochs of trainings as event files there.", word="DIR")] = None
 
 
-@dataclass(frozen=True)
-class Timed(Work):
-    """Flags of `npred bench`, which takes a plant too."""
-
-    pipeline_name: Annotated[
-        str | None,
-        argument(
-            "PIPELINE",
-            "A pipeline file or name; with --no-networks a plant too, by name or as my_plant.py:Tank.",
-            default=FALLBACKS,
-        ),
-    ] = None
-
-
 WATCHDOG = flag("How long a controller waits for a sample before it holds U, or sends 0.", word="TIME[:hold|zero]")
 
 

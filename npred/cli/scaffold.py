@@ -51,7 +51,10 @@ def _copies(source: str, name: str, class_name: str) -> tuple[str, str]:
     from npred import plants
 
     plant = plants.resolve(source)
-    toml = _shipped(source)
+    texts = {name: path.read_text(encoding="utf-8") for name, path in defaults.shipped().items()}
+    # that of its name, else pipeline/paper.toml or the first that has this plant
+    names = sorted(texts, key=lambda name: (name != source, name != defaults.PIPELINE.stem))
+    toml = next((texts[name] for name in names if tomllib.loads(texts[name])["plant"] == source), None)
     if toml is None:
         return _renamed(source, plant, class_name), _fitted(_filled(PIPELINE, name, class_name), plant)
     toml = re.sub(r"^baselines = .*\n", "", toml, flags=re.MULTILINE)  # of files that lie beside that pipeline
@@ -65,25 +68,14 @@ def _renamed(source: str, plant: "Plant", class_name: str) -> str:
     from npred import registry
 
     in_file = registry.in_file(source)
-    path = registry.split(source)[0] if in_file else Path(_module_file(plant.declaration))
+    # a declaration without V is completed by a class of npred below it
+    modules = [sys.modules.get(k.__module__) for k in plant.declaration.__mro__ if "states" in vars(k)]
+    path = registry.split(source)[0] if in_file else Path(inspect.getfile(next(filter(None, modules))))
     text, old = path.read_text(encoding="utf-8"), plant.declaration.__name__
     if re.search(rf"^class {old}\b", text, re.MULTILINE):
         return re.sub(rf"\b{old}\b", class_name, text)
     declaration = registry.split(source)[1] if in_file else f'PLANTS["{source}"]'
     return f"{text.rstrip()}\n{class_name} = {declaration}\n"
-
-
-def _module_file(declaration: type) -> str:
-    """The module of a declaration; one without V is completed by a class of npred below it."""
-    modules = [sys.modules.get(kind.__module__) for kind in declaration.__mro__ if "states" in vars(kind)]
-    return inspect.getfile(next(module for module in modules if module))
-
-
-def _shipped(source: str) -> str | None:
-    """The pipeline of a plant: of its name, else pipeline/paper.toml or the first that has this plant."""
-    texts = {name: path.read_text(encoding="utf-8") for name, path in defaults.shipped().items()}
-    names = sorted(texts, key=lambda name: (name != source, name != defaults.PIPELINE.stem))
-    return next((texts[name] for name in names if tomllib.loads(texts[name])["plant"] == source), None)
 
 
 def _fitted(text: str, plant: "Plant") -> str:

@@ -57,16 +57,12 @@ def _free(tables: dict[str, Any], flags: list[str]) -> None:
         table = tables.setdefault("tune", {})
         if name not in (*LAW, *table.setdefault("free", [])):
             table["free"].append(name)
-        if sign:
-            table.setdefault("bounds", {})[name] = _ends(flag, span)
-
-
-def _ends(flag: str, span: str) -> list[float]:
-    try:
-        low, high = map(float, span.split(":"))
-        return [low, high]
-    except ValueError:
-        raise ConfigError(f"--free: expected NAME or NAME=LOW:HIGH, got {flag!r}; write k1=0.5:5, say") from None
+        try:
+            if sign:
+                low, high = map(float, span.split(":"))
+                table.setdefault("bounds", {})[name] = [low, high]
+        except ValueError:
+            raise ConfigError(f"--free: expected NAME or NAME=LOW:HIGH, got {flag!r}; write k1=0.5:5, say") from None
 
 
 def _table(result: Tuned, width: int | None) -> str:

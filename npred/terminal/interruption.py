@@ -35,7 +35,11 @@ def listen() -> None:
     """
     if _wakeup:
         return
-    _open_streams()
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:  # a closed stream: what is opened next, as a result, would get its words
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free: this one
     _wakeup.extend(socket.socketpair())
     _wakeup[1].setblocking(False)
     signal.set_wakeup_fd(_wakeup[1].fileno(), warn_on_full_buffer=False)
@@ -44,16 +48,8 @@ def listen() -> None:
     for number in handled:
         signal.signal(number, _note)
     sys.warnoptions.append("ignore:resource_tracker:UserWarning")  # read by the process that puts away what is left
-    atexit.register(_ignore, handled)  # the first to be registered is the last to be called
-
-
-def _open_streams() -> None:
-    """Give a standard stream that is closed a file: else what is opened next, as a result, would get its words."""
-    for number in range(3):
-        try:
-            os.fstat(number)
-        except OSError:
-            os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free: this one
+    # The first to be registered is called last: while the interpreter is taken down, a signal would do its default.
+    atexit.register(lambda: [signal.signal(number, signal.SIG_IGN) for number in handled])
 
 
 def interrupted() -> bool:
@@ -146,9 +142,3 @@ def _bounded(call: Callable[[], None]) -> None:
     except RuntimeError:  # from Python 3.12 on none starts while the interpreter is taken down
         return
     over.acquire(timeout=GRACE)
-
-
-def _ignore(numbers: list[int]) -> None:
-    """The command has ended: while the interpreter is taken down, a signal would do what it does by default."""
-    for number in numbers:
-        signal.signal(number, signal.SIG_IGN)

@@ -42,7 +42,9 @@ class RunLog:
             log = cls(path, path.open("a", encoding="utf-8", errors="backslashreplace"))
         except OSError:
             return None
-        _make_room(folder)
+        with suppress(OSError):  # the oldest beyond KEPT go; a file with another name is not npred's
+            for path in sorted(path for path in folder.iterdir() if _NAME.fullmatch(path.name))[:-KEPT]:
+                path.unlink(missing_ok=True)
         return log
 
     def write(self, text: str) -> None:
@@ -56,13 +58,6 @@ class RunLog:
         """Nothing follows."""
         with suppress(OSError):
             self.file.close()
-
-
-def _make_room(folder: Path) -> None:
-    """Remove the oldest logs beyond KEPT; whatever has another name is not npred's."""
-    with suppress(OSError):
-        for path in sorted(path for path in folder.iterdir() if _NAME.fullmatch(path.name))[:-KEPT]:
-            path.unlink(missing_ok=True)
 
 
 class Events:

@@ -8,8 +8,7 @@ import os
 import shutil
 import sys
 import textwrap
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from functools import partial
 from io import TextIOWrapper
 from typing import TextIO, cast
@@ -102,26 +101,22 @@ class Messages:
 
     def write(self, text: str) -> int:
         """Write what can be written."""
-        with _lossy():
+        try:
             sys.stderr.write(text)
+        except (OSError, ValueError):
+            silence(sys.stderr)
         return len(text)
 
     def flush(self) -> None:
         """Flush what can be flushed."""
-        with _lossy():
+        try:
             sys.stderr.flush()
+        except (OSError, ValueError):
+            silence(sys.stderr)
 
     def isatty(self) -> bool:
         """True if it is a screen."""
         return is_terminal(sys.stderr)
-
-
-@contextmanager
-def _lossy() -> Iterator[None]:
-    try:
-        yield
-    except (OSError, ValueError):
-        silence(sys.stderr)
 
 
 MESSAGES = cast(TextIO, Messages())
