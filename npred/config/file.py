@@ -6,7 +6,7 @@ import stat
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from pydantic import ValidationError
 
@@ -108,7 +108,7 @@ def _sentence(error: ValidationError) -> str:
         keys, leaf = list(leaves()), str(loc[-1])
         elsewhere = " or ".join(key for key in keys if key.endswith(f".{leaf}"))
         near = similar(leaf, [part for key in keys for part in key.split(".")])
-        table = where.removesuffix(leaf)
+        table = "".join(f"{part}." for part in path[:-1] if isinstance(part, str))
         there = sorted({key.removeprefix(table).partition(".")[0] for key in keys if key.startswith(table)})
         expected = f"; expected one of {', '.join(there)}" if there else ""
         return f"{where}: unknown key{expected}" + (f"; did you mean {elsewhere}?" if elsewhere else near)
@@ -125,7 +125,9 @@ def _sentence(error: ValidationError) -> str:
 def leaves(model: type[Section] = Pipeline, path: str = "") -> Iterator[str]:
     """Every key of a pipeline file, dotted."""
     for name, field in model.model_fields.items():
-        if isinstance(field.annotation, type) and issubclass(field.annotation, Section):
-            yield from leaves(field.annotation, f"{path}{name}.")
+        kinds = (field.annotation, *get_args(field.annotation))  # a table, one that may be absent, or a list of tables
+        table = next((kind for kind in kinds if isinstance(kind, type) and issubclass(kind, Section)), None)
+        if table:
+            yield from leaves(table, f"{path}{name}.")
         else:
             yield path + name
