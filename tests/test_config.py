@@ -88,7 +88,7 @@ def test_a_pipeline_is_frozen(empty: Path):
         ("generate.smaples=3", ["generate.smaples", "did you mean samples?"]),
         ("gamma=3", ["gamma", "did you mean generate.gamma or evaluate.gamma?"]),
         ("train.width=3", ["train.width", "did you mean train.deeponet.width or train.fno.width?"]),
-        ("evalaute.dt=3", ["evalaute", "unknown key", "did you mean evaluate"]),
+        ("evalaute.dt=3", ["evalaute", "unknown key", "did you mean evaluate?"]),
         ("foo=3", ["foo", "unknown key", "generate"]),
         ("train.deeponet.modes=3", ["train.deeponet.modes", "unknown key", "width"]),
         ("generate.samples=many", ["generate.samples", "valid integer", "'many'"]),
@@ -268,7 +268,7 @@ def test_keys_that_came_later_stand_in_a_dump_only_where_they_say_something(empt
     ("override", "words"),
     [
         ("evaluate.scenarios=[{noise=0.1}]", ["scenarios[0].name: Field required"]),
-        ('evaluate.scenarios=[{name="a", nois=0.1}]', ["scenarios[0].nois: unknown key", "did you mean noise"]),
+        ('evaluate.scenarios=[{name="a", nois=0.1}]', ["scenarios[0].nois: unknown key", "did you mean noise?"]),
         ('evaluate.scenarios=[{name="a"}, {name="a"}]', ["expected different names, got 'a' twice; rename one"]),
         ('evaluate.scenarios=[{name="a", drift={amplitude=0.1}}]', ["scenarios[0].drift.period: Field required"]),
         ('evaluate.scenarios=[{name="a", drift={amplitude=1.5, period=9.0}}]', ["at least 0 s, got -0.5; shrink it"]),

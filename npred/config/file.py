@@ -106,11 +106,11 @@ def _sentence(error: ValidationError) -> str:
     where = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in path).removeprefix(".")
     if first["type"] == "extra_forbidden":
         keys, leaf = list(leaves()), str(loc[-1])
-        elsewhere = " or ".join(key for key in keys if key.endswith(f".{leaf}"))
-        near = similar(leaf, [part for key in keys for part in key.split(".")])
         table = "".join(f"{part}." for part in path[:-1] if isinstance(part, str))
         there = sorted({key.removeprefix(table).partition(".")[0] for key in keys if key.startswith(table)})
         expected = f"; expected one of {', '.join(there)}" if there else ""
+        elsewhere = " or ".join(key for key in keys if key.endswith(f".{leaf}"))
+        near = similar(leaf, there) or similar(leaf, [part for key in keys for part in key.split(".")])
         return f"{where}: unknown key{expected}" + (f"; did you mean {elsewhere}?" if elsewhere else near)
     if first["type"] in ("fault", "missing"):
         return f"{where}: {first['msg']}"
