@@ -20,9 +20,7 @@ from npred.json_files import escaped
 from npred.terminal.console import Console
 from npred.terminal.streams import MESSAGES, printable
 
-MARKS = {
-    "waiting": "[dim]·", "running": "[cyan]▸", "run": "[green]✓", "hit": "[dim]✓", "stopped": "[red]✗",
-}  # fmt: skip
+MARKS = {"waiting": "[dim]·", "running": "[cyan]▸", "run": "[green]✓", "hit": "[dim]✓", "stopped": "[red]✗"}
 SECONDS = 0.5  # between two updates in a notebook
 WIDTH = 110  # columns there
 FORMAT = '<pre style="margin: 0; line-height: 1.3; font-family: monospace">{code}</pre>'
@@ -41,11 +39,12 @@ class LiveView(Progress):
 
     def __init__(self, heading: str, titles: Sequence[str], clock: Callable[[], float]) -> None:
         self.heading, self.stages, self.adding = heading, dict[str, Task](), threading.Lock()
+        mark, doing = TextColumn("{task.fields[mark]}"), TextColumn("{task.fields[doing]}", markup=False)
+        name, running = TextColumn("{task.description}", markup=False), RunningBar(bar_width=24)
+        columns = [mark, name, running, doing, TimeElapsedColumn(), TimeRemainingColumn()]
         super().__init__(
-            TextColumn("{task.fields[mark]}"), TextColumn("{task.description}", markup=False), RunningBar(bar_width=24),
-            TextColumn("{task.fields[doing]}", markup=False), TimeElapsedColumn(), TimeRemainingColumn(),
-            console=RichConsole(file=MESSAGES), speed_estimate_period=math.inf, redirect_stdout=False,
-            redirect_stderr=False, get_time=clock,
+            *columns, console=RichConsole(file=MESSAGES), get_time=clock, speed_estimate_period=math.inf,
+            redirect_stdout=False, redirect_stderr=False,
         )  # fmt: skip
         for title in titles:
             self._task(title)
