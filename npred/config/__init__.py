@@ -1,7 +1,7 @@
 """The pipeline file as frozen models: one table per stage, every key checked, `--set` overrides included."""
 
 from npred.config.evaluate import Evaluate, GuardTable, Scenario
-from npred.config.file import leaves, load, override, parse, put, table, value
+from npred.config.file import load, override, parse, put, table, value
 from npred.config.loop import ControlClock, Disturbance, Loop, Sensors, StateLimits, StateObserver, within
 from npred.config.pipeline import Bench, Generate, Pipeline
 from npred.config.section import FROZEN, PAPER, Anchor, Range, Section
@@ -11,6 +11,6 @@ from npred.config.tune import Tune
 __all__ = [
     "FNO", "FROZEN", "PAPER", "Anchor", "Bench", "ControlClock", "DeepONet", "Disturbance", "Evaluate", "Generate",
     "GuardTable", "Loop", "Network", "Pipeline", "Range", "Scenario", "Section", "Sensors", "StateLimits",
-    "StateObserver", "Train", "Training", "Tune", "leaves", "load", "override", "parse", "put", "table", "value",
+    "StateObserver", "Train", "Training", "Tune", "load", "override", "parse", "put", "table", "value",
     "within",
 ]  # fmt: skip

@@ -105,7 +105,7 @@ def _sentence(error: ValidationError) -> str:
     path = [part for part in loc if isinstance(part, int) or (part.isidentifier() and part != "float")]
     where = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in path).removeprefix(".")
     if first["type"] == "extra_forbidden":
-        keys, leaf = list(leaves()), str(loc[-1])
+        keys, leaf = list(_leaves()), str(loc[-1])
         table = "".join(f"{part}." for part in path[:-1] if isinstance(part, str))
         there = sorted({key.removeprefix(table).partition(".")[0] for key in keys if key.startswith(table)})
         expected = f"; expected one of {', '.join(there)}" if there else ""
@@ -122,12 +122,12 @@ def _sentence(error: ValidationError) -> str:
     return f"{where}: {expected}, got {came!r}{near}"
 
 
-def leaves(model: type[Section] = Pipeline, path: str = "") -> Iterator[str]:
+def _leaves(model: type[Section] = Pipeline, path: str = "") -> Iterator[str]:
     """Every key of a pipeline file, dotted."""
     for name, field in model.model_fields.items():
         kinds = (field.annotation, *get_args(field.annotation))  # a table, one that may be absent, or a list of tables
         table = next((kind for kind in kinds if isinstance(kind, type) and issubclass(kind, Section)), None)
         if table:
-            yield from leaves(table, f"{path}{name}.")
+            yield from _leaves(table, f"{path}{name}.")
         else:
             yield path + name
