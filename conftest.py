@@ -26,7 +26,8 @@ Call = Callable[..., Result]
 if "NPRED_TEST_GPU" not in os.environ:
     os.environ["CUDA_VISIBLE_DEVICES"] = ""  # the tests' results and keys are the CPU's, also where there is a GPU
 OWN_SETTINGS = ("NPRED_STORE", "NPRED_PIPELINE", "NPRED_EXECUTOR")  # of who runs the tests
-HERE = Path(__file__).parent
+ROOT = Path(__file__).parent
+HERE = ROOT / "tests"
 # How long a draw takes says what else the machine does, not what the code does.
 settings.register_profile("npred", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("npred")
@@ -164,7 +165,7 @@ def npred(tmp_path: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
 
 def process_environment(**more: str) -> dict[str, str]:
     """The environment of a child that imports npred from this checkout."""
-    paths = f"{HERE.parent}{os.pathsep}{HERE}"
+    paths = f"{ROOT}{os.pathsep}{HERE}"
     kept = {name: value for name, value in os.environ.items() if name not in OWN_SETTINGS}
     return kept | {"PYTHONPATH": paths, "COLUMNS": "200", "OMP_NUM_THREADS": "1", "NPRED_QUIET": "1"} | more
 
