@@ -81,9 +81,14 @@ class Registry:
         entry = None if name in self.builtin else self._installed().get(name)
         if entry is None:
             return name
-        foreign = entry.dist and entry.dist.name != "npred"  # what npred brings is keyed by its code
+        foreign = entry.dist and not self.is_npreds(name)  # what npred brings is keyed by its code
         package = {"package": entry.dist.name, "version": entry.dist.version} if foreign else {}
         return {"name": name, "target": entry.value} | package
+
+    def is_npreds(self, name: str) -> bool:
+        """True for a part that comes with npred, also where another of its packages registers it."""
+        entry = self._installed().get(name)
+        return name in self.builtin or bool(entry and entry.dist and entry.dist.name == "npred")
 
     def load(self, what: str, name: str) -> Any:
         """The part of that name, imported now. Raises ConfigError, after `what` (a key, say), where there is none."""

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from npred import plants
-from npred.robots import denavit_hartenberg, rigid_body
 from npred.stages.reproduce import (
     AS_MEANT,
     AS_PUBLISHED,
@@ -23,6 +22,7 @@ from npred.stages.reproduce import (
 )
 from npred_experiments import baxter, latency, quirks
 from npred_experiments.network_loop import LoopNetworks, NetworkLoop, Predict
+from npred_robots import denavit_hartenberg, rigid_body
 
 RUNS, SAMPLES, DT, LATE = 25, 100, 0.1, 5
 OTHERS = 300  # runs to learn from, in each round

@@ -14,7 +14,7 @@ ROOT = Path(__file__).parent.parent / "npred"
 FLOORS = [
     {"docstrings", "errors", "grid", "json_files", "randomness"},
     {"array_checks", "config", "defaults", "kernels", "parallel", "registry", "symbolic", "terminal"},
-    {"plants", "results", "robots", "store"},
+    {"plants", "results", "store"},
     {"data", "laws", "operators", "recordings"},
     {"delays", "training"},
     {"bounds", "observers", "predictors", "safety"},
@@ -109,7 +109,7 @@ def test_an_offence_is_named_with_its_file_and_line():
     planted = {"stages/a.py": text, "cli/b.py": text, "attic/c.py": ""}
     assert upwards(planted) == ["stages/a.py:2 imports cli"] and without_a_floor(planted) == ["attic"]
     assert between(planted, "stages", "store") == ["stages/a.py:4 imports store"]
-    assert in_circles({"robots/a.py": "import npred.store", "store/b.py": "import npred.robots"}) == ["robots", "store"]
+    assert in_circles({"plants/a.py": "import npred.store", "store/b.py": "import npred.plants"}) == ["plants", "store"]
 
 
 @pytest.mark.parametrize("arguments", [["--help"], ["status", "{p}"], ["why", "train", "{p}"], ["ls"], ["plants"]])

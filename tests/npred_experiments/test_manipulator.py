@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from npred.robots import denavit_hartenberg, rigid_body
 from npred_experiments import baxter, manipulator
+from npred_robots import denavit_hartenberg, rigid_body
 
 Q, RATES = np.array([0.3, -0.5, 0.2, 1.0, 0.4]), np.array([0.5, -0.2, 0.3, 0.1, -0.6])
 

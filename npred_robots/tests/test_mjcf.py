@@ -1,10 +1,10 @@
 """An arm by MuJoCo: Pinocchio and SciPy agree on it, and what the engine cannot do is said in one line."""
 
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import HERE
 from scipy.integrate import solve_ivp
 
 from npred import plants
@@ -13,9 +13,9 @@ from npred.loop import metrics
 from npred.loop.closed_loop import simulate
 from npred.predictors import RK4
 from npred.predictors.rollout import Rollout
-from npred.robots import mujoco_chain
+from npred_robots import mujoco_chain
 
-FILE = HERE / "arm.xml"
+FILE = Path(__file__).with_name("arm.xml")
 TEXT = FILE.read_text()
 D, U = 0.3, np.array([5.0, -8.0, 3.0])
 START = np.array([0.3, -0.4, 0.05, 0.2, 0.1, -0.1])

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from npred.errors import ConfigError
-from npred.robots.rigid_body import Body
+from npred_robots.rigid_body import Body
 
 
 class Link(NamedTuple):
@@ -50,7 +50,7 @@ class Link(NamedTuple):
 
 
 def bodies(links: Sequence[Link]) -> list[Body]:
-    """The chain for npred.robots.rigid_body, from the base to the tip; without joint friction.
+    """The chain for npred_robots.rigid_body, from the base to the tip; without joint friction.
 
     Raises ConfigError for no link, or one without a mass.
     """

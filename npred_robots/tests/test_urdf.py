@@ -7,7 +7,7 @@ import pytest
 from six_joint import SIX, TEXT
 
 from npred.errors import ConfigError
-from npred.robots import urdf
+from npred_robots import urdf
 
 
 def test_six_joints_are_read():
@@ -38,6 +38,7 @@ def test_what_is_fixed_is_merged():
     ("old", "new", "message"),
     [
         ('type="prismatic"', 'type="planar"', "joint reach: expected a type of .*prismatic, fixed, got 'planar'"),
+        ('type="prismatic"', 'type="prismatik"', r"did you mean prismatic\?"),
         ('<child link="hand"/>', '<child link="foot"/>', "joint pitch names a link 'foot' that is not there"),
         (
             '<parent link="hand"/>',

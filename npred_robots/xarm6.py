@@ -9,7 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from npred.robots.rigid_body import Body
+from npred_robots.chain import serial
+from npred_robots.rigid_body import Body
 
 
 class Segment(NamedTuple):
@@ -42,15 +43,21 @@ LINKS = (
 
 
 def bodies() -> list[Body]:
-    """The chain for npred.robots.rigid_body, from the base to the tip, without joint friction."""
-    return [_body(k, link) for k, link in enumerate(LINKS, 1)]
+    """The chain for npred_robots.rigid_body, from the base to the tip, without joint friction."""
+    chain = []
+    for number, link in enumerate(LINKS, 1):
+        cos, sin = math.cos(link.roll), math.sin(link.roll)
+        xx, xy, xz, yy, yz, zz = link.inertia
+        chain.append(Body(
+            joint=f"joint{number}", slides=False, turn=np.array([[1.0, 0, 0], [0, cos, -sin], [0, sin, cos]]),
+            position=np.array(link.position), axis=np.array([0.0, 0.0, 1.0]), mass=link.mass,
+            centre=np.array(link.centre), inertia=np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]), damping=0.0,
+            effort=link.effort,
+        ))  # fmt: skip
+    return chain
 
 
-def _body(number: int, link: Segment) -> Body:
-    cos, sin = math.cos(link.roll), math.sin(link.roll)
-    xx, xy, xz, yy, yz, zz = link.inertia
-    return Body(
-        joint=f"joint{number}", slides=False, turn=np.array([[1.0, 0, 0], [0, cos, -sin], [0, sin, cos]]),
-        position=np.array(link.position), axis=np.array([0.0, 0.0, 1.0]), mass=link.mass, centre=np.array(link.centre),
-        inertia=np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]), damping=0.0, effort=link.effort,
-    )  # fmt: skip
+#: six joints under computed torque: q_i(t) = 0.2 sin(0.6 t + phase_i), the phases from 0 to π/2, with gains 40 and 14,
+#: reference and law of arXiv:2603.29119, where every torque comes 0.2 s late
+XArm6 = serial(bodies(), "the arm xArm6", phases=[k * math.pi / 10 for k in range(6)])
+XArm6.__name__ = "XArm6"

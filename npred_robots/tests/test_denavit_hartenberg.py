@@ -5,8 +5,8 @@ import pin_models
 import pytest
 
 from npred.errors import ConfigError
-from npred.robots import baxter, denavit_hartenberg, rigid_body
-from npred.robots.denavit_hartenberg import Link
+from npred_robots import baxter, denavit_hartenberg, rigid_body
+from npred_robots.denavit_hartenberg import Link
 
 BODIES = denavit_hartenberg.bodies(baxter.LINKS)
 Q, RATES, PULL = np.random.default_rng(0).uniform(-1, 1, (3, 7))

@@ -2,7 +2,5 @@
 
 from pathlib import Path
 
-SIX = Path(__file__).parent / "six_joint.urdf"
-
-
+SIX = Path(__file__).with_name("six_joint.urdf")
 TEXT = SIX.read_text()

@@ -8,7 +8,7 @@ import pin_models
 import pytest
 
 from npred import plants
-from npred.robots import urdf, xarm6
+from npred_robots import urdf, xarm6
 
 BODIES = xarm6.bodies()
 
@@ -27,6 +27,11 @@ def test_accelerations_and_law_are_pinocchios():
         sought = pull + 14 * (speed - rates) + 40 * (goal - q)
         law = pin.rnea(model, data, q, rates, sought)
         np.testing.assert_allclose(plant.kappa(x, moment), law, rtol=1e-9, atol=1e-10)
+
+
+def test_a_plant_of_a_sibling_is_npreds():
+    """Its trained networks load by their key, as those of a built-in plant."""
+    assert plants.is_builtin("xarm6") and not plants.is_builtin("round_tank")
 
 
 def test_the_table_is_that_of_the_description():

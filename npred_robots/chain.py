@@ -1,7 +1,7 @@
 """A robot arm from its URDF file as a declaration: computed torque about a wave, traced or by a rigid-body library.
 
 from pathlib import Path
-from npred.robots.chain import chain
+from npred_robots.chain import chain
 
 Arm = chain(Path(__file__).with_name("my_arm.urdf"))
 """
@@ -17,11 +17,11 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from npred.errors import ConfigError
-from npred.robots import rigid_body, urdf
-from npred.robots.rigid_body import Body, Matrix, Vector
 from npred.symbolic import Parameters, Value, array_math
 from npred.symbolic.ldl import total
 from npred.symbolic.tape import Functions
+from npred_robots import rigid_body, urdf
+from npred_robots.rigid_body import Body, Matrix, Vector
 
 GAINS = {"stiffness": 40.0, "damping": 14.0, "amplitude": 0.2, "frequency": 0.6, "gravity": 9.81}
 TURNS, SLIDES = ("rad", "rad/s", "N m"), ("m", "m/s", "N")  # units of a joint's position, rate and input
@@ -153,7 +153,7 @@ def declaration(
         units |= zip(joint, SLIDES if body.slides else TURNS, strict=True)
     ranges = {name: (at - 0.3, at + 0.3) for name, at in zip(names, wave.middle, strict=True)}
     return type("Chain", (), {
-        "__doc__": f"The chain of {title} under computed torque; see npred.robots.chain.",
+        "__doc__": f"The chain of {title} under computed torque; see npred_robots.chain.",
         "states": (*names, *rates),
         "inputs": inputs,
         "units": units,

@@ -1,4 +1,4 @@
-"""An arm of the Baxter robot: seven links by their Denavit-Hartenberg table, and the limits of its joints.
+"""An arm of the Baxter robot: seven links by their Denavit-Hartenberg table, the limits of its joints, and the plants.
 
 Smith, Yang, Li, Ma, Bruce, Dynamic modelling and control of a Baxter robot (IEEE 7558740, 2016), with the inertia about
 the mass centres, as the robot's URDF file has it.
@@ -6,7 +6,8 @@ the mass centres, as the robot's URDF file has it.
 
 import math
 
-from npred.robots.denavit_hartenberg import Link
+from npred_robots.chain import GAINS, serial
+from npred_robots.denavit_hartenberg import Link, bodies
 
 _TURN = math.pi / 2
 
@@ -31,3 +32,26 @@ ANGLES = ((-1.7016, 1.7016), (-2.147, 1.047), (-3.0541, 3.0541), (-0.05, 2.618),
           (-3.059, 3.059))  # fmt: skip
 #: joint rates, rad/s
 FASTEST = (2.0, 2.0, 2.0, 2.0, 4.0, 4.0, 4.0)
+
+
+def arm(joints: int) -> type:
+    """The declaration of the first so many joints under computed torque about the middle of the joints' ranges.
+
+    q_i(t) = middle_i + 0.1 sin t, the same wave for all joints, and errors with e'' + 2 e' + e = 0 without delay: the
+    reference and the gains of Bhan, Krstic and Shi (arXiv:2411.18964), where every torque comes 0.5 s late. Their arm
+    has another plant and law, for the vector of Coriolis torques stands there as a matrix: docs/reproduce.md.
+    """
+    names = [link.joint for link in LINKS[:joints]]
+    middle = [(low + high) / 2 for low, high in ANGLES[:joints]]
+    kind = serial(
+        bodies(LINKS[:joints]), f"the Baxter arm's first {joints} joints", middle, [0.0] * joints,
+        parameters=GAINS | {"stiffness": 1.0, "damping": 2.0, "amplitude": 0.1, "frequency": 1.0},
+        period=2 * math.pi,
+        box={name: (at - 0.2, at + 0.2) for name, at in zip(names, middle, strict=True)}
+        | {f"{name}_rate": (-0.1, 0.1) for name in names},
+    )  # fmt: skip
+    kind.__name__ = f"BaxterArm{joints}"
+    return kind
+
+
+BaxterArm5, BaxterArm7 = arm(5), arm(7)

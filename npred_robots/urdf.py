@@ -11,7 +11,7 @@ import numpy as np
 
 from npred import json_files
 from npred.errors import ConfigError, unlisted
-from npred.robots.rigid_body import Body
+from npred_robots.rigid_body import Body
 
 LARGEST = 2**20  # bytes of a file: a chain has kilobytes, its meshes are elsewhere and not read
 MOVING = {"revolute": False, "continuous": False, "prismatic": True}  # whether the joint slides

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from npred.robots.rigid_body import Body
+from npred_robots.rigid_body import Body
 
 
 def model(pin: Any, bodies: list[Body]) -> tuple[Any, Any]:

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 from threading import Lock
-from npred.robots import mujoco_chain
+from npred_robots import mujoco_chain
 
 Arm = mujoco_chain(Path(__file__).with_name("my_arm.xml"))
 """
@@ -16,15 +16,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from npred.errors import ConfigError, first_line, required, unlisted
-from npred.robots.chain import by_library, declaration, wave_of
 from npred.symbolic import Parameters, Value
+from npred_robots.chain import by_library, declaration, wave_of
 
 INTEGRATORS = ("Euler", "RK4", "implicit", "implicitfast")  # MuJoCo's names
 LEFT_OUT = ("CONSTRAINT", "ACTUATION", "SENSOR", "AUTORESET")  # flags of what is no smooth function of state and input
 
 
 def mujoco_chain(path: str | Path, pose: Sequence[float] | None = None, integrator: str | None = None) -> type:
-    """The declaration of the arm of an MJCF file, `traced = False`: npred.robots.chain.chain by MuJoCo's functions.
+    """The declaration of the arm of an MJCF file, `traced = False`: npred_robots.chain.chain by MuJoCo's functions.
 
     (M(q) + armature) q'' + C(q, q') q' + G(q) + damping q' = U(t - D) + springs; states, inputs, law and reference are
     those of `chain`. q'' is mj_forward's, the law's torque mj_inverse's. `rollout` is the engine's own, for the
@@ -46,7 +46,7 @@ def mujoco_chain(path: str | Path, pose: Sequence[float] | None = None, integrat
 
 
 class MujocoJoint(NamedTuple):
-    """A joint of the file, as npred.robots.chain.declaration reads it."""
+    """A joint of the file, as npred_robots.chain.declaration reads it."""
 
     joint: str
     slides: bool

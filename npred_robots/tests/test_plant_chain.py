@@ -12,17 +12,21 @@ from npred.loop import metrics
 from npred.loop.closed_loop import simulate
 from npred.plants.base import Plant
 from npred.predictors import RK4
-from npred.robots import pin_chain
-from npred.robots.chain import chain
+from npred_robots import pin_chain
+from npred_robots.chain import chain
 
 PLANT = Plant("six", chain(SIX))
 D = 0.2
 FREE = [(-np.inf, np.inf)] * 6
 FILE = f"""
-from npred.robots.chain import chain
+from npred_robots.chain import chain
 
 Arm = chain({str(SIX)!r}, pose=[0.1, 0.2, 0.0, 0.0, 0.0, 0.0])
 """
+
+
+def test_its_mechanics_are_those_of_f():
+    PLANT.check_mechanics()
 
 
 def test_a_file_of_three_lines_declares_it(tmp_path):

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from six_joint import SIX
 
-from npred.robots import rigid_body, urdf
-from npred.robots.rigid_body import Body
 from npred.symbolic import array_math
+from npred_robots import rigid_body, urdf
+from npred_robots.rigid_body import Body
 
 M = array_math.NUMPY
 STILL = [0.0] * 6

@@ -7,12 +7,12 @@ from threading import Lock
 import numpy as np
 
 from npred.errors import required
-from npred.robots import urdf
-from npred.robots.chain import by_library, declaration, wave_of
+from npred_robots import urdf
+from npred_robots.chain import by_library, declaration, wave_of
 
 
 def pin_chain(path: str | Path, pose: Sequence[float] | None = None) -> type:
-    """The declaration of npred.robots.chain.chain with its dynamics by pinocchio's aba and rnea, `traced = False`.
+    """The declaration of npred_robots.chain.chain with its dynamics by pinocchio's aba and rnea, `traced = False`.
 
     Raises MissingError without the extra, ConfigError for a file that is no such chain.
     """
