@@ -246,8 +246,11 @@ RECORDINGS = Registry(  # by the suffix of a file
         "ulg": Entry("npred.recordings.ulog:Ulog", "ULog"),
     },
 )
-EXPERIMENTS = Registry("experiment", "npred.experiments")  # published ones, which are in npred_experiments
 BASELINES = Registry("baseline", "npred.baselines")  # predictors to compare with: none is built in
+# Modules that bring results of other things than pipelines, by their stage: planners(store, name) gives an
+# npred.pipeline.plan.Resolver for each thing of that name, of the stage for all, and summary(document, width) words
+RESOLVERS = Registry("resolver", "npred.resolvers")
+COMMANDS = Registry("command", "npred.commands")  # functions as those of npred.cli.commands: none is built in
 PLANTS = Registry("plant", "npred.plants")  # the built-in ones are the files of npred/plants/builtin
 
 

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from npred import plants
-from npred.stages.reproduce import (
+from npred_experiments import baxter, latency, quirks
+from npred_experiments.experiment import (
     AS_MEANT,
     AS_PUBLISHED,
     Experiment,
@@ -20,7 +21,6 @@ from npred.stages.reproduce import (
     networks,
     published_times,
 )
-from npred_experiments import baxter, latency, quirks
 from npred_experiments.network_loop import LoopNetworks, NetworkLoop, Predict
 from npred_robots import denavit_hartenberg, rigid_body
 

@@ -3,10 +3,16 @@
 from collections.abc import Sequence
 from functools import partial
 
-from npred.results import Reproduced, ReproducedRow
-from npred.results.reproduce import PredictionTime, TrainedForLoop
-from npred.stages.reproduce import AS_MEANT, Experiment, load
 from npred.terminal.console import columns
+from npred_experiments.experiment import (
+    AS_MEANT,
+    Experiment,
+    PredictionTime,
+    Reproduced,
+    ReproducedRow,
+    TrainedForLoop,
+    load,
+)
 
 HEADER = ["experiment", "predictor", "metric", "published", "as published", "as meant"]
 TIMES_HEADER = ["experiment", "predictor", "of one prediction", "published, ms", "here, ms", "sup error"]

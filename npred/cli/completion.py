@@ -12,7 +12,7 @@ import typer
 
 import npred
 from npred import defaults
-from npred.registry import EXPERIMENTS, STAGES, Registry
+from npred.registry import STAGES, Registry
 
 if TYPE_CHECKING:
     from pydantic.fields import FieldInfo
@@ -38,6 +38,11 @@ def _offered(find: Callable[[typer.Context, str], Iterable[Offer]]) -> Complete:
 def words(*choices: str) -> Complete:
     """These words."""
     return lambda ctx, incomplete: list(choices)
+
+
+def of(parts: Registry) -> Complete:
+    """The names of these parts."""
+    return _offered(lambda ctx, incomplete: parts.names())
 
 
 @_offered
@@ -111,5 +116,4 @@ def _first_comment(path: Path) -> str:
 stages = _offered(lambda ctx, incomplete: [*STAGES, *_pipeline(ctx).train.models])  # and the networks
 models = _offered(lambda ctx, incomplete: _pipeline(ctx).train.names)
 plants = _offered(lambda ctx, incomplete: npred.plants.names())
-experiments = _offered(lambda ctx, incomplete: EXPERIMENTS.names())
 devices = words("auto", "cpu", "cuda")

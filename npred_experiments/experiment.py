@@ -1,6 +1,6 @@
-"""What a published experiment is: what was printed, and functions that measure it again.
+"""A published experiment: what was printed, functions that measure it again, and the rows that they give.
 
-A package registers one by an entry point of the group `npred.experiments`; npred_experiments has those of npred.
+A package registers one by an entry point of the group `npred.experiments`.
 """
 
 import math
@@ -9,14 +9,57 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-from npred import registry
-from npred.results import Reproduced, ReproducedRow
-from npred.results.reproduce import PredictionTime, TrainedForLoop
+from npred.results import Result
 from npred.terminal.console import Console
+from npred_experiments import EXPERIMENTS
 
 NUMERICAL = "numerical"  # what predicts
 TIMES = "times"  # the part of an experiment that times predictions
 AS_PUBLISHED, AS_MEANT = "as published", "as meant"
+
+
+class ReproducedRow(Result):
+    """A published number, and the same quantity measured here."""
+
+    predictor: str  #: `numerical`, or the network's name
+    metric: str  #: the measured quantity
+    published: float | None  #: as printed; null where the source prints none
+    as_published: float | None  #: in the published loop, its errors included; null: not measured
+    as_meant: float | None  #: with the right plant, law, transport and metric; null: not measured
+
+
+class TrainedForLoop(Result):
+    """A network that was trained for one of an experiment's two loops."""
+
+    network: str  #: fno, deeponet, fno_gru or deeponet_gru
+    loop: str  #: `as published` or `as meant`
+    parameters: int  #: its weights
+    samples: int  #: rows that it learned from
+    epochs: int  #: passes over them
+    loss: float  #: the last, of training
+    mse: float  #: mean square error of P on rollouts that were held out
+    eps_sup: float  #: largest error of P there
+    seconds: float  #: of training, the samples' included
+    ms: float  #: milliseconds of one prediction, compiled: the median of single calls
+
+
+class PredictionTime(Result):
+    """The time of one prediction, as printed and as measured here."""
+
+    predictor: str  #: `numerical`, or the network's name
+    setting: str  #: what is computed: the method and its steps
+    published_ms: float | None = None  #: as printed; null where the source prints none
+    ms: float | None = None  #: milliseconds here, compiled: the median of single calls; null: not measured
+    error: float | None = None  #: sup |P_hat - P| of these calls at the end of the delay
+
+
+class Reproduced(Result):
+    """A published experiment: its rows."""
+
+    name: str  #: the experiment
+    rows: list[ReproducedRow]  #: one per predictor and metric
+    trained: list[TrainedForLoop] = []  #: the networks behind the rows
+    times: list[PredictionTime] = []  #: of single predictions
 
 
 class Measured(NamedTuple):
@@ -113,7 +156,7 @@ class Experiment:
 
 def load(name: str) -> Experiment:
     """The experiment of that name. Raises ConfigError, in one line, for another name."""
-    return registry.EXPERIMENTS.load("reproduce", name)
+    return EXPERIMENTS.load("reproduce", name)
 
 
 def networks(metric: str, **digits: str) -> tuple[PublishedNumber, ...]:

@@ -2,9 +2,8 @@
 
 import pytest
 
-from npred.results import Reproduced, ReproducedRow
-from npred.results.reproduce import PredictionTime, TrainedForLoop
 from npred_experiments import page
+from npred_experiments.experiment import PredictionTime, Reproduced, ReproducedRow, TrainedForLoop
 
 
 def row(predictor: str, published: float | None, measured: float | None, meant: float | None = 0.5) -> ReproducedRow:

@@ -15,10 +15,11 @@ from stopped_runs import hear_interrupts
 from typer.testing import CliRunner
 
 import npred
-from npred.cli import app, rig
-from npred.cli.options import Rigged
+from npred.cli import app
 from npred.predictors.guarded import Guarded
-from npred.rig.network import Channel
+from npred_rig import rig
+from npred_rig.command import Rigged
+from npred_rig.network import Channel
 
 PIPELINE = """
 name = "short"
@@ -230,3 +231,29 @@ def test_the_network_is_that_of_the_overrides_and_has_the_guard(tmp_path, monkey
     predictor = rig._controller(options, plant, Channel()).predictor
     assert asked == [("short.toml:deeponet", options.store, overrides)]
     assert isinstance(predictor, Guarded) and predictor.tolerance == 0.02
+
+
+CART = """
+class Cart:
+    states, inputs, guess, box = ("x", "v"), ("u",), (0.95, 0.0), {"x": (-0.6, 0.6), "v": (-0.4, 0.4)}
+
+    def f(x, u, t, p, M):
+        return [x.v, u.u]
+
+    def kappa(x, t, p, M):
+        return [-4 * (x.x - 0.95) - 1.2 * x.v]
+
+    def safe(x, t, p, M):
+        return [1.0 - x.x, 1.0 + x.x]
+"""
+
+
+def test_the_controller_has_the_filter_of_the_pipeline(tmp_path):
+    (tmp_path / "cart.py").write_text(CART)
+    (tmp_path / "cart.toml").write_text(
+        'plant = "cart.py:Cart"\n[evaluate]\nX0 = [-0.6, 0.2]\nD = 0.3\nadaptation = "frozen"\n'
+    )
+    options = Rigged(pipeline_name=str(tmp_path / "cart.toml"), set=["evaluate.safety.alpha=3"])
+    plant = npred.plant(f"{tmp_path / 'cart.py'}:Cart")
+    controller = rig._controller(options, plant, Channel(0.1, 0.0, 0.0, 0.0, 0.0, 0))
+    assert controller.safety == npred.SafetyFilter(3.0)

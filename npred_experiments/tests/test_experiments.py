@@ -6,17 +6,16 @@ from pathlib import Path
 import pytest
 
 import npred_experiments
-from npred import registry
-from npred.pipeline.experiments import ExperimentPlanner
-from npred.stages.reproduce import NUMERICAL, Place, load
 from npred.store import Store
 from npred.terminal.console import Console
-from npred_experiments import rows
+from npred_experiments import EXPERIMENTS, rows
+from npred_experiments.experiment import NUMERICAL, Place, load
+from npred_experiments.planner import ExperimentPlanner
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAGE = (DOCS / "reproduce.md").read_text()
 MEASURED = (DOCS / "published.md").read_text().replace("−", "-").split("\n## ")
-NAMES = registry.EXPERIMENTS.names()
+NAMES = EXPERIMENTS.names()
 FILES = Path(npred_experiments.__file__).parent.glob("*.py")
 
 
@@ -38,7 +37,9 @@ def test_an_experiment_is_keyed_by_what_it_imports():
     planner = ExperimentPlanner("horizon_loop", Store(Path("none")))
     settings = planner.settings(planner.possible()[0])
     assert settings["experiment"] == {"name": "horizon_loop", "target": "npred_experiments.horizon_loop:EXPERIMENT"}
-    assert list(settings["code"]) == [f"npred_experiments{name}" for name in ("", ".horizon_loop", ".horizons")]
+    assert list(settings["code"]) == [
+        f"npred_experiments{name}" for name in ("", ".experiment", ".horizon_loop", ".horizons")
+    ]
 
 
 @pytest.mark.slow

@@ -8,9 +8,9 @@ from scipy.optimize import brentq
 from silent import Silent
 
 from npred.operators import Operator
-from npred.results.reproduce import TrainedForLoop
 from npred.terminal.console import Console
 from npred_experiments import horizon_network, horizons, prediction_horizons
+from npred_experiments.experiment import TrainedForLoop
 
 
 @pytest.fixture(scope="module")

@@ -5,8 +5,8 @@ import pytest
 
 import npred
 from npred.config import Evaluate, Sensors
-from npred.rig.network import Packet
-from npred.rig.plant_side import DelayedPlant, sensed
+from npred_rig.network import Packet
+from npred_rig.sides import DelayedPlant, sensed
 
 
 def scalar(D: float) -> DelayedPlant:

@@ -7,11 +7,9 @@ import pytest
 import reproduced
 
 from npred import plants
-from npred.results import Reproduced
-from npred.results.reproduce import PredictionTime, TrainedForLoop
-from npred.stages import reproduce
-from npred_experiments import latency
+from npred_experiments import experiment, latency
 from npred_experiments import rows as experiment_rows
+from npred_experiments.experiment import PredictionTime, Reproduced, TrainedForLoop
 from npred_experiments.network_loop import recorded
 from npred_experiments.regression import Quadratic
 
@@ -29,7 +27,7 @@ def test_errors_fall_with_the_steps_by_the_order_of_each_method(calls: latency.P
     for name, order in (("euler", 1), ("rk4", 4)):
         coarse, fine = (rows[f"{name} {nx}"].error or 0.0 for nx in (11, 21))
         assert np.log2(coarse / fine) == pytest.approx(order, abs=0.5)
-    assert all(row.ms and row.predictor == reproduce.NUMERICAL for row in rows.values())
+    assert all(row.ms and row.predictor == experiment.NUMERICAL for row in rows.values())
 
 
 def test_a_regression_is_in_the_time_of_its_network(calls: latency.PredictorInputs, monkeypatch: pytest.MonkeyPatch):
@@ -43,14 +41,14 @@ def test_a_regression_is_in_the_time_of_its_network(calls: latency.PredictorInpu
 
 def test_published_times_stand_beside_those_taken_here(monkeypatch: pytest.MonkeyPatch):
     printed = (
-        *reproduce.published_times("Euler, 5 steps", numerical=10.0, fno=2.0),
-        *reproduce.published_times("Euler, 100 steps", numerical=200.0, fno=3.0),
+        *experiment.published_times("Euler, 5 steps", numerical=10.0, fno=2.0),
+        *experiment.published_times("Euler, 100 steps", numerical=200.0, fno=3.0),
     )
     monkeypatch.setattr(experiment_rows, "load", lambda name: replace(REAL, times=printed))
-    trained = TrainedForLoop(network="fno", loop=reproduce.AS_MEANT, parameters=1, samples=1, epochs=1, loss=1.0,
+    trained = TrainedForLoop(network="fno", loop=experiment.AS_MEANT, parameters=1, samples=1, epochs=1, loss=1.0,
                              mse=1.0, eps_sup=0.5, seconds=1.0, ms=0.25)  # fmt: skip
     here = [
-        PredictionTime(predictor=reproduce.NUMERICAL, setting=setting, ms=0.1, error=0.2)
+        PredictionTime(predictor=experiment.NUMERICAL, setting=setting, ms=0.1, error=0.2)
         for setting in ("Euler, 5 steps", "RK4, 5 steps")
     ]
     parts = [Reproduced(name="x", rows=[], times=here), Reproduced(name="x", rows=[], trained=[trained])]
@@ -66,7 +64,7 @@ def test_published_times_stand_beside_those_taken_here(monkeypatch: pytest.Monke
     assert "200" in experiment_rows.times_table([Reproduced(name="x", rows=[], times=list(rows.values()))])
 
 
-REAL = reproduce.load("unicycle_constant")
+REAL = experiment.load("unicycle_constant")
 
 
 def test_a_time_is_the_median_of_the_calls_in_milliseconds(monkeypatch: pytest.MonkeyPatch):

@@ -11,7 +11,7 @@ import numpy as np
 
 from npred import api, figures, plants
 from npred.cli import export
-from npred.cli.options import Rigged, drawable, writable
+from npred.cli.options import drawable, writable
 from npred.conditions import condition
 from npred.config import Evaluate
 from npred.errors import ConfigError, NpredError, UnmetError
@@ -26,9 +26,11 @@ from npred.pipeline import load_model
 from npred.plants import Plant
 from npred.predictors import numerical
 from npred.predictors.guarded import Guarded
-from npred.rig import clock, controller_side, log, network, plant_side
-from npred.rig.network import Channel
 from npred.terminal import interruption
+from npred_rig import figure as drawing
+from npred_rig import log, network, sides
+from npred_rig.command import Rigged
+from npred_rig.network import Channel
 
 EVERY = 0.1  # s between two looks at the processes
 AHEAD = 0.1  # s from the agreement to the start
@@ -51,7 +53,7 @@ def rig(options: Rigged, output: Path | None, figure: Path | None) -> None:
     if written.why != log.OVER:
         raise NpredError(f"rig: expected a whole run, got an end, {written.why or 'a side was killed'}; read {path}")
     if plot:
-        figures.write(figures.rig(plant, plot.stem, *written[:2]), plot.parent, MEDIA["page"], [plot.suffix[1:]])
+        figures.write(drawing.rig(plant, plot.stem, *written[:2]), plot.parent, MEDIA["page"], [plot.suffix[1:]])
     document = log.summary(plant, written, controller.dt) | log.micro("waits_late", late) | {"log": str(path)}
     rows = [[name, f"{x:.4g}" if isinstance(x, float) else str(x)] for name, x in document.items()]
     options.show_table(document, ("of the log", ""), rows)
@@ -69,25 +71,25 @@ def run(options: Rigged, plant: Plant, controller: Controller, channel: Channel,
     table, console = options.config.evaluate, options.console
     truth = condition.truth(plant, table) or plant
     work: list[tuple[Any, tuple[Any, ...]]] = [
-        (controller_side.run, (controller, ends[0], channel, seconds, path)),
-        (plant_side.run, (truth, table, controller.u0, controller.observer, ends[1], channel)),
-        (clock.only_wait, (controller.dt, seconds)),
+        (sides.control, (controller, ends[0], channel, seconds, path)),
+        (sides.simulate, (truth, table, controller.u0, controller.observer, ends[1], channel)),
+        (sides.only_wait, (controller.dt, seconds)),
     ]
-    pipes, sides = [context.Pipe() for _ in work], []
+    pipes, processes = [context.Pipe() for _ in work], []
     path.unlink(missing_ok=True)
     try:
         for (target, values), (_, theirs) in zip(work, pipes, strict=True):
             side = context.Process(target=target, args=(*values, theirs))
             with executors.deaf():
                 side.start()
-            sides.append(side)
+            processes.append(side)
             theirs.close()  # else this process would keep open what a side closes by its end
         for end in ends:
             end.close()
         ours = [pipe for pipe, _ in pipes]
         start = _begin(ours)
         with console.bar("rig", math.ceil(seconds), "seconds") as bar:
-            while sides[0].is_alive():
+            while processes[0].is_alive():
                 time.sleep(EVERY)
                 console.head(last := log.last_row(path))
                 bar.advance(min(int(time.monotonic() - start), bar.total) - bar.done, last)
@@ -95,7 +97,7 @@ def run(options: Rigged, plant: Plant, controller: Controller, channel: Channel,
     finally:
         for pipe, _ in pipes:
             pipe.close()
-        for side in sides:
+        for side in processes:
             side.join(interruption.GRACE / 2)
             side.kill()
 

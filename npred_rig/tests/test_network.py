@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from npred.errors import ConfigError
-from npred.rig.network import STOP, Channel
+from npred_rig.network import STOP, Channel
 
 COUNT = 20_000
 

@@ -13,25 +13,17 @@ from pathlib import Path
 from typing import Any, Self
 
 from npred import registry
-from npred.errors import ConfigError, MissingError, unlisted
+from npred.errors import ConfigError, unlisted
 from npred.parallel.executors import Workers
 from npred.pipeline.plan import Node, Resolver
 from npred.registry import Source
-from npred.results import Reproduced
-from npred.stages.reproduce import NUMERICAL, TIMES, Place, load
 from npred.store import Store
 from npred.terminal.console import Console
+from npred_experiments import EXPERIMENTS, rows
+from npred_experiments.experiment import NUMERICAL, TIMES, Place, Reproduced, load
 
 STAGE = "reproduce"
 VERSION = 3
-ABSENT = "expected the package npred_experiments, found none; install npred again, with pip: it brings that"
-
-
-def names() -> list[str]:
-    """The registered experiments, sorted. Raises MissingError where no package registers one."""
-    if registered := registry.EXPERIMENTS.names():
-        return registered
-    raise MissingError(f"{STAGE}: {ABSENT}")
 
 
 @dataclass(frozen=True)
@@ -62,7 +54,7 @@ class ExperimentPlanner(Resolver):
 
     def check(self, nodes: Iterable[Node]) -> None:
         """Raise ConfigError for a name that there is no experiment of."""
-        if self.experiment not in (registered := names()):
+        if self.experiment not in (registered := EXPERIMENTS.names()):
             raise ConfigError(unlisted(STAGE, self.experiment, registered))
 
     def version(self, node: Node) -> int:
@@ -72,7 +64,7 @@ class ExperimentPlanner(Resolver):
         """The experiment, the digests of its code, and the part, but for the numerical rows."""
         code = {name: {"source": source.sha256} for name, source in self._code.items()}
         part = {} if node.model == self.experiment else {"part": self._part(node)}
-        return {"experiment": registry.EXPERIMENTS.identity(self.experiment), "code": code} | part
+        return {"experiment": EXPERIMENTS.identity(self.experiment), "code": code} | part
 
     def code(self, node: Node) -> dict[str, Source | None]:
         return {f"code.{name}": source for name, source in self._code.items()}
@@ -86,7 +78,7 @@ class ExperimentPlanner(Resolver):
 
     @cached_property
     def _code(self) -> dict[str, Source]:
-        return imported_code(registry.EXPERIMENTS.module(self.experiment))
+        return imported_code(EXPERIMENTS.module(self.experiment))
 
     def _node(self, part: str) -> Node:
         return Node(STAGE, self.experiment if part == NUMERICAL else f"{self.experiment}_{part}", ())
@@ -95,9 +87,14 @@ class ExperimentPlanner(Resolver):
         return (node.model or "").removeprefix(self.experiment).removeprefix("_") or NUMERICAL
 
 
-def every(store: Store) -> list[ExperimentPlanner]:
-    """Those of all registered experiments; none where there is none."""
-    return [ExperimentPlanner(name, store) for name in registry.EXPERIMENTS.names()]
+def planners(store: Store, name: str = STAGE) -> list[ExperimentPlanner]:
+    """That of the experiment with this name, those of all for `reproduce`; none for another name."""
+    return [ExperimentPlanner(each, store) for each in EXPERIMENTS.names() if name in (STAGE, each)]
+
+
+def summary(document: dict[str, object], width: int | None = None) -> str:
+    """A result's JSON as a table. Raises StoreError where it is none, ConfigError without its experiment."""
+    return rows.summary([Reproduced.of(document, "result")], width)
 
 
 def imported_code(module: str) -> dict[str, Source]:

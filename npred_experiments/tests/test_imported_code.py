@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from npred.pipeline.experiments import imported_code
+from npred_experiments.planner import imported_code
 
 PACKAGE = {
     "__init__.py": "raise ValueError('run')",

@@ -9,10 +9,10 @@ import reproduced
 import torch
 
 from npred.operators import load
-from npred.stages.reproduce import Place
-from npred.stages.reproduce import load as load_experiment
 from npred.terminal.console import Console
 from npred_experiments import learning, network_loop
+from npred_experiments.experiment import Place
+from npred_experiments.experiment import load as load_experiment
 from npred_experiments.regression import Quadratic
 
 TABLE = {"epochs": 3, "width": 4, "modes": 3, "layers": 1, "nodes": 5}
