@@ -250,6 +250,9 @@ BASELINES = Registry("baseline", "npred.baselines")  # predictors to compare wit
 # Modules that bring results of other things than pipelines, by their stage: planners(store, name) gives an
 # npred.pipeline.plan.Resolver for each thing of that name, of the stage for all, and summary(document, width) words
 RESOLVERS = Registry("resolver", "npred.resolvers")
+# Modules that say more of a network's error: check(plant), which raises where certify cannot, and certify(job, guards,
+# exact, fresh), fields of the certificate of each network
+CERTIFICATES = Registry("certificate", "npred.certificates")
 COMMANDS = Registry("command", "npred.commands")  # functions as those of npred.cli.commands: none is built in
 PLANTS = Registry("plant", "npred.plants")  # the built-in ones are the files of npred/plants/builtin
 

@@ -17,7 +17,7 @@ FLOORS = [
     {"plants", "results", "store"},
     {"data", "laws", "operators", "recordings"},
     {"delays", "training"},
-    {"bounds", "observers", "predictors", "safety"},
+    {"observers", "predictors", "safety"},
     {"conditions", "diagnosis", "identification", "loop", "runtimes"},
     {"figures", "tuning"},
     {"stages"},

@@ -1,6 +1,8 @@
-"""A bound of the error of U, where `guarded` estimates it: for one constant delay and a traced plant.
+"""A bound of the error of U, where a guard estimates it: for one constant delay and a traced plant.
 
-An extra of `certify`, by interval arithmetic: only Guarded.bound asks for it.
+    from npred_experiments.bounds import bound
+
+    bound(guarded, X, u, D_hat)
 
 Let Q be any curve near P, and R(x) = Q(x) - X - D_hat ∫₀ˣ f(Q, u) its residual. With Q - P = R + w,
     w' = D_hat A (R + w), w(0) = 0,   A(x) = ∫₀¹ f_P(Q + s (P - Q), u) ds,
@@ -16,12 +18,14 @@ integrals are Simpson's: it is a bound but for the error of these, of order 4.
 """
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from npred import grid
-from npred.bounds.intervals import Interval, Operand, interval
+from npred import array_checks, grid
 from npred.delays import family_of
 from npred.delays.family import by_time
 from npred.plants.base import Plant
+from npred.predictors.guarded import Guarded
+from npred_experiments.intervals import Interval, Operand, interval
 
 CELLS = 200  # that Q has at least
 SWEEPS = 2  # of the linearised equation
@@ -31,6 +35,18 @@ TINY = 1e-12  # a rate that stands for 0
 DESCENT, RATE, ENOUGH = 300, 0.05, 2000  # steps of Adam that look for W, their size, and the derivatives they see
 Inputs = tuple[np.ndarray, np.ndarray, np.ndarray]
 MEMORY, TINY_SLOPE = (0.9, 0.999), 1e-8  # Adam's, of the mean slope and of its square, and a slope that is none
+
+
+def bound(guarded: Guarded, X: ArrayLike, u: ArrayLike, D_hat: ArrayLike, t: ArrayLike = 0.0) -> np.ndarray:
+    """A bound of what `guarded.error` estimates, (...), in NumPy; infinite where none is found.
+
+    Raises ConfigError for a plant that is not traced, or has not one constant delay.
+    """
+    P_hat, u = guarded.model(X, u, D_hat, t), array_checks.nodes("u", u, guarded.plant.m)
+    batch = P_hat.shape[:-2]
+    arrays = (P_hat, P_hat.shape[-2:]), (X, P_hat.shape[-1:]), (u, u.shape[-2:]), (D_hat, ()), (t, ())
+    rows = [np.broadcast_to(a, (*batch, *shape)).reshape(-1, *shape) for a, shape in arrays]
+    return ErrorBound.of(guarded)(*rows).reshape(batch)
 
 
 class ErrorBound:
@@ -43,6 +59,14 @@ class ErrorBound:
         family_of(plant).needs("bound")
         self.plant, self.W, self.inverse = plant, W, np.linalg.inv(W)
         self.reach = np.linalg.norm(self.inverse, axis=1)  # how far each state may be off where |v|_W is 1, (n,)
+
+    @classmethod
+    def of(cls, guarded: Guarded) -> "ErrorBound":
+        """The bound with the W that suits examples of the data; without these, no state outweighs another."""
+        if guarded.domain is None:
+            return cls(guarded.plant, np.eye(guarded.plant.n))
+        calls = guarded.examples.calls
+        return cls(guarded.plant, weight(guarded.plant, guarded.exact(*calls), *calls[1:]))
 
     def __call__(self, P_hat: np.ndarray, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: np.ndarray) -> np.ndarray:
         """The bound (B,) of the predictions P_hat (B, nx, n) of X (B, n), u (B, nx, m), D_hat (B,), t (B,).

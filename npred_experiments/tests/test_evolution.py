@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from npred.stages.certify import evolution
+from npred_experiments import evolution
 
 
 def evolved(score, starts, steps, seed=0):

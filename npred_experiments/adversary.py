@@ -24,16 +24,16 @@ import numpy as np
 
 from npred import randomness
 from npred.data.dataset import Dataset
-from npred.errors import required
 from npred.loop import metrics
 from npred.plants import Plant
 from npred.predictors import RK4, Predictor
 from npred.predictors.guarded import Guarded
-from npred.stages.certify import evolution, rollouts
-from npred.stages.certify.evolution import Inputs
+from npred.stages.certify import rollouts
 from npred.stages.certify.rollouts import Calls
 from npred.stages.certify.table import Certify
 from npred.symbolic import array_math
+from npred_experiments import evolution
+from npred_experiments.evolution import Inputs
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -65,12 +65,6 @@ def search(
 def climbs(plant: Plant) -> bool:
     """True if the search of a network climbs its gradient, which takes torch."""
     return plant.traced and plant.one_delay and not plant.declares_delay and not plant.clocked
-
-
-def check(plant: Plant) -> None:
-    """Raise MissingError where the search needs torch and there is none."""
-    if climbs(plant):
-        required("certify: the gradient of a network", "torch", "torch", "train")
 
 
 def _climb(

@@ -8,9 +8,10 @@ from npred.data.dataset import Dataset
 from npred.data.domain import Domain
 from npred.predictors import RK4, Predictor
 from npred.predictors.guarded import Guarded
-from npred.stages.certify import adversary, rollouts
-from npred.stages.certify.evolution import Inputs
+from npred.stages.certify import rollouts
 from npred.stages.certify.table import Certify
+from npred_experiments import adversary
+from npred_experiments.evolution import Inputs
 
 PLANT, NX = npred.plant("activator_repressor"), 21
 BOX = np.array([PLANT.box[name] for name in PLANT.states])

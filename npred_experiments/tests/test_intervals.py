@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import npred
-from npred.bounds.intervals import Interval, interval
 from npred.symbolic.tape import M, Tape
 from npred.symbolic.trace import python
+from npred_experiments.intervals import Interval, interval
 
 FORMULAS = {
     "sum": lambda a, b: a + b - 2.0,
