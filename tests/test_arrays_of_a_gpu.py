@@ -14,7 +14,7 @@ OF_THE_CPU = {
     "npred_experiments/evolution.py",  # its own search, on arrays
 }
 SAVED = "npred/runtimes/"  # what is fused or exported was loaded from files, to the CPU
-MODULES = [*(ROOT / "npred").rglob("*.py"), *(ROOT / "npred_experiments").rglob("*.py")]
+MODULES = [*(ROOT / "npred").rglob("*.py"), *ROOT.glob("npred_*/*.py")]
 
 
 def unfetched(text: str) -> list[int]:

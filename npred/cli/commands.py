@@ -363,5 +363,5 @@ def _add_installed(name: str) -> None:
 
 
 for _name in COMMANDS.names():
-    if _name not in {known.name for known in app.registered_commands}:
+    if _name not in {each.name for each in app.registered_commands}:
         _add_installed(_name)
