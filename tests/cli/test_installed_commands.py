@@ -26,7 +26,7 @@ def run(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
 
 def test_a_command_of_a_package_has_the_flags_of_its_class(package: Callable[..., None], tmp_path: Path):
     package("greet = shed_of_tanks:greet\nls = shed_of_tanks:greet", GREET, "npred.commands")
-    assert run(tmp_path, "greet", "--name", "Ada", "--json").stdout == '{\n "word": "Ada"\n}\n'
+    assert run(tmp_path, "greet", "--name", "Ada", "--json").stdout.split() == ["{", '"word":', '"Ada"', "}"]
     assert "Say a word." in run(tmp_path, "--help").stdout
     assert "hello" not in run(tmp_path, "ls").stdout  # npred's own stays
 
