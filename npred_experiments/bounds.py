@@ -177,22 +177,28 @@ def _inputs(u: np.ndarray, parts: int) -> Inputs:
 def weight(plant: Plant, P: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: np.ndarray) -> np.ndarray:
     """The W, upper triangular (n, n), with the least mean of D_hat ∫ mu over predictions P (B, nx, n) of u (B, nx, m).
 
-    By gradient descent, from the states' spreads. W is free up to a factor.
+    By gradient descent, Adam [Kingma and Ba 2015, arXiv:1412.6980], from the states' spreads. W is free up to a factor.
     """
     shares = (D_hat[:, None] * grid.trapezoid(u.shape[1]) / len(D_hat)).reshape(-1)
     kept = slice(None, None, max(1, shares.size // ENOUGH))
     A, share = _jacobians(plant, P, u, D_hat, t).reshape(-1, plant.n, plant.n)[kept], shares[kept]
     spread = P.reshape(-1, plant.n).std(axis=0)
     log_diagonal, above = -np.log(np.where(spread > 0, spread, 1.0)), np.zeros((plant.n, plant.n))
-    adam = Adam(log_diagonal, above)
+    values = log_diagonal, above
+    means, squares = ([np.zeros_like(value) for value in values] for _ in range(2))
     best, W_best = np.inf, np.diag(np.exp(log_diagonal))
-    for _ in range(DESCENT):
+    for count in range(1, DESCENT + 1):
         diagonal, unit = np.exp(log_diagonal), np.eye(plant.n) + np.triu(above, 1)
         W = diagonal[:, None] * unit
-        mean, slope = _mean_norm(A, share, W)
-        if mean < best:
-            best, W_best = mean, W
-        adam.step((slope * W).sum(axis=1), np.triu(diagonal[:, None] * slope, 1))
+        mean_norm, slope_W = _mean_norm(A, share, W)
+        if mean_norm < best:
+            best, W_best = mean_norm, W
+        slopes = (slope_W * W).sum(axis=1), np.triu(diagonal[:, None] * slope_W, 1)
+        for value, mean, square, slope in zip(values, means, squares, slopes, strict=True):  # in place
+            mean += (1 - MEMORY[0]) * (slope - mean)
+            square += (1 - MEMORY[1]) * (slope**2 - square)
+            size = np.sqrt(square / (1 - MEMORY[1] ** count)) + TINY_SLOPE
+            value -= RATE * mean / (1 - MEMORY[0] ** count) / size
     return W_best
 
 
@@ -209,23 +215,6 @@ def _mean_norm(A: np.ndarray, share: np.ndarray, W: np.ndarray) -> tuple[float, 
     forth, back = (B @ v[..., None])[..., 0], (v[..., None, :] @ B)[..., 0, :]
     slope = np.einsum("b,bi,bj->ij", share, v, forth) - np.einsum("b,bi,bj->ij", share, back, v)
     return float(share @ values[..., -1]), slope @ inverse.T
-
-
-class Adam:
-    """Gradient descent with steps of about RATE [Kingma and Ba 2015, arXiv:1412.6980], in place."""
-
-    def __init__(self, *values: np.ndarray) -> None:
-        self.values, self.count = values, 0
-        self.means, self.squares = ([np.zeros_like(value) for value in values] for _ in range(2))
-
-    def step(self, *slopes: np.ndarray) -> None:
-        """One step against these derivatives."""
-        self.count += 1
-        for value, mean, square, slope in zip(self.values, self.means, self.squares, slopes, strict=True):
-            mean += (1 - MEMORY[0]) * (slope - mean)
-            square += (1 - MEMORY[1]) * (slope**2 - square)
-            size = np.sqrt(square / (1 - MEMORY[1] ** self.count)) + TINY_SLOPE
-            value -= RATE * mean / (1 - MEMORY[0] ** self.count) / size
 
 
 def _jacobians(plant: Plant, P: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: np.ndarray) -> np.ndarray:

@@ -27,7 +27,12 @@ def rig(plant: Plant, name: str, calls: dict[str, Any], samples: dict[str, Any])
     ]
     ends = calls["rig.D_hat"][-1], samples["rig.delay"][order][-1]
     alt = "D_hat ends at {:.4g}, the stamps say {:.4g}.".format(*ends)
-    drawn = partial(_delay, plant, t, calls["rig.D_hat"], taken, samples["rig.delay"][order])
+
+    def drawn(axis: Axes) -> None:
+        axis.plot(t, calls["rig.D_hat"], **ESTIMATE.line)
+        axis.plot(taken, samples["rig.delay"][order], **STAMPS.line)
+        axis.set_xlabel(timed(plant, "t"))
+
     panels.append(Panel(f"delay estimate {quantity(plant, 'D_hat')}", alt, drawn))
     age = calls["rig.age"]
     alt = f"In the middle {np.median(age):.3g}, at most {age.max():.3g}."
@@ -39,12 +44,4 @@ def rig(plant: Plant, name: str, calls: dict[str, Any], samples: dict[str, Any])
 
 def _line(plant: Plant, t: np.ndarray, values: np.ndarray, axis: Axes) -> None:
     axis.plot(t, values, color=ROLES["blue"][0], linewidth=1.0)
-    axis.set_xlabel(timed(plant, "t"))
-
-
-def _delay(
-    plant: Plant, t: np.ndarray, D_hat: np.ndarray, taken: np.ndarray, delay: np.ndarray, axis: Axes
-) -> None:  # fmt: skip
-    axis.plot(t, D_hat, **ESTIMATE.line)
-    axis.plot(taken, delay, **STAMPS.line)
     axis.set_xlabel(timed(plant, "t"))

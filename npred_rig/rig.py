@@ -3,7 +3,6 @@
 import math
 import multiprocessing
 import time
-from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,6 @@ from npred import api, figures, plants
 from npred.cli import export
 from npred.cli.options import drawable, writable
 from npred.conditions import condition
-from npred.config import Evaluate
 from npred.errors import ConfigError, NpredError, UnmetError
 from npred.figures.style import MEDIA
 from npred.loop import loop_checks, metrics
@@ -46,7 +44,6 @@ def rig(options: Rigged, output: Path | None, figure: Path | None) -> None:
     if plant.declares_delay or not plant.one_delay or plant.time_unit != "s":
         raise ConfigError(f"rig: expected a plant with one delay and in seconds, got {plant.name}; take another")
     controller = _controller(options, plant, channel)
-    _check(options.config.evaluate, controller)
     with interruption.orderly("interrupted; the log has all up to then"):
         late = run(options, plant, controller, channel, path)
     written = log.read(path)
@@ -87,7 +84,17 @@ def run(options: Rigged, plant: Plant, controller: Controller, channel: Channel,
         for end in ends:
             end.close()
         ours = [pipe for pipe, _ in pipes]
-        start = _begin(ours)
+        for pipe in ours:  # until all are ready
+            while not pipe.poll(EVERY):
+                interruption.check()
+            try:
+                pipe.recv()
+            except EOFError:
+                what = "expected three processes that begin, got one that ended"
+                raise NpredError(f"rig: {what}; read its message") from None
+        start = time.monotonic() + AHEAD
+        for pipe in ours:
+            pipe.send(start)
         with console.bar("rig", math.ceil(seconds), "seconds") as bar:
             while processes[0].is_alive():
                 time.sleep(EVERY)
@@ -102,34 +109,8 @@ def run(options: Rigged, plant: Plant, controller: Controller, channel: Channel,
             side.kill()
 
 
-def _begin(pipes: list[Connection]) -> float:
-    """Wait until all are ready, and tell them when to begin."""
-    for pipe in pipes:
-        while not pipe.poll(EVERY):
-            interruption.check()
-        try:
-            pipe.recv()
-        except EOFError:
-            raise NpredError("rig: expected three processes that begin, got one that ended; read its message") from None
-    start = time.monotonic() + AHEAD
-    for pipe in pipes:
-        pipe.send(start)
-    return start
-
-
-def _check(table: Evaluate, controller: Controller) -> None:
-    """Raise ConfigError for keys of [evaluate] that the rig does not honour, or that do not fit the plant."""
-    plant, observer = controller.plant, controller.observer
-    sensors = {f"measurement.{key}": getattr(table.measurement, key) for key in ("jitter", "delay", "drop")}
-    if keys := [f"evaluate.{key}" for key, value in (sensors | {"timing": table.timing}).items() if value]:
-        cure = "leave it out, and describe the network by --delay, --jitter, --loss and --stops"
-        raise ConfigError(f"rig: expected no delays, losses or clock but its own, got {', '.join(keys)}; {cure}")
-    if table.X0:
-        loop_checks.start(plant, np.array(table.X0))
-    Measurement(**dict(table.measurement)).check(plant, observer and len(observer.outputs))
-
-
 def _controller(options: Rigged, plant: Plant, channel: Channel) -> Controller:
+    """Raises ConfigError for keys of [evaluate] that the rig does not honour, or that do not fit the plant."""
     table = options.config.evaluate
     exact = predictor = numerical(table.predictor, plant, table.nx)
     if options.model:
@@ -140,4 +121,12 @@ def _controller(options: Rigged, plant: Plant, channel: Channel) -> Controller:
     controller = export.of_table(plant, predictor, table.model_copy(update={"actuator": HISTORY}), **more)
     if isinstance(controller.adaptation, DelayAdaptation):
         options.console.warn(export.RECALLS)
+    sensors = {f"measurement.{key}": getattr(table.measurement, key) for key in ("jitter", "delay", "drop")}
+    if keys := [f"evaluate.{key}" for key, value in (sensors | {"timing": table.timing}).items() if value]:
+        cure = "leave it out, and describe the network by --delay, --jitter, --loss and --stops"
+        raise ConfigError(f"rig: expected no delays, losses or clock but its own, got {', '.join(keys)}; {cure}")
+    if table.X0:
+        loop_checks.start(plant, np.array(table.X0))
+    observer = controller.observer
+    Measurement(**dict(table.measurement)).check(plant, observer and len(observer.outputs))
     return controller

@@ -58,40 +58,32 @@ class _Engine:
 
     def __init__(self, path: Path, integrator: str | None) -> None:
         self.mujoco = required("mujoco_chain", "mujoco", "mujoco", "mujoco")
-        self.model = self._model(path)
-        flags = self.mujoco.mjtDisableBit
-        for part in LEFT_OUT:
-            self.model.opt.disableflags |= getattr(flags, f"mjDSBL_{part}").value
-        if integrator is not None:
-            if integrator not in INTEGRATORS:
-                raise ConfigError(unlisted("mujoco_chain: integrator", integrator, INTEGRATORS))
-            self.model.opt.integrator = getattr(self.mujoco.mjtIntegrator, f"mjINT_{integrator.upper()}")
-        self.joints = self._joints(path)
-        self.data, self.alone = self.mujoco.MjData(self.model), Lock()
-        state = self.mujoco.mjtState
-        self.held = state.mjSTATE_QFRC_APPLIED.value
-        self.size = self.mujoco.mj_stateSize(self.model, state.mjSTATE_FULLPHYSICS.value)
-
-    def _model(self, path: Path) -> Any:
         try:
-            return self.mujoco.MjModel.from_xml_path(str(path))
+            self.model = model = self.mujoco.MjModel.from_xml_path(str(path))
         except ValueError as error:
             reason = first_line(error).removeprefix("Error: ")
             raise ConfigError(f"{path}: expected an MJCF file, got: {reason}; fix the file") from None
-
-    def _joints(self, path: Path) -> list[MujocoJoint]:
-        model, kinds = self.model, self.mujoco.mjtJoint
+        flags = self.mujoco.mjtDisableBit
+        for part in LEFT_OUT:
+            model.opt.disableflags |= getattr(flags, f"mjDSBL_{part}").value
+        if integrator is not None:
+            if integrator not in INTEGRATORS:
+                raise ConfigError(unlisted("mujoco_chain: integrator", integrator, INTEGRATORS))
+            model.opt.integrator = getattr(self.mujoco.mjtIntegrator, f"mjINT_{integrator.upper()}")
+        kinds, self.joints = self.mujoco.mjtJoint, list[MujocoJoint]()
         hinge, slide = kinds.mjJNT_HINGE.value, kinds.mjJNT_SLIDE.value
-        joints: list[MujocoJoint] = []
         for k, (kind, limited) in enumerate(zip(model.jnt_type, model.jnt_actfrclimited, strict=True)):
             name = model.joint(k).name or f"joint_{k}"
             if kind not in (hinge, slide):
                 raise ConfigError(f"{path}: joint {name}: expected type hinge or slide, got another; fix the file")
             effort = float(np.abs(model.jnt_actfrcrange[k]).min()) if limited else math.inf
-            joints.append(MujocoJoint(name, bool(kind == slide), effort))
-        if not joints:
+            self.joints.append(MujocoJoint(name, bool(kind == slide), effort))
+        if not self.joints:
             raise ConfigError(f"{path}: expected a joint that moves, found none; fix the file")
-        return joints
+        self.data, self.alone = self.mujoco.MjData(model), Lock()
+        state = self.mujoco.mjtState
+        self.held = state.mjSTATE_QFRC_APPLIED.value
+        self.size = self.mujoco.mj_stateSize(model, state.mjSTATE_FULLPHYSICS.value)
 
     def accelerations(self, q: np.ndarray, rates: np.ndarray, u: np.ndarray, gravity: float) -> np.ndarray:
         """q'' (B, n) by mj_forward."""

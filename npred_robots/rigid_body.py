@@ -56,7 +56,9 @@ def torques(
         else:
             dw = add(dw, cross(w, joint_v), joint_a)
             w = add(w, joint_v)
-        loads.append(_force(body, w, dw, a))
+        centre, inertia = body.centre.tolist(), body.inertia.tolist()
+        f = [body.mass * c for c in add(a, cross(dw, centre), cross(w, cross(w, centre)))]
+        loads.append((f, add(times(inertia, dw), cross(w, times(inertia, w)), cross(centre, f))))
     shares: Vector = []
     f, n = [0.0] * 3, [0.0] * 3
     for body, (turn, position), (f_body, n_body) in reversed(list(zip(bodies, placed, loads, strict=True))):
@@ -64,13 +66,6 @@ def torques(
         shares.append(dot(body.axis.tolist(), f if body.slides else n))
         f, n = moved(turn, position, f, n)
     return shares[::-1]
-
-
-def _force(body: Body, w: Vector, dw: Vector, a: Vector) -> tuple[Vector, Vector]:
-    """f and n that the motion of this body alone takes."""
-    centre, inertia = body.centre.tolist(), body.inertia.tolist()
-    f = [body.mass * c for c in add(a, cross(dw, centre), cross(w, cross(w, centre)))]
-    return f, add(times(inertia, dw), cross(w, times(inertia, w)), cross(centre, f))
 
 
 def mass_matrix(bodies: list[Body], q: Vector, M: Functions) -> Matrix:
@@ -82,7 +77,9 @@ def mass_matrix(bodies: list[Body], q: Vector, M: Functions) -> Matrix:
         body, axis = bodies[i], bodies[i].axis.tolist()
         mass = mass + body.mass
         first = add(first, [body.mass * c for c in body.centre.tolist()])
-        second = [add(a, b) for a, b in zip(second, _about_origin(body), strict=True)]
+        c = body.centre
+        about_origin = (body.inertia + body.mass * (c @ c * np.eye(3) - np.outer(c, c))).tolist()  # by Steiner
+        second = [add(a, b) for a, b in zip(second, about_origin, strict=True)]
         f = [mass * c for c in axis] if body.slides else cross(axis, first)
         n = cross(first, axis) if body.slides else times(second, axis)
         for j in range(i, -1, -1):
@@ -90,12 +87,6 @@ def mass_matrix(bodies: list[Body], q: Vector, M: Functions) -> Matrix:
             f, n = moved(*placed[j], f, n)
         first, second = _composite(*placed[i], mass, first, second)
     return H
-
-
-def _about_origin(body: Body) -> Matrix:
-    """The body's inertia about its origin, by Steiner."""
-    c = body.centre
-    return (body.inertia + body.mass * (c @ c * np.eye(3) - np.outer(c, c))).tolist()
 
 
 def _composite(turn: Matrix, position: Vector, mass: Value, first: Vector, second: Matrix) -> tuple[Vector, Matrix]:
@@ -119,15 +110,12 @@ def _placed(body: Body, q: Value, M: Functions) -> tuple[Matrix, Vector]:
         return body.turn.tolist(), [p + q * a for p, a in zip(body.position.tolist(), along, strict=True)]
     x, y, z = body.axis.tolist()
     K = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    constant, sine, cosine = (_clean(body.turn @ part) for part in (np.eye(3) + K @ K, K, -K @ K))
+    parts = (body.turn @ part for part in (np.eye(3) + K @ K, K, -K @ K))
+    # numbers that only rounding keeps from 0 are 0: the program leaves those out
+    constant, sine, cosine = (np.where(np.abs(part) < 1e-15, 0.0, part).tolist() for part in parts)
     s, c = M.sin(q), M.cos(q)
     turn = [[constant[i][j] + sine[i][j] * s + cosine[i][j] * c for j in range(3)] for i in range(3)]
     return turn, body.position.tolist()
-
-
-def _clean(matrix: np.ndarray) -> list[list[float]]:
-    """Numbers that only rounding keeps from 0 are 0: the program leaves those out."""
-    return np.where(np.abs(matrix) < 1e-15, 0.0, matrix).tolist()
 
 
 def moved(turn: Matrix, position: Vector, f: Vector, n: Vector) -> tuple[Vector, Vector]:
