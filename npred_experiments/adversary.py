@@ -16,7 +16,6 @@ lines and single nodes of u, each with X in the box and with X in the range of t
 it works for every plant and every guard.
 """
 
-from collections.abc import Callable
 from itertools import product
 from typing import TYPE_CHECKING, Any
 
@@ -33,7 +32,7 @@ from npred.stages.certify.rollouts import Calls
 from npred.stages.certify.table import Certify
 from npred.symbolic import array_math
 from npred_experiments import evolution
-from npred_experiments.evolution import Inputs
+from npred_experiments.evolution import Inputs, Progress
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -43,9 +42,8 @@ PENALTY = 3.0  # more than the 1 that an error beyond the threshold brings, for 
 
 
 def search(
-    plant: Plant, predictor: Predictor, data: Dataset, inputs: Inputs, table: Certify, seed: int,
-    progress: Callable[[int], Any],
-) -> tuple[Calls, np.ndarray]:  # fmt: skip
+    plant: Plant, predictor: Predictor, data: Dataset, inputs: Inputs, table: Certify, seed: int, progress: Progress
+) -> tuple[Calls, np.ndarray]:
     """The inputs of every call of every search, and |kappa(P̂(1)) - kappa(P(1))| there, (B,)."""
     rng, count = randomness.generator(seed, "certify", "adversary"), table.restarts // 2
     a = inputs.starts(rng, data, table.restarts - count, count, predictor.nx)
@@ -68,8 +66,8 @@ def climbs(plant: Plant) -> bool:
 
 
 def _climb(
-    plant: Plant, predictor: Any, inputs: Inputs, starts: list[np.ndarray], steps: int, progress: Callable[[int], Any]
-) -> list[tuple[np.ndarray, ...]]:  # fmt: skip
+    plant: Plant, predictor: Any, inputs: Inputs, starts: list[np.ndarray], steps: int, progress: Progress
+) -> list[tuple[np.ndarray, ...]]:
     """The calls of gradient ascent."""
     import torch
 
@@ -104,9 +102,8 @@ def _rk4(plant: Plant, X: "Tensor", u: "Tensor", D_hat: "Tensor") -> "Tensor":
 
 
 def blind_spots(
-    guard: Guarded, exact: Predictor, data: Dataset, inputs: Inputs, table: Certify, seed: int,
-    progress: Callable[[int], Any],
-) -> tuple[Calls, np.ndarray]:  # fmt: skip
+    guard: Guarded, exact: Predictor, data: Dataset, inputs: Inputs, table: Certify, seed: int, progress: Progress
+) -> tuple[Calls, np.ndarray]:
     """The inputs of every call, and the score of each, (B,)."""
     rng = randomness.generator(seed, "certify", "blind spots")
 

@@ -147,7 +147,7 @@ class Curve:
 
     def __init__(
         self, plant: Plant, Q: np.ndarray, X: np.ndarray, inputs: Inputs, D_hat: np.ndarray, t: np.ndarray
-    ) -> None:  # fmt: skip
+    ) -> None:
         nx, first, last = Q.shape[1], Q[:, :-1], Q[:, 1:]
         s = t[:, None] + D_hat[:, None] * grid.nodes(2 * nx - 1)
         self.times = s[:, :-1:2], s[:, 2::2]
