@@ -1,4 +1,4 @@
-"""What an adversary finds of `guarded.bound`: calls whose true error of U is above it, and by how much.
+"""What an adversary finds of the bound of npred_experiments.bounds: calls whose true error of U is above it.
 
     python benchmarks/bound_adversary.py [MODEL] [--nx 51] [--states box|data] [--calls 60_000] [--store artifacts]
 
@@ -18,6 +18,7 @@ import npred
 from npred.data import shards
 from npred.pipeline.models import load_data
 from npred.predictors.guarded import Guarded
+from npred_experiments.bounds import ErrorBound
 
 TOGETHER, GENERATIONS = 20, 50  # populations side by side
 STEPS = 4  # of RK4 a cell: to search by
@@ -28,18 +29,25 @@ MEANS = READINGS.index("means")
 
 
 @np.errstate(all="ignore")
-def ratios(guard: Guarded, system: System, calls: Calls) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def ratios(
+    guard: Guarded, error_bound: ErrorBound, system: System, calls: Calls
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Of each call the true error over the bound (0 where it is tiny), the bound, and U of the network."""
     P = guard.model(*calls)
     U = guard.plant.kappa(P[:, -1], calls.t + calls.D_hat).T
-    bound = guard.error_bound(P, *calls)
+    bound = error_bound(P, *calls)
     error = np.abs(U - by_rk4(system, calls, STEPS)[MEANS]).max(axis=0)
     ratio = np.where(np.isfinite(bound) & np.isfinite(error) & (error > TINY), error / bound, 0.0)
     return ratio, bound, U
 
 
 def search(
-    guard: Guarded, system: System, ranges: Ranges, starts: np.ndarray, options: argparse.Namespace
+    guard: Guarded,
+    error_bound: ErrorBound,
+    system: System,
+    ranges: Ranges,
+    starts: np.ndarray,
+    options: argparse.Namespace,
 ) -> tuple[int, int, np.ndarray]:
     """How many calls were made and bounded, and the rows z, ratio of those nearest to the bound."""
     rng, made, bounded = np.random.default_rng(options.seed), 0, 0
@@ -48,7 +56,7 @@ def search(
         populations = [Population(starts[k].copy(), ranges, rng) for k in rng.integers(len(starts), size=TOGETHER)]
         for _ in range(GENERATIONS):
             z = np.concatenate([population.ask() for population in populations])
-            ratio, bound, _ = ratios(guard, system, ranges.calls(z))
+            ratio, bound, _ = ratios(guard, error_bound, system, ranges.calls(z))
             # of a call without a bound: the smaller D_hat, the nearer to one that has it
             score = np.where(np.isfinite(bound), np.log(np.maximum(ratio, 1e-9)), -30.0 - 10 * z[:, ranges.end])
             for population, scores in zip(populations, score.reshape(-1, SIZE), strict=True):
@@ -71,9 +79,10 @@ def main() -> None:
     data = shards.survey(load_data(options.model.rpartition(":")[0], options.store).folder / "data.h5")
     system, ranges = SYSTEMS[guard.plant.name], Ranges(guard, data, options.states)
     starts = ranges.starts(np.random.default_rng(options.seed), data, 2000)
-    made, bounded, nearest = search(guard, system, ranges, starts, options)
+    error_bound = ErrorBound.of(guard)
+    made, bounded, nearest = search(guard, error_bound, system, ranges, starts, options)
     calls = ranges.calls(nearest[:, :-1])
-    _, bound, U = ratios(guard, system, calls)
+    _, bound, U = ratios(guard, error_bound, system, calls)
     exact = np.array([by_dop853(system, *(part[k] for part in calls))[MEANS] for k in range(len(nearest))])
     ratio = np.abs(U.T - exact).max(axis=1) / bound
     cells = [f"`{Path(options.model).name}`, {options.nx}", options.states, made, bounded, f"{nearest[0, -1]:.9f}"]

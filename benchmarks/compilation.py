@@ -19,7 +19,7 @@ from npred.terminal.console import columns
 HERE = Path(__file__).resolve().parent
 PLANTS = ("activator_repressor", "planar_arm2", "planar_arm5", "planar_arm7")
 URDF = """\
-from npred.robots.chain import chain
+from npred_robots.chain import chain
 
 Arm = chain({path!r})
 """
@@ -58,7 +58,7 @@ def main() -> None:
     """Print the table."""
     with tempfile.TemporaryDirectory() as folder:
         arm = Path(folder, "six_joint.py")
-        arm.write_text(URDF.format(path=str(HERE.parent / "tests" / "six_joint.urdf")))
+        arm.write_text(URDF.format(path=str(HERE.parent / "npred_robots" / "tests" / "six_joint.urdf")))
         rows = []
         for plant in sys.argv[1:] or [*PLANTS, f"{arm}:Arm"]:
             for what in FIRST:

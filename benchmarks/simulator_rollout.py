@@ -26,8 +26,8 @@ from npred.loop import metrics
 from npred.plants import Plant
 from npred.predictors import Predictor
 from npred.predictors.rollout import Rollout
-from npred.robots.mjcf import LEFT_OUT
 from npred.stages.bench import timing
+from npred_robots.mjcf import LEFT_OUT
 
 STARTS = 12
 WITHIN = (0.1, 0.01)  # of the network's tracking error

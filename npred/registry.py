@@ -81,9 +81,14 @@ class Registry:
         entry = None if name in self.builtin else self._installed().get(name)
         if entry is None:
             return name
-        foreign = entry.dist and entry.dist.name != "npred"  # what npred brings is keyed by its code
+        foreign = entry.dist and not self.is_npreds(name)  # what npred brings is keyed by its code
         package = {"package": entry.dist.name, "version": entry.dist.version} if foreign else {}
         return {"name": name, "target": entry.value} | package
+
+    def is_npreds(self, name: str) -> bool:
+        """True for a part that comes with npred, also where another of its packages registers it."""
+        entry = self._installed().get(name)
+        return name in self.builtin or bool(entry and entry.dist and entry.dist.name == "npred")
 
     def load(self, what: str, name: str) -> Any:
         """The part of that name, imported now. Raises ConfigError, after `what` (a key, say), where there is none."""
@@ -241,8 +246,14 @@ RECORDINGS = Registry(  # by the suffix of a file
         "ulg": Entry("npred.recordings.ulog:Ulog", "ULog"),
     },
 )
-EXPERIMENTS = Registry("experiment", "npred.experiments")  # published ones, which are in npred_experiments
 BASELINES = Registry("baseline", "npred.baselines")  # predictors to compare with: none is built in
+# Modules that bring results of other things than pipelines, by their stage: planners(store, name) gives an
+# npred.pipeline.plan.Resolver for each thing of that name, of the stage for all, and summary(document, width) words
+RESOLVERS = Registry("resolver", "npred.resolvers")
+# Modules that say more of a network's error: check(plant), which raises where certify cannot, and certify(job, guards,
+# exact, fresh), fields of the certificate of each network
+CERTIFICATES = Registry("certificate", "npred.certificates")
+COMMANDS = Registry("command", "npred.commands")  # functions as those of npred.cli.commands: none is built in
 PLANTS = Registry("plant", "npred.plants")  # the built-in ones are the files of npred/plants/builtin
 
 

@@ -16,7 +16,8 @@ import npred
 from npred import plants
 from npred.loop.closed_loop import Trajectories
 from npred.plants import Plant
-from npred.stages.reproduce import (
+from npred_experiments import latency, quirks
+from npred_experiments.experiment import (
     AS_MEANT,
     AS_PUBLISHED,
     Experiment,
@@ -26,7 +27,6 @@ from npred.stages.reproduce import (
     networks,
     published_times,
 )
-from npred_experiments import latency, quirks
 from npred_experiments.network_loop import Called, LoopNetworks, NetworkLoop, Predict
 
 D, D_HAT, X0, DT, DX, NODES, STEPS = 1.0, 2.0, (0.03, 30.0), 0.005, 0.01, 100, 20000

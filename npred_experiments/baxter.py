@@ -1,12 +1,12 @@
 """The first five links of the Baxter arm as matrices on batches: (..., 5) angles.
 
-The method is the textbook's sum over links of traces of 4 × 4 matrices; it shares the table with npred.robots, and
+The method is the textbook's sum over links of traces of 4 × 4 matrices; it shares the table with npred_robots, and
 nothing else.
 """
 
 import numpy as np
 
-from npred.robots import baxter
+from npred_robots import baxter
 
 LINKS, GRAVITY = 5, 9.81
 TABLE = baxter.LINKS[:LINKS]

@@ -13,7 +13,8 @@ import npred
 from npred import plants
 from npred.loop.closed_loop import Trajectories
 from npred.plants import Plant
-from npred.stages.reproduce import (
+from npred_experiments import latency, quirks
+from npred_experiments.experiment import (
     AS_MEANT,
     AS_PUBLISHED,
     Experiment,
@@ -23,7 +24,6 @@ from npred.stages.reproduce import (
     networks,
     published_times,
 )
-from npred_experiments import latency, quirks
 from npred_experiments.network_loop import Called, LoopNetworks, NetworkLoop, Predict
 
 D_HAT, X0, DT, DX, NODES, STEPS = 1.8, (2.0, 2.0), 0.005, 0.01, 100, 5000

@@ -13,7 +13,7 @@ import numpy as np
 
 import npred
 from npred import plants
-from npred.stages.reproduce import Experiment, Measured, Measurements, PublishedNumber
+from npred_experiments.experiment import Experiment, Measured, Measurements, PublishedNumber
 
 H, T, DT, U0 = math.pi / 4, 10.0, 0.01, 1.0
 START = (math.pi, math.pi / 2)

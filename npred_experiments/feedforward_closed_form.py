@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 import npred
-from npred.stages.reproduce import Experiment, Measured, Measurements, PublishedNumber
+from npred_experiments.experiment import Experiment, Measured, Measurements, PublishedNumber
 
 D, Z0, T = 1.0, (0.5, 0.3), 8.0
 STEPS = 500  # of the published loop's integration per D

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from npred.stages.reproduce import Experiment, Measured, Measurements, PublishedNumber
+from npred_experiments.experiment import Experiment, Measured, Measurements, PublishedNumber
 from npred_experiments.horizons import DT, T, draws, inverse, late, rate
 
 A, B = np.array([[0.0, 1.0], [2.0, 1.0]]), np.array([0.0, 1.0])

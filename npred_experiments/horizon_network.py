@@ -16,12 +16,11 @@ from npred.operators import Operator, Scaling
 from npred.operators.deeponet import mlp
 from npred.operators.fno import Spectral
 from npred.operators.io import save_weights
-from npred.results.reproduce import TrainedForLoop
-from npred.stages.reproduce import AS_MEANT
 from npred.stages.train.train import SEEDING
 from npred.training import training_loop
 from npred.training.rows import Fit, Rows
 from npred_experiments import horizons, latency
+from npred_experiments.experiment import AS_MEANT, TrainedForLoop
 from npred_experiments.horizons import Delay, T
 from npred_experiments.learning import numbers, table_of
 from npred_experiments.network_loop import SEED, RecordedCalls

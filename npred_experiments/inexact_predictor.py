@@ -15,7 +15,7 @@ import numpy as np
 
 import npred
 from npred import plants
-from npred.stages.reproduce import Experiment, Measured, Measurements, PublishedNumber
+from npred_experiments.experiment import Experiment, Measured, Measurements, PublishedNumber
 
 D0, D1, D2, T, START, DT = 0.45, 0.4, 0.5, 10.0, (1.0, 1.0), 0.0005
 DIGITS, MOST = 2e-13, 60  # of the fixed-point iteration for the command of now

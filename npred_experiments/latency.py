@@ -10,9 +10,8 @@ from npred import grid
 from npred.kernels.kernel import bound
 from npred.plants import Plant
 from npred.predictors import Predictor
-from npred.results.reproduce import PredictionTime
 from npred.stages.bench import timing
-from npred.stages.reproduce import NUMERICAL
+from npred_experiments.experiment import NUMERICAL, PredictionTime
 from npred_experiments.network_loop import NetworkLoop, RecordedCalls, recorded
 from npred_experiments.regression import Quadratic
 

@@ -18,13 +18,12 @@ from npred.operators import Operator, Scaling, checked, save
 from npred.parallel import executors
 from npred.parallel.executors import Threads
 from npred.plants import Plant
-from npred.results.reproduce import TrainedForLoop
 from npred.runtimes.fused import lowering
-from npred.stages.reproduce import Place
 from npred.stages.train.train import SEEDING
 from npred.training import loss, training_loop
 from npred.training.rows import Fit, Rows
 from npred_experiments import latency
+from npred_experiments.experiment import Place, TrainedForLoop
 from npred_experiments.network_loop import SEED, NetworkLoop, Predict, RecordedCalls, recorded
 from npred_experiments.regression import Quadratic
 

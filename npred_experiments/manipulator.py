@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from npred import plants
-from npred.robots import denavit_hartenberg, rigid_body
-from npred.stages.reproduce import (
+from npred_experiments import baxter, latency, quirks
+from npred_experiments.experiment import (
     AS_MEANT,
     AS_PUBLISHED,
     Experiment,
@@ -21,8 +21,8 @@ from npred.stages.reproduce import (
     networks,
     published_times,
 )
-from npred_experiments import baxter, latency, quirks
 from npred_experiments.network_loop import LoopNetworks, NetworkLoop, Predict
+from npred_robots import denavit_hartenberg, rigid_body
 
 RUNS, SAMPLES, DT, LATE = 25, 100, 0.1, 5
 OTHERS = 300  # runs to learn from, in each round

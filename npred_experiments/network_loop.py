@@ -10,8 +10,7 @@ from npred import randomness
 from npred.config import Anchor
 from npred.plants import Plant
 from npred.predictors import Predictor
-from npred.results.reproduce import TrainedForLoop
-from npred.stages.reproduce import Place
+from npred_experiments.experiment import Place, TrainedForLoop
 
 SEED = 2025  # of other rollouts than the published ones, which are drawn from other generators
 

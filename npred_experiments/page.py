@@ -9,8 +9,7 @@ from npred.figures.figure import Key, Panel, Plate
 from npred.figures.style import Look, log, short
 from npred.figures.table import Column, Table
 from npred.registry import NETWORKS
-from npred.results import Reproduced, ReproducedRow
-from npred.stages.reproduce import NUMERICAL, load
+from npred_experiments.experiment import NUMERICAL, Reproduced, ReproducedRow, load
 from npred_experiments.rows import cells_of
 
 TITLE = "Published experiments"

@@ -8,8 +8,8 @@ from functools import partial
 
 import numpy as np
 
-from npred.results.reproduce import PredictionTime, TrainedForLoop
-from npred.stages.reproduce import (
+from npred_experiments import latency
+from npred_experiments.experiment import (
     AS_MEANT,
     AS_PUBLISHED,
     NUMERICAL,
@@ -17,10 +17,11 @@ from npred.stages.reproduce import (
     Measured,
     Measurements,
     Place,
+    PredictionTime,
     PublishedNumber,
     PublishedTime,
+    TrainedForLoop,
 )
-from npred_experiments import latency
 from npred_experiments.horizons import Delay, draws, inverse, late, rate, times
 
 NAMES = ("a", "b", "α", "ω", "φ")

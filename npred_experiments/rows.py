@@ -1,12 +1,16 @@
 """The rows of experiments: the parts of each as one, and as text."""
 
 from collections.abc import Sequence
-from functools import partial
 
-from npred.results import Reproduced, ReproducedRow
-from npred.results.reproduce import PredictionTime, TrainedForLoop
-from npred.stages.reproduce import AS_MEANT, Experiment, load
 from npred.terminal.console import columns
+from npred_experiments.experiment import (
+    AS_MEANT,
+    Experiment,
+    PredictionTime,
+    Reproduced,
+    TrainedForLoop,
+    load,
+)
 
 HEADER = ["experiment", "predictor", "metric", "published", "as published", "as meant"]
 TIMES_HEADER = ["experiment", "predictor", "of one prediction", "published, ms", "here, ms", "sup error"]
@@ -48,10 +52,6 @@ def _times(
     return rows
 
 
-def _three_digits(value: float | None) -> str:
-    return "–" if value is None else f"{value:.3g}"
-
-
 def summary(results: Sequence[Reproduced], width: int | None = None) -> str:
     """Everything for people: the rows, then the times of single predictions, if any were taken."""
     return "\n\n".join(filter(None, (table(results, width), times_table(results, width))))
@@ -65,7 +65,8 @@ def table(results: Sequence[Reproduced], width: int | None = None) -> str:
 def times_table(results: Sequence[Reproduced], width: int | None = None) -> str:
     """The times of single predictions for people; empty where there are none."""
     times = [
-        [result.name, each.predictor, each.setting, *map(_three_digits, (each.published_ms, each.ms, each.error))]
+        [result.name, each.predictor, each.setting]
+        + ["–" if value is None else f"{value:.3g}" for value in (each.published_ms, each.ms, each.error)]
         for result in results
         for each in result.times
     ]
@@ -74,14 +75,13 @@ def times_table(results: Sequence[Reproduced], width: int | None = None) -> str:
 
 def cells_of(result: Reproduced) -> list[list[str]]:
     """The cells of each row; a number that is not there is a dash."""
-    experiment = load(result.name)
+    experiment, cells = load(result.name), []
     printed = {(row.predictor, row.metric): row.digits for row in [*experiment.numerical, *experiment.networks]}
-    return [_cells(result.name, row, printed.get((row.predictor, row.metric), "")) for row in result.rows]
-
-
-def _cells(name: str, row: ReproducedRow, digits: str) -> list[str]:
-    write = partial(_written, like=digits)
-    return [name, row.predictor, row.metric, digits or "–", write(row.as_published), write(row.as_meant)]
+    for row in result.rows:
+        digits = printed.get((row.predictor, row.metric), "")
+        written = [_written(value, digits) for value in (row.as_published, row.as_meant)]
+        cells.append([result.name, row.predictor, row.metric, digits or "–", *written])
+    return cells
 
 
 def _written(value: float | None, like: str) -> str:

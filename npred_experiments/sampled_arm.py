@@ -13,21 +13,21 @@ import numpy as np
 import npred
 from npred import plants
 from npred.delays import family_of
-from npred.plants.builtin.xarm6 import XArm6
 from npred.predictors import RK4
-from npred.results.reproduce import PredictionTime
-from npred.robots import rigid_body, xarm6
-from npred.stages.reproduce import (
+from npred_experiments import latency
+from npred_experiments.experiment import (
     AS_MEANT,
     NUMERICAL,
     Experiment,
     Measured,
     Measurements,
+    PredictionTime,
     PublishedNumber,
     PublishedTime,
 )
-from npred_experiments import latency
 from npred_experiments.network_loop import LoopNetworks, NetworkLoop, Predict
+from npred_robots import rigid_body, xarm6
+from npred_robots.xarm6 import XArm6
 
 D, DT, STEPS, LATE, JOINTS = 0.2, 0.001, 20000, 200, 6
 NOISE, GAPS, STRONGEST, SECOND = 0.005, (20, 101), 60.0, 1000  # of 1 ms

@@ -11,7 +11,7 @@ import numpy as np
 
 import npred
 from npred import plants
-from npred.stages.reproduce import Experiment, Measured, Measurements, PublishedNumber
+from npred_experiments.experiment import Experiment, Measured, Measurements, PublishedNumber
 
 STARTS = {0.2: "0.10632902870502527", 0.1: "0.05400009924092605", 0.05: "0.027217489803397023"}
 PRINTED = "P2 from 0.2, denominator as printed"

@@ -9,8 +9,8 @@ import numpy as np
 
 import npred
 from npred import plants
-from npred.stages.reproduce import Experiment, Measured, Measurements, PublishedNumber
 from npred_experiments import pomet
+from npred_experiments.experiment import Experiment, Measured, Measurements, PublishedNumber
 
 T, DT = 10.0, 0.001
 

@@ -9,7 +9,8 @@ import numpy as np
 
 import npred
 from npred.loop.closed_loop import Trajectories
-from npred.stages.reproduce import (
+from npred_experiments import latency, pomet, quirks
+from npred_experiments.experiment import (
     AS_MEANT,
     AS_PUBLISHED,
     Experiment,
@@ -19,7 +20,6 @@ from npred.stages.reproduce import (
     networks,
     published_times,
 )
-from npred_experiments import latency, pomet, quirks
 from npred_experiments.network_loop import Called, LoopNetworks, NetworkLoop, Predict
 from npred_experiments.pomet import Law
 

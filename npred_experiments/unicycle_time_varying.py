@@ -10,7 +10,8 @@ import numpy as np
 
 import npred
 from npred import plants
-from npred.stages.reproduce import (
+from npred_experiments import latency, pomet, quirks
+from npred_experiments.experiment import (
     AS_MEANT,
     AS_PUBLISHED,
     Experiment,
@@ -20,7 +21,6 @@ from npred.stages.reproduce import (
     networks,
     published_times,
 )
-from npred_experiments import latency, pomet, quirks
 from npred_experiments.network_loop import Called, LoopNetworks, NetworkLoop, Predict
 from npred_experiments.pomet import Law
 

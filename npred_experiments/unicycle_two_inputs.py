@@ -14,7 +14,8 @@ import npred
 from npred import plants
 from npred.loop.closed_loop import Trajectories
 from npred.plants import Plant
-from npred.stages.reproduce import (
+from npred_experiments import latency, pomet, quirks
+from npred_experiments.experiment import (
     AS_MEANT,
     AS_PUBLISHED,
     Experiment,
@@ -24,7 +25,6 @@ from npred.stages.reproduce import (
     networks,
     published_times,
 )
-from npred_experiments import latency, pomet, quirks
 from npred_experiments.network_loop import Called, LoopNetworks, NetworkLoop, Predict
 
 D1, D2, DT, STEPS, NODES, DX = 0.25, 0.6, 0.001, 10000, 101, 0.01

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from npred.robots import mujoco_chain
+from npred_robots import mujoco_chain
 
 FILE = Path(__file__).with_name("mujoco_arm.xml")
 POSE = (0.0, 0.5, 0.0, 1.0, 0.0, 0.8, 0.0)  # rad: bent, so that gravity pulls

@@ -9,12 +9,12 @@ from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
 OF_THE_CPU = {
-    "npred/bounds/__init__.py",  # its own search, on arrays
+    "npred_experiments/bounds.py",  # its own search, on arrays
     "npred/operators/scaling.py",  # made of arrays, before a network moves
-    "npred/stages/certify/evolution.py",  # its own search, on arrays
+    "npred_experiments/evolution.py",  # its own search, on arrays
 }
 SAVED = "npred/runtimes/"  # what is fused or exported was loaded from files, to the CPU
-MODULES = [*(ROOT / "npred").rglob("*.py"), *(ROOT / "npred_experiments").rglob("*.py")]
+MODULES = [*(ROOT / "npred").rglob("*.py"), *ROOT.glob("npred_*/*.py")]
 
 
 def unfetched(text: str) -> list[int]:

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from six_joint import TEXT as ARM
 from typer.testing import CliRunner
 
 import npred
@@ -17,7 +16,6 @@ from npred import config, plants
 from npred.cli import app
 from npred.diagnosis import box
 from npred.errors import NpredError, unlisted
-from npred.robots import urdf
 
 SOURCES = Path(npred.__file__).parent
 
@@ -85,14 +83,8 @@ CALLS: dict[str, tuple[Callable[[], Any], str]] = {
     "state of f": (lambda: traced(f=lambda x, u, t, p, M: [x.hh]), "h"),
     "function of M": (lambda: traced(f=lambda x, u, t, p, M: [M.sqr(x.h)]), "sqrt"),
     "box": (lambda: traced(box={"hh": (0, 1)}), "h"),
-    "joint": (lambda: read(ARM.replace('type="prismatic"', 'type="prismatik"')), "prismatic"),
     "sizes": (lambda: config.parse(PIPELINE | {"train": {"fno": {"widht": 3}}}, "test"), "width"),
 }
-
-
-def read(text: str) -> Any:
-    Path("arm.urdf").write_text(text)
-    return urdf.read("arm.urdf")
 
 
 def simulated(**named: Any) -> Any:

@@ -20,9 +20,10 @@ import typer.main
 from conftest import HERE, process_environment
 from typer.testing import CliRunner
 
-from npred import config, registry
+from npred import config
 from npred.cli import app
-from npred.stages.reproduce import load
+from npred_experiments import EXPERIMENTS
+from npred_experiments.experiment import load
 
 ROOT = HERE.parent
 GENERATED = {"commands.md", "configuration.md", "named_plants.md", "results.md"}
@@ -222,7 +223,7 @@ def test_the_citation_file_names_the_article_as_the_readme_does():
 
 def test_the_citation_file_names_every_preprint_that_is_reproduced():
     cited, page = (set(re.findall(r"arXiv:(\d{4}\.\d{5})", (ROOT / name).read_text())) for name in PREPRINTS)
-    sources = " ".join(load(name).source for name in registry.EXPERIMENTS.names())
+    sources = " ".join(load(name).source for name in EXPERIMENTS.names())
     reproduced = set(re.findall(r"arXiv:(\d{4}\.\d{5})", sources))
     assert reproduced <= cited and reproduced <= page
 

@@ -14,12 +14,12 @@ ROOT = Path(__file__).parent.parent / "npred"
 FLOORS = [
     {"docstrings", "errors", "grid", "json_files", "progress", "randomness"},
     {"array_checks", "config", "defaults", "kernels", "parallel", "registry", "symbolic", "terminal"},
-    {"plants", "results", "robots", "store"},
+    {"plants", "results", "store"},
     {"data", "laws", "operators", "recordings"},
     {"delays", "training"},
-    {"bounds", "observers", "predictors", "safety"},
+    {"observers", "predictors", "safety"},
     {"conditions", "diagnosis", "identification", "loop", "runtimes"},
-    {"figures", "rig", "tuning"},
+    {"figures", "tuning"},
     {"stages"},
     {"pipeline"},
     {"api", "runs"},
@@ -93,15 +93,12 @@ def test_no_stage_knows_the_store():
     assert not places, "\n".join(places)
 
 
-def test_experiments_import_no_room_above_the_stages():
-    files = {path.name: path.read_text() for path in (ROOT.parent / "npred_experiments").glob("*.py")}
-    above = [f"{file}:{line} imports {name}" for file, text in files.items() for line, name in imports(text)
-             if FLOOR[name] > FLOOR["stages"]]  # fmt: skip
-    assert files and not above, "\n".join(above)
-
-
-def test_one_command_of_npred_loads_modules_of_the_package_of_experiments():
-    assert [file for file, text in MODULES.items() if "npred_experiments." in text] == ["cli/reproduce.py"]
+def test_npred_does_not_know_its_siblings():
+    """The packages beside it: they import npred, and it reaches them by entry points."""
+    siblings = [path.parent.name for path in ROOT.parent.glob("npred_*/__init__.py")]
+    assert len(siblings) == 3
+    texts = {file: text for file, text in MODULES.items() if any(name in text for name in siblings)}
+    assert list(texts) == []
 
 
 def test_an_offence_is_named_with_its_file_and_line():
@@ -109,7 +106,7 @@ def test_an_offence_is_named_with_its_file_and_line():
     planted = {"stages/a.py": text, "cli/b.py": text, "attic/c.py": ""}
     assert upwards(planted) == ["stages/a.py:2 imports cli"] and without_a_floor(planted) == ["attic"]
     assert between(planted, "stages", "store") == ["stages/a.py:4 imports store"]
-    assert in_circles({"robots/a.py": "import npred.store", "store/b.py": "import npred.robots"}) == ["robots", "store"]
+    assert in_circles({"plants/a.py": "import npred.store", "store/b.py": "import npred.plants"}) == ["plants", "store"]
 
 
 @pytest.mark.parametrize("arguments", [["--help"], ["status", "{p}"], ["why", "train", "{p}"], ["ls"], ["plants"]])

@@ -77,7 +77,7 @@ def measured(noise: Any, absolute: Any, bias: Any, resolution: Any) -> Any:
 def guarded(X: Any, u: Any, D_hat: Any, t: Any) -> Any:
     guard = npred.guarded(npred.predictor("euler", PLANT, 11), 0.01)
     judged = guard.judge(guard(X, u, D_hat, t).tolist(), X, u, D_hat, t)
-    numbers = (guard.error(X, u, D_hat, t), guard.fallback(X, u, D_hat, t), guard.bound(X, u, D_hat, t), *judged)
+    numbers = (guard.error(X, u, D_hat, t), guard.fallback(X, u, D_hat, t), *judged)
     return np.stack([np.asarray(n, dtype=float) for n in numbers])
 
 

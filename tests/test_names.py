@@ -15,7 +15,6 @@ PACKAGE = Path(plants.__file__).parent.parent
 NAMES = [row["name"] for row in plants.named() if plants.is_builtin(row["name"])]
 EXCEPTIONS = {
     "activator_repressor": {"npred/cli/commands.py"},  # the plant of the data that [DAPF]'s authors published
-    "xarm6": {"npred/plants/builtin/xarm6.py"},  # its functions are those of every chain
 }
 ODD = re.compile(
     r"\bmend\b|\bone an? (?:state|input|loop|joint)\b|\ba number an? \w+|\b[µn]s an? (?:call|evaluation)"
@@ -25,7 +24,7 @@ ODD = re.compile(
 )
 VAGUE = {"again", "found", "given", "known", "made", "own", "seen", "some", "told", "wanted"}
 Texts = Mapping[str, str]
-CODE = ("npred/**/*.py", "npred_experiments/**/*.py")
+CODE = ("npred/**/*.py", "npred_*/*.py")
 
 
 def texts(*patterns: str) -> Texts:

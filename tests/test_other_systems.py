@@ -45,10 +45,11 @@ for name in {modules()!r}:
 
 @pytest.mark.slow
 def test_the_tests_are_collected_without_posix(tmp_path):
+    tests = [str(folder) for folder in (HERE, *HERE.parent.glob("npred_*/tests"))]
     program = f"""
 import as_on_windows, distributed, fmpy, platformdirs.unix, pytest, sys, torch._dynamo, xdist
 as_on_windows.forget()
-sys.exit(pytest.main([{str(HERE)!r}, "--collect-only", "-qq", "-p", "no:cacheprovider"]))
+sys.exit(pytest.main([*{tests!r}, "--collect-only", "-qq", "-p", "no:cacheprovider"]))
 """
     done = subprocess.run(
         [sys.executable, "-c", program], cwd=tmp_path, env=process_environment(), capture_output=True, text=True
@@ -57,10 +58,10 @@ sys.exit(pytest.main([{str(HERE)!r}, "--collect-only", "-qq", "-p", "no:cachepro
 
 
 def modules() -> list[str]:
-    """All modules of npred that load no torch, which asks for POSIX itself."""
-    package = importlib.import_module("npred")
+    """All modules of npred, its rig and its robots that load no torch, which asks for POSIX itself."""
     torch = ("npred.training", "npred.operators", "npred.stages.train", "npred.__main__", "npred.predictors.neural")
-    names = [found.name for found in pkgutil.walk_packages(package.__path__, "npred.")]
+    packages = [importlib.import_module(name) for name in ("npred", "npred_rig", "npred_robots")]
+    names = [found.name for p in packages for found in pkgutil.walk_packages(p.__path__, f"{p.__name__}.")]
     return [name for name in names if not name.startswith((*torch, "npred.runtimes.onnx", "npred.stages.certify"))]
 
 

@@ -72,7 +72,7 @@ def test_wheel_and_sources_have_what_they_should_and_nothing_else(tmp_path: Path
     tracked = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=True).stdout.split(
         "\n"
     )
-    package = {name for name in tracked if name.startswith(("npred/", "npred_experiments/"))}
+    package = {name for name in tracked if re.match(r"npred(_\w+)?/(?!tests/)", name)}
     pipelines = {
         f"npred/pipelines/{name.removeprefix('pipeline/')}" for name in tracked if name.startswith("pipeline/")
     }

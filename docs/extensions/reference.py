@@ -174,7 +174,12 @@ def _parts(kind: Any) -> list[Any]:
 
 def named_plants() -> Iterator[str]:
     """The page of the built-in plants: the first sentence of each one's docstring."""
-    yield from ("# Built-in plants", "", "What `npred plants` lists: one file of `npred/plants/` each.", "")
+    yield from (
+        "# Built-in plants",
+        "",
+        "What `npred plants` lists: files of `npred/plants/builtin/`, and arms of `npred_robots`.",
+        "",
+    )
     yield from ("| name | states | inputs | |", "|---|---|---|---|")
     for entry in plants.named():
         first, *_ = (inspect.getdoc(plants.resolve(entry["name"]).declaration) or "").split("\n\n")

@@ -11,8 +11,10 @@ import npred
 from npred import cli
 from npred.cli.app import app, command, with_flags
 from npred.cli.identify import Recorded
-from npred.cli.options import Common, Exporting, Planned, Rigged, Running, Work, argument, flag
-from npred.registry import STAGES, declared_stage
+from npred.cli.options import Common, Exporting, Planned, Running, Work, argument, flag
+from npred.errors import ConfigError
+from npred.registry import COMMANDS, STAGES, declared_stage
+from npred.terminal.console import Console
 
 FORMS = ("onnx", "c", "controller", "fmu", "npy", "hdf5", "mat")
 MEDIA = ("ieee1", "ieee2", "page", "slides")
@@ -90,22 +92,6 @@ def sweep(
     cli.sweep.sweep(options, to, output, csv)
 
 
-@command()
-def reproduce(
-    options: Common,
-    *,
-    names: Annotated[list[str] | None, argument("NAME", "Experiments; all by default.")] = None,
-    listed: Annotated[bool, flag("Print the experiments, and run nothing.", "--list")] = False,
-    numerical: Annotated[bool, flag("The rows of numerical predictors only.", "--numerical")] = False,
-    force: Annotated[bool, flag("Measure again what the store has.", "--force")] = False,
-    output: Annotated[
-        Path | None, flag("The page: HTML, or Markdown for a name that ends in .md.", "-o", "--output", word="FILE")
-    ] = None,
-) -> None:
-    """Published experiments: each printed number beside the same loop run here, as published and as it is meant."""
-    cli.reproduce.reproduce(options, names, listed, numerical, force, output)
-
-
 @command(help=declared_stage("identify").help)
 def identify(
     options: Recorded,
@@ -140,17 +126,6 @@ def report(
     ] = None,
 ) -> None:
     cli.execute.report(options, output, figures)
-
-
-@command()
-def rig(
-    options: Rigged,
-    *,
-    log: Annotated[Path | None, flag("The log that is written; NAME-rig.csv here by default.", word="FILE.csv")] = None,
-    figure: Annotated[Path | None, flag("A figure of the log: SVG, PDF or PNG.", word="FILE")] = None,
-) -> None:
-    """Plant and controller of the evaluated loop as two processes on a real clock, with a network between them."""
-    cli.rig.rig(options, log, figure)
 
 
 @command()
@@ -353,3 +328,16 @@ def import_artifact(
 def doctor(options: Common) -> None:
     """Versions, devices, threads and the store."""
     cli.store_admin.doctor(options)
+
+
+def _add_installed(name: str) -> None:
+    """A command that an installed package registers: a function as those above. One that fails is left out."""
+    try:
+        command(name=name)(COMMANDS.installed(name))
+    except ConfigError as error:
+        Console().warn(str(error))
+
+
+for _name in COMMANDS.names():
+    if _name not in {each.name for each in app.registered_commands}:
+        _add_installed(_name)

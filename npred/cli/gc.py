@@ -12,9 +12,10 @@ from npred import config, defaults
 from npred.cli.options import Common
 from npred.errors import ConfigError, NpredError, StoreError, disk_is_full
 from npred.parallel import devices
-from npred.pipeline import STAGES, Kept, Planner, closure, experiments, nodes
+from npred.pipeline import STAGES, Kept, Planner, closure, nodes
 from npred.pipeline.cells import cells
 from npred.pipeline.retention import GcRoot, remembered
+from npred.registry import RESOLVERS
 from npred.store import MARKER, Artifact, Store, claims, short
 from npred.terminal.console import columns
 
@@ -102,20 +103,16 @@ def _kept(options: Common, pipelines: list[Path], sets: list[str], device: str) 
             "store was run with; name them"
         )
     kept, device = Kept(), devices.resolve(device)
-    for experiment in experiments.every(store) if _has_experiments(store) else ():
-        kept.add(experiment, experiment.possible())
+    for stage in RESOLVERS.names():
+        if any(any(store.root.glob(pattern)) for pattern in (f"{stage}/*", f".scratch/{stage}-*")):  # else it is slow
+            for planner in RESOLVERS.installed(stage).planners(store):
+                kept.add(planner, planner.possible())
     for path in paths:
         for cell in [*cells(path, []), *(cells(path, sets) if sets else [])]:
             kept.add(Planner(cell.config, store, device), nodes(cell.config, STAGES))
     for root in roots:
         _keep_remembered(options, kept, root, device)
     return kept
-
-
-def _has_experiments(store: Store) -> bool:
-    """True if a published experiment has left something: only then is their code read, which takes a while."""
-    stage = experiments.STAGE
-    return any(any(store.root.glob(pattern)) for pattern in (f"{stage}/*", f".scratch/{stage}-*"))
 
 
 def _keep_remembered(options: Common, kept: Kept, root: GcRoot, device: str) -> None:
@@ -145,7 +142,7 @@ def _beyond(unneeded: list[Artifact], sound: list[Artifact], limit: int) -> Iter
 
 
 def _broken(store: Store, broken: list[Path], kept: Kept, since: float) -> Iterator[Waste]:
-    for folder in (f for f in broken if store.owns(f) and f.parent.name in (*STAGES, experiments.STAGE)):
+    for folder in (f for f in broken if store.owns(f) and f.parent.name in (*STAGES, *RESOLVERS.names())):
         yield Waste(folder, _bytes(folder), "no sound manifest")
     for path in store.leftovers():
         resumed = path.parent.name == ".scratch" and kept.holds_checkpoint(path.name)

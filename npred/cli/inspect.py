@@ -4,12 +4,12 @@ import time
 from datetime import UTC, datetime
 from pathlib import Path
 
-from npred.cli import reproduce
 from npred.cli.options import Common, Planned, drawable
 from npred.errors import ConfigError, NpredError, UnmetError, unlisted
 from npred.json_files import escaped
-from npred.pipeline import STAGES, Step, experiments, nodes, usual
+from npred.pipeline import STAGES, Step, nodes, usual
 from npred.pipeline.reasons import changes, differences, flat
+from npred.registry import RESOLVERS
 from npred.store import Artifact, short
 from npred.store.manifest import NAME
 
@@ -29,16 +29,15 @@ def status(options: Planned, check: bool) -> None:
 
 
 def why(options: Planned, stage: str) -> None:
-    """The reason of a stage, of a network, or of a published experiment. Raises ConfigError for another name."""
-    asked = _experiments(options, stage) or _asked(options, stage)
+    """The reason of a stage, of a network, or of what an installed package brings: then no pipeline is read.
+
+    Raises ConfigError for another name.
+    """
+    brought = map(RESOLVERS.installed, RESOLVERS.names())
+    planners = [planner for module in brought for planner in module.planners(options.results, stage)]
+    asked = [step for planner in planners for step in planner.plan(planner.nodes())] or _asked(options, stage)
     document = {"stages": [_step(step) for step in asked]}
     options.show(document, lambda: "\n".join(f"{step.node.title}: {step.reason}" for step in asked))
-
-
-def _experiments(options: Common, name: str) -> list[Step]:
-    """The steps of one published experiment, of all for `reproduce`; no pipeline is read."""
-    planners = [p for p in experiments.every(options.results) if name in (experiments.STAGE, p.experiment)]
-    return [step for planner in planners for step in planner.plan(planner.nodes())]
 
 
 def _asked(options: Planned, stage: str) -> list[Step]:
@@ -197,7 +196,7 @@ def _summary(stage: str, result: dict[str, object], width: int | None = None) ->
     """A result that somebody else sent may be of a stage, or of a form, that this npred does not have."""
     result = escaped(result)
     try:
-        written = reproduce.summary if stage == experiments.STAGE else STAGES[stage].summary
+        written = RESOLVERS.installed(stage).summary if stage in RESOLVERS.names() else STAGES[stage].summary
         return written(result, width)
     except (LookupError, NpredError):
         return "\n".join(changes({}, result)).replace(": unset ->", " =")

@@ -174,21 +174,6 @@ class Exporting(Common):
         return [*(self.set or []), *flags]
 
 
-@dataclass(frozen=True)
-class Rigged(Planned):
-    """Flags of `npred rig`: its length, its network, and what of the controller is not in [evaluate]."""
-
-    seconds: Annotated[float, flag("How long it runs.")] = 60.0
-    delay: Annotated[float, flag("Delay in each direction, in seconds; the plant's D adds to that of commands.")] = 0.12
-    jitter: Annotated[float, flag("The largest deviation of that delay, in seconds.")] = 0.02
-    loss: Annotated[float, flag("Share of packets that are lost.")] = 0.0
-    reorder: Annotated[float, flag("Share of packets that take twice their time.")] = 0.0
-    stops: Annotated[float, flag("Times per minute that the network stands still for 200 ms.")] = 0.0
-    seed: Annotated[int, flag("Seed of network and sensor noise.", least=0)] = 0
-    watchdog: Annotated[str, WATCHDOG] = ""
-    model: Annotated[str | None, flag("A trained network that predicts, as deeponet.")] = None
-
-
 def writable(path: Path) -> Path:
     """The path. Raises ConfigError where no file can be written there."""
     if not path.parent.is_dir() or (path.exists() and not path.is_file()):

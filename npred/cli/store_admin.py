@@ -17,7 +17,8 @@ from npred.defaults import RESULT
 from npred.errors import StoreError, installed
 from npred.kernels import compiler
 from npred.parallel import devices
-from npred.pipeline import STAGES, experiments
+from npred.pipeline import STAGES
+from npred.registry import RESOLVERS
 from npred.store import Artifact, Manifest, archive
 from npred.store.manifest import NAME
 
@@ -86,8 +87,8 @@ def drawn(manifest: Manifest) -> frozenset[str]:
     stage = manifest.question.stage
     if stage == "report":
         raise StoreError("expected a result, got a page; npred report makes it anew from its results")
-    if stage == experiments.STAGE:
-        raise StoreError("expected a result of a pipeline, got an experiment; npred reproduce measures it here")
+    if stage in RESOLVERS.names():
+        raise StoreError(f"expected a result of a pipeline, got one of npred {stage}; run that here")
     if stage not in STAGES:
         names = ", ".join(name for name, entry in STAGES.items() if entry.data)
         raise StoreError(f"expected a result of {names}, got one of {stage}; this npred has no such stage")

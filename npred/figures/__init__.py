@@ -7,10 +7,9 @@ from npred.figures.evaluation_data import Evidence
 from npred.figures.figure import Plate, write
 from npred.figures.latency import speed
 from npred.figures.loops import coverage, figure1, figure1_bounded
-from npred.figures.rig import rig
 from npred.figures.scenarios import delays, scenarios
 
 __all__ = [
     "Evidence", "Plate", "box", "certificate", "certified", "coverage", "delays", "errors", "figure1",
-    "figure1_bounded", "kinds", "learning", "margin", "rig", "scenarios", "speed", "write",
+    "figure1_bounded", "kinds", "learning", "margin", "scenarios", "speed", "write",
 ]  # fmt: skip

@@ -44,11 +44,12 @@ def certified(plant: Plant, result: Certified | None, errors: Mapping[Contender,
     if result is None:
         return None
     first = next(iter(result.models.values()))
+    crosses = "" if first.adversarial is None else "; crosses: the largest error that an adversary found"
     caption = (
         f"Of {first.rollouts:,} fresh rollouts the share in which the largest error of U, over inputs and over "
         f"{first.samples or 'some'} random samples of a rollout, is above ε. With a confidence "
         f"of {first.confidence:.4g}, at most a share {first.probability:.4g} of all such rollouts is above the end of "
-        f"a line; crosses: the largest error that an adversary found. Dotted: the tolerance of the guard. It holds for "
+        f"a line{crosses}. Dotted: the tolerance of the guard. It holds for "
         f"the distribution that rollouts are drawn from."
     )
     alt = "; ".join(f"{c.label}: at most {short(row.eps_kappa)}" for c, row in result.models.items()) + "."
@@ -63,7 +64,7 @@ def _exceeding(result: Certified, errors: Mapping[Contender, np.ndarray], unit: 
         ordered = np.sort(errors[contender])
         share = 1 - np.arange(len(ordered)) / len(ordered)
         axis.plot(np.where(ordered > 0, ordered, np.nan), share, **look(contender).line)
-        if 0 < row.adversarial < np.inf:
+        if row.adversarial and row.adversarial < np.inf:
             axis.plot([row.adversarial], [share[-1]], "x", color=look(contender).colour)
     tolerance = next(iter(result.models.values())).tolerance
     axis.axvline(tolerance, color=ROLES["muted"][0], linestyle=(0, (1, 2)), linewidth=1.2)

@@ -67,7 +67,7 @@ class Step:
 
 
 class Resolver(ABC):
-    """Resolves nodes, of a pipeline or of a published experiment, against one store.
+    """Resolves nodes, of a pipeline or of what a package brings, against one store.
 
     `forced` stages count as not there. With `borrows`, times that another machine took are taken where this one has
     none: to draw them.

@@ -125,8 +125,8 @@ def _summary(name: str) -> dict[str, Any]:
 
 
 def is_builtin(name: object) -> bool:
-    """True if a name is that of a built-in plant: to resolve it runs nobody else's code."""
-    return isinstance(name, str) and name in _builtin()
+    """True if a name is that of a plant of npred's: to resolve it runs nobody else's code."""
+    return isinstance(name, str) and (name in _builtin() or registry.PLANTS.is_npreds(name))
 
 
 def _builtin() -> dict[str, type]:

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from functools import cached_property
 from itertools import pairwise
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,9 +18,6 @@ from npred.predictors.coarse import LADDER, Coarse, Examples, one_step
 from npred.predictors.guard_kernel import HEAD, LEVELS, kernel
 from npred.predictors.runge_kutta import RK4
 from npred.predictors.single import SingleCalls
-
-if TYPE_CHECKING:  # an extra of certify
-    from npred.bounds import ErrorBound
 
 PASSES = 0.8  # of the tolerance: the largest estimate that passes, for errors may be larger; a margin, not a bound
 SHARE = 0.25  # of the tolerance: how far off what answers in the network's place may be
@@ -207,24 +204,6 @@ class Guarded(Predictor):
     def fallback(self, X: ArrayLike, u: ArrayLike, D_hat: ArrayLike, t: ArrayLike = 0.0) -> np.ndarray:
         """Whether the numerical predictor answers, (...) bool."""
         return self.judge(self.model(X, u, D_hat, t), X, u, D_hat, t)[1]
-
-    def bound(self, X: ArrayLike, u: ArrayLike, D_hat: ArrayLike, t: ArrayLike = 0.0) -> np.ndarray:
-        """A bound of what `error` estimates, (...), in NumPy: see npred.bounds.
-
-        Infinite where none is found. Raises ConfigError for a plant that is not traced, or has not one constant delay.
-        """
-        shape, rows = self._rows(X, u, D_hat, t)
-        return self.error_bound(self.model(*rows), *rows).reshape(shape)
-
-    @cached_property
-    def error_bound(self) -> "ErrorBound":
-        """The bound with the weights that suit examples of the data; without these, no state outweighs another."""
-        from npred.bounds import ErrorBound, weight
-
-        if self.domain is None:
-            return ErrorBound(self.plant, np.eye(self.plant.n))
-        calls = self.examples.calls
-        return ErrorBound(self.plant, weight(self.plant, self.exact(*calls), *calls[1:]))
 
     def beyond(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: np.ndarray) -> np.ndarray:
         """How far inputs are from the data, as a share of how far the model is trusted, (B,); 0 where it has none."""

@@ -6,11 +6,10 @@ from npred.results.certify import Certified
 from npred.results.contender import NO_ADAPTATION, NUMERICAL, Contender, ranked
 from npred.results.evaluate import Evaluated
 from npred.results.identify import IdentifiedResult
-from npred.results.reproduce import Reproduced, ReproducedRow
 from npred.results.tune import JudgedLoops, Tuned, TunedNumber
 
 __all__ = [
     "NO_ADAPTATION", "NUMERICAL", "Benched", "Certified", "Contender", "Evaluated", "Generated", "IdentifiedResult",
-    "JudgedLoops", "Number", "Reported", "Reproduced", "ReproducedRow", "Result", "Trained", "Tuned", "TunedNumber",
+    "JudgedLoops", "Number", "Reported", "Result", "Trained", "Tuned", "TunedNumber",
     "ranked",
 ]  # fmt: skip

@@ -17,27 +17,27 @@ class Certificate(Result):
     rollouts: int  #: how many
     samples: int | None = None  #: random times of each rollout
     median: Number  #: the median over the rollouts
-    adversarial: Number  #: the largest error of U that the search found
-    adversarial_median: Number  #: the median over the calls of the search
-    calls: int  #: of the search
-    above: int  #: calls with an error above the tolerance
-    unnoticed: int  #: of these, passed by the guard
-    blind_calls: int  #: calls of the search for errors that the guard lets pass
-    blind: int  #: of these, passed with an error above the tolerance
-    blind_error: Number  #: the largest error that passed
     tolerance: float  #: of the guard, in units of U
     by: str  #: the guard's estimate, `shadow`
     fallback_rollouts: float  #: share of the rollouts' samples with a numerical answer
-    #: estimate over true error, for errors of 0.3 to 3 tolerances, at 1 %, 50 % and 99 %
-    ratio: list[float]
-    #: `guarded.bound` over true error at the worst samples of 1000 rollouts, at 1 %, 50 % and 99 %; else empty
-    bound: list[float]
-    bounded: float | None  #: share of these samples with a bound
     lost: int  #: loops that the network loses and the numerical predictor keeps
     lost_guarded: int  #: the same for the guarded network
     peak: Number  #: largest distance from rest, over the numerical predictor's
     peak_guarded: Number  #: the same for the guarded network
     fallback: float  #: share of the guarded loops' steps with a numerical answer
+    adversarial: Number | None = None  #: the largest error of U that the search found; `null` without a search
+    adversarial_median: Number | None = None  #: the median over the calls of the search
+    calls: int | None = None  #: of the search
+    above: int | None = None  #: calls with an error above the tolerance
+    unnoticed: int | None = None  #: of these, passed by the guard
+    blind_calls: int | None = None  #: calls of the search for errors that the guard lets pass
+    blind: int | None = None  #: of these, passed with an error above the tolerance
+    blind_error: Number | None = None  #: the largest error that passed
+    #: estimate over true error, for errors of 0.3 to 3 tolerances, at 1 %, 50 % and 99 %
+    ratio: list[float] = []
+    #: the bound over the true error at the worst samples of 1000 rollouts, at 1 %, 50 % and 99 %; else empty
+    bound: list[float] = []
+    bounded: float | None = None  #: share of these samples with a bound
 
 
 class Certified(Result):

@@ -1,4 +1,4 @@
-"""Limits in a pipeline: what [evaluate] safety does, what its key holds, what goes to C, to an FMU and to the rig."""
+"""Limits in a pipeline: what [evaluate] safety does, what its key holds, what goes to C and to an FMU."""
 
 import ctypes
 import json
@@ -12,13 +12,11 @@ from typer.testing import CliRunner
 
 import npred
 from npred import config, diagnosis, operators, randomness
-from npred.cli import app, rig
-from npred.cli.options import Rigged
+from npred.cli import app
 from npred.conditions import starts
 from npred.errors import ConfigError
 from npred.pipeline import Node, load_model
 from npred.predictors import RK4
-from npred.rig.network import Channel
 from npred.runtimes.fused import Fused
 
 CART = """
@@ -170,13 +168,6 @@ def test_an_fmu_has_the_filter_of_the_flag_and_of_the_pipeline(export):
     variables = [json.loads(done.stdout)["variables"] for done in (none, flag, table)]
     assert set(variables[1]) - set(variables[0]) == {"filtered", "kept", "unkept"} and variables[1] == variables[2]
     assert json.loads(flag.stdout)["token"] == json.loads(table.stdout)["token"]
-
-
-def test_the_rig_has_the_filter_of_the_pipeline(evaluated, monkeypatch):
-    folder, plant, _ = evaluated
-    options = Rigged(pipeline_name=str(folder / "cart.toml"), set=["evaluate.safety.alpha=3"])
-    controller = rig._controller(options, plant, Channel(0.1, 0.0, 0.0, 0.0, 0.0, 0))
-    assert controller.safety == npred.SafetyFilter(3.0)
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,6 @@
 """Implicit predictors on stiff plants: order and errors by SciPy's Radau, few steps where explicit ones diverge."""
 
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +12,6 @@ from npred import grid
 from npred.errors import ConfigError
 from npred.loop.closed_loop import simulate
 from npred.plants import Plant
-from npred.robots.chain import chain
 
 ARM = npred.plant("planar_arm3", friction=20.0)
 
@@ -98,10 +96,6 @@ def test_a_stiff_plant_advances_by_control_steps_longer_than_its_time_constants(
 @pytest.mark.parametrize("name", ["cart_pole", "planar_arm2", "planar_arm7"])
 def test_the_mechanics_that_plants_declare_are_those_of_f(name):
     npred.plant(name).check_mechanics()
-
-
-def test_the_mechanics_of_a_urdf_chain_are_those_of_f():
-    Plant("six_joint", chain(Path(__file__).parents[1] / "six_joint.urdf")).check_mechanics()
 
 
 def test_refusals_are_one_line_each(tmp_path):

@@ -4,7 +4,7 @@ from npred.stages.declaration import Stage
 
 STAGE = Stage(
     __name__,
-    version=10,
+    version=11,
     upstream=("generate", "train"),
     result_class="npred.results:Certified",
     data=r"(errors|worst)\.h5",

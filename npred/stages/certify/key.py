@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from npred import registry
 from npred.config import Pipeline
 from npred.stages.configuration import box, loop, loop_parts, networks, table
 
@@ -9,10 +10,14 @@ NO_LOOPS_OF_IT = ("scenarios", "map_D", "map_D_hat0")
 
 
 def configuration(config: Pipeline, model: str | None, device: str) -> dict[str, Any]:
-    """The table; the distribution of the data, from which fresh rollouts are drawn; the loops are as in [evaluate]."""
+    """The table; the distribution of the data, from which fresh rollouts are drawn; the loops are as in [evaluate].
+
+    What packages search enters by the names of their modules.
+    """
     loops = {key: value for key, value in loop(config, "evaluate").items() if key not in NO_LOOPS_OF_IT}
     tables = {"certify": table(config.optional("certify")), "evaluate": loops, "generate": loop(config, "generate")}
-    return tables | networks(config) | box(config)
+    searches = [registry.CERTIFICATES.identity(name) for name in registry.CERTIFICATES.names()]
+    return tables | networks(config) | box(config) | {"certificates": searches}
 
 
 def parts(config: Pipeline, model: str | None) -> dict[str, str]:

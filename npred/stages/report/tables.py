@@ -151,9 +151,11 @@ def certified(result: Certified | None) -> Table | None:
     if result is None:
         return None
     rows = list(result.models.values())
-    heads = {"eps_kappa": "ε_{κ} of all rollouts", "median": "median", "adversarial": "adversary"}
-    counts = {"above": "calls above the tolerance", "unnoticed": "unnoticed", "blind": "blind spots", "lost": "lost"}
-    counts |= {"lost_guarded": "guarded"}
+    heads = {"eps_kappa": "ε_{κ} of all rollouts", "median": "median"}
+    counts = {"lost": "lost", "lost_guarded": "guarded"}
+    if rows[0].adversarial is not None:
+        heads["adversarial"] = "adversary"
+        counts = {"above": "calls above the tolerance", "unnoticed": "unnoticed", "blind": "blind spots"} | counts
     columns = [
         Column("network", [contender.label for contender in result.models]),
         *_columns(rows, heads, about=CERTIFIED),

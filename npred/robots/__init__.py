@@ -1,5 +1,0 @@
-"""Plants of rigid bodies: chains, URDF files, Pinocchio, and MuJoCo's MJCF files."""
-
-from npred.robots.mjcf import mujoco_chain
-
-__all__ = ["mujoco_chain"]

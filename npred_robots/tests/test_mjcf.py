@@ -1,0 +1,200 @@
+"""An arm by MuJoCo: Pinocchio and SciPy agree on it, and what the engine cannot do is said in one line."""
+
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from npred import plants
+from npred.errors import ConfigError, MissingError
+from npred.loop import metrics
+from npred.loop.closed_loop import simulate
+from npred.predictors import RK4
+from npred.predictors.rollout import Rollout
+from npred_robots import mujoco_chain
+
+FILE = Path(__file__).with_name("arm.xml")
+TEXT = FILE.read_text()
+D, U = 0.3, np.array([5.0, -8.0, 3.0])
+START = np.array([0.3, -0.4, 0.05, 0.2, 0.1, -0.1])
+
+
+@pytest.fixture(scope="module", autouse=True)
+def engine():
+    return pytest.importorskip("mujoco", reason="needs the extra npred[mujoco]")
+
+
+@pytest.fixture(scope="module")
+def arm(engine):
+    return plants.make("three", mujoco_chain(FILE))
+
+
+def damping(n=3):
+    return np.array([2.0, 1.0, 5.0])[:n]
+
+
+@pytest.fixture(scope="module")
+def points():
+    random = np.random.default_rng(0)
+    return random.uniform(-1, 1, (20, 6)), random.uniform(-5, 5, (20, 3)), random.uniform(0, 9, 20)
+
+
+@pytest.fixture(scope="module")
+def library():
+    """Pinocchio's model of the same file, which it reads by itself: mass matrix and bias, gravity in it."""
+    pin = pytest.importorskip("pinocchio", reason="needs the extra npred[pin]")
+    model = pin.buildModelFromMJCF(str(FILE))
+    data = model.createData()
+    np.testing.assert_allclose(model.armature, [0.1, 0.05, 0.2])
+
+    def mass(q):
+        M = np.array(pin.crba(model, data, q))
+        return np.triu(M) + np.triu(M, 1).T  # crba's has the armature in it
+
+    def bias(q, v):
+        return np.array(pin.nonLinearEffects(model, data, q, v))
+
+    return mass, bias
+
+
+def test_accelerations_are_those_of_pinocchios_mass_matrix_and_bias(arm, points, library):
+    X, u, _ = points
+    mass, bias = library
+    for x, push, rate in zip(X, u, arm.f(X, u), strict=True):
+        q, v = x[:3], x[3:]
+        np.testing.assert_allclose(rate[:3], v)
+        np.testing.assert_allclose(mass(q) @ rate[3:], push - bias(q, v) - damping() * v, rtol=1e-9, atol=1e-9)
+
+
+def test_the_law_is_computed_torque_by_pinocchios_parts(arm, points, library):
+    """kappa = M a + bias + damping speed, a and the speed from the errors, written anew here."""
+    X, _, times = points
+    mass, bias = library
+    stiffness, gain, amplitude, frequency, _ = arm.p
+    for x, t, torque in zip(X, times, arm.kappa(X, times), strict=True):
+        q, v, turn = x[:3], x[3:], frequency * t + np.arange(3)
+        error, slip = q - amplitude * np.sin(turn), v - amplitude * frequency * np.cos(turn)
+        push = -amplitude * frequency**2 * np.sin(turn) - stiffness * error - gain * slip
+        speed = amplitude * frequency * np.cos(turn) - gain * error / 2
+        np.testing.assert_allclose(torque, mass(q) @ push + bias(q, v) + damping() * speed, rtol=1e-9, atol=1e-9)
+
+
+def test_gravity_is_a_parameter(arm):
+    weightless = plants.make("three", mujoco_chain(FILE), {"gravity": 0.0})
+    rest = np.zeros(6)
+    assert np.abs(weightless.f(rest, np.zeros(3))).max() < 1e-12 < 1.0 < np.abs(arm.f(rest, np.zeros(3))).max()
+
+
+@pytest.fixture(scope="module")
+def exact(arm):
+    """X(D) with a constant input, by SciPy."""
+    run = solve_ivp(lambda t, x: arm.f(x, U), (0.0, D), START, "DOP853", rtol=1e-11, atol=1e-12)
+    return run.y[:, -1]
+
+
+@pytest.mark.parametrize(("integrator", "order"), [(None, 1), ("Euler", 1), ("RK4", 4)])
+def test_the_engines_rollout_has_the_order_of_its_integrator(integrator, order, exact):
+    plant = plants.make("three", mujoco_chain(FILE, integrator=integrator))
+    steps = np.array([8, 16, 32]) if order == 4 else np.array([64, 128, 256])
+    errors = [np.linalg.norm(Rollout(plant)(START, np.tile(U, (k + 1, 1)), D)[-1] - exact) for k in steps]
+    assert -np.polyfit(np.log(steps), np.log(errors), 1)[0] == pytest.approx(order, abs=0.25)
+
+
+def test_a_step_of_rk4_on_its_accelerations_is_the_engines(arm, exact):
+    """npred's RK4 on mj_forward and the engine's own RK4 are one method."""
+    plant = plants.make("three", mujoco_chain(FILE, integrator="RK4"))
+    u = np.tile(U, (13, 1))
+    np.testing.assert_allclose(RK4(arm)(START, u, D), Rollout(plant)(START, u, D), rtol=1e-9, atol=1e-11)
+
+
+def test_rows_of_several_delays_are_rolled_each_by_itself(arm):
+    u = np.random.default_rng(1).uniform(-5, 5, (4, 11, 3))
+    X, delays = np.tile(START, (4, 1)), np.array([0.1, 0.3, 0.0, 0.1])
+    together = Rollout(arm)(X, u, delays)
+    for row, delay, P in zip(u, delays, together, strict=True):
+        np.testing.assert_array_equal(Rollout(arm)(START, row, delay), P)
+    np.testing.assert_array_equal(together[2], np.tile(START, (11, 1)))
+
+
+def test_where_the_engine_gives_up_it_is_nan_and_no_file_is_written(arm, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    P = Rollout(arm)(np.array([START, START * 1e9]), np.zeros((2, 5, 3)), D)
+    assert np.isfinite(P[0]).all() and np.isnan(P[1, -1]).all()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_loop_tracks_with_the_engines_rollout_and_not_without_prediction(arm):
+    settings = {"D": D, "X0": arm.target(0.0), "t_end": 3.0, "dt": 0.01, "u0": arm.u_target(0.0)}
+    radii = [
+        metrics.radius(loop, arm.target(loop.t))
+        for loop in (simulate(arm, Rollout(arm, 61), D_hat=delay, **settings) for delay in (D, 0.0))
+    ]
+    assert radii[0] < 0.02 < 0.1 < radii[1]
+
+
+PAD = '<body name="three" pos="0.05 0 0.2">'
+
+
+def test_contacts_limits_and_motors_of_the_file_are_left_out(tmp_path, arm, points):
+    """f stays a smooth function of state and input."""
+    more = (
+        TEXT.replace('name="bend"', 'name="bend" range="-0.01 0.01" limited="true" frictionloss="3"')
+        .replace("</worldbody>", '<geom type="plane" size="1 1 .1" pos="0 0 0.5"/></worldbody>')
+        .replace(
+            '<body name="three" pos="0.05 0 0.2">', '<body name="three" pos="0.05 0 0.2"><geom size="0.2" mass="0"/>'
+        )
+        .replace("</mujoco>", '<actuator><position joint="turn" kp="100"/></actuator></mujoco>')
+    )
+    path = tmp_path / "more.xml"
+    path.write_text(more)
+    other = plants.make("more", mujoco_chain(path))
+    X, u, t = points
+    np.testing.assert_allclose(other.f(X, u), arm.f(X, u), rtol=1e-12)
+    np.testing.assert_allclose(other.kappa(X, t), arm.kappa(X, t), rtol=1e-12)
+
+
+def test_names_units_and_bounds_come_from_the_file(arm):
+    assert arm.states[:3] == ("turn", "bend", "reach") and arm.inputs == ("turn_torque", "bend_torque", "reach_force")
+    assert arm.units["reach_rate"] == "m/s"
+    assert arm.input_bounds == [(-40.0, 40.0), (-20.0, 20.0), (-50.0, 50.0)]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('type="slide"', 'type="ball"', "joint reach: expected type hinge or slide"),
+        ("<mujoco", "<robot", "expected an MJCF file, got:"),
+        ('mass="2.5"', 'mass="heavy"', "expected an MJCF file, got:"),
+    ],
+)
+def test_what_is_no_such_arm_is_one_line(tmp_path, old, new, message):
+    path = tmp_path / "wrong.xml"
+    path.write_text(TEXT.replace(old, new))
+    with pytest.raises(ConfigError, match=message) as failure:
+        mujoco_chain(path)
+    assert "\n" not in str(failure.value)
+
+
+def test_an_integrator_that_there_is_not_is_named():
+    with pytest.raises(ConfigError, match="integrator: expected one of Euler, RK4, implicit, implicitfast, got 'rk5'"):
+        mujoco_chain(FILE, integrator="rk5")
+
+
+def test_without_the_engine_the_extra_is_named(monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "mujoco", None)
+    with pytest.raises(MissingError, match=r"pip install 'npred\[mujoco\]'"):
+        mujoco_chain(FILE)
+
+
+def test_threads_do_not_meet_in_the_engines_memory(arm):
+    rng = np.random.default_rng(5)
+    jobs = [(rng.normal(size=(200, arm.n)), rng.normal(size=(200, arm.m))) for _ in range(4)]
+    serial = [(arm.f(X, u, 0.0), arm.kappa(X, 0.0)) for X, u in jobs]
+    with ThreadPoolExecutor(4) as threads:
+        for _ in range(5):
+            found = list(threads.map(lambda job: (arm.f(*job, 0.0), arm.kappa(job[0], 0.0)), jobs))
+            for here, there in zip(found, serial, strict=True):
+                np.testing.assert_array_equal(here[0], there[0])
+                np.testing.assert_array_equal(here[1], there[1])
