@@ -1,4 +1,4 @@
-"""What needs a GPU, by `make gpu`: graphs that are really captured, alone and side by side, and the stages there."""
+"""What needs a GPU, by `make gpu`: graphs that are really captured, and the stages there."""
 
 import json
 import os
@@ -79,18 +79,6 @@ def test_what_reads_the_gpu_is_trained_eagerly_and_said(tmp_path):
     run.operator.network.register_forward_pre_hook(lambda module, inputs: seen.append(inputs[0].sum().item()))
     assert len(fit(run, tmp_path / "reads", progress)) == 6
     assert any("reads numbers of the GPU on the host; training by eager steps" in note for note in progress.notes)
-
-
-@pytest.mark.parametrize("config", EVERY[:3], ids=IDS[:3])
-def test_seeds_in_one_graph_are_each_on_its_own(config, tmp_path):
-    scratches = [tmp_path / str(k) for k in range(4)]
-    for path in scratches:
-        path.mkdir()
-    progress = Silent()
-    together = training_loop.fit_side_by_side([task(config, k) for k in range(4)], scratches, progress)
-    assert not any("expected" in note for note in progress.notes)
-    for k, found in enumerate(together):
-        close(found[:2], fit(task(config, k), tmp_path / f"alone{k}")[:2], rtol=2e-2)  # type: ignore[index, arg-type]
 
 
 def test_two_networks_are_captured_side_by_side_in_threads(tmp_path):
