@@ -10,7 +10,7 @@ from npred.figures.style import Look, log, short
 from npred.figures.table import Column, Table
 from npred.registry import NETWORKS
 from npred.results import Reproduced, ReproducedRow
-from npred.stages.reproduce import NUMERICAL, load
+from npred.stages.reproduce import CORRECTED, NUMERICAL, load
 from npred_experiments.rows import cells_of
 
 TITLE = "Published experiments"
@@ -135,7 +135,7 @@ def _excesses_drawn(rows: Sequence[Excess]) -> Plate | None:
 
 
 def _panel(name: str, rows: Sequence[Excess]) -> Panel:
-    labels = [f"{NETWORKS.label(row.network)}, {row.metric}" for row in rows]
+    labels = [f"{_label(row.network)}, {row.metric}" for row in rows]
 
     def draw(axis: Any) -> None:
         places = range(len(rows))
@@ -232,4 +232,4 @@ def _digits(value: float | None, text: str) -> Digits | None:
 
 
 def _label(predictor: str) -> str:
-    return predictor if predictor == NUMERICAL else NETWORKS.label(predictor)
+    return CORRECTED.get(predictor, predictor if predictor == NUMERICAL else NETWORKS.label(predictor))

@@ -18,7 +18,7 @@ from npred.parallel.executors import Workers
 from npred.pipeline.plan import Node, Resolver
 from npred.registry import Source
 from npred.results import Reproduced
-from npred.stages.reproduce import NUMERICAL, TIMES, Place, load
+from npred.stages.reproduce import CORRECTED, NUMERICAL, TIMES, Place, load
 from npred.store import Store
 from npred.terminal.console import Console
 
@@ -58,7 +58,7 @@ class ExperimentPlanner(Resolver):
 
     def possible(self) -> list[Node]:
         """The nodes of all parts that an experiment may have: nothing of it is imported."""
-        return [self._node(part) for part in (NUMERICAL, TIMES, *registry.NETWORKS.names())]
+        return [self._node(part) for part in (NUMERICAL, TIMES, *registry.NETWORKS.names(), *CORRECTED)]
 
     def check(self, nodes: Iterable[Node]) -> None:
         """Raise ConfigError for a name that there is no experiment of."""

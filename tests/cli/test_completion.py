@@ -54,7 +54,7 @@ def test_a_pipeline_that_is_broken_offers_its_keys_all_the_same(offered):
 def test_stages_networks_and_words(offered):
     stages = ["identify", "generate", "train", "evaluate", "certify", "bench", "report"]
     assert offered("npred why ") == [*stages, "deeponet", "fno"]
-    assert offered("npred train --model f") == ["fno", "fno_gru"]
+    assert offered("npred train --model f") == ["fno"]
     assert offered("npred report --figures ieee") == ["ieee1", "ieee2"]
     assert offered("npred sweep --to b") == ["bench"]
 

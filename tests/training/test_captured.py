@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import torch
 from fake_gpu import Away, FakeGpu
-from operator_samples import EVERY, PLANT, SMALL, operator, samples
+from operator_samples import NETWORKS, PLANT, SMALL, operator, samples
 from silent import Silent
 from torch import Tensor, nn
 from torch.overrides import TorchFunctionMode
@@ -27,7 +27,6 @@ from npred.training.checkpoint import Metrics
 from npred.training.loss import criterion, weights
 from npred.training.rows import Fit, Rows
 
-IDS = ["deeponet", "fno", "averaging", "gru", "fno_gru", "deeponet_gru"]
 CHANGES = {"epochs": 4, "batch": 6, "checkpoint_every": 2, "snapshots": [3], "weight_decay": 1e-3}
 
 
@@ -84,7 +83,7 @@ def test_with_its_own_bases_it_learns_as_well(tmp_path, monkeypatch):
     close(found[:2], expected[:2], rtol=1e-3)
 
 
-@pytest.mark.parametrize("config", EVERY, ids=IDS)
+@NETWORKS
 def test_the_text_trains_as_the_plain_steps_do(config, tmp_path, monkeypatch):
     one_factorisation(monkeypatch)
     (plain, expected), (text, found) = both(config, tmp_path, monkeypatch)
@@ -186,7 +185,7 @@ class Strict(TorchFunctionMode):
         return result
 
 
-@pytest.mark.parametrize("config", EVERY, ids=IDS)
+@NETWORKS
 def test_nothing_in_a_captured_text_meets_the_host(config, monkeypatch):
     """On a device that only seems to be a GPU; its arithmetic is the CPU's."""
     plain = task(config, dtype=torch.float32)

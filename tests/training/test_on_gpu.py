@@ -12,11 +12,12 @@ import numpy as np
 import pytest
 import torch
 from conftest import TINY, process_environment
-from operator_samples import EVERY, PLANT, operator, samples
+from operator_samples import EVERY, NETWORKS, PLANT, operator, samples
 from silent import Silent
 
 from npred.config import DeepONet, Training
 from npred.parallel import devices
+from npred.registry import short_name
 from npred.training import captured, training_loop
 from npred.training.checkpoint import Metrics
 from npred.training.loss import criterion, weights
@@ -26,8 +27,7 @@ pytestmark = [
     pytest.mark.gpu,
     pytest.mark.skipif("NPRED_TEST_GPU" not in os.environ or not torch.cuda.is_available(), reason="no GPU"),
 ]
-IDS = ["deeponet", "fno", "averaging", "gru", "fno_gru", "deeponet_gru"]
-CAPTURED = {"deeponet", "fno", "averaging"}  # the recurrent ones may fall back, as cuDNN allows
+CAPTURED = {"deeponet", "fno", "AveragingNetwork"}  # the recurrent ones may fall back, as cuDNN allows
 
 
 def task(config: Training, seed: int = 0, count: int = 600, **changes: object) -> Fit:
@@ -48,13 +48,13 @@ def close(found: Metrics, expected: Metrics, rtol: float) -> None:
         np.testing.assert_allclose(list(row.values()), list(other.values()), rtol=rtol)
 
 
-@pytest.mark.parametrize("config", EVERY, ids=IDS)
+@NETWORKS
 def test_a_network_is_captured_and_learns_as_by_eager_steps(config, tmp_path, monkeypatch):
     progress = Silent()
     found = fit(task(config), tmp_path / "graph", progress)
     fallen = [note for note in progress.notes if "expected a step" in note]
     print(config.architecture, *fallen)
-    assert not fallen or config.architecture not in CAPTURED
+    assert not fallen or short_name(config.architecture) not in CAPTURED
     monkeypatch.setattr(captured, "serves", lambda device: False)
     close(found[:2], fit(task(config), tmp_path / "eager")[:2], rtol=2e-2)
 
