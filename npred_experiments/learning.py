@@ -174,5 +174,5 @@ def table_of(network: str, keys: Mapping[str, Any]) -> Table:
     tables = {"deeponet": DeepONet, "fno": FNO}
     if network in tables:
         return tables[network](**keys)
-    file = defaults.shipped()["networks"].with_name("gru.py")  # of npred's own pipelines
+    file = defaults.shipped()["networks"].with_name("gru.py")  # beside the pipelines that npred brings
     return Network(network=f"{file}:{CORRECTED[network]}", **keys)
