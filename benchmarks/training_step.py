@@ -15,8 +15,8 @@ import torch
 import npred
 from npred import config, operators
 from npred.operators import Scaling
-from npred.training import eager
 from npred.training.rows import REST_NODES
+from npred.training.training_loop import optimiser_of
 
 NX, STEPS = 101, 20
 
@@ -25,7 +25,7 @@ def milliseconds(plant, table, rest_nodes: int | None, nodes: int) -> float:
     """The median of a step: forward, backward and the optimiser."""
     torch.manual_seed(0)
     operator = operators.build(table, plant, Scaling(plant.n, plant.m))
-    optimiser = eager._optimiser(operator, table)
+    optimiser = optimiser_of(operator, table)
     X, u = torch.randn(table.batch, plant.n), torch.randn(table.batch, NX, plant.m)
     D_hat, stride = torch.rand(table.batch) + 0.5, (NX - 1) // (nodes - 1)
     P, times = torch.randn(table.batch, nodes, plant.n), []

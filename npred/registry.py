@@ -178,10 +178,6 @@ NETWORKS = Registry(
             lowering="npred.runtimes.fno",
             layout="npred.operators.layouts:fno",
         ),
-        "averaging": Entry("npred.operators.averaging:AveragingNetwork", "averaging operator"),
-        "gru": Entry("npred.operators.gru:GRUNetwork", "GRU"),
-        "fno_gru": Entry("npred.operators.gru:FNOGRU", "FNO + GRU"),
-        "deeponet_gru": Entry("npred.operators.gru:DeepONetGRU", "DeepONet + GRU"),
     },
 )
 METHODS = Registry(

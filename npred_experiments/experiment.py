@@ -15,6 +15,7 @@ from npred_experiments import EXPERIMENTS
 
 NUMERICAL = "numerical"  # what predicts
 TIMES = "times"  # the part of an experiment that times predictions
+CORRECTED = {"fno_gru": "FNO + GRU", "deeponet_gru": "DeepONet + GRU"}  # published beside the built-in networks
 AS_PUBLISHED, AS_MEANT = "as published", "as meant"
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from npred import randomness, runtimes
+from npred import defaults, randomness, runtimes
 from npred.config import FNO, DeepONet, Network
 from npred.config import Training as Table
 from npred.operators import Operator, Scaling, checked, save
@@ -28,6 +28,7 @@ from npred_experiments.network_loop import SEED, NetworkLoop, Predict, RecordedC
 from npred_experiments.regression import Quadratic
 
 HELD_OUT = 0.1  # of the rollouts
+CORRECTED = {"fno_gru": "FNOGRU", "deeponet_gru": "DeepONetGRU"}  # classes of pipeline/gru.py
 ROUND = 4  # a round before the last has this part of the epochs
 ROUNDS_APART = 100  # the rounds of a regression and those of a network have other runs
 DEFAULTS: dict[str, dict[str, Any]] = {
@@ -170,4 +171,7 @@ def table_of(network: str, keys: Mapping[str, Any]) -> Table:
     """The table of a network, its defaults overridden by these keys."""
     keys = {"loss": "standardised", **DEFAULTS[network], **keys}
     tables = {"deeponet": DeepONet, "fno": FNO}
-    return tables[network](**keys) if network in tables else Network(network=network, **keys)
+    if network in tables:
+        return tables[network](**keys)
+    file = defaults.shipped()["networks"].with_name("gru.py")  # beside the pipelines that npred brings
+    return Network(network=f"{file}:{CORRECTED[network]}", **keys)

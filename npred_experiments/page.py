@@ -9,7 +9,7 @@ from npred.figures.figure import Key, Panel, Plate
 from npred.figures.style import Look, log, short
 from npred.figures.table import Column, Table
 from npred.registry import NETWORKS
-from npred_experiments.experiment import NUMERICAL, Reproduced, ReproducedRow, load
+from npred_experiments.experiment import CORRECTED, NUMERICAL, Reproduced, ReproducedRow, load
 from npred_experiments.rows import cells_of
 
 TITLE = "Published experiments"
@@ -134,7 +134,7 @@ def _excesses_drawn(rows: Sequence[Excess]) -> Plate | None:
 
 
 def _panel(name: str, rows: Sequence[Excess]) -> Panel:
-    labels = [f"{NETWORKS.label(row.network)}, {row.metric}" for row in rows]
+    labels = [f"{_label(row.network)}, {row.metric}" for row in rows]
 
     def draw(axis: Any) -> None:
         places = range(len(rows))
@@ -231,4 +231,4 @@ def _digits(value: float | None, text: str) -> Digits | None:
 
 
 def _label(predictor: str) -> str:
-    return predictor if predictor == NUMERICAL else NETWORKS.label(predictor)
+    return CORRECTED.get(predictor, predictor if predictor == NUMERICAL else NETWORKS.label(predictor))

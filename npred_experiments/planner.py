@@ -20,7 +20,7 @@ from npred.registry import Source
 from npred.store import Store
 from npred.terminal.console import Console
 from npred_experiments import EXPERIMENTS, rows
-from npred_experiments.experiment import NUMERICAL, TIMES, Place, Reproduced, load
+from npred_experiments.experiment import CORRECTED, NUMERICAL, TIMES, Place, Reproduced, load
 
 STAGE = "reproduce"
 VERSION = 3
@@ -50,7 +50,7 @@ class ExperimentPlanner(Resolver):
 
     def possible(self) -> list[Node]:
         """The nodes of all parts that an experiment may have: nothing of it is imported."""
-        return [self._node(part) for part in (NUMERICAL, TIMES, *registry.NETWORKS.names())]
+        return [self._node(part) for part in (NUMERICAL, TIMES, *registry.NETWORKS.names(), *CORRECTED)]
 
     def check(self, nodes: Iterable[Node]) -> None:
         """Raise ConfigError for a name that there is no experiment of."""

@@ -1,23 +1,31 @@
 """Random samples and untrained operators for the tests of the networks."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
+import pytest
 import torch
 
 from npred import plants
 from npred.config import FNO, DeepONet, Network, Training
 from npred.operators import Operator, Scaling, build
+from npred.registry import short_name
 
 PLANT = plants.resolve("activator_repressor")
+PIPELINES = Path(__file__).parents[1] / "pipeline"
 SMALL = [DeepONet(width=16, depth=2, basis=6, trunk=8, moments=5), FNO(width=6, modes=4, layers=2)]  # with a fused form
 EVERY = [
     *SMALL,
-    Network(network="averaging", sizes={"width": 8, "layers": 2}),
-    Network(network="gru", sizes={"width": 6, "steps": 4}),
-    Network(network="fno_gru", sizes={"width": 6, "modes": 4, "layers": 2, "units": 5, "steps": 4}),
-    Network(network="deeponet_gru", sizes={"width": 16, "depth": 2, "basis": 6, "trunk": 8, "moments": 5, "units": 5}),
+    Network(network=f"{PIPELINES}/averaging.py:AveragingNetwork", sizes={"width": 8, "layers": 2}),
+    Network(network=f"{PIPELINES}/gru.py:GRUNetwork", sizes={"width": 6, "steps": 4}),
+    Network(network=f"{PIPELINES}/gru.py:FNOGRU", sizes={"width": 6, "modes": 4, "layers": 2, "units": 5, "steps": 4}),
+    Network(
+        network=f"{PIPELINES}/gru.py:DeepONetGRU",
+        sizes={"width": 16, "depth": 2, "basis": 6, "trunk": 8, "moments": 5, "units": 5},
+    ),
 ]
+NETWORKS = pytest.mark.parametrize("config", EVERY, ids=lambda config: short_name(config.architecture))
 
 
 @dataclass(frozen=True)

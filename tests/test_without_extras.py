@@ -114,9 +114,11 @@ def test_a_network_without_a_fused_form_needs_torch(script, tmp_path):
     from operator_samples import EVERY, PLANT, operator
 
     operators.save(tmp_path, operator(EVERY[3]), EVERY[3], PLANT)
-    read = f"npred.operators.read(pathlib.Path({str(tmp_path)!r}), npred.plant('activator_repressor'))"
-    (line,) = script(f"import npred.operators, pathlib\n{refused(read)}")
-    assert line == f"5 network gru: expected the package torch, found none; {TRAIN}"
+    table = f"npred.config.Network(network={EVERY[3].architecture!r})"
+    plant = "npred.plant('activator_repressor')"
+    read = f"npred.operators.read(pathlib.Path({str(tmp_path)!r}), {plant}, table={table})"
+    (line,) = script(f"import npred.config, npred.operators, pathlib\n{refused(read)}")
+    assert line == f"5 network {EVERY[3].architecture}: expected the package torch, found none; {TRAIN}"
 
 
 @pytest.mark.parametrize(
@@ -126,7 +128,7 @@ def test_a_network_without_a_fused_form_needs_torch(script, tmp_path):
         (f"{LOAD}, runtime='onnx')", "runtime onnx: expected the package torch, npred[onnx]"),
         (f"{LOAD}, device='cuda')", f"device: expected the package torch, {TRAIN}"),
         ("from npred.operators import Operator", f"networks: expected the package torch, {TRAIN}"),
-        ("npred.registry.NETWORKS.load('network', 'gru')", f"network gru: expected the package torch, {TRAIN}"),
+        ("npred.registry.NETWORKS.load('network', 'fno')", f"network fno: expected the package torch, {TRAIN}"),
         ("npred.simulate(npred.plant('scalar'), None, D=1.0, D_hat=1.0, X0=[1.0], t_end=0.1, dt=0.01, adaptation=None)"
          ".to_dataframe()", "to_dataframe: expected the package pandas, pip install pandas"),
     ],

@@ -6,10 +6,8 @@ from importlib import import_module
 from types import ModuleType
 
 from npred.cli import commands
-from npred.cli.app import app, guarded
-from npred.parallel import torchrun
+from npred.cli.app import app
 from npred.terminal import interruption, streams
-from npred.terminal.console import Console
 
 __all__ = ["app", "commands", "main"]
 
@@ -27,16 +25,10 @@ def __getattr__(name: str) -> ModuleType:
 
 
 def main() -> None:
-    """Run the command of sys.argv and exit with its code; SIGTERM and SIGHUP end it as Ctrl-C does.
-
-    Of the processes that torchrun starts, the first does so and the others help it train.
-    """
+    """Run the command of sys.argv and exit with its code; SIGTERM and SIGHUP end it as Ctrl-C does."""
     interruption.listen()
     streams.prepare()
     set_threshold(MANY)
-    if torchrun.count() > 1:
-        torchrun.join()
-        torchrun.leave(_lead() if torchrun.number() == 0 else _help_out())
     try:
         app()
     except OSError as error:  # commands say theirs: this is of a help that stdout does not take
@@ -45,22 +37,3 @@ def main() -> None:
         sys.exit(1)
     finally:
         freeze()  # while it is taken down, the interpreter would look for cycles among all that is left
-
-
-def _lead() -> int:
-    """The exit code of the first of several processes."""
-    try:
-        app()
-    except SystemExit as end:
-        return int(end.code or 0)
-    finally:
-        torchrun.dismiss()
-    return 0
-
-
-def _help_out() -> int:
-    """The exit code of a process that torchrun started to help the first one train."""
-    from npred.stages.train import train
-
-    console = Console(quiet=True)
-    return guarded(lambda: train.help_out(console), console)

@@ -98,7 +98,7 @@ def read(
     table, path = table or _table(folder), folder / weights(snapshot)
     check_anchor(table.anchor, plant)
     domain, entry = Domain.load(folder), NETWORKS.builtin.get(table.architecture)
-    if entry is None or not entry.layout:
+    if entry is None:
         files = imported(f"network {table.architecture}", "npred.operators.io")
         return files.read(path, plant, precision, table, domain)
     with broken(path):

@@ -1,1 +1,1 @@
-"""Other processes and devices: executors, torchrun, and what a machine has."""
+"""Other processes and devices: executors, and what a machine has."""

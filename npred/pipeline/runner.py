@@ -8,9 +8,8 @@ from concurrent.futures import Future, wait
 from dataclasses import dataclass, field
 
 from npred.errors import EXTRAS, NpredError, installed, lacking
-from npred.parallel import executors, torchrun
+from npred.parallel import executors
 from npred.parallel.executors import Here, Threads, Workers
-from npred.parallel.side_by_side import Meeting
 from npred.pipeline import stage_registry
 from npred.pipeline.plan import UP_TO_DATE, Node, Resolver, Step
 from npred.pipeline.stage_registry import STAGES, Planner
@@ -106,9 +105,8 @@ class Runner:
                 graph.run(runs)
             except BaseException:
                 self.console.stop()
-                here = graph.in_groups if bar else graph.under_way
-                if interruption.interrupted() and here:  # the others end at their next report, and remove drafts
-                    wait(here, interruption.GRACE)
+                if interruption.interrupted() and graph.under_way and not bar:
+                    wait(graph.under_way, interruption.GRACE)  # the networks end at their next report; drafts go
                 raise
 
 
@@ -128,7 +126,6 @@ class _Graph:
     takers: dict[str, list[CellRun]] = field(default_factory=lambda: defaultdict(list))
     queue: list[tuple[int, int, int, Task]] = field(default_factory=list)  # a heap
     under_way: dict[Future[Outcome], Task] = field(default_factory=dict)
-    in_groups: list[Future[Outcome]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.screen = Console(quiet=True) if self.bar else self.runner.console
@@ -151,28 +148,10 @@ class _Graph:
             if here and self.under_way:
                 return
             heapq.heappop(self.queue)
-            if self.bar and not self.workers.remote and _in_a_graph(task):
-                self._start_together([task, *self._others(task)])
-            elif here:
+            if here:
                 self._settle(task, self.runner.make(task))
             else:
                 self.under_way[self.submit(task)] = task
-
-    def _others(self, task: Task) -> list[Task]:
-        """The tasks of the queue that train the same network with other seeds or data, taken out of it."""
-        same = [entry for entry in self.queue if _in_a_graph(entry[-1]) and _network(entry[-1]) == _network(task)]
-        self.queue = [entry for entry in self.queue if entry not in same]
-        heapq.heapify(self.queue)
-        return [entry[-1] for entry in sorted(same)]
-
-    def _start_together(self, tasks: list[Task]) -> None:
-        """Trainings on a GPU, in threads of this process: they meet in one CUDA graph, and end each by itself."""
-        group, threads = Meeting(len(tasks)), Threads(len(tasks))
-        for task in tasks:
-            future = threads.submit(_member, group, task)
-            self.in_groups.append(future)
-            self.under_way[future] = task
-        threads.shutdown(wait=False)
 
     def _ask(self, run: CellRun) -> None:
         """Take what is there already of a pipeline's next nodes, and queue the rest, each key once."""
@@ -247,18 +226,3 @@ def _outcome(future: Future[Outcome], task: Task) -> Outcome:
         return future.result()
     except Exception as error:
         return Outcome(task.step.node, "failed", task.step.reason, 0.0, error=error)
-
-
-def _in_a_graph(task: Task) -> bool:
-    return task.step.node.stage == "train" and task.planner.device.startswith("cuda") and torchrun.count() == 1
-
-
-def _network(task: Task) -> tuple[object, ...]:
-    """Equal for trainings that differ in seed and data alone, as far as the pipeline says."""
-    config, model = task.planner.settings(task.step.node), task.step.node.model
-    return model, repr({key: value for key, value in config.items() if key != "seed"})
-
-
-def _member(group: Meeting, task: Task) -> Outcome:
-    with group.member():
-        return task.outcome(Console(quiet=True), 1, Here())

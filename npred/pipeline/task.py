@@ -10,7 +10,7 @@ from typing import Self
 from npred.defaults import RESULT
 from npred.errors import ConfigError, NpredError, room_on_disk
 from npred.kernels import compiler
-from npred.parallel import devices, side_by_side
+from npred.parallel import devices
 from npred.parallel.executors import Here, Workers
 from npred.pipeline.plan import Node, Resolver, Step
 from npred.store import Artifact, short
@@ -91,7 +91,6 @@ class Task:
         def waiting(holder: str) -> None:
             holders.append(holder)
             console.doing(node.title, "waiting")
-            side_by_side.leave()  # that holder may wait for this one's others
             console.note(f"{node.title}: {short(self.key)} is being made by {holder}; waiting for it")
 
         with store.lock(node.stage, self.key, waiting):

@@ -15,14 +15,12 @@ from torch import Tensor, nn
 
 from npred import json_files
 from npred.errors import StoreError, first_line
-from npred.training.stacked_optimisers import NetworkState
 
 NAME = "checkpoint.safetensors"
 Metrics = list[dict[str, Any]]
-Optimiser = torch.optim.Optimizer | NetworkState
 
 
-def save(folder: Path, network: nn.Module, optimiser: Optimiser, metrics: Metrics) -> None:
+def save(folder: Path, network: nn.Module, optimiser: torch.optim.Optimizer, metrics: Metrics) -> None:
     """Write parameters, buffers and the optimiser's moments as tensors, the metrics so far as JSON in the header.
 
     The file is complete or absent: it is written beside its name, synced and renamed.
@@ -35,7 +33,7 @@ def save(folder: Path, network: nn.Module, optimiser: Optimiser, metrics: Metric
     partial.replace(folder / NAME)
 
 
-def restore(folder: Path, network: nn.Module, optimiser: Optimiser) -> Metrics:
+def restore(folder: Path, network: nn.Module, optimiser: torch.optim.Optimizer) -> Metrics:
     """Load the folder's checkpoint in place, if there is one; the metrics of the epochs behind it, else none.
 
     Raises StoreError for a file that is broken or was changed, and for such a snapshot.
@@ -50,7 +48,7 @@ def restore(folder: Path, network: nn.Module, optimiser: Optimiser) -> Metrics:
         ) from None
 
 
-def _restored(path: Path, network: nn.Module, optimiser: Optimiser) -> Metrics:
+def _restored(path: Path, network: nn.Module, optimiser: torch.optim.Optimizer) -> Metrics:
     with safe_open(path, framework="pt") as file:
         tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - no mapping
         texts = file.metadata()
@@ -77,9 +75,9 @@ def _digest(tensors: dict[str, Tensor], texts: dict[str, str]) -> str:
     return digest.hexdigest()
 
 
-def _tensors(network: nn.Module, optimiser: Optimiser) -> dict[str, Tensor]:
+def _tensors(network: nn.Module, optimiser: torch.optim.Optimizer) -> dict[str, Tensor]:
     moments = {
-        f"optimiser/{index}/{key}": tensor
+        f"optimiser/{index}/{key}": tensor.clone()  # several may be views of one tensor, which no file may hold
         for index, state in optimiser.state_dict()["state"].items()
         for key, tensor in state.items()
     }

@@ -44,7 +44,7 @@ def sensitivity(plant: Plant, P: Tensor) -> Tensor:
 @dataclass(frozen=True)
 class Criterion:
     """(P_hat, P) -> the mean over the rows of e^(2 power), with e^2 the mean over nodes and components of
-    (w_i (P_hat_i - P_i))^2; a first axis more, of networks, stays.
+    (w_i (P_hat_i - P_i))^2.
     """
 
     power: float

@@ -50,10 +50,15 @@ class Rows:
         """The number of intervals of u in one of P."""
         return (self.u.shape[1] - 1) // (self.P.shape[1] - 1)
 
+    @property
+    def columns(self) -> list[Tensor]:
+        """All tensors that there are."""
+        return [self.X, self.u, self.D_hat, self.P, *(() if self.phase is None else (self.phase,))]
+
     def __len__(self) -> int:
         return len(self.D_hat)
 
-    def __getitem__(self, index: Tensor | slice | tuple[slice, slice]) -> "Rows":
+    def __getitem__(self, index: Tensor | slice) -> "Rows":
         phase = None if self.phase is None else self.phase[index]
         return Rows(self.X[index], self.u[index], self.D_hat[index], self.P[index], phase)
 

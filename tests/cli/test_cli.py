@@ -299,7 +299,7 @@ def test_the_executor_may_be_set_for_good_and_is_in_no_key(call: Call, monkeypat
         (
             ["train", "tiny.toml", "--model", "cnn"],
             2,
-            "--model: expected one of deeponet, fno, averaging, gru, fno_gru, deeponet_gru, got 'cnn'",
+            "--model: expected one of deeponet, fno, got 'cnn'",
         ),
         (["run", "tiny.toml", "--device", "gpu"], 2, "--device: expected auto, cpu, cuda or cuda:N, got 'gpu'"),
         (["run", "tiny.toml", "--device", "cuda:99"], 5, "got 'cuda:99'"),

@@ -1,12 +1,15 @@
 """Recurrent predictors look back only, and read the same means of u on every grid; corrected ones are their formula."""
 
+import runpy
+
 import numpy as np
 import pytest
 import torch
+from operator_samples import PIPELINES
 from torch import nn
 
-from npred.operators.gru import FNOGRU, Corrected, DeepONetGRU, GRUNetwork, matrices
-
+GRU = runpy.run_path(str(PIPELINES / "gru.py"))
+Corrected, GRUNetwork, matrices = GRU["Corrected"], GRU["GRUNetwork"], GRU["matrices"]
 CPU = torch.device("cpu")
 
 
@@ -77,7 +80,7 @@ def test_it_is_the_recurrence_written_out():
 
 
 @torch.no_grad()
-@pytest.mark.parametrize("kind", [FNOGRU, DeepONetGRU])
+@pytest.mark.parametrize("kind", [GRU["FNOGRU"], GRU["DeepONetGRU"]], ids=["FNOGRU", "DeepONetGRU"])
 def test_without_a_correction_it_is_the_first_network(kind):
     torch.manual_seed(0)
     model = kind(2, 1)

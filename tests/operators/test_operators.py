@@ -1,18 +1,19 @@
 """Every operator: anchors exact, any grid, a gradient in every parameter, files that read back to the bit."""
 
 import json
+from pathlib import Path
 
 import pytest
 import torch
-from operator_samples import EVERY, PLANT, SMALL, operator, samples, several_inputs, tensors
+from operator_samples import EVERY, NETWORKS, PLANT, SMALL, operator, samples, several_inputs, tensors
 
 from npred.config import DeepONet, Training
 from npred.errors import ConfigError, StoreError
 from npred.operators import Scaling, build, describe, load, save
 from npred.operators.base import chebyshev
 from npred.operators.io import save_weights
+from npred.registry import short_name
 
-NETWORKS = pytest.mark.parametrize("config", EVERY, ids=lambda config: config.architecture)
 ANCHORS = pytest.mark.parametrize("anchor", ["none", "initial", "equilibrium"])
 
 
@@ -75,14 +76,14 @@ def test_without_a_delay_the_prediction_is_the_state(config, anchor):
     assert torch.equal(P_hat, X[:, None].expand_as(P_hat))
 
 
-@pytest.mark.parametrize("config", [SMALL[0], EVERY[3]], ids=lambda config: config.architecture)
+@pytest.mark.parametrize("config", [SMALL[0], EVERY[3]], ids=lambda config: short_name(config.architecture))
 @torch.no_grad()
 def test_coarse_output_is_the_fine_one_at_its_nodes(config):
     model, inputs = operator(config), tensors(samples(5, nx=25))
     torch.testing.assert_close(model(*inputs, stride=4), model(*inputs)[:, ::4], rtol=1e-5, atol=1e-6)
 
 
-@pytest.mark.parametrize("config", EVERY[1:3], ids=lambda config: config.architecture)
+@pytest.mark.parametrize("config", EVERY[1:3], ids=lambda config: short_name(config.architecture))
 @torch.no_grad()
 def test_coarse_output_of_a_quadrature_is_near_the_fine_one_at_its_nodes(config):
     model, inputs = operator(config), tensors(samples(5, nx=101))
@@ -142,9 +143,9 @@ def test_saved_model_reads_back_to_the_bit(config, tmp_path):
     save(tmp_path, model, config, PLANT)
     inputs = tensors(samples())
     with torch.no_grad():
-        assert torch.equal(load(tmp_path, PLANT)(*inputs), model(*inputs))
+        assert torch.equal(load(tmp_path, PLANT, config=config)(*inputs), model(*inputs))
     manifest = describe(tmp_path)
-    assert manifest["config"] == config.model_dump(mode="json")
+    assert manifest["config"] == config.moved(lambda path: Path(path).name).model_dump(mode="json")
     assert manifest["plant"] == json.loads(json.dumps(PLANT.identity))
 
 
@@ -163,7 +164,7 @@ def test_snapshot_has_its_own_weights(tmp_path):
 def test_in_double_precision_it_rests_at_the_plants_own_equilibrium(config, tmp_path):
     model = operator(config, seed=3)
     save(tmp_path, model, config, PLANT)
-    double = load(tmp_path, PLANT, dtype=torch.float64)
+    double = load(tmp_path, PLANT, dtype=torch.float64, config=config)
     rest = torch.tensor(PLANT.equilibrium)[None], torch.tensor(PLANT.u_equilibrium).expand(1, 21, 1)
     P_hat = double(*rest, torch.tensor([1.3], dtype=torch.float64))
     assert torch.equal(P_hat, rest[0].expand(1, 21, 2))

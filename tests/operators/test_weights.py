@@ -59,10 +59,10 @@ def test_weights_are_those_of_the_operator_and_make_it_again(tmp_path: Path, con
     assert torch.equal(weights.module(PLANT)(*inputs), loaded(*inputs)) and loaded.module(PLANT) is loaded
 
 
-@pytest.mark.parametrize("config", EVERY[2:], ids=lambda config: config.architecture)
+@pytest.mark.parametrize("config", EVERY[2:], ids=lambda config: registry.short_name(config.architecture))
 def test_a_network_without_a_fused_form_is_read_as_a_torch_module(tmp_path: Path, config):
     operators.save(tmp_path, operator(config), config, PLANT)
-    assert isinstance(operators.read(tmp_path, PLANT, precision=np.float64), operators.Operator)
+    assert isinstance(operators.read(tmp_path, PLANT, precision=np.float64, table=config), operators.Operator)
 
 
 def test_an_anchor_at_rest_needs_a_plant_with_one(tmp_path: Path):

@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
+from conftest import HERE
 from jobs import SMALL
 from typer.testing import CliRunner, Result
 
@@ -31,12 +32,13 @@ MINE = {"network": "net.py:Plain", "sizes": {"width": 4}, "epochs": 1, "batch": 
 
 @pytest.fixture
 def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A pipeline whose networks are a user's, a DeepONet of a chosen name, and two without tables."""
+    """A pipeline whose networks are a user's, a DeepONet of a chosen name, and two of files of npred's pipelines."""
     monkeypatch.setenv("NPRED_STORE", str(tmp_path / "store"))
     (tmp_path / "net.py").write_text(NET)
     small = {"network": "deeponet", "sizes": {"width": 8, "depth": 1, "basis": 4}, "epochs": 1}
     train = {"models": ["mine", "small", "averaging", "gru"], "mine": MINE, "small": small}
-    train |= {name: {"epochs": 1, "sizes": {"width": 4}} for name in ("averaging", "gru")}
+    for name, kind in {"averaging": "AveragingNetwork", "gru": "GRUNetwork"}.items():
+        train[name] = {"network": f"{HERE.parent}/pipeline/{name}.py:{kind}", "epochs": 1, "sizes": {"width": 4}}
     path = tmp_path / "own.toml"
     path.write_text(toml_text.dumps({"plant": "activator_repressor"} | SMALL | {"train": train}))
     return path
@@ -88,7 +90,7 @@ def test_every_network_is_evaluated_timed_drawn_and_exported_but_not_to_c(file: 
     timed = {name: {row["runtime"] for row in rows if row["predictor"] == name} for name in ("mine", "gru", "small")}
     assert timed["small"] == {"torch", "fused", "onnx"} and timed["mine"] == timed["gru"] == {"torch", "onnx"}
     (page,) = (tmp_path / "store").glob("report/*/report.html")
-    assert "net.py:Plain" in page.read_text() and "averaging operator" in page.read_text()
+    assert "net.py:Plain" in page.read_text() and "averaging" in page.read_text()
     assert call("export", "onnx", f"{file}:mine", "-o", tmp_path / "mine.onnx", "--nx", 21).exit_code == 0
     assert call("export", "c", f"{file}:small", "-o", tmp_path / "small.c", "--nx", 21).exit_code == 0
     said = refusal("export", "c", f"{file}:mine", "-o", tmp_path / "mine.c")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 from driven import driven
-from operator_samples import EVERY
+from operator_samples import EVERY, NETWORKS
 
 from npred import grid, plants, predictors
 from npred.delays import family_of
@@ -20,7 +20,6 @@ from npred.runtimes import predictor
 from npred.training.rows import Rows
 
 UNICYCLE, IN_TIME = plants.resolve("unicycle"), plants.resolve("unicycle_time_delay")
-NETWORKS = pytest.mark.parametrize("config", EVERY, ids=lambda config: config.architecture)
 
 
 def network(config):

@@ -13,6 +13,7 @@ from npred.errors import MissingError
 from npred.loop import metrics
 from npred.operators import Scaling, build
 from npred.predictors.neural import Neural
+from npred.registry import short_name
 from npred.runtimes import onnx as runtime
 
 onnx = pytest.importorskip("onnx")
@@ -34,7 +35,7 @@ def export(tmp_path_factory):
     return call
 
 
-@pytest.fixture(params=EVERY, ids=lambda config: config.architecture)
+@pytest.fixture(params=EVERY, ids=lambda config: short_name(config.architecture))
 def exported(request, export):
     return export(request.param)
 

@@ -1,10 +1,11 @@
-"""The texts of the graphs, run on the CPU, train as the plain steps do: one network or several side by side.
+"""The texts of the graphs, run on the CPU, train as the plain steps do.
 
 In float64 and with one factorisation of the bases, so that what differs is the text and not the rounding: SOAP makes
-much of that. The bases' own factorisation is in test_stacked_optimisers.py.
+much of that. The bases' own factorisation is in test_graph_soap.py.
 """
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ import numpy as np
 import pytest
 import torch
 from fake_gpu import Away, FakeGpu
-from operator_samples import EVERY, PLANT, SMALL, operator, samples
+from operator_samples import NETWORKS, PLANT, SMALL, operator, samples
 from silent import Silent
 from torch import Tensor, nn
 from torch.overrides import TorchFunctionMode
@@ -20,14 +21,12 @@ from torch.utils._pytree import tree_leaves
 
 from npred.config import Training
 from npred.operators import Operator
-from npred.training import captured, checkpoint, stacked_optimisers, training_loop
-from npred.training.captured import Captured
+from npred.training import captured, soap, training_loop
+from npred.training.captured import CapturedStep, NotCapturable, OnDevice
 from npred.training.checkpoint import Metrics
-from npred.training.cuda_graph import NotCapturable, OnDevice
 from npred.training.loss import criterion, weights
 from npred.training.rows import Fit, Rows
 
-IDS = ["deeponet", "fno", "averaging", "gru", "fno_gru", "deeponet_gru"]
 CHANGES = {"epochs": 4, "batch": 6, "checkpoint_every": 2, "snapshots": [3], "weight_decay": 1e-3}
 
 
@@ -35,7 +34,7 @@ def task(config: Training, seed: int = 0, dtype: torch.dtype = torch.float64, **
     """Seven steps an epoch, the last of a smaller batch: bases turn twice."""
     config = config.model_copy(update=CHANGES | changes)
     train, test = Rows.of(samples(40, seed=2 * seed), nodes=11), Rows.of(samples(10, seed=2 * seed + 1))
-    train, test = (Rows(*(a.to(dtype) for a in captured._columns(rows))) for rows in (train, test))
+    train, test = (Rows(*(a.to(dtype) for a in rows.columns)) for rows in (train, test))
     loss = criterion(config.rows, weights(config, PLANT, train.P))
     return Fit("train tiny", operator(config, seed).to(dtype), config, train, test, loss, seed=11 + seed)
 
@@ -54,7 +53,7 @@ def graphs(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def one_factorisation(monkeypatch: pytest.MonkeyPatch) -> None:
     """The plain optimiser's."""
-    monkeypatch.setattr(stacked_optimisers, "turned_bases", lambda A, Q: torch.linalg.qr(A @ Q)[0])
+    monkeypatch.setattr(soap, "turned_bases", lambda A, Q: torch.linalg.qr(A @ Q)[0])
 
 
 def close(found: Metrics, expected: Metrics, rtol: float = 1e-5) -> None:
@@ -84,7 +83,7 @@ def test_with_its_own_bases_it_learns_as_well(tmp_path, monkeypatch):
     close(found[:2], expected[:2], rtol=1e-3)
 
 
-@pytest.mark.parametrize("config", EVERY, ids=IDS)
+@NETWORKS
 def test_the_text_trains_as_the_plain_steps_do(config, tmp_path, monkeypatch):
     one_factorisation(monkeypatch)
     (plain, expected), (text, found) = both(config, tmp_path, monkeypatch)
@@ -129,47 +128,6 @@ def test_resumed_by_the_texts_it_is_the_same_to_the_bit(tmp_path, graphs):
         whole.operator.state_dict().values(), resumed.operator.state_dict().values(), strict=True))  # fmt: skip
 
 
-@pytest.mark.parametrize("config", EVERY, ids=IDS)
-def test_seeds_side_by_side_are_each_on_its_own(config, tmp_path, graphs):
-    seeds = range(3)
-    alone = [task(config, seed) for seed in seeds]
-    expected = [training_loop.fit(run, folder(tmp_path / f"alone{k}"), Silent()) for k, run in enumerate(alone)]
-    together, progress = [task(config, seed) for seed in seeds], Silent()
-    assert len({captured.alike(run) for run in together}) == 1
-    scratches = [folder(tmp_path / f"together{k}") for k in seeds]
-    found = training_loop.fit_side_by_side(together, scratches, progress)
-    apart = [note for note in progress.notes if "expected" in note]
-    assert [note.rpartition("; ")[2] for note in apart] == ["training one after the other"] * (
-        "gru" in config.architecture
-    )
-    for k in seeds:
-        close(found[k], expected[k])  # type: ignore[arg-type]
-        close_weights(together[k], alone[k])
-        assert (scratches[k] / "snapshot-3.safetensors").is_file()
-
-
-def test_seeds_go_on_together_or_one_by_one(tmp_path, graphs):
-    scratches = [folder(tmp_path / str(k)) for k in range(2)]
-    whole = training_loop.fit_side_by_side([task(SMALL[0], k) for k in range(2)], scratches, Silent())
-    for number, apart in enumerate((False, True)):
-        broken = [folder(tmp_path / f"{number}-{k}") for k in range(2)]
-        with pytest.raises(KeyboardInterrupt):
-            training_loop.fit_side_by_side([task(SMALL[0], k) for k in range(2)], broken, Silent(stop_after=2))
-        if apart:
-            (broken[1] / checkpoint.NAME).unlink()
-        found = training_loop.fit_side_by_side([task(SMALL[0], k) for k in range(2)], broken, Silent())
-        for one, expected in zip(found, whole, strict=True):
-            close(one, expected)  # type: ignore[arg-type]
-
-
-def test_one_that_diverges_ends_alone(tmp_path, graphs):
-    fine, lost = task(SMALL[0]), task(SMALL[0], 1)
-    lost = replace(lost, loss=replace(lost.loss, weights=lost.loss.weights * float("nan")))
-    scratches = [folder(tmp_path / str(k)) for k in range(2)]
-    metrics, error = training_loop.fit_side_by_side([fine, lost], scratches, Silent())
-    assert len(metrics) == 4 and "expected a finite loss, got nan in epoch 1" in str(error)  # type: ignore[arg-type]
-
-
 class Reading(nn.Module):
     """A network whose forward does what a graph cannot hold."""
 
@@ -212,10 +170,6 @@ def test_a_capture_that_raises_leaves_all_as_it_was(tmp_path, graphs, monkeypatc
     progress = Silent()
     close(training_loop.fit(task(SMALL[0]), folder(tmp_path / "failed"), progress), expected)
     assert "got: CUDA error: operation not permitted when stream is capturing; training" in " ".join(progress.notes)
-    progress, scratches = Silent(), [folder(tmp_path / str(k)) for k in range(2)]
-    found = training_loop.fit_side_by_side([task(SMALL[0], k) for k in range(2)], scratches, progress)
-    close(found[0], expected)  # type: ignore[arg-type]
-    assert progress.notes[0].endswith("; training one after the other")
 
 
 class Strict(TorchFunctionMode):
@@ -231,7 +185,7 @@ class Strict(TorchFunctionMode):
         return result
 
 
-@pytest.mark.parametrize("config", EVERY, ids=IDS)
+@NETWORKS
 def test_nothing_in_a_captured_text_meets_the_host(config, monkeypatch):
     """On a device that only seems to be a GPU; its arithmetic is the CPU's."""
     plain = task(config, dtype=torch.float32)
@@ -239,15 +193,14 @@ def test_nothing_in_a_captured_text_meets_the_host(config, monkeypatch):
     monkeypatch.setattr(torch.cuda, "get_rng_state", lambda device: None)
     monkeypatch.setattr(torch.cuda, "set_rng_state", lambda state, device: None)
     with FakeGpu():
-        train, test = (Rows(*(a.to("cuda") for a in captured._columns(rows))) for rows in (plain.train, plain.test))
+        train, test = (Rows(*(a.to("cuda") for a in rows.columns)) for rows in (plain.train, plain.test))
         loss = replace(plain.loss, weights=plain.loss.weights.to("cuda"))
         moved = replace(plain, operator=away(plain.operator), train=train, test=test, loss=loss)
-        steps = Captured([moved])
-        steps.begin()
+        optimiser = training_loop.optimiser_of(moved.operator, config, torch.zeros(()).to("cuda"))
+        step = CapturedStep(moved, optimiser, partial(training_loop.step, moved, optimiser))
         with Strict(), OnDevice():
-            for index in steps.index.values():
-                steps._step(index)
-            steps._measure()
+            for size in step.graphs:
+                step.text(size)
 
 
 def away(module: Operator) -> Operator:

@@ -1,4 +1,4 @@
-"""What needs a GPU, by `make gpu`: graphs that are really captured, alone and side by side, and the stages there."""
+"""What needs a GPU, by `make gpu`: graphs that are really captured, and the stages there."""
 
 import json
 import os
@@ -12,11 +12,12 @@ import numpy as np
 import pytest
 import torch
 from conftest import TINY, process_environment
-from operator_samples import EVERY, PLANT, operator, samples
+from operator_samples import EVERY, NETWORKS, PLANT, operator, samples
 from silent import Silent
 
 from npred.config import DeepONet, Training
 from npred.parallel import devices
+from npred.registry import short_name
 from npred.training import captured, training_loop
 from npred.training.checkpoint import Metrics
 from npred.training.loss import criterion, weights
@@ -26,8 +27,7 @@ pytestmark = [
     pytest.mark.gpu,
     pytest.mark.skipif("NPRED_TEST_GPU" not in os.environ or not torch.cuda.is_available(), reason="no GPU"),
 ]
-IDS = ["deeponet", "fno", "averaging", "gru", "fno_gru", "deeponet_gru"]
-CAPTURED = {"deeponet", "fno", "averaging"}  # the recurrent ones may fall back, as cuDNN allows
+CAPTURED = {"deeponet", "fno", "AveragingNetwork"}  # the recurrent ones may fall back, as cuDNN allows
 
 
 def task(config: Training, seed: int = 0, count: int = 600, **changes: object) -> Fit:
@@ -48,13 +48,13 @@ def close(found: Metrics, expected: Metrics, rtol: float) -> None:
         np.testing.assert_allclose(list(row.values()), list(other.values()), rtol=rtol)
 
 
-@pytest.mark.parametrize("config", EVERY, ids=IDS)
+@NETWORKS
 def test_a_network_is_captured_and_learns_as_by_eager_steps(config, tmp_path, monkeypatch):
     progress = Silent()
     found = fit(task(config), tmp_path / "graph", progress)
     fallen = [note for note in progress.notes if "expected a step" in note]
     print(config.architecture, *fallen)
-    assert not fallen or config.architecture not in CAPTURED
+    assert not fallen or short_name(config.architecture) not in CAPTURED
     monkeypatch.setattr(captured, "serves", lambda device: False)
     close(found[:2], fit(task(config), tmp_path / "eager")[:2], rtol=2e-2)
 
@@ -79,18 +79,6 @@ def test_what_reads_the_gpu_is_trained_eagerly_and_said(tmp_path):
     run.operator.network.register_forward_pre_hook(lambda module, inputs: seen.append(inputs[0].sum().item()))
     assert len(fit(run, tmp_path / "reads", progress)) == 6
     assert any("reads numbers of the GPU on the host; training by eager steps" in note for note in progress.notes)
-
-
-@pytest.mark.parametrize("config", EVERY[:3], ids=IDS[:3])
-def test_seeds_in_one_graph_are_each_on_its_own(config, tmp_path):
-    scratches = [tmp_path / str(k) for k in range(4)]
-    for path in scratches:
-        path.mkdir()
-    progress = Silent()
-    together = training_loop.fit_side_by_side([task(config, k) for k in range(4)], scratches, progress)
-    assert not any("expected" in note for note in progress.notes)
-    for k, found in enumerate(together):
-        close(found[:2], fit(task(config, k), tmp_path / f"alone{k}")[:2], rtol=2e-2)  # type: ignore[index, arg-type]
 
 
 def test_two_networks_are_captured_side_by_side_in_threads(tmp_path):

@@ -12,10 +12,10 @@ from silent import Silent
 
 from npred.config import DeepONet, Training
 from npred.errors import ConfigError, DivergedError, StoreError
-from npred.training import checkpoint, eager, training_loop
-from npred.training.eager import errors, rate
+from npred.training import checkpoint, training_loop
 from npred.training.loss import criterion, weights
 from npred.training.rows import Fit, Rows
+from npred.training.training_loop import cycle_ends, errors, rate
 
 NETWORKS = pytest.mark.parametrize("config", SMALL, ids=["deeponet", "fno"])
 
@@ -100,12 +100,12 @@ def test_a_training_to_a_stated_error_ends_with_the_first_cycle_that_reaches_it(
 
 def test_the_rate_comes_down_where_a_training_may_end():
     config = task(SMALL[0], epochs=30, eps=1.0).config
-    assert eager.cycle_ends(config) == [2, 6, 14, 30]
+    assert cycle_ends(config) == [2, 6, 14, 30]
     for start, end in pairwise([0, 2, 6, 14, 30]):
         rates = [rate(config, epochs) / config.lr for epochs in np.linspace(start, end - 1e-9, 101)]
         assert rates[0] < 0.05 and rates[-1] < 1e-3 and max(rates) > 0.99
         assert np.argmax(rates) == 5
-    assert eager.cycle_ends(task(SMALL[0], epochs=1, eps=1.0).config) == [1]
+    assert cycle_ends(task(SMALL[0], epochs=1, eps=1.0).config) == [1]
 
 
 def torch_file(path: Path) -> dict[str, torch.Tensor]:

@@ -1,4 +1,7 @@
-"""The neural operator of [DAPF, Definition 1] with the averaging kernel of its Theorem 1."""
+"""A network of your own: the neural operator of [DAPF, Definition 1] with the averaging kernel of its Theorem 1.
+
+As `network = "averaging.py:AveragingNetwork"` in a table [train.NAME].
+"""
 
 import torch
 from torch import Tensor, nn
@@ -14,10 +17,10 @@ class AveragingNetwork(nn.Module):
     """N = Q(v_L, x), v_l = silu(W_l v_l-1 + b_l + int_0^1 v_l-1 dx), v_0 = R(X, u(x), D_hat, x).
 
     One hidden layer approximates every continuous operator, with enough channels [DAPF, Theorem 1; Lanthaler, Li and
-    Stuart 2024]. P hangs on the
-    integrals of u up to x, and this kernel averages over the whole of [0, 1] at every x, as the definition has it:
-    the channels have to separate what is before x from what is behind it, which takes more of them than a
-    kernel that knows the direction. The integral is the trapezoidal rule's, so the weights know nothing of the grid.
+    Stuart 2024]. P hangs on the integrals of u up to x, and this kernel averages over the whole of [0, 1] at every x,
+    as the definition has it: the channels have to separate what is before x from what is behind it, which takes more
+    of them than a kernel that knows the direction. The integral is the trapezoidal rule's, so the weights know nothing
+    of the grid.
     """
 
     def __init__(self, n: int, m: int, clock: int = 0, *, width: int = 64, layers: int = 1) -> None:

@@ -1,4 +1,7 @@
-"""Gated recurrent units [Cho et al. 2014, arXiv:1406.1078] along x, on any grid: alone, or correcting a network."""
+"""Networks of your own: gated recurrent units [Cho et al. 2014, arXiv:1406.1078] along x, on any grid.
+
+Alone as `network = "gru.py:GRUNetwork"` in a table [train.NAME], or correcting another network, as gru.py:FNOGRU does.
+"""
 
 import numpy as np
 import torch
