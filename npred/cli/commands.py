@@ -354,25 +354,6 @@ def gc(
     cli.gc.gc(options, pipelines or [], set or [], older, keep, device, yes)
 
 
-@command(CARE)
-def export_artifact(
-    options: Common,
-    *,
-    reference: Annotated[str, RESULT],
-    output: Annotated[Path | None, flag("The file; by default STAGE-KEY.tar here.", "-o", "--output")] = None,
-) -> None:
-    """A result as one tar with its digests, to take elsewhere."""
-    cli.store_admin.export_artifact(options, reference, output)
-
-
-@command(CARE)
-def import_artifact(
-    options: Common, *, path: Annotated[Path, argument("FILE.tar", "What export-artifact wrote.")]
-) -> None:
-    """A result from elsewhere into the store, checked; nothing in it is run."""
-    cli.store_admin.import_artifact(options, path)
-
-
 @command(CARE, waits="importing the packages and reading the store: some seconds")
 def doctor(options: Common) -> None:
     """Versions, devices, threads and the store."""

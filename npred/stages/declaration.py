@@ -29,8 +29,7 @@ class Stage:
     - table.py, of an optional stage: its table, of the class `table_class`.
 
     An optional stage is a part of a run where the pipeline file has its table. The tables of the others, which more
-    than one stage reads, are in npred.config. `data` is a pattern of its files that may come in from elsewhere; with
-    `draws` it has figures too, which do not. A stage with an artifact `per_network` is called by the network's name.
+    than one stage reads, are in npred.config. A stage with an artifact `per_network` is called by the network's name.
     `needs` is the package of an extra without which it cannot run.
     """
 
@@ -38,8 +37,6 @@ class Stage:
     version: int
     upstream: tuple[str, ...]
     result_class: str
-    data: str = ""
-    draws: bool = False
     table_class: str = ""
     per_network: bool = False
     needs: str = ""

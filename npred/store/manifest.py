@@ -8,7 +8,7 @@ import json
 import os
 import platform
 import stat
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
 from functools import lru_cache
 from pathlib import Path, PurePosixPath
@@ -156,13 +156,6 @@ class Manifest(ManifestPart):
         fields |= {"sources": {role: source.model_dump() for role, source in sources.items()}} if sources else {}
         return cls.model_validate(fields | {"checksum": sha256(fields)})
 
-    def without(self, names: Collection[str]) -> Self:
-        """The manifest of the same result without some of its files."""
-        fields = self._covered()
-        fields["files"] = {name: payload for name, payload in fields["files"].items() if name not in names}
-        fields["digest"] = sha256(fields["files"])
-        return type(self).model_validate(fields | {"checksum": sha256(fields)})
-
     @classmethod
     def read(cls, path: Path) -> Self:
         """The manifest in a file. Raises StoreError, naming the file, unless it is as it was written, at its place."""
@@ -183,11 +176,6 @@ class Manifest(ManifestPart):
             return self.checksum == sha256(self._covered())
         except (ValueError, RecursionError):  # a number or a nesting that no configuration of npred has
             return False
-
-    @property
-    def consistent(self) -> bool:
-        """True if checksum, digest and key all follow from the other fields; where other hands wrote, they may not."""
-        return self.intact and (self.digest, self.key) == (sha256(self.files), self.question.key)
 
     def _covered(self) -> dict[str, Any]:
         """The fields that the checksum covers; manifests of an older npred have no sources."""

@@ -172,13 +172,6 @@ def test_a_registered_experiment_that_is_not_there_is_one_line(publish: Callable
     assert "rows" in _call("show", "reproduce").stdout
 
 
-def test_a_result_of_an_experiment_does_not_travel():
-    _call("reproduce", "tiny")
-    _call("export-artifact", "reproduce", "-o", "tiny.tar")
-    done = _call("import-artifact", "tiny.tar", "--store", "other", code=4)
-    assert "npred reproduce measures it here" in done.output
-
-
 def test_a_list_runs_nothing_and_another_name_is_one_line():
     assert "nobody, nowhere" in _call("reproduce", "tiny", "--list").stdout
     done = _call("reproduce", "tinny", code=2)

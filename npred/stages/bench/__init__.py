@@ -7,6 +7,4 @@ STAGE = Stage(
     version=12,
     upstream=("generate", "train"),
     result_class="npred.results:Benched",
-    data=r"times\.h5",
-    draws=True,
 )

@@ -7,7 +7,5 @@ STAGE = Stage(
     version=10,
     upstream=("generate", "train"),
     result_class="npred.results:Certified",
-    data=r"(errors|worst)\.h5",
-    draws=True,
     table_class="Certify",
 )

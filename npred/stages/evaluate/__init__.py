@@ -7,6 +7,4 @@ STAGE = Stage(
     version=16,
     upstream=("generate", "train"),
     result_class="npred.results:Evaluated",
-    data=r"(errors|figure1|coverage)\.h5",
-    draws=True,
 )

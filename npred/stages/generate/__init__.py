@@ -7,5 +7,4 @@ STAGE = Stage(
     version=4,
     upstream=(),
     result_class="npred.results:Generated",
-    data=r"data(-\d{5,})?\.h5",
 )

@@ -7,7 +7,5 @@ STAGE = Stage(
     version=1,
     upstream=(),
     result_class="npred.results:IdentifiedResult",
-    data=r"identified\.h5",
-    draws=True,
     table_class="Identify",
 )

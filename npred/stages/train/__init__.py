@@ -7,7 +7,6 @@ STAGE = Stage(
     version=2,
     upstream=("generate",),
     result_class="npred.results:Trained",
-    data=r"(model|domain)\.safetensors|model\.json|metrics\.jsonl|snapshot-\d+\.safetensors",
     per_network=True,
     needs="torch",
     summary_module="summary",
