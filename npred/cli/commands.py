@@ -343,15 +343,13 @@ def gc(
             offers=completion.settings,
         ),
     ] = None,
-    older: Annotated[float, flag("Only what is older than so many days.", word="DAYS", least=0)] = 0.0,
-    keep: Annotated[str | None, flag("The oldest only, until the store has this size: 500M, 2G.", word="SIZE")] = None,
     yes: Annotated[bool, flag("Delete what the plan names.", "--yes")] = False,
     device: Annotated[
         str, flag("auto, cpu, cuda or cuda:N, as in the runs to keep.", offers=completion.devices)
     ] = "auto",
 ) -> None:
     """Delete what no pipeline needs: the plan first, deleted with --yes."""
-    cli.gc.gc(options, pipelines or [], set or [], older, keep, device, yes)
+    cli.gc.gc(options, pipelines or [], set or [], device, yes)
 
 
 @command(CARE, waits="importing the packages and reading the store: some seconds")
