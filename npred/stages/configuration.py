@@ -76,14 +76,6 @@ def notation(config: Pipeline) -> dict[str, Any]:
     return {"notation": declared} if declared else {}
 
 
-def loop_parts(config: Pipeline, *stages: str) -> dict[str, str]:
-    """The numerical methods and delay laws of stages that run loops, by role."""
-    return {f"{stage}.{key}": getattr(getattr(config, stage), key) for stage in stages for key in LOOP_PARTS}
-
-
-LOOP_PARTS = "predictor", "adaptation"
-
-
 def _word(leaf: Any) -> Any:
     """JSON has no infinity, and an input bounded on one side only has one: as text it can enter a key."""
     return str(leaf) if isinstance(leaf, float) and not math.isfinite(leaf) else leaf

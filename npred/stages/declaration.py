@@ -25,7 +25,7 @@ class Stage:
     - NAME.py: run(job), which gives an object of the class at `result`; summary(result, width), and, where there is
       more to say, details(result, width), unless `summary_module` has them;
     - key.py: configuration(config, model, device), the slice of the configuration that its key holds beside plant and
-      seed; and parts(config, model), the specs of the parts that it names, by role;
+      seed;
     - table.py, of an optional stage: its table, of the class `table_class`.
 
     An optional stage is a part of a run where the pipeline file has its table. The tables of the others, which more
@@ -82,10 +82,6 @@ class Stage:
     def configuration(self, config: "Pipeline", model: str | None, device: str) -> dict[str, Any]:
         """The slice of the configuration that its key holds, plant and seed aside."""
         return self._module("key").configuration(config, model, device)
-
-    def parts(self, config: "Pipeline", model: str | None) -> dict[str, str]:
-        """The parts that it takes by role, registered names or classes of files."""
-        return self._module("key").parts(config, model)
 
     def _module(self, name: str) -> ModuleType:
         return imported(self.name, f"{self.package}.{name}")

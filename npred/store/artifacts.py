@@ -16,7 +16,7 @@ from npred.defaults import RESULT
 from npred.errors import ConfigError, StoreError, disk_is_full, similar
 from npred.registry import NETWORKS, STAGES
 from npred.store import claims
-from npred.store.manifest import NAME, Manifest, Question, Sources, cure, short
+from npred.store.manifest import NAME, Manifest, Question, cure, short
 
 MARKER = ".npred-store"  # an empty file: without it nothing in a folder is npred's to delete
 _LEFT = (".tmp", ".scratch")
@@ -122,11 +122,9 @@ class Store:
         finally:
             shutil.rmtree(folder, ignore_errors=True)
 
-    def commit(
-        self, draft: Path, question: Question, pipeline: str, device: str = "cpu", sources: Sources = {}
-    ) -> Artifact:
+    def commit(self, draft: Path, question: Question, pipeline: str, device: str = "cpu") -> Artifact:
         """Make a draft durable and rename it into place; a result already there steps aside (a forced rerun)."""
-        manifest = Manifest.describe(question, pipeline, draft, device, sources)
+        manifest = Manifest.describe(question, pipeline, draft, device)
         (draft / NAME).write_text(manifest.text(), encoding="utf-8")
         return self.place(draft, manifest)
 

@@ -105,8 +105,6 @@ def test_a_method_of_a_file_enters_keys_by_what_it_holds(ralston):
     assert question("evaluate", **elsewhere) == mine
     moved.write_text(RALSTON.replace("h / 4", "h / 5") + "# another\n")
     assert question("evaluate", **elsewhere) != mine
-    sources = Planner(config.parse(tables(**elsewhere), "tests"), Store(Path()), "cpu").sources(Node("bench", None, ()))
-    assert sources["generate.predictor"].text.endswith("# another\n")
 
 
 def test_the_times_of_a_bench_are_of_the_methods_that_there_are(monkeypatch):

@@ -16,10 +16,3 @@ def configuration(config: Pipeline, model: str | None, device: str) -> dict[str,
     methods = [*map(registry.METHODS.identity, config.methods)]
     timed = {"bench": section, "methods": methods} | plant(config).mechanics_program
     return timed | networks(config) | {"hardware": devices.hardware(device)} | box(config)
-
-
-def parts(config: Pipeline, model: str | None) -> dict[str, str]:
-    """The methods of the loops, and what is compared with them."""
-    methods = {f"{stage}.predictor": getattr(config, stage).predictor for stage in ("generate", "evaluate")}
-    compared = [*config.bench.runtimes, *config.bench.baselines]
-    return methods | {f"bench.{registry.short_name(name)}": name for name in compared}

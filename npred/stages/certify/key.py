@@ -3,7 +3,7 @@
 from typing import Any
 
 from npred.config import Pipeline
-from npred.stages.configuration import box, loop, loop_parts, networks, table
+from npred.stages.configuration import box, loop, networks, table
 
 NO_LOOPS_OF_IT = ("scenarios", "map_D", "map_D_hat0")
 
@@ -13,8 +13,3 @@ def configuration(config: Pipeline, model: str | None, device: str) -> dict[str,
     loops = {key: value for key, value in loop(config, "evaluate").items() if key not in NO_LOOPS_OF_IT}
     tables = {"certify": table(config.optional("certify")), "evaluate": loops, "generate": loop(config, "generate")}
     return tables | networks(config) | box(config)
-
-
-def parts(config: Pipeline, model: str | None) -> dict[str, str]:
-    """The methods and the laws of the loops."""
-    return loop_parts(config, "generate", "evaluate")

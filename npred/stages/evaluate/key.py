@@ -4,7 +4,7 @@ from typing import Any
 
 from npred.config import Pipeline
 from npred.plants import inputs
-from npred.stages.configuration import box, loop, loop_parts, networks, notation, plant, table
+from npred.stages.configuration import box, loop, networks, notation, plant, table
 
 HELD_OUT = ("test_share", "explore", "redraw", "spread", "explore_D", "explore_D_hat0")
 
@@ -15,12 +15,6 @@ def configuration(config: Pipeline, model: str | None, device: str) -> dict[str,
     if bounded := config.evaluate.bounded:
         inputs.configured(plant(config), bounded, "evaluate")  # it may refuse them
     return section | networks(config) | box(config) | notation(config) | _held_out(config)
-
-
-def parts(config: Pipeline, model: str | None) -> dict[str, str]:
-    """The methods and the laws of the loops, those of scenarios too."""
-    laws = {f"evaluate.scenarios[{k}]": s.adaptation or "" for k, s in enumerate(config.evaluate.scenarios)}
-    return loop_parts(config, "evaluate") | laws
 
 
 def _held_out(config: Pipeline) -> dict[str, Any]:

@@ -6,7 +6,7 @@ from typing import Any
 from npred.config import Pipeline
 from npred.errors import ConfigError
 from npred.json_files import regular, sha256
-from npred.stages.configuration import loop, loop_parts
+from npred.stages.configuration import loop
 
 
 def configuration(config: Pipeline, model: str | None, device: str) -> dict[str, Any]:
@@ -14,11 +14,6 @@ def configuration(config: Pipeline, model: str | None, device: str) -> dict[str,
     section = loop(config, "generate")
     source = section.pop("data")
     return {"generate": section | ({"data": _digest(Path(source))} if source else {})}
-
-
-def parts(config: Pipeline, model: str | None) -> dict[str, str]:
-    """The method and the law of the loops."""
-    return loop_parts(config, "generate")
 
 
 def _digest(path: Path) -> str:

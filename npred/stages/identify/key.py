@@ -18,11 +18,6 @@ def configuration(config: Pipeline, model: str | None, device: str) -> dict[str,
     return {"identify": section | outputs | {"recording": _digest(path) if path.name else ""}}
 
 
-def parts(config: Pipeline, model: str | None) -> dict[str, str]:
-    """It names no parts."""
-    return {}
-
-
 def _digest(path: Path) -> str:
     try:
         return sha256(regular(path))

@@ -14,8 +14,3 @@ def configuration(config: Pipeline, model: str | None, device: str) -> dict[str,
             del pipeline[stage]["u0"]
         pipeline[stage]["gamma"] = gamma(config, getattr(config, stage))
     return {"pipeline": pipeline} | notation(config)
-
-
-def parts(config: Pipeline, model: str | None) -> dict[str, str]:
-    """It runs no code of others."""
-    return {}

@@ -13,9 +13,3 @@ def configuration(config: Pipeline, model: str | None, device: str) -> dict[str,
     section = config.train.table(model)
     identity = {"network": registry.NETWORKS.identity(section.architecture)} if isinstance(section, Network) else {}
     return {"train": {model: table(section) | identity}}
-
-
-def parts(config: Pipeline, model: str | None) -> dict[str, str]:
-    """The network's class."""
-    assert model is not None
-    return {f"train.{model}.network": config.train.table(model).architecture}
