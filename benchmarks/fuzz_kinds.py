@@ -197,5 +197,5 @@ def _model(folder: Path, table: DeepONet | FNO) -> bytes:
     folder.mkdir()
     plant = plants.resolve("scalar")
     torch.manual_seed(0)
-    operators.save(folder, operators.build(table, plant, operators.Scaling(1, 1)), table, plant)
+    operators.save(folder, operators.build(table, plant, operators.Scaling(1, 1)), table)
     return (folder / "model.json").read_bytes() + b"\n\0\n" + (folder / "model.safetensors").read_bytes()

@@ -82,7 +82,7 @@ def test_an_artifact_without_a_plant_is_one_line(tmp_path: Path, plant: Any):
 def model(folder: Path, table: DeepONet | FNO) -> dict[str, Any]:
     """A saved model, and its model.json."""
     plant = plants.resolve("scalar")
-    operators.save(folder, operators.build(table, plant, operators.Scaling(1, 1)), table, plant)
+    operators.save(folder, operators.build(table, plant, operators.Scaling(1, 1)), table)
     return json.loads((folder / "model.json").read_text())
 
 

@@ -19,12 +19,6 @@ from npred.config.train import Network
 from npred.errors import ConfigError, similar
 
 LONGEST = 2**20  # bytes of a pipeline file
-GONE = {  # tables and keys of earlier versions
-    "refine": "expected no such table, for that stage was taken out; drop it, and check networks by [evaluate.guard]",
-    "evaluate.guard.correct": "expected no such key, for the correction was taken out: it hid errors; drop it",
-}
-
-
 WORDS = {  # of what pydantic expects, in turn
     "^Input should be ": "",
     "^a valid (list|tuple|dictionary|boolean|string).*": r"a \1",
@@ -130,8 +124,7 @@ def _sentence(error: ValidationError) -> str:
         path = first["loc"] + tuple(first.get("ctx", {}).values())
         where = ".".join(map(str, path))
         keys = _siblings(path)
-        unknown = f"unknown key; expected one of {', '.join(keys)}{_meant(where, keys)}"
-        return f"{where}: {GONE.get(where, unknown)}"
+        return f"{where}: unknown key; expected one of {', '.join(keys)}{_meant(where, keys)}"
     if first["type"] == "fault":
         place = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in fields)
         return f"{place.removeprefix('.')}: {first['msg']}"

@@ -75,8 +75,10 @@ class Planner(Resolver):
 
     def settings(self, node: Node) -> dict[str, Any]:
         """The slice of the configuration that the node's key holds, with the plant and the seed."""
-        shared = {"plant": self.plant.identity, "seed": self.config.seed}
-        return shared | STAGES[node.stage].configuration(self.config, node.model, self.device)
+        from npred.stages.configuration import Slices, identity
+
+        slices = Slices(self.config, self.plant, node.model, self.device)
+        return {"plant": identity(self.plant), "seed": self.config.seed} | STAGES[node.stage].key(slices)
 
     def run(
         self, node: Node, folder: Path, inputs: dict[str, Path], scratch: Path, console: Console, jobs: int,

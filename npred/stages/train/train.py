@@ -124,7 +124,7 @@ def _untrained(plant: plants.Plant, config: Training, scaling: Scaling, seed: in
 
 
 def _write(job: Job, config: Training, operator: Operator, metrics: list[dict[str, Any]]) -> None:
-    save(job.folder, operator, config, job.plant)
+    save(job.folder, operator, config)
     lines = "".join(json.dumps(row) + "\n" for row in metrics)
     (job.folder / "metrics.jsonl").write_text(lines, encoding="utf-8")
     for epoch in config.snapshots:
