@@ -26,7 +26,7 @@ from npred.store import Question, Store
 from npred.terminal.console import columns
 
 REPEATS = 3
-ROLE = ("ink", "muted", "blue", "orange", "green", "frozen", "sky", "amber")
+ROLE = ("ink", "muted", "blue", "orange", "green", "frozen", "sky")
 COMMANDS = {
     "ls": ("ls", "--json"),
     "verify": ("verify", "--json"),

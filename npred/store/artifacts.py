@@ -45,7 +45,7 @@ class Artifact:
     def made(self) -> float:
         """The time when it was made, in s since 1970: what the manifest says, so that a copy is as old as its original.
 
-        The time of the file counts where the manifest of an older npred has none, or one that is still to come.
+        The time of the file counts where the manifest has none, or one that is still to come.
         """
         written = (self.folder / NAME).stat().st_mtime
         recorded = self.manifest.made
@@ -86,7 +86,7 @@ class Store:
         return marker.is_file() and not marker.is_symlink()
 
     def adopt(self) -> None:
-        """Mark a folder that is new, empty or holds results, as one of an older npred does; not one of other things.
+        """Mark a folder that is new, empty or holds results, copied ones say; not one of other things.
 
         A folder that cannot be written goes without.
         """

@@ -145,29 +145,18 @@ class Manifest(ManifestPart):
         """The manifest in a file. Raises StoreError, naming the file, unless it is as it was written, at its place."""
         try:
             manifest = cls.model_validate_json(json_files.read(path))
+            checksum = sha256({name: value for name, value in manifest if name != "checksum"})
         except FileNotFoundError:
             raise StoreError(f"{path}: expected a manifest, found none; {cure(path.parent)}") from None
-        except (OSError, ValueError):
+        except (OSError, ValueError, RecursionError):  # also for a number or a nesting that no configuration has
             raise StoreError(f"{path}: expected a manifest, got something else; {cure(path.parent)}") from None
-        if not manifest.intact or manifest.key != path.parent.name:
+        if checksum != manifest.checksum or manifest.key != path.parent.name:
             raise StoreError(f"{path}: expected the manifest as it was written, got changed bytes; {cure(path.parent)}")
         return manifest
 
     @property
-    def intact(self) -> bool:
-        """True if it is as it was written: the checksum follows from the other fields."""
-        try:
-            return self.checksum == sha256(self._covered())
-        except (ValueError, RecursionError):  # a number or a nesting that no configuration of npred has
-            return False
-
-    def _covered(self) -> dict[str, Any]:
-        """The fields that the checksum covers."""
-        return {name: value for name, value in vars(self).items() if name != "checksum"}
-
-    @property
     def made(self) -> float | None:
-        """The time when it was made, in seconds since 1970; None in a manifest of an older npred."""
+        """The time when it was made, in seconds since 1970; None where the manifest does not tell."""
         try:
             return datetime.fromisoformat(self.provenance.get(MADE) or "").timestamp()
         except (ValueError, OverflowError):

@@ -1,4 +1,4 @@
-"""A stage is a folder that declares itself, and a name."""
+"""A stage is a folder of two files, and a name."""
 
 import json
 import subprocess

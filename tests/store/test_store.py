@@ -362,7 +362,7 @@ def test_a_store_is_marked_with_its_first_result(store: Store):
     assert store.marked and (store.root / MARKER).read_bytes() == b""
 
 
-def test_a_new_an_empty_and_an_older_store_are_adopted_a_folder_of_other_things_is_not(store: Store, tmp_path: Path):
+def test_a_new_an_empty_and_a_copied_store_are_adopted_a_folder_of_other_things_is_not(store: Store, tmp_path: Path):
     store.adopt()
     assert store.marked
     put(store)
