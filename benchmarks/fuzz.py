@@ -1,4 +1,4 @@
-"""Mutated pipelines, manifests, HDF5, safetensors and tar files: each is refused in one line, or it is as good as new.
+"""Mutated pipelines, manifests, HDF5 and safetensors files: each is refused in one line, or it is as good as new.
 
     python benchmarks/fuzz.py [--cases 10000] [--seed 0]
 

@@ -2,7 +2,7 @@
 
     python benchmarks/store.py [--most 10000] [--folder DIR] [-o docs/figures]
 
-Results of two small files each; all but `put` and the two that touch one result are whole commands over the store, in
+Results of two small files each; all but `put` and `get` are whole commands over the store, in
 process. Processor seconds, so that what else the machine does is not measured; the wall clock of `put` is a row of its
 own, for it waits for the disk. A slope of 1 is a cost in proportion to the number of results.
 """
@@ -22,11 +22,11 @@ from npred.cli import app
 from npred.errors import NpredError
 from npred.figures.figure import Key, Panel, Plate, write
 from npred.figures.style import MEDIA, Look, log
-from npred.store import Question, Store, archive
+from npred.store import Question, Store
 from npred.terminal.console import columns
 
 REPEATS = 3
-ROLE = ("ink", "muted", "blue", "orange", "green", "frozen", "sky", "amber")
+ROLE = ("ink", "muted", "blue", "orange", "green", "frozen", "sky")
 COMMANDS = {
     "ls": ("ls", "--json"),
     "verify": ("verify", "--json"),
@@ -69,13 +69,6 @@ def command(arguments: tuple[str, ...], store: Store, pipeline: Path) -> None:
         raise NpredError(done.output)
 
 
-def there_and_back(store: Store, folder: Path) -> None:
-    """One result through a tar into another store."""
-    archive.export(store.get("train", _key(0)) or store.artifacts()[0], folder / "a.tar")
-    shutil.rmtree(folder / "other", ignore_errors=True)
-    archive.load(Store(folder / "other"), folder / "a.tar", lambda manifest: ())
-
-
 def _key(number: int) -> str:
     return Question(stage="train", version=1, model="fno", config={"seed": number}, inputs={}).key
 
@@ -94,7 +87,6 @@ def measure(folder: Path, sizes: list[int]) -> dict[str, list[float]]:
         for name, arguments in COMMANDS.items():
             times.setdefault(name, []).append(best(lambda words=arguments: command(words, store, pipeline)))
         times.setdefault("get one", []).append(best(lambda: [store.get("train", _key(0)) for _ in range(100)]) / 100)
-        times.setdefault("one as a tar and back", []).append(best(lambda: there_and_back(store, folder)))
     return times
 
 

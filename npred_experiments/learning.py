@@ -119,7 +119,7 @@ class LoopTraining:
             learned = Rows.joined([learned, rows(rest(more), table.nodes)])
             fit = replace(fit, train=learned)
         last = self._trained(fit, folder, loop.rounds, table.epochs)
-        save(folder, operator, table, plant)
+        save(folder, operator, table)
         if regression:
             regression.save(folder)
         return TrainedNetwork(plant, operator, regression, test, numbers(operator, learned, last, start))

@@ -62,12 +62,9 @@ class ExperimentPlanner(Resolver):
 
     def settings(self, node: Node) -> dict[str, Any]:
         """The experiment, the digests of its code, and the part, but for the numerical rows."""
-        code = {name: {"source": source.sha256} for name, source in self._code.items()}
+        code = {name: source.sha256 for name, source in self._code.items()}
         part = {} if node.model == self.experiment else {"part": self._part(node)}
         return {"experiment": EXPERIMENTS.identity(self.experiment), "code": code} | part
-
-    def code(self, node: Node) -> dict[str, Source | None]:
-        return {f"code.{name}": source for name, source in self._code.items()}
 
     def run(
         self, node: Node, folder: Path, inputs: dict[str, Path], scratch: Path, console: Console, jobs: int,

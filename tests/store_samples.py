@@ -26,7 +26,7 @@ def put(store: Store, asked: Question | None = None, data: bytes = b"payload", p
 
 
 def made_at(folder: Path, moment: datetime | None) -> Path:
-    """A result's folder, its manifest as if written at that moment; None: by an npred that did not note it."""
+    """A result's folder, its manifest as if written at that moment; None: without a time."""
     fields = json.loads((folder / "manifest.json").read_text())
     del fields["checksum"], fields["provenance"]["made"]
     fields["provenance"] |= {} if moment is None else {"made": moment.isoformat()}

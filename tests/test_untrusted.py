@@ -19,7 +19,7 @@ from npred import config, operators, plants, registry
 from npred.config import FNO, DeepONet
 from npred.errors import ConfigError, StoreError
 from npred.pipeline import load_model, nodes
-from npred.store import Store, archive
+from npred.store import Store
 
 ROOT = HERE.parent
 MODULES = [p for folder in ("npred", "benchmarks", "docs") for p in sorted((ROOT / folder).rglob("*.py"))]
@@ -65,9 +65,7 @@ def test_an_artifact_does_not_run_the_plant_that_it_names(
     monkeypatch.chdir(tmp_path)
     Path("evil.py").write_text("open('ran', 'w')\nclass Tank:\n    pass\n")
     plant = {"name": "evil.py:Tank", "parameters": {}, "source": source, "program": "x"}
-    made = put(Store(Path("mine")), question(config={"plant": plant}))
-    archive.export(made, Path("a.tar"))
-    found, _ = archive.load(Store(Path("artifacts")), Path("a.tar"), lambda _: ())
+    found = put(Store(Path("artifacts")), question(config={"plant": plant}))
     for spec in (str(found.folder), found.manifest.key):
         with pytest.raises(ConfigError, match=r"expected a built-in plant, got 'evil\.py:Tank' .*; use PIPELINE:MODEL"):
             load_model(spec)
@@ -84,7 +82,7 @@ def test_an_artifact_without_a_plant_is_one_line(tmp_path: Path, plant: Any):
 def model(folder: Path, table: DeepONet | FNO) -> dict[str, Any]:
     """A saved model, and its model.json."""
     plant = plants.resolve("scalar")
-    operators.save(folder, operators.build(table, plant, operators.Scaling(1, 1)), table, plant)
+    operators.save(folder, operators.build(table, plant, operators.Scaling(1, 1)), table)
     return json.loads((folder / "model.json").read_text())
 
 

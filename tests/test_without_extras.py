@@ -111,9 +111,9 @@ def test_a_trained_network_is_that_of_an_installation_with_torch(script, trained
 
 
 def test_a_network_without_a_fused_form_needs_torch(script, tmp_path):
-    from operator_samples import EVERY, PLANT, operator
+    from operator_samples import EVERY, operator
 
-    operators.save(tmp_path, operator(EVERY[3]), EVERY[3], PLANT)
+    operators.save(tmp_path, operator(EVERY[3]), EVERY[3])
     table = f"npred.config.Network(network={EVERY[3].architecture!r})"
     plant = "npred.plant('activator_repressor')"
     read = f"npred.operators.read(pathlib.Path({str(tmp_path)!r}), {plant}, table={table})"

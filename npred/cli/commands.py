@@ -296,32 +296,11 @@ def gc(
     set: Annotated[
         list[str] | None, flag("What a sweep was run with: its results stay as well.", "--set", word="KEY=VALUES")
     ] = None,
-    older: Annotated[float, flag("Only what is older than so many days.", word="DAYS", least=0)] = 0.0,
-    keep: Annotated[str | None, flag("The oldest only, until the store has this size: 500M, 2G.", word="SIZE")] = None,
     yes: Annotated[bool, flag("Delete what the plan names.", "--yes")] = False,
     device: Annotated[str, flag("auto, cpu, cuda or cuda:N, as in the runs to keep.")] = "auto",
 ) -> None:
     """Delete what no pipeline needs: the plan first, deleted with --yes."""
-    cli.gc.gc(options, pipelines or [], set or [], older, keep, device, yes)
-
-
-@command()
-def export_artifact(
-    options: Common,
-    *,
-    reference: Annotated[str, RESULT],
-    output: Annotated[Path | None, flag("The file; by default STAGE-KEY.tar here.", "-o", "--output")] = None,
-) -> None:
-    """A result as one tar with its digests, to take elsewhere."""
-    cli.store_admin.export_artifact(options, reference, output)
-
-
-@command()
-def import_artifact(
-    options: Common, *, path: Annotated[Path, argument("FILE.tar", "What export-artifact wrote.")]
-) -> None:
-    """A result from elsewhere into the store, checked; nothing in it is run."""
-    cli.store_admin.import_artifact(options, path)
+    cli.gc.gc(options, pipelines or [], set or [], device, yes)
 
 
 @command(waits="importing the packages and reading the store: some seconds")

@@ -1,10 +1,10 @@
-"""`npred gc`: results that no pipeline needs, by age and size, planned first and deleted with --yes."""
+"""`npred gc`: results that no pipeline needs, planned first and deleted with --yes."""
 
 import os
 import re
 import stat
-import time
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,13 +14,11 @@ from npred.errors import ConfigError, NpredError, StoreError, disk_is_full
 from npred.parallel import devices
 from npred.pipeline import STAGES, Kept, Planner, closure, nodes
 from npred.pipeline.cells import cells
-from npred.pipeline.retention import GcRoot, remembered
+from npred.pipeline.retention import remembered
 from npred.registry import RESOLVERS
 from npred.store import MARKER, Artifact, Store, claims, short
 from npred.terminal.console import columns
 
-UNITS = {"": 1, "k": 10**3, "M": 10**6, "G": 10**9, "T": 10**12}
-DAY = 86400.0
 KEY = re.compile("[0-9a-f]{64}")
 
 
@@ -40,59 +38,46 @@ class Waste(NamedTuple):
             return self.checksum is None
 
 
-def gc(
-    options: Common, pipelines: list[Path], set: list[str], older: float, keep: str | None, device: str,
-    yes: bool,
-) -> None:  # fmt: skip
-    """The plan of what to delete, and with `yes` the deletion: of what is older than so many days, the oldest first
-    until the store has the size `keep`, but nothing that the pipelines and their grids need.
+def gc(options: Common, pipelines: list[Path], set: list[str], device: str, yes: bool) -> None:
+    """The plan of what to delete, and with `yes` the deletion: of what the pipelines and their grids do not need.
 
-    Raises ConfigError where no pipeline says what stays.
+    Raises ConfigError where no pipeline says what stays, StoreError for a folder of other things, as a --store that was
+    meant otherwise may be.
     """
-    limit, since = to_bytes(keep), time.time() - older * DAY
-    _check_marker(options.results)
-    plan = _plan(options.results, _kept(options, pipelines, set, device), limit, since)
-    deleted = [str(path) for path in _delete(options.results, plan)] if yes else []
+    store = options.results
+    if store.root.is_dir() and any(store.root.iterdir()) and not store.marked:
+        raise StoreError(
+            f"{store.root}: expected a store of npred, found no {MARKER} in it; if npred made its results, "
+            f"npred run of one of their pipelines marks it, or touch {store.root / MARKER}"
+        )
+    plan = list(_plan(store, _kept(options, pipelines, set, device)))
+    deleted = [str(path) for path in _delete(store, plan)] if yes else []
     rows = [{"path": str(waste.path), "bytes": waste.bytes, "reason": waste.reason} for waste in plan]
     options.show({"plan": rows, "deleted": deleted}, lambda: _table(plan, deleted, yes, options.console.width))
 
 
 def _delete(store: Store, plan: list[Waste]) -> list[Path]:
-    """Delete what can be. Where a disk has no room for a lock, the others make it: those are tried once more."""
-    deleted, blocked = [], []
+    """Delete what can be: what a run makes or has taken stays.
+
+    Where a disk has no room for a lock, the others make it: those are tried once more.
+    """
+
+    def deleted(waste: Waste) -> bool:
+        return store.delete(waste.path, lambda path: path.name not in claims.in_use(store.root) and waste.as_seen(path))
+
+    paths, blocked = [], []
     for waste in plan:
         try:
-            deleted += [waste.path] if _deleted(store, waste) else []
+            paths += [waste.path] if deleted(waste) else []
         except NpredError as error:
             if not disk_is_full(error):
                 raise
             blocked.append(waste)
-    return deleted + [waste.path for waste in blocked if _deleted(store, waste)]
-
-
-def _deleted(store: Store, waste: Waste) -> bool:
-    """True if it could be deleted: what a run makes or has taken stays."""
-    return store.delete(waste.path, lambda path: path.name not in claims.in_use(store.root) and waste.as_seen(path))
-
-
-def _plan(store: Store, kept: Kept, limit: int, since: float) -> list[Waste]:
-    sound, broken = store.survey()
-    stays = closure([a for a in sound if kept.holds(a) or a.made > since], sound)
-    unneeded = [a for a in sound if a.manifest.key not in stays and store.owns(a.folder)]
-    return [*_beyond(unneeded, sound, limit), *_broken(store, broken, kept, since)]
-
-
-def _check_marker(store: Store) -> None:
-    """Raise StoreError for a folder of other things, as a --store that was meant otherwise may be."""
-    if store.root.is_dir() and any(store.root.iterdir()) and not store.marked:
-        marker = store.root / MARKER
-        raise StoreError(
-            f"{store.root}: expected a store of npred, found no {MARKER} in it; if npred made its results, "
-            f"npred run of one of their pipelines marks it, or touch {marker}"
-        )
+    return paths + [waste.path for waste in blocked if deleted(waste)]
 
 
 def _kept(options: Common, pipelines: list[Path], sets: list[str], device: str) -> Kept:
+    """The results that stay: those of published experiments, of the pipelines, and of the files that runs remember."""
     store = options.results
     paths = [defaults.pipeline(path) for path in pipelines] or sorted(defaults.PIPELINE.parent.glob("*.toml"))
     files = {path.resolve() for path in paths}
@@ -111,54 +96,33 @@ def _kept(options: Common, pipelines: list[Path], sets: list[str], device: str) 
         for cell in [*cells(path, []), *(cells(path, sets) if sets else [])]:
             kept.add(Planner(cell.config, store, device), nodes(cell.config, STAGES))
     for root in roots:
-        _keep_remembered(options, kept, root, device)
+        # To know what a file asks for its plant is run, which is code: not that of another user. Of a recording, and of
+        # a file that is broken now, what it last asked for stays.
+        try:
+            if root.by_this_user and root.file.suffix == ".toml":
+                pipeline = config.load(root.file)
+                kept.add(Planner(pipeline, store, device), nodes(pipeline, STAGES))
+                continue
+        except NpredError as error:
+            options.console.warn(f"{error}; what it last asked for stays")
+        kept.keys.update(root.keys)
     return kept
 
 
-def _keep_remembered(options: Common, kept: Kept, root: GcRoot, device: str) -> None:
-    """Keep what a pipeline file asks for that a run of this store took.
-
-    What it last asked for stays where the file is broken now, and where another user ran it: to know what it asks for
-    its plant is run, which is code.
-    """
-    try:
-        if root.by_this_user and root.file.suffix == ".toml":  # of a recording what it asked for stays
-            pipeline = config.load(root.file)
-            kept.add(Planner(pipeline, options.results, device), nodes(pipeline, STAGES))
-            return
-    except NpredError as error:
-        options.console.warn(f"{error}; what it last asked for stays")
-    kept.keys.update(root.keys)
-
-
-def _beyond(unneeded: list[Artifact], sound: list[Artifact], limit: int) -> Iterator[Waste]:
-    """The oldest, until all that is left takes no more than `limit` bytes."""
-    total = sum(artifact.size for artifact in sound)
-    for artifact in unneeded:
-        if total > limit:
-            total -= artifact.size
+def _plan(store: Store, kept: Kept) -> Iterator[Waste]:
+    sound, broken = store.survey()
+    stays = closure([artifact for artifact in sound if kept.holds(artifact)], sound)
+    for artifact in sound:
+        if artifact.manifest.key not in stays and store.owns(artifact.folder):
             reason = f"no pipeline needs it (made for {artifact.manifest.pipeline})"
             yield Waste(artifact.folder, artifact.size, reason, artifact.manifest.checksum)
-
-
-def _broken(store: Store, broken: list[Path], kept: Kept, since: float) -> Iterator[Waste]:
-    for folder in (f for f in broken if store.owns(f) and f.parent.name in (*STAGES, *RESOLVERS.names())):
-        yield Waste(folder, _bytes(folder), "no sound manifest")
+    for folder in broken:
+        if store.owns(folder) and folder.parent.name in (*STAGES, *RESOLVERS.names()):
+            yield Waste(folder, _bytes(folder), "no sound manifest")
     for path in store.leftovers():
         resumed = path.parent.name == ".scratch" and kept.holds_checkpoint(path.name)
-        status = _stat(path)
-        if not resumed and status and status.st_mtime <= since:
+        if not resumed and path.exists():  # a run at work may just have removed it
             yield Waste(path, _bytes(path), "left by a run that ended early")
-
-
-def to_bytes(text: str | None) -> int:
-    """The bytes meant by `500M` or `2.5G`, powers of ten; -1 for None. Raises ConfigError for other words."""
-    if text is None:
-        return -1
-    match = re.fullmatch(r"(\d{1,9}\.?\d{0,9})([kMGT]?)B?", text)
-    if match is None:
-        raise ConfigError(f"--keep: expected a size as 500M or 2.5G, got {text!r}; write digits, then k, M, G or T")
-    return round(float(match[1]) * UNITS[match[2]])
 
 
 def _table(plan: list[Waste], deleted: list[str], yes: bool, width: int | None) -> str:
@@ -177,13 +141,10 @@ def shortened(path: Path) -> str:
 
 
 def _bytes(folder: Path) -> int:
-    files = (_stat(Path(here, name)) for here, _, names in os.walk(folder) for name in names)
-    return sum(status.st_size for status in files if status and stat.S_ISREG(status.st_mode))
-
-
-def _stat(path: Path) -> os.stat_result | None:
-    """None for what a run at work has just removed."""
-    try:
-        return path.stat()
-    except FileNotFoundError:
-        return None
+    total = 0
+    for here, _, names in os.walk(folder):
+        for name in names:
+            with suppress(FileNotFoundError):  # a run at work has just removed it
+                status = Path(here, name).stat()
+                total += status.st_size if stat.S_ISREG(status.st_mode) else 0
+    return total

@@ -11,7 +11,6 @@ from npred.pipeline import STAGES, Step, nodes, usual
 from npred.pipeline.reasons import changes, differences, flat
 from npred.registry import RESOLVERS
 from npred.store import Artifact, short
-from npred.store.manifest import NAME
 
 
 def status(options: Planned, check: bool) -> None:
@@ -89,7 +88,7 @@ def diff(options: Common, a: str, b: str) -> None:
     """The differences of two results."""
     left, right = (options.results.find(reference).verify() for reference in (a, b))
     before, after = left.manifest, right.manifest
-    asked = differences(before.question, after.question, before.sources, after.sources)
+    asked = differences(before.question, after.question)
     answered = changes(left.result(), right.result())
     kinds = [_kind(left), _kind(right)]
     folders = {"a": str(left.folder), "b": str(right.folder)}
@@ -186,10 +185,9 @@ def _facts(artifact: Artifact) -> str:
         *(f"  {name}  {p.size} bytes" for name, p in manifest.files.items()),
     ]
     inputs = [f"  from {name}: {short(source.key)}" for name, source in manifest.question.inputs.items()]
-    code = [f"  {role}: {escaped(source.file)}, its text in {NAME}" for role, source in manifest.sources.items()]
     settings = [f"  {line.replace(': unset ->', ' =')}" for line in changes({}, manifest.question.config)]
     circumstances = ", ".join(f"{name} {value}" for name, value in manifest.circumstances.items() if value)
-    return "\n".join([*lines, *inputs, *code, *settings, f"  made with {circumstances}"])
+    return "\n".join([*lines, *inputs, *settings, f"  made with {circumstances}"])
 
 
 def _summary(stage: str, result: dict[str, object], width: int | None = None) -> str:

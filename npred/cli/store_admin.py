@@ -1,29 +1,19 @@
-"""The commands that look after the store and the machine.
-
-A figure can carry a script (SVG, HTML) or a command (LaTeX), and all of them follow from the arrays beside them. So of
-a result from elsewhere arrays, weights and JSON are taken, figures and tables for print are left out, and a name that
-the stage does not give refuses the whole.
-"""
+"""The commands that look after the store and the machine."""
 
 import os
 import platform
-import re
 from collections.abc import Iterator
 from pathlib import Path
 
 from npred.cli.gc import shortened
-from npred.cli.options import Common, writable
-from npred.defaults import RESULT
+from npred.cli.options import Common
 from npred.errors import StoreError, installed
 from npred.kernels import compiler
 from npred.parallel import devices
-from npred.pipeline import STAGES
-from npred.registry import RESOLVERS
-from npred.store import Artifact, Manifest, archive
+from npred.store import Artifact
 from npred.store.manifest import NAME
 
 SHOWN = 4  # names of results on a line
-DRAWN = re.compile(r"[a-z][a-z0-9_]*\.(svg|png|pdf|tex)")
 PACKAGES = ("npred", "numpy", "torch", "h5py", "pydantic", "safetensors", "typer", "onnxruntime",
             "distributed")  # fmt: skip
 
@@ -56,48 +46,6 @@ def verify(options: Common) -> None:
     if faults:
         first = next(iter(faults))
         raise StoreError(f"{options.store}: expected sound results, got {len(faults)} corrupt, as {first}; remove them")
-
-
-def export_artifact(options: Common, reference: str, output: Path | None) -> None:
-    """One result as one tar. Raises ConfigError for a file that cannot be, StoreError for a corrupt result."""
-    artifact = options.results.find(reference)
-    path = writable(output or Path(artifact.name.replace("/", "-") + ".tar"))
-    archive.export(artifact, path)
-    document = {"file": str(path), "artifact": artifact.name, "digest": artifact.manifest.digest}
-    options.show(document, lambda: f"{path}: {artifact.name}, {artifact.size / 1e6:.1f} MB, with its digests")
-
-
-def import_artifact(options: Common, path: Path) -> None:
-    """The result in a tar into the store, verified."""
-    artifact, new = archive.load(
-        options.results, path, drawn, lambda holder: options.console.note(f"waiting for {holder}")
-    )
-    done = "imported, every digest verified" if new else "already in the store, the same bytes"
-    if new and STAGES[artifact.manifest.question.stage].draws:
-        done += "; npred report draws its figures here, from its arrays"
-    document = {"folder": str(artifact.folder), "key": artifact.manifest.key, "new": new}
-    options.show(document, lambda: f"{artifact.name}: {done}\n{artifact.folder}")
-
-
-def drawn(manifest: Manifest) -> frozenset[str]:
-    """The files of a result that are drawn from its others.
-
-    Raises StoreError for a result of another stage, a page among them, and for a file that its stage does not write.
-    """
-    stage = manifest.question.stage
-    if stage == "report":
-        raise StoreError("expected a result, got a page; npred report makes it anew from its results")
-    if stage in RESOLVERS.names():
-        raise StoreError(f"expected a result of a pipeline, got one of npred {stage}; run that here")
-    if stage not in STAGES:
-        names = ", ".join(name for name, entry in STAGES.items() if entry.data)
-        raise StoreError(f"expected a result of {names}, got one of {stage}; this npred has no such stage")
-    entry = STAGES[stage]
-    others = [name for name in manifest.files if name != RESULT and not re.fullmatch(entry.data, name)]
-    for name in others:
-        if not entry.draws or not DRAWN.fullmatch(name):
-            raise StoreError(f"expected the files of a result of {stage}, got {name} among them; export it anew")
-    return frozenset(others)
 
 
 def _faults(options: Common, artifacts: list[Artifact]) -> dict[str, str]:

@@ -1,13 +1,11 @@
 """The table [evaluate] with its scenarios and its guard."""
 
-from collections.abc import Callable
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
-from pydantic import Field, model_serializer, model_validator
+from pydantic import Field, model_validator
 
 from npred.config.loop import ControlClock, Disturbance, Loop, Sensors, StateLimits, StateObserver
 from npred.config.section import (
-    ADDED,
     Actuator,
     Bias,
     Bounds,
@@ -84,11 +82,6 @@ class Scenario(Section):
         ends = (D, self.jump.to) if self.jump else (D - reach, D + reach)
         return min(ends), max(ends)
 
-    @model_serializer(mode="wrap")
-    def _given(self, handler: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
-        """The keys that say something."""
-        return {key: value for key, value in handler(self).items() if value not in (None, {})}
-
 
 class GuardTable(Section):
     """The networks are checked in every call of a loop; if one may be wrong, `predictor` answers (npred.guarded)."""
@@ -117,10 +110,10 @@ class Evaluate(Loop):
     map_D: list[Positive] = []  #: true delays of the convergence map …
     map_D_hat0: list[Positive] = []  #: … times these D_hat(0), from the start of Fig. 1
     #: bounds of U, a pair per input, of a second loop of Fig. 1; by default there is none
-    figure_bounds: Annotated[list[Bounds] | None, ADDED] = None
-    scenarios: Annotated[list[Scenario], ADDED] = []  #: other conditions
+    figure_bounds: list[Bounds] | None = None
+    scenarios: list[Scenario] = []  #: other conditions
     #: the check of networks in loops; by default none
-    guard: Annotated[GuardTable | None, ADDED] = None
+    guard: GuardTable | None = None
 
     @model_validator(mode="after")
     def _check_scenarios(self) -> Self:

@@ -1,12 +1,11 @@
 """The settings of closed loops, which the tables of several stages share."""
 
 import math
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Any, ClassVar, Literal, Self
 
 from pydantic import model_validator
 
 from npred.config.section import (
-    ADDED,
     FROZEN,
     PAPER,
     Actuator,
@@ -41,9 +40,9 @@ class Sensors(Section):
     """
 
     noise: PerState = 0.0  #: standard deviation of a sample, relative to its value
-    absolute: Annotated[PerState, ADDED] = 0.0  #: the same, in units of the state
-    bias: Annotated[Bias, ADDED] = 0.0  #: of each sample, in units of the state
-    resolution: Annotated[PerState, ADDED] = 0.0  #: step of the sensor, in units of the state; 0 for none
+    absolute: PerState = 0.0  #: the same, in units of the state
+    bias: Bias = 0.0  #: of each sample, in units of the state
+    resolution: PerState = 0.0  #: step of the sensor, in units of the state; 0 for none
     period: Positive | None = None  #: between samples, in seconds; by default the control step
     jitter: Share = 0.0  #: largest deviation of a period, relative to it
     delay: Delay = 0.0  #: from a sample to its arrival, in seconds
@@ -129,18 +128,18 @@ class Loop(Section):
     #: by default 0 if input_bounds allow it, else "equilibrium"
     u0: StartInput | None = None
     #: whether u is measured, or computed from past commands and D_hat
-    actuator: Annotated[Actuator, ADDED] = "measured"
+    actuator: Actuator = "measured"
     #: parameters of the simulated plant that differ from the controller's model
-    truth: Annotated[dict[str, Number], ADDED] = {}
-    measurement: Annotated[Sensors, ADDED] = Sensors()  #: the sensors
+    truth: dict[str, Number] = {}
+    measurement: Sensors = Sensors()  #: the sensors
     #: the clock of the control loop, with actuator = "history"
-    timing: Annotated[ControlClock | None, ADDED] = None
+    timing: ControlClock | None = None
     #: an observer of the state, with actuator = "history"
-    observer: Annotated[StateObserver | None, ADDED] = None
+    observer: StateObserver | None = None
     #: a filter of U that keeps the plant's limits, `safe`; by default U is not filtered
-    safety: Annotated[StateLimits | None, ADDED] = None
+    safety: StateLimits | None = None
     #: a disturbance of the input
-    disturbance: Annotated[Disturbance, ADDED] = Disturbance()
+    disturbance: Disturbance = Disturbance()
 
     @model_validator(mode="before")
     @classmethod

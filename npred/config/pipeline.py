@@ -2,14 +2,14 @@
 
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, create_model, model_validator
 
 from npred import registry
 from npred.config.evaluate import Evaluate
 from npred.config.loop import Loop
-from npred.config.section import ADDED, Baseline, Count, Delay, Kappa, Positive, Range, Runtime, Section, Some, Span
+from npred.config.section import Baseline, Count, Delay, Kappa, Positive, Range, Runtime, Section, Some, Span
 from npred.config.train import Train
 from npred.config.tune import Tune
 from npred.registry import METHODS
@@ -37,7 +37,7 @@ class Generate(Loop):
     explore: Annotated[float, Field(ge=0, lt=1)] = 0.0  #: share of exploring rollouts
     redraw: Annotated[float, Field(ge=0, lt=1)] = 0.0  #: share of redrawn rows
     #: largest distance of redrawn rows from the loop, in standard deviations of X and u
-    spread: Annotated[Delay, ADDED] = 0.0
+    spread: Delay = 0.0
     explore_D: Range = (0.25, 2.0)  #: D of exploring rollouts; times D
     explore_D_hat0: Range = (0.25, 3.5)  #: D_hat(0) of exploring rollouts, D_hat of redrawn rows; times D
     data: str = ""  #: HDF5 samples of `npred import` or `npred export hdf5`, instead of rollouts
@@ -79,7 +79,7 @@ class Bench(Section):
     batches: Some[Count] = [1, 1024]  #: rows per call
     runtimes: Some[Runtime] = ["torch", "fused", "onnx"]  #: ways to evaluate a network; also `file.py:Class`
     #: predictors in Python to compare with, `file.py:Class`; timed at batch 1
-    baselines: Annotated[list[Baseline], ADDED] = []
+    baselines: list[Baseline] = []
 
 
 class _Tables(Section):
@@ -90,12 +90,12 @@ class _Tables(Section):
     plant: str  #: a name, or `file.py:Class`
     parameters: dict[str, float] = {}  #: overrides of the plant's
     #: a law designed from f: "lqr", or a table, {law = "pole_placement", poles = [-1]}; by default the plant's
-    kappa: Annotated[Kappa | dict[str, Any], ADDED] = ""
+    kappa: Kappa | dict[str, Any] | Literal[""] = ""
     generate: Generate = Generate()
     train: Train = Train()
     evaluate: Evaluate = Evaluate()
     bench: Bench = Bench()
-    tune: Annotated[Tune | None, ADDED] = None  #: for `npred tune`
+    tune: Tune | None = None  #: for `npred tune`
 
     @model_validator(mode="after")
     def _check_nodes(self) -> Self:
@@ -164,5 +164,5 @@ if TYPE_CHECKING:
 else:  # with a table of each optional stage, where that declares it
     _optional = Field(None, description="`npred run` also runs this stage")
     _stages = filter(lambda stage: stage.optional, map(registry.declared_stage, registry.STAGES))
-    _fields = {stage.name: (Annotated[stage.table | None, ADDED], _optional) for stage in _stages}
+    _fields = {stage.name: (stage.table | None, _optional) for stage in _stages}
     Pipeline = create_model("Pipeline", __base__=_Tables, __doc__=_Tables.__doc__, __module__=__name__, **_fields)

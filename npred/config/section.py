@@ -4,7 +4,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Annotated, Any, Literal, Self, TypeVar
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_serializer
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 from pydantic_core import PydanticCustomError
 
 from npred import registry
@@ -25,7 +25,6 @@ Actuator = Literal["measured", "history"]
 Share = Annotated[float, Field(ge=0, lt=1, strict=True)]
 Half = Annotated[float, Field(ge=0, lt=0.5, strict=True)]
 PAPER, FROZEN = "bresch-pietri-krstic", "frozen"  # delay laws
-ADDED = "added"  # marks a key that results are older than: a dump leaves it out where it says nothing
 
 
 def _part(parts: Registry, others: tuple[str, ...], name: str) -> str:
@@ -62,17 +61,6 @@ class Section(BaseModel):
     def moved(self, locate: Callable[[str], str]) -> Self:
         """The same with `locate(path)` in each value that names a class of a file, or data."""
         return self.model_copy(update={key: moved(value, locate, key) for key, value in self})
-
-    @classmethod
-    def added(cls) -> dict[str, Any]:
-        """The defaults of the keys that results are older than."""
-        return {key: field.default for key, field in cls.model_fields.items() if ADDED in field.metadata}
-
-    @model_serializer(mode="wrap")
-    def _dump(self, handler: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
-        """All keys, but for those that came later and have their default."""
-        silent = {key for key, default in self.added().items() if getattr(self, key) == default}
-        return {key: value for key, value in handler(self).items() if key not in silent}
 
 
 def moved(value: Any, locate: Callable[[str], str], key: Any = None) -> Any:

@@ -22,7 +22,7 @@ AGREE = 1e-4  # of the largest entry: how far differences may be from derivative
 def traced(case: Case) -> Verdict:
     """Whether the functions run on symbols, and return what they should."""
     plant = case.plant
-    _ = plant.identity, plant.rests  # they say so where a function fails
+    _ = plant.program, plant.rests  # they say so where a function fails
     names = f"{', '.join(plant.states)} driven by {', '.join(plant.inputs)}"
     if not plant.traced:
         return "warn", f"{names}, by functions that are called: slower, and derivatives by differences"

@@ -16,7 +16,6 @@ from npred.predictors import OneStep, Predictor, method
 from npred.safety import SafetyFilter
 
 MEASURED, HISTORY = "measured", "history"  # where the controller has the actuator state from
-PARTS = ("program", "parameters", "ratios")  # of the identity: what a compiled predictor has in it
 
 
 def samples(samples: Any, shape: tuple[int, ...], last: int) -> np.ndarray:
@@ -169,7 +168,8 @@ def _same_plant(plant: Plant, predictor: Predictor) -> None:
     other = predictor.plant
     alike = (other.n, other.m) == (plant.n, plant.m)
     if alike and (predictor.compiled or predictor.guard is not None):
-        alike = all(other.identity.get(part) == plant.identity.get(part) for part in PARTS)
+        alike = (other.program, other.parameters) == (plant.program, plant.parameters)
+        alike = alike and np.array_equal(other.ratios, plant.ratios)
     if not alike:
         raise ConfigError(
             f"predictor: expected one of plant {plant.name} with its parameters, got one of {other.name} with "

@@ -9,6 +9,7 @@ from npred.errors import ConfigError, unlisted
 from npred.pipeline.stage_registry import Planner, nodes
 from npred.plants import Plant
 from npred.results import Contender
+from npred.stages.configuration import identity
 from npred.store import Artifact, Store
 
 
@@ -91,12 +92,12 @@ def _last(pipeline: config.Pipeline, store: Store, stage: str, model: str | None
 
 def _named(artifact: Artifact, spec: str) -> Plant:
     """The built-in plant of an artifact. Other plants are code: run when a pipeline names them, never else."""
-    identity = artifact.manifest.question.config.get("plant")
-    named = identity if isinstance(identity, dict) else {}
+    asked = artifact.manifest.question.config.get("plant")
+    named = asked if isinstance(asked, dict) else {}
     name, parameters = named.get("name"), named.get("parameters")
     values = parameters if isinstance(parameters, dict) else {}
     plant = plants.resolve(str(name), values) if plants.is_builtin(name) else None
-    if plant is None or plant.identity != named:
+    if plant is None or identity(plant) != named:
         raise ConfigError(
             f"{spec}: expected a built-in plant, got {name!r} of another npred or of a file; use PIPELINE:MODEL"
         )

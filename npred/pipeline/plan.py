@@ -7,13 +7,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
 
-from npred.json_files import escaped
 from npred.parallel.executors import Workers
-from npred.pipeline.reasons import NEVER, alike, differences, distance, leaves, reason, sentence, settings
-from npred.registry import Source
+from npred.pipeline.reasons import NEVER, alike, changes, differences, distance, leaves, reason, sentence
 from npred.results import Result
-from npred.store import Artifact, Question, ResultInput, SourceText, Store
-from npred.store.manifest import LONGEST
+from npred.store import Artifact, Question, ResultInput, Store
 from npred.terminal.console import Console
 
 UP_TO_DATE = "up to date"
@@ -100,10 +97,6 @@ class Resolver(ABC):
         """All that the node's key holds besides its inputs."""
 
     @abstractmethod
-    def code(self, node: Node) -> Mapping[str, Source | None]:
-        """The files of code that a node's result depends on, as they are now, by role."""
-
-    @abstractmethod
     def run(
         self, node: Node, folder: Path, inputs: dict[str, Path], scratch: Path, console: Console, jobs: int,
         executor: Workers,
@@ -135,16 +128,8 @@ class Resolver(ABC):
         if artifact is None and self.borrows and (borrowed := self._borrowed(question)):
             why = sentence(differences(borrowed.manifest.question, question))
             return Step(node, question, borrowed, f"of another machine: {why}; npred {node.stage} runs it here")
-        why = UP_TO_DATE if artifact else reason(question, self.name, self._artifacts, self.sources(node))
+        why = UP_TO_DATE if artifact else reason(question, self.name, self._artifacts)
         return Step(node, question, artifact, why)
-
-    def sources(self, node: Node) -> dict[str, SourceText]:
-        """The texts of a node's `code`; long ones not."""
-        return {
-            role: SourceText(file=escaped(source.file), text=source.text)
-            for role, source in self.code(node).items()
-            if source and len(source.text) <= LONGEST
-        }
 
     def misses(self, step: Step) -> bool:
         """True if the store cannot have a result for a step, whatever comes of inputs that still have to be made."""
@@ -168,12 +153,11 @@ class Resolver(ABC):
     def _waiting(self, node: Node, blocked: list[Step]) -> Step:
         causes = [f"upstream {step.node.name} will run ({step.reason})" for step in blocked if step.question]
         older = [a for a in self._artifacts if alike(a, node.stage, node.model, self.name)]
-        asked, sources = self.settings(node), self.sources(node)
+        asked = self.settings(node)
         flat = leaves(asked)
         closest = min(reversed(older), key=lambda a: distance(a.manifest.question.config, flat), default=None)
-        before = closest.manifest if closest else None
-        changes = settings(before.question.config, asked, before.sources, sources) if before else []
-        return Step(node, None, None, f"{'stale' if older else NEVER}: {sentence([*changes, *causes])}")
+        changed = changes(closest.manifest.question.config, asked) if closest else []
+        return Step(node, None, None, f"{'stale' if older else NEVER}: {sentence([*changed, *causes])}")
 
     def _borrowed(self, question: Question) -> Artifact | None:
         """The latest result of the same question to another machine; None where no machine is part of it."""

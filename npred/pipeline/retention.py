@@ -62,12 +62,19 @@ def _user() -> int:
 
 def remembered(store: Store) -> list[GcRoot]:
     """The pipelines of a store whose files exist; an entry that cannot be read is none."""
-    entries = {path: _read(path) for path in sorted((store.root / FOLDER).glob("*.json"))}
-    return [
-        GcRoot(file, frozenset(_keys(entry).values()), path.lstat().st_uid == _user())
-        for path, entry in entries.items()
-        if "file" in entry and _exists(file := Path(str(entry["file"])))
-    ]
+    roots = []
+    for path in sorted((store.root / FOLDER).glob("*.json")):
+        entry = _read(path)
+        try:
+            file = Path(str(entry["file"]))
+            exists = stat.S_ISREG(file.stat().st_mode)
+        except (KeyError, FileNotFoundError, NotADirectoryError, ValueError):
+            continue
+        except OSError:  # a file that may not be looked at counts as there
+            exists = True
+        if exists:
+            roots.append(GcRoot(file, frozenset(_keys(entry).values()), path.lstat().st_uid == _user()))
+    return roots
 
 
 def _read(entry: Path) -> dict[str, object]:
@@ -82,16 +89,6 @@ def _keys(entry: Mapping[str, object]) -> dict[str, str]:
     return {str(name): str(key) for name, key in keys.items()} if isinstance(keys, dict) else {}
 
 
-def _exists(file: Path) -> bool:
-    """True if there is such a regular file; one that may not be looked at counts as there."""
-    try:
-        return stat.S_ISREG(file.stat().st_mode)
-    except (FileNotFoundError, NotADirectoryError, ValueError):
-        return False
-    except OSError:
-        return True
-
-
 @dataclass
 class Kept:
     """Keys that are needed and, where an input is not there to tell the key, the settings of what is needed."""
@@ -104,9 +101,17 @@ class Kept:
         """Keep what these nodes need, each after its inputs."""
         artifacts: dict[str, Artifact | None] = {}
         for node in nodes:
+            artifacts[node.name] = None
             inputs = {name: artifact for name in node.inputs if (artifact := artifacts[name])}
-            complete = len(inputs) == len(node.inputs)
-            artifacts[node.name] = self._keep(planner, node, inputs) if complete else self._keep_alike(planner, node)
+            if len(inputs) < len(node.inputs):
+                self.loose.append((node, planner.settings(node)))
+                continue
+            question = planner.question(node, inputs)
+            self.keys.add(question.key)
+            if key := anywhere(question):
+                self.timed.add(key)
+            with suppress(StoreError):  # that one is corrupt; what was made from it need not be
+                artifacts[node.name] = planner.store.get(node.stage, question.key)
 
     def holds(self, artifact: Artifact) -> bool:
         """True if an artifact is needed, or may be."""
@@ -118,19 +123,6 @@ class Kept:
         """True if the checkpoint `stage-key` is one that a run would go on from, or may be."""
         stage, _, key = name.rpartition("-")
         return key in self.keys or any(node.stage == stage for node, _ in self.loose)
-
-    def _keep(self, planner: Resolver, node: Node, inputs: dict[str, Artifact]) -> Artifact | None:
-        question = planner.question(node, inputs)
-        self.keys.add(question.key)
-        if key := anywhere(question):
-            self.timed.add(key)
-        try:
-            return planner.store.get(node.stage, question.key)
-        except StoreError:  # that one is corrupt; what was made from it need not be
-            return None
-
-    def _keep_alike(self, planner: Resolver, node: Node) -> None:
-        self.loose.append((node, planner.settings(node)))
 
 
 def closure(kept: Iterable[Artifact], everything: Iterable[Artifact]) -> set[str]:

@@ -11,7 +11,6 @@ from npred.config import Pipeline
 from npred.errors import ConfigError, first_line
 from npred.parallel.executors import Workers
 from npred.pipeline.plan import Node, Resolver
-from npred.registry import Source
 from npred.results import Result
 from npred.stages.declaration import Stage
 from npred.store import Store
@@ -76,16 +75,10 @@ class Planner(Resolver):
 
     def settings(self, node: Node) -> dict[str, Any]:
         """The slice of the configuration that the node's key holds, with the plant and the seed."""
-        shared = {"plant": self.plant.identity, "seed": self.config.seed}
-        return shared | STAGES[node.stage].configuration(self.config, node.model, self.device)
+        from npred.stages.configuration import Slices, identity
 
-    def code(self, node: Node) -> dict[str, Source | None]:
-        """The plant's file, and those of parts that the node's stage names."""
-        files_by_role = {"plant": self.plant.source}
-        for role, spec in STAGES[node.stage].parts(self.config, node.model).items():
-            if registry.in_file(spec):
-                files_by_role[role] = registry.read(role, registry.split(spec)[0])
-        return files_by_role
+        slices = Slices(self.config, self.plant, node.model, self.device)
+        return {"plant": identity(self.plant), "seed": self.config.seed} | STAGES[node.stage].key(slices)
 
     def run(
         self, node: Node, folder: Path, inputs: dict[str, Path], scratch: Path, console: Console, jobs: int,

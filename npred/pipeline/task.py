@@ -113,8 +113,7 @@ class Task:
             result = planner.run(node, folder, folders, scratch, console, jobs, executor)
             text = json.dumps(result.json_object(), indent=1, allow_nan=False)
             (folder / RESULT).write_text(text + "\n", encoding="utf-8")
-            sources = planner.sources(node)
-            artifact = planner.store.commit(folder, question, planner.name, planner.device, sources)
+            artifact = planner.store.commit(folder, question, planner.name, planner.device)
         planner.store.discard(scratch)
         return artifact
 

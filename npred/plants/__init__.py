@@ -81,7 +81,7 @@ def restored(
     Raises ConfigError where it is not there, or its file has changed since.
     """
     plant = resolve(spec, dict(parameters), kappa or "")
-    if plant.digest != digest:
+    if (plant.source and plant.source.sha256) != digest:
         raise ConfigError(f"plant {spec}: expected the file that was pickled, got another text; pickle the plant again")
     return plant
 

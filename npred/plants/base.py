@@ -1,6 +1,5 @@
-"""A plant: what its author declared, its equilibrium, its functions on arrays, and its identity."""
+"""A plant: what its author declared, its equilibrium, its functions on arrays, and their texts."""
 
-import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from typing import Any, ClassVar
@@ -73,7 +72,7 @@ class Plant(InNotebook):
 
         parameters = tuple(self.parameters.items())
         if self.spec is not None:
-            return plants.restored, (self.spec, parameters, self.digest, self.law)
+            return plants.restored, (self.spec, parameters, self.source and self.source.sha256, self.law)
         return plants.remade, (type(self), self.name, self.declared, parameters, self.law)
 
     def controlled(self, kappa: Callable[..., Any]) -> "Plant":
@@ -84,11 +83,6 @@ class Plant(InNotebook):
         plant = type(self)(self.name, self.declared, self.parameters, self.source, kappa)
         plant.spec = self.spec
         return plant
-
-    @property
-    def digest(self) -> str | None:
-        """The sha256 of the code of the file that declares the plant; None where there is none."""
-        return None if self.source is None else self.source.sha256
 
     @property
     def n(self) -> int:
@@ -265,30 +259,6 @@ class Plant(InNotebook):
                 "make force and damping those of f"
             )
 
-    @cached_property
-    def mechanics_program(self) -> dict[str, str]:
-        """The hash of the mechanics, for the keys of what they are used for; empty where none are declared."""
-        if not self.declares_mechanics:
-            return {}
-        trace = Trace(self)
-        at = trace.mechanics(*trace.symbols())
-        outputs = [a for row in at.inertia for a in row] + at.force + at.damping
-        text = "\n".join(programs.lines(outputs, {}, names("y", len(outputs))))
-        return {"mechanics": hashlib.sha256(text.encode()).hexdigest()}
-
-    @cached_property
-    def output_program(self) -> dict[str, str]:
-        """The hash of what is measured, for the keys of what reads it; empty where the states are."""
-        return {"output": self._hash("output")} if self.declares_output else {}
-
-    @cached_property
-    def safe_program(self) -> dict[str, str]:
-        """The hash of the limits, for the keys of what keeps them; empty where none are declared."""
-        return {"safe": self._hash("safe")} if self.declares_safe else {}
-
-    def _hash(self, name: str) -> str:
-        return hashlib.sha256("\n".join(self._printed(name)).encode()).hexdigest()
-
     def jacobians(self, X: np.ndarray, u: np.ndarray, t: Value = 0.0) -> tuple[np.ndarray, np.ndarray]:
         """f_X (..., n, n) and f_U (..., n, m) at points X (..., n), u (..., m), derived from the declared f."""
         point = np.asarray(X), *np.moveaxis(np.asarray(u), -1, 0), t
@@ -412,48 +382,23 @@ class Plant(InNotebook):
         return programs.depends(trace.f(x, u, t) if name == "f" else trace.kappa(x, t), [t])
 
     @cached_property
-    def identity(self) -> dict[str, Any]:
-        """All that a result depends on: names, parameters, and the hash of each traced function.
-
-        A remark in the file that declares the plant changes no formula, and so no key.
-        """
-        optional = {} if self.delays is None else {"ratios": self.ratios.tolist()}
-        optional |= {} if self.period is None else {"period": self.period}
-        if self.state_bounds:
-            optional["state_bounds"] = {name: [*map(_word, pair)] for name, pair in self.state_bounds.items()}
-        return {
-            "name": self.name,
-            "states": list(self.states),
-            "inputs": list(self.inputs),
-            "parameters": self.parameters,
-            "box": {name: list(span) for name, span in self.box.items()},
-            "input_bounds": None if self.input_bounds is None else [[*map(_word, pair)] for pair in self.input_bounds],
-            "guess": self.guess.tolist(),
-            "program": self._program(),
-            **optional,
-        }
-
-    @property
-    def notation(self) -> dict[str, Any]:
-        """The labels and units of figures: part of the keys of the stages that draw states, and of no other."""
-        tables = {"labels": self.labels, "units": self.units}
-        optional = {} if self.time_unit == "s" else {"time_unit": self.time_unit}
-        optional |= {"figure": self.figure} if self.figure else {}
-        return {part: texts for part, texts in tables.items() if texts} | optional
-
-    def _program(self) -> Mapping[str, object]:
-        """The hash of each function, as the program that its trace prints."""
+    def program(self) -> Mapping[str, str]:
+        """The text of each function, as its trace prints it: equal formulas have equal texts."""
         functions = ["f", "kappa", "V", *(["delay"] if self.declares_delay else [])]
         functions += ["reference"] if self.tracks else []
-        return {name: self._hash(name) for name in functions}
+        return {name: self.printed(name) for name in functions}
 
-    def _printed(self, name: str) -> list[str]:
+    def printed(self, name: str) -> str:
         """The lines of a function's program, from x0, …, u0, …, t and p0, … to y0, …; equal formulas, equal lines."""
         trace = Trace(self)
         x, u, t = trace.symbols()
-        inputs = {"f": (x, u, t), "reference": (t,)}.get(name, (x, t))
-        outputs = np.ravel(np.array(getattr(trace, name)(*inputs), dtype=object))
-        return programs.lines(outputs, {}, names("y", len(outputs)))
+        if name == "mechanics":
+            at = trace.mechanics(x, u, t)
+            outputs = [a for row in at.inertia for a in row] + at.force + at.damping
+        else:
+            inputs = {"f": (x, u, t), "reference": (t,)}.get(name, (x, t))
+            outputs = [*np.ravel(np.array(getattr(trace, name)(*inputs), dtype=object))]
+        return "\n".join(programs.lines(outputs, {}, names("y", len(outputs))))
 
 
 def require(plant: object) -> None:
@@ -464,8 +409,3 @@ def require(plant: object) -> None:
 
 def _few(words: Sequence[str]) -> str:
     return ", ".join(words) if len(words) < 6 else f"{words[0]} … {words[-1]} ({len(words)})"
-
-
-def _word(value: float) -> float | str:
-    """JSON has no infinity, and an input bounded on one side only has one."""
-    return value if np.isfinite(value) else str(value)

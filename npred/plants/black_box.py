@@ -175,20 +175,20 @@ class BlackBox(Plant):
         values = [self.f(X, u, t) if name == "f" else self.kappa(X, t) for t in TIMES]
         return not all(np.array_equal(values[0], later, equal_nan=True) for later in values[1:])
 
-    def _program(self) -> Mapping[str, object]:
-        """In place of a program the hash of the plant's file, and of those that it reads, by name."""
+    @cached_property
+    def program(self) -> Mapping[str, str]:
+        """In place of formulas the digest of the plant's file, and of those that it reads, by name."""
         assert self.source is not None
         contents: dict[str, Any] = {}
         for path in map(Path, getattr(self.declaration, "files", ())):
             try:
                 content = json_files.regular(path).read_bytes()
                 read = registry.meaning(content) if path.suffix == ".py" else content
-                contents.setdefault(path.name, hashlib.sha256()).update(read)
+                contents.setdefault(f"files.{path.name}", hashlib.sha256()).update(read)
             except OSError as error:
                 what = f"expected a file to read at {path}, got: {error.strerror}"
                 raise ConfigError(f"plant {self.name}: files {what}; fix the path") from None
-        files = {name: content.hexdigest() for name, content in contents.items()}
-        return {"source": self.source.sha256} | ({"files": files} if files else {})
+        return {"source": self.source.sha256} | {name: content.hexdigest() for name, content in contents.items()}
 
 
 def _batched(argument: Argument) -> bool:

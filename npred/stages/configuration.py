@@ -1,18 +1,42 @@
-"""The slices of the configuration that the keys of several stages hold."""
+"""The parts of a node's key: slices of the configuration, and digests of the plant's functions.
 
+Methods, laws and observers of files enter by what the files hold, not by where they are.
+"""
+
+import hashlib
 import math
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
-from npred import plants, registry
-from npred.config import PAPER, Loop, Pipeline, Section
-from npred.json_files import mapped
-from npred.plants import Plant, inputs
+from npred import registry
+from npred.config import Loop, Pipeline, Section
+from npred.errors import ConfigError
+from npred.json_files import mapped, regular, sha256
+from npred.plants import Plant
 
-UNUSED = 1000.0  # gamma in the key of loops without an adaptation
 
+@lru_cache(maxsize=64)
+def identity(plant: Plant) -> dict[str, Any]:
+    """All of a plant that a result depends on: names, parameters, and the digest of each function.
 
-def plant(config: Pipeline) -> Plant:
-    return plants.resolve(config.plant, config.parameters, config.kappa)
+    A remark in the file that declares the plant changes no formula, and so no key.
+    """
+    parts = {
+        "name": plant.name,
+        "states": list(plant.states),
+        "inputs": list(plant.inputs),
+        "parameters": plant.parameters,
+        "box": {name: list(span) for name, span in plant.box.items()},
+        "input_bounds": plant.input_bounds and [list(pair) for pair in plant.input_bounds],
+        "state_bounds": {name: list(pair) for name, pair in plant.state_bounds.items()},
+        "guess": plant.guess.tolist(),
+        "ratios": plant.ratios.tolist(),
+        "period": plant.period,
+        "program": {name: _digest(text) for name, text in plant.program.items()},
+    }
+    return mapped(parts, _word)
 
 
 def table(section: Section) -> dict[str, Any]:
@@ -20,68 +44,72 @@ def table(section: Section) -> dict[str, Any]:
     return mapped(section.model_dump(mode="json"), _word)
 
 
-def loop(config: Pipeline, stage: str) -> dict[str, Any]:
-    """The table of a stage that runs loops; methods and laws of files enter by what they hold, not by where they are.
-
-    A delay law other than the paper's enters; so does an input before t = 0 other than zero, the default where the
-    plant's inputs may be zero.
-    """
-    settings: Loop = getattr(config, stage)
-    section, law = table(settings), registry.DELAY_LAWS.identity(settings.adaptation)
-    u0 = inputs.configured(plant(config), settings, stage)
-    section["predictor"] = registry.METHODS.identity(settings.predictor)
-    section["gamma"] = gamma(config, settings)
-    if settings.predictor == "semi_implicit" or stage == "evaluate":  # of which a guard may choose it
-        section |= plant(config).mechanics_program
-    if settings.safety or stage == "evaluate":  # which says how limits are kept, with a filter or without
-        section |= plant(config).safe_program
-    del section["adaptation"], section["u0"]
-    section |= {} if law == PAPER else {"adaptation": law}
-    for holder in [section, *section.get("scenarios", [])]:
-        if observer := holder.get("observer"):
-            observer["kind"] = registry.OBSERVERS.identity(observer["kind"])
-            section |= plant(config).output_program
-    for scenario in section.get("scenarios", []):
-        scenario |= {k: registry.DELAY_LAWS.identity(v) for k, v in scenario.items() if k == "adaptation"}
-    past = u0 if isinstance(u0, str) else u0.tolist() if u0.any() else None
-    return section | ({} if past is None else {"u0": past})
+def content(key: str, path: Path) -> str:
+    """The digest of what a file holds that a key of the pipeline names."""
+    try:
+        return sha256(regular(path))
+    except OSError as error:
+        raise ConfigError(f"{key}: expected a file at {path}, got: {error.strerror}; check the path") from None
 
 
-def gamma(config: Pipeline, settings: Loop) -> float:
-    """The gain of the loops; where no law runs that takes one, what older keys have in its place."""
-    if settings.gamma is not None:
-        return settings.gamma
-    from npred.loop import delay_law
+@dataclass(frozen=True)
+class Slices:
+    """What the key of a node may hold beside the plant's identity and the seed; `model` names its network."""
 
-    law = delay_law.resolve(settings, plant(config))
-    return UNUSED if law is None else law.gamma
+    config: Pipeline
+    plant: Plant
+    model: str | None
+    device: str
+
+    def loop(self, stage: str) -> dict[str, Any]:
+        """The table of a stage that runs loops, and the digests of the plant's functions that only such loops use."""
+        settings: Loop = getattr(self.config, stage)
+        section = table(settings)
+        section["predictor"] = registry.METHODS.identity(settings.predictor)
+        scenarios = section.get("scenarios", [])
+        for holder in [section, *scenarios]:
+            if holder["adaptation"]:
+                holder["adaptation"] = registry.DELAY_LAWS.identity(holder["adaptation"])
+            if observer := holder["observer"]:
+                observer["kind"] = registry.OBSERVERS.identity(observer["kind"])
+                section |= self.output
+        if settings.predictor == "semi_implicit" or stage == "evaluate":  # where a guard may choose that method
+            section |= self.mechanics
+        if (settings.safety or stage == "evaluate") and self.plant.declares_safe:  # it tells how limits are kept anyway
+            section["safe"] = _digest(self.plant.printed("safe"))
+        return section
+
+    @property
+    def mechanics(self) -> dict[str, str]:
+        """The digest of the plant's mechanics, where it declares them."""
+        return {"mechanics": _digest(self.plant.printed("mechanics"))} if self.plant.declares_mechanics else {}
+
+    @property
+    def output(self) -> dict[str, str]:
+        """The digest of what is measured, where that is not the state."""
+        return {"output": _digest(self.plant.printed("output"))} if self.plant.declares_output else {}
+
+    @property
+    def networks(self) -> dict[str, Any]:
+        return {"train": {"models": self.config.train.models}}
+
+    @property
+    def box(self) -> dict[str, Any]:
+        """The ranges that the plant leaves to the pipeline; data that are simulated in them differ where they do."""
+        generate = self.config.generate
+        ranges = {name: ends for name, ends in table(generate)["box"].items() if name not in self.plant.box}
+        return {"box": ranges} if generate.data and ranges else {}
+
+    @property
+    def notation(self) -> dict[str, Any]:
+        """The labels and units of figures: other labels draw them again, and train nothing."""
+        plant = self.plant
+        parts = {"labels": plant.labels, "units": plant.units, "time_unit": plant.time_unit, "figure": plant.figure}
+        return {"notation": parts}
 
 
-def networks(config: Pipeline) -> dict[str, Any]:
-    return {"train": {"models": config.train.models}}
-
-
-def box(config: Pipeline) -> dict[str, Any]:
-    """The ranges that the plant leaves to the pipeline; data that are simulated in them differ where they do."""
-    if not config.generate.data:
-        return {}
-    declared = plant(config).box
-    ranges = {name: ends for name, ends in table(config.generate)["box"].items() if name not in declared}
-    return {"box": ranges} if ranges else {}
-
-
-def notation(config: Pipeline) -> dict[str, Any]:
-    """The labels of figures: other labels draw them again, and train nothing."""
-    declared = plant(config).notation
-    return {"notation": declared} if declared else {}
-
-
-def loop_parts(config: Pipeline, *stages: str) -> dict[str, str]:
-    """The numerical methods and delay laws of stages that run loops, by role."""
-    return {f"{stage}.{key}": getattr(getattr(config, stage), key) for stage in stages for key in LOOP_PARTS}
-
-
-LOOP_PARTS = "predictor", "adaptation"
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _word(leaf: Any) -> Any:

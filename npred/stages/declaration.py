@@ -1,4 +1,4 @@
-"""What a stage declares of itself. A stage is a folder here, and its name a line in npred.registry."""
+"""What a stage declares of itself. A stage is a module or a folder here, and its name a line in npred.registry."""
 
 import sys
 from dataclasses import dataclass
@@ -9,8 +9,9 @@ from npred import registry
 from npred.errors import imported
 
 if TYPE_CHECKING:  # pydantic comes with these, which `npred --help` has no use for
-    from npred.config import Pipeline, Section
+    from npred.config import Section
     from npred.results import Result
+    from npred.stages.configuration import Slices
     from npred.stages.job import Job
 
 
@@ -18,36 +19,29 @@ if TYPE_CHECKING:  # pydantic comes with these, which `npred --help` has no use 
 class Stage:
     """A stage; its `version` is raised when its results change for the same configuration.
 
-    Its name is that of its folder, and its line in the help of commands is the docstring of the folder's __init__.py,
-    which declares it. Beside it the folder has these modules, which are imported when they are asked for, since they
-    may bring torch:
+    Its name is that of its module, and its line in the help of commands is the docstring. The module has the function
+    key(slices), the slice of the configuration that its key holds beside plant and seed. It also has these functions,
+    or NAME.py in its folder has them, which is imported when they are asked for, since it may bring torch:
 
-    - NAME.py: run(job), which gives an object of the class at `result`; summary(result, width), and, where there is
-      more to say, details(result, width), unless `summary_module` has them;
-    - key.py: configuration(config, model, device), the slice of the configuration that its key holds beside plant and
-      seed; and parts(config, model), the specs of the parts that it names, by role;
-    - table.py, of an optional stage: its table, of the class `table_class`.
+    - run(job), which gives an object of the class at `result_class`;
+    - summary(result, width), and, where there is more to say, details(result, width).
 
-    An optional stage is a part of a run where the pipeline file has its table. The tables of the others, which more
-    than one stage reads, are in npred.config. `data` is a pattern of its files that may come in from elsewhere; with
-    `draws` it has figures too, which do not. A stage with an artifact `per_network` is called by the network's name.
-    `needs` is the package of an extra without which it cannot run.
+    An optional stage has a table of the class at `table_class`, and is a part of a run where the pipeline file has that
+    table. The tables of the others, which more than one stage reads, are in npred.config. A stage with an artifact
+    `per_network` is called by the network's name. `needs` is the package of an extra without which it cannot run.
     """
 
     package: str
     version: int
     upstream: tuple[str, ...]
     result_class: str
-    data: str = ""
-    draws: bool = False
     table_class: str = ""
     per_network: bool = False
     needs: str = ""
-    summary_module: str = ""
 
     @property
     def name(self) -> str:
-        """The name of its folder."""
+        """The name of its module."""
         return self.package.rpartition(".")[2]
 
     @property
@@ -68,27 +62,25 @@ class Stage:
     @property
     def table(self) -> "type[Section]":
         """The model of its table, of an optional stage."""
-        return registry.attribute(f"{self.package}.table:{self.table_class}")
+        return registry.attribute(self.table_class)
+
+    def key(self, slices: "Slices") -> dict[str, Any]:
+        """The slice of the configuration that its key holds, plant and seed aside."""
+        return self._home("key").key(slices)
 
     def run(self, job: "Job") -> "Result":
         """The stage's result; its other files are in the job's folder."""
-        return self._module(self.name).run(job)
+        return self._home("run").run(job)
 
     def summary(self, document: dict[str, Any], width: int | None = None, wide: bool = False) -> str:
         """A result's JSON in a few lines for people, its tables folded to `width` columns; `wide`: all that is in it.
 
         Raises StoreError where it is no result of this stage.
         """
-        module, result = self._module(self.summary_module or self.name), self.result.of(document, "result")
-        return (getattr(module, "details", module.summary) if wide else module.summary)(result, width)
+        home, result = self._home("summary"), self.result.of(document, "result")
+        return (getattr(home, "details", home.summary) if wide else home.summary)(result, width)
 
-    def configuration(self, config: "Pipeline", model: str | None, device: str) -> dict[str, Any]:
-        """The slice of the configuration that its key holds, plant and seed aside."""
-        return self._module("key").configuration(config, model, device)
-
-    def parts(self, config: "Pipeline", model: str | None) -> dict[str, str]:
-        """The parts that it takes by role, registered names or classes of files."""
-        return self._module("key").parts(config, model)
-
-    def _module(self, name: str) -> ModuleType:
-        return imported(self.name, f"{self.package}.{name}")
+    def _home(self, function: str) -> ModuleType:
+        """The module that has a function of the stage: its own, else NAME.py in its folder."""
+        module = sys.modules[self.package]
+        return module if hasattr(module, function) else imported(self.name, f"{self.package}.{self.name}")

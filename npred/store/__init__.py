@@ -2,8 +2,8 @@
 
 from npred.store import claims
 from npred.store.artifacts import MARKER, Artifact, Store
-from npred.store.manifest import Manifest, Question, ResultInput, SourceText, short
+from npred.store.manifest import Manifest, Question, ResultInput, short
 
 __all__ = [
-    "MARKER", "Artifact", "Manifest", "Question", "ResultInput", "SourceText", "Store", "claims", "short",
+    "MARKER", "Artifact", "Manifest", "Question", "ResultInput", "Store", "claims", "short",
 ]  # fmt: skip

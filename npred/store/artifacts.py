@@ -16,7 +16,7 @@ from npred.defaults import RESULT
 from npred.errors import ConfigError, StoreError, disk_is_full, similar
 from npred.registry import NETWORKS, STAGES
 from npred.store import claims
-from npred.store.manifest import NAME, Manifest, Question, Sources, cure, short
+from npred.store.manifest import NAME, Manifest, Question, cure, short
 
 MARKER = ".npred-store"  # an empty file: without it nothing in a folder is npred's to delete
 _LEFT = (".tmp", ".scratch")
@@ -45,7 +45,7 @@ class Artifact:
     def made(self) -> float:
         """The time when it was made, in s since 1970: what the manifest says, so that a copy is as old as its original.
 
-        The time of the file counts where the manifest of an older npred has none, or one that is still to come.
+        The time of the file counts where the manifest has none, or one that is still to come.
         """
         written = (self.folder / NAME).stat().st_mtime
         recorded = self.manifest.made
@@ -86,7 +86,7 @@ class Store:
         return marker.is_file() and not marker.is_symlink()
 
     def adopt(self) -> None:
-        """Mark a folder that is new, empty or holds results, as one of an older npred does; not one of other things.
+        """Mark a folder that is new, empty or holds results, copied ones say; not one of other things.
 
         A folder that cannot be written goes without.
         """
@@ -122,11 +122,9 @@ class Store:
         finally:
             shutil.rmtree(folder, ignore_errors=True)
 
-    def commit(
-        self, draft: Path, question: Question, pipeline: str, device: str = "cpu", sources: Sources = {}
-    ) -> Artifact:
+    def commit(self, draft: Path, question: Question, pipeline: str, device: str = "cpu") -> Artifact:
         """Make a draft durable and rename it into place; a result already there steps aside (a forced rerun)."""
-        manifest = Manifest.describe(question, pipeline, draft, device, sources)
+        manifest = Manifest.describe(question, pipeline, draft, device)
         (draft / NAME).write_text(manifest.text(), encoding="utf-8")
         return self.place(draft, manifest)
 

@@ -8,7 +8,7 @@ import json
 import os
 import platform
 import stat
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Iterator
 from datetime import UTC, datetime
 from functools import lru_cache
 from pathlib import Path, PurePosixPath
@@ -23,7 +23,6 @@ from npred.parallel.devices import arithmetic, packages
 
 NAME = "manifest.json"
 MADE = "made"  # in the provenance: when
-LONGEST = 2**18  # letters of a file of code that is kept
 SHORT = 12  # digits of a key, enough for people
 PARTIAL = ".nfs"  # how NFS calls a file that was removed while somebody had it open
 _ENCODER = json.JSONEncoder(
@@ -94,16 +93,6 @@ class ResultInput(ManifestPart):
     digest: Digest
 
 
-class SourceText(ManifestPart):
-    """A file of code that a result was made with, as it was then: for people, and for saying what changed since."""
-
-    file: Line
-    text: Annotated[str, Field(max_length=LONGEST)]
-
-
-Sources = Mapping[str, SourceText]  # by the role that the code has in the pipeline
-
-
 class Question(ManifestPart):
     """All that determines a result; `key` is its sha256."""
 
@@ -125,8 +114,7 @@ class Manifest(ManifestPart):
     """A question and the digests of its answer.
 
     `digest` covers the payload only and is what keys downstream use: an equal answer to another question stops reruns
-    from spreading. `pipeline`, `provenance` and `sources`, the code by its place in the pipeline, enter neither.
-    `checksum` covers all the other fields.
+    from spreading. `pipeline` and `provenance` enter neither. `checksum` covers all the other fields.
     """
 
     key: Digest
@@ -135,13 +123,10 @@ class Manifest(ManifestPart):
     digest: Digest
     pipeline: Line
     provenance: dict[Line, Line | None]
-    sources: dict[Line, SourceText] = {}
     checksum: Digest
 
     @classmethod
-    def describe(
-        cls, question: Question, pipeline: str, folder: Path, device: str = "cpu", sources: Sources = {}
-    ) -> Self:
+    def describe(cls, question: Question, pipeline: str, folder: Path, device: str = "cpu") -> Self:
         """The manifest of the files in a folder, subfolders included, made now, on this machine and this device."""
         sizes = sorted(_files(folder))
         files = {name: {"sha256": json_files.sha256(folder / name), "size": size} for name, size in sizes}
@@ -153,49 +138,25 @@ class Manifest(ManifestPart):
             "pipeline": pipeline,
             "provenance": {MADE: datetime.now(UTC).isoformat()} | provenance(device),
         }
-        fields |= {"sources": {role: source.model_dump() for role, source in sources.items()}} if sources else {}
         return cls.model_validate(fields | {"checksum": sha256(fields)})
-
-    def without(self, names: Collection[str]) -> Self:
-        """The manifest of the same result without some of its files."""
-        fields = self._covered()
-        fields["files"] = {name: payload for name, payload in fields["files"].items() if name not in names}
-        fields["digest"] = sha256(fields["files"])
-        return type(self).model_validate(fields | {"checksum": sha256(fields)})
 
     @classmethod
     def read(cls, path: Path) -> Self:
         """The manifest in a file. Raises StoreError, naming the file, unless it is as it was written, at its place."""
         try:
             manifest = cls.model_validate_json(json_files.read(path))
+            checksum = sha256({name: value for name, value in manifest if name != "checksum"})
         except FileNotFoundError:
             raise StoreError(f"{path}: expected a manifest, found none; {cure(path.parent)}") from None
-        except (OSError, ValueError):
+        except (OSError, ValueError, RecursionError):  # also for a number or a nesting that no configuration has
             raise StoreError(f"{path}: expected a manifest, got something else; {cure(path.parent)}") from None
-        if not manifest.intact or manifest.key != path.parent.name:
+        if checksum != manifest.checksum or manifest.key != path.parent.name:
             raise StoreError(f"{path}: expected the manifest as it was written, got changed bytes; {cure(path.parent)}")
         return manifest
 
     @property
-    def intact(self) -> bool:
-        """True if it is as it was written: the checksum follows from the other fields."""
-        try:
-            return self.checksum == sha256(self._covered())
-        except (ValueError, RecursionError):  # a number or a nesting that no configuration of npred has
-            return False
-
-    @property
-    def consistent(self) -> bool:
-        """True if checksum, digest and key all follow from the other fields; where other hands wrote, they may not."""
-        return self.intact and (self.digest, self.key) == (sha256(self.files), self.question.key)
-
-    def _covered(self) -> dict[str, Any]:
-        """The fields that the checksum covers; manifests of an older npred have no sources."""
-        return {k: v for k, v in vars(self).items() if k != "checksum" and (k != "sources" or v)}
-
-    @property
     def made(self) -> float | None:
-        """The time when it was made, in seconds since 1970; None in a manifest of an older npred."""
+        """The time when it was made, in seconds since 1970; None where the manifest does not tell."""
         try:
             return datetime.fromisoformat(self.provenance.get(MADE) or "").timestamp()
         except (ValueError, OverflowError):
@@ -213,7 +174,7 @@ class Manifest(ManifestPart):
 
     def text(self) -> str:
         """The JSON that `read` takes."""
-        return self.model_dump_json(indent=1, exclude=None if self.sources else {"sources"}) + "\n"
+        return self.model_dump_json(indent=1) + "\n"
 
     def verify(self, folder: Path) -> None:
         """Raise StoreError, naming the file, unless the folder holds the payload as it was written and nothing else."""

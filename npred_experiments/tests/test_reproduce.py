@@ -1,6 +1,7 @@
 """`npred reproduce`: names, rows, the store, and the commands that look at its results."""
 
 import json
+import re
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -108,8 +109,9 @@ def test_a_result_is_measured_once_per_code():
     assert _call("why", "tiny").stdout == "reproduce tiny: up to date\n"
     assert CALLS == ["measured"]
     own.write_text(own.read_text().replace("(1)", "2"))
-    changed = "reproduce tiny: code.published.tiny changed in tiny.py: first = 1 -> first = 2\n"
-    assert _call("why", "reproduce").stdout == f"{changed}reproduce unused: no artifact yet\n"
+    tiny, unused = _call("why", "reproduce").stdout.splitlines()
+    assert re.fullmatch("reproduce tiny: code.published.tiny: [0-9a-f]{12} -> [0-9a-f]{12}", tiny)
+    assert unused == "reproduce unused: no artifact yet"
     states = [row["state"] for row in json.loads(_call("why", "reproduce", "--json").stdout)["stages"]]
     assert states == ["stale", "missing"]
     _call("reproduce", "tiny")
@@ -157,13 +159,6 @@ def test_a_registered_experiment_that_is_not_there_is_one_line(publish: Callable
     sys.modules.pop("published.tiny")
     assert len(_call("reproduce", "tiny", code=2).stderr.splitlines()) == 1
     assert "rows" in _call("show", "reproduce").stdout
-
-
-def test_a_result_of_an_experiment_does_not_travel():
-    _call("reproduce", "tiny")
-    _call("export-artifact", "reproduce", "-o", "tiny.tar")
-    done = _call("import-artifact", "tiny.tar", "--store", "other", code=4)
-    assert "got one of npred reproduce; run that here" in done.output
 
 
 def test_a_list_runs_nothing_and_another_name_is_one_line():

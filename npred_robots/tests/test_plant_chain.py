@@ -12,6 +12,7 @@ from npred.loop import metrics
 from npred.loop.closed_loop import simulate
 from npred.plants.base import Plant
 from npred.predictors import RK4
+from npred.stages.configuration import identity
 from npred_robots import pin_chain
 from npred_robots.chain import chain
 
@@ -48,9 +49,9 @@ def test_a_joint_may_have_any_name(tmp_path, joint, state):
 def test_the_file_is_part_of_the_identity(tmp_path):
     path = tmp_path / "heavier.urdf"
     path.write_text(TEXT.replace('<mass value="1.2"/>', '<mass value="1.3"/>'))
-    assert Plant("six", chain(path)).identity["program"] != PLANT.identity["program"]
+    assert identity(Plant("six", chain(path)))["program"] != identity(PLANT)["program"]
     path.write_text(TEXT.replace("Six joints", "6 joints"))
-    assert Plant("six", chain(path)).identity == PLANT.identity
+    assert identity(Plant("six", chain(path))) == identity(PLANT)
 
 
 def test_a_pose_of_another_length_is_told():

@@ -1,16 +1,15 @@
-"""`npred gc`: what goes by age, by size, by reachability, and what stays when parts of the store are corrupt."""
+"""`npred gc`: what no pipeline needs goes, and what stays when parts of the store are corrupt."""
 
 import errno
 import os
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
 from conftest import Call, document, one_line
 from store_samples import made_at
 
-from npred.cli.gc import to_bytes
-from npred.errors import ConfigError, NpredError
+from npred.errors import NpredError
 from npred.parallel import devices
 from npred.store import MARKER, Store
 
@@ -21,19 +20,14 @@ def planned(call: Call, *arguments: str) -> set[Path]:
     return {Path(row["path"]) for row in document(call("gc", "tiny.toml", "--json", *arguments))["plan"]}
 
 
-def older(folder: Path, days: float) -> Path:
-    """As if it had been made so many days ago."""
-    return made_at(folder, datetime.now(UTC) - timedelta(days=days))
-
-
 @pytest.fixture
 def stale(call: Call) -> list[Path]:
-    """Folders of three results that tiny.toml does not need, a day, ten and a hundred days old."""
+    """Folders of three results that tiny.toml does not need."""
     call(*NEVER_MIND)
     folders = []
-    for epochs, days in ((2, 100.0), (3, 10.0), (4, 1.0)):
+    for epochs in (2, 3, 4):
         call("train", "tiny.toml", "--model", "fno", "--set", f"train.fno.epochs={epochs}")
-        folders.append(older(Store(Path("artifacts")).find("fno").folder, days))
+        folders.append(Store(Path("artifacts")).find("fno").folder)
     return folders
 
 
@@ -60,31 +54,22 @@ def test_a_report_draws_the_times_of_another_machine_and_says_so(call: Call, mon
     assert [row["action"] for row in other if row["stage"] == "bench"] == ["run"]
 
 
-def test_by_age(call: Call, stale: list[Path]):
+def test_what_no_pipeline_needs_goes(call: Call, stale: list[Path]):
     assert planned(call) == set(stale)
-    assert planned(call, "--older", "5") == set(stale[:2])
-    assert planned(call, "--older", "1000") == set()
-
-
-def test_by_size_the_oldest_first(call: Call, stale: list[Path]):
-    store = Store(Path("artifacts"))
-    total = sum(artifact.size for artifact in store.artifacts())
-    assert planned(call, "--keep", f"{total / 1000:.3f}k") == set()
-    assert planned(call, "--keep", str(total - 1)) == {stale[0]}
-    assert planned(call, "--keep", str(total - 1), "--older", "5") == {stale[0]}
-    assert planned(call, "--keep", "0") == set(stale)
-    assert len(document(call("gc", "tiny.toml", "--json", "--yes", "--keep", str(total - 1)))["deleted"]) == 1
-    assert [folder.exists() for folder in stale] == [False, True, True]
+    assert len(document(call("gc", "tiny.toml", "--json", "--yes"))["deleted"]) == 3
+    assert not any(folder.exists() for folder in stale) and planned(call) == set()
 
 
 def test_what_a_kept_result_was_made_from_is_kept(call: Call):
+    """Other samples are the same data here, which the networks were not made from a second time."""
+    call("generate", "tiny.toml", "--set", "generate.samples=400")
+    data = Store(Path("artifacts")).find("generate").folder
+    call("train", "tiny.toml", "--set", "generate.samples=400")
     call(*NEVER_MIND)
-    call("generate", "tiny.toml", "--set", "generate.rollouts=60")
-    data = older(Store(Path("artifacts")).find("generate").folder, 50)
-    call("train", "tiny.toml", "--model", "fno", "--set", "generate.rollouts=60")
-    assert planned(call, "--older", "20") == set()
-    older(Store(Path("artifacts")).find("fno").folder, 50)
-    assert data in planned(call, "--older", "20")
+    assert planned(call) == set()
+    call("generate", "tiny.toml", "--set", "generate.samples=300")
+    other = Store(Path("artifacts")).find("generate").folder
+    assert planned(call) == {other} and data != other
 
 
 def test_the_cells_of_a_sweep_stay_when_it_is_named(call: Call, stale: list[Path]):
@@ -124,7 +109,7 @@ def test_a_result_that_was_being_replaced_when_the_store_was_read_stays(call: Ca
 
     def between(store: Store):
         sound, _ = survey(store)
-        older(renewed, 0)
+        made_at(renewed, datetime.now(UTC))
         return [artifact for artifact in sound if artifact.folder != torn], [torn]
 
     monkeypatch.setattr(Store, "survey", between)
@@ -132,14 +117,6 @@ def test_a_result_that_was_being_replaced_when_the_store_was_read_stays(call: Ca
     assert {Path(row["path"]) for row in done["plan"]} == set(stale)
     assert done["deleted"] == [str(old)]
     assert [folder.exists() for folder in stale] == [True, True, False]
-
-
-def test_sizes_in_words(call: Call):
-    assert [to_bytes(text) for text in (None, "0", "12", "2k", "2.5MB", "1G")] == [-1, 0, 12, 2000, 2_500_000, 10**9]
-    for text in ("", "two", "-1G", "5 G", "nan", "1e9"):
-        with pytest.raises(ConfigError, match="expected a size as 500M"):
-            to_bytes(text)
-    assert "--keep" in one_line(call("gc", "tiny.toml", "--keep", "much"), 2)
 
 
 @pytest.fixture

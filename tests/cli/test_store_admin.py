@@ -1,4 +1,4 @@
-"""`npred verify`, `export-artifact` and `import-artifact`, and stores that cannot be written."""
+"""`npred verify` and `doctor`, and stores that cannot be written."""
 
 import shutil
 import subprocess
@@ -9,7 +9,6 @@ from pathlib import Path
 import fake_stages
 import pytest
 from conftest import Call, document, one_line
-from result_samples import TRAINED
 from store_samples import made_at
 
 from npred.store import Store
@@ -57,23 +56,6 @@ def test_a_result_with_something_else_beside_it_or_behind_a_link_is_not_sound(ca
     assert call("verify").exit_code == 4
 
 
-def test_a_result_goes_from_store_to_store_in_a_tar(call: Call):
-    call("run", "tiny.toml")
-    key = Store(Path("artifacts")).find("fno").manifest.key
-    line = document(call("export-artifact", "fno", "--json"))
-    assert line["file"] == f"train-{key[:12]}.tar"
-    assert document(call("import-artifact", line["file"], "--store", "other", "--json"))["new"]
-    assert not document(call("import-artifact", line["file"], "--store", "other", "--json"))["new"]
-    assert "already in the store" in call("import-artifact", line["file"], "--store", "other").stdout
-    assert document(call("show", key[:12], "--store", "other", "--json"))["result"] == TRAINED | {
-        "mse": None,
-        "epochs": 100,
-    }
-    Path(line["file"]).write_bytes(b"no tar")
-    assert "export-artifact wrote it" in one_line(call("import-artifact", line["file"]), 4)
-    assert "make nowhere" in one_line(call("export-artifact", "fno", "-o", "nowhere/a.tar"), 2)
-
-
 @pytest.mark.parametrize("command", ["ls", "verify", "doctor", "show", "gc tiny.toml", "status tiny.toml"])
 def test_a_store_that_is_a_file_is_one_line_and_one_that_is_not_there_yet_is_empty(call: Call, command: str):
     Path("file").write_text("")
@@ -85,14 +67,12 @@ def test_a_store_that_is_a_file_is_one_line_and_one_that_is_not_there_yet_is_emp
 def test_a_read_only_store_gives_hits_and_refuses_a_run_in_one_line(call: Call, read_only: Path):
     rows = document(call("run", "tiny.toml", "--store", read_only, "--json"))["stages"]
     assert {row["action"] for row in rows} == {"hit"}
-    for command in ("status", "ls", "verify", "show", "export-artifact fno"):
+    for command in ("status", "ls", "verify", "show"):
         pipeline = ["tiny.toml"] if command == "status" else []
         assert call(*command.split(), *pipeline, "--store", read_only).exit_code == 0
     line = one_line(call("run", "tiny.toml", "--set", "seed=1", "--store", read_only), 4)
     assert "expected a store that can be written and locked, got: Read-only file system" in line
-    tar = next(Path().glob("train-*.tar"))
     shutil.rmtree("writable/train")
-    assert "Read-only file system" in one_line(call("import-artifact", tar, "--store", read_only), 4)
     assert "Read-only file system" in one_line(call("gc", "tiny.toml", "--yes", "--store", read_only), 4)
 
 

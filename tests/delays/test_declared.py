@@ -12,6 +12,7 @@ from npred.delays import family_of
 from npred.errors import ConfigError
 from npred.plants import Plant
 from npred.predictors import RK4, Euler, Heun
+from npred.stages.configuration import identity
 
 
 class Decay:
@@ -209,9 +210,9 @@ def test_files_whose_command_is_the_laws_at_t_plus_D_are_refused(part):
 
 
 def test_the_delay_is_part_of_the_identity():
-    program = UNICYCLE.identity["program"]
-    assert set(program) - set(plants.resolve("scalar").identity["program"]) == {"delay", "reference"}
-    assert isinstance(program, dict) and program["delay"] != IN_TIME.identity["program"]["delay"]
+    program = identity(UNICYCLE)["program"]
+    assert set(program) - set(identity(plants.resolve("scalar"))["program"]) == {"delay", "reference"}
+    assert isinstance(program, dict) and program["delay"] != identity(IN_TIME)["program"]["delay"]
     assert IN_TIME.clocked and not UNICYCLE.clocked
 
 

@@ -44,7 +44,7 @@ def test_what_is_lowered_has_a_layout():
 @pytest.mark.parametrize("config", SMALL, ids=lambda config: config.architecture)
 @pytest.mark.parametrize("precision", [np.float32, np.float64])
 def test_weights_are_those_of_the_operator_and_make_it_again(tmp_path: Path, config, precision):
-    operators.save(tmp_path, operator(config, seed=3), config, PLANT)
+    operators.save(tmp_path, operator(config, seed=3), config)
     weights = operators.read(tmp_path, PLANT, precision=precision)
     assert isinstance(weights, Weights) and weights.weights() is weights
     dtype = torch.from_numpy(np.empty(0, dtype=precision)).dtype
@@ -61,7 +61,7 @@ def test_weights_are_those_of_the_operator_and_make_it_again(tmp_path: Path, con
 
 @pytest.mark.parametrize("config", EVERY[2:], ids=lambda config: registry.short_name(config.architecture))
 def test_a_network_without_a_fused_form_is_read_as_a_torch_module(tmp_path: Path, config):
-    operators.save(tmp_path, operator(config), config, PLANT)
+    operators.save(tmp_path, operator(config), config)
     assert isinstance(operators.read(tmp_path, PLANT, precision=np.float64, table=config), operators.Operator)
 
 
@@ -69,7 +69,7 @@ def test_an_anchor_at_rest_needs_a_plant_with_one(tmp_path: Path):
     class Tracking:
         name, n, m, rest, phased = "tracking", 2, 1, None, False
 
-    operators.save(tmp_path, operator(SMALL[0]), SMALL[0], PLANT)
+    operators.save(tmp_path, operator(SMALL[0]), SMALL[0])
     with pytest.raises(ConfigError, match="anchor: expected a plant with an equilibrium, tracking has none"):
         operators.read(tmp_path, Tracking())  # type: ignore[arg-type]
 

@@ -14,6 +14,7 @@ from npred.loop.closed_loop import simulate
 from npred.loop.controller import Controller
 from npred.plants.black_box import BlackBox
 from npred.runtimes import c_network, onnx
+from npred.stages.configuration import identity
 from npred.stages.evaluate import evaluate
 from npred.stages.generate import generate
 from npred.stages.train import train
@@ -147,24 +148,25 @@ def test_identity_follows_the_file_the_parameters_and_the_files_it_reads(write, 
     data = tmp_path / "data.txt"
     data.write_text("1")
     more = f"\n    files = ({str(data)!r},)\n"
-    before = plants.resolve(write(more=more)).identity
+    before = identity(plants.resolve(write(more=more)))
     data.write_text("2")
-    changed = plants.resolve(write(more=more)).identity
-    commented = plants.resolve(write(more=more + "# a comment\n")).identity
-    other = plants.resolve(write(more=more + "    more = 1\n")).identity
+    changed = identity(plants.resolve(write(more=more)))
+    commented = identity(plants.resolve(write(more=more + "# a comment\n")))
+    other = identity(plants.resolve(write(more=more + "    more = 1\n")))
     assert commented == changed
     assert before["program"]["source"] == changed["program"]["source"] != other["program"]["source"]
-    assert before["program"]["files"] != changed["program"]["files"] == other["program"]["files"]
-    assert set(before["program"]["files"]) == {"data.txt"}
+    read = "files.data.txt"
+    assert before["program"][read] != changed["program"][read] == other["program"][read]
+    assert set(before["program"]) == {"source", read}
     for name, same in (("data.txt", False), ("data.py", True)):
         read, files = tmp_path / name, []
         for text in ("1", "1  # a comment"):
             read.write_text(text)
             more = f"\n    files = ({str(read)!r},)\n"
-            files.append(plants.resolve(write(more=more)).identity["program"]["files"])
+            files.append(identity(plants.resolve(write(more=more)))["program"][f"files.{name}"])
         assert (files[0] == files[1]) is same
     with pytest.raises(ConfigError, match="files expected a file to read at"):
-        _ = plants.resolve(write(more="\n    files = ('nowhere.urdf',)\n")).identity
+        _ = identity(plants.resolve(write(more="\n    files = ('nowhere.urdf',)\n")))
 
 
 def test_a_function_of_time_is_found_out(write):

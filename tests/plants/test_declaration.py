@@ -8,9 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from npred import config
 from npred.errors import ConfigError
 from npred.plants.base import Plant
 from npred.plants.declaration import Declaration
+from npred.stages.configuration import Slices, identity
 from npred.symbolic import array_math
 
 
@@ -100,12 +102,12 @@ def test_what_a_function_returns_is_checked(name, value):
     values = value if name == "V" else [value]
     place = r"\(test_declaration.py:\d+\)"
     with pytest.raises(ConfigError, match=f"Tank: {name} {place} expected to return numbers and formulas, got"):
-        _ = plant(**{name: staticmethod(lambda *_: values)}).identity
+        _ = identity(plant(**{name: staticmethod(lambda *_: values)}))
 
 
 def test_one_sided_input_bounds_are_part_of_a_json_identity():
     assert plant(input_bounds=np.array([[0.0, math.inf]])).input_bounds == [(0.0, math.inf)]
-    assert json.loads(json.dumps(plant(input_bounds=[(0, math.inf)]).identity, allow_nan=False))["input_bounds"] == [
+    assert json.loads(json.dumps(identity(plant(input_bounds=[(0, math.inf)])), allow_nan=False))["input_bounds"] == [
         [0.0, "inf"]
     ]
 
@@ -117,8 +119,9 @@ def test_a_bare_number_is_one_component_on_arrays_too():
 
 def test_labels_and_units_are_no_part_of_what_a_result_depends_on():
     named = plant(labels={"h": "level"}, units={"h": "m", "q": "m^3/h"}, time_unit="h")
-    assert named.notation == {"labels": {"h": "level"}, "units": {"h": "m", "q": "m^3/h"}, "time_unit": "h"}
-    assert named.identity == plant().identity and plant().notation == {}
+    written = Slices(config.Pipeline(plant=""), named, None, "cpu").notation["notation"]
+    assert written == {"labels": {"h": "level"}, "units": {"h": "m", "q": "m^3/h"}, "time_unit": "h", "figure": ""}
+    assert identity(named) == identity(plant())
 
 
 def test_every_part_that_is_read_stands_on_the_page_of_the_declaration():

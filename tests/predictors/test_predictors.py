@@ -20,6 +20,7 @@ from npred.loop.controller import Controller
 from npred.predictors import RK4, Euler, Picard, Predictor
 from npred.registry import METHODS
 from npred.runtimes import predictor as predictor_of
+from npred.stages.configuration import identity
 
 PLANT = plants.resolve("activator_repressor")
 SCALAR = plants.resolve("scalar", {"a": 0.8})
@@ -224,7 +225,7 @@ def test_a_predictor_pickles_without_what_it_compiled(kind):
     predictor, u = kind(SCALAR, 5), np.linspace(0, 1, 5)[:, None]
     P = predictor([1.0], u, 0.4)
     copy = pickle.loads(pickle.dumps(predictor))
-    assert (copy.nx, copy.name, copy.plant.identity) == (5, predictor.name, SCALAR.identity)
+    assert (copy.nx, copy.name, identity(copy.plant)) == (5, predictor.name, identity(SCALAR))
     np.testing.assert_array_equal(copy([1.0], u, 0.4), P)
 
 

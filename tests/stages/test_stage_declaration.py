@@ -1,4 +1,4 @@
-"""A stage is a folder that declares itself, and a name."""
+"""A stage is a folder of two files, and a name."""
 
 import json
 import subprocess
@@ -13,27 +13,23 @@ FILES = {
 
 from npred.stages.declaration import Stage
 
-STAGE = Stage(__name__, 1, ("generate",), "npred.stages.probe.probe:Probed", table_class="Probe")
+STAGE = Stage(
+    __name__, 1, ("generate",), "npred.stages.probe.probe:Probed", table_class="npred.stages.probe.probe:Probe"
+)
+
+
+def key(slices):
+    return {"probe": slices.config.optional("probe").model_dump(mode="json")}
 ''',
-    "table.py": '''
+    "probe.py": '''
 from npred.config.section import Count, Section
+from npred.results import Generated, Result
 
 
 class Probe(Section):
     """What is asked."""
 
     times: Count = 1  #: how often rows count
-''',
-    "key.py": """
-def configuration(config, model, device):
-    return {"probe": config.optional("probe").model_dump(mode="json")}
-
-
-def parts(config, model):
-    return {}
-""",
-    "probe.py": '''
-from npred.results import Generated, Result
 
 
 class Probed(Result):

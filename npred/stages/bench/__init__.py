@@ -1,12 +1,31 @@
 """The time of a predictor call, each with its error beside it."""
 
+from typing import TYPE_CHECKING, Any
+
+from npred import registry
 from npred.stages.declaration import Stage
+
+if TYPE_CHECKING:
+    from npred.stages.configuration import Slices
 
 STAGE = Stage(
     __name__,
     version=12,
     upstream=("generate", "train"),
     result_class="npred.results:Benched",
-    data=r"times\.h5",
-    draws=True,
 )
+
+
+def key(slices: "Slices") -> dict[str, Any]:
+    """The table, the predictors that are timed, and the machine."""
+    from npred.parallel import devices
+    from npred.stages.configuration import table
+
+    bench = slices.config.bench
+    section = table(bench) | {
+        "runtimes": [*map(registry.RUNTIMES.identity, bench.runtimes)],
+        "baselines": [*map(registry.BASELINES.identity, bench.baselines)],
+    }
+    methods = [*map(registry.METHODS.identity, slices.config.methods)]
+    timed = {"bench": section, "methods": methods, "hardware": devices.hardware(slices.device)}
+    return timed | slices.mechanics | slices.networks | slices.box

@@ -1,13 +1,29 @@
 """Bound a network's error by fresh rollouts, search for its worst inputs, and test its guard."""
 
+from typing import TYPE_CHECKING, Any
+
+from npred import registry
 from npred.stages.declaration import Stage
+
+if TYPE_CHECKING:
+    from npred.stages.configuration import Slices
 
 STAGE = Stage(
     __name__,
     version=11,
     upstream=("generate", "train"),
     result_class="npred.results:Certified",
-    data=r"(errors|worst)\.h5",
-    draws=True,
-    table_class="Certify",
+    table_class="npred.stages.certify.table:Certify",
 )
+NO_LOOPS_OF_IT = ("scenarios", "map_D", "map_D_hat0")
+
+
+def key(slices: "Slices") -> dict[str, Any]:
+    """The table; the distribution of the data, from which fresh rollouts are drawn; the loops are as in [evaluate]."""
+    from npred.stages.configuration import table
+
+    loops = {name: value for name, value in slices.loop("evaluate").items() if name not in NO_LOOPS_OF_IT}
+    tables = {"certify": table(slices.config.optional("certify")), "evaluate": loops}
+    searches = [registry.CERTIFICATES.identity(name) for name in registry.CERTIFICATES.names()]  # of packages
+    tables |= {"generate": slices.loop("generate"), "certificates": searches}
+    return tables | slices.networks | slices.box

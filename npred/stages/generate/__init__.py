@@ -1,11 +1,26 @@
 """Rollouts with the numerical predictor: the training data."""
 
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
 from npred.stages.declaration import Stage
+
+if TYPE_CHECKING:
+    from npred.stages.configuration import Slices
 
 STAGE = Stage(
     __name__,
     version=4,
     upstream=(),
     result_class="npred.results:Generated",
-    data=r"data(-\d{5,})?\.h5",
 )
+
+
+def key(slices: "Slices") -> dict[str, Any]:
+    """The table; data of a file enter by what they are."""
+    from npred.stages.configuration import content
+
+    section = slices.loop("generate")
+    if section["data"]:
+        section["data"] = content("generate.data", Path(section["data"]))
+    return {"generate": section}

@@ -16,6 +16,7 @@ from npred.parallel import devices
 from npred.plants import Plant, inputs
 from npred.predictors import Predictor, numerical
 from npred.registry import DELAY_LAWS, METHODS
+from npred.stages.configuration import identity
 from npred.stages.generate import sampling
 
 Columns = dict[str, np.ndarray]
@@ -28,7 +29,7 @@ def surroundings(pipeline: Pipeline, plant: Plant) -> dict[str, Any]:
     """All that has to be the same in every process that makes rows of one data set."""
     versions = devices.packages(*PACKAGES) | {"compiler": compiler.version()}
     return {
-        "plant": plant.identity,
+        "plant": identity(plant),
         "delay law": DELAY_LAWS.identity(pipeline.generate.adaptation),
         "predictor": METHODS.identity(pipeline.generate.predictor),
         **versions,

@@ -1,13 +1,27 @@
 """The delay and the parameters of a plant by a recording of it, and what the recording does not tell."""
 
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
 from npred.stages.declaration import Stage
+
+if TYPE_CHECKING:
+    from npred.stages.configuration import Slices
 
 STAGE = Stage(
     __name__,
     version=1,
     upstream=(),
     result_class="npred.results:IdentifiedResult",
-    data=r"identified\.h5",
-    draws=True,
-    table_class="Identify",
+    table_class="npred.stages.identify.table:Identify",
 )
+
+
+def key(slices: "Slices") -> dict[str, Any]:
+    """The table; the recording enters by what it holds, and the measured outputs by their formulas."""
+    from npred.stages.configuration import content, table
+
+    section = table(slices.config.optional("identify"))
+    if section["data"]:
+        section["data"] = content("identify.data", Path(section["data"]))
+    return {"identify": section, "outputs": list(slices.plant.outputs)} | slices.output

@@ -8,6 +8,7 @@ from varying_delays import InTime
 import npred
 from npred import config, defaults, diagnosis, plants
 from npred.predictors import RK4
+from npred.stages.configuration import identity
 
 PLANT = plants.resolve("unicycle_time_delay")
 
@@ -15,7 +16,7 @@ PLANT = plants.resolve("unicycle_time_delay")
 def test_all_but_the_delay_is_the_unicycles():
     unicycle = plants.resolve("unicycle")
     for name in ("f", "kappa", "V", "reference"):
-        assert PLANT.identity["program"][name] == unicycle.identity["program"][name]
+        assert identity(PLANT)["program"][name] == identity(unicycle)["program"][name]
     assert PLANT.one_delay and PLANT.delays is None and PLANT.box == unicycle.box
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from fake_gpu import FakeGpu
+from npred.stages.train.summary import summary
 from operator_samples import PLANT, samples
 from silent import Silent
 
@@ -17,7 +18,6 @@ from npred.data.dataset import MEANING, Dataset
 from npred.operators import describe, load
 from npred.results import Trained
 from npred.stages.job import Job
-from npred.stages.train.summary import summary
 from npred.stages.train.train import run
 from npred.training import captured
 
