@@ -114,15 +114,10 @@ def _loaded(
 
 
 def _controller_files(options: Exporting, key: str, output: Path | None) -> None:
-    """Write the header and the source, and the gateway of a MEX file.
-
-    Raises ConfigError as npred.runtimes.c_controller.sources does.
-    """
+    """Write the header and the source. Raises ConfigError as npred.runtimes.c_controller.sources does."""
     folder = writable_folder(output or Path(options.name), "controller")
     built = _built(options, key)
-    files, digest = c_controller.write(
-        built.controller, folder, options.name, options.precision, built.about, options.mex
-    )
+    files, digest = c_controller.write(built.controller, folder, options.name, options.precision, built.about)
     written = [str(file) for file in files]
     document = {"files": written} | built.document(options, "controller") | {"digest": digest}
     options.show(document, lambda: f"{', '.join(written)}: {built.controller!r} in {options.precision} precision")

@@ -183,7 +183,6 @@ class Exporting(Common):
     platforms: Annotated[
         str, flag("An FMU's machines, by ziglang, as linux64,win64,darwin64; by default this one.", word="NAME,…")
     ] = ""
-    mex: Annotated[bool, flag("A controller's gateway to MATLAB and Octave too, NAME_mex.c.", "--mex")] = False
 
     @property
     def overrides(self) -> list[str]:

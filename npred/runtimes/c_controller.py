@@ -69,23 +69,15 @@ def sources(
 
 
 def write(
-    controller: Controller, folder: Path, name: str = "npred", precision: str = "double", model: str = "",
-    mex: bool = False,
-) -> tuple[list[Path], str]:  # fmt: skip
-    """Write NAME.h, NAME.c and, with `mex`, the gateway NAME_mex.c; the files and their digest. Raises as `sources`."""
+    controller: Controller, folder: Path, name: str = "npred", precision: str = "double", model: str = ""
+) -> tuple[list[Path], str]:
+    """Write NAME.h and NAME.c; the files and their digest. Raises as `sources`."""
     header, source = sources(controller, name, precision, model)
     texts = {f"{name}.h": header, f"{name}.c": source}
-    if mex:
-        texts[f"{name}_mex.c"] = gateway(controller, name, precision)
     folder.mkdir(parents=True, exist_ok=True)
     for file, text in texts.items():
         (folder / file).write_text(text, encoding="utf-8")
     return [folder / file for file in texts], digest(header)
-
-
-def gateway(controller: Controller, name: str = "npred", precision: str = "double") -> str:
-    """NAME_mex.c, which makes the C that `sources` gives with this name and precision a function of MATLAB."""
-    return c_files.filled("gateway.c", name, precision, {"RECALLS": bool(controller.settings.recalls)})
 
 
 def D_hat_bounds(controller: Controller) -> tuple[float, float]:
