@@ -16,7 +16,7 @@ from npred.cli.recorded import Recorded
 from npred.registry import STAGES, declared_stage
 
 RUN, LOOK, CARE = "Run", "Look", "Look after"
-FORMS = ("onnx", "c", "controller", "fmu", "npy", "hdf5", "mat")
+FORMS = ("onnx", "c", "controller", "fmu")
 MEDIA = ("ieee1", "ieee2", "page", "slides")
 RESULT = argument("STAGE/KEY", "A result, as for show.", completion.artifacts)
 
@@ -280,44 +280,22 @@ def export(
         str,
         argument(
             "|".join(FORMS),
-            "A model as ONNX graph or C99 file, the whole controller as C99 or FMU; data as the others.",
+            "A model as ONNX graph or C99 file, the whole controller as C99 or FMU.",
             completion.words(*FORMS),
         ),
     ],
-    key: Annotated[
-        str, argument("KEY", "PIPELINE:MODEL or MODEL; PIPELINE for data; a folder or key.", completion.artifacts)
-    ],
+    key: Annotated[str, argument("KEY", "PIPELINE:MODEL or MODEL; a folder or key.", completion.artifacts)],
     output: Annotated[
         Path | None,
         flag(
-            "The file; by default MODEL-NX.onnx or .c, data.npy, .h5, .mat; a controller's folder, NAME.fmu.",
+            "The file; by default MODEL-NX.onnx or .c; a controller's folder, NAME.fmu.",
             "-o",
             "--output",
         ),
     ] = None,
 ) -> None:
-    """A trained model, P and U = kappa(P(1)), the whole controller of the evaluated loop, or the data, for another
-    program."""
+    """A trained model, P and U = kappa(P(1)), or the whole controller of the evaluated loop, for another program."""
     cli.export.export(options, form, key, output)
-
-
-@command(LOOK)
-def import_(
-    options: Common,
-    *,
-    form: Annotated[str, argument("npy", "The format: the layout that [DAPF]'s authors published.")],
-    inputs: Annotated[Path, argument("INPUTS", "Rows of D_hat, inputs, states, node after node.")],
-    outputs: Annotated[Path, argument("OUTPUTS", "Rows of P, one number per state, node after node.")],
-    plant_name: Annotated[
-        str, flag("The plant whose samples they are: a name or my_plant.py:Tank.", "--plant", offers=completion.plants)
-    ] = "activator_repressor",
-    rollouts: Annotated[
-        int | None, flag("How many rollouts, if the rows of one lie together: to hold out whole ones.", least=2)
-    ] = None,
-    output: Annotated[Path, flag("The HDF5 file to write.", "-o", "--output")] = Path("data.h5"),
-) -> None:
-    """Data of others as a file that a pipeline can train on, checked against the predictor equation."""
-    cli.data_exchange.bring(options, form, inputs, outputs, plant_name, rollouts, output)
 
 
 @command(CARE)

@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from npred import config, defaults, grid, operators, plants
-from npred.cli import data_exchange
 from npred.cli.options import Exporting, writable, writable_folder
 from npred.conditions import condition
 from npred.config import Evaluate
@@ -64,7 +63,6 @@ def export(options: Exporting, form: str, key: str, output: Path | None) -> None
         **dict.fromkeys(("onnx", "c"), lambda: _model(options, form, key, output)),
         "controller": lambda: _controller_files(options, key, output),
         "fmu": lambda: _fmu(options, key, output),
-        **dict.fromkeys(data_exchange.WRITERS, lambda: data_exchange.export(options, form, key, output)),
     }
     if form not in forms:
         raise ConfigError(unlisted("export", form, forms))

@@ -63,7 +63,7 @@ def test_results_of_the_store(offered, call: Call):
     assert offered("npred show ") == []
     made = {row["stage"]: row["key"] for row in document(call("generate", "tiny.toml", "--json"))["stages"]}
     name = f"generate/{made['generate'][:12]}"
-    for line in ("npred show ", "npred diff gen", "npred export-artifact ", "npred export npy "):
+    for line in ("npred show ", "npred diff gen", "npred export-artifact ", "npred export onnx "):
         assert offered(line) == [name]
     assert offered("npred show --store elsewhere ") == []
 
