@@ -153,21 +153,21 @@ def _some(rows: np.ndarray) -> np.ndarray:
     return rows[np.unique(np.linspace(0, len(rows) - 1, PROBED).astype(int))]
 
 
-def doubts(found: dict[str, Any], nx: int) -> list[str]:
+def doubts(measured: dict[str, Any], nx: int) -> list[str]:
     """What the checks say against the samples, in words."""
     lines = [
         f"{state}: P = X + D_hat ∫ f(P, u) leaves {100 * relative:.3g} % of what P moves: is it another plant?"
-        for state, relative in found["relative"].items()
+        for state, relative in measured["relative"].items()
         if not relative <= RELATIVE
     ]
     lines += [
         f"{state}: P(0) is up to {off:.3g} from X: does the first node lie at x = 0?"
-        for state, off in found["start"].items()
+        for state, off in measured["start"].items()
         if not off <= START
     ]
-    if not abs(found["horizon"] - 1) <= CELL / (nx - 1):
+    if not abs(measured["horizon"] - 1) <= CELL / (nx - 1):
         lines.append(
-            f"P fits {found['horizon']:.4f} D_hat better: do the nodes end at x = 1? Expected linspace(0, 1, nx)"
+            f"P fits {measured['horizon']:.4f} D_hat better: do the nodes end at x = 1? Expected linspace(0, 1, nx)"
         )
     return lines
 
@@ -178,21 +178,21 @@ def bring(inputs: Path, outputs: Path, name: str, rollouts: int | None, output: 
         raise ConfigError(f"--output: expected another file than the two, got {output}; name one")
     plant = plants.resolve(name)
     data = samples(plant, read(inputs), read(outputs), rollouts)
-    nx, found = data.u.shape[1], checks(plant, data)
-    for line in doubts(found, nx):
+    nx, measured = data.u.shape[1], checks(plant, data)
+    for line in doubts(measured, nx):
         console.warn(line)
     if rollouts and together(data) < SHUFFLED:
         console.warn("the rows look shuffled: no nearer to their rollout than by chance; leave out --rollouts")
     with room_on_disk(output):
         data.write(output, attributes(plant, "imported"))
     start, residual, relative = (
-        ", ".join(f"{state} {value:.3g}" for state, value in found[key].items())
+        ", ".join(f"{state} {value:.3g}" for state, value in measured[key].items())
         for key in ("start", "residual", "relative")
     )
     console.out(f"{output}: {len(data)} samples on {nx} nodes for plant {plant.name}")
     console.out(f"sup |P(0) - X|: {start}")
     console.out(f"sup residual of P = X + D_hat ∫ f(P, u): {residual}")
-    console.out(f"rms of it over rms of P - X: {relative}; P fits {found['horizon']:.4f} D_hat best")
+    console.out(f"rms of it over rms of P - X: {relative}; P fits {measured['horizon']:.4f} D_hat best")
     splits = {"rows": split(len(data), None)[1]} | ({"rollouts": data.test} if rollouts else {})
     for kind, test in splits.items():
         away = f"the nearest training row {nearest(data, test):.3g} deviations away"
@@ -209,9 +209,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--plant", default="activator_repressor", help="a name or my_plant.py:Tank")
     parser.add_argument("--rollouts", type=int, help="how many, if the rows of one lie together: whole ones held out")
     parser.add_argument("-o", "--output", type=Path, default=Path("theirs.h5"), help="the HDF5 file to write")
-    given, console = parser.parse_args(arguments), Console()
+    asked, console = parser.parse_args(arguments), Console()
     try:
-        bring(given.inputs, given.outputs, given.plant, given.rollouts, given.output, console)
+        bring(asked.inputs, asked.outputs, asked.plant, asked.rollouts, asked.output, console)
     except NpredError as error:
         console.error(str(error))
         return error.exit_code

@@ -18,7 +18,7 @@ FLOORS = [
     {"data", "laws", "operators", "recordings"},
     {"delays", "training"},
     {"bounds", "observers", "predictors", "safety"},
-    {"conditions", "diagnosis", "identification", "loop", "runtimes"},
+    {"conditions", "diagnosis", "exports", "identification", "loop", "runtimes"},
     {"figures", "rig", "tuning"},
     {"stages"},
     {"pipeline"},

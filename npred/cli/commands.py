@@ -2,8 +2,9 @@
 that `npred --help` is quick.
 """
 
+import inspect
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -11,12 +12,23 @@ import npred
 from npred import cli
 from npred.cli import completion
 from npred.cli.app import Command, Group, app, command, with_flags
-from npred.cli.options import Common, Exporting, Planned, Rigged, Running, Timed, Work, argument, flag
+from npred.cli.options import (
+    Common,
+    Exporting,
+    ExportingLoop,
+    Planned,
+    Rigged,
+    Running,
+    Timed,
+    Work,
+    argument,
+    flag,
+)
 from npred.cli.recorded import Recorded
+from npred.exports import FORMATS
 from npred.registry import STAGES, declared_stage
 
 RUN, LOOK, CARE = "Run", "Look", "Look after"
-FORMS = ("onnx", "c", "controller", "fmu")
 MEDIA = ("ieee1", "ieee2", "page", "slides")
 RESULT = argument("STAGE/KEY", "A result, as for show.", completion.artifacts)
 
@@ -272,30 +284,45 @@ def init(
     cli.scaffold.init(options, name, source)
 
 
-@command(LOOK, waits="reading what is to be exported, writing and testing it: some seconds, minutes for large networks")
-def export(
-    options: Exporting,
-    *,
-    form: Annotated[
-        str,
-        argument(
-            "|".join(FORMS),
-            "A model as ONNX graph or C99 file, the whole controller as C99 or FMU.",
-            completion.words(*FORMS),
-        ),
-    ],
-    key: Annotated[str, argument("KEY", "PIPELINE:MODEL or MODEL; a folder or key.", completion.artifacts)],
-    output: Annotated[
-        Path | None,
-        flag(
-            "The file; by default MODEL-NX.onnx or .c; a controller's folder, NAME.fmu.",
-            "-o",
-            "--output",
-        ),
-    ] = None,
-) -> None:
-    """A trained model, P and U = kappa(P(1)), or the whole controller of the evaluated loop, for another program."""
-    cli.export.export(options, form, key, output)
+exporting = typer.Typer(cls=Group, no_args_is_help=True, help="A controller or a trained network for another program.")
+app.add_typer(exporting, name="export", rich_help_panel=LOOK)
+
+
+def _add_format(form: str) -> None:
+    """A command that writes a format, whose options are its flags."""
+    declared = FORMATS[form]
+
+    def write(
+        options: Exporting,
+        *,
+        key: Annotated[str, argument("KEY", "PIPELINE:MODEL or MODEL; a folder or key.", completion.artifacts)],
+        output: Annotated[
+            Path | None, flag("The file, or the folder of a controller's; named by default.", "-o", "--output")
+        ] = None,
+        **values: Any,
+    ) -> None:
+        cli.export.export(options, form, key, output, values)
+
+    first, *shared, _ = inspect.signature(write).parameters.values()
+    flags = [
+        inspect.Parameter(
+            name,
+            inspect.Parameter.KEYWORD_ONLY,
+            default=option.default or "",
+            annotation=Annotated[
+                str if option.default == () else type(option.default), flag(option.help, word=option.word)
+            ],
+        )
+        for name, option in declared.options.items()
+    ]
+    first = first.replace(annotation=Exporting if declared.network else ExportingLoop)
+    write.__signature__ = inspect.Signature([first, *shared, *flags])  # type: ignore[attr-defined]
+    waits = "reading, writing and testing it: some seconds, minutes for large networks"
+    command(LOOK, to=exporting, name=form, help=declared.help, waits=waits)(write)
+
+
+for _form in FORMATS:
+    _add_format(_form)
 
 
 @command(CARE)

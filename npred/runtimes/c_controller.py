@@ -10,6 +10,7 @@ import numpy as np
 import npred
 from npred.delays import family_of
 from npred.errors import ConfigError, unlisted
+from npred.exports import Exported, WholeController
 from npred.kernels.c_text import comment, constant, literal, single
 from npred.kernels.kernel import Kernel, skeleton
 from npred.loop import signals
@@ -68,16 +69,16 @@ def sources(
     return header, source
 
 
-def write(
-    controller: Controller, folder: Path, name: str = "npred", precision: str = "double", model: str = ""
-) -> tuple[list[Path], str]:
-    """Write NAME.h and NAME.c; the files and their digest. Raises as `sources`."""
-    header, source = sources(controller, name, precision, model)
-    texts = {f"{name}.h": header, f"{name}.c": source}
-    folder.mkdir(parents=True, exist_ok=True)
-    for file, text in texts.items():
-        (folder / file).write_text(text, encoding="utf-8")
-    return [folder / file for file in texts], digest(header)
+def export(of: WholeController, path: Path, *, name: str, precision: str) -> Exported:
+    """Write NAME.h and NAME.c to a folder. Raises as `sources`, and ConfigError for a path that is a C file's."""
+    if path.suffix in (".c", ".h"):
+        raise ConfigError(f"path: expected a folder, got {str(path)!r}; give the name of its files as name")
+    header, source = sources(of.controller, name, precision, of.about)
+    files = [path / f"{name}.h", path / f"{name}.c"]
+    path.mkdir(exist_ok=True)
+    for file, text in zip(files, (header, source), strict=True):
+        file.write_text(text, encoding="utf-8")
+    return Exported(files, {"digest": digest(header)}, f"{of.controller!r} in {precision} precision")
 
 
 def D_hat_bounds(controller: Controller) -> tuple[float, float]:
