@@ -44,7 +44,7 @@ class Format(NamedTuple):
 
 
 COMMON = {
-    "precision": Option("double", "Of its numbers.", "double|float"),
+    "precision": Option("double", "Type of its numbers.", "double|float"),
     "name": Option("npred", "What files and C names begin with."),
 }
 FORMATS = {

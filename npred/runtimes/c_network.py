@@ -63,12 +63,14 @@ def source(operator: TrainedOperator, plant: Plant, nx: int, samples: Samples) -
     require(operator, "export c", "use npred export onnx")
     n, m, count = plant.n, plant.m, len(samples[0])
     sizes = {"N_STATES": n, "M_INPUTS": m, "NX": nx, "SIZE_U": nx * m, "SIZE_P": nx * n, "SAMPLES": count}
+    numbers = [*(np.asarray(a, dtype=float) for a in samples), *_expected(operator, plant, samples)]
+    tested = dict(zip(("X", "u", "D_hat", "t", "P", "U", "size"), numbers, strict=True))
     about = f"The trained predictor of plant {comment(plant.name)} on {nx} nodes: P_hat(x), and U = kappa(P_hat(1))."
     included = {
         "about": f" * {about}",
         "sizes": f"enum {{ {', '.join(f'{name} = {value}' for name, value in sizes.items())} }};",
         "kernels": _kernels(kernel(fold(operator, plant, nx)), plant, nx),
-        "test": _test(operator, plant, samples),
+        "test": "\n".join(constant(f"test_{name}", values.reshape(-1)) for name, values in tested.items()),
     }
     variants = {"PHASED": plant.phased, "ONE_DELAY": plant.one_delay}
     return c_files.filled("network.c", variants=variants, included=included)
@@ -107,13 +109,6 @@ def _expected(operator: TrainedOperator, plant: Plant, samples: Samples) -> tupl
     U = plant.kappa(P[:, -1], t + D_hat) if plant.declares_delay else metrics.law(plant, P, t, D_hat)
     size = np.concatenate([np.abs(P).max(axis=(0, 1)), np.abs(U).max(axis=0)])
     return P, U, np.where(size > 0, size, 1.0)
-
-
-def _test(operator: TrainedOperator, plant: Plant, samples: Samples) -> str:
-    """The samples, and what is expected of them."""
-    columns = zip(("X", "u", "D_hat", "t"), (np.asarray(a, dtype=float) for a in samples), strict=True)
-    arrays = dict(columns) | dict(zip(("P", "U", "size"), _expected(operator, plant, samples), strict=True))
-    return "\n".join(constant(f"test_{name}", values.reshape(-1)) for name, values in arrays.items())
 
 
 def _outputs(path: Path, plant: Plant, nx: int, samples: Samples) -> tuple[np.ndarray, np.ndarray]:

@@ -70,10 +70,9 @@ def graph(operator: Operator, plant: Plant, nx: int) -> bytes:
     sample = (torch.ones(2, plant.n), torch.zeros(2, nx, plant.m), torch.ones(2), torch.ones(2))[: len(names)]
     model(*sample)  # the grid's matrices are cached as tensors before the tracer sees them
     with _quiet():
-        program = torch.onnx.export(
-            model, sample, input_names=names, output_names=OUTPUTS, opset_version=OPSET, dynamo=True,
-            dynamic_shapes=tuple({0: batch} for _ in names), external_data=False, verbose=False,
-        )  # fmt: skip
+        options = {"input_names": names, "output_names": OUTPUTS, "opset_version": OPSET, "external_data": False}
+        shapes = tuple({0: batch} for _ in names)
+        program = torch.onnx.export(model, sample, dynamo=True, dynamic_shapes=shapes, verbose=False, **options)
     assert program is not None
     return program.model_proto.SerializeToString()
 
