@@ -13,12 +13,12 @@ from npred.errors import ConfigError, similar, unlisted
 from npred.registry import attribute
 
 if TYPE_CHECKING:
+    import numpy as np
     from numpy.typing import ArrayLike
 
     from npred.loop.controller import Controller
     from npred.operators import TrainedOperator
     from npred.plants import Plant
-    from npred.runtimes import Samples
 
 
 class Option(NamedTuple):
@@ -113,7 +113,7 @@ class TrainedNetwork:
     operator: "TrainedOperator"
     plant: "Plant"
     nx: int
-    samples: "Samples"
+    samples: tuple["np.ndarray", "np.ndarray", "np.ndarray", "np.ndarray"]
     name: str = "network"
 
     @property
