@@ -95,7 +95,8 @@ def in_fmu(controller: Controller, folder: Path) -> Iterator[Step]:
     from fmpy.fmi3 import FMU3Slave
 
     path, dt = folder / "controller.fmu", controller.dt
-    listed = fmu.write(controller, path).variables
+    npred.export(controller, "fmu", path)
+    listed = fmu.variables(controller, controller.plant.target(0.0), arrays=True)
     described: Any
     described, unzipped = fmpy.read_model_description(str(path)), fmpy.extract(str(path))
     X_places = [k for k, variable in enumerate(listed) if variable.block == "X"]

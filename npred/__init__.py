@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from npred import plants as plants
     from npred.api import controller, guarded, load, plant, predictor
     from npred.diagnosis.delay_margin import delay_margin
+    from npred.exports import export
     from npred.identification.identify import identify
     from npred.loop.adaptation import DelayAdaptation
     from npred.loop.closed_loop import simulate
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
     from npred.loop.watchdog import Watchdog
     from npred.predictors import Predictor
     from npred.runs import evaluate, generate, train
-    from npred.runtimes.export import export
     from npred.safety import SafetyFilter
     from npred.stages.bench.comparison import compare
 
@@ -51,7 +51,7 @@ _HOME = dict.fromkeys(__all__, "api") | {
     "as_iosystem": "loop.iosystem",
     "compare": "stages.bench.comparison",
     "delay_margin": "diagnosis.delay_margin",
-    "export": "runtimes.export",
+    "export": "exports",
     "identify": "identification.identify",
     **dict.fromkeys(("evaluate", "generate", "train"), "runs"),
     "simulate": "loop.closed_loop",

@@ -55,7 +55,7 @@ class DivergedError(NpredError):
 
 
 EXTRAS = {  # the packages that a small installation lacks, by the extra that has them
-    "torch": "train", "onnx": "onnx", "onnxruntime": "onnx", "onnxscript": "onnx", "scipy": "mat",
+    "torch": "train", "onnx": "onnx", "onnxruntime": "onnx", "onnxscript": "onnx", "scipy": "experiments",
     "mcap": "mcap", "rosbags": "rosbag", "pyulog": "ulog",
 }  # fmt: skip
 

@@ -1,10 +1,13 @@
 """FMUs of controllers, stepped by FMPy as a simulation tool does it."""
 
 import shutil
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 
+from npred import exports
+from npred.exports import WholeController
 from npred.runtimes import fmu
 
 needs_cc = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler on this machine")
@@ -18,6 +21,11 @@ class Measured:
 
     def step(self, X, *measured):
         return self.controller.step(X, *measured[:1])
+
+
+class Written(NamedTuple):
+    variables: list[fmu.Variable]
+    facts: dict[str, Any]
 
 
 class InFmu:
@@ -124,6 +132,7 @@ class InFmu:
 
 
 def exported(controller, folder, version=3, **options):
-    """The path of the controller's FMU, and what the export says of it."""
+    """The path of the controller's FMU, its variables, and what the export says of it."""
     path = folder / f"controller{version}.fmu"
-    return path, fmu.write(controller, path, version=version, **options)
+    facts = exports.writer("fmu", {"fmi": version} | options)(WholeController(controller), path).facts
+    return path, Written(fmu.variables(controller, np.zeros(controller.plant.n), version == 3), facts)

@@ -73,8 +73,8 @@ CALLS: dict[str, tuple[Callable[[], Any], str]] = {
     "watchdog": (lambda: npred.Watchdog(0.1, then="hodl"), "hold"),
     "observed state": (lambda: npred.observers.EKF(TANK, outputs=("H",)), "h"),
     "form of an export": (lambda: npred.export(controller(), "fmi", "x.fmu"), "fmu"),
-    "precision": (lambda: npred.export(controller(), "c", "x.c", precision="Float"), "float"),
-    "platform": (lambda: npred.export(controller(), "fmu", "x.fmu", ["win46"]), "win64"),
+    "precision": (lambda: npred.export(controller(), "controller", "x", precision="Float"), "float"),
+    "platform": (lambda: npred.export(controller(), "fmu", "x.fmu", platforms=["win46"]), "win64"),
     "network": (lambda: npred.train("smoke", "deepnet"), "deeponet"),
     "free parameter": (
         lambda: npred.identify(TANK, "log.csv", columns={"q": "U", "h": "X"}, free=["are"]),

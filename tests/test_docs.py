@@ -22,6 +22,7 @@ from typer.testing import CliRunner
 
 from npred import config
 from npred.cli import app
+from npred.exports import FORMATS
 from npred_experiments import EXPERIMENTS
 from npred_experiments.experiment import load
 
@@ -231,8 +232,10 @@ def test_the_citation_file_names_every_preprint_that_is_reproduced():
 def test_the_reference_has_every_flag_and_every_key(extension: Callable[[str], Any]):
     reference = extension("reference")
     told = "\n".join(reference.commands())
-    flags = re.findall(r"--[a-z-]+", CliRunner().invoke(app, ["export", "--help"], env={"COLUMNS": "200"}).output)
-    assert set(flags) - {"--help"} <= set(re.findall(r"--[a-z-]+", told)) and "## npred plants check" in told
+    for form in FORMATS:
+        shown = CliRunner().invoke(app, ["export", form, "--help"], env={"COLUMNS": "200"}).output
+        assert set(re.findall(r"--[a-z-]+", shown)) - {"--help"} <= set(re.findall(r"--[a-z-]+", told))
+    assert "## npred plants check" in told and "## npred export fmu" in told
     keys = "\n".join(reference.configuration())
     for model in (config.Generate, config.DeepONet, config.FNO, config.Network, config.Evaluate, config.Bench):
         assert all(f"| `{name}` | " in keys for name in model.model_fields)

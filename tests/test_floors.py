@@ -18,7 +18,7 @@ FLOORS = [
     {"data", "laws", "operators", "recordings"},
     {"delays", "training"},
     {"observers", "predictors", "safety"},
-    {"conditions", "diagnosis", "identification", "loop", "runtimes"},
+    {"conditions", "diagnosis", "exports", "identification", "loop", "runtimes"},
     {"figures", "tuning"},
     {"stages"},
     {"pipeline"},

@@ -172,7 +172,6 @@ def test_to_train_takes_the_extra_and_is_refused_before_anything_runs(command, t
             ["export", "onnx", "p.toml:fno"],
             "export onnx: expected the package torch, found none; pip install 'npred[onnx]'",
         ),
-        (["export", "mat", "p.toml"], "export mat: expected the package scipy, found none; pip install 'npred[mat]'"),
         (["certify", "p.toml"], f"certify: the gradient of a network: expected the package torch, found none; {TRAIN}"),
         (["evaluate", "p.toml", "--device", "cuda"], f"--device: expected the package torch, found none; {TRAIN}"),
     ],

@@ -26,7 +26,7 @@ controller = npred.controller(
     plant, heun, law, dt=0.01, D_hat=0.6, actuator="history"
 )
 folder = Path(tempfile.mkdtemp())
-npred.export(controller, "c", folder / "firmware")
+npred.export(controller, "controller", folder / "firmware")
 npred.export(controller, "fmu", folder / "controller.fmu")
 for path in sorted(folder.rglob("*")):
     if path.is_file():

@@ -2,8 +2,9 @@
 that `npred --help` is quick.
 """
 
+import inspect
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -11,12 +12,12 @@ import npred
 from npred import cli
 from npred.cli.app import app, command, with_flags
 from npred.cli.identify import Recorded
-from npred.cli.options import Common, Exporting, Planned, Running, Work, argument, flag
+from npred.cli.options import Common, Exporting, ExportingLoop, Planned, Running, Work, argument, flag
 from npred.errors import ConfigError
+from npred.exports import FORMATS
 from npred.registry import COMMANDS, STAGES, declared_stage
 from npred.terminal.console import Console
 
-FORMS = ("onnx", "c", "controller", "fmu", "npy", "hdf5", "mat")
 MEDIA = ("ieee1", "ieee2", "page", "slides")
 RESULT = argument("STAGE/KEY", "A result, as for show.")
 
@@ -235,49 +236,45 @@ def init(
     cli.scaffold.init(options, name, source)
 
 
-@command(waits="reading what is to be exported, writing and testing it: some seconds, minutes for large networks")
-def export(
-    options: Exporting,
-    *,
-    form: Annotated[
-        str,
-        argument(
-            "|".join(FORMS),
-            "A model as ONNX graph or C99 file, the whole controller as C99 or FMU; data as the others.",
-        ),
-    ],
-    key: Annotated[str, argument("KEY", "PIPELINE:MODEL or MODEL; PIPELINE for data; a folder or key.")],
-    output: Annotated[
-        Path | None,
-        flag(
-            "The file; by default MODEL-NX.onnx or .c, data.npy, .h5, .mat; a controller's folder, NAME.fmu.",
-            "-o",
-            "--output",
-        ),
-    ] = None,
-) -> None:
-    """A trained model, P and U = kappa(P(1)), the whole controller of the evaluated loop, or the data, for another
-    program."""
-    cli.export.export(options, form, key, output)
+exporting = typer.Typer(no_args_is_help=True, help="A controller or a trained network for another program.")
+app.add_typer(exporting, name="export")
 
 
-@command()
-def import_(
-    options: Common,
-    *,
-    form: Annotated[str, argument("npy", "The format: the layout that [DAPF]'s authors published.")],
-    inputs: Annotated[Path, argument("INPUTS", "Rows of D_hat, inputs, states, node after node.")],
-    outputs: Annotated[Path, argument("OUTPUTS", "Rows of P, one number per state, node after node.")],
-    plant_name: Annotated[
-        str, flag("The plant whose samples they are: a name or my_plant.py:Tank.", "--plant")
-    ] = "activator_repressor",
-    rollouts: Annotated[
-        int | None, flag("How many rollouts, if the rows of one lie together: to hold out whole ones.", least=2)
-    ] = None,
-    output: Annotated[Path, flag("The HDF5 file to write.", "-o", "--output")] = Path("data.h5"),
-) -> None:
-    """Data of others as a file that a pipeline can train on, checked against the predictor equation."""
-    cli.data_exchange.bring(options, form, inputs, outputs, plant_name, rollouts, output)
+def _add_format(form: str) -> None:
+    """A command that writes a format, whose options are its flags."""
+    declared = FORMATS[form]
+
+    def write(
+        options: Exporting,
+        *,
+        key: Annotated[str, argument("KEY", "PIPELINE:MODEL or MODEL; a folder or key.")],
+        output: Annotated[
+            Path | None, flag("The file, or the folder of a controller's; named by default.", "-o", "--output")
+        ] = None,
+        **values: Any,
+    ) -> None:
+        cli.export.export(options, form, key, output, values)
+
+    first, *shared, _ = inspect.signature(write).parameters.values()
+    flags = [
+        inspect.Parameter(
+            name,
+            inspect.Parameter.KEYWORD_ONLY,
+            default=option.default or "",
+            annotation=Annotated[
+                str if option.default == () else type(option.default), flag(option.help, word=option.word)
+            ],
+        )
+        for name, option in declared.options.items()
+    ]
+    first = first.replace(annotation=Exporting if declared.network else ExportingLoop)
+    write.__signature__ = inspect.Signature([first, *shared, *flags])  # type: ignore[attr-defined]
+    waits = "reading, writing and testing it: some seconds, minutes for large networks"
+    command(to=exporting, name=form, help=declared.help, waits=waits)(write)
+
+
+for _form in FORMATS:
+    _add_format(_form)
 
 
 @command()

@@ -128,39 +128,27 @@ WATCHDOG = flag("How long a controller waits for a sample before it holds U, or 
 
 @dataclass(frozen=True)
 class Exporting(Common):
-    """Flags of `npred export`: what of the pipeline's loop is another in a controller's file, and more."""
+    """Flags of every `npred export`."""
 
     set: Annotated[list[str] | None, OVERRIDES] = None
-    nx: Annotated[
-        int | None, flag("Nodes of the actuator state, any number; by default 101, a controller's as in evaluate.")
-    ] = None
-    atol: Annotated[float, flag("How far an ONNX graph's P and U may be from the model's.")] = 1e-4
-    precision: Annotated[str, flag("A controller's numbers.", word="double|float")] = "double"
-    predictor: Annotated[
-        str, flag("A controller's numerical predictor, as rk4, instead of a network.", word="METHOD")
-    ] = ""
-    name: Annotated[str, flag("What a controller's files and C names begin with.")] = "npred"
-    actuator: Annotated[
-        str, flag("A controller's source of u; by default as in evaluate.", word="measured|history")
-    ] = ""
+    nx: Annotated[int | None, flag("Nodes of u; by default 101, a controller's as in evaluate.")] = None
+
+
+@dataclass(frozen=True)
+class ExportingLoop(Exporting):
+    """Flags of `npred export` of a controller: what of the pipeline's loop is another there."""
+
+    predictor: Annotated[str, flag("A numerical predictor, as rk4, instead of a network.", word="METHOD")] = ""
+    actuator: Annotated[str, flag("Source of u; by default as in evaluate.", word="measured|history")] = ""
     observer: Annotated[
-        str, flag("A controller's observer, as kind=ekf,offset=true; by default as in evaluate.", word="KEY=VALUE,…")
+        str, flag("Observer, as kind=ekf,offset=true; by default as in evaluate.", word="KEY=VALUE,…")
     ] = ""
     safety: Annotated[
-        str, flag("A controller's filter of U, as alpha=3,delay=0.02; by default as in evaluate.", word="KEY=VALUE,…")
+        str, flag("Filter of U, as alpha=3,delay=0.02; by default as in evaluate.", word="KEY=VALUE,…")
     ] = ""
-    guard: Annotated[
-        float | None, flag("A controller's guard: the largest error of U that passes; as in evaluate.")
-    ] = None
+    guard: Annotated[float | None, flag("Guard: the largest error of U that passes; as in evaluate.")] = None
     watchdog: Annotated[str, WATCHDOG] = ""
-    oldest: Annotated[
-        float | None, flag("How old a sample may be for a controller; by default 20 control steps.", word="TIME")
-    ] = None
-    fmi: Annotated[int, flag("An FMU's version of FMI.", word="3|2")] = 3
-    platforms: Annotated[
-        str, flag("An FMU's machines, by ziglang, as linux64,win64,darwin64; by default this one.", word="NAME,…")
-    ] = ""
-    mex: Annotated[bool, flag("A controller's gateway to MATLAB and Octave too, NAME_mex.c.", "--mex")] = False
+    oldest: Annotated[float | None, flag("How old a sample may be; by default 20 control steps.", word="TIME")] = None
 
     @property
     def overrides(self) -> list[str]:

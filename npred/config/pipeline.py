@@ -40,7 +40,7 @@ class Generate(Loop):
     spread: Delay = 0.0
     explore_D: Range = (0.25, 2.0)  #: D of exploring rollouts; times D
     explore_D_hat0: Range = (0.25, 3.5)  #: D_hat(0) of exploring rollouts, D_hat of redrawn rows; times D
-    data: str = ""  #: HDF5 samples of `npred import` or `npred export hdf5`, instead of rollouts
+    data: str = ""  #: samples of a file as data.h5 of this stage, instead of rollouts
 
     @property
     def explorers(self) -> int:

@@ -1,4 +1,4 @@
-"""Samples of the predictor operator as flat arrays in one HDF5 file, readable from MATLAB."""
+"""Samples of the predictor operator as flat arrays in one HDF5 file."""
 
 import json
 from dataclasses import dataclass, fields

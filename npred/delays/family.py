@@ -48,7 +48,6 @@ CURES = {  # what to use instead of what does not serve a plant
     "onnx": "use the runtime torch or fused",
     "export c": "use npred.controller",
     "export controller": "use npred.controller",
-    "import": "the files hold one D_hat per row",
 }
 BOUNDED = ("picard", "semi_implicit", "rollout", "adaptation", "observer", "bound")  # where states stop
 
@@ -109,9 +108,6 @@ class Family(ABC):
 
     def refusal(self, part: str) -> tuple[str, str] | None:
         """The reason that a method, delay law, runtime or format does not serve the plant, and the cure; else None."""
-        if part == "import" and self.plant.clocked:
-            reason = f"expected a prediction free of time, that of plant {self.plant.name} is not"
-            return reason, "the files hold no time"
         if part in self.lacks:
             return self.expected(), self.cures[part]
         if part in BOUNDED and self.plant.state_bounds:

@@ -25,7 +25,7 @@ from npred.symbolic.trace import Trace
 class DelayPerInput(Family):
     """Each input arrives r_j D late."""
 
-    lacks: ClassVar = ("picard", "semi_implicit", "adaptation", "bound", "import")
+    lacks: ClassVar = ("picard", "semi_implicit", "adaptation", "bound")
 
     @staticmethod
     def serves(plant: Plant) -> bool:

@@ -10,11 +10,11 @@ import numpy as np
 import npred
 from npred.delays import family_of
 from npred.errors import ConfigError, unlisted
+from npred.exports import Exported, WholeController
 from npred.kernels.c_text import comment, constant, literal, single
 from npred.kernels.kernel import Kernel, skeleton
 from npred.loop import signals
 from npred.loop.controller import SNAP, Controller
-from npred.plants.base import Plant
 from npred.predictors.guarded import bare
 from npred.runtimes import c_files, self_test
 from npred.runtimes.fused import Fused
@@ -24,12 +24,10 @@ NAME = re.compile(r"[a-z][a-z0-9_]{0,30}")
 PRECISIONS = {"float": np.float32, "double": np.float64}
 LIMITS = {"float": 1e-4, "double": 1e-10}  # of the test in the file, times what it amplifies rounding errors by
 WHAT = "export controller"
-# of the settings, those that a step reads
+# The settings that a step reads
 NUMBERS = ("dt", "b", "gate", "gamma_dt", "oldest", "after", "uncertain")
-FLAGS = ("recalls", "keeps", "gated", "observer_count", "offsets", "watched", "holds", "output_count", "end_count",
-         "pulls", "filter_count")  # fmt: skip
-ARRAYS = ("bounds", "input_bounds", "p", "ratios", "law", "guard", "reach", "sensing", "rescue", "jump", "safety",
-          "anew", "widens")  # fmt: skip
+FLAGS = "recalls keeps gated observer_count offsets watched holds output_count end_count pulls filter_count"
+ARRAYS = "bounds input_bounds p ratios law guard reach sensing rescue jump safety anew widens"
 
 
 def sources(
@@ -45,14 +43,31 @@ def sources(
         raise ConfigError(f"name: expected a short C identifier in lower case, got {name!r}; take npred")
     if precision not in PRECISIONS:
         raise ConfigError(unlisted("precision", precision, PRECISIONS))
-    _check(controller)
-    kernels = {part: kernel for part, kernel in _parts(controller, precision).items() if kernel}
+    family_of(controller.plant).needs(WHAT)
+    if not controller.predictor.compiled:
+        raise ConfigError(
+            f"{WHAT}: expected a predictor that is compiled, got {controller.predictor.name}; take a numerical one, or "
+            'load the network with runtime = "fused"'
+        )
+    if controller.parts["update"] and not isinstance(controller.parts["update"], Kernel):
+        law = type(controller.adaptation).__name__
+        raise ConfigError(f"{WHAT}: expected a delay law that is compiled, {law} runs in Python; take another")
+    parts, network = controller.parts, bare(controller.predictor)
+    if precision == "float" and hasattr(network, "operator"):  # that of a network in the precision of the file
+        stride = getattr(network, "stride", None)
+        fused = Fused(network.plant, network.operator, network.nx, network.name, stride)  # type: ignore[attr-defined]
+        parts = parts | {"predict": fused.on(network.nx)}
+    kernels = {part: kernel for part, kernel in parts.items() if kernel}
     variants = {
-        "RECALLS": bool(controller.settings.recalls), "KEEPS": controller.keeps_commands,
-        "WATCHES": "observe" in kernels, "FILTERS": controller.observer is not None, "TUNABLE": tunable,
-        "OFFSETS": bool(controller.settings.offsets), "PROTECTS": controller.safety is not None,
+        "RECALLS": bool(controller.settings.recalls),
+        "KEEPS": controller.keeps_commands,
+        "WATCHES": "observe" in kernels,
+        "FILTERS": controller.observer is not None,
+        "TUNABLE": tunable,
+        "OFFSETS": bool(controller.settings.offsets),
+        "PROTECTS": controller.safety is not None,
         "REPEATS": precision == "float" and bool(controller.plant.period),
-    }  # fmt: skip
+    }
     sizes = _sizes(controller, kernels, variants)
     included = {
         "about": "\n".join(f" * {comment(line)}" for line in _about(controller, precision, model)),
@@ -68,24 +83,16 @@ def sources(
     return header, source
 
 
-def write(
-    controller: Controller, folder: Path, name: str = "npred", precision: str = "double", model: str = "",
-    mex: bool = False,
-) -> tuple[list[Path], str]:  # fmt: skip
-    """Write NAME.h, NAME.c and, with `mex`, the gateway NAME_mex.c; the files and their digest. Raises as `sources`."""
-    header, source = sources(controller, name, precision, model)
-    texts = {f"{name}.h": header, f"{name}.c": source}
-    if mex:
-        texts[f"{name}_mex.c"] = gateway(controller, name, precision)
-    folder.mkdir(parents=True, exist_ok=True)
-    for file, text in texts.items():
-        (folder / file).write_text(text, encoding="utf-8")
-    return [folder / file for file in texts], digest(header)
-
-
-def gateway(controller: Controller, name: str = "npred", precision: str = "double") -> str:
-    """NAME_mex.c, which makes the C that `sources` gives with this name and precision a function of MATLAB."""
-    return c_files.filled("gateway.c", name, precision, {"RECALLS": bool(controller.settings.recalls)})
+def export(of: WholeController, path: Path, *, name: str, precision: str) -> Exported:
+    """Write NAME.h and NAME.c to a folder. Raises as `sources`, and ConfigError for a path that is a C file's."""
+    if path.suffix in (".c", ".h"):
+        raise ConfigError(f"path: expected a folder, got {str(path)!r}; give the name of its files as name")
+    header, source = sources(of.controller, name, precision, of.about)
+    files = [path / f"{name}.h", path / f"{name}.c"]
+    path.mkdir(exist_ok=True)
+    for file, text in zip(files, (header, source), strict=True):
+        file.write_text(text, encoding="utf-8")
+    return Exported(files, {"digest": digest(header)}, f"{of.controller!r} in {precision} precision")
 
 
 def D_hat_bounds(controller: Controller) -> tuple[float, float]:
@@ -99,32 +106,7 @@ def digest(header: str) -> str:
     return re.findall(r'_DIGEST "([0-9a-f]{64})"', header)[0]
 
 
-def _check(controller: Controller) -> None:
-    """Raise ConfigError for a part that is no kernel."""
-    family_of(controller.plant).needs(WHAT)
-    if not controller.predictor.compiled:
-        raise ConfigError(
-            f"{WHAT}: expected a predictor that is compiled, got {controller.predictor.name}; take a numerical one, or "
-            'load the network with runtime = "fused"'
-        )
-    if controller.parts["update"] and not isinstance(controller.parts["update"], Kernel):
-        law = type(controller.adaptation).__name__
-        raise ConfigError(f"{WHAT}: expected a delay law that is compiled, {law} runs in Python; take another")
-
-
-def _parts(controller: Controller, precision: str) -> Mapping[str, Kernel | None]:
-    """The kernels of a step by their names in Parts; that of a network in the precision of the file."""
-    model = bare(controller.predictor)
-    if precision == "double" or not hasattr(model, "operator"):
-        return controller.parts
-    stride = getattr(model, "stride", None)
-    fused = Fused(model.plant, model.operator, model.nx, model.name, stride)  # type: ignore[attr-defined]
-    return controller.parts | {"predict": fused.on(model.nx)}
-
-
-def _sizes(
-    controller: Controller, kernels: Mapping[str, Kernel], variants: Mapping[str, bool]
-) -> dict[str, int]:  # fmt: skip
+def _sizes(controller: Controller, kernels: Mapping[str, Kernel], variants: Mapping[str, bool]) -> dict[str, int]:
     """The sizes of the C structs' arrays, by their names."""
     z, settings, nx = controller.memory, controller.settings, controller.predictor.nx
     sizes = {"N_STATES": controller.plant.n, "M_INPUTS": controller.plant.m, "NX": nx}
@@ -154,29 +136,25 @@ def _settings(
 ) -> str:
     """The numbers that the controller is set to, and the kernels by their parts, as constants."""
     low, high = D_hat_bounds(controller)
-    numbers = {
-        "DT": controller.dt, "D_HAT": controller.D_hat, "T0": controller.t, "D_HAT_LOW": low,
-        "SNAP": SNAP, "D_HAT_HIGH": high if np.isfinite(high) else np.finfo(PRECISIONS[real]).max,
-    }  # fmt: skip
+    numbers = {"DT": controller.dt, "D_HAT": controller.D_hat, "T0": controller.t, "D_HAT_LOW": low, "SNAP": SNAP}
+    numbers |= {"D_HAT_HIGH": high if np.isfinite(high) else np.finfo(PRECISIONS[real]).max}
     numbers |= {"PERIOD": controller.plant.period} if controller.plant.period else {}
     settings = controller.settings
-    arrays = {name: np.ravel(getattr(settings, name)).astype(float) for name in ARRAYS}
+    arrays = {name: np.ravel(getattr(settings, name)).astype(float) for name in ARRAYS.split()}
     start = controller.fresh().memory
     arrays |= {"u0": controller.u0, "clock": start.clock[:, 0]} if controller.keeps_commands else {}
     arrays |= {"filter": start.filter[:, 0]} if controller.observer else {}
     values = {name: literal(getattr(settings, name), real) for name in NUMBERS}
-    values |= {name: str(int(getattr(settings, name))) for name in FLAGS}
-    values |= {name: f"({real} *)the_{name}" for name in ARRAYS}
+    values |= {name: str(int(getattr(settings, name))) for name in FLAGS.split()}
+    values |= {name: f"({real} *)the_{name}" for name in ARRAYS.split()}
     shape = f"{sizes['NX']}, 1, {sizes.get('ROWS', 0)}, {controller.plant.n}, {controller.plant.m}"
     lines = [f"#define {prefix}_{name} {float(value)!r}" for name, value in numbers.items()]
     lines += [constant(f"the_{name}", a if a.size else np.zeros(1), real) for name, a in arrays.items()]
     lines += [f"static const Shape the_shape = {{{shape}}};"]
-    lines += [
-        "static const Settings the_settings = {",
-        *(f"    .{name} = {text}," for name, text in values.items()),
-        "};",
-    ]
-    lines += ["static const Parts the_parts = {", *(f"    .{name} = {k.name}," for name, k in kernels.items()), "};"]
+    pointers = {name: kernel.name for name, kernel in kernels.items()}
+    for kind, members in (("Settings", values), ("Parts", pointers)):
+        entries = (f"    .{name} = {text}," for name, text in members.items())
+        lines += [f"static const {kind} the_{kind.lower()} = {{", *entries, "};"]
     return "\n".join(lines)
 
 
@@ -184,20 +162,16 @@ def _about(controller: Controller, real: str, model: str) -> list[str]:
     """What the controller is made of, for the head of the file."""
     plant = controller.plant
     law = "frozen" if controller.adaptation is None else f"by {type(controller.adaptation).__name__}"
+    units = {name: f"{name} ({unit})" for name, unit in plant.units.items() if unit}
     return [
         f"The controller of plant {plant.name}, made by npred {npred.__version__}.",
         *([f"Model: {model}."] if model else []),
         f"Predictor {controller.predictor.name} on {controller.predictor.nx} nodes; D_hat {law}.",
         f"A control step each {plant.time_text(controller.dt, '')}; D_hat and t are in this unit too.",
         f"In {real} precision; {source_lines.ranges(plant.inputs, controller.settings.input_bounds)}.",
-        f"X: {', '.join(_with_unit(plant, name) for name in plant.states)}.",
-        f"U: {', '.join(_with_unit(plant, name) for name in plant.inputs)}.",
+        f"X: {', '.join(units.get(name, name) for name in plant.states)}.",
+        f"U: {', '.join(units.get(name, name) for name in plant.inputs)}.",
     ]
-
-
-def _with_unit(plant: Plant, name: str) -> str:
-    unit = plant.units.get(name, "")
-    return f"{name} ({unit})" if unit else name
 
 
 def _test(controller: Controller, real: str) -> str:

@@ -15,9 +15,12 @@ _NAMED = re.compile(r"\b(npred|NPRED)(?=[_.])")
 
 
 def filled(
-    file: str, name: str = "npred", real: str = "double", variants: Mapping[str, bool] = {},
+    file: str,
+    name: str = "npred",
+    real: str = "double",
+    variants: Mapping[str, bool] = {},
     included: Mapping[str, str] = {},
-) -> str:  # fmt: skip
+) -> str:
     """The text of a file of npred/runtimes/c.
 
     Its variants, `#if NAME`, are decided; npred_real is `real`; other words that begin with npred_ or NPRED_ begin with
@@ -53,18 +56,15 @@ def compiler() -> tuple[str, ...] | None:
     return found() or None
 
 
-def cross_compiler(what: str) -> tuple[str, ...]:
-    """The C compiler for other machines. Raises MissingError where it is not installed."""
-    required(f"export {what}", "ziglang", "ziglang", "zig")
-    return sys.executable, "-m", "ziglang", "cc"
-
-
 def build(sources: Iterable[Path], target: Path, what: str, *flags: str, other: str = "") -> None:
     """Compile C sources into a shared library, for this machine or for an `other`, as zig names it.
 
     Raises NpredError, in one line, where they do not compile, MissingError for another machine without ziglang.
     """
-    words = (*cross_compiler(what), "-target", other) if other else compiler() or ("cc",)
+    words = compiler() or ("cc",)
+    if other:
+        required(f"export {what}", "ziglang", "ziglang", "zig")
+        words = sys.executable, "-m", "ziglang", "cc", "-target", other
     command = [*words, *FLAGS, *flags, *map(str, sources), "-o", str(target), "-lm"]
     done = subprocess.run(command, capture_output=True, encoding="utf-8", errors="replace", timeout=600)
     if done.returncode:

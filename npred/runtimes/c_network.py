@@ -10,6 +10,7 @@ import numpy as np
 from npred import grid
 from npred.delays import family_of
 from npred.errors import NpredError
+from npred.exports import Exported, TrainedNetwork
 from npred.kernels.c_text import comment, constant
 from npred.kernels.formula import Strided, vector
 from npred.kernels.functions import Formulas
@@ -26,36 +27,30 @@ TESTED = 4  # samples of the test vector
 LIMIT = 1e-4  # of a state's or an input's size: the difference from the model that single precision makes
 
 
-def export(
-    operator: TrainedOperator, plant: Plant, path: Path, nx: int, samples: Samples
-) -> tuple[float, float] | None:
-    """Write the C file for nx nodes, its first TESTED samples as its test vector.
+def export(of: TrainedNetwork, path: Path) -> Exported:
+    """Write the C file of a network, its first TESTED samples as its test vector.
 
-    Returns the largest difference of P and U from the operator's in double precision, and npred.runtimes.eps:
-    the file is compiled and run before it is kept. None where there is no C compiler. Raises NpredError for a file that
-    differs by more than LIMIT of the states' and inputs' sizes, and as `source` does.
+    Where there is a C compiler, the file is compiled and run before it is kept. Raises NpredError for a file that
+    differs from the operator in double precision by more than LIMIT of the states' and inputs' sizes, and as `source`
+    does.
     """
+    operator, plant, samples = of.operator, of.plant, of.samples
     X, u, D_hat, t = (a[:TESTED] for a in samples)
-    text = source(operator, plant, nx, (X, u, D_hat, t))
+    text = source(operator, plant, of.nx, (X, u, D_hat, t))
     errors = None
     if c_files.compiler():
         with tempfile.TemporaryDirectory() as folder:
             trial = Path(folder) / "trial.c"
             trial.write_text(text, encoding="utf-8")
-            errors = _errors(operator, plant, samples, *_outputs(trial, plant, nx, samples))
+            P_hat, U_hat = _outputs(trial, plant, of.nx, samples)
+        P, U, size = _expected(operator, plant, samples)
+        gaps = np.concatenate([np.abs(P_hat - P).max(axis=(0, 1)), np.abs(U_hat - U).max(axis=0)])
+        if not (gaps <= LIMIT * size).all():
+            share = (gaps / size).max()
+            raise NpredError(f"export c: expected P and U within {LIMIT:g} of their sizes, got {share:.3g}; report it")
+        errors = float(gaps.max()), eps(plant, P_hat, samples)
     path.write_text(text, encoding="utf-8")
-    return errors
-
-
-def _errors(
-    operator: TrainedOperator, plant: Plant, samples: Samples, P_hat: np.ndarray, U_hat: np.ndarray
-) -> tuple[float, float]:  # fmt: skip
-    P, U, size = _expected(operator, plant, samples)
-    gaps = np.concatenate([np.abs(P_hat - P).max(axis=(0, 1)), np.abs(U_hat - U).max(axis=0)])
-    if not (gaps <= LIMIT * size).all():
-        share = (gaps / size).max()
-        raise NpredError(f"export c: expected P and U within {LIMIT:g} of their sizes, got {share:.3g}; report it")
-    return float(gaps.max()), eps(plant, P_hat, samples)
+    return of.exported(path, errors)
 
 
 def source(operator: TrainedOperator, plant: Plant, nx: int, samples: Samples) -> str:
@@ -68,12 +63,14 @@ def source(operator: TrainedOperator, plant: Plant, nx: int, samples: Samples) -
     require(operator, "export c", "use npred export onnx")
     n, m, count = plant.n, plant.m, len(samples[0])
     sizes = {"N_STATES": n, "M_INPUTS": m, "NX": nx, "SIZE_U": nx * m, "SIZE_P": nx * n, "SAMPLES": count}
+    numbers = [*(np.asarray(a, dtype=float) for a in samples), *_expected(operator, plant, samples)]
+    tested = dict(zip(("X", "u", "D_hat", "t", "P", "U", "size"), numbers, strict=True))
     about = f"The trained predictor of plant {comment(plant.name)} on {nx} nodes: P_hat(x), and U = kappa(P_hat(1))."
     included = {
         "about": f" * {about}",
         "sizes": f"enum {{ {', '.join(f'{name} = {value}' for name, value in sizes.items())} }};",
         "kernels": _kernels(kernel(fold(operator, plant, nx)), plant, nx),
-        "test": _test(operator, plant, samples),
+        "test": "\n".join(constant(f"test_{name}", values.reshape(-1)) for name, values in tested.items()),
     }
     variants = {"PHASED": plant.phased, "ONE_DELAY": plant.one_delay}
     return c_files.filled("network.c", variants=variants, included=included)
@@ -112,13 +109,6 @@ def _expected(operator: TrainedOperator, plant: Plant, samples: Samples) -> tupl
     U = plant.kappa(P[:, -1], t + D_hat) if plant.declares_delay else metrics.law(plant, P, t, D_hat)
     size = np.concatenate([np.abs(P).max(axis=(0, 1)), np.abs(U).max(axis=0)])
     return P, U, np.where(size > 0, size, 1.0)
-
-
-def _test(operator: TrainedOperator, plant: Plant, samples: Samples) -> str:
-    """The samples, and what is expected of them."""
-    columns = zip(("X", "u", "D_hat", "t"), (np.asarray(a, dtype=float) for a in samples), strict=True)
-    arrays = dict(columns) | dict(zip(("P", "U", "size"), _expected(operator, plant, samples), strict=True))
-    return "\n".join(constant(f"test_{name}", values.reshape(-1)) for name, values in arrays.items())
 
 
 def _outputs(path: Path, plant: Plant, nx: int, samples: Samples) -> tuple[np.ndarray, np.ndarray]:

@@ -57,9 +57,7 @@ def _bias(values: np.ndarray, rows: int) -> np.ndarray:
     return np.stack([np.zeros_like(values), values]) if rows == 2 else values[None]
 
 
-def _smooth(
-    p: Program, trunk: Layers, by_basis: np.ndarray, by_mean: np.ndarray, h: Matrix
-) -> tuple[Matrix, Matrix]:  # fmt: skip
+def _smooth(p: Program, trunk: Layers, by_basis: np.ndarray, by_mean: np.ndarray, h: Matrix) -> tuple[Matrix, Matrix]:
     """N = sum_k b_k t_k(x) + a v_zero of the first row, the trunk split by parity about the middle and by rank; and a.
 
     Even and odd functions are known by half of the nodes, and each is of about half the rank. Columns of zeros make

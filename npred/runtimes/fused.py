@@ -20,7 +20,7 @@ from npred.operators import TrainedOperator, Weights
 from npred.plants.base import Plant
 from npred.predictors.base import Compiled, Predictor
 from npred.registry import NETWORKS
-from npred.runtimes.program import Matrix, Operation, Program
+from npred.runtimes.program import Matrix, Program
 
 COARSE = 100  # intervals that an FNO is evaluated on, at least
 # 2^f on [-1/2, 1/2], to 2e-7 of the value and to 2e-16; (e^d - 1) / d on [-1/2, 1/2]: Taylor's, but for the shortest
@@ -127,7 +127,7 @@ def require(operator: TrainedOperator, what: str, cure: str, name: str = "") -> 
 
 def fold(
     operator: TrainedOperator, plant: Plant, nx: int, stride: int = 1, precision: type[np.floating] = np.float32
-) -> Program:  # fmt: skip
+) -> Program:
     """The operator on nx nodes as a program; an FNO is evaluated on every stride-th of them, with cubics between.
 
     `precision` is that of the network: np.float32 or np.float64.
@@ -145,20 +145,16 @@ def fold(
     network.append(p, weights)
     if p.stride > 1:
         p.buffer("N_fine", plant.n, nx)
-        p.constant("refine", _between(p.nodes, p.stride))
+        # the weights (3, 4, stride) of four nodes in the points of the first cell, of those between, and of the last
+        places = np.array([0, min(1, p.nodes - 2), p.nodes - 2])[:, None] + np.arange(p.stride) / p.stride
+        _, between = grid.stencil(p.nodes, places.ravel() / (p.nodes - 1))
+        p.constant("refine", between.reshape(4, 3, p.stride).swapaxes(0, 1))
     if weights.anchor == "none":
         p.scale("base", weights["scaling.P_mean"])
         p.constant("gain", np.repeat(weights["scaling.P_std"][:, None], nx, axis=1))
     else:
         p.constant("gain", weights["scaling.speed"][:, None] * grid.nodes(nx))
     return p
-
-
-def _between(nodes: int, stride: int) -> np.ndarray:
-    """The weights (3, 4, stride) of four nodes in the points of the first cell, of those between, and of the last."""
-    places = np.array([0, min(1, nodes - 2), nodes - 2])[:, None] + np.arange(stride) / stride
-    _, weights = grid.stencil(nodes, places.ravel() / (nodes - 1))
-    return weights.reshape(4, 3, stride).swapaxes(0, 1)
 
 
 def _inputs(p: Program, weights: Weights) -> None:
@@ -168,10 +164,9 @@ def _inputs(p: Program, weights: Weights) -> None:
     u_mean, u_std = weights["scaling.u_mean"], weights["scaling.u_std"]
     X_zero = np.arcsinh(weights["X_rest"] / X_bend) if rests else X_mean
     u_zero = weights["u_rest"] if rests else u_mean
-    for name, values in {
-        "X_bend": 1 / X_bend, "X_zero": X_zero, "X_gain": 1 / X_std, "u_zero": u_zero, "u_gain": 1 / u_std,
-        "D_hat_zero": weights["scaling.D_hat_mean"], "D_hat_gain": 1 / weights["scaling.D_hat_std"],
-    }.items():  # fmt: skip
+    scales = {"X_bend": 1 / X_bend, "X_zero": X_zero, "X_gain": 1 / X_std, "u_zero": u_zero, "u_gain": 1 / u_std}
+    scales |= {"D_hat_zero": weights["scaling.D_hat_mean"], "D_hat_gain": 1 / weights["scaling.D_hat_std"]}
+    for name, values in scales.items():
         p.scale(name, values)
     p.scale("halves", 0.5 / np.maximum(np.arange(p.nx), 1))  # 0.5 / j: a division costs more than a number read
     p.z_zero, p.v_zero = (X_zero - X_mean) / X_std, (u_zero - u_mean) / u_std
@@ -180,7 +175,11 @@ def _inputs(p: Program, weights: Weights) -> None:
 def kernel(p: Program) -> Kernel:
     """PREDICT by a program, for p.nx nodes and any number of lanes: operations are calls on constants and buffers."""
     functions = {"operations": p.operations} | ({"series": [p.series.product]} if p.series else {})
-    texts = [_memory(p), *(_function(name, operations, p) for name, operations in functions.items())]
+    members = "\n".join(f"    REAL {RENAMED.get(name, name)}[{size}];" for name, size in p.buffers.items())
+    texts = [f"typedef struct {{\n    double prefix[NX];\n{members}\n}} ALIASED PART(_memory);\n"]
+    for name, operations in functions.items():
+        lines = "\n    ".join(line for operation in operations for line in operation.lines(_view(p)))
+        texts.append(f"static void PART(_{name})(PART(_memory) *restrict q)\n{{\n    {lines}\n}}\n")
     constants = [constant(f"c_{name}", values, KINDS[values.dtype]) for name, values in p.constants.items()]
     doubles = sum(p.buffers.values()) + p.nx  # of memory, for numbers of either precision
     body = "\n".join([skeleton("network.h"), *constants, *texts, skeleton("fused.h")])
@@ -205,17 +204,6 @@ def _sizes(p: Program) -> dict[str, int | str]:
 
 def _braces(values: Iterable[float], p: Program) -> str:
     return "{" + ", ".join(literal(value, KINDS[np.dtype(p.precision)]) for value in values) + "}"
-
-
-def _memory(p: Program) -> str:
-    """The struct of the buffers."""
-    members = "\n".join(f"    REAL {RENAMED.get(name, name)}[{size}];" for name, size in p.buffers.items())
-    return f"typedef struct {{\n    double prefix[NX];\n{members}\n}} ALIASED PART(_memory);\n"
-
-
-def _function(name: str, operations: Iterable[Operation], p: Program) -> str:
-    lines = "\n    ".join(line for operation in operations for line in operation.lines(_view(p)))
-    return f"static void PART(_{name})(PART(_memory) *restrict q)\n{{\n    {lines}\n}}\n"
 
 
 def _view(p: Program) -> Callable[[Matrix | None], str]:

@@ -1,5 +1,6 @@
 """A trained operator as an ONNX graph with its control law, and as a predictor that ONNX Runtime evaluates."""
 
+import copy
 import logging
 import sys
 import warnings
@@ -15,10 +16,11 @@ from torch import Tensor, nn
 from npred import grid
 from npred.delays import family_of
 from npred.errors import NpredError, required
+from npred.exports import Exported, TrainedNetwork
 from npred.operators import Operator
 from npred.plants.base import Plant
 from npred.predictors.base import Predictor
-from npred.runtimes import Samples, eps
+from npred.runtimes import eps
 
 OPSET = 18  # MATLAB, TensorRT and ONNX Runtime read it
 INPUTS, OUTPUTS = ("X", "u", "D_hat"), ("P", "U")
@@ -68,33 +70,31 @@ def graph(operator: Operator, plant: Plant, nx: int) -> bytes:
     sample = (torch.ones(2, plant.n), torch.zeros(2, nx, plant.m), torch.ones(2), torch.ones(2))[: len(names)]
     model(*sample)  # the grid's matrices are cached as tensors before the tracer sees them
     with _quiet():
-        program = torch.onnx.export(
-            model, sample, input_names=names, output_names=OUTPUTS, opset_version=OPSET, dynamo=True,
-            dynamic_shapes=tuple({0: batch} for _ in names), external_data=False, verbose=False,
-        )  # fmt: skip
+        options = {"input_names": names, "output_names": OUTPUTS, "opset_version": OPSET, "external_data": False}
+        shapes = tuple({0: batch} for _ in names)
+        program = torch.onnx.export(model, sample, dynamo=True, dynamic_shapes=shapes, verbose=False, **options)
     assert program is not None
     return program.model_proto.SerializeToString()
 
 
-def export(
-    operator: Operator, plant: Plant, path: Path, nx: int, samples: Samples, atol: float
-) -> tuple[float, float]:  # fmt: skip
-    """Write the graph for nx nodes to `path` unless it differs from the operator.
+def export(of: TrainedNetwork, path: Path, *, atol: float) -> Exported:
+    """Write the graph of a network unless it differs from the network in single precision.
 
-    Returns the largest difference of P and U from the operator's on these samples, and npred.runtimes.eps.
     Raises NpredError for a difference above `atol`, in units of the states and inputs, MissingError without the onnx
     extra.
     """
-    model, names = graph(operator, plant, nx), inputs(plant)
-    columns = [np.asarray(a, dtype=np.float32) for a in samples][: len(names)]
+    plant, names = of.plant, inputs(of.plant)
+    operator = copy.deepcopy(of.operator.module(plant)).float()  # the caller's network stays as it is
+    model = graph(operator, plant, of.nx)
+    columns = [np.asarray(a, dtype=np.float32) for a in of.samples][: len(names)]
     with torch.no_grad():
         expected = Deployed(operator, plant)(*map(torch.as_tensor, columns))
     outputs = session(model).run(list(OUTPUTS), dict(zip(names, columns, strict=True)))
     error = max(float(np.abs(a - b.numpy()).max()) for a, b in zip(outputs, expected, strict=True))
     if not error <= atol:
-        raise NpredError(f"export onnx: expected P and U within {atol:g} of the model, got {error:.3g}; raise --atol")
+        raise NpredError(f"export onnx: expected P and U within {atol:g} of the model, got {error:.3g}; raise atol")
     path.write_bytes(model)
-    return error, eps(plant, outputs[0].astype(float), samples)
+    return of.exported(path, (error, eps(plant, outputs[0].astype(float), of.samples)))
 
 
 class Onnx(Predictor):

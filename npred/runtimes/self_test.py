@@ -14,11 +14,9 @@ from npred.randomness import generator
 
 # What a call does, as runtimes/c/controller.c numbers it.
 SAMPLED, STAMPED, APPLIED, SAVED, ESTIMATE, TIME, ANEW = (1 << bit for bit in range(7))
-DOES = {
-    "plain": SAMPLED, "none": STAMPED, "applied": SAMPLED | STAMPED | APPLIED, "saved": SAMPLED | STAMPED | SAVED,
-    "estimate": SAMPLED | STAMPED | ESTIMATE, "time": SAMPLED | STAMPED | TIME, "restart": STAMPED | TIME,
-    "anew": STAMPED | ANEW,
-}  # fmt: skip
+NOW = SAMPLED | STAMPED
+DOES = {"plain": SAMPLED, "none": STAMPED, "restart": STAMPED | TIME, "anew": STAMPED | ANEW}
+DOES |= {"applied": NOW | APPLIED, "saved": NOW | SAVED, "estimate": NOW | ESTIMATE, "time": NOW | TIME}
 # Of the kicks: the first one is taken that does not amplify rounding errors too much.
 SIZES = (1.0, 0.5, 0.2, 0.1, 0.03)
 EDGES = {"edge": 0.99, "over": 1.01}  # of the gate: a sample that is still believed, and one that is not
@@ -203,15 +201,8 @@ def _calls(controller: Controller) -> Iterator[tuple[str, float, float]]:
     yield from [("none", 4.0 * rows + 9.0, 0.0), ("far", 1.0, 0.0), *3 * [now], *4 * [("plain", 1.0, 0.0)]]
     yield from [*(2 * [(what, 1.375, 0.0) for what in ROUNDED]), now]
     yield from [("far", 1.0, 0.0), ("restart", 1.0, 0.0), *5 * [("far", round(d / 3) + 0.5, 0.0)], *2 * [now]]
-    yield from [
-        ("anew", 1.0, 0.0),
-        ("now", 1.0, oldest + 0.5),
-        now,
-        ("now", 1.0, 1.0),
-        now,
-        ("none", 1.0, 0.0),
-        *5 * [now],
-    ]
+    yield from [("anew", 1.0, 0.0), ("now", 1.0, oldest + 0.5), now, ("now", 1.0, 1.0), now, ("none", 1.0, 0.0)]
+    yield from 5 * [now]
 
 
 def _recalled(controller: Controller, size: float) -> Test:
@@ -229,7 +220,7 @@ def _recalled(controller: Controller, size: float) -> Test:
         age = (t / controller.dt - ROUNDED[what]) % 1.0 if what in ROUNDED else age
         taken = t - age * controller.dt
         Y = _at_the_gate(player.twin, s, taken, Y, EDGES[what]) if what in EDGES else Y
-        call = DOES.get(what, SAMPLED | STAMPED), t, taken, Y
+        call = DOES.get(what, NOW), t, taken, Y
         rows.append(call)
         world.sent.append((world.t, np.nan_to_num(player.call(s, *call)[0])))
     does, t, taken, X = (np.array(column) for column in zip(*rows, strict=True))

@@ -64,7 +64,7 @@ def test_writes_a_file(export, form):
     done = export(form, "--json", "--nx", "21")
     assert done.exit_code == 0, done.output
     document = json.loads(done.stdout)
-    assert document["file"] == f"deeponet-21.{form}" and Path(document["file"]).stat().st_size > 1000
+    assert document["files"] == [f"deeponet-21.{form}"] and Path(f"deeponet-21.{form}").stat().st_size > 1000
     if form == "onnx" or shutil.which("gcc"):
         assert document["error"] < 1e-4 < document["eps"]
         said = export(form, "--nx", "21").stdout
@@ -97,7 +97,8 @@ def test_a_graph_that_differs_is_refused(export):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["tflite"], "export: expected one of onnx, c, controller, fmu, npy, hdf5, mat, got 'tflite'"),
+        (["onyx"], "onyx: expected a command of npred export, found no such; did you mean onnx?"),
+        (["c", "--fmi", "2"], "--fmi: expected an option of npred export c, found no such"),
         (["c", "--nx", "1"], "--nx: expected at least 2 nodes"),
         (["c", "-o", "nowhere/m.c"], "nowhere/m.c: expected a file that can be written"),
     ],
@@ -180,11 +181,11 @@ def test_an_fmu_to_a_file(export, trained, version):
     done = export("fmu", *flags, "--json", model=str(trained / "p.toml"))
     assert done.exit_code == 0, done.output
     document = json.loads(done.stdout)
-    assert (document["file"], document["fmi"], document["predictor"]) == ("tank.fmu", version, "heun")
+    assert (document["files"], document["fmi"], document["predictor"]) == (["tank.fmu"], version, "heun")
     assert {"x1", "x2", "U", "D_hat", "D_hat_start", "gamma"} < set(document["variables"])
     with zipfile.ZipFile("tank.fmu") as opened:
         assert document["token"] in opened.read("modelDescription.xml").decode()
-        assert (document["library"] is None) == (c_files.compiler() is None)
+        assert (document["libraries"] == []) == (c_files.compiler() is None)
         opened.extractall("fmu")
     if shutil.which("gcc"):
         command = ["gcc", "-std=c99", "-DTANK_TEST", "fmu/sources/tank.c", "-o", "own_test", "-lm"]
@@ -232,18 +233,23 @@ def from_python(trained, tmp_path, monkeypatch):
 
 
 def test_python_exports_a_controller_as_c_with_its_test(from_python):
-    files = npred.export(from_python, "c", "firmware/tank.c")
+    files = npred.export(from_python, "controller", "firmware", name="tank")
     assert files == [Path("firmware/tank.h"), Path("firmware/tank.c")]
     assert run("firmware/tank.c", "-DTANK_TEST").returncode == 0
-    folder = npred.export(from_python, "c", "folder", precision="float")
+    folder = npred.export(from_python, "controller", "folder", precision="float")
     assert [file.name for file in folder] == ["npred.h", "npred.c"]
     assert "const float *X" in Path("folder/npred.h").read_text()
 
 
 def test_python_exports_an_fmu(from_python):
-    assert npred.export(from_python, "fmu", "out/tank.fmu") == [Path("out/tank.fmu")]
+    assert npred.export(from_python, "fmu", "out/tank.fmu", name="tank") == [Path("out/tank.fmu")]
     with zipfile.ZipFile("out/tank.fmu") as archive:
         assert b'modelIdentifier="tank"' in archive.read("modelDescription.xml")
+
+
+def test_python_exports_the_network_of_a_controller_as_c(from_python):
+    assert npred.export(from_python, "c", "net.c") == [Path("net.c")]
+    assert run("net.c", "-DNPRED_TEST").returncode == 0
 
 
 def test_python_exports_the_network_of_a_controller_as_onnx(from_python):
@@ -258,32 +264,37 @@ def test_python_exports_the_network_of_a_controller_as_onnx(from_python):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
+    ("arguments", "options", "message"),
     [
-        (("exe", "x"), "form: expected one of c, fmu, onnx, got 'exe'"),
-        (("c", "Tank.c"), "path: expected a file named by a C identifier in lower case, as tank.c, got 'Tank.c'"),
-        (("c", "tank.c", ["linux64"]), r"platforms: expected none for c, .* got \['linux64'\]"),
-        (("onnx", "x.onnx"), "export onnx: expected a controller with a trained network, got <RK4"),
+        (("exe", "x"), {}, "form: expected one of controller, fmu, c, onnx, got 'exe'"),
+        (("controller", "tank.c"), {}, "path: expected a folder, got 'tank.c'; give the name of its files as name"),
+        (("controller", "x"), {"name": "Tank"}, "name: expected a short C identifier in lower case, got 'Tank'"),
+        (("controller", "x"), {"platforms": ["linux64"]}, r"platforms: expected an option of controller \(prec"),
+        (("fmu", "x.fmu"), {"platform": "win64"}, r"\(precision, name, fmi, platforms\), .*; did you mean platforms"),
+        (("fmu", "x.fmu"), {"fmi": "3"}, "fmi: expected a value as 3, got '3'"),
+        (("c", "x.c"), {"name": "x"}, r"name: expected an option of c \(it has none\), got name = 'x'; drop it"),
+        (("onnx", "x.onnx"), {}, "export onnx: expected a controller with a trained network, got <RK4"),
     ],
 )
-def test_python_says_what_cannot_be_exported(arguments, message, tmp_path, monkeypatch):
+def test_python_says_what_cannot_be_exported(arguments, options, message, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     plant = npred.plant("scalar")
+    controller = npred.controller(plant, npred.predictor("rk4", plant), None, 0.01, D_hat=0.5)
     with pytest.raises(ConfigError, match=message):
-        npred.export(npred.controller(plant, npred.predictor("rk4", plant), None, 0.01, D_hat=0.5), *arguments)
+        npred.export(controller, *arguments, **options)
     with pytest.raises(ConfigError, match="export: expected a controller, got <Plant scalar"):
-        npred.export(plant, "c", "tank.c")
+        npred.export(plant, "controller", "tank")
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize(("form", "path"), [("c", "file"), ("c", "file/tank.c"), ("fmu", "file/tank.fmu")])
-def test_python_says_where_nothing_can_be_written(form, path, tmp_path, monkeypatch):
+@pytest.mark.parametrize("path", ["file", "file/tank", "file/tank.fmu"])
+def test_python_says_where_nothing_can_be_written(path, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "file").touch()
     plant = npred.plant("scalar")
     controller = npred.controller(plant, npred.predictor("rk4", plant), None, 0.01, D_hat=0.5)
     with pytest.raises(ConfigError, match=f"path: expected a place to write, got '{path}': "):
-        npred.export(controller, form, path)
+        npred.export(controller, "fmu" if path.endswith(".fmu") else "controller", path)
 
 
 def test_a_key_is_overridden_for_an_export(export, trained):

@@ -12,7 +12,7 @@ from npred import diagnosis
 from npred.errors import ConfigError
 from npred.loop.controller import Controller
 from npred.plants import Plant
-from npred.runtimes import c_controller, fmu
+from npred.runtimes import c_controller
 
 SECONDS = re.compile(r"[\d\])}] ?s\b|\bseconds?\b|\bin s\b")
 
@@ -77,7 +77,7 @@ def test_the_controller_in_python_and_in_c(name):
     assert "dt = 0.01 h, t = 0 h, D_hat = " in repr(made)
     header, source = c_controller.sources(made)
     assert "A control step each 0.01 h" in header
-    for text in (repr(made), header, source, c_controller.gateway(made)):
+    for text in (repr(made), header, source):
         names_no_seconds(text)
 
 
@@ -92,7 +92,7 @@ def test_the_check_of_the_plant(name):
 @needs_gcc
 @pytest.mark.parametrize("version", [3, 2])
 def test_the_fmu(tmp_path, version):
-    fmu.write(controller(Plant("vat", Vat)), tmp_path / "vat.fmu", version=version)
+    npred.export(controller(Plant("vat", Vat)), "fmu", tmp_path / "vat.fmu", fmi=version)
     with zipfile.ZipFile(tmp_path / "vat.fmu") as opened:
         for file in opened.namelist():
             if not file.startswith("binaries"):

@@ -12,11 +12,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from operator_samples import PLANT, SMALL, operator, samples
 
+from npred import exports
 from npred.errors import NpredError
+from npred.exports import WholeController
 from npred.loop.controller import Controller
 from npred.plants import Plant
 from npred.predictors import Heun
-from npred.runtimes import c_controller, c_files, c_network, fmu
+from npred.runtimes import c_controller, c_files, c_network
 
 FLAGS = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wshadow"]
 HOSTILE = [
@@ -79,7 +81,7 @@ def check_fmu(plant, state, entry, unit, model):
         try:
             named = Plant(plant, declaration(state, entry, unit))
             controller = Controller(named, Heun(named, 5), None, 0.1, D_hat=0.3, actuator="history")
-            fmu.write(controller, Path(name) / "named.fmu", model=model)
+            exports.writer("fmu", {})(WholeController(controller, model), Path(name) / "named.fmu")
         except NpredError as error:
             assert len(str(error).splitlines()) == 1 and str(error).isprintable()
             return

@@ -13,6 +13,7 @@ from operator_samples import PLANT, SMALL, holding, operator, phased, samples, s
 
 import npred
 from npred.errors import NpredError
+from npred.exports import TrainedNetwork
 from npred.kernels.c_text import comment
 from npred.loop import metrics
 from npred.operators import Scaling, build
@@ -34,7 +35,7 @@ def once(request, tmp_path_factory):
     """A model and the text of its file."""
     config, anchor = request.param
     model, path = operator(config, anchor=anchor), tmp_path_factory.mktemp("c") / "model.c"
-    c_network.export(model, PLANT, path, 21, probe())
+    c_network.export(TrainedNetwork(model, PLANT, 21, probe()), path)
     return model, path.read_text()
 
 
@@ -66,10 +67,12 @@ def test_its_own_test_passes(exported):
 def test_a_file_is_run_before_it_is_kept(tmp_path, monkeypatch):
     samples = probe(9)
     model = operator(SMALL[0]).double()
-    error, eps = c_network.export(model, PLANT, tmp_path / "model.c", 21, samples)
+    network = TrainedNetwork(model, PLANT, 21, samples)
+    facts = c_network.export(network, tmp_path / "model.c").facts
     P = Neural(PLANT, model, 21)(*samples)
     exact = npred.predictor("rk4", PLANT, 21)(*samples)
-    assert 0 < error < 1e-4 and eps == pytest.approx(np.linalg.norm(P - exact, axis=-1).max(), rel=1e-4)
+    eps = np.linalg.norm(P - exact, axis=-1).max()
+    assert 0 < facts["error"] < 1e-4 and facts["eps"] == pytest.approx(eps, rel=1e-4)
     text = c_network.source
     for right, wrong, refusal in (
         ("u, &D_hat", "u, (double[]){D_hat + 0.1}", "P and U within 0.0001 of their sizes, got"),
@@ -78,10 +81,10 @@ def test_a_file_is_run_before_it_is_kept(tmp_path, monkeypatch):
         with monkeypatch.context() as patch:
             patch.setattr(c_network, "source", lambda *asked, a=right, b=wrong: text(*asked).replace(a, b, 1))
             with pytest.raises(NpredError, match=f"export c: expected {refusal}"):
-                c_network.export(model, PLANT, tmp_path / "wrong.c", 21, samples)
+                c_network.export(network, tmp_path / "wrong.c")
     assert not (tmp_path / "wrong.c").exists()
     monkeypatch.setattr(c_files, "compiler", lambda: None)
-    assert c_network.export(model, PLANT, tmp_path / "unseen.c", 21, samples) is None
+    assert "not compared" in c_network.export(network, tmp_path / "unseen.c").text
     assert (tmp_path / "unseen.c").read_text() == (tmp_path / "model.c").read_text()
 
 
@@ -89,22 +92,17 @@ def test_a_file_is_run_before_it_is_kept(tmp_path, monkeypatch):
 def test_several_inputs(tmp_path):
     plant, data = several_inputs()
     model = build(SMALL[0], plant, Scaling.of(data))
-    c_network.export(
-        model, plant, tmp_path / "two.c", 11, (data.X, data.u, data.D_hat, np.linspace(1.0, 9.0, len(data.X)))
-    )
+    samples = data.X, data.u, data.D_hat, np.linspace(1.0, 9.0, len(data.X))
+    c_network.export(TrainedNetwork(model, plant, 11, samples), tmp_path / "two.c")
     assert subprocess.run([compiled(tmp_path / "two.c", "-DNPRED_TEST")], timeout=60).returncode == 0
 
 
 @needs_gcc
 def test_a_law_that_depends_on_time_is_tested_at_another_than_zero(tmp_path):
     plant, data = holding()
-    c_network.export(
-        build(SMALL[0], plant, Scaling.of(data)),
-        plant,
-        tmp_path / "model.c",
-        11,
-        (data.X, data.u, data.D_hat, np.linspace(1.0, 9.0, len(data.X))),
-    )
+    samples = data.X, data.u, data.D_hat, np.linspace(1.0, 9.0, len(data.X))
+    model = build(SMALL[0], plant, Scaling.of(data))
+    c_network.export(TrainedNetwork(model, plant, 11, samples), tmp_path / "model.c")
     assert subprocess.run([compiled(tmp_path / "model.c", "-DNPRED_TEST")], timeout=60).returncode == 0
     text = (tmp_path / "model.c").read_text()
     (tmp_path / "model.c").write_text(re.sub(r"(?<!double )\bsine\(", "0 * sine(", text))
@@ -117,9 +115,8 @@ def test_a_law_that_depends_on_time_is_tested_at_another_than_zero(tmp_path):
 def test_several_delays_and_a_phase_of_the_time(tmp_path, config, anchor):
     plant, data, t = phased()
     model = build(config.model_copy(update={"anchor": anchor}), plant, Scaling.of(data))
-    c_network.export(
-        model, plant, tmp_path / "model.c", 13, (data.X, data.u, data.D_hat, np.linspace(1.0, 9.0, len(data.X)))
-    )
+    samples = data.X, data.u, data.D_hat, np.linspace(1.0, 9.0, len(data.X))
+    c_network.export(TrainedNetwork(model, plant, 13, samples), tmp_path / "model.c")
     assert subprocess.run([compiled(tmp_path / "model.c", "-DNPRED_TEST")], timeout=60).returncode == 0
     library = ctypes.CDLL(str(compiled(tmp_path / "model.c", "-shared", "-fPIC")))
     exact = Neural(plant, model.double(), 13)(data.X, data.u, data.D_hat, t)
@@ -160,7 +157,7 @@ def test_equals_the_model_on_other_samples(exported):
 @needs_gcc
 def test_the_example_of_the_documentation_is_the_model(tmp_path):
     model = operator(SMALL[0])
-    c_network.export(model, PLANT, tmp_path / "deeponet.c", 21, probe())
+    c_network.export(TrainedNetwork(model, PLANT, 21, probe()), tmp_path / "deeponet.c")
     page = (HERE.parent / "docs" / "deployment.md").read_text()
     example = re.findall(r"^```c\n(.*?)^```", page, re.MULTILINE | re.DOTALL)[0]
     (tmp_path / "main.c").write_text(example)

@@ -22,7 +22,7 @@ from npred.loop.controller import Controller
 from npred.plants import Plant
 from npred.plants.builtin.activator_repressor import ActivatorRepressor
 from npred.predictors.guarded import Guarded
-from npred.runtimes import c_files, fmu
+from npred.runtimes import c_files
 from npred.runtimes.fused import Fused
 
 fmpy = pytest.importorskip("fmpy")
@@ -420,8 +420,9 @@ def test_the_sources_build_strictly_and_against_the_standard_s_prototypes(instan
     standard = [f"-I{headers}", f"-DFMI{version}_FUNCTION_PREFIX=", "-include", f"fmi{version}Functions.h"]
     for more in (["-Wpedantic"], standard):
         subprocess.run(["cc", *flags, *more, "-c", f"fmi{version}.c"], cwd=folder, check=True, timeout=120)
-    exports = subprocess.run(["nm", "-D", tmp_path / run.written.library], capture_output=True, text=True, check=True)
-    defined = [line.split()[-1] for line in exports.stdout.splitlines() if " T " in line]
+    command = ["nm", "-D", tmp_path / run.written.facts["libraries"][0]]
+    listed = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    defined = [line.split()[-1] for line in listed.splitlines() if " T " in line]
     assert defined and all(name.startswith(f"fmi{version}") for name in defined)
 
 
@@ -438,7 +439,7 @@ def test_without_a_compiler_it_holds_its_sources_which_an_importer_builds(tmp_pa
 
     monkeypatch.setattr(c_files, "compiler", lambda: None)
     path, written = exported(heun(actuator="history"), tmp_path, version)
-    assert written.library is None
+    assert written.facts["libraries"] == []
     assert not [name for name in zipfile.ZipFile(path).namelist() if name.startswith("binaries")]
     if shutil.which("cmake"):
         fmpy.extract(str(path), str(tmp_path / "extracted"))
@@ -485,7 +486,7 @@ def test_names_of_any_letters_are_valid_xml_and_c(tmp_path, version):
 
     plant = npred.plants.Plant("a - b", Odd)
     path, written = exported(heun(plant, actuator="history"), tmp_path, version)
-    assert validate_fmu(str(path)) == [] and written.library
+    assert validate_fmu(str(path)) == [] and written.facts["libraries"]
     described = fmpy.read_model_description(str(path))
     names = {variable.name: variable.unit for variable in described.modelVariables}
     assert names["größe"] == Odd.units["größe"] and names["void"] == Odd.units["void"]
@@ -497,12 +498,12 @@ def test_two_variables_of_one_name_are_refused():
 
     controller = heun(npred.plants.Plant("twice", Twice))
     with pytest.raises(ConfigError, match="expected different names of variables, got 'D_hat' twice"):
-        fmu.write(controller, Path("never.fmu"))
+        npred.export(controller, "fmu", "never.fmu")
 
 
 def test_another_version_is_refused():
     with pytest.raises(ConfigError, match=r"^fmi: expected 3 or 2, got 1; give one"):
-        fmu.write(heun(), Path("never.fmu"), version=1)
+        npred.export(heun(), "fmu", "never.fmu", fmi=1)
 
 
 def test_what_a_network_was_trained_for_is_no_parameter(instance):

@@ -65,7 +65,7 @@ def test_each_library_is_of_its_machine(tmp_path):
     names = ["linux64", "win64", "darwin64", "aarch64-linux", "aarch64-darwin"]
     path, written = exported(heun(), tmp_path, platforms=names)
     with zipfile.ZipFile(path) as archive:
-        libraries = {place.removeprefix("binaries/"): archive.read(place) for place in written.libraries}
+        libraries = {place.removeprefix("binaries/"): archive.read(place) for place in written.facts["libraries"]}
     assert {place: form(library) for place, library in libraries.items()} == FORMATS
     assert all(b"fmi3DoStep" in library and b"fmi3GetFloat64" in library for library in libraries.values())
 
@@ -119,13 +119,13 @@ def test_the_library_of_windows_steps_as_the_controller(driver, tmp_path, make):
     run = Recorded(make())
     closed_loop(run, PLANT, 1.0, DT, 1000, [0.03, 30.0], True, NX)
     path, written = exported(make(), tmp_path, platforms=["win64"])
-    (library,) = written.libraries
+    (library,) = written.facts["libraries"]
     zipfile.ZipFile(path).extract(library, tmp_path)
     blocks = {
         name: [k for k, one in enumerate(written.variables) if one.block == name] for name in ("X", "ACTUATOR", "U")
     }
     inputs = blocks["X"] + blocks["ACTUATOR"]
-    head = [f"Z:{tmp_path / library}", written.token, DT, len(run.taken)]
+    head = [f"Z:{tmp_path / library}", written.facts["token"], DT, len(run.taken)]
     head += [len(inputs), *inputs, len(run.taken[0]), len(blocks["U"]), *blocks["U"], len(run.given[0])]
     text = "\n".join(map(str, [*head, *np.ravel(run.taken).tolist()]))
     environment = os.environ | {"WINEPREFIX": str(tmp_path / "wine"), "WINEDEBUG": "-all"}

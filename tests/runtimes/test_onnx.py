@@ -10,6 +10,7 @@ from operator_samples import EVERY, PLANT, SMALL, operator, phased, samples
 import npred
 from npred import plants
 from npred.errors import MissingError
+from npred.exports import TrainedNetwork
 from npred.loop import metrics
 from npred.operators import Scaling, build
 from npred.predictors.neural import Neural
@@ -28,8 +29,8 @@ def export(tmp_path_factory):
         if config.architecture not in made:
             model, path = operator(config).eval(), tmp_path_factory.mktemp("onnx") / "model.onnx"
             data = samples(30, 21)
-            error, _ = runtime.export(model, PLANT, path, 21, (data.X, data.u, data.D_hat, np.zeros(30)), atol=1e-3)
-            made[config.architecture] = model, path, error
+            network = TrainedNetwork(model, PLANT, 21, (data.X, data.u, data.D_hat, np.zeros(30)))
+            made[config.architecture] = model, path, runtime.export(network, path, atol=1e-3).facts["error"]
         return made[config.architecture]
 
     return call
@@ -69,7 +70,8 @@ def test_a_law_that_depends_on_time_takes_it(tmp_path):
     loop = npred.simulate(plant, Neural(plant, model, nx), D=0.3, D_hat=0.4, X0=[0.3, 0.6, 0.0, 0.0], t_end=1.0,
                           dt=0.05, samples=np.arange(20))  # fmt: skip
     probe = loop.samples.X, loop.samples.u, loop.samples.D_hat
-    assert runtime.export(model, plant, tmp_path / "arm.onnx", nx, (*probe, loop.t[:20]), atol=1e-3)[0] < 1e-3
+    network = TrainedNetwork(model, plant, nx, (*probe, loop.t[:20]))
+    assert runtime.export(network, tmp_path / "arm.onnx", atol=1e-3).facts["error"] < 1e-3
     session = runtime.session((tmp_path / "arm.onnx").read_bytes())
     assert [i.name for i in session.get_inputs()] == ["X", "u", "D_hat", "t"]
     given = dict(zip(runtime.inputs(plant), (*probe, loop.t[:20]), strict=True))
@@ -82,7 +84,8 @@ def test_several_delays_and_a_phase_of_the_time(tmp_path, config):
     plant, data, t = phased()
     model = build(config, plant, Scaling.of(data)).eval()
     probe = data.X, data.u, data.D_hat
-    assert runtime.export(model, plant, tmp_path / "m.onnx", 13, (*probe, t), atol=1e-3)[0] < 1e-3
+    network = TrainedNetwork(model, plant, 13, (*probe, t))
+    assert runtime.export(network, tmp_path / "m.onnx", atol=1e-3).facts["error"] < 1e-3
     session = runtime.session((tmp_path / "m.onnx").read_bytes())
     feed = dict(zip(["X", "u", "D_hat", "t"], (a.astype(np.float32) for a in (*probe, t)), strict=True))
     P, U = session.run(None, feed)

@@ -11,7 +11,7 @@ import npred
 from npred.errors import ConfigError
 from npred.plants import Plant
 from npred.predictors import RK4
-from npred.runtimes import fmu_variables
+from npred.runtimes import fmu
 from npred.safety.filter import assumed
 
 
@@ -196,7 +196,7 @@ def test_an_fmu_says_which_parameter_decided_the_relative_degree(tilt, about):
     plant = Plant("tilted", Tilted, {"tilt": tilt})
     controller = npred.controller(plant, RK4(plant, 11), None, 0.01, D_hat=0.3, actuator="history", u0=[0.0],
                                   safety=npred.SafetyFilter(3.0))  # fmt: skip
-    (parameter,) = [a for a in fmu_variables.of(controller, np.zeros(2), False) if a.name == "parameter.tilt"]
+    (parameter,) = [a for a in fmu.variables(controller, np.zeros(2), False) if a.name == "parameter.tilt"]
     assert parameter.about == "parameter of plant and law" + about
 
 

@@ -1,7 +1,9 @@
 """The authors' layout: there and back, the predictor equation as a check, and what a split by rows hides."""
 
 import dataclasses
+import errno
 import os
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,12 +11,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from jobs import job
+from typer.testing import CliRunner
 
 from npred import plants
-from npred.data import exchange
+from npred.cli import app
 from npred.data.dataset import Dataset
 from npred.errors import ConfigError
 from npred.stages.generate import generate
+from npred_experiments import published_data
 
 PLANT = plants.resolve("activator_repressor")
 SIZES = {"generate": {"rollouts": 20, "samples": 400, "t_end": 20.0, "nx": 21}}
@@ -25,6 +29,14 @@ def data(tmp_path_factory):
     made = job(tmp_path_factory.mktemp("interop"), "data", **SIZES)
     generate.run(made)
     return Dataset.read(made.folder / "data.h5")
+
+
+def join(data):
+    """Inputs (N, nx (1 + m + n)) and outputs (N, nx n) of the samples."""
+    rows, nodes = data.u.shape[:2]
+    repeated = [np.broadcast_to(a, (rows, nodes, a.shape[-1])) for a in (data.D_hat[:, None, None], data.X[:, None])]
+    inputs = np.concatenate([repeated[0], data.u, repeated[1]], axis=-1)
+    return inputs.reshape(rows, -1), data.P.reshape(rows, -1)
 
 
 @given(st.data(), st.sampled_from(["activator_repressor", "cart_pole"]), st.integers(2, 6), st.integers(2, 5))
@@ -38,45 +50,45 @@ def test_there_and_back(draw, name, rows, nodes):
         "P": draw.draw(arrays(float, (rows, nodes, plant.n), elements=numbers)),
     }
     rest = np.zeros(rows)
-    inputs, outputs = exchange.join(Dataset(**given_, D=rest, t=rest, rollout=rest, test=rest))
+    inputs, outputs = join(Dataset(**given_, D=rest, t=rest, rollout=rest, test=rest))
     assert inputs.shape == (rows, nodes * (1 + plant.m + plant.n)) and outputs.shape == (rows, nodes * plant.n)
-    back = exchange.part(plant, inputs, outputs)
+    back = published_data.samples(plant, inputs, outputs)
     for key, value in given_.items():
         np.testing.assert_array_equal(getattr(back, key), value)
 
 
 def test_a_node_is_the_delay_then_the_input_then_the_state(data):
-    inputs, outputs = exchange.join(data)
+    inputs, outputs = join(data)
     np.testing.assert_array_equal(inputs[3, :4], [data.D_hat[3], data.u[3, 0, 0], *data.X[3]])
     np.testing.assert_array_equal(inputs[3, -4:], [data.D_hat[3], data.u[3, -1, 0], *data.X[3]])
     np.testing.assert_array_equal(outputs[3, -2:], data.P[3, -1])
 
 
 def test_a_split_by_rollout_keeps_rollouts_whole(data):
-    part = exchange.part(PLANT, *exchange.join(data), rollouts=20)
+    part = published_data.samples(PLANT, *join(data), rollouts=20)
     held_out = set(part.rollout[part.test == 1])
     assert len(held_out) == 2 and part.test.sum() == 40
     assert not held_out & set(part.rollout[part.test == 0])
-    _, rows = exchange.split(400, None)
+    _, rows = published_data.split(400, None)
     assert rows.sum() == 40
 
 
 def test_a_split_by_rows_asks_for_what_was_trained_on(data):
     """Rows of one rollout lie close together: a held-out row has a twin among those to train on."""
-    part = exchange.part(PLANT, *exchange.join(data), rollouts=20)
-    _, rows = exchange.split(400, None)
-    assert exchange.nearest(part, rows) < 0.1 * exchange.nearest(part, part.test)
+    part = published_data.samples(PLANT, *join(data), rollouts=20)
+    _, rows = published_data.split(400, None)
+    assert published_data.nearest(part, rows) < 0.1 * published_data.nearest(part, part.test)
 
 
 def test_shuffled_rows_are_seen(data):
-    inputs, outputs = exchange.join(data)
+    inputs, outputs = join(data)
     order = np.random.default_rng(0).permutation(len(inputs))
-    assert exchange.together(exchange.part(PLANT, inputs, outputs, 20)) > 0.6
-    assert exchange.together(exchange.part(PLANT, inputs[order], outputs[order], 20)) < 0.1
+    assert published_data.together(published_data.samples(PLANT, inputs, outputs, 20)) > 0.6
+    assert published_data.together(published_data.samples(PLANT, inputs[order], outputs[order], 20)) < 0.1
 
 
 def test_our_own_data_solve_the_predictor_equation(data):
-    found = exchange.checks(PLANT, data)
+    found = published_data.checks(PLANT, data)
     assert found["start"] == {"x1": 0.0, "x2": 0.0}
     assert max(found["relative"].values()) < 0.03 and found["relative"]["x2"] < 0.003
     assert found["horizon"] == pytest.approx(1, abs=5e-3)
@@ -84,15 +96,15 @@ def test_our_own_data_solve_the_predictor_equation(data):
 
 def test_nodes_that_end_before_1_show_in_the_horizon(data):
     short = dataclasses.replace(data, u=data.u[:, :-1], P=data.P[:, :-1])
-    assert exchange.checks(PLANT, short)["horizon"] == pytest.approx(0.95, abs=5e-3)
+    assert published_data.checks(PLANT, short)["horizon"] == pytest.approx(0.95, abs=5e-3)
 
 
 def test_the_input_in_another_equation_shows_in_its_residual(data):
     """What the authors' code does: U drives x2 as well."""
     slope = data.D_hat[:, None] * (np.cumsum(data.u[..., 0], axis=1) - data.u[:, :1, 0]) / 20
     moved = data.P + np.stack([np.zeros_like(slope), 50 * slope], axis=-1)
-    found = exchange.checks(PLANT, dataclasses.replace(data, P=moved))["relative"]
-    assert found["x2"] > 10 * exchange.checks(PLANT, data)["relative"]["x2"]
+    found = published_data.checks(PLANT, dataclasses.replace(data, P=moved))["relative"]
+    assert found["x2"] > 10 * published_data.checks(PLANT, data)["relative"]["x2"]
 
 
 @pytest.mark.parametrize(
@@ -109,8 +121,14 @@ def test_the_input_in_another_equation_shows_in_its_residual(data):
 )
 def test_what_does_not_fit_is_told(data, change, message):
     with pytest.raises(ConfigError) as caught:
-        exchange.part(PLANT, *change(*exchange.join(data)))
+        published_data.samples(PLANT, *change(*join(data)))
     assert message in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["unicycle", "unicycle_time_delay"])
+def test_a_plant_whose_predictions_the_files_do_not_hold_is_refused(data, name):
+    with pytest.raises(ConfigError, match=f"expected one delay and a prediction free of time, got {name}"):
+        published_data.samples(plants.resolve(name), *join(data))
 
 
 def with_value(array, index, value):
@@ -122,7 +140,7 @@ def with_value(array, index, value):
 @pytest.mark.parametrize("rollouts", [3, 401, 1])
 def test_rollouts_must_divide_the_rows(rollouts):
     with pytest.raises(ConfigError, match="give --rollouts a divisor"):
-        exchange.split(400, rollouts)
+        published_data.split(400, rollouts)
 
 
 def test_files_that_are_no_matrix_of_numbers_are_told(tmp_path):
@@ -149,16 +167,16 @@ def test_files_that_are_no_matrix_of_numbers_are_told(tmp_path):
     ):
         write()
         with pytest.raises(ConfigError, match=r"a\.npy: expected") as caught:
-            exchange.read(path)
+            published_data.read(path)
         assert len(str(caught.value).splitlines()) == 1
     with pytest.raises(ConfigError, match="No such file"):
-        exchange.read(tmp_path / "none.npy")
+        published_data.read(tmp_path / "none.npy")
 
 
 def test_a_pipe_is_no_matrix(tmp_path):
     os.mkfifo(tmp_path / "pipe.npy")
     with pytest.raises(ConfigError, match=r"pipe\.npy: expected an \.npy file of numbers, got: .*a pipe"):
-        exchange.read(tmp_path / "pipe.npy")
+        published_data.read(tmp_path / "pipe.npy")
 
 
 def cut_short(path):
@@ -170,3 +188,70 @@ def cut_short(path):
 def with_header(path, header):
     """An .npy file of version 1 with that header and a few bytes of data."""
     path.write_bytes(b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header + bytes(64))
+
+
+@pytest.fixture
+def bring(data, tmp_path, monkeypatch, capsys):
+    """The command in an empty folder, on such a pair of files: its exit code, stdout and stderr."""
+    monkeypatch.chdir(tmp_path)
+    for name, array in zip(("i.npy", "o.npy"), join(data), strict=True):
+        np.save(name, array)
+
+    def call(*arguments):
+        code = published_data.main(["i.npy", "o.npy", *arguments])
+        return code, *capsys.readouterr()
+
+    return call
+
+
+def test_the_file_holds_the_samples_and_people_are_told_of_them(bring, data):
+    code, told, doubts = bring("--rollouts", "20")
+    assert (code, doubts) == (0, "")
+    for words in ("400 samples on 21 nodes", "split by rows: 40 rows held out", 'data = "theirs.h5" below [generate]'):
+        assert words in told
+    back = Dataset.read(Path("theirs.h5"))
+    for name in ("X", "u", "D_hat", "P", "rollout"):
+        np.testing.assert_array_equal(getattr(back, name), getattr(data, name))
+    Path("theirs.toml").write_text('plant = "activator_repressor"\n[generate]\ndata = "theirs.h5"\n')
+    done = CliRunner().invoke(app, ["generate", "theirs.toml", "--store", "store"])
+    assert done.exit_code == 0 and "400 samples of 20 rollouts" in done.stdout
+
+
+def test_doubts_are_warned_of(bring):
+    outputs, inputs = np.load("o.npy").reshape(400, 21, 2), np.load("i.npy").reshape(400, 21, 4)
+    order = np.random.default_rng(0).permutation(400)
+    np.save("i.npy", inputs[order, :-1].reshape(400, -1))
+    np.save("o.npy", (outputs * [1.0, 1.5])[order, :-1].reshape(400, -1))
+    _, _, warned = bring("--rollouts", "20")
+    for words in ("x2: P = X + D_hat ∫ f(P, u) leaves", "do the nodes end at x = 1?", "the rows look shuffled"):
+        assert words in warned
+
+
+def test_a_residual_that_is_no_number_is_doubted(bring):
+    """The square of what P moves leaves the finite numbers, and a NaN is above no limit."""
+    outputs = np.load("o.npy")
+    outputs[3, -1] = 1e200
+    np.save("o.npy", outputs)
+    code, _, warned = bring()
+    assert code == 0 and "x2: P = X + D_hat ∫ f(P, u) leaves" in warned and "Warning" not in warned
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--output", "i.npy"), "--output: expected another file than the two, got i.npy; name one"),
+        (("--plant", "cart_pole"), "expected inputs (N, 6 nx) and outputs (N, 4 nx) for plant cart_pole"),
+    ],
+)
+def test_mistakes_are_told_in_one_line(bring, arguments, words):
+    code, told, said = bring(*arguments)
+    assert (code, told) == (2, "") and len(said.splitlines()) == 1 and words in said
+
+
+def test_a_full_disk_is_one_line(bring, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Dataset, "write", full)
+    code, told, said = bring()
+    assert (code, told) == (1, "") and "expected room to write, got a full disk" in said
