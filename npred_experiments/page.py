@@ -5,8 +5,8 @@ from importlib.resources import files
 from statistics import median
 from typing import Any, NamedTuple
 
-from npred.figures.figure import Key, Panel, Plate
-from npred.figures.style import Look, log, short
+from npred.figures.figure import Figure, LegendEntry, Panel
+from npred.figures.style import LineStyle, log, short
 from npred.figures.table import Column, Table
 from npred.registry import NETWORKS
 from npred.results import Reproduced, ReproducedRow
@@ -20,7 +20,10 @@ ABOUT = (
     "published kinds."
 )
 LEFT_OUT = "A table without `predictor` is of the numerical one; without `published`, the source prints no number."
-LOOKS = {"published": Look("crimson", width=0, marker="X"), "npred's network": Look("blue", width=0, marker="o")}
+LOOKS = {
+    "published": LineStyle("crimson", width=0, marker="X"),
+    "npred's network": LineStyle("blue", width=0, marker="o"),
+}
 LEAST = 1e-7  # a distance that is shown
 
 
@@ -122,7 +125,7 @@ def _excesses(result: Reproduced) -> Iterator[Excess]:
         yield Excess(result.name, row.metric, row.predictor, abs(row.published - printed) / scale, measured)
 
 
-def _excesses_drawn(rows: Sequence[Excess]) -> Plate | None:
+def _excesses_drawn(rows: Sequence[Excess]) -> Figure | None:
     """One panel per experiment: published and measured distances from the numerical row."""
     names = list(dict.fromkeys(row.experiment for row in rows if row.measured is not None))
     panels = tuple(_panel(name, [row for row in rows if row.experiment == name]) for name in names)
@@ -130,8 +133,8 @@ def _excesses_drawn(rows: Sequence[Excess]) -> Plate | None:
         "Distance of a network's row from the numerical predictor's, as a share of it (an error itself, where the "
         "numerical one is zero), in the published loop."
     )
-    keys = tuple(Key(label, look) for label, look in LOOKS.items())
-    return Plate("excess", "Networks and the numerical predictor", caption, panels, keys) if panels else None
+    keys = tuple(LegendEntry(label, look) for label, look in LOOKS.items())
+    return Figure("excess", "Networks and the numerical predictor", caption, panels, keys) if panels else None
 
 
 def _panel(name: str, rows: Sequence[Excess]) -> Panel:

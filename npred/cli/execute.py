@@ -52,7 +52,7 @@ def report(options: Work, output: Path | None, medium: str | None) -> None:
         return
     from npred import plants
     from npred.figures.style import MEDIA
-    from npred.stages.report.report_data import Story
+    from npred.stages.report.report_data import PipelineResults
 
     if medium not in MEDIA:
         raise ConfigError(unlisted("--figures", medium, MEDIA))
@@ -60,7 +60,7 @@ def report(options: Work, output: Path | None, medium: str | None) -> None:
     folder = writable_folder(output or default, "figures")
     folders = {done.node.name: done.artifact.folder for done in bring(options, ["evaluate", "bench"], borrows=True)}
     plant = plants.resolve(options.config.plant, options.config.parameters, options.config.kappa)
-    story = Story.read(options.config, plant, folders)
+    story = PipelineResults.read(options.config, plant, folders)
     with room_on_disk(folder):
         files = write_figures(story, folder, MEDIA[medium])
         if output is None:

@@ -18,7 +18,7 @@ from npred.pipeline import Outcome
 
 if TYPE_CHECKING:
     from npred.figures.style import Style
-    from npred.stages.report.report_data import Story
+    from npred.stages.report.report_data import PipelineResults
 
 NAME = "report.html"  # in a result
 SIGNATURE = "pipeline.txt"  # in a folder of figures or tables: the pipeline file that they are of
@@ -56,7 +56,7 @@ def publish(options: Work, outcomes: list[Outcome], output: Path | None) -> Path
     return path
 
 
-def write_figures(story: "Story", folder: Path, style: "Style") -> list[Path]:
+def write_figures(story: "PipelineResults", folder: Path, style: "Style") -> list[Path]:
     """The files of the figures and tables, written in the style of a medium; a folder is made where there is none."""
     from npred.figures import write
 

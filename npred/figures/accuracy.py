@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from npred.figures.evaluation_data import OF, ErrorArrays, Evidence
-from npred.figures.figure import Key, Panel, Plate
+from npred.figures.evaluation_data import OF, ErrorArrays, EvaluationData
+from npred.figures.figure import Figure, LegendEntry, Panel
 from npred.figures.loops import keys
 from npred.figures.notation import common_unit, quantity, symbol
 from npred.figures.style import ROLES, Axes, lettered, log, look, power, short
-from npred.results import Contender
+from npred.results import PredictorId
 
 BINS = 24
 CELLS = (18, 14)  # of the map over the first two states
@@ -25,7 +25,7 @@ Epochs = list[dict[str, float]]
 SHOWN = {"loss": "training loss", "mse": "held-out mean square", "eps_sup": "held-out sup error ε"}
 
 
-def errors(evidence: Evidence) -> Plate:
+def errors(evidence: EvaluationData) -> Figure:
     """Error over x, over D_hat, and its distribution."""
     by_network = evidence.errors
     held, unit = len(evidence.D_hat), common_unit(evidence.plant, evidence.plant.states, "state units")
@@ -42,10 +42,10 @@ def errors(evidence: Evidence) -> Plate:
         Panel("share of samples below ε", f"Distribution of the largest error over x; median: {half}.",
               partial(distribution, {c: error.sup for c, error in by_network.items()})),
     )  # fmt: skip
-    return Plate("errors", "Where networks err", caption, panels, keys(by_network))
+    return Figure("errors", "Where networks err", caption, panels, keys(by_network))
 
 
-def box(evidence: Evidence) -> Plate:
+def box(evidence: EvaluationData) -> Figure:
     """The largest error over the state box: the first two states, or the one there is."""
     plant, names = evidence.plant, list(evidence.plant.states)
     said = "" if len(names) < 3 else f" (the first two of {len(names)} states)"
@@ -53,7 +53,7 @@ def box(evidence: Evidence) -> Plate:
     if len(names) == 1:
         draw = partial(_over, evidence.X[:, 0], evidence.errors, quantity(plant, names[0]))
         panels = [Panel(f"error versus {symbol(plant, names[0])}", "Largest and median error by state.", draw)]
-        return Plate("box", "Over the states", caption, tuple(panels), keys(evidence.errors))
+        return Figure("box", "Over the states", caption, tuple(panels), keys(evidence.errors))
     levels = _levels(evidence.errors)
     panels = [
         Panel(
@@ -63,10 +63,10 @@ def box(evidence: Evidence) -> Plate:
         )
         for contender, error in evidence.errors.items()
     ]
-    return Plate("box", "Over the states", caption, tuple(panels))
+    return Figure("box", "Over the states", caption, tuple(panels))
 
 
-def _band(axis: Axes, contender: Contender, x: np.ndarray, middle: np.ndarray, sup: np.ndarray) -> None:
+def _band(axis: Axes, contender: PredictorId, x: np.ndarray, middle: np.ndarray, sup: np.ndarray) -> None:
     axis.plot(x, _positive(sup), **look(contender).line)
     axis.fill_between(x, _positive(middle), _positive(sup), color=look(contender).colour, alpha=0.14, linewidth=0)
 
@@ -76,14 +76,14 @@ def _positive(values: np.ndarray) -> np.ndarray:
     return np.where(values > 0, values, np.nan)
 
 
-def _over_x(by_network: dict[Contender, ErrorArrays], axis: Axes) -> None:
+def _over_x(by_network: dict[PredictorId, ErrorArrays], axis: Axes) -> None:
     for contender, error in by_network.items():
         _band(axis, contender, np.linspace(0, 1, len(error.over_x)), error.over_x[:, 0], error.over_x[:, -1])
     axis.set(xlabel="x", xlim=(0, 1))
     log(axis, "y")
 
 
-def _over(values: np.ndarray, by_network: dict[Contender, ErrorArrays], label: str, axis: Axes) -> None:
+def _over(values: np.ndarray, by_network: dict[PredictorId, ErrorArrays], label: str, axis: Axes) -> None:
     edges = np.linspace(values.min(), values.max(), BINS + 1)
     which = np.clip(np.digitize(values, edges) - 1, 0, BINS - 1)
     centres = (edges[1:] + edges[:-1]) / 2
@@ -95,7 +95,7 @@ def _over(values: np.ndarray, by_network: dict[Contender, ErrorArrays], label: s
     log(axis, "y")
 
 
-def distribution(sup_by_network: dict[Contender, np.ndarray], axis: Axes, **limits: Any) -> None:
+def distribution(sup_by_network: dict[PredictorId, np.ndarray], axis: Axes, **limits: Any) -> None:
     """The share of samples (N,) whose error is below ε, a line per network."""
     share = np.linspace(0, 1, 201)
     for contender, sup in sup_by_network.items():
@@ -104,7 +104,7 @@ def distribution(sup_by_network: dict[Contender, np.ndarray], axis: Axes, **limi
     log(axis, "x")
 
 
-def _levels(by_network: dict[Contender, ErrorArrays]) -> np.ndarray:
+def _levels(by_network: dict[PredictorId, ErrorArrays]) -> np.ndarray:
     """Edges of the colours, equal on the logarithmic scale, the same for all networks."""
     sups = np.concatenate([error.sup for error in by_network.values()])
     sups = sups[sups > 0]
@@ -112,7 +112,7 @@ def _levels(by_network: dict[Contender, ErrorArrays]) -> np.ndarray:
     return np.geomspace(max(low, high * 1e-4), high * 1.0001, LEVELS + 1)
 
 
-def _cells(evidence: Evidence, error: ErrorArrays, levels: np.ndarray, axis: Axes) -> None:
+def _cells(evidence: EvaluationData, error: ErrorArrays, levels: np.ndarray, axis: Axes) -> None:
     import matplotlib
     from matplotlib.colors import BoundaryNorm
     from matplotlib.ticker import FuncFormatter
@@ -138,14 +138,14 @@ def worst(X: np.ndarray, sup: np.ndarray) -> tuple[list[np.ndarray], np.ndarray]
     return edges, np.where(np.isfinite(largest), largest, np.nan)
 
 
-def _alt_box(evidence: Evidence, error: ErrorArrays) -> str:
+def _alt_box(evidence: EvaluationData, error: ErrorArrays) -> str:
     where = evidence.X[np.argmax(error.sup)]
     pairs = zip(evidence.plant.states, where, strict=True)
     at = ", ".join(f"{symbol(evidence.plant, name)} = {value:.3g}" for name, value in pairs)
     return f"Largest error in cells of the state space; largest of all {error.sup.max():.2e} at {at}."
 
 
-def kinds(evidence: Evidence) -> Plate | None:
+def kinds(evidence: EvaluationData) -> Figure | None:
     """The distribution of the error on rows of each kind, all on one scale; None where there is one kind alone."""
     if len(evidence.kinds) < 2:
         return None
@@ -155,22 +155,22 @@ def kinds(evidence: Evidence) -> Plate | None:
     panels = [
         Panel(OF[kind], _alt_kind(sup), partial(distribution, sup, xlim=span)) for kind, sup in evidence.kinds.items()
     ]
-    return Plate("kinds", "By kind of row", caption, tuple(panels), keys(evidence.errors))
+    return Figure("kinds", "By kind of row", caption, tuple(panels), keys(evidence.errors))
 
 
-def _span(evidence: Evidence) -> tuple[float, float]:
+def _span(evidence: EvaluationData) -> tuple[float, float]:
     """From the smallest positive error to the largest."""
     errors = np.concatenate([sup for networks in evidence.kinds.values() for sup in networks.values()])
     errors = errors[errors > 0]
     return (errors.min() / 2, errors.max() * 2) if len(errors) else (0.1, 1.0)
 
 
-def _alt_kind(networks: dict[Contender, np.ndarray]) -> str:
+def _alt_kind(networks: dict[PredictorId, np.ndarray]) -> str:
     said = [f"{contender.label} {short(np.median(sup))} and {short(sup.max())}" for contender, sup in networks.items()]
     return f"Median and largest error: {'; '.join(said)}."
 
 
-def learning(histories: dict[Contender, Epochs]) -> Plate:
+def learning(histories: dict[PredictorId, Epochs]) -> Figure:
     """The metrics of each network's epochs, as its training left them."""
     panels = [Panel(title, _alt_losses(title, key, histories), partial(_losses, key, histories))
               for key, title in SHOWN.items()]  # fmt: skip
@@ -178,11 +178,13 @@ def learning(histories: dict[Contender, Epochs]) -> Plate:
         "One point per epoch. The loss differs by network; the errors are in state units, on the rollouts that the "
         "data hold out."
     )
-    solid = tuple(Key(network.label, replace(look(network), dash=())) for network in histories)  # dashes hide roughness
-    return Plate("learning", "Training", caption, tuple(panels), solid)
+    solid = tuple(
+        LegendEntry(network.label, replace(look(network), dash=())) for network in histories
+    )  # dashes hide roughness
+    return Figure("learning", "Training", caption, tuple(panels), solid)
 
 
-def _losses(key: str, histories: dict[Contender, Epochs], axis: Axes) -> None:
+def _losses(key: str, histories: dict[PredictorId, Epochs], axis: Axes) -> None:
     for network, epochs in histories.items():
         solid = replace(look(network), dash=(), marker="" if len(epochs) > 1 else "o")  # one point makes no line
         axis.plot([row["epoch"] for row in epochs], [row[key] for row in epochs], **solid.line)
@@ -190,7 +192,7 @@ def _losses(key: str, histories: dict[Contender, Epochs], axis: Axes) -> None:
     log(axis, "y")
 
 
-def _alt_losses(title: str, key: str, histories: dict[Contender, Epochs]) -> str:
+def _alt_losses(title: str, key: str, histories: dict[PredictorId, Epochs]) -> str:
     ends = "; ".join(f"{network.label} {rows[0][key]:.2e} to {rows[-1][key]:.2e} in {len(rows)} epochs"
                      for network, rows in histories.items())  # fmt: skip
     return f"{title}: {ends}."

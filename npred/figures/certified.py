@@ -5,17 +5,17 @@ from functools import partial
 
 import numpy as np
 
-from npred.figures.evaluation_data import Evidence
-from npred.figures.figure import Key, Panel, Plate
+from npred.figures.evaluation_data import EvaluationData
+from npred.figures.figure import Figure, LegendEntry, Panel
 from npred.figures.loops import ends, keys
 from npred.figures.notation import common_unit, with_unit
-from npred.figures.style import ROLES, Axes, Look, log, look, short
+from npred.figures.style import ROLES, Axes, LineStyle, log, look, short
 from npred.plants import Plant
-from npred.results import Certified, Contender
+from npred.results import Certified, PredictorId
 from npred.results.evaluate import Scores
 
 
-def certificate(evidence: Evidence) -> Plate:
+def certificate(evidence: EvaluationData) -> Figure:
     """Error against radius with the line of theory, the distance to the target, and W(t) [DAPF, Theorem 3]."""
     radii = {
         contender: scores
@@ -27,7 +27,7 @@ def certificate(evidence: Evidence) -> Plate:
         line = (
             f". Dotted: the radius of a constant error ε of U, {gain:.4g} ε; {gain:.4g} is the gain, the distance per ε"
         )
-        key = (Key(f"constant error: {gain:.4g} ε", Look("muted", (1, 2))),)
+        key = (LegendEntry(f"constant error: {gain:.4g} ε", LineStyle("muted", (1, 2))),)
     beside = ends(evidence)
     others = "Distance and W" if len(beside) > 1 else "Distance"
     caption = (
@@ -36,10 +36,10 @@ def certificate(evidence: Evidence) -> Plate:
     )
     eps = with_unit("ε_{κ} on held-out samples", common_unit(evidence.plant, evidence.plant.inputs))
     panels = (Panel("radius versus ε_{κ}", _alt_radii(radii), partial(_radii, radii, gain, eps)), *beside)
-    return Plate("certificate", "Error and radius", caption, panels, (*keys(evidence.loops), *key))
+    return Figure("certificate", "Error and radius", caption, panels, (*keys(evidence.loops), *key))
 
 
-def certified(plant: Plant, result: Certified | None, errors: Mapping[Contender, np.ndarray]) -> Plate | None:
+def certified(plant: Plant, result: Certified | None, errors: Mapping[PredictorId, np.ndarray]) -> Figure | None:
     """The share of rollouts with a larger error of U than ε, by network; None without a certificate."""
     if result is None:
         return None
@@ -54,11 +54,11 @@ def certified(plant: Plant, result: Certified | None, errors: Mapping[Contender,
     alt = "; ".join(f"{c.label}: at most {short(row.eps_kappa)}" for c, row in result.models.items()) + "."
     unit = with_unit("ε, of U", common_unit(plant, plant.inputs))
     panel = Panel("share of rollouts above ε", alt, partial(_exceeding, result, errors, unit))
-    tolerance = Key(f"tolerance {first.tolerance:.4g}", Look("muted", (1, 2)))
-    return Plate("certified", "With a confidence", caption, (panel,), (*keys(result.models), tolerance))
+    tolerance = LegendEntry(f"tolerance {first.tolerance:.4g}", LineStyle("muted", (1, 2)))
+    return Figure("certified", "With a confidence", caption, (panel,), (*keys(result.models), tolerance))
 
 
-def _exceeding(result: Certified, errors: Mapping[Contender, np.ndarray], unit: str, axis: Axes) -> None:
+def _exceeding(result: Certified, errors: Mapping[PredictorId, np.ndarray], unit: str, axis: Axes) -> None:
     for contender, row in result.models.items():
         ordered = np.sort(errors[contender])
         share = 1 - np.arange(len(ordered)) / len(ordered)
@@ -71,7 +71,7 @@ def _exceeding(result: Certified, errors: Mapping[Contender, np.ndarray], unit: 
     log(axis, "x", "y")
 
 
-def _radii(rows: dict[Contender, Scores], gain: float, label: str, axis: Axes) -> None:
+def _radii(rows: dict[PredictorId, Scores], gain: float, label: str, axis: Axes) -> None:
     for contender, row in rows.items():
         eps, median, worst = row.eps_kappa, row.radius.median, row.radius.worst
         colour, marker = look(contender).colour, "o" if contender.epoch is None else "s"
@@ -87,7 +87,7 @@ def _radii(rows: dict[Contender, Scores], gain: float, label: str, axis: Axes) -
     log(axis, "x", "y")
 
 
-def _alt_radii(rows: dict[Contender, Scores]) -> str:
+def _alt_radii(rows: dict[PredictorId, Scores]) -> str:
     radii = [
         f"{contender.label}: ε_{{κ}} {row.eps_kappa:.2e}, radius from {short(row.radius.median)} (median) to "
         f"{short(row.radius.worst)} (worst)"

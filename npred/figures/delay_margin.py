@@ -5,7 +5,7 @@ from functools import partial
 import numpy as np
 
 from npred.diagnosis.delay_margin import MismatchedLoop, delay_margin
-from npred.figures.figure import Panel, Plate
+from npred.figures.figure import Figure, Panel
 from npred.figures.notation import timed, with_unit
 from npred.figures.style import ROLES, Axes
 from npred.plants import Plant
@@ -14,7 +14,7 @@ POINTS, BEYOND = 80, 1.5  # estimates that are looked at, up to so many times th
 FAR = 2.0  # in D, where the margin has no end
 
 
-def margin(plant: Plant, name: str, D: float) -> Plate:
+def margin(plant: Plant, name: str, D: float) -> Figure:
     """The real part of the rightmost root over D_hat - D, the margin shaded; raises as npred.delay_margin does."""
     low, high = delay_margin(plant, D)
     loop = MismatchedLoop(plant, D)
@@ -27,7 +27,7 @@ def margin(plant: Plant, name: str, D: float) -> Plate:
     )
     title = with_unit("rightmost root, real part", f"1/{plant.time_unit}")
     panel = Panel(title, caption, partial(_rates, timed(plant, "D̂ − D"), errors, rates, (low, high)))
-    return Plate(name, "The delay margin", caption, (panel,))
+    return Figure(name, "The delay margin", caption, (panel,))
 
 
 def _rates(label: str, errors: np.ndarray, rates: np.ndarray, ends: tuple[float, float], axis: Axes) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from npred.config import Evaluate
 from npred.data import hdf5
 from npred.plants import Plant
-from npred.results import Contender, Evaluated
+from npred.results import Evaluated, PredictorId
 from npred.results.evaluate import Scores
 
 LOOP = {"t": 1, "X": 2, "U": 2, "D_hat": 1, "N": 1}  # axes of each array
@@ -47,11 +47,11 @@ class Histogram:
 
     edges: np.ndarray
     data: np.ndarray
-    loops: dict[Contender, np.ndarray]
+    loops: dict[PredictorId, np.ndarray]
 
 
 @dataclass(frozen=True)
-class Evidence:
+class EvaluationData:
     """An evaluation: its answer, and the arrays beside it; X (N, n) and D_hat (N,) of the held-out samples.
 
     X, D_hat and `errors` are of held-out samples of the first kind; `kinds` has the sup over x of |P_hat - P| by kind
@@ -60,15 +60,15 @@ class Evidence:
 
     plant: Plant
     config: Evaluate
-    models: dict[Contender, Scores]
+    models: dict[PredictorId, Scores]
     gain: float
-    loops: dict[Contender, LoopSeries]
+    loops: dict[PredictorId, LoopSeries]
     X: np.ndarray
     D_hat: np.ndarray
-    errors: dict[Contender, ErrorArrays]
+    errors: dict[PredictorId, ErrorArrays]
     coverage: dict[str, Histogram]
-    kinds: dict[str, dict[Contender, np.ndarray]]
-    bounded: dict[Contender, LoopSeries] = field(default_factory=dict)  # loops with U within figure_bounds
+    kinds: dict[str, dict[PredictorId, np.ndarray]]
+    bounded: dict[PredictorId, LoopSeries] = field(default_factory=dict)  # loops with U within figure_bounds
 
     @property
     def samples(self) -> str:
@@ -76,7 +76,7 @@ class Evidence:
         return f"held-out samples of {OF[next(iter(self.kinds))]}"
 
     @classmethod
-    def read(cls, folder: Path, plant: Plant, config: Evaluate, result: Evaluated) -> "Evidence":
+    def read(cls, folder: Path, plant: Plant, config: Evaluate, result: Evaluated) -> "EvaluationData":
         """The files in the folder of an evaluate artifact with that result."""
         order = list(result.models)
         networks = [contender for contender in order if contender.is_network]
@@ -97,12 +97,14 @@ class Evidence:
         )  # fmt: skip
 
 
-def _loops(path: Path, order: list[Contender], group: str = "") -> dict[Contender, LoopSeries]:
+def _loops(path: Path, order: list[PredictorId], group: str = "") -> dict[PredictorId, LoopSeries]:
     series = _arrays(path, [f"{group}{c.name}/" for c in order], LOOP)
     return {c: LoopSeries(**arrays) for c, arrays in zip(order, series, strict=True)}
 
 
-def _by_kind(folder: Path, kinds: Iterable[str], networks: list[Contender]) -> dict[str, dict[Contender, np.ndarray]]:
+def _by_kind(
+    folder: Path, kinds: Iterable[str], networks: list[PredictorId]
+) -> dict[str, dict[PredictorId, np.ndarray]]:
     """The sup over x of each network's error by kind of row; those of the first kind are the file's."""
     prefixes = {kind: f"kinds/{kind}/" if number else "" for number, kind in enumerate(kinds)}
     groups = {kind: [f"{prefix}networks/{c.name}/" for c in networks] for kind, prefix in prefixes.items()}

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from npred.figures.style import HANDLE, MEDIA, SCREEN, Axes, Look, Style, lettered, medium
+from npred.figures.style import HANDLE, MEDIA, SCREEN, Axes, LineStyle, Style, lettered, medium
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -27,22 +27,22 @@ class Panel:
 
 
 @dataclass(frozen=True)
-class Key:
+class LegendEntry:
     """An entry of a legend."""
 
     label: str
-    look: Look
+    look: LineStyle
 
 
 @dataclass(frozen=True)
-class Plate:
+class Figure:
     """A figure of several panels with one legend; `name` is its file's, `caption` what to see in it."""
 
     name: str
     title: str
     caption: str
     panels: tuple[Panel, ...]
-    keys: tuple[Key, ...] = ()
+    keys: tuple[LegendEntry, ...] = ()
 
 
 def draw(panel: Panel, axis: Axes) -> None:
@@ -50,7 +50,7 @@ def draw(panel: Panel, axis: Axes) -> None:
     axis.set_title(panel.title)
 
 
-def write(plate: Plate, folder: Path, style: Style = MEDIA["ieee2"], formats: Sequence[str] = ("svg", "png")) -> None:
+def write(plate: Figure, folder: Path, style: Style = MEDIA["ieee2"], formats: Sequence[str] = ("svg", "png")) -> None:
     """The plate as name.svg, name.pdf, name.png: the same bytes for the same data."""
     with medium(style):
         figure = _figure(plate, style)
@@ -72,7 +72,7 @@ def canvas(width: float, height: float) -> "Figure":
     return figure
 
 
-def _figure(plate: Plate, style: Style) -> "Figure":
+def _figure(plate: Figure, style: Style) -> "Figure":
     columns = min(style.columns, len(plate.panels))
     rows = -(-len(plate.panels) // columns)
     figure = canvas(style.width, rows * style.height * (1.0 if columns > 1 else 1.5) + 0.04 * style.font)
@@ -87,7 +87,7 @@ def _figure(plate: Plate, style: Style) -> "Figure":
     return figure
 
 
-def _legend(figure: "Figure", plate: Plate, style: Style) -> None:
+def _legend(figure: "Figure", plate: Figure, style: Style) -> None:
     from matplotlib.lines import Line2D
 
     if plate.keys:
@@ -95,7 +95,7 @@ def _legend(figure: "Figure", plate: Plate, style: Style) -> None:
         figure.legend(handles=lines, loc="outside upper center", ncols=_columns(plate, style))
 
 
-def _columns(plate: Plate, style: Style) -> int:
+def _columns(plate: Figure, style: Style) -> int:
     """As many columns as fit beside each other; the entries are filled in column by column."""
     room = style.width * 72 / style.font
     for count in range(len(plate.keys), 1, -1):

@@ -6,15 +6,15 @@ from typing import Any
 
 import numpy as np
 
-from npred.figures.figure import Key, Panel, Plate
+from npred.figures.figure import Figure, LegendEntry, Panel
 from npred.figures.notation import quantity, timed
-from npred.figures.style import ROLES, Axes, Look, short
+from npred.figures.style import ROLES, Axes, LineStyle, short
 from npred.plants import Plant
 
-RECORDED, FITTED = Look("muted", marker="o", width=0), Look("blue")
+RECORDED, FITTED = LineStyle("muted", marker="o", width=0), LineStyle("blue")
 
 
-def plates(plant: Plant, drawn: dict[str, Any]) -> Iterator[Plate]:
+def plates(plant: Plant, drawn: dict[str, Any]) -> Iterator[Figure]:
     """The figures of one identification; `drawn` is what npred.stages.identify has written."""
     yield _outputs(plant, drawn)
     yield _profiles(plant, drawn)
@@ -23,7 +23,7 @@ def plates(plant: Plant, drawn: dict[str, Any]) -> Iterator[Plate]:
         yield _windows(plant, drawn)
 
 
-def _outputs(plant: Plant, drawn: dict[str, Any]) -> Plate:
+def _outputs(plant: Plant, drawn: dict[str, Any]) -> Figure:
     t, Y, fitted = drawn["t"], drawn["Y"], drawn["fitted"]
     panels = [
         Panel(
@@ -38,8 +38,12 @@ def _outputs(plant: Plant, drawn: dict[str, Any]) -> Plate:
         for j, name in enumerate(plant.inputs)
     ]
     caption = "The outputs as recorded, and as the model has them from the begin of each segment on; the commands."
-    return Plate(
-        "recording", "The recording", caption, tuple(panels), (Key("recorded", RECORDED), Key("model", FITTED))
+    return Figure(
+        "recording",
+        "The recording",
+        caption,
+        tuple(panels),
+        (LegendEntry("recorded", RECORDED), LegendEntry("model", FITTED)),
     )
 
 
@@ -54,7 +58,7 @@ def _commands(t: np.ndarray, U: np.ndarray, plant: Plant, axis: Axes) -> None:
     axis.set_xlabel(timed(plant, "t"))
 
 
-def _profiles(plant: Plant, drawn: dict[str, Any]) -> Plate:
+def _profiles(plant: Plant, drawn: dict[str, Any]) -> Figure:
     panels = []
     for j, name in enumerate(plant.inputs):
         D, rise = drawn[f"profile_{j}"]
@@ -66,7 +70,7 @@ def _profiles(plant: Plant, drawn: dict[str, Any]) -> Plate:
         "How much worse other delays fit, with everything else fitted anew. Dotted: what the data cannot tell from the "
         "best. Shaded: the interval of 95 %, which may be wider, since the segments were drawn anew as well."
     )
-    return Plate("profile", "The delay", caption, tuple(panels))
+    return Figure("profile", "The delay", caption, tuple(panels))
 
 
 def _profile(
@@ -79,7 +83,7 @@ def _profile(
     axis.set_ylim(0, min(float(np.nanmax(rise, initial=0.0)), 8 * level) * 1.05 + 1e-9)
 
 
-def _residuals(plant: Plant, drawn: dict[str, Any]) -> Plate:
+def _residuals(plant: Plant, drawn: dict[str, Any]) -> Figure:
     panels = []
     for k, name in enumerate(plant.outputs):
         left = drawn["Y"][:, k] - drawn["fitted"][:, k]
@@ -91,7 +95,7 @@ def _residuals(plant: Plant, drawn: dict[str, Any]) -> Plate:
     caption = (
         "Recorded less fitted. White noise has no autocorrelation; what stays on one side is missing in the model."
     )
-    return Plate("residuals", "What is left over", caption, tuple(panels))
+    return Figure("residuals", "What is left over", caption, tuple(panels))
 
 
 def _left(t: np.ndarray, r: np.ndarray, plant: Plant, axis: Axes) -> None:
@@ -105,13 +109,13 @@ def _correlation(rho: np.ndarray, axis: Axes) -> None:
     axis.set_xlabel("samples")
 
 
-def _windows(plant: Plant, drawn: dict[str, Any]) -> Plate:
+def _windows(plant: Plant, drawn: dict[str, Any]) -> Figure:
     t, D, interval = drawn["window_t"], drawn["window_D"], drawn["window_interval"]
     panels = tuple(
         Panel(timed(plant, f"delay of {name}"), "Delay by window.", partial(_window, t, D[:, j], interval[:, j], plant))
         for j, name in enumerate(plant.inputs)
     )
-    return Plate("windows", "The delay over time", "The delay of each window, with its interval of 95 %.", panels)
+    return Figure("windows", "The delay over time", "The delay of each window, with its interval of 95 %.", panels)
 
 
 def _window(t: np.ndarray, D: np.ndarray, interval: np.ndarray, plant: Plant, axis: Axes) -> None:

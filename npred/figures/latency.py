@@ -5,10 +5,10 @@ from dataclasses import replace
 from functools import partial
 from math import inf, isfinite
 
-from npred.figures.figure import Key, Panel, Plate
-from npred.figures.style import Axes, Look, colours, log
+from npred.figures.figure import Figure, LegendEntry, Panel
+from npred.figures.style import Axes, LineStyle, colours, log
 from npred.registry import METHODS, NETWORKS, RUNTIMES, Entry, Registry
-from npred.results import Contender, ranked
+from npred.results import PredictorId, ranked
 from npred.results.bench import CallTimes
 
 FAR = 1000  #: times the networks' error: no prediction any more, an unstable step say
@@ -23,12 +23,12 @@ INTERPRETED = Registry(  #: how the baselines of pipeline/interpreted.py are dra
 TAIL = {"median_us": "o", "p95_us": "|", "p999_us": "|"}
 
 
-def speed(rows: list[CallTimes]) -> Plate:
+def speed(rows: list[CallTimes]) -> Figure:
     """Latency against error and against dx, a line through the grids of each; median to 99.9 % at the finest dx."""
     single = [row for row in rows if row.batch == 1 and isfinite(row.eps_sup)]
     front = _series(_near(single))
     grids = _series(row for row in single if row.matches is None)
-    networks = {c.model: c for c in ranked(Contender(row.predictor) for row in rows if row.is_network)}
+    networks = {c.model: c for c in ranked(PredictorId(row.predictor) for row in rows if row.is_network)}
     looks = {name: _look(series[0], networks) for name, series in _series(single).items()}
     caption = (
         "Time of one call at batch 1. Versus ε: the median and the error, one mark per grid. The line of a method "
@@ -40,7 +40,7 @@ def speed(rows: list[CallTimes]) -> Plate:
         Panel("µs per call versus dx", _alt_grids(grids), partial(_lines, grids, looks)),
         Panel("µs, median to 99.9 %", _alt_tail(grids), partial(_tails, grids, looks)),
     )  # fmt: skip
-    return Plate("speed", "Latency and accuracy", caption, panels, tuple(Key(*item) for item in looks.items()))
+    return Figure("speed", "Latency and accuracy", caption, panels, tuple(LegendEntry(*item) for item in looks.items()))
 
 
 def _near(rows: list[CallTimes]) -> list[CallTimes]:
@@ -57,13 +57,13 @@ def label(row: CallTimes) -> str:
     return f"{NETWORKS.label(row.predictor)}, {row.runtime}{device}"
 
 
-def _look(row: CallTimes, networks: dict[str, Contender]) -> Look:
+def _look(row: CallTimes, networks: dict[str, PredictorId]) -> LineStyle:
     """A numerical predictor has one look; a network its colour, and the dash and marker of the runtime."""
     if (parts := _numerical(row)) is not None:
         role, dash, marker = parts.look(row.predictor)
-        return Look(role, dash, 1.2, marker)
+        return LineStyle(role, dash, 1.2, marker)
     _, dash, marker = RUNTIMES.look(row.runtime)
-    return Look(colours(networks[row.predictor])[row.copies is not None], dash, 1.2, marker)
+    return LineStyle(colours(networks[row.predictor])[row.copies is not None], dash, 1.2, marker)
 
 
 def _numerical(row: CallTimes) -> Registry | None:
@@ -84,7 +84,7 @@ def _rank(row: CallTimes) -> tuple[int, str]:
     return order.index(row.predictor) if row.predictor in order else len(order), label(row)
 
 
-def _fronts(series: dict[str, list[CallTimes]], looks: dict[str, Look], axis: Axes) -> None:
+def _fronts(series: dict[str, list[CallTimes]], looks: dict[str, LineStyle], axis: Axes) -> None:
     for name, rows in series.items():
         front, look = _unbeaten(rows), looks[name]
         axis.plot([row.eps_sup for row in rows], [row.median_us for row in rows], look.marker, color=look.colour)
@@ -103,14 +103,14 @@ def _unbeaten(rows: list[CallTimes]) -> list[CallTimes]:
     return best
 
 
-def _lines(series: dict[str, list[CallTimes]], looks: dict[str, Look], axis: Axes) -> None:
+def _lines(series: dict[str, list[CallTimes]], looks: dict[str, LineStyle], axis: Axes) -> None:
     for name, rows in series.items():
         axis.plot([row.dx for row in rows], [row.median_us for row in rows], **looks[name].line)
     axis.set_xlabel("dx")
     log(axis, "x", "y")
 
 
-def _tails(series: dict[str, list[CallTimes]], looks: dict[str, Look], axis: Axes) -> None:
+def _tails(series: dict[str, list[CallTimes]], looks: dict[str, LineStyle], axis: Axes) -> None:
     for position, (name, (finest, *_)) in enumerate(series.items()):
         style = looks[name]
         axis.plot([finest.median_us, finest.p999_us], [position, position], color=style.colour, linewidth=1.2)

@@ -7,18 +7,18 @@ from typing import Any, cast
 
 import numpy as np
 
-from npred.figures.evaluation_data import Evidence, Histogram, LoopSeries
-from npred.figures.figure import Key, Panel, Plate
+from npred.figures.evaluation_data import EvaluationData, Histogram, LoopSeries
+from npred.figures.figure import Figure, LegendEntry, Panel
 from npred.figures.notation import common_unit, quantity, symbol, timed, with_unit
-from npred.figures.style import ROLES, Axes, Look, log, look, short
+from npred.figures.style import ROLES, Axes, LineStyle, log, look, short
 from npred.loop import delay_law, lyapunov, metrics
-from npred.results import NUMERICAL, Contender
+from npred.results import NUMERICAL, PredictorId
 
 GOAL = {"color": ROLES["muted"][0], "linewidth": 0.8, "linestyle": (0, (1, 2)), "zorder": 0}
 ROUNDS = 30  # of the fixed-point iteration for when a command acts
 
 
-def figure1(evidence: Evidence) -> Plate:
+def figure1(evidence: EvaluationData) -> Figure:
     """x, U and D_hat over time [DAPF, Fig. 1], and how far each loop is from the numerical predictor's."""
     plant, columns = evidence.plant, {contender: _columns(loop) for contender, loop in evidence.loops.items()}
     t, time = evidence.loops[NUMERICAL].t, timed(plant, "t")
@@ -33,10 +33,10 @@ def figure1(evidence: Evidence) -> Plate:
     if apart:
         title = with_unit("difference from the numerical loop", common_unit(plant, plant.states))
         panels.append(Panel(title, _alt_apart(apart), partial(_curves, t, apart, time)))
-    return Plate("figure1", "The closed loop", _caption(evidence, apart), tuple(panels), keys(evidence.loops))
+    return Figure("figure1", "The closed loop", _caption(evidence, apart), tuple(panels), keys(evidence.loops))
 
 
-def figure1_bounded(evidence: Evidence) -> Plate | None:
+def figure1_bounded(evidence: EvaluationData) -> Figure | None:
     """The same of the loops with U within `figure_bounds`; None where there are none."""
     table = evidence.config.bounded
     if table is None:
@@ -45,19 +45,19 @@ def figure1_bounded(evidence: Evidence) -> Plate | None:
     return replace(plate, name="figure1_bounded", title="The closed loop, U within bounds")
 
 
-def _apart(evidence: Evidence) -> dict[Contender, np.ndarray]:
+def _apart(evidence: EvaluationData) -> dict[PredictorId, np.ndarray]:
     """|X - X of the numerical predictor's loop| over time, (nt,): curves on one another have a distance here."""
     exact = evidence.loops[NUMERICAL].X
     every = {c: np.linalg.norm(loop.X - exact, axis=1) for c, loop in evidence.loops.items()}
     return {c: values for c, values in every.items() if np.any((values > 0) & np.isfinite(values))}
 
 
-def _alt_apart(apart: dict[Contender, np.ndarray]) -> str:
+def _alt_apart(apart: dict[PredictorId, np.ndarray]) -> str:
     largest = "; ".join(f"{c.label} {short(np.max(values))}" for c, values in apart.items())
     return f"|X − X of the numerical loop| on a logarithmic scale, at most: {largest}."
 
 
-def _caption(evidence: Evidence, apart: dict[Contender, np.ndarray]) -> str:
+def _caption(evidence: EvaluationData, apart: dict[PredictorId, np.ndarray]) -> str:
     plant, config = evidence.plant, evidence.config
     D, D_hat0 = map(plant.time_text, (config.D, config.D_hat0))
     delay = "the delay that the plant declares" if plant.declares_delay else f"D = {D} and D̂(0) = {D_hat0}"
@@ -73,7 +73,7 @@ def _caption(evidence: Evidence, apart: dict[Contender, np.ndarray]) -> str:
     )
 
 
-def _limits(evidence: Evidence) -> str:
+def _limits(evidence: EvaluationData) -> str:
     """The bounds of U, where a pipeline gives some; that there are none, where it draws a bounded loop too."""
     plant, bounds = evidence.plant, evidence.config.input_bounds
     if bounds is None:
@@ -84,7 +84,7 @@ def _limits(evidence: Evidence) -> str:
     )
 
 
-def _converging(evidence: Evidence) -> list[Contender]:
+def _converging(evidence: EvaluationData) -> list[PredictorId]:
     """The contenders whose loops a panel has to show whole: the numerical predictor's, and all that end settled.
 
     A loop that is lost may leave the picture, so that the others can be distinguished.
@@ -97,7 +97,7 @@ def _converging(evidence: Evidence) -> list[Contender]:
     return kept
 
 
-def ends(evidence: Evidence) -> tuple[Panel, ...]:
+def ends(evidence: EvaluationData) -> tuple[Panel, ...]:
     """The distance to rest, and W(t) of the stability proof where the update law runs, along the loops of figure1."""
     plant, config = evidence.plant, evidence.config
     distance = {c: np.linalg.norm(loop.X - plant.target(loop.t), axis=1) for c, loop in evidence.loops.items()}
@@ -117,15 +117,15 @@ def ends(evidence: Evidence) -> tuple[Panel, ...]:
     )  # fmt: skip
 
 
-def keys(contenders: Iterable[Contender]) -> tuple[Key, ...]:
-    return tuple(Key(contender.label, look(contender)) for contender in contenders)
+def keys(contenders: Iterable[PredictorId]) -> tuple[LegendEntry, ...]:
+    return tuple(LegendEntry(contender.label, look(contender)) for contender in contenders)
 
 
 def _columns(loop: LoopSeries) -> np.ndarray:
     return np.concatenate([loop.X, loop.U, loop.D_hat[:, None]], axis=1)
 
 
-def _goals(evidence: Evidence, t: np.ndarray) -> np.ndarray:
+def _goals(evidence: EvaluationData, t: np.ndarray) -> np.ndarray:
     """Where states and inputs are to go, the input leading by D, and the true delay, (nt, n + m + 1)."""
     plant, D = evidence.plant, np.full(len(t), evidence.config.D)
     acts = t + D
@@ -138,7 +138,7 @@ def _goals(evidence: Evidence, t: np.ndarray) -> np.ndarray:
 
 
 def _over_time(
-    t: np.ndarray, columns: dict[Contender, np.ndarray], k: int, goals: np.ndarray, span: tuple[float, float],
+    t: np.ndarray, columns: dict[PredictorId, np.ndarray], k: int, goals: np.ndarray, span: tuple[float, float],
     time: str, axis: Axes,
 ) -> None:  # fmt: skip
     for contender, series in columns.items():
@@ -147,7 +147,7 @@ def _over_time(
     axis.set(xlabel=time, xlim=(t[0], t[-1]), ylim=span)
 
 
-def _curves(t: np.ndarray, curves: dict[Contender, np.ndarray], time: str, axis: Axes) -> None:
+def _curves(t: np.ndarray, curves: dict[PredictorId, np.ndarray], time: str, axis: Axes) -> None:
     for contender, values in curves.items():
         positive = np.where(np.isfinite(values) & (values > 0), values, np.nan)
         axis.plot(t, positive, **look(contender).line)
@@ -170,12 +170,12 @@ def _ends(values: np.ndarray) -> tuple[float, float] | None:
     return (float(finite.min()), float(finite.max())) if len(finite) else None
 
 
-def _alt(name: str, k: int, columns: dict[Contender, np.ndarray], t: np.ndarray) -> str:
+def _alt(name: str, k: int, columns: dict[PredictorId, np.ndarray], t: np.ndarray) -> str:
     ends = "; ".join(f"{c.label} {values[0, k]:.4g} to {values[-1, k]:.4g}" for c, values in columns.items())
     return f"{name} from t = 0 to {t[-1]:g}: {ends}."
 
 
-def coverage(evidence: Evidence) -> Plate:
+def coverage(evidence: EvaluationData) -> Figure:
     """A panel per state, an input, and the delay estimate."""
     histograms = {quantity(evidence.plant, name): each for name, each in evidence.coverage.items()}
     panels = [
@@ -188,8 +188,8 @@ def coverage(evidence: Evidence) -> Plate:
         "on a logarithmic scale. A network is only "
         "reliable where it was trained."
     )
-    marks = Key("data", Look("fill", (), 5)), *keys(next(iter(histograms.values())).loops)
-    return Plate("coverage", "Coverage of the data", caption, tuple(panels), marks)
+    marks = LegendEntry("data", LineStyle("fill", (), 5)), *keys(next(iter(histograms.values())).loops)
+    return Figure("coverage", "Coverage of the data", caption, tuple(panels), marks)
 
 
 def _histogram(histogram: Histogram, axis: Axes) -> None:

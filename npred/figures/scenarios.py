@@ -5,20 +5,20 @@ from functools import partial
 
 import numpy as np
 
-from npred.figures.evaluation_data import Evidence
-from npred.figures.figure import Key, Panel, Plate
+from npred.figures.evaluation_data import EvaluationData
+from npred.figures.figure import Figure, LegendEntry, Panel
 from npred.figures.notation import common_unit, timed, with_unit
-from npred.figures.style import ROLES, Axes, Look, log, look, short
+from npred.figures.style import ROLES, Axes, LineStyle, log, look, short
 from npred.plants import Plant
-from npred.results import NUMERICAL, Contender
+from npred.results import NUMERICAL, PredictorId
 from npred.results.evaluate import Behaviour, Conditions, DelayMap
 
-Values = dict[Contender, np.ndarray]  # one per scenario
+Values = dict[PredictorId, np.ndarray]  # one per scenario
 SPREAD = 0.5  # of a scenario's room, between its first and its last predictor
 REACH = 1e-4  # of the largest value: further left on a logarithmic side are arrows, or they would squeeze the rest
 
 
-def scenarios(plant: Plant, conditions: Sequence[Conditions]) -> Plate | None:
+def scenarios(plant: Plant, conditions: Sequence[Conditions]) -> Figure | None:
     """A panel each for the worst radius, the settling time and |D_hat - D|; None where there are no scenarios."""
     if not conditions:
         return None
@@ -34,8 +34,8 @@ def scenarios(plant: Plant, conditions: Sequence[Conditions]) -> Plate | None:
         "noise. An arrow points to what is still smaller; what is infinite, of a loop that diverges or does not "
         f"settle, has no mark. Lost loops: {', '.join(f'{c.label} {count}' for c, count in lost.items())}."
     )
-    marks = tuple(Key(c.label, Look(look(c).role, (0.01, 9), marker="o")) for c in conditions[0].models)
-    return Plate("scenarios", "Other conditions", caption, tuple(panels), marks)
+    marks = tuple(LegendEntry(c.label, LineStyle(look(c).role, (0.01, 9), marker="o")) for c in conditions[0].models)
+    return Figure("scenarios", "Other conditions", caption, tuple(panels), marks)
 
 
 def _panel(
@@ -76,7 +76,7 @@ def _marks(names: Sequence[str], values: Values, logarithmic: bool, axis: Axes) 
         axis.set_xlim(left=0, right=axis.get_xlim()[1] * 1.03)  # no mark is cut at the edge
 
 
-def delays(evidence: Evidence) -> Plate | None:
+def delays(evidence: EvaluationData) -> Figure | None:
     """One panel per predictor; None where the pipeline asks for no map."""
     maps = {c: scores.map for c, scores in evidence.models.items() if scores.map and c.epoch is None}
     if not maps:
@@ -92,24 +92,27 @@ def delays(evidence: Evidence) -> Plate | None:
         "it does not; ringed: only the numerical predictor's does. A network's count is of those cells in which the "
         "numerical predictor's loop converges."
     )
-    marks = (Key("converges", Look("ink", (0.01, 9), marker="s")), Key("lost", Look("muted", (0.01, 9), marker="x")))
-    return Plate("delays", "Delays and first estimates", caption, tuple(panels), marks)
+    marks = (
+        LegendEntry("converges", LineStyle("ink", (0.01, 9), marker="s")),
+        LegendEntry("lost", LineStyle("muted", (0.01, 9), marker="x")),
+    )
+    return Figure("delays", "Delays and first estimates", caption, tuple(panels), marks)
 
 
-def _map_title(contender: Contender, cells: DelayMap, exact: np.ndarray) -> str:
+def _map_title(contender: PredictorId, cells: DelayMap, exact: np.ndarray) -> str:
     converged = np.array(cells.converged)
     total = converged.size if contender == NUMERICAL else exact.sum()
     return f"{contender.label}: {(converged & exact).sum()} of {total}"
 
 
-def _alt_map(contender: Contender, cells: DelayMap, exact: np.ndarray) -> str:
+def _alt_map(contender: PredictorId, cells: DelayMap, exact: np.ndarray) -> str:
     converged = np.array(cells.converged)
     lost = int((exact & ~converged).sum())
     beside = "" if contender == NUMERICAL else f"; {lost} lost that the numerical predictor keeps"
     return f"{contender.label} converges in {int(converged.sum())} of {converged.size} cells of D by D̂(0){beside}."
 
 
-def _cells(contender: Contender, cells: DelayMap, exact: np.ndarray, labels: list[str], axis: Axes) -> None:
+def _cells(contender: PredictorId, cells: DelayMap, exact: np.ndarray, labels: list[str], axis: Axes) -> None:
     x, y = np.meshgrid(cells.D_hat0, cells.D)
     converged = np.array(cells.converged)
     size = min(90.0, 2600 / max(converged.shape) ** 1.6)

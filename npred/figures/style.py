@@ -10,7 +10,7 @@ import numpy as np
 
 from npred.figures.notation import SUPERSCRIPTS, mathematics
 from npred.registry import NETWORKS
-from npred.results import NO_ADAPTATION, NUMERICAL, Contender
+from npred.results import NO_ADAPTATION, NUMERICAL, PredictorId
 
 if TYPE_CHECKING:  # takes a second
     import matplotlib.axes
@@ -49,7 +49,7 @@ TRAINED, MORE, EARLY = ((6, 2.2), (3.2, 5)), (6, 1.6, 1, 1.6), (4, 1.6)
 
 
 @dataclass(frozen=True)
-class Look:
+class LineStyle:
     """Colour, dash and marker of a series, in figures and in the legends of a page."""
 
     role: str
@@ -69,26 +69,26 @@ class Look:
         return {"color": self.colour, "linestyle": style, "linewidth": self.width, "marker": self.marker or None}
 
 
-def look(contender: Contender) -> Look:
+def look(contender: PredictorId) -> LineStyle:
     """The look of a contender: the same in every figure."""
     if contender == NUMERICAL:
-        return Look("ink", width=1.9)
+        return LineStyle("ink", width=1.9)
     if contender == NO_ADAPTATION:
-        return Look("frozen", (1.2, 1.4), 1.0)
+        return LineStyle("frozen", (1.2, 1.4), 1.0)
     trained, early = colours(contender)
     if contender.epoch is not None:
-        return Look(early, EARLY)
+        return LineStyle(early, EARLY)
     pairs, place = _place(contender)
-    return Look(trained, MORE if pairs is OTHERS and place >= len(OTHERS) else TRAINED[place % len(TRAINED)])
+    return LineStyle(trained, MORE if pairs is OTHERS and place >= len(OTHERS) else TRAINED[place % len(TRAINED)])
 
 
-def colours(network: Contender) -> tuple[str, str]:
+def colours(network: PredictorId) -> tuple[str, str]:
     """The roles of a network, trained and stopped early."""
     pairs, place = _place(network)
     return pairs[place % len(pairs)]
 
 
-def _place(network: Contender) -> tuple[tuple[tuple[str, str], ...], int]:
+def _place(network: PredictorId) -> tuple[tuple[tuple[str, str], ...], int]:
     """The colours that a network takes one of, and which."""
     builtin = [*NETWORKS.builtin][: len(BUILTIN)]
     return (BUILTIN, builtin.index(network.model)) if network.model in builtin else (OTHERS, network.rank)

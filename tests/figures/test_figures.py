@@ -7,20 +7,20 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure as Canvas
 from result_samples import MAP, RADIUS, scores, timing
 
 from npred import config, figures, plants
 from npred.figures import accuracy, svg
-from npred.figures.evaluation_data import ErrorArrays, Evidence, Histogram, LoopSeries
-from npred.figures.figure import Key, Panel, Plate, write
-from npred.figures.style import MEDIA, ROLES, SCREEN, Look, colours, log, look, medium
-from npred.results import NO_ADAPTATION, NUMERICAL, Contender, ranked
+from npred.figures.evaluation_data import ErrorArrays, EvaluationData, Histogram, LoopSeries
+from npred.figures.figure import Figure, LegendEntry, Panel, write
+from npred.figures.style import MEDIA, ROLES, SCREEN, LineStyle, colours, log, look, medium
+from npred.results import NO_ADAPTATION, NUMERICAL, PredictorId, ranked
 from npred.results.evaluate import Conditions, Scores
 
 SVG = "{http://www.w3.org/2000/svg}"
-NAMES = tuple(map(Contender.parse, ("numerical", "no_adaptation", "deeponet@2", "deeponet", "fno")))
-DEEPONET, FNO = Contender("deeponet"), Contender("fno")
+NAMES = tuple(map(PredictorId.parse, ("numerical", "no_adaptation", "deeponet@2", "deeponet", "fno")))
+DEEPONET, FNO = PredictorId("deeponet"), PredictorId("fno")
 
 
 def row(number: int, lost: bool = False) -> Scores:
@@ -30,7 +30,7 @@ def row(number: int, lost: bool = False) -> Scores:
     return scores(eps_kappa=eps, eps_sup=eps, radius=radius, map=cells)
 
 
-def found(plant: str = "activator_repressor", lost: bool = False) -> Evidence:
+def found(plant: str = "activator_repressor", lost: bool = False) -> EvaluationData:
     """Five loops that decay, or whose networks are lost, and the errors of three networks."""
     made = plants.resolve(plant)
     t, rng = np.linspace(0, 10, 101), np.random.default_rng(1)
@@ -48,7 +48,7 @@ def found(plant: str = "activator_repressor", lost: bool = False) -> Evidence:
     covered = {name: Histogram(edges, np.ones(10), density) for name in (*made.states, *made.inputs, "D_hat")}
     models = {name: row(k, lost and name == DEEPONET) for k, name in enumerate(NAMES)}
     evaluate = config.parse({"plant": plant, "evaluate": {"X0": [0.5] * made.n}}, "test").evaluate
-    return Evidence(made, evaluate, models, 110.0, loops, X, D_hat, errors, covered, by_kind)
+    return EvaluationData(made, evaluate, models, 110.0, loops, X, D_hat, errors, covered, by_kind)
 
 
 KINDS = (
@@ -69,7 +69,7 @@ def test_a_contender_looks_the_same_everywhere_and_like_no_other():
 def test_networks_of_any_name_look_like_no_other_and_no_numerical_predictor():
     numerical = {"ink", "muted", "green", "frozen", look(NUMERICAL).role, look(NO_ADAPTATION).role}
     names = ("mine", "my_net", "green", "published", "averaging", "gru", "deeponet", "fno")
-    contenders = ranked(Contender(name, epoch) for name in names for epoch in (None, 7))
+    contenders = ranked(PredictorId(name, epoch) for name in names for epoch in (None, 7))
     assert len({(look(contender).role, look(contender).dash) for contender in contenders[:4]}) == 4
     assert (
         len({(look(contender).role, look(contender).dash) for contender in contenders if contender.epoch is None}) == 8
@@ -82,7 +82,7 @@ def test_the_runtimes_of_two_networks_of_ones_own_can_be_told_apart():
     rows = [timing(name, "torch", copies=copies) for name in ("mine", "yours") for copies in (None, True)]
     keys = {key.label: key.look for key in figures.speed([*rows, timing("rk4")]).keys}
     assert list(keys)[:2] == ["RK4", "mine, torch"] and len(keys) == len(set(keys.values())) == 5
-    assert keys["mine, torch"].role == look(ranked(map(Contender, ("mine", "yours")))[0]).role
+    assert keys["mine, torch"].role == look(ranked(map(PredictorId, ("mine", "yours")))[0]).role
 
 
 def test_colours_are_as_many_as_roles_on_light_and_on_dark():
@@ -107,7 +107,7 @@ def test_figure_1_has_a_panel_a_quantity_and_the_differences_of_loops_that_lie_o
     apart = replace(evidence.loops[FNO], X=evidence.loops[FNO].X + np.array([3e-7, 4e-7]))
     plate = figures.figure1(replace(evidence, loops=evidence.loops | {FNO: apart}))
     assert [panel.title for panel in plate.panels] == [*quantities, "difference from the numerical loop"]
-    axis = Figure().subplots()
+    axis = Canvas().subplots()
     plate.panels[-1].draw(axis)
     (line,) = axis.lines
     np.testing.assert_allclose(np.asarray(line.get_ydata()), 5e-7, rtol=1e-6)
@@ -129,7 +129,7 @@ def test_the_loop_within_other_bounds_is_a_figure_of_its_own_and_both_say_what_u
 
 def test_the_density_of_the_coverage_has_an_axis_with_numbers():
     for panel in figures.coverage(found()).panels:
-        axis = Figure().subplots()
+        axis = Canvas().subplots()
         panel.draw(axis)
         axis.figure.draw_without_rendering()
         assert [label for label in axis.get_yticklabels() if label.get_visible() and label.get_text()]
@@ -137,7 +137,7 @@ def test_the_density_of_the_coverage_has_an_axis_with_numbers():
 
 
 def limits(panel: Panel) -> tuple[float, float]:
-    axis = Figure().subplots()
+    axis = Canvas().subplots()
     panel.draw(axis)
     return axis.get_ylim()
 
@@ -258,7 +258,7 @@ def test_a_panel_on_a_page_follows_its_colours_and_names_only_its_own_parts():
 @pytest.mark.parametrize("medium", MEDIA)
 def test_files_for_papers_have_their_width_and_the_same_bytes_again(tmp_path, medium):
     panel = Panel("error ε over D̂", "A line.", lambda axis: axis.loglog([1e-5, 1], [1e-9, 1]))
-    plate = Plate("some", "Some", "Some.", (panel, panel), (Key("line", Look("ink")),))
+    plate = Figure("some", "Some", "Some.", (panel, panel), (LegendEntry("line", LineStyle("ink")),))
     for name in ("a", "b"):
         (tmp_path / name).mkdir()
         write(plate, tmp_path / name, MEDIA[medium], ("svg", "pdf", "png"))
@@ -282,7 +282,7 @@ def test_threads_that_draw_at_once_leave_each_other_alone(tmp_path):
         gone.set()
 
     def plain(name):
-        write(Plate("some", "Some", "Some.", (Panel("b", "B.", lambda axis: axis.plot([1, 0])),)), room(name))
+        write(Figure("some", "Some", "Some.", (Panel("b", "B.", lambda axis: axis.plot([1, 0])),)), room(name))
 
     def room(name):
         (tmp_path / name).mkdir()
@@ -290,9 +290,9 @@ def test_threads_that_draw_at_once_leave_each_other_alone(tmp_path):
 
     thread = Thread(target=other)
     thread.start()
-    write(Plate("some", "Some", "Some.", (Panel("a", "A.", draw),)), room("a"), MEDIA["slides"])
+    write(Figure("some", "Some", "Some.", (Panel("a", "A.", draw),)), room("a"), MEDIA["slides"])
     thread.join()
-    write(Plate("some", "Some", "Some.", (Panel("a", "A.", draw),)), room("again"), MEDIA["slides"])
+    write(Figure("some", "Some", "Some.", (Panel("a", "A.", draw),)), room("again"), MEDIA["slides"])
     plain("b again")
     for form in ("svg", "png"):
         assert (tmp_path / f"a/some.{form}").read_bytes() == (tmp_path / f"again/some.{form}").read_bytes()
@@ -304,7 +304,7 @@ def test_threads_that_draw_at_once_leave_each_other_alone(tmp_path):
 )
 def test_ticks_of_a_logarithmic_side_have_labels_of_their_own(span):
     with medium(SCREEN):
-        axis = Figure().subplots()
+        axis = Canvas().subplots()
         axis.plot(span, span)
         log(axis, "y")
         labels = [axis.yaxis.get_major_formatter()(value) for value in axis.get_yticks()]
@@ -323,7 +323,7 @@ def test_a_training_of_one_epoch_is_seen_as_a_point():
     row = {"epoch": 1, "loss": 0.1, "mse": 0.01, "eps_sup": 0.2}
     plate = figures.learning({FNO: [row], DEEPONET: [row, row | {"epoch": 2}]})
     for panel in plate.panels:
-        axis = Figure().subplots()
+        axis = Canvas().subplots()
         panel.draw(axis)
         assert [line.get_marker() for line in axis.lines] == ["o", "None"]
 
@@ -359,7 +359,7 @@ def test_speed_leaves_out_of_the_front_what_predicts_nothing():
 def test_no_line_of_latency_against_error_turns_back_and_every_grid_has_a_mark():
     times = {0.2: (1.0, 0.5), 0.1: (2.0, 1e-3), 0.05: (4.5, 9e-7), 0.02: (8.0, 3e-5), 0.01: (36.0, 1.4e-6)}
     rows = [timing("rk4", dx=dx, us=us, eps_sup=eps) for dx, (us, eps) in times.items()]
-    axis = Figure().subplots()
+    axis = Canvas().subplots()
     figures.speed(rows).panels[0].draw(axis)
     marks, line = axis.lines
     assert sorted(zip(marks.get_ydata(), marks.get_xdata(), strict=True)) == sorted(times.values())
@@ -375,7 +375,7 @@ def test_scenarios_have_a_mark_for_what_is_finite_and_positive():
     plate = figures.scenarios(plants.resolve("scalar"), conditions)
     assert plate is not None and "Lost loops: numerical 2, FNO 4." in plate.caption
     assert plate.panels[0].alt == "noise: numerical 0.2, FNO 0.2; jump: numerical 0.2, FNO ∞."
-    axis = Figure().add_subplot()
+    axis = Canvas().add_subplot()
     for panel in plate.panels:
         axis.clear()
         panel.draw(axis)
@@ -392,7 +392,7 @@ def test_a_scenario_far_left_of_the_others_is_an_arrow_that_does_not_squeeze_the
     rows = [("noise 0", exact), ("noise", does)]
     conditions = [Conditions.of({"name": name, "models": {"numerical": one}}, "t") for name, one in rows]
     plate = figures.scenarios(plants.resolve("scalar"), conditions)
-    axes = [Figure().add_subplot() for _ in plate.panels]
+    axes = [Canvas().add_subplot() for _ in plate.panels]
     for panel, axis in zip(plate.panels, axes, strict=True):
         panel.draw(axis)
     (mark, arrow), (zero, none) = ([line.get_xdata() for line in axis.lines] for axis in (axes[0], axes[2]))
@@ -402,5 +402,5 @@ def test_a_scenario_far_left_of_the_others_is_an_arrow_that_does_not_squeeze_the
 
 def test_two_networks_on_one_line_are_both_seen():
     """The dash of the second ends before that of the first, which ends before both start again."""
-    first, second = (look(Contender(name)).dash for name in ("deeponet", "fno"))
+    first, second = (look(PredictorId(name)).dash for name in ("deeponet", "fno"))
     assert second[0] < first[0] < sum(first) == pytest.approx(sum(second))

@@ -22,7 +22,7 @@ from npred.loop import metrics
 from npred.loop.closed_loop import Samples, Trajectories
 from npred.predictors import RK4
 from npred.predictors.neural import Neural
-from npred.results import Benched, Contender, Evaluated
+from npred.results import Benched, Evaluated, PredictorId
 from npred.results.bench import Stops
 from npred.stages.bench import bench, timing_tables
 from npred.stages.evaluate import accuracy, behaviour, coverage, evaluate
@@ -30,7 +30,7 @@ from npred.stages.generate import generate
 from npred.stages.train import train
 
 PLANT = plants.resolve("activator_repressor")
-FNO = Contender("fno")
+FNO = PredictorId("fno")
 BASELINES = [f"{HERE.parent}/pipeline/interpreted.py:{name}" for name in ("Published", "EulerPython")]
 
 

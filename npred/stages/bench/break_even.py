@@ -11,7 +11,7 @@ from npred import grid
 from npred.config import Bench
 from npred.kernels.kernel import bound
 from npred.predictors import RK4, OneStep, Predictor
-from npred.results.bench import CallTimes, Crossover, Rival
+from npred.results.bench import CallTimes, Crossover, EquivalentMethod
 from npred.stages.bench import sentences, timing
 from npred.stages.bench.candidates import Candidate, ErrorSizes, Reference, matching
 from npred.stages.job import Job
@@ -76,9 +76,9 @@ def _by_median(rival: Candidate, reference: Reference, eps: float) -> Candidate 
     return run and replace(rival, nx=nodes, run=run, matches=f"{rival.matches}, median")
 
 
-def _rival(entry: Candidate, median_us: dict[str, float], reference: Reference) -> Rival:
+def _rival(entry: Candidate, median_us: dict[str, float], reference: Reference) -> EquivalentMethod:
     errors = reference.of_method(entry.run, entry.nx)
-    return Rival(
+    return EquivalentMethod(
         predictor=entry.predictor, steps=entry.nx - 1, median_us=median_us[entry.label], eps_sup=errors.sup,
         eps_median=errors.median,
     )  # fmt: skip

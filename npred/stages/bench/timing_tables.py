@@ -3,7 +3,7 @@
 from math import isfinite
 
 from npred.registry import short_name
-from npred.results import NUMERICAL, Benched, Contender
+from npred.results import NUMERICAL, Benched, PredictorId
 from npred.results.bench import CallTimes, Crossover, Stops
 from npred.stages.bench.sentences import network_pays
 from npred.terminal.console import columns
@@ -35,15 +35,15 @@ def timed_dx(result: Benched, crossover: Crossover) -> float | None:
     return next((row.dx for row in result.table if (row.predictor, row.runtime, row.eps_sup) == call), None)
 
 
-def fastest(result: Benched, numerical: str) -> dict[Contender, float]:
+def fastest(result: Benched, numerical: str) -> dict[PredictorId, float]:
     """The median µs of a call at the finest dx and batch 1: each network's in its fastest runtime, and the compiled
     numerical predictor's.
     """
     finest = min((row.dx for row in result.table), default=0.0)
-    times: dict[Contender, float] = {}
+    times: dict[PredictorId, float] = {}
     for row in result.table:
         if row.dx == finest and (row.is_network or (row.predictor, row.runtime) == (short_name(numerical), "compiled")):
-            contender = Contender(row.predictor) if row.is_network else NUMERICAL
+            contender = PredictorId(row.predictor) if row.is_network else NUMERICAL
             times[contender] = min(times.get(contender, row.median_us), row.median_us)
     return times
 

@@ -19,7 +19,7 @@ from npred.parallel import devices
 from npred.plants import Plant
 from npred.predictors import Predictor, numerical
 from npred.predictors.guarded import Guarded
-from npred.results import Certified, Contender
+from npred.results import Certified, PredictorId
 from npred.results.certify import Certificate
 from npred.stages.certify import adversary, rollouts
 from npred.stages.certify.evolution import Inputs
@@ -48,7 +48,7 @@ def run(job: Job) -> Certified:
     exact, table = numerical(config.predictor, job.plant, config.nx), config.guard or GuardTable()
     guards = {
         contender: Guarded(networks.load(job, contender), exact=exact, **dict(table))
-        for contender in map(Contender, job.config.train.models)
+        for contender in map(PredictorId, job.config.train.models)
     }
     by_rollout = rollouts.judge(job, guards, exact)
     loops = _loops(job, exact)
@@ -75,7 +75,7 @@ def run(job: Job) -> Certified:
     return result
 
 
-def _searches(job: Job, guards: Mapping[Contender, Guarded], exact: Predictor) -> tuple[dict[Contender, Any], ...]:
+def _searches(job: Job, guards: Mapping[PredictorId, Guarded], exact: Predictor) -> tuple[dict[PredictorId, Any], ...]:
     """Of each network the adversary's calls, what a search for blind spots finds, and the loops, bare and guarded."""
     data = shards.survey(job.inputs["generate"] / "data.h5")
     with job.threads() as pool:
@@ -125,7 +125,7 @@ def _blind(job: Job, data: Dataset, guard: Guarded, exact: Predictor) -> dict[st
     }  # fmt: skip
 
 
-def _write_worst(folder: Path, calls: Mapping[Contender, tuple[Calls, np.ndarray]]) -> None:
+def _write_worst(folder: Path, calls: Mapping[PredictorId, tuple[Calls, np.ndarray]]) -> None:
     with h5py.File(folder / "worst.h5", "w") as file:
         for contender, (inputs, errors) in calls.items():
             worst = np.argsort(np.nan_to_num(errors))[::-1][:KEPT]

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping
 from math import isfinite
 
 from npred.figures.style import short
-from npred.results import Contender, Evaluated
+from npred.results import Evaluated, PredictorId
 from npred.results.evaluate import Behaviour, Scores
 from npred.terminal.console import columns
 
@@ -18,7 +18,7 @@ def summary(result: Evaluated, width: int | None = None) -> str:
     return f"{_title(result)}\n\n{table(result, width)}"
 
 
-def table(result: Evaluated, width: int | None = None, microseconds: Mapping[Contender, float] | None = None) -> str:
+def table(result: Evaluated, width: int | None = None, microseconds: Mapping[PredictorId, float] | None = None) -> str:
     """Each predictor's largest error, worst radius and number of loops that converge; and the time of a call, if given.
 
     Errors are against the numerical predictor: where it predicts, there is none.
@@ -68,7 +68,7 @@ def _cells(scores: Scores) -> list[str]:
     return [error, short(scores.radius.worst), converged, *_limits(scores)[:1]]
 
 
-def _all(contender: Contender, scores: Scores, result: Evaluated) -> dict[str, str]:
+def _all(contender: PredictorId, scores: Scores, result: Evaluated) -> dict[str, str]:
     radius, end, kinds = scores.radius, scores.figure1, list(result.kinds)[1:]
     cells = {"predictor": contender.label} | {head: _cell(getattr(scores, key)) for head, key in ERRORS.items()}
     cells |= {f"{kind}: ε sup": _cell(scores.kinds[kind].eps_sup) for kind in kinds}

@@ -7,14 +7,14 @@ import numpy as np
 
 from npred.config import FROZEN, Evaluate
 from npred.figures import svg
-from npred.figures.figure import Plate
+from npred.figures.figure import Figure
 from npred.figures.notation import symbol
 from npred.plants import Plant
 from npred.results import Reported
 from npred.stages.bench import timing_tables
 from npred.stages.job import Job
 from npred.stages.report import html_page, toml_text
-from npred.stages.report.report_data import CHAPTERS, Story, sentences
+from npred.stages.report.report_data import CHAPTERS, PipelineResults, sentences
 from npred.terminal.console import Console
 from npred.terminal.waiting import Bar
 
@@ -28,7 +28,7 @@ def run(job: Job) -> Reported:
 
     Inline SVG, style and script; nothing is loaded. Its three sentences are in the result.
     """
-    story = Story.read(job.config, job.plant, job.inputs)
+    story = PipelineResults.read(job.config, job.plant, job.inputs)
     said = sentences(job.plant, story.evaluated, story.benched)
     page = _page(story, said, job)
     (job.folder / NAME).write_text(page, encoding="utf-8")
@@ -39,7 +39,7 @@ def summary(result: Reported, width: int | None = None) -> str:
     return "\n".join(result.summary)
 
 
-def _page(story: Story, said: list[str], job: Job) -> str:
+def _page(story: PipelineResults, said: list[str], job: Job) -> str:
     return html_page.filled(
         html_page.text("page.html"),
         name=job.config.name,
@@ -54,7 +54,7 @@ def _page(story: Story, said: list[str], job: Job) -> str:
     )
 
 
-def _chapters(story: Story, progress: Console) -> Iterator[dict[str, Any]]:
+def _chapters(story: PipelineResults, progress: Console) -> Iterator[dict[str, Any]]:
     plates, tables = story.plates(), story.tables()
     with progress.bar("report", sum(len(plate.panels) for plate in plates.values()), "panels") as bar:
         for name, title, shown, below in CHAPTERS:
@@ -70,7 +70,7 @@ def _chapters(story: Story, progress: Console) -> Iterator[dict[str, Any]]:
                 }
 
 
-def _pictures(plate: Plate, bar: Bar) -> list[str]:
+def _pictures(plate: Figure, bar: Bar) -> list[str]:
     pictures = []
     for number, panel in enumerate(plate.panels):
         pictures.append(svg.inline(panel, f"{plate.name}-{number}"))
@@ -78,7 +78,7 @@ def _pictures(plate: Plate, bar: Bar) -> list[str]:
     return pictures
 
 
-def _caution(story: Story) -> str:
+def _caution(story: PipelineResults) -> str:
     """A sentence where no network is good, as in a pipeline that only tests the chain; empty where one is."""
     errors = [scores.rel_l2 for c, scores in story.evaluated.models.items() if c.is_network and c.epoch is None]
     if not errors or min(errors) < POOR:
@@ -130,7 +130,7 @@ def _sensor(plant: Plant, key: str, value: float | list[float]) -> str:
     return f"{' / '.join(numbers)}\N{NO-BREAK SPACE}{unit}".rstrip()
 
 
-def _facts(story: Story, job: Job) -> dict[str, dict[str, Any]]:
+def _facts(story: PipelineResults, job: Job) -> dict[str, dict[str, Any]]:
     """The origin of the numbers, in three lists: the question, the results' keys, the machine that was timed."""
     hardware = story.benched.hardware
     plant = {"plant": job.plant.name} | {name: f"{value:g}" for name, value in job.plant.parameters.items()}

@@ -10,14 +10,24 @@ import numpy as np
 
 from npred import figures, json_files
 from npred.config import Pipeline
-from npred.figures import Evidence, Plate
+from npred.figures import EvaluationData, Figure
 from npred.figures.evaluation_data import OF
 from npred.figures.latency import label
 from npred.figures.style import short
 from npred.figures.table import Table
 from npred.loop import metrics
 from npred.plants import Plant
-from npred.results import NO_ADAPTATION, NUMERICAL, Benched, Certified, Contender, Evaluated, Generated, Trained, ranked
+from npred.results import (
+    NO_ADAPTATION,
+    NUMERICAL,
+    Benched,
+    Certified,
+    Evaluated,
+    Generated,
+    PredictorId,
+    Trained,
+    ranked,
+)
 from npred.results.evaluate import Scores
 from npred.stages.bench import timing_tables
 from npred.stages.bench.sentences import method_on
@@ -37,7 +47,7 @@ CHAPTERS = (
 
 
 @dataclass(frozen=True)
-class Story:
+class PipelineResults:
     """The results of the stages of one pipeline; `keys` names them."""
 
     config: Pipeline
@@ -47,19 +57,19 @@ class Story:
     trained: dict[str, Trained]
     histories: dict[str, list[dict[str, float]]]
     generated: Generated
-    evidence: Evidence
+    evidence: EvaluationData
     keys: dict[str, str]
     certified: Certified | None = None
-    rollout_errors: dict[Contender, np.ndarray] = field(default_factory=dict)
+    rollout_errors: dict[PredictorId, np.ndarray] = field(default_factory=dict)
 
     @classmethod
-    def read(cls, config: Pipeline, plant: Plant, inputs: dict[str, Path]) -> "Story":
+    def read(cls, config: Pipeline, plant: Plant, inputs: dict[str, Path]) -> "PipelineResults":
         """The story of the results in these folders: all but certify have to be there."""
         evaluated, benched = Evaluated.read(inputs["evaluate"]), Benched.read(inputs["bench"])
         trained = {name: Trained.read(inputs[name]) for name in config.train.models}
         lines = {name: json_files.read(inputs[name] / "metrics.jsonl").splitlines() for name in trained}
         histories = {name: [*map(json_files.parse, each)] for name, each in lines.items()}
-        evidence = Evidence.read(inputs["evaluate"], plant, config.evaluate, evaluated)
+        evidence = EvaluationData.read(inputs["evaluate"], plant, config.evaluate, evaluated)
         keys = {name: folder.name for name, folder in inputs.items()}
         generated = Generated.read(inputs["generate"])
         certificate: dict[str, Any] = {}
@@ -68,14 +78,14 @@ class Story:
             certificate["rollout_errors"] = _rollout_errors(inputs["certify"] / "errors.h5")
         return cls(config, plant, evaluated, benched, trained, histories, generated, evidence, keys, **certificate)
 
-    def plates(self) -> dict[str, Plate]:
+    def plates(self) -> dict[str, Figure]:
         """Every figure by name, in order."""
         kinds = figures.figure1_bounded, figures.figure1, figures.certificate, figures.errors, figures.kinds
         kinds = *kinds, figures.box, figures.delays
         plates = [*(kind(self.evidence) for kind in kinds), figures.scenarios(self.plant, self.evaluated.scenarios)]
         plates += [
             figures.certified(self.plant, self.certified, self.rollout_errors),
-            figures.learning(dict(zip(ranked(map(Contender, self.histories)), self.histories.values(), strict=True))),
+            figures.learning(dict(zip(ranked(map(PredictorId, self.histories)), self.histories.values(), strict=True))),
             figures.speed(self.benched.rows),
             figures.coverage(self.evidence),
         ]
@@ -97,11 +107,11 @@ class Story:
         return {table.name: table for table in every if table}
 
 
-def _rollout_errors(path: Path) -> dict[Contender, np.ndarray]:
+def _rollout_errors(path: Path) -> dict[PredictorId, np.ndarray]:
     """The largest error of each rollout (N,), by network."""
     with h5py.File(path, "r") as opened:
         file: Any = opened
-        return {Contender.parse(str(name)): np.asarray(file[name]) for name in file}
+        return {PredictorId.parse(str(name)): np.asarray(file[name]) for name in file}
 
 
 def sentences(plant: Plant, evaluated: Evaluated, benched: Benched) -> list[str]:
@@ -110,7 +120,7 @@ def sentences(plant: Plant, evaluated: Evaluated, benched: Benched) -> list[str]
     return [_errors(evaluated, networks), _loops(plant, evaluated, networks), _speed(benched)]
 
 
-def _errors(evaluated: Evaluated, networks: list[Contender]) -> str:
+def _errors(evaluated: Evaluated, networks: list[PredictorId]) -> str:
     rows = [(network.label, evaluated.models[network]) for network in networks]
     errors = [f"{short(row.eps_sup)} for the {name} (mean square {short(row.mse)})" for name, row in rows]
     first, *others = evaluated.kinds
@@ -128,7 +138,7 @@ def _and(texts: list[str]) -> str:
     return " and ".join([", ".join(texts[:-1]), texts[-1]] if texts[1:] else texts)
 
 
-def _loops(plant: Plant, evaluated: Evaluated, networks: list[Contender]) -> str:
+def _loops(plant: Plant, evaluated: Evaluated, networks: list[PredictorId]) -> str:
     radii = {contender: scores.radius for contender, scores in evaluated.models.items()}
     counts = [f"{radii[n].count} with the {n.label} (median radius {short(radii[n].median)})" for n in networks]
     counts.append(f"{radii[NUMERICAL].count} with the numerical predictor")

@@ -2,7 +2,7 @@
 
 from result_samples import BENCHED, CROSSOVER, timing
 
-from npred.results import NUMERICAL, Benched, Contender
+from npred.results import NUMERICAL, Benched, PredictorId
 from npred.stages.bench import timing_tables
 
 ROWS = [
@@ -41,5 +41,5 @@ def test_the_details_have_every_row_with_its_tails_and_ratios():
 
 
 def test_a_call_is_the_fastest_runtimes_at_the_finest_grid():
-    assert timing_tables.fastest(RESULT, "rk4") == {NUMERICAL: 9.5, Contender("deeponet"): 6.9}
+    assert timing_tables.fastest(RESULT, "rk4") == {NUMERICAL: 9.5, PredictorId("deeponet"): 6.9}
     assert timing_tables.fastest(Benched.of(BENCHED, "a test"), "rk4") == {}

@@ -20,7 +20,7 @@ from npred.loop import metrics
 from npred.predictors import RK4, Predictor
 from npred.predictors.guarded import Guarded
 from npred.predictors.neural import Neural
-from npred.results import Contender
+from npred.results import PredictorId
 from npred.stages.certify import adversary, certify, rollouts
 from npred.stages.certify.evolution import Inputs
 from npred.stages.certify.table import Certify
@@ -129,7 +129,7 @@ def test_the_gradient_climbs_through_a_network(certified):
     (task, _), _, data = certified
     from npred.stages.evaluate import networks
 
-    network = networks.load(task, Contender("deeponet"))
+    network = networks.load(task, PredictorId("deeponet"))
     inputs = Inputs.of(data, np.array([PLANT.box[name] for name in PLANT.states]))
     table = Certify(restarts=12, steps=40)
     calls, error = adversary.search(PLANT, network, data, inputs, table, 0, lambda n: None)
@@ -249,6 +249,6 @@ def test_loops_are_lost_beside_those_that_numerics_keep():
 
 def test_the_worst_calls_are_kept_the_worst_first(tmp_path):
     X = np.arange(6.0)[:, None]
-    certify._write_worst(tmp_path, {Contender("fno"): ((X, *CALLS[1:]), np.array([1, 5, 2, np.nan, 4, 3.0]))})
+    certify._write_worst(tmp_path, {PredictorId("fno"): ((X, *CALLS[1:]), np.array([1, 5, 2, np.nan, 4, 3.0]))})
     with h5py.File(tmp_path / "worst.h5") as file:
         assert file["fno/X"][:5, 0].tolist() == [1, 4, 5, 2, 0] and file["fno/error"][0] == 5.0

@@ -3,7 +3,7 @@
 import pytest
 from result_samples import ERRORS, SCORES, evaluated, evaluation
 
-from npred.results import NUMERICAL, Contender, Evaluated
+from npred.results import NUMERICAL, Evaluated, PredictorId
 from npred.stages.evaluate import summary_tables
 
 EXACT = SCORES | dict.fromkeys(ERRORS, 0.0)
@@ -18,7 +18,7 @@ def test_the_table_says_who_errs_how_much_and_whose_loops_converge():
 
 
 def test_times_are_in_it_where_they_are_given():
-    rows = summary_tables.table(RESULT, None, {NUMERICAL: 1.25, Contender("fno"): 1234.5}).splitlines()
+    rows = summary_tables.table(RESULT, None, {NUMERICAL: 1.25, PredictorId("fno"): 1234.5}).splitlines()
     assert rows[0].endswith("µs per call")
     assert [row.split()[-1] for row in rows[1:]] == ["1.2", "–", "–", "–", "1234.5"]
 

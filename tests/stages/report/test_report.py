@@ -18,19 +18,19 @@ from result_samples import BENCHED, ERRORS, RADIUS, evaluation, timing
 from npred import config, json_files, plants
 from npred.cli.report import OWNER, PLACE
 from npred.errors import StoreError
-from npred.figures import Evidence
+from npred.figures import EvaluationData
 from npred.figures.notation import markup
 from npred.figures.style import MEDIA
 from npred.plants.builtin.activator_repressor import ActivatorRepressor
-from npred.results import Benched, Contender
+from npred.results import Benched, PredictorId
 from npred.stages.report import report
-from npred.stages.report.report_data import Story, sentences
+from npred.stages.report.report_data import PipelineResults, sentences
 
 LIMIT = 1_500_000  # bytes
 LOADED = ("src", "srcset", "data", "poster", "action", "formaction", "background")
 VOID = {"meta", "link", "input", "br", "img", "hr"}
 
-FNO = Contender("fno")
+FNO = PredictorId("fno")
 
 
 def unset(text: str) -> str:
@@ -89,14 +89,14 @@ def page(text) -> Page:
 
 
 @pytest.fixture(scope="module")
-def story(reported) -> Story:
+def story(reported) -> PipelineResults:
     path, outcomes = reported
     made = job(path.parent / "read", "report").plant
     folders = {name: done.artifact.folder for name, done in outcomes.items() if name != "report"}
-    return Story.read(config.load(path), made, folders)
+    return PipelineResults.read(config.load(path), made, folders)
 
 
-def test_what_an_evaluation_announces_is_checked_before_room_is_made(reported, story: Story, tmp_path: Path):
+def test_what_an_evaluation_announces_is_checked_before_room_is_made(reported, story: PipelineResults, tmp_path: Path):
     done = reported[1]["evaluate"].artifact
     for file, name in (("errors.h5", "networks/fno/sup"), ("figure1.h5", "fno/t"), ("coverage.h5", "D_hat/edges")):
         folder = shutil.copytree(done.folder, tmp_path / file)
@@ -104,17 +104,17 @@ def test_what_an_evaluation_announces_is_checked_before_room_is_made(reported, s
             del opened[name]
             opened.create_dataset(name, shape=(10**13,), dtype="f8")
         with pytest.raises(StoreError, match=f"{name} of shape .* is larger than what is stored of it"):
-            Evidence.read(folder, story.plant, story.config.evaluate, story.evaluated)
+            EvaluationData.read(folder, story.plant, story.config.evaluate, story.evaluated)
 
 
-def test_a_result_too_long_for_a_table_is_not_read(reported, story: Story, tmp_path: Path):
+def test_a_result_too_long_for_a_table_is_not_read(reported, story: PipelineResults, tmp_path: Path):
     path, outcomes = reported
     folders = {name: done.artifact.folder for name, done in outcomes.items() if name != "report"}
     folders["bench"] = tmp_path
     with (tmp_path / "result.json").open("wb") as file:
         file.truncate(json_files.LIMIT + 1)
     with pytest.raises(StoreError, match=f"more than {json_files.LIMIT}"):
-        Story.read(config.load(path), story.plant, folders)
+        PipelineResults.read(config.load(path), story.plant, folders)
 
 
 def test_nothing_is_loaded_and_nothing_could_be(page, text):
@@ -321,7 +321,7 @@ def test_a_page_is_not_overwritten_by_another_pipeline_of_its_name(call: Call, h
 
 def test_figures_of_two_pipelines_of_one_name_have_folders_of_their_own(call: Call, here: Path, monkeypatch):
     monkeypatch.setattr("npred.cli.report.FORMATS", ("svg",))
-    monkeypatch.setattr(Story, "plates", lambda self: {})
+    monkeypatch.setattr(PipelineResults, "plates", lambda self: {})
     Path("c").mkdir()
     other = shutil.copy("tiny.toml", "c/tiny.toml")
     files = [("tiny.toml", "tiny-ieee1"), (other, "tiny-c-ieee1"), ("tiny.toml", "tiny-ieee1")]
@@ -330,7 +330,7 @@ def test_figures_of_two_pipelines_of_one_name_have_folders_of_their_own(call: Ca
         assert Path(f"store/{name}/pipeline.txt").read_text() == f"{file}\n"
 
 
-def test_figures_and_tables_for_a_paper(call: Call, here: Path, tmp_path: Path, story: Story, monkeypatch):
+def test_figures_and_tables_for_a_paper(call: Call, here: Path, tmp_path: Path, story: PipelineResults, monkeypatch):
     monkeypatch.setattr("npred.cli.report.FORMATS", ("svg",))  # the others: tests/figures/test_figures.py
     found = document(call("report", "tiny.toml", "--figures", "ieee1", "-o", str(tmp_path / "figures"), "--json"))
     wanted = {f"{name}.{form}" for name in story.plates() for form in ("svg",)}
