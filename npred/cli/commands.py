@@ -17,7 +17,7 @@ from npred.registry import STAGES, declared_stage
 
 RUN, LOOK, CARE = "Run", "Look", "Look after"
 FORMS = ("onnx", "c", "controller", "fmu", "npy", "hdf5", "mat")
-MEDIA = ("ieee1", "ieee2", "page", "slides")
+MEDIA = ("ieee1", "ieee2", "page")
 RESULT = argument("STAGE/KEY", "A result, as for show.", completion.artifacts)
 
 

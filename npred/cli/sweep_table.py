@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from npred import figures
-from npred.figures.figure import Figure, Panel
-from npred.figures.loops import keys
-from npred.figures.style import ROLES, log, look
+from npred.figures.figure import Figure, Panel, legend
+from npred.figures.style import ROLES, line_of, log
 from npred.pipeline import CellRun
 from npred.pipeline.cells import Cell
 from npred.results import Benched, Evaluated, PredictorId, Trained, ranked
@@ -118,7 +117,7 @@ def draw(folder: Path, rows: Sequence[Row]) -> list[Path]:
         Panel(f"{AXES[y]} versus {AXES[x]}", _alt(rows, x, y), partial(_panel, rows, x, y)) for x, y in pairs
     )
     caption = "One point per row of the table; the line is the front, and its numbers are the table's rows."
-    figures.write(Figure("front", "The front", caption, panels, keys(_contenders(rows).values())), folder)
+    figures.write(Figure("front", "The front", caption, panels, legend([*_contenders(rows).values()])), folder)
     return [folder / "front.svg", folder / "front.png"]
 
 
@@ -140,7 +139,7 @@ def _panel(rows: Sequence[Row], x: str, y: str, axis: "Axes") -> None:
     contenders = _contenders(rows)
     for model in dict.fromkeys(row.model for _, row in shown):
         of_model = np.array([row.model == model for _, row in shown])
-        axis.plot(*points[of_model].T, "o", color=look(contenders[model]).colour)
+        axis.plot(*points[of_model].T, "o", color=line_of(contenders[model]).colour)
     order = np.flatnonzero(best)[np.argsort(points[best, 0])]
     axis.plot(*points[order].T, color=ROLES["muted"][0], zorder=0, drawstyle="steps-post")
     for k in order[:NAMED]:

@@ -10,9 +10,9 @@ from npred import figures
 from npred.cli import app
 
 
-def drawn(plate):
+def drawn(figure):
     axis = Canvas().subplots()
-    plate.panels[0].draw(axis)
+    figure.panels[0].draw(axis)
     return max((line.get_xydata() for line in axis.lines), key=len)
 
 

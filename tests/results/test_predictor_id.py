@@ -11,8 +11,8 @@ NETWORKS = st.from_regex(r"[a-z][a-z_0-9]{0,20}", fullmatch=True)
 
 @given(NETWORKS, st.none() | st.integers(1, 10**9))
 def test_a_name_is_read_back(model: str, epoch: int | None):
-    contender = PredictorId(model, epoch)
-    assert PredictorId.parse(contender.name) == contender == PredictorId.parse(contender)
+    predictor = PredictorId(model, epoch)
+    assert PredictorId.parse(predictor.name) == predictor == PredictorId.parse(predictor)
 
 
 @pytest.mark.parametrize(

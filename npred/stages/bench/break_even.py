@@ -12,7 +12,7 @@ from npred.config import Bench
 from npred.kernels.kernel import bound
 from npred.predictors import RK4, OneStep, Predictor
 from npred.results.bench import CallTimes, Crossover, EquivalentMethod
-from npred.stages.bench import sentences, timing
+from npred.stages.bench import timing, timing_tables
 from npred.stages.bench.candidates import Candidate, ErrorSizes, Reference, matching
 from npred.stages.job import Job
 
@@ -65,7 +65,7 @@ def crossover(
         best=best.predictor, best_steps=best.nx - 1, best_us=best_us, network_speedup=best_us / network_us,
         f_ns=f_ns, pays_from_ns=1000 * max(network_us - overhead, 0.0) / evaluations,
     )  # fmt: skip
-    return measured.model_copy(update={"sentence": sentences.network_pays(measured, 1 / (network.nx - 1))})
+    return measured.model_copy(update={"sentence": timing_tables.network_pays(measured, 1 / (network.nx - 1))})
 
 
 def _by_median(rival: Candidate, reference: Reference, eps: float) -> Candidate | None:

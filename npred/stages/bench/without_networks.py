@@ -12,7 +12,7 @@ from npred.operators.weights import untrained
 from npred.plants import Plant
 from npred.results.bench import BreakEven, Crossover
 from npred.runtimes.fused import Fused
-from npred.stages.bench import break_even, candidates, sentences
+from npred.stages.bench import break_even, candidates, timing_tables
 from npred.stages.bench.candidates import Candidate, ErrorSizes, Reference
 from npred.stages.generate import rollouts
 from npred.terminal.console import columns
@@ -87,7 +87,7 @@ def _share(crossover: Crossover) -> str:
 
 
 def _method(crossover: Crossover) -> str:
-    return sentences.method_on(crossover.best, crossover.best_steps)
+    return timing_tables.method_on(crossover.best, crossover.best_steps)
 
 
 def summary(result: BreakEven, width: int | None = None) -> str:

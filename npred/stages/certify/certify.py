@@ -70,8 +70,8 @@ def run(job: Job) -> Certified:
     _write_worst(job.folder, calls)
     lost, count = int(_lost(job.plant, loops).sum()), job.config.optional("certify").loops
     result = Certified(plant=job.plant.name, loops=count, lost_numerical=lost, models=models)
-    if plate := figures.certified(job.plant, result, errors):
-        figures.write(plate, job.folder)
+    if figure := figures.certified(job.plant, result, errors):
+        figures.write(figure, job.folder)
     return result
 
 

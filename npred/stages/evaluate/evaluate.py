@@ -204,7 +204,7 @@ def _warn_of_fallbacks(progress: Console, models: Mapping[PredictorId, Scores]) 
 
 def _draw(job: Job, result: Evaluated) -> None:
     job.progress.doing("evaluate", "drawing")
-    evidence = figures.EvaluationData.read(job.folder, job.plant, job.config.evaluate, result)
+    data = figures.EvaluationData.read(job.folder, job.plant, job.config.evaluate, result)
     kinds = figures.figure1, figures.figure1_bounded, figures.certificate, figures.coverage
-    for plate in filter(None, (kind(evidence) for kind in kinds)):
-        figures.write(plate, job.folder)
+    for figure in filter(None, (kind(data) for kind in kinds)):
+        figures.write(figure, job.folder)
