@@ -44,8 +44,8 @@ def _scenario_panel(
 ) -> Panel:
     """A mark per predictor on the line of each scenario, the first scenario on top; an arrow where it lies far left."""
     names, predictors = [one.name for one in conditions], list(conditions[0].models)
-    known = {each: [value(one.models[each]) for one in conditions] for each in predictors}
-    values = {each: np.array([np.nan if v is None else v for v in row], dtype=float) for each, row in known.items()}
+    numbers = {each: [value(one.models[each]) for one in conditions] for each in predictors}
+    values = {each: np.array([np.nan if v is None else v for v in row], dtype=float) for each, row in numbers.items()}
 
     def draw(axis: Axes) -> None:
         offsets = np.linspace(-SPREAD / 2, SPREAD / 2, len(values)) if len(values) > 1 else [0.0]

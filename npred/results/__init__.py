@@ -1,4 +1,4 @@
-"""The results of the stages as frozen models of result.json: what each stage found, and the contenders compared."""
+"""The results of the stages as frozen models of result.json: what each stage found, and the predictors compared."""
 
 from npred.results.base import Generated, Number, Reported, Result, Trained
 from npred.results.bench import Benched

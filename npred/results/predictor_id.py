@@ -1,4 +1,4 @@
-"""Contenders: the numerical predictor, with and without adaptation, each network, and each of its snapshots."""
+"""The predictors that results compare: the numerical one, with and without adaptation, each network and snapshot."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
@@ -24,7 +24,7 @@ class PredictorId:
 
     @classmethod
     def parse(cls, name: "str | PredictorId") -> "PredictorId":
-        """The contender of a name. Raises ValueError where what follows the @ is no epoch."""
+        """The predictor of a name. Raises ValueError where what follows the @ is no epoch."""
         if isinstance(name, PredictorId):
             return name
         model, at, epoch = name.rpartition("@")
@@ -54,11 +54,11 @@ class PredictorId:
         return self != NO_ADAPTATION
 
 
-def ranked(contenders: Iterable[PredictorId]) -> list[PredictorId]:
-    """The same contenders with the ranks that they have beside each other."""
-    contenders = list(contenders)
-    others = sorted({c.model for c in contenders if c.is_network} - NETWORKS.builtin.keys())
-    return [replace(c, rank=others.index(c.model)) if c.model in others else c for c in contenders]
+def ranked(predictors: Iterable[PredictorId]) -> list[PredictorId]:
+    """The same predictors with the ranks that they have beside each other."""
+    predictors = list(predictors)
+    others = sorted({c.model for c in predictors if c.is_network} - NETWORKS.builtin.keys())
+    return [replace(c, rank=others.index(c.model)) if c.model in others else c for c in predictors]
 
 
 def _by_ranked(values: dict[PredictorId, T]) -> dict[PredictorId, T]:

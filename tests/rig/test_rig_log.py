@@ -65,8 +65,8 @@ def test_the_last_row_is_the_last_call(path):
 
 
 def test_the_figure_has_a_panel_for_each_series(path):
-    plate = figures.rig(PLANT, "drawn", *log.read(path)[:2])
-    assert [panel.title for panel in plate.panels] == ["X", "U", "delay estimate D̂ (s)", "age of the sample (s)"]
-    assert "ends at 0.3, the stamps say 0.29" in plate.panels[2].alt
-    figures.write(plate, path.parent, formats=["svg"])
+    figure = figures.rig(PLANT, "drawn", *log.read(path)[:2])
+    assert [panel.title for panel in figure.panels] == ["X", "U", "delay estimate D̂ (s)", "age of the sample (s)"]
+    assert "ends at 0.3, the stamps say 0.29" in figure.panels[2].alt
+    figures.write(figure, path.parent, formats=["svg"])
     assert path.with_name("drawn.svg").stat().st_size > 5000

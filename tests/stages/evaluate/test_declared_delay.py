@@ -71,18 +71,20 @@ def test_scenarios_have_no_error_of_an_estimate(stages):
     result = Evaluated.read(stages["evaluate"].folder)
     assert [one.name for one in result.scenarios] == ["noise 1 %", "pipe"]
     assert all(does.D_error is None for one in result.scenarios for does in one.models.values())
-    table = summary_tables.details(result).split("\n\n")[2]
-    assert table.splitlines()[0].split()[:2] == ["scenario", "predictor"] and len(table.splitlines()) == 7
-    assert len(summary_tables.details(result.model_copy(update={"scenarios": []})).split("\n\n")) == 2
+    *_, table = tables = summary_tables.details(result).split("\n\n")
+    assert table.splitlines()[1].split()[:2] == ["scenario", "predictor"] and len(table.splitlines()) == 8
+    assert "|D̂ − D|" not in table
+    others = summary_tables.details(result.model_copy(update={"scenarios": []})).split("\n\n")
+    assert others == tables[:-1]
 
 
 def test_figures_show_the_delay_where_others_show_the_estimate(stages):
     task = stages["evaluate"]
     result = Evaluated.read(task.folder)
-    evidence = figures.EvaluationData.read(task.folder, task.plant, task.config.evaluate, result)
-    plate = figures.figure1(evidence)
-    assert "delay D(X, t) (min)" in [panel.title for panel in plate.panels]
-    assert "with the delay that the plant declares" in plate.caption and "D̂(0)" not in plate.caption
+    data = figures.EvaluationData.read(task.folder, task.plant, task.config.evaluate, result)
+    figure = figures.figure1(data)
+    assert "delay D(X, t) (min)" in [panel.title for panel in figure.panels]
+    assert "with the delay that the plant declares" in figure.caption and "D̂(0)" not in figure.caption
     conditions = figures.scenarios(task.plant, result.scenarios)
     assert conditions is not None
     assert [panel.title for panel in conditions.panels] == ["worst radius", "settles after (min)"]
